@@ -49,12 +49,9 @@ pub use audit::{
 };
 pub use report::compare;
 
-use std::path::PathBuf;
-
 use corrections::{Corrections, Given};
-use log::ReadOptions;
 use report::{Report, Trouble};
-use run::{Run, RunOptions};
+use run::Run;
 
 /// Audits one run, and writes nothing.
 ///
@@ -77,11 +74,10 @@ pub fn audit(options: &Options) -> Result<Audited, Trouble> {
 ///
 /// # Errors
 /// Where the log cannot be read.
-pub fn info(logs: &[PathBuf], how: &ReadOptions) -> Result<Report, Trouble> {
-    let mut log = log::open(logs, how)?;
-    let options = RunOptions::default();
-    run::tell_columns(&mut log, &options);
+pub fn info(options: &Options) -> Result<Report, Trouble> {
+    let mut log = log::open(&options.logs, &options.read)?;
+    run::tell_columns(&mut log, &options.run);
     let read = audit::Read::of(&log);
-    let run = Run::complete(log, &options, |_| Ok::<_, Trouble>(()))?;
+    let run = Run::complete(log, &options.run, |_| Ok::<_, Trouble>(()))?;
     Ok(audit::summary(&run, read))
 }

@@ -76,6 +76,12 @@ impl Table {
     }
 
     fn csv(&self, joint: &str, folder: &Path) -> std::path::PathBuf {
+        let path = folder.join("run.csv");
+        fs::write(&path, self.text(joint)).expect("a file");
+        path
+    }
+
+    fn text(&self, joint: &str) -> String {
         let mut text = "time".to_owned();
         (1..=JOINTS).for_each(|number| write!(text, ",{joint}{number}").expect("text"));
         let pose = if self.rpy { ",x,y,z,roll,pitch,yaw" } else { ",x,y,z,qx,qy,qz,qw" };
@@ -85,10 +91,13 @@ impl Table {
             write!(text, "\n{}", cells.join(",")).expect("text");
         }
         text.push('\n');
-        let path = folder.join("run.csv");
-        fs::write(&path, text).expect("a file");
-        path
+        text
     }
+}
+
+/// A run of a UR5e whose elbow is logged with an offset, as a table.
+pub fn csv_of_ur5e(elbow: f64) -> String {
+    Table { elbow, ..CLEAN }.text("q")
 }
 
 fn audited(table: &Table, robot: Option<&str>) -> Report {
@@ -257,4 +266,56 @@ fn columns_without_names_can_be_said() {
     // Its first number rises by even steps: the times.
     let told = report(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
     assert_eq!((told.verdict, causes(&told)), (Verdict::Pass, Vec::new()), "{:?}", told.findings);
+}
+
+/// The rows of a UR5e without faults, edited, as an audit of them says META002.
+fn repeated(
+    header: &str,
+    edit: impl Fn(&[f64]) -> Vec<f64>,
+) -> Vec<(String, Option<String>, String)> {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut text = header.to_owned();
+    for row in CLEAN.rows() {
+        let cells: Vec<String> = edit(&row).iter().map(|number| format!("{number:.9}")).collect();
+        write!(text, "\n{}", cells.join(",")).expect("text");
+    }
+    let path = folder.path().join("run.csv");
+    fs::write(&path, text + "\n").expect("a file");
+    let report = report(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
+    let found = report.findings.iter().filter(|finding| finding.code == "META002");
+    found
+        .map(|found| {
+            let topic = found.subject.topic.clone().unwrap_or_default();
+            (
+                topic,
+                found.subject.joint.clone(),
+                format!("{} {}", found.severity.name(), found.message),
+            )
+        })
+        .collect()
+}
+
+#[test]
+fn columns_that_repeat_others_are_named() {
+    const STATE: &str = "time,q1,q2,q3,q4,q5,q6,tcp_x,tcp_y,tcp_z,tcp_qx,tcp_qy,tcp_qz,tcp_qw";
+    assert_eq!(repeated(STATE, <[f64]>::to_vec), []);
+    let commands = format!("{STATE},action_q1,action_q2,action_q3,action_q4,action_q5,action_q6");
+    let copied = repeated(&commands, |row| [row, &row[1..7]].concat());
+    let [(_, None, said)] = copied.as_slice() else { panic!("{copied:?}") };
+    assert!(said.starts_with("warning") && said.contains("in every row"), "{said}");
+    // Commands that lead by a row are none of the states.
+    let ahead = repeated(&commands, |row| [row, &q(row[0] + STEP_S)].concat());
+    assert_eq!(ahead, []);
+    let tracker = format!(
+        "{STATE},tracker_x,tracker_y,tracker_z,tracker_qx,tracker_qy,tracker_qz,tracker_qw"
+    );
+    let twice = repeated(&tracker, |row| [row, &row[7..]].concat());
+    let [(topic, None, said)] = twice.as_slice() else { panic!("{twice:?}") };
+    assert!(topic == "tracker" && said.contains("no witness from outside"), "{said}");
+    let still = repeated(&tracker, |row| [row, &[0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0]].concat());
+    let [(topic, None, said)] = still.as_slice() else { panic!("{still:?}") };
+    assert!(topic == "tracker" && said.starts_with("info") && said.contains("one value"), "{said}");
+    let joint = repeated(STATE, |row| [&row[..6], &row[5..6], &row[7..]].concat());
+    let [(_, Some(_), said)] = joint.as_slice() else { panic!("{joint:?}") };
+    assert!(said.starts_with("warning") && said.contains("equals"), "{said}");
 }

@@ -9,12 +9,14 @@
 //! cargo bench --bench speed                        # the whole table, with logs of 2.5 million messages
 //! cargo bench --bench speed -- --messages 250000   # the same with smaller logs
 //! cargo bench --bench speed -- --keep /tmp/logs    # and keeps them
+//! cargo bench --bench speed -- --python python3    # and scripts beside: rosbags with pin, small-mcap
 //! ```
 
 mod logs;
 mod process;
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::time::Instant;
 
 use anyhow::{Context, Result};
@@ -49,9 +51,11 @@ fn main() -> Result<()> {
     std::fs::create_dir_all(&folder)?;
     let logs = Logs::made(&folder, messages)?;
 
-    println!("Whole processes; ratios to the floor are medians of {PAIRS} pairs.\n");
     println!(
-        "{:34} {:>9} {:>8} {:>7} {:>7} {:>7} {:>7} {:>9} {:>9}",
+        "Whole processes; ratios to the floor are medians of {PAIRS} pairs, with their quartiles.\n"
+    );
+    println!(
+        "{:27} {:>9} {:>6} {:>17} {:>17} {:>17} {:>17} {:>7} {:>8}",
         "log", "messages", "MB", "info", "audit", "cpu", "verify", "Mmsg/s", "RssAnon"
     );
     for log in &logs.mcap {
@@ -60,7 +64,7 @@ fn main() -> Result<()> {
         let audit = pairs(&["audit", "--format", "json", "--fail-on", "never"])?;
         let verify = pairs(&["audit", "--format", "json", "--fail-on", "never", "--verify"])?;
         println!(
-            "{:34} {:>9} {:>8.0} {:>6.2}× {:>6.2}× {:>6.2}× {:>6.2}× {:>9.2} {:>5.0} MiB",
+            "{:27} {:>9} {:>6.0} {:>17} {:>17} {:>17} {:>17} {:>7.2} {:>4.0} MiB",
             log.name,
             log.messages,
             log.bytes as f64 / 1e6,
@@ -82,13 +86,17 @@ fn main() -> Result<()> {
             PAIRS,
         )?;
         println!(
-            "{:34} {:>9} {:>8.0} {:>6.2}× {:>6.2}× cpu",
+            "{:27} {:>9} {:>6.0} {:>17} {:>17} cpu",
             log.name,
             log.messages,
             log.bytes as f64 / 1e6,
             audit.wall,
             audit.cpu
         );
+    }
+
+    if let Some(python) = value("--python") {
+        beside(python, &logs.yardstick().path)?;
     }
 
     println!("\nGrowth with length, whole audit:");
@@ -106,6 +114,23 @@ fn main() -> Result<()> {
 
     stages(&logs.yardstick().path)?;
     forward_kinematics()
+}
+
+/// What users would write instead, where its packages are installed.
+fn beside(python: &str, log: &Path) -> Result<()> {
+    println!("\nScripts beside, against the same floor:");
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/speed/users.py");
+    for (mode, what) in [
+        ("fk", "rosbags and Pinocchio, FK of two topics"),
+        ("count", "small-mcap, messages counted"),
+    ] {
+        let mut command = Command::new(python);
+        match Pairs::of(command.arg(&script).arg(mode).arg(log), log, 1) {
+            Ok(Pairs { wall, cpu, .. }) => println!("{what:42} {wall:>17} {cpu:>17} cpu"),
+            Err(error) => println!("{what:42} {error}"),
+        }
+    }
+    Ok(())
 }
 
 /// Reads a file as the floor does.

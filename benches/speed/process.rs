@@ -1,9 +1,9 @@
 //! Whole processes, and what they cost.
 
-use std::fs;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
+use std::{fmt, fs};
 
 use anyhow::{Context, Result, ensure};
 
@@ -18,13 +18,37 @@ pub struct Cost {
     pub anonymous_mib: f64,
 }
 
-/// A command beside the floor: medians over pairs of runs.
+/// What a command costs over what the floor does, over several pairs of runs.
+#[derive(Clone, Copy, Debug)]
+pub struct Ratio {
+    pub median: f64,
+    /// Half of the pairs are between these.
+    pub quartiles: (f64, f64),
+}
+
+impl Ratio {
+    fn of(mut ratios: Vec<f64>) -> Self {
+        ratios.sort_by(f64::total_cmp);
+        let at = |share: f64| ratios[((ratios.len() - 1) as f64 * share).round() as usize];
+        Self { median: at(0.5), quartiles: (at(0.25), at(0.75)) }
+    }
+}
+
+impl fmt::Display for Ratio {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (low, high) = self.quartiles;
+        let decimals = if self.median < 10.0 { 2 } else { 0 };
+        f.pad(&format!("{:.decimals$}× ({low:.decimals$}–{high:.decimals$})", self.median))
+    }
+}
+
+/// A command beside the floor.
 pub struct Pairs {
     /// Wall time over the floor's.
-    pub wall: f64,
+    pub wall: Ratio,
     /// Processor time over the floor's.
-    pub cpu: f64,
-    /// What the command cost.
+    pub cpu: Ratio,
+    /// What the command cost: medians.
     pub own: Cost,
 }
 
@@ -41,13 +65,17 @@ impl Pairs {
         floor: &Path,
         pairs: usize,
     ) -> Result<Self> {
+        let mut own = Command::new(env!("CARGO_BIN_EXE_poseaudit"));
+        Self::of(own.args(command).arg(log), floor, pairs)
+    }
+
+    /// Runs any command and the floor in turn.
+    pub fn of(own: &mut Command, floor: &Path, pairs: usize) -> Result<Self> {
         let bench = std::env::current_exe()?;
         let mut costs = Vec::new();
         for _ in 0..=pairs {
             let mut floor_of = Command::new(&bench);
-            let mut own = Command::new(env!("CARGO_BIN_EXE_poseaudit"));
-            costs
-                .push((run(own.args(command).arg(log))?, run(floor_of.arg("--floor").arg(floor))?));
+            costs.push((run(own)?, run(floor_of.arg("--floor").arg(floor))?));
         }
         // The first pair finds the file not yet in memory.
         costs.remove(0);
@@ -56,9 +84,12 @@ impl Pairs {
             values.sort_by(f64::total_cmp);
             values[values.len() / 2]
         };
+        let ratio = |of: &dyn Fn(&Cost) -> f64| {
+            Ratio::of(costs.iter().map(|(own, floor)| of(own) / of(floor)).collect())
+        };
         Ok(Self {
-            wall: median(&|(own, floor)| own.wall_s / floor.wall_s),
-            cpu: median(&|(own, floor)| own.cpu_s / floor.cpu_s),
+            wall: ratio(&|cost| cost.wall_s),
+            cpu: ratio(&|cost| cost.cpu_s),
             own: Cost {
                 wall_s: median(&|(own, _)| own.wall_s),
                 cpu_s: median(&|(own, _)| own.cpu_s),

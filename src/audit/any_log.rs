@@ -371,6 +371,7 @@ impl AnyLog {
             notes: Vec::new(),
             losses: Vec::new(),
             contradictions: None,
+            repeats: None,
             robot_type: None,
             question: None,
         };

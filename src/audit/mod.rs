@@ -78,6 +78,7 @@ impl Read {
                 losses: log.losses.clone(),
                 undecodable: undecodable.collect(),
                 contradictions: log.contradictions.clone(),
+                repeats: log.repeats.clone(),
             },
         }
     }

@@ -22,7 +22,7 @@ pub fn merged(parts: Vec<Part>, main: usize) -> Evaluation {
     let mut whole = Evaluation::default();
     let mut ranks: Vec<u8> = Vec::new();
     for (index, Part { evaluation, is_short }) in parts.into_iter().enumerate() {
-        let is_told = |code: &str| index > 0 && code.starts_with("ING");
+        let is_told = |code: &str| index > 0 && is_of_files(code);
         for mut row in evaluation.checks.into_iter().filter(|row| !is_told(row.code)) {
             let rank = gravity(&row, is_short);
             if row.status != Status::Skipped
@@ -43,7 +43,7 @@ pub fn merged(parts: Vec<Part>, main: usize) -> Evaluation {
             }
         }
         for mut finding in evaluation.findings.into_iter().filter(|found| !is_told(found.code)) {
-            if !finding.code.starts_with("ING") {
+            if !is_of_files(finding.code) {
                 finding.message += &format!(", in segment {} of {count}", index + 1);
                 finding.segment = Some(index);
                 let segment: Value = json!({ "number": index + 1, "of": count });
@@ -64,6 +64,11 @@ pub fn merged(parts: Vec<Part>, main: usize) -> Evaluation {
     whole.checks.sort_by_key(|row| row.code);
     rank(&mut whole.findings);
     whole
+}
+
+/// Whether a rule is about the files, whatever their segments.
+fn is_of_files(code: &str) -> bool {
+    code.starts_with("ING") || code.starts_with("META")
 }
 
 /// Which of two answers on one subject stands: what a short segment leaves open does not undo what

@@ -4,7 +4,7 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 
 use comfy_table::{CellAlignment, Table};
-use poseaudit::log::ReadOptions;
+use poseaudit::config::Config;
 use poseaudit::places::Places;
 use poseaudit::report::{LogSummary, Report, StreamRow, Trouble, tame};
 use poseaudit::time::seconds;
@@ -17,18 +17,26 @@ use super::{Outcome, output};
 #[command(after_help = "\
 Examples:
   poseaudit info run.mcap
-  poseaudit info run_0.db3 run_1.db3")]
+  poseaudit info run_0.db3 run_1.db3
+  poseaudit info episodes.npz --config poseaudit.toml")]
 pub struct Args {
     /// The log, or its URL (s3://, gs://, az://, https://); several files of one run are merged
     #[arg(value_name = "LOG", required = true)]
     logs: Vec<PathBuf>,
+
+    /// Config file (TOML), as of an audit: what it says of the columns of a table, of topics and of the robot
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
 }
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
-    Places::only_read(&args.logs)?;
+    Places::only_read(args.logs.iter().chain(&args.config))?;
+    let config = args.config.as_deref().map(Config::from_file).transpose()?;
+    let mut options = config.as_ref().map(Config::options).unwrap_or_default();
+    options.logs.clone_from(&args.logs);
     let report = watched(|progress| {
-        let how = ReadOptions { progress: Some(progress), ..ReadOptions::default() };
-        poseaudit::info(&args.logs, &how)
+        options.read.progress = Some(progress);
+        poseaudit::info(&options)
     })?;
     output::emit(None, |out| write(&report, out))?;
     if let Some(trouble) = &report.error {

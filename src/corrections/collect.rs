@@ -1,6 +1,7 @@
 //! From the findings of an audit to what mends them.
 
 use super::code::{self, Lines};
+use super::dataset;
 use super::file::{AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection};
 use super::frames::{FixedFrame, model_stem, slug};
 use super::source::{Source, amount, label, nothing, slip_words};
@@ -21,6 +22,8 @@ pub(crate) struct Mending {
     pub(super) codes: Vec<Coded>,
     pub(super) frames: Vec<FixedFrame>,
     pub(super) models: Vec<Patched>,
+    /// What corrects the columns of a dataset, as Python.
+    pub(super) module: Option<String>,
     /// Why a model with joint offsets is not patched.
     pub(super) unpatched: Vec<String>,
     pub(super) mended: Vec<Mended>,
@@ -59,6 +62,8 @@ pub(super) struct Left {
 
 pub(super) const CORRECTIONS: &str = "corrections.toml";
 pub(super) const OFFSETS: &str = "joint_offsets.yaml";
+/// What corrects the columns of a dataset.
+pub(super) const MODULE: &str = "dataset_step.py";
 pub(super) const LATENCIES: &str = "latency.yaml";
 pub(super) const CONVENTIONS: &str = "conventions.md";
 pub(super) const TRANSFORMS: &str = "static_transforms.sh";
@@ -80,6 +85,7 @@ impl Mending {
             codes: Vec::new(),
             frames: Vec::new(),
             models: Vec::new(),
+            module: None,
             unpatched: Vec::new(),
             mended: Vec::new(),
             open: Vec::new(),
@@ -99,6 +105,7 @@ impl Mending {
             }
         }
         mending.patch_models(run);
+        mending.module = dataset::module(report, run, &mending.corrections);
         mending
     }
 

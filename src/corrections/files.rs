@@ -6,7 +6,8 @@ use std::path::Path;
 use similar::TextDiff;
 
 use super::collect::{
-    CONVENTIONS, CORRECTIONS, JOINTS, LATENCIES, MODEL, Mended, Mending, OFFSETS, TRANSFORMS,
+    CONVENTIONS, CORRECTIONS, JOINTS, LATENCIES, MODEL, MODULE, Mended, Mending, OFFSETS,
+    TRANSFORMS,
 };
 use super::file::JointCorrection;
 use super::frames::{in_xml, model_stem};
@@ -18,8 +19,8 @@ use crate::report::{quoted, tame};
 const INDEX: &str = "corrections.md";
 
 /// All files but those of the models.
-pub(crate) const FIX_FILES: [&str; 7] =
-    [INDEX, CORRECTIONS, OFFSETS, LATENCIES, CONVENTIONS, TRANSFORMS, JOINTS];
+pub(crate) const FIX_FILES: [&str; 8] =
+    [INDEX, CORRECTIONS, OFFSETS, LATENCIES, CONVENTIONS, TRANSFORMS, JOINTS, MODULE];
 
 /// The files that a patched copy of the model at `source` may be, and the patch.
 pub(crate) fn model_files(source: &Path) -> [String; 4] {
@@ -42,6 +43,7 @@ impl Mending {
         add(CONVENTIONS, self.conventions());
         add(TRANSFORMS, self.transforms());
         add(JOINTS, self.joints());
+        add(MODULE, self.module.clone());
         for model in &self.models {
             let (old, new) = (format!("a/{}", model.file), format!("b/{}", model.file));
             let diff = TextDiff::from_lines(&model.before, &model.after);
@@ -117,6 +119,9 @@ impl Mending {
         add(CONVENTIONS, "the lines of code that read a topic rightly", !self.codes.is_empty());
         add(TRANSFORMS, "frames as commands of tf2_ros", !self.frames.is_empty());
         add(JOINTS, "the same frames as joints of a URDF", !self.frames.is_empty());
+        let module =
+            "offsets and delays of the dataset's columns in Python, also as a LeRobot step";
+        add(MODULE, module, self.module.is_some());
         for model in &self.models {
             add(&model.file, "the model, its joints' origins turned by the offsets", true);
             add(&format!("{}.patch", model.file), "what was changed in it, for `patch -p1`", true);

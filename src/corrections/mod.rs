@@ -9,6 +9,8 @@ mod apply;
 mod code;
 #[cfg(feature = "fix")]
 mod collect;
+#[cfg(feature = "fix")]
+mod dataset;
 mod file;
 #[cfg(feature = "fix")]
 mod files;

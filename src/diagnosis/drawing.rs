@@ -1,17 +1,26 @@
 //! Joint zeros of an arm that is not its drawing.
 //!
 //! Every link of a real arm differs from its drawing by some hundredths of a millimetre and thousandths
-//! of a degree, and a joint zero is named only where it stands out of what that makes. So the six
-//! deviations of every link are random effects with a prior N(0, s²), lengths to angles as 1 mm to 0.1°,
-//! and the zeros are fixed effects beside them; s is the one under which the log is likeliest (marginal
-//! likelihood: Rasmussen and Williams, *Gaussian Processes for Machine Learning*, 2006, ch. 5.4; fixed
-//! and random effects: Patterson and Thompson, *Recovery of inter-block information*, Biometrika 58,
-//! 1971). The interval of a zero then holds the drawing's inaccuracy as well as the noise.
+//! of a degree, and a joint zero is named only where it stands out of what that makes. So the deviations
+//! of every link are random effects with a prior N(0, s²), lengths to angles as 1 mm to 0.1°, and the zeros
+//! are fixed effects beside them (Patterson and Thompson, *Recovery of inter-block information*, Biometrika
+//! 58, 1971). The interval of a zero then holds the drawing's inaccuracy as well as the noise.
+//!
+//! What a link is off about or along its joint's axis is that joint's zero. It is a random effect, too: what
+//! all joints of an arm are off by is no fault of one.
+//!
+//! Links are not off alike: of a UR5 as it left the factory one is turned by 0.37° and the next worst by
+//! 0.1°, and no joint's zero is off by 0.01°. So each link has an s of its own, and the zeros have one, and
+//! these vary about that of the arm so that deviations are Student's t with [`ALIKE`] degrees of freedom;
+//! the sizes are those under which the log is likeliest (variational bound on the marginal likelihood:
+//! Bishop, *Pattern Recognition and Machine Learning*, 2006, ch. 10.1 and 10.3).
 
-use super::Measured;
 use super::linear::{Linear, Normal};
 use super::model::{StreamState, Witness};
 use super::nominal::{ANYTHING, is_anything, link_frames};
+use super::{Measured, Twin};
+use ground::geometry::{Rotation, Vec3};
+use ground::robot::{JointKind, turn_z_to};
 use nalgebra::{DMatrix, DVector};
 
 /// The angle that a link is off where it is off by a length, rad/m: 0.1° to 1 mm.
@@ -20,21 +29,29 @@ pub(super) const RAD_PER_M: f64 = 1.745;
 pub(super) const LINKS_M: (f64, f64, f64) = (1e-5, 3e-3, 1.6);
 /// Size of a joint zero that is there, rad or m.
 pub(super) const ZERO: f64 = 0.02;
-/// A zero is named where the log is so much likelier with it, as twice the log of the ratio: it was
-/// chosen among the joints.
-const SURE: f64 = 16.0;
+/// A zero is named where the log is so much likelier with it, as twice the log of the ratio: fifty times.
+const SURE: f64 = 8.0;
+/// Another joint's zero may be it as well where the log is no more than so much less likely with that,
+/// in the same measure: a twentieth as likely.
+const AS_LIKELY: f64 = 6.0;
 /// Zeros that are named at most.
 const MOST: usize = 4;
 /// Samples that are fitted.
 pub(super) const SAMPLES: usize = 1000;
 /// Rounds of fitting: zeros of degrees curve.
 const ROUNDS: usize = 4;
+/// How alike the sizes of the deviations of links and zeros are, in degrees of freedom.
+const ALIKE: f64 = 8.0;
+/// Rounds in which the sizes of the deviations settle, and how little twice the log of the
+/// likelihood then changes.
+const SETTLING: (usize, f64) = (40, 0.02);
 
 /// The zeros of an arm's joints beside what its links are off.
 #[derive(Clone, Debug)]
 pub(super) struct Drawing {
-    /// The columns of the joints whose zero is off.
-    pub named: Vec<usize>,
+    /// The columns of the joints whose zero is off, and which of the others may be instead, with the zero
+    /// that each would have.
+    pub named: Vec<(usize, Vec<Twin>)>,
     /// The zero of each joint of the track beside those, rad or m; `None` of one outside the chain.
     pub zeros: Vec<Option<Measured>>,
     /// By how much links differ from the drawing, as a standard deviation, m.
@@ -45,10 +62,16 @@ impl Drawing {
     /// Joint offsets with the named zeros in them.
     pub fn with_zeros(&self, offsets: &[f64]) -> Vec<f64> {
         let mut with = offsets.to_vec();
-        for &column in &self.named {
+        for &(column, _) in &self.named {
             with[column] = self.zeros[column].map_or(with[column], |zero| zero.value);
         }
         with
+    }
+
+    /// Zeros of other joints that may be in the place of that of the joint of `column`; `None` where it is
+    /// not named.
+    pub fn twins(&self, column: usize) -> Option<&[Twin]> {
+        self.named.iter().find(|named| named.0 == column).map(|named| named.1.as_slice())
     }
 }
 
@@ -57,71 +80,59 @@ impl Drawing {
 pub(super) fn drawing(witness: &Witness, plain: &StreamState, offsets: &[f64]) -> Option<Drawing> {
     let stride = witness.len().div_ceil(SAMPLES).max(1);
     let mut offsets = offsets.to_vec();
-    let (mut found, mut named) = (None, Vec::new());
-    for _ in 0..ROUNDS {
+    let mut chosen: Option<Fit> = None;
+    for round in 1.. {
         let model = Model::at(witness, plain, &offsets, stride)?;
-        let (chosen, link_m) = model.likeliest(named);
-        let posterior = model.posterior(&chosen, link_m)?;
+        let fit = model.likeliest(chosen)?;
         let mut next = offsets.clone();
-        for &joint in &chosen {
-            next[witness.columns[joint]] += posterior.of(joint)?.value;
+        for &joint in &fit.zeros {
+            next[witness.columns[joint]] += model.zero(&fit, joint)?.value;
         }
         let moved = next.iter().zip(&offsets).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-        let zero = |joint: usize| {
-            let with = match chosen.contains(&joint) {
-                true => posterior.of(joint)?,
-                false => {
-                    let with: Vec<usize> = chosen.iter().copied().chain([joint]).collect();
-                    model.posterior(&with, link_m)?.of(joint)?
-                }
-            };
-            let from = offsets[witness.columns[joint]];
-            Some(Measured { value: from + with.value, ..with })
-        };
-        let mut zeros = vec![None; witness.joints.dof];
-        for joint in 0..witness.columns.len() {
-            zeros[witness.columns[joint]] = zero(joint);
+        if moved < 1e-6 || round == ROUNDS {
+            return Some(model.told(&fit, witness, &offsets));
         }
-        let columns = chosen.iter().map(|&joint| witness.columns[joint]).collect();
-        found = Some(Drawing { named: columns, zeros, link_m });
-        (offsets, named) = (next, chosen);
-        if moved < 1e-6 {
-            break;
-        }
+        (offsets, chosen) = (next, Some(fit));
     }
-    found
+    None
+}
+
+/// What a parameter is of.
+#[derive(Clone, Copy, PartialEq)]
+enum Of {
+    /// Nothing that a drawing says.
+    Anything,
+    /// A deviation of one group, whose size is as long as it says where the group's is a metre.
+    Deviation { group: usize, unit: f64 },
 }
 
 /// The log linearised in the link frames, the latency and the zeros.
 struct Model {
     normal: Normal,
+    /// What each parameter is of. The zeros of the chain's joints are the last.
+    of: Vec<Of>,
     /// Joints of the chain.
     joints: usize,
-    /// Which of the link frames' parameters may be anything.
-    free: Vec<bool>,
     /// Degrees of freedom behind the noise.
     dof: f64,
 }
 
-/// What is known of the parameters once the log is.
-struct Posterior {
+/// What is known of the parameters with some zeros once the log is.
+struct Fit {
     /// The joints whose zeros are in it, in their order.
     zeros: Vec<usize>,
-    first: usize,
+    /// The size of each group's deviations, m.
+    sizes_m: Vec<f64>,
+    /// Twice the log of the likelihood, up to what is the same for all.
+    evidence: f64,
     mean: DVector<f64>,
     covariance: DMatrix<f64>,
-    dof: f64,
 }
 
-impl Posterior {
-    fn of(&self, joint: usize) -> Option<Measured> {
-        let at = self.first + self.zeros.iter().position(|zero| *zero == joint)?;
-        let variance = self.covariance[(at, at)];
-        (variance > 0.0).then(|| Measured {
-            value: self.mean[at],
-            std_error: variance.sqrt(),
-            dof: self.dof,
-        })
+impl Fit {
+    /// The zeros without that of `joint`.
+    fn without(&self, joint: usize) -> Vec<usize> {
+        self.zeros.iter().copied().filter(|zero| *zero != joint).collect()
     }
 }
 
@@ -130,108 +141,253 @@ impl Model {
         let rows = (0..witness.len()).step_by(stride);
         let linear = link_frames(witness, plain, offsets, rows, true);
         let joints = witness.columns.len();
-        let links = 6 * (joints + 1) + 1;
-        let free = (0..links).map(|i| is_anything(i, witness, plain)).collect();
-        (linear.len() > linear.width).then(|| Self::of(&linear, joints, free))
+        let (columns, of) = parameters(witness, plain);
+        (linear.len() > of.len()).then(|| Self::of(&linear, joints, &columns, of))
     }
 
     /// Weighed by the noise that is left when all links may be off by a millimetre or so.
-    fn of(linear: &Linear, joints: usize, free: Vec<bool>) -> Self {
+    fn of(linear: &Linear, joints: usize, columns: &DMatrix<f64>, of: Vec<Of>) -> Self {
         let all: Vec<usize> = (0..linear.width).collect();
         let every: Vec<usize> = (0..joints).collect();
         let mut weights = linear.first_weights();
-        let mut model = Self { normal: Normal::zeros(linear.width), joints, free, dof: 3.0 };
+        let mut model = Self { normal: Normal::zeros(of.len()), of, joints, dof: 3.0 };
         for _ in 0..4 {
             let mut normal = Normal::zeros(linear.width);
             linear.accumulate(&weights, &all, &mut normal);
-            model.dof = (normal.independent - linear.width as f64).max(3.0);
-            model.normal = normal;
-            let Some(posterior) = model.posterior(&every, 1e-3) else { break };
-            weights = linear.weights_after(posterior.mean.as_slice());
+            model.dof = (normal.independent - model.of.len() as f64).max(3.0);
+            model.normal.matrix = columns.tr_mul(&normal.matrix) * columns;
+            model.normal.right = columns.tr_mul(&normal.right);
+            let Some(fit) = model.fit(&every, &model.alike(1e-3)) else { break };
+            weights = linear.weights_after((columns * &fit.mean).as_slice());
         }
         model
     }
 
-    /// The precision of each parameter before the log is known.
-    fn prior(&self, zeros: &[usize], link_m: f64) -> Vec<f64> {
-        let links = self.free.iter().enumerate().map(|(i, is_free)| match (is_free, i % 6) {
-            (true, _) => ANYTHING.powi(-2),
-            (false, 0..3) => link_m.powi(-2),
-            (false, _) => (RAD_PER_M * link_m).powi(-2),
-        });
-        links.chain(zeros.iter().map(|_| ZERO.powi(-2))).collect()
+    /// Groups that are all off by the same, m.
+    fn alike(&self, size_m: f64) -> Vec<f64> {
+        vec![size_m; self.joints + 2]
     }
 
-    /// The parameters with these zeros, as the whole model numbers them.
-    fn parameters(&self, zeros: &[usize]) -> Vec<usize> {
-        let first = self.free.len();
-        (0..first).chain(zeros.iter().map(|joint| first + joint)).collect()
+    /// The parameter that is the zero of a joint.
+    fn zero_at(&self, joint: usize) -> usize {
+        self.of.len() - self.joints + joint
     }
 
-    /// The precision of the parameters once the log is known, and the right side of its equation.
-    fn precision(&self, zeros: &[usize], link_m: f64) -> (DMatrix<f64>, DVector<f64>, Vec<f64>) {
-        let at = self.parameters(zeros);
-        let prior = self.prior(zeros, link_m);
-        let n = at.len();
-        let mut precision = DMatrix::from_fn(n, n, |i, j| self.normal.matrix[(at[i], at[j])]);
-        for (i, prior) in prior.iter().enumerate() {
-            precision[(i, i)] += prior;
+    /// The groups that have deviations, of a drawing's links and of the zeros.
+    fn groups(&self) -> impl Iterator<Item = usize> {
+        let has = |group: usize| {
+            let is_its = |of: &Of| matches!(of, Of::Deviation { group: own, .. } if *own == group);
+            self.of.iter().any(is_its)
+        };
+        (0..self.joints + 2).filter(move |group| has(*group))
+    }
+
+    /// The parameters with these zeros where the groups' deviations are of these sizes.
+    fn fit(&self, zeros: &[usize], sizes_m: &[f64]) -> Option<Fit> {
+        let mut variances: Vec<f64> = self
+            .of
+            .iter()
+            .map(|of| match of {
+                Of::Anything => ANYTHING.powi(2),
+                Of::Deviation { group, unit } => (unit * sizes_m[*group]).powi(2),
+            })
+            .collect();
+        for &joint in zeros {
+            variances[self.zero_at(joint)] += ZERO.powi(2);
         }
-        (precision, DVector::from_fn(n, |i, _| self.normal.right[at[i]]), prior)
-    }
-
-    /// Twice the log of the marginal likelihood, up to what is the same for all.
-    fn evidence(&self, zeros: &[usize], link_m: f64) -> f64 {
-        let (precision, right, prior) = self.precision(zeros, link_m);
-        let Some(cholesky) = precision.cholesky() else { return f64::NEG_INFINITY };
-        let mean = cholesky.solve(&right);
-        let log_det: f64 = cholesky.l_dirty().diagonal().iter().map(|x| 2.0 * x.ln()).sum();
-        right.dot(&mean) - log_det + prior.iter().map(|prior| prior.ln()).sum::<f64>()
-    }
-
-    fn posterior(&self, zeros: &[usize], link_m: f64) -> Option<Posterior> {
-        let (precision, right, _) = self.precision(zeros, link_m);
+        let mut precision = self.normal.matrix.clone();
+        for (i, variance) in variances.iter().enumerate() {
+            precision[(i, i)] += variance.recip();
+        }
         let cholesky = precision.cholesky()?;
-        Some(Posterior {
+        let mean = cholesky.solve(&self.normal.right);
+        let log_det: f64 = cholesky.l_dirty().diagonal().iter().map(|x| 2.0 * x.ln()).sum();
+        let log_prior: f64 = variances.iter().map(|variance| variance.ln()).sum();
+        let usual_m = self.usual(sizes_m);
+        let unlike: f64 = self.groups().map(|group| (sizes_m[group] / usual_m).ln()).sum();
+        Some(Fit {
             zeros: zeros.to_vec(),
-            first: self.free.len(),
-            mean: cholesky.solve(&right),
+            sizes_m: sizes_m.to_vec(),
+            evidence: self.normal.right.dot(&mean) - log_det - log_prior - 2.0 * ALIKE * unlike,
+            mean,
             covariance: cholesky.inverse(),
+        })
+    }
+
+    /// The zero of a joint that is in `fit`. What the joint's is off as all joints' are is in its error.
+    fn zero(&self, fit: &Fit, joint: usize) -> Option<Measured> {
+        let at = self.zero_at(joint);
+        let Of::Deviation { group, unit } = self.of[at] else { return None };
+        let variance = fit.covariance[(at, at)] + (unit * fit.sizes_m[group]).powi(2);
+        (variance > 0.0).then(|| Measured {
+            value: fit.mean[at],
+            std_error: variance.sqrt(),
             dof: self.dof,
         })
     }
 
-    /// The best size of the links' deviations with these zeros, and the evidence of it.
-    fn best_link(&self, zeros: &[usize]) -> (f64, f64) {
-        let (least, most, times) = LINKS_M;
-        let tried = std::iter::successors(Some(least), |link_m| Some(link_m * times));
-        tried
-            .take_while(|link_m| *link_m < most)
-            .map(|link_m| (link_m, self.evidence(zeros, link_m)))
-            .max_by(|a, b| a.1.total_cmp(&b.1))
-            .unwrap_or((least, f64::NEG_INFINITY))
+    /// The size about which those of the groups vary, m.
+    fn usual(&self, sizes_m: &[f64]) -> f64 {
+        let (least, most, _) = LINKS_M;
+        let precisions: f64 = self.groups().map(|group| sizes_m[group].powi(-2)).sum();
+        (self.groups().count() as f64 / precisions).sqrt().clamp(least, most)
     }
 
-    /// The zeros that stand out of what the links make, those of `named` among them, and by how much
-    /// links are off, m.
-    fn likeliest(&self, named: Vec<usize>) -> (Vec<usize>, f64) {
-        let mut chosen = named;
-        let (mut link_m, mut evidence) = self.best_link(&chosen);
-        while chosen.len() < MOST {
-            let others = (0..self.joints).filter(|joint| !chosen.contains(joint));
-            let with = |joint| {
-                let with: Vec<usize> = chosen.iter().copied().chain([joint]).collect();
-                let (link_m, evidence) = self.best_link(&with);
-                (with, link_m, evidence)
-            };
-            let best = others.map(with).max_by(|a, b| a.2.total_cmp(&b.2));
-            match best {
-                Some((with, best_m, gained)) if gained > evidence + SURE => {
-                    (chosen, link_m, evidence) = (with, best_m, gained);
+    /// The likeliest sizes of the groups' deviations with these zeros, from `sizes_m` on. Where the log says
+    /// little of a group its size follows that of the others slowly, so that steps grow while they gain.
+    fn settled(&self, zeros: &[usize], sizes_m: &[f64]) -> Option<Fit> {
+        let (most, little) = SETTLING;
+        let mut fit = self.fit(zeros, sizes_m)?;
+        let mut stride = 1.0;
+        for _ in 0..most {
+            let likelier = self.likelier(&fit);
+            let step = |(&size, &next): (&f64, &f64)| size * (next / size).powf(stride);
+            let next: Vec<f64> = fit.sizes_m.iter().zip(&likelier).map(step).collect();
+            // A step too far may leave no solution.
+            match self.fit(zeros, &next).filter(|next| next.evidence > fit.evidence) {
+                Some(next) => {
+                    let gained = next.evidence - fit.evidence;
+                    (fit, stride) = (next, 2.0 * stride);
+                    if gained < little {
+                        break;
+                    }
                 }
+                None if stride > 1.0 => stride = 1.0,
+                None => break,
+            }
+        }
+        Some(fit)
+    }
+
+    /// The sizes under which the deviations of `fit` are likeliest, as they are known by it.
+    fn likelier(&self, fit: &Fit) -> Vec<f64> {
+        let named: Vec<usize> = fit.zeros.iter().map(|joint| self.zero_at(*joint)).collect();
+        let usual_m = self.usual(&fit.sizes_m);
+        let mut sums = vec![(ALIKE * usual_m.powi(2), ALIKE); fit.sizes_m.len()];
+        for (i, of) in self.of.iter().enumerate().filter(|(i, _)| !named.contains(i)) {
+            if let Of::Deviation { group, unit } = of {
+                let square = fit.mean[i].powi(2) + fit.covariance[(i, i)];
+                sums[*group].0 += square / unit.powi(2);
+                sums[*group].1 += 1.0;
+            }
+        }
+        sums.into_iter().map(|(sum, count)| (sum / count).sqrt()).collect()
+    }
+
+    /// No zeros, and links of the one size that fits best.
+    fn without_zeros(&self) -> Option<Fit> {
+        let (least, most, times) = LINKS_M;
+        let tried = std::iter::successors(Some(least), |link_m| Some(link_m * times));
+        let tried = tried.take_while(|link_m| *link_m < most);
+        let fits = tried.filter_map(|link_m| self.fit(&[], &self.alike(link_m)));
+        let best = fits.max_by(|a, b| a.evidence.total_cmp(&b.evidence))?;
+        self.settled(&[], &best.sizes_m)
+    }
+
+    /// Those `zeros` and one more, for each of the other joints.
+    fn with_another(&self, zeros: &[usize], sizes_m: &[f64], but: &[usize]) -> Vec<(usize, Fit)> {
+        let others =
+            (0..self.joints).filter(|joint| !zeros.contains(joint) && !but.contains(joint));
+        let with = |joint| {
+            let with: Vec<usize> = zeros.iter().copied().chain([joint]).collect();
+            Some((joint, self.settled(&with, sizes_m)?))
+        };
+        others.filter_map(with).collect()
+    }
+
+    /// The zeros that stand out of what the links make, those of `before` among them.
+    fn likeliest(&self, before: Option<Fit>) -> Option<Fit> {
+        let mut chosen = match before {
+            Some(before) => self.settled(&before.zeros, &before.sizes_m)?,
+            None => self.without_zeros()?,
+        };
+        while chosen.zeros.len() < MOST {
+            let with = self.with_another(&chosen.zeros, &chosen.sizes_m, &[]);
+            let best = with.into_iter().max_by(|a, b| a.1.evidence.total_cmp(&b.1.evidence));
+            match best {
+                Some((_, best)) if best.evidence > chosen.evidence + SURE => chosen = best,
                 _ => break,
             }
         }
-        (chosen, link_m)
+        Some(chosen)
     }
+
+    /// `fit` in the columns of the joint track, where the model is linearised about `offsets`.
+    fn told(&self, fit: &Fit, witness: &Witness, offsets: &[f64]) -> Drawing {
+        let absolute = |joint: usize, zero: Measured| {
+            let column = witness.columns[joint];
+            (column, Measured { value: offsets[column] + zero.value, ..zero })
+        };
+        let mut zeros = vec![None; witness.joints.dof];
+        let others = self.with_another(&fit.zeros, &fit.sizes_m, &[]);
+        let named = fit.zeros.iter().filter_map(|&joint| Some((joint, self.zero(fit, joint)?)));
+        let beside =
+            others.iter().filter_map(|(joint, with)| Some((*joint, self.zero(with, *joint)?)));
+        for (joint, zero) in named.chain(beside) {
+            let (column, zero) = absolute(joint, zero);
+            zeros[column] = Some(zero);
+        }
+        let twins = |&joint: &usize| {
+            let instead = self.with_another(&fit.without(joint), &fit.sizes_m, &fit.zeros);
+            let as_likely =
+                instead.into_iter().filter(|(_, it)| it.evidence > fit.evidence - AS_LIKELY);
+            let twin = |(other, it): (usize, Fit)| {
+                let (column, zero) = absolute(other, self.zero(&it, other)?);
+                Some(Twin::JointZero(column, zero.value))
+            };
+            (witness.columns[joint], as_likely.filter_map(twin).collect())
+        };
+        let links: Vec<usize> = self.groups().filter(|group| *group <= self.joints).collect();
+        let squares: f64 = links.iter().map(|link| fit.sizes_m[*link].powi(2)).sum();
+        Drawing {
+            named: fit.zeros.iter().map(twins).collect(),
+            zeros,
+            link_m: (squares / links.len().max(1) as f64).sqrt(),
+        }
+    }
+}
+
+/// What each parameter changes of the columns of [`link_frames`], and what it is of: of each link's frame
+/// the six deviations but for that which is its joint's zero, the latency, and the zeros, which are a group
+/// of their own.
+fn parameters(witness: &Witness, plain: &StreamState) -> (DMatrix<f64>, Vec<Of>) {
+    let joints = witness.columns.len();
+    let latency = 6 * (joints + 1);
+    let unit = |turns: bool| if turns { RAD_PER_M } else { 1.0 };
+    let mut columns: Vec<DVector<f64>> = Vec::new();
+    let mut of = Vec::new();
+    let axes = witness.chain.joint_axes();
+    let kinds = witness.chain.joint_kinds();
+    for link in 0..=joints {
+        let is_free = is_anything(6 * link, witness, plain);
+        let joint = link.checked_sub(1).filter(|_| !is_free);
+        let basis = joint.map_or_else(Rotation::identity, |joint| turn_z_to(&axes[joint]));
+        for (axis, turns) in (0..6).map(|i| (i % 3, i >= 3)) {
+            let is_zero = |joint: usize| turns != (kinds[joint] == JointKind::Prismatic);
+            if axis == 2 && joint.is_some_and(is_zero) {
+                continue;
+            }
+            let first = 6 * link + if turns { 3 } else { 0 };
+            let mut column = DVector::zeros(latency + 1 + joints);
+            column.fixed_rows_mut::<3>(first).copy_from(&(basis * Vec3::ith(axis, 1.0)));
+            columns.push(column);
+            of.push(match is_free {
+                true => Of::Anything,
+                false => Of::Deviation { group: link, unit: unit(turns) },
+            });
+        }
+    }
+    for own in latency..=latency + joints {
+        let mut column = DVector::zeros(latency + 1 + joints);
+        column[own] = 1.0;
+        columns.push(column);
+        of.push(match own.checked_sub(latency + 1) {
+            None => Of::Anything,
+            Some(joint) => {
+                let turns = kinds[joint] != JointKind::Prismatic;
+                Of::Deviation { group: joints + 1, unit: unit(turns) }
+            }
+        });
+    }
+    (DMatrix::from_columns(&columns), of)
 }

@@ -8,6 +8,7 @@
 //! of time.
 
 use super::Measured;
+use ground::stats::median;
 
 /// An amount that one run told.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,6 +50,8 @@ pub const LEAST_RUNS: usize = 4;
 
 /// By so much the logarithm of its likelihood must be above the line's: its place was chosen.
 const STEP_LIKELIER: f64 = 5.0;
+/// Fits of one look at all runs.
+const MOST_FITS: usize = 128;
 
 /// How an amount moves; `None` where there are fewer than [`LEAST_RUNS`] runs, or they are all of one
 /// time.
@@ -79,29 +82,42 @@ fn is_usable(told: &Told) -> bool {
     time_s.is_finite() && value.is_finite() && std_error.is_finite() && *std_error > 0.0
 }
 
-/// The likeliest step, with two runs at least on each side.
+/// The likeliest step, with two runs at least on each side. Of many runs it is sought among a few places, then
+/// among those around the best.
 fn step(told: &[Told]) -> Option<([f64; 2], Fit)> {
-    let mut best: Option<([f64; 2], Fit)> = None;
-    for first_after in 2..told.len() - 1 {
-        let between_s = [told[first_after - 1].time_s, told[first_after].time_s];
-        if between_s[0] == between_s[1] {
-            continue;
+    let (mut places, mut best) = (2..told.len() - 1, None::<(usize, Fit)>);
+    loop {
+        let stride = places.len().div_ceil(MOST_FITS).max(1);
+        for first_after in places.clone().step_by(stride) {
+            if told[first_after - 1].time_s == told[first_after].time_s {
+                continue;
+            }
+            let side: Vec<f64> = (0..told.len()).map(|run| f64::from(run >= first_after)).collect();
+            let Some(fit) = Fit::of(told, &side) else { continue };
+            if best.as_ref().is_none_or(|(_, other)| fit.log_likelihood > other.log_likelihood) {
+                best = Some((first_after, fit));
+            }
         }
-        let side: Vec<f64> = (0..told.len()).map(|run| f64::from(run >= first_after)).collect();
-        let Some(fit) = Fit::of(told, &side) else { continue };
-        if best.as_ref().is_none_or(|(_, other)| fit.log_likelihood > other.log_likelihood) {
-            best = Some((between_s, fit));
+        let (first_after, fit) = best?;
+        if stride == 1 {
+            return Some(([told[first_after - 1].time_s, told[first_after].time_s], fit));
         }
+        places = places.start.max(first_after.saturating_sub(stride))
+            ..places.end.min(first_after + stride);
     }
-    best
 }
 
 /// Whether a step by `by` before the runs from `after_s` on is there without any one of the runs, too: one
-/// run that is off is no step.
+/// run that is off is no step. Of many runs those that lie furthest from the middle are left out.
 fn rests_on_no_run(told: &[Told], after_s: f64, by: f64) -> bool {
     /// So much of it must be left.
     const LEFT: f64 = 0.5;
-    (0..told.len()).all(|out| {
+    let mut values: Vec<f64> = told.iter().map(|one| one.value).collect();
+    let middle = median(&mut values).unwrap_or(0.0);
+    let off = |run: usize| (told[run].value - middle).abs();
+    let mut runs: Vec<usize> = (0..told.len()).collect();
+    runs.sort_by(|a, b| off(*b).total_cmp(&off(*a)));
+    runs.into_iter().take(MOST_FITS).all(|out| {
         let rest: Vec<Told> = [&told[..out], &told[out + 1..]].concat();
         let side: Vec<f64> =
             rest.iter().map(|one| f64::from(u8::from(one.time_s >= after_s))).collect();

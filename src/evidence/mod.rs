@@ -15,7 +15,7 @@ mod topics;
 use std::ops::{Deref, DerefMut};
 
 use crate::finding::{Span, Subject};
-use crate::log::{self, Loss, Note};
+use crate::log::{self, Loss, Note, Repeat};
 use crate::run::{Arm, Frozen, Norms, Run, RunOptions, Unaudited, WhyNot};
 use crate::time::Stamp;
 
@@ -29,7 +29,9 @@ pub use samples::{HeldEvidence, StrayEvidence, UnusableEvidence};
 pub use shake::ShakeEvidence;
 pub(crate) use streams::frame_of_several;
 pub use streams::{Due, RhythmEvidence, StampEvidence};
-pub use topics::{EmptyEvidence, FrameEvidence, Undecodable, UndecodableTopic};
+pub use topics::{
+    EmptyEvidence, FrameEvidence, RepeatEvidence, RepeatKind, Undecodable, UndecodableTopic,
+};
 
 /// All that is known of one run.
 #[derive(Clone, Debug, Default)]
@@ -75,6 +77,8 @@ pub struct RunEvidence {
     pub undecodable: Vec<UndecodableTopic>,
     /// What metadata declare and the numbers are not; `None` where nothing is declared.
     pub contradictions: Option<Vec<Note>>,
+    /// Columns that hold what others hold, or one value; `None` without tables.
+    pub repeats: Option<Vec<RepeatEvidence>>,
 }
 
 impl RunEvidence {
@@ -113,6 +117,7 @@ impl RunEvidence {
             losses: lost.losses.clone(),
             undecodable: topics::undecodable(run, &lost.undecodable),
             contradictions: lost.contradictions.clone(),
+            repeats: topics::repeats(run, lost.repeats.as_deref()),
         }
     }
 
@@ -199,6 +204,8 @@ pub struct Lost {
     pub undecodable: Vec<UndecodableTopic>,
     /// What metadata declare and the numbers are not; `None` where nothing is declared.
     pub contradictions: Option<Vec<Note>>,
+    /// What in tables repeats in every row; `None` without tables.
+    pub repeats: Option<Vec<Repeat>>,
 }
 
 /// What was found on the stream `index`.

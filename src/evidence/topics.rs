@@ -3,8 +3,10 @@
 use super::{Of, of};
 use crate::diagnosis::{ArmDiagnosis, Unseen};
 use crate::finding::Subject;
+use crate::log::Repeat;
 use crate::robot::RobotError;
-use crate::run::{Arm, Flaw, Role, Run, Stream, TopicSettings, Unaudited, WhyNot};
+
+use crate::run::{Arm, Flaw, Role, Run, Stream, TopicSettings, Unaudited, WhyNot, Witness};
 use crate::stream::{Columns, JointColumn};
 
 /// The frames of a log.
@@ -23,6 +25,32 @@ pub struct EmptyEvidence {
     pub subject: Subject,
     /// Its messages, none of which holds finite numbers.
     pub messages: u64,
+}
+
+/// Columns of a table that hold what others hold in every row, or one value.
+#[derive(Clone, Debug)]
+pub struct RepeatEvidence {
+    /// The columns.
+    pub repeat: Repeat,
+    /// What it is to the audit that they repeat.
+    pub kind: RepeatKind,
+}
+
+/// What it is to the audit that columns repeat.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RepeatKind {
+    /// Commands are states, or the other way round.
+    CommandIsState,
+    /// An outside witness says what is not from outside.
+    WitnessIsOther,
+    /// A joint is another one.
+    JointIsJoint,
+    /// A joint never moves while others do.
+    JointRests,
+    /// A topic never changes while the arm moves.
+    Still,
+    /// Two topics are one.
+    Same,
 }
 
 /// A topic that could not be decoded.
@@ -121,6 +149,34 @@ pub(super) fn unaudited(run: &Run, unset: &[Unaudited]) -> Vec<Of<Vec<WhyNot>>> 
         is_asked.then(|| of(run, index, why))
     };
     run.streams.iter().enumerate().filter_map(why_not).collect()
+}
+
+/// What repeats in tables, of which other rules say nothing.
+pub(super) fn repeats(run: &Run, found: Option<&[Repeat]>) -> Option<Vec<RepeatEvidence>> {
+    let stream = |topic: &str| run.streams.iter().find(|stream| stream.topic == topic);
+    let is_command = |stream: &Stream| stream.role == Role::Reference;
+    let is_outside = |stream: &Stream| stream.witness == Some(Witness::External);
+    let of = |repeat: &Repeat| {
+        let own = stream(&repeat.topic)?;
+        let kind = match (&repeat.number, &repeat.of) {
+            (Some(_), Some(_)) => RepeatKind::JointIsJoint,
+            (Some(_), None) if is_command(own) => return None,
+            (Some(_), None) => RepeatKind::JointRests,
+            // That of a pose is FRM007, and a goal may stay where it is.
+            (None, None) if own.role != Role::Unassigned => return None,
+            (None, None) => RepeatKind::Still,
+            (None, Some(of)) => {
+                let other = stream(of)?;
+                match () {
+                    () if is_command(own) != is_command(other) => RepeatKind::CommandIsState,
+                    () if is_outside(own) != is_outside(other) => RepeatKind::WitnessIsOther,
+                    () => RepeatKind::Same,
+                }
+            }
+        };
+        Some(RepeatEvidence { repeat: repeat.clone(), kind })
+    };
+    found.map(|found| found.iter().filter_map(of).collect())
 }
 
 /// The topics that hold nothing and would be audited; of joint states and transforms only where no

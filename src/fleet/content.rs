@@ -8,7 +8,7 @@ use std::time::UNIX_EPOCH;
 use blake3::Hasher;
 use walkdir::WalkDir;
 
-use crate::log::{Listed, episode_of};
+use crate::log::{Listed, episode_of, files_of_store, is_store};
 
 /// What stands for the content of a log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -136,6 +136,9 @@ fn files(path: &Path) -> io::Result<Vec<PathBuf>> {
     let (path, _) = &episode_of(path);
     if !path.is_dir() {
         return Ok(vec![path.to_owned()]);
+    }
+    if is_store(path) {
+        return Ok(files_of_store(path));
     }
     let mut files = Vec::new();
     for entry in WalkDir::new(path).sort_by_file_name() {

@@ -164,7 +164,7 @@ fn of_path(path: &Path, found: &mut Vec<Source>) {
         let is_folder = entry.file_type().is_dir();
         if is_folder && is_recording(entry.path()) {
             entries.skip_current_dir();
-            found.push(Source::at(absolute(entry.path())));
+            found.extend(episodes_of(entry.path()));
         } else if !is_folder && is_log(entry.path()) && !is_metadata(entry.path()) {
             found.extend(episodes_of(entry.path()));
         }
@@ -192,8 +192,11 @@ fn absolute(path: &Path) -> PathBuf {
     std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
 }
 
-/// Whether a folder is one rosbag2 recording.
+/// Whether a folder is one rosbag2 recording, or a store of tables.
 fn is_recording(folder: &Path) -> bool {
+    if log::is_store(folder) {
+        return true;
+    }
     let is_part = |entry: io::Result<fs::DirEntry>| {
         let name = entry.map(|entry| entry.file_name().to_string_lossy().into_owned());
         name.is_ok_and(|name| name.contains(".db3") || name.contains(".mcap"))

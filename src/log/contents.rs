@@ -24,6 +24,8 @@ pub struct Log {
     pub notes: Vec<Note>,
     /// What is declared of the files and their numbers are not; `None` where nothing is declared.
     pub contradictions: Option<Vec<Note>>,
+    /// What in tables repeats in every row; `None` where there are no tables.
+    pub repeats: Option<Vec<Repeat>>,
     /// The type of the robot, as metadata say it.
     pub robot_type: Option<String>,
     /// What the columns of a table leave open, to be asked where no arm is found.
@@ -75,6 +77,12 @@ pub enum Container {
     Parquet,
     /// An HDF5 file.
     Hdf5,
+    /// A Zarr store, as a folder or a zip archive.
+    Zarr,
+    /// Records of TensorFlow examples.
+    TfRecord,
+    /// Packets of KUKA's Robot Sensor Interface.
+    Rsi,
 }
 
 impl Container {
@@ -91,6 +99,9 @@ impl Container {
             Container::Npz => "npz",
             Container::Parquet => "parquet",
             Container::Hdf5 => "hdf5",
+            Container::Zarr => "zarr",
+            Container::TfRecord => "tfrecord",
+            Container::Rsi => "kuka-rsi",
         }
     }
 }
@@ -202,6 +213,17 @@ pub struct Note {
     pub file: PathBuf,
     /// What to know, in one line.
     pub what: String,
+}
+
+/// Columns of a table that hold what others hold in every row, to the bit, or never change.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Repeat {
+    /// The topic that the columns are.
+    pub topic: String,
+    /// The joint, where it is one number of several.
+    pub number: Option<String>,
+    /// The topic or the joint that it repeats; `None` where it is one value throughout.
+    pub of: Option<String>,
 }
 
 /// What a [`Loss`] took.

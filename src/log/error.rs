@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use super::{Log, RemoteFault, SourceName};
 
 /// What can be read.
-const EXPECTED: &str =
-    "an MCAP file, a ROS 1 bag, a rosbag2 bag, or a table: CSV, NPY, NPZ, Parquet, HDF5, LeRobot";
+const EXPECTED: &str = "an MCAP file, a ROS 1 bag, a rosbag2 bag, or a table: CSV, NPY, NPZ, Parquet, HDF5, \
+     Zarr, TFRecord, LeRobot, KUKA RSI";
 
 /// Why nothing could be read from the files given.
 #[derive(Debug, thiserror::Error)]

@@ -3,15 +3,17 @@
 use std::collections::{HashMap, HashSet};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use super::decode::{self, Format, Recipe};
 use super::losses::Losses;
+use super::part::{Known, Part};
 use super::spans::{Span, gaps, join, overlaps};
-use super::topic::{Channel, Decoding, Message, TopicIntake, saturating, take_down};
+use super::topic::{Channel, Decoding, Message, Taken, TopicIntake, saturating, take_down};
 use super::unpack::{Allowance, Unpacker};
-use super::{Description, Extent, Log, LogFile, Loss, Note, TableCell, Topic};
+use super::{Description, Extent, Log, LogFile, Loss, Note, Repeat, TableCell, Topic};
 use ground::stream::Columns;
 use ground::time::Stamp;
 
@@ -51,6 +53,7 @@ pub(super) struct Intake {
     losses: Vec<Loss>,
     notes: Vec<Note>,
     contradictions: Option<Vec<Note>>,
+    repeats: Option<Vec<Repeat>>,
     robot_type: Option<String>,
     /// The files that were begun.
     files: Vec<PathBuf>,
@@ -64,13 +67,13 @@ type FormatKey = (String, String, String, u64);
 
 /// A channel that an [`Intake`] knows.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) struct ChannelId(usize);
+pub(super) struct ChannelId(pub(super) usize);
 
 /// Where a channel is: its topic, and its place among those of the topic.
 #[derive(Clone, Copy)]
-struct ChannelOf {
-    topic: usize,
-    place: usize,
+pub(super) struct ChannelOf {
+    pub(super) topic: usize,
+    pub(super) place: usize,
 }
 
 impl Intake {
@@ -102,21 +105,17 @@ impl Intake {
                 Decoding::Impossible { cause }
             }
             None => Decoding::Ignored,
-            Some(Ok(plan)) => Decoding::By { plan, row: Box::default() },
+            Some(Ok(plan)) => Decoding::By(plan),
             Some(Err(error)) => Decoding::Impossible { cause: error.to_string() },
         };
         let index = self.topic(topic, format);
-        if let (Some(recipe), Decoding::By { .. }) = (recipe, &decoding) {
-            self.topics[index].builder.get_or_insert_with(|| recipe.builder());
+        let taken = &mut self.topics[index].taken;
+        if let (Some(recipe), Decoding::By(_)) = (recipe, &decoding) {
+            taken.builder.get_or_insert_with(|| recipe.builder());
         }
         let id = ChannelId(self.channels.len());
-        let channels = &mut self.topics[index].channels;
-        self.channels.push(ChannelOf { topic: index, place: channels.len() });
-        channels.push(Channel {
-            decoding,
-            may_be_packed: format.encoding == "cdr",
-            latched: HashSet::new(),
-        });
+        self.channels.push(ChannelOf { topic: index, place: taken.channels.len() });
+        taken.channels.push(Channel::new(Arc::new(decoding), format.encoding == "cdr"));
         self.by_format.insert(key, id);
         Some(id)
     }
@@ -137,14 +136,10 @@ impl Intake {
                 name: decode::bounded(topic).into_owned(),
                 type_name: decode::bounded(format.type_name).into_owned(),
                 encoding: decode::bounded(format.encoding).into_owned(),
-                channels: Vec::new(),
-                messages: 0,
-                builder: None,
+                taken: Taken::default(),
                 columns: None,
-                undecodable: None,
                 read_as: None,
                 cells: Vec::new(),
-                spans: Vec::new(),
                 waiting: Vec::new(),
             });
             self.topics.len() - 1
@@ -154,7 +149,7 @@ impl Intake {
     /// Counts a message, and appends its rows where the channel has columns.
     pub(super) fn message(&mut self, channel: ChannelId, message: Message<'_>) {
         let ChannelOf { topic, place } = self.channels[channel.0];
-        let topic = &mut self.topics[topic];
+        let topic = &mut self.topics[topic].taken;
         self.messages += 1;
         let mut message = message;
         if topic.channels[place].is_packed(message.data) {
@@ -177,7 +172,7 @@ impl Intake {
         const FEW: usize = 256;
         let is_packed = |(channel, message): &(ChannelId, Message<'_>)| {
             let ChannelOf { topic, place } = self.channels[channel.0];
-            self.topics[topic].channels[place].is_packed(message.data)
+            self.topics[topic].taken.channels[place].is_packed(message.data)
         };
         // What packed messages may unpack to is counted in their order.
         if batch.len() < FEW || batch.iter().any(is_packed) {
@@ -192,22 +187,47 @@ impl Intake {
         self.topics.par_iter_mut().with_max_len(1).for_each(|topic| {
             let mut waiting = std::mem::take(&mut topic.waiting);
             for (place, index) in waiting.drain(..) {
-                topic.message(place, &batch[index].1, file);
+                topic.taken.message(place, &batch[index].1, file);
             }
             topic.waiting = waiting;
         });
         batch.clear();
     }
 
+    /// What it takes to read messages of the channels that are known now beside others; `None` where there
+    /// are very many.
+    pub(super) fn known(&self) -> Option<Known> {
+        /// Beyond so many channels it takes longer to say which they are than to read a small chunk.
+        const MANY: usize = 1 << 9;
+        (self.channels.len() <= MANY).then(|| {
+            let topics = self.topics.iter().map(|topic| topic.taken.blank()).collect();
+            Known::new(topics, self.channels.clone(), self.files.len())
+        })
+    }
+
+    /// Takes over the messages of a part that was read beside, as if they were read now; whether that can
+    /// be. If not, nothing is taken.
+    pub(super) fn join(&mut self, part: Part) -> bool {
+        let fits = |(index, taken): &(usize, Taken)| self.topics[*index].taken.fits(taken);
+        if !part.topics.iter().all(fits) {
+            return false;
+        }
+        for (index, taken) in part.topics {
+            self.messages += taken.messages;
+            self.topics[index].taken.join(taken);
+        }
+        true
+    }
+
     /// Whether messages of a channel are only counted.
     pub(super) fn ignores(&self, channel: ChannelId) -> bool {
         let ChannelOf { topic, place } = self.channels[channel.0];
-        matches!(self.topics[topic].channels[place].decoding, Decoding::Ignored)
+        matches!(*self.topics[topic].taken.channels[place].decoding, Decoding::Ignored)
     }
 
     /// Counts messages of a channel that [`Intake::ignores`], with their first and last log time, ns.
     pub(super) fn count(&mut self, channel: ChannelId, messages: u64, (first, last): (u64, u64)) {
-        let topic = &mut self.topics[self.channels[channel.0].topic];
+        let topic = &mut self.topics[self.channels[channel.0].topic].taken;
         self.messages += messages;
         topic.messages += messages;
         for time in [first, last] {
@@ -233,6 +253,11 @@ impl Intake {
         if known.len() < MAX_NOTES && known.iter().all(|known| known.what != what) {
             known.push(Note { file: file.to_owned(), what });
         }
+    }
+
+    /// Takes over what repeats in tables.
+    pub(super) fn repeats(&mut self, found: Vec<Repeat>) {
+        self.repeats.get_or_insert_default().extend(found);
     }
 
     /// Takes over that metadata were read, and the type of the robot that they name.
@@ -294,6 +319,7 @@ impl Intake {
             losses: self.losses,
             notes: self.notes,
             contradictions: self.contradictions,
+            repeats: self.repeats,
             robot_type: self.robot_type,
             question: None,
         }
@@ -304,7 +330,7 @@ impl Intake {
         let mut notes: Vec<(usize, String)> = Vec::new();
         let mut told = HashSet::new();
         for topic in &self.topics {
-            for (earlier, later, shared_s) in overlaps(&topic.spans) {
+            for (earlier, later, shared_s) in overlaps(&topic.taken.spans) {
                 if told.insert((earlier, later)) {
                     let (name, other) = (&topic.name, self.file(earlier).display());
                     notes.push((
@@ -337,7 +363,7 @@ impl Intake {
     /// The span of each file, by its number.
     fn file_spans(&self) -> Vec<(usize, Span)> {
         let mut spans: Vec<(usize, Span)> =
-            self.topics.iter().flat_map(|topic| &topic.spans).copied().collect();
+            self.topics.iter().flat_map(|topic| &topic.taken.spans).copied().collect();
         spans.sort_by_key(|&(number, _)| number);
         spans.dedup_by(|next, kept| {
             let same = next.0 == kept.0;

@@ -6,6 +6,7 @@
 
 mod chunks;
 mod definitions;
+mod parts;
 mod record;
 mod sparse;
 #[cfg(feature = "cloud")]
@@ -15,16 +16,18 @@ mod tests;
 
 use std::cell::OnceCell;
 use std::collections::HashMap;
+use std::sync::Arc;
 
 use mcap::MAGIC;
 use mcap::records::op;
 
+use self::parts::Table;
 use self::record::{Broken, Frame};
 use super::ahead::{self, Ahead};
 use super::intake::{ChannelId, Intake, MOST_AT_ONCE};
 use super::losses::{Losses, Unknown};
 use super::ranges::Present;
-use super::topic::{Message, Place};
+use super::topic::Message;
 use super::unpack::Unpacker;
 use super::{Crc, Extent, ReadOptions};
 
@@ -73,9 +76,11 @@ struct Reader<'a, 'r, 'scope> {
     ahead: &'r mut Ahead<'scope, 'a>,
     /// Up to where chunks were handed in to be unpacked; `None` where no record follows.
     scanned: Option<usize>,
-    schemas: HashMap<u16, Schema>,
-    /// By channel id.
-    channels: Vec<Option<Channel>>,
+    definitions: Definitions,
+    /// They as they are now, for those who read chunks ahead; `None` until they are asked for.
+    table: Option<Arc<Table>>,
+    /// How often they were asked for anew.
+    tables: u32,
     /// Messages under a checksum that held.
     covered: u64,
     /// Messages of channels that no record describes: how many, and where the first is.
@@ -90,14 +95,49 @@ struct Reader<'a, 'r, 'scope> {
     zeros_from: OnceCell<usize>,
 }
 
-/// A schema as it was read last; chunks repeat them.
+/// The schemas and channels as they were read last; chunks repeat them.
+#[derive(Clone, Default)]
+struct Definitions {
+    schemas: HashMap<u16, Arc<Schema>>,
+    /// By channel id.
+    channels: Vec<Option<Arc<Channel>>>,
+    /// How often one became another.
+    changes: u64,
+}
+
+impl Definitions {
+    fn channel_of(&self, channel_id: u16) -> Option<ChannelId> {
+        self.channels.get(usize::from(channel_id))?.as_ref()?.id
+    }
+
+    /// Whether the schema that a record has is the one known.
+    fn has_schema(&self, schema: &record::Schema<'_>) -> bool {
+        self.schemas.get(&schema.id).is_some_and(|known| known.is(schema))
+    }
+
+    /// Whether the channel that a record has is the one known.
+    fn has_channel(&self, channel: &record::Channel<'_>) -> bool {
+        let known = self.channels.get(usize::from(channel.id)).and_then(Option::as_ref);
+        known.is_some_and(|known| known.is(channel))
+    }
+}
+
+/// A schema as it was read last.
 struct Schema {
     name: String,
     encoding: String,
     data: Vec<u8>,
 }
 
-/// A channel as it was read last; chunks repeat them.
+impl Schema {
+    /// Whether it is what a record says.
+    fn is(&self, schema: &record::Schema<'_>) -> bool {
+        (self.name.as_str(), self.encoding.as_str(), self.data.as_slice())
+            == (schema.name, schema.encoding, schema.data)
+    }
+}
+
+/// A channel as it was read last.
 struct Channel {
     /// `None` where there are too many channels to take it.
     id: Option<ChannelId>,
@@ -163,8 +203,9 @@ impl<'a, 'r, 'scope> Reader<'a, 'r, 'scope> {
             losses,
             ahead,
             scanned: Some(MAGIC.len()),
-            schemas: HashMap::new(),
-            channels: Vec::new(),
+            definitions: Definitions::default(),
+            table: None,
+            tables: 0,
             covered: 0,
             orphans: None,
             unknown: Unknown::default(),
@@ -276,7 +317,8 @@ impl<'a> Reader<'a, '_, '_> {
     /// Where to read on after damage, at `from` or after it. Chunks hold pieces that look like
     /// messages, so that these are sought only in a file without chunks.
     fn next_record(&self, from: usize) -> Option<usize> {
-        let is_known = |id: u16| matches!(self.channels.get(usize::from(id)), Some(Some(_)));
+        let channels = &self.definitions.channels;
+        let is_known = |id: u16| matches!(channels.get(usize::from(id)), Some(Some(_)));
         let within = || from..self.zeros_from().max(from);
         record::find_chunk(self.bytes, within()).or_else(|| {
             let find = || record::find_message(self.bytes, within(), is_known);
@@ -329,19 +371,11 @@ impl<'a> Reader<'a, '_, '_> {
             return self.definition(frame);
         }
         let message = record::Message::parse(frame.body)?;
-        let Some(id) = self.channel_of(message.channel_id) else {
+        let Some(id) = self.definitions.channel_of(message.channel_id) else {
             self.orphans.get_or_insert((0, offset)).0 += 1;
             return Some(());
         };
-        let message = Message {
-            log_time: message.log_time,
-            publish_time: message.publish_time,
-            sequence: message.sequence,
-            data: message.data,
-            place: Place::Byte(offset as u64),
-            latched: false,
-        };
-        batch.push((id, message));
+        batch.push((id, message.at(offset)));
         if batch.len() == MOST_AT_ONCE {
             self.intake.batch(batch);
         }

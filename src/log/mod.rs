@@ -20,6 +20,7 @@ mod mapped;
 mod mcap;
 mod name;
 mod options;
+mod part;
 mod postures;
 mod progress;
 mod ranges;
@@ -41,7 +42,8 @@ mod unpack;
 use std::path::{Path, PathBuf};
 
 pub use self::contents::{
-    Container, Crc, Description, Extent, Log, LogFile, Loss, Note, TableCell, Topic, Undecodable,
+    Container, Crc, Description, Extent, Log, LogFile, Loss, Note, Repeat, TableCell, Topic,
+    Undecodable,
 };
 pub use self::error::LogError;
 pub use self::name::ESCAPED;
@@ -51,7 +53,9 @@ pub use self::postures::{PostureTable, RotationColumns, posture_table};
 pub use self::progress::Progress;
 pub use self::reading::open;
 pub use self::remote::{Listed, RemoteFault, is_url, list, normal};
-pub use self::tables::{ColumnSelector, ColumnSettings, episode_of, episodes, is_in_dataset};
+pub use self::tables::{
+    ColumnSelector, ColumnSettings, episode_of, episodes, files_of_store, is_in_dataset, is_store,
+};
 
 /// The local file that `path` names, itself or as a `file://` URL; `None` for an object in a store.
 pub fn local(path: &Path) -> Option<PathBuf> {

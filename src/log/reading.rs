@@ -91,6 +91,7 @@ fn inputs(paths: &[PathBuf], intake: &mut Intake) -> Result<Vec<Input>, LogError
                 inputs.push(Input { address: Some(address), ..Input::local(path) });
             }
             None if tables::is_dataset(path) => inputs.extend(tables::files_of(path)?),
+            None if tables::is_store(path) => inputs.push(Input::local(path.clone())),
             None if path.is_dir() => inputs.extend(rosbag2::files_of(path, intake)?),
             None => inputs.push(Input::local(path.clone())),
         }
@@ -119,6 +120,9 @@ impl Reading<'_> {
     fn file(&mut self, input: &Input) -> Result<LogFile, LogError> {
         let path = self.path;
         let Some(address) = &input.address else {
+            if path.is_dir() {
+                return self.store(path);
+            }
             let mapped = Mapped::open(path)?;
             let before = self.intake.messages();
             let file = self.whole(mapped.bytes(), None)?;
@@ -138,6 +142,17 @@ impl Reading<'_> {
         self.options.progress = None;
         self.present = present;
         Ok(LogFile { fetched: Some(bytes), ..self.whole(mapped.bytes(), named)? })
+    }
+
+    /// Reads the store in a folder.
+    fn store(&mut self, folder: &Path) -> Result<LogFile, LogError> {
+        let sizes =
+            tables::files_of_store(folder).into_iter().filter_map(|file| file.metadata().ok());
+        let bytes = sizes.map(|metadata| metadata.len()).sum();
+        self.intake.begin_file(folder, bytes);
+        let kind = Kind::Table(tables::Kind::Zarr);
+        let (container, crc) = self.content(kind, folder, &[], || ())?;
+        Ok(LogFile { path: folder.to_owned(), container, bytes, fetched: None, crc })
     }
 
     /// Reads the `bytes` of a file, which is a temporary one if it is `named`.

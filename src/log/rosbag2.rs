@@ -4,6 +4,7 @@
 //! Nothing is believed of `metadata.yaml` but which files there are and how many messages they had:
 //! what a file is and how it is compressed is told from its bytes.
 
+mod batch;
 mod database;
 #[cfg(test)]
 mod tests;

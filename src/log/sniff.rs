@@ -78,6 +78,12 @@ pub(super) fn kind(bytes: &[u8]) -> Kind {
     if is_npz(bytes) {
         return Kind::Table(tables::Kind::Npz);
     }
+    if bytes.starts_with(ZIP_MAGIC) && tables::is_zip_store(bytes) {
+        return Kind::Table(tables::Kind::Zarr);
+    }
+    if tables::has_record(bytes) {
+        return Kind::Table(tables::Kind::TfRecord);
+    }
     let known = KNOWN.iter().find(|(magic, ..)| bytes.starts_with(magic));
     if let Some(&(_, looks, instead)) = known {
         return Kind::Known { looks, instead };
@@ -88,6 +94,7 @@ pub(super) fn kind(bytes: &[u8]) -> Kind {
     } else if is_text(glance) {
         match rtde::first_line(bytes) {
             rtde::FirstLine::Names => return Kind::Rtde,
+            _ if tables::has_packet(glance) => return Kind::Table(tables::Kind::Rsi),
             _ if tables::first_line(bytes) => return Kind::Table(tables::Kind::Csv),
             rtde::FirstLine::Numbers => "a table of numbers without a first line that names them",
             rtde::FirstLine::Other => "text",

@@ -3,6 +3,7 @@
 use std::collections::HashSet;
 use std::fmt;
 use std::hash::{DefaultHasher, Hash, Hasher};
+use std::sync::Arc;
 
 use super::decode::{Builder, MAX_FRAMES, Plan, Row, RowTimes};
 use super::spans::{Span, join};
@@ -52,21 +53,20 @@ impl fmt::Display for Place {
 
 /// How messages of one channel are decoded.
 pub(super) struct Channel {
-    pub(super) decoding: Decoding,
+    pub(super) decoding: Arc<Decoding>,
+    /// Of the channel's own, so that no slot holds what another type left there.
+    row: Option<Box<Row>>,
     /// Whether each message may be a zstd frame: no CDR message begins like one.
-    pub(super) may_be_packed: bool,
+    may_be_packed: bool,
     /// Hashes of the latched messages that were taken.
-    pub(super) latched: HashSet<u64>,
+    latched: HashSet<u64>,
 }
 
+#[derive(Debug)]
 pub(super) enum Decoding {
     /// No audit uses the type.
     Ignored,
-    By {
-        plan: Plan,
-        /// Of the channel's own, so that no slot holds what another type left there.
-        row: Box<Row>,
-    },
+    By(Plan),
     Impossible {
         cause: String,
     },
@@ -76,23 +76,82 @@ pub(super) struct TopicIntake {
     pub(super) name: String,
     pub(super) type_name: String,
     pub(super) encoding: String,
-    pub(super) channels: Vec<Channel>,
-    pub(super) messages: u64,
-    pub(super) builder: Option<Builder>,
+    pub(super) taken: Taken,
     /// Rows that were not decoded from messages.
     pub(super) columns: Option<Columns>,
-    pub(super) undecodable: Option<Undecodable>,
     /// How its columns were told.
     pub(super) read_as: Option<String>,
     /// Which numbers of a table it is made of.
     pub(super) cells: Vec<TableCell>,
-    /// The files that hold it, by their number, and the span in each.
-    pub(super) spans: Vec<(usize, Span)>,
     /// Which messages of a batch are its own: the channel's place, and the message's.
     pub(super) waiting: Vec<(usize, usize)>,
 }
 
-impl TopicIntake {
+/// What was taken of a topic's messages: of all that were read, or of those of one chunk.
+#[derive(Default)]
+pub(super) struct Taken {
+    pub(super) channels: Vec<Channel>,
+    pub(super) messages: u64,
+    pub(super) builder: Option<Builder>,
+    pub(super) undecodable: Option<Undecodable>,
+    /// The files that hold it, by their number, and the span in each.
+    pub(super) spans: Vec<(usize, Span)>,
+}
+
+/// What it takes to read messages of a topic into columns of their own.
+pub(super) struct Blank {
+    channels: Vec<(Arc<Decoding>, bool)>,
+    builder: Option<Builder>,
+}
+
+impl Blank {
+    /// Nothing taken yet.
+    pub(super) fn taken(&self) -> Taken {
+        let channel = |(decoding, may_be_packed): &(Arc<Decoding>, bool)| {
+            Channel::new(Arc::clone(decoding), *may_be_packed)
+        };
+        Taken {
+            channels: self.channels.iter().map(channel).collect(),
+            builder: self.builder.as_ref().map(Builder::blank),
+            ..Taken::default()
+        }
+    }
+}
+
+impl Taken {
+    /// The same channels and columns, with nothing in them.
+    pub(super) fn blank(&self) -> Blank {
+        let channel = |channel: &Channel| (Arc::clone(&channel.decoding), channel.may_be_packed);
+        Blank {
+            channels: self.channels.iter().map(channel).collect(),
+            builder: self.builder.as_ref().map(Builder::blank),
+        }
+    }
+
+    /// Whether [`Taken::join`] of `later` gives what reading its messages here would.
+    pub(super) fn fits(&self, later: &Self) -> bool {
+        match (&self.builder, &later.builder) {
+            (Some(own), Some(later)) => own.fits(later),
+            (None, Some(_)) => false,
+            (_, None) => true,
+        }
+    }
+
+    /// Takes over what `later` messages were read to.
+    pub(super) fn join(&mut self, later: Self) {
+        self.messages += later.messages;
+        if let (Some(builder), Some(later)) = (&mut self.builder, later.builder) {
+            builder.join(later);
+        }
+        if let Some(Undecodable { messages, first }) = later.undecodable {
+            self.undecodable.get_or_insert(Undecodable { messages: 0, first }).messages += messages;
+        }
+        for (file, (first, last)) in later.spans {
+            self.seen(file, first);
+            self.seen(file, last);
+        }
+    }
+
     /// Counts a message of file number `file`, and appends its rows where its channel has columns.
     pub(super) fn message(&mut self, place: usize, message: &Message<'_>, file: usize) {
         let times = RowTimes {
@@ -106,8 +165,9 @@ impl TopicIntake {
         if message.latched && channel.is_repeated(message.data) {
             return;
         }
-        match (&mut channel.decoding, &mut self.builder) {
-            (Decoding::By { plan, row }, Some(builder)) => {
+        match (&*channel.decoding, &mut self.builder) {
+            (Decoding::By(plan), Some(builder)) => {
+                let row = channel.row.get_or_insert_default();
                 let mut append = |row: &Row| builder.append(row, times);
                 if let Err(error) = plan.decode(message.data, row, &mut append) {
                     take_down(&mut self.undecodable, message.place, &error);
@@ -116,7 +176,7 @@ impl TopicIntake {
             (Decoding::Impossible { cause }, _) => {
                 take_down(&mut self.undecodable, message.place, cause);
             }
-            (Decoding::By { .. } | Decoding::Ignored, _) => {}
+            (Decoding::By(_) | Decoding::Ignored, _) => {}
         }
     }
 
@@ -130,18 +190,20 @@ impl TopicIntake {
             _ => self.spans.push((file, (at, at))),
         }
     }
+}
 
+impl TopicIntake {
     /// The topic, and one more for each further part of what its messages hold.
     pub(super) fn finish(self) -> Vec<Topic> {
-        let span = self.spans.into_iter().map(|(_, span)| span).reduce(join);
-        let refused = self.builder.as_ref().map_or(0, Builder::refused);
-        let mut undecodable = self.undecodable;
+        let Taken { messages, builder, mut undecodable, spans, .. } = self.taken;
+        let span = spans.into_iter().map(|(_, span)| span).reduce(join);
+        let refused = builder.as_ref().map_or(0, Builder::refused);
         if refused > 0 {
             let first = format!("it has more than {MAX_FRAMES} pairs of frames");
             undecodable.get_or_insert(Undecodable { messages: 0, first }).messages += refused;
         }
-        let useless = self.builder.as_ref().and_then(Builder::useless);
-        let parts = match (self.columns, self.builder) {
+        let useless = builder.as_ref().and_then(Builder::useless);
+        let parts = match (self.columns, builder) {
             (Some(columns), _) => vec![("", Some(columns))],
             (None, Some(builder)) => builder.finalize(),
             (None, None) => vec![("", None)],
@@ -150,7 +212,7 @@ impl TopicIntake {
             name: format!("{}{part}", self.name),
             type_name: self.type_name.clone(),
             encoding: self.encoding.clone(),
-            messages: self.messages,
+            messages,
             columns,
             // Told once, for the whole of the messages.
             undecodable: undecodable.clone().filter(|_| part.is_empty()),
@@ -164,9 +226,13 @@ impl TopicIntake {
 }
 
 impl Channel {
+    pub(super) fn new(decoding: Arc<Decoding>, may_be_packed: bool) -> Self {
+        Self { decoding, row: None, may_be_packed, latched: HashSet::new() }
+    }
+
     /// Whether a message is a zstd frame that must be unpacked before it is decoded.
     pub(super) fn is_packed(&self, data: &[u8]) -> bool {
-        let is_decoded = matches!(self.decoding, Decoding::By { .. });
+        let is_decoded = matches!(*self.decoding, Decoding::By(_));
         is_decoded && self.may_be_packed && data.starts_with(ZSTD_MAGIC)
     }
 

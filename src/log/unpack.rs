@@ -170,7 +170,7 @@ impl Allowance {
     }
 
     /// Takes off what `packed` cost. What fails in the end has cost no less.
-    fn settle(&mut self, packed: &Packed<'_>) {
+    pub(super) fn settle(&mut self, packed: &Packed<'_>) {
         self.take(packed.cost());
     }
 }
@@ -195,6 +195,11 @@ impl UnpackedChunk {
         allowance.settle(packed);
         std::mem::replace(&mut self.outcome, Ok(()))?;
         Ok(packed.content(&self.buffer))
+    }
+
+    /// The same, of which nothing is taken off yet; `None` where there is an error.
+    pub(super) fn if_sound<'a>(&'a self, packed: &Packed<'a>) -> Option<&'a [u8]> {
+        self.outcome.is_ok().then(|| packed.content(&self.buffer))
     }
 }
 

@@ -26,7 +26,7 @@ impl Grid {
         const ROUNDING_S: f64 = 2e-5;
         let intervals: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let mut some: Vec<f64> = intervals.iter().copied().filter(|dt| *dt > LEAST_S).collect();
-        some.sort_by(f64::total_cmp);
+        some.sort_unstable_by(f64::total_cmp);
         if intervals.len() < FEWEST {
             return None;
         }
@@ -39,8 +39,8 @@ impl Grid {
             let ticks = |dt: f64| (dt / tick_s).round();
             let is_multiple =
                 |dt: &&f64| (**dt - ticks(**dt) * tick_s).abs() < ROUNDING_S.max(2e-3 * tick_s);
-            let fit = intervals.iter().filter(is_multiple).count();
-            let is_one = tick_s >= LEAST_S && fit as f64 >= NEARLY_ALL * intervals.len() as f64;
+            let fit = || intervals.iter().filter(is_multiple).count() as f64;
+            let is_one = tick_s >= LEAST_S && fit() >= NEARLY_ALL * intervals.len() as f64;
             is_one.then(|| Self {
                 tick_s,
                 ticks: intervals.iter().map(|dt| ticks(*dt) as u32).collect(),

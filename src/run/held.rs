@@ -4,6 +4,8 @@
 //! An arm at rest repeats values, and so does a slow joint whose encoder is coarse. So rows count only
 //! where the next value is several of the source's own least steps off for each row that it was held.
 
+use std::sync::LazyLock;
+
 use rayon::prelude::*;
 
 use crate::time::Stamp;
@@ -56,6 +58,11 @@ const MOVED: f64 = 5e-3;
 /// Rows in motion without which nothing is told.
 const ENOUGH: usize = 40;
 
+/// Whether each value of a piece is taken once.
+pub(super) fn is_taken_once(held: &[Held], stream: usize, piece: usize) -> bool {
+    held.iter().any(|held| (held.stream, held.piece) == (stream, piece) && held.is_taken_once())
+}
+
 /// Keeps of the rows of a piece those with a new value, at the time that it is taken at.
 pub(super) fn take_once(held: &[Held], stream: usize, piece: usize, rows: &mut Rows) {
     let of_it = |held: &&Held| (held.stream, held.piece) == (stream, piece) && !held.new.is_empty();
@@ -71,11 +78,10 @@ pub(super) fn take_once(held: &[Held], stream: usize, piece: usize, rows: &mut R
 
 /// What is held of each piece.
 pub(super) fn held(series: &[Series<'_>]) -> Vec<Held> {
-    let motion: Vec<Vec<Pace>> = series
-        .iter()
-        .filter(|series| matches!(series.values, Values::Joints(_)))
-        .map(paces)
-        .collect();
+    let motion: Motion<'_> = LazyLock::new(Box::new(|| {
+        let joints = series.iter().filter(|series| matches!(series.values, Values::Joints(_)));
+        joints.map(paces).collect()
+    }));
     let is_of_joints = |series: &&Series<'_>| matches!(series.values, Values::Joints(_));
     let of_joints: Vec<Option<Held>> = series
         .par_iter()
@@ -101,17 +107,16 @@ struct Group {
     count: usize,
 }
 
-fn groups(series: &Series<'_>) -> Vec<Group> {
-    let mut groups: Vec<Group> = Vec::new();
-    for at in 0..series.rows.len() {
-        match groups.last_mut() {
-            Some(group) if series.values.is_same(series.rows[group.first].1, series.rows[at].1) => {
-                group.count += 1;
-            }
-            _ => groups.push(Group { first: at, count: 1 }),
-        }
-    }
-    groups
+fn groups(series: &Series<'_>) -> impl Iterator<Item = Group> {
+    let rows = &series.rows;
+    let mut first = 0;
+    std::iter::from_fn(move || {
+        let value = rows.get(first)?.1;
+        let repeats = rows[first + 1..].iter();
+        let count = 1 + repeats.take_while(|(_, row)| series.values.is_same(value, *row)).count();
+        first += count;
+        Some(Group { first: first - count, count })
+    })
 }
 
 /// The least step of each kind that is one: the source's last bit, or next to nothing.
@@ -149,8 +154,11 @@ struct Pace {
     moved: f64,
 }
 
+/// The paces of all joint states, which hardly a log needs.
+type Motion<'a> = LazyLock<Vec<Vec<Pace>>, Box<dyn FnOnce() -> Vec<Vec<Pace>> + Send + 'a>>;
+
 fn paces(series: &Series<'_>) -> Vec<Pace> {
-    let groups = groups(series);
+    let groups: Vec<Group> = groups(series).collect();
     let quanta = quanta(series, &groups);
     let stamp = |group: &Group| series.rows[group.first].0;
     let (mut from, mut to) = (0, 0);
@@ -177,7 +185,7 @@ fn paces(series: &Series<'_>) -> Vec<Pace> {
 
 /// Whether the joints go fast enough at a time that rows `period_s` apart must differ; `None` where
 /// none say.
-fn must_differ(motion: &[Vec<Pace>], at: Stamp, period_s: f64) -> Option<bool> {
+fn must_differ(motion: &Motion<'_>, at: Stamp, period_s: f64) -> Option<bool> {
     /// Last bits in a period that a pose shows at any noise.
     const BITS: f64 = 3.0;
     let near = motion.iter().filter_map(|paces| {
@@ -198,7 +206,7 @@ fn travels(series: &Series<'_>, groups: &[Group], at: usize) -> bool {
     moved(ends) > MOVED
 }
 
-fn of(series: &Series<'_>, motion: &[Vec<Pace>], joint_stamps: &[Stamp]) -> Option<Held> {
+fn of(series: &Series<'_>, motion: &Motion<'_>, joint_stamps: &[Stamp]) -> Option<Held> {
     /// The next value is as many least steps off for each row that one was held.
     const STEPS: f64 = 2.0;
     /// What is held longer than so many times the usual rests.
@@ -207,10 +215,11 @@ fn of(series: &Series<'_>, motion: &[Vec<Pace>], joint_stamps: &[Stamp]) -> Opti
     if rows.len() < ENOUGH {
         return None;
     }
-    let groups = groups(series);
-    if groups.len() < 3 || groups.len() as f64 > (1.0 - 0.01) * rows.len() as f64 {
+    let count = groups(series).count();
+    if count < 3 || count as f64 > (1.0 - 0.01) * rows.len() as f64 {
         return None;
     }
+    let groups: Vec<Group> = groups(series).collect();
     let quanta = quanta(series, &groups);
     let is_of_joints = matches!(series.values, Values::Joints(_));
     let has_frame = series.frame.is_some();

@@ -332,7 +332,7 @@ pub(super) fn array_role(topic: &str, width: usize, is_declared: bool) -> Verdic
 
 /// The word of a topic that says that it carries what shall be. Columns of tables say so in other words.
 fn goal(topic: &str, words: &[String]) -> Option<&'static str> {
-    const OF_COLUMNS: &[&str] = &["action", "actions", "rsol", "asol"];
+    const OF_COLUMNS: &[&str] = &["action", "actions", "rsol", "asol", "aspos"];
     let is_column = !topic.starts_with('/');
     shared(words, GOALS).or_else(|| shared(words, OF_COLUMNS).filter(|_| is_column))
 }

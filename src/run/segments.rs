@@ -71,6 +71,7 @@ fn without_topics(log: &Log) -> Log {
         losses: log.losses.clone(),
         notes: log.notes.clone(),
         contradictions: log.contradictions.clone(),
+        repeats: log.repeats.clone(),
         robot_type: log.robot_type.clone(),
         question: log.question.clone(),
     }
@@ -283,6 +284,7 @@ mod tests {
             losses: Vec::new(),
             notes: Vec::new(),
             contradictions: None,
+            repeats: None,
             robot_type: None,
             question: None,
         }

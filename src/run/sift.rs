@@ -1,6 +1,8 @@
 //! Which rows of a stream the estimators see, and at what time: of one publisher, neither stray nor
 //! old, and each value once.
 
+use std::borrow::Cow;
+
 use super::held::{self, Held, held};
 use super::publishers::{self, Publishers, publishers};
 use super::role::Role;
@@ -39,8 +41,10 @@ impl Sift {
                 && streams[series.stream].role == Role::Joints
         });
         let stalled = joints.flat_map(|series| {
-            let mut rows = series.rows.clone();
-            held::take_once(&held, series.stream, series.piece, &mut rows);
+            let mut rows = Cow::Borrowed(&series.rows);
+            if held::is_taken_once(&held, series.stream, series.piece) {
+                held::take_once(&held, series.stream, series.piece, rows.to_mut());
+            }
             stalled(series, &rows)
         });
         let stalled = stalled.collect();

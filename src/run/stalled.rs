@@ -3,7 +3,9 @@
 //! A joint that stops on its way at full speed and is elsewhere one sample later did not stop: its
 //! number did. The times are taken out of what the estimators see, as a gap.
 
-use crate::stream::sample_noise;
+use std::borrow::Cow;
+
+use crate::stream::{JointColumn, sample_noise};
 
 use super::frozen::Frozen;
 use super::rows::Rows;
@@ -38,32 +40,41 @@ pub(super) fn hide(stalled: &[Stalled], stream: usize, rows: &mut Rows) {
 }
 
 /// The times in which the joint states of `series` stand still; `rows` are those that are looked at.
-pub(super) fn stalled(series: &Series<'_>, rows: &Rows) -> Vec<Stalled> {
+pub(super) fn stalled<'s>(series: &Series<'s>, rows: &Rows) -> Vec<Stalled> {
     let Values::Joints(joints) = series.values else { return Vec::new() };
-    let q = |at: usize, joint: usize| joints.joints[joint].position[rows[at].1];
-    let noise: Vec<f64> = (0..joints.joints.len())
-        .map(|joint| sample_noise(&(0..rows.len()).map(|at| q(at, joint)).collect::<Vec<f64>>()))
-        .collect();
+    let is_all = rows.len() == joints.times.len() && (0..).zip(rows).all(|(at, row)| row.1 == at);
+    let of_rows = |joint: &'s JointColumn| -> Cow<'s, [f64]> {
+        match is_all {
+            true => joint.position.as_slice().into(),
+            false => rows.iter().map(|(_, row)| joint.position[*row]).collect(),
+        }
+    };
+    let positions: Vec<Cow<'_, [f64]>> = joints.joints.iter().map(of_rows).collect();
+    let q = |at: usize, joint: usize| positions[joint][at];
+    let noise: Vec<f64> = positions.iter().map(|q| sample_noise(q)).collect();
     let usual: Vec<f64> = noise
         .iter()
         .enumerate()
         .map(|(joint, noise)| {
-            let steps = (1..rows.len()).map(|at| (q(at, joint) - q(at - 1, joint)).abs());
-            let mut steps: Vec<f64> =
-                steps.filter(|step| *step > (6.0 * noise).max(1e-6)).collect();
+            let steps = positions[joint].windows(2).map(|pair| (pair[1] - pair[0]).abs());
+            let least = (6.0 * noise).max(1e-6);
+            let mut steps: Vec<f64> = steps.filter(|step| *step > least).collect();
             let middle = steps.len() / 2;
-            steps.sort_by(f64::total_cmp);
-            steps.get(middle).copied().unwrap_or(0.0)
+            match steps.is_empty() {
+                true => 0.0,
+                false => *steps.select_nth_unstable_by(middle, f64::total_cmp).1,
+            }
         })
         .collect();
     let count = noise.len();
+    let far: Vec<f64> =
+        (0..count).map(|joint| LEAP.max(20.0 * noise[joint]).max(BITS * usual[joint])).collect();
     let (mut found, mut from) = (Vec::new(), 0);
     for at in 0..rows.len().saturating_sub(1 + BESIDE) {
         let leaps = |joint: usize| {
             let by = (q(at + 1, joint) - q(at, joint)).abs();
             let after = (1..BESIDE).map(|k| (q(at + 1 + k, joint) - q(at + k, joint)).abs());
-            by > LEAP.max(20.0 * noise[joint]).max(BITS * usual[joint])
-                && by > FAR * after.fold(0.0, f64::max)
+            by > far[joint] && by > FAR * after.fold(0.0, f64::max)
         };
         if !(0..count).any(leaps) {
             continue;
@@ -108,7 +119,7 @@ pub(super) fn times(stalled: &[Stalled]) -> impl Iterator<Item = Frozen> + '_ {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stream::{JointColumn, JointColumns};
+    use crate::stream::JointColumns;
     use crate::time::Stamp;
 
     /// 20 s of a joint that swings at 100 Hz, with noise, and what `edit` makes of the time that each

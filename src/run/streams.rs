@@ -288,7 +288,13 @@ impl Clocks {
 
     /// The rows of a piece of a stream that have a stamp.
     pub fn rows(&self, streams: &[Stream], stream: usize, piece: usize) -> Rows {
-        self.rows_where(streams, stream, piece, |_| true)
+        let times = streams[stream].times();
+        let mut rows = Rows::new();
+        if let Some((clock, times)) = self.clock(stream, piece).zip(times.get(piece)) {
+            rows.reserve_exact(times.len());
+            rows.extend(clock.rows_of(times));
+        }
+        rows
     }
 
     /// Those of them that are kept.

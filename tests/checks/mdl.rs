@@ -197,7 +197,7 @@ fn turned_in_its_cell(xyz: [f64; 3]) -> Log {
 
 /// Moves the origin of a joint by x, y, z (m) and roll, pitch, yaw (rad). The log tells neither the
 /// altered model nor its transforms.
-fn alter(run: &mut Scenario, joint: &str, by: [f64; 6]) {
+pub fn alter(run: &mut Scenario, joint: &str, by: [f64; 6]) {
     let text = urdf_text(&run.robot);
     let (before, from_joint) = text.split_once(&format!("<joint name=\"{joint}\"")).expect(joint);
     let (head, rest) = from_joint.split_once("<origin xyz=\"").expect("an origin");

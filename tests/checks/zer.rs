@@ -6,6 +6,7 @@ use poseaudit::synth::{Giving, Motion, POSE, Scenario, urdf_text};
 use crate::checks::case::On::{Joint, Topic};
 use crate::checks::case::What::{Amount, Degrees};
 use crate::checks::case::{Expected, Log, cases, error, the, warning};
+use crate::checks::mdl::alter;
 use crate::checks::mot::gives;
 use Expected::{BlamedOn, LeftOpenBy, Skipped, Sound, Undecided};
 
@@ -31,6 +32,15 @@ cases! {
         log.run.joints.zero_offsets = vec![0.003];
     } => error(Joint("rail_joint"), Amount(0.003, 0.05e-3));
 
+    ZER001 an_elbow_of_an_arm_with_one_crooked_link: |log| {
+        crooked(&mut log.run);
+        log.run.joints.zero_offsets = zero(2, 0.4);
+    } => warning(Joint("elbow_joint"), Degrees(0.4, 0.03));
+    ZER001 a_wrist_of_an_arm_with_one_crooked_link: |log| {
+        crooked(&mut log.run);
+        log.run.joints.zero_offsets = zero(3, -0.4);
+    } => warning(Joint("wrist_1_joint"), Degrees(-0.4, 0.03));
+
     ZER001 a_hundredth_of_a_degree_is_sound: |log| log.run.joints.zero_offsets = zero(2, 0.01)
         => Sound;
     ZER001 an_arm_on_a_rail_is_sound: |log| on_a_rail(&mut log.run) => Sound;
@@ -45,6 +55,7 @@ cases! {
     ZER001 growth_with_reach_is_no_zero: |log| log.run.pose.growth = 0.01 => BlamedOn("ZER002");
     ZER001 nominal_kinematics_are_no_zero: |log| crate::checks::mdl::calibrate(&mut log.run)
         => LeftOpenBy("MDL001", "calibrat");
+    ZER001 one_crooked_link_is_no_zero: |log| crooked(&mut log.run) => LeftOpenBy("MDL001", "calibrat");
     ZER001 a_drifting_imu_is_no_zero: |log| log.run.imu.yaw_drift_rad_s = 1e-3
         => BlamedOn("YAW001");
 
@@ -95,6 +106,16 @@ pub fn zero(joint: usize, degrees: f64) -> Vec<f64> {
 }
 
 /// Puts the arm on a rail along x.
+/// Makes of the arm one as they leave the factory: one link is turned by 0.37°, the others by little, and
+/// no joint's zero is off.
+fn crooked(run: &mut Scenario) {
+    alter(run, "shoulder_lift_joint", [0.1e-3, 0.0, 0.0, -0.5e-3, 0.0, 0.0]);
+    alter(run, "elbow_joint", [-0.15e-3, 0.0, 0.0, 0.3e-3, 0.7e-3, 0.0]);
+    alter(run, "wrist_1_joint", [-0.1e-3, 0.7e-3, 0.9e-3, -6.4e-3, -1.5e-3, 0.0]);
+    alter(run, "wrist_2_joint", [0.0, 0.2e-3, 0.1e-3, -1.9e-3, 0.0, 0.0]);
+    alter(run, "wrist_3_joint", [0.15e-3, -0.1e-3, 0.1e-3, 1.5e-3, 0.0, 0.0]);
+}
+
 pub fn on_a_rail(run: &mut Scenario) {
     let rail = r#"  <link name="rail"/>
   <joint name="rail_joint" type="prismatic">

@@ -142,17 +142,19 @@ struct Trend {
     course: String,
     logs: usize,
     rate_per_day: Option<Moved>,
+    rate_per_episode: Option<Moved>,
     level: Option<Moved>,
     spread: Option<f64>,
     step: Option<Moved>,
     step_between_ns: Option<[String; 2]>,
+    step_between: Option<[String; 2]>,
     figure: Option<f64>,
     reaches_figure_ns: Option<String>,
     points: Vec<Point>,
     line: Option<[f64; 2]>,
 }
 
-#[derive(Debug, Deserialize)]
+#[derive(Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Moved {
     value: f64,
@@ -163,7 +165,8 @@ struct Moved {
 #[serde(deny_unknown_fields)]
 #[allow(dead_code, reason = "the test reads it as a tool would, whole")]
 struct Point {
-    start_ns: String,
+    start_ns: Option<String>,
+    episode: Option<usize>,
     value: f64,
     ci95: [f64; 2],
     path: String,
@@ -318,5 +321,44 @@ fn pages_that_were_asked_for_are_linked_from_the_fleets() -> Result<()> {
     assert!(of_log.contains("ZER001") && of_log.contains("Zero offsets of all joints"));
     let matrix = text.split("id=\"matrix\"").nth(1).context("a matrix")?;
     assert!(matrix.contains("LAT001") && matrix.contains("1<span class=\"quiet\"> of 2</span>"));
+    Ok(())
+}
+
+#[test]
+fn a_zero_that_moved_within_a_dataset_is_told_with_its_episodes() -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    for episode in 0..12 {
+        // Their names are not in the order of their numbers.
+        let elbow = if episode < 9 { 0.0 } else { 0.01 };
+        // Of two that are the same only one counts.
+        let table = crate::tables::csv_of_ur5e(elbow + 1e-8 * f64::from(episode));
+        std::fs::write(folder.path().join(format!("episode_{episode}.csv")), table)?;
+    }
+    let [logs, out] = ["", "out"].map(|name| folder.path().join(name).display().to_string());
+    fleet(&[&logs, "--out", &out, "--robot", "ur5e", "--select", "ZER001"]).output()?;
+    let (report, _) = reported(folder.path(), &[])?;
+    assert_eq!((report.logs.total, report.logs.undated), (12, 0));
+    let moving: Vec<&Trend> = report
+        .trends
+        .iter()
+        .filter(|row| row.course == "creeps" || row.course == "stepped")
+        .collect();
+    let [stepped] = moving.as_slice() else { panic!("{moving:?}") };
+    assert_eq!(
+        (stepped.joint.as_deref(), stepped.course.as_str()),
+        (Some("elbow_joint"), "stepped")
+    );
+    let by = stepped.step.as_ref().context("its size")?;
+    assert!((by.value + 0.01).abs() < 1e-4, "{by:?}");
+    let between = stepped.step_between.as_ref().context("its episodes")?;
+    assert!(
+        between[0].ends_with("episode_8.csv") && between[1].ends_with("episode_9.csv"),
+        "{between:?}"
+    );
+    assert_eq!((&stepped.step_between_ns, &stepped.rate_per_day), (&None, &None));
+    assert_eq!(
+        stepped.points.iter().map(|point| point.episode).collect::<Vec<_>>(),
+        (0..12).map(Some).collect::<Vec<_>>()
+    );
     Ok(())
 }

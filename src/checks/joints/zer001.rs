@@ -29,8 +29,9 @@ rule! {
     /// the tool, a rail's zero and a shift of the base) are in `indistinguishable`.
     ///
     /// Where several causes, or what they leave, may be an inaccurate drawing, the deviations of all
-    /// links are estimated beside the zeros: a zero is then named where it stands out of what those make,
-    /// and its interval holds them.
+    /// links are estimated beside the zeros, each link's and all zeros' with a size of its own: a zero is then
+    /// named where the log is fifty times as likely with it, and its interval holds the deviations. Zeros of
+    /// other joints that are a twentieth as likely or more are in `indistinguishable`.
     ///
     /// Beside an error that nothing explains (MDL001) a zero is named only where it moves the tip by thirty
     /// times as much, and beside a tracker whose body this motion does not place, not at all.

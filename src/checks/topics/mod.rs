@@ -5,6 +5,7 @@ pub(super) mod frm007;
 pub(super) mod ing001;
 pub(super) mod ing002;
 pub(super) mod meta001;
+pub(super) mod meta002;
 pub(super) mod tim006;
 
 use super::Family;
@@ -18,5 +19,6 @@ pub(super) static FAMILY: Family = Family {
         &frm007::FRM007,
         &tim006::TIM006,
         &meta001::META001,
+        &meta002::META002,
     ],
 };

@@ -63,7 +63,7 @@ pub(super) fn fit(prepared: &[&Prepared], read: &Read, with_offsets: bool) -> Op
         Cause::Tool(s) => plain[s].tool != Pose::identity(),
     };
     let is_named = |cause: &Cause| match *cause {
-        Cause::Zero(joint) => drawing.as_ref().is_some_and(|it| it.named.contains(&joint)),
+        Cause::Zero(joint) => drawing.as_ref().is_some_and(|it| it.twins(joint).is_some()),
         _ => false,
     };
     let (named, optional): (Vec<Cause>, Vec<Cause>) =

@@ -39,8 +39,8 @@ pub(super) fn joint_offsets(
         .map(|joint| {
             let cause = Cause::Zero(joint);
             let drawing = fitted.nominal.as_ref();
-            let chosen = explanation.causes.contains(&cause)
-                || drawing.is_some_and(|drawing| drawing.named.contains(&joint));
+            let instead = drawing.and_then(|drawing| drawing.twins(joint));
+            let chosen = explanation.causes.contains(&cause) || instead.is_some();
             let beside = drawing.map(|drawing| drawing.zeros[joint]);
             let offset = if let Some(zero) = beside {
                 zero.ok_or(Unseen::NominalKinematics)
@@ -53,7 +53,8 @@ pub(super) fn joint_offsets(
             } else {
                 measured(fitted, &everyone, cause, 0)
             };
-            let twins = if chosen { twins(fitted, cause) } else { frame_twins(fitted, cause) };
+            let mut twins = if chosen { twins(fitted, cause) } else { frame_twins(fitted, cause) };
+            twins.extend_from_slice(instead.unwrap_or_default());
             let slides = slides(prepared, joint);
             let within_a_turn = |offset: Measured| match slides {
                 true => offset,

@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use polars::prelude::{DataFrame, PolarsResult};
 use serde_json::Value;
 
-use super::trends::{Point, Series};
+use super::trends::{At, Point, Series};
 use super::{
     ArmRow, ErrorRow, FindingRow, LogCounts, LogRow, Question, RuleCount, Whose, calendar,
 };
@@ -38,6 +38,8 @@ struct Log {
     status: Status,
     verdict: Option<Verdict>,
     start_ns: Option<i64>,
+    /// Which of the episodes it is that are of no calendar.
+    episode: Option<usize>,
 }
 
 impl Log {
@@ -50,6 +52,17 @@ impl Log {
     /// When it begins, where that is a time of the calendar.
     fn dated_ns(&self) -> Option<i64> {
         self.start_ns.filter(|&start_ns| start_ns >= calendar::FIRST_NS)
+    }
+
+    /// Where it stands in a trend; nowhere, where it has neither a time nor a number.
+    fn at(&self) -> Option<At> {
+        self.dated_ns().map(At::Time).or(self.episode.map(At::Episode))
+    }
+
+    /// Whether its path names an episode, within a file or as one.
+    fn is_episode(&self) -> bool {
+        let name = self.path.rsplit('/').next().unwrap_or_default();
+        name.contains('#') || name.starts_with("episode_")
     }
 }
 
@@ -166,6 +179,7 @@ fn logs(store: &Store, question: &Question) -> Result<(BTreeMap<String, Log>, us
                 status: status.unwrap_or(Status::Unreadable),
                 verdict: text("verdict")?.and_then(|name| Verdict::named(&name)),
                 start_ns: frame.stamp("start_ns", row)?,
+                episode: None,
                 path,
             };
             logs.insert(text("key")?.unwrap_or_default(), log);
@@ -177,7 +191,23 @@ fn logs(store: &Store, question: &Question) -> Result<(BTreeMap<String, Log>, us
         logs.retain(|_, log| log.version == version && log.settings == settings);
     }
     let set_aside = total - logs.len();
+    let is_open = |log: &&mut Log| log.dated_ns().is_none() && log.is_episode();
+    let mut episodes: Vec<&mut Log> = logs.values_mut().filter(is_open).collect();
+    episodes.sort_by_cached_key(|log| natural(&log.path));
+    for (number, log) in episodes.into_iter().enumerate() {
+        log.episode = Some(number);
+    }
     Ok((logs, set_aside))
+}
+
+/// A path in parts, so that those in it that are numbers are in the order of their values.
+fn natural(path: &str) -> Vec<(u64, String)> {
+    let mut parts: Vec<(u64, String)> = Vec::new();
+    for part in path.split_inclusive(|c: char| !c.is_ascii_digit()) {
+        let digits = part.trim_end_matches(|c: char| !c.is_ascii_digit());
+        parts.push((digits.parse().unwrap_or(0), part[digits.len()..].to_owned()));
+    }
+    parts
 }
 
 /// The version and the settings whose rows are wanted: those that were asked for, else of the latest
@@ -215,11 +245,14 @@ fn new_keys(part: &Part<'_>, seen: &mut HashSet<String>) -> PolarsResult<Vec<Opt
     Ok(keys)
 }
 
+/// When a log begins, which episode it is, and its path.
+type LogPlace = (Option<i64>, Option<usize>, String);
+
 /// What is found on a subject.
 struct Found {
     severity: Severity,
-    /// The logs it is found in, by their beginnings and paths, with title and message of each.
-    logs: BTreeMap<(Option<i64>, String), (String, String)>,
+    /// The logs it is found in, by their beginnings, their numbers as episodes and their paths, with title and message of each.
+    logs: BTreeMap<LogPlace, (String, String)>,
 }
 
 /// A rule and whom it is about.
@@ -232,7 +265,8 @@ struct Gathering<'a> {
     /// In how many logs a rule passed on a subject.
     asked: BTreeMap<Cause, usize>,
     found: BTreeMap<Cause, Found>,
-    series: BTreeMap<(Cause, String), Series>,
+    /// By unit, and apart where logs are of no calendar.
+    series: BTreeMap<(Cause, String, bool), Series>,
 }
 
 impl<'a> Gathering<'a> {
@@ -272,13 +306,14 @@ impl<'a> Gathering<'a> {
         let passes = part.text("status", row)?.as_deref() == Some("pass");
         let amount = part.number("value", row)?.zip(part.text("unit", row)?);
         let ends = part.number("ci95_low", row)?.zip(part.number("ci95_high", row)?);
-        let point = log.dated_ns().zip(amount).zip(ends);
+        let point = log.at().zip(amount).zip(ends);
         if !passes && point.is_none() {
             return Ok(());
         }
         let cause = (code, self.whose(part, row, log)?);
-        if let Some(((start_ns, (value, unit)), (low, high))) = point {
-            let series = self.series.entry((cause.clone(), unit.clone()));
+        if let Some(((at, (value, unit)), (low, high))) = point {
+            let is_dated = matches!(at, At::Time(_));
+            let series = self.series.entry((cause.clone(), unit.clone(), is_dated));
             let series = match series {
                 Entry::Occupied(known) => known.into_mut(),
                 Entry::Vacant(new) => new.insert(Series {
@@ -289,12 +324,7 @@ impl<'a> Gathering<'a> {
                     points: Vec::new(),
                 }),
             };
-            series.points.push(Point {
-                start_ns,
-                value,
-                ci95: [low, high],
-                path: log.path.clone(),
-            });
+            series.points.push(Point { at, value, ci95: [low, high], path: log.path.clone() });
         }
         if passes && self.question.counts(log) {
             *self.asked.entry(cause).or_default() += 1;
@@ -322,7 +352,7 @@ impl<'a> Gathering<'a> {
             .or_insert_with(|| Found { severity, logs: BTreeMap::new() });
         found.severity = found.severity.max(severity);
         let message = part.text("message", row)?.unwrap_or_default();
-        found.logs.insert((log.start_ns, log.path.clone()), (title, message));
+        found.logs.insert((log.start_ns, log.episode, log.path.clone()), (title, message));
         Ok(())
     }
 }
@@ -337,7 +367,7 @@ fn name_of(estimate_json: Option<String>) -> String {
 /// What is found, the most frequent of the gravest first.
 fn finding_rows(found: BTreeMap<Cause, Found>, asked: &BTreeMap<Cause, usize>) -> Vec<FindingRow> {
     let rows = found.into_iter().filter_map(|(cause, found)| {
-        let ((start_ns, path), (title, message)) = found.logs.last_key_value()?;
+        let ((start_ns, _, path), (title, message)) = found.logs.last_key_value()?;
         Some(FindingRow {
             severity: found.severity,
             logs: found.logs.len(),
@@ -364,7 +394,7 @@ fn log_rows(
 ) -> Vec<LogRow> {
     let mut codes: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
     for ((code, _), found) in found.iter().filter(|(_, it)| it.severity > Severity::Info) {
-        for (_, path) in found.logs.keys() {
+        for (.., path) in found.logs.keys() {
             codes.entry(path.as_str()).or_default().insert(code.as_str());
         }
     }
@@ -384,7 +414,10 @@ fn log_rows(
     };
     let mut counted: Vec<(&String, &Log)> =
         logs.iter().filter(|(_, log)| question.counts(log)).collect();
-    counted.sort_by(|(_, a), (_, b)| b.start_ns.cmp(&a.start_ns).then_with(|| a.path.cmp(&b.path)));
+    counted.sort_by(|(_, a), (_, b)| {
+        let own = |log: &Log| (log.episode, log.path.clone());
+        b.start_ns.cmp(&a.start_ns).then_with(|| own(a).cmp(&own(b)))
+    });
     counted.iter().map(row).collect()
 }
 
@@ -419,7 +452,7 @@ fn arms(
         };
         let grave = found.iter().filter(|(_, found)| found.severity > Severity::Info);
         for ((code, _), found) in grave.filter(|((_, whose), _)| is_its(whose)) {
-            let paths = found.logs.keys().map(|(_, path)| path.as_str());
+            let paths = found.logs.keys().map(|(.., path)| path.as_str());
             by_code.entry(code.as_str()).or_default().extend(paths);
         }
         let fails = by_code
@@ -440,7 +473,7 @@ fn log_counts(
     for log in logs.values() {
         counts.statuses.count(log.status);
         counts.verdicts.count(log.verdict);
-        let is_undated = log.status == Status::Audited && log.dated_ns().is_none();
+        let is_undated = log.status == Status::Audited && log.at().is_none();
         counts.undated += usize::from(is_undated);
         counts.before += usize::from(!question.counts(log));
         (counts.version, counts.settings) = (log.version.clone(), log.settings.clone());
@@ -487,7 +520,7 @@ mod tests {
     #[test]
     fn title_and_message_are_of_one_log() {
         let words = |name: &str| (format!("title of {name}"), format!("message of {name}"));
-        let logs = ["a", "b"].map(|name| ((Some(1), name.to_owned()), words(name)));
+        let logs = ["a", "b"].map(|name| ((Some(1), None, name.to_owned()), words(name)));
         let found = Found { severity: Severity::Warning, logs: logs.into() };
         let cause = ("LAT001".to_owned(), Whose::default());
         let rows = finding_rows([(cause, found)].into(), &BTreeMap::new());

@@ -10,10 +10,9 @@ use percent_encoding::utf8_percent_encode;
 use serde_json::{Map, Value};
 
 use super::text::{head, how_often, totals};
-use super::{Course, FindingRow, FleetReport, TrendRow, calendar};
+use super::{At, Course, FindingRow, FleetReport, TrendRow, calendar};
 use crate::log::ESCAPED;
 use crate::report::html::{Plot, Role, Series, Style, percent, shell};
-use crate::time::seconds;
 
 /// No more plots are drawn than this.
 const MOST_PLOTS: usize = 100;
@@ -82,17 +81,20 @@ fn page(report: &FleetReport) -> Markup {
 
 /// The plots: of what moves all, then of what does not, as many as there may be.
 fn drawn(report: &FleetReport) -> Vec<(String, &TrendRow, Plot)> {
-    let rows = report.trends.iter().filter(|row| row.rate_per_day.is_some());
+    let rows = report.trends.iter().filter(|row| row.level.is_some());
     let numbered = rows.take(MOST_PLOTS).enumerate();
     numbered.map(|(index, row)| (format!("trend-{}", index + 1), row, plot(row))).collect()
 }
 
-/// The amounts of a trend over the days, and the line through them.
+/// The amounts of a trend over the days or the episodes, and the line through them.
 fn plot(row: &TrendRow) -> Plot {
     let (factor, y_label) = everyday(&row.unit);
-    let first_ns = row.points.first().map_or(0, |first| first.start_ns);
-    let days = |stamp_ns: i64| seconds(stamp_ns - first_ns) / 86_400.0;
-    let x: Vec<f64> = row.points.iter().map(|point| days(point.start_ns)).collect();
+    let first = row.points.first().map_or(At::Episode(0), |first| first.at);
+    let (per, x_label, origin) = match first {
+        At::Time(first_ns) => (86_400.0, "days", format!("Day 0 is {}.", calendar::day(first_ns))),
+        At::Episode(_) => (1.0, "episodes", "Episodes from the first on.".to_owned()),
+    };
+    let x: Vec<f64> = row.points.iter().map(|point| point.at.since(first) / per).collect();
     let half = |ci95: [f64; 2]| 0.5 * (ci95[1] - ci95[0]) * factor;
     let amounts = Series {
         label: row.name.clone(),
@@ -100,7 +102,6 @@ fn plot(row: &TrendRow) -> Plot {
         values: row.points.iter().map(|point| point.value * factor).collect(),
         half_widths: row.points.iter().map(|point| half(point.ci95)).collect(),
     };
-    let day_0 = format!("Day 0 is {}.", calendar::day(first_ns));
     let last = x.last().copied().filter(|&last| last > 0.0).unwrap_or(1.0);
     // Through a step no line says anything.
     let line = row.line.filter(|_| row.course != Course::Stepped).map(|[from, to]| Series {
@@ -115,11 +116,11 @@ fn plot(row: &TrendRow) -> Plot {
         of: format!("{} {} {}", row.code, row.whose.arm_label(), row.whose.part()),
         says: match row.course.is_moving() {
             // That stands above it in large letters.
-            true => day_0,
-            false => format!("{}: {}. {day_0}", row.course.name(), row.says()),
+            true => origin,
+            false => format!("{}: {}. {origin}", row.course.name(), row.says()),
         },
         x,
-        x_label: "days",
+        x_label,
         y_label,
         series: std::iter::once(amounts).chain(line).collect(),
         style: Style::Curve,

@@ -22,7 +22,7 @@ pub use calendar::{Day, day};
 pub use html::write as write_html;
 pub use markdown::write as write_markdown;
 pub use text::write as write_text;
-pub use trends::{Course, Moved, Point, TrendRow};
+pub use trends::{At, Course, Moved, Point, TrendRow};
 
 /// The schema of the report in JSON.
 pub const SCHEMA: &str = "poseaudit.fleet/1";

@@ -36,15 +36,37 @@ pub struct Series {
 /// What one log told.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Point {
-    /// When the log begins, ns since 1970, as a decimal string.
-    #[serde(serialize_with = "decimal")]
-    pub start_ns: i64,
+    /// Where the log stands among the others.
+    #[serde(flatten)]
+    pub at: At,
     /// The amount.
     pub value: f64,
     /// Its 95 % interval.
     pub ci95: [f64; 2],
     /// The log.
     pub path: String,
+}
+
+/// Where a log stands among the others of a trend.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+pub enum At {
+    /// When it begins, ns since 1970, as a decimal string.
+    #[serde(rename = "start_ns")]
+    Time(#[serde(serialize_with = "decimal")] i64),
+    /// Which episode it is, where its stamps are of no calendar: by the numbers in paths and names.
+    #[serde(rename = "episode")]
+    Episode(usize),
+}
+
+impl At {
+    /// From the first of them on, in seconds or in episodes.
+    pub fn since(self, first: Self) -> f64 {
+        match (self, first) {
+            (Self::Time(own), Self::Time(first)) => seconds(own - first),
+            (Self::Episode(own), Self::Episode(first)) => own as f64 - first as f64,
+            _ => 0.0,
+        }
+    }
 }
 
 fn decimal<S: serde::Serializer>(stamp: &i64, to: S) -> Result<S::Ok, S::Error> {
@@ -109,6 +131,8 @@ pub struct TrendRow {
     pub logs: usize,
     /// What it grows by in a day.
     pub rate_per_day: Option<Moved>,
+    /// What it grows by from one episode to the next, where these are of no calendar.
+    pub rate_per_episode: Option<Moved>,
     /// The amount in the middle of the runs.
     pub level: Option<Moved>,
     /// How far runs lie from the line beyond their own intervals: a standard deviation.
@@ -117,6 +141,8 @@ pub struct TrendRow {
     pub step: Option<Moved>,
     /// The last log before the step and the first after it, ns as decimal strings.
     pub step_between_ns: Option<[String; 2]>,
+    /// The same as paths.
+    pub step_between: Option<[String; 2]>,
     /// The rule's first threshold for it.
     pub figure: Option<f64>,
     /// When it reaches that, if it goes on so, ns as a decimal string; the time of the last log where it
@@ -138,10 +164,13 @@ pub fn rows(series: Vec<Series>) -> Vec<TrendRow> {
 
 fn row(series: Series, asked: usize) -> TrendRow {
     let Series { code, name, unit, whose, mut points } = series;
-    points.sort_by(|a, b| (a.start_ns, &a.path).cmp(&(b.start_ns, &b.path)));
-    let origin_ns = points.first().map_or(0, |first| first.start_ns);
-    let time_s = |stamp_ns: i64| seconds(stamp_ns - origin_ns);
-    let told: Vec<Told> = points.iter().map(|point| told(point, time_s(point.start_ns))).collect();
+    points.sort_by(|a, b| (a.at, &a.path).cmp(&(b.at, &b.path)));
+    let first = points.first().map_or(At::Episode(0), |first| first.at);
+    let origin_ns = match first {
+        At::Time(first_ns) => Some(first_ns),
+        At::Episode(_) => None,
+    };
+    let told: Vec<Told> = points.iter().map(|point| told(point, point.at.since(first))).collect();
     let last_s = told.last().map_or(0.0, |last| last.time_s);
     let figure = figure(&code, &unit);
     let found = trend(&told);
@@ -149,17 +178,28 @@ fn row(series: Series, asked: usize) -> TrendRow {
     let at = |found: &Trend, time_s: f64| {
         found.level.value + found.rate_per_s.value * (time_s - found.middle_s)
     };
-    let stamp = |time_s: f64| (origin_ns + crate::time::nanos(time_s)).to_string();
+    let stamp = |time_s: f64| Some((origin_ns? + crate::time::nanos(time_s)).to_string());
+    let nearest = |time_s: f64| {
+        let off = |point: &&Point| (point.at.since(first) - time_s).abs();
+        let point = points.iter().min_by(|a, b| off(a).total_cmp(&off(b)));
+        point.map_or_else(String::new, |point| point.path.clone())
+    };
+    let rate = |per: f64| found.map(|found| moved(&found.rate_per_s.scaled(per)));
     let step = found.and_then(|found| found.step).filter(|_| course == Course::Stepped);
     let reaches = found.zip(figure).filter(|_| course == Course::Creeps);
     TrendRow {
         logs: points.len(),
         course,
-        rate_per_day: found.map(|found| moved(&found.rate_per_s.scaled(DAY_S))),
+        rate_per_day: origin_ns.and_then(|_| rate(DAY_S)),
+        rate_per_episode: if origin_ns.is_none() { rate(1.0) } else { None },
         level: found.map(|found| moved(&found.level)),
         spread: found.map(|found| found.spread),
         step: step.map(|step| moved(&step.by)),
-        step_between_ns: step.map(|step| step.between_s.map(stamp)),
+        step_between_ns: step.and_then(|step| {
+            let [from, to] = step.between_s.map(stamp);
+            Some([from?, to?])
+        }),
+        step_between: step.map(|step| step.between_s.map(nearest)),
         figure,
         reaches_figure_ns: reaches.and_then(|(found, figure)| {
             let (now, rate) = (at(&found, last_s), found.rate_per_s.value);
@@ -167,7 +207,7 @@ fn row(series: Series, asked: usize) -> TrendRow {
             let is_there = now.abs() >= figure;
             // Further away than a stamp goes, it is never.
             let left_s = if is_there { 0.0 } else { left_s };
-            (left_s < 1e9).then(|| stamp(last_s + left_s))
+            if left_s < 1e9 { stamp(last_s + left_s) } else { None }
         }),
         line: found.map(|found| [at(&found, 0.0), at(&found, last_s)]),
         code,
@@ -230,31 +270,30 @@ impl TrendRow {
         self.unit_of().show_signed_within(moved.value, Some(moved.ci95))
     }
 
-    /// The name of the log that begins nearest to a time.
-    fn log_at(&self, stamp_ns: i64) -> &str {
-        let nearest = self.points.iter().min_by_key(|point| point.start_ns.abs_diff(stamp_ns));
-        let path = nearest.map_or("", |point| point.path.as_str());
-        path.rsplit('/').next().unwrap_or(path)
-    }
-
-    /// A rate as people take it in: what a day brings is mostly too little for the digits shown.
-    fn shown_rate(&self, rate: &Moved) -> String {
+    /// A rate as people take it in: what a day or an episode brings is mostly too little for the digits shown.
+    fn shown_rate(&self) -> Option<String> {
         const DAYS: f64 = 30.0;
-        let value = rate.value * DAYS;
-        let shown = self.shown(&Moved { value, ci95: rate.ci95.map(|end| end * DAYS) });
-        format!("{shown} in {DAYS} days")
+        const EPISODES: f64 = 100.0;
+        let (rate, times, of) = match (&self.rate_per_day, &self.rate_per_episode) {
+            (Some(rate), _) => (rate, DAYS, "days"),
+            (None, rate) => (rate.as_ref()?, EPISODES, "episodes"),
+        };
+        let value = rate.value * times;
+        let shown = self.shown(&Moved { value, ci95: rate.ci95.map(|end| end * times) });
+        Some(format!("{shown} in {times} {of}"))
     }
 
     /// What is to be said of it in one line.
     pub fn says(&self) -> String {
         let unit = self.unit_of();
-        match (self.course, &self.rate_per_day, &self.step) {
+        match (self.course, self.shown_rate(), &self.step) {
             (Course::Creeps, Some(rate), _) => {
-                let reached = match (&self.reaches_figure_ns, self.figure, self.points.last()) {
-                    (Some(when), Some(figure), Some(last)) => {
+                let last = self.points.last().map(|last| last.at);
+                let reached = match (&self.reaches_figure_ns, self.figure, last) {
+                    (Some(when), Some(figure), Some(At::Time(last_ns))) => {
                         let when_ns: i64 = when.parse().unwrap_or_default();
                         let figure = unit.show(figure);
-                        match when_ns - last.start_ns {
+                        match when_ns - last_ns {
                             ..=0 => format!("; beyond the rule's {figure} already"),
                             left => format!(
                                 "; reaches the rule's {figure} on {}, in {} days",
@@ -265,23 +304,23 @@ impl TrendRow {
                     }
                     _ => String::new(),
                 };
-                format!("{} over {} logs{reached}", self.shown_rate(rate), self.logs)
+                format!("{rate} over {} logs{reached}", self.logs)
             }
             (Course::Stepped, _, Some(step)) => {
-                let between = self.step_between_ns.as_ref().map(|ends| {
-                    let ends_ns: [i64; 2] = ends.each_ref().map(|end| end.parse().unwrap_or(0));
-                    let [from, to] = calendar::apart(ends_ns[0], ends_ns[1]);
-                    let [before, after] = ends_ns.map(|end_ns| self.log_at(end_ns));
-                    format!(" between {before} ({from}) and {after} ({to})")
+                let name = |path: &String| path.rsplit('/').next().unwrap_or(path).to_owned();
+                let names = self.step_between.as_ref().map(|ends| ends.each_ref().map(name));
+                let dates = self.step_between_ns.as_ref().map(|ends| {
+                    let [from_ns, to_ns] =
+                        ends.each_ref().map(|end| end.parse().unwrap_or_default());
+                    calendar::apart(from_ns, to_ns).map(|date| format!(" ({date})"))
                 });
+                let [from, to] = dates.unwrap_or_default();
+                let between =
+                    names.map(|[before, after]| format!(" between {before}{from} and {after}{to}"));
                 format!("{}{}", self.shown(step), between.unwrap_or_default())
             }
-            (Course::Steady, Some(rate), _) => {
-                format!("{} over {} logs", self.shown_rate(rate), self.logs)
-            }
-            (_, Some(rate), _) => {
-                format!("{} over {} logs, which does not tell", self.shown_rate(rate), self.logs)
-            }
+            (Course::Steady, Some(rate), _) => format!("{rate} over {} logs", self.logs),
+            (_, Some(rate), _) => format!("{rate} over {} logs, which does not tell", self.logs),
             _ => format!("{} logs with a date and an interval; {LEAST_RUNS} tell", self.logs),
         }
     }

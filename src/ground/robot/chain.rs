@@ -294,6 +294,17 @@ impl Chain {
         });
     }
 
+    /// The axis of each coordinate's joint in the joint's child link, a unit vector.
+    pub fn joint_axes(&self) -> Vec<Vec3> {
+        let own = |coordinate: usize| {
+            let mut steps = self.steps.iter().filter(move |step| step.coordinate == coordinate);
+            let first = steps.clone().next();
+            steps.find(|step| step.is_own).or(first)
+        };
+        let axis = |step: &Step| step.step_from_child.rotation.tr_mul(&Vec3::z());
+        (0..self.dof()).map(|coordinate| own(coordinate).map_or_else(Vec3::z, axis)).collect()
+    }
+
     /// The largest distance from the base's origin to the tip's that a search finds, m.
     ///
     /// It never exceeds the true reach and rarely misses it by more than 1 %: from the middle and

@@ -32,6 +32,23 @@ impl Times {
         self.log.push(log);
     }
 
+    /// Appends the times of all rows of `later`.
+    pub fn append(&mut self, later: &Self) {
+        if !(self.publish.is_empty() && later.publish.is_empty()) {
+            self.publish.extend_from_slice(&self.log[self.publish.len()..]);
+            self.publish.extend_from_slice(later.on(Clock::Publish));
+        }
+        self.header.extend_from_slice(&later.header);
+        self.log.extend_from_slice(&later.log);
+        self.sequence.extend_from_slice(&later.sequence);
+    }
+
+    /// Appends the times of one row of `later`.
+    pub fn append_row(&mut self, later: &Self, row: usize) {
+        self.push(later.header[row], later.log[row], later.on(Clock::Publish)[row]);
+        self.sequence.extend(later.sequence.get(row));
+    }
+
     /// Number of rows.
     pub fn len(&self) -> usize {
         self.log.len()
@@ -261,10 +278,17 @@ impl JointColumns {
     /// Counts a position of a joint, by its place, that is not [`usable`].
     pub fn drop_value(&mut self, joint: usize) {
         self.not_finite += 1;
-        if self.unusable.len() <= joint {
+        self.count_unusable(joint, 1);
+    }
+
+    /// Counts positions of a joint that were dropped, besides [`JointColumns::not_finite`].
+    pub fn count_unusable(&mut self, joint: usize, count: u64) {
+        if count > 0 && self.unusable.len() <= joint {
             self.unusable.resize(joint + 1, 0);
         }
-        self.unusable[joint] += 1;
+        if let Some(own) = self.unusable.get_mut(joint) {
+            *own += count;
+        }
     }
 
     fn select(&mut self, rows: &[usize]) {

@@ -6,7 +6,7 @@ mod values;
 
 use self::joints::Joints;
 use self::poses::{Crowd, Naming, Poses};
-use self::values::{Array, Numbers, append_imu, append_text};
+use self::values::{Array, Numbers, append_imu, append_text, join_imu, join_texts};
 use super::row::{self, Row, RowTimes};
 use ground::stream::{Columns, ImuColumns, TextColumns};
 
@@ -19,6 +19,7 @@ pub(crate) use self::poses::MAX_FRAMES;
 /// name, the others under that name with the field after a dot, as in Foxglove's message paths.
 #[derive(Debug)]
 pub(crate) struct Builder {
+    kinds: &'static [PartOf],
     parts: Vec<(&'static str, Part)>,
     /// Whether the type has a stamp.
     stamped: bool,
@@ -120,6 +121,32 @@ impl Part {
         Ok(())
     }
 
+    fn fits(&self, later: &Self) -> bool {
+        match (self, later) {
+            (Part::Joints(own), Part::Joints(later)) => own.fits(later),
+            (Part::Poses(own), Part::Poses(later))
+            | (Part::Transforms(own), Part::Transforms(later)) => own.fits(later),
+            (Part::Crowd(own), Part::Crowd(later)) => own.poses.fits(&later.poses),
+            (Part::Imu(_), Part::Imu(_)) | (Part::Text(_), Part::Text(_)) => true,
+            (Part::Array(own), Part::Array(later)) => own.fits(later),
+            _ => false,
+        }
+    }
+
+    fn join(&mut self, later: Self) {
+        match (self, later) {
+            (Part::Joints(own), Part::Joints(later)) => own.join(later),
+            (Part::Poses(own), Part::Poses(later))
+            | (Part::Transforms(own), Part::Transforms(later)) => own.join(later),
+            (Part::Crowd(own), Part::Crowd(later)) => own.join(later),
+            (Part::Imu(own), Part::Imu(later)) => join_imu(own, later),
+            (Part::Array(own), Part::Array(later)) => own.join(later),
+            (Part::Text(own), Part::Text(later)) => join_texts(own, later),
+            // Of one recipe both have the same parts, which `fits` asks.
+            _ => {}
+        }
+    }
+
     fn finalize(self) -> Option<Columns> {
         Some(match self {
             Part::Joints(joints) => Columns::Joints(joints.columns),
@@ -135,8 +162,28 @@ impl Part {
 
 impl Builder {
     /// Empty columns for the parts of a type, which has a stamp or not.
-    pub(super) fn new(parts: &[PartOf], stamped: bool) -> Self {
-        Self { parts: parts.iter().map(|(name, part)| (*name, part())).collect(), stamped }
+    pub(super) fn new(kinds: &'static [PartOf], stamped: bool) -> Self {
+        let parts = kinds.iter().map(|(name, part)| (*name, part())).collect();
+        Self { kinds, parts, stamped }
+    }
+
+    /// The same columns, empty.
+    pub(crate) fn blank(&self) -> Self {
+        Self::new(self.kinds, self.stamped)
+    }
+
+    /// Whether to [`Builder::join`] the rows of `later`, which has the same parts, is to append each of
+    /// them here.
+    pub(crate) fn fits(&self, later: &Self) -> bool {
+        let parts = self.parts.iter().zip(&later.parts);
+        parts.into_iter().all(|((_, own), (_, later))| own.fits(later))
+    }
+
+    /// Appends all rows of `later`, which [fits](Builder::fits).
+    pub(crate) fn join(&mut self, later: Self) {
+        for ((_, own), (_, later)) in self.parts.iter_mut().zip(later.parts) {
+            own.join(later);
+        }
     }
 
     /// Appends one row, or counts why it is dropped.

@@ -26,6 +26,7 @@ use self::steps::Serialization;
 
 pub(super) use self::builder::{Builder, MAX_FRAMES};
 pub(super) use self::plan::Plan;
+pub(super) use self::protobuf::{Reader, Value, WireError};
 pub(super) use self::recipes::Recipe;
 pub(super) use self::row::{Row, RowTimes};
 pub(super) use self::schema::{bounded, canonical, excerpt};

@@ -14,8 +14,8 @@ use super::schema::SchemaError;
 
 pub(super) use self::descriptor::Types;
 use self::descriptor::{Field, Kind, Message, Scalar};
-pub(crate) use self::wire::WireError;
-use self::wire::{Fault, Reader, Value};
+use self::wire::Fault;
+pub(crate) use self::wire::{Reader, Value, WireError};
 
 /// The wanted fields as a tree of field numbers.
 #[derive(Debug)]

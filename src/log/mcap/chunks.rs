@@ -5,8 +5,7 @@ use mcap::records::op;
 use super::record::{self, Frame};
 use super::{Absent, Reader, Use};
 use crate::Extent;
-use crate::ahead;
-use crate::intake::ChannelId;
+use crate::ahead::{self, Done};
 use crate::unpack::{Compression, Packed, Unpacker};
 
 impl<'a> Reader<'a, '_, '_> {
@@ -27,7 +26,8 @@ impl<'a> Reader<'a, '_, '_> {
                 && self.use_of(&frame, &packed) == Use::All
                 && self.intake.allowance.admit(&packed).is_ok()
             {
-                self.ahead.unpack(offset, packed);
+                let table = self.table();
+                self.ahead.unpack(offset, packed, table);
             }
         }
     }
@@ -50,7 +50,7 @@ impl<'a> Reader<'a, '_, '_> {
 
     /// Whether a channel is known that is of no use.
     pub(super) fn has_ignored_channels(&self) -> bool {
-        let mut known = self.channels.iter().flatten().filter_map(|channel| channel.id);
+        let mut known = self.definitions.channels.iter().flatten().filter_map(|channel| channel.id);
         known.any(|id| self.intake.ignores(id))
     }
 
@@ -65,7 +65,10 @@ impl<'a> Reader<'a, '_, '_> {
                 _ => None,
             };
             if let Some(message) = message
-                && self.channel_of(message.channel_id).is_some_and(|id| self.intake.ignores(id))
+                && self
+                    .definitions
+                    .channel_of(message.channel_id)
+                    .is_some_and(|id| self.intake.ignores(id))
             {
                 ignored += message.data.len();
             }
@@ -83,10 +86,6 @@ impl<'a> Reader<'a, '_, '_> {
             .filter_map(|frame| record::MessageIndex::parse(frame.body))
     }
 
-    pub(super) fn channel_of(&self, channel_id: u16) -> Option<ChannelId> {
-        self.channels.get(usize::from(channel_id))?.as_ref()?.id
-    }
-
     /// Reads the records of a chunk; whether all of them could be.
     pub(super) fn chunk(&mut self, frame: &Frame<'a>, unpacker: &mut Unpacker) -> bool {
         let chunk = record::Chunk::parse(frame.body).filter(record::Chunk::is_whole);
@@ -102,7 +101,16 @@ impl<'a> Reader<'a, '_, '_> {
             self.losses.date(frame.offset, chunk.first_time, chunk.last_time);
             return false;
         };
-        let mut unpacked = self.ahead.take(frame.offset);
+        let mut unpacked = match self.ahead.take(frame.offset) {
+            Some(Done::Unpacked(unpacked)) => Some(unpacked),
+            Some(Done::Read(part)) => {
+                if self.take_part(part, &packed) {
+                    return true;
+                }
+                None
+            }
+            None => None,
+        };
         let records = match &mut unpacked {
             Some(unpacked) => unpacked.content(&packed, &mut self.intake.allowance),
             None => match self.use_of(frame, &packed) {
@@ -146,7 +154,9 @@ impl<'a> Reader<'a, '_, '_> {
     /// Counts the messages of a chunk that is left packed.
     pub(super) fn count(&mut self, chunk: &Frame<'a>) {
         for index in self.indexes_behind(chunk) {
-            if let Some((id, span)) = self.channel_of(index.channel_id).zip(index.span()) {
+            if let Some((id, span)) =
+                self.definitions.channel_of(index.channel_id).zip(index.span())
+            {
                 self.intake.count(id, index.count(), span);
             }
         }

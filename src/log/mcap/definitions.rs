@@ -1,5 +1,7 @@
 //! Schemas and channels, and what stands beside messages: attachments and metadata.
 
+use std::sync::Arc;
+
 use mcap::records::op;
 
 use super::record::{self, Frame};
@@ -18,44 +20,47 @@ impl<'a> Reader<'a, '_, '_> {
     }
 
     pub(super) fn schema(&mut self, schema: record::Schema<'_>) {
-        let known = self.schemas.get(&schema.id).is_some_and(|known| {
-            (known.name.as_str(), known.encoding.as_str(), known.data.as_slice())
-                == (schema.name, schema.encoding, schema.data)
-        });
-        if !known {
-            self.schemas.insert(
-                schema.id,
-                Schema {
-                    name: schema.name.to_owned(),
-                    encoding: schema.encoding.to_owned(),
-                    data: schema.data.to_owned(),
-                },
-            );
+        if self.definitions.has_schema(&schema) {
+            return;
         }
+        let new = Schema {
+            name: schema.name.to_owned(),
+            encoding: schema.encoding.to_owned(),
+            data: schema.data.to_owned(),
+        };
+        let before = self.definitions.schemas.insert(schema.id, Arc::new(new));
+        self.defined(before.is_some());
     }
 
     pub(super) fn channel(&mut self, channel: record::Channel<'_>) {
-        let index = usize::from(channel.id);
-        if index >= self.channels.len() {
-            self.channels.resize_with(index + 1, || None);
-        }
-        let slot = &mut self.channels[index];
-        if slot.as_ref().is_some_and(|known| known.is(&channel)) {
+        if self.definitions.has_channel(&channel) {
             return;
         }
-        let schema = self.schemas.get(&channel.schema_id);
+        let schema = self.definitions.schemas.get(&channel.schema_id);
         let format = Format {
             encoding: channel.encoding,
             type_name: schema.map_or("", |schema| &schema.name),
             schema_encoding: schema.map_or("", |schema| &schema.encoding),
             schema: schema.map_or(&[], |schema| &schema.data),
         };
-        *slot = Some(Channel {
+        let new = Channel {
             id: self.intake.channel(channel.topic, format),
             schema_id: channel.schema_id,
             topic: channel.topic.to_owned(),
             encoding: channel.encoding.to_owned(),
-        });
+        };
+        let (index, channels) = (usize::from(channel.id), &mut self.definitions.channels);
+        if index >= channels.len() {
+            channels.resize_with(index + 1, || None);
+        }
+        let before = channels[index].replace(Arc::new(new));
+        self.defined(before.is_some());
+    }
+
+    /// Takes down that there is a definition more, or another in the place of one.
+    fn defined(&mut self, changed: bool) {
+        self.table = None;
+        self.definitions.changes += u64::from(changed);
     }
 
     pub(super) fn attachment(&mut self, frame: &Frame<'_>) {

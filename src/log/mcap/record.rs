@@ -7,6 +7,7 @@ use std::ops::Range;
 
 use mcap::records::op;
 
+use crate::topic;
 use crate::unpack::{Allowance, Compression, Packed, Unpacker};
 
 /// Bytes before a record's body: its opcode and its length.
@@ -196,6 +197,18 @@ impl<'a> Message<'a> {
         let (channel_id, sequence) = (fields.u16()?, fields.u32()?);
         let (log_time, publish_time) = (fields.u64()?, fields.u64()?);
         Some(Self { channel_id, sequence, log_time, publish_time, data: fields.0 })
+    }
+
+    /// It as what is taken in, in the chunk at this byte of the file or there alone.
+    pub(super) fn at(self, offset: usize) -> topic::Message<'a> {
+        topic::Message {
+            log_time: self.log_time,
+            publish_time: self.publish_time,
+            sequence: self.sequence,
+            data: self.data,
+            place: topic::Place::Byte(offset as u64),
+            latched: false,
+        }
     }
 }
 

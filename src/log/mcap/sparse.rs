@@ -41,7 +41,7 @@ impl<'a> Reader<'a, '_, '_> {
     pub(super) fn is_ignored_by_index(&self, chunk: &Frame<'a>) -> bool {
         let mut indexes = self.indexes_behind(chunk).peekable();
         let is_ignored = |index: record::MessageIndex<'_>| {
-            self.channel_of(index.channel_id).is_some_and(|id| self.intake.ignores(id))
+            self.definitions.channel_of(index.channel_id).is_some_and(|id| self.intake.ignores(id))
         };
         indexes.peek().is_some() && indexes.all(is_ignored)
     }
@@ -69,8 +69,7 @@ impl<'a> Reader<'a, '_, '_> {
             // A channel that becomes another amid the file may be of use.
             if frame.opcode == op::CHANNEL {
                 let channel = record::Channel::parse(frame.body).ok_or(None)?;
-                let known = self.channels.get(usize::from(channel.id)).and_then(Option::as_ref);
-                if !known.is_some_and(|known| known.is(&channel)) {
+                if !self.definitions.has_channel(&channel) {
                     return Err(None);
                 }
             }
@@ -83,7 +82,7 @@ impl<'a> Reader<'a, '_, '_> {
     /// How many bytes of a message are passed over; `None` for one of a channel that is not known.
     fn passed_over(&self, body: &'a [u8]) -> Option<usize> {
         let message = record::Message::parse(body)?;
-        let id = self.channel_of(message.channel_id)?;
+        let id = self.definitions.channel_of(message.channel_id)?;
         Some(if self.intake.ignores(id) { message.data.len() } else { 0 })
     }
 }

@@ -211,7 +211,7 @@ impl<'a> Reader<'a, '_, '_> {
     fn messages_of(&self, chunk: &Frame<'a>, length: usize) -> Option<Vec<Range<usize>>> {
         let mut starts = Vec::new();
         for index in self.indexes_behind(chunk) {
-            let is_ignored = self.intake.ignores(self.channel_of(index.channel_id)?);
+            let is_ignored = self.intake.ignores(self.definitions.channel_of(index.channel_id)?);
             for offset in index.offsets() {
                 let offset = usize::try_from(offset).ok().filter(|offset| *offset < length)?;
                 starts.push((offset, is_ignored));

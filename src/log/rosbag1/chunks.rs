@@ -3,7 +3,7 @@
 use super::Reader;
 use super::record::{self, Chunk, MessageIndex, Record, op};
 use crate::Extent;
-use crate::ahead;
+use crate::ahead::{self, Done};
 use crate::decode::excerpt;
 use crate::unpack::{Compression, UnpackError, Unpacker};
 
@@ -27,7 +27,7 @@ impl<'a> Reader<'a, '_, '_> {
                 && !self.is_ignored(&record)
                 && self.intake.allowance.admit(&packed).is_ok()
             {
-                self.ahead.unpack(offset, packed);
+                self.ahead.unpack(offset, packed, None);
             }
         }
     }
@@ -98,7 +98,7 @@ impl<'a> Reader<'a, '_, '_> {
             self.count(record);
             return true;
         }
-        let mut unpacked = self.ahead.take(record.offset);
+        let mut unpacked = self.ahead.take(record.offset).and_then(Done::unpacked);
         let content = match &mut unpacked {
             Some(unpacked) => unpacked.content(&packed, &mut self.intake.allowance),
             None => unpacker.chunk(&packed, &mut self.intake.allowance),

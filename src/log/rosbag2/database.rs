@@ -14,11 +14,11 @@ use rusqlite::limits::Limit;
 use rusqlite::types::ValueRef;
 use rusqlite::{Connection, OpenFlags, Row};
 
+use super::batch::{Batches, decoded};
 use super::wal;
 use crate::decode::{Format, excerpt};
 use crate::intake::{ChannelId, Intake};
 use crate::losses::Losses;
-use crate::topic::{Message, Place};
 use crate::{ESCAPED, Extent, ReadOptions};
 
 /// Most places of a database that are passed over because they are damaged.
@@ -79,7 +79,6 @@ pub(crate) fn read(
         database: &database,
         options,
         losses,
-        intake,
         topics: HashMap::new(),
         bytes: 0,
         orphans: 0,
@@ -89,8 +88,8 @@ pub(crate) fn read(
         first_stray: (0, 0),
         is_cut,
     };
-    reader.topics(tables.definitions);
-    reader.messages();
+    reader.topics(tables.definitions, intake);
+    reader.messages(intake);
     true
 }
 
@@ -152,6 +151,8 @@ fn open(path: &Path, strictness: Strictness) -> rusqlite::Result<Connection> {
     if has_wal {
         database.query_row("PRAGMA locking_mode = EXCLUSIVE", [], |_| Ok(()))?;
     }
+    // As much as SQLite maps: its pages are then not copied.
+    database.pragma_update(None, "mmap_size", i64::from(i32::MAX))?;
     Ok(database)
 }
 
@@ -207,7 +208,6 @@ struct Reader<'a> {
     database: &'a Connection,
     options: &'a ReadOptions,
     losses: &'a mut Losses,
-    intake: &'a mut Intake,
     /// By the number that messages give; `None` where there are too many channels to take it.
     topics: HashMap<i64, Option<ChannelId>>,
     /// Bytes of the messages read.
@@ -233,7 +233,7 @@ struct Definition {
 }
 
 impl Reader<'_> {
-    fn topics(&mut self, has_definitions: bool) {
+    fn topics(&mut self, has_definitions: bool, intake: &mut Intake) {
         let mut definitions = HashMap::new();
         let mut listed = Vec::new();
         if has_definitions {
@@ -259,7 +259,7 @@ impl Reader<'_> {
                 schema_encoding: definition.map_or("", |definition| &definition.encoding),
                 schema: definition.map_or(&[], |definition| &definition.text),
             };
-            self.topics.insert(*id, self.intake.channel(name, format));
+            self.topics.insert(*id, intake.channel(name, format));
         }
     }
 
@@ -281,10 +281,13 @@ impl Reader<'_> {
     }
 
     /// Reads the messages in the order in which they were written, past what is damaged.
-    fn messages(&mut self) {
+    fn messages(&mut self, intake: &mut Intake) {
         let mut from = self.first_row();
         let mut breaks = 0;
-        while let Err(error) = self.messages_from(&mut from) {
+        let content = self.content(intake);
+        while let Err(error) =
+            decoded(intake, |batches| self.messages_from(&mut from, &content, batches))
+        {
             breaks += 1;
             if breaks > MAX_BREAKS {
                 let what = format!("rows from {from} on are not read, after so many damaged ones");
@@ -325,10 +328,10 @@ impl Reader<'_> {
                 "the time of receipt of {} messages is before 1970 and taken as its beginning",
                 self.before_1970
             );
-            self.intake.note(self.losses.file(), what);
+            intake.note(self.losses.file(), what);
         }
         if self.orphans > 0 {
-            let (extent, why) = self.intake.nowhere();
+            let (extent, why) = intake.nowhere();
             let what = format!("{} messages are of topics {why}", self.orphans);
             self.losses.add_unplaced(extent, Some(self.orphans), what);
         }
@@ -343,11 +346,15 @@ impl Reader<'_> {
     }
 
     /// Reads the messages from row `from` on, which is moved past what was read.
-    fn messages_from(&mut self, from: &mut i64) -> rusqlite::Result<()> {
+    fn messages_from(
+        &mut self,
+        from: &mut i64,
+        content: &str,
+        batches: &mut Batches<'_>,
+    ) -> rusqlite::Result<()> {
         let mut statement = self.database.prepare(&format!(
-            "SELECT rowid, topic_id, timestamp, {} FROM messages \
-             WHERE rowid >= ?1 ORDER BY rowid",
-            self.content()
+            "SELECT rowid, topic_id, timestamp, {content} FROM messages \
+             WHERE rowid >= ?1 ORDER BY rowid"
         ))?;
         let mut rows = statement.query([*from])?;
         while let Some(row) = rows.next()? {
@@ -358,7 +365,7 @@ impl Reader<'_> {
                 self.stray(id, *from)?;
                 continue;
             }
-            self.message(id, row);
+            self.message(id, row, batches);
             (*from, self.strays_here) = (id.saturating_add(1), 0);
         }
         Ok(())
@@ -383,15 +390,14 @@ impl Reader<'_> {
 
     /// What of a message's content is asked for: none where no audit uses it, so that the pages of
     /// large ones are not read.
-    fn content(&self) -> String {
+    fn content(&self, intake: &Intake) -> String {
         /// Topics beyond which the list of them would be long.
         const MANY: usize = 1000;
-        let is_used = |channel: &Option<ChannelId>| {
-            channel.is_some_and(|channel| !self.intake.ignores(channel))
-        };
+        let is_used =
+            |channel: &Option<ChannelId>| channel.is_some_and(|channel| !intake.ignores(channel));
         let used = self.topics.iter().filter(|(_, channel)| is_used(channel));
         let mut used: Vec<String> = used.map(|(topic, _)| topic.to_string()).collect();
-        if used.len() > MANY {
+        if used.len() > MANY || !used.is_empty() && used.len() == self.topics.len() {
             return "data".to_owned();
         }
         used.sort_unstable();
@@ -399,7 +405,7 @@ impl Reader<'_> {
         format!("CASE WHEN {no_use} ({}) THEN x'' ELSE data END", used.join(", "))
     }
 
-    fn message(&mut self, id: i64, row: &Row<'_>) {
+    fn message(&mut self, id: i64, row: &Row<'_>, batches: &mut Batches<'_>) {
         let content = (row.get_ref(1), row.get_ref(2), row.get_ref(3));
         let (Ok(ValueRef::Integer(topic)), Ok(ValueRef::Integer(time)), Ok(ValueRef::Blob(data))) =
             content
@@ -416,15 +422,7 @@ impl Reader<'_> {
         // A database keeps one time of a message: when the recorder received it.
         self.before_1970 += u64::from(time < 0);
         let time = u64::try_from(time).unwrap_or(0);
-        let message = Message {
-            log_time: time,
-            publish_time: time,
-            sequence: 0,
-            data,
-            place: Place::Row(id),
-            latched: false,
-        };
-        self.intake.message(*channel, message);
+        batches.add(*channel, id, time, data);
     }
 
     /// The next row after `lost` that can be read, found by ever longer leaps and then halving the

@@ -3,7 +3,7 @@
 use ::csv::{ReaderBuilder, StringRecord, Trim};
 use jiff::civil::DateTime;
 
-use super::{Column, MOST_COLUMNS, MOST_NUMBERS, Refusal, Table, clock};
+use super::{Column, Episodes, MOST_COLUMNS, MOST_NUMBERS, Refusal, Table, clock};
 use crate::Extent;
 use crate::losses::Losses;
 use crate::rtde;
@@ -34,7 +34,7 @@ pub(crate) fn has_time(bytes: &[u8]) -> bool {
     rtde::cells(header, delimiter).any(|name| std::str::from_utf8(name).is_ok_and(clock::is_time))
 }
 
-pub(super) fn read(bytes: &[u8], losses: &mut Losses) -> Result<Vec<(String, Table)>, Refusal> {
+pub(super) fn read(bytes: &[u8], losses: &mut Losses) -> Result<Episodes, Refusal> {
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     let header = bytes.split(|byte| *byte == b'\n').next().unwrap_or_default();
     let delimiter = rtde::delimiter(header);

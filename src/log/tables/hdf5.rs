@@ -4,29 +4,26 @@
 use ::bytes::Bytes;
 use hdf5_reader::group::Group;
 use hdf5_reader::{Attribute, Dataset, Datatype, Hdf5File, OpenOptions};
-use serde_json::Value;
 
-use super::{Column, MOST_COLUMNS, MOST_NUMBERS, MOST_WIDE, Refusal, Table};
+use super::{
+    Column, Episodes, MOST_COLUMNS, MOST_NUMBERS, MOST_PACKED, MOST_SMALL, MOST_WIDE, RATES,
+    Refusal, Table, rate_in, usual,
+};
 use crate::Extent;
 use crate::losses::Losses;
 
 pub(crate) const MAGIC: &[u8] = b"\x89HDF\r\n\x1a\n";
-/// Numbers that a byte of the file may unpack to, and those that any file may hold.
-const MOST_PACKED: usize = 1000;
-const MOST_SMALL: usize = 1 << 20;
 /// Groups within groups that are looked at.
 const DEEP: usize = 8;
 /// Names of groups of episodes, before their number.
 const EPISODES: &[&str] = &["demo", "episode", "ep", "traj", "trajectory"];
-/// Names of rates, in attributes.
-const RATES: &[&str] = &["fps", "control_freq", "control_frequency", "frequency", "rate_hz", "hz"];
 
 /// The episodes of a file; the only one that is `wanted`, if one is.
 pub(super) fn read(
     bytes: Bytes,
     wanted: Option<&str>,
     losses: &mut Losses,
-) -> Result<Vec<(String, Table)>, Refusal> {
+) -> Result<Episodes, Refusal> {
     let (home, episodes, rate_hz) = opened(bytes)?;
     let names = match episodes.is_empty() {
         true => vec![None],
@@ -49,7 +46,7 @@ pub(super) fn read(
         if let (Some(what), true) = (walk.refused, found.is_empty()) {
             losses.add_unplaced(Extent::Messages, None, what);
         }
-        let rows = rows_of(&walk.columns);
+        let rows = usual(walk.columns.iter().map(|column| column.values.len() / column.width));
         walk.columns.retain(|column| column.values.len() == rows * column.width);
         let rate_hz = rate_of(&group).or(rate_hz);
         found.push((label, Table { rows, columns: walk.columns, rate_hz }));
@@ -93,13 +90,6 @@ fn episode_groups(group: &Group) -> Vec<String> {
     let mut numbered: Vec<(u64, String)> = numbered.collect();
     numbered.sort();
     numbered.into_iter().map(|(_, name)| name).collect()
-}
-
-/// The number of rows that most columns have.
-fn rows_of(columns: &[Column]) -> usize {
-    let rows = |column: &Column| column.values.len() / column.width;
-    let count = |of: usize| columns.iter().filter(|column| rows(column) == of).count();
-    columns.iter().map(rows).max_by_key(|&of| (count(of), of)).unwrap_or(0)
 }
 
 /// A walk over the groups of a file.
@@ -219,12 +209,6 @@ fn rate_of(group: &Group) -> Option<f64> {
     };
     let rate = attributes.iter().find_map(plain).or_else(|| attributes.iter().find_map(in_text))?;
     (rate.is_finite() && rate > 0.0).then_some(rate)
-}
-
-fn rate_in(value: &Value) -> Option<f64> {
-    let all = value.as_object()?;
-    let own = RATES.iter().find_map(|name| all.get(*name)?.as_f64());
-    own.or_else(|| all.values().find_map(rate_in))
 }
 
 fn worded(error: &hdf5_reader::error::Error) -> Refusal {

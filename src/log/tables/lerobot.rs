@@ -18,24 +18,26 @@ const INFO: &str = "meta/info.json";
 /// Folders above `data/chunk-000/file-000.parquet` that are looked at.
 const DEEP: usize = 4;
 /// Largest `info.json` that is read.
-const MOST_BYTES: u64 = 16 << 20;
+pub(super) const MOST_BYTES: u64 = 16 << 20;
 /// Most data files of a dataset that are one audit.
 const MOST_FILES: usize = 100;
 
 /// What a dataset says of itself.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Dataset {
     rate_hz: Option<f64>,
     pub robot: Option<String>,
-    features: BTreeMap<String, Feature>,
+    pub features: BTreeMap<String, Feature>,
 }
 
-#[derive(Clone, Debug)]
-struct Feature {
+#[derive(Clone, Debug, Default)]
+pub(super) struct Feature {
     dtype: String,
     /// The numbers of a row, as declared.
     width: Option<usize>,
     names: Vec<String>,
+    /// The numbers of each kind that a description counts.
+    pub counted: Vec<usize>,
 }
 
 #[derive(Deserialize)]
@@ -109,7 +111,7 @@ fn dataset(path: &PathBuf) -> Option<Dataset> {
         let width = shape.iter().try_fold(1_u64, |all, side| all.checked_mul(*side));
         let width =
             width.and_then(|width| usize::try_from(width).ok()).filter(|_| !shape.is_empty());
-        (name, Feature { dtype, width, names: names_of(&names) })
+        (name, Feature { dtype, names: names_of(&names), ..Feature::of_width(width) })
     });
     Some(Dataset {
         rate_hz: fps.filter(|fps| fps.is_finite() && *fps > 0.0),
@@ -128,6 +130,13 @@ fn names_of(value: &Value) -> Vec<String> {
     }
 }
 
+impl Feature {
+    /// Of numbers, of which no more is said.
+    pub fn of_width(width: Option<usize>) -> Self {
+        Self { width, ..Self::default() }
+    }
+}
+
 impl Dataset {
     /// Whether a column holds numbers, as declared: no image.
     pub fn is_numeric(&self, column: &str) -> bool {
@@ -136,9 +145,14 @@ impl Dataset {
         self.features.get(column).is_none_or(of)
     }
 
+    /// The numbers of a row of a column, as declared.
+    pub fn width(&self, column: &str) -> Option<usize> {
+        self.features.get(column)?.width
+    }
+
     /// Takes over what is declared of a table.
     pub fn describe(&self, table: &mut Table) {
-        table.rate_hz = self.rate_hz;
+        table.rate_hz = self.rate_hz.or(table.rate_hz);
         for column in &mut table.columns {
             let Some(feature) = self.features.get(&column.name) else { continue };
             if feature.names.len() == column.width && column.width > 1 {
@@ -157,6 +171,16 @@ impl Dataset {
             if let Some(width) = feature.width.filter(|width| *width != column.width) {
                 found.push(format!(
                     "`{name}` is declared with {width} numbers a row and has {}",
+                    column.width
+                ));
+            }
+            let counted: usize =
+                feature.counted.iter().fold(0, |all, own| all.saturating_add(*own));
+            if counted > 0 && counted != column.width {
+                let counts: Vec<String> = feature.counted.iter().map(usize::to_string).collect();
+                found.push(format!(
+                    "`{name}` is described as {} = {counted} numbers a row and has {}",
+                    counts.join(" + "),
                     column.width
                 ));
             }

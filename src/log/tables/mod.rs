@@ -1,5 +1,5 @@
 //! Tables: arrays with a row for each moment, without messages and without a schema of a robot. NPY and
-//! NPZ, Parquet, LeRobot datasets, HDF5 and CSV.
+//! NPZ, Parquet, LeRobot datasets, HDF5, Zarr, TFRecord, CSV and KUKA's RSI packets.
 //!
 //! A reader makes a [`Table`] of each episode; `clock` finds its stamps, `meaning` what its columns hold.
 //! What is left open there is listed as bare numbers: whether they follow the arm is decided further up.
@@ -12,14 +12,20 @@ mod meaning;
 mod names;
 mod npy;
 mod parquet;
+mod repeats;
+mod rlds;
+mod rsi;
 mod settings;
 #[cfg(test)]
 mod tests;
+mod tfrecord;
+mod zarr;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use ::bytes::Bytes;
+use serde_json::Value;
 
 use super::decode::Format;
 use super::intake::{ChannelId, Intake};
@@ -36,6 +42,10 @@ pub(super) use self::hdf5::MAGIC as HDF5_MAGIC;
 pub use self::lerobot::is_in_dataset;
 pub(super) use self::lerobot::{files_of, is_dataset};
 pub(super) use self::npy::MAGIC as NPY_MAGIC;
+pub(super) use self::rsi::has_packet;
+pub(super) use self::tfrecord::has_record;
+pub(super) use self::zarr::is_zip_store;
+pub use self::zarr::{files_of_store, is_store};
 
 /// Most numbers that a table may hold, of all its columns.
 const MOST_NUMBERS: usize = 1 << 28;
@@ -45,6 +55,11 @@ const MOST_EPISODES: usize = 100;
 const MOST_COLUMNS: usize = 2000;
 /// Most numbers a row of one column; more is an image.
 const MOST_WIDE: usize = 256;
+/// Numbers that a byte of a file may unpack to, and those that any file may hold.
+const MOST_PACKED: usize = 1000;
+const MOST_SMALL: usize = 1 << 20;
+/// Names of rates, in attributes.
+const RATES: &[&str] = &["fps", "control_freq", "control_frequency", "frequency", "rate_hz", "hz"];
 
 /// The rows of one episode.
 #[derive(Clone, Debug, Default)]
@@ -68,6 +83,9 @@ pub(super) struct Column {
     pub values: Vec<f64>,
 }
 
+/// Episodes by their names.
+type Episodes = Vec<(String, Table)>;
+
 /// A kind of file that holds tables.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Kind {
@@ -76,6 +94,9 @@ pub(super) enum Kind {
     Parquet,
     Hdf5,
     Csv,
+    Rsi,
+    Zarr,
+    TfRecord,
 }
 
 impl Kind {
@@ -86,6 +107,9 @@ impl Kind {
             Self::Parquet => Container::Parquet,
             Self::Hdf5 => Container::Hdf5,
             Self::Csv => Container::Csv,
+            Self::Rsi => Container::Rsi,
+            Self::TfRecord => Container::TfRecord,
+            Self::Zarr => Container::Zarr,
         }
     }
 }
@@ -99,6 +123,7 @@ pub(super) struct Tables {
     /// The last time of receipt that was made up, ns.
     until: Option<i64>,
     told: bool,
+    repeats: repeats::Repeats,
 }
 
 /// A topic that is made of columns.
@@ -141,13 +166,25 @@ impl Tables {
         losses: &mut Losses,
         intake: &mut Intake,
     ) -> Result<(), LogError> {
-        let dataset = lerobot::above(path);
+        let dataset = match kind {
+            Kind::Parquet => lerobot::above(path),
+            Kind::TfRecord => rlds::beside(path),
+            _ => None,
+        };
         let read = match kind {
             Kind::Npy => npy::npy(bytes),
             Kind::Npz => npy::npz(bytes),
             Kind::Csv => csv::read(bytes, losses),
+            Kind::Rsi => rsi::read(bytes, losses),
             Kind::Parquet => parquet::read(owned(place, bytes), dataset.as_ref(), wanted),
             Kind::Hdf5 => hdf5::read(owned(place, bytes), wanted, losses),
+            Kind::Zarr if place.is_dir() => zarr::read(zarr::At::Folder(place), wanted, losses),
+            Kind::Zarr => zarr::read(zarr::At::Bytes(bytes), wanted, losses),
+            Kind::TfRecord => {
+                let declared = dataset.as_ref();
+                let width = |name: &str| declared.and_then(|dataset| dataset.width(name));
+                tfrecord::read(bytes, wanted, width, losses)
+            }
         };
         let mut episodes = match read {
             Ok(episodes) => episodes,
@@ -170,7 +207,7 @@ impl Tables {
         if self.episodes > MOST_EPISODES {
             return Err(LogError::Episodes { path: path.to_owned(), most: MOST_EPISODES });
         }
-        if let Some(dataset) = dataset.filter(|_| kind == Kind::Parquet) {
+        if let Some(dataset) = dataset {
             for (_, table) in &mut episodes {
                 dataset.describe(table);
             }
@@ -227,6 +264,7 @@ impl Tables {
         if table.rate_hz.is_some() {
             intake.declared(None);
         }
+        self.repeats.count(&found);
         if let Some(what) = clock.contradiction(table) {
             intake.contradiction(path, what);
         }
@@ -267,6 +305,9 @@ impl Tables {
 
     /// Hands the columns of all tables to `intake`.
     pub(super) fn hand_over(self, intake: &mut Intake) {
+        if self.told {
+            intake.repeats(self.repeats.in_all());
+        }
         for Stream { channel, columns } in self.streams.into_values() {
             intake.columns(channel, columns);
         }
@@ -353,14 +394,36 @@ fn positions(stamps: &[i64], values: &[f64]) -> PoseColumns {
     }
 }
 
-/// The names of the episodes in the file at `path`; none where it holds but one, or is no file of tables.
+/// The rate that attributes name.
+fn rate_in(value: &Value) -> Option<f64> {
+    let all = value.as_object()?;
+    let own = RATES.iter().find_map(|name| all.get(*name)?.as_f64());
+    own.or_else(|| all.values().find_map(rate_in)).filter(|rate| rate.is_finite() && *rate > 0.0)
+}
+
+/// The number of rows that most columns have.
+fn usual(rows: impl Iterator<Item = usize>) -> usize {
+    let rows: Vec<usize> = rows.collect();
+    let count = |of: usize| rows.iter().filter(|own| **own == of).count();
+    rows.iter().copied().max_by_key(|&of| (count(of), of)).unwrap_or(0)
+}
+
+/// The names of the episodes in the file or store at `path`; none where it holds but one, or is no file of tables.
 pub fn episodes(path: &Path) -> Vec<String> {
+    if is_store(path) {
+        return several(zarr::episodes_in(zarr::At::Folder(path)));
+    }
     let Some(mapped) = Mapped::open(path).ok() else { return Vec::new() };
-    let names = match crate::sniff::kind(mapped.bytes()) {
+    several(match crate::sniff::kind(mapped.bytes()) {
         crate::sniff::Kind::Table(Kind::Parquet) => parquet::episodes_in(Bytes::from_owner(mapped)),
         crate::sniff::Kind::Table(Kind::Hdf5) => hdf5::episodes_in(Bytes::from_owner(mapped)),
+        crate::sniff::Kind::Table(Kind::Zarr) => zarr::episodes_in(zarr::At::Bytes(mapped.bytes())),
+        crate::sniff::Kind::Table(Kind::TfRecord) => tfrecord::episodes_in(mapped.bytes()),
         _ => return Vec::new(),
-    };
+    })
+}
+
+fn several(names: Result<Vec<String>, Refusal>) -> Vec<String> {
     names.ok().filter(|names| names.len() > 1).unwrap_or_default()
 }
 

@@ -4,7 +4,7 @@
 
 use std::io::{Cursor, Read};
 
-use super::{Column, MOST_COLUMNS, MOST_NUMBERS, MOST_WIDE, Refusal, Table};
+use super::{Column, Episodes, MOST_COLUMNS, MOST_NUMBERS, MOST_WIDE, Refusal, Table};
 
 pub(crate) const MAGIC: &[u8] = b"\x93NUMPY";
 /// Longest header that is read.
@@ -12,7 +12,7 @@ const MOST_HEADER: usize = 1 << 16;
 
 /// One element: how its bytes are read.
 #[derive(Clone, Copy, PartialEq, Debug)]
-struct Kind {
+pub(super) struct Kind {
     letter: u8,
     size: usize,
     is_big: bool,
@@ -20,7 +20,7 @@ struct Kind {
 
 impl Kind {
     /// Of a text such as `<f8`; `None` for what holds no numbers.
-    fn of(text: &str) -> Option<Self> {
+    pub fn of(text: &str) -> Option<Self> {
         let bare = text.trim_start_matches(['<', '>', '|', '=']);
         let (letter, size) = bare.split_at_checked(1)?;
         let (letter, size) = (letter.as_bytes()[0], size.parse().ok()?);
@@ -33,7 +33,15 @@ impl Kind {
         is_known.then_some(Self { letter, size, is_big: text.starts_with('>') })
     }
 
-    fn name(self) -> String {
+    pub fn size(self) -> usize {
+        self.size
+    }
+
+    pub fn is_float(self) -> bool {
+        self.letter == b'f'
+    }
+
+    pub fn name(self) -> String {
         let name = match self.letter {
             b'f' => "float",
             b'i' => "int",
@@ -43,7 +51,7 @@ impl Kind {
         format!("{name}{}", 8 * self.size)
     }
 
-    fn read(self, bytes: &[u8]) -> f64 {
+    pub fn read(self, bytes: &[u8]) -> f64 {
         let mut own = [0; 8];
         own[..self.size].copy_from_slice(&bytes[..self.size]);
         if self.is_big {
@@ -69,13 +77,13 @@ struct Header {
 }
 
 /// An array alone.
-pub(super) fn npy(bytes: &[u8]) -> Result<Vec<(String, Table)>, Refusal> {
+pub(super) fn npy(bytes: &[u8]) -> Result<Episodes, Refusal> {
     let (columns, rows) = array("array", bytes)?;
     Ok(vec![("0".to_owned(), Table { rows, columns, rate_hz: None })])
 }
 
 /// An archive: its arrays of most rows are one table; a scalar called `fps` or the like is its rate.
-pub(super) fn npz(bytes: &[u8]) -> Result<Vec<(String, Table)>, Refusal> {
+pub(super) fn npz(bytes: &[u8]) -> Result<Episodes, Refusal> {
     let mut archive = zip::ZipArchive::new(Cursor::new(bytes))
         .map_err(|error| format!("the zip archive cannot be read: {error}"))?;
     let (mut arrays, mut rate_hz) = (Vec::new(), None);

@@ -11,9 +11,10 @@ use ::parquet::column::reader::{ColumnReader, ColumnReaderImpl};
 use ::parquet::data_type::DataType;
 use ::parquet::errors::ParquetError;
 use ::parquet::file::reader::{FileReader, SerializedFileReader};
+use ::parquet::file::statistics::Statistics;
 
 use super::lerobot::Dataset;
-use super::{Column, MOST_COLUMNS, MOST_NUMBERS, MOST_WIDE, Refusal, Table};
+use super::{Column, Episodes, MOST_COLUMNS, MOST_NUMBERS, MOST_WIDE, Refusal, Table};
 
 /// The column that tells the episodes of a dataset apart.
 const EPISODE: &str = "episode_index";
@@ -34,7 +35,7 @@ pub(super) fn read(
     bytes: Bytes,
     dataset: Option<&Dataset>,
     wanted: Option<&str>,
-) -> Result<Vec<(String, Table)>, Refusal> {
+) -> Result<Episodes, Refusal> {
     let reader = SerializedFileReader::new(bytes).map_err(|error| worded(&error))?;
     let metadata = reader.metadata();
     let schema = metadata.file_metadata().schema_descr_ptr();
@@ -42,11 +43,8 @@ pub(super) fn read(
     let mut budget = MOST_NUMBERS;
     let rows = match wanted {
         Some(wanted) => {
-            let index = index(&reader)?;
-            let number: Option<f64> = wanted.parse().ok();
-            let is_its = |value: &f64| Some(*value) == number;
-            let Some(first) = index.iter().position(is_its) else { return Ok(Vec::new()) };
-            first..first + index[first..].iter().take_while(|value| is_its(value)).count()
+            let Some(rows) = rows_of(&reader, wanted)? else { return Ok(Vec::new()) };
+            rows
         }
         None => 0..usize::MAX,
     };
@@ -96,16 +94,57 @@ pub(super) fn episodes_in(bytes: Bytes) -> Result<Vec<String>, Refusal> {
 
 /// The episode of each row; empty where no column says it.
 fn index(reader: &SerializedFileReader<Bytes>) -> Result<Vec<f64>, Refusal> {
-    let schema = reader.metadata().file_metadata().schema_descr_ptr();
-    let is_it = |at: &usize| schema.column(*at).path().string() == EPISODE;
-    let Some(at) = (0..schema.num_columns()).find(is_it) else { return Ok(Vec::new()) };
+    let Some(at) = index_column(reader) else { return Ok(Vec::new()) };
     let mut of = Numbers { budget: MOST_NUMBERS, rows: 0..usize::MAX, ..Numbers::default() };
     of.read(reader, at)?;
     Ok(of.values)
 }
 
+fn index_column(reader: &SerializedFileReader<Bytes>) -> Option<usize> {
+    let schema = reader.metadata().file_metadata().schema_descr_ptr();
+    (0..schema.num_columns()).find(|at| schema.column(*at).path().string() == EPISODE)
+}
+
+/// The rows of one episode. Row groups whose statistics say that it is not in them are passed over.
+fn rows_of(
+    reader: &SerializedFileReader<Bytes>,
+    wanted: &str,
+) -> Result<Option<Range<usize>>, Refusal> {
+    let (Some(at), Ok(number)) = (index_column(reader), wanted.parse::<i64>()) else {
+        return Ok(None);
+    };
+    let (mut first, mut found) = (0_usize, None::<Range<usize>>);
+    for group in reader.metadata().row_groups() {
+        let count = usize::try_from(group.num_rows()).unwrap_or(0);
+        let own = first..first.saturating_add(count);
+        first = own.end;
+        let may_hold = match group.column(at).statistics() {
+            Some(Statistics::Int64(of)) => {
+                of.min_opt().is_none_or(|least| *least <= number)
+                    && of.max_opt().is_none_or(|most| *most >= number)
+            }
+            _ => true,
+        };
+        if !may_hold {
+            continue;
+        }
+        let mut of = Numbers { budget: MOST_NUMBERS, rows: own.clone(), ..Numbers::default() };
+        of.read(reader, at)?;
+        let is_its = |value: &f64| *value == number as f64;
+        let Some(start) = of.values.iter().position(is_its) else { continue };
+        let length = of.values[start..].iter().take_while(|value| is_its(value)).count();
+        let rows = own.start + start..own.start + start + length;
+        match &mut found {
+            Some(found) if found.end == rows.start => found.end = rows.end,
+            Some(_) => {}
+            None => found = Some(rows),
+        }
+    }
+    Ok(found)
+}
+
 /// The rows of each episode; the whole where there is no column of them.
-fn episodes(leaves: &[Leaf], rows: usize) -> Vec<(String, Table)> {
+fn episodes(leaves: &[Leaf], rows: usize) -> Episodes {
     let index = leaves.iter().find(|leaf| leaf.name == EPISODE && leaf.width == 1);
     let mut spans: Vec<(String, Range<usize>)> = Vec::new();
     match index {

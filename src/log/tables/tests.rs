@@ -1,5 +1,7 @@
 //! Tables as bytes: made by the writers of their formats, cut, and declared otherwise than they are.
 
+mod stores;
+
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;

@@ -241,7 +241,8 @@ impl Part<'_> {
             ..Cadence::default()
         };
         let stamped = |row: usize| Some((clock.stamp_of(self.times, row)?, self.times.log[row]));
-        let mut times: Vec<(Stamp, i64)> = self.rows.iter().filter_map(stamped).collect();
+        let mut times: Vec<(Stamp, i64)> = Vec::with_capacity(self.rows.len());
+        times.extend(self.rows.iter().filter_map(stamped));
         if !times.is_sorted() {
             times.sort_unstable();
         }

@@ -140,6 +140,7 @@ impl Recording {
             span: None,
             notes: Vec::new(),
             contradictions: None,
+            repeats: None,
             robot_type: None,
             question: None,
             losses: Vec::new(),

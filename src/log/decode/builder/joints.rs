@@ -110,6 +110,63 @@ impl Joints {
         Ok(())
     }
 
+    /// Whether there is room for the rows of `later`.
+    pub(super) fn fits(&self, later: &Self) -> bool {
+        let is_new = |joint: &&JointColumn| !self.by_name.contains_key(&joint.name);
+        let new = later.columns.joints.iter().filter(is_new).count();
+        let (cells, absent) = self.with(later, self.columns.joints.len() + new);
+        // Names that are cut off, or no single words, are told apart by all of their text.
+        let is_whole = |joint: &JointColumn| later.by_name.contains_key(&joint.name);
+        self.columns.joints.len() + new <= MAX_JOINTS
+            && !is_too_sparse(cells, absent)
+            && later.columns.joints.iter().all(is_whole)
+    }
+
+    /// Values of all rows, and how many of them no message had, with those of `later` in columns for
+    /// `width` joints.
+    fn with(&self, later: &Self, width: usize) -> (usize, usize) {
+        let cells = later.columns.times.len() * width;
+        let there = later.cells - later.absent;
+        (self.cells + cells, self.absent + cells.saturating_sub(there))
+    }
+
+    /// Appends the rows of `later`.
+    pub(super) fn join(&mut self, later: Self) {
+        // The next message that is appended alone finds its columns anew.
+        self.names.clear();
+        self.order.clear();
+        self.is_complete = false;
+        let (before, rows) = (self.columns.times.len(), later.columns.times.len());
+        let mut order = Vec::with_capacity(later.columns.joints.len());
+        for joint in &later.columns.joints {
+            order.push(*self.by_name.entry(joint.name.clone()).or_insert_with(|| {
+                let absent = vec![f64::NAN; before];
+                let name = joint.name.clone();
+                let own = JointColumn { name, position: absent.clone(), velocity: absent };
+                self.columns.joints.push(own);
+                self.columns.joints.len() - 1
+            }));
+        }
+        (self.cells, self.absent) = self.with(&later, self.columns.joints.len());
+        let (own, later) = (&mut self.columns, later.columns);
+        keep_first(&mut own.frame_id, &later.frame_id);
+        own.wrong_length += later.wrong_length;
+        own.contradictory += later.contradictory;
+        own.not_finite += later.not_finite;
+        own.times.append(&later.times);
+        for (&column, joint) in order.iter().zip(&later.joints) {
+            own.joints[column].position.extend_from_slice(&joint.position);
+            own.joints[column].velocity.extend_from_slice(&joint.velocity);
+        }
+        for (&column, &unusable) in order.iter().zip(&later.unusable) {
+            own.count_unusable(column, unusable);
+        }
+        for joint in &mut own.joints {
+            joint.position.resize(before + rows, f64::NAN);
+            joint.velocity.resize(before + rows, f64::NAN);
+        }
+    }
+
     /// Finds the columns of `names`, and makes those that are new.
     pub(super) fn map_names(&mut self, names: &Names) -> Result<(), TooManyJoints> {
         // Should the columns run out halfway, the next message must be mapped anew.

@@ -112,6 +112,42 @@ impl Poses {
     }
 }
 
+impl Poses {
+    /// The key of each group, in their order.
+    fn keys(&self) -> Vec<&str> {
+        let mut keys = vec![""; self.groups.len()];
+        self.by_frames.iter().for_each(|(key, &group)| keys[group] = key.as_str());
+        keys
+    }
+
+    /// Whether there is room for the groups of `later` that are not here yet.
+    pub(super) fn fits(&self, later: &Self) -> bool {
+        let is_new = |key: &&&str| !self.by_frames.contains_key(**key);
+        self.groups.len() + later.keys().iter().filter(is_new).count() <= MAX_FRAMES
+    }
+
+    /// Appends the rows of `later`, group by group.
+    pub(super) fn join(&mut self, later: Self) {
+        self.refused += later.refused;
+        let keys: Vec<String> = later.keys().into_iter().map(str::to_owned).collect();
+        for (key, group) in keys.into_iter().zip(later.groups) {
+            match self.by_frames.get(&key) {
+                Some(&known) => {
+                    let own = &mut self.groups[known];
+                    own.not_finite += group.not_finite;
+                    own.times.append(&group.times);
+                    own.xyz.extend_from_slice(&group.xyz);
+                    own.q_xyzw.extend_from_slice(&group.q_xyzw);
+                }
+                None => {
+                    self.by_frames.insert(key, self.groups.len());
+                    self.groups.push(group);
+                }
+            }
+        }
+    }
+}
+
 /// The poses of messages that hold several at once.
 #[derive(Debug)]
 pub(in crate::decode) struct Crowd {
@@ -155,6 +191,14 @@ impl Crowd {
                 }
             }
         }
+    }
+
+    /// Appends the rows of `later`.
+    pub(super) fn join(&mut self, later: Self) {
+        if !self.is_too_large() {
+            self.poses.join(later.poses);
+        }
+        self.most = self.most.max(later.most);
     }
 
     /// Whether a message held too many to be those of an arm.

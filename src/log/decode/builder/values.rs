@@ -30,6 +30,17 @@ pub(super) fn append_imu(imu: &mut ImuColumns, row: &Row, times: RowTimes) {
     imu.accel.push(accel);
 }
 
+/// Appends the readings of `later`.
+pub(super) fn join_imu(imu: &mut ImuColumns, later: ImuColumns) {
+    keep_first(&mut imu.frame_id, &later.frame_id);
+    imu.has_orientation |= later.has_orientation;
+    imu.not_finite += later.not_finite;
+    imu.times.append(&later.times);
+    imu.q_xyzw.extend_from_slice(&later.q_xyzw);
+    imu.gyro.extend_from_slice(&later.gyro);
+    imu.accel.extend_from_slice(&later.accel);
+}
+
 /// Bare numbers, and where they are from.
 #[derive(Debug)]
 pub(in crate::decode) struct Array {
@@ -69,15 +80,45 @@ impl Array {
             array.values.extend_from_slice(values);
         }
     }
+
+    /// Whether rows of `later` are as wide as those here.
+    pub(super) fn fits(&self, later: &Self) -> bool {
+        [0, later.columns.width].contains(&self.columns.width)
+    }
+
+    /// Appends the rows of `later`.
+    pub(super) fn join(&mut self, later: Self) {
+        let (array, later) = (&mut self.columns, later.columns);
+        array.width = later.width;
+        array.wrong_length += later.wrong_length;
+        array.not_finite += later.not_finite;
+        array.times.append(&later.times);
+        array.values.extend_from_slice(&later.values);
+    }
 }
 
 pub(super) fn append_text(column: &mut TextColumns, row: &Row, times: RowTimes) {
     let text = &row.texts[row::BODY];
-    let full = column.text.len() == MAX_TEXTS || text.len() > MAX_TEXT_BYTES;
-    if !full && !column.text.contains(text) {
+    if has_room(column, text) {
         push_times(&mut column.times, 0, times);
         column.text.push(text.clone());
     }
+}
+
+/// Appends those texts of `later` that are not there.
+pub(super) fn join_texts(column: &mut TextColumns, later: TextColumns) {
+    for (row, text) in later.text.into_iter().enumerate() {
+        if has_room(column, &text) {
+            column.times.append_row(&later.times, row);
+            column.text.push(text);
+        }
+    }
+}
+
+/// Whether a text is to be kept.
+fn has_room(column: &TextColumns, text: &String) -> bool {
+    let full = column.text.len() == MAX_TEXTS || text.len() > MAX_TEXT_BYTES;
+    !full && !column.text.contains(text)
 }
 
 /// Appends the times of a row and returns its index.

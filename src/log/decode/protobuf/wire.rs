@@ -24,7 +24,7 @@ fn said(path: &str) -> String {
 
 /// What is wrong on the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub(super) enum Fault {
+pub(crate) enum Fault {
     #[error("a value reaches beyond the end")]
     Short,
     #[error("a number of more than 64 bits")]
@@ -43,7 +43,7 @@ pub(super) enum Fault {
 
 /// One value, by its wire type.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
-pub(super) enum Value<'a> {
+pub(crate) enum Value<'a> {
     Varint(u64),
     Fixed64([u8; 8]),
     Fixed32([u8; 4]),
@@ -62,7 +62,7 @@ impl<'a> Value<'a> {
 
 /// A walk over the fields of one message.
 #[derive(Debug)]
-pub(super) struct Reader<'a> {
+pub(crate) struct Reader<'a> {
     bytes: &'a [u8],
     at: usize,
 }
@@ -71,16 +71,16 @@ pub(super) struct Reader<'a> {
 const MAX_GROUPS: usize = 32;
 
 impl<'a> Reader<'a> {
-    pub(super) fn new(bytes: &'a [u8]) -> Self {
+    pub(crate) fn new(bytes: &'a [u8]) -> Self {
         Self { bytes, at: 0 }
     }
 
-    pub(super) fn is_at_end(&self) -> bool {
+    pub(crate) fn is_at_end(&self) -> bool {
         self.at == self.bytes.len()
     }
 
     /// The error at the current place.
-    pub(super) fn error(&self, fault: Fault) -> WireError {
+    pub(crate) fn error(&self, fault: Fault) -> WireError {
         WireError { path: String::new(), offset: self.at, fault }
     }
 
@@ -90,7 +90,7 @@ impl<'a> Reader<'a> {
     }
 
     /// Number and value of the next field, groups passed over; `None` at the end.
-    pub(super) fn field(&mut self) -> Result<Option<(u32, Value<'a>)>, WireError> {
+    pub(crate) fn field(&mut self) -> Result<Option<(u32, Value<'a>)>, WireError> {
         self.next_field().map_err(|fault| self.error(fault))
     }
 
@@ -143,7 +143,7 @@ impl<'a> Reader<'a> {
         Ok(*bytes)
     }
 
-    pub(super) fn varint(&mut self) -> Result<u64, Fault> {
+    pub(crate) fn varint(&mut self) -> Result<u64, Fault> {
         let mut value = 0;
         for shift in (0..64).step_by(7) {
             let &byte = self.bytes.get(self.at).ok_or(Fault::Short)?;

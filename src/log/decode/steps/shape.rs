@@ -30,8 +30,10 @@ pub(in crate::decode) struct Shape {
     reads: Vec<Read>,
     /// Where the bytes are that decide it.
     decisive: Vec<Range<usize>>,
-    /// The last message's bytes, as far as they decide.
-    bytes: Vec<u8>,
+    /// The last message, in words of eight bytes, as far as they decide,
+    words: Vec<u64>,
+    /// and of each word the bits that do.
+    masks: Vec<u64>,
     /// Bytes that a message must have.
     least: usize,
     /// Messages in a row that were of no known shape.
@@ -61,9 +63,17 @@ enum Read {
 impl Shape {
     /// Whether `message` has this shape, as far as one is known.
     pub(super) fn is_of(&self, message: &[u8]) -> bool {
-        !self.reads.is_empty()
-            && message.len() >= self.least
-            && self.decisive.iter().all(|part| message[part.clone()] == self.bytes[part.clone()])
+        if self.reads.is_empty() || message.len() < self.least {
+            return false;
+        }
+        let (words, rest) = message.as_chunks();
+        let own = self.words.iter().zip(&self.masks);
+        // All words without a branch: there are few, and they are mostly the same.
+        let differs = own.zip(words).fold(0, |differs, ((own, mask), word)| {
+            differs | (own ^ u64::from_le_bytes(*word)) & mask
+        });
+        let last = self.words.get(words.len()).zip(self.masks.get(words.len()));
+        differs == 0 && last.is_none_or(|(own, mask)| (own ^ filled(rest)) & mask == 0)
     }
 
     /// Forgets the shape, as where a message of another one is walked.
@@ -140,7 +150,6 @@ impl Shape {
     ) {
         self.reads.clear();
         self.decisive.clear();
-        self.bytes.clear();
         self.groups.clear();
         self.is_told = false;
         let before = cursor.before();
@@ -156,8 +165,25 @@ impl Shape {
             return self.reads.clear();
         }
         self.least = before + cursor.at();
-        self.bytes.extend_from_slice(&message[..end]);
+        let mut decides = vec![0; end];
+        self.decisive.iter().for_each(|part| decides[part.clone()].fill(u8::MAX));
+        self.words = words(&message[..end]);
+        self.masks = words(&decides);
     }
+}
+
+/// The words of eight bytes in `bytes`, the last filled up with zeros.
+fn words(bytes: &[u8]) -> Vec<u64> {
+    let (words, rest) = bytes.as_chunks();
+    let last = (!rest.is_empty()).then(|| filled(rest));
+    words.iter().map(|word| u64::from_le_bytes(*word)).chain(last).collect()
+}
+
+/// Fewer than eight bytes as a word, filled up with zeros.
+fn filled(bytes: &[u8]) -> u64 {
+    let mut word = [0; 8];
+    word[..bytes.len()].copy_from_slice(bytes);
+    u64::from_le_bytes(word)
 }
 
 /// The bytes of doubles that follow each other.

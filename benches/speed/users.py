@@ -1,0 +1,51 @@
+"""What users would write instead, timed beside the audit: `users.py fk|count LOG`.
+
+fk: the joint states by Pinocchio's forward kinematics against the poses, both read by rosbags.
+count: the messages of a log, unpacked and nothing decoded, by small-mcap.
+"""
+
+import sys
+from pathlib import Path
+
+
+def fk(log: str) -> str:
+    import numpy as np
+    import pinocchio
+    from rosbags.highlevel import AnyReader
+
+    joint_topic, pose_topic = "/joint_states", "/tcp_pose_broadcaster/pose"
+    with AnyReader([Path(log)]) as reader:
+
+        def messages(*topics):
+            connections = [one for one in reader.connections if one.topic in topics]
+            for connection, _, data in reader.messages(connections=connections):
+                yield connection.topic, reader.deserialize(data, connection.msgtype)
+
+        _, description = next(messages("/robot_description"))
+        model = pinocchio.buildModelFromXML(description.data)
+        state = model.createData()
+        base, tip = model.getFrameId("base"), model.getFrameId("tool0")
+        q, apart_m = None, []
+        for topic, message in messages(joint_topic, pose_topic):
+            if topic == joint_topic:
+                place = dict(zip(message.name, message.position))
+                q = np.array([place[name] for name in model.names[1:]])
+            elif q is not None:
+                pinocchio.forwardKinematics(model, state, q)
+                pinocchio.updateFramePlacements(model, state)
+                tool = state.oMf[base].actInv(state.oMf[tip]).translation
+                logged = message.pose.position
+                apart_m.append(np.linalg.norm(tool - (logged.x, logged.y, logged.z)))
+    return f"{len(apart_m)} poses, the median one {1e3 * np.median(apart_m):.1f} mm apart"
+
+
+def count(log: str) -> str:
+    from small_mcap import read_message
+
+    with open(log, "rb") as file:
+        return f"{sum(1 for _ in read_message(file))} messages"
+
+
+if __name__ == "__main__":
+    mode, log = sys.argv[1:]
+    print({"fk": fk, "count": count}[mode](log))

@@ -1,0 +1,145 @@
+//! What mends the columns of a dataset, as Python: for whoever loads it, and as a step of LeRobot's processors.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+use super::file::Corrections;
+use crate::report::Report;
+use crate::run::{Role, Run};
+use crate::stream::Columns;
+
+/// Containers whose topics are columns, by their names, with all their numbers.
+const WHOLE_COLUMNS: [&str; 6] = ["npy", "npz", "parquet", "hdf5", "zarr", "tfrecord"];
+
+/// What is wrong with columns.
+#[derive(Default)]
+struct Columnwise {
+    /// Factor and offset of numbers, in the unit that they are logged in.
+    numbers: BTreeMap<String, BTreeMap<usize, [f64; 2]>>,
+    /// By how much columns are late, s.
+    late_s: BTreeMap<String, f64>,
+}
+
+/// The module that corrects the columns of the files of `report`; `None` where they are no dataset, or nothing
+/// that a loader can mend was found.
+pub(super) fn module(report: &Report, run: &Run, corrections: &Corrections) -> Option<String> {
+    let is_dataset = |container: &str| WHOLE_COLUMNS.contains(&container);
+    if !report.log.files.iter().all(|file| is_dataset(file.container)) {
+        return None;
+    }
+    let mut found = Columnwise::default();
+    for stream in run.streams.iter().filter(|stream| stream.role == Role::Joints) {
+        let Some(Columns::Joints(joints)) = &stream.columns else { continue };
+        let unit = |offset: f64| {
+            if joints.taken_for_degrees { offset.to_degrees() } else { offset }
+        };
+        for (number, joint) in joints.joints.iter().enumerate() {
+            let own = corrections.joints.iter().find(|own| own.name == joint.name);
+            let Some(own) = own else { continue };
+            let offset = own.offset_rad.map(unit).or(own.offset_m).unwrap_or(0.0);
+            let numbers = found.numbers.entry(stream.topic.clone()).or_default();
+            numbers.insert(number, [own.factor.unwrap_or(1.0), offset]);
+        }
+    }
+    let late = corrections.topics.iter().filter(|topic| topic.skew.is_none());
+    found.late_s = late.filter_map(|own| Some((own.name.clone(), own.latency_s?))).collect();
+    found.text()
+}
+
+impl Columnwise {
+    fn text(&self) -> Option<String> {
+        if self.numbers.is_empty() && self.late_s.is_empty() {
+            return None;
+        }
+        let mut text = HEAD.to_owned();
+        text += "\n# Column: {number: (factor, offset)}; true = factor * logged + offset, in the unit of the column.\n";
+        text += "NUMBERS = {\n";
+        for (column, numbers) in &self.numbers {
+            let all: Vec<String> = numbers
+                .iter()
+                .map(|(number, [factor, offset])| format!("{number}: ({factor:?}, {offset:?})"))
+                .collect();
+            let _ = writeln!(text, "    {column:?}: {{{}}},", all.join(", "));
+        }
+        text += "}\n\n# Column: s by which it is late.\nLATE_S = {\n";
+        for (column, late_s) in &self.late_s {
+            let _ = writeln!(text, "    {column:?}: {late_s:?},");
+        }
+        Some(text + "}\n" + FUNCTIONS)
+    }
+}
+
+const HEAD: &str = r#""""Corrections of a dataset's columns by poseaudit. No data are written.
+
+    from dataset_step import correct, delta_timestamps, shifted
+
+    frame = correct(frame)                       # a dict of arrays or tensors by column; numbers last
+    LeRobotDataset(repo_id, delta_timestamps=delta_timestamps(fps))   # late columns, read so much later
+    episode = shifted(episode, fps)              # the same of whole episodes as arrays, rows first
+    DataProcessorPipeline([CorrectColumns(), ...])                    # a step of LeRobot's processors
+"""
+
+import numpy
+"#;
+
+const FUNCTIONS: &str = r#"
+
+def correct(frame):
+    """The frame, or frames, with the numbers of NUMBERS corrected; what is given stays as it is."""
+    frame = dict(frame)
+    for column, numbers in NUMBERS.items():
+        if column in frame:
+            values = frame[column]
+            values = values.clone() if hasattr(values, "clone") else numpy.array(values, dtype=float)
+            for number, (factor, offset) in numbers.items():
+                values[..., number] = factor * values[..., number] + offset
+            frame[column] = values
+    return frame
+
+
+def delta_timestamps(fps):
+    """What LeRobotDataset takes: each late column is read as many frames later as its delay is nearest to."""
+    return {column: [round(late_s * fps) / fps] for column, late_s in LATE_S.items()}
+
+
+def shifted(episode, fps):
+    """An episode with its late columns moved by whole rows; all are cut to the rows that are left."""
+    rows = {column: round(LATE_S.get(column, 0.0) * fps) for column in episode}
+    first, last = max(0, -min(rows.values())), max(0, max(rows.values()))
+    count = min(len(values) for values in episode.values()) - first - last
+    return {column: values[first + rows[column]:][:count] for column, values in episode.items()}
+
+
+try:
+    from lerobot.processor import ObservationProcessorStep, ProcessorStepRegistry
+except ImportError:
+    pass
+else:
+
+    @ProcessorStepRegistry.register("poseaudit_correct_columns")
+    class CorrectColumns(ObservationProcessorStep):
+        """`correct`, before anything is normalized."""
+
+        def observation(self, observation):
+            return correct(observation)
+
+        def transform_features(self, features):
+            return features
+"#;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_wrong_with_columns_is_python() {
+        assert_eq!(Columnwise::default().text(), None);
+        let mut found = Columnwise::default();
+        let numbers = BTreeMap::from([(2, [1.0, 0.5]), (4, [-1.0, 0.0])]);
+        found.numbers.insert("observation.state".to_owned(), numbers);
+        found.late_s.insert("observation.\"pose".to_owned(), 0.06);
+        let text = found.text().expect("a module");
+        assert!(text.contains("\n    \"observation.state\": {2: (1.0, 0.5), 4: (-1.0, 0.0)},\n"));
+        assert!(text.contains("\n    \"observation.\\\"pose\": 0.06,\n"));
+    }
+}

@@ -1,0 +1,117 @@
+//! Columns that hold what another one holds, or one value, in every row of every episode.
+
+use std::collections::BTreeMap;
+
+use super::{Found, names};
+use crate::Repeat;
+use ground::stream::{Columns, JointColumns};
+
+/// Rows of an episode that tell, and rows in which what is repeated must be new.
+const LEAST_ROWS: usize = 20;
+const LEAST_CHANGES: usize = 10;
+/// Topics of an episode that are held against each other.
+const MOST_TOPICS: usize = 100;
+
+/// What repeats, and in how many episodes.
+#[derive(Default)]
+pub(super) struct Repeats {
+    episodes: usize,
+    found: BTreeMap<Repeat, usize>,
+}
+
+impl Repeats {
+    /// Counts what repeats in an episode.
+    pub fn count(&mut self, episode: &[Found]) {
+        let told: Vec<(&str, &Columns)> = episode
+            .iter()
+            .filter_map(|found| Some((found.topic.as_str(), found.columns.as_ref()?)))
+            .filter(|(_, columns)| rows(columns).len() >= LEAST_ROWS)
+            .take(MOST_TOPICS)
+            .collect();
+        if told.is_empty() {
+            return;
+        }
+        self.episodes += 1;
+        let all: Vec<Vec<&[f64]>> = told.iter().map(|(_, columns)| rows(columns)).collect();
+        let moves = |at: usize| changes(&all[at]) >= LEAST_CHANGES;
+        let is_arm = |columns: &Columns| matches!(columns, Columns::Joints(_));
+        let arm_moves = (0..told.len()).any(|at| is_arm(told[at].1) && moves(at));
+        for (at, (topic, columns)) in told.iter().enumerate() {
+            let of = |number: Option<String>, of: Option<String>| Repeat {
+                topic: (*topic).to_owned(),
+                number,
+                of,
+            };
+            if !moves(at) {
+                let is_still = changes(&all[at]) == 0 && arm_moves && !is_arm(columns);
+                self.add(is_still.then(|| of(None, None)));
+                continue;
+            }
+            let first = (0..at).find(|&other| same(&all[at], &all[other]));
+            self.add(first.map(|other| of(None, Some(told[other].0.to_owned()))));
+            if let Columns::Joints(joints) = columns {
+                for (joint, other) in within(joints) {
+                    self.add(Some(of(Some(joint), other)));
+                }
+            }
+        }
+    }
+
+    fn add(&mut self, repeat: Option<Repeat>) {
+        if let Some(repeat) = repeat {
+            *self.found.entry(repeat).or_default() += 1;
+        }
+    }
+
+    /// What repeats in all episodes.
+    pub fn in_all(self) -> Vec<Repeat> {
+        let all = self.found.into_iter().filter(|(_, count)| *count == self.episodes);
+        all.map(|(repeat, _)| repeat).collect()
+    }
+}
+
+/// The numbers of each row, or of each joint; none of what has no bare numbers.
+fn rows(columns: &Columns) -> Vec<&[f64]> {
+    match columns {
+        Columns::Array(array) => array.values.chunks_exact(array.width.max(1)).collect(),
+        Columns::Poses(poses) => {
+            poses.iter().flat_map(|poses| poses.xyz.iter().map(|xyz| xyz.as_slice())).collect()
+        }
+        Columns::Joints(joints) => {
+            let all = joints.joints.iter().flat_map(|joint| joint.position.chunks(1));
+            all.collect()
+        }
+        _ => Vec::new(),
+    }
+}
+
+/// How often a row is other than the one before it.
+fn changes(rows: &[&[f64]]) -> usize {
+    rows.windows(2).filter(|pair| !equal(pair[0], pair[1])).count()
+}
+
+fn same(a: &[&[f64]], b: &[&[f64]]) -> bool {
+    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| equal(a, b))
+}
+
+/// To the last bit: what was measured twice differs.
+fn equal(a: &[f64], b: &[f64]) -> bool {
+    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits())
+}
+
+/// The joints that repeat one before them, or never move while others do. Fingers move as one.
+fn within(joints: &JointColumns) -> Vec<(String, Option<String>)> {
+    let is_finger = |name: &str| names::is_gripper(&names::words(name));
+    let arm: Vec<_> = joints.joints.iter().filter(|joint| !is_finger(&joint.name)).collect();
+    let own: Vec<Vec<&[f64]>> =
+        arm.iter().map(|joint| joint.position.chunks(1).collect()).collect();
+    let mut found = Vec::new();
+    for (at, joint) in arm.iter().enumerate() {
+        let count = changes(&own[at]);
+        let other = (0..at).find(|&other| count >= LEAST_CHANGES && same(&own[at], &own[other]));
+        if other.is_some() || count == 0 {
+            found.push((joint.name.clone(), other.map(|other| arm[other].name.clone())));
+        }
+    }
+    found
+}

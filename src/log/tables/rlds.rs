@@ -1,0 +1,60 @@
+//! What `features.json` says of an RLDS dataset, beside its TFRecord files.
+
+use std::fs;
+use std::path::Path;
+
+use serde_json::Value;
+
+use super::lerobot::{Dataset, Feature, MOST_BYTES};
+use super::tfrecord::STEPS;
+
+const FEATURES: &str = "features.json";
+/// Features within features that are looked at.
+const DEEP: usize = 8;
+
+/// What is declared of the steps of the dataset that a file is of.
+pub(super) fn beside(path: &Path) -> Option<Dataset> {
+    let path = path.parent()?.join(FEATURES);
+    let is_small = fs::metadata(&path).is_ok_and(|metadata| metadata.len() <= MOST_BYTES);
+    let text = is_small.then(|| fs::read_to_string(&path).ok()).flatten()?;
+    let mut dataset = Dataset::default();
+    descend(&serde_json::from_str(&text).ok()?, "", DEEP, &mut dataset);
+    Some(dataset)
+}
+
+/// The numbers that a description counts, as in `[7x joint angles, 2x gripper position]`; none where it counts
+/// nothing.
+fn counts(description: &str) -> Vec<usize> {
+    let inside = description.split_once('[').and_then(|(_, rest)| rest.split_once(']'));
+    let parts = inside.map_or("", |(inside, _)| inside).split(',');
+    let counts: Option<Vec<usize>> =
+        parts.map(|part| part.trim().split_once("x ")?.0.parse().ok()).collect();
+    counts.unwrap_or_default()
+}
+
+/// Takes the tensors of a feature and of those in it.
+fn descend(feature: &Value, path: &str, deep: usize, dataset: &mut Dataset) {
+    if let Some(shape) = feature.get("tensor").map(|tensor| tensor.get("shape")) {
+        let sides = shape.and_then(|shape| shape.get("dimensions")).and_then(Value::as_array);
+        let side = |value: &Value| value.as_str().map_or(value.as_u64(), |text| text.parse().ok());
+        let sides = sides.into_iter().flatten().map(side);
+        let mut width = sides.map(|side| side.and_then(|side| usize::try_from(side).ok()));
+        let width = width.try_fold(1_usize, |all, side| all.checked_mul(side?));
+        if let Some(name) = path.strip_prefix(STEPS) {
+            let said = feature.get("description").and_then(Value::as_str).unwrap_or_default();
+            let mut own = Feature::of_width(width);
+            own.counted = counts(said);
+            dataset.features.insert(name.to_owned(), own);
+        }
+    }
+    // The steps of an episode are a sequence of features.
+    let own =
+        feature.get("sequence").and_then(|sequence| sequence.get("feature")).unwrap_or(feature);
+    let inside = own.get("featuresDict").and_then(|all| all.get("features"));
+    for (name, feature) in inside.and_then(Value::as_object).into_iter().flatten() {
+        let path = if path.is_empty() { name.clone() } else { format!("{path}/{name}") };
+        if deep > 0 {
+            descend(feature, &path, deep - 1, dataset);
+        }
+    }
+}

@@ -1,0 +1,133 @@
+//! KUKA's Robot Sensor Interface: the packets that the controller sends, as text, one after another.
+//!
+//! A `<Rob>` packet is a row: measured and commanded poses (`RIst`, `RSol`), axes (`AIPos`, `ASPos`) and the
+//! controller's clock (`IPOC`, ms). What answers it (`<Sen>`) and what stands between packets is passed over.
+
+use std::ops::Range;
+
+use roxmltree::{Document, Node};
+
+use super::{Column, Episodes, MOST_NUMBERS, Refusal, Table};
+use crate::Extent;
+use crate::losses::Losses;
+
+/// Elements of a packet that are read, and the attributes that hold their numbers.
+const ELEMENTS: &[(&str, &[&str])] = &[
+    ("RIst", &["X", "Y", "Z", "A", "B", "C"]),
+    ("RSol", &["X", "Y", "Z", "A", "B", "C"]),
+    ("AIPos", &["A1", "A2", "A3", "A4", "A5", "A6"]),
+    ("ASPos", &["A1", "A2", "A3", "A4", "A5", "A6"]),
+];
+const CLOCK: &str = "IPOC";
+const OPEN: &[u8] = b"<Rob";
+const CLOSE: &[u8] = b"</Rob>";
+/// Longest packet: of a datagram.
+const MOST_BYTES: usize = 1 << 16;
+
+/// Whether the text `bytes` begins with packets.
+pub(crate) fn has_packet(bytes: &[u8]) -> bool {
+    let Some(at) = opening(bytes, 0) else { return false };
+    let rest = &bytes[at..];
+    ["RIst", "AIPos", CLOCK]
+        .iter()
+        .any(|name| find(rest, format!("<{name}").as_bytes(), 0).is_some())
+}
+
+pub(super) fn read(bytes: &[u8], losses: &mut Losses) -> Result<Episodes, Refusal> {
+    let wide: usize = ELEMENTS.iter().map(|(_, numbers)| numbers.len()).sum();
+    let mut values: Vec<Vec<f64>> = vec![Vec::new(); ELEMENTS.len()];
+    let mut clock = Vec::new();
+    let mut malformed: Option<(usize, u64, String)> = None;
+    let mut at = 0;
+    while let Some(packet) = next(bytes, at) {
+        at = packet.end;
+        if clock.len() * wide > MOST_NUMBERS {
+            return Err(format!("it has more than {MOST_NUMBERS} numbers"));
+        }
+        let mut row = vec![f64::NAN; wide + 1];
+        match numbers(&bytes[packet.clone()], &mut row) {
+            Ok(()) => {
+                clock.push(row[wide]);
+                let mut rest = row.as_slice();
+                for (own, (_, names)) in values.iter_mut().zip(ELEMENTS) {
+                    let (numbers, behind) = rest.split_at(names.len());
+                    own.extend_from_slice(numbers);
+                    rest = behind;
+                }
+            }
+            // The last packet of a dump is cut, as a rule.
+            Err(_) if opening(bytes, at).is_none() && !bytes[packet.clone()].ends_with(CLOSE) => {
+                losses.add(
+                    packet.start,
+                    Extent::Tail,
+                    Some(1),
+                    "the last packet is cut off".into(),
+                );
+            }
+            Err(what) => malformed.get_or_insert((packet.start, 0, what)).1 += 1,
+        }
+    }
+    if let Some((offset, count, what)) = malformed {
+        losses.add(offset, Extent::Messages, Some(count), format!("a packet is no XML: {what}"));
+    }
+    let column = |name: &str, parts: &[&str], values: Vec<f64>| Column {
+        name: name.to_owned(),
+        kind: "number".to_owned(),
+        width: parts.len().max(1),
+        parts: parts.iter().map(|part| (*part).to_owned()).collect(),
+        values,
+    };
+    let rows = clock.len();
+    let is_there = |values: &[f64]| values.iter().any(|value| value.is_finite());
+    let columns = ELEMENTS
+        .iter()
+        .zip(values)
+        .map(|((name, parts), values)| column(name, parts, values))
+        .chain([column(CLOCK, &[], clock)])
+        .filter(|column| is_there(&column.values));
+    Ok(vec![("0".to_owned(), Table { rows, columns: columns.collect(), rate_hz: None })])
+}
+
+/// The bytes of the first packet from `at` on: up to its end, or to where the next begins.
+fn next(bytes: &[u8], at: usize) -> Option<Range<usize>> {
+    let start = opening(bytes, at)?;
+    let reach = bytes.len().min(start + MOST_BYTES);
+    let reach = opening(&bytes[..reach], start + OPEN.len()).unwrap_or(reach);
+    let close = find(&bytes[..reach], CLOSE, start);
+    Some(start..close.map_or(reach, |close| close + CLOSE.len()))
+}
+
+/// Where the next packet begins.
+fn opening(bytes: &[u8], mut at: usize) -> Option<usize> {
+    loop {
+        let start = find(bytes, OPEN, at)?;
+        at = start + OPEN.len();
+        if let Some(b'>' | b' ' | b'\t' | b'\r' | b'\n') = bytes.get(at) {
+            return Some(start);
+        }
+    }
+}
+
+fn find(bytes: &[u8], what: &[u8], at: usize) -> Option<usize> {
+    memchr::memmem::find(bytes.get(at..)?, what).map(|found| at + found)
+}
+
+/// Fills `row` with the numbers of a packet; those that it does not have are left as they are.
+fn numbers(packet: &[u8], row: &mut [f64]) -> Result<(), String> {
+    let text = std::str::from_utf8(packet).map_err(|error| error.to_string())?;
+    let packet = Document::parse(text).map_err(|error| error.to_string())?;
+    let number = |text: &str| text.trim().parse::<f64>().unwrap_or(f64::NAN);
+    let child = |name| packet.root_element().children().find(|node: &Node| node.has_tag_name(name));
+    let mut cells = row.iter_mut();
+    for (name, attributes) in ELEMENTS {
+        let element = child(*name);
+        for (attribute, cell) in attributes.iter().zip(&mut cells) {
+            let text = element.and_then(|element| element.attribute(*attribute));
+            *cell = text.map_or(f64::NAN, number);
+        }
+    }
+    if let Some(cell) = cells.next() {
+        *cell = child(CLOCK).and_then(|node| node.text()).map_or(f64::NAN, number);
+    }
+    Ok(())
+}

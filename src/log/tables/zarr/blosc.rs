@@ -1,0 +1,131 @@
+//! Chunks of Blosc 1, as numcodecs writes them: blocks of LZ4, zlib or Zstandard, their bytes or bits shuffled.
+//!
+//! Format: `README_CHUNK_FORMAT.rst` of c-blosc 1.21.
+
+use super::codec::{all, lz4, worded};
+use crate::tables::Refusal;
+
+const HEADER: usize = 16;
+/// The last version of the format; Blosc 2 has others.
+const VERSION: u8 = 2;
+/// A block is split by the bytes of its elements up to this size, where each part has so many bytes.
+const MOST_SPLITS: usize = 16;
+const LEAST_PART: usize = 128;
+
+/// What the packer of a chunk is called.
+const PACKERS: [&str; 8] = ["BloscLZ", "LZ4", "Snappy", "zlib", "Zstandard", "5", "6", "7"];
+
+struct Header {
+    flags: u8,
+    /// Bytes of an element.
+    size: usize,
+    /// Bytes of all, and of each block.
+    bytes: usize,
+    block: usize,
+}
+
+/// The bytes of a chunk, `most` at most.
+pub(crate) fn unpacked(chunk: &[u8], most: usize) -> Result<Vec<u8>, Refusal> {
+    let cut = || "a chunk is cut off".to_owned();
+    let (header, rest) = chunk.split_first_chunk::<HEADER>().ok_or_else(cut)?;
+    if header[0] > VERSION {
+        return Err("a chunk is none of Blosc 1".to_owned());
+    }
+    let word = |at: usize| read_u32(header, at).unwrap_or(0);
+    let header =
+        Header { flags: header[2], size: header[3].max(1).into(), bytes: word(4), block: word(8) };
+    let Header { flags, bytes, block, .. } = header;
+    if bytes > most {
+        return Err(format!("a chunk declares {bytes} bytes, and its array {most}"));
+    }
+    if flags & 2 != 0 {
+        return rest.get(..bytes).map(<[u8]>::to_vec).ok_or_else(cut);
+    }
+    if block == 0 && bytes > 0 {
+        return Err("a chunk declares blocks of 0 bytes".to_owned());
+    }
+    let mut whole = Vec::new();
+    for number in 0..bytes.div_ceil(block.max(1)) {
+        let length = block.min(bytes - whole.len());
+        let start = read_u32(rest, 4 * number).ok_or_else(cut)?;
+        let packed = chunk.get(start..).ok_or_else(cut)?;
+        whole.extend(header.unshuffled(header.block(packed, length).ok_or_else(cut)??));
+    }
+    Ok(whole)
+}
+
+fn read_u32(bytes: &[u8], at: usize) -> Option<usize> {
+    let four = bytes.get(at..at.checked_add(4)?)?;
+    Some(u32::from_le_bytes(four.try_into().ok()?) as usize)
+}
+
+impl Header {
+    /// The block of `length` bytes that `packed` begins with, its bytes shuffled as they are; `None` where it
+    /// is cut off.
+    fn block(&self, packed: &[u8], length: usize) -> Option<Result<Vec<u8>, Refusal>> {
+        let is_split = self.flags & 0x10 == 0
+            && self.size <= MOST_SPLITS
+            && length / self.size >= LEAST_PART
+            && length == self.block;
+        let part = if is_split { length / self.size } else { length };
+        let (mut block, mut at) = (Vec::new(), 0);
+        for _ in 0..if is_split { self.size } else { 1 } {
+            let own = read_u32(packed, at)?;
+            let bytes = packed.get(at + 4..(at + 4).checked_add(own)?)?;
+            at += 4 + own;
+            match if own == part { Ok(bytes.to_vec()) } else { self.part(bytes, part) } {
+                Ok(bytes) if bytes.len() == part => block.extend(bytes),
+                Ok(_) => return None,
+                Err(what) => return Some(Err(what)),
+            }
+        }
+        Some(Ok(block))
+    }
+
+    fn part(&self, packed: &[u8], length: usize) -> Result<Vec<u8>, Refusal> {
+        match self.flags >> 5 {
+            1 => lz4(packed, length),
+            3 => all(flate2::read::ZlibDecoder::new(packed), length),
+            4 => all(zstd::Decoder::with_buffer(packed).map_err(worded)?, length),
+            other => Err(format!(
+                "its chunks are packed with {}, which is not read; write it with lz4 or zstd",
+                PACKERS[usize::from(other)]
+            )),
+        }
+    }
+
+    fn unshuffled(&self, block: Vec<u8>) -> Vec<u8> {
+        match (self.flags & 1 != 0, self.flags & 4 != 0) {
+            (true, _) => unshuffled(&block, self.size),
+            (false, true) if (block.len() / self.size).is_multiple_of(8) => {
+                bits_unshuffled(&block, self.size)
+            }
+            _ => block,
+        }
+    }
+}
+
+/// Elements of `size` bytes, of which all first bytes stood together, then all second, and so on.
+pub(super) fn unshuffled(bytes: &[u8], size: usize) -> Vec<u8> {
+    let count = bytes.len() / size;
+    let mut whole = bytes.to_vec();
+    for (element, own) in whole.chunks_exact_mut(size).enumerate() {
+        own.iter_mut().enumerate().for_each(|(part, byte)| *byte = bytes[part * count + element]);
+    }
+    whole
+}
+
+/// The same of single bits, the lowest first.
+fn bits_unshuffled(bytes: &[u8], size: usize) -> Vec<u8> {
+    let row = bytes.len() / size / 8;
+    let mut whole = bytes.to_vec();
+    for (element, own) in whole.chunks_exact_mut(size).enumerate() {
+        for (part, byte) in own.iter_mut().enumerate() {
+            let bit = |bit: usize| {
+                (bytes[(part * 8 + bit) * row + element / 8] >> (element % 8) & 1) << bit
+            };
+            *byte = (0..8).map(bit).sum();
+        }
+    }
+    whole
+}

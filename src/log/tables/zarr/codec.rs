@@ -1,0 +1,91 @@
+//! How the chunks of an array are packed: what zarr's own codecs are called, and how each is undone.
+
+use std::io::Read;
+
+use serde_json::Value;
+
+use super::blosc;
+use crate::tables::Refusal;
+
+/// One step of the packing.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(super) enum Codec {
+    Zlib,
+    Gzip,
+    Zstd,
+    Bzip2,
+    /// numcodecs' own: the length, then a block.
+    Lz4,
+    Blosc,
+    /// A checksum behind the bytes, which is not looked at.
+    Crc32c,
+    /// Bytes of elements of this size, the first of each together.
+    Shuffle(usize),
+}
+
+impl Codec {
+    /// The codec that metadata call so.
+    pub fn of(name: &str, settings: &Value) -> Result<Self, Refusal> {
+        let size = || settings.get("elementsize").and_then(Value::as_u64).unwrap_or(4);
+        // Zarr's third version calls what numcodecs has by its name with that before it.
+        Ok(match name.strip_prefix("numcodecs.").unwrap_or(name) {
+            "zlib" => Self::Zlib,
+            "gzip" => Self::Gzip,
+            "zstd" => Self::Zstd,
+            "bz2" => Self::Bzip2,
+            "lz4" => Self::Lz4,
+            "blosc" => Self::Blosc,
+            "crc32c" => Self::Crc32c,
+            "shuffle" => Self::Shuffle(usize::try_from(size()).unwrap_or(1).max(1)),
+            _ => {
+                return Err(format!(
+                    "its codec '{name}' is not read; write it with blosc, zstd, gzip or none"
+                ));
+            }
+        })
+    }
+
+    /// The bytes that `packed` was made of, `most` at most.
+    pub fn undo(self, packed: &[u8], most: usize) -> Result<Vec<u8>, Refusal> {
+        match self {
+            Self::Zlib => all(flate2::read::ZlibDecoder::new(packed), most),
+            Self::Gzip => all(flate2::read::MultiGzDecoder::new(packed), most),
+            Self::Zstd => all(zstd::Decoder::with_buffer(packed).map_err(worded)?, most),
+            Self::Bzip2 => all(bzip2::read::BzDecoder::new(packed), most),
+            Self::Lz4 => {
+                let (length, block) = packed.split_first_chunk().ok_or("a chunk is cut off")?;
+                let length = u32::from_le_bytes(*length) as usize;
+                match length <= most {
+                    true => lz4(block, length),
+                    false => Err(too_long(length, most)),
+                }
+            }
+            Self::Blosc => blosc::unpacked(packed, most),
+            Self::Crc32c => Ok(packed[..packed.len().saturating_sub(4)].to_vec()),
+            Self::Shuffle(size) => Ok(blosc::unshuffled(packed, size)),
+        }
+    }
+}
+
+/// What a decoder gives, `most` bytes at most.
+pub(super) fn all(decoder: impl Read, most: usize) -> Result<Vec<u8>, Refusal> {
+    let mut bytes = Vec::new();
+    decoder.take(most as u64 + 1).read_to_end(&mut bytes).map_err(worded)?;
+    if bytes.len() > most { Err(too_long(bytes.len(), most)) } else { Ok(bytes) }
+}
+
+/// A block of LZ4 of this length. What is to be allocated was held against the file before.
+pub(super) fn lz4(block: &[u8], length: usize) -> Result<Vec<u8>, Refusal> {
+    let length = i32::try_from(length).map_err(|_| "a chunk is too long")?;
+    lz4::block::decompress(block, Some(length)).map_err(worded)
+}
+
+fn too_long(length: usize, most: usize) -> Refusal {
+    format!("a chunk unpacks to {length} bytes or more, and {most} are declared")
+}
+
+#[expect(clippy::needless_pass_by_value, reason = "it is handed to map_err")]
+pub(super) fn worded(error: std::io::Error) -> Refusal {
+    let text = error.to_string();
+    format!("a chunk cannot be unpacked: {}", text.lines().next().unwrap_or_default())
+}
