@@ -96,7 +96,12 @@ pub(super) fn of(table: &Table, settings: &ColumnSettings) -> Result<Clock, Refu
 /// The stamps in the one column whose numbers are times though its name does not say so: they rise by even
 /// steps. Copies of them in another unit or from another zero are the same.
 fn by_numbers(table: &Table) -> Result<Clock, Refusal> {
+    /// More columns that rise alike are ramps, not clocks.
+    const MOST_ALIKE: usize = 2;
+    let none =
+        || "no column holds times, and no metadata the rate (`time` or `rate_hz`)".to_owned();
     let mut found: Vec<(String, Clock, Column)> = Vec::new();
+    let mut alike = 0;
     for (at, column) in table.columns.iter().enumerate() {
         for part in 0..column.width {
             let values = column.values.iter().skip(part).step_by(column.width).copied().collect();
@@ -109,6 +114,7 @@ fn by_numbers(table: &Table) -> Result<Clock, Refusal> {
                 1 => column.name.clone(),
                 _ => format!("{}[{part}]", column.name),
             };
+            alike += 1;
             let is_known = found.iter().any(|(_, _, other)| is_line(&other.values, &own.values));
             if !is_known {
                 found.push((name, Clock { cell: Some((at, part)), ..clock }, own));
@@ -116,9 +122,8 @@ fn by_numbers(table: &Table) -> Result<Clock, Refusal> {
         }
     }
     match found.as_mut_slice() {
-        [] => {
-            Err("no column holds times, and no metadata the rate (`time` or `rate_hz`)".to_owned())
-        }
+        [] => Err(none()),
+        [_] if alike > MOST_ALIKE => Err(none()),
         [(name, ..)] => {
             let name = std::mem::take(name);
             let (_, clock, _) = found.swap_remove(0);
