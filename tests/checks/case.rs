@@ -46,7 +46,7 @@ pub enum Expected {
     /// passes, or says that no such log could tell.
     BlamedOn(&'static str),
     /// Neighbouring fault: the rule named here finds it, no other does, and it leaves the rule of the
-    /// case open, which says why.
+    /// case open of some subjects, which says why.
     LeftOpenBy(&'static str, &'static str),
     /// Neighbouring fault: the rule named here finds it, no other does, and it takes what the rule of
     /// the case would ask, which says why.
@@ -227,7 +227,10 @@ impl Case {
             Expected::LeftOpenBy(code, part) => {
                 let found_by: Vec<&str> = report.findings.iter().map(|found| found.code).collect();
                 assert_eq!(found_by, [*code], "found:\n{found}");
-                assert_all_say(&rows, Status::Inconclusive, part);
+                let open = rows.iter().copied().filter(|row| row.status != Status::Pass);
+                let open: Vec<&CheckRow> = open.collect();
+                assert!(!open.is_empty(), "nothing is left open");
+                assert_all_say(&open, Status::Inconclusive, part);
             }
             Expected::TakenBy(code, part) => {
                 let found_by: Vec<&str> = report.findings.iter().map(|found| found.code).collect();

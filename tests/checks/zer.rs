@@ -5,7 +5,7 @@ use poseaudit::synth::{Giving, Motion, POSE, Scenario, urdf_text};
 
 use crate::checks::case::On::{Joint, Topic};
 use crate::checks::case::What::{Amount, Degrees};
-use crate::checks::case::{Expected, Log, cases, error, the, warning};
+use crate::checks::case::{Expected, Log, cases, error, half_width, the, warning};
 use crate::checks::mdl::alter;
 use crate::checks::mot::gives;
 use Expected::{BlamedOn, LeftOpenBy, Skipped, Sound, Undecided};
@@ -32,15 +32,6 @@ cases! {
         log.run.joints.zero_offsets = vec![0.003];
     } => error(Joint("rail_joint"), Amount(0.003, 0.05e-3));
 
-    ZER001 an_elbow_of_an_arm_with_one_crooked_link: |log| {
-        crooked(&mut log.run);
-        log.run.joints.zero_offsets = zero(2, 0.4);
-    } => warning(Joint("elbow_joint"), Degrees(0.4, 0.03));
-    ZER001 a_wrist_of_an_arm_with_one_crooked_link: |log| {
-        crooked(&mut log.run);
-        log.run.joints.zero_offsets = zero(3, -0.4);
-    } => warning(Joint("wrist_1_joint"), Degrees(-0.4, 0.03));
-
     ZER001 a_hundredth_of_a_degree_is_sound: |log| log.run.joints.zero_offsets = zero(2, 0.01)
         => Sound;
     ZER001 an_arm_on_a_rail_is_sound: |log| on_a_rail(&mut log.run) => Sound;
@@ -55,7 +46,7 @@ cases! {
     ZER001 growth_with_reach_is_no_zero: |log| log.run.pose.growth = 0.01 => BlamedOn("ZER002");
     ZER001 nominal_kinematics_are_no_zero: |log| crate::checks::mdl::calibrate(&mut log.run)
         => LeftOpenBy("MDL001", "calibrat");
-    ZER001 one_crooked_link_is_no_zero: |log| crooked(&mut log.run) => LeftOpenBy("MDL001", "calibrat");
+    ZER001 one_crooked_link_is_no_zero: |log| crooked(&mut log.run) => BlamedOn("MDL001");
     ZER001 a_drifting_imu_is_no_zero: |log| log.run.imu.yaw_drift_rad_s = 1e-3
         => BlamedOn("YAW001");
 
@@ -150,6 +141,23 @@ fn the_ends_of_the_chain_list_the_frames_that_do_the_same() {
     assert_eq!(indistinguishable(0, "shoulder_pan_joint"), [("FRM002", 0.6)]);
     assert_eq!(indistinguishable(2, "elbow_joint"), []);
     assert_eq!(indistinguishable(5, "wrist_3_joint"), [("FRM003", 0.6)]);
+}
+
+#[test]
+fn a_zero_stands_out_beside_one_crooked_link() {
+    for (joint, name, degrees) in [(2, "elbow_joint", 0.4), (3, "wrist_1_joint", -0.4)] {
+        let report = Log::with(|log| {
+            crooked(&mut log.run);
+            log.run.joints.zero_offsets = zero(joint, degrees);
+        })
+        .audited();
+        let zeros = report.findings.iter().filter(|found| found.code == "ZER001");
+        assert_eq!(zeros.count(), 1);
+        let amount = the(&report, "ZER001", name).estimate.as_ref().expect("an amount");
+        let value = amount.value().expect("a number").to_degrees();
+        let half = half_width(amount).expect("an interval").to_degrees();
+        assert!((value - degrees).abs() < half.min(0.03) && half < 0.15, "{value} ± {half}");
+    }
 }
 
 #[test]
