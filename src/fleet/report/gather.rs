@@ -4,10 +4,10 @@ use std::cmp::Reverse;
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
-use polars::prelude::{DataFrame, PolarsResult};
-use serde_json::Value;
+use polars::prelude::PolarsResult;
 
-use super::trends::{At, Point, Series};
+use super::part::Part;
+use super::trends::{At, Point, Series, natural};
 use super::{
     ArmRow, ErrorRow, FindingRow, LogCounts, LogRow, Question, RuleCount, Whose, calendar,
 };
@@ -200,16 +200,6 @@ fn logs(store: &Store, question: &Question) -> Result<(BTreeMap<String, Log>, us
     Ok((logs, set_aside))
 }
 
-/// A path in parts, so that those in it that are numbers are in the order of their values.
-fn natural(path: &str) -> Vec<(u64, String)> {
-    let mut parts: Vec<(u64, String)> = Vec::new();
-    for part in path.split_inclusive(|c: char| !c.is_ascii_digit()) {
-        let digits = part.trim_end_matches(|c: char| !c.is_ascii_digit());
-        parts.push((digits.parse().unwrap_or(0), part[digits.len()..].to_owned()));
-    }
-    parts
-}
-
 /// The version and the settings whose rows are wanted: those that were asked for, else of the latest
 /// version those that were written down last.
 fn wanted(
@@ -318,7 +308,7 @@ impl<'a> Gathering<'a> {
                 Entry::Occupied(known) => known.into_mut(),
                 Entry::Vacant(new) => new.insert(Series {
                     code: cause.0.clone(),
-                    name: name_of(part.text("estimate_json", row)?),
+                    name: part.name_of_estimate(row)?,
                     unit,
                     whose: cause.1.clone(),
                     points: Vec::new(),
@@ -355,13 +345,6 @@ impl<'a> Gathering<'a> {
         found.logs.insert((log.start_ns, log.episode, log.path.clone()), (title, message));
         Ok(())
     }
-}
-
-/// What an estimate calls itself.
-fn name_of(estimate_json: Option<String>) -> String {
-    let estimate: Option<Value> = estimate_json.and_then(|text| serde_json::from_str(&text).ok());
-    let name = estimate.as_ref().and_then(|estimate| estimate.get("name")?.as_str());
-    name.unwrap_or_default().to_owned()
 }
 
 /// What is found, the most frequent of the gravest first.
@@ -494,23 +477,6 @@ fn log_counts(
     let contents: HashSet<&str> = paths.iter().map(|(_, content)| content.as_str()).collect();
     counts.copies = paths.len() - contents.len();
     Ok(counts)
-}
-
-/// A part of a table, by cells.
-struct Part<'a>(&'a DataFrame);
-
-impl Part<'_> {
-    fn text(&self, name: &str, row: usize) -> PolarsResult<Option<String>> {
-        Ok(self.0.column(name)?.str()?.get(row).map(str::to_owned))
-    }
-
-    fn number(&self, name: &str, row: usize) -> PolarsResult<Option<f64>> {
-        Ok(self.0.column(name)?.f64()?.get(row).filter(|number| number.is_finite()))
-    }
-
-    fn stamp(&self, name: &str, row: usize) -> PolarsResult<Option<i64>> {
-        Ok(self.0.column(name)?.i64()?.get(row))
-    }
 }
 
 #[cfg(test)]

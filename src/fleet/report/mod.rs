@@ -5,6 +5,7 @@ mod calendar;
 mod gather;
 mod html;
 mod markdown;
+mod part;
 mod text;
 mod trends;
 

@@ -325,3 +325,13 @@ impl TrendRow {
         }
     }
 }
+
+/// A path in parts, so that those in it that are numbers are in the order of their values.
+pub(super) fn natural(path: &str) -> Vec<(u64, String)> {
+    let mut parts: Vec<(u64, String)> = Vec::new();
+    for part in path.split_inclusive(|c: char| !c.is_ascii_digit()) {
+        let digits = part.trim_end_matches(|c: char| !c.is_ascii_digit());
+        parts.push((digits.parse().unwrap_or(0), part[digits.len()..].to_owned()));
+    }
+    parts
+}
