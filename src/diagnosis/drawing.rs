@@ -214,15 +214,17 @@ impl Model {
         })
     }
 
-    /// The zero of a joint that is in `fit`. What the joint's is off as all joints' are is in its error.
+    /// The zero of a joint that is in `fit`. What the joint's is off as all joints' are is in its error,
+    /// whose size is known by the other joints alone.
     fn zero(&self, fit: &Fit, joint: usize) -> Option<Measured> {
         let at = self.zero_at(joint);
         let Of::Deviation { group, unit } = self.of[at] else { return None };
         let variance = fit.covariance[(at, at)] + (unit * fit.sizes_m[group]).powi(2);
+        let others = ALIKE + (self.joints - fit.zeros.len()) as f64;
         (variance > 0.0).then(|| Measured {
             value: fit.mean[at],
             std_error: variance.sqrt(),
-            dof: self.dof,
+            dof: self.dof.min(others),
         })
     }
 
