@@ -34,6 +34,8 @@ const SURE: f64 = 8.0;
 /// Another joint's zero may be it as well where the log is no more than so much less likely with that,
 /// in the same measure: a twentieth as likely.
 const AS_LIKELY: f64 = 6.0;
+/// A zero of which the log leaves more than this share of [`ZERO`] is not told by it.
+const LEARNT: f64 = 0.5;
 /// Zeros that are named at most.
 const MOST: usize = 4;
 /// Samples that are fitted.
@@ -325,7 +327,8 @@ impl Model {
         let named = fit.zeros.iter().filter_map(|&joint| Some((joint, self.zero(fit, joint)?)));
         let beside =
             others.iter().filter_map(|(joint, with)| Some((*joint, self.zero(with, *joint)?)));
-        for (joint, zero) in named.chain(beside) {
+        let told = beside.filter(|(_, zero)| zero.std_error < LEARNT * ZERO);
+        for (joint, zero) in named.chain(told) {
             let (column, zero) = absolute(joint, zero);
             zeros[column] = Some(zero);
         }
