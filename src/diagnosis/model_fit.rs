@@ -349,9 +349,18 @@ impl<'a> Sight<'a> {
     /// Gauss–Newton on the numbers `free`: latency, joint zeros, reference frame, tool, in this order.
     fn solve(&self, mut guess: Guess, free: &[usize]) -> (f64, Guess) {
         const ROUNDS: usize = 10;
-        let mut best = (self.left_m(&guess), guess.clone());
-        for _ in 0..ROUNDS {
-            let Some(step) = self.step(&guess, free) else { break };
+        /// What is left has settled where it changes by less than this share.
+        const SETTLED: f64 = 1e-5;
+        let mut best = (f64::INFINITY, guess.clone());
+        for round in 0..=ROUNDS {
+            let (left_m, step) = self.step(&guess, free);
+            let gain = best.0 - left_m;
+            if gain > 0.0 {
+                best = (left_m, guess.clone());
+            }
+            let Some(step) = step.filter(|_| round < ROUNDS && gain.abs() > SETTLED * left_m) else {
+                break;
+            };
             let dof = guess.zeros.len();
             for (&at, &change) in free.iter().zip(step.iter()) {
                 match at {
@@ -366,24 +375,20 @@ impl<'a> Sight<'a> {
                 at.map_or(0.0, |at| step[at])
             });
             guess.reference = pose_of_twist(&twist) * guess.reference;
-            let left_m = self.left_m(&guess);
-            let gain = best.0 - left_m;
-            if gain > 0.0 {
-                best = (left_m, guess.clone());
-            }
-            if gain.abs() < 1e-9 {
-                break;
-            }
         }
         best
     }
 
-    fn step(&self, guess: &Guess, free: &[usize]) -> Option<DVector<f64>> {
+    /// What a guess leaves, rms m over the best nine tenths, and the step from it; infinite and none where the
+    /// joints cover too little.
+    fn step(&self, guess: &Guess, free: &[usize]) -> (f64, Option<DVector<f64>>) {
         /// Steps are damped at this scale, so that what the log does not show stays in place.
         const SCALE: f64 = 0.5;
         let (n, dof) = (free.len(), guess.zeros.len());
         let mut moment = Moment::new(self);
         let (mut normal, mut right) = (DMatrix::zeros(n, n), DVector::zeros(n));
+        let mut squares: Vec<f64> = Vec::with_capacity(self.t_s.len());
+        let mut rows: Vec<Vec3> = Vec::with_capacity(n);
         let turn = guess.reference.rotation;
         for (&t_s, logged) in self.t_s.iter().zip(&self.xyz) {
             if !moment.at(t_s, guess) {
@@ -392,46 +397,34 @@ impl<'a> Sight<'a> {
             moment.pose = self.stream.chain.forward_with_jacobian(&moment.q, &mut moment.jacobian);
             let at = moment.tip(guess);
             let lever = moment.pose.rotation * guess.tool;
-            let rows: Vec<Vec3> = free
-                .iter()
-                .map(|&parameter| match parameter {
-                    0 => -(turn * moment.velocity(&lever)),
-                    p if p <= dof => turn * moment.along(p - 1, &lever),
-                    p if p <= 3 + dof => Vec3::ith(p - 1 - dof, 1.0),
-                    p if p <= 6 + dof => Vec3::ith(p - 4 - dof, 1.0).cross(&at),
-                    p => turn * (moment.pose.rotation * Vec3::ith(p - 7 - dof, 1.0)),
-                })
-                .collect();
+            rows.clear();
+            rows.extend(free.iter().map(|&parameter| match parameter {
+                0 => -(turn * moment.velocity(&lever)),
+                p if p <= dof => turn * moment.along(p - 1, &lever),
+                p if p <= 3 + dof => Vec3::ith(p - 1 - dof, 1.0),
+                p if p <= 6 + dof => Vec3::ith(p - 4 - dof, 1.0).cross(&at),
+                p => turn * (moment.pose.rotation * Vec3::ith(p - 7 - dof, 1.0)),
+            }));
             let residual = logged - at;
+            squares.push(residual.norm_squared());
             for (i, a) in rows.iter().enumerate() {
                 right[i] += a.dot(&residual);
-                for (j, b) in rows.iter().enumerate() {
+                for (j, b) in rows[..=i].iter().enumerate() {
                     normal[(i, j)] += a.dot(b);
                 }
             }
         }
+        if squares.len() < ENOUGH {
+            return (f64::INFINITY, None);
+        }
         for at in 0..n {
             normal[(at, at)] += 1e-9 * self.t_s.len() as f64 / (SCALE * SCALE);
         }
-        normal.cholesky().map(|factor| factor.solve(&right))
-    }
-
-    /// What is left, rms m over the best nine tenths; infinite where the joints cover too little.
-    fn left_m(&self, guess: &Guess) -> f64 {
-        let mut moment = Moment::new(self);
-        let mut squares: Vec<f64> = Vec::with_capacity(self.t_s.len());
-        for (&t_s, logged) in self.t_s.iter().zip(&self.xyz) {
-            if moment.at(t_s, guess) {
-                moment.pose = self.stream.chain.forward(&moment.q);
-                squares.push((logged - moment.tip(guess)).norm_squared());
-            }
-        }
-        if squares.len() < ENOUGH {
-            return f64::INFINITY;
-        }
         squares.sort_by(f64::total_cmp);
         let kept = (9 * squares.len()).div_ceil(10);
-        (squares[..kept].iter().sum::<f64>() / kept as f64).sqrt()
+        let left_m = (squares[..kept].iter().sum::<f64>() / kept as f64).sqrt();
+        // The factorisation reads the lower triangle.
+        (left_m, normal.cholesky().map(|factor| factor.solve(&right)))
     }
 }
 

@@ -23,7 +23,9 @@ const HOPELESS_RAD: f64 = 0.35;
 
 /// Samples on which all readings are screened, at least.
 const SCREENED_ON: usize = 16;
-/// Readings that come nearest there and are held against all samples, at least.
+/// What is left there is off by less than this factor.
+const FAR: f64 = 1.5;
+/// Readings that come nearest there and are held against all samples, about.
 const KEPT: usize = 48;
 
 /// Cosine of the tilt within which a world is upright (10°).
@@ -364,20 +366,23 @@ fn all_fits(samples: &Samples) -> Vec<Fit> {
     // All readings are screened on a few samples, and those that come near are held against all.
     let fk: Vec<Rotation> = samples.fk.iter().step_by(stride).copied().collect();
     let few = Samples { logged: Logged::Rotations(&logged), fk: &fk, ..*samples };
-    let mut screened = each_of(&few, readings(samples));
+    let screened = each_of(&few, readings(samples));
     let left =
-        |fits: &Vec<Fit>| fits.iter().map(|fit| fit.residual_rad).fold(f64::INFINITY, f64::min);
-    screened.sort_by(|a, b| left(a).total_cmp(&left(b)));
-    let least = left(&screened[0]);
-    let near = (2.0 * (NEAR * least).max(least + NEAR_RAD)).min(HOPELESS_RAD);
-    let near = screened.partition_point(|fits| left(fits) <= near).max(KEPT);
-    let is_kept = |(rank, fits): &(usize, Vec<Fit>)| {
-        *rank < near || matches!(fits[0].reading, Reading::AsLogged)
+        |fits: &[Fit]| fits.iter().map(|fit| fit.residual_rad).fold(f64::INFINITY, f64::min);
+    let mut all: Vec<f64> = screened.iter().map(|fits| left(fits)).collect();
+    all.sort_by(f64::total_cmp);
+    let few_near = all[KEPT.min(all.len() - 1)];
+    let near = match all[0] > FAR * HOPELESS_RAD {
+        true => few_near,
+        false => few_near.max(FAR * (NEAR * all[0]).max(all[0] + NEAR_RAD)),
     };
-    let (kept, others): (Vec<_>, Vec<_>) = screened.into_iter().enumerate().partition(is_kept);
-    let kept = kept.into_iter().map(|(_, fits)| fits[0].reading).collect();
-    let others = others.into_iter().map(|(_, fits)| fits);
-    each_of(samples, kept).into_iter().chain(others).flatten().collect()
+    let again = |few: Vec<Fit>| match few[0].reading {
+        reading if left(&few) <= near || matches!(reading, Reading::AsLogged) => {
+            fits_of(samples, frames, reading, &mut Truths::default(), &mut Vec::new())
+        }
+        _ => few,
+    };
+    screened.into_par_iter().flat_map_iter(again).collect()
 }
 
 /// The frames that readings are allowed; the first is no fault.

@@ -4,9 +4,9 @@
 //! All is asked of one linearised model, by what it would leave with more columns: those of the parameters
 //! in question, weighted sample by sample.
 
-use super::super::linear::{Linear, Triangle};
+use super::super::linear::{Linear, Normal, Triangle};
 use super::super::noise::Noise;
-use super::super::robust::{pseudo_inverse, robust_sigma};
+use super::super::robust::robust_sigma;
 use nalgebra::{DMatrix, DVector};
 
 /// Pieces of a run over which a course is sought before it is refined.
@@ -274,10 +274,14 @@ impl<'a> Course<'a> {
 /// The sum of squares that is left, and the `width` parameters that leave it, by sums of products of the
 /// derivatives and, behind them, the residual.
 fn solved(width: usize, sums: impl Fn(usize, usize) -> f64) -> (f64, DVector<f64>) {
-    let normal = DMatrix::from_fn(width, width, &sums);
-    let right = DVector::from_fn(width, |i, _| sums(width, i));
-    let parameters = pseudo_inverse(&normal).0 * &right;
-    ((sums(width, width) - right.dot(&parameters)).max(0.0), parameters)
+    let normal = Normal {
+        matrix: DMatrix::from_fn(width, width, &sums),
+        right: DVector::from_fn(width, |i, _| sums(width, i)),
+        ..Normal::zeros(0)
+    };
+    let all: Vec<usize> = (0..width).collect();
+    let parameters = normal.step(&DVector::zeros(width), &all);
+    ((sums(width, width) - normal.right.dot(&parameters)).max(0.0), parameters)
 }
 
 /// The one of `candidates` that leaves least.
