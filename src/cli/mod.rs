@@ -27,6 +27,7 @@ mod say;
 mod statistics;
 mod tf;
 mod view;
+mod watch;
 
 use std::path::PathBuf;
 
@@ -108,6 +109,7 @@ enum Command {
     Pose(Box<pose::Args>),
     Plan(Box<plan::Args>),
     RecordList(record_list::Args),
+    Watch(Box<watch::Args>),
     Completions(completions::Args),
     Man(man::Args),
 }
@@ -142,6 +144,7 @@ fn follow(command: Command) -> Result<Outcome, Trouble> {
         Command::Pose(args) => pose::run(&args),
         Command::Plan(args) => plan::run(&args),
         Command::RecordList(args) => record_list::run(&args),
+        Command::Watch(args) => watch::run(*args),
         Command::Completions(args) => completions::run(&args),
         Command::Man(args) => man::run(&args),
     }
