@@ -22,7 +22,8 @@ const LOOK: Duration = Duration::from_millis(200);
 
 /// Audit a log while it is recorded, and once more when it has ended; a line where the verdict changes
 ///
-/// Of an MCAP file every byte is read once while it is written. Other logs are read whole at each audit.
+/// Of an MCAP file every byte is read once while it is written, and the whole once more at its end. Other
+/// logs are read whole at each audit. Exit status: as that of `audit`, of the verdict said last.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
