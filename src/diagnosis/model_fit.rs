@@ -115,29 +115,59 @@ impl ModelFit {
         ways.min_by(|a, b| a.score.total_cmp(&b.score))
     }
 
+    /// Whether no way with a fault can be cheaper than those tried, as it would leave something and need a
+    /// number at least.
+    pub fn is_settled(&self, floor_m: f64) -> bool {
+        let least = self.price(0.0, floor_m, 1);
+        self.best(floor_m).is_some_and(|best| best.score <= least)
+    }
+
     fn score(&self, way: &Way, floor_m: f64) -> f64 {
+        let misread = if way.misread { 3 } else { 0 };
+        self.price(way.left_m, floor_m, way.needs.parameters() + misread)
+    }
+
+    /// The price of so many parameters that leave so much.
+    fn price(&self, left_m: f64, floor_m: f64, parameters: usize) -> f64 {
         /// Samples of one motion hang together: no more of them count.
         const COUNTED: f64 = 40.0;
         let n = (self.samples as f64).min(COUNTED);
         let price = super::explain::price(n);
-        let parameters = way.needs.parameters() as f64 + if way.misread { 3.0 } else { 0.0 };
-        n * (way.left_m.powi(2) + floor_m.powi(2)).ln() + price * parameters
+        n * (left_m.powi(2) + floor_m.powi(2)).ln() + price * parameters as f64
     }
+}
+
+/// Which ways a model is tried in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tried {
+    /// Those without a fault.
+    Harmless,
+    /// All there are.
+    All,
 }
 
 /// How the model behind `stream`'s chain fits its positions; `None` where the joints cover too few
 /// samples.
-pub fn model_fit(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Option<ModelFit> {
+pub fn model_fit(
+    joints: &JointTrack,
+    stream: &PoseStream,
+    most_lag_s: f64,
+    tried: Tried,
+) -> Option<ModelFit> {
     let scale = metres_by_size(joints, stream);
     let lag_s = lags(joints, stream, most_lag_s);
-    let tried = lag_s.into_iter().filter_map(|lag_s| Sight::of(joints, stream, scale, lag_s));
-    let best = tried
+    let sights = lag_s.into_iter().filter_map(|lag_s| Sight::of(joints, stream, scale, lag_s));
+    let best = sights
         .map(|sight| {
             let fit = sight.fit();
             (fit.harmless_m(), sight, fit)
         })
         .min_by(|a, b| a.0.total_cmp(&b.0));
     let (_, sight, mut fit) = best?;
+    if tried == Tried::Harmless {
+        return Some(fit);
+    }
+    fit.ways.extend(sight.faulty_ways());
     if fit.ways.iter().all(|way| way.left_m > ASTRAY_M) {
         fit.ways.extend(sight.misread_ways());
     }
@@ -221,18 +251,20 @@ impl<'a> Sight<'a> {
         })
     }
 
-    /// All ways, with poses and joints read as they are.
+    /// The ways without a fault.
     fn fit(&self) -> ModelFit {
+        let needs = [Needs::Nothing, Needs::Tool];
+        let ways = needs.into_iter().filter_map(|needs| self.way(needs)).collect();
+        ModelFit { samples: self.t_s.len(), spread_m: super::placing::spread(&self.xyz), ways }
+    }
+
+    /// The ways with one, with poses and joints read as they are.
+    fn faulty_ways(&self) -> Vec<Way> {
         let dof = self.stream.chain.dof();
         let zeros =
             (0..dof).flat_map(|joint| [false, true].map(|tool| Needs::Zero { joint, tool }));
-        let needs: Vec<Needs> = [Needs::Nothing, Needs::Tool]
-            .into_iter()
-            .chain([false, true].map(|tool| Needs::Reference { tool }))
-            .chain(zeros)
-            .collect();
-        let ways = needs.into_iter().filter_map(|needs| self.way(needs)).collect();
-        ModelFit { samples: self.t_s.len(), spread_m: super::placing::spread(&self.xyz), ways }
+        let references = [false, true].map(|tool| Needs::Reference { tool });
+        references.into_iter().chain(zeros).filter_map(|needs| self.way(needs)).collect()
     }
 
     /// The ways of poses that are inverted, and of joints that are in degrees.

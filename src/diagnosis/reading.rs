@@ -21,6 +21,11 @@ const NEAR_RAD: f64 = 8.7e-4;
 /// No reading fits where the least residual is above this, rad (20°).
 const HOPELESS_RAD: f64 = 0.35;
 
+/// Samples on which all readings are screened, at least.
+const SCREENED_ON: usize = 16;
+/// Readings that come nearest there and are held against all samples, at least.
+const KEPT: usize = 48;
+
 /// Cosine of the tilt within which a world is upright (10°).
 const UPRIGHT: f64 = 0.985;
 
@@ -345,12 +350,34 @@ fn all_fits(samples: &Samples) -> Vec<Fit> {
             frames = plain;
         }
     }
-    let fits_of = |(truths, buffer): &mut (Truths, Vec<_>), reading: Reading| {
-        fits_of(samples, frames, reading, truths, buffer)
+    let each_of = |samples: &Samples, readings: Vec<Reading>| -> Vec<Vec<Fit>> {
+        let fits_of = |(truths, buffer): &mut (Truths, Vec<_>), reading: Reading| {
+            fits_of(samples, frames, reading, truths, buffer)
+        };
+        readings.into_par_iter().map_init(Default::default, fits_of).collect()
     };
-    let fits: Vec<Vec<Fit>> =
-        readings(samples).into_par_iter().map_init(Default::default, fits_of).collect();
-    fits.into_iter().flatten().collect()
+    let stride = samples.fk.len() / SCREENED_ON;
+    let logged: Vec<Rotation> = match samples.logged {
+        Logged::Rotations(all) if stride > 1 => all.iter().step_by(stride).copied().collect(),
+        _ => return each_of(samples, readings(samples)).concat(),
+    };
+    // All readings are screened on a few samples, and those that come near are held against all.
+    let fk: Vec<Rotation> = samples.fk.iter().step_by(stride).copied().collect();
+    let few = Samples { logged: Logged::Rotations(&logged), fk: &fk, ..*samples };
+    let mut screened = each_of(&few, readings(samples));
+    let left =
+        |fits: &Vec<Fit>| fits.iter().map(|fit| fit.residual_rad).fold(f64::INFINITY, f64::min);
+    screened.sort_by(|a, b| left(a).total_cmp(&left(b)));
+    let least = left(&screened[0]);
+    let near = (2.0 * (NEAR * least).max(least + NEAR_RAD)).min(HOPELESS_RAD);
+    let near = screened.partition_point(|fits| left(fits) <= near).max(KEPT);
+    let is_kept = |(rank, fits): &(usize, Vec<Fit>)| {
+        *rank < near || matches!(fits[0].reading, Reading::AsLogged)
+    };
+    let (kept, others): (Vec<_>, Vec<_>) = screened.into_iter().enumerate().partition(is_kept);
+    let kept = kept.into_iter().map(|(_, fits)| fits[0].reading).collect();
+    let others = others.into_iter().map(|(_, fits)| fits);
+    each_of(samples, kept).into_iter().chain(others).flatten().collect()
 }
 
 /// The frames that readings are allowed; the first is no fault.
