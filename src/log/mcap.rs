@@ -6,6 +6,7 @@
 
 mod chunks;
 mod definitions;
+mod growing;
 mod parts;
 mod record;
 mod sparse;
@@ -31,6 +32,7 @@ use super::topic::Message;
 use super::unpack::Unpacker;
 use super::{Crc, Extent, ReadOptions};
 
+pub(super) use self::growing::{Growing, whole_records};
 #[cfg(feature = "cloud")]
 pub(super) use self::survey::{Survey, survey};
 

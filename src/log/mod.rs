@@ -14,6 +14,7 @@ mod contents;
 mod decode;
 mod error;
 mod files;
+mod follow;
 mod intake;
 mod losses;
 mod mapped;
@@ -46,6 +47,7 @@ pub use self::contents::{
     Undecodable,
 };
 pub use self::error::LogError;
+pub use self::follow::{Follow, Growth};
 pub use self::name::ESCAPED;
 pub use self::name::SourceName;
 pub use self::options::ReadOptions;
