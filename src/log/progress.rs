@@ -81,3 +81,25 @@ impl Progress {
         self.before.fetch_add(bytes, Ordering::Relaxed);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+
+    #[test]
+    fn who_asked_is_told_of_each_step() {
+        let heard = Arc::new(Mutex::new(Vec::new()));
+        let progress = Progress::telling({
+            let heard = Arc::clone(&heard);
+            move |progress| heard.lock().expect("one thread").push((progress.doing(), progress.read()))
+        });
+        progress.begin(10);
+        progress.at(4);
+        progress.file_done(10);
+        progress.begins("judging");
+        let heard = heard.lock().expect("one thread");
+        assert_eq!(*heard, [("reading", 0), ("reading", 4), ("judging", 10)]);
+    }
+}

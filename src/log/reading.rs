@@ -419,6 +419,36 @@ mod tests {
     }
 
     #[test]
+    fn files_that_the_caller_has_are_read_as_those_of_a_disk() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        ten_poses(&path, 100);
+        let bytes = fs::read(&path).unwrap();
+        let packed = zstd::bulk::compress(&bytes, 1).unwrap();
+        let own = open_one(&path).unwrap();
+        for content in [bytes.clone(), packed] {
+            // No such file is there.
+            let name = PathBuf::from("run");
+            let given = [(name.clone(), content.into())].into();
+            let options = ReadOptions { given, ..ReadOptions::default() };
+            let log = open(std::slice::from_ref(&name), &options).unwrap();
+            assert_eq!((log.messages, &log.topics), (own.messages, &own.topics));
+            assert_eq!(log.files[0].path, name);
+        }
+        let names = ["a", "b"].map(PathBuf::from);
+        let refused = |contents: [Vec<u8>; 2]| {
+            let given = names.clone().into_iter().zip(contents.map(Into::into)).collect();
+            let options = ReadOptions { given, ..ReadOptions::default() };
+            open(&names, &options).unwrap_err()
+        };
+        let twice = refused([bytes.clone(), bytes.clone()]);
+        assert!(matches!(twice, LogError::Twice { .. }), "{twice}");
+        assert!(matches!(refused([Vec::new(), bytes.clone()]), LogError::Empty { .. }));
+        let database = refused([bytes, unpack::SQLITE_MAGIC.to_vec()]);
+        assert!(database.to_string().contains("SQLite has no files"), "{database}");
+    }
+
+    #[test]
     fn progress_ends_where_the_files_do() {
         let folder = tempfile::tempdir().unwrap();
         let paths = ["a", "b"].map(|name| folder.path().join(name));

@@ -106,6 +106,7 @@
     const files = chosen.map((file) => ({ name: file.name, as: kind(file) }));
     const began = performance.now();
     say(at("said"), "");
+    delete at("said").dataset.status;
     at("result").hidden = true;
     at("course").hidden = false;
     at("doing").textContent = "Starting";
