@@ -9,6 +9,7 @@ use poseaudit::log::Progress;
 
 use crate::answer;
 
+#[link(wasm_import_module = "page")]
 unsafe extern "C" {
     /// Takes what is being done, and how many bytes of how many were read.
     fn step(doing: *const u8, length: usize, read: f64, total: f64);
