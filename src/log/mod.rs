@@ -8,6 +8,7 @@
 //! that cannot be decoded becomes [`Undecodable`], and only a file of which nothing can be read is a
 //! [`LogError`]. What a stream means is decided further up.
 #![warn(missing_docs, clippy::unwrap_used)]
+#![cfg_attr(target_arch = "wasm32", allow(dead_code, reason = "the reader of databases uses it"))]
 
 mod ahead;
 mod contents;

@@ -27,7 +27,7 @@ pub(super) struct Given {
 pub(super) fn given(sources: &[RobotSource]) -> Result<Vec<Given>, RunError> {
     sources
         .iter()
-        .map(|source| Ok(Given { robot: robot_of(&source.model)?, prefix: source.prefix.clone() }))
+        .map(|source| Ok(Given { robot: source.robot()?, prefix: source.prefix.clone() }))
         .collect()
 }
 
