@@ -2,9 +2,9 @@
 """Audits every fixture in the page that `.ci/wasm` builds, in headless Chromium, and holds what it says against the
 program.
 
-    python3 tests/browser/audit.py target/debug/poseaudit FOLDER                # checks
-    python3 tests/browser/audit.py target/debug/poseaudit FOLDER --time LOG ... # how long each takes in both
-    python3 tests/browser/audit.py target/debug/poseaudit FOLDER --picture FILE # and makes a picture of the page
+    python3 tests/page/audit.py target/debug/poseaudit FOLDER                # checks
+    python3 tests/page/audit.py target/debug/poseaudit FOLDER --time LOG ... # how long each takes in both
+    python3 tests/page/audit.py target/debug/poseaudit FOLDER --picture FILE # and makes a picture of the page
 
 Needs Playwright, and Chromium as tests/browser/html.py says. The page must ask the network for nothing once it is
 loaded, raise no error, and give the program's reports: every word, and numbers to rounding.
