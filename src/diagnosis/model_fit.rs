@@ -358,7 +358,8 @@ impl<'a> Sight<'a> {
             if gain > 0.0 {
                 best = (left_m, guess.clone());
             }
-            let Some(step) = step.filter(|_| round < ROUNDS && gain.abs() > SETTLED * left_m) else {
+            let Some(step) = step.filter(|_| round < ROUNDS && gain.abs() > SETTLED * left_m)
+            else {
                 break;
             };
             let dof = guess.zeros.len();

@@ -367,8 +367,7 @@ fn all_fits(samples: &Samples) -> Vec<Fit> {
     let fk: Vec<Rotation> = samples.fk.iter().step_by(stride).copied().collect();
     let few = Samples { logged: Logged::Rotations(&logged), fk: &fk, ..*samples };
     let screened = each_of(&few, readings(samples));
-    let left =
-        |fits: &[Fit]| fits.iter().map(|fit| fit.residual_rad).fold(f64::INFINITY, f64::min);
+    let left = |fits: &[Fit]| fits.iter().map(|fit| fit.residual_rad).fold(f64::INFINITY, f64::min);
     let mut all: Vec<f64> = screened.iter().map(|fits| left(fits)).collect();
     all.sort_by(f64::total_cmp);
     let few_near = all[KEPT.min(all.len() - 1)];

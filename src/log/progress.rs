@@ -93,7 +93,9 @@ mod tests {
         let heard = Arc::new(Mutex::new(Vec::new()));
         let progress = Progress::telling({
             let heard = Arc::clone(&heard);
-            move |progress| heard.lock().expect("one thread").push((progress.doing(), progress.read()))
+            move |progress| {
+                heard.lock().expect("one thread").push((progress.doing(), progress.read()))
+            }
         });
         progress.begin(10);
         progress.at(4);
