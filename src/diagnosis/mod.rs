@@ -93,7 +93,7 @@ pub use imu::{
 pub use joints::{JointOffset, JointReading, JointScale, JointSlip, JointUnit, Twin};
 pub use lag::{LatencyResidual, residual_by_latency};
 pub use latency::Peak;
-pub use model_fit::{ModelFit, Needs, Priced, Way, model_fit};
+pub use model_fit::{ModelFit, Needs, Priced, Way, harmless_fit, model_fit};
 pub use motion::{Abruptness, Excess, Series, abruptness, beyond_positions, beyond_speed, rates};
 pub use observability::{BlindDirection, Observability, Parameter};
 pub use proof::{Amount, Error, Part, Proof, Short, Size, proof};

@@ -128,20 +128,35 @@ impl ModelFit {
 /// How the model behind `stream`'s chain fits its positions; `None` where the joints cover too few
 /// samples.
 pub fn model_fit(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Option<ModelFit> {
-    let scale = metres_by_size(joints, stream);
-    let lag_s = lags(joints, stream, most_lag_s);
-    let tried = lag_s.into_iter().filter_map(|lag_s| Sight::of(joints, stream, scale, lag_s));
-    let best = tried
-        .map(|sight| {
-            let fit = sight.fit();
-            (fit.harmless_m(), sight, fit)
-        })
-        .min_by(|a, b| a.0.total_cmp(&b.0));
-    let (_, sight, mut fit) = best?;
+    let (sight, mut fit) = best_fit(joints, stream, most_lag_s, Sight::fit)?;
     if fit.ways.iter().all(|way| way.left_m > ASTRAY_M) {
         fit.ways.extend(sight.misread_ways());
     }
     Some(fit)
+}
+
+/// The same with no fault assumed, a tenth of the work: it tells which models may be those of a log that some
+/// model fits so.
+pub fn harmless_fit(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Option<ModelFit> {
+    let fit = |sight: &Sight| sight.fit_of(&[Needs::Nothing, Needs::Tool]);
+    best_fit(joints, stream, most_lag_s, fit).map(|(_, fit)| fit)
+}
+
+/// The fit at the latency at which least is left without a fault.
+fn best_fit<'a>(
+    joints: &'a JointTrack,
+    stream: &PoseStream<'a>,
+    most_lag_s: f64,
+    fit: impl Fn(&Sight<'a>) -> ModelFit,
+) -> Option<(Sight<'a>, ModelFit)> {
+    let scale = metres_by_size(joints, stream);
+    let lag_s = lags(joints, stream, most_lag_s);
+    let tried = lag_s.into_iter().filter_map(|lag_s| Sight::of(joints, stream, scale, lag_s));
+    let fits = tried.map(|sight| {
+        let fit = fit(&sight);
+        (sight, fit)
+    });
+    fits.min_by(|a, b| a.1.harmless_m().total_cmp(&b.1.harmless_m()))
 }
 
 /// How the model fits with a tool, its frame free where that is not known, and `with_zero` with that of one
@@ -231,7 +246,11 @@ impl<'a> Sight<'a> {
             .chain([false, true].map(|tool| Needs::Reference { tool }))
             .chain(zeros)
             .collect();
-        let ways = needs.into_iter().filter_map(|needs| self.way(needs)).collect();
+        self.fit_of(&needs)
+    }
+
+    fn fit_of(&self, needs: &[Needs]) -> ModelFit {
+        let ways = needs.iter().filter_map(|needs| self.way(*needs)).collect();
         ModelFit { samples: self.t_s.len(), spread_m: super::placing::spread(&self.xyz), ways }
     }
 

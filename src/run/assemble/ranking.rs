@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::assembly::{Assembly, is_topic};
 use super::groups::Group;
-use crate::diagnosis::{ModelFit, Needs, PoseStream, Priced, model_fit};
+use crate::diagnosis::{ModelFit, Needs, PoseStream, Priced, harmless_fit, model_fit};
 use crate::finding::Unit;
 use crate::robot::catalogue;
 use crate::run::arm::{Arm, Ends};
@@ -22,7 +22,7 @@ use crate::run::skeleton;
 use crate::run::sources::PoseSource;
 use crate::run::space::Claim;
 use crate::run::tf_tree::TfTree;
-use crate::stream::Columns;
+use crate::stream::{Columns, JointTrack};
 
 /// A model fits where no more than this is left, m, as of a drawing against a calibrated arm, …
 const FITS_M: f64 = 3e-3;
@@ -34,6 +34,14 @@ const MOST_STREAMS: usize = 6;
 const APART: f64 = 20.0;
 /// Residuals below these say nothing: rounding, and the difference of an arm from its drawing.
 const FLOOR_M: std::ops::RangeInclusive<f64> = 5e-6..=1e-3;
+/// Of more models than these, where one leaves no more than this of each stream without a fault, m, those that
+/// leave so many times that and more than fits are not asked what fault would help them.
+const MANY: usize = 4;
+const CLEAR_M: f64 = 1e-4;
+const FAR: f64 = 100.0;
+
+/// A fit of a model's chain to a stream, with latencies up to that, s.
+type FitOf = fn(&JointTrack, &PoseStream, f64) -> Option<ModelFit>;
 
 /// How one model fits the streams of poses.
 #[derive(Default)]
@@ -82,13 +90,22 @@ impl ByPoses<'_> {
     /// The models ranked by what they need to be where the streams of poses say, best first; none where
     /// no stream tells. No model is held to a frame that another one does not know.
     pub fn ranking(&self, models: &[&Model]) -> Option<Ranking> {
-        let of = |model: &&Model| self.entry(model, &BTreeSet::new());
-        let mut entries: Vec<Entry> = models.par_iter().map(of).collect();
+        let of = |model: &&Model| self.entry(model, &BTreeSet::new(), harmless_fit);
+        let mut entries: Vec<Entry> = match models.len() > MANY {
+            true => models.par_iter().map(of).collect(),
+            false => models.iter().map(|_| Entry::default()).collect(),
+        };
+        let near = near(&entries);
+        entries.par_iter_mut().zip(models).zip(&near).for_each(|((entry, model), near)| {
+            if *near {
+                *entry = self.entry(model, &BTreeSet::new(), model_fit);
+            }
+        });
         let unknown = entries.iter().flat_map(|entry| entry.whose_frame_is(false));
         let free: BTreeSet<usize> = unknown.collect();
         entries.par_iter_mut().zip(models).for_each(|(entry, model)| {
             if entry.whose_frame_is(true).any(|stream| free.contains(&stream)) {
-                *entry = self.entry(model, &free);
+                *entry = self.entry(model, &free, model_fit);
             }
         });
         let ranks = ranks(&entries);
@@ -180,7 +197,7 @@ impl ByPoses<'_> {
     }
 
     /// How a model fits the streams, held to the frames of all but those that are `free`.
-    fn entry(&self, model: &Model, free: &BTreeSet<usize>) -> Entry {
+    fn entry(&self, model: &Model, free: &BTreeSet<usize>, fit: FitOf) -> Entry {
         let Assembly { options, streams, origin, .. } = self.assembly;
         let ends = Ends { base: options.base.as_deref(), tip: options.tip.as_deref() };
         let arm = self
@@ -197,7 +214,7 @@ impl ByPoses<'_> {
             let new = source.filter(|one| !sources.iter().any(|other| one.is_copy_of(other)));
             let Some(source) = new else { continue };
             let knows_frame = source.reference_known && !free.contains(&stream);
-            let fit = self.fit_of(&arm, &source, knows_frame);
+            let fit = self.fit_of(&arm, &source, knows_frame, fit);
             fits.extend(fit.map(|fit| Fitted { stream, knows_frame, fit }));
             sources.push(source);
             if fits.len() == MOST_STREAMS {
@@ -227,7 +244,13 @@ impl ByPoses<'_> {
     }
 
     /// How `arm` fits a stream, held to its frame or not.
-    fn fit_of(&self, arm: &Arm, source: &PoseSource, knows_frame: bool) -> Option<ModelFit> {
+    fn fit_of(
+        &self,
+        arm: &Arm,
+        source: &PoseSource,
+        knows_frame: bool,
+        fit: FitOf,
+    ) -> Option<ModelFit> {
         let stream = PoseStream {
             track: &source.track,
             chain: &source.chain,
@@ -236,8 +259,27 @@ impl ByPoses<'_> {
             stamp_error_s: source.stamp_error_s,
             stamps_copied: source.stamps_copied,
         };
-        model_fit(&arm.joints, &stream, self.assembly.options.max_latency_s)
+        fit(&arm.joints, &stream, self.assembly.options.max_latency_s)
     }
+}
+
+/// Which models come near to the one that leaves least without a fault; all where none is clear.
+fn near(entries: &[Entry]) -> Vec<bool> {
+    let streams: BTreeSet<usize> =
+        entries.iter().flat_map(|entry| entry.fits.iter().map(|fitted| fitted.stream)).collect();
+    let left =
+        |stream: usize, entry: &Entry| entry.of(stream).map_or(f64::INFINITY, ModelFit::harmless_m);
+    let least_m: Vec<(usize, f64)> = streams
+        .into_iter()
+        .map(|stream| {
+            (stream, entries.iter().map(|it| left(stream, it)).fold(f64::INFINITY, f64::min))
+        })
+        .collect();
+    let is_clear = !least_m.is_empty() && least_m.iter().all(|(_, least_m)| *least_m < CLEAR_M);
+    let is_near = |entry: &Entry| {
+        least_m.iter().any(|&(stream, least_m)| left(stream, entry) <= FITS_M.max(FAR * least_m))
+    };
+    entries.iter().map(|entry| !is_clear || is_near(entry)).collect()
 }
 
 /// The models by their scores over the streams that some of them explains, or over all where none does.
