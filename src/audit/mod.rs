@@ -70,6 +70,7 @@ impl Read {
                 files: files.collect(),
                 notes: notes.collect(),
                 messages: log.messages,
+                time_column: log.time_column.clone(),
                 start_ns: log.span.map(|span| span.0),
                 end_ns: log.span.map(|span| span.1),
                 duration_s: log.span.map(|(start, end)| end.seconds_since(start)),

@@ -15,7 +15,7 @@ use bytes::Bytes;
 
 use super::LogError;
 
-pub(super) use self::place::{Temporary, temporary};
+pub(super) use self::place::{Temporary, advise, temporary};
 
 /// A file in memory.
 pub(super) struct Mapped(Bytes);
@@ -74,21 +74,3 @@ pub(super) enum Looks {
     /// At all of it, soon.
     Whole,
 }
-
-/// Tells the system how `bytes` will be looked at. That is advice: whatever comes of it, they are the same.
-#[cfg(target_os = "linux")]
-pub(super) fn advise(bytes: &[u8], looks: Looks) {
-    /// Or a multiple of it, of which the system tells nothing but an error.
-    const PAGE: usize = 1 << 12;
-    let advice = match looks {
-        Looks::Scattered => libc::MADV_RANDOM,
-        Looks::Whole => libc::MADV_WILLNEED,
-    };
-    let before = bytes.as_ptr().addr() % PAGE;
-    let start = bytes.as_ptr().wrapping_sub(before).cast_mut().cast();
-    // SAFETY: neither advice changes what is in memory, and the call looks at no byte.
-    let _advice = unsafe { libc::madvise(start, before + bytes.len(), advice) };
-}
-
-#[cfg(not(target_os = "linux"))]
-pub(super) fn advise(_: &[u8], _: Looks) {}

@@ -41,6 +41,8 @@ mod testing;
 mod topic;
 mod unpack;
 
+use std::fs::File;
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 pub use self::contents::{
@@ -57,7 +59,7 @@ pub use self::progress::Progress;
 pub use self::reading::open;
 pub use self::remote::{Listed, RemoteFault, is_url, list, normal};
 pub use self::tables::{
-    ColumnSelector, ColumnSettings, episode_of, episodes, files_of_store, is_in_dataset, is_store,
+    ColumnSelector, ColumnSettings, dataset_of, episode_of, episodes, files_of_store, is_store,
 };
 
 /// The local file that `path` names, itself or as a `file://` URL; `None` for an object in a store.
@@ -68,6 +70,13 @@ pub fn local(path: &Path) -> Option<PathBuf> {
 
 /// How much of a file's beginning [`looks_like_log`] wants to see, in bytes.
 pub const HEAD_BYTES: u64 = 4096;
+
+/// Whether the file at `path` holds a table, by its first bytes.
+pub fn is_table(path: &Path) -> bool {
+    let mut head = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(HEAD_BYTES).read_to_end(&mut head));
+    is_store(path) || (read.is_ok() && matches!(sniff::kind(&head), sniff::Kind::Table(_)))
+}
 
 /// Whether a file that begins with `head` may be a log: of a zstd archive only reading it tells.
 pub fn looks_like_log(head: &[u8]) -> bool {

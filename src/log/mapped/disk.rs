@@ -7,6 +7,8 @@ use std::io;
 use bytes::Bytes;
 use memmap2::MmapOptions;
 
+use super::Looks;
+
 /// What is kept for a while, and goes with the process.
 pub(crate) type Temporary = File;
 
@@ -59,3 +61,21 @@ fn worth_reading(file: &File, bytes: u64) -> usize {
 fn worth_reading(_: &File, bytes: u64) -> usize {
     usize::try_from(bytes).unwrap_or(usize::MAX)
 }
+
+/// Tells the system how `bytes` will be looked at. That is advice: whatever comes of it, they are the same.
+#[cfg(target_os = "linux")]
+pub(crate) fn advise(bytes: &[u8], looks: Looks) {
+    /// Or a multiple of it, of which the system tells nothing but an error.
+    const PAGE: usize = 1 << 12;
+    let advice = match looks {
+        Looks::Scattered => libc::MADV_RANDOM,
+        Looks::Whole => libc::MADV_WILLNEED,
+    };
+    let before = bytes.as_ptr().addr() % PAGE;
+    let start = bytes.as_ptr().wrapping_sub(before).cast_mut().cast();
+    // SAFETY: neither advice changes what is in memory, and the call looks at no byte.
+    let _advice = unsafe { libc::madvise(start, before + bytes.len(), advice) };
+}
+
+#[cfg(not(target_os = "linux"))]
+pub(crate) fn advise(_: &[u8], _: Looks) {}

@@ -35,6 +35,12 @@ const APART: f64 = 20.0;
 /// Residuals below these say nothing: rounding, and the difference of an arm from its drawing.
 const FLOOR_M: std::ops::RangeInclusive<f64> = 5e-6..=1e-3;
 
+/// Of more models than these, where one leaves no more than this of each stream without a fault, m, those that
+/// leave so many times that and more than fits are not asked what fault would help them.
+const MANY: usize = 4;
+const CLEAR_M: f64 = 1e-4;
+const FAR: f64 = 100.0;
+
 /// How one model fits the streams of poses.
 #[derive(Default)]
 struct Entry {
@@ -94,9 +100,9 @@ impl ByPoses<'_> {
             }
         });
         // What faults explain is asked only where it could be cheaper.
-        let floors_m = floors_m(&entries);
-        entries.par_iter_mut().for_each(|Entry { arm, fits }| {
-            let Some(arm) = arm else { return };
+        let (floors_m, near) = (floors_m(&entries), near(&entries));
+        entries.par_iter_mut().zip(near).for_each(|(Entry { arm, fits }, is_near)| {
+            let Some(arm) = arm.as_ref().filter(|_| is_near) else { return };
             let open = fits.iter_mut().filter(|it| !it.fit.is_settled(floors_m[&it.stream]));
             open.for_each(|it| {
                 let all = self.fit_of(arm, &it.source, it.knows_frame, Tried::All);
@@ -270,6 +276,26 @@ fn floors_m(entries: &[Entry]) -> BTreeMap<usize, f64> {
         *least = least.min(floor_m);
     }
     floors_m
+}
+
+/// Which models come near to the one that leaves least without a fault; all where none is clear, or they are few.
+fn near(entries: &[Entry]) -> Vec<bool> {
+    let streams: BTreeSet<usize> =
+        entries.iter().flat_map(|entry| entry.fits.iter().map(|fitted| fitted.stream)).collect();
+    let left =
+        |stream: usize, entry: &Entry| entry.of(stream).map_or(f64::INFINITY, ModelFit::harmless_m);
+    let least_m: Vec<(usize, f64)> = streams
+        .into_iter()
+        .map(|stream| {
+            (stream, entries.iter().map(|it| left(stream, it)).fold(f64::INFINITY, f64::min))
+        })
+        .collect();
+    let is_clear = !least_m.is_empty() && least_m.iter().all(|(_, least_m)| *least_m < CLEAR_M);
+    let is_near = |entry: &Entry| {
+        least_m.iter().any(|&(stream, least_m)| left(stream, entry) <= FITS_M.max(FAR * least_m))
+    };
+    let is_asked = |entry| entries.len() <= MANY || !is_clear || is_near(entry);
+    entries.iter().map(is_asked).collect()
 }
 
 /// The models by their scores over the streams that some of them explains, or over all where none does.
