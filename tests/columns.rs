@@ -193,3 +193,61 @@ fn names_that_the_numbers_contradict_are_a_finding() {
     let (found, message) = status(&degrees, &names);
     assert!(found == Status::Fail && message.contains("says rad"), "{message}");
 }
+
+#[test]
+fn ticks_are_read_where_a_pose_tells_them_and_init_writes_their_map() {
+    const TURN: f64 = 4096.0;
+    let ticks = |row: &Vec<f64>| -> Vec<f64> {
+        let of = |(at, number): (usize, &f64)| match at {
+            1..7 => (number * TURN / std::f64::consts::TAU + 0.5 * TURN).round(),
+            _ => *number,
+        };
+        row.iter().enumerate().map(of).collect()
+    };
+    let folder = tempfile::tempdir().expect("a folder");
+    let late = Table { late_s: 0.06, ..CLEAN };
+    let rows: Vec<Vec<f64>> = late.rows().iter().map(ticks).collect();
+    let path = csv(folder.path(), &rows, None);
+    let found = report(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
+    assert_eq!(columns(&found, "pose"), numbered(6..13), "{:?}", found.error);
+    assert!((amount(&found, "LAT001") - 0.06).abs() < 2e-3, "{:?}", causes(&found));
+    let written = template(&found);
+    assert!(
+        written.contains("joint_factors = [0.0015") && written.contains("joint_offsets = [-3.14")
+    );
+    let config = Config::from_text(written, Path::new("p.toml")).expect("a config");
+    let mut options = Options { logs: vec![path], ..config.options() };
+    options.run.robots = vec!["ur5e".into()];
+    let again = audit(&options).expect("a report").into_report();
+    assert_eq!(causes(&again), causes(&found));
+    assert_eq!(amount(&again, "LAT001"), amount(&found, "LAT001"));
+}
+
+#[test]
+fn commands_beside_named_joints_are_told_by_their_numbers() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let rows = CLEAN.rows();
+    let lead = (0.1 / STEP_S) as usize;
+    let names: Vec<String> = std::iter::once("t".to_owned())
+        .chain((1..7).map(|at| format!("state.joint_{at}")))
+        .chain((1..7).map(|at| format!("action.joint_{at}")))
+        .collect();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    let status = |order: [usize; 6]| {
+        let row = |(at, row): (usize, &Vec<f64>)| {
+            let ahead = &rows[(at + lead).min(rows.len() - 1)];
+            [&row[..7], &order.map(|joint| ahead[joint])].concat()
+        };
+        let table: Vec<Vec<f64>> = rows.iter().enumerate().map(row).collect();
+        let path = csv(folder.path(), &table, Some(&names));
+        report(&path, Some("ur5e"), ColumnSettings::default()).expect("a report")
+    };
+    let right = status([1, 2, 3, 4, 5, 6]);
+    assert!((amount(&right, "LAT004") - 0.1).abs() < 0.02, "{:?}", causes(&right));
+    assert!(!causes(&right).contains(&"META001"));
+    let swapped = status([1, 3, 2, 4, 5, 6]);
+    let found = swapped.findings.iter().find(|one| one.code == "META001");
+    let message = &found.expect("swapped names").message;
+    assert!(message.contains("q2, q3 moves") || message.contains("q3, q2 moves"), "{message}");
+    assert!(!causes(&swapped).contains(&"LAT004"));
+}

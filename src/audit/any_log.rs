@@ -373,6 +373,7 @@ impl AnyLog {
             contradictions: None,
             repeats: None,
             robot_type: None,
+            time_column: None,
             question: None,
         };
         let end = |index: usize| {

@@ -103,9 +103,9 @@ pub struct Args {
     #[arg(short, long, value_name = "PATH")]
     output: Option<PathBuf>,
 
-    /// Audit this one log, as stdin says: what this program calls itself with
-    #[arg(long, hide = true, value_name = "LOG")]
-    worker: Option<PathBuf>,
+    /// Audit the logs that stdin names: what this program calls itself with
+    #[arg(long, hide = true)]
+    worker: bool,
 }
 
 #[derive(Debug, Subcommand)]
@@ -159,8 +159,8 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     args.how.find_config(&args.sources)?;
     let (options, _) = args.how.clone().options()?;
     let out = args.out.clone().unwrap_or_default();
-    if let Some(log) = &args.worker {
-        return work(log, &options, &Store::create(&out)?, args.pages);
+    if args.worker {
+        return work(&options, &Store::create(&out)?, args.pages);
     }
     let sources = sources(&args.sources, io::stdin().lock())?;
     places(&args, &options, &out, &sources).check()?;
@@ -254,18 +254,18 @@ fn audit(
     outcomes
 }
 
-/// This very call, for one log.
-fn worker(log: &Path) -> io::Result<process::Command> {
+/// This very call, for those logs that it is told.
+fn worker() -> io::Result<process::Command> {
     let mut command = process::Command::new(std::env::current_exe()?);
     // Before the name of the command only what all commands take may stand.
     let args: Vec<OsString> = std::env::args_os().skip(1).collect();
     let name = args.iter().position(|word| word == "fleet").map_or(0, |at| at + 1);
-    command.args(&args[..name]).arg("--worker").arg(log).args(&args[name..]);
+    command.args(&args[..name]).arg("--worker").args(&args[name..]);
     Ok(command)
 }
 
-fn work(log: &Path, options: &Options, store: &Store, paged: bool) -> Result<Outcome, Trouble> {
-    serve(log, options, store, paged).map_err(|error| {
+fn work(options: &Options, store: &Store, paged: bool) -> Result<Outcome, Trouble> {
+    serve(options, store, paged).map_err(|error| {
         misuse("--worker", error.to_string(), "leave this option to the program itself")
     })?;
     Ok(Outcome::Clean)

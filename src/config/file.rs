@@ -106,6 +106,12 @@ pub(super) struct Columns {
     /// Commanded joint positions, likewise.
     #[serde(default)]
     pub joint_commands: Selection,
+    /// For each joint the rad of one unit of its numbers, where these are no rad: rad = factor * number + offset.
+    #[serde(default)]
+    pub joint_factors: Vec<f64>,
+    /// For each joint the rad where its number is 0. Default: 0.
+    #[serde(default)]
+    pub joint_offsets: Vec<f64>,
     /// The measured pose of the tool: position, then rotation. 3, 6, 7, 12 or 16 numbers.
     #[serde(default)]
     pub pose: Selection,
@@ -127,6 +133,12 @@ pub(super) struct ArmColumns {
     /// Commanded joint positions, likewise.
     #[serde(default)]
     pub joint_commands: Selection,
+    /// For each joint the rad of one unit of its numbers, where these are no rad: rad = factor * number + offset.
+    #[serde(default)]
+    pub joint_factors: Vec<f64>,
+    /// For each joint the rad where its number is 0. Default: 0.
+    #[serde(default)]
+    pub joint_offsets: Vec<f64>,
     /// The measured pose of the tool: position, then rotation. 3, 6, 7, 12 or 16 numbers.
     #[serde(default)]
     pub pose: Selection,
@@ -141,6 +153,8 @@ impl Columns {
             let settings = ColumnSettings {
                 joints: arm.joints.0.clone(),
                 joint_commands: arm.joint_commands.0.clone(),
+                joint_factors: arm.joint_factors.clone(),
+                joint_offsets: arm.joint_offsets.clone(),
                 pose: arm.pose.0.clone(),
                 pose_commands: arm.pose_commands.0.clone(),
                 ..ColumnSettings::default()
@@ -152,6 +166,8 @@ impl Columns {
             rate_hz: self.rate_hz.map(|rate| rate.0),
             joints: self.joints.0.clone(),
             joint_commands: self.joint_commands.0.clone(),
+            joint_factors: self.joint_factors.clone(),
+            joint_offsets: self.joint_offsets.clone(),
             pose: self.pose.0.clone(),
             pose_commands: self.pose_commands.0.clone(),
             arms: self.arm.iter().map(of_arm).collect(),

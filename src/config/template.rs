@@ -126,7 +126,12 @@ impl Template {
             return;
         }
         self.line("\n# What the columns hold. What names say is a comment.\n[columns]");
-        self.unset("time", "\"timestamp\"", "or rate_hz = 50, where no column holds times");
+        match &report.log.time_column {
+            Some(column) => self.set("time", &quoted(column), "by its numbers"),
+            None => {
+                self.unset("time", "\"timestamp\"", "or rate_hz = 50, where no column holds times");
+            }
+        }
         let mut last = "";
         for stream in told() {
             let (arm, key) = stream.topic.rsplit_once('/').unwrap_or(("", &stream.topic));
@@ -144,6 +149,15 @@ impl Template {
                     last = arm;
                 }
                 self.set(key, &value, "");
+                if key == "joints" && !stream.joint_lines.is_empty() {
+                    let each = |at: usize| {
+                        let all: Vec<f64> =
+                            stream.joint_lines.iter().map(|line| line[at]).collect();
+                        format!("{all:?}")
+                    };
+                    self.set("joint_factors", &each(0), "rad = factor * number + offset");
+                    self.set("joint_offsets", &each(1), "");
+                }
             } else if stream.role == SaidRole::Joints.name() {
                 self.unset("joints", &value, "by their names");
             } else if stream.role == SaidRole::Pose.name() {

@@ -30,20 +30,33 @@ pub(super) fn module(report: &Report, run: &Run, corrections: &Corrections) -> O
     let mut found = Columnwise::default();
     for stream in run.streams.iter().filter(|stream| stream.role == Role::Joints) {
         let Some(Columns::Joints(joints)) = &stream.columns else { continue };
-        let unit = |offset: f64| {
-            if joints.taken_for_degrees { offset.to_degrees() } else { offset }
-        };
+        let degrees = if joints.taken_for_degrees { 1_f64.to_radians() } else { 1.0 };
         for (number, joint) in joints.joints.iter().enumerate() {
             let own = corrections.joints.iter().find(|own| own.name == joint.name);
             let Some(own) = own else { continue };
-            let offset = own.offset_rad.map(unit).or(own.offset_m).unwrap_or(0.0);
-            let numbers = found.numbers.entry(stream.topic.clone()).or_default();
-            numbers.insert(number, [own.factor.unwrap_or(1.0), offset]);
+            // Position = scale * number + from.
+            let [scale, from] = joints.lines.get(number).copied().unwrap_or([degrees, 0.0]);
+            let factor = own.factor.unwrap_or(1.0);
+            let offset = match own.offset_rad {
+                Some(offset) => (factor * from + offset - from) / scale,
+                None => own.offset_m.unwrap_or(0.0),
+            };
+            let (column, at) = match stream.cells.get(number).and_then(|cell| part_of(cell)) {
+                Some(place) => place,
+                None => (stream.topic.clone(), number),
+            };
+            found.numbers.entry(column).or_default().insert(at, [factor, offset]);
         }
     }
     let late = corrections.topics.iter().filter(|topic| topic.skew.is_none());
     found.late_s = late.filter_map(|own| Some((own.name.clone(), own.latency_s?))).collect();
     found.text()
+}
+
+/// The column and the number in its rows that `NAME[AT]` is.
+fn part_of(cell: &str) -> Option<(String, usize)> {
+    let (column, at) = cell.strip_suffix(']')?.rsplit_once('[')?;
+    Some((column.to_owned(), at.parse().ok()?))
 }
 
 impl Columnwise {

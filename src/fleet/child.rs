@@ -1,20 +1,23 @@
-//! A process for each log: what it takes, and where it dies, is its own affair.
+//! Processes that audit: what a log takes, and where its audit dies, is not the caller's affair.
 //!
-//! The process that audits is this program again, called with the same options. It is told its task in
-//! a line on stdin, and tells how it ended in a line on stdout; its rows it writes itself. When its
-//! stdin ends, whoever called it is gone, and so is it.
+//! A process that audits is this program again, called with the same options. It is told in a line on
+//! stdin what to do, tells in a line on stdout at which log it is, and in one how they ended; their rows it
+//! writes itself, those of one order together. It then waits for the next order: to start a process, read
+//! the catalogue and the metadata of a dataset costs as much as a short log. When its stdin ends, whoever
+//! called it is gone, and so is it.
 
 use std::fs::File;
-use std::io::{self, BufRead, BufReader, Read, Seek, Write};
-use std::path::Path;
-use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write};
+use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
+use super::dataset::{Shared, learnt};
 use super::settle::{is_of_memory, settle};
+use super::sources::path_of;
 use super::store::Store;
 use super::task::{Answer, Task};
 use crate::Options;
@@ -25,24 +28,41 @@ use crate::boundary::forget_staged;
 pub struct Limits {
     /// Time; any where there is none.
     pub time: Option<Duration>,
-    /// Memory of its own, bytes; any where there is none. Pages of the log's file do not count. Only
+    /// Memory of a process, bytes; any where there is none. Pages of the log's file do not count. Only
     /// Linux holds it.
     pub memory_bytes: Option<u64>,
 }
 
-/// What a process is told.
+/// What a process is to do.
 #[derive(Debug, Serialize, Deserialize)]
-struct Order {
-    task: Task,
-    memory_bytes: Option<u64>,
+pub enum Order {
+    /// Audit these.
+    Audit(Vec<Job>),
+    /// Say what the log at this path, in the bytes of this system, tells of all logs of its dataset.
+    Learn(Vec<u8>),
+}
+
+/// One log to audit.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Job {
+    /// Its path, in the bytes of this system.
+    pub path: Vec<u8>,
+    /// Under which key its rows are kept, and more.
+    pub task: Task,
+    /// What others of its dataset told.
+    pub shared: Option<Shared>,
 }
 
 /// What it tells.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Told {
-    /// How the audit ended, and what kept it from being one.
-    Answer(Answer, Option<String>),
+    /// It begins with a log: its place in the order.
+    Begun(usize),
+    /// How the first audits of the order ended, whose rows are kept, and what kept each from being one.
+    Answers(Vec<(Answer, Option<String>)>),
+    /// What a log tells of others.
+    Learnt(Option<Shared>),
     /// Why the rows could not be written.
     Fault(String),
 }
@@ -60,79 +80,132 @@ pub enum Death {
     Unable(String),
 }
 
-/// Has `command`, which ends in [`serve`], do `task`; tells how that ended, and what kept the log from
-/// being audited.
-///
-/// # Errors
-/// If it gives no answer.
-pub fn audited(
-    mut command: Command,
-    task: &Task,
-    limits: &Limits,
-) -> Result<(Answer, Option<String>), Death> {
-    let unable = |error: io::Error| Death::Unable(format!("no process can be started: {error}"));
-    let errors = tempfile::tempfile().map_err(|error| {
-        let folder = std::env::temp_dir();
-        let what = format!("no file can be made in {}: {error}", folder.display());
-        Death::Unable(what + "; let TMPDIR name another folder")
-    })?;
-    command
-        .env("RAYON_NUM_THREADS", "1")
-        .env("POLARS_MAX_THREADS", "1")
-        .env_remove("RUST_BACKTRACE")
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .stderr(errors.try_clone().map_err(unable)?);
-    let mut child = command.spawn().map_err(unable)?;
-    let order = Order { task: task.clone(), memory_bytes: limits.memory_bytes };
-    // Kept open until the end: with it the process would end.
-    let mut stdin = child.stdin.take();
-    if let Some(stdin) = &mut stdin {
+/// A process that waits for orders.
+pub struct Worker {
+    child: Child,
+    /// With its end the process ends.
+    stdin: ChildStdin,
+    lines: Receiver<String>,
+    errors: File,
+    time: Option<Duration>,
+}
+
+impl Worker {
+    /// Starts `command`, which ends in [`serve`].
+    ///
+    /// # Errors
+    /// Where it cannot be started.
+    pub fn start(mut command: Command, limits: &Limits) -> Result<Self, Death> {
+        let unable =
+            |error: io::Error| Death::Unable(format!("no process can be started: {error}"));
+        let errors = tempfile::tempfile().map_err(|error| {
+            let folder = std::env::temp_dir();
+            let what = format!("no file can be made in {}: {error}", folder.display());
+            Death::Unable(what + "; let TMPDIR name another folder")
+        })?;
+        command
+            .env("RAYON_NUM_THREADS", "1")
+            .env("POLARS_MAX_THREADS", "1")
+            .env_remove("RUST_BACKTRACE")
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(errors.try_clone().map_err(unable)?);
+        let mut child = command.spawn().map_err(unable)?;
+        let none = || unable(io::ErrorKind::BrokenPipe.into());
+        let mut stdin = child.stdin.take().ok_or_else(none)?;
+        let stdout = child.stdout.take().ok_or_else(none)?;
         // Where it has died already, its status says so.
-        let _ = writeln!(stdin, "{}", serde_json::to_string(&order).unwrap_or_default());
+        let _ = writeln!(stdin, "{}", limits.memory_bytes.unwrap_or_default());
+        let (sender, lines) = channel();
+        thread::spawn(move || {
+            let lines = BufReader::new(stdout).lines().map_while(Result::ok);
+            lines.map_while(|line| sender.send(line).ok()).for_each(drop);
+        });
+        Ok(Self { child, stdin, lines, errors, time: limits.time })
     }
-    let said = match heard(&mut child, limits.time) {
-        Some(said) => said,
-        None => {
-            let _ = child.kill();
-            let _ = child.wait();
-            return Err(Death::TimedOut);
+
+    /// Has it audit the first of some logs, one at least; how these ended, and what kept each from being
+    /// audited.
+    ///
+    /// # Errors
+    /// If it ends without that: how, and at which of the logs it was. The rows of none are kept.
+    pub fn audited(
+        &mut self,
+        jobs: Vec<Job>,
+    ) -> Result<Vec<(Answer, Option<String>)>, (usize, Death)> {
+        match self.told(&Order::Audit(jobs))? {
+            Told::Answers(answers) => Ok(answers),
+            _ => Err((0, self.gone())),
         }
-    };
-    let status = child.wait().map_err(unable)?;
-    match said.lines().last().and_then(|line| serde_json::from_str(line).ok()) {
-        Some(Told::Answer(answer, what)) => Ok((answer, what)),
-        Some(Told::Fault(why)) => Err(Death::Unable(why)),
-        None => Err(death(status, &words(errors))),
+    }
+
+    /// What the log at `path` tells of all of its dataset.
+    ///
+    /// # Errors
+    /// If the process ends without that.
+    pub fn learnt(&mut self, path: Vec<u8>) -> Result<Option<Shared>, Death> {
+        match self.told(&Order::Learn(path)).map_err(|(_, death)| death)? {
+            Told::Learnt(shared) => Ok(shared),
+            _ => Err(self.gone()),
+        }
+    }
+
+    /// What it tells in the end, and at which log it was where it does not.
+    fn told(&mut self, order: &Order) -> Result<Told, (usize, Death)> {
+        let said_before = self.errors.metadata().map_or(0, |metadata| metadata.len());
+        let mut at = 0;
+        // Where it has died already, its status says so.
+        let _ = writeln!(self.stdin, "{}", serde_json::to_string(order).unwrap_or_default());
+        loop {
+            let line = match self.time {
+                Some(time) => self.lines.recv_timeout(time),
+                None => self.lines.recv().map_err(|_| RecvTimeoutError::Disconnected),
+            };
+            match line.map(|line| serde_json::from_str(&line)) {
+                Ok(Ok(Told::Begun(log))) => at = log,
+                Ok(Ok(Told::Fault(why))) => return Err((at, Death::Unable(why))),
+                Ok(Ok(told)) => return Ok(told),
+                // What is not whole is no answer.
+                Ok(Err(_)) => {}
+                Err(RecvTimeoutError::Timeout) => {
+                    let _ = self.child.kill();
+                    let _ = self.child.wait();
+                    return Err((at, Death::TimedOut));
+                }
+                Err(RecvTimeoutError::Disconnected) => {
+                    let status = self.child.wait();
+                    let status = status.map_err(|error| (at, Death::Unable(error.to_string())))?;
+                    return Err((at, death(status, &self.words(said_before))));
+                }
+            }
+        }
+    }
+
+    /// That it answered what it was not asked.
+    fn gone(&mut self) -> Death {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+        Death::Crashed("it answered what it was not asked".to_owned())
+    }
+
+    /// What the process wrote to stderr behind the first of so many bytes.
+    fn words(&mut self, said_before: u64) -> String {
+        let mut bytes = Vec::new();
+        // What cannot be read says nothing.
+        let _ = self
+            .errors
+            .seek(SeekFrom::Start(said_before))
+            .and_then(|_| (&mut self.errors).take(1 << 16).read_to_end(&mut bytes));
+        String::from_utf8_lossy(&bytes).into_owned()
     }
 }
 
-/// All that a process says; `None` where it takes longer than it may.
-fn heard(child: &mut Child, time: Option<Duration>) -> Option<String> {
-    let mut stdout = child.stdout.take()?;
-    let (sender, receiver) = channel();
-    thread::spawn(move || {
-        let mut said = String::new();
-        // What is not whole is no answer.
-        let _ = stdout.read_to_string(&mut said);
-        let _ = sender.send(said);
-    });
-    let said = match time {
-        Some(time) => receiver.recv_timeout(time),
-        None => receiver.recv().map_err(|_| RecvTimeoutError::Disconnected),
-    };
-    match said {
-        Err(RecvTimeoutError::Timeout) => None,
-        said => Some(said.unwrap_or_default()),
+impl Drop for Worker {
+    fn drop(&mut self) {
+        // It waits for an order, or it has ended.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
     }
-}
-
-/// What a process wrote to stderr.
-fn words(mut errors: File) -> String {
-    let mut bytes = Vec::new();
-    // What cannot be read says nothing.
-    let _ = errors.rewind().and_then(|()| errors.take(1 << 16).read_to_end(&mut bytes));
-    String::from_utf8_lossy(&bytes).into_owned()
 }
 
 fn death(status: ExitStatus, words: &str) -> Death {
@@ -159,30 +232,72 @@ fn signal(_: ExitStatus) -> Option<i32> {
     None
 }
 
-/// What the process of one log does: takes its task from stdin, audits the log at `path` as `options`
-/// say, writes its rows into `store`, with `paged` its page, too, and tells how that ended on stdout.
+/// Orders are cut short after so long, that a call which is killed loses little.
+const ORDER: Duration = Duration::from_secs(2);
+
+/// What a process does that audits: takes orders from stdin, audits logs as `options` say, writes their rows
+/// into `store`, with `paged` their pages, too, and tells how they ended on stdout.
 ///
 /// # Errors
-/// If no task comes, or nobody takes the answer.
-pub fn serve(path: &Path, options: &Options, store: &Store, paged: bool) -> io::Result<()> {
-    let mut stdin = BufReader::new(io::stdin());
-    let mut line = String::new();
-    stdin.read_line(&mut line)?;
-    let Order { task, memory_bytes } = serde_json::from_str(&line)?;
+/// If nobody takes the answers.
+pub fn serve(options: &Options, store: &Store, paged: bool) -> io::Result<()> {
+    let mut lines = BufReader::new(io::stdin()).lines();
+    let memory_bytes = lines.next().transpose()?.and_then(|line| line.parse().ok());
+    if let Some(bytes) = memory_bytes.filter(|bytes| *bytes > 0) {
+        limit_memory(bytes)?;
+    }
+    let (sender, orders) = channel();
     thread::spawn(move || {
-        let _ = io::copy(&mut stdin, &mut io::sink());
+        lines.map_while(Result::ok).map_while(|line| sender.send(line).ok()).for_each(drop);
         forget_staged();
         std::process::exit(1);
     });
-    if let Some(bytes) = memory_bytes {
-        limit_memory(bytes)?;
+    for order in orders {
+        match serde_json::from_str(&order)? {
+            Order::Learn(path) => tell(&Told::Learnt(learnt(&path_of(&path), options)))?,
+            Order::Audit(jobs) => match audited(&jobs, options, store, paged)? {
+                Ok(answers) => tell(&Told::Answers(answers))?,
+                Err(why) => tell(&Told::Fault(why))?,
+            },
+        }
     }
-    let told = match settle(path, &task, options, store, paged) {
-        Ok((answer, what)) => Told::Answer(answer, what),
-        Err(error) => Told::Fault(error.to_string()),
-    };
+    Ok(())
+}
+
+/// Audits some logs, as far as it comes in a while, and keeps their rows; or why these cannot be kept.
+#[expect(clippy::type_complexity, reason = "the answers are what is told")]
+fn audited(
+    jobs: &[Job],
+    options: &Options,
+    store: &Store,
+    paged: bool,
+) -> io::Result<Result<Vec<(Answer, Option<String>)>, String>> {
+    let begun = Instant::now();
+    let (mut rows, mut answers) = (Vec::new(), Vec::new());
+    for (at, Job { path, task, shared }) in jobs.iter().enumerate() {
+        if at > 0 && begun.elapsed() > ORDER {
+            break;
+        }
+        tell(&Told::Begun(at))?;
+        let mut options = Options { logs: vec![path_of(path)], ..options.clone() };
+        options.run.shared = shared.clone();
+        match settle(task, &options, store, paged) {
+            Ok((row, what)) => {
+                answers.push((row.answer, what));
+                rows.push(row);
+            }
+            Err(error) => return Ok(Err(error.to_string())),
+        }
+        if !answers.last().is_some_and(|(answer, _)| answer.status.is_final()) {
+            break;
+        }
+    }
+    Ok(store.commit(rows).map(|()| answers).map_err(|error| error.to_string()))
+}
+
+fn tell(told: &Told) -> io::Result<()> {
     let mut stdout = io::stdout().lock();
-    writeln!(stdout, "{}", serde_json::to_string(&told)?)?;
+    writeln!(stdout, "{}", serde_json::to_string(told)?)?;
     stdout.flush()
 }
 

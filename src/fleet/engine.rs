@@ -1,7 +1,7 @@
 //! Logs over the cores of this machine, each in its own process.
 
 use std::collections::{HashMap, HashSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -9,19 +9,18 @@ use std::thread;
 use std::time::{Duration, Instant};
 use std::{io, mem};
 
-use serde::Serialize;
-
-use super::child::{Death, Limits, audited};
+use super::child::{Death, Job, Limits, Worker};
 use super::content::{Content, Identity, Stand, key_of};
+use super::dataset::{self, Groups, Shared};
 use super::labels::{Labels, Template};
+use super::outcomes::{Failure, Outcomes};
 use super::settings::AuditSettings;
 use super::settle::{crashed, give_up};
 use super::sources::Source;
 use super::store::{SourceRow, Status, Store};
 use super::task::{Answer, Task};
-use crate::finding::Severity;
 use crate::log::{SourceName, is_url, list};
-use crate::report::{Trouble, TroubleKind, Verdict};
+use crate::report::{Trouble, TroubleKind};
 
 /// After so many logs, or so long, what was learnt of files is written down.
 const NOTED_AFTER: usize = 100;
@@ -50,8 +49,8 @@ pub struct Call<'a> {
     pub limits: Limits,
     /// Whether logs are tried again that took too much, or that made the program fail.
     pub retry: bool,
-    /// The call that audits the log at a path: see [`super::serve`].
-    pub worker: &'a (dyn Fn(&Path) -> io::Result<Command> + Sync),
+    /// The call that audits as it is told: see [`super::serve`].
+    pub worker: &'a (dyn Fn() -> io::Result<Command> + Sync),
     /// Is told how far it is after each log.
     pub progress: &'a (dyn Fn(Course) + Sync),
 }
@@ -67,114 +66,6 @@ pub struct Course {
     pub total: usize,
 }
 
-/// How a call ended.
-#[derive(Clone, Debug, Default, Serialize)]
-pub struct Outcomes {
-    /// Logs that were named.
-    pub logs: usize,
-    /// Logs that have the content of another of them, whose row is theirs.
-    pub duplicates: usize,
-    /// Logs that an earlier call had done.
-    pub done_before: usize,
-    /// Logs that this call did.
-    pub done_now: usize,
-    /// How the audits ended, of all that were named, each content once.
-    pub statuses: Statuses,
-    /// What the reports say, where warnings fail a run.
-    pub verdicts: Verdicts,
-    /// Logs that this call could not audit, by their paths.
-    pub errors: Vec<Failure>,
-    /// Each answer, for what is yet to be asked.
-    #[serde(skip)]
-    answers: Vec<Answer>,
-}
-
-/// Logs by the status of their audit.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Statuses {
-    /// See [`Status`], here and below.
-    pub audited: usize,
-    /// It could be read, and not audited.
-    pub not_audited: usize,
-    /// It could not be read.
-    pub unreadable: usize,
-    /// It took too long.
-    pub timed_out: usize,
-    /// It took too much memory.
-    pub out_of_memory: usize,
-    /// The audit of it died.
-    pub crashed: usize,
-}
-
-/// Logs by their verdict.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Verdicts {
-    /// Nothing wrong.
-    pub pass: usize,
-    /// A warning or an error.
-    pub fail: usize,
-    /// A main question stayed open.
-    pub inconclusive: usize,
-}
-
-/// A log that could not be audited.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-pub struct Failure {
-    /// Its path.
-    pub path: String,
-    /// How its audit ended.
-    pub status: Status,
-    /// Why.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub what: Option<String>,
-}
-
-impl Outcomes {
-    /// Logs with a finding of severity `fail_on` or above; where `fails_open`, those whose verdict is
-    /// inconclusive, too.
-    pub fn failing(&self, fail_on: Option<Severity>, fails_open: bool) -> usize {
-        let is_open = |answer: &Answer| fails_open && answer.verdict == Some(Verdict::Inconclusive);
-        self.answers.iter().filter(|answer| answer.fails(fail_on) || is_open(answer)).count()
-    }
-
-    /// Logs on which there is no audit.
-    pub fn unaudited(&self) -> usize {
-        self.answers.iter().filter(|answer| answer.status != Status::Audited).count()
-    }
-
-    fn count(&mut self, answer: Answer) {
-        self.statuses.count(answer.status);
-        self.verdicts.count(answer.verdict);
-        self.answers.push(answer);
-    }
-}
-
-impl Statuses {
-    /// Counts one more.
-    pub(super) fn count(&mut self, status: Status) {
-        *match status {
-            Status::Audited => &mut self.audited,
-            Status::NotAudited => &mut self.not_audited,
-            Status::Unreadable => &mut self.unreadable,
-            Status::TimedOut => &mut self.timed_out,
-            Status::OutOfMemory => &mut self.out_of_memory,
-            Status::Crashed => &mut self.crashed,
-        } += 1;
-    }
-}
-
-impl Verdicts {
-    /// Counts one more.
-    pub(super) fn count(&mut self, verdict: Option<Verdict>) {
-        match verdict {
-            Some(Verdict::Pass) => self.pass += 1,
-            Some(Verdict::Fail) => self.fail += 1,
-            Some(Verdict::Inconclusive) => self.inconclusive += 1,
-            None => {}
-        }
-    }
-}
-
 /// Audits what has no row yet, and keeps a row for each log.
 ///
 /// # Errors
@@ -186,6 +77,8 @@ pub fn run(call: &Call<'_>) -> Result<Outcomes, Trouble> {
         call,
         done: call.store.done()?,
         contents: call.store.contents()?,
+        groups: dataset::groups(&call.sources),
+        shared: Mutex::new(HashMap::new()),
         next: AtomicUsize::new(0),
         since_merge: AtomicUsize::new(0),
         book: Mutex::new(Book::default()),
@@ -219,6 +112,9 @@ struct Engine<'a> {
     done: HashMap<String, Answer>,
     /// Contents of files as they stood before.
     contents: HashMap<String, String>,
+    /// The datasets that the logs are of, and what these tell of all their logs.
+    groups: Groups,
+    shared: Mutex<HashMap<PathBuf, Option<Shared>>>,
     next: AtomicUsize,
     since_merge: AtomicUsize,
     book: Mutex<Book>,
@@ -245,6 +141,12 @@ enum Settled {
     Duplicate,
 }
 
+/// A log of which nothing stands yet, or how it went.
+enum Looked {
+    Settled(Settled),
+    Open(Job),
+}
+
 impl Engine<'_> {
     fn book(&self) -> MutexGuard<'_, Book> {
         self.book.lock().unwrap_or_else(PoisonError::into_inner)
@@ -252,18 +154,91 @@ impl Engine<'_> {
 
     /// Takes logs until there are none left, or the call is at its end.
     fn work(&self) {
-        while let Some(source) = self.call.sources.get(self.next.fetch_add(1, Ordering::Relaxed)) {
-            let settled = self.settle(source);
-            let settled = settled.and_then(|settled| self.enter(&source.path, settled));
-            if let Err(trouble) = settled {
-                self.next.store(self.call.sources.len(), Ordering::Relaxed);
+        /// Logs that are handed to a process at once, so many that none waits for another's in the end.
+        const MOST: usize = 32;
+        const SHARES: usize = 4;
+        let all = self.call.sources.len();
+        let count = (all / (SHARES * self.call.jobs.max(1))).clamp(1, MOST);
+        let mut worker = None;
+        loop {
+            let first = self.next.fetch_add(count, Ordering::Relaxed);
+            let Some(sources) = self.call.sources.get(first..all.min(first + count)) else {
+                return;
+            };
+            if sources.is_empty() {
+                return;
+            }
+            if let Err(trouble) = self.settle(sources, &mut worker) {
+                self.next.store(all, Ordering::Relaxed);
                 self.book().trouble.get_or_insert(trouble);
                 return;
             }
         }
     }
 
-    fn settle(&self, source: &Source) -> Result<Settled, Trouble> {
+    /// Sees to it that some logs have a row each.
+    fn settle(&self, sources: &[Source], worker: &mut Option<Worker>) -> Result<(), Trouble> {
+        let mut open: Vec<(&Path, Job)> = Vec::new();
+        for source in sources {
+            match self.looked(source, worker)? {
+                Looked::Settled(settled) => self.enter(&source.path, settled)?,
+                Looked::Open(job) => open.push((&source.path, job)),
+            }
+        }
+        while !open.is_empty() {
+            let jobs = open.iter().map(|(_, job)| job.clone()).collect();
+            match self.worker(worker)?.audited(jobs) {
+                Ok(answers) => {
+                    let is_over = answers.iter().any(|(answer, _)| !answer.status.is_final());
+                    let done: Vec<_> = open.drain(..answers.len().min(open.len())).collect();
+                    for ((path, _), (answer, what)) in done.into_iter().zip(answers) {
+                        self.enter(path, Settled::Now(answer, what))?;
+                    }
+                    // What failed may have left something behind in it.
+                    if is_over {
+                        *worker = None;
+                    }
+                }
+                Err((at, death)) => {
+                    *worker = None;
+                    let (path, Job { task, .. }) = open.remove(at.min(open.len() - 1));
+                    let settled = self.died(&task, death)?;
+                    self.enter(path, settled)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The process that audits, which is started where there is none.
+    fn worker<'a>(&self, worker: &'a mut Option<Worker>) -> Result<&'a mut Worker, Trouble> {
+        if let Some(worker) = worker {
+            return Ok(worker);
+        }
+        let command = (self.call.worker)().map_err(|error| self.unable(error.to_string()))?;
+        match Worker::start(command, &self.call.limits) {
+            Ok(started) => Ok(worker.insert(started)),
+            Err(Death::Unable(why)) => Err(self.unable(why)),
+            Err(death) => Err(self.unable(format!("{death:?}"))),
+        }
+    }
+
+    /// The row of a log whose audit died.
+    fn died(&self, task: &Task, death: Death) -> Result<Settled, Trouble> {
+        let (status, what) = match death {
+            Death::Unable(why) => return Err(self.unable(why)),
+            Death::TimedOut => (Status::TimedOut, self.too_long()),
+            Death::OutOfMemory => (Status::OutOfMemory, self.too_much()),
+            Death::Crashed(how) => {
+                (Status::Crashed, crashed(task, format!("the audit died: {how}")))
+            }
+        };
+        let trouble = Trouble { place: task.path.clone(), ..what };
+        let answer = give_up(task, status, &trouble, self.call.store)?;
+        Ok(Settled::Now(answer, Some(trouble.what)))
+    }
+
+    fn looked(&self, source: &Source, worker: &mut Option<Worker>) -> Result<Looked, Trouble> {
         let path = &source.path;
         let content = match &source.content {
             Some(content) => Ok(content.clone()),
@@ -272,34 +247,62 @@ impl Engine<'_> {
         };
         let content = match content {
             Ok(content) => content,
-            Err(error) => return self.unreadable(path, &error),
+            Err(error) => return self.unreadable(path, &error).map(Looked::Settled),
         };
         let task = self.task(path, &content.id, content.stand);
         if !self.book().taken.insert(task.key.clone()) {
-            return Ok(Settled::Duplicate);
+            return Ok(Looked::Settled(Settled::Duplicate));
         }
         if let Some(answer) = self.done.get(&task.key)
             && (answer.status.is_final() || !self.call.retry)
         {
-            return Ok(Settled::Before(*answer));
+            return Ok(Looked::Settled(Settled::Before(*answer)));
         }
         let unread = self.task(path, &unread_content(path), Stand { bytes: 0, mtime_ns: 0 });
         if self.done.contains_key(&unread.key) {
             self.call.store.forget(&unread.key)?;
         }
-        let command = (self.call.worker)(path).map_err(|error| self.unable(error.to_string()))?;
-        let (status, what) = match audited(command, &task, &self.call.limits) {
-            Ok((answer, what)) => return Ok(Settled::Now(answer, what)),
-            Err(Death::Unable(why)) => return Err(self.unable(why)),
-            Err(Death::TimedOut) => (Status::TimedOut, self.too_long()),
-            Err(Death::OutOfMemory) => (Status::OutOfMemory, self.too_much()),
-            Err(Death::Crashed(how)) => {
-                (Status::Crashed, crashed(&task, format!("the audit died: {how}")))
+        let shared = self.shared(path, worker)?;
+        Ok(Looked::Open(Job { path: path.as_os_str().as_encoded_bytes().to_vec(), task, shared }))
+    }
+
+    /// What the dataset of a log tells of all its logs: asked of a few of them once, and kept.
+    fn shared(&self, path: &Path, worker: &mut Option<Worker>) -> Result<Option<Shared>, Trouble> {
+        let group = dataset::group_of(path);
+        if group.as_os_str().is_empty() {
+            return Ok(None);
+        }
+        let mut known = self.shared.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(shared) = known.get(&group) {
+            return Ok(shared.clone());
+        }
+        let (store, settings) = (self.call.store, &self.call.settings.hash);
+        let kept = store.dataset(&group, settings);
+        let shared = match (kept, self.groups.get(&group)) {
+            (Some(kept), _) => Some(kept),
+            (None, Some(members)) => {
+                let mut told: Vec<Shared> = Vec::new();
+                for at in dataset::asked(members) {
+                    if told.len() >= dataset::ASKED && !dataset::is_open(&told) {
+                        break;
+                    }
+                    let path = self.call.sources[at].path.as_os_str().as_encoded_bytes().to_vec();
+                    match self.worker(worker)?.learnt(path) {
+                        Ok(shared) => told.extend(shared),
+                        // Its own audit says why.
+                        Err(_) => *worker = None,
+                    }
+                }
+                let shared = dataset::together(told, &group);
+                if let Some(shared) = &shared {
+                    store.keep_dataset(&group, settings, shared)?;
+                }
+                shared
             }
+            (None, None) => None,
         };
-        let trouble = Trouble { place: task.path.clone(), ..what };
-        let answer = give_up(&task, status, &trouble, self.call.store)?;
-        Ok(Settled::Now(answer, Some(trouble.what)))
+        known.insert(group, shared.clone());
+        Ok(shared)
     }
 
     /// The content of a log: as it is known, where its files stand as they did.

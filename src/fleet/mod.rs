@@ -6,9 +6,11 @@
 
 mod child;
 mod content;
+mod dataset;
 mod engine;
 mod labels;
 mod machine;
+mod outcomes;
 mod pending;
 pub mod report;
 mod settings;
@@ -19,9 +21,10 @@ mod task;
 
 pub use child::{Limits, serve};
 pub use content::Identity;
-pub use engine::{Call, Course, Failure, Outcomes, Statuses, Verdicts, run};
+pub use engine::{Call, Course, run};
 pub use labels::{Labels, Template, TemplateError};
 pub use machine::memory_bytes;
+pub use outcomes::{Failure, Outcomes, Statuses, Verdicts};
 pub use pending::pending;
 pub use settings::AuditSettings;
 pub use sources::{Source, sources};

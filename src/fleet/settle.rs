@@ -6,26 +6,25 @@ use std::path::Path;
 
 use polars::prelude::PolarsError;
 
-use super::store::{Row, Status, Store, StoreError, Tables, found};
+use super::store::{LogRows, Row, Status, Store, StoreError, Tables, found};
 use super::task::{Answer, Task};
 use crate::boundary::caught;
 use crate::finding::Severity;
 use crate::report::{Report, Trouble, TroubleKind, html, write_whole};
 use crate::{Audited, Options, audit};
 
-/// Audits the log at `path` as `options` say, and puts its rows into `store`. A panic is caught, and
-/// becomes its row. Returns also what kept it from being audited. With `paged` its report is kept as a page, too.
+/// Audits the log of `options`: its rows for `store`, and what kept it from being audited. A panic is caught, and
+/// becomes its row. With `paged` its report is kept as a page, too.
 ///
 /// # Errors
-/// Where its rows cannot be written.
+/// Where its page cannot be written.
 pub fn settle(
-    path: &Path,
     task: &Task,
     options: &Options,
     store: &Store,
     paged: bool,
-) -> Result<(Answer, Option<String>), StoreError> {
-    let mut options = Options { logs: vec![path.to_owned()], ..options.clone() };
+) -> Result<(LogRows, Option<String>), StoreError> {
+    let mut options = options.clone();
     options.policy.fail_on = Some(Severity::Warning);
     let pictured = |it: Audited| if paged { it.with_figures() } else { it };
     let audited = caught(|| audit(&options).map(|audited| pictured(audited).into_report()));
@@ -46,9 +45,7 @@ pub fn settle(
             (of_trouble(task, status, &trouble), Some(trouble))
         }
     };
-    let tables = tables.map_err(|source| StoreError::Content { path: path.to_owned(), source })?;
-    store.commit(&task.key, tables)?;
-    Ok((answer, trouble.map(|trouble| trouble.what)))
+    Ok((rows(task, answer, tables, store)?, trouble.map(|trouble| trouble.what)))
 }
 
 fn write_page(path: &Path, report: &Report) -> Result<(), StoreError> {
@@ -93,10 +90,18 @@ pub fn give_up(
     store: &Store,
 ) -> Result<Answer, StoreError> {
     let (answer, tables) = of_trouble(task, status, trouble);
-    let path = || store.path().to_owned();
-    let tables = tables.map_err(|source| StoreError::Content { path: path(), source })?;
-    store.commit(&task.key, tables)?;
+    store.commit(vec![rows(task, answer, tables, store)?])?;
     Ok(answer)
+}
+
+fn rows(
+    task: &Task,
+    answer: Answer,
+    tables: Result<Tables, PolarsError>,
+    store: &Store,
+) -> Result<LogRows, StoreError> {
+    let fault = |source| StoreError::Content { path: store.path().to_owned(), source };
+    Ok(LogRows { key: task.key.clone(), answer, tables: tables.map_err(fault)? })
 }
 
 /// The trouble with a log that makes the program fail.

@@ -110,13 +110,13 @@ fn listed(text: &[u8]) -> Vec<PathBuf> {
 }
 
 #[cfg(unix)]
-fn path_of(bytes: &[u8]) -> PathBuf {
+pub(super) fn path_of(bytes: &[u8]) -> PathBuf {
     use std::os::unix::ffi::OsStrExt;
     PathBuf::from(std::ffi::OsStr::from_bytes(bytes))
 }
 
 #[cfg(not(unix))]
-fn path_of(bytes: &[u8]) -> PathBuf {
+pub(super) fn path_of(bytes: &[u8]) -> PathBuf {
     PathBuf::from(String::from_utf8_lossy(bytes).into_owned())
 }
 
@@ -214,7 +214,7 @@ fn is_log(path: &Path) -> bool {
     let mut head = Vec::new();
     let read = |head: &mut Vec<u8>| File::open(path)?.take(log::HEAD_BYTES).read_to_end(head);
     // Tables as Parquet are anybody's, a fleet's own results too: in a folder those of a dataset are logs.
-    let is_anybodys = |head: &[u8]| head.starts_with(b"PAR1") && !log::is_in_dataset(path);
+    let is_anybodys = |head: &[u8]| head.starts_with(b"PAR1") && log::dataset_of(path).is_none();
     is_file && read(&mut head).is_ok() && log::looks_like_log(&head) && !is_anybodys(&head)
 }
 

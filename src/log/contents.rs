@@ -28,6 +28,8 @@ pub struct Log {
     pub repeats: Option<Vec<Repeat>>,
     /// The type of the robot, as metadata say it.
     pub robot_type: Option<String>,
+    /// The column of a table that holds times, where its numbers told it.
+    pub time_column: Option<String>,
     /// What the columns of a table leave open, to be asked where no arm is found.
     pub question: Option<String>,
 }

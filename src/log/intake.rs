@@ -55,6 +55,7 @@ pub(super) struct Intake {
     contradictions: Option<Vec<Note>>,
     repeats: Option<Vec<Repeat>>,
     robot_type: Option<String>,
+    time_column: Option<String>,
     /// The files that were begun.
     files: Vec<PathBuf>,
     /// What the compressed parts of the file begun last may unpack to.
@@ -266,6 +267,11 @@ impl Intake {
         self.robot_type = self.robot_type.take().or_else(|| robot.map(str::to_owned));
     }
 
+    /// That a column of a table, if one is named, holds times though its name does not say so.
+    pub fn timed_by(&mut self, column: Option<&str>) {
+        self.time_column = self.time_column.take().or_else(|| column.map(str::to_owned));
+    }
+
     /// Messages taken so far.
     pub(super) fn messages(&self) -> u64 {
         self.messages
@@ -304,6 +310,20 @@ impl Intake {
         self.losses.extend(losses.finish());
     }
 
+    /// The log of what was taken so far; more may be.
+    pub(super) fn so_far(&self, files: Vec<LogFile>) -> Log {
+        let copy = Self {
+            topics: self.topics.iter().map(TopicIntake::so_far).collect(),
+            messages: self.messages,
+            descriptions: self.descriptions.clone(),
+            losses: self.losses.clone(),
+            notes: self.notes.clone(),
+            files: self.files.clone(),
+            ..Self::default()
+        };
+        copy.finish(files)
+    }
+
     /// The log of all that was taken from `files`.
     pub(super) fn finish(mut self, files: Vec<LogFile>) -> Log {
         self.note_strangers();
@@ -321,6 +341,7 @@ impl Intake {
             contradictions: self.contradictions,
             repeats: self.repeats,
             robot_type: self.robot_type,
+            time_column: self.time_column,
             question: None,
         }
     }

@@ -7,6 +7,7 @@
 mod advice;
 mod chunks;
 mod definitions;
+mod growing;
 mod parts;
 mod record;
 mod sparse;
@@ -32,6 +33,7 @@ use super::topic::Message;
 use super::unpack::Unpacker;
 use super::{Crc, Extent, ReadOptions};
 
+pub(super) use self::growing::{Growing, whole_records};
 #[cfg(feature = "cloud")]
 pub(super) use self::survey::{Survey, survey};
 

@@ -8,12 +8,14 @@
 //! that cannot be decoded becomes [`Undecodable`], and only a file of which nothing can be read is a
 //! [`LogError`]. What a stream means is decided further up.
 #![warn(missing_docs, clippy::unwrap_used)]
+#![cfg_attr(target_arch = "wasm32", allow(dead_code, reason = "the reader of databases uses it"))]
 
 mod ahead;
 mod contents;
 mod decode;
 mod error;
 mod files;
+mod follow;
 mod intake;
 mod losses;
 mod mapped;
@@ -39,6 +41,8 @@ mod testing;
 mod topic;
 mod unpack;
 
+use std::fs::File;
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 pub use self::contents::{
@@ -46,6 +50,7 @@ pub use self::contents::{
     Undecodable,
 };
 pub use self::error::LogError;
+pub use self::follow::{Follow, Growth};
 pub use self::name::ESCAPED;
 pub use self::name::SourceName;
 pub use self::options::ReadOptions;
@@ -54,7 +59,7 @@ pub use self::progress::Progress;
 pub use self::reading::open;
 pub use self::remote::{Listed, RemoteFault, is_url, list, normal};
 pub use self::tables::{
-    ColumnSelector, ColumnSettings, episode_of, episodes, files_of_store, is_in_dataset, is_store,
+    ColumnSelector, ColumnSettings, dataset_of, episode_of, episodes, files_of_store, is_store,
 };
 
 /// The local file that `path` names, itself or as a `file://` URL; `None` for an object in a store.
@@ -65,6 +70,13 @@ pub fn local(path: &Path) -> Option<PathBuf> {
 
 /// How much of a file's beginning [`looks_like_log`] wants to see, in bytes.
 pub const HEAD_BYTES: u64 = 4096;
+
+/// Whether the file at `path` holds a table, by its first bytes.
+pub fn is_table(path: &Path) -> bool {
+    let mut head = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(HEAD_BYTES).read_to_end(&mut head));
+    is_store(path) || (read.is_ok() && matches!(sniff::kind(&head), sniff::Kind::Table(_)))
+}
 
 /// Whether a file that begins with `head` may be a log: of a zstd archive only reading it tells.
 pub fn looks_like_log(head: &[u8]) -> bool {

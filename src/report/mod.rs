@@ -142,6 +142,9 @@ pub struct LogSummary {
     pub end_ns: Option<Stamp>,
     /// From the first to the last log time, s.
     pub duration_s: Option<f64>,
+    /// The column of a table that holds times, where its numbers told it and not its name.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time_column: Option<String>,
     /// What a reader should know of the files, and is no damage.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<NoteRow>,

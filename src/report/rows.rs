@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::finding::{Word, maybe_word, word};
 use crate::run::{Arm, Run, Witness, selectors};
+use crate::stream::Columns;
 use crate::time::Stamp;
 
 /// One arm.
@@ -63,6 +64,9 @@ pub struct StreamRow {
     /// The columns of a table that it is made of, as `[columns]` of a config names them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub columns: Vec<String>,
+    /// Factor and offset that make rad of each joint's numbers, where they are neither rad nor degrees.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub joint_lines: Vec<[f64; 2]>,
 }
 
 /// One row for each stream of the segments.
@@ -119,6 +123,10 @@ pub(crate) fn streams(run: &Run) -> Vec<StreamRow> {
         start_ns: stream.start,
         end_ns: stream.end,
         columns: selectors(&stream.cells),
+        joint_lines: match &stream.columns {
+            Some(Columns::Joints(joints)) => joints.lines.clone(),
+            _ => Vec::new(),
+        },
     });
     rows.collect()
 }

@@ -64,7 +64,7 @@ impl Run {
     /// is no link, a declared topic that is not there. What the log itself lacks is
     /// [`Run::no_arm`].
     pub fn assemble(log: Log, options: &RunOptions) -> Result<Run, RunError> {
-        let given = models::given(&options.robots)?;
+        let given = models::given_or_shared(options)?;
         let calibrations = calibrations::given(&options.calibrations)?;
         let has_clock_topic = log.has_clock();
         let mut topics_of_log = log.topics;

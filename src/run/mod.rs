@@ -69,7 +69,7 @@ pub use arm::{Arm, JointMending, NoTf};
 pub use assemble::{ReferenceContent, ReferenceSource};
 pub use cadence::{Cadence, Extent, Hole, Rhythm, Stretch};
 pub use clock::{Alignment, Epoch, HeaderStamps, StreamClock};
-pub use columns::{selectors, tell_columns};
+pub use columns::{Shared, SharedColumns, SharedRow, selectors, tell_columns};
 pub use contest::{Claimant, Contest};
 pub use declaration::{CalibrationSource, Declaration, DeclarationError, JointName, RobotSource};
 pub use error::RunError;
@@ -127,6 +127,8 @@ pub struct RunOptions {
     pub declared: Vec<Declaration>,
     /// What else the caller says of single topics.
     pub topics: Vec<TopicSettings>,
+    /// What other logs of the same dataset told of all of them.
+    pub shared: Option<Shared>,
 }
 
 impl Default for RunOptions {
@@ -141,6 +143,7 @@ impl Default for RunOptions {
             max_latency_s: 5.0,
             declared: Vec::new(),
             topics: Vec::new(),
+            shared: None,
         }
     }
 }

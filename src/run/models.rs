@@ -12,12 +12,15 @@ use super::error::RunError;
 use super::model::{Clues, Model};
 use super::skeleton::is_own;
 use super::space::{Claim, Space};
+use super::{RunOptions, Shared};
 
 /// A robot that the caller named, and what its joints start with in the log, or a word of where its
 /// joint states are.
 pub(super) struct Given {
     robot: Robot,
     prefix: Option<String>,
+    /// Who named it.
+    by: String,
 }
 
 /// Reads the robots that the caller named.
@@ -27,8 +30,26 @@ pub(super) struct Given {
 pub(super) fn given(sources: &[RobotSource]) -> Result<Vec<Given>, RunError> {
     sources
         .iter()
-        .map(|source| Ok(Given { robot: robot_of(&source.model)?, prefix: source.prefix.clone() }))
+        .map(|source| {
+            let (robot, prefix) = (source.robot()?, source.prefix.clone());
+            Ok(Given { robot, prefix, by: "--robot".to_owned() })
+        })
         .collect()
+}
+
+/// The same, else the arm that other logs of the dataset told.
+///
+/// # Errors
+/// As [`given`].
+pub(super) fn given_or_shared(options: &RunOptions) -> Result<Vec<Given>, RunError> {
+    let Some(Shared { robot: Some(robot), from, .. }) = &options.shared else {
+        return given(&options.robots);
+    };
+    if !options.robots.is_empty() {
+        return given(&options.robots);
+    }
+    let by = format!("the catalogue, as for {}", from.join(", "));
+    Ok(vec![Given { robot: robot_of(robot)?, prefix: None, by }])
 }
 
 /// The models that may name the joints of a table that only counts them, each with its prefix: the caller's,
@@ -143,7 +164,7 @@ fn of_given(
     };
     let joints: Vec<String> = clues.joints.iter().filter(fits).cloned().collect();
     let may_repeat = alone && given.prefix.is_none();
-    called((&given.robot, &joints, may_repeat), clues, judges, "--robot")
+    called((&given.robot, &joints, may_repeat), clues, judges, &given.by)
 }
 
 /// The robot of the first, with its names matched to those of the second: as the caller maps them, else as

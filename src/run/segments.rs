@@ -72,6 +72,7 @@ fn without_topics(log: &Log) -> Log {
         notes: log.notes.clone(),
         contradictions: log.contradictions.clone(),
         repeats: log.repeats.clone(),
+        time_column: log.time_column.clone(),
         robot_type: log.robot_type.clone(),
         question: log.question.clone(),
     }
@@ -285,6 +286,7 @@ mod tests {
             notes: Vec::new(),
             contradictions: None,
             repeats: None,
+            time_column: None,
             robot_type: None,
             question: None,
         }

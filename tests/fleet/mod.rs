@@ -1,6 +1,7 @@
 //! Many logs: a row each, whatever they are, however often the call dies; and what the report makes of
 //! them.
 
+mod dataset;
 mod logs;
 mod report;
 mod rows;

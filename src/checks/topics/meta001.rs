@@ -8,7 +8,8 @@ rule! {
     /// ## What it means
     /// What a dataset declares of its columns (the rate, how many numbers a row has, their names) is not
     /// what the file holds; or the name of a column says rad or joint position, and its numbers go beyond two
-    /// turns or hold a unit quaternion in each row.
+    /// turns or hold a unit quaternion in each row; or commands name their numbers in another order than the
+    /// joints that these move as; or an episode's columns are others than its dataset's.
     ///
     /// ## Why it matters
     /// Loaders believe the metadata. A wrong rate scales every velocity and every latency; a name too few
@@ -21,7 +22,7 @@ rule! {
     /// Correct `meta/info.json` or the name, or write the dataset again with the features it declares.
     ///
     /// ## When it misleads
-    /// Rates are compared with the median step of the stamps, where the stamps are a column: stamps that the
+    /// Two joints that move alike are not told from each other, and swapped names of such are not found. Rates are compared with the median step of the stamps, where the stamps are a column: stamps that the
     /// recorder made from the declared rate agree with it whatever the true rate was. Other
     /// units and meanings are not compared here: joints in degrees are ORD004's, a pose that follows no arm is
     /// FRM007's.

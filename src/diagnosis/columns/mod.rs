@@ -10,6 +10,7 @@ use std::f64::consts::PI;
 mod likeness;
 mod linear;
 mod numbers;
+mod tracks;
 mod turning;
 
 pub use likeness::{Conduct, Shift};
@@ -18,25 +19,33 @@ pub use numbers::JointNumbers;
 use linear::{centred, left_of, liveliest};
 use nalgebra::DMatrix;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::PoseStream;
 use super::model_fit::tool_fit;
 use super::placement::metres_by_size;
 use super::placing::spread;
-use ground::geometry::Vec3;
 use ground::robot::Chain;
-use ground::stream::{JointTrack, Orientations, PoseTrack, sample_noise};
+use ground::stream::sample_noise;
 
 /// Rows that are looked at, and no more of them a second than this.
 const MOST_ROWS: usize = 6000;
 const MOST_HZ: f64 = 110.0;
 /// Rows of the linear fits.
 const FEW_ROWS: usize = 150;
-/// Blocks that leave a larger share of the position's extent in the linear fit are not fitted.
+/// Blocks that leave a larger share of the position's extent in the linear fit are not fitted; and those that
+/// do on a few rows are not held against all of them.
 const NEAR: f64 = 0.4;
+const NEAR_ON_FEW: f64 = 0.55;
+const FEWER_ROWS: usize = 50;
 /// Blocks that are fitted, and arms for each.
 const MOST_FITS: usize = 12;
 const MOST_ARMS: usize = 2;
+/// Ways that are fitted first. Where one of these leaves no more than this share of the extent, ways that leave
+/// a larger one in the linear fit are no rivals.
+const FIRST_FITS: usize = 4;
+const CLEAR: f64 = 0.005;
+const RIVAL: f64 = 0.25;
 /// Latencies at which blocks are sought, s: first without, then where nothing was near.
 const LAGS_S: [&[f64]; 2] = [&[0.0], &[-0.4, -0.2, -0.1, 0.1, 0.2, 0.4]];
 /// Arms of which a log may be that are also tried with latencies.
@@ -84,7 +93,7 @@ pub struct Wanted<'a> {
 }
 
 /// A way to take columns for joints and position.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Mapping {
     /// The arm, by its place.
     pub arm: usize,
@@ -119,6 +128,13 @@ impl Mapping {
         let of = |it: &Self| (it.joints.clone(), it.position);
         of(self) == of(other) && self.unit == other.unit
     }
+}
+
+/// Columns that may be joints and position, and what share of the position's extent the linear fit leaves.
+struct Near {
+    block: Block,
+    position: [usize; 3],
+    share: f64,
 }
 
 /// A block of columns that may be joints of an arm.
@@ -158,6 +174,12 @@ impl Sheet {
         self.homes[column]
     }
 
+    /// Whether a column moves as a joint may.
+    pub fn moves(&self, column: usize) -> bool {
+        let [low, high] = self.range(column);
+        high - low > MOVES
+    }
+
     /// Whether a column is that number in each row.
     pub fn is_always(&self, column: usize, value: f64) -> bool {
         self.columns[column].iter().all(|own| *own == value)
@@ -168,11 +190,14 @@ impl Sheet {
     pub fn mappings(&self, wanted: &Wanted) -> Vec<Mapping> {
         /// Ways that are tried with the zero of a joint, where none fits without.
         const WITH_ZERO: usize = 4;
-        let of =
-            |(block, position): &(Block, [usize; 3])| self.fit(wanted, block, *position, false);
+        let of = |near: &Near| self.fit(wanted, &near.block, near.position, false);
         for lags_s in &LAGS_S[..if wanted.chains.len() > FEW_ARMS { 1 } else { 2 }] {
             let near = self.near(wanted, lags_s);
-            let mut all: Vec<Mapping> = near.par_iter().filter_map(of).collect();
+            let (first, others) = near.split_at(near.len().min(FIRST_FITS));
+            let mut all: Vec<Mapping> = first.par_iter().filter_map(of).collect();
+            let is_clear = all.iter().any(|it| it.left_m < CLEAR * it.spread_m);
+            let others = others.par_iter().filter(|near| !is_clear || near.share < RIVAL);
+            all.extend(others.filter_map(of).collect::<Vec<_>>());
             if !all.iter().any(Mapping::fits) {
                 all.sort_by(|a, b| a.left_m.total_cmp(&b.left_m));
                 all.truncate(WITH_ZERO);
@@ -191,6 +216,18 @@ impl Sheet {
             }
         }
         Vec::new()
+    }
+
+    /// What FK leaves where columns are taken as `mapping` takes those of another table, for the arm `chain`;
+    /// where it does not fit, with the zero of a joint free.
+    pub fn again(&self, mapping: &Mapping, chain: &Chain, most_lag_s: f64) -> Option<Mapping> {
+        let wanted =
+            Wanted { chains: &[chain], joints: None, position: None, taken: &[], most_lag_s };
+        let block = Block { arm: 0, ..mapping.block() };
+        let fit = |with_zero| self.fit(&wanted, &block, mapping.position, with_zero);
+        let found = fit(false)?;
+        let found = if found.fits() { found } else { fit(true)? };
+        Some(Mapping { arm: mapping.arm, ..found })
     }
 
     /// The blocks that may be joints of an arm by their numbers: smooth, and within its limits.
@@ -273,15 +310,16 @@ impl Sheet {
     }
 
     /// Blocks and positions that come near by a linear fit, the nearest first.
-    fn near(&self, wanted: &Wanted, lags_s: &[f64]) -> Vec<(Block, [usize; 3])> {
+    fn near(&self, wanted: &Wanted, lags_s: &[f64]) -> Vec<Near> {
         let rows = self.few_rows();
         if rows.len() < FEW_ROWS / 3 || self.columns.len() > MOST_COLUMNS {
             return Vec::new();
         }
-        let logged = DMatrix::from_fn(rows.len(), self.columns.len(), |row, column| {
-            self.columns[column][rows[row]]
-        });
-        let logged = centred(logged);
+        let logged = self.at_rows(&rows);
+        let fewer: Vec<usize> =
+            rows.iter().copied().step_by(rows.len().div_ceil(FEWER_ROWS)).collect();
+        let views =
+            [(self.at_rows(&fewer), fewer, NEAR_ON_FEW), (logged.clone(), rows.clone(), NEAR)];
         let span_s = self.t_s[rows[rows.len() - 1]] - self.t_s[rows[0]];
         let plain = DMatrix::from_fn(rows.len(), DEGREE as usize, |row, power| {
             ((self.t_s[rows[row]] - self.t_s[rows[0]]) / span_s - 0.5).powi(1 + power as i32)
@@ -314,41 +352,51 @@ impl Sheet {
             .collect();
         let of = |(at, &(block, lag_s)): (usize, &(&Block, f64))| {
             let chain = wanted.chains[block.arm];
-            let design = self.design(block, chain, &rows, lag_s);
-            let left = left_of(&design, &logged);
-            let shares = positions.iter().filter_map(|position| {
-                if position.iter().any(|column| block.joints.contains(column)) {
-                    return None;
+            let is_free = |position: &&[usize; 3]| {
+                !position.iter().any(|column| block.joints.contains(column))
+            };
+            let mut shares: Vec<(f64, usize, [usize; 3])> =
+                positions.iter().filter(is_free).map(|position| (0.0, at, *position)).collect();
+            for (logged, rows, most) in &views {
+                if shares.is_empty() {
+                    break;
                 }
-                let own: f64 = position.iter().map(|&c| logged.column(c).norm_squared()).sum();
-                let left: f64 = position.iter().map(|&c| left[c]).sum();
-                let moving = position
-                    .iter()
-                    .filter(|&&c| logged.column(c).norm_squared() > 1e-4 * own)
-                    .count();
-                let share = (left / own).max(0.0).sqrt();
-                (own > 0.0 && moving > 1 && share < NEAR).then_some((share, at, *position))
-            });
-            shares.collect::<Vec<_>>()
+                let left = left_of(&self.design(block, chain, rows, lag_s), logged);
+                shares.retain_mut(|(share, _, position)| {
+                    let squares = position.map(|column| logged.column(column).norm_squared());
+                    let own: f64 = squares.iter().sum();
+                    let moving = squares.iter().filter(|square| **square > 1e-4 * own).count();
+                    let left: f64 = position.iter().map(|&column| left[column]).sum();
+                    *share = (left / own).max(0.0).sqrt();
+                    own > 0.0 && moving > 1 && *share < *most
+                });
+            }
+            shares
         };
         let mut near: Vec<(f64, usize, [usize; 3])> =
             tried.par_iter().enumerate().flat_map_iter(of).collect();
         near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let mut kept: Vec<(Block, [usize; 3])> = Vec::new();
+        let mut kept: Vec<Near> = Vec::new();
         let mut ways = 0;
-        for (_, at, position) in near {
+        for (share, at, position) in near {
             let block = tried[at].0;
-            let is_its = |(kept, other): &&(Block, [usize; 3])| {
-                kept.joints == block.joints && *other == position
-            };
-            let arms: Vec<usize> = kept.iter().filter(is_its).map(|(kept, _)| kept.arm).collect();
+            let is_its =
+                |near: &&Near| near.block.joints == block.joints && near.position == position;
+            let arms: Vec<usize> = kept.iter().filter(is_its).map(|near| near.block.arm).collect();
             let is_room = if arms.is_empty() { ways < MOST_FITS } else { arms.len() < MOST_ARMS };
             if is_room && !arms.contains(&block.arm) {
                 ways += usize::from(arms.is_empty());
-                kept.push((block.clone(), position));
+                kept.push(Near { block: block.clone(), position, share });
             }
         }
         kept
+    }
+
+    /// All columns at some rows, centred.
+    fn at_rows(&self, rows: &[usize]) -> DMatrix<f64> {
+        centred(DMatrix::from_fn(rows.len(), self.columns.len(), |row, column| {
+            self.columns[column][rows[row]]
+        }))
     }
 
     /// Some rows, none so near to an end that a latency leads beyond it.
@@ -424,32 +472,5 @@ impl Sheet {
             tool_m: way.tool_m.norm(),
             lag_s: way.lag_s,
         })
-    }
-
-    fn position(&self, columns: [usize; 3]) -> PoseTrack {
-        let xyz = |row: usize| Vec3::from(columns.map(|column| self.columns[column][row]));
-        PoseTrack {
-            t_s: self.t_s.clone(),
-            xyz: (0..self.t_s.len()).map(xyz).collect(),
-            orientation: Orientations::Unset(self.t_s.len()),
-            declared: None,
-        }
-    }
-
-    fn track(&self, block: &Block, chain: &Chain) -> JointTrack {
-        let rows = self.t_s.len();
-        let dof = block.joints.len();
-        let (mut q, mut qd) = (vec![0.0; rows * dof], vec![0.0; rows * dof]);
-        for (joint, &column) in block.joints.iter().enumerate() {
-            let values = &self.columns[column];
-            let (factor, zero) = block.unit.read(chain, joint);
-            for row in 0..rows {
-                let (before, after) = (row.saturating_sub(1), (row + 1).min(rows - 1));
-                let h = self.t_s[after] - self.t_s[before];
-                q[row * dof + joint] = factor * values[row] + zero;
-                qd[row * dof + joint] = factor * (values[after] - values[before]) / h;
-            }
-        }
-        JointTrack { t_s: self.t_s.clone(), dof, q, qd }
     }
 }

@@ -2,11 +2,13 @@
 
 use std::f64::consts::PI;
 
+use serde::{Deserialize, Serialize};
+
 use super::TWO_TURNS;
 use ground::robot::{Chain, JointKind};
 
 /// How the numbers of joints that turn may be read.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum JointNumbers {
     /// As they are.
     Radians,
@@ -25,7 +27,7 @@ pub enum JointNumbers {
 
 impl JointNumbers {
     /// Factor and offset that make a joint's position of its number.
-    pub(super) fn read(self, chain: &Chain, joint: usize) -> (f64, f64) {
+    pub fn read(self, chain: &Chain, joint: usize) -> (f64, f64) {
         let limits = chain.limits()[joint];
         match (self, limits.lower.zip(limits.upper)) {
             _ if chain.joint_kinds()[joint] == JointKind::Prismatic => (1.0, 0.0),

@@ -1,6 +1,6 @@
 //! Which columns are the rotation of a tool.
 
-use super::{MOVES, MOVING, Mapping, Sheet};
+use super::{MOVING, Mapping, Sheet};
 use ground::geometry::{Convention, Rotation, angle_between, rotation_from_xyzw};
 use ground::robot::Chain;
 
@@ -73,8 +73,7 @@ impl Sheet {
         let norm = |row: usize| {
             columns.map(|column| self.columns[column][row].powi(2)).iter().sum::<f64>()
         };
-        let moves = |&column: &usize| self.range(column)[1] - self.range(column)[0] > MOVES;
         (0..self.t_s.len()).all(|row| (norm(row) - 1.0).abs() < 1e-3)
-            && columns.iter().filter(|column| moves(column)).count() >= MOVING
+            && columns.iter().filter(|column| self.moves(**column)).count() >= MOVING
     }
 }

@@ -1,18 +1,18 @@
 //! From the parts of the tables to what the report says, one part at a time.
 
-use std::cmp::Reverse;
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 
 use polars::prelude::PolarsResult;
 
+use super::found::{finding_rows, worst_logs};
 use super::part::Part;
 use super::trends::{At, Point, Series, natural};
 use super::{
     ArmRow, ErrorRow, FindingRow, LogCounts, LogRow, Question, RuleCount, Whose, calendar,
 };
 use crate::finding::Severity;
-use crate::fleet::engine::Verdicts;
+use crate::fleet::outcomes::Verdicts;
 use crate::fleet::store::{Status, Store, StoreError, Table};
 use crate::report::Verdict;
 
@@ -104,7 +104,7 @@ pub fn gather(store: &Store, question: &Question) -> Result<Gathered, StoreError
         logs: log_counts(store, &logs, question, set_aside)?,
         arms: arms(&logs, question, &found),
         rows: log_rows(store, &logs, question, &found),
-        findings: finding_rows(found, &asked),
+        findings: finding_rows(found, &asked, &worst_logs(&series)),
         series: series.into_values().collect(),
         errors: errors.into_iter().collect(),
     })
@@ -236,17 +236,17 @@ fn new_keys(part: &Part<'_>, seen: &mut HashSet<String>) -> PolarsResult<Vec<Opt
 }
 
 /// When a log begins, which episode it is, and its path.
-type LogPlace = (Option<i64>, Option<usize>, String);
+pub(super) type LogPlace = (Option<i64>, Option<usize>, String);
 
 /// What is found on a subject.
-struct Found {
-    severity: Severity,
+pub(super) struct Found {
+    pub(super) severity: Severity,
     /// The logs it is found in, by their beginnings, their numbers as episodes and their paths, with title and message of each.
-    logs: BTreeMap<LogPlace, (String, String)>,
+    pub(super) logs: BTreeMap<LogPlace, (String, String)>,
 }
 
 /// A rule and whom it is about.
-type Cause = (String, Whose);
+pub(super) type Cause = (String, Whose);
 
 struct Gathering<'a> {
     question: &'a Question,
@@ -348,26 +348,6 @@ impl<'a> Gathering<'a> {
 }
 
 /// What is found, the most frequent of the gravest first.
-fn finding_rows(found: BTreeMap<Cause, Found>, asked: &BTreeMap<Cause, usize>) -> Vec<FindingRow> {
-    let rows = found.into_iter().filter_map(|(cause, found)| {
-        let ((start_ns, _, path), (title, message)) = found.logs.last_key_value()?;
-        Some(FindingRow {
-            severity: found.severity,
-            logs: found.logs.len(),
-            sound: asked.get(&cause).copied().unwrap_or_default(),
-            message: message.clone(),
-            path: path.clone(),
-            start_ns: start_ns.map(|start_ns| start_ns.to_string()),
-            title: title.clone(),
-            code: cause.0,
-            whose: cause.1,
-        })
-    });
-    let mut rows: Vec<FindingRow> = rows.collect();
-    rows.sort_by_key(|row| Reverse((row.severity, row.logs)));
-    rows
-}
-
 /// The logs, the latest first.
 fn log_rows(
     store: &Store,
@@ -489,7 +469,7 @@ mod tests {
         let logs = ["a", "b"].map(|name| ((Some(1), None, name.to_owned()), words(name)));
         let found = Found { severity: Severity::Warning, logs: logs.into() };
         let cause = ("LAT001".to_owned(), Whose::default());
-        let rows = finding_rows([(cause, found)].into(), &BTreeMap::new());
+        let rows = finding_rows([(cause, found)].into(), &BTreeMap::new(), &BTreeMap::new());
         let said = [&rows[0].title, &rows[0].message, &rows[0].path];
         assert_eq!(said, ["title of b", "message of b", "b"]);
     }

@@ -10,7 +10,7 @@ use percent_encoding::utf8_percent_encode;
 use serde_json::{Map, Value};
 
 use super::text::{head, how_often, totals};
-use super::{At, Course, FindingRow, FleetReport, TrendRow, calendar};
+use super::{At, Course, DatasetRow, FindingRow, FleetReport, TrendRow, calendar};
 use crate::log::ESCAPED;
 use crate::report::html::{Plot, Role, Series, Style, percent, shell};
 
@@ -60,6 +60,7 @@ fn page(report: &FleetReport) -> Markup {
                 }
                 @for (id, row, plot) in &moving { (article(id, row, plot)) }
             }
+            (datasets(report))
             (findings(report))
             (matrix(report))
             (arms(report))
@@ -167,11 +168,22 @@ fn findings(report: &FleetReport) -> Markup {
                 td { (row.whose.arm_label()) }
                 td { (row.whose.part()) }
                 td .words { (row.title) ", " (how_often(row)) }
+                td .words {
+                    @if let Some(worst) = &row.worst {
+                        (worst.message) br; span .quiet { (worst.path) }
+                    }
+                }
                 td .words { (row.message) br; span .quiet { (row.path) } }
             }
         }
     };
-    table("findings", "What is found", &["", "arm", "of", "", "last"], &report.findings, row)
+    table(
+        "findings",
+        "What is found",
+        &["", "arm", "of", "", "worst", "last"],
+        &report.findings,
+        row,
+    )
 }
 
 fn arms(report: &FleetReport) -> Markup {
@@ -242,6 +254,39 @@ fn logs(report: &FleetReport) -> Markup {
                 td { (row.whose.arm_label()) }
                 td { @match row.verdict { Some(verdict) => { (verdict) } None => { (row.status.name()) } } }
                 td { (row.codes.join(", ")) }
+            }
+        }
+    })
+}
+
+/// What the columns of each dataset hold, learnt once for all its logs.
+fn datasets(report: &FleetReport) -> Markup {
+    let rows: Vec<(&DatasetRow, String, String, &str)> = report
+        .datasets
+        .iter()
+        .flat_map(|of| {
+            let robot = of.robot.iter().map(move |robot| {
+                (of, "arm".to_owned(), robot.clone(), "by all logs that were asked")
+            });
+            let columns = of
+                .columns
+                .iter()
+                .map(move |row| (of, row.is.clone(), row.columns.join(", "), row.why.as_str()));
+            let open = of
+                .open
+                .iter()
+                .map(move |open| (of, "open".to_owned(), String::new(), open.as_str()));
+            robot.chain(columns).chain(open)
+        })
+        .collect();
+    table("datasets", "Columns", &["dataset", "what", "columns", "by"], &rows, |row| {
+        let (of, is, columns, why) = row;
+        html! {
+            tr {
+                th scope="row" .words { (of.dataset) }
+                td { (is) }
+                td .words { (columns) }
+                td .words { (why) }
             }
         }
     })

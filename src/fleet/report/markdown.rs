@@ -20,8 +20,22 @@ pub fn write(report: &FleetReport, out: &mut dyn Write) -> io::Result<()> {
         writeln!(out, "- {label}: {}", prose(&said))?;
     }
     report.arms.iter().try_for_each(|row| writeln!(out, "- {}", prose(&arm(row))))?;
+    for dataset in &report.datasets {
+        let lines = dataset.lines();
+        let head = lines.first().map(String::as_str).unwrap_or_default();
+        writeln!(out, "\n### Columns of {}\n", prose(head))?;
+        if !dataset.columns.is_empty() {
+            writeln!(out, "| what | columns | by |\n|---|---|---|")?;
+        }
+        for row in &dataset.columns {
+            let columns: Vec<String> = row.columns.iter().map(|name| code(name)).collect();
+            writeln!(out, "| {} | {} | {} |", prose(&row.is), columns.join(", "), prose(&row.why))?;
+        }
+        dataset.open.iter().try_for_each(|open| writeln!(out, "\n{}", prose(open)))?;
+    }
     if !report.findings.is_empty() {
-        writeln!(out, "\n| severity | rule | subject | found | last in |\n|---|---|---|---|---|")?;
+        let head = "| severity | rule | subject | found | worst in | last in |";
+        writeln!(out, "\n{head}\n|---|---|---|---|---|---|")?;
     }
     report.findings.iter().take(MOST_ROWS).try_for_each(|row| finding(row, out))?;
     if !report.errors.is_empty() {
@@ -36,12 +50,14 @@ fn finding(row: &FindingRow, out: &mut dyn Write) -> io::Result<()> {
     let subject =
         if row.whose.part().is_empty() { row.whose.arm_label() } else { row.whose.part() };
     let found = format!("{}, {often}: {}", row.title, row.message);
+    let worst = row.worst.as_ref().map_or(&row.path, |worst| &worst.path);
     writeln!(
         out,
-        "| {severity} | {} | {} | {} | {} |",
+        "| {severity} | {} | {} | {} | {} | {} |",
         row.code,
         prose(&subject),
         prose(&found),
+        code(worst),
         code(&row.path)
     )
 }

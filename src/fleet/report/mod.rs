@@ -2,6 +2,7 @@
 //! amounts move over time.
 
 mod calendar;
+mod found;
 mod gather;
 mod html;
 mod markdown;
@@ -13,11 +14,12 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::engine::{Statuses, Verdicts};
-use super::store::{Status, Store, StoreError};
+use super::outcomes::{Statuses, Verdicts};
+use super::store::{KeptDataset, Status, Store, StoreError};
 use crate::checks::Selector;
 use crate::finding::Severity;
 use crate::report::Verdict;
+use crate::run::{SharedColumns, SharedRow};
 
 pub use calendar::{Day, day};
 pub use html::write as write_html;
@@ -54,6 +56,8 @@ pub struct FleetReport {
     pub failing: bool,
     /// The logs.
     pub logs: LogCounts,
+    /// The datasets that they are of, and what these tell of all their logs.
+    pub datasets: Vec<DatasetRow>,
     /// The arms.
     pub arms: Vec<ArmRow>,
     /// Each log, the latest first.
@@ -135,6 +139,45 @@ impl Whose {
     }
 }
 
+/// A dataset, and what was learnt of some of its logs for all.
+#[derive(Clone, Debug, Serialize)]
+pub struct DatasetRow {
+    /// Its folder or file.
+    pub dataset: String,
+    /// The logs that were asked.
+    pub asked: Vec<String>,
+    /// The arm of the catalogue that they are of.
+    pub robot: Option<String>,
+    /// What its columns hold, where their names do not say it.
+    pub columns: Vec<SharedRow>,
+    /// What they leave open.
+    pub open: Option<String>,
+}
+
+impl DatasetRow {
+    fn of(kept: KeptDataset) -> Self {
+        let KeptDataset { dataset, shared, .. } = kept;
+        let columns = shared.columns.as_ref();
+        Self {
+            dataset,
+            asked: shared.from,
+            robot: shared.robot,
+            columns: columns.map(SharedColumns::rows).unwrap_or_default(),
+            open: columns.and_then(SharedColumns::question).map(str::to_owned),
+        }
+    }
+
+    /// It in lines: its arm, its columns, what they leave open.
+    fn lines(&self) -> Vec<String> {
+        let robot = self.robot.as_deref().map_or(String::new(), |robot| format!(": {robot}"));
+        let head = format!("{}{robot}, by {}", self.dataset, self.asked.join(", "));
+        let row =
+            |row: &SharedRow| format!("{} = {} ({})", row.is, row.columns.join(", "), row.why);
+        let open = self.open.iter().map(|open| format!("open: {open}"));
+        std::iter::once(head).chain(self.columns.iter().map(row)).chain(open).collect()
+    }
+}
+
 /// An arm.
 #[derive(Clone, Debug, Serialize)]
 pub struct ArmRow {
@@ -201,6 +244,18 @@ pub struct FindingRow {
     pub path: String,
     /// … and when it began, as a decimal string.
     pub start_ns: Option<String>,
+    /// The log whose amount is the largest, where it is another.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub worst: Option<Worst>,
+}
+
+/// The log in which an amount is the largest.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Worst {
+    /// It in words.
+    pub message: String,
+    /// The log.
+    pub path: String,
 }
 
 /// A log that could not be audited.
@@ -242,10 +297,12 @@ impl FleetReport {
             || (moves && fails(Severity::Warning))
             || (question.fails_open && gathered.logs.verdicts.inconclusive > 0)
             || (!gathered.errors.is_empty() && question.fail_on.is_some());
+        let datasets = store.datasets(&gathered.logs.settings);
         Ok(Self {
             schema: SCHEMA,
             tool: Tool { name: env!("CARGO_PKG_NAME"), version: env!("CARGO_PKG_VERSION") },
             failing,
+            datasets: datasets.into_iter().map(DatasetRow::of).collect(),
             logs: gathered.logs,
             arms: gathered.arms,
             rows: gathered.rows,

@@ -32,6 +32,13 @@ pub fn write(report: &FleetReport, out: &mut dyn Write) -> io::Result<()> {
     writeln!(out)?;
     let (style, word) = if report.failing { (ERROR, "FAIL") } else { (GOOD, "PASS") };
     line(out, style, word, &totals(report))?;
+    for dataset in &report.datasets {
+        let mut label = "dataset";
+        for said in dataset.lines() {
+            line(out, STRONG, label, &said)?;
+            label = "";
+        }
+    }
     let moving: Vec<&TrendRow> = report.moving().collect();
     rows(out, &moving, |out, row| {
         let what = format!("{} {}: {}", row.whose.arm_label(), row.whose.part(), row.says());
@@ -123,6 +130,9 @@ fn finding(row: &FindingRow, out: &mut dyn Write) -> io::Result<()> {
     let part = if part.is_empty() { String::new() } else { format!(" {part}") };
     let said = format!("{}{part}: {}, {}", row.whose.arm_label(), row.title, how_often(row));
     line(out, style, &format!("{} {}", row.severity.name(), row.code), &said)?;
+    if let Some(worst) = &row.worst {
+        line(out, Style::new(), "", &format!("worst: {}, {}", worst.message, worst.path))?;
+    }
     line(out, Style::new(), "", &format!("last: {}, {}", row.message, row.path))
 }
 

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 use polars::prelude::DataFrame;
 
-use super::{Status, Store, StoreError, TABLES, Table, parts};
+use super::{LogRows, Status, Store, StoreError, TABLES, Table, parts};
 
 /// So many parts of a level become one.
 const MANY: usize = 100;
@@ -88,6 +88,23 @@ impl Store {
         Ok(())
     }
 
+    /// Puts the rows of logs that are done for good in one part of each table, as if parts of each had been
+    /// merged.
+    pub(super) fn commit_together(&self, logs: Vec<LogRows>) -> Result<(), StoreError> {
+        let keys: Vec<String> = logs.iter().map(|log| log.key.clone()).collect();
+        let name = parts::merged_name(1, &parts::together(keys.iter().map(String::as_str)));
+        let mut frames = logs.into_iter().map(|log| log.tables.into_frames()).collect::<Vec<_>>();
+        for (at, table) in TABLES.into_iter().enumerate() {
+            let own = frames.iter_mut().map(|of| std::mem::take(&mut of[at].1));
+            let path = self.folder.of(table).join(&name);
+            if let Some(mut whole) = stacked(own.filter(|frame| frame.height() > 0), &path)? {
+                parts::write(&path, &mut whole)?;
+            }
+        }
+        // An earlier call may have left some of their own.
+        keys.iter().try_for_each(|key| self.forget(key))
+    }
+
     /// Merges the parts of one level of a table, where they are many.
     fn merge_level(&self, table: Table, level: u32) -> Result<bool, StoreError> {
         let all = parts::of(&self.folder.of(table))?;
@@ -110,19 +127,11 @@ impl Store {
         level: u32,
         together: &str,
     ) -> Result<(), StoreError> {
-        let mut whole: Option<DataFrame> = None;
-        for path in &paths {
-            let frame = parts::read(path, None)?;
-            match &mut whole {
-                None => whole = Some(frame),
-                Some(whole) => {
-                    let grown = whole.vstack_mut(&frame);
-                    grown.map_err(|source| StoreError::Content { path: path.clone(), source })?;
-                }
-            }
-        }
-        let Some(mut whole) = whole else { return Ok(()) };
-        whole.rechunk_mut();
+        let frames = paths.iter().map(|path| parts::read(path, None));
+        let frames = frames.collect::<Result<Vec<_>, _>>()?;
+        let Some(mut whole) = stacked(frames.into_iter(), &self.folder.of(table))? else {
+            return Ok(());
+        };
         let path = self.folder.of(table).join(parts::merged_name(level, together));
         parts::write(&path, &mut whole)?;
         paths.iter().try_for_each(|path| parts::remove(path))
@@ -137,4 +146,18 @@ impl Store {
         let keys = keys.map_err(|source| StoreError::Content { path: path.to_owned(), source })?;
         Ok(keys.iter().flatten().map(str::to_owned).collect())
     }
+}
+
+/// All rows as one frame, for `path`; none where there are none.
+fn stacked(
+    mut frames: impl Iterator<Item = DataFrame>,
+    path: &Path,
+) -> Result<Option<DataFrame>, StoreError> {
+    let Some(mut whole) = frames.next() else { return Ok(None) };
+    for frame in frames {
+        let grown = whole.vstack_mut(&frame);
+        grown.map_err(|source| StoreError::Content { path: path.to_owned(), source })?;
+    }
+    whole.rechunk_mut();
+    Ok(Some(whole))
 }

@@ -19,6 +19,17 @@ pub struct Tables {
     frames: Vec<(Table, DataFrame)>,
 }
 
+/// What is kept of one log.
+#[derive(Debug)]
+pub struct LogRows {
+    /// Its key.
+    pub key: String,
+    /// How its audit ended.
+    pub answer: Answer,
+    /// Its rows.
+    pub tables: Tables,
+}
+
 /// What the row of `runs` says beside the report.
 #[derive(Clone, Copy, Debug)]
 pub struct Row<'a> {

@@ -16,14 +16,17 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use polars::prelude::{Column, DataFrame, PolarsError};
+use serde::{Deserialize, Serialize};
 
+use super::content::key_of;
+use super::dataset::Shared;
 use super::settings::AuditSettings;
 use super::task::Answer;
 pub use super::task::Status;
 use crate::report::{Trouble, TroubleKind};
 
 pub(super) use frames::found;
-pub use frames::{Row, Tables};
+pub use frames::{LogRows, Row, Tables};
 
 /// A table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -48,6 +51,8 @@ pub const TABLES: [Table; 5] =
 
 /// The folder of what settings of a hash are.
 const SETTINGS: &str = "settings";
+/// Folder of what the logs of a dataset share.
+const DATASETS: &str = "datasets";
 /// Folder of the pages of logs.
 const PAGES: &str = "pages";
 
@@ -156,7 +161,7 @@ impl Store {
     /// The folders below `folder` that it keeps its files in.
     pub fn folders(folder: &Path) -> Vec<PathBuf> {
         let tables = TABLES.into_iter().chain([Table::Sources]).map(Table::name);
-        tables.chain([SETTINGS, PAGES]).map(|name| folder.join(name)).collect()
+        tables.chain([SETTINGS, DATASETS, PAGES]).map(|name| folder.join(name)).collect()
     }
 
     /// The store that is in `folder`; `None` where there is none.
@@ -189,17 +194,69 @@ impl Store {
             .map_err(|source| StoreError::File { path, source })
     }
 
+    /// What the logs of a dataset share, as it was learnt with settings of a hash.
+    pub fn dataset(&self, dataset: &Path, settings: &str) -> Option<Shared> {
+        let text = fs::read_to_string(self.dataset_file(dataset, settings)).ok()?;
+        let kept: KeptDataset = serde_json::from_str(&text).ok()?;
+        Some(kept.shared)
+    }
+
+    /// What the logs of each dataset share, as it was learnt with settings of a hash, by their names.
+    pub fn datasets(&self, settings: &str) -> Vec<KeptDataset> {
+        let files = fs::read_dir(self.path().join(DATASETS)).into_iter().flatten().flatten();
+        let texts = files.filter_map(|file| fs::read_to_string(file.path()).ok());
+        let kept = texts.filter_map(|text| serde_json::from_str(&text).ok());
+        let mut kept: Vec<KeptDataset> =
+            kept.filter(|kept: &KeptDataset| kept.settings == settings).collect();
+        kept.sort_by(|a, b| a.dataset.cmp(&b.dataset));
+        kept
+    }
+
+    /// Keeps what the logs of a dataset share.
+    ///
+    /// # Errors
+    /// Where it cannot be written.
+    pub fn keep_dataset(
+        &self,
+        dataset: &Path,
+        settings: &str,
+        shared: &Shared,
+    ) -> Result<(), StoreError> {
+        let path = self.dataset_file(dataset, settings);
+        let dataset = dataset.display().to_string();
+        let kept = KeptDataset { dataset, settings: settings.to_owned(), shared: shared.clone() };
+        let write = |staged: &Path| fs::write(staged, serde_json::to_vec_pretty(&kept)?);
+        crate::report::write_whole(&path, write).map_err(|source| StoreError::File { path, source })
+    }
+
+    fn dataset_file(&self, dataset: &Path, settings: &str) -> PathBuf {
+        let version = env!("CARGO_PKG_VERSION");
+        let name = key_of(&dataset.display().to_string(), version, settings);
+        self.path().join(DATASETS).join(format!("{name}.json"))
+    }
+
     /// When the settings of this hash were written down first; nothing where they were not.
     pub(super) fn settings_written(&self, hash: &str) -> Option<std::time::SystemTime> {
         let path = self.path().join(SETTINGS).join(format!("{hash}.json"));
         fs::metadata(path).and_then(|metadata| metadata.modified()).ok()
     }
 
-    /// Puts the rows of the log with this key in their places, those of `runs` last.
+    /// Puts the rows of some logs in their places, those of `runs` last: of several that are done for good
+    /// together.
     ///
     /// # Errors
     /// Where a part cannot be written.
-    pub fn commit(&self, key: &str, tables: Tables) -> Result<(), StoreError> {
+    pub fn commit(&self, logs: Vec<LogRows>) -> Result<(), StoreError> {
+        let (done, others): (Vec<_>, Vec<_>) =
+            logs.into_iter().partition(|log| log.answer.status.is_final());
+        match done.len() {
+            0 | 1 => done.into_iter().try_for_each(|log| self.commit_one(&log.key, log.tables))?,
+            _ => self.commit_together(done)?,
+        }
+        others.into_iter().try_for_each(|log| self.commit_one(&log.key, log.tables))
+    }
+
+    fn commit_one(&self, key: &str, tables: Tables) -> Result<(), StoreError> {
         for (table, mut frame) in tables.into_frames() {
             let path = self.folder.of(table).join(parts::name(key));
             match frame.height() {
@@ -312,6 +369,17 @@ impl Store {
         }
         Ok(())
     }
+}
+
+/// What the logs of a dataset share, as it is kept.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct KeptDataset {
+    /// The folder or file of the dataset.
+    pub dataset: String,
+    /// Hash of the settings.
+    pub settings: String,
+    /// What its logs share.
+    pub shared: Shared,
 }
 
 /// Which content a file had as it stood.

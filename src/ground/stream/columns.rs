@@ -148,6 +148,9 @@ pub struct JointColumns {
     pub unnamed: bool,
     /// Whether the positions were taken for degrees, by nothing but their size, and are rad here.
     pub taken_for_degrees: bool,
+    /// Factor and offset by which each position here was made of the number that is logged, where that is
+    /// neither rad nor degrees; else empty.
+    pub lines: Vec<[f64; 2]>,
 }
 
 /// Poses with quaternions: PoseStamped, Odometry, TransformStamped, one (parent, child) of /tf.

@@ -47,6 +47,8 @@ pub(super) struct Clock {
     pub cell: Option<(usize, usize)>,
     /// How they came about, in one line.
     pub said: String,
+    /// The column, where its numbers told that it holds times and its name does not.
+    pub told: Option<String>,
     /// The median of their steps, s.
     step_s: f64,
 }
@@ -98,8 +100,11 @@ pub(super) fn of(table: &Table, settings: &ColumnSettings) -> Result<Clock, Refu
 fn by_numbers(table: &Table) -> Result<Clock, Refusal> {
     /// More columns that rise alike are ramps, not clocks.
     const MOST_ALIKE: usize = 2;
-    let none =
-        || "no column holds times, and no metadata the rate (`time` or `rate_hz`)".to_owned();
+    let none = || {
+        "no column holds times, and no metadata the rate: add `[columns]` with `rate_hz = 30` (the true rows a \
+         second) or `time = \"COLUMN\"` to poseaudit.toml"
+            .to_owned()
+    };
     let mut found: Vec<(String, Clock, Column)> = Vec::new();
     let mut alike = 0;
     for (at, column) in table.columns.iter().enumerate() {
@@ -128,7 +133,7 @@ fn by_numbers(table: &Table) -> Result<Clock, Refusal> {
             let name = std::mem::take(name);
             let (_, clock, _) = found.swap_remove(0);
             let said = clock.said.replacen("''", &format!("'{name}', by its numbers"), 1);
-            Ok(Clock { said, ..clock })
+            Ok(Clock { said, told: Some(name), ..clock })
         }
         several => {
             let names: Vec<String> =
@@ -187,6 +192,7 @@ fn made(table: &Table, rate_hz: f64, by: &str) -> Clock {
         said: format!(
             "its stamps are made: {rate_hz} rows a second, {by}; latencies are those between its columns"
         ),
+        told: None,
         step_s: 1.0 / rate_hz,
     }
 }
@@ -244,6 +250,7 @@ fn timed(at: usize, column: &Column) -> Option<Clock> {
         stamps: values.iter().map(|value| nanos(*value)).collect(),
         cell: Some((at, 0)),
         said,
+        told: None,
         step_s,
     })
 }

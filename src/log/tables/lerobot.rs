@@ -25,7 +25,7 @@ const MOST_FILES: usize = 100;
 /// What a dataset says of itself.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Dataset {
-    rate_hz: Option<f64>,
+    pub rate_hz: Option<f64>,
     pub robot: Option<String>,
     pub features: BTreeMap<String, Feature>,
 }
@@ -65,9 +65,9 @@ pub(crate) fn is_dataset(folder: &Path) -> bool {
     folder.join(INFO).is_file()
 }
 
-/// Whether a file is one of such a dataset's.
-pub fn is_in_dataset(file: &Path) -> bool {
-    file.ancestors().skip(1).take(DEEP).any(is_dataset)
+/// The folder of such a dataset that a file is one of.
+pub fn dataset_of(file: &Path) -> Option<PathBuf> {
+    file.ancestors().skip(1).take(DEEP).find(|folder| is_dataset(folder)).map(Path::to_owned)
 }
 
 /// The data files of the dataset in `folder`.
@@ -99,8 +99,7 @@ pub(crate) fn files_of(folder: &Path) -> Result<Vec<Input>, LogError> {
 
 /// The dataset that a file is of: that of the nearest folder above with `meta/info.json`.
 pub(super) fn above(path: &Path) -> Option<Dataset> {
-    let folder = path.ancestors().skip(1).take(DEEP).find(|folder| is_dataset(folder))?;
-    dataset(&folder.join(INFO))
+    dataset(&dataset_of(path)?.join(INFO))
 }
 
 fn dataset(path: &PathBuf) -> Option<Dataset> {

@@ -27,7 +27,7 @@ struct Cell {
 /// What some cells are together.
 enum Meaning {
     /// Positions of joints of these names; whether nobody said the names.
-    Joints { names: Vec<String>, unnamed: bool },
+    Joints { names: Vec<String>, unnamed: bool, lines: Vec<[f64; 2]> },
     /// Position, and what is logged of the rotation.
     Pose,
     /// A position alone.
@@ -225,7 +225,12 @@ fn numbered_joints(table: &Table, all: &[Cell]) -> Vec<Group> {
             false => home.to_owned(),
         };
         let why = why(table, &cells, "by name and number");
-        groups.push(Group { topic, cells, meaning: Meaning::Joints { names, unnamed }, why });
+        groups.push(Group {
+            topic,
+            cells,
+            meaning: Meaning::Joints { names, unnamed, lines: Vec::new() },
+            why,
+        });
     }
     groups
 }
@@ -261,7 +266,7 @@ fn limbs(table: &Table, all: &[Cell]) -> Vec<Group> {
         groups.push(Group {
             topic,
             cells,
-            meaning: Meaning::Joints { names, unnamed: false },
+            meaning: Meaning::Joints { names, unnamed: false, lines: Vec::new() },
             why,
         });
     }
@@ -280,12 +285,18 @@ fn whole(column: &Column, cells: Vec<Cell>) -> Group {
             || names::words(&column.name).ends_with(&["target".into(), "q".into()]) =>
         {
             let names = UR_JOINTS.map(str::to_owned).to_vec();
-            (Meaning::Joints { names, unnamed: false }, by_name("joints of a UR"))
+            (
+                Meaning::Joints { names, unnamed: false, lines: Vec::new() },
+                by_name("joints of a UR"),
+            )
         }
         width if names::are_joints(&words) && JOINTS.contains(&width) => {
             let side = names::side(&words);
             let names = (1..=width).map(|number| format!("{side}q{number}")).collect();
-            (Meaning::Joints { names, unnamed: true }, by_name("joint positions"))
+            (
+                Meaning::Joints { names, unnamed: true, lines: Vec::new() },
+                by_name("joint positions"),
+            )
         }
         6 | 7 | 12 | 16 if names::is_pose(&words) => (Meaning::Pose, by_name("a pose")),
         3 if names::part(&column.name, 3).is_some_and(|(_, part)| part == Part::Position) => {
@@ -363,7 +374,10 @@ fn why(table: &Table, cells: &[Cell], by: &str) -> String {
 impl Group {
     /// The largest position of a joint that is no gripper's, whatever its unit; 0 of other groups.
     fn most(&self, table: &Table) -> f64 {
-        let Meaning::Joints { names, .. } = &self.meaning else { return 0.0 };
+        let Meaning::Joints { names, lines, .. } = &self.meaning else { return 0.0 };
+        if !lines.is_empty() {
+            return 0.0;
+        }
         let arms = self
             .cells
             .iter()
@@ -399,9 +413,12 @@ impl Group {
             rows.iter().flat_map(|&(row, _)| cells.iter().map(move |cell| at(row, cell))).collect()
         };
         let columns = match meaning {
-            Meaning::Joints { names, unnamed } => {
+            Meaning::Joints { names, unnamed, lines } => {
                 let mut joints = joints(&stamps, &names, &values(), unnamed);
-                if most > TWO_TURNS {
+                for (joint, [factor, offset]) in joints.joints.iter_mut().zip(&lines) {
+                    joint.position.iter_mut().for_each(|q| *q = factor * *q + offset);
+                }
+                if most > TWO_TURNS && lines.is_empty() {
                     why += &format!("; taken for degrees: rad do not go up to {most:.1}");
                     if let Some(what) = no_degrees(table, &cells, most) {
                         why += &format!(", but {what}");
@@ -421,6 +438,7 @@ impl Group {
                     let all = joints.joints.iter_mut().flat_map(|joint| &mut joint.position);
                     all.for_each(|position| *position = position.to_radians());
                 }
+                joints.lines = lines;
                 Some(Columns::Joints(joints))
             }
             Meaning::Pose => Some(Columns::Array(array(&stamps, cells.len(), &values()))),

@@ -39,7 +39,7 @@ pub use self::settings::{ColumnSelector, ColumnSettings};
 
 pub(super) use self::csv::{first_line, has_time};
 pub(super) use self::hdf5::MAGIC as HDF5_MAGIC;
-pub use self::lerobot::is_in_dataset;
+pub use self::lerobot::dataset_of;
 pub(super) use self::lerobot::{files_of, is_dataset};
 pub(super) use self::npy::MAGIC as NPY_MAGIC;
 pub(super) use self::rsi::has_packet;
@@ -261,6 +261,7 @@ impl Tables {
         if !std::mem::replace(&mut self.told, true) {
             intake.note(path, clock.said.clone());
         }
+        intake.timed_by(clock.told.as_deref());
         if table.rate_hz.is_some() {
             intake.declared(None);
         }

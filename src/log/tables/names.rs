@@ -260,6 +260,7 @@ pub(super) fn axis(name: &str) -> Option<(Vec<String>, Axis)> {
             .or_else(|| one(&["qx", "qy", "qz", "qw"], Axis::Quaternion))
             .or_else(|| one(&["rx", "ry", "rz"], Axis::Turn))
             .or_else(|| one(&["roll", "pitch", "yaw"], Axis::Turn))
+            .or_else(|| one(&["phix", "phiy", "phiz"], Axis::Turn))
             .or_else(|| one(&["rr", "rp"], Axis::Turn))
             .or_else(|| one(&["a", "b", "c"], Axis::Letter))
     };

@@ -4,13 +4,15 @@
 //! fixed lists and Hugging Face's sequences are the same there.
 
 use std::ops::Range;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use ::bytes::Bytes;
 use ::parquet::basic::Type;
-use ::parquet::column::reader::{ColumnReader, ColumnReaderImpl};
+use ::parquet::column::reader::{ColumnReader, ColumnReaderImpl, get_column_reader};
 use ::parquet::data_type::DataType;
 use ::parquet::errors::ParquetError;
-use ::parquet::file::reader::{FileReader, SerializedFileReader};
+use ::parquet::file::metadata::{ParquetMetaData, ParquetMetaDataReader};
+use ::parquet::file::serialized_reader::SerializedPageReader;
 use ::parquet::file::statistics::Statistics;
 
 use super::lerobot::Dataset;
@@ -29,6 +31,49 @@ struct Leaf {
     values: Vec<f64>,
 }
 
+/// A file, and where in it what is.
+struct File {
+    bytes: Arc<Bytes>,
+    metadata: Arc<ParquetMetaData>,
+}
+
+impl File {
+    /// Parses the metadata, which takes as long as to read an episode of a dataset, only where those of the
+    /// last file were others.
+    fn open(bytes: Bytes) -> Result<Self, Refusal> {
+        static LAST: Mutex<Option<(Vec<u8>, Arc<ParquetMetaData>)>> = Mutex::new(None);
+        let mut last = LAST.lock().unwrap_or_else(PoisonError::into_inner);
+        let footer = footer(&bytes).unwrap_or_default();
+        let known = last.as_ref().filter(|(known, _)| !footer.is_empty() && known == footer);
+        let metadata = match known {
+            Some((_, metadata)) => Arc::clone(metadata),
+            None => {
+                let read = ParquetMetaDataReader::new().parse_and_finish(&bytes);
+                let metadata = Arc::new(read.map_err(|error| worded(&error))?);
+                *last = Some((footer.to_vec(), Arc::clone(&metadata)));
+                metadata
+            }
+        };
+        Ok(Self { bytes: Arc::new(bytes), metadata })
+    }
+
+    fn column(&self, group: usize, at: usize) -> Result<ColumnReader, Refusal> {
+        let of = self.metadata.row_group(group);
+        let rows = usize::try_from(of.num_rows()).unwrap_or(0);
+        let pages = SerializedPageReader::new(Arc::clone(&self.bytes), of.column(at), rows, None);
+        let pages = pages.map_err(|error| worded(&error))?;
+        Ok(get_column_reader(of.column(at).column_descr_ptr(), Box::new(pages)))
+    }
+}
+
+/// The metadata behind a file's rows, as they stand there.
+fn footer(bytes: &[u8]) -> Option<&[u8]> {
+    let (rest, end) = bytes.split_last_chunk::<8>()?;
+    let [a, b, c, d, ..] = *end;
+    let length = usize::try_from(u32::from_le_bytes([a, b, c, d])).ok()?;
+    rest.get(rest.len().checked_sub(length)?..)
+}
+
 /// The episodes of a file: by `episode_index`, where it has that column. Of one that is `wanted` only its rows
 /// are decoded.
 pub(super) fn read(
@@ -36,9 +81,8 @@ pub(super) fn read(
     dataset: Option<&Dataset>,
     wanted: Option<&str>,
 ) -> Result<Episodes, Refusal> {
-    let reader = SerializedFileReader::new(bytes).map_err(|error| worded(&error))?;
-    let metadata = reader.metadata();
-    let schema = metadata.file_metadata().schema_descr_ptr();
+    let reader = File::open(bytes)?;
+    let schema = reader.metadata.file_metadata().schema_descr_ptr();
     let mut leaves = Vec::new();
     let mut budget = MOST_NUMBERS;
     let rows = match wanted {
@@ -86,35 +130,31 @@ pub(super) fn read(
 
 /// The names of the episodes of a file.
 pub(super) fn episodes_in(bytes: Bytes) -> Result<Vec<String>, Refusal> {
-    let reader = SerializedFileReader::new(bytes).map_err(|error| worded(&error))?;
-    let mut index = index(&reader)?;
+    let mut index = index(&File::open(bytes)?)?;
     index.dedup();
     Ok(index.iter().map(f64::to_string).collect())
 }
 
 /// The episode of each row; empty where no column says it.
-fn index(reader: &SerializedFileReader<Bytes>) -> Result<Vec<f64>, Refusal> {
+fn index(reader: &File) -> Result<Vec<f64>, Refusal> {
     let Some(at) = index_column(reader) else { return Ok(Vec::new()) };
     let mut of = Numbers { budget: MOST_NUMBERS, rows: 0..usize::MAX, ..Numbers::default() };
     of.read(reader, at)?;
     Ok(of.values)
 }
 
-fn index_column(reader: &SerializedFileReader<Bytes>) -> Option<usize> {
-    let schema = reader.metadata().file_metadata().schema_descr_ptr();
+fn index_column(reader: &File) -> Option<usize> {
+    let schema = reader.metadata.file_metadata().schema_descr_ptr();
     (0..schema.num_columns()).find(|at| schema.column(*at).path().string() == EPISODE)
 }
 
 /// The rows of one episode. Row groups whose statistics say that it is not in them are passed over.
-fn rows_of(
-    reader: &SerializedFileReader<Bytes>,
-    wanted: &str,
-) -> Result<Option<Range<usize>>, Refusal> {
+fn rows_of(reader: &File, wanted: &str) -> Result<Option<Range<usize>>, Refusal> {
     let (Some(at), Ok(number)) = (index_column(reader), wanted.parse::<i64>()) else {
         return Ok(None);
     };
     let (mut first, mut found) = (0_usize, None::<Range<usize>>);
-    for group in reader.metadata().row_groups() {
+    for group in reader.metadata.row_groups() {
         let count = usize::try_from(group.num_rows()).unwrap_or(0);
         let own = first..first.saturating_add(count);
         first = own.end;
@@ -216,15 +256,15 @@ struct Numbers {
 
 impl Numbers {
     /// Reads column `at` of all row groups that have any of the rows.
-    fn read(&mut self, reader: &SerializedFileReader<Bytes>, at: usize) -> Result<(), Refusal> {
+    fn read(&mut self, reader: &File, at: usize) -> Result<(), Refusal> {
         let mut first = 0;
-        for group in 0..reader.num_row_groups() {
-            let group = reader.get_row_group(group).map_err(|error| worded(&error))?;
-            let count = usize::try_from(group.metadata().num_rows()).unwrap_or(0);
+        for (group, count) in
+            reader.metadata.row_groups().iter().map(|of| of.num_rows()).enumerate()
+        {
+            let count = usize::try_from(count).unwrap_or(0);
             let own = self.rows.start.max(first)..self.rows.end.min(first + count);
             if !own.is_empty() {
-                let column = group.get_column_reader(at).map_err(|error| worded(&error))?;
-                self.column(column, own.start - first..own.end - first)?;
+                self.column(reader.column(group, at)?, own.start - first..own.end - first)?;
             }
             first += count;
         }

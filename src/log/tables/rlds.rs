@@ -6,9 +6,11 @@ use std::path::Path;
 use serde_json::Value;
 
 use super::lerobot::{Dataset, Feature, MOST_BYTES};
+use super::rate_in;
 use super::tfrecord::STEPS;
 
 const FEATURES: &str = "features.json";
+const INFO: &str = "dataset_info.json";
 /// Features within features that are looked at.
 const DEEP: usize = 8;
 
@@ -17,9 +19,17 @@ pub(super) fn beside(path: &Path) -> Option<Dataset> {
     let path = path.parent()?.join(FEATURES);
     let is_small = fs::metadata(&path).is_ok_and(|metadata| metadata.len() <= MOST_BYTES);
     let text = is_small.then(|| fs::read_to_string(&path).ok()).flatten()?;
-    let mut dataset = Dataset::default();
+    let mut dataset = Dataset { rate_hz: rate_beside(&path), ..Dataset::default() };
     descend(&serde_json::from_str(&text).ok()?, "", DEEP, &mut dataset);
     Some(dataset)
+}
+
+/// The rate that the dataset's own metadata name, beside its features.
+fn rate_beside(features: &Path) -> Option<f64> {
+    let path = features.with_file_name(INFO);
+    let is_small = fs::metadata(&path).is_ok_and(|metadata| metadata.len() <= MOST_BYTES);
+    let text = is_small.then(|| fs::read_to_string(&path).ok()).flatten()?;
+    rate_in(&serde_json::from_str(&text).ok()?)
 }
 
 /// The numbers that a description counts, as in `[7x joint angles, 2x gripper position]`; none where it counts

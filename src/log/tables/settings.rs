@@ -11,6 +11,10 @@ pub struct ColumnSettings {
     pub joints: Vec<ColumnSelector>,
     /// Commanded joint positions, likewise.
     pub joint_commands: Vec<ColumnSelector>,
+    /// Factors and offsets of the joints, where their numbers are no rad: rad = factor · number + offset.
+    pub joint_factors: Vec<f64>,
+    /// See `joint_factors`.
+    pub joint_offsets: Vec<f64>,
     /// The measured pose of the tool: position, then rotation.
     pub pose: Vec<ColumnSelector>,
     /// The commanded pose of the tool.

@@ -207,6 +207,7 @@ fn hostile_names_stay_text() {
         start_ns: None,
         end_ns: None,
         columns: Vec::new(),
+        joint_lines: Vec::new(),
     };
     report.streams = vec![row(HOSTILE)];
     let page = written(&report);

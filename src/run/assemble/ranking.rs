@@ -2,14 +2,14 @@
 //! the streams of poses say. The same question is asked of a model that was named.
 
 use std::cmp::Reverse;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use super::assembly::{Assembly, is_topic};
 use super::groups::Group;
-use crate::diagnosis::{ModelFit, Needs, PoseStream, Priced, model_fit};
+use crate::diagnosis::{ModelFit, Needs, PoseStream, Priced, Tried, model_fit};
 use crate::finding::Unit;
 use crate::robot::catalogue;
 use crate::run::arm::{Arm, Ends};
@@ -35,15 +35,23 @@ const APART: f64 = 20.0;
 /// Residuals below these say nothing: rounding, and the difference of an arm from its drawing.
 const FLOOR_M: std::ops::RangeInclusive<f64> = 5e-6..=1e-3;
 
+/// Of more models than these, where one leaves no more than this of each stream without a fault, m, those that
+/// leave so many times that and more than fits are not asked what fault would help them.
+const MANY: usize = 4;
+const CLEAR_M: f64 = 1e-4;
+const FAR: f64 = 100.0;
+
 /// How one model fits the streams of poses.
 #[derive(Default)]
 struct Entry {
+    arm: Option<Arm>,
     fits: Vec<Fitted>,
 }
 
 /// How one model fits one stream.
 struct Fitted {
     stream: usize,
+    source: PoseSource,
     /// Whether the model says where the stream's frame is, and was held to it.
     knows_frame: bool,
     fit: ModelFit,
@@ -90,6 +98,16 @@ impl ByPoses<'_> {
             if entry.whose_frame_is(true).any(|stream| free.contains(&stream)) {
                 *entry = self.entry(model, &free);
             }
+        });
+        // What faults explain is asked only where it could be cheaper.
+        let (floors_m, near) = (floors_m(&entries), near(&entries));
+        entries.par_iter_mut().zip(near).for_each(|(Entry { arm, fits }, is_near)| {
+            let Some(arm) = arm.as_ref().filter(|_| is_near) else { return };
+            let open = fits.iter_mut().filter(|it| !it.fit.is_settled(floors_m[&it.stream]));
+            open.for_each(|it| {
+                let all = self.fit_of(arm, &it.source, it.knows_frame, Tried::All);
+                it.fit = all.unwrap_or_else(|| it.fit.clone());
+            });
         });
         let ranks = ranks(&entries);
         let standings = ranks.into_iter().map(|rank| {
@@ -191,20 +209,23 @@ impl ByPoses<'_> {
         // Those that say most, copies once, and no more than tell.
         let mut longest: Vec<usize> = (0..streams.len()).collect();
         longest.sort_by_key(|&stream| Reverse(streams[stream].count));
-        let (mut fits, mut sources): (_, Vec<PoseSource>) = (Vec::new(), Vec::new());
+        let (mut fits, mut untold): (Vec<Fitted>, Vec<PoseSource>) = (Vec::new(), Vec::new());
         for stream in longest {
-            let source = self.source_of(&arm, stream);
-            let new = source.filter(|one| !sources.iter().any(|other| one.is_copy_of(other)));
-            let Some(source) = new else { continue };
+            let Some(source) = self.source_of(&arm, stream) else { continue };
+            let mut others = fits.iter().map(|fitted| &fitted.source).chain(&untold);
+            if others.any(|other| source.is_copy_of(other)) {
+                continue;
+            }
             let knows_frame = source.reference_known && !free.contains(&stream);
-            let fit = self.fit_of(&arm, &source, knows_frame);
-            fits.extend(fit.map(|fit| Fitted { stream, knows_frame, fit }));
-            sources.push(source);
+            match self.fit_of(&arm, &source, knows_frame, Tried::Harmless) {
+                Some(fit) => fits.push(Fitted { stream, source, knows_frame, fit }),
+                None => untold.push(source),
+            }
             if fits.len() == MOST_STREAMS {
                 break;
             }
         }
-        Entry { fits }
+        Entry { arm: Some(arm), fits }
     }
 
     /// A stream of `arm`, where it may be its tool's pose.
@@ -227,7 +248,13 @@ impl ByPoses<'_> {
     }
 
     /// How `arm` fits a stream, held to its frame or not.
-    fn fit_of(&self, arm: &Arm, source: &PoseSource, knows_frame: bool) -> Option<ModelFit> {
+    fn fit_of(
+        &self,
+        arm: &Arm,
+        source: &PoseSource,
+        knows_frame: bool,
+        tried: Tried,
+    ) -> Option<ModelFit> {
         let stream = PoseStream {
             track: &source.track,
             chain: &source.chain,
@@ -236,8 +263,39 @@ impl ByPoses<'_> {
             stamp_error_s: source.stamp_error_s,
             stamps_copied: source.stamps_copied,
         };
-        model_fit(&arm.joints, &stream, self.assembly.options.max_latency_s)
+        model_fit(&arm.joints, &stream, self.assembly.options.max_latency_s, tried)
     }
+}
+
+/// Below what residuals of each stream are the same to any model, m.
+fn floors_m(entries: &[Entry]) -> BTreeMap<usize, f64> {
+    let mut floors_m = BTreeMap::new();
+    for Fitted { stream, fit, .. } in entries.iter().flat_map(|entry| &entry.fits) {
+        let floor_m = (2.0 * fit.harmless_m()).clamp(*FLOOR_M.start(), *FLOOR_M.end());
+        let least = floors_m.entry(*stream).or_insert(floor_m);
+        *least = least.min(floor_m);
+    }
+    floors_m
+}
+
+/// Which models come near to the one that leaves least without a fault; all where none is clear, or they are few.
+fn near(entries: &[Entry]) -> Vec<bool> {
+    let streams: BTreeSet<usize> =
+        entries.iter().flat_map(|entry| entry.fits.iter().map(|fitted| fitted.stream)).collect();
+    let left =
+        |stream: usize, entry: &Entry| entry.of(stream).map_or(f64::INFINITY, ModelFit::harmless_m);
+    let least_m: Vec<(usize, f64)> = streams
+        .into_iter()
+        .map(|stream| {
+            (stream, entries.iter().map(|it| left(stream, it)).fold(f64::INFINITY, f64::min))
+        })
+        .collect();
+    let is_clear = !least_m.is_empty() && least_m.iter().all(|(_, least_m)| *least_m < CLEAR_M);
+    let is_near = |entry: &Entry| {
+        least_m.iter().any(|&(stream, least_m)| left(stream, entry) <= FITS_M.max(FAR * least_m))
+    };
+    let is_asked = |entry| entries.len() <= MANY || !is_clear || is_near(entry);
+    entries.iter().map(is_asked).collect()
 }
 
 /// The models by their scores over the streams that some of them explains, or over all where none does.
@@ -254,13 +312,10 @@ fn ranks(entries: &[Entry]) -> Vec<Rank> {
     let explained: Vec<usize> = streams.iter().filter(is_explained).copied().collect();
     let counted: Vec<usize> =
         if explained.is_empty() { streams.into_iter().collect() } else { explained };
-    let floor_m = |stream: usize| {
-        let least = of(stream).map(ModelFit::harmless_m).fold(f64::INFINITY, f64::min);
-        (2.0 * least).clamp(*FLOOR_M.start(), *FLOOR_M.end())
-    };
+    let floors_m = floors_m(entries);
     let rank = |(model, entry): (usize, &Entry)| {
         let each = counted.iter().map(|&stream| {
-            let best = entry.of(stream)?.best(floor_m(stream))?;
+            let best = entry.of(stream)?.best(floors_m[&stream])?;
             Some((stream, best))
         });
         let each: Vec<(usize, Priced)> = each.collect::<Option<_>>()?;

@@ -81,21 +81,13 @@ impl Cells {
         };
         numbers.sort_by_key(|(number, _)| home(number));
         let homes = numbers.iter().map(|(number, _)| home(number)).collect();
-        let mut whole: Vec<usize> = Vec::new();
-        let mut last = i64::MIN;
-        for (row, stamp) in rows.iter().enumerate() {
-            if *stamp > last && numbers.iter().all(|(_, values)| values[row].is_finite()) {
-                last = *stamp;
-                whole.push(row);
-            }
-        }
-        let origin = *rows.first()?;
-        let second = NANOS_PER_SECOND as f64;
-        let t_s = whole.iter().map(|&row| (rows[row] - origin) as f64 / second).collect();
-        let pick = |values: Vec<f64>| whole.iter().map(|&row| values[row]).collect();
         let (numbers, columns): (Vec<Number>, Vec<Vec<f64>>) = numbers.into_iter().unzip();
-        let columns = columns.into_iter().map(pick).collect();
-        Some(Self { numbers, sheet: Sheet::new(t_s, columns, homes) })
+        Some(Self { numbers, sheet: whole(&rows, columns, homes) })
+    }
+
+    /// The numbers by their names.
+    pub fn names(&self) -> Vec<String> {
+        self.numbers.iter().map(|number| number.cell.name.clone()).collect()
     }
 
     /// Whether names do not say both where the joints and where the tool are.
@@ -108,6 +100,42 @@ impl Cells {
     pub fn of_kind(&self, known: Known) -> Vec<usize> {
         (0..self.numbers.len()).filter(|&at| self.numbers[at].known == known).collect()
     }
+}
+
+/// All numbers of some topics beside each other, each times its factor, in the rows that all have; `None` where
+/// they are of different tables.
+pub(super) fn side_by_side(topics: &[(&Topic, f64)]) -> Option<Sheet> {
+    let rows = times_of(topics.first()?.0)?.log.clone();
+    let (mut columns, mut homes) = (Vec::new(), Vec::new());
+    for (home, (topic, factor)) in topics.iter().enumerate() {
+        let own = Rows::of(topic, &rows)?;
+        for part in 0..topic.cells.len() {
+            let mut values = own.values(topic, part);
+            values.iter_mut().for_each(|value| *value *= factor);
+            columns.push(values);
+            homes.push(home);
+        }
+    }
+    Some(whole(&rows, columns, homes))
+}
+
+/// The rows in which each column has a number, at times that rise.
+fn whole(rows: &[i64], mut columns: Vec<Vec<f64>>, homes: Vec<usize>) -> Sheet {
+    let mut whole: Vec<usize> = Vec::new();
+    let mut last = i64::MIN;
+    for (row, stamp) in rows.iter().enumerate() {
+        if *stamp > last && columns.iter().all(|values| values[row].is_finite()) {
+            last = *stamp;
+            whole.push(row);
+        }
+    }
+    let origin = rows.first().copied().unwrap_or_default();
+    let second = NANOS_PER_SECOND as f64;
+    let t_s = whole.iter().map(|&row| (rows[row] - origin) as f64 / second).collect();
+    for values in &mut columns {
+        *values = whole.iter().map(|&row| values[row]).collect();
+    }
+    Sheet::new(t_s, columns, homes)
 }
 
 fn times_of(topic: &Topic) -> Option<&Times> {

@@ -4,8 +4,10 @@
 //! A way to take them that is not the only one is a question, with the lines for the config that settle it.
 
 mod cells;
+mod commands;
 mod contradictions;
 mod roles;
+mod shared;
 mod topics;
 
 use crate::diagnosis::{Block, Mapping, Wanted};
@@ -17,6 +19,7 @@ use super::{models, skeleton};
 pub use cells::selectors;
 use cells::{Cells, Known, is_open};
 use roles::Taken;
+pub use shared::{Shared, SharedColumns, SharedRow};
 
 /// An arm that the table may be of.
 struct Candidate {
@@ -41,22 +44,30 @@ const MOST_ARMS: usize = 2;
 const MOVES_M: f64 = 0.02;
 
 /// Makes joints, poses and commands of the columns of tables whose names do not say what they are, where their
-/// numbers do.
-pub fn tell_columns(log: &mut Log, options: &RunOptions) {
+/// numbers do; what they are is for others of the same dataset.
+pub fn tell_columns(log: &mut Log, options: &RunOptions) -> Option<SharedColumns> {
     contradictions::find(log);
+    commands::settle(log);
     if !log.topics.iter().any(is_open) {
-        return;
+        return None;
     }
     let Some(cells) = Cells::of(&log.topics).filter(Cells::is_asked) else {
-        return topics::leave_singles(log);
+        topics::leave_singles(log);
+        return None;
     };
-    let search = Search::new(&cells, options, log.robot_type.as_deref());
-    let told = search.told(log);
+    let names = cells.names();
+    let shared = options.shared.as_ref().and_then(|shared| shared.of(&names));
+    let search = Search::new(&cells, options, log.robot_type.as_deref(), shared);
+    let told = match shared {
+        Some(shared) => search.shared(shared, log),
+        None => search.told(log),
+    };
     topics::rewrite(log, &search, &told);
     if let (Some(what), Some(file)) = (&told.question, log.files.first()) {
         log.notes.push(Note { file: file.path.clone(), what: what.clone() });
     }
-    log.question = told.question;
+    log.question.clone_from(&told.question);
+    Some(SharedColumns::of(names, told))
 }
 
 /// One table, and the arms that it may be of.
@@ -67,11 +78,20 @@ struct Search<'a> {
 }
 
 impl<'a> Search<'a> {
-    fn new(cells: &'a Cells, options: &RunOptions, robot_type: Option<&str>) -> Self {
-        let given = models::given(&options.robots).unwrap_or_default();
+    fn new(
+        cells: &'a Cells,
+        options: &RunOptions,
+        robot_type: Option<&str>,
+        shared: Option<&SharedColumns>,
+    ) -> Self {
+        let given = models::given_or_shared(options).unwrap_or_default();
         let named: Vec<&Robot> =
             models::for_numbers(&given, robot_type).into_iter().map(|(robot, _)| robot).collect();
-        let robots = if named.is_empty() { catalogue::entries().iter().collect() } else { named };
+        let robots = match shared {
+            _ if !named.is_empty() => named,
+            Some(shared) if shared.is_told() => shared.robots(),
+            _ => catalogue::entries().iter().collect(),
+        };
         let arms = robots.into_iter().flat_map(|robot| {
             let paths = skeleton::arms(robot, |_| true).into_iter();
             paths.filter_map(|path| {

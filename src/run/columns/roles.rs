@@ -1,14 +1,19 @@
 //! Which of several columns that say the same are the measured ones, and what stands beside them.
 
+use serde::{Deserialize, Serialize};
+
 use crate::diagnosis::{Block, JointNumbers, Mapping, Shift, Wanted};
 use crate::finding::Unit;
 
 use super::Search;
 
 /// The columns of one arm, and why they are.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Taken {
-    pub joints: Vec<usize>,
-    pub unit: JointNumbers,
+    /// The name of the arm.
+    pub arm: String,
+    /// Its joints and the position of its tool.
+    pub mapping: Mapping,
     pub joints_why: String,
     /// Position, then rotation.
     pub pose: Vec<usize>,
@@ -22,11 +27,16 @@ pub(super) struct Taken {
 }
 
 impl Taken {
+    /// Whether its columns are among the first `count`.
+    pub fn is_within(&self, count: usize) -> bool {
+        self.all().iter().chain(&self.mapping.position).all(|&at| at < count)
+    }
+
     /// All its columns.
     pub fn all(&self) -> Vec<usize> {
         let commands = [&self.joint_commands, &self.pose_commands].into_iter().flatten();
         let further = commands.chain(&self.others).flat_map(|(columns, _)| columns.iter().copied());
-        self.joints.iter().chain(&self.pose).copied().chain(further).collect()
+        self.mapping.joints.iter().chain(&self.pose).copied().chain(further).collect()
     }
 }
 
@@ -183,8 +193,7 @@ impl Search<'_> {
             Unit::Metre.show(mapping.spread_m)
         );
         Ok(Taken {
-            joints: mapping.joints.clone(),
-            unit: mapping.unit,
+            arm: arm.clone(),
             joints_why: fits.clone(),
             pose,
             pose_why: format!("{fits}; {rotation}"),
@@ -192,6 +201,7 @@ impl Search<'_> {
             joint_commands,
             pose_commands,
             others,
+            mapping,
         })
     }
 

@@ -2,6 +2,7 @@
 
 use crate::diagnosis::{Conduct, JointNumbers};
 use crate::log::{Log, TableCell, Topic};
+use crate::robot::Chain;
 use crate::stream::{ArrayColumns, Columns, JointColumn, JointColumns, PoseColumns};
 
 use super::cells::{is_open, selectors};
@@ -124,9 +125,11 @@ fn of_arm(log: &Log, search: &Search<'_>, arm: &Taken, prefix: &str) -> Vec<Topi
     let is_open = |columns: &[usize]| {
         columns.iter().all(|&at| search.cells.numbers[at].known == super::Known::Open)
     };
-    let joints = |columns: &[usize]| joints(array(log, search, columns), arm.unit);
-    if is_open(&arm.joints) {
-        topics.push(topic("joints", &arm.joints, &arm.joints_why, joints(&arm.joints)));
+    let chain = search.chain_of(arm);
+    let joints = |columns: &[usize]| joints(array(log, search, columns), arm.mapping.unit, chain);
+    let own = &arm.mapping.joints;
+    if is_open(own) {
+        topics.push(topic("joints", own, &arm.joints_why, joints(own)));
     }
     if let Some((columns, why)) = &arm.joint_commands {
         topics.push(topic("joint_commands", columns, why, joints(columns)));
@@ -176,14 +179,21 @@ fn array(log: &Log, search: &Search<'_>, columns: &[usize]) -> ArrayColumns {
     made
 }
 
-fn joints(array: ArrayColumns, unit: JointNumbers) -> Columns {
-    // What is neither rad nor degrees the audit tells of them (ORD009).
-    let degrees = unit != JointNumbers::Radians;
+fn joints(array: ArrayColumns, unit: JointNumbers, chain: Option<&Chain>) -> Columns {
+    let degrees = unit == JointNumbers::Degrees;
+    let lines: Vec<[f64; 2]> = match (unit, chain) {
+        (JointNumbers::Ticks { .. } | JointNumbers::Shares, Some(chain)) => {
+            (0..array.width).map(|joint| <[f64; 2]>::from(unit.read(chain, joint))).collect()
+        }
+        _ => Vec::new(),
+    };
+    let factor = if degrees { 1_f64.to_radians() } else { 1.0 };
     let column = |joint: usize| {
         let numbers = array.values.iter().skip(joint).step_by(array.width);
+        let [factor, offset] = lines.get(joint).copied().unwrap_or([factor, 0.0]);
         JointColumn {
             name: format!("q{}", joint + 1),
-            position: numbers.map(|q| if degrees { q.to_radians() } else { *q }).collect(),
+            position: numbers.map(|q| factor * q + offset).collect(),
             velocity: vec![f64::NAN; array.times.len()],
         }
     };
@@ -193,6 +203,7 @@ fn joints(array: ArrayColumns, unit: JointNumbers) -> Columns {
         not_finite: array.not_finite,
         unnamed: true,
         taken_for_degrees: degrees,
+        lines,
         ..JointColumns::default()
     })
 }

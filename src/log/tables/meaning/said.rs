@@ -37,6 +37,7 @@ fn said_of_arm(table: &Table, settings: &ColumnSettings) -> Result<Vec<Group>, R
             ("joints" | "joint_commands", count) => Meaning::Joints {
                 names: (1..=count).map(|number| format!("q{number}")).collect(),
                 unnamed: true,
+                lines: lines(settings, count)?,
             },
             (_, 3) => Meaning::Position,
             (_, 6 | 7 | 12 | 16) => Meaning::Pose,
@@ -50,6 +51,21 @@ fn said_of_arm(table: &Table, settings: &ColumnSettings) -> Result<Vec<Group>, R
         groups.push(Group { topic: key.to_owned(), cells: all, meaning, why });
     }
     Ok(groups)
+}
+
+/// Factor and offset of each of so many joints; none where none are said.
+fn lines(settings: &ColumnSettings, count: usize) -> Result<Vec<[f64; 2]>, Refusal> {
+    let (factors, offsets) = (&settings.joint_factors, &settings.joint_offsets);
+    for (key, said) in [("joint_factors", factors), ("joint_offsets", offsets)] {
+        if !said.is_empty() && said.len() != count {
+            return Err(format!("`columns.{key}` has {} numbers for {count} joints", said.len()));
+        }
+    }
+    if factors.is_empty() && offsets.is_empty() {
+        return Ok(Vec::new());
+    }
+    let of = |said: &[f64], at: usize, default| said.get(at).copied().unwrap_or(default);
+    Ok((0..count).map(|at| [of(factors, at, 1.0), of(offsets, at, 0.0)]).collect())
 }
 
 fn selected(table: &Table, selector: &ColumnSelector) -> Result<Vec<Cell>, String> {

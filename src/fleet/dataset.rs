@@ -1,0 +1,107 @@
+//! What the logs of one dataset share: asked of a few of them, before all are audited.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use super::sources::Source;
+use crate::Options;
+use crate::boundary::caught;
+use crate::log::{self, SourceName, dataset_of, episode_of, is_store, is_table, is_url};
+use crate::report::Trouble;
+use crate::robot::catalogue;
+pub use crate::run::Shared;
+use crate::run::{Run, tell_columns};
+
+/// Logs of one dataset, by their places.
+pub type Groups = BTreeMap<PathBuf, Vec<usize>>;
+
+/// Fewer logs are each asked for themselves.
+const FEW: usize = 4;
+/// Logs that are asked; where none of these decides, up to twice as many.
+pub const ASKED: usize = 3;
+
+/// The datasets among some logs: LeRobot folders, files of many episodes, and tables beside each other.
+pub fn groups(sources: &[Source]) -> Groups {
+    let mut groups = Groups::new();
+    for (at, source) in sources.iter().enumerate() {
+        groups.entry(group_of(&source.path)).or_default().push(at);
+    }
+    groups.retain(|key, members| !key.as_os_str().is_empty() && members.len() >= FEW);
+    groups
+}
+
+/// The dataset that a log is of; empty where it is of none.
+pub fn group_of(path: &Path) -> PathBuf {
+    if is_url(path) {
+        return PathBuf::new();
+    }
+    let (file, episode) = episode_of(path);
+    let beside = || file.parent().filter(|_| is_table(&file)).map(Path::to_owned);
+    match dataset_of(&file) {
+        Some(folder) => folder,
+        None if episode.is_some() => file,
+        None => beside().unwrap_or_default(),
+    }
+}
+
+/// Which of some logs are asked first, and then: spread over all.
+pub fn asked(members: &[usize]) -> Vec<usize> {
+    let at = |share: f64| members[((members.len() - 1) as f64 * share) as usize];
+    let mut asked: Vec<usize> = Vec::new();
+    for share in [0.0, 0.5, 1.0, 0.25, 0.75, 0.125] {
+        if !asked.contains(&at(share)) {
+            asked.push(at(share));
+        }
+    }
+    asked
+}
+
+/// What one log tells of all of its dataset.
+pub fn learnt(path: &Path, options: &Options) -> Option<Shared> {
+    let options = Options { logs: vec![path.to_owned()], ..options.clone() };
+    let from = SourceName::of(path).to_string();
+    let from = from.rsplit('/').next().unwrap_or_default().to_owned();
+    let learn = || -> Result<Shared, Trouble> {
+        let mut log = log::open(&options.logs, &options.read)?;
+        let mut columns = tell_columns(&mut log, &options.run);
+        if let Some(columns) = &mut columns {
+            columns.from.clone_from(&from);
+        }
+        let run = Run::complete(log, &options.run, |_| Ok::<_, Trouble>(()));
+        let robot = run.ok().and_then(|run| match run.arms.as_slice() {
+            [only] if options.run.robots.is_empty() => Some(only.robot.name.clone()),
+            _ => None,
+        });
+        let robot = robot.filter(|name| catalogue::find(name).is_some());
+        Ok(Shared { from: vec![from], robot, columns })
+    };
+    caught(learn).ok()?.ok()
+}
+
+/// What some logs tell together: their arm where all name the same, their columns where those that decide
+/// agree.
+pub fn together(told: Vec<Shared>, group: &Path) -> Option<Shared> {
+    let first = told.first()?;
+    // Tables in a folder may be of several arms.
+    let is_one = dataset_of(&group.join("meta")).is_some() || group.is_file() || is_store(group);
+    let robot = first.robot.clone();
+    let robot = robot.filter(|_| is_one && told.iter().all(|it| it.robot == first.robot));
+    let decided: Vec<_> = told
+        .iter()
+        .filter_map(|it| it.columns.as_ref().filter(|columns| columns.is_told()))
+        .collect();
+    let columns = match decided.as_slice() {
+        [] => first.columns.clone().filter(|_| told.iter().all(|it| it.columns.is_some())),
+        [columns, others @ ..] => {
+            others.iter().all(|other| columns.agrees(other)).then(|| (*columns).clone())
+        }
+    };
+    let from = told.iter().flat_map(|it| it.from.clone()).collect();
+    Some(Shared { from, robot, columns }).filter(|it| it.robot.is_some() || it.columns.is_some())
+}
+
+/// Whether what some logs told leaves something open that another may tell.
+pub fn is_open(told: &[Shared]) -> bool {
+    let is_told = |it: &Shared| it.columns.as_ref().is_some_and(|columns| columns.is_told());
+    told.iter().any(|it| it.columns.is_some()) && !told.iter().any(is_told)
+}

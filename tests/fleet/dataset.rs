@@ -1,0 +1,52 @@
+//! Episodes of one dataset: their columns are told once, and verified in each.
+
+use super::*;
+
+/// Writes an episode of an arm under names that say nothing: joints, then the position of the flange; the
+/// joints behind it where `turned`.
+fn episode(path: &Path, seed: u64, turned: bool) -> Result<()> {
+    let chain = crate::tables::ur5e();
+    let mut text = "t,c0,c1,c2,c3,c4,c5,c6,c7,c8\n".to_owned();
+    for row in 0..300 {
+        let t_s = f64::from(row) / 30.0;
+        let middle = [0.0, -1.2, 1.4, -1.5, -1.5, 0.0];
+        let joint = |(at, middle): (usize, f64)| {
+            let turn = 0.5 + 0.17 * at as f64 + 0.05 * seed as f64;
+            middle + 0.5 * (turn * t_s + at as f64).sin() + 0.2 * (2.3 * turn * t_s).cos()
+        };
+        let q: Vec<f64> = middle.into_iter().enumerate().map(joint).collect();
+        let xyz: [f64; 3] = chain.forward(&q).translation.vector.into();
+        let numbers =
+            if turned { [&xyz, q.as_slice()].concat() } else { [&q, xyz.as_slice()].concat() };
+        let cells: Vec<String> = numbers.iter().map(|number| format!("{number:.9}")).collect();
+        text += &format!("{t_s:.6},{}\n", cells.join(","));
+    }
+    Ok(fs::write(path, text)?)
+}
+
+#[test]
+fn the_columns_of_a_dataset_are_told_once_and_contradicted_by_name() -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    let logs = folder.path().join("episodes");
+    fs::create_dir(&logs)?;
+    for seed in 0..7 {
+        episode(&logs.join(format!("episode_{seed}.csv")), seed, seed == 4)?;
+    }
+    let out = folder.path().join("out").display().to_string();
+    let logs = logs.display().to_string();
+    fleet(&[&logs, "--out", &out]).output()?;
+    let output = Command::new(env!("CARGO_BIN_EXE_poseaudit"))
+        .args(["fleet", "report", &out, "--format", "json"])
+        .output()?;
+    let report = json(&output)?;
+    let columns = &report["datasets"][0]["columns"];
+    assert_eq!(columns[0]["columns"], serde_json::json!(["c0", "c1", "c2", "c3", "c4", "c5"]));
+    assert_eq!(report["logs"]["statuses"]["audited"], 7, "{report:#}");
+    let findings = report["findings"].as_array().context("findings")?;
+    let found: Vec<&str> = findings.iter().filter_map(|row| row["code"].as_str()).collect();
+    assert_eq!(found, ["META001"], "{report:#}");
+    let row = &findings[0];
+    assert!(row["path"].as_str().is_some_and(|path| path.ends_with("episode_4.csv")));
+    assert!(row["message"].as_str().is_some_and(|what| what.contains("its columns are others")));
+    Ok(())
+}
