@@ -134,11 +134,11 @@ impl Run {
             mut streams, timing, tf, arms, unaudited, contests, frozen, watched, ..
         } = assembly;
         let span = span(streams.iter().filter(|stream| stream.rate_hz.is_some()));
-        let rhythms = rhythms(&streams, &timing, &joint_topics(&streams, &timing), &arms);
         let (flaws, norms) =
             (flaws(&streams, &timing.sift.publishers), norms(&streams, &timing.clocks));
-        let Timing { clocks, excerpts, sift } = timing;
         release(&mut streams, &norms);
+        let rhythms = rhythms(&streams, &timing, &joint_topics(&streams, &timing), &arms);
+        let Timing { clocks, excerpts, sift } = timing;
         Ok(Run {
             origin,
             span,

@@ -4,7 +4,7 @@
 use rayon::prelude::*;
 
 use crate::stats::median;
-use crate::stream::{ArrayColumns, Columns, ImuColumns, PoseColumns};
+use crate::stream::{ArrayColumns, Columns, ImuColumns, PoseColumns, Times};
 use crate::time::Stamp;
 
 use super::Run;
@@ -64,17 +64,23 @@ pub(super) fn norms(streams: &[Stream], clocks: &Clocks) -> Vec<Norms> {
     streams.par_iter().enumerate().flat_map_iter(of).collect()
 }
 
-/// Gives back what the rows of poses and IMUs hold, of which all was taken that is looked at; stamps stay,
-/// and rotations that are none.
+/// Gives back what the rows of poses and IMUs hold, of which all was taken that is looked at. Stamps stay, and
+/// what may be asked for again: rotations that are none, and rows whose stamps repeat.
 pub(super) fn release(streams: &mut [Stream], norms: &[Norms]) {
     for (index, stream) in streams.iter_mut().enumerate() {
         let own = norms.iter().filter(|norms| norms.stream == index);
-        let kept: Vec<usize> =
+        let odd: Vec<usize> =
             own.filter(|norms| norms.largest > ASKED_FOR).map(|norms| norms.piece).collect();
         if let Some(columns) = &mut stream.columns {
-            columns.release_values(|piece| kept.contains(&piece));
+            columns.release_values(|piece, times| odd.contains(&piece) || !ascend(times));
         }
     }
+}
+
+/// Whether all rows are in the order of receipt and each stamp is later than that before it.
+fn ascend(times: &Times) -> bool {
+    let stamped = times.header.iter().filter(|stamp| **stamp != 0);
+    times.log.is_sorted() && stamped.is_sorted_by(|a, b| a < b)
 }
 
 impl Run {

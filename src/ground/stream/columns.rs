@@ -278,26 +278,20 @@ impl Columns {
 }
 
 impl Columns {
-    /// Gives back what the rows of poses and IMUs hold, but for the rotations of those parts, by their
-    /// place, that are `kept`, and the numbers of messages. The times of all rows stay.
-    pub fn release_values(&mut self, kept: impl Fn(usize) -> bool) {
-        self.times_mut().into_iter().for_each(|times| times.sequence = Vec::new());
+    /// Gives back what the rows of poses and IMUs hold, but for the parts, by their place and times, that are
+    /// `kept`. The times of all rows stay.
+    pub fn release_values(&mut self, kept: impl Fn(usize, &Times) -> bool) {
         match self {
             Columns::Poses(poses) | Columns::Transforms(poses) => {
-                for (part, poses) in poses.iter_mut().enumerate() {
-                    poses.xyz = Vec::new();
-                    if !kept(part) {
-                        poses.q_xyzw = Vec::new();
-                    }
+                let parts = poses.iter_mut().enumerate();
+                for (_, poses) in parts.filter(|(part, poses)| !kept(*part, &poses.times)) {
+                    (poses.xyz, poses.q_xyzw) = Default::default();
                 }
             }
-            Columns::Imu(imu) => {
-                (imu.gyro, imu.accel) = (Vec::new(), Vec::new());
-                if !kept(0) {
-                    imu.q_xyzw = Vec::new();
-                }
+            Columns::Imu(imu) if !kept(0, &imu.times) => {
+                (imu.q_xyzw, imu.gyro, imu.accel) = Default::default();
             }
-            Columns::Joints(_) | Columns::Array(_) | Columns::Text(_) => {}
+            Columns::Imu(_) | Columns::Joints(_) | Columns::Array(_) | Columns::Text(_) => {}
         }
     }
 }
