@@ -70,6 +70,14 @@ pub fn audit(options: &Options) -> Result<Audited, Trouble> {
     Audited::of(log, options, given)
 }
 
+/// Audits what was read of a log that is still being written ([`log::Follow`]). Corrections are not applied.
+///
+/// # Errors
+/// Where the call is wrong. A log without an arm or a model is reported on.
+pub fn audit_read(log: log::Log, options: &Options) -> Result<Audited, Trouble> {
+    Audited::of(log, options, None)
+}
+
 /// What a log holds: its topics, and which role each gets and why. Nothing is audited.
 ///
 /// # Errors

@@ -173,3 +173,20 @@ fn every_limit_of_a_rule_is_listed_with_its_default() {
         }
     }
 }
+
+#[test]
+fn every_command_is_listed() {
+    let help = Command::new(env!("CARGO_BIN_EXE_poseaudit")).arg("--help").output();
+    let help = String::from_utf8(help.expect("the binary runs").stdout).expect("UTF-8");
+    let commands = help.split("Commands:").nth(1).and_then(|rest| rest.split("\n\n").next());
+    let names: Vec<&str> = commands
+        .expect("commands")
+        .lines()
+        .filter_map(|line| line.strip_prefix("  "))
+        .filter_map(|line| line.split(' ').next().filter(|name| !name.is_empty()))
+        .collect();
+    assert!(names.contains(&"audit") && names.len() > 10, "{names:?}");
+    for name in names {
+        assert!(document("commands.md").contains(&format!("poseaudit {name}")), "{name}");
+    }
+}

@@ -20,3 +20,4 @@ mod reports;
 mod robot;
 mod tables;
 mod viewer;
+mod watch;

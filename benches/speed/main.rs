@@ -181,22 +181,27 @@ fn forward_kinematics() -> Result<()> {
     let chain = robot.chain(link("base_link")?, link("tool0")?)?;
     let mut jacobian = vec![[0.0; 6]; chain.dof()];
     println!("\nForward kinematics of a UR5e, one core:");
-    for with_jacobian in [false, true] {
-        let mut q = vec![0.3; chain.dof()];
-        let mut sum = 0.0;
+    let rows: Vec<f64> = (0..POSES * chain.dof()).map(|at| 0.3 + 1e-3 * at as f64).collect();
+    let timed = |what: &str, run: &mut dyn FnMut() -> f64| {
         let started = Instant::now();
-        for _ in 0..POSES {
-            q.iter_mut().for_each(|q| *q += 1e-3);
-            let pose = match with_jacobian {
-                false => chain.forward(&q),
-                true => chain.forward_with_jacobian(&q, &mut jacobian),
-            };
-            sum += pose.translation.x;
-        }
-        std::hint::black_box(sum);
+        std::hint::black_box(run());
         let rate = POSES as f64 / started.elapsed().as_secs_f64();
-        let what = if with_jacobian { "pose and Jacobian" } else { "pose" };
         println!("{what:34} {:>6.2} million/s", rate / 1e6);
-    }
+    };
+    let each = || rows.chunks_exact(chain.dof());
+    timed("one pose at a time", &mut || each().map(|q| chain.forward(q).translation.x).sum());
+    timed("pose and Jacobian", &mut || {
+        each().map(|q| chain.forward_with_jacobian(q, &mut jacobian).translation.x).sum()
+    });
+    let mut poses = Vec::new();
+    timed("many poses at once", &mut || {
+        let thousands = rows.chunks(1000 * chain.dof());
+        thousands
+            .map(|rows| {
+                chain.forward_batch(rows, &mut poses);
+                poses.iter().map(|pose| pose.translation.x).sum::<f64>()
+            })
+            .sum()
+    });
     Ok(())
 }

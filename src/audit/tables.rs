@@ -8,7 +8,7 @@ use crate::geometry::{Vec3, rotation_from_xyzw};
 use crate::log::{PostureTable, RotationColumns, posture_table};
 use crate::report::{Trouble, TroubleKind};
 use crate::robot::{LinkId, Robot};
-use crate::run::{RunOptions, Witness, robot_of};
+use crate::run::{RunOptions, Witness};
 use crate::stream::{JointTrack, Orientations, PoseTrack};
 
 /// Rows are a second apart, and the arm rests for half of it: nothing but their order is known.
@@ -36,7 +36,7 @@ impl Table {
             let what = "a table of postures says nothing of the arm".to_owned();
             return Err(call(what, "name its model with --robot"));
         };
-        let robot = robot_of(&named.model)?;
+        let robot = named.robot()?;
         let (base, tip) =
             ends(&robot, options).map_err(|what| call(what, "name a link with --base or --tip"))?;
         let chain = robot

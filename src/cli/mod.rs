@@ -19,6 +19,7 @@ mod output;
 mod plan;
 mod pose;
 mod progress;
+mod record_list;
 mod reports;
 mod robots;
 mod rules;
@@ -26,6 +27,7 @@ mod say;
 mod statistics;
 mod tf;
 mod view;
+mod watch;
 
 use std::path::PathBuf;
 
@@ -106,6 +108,8 @@ enum Command {
     Tf(tf::Args),
     Pose(Box<pose::Args>),
     Plan(Box<plan::Args>),
+    RecordList(record_list::Args),
+    Watch(Box<watch::Args>),
     Completions(completions::Args),
     Man(man::Args),
 }
@@ -139,6 +143,8 @@ fn follow(command: Command) -> Result<Outcome, Trouble> {
         Command::Tf(args) => tf::run(&args),
         Command::Pose(args) => pose::run(&args),
         Command::Plan(args) => plan::run(&args),
+        Command::RecordList(args) => record_list::run(&args),
+        Command::Watch(args) => watch::run(*args),
         Command::Completions(args) => completions::run(&args),
         Command::Man(args) => man::run(&args),
     }

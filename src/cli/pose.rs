@@ -1,22 +1,17 @@
 //! `poseaudit pose`.
 
-mod json;
-mod text;
-
 use std::fs;
 use std::io::{self, Read};
 use std::path::PathBuf;
 
 use poseaudit::desk::{
-    Corrections, DeskError, FrameNames, Pair, Pasted, Question, Sheets, Style, Verdict,
-    pairs_from_csv, paste, reconcile, sheet,
+    Corrections, DeskError, FrameNames, Pair, Pasted, Question, Style, Verdict, answer_as_json,
+    pairs_from_csv, paste, reconcile, sheet, sheets_as_json, write_answer, write_sheets,
 };
 use poseaudit::places::Places;
 use poseaudit::report::Trouble;
 use poseaudit::run::robot_of;
 
-use self::json::{answer_as_json, sheets_as_json};
-use self::text::{write_answer, write_candidates, write_sheet};
 use super::output::Format;
 use super::{Outcome, misuse, output};
 
@@ -176,12 +171,9 @@ fn one(pose: &str, args: &Args) -> Result<Outcome, Trouble> {
     let style = style("--from", said.as_deref())?;
     let pasted = paste(&text).map_err(trouble("POSE"))?;
     let sheets = sheet(&pasted, style).map_err(trouble("POSE"))?;
-    output::emit(None, |out| match (args.format, &sheets) {
-        (Format::Json, sheets) => writeln!(out, "{:#}", sheets_as_json(sheets)),
-        (Format::Text, Sheets::One(sheet)) => write_sheet(sheet, &pasted, out),
-        (Format::Text, Sheets::Several { candidates, notes }) => {
-            write_candidates(candidates, notes, out)
-        }
+    output::emit(None, |out| match args.format {
+        Format::Json => writeln!(out, "{:#}", sheets_as_json(&sheets)),
+        Format::Text => write_sheets(&sheets, &pasted, out),
     })?;
     Ok(Outcome::Clean)
 }

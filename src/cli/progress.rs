@@ -55,7 +55,7 @@ fn timed<T>(progress: Arc<Progress>, work: impl FnOnce(Arc<Progress>) -> T) -> T
 }
 
 fn bar() -> ProgressBar {
-    let template = "{msg:8} {bar:40} {bytes} of {total_bytes}, {elapsed}";
+    let template = "{msg:10} {bar:40} {bytes} of {total_bytes}, {elapsed}";
     let style = ProgressStyle::with_template(template);
     let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
     bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
@@ -64,7 +64,7 @@ fn bar() -> ProgressBar {
 fn show(bar: &ProgressBar, progress: &Progress) {
     let (read, total) = (progress.read(), progress.total());
     bar.set_length(total);
-    bar.set_message(if total > 0 && read == total { "auditing" } else { "reading" });
+    bar.set_message(progress.doing());
     bar.set_position(read);
 }
 

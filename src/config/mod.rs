@@ -151,6 +151,7 @@ impl Config {
                 Some(path) => path.display().to_string(),
                 None => model.to_owned(),
             },
+            text: None,
         };
         all.map(source).collect()
     }

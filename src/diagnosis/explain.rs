@@ -264,9 +264,15 @@ fn choose(linear: &Linearized, menu: &Menu, state: &State) -> Choice {
         linear.cost(&parameters) + price * optional as f64
     };
     let mut best = Choice { score: score_of(&[]), causes: Vec::new() };
+    // No set leaves less than all causes together do.
+    let least = linear.cost(&parameters_of(&menu.all(), state));
     let mut set = Vec::new();
     let depth = if menu.optional.len() > 16 { EXHAUSTIVE - 1 } else { EXHAUSTIVE };
     subsets(&menu.optional, depth, &mut set, &mut |set| {
+        let parameters: usize = set.iter().map(|cause| cause.parameters(state).len()).sum();
+        if least + price * parameters as f64 >= best.score {
+            return;
+        }
         let score = score_of(set);
         if score < best.score {
             best = Choice { score, causes: set.to_vec() };

@@ -4,6 +4,7 @@
 //! correlation with FK's says how late the stream is before anything else is known. It is coarse by
 //! design: a tool offset or a wrong convention biases it by milliseconds, so the model refines it.
 
+use super::sampling::stretches;
 use ground::geometry::{Rotation, Vec3, angle_between};
 use ground::robot::Chain;
 use ground::stats::median;
@@ -136,8 +137,11 @@ fn window_s(t_s: &[f64]) -> f64 {
 
 /// The median time between samples, s.
 pub(super) fn median_period_s(t_s: &[f64]) -> f64 {
-    let mut periods: Vec<f64> = t_s.windows(2).map(|w| w[1] - w[0]).collect();
-    median(&mut periods).unwrap_or(0.0)
+    /// A median of more is no better.
+    const ENOUGH: usize = 20_000;
+    let stretches = stretches(t_s.len(), ENOUGH);
+    let periods = stretches.flat_map(|rows| t_s[rows].windows(2).map(|pair| pair[1] - pair[0]));
+    median(&mut periods.collect::<Vec<f64>>()).unwrap_or(0.0)
 }
 
 /// Speed of logged positions, in the positions' unit per second.

@@ -25,10 +25,10 @@ pub(super) struct Linear {
 
 /// The lower triangle of a symmetric matrix, row by row.
 #[derive(Clone)]
-struct Triangle(Vec<f64>);
+pub(super) struct Triangle(Vec<f64>);
 
 impl Triangle {
-    fn zeros(width: usize) -> Self {
+    pub fn zeros(width: usize) -> Self {
         Self(vec![0.0; width * (width + 1) / 2])
     }
 
@@ -39,7 +39,7 @@ impl Triangle {
 
     /// Adds `weight · Σ vᵀv` over some rows of `width` numbers, all zero beside each other for many a
     /// column.
-    fn add_squares<const N: usize>(&mut self, rows: [&[f64]; N], weight: f64) {
+    pub fn add_squares<const N: usize>(&mut self, rows: [&[f64]; N], weight: f64) {
         let mut rest = self.0.as_mut_slice();
         for i in 0..rows[0].len() {
             let (target, below) = rest.split_at_mut(i + 1);
@@ -55,11 +55,11 @@ impl Triangle {
         }
     }
 
-    fn add_scaled(&mut self, other: &Triangle, scale: f64) {
+    pub fn add_scaled(&mut self, other: &Triangle, scale: f64) {
         self.0.iter_mut().zip(&other.0).for_each(|(value, other)| *value += scale * other);
     }
 
-    fn at(&self, row: usize, column: usize) -> f64 {
+    pub fn at(&self, row: usize, column: usize) -> f64 {
         let (low, high) = (row.min(column), row.max(column));
         self.0[high * (high + 1) / 2 + low]
     }

@@ -93,7 +93,7 @@ pub use imu::{
 pub use joints::{JointOffset, JointReading, JointScale, JointSlip, JointUnit, Twin};
 pub use lag::{LatencyResidual, residual_by_latency};
 pub use latency::Peak;
-pub use model_fit::{ModelFit, Needs, Priced, Way, harmless_fit, model_fit};
+pub use model_fit::{ModelFit, Needs, Priced, Tried, Way, model_fit};
 pub use motion::{Abruptness, Excess, Series, abruptness, beyond_positions, beyond_speed, rates};
 pub use observability::{BlindDirection, Observability, Parameter};
 pub use proof::{Amount, Error, Part, Proof, Short, Size, proof};
@@ -104,6 +104,7 @@ pub use reference::{
 pub use reread::{Meant, reread_poses};
 pub use response::Response;
 pub use rival::{is_seen_from_tool, position_misfit_m};
+pub use sampling::stretches;
 pub use shake::{NoShake, Shake, ShakeSeen, shake, shake_seen};
 pub use skewed::SkewedDelays;
 pub use steady::{diagnose_imu_steadied, diagnose_steadied, steadied};

@@ -115,48 +115,63 @@ impl ModelFit {
         ways.min_by(|a, b| a.score.total_cmp(&b.score))
     }
 
+    /// Whether no way with a fault can be cheaper than those tried, as it would leave something and need a
+    /// number at least.
+    pub fn is_settled(&self, floor_m: f64) -> bool {
+        let least = self.price(0.0, floor_m, 1);
+        self.best(floor_m).is_some_and(|best| best.score <= least)
+    }
+
     fn score(&self, way: &Way, floor_m: f64) -> f64 {
+        let misread = if way.misread { 3 } else { 0 };
+        self.price(way.left_m, floor_m, way.needs.parameters() + misread)
+    }
+
+    /// The price of so many parameters that leave so much.
+    fn price(&self, left_m: f64, floor_m: f64, parameters: usize) -> f64 {
         /// Samples of one motion hang together: no more of them count.
         const COUNTED: f64 = 40.0;
         let n = (self.samples as f64).min(COUNTED);
         let price = super::explain::price(n);
-        let parameters = way.needs.parameters() as f64 + if way.misread { 3.0 } else { 0.0 };
-        n * (way.left_m.powi(2) + floor_m.powi(2)).ln() + price * parameters
+        n * (left_m.powi(2) + floor_m.powi(2)).ln() + price * parameters as f64
     }
+}
+
+/// Which ways a model is tried in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tried {
+    /// Those without a fault.
+    Harmless,
+    /// All there are.
+    All,
 }
 
 /// How the model behind `stream`'s chain fits its positions; `None` where the joints cover too few
 /// samples.
-pub fn model_fit(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Option<ModelFit> {
-    let (sight, mut fit) = best_fit(joints, stream, most_lag_s, Sight::fit)?;
+pub fn model_fit(
+    joints: &JointTrack,
+    stream: &PoseStream,
+    most_lag_s: f64,
+    tried: Tried,
+) -> Option<ModelFit> {
+    let scale = metres_by_size(joints, stream);
+    let lag_s = lags(joints, stream, most_lag_s);
+    let sights = lag_s.into_iter().filter_map(|lag_s| Sight::of(joints, stream, scale, lag_s));
+    let best = sights
+        .map(|sight| {
+            let fit = sight.fit();
+            (fit.harmless_m(), sight, fit)
+        })
+        .min_by(|a, b| a.0.total_cmp(&b.0));
+    let (_, sight, mut fit) = best?;
+    if tried == Tried::Harmless {
+        return Some(fit);
+    }
+    fit.ways.extend(sight.faulty_ways());
     if fit.ways.iter().all(|way| way.left_m > ASTRAY_M) {
         fit.ways.extend(sight.misread_ways());
     }
     Some(fit)
-}
-
-/// The same with no fault assumed, a tenth of the work: it tells which models may be those of a log that some
-/// model fits so.
-pub fn harmless_fit(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Option<ModelFit> {
-    let fit = |sight: &Sight| sight.fit_of(&[Needs::Nothing, Needs::Tool]);
-    best_fit(joints, stream, most_lag_s, fit).map(|(_, fit)| fit)
-}
-
-/// The fit at the latency at which least is left without a fault.
-fn best_fit<'a>(
-    joints: &'a JointTrack,
-    stream: &PoseStream<'a>,
-    most_lag_s: f64,
-    fit: impl Fn(&Sight<'a>) -> ModelFit,
-) -> Option<(Sight<'a>, ModelFit)> {
-    let scale = metres_by_size(joints, stream);
-    let lag_s = lags(joints, stream, most_lag_s);
-    let tried = lag_s.into_iter().filter_map(|lag_s| Sight::of(joints, stream, scale, lag_s));
-    let fits = tried.map(|sight| {
-        let fit = fit(&sight);
-        (sight, fit)
-    });
-    fits.min_by(|a, b| a.1.harmless_m().total_cmp(&b.1.harmless_m()))
 }
 
 /// How the model fits with a tool, its frame free where that is not known, and `with_zero` with that of one
@@ -236,22 +251,20 @@ impl<'a> Sight<'a> {
         })
     }
 
-    /// All ways, with poses and joints read as they are.
+    /// The ways without a fault.
     fn fit(&self) -> ModelFit {
+        let needs = [Needs::Nothing, Needs::Tool];
+        let ways = needs.into_iter().filter_map(|needs| self.way(needs)).collect();
+        ModelFit { samples: self.t_s.len(), spread_m: super::placing::spread(&self.xyz), ways }
+    }
+
+    /// The ways with one, with poses and joints read as they are.
+    fn faulty_ways(&self) -> Vec<Way> {
         let dof = self.stream.chain.dof();
         let zeros =
             (0..dof).flat_map(|joint| [false, true].map(|tool| Needs::Zero { joint, tool }));
-        let needs: Vec<Needs> = [Needs::Nothing, Needs::Tool]
-            .into_iter()
-            .chain([false, true].map(|tool| Needs::Reference { tool }))
-            .chain(zeros)
-            .collect();
-        self.fit_of(&needs)
-    }
-
-    fn fit_of(&self, needs: &[Needs]) -> ModelFit {
-        let ways = needs.iter().filter_map(|needs| self.way(*needs)).collect();
-        ModelFit { samples: self.t_s.len(), spread_m: super::placing::spread(&self.xyz), ways }
+        let references = [false, true].map(|tool| Needs::Reference { tool });
+        references.into_iter().chain(zeros).filter_map(|needs| self.way(needs)).collect()
     }
 
     /// The ways of poses that are inverted, and of joints that are in degrees.
@@ -336,9 +349,19 @@ impl<'a> Sight<'a> {
     /// Gauss–Newton on the numbers `free`: latency, joint zeros, reference frame, tool, in this order.
     fn solve(&self, mut guess: Guess, free: &[usize]) -> (f64, Guess) {
         const ROUNDS: usize = 10;
-        let mut best = (self.left_m(&guess), guess.clone());
-        for _ in 0..ROUNDS {
-            let Some(step) = self.step(&guess, free) else { break };
+        /// What is left has settled where it changes by less than this share.
+        const SETTLED: f64 = 1e-5;
+        let mut best = (f64::INFINITY, guess.clone());
+        for round in 0..=ROUNDS {
+            let (left_m, step) = self.step(&guess, free);
+            let gain = best.0 - left_m;
+            if gain > 0.0 {
+                best = (left_m, guess.clone());
+            }
+            let Some(step) = step.filter(|_| round < ROUNDS && gain.abs() > SETTLED * left_m)
+            else {
+                break;
+            };
             let dof = guess.zeros.len();
             for (&at, &change) in free.iter().zip(step.iter()) {
                 match at {
@@ -353,24 +376,20 @@ impl<'a> Sight<'a> {
                 at.map_or(0.0, |at| step[at])
             });
             guess.reference = pose_of_twist(&twist) * guess.reference;
-            let left_m = self.left_m(&guess);
-            let gain = best.0 - left_m;
-            if gain > 0.0 {
-                best = (left_m, guess.clone());
-            }
-            if gain.abs() < 1e-9 {
-                break;
-            }
         }
         best
     }
 
-    fn step(&self, guess: &Guess, free: &[usize]) -> Option<DVector<f64>> {
+    /// What a guess leaves, rms m over the best nine tenths, and the step from it; infinite and none where the
+    /// joints cover too little.
+    fn step(&self, guess: &Guess, free: &[usize]) -> (f64, Option<DVector<f64>>) {
         /// Steps are damped at this scale, so that what the log does not show stays in place.
         const SCALE: f64 = 0.5;
         let (n, dof) = (free.len(), guess.zeros.len());
         let mut moment = Moment::new(self);
         let (mut normal, mut right) = (DMatrix::zeros(n, n), DVector::zeros(n));
+        let mut squares: Vec<f64> = Vec::with_capacity(self.t_s.len());
+        let mut rows: Vec<Vec3> = Vec::with_capacity(n);
         let turn = guess.reference.rotation;
         for (&t_s, logged) in self.t_s.iter().zip(&self.xyz) {
             if !moment.at(t_s, guess) {
@@ -379,46 +398,34 @@ impl<'a> Sight<'a> {
             moment.pose = self.stream.chain.forward_with_jacobian(&moment.q, &mut moment.jacobian);
             let at = moment.tip(guess);
             let lever = moment.pose.rotation * guess.tool;
-            let rows: Vec<Vec3> = free
-                .iter()
-                .map(|&parameter| match parameter {
-                    0 => -(turn * moment.velocity(&lever)),
-                    p if p <= dof => turn * moment.along(p - 1, &lever),
-                    p if p <= 3 + dof => Vec3::ith(p - 1 - dof, 1.0),
-                    p if p <= 6 + dof => Vec3::ith(p - 4 - dof, 1.0).cross(&at),
-                    p => turn * (moment.pose.rotation * Vec3::ith(p - 7 - dof, 1.0)),
-                })
-                .collect();
+            rows.clear();
+            rows.extend(free.iter().map(|&parameter| match parameter {
+                0 => -(turn * moment.velocity(&lever)),
+                p if p <= dof => turn * moment.along(p - 1, &lever),
+                p if p <= 3 + dof => Vec3::ith(p - 1 - dof, 1.0),
+                p if p <= 6 + dof => Vec3::ith(p - 4 - dof, 1.0).cross(&at),
+                p => turn * (moment.pose.rotation * Vec3::ith(p - 7 - dof, 1.0)),
+            }));
             let residual = logged - at;
+            squares.push(residual.norm_squared());
             for (i, a) in rows.iter().enumerate() {
                 right[i] += a.dot(&residual);
-                for (j, b) in rows.iter().enumerate() {
+                for (j, b) in rows[..=i].iter().enumerate() {
                     normal[(i, j)] += a.dot(b);
                 }
             }
         }
+        if squares.len() < ENOUGH {
+            return (f64::INFINITY, None);
+        }
         for at in 0..n {
             normal[(at, at)] += 1e-9 * self.t_s.len() as f64 / (SCALE * SCALE);
         }
-        normal.cholesky().map(|factor| factor.solve(&right))
-    }
-
-    /// What is left, rms m over the best nine tenths; infinite where the joints cover too little.
-    fn left_m(&self, guess: &Guess) -> f64 {
-        let mut moment = Moment::new(self);
-        let mut squares: Vec<f64> = Vec::with_capacity(self.t_s.len());
-        for (&t_s, logged) in self.t_s.iter().zip(&self.xyz) {
-            if moment.at(t_s, guess) {
-                moment.pose = self.stream.chain.forward(&moment.q);
-                squares.push((logged - moment.tip(guess)).norm_squared());
-            }
-        }
-        if squares.len() < ENOUGH {
-            return f64::INFINITY;
-        }
         squares.sort_by(f64::total_cmp);
         let kept = (9 * squares.len()).div_ceil(10);
-        (squares[..kept].iter().sum::<f64>() / kept as f64).sqrt()
+        let left_m = (squares[..kept].iter().sum::<f64>() / kept as f64).sqrt();
+        // The factorisation reads the lower triangle.
+        (left_m, normal.cholesky().map(|factor| factor.solve(&right)))
     }
 }
 

@@ -10,6 +10,9 @@ pub(super) const ON_ARM: f64 = 0.1;
 /// first.
 const SPREAD: f64 = 0.02;
 
+/// Turns no longer change a tool that changed by less, in the unit of the positions.
+const SETTLED: f64 = 1e-8;
+
 /// The poses that FK gives at the moments of a stream's samples, in columns.
 pub(super) struct Expected {
     pub xyz: Vec<Vec3>,
@@ -87,6 +90,7 @@ impl Expected {
         self.turned_by(xyz, 30)
     }
 
+    /// [`Expected::turned`] by so many turns at most.
     fn turned_by(&self, xyz: &[Vec3], turns: usize) -> Option<(Pose, Vec3)> {
         let mut tool = Vec3::zeros();
         let mut reference = Pose::identity();
@@ -98,7 +102,10 @@ impl Expected {
                 .map(|(fk, rotation)| fk + rotation * tool)
                 .collect();
             reference = rigid(&points, xyz)?;
-            tool = self.tool(xyz, &reference);
+            let before = std::mem::replace(&mut tool, self.tool(xyz, &reference));
+            if (tool - before).norm() < SETTLED {
+                break;
+            }
         }
         Some((reference, tool))
     }

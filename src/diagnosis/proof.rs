@@ -344,8 +344,8 @@ fn sizes(mut sizes: Vec<f64>) -> [f64; 2] {
     if sizes.is_empty() {
         return [0.0; 2];
     }
-    sizes.sort_by(f64::total_cmp);
-    let most = sizes[((sizes.len() - 1) as f64 * MOST) as usize];
+    let at = ((sizes.len() - 1) as f64 * MOST) as usize;
+    let most = *sizes.select_nth_unstable_by(at, f64::total_cmp).1;
     let squares: f64 = sizes.iter().map(|size| size.min(most).powi(2)).sum();
     [(squares / sizes.len() as f64).sqrt(), most]
 }

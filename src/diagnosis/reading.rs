@@ -21,6 +21,13 @@ const NEAR_RAD: f64 = 8.7e-4;
 /// No reading fits where the least residual is above this, rad (20°).
 const HOPELESS_RAD: f64 = 0.35;
 
+/// Samples on which all readings are screened, at least.
+const SCREENED_ON: usize = 16;
+/// What is left there is off by less than this factor.
+const FAR: f64 = 1.5;
+/// Readings that come nearest there and are held against all samples, about.
+const KEPT: usize = 48;
+
 /// Cosine of the tilt within which a world is upright (10°).
 const UPRIGHT: f64 = 0.985;
 
@@ -345,12 +352,36 @@ fn all_fits(samples: &Samples) -> Vec<Fit> {
             frames = plain;
         }
     }
-    let fits_of = |(truths, buffer): &mut (Truths, Vec<_>), reading: Reading| {
-        fits_of(samples, frames, reading, truths, buffer)
+    let each_of = |samples: &Samples, readings: Vec<Reading>| -> Vec<Vec<Fit>> {
+        let fits_of = |(truths, buffer): &mut (Truths, Vec<_>), reading: Reading| {
+            fits_of(samples, frames, reading, truths, buffer)
+        };
+        readings.into_par_iter().map_init(Default::default, fits_of).collect()
     };
-    let fits: Vec<Vec<Fit>> =
-        readings(samples).into_par_iter().map_init(Default::default, fits_of).collect();
-    fits.into_iter().flatten().collect()
+    let stride = samples.fk.len() / SCREENED_ON;
+    let logged: Vec<Rotation> = match samples.logged {
+        Logged::Rotations(all) if stride > 1 => all.iter().step_by(stride).copied().collect(),
+        _ => return each_of(samples, readings(samples)).concat(),
+    };
+    // All readings are screened on a few samples, and those that come near are held against all.
+    let fk: Vec<Rotation> = samples.fk.iter().step_by(stride).copied().collect();
+    let few = Samples { logged: Logged::Rotations(&logged), fk: &fk, ..*samples };
+    let screened = each_of(&few, readings(samples));
+    let left = |fits: &[Fit]| fits.iter().map(|fit| fit.residual_rad).fold(f64::INFINITY, f64::min);
+    let mut all: Vec<f64> = screened.iter().map(|fits| left(fits)).collect();
+    all.sort_by(f64::total_cmp);
+    let few_near = all[KEPT.min(all.len() - 1)];
+    let near = match all[0] > FAR * HOPELESS_RAD {
+        true => few_near,
+        false => few_near.max(FAR * (NEAR * all[0]).max(all[0] + NEAR_RAD)),
+    };
+    let again = |few: Vec<Fit>| match few[0].reading {
+        reading if left(&few) <= near || matches!(reading, Reading::AsLogged) => {
+            fits_of(samples, frames, reading, &mut Truths::default(), &mut Vec::new())
+        }
+        _ => few,
+    };
+    screened.into_par_iter().flat_map_iter(again).collect()
 }
 
 /// The frames that readings are allowed; the first is no fault.

@@ -6,6 +6,7 @@ use ground::geometry::{Pose, Rotation};
 use ground::robot::Chain;
 use ground::stats::{NORMAL, median};
 use ground::stream::{JointTrack, Orientations, PoseTrack};
+use std::ops::Range;
 
 /// Speeds correlate less than this where a stream does not follow the arm.
 pub(super) const FOLLOWS: f64 = 0.3;
@@ -15,6 +16,13 @@ pub(super) const SEARCH_SAMPLES: usize = 500;
 
 /// Samples that readings are tried on.
 pub(super) const READING_SAMPLES: usize = 72;
+
+/// The rows of a series of `len`; of a longer one `most` of them, in stretches evenly over it.
+pub fn stretches(len: usize, most: usize) -> impl Iterator<Item = Range<usize>> {
+    const STRETCHES: usize = 24;
+    let (count, rows) = if len <= most { (1, len) } else { (STRETCHES, most / STRETCHES) };
+    (0..count).map(move |at| at * len / count..at * len / count + rows)
+}
 
 pub(super) fn as_rotations(orientation: &Orientations) -> Option<&[Rotation]> {
     match orientation {
@@ -45,9 +53,12 @@ pub(super) fn slow_samples(
     t_s: &[f64],
     lag_s: f64,
 ) -> (Vec<usize>, Vec<Pose>) {
+    /// Samples among which slow ones are sought.
+    const ENOUGH: usize = 4000;
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
     let mut covered: Vec<(usize, f64)> = Vec::new();
-    for (k, t) in t_s.iter().enumerate() {
+    let stride = t_s.len().div_ceil(ENOUGH).max(1);
+    for (k, t) in t_s.iter().enumerate().step_by(stride) {
         if joints.at(t - lag_s, &mut cursor, &mut q, &mut qd) {
             covered.push((k, qd.iter().map(|v| v * v).sum()));
         }

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use crate::diagnosis::{
     Abruptness, Excess, JointDiagnosis, JointOffset, Seen, Series, VelocityDiagnosis,
     VelocitySamples, abruptness, beyond_positions, beyond_speed, diagnose_velocity, encoder_step,
-    rates,
+    rates, stretches,
 };
 use crate::robot::{JointKind, Limits};
 use crate::run::{Arm, JointMending, JointSamples, Run, Velocities};
@@ -136,10 +136,19 @@ pub(super) fn velocities(
     recorded: &[JointSamples<'_>],
     breaks: &[Vec<f64>],
 ) -> Vec<Option<Seen<VelocityDiagnosis>>> {
-    let samples: Vec<VelocitySamples<'_>> = recorded
+    /// More samples tell no more.
+    const ENOUGH: usize = 24_000;
+    let some = |of: &[f64]| -> Vec<f64> {
+        stretches(of.len(), ENOUGH).flat_map(|rows| of[rows].iter().copied()).collect()
+    };
+    let few: Vec<[Vec<f64>; 3]> = recorded
+        .iter()
+        .map(|JointSamples { t_s, position, velocity }| [some(t_s), some(position), some(velocity)])
+        .collect();
+    let samples: Vec<VelocitySamples<'_>> = few
         .iter()
         .zip(breaks)
-        .map(|(JointSamples { t_s, position, velocity }, breaks)| VelocitySamples {
+        .map(|([t_s, position, velocity], breaks)| VelocitySamples {
             t_s,
             position,
             velocity,

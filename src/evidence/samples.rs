@@ -3,7 +3,7 @@
 use super::{Of, of};
 use crate::robot::JointKind;
 use crate::run::{Frozen, Held, Norms, PoseSource, Role, Run, Strays, Stream};
-use crate::stream::{Columns, PoseColumns};
+use crate::stream::Columns;
 
 /// The samples of a stream that hold no usable numbers.
 #[derive(Clone, Copy, Debug, Default)]
@@ -72,8 +72,6 @@ pub(super) fn norms(run: &Run) -> Vec<Of<Vec<Norms>>> {
 
 /// The streams that are audited, each with its samples that hold no usable numbers.
 pub(super) fn unusable(run: &Run) -> Vec<Of<UnusableEvidence>> {
-    /// A quaternion of smaller parts is none.
-    const NEXT_TO_NOTHING: f64 = 1e-6;
     let is_asked =
         |stream: &Stream| matches!(stream.role, Role::Joints | Role::Pose | Role::Tf | Role::Imu);
     let streams = run.streams.iter().enumerate().filter(|(_, stream)| is_asked(stream));
@@ -97,15 +95,10 @@ pub(super) fn unusable(run: &Run) -> Vec<Of<UnusableEvidence>> {
                 facts.unusable = worst.map_or(0, |(_, count)| *count);
                 joint = worst.filter(|_| facts.unusable > 0).map(|(name, _)| name.to_owned());
             }
-            Some(Columns::Poses(poses) | Columns::Transforms(poses)) => {
-                let unset = |poses: &PoseColumns| {
-                    let is_unset =
-                        |q: &&[f64; 4]| q.iter().all(|part| part.abs() < NEXT_TO_NOTHING);
-                    poses.q_xyzw.iter().filter(is_unset).count()
-                };
-                let some = poses.iter().map(|poses| (unset(poses), poses.times.len()));
-                facts.unset =
-                    some.filter(|(unset, all)| unset < all).map(|(unset, _)| unset as u64).sum();
+            Some(Columns::Poses(_) | Columns::Transforms(_)) => {
+                // Where none is set at all the part has no rotations.
+                let some = run.norms.iter().filter(|norms| norms.stream == index && norms.rows > 0);
+                facts.unset = some.map(|norms| norms.unset as u64).sum();
             }
             Some(Columns::Array(array)) => {
                 facts.misfits = array.wrong_length;

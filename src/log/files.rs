@@ -2,7 +2,9 @@
 
 use std::collections::HashMap;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
+
+use bytes::Bytes;
 
 use super::LogError;
 use super::mapped::Mapped;
@@ -15,6 +17,8 @@ pub(super) struct Input {
     pub(super) path: PathBuf,
     /// The object's address, if it is one.
     pub(super) address: Option<Address>,
+    /// Its content, if the caller has it.
+    pub(super) given: Option<Bytes>,
     /// Whether it is part of a rosbag2 folder.
     pub(super) in_bag: bool,
     /// How many messages the folder's `metadata.yaml` says it has.
@@ -26,7 +30,7 @@ pub(super) struct Input {
 impl Input {
     /// A local file that stands alone.
     pub(super) fn local(path: PathBuf) -> Self {
-        Self { path, address: None, in_bag: false, recorded: None, episode: None }
+        Self { path, address: None, given: None, in_bag: false, recorded: None, episode: None }
     }
 
     /// A file of a rosbag2 folder that nothing is said of.
@@ -36,7 +40,18 @@ impl Input {
 
     /// Its size; 0 if that cannot be told, as of an object before it is asked for.
     pub(super) fn bytes(&self) -> u64 {
-        fs::metadata(&self.path).map_or(0, |metadata| metadata.len())
+        match &self.given {
+            Some(content) => content.len() as u64,
+            None => fs::metadata(&self.path).map_or(0, |metadata| metadata.len()),
+        }
+    }
+
+    /// Its content.
+    pub(super) fn open(&self) -> Result<Mapped, LogError> {
+        match &self.given {
+            Some(content) => Mapped::given(&self.path, content),
+            None => Mapped::open(&self.path),
+        }
     }
 }
 
@@ -47,7 +62,7 @@ pub(super) fn refuse_repeats(inputs: &[Input]) -> Result<(), LogError> {
         let same_size = by_size.entry(input.bytes()).or_default();
         for first in same_size.iter() {
             let is_same = match (&first.address, &input.address) {
-                (None, None) => is_same(&first.path, &input.path),
+                (None, None) => is_same(first, input),
                 (first, other) => first == other,
             };
             if is_same {
@@ -61,14 +76,14 @@ pub(super) fn refuse_repeats(inputs: &[Input]) -> Result<(), LogError> {
 }
 
 /// Whether two files of one size are one file, or copies.
-fn is_same(a: &Path, b: &Path) -> bool {
-    if let (Ok(a), Ok(b)) = (fs::canonicalize(a), fs::canonicalize(b))
+fn is_same(a: &Input, b: &Input) -> bool {
+    if let (Ok(a), Ok(b)) = (fs::canonicalize(&a.path), fs::canonicalize(&b.path))
         && a == b
     {
         return true;
     }
     // Why one cannot be opened is said when it is read.
-    match (Mapped::open(a), Mapped::open(b)) {
+    match (a.open(), b.open()) {
         (Ok(a), Ok(b)) => a.bytes() == b.bytes(),
         _ => false,
     }

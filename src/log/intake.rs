@@ -310,6 +310,20 @@ impl Intake {
         self.losses.extend(losses.finish());
     }
 
+    /// The log of what was taken so far; more may be.
+    pub(super) fn so_far(&self, files: Vec<LogFile>) -> Log {
+        let copy = Self {
+            topics: self.topics.iter().map(TopicIntake::so_far).collect(),
+            messages: self.messages,
+            descriptions: self.descriptions.clone(),
+            losses: self.losses.clone(),
+            notes: self.notes.clone(),
+            files: self.files.clone(),
+            ..Self::default()
+        };
+        copy.finish(files)
+    }
+
     /// The log of all that was taken from `files`.
     pub(super) fn finish(mut self, files: Vec<LogFile>) -> Log {
         self.note_strangers();

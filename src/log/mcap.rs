@@ -4,8 +4,10 @@
 //! would take with it. The messages are then found by walking the records themselves, so that files
 //! with and without an index are read alike.
 
+mod advice;
 mod chunks;
 mod definitions;
+mod growing;
 mod parts;
 mod record;
 mod sparse;
@@ -31,6 +33,7 @@ use super::topic::Message;
 use super::unpack::Unpacker;
 use super::{Crc, Extent, ReadOptions};
 
+pub(super) use self::growing::{Growing, whole_records};
 #[cfg(feature = "cloud")]
 pub(super) use self::survey::{Survey, survey};
 
@@ -81,6 +84,8 @@ struct Reader<'a, 'r, 'scope> {
     table: Option<Arc<Table>>,
     /// How often they were asked for anew.
     tables: u32,
+    /// Whether most of a chunk was passed over: what is wanted of those after it is then asked for alone.
+    is_scattered: bool,
     /// Messages under a checksum that held.
     covered: u64,
     /// Messages of channels that no record describes: how many, and where the first is.
@@ -206,6 +211,7 @@ impl<'a, 'r, 'scope> Reader<'a, 'r, 'scope> {
             definitions: Definitions::default(),
             table: None,
             tables: 0,
+            is_scattered: false,
             covered: 0,
             orphans: None,
             unknown: Unknown::default(),

@@ -8,12 +8,14 @@
 //! that cannot be decoded becomes [`Undecodable`], and only a file of which nothing can be read is a
 //! [`LogError`]. What a stream means is decided further up.
 #![warn(missing_docs, clippy::unwrap_used)]
+#![cfg_attr(target_arch = "wasm32", allow(dead_code, reason = "the reader of databases uses it"))]
 
 mod ahead;
 mod contents;
 mod decode;
 mod error;
 mod files;
+mod follow;
 mod intake;
 mod losses;
 mod mapped;
@@ -48,6 +50,7 @@ pub use self::contents::{
     Undecodable,
 };
 pub use self::error::LogError;
+pub use self::follow::{Follow, Growth};
 pub use self::name::ESCAPED;
 pub use self::name::SourceName;
 pub use self::options::ReadOptions;

@@ -30,7 +30,7 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
     let mut intake = Intake::default();
     let mut rtde = rtde::Recording::default();
     let mut tables = Tables::default();
-    let inputs = inputs(paths, &mut intake)?;
+    let inputs = inputs(paths, options, &mut intake)?;
     refuse_repeats(&inputs)?;
     if let Some(progress) = &options.progress {
         progress.begin(inputs.iter().map(Input::bytes).sum());
@@ -77,9 +77,17 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
 }
 
 /// The files that `paths` stand for: a folder for those of the recording in it.
-fn inputs(paths: &[PathBuf], intake: &mut Intake) -> Result<Vec<Input>, LogError> {
+fn inputs(
+    paths: &[PathBuf],
+    options: &ReadOptions,
+    intake: &mut Intake,
+) -> Result<Vec<Input>, LogError> {
     let mut inputs = Vec::new();
     for path in paths {
+        if let Some(content) = options.given.get(path) {
+            inputs.push(Input { given: Some(content.clone()), ..Input::local(path.clone()) });
+            continue;
+        }
         let named = remote::local(path);
         let path = named.as_ref().unwrap_or(path);
         let (path, episode) = tables::episode_of(path);
@@ -120,10 +128,10 @@ impl Reading<'_> {
     fn file(&mut self, input: &Input) -> Result<LogFile, LogError> {
         let path = self.path;
         let Some(address) = &input.address else {
-            if path.is_dir() {
+            if input.given.is_none() && path.is_dir() {
                 return self.store(path);
             }
-            let mapped = Mapped::open(path)?;
+            let mapped = input.open()?;
             let before = self.intake.messages();
             let file = self.whole(mapped.bytes(), None)?;
             if let Some(recorded) = input.recorded {
@@ -222,6 +230,11 @@ impl Reading<'_> {
             let fault = RemoteFault::Contradiction { byte: byte as u64 };
             LogError::Remote { url: path(), fault }
         };
+        let no_database = || LogError::Unsupported {
+            path: path(),
+            looks: "a rosbag2 database",
+            instead: "in a browser SQLite has no files: convert it to MCAP, or use the program",
+        };
         Ok(match kind {
             Kind::Mcap => {
                 let of_bag = if self.in_bag { Container::RosBag2Mcap } else { Container::Mcap };
@@ -229,6 +242,14 @@ impl Reading<'_> {
                 (of_bag, crc)
             }
             Kind::RosBag1 => (Container::RosBag1, rosbag1::read(bytes, options, losses, intake)),
+            // SQLite opens files by name only.
+            Kind::Sqlite if options.given.contains_key(self.path) => return Err(no_database()),
+            #[cfg(target_arch = "wasm32")]
+            Kind::Sqlite => {
+                drop(opened);
+                return Err(no_database());
+            }
+            #[cfg(not(target_arch = "wasm32"))]
             Kind::Sqlite => {
                 if !rosbag2::read_database(place, options, losses, intake, opened) {
                     let looks = "a SQLite database without the tables of a rosbag2 bag";
@@ -395,6 +416,36 @@ mod tests {
         };
         assert_eq!(poses[0].times.log, (100..120).collect::<Vec<_>>());
         assert_eq!((log.losses.as_slice(), log.notes.as_slice()), ([].as_slice(), [].as_slice()));
+    }
+
+    #[test]
+    fn files_that_the_caller_has_are_read_as_those_of_a_disk() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        ten_poses(&path, 100);
+        let bytes = fs::read(&path).unwrap();
+        let packed = zstd::bulk::compress(&bytes, 1).unwrap();
+        let own = open_one(&path).unwrap();
+        for content in [bytes.clone(), packed] {
+            // No such file is there.
+            let name = PathBuf::from("run");
+            let given = [(name.clone(), content.into())].into();
+            let options = ReadOptions { given, ..ReadOptions::default() };
+            let log = open(std::slice::from_ref(&name), &options).unwrap();
+            assert_eq!((log.messages, &log.topics), (own.messages, &own.topics));
+            assert_eq!(log.files[0].path, name);
+        }
+        let names = ["a", "b"].map(PathBuf::from);
+        let refused = |contents: [Vec<u8>; 2]| {
+            let given = names.clone().into_iter().zip(contents.map(Into::into)).collect();
+            let options = ReadOptions { given, ..ReadOptions::default() };
+            open(&names, &options).unwrap_err()
+        };
+        let twice = refused([bytes.clone(), bytes.clone()]);
+        assert!(matches!(twice, LogError::Twice { .. }), "{twice}");
+        assert!(matches!(refused([Vec::new(), bytes.clone()]), LogError::Empty { .. }));
+        let database = refused([bytes, unpack::SQLITE_MAGIC.to_vec()]);
+        assert!(database.to_string().contains("SQLite has no files"), "{database}");
     }
 
     #[test]

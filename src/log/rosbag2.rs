@@ -4,10 +4,13 @@
 //! Nothing is believed of `metadata.yaml` but which files there are and how many messages they had:
 //! what a file is and how it is compressed is told from its bytes.
 
+#[cfg(not(target_arch = "wasm32"))]
 mod batch;
+#[cfg(not(target_arch = "wasm32"))]
 mod database;
 #[cfg(test)]
 mod tests;
+#[cfg(not(target_arch = "wasm32"))]
 mod wal;
 
 use std::ffi::OsStr;
@@ -24,6 +27,7 @@ use super::mapped::Mapped;
 use super::sniff::{self, Kind};
 use super::{Extent, LogError};
 
+#[cfg(not(target_arch = "wasm32"))]
 pub(super) use self::database::read as read_database;
 
 const METADATA: &str = "metadata.yaml";
@@ -132,22 +136,10 @@ fn listed(folder: &Path, information: &Information, losses: &mut Losses) -> Vec<
         let unpacked = path.with_extension("");
         let is_packed = path.extension() == Some(OsStr::new("zstd"));
         if path.is_file() {
-            inputs.push(Input {
-                path,
-                address: None,
-                in_bag: true,
-                recorded: recorded(name),
-                episode: None,
-            });
+            inputs.push(Input { recorded: recorded(name), ..Input::of_bag(path) });
         } else if is_packed && unpacked.is_file() {
             // The recorder was ended before it had packed its last file, or somebody unpacked it.
-            inputs.push(Input {
-                path: unpacked,
-                address: None,
-                in_bag: true,
-                recorded: recorded(name),
-                episode: None,
-            });
+            inputs.push(Input { recorded: recorded(name), ..Input::of_bag(unpacked) });
         } else {
             let what = format!("lists `{}`, which is not there", excerpt(&name.to_string_lossy()));
             losses.add_unplaced(Extent::Messages, recorded(name), what);

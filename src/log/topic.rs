@@ -193,6 +193,26 @@ impl Taken {
 }
 
 impl TopicIntake {
+    /// What was taken so far, without what it takes to take more.
+    pub(super) fn so_far(&self) -> Self {
+        Self {
+            name: self.name.clone(),
+            type_name: self.type_name.clone(),
+            encoding: self.encoding.clone(),
+            taken: Taken {
+                channels: Vec::new(),
+                messages: self.taken.messages,
+                builder: self.taken.builder.clone(),
+                undecodable: self.taken.undecodable.clone(),
+                spans: self.taken.spans.clone(),
+            },
+            columns: self.columns.clone(),
+            read_as: self.read_as.clone(),
+            cells: self.cells.clone(),
+            waiting: Vec::new(),
+        }
+    }
+
     /// The topic, and one more for each further part of what its messages hold.
     pub(super) fn finish(self) -> Vec<Topic> {
         let Taken { messages, builder, mut undecodable, spans, .. } = self.taken;

@@ -3,12 +3,12 @@
 //! A few kilobytes can unpack to terabytes. What the parts of a file unpack to is therefore counted
 //! against an [`Allowance`] for the whole file, and no part may be larger than a recorder writes.
 
-use std::fs::File;
 use std::io::{self, Read, Seek, Write};
 
 use ground::boundary::Staged;
 
 use super::Extent;
+use super::mapped::{Temporary, temporary};
 
 /// What a zstd frame begins with.
 pub(super) const ZSTD_MAGIC: &[u8] = b"\x28\xb5\x2f\xfd";
@@ -315,7 +315,7 @@ impl Unpacker {
 
 /// What an archive unpacked to.
 pub(super) struct Unpacked {
-    pub(super) file: File,
+    pub(super) file: Temporary,
     /// Where it is, if it has a name: SQLite opens files by name only. Without one, nothing stays
     /// behind however the process ends.
     pub(super) path: Option<Staged>,
@@ -324,11 +324,20 @@ pub(super) struct Unpacked {
 impl Unpacked {
     /// An empty file for what begins with `head`.
     pub(super) fn of(head: &[u8]) -> io::Result<Self> {
-        if !head.starts_with(SQLITE_MAGIC) {
-            return Ok(Self { file: tempfile::tempfile()?, path: None });
+        // Nor can it open what is kept in memory.
+        #[cfg(not(target_arch = "wasm32"))]
+        if head.starts_with(SQLITE_MAGIC) {
+            return Self::named();
         }
+        let _ = head;
+        Ok(Self { file: temporary()?, path: None })
+    }
+
+    /// An empty file with a name.
+    #[cfg(not(target_arch = "wasm32"))]
+    fn named() -> io::Result<Self> {
         let path = Staged::new(|| Ok(tempfile::NamedTempFile::new()?.into_temp_path()))?;
-        let file = File::options().read(true).write(true).open(&*path)?;
+        let file = Temporary::options().read(true).write(true).open(&*path)?;
         Ok(Self { file, path: Some(path) })
     }
 }
@@ -390,7 +399,7 @@ fn fill(stream: &mut impl Read, buffer: &mut [u8]) -> (usize, io::Result<()>) {
     (length, Ok(()))
 }
 
-fn write_all(file: &mut File, bytes: &[u8]) -> io::Result<()> {
+fn write_all(file: &mut Temporary, bytes: &[u8]) -> io::Result<()> {
     file.write_all(bytes).map_err(|source| {
         io::Error::new(
             source.kind(),

@@ -139,12 +139,13 @@ fn model(arm: &Arm, options: &RunOptions) -> Option<(String, Robot)> {
         let is_its = |prefix: &String| arm.joint_names.iter().any(|name| name.starts_with(prefix));
         source.prefix.as_ref().is_none_or(is_its)
     });
-    let name = match given.filter(|_| arm.instead_of.is_none()) {
-        Some(given) => given.model.clone(),
-        None if arm.robot.text().is_none() => arm.robot.name.clone(),
-        None => return None,
-    };
-    Some((name.clone(), robot_of(&name).ok()?))
+    match given.filter(|_| arm.instead_of.is_none()) {
+        Some(given) => Some((given.model.clone(), given.robot().ok()?)),
+        None if arm.robot.text().is_none() => {
+            Some((arm.robot.name.clone(), robot_of(&arm.robot.name).ok()?))
+        }
+        None => None,
+    }
 }
 
 /// The posture of the joint states that is nearest to the middle of each joint's positions, within the

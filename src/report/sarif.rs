@@ -42,6 +42,8 @@ fn log(report: &Report) -> Value {
         "$schema": SCHEMA,
         "version": "2.1.0",
         "runs": [{
+            // What code scanning tells the logs of one commit apart by: all before the last slash.
+            "automationDetails": { "id": format!("poseaudit/{}/", artifact(report)) },
             "tool": {
                 "driver": {
                     "name": env!("CARGO_PKG_NAME"),
@@ -59,6 +61,11 @@ fn log(report: &Report) -> Value {
             "properties": { "verdict": report.verdict },
         }],
     })
+}
+
+/// The log, by its first file.
+fn artifact(report: &Report) -> String {
+    report.log.files.first().map_or_else(String::new, |file| uri(&file.path))
 }
 
 /// A rule, with all that `explain` says of it.

@@ -15,8 +15,13 @@ impl Apart {
     /// How far row `b` of some poses is from row `a` of others, whatever the norms and signs of the
     /// quaternions; no angle where one is not set.
     pub(super) fn between(a: (&PoseColumns, usize), b: (&PoseColumns, usize)) -> Self {
-        let xyz = [a, b].map(|(poses, row)| poses.xyz[row]);
-        let [p, q] = [a, b].map(|(poses, row)| poses.q_xyzw[row]);
+        let of = |(poses, row): (&PoseColumns, usize)| (poses.xyz[row], poses.q_xyzw[row]);
+        Self::of(of(a), of(b))
+    }
+
+    /// How far two positions, m, and quaternions are apart.
+    pub(super) fn of(a: ([f64; 3], [f64; 4]), b: ([f64; 3], [f64; 4])) -> Self {
+        let (xyz, p, q) = ([a.0, b.0], a.1, b.1);
         let dot = |p: [f64; 4], q: [f64; 4]| p.iter().zip(q).map(|(a, b)| a * b).sum::<f64>();
         let sign = if dot(p, q) < 0.0 { -1.0 } else { 1.0 };
         let [norm_p, norm_q] = [p, q].map(|q| dot(q, q).sqrt());

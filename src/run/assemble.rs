@@ -22,7 +22,7 @@ use super::cadence::rhythms;
 use super::declaration::Declaration;
 use super::error::RunError;
 use super::flaws::flaws;
-use super::norms::norms;
+use super::norms::{norms, release};
 use super::role::Role;
 use super::settle::settle;
 use super::space::Space;
@@ -130,13 +130,15 @@ impl Run {
         unfold::say(&mut assembly.streams, &folded);
         say_columns(&mut assembly.streams);
         let (targets, references) = (assembly.targets(), assembly.references());
-        let Assembly { streams, timing, tf, arms, unaudited, contests, frozen, watched, .. } =
-            assembly;
+        let Assembly {
+            mut streams, timing, tf, arms, unaudited, contests, frozen, watched, ..
+        } = assembly;
         let span = span(streams.iter().filter(|stream| stream.rate_hz.is_some()));
         let rhythms = rhythms(&streams, &timing, &joint_topics(&streams, &timing), &arms);
         let (flaws, norms) =
             (flaws(&streams, &timing.sift.publishers), norms(&streams, &timing.clocks));
         let Timing { clocks, excerpts, sift } = timing;
+        release(&mut streams, &norms);
         Ok(Run {
             origin,
             span,

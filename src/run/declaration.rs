@@ -4,7 +4,11 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use crate::geometry::{AngleUnit, Coding, ConventionError, LengthScale, UnitError, Units, vendors};
+use crate::robot::Robot;
 use crate::stream::Columns;
+
+use super::error::RunError;
+use super::models::robot_of;
 
 /// Where a robot comes from: `FILE`, `NAME` of the catalogue, or `PREFIX=` and one of them.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -13,19 +17,32 @@ pub struct RobotSource {
     pub prefix: Option<String>,
     /// Path of a URDF or TOML file, or the name of a catalogue arm.
     pub model: String,
+    /// What that file says, where the caller has it; then none is looked for.
+    pub text: Option<String>,
 }
 
 impl RobotSource {
     /// Its file; `None` where it is named by the catalogue.
     pub fn file(&self) -> Option<&Path> {
-        Some(Path::new(&self.model)).filter(|path| path.is_file())
+        Some(Path::new(&self.model)).filter(|path| self.text.is_none() && path.is_file())
+    }
+
+    /// The robot.
+    ///
+    /// # Errors
+    /// Where its text or its file cannot be read as a robot, or the catalogue has no such name.
+    pub fn robot(&self) -> Result<Robot, RunError> {
+        match &self.text {
+            Some(text) => Ok(Robot::from_text(text, &self.model)?),
+            None => robot_of(&self.model),
+        }
     }
 }
 
 impl From<&str> for RobotSource {
     fn from(text: &str) -> Self {
         let (prefix, model) = after_prefix(text);
-        Self { prefix, model: model.to_owned() }
+        Self { prefix, model: model.to_owned(), text: None }
     }
 }
 

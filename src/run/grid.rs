@@ -24,26 +24,43 @@ impl Grid {
         const MOST: u32 = 4;
         /// Rounding of stamps, s.
         const ROUNDING_S: f64 = 2e-5;
-        let intervals: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-        let mut some: Vec<f64> = intervals.iter().copied().filter(|dt| *dt > LEAST_S).collect();
-        some.sort_unstable_by(f64::total_cmp);
-        if intervals.len() < FEWEST {
+        let intervals = || t_s.windows(2).map(|pair| pair[1] - pair[0]);
+        let count = t_s.len().saturating_sub(1);
+        let mut some: Vec<f64> = intervals().filter(|dt| *dt > LEAST_S).collect();
+        if count < FEWEST || some.is_empty() {
             return None;
         }
-        let shortest_s = *some.get(some.len() / 50)?;
-        (1..=MOST).find_map(|parts| {
+        let rank = some.len() / 50;
+        let shortest_s = *some.select_nth_unstable_by(rank, f64::total_cmp).1;
+        // Most streams are told by a few of their intervals to have no tick.
+        let tick_of = |some: &[f64], parts: u32| {
             let rough_s = shortest_s / f64::from(parts);
             let short = some.iter().filter(|dt| **dt < shortest_s + 0.5 * rough_s);
             let (sum_s, count) = short.fold((0.0, 0), |(sum_s, count), dt| (sum_s + dt, count + 1));
-            let tick_s = sum_s / f64::from(count) / f64::from(parts);
-            let ticks = |dt: f64| (dt / tick_s).round();
-            let is_multiple =
-                |dt: &&f64| (**dt - ticks(**dt) * tick_s).abs() < ROUNDING_S.max(2e-3 * tick_s);
-            let fit = || intervals.iter().filter(is_multiple).count() as f64;
-            let is_one = tick_s >= LEAST_S && fit() >= NEARLY_ALL * intervals.len() as f64;
+            sum_s / f64::from(count) / f64::from(parts)
+        };
+        let off = |dt: f64, tick_s: f64| (dt - (dt / tick_s).round() * tick_s).abs();
+        let near_s = |tick_s: f64| ROUNDING_S.max(2e-3 * tick_s);
+        let may_be = |parts: &u32| {
+            let tick_s = tick_of(&some, *parts);
+            // The order of a sum changes its last digits.
+            let is_off = |dt: &f64| off(*dt, tick_s) > 1.01 * near_s(tick_s) + 1e-9 * dt.abs();
+            let most = count - (NEARLY_ALL * count as f64) as usize;
+            1.01 * tick_s >= LEAST_S && intervals().filter(is_off).nth(most).is_none()
+        };
+        let may_be: Vec<u32> = (1..=MOST).filter(may_be).collect();
+        if may_be.is_empty() {
+            return None;
+        }
+        some.sort_unstable_by(f64::total_cmp);
+        may_be.into_iter().find_map(|parts| {
+            let tick_s = tick_of(&some, parts);
+            let is_multiple = |dt: &f64| off(*dt, tick_s) < near_s(tick_s);
+            let fit = || intervals().filter(is_multiple).count() as f64;
+            let is_one = tick_s >= LEAST_S && fit() >= NEARLY_ALL * count as f64;
             is_one.then(|| Self {
                 tick_s,
-                ticks: intervals.iter().map(|dt| ticks(*dt) as u32).collect(),
+                ticks: intervals().map(|dt| (dt / tick_s).round() as u32).collect(),
             })
         })
     }
@@ -84,17 +101,18 @@ impl Grid {
         const HARDLY: f64 = 0.1;
         const FEWEST: usize = 5;
         let mut sorted = self.ticks.clone();
-        sorted.sort_unstable();
-        let usual = sorted[sorted.len() / 2];
-        let beyond = |is_long: bool| -> Vec<f64> {
+        let middle = sorted.len() / 2;
+        let usual = *sorted.select_nth_unstable(middle).1;
+        let beyond = |is_long: bool| {
             let pairs = self.ticks.iter().zip(received_s.windows(2));
-            let of = pairs.filter(|(ticks, _)| (**ticks > usual) == is_long);
-            of.map(|(ticks, pair)| f64::from(*ticks) - (pair[1] - pair[0]) / self.tick_s).collect()
+            let of = pairs.filter(move |(ticks, _)| (**ticks > usual) == is_long);
+            of.map(|(ticks, pair)| f64::from(*ticks) - (pair[1] - pair[0]) / self.tick_s)
         };
-        let [mut long, mut rest] = [beyond(true), beyond(false)];
-        long.len() >= FEWEST
-            && crate::stats::median(&mut long).is_some_and(|apart| apart > APART)
-            && crate::stats::median(&mut rest).is_some_and(|apart| apart < HARDLY)
+        let middle_of =
+            |is_long: bool| crate::stats::median(&mut beyond(is_long).collect::<Vec<_>>());
+        beyond(true).nth(FEWEST - 1).is_some()
+            && middle_of(true).is_some_and(|apart| apart > APART)
+            && middle_of(false).is_some_and(|apart| apart < HARDLY)
     }
 }
 

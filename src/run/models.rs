@@ -31,7 +31,7 @@ pub(super) fn given(sources: &[RobotSource]) -> Result<Vec<Given>, RunError> {
     sources
         .iter()
         .map(|source| {
-            let (robot, prefix) = (robot_of(&source.model)?, source.prefix.clone());
+            let (robot, prefix) = (source.robot()?, source.prefix.clone());
             Ok(Given { robot, prefix, by: "--robot".to_owned() })
         })
         .collect()

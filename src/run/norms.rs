@@ -11,6 +11,8 @@ use super::Run;
 use super::poses::Layout;
 use super::streams::{Clocks, Stream};
 
+/// What is further from a rotation than this may be asked for again, row by row: no rounding is as coarse.
+const ASKED_FOR: f64 = 1e-5;
 /// A quaternion shorter than this is one that nobody set.
 const UNSET: f64 = 1e-6;
 
@@ -36,6 +38,8 @@ pub struct Norms {
     pub rows: usize,
     /// Quaternions of all zeros, which say nothing.
     pub unset: usize,
+    /// Which of the stream's pieces.
+    piece: usize,
     /// The largest defect.
     pub largest: f64,
     /// The defect that half of the rotations exceed; of very many, by some spread over all.
@@ -52,15 +56,30 @@ pub(super) fn norms(streams: &[Stream], clocks: &Clocks) -> Vec<Norms> {
         };
         let pieces = pieces(stream).into_iter().enumerate();
         let norms = pieces.filter_map(|(piece, (frame, written, rows, defect))| {
-            Norms::of(index, frame, written, (0..rows).map(defect), |row| at(piece, row))
+            let of = (index, piece, frame);
+            Norms::of(of, written, (0..rows).map(defect), |row| at(piece, row))
         });
         norms.collect::<Vec<_>>()
     };
     streams.par_iter().enumerate().flat_map_iter(of).collect()
 }
 
+/// Gives back what the rows of poses and IMUs hold, of which all was taken that is looked at; stamps stay,
+/// and rotations that are none.
+pub(super) fn release(streams: &mut [Stream], norms: &[Norms]) {
+    for (index, stream) in streams.iter_mut().enumerate() {
+        let own = norms.iter().filter(|norms| norms.stream == index);
+        let kept: Vec<usize> =
+            own.filter(|norms| norms.largest > ASKED_FOR).map(|norms| norms.piece).collect();
+        if let Some(columns) = &mut stream.columns {
+            columns.release_values(|piece| kept.contains(&piece));
+        }
+    }
+}
+
 impl Run {
-    /// Stamp and defect of each rotation of a stream, or of one transform of it.
+    /// Stamp and defect of each rotation of a stream, or of one transform of it; none where all are rotations
+    /// but for rounding.
     pub fn norm_defects(&self, norms: &Norms) -> Vec<(Stamp, f64)> {
         let Some(stream) = self.streams.get(norms.stream) else { return Vec::new() };
         let Some(clock) = self.clocks.iter().find(|clock| clock.stream == norms.stream) else {
@@ -87,13 +106,13 @@ fn pieces(stream: &Stream) -> Vec<(Option<String>, Written, usize, Defect<'_>)> 
                 (!poses.child_frame_id.is_empty()).then(|| poses.child_frame_id.clone())
             };
             let of = |poses| {
-                (named(poses), Quaternion, poses.times.len(), of_quaternions(&poses.q_xyzw))
+                (named(poses), Quaternion, poses.q_xyzw.len(), of_quaternions(&poses.q_xyzw))
             };
             poses.iter().map(of).collect()
         }
         Some(Columns::Imu(imu)) => {
-            let ImuColumns { times, q_xyzw, has_orientation, .. } = imu;
-            let said = || (None, Quaternion, times.len(), of_quaternions(q_xyzw));
+            let ImuColumns { q_xyzw, has_orientation, .. } = imu;
+            let said = || (None, Quaternion, q_xyzw.len(), of_quaternions(q_xyzw));
             has_orientation.then(said).into_iter().collect()
         }
         Some(Columns::Array(array)) if array.width == 7 => {
@@ -140,8 +159,7 @@ fn orthonormality(rows: [[f64; 3]; 3]) -> f64 {
 impl Norms {
     /// `None` where there is no row.
     fn of(
-        stream: usize,
-        frame: Option<String>,
+        (stream, piece, frame): (usize, usize, Option<String>),
         written: Written,
         defects: impl ExactSizeIterator<Item = f64>,
         at: impl Fn(usize) -> Option<Stamp>,
@@ -166,7 +184,8 @@ impl Norms {
         let median = median(&mut some).unwrap_or(0.0);
         let (row, largest) = worst;
         let at = at(row);
-        Some(Self { stream, frame, written, rows, unset: all - rows, largest, median, at })
+        let unset = all - rows;
+        Some(Self { stream, frame, written, rows, unset, piece, largest, median, at })
     }
 }
 
@@ -177,7 +196,7 @@ mod tests {
     fn of(q_xyzw: &[[f64; 4]]) -> Norms {
         let at = |row| Some(Stamp::from_nanos(row as i64));
         let defects = (0..q_xyzw.len()).map(of_quaternions(q_xyzw));
-        Norms::of(0, None, Written::Quaternion, defects, at).expect("there are rows")
+        Norms::of((0, 0, None), Written::Quaternion, defects, at).expect("there are rows")
     }
 
     #[test]
@@ -191,7 +210,7 @@ mod tests {
         // All rows of a topic may have been dropped: none of them has a time.
         let none = (0..0).map(of_quaternions(&[]));
         let unasked = |_| unreachable!("there is no row");
-        assert_eq!(Norms::of(0, None, Written::Quaternion, none, unasked), None);
+        assert_eq!(Norms::of((0, 0, None), Written::Quaternion, none, unasked), None);
     }
 
     #[test]

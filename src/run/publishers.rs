@@ -9,14 +9,13 @@ use std::collections::HashSet;
 
 use rayon::prelude::*;
 
-use crate::stream::PoseColumns;
 use crate::time::seconds;
 
 use super::apart::Apart;
 use super::grid::Grid;
 use super::rows::Rows;
 use super::series::{Series, Values};
-use super::trains::{FEWEST, NEARLY, SMOOTH, is_one, roughness, split, split_by};
+use super::trains::{FEWEST, NEARLY, SMOOTH, Split, is_one, roughness, split, split_by};
 
 /// Two publishers of one piece of a stream.
 #[derive(Clone, Debug, PartialEq)]
@@ -76,8 +75,10 @@ fn sent(series: &Series<'_>, row: usize) -> [i64; 2] {
 /// Rows without which nothing is told.
 const ENOUGH: usize = 60;
 
-/// Rows that are looked at.
+/// Rows that are looked at, …
 const MOST: usize = 4000;
+/// … and first, where one rhythm explains them.
+const PART: usize = 500;
 /// Two publishers in one rhythm are told where each is smoother by this factor than both together.
 const SMOOTHER: f64 = 4.0;
 
@@ -109,10 +110,13 @@ fn of(series: &Series<'_>) -> Option<Publishers> {
     if is_one && (rough <= SMOOTH || again as f64 > NEARLY * looked_at.len() as f64) {
         return None;
     }
-    let parts = split(&stamped_s, &off)?;
-    if is_one && SMOOTHER * parts.roughness(&off) > rough {
+    // Two of one rhythm are seen in a part of the rows, where they are at all.
+    let is_smoother = |parts: &Split| SMOOTHER * parts.roughness(&off) <= rough;
+    let part = &stamped_s[..stamped_s.len().min(PART)];
+    if is_one && !split(part, &off).is_some_and(|parts| is_smoother(&parts)) {
         return None;
     }
+    let parts = split(&stamped_s, &off).filter(|parts| !is_one || is_smoother(parts))?;
     // The whole run by the rhythms that a part of it has.
     let rows = match looked_at.len() == t_s.len() {
         true => parts.rows,
@@ -223,15 +227,14 @@ fn quantile(values: impl Iterator<Item = f64>, part: f64) -> f64 {
 fn gap(values: &Values<'_>, [left, at, right]: [usize; 3], part: f64) -> Apart {
     match values {
         Values::Poses(poses) => {
-            let mut between = PoseColumns::default();
             let mix = |a: f64, b: f64| a + part * (b - a);
             let (a, b) = (poses.q_xyzw[left], poses.q_xyzw[right]);
             let dot: f64 = a.iter().zip(b).map(|(a, b)| a * b).sum();
             let sign = if dot < 0.0 { -1.0 } else { 1.0 };
-            between.q_xyzw.push(std::array::from_fn(|i| mix(a[i], sign * b[i])));
+            let q_xyzw = std::array::from_fn(|i| mix(a[i], sign * b[i]));
             let (a, b) = (poses.xyz[left], poses.xyz[right]);
-            between.xyz.push(std::array::from_fn(|i| mix(a[i], b[i])));
-            Apart::between((&between, 0), (poses, at))
+            let xyz = std::array::from_fn(|i| mix(a[i], b[i]));
+            Apart::of((xyz, q_xyzw), (poses.xyz[at], poses.q_xyzw[at]))
         }
         _ => {
             let off = |number: usize| {
@@ -247,7 +250,7 @@ fn gap(values: &Values<'_>, [left, at, right]: [usize; 3], part: f64) -> Apart {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stream::Times;
+    use crate::stream::{PoseColumns, Times};
     use crate::time::Stamp;
 
     const MS: i64 = 1_000_000;

@@ -286,6 +286,7 @@ mod tests {
             notes: Vec::new(),
             contradictions: None,
             repeats: None,
+            time_column: None,
             robot_type: None,
             question: None,
         }

@@ -73,9 +73,19 @@ fn periods(t_s: &[f64]) -> Vec<f64> {
 /// The rows that are not `used` and come every `period_s`, from the start that finds most of them.
 fn best_train(t_s: &[f64], used: &[bool], period_s: f64, off: Off<'_>) -> Vec<usize> {
     const STARTS: usize = 6;
-    let free = (0..t_s.len()).filter(|&row| !used[row]);
-    let trains = free.take(STARTS).map(|start| train(t_s, used, start, period_s, off));
-    trains.max_by_key(Vec::len).unwrap_or_default()
+    let free: Vec<usize> = (0..t_s.len()).filter(|&row| !used[row]).collect();
+    let mut best = Vec::new();
+    for (passed, &start) in free.iter().take(STARTS).enumerate() {
+        // No later start finds more than the rows that are left.
+        if best.len() > free.len() - passed {
+            break;
+        }
+        let train = train(t_s, used, start, period_s, off);
+        if train.len() >= best.len() {
+            best = train;
+        }
+    }
+    best
 }
 
 /// The rows that follow `start` every `period_s`, each timed by the one before: of several at one tick

@@ -30,12 +30,13 @@ struct Runs {
 
 #[derive(Deserialize)]
 struct Step {
+    name: Option<String>,
     run: Option<String>,
     #[serde(default)]
     env: BTreeMap<String, String>,
     uses: Option<String>,
     #[serde(default)]
-    with: BTreeMap<String, String>,
+    with: BTreeMap<String, serde_json::Value>,
 }
 
 #[derive(Deserialize)]
@@ -44,42 +45,52 @@ struct Workflow {
 }
 
 #[derive(Deserialize)]
+struct Job {
+    script: Vec<String>,
+}
+
+#[derive(Deserialize)]
 struct Hook {
     entry: String,
+    args: Vec<String>,
     files: String,
 }
 
-fn example<T: serde::de::DeserializeOwned>(name: &str) -> T {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/ci").join(name);
-    let text = fs::read_to_string(path).expect("the example");
-    serde_saphyr::from_str(&text).expect("YAML")
+const ROOT: &str = env!("CARGO_MANIFEST_DIR");
+
+fn text(name: &str) -> String {
+    fs::read_to_string(Path::new(ROOT).join(name)).expect("the file")
+}
+
+fn yaml<T: serde::de::DeserializeOwned>(name: &str) -> T {
+    serde_saphyr::from_str(&text(name)).expect("YAML")
 }
 
 /// Runs a script with bash, as CI does, with this build of poseaudit on the PATH.
-fn bash(script: &str, args: &[&str], variables: &[(String, String)]) -> Output {
+fn bash(script: &str, folder: &str, variables: &[(String, String)]) -> Output {
     let built = PathBuf::from(env!("CARGO_BIN_EXE_poseaudit"));
-    let folder = built.parent().expect("a folder").to_owned();
+    let programs = built.parent().expect("a folder").to_owned();
     let known = env::var_os("PATH").unwrap_or_default();
-    let path = env::join_paths([folder].into_iter().chain(env::split_paths(&known)));
+    let path = env::join_paths([programs].into_iter().chain(env::split_paths(&known)));
     Command::new("bash")
-        .args(["-e", "-o", "pipefail", "-c", script, "script"])
-        .args(args)
+        .args(["-e", "-o", "pipefail", "-c", script])
         .env("PATH", path.expect("a PATH"))
         .envs(variables.iter().map(|(name, value)| (name, value)))
-        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .current_dir(folder)
         .output()
         .expect("bash runs")
 }
 
-/// What the action leaves of a log.
+/// What the action leaves of its logs.
 struct Left {
     output: Output,
     reports: PathBuf,
     summary: String,
 }
 
+/// Runs the step of the action that audits, with these inputs.
 fn act(folder: &Path, given: &[(&str, &str)]) -> Left {
-    let action: Action = example("action.yml");
+    let action: Action = yaml("action.yml");
     let reports = folder.join("reports");
     let summary = folder.join("summary.md");
     let input = |name: &str| {
@@ -87,16 +98,20 @@ fn act(folder: &Path, given: &[(&str, &str)]) -> Left {
         let default = action.inputs.get(name).expect("an input").default.as_deref();
         given.or(default).expect("a value").to_owned()
     };
-    let [step] = action.runs.steps.as_slice() else { panic!("one step is expected") };
+    let audits = |step: &&Step| step.name.as_deref() == Some("Audit");
+    let step = action.runs.steps.iter().find(audits).expect("a step");
     let script = step.run.as_deref().expect("a script");
     assert!(!script.contains("${{"), "an input could be a command");
-    let mut variables = vec![("GITHUB_STEP_SUMMARY".to_owned(), summary.display().to_string())];
+    let mut variables = vec![
+        ("GITHUB_STEP_SUMMARY".to_owned(), summary.display().to_string()),
+        ("GITHUB_ACTION_PATH".to_owned(), ROOT.to_owned()),
+    ];
     variables.extend(step.env.iter().map(|(name, value)| {
         let inner = value.strip_prefix("${{ inputs.").and_then(|it| it.strip_suffix(" }}"));
         (name.clone(), input(inner.expect("an input")))
     }));
     variables.push(("REPORTS".to_owned(), reports.display().to_string()));
-    let output = bash(script, &[], &variables);
+    let output = bash(script, ROOT, &variables);
     let summary = fs::read_to_string(summary).unwrap_or_default();
     Left { output, reports, summary }
 }
@@ -104,61 +119,115 @@ fn act(folder: &Path, given: &[(&str, &str)]) -> Left {
 #[test]
 fn the_action_fails_on_a_faulty_log_and_leaves_its_reports() {
     let folder = tempfile::tempdir().expect("a folder");
-    let left = act(folder.path(), &[("log", FAULTY)]);
+    let left = act(folder.path(), &[("logs", FAULTY)]);
     assert_eq!(status(&left.output), 1, "{}", stderr(&left.output));
     let annotations = stdout(&left.output).lines().filter(|line| line.starts_with("::error "));
     assert_eq!(annotations.count(), FAULTS.findings.len(), "{}", stdout(&left.output));
     assert_eq!(left.summary, written("markdown", &FAULTS));
-    for name in ["report.sarif", "junit.xml"] {
-        assert!(left.reports.join(name).exists(), "{name}");
+    for name in ["report.sarif", "junit.xml", "report.html"] {
+        assert!(left.reports.join("fixtures_faulty.mcap").join(name).exists(), "{name}");
     }
+}
+
+#[test]
+fn the_action_audits_each_log_that_fits_and_ends_with_the_worst_of_them() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let logs = "fixtures/fault*.mcap\n\nfixtures/clean.mcap\n";
+    let left = act(folder.path(), &[("logs", logs)]);
+    assert_eq!(status(&left.output), 1, "{}", stderr(&left.output));
+    let mut names: Vec<String> = fs::read_dir(&left.reports)
+        .expect("a folder")
+        .map(|entry| entry.expect("an entry").file_name().display().to_string())
+        .collect();
+    names.sort();
+    assert_eq!(names, ["fixtures_clean.mcap", "fixtures_faulty.mcap"]);
+    let left = act(folder.path(), &[("logs", CLEAN), ("fail-on", "inconclusive")]);
+    assert_eq!(status(&left.output), 0, "{}", stdout(&left.output));
+    let left = act(folder.path(), &[("logs", "fixtures/no*such.mcap")]);
+    assert_eq!(status(&left.output), 2, "{}", stdout(&left.output));
+    assert!(stdout(&left.output).contains("fixtures/no*such.mcap: no log is called so"));
 }
 
 #[test]
 fn with_a_baseline_the_action_fails_only_on_what_is_worse() {
     let folder = tempfile::tempdir().expect("a folder");
-    let baseline = folder.path().join("baseline.json");
-    fs::write(&baseline, written("json", &FAULTS)).expect("a file");
-    let baseline = baseline.display().to_string();
-    let left = act(folder.path(), &[("log", FAULTY), ("baseline", &baseline)]);
-    assert_eq!(status(&left.output), 0, "{}", stderr(&left.output));
-    assert!(left.summary.contains("poseaudit: no regression"), "{}", left.summary);
+    let before = folder.path().join("before/fixtures_faulty.mcap");
+    fs::create_dir_all(&before).expect("a folder");
+    let report = before.join("report.json");
+    fs::write(&report, written("json", &FAULTS)).expect("a file");
+    for baseline in [report.as_path(), &folder.path().join("before")] {
+        let baseline = baseline.display().to_string();
+        let left = act(folder.path(), &[("logs", FAULTY), ("baseline", &baseline)]);
+        assert_eq!(status(&left.output), 0, "{}", stderr(&left.output));
+        assert!(left.summary.contains("poseaudit: no regression"), "{}", left.summary);
+    }
 }
 
 #[test]
 fn a_log_that_is_not_there_fails_the_action_and_is_said() {
     let folder = tempfile::tempdir().expect("a folder");
-    let left = act(folder.path(), &[("log", "no/such.mcap"), ("baseline", "no/such.json")]);
+    let left = act(folder.path(), &[("logs", "no/such.mcap"), ("baseline", "no/such.json")]);
     assert_eq!(status(&left.output), 2, "{}", stderr(&left.output));
     assert!(stdout(&left.output).contains("::no/such.mcap: no such file"));
 }
 
 #[test]
-fn the_workflow_gives_the_action_inputs_that_it_has_and_uploads_what_it_leaves() {
-    let (action, workflow): (Action, Workflow) = (example("action.yml"), example("workflow.yml"));
+fn the_workflow_gives_the_action_inputs_that_it_has() {
+    let (action, workflow): (Action, Workflow) =
+        (yaml("action.yml"), yaml("examples/ci/github.yml"));
     let steps: Vec<Step> = workflow.jobs.into_values().flat_map(|job| job.steps).collect();
     let of = |name: &str| {
         let uses = |step: &&Step| step.uses.as_deref().is_some_and(|uses| uses.contains(name));
         steps.iter().find(uses).expect("a step")
     };
-    let with = &of("./.github/actions/poseaudit").with;
+    let with = &of("OWNER/poseaudit@").with;
     assert!(with.keys().all(|name| action.inputs.contains_key(name)));
     let needed = action.inputs.iter().filter(|(_, input)| input.default.is_none());
     assert!(needed.map(|(name, _)| name).all(|name| with.contains_key(name)));
-    let reports = action.inputs["reports"].default.as_deref().expect("a folder");
-    let uploaded = &of("upload-sarif").with["sarif_file"];
-    assert_eq!(uploaded, &format!("{reports}/report.sarif"));
+    let kept = of("upload-artifact").with["path"].as_str();
+    assert_eq!(kept, action.inputs["reports"].default.as_deref());
+}
+
+/// A repository with one sound and one faulty log.
+fn repository() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().expect("a folder");
+    fs::create_dir(folder.path().join("logs")).expect("a folder");
+    for log in [CLEAN, FAULTY] {
+        let name = Path::new(log).file_name().expect("a name");
+        fs::copy(Path::new(ROOT).join(log), folder.path().join("logs").join(name)).expect("a log");
+    }
+    folder
+}
+
+#[test]
+fn the_scripts_for_gitlab_and_jenkins_leave_junit_of_every_log() {
+    let jobs: BTreeMap<String, Job> = yaml("examples/ci/gitlab.yml");
+    let pipeline = text("examples/ci/Jenkinsfile");
+    let jenkins = pipeline.split("'''").nth(1).expect("a script").replace("\\\\", "\\");
+    for script in [jobs["poseaudit"].script.join("\n"), jenkins] {
+        let folder = repository();
+        let output = bash(&script, &folder.path().display().to_string(), &[]);
+        assert_eq!(status(&output), 1, "{}", stderr(&output));
+        for log in ["clean.mcap", "faulty.mcap"] {
+            let junit = folder.path().join("reports").join(log).join("junit.xml");
+            assert!(junit.exists(), "{}", junit.display());
+        }
+    }
 }
 
 #[test]
 fn the_hook_audits_each_log_by_itself() {
-    let [hook] = <[Hook; 1]>::try_from(example::<Vec<Hook>>(".pre-commit-hooks.yaml"))
+    let [hook] = <[Hook; 1]>::try_from(yaml::<Vec<Hook>>(".pre-commit-hooks.yaml"))
         .unwrap_or_else(|hooks| panic!("{} hooks", hooks.len()));
     assert!(hook.files.contains("mcap"));
-    let entry = format!("{} \"$@\"", hook.entry);
-    let clean = bash(&entry, &[CLEAN], &[]);
+    let program = ("POSEAUDIT_BIN".to_owned(), env!("CARGO_BIN_EXE_poseaudit").to_owned());
+    let run = |logs: &[&str]| {
+        let call = format!("{} {} {}", hook.entry, hook.args.join(" "), logs.join(" "));
+        bash(&call, ROOT, std::slice::from_ref(&program))
+    };
+    let clean = run(&[CLEAN]);
     assert_eq!(status(&clean), 0, "{}", stderr(&clean));
-    let both = bash(&entry, &[FAULTY, CLEAN], &[]);
+    let both = run(&[FAULTY, CLEAN]);
     assert_eq!(status(&both), 1, "{}", stderr(&both));
     let verdicts =
         stdout(&both).lines().filter(|line| line.starts_with("PASS") || line.starts_with("FAIL"));

@@ -87,12 +87,12 @@ impl View<'_> {
     /// FK of all moments when the numbers are read by `map`.
     pub fn fk(&self, map: &JointMap) -> Vec<Pose> {
         let dof = self.chain.dof();
-        let mut q = vec![0.0; dof];
-        let forward = |row: &[f64]| {
-            map.apply(row, &mut q);
-            self.chain.forward(&q)
-        };
-        self.q.chunks_exact(dof).map(forward).collect()
+        let mut q = vec![0.0; self.q.len()];
+        let rows = self.q.chunks_exact(dof).zip(q.chunks_exact_mut(dof));
+        rows.for_each(|(row, q)| map.apply(row, q));
+        let mut poses = Vec::new();
+        self.chain.forward_batch(&q, &mut poses);
+        poses
     }
 
     fn logged(&self) -> Option<Vec<Pose>> {

@@ -469,7 +469,7 @@ mod tests {
         let logs = ["a", "b"].map(|name| ((Some(1), None, name.to_owned()), words(name)));
         let found = Found { severity: Severity::Warning, logs: logs.into() };
         let cause = ("LAT001".to_owned(), Whose::default());
-        let rows = finding_rows([(cause, found)].into(), &BTreeMap::new());
+        let rows = finding_rows([(cause, found)].into(), &BTreeMap::new(), &BTreeMap::new());
         let said = [&rows[0].title, &rows[0].message, &rows[0].path];
         assert_eq!(said, ["title of b", "message of b", "b"]);
     }

@@ -40,14 +40,14 @@ impl PartialEq for Derived {
 
 /// One motion of the path, in a frame turned such that the motion is about or along z.
 #[derive(Debug, Clone, PartialEq)]
-struct Step {
+pub(super) struct Step {
     /// This step's frame before the motion in the last step's frame after its motion.
-    previous_from_step: Rigid,
+    pub previous_from_step: Rigid,
     /// The coordinate that drives it: motion = `factor · q[coordinate] + offset`.
-    coordinate: usize,
-    factor: f64,
-    offset: f64,
-    slides: bool,
+    pub coordinate: usize,
+    pub factor: f64,
+    pub offset: f64,
+    pub slides: bool,
     /// The joint's child link in this step's frame, after the motion or, upwards, before it.
     step_from_child: Rigid,
     upwards: bool,
@@ -57,9 +57,9 @@ struct Step {
 
 /// A pose as a matrix, which costs less to multiply and to move along z than a quaternion.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Rigid {
-    rotation: Matrix3<f64>,
-    translation: Vec3,
+pub(super) struct Rigid {
+    pub rotation: Matrix3<f64>,
+    pub translation: Vec3,
 }
 
 impl Robot {
@@ -230,17 +230,6 @@ impl Chain {
         self.walk(q, |_, _, _| ()).to_pose()
     }
 
-    /// `base_from_tip` of each row of `q_rows`, which holds one position a coordinate, row after
-    /// row.
-    ///
-    /// # Panics
-    /// Where the last row is not complete.
-    pub fn forward_batch(&self, q_rows: &[f64], out: &mut Vec<Pose>) {
-        assert_eq!(q_rows.len() % self.dof(), 0, "one position a coordinate in each row");
-        out.clear();
-        out.extend(q_rows.chunks_exact(self.dof()).map(|q| self.forward(q)));
-    }
-
     /// `base_from_tip` and its geometric Jacobian: column i is the velocity of the tip's origin
     /// (m/s) and the angular velocity of the tip (rad/s), both in base, at unit speed of joint i.
     ///
@@ -356,6 +345,16 @@ impl Chain {
         }
     }
 
+    /// The motions of the path, from base to tip.
+    pub(super) fn steps(&self) -> &[Step] {
+        &self.steps
+    }
+
+    /// The tip in the frame of the last motion.
+    pub(super) fn step_from_tip(&self) -> &Rigid {
+        &self.step_from_tip
+    }
+
     /// Goes along the path and shows `visit` each step with its frame in base before and after
     /// the motion; returns `base_from_tip`.
     #[inline]
@@ -416,7 +415,7 @@ impl Rigid {
         self
     }
 
-    fn to_pose(self) -> Pose {
+    pub fn to_pose(self) -> Pose {
         let rotation = Rotation3::from_matrix_unchecked(self.rotation);
         Pose::from_parts(
             Translation3::from(self.translation),

@@ -12,6 +12,7 @@ mod dh;
 mod dh_write;
 mod error;
 mod joint;
+mod lanes;
 mod model;
 mod names;
 mod nearest;

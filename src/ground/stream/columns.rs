@@ -277,6 +277,31 @@ impl Columns {
     }
 }
 
+impl Columns {
+    /// Gives back what the rows of poses and IMUs hold, but for the rotations of those parts, by their
+    /// place, that are `kept`, and the numbers of messages. The times of all rows stay.
+    pub fn release_values(&mut self, kept: impl Fn(usize) -> bool) {
+        self.times_mut().into_iter().for_each(|times| times.sequence = Vec::new());
+        match self {
+            Columns::Poses(poses) | Columns::Transforms(poses) => {
+                for (part, poses) in poses.iter_mut().enumerate() {
+                    poses.xyz = Vec::new();
+                    if !kept(part) {
+                        poses.q_xyzw = Vec::new();
+                    }
+                }
+            }
+            Columns::Imu(imu) => {
+                (imu.gyro, imu.accel) = (Vec::new(), Vec::new());
+                if !kept(0) {
+                    imu.q_xyzw = Vec::new();
+                }
+            }
+            Columns::Joints(_) | Columns::Array(_) | Columns::Text(_) => {}
+        }
+    }
+}
+
 impl JointColumns {
     /// Counts a position of a joint, by its place, that is not [`usable`].
     pub fn drop_value(&mut self, joint: usize) {

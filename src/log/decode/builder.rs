@@ -17,7 +17,7 @@ pub(crate) use self::poses::MAX_FRAMES;
 ///
 /// A type that holds several kinds of content has a part for each: the first under the topic's own
 /// name, the others under that name with the field after a dot, as in Foxglove's message paths.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Builder {
     kinds: &'static [PartOf],
     parts: Vec<(&'static str, Part)>,
@@ -29,7 +29,7 @@ pub(crate) struct Builder {
 pub(super) type PartOf = (&'static str, fn() -> Part);
 
 /// The columns of one kind of content.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) enum Part {
     Joints(Joints),
     Poses(Poses),

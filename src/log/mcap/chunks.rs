@@ -22,7 +22,11 @@ impl<'a> Reader<'a, '_, '_> {
                 op::CHUNK => record::Chunk::parse(frame.body).filter(record::Chunk::is_whole),
                 _ => None,
             };
-            if let Some(packed) = chunk.and_then(|chunk| chunk.packed())
+            let packed = chunk.and_then(|chunk| chunk.packed());
+            if let Some(packed) = &packed {
+                self.advise(&frame, packed);
+            }
+            if let Some(packed) = packed
                 && self.use_of(&frame, &packed) == Use::All
                 && self.intake.allowance.admit(&packed).is_ok()
             {

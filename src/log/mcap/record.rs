@@ -297,7 +297,6 @@ impl<'a> MessageIndex<'a> {
     }
 
     /// Where among the records of the chunk each of them begins.
-    #[cfg(feature = "cloud")]
     pub(super) fn offsets(&self) -> impl Iterator<Item = u64> + use<'a> {
         self.entries.iter().filter_map(|entry| Fields(&entry[8..]).u64())
     }

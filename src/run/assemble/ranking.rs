@@ -2,14 +2,14 @@
 //! the streams of poses say. The same question is asked of a model that was named.
 
 use std::cmp::Reverse;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use super::assembly::{Assembly, is_topic};
 use super::groups::Group;
-use crate::diagnosis::{ModelFit, Needs, PoseStream, Priced, harmless_fit, model_fit};
+use crate::diagnosis::{ModelFit, Needs, PoseStream, Priced, Tried, model_fit};
 use crate::finding::Unit;
 use crate::robot::catalogue;
 use crate::run::arm::{Arm, Ends};
@@ -22,7 +22,7 @@ use crate::run::skeleton;
 use crate::run::sources::PoseSource;
 use crate::run::space::Claim;
 use crate::run::tf_tree::TfTree;
-use crate::stream::{Columns, JointTrack};
+use crate::stream::Columns;
 
 /// A model fits where no more than this is left, m, as of a drawing against a calibrated arm, …
 const FITS_M: f64 = 3e-3;
@@ -34,24 +34,24 @@ const MOST_STREAMS: usize = 6;
 const APART: f64 = 20.0;
 /// Residuals below these say nothing: rounding, and the difference of an arm from its drawing.
 const FLOOR_M: std::ops::RangeInclusive<f64> = 5e-6..=1e-3;
+
 /// Of more models than these, where one leaves no more than this of each stream without a fault, m, those that
 /// leave so many times that and more than fits are not asked what fault would help them.
 const MANY: usize = 4;
 const CLEAR_M: f64 = 1e-4;
 const FAR: f64 = 100.0;
 
-/// A fit of a model's chain to a stream, with latencies up to that, s.
-type FitOf = fn(&JointTrack, &PoseStream, f64) -> Option<ModelFit>;
-
 /// How one model fits the streams of poses.
 #[derive(Default)]
 struct Entry {
+    arm: Option<Arm>,
     fits: Vec<Fitted>,
 }
 
 /// How one model fits one stream.
 struct Fitted {
     stream: usize,
+    source: PoseSource,
     /// Whether the model says where the stream's frame is, and was held to it.
     knows_frame: bool,
     fit: ModelFit,
@@ -90,23 +90,24 @@ impl ByPoses<'_> {
     /// The models ranked by what they need to be where the streams of poses say, best first; none where
     /// no stream tells. No model is held to a frame that another one does not know.
     pub fn ranking(&self, models: &[&Model]) -> Option<Ranking> {
-        let of = |model: &&Model| self.entry(model, &BTreeSet::new(), harmless_fit);
-        let mut entries: Vec<Entry> = match models.len() > MANY {
-            true => models.par_iter().map(of).collect(),
-            false => models.iter().map(|_| Entry::default()).collect(),
-        };
-        let near = near(&entries);
-        entries.par_iter_mut().zip(models).zip(&near).for_each(|((entry, model), near)| {
-            if *near {
-                *entry = self.entry(model, &BTreeSet::new(), model_fit);
-            }
-        });
+        let of = |model: &&Model| self.entry(model, &BTreeSet::new());
+        let mut entries: Vec<Entry> = models.par_iter().map(of).collect();
         let unknown = entries.iter().flat_map(|entry| entry.whose_frame_is(false));
         let free: BTreeSet<usize> = unknown.collect();
         entries.par_iter_mut().zip(models).for_each(|(entry, model)| {
             if entry.whose_frame_is(true).any(|stream| free.contains(&stream)) {
-                *entry = self.entry(model, &free, model_fit);
+                *entry = self.entry(model, &free);
             }
+        });
+        // What faults explain is asked only where it could be cheaper.
+        let (floors_m, near) = (floors_m(&entries), near(&entries));
+        entries.par_iter_mut().zip(near).for_each(|(Entry { arm, fits }, is_near)| {
+            let Some(arm) = arm.as_ref().filter(|_| is_near) else { return };
+            let open = fits.iter_mut().filter(|it| !it.fit.is_settled(floors_m[&it.stream]));
+            open.for_each(|it| {
+                let all = self.fit_of(arm, &it.source, it.knows_frame, Tried::All);
+                it.fit = all.unwrap_or_else(|| it.fit.clone());
+            });
         });
         let ranks = ranks(&entries);
         let standings = ranks.into_iter().map(|rank| {
@@ -197,7 +198,7 @@ impl ByPoses<'_> {
     }
 
     /// How a model fits the streams, held to the frames of all but those that are `free`.
-    fn entry(&self, model: &Model, free: &BTreeSet<usize>, fit: FitOf) -> Entry {
+    fn entry(&self, model: &Model, free: &BTreeSet<usize>) -> Entry {
         let Assembly { options, streams, origin, .. } = self.assembly;
         let ends = Ends { base: options.base.as_deref(), tip: options.tip.as_deref() };
         let arm = self
@@ -208,20 +209,23 @@ impl ByPoses<'_> {
         // Those that say most, copies once, and no more than tell.
         let mut longest: Vec<usize> = (0..streams.len()).collect();
         longest.sort_by_key(|&stream| Reverse(streams[stream].count));
-        let (mut fits, mut sources): (_, Vec<PoseSource>) = (Vec::new(), Vec::new());
+        let (mut fits, mut untold): (Vec<Fitted>, Vec<PoseSource>) = (Vec::new(), Vec::new());
         for stream in longest {
-            let source = self.source_of(&arm, stream);
-            let new = source.filter(|one| !sources.iter().any(|other| one.is_copy_of(other)));
-            let Some(source) = new else { continue };
+            let Some(source) = self.source_of(&arm, stream) else { continue };
+            let mut others = fits.iter().map(|fitted| &fitted.source).chain(&untold);
+            if others.any(|other| source.is_copy_of(other)) {
+                continue;
+            }
             let knows_frame = source.reference_known && !free.contains(&stream);
-            let fit = self.fit_of(&arm, &source, knows_frame, fit);
-            fits.extend(fit.map(|fit| Fitted { stream, knows_frame, fit }));
-            sources.push(source);
+            match self.fit_of(&arm, &source, knows_frame, Tried::Harmless) {
+                Some(fit) => fits.push(Fitted { stream, source, knows_frame, fit }),
+                None => untold.push(source),
+            }
             if fits.len() == MOST_STREAMS {
                 break;
             }
         }
-        Entry { fits }
+        Entry { arm: Some(arm), fits }
     }
 
     /// A stream of `arm`, where it may be its tool's pose.
@@ -249,7 +253,7 @@ impl ByPoses<'_> {
         arm: &Arm,
         source: &PoseSource,
         knows_frame: bool,
-        fit: FitOf,
+        tried: Tried,
     ) -> Option<ModelFit> {
         let stream = PoseStream {
             track: &source.track,
@@ -259,11 +263,22 @@ impl ByPoses<'_> {
             stamp_error_s: source.stamp_error_s,
             stamps_copied: source.stamps_copied,
         };
-        fit(&arm.joints, &stream, self.assembly.options.max_latency_s)
+        model_fit(&arm.joints, &stream, self.assembly.options.max_latency_s, tried)
     }
 }
 
-/// Which models come near to the one that leaves least without a fault; all where none is clear.
+/// Below what residuals of each stream are the same to any model, m.
+fn floors_m(entries: &[Entry]) -> BTreeMap<usize, f64> {
+    let mut floors_m = BTreeMap::new();
+    for Fitted { stream, fit, .. } in entries.iter().flat_map(|entry| &entry.fits) {
+        let floor_m = (2.0 * fit.harmless_m()).clamp(*FLOOR_M.start(), *FLOOR_M.end());
+        let least = floors_m.entry(*stream).or_insert(floor_m);
+        *least = least.min(floor_m);
+    }
+    floors_m
+}
+
+/// Which models come near to the one that leaves least without a fault; all where none is clear, or they are few.
 fn near(entries: &[Entry]) -> Vec<bool> {
     let streams: BTreeSet<usize> =
         entries.iter().flat_map(|entry| entry.fits.iter().map(|fitted| fitted.stream)).collect();
@@ -279,7 +294,8 @@ fn near(entries: &[Entry]) -> Vec<bool> {
     let is_near = |entry: &Entry| {
         least_m.iter().any(|&(stream, least_m)| left(stream, entry) <= FITS_M.max(FAR * least_m))
     };
-    entries.iter().map(|entry| !is_clear || is_near(entry)).collect()
+    let is_asked = |entry| entries.len() <= MANY || !is_clear || is_near(entry);
+    entries.iter().map(is_asked).collect()
 }
 
 /// The models by their scores over the streams that some of them explains, or over all where none does.
@@ -296,13 +312,10 @@ fn ranks(entries: &[Entry]) -> Vec<Rank> {
     let explained: Vec<usize> = streams.iter().filter(is_explained).copied().collect();
     let counted: Vec<usize> =
         if explained.is_empty() { streams.into_iter().collect() } else { explained };
-    let floor_m = |stream: usize| {
-        let least = of(stream).map(ModelFit::harmless_m).fold(f64::INFINITY, f64::min);
-        (2.0 * least).clamp(*FLOOR_M.start(), *FLOOR_M.end())
-    };
+    let floors_m = floors_m(entries);
     let rank = |(model, entry): (usize, &Entry)| {
         let each = counted.iter().map(|&stream| {
-            let best = entry.of(stream)?.best(floor_m(stream))?;
+            let best = entry.of(stream)?.best(floors_m[&stream])?;
             Some((stream, best))
         });
         let each: Vec<(usize, Priced)> = each.collect::<Option<_>>()?;

@@ -141,6 +141,7 @@ impl Recording {
             notes: Vec::new(),
             contradictions: None,
             repeats: None,
+            time_column: None,
             robot_type: None,
             question: None,
             losses: Vec::new(),

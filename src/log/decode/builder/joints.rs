@@ -28,7 +28,7 @@ pub(crate) enum TooManyJoints {
 }
 
 /// Joint states, with the way from a message's names to their columns.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(in crate::decode) struct Joints {
     /// Index into [`Row::lists`] of the positions,
     pub(super) positions: usize,

@@ -21,7 +21,7 @@ pub(crate) const MAX_FRAMES: usize = 1 << 12;
 const SIMULATED_WORLD: &str = "world";
 
 /// Poses split by frame and child frame.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(in crate::decode) struct Poses {
     pub(super) groups: Vec<PoseColumns>,
     pub(super) by_frames: HashMap<String, usize>,
@@ -149,7 +149,7 @@ impl Poses {
 }
 
 /// The poses of messages that hold several at once.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(in crate::decode) struct Crowd {
     pub(super) poses: Poses,
     pub(super) naming: Naming,

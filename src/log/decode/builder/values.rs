@@ -42,14 +42,14 @@ pub(super) fn join_imu(imu: &mut ImuColumns, later: ImuColumns) {
 }
 
 /// Bare numbers, and where they are from.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(in crate::decode) struct Array {
     pub(super) numbers: Numbers,
     pub(super) columns: ArrayColumns,
 }
 
 /// Which numbers of a row.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) enum Numbers {
     /// One of [`Row::lists`].
     List(usize),

@@ -2,12 +2,13 @@
 
 use std::io::{self, Write};
 
-use poseaudit::desk::{
-    Answer, Candidate, End, Hypothesis, Pasted, Reading, Residual, Row, Sheet, Verdict, WouldDo,
+use super::{
+    Answer, Candidate, End, Hypothesis, Pasted, Reading, Residual, Row, Sheet, Sheets, Verdict,
+    WouldDo,
 };
-use poseaudit::finding::rounded;
-use poseaudit::geometry::vendors::{self, Use};
-use poseaudit::geometry::{Coding, Convention, Pose, xyz_of, xyzw_from_rotation};
+use crate::finding::rounded;
+use crate::geometry::vendors::{self, Use};
+use crate::geometry::{Coding, Convention, Pose, xyz_of, xyzw_from_rotation};
 
 /// How wide the names of users run.
 const USERS_WIDTH: usize = 56;
@@ -62,7 +63,18 @@ fn beside(out: &mut dyn Write, name: &str, left: &[String], right: &[String]) ->
     Ok(())
 }
 
-pub(super) fn write_sheet(sheet: &Sheet, pasted: &Pasted, out: &mut dyn Write) -> io::Result<()> {
+/// Writes what one pose is, or may be.
+///
+/// # Errors
+/// If `out` cannot be written.
+pub fn write_sheets(sheets: &Sheets, pasted: &Pasted, out: &mut dyn Write) -> io::Result<()> {
+    match sheets {
+        Sheets::One(sheet) => write_sheet(sheet, pasted, out),
+        Sheets::Several { candidates, notes } => write_candidates(candidates, notes, out),
+    }
+}
+
+fn write_sheet(sheet: &Sheet, pasted: &Pasted, out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "{:16}{} ({})", "read as", sheet.reading, pasted.kind)?;
     for note in &sheet.notes {
         writeln!(out, "{:16}{note}", "")?;
@@ -141,7 +153,7 @@ fn write_row(row: &Row, out: &mut dyn Write) -> io::Result<()> {
     beside(out, &row.form.to_string(), &left, &in_lines(&names, USERS_WIDTH))
 }
 
-pub(super) fn write_candidates(
+fn write_candidates(
     candidates: &[Candidate],
     notes: &[String],
     out: &mut dyn Write,
@@ -187,7 +199,11 @@ fn frame_text(pose: &Pose) -> String {
     format!("xyz {xyz} mm, rpy {rpy}°")
 }
 
-pub(super) fn write_answer(answer: &Answer, pairs: usize, out: &mut dyn Write) -> io::Result<()> {
+/// Writes what makes so many pairs agree.
+///
+/// # Errors
+/// If `out` cannot be written.
+pub fn write_answer(answer: &Answer, pairs: usize, out: &mut dyn Write) -> io::Result<()> {
     let of = if pairs == 1 { "one pair".to_owned() } else { format!("{pairs} pairs, rms") };
     let head = match answer.verdict {
         Verdict::Reconciled => "reconciled",

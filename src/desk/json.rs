@@ -1,8 +1,8 @@
 //! Poses as JSON.
 
-use poseaudit::desk::{Answer, End, Hypothesis, Inversion, Reading, Sheets, Verdict};
-use poseaudit::geometry::vendors::Use;
-use poseaudit::geometry::{Axes, Pose, xyz_of, xyzw_from_rotation};
+use super::{Answer, End, Hypothesis, Inversion, Reading, Sheets, Verdict};
+use crate::geometry::vendors::Use;
+use crate::geometry::{Axes, Pose, xyz_of, xyzw_from_rotation};
 use serde_json::{Value, json};
 
 fn pose_as_json(pose: &Pose) -> Value {
@@ -38,7 +38,8 @@ fn uses_as_json(uses: &[&'static Use]) -> Vec<Value> {
     uses.iter().map(entry).collect()
 }
 
-pub(super) fn sheets_as_json(sheets: &Sheets) -> Value {
+/// What one pose is.
+pub fn sheets_as_json(sheets: &Sheets) -> Value {
     let schema = "poseaudit.pose/1";
     match sheets {
         Sheets::One(sheet) => {
@@ -84,7 +85,8 @@ pub(super) fn sheets_as_json(sheets: &Sheets) -> Value {
     }
 }
 
-pub(super) fn answer_as_json(answer: &Answer, pairs: usize) -> Value {
+/// What makes so many pairs agree.
+pub fn answer_as_json(answer: &Answer, pairs: usize) -> Value {
     let hypotheses: Vec<Value> = answer.hypotheses.iter().map(hypothesis_as_json).collect();
     let would_do = answer.would_do.as_ref().map(|would_do| {
         json!({

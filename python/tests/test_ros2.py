@@ -1,0 +1,47 @@
+"""`ros2 poseaudit`, with a stub of ros2cli in the place of ROS, which no package index has."""
+
+import argparse
+import sys
+import types
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The command, as ros2cli makes it: the class of the entry point, without arguments."""
+    stub = types.ModuleType("ros2cli.command")
+    stub.CommandExtension = type("CommandExtension", (), {"NAME": None})  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "ros2cli", types.ModuleType("ros2cli"))
+    monkeypatch.setitem(sys.modules, "ros2cli.command", stub)
+    monkeypatch.delitem(sys.modules, "poseaudit._ros2", raising=False)
+    [found] = entry_points(group="ros2cli.command", name="poseaudit")
+    return found.load()()
+
+
+def ran(command: Any, *words: str | Path) -> int:
+    """What ros2cli does with the words behind `ros2 poseaudit`."""
+    root = argparse.ArgumentParser(prog="ros2")
+    parser = root.add_subparsers().add_parser("poseaudit")
+    command.add_arguments(parser, "ros2")
+    args = root.parse_args(["poseaudit", *map(str, words)])
+    status: int = command.main(parser=parser, args=args)
+    return status
+
+
+def test_options_reach_the_program_and_its_status_comes_back(
+    command: Any, faulty: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert ran(command, "audit", faulty, "--select", "LAT", "--format", "github") == 1
+    assert "LAT001" in capfd.readouterr().out
+    assert ran(command, "audit", faulty, "--select", "YAW", "-q") == 0
+    assert ran(command, "audit", faulty, "--robt") == 2
+    assert ran(command, "help") == 0
+    assert "record-list" in capfd.readouterr().out
+
+
+def test_it_says_what_it_is_for(command: Any) -> None:
+    assert type(command).__doc__ == "Audit robot-arm pose logs."

@@ -1,0 +1,136 @@
+//! An audit.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use bytes::Bytes;
+use poseaudit::config::Config;
+use poseaudit::log::Progress;
+use poseaudit::report::{Format, Report, Trouble, TroubleKind, Verdict};
+use poseaudit::run::RobotSource;
+use poseaudit::{Audited, Options};
+use serde::Deserialize;
+
+use crate::{Answer, misuse};
+
+/// What is asked of the files.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Asked {
+    /// What each of the files is, with its name.
+    files: Vec<File>,
+    /// A robot of the catalogue.
+    robot: Option<String>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    name: PathBuf,
+    #[serde(rename = "as")]
+    kind: Kind,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Debug, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Kind {
+    Log,
+    Robot,
+    Config,
+}
+
+pub fn answer(asked: &Asked, files: Vec<Bytes>, progress: Progress) -> Result<Answer, Trouble> {
+    let progress = Arc::new(progress);
+    let audited = asked.options(files).and_then(|(mut options, words)| {
+        options.read.progress = Some(Arc::clone(&progress));
+        Ok((poseaudit::audit(&options)?, words))
+    });
+    let report = match audited {
+        Err(trouble) => Report::of_trouble(trouble),
+        Ok((audited, words)) => {
+            progress.begins("drawing");
+            let Audited { report, .. } = audited.with_figures();
+            report.called(&words)
+        }
+    };
+    Ok(Answer {
+        status: status(&report),
+        error: report.error.as_ref().map(ToString::to_string),
+        json: written(&report, "json"),
+        shown: written(&report, "html"),
+    })
+}
+
+fn written(report: &Report, format: &str) -> String {
+    let mut bytes = Vec::new();
+    let done = Format::named(format).map(|format| format.write(report, &mut bytes));
+    debug_assert!(matches!(done, Some(Ok(()))), "memory takes every report");
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+/// As the program ends.
+fn status(report: &Report) -> u8 {
+    match (&report.error, report.verdict) {
+        (Some(Trouble { kind: TroubleKind::Call, .. }), _) => 2,
+        (Some(Trouble { kind: TroubleKind::Log, .. }), _) => 3,
+        (None, Verdict::Fail) => 1,
+        (None, Verdict::Inconclusive) => u8::from(report.fails_open),
+        (None, Verdict::Pass) => 0,
+    }
+}
+
+impl Asked {
+    /// The options of the audit, and the call of the program that asks the same.
+    fn options(&self, files: Vec<Bytes>) -> Result<(Options, Vec<String>), Trouble> {
+        let (mut logs, mut robots, mut configs) = (Vec::new(), Vec::new(), Vec::new());
+        for (File { name, kind }, content) in self.files.iter().zip(files) {
+            match kind {
+                Kind::Log => logs.push((name.clone(), content)),
+                Kind::Robot => robots.push((name, text(name, &content)?)),
+                Kind::Config => configs.push((name, text(name, &content)?)),
+            }
+        }
+        let mut words = vec!["poseaudit".to_owned(), "audit".to_owned()];
+        words.extend(logs.iter().map(|(name, _)| name.display().to_string()));
+        let mut options = match configs.pop() {
+            None => Options::default(),
+            Some((name, text)) => {
+                words.extend(["--config".to_owned(), name.display().to_string()]);
+                Config::from_text(text, name)?.options()
+            }
+        };
+        let run = &mut options.run;
+        let given = robots.into_iter().map(|(name, text)| RobotSource {
+            prefix: None,
+            model: name.display().to_string(),
+            text: Some(text),
+        });
+        let given: Vec<RobotSource> = given.collect();
+        let named = self.robot.as_deref().map(RobotSource::from);
+        // What the config names is read of the files given; what it does not name is the robot.
+        for source in &mut run.robots {
+            let file = given.iter().find(|file| file.model == source.model);
+            source.text = file.and_then(|file| file.text.clone());
+        }
+        if run.robots.iter().all(|source| source.text.is_none()) {
+            let own: Vec<RobotSource> = named.into_iter().chain(given).collect();
+            for source in &own {
+                words.extend(["--robot".to_owned(), source.model.clone()]);
+            }
+            if !own.is_empty() {
+                run.robots = own;
+            }
+        }
+        options.logs = logs.iter().map(|(name, _)| name.clone()).collect();
+        options.read.given = logs.into_iter().collect();
+        match options.logs.len() == options.read.given.len() {
+            true => Ok((options, words)),
+            false => Err(misuse("the files", "two have one name", "give each a name of its own")),
+        }
+    }
+}
+
+fn text(name: &Path, content: &Bytes) -> Result<String, Trouble> {
+    let text = String::from_utf8(content.to_vec());
+    text.map_err(|_| misuse(&name.display().to_string(), "it is no text", "save it as UTF-8"))
+}

@@ -1,0 +1,74 @@
+//! The pose desk.
+
+use std::io;
+
+use poseaudit::desk::{
+    Corrections, DeskError, FrameNames, Pair, Pasted, Question, Style, Verdict, answer_as_json,
+    paste, reconcile, sheet, sheets_as_json, write_answer, write_sheets,
+};
+use poseaudit::report::Trouble;
+use poseaudit::run::robot_of;
+use serde::Deserialize;
+
+use crate::{Answer, misuse};
+
+/// The poses that were pasted.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Asked {
+    /// Pose A.
+    pose: String,
+    /// How it is coded; what is not said is inferred.
+    coded: Option<String>,
+    /// Pose B, that should agree with it.
+    other: Option<String>,
+    /// How that is coded.
+    other_coded: Option<String>,
+    /// An arm of the catalogue whose fixed frames may lie between the two.
+    robot: Option<String>,
+}
+
+pub fn answer(asked: &Asked) -> Result<Answer, Trouble> {
+    let style = |text: &Option<String>, place| {
+        let style: Option<Result<Style, DeskError>> = text.as_deref().map(str::parse);
+        style.transpose().map(Option::unwrap_or_default).map_err(trouble(place))
+    };
+    let coded = style(&asked.coded, "how A is coded")?;
+    let a = paste(&asked.pose).map_err(trouble("pose A"))?;
+    let Some(other) = &asked.other else {
+        let sheets = sheet(&a, coded).map_err(trouble("pose A"))?;
+        let shown = written(|out| write_sheets(&sheets, &a, out));
+        return Ok(Answer {
+            json: format!("{:#}", sheets_as_json(&sheets)),
+            shown,
+            ..Answer::default()
+        });
+    };
+    let b = paste(other).map_err(trouble("pose B"))?;
+    let robot = asked.robot.as_deref().map(robot_of).transpose()?;
+    let names = |of: &Pasted| FrameNames { parent: of.parent.clone(), child: of.child.clone() };
+    let question = Question {
+        is: coded,
+        but: style(&asked.other_coded, "how B is coded")?,
+        frames: Corrections::of(robot.as_ref(), &names(&a), &names(&b)),
+        pairs: vec![Pair { is: a, but: b }],
+    };
+    let answer = reconcile(&question).map_err(trouble("the poses"))?;
+    Ok(Answer {
+        status: u8::from(answer.verdict == Verdict::Open),
+        error: None,
+        json: format!("{:#}", answer_as_json(&answer, 1)),
+        shown: written(|out| write_answer(&answer, 1, out)),
+    })
+}
+
+fn trouble(place: &str) -> impl Fn(DeskError) -> Trouble + '_ {
+    move |error| misuse(place, &error, error.advice())
+}
+
+fn written(write: impl FnOnce(&mut dyn io::Write) -> io::Result<()>) -> String {
+    let mut bytes = Vec::new();
+    let done = write(&mut bytes);
+    debug_assert!(done.is_ok(), "memory takes every text");
+    String::from_utf8_lossy(&bytes).into_owned()
+}

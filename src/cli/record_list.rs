@@ -1,0 +1,289 @@
+//! `poseaudit record-list`.
+
+mod questions;
+
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+
+use poseaudit::Options;
+use poseaudit::log::is_url;
+use poseaudit::places::Places;
+use poseaudit::report::{Report, Trouble, tame};
+use poseaudit::robot::{Robot, catalogue};
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use self::questions::{Need, QUESTIONS, Question};
+use super::output::Format;
+use super::progress::watched;
+use super::{Outcome, misuse, output};
+
+/// Which topics to record for which question: what a log lacks, or what the drivers of an arm publish
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  poseaudit record-list run.mcap
+  poseaudit record-list ur5e
+  poseaudit record-list ur5e --format json")]
+pub struct Args {
+    /// A log, or its URL, or the name of an arm of the catalogue
+    #[arg(value_name = "LOG|ROBOT")]
+    of: PathBuf,
+
+    /// How it is printed
+    #[arg(long, value_enum, default_value_t = Format::Text)]
+    format: Format,
+}
+
+/// The topics that drivers publish, as `drivers.toml` has them.
+#[derive(Debug, Deserialize)]
+struct Drivers {
+    driver: Vec<Driver>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Driver {
+    /// The maker whose arms it drives; none for what every arm has.
+    vendor: Option<String>,
+    name: String,
+    source: String,
+    topics: Vec<Topic>,
+}
+
+/// One topic, with the role that an audit gives it.
+#[derive(Clone, Debug, Deserialize)]
+struct Topic {
+    topic: String,
+    #[serde(rename = "type")]
+    type_name: String,
+    role: String,
+}
+
+static DRIVERS: LazyLock<Drivers> = LazyLock::new(|| {
+    toml::from_str(include_str!("record_list/drivers.toml")).expect("the embedded table is valid")
+});
+
+/// What can be recorded, or was.
+enum Source {
+    Log(Box<Report>),
+    Arm(&'static Robot),
+}
+
+/// A question, and of what it needs the topics that are there and the needs that none meets.
+struct Answer {
+    question: &'static Question,
+    topics: Vec<Topic>,
+    missing: Vec<Need>,
+}
+
+pub fn run(args: &Args) -> Result<Outcome, Trouble> {
+    let source = source(&args.of)?;
+    if let Source::Log(report) = &source
+        && let Some(trouble) = report.error.as_ref().filter(|_| report.streams.is_empty())
+    {
+        return Err(trouble.clone());
+    }
+    let answers: Vec<Answer> = QUESTIONS.iter().map(|question| source.answer(question)).collect();
+    output::emit(None, |out| match args.format {
+        Format::Text => source.write(&answers, out),
+        Format::Json => {
+            serde_json::to_writer_pretty(&mut *out, &source.as_json(&answers))?;
+            writeln!(out)
+        }
+    })?;
+    Ok(Outcome::Clean)
+}
+
+fn source(of: &Path) -> Result<Source, Trouble> {
+    let name = of.display().to_string();
+    if of.exists() || is_url(of) {
+        Places::only_read([of.to_owned()].iter())?;
+        let mut options = Options { logs: vec![of.to_owned()], ..Options::default() };
+        let report = watched(|progress| {
+            options.read.progress = Some(progress);
+            poseaudit::info(&options)
+        })?;
+        return Ok(Source::Log(Box::new(report)));
+    }
+    catalogue::find(&name).map(Source::Arm).ok_or_else(|| {
+        let near = catalogue::nearest_names(&name);
+        let remedy = match near.as_slice() {
+            [] => "name a log, or an arm of `poseaudit robots`".to_owned(),
+            near => format!("name a log, or an arm; is it {}?", near.join(", ")),
+        };
+        misuse(name, "no such file, and the catalogue has no arm of this name", remedy)
+    })
+}
+
+impl Source {
+    /// The drivers of the arm; without one, those of any.
+    fn drivers(&self) -> impl Iterator<Item = &'static Driver> {
+        let vendor = match self {
+            Source::Arm(robot) => robot.provenance.as_ref().map(|maker| maker.vendor.as_str()),
+            Source::Log(_) => None,
+        };
+        DRIVERS
+            .driver
+            .iter()
+            .filter(move |driver| driver.vendor.is_none() || driver.vendor.as_deref() == vendor)
+    }
+
+    fn topics(&self, need: Need) -> Vec<Topic> {
+        match self {
+            Source::Log(report) => need
+                .streams(report)
+                .into_iter()
+                .map(|stream| Topic {
+                    topic: stream.topic.clone(),
+                    type_name: stream.type_name.clone(),
+                    role: stream.role.to_owned(),
+                })
+                .collect(),
+            // No driver has an outside witness.
+            Source::Arm(_) if need == Need::Outside => Vec::new(),
+            Source::Arm(_) => {
+                let topics = self.drivers().flat_map(|driver| &driver.topics);
+                topics
+                    .filter(|topic| need.roles().contains(&topic.role.as_str()))
+                    .cloned()
+                    .collect()
+            }
+        }
+    }
+
+    fn answer(&self, question: &'static Question) -> Answer {
+        let mut topics: Vec<Topic> = Vec::new();
+        let mut missing = Vec::new();
+        for &need in question.needs {
+            let own = self.topics(need);
+            let is_met = match self {
+                Source::Log(report) => need.is_met(report),
+                Source::Arm(_) => need == Need::Model || !own.is_empty(),
+            };
+            if !is_met {
+                missing.push(need);
+            }
+            for topic in own {
+                if topics.iter().all(|known| known.topic != topic.topic) {
+                    topics.push(topic);
+                }
+            }
+        }
+        Answer { question, topics, missing }
+    }
+
+    fn write(&self, answers: &[Answer], out: &mut dyn Write) -> io::Result<()> {
+        match self {
+            Source::Log(report) => {
+                let names = report.log.files.iter().map(|file| file.path.display().to_string());
+                writeln!(out, "log            {}", tame(&names.collect::<Vec<_>>().join(", ")))?;
+            }
+            Source::Arm(robot) => {
+                let maker =
+                    robot.provenance.as_ref().map(|it| format!(", {} {}", it.vendor, it.model));
+                writeln!(out, "robot          {}{}", robot.name, maker.unwrap_or_default())?;
+                for driver in self.drivers() {
+                    writeln!(out, "topics of      {} ({})", driver.name, driver.source)?;
+                }
+                if self.drivers().all(|driver| driver.vendor.is_none()) {
+                    writeln!(
+                        out,
+                        "               the topics of this maker's own drivers are not known here"
+                    )?;
+                }
+            }
+        }
+        for answer in answers {
+            writeln!(out, "\n{}", answer.question.asks)?;
+            writeln!(out, "  rules        {}", answer.question.rules.join(", "))?;
+            for topic in &answer.topics {
+                let (name, kind) = (tame(&topic.topic), tame(&topic.type_name));
+                writeln!(out, "  {:<13}{name} ({kind})", topic.role)?;
+            }
+            if answer.question.needs.is_empty() {
+                writeln!(out, "  any          every topic that is recorded")?;
+            }
+            for need in &answer.missing {
+                writeln!(out, "  missing      {}", need.what())?;
+            }
+        }
+        writeln!(out, "\nrecord         {}", tame(&command(answers)))?;
+        let motion = "30 s or more in which every joint moves by 30° or more, one after another";
+        writeln!(out, "motion         {motion}; `poseaudit plan` writes one")
+    }
+
+    fn as_json(&self, answers: &[Answer]) -> Value {
+        let questions = answers.iter().map(|Answer { question, topics, missing }| {
+            let topics = topics.iter().map(|topic| {
+                json!({ "topic": topic.topic, "type": topic.type_name, "role": topic.role })
+            });
+            json!({
+                "question": question.asks,
+                "rules": question.rules,
+                "topics": topics.collect::<Vec<_>>(),
+                "missing": missing.iter().map(|need| need.what()).collect::<Vec<_>>(),
+            })
+        });
+        let (log, robot) = match self {
+            Source::Log(report) => {
+                (Some(report.log.files.iter().map(|file| &file.path).collect::<Vec<_>>()), None)
+            }
+            Source::Arm(robot) => (None, Some(&robot.name)),
+        };
+        let drivers = self.drivers().filter(|_| robot.is_some());
+        json!({
+            "schema": "poseaudit.record-list/1",
+            "log": log,
+            "robot": robot,
+            "drivers": drivers.map(|driver| json!({ "name": driver.name, "source": driver.source })).collect::<Vec<_>>(),
+            "questions": questions.collect::<Vec<_>>(),
+            "command": command(answers),
+        })
+    }
+}
+
+/// What records all topics that some question needs.
+fn command(answers: &[Answer]) -> String {
+    let mut topics: Vec<&str> = Vec::new();
+    for topic in answers.iter().flat_map(|answer| &answer.topics) {
+        if !topics.contains(&topic.topic.as_str()) {
+            topics.push(&topic.topic);
+        }
+    }
+    match topics.is_empty() {
+        true => "nothing here is known to be worth recording".to_owned(),
+        false => format!("ros2 bag record -s mcap -o run {}", topics.join(" ")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_driver_is_of_a_maker_in_the_catalogue_and_says_where_its_topics_are_from() {
+        let vendors: Vec<&str> = catalogue::entries()
+            .iter()
+            .filter_map(|robot| robot.provenance.as_ref())
+            .map(|maker| maker.vendor.as_str())
+            .collect();
+        let roles: Vec<&str> = QUESTIONS
+            .iter()
+            .flat_map(|it| it.needs)
+            .flat_map(|need| need.roles())
+            .copied()
+            .collect();
+        for driver in &DRIVERS.driver {
+            assert!(!driver.source.is_empty() && !driver.topics.is_empty(), "{}", driver.name);
+            assert!(
+                driver.vendor.as_deref().is_none_or(|it| vendors.contains(&it)),
+                "{}",
+                driver.name
+            );
+            for topic in &driver.topics {
+                assert!(roles.contains(&topic.role.as_str()), "{}", topic.topic);
+            }
+        }
+    }
+}

@@ -1,0 +1,171 @@
+//! Which questions there are, which rules answer them, and what these need in the log.
+
+use poseaudit::report::{Report, StreamRow};
+
+/// Something that a log must hold for a question to be answered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Need {
+    Joints,
+    Model,
+    Pose,
+    Outside,
+    Tf,
+    Imu,
+    Mount,
+    Target,
+    Reference,
+}
+
+impl Need {
+    /// What it is, in words.
+    pub fn what(self) -> &'static str {
+        match self {
+            Need::Joints => "joint states of the arm",
+            Need::Model => "the robot's description, or --robot",
+            Need::Pose => "poses of the tool",
+            Need::Outside => "poses of the tool by a tracker or a camera",
+            Need::Tf => "/tf",
+            Need::Imu => "an IMU on the arm, with its orientation",
+            Need::Mount => "/tf_static, with the frame of the IMU",
+            Need::Target => "poses of a target that a camera sees",
+            Need::Reference => "commanded or desired poses, or joints",
+        }
+    }
+
+    /// The roles of streams that are it.
+    pub fn roles(self) -> &'static [&'static str] {
+        match self {
+            Need::Joints => &["joints"],
+            Need::Model => &["description"],
+            Need::Pose | Need::Outside => &["pose"],
+            Need::Tf => &["tf"],
+            Need::Imu => &["imu"],
+            Need::Mount => &["tf_static"],
+            Need::Target => &["target"],
+            Need::Reference => &["reference"],
+        }
+    }
+
+    /// The streams of a log that are it.
+    pub fn streams(self, report: &Report) -> Vec<&StreamRow> {
+        let is_it = |stream: &&StreamRow| {
+            let is_outside = matches!(stream.witness, Some("external"));
+            self.roles().contains(&stream.role)
+                && (stream.count > 0)
+                && (self != Need::Outside || is_outside)
+        };
+        report.streams.iter().filter(is_it).collect()
+    }
+
+    /// Whether a log has it. A model may come from the catalogue.
+    pub fn is_met(self, report: &Report) -> bool {
+        (self == Need::Model && !report.robots.is_empty()) || !self.streams(report).is_empty()
+    }
+}
+
+/// A question that is asked of a log.
+#[derive(Debug)]
+pub struct Question {
+    pub asks: &'static str,
+    pub rules: &'static [&'static str],
+    pub needs: &'static [Need],
+}
+
+/// All of them. Each rule is in one.
+pub const QUESTIONS: &[Question] = &[
+    Question {
+        asks: "Is the log whole, and are its stamps sound?",
+        rules: &[
+            "ING001", "ING002", "ING003", "TIM001", "TIM002", "TIM003", "TIM004", "TIM005",
+            "TIM006", "TIM007", "TIM008", "META001", "META002", "FRM004", "FRM005", "FRM007",
+        ],
+        needs: &[],
+    },
+    Question {
+        asks: "How does the arm move?",
+        rules: &["MOT001", "MOT002", "MOT003", "MOT005", "VEL001"],
+        needs: &[Need::Joints, Need::Model],
+    },
+    Question {
+        asks: "Are poses coded, framed and timed as they say, and do they fit the joints?",
+        rules: &[
+            "ORD001", "ORD002", "ORD003", "ORD004", "ORD005", "ORD006", "ORD007", "ORD008",
+            "ORD009", "ORD010", "ORD011", "FRM002", "FRM003", "LAT001", "LAT002", "LAT003",
+            "MDL001", "ZER001",
+        ],
+        needs: &[Need::Joints, Need::Model, Need::Pose],
+    },
+    Question {
+        asks: "Is the arm itself off, beyond what its own encoders see: lengths, sag, play?",
+        rules: &["ZER002", "ZER003", "MOT006"],
+        needs: &[Need::Joints, Need::Model, Need::Outside],
+    },
+    Question {
+        asks: "Does /tf agree with the joints?",
+        rules: &["FRM001"],
+        needs: &[Need::Joints, Need::Model, Need::Tf],
+    },
+    Question {
+        asks: "Does an IMU drift, tilt or sit elsewhere?",
+        rules: &["YAW001", "YAW002", "YAW003", "YAW004"],
+        needs: &[Need::Joints, Need::Model, Need::Imu, Need::Mount],
+    },
+    Question {
+        asks: "Does hand and eye close?",
+        rules: &["HEC001", "HEC002", "HEC003"],
+        needs: &[Need::Joints, Need::Model, Need::Target],
+    },
+    Question {
+        asks: "Does the arm do what it is told?",
+        rules: &["FRM006", "LAT004", "MOT004"],
+        needs: &[Need::Joints, Need::Model, Need::Reference],
+    },
+];
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use poseaudit::checks::registry;
+    use poseaudit::finding::Status;
+    use poseaudit::{Options, audit};
+
+    use super::*;
+
+    #[test]
+    fn every_rule_answers_one_question() {
+        let listed: Vec<&str> =
+            QUESTIONS.iter().flat_map(|question| question.rules).copied().collect();
+        let known: BTreeSet<&str> = registry().iter().map(|rule| rule.code).collect();
+        assert_eq!(listed.len(), known.len(), "a rule is in two questions or in none");
+        assert_eq!(listed.into_iter().collect::<BTreeSet<_>>(), known);
+    }
+
+    /// What a log lacks keeps rules from being asked, and what it has lets them be.
+    #[test]
+    fn a_question_whose_needs_are_met_is_asked_and_one_whose_stream_is_missing_is_skipped() {
+        let fixtures = ["faulty", "slipped_target", "goal", "imu"];
+        let mut held = BTreeSet::new();
+        for name in fixtures {
+            let path = format!("{}/fixtures/{name}.mcap", env!("CARGO_MANIFEST_DIR"));
+            let options = Options { logs: vec![path.into()], ..Options::default() };
+            let report = audit(&options).expect("a report").report;
+            for (index, question) in
+                QUESTIONS.iter().enumerate().filter(|(_, it)| !it.needs.is_empty())
+            {
+                let Some(last) = question.needs.last() else { continue };
+                let rows = report.checks.iter().filter(|row| question.rules.contains(&row.code));
+                let is_asked = |row: &&poseaudit::finding::CheckRow| row.status != Status::Skipped;
+                let asked = rows.filter(is_asked).count();
+                if question.needs.iter().all(|need| need.is_met(&report)) {
+                    assert!(asked > 0, "{name}: {}", question.asks);
+                    held.insert((index, true));
+                } else if !matches!(last, Need::Outside | Need::Mount | Need::Pose) {
+                    assert_eq!(asked, 0, "{name}: {}", question.asks);
+                    held.insert((index, false));
+                }
+            }
+        }
+        assert!(held.len() >= 9, "hardly anything was held: {held:?}");
+    }
+}

@@ -1,0 +1,132 @@
+//! `poseaudit watch`.
+
+mod current;
+
+use std::path::{Path, PathBuf};
+use std::thread;
+use std::time::{Duration, SystemTime};
+
+use clap::ValueEnum;
+use poseaudit::log::{HEAD_BYTES, looks_like_log};
+use poseaudit::places::Places;
+use poseaudit::report::Trouble;
+use walkdir::WalkDir;
+
+use self::current::{Current, Pace};
+use super::how::{How, positive_seconds};
+use super::output::Format;
+use super::{Outcome, misuse};
+
+/// How often it is looked whether something was written.
+const LOOK: Duration = Duration::from_millis(200);
+
+/// Audit a log while it is recorded, and once more when it has ended; a line where the verdict changes
+///
+/// Of an MCAP file every byte is read once while it is written, and the whole once more at its end. Other
+/// logs are read whole at each audit. Exit status: as that of `audit`, of the verdict said last.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  poseaudit watch run.mcap
+  poseaudit watch run.mcap --until fail --robot ur5e
+  poseaudit watch ~/bags --every 5 --format json")]
+pub struct Args {
+    /// A log that is being written, or a folder: the log in it that was written to last
+    #[arg(value_name = "FOLDER|LOG")]
+    path: PathBuf,
+
+    #[command(flatten)]
+    how: How,
+
+    /// Exit where the verdict is FAIL, or where the log has ended, as it does anyway of a LOG; repeatable
+    #[arg(long, value_enum, value_delimiter = ',')]
+    until: Vec<Until>,
+
+    /// Seconds between two audits, at least
+    #[arg(long, value_name = "S", default_value = "2", value_parser = positive_seconds)]
+    every: f64,
+
+    /// Seconds without anything written after which a log has ended, if it was not closed
+    #[arg(long, value_name = "S", default_value = "10", value_parser = positive_seconds)]
+    idle: f64,
+
+    /// How a line is printed: for people, or as an object of JSON
+    #[arg(long, value_enum, default_value_t = Format::Text)]
+    format: Format,
+}
+
+/// Where it exits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Until {
+    /// The verdict is FAIL
+    Fail,
+    /// The log has ended
+    End,
+}
+
+pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
+    if !args.path.exists() {
+        let place = args.path.display().to_string();
+        return Err(misuse(place, "no such file or folder", "name it when the recorder has begun"));
+    }
+    Places::only_read([args.path.clone()].iter())?;
+    args.how.find_config(std::slice::from_ref(&args.path))?;
+    let (options, _) = args.how.clone().options()?;
+    let pace = Pace {
+        every: Duration::from_secs_f64(args.every),
+        idle: Duration::from_secs_f64(args.idle),
+        format: args.format,
+    };
+    let is_folder = args.path.is_dir();
+    let ends_with_log = !is_folder || args.until.contains(&Until::End);
+    let mut current: Option<Current> = None;
+    loop {
+        if let Some(newest) = newest(&args.path) {
+            match &mut current {
+                Some(current) if *current.path() == newest => {}
+                other => {
+                    if let Some(before) = other {
+                        before.finish()?;
+                        if ends_with_log {
+                            return Ok(before.outcome());
+                        }
+                    }
+                    *other = Some(Current::of(newest, &options, pace));
+                }
+            }
+        }
+        if let Some(current) = &mut current {
+            current.look()?;
+            let fails = args.until.contains(&Until::Fail) && current.outcome() == Outcome::Findings;
+            if fails || (ends_with_log && current.has_ended()) {
+                return Ok(current.outcome());
+            }
+        }
+        thread::sleep(LOOK);
+    }
+}
+
+/// The log: the path itself, or the log in the folder that was written to last.
+fn newest(path: &Path) -> Option<PathBuf> {
+    /// A recorder makes a folder for each run.
+    const DEPTH: usize = 3;
+    if !path.is_dir() {
+        return Some(path.to_owned());
+    }
+    let files = WalkDir::new(path).max_depth(DEPTH).into_iter().flatten();
+    let dated = files.filter(|entry| entry.file_type().is_file()).filter_map(|entry| {
+        let written: SystemTime = entry.metadata().ok()?.modified().ok()?;
+        Some((written, entry.into_path()))
+    });
+    let mut dated: Vec<_> = dated.collect();
+    dated.sort();
+    dated.into_iter().rev().map(|(_, path)| path).find(|path| is_log(path))
+}
+
+fn is_log(path: &Path) -> bool {
+    use std::io::Read;
+    let mut head = Vec::new();
+    let file = std::fs::File::open(path);
+    let read = file.and_then(|file| file.take(HEAD_BYTES).read_to_end(&mut head));
+    read.is_ok() && looks_like_log(&head)
+}

@@ -1,0 +1,215 @@
+#!/usr/bin/env python3
+"""Audits every fixture in the page that `.ci/wasm` builds, in headless Chromium, and holds what it says against the
+program.
+
+    python3 tests/page/audit.py target/debug/poseaudit FOLDER                # checks
+    python3 tests/page/audit.py target/debug/poseaudit FOLDER --time LOG ... # how long each takes in both
+    python3 tests/page/audit.py target/debug/poseaudit FOLDER --picture FILE # and makes a picture of the page
+
+Needs Playwright, and Chromium as tests/browser/html.py says. The page must ask the network for nothing once it is
+loaded, raise no error, and give the program's reports: every word, and numbers to rounding.
+"""
+
+import json
+import math
+import os
+import re
+import shutil
+import subprocess
+import sys
+import threading
+import time
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from playwright.sync_api import Page, sync_playwright
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+# What the module may be when it is packed.
+MOST_BYTES = 8_000_000
+# Rounding of the C library's functions and of the page's, through iterations that stop at a tolerance.
+RELATIVE, ABSOLUTE = 1e-6, 1e-9
+NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+PATIENCE_MS = 300_000
+
+
+class Silent(SimpleHTTPRequestHandler):
+    """Hands out a folder without telling of it."""
+
+    def log_message(self, *_):
+        pass
+
+
+def served(folder: Path) -> str:
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Silent, directory=str(folder)))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    return f"http://127.0.0.1:{server.server_port}/index.html"
+
+
+def opened(browser, address: str) -> Page:
+    """The page; an error fails the check, and so does whatever it asks for that is no part of it."""
+    page = browser.new_context(viewport={"width": 1100, "height": 1000}, accept_downloads=True).new_page()
+    own, loaded = address.rsplit("/", 1)[0], []
+
+    def refuse(what: str):
+        raise AssertionError(f"{address}: {what}")
+
+    def asked(url: str):
+        # What the page made itself, as a worker or a link to save.
+        if url.startswith(("blob:", "data:", "about:")):
+            return
+        if loaded or not url.startswith(own):
+            refuse(f"it asks for {url}")
+
+    page.on("console", lambda said: refuse(said.text) if said.type in ("error", "warning") else None)
+    page.on("pageerror", lambda error: refuse(str(error)))
+    page.on("request", lambda request: asked(request.url))
+    page.goto(address)
+    loaded.append(True)
+    return page
+
+
+def saved(page: Page, link: str) -> str:
+    with page.expect_download() as download:
+        page.click(link)
+    return Path(download.value.path()).read_text(encoding="utf-8")
+
+
+def audited(page: Page, *files: Path, robot: str = "") -> tuple[int, str, str]:
+    """The page's audit: the exit status, the line under the form, and the report as JSON."""
+    page.click("#clear")
+    page.fill("#robot", robot)
+    page.set_input_files("#files", [str(file) for file in files])
+    page.click("#start")
+    page.wait_for_function("document.getElementById('said').textContent !== ''", timeout=PATIENCE_MS)
+    line = page.inner_text("#said")
+    status = page.get_attribute("#said", "data-status")
+    return int(status or -1), line, saved(page, "#save-json")
+
+
+def told(program: str, *arguments: str) -> tuple[int, str, str]:
+    """The program's, with one thread."""
+    run = subprocess.run(
+        [program, *arguments, "--format", "json"],
+        cwd=FIXTURES,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "RAYON_NUM_THREADS": "1"},
+    )
+    return run.returncode, run.stderr.strip(), run.stdout
+
+
+def worst(a, b, place: str = "") -> float:
+    """The largest relative difference of two reports; fails where they differ by more than rounding."""
+    if isinstance(a, dict) and isinstance(b, dict):
+        assert a.keys() == b.keys(), f"{place}: {a.keys() ^ b.keys()}"
+        return max((worst(a[key], b[key], f"{place}.{key}") for key in a), default=0.0)
+    if isinstance(a, list) and isinstance(b, list):
+        assert len(a) == len(b), f"{place}: {len(a)} entries, {len(b)} in the page"
+        return max((worst(x, y, f"{place}[{at}]") for at, (x, y) in enumerate(zip(a, b))), default=0.0)
+    if isinstance(a, float) or isinstance(b, float):
+        assert a is not None and b is not None, f"{place}: {a}, {b} in the page"
+        assert math.isclose(a, b, rel_tol=RELATIVE, abs_tol=ABSOLUTE), f"{place}: {a!r}, {b!r} in the page"
+        return abs(a - b) / max(abs(a), abs(b), ABSOLUTE)
+    assert a == b, f"{place}: {a!r}, {b!r} in the page"
+    return 0.0
+
+
+def fixtures(page: Page, program: str) -> None:
+    difference = 0.0
+    for log in sorted(FIXTURES.glob("*.mcap")):
+        status, said, native = told(program, "audit", log.name)
+        shown_status, line, shown = audited(page, log)
+        assert status == shown_status, f"{log.name}: exit status {status}, {shown_status} in the page: {line}"
+        assert status in (0, 1), f"{log.name}: {said}"
+        own = worst(json.loads(native), json.loads(shown), log.name)
+        difference = max(difference, own)
+        print(f"{log.name}: as the program, numbers to {own:.1e}; {line}")
+    print(f"largest relative difference of a number: {difference:.1e}")
+
+
+def damaged(page: Page, program: str, scratch: Path) -> None:
+    """Of what is no log, and of one without its end, the page says what the program says."""
+    content = (FIXTURES / "clean.mcap").read_bytes()
+    for name, part in (("noise.mcap", bytes(range(256)) * 9), ("cut.mcap", content[:40]), ("empty.mcap", b"")):
+        file = scratch / name
+        file.write_bytes(part)
+        status, _, native = told(program, "audit", str(file))
+        shown_status, line, shown = audited(page, file)
+        error = json.loads(native)["error"]
+        expected = f"error: {name}: {error['what']}; {error['do']}"
+        assert (status, expected) == (shown_status, line), f"{name}: {expected!r}, {line!r} in the page"
+        print(f"{name}: {line}")
+
+
+def desk(page: Page, program: str) -> None:
+    a, b = "0.246 -0.249 0.619 0.170 0.472 -0.074 0.862", "243.69 -249.04 618.32 149.49 -12.78 72.64"
+    page.click("#tab-desk")
+    for poses, robot in (([a], []), ([a, b], []), ([a, b], ["--robot", "ur10e"])):
+        page.fill("#pose-a", poses[0])
+        page.fill("#pose-b", poses[1] if len(poses) > 1 else "")
+        page.fill("#desk-robot", robot[1] if robot else "")
+        page.click("#tell")
+        page.wait_for_function("!document.getElementById('tell').disabled", timeout=PATIENCE_MS)
+        assert page.inner_text("#told").strip(), "the desk says nothing"
+        _, _, native = told(program, "pose", *poses, *robot)
+        worst(json.loads(native), json.loads(saved(page, "#save-pose")), " and ".join(poses))
+    page.fill("#pose-a", "1 2")
+    page.click("#tell")
+    page.wait_for_function("document.getElementById('desk-said').textContent !== ''", timeout=PATIENCE_MS)
+    line = page.inner_text("#desk-said")
+    assert line.startswith("error: pose A: ") and "\n" not in line, line
+    page.click("#tab-audit")
+    print("the desk answers as the program")
+
+
+def report_is_live(page: Page) -> None:
+    """The report in the page draws its plots."""
+    audited(page, FIXTURES / "faulty.mcap")
+    frame = page.frame_locator("#report")
+    frame.locator(".plot canvas").first.wait_for(timeout=PATIENCE_MS)
+    assert frame.locator(".plot").count() == frame.locator(".plot canvas").count(), "a plot is not drawn"
+    assert frame.locator(".verdict").inner_text().startswith("FAIL"), frame.locator(".verdict").inner_text()
+
+
+def times(page: Page, program: str, logs: list[str]) -> None:
+    """The best of three in both, the program's on one core."""
+    for log in logs:
+        log = Path(log).resolve()
+        native, shown = [], []
+        for _ in range(3):
+            begun = time.perf_counter()
+            told(program, "audit", str(log))
+            native.append(time.perf_counter() - begun)
+            _, line, _ = audited(page, log)
+            shown.append(float(line.removeprefix("Audited in ").split()[0]))
+        print(f"{log.name}: program {min(native):.2f} s, page {min(shown):.1f} s, {min(shown) / min(native):.1f} times")
+
+
+def main() -> None:
+    program, folder = str(Path(sys.argv[1]).resolve()), Path(sys.argv[2]).resolve()
+    chosen = os.environ.get("CHROMIUM", shutil.which("chromium") or shutil.which("chromium-browser") or "")
+    packed = len((folder / "poseaudit.wasm.js").read_bytes()) * 3 // 4
+    assert packed <= MOST_BYTES, f"the module has {packed} bytes packed, and {MOST_BYTES} are allowed"
+    with sync_playwright() as playwright, TemporaryDirectory() as scratch:
+        browser = playwright.chromium.launch(executable_path=chosen or None, args=["--no-sandbox"])
+        page = opened(browser, served(folder))
+        if "--time" in sys.argv:
+            return times(page, program, sys.argv[sys.argv.index("--time") + 1 :])
+        report_is_live(page)
+        if "--picture" in sys.argv:
+            page.screenshot(path=sys.argv[sys.argv.index("--picture") + 1])
+        damaged(page, program, Path(scratch))
+        desk(page, program)
+        fixtures(page, program)
+        # The same from a disk.
+        disk = opened(browser, (folder / "index.html").as_uri())
+        status, line, _ = audited(disk, FIXTURES / "faulty.mcap")
+        assert status == 1, line
+        print("the page works from a disk, too")
+
+
+if __name__ == "__main__":
+    main()

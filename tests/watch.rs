@@ -1,0 +1,147 @@
+//! Logs that are audited while they are written.
+
+use std::fs::{self, OpenOptions};
+use std::io::{Cursor, Read, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::thread;
+use std::time::Duration;
+
+use serde_json::Value;
+
+use crate::program::{CLEAN, FAULTY, poseaudit, status, stderr};
+
+/// A fixture in chunks as small as those of a recorder that writes at once.
+fn bytes(fixture: &str) -> Vec<u8> {
+    let whole = fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join(fixture)).expect("the fixture");
+    let mut written = Cursor::new(Vec::new());
+    let options = mcap::WriteOptions::new().chunk_size(Some(1 << 14));
+    let mut writer = options.create(&mut written).expect("a writer");
+    for message in mcap::MessageStream::new(&whole).expect("a log") {
+        writer.write(&message.expect("a message")).expect("room");
+    }
+    writer.finish().expect("room");
+    drop(writer);
+    written.into_inner()
+}
+
+/// Begins to watch.
+fn watch(path: &Path, options: &[&str]) -> Child {
+    Command::new(env!("CARGO_BIN_EXE_poseaudit"))
+        .arg("watch")
+        .arg(path)
+        .args(["--every", "0.05", "--format", "json"])
+        .args(options)
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("the binary runs")
+}
+
+/// Its exit status, and the lines that it printed.
+fn ended(mut child: Child) -> (i32, Vec<Value>) {
+    let mut text = String::new();
+    child.stdout.take().expect("a pipe").read_to_string(&mut text).expect("UTF-8");
+    let status = child.wait().expect("it ends").code().expect("by itself");
+    (status, text.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect())
+}
+
+/// Writes these bytes in so many pieces, a moment apart.
+fn write(path: &Path, bytes: &[u8], pieces: usize) {
+    let mut file = OpenOptions::new().append(true).open(path).expect("a file");
+    for piece in bytes.chunks(bytes.len().div_ceil(pieces)) {
+        file.write_all(piece).expect("room");
+        thread::sleep(Duration::from_millis(300));
+    }
+}
+
+fn log(folder: &tempfile::TempDir) -> PathBuf {
+    let path = folder.path().join("run.mcap");
+    fs::write(&path, b"").expect("a file");
+    path
+}
+
+fn verdicts(lines: &[Value]) -> Vec<&str> {
+    lines.iter().filter_map(|line| line["verdict"].as_str()).collect()
+}
+
+#[test]
+fn a_log_that_is_being_written_is_audited_as_it_grows_and_once_more_at_its_end() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = log(&folder);
+    let child = watch(&path, &[]);
+    write(&path, &bytes(FAULTY), 6);
+    let (status, lines) = ended(child);
+    assert_eq!(status, 1);
+    assert!(lines.len() >= 2, "{lines:?}");
+    let last = lines.last().expect("a line");
+    assert_eq!((&last["event"], &last["verdict"]), (&"ended".into(), &"fail".into()));
+    assert!(lines[..lines.len() - 1].iter().any(|line| line["verdict"] == "fail"), "{lines:?}");
+    // Each byte once while it was written, but for the index at its end, and the whole again at the end.
+    let (size, read) = (bytes(FAULTY).len() as u64, last["read_bytes"].as_u64());
+    assert_eq!(last["read_again_bytes"].as_u64(), Some(size));
+    assert!(read.is_some_and(|read| read <= size && read > size / 2), "{read:?} of {size}");
+    let told: Vec<&Value> =
+        lines.iter().flat_map(|line| line["new"].as_array()).flatten().collect();
+    let is_told = |code: &str| {
+        told.iter().any(|new| new["finding"].as_str().is_some_and(|it| it.starts_with(code)))
+    };
+    assert!(is_told("LAT001") && is_told("ZER001"), "{told:?}");
+}
+
+#[test]
+fn a_log_that_is_killed_and_begun_again_is_audited_anew() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = log(&folder);
+    let child = watch(&path, &[]);
+    let faulty = bytes(FAULTY);
+    write(&path, &faulty[..faulty.len() / 2], 3);
+    fs::write(&path, b"").expect("a file");
+    write(&path, &bytes(CLEAN), 5);
+    let (status, lines) = ended(child);
+    assert_eq!(status, 0, "{lines:?}");
+    let again = lines.iter().position(|line| line["event"] == "begun-again").expect("a line");
+    assert!(verdicts(&lines[..again]).contains(&"fail"), "{lines:?}");
+    assert!(!verdicts(&lines[again..]).contains(&"fail"), "{lines:?}");
+    assert_eq!(lines.last().map(|line| &line["verdict"]), Some(&"pass".into()));
+}
+
+#[test]
+fn until_fail_ends_before_the_log_does() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = log(&folder);
+    let faulty = bytes(FAULTY);
+    write(&path, &faulty[..faulty.len() * 3 / 4], 1);
+    // The folder: its newest log is the one that is written.
+    let (status, lines) = ended(watch(folder.path(), &["--until", "fail"]));
+    assert_eq!(status, 1);
+    assert_eq!(verdicts(&lines).last(), Some(&"fail"));
+    assert!(lines.iter().all(|line| line["event"] != "ended"), "{lines:?}");
+}
+
+#[test]
+fn a_log_whose_recorder_died_ends_when_nothing_comes() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = log(&folder);
+    let clean = bytes(CLEAN);
+    write(&path, &clean[..clean.len() / 2], 1);
+    let (_, lines) = ended(watch(&path, &["--idle", "1"]));
+    let last = lines.last().expect("a line");
+    assert_eq!(last["event"], "ended");
+    // What the audit of the whole file says of its end.
+    let says = last["new"].as_array().expect("findings");
+    assert!(
+        says.iter().any(|new| new["finding"].as_str().is_some_and(|it| it.starts_with("ING001"))),
+        "{last}"
+    );
+}
+
+#[test]
+fn a_path_that_is_not_there_is_refused_in_one_line() {
+    let output = poseaudit(&["watch", "no/such.mcap"]);
+    assert_eq!(status(&output), 2);
+    assert!(
+        stderr(&output).contains("no/such.mcap: no such file or folder"),
+        "{}",
+        stderr(&output)
+    );
+}
