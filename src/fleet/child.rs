@@ -60,12 +60,15 @@ enum Told {
     /// It begins with a log: its place in the order.
     Begun(usize),
     /// How the first audits of the order ended, whose rows are kept, and what kept each from being one.
-    Answers(Vec<(Answer, Option<String>)>),
+    Answers(Vec<Ended>),
     /// What a log tells of others.
     Learnt(Option<Shared>),
     /// Why the rows could not be written.
     Fault(String),
 }
+
+/// How an audit ended, and what kept the log from being audited.
+pub type Ended = (Answer, Option<String>);
 
 /// How a process ended that gave no answer.
 #[derive(Debug)]
@@ -129,10 +132,7 @@ impl Worker {
     ///
     /// # Errors
     /// If it ends without that: how, and at which of the logs it was. The rows of none are kept.
-    pub fn audited(
-        &mut self,
-        jobs: Vec<Job>,
-    ) -> Result<Vec<(Answer, Option<String>)>, (usize, Death)> {
+    pub fn audited(&mut self, jobs: Vec<Job>) -> Result<Vec<Ended>, (usize, Death)> {
         match self.told(&Order::Audit(jobs))? {
             Told::Answers(answers) => Ok(answers),
             _ => Err((0, self.gone())),
@@ -265,13 +265,12 @@ pub fn serve(options: &Options, store: &Store, paged: bool) -> io::Result<()> {
 }
 
 /// Audits some logs, as far as it comes in a while, and keeps their rows; or why these cannot be kept.
-#[expect(clippy::type_complexity, reason = "the answers are what is told")]
 fn audited(
     jobs: &[Job],
     options: &Options,
     store: &Store,
     paged: bool,
-) -> io::Result<Result<Vec<(Answer, Option<String>)>, String>> {
+) -> io::Result<Result<Vec<Ended>, String>> {
     let begun = Instant::now();
     let (mut rows, mut answers) = (Vec::new(), Vec::new());
     for (at, Job { path, task, shared }) in jobs.iter().enumerate() {

@@ -144,7 +144,7 @@ enum Settled {
 /// A log of which nothing stands yet, or how it went.
 enum Looked {
     Settled(Settled),
-    Open(Job),
+    Open(Box<Job>),
 }
 
 impl Engine<'_> {
@@ -182,7 +182,7 @@ impl Engine<'_> {
         for source in sources {
             match self.looked(source, worker)? {
                 Looked::Settled(settled) => self.enter(&source.path, settled)?,
-                Looked::Open(job) => open.push((&source.path, job)),
+                Looked::Open(job) => open.push((&source.path, *job)),
             }
         }
         while !open.is_empty() {
@@ -263,7 +263,8 @@ impl Engine<'_> {
             self.call.store.forget(&unread.key)?;
         }
         let shared = self.shared(path, worker)?;
-        Ok(Looked::Open(Job { path: path.as_os_str().as_encoded_bytes().to_vec(), task, shared }))
+        let path = path.as_os_str().as_encoded_bytes().to_vec();
+        Ok(Looked::Open(Box::new(Job { path, task, shared })))
     }
 
     /// What the dataset of a log tells of all its logs: asked of a few of them once, and kept.
