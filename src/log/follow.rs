@@ -210,7 +210,8 @@ mod tests {
                 ended = following.advance().unwrap();
             }
             assert_eq!(ended, Growth::Ended);
-            let whole_log = crate::open(&[path.clone()], &ReadOptions::default()).unwrap();
+            let whole_log =
+                crate::open(std::slice::from_ref(&path), &ReadOptions::default()).unwrap();
             let log = following.log().unwrap();
             assert_eq!((log.topics, log.messages), (whole_log.topics, whole_log.messages));
             // The index behind the data is not needed.

@@ -48,7 +48,7 @@ impl<'a> Reader<'a, '_, '_> {
             return None;
         }
         let first = messages.first().map_or(0, |(at, _)| *at);
-        let mut runs = vec![0..first];
+        let mut runs: Vec<_> = std::iter::once(0..first).collect();
         for ((at, is_ignored), end) in parts {
             // Of those that are passed over it is read how long they are.
             let end = if is_ignored { end.min(at + record::MESSAGE_HEAD) } else { end };
