@@ -288,7 +288,7 @@ impl Line<'_> {
         &self.current.said
     }
 
-    fn new(&self) -> impl Iterator<Item = (&String, &String)> {
+    fn found(&self) -> impl Iterator<Item = (&String, &String)> {
         self.now().findings.iter().filter(|(key, _)| !self.before.findings.contains_key(*key))
     }
 
@@ -306,7 +306,7 @@ impl Line<'_> {
             line += &format!("{} → ", self.before.verdict);
         }
         line += &self.now().verdict;
-        for (key, text) in self.new() {
+        for (key, text) in self.found() {
             let (severity, message) = text.split_once(' ').unwrap_or((text, ""));
             line += &format!("; new {severity} {key}: {message}");
         }
@@ -327,7 +327,7 @@ impl Line<'_> {
             "duration_s": self.report.log.duration_s,
             "verdict": self.report.verdict,
             "error": self.report.error.as_ref().map(|trouble| &trouble.what),
-            "new": self.new().map(|(key, text)| json!({ "finding": key, "says": text })).collect::<Vec<_>>(),
+            "new": self.found().map(|(key, text)| json!({ "finding": key, "says": text })).collect::<Vec<_>>(),
             "gone": self.gone().collect::<Vec<_>>(),
             "read_bytes": self.ended,
             "read_again_bytes": self.current.again,
