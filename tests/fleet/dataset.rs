@@ -1,12 +1,14 @@
 //! Episodes of one dataset: their columns are told once, and verified in each.
 
+use poseaudit::geometry::xyzw_from_rotation;
+
 use super::*;
 
-/// Writes an episode of an arm under names that say nothing: joints, then the position of the flange; the
-/// joints behind it where `turned`.
+/// Writes an episode of an arm under names that say nothing: joints, then the pose of the flange; the joints
+/// behind it where `turned`.
 fn episode(path: &Path, seed: u64, turned: bool) -> Result<()> {
     let chain = crate::tables::ur5e();
-    let mut text = "t,c0,c1,c2,c3,c4,c5,c6,c7,c8\n".to_owned();
+    let mut text = "t,c0,c1,c2,c3,c4,c5,c6,c7,c8,c9,c10,c11,c12\n".to_owned();
     for row in 0..300 {
         let t_s = f64::from(row) / 30.0;
         let middle = [0.0, -1.2, 1.4, -1.5, -1.5, 0.0];
@@ -15,9 +17,10 @@ fn episode(path: &Path, seed: u64, turned: bool) -> Result<()> {
             middle + 0.5 * (turn * t_s + at as f64).sin() + 0.2 * (2.3 * turn * t_s).cos()
         };
         let q: Vec<f64> = middle.into_iter().enumerate().map(joint).collect();
-        let xyz: [f64; 3] = chain.forward(&q).translation.vector.into();
-        let numbers =
-            if turned { [&xyz, q.as_slice()].concat() } else { [&q, xyz.as_slice()].concat() };
+        let pose = chain.forward(&q);
+        let xyz: [f64; 3] = pose.translation.vector.into();
+        let pose = [xyz.as_slice(), &xyzw_from_rotation(&pose.rotation)].concat();
+        let numbers = if turned { [pose, q].concat() } else { [q, pose].concat() };
         let cells: Vec<String> = numbers.iter().map(|number| format!("{number:.9}")).collect();
         text += &format!("{t_s:.6},{}\n", cells.join(","));
     }

@@ -18,6 +18,8 @@ struct Report {
     tool: Tool,
     failing: bool,
     logs: Logs,
+    #[serde(default)]
+    datasets: Vec<serde_json::Value>,
     arms: Vec<Arm>,
     runs: Vec<Log>,
     findings: Vec<Found>,
@@ -124,6 +126,8 @@ struct Found {
     message: String,
     path: String,
     start_ns: Option<String>,
+    #[serde(default)]
+    worst: Option<serde_json::Value>,
 }
 
 #[derive(Debug, Deserialize)]

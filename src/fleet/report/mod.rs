@@ -57,6 +57,7 @@ pub struct FleetReport {
     /// The logs.
     pub logs: LogCounts,
     /// The datasets that they are of, and what these tell of all their logs.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub datasets: Vec<DatasetRow>,
     /// The arms.
     pub arms: Vec<ArmRow>,
