@@ -198,11 +198,57 @@ impl Norms {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::log::Topic;
+    use crate::run::streams::split;
+    use crate::time::Clock;
 
     fn of(q_xyzw: &[[f64; 4]]) -> Norms {
         let at = |row| Some(Stamp::from_nanos(row as i64));
         let defects = (0..q_xyzw.len()).map(of_quaternions(q_xyzw));
         Norms::of((0, 0, None), Written::Quaternion, defects, at).expect("there are rows")
+    }
+
+    /// Poses at these stamps, with a last rotation of so long.
+    fn poses(stamps: [i64; 3], length: f64) -> Columns {
+        let mut poses = PoseColumns::default();
+        for (row, stamp) in stamps.into_iter().enumerate() {
+            poses.times.push(stamp, 100 + row as i64, 100 + row as i64);
+            poses.xyz.push([1.0; 3]);
+            poses.q_xyzw.push([0.0, 0.0, 0.0, if row == 2 { length } else { 1.0 }]);
+        }
+        Columns::Poses(vec![poses])
+    }
+
+    #[test]
+    fn values_are_given_back_where_nothing_asks_for_them_again() {
+        for (stamps, length, is_kept) in [
+            ([1, 2, 3], 1.0, false),
+            ([0, 2, 3], 1.0, false),
+            ([1, 2, 3], 0.9, true),
+            ([1, 2, 2], 1.0, true),
+            ([1, 3, 2], 1.0, true),
+        ] {
+            let topic = Topic {
+                name: "/pose".to_owned(),
+                type_name: "geometry_msgs/msg/PoseStamped".to_owned(),
+                encoding: "cdr".to_owned(),
+                messages: 3,
+                columns: Some(poses(stamps, length)),
+                undecodable: None,
+                useless: None,
+                read_as: None,
+                cells: Vec::new(),
+                span: None,
+            };
+            let mut streams = split(vec![topic]);
+            let clocks = Clocks::settle(&streams, Clock::Header, 5.0);
+            let norms = norms(&streams, &clocks);
+            release(&mut streams, &norms);
+            let Some(Columns::Poses(left)) = &streams[0].columns else { panic!("poses") };
+            assert_eq!(left[0].times.len(), 3);
+            let rows = if is_kept { 3 } else { 0 };
+            assert_eq!((left[0].xyz.len(), left[0].q_xyzw.len()), (rows, rows), "{stamps:?}");
+        }
     }
 
     #[test]

@@ -65,7 +65,7 @@ fn worth_reading(_: &File, bytes: u64) -> usize {
 /// Tells the system how `bytes` will be looked at. That is advice: whatever comes of it, they are the same.
 #[cfg(target_os = "linux")]
 pub(crate) fn advise(bytes: &[u8], looks: Looks) {
-    /// Or a multiple of it, of which the system tells nothing but an error.
+    /// Where pages are larger the system refuses the advice.
     const PAGE: usize = 1 << 12;
     let advice = match looks {
         Looks::Scattered => libc::MADV_RANDOM,

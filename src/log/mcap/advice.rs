@@ -60,3 +60,90 @@ impl<'a> Reader<'a, '_, '_> {
         Some(runs.into_iter().map(|run| &records[run]).collect())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use mcap::records::op;
+    use mcap::{MAGIC, WriteOptions};
+
+    use super::*;
+    use crate::ReadOptions;
+    use crate::ahead;
+    use crate::intake::Intake;
+    use crate::losses::Losses;
+    use crate::ranges::Present;
+    use crate::testing::{self, Cdr, LogWriter};
+
+    /// 60 poses in one chunk, with an image of so many bytes after each tenth.
+    fn log(image: usize) -> Vec<u8> {
+        let mut log = LogWriter::with(WriteOptions::new().compression(None));
+        let pose = log.channel("/pose", "geometry_msgs/msg/PoseStamped", testing::POSE_STAMPED);
+        let camera = log.channel("/camera", "sensor_msgs/msg/Image", "uint8[] data\n");
+        for time in 0..60 {
+            log.message(pose, time, &Cdr::pose_stamped(0, 1, "base", [time as f64, 0.5, 0.25]));
+            if time % 10 == 9 {
+                log.message(camera, time, &vec![0; image]);
+            }
+        }
+        log.finish()
+    }
+
+    /// Where in the only chunk what is wanted begins and ends, and how many bytes the chunk has.
+    fn wanted(bytes: &[u8]) -> (Option<Vec<(usize, usize)>>, usize) {
+        let (mut losses, mut intake) = (Losses::of(Path::new("run.mcap")), Intake::default());
+        let options = ReadOptions::default();
+        ahead::with(|ahead| {
+            let present = &Present::Whole;
+            let mut reader = Reader::new(bytes, present, &options, &mut losses, &mut intake, ahead);
+            reader.summary();
+            let mut frames = record::frames(bytes, MAGIC.len()).map_while(Result::ok);
+            let chunk = frames.find(|frame| frame.opcode == op::CHUNK).expect("a chunk");
+            let packed = record::Chunk::parse(chunk.body).and_then(|chunk| chunk.packed()).unwrap();
+            let begin = packed.data.as_ptr().addr();
+            let place = |run: &[u8]| {
+                let from = run.as_ptr().addr() - begin;
+                (from, from + run.len())
+            };
+            let runs = reader.wanted(&chunk, packed.data);
+            (runs.map(|runs| runs.into_iter().map(place).collect()), packed.data.len())
+        })
+    }
+
+    #[test]
+    fn between_images_what_has_a_use_is_asked_for_and_no_image() {
+        let (runs, all) = wanted(&log(5000));
+        let runs = runs.expect("most of it is images");
+        let asked: usize = runs.iter().map(|(from, to)| to - from).sum();
+        assert_eq!(runs.len(), 6);
+        assert!(runs.windows(2).all(|pair| pair[1].0 - pair[0].1 == 5000), "{runs:?}");
+        assert_eq!((runs[0].0, all - asked), (0, 6 * 5000));
+    }
+
+    #[test]
+    fn what_is_small_between_what_has_a_use_is_read_with_it() {
+        assert_eq!(wanted(&log(50)).0, None);
+    }
+
+    #[test]
+    fn an_index_that_lies_is_no_harm() {
+        let sound = log(5000);
+        let read = |bytes: &[u8]| {
+            let present = &Present::Whole;
+            let log = super::super::tests::read_present(bytes, present, ReadOptions::default());
+            log.unwrap().topics
+        };
+        let index = record::frames(&sound, MAGIC.len()).map_while(Result::ok);
+        let index = index.filter(|frame| frame.opcode == op::MESSAGE_INDEX).next().unwrap();
+        for value in [0, 0x41, 0xff] {
+            let mut lying = sound.clone();
+            // Behind channel and length each entry is a time and a place.
+            let entries = index.end() - index.body.len() + 6;
+            for place in (entries + 8..index.end()).step_by(16) {
+                lying[place..place + 8].fill(value);
+            }
+            assert_eq!(read(&lying), read(&sound), "{value:#x}");
+        }
+    }
+}
