@@ -160,7 +160,9 @@ impl Observability {
         let weights = self.parameters.iter().copied().zip(direction.iter().copied());
         let mut parameters: Vec<(Parameter, f64)> =
             weights.filter(|(_, weight)| weight.abs() > TAKES_PART).collect();
-        parameters.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
+        // Weights that are equal but for rounding stay in the model's order, on every machine.
+        let digits = |weight: f64| (weight.abs() * 1e6).round();
+        parameters.sort_by(|a, b| digits(b.1).total_cmp(&digits(a.1)));
         BlindDirection { parameters, singular_value: square.max(0.0).sqrt() }
     }
 }
