@@ -35,6 +35,15 @@ impl Apart {
         Self { length_m: squares.sqrt(), angle_rad }
     }
 
+    /// Whether two rotations are less than `limit_rad` apart, told without a root; not all that are.
+    pub(super) fn is_surely_turned_less(p: [f64; 4], q: [f64; 4], limit_rad: f64) -> bool {
+        let dot = |p: [f64; 4], q: [f64; 4]| p.iter().zip(q).map(|(a, b)| a * b).sum::<f64>();
+        let sign = if dot(p, q) < 0.0 { -1.0 } else { 1.0 };
+        let square: f64 = (0..4).map(|i| (p[i] - sign * q[i]).powi(2)).sum();
+        // Of norms from 1/2 on the chord is at most twice as long, and the angle 2.1 times that.
+        dot(p, p) >= 0.25 && dot(q, q) >= 0.25 && 18.0 * square <= (limit_rad * limit_rad).min(4.0)
+    }
+
     /// One number for comparisons: what it comes to at the end of a lever of a metre, m.
     pub(super) fn size(self) -> f64 {
         self.length_m + self.angle_rad

@@ -182,10 +182,9 @@ fn turned(by: f64) -> f64 {
 /// fault of the sample.
 fn of_poses(piece: usize, poses: &PoseColumns, transform: bool, at: At) -> Option<Found> {
     let frame = (!poses.child_frame_id.is_empty()).then(|| poses.child_frame_id.clone());
-    let angle = |a: usize, b: usize| Apart::between((poses, a), (poses, b)).angle_rad;
     let samples = poses.times.len();
     let moved = leaps(samples, at, |a, b| length(poses.xyz[a], poses.xyz[b])).unwrap_or_default();
-    let turned = transform.then(|| leaps(samples, at, angle)).flatten().unwrap_or_default();
+    let turned = transform.then(|| leaps(samples, at, Turned(poses))).flatten().unwrap_or_default();
     of_leaps(piece, frame, samples, &moved, &turned)
 }
 
@@ -232,14 +231,42 @@ fn told(leaps: &[(usize, f64)], samples: usize) -> impl Iterator<Item = usize> {
     leaps.iter().filter(move |_| are_few).map(|(sample, _)| *sample)
 }
 
+/// How far two samples are apart.
+trait Distance {
+    fn between(&self, a: usize, b: usize) -> f64;
+
+    /// Whether it is surely no more than `limit`, told faster; not of all that is.
+    fn is_surely_within(&self, a: usize, b: usize, limit: f64) -> bool;
+}
+
+impl<F: Fn(usize, usize) -> f64> Distance for F {
+    fn between(&self, a: usize, b: usize) -> f64 {
+        self(a, b)
+    }
+
+    fn is_surely_within(&self, a: usize, b: usize, limit: f64) -> bool {
+        self(a, b) <= limit
+    }
+}
+
+/// The angle between orientations.
+struct Turned<'a>(&'a PoseColumns);
+
+impl Distance for Turned<'_> {
+    fn between(&self, a: usize, b: usize) -> f64 {
+        Apart::between((self.0, a), (self.0, b)).angle_rad
+    }
+
+    fn is_surely_within(&self, a: usize, b: usize, limit: f64) -> bool {
+        Apart::is_surely_turned_less(self.0.q_xyzw[a], self.0.q_xyzw[b], limit)
+    }
+}
+
 /// The samples that are stray, each with how far it is off, by the `distance` of two samples and when
 /// each was; `None` of so few that they show nothing usual.
-fn leaps(
-    samples: usize,
-    at: At,
-    distance: impl Fn(usize, usize) -> f64,
-) -> Option<Vec<(usize, f64)>> {
+fn leaps(samples: usize, at: At, measure: impl Distance) -> Option<Vec<(usize, f64)>> {
     let mut found = Vec::new();
+    let distance = |a: usize, b: usize| measure.between(a, b);
     let usual = usual_step(samples, &distance)?;
     let least = if usual > 0.0 {
         LEAST.max(FAR * usual)
@@ -259,6 +286,10 @@ fn leaps(
     };
     let mut sample = 0;
     while sample + 1 < samples {
+        if measure.is_surely_within(sample, sample + 1, least) {
+            sample += 1;
+            continue;
+        }
         let far = step(sample);
         if far.is_nan() || far <= least {
             sample += 1;

@@ -283,7 +283,12 @@ impl Clocks {
 
     /// The clock of a piece of a stream; none for what holds at all times.
     pub fn clock(&self, stream: usize, piece: usize) -> Option<&StreamClock> {
-        self.all.get(*self.of.get(stream)?.get(piece)?)
+        self.all.get(self.index(stream, piece)?)
+    }
+
+    /// Which of all it is.
+    pub fn index(&self, stream: usize, piece: usize) -> Option<usize> {
+        self.of.get(stream)?.get(piece).copied()
     }
 
     /// The rows of a piece of a stream that have a stamp.

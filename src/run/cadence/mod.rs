@@ -146,9 +146,24 @@ pub(super) fn rhythms(
             [only] if stream.role != Role::Tf => only.numbers(),
             _ => Vec::new(),
         };
-        let parts = parts.par_iter().filter_map(|part| {
-            Some(part.cadence(timing.clocks.clock(index, part.piece)?, &motion))
+        // The transforms of one sender have the times of its messages.
+        let led_by = |at: usize| {
+            let part: &Part<'_> = &parts[at];
+            let clock = |part: &Part<'_>| timing.clocks.index(index, part.piece);
+            let led = |first: &usize| {
+                clock(&parts[*first]) == clock(part) && parts[*first].has_times_of(part)
+            };
+            (0..at).find(led).unwrap_or(at)
+        };
+        let leaders: Vec<usize> = (0..parts.len()).map(led_by).collect();
+        let paced = leaders.par_iter().enumerate().map(|(at, leader)| {
+            let clock = timing.clocks.clock(index, parts[at].piece)?;
+            (at == *leader).then(|| parts[at].paced(clock, &motion))
         });
+        let paced: Vec<Option<Cadence>> = paced.collect();
+        let cadence =
+            |(part, leader): (&Part<'_>, &usize)| Some(part.cadence(paced[*leader].as_ref()?));
+        let parts = parts.par_iter().zip(&leaders).filter_map(cadence);
         let rhythm = Rhythm { stream: index, parts: parts.collect(), extent: None };
         Some(((rhythm, bounds), numbers))
     };
@@ -232,10 +247,9 @@ fn is_stream_of_its_own(part: &Part<'_>, stream: &Stream, streams: &[Stream]) ->
 }
 
 impl Part<'_> {
-    fn cadence(&self, clock: &StreamClock, motion: &Motion) -> Cadence {
+    /// What its times alone tell.
+    fn paced(&self, clock: &StreamClock, motion: &Motion) -> Cadence {
         let mut cadence = Cadence {
-            frame: self.frame.map(str::to_owned),
-            wanted: self.wanted,
             rows: self.rows.len(),
             stamped: clock.stamps == HeaderStamps::Sound,
             ..Cadence::default()
@@ -268,9 +282,20 @@ impl Part<'_> {
                 Clock::Log | Clock::Publish => 0,
             };
             cadence.steps_back = self.steps_back(offset);
-            (cadence.repeats, cadence.conflicts) = self.repeated();
         }
         cadence
+    }
+
+    /// All that there is to say, by what times like its own tell.
+    fn cadence(&self, paced: &Cadence) -> Cadence {
+        let (repeats, conflicts) = if paced.stamped { self.repeated() } else { (0, 0) };
+        Cadence {
+            frame: self.frame.map(str::to_owned),
+            wanted: self.wanted,
+            repeats,
+            conflicts,
+            ..paced.clone()
+        }
     }
 
     /// Rows whose header has a stamp, in the order of receipt.

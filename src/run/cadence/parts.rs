@@ -27,6 +27,11 @@ pub(super) struct Order {
 }
 
 impl Part<'_> {
+    /// Whether its rows have the times of another part's.
+    pub fn has_times_of(&self, other: &Self) -> bool {
+        self.rows.rows == other.rows.rows && self.times == other.times
+    }
+
     /// The part's rows of each of two publishers.
     pub fn by_publisher(self, second: &HashSet<usize>) -> [Self; 2] {
         let (of_second, of_first): (Vec<usize>, Vec<usize>) =
