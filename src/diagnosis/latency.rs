@@ -4,6 +4,8 @@
 //! correlation with FK's says how late the stream is before anything else is known. It is coarse by
 //! design: a tool offset or a wrong convention biases it by milliseconds, so the model refines it.
 
+use std::cell::RefCell;
+
 use super::sampling::stretches;
 use ground::geometry::{Rotation, Vec3, angle_between};
 use ground::robot::Chain;
@@ -138,7 +140,7 @@ fn window_s(t_s: &[f64]) -> f64 {
 /// The median time between samples, s.
 pub(super) fn median_period_s(t_s: &[f64]) -> f64 {
     /// A median of more is no better.
-    const ENOUGH: usize = 20_000;
+    const ENOUGH: usize = 5_000;
     let stretches = stretches(t_s.len(), ENOUGH);
     let periods = stretches.flat_map(|rows| t_s[rows].windows(2).map(|pair| pair[1] - pair[0]));
     median(&mut periods.collect::<Vec<f64>>()).unwrap_or(0.0)
@@ -266,6 +268,11 @@ impl Grid {
     }
 }
 
+thread_local! {
+    /// The transforms of a length take longer to plan than to make.
+    static PLANS: RefCell<RealFftPlanner<f64>> = RefCell::new(RealFftPlanner::new());
+}
+
 /// The sums of Pearson's correlation at every lag.
 struct Sums {
     /// Over the times at which both speeds are known: how many, and of x, x², y, y² and xy.
@@ -286,9 +293,9 @@ impl Sums {
     /// what is known.
     fn add(&mut self, arm: &Grid, stream: &Grid) {
         let length = stream.value.len().next_power_of_two();
-        let mut planner = RealFftPlanner::<f64>::new();
-        let (forward, inverse) =
-            (planner.plan_fft_forward(length), planner.plan_fft_inverse(length));
+        let (forward, inverse) = PLANS.with_borrow_mut(|planner| {
+            (planner.plan_fft_forward(length), planner.plan_fft_inverse(length))
+        });
         let spectrum = |values: &Vec<f64>| {
             let (mut padded, mut spectrum) = (values.clone(), forward.make_output_vec());
             padded.resize(length, 0.0);

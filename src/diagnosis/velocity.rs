@@ -6,6 +6,7 @@
 
 use super::latency::median_period_s;
 use super::response::{Changes, Curve, slopes};
+use super::sampling::stretches;
 use super::{Response, Unseen};
 use ground::stats::Measured;
 use ground::stream::sample_noise;
@@ -227,8 +228,17 @@ fn quantum(q: &[f64]) -> f64 {
     if steps.is_empty() { 0.0 } else { *steps.select_nth_unstable_by(at, f64::total_cmp).1 }
 }
 
-/// The step of an encoder whose positions are all whole numbers of it; 0 of positions that have no steps.
+/// The step of an encoder whose positions are all whole numbers of it; 0 of positions that have no steps. Of
+/// very many positions, by stretches in which most change.
 pub fn encoder_step(q: &[f64]) -> f64 {
+    const ENOUGH: usize = 24_000;
+    let some: Vec<f64> =
+        stretches(q.len(), ENOUGH).flat_map(|rows| q[rows].iter().copied()).collect();
+    let changes = some.windows(2).filter(|pair| pair[0] != pair[1]).count();
+    if some.len() < q.len() && 2 * changes > some.len() { step_of(&some) } else { step_of(q) }
+}
+
+fn step_of(q: &[f64]) -> f64 {
     /// A whole number is one to this, of so many of the changes.
     const WHOLE: f64 = 0.02;
     const MOST: f64 = 0.95;

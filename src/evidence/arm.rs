@@ -190,31 +190,40 @@ pub(super) fn arm_evidence(
         }
         None => (samples, Cow::Borrowed(&arm.joints)),
     };
-    let joints: Vec<usize> = (0..arm.joint_names.len()).collect();
-    let joint = |&joint: &usize| joint_evidence(run, arm, joint, &samples[joint], &track);
-    let mut joints: Vec<JointEvidence> = joints.par_iter().map(joint).collect();
+    let joints = || {
+        let joint = |joint| joint_evidence(run, arm, joint, &samples[joint], &track);
+        (0..arm.joint_names.len()).into_par_iter().map(joint).collect::<Vec<JointEvidence>>()
+    };
+    let of_joints = || {
+        let shake = shake_of_joints(arm, &samples, &track);
+        of_arm(run, arm, joints_stream, ShakeEvidence { in_other_units: false, shake })
+    };
+    let of_stream = |(source, found): (&PoseSource, PoseDiagnosis)| {
+        let in_other_units = matches!(found.length, Ok(Some(_)));
+        let shake = shake_of_poses(&source.track, &found, &arm.joints);
+        let shake = of_arm(run, arm, source.stream, ShakeEvidence { in_other_units, shake });
+        let euler = euler(run, source, &found, &options.declared);
+        (of_arm(run, arm, source.stream, of_poses(source, found, euler)), shake)
+    };
+    let of_streams =
+        || -> (Vec<_>, Vec<_>) { arm.poses.par_iter().zip(streams).map(of_stream).unzip() };
+    let of_tf = || {
+        let (source, found) = arm.tf.as_ref().ok().zip(diagnosis.tf)?;
+        Some(of_arm(run, arm, source.stream, of_poses(source, found, None)))
+    };
+    let of_imus = || imus.collect::<Vec<_>>();
+    let ((mut joints, shake), ((poses, shakes), (tf, imus))) = rayon::join(
+        || rayon::join(joints, of_joints),
+        || rayon::join(of_streams, || rayon::join(of_tf, of_imus)),
+    );
     for (index, (joint, velocity)) in joints.iter_mut().zip(velocities).enumerate() {
         joint.velocity = velocity;
         joint.really = really.as_ref().map(|really| (really.from[index], really.factor[index]));
-    }
-    let of_joints =
-        ShakeEvidence { in_other_units: false, shake: shake_of_joints(arm, &samples, &track) };
-    let mut shakes = vec![of_arm(run, arm, joints_stream, of_joints)];
-    let mut poses = Vec::new();
-    for (source, found) in arm.poses.iter().zip(streams) {
-        let in_other_units = matches!(found.length, Ok(Some(_)));
-        let shake = shake_of_poses(&source.track, &found, &arm.joints);
-        shakes.push(of_arm(run, arm, source.stream, ShakeEvidence { in_other_units, shake }));
-        let euler = euler(run, source, &found, &options.declared);
-        poses.push(of_arm(run, arm, source.stream, of_poses(source, found, euler)));
     }
     let taken_for_degrees = matches!(
         run.streams.get(joints_stream).and_then(|stream| stream.columns.as_ref()),
         Some(Columns::Joints(joints)) if joints.taken_for_degrees
     );
-    let tf = arm.tf.as_ref().ok().zip(diagnosis.tf);
-    let tf =
-        tf.map(|(source, found)| of_arm(run, arm, source.stream, of_poses(source, found, None)));
     ArmEvidence {
         name: arm.name.clone(),
         joints_topic: run.streams[joints_stream].topic.clone(),
@@ -228,7 +237,7 @@ pub(super) fn arm_evidence(
         references: references(run, index, &poses, most_lag_s),
         poses,
         tf,
-        shakes,
-        imus: imus.collect(),
+        shakes: [vec![shake], shakes].concat(),
+        imus,
     }
 }

@@ -4,6 +4,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::checks::{Evaluation, hidden_zero};
+use rayon::prelude::*;
+
 use crate::diagnosis::{JointSpan, Workspace, reach_m};
 use crate::finding::{Cause, CheckRow, Finding, Unit, Word, word};
 use crate::robot::{Chain, JointKind};
@@ -87,26 +89,16 @@ fn arm_coverage(run: &Run, arm: &Arm, checks: &[CheckRow]) -> Option<WorkspaceRo
     let rows = Rows::of(run, arm);
     let some = (0..rows.len()).step_by(rows.len().div_ceil(ENOUGH).max(1));
     let (least, most) = reach_m(&arm.chain, some.map(|row| rows.at(row).1))?;
-    let mut hides = Vec::new();
-    let mut joints = Vec::new();
-    for (joint, &column) in arm.columns.iter().enumerate() {
-        let (Some(name), Some(kind)) =
-            (arm.chain.joint_names().get(joint), arm.chain.joint_kinds().get(joint))
-        else {
-            continue;
-        };
+    let of_joint = |(joint, &column): (usize, &usize)| {
+        let (name, kind) =
+            (arm.chain.joint_names().get(joint)?, arm.chain.joint_kinds().get(joint)?);
         let limits = arm.chain.limits().get(joint).copied().unwrap_or_default();
-        let Some(span) =
-            rows.samples.get(column).and_then(|of| JointSpan::of(&of.position, *kind, &limits))
-        else {
-            continue;
-        };
+        let span = JointSpan::of(&rows.samples.get(column)?.position, *kind, &limits)?;
         let unit = match kind {
             JointKind::Prismatic => Unit::Metre,
             _ => Unit::Radian,
         };
-        hides.extend(hidden_zero(name, unit, span.width(), checks));
-        joints.push(JointCoverage {
+        let coverage = JointCoverage {
             joint: name.clone(),
             unit: unit.symbol(),
             lowest: span.lowest,
@@ -114,14 +106,17 @@ fn arm_coverage(run: &Run, arm: &Arm, checks: &[CheckRow]) -> Option<WorkspaceRo
             lower: limits.lower,
             upper: limits.upper,
             visited: span.visited,
-        });
-    }
+        };
+        Some((hidden_zero(name, unit, span.width(), checks), coverage))
+    };
+    let found: Vec<_> = arm.columns.par_iter().enumerate().filter_map(of_joint).collect();
+    let (hides, joints): (Vec<_>, Vec<_>) = found.into_iter().unzip();
     Some(WorkspaceRow {
         robot: arm.name.clone(),
         joints,
+        hides: hides.into_iter().flatten().collect(),
         reach_m: [least, most],
         max_reach_m: arm.chain.max_reach_m(),
-        hides,
     })
 }
 

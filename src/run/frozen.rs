@@ -56,10 +56,14 @@ pub(super) fn take_frozen(
     (known, most_lag_s): (bool, f64),
 ) -> Vec<Frozen> {
     let Stamped { track, stamps } = poses;
+    let holds = holds(track);
+    if holds.is_empty() {
+        return Vec::new();
+    }
     let mut frozen = Vec::new();
     let mut kept = vec![true; stamps.len()];
     let rests = rests(joints);
-    for (first, last) in holds(track) {
+    for (first, last) in holds {
         let hold = (track.t_s[first], track.t_s[last]);
         let moved = least_motion(joints, (columns, &rests), hold, most_lag_s).unwrap_or(0.0);
         if moved > 0.0 {
@@ -116,10 +120,14 @@ impl Run {
     pub fn take_frozen_at(&mut self, arm: usize, source: usize, lags_s: &[f64]) {
         let Arm { joints, poses, .. } = &mut self.arms[arm];
         let PoseSource { stream, track, columns, .. } = &mut poses[source];
+        let holds = holds(track);
+        if holds.is_empty() {
+            return;
+        }
         let mut kept = vec![true; track.t_s.len()];
         let rests = rests(joints);
         let stamp = |t_s: f64| Stamp::from_nanos(self.origin.nanos() + (1e9 * t_s).round() as i64);
-        for (first, last) in holds(track) {
+        for (first, last) in holds {
             let hold = (track.t_s[first], track.t_s[last]);
             let moved = motion_at(joints, (columns, &rests), hold, lags_s).unwrap_or(0.0);
             if moved <= 0.0 {
