@@ -160,6 +160,39 @@ fn planted_faults_are_named_with_their_amounts() {
     }
 }
 
+/// Positions alone violate no convention of a rotation and no unit, whatever format they come in.
+#[test]
+fn positions_without_rotations_are_audited_as_such() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("run.csv");
+    let of = |table: Table, metres: f64, robot: Option<&str>| {
+        let mut text = "time,q1,q2,q3,q4,q5,q6,x,y,z".to_owned();
+        for mut row in table.rows() {
+            row.truncate(1 + JOINTS + 3);
+            row[1 + JOINTS..].iter_mut().for_each(|length| *length /= metres);
+            let cells: Vec<String> = row.iter().map(|number| format!("{number:.9}")).collect();
+            write!(text, "\n{}", cells.join(",")).expect("text");
+        }
+        fs::write(&path, text).expect("a file");
+        report(&path, robot, ColumnSettings::default()).expect("a report")
+    };
+    for robot in [None, Some("ur5e")] {
+        let sound = of(CLEAN, 1.0, robot);
+        assert_eq!(sound.verdict, Verdict::Pass, "{:?}", sound.findings);
+        assert!(sound.findings.is_empty(), "{:?}", sound.findings);
+    }
+    let millimetres = of(CLEAN, 1e-3, Some("ur5e"));
+    let said: Vec<_> = millimetres.findings.iter().map(|it| (it.code, it.title.to_string())).collect();
+    assert_eq!(said, [("ORD001", "how bare numbers were read".to_owned())]);
+    assert_eq!(millimetres.verdict, Verdict::Pass);
+    let late = of(Table { late_s: 0.06, ..CLEAN }, 1.0, Some("ur5e"));
+    assert_eq!(causes(&late), ["LAT001"]);
+    assert!((amount(&late, "LAT001") - 0.06).abs() < 5e-4, "{}", amount(&late, "LAT001"));
+    let zero = of(Table { elbow: -0.5_f64.to_radians(), ..CLEAN }, 1.0, Some("ur5e"));
+    assert_eq!(causes(&zero), ["ZER001"]);
+    assert!((amount(&zero, "ZER001").to_degrees() - 0.5).abs() < 0.01);
+}
+
 #[test]
 fn degrees_are_read_as_such_and_said() {
     let degrees =

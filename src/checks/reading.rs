@@ -2,11 +2,12 @@
 
 use crate::checks::decision::{DEGREE, unseen};
 use crate::checks::{Case, Judged};
-use crate::diagnosis::{PoseDiagnosis, Reading, ReadingEstimate, Seen};
+use crate::diagnosis::{LengthSlip, PoseDiagnosis, Reading, ReadingEstimate, Seen, Unseen};
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, ReadAs, Ruling, Severity, Unit};
 use crate::geometry::{
-    AngleUnit, Coding, Convention, LengthScale, Misreading, QuaternionSlip, RotationSlip, vendors,
+    AngleUnit, Coding, Convention, LengthScale, Misreading, QuaternionSlip, RotationSlip, Slip,
+    vendors,
 };
 
 /// A fault must leave at least this many times less than the stream as logged, and than the next
@@ -171,12 +172,33 @@ fn of_bare_numbers(
             let (is, read_as) = (form.to_string(), form.to_string());
             (Outcome::faulty(fault), Some(Estimate::slip("reading", is, read_as)))
         }
+        // A quaternion in the usual order, or no rotation at all.
+        (Kind::Convention, None) => match &found.length {
+            Ok(Some(slip)) if is_read || matches!(found.reading, Err(Unseen::NoOrientation)) => {
+                let (is, read_as) = (slip.is.to_string(), slip.read_as.to_string());
+                (bare_lengths(topic, slip), Some(Estimate::slip("length unit", is, read_as)))
+            }
+            _ => (outcome, estimate),
+        },
         (Kind::QuaternionOrder, Some(Coding::Wxyz)) if is_read => {
             let why = "bare numbers of which nothing is declared have no order to violate";
             (Outcome::sound_because(why.to_owned()), None)
         }
         _ => (outcome, estimate),
     }
+}
+
+/// What is said of bare positions that follow the arm in another unit than metres.
+fn bare_lengths(topic: &str, slip: &LengthSlip) -> Outcome {
+    let is = slip.is.words();
+    Outcome::faulty(Fault {
+        severity: Severity::Info,
+        cause: Cause::LengthUnit(Slip { is: slip.is, read_as: slip.read_as }),
+        title: "how bare numbers were read",
+        message: format!("positions read as {is}: that is how they follow the arm"),
+        evidence: Evidence::default(),
+        fix: format!("multiply the positions of {topic} by {} where metres belong", slip.is.in_m()),
+    })
 }
 
 /// Unit of lengths and of angles that bare numbers turned out to be in.

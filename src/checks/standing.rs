@@ -333,7 +333,10 @@ impl Causes {
             chosen(reading, "ORD002"),
             chosen(reading, "ORD003"),
             chosen(found.degrees.is_some(), "ORD004"),
-            chosen(matches!(found.length, Ok(Some(_))), "ORD008"),
+            chosen(
+                matches!(found.length, Ok(Some(_))),
+                if stream.bare { "ORD001" } else { "ORD008" },
+            ),
             chosen(matches!(found.axes, Ok(Some(_))), "ORD010"),
             chosen(!found.constant.is_empty(), "ORD011"),
             chosen(found.growth_chosen || !found.growth_changes.is_empty(), "ZER002"),

@@ -150,8 +150,7 @@ pub(super) fn arm_evidence(
         euler,
         independent: !source.stamps_copied,
         bare_numbers: matches!(source.track.orientation, Orientations::Numbers(_)),
-        bare: source.track.declared.is_none()
-            && matches!(run.streams[source.stream].columns, Some(Columns::Array(_))),
+        bare: source.track.declared.is_none() && run.streams[source.stream].is_bare(),
         declared: source.track.declared.as_ref().map(|units| Declared {
             angles: units.in_other_angles.is_some().then_some(units.angle),
             lengths: units.length,
@@ -198,7 +197,10 @@ pub(super) fn arm_evidence(
         let shake = shake_of_joints(arm, &samples, &track);
         of_arm(run, arm, joints_stream, ShakeEvidence { in_other_units: false, shake })
     };
-    let of_stream = |(source, found): (&PoseSource, PoseDiagnosis)| {
+    let of_stream = |(source, mut found): (&PoseSource, PoseDiagnosis)| {
+        if run.streams[source.stream].holds_no_rotation() {
+            found.reading = Err(Unseen::NoOrientation);
+        }
         let in_other_units = matches!(found.length, Ok(Some(_)));
         let shake = shake_of_poses(&source.track, &found, &arm.joints);
         let shake = of_arm(run, arm, source.stream, ShakeEvidence { in_other_units, shake });

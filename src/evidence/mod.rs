@@ -90,8 +90,11 @@ impl RunEvidence {
         let run = &*run;
         let joints = |arm: usize| estimate::readable_joints(&run.arms[arm], &diagnoses[arm].arm);
         let hand_eyes = hand_eye::hand_eyes(run, joints, most_lag_s);
-        let never_set =
-            run.arms.iter().zip(&diagnoses).flat_map(|(arm, found)| topics::unset(arm, &found.arm));
+        let never_set = run
+            .arms
+            .iter()
+            .zip(&diagnoses)
+            .flat_map(|(arm, found)| topics::unset(run, arm, &found.arm));
         let unset: Vec<Unaudited> = never_set.chain(topics::in_other_frames(run)).collect();
         let arms = diagnoses.into_iter().enumerate();
         let robots =

@@ -96,10 +96,12 @@ pub(super) fn frames(run: &Run) -> FrameEvidence {
 }
 
 /// The streams of an arm whose orientations were never set.
-pub(super) fn unset(arm: &Arm, found: &ArmDiagnosis) -> Vec<Unaudited> {
+pub(super) fn unset(run: &Run, arm: &Arm, found: &ArmDiagnosis) -> Vec<Unaudited> {
     let streams = arm.poses.iter().zip(&found.streams);
-    let unset =
-        streams.filter(|(_, found)| matches!(found.reading, Err(Unseen::OrientationNotSet)));
+    let unset = streams.filter(|(source, found)| {
+        matches!(found.reading, Err(Unseen::OrientationNotSet))
+            && !run.streams[source.stream].holds_no_rotation()
+    });
     let why = WhyNot::NoOrientation;
     unset.map(|(source, _)| Unaudited { stream: source.stream, why: why.clone() }).collect()
 }

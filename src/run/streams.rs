@@ -75,6 +75,16 @@ impl Stream {
         }
     }
 
+    /// Whether it is positions of a table without columns of a rotation beside them.
+    pub fn holds_no_rotation(&self) -> bool {
+        !self.cells.is_empty() && matches!(self.columns, Some(Columns::Poses(_)))
+    }
+
+    /// Whether its numbers come without a unit or a convention.
+    pub fn is_bare(&self) -> bool {
+        matches!(self.columns, Some(Columns::Array(_))) || self.holds_no_rotation()
+    }
+
     /// Says so where an audit would want it and everything in it was dropped.
     fn mark_empty(&mut self) {
         let has_rows = |columns: &Columns| columns.times().iter().any(|times| !times.is_empty());
