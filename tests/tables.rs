@@ -182,7 +182,8 @@ fn positions_without_rotations_are_audited_as_such() {
         assert!(sound.findings.is_empty(), "{:?}", sound.findings);
     }
     let millimetres = of(CLEAN, 1e-3, Some("ur5e"));
-    let said: Vec<_> = millimetres.findings.iter().map(|it| (it.code, it.title.to_string())).collect();
+    let said: Vec<_> =
+        millimetres.findings.iter().map(|it| (it.code, it.title.to_string())).collect();
     assert_eq!(said, [("ORD001", "how bare numbers were read".to_owned())]);
     assert_eq!(millimetres.verdict, Verdict::Pass);
     let late = of(Table { late_s: 0.06, ..CLEAN }, 1.0, Some("ur5e"));
@@ -191,6 +192,51 @@ fn positions_without_rotations_are_audited_as_such() {
     let zero = of(Table { elbow: -0.5_f64.to_radians(), ..CLEAN }, 1.0, Some("ur5e"));
     assert_eq!(causes(&zero), ["ZER001"]);
     assert!((amount(&zero, "ZER001").to_degrees() - 0.5).abs() < 0.01);
+}
+
+#[test]
+fn names_in_another_order_than_a_pose_tells_are_named() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("run.csv");
+    let names = ur5e().joint_names().to_vec();
+    let mut swapped: Vec<String> = names.clone();
+    swapped.swap(0, 2);
+    for (names, expected) in [(names, vec![]), (swapped, vec!["ORD005"])] {
+        let text = CLEAN.text("q");
+        let rows = text.split_once('\n').expect("rows").1;
+        let header = format!("time,{},x,y,z,qx,qy,qz,qw", names.join(","));
+        fs::write(&path, format!("{header}\n{rows}")).expect("a file");
+        let report = report(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
+        assert_eq!(causes(&report), expected, "{:?}", report.findings);
+    }
+}
+
+/// KUKA's RSI logs where the tool is and where it shall be, and no joints.
+#[test]
+fn a_tool_that_follows_its_command_is_said_without_an_arm() {
+    const LATE: usize = 3;
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("run.csv");
+    // It moves for 10 s, rests and moves again; at rest it is 0.2 beside where it shall be.
+    let at = |row: usize| {
+        let row = row.min(500) + row.saturating_sub(700);
+        let t_s = row as f64 * STEP_S;
+        [1279.0 + 90.0 * (1.1 * t_s).sin(), 60.0 * (0.7 * t_s).cos(), 40.0 * (1.7 * t_s).sin()]
+    };
+    let mut text =
+        "time,X_RIst,Y_RIst,Z_RIst,A_RIst,B_RIst,C_RIst,X_RSol,Y_RSol,Z_RSol,A_RSol,B_RSol,C_RSol"
+            .to_owned();
+    for row in 0..1200 {
+        let ([x, y, z], [a, b, c]) = (at(row), at(row + LATE));
+        let t_s = row as f64 * STEP_S;
+        write!(text, "\n{t_s:.3},{:.4},{y:.4},{z:.4},0,1,2,{a:.4},{b:.4},{c:.4},0,1,2", x + 0.2)
+            .expect("text");
+    }
+    fs::write(&path, text).expect("a file");
+    let report = report(&path, None, ColumnSettings::default()).expect("a report");
+    let notes: String = report.log.notes.iter().map(|note| note.note.as_str()).collect();
+    assert!(notes.contains("'rist' follows 'rsol' by 60 ms"), "{notes}");
+    assert!(notes.contains("at rest it is 0.200 off"), "{notes}");
 }
 
 #[test]

@@ -102,7 +102,8 @@ fn by_numbers(table: &Table) -> Result<Clock, Refusal> {
     const MOST_ALIKE: usize = 2;
     let none = || {
         "no column holds times, and no metadata the rate: add `[columns]` with `rate_hz = 30` (the true rows a \
-         second) or `time = \"COLUMN\"` to poseaudit.toml"
+         second) or `time = \"COLUMN\"` to poseaudit.toml; rows that are postures, not a run, \
+         are `poseaudit calibrate`'s"
             .to_owned()
     };
     let mut found: Vec<(String, Clock, Column)> = Vec::new();

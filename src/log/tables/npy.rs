@@ -25,7 +25,7 @@ impl Kind {
         let (letter, size) = bare.split_at_checked(1)?;
         let (letter, size) = (letter.as_bytes()[0], size.parse().ok()?);
         let is_known = match letter {
-            b'f' => matches!(size, 4 | 8),
+            b'f' => matches!(size, 2 | 4 | 8),
             b'i' | b'u' => matches!(size, 1 | 2 | 4 | 8),
             b'b' => size == 1,
             _ => false,
@@ -60,12 +60,25 @@ impl Kind {
         let raw = u64::from_le_bytes(own);
         let spare = 64 - 8 * self.size as u32;
         match (self.letter, self.size) {
+            (b'f', 2) => half(raw as u16),
             (b'f', 4) => f32::from_bits(raw as u32).into(),
             (b'f', _) => f64::from_bits(raw),
             (b'i', _) => ((raw << spare) as i64 >> spare) as f64,
             _ => raw as f64,
         }
     }
+}
+
+/// A float of 16 bits: a sign, 5 bits of exponent, 10 of fraction.
+fn half(bits: u16) -> f64 {
+    let (exponent, fraction) = (i32::from(bits >> 10 & 31), f64::from(bits & 1023));
+    let size = match exponent {
+        0 => fraction * 2_f64.powi(-24),
+        31 if fraction > 0.0 => f64::NAN,
+        31 => f64::INFINITY,
+        _ => (1024.0 + fraction) * 2_f64.powi(exponent - 25),
+    };
+    if bits >> 15 == 1 { -size } else { size }
 }
 
 /// What the header says: fields with their places in a row, the shape, and whether columns come first.
@@ -271,4 +284,29 @@ fn parsed(text: &str) -> Option<Header> {
         }
     }
     (!fields.is_empty()).then_some(Header { fields, row_bytes: at, shape: shape?, is_fortran })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Kind;
+
+    /// What `numpy.float16` makes of these bits.
+    #[test]
+    fn half_floats_are_read() {
+        let cases = [
+            (0x3c00, 1.0),
+            (0xc000, -2.0),
+            (0x3555, 0.333_251_953_125),
+            (0x7bff, 65504.0),
+            (0x0001, 5.960_464_477_539_063e-8),
+            (0x0400, 6.103_515_625e-5),
+            (0xfc00, f64::NEG_INFINITY),
+        ];
+        for (bits, number) in cases {
+            let read = |kind: &str, bytes: [u8; 2]| Kind::of(kind).expect("known").read(&bytes);
+            assert_eq!(read("<f2", u16::to_le_bytes(bits)), number, "{bits:x}");
+            assert_eq!(read(">f2", u16::to_be_bytes(bits)), number, "{bits:x}");
+        }
+        assert!(Kind::of("<f2").expect("known").read(&[0xff, 0x7f]).is_nan());
+    }
 }

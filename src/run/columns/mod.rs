@@ -8,6 +8,7 @@ mod commands;
 mod contradictions;
 mod roles;
 mod shared;
+mod tools;
 mod topics;
 
 use crate::diagnosis::{Block, Mapping, Wanted};
@@ -15,6 +16,7 @@ use crate::log::{Log, Note};
 use crate::robot::{Chain, Robot, catalogue};
 
 use super::RunOptions;
+use super::role::{Role, beside_arm};
 use super::{models, skeleton};
 pub use cells::selectors;
 use cells::{Cells, Known, is_open};
@@ -48,6 +50,7 @@ const MOVES_M: f64 = 0.02;
 pub fn tell_columns(log: &mut Log, options: &RunOptions) -> Option<SharedColumns> {
     contradictions::find(log);
     commands::settle(log);
+    tools::compare(log);
     if !log.topics.iter().any(is_open) {
         return None;
     }
@@ -159,7 +162,7 @@ impl<'a> Search<'a> {
             }
         }
         if told.arms.is_empty() && told.question.is_none() && !are_joints_known {
-            told.question = self.by_width();
+            told.question = self.by_width(log);
         }
         told
     }
@@ -254,8 +257,8 @@ impl<'a> Search<'a> {
     }
 
     /// The question which numbers are joints, where no position tells it: those of a row that has as many as an
-    /// arm has joints, or two arms, with grippers or without.
-    fn by_width(&self) -> Option<String> {
+    /// arm has joints, or two arms, with grippers or without. Commands are not the joints.
+    fn by_width(&self, log: &Log) -> Option<String> {
         let sheet = &self.cells.sheet;
         let chains = self.chains();
         let wanted = Wanted {
@@ -271,7 +274,9 @@ impl<'a> Search<'a> {
             let home = sheet.home(first);
             let width =
                 (first..self.cells.numbers.len()).take_while(|&at| sheet.home(at) == home).count();
-            for (arm, chain) in chains.iter().enumerate() {
+            let topic = &log.topics[self.cells.numbers[first].at.0];
+            let is_command = beside_arm(&topic.name) == Role::Reference;
+            for (arm, chain) in chains.iter().enumerate().filter(|_| !is_command) {
                 let dof = chain.dof();
                 let blocks = || -> Vec<Block> { sheet.blocks(&wanted, arm) };
                 let is_block = |blocks: &[Block], from: usize| {
