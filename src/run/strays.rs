@@ -372,7 +372,8 @@ mod tests {
         let mut q = smooth(400);
         let stray: Vec<usize> = (60..120).step_by(4).collect();
         stray.iter().for_each(|&sample| q[sample] = 1e6);
-        let found = leaps(q.len(), &|_| None, |a, b| (q[b] - q[a]).abs()).expect("samples");
+        let found =
+            leaps(q.len(), &|_| None, |a: usize, b: usize| (q[b] - q[a]).abs()).expect("samples");
         assert_eq!(found.iter().map(|(sample, _)| *sample).collect::<Vec<_>>(), stray);
     }
 
@@ -388,7 +389,8 @@ mod tests {
 
     fn astray(q: &[f64]) -> Vec<usize> {
         let at = |row: usize| Some(Stamp::from_nanos(row as i64 * 20_000_000));
-        let leaps = leaps(q.len(), &at, |a, b| turned(q[b] - q[a])).expect("enough samples");
+        let leaps =
+            leaps(q.len(), &at, |a: usize, b: usize| turned(q[b] - q[a])).expect("enough samples");
         leaps.iter().map(|(row, _)| *row).collect()
     }
 
@@ -449,7 +451,9 @@ mod tests {
         let mut q = vec![0.0_f64; 100];
         q[40..42].fill(0.8);
         let each = |seconds: i64| move |row: usize| Some(Stamp::from_nanos(row as i64 * seconds));
-        let found = |at: At| leaps(100, at, |a, b| (q[a] - q[b]).abs()).expect("enough").len();
+        let found = |at: At| {
+            leaps(100, at, |a: usize, b: usize| (q[a] - q[b]).abs()).expect("enough").len()
+        };
         assert_eq!((found(&each(1_000_000_000)), found(&each(20_000_000))), (0, 2));
     }
 

@@ -6,6 +6,9 @@ pub(super) const NEARLY: f64 = 0.04;
 /// A rhythm has a row at this share of its ticks, at least.
 const KEPT: f64 = 0.85;
 
+/// A tick may be off by this share of a period.
+const TOLERANCE: f64 = 0.3;
+
 /// Rows follow each other smoothly where they are no farther than this from where those before them lead,
 /// m or rad.
 pub(super) const SMOOTH: f64 = 3e-4;
@@ -91,8 +94,6 @@ fn best_train(t_s: &[f64], used: &[bool], period_s: f64, off: Off<'_>) -> Vec<us
 /// The rows that follow `start` every `period_s`, each timed by the one before: of several at one tick
 /// the one that is nearest to where the rows before lead.
 fn train(t_s: &[f64], used: &[bool], start: usize, period_s: f64, off: Off<'_>) -> Vec<usize> {
-    /// A tick may be off by this share of a period.
-    const TOLERANCE: f64 = 0.3;
     /// Stamps as close as this share are of one tick.
     const EQUAL: f64 = 0.02;
     /// Of these one is surely nearer that is off by less than this share of the other.
@@ -143,7 +144,12 @@ pub(super) fn split(t_s: &[f64], off: Off<'_>) -> Option<Split> {
     let tried = periods(t_s).into_iter().filter_map(|period_s| {
         let (first, used) = kept_train(t_s, &vec![false; t_s.len()], period_s, off)?;
         let rest: Vec<f64> = (0..t_s.len()).filter(|&row| !used[row]).map(|row| t_s[row]).collect();
-        let splits = periods(&rest).into_iter().filter_map(move |second_s| {
+        // No rhythm has more rows than its least intervals have room for.
+        let span_s = t_s.last()? - t_s.first()?;
+        let most = |second_s: f64| 2.0 + span_s / ((1.0 - TOLERANCE) * second_s);
+        let left = rest.len() as f64 - NEARLY * t_s.len() as f64;
+        let enough = periods(&rest).into_iter().filter(|second_s| most(*second_s) > left);
+        let splits = enough.filter_map(move |second_s| {
             let second = kept_train(t_s, &used, second_s, off)?.0;
             Split::of(t_s, [period_s, second_s], [first.clone(), second])
         });

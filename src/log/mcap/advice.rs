@@ -134,8 +134,8 @@ mod tests {
             let log = super::super::tests::read_present(bytes, present, ReadOptions::default());
             log.unwrap().topics
         };
-        let index = record::frames(&sound, MAGIC.len()).map_while(Result::ok);
-        let index = index.filter(|frame| frame.opcode == op::MESSAGE_INDEX).next().unwrap();
+        let mut index = record::frames(&sound, MAGIC.len()).map_while(Result::ok);
+        let index = index.find(|frame| frame.opcode == op::MESSAGE_INDEX).unwrap();
         for value in [0, 0x41, 0xff] {
             let mut lying = sound.clone();
             // Behind channel and length each entry is a time and a place.

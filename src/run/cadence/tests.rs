@@ -43,8 +43,8 @@ fn cadence(columns: &Columns) -> Cadence {
     let stamps: Vec<Stamp> =
         (0..1000).map(|row| Stamp::from_nanos((1_000_000 + 10 * row) * MS)).collect();
     let position: Vec<f64> = (0..1000).map(|row| 0.01 * f64::from(row.min(500))).collect();
-    parts(columns, &[])[0]
-        .cadence(&clock, &Motion { joints: vec![(stamps.into(), position.into())] })
+    let (parts, joints) = (parts(columns, &[]), vec![(stamps.into(), position.into())]);
+    parts[0].cadence(&parts[0].paced(&clock, &Motion { joints }))
 }
 
 /// Rows missing in all holes.
