@@ -69,40 +69,29 @@ impl Sheet {
         Some(Shift { later_s: (by as f64 + between) * step_s, left: least.sqrt() })
     }
 
-    /// How far `others` are from `columns` where all of them stand still, each by its median, and in how many
-    /// rows they do.
-    pub fn apart_at_rest(&self, columns: &[usize], others: &[usize]) -> Option<(Vec<f64>, usize)> {
+    /// How far `column` is from `other` where both stand still, by the median, and in how many rows they do.
+    pub fn apart_at_rest(&self, column: usize, other: usize) -> Option<(f64, usize)> {
         /// What stands still changes by no more than this share of its range, for so long.
         const STILL: f64 = 1e-3;
         const REST_S: f64 = 0.5;
         /// Rows that are needed.
         const ROWS: usize = 20;
         let reach = (0.5 * REST_S / self.step_s()).ceil() as usize;
-        let all: Vec<(&[f64], f64)> = columns
-            .iter()
-            .chain(others)
-            .map(|&column| {
-                let [low, high] = self.range(column);
-                (self.columns[column].as_slice(), STILL * (high - low))
-            })
-            .collect();
-        let is_still = |row: &usize| {
-            all.iter().all(|(values, most)| {
+        let both = [column, other].map(|own| {
+            let [low, high] = self.range(own);
+            (&self.columns[own], STILL * (high - low))
+        });
+        let is_still = |row: usize| {
+            both.iter().all(|(values, most)| {
                 let near = &values[row - reach..=row + reach];
-                near.iter().all(|value| (value - values[*row]).abs() <= *most)
+                near.iter().all(|value| (value - values[row]).abs() <= *most)
             })
         };
-        let rows = reach..self.t_s.len().saturating_sub(reach);
-        let rows: Vec<usize> = rows.filter(is_still).collect();
-        if rows.len() < ROWS {
-            return None;
-        }
-        let apart = |(&own, &other): (&usize, &usize)| {
-            let apart = rows.iter().map(|&row| self.columns[other][row] - self.columns[own][row]);
-            median(&mut apart.collect::<Vec<f64>>())
-        };
-        let apart = columns.iter().zip(others).map(apart).collect::<Option<_>>()?;
-        Some((apart, rows.len()))
+        let rows = (reach..self.t_s.len().saturating_sub(reach)).filter(|row| is_still(*row));
+        let mut apart: Vec<f64> =
+            rows.map(|row| self.columns[column][row] - self.columns[other][row]).collect();
+        let count = apart.len();
+        median(&mut apart).filter(|_| count >= ROWS).map(|apart| (apart, count))
     }
 
     /// What a column does beside some others.

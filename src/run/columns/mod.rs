@@ -16,7 +16,7 @@ use crate::log::{Log, Note};
 use crate::robot::{Chain, Robot, catalogue};
 
 use super::RunOptions;
-use super::role::{Role, beside_arm};
+use super::role::{Role, array_role};
 use super::{models, skeleton};
 pub use cells::selectors;
 use cells::{Cells, Known, is_open};
@@ -275,7 +275,7 @@ impl<'a> Search<'a> {
             let width =
                 (first..self.cells.numbers.len()).take_while(|&at| sheet.home(at) == home).count();
             let topic = &log.topics[self.cells.numbers[first].at.0];
-            let is_command = beside_arm(&topic.name) == Role::Reference;
+            let is_command = array_role(&topic.name, width, false).0 == Role::Reference;
             for (arm, chain) in chains.iter().enumerate().filter(|_| !is_command) {
                 let dof = chain.dof();
                 let blocks = || -> Vec<Block> { sheet.blocks(&wanted, arm) };

@@ -3,7 +3,7 @@
 
 use crate::log::{Log, Note, Topic};
 use crate::run::by_order::TABLE;
-use crate::run::role::{Role, beside_arm};
+use crate::run::role::{Role, array_role};
 use crate::stream::Columns;
 
 use super::cells::side_by_side;
@@ -11,32 +11,38 @@ use super::cells::side_by_side;
 /// Numbers of a position, which stand first in a pose.
 const POSITION: usize = 3;
 
-/// Says how the one measured position of the table follows the one commanded.
+/// Says how the one measured position of the table follows the one commanded, by each coordinate that does.
 pub(super) fn compare(log: &mut Log) {
-    let of = |role: Role| -> Option<&Topic> {
+    let of = |is_command: bool| -> Option<&Topic> {
         let mut own = log.topics.iter().filter(|topic| {
-            topic.encoding == TABLE && is_named_pose(topic) && beside_arm(&topic.name) == role
+            let role = array_role(&topic.name, 2 * POSITION, false).0;
+            is_named_pose(topic) && (role == Role::Reference) == is_command
         });
         own.next().filter(|_| own.next().is_none())
     };
-    let Some((measured, commanded)) = of(Role::Unassigned).zip(of(Role::Reference)) else { return };
+    let Some((measured, commanded)) = of(false).zip(of(true)) else { return };
     let Some(sheet) = side_by_side(&[(measured, 1.0), (commanded, 1.0)]) else { return };
     let first = measured.cells.len();
-    let (own, others) = ([0, 1, 2], [first, first + 1, first + 2]);
-    let Some(shift) = sheet.shift(&own, &others) else { return };
-    let (by, of) = (-1e3 * shift.later_s, &commanded.name);
-    let when = if by < 0.0 { "leads" } else { "follows" };
-    let mut what = format!(
-        "'{}' {when} '{of}' by {:.0} ms, to within {:.1} % of how far it moves",
-        measured.name,
-        by.abs(),
-        1e2 * shift.left
-    );
-    if let Some((apart, rows)) = sheet.apart_at_rest(&own, &others) {
-        let size = apart.iter().map(|it| it * it).sum::<f64>().sqrt();
-        what += &format!("; at rest it is {size:.3} off, in its own unit, by {rows} rows");
-    }
-    if let Some(file) = log.files.first().map(|file| file.path.clone()) {
+    let of_axis = |axis: usize| -> Option<String> {
+        let shift = sheet.shift(&[axis], &[first + axis])?;
+        let by = -1e3 * shift.later_s;
+        let when = if by < 0.0 { "leads" } else { "follows" };
+        let follows = format!(
+            "{} {when} {} by {:.0} ms, to within {:.1} % of how far it moves",
+            measured.cells[axis].name,
+            commanded.cells[axis].name,
+            by.abs(),
+            1e2 * shift.left
+        );
+        let rest = sheet.apart_at_rest(axis, first + axis).map(|(apart, rows)| {
+            format!(" ({apart:+.3} off it at rest, in its own unit, by {rows} rows)")
+        });
+        Some(follows + &rest.unwrap_or_default())
+    };
+    let found: Vec<String> = (0..POSITION).filter_map(of_axis).collect();
+    let what = found.join("; ");
+    let file = log.files.first().map(|file| file.path.clone());
+    if let Some(file) = file.filter(|_| !what.is_empty()) {
         log.notes.push(Note { file, what });
     }
 }
@@ -48,5 +54,5 @@ fn is_named_pose(topic: &Topic) -> bool {
         Some(Columns::Poses(_)) => true,
         _ => false,
     };
-    is_pose && topic.cells.len() >= POSITION
+    topic.encoding == TABLE && is_pose && topic.cells.len() >= POSITION
 }
