@@ -30,21 +30,34 @@ pub enum Conduct {
 impl Sheet {
     /// How `others` say what `columns` do, where they do.
     pub fn shift(&self, columns: &[usize], others: &[usize]) -> Option<Shift> {
+        let series = |columns: &[usize]| -> Vec<Vec<f64>> {
+            columns.iter().map(|&column| self.less(column, self.mean(column))).collect()
+        };
+        self.shift_of(&series(columns), &series(others))
+    }
+
+    /// The same of one column that is `apart` off another at rest: where both move along a line, the one is late
+    /// by as much as it is off.
+    pub fn shift_beside(&self, column: usize, other: usize, apart: f64) -> Option<Shift> {
+        let mean = self.mean(column);
+        self.shift_of(&[self.less(column, mean)], &[self.less(other, mean - apart)])
+    }
+
+    fn mean(&self, column: usize) -> f64 {
+        self.columns[column].iter().sum::<f64>() / self.t_s.len() as f64
+    }
+
+    fn less(&self, column: usize, by: f64) -> Vec<f64> {
+        self.columns[column].iter().map(|value| value - by).collect()
+    }
+
+    fn shift_of(&self, these: &[Vec<f64>], those: &[Vec<f64>]) -> Option<Shift> {
         /// The longest, s, and what differs of columns that are the same, as a share of the spread.
         const LONGEST_S: f64 = 1.0;
         const SAME: f64 = 0.2;
         let rows = self.t_s.len();
         let step_s = (self.t_s.last()? - self.t_s.first()?) / (rows.max(2) - 1) as f64;
         let most = ((LONGEST_S / step_s) as usize).min(rows / 4) as i64;
-        let series = |columns: &[usize]| -> Vec<Vec<f64>> {
-            let own = columns.iter().map(|&column| {
-                let values = &self.columns[column];
-                let mean = values.iter().sum::<f64>() / rows as f64;
-                values.iter().map(|value| value - mean).collect()
-            });
-            own.collect()
-        };
-        let (these, those) = (series(columns), series(others));
         let power =
             |series: &[f64]| series.iter().map(|value| value * value).sum::<f64>() / rows as f64;
         let moving: Vec<usize> = (0..these.len()).filter(|&at| power(&these[at]) > 1e-8).collect();
@@ -59,7 +72,7 @@ impl Sheet {
         };
         let best = (-most..=most).map(|by| (left(by), by)).min_by(|a, b| a.0.total_cmp(&b.0))?;
         let (least, by) = best;
-        if moving.len() < MOVING.min(columns.len()) || least.sqrt() > SAME {
+        if moving.len() < MOVING.min(these.len()) || least.sqrt() > SAME {
             return None;
         }
         let (before, after) = (left(by - 1), left(by + 1));

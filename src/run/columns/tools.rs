@@ -10,6 +10,8 @@ use super::cells::side_by_side;
 
 /// Numbers of a position, which stand first in a pose.
 const POSITION: usize = 3;
+/// What is left of a coordinate that follows its command, as a share of its spread.
+const SAME: f64 = 0.02;
 
 /// Says how the one measured position of the table follows the one commanded, by each coordinate that does.
 pub(super) fn compare(log: &mut Log) {
@@ -24,20 +26,18 @@ pub(super) fn compare(log: &mut Log) {
     let Some(sheet) = side_by_side(&[(measured, 1.0), (commanded, 1.0)]) else { return };
     let first = measured.cells.len();
     let of_axis = |axis: usize| -> Option<String> {
-        let shift = sheet.shift(&[axis], &[first + axis])?;
+        let (apart, rows) = sheet.apart_at_rest(axis, first + axis)?;
+        let shift = sheet.shift_beside(axis, first + axis, apart)?;
         let by = -1e3 * shift.later_s;
-        let when = if by < 0.0 { "leads" } else { "follows" };
-        let follows = format!(
-            "{} {when} {} by {:.0} ms, to within {:.1} % of how far it moves",
-            measured.cells[axis].name,
-            commanded.cells[axis].name,
-            by.abs(),
-            1e2 * shift.left
-        );
-        let rest = sheet.apart_at_rest(axis, first + axis).map(|(apart, rows)| {
-            format!(" ({apart:+.3} off it at rest, in its own unit, by {rows} rows)")
-        });
-        Some(follows + &rest.unwrap_or_default())
+        (shift.left < SAME).then(|| {
+            format!(
+                "{} {} {} by {:.0} ms, and is {apart:+.3} off it at rest, in its own unit, by {rows} rows",
+                measured.cells[axis].name,
+                if by < 0.0 { "leads" } else { "follows" },
+                commanded.cells[axis].name,
+                by.abs()
+            )
+        })
     };
     let found: Vec<String> = (0..POSITION).filter_map(of_axis).collect();
     let what = found.join("; ");
