@@ -82,13 +82,15 @@ impl Sheet {
         Some(Shift { later_s: (by as f64 + between) * step_s, left: least.sqrt() })
     }
 
-    /// How far `column` is from `other` where both stand still, by the median, and in how many rows they do.
+    /// How far `column` is from `other` where both stand still, by the median, and in how many rows they do;
+    /// `None` where they hardly rest, or hardly move.
     pub fn apart_at_rest(&self, column: usize, other: usize) -> Option<(f64, usize)> {
         /// What stands still changes by no more than this share of its range, for so long.
         const STILL: f64 = 1e-3;
         const REST_S: f64 = 0.5;
-        /// Rows that are needed.
+        /// Rows that are needed, and how long it must move: one step is no motion.
         const ROWS: usize = 20;
+        const MOVES_S: f64 = 2.0;
         let reach = (0.5 * REST_S / self.step_s()).ceil() as usize;
         let both = [column, other].map(|own| {
             let [low, high] = self.range(own);
@@ -104,7 +106,9 @@ impl Sheet {
         let mut apart: Vec<f64> =
             rows.map(|row| self.columns[column][row] - self.columns[other][row]).collect();
         let count = apart.len();
-        median(&mut apart).filter(|_| count >= ROWS).map(|apart| (apart, count))
+        let moves_s = (self.t_s.len() - count) as f64 * self.step_s();
+        let tells = count >= ROWS && moves_s >= MOVES_S;
+        median(&mut apart).filter(|_| tells).map(|apart| (apart, count))
     }
 
     /// What a column does beside some others.
