@@ -187,7 +187,7 @@ pub(super) fn arm_evidence(
         Some(mending) => {
             (mending.mended_samples(&samples), Cow::Owned(mending.mended(&arm.joints)))
         }
-        None => (samples, Cow::Borrowed(&arm.joints)),
+        None => (samples, Cow::Borrowed(&*arm.joints)),
     };
     let joints = || {
         let joint = |joint| joint_evidence(run, arm, joint, &samples[joint], &track);

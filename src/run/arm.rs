@@ -8,7 +8,7 @@ use crate::stream::JointTrack;
 use crate::time::Stamp;
 
 use super::error::RunError;
-use super::joints::{JointFacts, JointSamples, JointTopic, merge};
+use super::joints::{JointFacts, JointSamples, JointTopics};
 use super::model::{FrameNames, Model, WrongModel};
 use super::role::{Place, words};
 use super::skeleton::{self, ArmPath, driver};
@@ -37,11 +37,11 @@ pub struct Arm {
     /// Names of the columns of `joints`.
     pub joint_names: Vec<String>,
     /// The joint states.
-    pub joints: JointTrack,
+    pub joints: Arc<JointTrack>,
     /// How each column came about.
     pub joint_facts: Vec<JointFacts>,
     /// The joint states as recorded, and what became of them, where the caller corrected them.
-    pub recorded: Option<(JointTrack, JointMending)>,
+    pub recorded: Option<(Arc<JointTrack>, JointMending)>,
     /// Streams of measured tool poses, and candidates.
     pub poses: Vec<PoseSource>,
     /// The chain from base to tip by the log's transforms, or why there is none.
@@ -55,7 +55,7 @@ pub struct Arm {
     /// The link that poses are in whose stream names no frame.
     pub(super) unnamed_base: LinkId,
     pub(super) frames: FrameNames,
-    pub(super) joint_stamps: Vec<Stamp>,
+    pub(super) joint_stamps: Arc<[Stamp]>,
     /// What tells it from other arms by name.
     pub(super) space: Space,
     /// The frames that are its own or nobody's, and the transforms between them.
@@ -174,8 +174,7 @@ impl Arm {
         model: &Model,
         path: &ArmPath,
         ends: Ends<'_>,
-        topics: &[JointTopic<'_>],
-        origin: Stamp,
+        joints: &JointTopics<'_>,
     ) -> Result<Self, RunError> {
         let robot = &model.robot;
         let link = |option: &'static str, name: &str| {
@@ -203,7 +202,7 @@ impl Arm {
         let mut joint_names = path.joints.clone();
         joint_names
             .extend(chain.joint_names().iter().filter(|name| !path.joints.contains(name)).cloned());
-        let is_logged = |name: &&String| topics.iter().any(|topic| topic.holds(name));
+        let is_logged = |name: &&String| joints.topics.iter().any(|topic| topic.holds(name));
         let missing: Vec<String> =
             joint_names.iter().filter(|name| !is_logged(name)).cloned().collect();
         if !missing.is_empty() {
@@ -213,7 +212,7 @@ impl Arm {
                 joints: missing,
             });
         }
-        let merged = merge(topics, &joint_names, origin).ok_or_else(|| RunError::NoSamples {
+        let merged = joints.merged(&joint_names).ok_or_else(|| RunError::NoSamples {
             robot: robot.name.clone(),
             joints: joint_names.clone(),
         })?;
@@ -277,7 +276,7 @@ impl Arm {
     /// Corrects the joint states, and keeps them as recorded beside.
     pub(crate) fn mend_joints(&mut self, mending: JointMending) {
         let mended = mending.mended(&self.joints);
-        let recorded = std::mem::replace(&mut self.joints, mended);
+        let recorded = std::mem::replace(&mut self.joints, Arc::new(mended));
         self.recorded = Some((recorded, mending));
     }
 

@@ -1,7 +1,7 @@
 //! The joint states of all topics, merged to one track on one time grid.
 
 use std::borrow::Cow;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use rayon::prelude::*;
 
@@ -51,11 +51,38 @@ impl JointTopic<'_> {
     }
 }
 
+/// The topics of joint states that may be one robot's, and what was merged of them: the models that are
+/// ranked ask for the same joints.
+pub(super) struct JointTopics<'a> {
+    pub topics: Vec<JointTopic<'a>>,
+    origin: Stamp,
+    merged: Mutex<Vec<(Vec<String>, Option<Merged>)>>,
+}
+
+impl<'a> JointTopics<'a> {
+    /// Times of what is merged are relative to `origin`.
+    pub fn new(topics: Vec<JointTopic<'a>>, origin: Stamp) -> Self {
+        Self { topics, origin, merged: Mutex::default() }
+    }
+
+    /// The joints called `names`, as [`merge`] does.
+    pub fn merged(&self, names: &[String]) -> Option<Merged> {
+        let known = || self.merged.lock().unwrap_or_else(PoisonError::into_inner);
+        let found = known().iter().find(|(of, _)| of == names).map(|(_, merged)| merged.clone());
+        found.unwrap_or_else(|| {
+            let merged = merge(&self.topics, names, self.origin);
+            known().push((names.to_vec(), merged.clone()));
+            merged
+        })
+    }
+}
+
 /// The track of some joints, and how it came about.
+#[derive(Clone)]
 pub(super) struct Merged {
-    pub track: JointTrack,
+    pub track: Arc<JointTrack>,
     /// The stamps of the track's samples.
-    pub stamps: Vec<Stamp>,
+    pub stamps: Arc<[Stamp]>,
     pub facts: Vec<JointFacts>,
 }
 
@@ -74,7 +101,7 @@ pub(super) struct Samples {
 /// interpolated; where it cannot be, because it has not begun, has ended or moved through a gap, the
 /// time is left out. Times are relative to `origin`. `None` where a joint has no sample, or fewer
 /// than two times are left.
-pub(super) fn merge(topics: &[JointTopic<'_>], names: &[String], origin: Stamp) -> Option<Merged> {
+fn merge(topics: &[JointTopic<'_>], names: &[String], origin: Stamp) -> Option<Merged> {
     let mut ranked: Vec<&JointTopic<'_>> = topics.iter().collect();
     let holds = |topic: &JointTopic<'_>| {
         topic.columns.joints.iter().filter(|joint| names.contains(&joint.name)).count()
@@ -102,11 +129,8 @@ pub(super) fn merge(topics: &[JointTopic<'_>], names: &[String], origin: Stamp) 
     }
     let (grid, _) = joints.iter().rev().max_by_key(|(stamps, _)| stamps.len())?;
 
-    let mut merged = Merged {
-        track: JointTrack { dof: names.len(), ..Default::default() },
-        stamps: Vec::new(),
-        facts,
-    };
+    let mut track = JointTrack { dof: names.len(), ..Default::default() };
+    let mut stamps = Vec::new();
     let mut cursors: Vec<Cursor> = joints.iter().map(|_| Cursor::default()).collect();
     let mut row: Vec<(f64, f64)> = Vec::with_capacity(names.len());
     for &stamp in grid {
@@ -119,12 +143,13 @@ pub(super) fn merge(topics: &[JointTopic<'_>], names: &[String], origin: Stamp) 
         if row.len() < names.len() {
             continue;
         }
-        merged.stamps.push(stamp);
-        merged.track.t_s.push(t_s);
-        merged.track.q.extend(row.iter().map(|(position, _)| position));
-        merged.track.qd.extend(row.iter().map(|(_, velocity)| velocity));
+        stamps.push(stamp);
+        track.t_s.push(t_s);
+        track.q.extend(row.iter().map(|(position, _)| position));
+        track.qd.extend(row.iter().map(|(_, velocity)| velocity));
     }
-    (merged.track.len() > 1).then_some(merged)
+    let is_track = track.len() > 1;
+    is_track.then(|| Merged { track: Arc::new(track), stamps: stamps.into(), facts })
 }
 
 /// All finite samples of one joint of an arm, strictly increasing in time.

@@ -61,7 +61,7 @@ impl Assembly<'_> {
             let what = format!("the log has no joint '{}'{near}", said.logged);
             return Err(RunError::JointMap { what });
         }
-        let groups = groups(&self.streams, topics);
+        let groups = groups(&self.streams, topics, self.origin);
         let is_alone = groups.len() == 1;
         let (mut arms, mut strangers, mut refusal) = (Vec::new(), Vec::new(), None);
         for group in &groups {
@@ -72,7 +72,7 @@ impl Assembly<'_> {
             match self.arms_of(group, &mut tree, said) {
                 Ok(found) => arms.extend(found),
                 Err(error) => {
-                    strangers.extend(group.topics.iter().map(|topic| topic.stream));
+                    strangers.extend(group.joints.topics.iter().map(|topic| topic.stream));
                     refusal = refusal.or(Some(error));
                 }
             }
@@ -108,9 +108,9 @@ impl Assembly<'_> {
         tree: &mut Arc<TfTree>,
         said: &Said<'_>,
     ) -> Result<Vec<Arm>, RunError> {
-        let Group { topics, space } = group;
+        let Group { joints: states, space } = group;
         let is_own = |names: &[&str]| space.claim(names.iter().copied()) != Claim::Foreign;
-        let joints = held_by(topics);
+        let joints = held_by(&states.topics);
         let streams = self.streams.iter().filter(|stream| is_own(&[&stream.topic]));
         let named = streams.flat_map(|stream| [&stream.frame_id, &stream.child_frame_id]);
         let frames: BTreeSet<String> =
@@ -150,7 +150,7 @@ impl Assembly<'_> {
             for path in
                 skeleton::arms(&model.robot, |name| joints.iter().any(|joint| joint == name))
             {
-                match Arm::new(model, &path, ends, topics, self.origin) {
+                match Arm::new(model, &path, ends, states) {
                     Ok(arm) if arm.is_along(&path) => {
                         arms.push(Arm { space: space.clone(), ..arm });
                     }

@@ -2,13 +2,14 @@
 
 use std::collections::HashSet;
 
-use super::super::joints::{JointTopic, Samples};
+use super::super::joints::{JointTopic, JointTopics, Samples};
 use super::super::space::{Claim, Space};
 use super::super::streams::Stream;
+use crate::time::Stamp;
 
 /// Topics of joint states that may be one robot's, no joint of which is two.
 pub(super) struct Group<'a> {
-    pub topics: Vec<JointTopic<'a>>,
+    pub joints: JointTopics<'a>,
     pub space: Space,
 }
 
@@ -22,7 +23,11 @@ const AGREE: f64 = 0.01;
 /// Puts every topic to those that it can be of one robot with: topics that give joints of one name
 /// different positions are of different arms. What shares no joint with any, as a rail, goes to those
 /// that its name speaks for, else to all.
-pub(super) fn groups<'a>(streams: &[Stream], topics: Vec<JointTopic<'a>>) -> Vec<Group<'a>> {
+pub(super) fn groups<'a>(
+    streams: &[Stream],
+    topics: Vec<JointTopic<'a>>,
+    origin: Stamp,
+) -> Vec<Group<'a>> {
     let name = |topic: &JointTopic<'_>| streams[topic.stream].topic.clone();
     let mut ranked: Vec<usize> = (0..topics.len()).collect();
     ranked.sort_by_key(|&index| std::cmp::Reverse(topics[index].columns.joints.len()));
@@ -61,11 +66,12 @@ pub(super) fn groups<'a>(streams: &[Stream], topics: Vec<JointTopic<'a>>) -> Vec
     if let [members] = groups.as_mut_slice() {
         // In the order of the log.
         members.sort_unstable();
-        return vec![Group { topics, space: Space::default() }];
+        return vec![Group { joints: JointTopics::new(topics, origin), space: Space::default() }];
     }
     let group = |(mut members, space): (Vec<usize>, Space)| {
         members.sort_unstable();
-        Group { topics: members.into_iter().map(|index| topics[index].clone()).collect(), space }
+        let topics = members.into_iter().map(|index| topics[index].clone()).collect();
+        Group { joints: JointTopics::new(topics, origin), space }
     };
     groups.into_iter().zip(spaces).map(group).collect()
 }

@@ -90,13 +90,15 @@ impl ByPoses<'_> {
     /// The models ranked by what they need to be where the streams of poses say, best first; none where
     /// no stream tells. No model is held to a frame that another one does not know.
     pub fn ranking(&self, models: &[&Model]) -> Option<Ranking> {
-        let of = |model: &&Model| self.entry(model, &BTreeSet::new());
-        let mut entries: Vec<Entry> = models.par_iter().map(of).collect();
+        let none = BTreeSet::new();
+        let arms: Vec<Option<Arm>> = models.iter().map(|model| self.arm(model)).collect();
+        let mut entries: Vec<Entry> =
+            arms.into_par_iter().map(|arm| self.entry(arm, &none)).collect();
         let unknown = entries.iter().flat_map(|entry| entry.whose_frame_is(false));
         let free: BTreeSet<usize> = unknown.collect();
-        entries.par_iter_mut().zip(models).for_each(|(entry, model)| {
+        entries.par_iter_mut().for_each(|entry| {
             if entry.whose_frame_is(true).any(|stream| free.contains(&stream)) {
-                *entry = self.entry(model, &free);
+                *entry = self.entry(entry.arm.take(), &free);
             }
         });
         // What faults explain is asked only where it could be cheaper.
@@ -192,20 +194,23 @@ impl ByPoses<'_> {
 
     /// The one path of joints through a model that the joint states hold.
     fn only_path(&self, model: &Model) -> Option<skeleton::ArmPath> {
-        let is_logged = |name: &str| self.group.topics.iter().any(|topic| topic.holds(name));
+        let is_logged = |name: &str| self.group.joints.topics.iter().any(|topic| topic.holds(name));
         let paths = skeleton::arms(&model.robot, is_logged);
         <[_; 1]>::try_from(paths).ok().map(|[path]| path)
     }
 
-    /// How a model fits the streams, held to the frames of all but those that are `free`.
-    fn entry(&self, model: &Model, free: &BTreeSet<usize>) -> Entry {
-        let Assembly { options, streams, origin, .. } = self.assembly;
+    /// The arm that a model makes of the group.
+    fn arm(&self, model: &Model) -> Option<Arm> {
+        let Assembly { options, .. } = self.assembly;
         let ends = Ends { base: options.base.as_deref(), tip: options.tip.as_deref() };
-        let arm = self
-            .only_path(model)
-            .and_then(|path| Arm::new(model, &path, ends, &self.group.topics, *origin).ok());
+        let arm = Arm::new(model, &self.only_path(model)?, ends, &self.group.joints).ok()?;
+        Some(Arm { space: self.group.space.clone(), tree: Arc::clone(self.tree), ..arm })
+    }
+
+    /// How an arm fits the streams, held to the frames of all but those that are `free`.
+    fn entry(&self, arm: Option<Arm>, free: &BTreeSet<usize>) -> Entry {
+        let streams = &self.assembly.streams;
         let Some(arm) = arm else { return Entry::default() };
-        let arm = Arm { space: self.group.space.clone(), tree: Arc::clone(self.tree), ..arm };
         // Those that say most, copies once, and no more than tell.
         let mut longest: Vec<usize> = (0..streams.len()).collect();
         longest.sort_by_key(|&stream| Reverse(streams[stream].count));
