@@ -136,6 +136,22 @@ fn a_log_whose_recorder_died_ends_when_nothing_comes() {
 }
 
 #[test]
+fn until_fail_ends_with_a_log_that_fails_when_another_takes_its_place() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let clean = bytes(CLEAN);
+    write(&log(&folder), &clean[..clean.len() / 2], 1);
+    let child = watch(folder.path(), &["--until", "fail"]);
+    thread::sleep(Duration::from_secs(1));
+    // The recorder was killed, so the first has no end; it begins again with another name.
+    fs::write(folder.path().join("second.mcap"), bytes(FAULTY)).expect("a file");
+    let (status, lines) = ended(child);
+    assert_eq!(status, 1);
+    let last = lines.last().expect("a line");
+    assert_eq!((&last["event"], &last["verdict"]), (&"ended".into(), &"fail".into()), "{lines:?}");
+    assert!(last["log"].as_str().is_some_and(|log| log.ends_with("run.mcap")), "{lines:?}");
+}
+
+#[test]
 fn a_path_that_is_not_there_is_refused_in_one_line() {
     let output = poseaudit(&["watch", "no/such.mcap"]);
     assert_eq!(status(&output), 2);

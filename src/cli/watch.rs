@@ -79,26 +79,27 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     };
     let is_folder = args.path.is_dir();
     let ends_with_log = !is_folder || args.until.contains(&Until::End);
+    let until_fail = args.until.contains(&Until::Fail);
+    let is_over = |log: &Current| {
+        (until_fail && log.outcome() == Outcome::Findings) || (ends_with_log && log.has_ended())
+    };
     let mut current: Option<Current> = None;
     loop {
-        if let Some(newest) = newest(&args.path) {
-            match &mut current {
-                Some(current) if *current.path() == newest => {}
-                other => {
-                    if let Some(before) = other {
-                        before.finish()?;
-                        if ends_with_log {
-                            return Ok(before.outcome());
-                        }
-                    }
-                    *other = Some(Current::of(newest, &options, pace));
+        if let Some(newest) = newest(&args.path)
+            && current.as_ref().is_none_or(|current| *current.path() != newest)
+        {
+            // Another log is written to: the one before has ended.
+            if let Some(before) = &mut current {
+                before.finish()?;
+                if is_over(before) {
+                    return Ok(before.outcome());
                 }
             }
+            current = Some(Current::of(newest, &options, pace));
         }
         if let Some(current) = &mut current {
             current.look()?;
-            let fails = args.until.contains(&Until::Fail) && current.outcome() == Outcome::Findings;
-            if fails || (ends_with_log && current.has_ended()) {
+            if is_over(current) {
                 return Ok(current.outcome());
             }
         }
