@@ -68,9 +68,14 @@ fn verdicts(lines: &[Value]) -> Vec<&str> {
 fn a_log_that_is_being_written_is_audited_as_it_grows_and_once_more_at_its_end() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = log(&folder);
-    let child = watch(&path, &[]);
+    let drawn = ["seen.rrd", "whole.rrd"].map(|name| folder.path().join(name));
+    let [seen, whole] = drawn.each_ref().map(|path| path.to_str().expect("UTF-8"));
+    let child = watch(&path, &["--rrd", seen]);
     write(&path, &bytes(FAULTY), 6);
     let (status, lines) = ended(child);
+    // What a viewer is given last is the recording of the whole log.
+    poseaudit(&["audit", path.to_str().expect("UTF-8"), "--rrd", whole]);
+    assert!(fs::read(seen).expect("a recording") == fs::read(whole).expect("a recording"));
     assert_eq!(status, 1);
     assert!(lines.len() >= 2, "{lines:?}");
     let last = lines.last().expect("a line");
