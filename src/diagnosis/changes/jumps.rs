@@ -89,15 +89,19 @@ fn of_path(t_s: &[f64], poses: &[Pose]) -> Vec<Jump> {
 }
 
 /// The jumps of the joint states by themselves, as where a zero is lost: of each joint from one sample to the
-/// next by more than from those before and to those after.
+/// next by more than from those before and to those after. Over a gap, as between two excerpts, it may have moved.
 pub(super) fn of_joints(joints: &JointTrack) -> Vec<Jump> {
     /// Less is no change that matters, rad or m.
     const LEAST: f64 = 1e-3;
     let rows = joints.len();
+    let gap_s = least_gap_s(&joints.t_s);
     let q = |row: usize, column: usize| joints.q[row * joints.dof + column];
     let of_joint = |column: usize| {
         let step = |row: usize| q(row, column) - q(row - 1, column);
-        let beside = |row: usize| (step(row) - 0.5 * (step(row - 1) + step(row + 1))).abs();
+        let beside = |row: usize| match joints.t_s[row + 1] - joints.t_s[row - 2] > gap_s {
+            true => 0.0,
+            false => (step(row) - 0.5 * (step(row - 1) + step(row + 1))).abs(),
+        };
         let sizes: Vec<f64> = (2..rows.saturating_sub(1)).map(beside).collect();
         of_sizes(&joints.t_s, sizes, LEAST / TIMES)
     };
@@ -123,14 +127,19 @@ fn of_sizes(t_s: &[f64], sizes: Vec<f64>, floor: f64) -> Vec<Jump> {
     sizes.into_iter().enumerate().filter_map(jump).collect()
 }
 
-/// The longest gaps of a stream, in which anything may happen.
-fn gaps(t_s: &[f64]) -> Vec<Jump> {
+/// Stamps further apart have a gap between them, s.
+fn least_gap_s(t_s: &[f64]) -> f64 {
     /// A gap is so many periods, …
     const PERIODS: f64 = 10.0;
     /// … and so long, s.
     const LONG_S: f64 = 0.3;
+    (PERIODS * median_period_s(t_s)).max(LONG_S)
+}
+
+/// The longest gaps of a stream, in which anything may happen.
+fn gaps(t_s: &[f64]) -> Vec<Jump> {
     const FOLLOWED: usize = 3;
-    let least_s = (PERIODS * median_period_s(t_s)).max(LONG_S);
+    let least_s = least_gap_s(t_s);
     let mut gaps: Vec<(f64, f64)> = t_s
         .windows(2)
         .map(|pair| (pair[1] - pair[0], pair[0]))
