@@ -68,9 +68,14 @@ fn verdicts(lines: &[Value]) -> Vec<&str> {
 fn a_log_that_is_being_written_is_audited_as_it_grows_and_once_more_at_its_end() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = log(&folder);
-    let child = watch(&path, &[]);
+    let drawn = ["seen.rrd", "whole.rrd"].map(|name| folder.path().join(name));
+    let [seen, whole] = drawn.each_ref().map(|path| path.to_str().expect("UTF-8"));
+    let child = watch(&path, &["--rrd", seen]);
     write(&path, &bytes(FAULTY), 6);
     let (status, lines) = ended(child);
+    // What a viewer is given last is the recording of the whole log.
+    poseaudit(&["audit", path.to_str().expect("UTF-8"), "--rrd", whole]);
+    assert!(fs::read(seen).expect("a recording") == fs::read(whole).expect("a recording"));
     assert_eq!(status, 1);
     assert!(lines.len() >= 2, "{lines:?}");
     let last = lines.last().expect("a line");
@@ -133,6 +138,22 @@ fn a_log_whose_recorder_died_ends_when_nothing_comes() {
         says.iter().any(|new| new["finding"].as_str().is_some_and(|it| it.starts_with("ING001"))),
         "{last}"
     );
+}
+
+#[test]
+fn until_fail_ends_with_a_log_that_fails_when_another_takes_its_place() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let clean = bytes(CLEAN);
+    write(&log(&folder), &clean[..clean.len() / 2], 1);
+    let child = watch(folder.path(), &["--until", "fail"]);
+    thread::sleep(Duration::from_secs(1));
+    // The recorder was killed, so the first has no end; it begins again with another name.
+    fs::write(folder.path().join("second.mcap"), bytes(FAULTY)).expect("a file");
+    let (status, lines) = ended(child);
+    assert_eq!(status, 1);
+    let last = lines.last().expect("a line");
+    assert_eq!((&last["event"], &last["verdict"]), (&"ended".into(), &"fail".into()), "{lines:?}");
+    assert!(last["log"].as_str().is_some_and(|log| log.ends_with("run.mcap")), "{lines:?}");
 }
 
 #[test]

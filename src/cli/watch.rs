@@ -8,6 +8,7 @@ use std::time::{Duration, SystemTime};
 
 use clap::ValueEnum;
 use poseaudit::log::{HEAD_BYTES, looks_like_log};
+use poseaudit::output::replay::Recording;
 use poseaudit::places::Places;
 use poseaudit::report::Trouble;
 use walkdir::WalkDir;
@@ -29,7 +30,8 @@ const LOOK: Duration = Duration::from_millis(200);
 Examples:
   poseaudit watch run.mcap
   poseaudit watch run.mcap --until fail --robot ur5e
-  poseaudit watch ~/bags --every 5 --format json")]
+  poseaudit watch ~/bags --every 5 --format json
+  poseaudit watch run.mcap --rrd >(rerun -)")]
 pub struct Args {
     /// A log that is being written, or a folder: the log in it that was written to last
     #[arg(value_name = "FOLDER|LOG")]
@@ -50,6 +52,12 @@ pub struct Args {
     #[arg(long, value_name = "S", default_value = "10", value_parser = positive_seconds)]
     idle: f64,
 
+    /// Write a Rerun recording with each line that tells of an audit: a file, or a pipe to a viewer
+    ///
+    /// `--rrd >(rerun -)` of bash or zsh shows each in a running viewer.
+    #[arg(long, value_name = "FILE")]
+    rrd: Option<PathBuf>,
+
     /// How a line is printed: for people, or as an object of JSON
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
@@ -69,36 +77,41 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
         let place = args.path.display().to_string();
         return Err(misuse(place, "no such file or folder", "name it when the recorder has begun"));
     }
-    Places::only_read([args.path.clone()].iter())?;
+    let mut places = Places::default();
+    places.reads_log(&args.path);
+    args.rrd.iter().for_each(|path| places.writes("--rrd", path));
+    places.check()?;
     args.how.find_config(std::slice::from_ref(&args.path))?;
     let (options, _) = args.how.clone().options()?;
     let pace = Pace {
         every: Duration::from_secs_f64(args.every),
         idle: Duration::from_secs_f64(args.idle),
         format: args.format,
+        recording: args.rrd.map(Recording::from),
     };
     let is_folder = args.path.is_dir();
     let ends_with_log = !is_folder || args.until.contains(&Until::End);
+    let until_fail = args.until.contains(&Until::Fail);
+    let is_over = |log: &Current| {
+        (until_fail && log.outcome() == Outcome::Findings) || (ends_with_log && log.has_ended())
+    };
     let mut current: Option<Current> = None;
     loop {
-        if let Some(newest) = newest(&args.path) {
-            match &mut current {
-                Some(current) if *current.path() == newest => {}
-                other => {
-                    if let Some(before) = other {
-                        before.finish()?;
-                        if ends_with_log {
-                            return Ok(before.outcome());
-                        }
-                    }
-                    *other = Some(Current::of(newest, &options, pace));
+        if let Some(newest) = newest(&args.path)
+            && current.as_ref().is_none_or(|current| *current.path() != newest)
+        {
+            // Another log is written to: the one before has ended.
+            if let Some(before) = &mut current {
+                before.finish()?;
+                if is_over(before) {
+                    return Ok(before.outcome());
                 }
             }
+            current = Some(Current::of(newest, &options, pace.clone()));
         }
         if let Some(current) = &mut current {
             current.look()?;
-            let fails = args.until.contains(&Until::Fail) && current.outcome() == Outcome::Findings;
-            if fails || (ends_with_log && current.has_ended()) {
+            if is_over(current) {
                 return Ok(current.outcome());
             }
         }

@@ -7,19 +7,21 @@ use std::time::{Duration, Instant};
 
 use poseaudit::finding::{Finding, Severity};
 use poseaudit::log::{Follow, Growth};
+use poseaudit::output::replay::Recording;
 use poseaudit::report::{Report, Trouble, TroubleKind, Verdict, tame};
-use poseaudit::{Options, audit, audit_read};
+use poseaudit::{Audited, Options, audit, audit_read};
 use serde_json::json;
 
 use super::super::output::Format;
 use super::super::{Outcome, output};
 
-/// How often a log is audited, when it has ended, and how that is said.
-#[derive(Clone, Copy, Debug)]
+/// How often a log is audited, when it has ended, how that is said, and where it is drawn.
+#[derive(Clone, Debug)]
 pub struct Pace {
     pub every: Duration,
     pub idle: Duration,
     pub format: Format,
+    pub recording: Option<Recording>,
 }
 
 /// The log.
@@ -167,9 +169,9 @@ impl Current {
             Reading::Grown(follow) => follow.read(),
             Reading::Unknown | Reading::Whole(_) => 0,
         };
-        let report = self.whole();
+        let audited = self.whole();
         self.has_ended = true;
-        self.say(&report, Some(read))
+        self.tell(audited, Some(read))
     }
 
     fn begin_again(&mut self) -> Result<(), Trouble> {
@@ -200,23 +202,35 @@ impl Current {
         };
         // Nothing to audit before the first message.
         let Some(log) = log else { return Ok(()) };
-        let report = match log {
+        let audited = match log {
             Some(log) => match audit_read(log, &self.options) {
-                Ok(audited) => audited.into_report(),
-                Err(trouble) => Report::of_trouble(called(trouble)?),
+                Err(trouble) => Err(called(trouble)?),
+                audited => audited,
             },
             None => self.whole(),
         };
         (self.audited, self.is_stale) = (Some((Instant::now(), began.elapsed())), false);
-        self.say(&report, None)
+        self.tell(audited, None)
     }
 
     /// The audit of the whole file. One that cannot be read now may be later.
-    fn whole(&mut self) -> Report {
+    fn whole(&mut self) -> Result<Audited, Trouble> {
         self.again += self.size();
-        match audit(&self.options) {
-            Ok(audited) => audited.into_report(),
-            Err(trouble) => Report::of_trouble(trouble),
+        audit(&self.options)
+    }
+
+    /// Says what an audit gives if that is new, and draws it.
+    fn tell(
+        &mut self,
+        audited: Result<Audited, Trouble>,
+        ended: Option<u64>,
+    ) -> Result<(), Trouble> {
+        match audited {
+            Err(trouble) => self.say(&Report::of_trouble(trouble), ended).map(drop),
+            Ok(mut audited) => match (self.say(&audited.report, ended)?, &self.pace.recording) {
+                (true, Some(recording)) => audited.record(recording),
+                _ => Ok(()),
+            },
         }
     }
 
@@ -225,19 +239,20 @@ impl Current {
     }
 
     /// Prints a line if the verdict or what is found changed, or where the log has ended after so many bytes that
-    /// were read as they came.
-    fn say(&mut self, report: &Report, ended: Option<u64>) -> Result<(), Trouble> {
+    /// were read as they came; whether it did.
+    fn say(&mut self, report: &Report, ended: Option<u64>) -> Result<bool, Trouble> {
         self.outcome = Outcome::from(report);
         let said = Said::of(report);
         if said == self.said_before(&said) && ended.is_none() {
-            return Ok(());
+            return Ok(false);
         }
         let before = std::mem::replace(&mut self.said, said);
         let line = Line { current: self, before: &before, report, ended };
         output::emit(None, |out| match self.pace.format {
             Format::Text => writeln!(out, "{}", tame(&line.text())),
             Format::Json => writeln!(out, "{}", line.json()),
-        })
+        })?;
+        Ok(true)
     }
 
     /// What was said last, with the amounts that are known now: that these become surer is no change.
