@@ -251,3 +251,40 @@ fn commands_beside_named_joints_are_told_by_their_numbers() {
     assert!(message.contains("q2, q3 moves") || message.contains("q3, q2 moves"), "{message}");
     assert!(!causes(&swapped).contains(&"LAT004"));
 }
+
+#[test]
+fn a_pose_that_the_config_names_is_one_where_the_motion_does_not_tell() {
+    const NAMES: &str = "timestamp,shoulder_pan_joint,shoulder_lift_joint,elbow_joint,wrist_1_joint,wrist_2_joint,\
+                         wrist_3_joint,x1,y1,z1,phix1,phiy1,phiz1";
+    let folder = tempfile::tempdir().expect("a folder");
+    // Postures of a calibration, a second apart: no speed is to be seen.
+    let all = Table { rpy: true, ..CLEAN }.rows();
+    let posture = |at: usize| [&[0.9 * at as f64], &all[(at * 389) % all.len()][1..]].concat();
+    let postures: Vec<Vec<f64>> = (0..25).map(posture).collect();
+    let names: Vec<&str> = NAMES.split(',').collect();
+    let path = csv(folder.path(), &postures, Some(&names));
+    let of = |text: &str| {
+        let config = Config::from_text(text.to_owned(), Path::new("p.toml")).expect("a config");
+        let mut options = Options { logs: vec![path.clone()], ..config.options() };
+        options.run.robots = vec!["ur5e".into()];
+        audit(&options).expect("a report").into_report()
+    };
+    let role = |report: &Report, topic: &str| {
+        let own = report.streams.iter().find(|stream| stream.topic == topic);
+        own.map(|stream| stream.role).expect("listed")
+    };
+    let open = of("");
+    assert_eq!(role(&open, "1"), "unassigned");
+    let note = &open.log.notes.iter().find(|row| row.note.contains("does not tell"));
+    assert!(note.is_some_and(|row| row.note.contains("[stream.\"1\"]")), "{:?}", open.log.notes);
+    for said in [
+        "[columns]\npose = [\"x1\", \"y1\", \"z1\", \"phix1\", \"phiy1\", \"phiz1\"]",
+        "[stream.\"1\"]\nrole = \"pose\"",
+    ] {
+        let told = of(said);
+        assert_eq!(role(&told, if said.starts_with("[columns]") { "pose" } else { "1" }), "pose");
+        let reading = told.findings.iter().find(|one| one.code == "ORD001").expect("a reading");
+        assert!(reading.message.contains("euler:xyz"), "{}", reading.message);
+        assert!(!told.log.notes.iter().any(|row| row.note.contains("does not tell")));
+    }
+}

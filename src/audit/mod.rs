@@ -182,6 +182,15 @@ fn report(parts: &[Part], main: usize, mut read: Read, options: &Options) -> Rep
             seconds / count.max(1) as f64
         ));
     }
+    if main.run.arms.iter().all(|arm| arm.poses.is_empty()) {
+        for &stream in &main.run.undecided {
+            let topic = &main.run.streams[stream].topic;
+            read.note(&format!(
+                "'{topic}' may be the tool's pose, and the motion does not tell: [stream.\"{topic}\"] with role = \
+                 \"pose\" in poseaudit.toml says that it is"
+            ));
+        }
+    }
     let evaluation = match parts {
         [only] => only.evaluation.clone(),
         segments => {

@@ -148,6 +148,14 @@ pub(super) struct ArmColumns {
 }
 
 impl Columns {
+    /// The topics that columns are said to be a pose of, with the key that says it.
+    pub fn poses(&self) -> Vec<(String, String)> {
+        let own = (!self.pose.0.is_empty()).then(|| ("pose".to_owned(), "columns.pose".to_owned()));
+        let arms = self.arm.iter().filter(|(_, arm)| !arm.pose.0.is_empty());
+        let of_arm = |(name, _)| (format!("{name}/pose"), format!("columns.arm.{name}.pose"));
+        own.into_iter().chain(arms.map(of_arm)).collect()
+    }
+
     pub fn settings(&self) -> ColumnSettings {
         let of_arm = |(name, arm): (&String, &ArmColumns)| {
             let settings = ColumnSettings {

@@ -22,7 +22,7 @@ use crate::log::ReadOptions;
 use crate::report::Trouble;
 use crate::robot::catalogue;
 use crate::run::{
-    CalibrationSource, Declaration, JointName, RobotSource, RunOptions, TopicSettings,
+    CalibrationSource, Declaration, JointName, RobotSource, RunOptions, SaidRole, TopicSettings,
 };
 
 use self::file::{ByPrefix, File, Ignore, Stream};
@@ -202,8 +202,24 @@ impl Config {
                 link: said.link.clone(),
                 rate_hz: said.rate_hz.map(|rate| rate.0),
                 vendor: said.vendor.as_ref().map(|vendor| vendor.0.said()),
+                of_columns: false,
             };
-        streams.map(topic).collect()
+        let mut topics: Vec<TopicSettings> = streams.map(topic).collect();
+        // Columns that are said to be a pose are one, whether the arm is seen to follow them or not.
+        for (topic, key) in self.file.columns.poses() {
+            let columns = TopicSettings {
+                topic,
+                place: format!("`{key}` in {}", self.path.display()),
+                role: Some(SaidRole::Pose),
+                of_columns: true,
+                ..TopicSettings::default()
+            };
+            match topics.iter_mut().find(|said| said.is_of(&columns.topic)) {
+                Some(said) => said.role = said.role.or(columns.role),
+                None => topics.push(columns),
+            }
+        }
+        topics
     }
 
     fn exemptions(&self) -> Vec<Exemption> {

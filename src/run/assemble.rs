@@ -154,6 +154,7 @@ impl Run {
             norms,
             contests,
             unaudited,
+            undecided: Vec::new(),
             frozen: stalled::times(&sift.stalled).chain(frozen).collect(),
             alternations: Vec::new(),
             sift,

@@ -181,6 +181,8 @@ pub struct Run {
     pub contests: Vec<Contest>,
     /// The streams that are not audited, or not as what they say they are.
     pub unaudited: Vec<Unaudited>,
+    /// The streams that may be tool poses, of which the motion does not tell.
+    pub undecided: Vec<usize>,
     /// What the estimators do not see: stray samples, second publishers, repeats.
     pub sift: Sift,
     /// When streams of poses stood still and their arm did not, and joint states on their way; the
@@ -283,6 +285,9 @@ impl Run {
         };
         settled.role = if is_pose { Role::Pose } else { Role::Unassigned };
         settled.reason = format!("{}; {verdict}", settled.reason);
+        if peak.is_none() && !is_pose {
+            self.undecided.push(stream);
+        }
         if is_pose {
             self.targets.retain(|target| target.stream != stream);
             self.references.retain(|reference| reference.stream != stream);

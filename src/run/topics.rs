@@ -32,6 +32,8 @@ pub struct TopicSettings {
     pub rate_hz: Option<f64>,
     /// What its numbers are by whom the caller says it is from, for the stream's reason.
     pub vendor: Option<String>,
+    /// Whether it is made of columns of a table: a log that is none has no such topic.
+    pub of_columns: bool,
 }
 
 impl TopicSettings {
@@ -43,7 +45,7 @@ impl TopicSettings {
     /// Whether the log should hold the topic.
     pub fn is_expected(&self) -> bool {
         let plays = |role| !matches!(role, SaidRole::Ignored | SaidRole::Reference);
-        self.role.map_or(self.rate_hz.is_some(), plays)
+        !self.of_columns && self.role.map_or(self.rate_hz.is_some(), plays)
     }
 
     fn refused(&self, what: String, remedy: &'static str) -> RunError {
