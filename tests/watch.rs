@@ -27,14 +27,14 @@ fn bytes(fixture: &str) -> Vec<u8> {
 
 /// Begins to watch.
 fn watch(path: &Path, options: &[&str]) -> Child {
-    Command::new(env!("CARGO_BIN_EXE_poseaudit"))
-        .arg("watch")
-        .arg(path)
-        .args(["--every", "0.05", "--format", "json"])
-        .args(options)
-        .stdout(Stdio::piped())
-        .spawn()
-        .expect("the binary runs")
+    call(path, options).spawn().expect("the binary runs")
+}
+
+fn call(path: &Path, options: &[&str]) -> Command {
+    let mut call = Command::new(env!("CARGO_BIN_EXE_poseaudit"));
+    call.arg("watch").arg(path).args(["--every", "0.05", "--format", "json"]).args(options);
+    call.stdout(Stdio::piped());
+    call
 }
 
 /// Its exit status, and the lines that it printed.
@@ -91,6 +91,61 @@ fn a_log_that_is_being_written_is_audited_as_it_grows_and_once_more_at_its_end()
         told.iter().any(|new| new["finding"].as_str().is_some_and(|it| it.starts_with(code)))
     };
     assert!(is_told("LAT001") && is_told("ZER001"), "{told:?}");
+}
+
+/// A watch to which this script is the viewer, of a log that is written in six pieces.
+#[cfg(unix)]
+fn shown(folder: &tempfile::TempDir, script: &str) -> (i32, Vec<Value>, String) {
+    use std::os::unix::fs::PermissionsExt;
+    let viewer = folder.path().join("rerun");
+    fs::write(&viewer, format!("#!/bin/sh\n{script}\n")).expect("a script");
+    fs::set_permissions(&viewer, fs::Permissions::from_mode(0o755)).expect("a program");
+    let path = log(folder);
+    let mut call = call(&path, &["--rrd-connect", "9911"]);
+    let mut child =
+        call.env("PATH", folder.path()).stderr(Stdio::piped()).spawn().expect("the binary runs");
+    let mut stderr = child.stderr.take().expect("a pipe");
+    write(&path, &bytes(FAULTY), 6);
+    let (status, lines) = ended(child);
+    let mut said = String::new();
+    stderr.read_to_string(&mut said).expect("UTF-8");
+    (status, lines, said)
+}
+
+#[cfg(unix)]
+#[test]
+fn a_viewer_is_given_the_recordings_as_they_are_made() {
+    let folder = tempfile::tempdir().expect("a folder");
+    // The name is in place when it is whole.
+    let seen = folder.path().join("seen");
+    let script = format!(
+        "/bin/cat > {0}.part; echo \"$*\" > {0}.call; /bin/mv {0}.part {0}",
+        seen.display()
+    );
+    let (status, lines, said) = shown(&folder, &script);
+    assert_eq!((status, said.as_str()), (1, ""));
+    let patience = (0..500).map(|_| thread::sleep(Duration::from_millis(20)));
+    let given = patience.map(|()| fs::read(&seen)).find_map(Result::ok).expect("recordings");
+    let call = fs::read_to_string(seen.with_extension("call")).expect("a call");
+    assert_eq!(call.trim_end(), "--port 9911 -");
+    // One behind the other, the last of them that of the whole log.
+    let last = folder.path().join("last.rrd").display().to_string();
+    let path = folder.path().join("run.mcap").display().to_string();
+    poseaudit(&["audit", &path, "--rrd", &last]);
+    assert!(given.ends_with(&fs::read(last).expect("a recording")));
+    let begun = given.windows(4).filter(|four| four == b"RRF2").count();
+    assert!(begun >= 2 && begun <= lines.len(), "{begun} recordings, {lines:?}");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_viewer_that_is_closed_is_said_once_and_ends_no_watch() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (status, lines, said) = shown(&folder, "exit 0");
+    assert_eq!(status, 1, "{lines:?}");
+    assert_eq!(lines.last().map(|line| &line["event"]), Some(&"ended".into()));
+    assert!(said.contains("viewer at port 9911: takes no more recordings"), "{said}");
+    assert_eq!(said.lines().count(), 1, "{said}");
 }
 
 #[test]

@@ -166,7 +166,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     meshes_can_be_drawn(&args)?;
     // Before the config is read, so that no report on what is wrong with it takes the place of a file.
     asked(&args, args.how.named())?;
-    let viewer = args.view.then(view::viewer).transpose()?;
+    let viewer = args.view.then(|| view::viewer(view::OPTION)).transpose()?;
     if viewer.is_some() && args.rrd.is_none() {
         args.rrd = Some(view::place()?);
     }

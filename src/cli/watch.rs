@@ -1,6 +1,7 @@
 //! `poseaudit watch`.
 
 mod current;
+mod screen;
 
 use std::path::{Path, PathBuf};
 use std::thread;
@@ -8,12 +9,12 @@ use std::time::{Duration, SystemTime};
 
 use clap::ValueEnum;
 use poseaudit::log::{HEAD_BYTES, looks_like_log};
-use poseaudit::output::replay::Recording;
 use poseaudit::places::Places;
 use poseaudit::report::Trouble;
 use walkdir::WalkDir;
 
 use self::current::{Current, Pace};
+use self::screen::Screen;
 use super::how::{How, positive_seconds};
 use super::output::Format;
 use super::{Outcome, misuse};
@@ -31,7 +32,7 @@ Examples:
   poseaudit watch run.mcap
   poseaudit watch run.mcap --until fail --robot ur5e
   poseaudit watch ~/bags --every 5 --format json
-  poseaudit watch run.mcap --rrd >(rerun -)")]
+  poseaudit watch run.mcap --rrd-connect")]
 pub struct Args {
     /// A log that is being written, or a folder: the log in it that was written to last
     #[arg(value_name = "FOLDER|LOG")]
@@ -52,11 +53,13 @@ pub struct Args {
     #[arg(long, value_name = "S", default_value = "10", value_parser = positive_seconds)]
     idle: f64,
 
-    /// Write a Rerun recording with each line that tells of an audit: a file, or a pipe to a viewer
-    ///
-    /// `--rrd >(rerun -)` of bash or zsh shows each in a running viewer.
+    /// Write a Rerun recording with each line that tells of an audit
     #[arg(long, value_name = "FILE")]
     rrd: Option<PathBuf>,
+
+    /// Show these recordings in the Rerun viewer that listens at a port of this machine, or in a new one
+    #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "9876", conflicts_with = "rrd")]
+    rrd_connect: Option<u16>,
 
     /// How a line is printed: for people, or as an object of JSON
     #[arg(long, value_enum, default_value_t = Format::Text)]
@@ -87,8 +90,8 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
         every: Duration::from_secs_f64(args.every),
         idle: Duration::from_secs_f64(args.idle),
         format: args.format,
-        recording: args.rrd.map(Recording::from),
     };
+    let mut screen = Screen::of(args.rrd, args.rrd_connect)?;
     let is_folder = args.path.is_dir();
     let ends_with_log = !is_folder || args.until.contains(&Until::End);
     let until_fail = args.until.contains(&Until::Fail);
@@ -102,15 +105,15 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
         {
             // Another log is written to: the one before has ended.
             if let Some(before) = &mut current {
-                before.finish()?;
+                before.finish(&mut screen)?;
                 if is_over(before) {
                     return Ok(before.outcome());
                 }
             }
-            current = Some(Current::of(newest, &options, pace.clone()));
+            current = Some(Current::of(newest, &options, pace));
         }
         if let Some(current) = &mut current {
-            current.look()?;
+            current.look(&mut screen)?;
             if is_over(current) {
                 return Ok(current.outcome());
             }

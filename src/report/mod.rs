@@ -289,6 +289,11 @@ impl Report {
         self.fail_on.is_some_and(|least| severity >= least)
     }
 
+    /// The codes of the rules that leave a verdict INCONCLUSIVE.
+    pub fn undecided(&self) -> Vec<&'static str> {
+        undecided(&self.checks).map(|rule| rule.code).collect()
+    }
+
     /// The file that what kept the audit from saying more is shown at: the first of the log, else the
     /// one that could not be read.
     fn file_in_trouble(&self) -> Option<&Path> {

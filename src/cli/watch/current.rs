@@ -7,21 +7,20 @@ use std::time::{Duration, Instant};
 
 use poseaudit::finding::{Finding, Severity};
 use poseaudit::log::{Follow, Growth};
-use poseaudit::output::replay::Recording;
 use poseaudit::report::{Report, Trouble, TroubleKind, Verdict, tame};
 use poseaudit::{Audited, Options, audit, audit_read};
 use serde_json::json;
 
 use super::super::output::Format;
 use super::super::{Outcome, output};
+use super::screen::Screen;
 
-/// How often a log is audited, when it has ended, how that is said, and where it is drawn.
-#[derive(Clone, Debug)]
+/// How often a log is audited, when it has ended, and how that is said.
+#[derive(Clone, Copy, Debug)]
 pub struct Pace {
     pub every: Duration,
     pub idle: Duration,
     pub format: Format,
-    pub recording: Option<Recording>,
 }
 
 /// The log.
@@ -36,7 +35,9 @@ pub struct Current {
     audited: Option<(Instant, Duration)>,
     is_stale: bool,
     said: Said,
-    /// Bytes that were read more than once.
+    /// Bytes that were read as they came, …
+    came: u64,
+    /// … and those that were read again.
     again: u64,
     outcome: Outcome,
     has_ended: bool,
@@ -65,18 +66,10 @@ impl Said {
     fn of(report: &Report) -> Self {
         let verdict = match &report.error {
             Some(trouble) => format!("NO AUDIT ({})", trouble.what),
-            None => word(report.verdict).to_owned(),
+            None => report.verdict.to_string(),
         };
         let told = report.findings.iter().filter(|finding| finding.severity >= Severity::Warning);
         Self { verdict, findings: told.map(entry).collect() }
-    }
-}
-
-fn word(verdict: Verdict) -> &'static str {
-    match verdict {
-        Verdict::Pass => "PASS",
-        Verdict::Fail => "FAIL",
-        Verdict::Inconclusive => "INCONCLUSIVE",
     }
 }
 
@@ -101,6 +94,7 @@ impl Current {
             audited: None,
             is_stale: false,
             said: Said::default(),
+            came: 0,
             again: 0,
             outcome: Outcome::Clean,
             has_ended: false,
@@ -120,7 +114,7 @@ impl Current {
     }
 
     /// Reads what was written since, and audits it if it is time to.
-    pub fn look(&mut self) -> Result<(), Trouble> {
+    pub fn look(&mut self, screen: &mut Screen) -> Result<(), Trouble> {
         if matches!(self.reading, Reading::Unknown) && self.size() > 0 {
             self.reading = match Follow::can(&self.path) {
                 true => Reading::Grown(Box::new(Follow::of(&self.path, &self.options.read))),
@@ -131,7 +125,11 @@ impl Current {
         let growth = match &mut self.reading {
             Reading::Unknown => Growth::None,
             // A file that is not there for a moment is being replaced.
-            Reading::Grown(follow) => follow.advance().unwrap_or(Growth::None),
+            Reading::Grown(follow) => {
+                let growth = follow.advance().unwrap_or(Growth::None);
+                self.came = follow.read();
+                growth
+            }
             Reading::Whole(before) if *before == size => Growth::None,
             Reading::Whole(before) => {
                 let is_shorter = size < *before;
@@ -147,36 +145,33 @@ impl Current {
             }
             Growth::BegunAgain => self.begin_again()?,
             Growth::Ended if self.has_ended => {}
-            Growth::Ended if is_closed(&self.path) => return self.finish(),
+            Growth::Ended if is_closed(&self.path) => return self.finish(screen),
             // It is damaged, or its end is just being written.
             Growth::Ended => self.reading = Reading::Whole(0),
         }
         if self.written.elapsed() >= self.pace.idle && !self.has_ended && self.size() > 0 {
-            return self.finish();
+            return self.finish(screen);
         }
         // A long log is not audited all the time.
         let is_time =
             self.audited.is_none_or(|(at, took)| at.elapsed() >= self.pace.every.max(2 * took));
-        if self.is_stale && is_time { self.audit() } else { Ok(()) }
+        if self.is_stale && is_time { self.audit(screen) } else { Ok(()) }
     }
 
     /// Audits the whole of a log that has ended, as `poseaudit audit` does.
-    pub fn finish(&mut self) -> Result<(), Trouble> {
+    pub fn finish(&mut self, screen: &mut Screen) -> Result<(), Trouble> {
         if self.has_ended || self.size() == 0 {
             return Ok(());
         }
-        let read = match &self.reading {
-            Reading::Grown(follow) => follow.read(),
-            Reading::Unknown | Reading::Whole(_) => 0,
-        };
         let audited = self.whole();
         self.has_ended = true;
-        self.tell(audited, Some(read))
+        self.tell(audited, screen)
     }
 
     fn begin_again(&mut self) -> Result<(), Trouble> {
         (self.written, self.is_stale, self.audited) = (Instant::now(), false, None);
-        (self.said, self.has_ended, self.again) = (Said::default(), false, 0);
+        (self.said, self.has_ended) = (Said::default(), false);
+        (self.came, self.again) = (0, 0);
         self.reading = Reading::Unknown;
         let path = self.path.display().to_string();
         output::emit(None, |out| match self.pace.format {
@@ -194,7 +189,7 @@ impl Current {
     }
 
     /// Audits what is there.
-    fn audit(&mut self) -> Result<(), Trouble> {
+    fn audit(&mut self, screen: &mut Screen) -> Result<(), Trouble> {
         let began = Instant::now();
         let log = match &self.reading {
             Reading::Grown(follow) => follow.log().map(Some),
@@ -210,7 +205,7 @@ impl Current {
             None => self.whole(),
         };
         (self.audited, self.is_stale) = (Some((Instant::now(), began.elapsed())), false);
-        self.tell(audited, None)
+        self.tell(audited, screen)
     }
 
     /// The audit of the whole file. One that cannot be read now may be later.
@@ -223,13 +218,13 @@ impl Current {
     fn tell(
         &mut self,
         audited: Result<Audited, Trouble>,
-        ended: Option<u64>,
+        screen: &mut Screen,
     ) -> Result<(), Trouble> {
         match audited {
-            Err(trouble) => self.say(&Report::of_trouble(trouble), ended).map(drop),
-            Ok(mut audited) => match (self.say(&audited.report, ended)?, &self.pace.recording) {
-                (true, Some(recording)) => audited.record(recording),
-                _ => Ok(()),
+            Err(trouble) => self.say(&Report::of_trouble(trouble)).map(drop),
+            Ok(mut audited) => match self.say(&audited.report)? {
+                true => screen.draw(&mut audited),
+                false => Ok(()),
             },
         }
     }
@@ -238,16 +233,15 @@ impl Current {
         fs::metadata(&self.path).map_or(0, |metadata| metadata.len())
     }
 
-    /// Prints a line if the verdict or what is found changed, or where the log has ended after so many bytes that
-    /// were read as they came; whether it did.
-    fn say(&mut self, report: &Report, ended: Option<u64>) -> Result<bool, Trouble> {
+    /// Prints a line if the verdict or what is found changed, or where the log has ended; whether it did.
+    fn say(&mut self, report: &Report) -> Result<bool, Trouble> {
         self.outcome = Outcome::from(report);
         let said = Said::of(report);
-        if said == self.said_before(&said) && ended.is_none() {
+        if said == self.said_before(&said) && !self.has_ended {
             return Ok(false);
         }
         let before = std::mem::replace(&mut self.said, said);
-        let line = Line { current: self, before: &before, report, ended };
+        let line = Line { current: self, before: &before, report };
         output::emit(None, |out| match self.pace.format {
             Format::Text => writeln!(out, "{}", tame(&line.text())),
             Format::Json => writeln!(out, "{}", line.json()),
@@ -295,7 +289,6 @@ struct Line<'a> {
     current: &'a Current,
     before: &'a Said,
     report: &'a Report,
-    ended: Option<u64>,
 }
 
 impl Line<'_> {
@@ -311,16 +304,26 @@ impl Line<'_> {
         self.before.findings.keys().filter(|key| !self.now().findings.contains_key(*key))
     }
 
+    /// The rules that keep the verdict open.
+    fn undecided(&self) -> Vec<&'static str> {
+        let is_open = self.report.verdict == Verdict::Inconclusive;
+        if is_open { self.report.undecided() } else { Vec::new() }
+    }
+
     fn text(&self) -> String {
         let seconds = self.report.log.duration_s.unwrap_or(0.0);
         let mut line = format!("{}  +{seconds:.1} s  ", self.current.path.display());
-        if self.ended.is_some() {
+        if self.current.has_ended {
             line += "ended  ";
         }
         if !self.before.verdict.is_empty() && self.before.verdict != self.now().verdict {
             line += &format!("{} → ", self.before.verdict);
         }
         line += &self.now().verdict;
+        let undecided = self.undecided();
+        if !undecided.is_empty() {
+            line += &format!(" (not decided: {})", undecided.join(", "));
+        }
         for (key, text) in self.found() {
             let (severity, message) = text.split_once(' ').unwrap_or((text, ""));
             line += &format!("; new {severity} {key}: {message}");
@@ -328,8 +331,9 @@ impl Line<'_> {
         for key in self.gone() {
             line += &format!("; no longer {key}");
         }
-        if let Some(read) = self.ended {
-            line += &format!("; {read} bytes read as they came, {} read again", self.current.again);
+        let Current { came, again, .. } = self.current;
+        if self.current.has_ended {
+            line += &format!("; {came} bytes read as they came, {again} read again");
         }
         line
     }
@@ -338,13 +342,14 @@ impl Line<'_> {
         json!({
             "schema": "poseaudit.watch/1",
             "log": self.current.path,
-            "event": if self.ended.is_some() { "ended" } else { "changed" },
+            "event": if self.current.has_ended { "ended" } else { "changed" },
             "duration_s": self.report.log.duration_s,
             "verdict": self.report.verdict,
+            "undecided": self.undecided(),
             "error": self.report.error.as_ref().map(|trouble| &trouble.what),
             "new": self.found().map(|(key, text)| json!({ "finding": key, "says": text })).collect::<Vec<_>>(),
             "gone": self.gone().collect::<Vec<_>>(),
-            "read_bytes": self.ended,
+            "read_bytes": self.current.has_ended.then_some(self.current.came),
             "read_again_bytes": self.current.again,
         })
     }
