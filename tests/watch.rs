@@ -166,6 +166,24 @@ fn a_log_that_is_killed_and_begun_again_is_audited_anew() {
 }
 
 #[test]
+fn a_log_without_an_end_yet_is_no_damaged_one() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = log(&folder);
+    let child = watch(&path, &[]);
+    // Its data are whole: it is not known as one that grows, but its end is not there.
+    let clean = bytes(CLEAN);
+    let (most, end) = clean.split_at(clean.len() - mcap::MAGIC.len());
+    write(&path, most, 2);
+    thread::sleep(Duration::from_secs(1));
+    write(&path, end, 1);
+    let (status, lines) = ended(child);
+    assert_eq!(status, 0, "{lines:?}");
+    assert!(lines.iter().all(|line| line["new"] == Value::Array(Vec::new())), "{lines:?}");
+    let again = lines.last().and_then(|line| line["read_again_bytes"].as_u64());
+    assert!(again.is_some_and(|again| again > clean.len() as u64), "{lines:?}");
+}
+
+#[test]
 fn until_fail_ends_before_the_log_does() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = log(&folder);

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use poseaudit::finding::{Finding, Severity};
-use poseaudit::log::{Follow, Growth};
+use poseaudit::log::{self, Extent, Follow, Growth, Log};
 use poseaudit::report::{Report, Trouble, TroubleKind, Verdict, tame};
 use poseaudit::{Audited, Options, audit, audit_read};
 use serde_json::json;
@@ -58,8 +58,8 @@ enum Reading {
 struct Said {
     /// The verdict, or why there is none.
     verdict: String,
-    /// What was found, by rule and subject.
-    findings: BTreeMap<String, String>,
+    /// How grave what was found is, by rule and subject.
+    findings: BTreeMap<String, Severity>,
 }
 
 impl Said {
@@ -68,18 +68,21 @@ impl Said {
             Some(trouble) => format!("NO AUDIT ({})", trouble.what),
             None => report.verdict.to_string(),
         };
-        let told = report.findings.iter().filter(|finding| finding.severity >= Severity::Warning);
-        Self { verdict, findings: told.map(entry).collect() }
+        Self { verdict, findings: told(report).map(|it| (name(it), it.severity)).collect() }
     }
 }
 
-/// A finding by its rule and subject, and what it says.
-fn entry(finding: &Finding) -> (String, String) {
+/// The findings that are told.
+fn told(report: &Report) -> impl Iterator<Item = &Finding> {
+    report.findings.iter().filter(|finding| finding.severity >= Severity::Warning)
+}
+
+/// The rule and subject of a finding.
+fn name(finding: &Finding) -> String {
     let subject = &finding.subject;
-    let whom = [&subject.robot, &subject.topic, &subject.joint, &subject.frame];
-    let whom: Vec<&str> = whom.into_iter().skip(1).filter_map(Option::as_deref).collect();
-    let key = format!("{} {}", finding.code, whom.join(" ")).trim_end().to_owned();
-    (key, format!("{} {}", finding.severity.name(), finding.message))
+    let whom = [&subject.topic, &subject.joint, &subject.frame].into_iter();
+    let whom: Vec<&str> = whom.filter_map(Option::as_deref).collect();
+    format!("{} {}", finding.code, whom.join(" ")).trim_end().to_owned()
 }
 
 impl Current {
@@ -192,23 +195,30 @@ impl Current {
     fn audit(&mut self, screen: &mut Screen) -> Result<(), Trouble> {
         let began = Instant::now();
         let log = match &self.reading {
-            Reading::Grown(follow) => follow.log().map(Some),
-            _ => Some(None),
-        };
-        // Nothing to audit before the first message.
-        let Some(log) = log else { return Ok(()) };
-        let audited = match log {
-            Some(log) => match audit_read(log, &self.options) {
-                Err(trouble) => Err(called(trouble)?),
-                audited => audited,
+            Reading::Grown(follow) => match follow.log() {
+                Some(log) => Ok(log),
+                // Nothing to audit before the first message.
+                None => return Ok(()),
             },
-            None => self.whole(),
+            _ => self.so_far(),
+        };
+        let audited = match log.and_then(|log| audit_read(log, &self.options)) {
+            Err(trouble) => Err(called(trouble)?),
+            audited => audited,
         };
         (self.audited, self.is_stale) = (Some((Instant::now(), began.elapsed())), false);
         self.tell(audited, screen)
     }
 
-    /// The audit of the whole file. One that cannot be read now may be later.
+    /// What can be read of the whole file. That it has no end yet is no damage.
+    fn so_far(&mut self) -> Result<Log, Trouble> {
+        self.again += self.size();
+        let mut log = log::open(&self.options.logs, &self.options.read)?;
+        log.losses.retain(|loss| !matches!(loss.extent, Extent::Tail | Extent::Index));
+        Ok(log)
+    }
+
+    /// The audit of the whole file.
     fn whole(&mut self) -> Result<Audited, Trouble> {
         self.again += self.size();
         audit(&self.options)
@@ -237,7 +247,7 @@ impl Current {
     fn say(&mut self, report: &Report) -> Result<bool, Trouble> {
         self.outcome = Outcome::from(report);
         let said = Said::of(report);
-        if said == self.said_before(&said) && !self.has_ended {
+        if said == self.said && !self.has_ended {
             return Ok(false);
         }
         let before = std::mem::replace(&mut self.said, said);
@@ -247,20 +257,6 @@ impl Current {
             Format::Json => writeln!(out, "{}", line.json()),
         })?;
         Ok(true)
-    }
-
-    /// What was said last, with the amounts that are known now: that these become surer is no change.
-    fn said_before(&self, now: &Said) -> Said {
-        let known = |(key, old): (&String, &String)| {
-            let text = now.findings.get(key).unwrap_or(old);
-            let severity = |text: &str| text.split(' ').next().map(str::to_owned);
-            let kept = if severity(text) == severity(old) { text } else { old };
-            (key.clone(), kept.clone())
-        };
-        Said {
-            verdict: self.said.verdict.clone(),
-            findings: self.said.findings.iter().map(known).collect(),
-        }
     }
 }
 
@@ -296,8 +292,10 @@ impl Line<'_> {
         &self.current.said
     }
 
-    fn found(&self) -> impl Iterator<Item = (&String, &String)> {
-        self.now().findings.iter().filter(|(key, _)| !self.before.findings.contains_key(*key))
+    /// What is new, or graver or less grave than before: its name, and what it says.
+    fn found(&self) -> impl Iterator<Item = (String, &Finding)> {
+        let named = told(self.report).map(|finding| (name(finding), finding));
+        named.filter(|(name, now)| self.before.findings.get(name) != Some(&now.severity))
     }
 
     fn gone(&self) -> impl Iterator<Item = &String> {
@@ -324,9 +322,8 @@ impl Line<'_> {
         if !undecided.is_empty() {
             line += &format!(" (not decided: {})", undecided.join(", "));
         }
-        for (key, text) in self.found() {
-            let (severity, message) = text.split_once(' ').unwrap_or((text, ""));
-            line += &format!("; new {severity} {key}: {message}");
+        for (name, Finding { severity, message, .. }) in self.found() {
+            line += &format!("; new {} {name}: {message}", severity.name());
         }
         for key in self.gone() {
             line += &format!("; no longer {key}");
@@ -339,6 +336,7 @@ impl Line<'_> {
     }
 
     fn json(&self) -> serde_json::Value {
+        let new = |(name, Finding { severity, message, .. }): (String, &Finding)| json!({ "finding": name, "says": format!("{} {message}", severity.name()) });
         json!({
             "schema": "poseaudit.watch/1",
             "log": self.current.path,
@@ -347,7 +345,7 @@ impl Line<'_> {
             "verdict": self.report.verdict,
             "undecided": self.undecided(),
             "error": self.report.error.as_ref().map(|trouble| &trouble.what),
-            "new": self.found().map(|(key, text)| json!({ "finding": key, "says": text })).collect::<Vec<_>>(),
+            "new": self.found().map(new).collect::<Vec<_>>(),
             "gone": self.gone().collect::<Vec<_>>(),
             "read_bytes": self.current.has_ended.then_some(self.current.came),
             "read_again_bytes": self.current.again,
