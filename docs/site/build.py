@@ -103,6 +103,16 @@ def configure(folder: Path, pages: Path, has_audit: bool) -> None:
     (folder / "mkdocs.yml").write_text(config, encoding="utf-8")
 
 
+def stage_audit(built: Path, folder: Path) -> None:
+    """The audit in the browser, whose title leads back to the site."""
+    shutil.copytree(built, folder)
+    page, title = folder / "index.html", "<h1>poseaudit</h1>"
+    text = page.read_text(encoding="utf-8")
+    if title not in text:
+        sys.exit(f"{built}/index.html has no {title}, which leads to the site")
+    page.write_text(text.replace(title, '<h1><a href="../index.html">poseaudit</a></h1>'), encoding="utf-8")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("program", type=Path, metavar="POSEAUDIT")
@@ -118,7 +128,7 @@ def main() -> None:
         write_reports(given.program.resolve(), pages)
         has_audit = given.audit is not None and (given.audit / "index.html").is_file()
         if has_audit:
-            shutil.copytree(given.audit, pages / "audit")
+            stage_audit(given.audit, pages / "audit")
         configure(folder, pages, has_audit)
         build = [sys.executable, "-m", "mkdocs", "build", "--strict", "--config-file"]
         quiet = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}

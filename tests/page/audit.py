@@ -10,6 +10,7 @@ Needs Playwright, and Chromium as tests/browser/html.py says. The page must ask 
 loaded, raise no error, and give the program's reports: every word, and numbers to rounding.
 """
 
+import base64
 import json
 import math
 import os
@@ -177,6 +178,41 @@ def report_is_live(page: Page) -> None:
     assert frame.locator(".verdict").inner_text().startswith("FAIL"), frame.locator(".verdict").inner_text()
 
 
+def dropped(page: Page) -> None:
+    """A log that is dropped is audited at once, its progress is shown, and Stop ends it."""
+    page.click("#clear")
+    page.evaluate(
+        """() => {
+            window.steps = [];
+            const step = () => steps.push(document.getElementById("doing").textContent.split(",")[0]);
+            new MutationObserver(step).observe(document.getElementById("doing"), { childList: true });
+        }"""
+    )
+    content = base64.b64encode((FIXTURES / "faulty.mcap").read_bytes()).decode()
+    drop = page.evaluate_handle(
+        """(content) => {
+            const transfer = new DataTransfer();
+            transfer.items.add(new File([Uint8Array.from(atob(content), (it) => it.charCodeAt(0))], "dropped.mcap"));
+            return transfer;
+        }""",
+        content,
+    )
+    page.dispatch_event("body", "drop", {"dataTransfer": drop})
+    page.locator("#course").wait_for(state="visible", timeout=PATIENCE_MS)
+    page.locator("#said:not(:empty)").wait_for(timeout=PATIENCE_MS)
+    assert page.get_attribute("#said", "data-status") == "1", page.inner_text("#said")
+    assert page.locator("#course").is_hidden(), "the bar stays"
+    steps = list(dict.fromkeys(page.evaluate("steps")))
+    expected = ["Starting", "Reading", "Sorting streams", "Estimating", "Judging", "Drawing the report"]
+    assert [step for step in expected if step in steps] == steps and len(steps) >= 4, steps
+    # Before the worker can answer.
+    page.evaluate('document.getElementById("ask").requestSubmit(); document.getElementById("stop").click()')
+    page.locator("#said:not(:empty)").wait_for(timeout=PATIENCE_MS)
+    assert page.inner_text("#said") == "Stopped." and page.locator("#result").is_hidden(), page.inner_text("#said")
+    assert page.locator("#start").is_enabled(), "nothing can be begun after Stop"
+    print(f"a dropped log is audited ({', '.join(steps)}), and Stop ends it")
+
+
 def times(page: Page, program: str, logs: list[str]) -> None:
     """The best of three in both, the program's on one core."""
     for log in logs:
@@ -205,6 +241,7 @@ def main() -> None:
         if "--picture" in sys.argv:
             page.screenshot(path=sys.argv[sys.argv.index("--picture") + 1])
         damaged(page, program, Path(scratch))
+        dropped(page)
         desk(page, program)
         fixtures(page, program)
         # The same from a disk.
