@@ -64,6 +64,7 @@ impl Table {
             reference_known: false,
             stamp_error_s: 0.0,
             stamps_copied: true,
+            taken_off: None,
         };
         let found = diagnose_arm(&track, &[stream], ROW_S);
         let Some(diagnosis) = found.streams.first().filter(|one| one.residual.is_ok()) else {

@@ -383,6 +383,7 @@ mod tests {
             reference_known: false,
             stamp_error_s: 0.0,
             stamps_copied: false,
+            taken_off: None,
         };
         let (alternation, mended) = alternation(&joints, &stream)?;
         Some((alternation, mended, usual))

@@ -311,6 +311,7 @@ mod tests {
             reference_known: false,
             stamp_error_s: 0.0,
             stamps_copied: false,
+            taken_off: None,
         }
     }
 

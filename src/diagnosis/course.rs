@@ -10,7 +10,9 @@ mod shapes;
 mod tests;
 mod windows;
 
-use super::{Aligned, Measured, Seen, Unseen};
+use super::large::in_order;
+use super::steps::mean;
+use super::{Aligned, GradualLatency, Measured, Seen, Unseen};
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use shapes::{BENT_PARAMETERS, bent_chi2, left_beside, levels_at, path, with_load};
 use windows::{Sample, Window, chi2_beside_line, levels, samples, splits, windows};
@@ -29,8 +31,9 @@ const JUMPS: usize = 4;
 const SURE: f64 = 40.0;
 /// A swing is told from none by so many standard errors.
 const TOLD: f64 = 6.0;
-/// Of what the course that leaves least takes off one that is simpler takes off all but this share.
-const HARDLY_MORE: f64 = 0.03;
+/// Of what the course that leaves least takes off one that is simpler takes off all but this share: the first
+/// order of a latency, or what is left of it where most was taken off.
+const HARDLY_MORE: [f64; 2] = [0.03, 0.002];
 /// χ² a window from which on a latency is not steady.
 const UNSTEADY: f64 = 9.0;
 
@@ -106,15 +109,8 @@ impl LatencyCourse {
     /// with its row; rows that would then come before an earlier one are left out.
     pub fn straightened(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
         let usual = self.usual_s(t_s);
-        let beyond = t_s.iter().map(|&t_s| self.beyond_s(t_s));
-        let mut kept: Vec<(usize, f64)> = Vec::with_capacity(t_s.len());
-        for (row, (t_s, beyond_s)) in t_s.iter().zip(beyond).enumerate() {
-            let straight_s = t_s - (beyond_s - usual);
-            if kept.last().is_none_or(|(_, before_s)| straight_s > *before_s) {
-                kept.push((row, straight_s));
-            }
-        }
-        kept
+        let straight = |t_s: &f64| t_s - (self.beyond_s(*t_s) - usual);
+        in_order(t_s.iter().map(straight).enumerate())
     }
 
     /// The level that it has longest at the stamps `t_s`, s.
@@ -137,7 +133,7 @@ impl LatencyCourse {
             LatencyShape::WithLoad if rest.shape == self.shape && rest.is_unsteady => {
                 Some(self.levels.iter().map(|(t_s, _)| rest.beyond_s(*t_s)).collect())
             }
-            LatencyShape::Ramp { .. } => {
+            LatencyShape::Ramp { .. } | LatencyShape::Wander => {
                 let knots: Vec<f64> = self.levels.iter().map(|(t_s, _)| *t_s).collect();
                 levels_at(&knots, &rest.windows)
             }
@@ -152,8 +148,30 @@ impl LatencyCourse {
             LatencyShape::WithLoad => rest.swing_s.std_error,
             _ => self.swing_s.std_error,
         };
-        self.swing_s = Measured { value: sign * (most - least), std_error, ..self.swing_s };
+        let ends = Measured { value: sign * (most - least), std_error, ..self.swing_s };
+        self.swing_s = self.between_levels(rest).unwrap_or(ends);
         self
+    }
+
+    /// How much a ramp makes by the levels before and after it, which are better known than its ends.
+    fn between_levels(&self, rest: &Self) -> Option<Measured> {
+        let LatencyShape::Ramp { from_s, to_s } = self.shape else { return None };
+        let level = |is_part: &dyn Fn(f64) -> bool| {
+            let windows = rest.windows.iter().filter(|(t_s, _)| is_part(*t_s));
+            let whole: Vec<(f64, Measured)> = windows
+                .map(|(t_s, rest)| {
+                    (*t_s, Measured { value: rest.value + self.beyond_s(*t_s), ..*rest })
+                })
+                .collect();
+            mean(whole.iter())
+        };
+        let before = level(&|t_s| t_s < from_s - 0.5 * WINDOW_S)?;
+        let after = level(&|t_s| t_s > to_s + 0.5 * WINDOW_S)?;
+        Some(Measured {
+            value: after.value - before.value,
+            std_error: before.std_error.hypot(after.std_error),
+            dof: before.dof + after.dof,
+        })
     }
 
     fn beyond_s(&self, t_s: f64) -> f64 {
@@ -183,17 +201,24 @@ pub(super) struct Lagging {
 }
 
 /// The course of the latency of a stream that is `aligned`, whose latency was taken to grow by
-/// `skew` a second. `speed` is that of the joints when a stamp's content was true, rad/s.
+/// `skew` a second beside what was `taken` off its stamps. `speed` is that of the joints when a stamp's
+/// content was true, rad/s.
 pub(super) fn latency_course(
     aligned: &Aligned,
     skew: f64,
+    taken: Option<&GradualLatency>,
     speed: impl Fn(f64) -> f64,
 ) -> Seen<LatencyCourse> {
-    course_of(&lagging(aligned, speed), 2, skew)
+    course_of(&lagging(aligned, taken, speed), 2, skew, taken)
 }
 
-/// The course of the latency of a stream that leaves `lagging`, of so many kinds.
-pub(super) fn course_of(lagging: &[Lagging], kinds: usize, skew: f64) -> Seen<LatencyCourse> {
+/// The course of the latency of a stream that leaves `lagging`, of so many kinds, with what was `taken` off.
+pub(super) fn course_of(
+    lagging: &[Lagging],
+    kinds: usize,
+    skew: f64,
+    taken: Option<&GradualLatency>,
+) -> Seen<LatencyCourse> {
     let samples = samples(lagging);
     let mut windows = windows(&samples, 3 * kinds);
     let mut errors: Vec<f64> = windows.iter().map(|window| window.std_error_s).collect();
@@ -204,14 +229,16 @@ pub(super) fn course_of(lagging: &[Lagging], kinds: usize, skew: f64) -> Seen<La
         return Err(Unseen::NotExcited);
     }
     let middle_s = 0.5 * (windows[0].t_s + windows[windows.len() - 1].t_s);
+    let taken_s =
+        |t_s: f64| skew * (t_s - middle_s) + taken.map_or(0.0, |gradual| gradual.lag_s(t_s));
+    for window in &mut windows {
+        window.delta_s += taken_s(window.t_s);
+    }
     // A latency that grows steadily is a skew, which is not this course's to tell.
     let steady = chi2_beside_line(&windows);
-    for window in &mut windows {
-        window.delta_s += skew * (window.t_s - middle_s);
-    }
     let free = (windows.len() - 2) as f64;
     let seen: Vec<(f64, Measured)> = windows.iter().map(|w| (w.t_s, w.measured())).collect();
-    let loaded = with_load(&samples);
+    let loaded = if taken.is_none() { with_load(&samples) } else { None };
     // A ramp in mid-run is much like a steady growth, whose rest is small beside what the windows know.
     let is_bent = bent_chi2(&windows).is_some_and(|bent| {
         let left = (windows.len() as f64 - BENT_PARAMETERS).max(1.0);
@@ -221,14 +248,14 @@ pub(super) fn course_of(lagging: &[Lagging], kinds: usize, skew: f64) -> Seen<La
         return Ok(LatencyCourse { windows: seen, ..steady_course(&windows, typical_s) });
     }
     let splits = splits(&windows);
-    let jumps = || jumping_course(&samples, &windows, &splits, skew, middle_s);
-    // As they would be had the latency not been taken to grow.
+    let jumps = || jumping_course(&samples, &windows, &splits, &taken_s);
+    // As they would be had nothing been taken off.
     let ungrown: Vec<Sample> = samples
         .iter()
         .map(|sample| {
-            let grown_s = skew * (sample.t_s - middle_s);
+            let taken_s = taken_s(sample.t_s);
             let residual =
-                std::array::from_fn(|i| sample.residual[i] - grown_s * sample.velocity[i]);
+                std::array::from_fn(|i| sample.residual[i] - taken_s * sample.velocity[i]);
             Sample { residual, ..*sample }
         })
         .collect();
@@ -237,49 +264,51 @@ pub(super) fn course_of(lagging: &[Lagging], kinds: usize, skew: f64) -> Seen<La
         LatencyShape::Ramp { from_s, to_s } => to_s - from_s >= WINDOW_S,
         _ => false,
     };
-    // Where it goes up and down single pieces swing more than it does.
-    let one_ramp = path(&windows, &ungrown).filter(is_ramp);
+    // Where it goes up and down by little single pieces swing more than it does.
+    let pieces = path(&windows, &ungrown).filter(|course| taken.is_some() || is_ramp(course));
+    // What goes with the load was fitted with nothing taken off.
+    let untold_s = |course: &LatencyCourse, t_s: f64| match course.shape {
+        LatencyShape::WithLoad => course.beyond_s(t_s),
+        _ => course.beyond_s(t_s) - taken_s(t_s),
+    };
     // From the simplest on.
     let tried = [
         loaded,
         (splits.len() == 1).then(jumps),
-        one_ramp,
+        pieces,
         (splits.len() > 1).then(jumps),
         Some(wandering_course(&windows)),
     ];
     let tried: Vec<(f64, LatencyCourse)> = tried
         .into_iter()
         .flatten()
-        .map(|course| {
-            // What goes with the load was fitted with no skew beside it.
-            let grown = if course.shape == LatencyShape::WithLoad { 0.0 } else { skew };
-            let beyond_s = |row: usize| {
-                course.beyond_s(samples[row].t_s) - grown * (samples[row].t_s - middle_s)
-            };
-            (left_beside(&samples, beyond_s), course)
-        })
+        .map(|course| (left_beside(&samples, |row| untold_s(&course, samples[row].t_s)), course))
         .collect();
     let noise = 3.0 * samples.len() as f64;
     let least = tried.iter().map(|(left, _)| *left).fold(f64::INFINITY, f64::min);
     let level_s = levels(&windows, &[]).0[0].value;
-    let constant = left_beside(&samples, |row| level_s - skew * (samples[row].t_s - middle_s));
+    let constant = left_beside(&samples, |row| level_s - taken_s(samples[row].t_s));
     // The first order of a latency leaves something that no simple course is made of.
-    let enough = least + HARDLY_MORE * (constant - least).max(0.0) + 0.02 * noise;
+    let hardly_more = HARDLY_MORE[usize::from(taken.is_some())];
+    let enough = least + hardly_more * (constant - least).max(0.0) + 0.02 * noise;
     let Some((_, course)) = tried.into_iter().find(|(left, _)| *left <= enough) else {
         return Err(Unseen::NotExcited);
     };
-    let grown = if course.shape == LatencyShape::WithLoad { 0.0 } else { skew };
-    let beyond_s = |t_s: f64| course.beyond_s(t_s) - grown * (t_s - middle_s);
     // From least to most of many windows noise swings, too.
     let is_told = course.swing_s.value.abs() > TOLD * course.swing_s.std_error;
-    let is_unsteady = is_told && explains(&samples, beyond_s);
+    let without_s = |t_s: f64| if taken.is_some() { level_s - taken_s(t_s) } else { 0.0 };
+    let is_unsteady = is_told && explains(&samples, without_s, |t_s| untold_s(&course, t_s));
     Ok(LatencyCourse { is_unsteady, windows: seen, ..course })
 }
 
-/// Whether a latency of `beyond_s` at each time makes most of the residual beyond its noise, and
-/// neither of position nor of rotation leaves more than there was. An error of the model may look
+/// Whether a latency of `with_s` at each time, not of `without_s`, makes most of the residual beyond its noise,
+/// and neither of position nor of rotation leaves more than there was. An error of the model may look
 /// like a latency here and there, but not in both.
-fn explains(samples: &[Sample], beyond_s: impl Fn(f64) -> f64) -> bool {
+fn explains(
+    samples: &[Sample],
+    without_s: impl Fn(f64) -> f64,
+    with_s: impl Fn(f64) -> f64,
+) -> bool {
     /// The share of the residual that may be left.
     const LEFT: f64 = 0.5;
     /// There is so much of it beyond the noise.
@@ -288,7 +317,7 @@ fn explains(samples: &[Sample], beyond_s: impl Fn(f64) -> f64) -> bool {
     let noise = 3.0 * samples.len() as f64;
     let square = |kind: usize, late: bool| {
         let squares = samples.iter().map(|sample| {
-            let delta_s = if late { beyond_s(sample.t_s) } else { 0.0 };
+            let delta_s = if late { with_s(sample.t_s) } else { without_s(sample.t_s) };
             let parts = sample.residual.iter().zip(&sample.velocity).skip(3 * kind).take(3);
             parts.map(|(left, velocity)| (left + delta_s * velocity).powi(2)).sum::<f64>()
         });
@@ -301,7 +330,11 @@ fn explains(samples: &[Sample], beyond_s: impl Fn(f64) -> f64) -> bool {
 }
 
 /// Positions and rotations against FK.
-fn lagging(aligned: &Aligned, speed: impl Fn(f64) -> f64) -> Vec<Lagging> {
+fn lagging(
+    aligned: &Aligned,
+    taken: Option<&GradualLatency>,
+    speed: impl Fn(f64) -> f64,
+) -> Vec<Lagging> {
     let t = &aligned.t_s;
     let rotation = |a: &Pose, b: &Pose| rotvec_from_rotation(&(a.rotation * b.rotation.inverse()));
     let position = |a: &Pose, b: &Pose| a.translation.vector - b.translation.vector;
@@ -312,7 +345,7 @@ fn lagging(aligned: &Aligned, speed: impl Fn(f64) -> f64) -> Vec<Lagging> {
         let span_s = t[k + 1] - t[k - 1];
         let velocity = [position(after, before) / span_s, rotation(after, before) / span_s];
         Lagging {
-            t_s: t[k],
+            t_s: taken.map_or(t[k], |gradual| gradual.logged_s(t[k])),
             left: [position(is, should), rotation(is, should)],
             velocity,
             loads: [speed(t[k]), velocity[0].norm()],
@@ -358,8 +391,7 @@ fn jumping_course(
     samples: &[Sample],
     windows: &[Window],
     splits: &[usize],
-    skew: f64,
-    middle_s: f64,
+    taken_s: &impl Fn(f64) -> f64,
 ) -> LatencyCourse {
     let (measured, _) = levels(windows, splits);
     let mut levels = vec![(f64::NEG_INFINITY, measured[0].value)];
@@ -369,9 +401,8 @@ fn jumping_course(
         let around = (windows[split - 1].t_s - WINDOW_S, windows[split].t_s + WINDOW_S);
         let inside: Vec<&Sample> =
             samples.iter().filter(|sample| (around.0..around.1).contains(&sample.t_s)).collect();
-        let grown = |sample: &Sample| skew * (sample.t_s - middle_s);
         let left = |sample: &Sample, level: f64| {
-            let delta_s = level - grown(sample);
+            let delta_s = level - taken_s(sample.t_s);
             let parts = sample.residual.iter().zip(&sample.velocity);
             parts.map(|(left, velocity)| (left + delta_s * velocity).powi(2)).sum::<f64>()
         };

@@ -25,11 +25,13 @@ mod dh;
 mod drawing;
 mod explain;
 mod frames;
+mod gradual;
 mod handeye;
 mod harmless;
 mod imu;
 mod joints;
 mod lag;
+mod large;
 mod latency;
 mod layout;
 mod linear;
@@ -80,6 +82,7 @@ pub use changes::{AmountChange, Change, CodedParts, FrameChange, JointChange, Jo
 pub use columns::{Block, Conduct, JointNumbers, Mapping, Sheet, Shift, Wanted};
 pub use course::{LatencyCourse, LatencyJump, LatencyShape};
 pub use dh::{DhEstimate, DhStream, DhTold, Left, faults};
+pub use gradual::GradualLatency;
 pub use ground::stats::{Length, Measured};
 pub use handeye::{
     CameraPose, Closure, Diversity, HandEyeDiagnosis, HandEyeStreams, Mount, PoseSeries, Solution,
@@ -92,6 +95,7 @@ pub use imu::{
 };
 pub use joints::{JointOffset, JointReading, JointScale, JointSlip, JointUnit, Twin};
 pub use lag::{LatencyResidual, residual_by_latency};
+use large::{LargeChange, imu_changes, pose_changes};
 pub use latency::Peak;
 pub use model_fit::{ModelFit, Needs, Priced, Tried, Way, model_fit};
 pub use motion::{Abruptness, Excess, Series, abruptness, beyond_positions, beyond_speed, rates};
@@ -108,8 +112,6 @@ pub use sampling::stretches;
 pub use shake::{NoShake, Shake, ShakeSeen, shake, shake_seen};
 pub use skewed::SkewedDelays;
 pub use steady::{diagnose_imu_steadied, diagnose_steadied, steadied};
-pub use steps::LatencySteps;
-use steps::{imu_steps, pose_steps};
 pub use trend::{LEAST_RUNS, Step, Told, Trend, trend};
 pub use velocity::{
     VelocityDiagnosis, VelocitySamples, VelocityShape, diagnose_velocity, encoder_step,
@@ -175,6 +177,8 @@ pub struct PoseStream<'a> {
     pub stamp_error_s: f64,
     /// Whether the stream's stamps are copies of the joints' stamps.
     pub stamps_copied: bool,
+    /// What was taken off the stamps already, to be told of with what is found beyond it.
+    pub taken_off: Option<&'a GradualLatency>,
 }
 
 /// How the numbers of a stream must be read so that they follow the arm.

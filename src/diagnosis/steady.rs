@@ -5,11 +5,14 @@ use super::bends::{gives, without_bends};
 use super::changes::{jumps_in_time, leaves_slowly, without_changes};
 use super::imu::diagnose_mended;
 use super::{
-    ArmDiagnosis, ImuDiagnosis, ImuNumbers, ImuStream, JointReading, LatencySteps, PoseDiagnosis,
-    PoseStream, diagnose_arm, imu_steps, pose_steps,
+    ArmDiagnosis, GradualLatency, ImuDiagnosis, ImuNumbers, ImuStream, JointReading, LargeChange,
+    LatencyCourse, PoseStream, Seen, diagnose_arm, imu_changes, pose_changes,
 };
 use ground::stream::{DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack};
 use rayon::prelude::*;
+
+/// How often a latency that changes by much is made finer.
+const FINER: usize = 2;
 
 /// The diagnosis of an arm's pose streams; where the latency of some is not steady, that of the
 /// streams as they would be if it were, so that no other cause is sought for what it does.
@@ -19,23 +22,14 @@ pub fn diagnose_steadied(
     slides: &[bool],
     most_lag_s: f64,
 ) -> ArmDiagnosis {
-    let steps_by = |joints: &JointTrack| -> Vec<Option<LatencySteps>> {
-        streams.par_iter().map(|stream| pose_steps(joints, stream, most_lag_s)).collect()
+    let changes_by = |joints: &JointTrack| -> Vec<Option<LargeChange>> {
+        streams.par_iter().map(|stream| pose_changes(joints, stream, most_lag_s)).collect()
     };
-    let of_steps = |steps: &[Option<LatencySteps>]| -> Vec<Option<PoseTrack>> {
-        let both = streams.iter().zip(steps);
-        both.map(|(stream, steps)| {
-            let track = stream.track;
-            Some(straightened(track, &steps.as_ref()?.straightened(&track.t_s)))
-        })
-        .collect()
-    };
-    let mut steps = steps_by(joints);
-    let mut unstepped = of_steps(&steps);
-    let mut found = diagnose_arm(joints, &with_tracks(streams, &unstepped), most_lag_s);
+    let mut changes = changes_by(joints);
+    let mut found = diagnose_unchanged(joints, streams, &changes, most_lag_s);
     let is_misread = !found.joints.reading.as_ref().is_ok_and(JointReading::is_as_logged);
-    if is_misread && steps.iter().all(Option::is_none) {
-        // Joints that are misread hide steps, and steps hide how they are to be read.
+    if is_misread && changes.iter().all(Option::is_none) {
+        // Joints that are misread hide changes, and changes hide how they are to be read.
         let mended = match &found.joints.reading {
             Ok(_) => found.joints.corrected_joints(joints, slides),
             Err(_) => {
@@ -44,24 +38,50 @@ pub fn diagnose_steadied(
                 radians
             }
         };
-        steps = steps_by(&mended);
-        if steps.iter().any(Option::is_some) {
-            unstepped = of_steps(&steps);
-            found = diagnose_arm(joints, &with_tracks(streams, &unstepped), most_lag_s);
+        changes = changes_by(&mended);
+        if changes.iter().any(Option::is_some) {
+            found = diagnose_unchanged(joints, streams, &changes, most_lag_s);
         }
     }
-    let streams = with_tracks(streams, &unstepped);
-    let mut tracks: Vec<Option<PoseTrack>> =
-        streams.iter().zip(&found.streams).map(|(stream, found)| steadied(stream, found)).collect();
-    let mut courses: Vec<_> = found
-        .streams
+    for _ in 0..FINER {
+        let mut is_other = false;
+        for (change, found) in changes.iter_mut().zip(&found.streams) {
+            let Some(LargeChange::Gradual(gradual, otherwise)) = change else { continue };
+            let course = found.course.as_ref().ok().filter(|course| course.is_unsteady);
+            match course.map(GradualLatency::along) {
+                // What the model finds beside what speeds told is taken off with it.
+                Some(Some(finer)) => *gradual = finer,
+                Some(None) => continue,
+                // Speeds differ for another reason.
+                None => *change = otherwise.take().map(LargeChange::Steps),
+            }
+            is_other = true;
+        }
+        if !is_other {
+            break;
+        }
+        found = diagnose_unchanged(joints, streams, &changes, most_lag_s);
+    }
+    let steps: Vec<_> =
+        changes.iter().map(|change| change.as_ref().and_then(LargeChange::steps)).collect();
+    // What is gradual is a part of the course that was found.
+    let unstepped: Vec<Option<PoseTrack>> = streams
         .iter()
         .zip(&steps)
-        .map(|(found, steps)| match steps {
-            Some(steps) => Ok(steps.course(&found.course)),
-            None => found.course.clone(),
+        .map(|(stream, steps)| {
+            Some(straightened(stream.track, &(*steps)?.straightened(&stream.track.t_s)))
         })
         .collect();
+    let streams = with_tracks(streams, &unstepped);
+    let mut tracks = Vec::new();
+    let mut courses = Vec::new();
+    for ((stream, found), change) in streams.iter().zip(&found.streams).zip(&changes) {
+        tracks.push(steadied(stream, &found.course));
+        courses.push(match change.as_ref().and_then(LargeChange::steps) {
+            Some(steps) => Ok(steps.course(&found.course)),
+            None => found.course.clone(),
+        });
+    }
     let mut steady = if tracks.iter().all(Option::is_none) {
         found
     } else {
@@ -118,6 +138,25 @@ pub fn diagnose_steadied(
     steady
 }
 
+/// The diagnosis of streams as they would be without large changes of their latency.
+fn diagnose_unchanged(
+    joints: &JointTrack,
+    streams: &[PoseStream],
+    changes: &[Option<LargeChange>],
+    most_lag_s: f64,
+) -> ArmDiagnosis {
+    let of_stream = |(stream, change): (&PoseStream, &Option<LargeChange>)| {
+        let rows = change.as_ref()?.straightened(&stream.track.t_s);
+        Some(straightened(stream.track, &rows))
+    };
+    let tracks: Vec<Option<PoseTrack>> = streams.iter().zip(changes).map(of_stream).collect();
+    let mut streams = with_tracks(streams, &tracks);
+    for (stream, change) in streams.iter_mut().zip(changes) {
+        stream.taken_off = change.as_ref().and_then(LargeChange::gradual);
+    }
+    diagnose_arm(joints, &streams, most_lag_s)
+}
+
 /// Streams with other tracks, where there are such.
 fn with_tracks<'a>(
     streams: &[PoseStream<'a>],
@@ -140,7 +179,8 @@ pub fn diagnose_imu_steadied(
     let numbers = ImuNumbers::of(joints, &stream, most_lag_s);
     let mended = numbers.mended(stream.track);
     let stream = ImuStream { track: &mended, ..stream };
-    let steps = imu_steps(joints, &stream, most_lag_s);
+    let changes = imu_changes(joints, &stream, most_lag_s);
+    let steps = changes.as_ref().and_then(LargeChange::steps);
     let of_rows = |track: &ImuTrack, rows: &[(usize, f64)]| ImuTrack {
         t_s: rows.iter().map(|&(_, t_s)| t_s).collect(),
         orientation: rows
@@ -151,14 +191,14 @@ pub fn diagnose_imu_steadied(
         accel: rows.iter().map(|&(row, _)| track.accel[row]).collect(),
     };
     let unstepped =
-        steps.as_ref().map(|steps| of_rows(stream.track, &steps.straightened(&stream.track.t_s)));
+        steps.map(|steps| of_rows(stream.track, &steps.straightened(&stream.track.t_s)));
     let track = unstepped.as_ref().unwrap_or(stream.track);
     let diagnosed = |track: &ImuTrack| {
         let stream = ImuStream { track, ..stream };
         diagnose_mended(joints, &stream, &numbers, most_lag_s)
     };
     let found = diagnosed(track);
-    let latency_course = match &steps {
+    let latency_course = match steps {
         Some(steps) => Ok(steps.course(&found.latency_course)),
         None => found.latency_course.clone(),
     };
@@ -171,8 +211,8 @@ pub fn diagnose_imu_steadied(
 
 /// The poses of a stream at the stamps that they would have if its latency were steady; `None` where
 /// it is.
-pub fn steadied(stream: &PoseStream, found: &PoseDiagnosis) -> Option<PoseTrack> {
-    let course = found.course.as_ref().ok().filter(|course| course.is_unsteady)?;
+pub fn steadied(stream: &PoseStream, course: &Seen<LatencyCourse>) -> Option<PoseTrack> {
+    let course = course.as_ref().ok().filter(|course| course.is_unsteady)?;
     Some(straightened(stream.track, &course.straightened(&stream.track.t_s)))
 }
 

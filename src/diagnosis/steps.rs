@@ -1,29 +1,21 @@
-//! Steps of a stream's latency that are too large for [`super::course`], which takes a residual for
-//! small: told from speeds alone, before anything else is sought.
-//!
-//! In windows of some seconds the stream follows the arm at one lag or another. Which of these lags it
-//! has at which time is the path of least difference of speeds, each step at a price (Viterbi 1967).
+//! Large steps of a stream's latency: which of the lags at which it follows the arm it has at which time is the
+//! path of least difference of speeds, each step at a price (Viterbi 1967).
 
 use super::course::{LatencyCourse, LatencyJump, LatencyShape};
-use super::latency::{ArmSpeeds, Speed, angular_speed, linear_speed, norms, peaks};
-use super::{ImuStream, Measured, PoseStream, Seen};
-use ground::stats::quantile;
-use ground::stream::{JointTrack, Orientations};
+use super::large::{Followed, MISFIT, SAMPLES, differences, in_order, some_rows, spread};
+use super::latency::Speed;
+use super::{Measured, Seen};
 
-/// Speeds correlate as well in a window at the lag that the stream has there.
-const FOLLOWS: f64 = 0.85;
 /// Lags closer than this are one, s.
 const APART_S: f64 = 0.015;
 /// A level lasts this long, s.
 const LASTS_S: f64 = 1.5;
 /// Lags that are tried.
 const LAGS: usize = 8;
-/// Samples that the path is sought on.
-const SAMPLES: usize = 4000;
+/// Standard error of a lag by speeds alone, s.
+const COARSE_S: f64 = 2e-3;
 /// Steps leave at most this share of the difference that one lag leaves.
 const LEFT: f64 = 0.35;
-/// With them the speeds are the same but for this share of how they vary.
-const MISFIT: f64 = 0.15;
 
 /// The levels of a latency that steps.
 #[derive(Clone, Debug, PartialEq)]
@@ -33,102 +25,22 @@ pub struct LatencySteps {
     levels: Vec<(f64, f64)>,
 }
 
-/// Where the latency of a stream of poses steps; `None` where it does not.
-pub fn pose_steps(
-    joints: &JointTrack,
-    stream: &PoseStream,
-    most_lag_s: f64,
-) -> Option<LatencySteps> {
-    let ArmSpeeds { linear, angular, .. } = ArmSpeeds::of(joints, stream.chain, stream.columns);
-    let track = stream.track;
-    let mut pairs = vec![(linear, without_spikes(linear_speed(&track.t_s, &track.xyz)))];
-    if let Orientations::Rotations(rotations) = &track.orientation {
-        pairs.push((angular, without_spikes(angular_speed(&track.t_s, rotations))));
-    }
-    steps(&pairs, most_lag_s)
-}
-
-/// A speed without what no motion is: where stamps step, positions that are far apart stand side by side.
-fn without_spikes(speed: Speed) -> Speed {
-    /// So many times what nearly all samples stay below.
-    const TIMES: f64 = 4.0;
-    const NEARLY_ALL: f64 = 0.95;
-    let mut values = speed.value.clone();
-    let Some(nearly_all) = quantile(&mut values, NEARLY_ALL) else { return speed };
-    let most = TIMES * nearly_all;
-    let kept = speed.t_s.iter().copied().zip(speed.value).filter(|(_, value)| *value <= most);
-    let (t_s, value) = kept.unzip();
-    Speed { t_s, value }
-}
-
-/// Where the latency of an IMU steps, by how fast it turns.
-pub fn imu_steps(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) -> Option<LatencySteps> {
-    let arm = ArmSpeeds::of(joints, stream.chain, stream.columns);
-    steps(&[(arm.angular, norms(&stream.track.t_s, &stream.track.gyro))], most_lag_s)
-}
-
-/// A window of time, and where a stream's speed follows the arm's best in it.
-struct Window {
-    lag_s: f64,
-    correlation: f64,
-}
-
-/// By the pair of speeds, the arm's and the stream's, that follow each other best.
-fn steps(pairs: &[(Speed, Speed)], most_lag_s: f64) -> Option<LatencySteps> {
-    let seen = pairs.iter().map(|(arm, stream)| (arm, stream, windows(arm, stream, most_lag_s)));
-    let typical = |windows: &[Window]| {
-        let mut all: Vec<f64> = windows.iter().map(|window| window.correlation).collect();
-        all.sort_by(f64::total_cmp);
-        all.get(all.len() / 2).copied().unwrap_or(0.0)
-    };
-    let (arm, stream, windows) = seen.max_by(|a, b| typical(&a.2).total_cmp(&typical(&b.2)))?;
-    let lags = lags(&windows);
+/// The steps of a stream that follows the arm in these windows.
+pub(super) fn steps(arm: &Speed, stream: &Speed, followed: &[&Followed]) -> Option<LatencySteps> {
+    let lags = lags(followed);
     let rough = (lags.len() > 1).then(|| path(arm, stream, &lags)).flatten()?;
     let finer = path(arm, stream, &rough.finer_lags(arm, stream));
     Some(finer.unwrap_or(rough))
 }
 
-fn windows(arm: &Speed, stream: &Speed, most_lag_s: f64) -> Vec<Window> {
-    const LENGTHS_S: (f64, f64) = (5.0, 10.0);
-    let (Some(&begin_s), Some(&end_s)) = (arm.t_s.first(), arm.t_s.last()) else {
-        return Vec::new();
-    };
-    let length_s = (0.25 * (end_s - begin_s)).clamp(LENGTHS_S.0, LENGTHS_S.1);
-    let count = (2.0 * (end_s - begin_s) / length_s) as usize;
-    let from_s = |index: usize| begin_s + 0.5 * length_s * index as f64;
-    let window = |index: usize| {
-        let from_s = from_s(index);
-        let own = between(arm, from_s, from_s + length_s);
-        let best = peaks(&own, stream, most_lag_s).into_iter().next()?;
-        Some(Window { lag_s: best.lag_s, correlation: best.correlation })
-    };
-    let (mut windows, mut index) = (Vec::new(), 0);
-    while index < count {
-        let next = arm.t_s.partition_point(|t_s| *t_s < from_s(index));
-        let Some(next_s) = arm.t_s.get(next) else { break };
-        // Where nothing is there are no windows, however long that lasts.
-        let reaching = ((next_s - begin_s) / (0.5 * length_s)) as usize;
-        index = index.max(reaching.saturating_sub(1));
-        windows.extend(window(index));
-        index += 1;
-    }
-    windows
-}
-
-fn between(speed: &Speed, from_s: f64, to_s: f64) -> Speed {
-    let [from, to] = [from_s, to_s].map(|at_s| speed.t_s.partition_point(|t_s| *t_s < at_s));
-    Speed { t_s: speed.t_s[from..to].to_vec(), value: speed.value[from..to].to_vec() }
-}
-
 /// The lags of the windows in which the stream follows; of those that are close the one at which it
 /// follows best.
-fn lags(windows: &[Window]) -> Vec<f64> {
-    let mut all: Vec<&Window> =
-        windows.iter().filter(|window| window.correlation >= FOLLOWS).collect();
+fn lags(windows: &[&Followed]) -> Vec<f64> {
+    let mut all = windows.to_vec();
     all.sort_by(|a, b| a.lag_s.total_cmp(&b.lag_s));
-    let mut groups: Vec<&[&Window]> = all.chunk_by(|a, b| b.lag_s - a.lag_s < APART_S).collect();
+    let mut groups: Vec<&[&Followed]> = all.chunk_by(|a, b| b.lag_s - a.lag_s < APART_S).collect();
     groups.sort_by_key(|group| std::cmp::Reverse(group.len()));
-    let best = |group: &[&Window]| {
+    let best = |group: &[&Followed]| {
         group.iter().max_by(|a, b| a.correlation.total_cmp(&b.correlation)).map(|best| best.lag_s)
     };
     groups.into_iter().take(LAGS).filter_map(best).collect()
@@ -138,10 +50,9 @@ fn lags(windows: &[Window]) -> Vec<f64> {
 fn path(arm: &Speed, stream: &Speed, lags: &[f64]) -> Option<LatencySteps> {
     /// A step costs as much as what differs at best does in this time, s.
     const PRICE_S: f64 = 10.0;
-    let stride = stream.t_s.len().div_ceil(SAMPLES).max(1);
-    let rows: Vec<usize> = (0..stream.t_s.len()).step_by(stride).collect();
+    let rows = some_rows(stream);
     let costs: Vec<Vec<f64>> =
-        lags.iter().map(|&lag_s| differences(arm, stream, &rows, lag_s)).collect();
+        lags.iter().map(|&lag_s| differences(arm, stream, &rows, |_| lag_s)).collect();
     let at = |row: usize, lag: usize| costs[lag][row];
     let least = |row: usize| (0..lags.len()).map(|lag| at(row, lag)).fold(f64::INFINITY, f64::min);
     let (first, last) = (*rows.first()?, *rows.last()?);
@@ -196,40 +107,9 @@ fn path(arm: &Speed, stream: &Speed, lags: &[f64]) -> Option<LatencySteps> {
         .sum();
     let alone = (0..lags.len()).map(|lag| clear.iter().map(|&row| at(row, lag)).sum::<f64>());
     let alone = alone.fold(f64::INFINITY, f64::min);
-    let values = || clear.iter().map(|&row| stream.value[rows[row]]);
-    let mean = values().sum::<f64>() / clear.len().max(1) as f64;
-    let spread: f64 = values().map(|value| (value - mean).powi(2)).sum();
-    let explains = with < (LEFT * alone).min(MISFIT * spread);
+    let clear_rows: Vec<usize> = clear.iter().map(|&row| rows[row]).collect();
+    let explains = with < (LEFT * alone).min(MISFIT * spread(stream, &clear_rows));
     (steps.levels.len() > 1 && explains).then_some(steps)
-}
-
-/// The squares of what the stream's speed differs from the arm's at a lag; 0 where that is not known.
-fn differences(arm: &Speed, stream: &Speed, rows: &[usize], lag_s: f64) -> Vec<f64> {
-    /// The arm's speed is not known through a longer silence, s.
-    const SILENCE_S: f64 = 0.5;
-    let mut after = 0;
-    let arm_at = |t_s: f64, after: &mut usize| {
-        while arm.t_s.get(*after).is_some_and(|own| *own < t_s) {
-            *after += 1;
-        }
-        let before = after.checked_sub(1)?;
-        let (a_s, b_s) = (arm.t_s[before], *arm.t_s.get(*after)?);
-        let part = (t_s - a_s) / (b_s - a_s);
-        (b_s - a_s < SILENCE_S)
-            .then(|| arm.value[before] + part * (arm.value[*after] - arm.value[before]))
-    };
-    let pairs: Vec<Option<(f64, f64)>> = rows
-        .iter()
-        .map(|&row| Some((arm_at(stream.t_s[row] - lag_s, &mut after)?, stream.value[row])))
-        .collect();
-    let square = |of: fn(&(f64, f64)) -> f64| pairs.iter().flatten().map(of).sum::<f64>();
-    // The stream may be in another unit of length: its differences are told in its own.
-    let scale = (square(|pair| pair.0 * pair.0) / square(|pair| pair.1 * pair.1)).sqrt();
-    let scale = if (0.5..2.0).contains(&scale) || !scale.is_finite() { 1.0 } else { scale };
-    pairs
-        .into_iter()
-        .map(|pair| pair.map_or(0.0, |(arm, stream)| (stream - arm / scale).powi(2)))
-        .collect()
 }
 
 impl LatencySteps {
@@ -246,7 +126,7 @@ impl LatencySteps {
                 (from..to).filter(|&row| self.is_clear(stream.t_s[row])).collect();
             let stride = clear.len().div_ceil(SAMPLES).max(1);
             let rows: Vec<usize> = clear.into_iter().step_by(stride).collect();
-            let cost = |lag_s: f64| differences(arm, stream, &rows, lag_s).iter().sum::<f64>();
+            let cost = |lag_s: f64| differences(arm, stream, &rows, |_| lag_s).iter().sum::<f64>();
             let steps = (WITHIN_S / STEP_S) as i32;
             let tried = (-steps..=steps).map(|step| lag_s + STEP_S * f64::from(step));
             let best_s = tried.map(|lag_s| (cost(lag_s), lag_s)).min_by(|a, b| a.0.total_cmp(&b.0));
@@ -267,9 +147,14 @@ impl LatencySteps {
         lags.min_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or(0.0)
     }
 
-    fn beyond_s(&self, t_s: f64) -> f64 {
+    /// How late the stream is at a stamp, s.
+    pub(super) fn lag_s(&self, t_s: f64) -> f64 {
         let after = self.levels.partition_point(|(from_s, _)| *from_s <= t_s);
-        self.levels[after.saturating_sub(1)].1 - self.kept_s()
+        self.levels[after.saturating_sub(1)].1
+    }
+
+    fn beyond_s(&self, t_s: f64) -> f64 {
+        self.lag_s(t_s) - self.kept_s()
     }
 
     /// Whether a stamp is so far from all steps that it is of one level for sure: about a step back stand
@@ -282,14 +167,8 @@ impl LatencySteps {
     /// The stamps `t_s` as they would be without the steps, each with its row; rows beside a step, and
     /// those that would then come before an earlier one, are left out.
     pub fn straightened(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
-        let mut kept: Vec<(usize, f64)> = Vec::with_capacity(t_s.len());
-        for (row, t_s) in t_s.iter().enumerate().filter(|(_, t_s)| self.is_clear(**t_s)) {
-            let straight_s = t_s - self.beyond_s(*t_s);
-            if kept.last().is_none_or(|(_, before_s)| straight_s > *before_s) {
-                kept.push((row, straight_s));
-            }
-        }
-        kept
+        let clear = t_s.iter().enumerate().filter(|(_, t_s)| self.is_clear(**t_s));
+        in_order(clear.map(|(row, t_s)| (row, t_s - self.beyond_s(*t_s))))
     }
 
     /// The course of the latency: these steps, made finer by the course that was found on the stream
@@ -297,8 +176,6 @@ impl LatencySteps {
     pub fn course(&self, found: &Seen<LatencyCourse>) -> LatencyCourse {
         /// A jump of the rest so near to a step is a part of it, s.
         const NEAR_S: f64 = 2.0;
-        /// Standard error of a lag by correlation alone, s.
-        const COARSE_S: f64 = 2e-3;
         let fine = found.as_ref().ok();
         let begins: Vec<f64> =
             self.levels.iter().map(|(from_s, lag_s)| from_s - (lag_s - self.kept_s())).collect();
@@ -342,7 +219,7 @@ impl LatencySteps {
 }
 
 /// The mean of what some windows found, weighted, with the error by which they scatter.
-fn mean<'a>(windows: impl Iterator<Item = &'a (f64, Measured)>) -> Option<Measured> {
+pub(super) fn mean<'a>(windows: impl Iterator<Item = &'a (f64, Measured)>) -> Option<Measured> {
     /// No mean is better known than this, s.
     const FLOOR_S: f64 = 2e-5;
     let windows: Vec<&Measured> = windows.map(|(_, measured)| measured).collect();
@@ -359,28 +236,8 @@ fn mean<'a>(windows: impl Iterator<Item = &'a (f64, Measured)>) -> Option<Measur
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-
-    fn shape(t_s: f64) -> f64 {
-        (1.3 * t_s).sin().powi(2) + 0.5 * (0.037 * t_s * t_s).sin().powi(2)
-    }
-
-    /// 40 s of an arm, and a stream that is late by `late` of its stamps.
-    fn pair(late: impl Fn(f64) -> f64) -> (Speed, Speed) {
-        let t_s: Vec<f64> = (0..4000).map(|row| f64::from(row) * 0.01).collect();
-        let value = t_s.iter().map(|t_s| shape(*t_s)).collect();
-        let own = t_s.iter().map(|t_s| shape(t_s - late(*t_s))).collect();
-        (Speed { t_s: t_s.clone(), value }, Speed { t_s, value: own })
-    }
-
-    #[test]
-    fn a_century_without_samples_has_no_windows() {
-        let (mut arm, stream) = pair(|_| 0.0);
-        arm.t_s.push(3e9);
-        arm.value.push(0.0);
-        let windows = windows(&arm, &stream, 5.0);
-        assert!((5..20).contains(&windows.len()), "{}", windows.len());
-    }
+    use crate::large::LargeChange;
+    use crate::large::tests::changed;
 
     #[test]
     fn steps_are_found_with_their_moments() {
@@ -390,7 +247,8 @@ mod tests {
                 t_s if t_s < 27.0 => sizes_s[0],
                 _ => sizes_s[1],
             };
-            let found = steps(&[pair(late)], 5.0).expect("it steps");
+            let found = changed(late);
+            let found = found.as_ref().and_then(LargeChange::steps).expect("it steps");
             let course = found.course(&Err(super::super::Unseen::AtRest));
             let first = course.jumps[0];
             assert!((first.at_s - 14.0).abs() < 0.3, "{sizes_s:?}: {found:?}");
@@ -401,14 +259,5 @@ mod tests {
             let last = straight[straight.len() - 1].1 - 38.0 + sizes_s[1];
             assert!(last.abs() < 0.01, "{sizes_s:?}: {straight:?}");
         }
-    }
-
-    #[test]
-    fn a_latency_that_stays_has_no_step() {
-        for late_s in [0.0, 0.022, -0.7] {
-            assert_eq!(steps(&[pair(|_| late_s)], 5.0), None);
-        }
-        let skewed = steps(&[pair(|t_s| 3e-4 * t_s)], 5.0);
-        assert_eq!(skewed, None);
     }
 }

@@ -154,7 +154,7 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
         let source = arm.tf.as_ref().ok()?;
         let stream = run.pose_stream(source);
         let found = derived(&stream);
-        Some(match steadied(&stream, &found) {
+        Some(match steadied(&stream, &found.course) {
             None => found,
             Some(track) => {
                 let stream = PoseStream { track: &track, ..stream };

@@ -182,6 +182,7 @@ fn leads(leader: &Arm, arm: &Arm, most_lag_s: f64) -> Option<f64> {
         reference_known: true,
         stamp_error_s: 0.0,
         stamps_copied: false,
+        taken_off: None,
     };
     let peak = follows(&leader.joints, &stream, most_lag_s)?;
     (peak.correlation >= LEADS && peak.lag_s > LEAST_S).then_some(peak.lag_s)

@@ -137,6 +137,26 @@ fn a_latency_that_ramps_is_told_with_both_levels() {
 }
 
 #[test]
+fn a_latency_that_ramps_by_much_is_no_steps_and_no_other_model() {
+    let late = edited(|messages| {
+        delay(messages, |_, since_s| 0.09 * ((since_s - 6.0) / 8.0).clamp(0.0, 1.0));
+    });
+    let early = edited(|messages| {
+        delay(messages, |_, since_s| -0.06 * ((since_s - 6.0) / 8.0).clamp(0.0, 1.0));
+    });
+    for (size_s, report) in [(0.09, late), (-0.06, early)] {
+        let finding = the(&report, "LAT003", POSE);
+        assert_eq!(finding.evidence.more["kind"], "ramp", "{}", summary(&report.findings));
+        let (value, half) = amount(&report, "LAT003");
+        assert!((value - size_s).abs() < 2.0 * half.max(1e-4), "{value} ± {half}");
+        assert!(half < 1e-3, "{half}");
+        let is_other = |code: &str| !["LAT001", "LAT003"].contains(&code);
+        let others = report.findings.iter().filter(|finding| is_other(finding.code));
+        assert_eq!(others.count(), 0, "{}", summary(&report.findings));
+    }
+}
+
+#[test]
 fn a_latency_that_goes_with_the_load_is_its_swing_and_nothing_else() {
     let report = edited(|messages| {
         let at = |message: &Message| {

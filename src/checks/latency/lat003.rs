@@ -20,8 +20,8 @@ rule! {
     /// the arm is fastest.
     ///
     /// ## Evidence
-    /// Steps of more than a few hundredths of a second first, by which lag the stream's speed follows the
-    /// arm's at which time; then the latency in windows of a second, from how the stream lies behind forward kinematics along
+    /// Changes of more than a few hundredths of a second first, from level to level or gradual, by which lag
+    /// the stream's speed follows the arm's at which time; then the latency in windows of a second, from how the stream lies behind forward kinematics along
     /// the motion; of an IMU by its orientation, or where it has none by its gyro. `kind` says what it is:
     /// `step` (the estimate is the largest jump, positive where the stream is later from then on, and
     /// `jumps` says when each was), `ramp` (from one level to another, with the sign; `ramp` says from when

@@ -158,7 +158,7 @@ pub(super) fn stream_diagnosis(
     let course = match &latency_s {
         Ok(_) => {
             let speed = |t_s: f64| joint_speed(recorded, t_s - found.latency_s);
-            latency_course(&aligned, found.skew, speed)
+            latency_course(&aligned, found.skew, stream.taken_off, speed)
         }
         Err(why) => Err(why.clone()),
     };

@@ -459,6 +459,7 @@ impl Sheet {
             reference_known: false,
             stamp_error_s: 0.0,
             stamps_copied: false,
+            taken_off: None,
         };
         let way = tool_fit(&joints, &stream, wanted.most_lag_s, with_zero)?;
         let metres = metres_by_size(&joints, &stream);

@@ -214,7 +214,7 @@ pub(super) fn path(windows: &[Window], samples: &[Sample]) -> Option<LatencyCour
         let fewer = (1..knots.len() - 1).filter_map(|at| {
             let mut fewer = knots.clone();
             fewer.remove(at);
-            Some((of_samples(&fewer)?, fewer))
+            Some((shifted(&mut fewer, &[0.5, 0.25, 0.1], &of_samples)?, fewer))
         });
         let Some((left, fewer)) = fewer.min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
         if left - least > NEEDED * least.max(3.0 * thinned.len() as f64) {

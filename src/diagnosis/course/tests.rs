@@ -10,7 +10,7 @@ fn truth(t_s: f64) -> Pose {
 }
 
 fn course_at(aligned: &Aligned, skew: f64) -> Seen<LatencyCourse> {
-    latency_course(aligned, skew, |_| 0.0)
+    latency_course(aligned, skew, None, |_| 0.0)
 }
 
 /// How fast the tool moves, m/s.
@@ -127,12 +127,13 @@ fn a_latency_that_goes_with_the_load_is_told_with_its_swing() {
     let most = (0..1000).map(|row| speed(f64::from(row) * 0.02)).fold(0.0, f64::max);
     let least = (0..1000).map(|row| speed(f64::from(row) * 0.02)).fold(f64::MAX, f64::min);
     let late = |t_s: f64| 0.004 + 0.015 * speed(t_s) / most;
-    let found = latency_course(&aligned(late, 1e-4, 0.0), 0.0, speed).expect("a course");
+    let found = latency_course(&aligned(late, 1e-4, 0.0), 0.0, None, speed).expect("a course");
     assert_eq!(found.shape, LatencyShape::WithLoad);
     let swing_s = 0.015 * (most - least) / most;
     assert!((found.swing_s.value - swing_s).abs() < 1e-3, "{:?} {swing_s}", found.swing_s);
     assert!(found.is_unsteady);
     // What is as late at every speed goes with none.
-    let steady = latency_course(&aligned(|_| 0.006, 1e-4, 0.0), 0.0, speed).expect("a course");
+    let steady =
+        latency_course(&aligned(|_| 0.006, 1e-4, 0.0), 0.0, None, speed).expect("a course");
     assert_eq!((steady.shape, steady.is_unsteady), (LatencyShape::Steady, false));
 }

@@ -104,7 +104,7 @@ impl Link<'_> {
             drift_rad_s,
             course: course.parts,
             latency_course: match moves {
-                true => course_of(&model.lagging(), 1, model.delay.skew),
+                true => course_of(&model.lagging(), 1, model.delay.skew, None),
                 false => Err(Unseen::AtRest),
             },
             mount_rad,

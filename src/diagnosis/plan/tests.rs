@@ -268,6 +268,7 @@ fn promises_are_kept() {
             reference_known: true,
             stamp_error_s: 0.0,
             stamps_copied: false,
+            taken_off: None,
         };
         diagnose_arm(&motion, &[stream], 1.0)
     };

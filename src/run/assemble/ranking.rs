@@ -267,6 +267,7 @@ impl ByPoses<'_> {
             reference_known: knows_frame,
             stamp_error_s: source.stamp_error_s,
             stamps_copied: source.stamps_copied,
+            taken_off: None,
         };
         model_fit(&arm.joints, &stream, self.assembly.options.max_latency_s, tried)
     }

@@ -1,0 +1,289 @@
+//! Changes of a stream's latency that are too large for [`super::course`], which takes a residual for
+//! small: told from speeds alone, before anything else is sought.
+//!
+//! In windows of some seconds the stream follows the arm at one lag or another. These lags go from level to
+//! level ([`super::steps`]) or along straight pieces ([`super::gradual`]).
+
+use super::gradual::{Fitted, GradualLatency};
+use super::latency::{ArmSpeeds, Speed, angular_speed, linear_speed, norms, peaks};
+use super::steps::{LatencySteps, steps};
+use super::{ImuStream, PoseStream};
+use ground::stats::quantile;
+use ground::stream::{JointTrack, Orientations};
+
+/// Speeds correlate as well in a window at the lag that the stream has there.
+const FOLLOWS: f64 = 0.85;
+/// Straight pieces leave at most this share of what something simpler leaves.
+const SIMPLER: f64 = 0.9;
+/// Samples that the path is sought on.
+pub(super) const SAMPLES: usize = 4000;
+/// With what is found the speeds are the same but for this share of how they vary.
+pub(super) const MISFIT: f64 = 0.15;
+
+/// How a latency changes by much within the run.
+#[derive(Clone, Debug, PartialEq)]
+pub enum LargeChange {
+    /// From level to level.
+    Steps(LatencySteps),
+    /// Along straight pieces; or, where a model tells that it does not, from level to level.
+    Gradual(GradualLatency, Option<LatencySteps>),
+}
+
+impl LargeChange {
+    /// The stamps `t_s` as they would be without it, each with its row.
+    pub fn straightened(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
+        match self {
+            Self::Steps(steps) => steps.straightened(t_s),
+            Self::Gradual(gradual, _) => gradual.straightened(t_s),
+        }
+    }
+
+    /// Its steps, if these are what it is.
+    pub fn steps(&self) -> Option<&LatencySteps> {
+        match self {
+            Self::Steps(steps) => Some(steps),
+            Self::Gradual(..) => None,
+        }
+    }
+
+    /// What is taken off the stamps, if it goes along straight pieces.
+    pub fn gradual(&self) -> Option<&GradualLatency> {
+        match self {
+            Self::Steps(_) => None,
+            Self::Gradual(gradual, _) => Some(gradual),
+        }
+    }
+}
+
+/// How the latency of a stream of poses changes by much; `None` where it does not.
+pub fn pose_changes(
+    joints: &JointTrack,
+    stream: &PoseStream,
+    most_lag_s: f64,
+) -> Option<LargeChange> {
+    let ArmSpeeds { linear, angular, .. } = ArmSpeeds::of(joints, stream.chain, stream.columns);
+    let track = stream.track;
+    let mut pairs = vec![(linear, without_spikes(linear_speed(&track.t_s, &track.xyz)))];
+    if let Orientations::Rotations(rotations) = &track.orientation {
+        pairs.push((angular, without_spikes(angular_speed(&track.t_s, rotations))));
+    }
+    changes(&pairs, most_lag_s)
+}
+
+/// A speed without what no motion is: where stamps step, positions that are far apart stand side by side.
+fn without_spikes(speed: Speed) -> Speed {
+    /// So many times what nearly all samples stay below.
+    const TIMES: f64 = 4.0;
+    const NEARLY_ALL: f64 = 0.95;
+    let mut values = speed.value.clone();
+    let Some(nearly_all) = quantile(&mut values, NEARLY_ALL) else { return speed };
+    let most = TIMES * nearly_all;
+    let kept = speed.t_s.iter().copied().zip(speed.value).filter(|(_, value)| *value <= most);
+    let (t_s, value) = kept.unzip();
+    Speed { t_s, value }
+}
+
+/// How the latency of an IMU changes by much, by how fast it turns.
+pub fn imu_changes(
+    joints: &JointTrack,
+    stream: &ImuStream,
+    most_lag_s: f64,
+) -> Option<LargeChange> {
+    let arm = ArmSpeeds::of(joints, stream.chain, stream.columns);
+    changes(&[(arm.angular, norms(&stream.track.t_s, &stream.track.gyro))], most_lag_s)
+}
+
+/// A window of time, and where a stream's speed follows the arm's best in it.
+pub(super) struct Followed {
+    /// Of the arm's time, s.
+    pub middle_s: f64,
+    /// How late the stream is, s.
+    pub lag_s: f64,
+    /// How well, −1 to 1.
+    pub correlation: f64,
+}
+
+/// By the pair of speeds, the arm's and the stream's, that follow each other best.
+fn changes(pairs: &[(Speed, Speed)], most_lag_s: f64) -> Option<LargeChange> {
+    let seen = pairs.iter().map(|(arm, stream)| (arm, stream, windows(arm, stream, most_lag_s)));
+    let typical = |windows: &[Followed]| {
+        let mut all: Vec<f64> = windows.iter().map(|window| window.correlation).collect();
+        all.sort_by(f64::total_cmp);
+        all.get(all.len() / 2).copied().unwrap_or(0.0)
+    };
+    let (arm, stream, windows) = seen.max_by(|a, b| typical(&a.2).total_cmp(&typical(&b.2)))?;
+    let followed: Vec<&Followed> =
+        windows.iter().filter(|window| window.correlation >= FOLLOWS).collect();
+    let steps = steps(arm, stream, &followed);
+    let Some(Fitted { gradual, left: of_gradual, of_line }) =
+        GradualLatency::of(arm, stream, &followed)
+    else {
+        return steps.map(LargeChange::Steps);
+    };
+    let spread = spread(stream, &some_rows(stream));
+    let of_steps =
+        steps.as_ref().map_or(f64::INFINITY, |steps| left(arm, stream, &|t_s| steps.lag_s(t_s)));
+    // A latency that grows steadily is no matter of steps.
+    let otherwise = steps.filter(|_| of_steps < of_line);
+    match of_gradual < (MISFIT * spread).min(SIMPLER * of_line.min(of_steps)) {
+        true => Some(LargeChange::Gradual(gradual, otherwise)),
+        false => otherwise.map(LargeChange::Steps),
+    }
+}
+
+/// The stamps of rows where they stand without a latency, each with its row; those that would then come before an
+/// earlier one are left out.
+pub(super) fn in_order(straight_s: impl Iterator<Item = (usize, f64)>) -> Vec<(usize, f64)> {
+    let mut kept: Vec<(usize, f64)> = Vec::with_capacity(straight_s.size_hint().0);
+    for (row, t_s) in straight_s {
+        if kept.last().is_none_or(|(_, before_s)| t_s > *before_s) {
+            kept.push((row, t_s));
+        }
+    }
+    kept
+}
+
+/// What a latency leaves of the squares of the speeds.
+pub(super) fn left(arm: &Speed, stream: &Speed, lag_s: &dyn Fn(f64) -> f64) -> f64 {
+    differences(arm, stream, &some_rows(stream), lag_s).iter().sum()
+}
+
+/// Rows that a path is sought on.
+pub(super) fn some_rows(stream: &Speed) -> Vec<usize> {
+    (0..stream.t_s.len()).step_by(stream.t_s.len().div_ceil(SAMPLES).max(1)).collect()
+}
+
+fn windows(arm: &Speed, stream: &Speed, most_lag_s: f64) -> Vec<Followed> {
+    const LENGTHS_S: (f64, f64) = (5.0, 10.0);
+    let (Some(&begin_s), Some(&end_s)) = (arm.t_s.first(), arm.t_s.last()) else {
+        return Vec::new();
+    };
+    let length_s = (0.25 * (end_s - begin_s)).clamp(LENGTHS_S.0, LENGTHS_S.1);
+    let count = (2.0 * (end_s - begin_s) / length_s) as usize;
+    let from_s = |index: usize| begin_s + 0.5 * length_s * index as f64;
+    let window = |index: usize| {
+        let from_s = from_s(index);
+        let own = between(arm, from_s, from_s + length_s);
+        let best = peaks(&own, stream, most_lag_s).into_iter().next()?;
+        let middle_s = from_s + 0.5 * length_s;
+        Some(Followed { middle_s, lag_s: best.lag_s, correlation: best.correlation })
+    };
+    let (mut windows, mut index) = (Vec::new(), 0);
+    while index < count {
+        let next = arm.t_s.partition_point(|t_s| *t_s < from_s(index));
+        let Some(next_s) = arm.t_s.get(next) else { break };
+        // Where nothing is there are no windows, however long that lasts.
+        let reaching = ((next_s - begin_s) / (0.5 * length_s)) as usize;
+        index = index.max(reaching.saturating_sub(1));
+        windows.extend(window(index));
+        index += 1;
+    }
+    windows
+}
+
+fn between(speed: &Speed, from_s: f64, to_s: f64) -> Speed {
+    let [from, to] = [from_s, to_s].map(|at_s| speed.t_s.partition_point(|t_s| *t_s < at_s));
+    Speed { t_s: speed.t_s[from..to].to_vec(), value: speed.value[from..to].to_vec() }
+}
+
+/// The squares of how a speed varies.
+pub(super) fn spread(speed: &Speed, rows: &[usize]) -> f64 {
+    let values = || rows.iter().map(|&row| speed.value[row]);
+    let mean = values().sum::<f64>() / rows.len().max(1) as f64;
+    values().map(|value| (value - mean).powi(2)).sum()
+}
+
+/// The squares of what the stream's speed differs from the arm's at a lag; 0 where that is not known.
+pub(super) fn differences(
+    arm: &Speed,
+    stream: &Speed,
+    rows: &[usize],
+    lag_s: impl Fn(f64) -> f64,
+) -> Vec<f64> {
+    /// The arm's speed is not known through a longer silence, s.
+    const SILENCE_S: f64 = 0.5;
+    let mut after = 0;
+    let arm_at = |t_s: f64, after: &mut usize| {
+        while arm.t_s.get(*after).is_some_and(|own| *own < t_s) {
+            *after += 1;
+        }
+        while *after > 0 && arm.t_s[*after - 1] >= t_s {
+            *after -= 1;
+        }
+        let before = after.checked_sub(1)?;
+        let (a_s, b_s) = (arm.t_s[before], *arm.t_s.get(*after)?);
+        let part = (t_s - a_s) / (b_s - a_s);
+        (b_s - a_s < SILENCE_S)
+            .then(|| arm.value[before] + part * (arm.value[*after] - arm.value[before]))
+    };
+    let pairs: Vec<Option<(f64, f64)>> = rows
+        .iter()
+        .map(|&row| {
+            Some((arm_at(stream.t_s[row] - lag_s(stream.t_s[row]), &mut after)?, stream.value[row]))
+        })
+        .collect();
+    let square = |of: fn(&(f64, f64)) -> f64| pairs.iter().flatten().map(of).sum::<f64>();
+    // The stream may be in another unit of length: its differences are told in its own.
+    let scale = (square(|pair| pair.0 * pair.0) / square(|pair| pair.1 * pair.1)).sqrt();
+    let scale = if (0.5..2.0).contains(&scale) || !scale.is_finite() { 1.0 } else { scale };
+    pairs
+        .into_iter()
+        .map(|pair| pair.map_or(0.0, |(arm, stream)| (stream - arm / scale).powi(2)))
+        .collect()
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    fn shape(t_s: f64) -> f64 {
+        (1.3 * t_s).sin().powi(2) + 0.5 * (0.037 * t_s * t_s).sin().powi(2)
+    }
+
+    /// 40 s of an arm, and a stream that is late by `late` of its stamps.
+    pub fn pair(late: impl Fn(f64) -> f64) -> (Speed, Speed) {
+        let t_s: Vec<f64> = (0..4000).map(|row| f64::from(row) * 0.01).collect();
+        let value = t_s.iter().map(|t_s| shape(*t_s)).collect();
+        let own = t_s.iter().map(|t_s| shape(t_s - late(*t_s))).collect();
+        (Speed { t_s: t_s.clone(), value }, Speed { t_s, value: own })
+    }
+
+    pub fn changed(late: impl Fn(f64) -> f64) -> Option<LargeChange> {
+        changes(&[pair(late)], 5.0)
+    }
+
+    #[test]
+    fn a_century_without_samples_has_no_windows() {
+        let (mut arm, stream) = pair(|_| 0.0);
+        arm.t_s.push(3e9);
+        arm.value.push(0.0);
+        let windows = windows(&arm, &stream, 5.0);
+        assert!((5..20).contains(&windows.len()), "{}", windows.len());
+    }
+
+    #[test]
+    fn a_latency_that_stays_or_grows_steadily_changes_by_nothing() {
+        for late_s in [0.0, 0.022, -0.7] {
+            assert_eq!(changed(|_| late_s), None);
+        }
+        for skew in [3e-4, 3e-3, -8e-3] {
+            assert_eq!(changed(|t_s| skew * t_s), None, "{skew}");
+        }
+    }
+
+    #[test]
+    fn a_latency_that_ramps_is_known_at_each_time() {
+        for (from_s, to_s, size_s) in [(10.0, 25.0, 0.1), (4.0, 36.0, -0.25), (20.0, 26.0, 0.08)] {
+            let late =
+                |t_s: f64| 0.02 + size_s * ((t_s - from_s) / (to_s - from_s)).clamp(0.0, 1.0);
+            let found = changed(late);
+            let gradual = found.as_ref().and_then(LargeChange::gradual).expect("it ramps");
+            for t_s in (1..39).map(f64::from) {
+                let off_s = gradual.lag_s(t_s) - late(t_s);
+                assert!(off_s.abs() < 0.1 * size_s.abs(), "{size_s} at {t_s} s: off by {off_s}");
+                let straight_s = t_s - gradual.lag_s(t_s);
+                assert!((gradual.logged_s(straight_s) - t_s).abs() < 1e-6, "{size_s} at {t_s} s");
+            }
+        }
+    }
+}
