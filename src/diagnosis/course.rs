@@ -209,7 +209,7 @@ pub(super) fn latency_course(
     taken: Option<&GradualLatency>,
     speed: impl Fn(f64) -> f64,
 ) -> Seen<LatencyCourse> {
-    course_of(&lagging(aligned, taken, speed), 2, skew, taken)
+    course_of(&lagging(aligned, speed), 2, skew, taken)
 }
 
 /// The course of the latency of a stream that leaves `lagging`, of so many kinds, with what was `taken` off.
@@ -219,7 +219,10 @@ pub(super) fn course_of(
     skew: f64,
     taken: Option<&GradualLatency>,
 ) -> Seen<LatencyCourse> {
-    let samples = samples(lagging);
+    let mut samples = samples(lagging);
+    if let Some(gradual) = taken {
+        samples.iter_mut().for_each(|sample| sample.t_s = gradual.logged_s(sample.t_s));
+    }
     let mut windows = windows(&samples, 3 * kinds);
     let mut errors: Vec<f64> = windows.iter().map(|window| window.std_error_s).collect();
     errors.sort_by(f64::total_cmp);
@@ -330,11 +333,7 @@ fn explains(
 }
 
 /// Positions and rotations against FK.
-fn lagging(
-    aligned: &Aligned,
-    taken: Option<&GradualLatency>,
-    speed: impl Fn(f64) -> f64,
-) -> Vec<Lagging> {
+fn lagging(aligned: &Aligned, speed: impl Fn(f64) -> f64) -> Vec<Lagging> {
     let t = &aligned.t_s;
     let rotation = |a: &Pose, b: &Pose| rotvec_from_rotation(&(a.rotation * b.rotation.inverse()));
     let position = |a: &Pose, b: &Pose| a.translation.vector - b.translation.vector;
@@ -345,7 +344,7 @@ fn lagging(
         let span_s = t[k + 1] - t[k - 1];
         let velocity = [position(after, before) / span_s, rotation(after, before) / span_s];
         Lagging {
-            t_s: taken.map_or(t[k], |gradual| gradual.logged_s(t[k])),
+            t_s: t[k],
             left: [position(is, should), rotation(is, should)],
             velocity,
             loads: [speed(t[k]), velocity[0].norm()],

@@ -44,20 +44,8 @@ pub fn diagnose_steadied(
         }
     }
     for _ in 0..FINER {
-        let mut is_other = false;
-        for (change, found) in changes.iter_mut().zip(&found.streams) {
-            let Some(LargeChange::Gradual(gradual, otherwise)) = change else { continue };
-            let course = found.course.as_ref().ok().filter(|course| course.is_unsteady);
-            match course.map(GradualLatency::along) {
-                // What the model finds beside what speeds told is taken off with it.
-                Some(Some(finer)) => *gradual = finer,
-                Some(None) => continue,
-                // Speeds differ for another reason.
-                None => *change = otherwise.take().map(LargeChange::Steps),
-            }
-            is_other = true;
-        }
-        if !is_other {
+        let both = changes.iter_mut().zip(&found.streams);
+        if both.filter_map(|(change, found)| refined(change, &found.course)).count() == 0 {
             break;
         }
         found = diagnose_unchanged(joints, streams, &changes, most_lag_s);
@@ -138,6 +126,17 @@ pub fn diagnose_steadied(
     steady
 }
 
+/// Makes a gradual change finer by the course that was found with it taken off; where none was found speeds differ
+/// for another reason. `None` where it stays as it is.
+fn refined(change: &mut Option<LargeChange>, course: &Seen<LatencyCourse>) -> Option<()> {
+    let Some(LargeChange::Gradual(gradual, otherwise)) = change else { return None };
+    match course.as_ref().ok().filter(|course| course.is_unsteady) {
+        Some(course) => *gradual = GradualLatency::along(course)?,
+        None => *change = otherwise.take().map(LargeChange::Steps),
+    }
+    Some(())
+}
+
 /// The diagnosis of streams as they would be without large changes of their latency.
 fn diagnose_unchanged(
     joints: &JointTrack,
@@ -179,34 +178,60 @@ pub fn diagnose_imu_steadied(
     let numbers = ImuNumbers::of(joints, &stream, most_lag_s);
     let mended = numbers.mended(stream.track);
     let stream = ImuStream { track: &mended, ..stream };
-    let changes = imu_changes(joints, &stream, most_lag_s);
-    let steps = changes.as_ref().and_then(LargeChange::steps);
-    let of_rows = |track: &ImuTrack, rows: &[(usize, f64)]| ImuTrack {
+    let of_rows = |rows: &[(usize, f64)]| ImuTrack {
         t_s: rows.iter().map(|&(_, t_s)| t_s).collect(),
         orientation: rows
             .iter()
-            .filter_map(|&(row, _)| track.orientation.get(row).copied())
+            .filter_map(|&(row, _)| stream.track.orientation.get(row).copied())
             .collect(),
-        gyro: rows.iter().map(|&(row, _)| track.gyro[row]).collect(),
-        accel: rows.iter().map(|&(row, _)| track.accel[row]).collect(),
+        gyro: rows.iter().map(|&(row, _)| stream.track.gyro[row]).collect(),
+        accel: rows.iter().map(|&(row, _)| stream.track.accel[row]).collect(),
     };
-    let unstepped =
-        steps.map(|steps| of_rows(stream.track, &steps.straightened(&stream.track.t_s)));
-    let track = unstepped.as_ref().unwrap_or(stream.track);
-    let diagnosed = |track: &ImuTrack| {
-        let stream = ImuStream { track, ..stream };
+    let diagnosed = |track: &ImuTrack, taken_off: Option<&GradualLatency>| {
+        let stream = ImuStream { track, taken_off, ..stream };
         diagnose_mended(joints, &stream, &numbers, most_lag_s)
     };
-    let found = diagnosed(track);
-    let latency_course = match steps {
-        Some(steps) => Ok(steps.course(&found.latency_course)),
-        None => found.latency_course.clone(),
+    let t_s = &stream.track.t_s;
+    let unchanged = |change: &Option<LargeChange>| match change {
+        Some(change) => diagnosed(&of_rows(&change.straightened(t_s)), change.gradual()),
+        None => diagnosed(stream.track, None),
     };
+    let mut change = imu_changes(joints, &stream, most_lag_s);
+    let mut found = unchanged(&change);
+    // A small one is made finer as a large one is.
+    let small = found.latency_course.as_ref().ok().filter(|course| course.is_unsteady);
+    let small = small.and_then(GradualLatency::along).map(|it| LargeChange::Gradual(it, None));
+    change = change.or(small);
+    for _ in 0..FINER {
+        if refined(&mut change, &found.latency_course).is_none() {
+            break;
+        }
+        found = unchanged(&change);
+    }
+    // What is gradual is a part of the course that was found.
+    let steps = change.as_ref().and_then(LargeChange::steps);
+    let stepping = steps.map(|steps| steps.course(&found.latency_course));
     let unsteady = found.latency_course.as_ref().ok().filter(|course| course.is_unsteady);
-    let Some(course) = unsteady else { return ImuDiagnosis { latency_course, ..found } };
-    let track = of_rows(track, &course.straightened(&track.t_s));
-    let steady = diagnosed(&track);
-    ImuDiagnosis { latency_course, ..steady }
+    let Some(course) = unsteady else {
+        let latency_course = stepping.map_or(found.latency_course.clone(), Ok);
+        return ImuDiagnosis { latency_course, ..found };
+    };
+    let unstepped = steps.map(|steps| steps.straightened(t_s));
+    let rows = match &unstepped {
+        None => course.straightened(t_s),
+        // The course is of the stamps without the steps.
+        Some(rows) => {
+            let unstepped_s: Vec<f64> = rows.iter().map(|&(_, t_s)| t_s).collect();
+            let straight = course.straightened(&unstepped_s).into_iter();
+            straight.map(|(at, t_s)| (rows[at].0, t_s)).collect()
+        }
+    };
+    let steady = diagnosed(&of_rows(&rows), None);
+    let told = stepping.unwrap_or_else(|| {
+        let finer = steady.latency_course.as_ref().ok().map(|rest| course.clone().with(rest));
+        finer.unwrap_or_else(|| course.clone()).beside_usual(t_s)
+    });
+    ImuDiagnosis { latency_course: Ok(told), ..steady }
 }
 
 /// The poses of a stream at the stamps that they would have if its latency were steady; `None` where

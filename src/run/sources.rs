@@ -88,6 +88,7 @@ impl ImuSource {
             chain: &self.chain,
             columns: &self.columns,
             link_from_imu: self.link_from_imu,
+            taken_off: None,
             stamp_error_s: self.stamp_error_s,
         }
     }

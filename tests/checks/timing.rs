@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use poseaudit::finding::{Estimate, Status};
 use poseaudit::geometry::Vec3;
 use poseaudit::report::Report;
-use poseaudit::synth::{Giving, JOINT_STATES, POSE, Scenario};
+use poseaudit::synth::{Giving, IMU, JOINT_STATES, POSE, Scenario};
 
 use crate::checks::case::{Log, summary, the};
 use crate::checks::recording::{Field, Message, read};
@@ -54,13 +54,24 @@ fn stamp_ns(message: &Message) -> i64 {
 }
 
 fn poses(messages: &mut [Message]) -> impl Iterator<Item = &mut Message> {
-    messages.iter_mut().filter(|message| message.topic == POSE)
+    of_topic(messages, POSE)
+}
+
+fn of_topic<'a>(
+    messages: &'a mut [Message],
+    topic: &'static str,
+) -> impl Iterator<Item = &'a mut Message> {
+    messages.iter_mut().filter(move |message| message.topic == topic)
 }
 
 /// Stamps the poses late by what `late_s` says of each: its number and the time since the first, s.
 fn delay(messages: &mut [Message], late_s: impl Fn(usize, f64) -> f64) {
-    let first_ns = poses(messages).map(|message| stamp_ns(message)).min().unwrap_or(0);
-    for (row, message) in poses(messages).enumerate() {
+    delay_topic(messages, POSE, late_s);
+}
+
+fn delay_topic(messages: &mut [Message], topic: &'static str, late_s: impl Fn(usize, f64) -> f64) {
+    let first_ns = of_topic(messages, topic).map(|message| stamp_ns(message)).min().unwrap_or(0);
+    for (row, message) in of_topic(messages, topic).enumerate() {
         let since_s = (stamp_ns(message) - first_ns) as f64 / SECOND_NS;
         message.shift((late_s(row, since_s) * SECOND_NS) as i64);
     }
@@ -154,6 +165,25 @@ fn a_latency_that_ramps_by_much_is_no_steps_and_no_other_model() {
         let others = report.findings.iter().filter(|finding| is_other(finding.code));
         assert_eq!(others.count(), 0, "{}", summary(&report.findings));
     }
+}
+
+#[test]
+fn a_latency_of_an_imu_that_ramps_is_told_and_is_no_drift_of_its_yaw() {
+    let report = Log::with(|log| {
+        rich(&mut log.run);
+        log.run.imu.timing.rate_hz = 100.0;
+        log.edit = Some(|messages: &mut Vec<Message>| {
+            let late_s = |_, since_s: f64| 0.08 * ((since_s - 6.0) / 8.0).clamp(0.0, 1.0);
+            delay_topic(messages, IMU, late_s);
+        });
+    })
+    .audited();
+    let finding = the(&report, "LAT003", IMU);
+    let estimate = finding.estimate.as_ref().expect("an estimate");
+    let (value, half) = (estimate.value().expect("an amount"), half_width(estimate));
+    assert!((value - 0.08).abs() < 2.0 * half.max(1e-4) && half < 2e-3, "{value} ± {half}");
+    let is_late = |code: &str| ["LAT001", "LAT003"].contains(&code);
+    assert!(codes(&report).into_iter().all(is_late), "{}", summary(&report.findings));
 }
 
 #[test]

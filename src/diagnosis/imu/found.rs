@@ -1,7 +1,7 @@
 //! What is estimated on an IMU.
 
 use super::ImuNumbers;
-use crate::{LatencyCourse, ReadingEstimate, Seen, Unseen};
+use crate::{GradualLatency, LatencyCourse, ReadingEstimate, Seen, Unseen};
 use ground::geometry::{Pose, Rotation, Vec3};
 use ground::robot::Chain;
 use ground::stats::{Length, Measured};
@@ -20,6 +20,8 @@ pub struct ImuStream<'a> {
     pub stamp_error_s: f64,
     /// `link_from_imu` by the log's frames, where they say.
     pub link_from_imu: Option<Pose>,
+    /// What was taken off the stamps already, to be told of with what is found beyond it.
+    pub taken_off: Option<&'a GradualLatency>,
 }
 
 /// The constant part of (gyro − rate by FK).

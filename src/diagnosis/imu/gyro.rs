@@ -134,7 +134,7 @@ impl Link<'_> {
             delay: model.delay,
             bias: model.bias(&solved, shape),
             latency_course: match moves {
-                true => course_of(&model.lagging(), 1, model.delay.skew, None),
+                true => course_of(&model.lagging(), 1, model.delay.skew, self.stream.taken_off),
                 false => Err(Unseen::AtRest),
             },
             mount_rad: model.mount(&solved),

@@ -104,7 +104,7 @@ impl Link<'_> {
             drift_rad_s,
             course: course.parts,
             latency_course: match moves {
-                true => course_of(&model.lagging(), 1, model.delay.skew, None),
+                true => course_of(&model.lagging(), 1, model.delay.skew, self.stream.taken_off),
                 false => Err(Unseen::AtRest),
             },
             mount_rad,
