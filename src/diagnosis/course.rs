@@ -23,8 +23,9 @@ const WINDOW_S: f64 = 1.0;
 const SAMPLES: usize = 10;
 /// Windows without which nothing can be said.
 const WINDOWS: usize = 4;
-/// A window this much less certain than the typical one says nothing.
-const VAGUE: f64 = 5.0;
+/// A window this much less certain than the typical one says nothing, or where speeds alone told what was taken off,
+/// within a window by less than it changes there.
+const VAGUE: [f64; 2] = [5.0, 100.0];
 /// Jumps that are sought.
 const JUMPS: usize = 4;
 /// By how much a jump must lower χ², in units of what χ² a window has left after it.
@@ -227,7 +228,8 @@ pub(super) fn course_of(
     let mut errors: Vec<f64> = windows.iter().map(|window| window.std_error_s).collect();
     errors.sort_by(f64::total_cmp);
     let Some(&typical_s) = errors.get(errors.len() / 2) else { return Err(Unseen::AtRest) };
-    windows.retain(|window| window.std_error_s < VAGUE * typical_s);
+    let vague_s = VAGUE[usize::from(taken.is_some())] * typical_s;
+    windows.retain(|window| window.std_error_s < vague_s);
     if windows.len() < WINDOWS {
         return Err(Unseen::NotExcited);
     }

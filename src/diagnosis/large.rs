@@ -63,21 +63,28 @@ pub fn pose_changes(
 ) -> Option<LargeChange> {
     let ArmSpeeds { linear, angular, .. } = ArmSpeeds::of(joints, stream.chain, stream.columns);
     let track = stream.track;
-    let mut pairs = vec![(linear, without_spikes(linear_speed(&track.t_s, &track.xyz)))];
+    let mut pairs = vec![(linear, linear_speed(&track.t_s, &track.xyz))];
     if let Orientations::Rotations(rotations) = &track.orientation {
-        pairs.push((angular, without_spikes(angular_speed(&track.t_s, rotations))));
+        pairs.push((angular, angular_speed(&track.t_s, rotations)));
+    }
+    for (arm, speed) in &mut pairs {
+        *speed = without_spikes(arm, std::mem::take(speed));
     }
     changes(&pairs, most_lag_s)
 }
 
 /// A speed without what no motion is: where stamps step, positions that are far apart stand side by side.
-fn without_spikes(speed: Speed) -> Speed {
-    /// So many times what nearly all samples stay below.
+fn without_spikes(arm: &Speed, speed: Speed) -> Speed {
+    /// So many times what nearly all samples stay below, at most.
     const TIMES: f64 = 4.0;
     const NEARLY_ALL: f64 = 0.95;
-    let mut values = speed.value.clone();
-    let Some(nearly_all) = quantile(&mut values, NEARLY_ALL) else { return speed };
-    let most = TIMES * nearly_all;
+    /// So many times as far above that as the arm's speed goes.
+    const FARTHER: f64 = 1.3;
+    let nearly_all = |speed: &Speed| quantile(&mut speed.value.clone(), NEARLY_ALL);
+    let (Some(of_arm), Some(own)) = (nearly_all(arm), nearly_all(&speed)) else { return speed };
+    let fastest = arm.value.iter().copied().fold(0.0, f64::max);
+    let times = (FARTHER * fastest / of_arm).min(TIMES);
+    let most = if times.is_finite() { times * own } else { TIMES * own };
     let kept = speed.t_s.iter().copied().zip(speed.value).filter(|(_, value)| *value <= most);
     let (t_s, value) = kept.unzip();
     Speed { t_s, value }
