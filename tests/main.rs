@@ -16,6 +16,7 @@ mod options;
 mod outputs;
 mod plan;
 mod program;
+mod real;
 mod reports;
 mod robot;
 mod tables;
