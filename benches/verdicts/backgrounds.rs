@@ -24,6 +24,8 @@ pub enum Background {
     Sag,
     /// Links that are 0.05 to 0.2 mm off their drawing, and a tenth of a degree to each millimetre.
     Links,
+    /// Links that are 0.03 to 0.5 mm off, as those of arms are that nobody calibrated.
+    Uncalibrated,
     /// Links that are 1 mm off.
     CoarseLinks,
     /// A pose that walks at random, by a fifth of a millimetre in 20 s.
@@ -37,12 +39,13 @@ pub enum Background {
 }
 
 impl Background {
-    pub const ALL: [Background; 10] = [
+    pub const ALL: [Background; 11] = [
         Background::Ideal,
         Background::CoarseEncoders,
         Background::Backlash,
         Background::Sag,
         Background::Links,
+        Background::Uncalibrated,
         Background::CoarseLinks,
         Background::RandomWalk,
         Background::Camera,
@@ -57,6 +60,7 @@ impl Background {
             Background::Backlash => "backlash",
             Background::Sag => "sag",
             Background::Links => "links",
+            Background::Uncalibrated => "uncalibrated",
             Background::CoarseLinks => "coarse links",
             Background::RandomWalk => "random walk",
             Background::Camera => "camera",
@@ -67,13 +71,13 @@ impl Background {
 
     /// Whether the arm is not its drawing: what is estimated is held against a model that is a little wrong.
     pub fn is_model_error(self) -> bool {
-        use Background::{Backlash, CoarseLinks, Links, Sag};
-        matches!(self, Links | CoarseLinks | Backlash | Sag)
+        use Background::{Backlash, CoarseLinks, Links, Sag, Uncalibrated};
+        matches!(self, Links | Uncalibrated | CoarseLinks | Backlash | Sag)
     }
 
     /// Whether where the ends of the chain are is a matter of the drawing.
     pub fn moves_frames(self) -> bool {
-        matches!(self, Background::Links | Background::CoarseLinks)
+        matches!(self, Background::Links | Background::Uncalibrated | Background::CoarseLinks)
     }
 
     /// Findings that are right in this background whatever is planted; `excited` says whether the arm reaches
@@ -94,7 +98,8 @@ impl Background {
     /// Whether it makes sense in a scene: the arm stands upright, and what is logged is as it is measured.
     pub fn fits(self, scene: Scene) -> bool {
         use Scene::*;
-        let one_arm = matches!(scene, Plain | Namespaced | Prefixed | TwoPublishers | TrackerWorld);
+        let one_arm =
+            matches!(scene, Plain | Namespaced | Prefixed | TwoPublishers | TrackerWorld | Marker);
         match self {
             Background::Ideal => true,
             Background::Camera => matches!(scene, Plain | Namespaced),
@@ -109,7 +114,9 @@ impl Background {
         const OF_COARSE_LINKS: f64 = 20.0;
         let of_links = matches!(kind, Zero | Growth | Reference | Tool | Play | Sag);
         match self {
-            Background::CoarseLinks if of_links => times >= OF_COARSE_LINKS,
+            Background::Uncalibrated | Background::CoarseLinks if of_links => {
+                times >= OF_COARSE_LINKS
+            }
             _ => true,
         }
     }
@@ -124,6 +131,10 @@ impl Background {
             Background::Backlash => give(run, r, |r| (Giving::Play, r.random_range(0.02..0.1))),
             Background::Sag => give(run, r, |r| (Giving::Sag, r.random_range(0.01..0.05))),
             Background::Links => run.built = Some(built(run, r.random_range(0.05e-3..0.2e-3), r)),
+            Background::Uncalibrated => {
+                let link_m = r.random_range(0.03e-3_f64.ln()..0.5e-3_f64.ln()).exp();
+                run.built = Some(built(run, link_m, r));
+            }
             Background::CoarseLinks => run.built = Some(built(run, 1e-3, r)),
             Background::RandomWalk => run.noise.pose_walk = (5e-5, 5e-5),
             Background::Camera => {

@@ -5,7 +5,7 @@ use std::fmt::{self, Write as _};
 
 use crate::Options;
 use crate::backgrounds::Background;
-use crate::cases::Case;
+use crate::cases::{Case, MotionKind};
 use crate::judge::{CORE, Fate, Interval, Outcome, Trouble, Verdict};
 use crate::kinds::{DEGREE, Kind, SURE, TIMES};
 
@@ -145,6 +145,22 @@ fn by_group(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
     let names: BTreeSet<&str> = outcomes.iter().map(|(case, _)| case.scene.name()).collect();
     for name in names {
         row(t, name, None, &|case| case.scene.name() == name)?;
+    }
+    writeln!(t, "\n## By motion\n\n| motion {head}")?;
+    for kind in MotionKind::ALL {
+        row(t, kind.name(), None, &|case| case.motion_kind == kind)?;
+        let is_clean = |case: &Case| case.motion_kind == kind && case.planted.is_empty();
+        row(t, &format!("{}, nothing planted", kind.name()), None, &is_clean)?;
+    }
+    let weak = |case: &Case| case.motion_kind != MotionKind::Usual;
+    let motions: BTreeSet<(&str, &str)> = outcomes
+        .iter()
+        .filter(|(case, _)| weak(case))
+        .map(|(case, _)| (case.motion_kind.name(), case.motion))
+        .collect();
+    for (kind, motion) in motions {
+        let is_its = |case: &Case| case.motion_kind.name() == kind && case.motion == motion;
+        row(t, &format!("{kind}: {motion}"), None, &is_its)?;
     }
     writeln!(t, "\n## By background\n\n| background {head}")?;
     for background in Background::ALL {

@@ -4,7 +4,7 @@ use std::fmt;
 
 use poseaudit::checks;
 use poseaudit::geometry::{pose, rotation_from_rotvec};
-use poseaudit::synth::{Motion, Noise, POSE, Scenario, Timing};
+use poseaudit::synth::{Motion, Noise, POSE, Scenario, Task, Timing};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use std::f64::consts::PI;
@@ -14,7 +14,104 @@ use crate::backgrounds::Background;
 use crate::kinds::{
     KINDS, Kind, KindOf, Planted, SURE, TIMES, Truth, chain, choose, plant, unit_vector,
 };
+use crate::observability::is_observable;
 use crate::scenes::{ARMS, Arm, Scene, brother, robot};
+
+/// What the motion of a case is like.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum MotionKind {
+    /// Wide or small random motion of all joints.
+    Usual,
+    /// What cells do, see [`Task`]: most of it shows some directions only.
+    Industrial,
+    /// Demonstrations of 5 to 13 s by arms that nobody calibrated.
+    Short,
+}
+
+impl MotionKind {
+    pub const ALL: [Self; 3] = [Self::Usual, Self::Industrial, Self::Short];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Usual => "usual",
+            Self::Industrial => "industrial",
+            Self::Short => "short",
+        }
+    }
+}
+
+/// Industrial motions.
+const INDUSTRIAL: [(&str, Motion); 17] = [
+    ("picking", Motion::Task(Task::Picking)),
+    ("palletising", Motion::Task(Task::Palletising)),
+    ("welding", Motion::Task(Task::Welding)),
+    ("spraying", Motion::Task(Task::Spraying)),
+    ("screwdriving", Motion::Task(Task::Screwdriving)),
+    ("tending", Motion::Tending),
+    ("bin picking", Motion::Task(Task::BinPicking)),
+    ("teleoperation", Motion::Task(Task::Teleoperation)),
+    ("servoing", Motion::Task(Task::Servoing)),
+    ("conveyor", Motion::Task(Task::Conveyor)),
+    ("elbow swing", Motion::ElbowSwing),
+    ("drawer", Motion::Task(Task::Drawer)),
+    ("hand-guided", Motion::Continuous),
+    ("cyclic", Motion::Periodic { period_s: 5.0 }),
+    ("one joint", Motion::OneJoint(0)),
+    ("one by one", Motion::OneByOne),
+    ("calibration", Motion::Task(Task::Calibration)),
+];
+
+fn usual_motion(run: &mut Scenario, r: &mut Pcg64) -> &'static str {
+    let motion = *choose(r, &["pick", "pick", "continuous", "small", "fast"]);
+    match motion {
+        "pick" => {}
+        "continuous" => (run.motion, run.amplitude) = (Motion::Continuous, 0.9),
+        "small" => {
+            run.motion = *choose(r, &[Motion::PickAndPlace, Motion::Continuous]);
+            run.amplitude = r.random_range(0.05..0.2);
+        }
+        _ => run.speed = 3.0,
+    }
+    motion
+}
+
+fn industrial_motion(run: &mut Scenario, r: &mut Pcg64) -> &'static str {
+    let dof = chain(run).dof();
+    let possible: Vec<(&str, Motion)> = INDUSTRIAL
+        .into_iter()
+        .filter(|(_, motion)| match motion {
+            Motion::Task(_) => dof >= 6,
+            Motion::ElbowSwing => dof == 7,
+            _ => true,
+        })
+        .collect();
+    let (name, motion) = *choose(r, &possible);
+    (run.motion, run.amplitude, run.speed) = (motion, 0.5, 0.8);
+    if let Motion::OneJoint(_) = motion {
+        run.motion = Motion::OneJoint(r.random_range(0..dof));
+    }
+    name
+}
+
+fn short_motion(run: &mut Scenario, r: &mut Pcg64) -> &'static str {
+    const SHORT: [&str; 6] =
+        ["picking", "teleoperation", "drawer", "hand-guided", "calibration", "one joint"];
+    let dof = chain(run).dof();
+    let possible: Vec<(&str, Motion)> = INDUSTRIAL
+        .into_iter()
+        .filter(|(name, motion)| {
+            SHORT.contains(name) && (dof >= 6 || !matches!(motion, Motion::Task(_)))
+        })
+        .collect();
+    let (name, motion) = *choose(r, &possible);
+    run.motion = motion;
+    (run.amplitude, run.speed) = (r.random_range(0.2..0.6), 0.8);
+    run.duration_s = r.random_range(5.0..13.0);
+    if let Motion::OneJoint(_) = motion {
+        run.motion = Motion::OneJoint(r.random_range(0..dof));
+    }
+    name
+}
 
 /// A log and what is wrong with it.
 pub struct Case {
@@ -23,6 +120,7 @@ pub struct Case {
     pub scene: Scene,
     pub background: Background,
     pub motion: &'static str,
+    pub motion_kind: MotionKind,
     pub noise: &'static str,
     pub scenario: Scenario,
     /// The other arm in the log, healthy.
@@ -61,7 +159,7 @@ impl Case {
         let backgrounds: Vec<Background> =
             backgrounds.into_iter().filter(|background| background.fits(scene)).collect();
         // Half of the logs are of an ideal arm, where there may be such.
-        let background = match r.random_bool(0.4) && options.backgrounds.is_empty() {
+        let mut background = match r.random_bool(0.4) && options.backgrounds.is_empty() {
             true => Background::Ideal,
             false => *choose(r, &backgrounds),
         };
@@ -78,18 +176,26 @@ impl Case {
         run.seed = r.random();
         run.duration_s = *choose(r, &[15.0, 20.0, 20.0, 30.0]);
         run.home = home.iter().map(|q| q + r.random_range(-0.3..0.3)).collect();
-        let motion = *choose(r, &["pick", "pick", "continuous", "small", "fast"]);
-        match motion {
-            "pick" => {}
-            "continuous" => (run.motion, run.amplitude) = (Motion::Continuous, 0.9),
-            "small" => {
-                run.motion = *choose(r, &[Motion::PickAndPlace, Motion::Continuous]);
-                run.amplitude = r.random_range(0.05..0.2);
-            }
-            _ => run.speed = 3.0,
+        let kinds: Vec<MotionKind> = MotionKind::ALL
+            .into_iter()
+            .filter(|kind| scene.is_of_one_arm() || *kind == MotionKind::Usual)
+            .filter(|kind| {
+                options.motions.is_empty()
+                    || options.motions.iter().any(|name| kind.name().starts_with(name.as_str()))
+            })
+            .collect();
+        let motion_kind = if kinds.is_empty() { MotionKind::Usual } else { *choose(r, &kinds) };
+        let motion = match motion_kind {
+            MotionKind::Usual => usual_motion(&mut run, r),
+            MotionKind::Industrial => industrial_motion(&mut run, r),
+            MotionKind::Short => short_motion(&mut run, r),
+        };
+        if motion_kind == MotionKind::Short && options.backgrounds.is_empty() {
+            background = Background::Uncalibrated;
         }
         let noise = match arm {
             "so101" => *choose(r, &["hobby", "white"]),
+            _ if scene == Scene::Marker => "tracker",
             _ => *choose(r, &["white", "white", "coloured", "coloured", "tracker"]),
         };
         run.noise = match noise {
@@ -133,7 +239,8 @@ impl Case {
             other,
             names_tip: scene.names_tip(),
             named_robot: None,
-            excited: motion != "small",
+            excited: motion_kind == MotionKind::Usual && motion != "small",
+            motion_kind,
             planted: Vec::new(),
         };
         case.plant_some(r, count, options);
@@ -258,7 +365,11 @@ impl Case {
             Kind::Shake => self.scenario.pose.timing.rate_hz >= SHOWN_HZ,
             kind => self.background.shows(kind, planted.times),
         };
-        planted.times >= SURE && self.excited && is_long_enough && is_told && is_seen
+        let is_shown = match self.motion_kind {
+            MotionKind::Usual => self.excited,
+            MotionKind::Industrial | MotionKind::Short => is_observable(self, planted),
+        };
+        planted.times >= SURE && is_shown && is_long_enough && is_told && is_seen
     }
 
     /// 125 Hz, the targets' rate.
@@ -315,7 +426,9 @@ impl fmt::Display for Case {
         if let Some(named) = &self.named_robot {
             write!(f, " --robot {named}")?;
         }
-        if run.motion != Motion::PickAndPlace || self.motion == "small" {
+        if self.motion_kind != MotionKind::Usual {
+            write!(f, " {} {:?}", self.motion_kind.name(), run.motion)?;
+        } else if run.motion != Motion::PickAndPlace || self.motion == "small" {
             write!(f, " {:?} ±{:.2}", run.motion, run.amplitude)?;
         }
         let planted: Vec<String> = self.planted.iter().map(ToString::to_string).collect();

@@ -10,6 +10,10 @@
 //! cargo bench --bench verdicts -- --only 812 --keep /tmp/logs   # one log and all that is said of it
 //! ```
 //!
+//! Motion is usual (random and wide), industrial (what cells do, most of which shows some directions only) or short
+//! (demonstrations by arms that nobody calibrated). Under the latter two a fault must be found if the Fisher
+//! information suffices beside deviations of the links (`observability.rs`); otherwise *inconclusive* is right.
+//!
 //! A case has a *scene* (how the cell's log is put together: rails, namespaces, folded joints, second
 //! publishers, hands that lead …; see `scenes.rs`), a *background* (what real arms and sensors do that is no
 //! fault; see `backgrounds.rs`) and *faults* (see `kinds.rs`). What is planted follows
@@ -21,6 +25,7 @@ mod board;
 mod cases;
 mod judge;
 mod kinds;
+mod observability;
 mod scenes;
 
 use std::fmt::Write as _;
@@ -64,6 +69,8 @@ pub struct Options {
     pub scenes: Vec<String>,
     /// Backgrounds to choose from, by the beginning of their names.
     pub backgrounds: Vec<String>,
+    /// Kinds of motion to choose from, by the beginning of their names.
+    pub motions: Vec<String>,
     /// After how long no further log is begun, s.
     pub most_s: f64,
     /// Whether to list every wrong outcome, as it comes and at the end.
@@ -85,6 +92,7 @@ impl Options {
             arms: Vec::new(),
             scenes: Vec::new(),
             backgrounds: Vec::new(),
+            motions: Vec::new(),
             most_s: f64::INFINITY,
             verbose: false,
         };
@@ -107,6 +115,7 @@ impl Options {
                 "--arms" => options.arms = list(value()),
                 "--minutes" => options.most_s = 60.0 * number::<f64>(&name, &value()),
                 "--backgrounds" => options.backgrounds = list(value()),
+                "--motions" => options.motions = list(value()),
                 "--scenes" => options.scenes = list(value()),
                 _ => misuse(&name),
             }
@@ -122,7 +131,7 @@ fn number<T: std::str::FromStr>(name: &str, text: &str) -> T {
 fn misuse(name: &str) -> ! {
     eprintln!(
         "{name}: not understood; options are --logs N --seed N --threads N --keep DIR --only CASE \
-         --faults 0,1,2,4 --kinds LAT,ZER001 --arms ur5e,rail --scenes rail --backgrounds links --minutes N --verbose"
+         --faults 0,1,2,4 --kinds LAT,ZER001 --arms ur5e,rail --scenes rail --backgrounds links --motions industrial,short --minutes N --verbose"
     );
     std::process::exit(2)
 }

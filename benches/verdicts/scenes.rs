@@ -45,6 +45,8 @@ pub enum Scene {
     Encoders,
     /// Poses in the world of a tracker.
     TrackerWorld,
+    /// Poses of a marker somewhere on the tool, in the world of a tracker.
+    Marker,
     /// A hand leads the arm.
     Led,
     /// Tool poses are bare numbers as a maker has them.
@@ -58,7 +60,7 @@ pub enum Scene {
 }
 
 impl Scene {
-    pub const ALL: [Scene; 17] = [
+    pub const ALL: [Scene; 18] = [
         Scene::Plain,
         Scene::Namespaced,
         Scene::Prefixed,
@@ -71,6 +73,7 @@ impl Scene {
         Scene::TwoPublishers,
         Scene::Encoders,
         Scene::TrackerWorld,
+        Scene::Marker,
         Scene::Led,
         Scene::BareNumbers,
         Scene::Catalogue,
@@ -92,6 +95,7 @@ impl Scene {
             Scene::TwoPublishers => "two-publishers",
             Scene::Encoders => "encoders",
             Scene::TrackerWorld => "tracker-world",
+            Scene::Marker => "marker",
             Scene::Led => "led",
             Scene::BareNumbers => "bare-numbers",
             Scene::Catalogue => "catalogue",
@@ -104,6 +108,22 @@ impl Scene {
     /// the arm takes to follow the hand.
     pub fn allows(self, code: &str) -> bool {
         matches!((self, code), (Scene::Led, "FRM007" | "LAT004"))
+    }
+
+    /// Whether it holds one arm that stands on its base, so that any motion suits it.
+    pub fn is_of_one_arm(self) -> bool {
+        use Scene::*;
+        matches!(
+            self,
+            Plain
+                | Namespaced
+                | Prefixed
+                | TwoPublishers
+                | Encoders
+                | TrackerWorld
+                | Marker
+                | ActiveTcp
+        )
     }
 
     /// The arms that this scene is made with; empty where any will do.
@@ -152,7 +172,8 @@ impl Scene {
         match self {
             Scene::Plain | Scene::Namespaced | Scene::Prefixed | Scene::Encoders => true,
             _ if of_arm => {
-                matches!(self, Scene::TrackerWorld | Scene::TwoPublishers) && kind != TagSize
+                matches!(self, Scene::TrackerWorld | Scene::Marker | Scene::TwoPublishers)
+                    && kind != TagSize
             }
             Scene::TwoNamespaces => !of_tf && !of_imu && kind != WrongArm,
             Scene::TwoPrefixes => !of_imu && kind != WrongArm,
@@ -180,8 +201,10 @@ impl Scene {
                 !of_imu && !of_frames && !of_poses && !matches!(kind, JointsLate | WrongArm)
             }
             Scene::TwoPublishers => !of_tf && kind != WrongArm,
+            // A constant tool is where the marker sits.
+            Scene::Marker if matches!(kind, Tool | Transposed | Axes) => false,
             // Where that world is, and how long the tool, nobody says.
-            Scene::TrackerWorld => {
+            Scene::TrackerWorld | Scene::Marker => {
                 (!of_frames || kind == BaseChanges)
                     && !matches!(kind, Growth | GrowthChanges | WrongArm | Inverted)
             }
@@ -199,7 +222,11 @@ impl Scene {
     pub fn names_tip(self) -> bool {
         !matches!(
             self,
-            Scene::ActiveTcp | Scene::CatalogueByPoses | Scene::TwoNamespaces | Scene::TwoPrefixes
+            Scene::ActiveTcp
+                | Scene::Marker
+                | Scene::CatalogueByPoses
+                | Scene::TwoNamespaces
+                | Scene::TwoPrefixes
         )
     }
 
@@ -257,7 +284,12 @@ impl Scene {
             Scene::Encoders => {
                 run.joints.quantum = 2.0 * PI / *choose(r, &[4096.0, 16384.0, 65536.0]);
             }
-            Scene::TrackerWorld => {
+            Scene::TrackerWorld | Scene::Marker => {
+                if self == Scene::Marker {
+                    let turn = rotation_from_rotvec(r.random_range(0.0..PI) * unit_vector(r));
+                    let arm_m = r.random_range(0.03..0.12);
+                    run.pose.tip_from_stream = pose((arm_m * unit_vector(r)).into(), turn);
+                }
                 let world = choose(r, &["mocap_world", "vive/world", "optitrack", "lab/world"]);
                 run.pose.frame_id = (*world).to_owned();
                 let turn = rotation_from_rotvec(r.random_range(0.2..3.0) * unit_vector(r));

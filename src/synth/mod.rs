@@ -19,6 +19,7 @@ mod reference;
 mod streams;
 mod structure;
 mod target;
+mod task;
 mod truth;
 mod urdf;
 
@@ -43,6 +44,7 @@ pub use recorded::{Coding, ImuStream, JointStream, OtherTransform, PoseStream, T
 pub use reference::{Commands, ReferenceStream};
 pub use structure::{Drive, Fold, LeaderStream, SecondPublisher, ToolSlip, write_cell};
 pub use target::{Camera, Swapped, TargetStream};
+pub use task::Task;
 use truth::Truth;
 pub use urdf::urdf_text;
 
@@ -299,6 +301,15 @@ impl Scenario {
         compression: Option<Compression>,
     ) -> Result<(), SynthError> {
         write(std::slice::from_ref(self), out, compression)
+    }
+
+    /// Positions and velocities of the joints, where their links are, at times after the start, s.
+    ///
+    /// # Errors
+    /// If there is no chain from `base` to `tip`.
+    pub fn joints_at(&self, times_s: &[f64]) -> Result<Vec<(Vec<f64>, Vec<f64>)>, SynthError> {
+        let truth = Truth::new(self)?;
+        Ok(times_s.iter().map(|&time_s| truth.joints(time_s)).collect())
     }
 
     /// The run that says what streams are `time_s` after the start.

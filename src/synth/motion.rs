@@ -8,6 +8,7 @@ use rand_pcg::Pcg64;
 use super::Scenario;
 use super::noise::{Purpose, random};
 use super::path::{Lines, Path};
+use super::task::Task;
 use crate::geometry::Pose;
 use crate::robot::{Chain, JointKind, Limits};
 
@@ -27,6 +28,14 @@ pub enum Motion {
     OneJoint(usize),
     /// From one pose of the tip to the next along straight lines, with a rest of 0.6 to 0.9 s at each.
     Lines(Lines),
+    /// A task of the tip.
+    Task(Task),
+    /// The elbow of an arm with seven joints swings while the tip stays.
+    ElbowSwing,
+    /// Between three random postures, over and over, as in machine tending.
+    Tending,
+    /// One joint after the other, there and back.
+    OneByOne,
     /// Not at all.
     AtRest,
 }
@@ -75,7 +84,26 @@ impl Trajectory {
         let rooms: Vec<Room> =
             (0..chain.dof()).map(|joint| Room::new(scenario, chain, joint)).collect();
         match scenario.motion {
-            Motion::PickAndPlace => Self::knots(scenario, &rooms),
+            Motion::PickAndPlace => Self::knots(scenario, &rooms, anywhere),
+            Motion::Tending => {
+                const POSTURES: usize = 3;
+                let mut postures: Vec<Vec<f64>> = Vec::new();
+                Self::knots(scenario, &rooms, |random, rooms, count| {
+                    if count < POSTURES {
+                        postures.push(anywhere(random, rooms, count));
+                    }
+                    postures[count % POSTURES].clone()
+                })
+            }
+            Motion::OneByOne => Self::knots(scenario, &rooms, |random, rooms, count| {
+                let mut q: Vec<f64> = rooms.iter().map(|room| room.home).collect();
+                let joint = count / 2 % rooms.len();
+                if count % 2 == 1 {
+                    let side = if random.random_bool(0.5) { 1.0 } else { -1.0 };
+                    q[joint] += side * rooms[joint].amplitude * random.random_range(0.3..1.0);
+                }
+                q
+            }),
             Motion::OneJoint(moving) => {
                 assert!(moving < rooms.len(), "joint {moving} of {} joints moves", rooms.len());
                 let mut held = rooms;
@@ -84,7 +112,7 @@ impl Trajectory {
                         room.amplitude = 0.0;
                     }
                 }
-                Self::knots(scenario, &held)
+                Self::knots(scenario, &held, anywhere)
             }
             Motion::Continuous => Self::sines(scenario, &rooms, |random| {
                 [random.random_range(0.08..0.15), random.random_range(0.2..0.3)]
@@ -96,6 +124,14 @@ impl Trajectory {
                 let home: Vec<f64> = rooms.iter().map(|room| room.home).collect();
                 Self::Path(Path::new(scenario, lines, chain, &home))
             }
+            Motion::Task(task) => {
+                let home: Vec<f64> = rooms.iter().map(|room| room.home).collect();
+                Self::Path(Path::of_task(scenario, task, chain, &home))
+            }
+            Motion::ElbowSwing => {
+                let home: Vec<f64> = rooms.iter().map(|room| room.home).collect();
+                Self::Path(Path::elbow_swing(scenario, chain, &home))
+            }
             Motion::AtRest => {
                 let q = rooms.iter().map(|room| room.home).collect();
                 Self::Knots(vec![Knot { time_s: 0.0, q }])
@@ -103,7 +139,12 @@ impl Trajectory {
         }
     }
 
-    fn knots(scenario: &Scenario, rooms: &[Room]) -> Self {
+    /// From posture to posture, of which `next` makes one after the other from their count so far.
+    fn knots(
+        scenario: &Scenario,
+        rooms: &[Room],
+        mut next: impl FnMut(&mut Pcg64, &[Room], usize) -> Vec<f64>,
+    ) -> Self {
         /// Peak speed of a blend over its mean speed.
         const PEAK: f64 = 1.875;
         /// Its peak acceleration over distance by time squared, and the most that is no abrupt stop,
@@ -114,10 +155,7 @@ impl Trajectory {
         let mut knots: Vec<Knot> = Vec::new();
         let mut time_s = 0.0;
         while time_s < scenario.duration_s {
-            let q: Vec<f64> = rooms
-                .iter()
-                .map(|room| room.home + room.amplitude * random.random_range(-1.0..=1.0))
-                .collect();
+            let q = next(&mut random, rooms, knots.len() / 2);
             if let Some(last) = knots.last() {
                 let needed_s = |((to, from), room): ((&f64, &f64), &Room)| {
                     let way = (to - from).abs();
@@ -204,6 +242,12 @@ impl Trajectory {
             Self::Path(path) => path.rests(),
         }
     }
+}
+
+/// A random posture.
+fn anywhere(random: &mut Pcg64, rooms: &[Room], _count: usize) -> Vec<f64> {
+    let joint = |room: &Room| room.home + room.amplitude * random.random_range(-1.0..=1.0);
+    rooms.iter().map(joint).collect()
 }
 
 fn at_rest(knot: &Knot) -> (Vec<f64>, Vec<f64>) {

@@ -7,6 +7,7 @@ use rand::RngExt;
 
 use super::Scenario;
 use super::noise::{Purpose, random};
+use super::task::Task;
 use crate::geometry::{
     Convention, Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation,
 };
@@ -22,6 +23,8 @@ pub struct Lines {
     pub turned_by: Option<Convention>,
 }
 
+/// The shortest time from stop to stop, s.
+const LEAST_S: f64 = 0.5;
 /// Time between samples of the joints, s.
 const STEP_S: f64 = 0.004;
 
@@ -47,11 +50,10 @@ impl Path {
     pub(super) fn new(scenario: &Scenario, lines: Lines, chain: &Chain, home: &[f64]) -> Self {
         /// How far from home the ends are, m along each axis, and how far they are turned, rad.
         const ROOM: (f64, f64) = (0.12, 0.45);
-        /// Mean speeds on the way, m/s and rad/s.
-        const SPEED: (f64, f64) = (0.2, 0.8);
+        const SPEED_M_S: f64 = 0.2;
         let mut random = random(scenario.seed, Purpose::Motion);
         let base_from_home = chain.forward(home);
-        let mut stops: Vec<Stop> = Vec::new();
+        let mut stops = Vec::new();
         let mut time_s = 0.0;
         while time_s < scenario.duration_s {
             let mut triple =
@@ -61,23 +63,105 @@ impl Path {
                 (base_from_home.translation.vector + shift).into(),
                 base_from_home.rotation * rotation_from_rotvec(turn),
             );
-            if let Some(last) = stops.last() {
-                let far_m = (pose.translation.vector - last.pose.translation.vector).norm();
-                let far_rad = last.pose.rotation.angle_to(&pose.rotation);
-                time_s += (far_m / SPEED.0).max(far_rad / SPEED.1).max(0.5);
-            }
-            let leave_s = time_s + random.random_range(0.6..0.9);
-            stops.push(Stop { arrive_s: time_s, leave_s, pose });
-            time_s = leave_s;
+            time_s = stop(&mut stops, pose, SPEED_M_S, random.random_range(0.6..0.9));
         }
-        let mut path = Self { lines, stops, q: Vec::new() };
-        let count = (scenario.duration_s / STEP_S).ceil() as usize + 4;
+        Self::through(scenario, lines, stops, chain, home)
+    }
+
+    /// The path of a task about the pose that the arm has at `home`, as slow as its joints need it.
+    pub(super) fn of_task(scenario: &Scenario, task: Task, chain: &Chain, home: &[f64]) -> Self {
+        const ROUNDS: usize = 3;
+        let base_from_home = chain.forward(home);
+        let mut random = random(scenario.seed, Purpose::Motion);
+        let count = (scenario.duration_s / LEAST_S) as usize + 1;
+        let mut stops = Vec::new();
+        for leg in task.legs(&mut random, count) {
+            let pose = leg.stop(&base_from_home);
+            if stop(&mut stops, pose, leg.speed_m_s, leg.rest_s) > scenario.duration_s {
+                break;
+            }
+        }
+        let mut path = Self::through(scenario, Lines::default(), stops, chain, home);
+        for _ in 0..ROUNDS {
+            let haste = path.haste(scenario, chain);
+            if haste <= 1.0 {
+                break;
+            }
+            let mut stops = path.stops;
+            for stop in &mut stops {
+                (stop.arrive_s, stop.leave_s) = (haste * stop.arrive_s, haste * stop.leave_s);
+            }
+            path = Self::through(scenario, Lines::default(), stops, chain, home);
+        }
+        path
+    }
+
+    /// The elbow of an arm with seven joints swings while the tip stays: a motion in the null space of the
+    /// Jacobian (Siciliano et al., *Robotics*, §3.5).
+    pub(super) fn elbow_swing(scenario: &Scenario, chain: &Chain, home: &[f64]) -> Self {
+        /// Largest speed in the null space, rad/s, and frequency of the swing, Hz.
+        const SWING: (f64, f64) = (0.35, 0.12);
+        let mut stops = Vec::new();
+        stop(&mut stops, chain.forward(home), 1.0, scenario.duration_s);
+        let mut path = Self { lines: Lines::default(), stops, q: Vec::new() };
         let mut q = home.to_vec();
-        for step in 0..count {
+        let mut jacobian = vec![[0.0; 6]; chain.dof()];
+        let mut last = DVector::zeros(chain.dof());
+        for step in 0..Self::count(scenario) {
+            chain.forward_with_jacobian(&q, &mut jacobian);
+            let j = DMatrix::from_fn(6, chain.dof(), |row, column| jacobian[column][row]);
+            let eigen = (j.transpose() * j).symmetric_eigen();
+            let mut null = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned();
+            if null.dot(&last) < 0.0 {
+                null.neg_mut();
+            }
+            let speed = SWING.0 * (TAU * SWING.1 * Self::time_of(step)).sin();
+            q.iter_mut().zip(null.iter()).for_each(|(q, null)| *q += STEP_S * speed * null);
+            follow(chain, &path.stops[0].pose, &mut q);
+            last = null;
+            path.q.push(q.clone());
+        }
+        path
+    }
+
+    fn through(
+        scenario: &Scenario,
+        lines: Lines,
+        stops: Vec<Stop>,
+        chain: &Chain,
+        home: &[f64],
+    ) -> Self {
+        let mut path = Self { lines, stops, q: Vec::new() };
+        let mut q = home.to_vec();
+        for step in 0..Self::count(scenario) {
             follow(chain, &path.pose_at(Self::time_of(step), lines.bow_m), &mut q);
             path.q.push(q.clone());
         }
         path
+    }
+
+    /// By which factor the motion must be slower to keep to the joints' speeds and to gentle accelerations.
+    fn haste(&self, scenario: &Scenario, chain: &Chain) -> f64 {
+        /// Part of the speed limits, and the largest acceleration, rad/s² or m/s².
+        const COMFORT: f64 = 0.9;
+        const GENTLE: f64 = 12.0;
+        let mut haste = 0.0_f64;
+        for (joint, limits) in chain.limits().iter().enumerate() {
+            let limit = limits.velocity.filter(|limit| *limit > 0.0).unwrap_or(f64::INFINITY);
+            let limit = COMFORT * limit.min(1.5 * scenario.speed);
+            for rows in self.q.windows(3) {
+                let [before, now, after] = [rows[0][joint], rows[1][joint], rows[2][joint]];
+                let speed = (after - before).abs() / (2.0 * STEP_S);
+                let acceleration = (after - 2.0 * now + before).abs() / (STEP_S * STEP_S);
+                haste = haste.max(speed / limit).max((acceleration / GENTLE).sqrt());
+            }
+        }
+        haste
+    }
+
+    /// Number of samples of the joints.
+    fn count(scenario: &Scenario) -> usize {
+        (scenario.duration_s / STEP_S).ceil() as usize + 4
     }
 
     fn time_of(step: usize) -> f64 {
@@ -143,6 +227,21 @@ impl Path {
         };
         (0..self.q[0].len()).map(joint).unzip()
     }
+}
+
+/// Adds a stop after the last and returns when the arm leaves it, s.
+fn stop(stops: &mut Vec<Stop>, pose: Pose, speed_m_s: f64, rest_s: f64) -> f64 {
+    /// Mean angular speed on the way, rad/s.
+    const SPEED_RAD_S: f64 = 0.8;
+    let on_the_way_s = stops.last().map_or(0.0, |last| {
+        let far_m = (pose.translation.vector - last.pose.translation.vector).norm();
+        let far_rad = last.pose.rotation.angle_to(&pose.rotation);
+        (far_m / speed_m_s).max(far_rad / SPEED_RAD_S).max(LEAST_S)
+    });
+    let arrive_s = stops.last().map_or(0.0, |last| last.leave_s + on_the_way_s);
+    let leave_s = arrive_s + rest_s;
+    stops.push(Stop { arrive_s, leave_s, pose });
+    leave_s
 }
 
 /// Moves `q` to where the tip is at `pose`: damped least squares on the geometric Jacobian (Siciliano et

@@ -142,3 +142,53 @@ fn a_sliding_joint_is_moved_and_told_in_metres() {
     }
     assert!((0.76..1.06).contains(&most));
 }
+
+#[test]
+fn tasks_follow_their_lines_as_slowly_as_the_joints_need() {
+    use Task::*;
+    let tasks = [
+        Picking,
+        Palletising,
+        Welding,
+        Spraying,
+        Screwdriving,
+        BinPicking,
+        Teleoperation,
+        Servoing,
+        Conveyor,
+        Drawer,
+        Calibration,
+    ];
+    for task in tasks {
+        let run = Scenario { motion: Motion::Task(task), ..quiet_run() };
+        let truth = Truth::new(&run).unwrap();
+        let mut moved = 0.0_f64;
+        for step in 0..100 {
+            let time_s = 0.01 * run.duration_s * f64::from(step);
+            assert_same(&truth.base_from_tip(time_s), &truth.commanded(time_s).unwrap());
+            let (_, q_dot) = truth.joints(time_s);
+            for (speed, limits) in q_dot.iter().zip(truth.chain.limits()) {
+                assert!(limits.velocity.is_none_or(|limit| speed.abs() <= limit), "{task:?}");
+                moved = moved.max(speed.abs());
+            }
+        }
+        assert!(moved > 0.02, "{task:?}");
+    }
+}
+
+#[test]
+fn a_swinging_elbow_leaves_the_tip_where_it_is() {
+    let arm = catalogue::find("kuka_lbr_iiwa14").unwrap().clone();
+    let home = vec![0.0, 0.5, 0.0, -1.4, 0.0, 1.0, 0.0];
+    let motion = Motion::ElbowSwing;
+    let run = Scenario { motion, home, ..Scenario::new(arm, "lbr_link_0", "lbr_link_ee") };
+    let truth = Truth::new(&run).unwrap();
+    let (start, _) = truth.joints(0.0);
+    let mut moved = 0.0_f64;
+    for step in 0..40 {
+        let time_s = 0.5 * f64::from(step);
+        assert_same(&truth.base_from_tip(time_s), &truth.base_from_tip(0.0));
+        moved = moved.max((truth.joints(time_s).0[2] - start[2]).abs());
+    }
+    assert!(moved > 0.1, "{moved}");
+}

@@ -1,0 +1,185 @@
+//! Industrial motions: the poses that an arm goes through in a task.
+
+use rand::RngExt;
+use rand_pcg::Pcg64;
+
+use crate::geometry::{Pose, Vec3, rotation_from_rotvec};
+
+/// A task whose path is made of straight lines of the tip. Most of them keep the tool's z axis fixed or turn it
+/// about one axis only, as real cells do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Task {
+    /// Tool-down picking and placing, turned about the vertical.
+    Picking,
+    /// Picks at one place and fills a grid, without turning.
+    Palletising,
+    /// Slow seams with a weave, at a constant tilt.
+    Welding,
+    /// Parallel strokes, tilted at their ends.
+    Spraying,
+    /// Descends at the corners of a rectangle and turns about the tool's z axis there.
+    Screwdriving,
+    /// Picks in tilted postures and places in one.
+    BinPicking,
+    /// Small moves in all directions, as an operator makes them.
+    Teleoperation,
+    /// Small corrections of position and angle, as a visual servo makes them.
+    Servoing,
+    /// Follows a belt, picks on the way and places beside it.
+    Conveyor,
+    /// Pulls and pushes along one line.
+    Drawer,
+    /// Tilts about a point and rests, as for a hand-eye calibration.
+    Calibration,
+}
+
+/// The way to one stop, relative to the pose at home.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Leg {
+    /// Position in the base, m.
+    shift_m: Vec3,
+    /// Rotation vector in the tool's frame, rad.
+    turn_rad: Vec3,
+    /// Mean speed on the way, m/s.
+    pub(super) speed_m_s: f64,
+    /// Rest at its end, s.
+    pub(super) rest_s: f64,
+}
+
+impl Leg {
+    /// The stop of an arm whose tip is at `base_from_home` at home.
+    pub(super) fn stop(&self, base_from_home: &Pose) -> Pose {
+        let rotation = base_from_home.rotation * rotation_from_rotvec(self.turn_rad);
+        Pose::from_parts((base_from_home.translation.vector + self.shift_m).into(), rotation)
+    }
+}
+
+/// Height from which the tool descends, m.
+const LIFT: Vec3 = Vec3::new(0.0, 0.0, 0.08);
+
+fn go(legs: &mut Vec<Leg>, shift_m: Vec3, turn_rad: Vec3, speed_m_s: f64, rest_s: f64) {
+    legs.push(Leg { shift_m, turn_rad, speed_m_s, rest_s });
+}
+
+/// Descends to a place, rests there and goes up again.
+fn visit(legs: &mut Vec<Leg>, speed_m_s: f64, at_m: Vec3, turn_rad: Vec3, rest_s: f64) {
+    go(legs, at_m + LIFT, turn_rad, speed_m_s, 0.0);
+    go(legs, at_m, turn_rad, 0.5 * speed_m_s, rest_s);
+    go(legs, at_m + LIFT, turn_rad, 0.5 * speed_m_s, 0.0);
+}
+
+impl Task {
+    /// At least `count` legs.
+    pub(super) fn legs(self, random: &mut Pcg64, count: usize) -> Vec<Leg> {
+        /// Half of the width of the workspace, m.
+        const WIDTH_M: f64 = 0.1;
+        let mut legs: Vec<Leg> = Vec::new();
+        let level = |random: &mut Pcg64, size: f64| {
+            Vec3::new(random.random_range(-size..size), random.random_range(-size..size), 0.0)
+        };
+        let heading: f64 = random.random_range(-0.8..0.8);
+        let along = Vec3::new(heading.cos(), heading.sin(), 0.0);
+        let across = Vec3::new(-along.y, along.x, 0.0);
+        let tilt = random.random_range(0.1..0.4) * Vec3::x();
+        let speed_m_s = random.random_range(0.1..0.25);
+        // Half of the picking cells turn the part.
+        let yaw_rad = if random.random_bool(0.5) { 0.6 } else { 1e-9 };
+        let (start, level_turn) = (Vec3::zeros(), Vec3::zeros());
+        go(&mut legs, start, if self == Task::Welding { tilt } else { level_turn }, 0.1, 0.4);
+        let mut cycle = 0;
+        while legs.len() < count {
+            match self {
+                Task::Picking => {
+                    let turn = random.random_range(-yaw_rad..yaw_rad) * Vec3::z();
+                    visit(
+                        &mut legs,
+                        speed_m_s,
+                        level(random, WIDTH_M),
+                        turn,
+                        random.random_range(0.2..0.6),
+                    );
+                }
+                Task::Palletising => {
+                    let place = [cycle % 3, cycle / 3 % 3, cycle / 9 % 3].map(f64::from);
+                    let place = Vec3::new(0.05 * place[0], 0.05 * place[1], 0.02 * place[2]);
+                    visit(&mut legs, speed_m_s, -WIDTH_M * across, level_turn, 0.4);
+                    visit(&mut legs, speed_m_s, place, level_turn, 0.3);
+                }
+                Task::Welding => {
+                    let seam = level(random, 0.5 * WIDTH_M);
+                    go(&mut legs, seam + 0.5 * LIFT, tilt, speed_m_s, 0.0);
+                    for step in 0..16 {
+                        let weave_m = if step % 2 == 0 { 0.003 } else { -0.003 };
+                        let at = seam + 0.005 * f64::from(step) * along + weave_m * across;
+                        go(&mut legs, at, tilt, 0.02, 0.0);
+                    }
+                    go(&mut legs, seam + 0.08 * along + 0.5 * LIFT, tilt, speed_m_s, 0.0);
+                }
+                Task::Spraying => {
+                    let side = if cycle % 2 == 0 { 1.0 } else { -1.0 };
+                    let lane = f64::from(cycle % 8 - 4) * 0.02 * across;
+                    go(&mut legs, lane - side * WIDTH_M * along, side * tilt, speed_m_s, 0.0);
+                    go(&mut legs, lane + side * WIDTH_M * along, -side * tilt, speed_m_s, 0.0);
+                }
+                Task::Screwdriving => {
+                    let [x, y] = [cycle % 2, cycle / 2 % 2].map(|side| f64::from(2 * side - 1));
+                    let hole = 0.8 * WIDTH_M * (x * along + y * across);
+                    visit(&mut legs, speed_m_s, hole, level_turn, 0.0);
+                    go(&mut legs, hole, level_turn, speed_m_s, 0.0);
+                    go(&mut legs, hole - 0.05 * LIFT, 1.2 * Vec3::z(), 0.1, 0.3);
+                    go(&mut legs, hole + LIFT, level_turn, speed_m_s, 0.0);
+                }
+                Task::BinPicking => {
+                    let turn = level(random, 0.4) + random.random_range(-0.6..0.6) * Vec3::z();
+                    visit(&mut legs, speed_m_s, level(random, WIDTH_M), turn, 0.4);
+                    visit(&mut legs, speed_m_s, WIDTH_M * across, level_turn, 0.3);
+                }
+                Task::Teleoperation => {
+                    let up = random.random_range(-0.04..0.04) * Vec3::z();
+                    let turn = level(random, 0.06) + random.random_range(-0.15..0.15) * Vec3::z();
+                    let rest_s =
+                        if random.random_bool(0.2) { random.random_range(0.2..1.0) } else { 0.0 };
+                    go(&mut legs, level(random, 0.05) + up, turn, 0.5 * speed_m_s, rest_s);
+                }
+                Task::Servoing => {
+                    let up = random.random_range(-0.03..0.03) * Vec3::z();
+                    let turn = level(random, 0.03) + random.random_range(-0.06..0.06) * Vec3::z();
+                    go(
+                        &mut legs,
+                        level(random, 0.06) + up,
+                        turn,
+                        0.5 * speed_m_s,
+                        random.random_range(0.5..1.5),
+                    );
+                }
+                Task::Conveyor => {
+                    let lane = random.random_range(-0.04..0.04) * across;
+                    let turn = random.random_range(-0.4..0.4) * Vec3::z();
+                    let belt = |part: f64| lane + 0.05 * part * along;
+                    go(&mut legs, belt(-1.0) + LIFT, turn, speed_m_s, 0.0);
+                    go(&mut legs, belt(0.0), turn, 0.08, 0.0);
+                    go(&mut legs, belt(0.5), turn, 0.08, 0.0);
+                    go(&mut legs, belt(1.5) + LIFT, turn, 0.08, 0.0);
+                    visit(&mut legs, speed_m_s, WIDTH_M * across, level_turn, 0.3);
+                }
+                Task::Drawer => {
+                    let rest_s = random.random_range(0.3..0.8);
+                    go(&mut legs, -0.7 * WIDTH_M * along, level_turn, 0.5 * speed_m_s, rest_s);
+                    go(&mut legs, 0.7 * WIDTH_M * along, level_turn, 0.5 * speed_m_s, rest_s);
+                }
+                Task::Calibration => {
+                    let turn = level(random, 0.45) + random.random_range(-0.8..0.8) * Vec3::z();
+                    go(
+                        &mut legs,
+                        level(random, 0.6 * WIDTH_M),
+                        turn,
+                        speed_m_s,
+                        random.random_range(0.5..1.0),
+                    );
+                }
+            }
+            cycle += 1;
+        }
+        legs
+    }
+}
