@@ -50,6 +50,80 @@ pub fn beyond_speed(t_s: &[f64], qd: &[f64], limits: &Limits) -> Option<Excess> 
     beyond(t_s, held, limits.velocity?)
 }
 
+/// The speeds of a joint beyond its limit by its positions alone: rates over as long a time as makes their noise,
+/// which includes what uneven stamps feign, small beside the limit, and beyond the limit by more than that noise.
+/// Each rate is taken over the stamps and over even times, and the less of both counts: a single row stamped late
+/// is no speed. `step` is what positions are whole numbers of, 0 if they are not.
+pub fn beyond_speed_of_positions(
+    t_s: &[f64],
+    q: &[f64],
+    limits: &Limits,
+    step: f64,
+) -> Option<Excess> {
+    /// Share of the limit that noise and a step of the encoder may make.
+    const SHARE: f64 = 0.02;
+    /// Standard deviations that noise hardly reaches.
+    const SIGMAS: f64 = 4.0;
+    /// Share of deviations within one standard deviation.
+    const ONE_SIGMA: f64 = 0.68;
+    /// Share of the stamps' jitter that a median of 17 leaves: 1.25 / √17.
+    const LEFT: f64 = 0.3;
+    /// Motion changes within longer times, s.
+    const LONGEST_S: f64 = 0.15;
+    let limit = limits.velocity.filter(|limit| *limit > 0.0)?;
+    if q.len() < ENOUGH || t_s.len() != q.len() {
+        return None;
+    }
+    let period_s = (t_s[t_s.len() - 1] - t_s[0]) / (t_s.len() - 1) as f64;
+    let even_s = even_times(t_s);
+    let off = t_s.iter().zip(&even_s).map(|(stamped, even)| (stamped - even).abs());
+    let jitter_s = quantile_of(off, ONE_SIGMA).unwrap_or(0.0);
+    let by_stamps = LEFT * jitter_s * limit;
+    let noise = noise_of(q, Series::Positions).all.hypot(by_stamps);
+    let noise = SIGMAS * std::f64::consts::SQRT_2 * noise;
+    let by_noise_s = (noise / (SHARE * limit)).min(LONGEST_S);
+    let window_s = by_noise_s.max(step / (SHARE * limit)).max(2.0 * period_s);
+    let stamped = rates(t_s, q, window_s);
+    let even = rates(&even_s, q, window_s);
+    let lesser = stamped.iter().zip(even).map(|(a, b)| if b.abs() < a.abs() { b } else { *a });
+    let lesser: Vec<f64> = lesser.collect();
+    let sure = Limits { velocity: Some(limit + noise / window_s), ..*limits };
+    beyond_speed(t_s, &lesser, &sure).map(|excess| Excess { limit, ..excess })
+}
+
+/// When rows would be if they came evenly: for each the median of what the rows around it say, at the usual
+/// interval. Rows across a gap say nothing.
+fn even_times(t_s: &[f64]) -> Vec<f64> {
+    const AROUND: usize = 8;
+    /// A gap is longer than so many intervals.
+    const GAP: f64 = 4.0;
+    let intervals = t_s.windows(2).map(|pair| pair[1] - pair[0]);
+    let Some(period_s) = median_of(intervals) else { return t_s.to_vec() };
+    let gap_s = GAP * period_s;
+    let mut after_gap = vec![0; t_s.len()];
+    for row in 1..t_s.len() {
+        let is_gap = t_s[row] - t_s[row - 1] > gap_s;
+        after_gap[row] = if is_gap { row } else { after_gap[row - 1] };
+    }
+    let mut even_s: Vec<f64> = Vec::with_capacity(t_s.len());
+    for row in 0..t_s.len() {
+        let before = (row - after_gap[row]).min(AROUND);
+        let same_piece = |other: &usize| after_gap[*other] == after_gap[row];
+        let after = (row + 1..t_s.len()).take(before).take_while(same_piece).count();
+        let mut said = [0.0; 2 * AROUND + 1];
+        let said = &mut said[..2 * after + 1];
+        for (at, other) in (row - after..=row + after).enumerate() {
+            said[at] = t_s[other] + (row as f64 - other as f64) * period_s;
+        }
+        let middle = said.len() / 2;
+        let at_s = *said.select_nth_unstable_by(middle, f64::total_cmp).1;
+        // The usual interval is not that of each row: times never stand still.
+        let last_s = even_s.last().copied().unwrap_or(f64::NEG_INFINITY);
+        even_s.push(if at_s > last_s { at_s } else { last_s + 1e-3 * period_s });
+    }
+    even_s
+}
+
 /// The rates of positions, each over at least `window_s` about its sample.
 pub fn rates(t_s: &[f64], q: &[f64], window_s: f64) -> Vec<f64> {
     let rate = |row: usize| {
@@ -113,6 +187,10 @@ pub struct Abruptness {
 const SIGMAS: f64 = 6.0;
 /// A stop is abrupt within this time, s.
 const BRIEF_S: f64 = 0.1;
+/// A window with an acceleration in it changes the speed by this share of its length times the fit, at least: a
+/// step of the speed in the middle of a window by 0.53, as the bend of a parabola through it is 15/8 of step over
+/// length, and one nearer to its ends by less.
+const LEAST_CHANGE: f64 = 0.4;
 /// Half-widths of the windows, in samples.
 const HALVES: [usize; 5] = [1, 2, 4, 8, 16];
 /// Fewer samples than this tell nothing.
@@ -180,6 +258,9 @@ pub fn abruptness(t_s: &[f64], values: &[f64], series: Series, step: f64) -> Opt
                 }
                 // Stamps may jitter, or samples may: what is there shows either way.
                 let acceleration = acceleration.min(fit.as_stamped(t_s, values, row).abs());
+                // An acceleration leaves another speed. A value that is early, late or off does not.
+                let change = speed_change(t_s, values, series, (row - half, row + half));
+                let acceleration = acceleration.min(change / (LEAST_CHANGE * window_s));
                 if is_surer(acceleration) {
                     surest = Some(Abruptness {
                         acceleration,
@@ -194,6 +275,40 @@ pub fn abruptness(t_s: &[f64], values: &[f64], series: Series, step: f64) -> Opt
         }
     }
     surest.map(|surest| Abruptness { resolved, ..surest })
+}
+
+/// By how much the speed differs after the rows `from..=to` from before, by the samples beside them; 0 where there
+/// are too few.
+fn speed_change(
+    t_s: &[f64],
+    values: &[f64],
+    series: Series,
+    (from, to): (usize, usize),
+) -> f64 {
+    const LEAST_ROWS: usize = 4;
+    const MOST_ROWS: usize = 16;
+    let near = |at: usize, other: usize| (t_s[other] - t_s[at]).abs() <= BRIEF_S;
+    let first = (from.saturating_sub(MOST_ROWS - 1)..=from).find(|row| near(from, *row));
+    let last = (to..values.len().min(to + MOST_ROWS)).rev().find(|row| near(to, *row));
+    let speed = |rows: std::ops::RangeInclusive<usize>| {
+        let (t_s, values) = (&t_s[rows.clone()], &values[rows]);
+        if values.len() < LEAST_ROWS {
+            return None;
+        }
+        let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len() as f64;
+        let (mean_s, mean_value) = (mean(t_s), mean(values));
+        match series {
+            Series::Velocities => Some(mean_value),
+            Series::Positions => {
+                let along = t_s.iter().zip(values);
+                let along: f64 = along.map(|(t, q)| (t - mean_s) * (q - mean_value)).sum();
+                Some(along / t_s.iter().map(|t| (t - mean_s).powi(2)).sum::<f64>())
+            }
+        }
+    };
+    let before = first.and_then(|first| speed(first..=from));
+    let after = last.and_then(|last| speed(to..=last));
+    before.zip(after).map_or(0.0, |(before, after)| (after - before).abs())
 }
 
 /// Every one of `count`, or as many evenly spread over them as noise is told from.

@@ -190,7 +190,7 @@ pub(super) fn arm_evidence(
         None => (samples, Cow::Borrowed(&*arm.joints)),
     };
     let joints = || {
-        let joint = |joint| joint_evidence(run, arm, joint, &samples[joint], &track);
+        let joint = |joint| joint_evidence(run, arm, joint, &samples[joint]);
         (0..arm.joint_names.len()).into_par_iter().map(joint).collect::<Vec<JointEvidence>>()
     };
     let of_joints = || {

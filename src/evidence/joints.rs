@@ -4,12 +4,11 @@ use rayon::prelude::*;
 
 use crate::diagnosis::{
     Abruptness, Excess, JointDiagnosis, JointOffset, Seen, Series, VelocityDiagnosis,
-    VelocitySamples, abruptness, beyond_positions, beyond_speed, diagnose_velocity, encoder_step,
-    rates, stretches,
+    VelocitySamples, abruptness, beyond_positions, beyond_speed, beyond_speed_of_positions,
+    diagnose_velocity, encoder_step, stretches,
 };
 use crate::robot::{JointKind, Limits};
 use crate::run::{Arm, JointMending, JointSamples, Run, Velocities};
-use crate::stream::JointTrack;
 
 /// One joint of a chain.
 #[derive(Clone, Debug)]
@@ -74,10 +73,7 @@ pub(super) fn joint_evidence(
     arm: &Arm,
     joint: usize,
     samples: &JointSamples<'_>,
-    track: &JointTrack,
 ) -> JointEvidence {
-    /// What a step of the encoder may be of a speed limit.
-    const STEP_SHARE: f64 = 0.02;
     let name = arm.joint_names[joint].clone();
     let model = arm.robot.joint(&name);
     let limits = model.map(|joint| joint.limits).unwrap_or_default();
@@ -98,17 +94,8 @@ pub(super) fn joint_evidence(
                 abruptness(t_s, velocity, Series::Velocities, 0.0),
             ),
             Velocities::Derived => {
-                let JointTrack { t_s: times_s, dof, qd, .. } = track;
-                let qd: Vec<f64> = qd.iter().skip(joint).step_by(*dof).copied().collect();
-                // One step of a coarse encoder from sample to sample is no speed.
                 let step = encoder_step(position);
-                let beyond = match limits.velocity.filter(|limit| step > 0.0 && *limit > 0.0) {
-                    Some(limit) => {
-                        let qd = rates(t_s, position, step / (STEP_SHARE * limit));
-                        beyond_speed(t_s, &qd, &limits)
-                    }
-                    None => beyond_speed(times_s, &qd, &limits),
-                };
+                let beyond = beyond_speed_of_positions(t_s, position, &limits, step);
                 (beyond, abruptness(t_s, position, Series::Positions, step))
             }
         };

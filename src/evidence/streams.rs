@@ -2,7 +2,7 @@
 
 use super::{Of, of};
 use crate::finding::Subject;
-use crate::run::{Cadence, Extent, Role, Run, Stream, StreamClock, Unaudited, WhyNot};
+use crate::run::{Cadence, Extent, Role, RoundedStamps, Run, Stream, StreamClock, Unaudited, WhyNot};
 use crate::time::Clock;
 
 /// When the samples of a stream are due.
@@ -32,6 +32,8 @@ pub struct StampEvidence {
     pub due: Due,
     /// What its headers say, and whose time that is.
     pub clock: StreamClock,
+    /// How its stamps were rounded; `None` if they were not.
+    pub rounded: Option<RoundedStamps>,
 }
 
 /// How regularly one stream comes.
@@ -128,7 +130,9 @@ pub(super) fn rhythms(run: &Run, others: &[Unaudited]) -> Vec<Of<RhythmEvidence>
 pub(super) fn stamps(run: &Run) -> Vec<Of<StampEvidence>> {
     let stamps = run.clocks.iter().filter_map(|clock| {
         let stream = run.streams.get(clock.stream)?;
-        let found = StampEvidence { due: due(run, stream)?, clock: clock.clone() };
+        let own = run.rounded.iter().filter(|own| own.stream == clock.stream);
+        let rounded = own.max_by(|a, b| a.resolution_s.total_cmp(&b.resolution_s)).cloned();
+        let found = StampEvidence { due: due(run, stream)?, clock: clock.clone(), rounded };
         let mut of = of(run, clock.stream, found);
         of.subject.frame = clock.frame.clone().or(of.subject.frame);
         Some(of)

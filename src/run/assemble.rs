@@ -148,6 +148,7 @@ impl Run {
             references,
             tf,
             clocks: clocks.all,
+            rounded: clocks.rounded,
             rhythms,
             flaws,
             folded,

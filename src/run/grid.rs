@@ -19,13 +19,18 @@ impl Grid {
     /// Of stamps in ascending order, s; `None` where they are multiples of no tick. An even stream without
     /// a coarse clock has ticks, too: its period.
     pub fn of(t_s: &[f64]) -> Option<Self> {
+        Self::with_least_tick(t_s, LEAST_S)
+    }
+
+    /// The same, of ticks of `least_s` or more.
+    pub fn with_least_tick(t_s: &[f64], least_s: f64) -> Option<Self> {
         const FEWEST: usize = 50;
         /// The shortest interval is so many ticks at most.
         const MOST: u32 = 4;
         /// Rounding of stamps, s.
         const ROUNDING_S: f64 = 2e-5;
         let intervals: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-        let mut some: Vec<f64> = intervals.iter().copied().filter(|dt| *dt > LEAST_S).collect();
+        let mut some: Vec<f64> = intervals.iter().copied().filter(|dt| *dt > least_s).collect();
         some.sort_unstable_by(f64::total_cmp);
         if intervals.len() < FEWEST {
             return None;
@@ -40,7 +45,7 @@ impl Grid {
             let is_multiple =
                 |dt: &&f64| (**dt - ticks(**dt) * tick_s).abs() < ROUNDING_S.max(2e-3 * tick_s);
             let fit = || intervals.iter().filter(is_multiple).count() as f64;
-            let is_one = tick_s >= LEAST_S && fit() >= NEARLY_ALL * intervals.len() as f64;
+            let is_one = tick_s >= least_s && fit() >= NEARLY_ALL * intervals.len() as f64;
             is_one.then(|| Self {
                 tick_s,
                 ticks: intervals.iter().map(|dt| ticks(*dt) as u32).collect(),

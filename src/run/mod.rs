@@ -33,6 +33,7 @@ mod norms;
 mod poses;
 mod publishers;
 mod role;
+mod rounded;
 mod rows;
 mod segments;
 mod series;
@@ -83,6 +84,7 @@ pub use models::robot_of;
 pub use norms::{Norms, Written};
 pub use publishers::Publishers;
 pub use role::Role;
+pub use rounded::RoundedStamps;
 pub use segments::{Segment, segments};
 pub(crate) use settle::{retake_carried, together};
 pub use sift::Sift;
@@ -169,6 +171,8 @@ pub struct Run {
     pub tf: Arc<TfTree>,
     /// The clock of every stream that moves in time.
     pub clocks: Vec<StreamClock>,
+    /// The streams whose stamps were rounded, and were restored from the order of their rows.
+    pub rounded: Vec<RoundedStamps>,
     /// How regularly every stream comes that plays a part.
     pub rhythms: Vec<Rhythm>,
     /// What keeps the transforms from being a tree.

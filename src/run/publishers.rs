@@ -15,7 +15,9 @@ use super::apart::Apart;
 use super::grid::Grid;
 use super::rows::Rows;
 use super::series::{Series, Values};
-use super::trains::{FEWEST, NEARLY, SMOOTH, Split, is_one, roughness, split, split_by};
+use super::trains::{
+    FEWEST, NEARLY, SMOOTH, Split, are_two, is_one, roughness, split, split_by,
+};
 
 /// Two publishers of one piece of a stream.
 #[derive(Clone, Debug, PartialEq)]
@@ -105,7 +107,12 @@ fn of(series: &Series<'_>) -> Option<Publishers> {
     let again =
         looked_at.windows(2).filter(|two| series.values.is_same(two[0].1, two[1].1)).count();
     let is_ticking = || Grid::of(&stamped_s).is_some_and(|grid| grid.is_of_one_even_sender());
-    let is_one = is_one(&stamped_s) || is_one(&received_s) || is_ticking();
+    let stamps_show_two = || split(&stamped_s, &off).is_some_and(|two| are_two(&stamped_s, &two));
+    let is_one = is_one(&stamped_s)
+        || is_one(&received_s)
+        || is_ticking()
+        || is_read_evenly(series, looked_at.len())
+        || !stamps_show_two();
     // What repeats values is as rough as two that disagree.
     if is_one && (rough <= SMOOTH || again as f64 > NEARLY * looked_at.len() as f64) {
         return None;
@@ -125,6 +132,22 @@ fn of(series: &Series<'_>) -> Option<Publishers> {
     told(series, &t_s, rows, is_one)
 }
 
+/// Whether the values lie between their neighbours by the number of the row far better than by its stamp: one
+/// sender reads them evenly, and stamps or sends them in bursts.
+fn is_read_evenly(series: &Series<'_>, rows: usize) -> bool {
+    const BETTER: f64 = 0.5;
+    let mut off = [0.0; 2];
+    for three in series.rows[..rows].windows(3) {
+        let span_s = three[2].0.seconds_since(three[0].0);
+        let part = three[1].0.seconds_since(three[0].0) / span_s.max(f64::MIN_POSITIVE);
+        let at = [0, 1, 2].map(|row| three[row].1);
+        for (off, part) in off.iter_mut().zip([0.5, part]) {
+            *off += gap(&series.values, at, part).size();
+        }
+    }
+    off[0] < BETTER * off[1]
+}
+
 /// What is told of two publishers by the rows of each. What shares one rhythm is two publishers' only where
 /// they are as far apart throughout: what shakes as fast as it is sampled is not, nor what is stamped unevenly.
 fn told(
@@ -134,7 +157,7 @@ fn told(
     is_one: bool,
 ) -> Option<Publishers> {
     let apart = apart(series, t_s, [&first, &second])?;
-    if is_one && !(apart.is_there && apart.is_steady) {
+    if (is_one && !(apart.is_there && apart.is_steady)) || (series.is_table && !apart.is_there) {
         return None;
     }
     // What is sent again with its stamp is no second publisher.
@@ -281,7 +304,7 @@ mod tests {
         let times: &Times = &poses.times;
         let rows = times.header.iter().map(|nanos| Stamp::from_nanos(*nanos)).zip(0..).collect();
         let (frame, values) = (Some("b"), Values::Poses(poses));
-        of(&Series { stream: 0, piece: 0, frame, rows, times, values })
+        of(&Series { stream: 0, piece: 0, frame, is_table: false, rows, times, values })
     }
 
     #[test]

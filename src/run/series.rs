@@ -16,6 +16,8 @@ pub(super) struct Series<'a> {
     pub piece: usize,
     /// The child frame of a transform.
     pub frame: Option<&'a str>,
+    /// Whether it is columns of a table, which one program writes.
+    pub is_table: bool,
     /// The rows that have a stamp, in the order of their stamps.
     pub rows: Rows,
     pub times: &'a Times,
@@ -87,7 +89,8 @@ pub(super) fn series<'a>(streams: &'a [Stream], clocks: &Clocks) -> Vec<Series<'
         let mut add = |piece: usize, frame, times: &'a Times, values| {
             let mut rows = clocks.rows(streams, stream, piece);
             rows.sort_by_key(|(stamp, row)| (*stamp, times.log[*row]));
-            found.push(Series { stream, piece, frame, rows, times, values });
+            let is_table = held.read_as.is_some();
+            found.push(Series { stream, piece, frame, is_table, rows, times, values });
         };
         match columns {
             Columns::Joints(joints) => {

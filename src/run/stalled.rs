@@ -141,7 +141,9 @@ mod tests {
         let rows: Rows =
             columns.times.header.iter().map(|&t| Stamp::from_nanos(t)).zip(0..).collect();
         let (times, values) = (&columns.times, Values::Joints(columns));
-        let series = Series { stream: 0, piece: 0, frame: None, rows: rows.clone(), times, values };
+        let (frame, is_table) = (None, false);
+        let series =
+            Series { stream: 0, piece: 0, frame, is_table, rows: rows.clone(), times, values };
         stalled(&series, &rows)
     }
 

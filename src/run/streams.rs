@@ -6,6 +6,7 @@ use crate::time::{Clock, Stamp};
 
 use super::clock::{self, Source, StreamClock};
 use super::role::{Role, named_role, plain_role};
+use super::rounded::RoundedStamps;
 use super::rows::Rows;
 use super::tf_tree::without_slash;
 use super::witness::Witness;
@@ -254,6 +255,8 @@ pub(super) struct Clocks {
     pub all: Vec<StreamClock>,
     /// For every stream, for every piece of it, the index of its clock.
     of: Vec<Vec<usize>>,
+    /// The pieces whose stamps were rounded.
+    pub rounded: Vec<RoundedStamps>,
 }
 
 impl Clocks {
@@ -288,7 +291,7 @@ impl Clocks {
                 }
             }
         }
-        Self { all: clock::settle(&sources, wanted, max_latency_s), of }
+        Self { all: clock::settle(&sources, wanted, max_latency_s), of, rounded: Vec::new() }
     }
 
     /// The clock of a piece of a stream; none for what holds at all times.
@@ -331,6 +334,9 @@ impl Clocks {
 
     /// Makes the clock of one piece that of another stream too, which is appended.
     pub fn share(&mut self, stream: usize, piece: usize) {
+        let to = self.of.len();
+        let shared = self.rounded_stamps(stream, piece).cloned();
+        self.rounded.extend(shared.map(|shared| RoundedStamps { stream: to, piece: 0, ..shared }));
         self.of.push(vec![self.of[stream][piece]]);
     }
 
@@ -339,13 +345,26 @@ impl Clocks {
         self.of.len()
     }
 
-    /// Standard error of the time between two streams that alignment left, s.
+    /// How the stamps of a piece were rounded; `None` if they were not.
+    pub fn rounded_stamps(&self, stream: usize, piece: usize) -> Option<&RoundedStamps> {
+        self.rounded.iter().find(|own| (own.stream, own.piece) == (stream, piece))
+    }
+
+    /// Standard error of the time between two streams that alignment and rounded stamps left, s.
     pub fn alignment_error_s(&self, a: (usize, usize), b: (usize, usize)) -> f64 {
         let spread = |(stream, piece)| {
             let alignment = self.clock(stream, piece).and_then(|clock| clock.alignment);
             alignment.map_or(0.0, |alignment| alignment.spread_s)
         };
-        f64::hypot(spread(a), spread(b))
+        // The standard deviation of a uniform error. Rows of one table were restored as one.
+        let rounding = |(stream, piece)| {
+            self.rounded_stamps(stream, piece).map_or(0.0, |own| own.resolution_s / 3_f64.sqrt())
+        };
+        let rounding_s = match (self.rounded_stamps(a.0, a.1), self.rounded_stamps(b.0, b.1)) {
+            (Some(one), Some(other)) if one.is_restored_as(other) => 0.0,
+            _ => f64::hypot(rounding(a), rounding(b)),
+        };
+        f64::hypot(spread(a), spread(b)).hypot(rounding_s)
     }
 
     /// Fills in first and last time and rate of every stream, and counts rows without a stamp.

@@ -1,6 +1,7 @@
 //! When the rows of every stream were, and which of them the estimators see.
 
 use super::excerpts::Excerpts;
+use super::rounded;
 use super::rows::Rows;
 use super::sift::Sift;
 use super::streams::{Clocks, Stream};
@@ -19,7 +20,9 @@ impl Timing {
     /// Settles the clock of every stream that moves in time, measures the streams by it, and looks through
     /// their rows.
     pub fn of(streams: &mut [Stream], wanted: Clock, max_latency_s: f64) -> Self {
-        let clocks = Clocks::settle(streams, wanted, max_latency_s);
+        let rounded = rounded::restore(streams, wanted);
+        let mut clocks = Clocks::settle(streams, wanted, max_latency_s);
+        clocks.rounded = rounded;
         clocks.measure(streams);
         let sift = Sift::of(streams, &clocks);
         let excerpts = Excerpts::of(streams, &clocks, &sift);

@@ -19,10 +19,11 @@ pub(super) const FEWEST: usize = 12;
 /// How far a row is from where two others before it lead, in one number.
 pub(super) type Off<'a> = &'a dyn Fn(usize, usize, usize) -> f64;
 
+/// With rows at fewer of its ticks, a fine rhythm explains whatever two coarse ones do.
+const LOSSY: f64 = 0.7;
+
 /// Whether one rhythm explains nearly all rows.
 pub(super) fn is_one(t_s: &[f64]) -> bool {
-    /// At less than this share of its ticks, a fine rhythm explains whatever two coarse ones do.
-    const LOSSY: f64 = 0.7;
     let distinct: Vec<f64> =
         t_s.iter().copied().fold(Vec::with_capacity(t_s.len()), |mut kept, t| {
             if kept.last().is_none_or(|last| t - last > 1e-6) {
@@ -38,6 +39,59 @@ pub(super) fn is_one(t_s: &[f64]) -> bool {
             let ticks = (distinct[distinct.len() - 1] - distinct[0]) / period_s;
             few(distinct.len() - train.len()) && train.len() as f64 > LOSSY * ticks
         })
+}
+
+/// Whether two combs explain the stamps of `split` clearly better than one: the rows deviate from one comb by far
+/// more than each of the two deviates from its own. Both models have normal deviations and a phase that may drift,
+/// so that the likelihood ratio is that of the deviations. One sender with jitter deviates as much from any comb.
+pub(super) fn are_two(t_s: &[f64], split: &Split) -> bool {
+    /// Deviations that a split of one sender's rows gains by choosing the rows that fit stay below this factor.
+    const FACTOR: f64 = 2.0;
+    /// Stamps are no finer, s.
+    const RESOLUTION_S: f64 = 1e-6;
+    let one_s = periods(t_s)
+        .into_iter()
+        .filter_map(|period_s| comb_deviation(t_s, period_s))
+        .fold(phase_deviation(t_s), f64::min)
+        .max(RESOLUTION_S);
+    let log_of = |(rows, period_s): (&Vec<usize>, f64)| {
+        let own: Vec<f64> = rows.iter().map(|&row| t_s[row]).collect();
+        let deviation_s = comb_deviation(&own, period_s).unwrap_or(f64::INFINITY);
+        rows.len() as f64 * deviation_s.max(RESOLUTION_S).ln()
+    };
+    let two: f64 = split.rows.iter().zip(split.periods_s).map(log_of).sum();
+    one_s.ln() - two / split.explained() as f64 > FACTOR.ln()
+}
+
+/// How far rows deviate from a comb, s; `None` if fewer of its ticks than [`LOSSY`] have a row.
+fn comb_deviation(t_s: &[f64], period_s: f64) -> Option<f64> {
+    let (mut tick, mut phases) = (0.0, vec![*t_s.first()?]);
+    for pair in t_s.windows(2) {
+        tick += ((pair[1] - pair[0]) / period_s).round().max(1.0);
+        phases.push(pair[1] - tick * period_s);
+    }
+    (t_s.len() as f64 > LOSSY * tick).then(|| phase_deviation(&phases))
+}
+
+/// How far values deviate from the line through those around each: root mean square without the largest, which are
+/// slips by a period.
+fn phase_deviation(phases: &[f64]) -> f64 {
+    /// Rows before and after that give the phase.
+    const AROUND: usize = 8;
+    const KEPT: f64 = 0.95;
+    let mut squares: Vec<f64> = phases
+        .windows(2 * AROUND + 1)
+        .map(|own| {
+            let others = own.iter().sum::<f64>() - own[AROUND];
+            (own[AROUND] - others / (2 * AROUND) as f64).powi(2)
+        })
+        .collect();
+    let kept = (KEPT * squares.len() as f64).ceil() as usize;
+    if kept == 0 {
+        return 0.0;
+    }
+    squares.select_nth_unstable_by(kept - 1, f64::total_cmp);
+    (squares[..kept].iter().sum::<f64>() / kept as f64).sqrt()
 }
 
 /// The intervals between rows and the next few after them that come most often, s.

@@ -9,7 +9,7 @@ use poseaudit::report::Report;
 use poseaudit::synth::{Giving, IMU, JOINT_STATES, POSE, Scenario};
 
 use crate::checks::case::{Log, summary, the};
-use crate::checks::recording::{Field, Message, read};
+use crate::checks::recording::{Field, Message, read, write};
 
 const SECOND_NS: f64 = 1e9;
 
@@ -101,7 +101,7 @@ fn stamps_of_a_coarse_clock_are_no_lost_samples() {
         edited(|messages| tick(messages, POSE, TICK_NS)),
         edited(|messages| tick(messages, JOINT_STATES, 6_000_000)),
     ] {
-        assert_eq!(codes(&report), BTreeSet::new(), "{}", summary(&report.findings));
+        assert_eq!(codes(&report), ["TIM005"].into(), "{}", summary(&report.findings));
         let rows = report.checks.iter().filter(|row| row.code == "TIM002");
         assert!(rows.into_iter().all(|row| row.status == Status::Pass), "{:?}", report.checks);
     }
@@ -117,7 +117,7 @@ fn samples_that_are_lost_are_counted_beside_a_coarse_clock() {
             message.topic != POSE || random(row) > 0.08
         });
     });
-    assert_eq!(codes(&report), ["TIM002"].into(), "{}", summary(&report.findings));
+    assert_eq!(codes(&report), ["TIM002", "TIM005"].into(), "{}", summary(&report.findings));
     let estimate = the(&report, "TIM002", POSE).estimate.as_ref().and_then(Estimate::value);
     assert!(estimate.is_some_and(|share| (share - 0.08).abs() < 0.03), "{estimate:?}");
 }
@@ -295,4 +295,79 @@ fn sag_under_a_load_that_is_taken_up_is_told_before_and_after() {
     let start = report.log.start_ns.expect("a start");
     let at_s = change.change_ns.seconds_since(start);
     assert!((at_s - LOADED_S).abs() < 1.5, "{at_s} s");
+}
+
+/// Joint states at 500 Hz, stamped up to so much early or late.
+fn jitter_500_hz(messages: &mut Vec<Message>, most_s: f64) {
+    let joints = of_topic(messages, JOINT_STATES).enumerate();
+    for (row, message) in joints {
+        message.restamp((most_s * (2.0 * random(row) - 1.0) * SECOND_NS) as i64);
+    }
+}
+
+#[test]
+fn times_and_amounts_of_gaps_are_those_of_the_stamps() {
+    type Edit = fn(&mut Vec<Message>);
+    let edits: [(Edit, &[&str]); 5] = [
+        (|messages| jitter_500_hz(messages, 3e-4), &[]),
+        (|messages| jitter_500_hz(messages, 6e-4), &[]),
+        // Pairs, as of a bus that sends two at once.
+        (
+            |messages| {
+                let joints = of_topic(messages, JOINT_STATES).enumerate();
+                joints.filter(|(row, _)| row % 2 == 1).for_each(|(_, own)| own.restamp(-1_900_000));
+            },
+            &[],
+        ),
+        (
+            |messages| {
+                jitter_500_hz(messages, 3e-4);
+                let mut row = 0;
+                messages.retain(|message| {
+                    row += usize::from(message.topic == JOINT_STATES);
+                    message.topic != JOINT_STATES || !(2000..2200).contains(&row)
+                });
+            },
+            &["TIM002"],
+        ),
+        (
+            |messages| {
+                jitter_500_hz(messages, 3e-4);
+                let mut row = 0;
+                messages.retain(|message| {
+                    row += 1;
+                    message.topic != JOINT_STATES || random(row) > 0.05
+                });
+            },
+            &["TIM002"],
+        ),
+    ];
+    for (case, (edit, expected)) in edits.into_iter().enumerate() {
+        let log = Log::with(|log| {
+            rich(&mut log.run);
+            log.run.duration_s = 12.0;
+            log.run.joints.timing.rate_hz = 500.0;
+            log.edit = Some(edit);
+        });
+        let [before, mut messages] = [None, Some(edit)].map(|edit| read(&write(&log.run, edit)));
+        let removed = before.len() - messages.len();
+        let report = log.audited();
+        let named = codes(&report);
+        assert_eq!(named, expected.iter().copied().collect(), "{case}: {}", summary(&report.findings));
+        for finding in report.findings.iter().filter(|finding| finding.code.starts_with("TIM")) {
+            let mut stamps: Vec<i64> =
+                of_topic(&mut messages, JOINT_STATES).map(|own| stamp_ns(own)).collect();
+            stamps.sort_unstable();
+            let more = &finding.evidence.more;
+            let gaps = more["gaps"].as_array().expect("gaps");
+            for gap in gaps {
+                let start: i64 = gap["start_ns"].as_str().and_then(|at| at.parse().ok()).unwrap();
+                let at = stamps.binary_search(&start).expect("a gap starts at a stamp");
+                let length_s = (stamps[at + 1] - start) as f64 / SECOND_NS;
+                assert!((gap["length_s"].as_f64().unwrap() - length_s).abs() < 1e-6, "{case}: {gap}");
+            }
+            let lost = more["lost"].as_u64().unwrap() as usize;
+            assert!(lost.abs_diff(removed) <= 2 + removed / 20, "{case}: {lost} of {removed}");
+        }
+    }
 }

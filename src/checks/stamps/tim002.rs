@@ -96,7 +96,26 @@ impl Limits {
 
 fn check(case: &Case) -> Vec<Judged> {
     let steady = case.evidence.rhythms.iter().filter(|rhythm| rhythm.due != Due::OnOccasion);
-    steady.map(|rhythm| judge(case, rhythm)).collect()
+    let mut told: Vec<&Of<RhythmEvidence>> = Vec::new();
+    let judge_once = |rhythm| {
+        if let Some(first) = told.iter().find(|first| has_rows_of(first, rhythm)) {
+            let why = format!("its rows have the stamps of {}, whose gaps are reported", first.topic());
+            return Judged::new(rhythm.subject.clone(), Outcome::sound_because(why)).within(rhythm.span);
+        }
+        told.push(rhythm);
+        judge(case, rhythm)
+    };
+    steady.map(judge_once).collect()
+}
+
+/// Whether two streams have gaps at the same stamps, to the nanosecond, as columns of one table have.
+fn has_rows_of(one: &Of<RhythmEvidence>, other: &Of<RhythmEvidence>) -> bool {
+    let holes = |of: &Of<RhythmEvidence>| -> Vec<(Stamp, Stamp)> {
+        let holes = of.wanted().flat_map(|part| &part.holes);
+        holes.map(|hole| (hole.stretch.start, hole.stretch.end)).collect()
+    };
+    let own = holes(one);
+    !own.is_empty() && own == holes(other)
 }
 
 /// The parts of a stream that are judged: those that an audit may expect to be steady, and of a

@@ -1,16 +1,19 @@
 use crate::checks::{Case, Grade, Judged};
 use crate::evidence::{Due, Of, StampEvidence};
-use crate::finding::{Cause, Evidence, Fault, Outcome, Severity};
-use crate::run::HeaderStamps;
+use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Unit};
+use crate::run::{HeaderStamps, RoundedStamps};
 use crate::time::Clock;
 
 rule! {
-    /// Stamps are zero, constant, backward, missing or beyond the run.
+    /// Stamps are zero, constant, backward, missing, rounded or beyond the run.
     ///
     /// ## What it means
     /// The messages do not say when their content was true. The audit then takes the time at which
     /// the recorder received them. Or a few samples carry a time a day or more from all the others, and a
     /// hundred times as far as these are from each other: no run is that long, and they are left out.
+    ///
+    /// Rounded stamps are multiples of a tick, such as whole seconds or hundredths, so that several rows share
+    /// one or their intervals alternate. The audit restores them from the order of the rows; this is `info`.
     ///
     /// ## Why it matters
     /// Receive times carry the transport's delay and its scatter: a latency found on such a stream
@@ -18,7 +21,8 @@ rule! {
     ///
     /// ## Evidence
     /// `samples` is how many samples there are, `zero` how many of them carry a zero stamp,
-    /// `far` how many one that is beyond the run.
+    /// `far` how many one that is beyond the run. Of rounded stamps `tick_s` is the tick, `shared` how many rows
+    /// had the stamp of the row before them, and `resolution_s` how far a restored stamp may be off.
     ///
     /// ## How to fix
     /// Fill `header.stamp` when the sample is taken. Where the type has no header, use one that has
@@ -53,6 +57,9 @@ fn is_asked(stream: &Of<StampEvidence>) -> bool {
 
 fn judge(stream: &Of<StampEvidence>) -> Judged {
     let (rows, zero) = (stream.clock.rows, stream.clock.zero);
+    if let Some(rounded) = &stream.rounded {
+        return judge_rounded(stream, rounded);
+    }
     // Many a command is sent without a stamp, to be followed at once.
     let usual = match stream.due {
         Due::OnOccasion => Severity::Info,
@@ -114,4 +121,30 @@ fn judge(stream: &Of<StampEvidence>) -> Judged {
         .with_evidence("samples", rows)
         .with_evidence("zero", zero)
         .with_evidence("far", far)
+}
+
+fn judge_rounded(stream: &Of<StampEvidence>, rounded: &RoundedStamps) -> Judged {
+    let RoundedStamps { tick_s, shared, resolution_s, .. } = *rounded;
+    let [tick, resolution] = [tick_s, resolution_s].map(|s| Unit::Second.show(s));
+    let sharing = match shared {
+        0 => String::new(),
+        shared => format!(", {shared} of {} rows share one with the row before", stream.clock.rows),
+    };
+    let fault = Fault {
+        cause: Cause::Stamps,
+        severity: Severity::Info,
+        title: "stamps are rounded",
+        message: format!(
+            "stamps are multiples of {tick}{sharing}; restored from the order of the rows to ±{resolution}, beside \
+             a constant offset of up to half the tick"
+        ),
+        evidence: Evidence::default(),
+        fix: "record stamps with all their digits: nanoseconds, or seconds with six decimals".to_owned(),
+    };
+    stream
+        .judged(Outcome::faulty(fault))
+        .with_evidence("samples", stream.clock.rows)
+        .with_evidence("tick_s", tick_s)
+        .with_evidence("shared", shared)
+        .with_evidence("resolution_s", resolution_s)
 }

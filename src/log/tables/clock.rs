@@ -217,9 +217,10 @@ fn timed(at: usize, column: &Column) -> Option<Clock> {
         .map(|(_, unit)| *unit)
         .or_else(|| words.contains(&"ipoc".to_owned()).then_some(1e-3));
     let is_whole = finite.iter().all(|value| value.fract() == 0.0);
+    let rise = (finite[finite.len() - 1] - first) / (finite.len() - 1).max(1) as f64;
     let unit = by_name
         .filter(|unit| (1e-5..=1e3).contains(&(unit * step)))
-        .or_else(|| unit_of(first, step, is_whole))?;
+        .or_else(|| unit_of(first, step, rise, is_whole))?;
     let step_s = step * unit;
     // A stamp of 0 is none: those that begin there begin at 1 s.
     let from = if first * unit < 1.0 && first >= 0.0 { NANOS_PER_SECOND } else { 0 };
@@ -267,13 +268,17 @@ fn grain(column: &Column) -> f64 {
     2.0 * largest * bits
 }
 
-/// The unit of times that begin at `first` and step by `step`, s; `None` where it may be several.
-fn unit_of(first: f64, step: f64, is_whole: bool) -> Option<f64> {
+/// The unit of times that begin at `first`, step by `step` where they rise, and rise by `rise` a row, s; `None` if it
+/// may be several.
+fn unit_of(first: f64, step: f64, rise: f64, is_whole: bool) -> Option<f64> {
+    /// Whole numbers that most rows repeat are seconds: in ms there would be 2000 rows a second and more.
+    const REPEATED: f64 = 0.5;
     // Since 1970, from 2001 to 2128.
     let epoch =
         [1.0, 1e-3, 1e-6, 1e-9].into_iter().find(|unit| (1e9..5e9).contains(&(first * unit)));
     epoch.or(match (step, is_whole) {
         (..0.0001, _) => None,
+        (..=10.0, true) if rise <= REPEATED => Some(1.0),
         (..=2.0, false) => Some(1.0),
         (2.0..=1000.0, true) => Some(1e-3),
         (1000.0..=1e6, true) => Some(1e-6),

@@ -1,7 +1,7 @@
 //! The intervals between the rows of a stream, held against their pace.
 
 use super::motion::Motion;
-use crate::stats::median;
+use crate::stats::median as median_of;
 use crate::time::{Stamp, seconds};
 
 /// A part of a stream's time.
@@ -53,6 +53,10 @@ impl Pace {
         const SINGLE: f64 = 0.5;
         const CLOSE: f64 = 0.25;
         const REGULAR: f64 = 0.6;
+        /// Rows of whole bursts of 2, 3, 4, 6 or 12.
+        const BURSTS: usize = 12;
+        /// The interval of most rows, of the mean one, if they come one by one: two rows in five may be lost.
+        const USUAL: std::ops::RangeInclusive<f64> = 0.5..=1.6;
         /// As many intervals, evenly spread over all, tell the median.
         const ENOUGH: usize = 50_000;
         let intervals = || times.windows(2).map(|pair| pair[1].0.seconds_since(pair[0].0));
@@ -61,11 +65,18 @@ impl Pace {
             return None;
         }
         let mut some: Vec<f64> = intervals().step_by(count.div_ceil(ENOUGH)).collect();
-        let median = median(&mut some)?;
+        let mut median = median_of(&mut some)?;
+        // Rows that come in bursts have another interval within a burst than on average.
+        let blocks = times.windows(BURSTS + 1).step_by(count.div_ceil(ENOUGH));
+        let mut blocks: Vec<f64> =
+            blocks.map(|rows| rows[BURSTS].0.seconds_since(rows[0].0) / BURSTS as f64).collect();
+        if let Some(mean) = median_of(&mut blocks).filter(|mean| !USUAL.contains(&(median / mean))) {
+            median = mean;
+        }
         let close = intervals().filter(|dt| (dt - median).abs() < SINGLE * median);
         let (sum_s, singles) =
             close.fold((0.0, 0), |(sum_s, singles), dt| (sum_s + dt, singles + 1));
-        let period_s = sum_s / f64::from(singles);
+        let period_s = if singles > 0 { sum_s / f64::from(singles) } else { median };
         let is_close = |dt: &f64| {
             let periods = dt / period_s;
             // Most are one period, and to round is slow.

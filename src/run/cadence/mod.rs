@@ -161,8 +161,11 @@ pub(super) fn rhythms(
             (at == *leader).then(|| parts[at].paced(clock, &motion))
         });
         let paced: Vec<Option<Cadence>> = paced.collect();
-        let cadence =
-            |(part, leader): (&Part<'_>, &usize)| Some(part.cadence(paced[*leader].as_ref()?));
+        let cadence = |(part, leader): (&Part<'_>, &usize)| {
+            let rounded = timing.clocks.rounded_stamps(index, part.piece);
+            let cadence = part.cadence(paced[*leader].as_ref()?);
+            Some(Cadence { tick_s: rounded.map(|own| own.tick_s).or(cadence.tick_s), ..cadence })
+        };
         let parts = parts.par_iter().zip(&leaders).filter_map(cadence);
         let rhythm = Rhythm { stream: index, parts: parts.collect(), extent: None };
         Some(((rhythm, bounds), numbers))

@@ -1,0 +1,330 @@
+//! Stamps that a coarse clock rounded: milliseconds in a table, whole seconds, the 15.6 ms of some machines.
+//!
+//! Several rows then share a stamp, or their intervals alternate between multiples of the tick. The order of the
+//! rows still tells when each was: a sender that is nearly even passes through the interval that each rounded
+//! stamp leaves open along few straight lines (O'Rourke, "An on-line algorithm for fitting straight lines between
+//! data ranges", 1981). The stamps on those lines replace the rounded ones.
+
+use crate::stream::{Columns, Times};
+use crate::time::{Clock, NANOS_PER_SECOND};
+
+use super::grid::Grid;
+use super::role::Role;
+use super::series::Values;
+use super::streams::Stream;
+
+/// A piece of a stream whose stamps were rounded, and were restored from the order of its rows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RoundedStamps {
+    /// Index of the stream.
+    pub stream: usize,
+    /// The tick of the clock, s.
+    pub tick_s: f64,
+    /// Rows that had the stamp of the row before them.
+    pub shared: usize,
+    /// How far a restored stamp may be off, s, beside a constant offset of up to half a tick.
+    pub resolution_s: f64,
+    /// Which of the stream's pieces.
+    pub(super) piece: usize,
+    /// Pieces with the same stamps have the same number.
+    pub(super) group: usize,
+}
+
+impl RoundedStamps {
+    /// Whether the stamps of another piece are the same ones, as those of one table are.
+    pub(super) fn is_restored_as(&self, other: &Self) -> bool {
+        self.group == other.group
+    }
+}
+
+/// Ticks shorter than this are not looked for, s.
+const LEAST_TICK_S: f64 = 2e-4;
+
+/// Replaces rounded stamps on `clock` by those that the order of the rows restores.
+pub(super) fn restore(streams: &mut [Stream], clock: Clock) -> Vec<RoundedStamps> {
+    let mut found = Vec::new();
+    // Streams of one table, and copies of another stream's stamps, have one answer.
+    let mut known: Vec<(Vec<i64>, Restored)> = Vec::new();
+    for (index, stream) in streams.iter_mut().enumerate() {
+        let is_of_use = !matches!(stream.role, Role::TfStatic | Role::Description | Role::Ignored);
+        let Some(columns) = stream.columns.as_mut().filter(|_| is_of_use) else { continue };
+        for piece in 0..columns.times().len() {
+            let times = columns.times()[piece];
+            let column = stamped_by(times, clock);
+            let raw = times.on(column);
+            let restored = match known.iter().position(|(of, _)| of == raw) {
+                Some(group) => (group, known[group].1.clone()),
+                None => {
+                    let Some(restored) =
+                        values_of(columns, piece).and_then(|values| Restored::of(raw, &values))
+                    else {
+                        continue;
+                    };
+                    known.push((raw.to_vec(), restored.clone()));
+                    (known.len() - 1, restored)
+                }
+            };
+            let (group, Restored { nanos, tick_s, shared, resolution_s }) = restored;
+            if let Some(times) = columns.times_mut().into_iter().nth(piece) {
+                times.restamp(column, nanos);
+            }
+            found.push(RoundedStamps { stream: index, piece, tick_s, shared, resolution_s, group });
+        }
+    }
+    found
+}
+
+/// The column that times the rows: log time if the headers hold no stamps.
+fn stamped_by(times: &Times, clock: Clock) -> Clock {
+    let has_stamps = times.header.iter().any(|nanos| *nanos != 0);
+    if clock == Clock::Header && !has_stamps { Clock::Log } else { clock }
+}
+
+fn values_of(columns: &Columns, piece: usize) -> Option<Values<'_>> {
+    match columns {
+        Columns::Joints(joints) => Some(Values::Joints(joints)),
+        Columns::Poses(poses) | Columns::Transforms(poses) => poses.get(piece).map(Values::Poses),
+        Columns::Imu(imu) => Some(Values::Imu(imu)),
+        Columns::Array(array) => Some(Values::Array(array)),
+        Columns::Text(_) => None,
+    }
+}
+
+#[derive(Clone)]
+struct Restored {
+    nanos: Vec<i64>,
+    tick_s: f64,
+    shared: usize,
+    resolution_s: f64,
+}
+
+impl Restored {
+    /// `None` unless the stamps are multiples of a tick that hides when rows were.
+    fn of(raw: &[i64], values: &Values<'_>) -> Option<Self> {
+        /// The share of rows with the stamp of the row before, under other values, that shows a coarse clock.
+        const SHARED: f64 = 0.02;
+        let first = *raw.first()?;
+        if !raw.is_sorted() || raw.contains(&0) {
+            return None;
+        }
+        let t_s: Vec<f64> =
+            raw.iter().map(|nanos| (nanos - first) as f64 / NANOS_PER_SECOND as f64).collect();
+        let grid = Grid::with_least_tick(&t_s, LEAST_TICK_S)?;
+        let repeats: Vec<bool> =
+            (1..raw.len()).map(|row| values.is_same(row - 1, row)).collect();
+        let (mut shared, mut sent_again) = (0, 0);
+        for (ticks, repeats) in grid.ticks.iter().zip(&repeats) {
+            if *ticks == 0 {
+                shared += 1;
+                sent_again += usize::from(*repeats);
+            }
+        }
+        // An arm at rest repeats values, too: rows that share a stamp may repeat as often as others do.
+        let rest = repeats.iter().filter(|repeats| **repeats).count() - sent_again;
+        let usual = rest as f64 / (repeats.len() - shared).max(1) as f64;
+        let are_sent_again = sent_again as f64 > 0.5 * shared as f64 * (1.0 + usual);
+        let are_shared = shared as f64 > SHARED * raw.len() as f64 && !are_sent_again;
+        if !are_shared && !(shared == 0 && grid.is_of_one_even_sender()) {
+            return None;
+        }
+        let (restored_s, resolution_s) = straighten(&t_s, grid.tick_s);
+        let is_plausible = matches!(values, Values::Imu(_))
+            || is_smooth(&restored_s, values, &repeats).unwrap_or(!are_shared);
+        let mut last = i64::MIN;
+        let nanos = restored_s.iter().map(|at_s| {
+            last = (first + (at_s * NANOS_PER_SECOND as f64).round() as i64).max(last + 1);
+            last
+        });
+        let nanos = nanos.collect();
+        is_plausible.then_some(Self { nanos, tick_s: grid.tick_s, shared, resolution_s })
+    }
+}
+
+/// Whether new values lie between their neighbours by the restored times, as those of one sender do and those of
+/// two that disagree do not; `None` if too few values are new.
+fn is_smooth(t_s: &[f64], values: &Values<'_>, repeats: &[bool]) -> Option<bool> {
+    const ENOUGH: usize = 20;
+    /// Of noise alone the distance to the neighbours' line is √1.5 / √2 = 0.87 of a step; of motion it is far less.
+    const SMOOTH: f64 = 0.6;
+    let numbers = if matches!(values, Values::Poses(_)) { 3 } else { values.width() };
+    let is_new = |row: &usize| *row == 0 || !repeats[row - 1];
+    let rows: Vec<usize> = (0..t_s.len()).filter(is_new).collect();
+    let (mut off, mut steps, mut count) = (0.0, 0.0, 0);
+    for three in rows.windows(3) {
+        let [a, b, c] = [three[0], three[1], three[2]];
+        let part = (t_s[b] - t_s[a]) / (t_s[c] - t_s[a]).max(f64::MIN_POSITIVE);
+        for number in 0..numbers {
+            let [x, y, z] = [a, b, c].map(|row| values.at(row, number));
+            if (x + y + z).is_finite() {
+                off += (y - x - part * (z - x)).abs();
+                steps += 0.5 * ((y - x).abs() + (z - y).abs());
+            }
+        }
+        count += 1;
+    }
+    (count >= ENOUGH && steps > 0.0).then_some(off < SMOOTH * steps)
+}
+
+/// The stamps along as few straight lines as pass within half a tick of each, and a margin for what the sender is
+/// uneven by; and how far they may be off, s.
+fn straighten(t_s: &[f64], tick_s: f64) -> (Vec<f64>, f64) {
+    /// An even sender is late by fewer periods than this, and a loss of more rows is seen.
+    const UNEVEN: f64 = 1.0;
+    let n = t_s.len();
+    let period_s = (t_s[n - 1] - t_s[0]) / (n - 1) as f64;
+    let margin_s = (0.25 * tick_s).min(UNEVEN * period_s);
+    let mut restored = Vec::with_capacity(n);
+    let (mut weighted, mut from) = (0.0, 0);
+    while from < n {
+        let line = Line::along(&t_s[from..], 0.5 * tick_s + margin_s);
+        let rows = line.rows;
+        let own = &t_s[from..from + rows];
+        let beside = || own.iter().enumerate().map(|(row, at)| at - line.at(row));
+        let least = beside().fold(f64::INFINITY, f64::min);
+        let most = beside().fold(f64::NEG_INFINITY, f64::max);
+        // Every offset between these bounds keeps the line within half a tick of the stamps; the line itself is as
+        // uncertain as a mean of so many rounded stamps.
+        let (low, high) = (most - 0.5 * tick_s, least + 0.5 * tick_s);
+        let offset = 0.5 * (low + high);
+        let left_open_s = (0.5 * (high - low)).abs() + tick_s / (rows as f64).sqrt();
+        weighted += rows as f64 * left_open_s.min(0.5 * tick_s);
+        restored.extend((0..rows).map(|row| line.at(row) + offset));
+        from += rows;
+    }
+    (restored, weighted / n as f64)
+}
+
+/// A line through the first rows, by their number.
+struct Line {
+    rows: usize,
+    at_first: f64,
+    slope: f64,
+}
+
+impl Line {
+    fn at(&self, row: usize) -> f64 {
+        self.at_first + self.slope * row as f64
+    }
+
+    /// The line that stays within `half` of as many values as any line does, from the first on. It halves the
+    /// angle between the steepest and the flattest of those lines.
+    fn along(values: &[f64], half: f64) -> Self {
+        type Point = (f64, f64);
+        let slope = |a: Point, b: Point| (b.1 - a.1) / (b.0 - a.0);
+        let cross =
+            |o: Point, a: Point, b: Point| (a.0 - o.0) * (b.1 - o.1) - (a.1 - o.1) * (b.0 - o.0);
+        let upper_of = |row: usize| (row as f64, values[row] + half);
+        let lower_of = |row: usize| (row as f64, values[row] - half);
+        if values.len() < 2 {
+            return Self { rows: values.len(), at_first: values[0], slope: 0.0 };
+        }
+        // The flattest line runs from an upper to a lower bound, the steepest from a lower to an upper one.
+        let (mut flattest, mut steepest) =
+            ((upper_of(0), lower_of(1)), (lower_of(0), upper_of(1)));
+        let mut upper = vec![upper_of(0), upper_of(1)];
+        let mut lower = vec![lower_of(0), lower_of(1)];
+        let (mut upper_from, mut lower_from) = (0, 0);
+        let mut rows = 2;
+        while rows < values.len() {
+            let (above, below) = (upper_of(rows), lower_of(rows));
+            let (least, most) =
+                (slope(flattest.0, flattest.1), slope(steepest.0, steepest.1));
+            let at = |line: (Point, Point), slope: f64| line.1.1 + slope * (above.0 - line.1.0);
+            if above.1 < at(flattest, least) || below.1 > at(steepest, most) {
+                break;
+            }
+            if above.1 < at(steepest, most) {
+                let mut best = lower_from;
+                for other in lower_from + 1..lower.len() {
+                    if slope(lower[other], above) > slope(lower[best], above) {
+                        break;
+                    }
+                    best = other;
+                }
+                steepest = (lower[best], above);
+                lower_from = best;
+                while upper.len() >= upper_from + 2
+                    && cross(upper[upper.len() - 2], upper[upper.len() - 1], above) <= 0.0
+                {
+                    upper.pop();
+                }
+                upper.push(above);
+            }
+            if below.1 > at(flattest, least) {
+                let mut best = upper_from;
+                for other in upper_from + 1..upper.len() {
+                    if slope(upper[other], below) < slope(upper[best], below) {
+                        break;
+                    }
+                    best = other;
+                }
+                flattest = (upper[best], below);
+                upper_from = best;
+                while lower.len() >= lower_from + 2
+                    && cross(lower[lower.len() - 2], lower[lower.len() - 1], below) >= 0.0
+                {
+                    lower.pop();
+                }
+                lower.push(below);
+            }
+            rows += 1;
+        }
+        let (least, most) = (slope(flattest.0, flattest.1), slope(steepest.0, steepest.1));
+        let slope = 0.5 * (least + most);
+        // Both lines meet in one point, through which the mean one goes, too.
+        let at_zero = |line: (Point, Point), slope: f64| line.0.1 - slope * line.0.0;
+        let (a, b) = (at_zero(flattest, least), at_zero(steepest, most));
+        let meet = if (most - least).abs() > f64::EPSILON { (a - b) / (most - least) } else { 0.0 };
+        let slope = slope.max(0.0);
+        Self { rows, at_first: a + (least - slope) * meet, slope }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rows at a period with jitter, uniform within ±`jitter_s`, without those in `gap`.
+    fn sent(period_s: f64, jitter_s: f64, gap: std::ops::Range<usize>) -> Vec<f64> {
+        let mut state = 7_u64;
+        let mut random = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 33) as f64 / (1_u64 << 30) as f64 - 1.0
+        };
+        let rows = (0..(30.0 / period_s) as usize).map(|row| (row, jitter_s * random()));
+        rows.filter(|(row, _)| !gap.contains(row))
+            .map(|(row, by)| 0.0123 + row as f64 * period_s + by)
+            .collect()
+    }
+
+    fn rounded(t_s: &[f64], tick_s: f64) -> Vec<f64> {
+        t_s.iter().map(|t| (t / tick_s).round() * tick_s).collect()
+    }
+
+    #[test]
+    fn the_order_of_rows_restores_rounded_stamps() {
+        for (period_s, tick_s, jitter_s, within_s) in [
+            (0.008, 0.01, 0.0, 1.1e-3),
+            (0.008, 0.01, 3e-4, 1.6e-3),
+            (0.008, 1.0, 0.0, 4.2e-3),
+            (0.002, 0.01, 2e-4, 1.3e-3),
+            (0.0333, 0.01, 0.0, 5e-4),
+            (0.001, 1.0, 5e-4, 3e-3),
+        ] {
+            let true_s = sent(period_s, jitter_s, 0..0);
+            let (restored, resolution_s) = straighten(&rounded(&true_s, tick_s), tick_s);
+            let most = true_s.iter().zip(&restored).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            assert!(most < within_s, "{period_s} {tick_s} {jitter_s}: {most}");
+            assert!(resolution_s < within_s, "{period_s} {tick_s} {jitter_s}: {resolution_s}");
+            assert!(restored.is_sorted());
+        }
+    }
+
+    #[test]
+    fn a_gap_is_kept() {
+        let true_s = sent(0.008, 1e-4, 1000..1040);
+        let (restored, _) = straighten(&rounded(&true_s, 0.01), 0.01);
+        let longest = restored.windows(2).map(|two| two[1] - two[0]).fold(0.0, f64::max);
+        assert!((longest - 0.328).abs() < 0.02, "{longest}");
+    }
+}
