@@ -98,8 +98,9 @@ pub use lag::{LatencyResidual, residual_by_latency};
 use large::{LargeChange, imu_changes, pose_changes};
 pub use latency::Peak;
 pub use model_fit::{ModelFit, Needs, Priced, Tried, Way, model_fit};
-pub use motion::{Abruptness, Excess, Series, abruptness, beyond_positions, beyond_speed, beyond_speed_of_positions,
-    rates,
+pub use motion::{
+    Abruptness, Excess, Series, abruptness, beyond_positions, beyond_speed,
+    beyond_speed_of_positions, rates,
 };
 pub use observability::{BlindDirection, Observability, Parameter};
 pub use proof::{Amount, Error, Part, Proof, Short, Size, proof};

@@ -279,12 +279,7 @@ pub fn abruptness(t_s: &[f64], values: &[f64], series: Series, step: f64) -> Opt
 
 /// By how much the speed differs after the rows `from..=to` from before, by the samples beside them; 0 where there
 /// are too few.
-fn speed_change(
-    t_s: &[f64],
-    values: &[f64],
-    series: Series,
-    (from, to): (usize, usize),
-) -> f64 {
+fn speed_change(t_s: &[f64], values: &[f64], series: Series, (from, to): (usize, usize)) -> f64 {
     const LEAST_ROWS: usize = 4;
     const MOST_ROWS: usize = 16;
     let near = |at: usize, other: usize| (t_s[other] - t_s[at]).abs() <= BRIEF_S;

@@ -2,7 +2,9 @@
 
 use super::{Of, of};
 use crate::finding::Subject;
-use crate::run::{Cadence, Extent, Role, RoundedStamps, Run, Stream, StreamClock, Unaudited, WhyNot};
+use crate::run::{
+    Cadence, Extent, Role, RoundedStamps, Run, Stream, StreamClock, Unaudited, WhyNot,
+};
 use crate::time::Clock;
 
 /// When the samples of a stream are due.

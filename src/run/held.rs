@@ -335,7 +335,8 @@ mod tests {
     fn found(columns: &JointColumns) -> Option<Held> {
         let rows = columns.times.header.iter().map(|&t| Stamp::from_nanos(t)).zip(0..).collect();
         let (times, values) = (&columns.times, Values::Joints(columns));
-        held(&[Series { stream: 0, piece: 0, frame: None, is_table: false, rows, times, values }]).pop()
+        held(&[Series { stream: 0, piece: 0, frame: None, is_table: false, rows, times, values }])
+            .pop()
     }
 
     #[test]

@@ -15,9 +15,7 @@ use super::apart::Apart;
 use super::grid::Grid;
 use super::rows::Rows;
 use super::series::{Series, Values};
-use super::trains::{
-    FEWEST, NEARLY, SMOOTH, Split, are_two, is_one, roughness, split, split_by,
-};
+use super::trains::{FEWEST, NEARLY, SMOOTH, Split, are_two, is_one, roughness, split, split_by};
 
 /// Two publishers of one piece of a stream.
 #[derive(Clone, Debug, PartialEq)]

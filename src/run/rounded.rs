@@ -110,8 +110,7 @@ impl Restored {
         let t_s: Vec<f64> =
             raw.iter().map(|nanos| (nanos - first) as f64 / NANOS_PER_SECOND as f64).collect();
         let grid = Grid::with_least_tick(&t_s, LEAST_TICK_S)?;
-        let repeats: Vec<bool> =
-            (1..raw.len()).map(|row| values.is_same(row - 1, row)).collect();
+        let repeats: Vec<bool> = (1..raw.len()).map(|row| values.is_same(row - 1, row)).collect();
         let (mut shared, mut sent_again) = (0, 0);
         for (ticks, repeats) in grid.ticks.iter().zip(&repeats) {
             if *ticks == 0 {
@@ -219,16 +218,14 @@ impl Line {
             return Self { rows: values.len(), at_first: values[0], slope: 0.0 };
         }
         // The flattest line runs from an upper to a lower bound, the steepest from a lower to an upper one.
-        let (mut flattest, mut steepest) =
-            ((upper_of(0), lower_of(1)), (lower_of(0), upper_of(1)));
+        let (mut flattest, mut steepest) = ((upper_of(0), lower_of(1)), (lower_of(0), upper_of(1)));
         let mut upper = vec![upper_of(0), upper_of(1)];
         let mut lower = vec![lower_of(0), lower_of(1)];
         let (mut upper_from, mut lower_from) = (0, 0);
         let mut rows = 2;
         while rows < values.len() {
             let (above, below) = (upper_of(rows), lower_of(rows));
-            let (least, most) =
-                (slope(flattest.0, flattest.1), slope(steepest.0, steepest.1));
+            let (least, most) = (slope(flattest.0, flattest.1), slope(steepest.0, steepest.1));
             let at = |line: (Point, Point), slope: f64| line.1.1 + slope * (above.0 - line.1.0);
             if above.1 < at(flattest, least) || below.1 > at(steepest, most) {
                 break;
@@ -288,7 +285,9 @@ mod tests {
     fn sent(period_s: f64, jitter_s: f64, gap: std::ops::Range<usize>) -> Vec<f64> {
         let mut state = 7_u64;
         let mut random = || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
             (state >> 33) as f64 / (1_u64 << 30) as f64 - 1.0
         };
         let rows = (0..(30.0 / period_s) as usize).map(|row| (row, jitter_s * random()));

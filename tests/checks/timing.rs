@@ -353,7 +353,12 @@ fn times_and_amounts_of_gaps_are_those_of_the_stamps() {
         let removed = before.len() - messages.len();
         let report = log.audited();
         let named = codes(&report);
-        assert_eq!(named, expected.iter().copied().collect(), "{case}: {}", summary(&report.findings));
+        assert_eq!(
+            named,
+            expected.iter().copied().collect(),
+            "{case}: {}",
+            summary(&report.findings)
+        );
         for finding in report.findings.iter().filter(|finding| finding.code.starts_with("TIM")) {
             let mut stamps: Vec<i64> =
                 of_topic(&mut messages, JOINT_STATES).map(|own| stamp_ns(own)).collect();
@@ -364,7 +369,10 @@ fn times_and_amounts_of_gaps_are_those_of_the_stamps() {
                 let start: i64 = gap["start_ns"].as_str().and_then(|at| at.parse().ok()).unwrap();
                 let at = stamps.binary_search(&start).expect("a gap starts at a stamp");
                 let length_s = (stamps[at + 1] - start) as f64 / SECOND_NS;
-                assert!((gap["length_s"].as_f64().unwrap() - length_s).abs() < 1e-6, "{case}: {gap}");
+                assert!(
+                    (gap["length_s"].as_f64().unwrap() - length_s).abs() < 1e-6,
+                    "{case}: {gap}"
+                );
             }
             let lost = more["lost"].as_u64().unwrap() as usize;
             assert!(lost.abs_diff(removed) <= 2 + removed / 20, "{case}: {lost} of {removed}");

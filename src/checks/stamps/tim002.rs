@@ -99,8 +99,10 @@ fn check(case: &Case) -> Vec<Judged> {
     let mut told: Vec<&Of<RhythmEvidence>> = Vec::new();
     let judge_once = |rhythm| {
         if let Some(first) = told.iter().find(|first| has_rows_of(first, rhythm)) {
-            let why = format!("its rows have the stamps of {}, whose gaps are reported", first.topic());
-            return Judged::new(rhythm.subject.clone(), Outcome::sound_because(why)).within(rhythm.span);
+            let why =
+                format!("its rows have the stamps of {}, whose gaps are reported", first.topic());
+            return Judged::new(rhythm.subject.clone(), Outcome::sound_because(why))
+                .within(rhythm.span);
         }
         told.push(rhythm);
         judge(case, rhythm)

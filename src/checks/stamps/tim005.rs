@@ -139,7 +139,8 @@ fn judge_rounded(stream: &Of<StampEvidence>, rounded: &RoundedStamps) -> Judged 
              a constant offset of up to half the tick"
         ),
         evidence: Evidence::default(),
-        fix: "record stamps with all their digits: nanoseconds, or seconds with six decimals".to_owned(),
+        fix: "record stamps with all their digits: nanoseconds, or seconds with six decimals"
+            .to_owned(),
     };
     stream
         .judged(Outcome::faulty(fault))

@@ -94,9 +94,16 @@ impl Times {
     /// Replaces the times on `clock`, and with them the times of receipt if these follow the headers by a
     /// constant, as those of tables do.
     pub fn restamp(&mut self, clock: Clock, nanos: Vec<i64>) {
-        let delay = self.log.first().zip(self.header.first()).map_or(0, |(log, own)| log.saturating_sub(*own));
-        let is_constant =
-            self.log.iter().zip(&self.header).all(|(log, own)| log.checked_sub(*own) == Some(delay));
+        let delay = self
+            .log
+            .first()
+            .zip(self.header.first())
+            .map_or(0, |(log, own)| log.saturating_sub(*own));
+        let is_constant = self
+            .log
+            .iter()
+            .zip(&self.header)
+            .all(|(log, own)| log.checked_sub(*own) == Some(delay));
         match clock {
             Clock::Log => self.log = nanos,
             Clock::Publish => self.publish = nanos,

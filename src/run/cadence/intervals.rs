@@ -70,7 +70,8 @@ impl Pace {
         let blocks = times.windows(BURSTS + 1).step_by(count.div_ceil(ENOUGH));
         let mut blocks: Vec<f64> =
             blocks.map(|rows| rows[BURSTS].0.seconds_since(rows[0].0) / BURSTS as f64).collect();
-        if let Some(mean) = median_of(&mut blocks).filter(|mean| !USUAL.contains(&(median / mean))) {
+        if let Some(mean) = median_of(&mut blocks).filter(|mean| !USUAL.contains(&(median / mean)))
+        {
             median = mean;
         }
         let close = intervals().filter(|dt| (dt - median).abs() < SINGLE * median);
