@@ -67,18 +67,23 @@ pub fn judge(
         let streams = arm.poses_and_tf().map(|stream| {
             let found = &stream.diagnosis;
             let doubt = found.strays().then_some("its positions do not lie on the arm");
-            stream.with((&found.reading, doubt, stream.bare.then_some(found)))
+            let bare = stream.bare.then_some(found);
+            stream.with((&found.reading, doubt, bare, stream.rotation_unread.as_slice()))
         });
         let unread = arm.diagnosis.reading.is_err() && !arm.poses.is_empty();
         let doubt = unread.then_some("the joint states themselves could not be read for sure");
         let imus = arm.imus.iter();
-        let imus = imus.map(|imu| imu.with((&imu.diagnosis.reading, doubt, None)));
+        let imus = imus.map(|imu| imu.with((&imu.diagnosis.reading, doubt, None, &[][..])));
         judged.extend(streams.chain(imus).map(|stream| {
-            let (reading, doubt, bare) = stream.found;
+            let (reading, doubt, bare, unread) = stream.found;
             let judged = judge_stream(arm, reading, asked, word);
             let judged = match bare {
                 Some(found) => of_bare_numbers(arm, stream.topic(), asked, found, judged),
                 None => judged,
+            };
+            let judged = match unread {
+                [_, ..] if asked == Kind::Convention => (not_checked(unread), None),
+                _ => judged,
             };
             let (outcome, estimate) = match (judged, doubt) {
                 ((Outcome::Evaluated(Ruling::Faulty(_)), _), Some(doubt)) => (
@@ -134,6 +139,17 @@ fn judge_stream(
         Some(wording) => fault(arm, reading, wording),
         None => (Outcome::sound(), None),
     }
+}
+
+/// The outcome for positions whose rotation may be in columns that nothing identifies.
+pub(super) fn not_checked(unread: &[String]) -> Outcome {
+    const SHOWN: usize = 6;
+    let shown = unread.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ");
+    let more = if unread.len() > SHOWN { ", …" } else { "" };
+    Outcome::Inconclusive(format!(
+        "its rotation is not checked: nothing says what the columns {shown}{more} are; name those of the \
+         rotation in `columns.pose` of the config, after the position's"
+    ))
 }
 
 /// What is said of bare numbers of which nothing is declared: how they were read, once, and no fault of

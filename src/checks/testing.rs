@@ -326,6 +326,9 @@ fn stream(independent: bool) -> PoseEvidence {
         alternation: None,
         bare: false,
         declared: None,
+        labels: None,
+        is_of_table: false,
+        rotation_unread: Vec::new(),
         euler: Some(EulerEvidence {
             convention: Some(Convention::RPY),
             margins_rad: vec![(SPAN.start, 0.5), (SPAN.end, 0.6)],

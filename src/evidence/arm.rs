@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::commands::{ReferenceEvidence, references};
 use super::estimate::{DhEvidence, Diagnosis};
 use super::joints::{JointEvidence, breaks, joint_evidence, mending, velocities};
-use super::poses::{Declared, ImuEvidence, PoseEvidence, euler};
+use super::poses::{Declared, ImuEvidence, PoseEvidence, euler, rotation_unread};
 use super::shake::{ShakeEvidence, shake_of_joints, shake_of_poses};
 use super::{Of, of_arm, span_in};
 use crate::diagnosis::{
@@ -148,6 +148,9 @@ pub(super) fn arm_evidence(
         tip_named: source.tip_named,
         witness: run.streams[source.stream].witness.unwrap_or(Witness::Unknown),
         euler,
+        labels: run.streams[source.stream].labels.filter(|_| source.track.declared.is_none()),
+        is_of_table: !run.streams[source.stream].cells.is_empty(),
+        rotation_unread: rotation_unread(run, source),
         independent: !source.stamps_copied,
         bare_numbers: matches!(source.track.orientation, Orientations::Numbers(_)),
         bare: source.track.declared.is_none() && run.streams[source.stream].is_bare(),

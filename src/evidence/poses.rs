@@ -2,7 +2,8 @@
 
 use crate::diagnosis::{Alternation, ImuDiagnosis, ImuProof, PoseDiagnosis, Proof, Reading, Seen};
 use crate::geometry::{AngleUnit, Coding, Convention, LengthScale, Rotation};
-use crate::run::{Declaration, PoseSource, Run, Witness};
+use crate::log::RotationLabels;
+use crate::run::{Declaration, PoseSource, Role, Run, Stream, Witness};
 use crate::stream::Columns;
 use crate::time::Stamp;
 
@@ -32,6 +33,12 @@ pub struct PoseEvidence {
     pub declared: Option<Declared>,
     /// How its rotations are coded, where they are three bare numbers.
     pub euler: Option<EulerEvidence>,
+    /// What the names of its rotation's columns say of their encoding, of a table.
+    pub labels: Option<RotationLabels>,
+    /// Whether it is columns of a table, which name no frame.
+    pub is_of_table: bool,
+    /// Columns of a table beside positions that nothing identifies, and that may be their rotation.
+    pub rotation_unread: Vec<String>,
     /// The rigid bodies on the tool that its poses alternate between, where they do; everything else was
     /// estimated on all of them as those of the usual one.
     pub alternation: Option<Alternation>,
@@ -111,4 +118,14 @@ pub(super) fn euler(
         convention,
         margins_rad: (0..array.times.len()).filter_map(margin).collect(),
     })
+}
+
+/// The numbers of the table that may be the rotation of positions without one, as nothing identifies them.
+pub(super) fn rotation_unread(run: &Run, source: &PoseSource) -> Vec<String> {
+    if !run.streams[source.stream].holds_no_rotation() {
+        return Vec::new();
+    }
+    let is_left = |stream: &&Stream| matches!(stream.role, Role::Ignored | Role::Unassigned);
+    let left = run.streams.iter().filter(is_left);
+    left.flat_map(|stream| stream.unidentified.iter().cloned()).collect()
 }

@@ -171,6 +171,27 @@ pub struct TableCell {
     pub at: (usize, usize),
     /// What `[columns]` of a config calls it.
     pub name: String,
+    /// What the names of its rotation say that the numbers are, if it is one of a rotation's.
+    pub labels: Option<RotationLabels>,
+    /// Whether its name says nothing of it, and it is measured: fractions that change.
+    pub is_unidentified: bool,
+}
+
+/// Names of the numbers of a rotation that say how it is encoded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum RotationLabels {
+    /// qx, qy, qz, qw, in the order of their letters.
+    Quaternion,
+    /// roll, pitch, yaw.
+    RollPitchYaw,
+    /// A, B, C of KUKA, Doosan and others.
+    Abc,
+    /// FANUC's W, P, R.
+    Wpr,
+    /// Kawasaki's O, A, T.
+    Oat,
+    /// A rotation vector.
+    RotationVector,
 }
 
 /// Messages of one topic that could not be decoded.

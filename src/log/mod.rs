@@ -46,8 +46,8 @@ use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 pub use self::contents::{
-    Container, Crc, Description, Extent, Log, LogFile, Loss, Note, Repeat, TableCell, Topic,
-    Undecodable,
+    Container, Crc, Description, Extent, Log, LogFile, Loss, Note, Repeat, RotationLabels,
+    TableCell, Topic, Undecodable,
 };
 pub use self::error::LogError;
 pub use self::follow::{Follow, Growth};

@@ -310,8 +310,9 @@ mod tests {
         assert!(sqlite.contains("the database cannot be opened: "), "{sqlite}");
         let bag = refusal("run.mcap", b"#ROSBAG V1.2\nabc");
         assert!(bag.contains("ROS 1 bag of another version than 2.0"), "{bag}");
-        let numbers = refusal("run.csv", b"0.0,1.0,2.0\n");
-        assert!(numbers.contains("without a first line that names them"), "{numbers}");
+        let pointer =
+            refusal("run.csv", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n");
+        assert!(pointer.contains("git lfs pull"), "{pointer}");
         let empty = refusal("run.mcap", b"");
         assert!(empty.contains("the file is empty"), "{empty}");
         let bytes = refusal("run.mcap", &[0x80, 0xff, 0, 1, 2, 3]);

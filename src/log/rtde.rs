@@ -82,10 +82,8 @@ static VECTORS: [Vector; 8] = [
 /// What the first line of a text holds.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum FirstLine {
-    /// Names of columns, RTDE's among them.
+    /// Names of columns, RTDE's and that of the time among them.
     Names,
-    /// Several numbers.
-    Numbers,
     /// Anything else.
     Other,
 }
@@ -97,12 +95,10 @@ pub(super) fn first_line(bytes: &[u8]) -> FirstLine {
     let known = |cell: &&[u8]| {
         VECTORS.iter().any(|vector| part(cell).is_some_and(|(stem, _)| stem == vector.name))
     };
-    if cells.iter().any(known) {
-        FirstLine::Names
-    } else if cells.len() > 1 && cells.iter().all(|cell| number(cell, false).is_some()) {
-        FirstLine::Numbers
-    } else {
-        FirstLine::Other
+    // Without stamps it is a table like others, whose rate the caller may give.
+    match cells.iter().any(known) && cells.contains(&TIMESTAMP.as_bytes()) {
+        true => FirstLine::Names,
+        false => FirstLine::Other,
     }
 }
 
@@ -342,7 +338,8 @@ impl Recording {
                     Columns::Joints(samples.joints(velocities))
                 }
                 Meaning::Numbers => {
-                    Columns::Array(tables::array(&samples.stamps, vector.width, &samples.values))
+                    let stamps: Vec<_> = samples.stamps.iter().map(|&stamp| stamp.into()).collect();
+                    Columns::Array(tables::array(&stamps, vector.width, &samples.values))
                 }
                 Meaning::Velocities => continue,
             };

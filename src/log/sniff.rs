@@ -44,6 +44,11 @@ const KNOWN: &[(&[u8], &str, &str)] = &[
     (b"RRF", "a Rerun recording", "give the log that it was made from"),
     (b"\x04\x22\x4d\x18", "an lz4 archive", UNPACK),
     (b"\x1f\x8b", "a gzip archive", UNPACK),
+    (
+        b"version https://git-lfs",
+        "a Git LFS pointer without the file's content",
+        "fetch it with `git lfs pull`",
+    ),
     (ZIP_MAGIC, "a zip archive", UNPACK),
 ];
 
@@ -95,8 +100,9 @@ pub(super) fn kind(bytes: &[u8]) -> Kind {
         match rtde::first_line(bytes) {
             rtde::FirstLine::Names => return Kind::Rtde,
             _ if tables::has_packet(glance) => return Kind::Table(tables::Kind::Rsi),
-            _ if tables::first_line(bytes) => return Kind::Table(tables::Kind::Csv),
-            rtde::FirstLine::Numbers => "a table of numbers without a first line that names them",
+            rtde::FirstLine::Other if tables::is_table(bytes) => {
+                return Kind::Table(tables::Kind::Csv);
+            }
             rtde::FirstLine::Other => "text",
         }
     } else {

@@ -5,7 +5,7 @@ mod passed;
 
 use std::collections::BTreeSet;
 
-use super::{Report, RobotRow, Verdict, undecided};
+use super::{Report, RobotRow, StreamRow, Verdict, undecided};
 use crate::finding::{
     Alternative, CheckRow, Estimate, Finding, Ignored, Severity, Status, Subject, Unit,
 };
@@ -179,6 +179,23 @@ impl<'a> Outline<'a> {
         said.collect()
     }
 
+    /// The columns of tables that nothing was held against, a line for each reason.
+    pub fn unused(&self) -> Vec<String> {
+        let is_of_table = |row: &&StreamRow| !row.columns.is_empty() || row.type_name == "unread";
+        let is_unused = |row: &&StreamRow| ["ignored", "unassigned"].contains(&row.role);
+        let rows = self.report.streams.iter().filter(is_of_table).filter(is_unused);
+        let groups = grouped_by(rows, |row| row.reason.as_str()).into_iter();
+        let lines = groups.map(|(reason, rows)| {
+            let names = |row: &&StreamRow| match row.columns.as_slice() {
+                [] | [_] => row.topic.clone(),
+                [first, .., last] => format!("{first}…{last}"),
+            };
+            let names: Vec<String> = rows.iter().map(names).collect();
+            format!("{}: {reason}", names.join(", "))
+        });
+        lines.collect()
+    }
+
     /// What was skipped, a line for each reason.
     pub fn skipped(&self) -> Vec<String> {
         let is_said = |row: &&CheckRow| {
@@ -229,10 +246,10 @@ fn grouped(count: u64) -> String {
 }
 
 /// Rows in groups of equal key, in the order in which keys first come.
-fn grouped_by<'a, K: PartialEq>(
-    rows: impl Iterator<Item = &'a CheckRow>,
-    key: impl Fn(&'a CheckRow) -> K,
-) -> Vec<(K, Vec<&'a CheckRow>)> {
+fn grouped_by<'a, R, K: PartialEq>(
+    rows: impl Iterator<Item = &'a R>,
+    key: impl Fn(&'a R) -> K,
+) -> Vec<(K, Vec<&'a R>)> {
     let mut groups: Vec<(K, Vec<&CheckRow>)> = Vec::new();
     for row in rows {
         let key = key(row);

@@ -77,6 +77,7 @@ impl<'a> Page<'a> {
         self.passed(out)?;
         let arms = self.report.workspace.iter().map(|arm| self.workspace(arm));
         self.block(out, QUIET, "workspace", arms.collect())?;
+        self.block(out, QUIET, "unused", self.says.unused())?;
         self.block(out, QUIET, "skipped", self.says.skipped())?;
         self.hints(out)
     }

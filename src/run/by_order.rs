@@ -132,10 +132,10 @@ pub(super) fn along(logged: &[String], clues: &Clues<'_>) -> Vec<Model> {
     models.collect()
 }
 
-/// Names the joints that tables only count after those of `robots`, of which each may be for names with a
-/// prefix.
+/// Names the joints that tables, and joint states without names, only count after those of `robots`, of
+/// which each may be for names with a prefix.
 pub(super) fn name_counted(topics: &mut [Topic], robots: &[(&Robot, Option<&str>)]) {
-    for topic in topics.iter_mut().filter(|topic| topic.encoding == TABLE) {
+    for topic in topics {
         let Some(Columns::Joints(joints)) = &mut topic.columns else { continue };
         let Some(side) = side_of(joints) else { continue };
         let fits = |prefix: &Option<&str>| {

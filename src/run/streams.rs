@@ -1,6 +1,6 @@
 //! The streams of a run: its topics, and where a topic carries several poses, each of them.
 
-use crate::log::Topic;
+use crate::log::{RotationLabels, Topic};
 use crate::stream::{Columns, PoseColumns, Times};
 use crate::time::{Clock, Stamp};
 
@@ -53,6 +53,10 @@ pub struct Stream {
     pub read_as: Option<String>,
     /// Which numbers of a table it is made of, as `[columns]` of a config names them.
     pub cells: Vec<String>,
+    /// What the names of its rotation's columns say of their encoding, of a table.
+    pub labels: Option<RotationLabels>,
+    /// Numbers of a table that are measured and that nothing identifies.
+    pub unidentified: Vec<String>,
     /// What it held, as logged.
     pub columns: Option<Columns>,
 }
@@ -125,6 +129,7 @@ impl Stream {
             link: self.link.clone(),
             read_as: self.read_as.clone(),
             cells: self.cells.clone(),
+            unidentified: self.unidentified.clone(),
             columns: None,
             ..*self
         }
@@ -182,6 +187,13 @@ fn of_topic(topic: Topic) -> Vec<Stream> {
         end: topic.span.map(|(_, end)| end),
         is_empty: false,
         read_as: topic.read_as,
+        labels: topic.cells.iter().find_map(|cell| cell.labels),
+        unidentified: topic
+            .cells
+            .iter()
+            .filter(|cell| cell.is_unidentified)
+            .map(|cell| cell.name.clone())
+            .collect(),
         cells: topic.cells.into_iter().map(|cell| cell.name).collect(),
         columns: None,
     };

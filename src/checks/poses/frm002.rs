@@ -109,6 +109,9 @@ fn fault(
     severity: Severity,
 ) -> Fault {
     let reference = &stream.reference;
+    // Columns of a table are in the base or in the controller's: neither contradicts a declaration.
+    let is_either_base = stream.is_of_table && stream.bare && is_half_turn_about_z(&frame.pose);
+    let severity = if is_either_base { Severity::Info } else { severity };
     let fix = if is_half_turn_about_z(&frame.pose) {
         format!(
             "the poses are in a frame turned by 180° about z (UR's base against base_link), not in {reference}: correct frame_id"

@@ -4,13 +4,13 @@ use serde_json::{Value, json};
 
 use crate::checks::decision::unseen;
 use crate::checks::frames::THRESHOLDS;
-use crate::checks::reading::read_as;
+use crate::checks::reading::{not_checked, read_as};
 use crate::checks::standing::{Left, Named, Standing, standing};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Amount, Error, Measured, Part, Reading, Size};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{
-    Cause, Estimate, Evidence, Fault, Outcome, ReadAs, Severity, Subject, Unit, rounded,
+    Cause, Estimate, Evidence, Fault, Outcome, ReadAs, Ruling, Severity, Subject, Unit, rounded,
 };
 use crate::run::WrongModel;
 
@@ -162,7 +162,13 @@ fn judge(case: &Case, held: &Held, all: &[Held]) -> Judged {
     let angle = error.angle.as_ref().map(|angle| beyond_noise(&angle.whole));
     let none = Measured { value: 0.0, std_error: 0.0, dof: f64::INFINITY };
     let length = beyond_noise(&error.length.whole);
-    let judged = Judged::new(subject.clone(), outcome(case, held, all))
+    let outcome = match outcome(case, held, all) {
+        Outcome::Evaluated(Ruling::Sound(_)) if !stream.rotation_unread.is_empty() => {
+            not_checked(&stream.rotation_unread)
+        }
+        outcome => outcome,
+    };
+    let judged = Judged::new(subject.clone(), outcome)
         .within(stream.span)
         .estimated(Estimate::frame("residual", &length, &angle.unwrap_or(none)))
         .with_evidence("as_logged", error_json(case, &proof.as_logged))

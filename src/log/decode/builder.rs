@@ -56,6 +56,7 @@ impl Part {
     pub(super) fn franka_joints() -> Self {
         let mut joints = Joints::of(row::VALUES, row::VELOCITIES);
         joints.columns.unnamed = true;
+        joints.stem = "panda_joint";
         Self::Joints(joints)
     }
 

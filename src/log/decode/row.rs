@@ -186,6 +186,10 @@ impl Names {
         self.len = 0;
     }
 
+    pub(super) fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
     pub(super) fn push(&mut self, bytes: &[u8]) {
         if self.len == MAX_LIST {
             return;

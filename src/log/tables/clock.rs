@@ -1,5 +1,7 @@
 //! When the rows of a table were: by a column of times, else by the rate that metadata or the caller give.
 
+use std::collections::BTreeMap;
+
 use super::{Column, ColumnSettings, Refusal, Table, names};
 use ground::stats::median;
 use ground::time::NANOS_PER_SECOND;
@@ -39,12 +41,17 @@ const OTHERS: &[&str] = &[
     "sleep",
 ];
 
+/// Steps that go back are this many at most, of a hundred.
+const MOST_BACK: usize = 2;
+
 /// The stamps of a table.
 pub(super) struct Clock {
     /// Of every row, ns; `None` where it has none.
     pub stamps: Vec<Option<i64>>,
     /// The column that they were read from, and the number of its rows.
     pub cell: Option<(usize, usize)>,
+    /// That of their nanoseconds, where the other holds whole seconds.
+    pub nanos: Option<(usize, usize)>,
     /// How they came about, in one line.
     pub said: String,
     /// The column, where its numbers told that it holds times and its name does not.
@@ -57,7 +64,9 @@ pub(super) struct Clock {
 pub(super) fn is_time(name: &str) -> bool {
     let words = names::words(name);
     let is_unit = |word: &&String| UNITS.iter().any(|(unit, _)| unit == word);
-    let last = words.iter().rev().find(|word| !is_unit(word) || *word == "t");
+    let is_general = |word: &&String| ["data", "info", "value", "values"].contains(&word.as_str());
+    let mut named = words.iter().rev().filter(|word| !is_general(word));
+    let last = named.find(|word| !is_unit(word) || *word == "t");
     // DROID keeps its stamps below a group of that name.
     let is_below = name.contains('/') && words.contains(&"timestamp".to_owned());
     (is_below || last.is_some_and(|word| TIMES.contains(&word.as_str())))
@@ -83,16 +92,119 @@ pub(super) fn of(table: &Table, settings: &ColumnSettings) -> Result<Clock, Refu
     if let Some(rate_hz) = settings.rate_hz {
         return Ok(made(table, rate_hz, "as `columns.rate_hz` says"));
     }
-    let candidates = table.columns.iter().enumerate();
-    let candidates = candidates.filter(|(_, column)| column.width == 1 && is_time(&column.name));
-    let clocks = candidates.filter_map(|(at, column)| timed(at, column));
-    // The finest is the one of this table: a stamp in whole seconds repeats.
-    let best = clocks.min_by_key(|clock| (clock.repeats(), clock.cell));
+    let best = best_of(named(table), table);
     match (best, table.rate_hz) {
         (Some(clock), _) => Ok(clock),
         (None, Some(rate_hz)) => Ok(made(table, rate_hz, "as the metadata say")),
         (None, None) => by_numbers(table),
     }
+}
+
+/// The clocks of groups of columns that have one of their own, by the path of the group.
+pub(super) fn of_groups(table: &Table) -> BTreeMap<String, Clock> {
+    let mut groups: BTreeMap<String, Vec<Clock>> = BTreeMap::new();
+    for clock in named(table) {
+        let name = clock.cell.and_then(|(at, _)| Some(table.columns.get(at)?.name.as_str()));
+        if let Some(group) = name.and_then(group_of) {
+            groups.entry(group.to_owned()).or_default().push(clock);
+        }
+    }
+    let best = |(group, clocks)| Some((group, best_of(clocks, table)?));
+    groups.into_iter().filter_map(best).collect()
+}
+
+/// The path of the group that a column is in.
+pub(super) fn group_of(name: &str) -> Option<&str> {
+    name.rsplit_once('/').map(|(group, _)| group)
+}
+
+/// The clocks that names say.
+fn named(table: &Table) -> Vec<Clock> {
+    let columns = || table.columns.iter().enumerate();
+    // Kawasaki's third angle is no time.
+    let has = |name: &str| table.columns.iter().any(|column| column.name == name);
+    let is_angle = |name: &str| name == "T" && has("O") && has("A");
+    let times = columns().filter(|(_, column)| is_time(&column.name) && !is_angle(&column.name));
+    let mut clocks: Vec<Clock> = times
+        .filter_map(|(at, column)| match column.width {
+            1 => timed(at, column),
+            2 => seconds_and_nanos(table, [(at, 0), (at, 1)]),
+            _ => None,
+        })
+        .collect();
+    for (at, column) in columns().filter(|(_, column)| column.width == 1) {
+        let Some(stem) = stem_of(&column.name, &["s", "sec", "secs", "seconds"]) else { continue };
+        let other = columns().find(|(_, other)| {
+            let own = stem_of(
+                &other.name,
+                &["ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"],
+            );
+            other.width == 1 && own.as_ref() == Some(&stem)
+        });
+        clocks.extend(other.and_then(|(other, _)| seconds_and_nanos(table, [(at, 0), (other, 0)])));
+    }
+    clocks
+}
+
+/// The words of a name that ends in one of `units`, without it.
+fn stem_of(name: &str, units: &[&str]) -> Option<Vec<String>> {
+    let mut words = names::words(name);
+    let unit = words.pop()?;
+    units.contains(&unit.as_str()).then_some(words)
+}
+
+/// Of several clocks the finest: a stamp in whole seconds repeats. That of a message's header is before
+/// that of its receipt.
+fn best_of(clocks: Vec<Clock>, table: &Table) -> Option<Clock> {
+    /// Rows of a hundred that may repeat a stamp.
+    const REPEATS: usize = 5;
+    let is_header = |clock: &Clock| {
+        let name = clock.cell.map(|(at, _)| names::words(&table.columns[at].name));
+        name.is_some_and(|words| words.contains(&"header".to_owned()))
+    };
+    clocks.into_iter().min_by_key(|clock| {
+        let repeats = clock.repeats();
+        let is_coarse = 100 * repeats > REPEATS * table.rows;
+        (is_coarse, !is_header(clock), clock.nanos.is_none(), repeats, clock.cell)
+    })
+}
+
+/// The stamps in two numbers of each row: whole seconds, and the nanoseconds beyond them.
+fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock> {
+    let [seconds, nanos] = cells.map(|(at, part)| {
+        let column = &table.columns[at];
+        column.values.iter().skip(part).step_by(column.width)
+    });
+    let second = NANOS_PER_SECOND as f64;
+    let stamp = |(seconds, nanos): (&f64, &f64)| -> Option<i64> {
+        let is_whole = seconds.fract() == 0.0 && (0.0..9e9).contains(seconds);
+        let whole = (is_whole && (0.0..second).contains(nanos)).then_some(*seconds as i64)?;
+        whole.checked_mul(NANOS_PER_SECOND)?.checked_add(nanos.round() as i64)
+    };
+    let stamps: Vec<Option<i64>> = seconds.zip(nanos).map(stamp).collect();
+    let known: Vec<i64> = stamps.iter().flatten().copied().collect();
+    let steps = || known.windows(2).map(|pair| (pair[1] - pair[0]) as f64 / second);
+    let mut ahead: Vec<f64> = steps().filter(|step| *step > 0.0).collect();
+    let back = steps().filter(|step| *step < 0.0).count();
+    let step_s = median(&mut ahead)?;
+    // Fractions in another unit never come near a second.
+    let is_nanos =
+        cells[1].0 != cells[0].0 || known.iter().any(|stamp| stamp % NANOS_PER_SECOND > 1_000_000);
+    if 100 * back > MOST_BACK * known.len().max(100) || 2 * known.len() < stamps.len() || !is_nanos
+    {
+        return None;
+    }
+    let name = |at: usize| &table.columns[at].name;
+    let said = match cells {
+        [(one, _), (other, _)] if one == other => {
+            format!("its stamps are column '{}', s and ns", name(one))
+        }
+        [(one, _), (other, _)] => {
+            format!("its stamps are columns '{}', s, and '{}', ns", name(one), name(other))
+        }
+    };
+    let [cell, nanos] = cells;
+    Some(Clock { stamps, cell: Some(cell), nanos: Some(nanos), said, told: None, step_s })
 }
 
 /// The stamps in the one column whose numbers are times though its name does not say so: they rise by even
@@ -101,10 +213,17 @@ fn by_numbers(table: &Table) -> Result<Clock, Refusal> {
     /// More columns that rise alike are ramps, not clocks.
     const MOST_ALIKE: usize = 2;
     let none = || {
-        "no column holds times, and no metadata the rate: add `[columns]` with `rate_hz = 30` (the true rows a \
-         second) or `time = \"COLUMN\"` to poseaudit.toml; rows that are postures, not a run, \
-         are `poseaudit calibrate`'s"
-            .to_owned()
+        let mut named = table.columns.iter().filter(|column| is_time(&column.name));
+        let why = match named.next() {
+            Some(column) => {
+                format!("column '{}' is named as a time, and {}", column.name, no_time(column))
+            }
+            None => "no column holds times, and no metadata the rate".to_owned(),
+        };
+        format!(
+            "{why}: add `[columns]` with `rate_hz = 30` (the true rows a second) or `time = \"COLUMN\"` to \
+             poseaudit.toml; rows that are postures, not a run, are `poseaudit calibrate`'s"
+        )
     };
     let mut found: Vec<(String, Clock, Column)> = Vec::new();
     let mut alike = 0;
@@ -148,6 +267,20 @@ fn by_numbers(table: &Table) -> Result<Clock, Refusal> {
     }
 }
 
+/// Why the numbers of a column are no times.
+fn no_time(column: &Column) -> String {
+    let steps = || column.values.windows(2).map(|pair| pair[1] - pair[0]);
+    let back = steps().filter(|step| *step < 0.0).count();
+    let mut ahead: Vec<f64> = steps().filter(|step| *step > 0.0).collect();
+    match median(&mut ahead) {
+        None => "its numbers never rise".to_owned(),
+        Some(_) if 100 * back > MOST_BACK * column.values.len().max(100) => {
+            format!("its numbers fall in {back} rows")
+        }
+        Some(step) => format!("its numbers rise by {step} a row, in a unit that nothing says"),
+    }
+}
+
 /// Whether numbers rise at each step, and nearly always by about as much.
 fn rises_evenly(values: &[f64]) -> bool {
     /// Steps in a hundred that are of the usual size, and what that is.
@@ -174,7 +307,7 @@ fn is_line(one: &[f64], other: &[f64]) -> bool {
 
 /// The column of a name, or the one number of its rows that `NAME[AT]` is.
 fn cell_of(table: &Table, name: &str) -> Option<(usize, usize)> {
-    let column = |name: &str| table.columns.iter().position(|column| column.name == name);
+    let column = |name: &str| table.column(name);
     if let Some(at) = column(name) {
         return Some((at, 0));
     }
@@ -190,6 +323,7 @@ fn made(table: &Table, rate_hz: f64, by: &str) -> Clock {
     Clock {
         stamps: (0..table.rows).map(stamp).collect(),
         cell: None,
+        nanos: None,
         said: format!(
             "its stamps are made: {rate_hz} rows a second, {by}; latencies are those between its columns"
         ),
@@ -200,15 +334,13 @@ fn made(table: &Table, rate_hz: f64, by: &str) -> Clock {
 
 /// The stamps in a column, if it is one of times.
 fn timed(at: usize, column: &Column) -> Option<Clock> {
-    /// Steps that go back are this many at most, of a hundred.
-    const BACK: usize = 2;
     let values = &column.values;
     let finite: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
     let steps: Vec<f64> = finite.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let back = steps.iter().filter(|step| **step < 0.0).count();
     let mut ahead: Vec<f64> = steps.iter().copied().filter(|step| *step > 0.0).collect();
     let step = median(&mut ahead)?;
-    if 100 * back > BACK * steps.len().max(100) || 2 * finite.len() < values.len() {
+    if 100 * back > MOST_BACK * steps.len().max(100) || 2 * finite.len() < values.len() {
         return None;
     }
     let (first, words) = (*finite.first()?, names::words(&column.name));
@@ -251,6 +383,7 @@ fn timed(at: usize, column: &Column) -> Option<Clock> {
     Some(Clock {
         stamps: values.iter().map(|value| nanos(*value)).collect(),
         cell: Some((at, 0)),
+        nanos: None,
         said,
         told: None,
         step_s,

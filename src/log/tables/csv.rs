@@ -1,69 +1,209 @@
-//! Tables as text: names of columns in the first line, a row in each line after it.
+//! Tables as text: comments, names of columns, perhaps a row of units, then a row in each line.
+//!
+//! Delimiter and decimal mark are found from the first row of numbers. A table without names is one
+//! column of many numbers, as an array of NumPy is.
 
-use ::csv::{ReaderBuilder, StringRecord, Trim};
-use jiff::civil::DateTime;
+use jiff::civil::{DateTime, Time};
 
-use super::{Column, Episodes, MOST_COLUMNS, MOST_NUMBERS, Refusal, Table, clock};
+use super::{Column, Episodes, MOST_COLUMNS, MOST_NUMBERS, MOST_WIDE, Refusal, Table, clock};
 use crate::Extent;
 use crate::losses::Losses;
 use crate::rtde;
 
-/// Of the cells of a column this share holds numbers, or it is one of text.
+/// A column is text if less than this share of its cells are numbers.
 const NUMERIC: f64 = 0.5;
+/// Lines that may stand before the first row.
+const MOST_HEADER_LINES: usize = 200;
+/// Marks of comments.
+const COMMENTS: [&str; 3] = ["#", "%", "//"];
+/// Fewer cells are no row of a robot's log.
+const LEAST_CELLS: usize = 3;
+/// Units as a row below the names gives them.
+const UNITS: &[&str] = &[
+    "-", "1", "s", "sec", "ms", "us", "ns", "m", "mm", "cm", "rad", "deg", "°", "degree",
+    "degrees", "rad/s", "deg/s", "°/s", "m/s", "mm/s", "m/s2", "m/s^2", "n", "nm", "n.m", "a",
+    "ma", "v", "hz", "rpm", "count", "counts", "bool", "int", "float", "%", "c", "°c",
+];
 
-/// Whether the text `bytes` is a table: a line of several names, and numbers in the next.
-pub(crate) fn first_line(bytes: &[u8]) -> bool {
-    let mut lines =
-        bytes.split(|byte| *byte == b'\n').map(<[u8]>::trim_ascii).filter(|line| !line.is_empty());
-    let (Some(header), Some(row)) = (lines.next(), lines.next()) else { return false };
-    let header = header.strip_prefix(b"\xef\xbb\xbf").unwrap_or(header);
-    let delimiter = rtde::delimiter(header);
-    let names: Vec<&[u8]> = rtde::cells(header, delimiter).collect();
-    let cells: Vec<&[u8]> = rtde::cells(row, delimiter).collect();
-    let is_number = |cell: &&[u8]| rtde::number(cell, delimiter != b',').is_some();
-    let numbers = cells.iter().filter(|cell| is_number(cell)).count();
-    names.len() > 2 && !names.iter().any(is_number) && 2 * numbers > names.len()
-        // The last cell of a row may be cut off where only a beginning was read.
-        && cells.len() <= names.len()
+/// Where the rows of a table in text begin, and what stands above them.
+struct Layout {
+    delimiter: u8,
+    /// Names of the columns; `None` if no line has them.
+    names: Option<Vec<String>>,
+    /// Cells of a row.
+    width: usize,
+    /// Offset of the first row, and its line from 1.
+    rows_at: usize,
+    line: usize,
+}
+
+/// Whether the text `bytes` is a table: rows of numbers, below the names of their columns or alone.
+pub(crate) fn is_table(bytes: &[u8]) -> bool {
+    layout(bytes).is_some()
 }
 
 /// Whether a table in text names a column of times, so that it is a log and no table of postures.
 pub(crate) fn has_time(bytes: &[u8]) -> bool {
-    let header = bytes.split(|byte| *byte == b'\n').next().unwrap_or_default();
-    let delimiter = rtde::delimiter(header);
-    rtde::cells(header, delimiter).any(|name| std::str::from_utf8(name).is_ok_and(clock::is_time))
+    let names = layout(bytes).and_then(|layout| layout.names);
+    names.is_some_and(|names| names.iter().any(|name| clock::is_time(name)))
+}
+
+/// The cells of a line; delimiters within quotation marks are text.
+fn cells(line: &[u8], delimiter: u8) -> Vec<&[u8]> {
+    if delimiter == b' ' {
+        let words = line.split(u8::is_ascii_whitespace).filter(|cell| !cell.is_empty());
+        return words.map(bare).collect();
+    }
+    let mut quoted = false;
+    let split = line.split(|byte| {
+        quoted ^= *byte == b'"';
+        *byte == delimiter && !quoted
+    });
+    let cells = split.map(bare).collect();
+    // An odd quotation mark quotes nothing.
+    if quoted { rtde::cells(line, delimiter).collect() } else { cells }
+}
+
+fn bare(cell: &[u8]) -> &[u8] {
+    let cell = cell.trim_ascii();
+    cell.strip_prefix(b"\"").and_then(|cell| cell.strip_suffix(b"\"")).unwrap_or(cell)
+}
+
+/// The delimiter that makes most numbers of a line, and their count.
+fn delimiter_of(row: &[u8]) -> (u8, usize) {
+    let count = |delimiter: u8| {
+        let cells = cells(row, delimiter);
+        let numbers = cells.iter().filter(|cell| is_number(cell, delimiter)).count();
+        if cells.len() < LEAST_CELLS || 2 * numbers <= cells.len() { 0 } else { numbers }
+    };
+    let all = [b';', b'\t', b',', b' '].map(|delimiter| (delimiter, count(delimiter)));
+    // The first of equals stands.
+    all.into_iter().rev().max_by_key(|(_, count)| *count).unwrap_or((b',', 0))
+}
+
+fn is_number(cell: &[u8], delimiter: u8) -> bool {
+    rtde::number(cell, delimiter != b',').is_some()
+}
+
+/// The text of a comment; `None` if the line is none.
+fn comment(line: &[u8]) -> Option<&[u8]> {
+    COMMENTS.iter().find_map(|mark| line.strip_prefix(mark.as_bytes())).map(<[u8]>::trim_ascii)
+}
+
+/// Lines with their offsets, blank ones left out, from 1.
+fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, usize, &[u8])> {
+    let mut at = 0;
+    let all = bytes.split_inclusive(|byte| *byte == b'\n').enumerate().map(move |(index, line)| {
+        let offset = at;
+        at += line.len();
+        (offset, index + 1, line.trim_ascii())
+    });
+    all.filter(|(_, _, line)| !line.is_empty())
+}
+
+fn layout(bytes: &[u8]) -> Option<Layout> {
+    let mark = if bytes.starts_with(b"\xef\xbb\xbf") { 3 } else { 0 };
+    let all = lines(&bytes[mark..]).map(|(offset, line, text)| (offset + mark, line, text));
+    let mut above: Vec<&[u8]> = Vec::new();
+    let mut all = all.take(MOST_HEADER_LINES).peekable();
+    while let Some((rows_at, line, text)) = all.next() {
+        let (delimiter, count) = match comment(text) {
+            Some(_) => (b',', 0),
+            None => delimiter_of(text),
+        };
+        if count == 0 {
+            above.push(text);
+            continue;
+        }
+        let row = cells(text, delimiter);
+        // The next row is as wide; what was cut off where only a beginning is read may be less.
+        let is_table = match all.peek() {
+            Some((_, _, next)) => {
+                let next = cells(next, delimiter);
+                next.len() <= row.len() && next.iter().any(|cell| is_number(cell, delimiter))
+            }
+            None => !above.is_empty(),
+        };
+        if !is_table || row.len() > MOST_COLUMNS {
+            return None;
+        }
+        // The header that data frames write of arrays counts the columns.
+        let counts = |first: usize| {
+            row.iter().enumerate().all(|(at, cell)| *cell == (at + first).to_string().as_bytes())
+        };
+        if (counts(0) || counts(1)) && above.is_empty() && all.peek().is_some() {
+            continue;
+        }
+        let names = names_above(&above, delimiter, &row);
+        let is_open = row.last().is_some_and(|cell| cell.is_empty());
+        let width = match &names {
+            Some(names) if is_open && names.len() + 1 == row.len() => names.len(),
+            _ => row.len(),
+        };
+        if names.is_none() && width > MOST_WIDE {
+            return None;
+        }
+        return Some(Layout { delimiter, names, width, rows_at, line });
+    }
+    None
+}
+
+/// The names of the columns of `row` in the lines above it, with the units of a line below them.
+fn names_above(above: &[&[u8]], delimiter: u8, row: &[&[u8]]) -> Option<Vec<String>> {
+    let texts = |line: &[u8]| -> Option<Vec<String>> {
+        let own = comment(line).unwrap_or(line);
+        let mut cells = cells(own, delimiter);
+        let is_open = row.last().is_some_and(|cell| cell.is_empty());
+        // Rows may end in a delimiter, or begin with a number that no name stands above.
+        let fits = match cells.len() {
+            count if count == row.len() => true,
+            count if count + 1 == row.len() && is_open => true,
+            count if count + 1 == row.len() && count >= LEAST_CELLS => {
+                cells.insert(0, b"");
+                true
+            }
+            _ => false,
+        };
+        let is_text = cells.iter().all(|cell| !is_number(cell, delimiter));
+        let all = || cells.iter().map(|cell| String::from_utf8_lossy(cell).trim().to_owned());
+        (fits && is_text).then(|| all().collect())
+    };
+    let mut known = above.iter().rev().filter_map(|line| texts(line));
+    let last = known.next()?;
+    let unit = |text: &str| text.trim_matches(['[', ']', '(', ')', ' ']).to_lowercase();
+    let are_units = last.iter().all(|text| text.is_empty() || UNITS.contains(&unit(text).as_str()));
+    match known.next().filter(|_| are_units) {
+        Some(names) if names.len() == last.len() => {
+            let with_unit = |(name, text): (String, &String)| match unit(text).as_str() {
+                "" | "-" => name,
+                unit => format!("{name} [{unit}]"),
+            };
+            Some(names.into_iter().zip(&last).map(with_unit).collect())
+        }
+        _ => Some(last),
+    }
 }
 
 pub(super) fn read(bytes: &[u8], losses: &mut Losses) -> Result<Episodes, Refusal> {
-    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    let header = bytes.split(|byte| *byte == b'\n').next().unwrap_or_default();
-    let delimiter = rtde::delimiter(header);
-    let names: Vec<String> = rtde::cells(header, delimiter)
-        .map(|name| String::from_utf8_lossy(name).into_owned())
-        .collect();
-    if names.len() > MOST_COLUMNS {
-        return Err(format!("its first line names {} columns", names.len()));
-    }
-    let mut reader = ReaderBuilder::new()
-        .delimiter(delimiter)
-        .quoting(false)
-        .flexible(true)
-        .trim(Trim::All)
-        .from_reader(bytes);
-    let mut values: Vec<Vec<f64>> = vec![Vec::new(); names.len()];
-    let mut record = StringRecord::new();
+    let Some(Layout { delimiter, names, width, rows_at, line: first_line }) = layout(bytes) else {
+        return Err("it has no rows of numbers".to_owned());
+    };
+    let mut values: Vec<Vec<f64>> = vec![Vec::new(); width];
+    // The one text of each column, as far as it is one.
+    let mut texts: Vec<Option<&[u8]>> = vec![None; width];
     let ends_in_line = bytes.last() == Some(&b'\n');
-    let mut malformed: Option<(u64, u64, String)> = None;
-    loop {
-        match reader.read_record(&mut record) {
-            Ok(false) => break,
-            Ok(true) => {}
-            Err(error) if error.is_io_error() => break,
-            Err(_) => record.clear(),
+    let mut malformed: Option<(u64, String)> = None;
+    for (offset, line, text) in lines(&bytes[rows_at..]) {
+        if comment(text).is_some() {
+            continue;
         }
-        let line = record.position().map_or(0, |position| position.line());
-        let is_last = reader.position().byte() >= bytes.len() as u64 && !ends_in_line;
-        if record.len() != names.len() {
+        let line = first_line + line - 1;
+        let mut row = cells(text, delimiter);
+        if row.len() == width + 1 && row.last().is_some_and(|cell| cell.is_empty()) {
+            row.pop();
+        }
+        if row.len() != width {
+            let is_last = !bytes[rows_at + offset..].contains(&b'\n') && !ends_in_line;
             if is_last {
                 losses.add_unplaced(
                     Extent::Tail,
@@ -71,58 +211,144 @@ pub(super) fn read(bytes: &[u8], losses: &mut Losses) -> Result<Episodes, Refusa
                     format!("the file ends within line {line}"),
                 );
             } else {
-                let what = format!(
-                    "line {line}: {} columns, the first line names {}",
-                    record.len(),
-                    names.len()
-                );
-                malformed.get_or_insert((line, 0, what)).1 += 1;
+                let what = format!("line {line}: {} columns, not {width}", row.len());
+                malformed.get_or_insert((0, what)).0 += 1;
             }
             continue;
         }
-        if values.first().is_some_and(|column| column.len() * names.len() > MOST_NUMBERS) {
+        if values[0].len() * width > MOST_NUMBERS {
             return Err(format!("it has more than {MOST_NUMBERS} numbers"));
         }
-        for (column, cell) in values.iter_mut().zip(&record) {
-            column.push(number(cell, delimiter != b','));
+        for ((column, known), cell) in values.iter_mut().zip(&mut texts).zip(row) {
+            column.push(number(cell, delimiter));
+            known.get_or_insert(cell);
         }
     }
-    if let Some((_, count, first)) = malformed {
+    if let Some((count, first)) = malformed {
         losses.add_unplaced(Extent::Messages, Some(count), first);
     }
+    Ok(vec![("0".to_owned(), table(names, values, &texts))])
+}
+
+/// The table of columns of one number each; without names of one column of all numbers.
+fn table(names: Option<Vec<String>>, values: Vec<Vec<f64>>, texts: &[Option<&[u8]>]) -> Table {
     let rows = values.first().map_or(0, Vec::len);
     let is_numeric = |values: &[f64]| {
         let finite = values.iter().filter(|value| value.is_finite()).count();
-        finite as f64 >= NUMERIC * rows as f64
+        rows == 0 || finite as f64 >= NUMERIC * rows as f64
     };
-    let columns = names
-        .into_iter()
-        .zip(values)
-        .filter(|(name, values)| !name.is_empty() && is_numeric(values));
-    let columns = columns.map(|(name, values)| Column {
-        name,
-        kind: "number".to_owned(),
-        width: 1,
-        parts: Vec::new(),
-        values,
-    });
-    Ok(vec![("0".to_owned(), Table { rows, columns: columns.collect(), rate_hz: None })])
+    let kind = || "number".to_owned();
+    let mut made = Table { rows, ..Table::default() };
+    let Some(names) = names else {
+        let numeric: Vec<&Vec<f64>> = values.iter().filter(|values| is_numeric(values)).collect();
+        let all = (0..rows).flat_map(|row| numeric.iter().map(move |column| column[row])).collect();
+        let width = numeric.len();
+        if width < values.len() {
+            let what = format!("{} of its {} columns", values.len() - width, values.len());
+            made.unread.push((what, "text, not numbers".to_owned()));
+        }
+        let name = "array".to_owned();
+        made.columns.push(Column { name, kind: kind(), width, values: all, parts: Vec::new() });
+        return made;
+    };
+    for (at, (name, values)) in names.into_iter().zip(values).enumerate() {
+        let name = if name.is_empty() { format!("column {at}") } else { name };
+        if is_numeric(&values) {
+            made.columns.push(Column { name, kind: kind(), width: 1, values, parts: Vec::new() });
+            continue;
+        }
+        let text = texts[at].unwrap_or_default();
+        if !text.is_empty() {
+            made.texts.insert(name.clone(), String::from_utf8_lossy(text).into_owned());
+            made.unread.push((name, "text, not numbers".to_owned()));
+        }
+    }
+    made
 }
 
-/// The number in a cell; of a date and time of day the seconds since 1970; NaN where there is neither.
-fn number(cell: &str, decimal_comma: bool) -> f64 {
-    rtde::number(cell.as_bytes(), decimal_comma)
-        .or_else(|| seconds(cell.trim_matches('"')))
-        .unwrap_or(f64::NAN)
+/// The number in a cell; of a date and time of day the seconds since 1970, of a time of day since
+/// midnight; NaN if there is neither.
+fn number(cell: &[u8], delimiter: u8) -> f64 {
+    let text = || std::str::from_utf8(bare(cell)).ok().and_then(seconds);
+    rtde::number(cell, delimiter != b',').or_else(text).unwrap_or(f64::NAN)
 }
 
 fn seconds(cell: &str) -> Option<f64> {
-    let is_date = cell.len() >= 16 && cell.as_bytes()[4] == b'-';
-    let moment = is_date.then(|| {
-        cell.parse::<jiff::Timestamp>().ok().or_else(|| {
-            let civil: DateTime = cell.parse().ok()?;
-            Some(civil.to_zoned(jiff::tz::TimeZone::UTC).ok()?.timestamp())
-        })
-    });
-    Some(moment.flatten()?.as_nanosecond() as f64 * 1e-9)
+    let digits = cell.bytes().take_while(u8::is_ascii_digit).count();
+    let at = |at: usize| cell.as_bytes().get(at).copied();
+    if digits <= 2 && at(digits) == Some(b':') {
+        let time: Time = cell.replace(',', ".").parse().ok()?;
+        let midnight = Time::midnight();
+        return Some((time - midnight).total(jiff::Unit::Second).ok()?);
+    }
+    if cell.len() < 16 {
+        return None;
+    }
+    let moment = match (digits, at(digits)) {
+        (4, Some(b'-')) => cell.to_owned(),
+        (4, Some(b'/' | b'.')) => {
+            format!("{}-{}-{}", cell.get(..4)?, cell.get(5..7)?, cell.get(8..)?)
+        }
+        // Day first, as a point says.
+        (2, Some(b'.')) => {
+            let (day, month, year) = (cell.get(..2)?, cell.get(3..5)?, cell.get(6..10)?);
+            format!("{year}-{month}-{day}{}", cell.get(10..)?)
+        }
+        _ => return None,
+    };
+    let moment = moment.replace(',', ".");
+    let stamp = moment.parse::<jiff::Timestamp>().ok().or_else(|| {
+        let civil: DateTime = moment.parse().ok()?;
+        Some(civil.to_zoned(jiff::tz::TimeZone::UTC).ok()?.timestamp())
+    })?;
+    Some(stamp.as_nanosecond() as f64 * 1e-9)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(text: &str) -> Option<(u8, Option<Vec<String>>, usize)> {
+        layout(text.as_bytes()).map(|layout| (layout.delimiter, layout.names, layout.width))
+    }
+
+    fn of(names: &[&str]) -> Option<Vec<String>> {
+        Some(names.iter().map(|&name| name.to_owned()).collect())
+    }
+
+    #[test]
+    fn names_are_found_above_the_rows() {
+        for (text, delimiter, expected, width) in [
+            ("t,q1,q2\n0,1,2\n", b',', of(&["t", "q1", "q2"]), 3),
+            ("# a log\n#t q1 q2\n0 1 2\n1 2 3\n", b' ', of(&["t", "q1", "q2"]), 3),
+            ("Robot 7\n\nt;q1;q2\n0,5;1,5;2,5\n", b';', of(&["t", "q1", "q2"]), 3),
+            ("t,q1,x\ns,deg,mm\n0,1,2\n", b',', of(&["t [s]", "q1 [deg]", "x [mm]"]), 3),
+            ("t\tq1\tq2\n0,5\t1,5\t2,5\n", b'\t', of(&["t", "q1", "q2"]), 3),
+            ("\"t\",\"q,1\",\"q2\"\n\"0\",\"1\",\"2\"\n", b',', of(&["t", "q,1", "q2"]), 3),
+            ("%time,field.a0,field.a1\n1,2,3\n", b',', of(&["time", "field.a0", "field.a1"]), 3),
+            ("t,q1,q2\n0,1,2,\n0,1,2,\n", b',', of(&["t", "q1", "q2"]), 3),
+            ("q1,q2,q3\n0,1,2,3\n1,2,3,4\n", b',', of(&["", "q1", "q2", "q3"]), 4),
+            ("0.5 1.5 2.5\n0.6 1.6 2.6\n", b' ', None, 3),
+            ("0,1,2\n0.5,1.5,2.5\n0.6,1.6,2.6\n", b',', None, 3),
+        ] {
+            assert_eq!(names(text), Some((delimiter, expected, width)), "{text:?}");
+        }
+        for text in ["", "a,b\n1,2\n", "text that is none\nin two lines\n", "1,2,3\n", "x,y,z\n"] {
+            assert_eq!(names(text), None, "{text:?}");
+        }
+    }
+
+    #[test]
+    fn dates_and_times_of_day_are_seconds() {
+        for (cell, expected) in [
+            ("1970-01-02 00:00:01.5", 86401.5),
+            ("1970/01/02 00:00:01.5", 86401.5),
+            ("02.01.1970 00:00:01,5", 86401.5),
+            ("1970-01-02T00:00:01.5Z", 86401.5),
+            ("01:00:01.25", 3601.25),
+        ] {
+            assert_eq!(seconds(cell), Some(expected), "{cell}");
+        }
+        assert_eq!(seconds("IDLE"), None);
+    }
 }

@@ -7,7 +7,7 @@ use hdf5_reader::{Attribute, Dataset, Datatype, Hdf5File, OpenOptions};
 
 use super::{
     Column, Episodes, MOST_COLUMNS, MOST_NUMBERS, MOST_PACKED, MOST_SMALL, MOST_WIDE, RATES,
-    Refusal, Table, rate_in, usual,
+    Refusal, Table, common_rows, lies_on_side, rate_in, usual,
 };
 use crate::Extent;
 use crate::losses::Losses;
@@ -40,16 +40,23 @@ pub(super) fn read(
             Some(name) => home.group(name).map_err(|error| worded(&error))?,
             None => home.clone(),
         };
-        let mut walk = Walk { columns: Vec::new(), budget, refused: None };
+        let mut walk = Walk { found: Vec::new(), columns: Vec::new(), budget, refused: None };
         walk.descend(&group, "", 0);
+        walk.read();
         budget = walk.budget;
         if let (Some(what), true) = (walk.refused, found.is_empty()) {
             losses.add_unplaced(Extent::Messages, None, what);
         }
         let rows = usual(walk.columns.iter().map(|column| column.values.len() / column.width));
-        walk.columns.retain(|column| column.values.len() == rows * column.width);
+        let (columns, others): (Vec<Column>, _) =
+            walk.columns.into_iter().partition(|column| column.values.len() == rows * column.width);
+        let unread = others.into_iter().map(|column| {
+            let why = format!("{} rows, not {rows}", column.values.len() / column.width.max(1));
+            (column.name, why)
+        });
+        let unread = unread.collect();
         let rate_hz = rate_of(&group).or(rate_hz);
-        found.push((label, Table { rows, columns: walk.columns, rate_hz }));
+        found.push((label, Table { rows, columns, rate_hz, unread, ..Table::default() }));
     }
     Ok(found)
 }
@@ -94,6 +101,8 @@ fn episode_groups(group: &Group) -> Vec<String> {
 
 /// A walk over the groups of a file.
 struct Walk {
+    /// Data sets with their paths.
+    found: Vec<(String, Dataset)>,
     columns: Vec<Column>,
     budget: usize,
     /// Why the first data set that could not be read could not.
@@ -114,10 +123,11 @@ impl Walk {
             if path.is_empty() { name.to_owned() } else { format!("{path}/{name}") }
         };
         for dataset in datasets {
-            if self.columns.len() == MOST_COLUMNS {
+            if self.found.len() == MOST_COLUMNS {
                 return;
             }
-            self.dataset(&dataset, below(dataset.name()));
+            let name = below(dataset.name());
+            self.found.push((name, dataset));
         }
         if depth < DEEP {
             for group in groups {
@@ -126,10 +136,34 @@ impl Walk {
         }
     }
 
-    /// Takes a data set of numbers: a row each, of one number or of a few.
-    fn dataset(&mut self, dataset: &Dataset, name: String) {
+    /// Reads the data sets that were found.
+    fn read(&mut self) {
+        let sides = |dataset: &Dataset| -> Vec<usize> {
+            dataset
+                .shape()
+                .iter()
+                .map(|side| usize::try_from(*side).unwrap_or(usize::MAX))
+                .collect()
+        };
+        let found = std::mem::take(&mut self.found);
+        let numeric = found.iter().filter(|(_, dataset)| kind_of(dataset.dtype()).is_some());
+        let shapes: Vec<Vec<usize>> = numeric.map(|(_, dataset)| sides(dataset)).collect();
+        let rows = common_rows(&shapes);
+        for (name, dataset) in found {
+            let is_on_side = lies_on_side(&sides(&dataset), rows);
+            self.dataset(&dataset, name, is_on_side);
+        }
+    }
+
+    /// Takes a data set of numbers: a row each, of one number or of a few; a column each if it lies on its
+    /// side.
+    fn dataset(&mut self, dataset: &Dataset, name: String, is_on_side: bool) {
         let Some(kind) = kind_of(dataset.dtype()) else { return };
-        let [rows, inner @ ..] = dataset.shape() else { return };
+        let mut shape = dataset.shape().to_vec();
+        if is_on_side {
+            shape.reverse();
+        }
+        let [rows, inner @ ..] = shape.as_slice() else { return };
         // Whole numbers in more than two dimensions are images.
         if inner.len() > 1 && !kind.starts_with("float") {
             return;
@@ -145,8 +179,13 @@ impl Walk {
             return;
         }
         match values(dataset) {
-            Ok(values) => {
+            Ok(mut values) => {
                 self.budget -= count as usize;
+                if is_on_side {
+                    let (rows, width) = (*rows as usize, width as usize);
+                    let turned = (0..rows * width).map(|at| values[at % width * rows + at / width]);
+                    values = turned.collect();
+                }
                 self.columns.push(Column {
                     name,
                     kind,

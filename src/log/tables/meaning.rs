@@ -5,9 +5,9 @@ mod said;
 
 use std::collections::BTreeMap;
 
-use super::clock::Clock;
+use super::clock::{self, Clock};
 use super::names::{self, Axis, Part};
-use super::{Column, ColumnSettings, Found, Refusal, Table, array, positions};
+use super::{Column, ColumnSettings, Found, Refusal, RowStamps, Table, array, positions};
 use crate::TableCell;
 use crate::rtde::JOINTS as UR_JOINTS;
 use ground::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times, usable};
@@ -27,7 +27,13 @@ struct Cell {
 /// What some cells are together.
 enum Meaning {
     /// Positions of joints of these names; whether nobody said the names.
-    Joints { names: Vec<String>, unnamed: bool, lines: Vec<[f64; 2]> },
+    Joints {
+        names: Vec<String>,
+        unnamed: bool,
+        lines: Vec<[f64; 2]>,
+        /// Their velocities, in the same order; empty if there are none.
+        velocities: Vec<Cell>,
+    },
     /// Position, and what is logged of the rotation.
     Pose,
     /// A position alone.
@@ -43,7 +49,13 @@ struct Group {
     cells: Vec<Cell>,
     meaning: Meaning,
     why: String,
+    /// Which part of a pose it is, by the words that all its parts share.
+    part: Option<PartOf>,
 }
+
+/// The column that parts of a pose are in, empty if each number is a column, the words that they share, and
+/// which part it is.
+type PartOf = (String, Vec<String>, Part);
 
 /// The topics that the columns of `table` are.
 ///
@@ -57,17 +69,23 @@ pub(super) fn of(
     let mut groups = said::said(table, settings)?;
     let is_taken =
         |groups: &[Group], cell: &Cell| groups.iter().any(|group| group.cells.contains(cell));
-    let is_clock = |cell: &Cell| clock.cell == Some((cell.column, cell.part));
-    let is_open = |at: usize, column: &Column| {
-        let is_stamp = column.width == 1 && clock.cell == Some((at, 0));
-        !is_stamp && !COUNTERS.contains(&column.name.as_str()) && column.width > 0
+    let own_clocks = match settings.time.is_none() && settings.rate_hz.is_none() {
+        true => clock::of_groups(table),
+        false => BTreeMap::new(),
     };
+    let clocks: Vec<(usize, usize)> = own_clocks
+        .values()
+        .chain([clock])
+        .flat_map(|clock| [clock.cell, clock.nanos])
+        .flatten()
+        .collect();
+    let is_clock = |cell: &Cell| clocks.contains(&(cell.column, cell.part));
     let open: Vec<usize> =
-        (0..table.columns.len()).filter(|&at| is_open(at, &table.columns[at])).collect();
+        (0..table.columns.len()).filter(|&at| table.columns[at].width > 0).collect();
     let named: Vec<Cell> = open
         .iter()
         .flat_map(|&column| cells(table, column))
-        .filter(|cell| !is_taken(&groups, cell))
+        .filter(|cell| !is_taken(&groups, cell) && !is_clock(cell))
         .collect();
     let by_name = named_groups(table, &named);
     groups.extend(by_name);
@@ -75,8 +93,20 @@ pub(super) fn of(
         let all = (0..table.columns[column].width).map(|part| Cell { column, part });
         let free: Vec<Cell> =
             all.filter(|cell| !is_taken(&groups, cell) && !is_clock(cell)).collect();
+        let is_counter = COUNTERS.contains(&table.columns[column].name.as_str());
         match free.len() {
             0 => {}
+            _ if is_counter => {
+                let topic = table.columns[column].name.clone();
+                let why = "it counts rows or episodes, by its name".to_owned();
+                groups.push(Group {
+                    topic,
+                    cells: free,
+                    meaning: Meaning::Nothing,
+                    why,
+                    part: None,
+                });
+            }
             count if count == table.columns[column].width => {
                 groups.push(whole(&table.columns[column], free));
             }
@@ -85,9 +115,29 @@ pub(super) fn of(
         }
     }
     join_parts(table, &mut groups);
+    groups.retain(|group| !group.cells.is_empty());
+    take_velocities(table, clock, &mut groups);
     distinct(&mut groups);
     let most = groups.iter().map(|group| group.most(table)).fold(0.0, f64::max);
-    Ok(groups.into_iter().map(|group| group.found(table, clock, most)).collect())
+    let clock_of = |group: &Group| {
+        let group_of = |cell: &Cell| clock::group_of(&table.columns[cell.column].name);
+        let home = group.cells.first().and_then(group_of)?;
+        own_clocks.get(home).filter(|_| group.cells.iter().all(|cell| group_of(cell) == Some(home)))
+    };
+    let found = groups.into_iter().map(|group| {
+        let own = clock_of(&group).unwrap_or(clock);
+        group.found(table, (clock, own), most)
+    });
+    let unread = table.unread.iter().map(|(name, why)| Found {
+        topic: name.clone(),
+        kind: "unread".to_owned(),
+        why: why.clone(),
+        cells: Vec::new(),
+        contradiction: None,
+        columns: None,
+        rows: table.rows as u64,
+    });
+    Ok(found.chain(unread).collect())
 }
 
 /// Two turns: a joint whose positions go beyond these logs no rad.
@@ -95,6 +145,9 @@ const TWO_TURNS: f64 = 4.0 * std::f64::consts::PI;
 
 /// Words of names that say that numbers are rad.
 const RADIANS: &[&str] = &["rad", "rads", "radian", "radians"];
+
+/// Words of names that say that numbers are degrees.
+const DEGREES: &[&str] = &["deg", "degs", "degree", "degrees"];
 
 /// Why joints whose numbers are too large for rad are no degrees either, where the numbers say so by
 /// themselves.
@@ -133,7 +186,16 @@ fn name(table: &Table, cell: Cell) -> &str {
 fn table_cell(table: &Table, Cell { column, part }: Cell) -> TableCell {
     let Column { name, width, .. } = &table.columns[column];
     let name = if *width == 1 { name.clone() } else { format!("{name}[{part}]") };
-    TableCell { at: (column, part), name }
+    TableCell { at: (column, part), name, labels: None, is_unidentified: false }
+}
+
+/// Whether a number is measured, by its values: fractions that change.
+fn is_measured(table: &Table, cell: Cell) -> bool {
+    let column = &table.columns[cell.column];
+    let values = || column.values.iter().skip(cell.part).step_by(column.width).copied();
+    let first = values().find(|value| value.is_finite());
+    values().any(|value| value.is_finite() && value.fract() != 0.0)
+        && values().any(|value| value.is_finite() && Some(value) != first)
 }
 
 /// The topic that a cell of a column with named numbers belongs to; empty where each number is a column.
@@ -147,92 +209,300 @@ fn named_groups(table: &Table, all: &[Cell]) -> Vec<Group> {
     let mut groups = Vec::new();
     let mut poses: BTreeMap<(&str, Vec<String>), BTreeMap<Axis, Cell>> = BTreeMap::new();
     for &cell in all {
-        if let Some((key, axis)) = names::axis(name(table, cell)) {
+        for (key, axis) in names::axes(name(table, cell)) {
             poses.entry((home(table, cell), key)).or_default().entry(axis).or_insert(cell);
         }
     }
     for ((home, key), axes) in poses {
-        let three = |of: fn(usize) -> Axis| -> Option<Vec<Cell>> {
-            (0..3).map(|axis| axes.get(&of(axis)).copied()).collect()
+        let all_of = |count: usize, of: &dyn Fn(usize) -> Axis| -> Option<Vec<Cell>> {
+            (0..count).map(|axis| axes.get(&of(axis)).copied()).collect()
         };
-        let Some(position) = three(Axis::Xyz).or_else(|| three(Axis::Position)) else { continue };
-        let quaternion: Option<Vec<Cell>> =
-            (0..4).map(|axis| axes.get(&Axis::Quaternion(axis)).copied()).collect();
-        let turn = quaternion.or_else(|| three(Axis::Turn)).or_else(|| three(Axis::Letter));
-        let meaning = if turn.is_some() { Meaning::Pose } else { Meaning::Position };
-        let cells: Vec<Cell> = position.into_iter().chain(turn.into_iter().flatten()).collect();
+        let position = all_of(3, &Axis::Xyz).or_else(|| all_of(3, &Axis::Position));
+        let is_free = |cells: &Vec<Cell>| {
+            position.as_ref().is_none_or(|own| cells.iter().all(|cell| !own.contains(cell)))
+        };
+        let with_w = || {
+            let w = *axes.get(&Axis::Quaternion(3))?;
+            Some([all_of(3, &Axis::Turn)?, vec![w]].concat())
+        };
+        let label = |label: usize| all_of(3, &|at| Axis::Label(label, at)).filter(is_free);
+        let turn = all_of(4, &Axis::Quaternion)
+            .or_else(with_w)
+            .or_else(|| all_of(3, &Axis::Turn))
+            .or_else(|| (0..names::labels()).find_map(label));
+        // A rotation beside numbered columns of a position; single letters mean none alone.
+        let turn_alone = || {
+            let named =
+                all_of(4, &Axis::Quaternion).or_else(with_w).or_else(|| all_of(3, &Axis::Turn))?;
+            Some((named.clone(), if named.len() == 4 { Part::Quaternion } else { Part::Turn }))
+        };
+        let (cells, meaning, part) = match (position, turn) {
+            (Some(position), Some(turn)) => ([position, turn].concat(), Meaning::Pose, None),
+            (Some(position), None) => (position, Meaning::Position, Some(Part::Position)),
+            (None, _) => match turn_alone() {
+                Some((turn, part)) => (turn, Meaning::Numbers, Some(part)),
+                None => continue,
+            },
+        };
         let label = if key.is_empty() { "pose".to_owned() } else { key.join("_") };
         let topic = match (home.is_empty(), key.is_empty()) {
             (true, _) => label,
             (false, true) => home.to_owned(),
             (false, false) => format!("{home}/{label}"),
         };
-        groups.push(Group { topic, why: why(table, &cells, "by name"), cells, meaning });
+        let part = part.map(|part| (home.to_owned(), key, part));
+        groups.push(Group { topic, why: why(table, &cells, "by name"), cells, meaning, part });
     }
     let is_free =
         |groups: &[Group], cell: &Cell| !groups.iter().any(|group| group.cells.contains(cell));
-    let rest: Vec<Cell> = all.iter().copied().filter(|cell| is_free(&groups, cell)).collect();
-    groups.extend(numbered_joints(table, &rest));
-    let rest: Vec<Cell> = rest.into_iter().filter(|cell| is_free(&groups, cell)).collect();
-    groups.extend(limbs(table, &rest));
+    let free = |groups: &[Group]| -> Vec<Cell> {
+        all.iter().copied().filter(|cell| is_free(groups, cell)).collect()
+    };
+    groups.extend(matrices(table, &free(&groups)));
+    groups.extend(numbered(table, &free(&groups)));
+    groups.extend(limbs(table, &free(&groups)));
     groups
 }
 
-/// Families of joints by number.
-fn numbered_joints(table: &Table, all: &[Cell]) -> Vec<Group> {
+/// Matrices whose numbers are named by row and column.
+fn matrices(table: &Table, all: &[Cell]) -> Vec<Group> {
+    let mut families: BTreeMap<(&str, Vec<String>), BTreeMap<(usize, usize), Cell>> =
+        BTreeMap::new();
+    for &cell in all {
+        if let Some((stem, at)) = names::matrix_cell(name(table, cell)) {
+            families.entry((home(table, cell), stem)).or_default().entry(at).or_insert(cell);
+        }
+    }
+    let made = families.into_iter().filter_map(|((home, stem), members)| {
+        let is_whole = |rows: usize, columns: usize| {
+            [0, 1].into_iter().any(|first| {
+                let all = (first..first + rows)
+                    .flat_map(|row| (first..first + columns).map(move |column| (row, column)));
+                members.keys().copied().eq(all)
+            })
+        };
+        let (meaning, part) = match () {
+            () if is_whole(4, 4) || is_whole(3, 4) => (Meaning::Pose, None),
+            () if is_whole(3, 3) => (Meaning::Numbers, Some(Part::Matrix)),
+            () => return None,
+        };
+        let cells: Vec<Cell> = members.values().copied().collect();
+        let topic = topic_of(home, &stem);
+        let part = part.map(|part| (home.to_owned(), names::key_of(&stem), part));
+        Some(Group { topic, why: why(table, &cells, "by row and column"), cells, meaning, part })
+    });
+    made.collect()
+}
+
+/// The topic of numbers with a common stem.
+fn topic_of(home: &str, stem: &[String]) -> String {
+    if home.is_empty() { stem.join("_") } else { format!("{home}/{}", stem.join("_")) }
+}
+
+/// Families of joints, poses and their parts by number.
+fn numbered(table: &Table, all: &[Cell]) -> Vec<Group> {
     let mut families: BTreeMap<(&str, Vec<String>), BTreeMap<usize, Cell>> = BTreeMap::new();
     for &cell in all {
         let own = names::numbered(name(table, cell));
-        let is_known = |stem: &[String]| names::is_stem_of_joints(stem) || names::is_pose(stem);
+        let is_known = |stem: &[String]| {
+            names::is_stem_of_joints(stem)
+                || names::is_pose(stem)
+                || (3..=4).any(|width| names::part(&stem.join("_"), width).is_some())
+        };
         let Some((stem, number)) = own.filter(|(stem, _)| is_known(stem)) else { continue };
         families.entry((home(table, cell), stem)).or_default().entry(number).or_insert(cell);
     }
+    let has_other_joints = |own: &[String]| {
+        families.iter().any(|((_, stem), members)| {
+            stem != own && names::is_stem_of_joints(stem) && JOINTS.contains(&members.len())
+        })
+    };
     let mut groups = Vec::new();
-    for ((home, stem), members) in families {
+    for ((home, stem), members) in &families {
         let first = members.keys().next().copied().unwrap_or(0);
         let is_run = members.keys().copied().eq(first..first + members.len());
         if first > 1 || !is_run {
             continue;
         }
-        let cells: Vec<Cell> = members.into_values().collect();
-        if names::is_pose(&stem) && matches!(cells.len(), 6 | 7 | 12 | 16) {
-            let topic =
-                if home.is_empty() { stem.join("_") } else { format!("{home}/{}", stem.join("_")) };
-            let why = why(table, &cells, "by name and number");
-            groups.push(Group { topic, cells, meaning: Meaning::Pose, why });
+        let cells: Vec<Cell> = members.values().copied().collect();
+        let reason = why(table, &cells, "by name and number");
+        let topic = topic_of(home, stem);
+        let part = |part: Part| Some(((*home).to_owned(), names::key_of(stem), part));
+        if names::is_pose(stem) && matches!(cells.len(), 6 | 7 | 12 | 16) {
+            groups.push(Group { topic, cells, meaning: Meaning::Pose, why: reason, part: None });
             continue;
         }
-        if !names::is_stem_of_joints(&stem) || !JOINTS.contains(&cells.len()) {
+        // ABB's q1 to q4 beside joints that are called otherwise.
+        let is_quaternion = stem.last().is_some_and(|word| word == "q")
+            && cells.len() == 4
+            && has_other_joints(stem)
+            && are_unit(table, &cells);
+        if is_quaternion {
+            let part = part(Part::Quaternion);
+            groups.push(Group { topic, cells, meaning: Meaning::Numbers, why: reason, part });
             continue;
         }
-        let is_plain = names::is_plain(&stem);
-        let side = names::side(&stem);
-        let names = match is_plain {
-            true => (1..=cells.len()).map(|number| format!("{side}q{number}")).collect(),
-            false => cells.iter().map(|&cell| name(table, cell).to_owned()).collect(),
+        if let Some((_, own)) = names::part(&stem.join("_"), cells.len())
+            && !(names::is_stem_of_joints(stem) && JOINTS.contains(&cells.len()))
+        {
+            let meaning = if own == Part::Position { Meaning::Position } else { Meaning::Numbers };
+            groups.push(Group { topic, cells, meaning, why: reason, part: part(own) });
+            continue;
+        }
+        if !names::is_stem_of_joints(stem) || !JOINTS.contains(&cells.len()) {
+            continue;
+        }
+        let is_plain = names::is_plain(stem);
+        let side = names::side(stem);
+        let own = match logged_names(table, stem, first, cells.len()) {
+            Some(names) => Some(names),
+            None if is_plain => None,
+            None => Some(cells.iter().map(|&cell| name(table, cell).to_owned()).collect()),
         };
-        let names = match (stem.join("_").as_str(), cells.len()) {
-            ("actual_q" | "target_q", 6) => UR_JOINTS.map(str::to_owned).to_vec(),
-            _ => names,
+        let own = match (stem.join("_").as_str(), cells.len()) {
+            ("actual_q" | "target_q", 6) => Some(UR_JOINTS.map(str::to_owned).to_vec()),
+            _ => own,
         };
-        let unnamed = is_plain && !names.contains(&UR_JOINTS[0].to_owned());
+        let unnamed = own.is_none();
+        let counted = || (1..=cells.len()).map(|number| format!("{side}q{number}")).collect();
+        let names = own.unwrap_or_else(counted);
         let topic = match home.is_empty() {
             // libfranka's `q_d` is what is desired.
             true if stem.ends_with(&["q".to_owned(), "d".to_owned()]) => {
                 format!("{}_command", stem.join("_"))
             }
             true => stem.join("_"),
-            false => home.to_owned(),
+            false => (*home).to_owned(),
         };
-        let why = why(table, &cells, "by name and number");
-        groups.push(Group {
-            topic,
-            cells,
-            meaning: Meaning::Joints { names, unnamed, lines: Vec::new() },
-            why,
-        });
+        let meaning = Meaning::Joints { names, unnamed, lines: Vec::new(), velocities: Vec::new() };
+        groups.push(Group { topic, cells, meaning, why: reason, part: None });
     }
     groups
+}
+
+/// The names of joints that `rostopic echo -p` writes beside their positions.
+fn logged_names(table: &Table, stem: &[String], first: usize, count: usize) -> Option<Vec<String>> {
+    if !stem.ends_with(&["field".to_owned(), "position".to_owned()]) {
+        return None;
+    }
+    (first..first + count).map(|at| table.texts.get(&format!("field.name{at}")).cloned()).collect()
+}
+
+/// Whether some numbers are of unit norm in nearly every row.
+fn are_unit(table: &Table, cells: &[Cell]) -> bool {
+    /// Rows of a hundred, and the deviation that rounding to two digits makes.
+    const MOST: usize = 95;
+    const OFF: f64 = 0.03;
+    let value = |row: usize, cell: &Cell| {
+        let column = &table.columns[cell.column];
+        column.values.get(row * column.width + cell.part).copied().unwrap_or(f64::NAN)
+    };
+    let norm = |row: usize| cells.iter().map(|cell| value(row, cell).powi(2)).sum::<f64>().sqrt();
+    let unit = (0..table.rows).filter(|&row| (norm(row) - 1.0).abs() < OFF).count();
+    100 * unit >= MOST * table.rows
+}
+
+/// Gives joints the velocities that are named as they are.
+fn take_velocities(table: &Table, clock: &Clock, groups: &mut Vec<Group>) {
+    let words_of = |cell: &Cell| {
+        let column = &table.columns[cell.column];
+        let part = column.parts.get(cell.part);
+        let mut words = names::words(&column.name);
+        words.extend(part.map(|part| names::words(part)).unwrap_or_default());
+        if part.is_none() && column.width > 1 {
+            words.push(cell.part.to_string());
+        }
+        words
+    };
+    let is_used = |groups: &[Group], cell: &Cell| {
+        groups.iter().any(|group| {
+            let is_read = !matches!(group.meaning, Meaning::Numbers | Meaning::Nothing);
+            is_read && group.cells.contains(cell)
+        })
+    };
+    let mut open: BTreeMap<Vec<String>, Cell> = BTreeMap::new();
+    for (column, own) in table.columns.iter().enumerate() {
+        for part in 0..own.width {
+            let cell = Cell { column, part };
+            let words = words_of(&cell);
+            if names::are_velocities(&words) && !is_used(groups, &cell) {
+                open.entry(names::shared_words(&words)).or_insert(cell);
+            }
+        }
+    }
+    let mut taken: Vec<Vec<Cell>> = Vec::new();
+    let mut commands: Vec<(Vec<Cell>, Vec<String>, bool)> = Vec::new();
+    for group in groups.iter_mut() {
+        let Group { cells, meaning, why, .. } = group;
+        let Meaning::Joints { velocities, names, unnamed, .. } = meaning else { continue };
+        let velocity = |cell: &Cell| open.get(&names::shared_words(&words_of(cell))).copied();
+        let Some(own) = cells.iter().map(velocity).collect::<Option<Vec<Cell>>>() else { continue };
+        if taken.iter().flatten().any(|cell| own.contains(cell)) {
+            continue;
+        }
+        let is_open = own.iter().any(|cell| names::is_ambiguous_velocity(&words_of(cell)));
+        if is_open && are_desired(table, clock, cells, &own) {
+            commands.push((own, names.clone(), *unnamed));
+            continue;
+        }
+        let names: Vec<&str> = own.iter().map(|&cell| name(table, cell)).collect();
+        let mut names = names;
+        names.dedup();
+        *why += &format!("; their velocities in {}", names.join(", "));
+        velocities.clone_from(&own);
+        taken.push(own);
+    }
+    let is_taken = |cell: &Cell| {
+        taken.iter().flatten().any(|own| own == cell)
+            || commands.iter().any(|(cells, ..)| cells.contains(cell))
+    };
+    groups.iter_mut().for_each(|group| group.cells.retain(|cell| !is_taken(cell)));
+    groups.retain(|group| !group.cells.is_empty());
+    for (cells, names, unnamed) in commands {
+        let why = "desired joint positions: as numbers they are near the joints', not their rates";
+        let topic = format!("{}_command", velocity_topic(table, &cells));
+        let meaning = Meaning::Joints { names, unnamed, lines: Vec::new(), velocities: Vec::new() };
+        groups.push(Group { topic, cells, meaning, why: why.to_owned(), part: None });
+    }
+}
+
+/// The name of a column of velocities, or the words that several share.
+fn velocity_topic(table: &Table, cells: &[Cell]) -> String {
+    let first = cells.first().map_or("", |&cell| name(table, cell));
+    let is_one = cells.iter().all(|cell| cell.column == cells[0].column);
+    match is_one {
+        true => {
+            cells.first().map_or_else(String::new, |cell| table.columns[cell.column].name.clone())
+        }
+        false => {
+            names::numbered(first).map_or_else(|| first.to_owned(), |(stem, _)| stem.join("_"))
+        }
+    }
+}
+
+/// Whether numbers that may be velocities are desired positions: they are much nearer to the positions than
+/// to the rates of these.
+fn are_desired(table: &Table, clock: &Clock, positions: &[Cell], others: &[Cell]) -> bool {
+    const NEARER: f64 = 0.5;
+    let value = |row: usize, cell: &Cell| {
+        let column = &table.columns[cell.column];
+        column.values.get(row * column.width + cell.part).copied().unwrap_or(f64::NAN)
+    };
+    let (mut to_positions, mut to_rates) = (0.0, 0.0);
+    for row in 1..table.rows.saturating_sub(1) {
+        let stamps = [row - 1, row + 1].map(|row| clock.stamps.get(row).copied().flatten());
+        let [Some(before), Some(after)] = stamps else { continue };
+        let step_s = (after - before) as f64 * 1e-9;
+        for (position, other) in positions.iter().zip(others) {
+            let rate = (value(row + 1, position) - value(row - 1, position)) / step_s;
+            let [own, there] = [position, other].map(|cell| value(row, cell));
+            if step_s > 0.0 && rate.is_finite() && own.is_finite() && there.is_finite() {
+                to_positions += (there - own).powi(2);
+                to_rates += (there - rate).powi(2);
+            }
+        }
+    }
+    to_positions < NEARER * NEARER * to_rates
 }
 
 /// Joints named after the parts of an arm, of one column or of all that are single numbers.
@@ -266,8 +536,14 @@ fn limbs(table: &Table, all: &[Cell]) -> Vec<Group> {
         groups.push(Group {
             topic,
             cells,
-            meaning: Meaning::Joints { names, unnamed: false, lines: Vec::new() },
+            meaning: Meaning::Joints {
+                names,
+                unnamed: false,
+                lines: Vec::new(),
+                velocities: Vec::new(),
+            },
             why,
+            part: None,
         });
     }
     groups
@@ -286,7 +562,12 @@ fn whole(column: &Column, cells: Vec<Cell>) -> Group {
         {
             let names = UR_JOINTS.map(str::to_owned).to_vec();
             (
-                Meaning::Joints { names, unnamed: false, lines: Vec::new() },
+                Meaning::Joints {
+                    names,
+                    unnamed: false,
+                    lines: Vec::new(),
+                    velocities: Vec::new(),
+                },
                 by_name("joints of a UR"),
             )
         }
@@ -294,7 +575,7 @@ fn whole(column: &Column, cells: Vec<Cell>) -> Group {
             let side = names::side(&words);
             let names = (1..=width).map(|number| format!("{side}q{number}")).collect();
             (
-                Meaning::Joints { names, unnamed: true, lines: Vec::new() },
+                Meaning::Joints { names, unnamed: true, lines: Vec::new(), velocities: Vec::new() },
                 by_name("joint positions"),
             )
         }
@@ -310,47 +591,55 @@ fn whole(column: &Column, cells: Vec<Cell>) -> Group {
             ),
         ),
     };
-    Group { topic: column.name.clone(), cells, meaning, why }
+    let part = names::part(&column.name, column.width)
+        .filter(|_| !matches!(meaning, Meaning::Pose | Meaning::Joints { .. }))
+        .map(|(key, part)| (String::new(), key, part));
+    Group { topic: column.name.clone(), cells, meaning, why, part }
 }
 
 /// What is left of a column of which some numbers are told.
 fn rest(column: &Column, cells: Vec<Cell>) -> Group {
     let why = format!("its name does not say what these {} numbers are", cells.len());
-    Group { topic: column.name.clone(), cells, meaning: Meaning::Numbers, why }
+    Group { topic: column.name.clone(), cells, meaning: Meaning::Numbers, why, part: None }
 }
 
-/// Joins a position in one column and the rotation of the same name in another.
-fn join_parts(table: &Table, groups: &mut Vec<Group>) {
-    let part = |group: &Group| {
-        let column = &table.columns[group.cells.first()?.column];
-        let is_whole = group.cells.len() == column.width && column.parts.is_empty();
-        names::part(&column.name, column.width).filter(|_| is_whole && group.topic == column.name)
-    };
-    let mut at = 0;
-    while at < groups.len() {
-        let Some((key, Part::Position)) = part(&groups[at]) else {
-            at += 1;
-            continue;
-        };
-        let turns: Vec<usize> = (0..groups.len())
-            .filter(|&other| {
-                part(&groups[other]).is_some_and(|(own, part)| own == key && part != Part::Position)
+/// Joins a position in some columns and the rotation of the same name in others.
+fn join_parts(table: &Table, groups: &mut [Group]) {
+    for at in 0..groups.len() {
+        let Some((home, key, Part::Position)) = groups[at].part.clone() else { continue };
+        let is_turn = |group: &Group| {
+            group.part.as_ref().is_some_and(|(own_home, own, part)| {
+                *own_home == home && *own == key && *part != Part::Position
             })
-            .collect();
+        };
+        let turns = (0..groups.len()).filter(|&other| is_turn(&groups[other]));
         // Of a rotation that is there twice, the quaternion says more.
-        let widest = turns.iter().copied().max_by_key(|&other| groups[other].cells.len());
-        if let Some(other) = widest {
-            let turn = std::mem::take(&mut groups[other].cells);
-            let name = groups[other].topic.clone();
-            let own = &mut groups[at];
-            own.why =
-                format!("a position, and its rotation in '{name}', by the names of the columns");
-            own.cells.extend(turn);
-            own.meaning = Meaning::Pose;
-        }
-        at += 1;
+        let rank = |group: &Group| match group.part {
+            Some((_, _, Part::Quaternion)) => 2,
+            Some((_, _, Part::Matrix)) => 1,
+            _ => 0,
+        };
+        let Some(other) = turns.max_by_key(|&other| rank(&groups[other])) else { continue };
+        let turn = std::mem::take(&mut groups[other].cells);
+        groups[other].part = None;
+        let name = groups[other].topic.clone();
+        let own = &mut groups[at];
+        own.part = None;
+        own.why = match own.why.starts_with("columns ") {
+            true => format!("{}; {}", own.why, why(table, &turn, "its rotation")),
+            false => {
+                format!("a position, and its rotation in '{name}', by the names of the columns")
+            }
+        };
+        own.meaning = Meaning::Pose;
+        own.cells = match (turn.len(), own.cells.as_slice()) {
+            (9, [_, _, _]) => {
+                let rows = turn.chunks(3).zip(&own.cells);
+                rows.flat_map(|(row, position)| row.iter().chain([position])).copied().collect()
+            }
+            (_, position) => [position, &turn].concat(),
+        };
     }
-    groups.retain(|group| !group.cells.is_empty());
 }
 
 /// Gives topics of one name numbers.
@@ -392,31 +681,51 @@ impl Group {
 
     /// The topic; `most` is the largest position of any joint of the table. Where it is beyond two turns they
     /// are taken for degrees, states and commands alike.
-    fn found(self, table: &Table, clock: &Clock, most: f64) -> Found {
-        let Self { topic, cells, meaning, mut why } = self;
+    fn found(self, table: &Table, (clock, own): (&Clock, &Clock), most: f64) -> Found {
+        let Self { topic, cells, meaning, mut why, .. } = self;
         let mut contradiction = None;
         let kind = cells.first().map_or("", |cell| &table.columns[cell.column].kind);
         let kind =
             if cells.len() == 1 { kind.to_owned() } else { format!("{kind}[{}]", cells.len()) };
-        let rows: Vec<(usize, i64)> = clock
-            .stamps
-            .iter()
-            .enumerate()
-            .filter_map(|(row, stamp)| Some((row, (*stamp)?)))
+        let stamps = clock.stamps.iter().zip(&own.stamps).enumerate();
+        let rows: Vec<(usize, RowStamps)> = stamps
+            .filter_map(|(row, (stamp, own))| {
+                Some((row, RowStamps { own: (*own)?, row: (*stamp)? }))
+            })
             .collect();
-        let stamps: Vec<i64> = rows.iter().map(|(_, stamp)| *stamp).collect();
+        let stamps: Vec<RowStamps> = rows.iter().map(|(_, stamp)| *stamp).collect();
         let at = |row: usize, cell: &Cell| {
             let column = &table.columns[cell.column];
             column.values.get(row * column.width + cell.part).copied().unwrap_or(f64::NAN)
         };
-        let values = || -> Vec<f64> {
+        let values_of = |cells: &[Cell]| -> Vec<f64> {
             rows.iter().flat_map(|&(row, _)| cells.iter().map(move |cell| at(row, cell))).collect()
         };
+        let values = || values_of(&cells);
+        let is_pose = matches!(meaning, Meaning::Pose);
+        let is_open = matches!(meaning, Meaning::Numbers);
         let columns = match meaning {
-            Meaning::Joints { names, unnamed, lines } => {
+            Meaning::Joints { names, unnamed, lines, velocities } => {
                 let mut joints = joints(&stamps, &names, &values(), unnamed);
+                let speeds = values_of(&velocities);
+                for (at, joint) in joints.joints.iter_mut().enumerate().take(velocities.len()) {
+                    let own = speeds.iter().skip(at).step_by(velocities.len()).copied();
+                    joint.velocity = own.map(|v| if usable(v) { v } else { f64::NAN }).collect();
+                }
                 for (joint, [factor, offset]) in joints.joints.iter_mut().zip(&lines) {
                     joint.position.iter_mut().for_each(|q| *q = factor * *q + offset);
+                    joint.velocity.iter_mut().for_each(|v| *v *= factor);
+                }
+                // Velocities without a unit of their own are in that of the positions.
+                let in_words = |known: &[&str]| {
+                    let mut words =
+                        velocities.iter().flat_map(|&cell| names::words(name(table, cell)));
+                    words.any(|word| known.contains(&word.as_str()))
+                };
+                let are_degrees = most > TWO_TURNS && lines.is_empty();
+                if in_words(DEGREES) || (are_degrees && !in_words(RADIANS)) {
+                    let all = joints.joints.iter_mut().flat_map(|joint| &mut joint.velocity);
+                    all.for_each(|velocity| *velocity = velocity.to_radians());
                 }
                 if most > TWO_TURNS && lines.is_empty() {
                     why += &format!("; taken for degrees: rad do not go up to {most:.1}");
@@ -449,14 +758,21 @@ impl Group {
             Meaning::Position => Some(Columns::Poses(vec![positions(&stamps, &values())])),
             Meaning::Nothing => None,
         };
-        let cells = cells.iter().map(|&cell| table_cell(table, cell)).collect();
+        let names: Vec<&str> = cells.iter().map(|&cell| name(table, cell)).collect();
+        let labels = names.get(3..).filter(|_| is_pose).and_then(names::rotation_labels);
+        let cell = |(at, &cell): (usize, &Cell)| TableCell {
+            labels: labels.filter(|_| at >= 3),
+            is_unidentified: is_open && is_measured(table, cell),
+            ..table_cell(table, cell)
+        };
+        let cells = cells.iter().enumerate().map(cell).collect();
         Found { topic, kind, why, cells, contradiction, columns, rows: stamps.len() as u64 }
     }
 }
 
-fn joints(stamps: &[i64], names: &[String], values: &[f64], unnamed: bool) -> JointColumns {
+fn joints(stamps: &[RowStamps], names: &[String], values: &[f64], unnamed: bool) -> JointColumns {
     let mut times = Times::default();
-    stamps.iter().for_each(|&stamp| times.push(stamp, stamp, stamp));
+    stamps.iter().for_each(|stamp| times.push(stamp.own, stamp.row, stamp.row));
     let mut joints = JointColumns { times, unnamed, ..JointColumns::default() };
     for (at, name) in names.iter().enumerate() {
         let logged = values.iter().skip(at).step_by(names.len()).copied();

@@ -37,7 +37,7 @@ use ground::time::NANOS_PER_SECOND;
 
 pub use self::settings::{ColumnSelector, ColumnSettings};
 
-pub(super) use self::csv::{first_line, has_time};
+pub(super) use self::csv::{has_time, is_table};
 pub(super) use self::hdf5::MAGIC as HDF5_MAGIC;
 pub use self::lerobot::dataset_of;
 pub(super) use self::lerobot::{files_of, is_dataset};
@@ -68,6 +68,21 @@ pub(super) struct Table {
     pub columns: Vec<Column>,
     /// Rows a second, as the metadata say.
     pub rate_hz: Option<f64>,
+    /// What is in the file and is no column: names, and why not.
+    pub unread: Vec<(String, String)>,
+    /// First cells of columns of text, by their names.
+    pub texts: BTreeMap<String, String>,
+}
+
+impl Table {
+    /// The place of the column of that name, with its unit or without.
+    fn column(&self, name: &str) -> Option<usize> {
+        let place = |is_it: &dyn Fn(&str) -> bool| {
+            self.columns.iter().position(|column| is_it(&column.name))
+        };
+        let bare = |own: &str| own.split_once(" [").is_some_and(|(own, _)| own == name);
+        place(&|own| own == name).or_else(|| place(&bare))
+    }
 }
 
 /// A column: as many numbers a row as it is wide.
@@ -81,6 +96,21 @@ pub(super) struct Column {
     pub parts: Vec<String>,
     /// Row-major.
     pub values: Vec<f64>,
+}
+
+/// The times of one row, ns.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct RowStamps {
+    /// Of the numbers, if they have a clock of their own.
+    own: i64,
+    /// Of the table's row.
+    row: i64,
+}
+
+impl From<i64> for RowStamps {
+    fn from(stamp: i64) -> Self {
+        Self { own: stamp, row: stamp }
+    }
 }
 
 /// Episodes by their names.
@@ -253,7 +283,7 @@ impl Tables {
         }
         let clock = clock::of(table, settings).map_err(Refused::Question)?;
         let found = meaning::of(table, &clock, settings).map_err(Refused::Question)?;
-        if found.is_empty() {
+        if found.iter().all(|found| found.columns.is_none()) {
             return Err(Refused::Rows("it holds no numbers beside its times".to_owned()));
         }
         let shift = self.shift(clock.first(), clock.last());
@@ -370,11 +400,11 @@ fn extend(to: &mut Times, more: &Times) {
 }
 
 /// Bare numbers, `width` a row; rows with one that nothing can be are counted and left out.
-pub(super) fn array(stamps: &[i64], width: usize, values: &[f64]) -> ArrayColumns {
+pub(super) fn array(stamps: &[RowStamps], width: usize, values: &[f64]) -> ArrayColumns {
     let mut array = ArrayColumns { width, ..ArrayColumns::default() };
-    for (&stamp, row) in stamps.iter().zip(values.chunks_exact(width)) {
+    for (stamp, row) in stamps.iter().zip(values.chunks_exact(width)) {
         if row.iter().all(|value| usable(*value)) {
-            array.times.push(stamp, stamp, stamp);
+            array.times.push(stamp.own, stamp.row, stamp.row);
             array.values.extend_from_slice(row);
         } else {
             array.not_finite += 1;
@@ -384,7 +414,7 @@ pub(super) fn array(stamps: &[i64], width: usize, values: &[f64]) -> ArrayColumn
 }
 
 /// Positions without orientations.
-fn positions(stamps: &[i64], values: &[f64]) -> PoseColumns {
+fn positions(stamps: &[RowStamps], values: &[f64]) -> PoseColumns {
     let array = array(stamps, 3, values);
     PoseColumns {
         xyz: array.values.chunks_exact(3).map(|row| [row[0], row[1], row[2]]).collect(),
@@ -400,6 +430,32 @@ fn rate_in(value: &Value) -> Option<f64> {
     let all = value.as_object()?;
     let own = RATES.iter().find_map(|name| all.get(*name)?.as_f64());
     own.or_else(|| all.values().find_map(rate_in)).filter(|rate| rate.is_finite() && *rate > 0.0)
+}
+
+/// The number of rows that arrays of these shapes have in common. Arrays of `k` by `N` numbers lie on their
+/// side if `N` is that number.
+fn common_rows(shapes: &[Vec<usize>]) -> usize {
+    /// No table has so many times more columns than rows.
+    const WIDER: usize = 4;
+    let mut votes: BTreeMap<usize, usize> = BTreeMap::new();
+    for shape in shapes {
+        if let Some(rows) = shape.first() {
+            *votes.entry(*rows).or_default() += 1;
+        }
+        if let &[columns, rows] = shape.as_slice()
+            && (1..=MOST_WIDE).contains(&columns)
+            && rows / WIDER > columns
+        {
+            *votes.entry(rows).or_default() += 1;
+        }
+    }
+    let most = votes.into_iter().max_by_key(|&(rows, votes)| (votes, rows));
+    most.map_or(0, |(rows, _)| rows)
+}
+
+/// Whether an array of that shape lies on its side in a table of so many rows.
+fn lies_on_side(shape: &[usize], rows: usize) -> bool {
+    matches!(shape, &[columns, own] if own == rows && columns < rows)
 }
 
 /// The number of rows that most columns have.

@@ -1,5 +1,7 @@
 //! What the names of columns say.
 
+use crate::RotationLabels;
+
 /// The words of a name, in lower case: cut at everything that is no letter or digit, where a capital follows
 /// a small letter, and between letters and digits.
 pub(super) fn words(name: &str) -> Vec<String> {
@@ -19,25 +21,46 @@ pub(super) fn words(name: &str) -> Vec<String> {
     words
 }
 
-/// Words of numbers that are neither positions of joints nor poses.
-pub(super) const OTHERS: &[&str] = &[
+/// Words of velocities.
+const VELOCITIES: &[&str] = &[
     "vel",
+    "vels",
     "velocity",
     "velocities",
     "speed",
     "speeds",
     "qd",
     "dq",
+    "qvel",
+    "qdot",
+    "jvel",
+];
+
+/// Words of numbers that are neither positions of joints nor poses.
+const OTHERS: &[&str] = &[
     "ddq",
     "qdd",
-    "qvel",
+    "qddot",
     "qacc",
+    "fx",
+    "fy",
+    "fz",
+    "mx",
+    "my",
+    "mz",
+    "vx",
+    "vy",
+    "vz",
+    "wx",
+    "wy",
+    "wz",
+    "ft",
+    "eff",
     "torque",
     "torques",
     "effort",
     "efforts",
     "tau",
-    "current",
     "currents",
     "force",
     "forces",
@@ -122,42 +145,149 @@ const PLAIN: &[&str] = &[
     "follower",
     "leader",
     "value",
+    "current",
+    "field",
     "a",
     "j",
+    "jt",
+    "rax",
     "d",
     "aipos",
 ];
 /// Words of the position of a tool.
-const POSITIONS: &[&str] = &["pos", "position", "xyz", "translation", "trans", "p", "t"];
+const POSITIONS: &[&str] =
+    &["pos", "position", "positions", "xyz", "translation", "translations", "trans", "p", "t"];
 /// Words of its rotation.
 const ROTATIONS: &[&str] = &[
     "quat",
+    "quats",
     "quaternion",
+    "quaternions",
     "orientation",
+    "orientations",
     "orient",
     "ori",
     "rot",
     "rotation",
+    "rotations",
+    "attitude",
     "euler",
     "rpy",
     "rotvec",
+    "rv",
+    "aa",
     "axisangle",
+    "theta",
     "angles",
     "angle",
 ];
+/// Words of quaternions among them.
+const QUATERNIONS: &[&str] = &["quat", "quats", "quaternion", "quaternions"];
 /// Words of poses, also of bare numbers.
 const POSES: &[&str] =
     &["pose", "tcp", "ee", "eef", "end", "effector", "cartesian", "flange", "tool", "hand"];
 /// Words of units, which say nothing of what it is.
-const UNITS: &[&str] = &["m", "mm", "rad", "deg", "meter", "meters", "metre", "metres"];
+const UNITS: &[&str] = &[
+    "m",
+    "mm",
+    "cm",
+    "rad",
+    "rads",
+    "radian",
+    "radians",
+    "deg",
+    "degs",
+    "degree",
+    "degrees",
+    "meter",
+    "meters",
+    "metre",
+    "metres",
+    "millimeter",
+    "millimeters",
+];
+/// Three letters or words that makers and libraries give a rotation's numbers, in their order: FANUC's W P R,
+/// KUKA's A B C, Kawasaki's O A T, Epson's U V W and those of textbooks.
+const LABELS: &[[&str; 3]] = &[
+    ["rx", "ry", "rz"],
+    ["roll", "pitch", "yaw"],
+    ["rr", "rp", "ry"],
+    ["phix", "phiy", "phiz"],
+    ["a", "b", "c"],
+    ["w", "p", "r"],
+    ["o", "a", "t"],
+    ["u", "v", "w"],
+    ["alpha", "beta", "gamma"],
+    ["phi", "theta", "psi"],
+];
 
 fn has(words: &[String], known: &[&str]) -> bool {
     words.iter().any(|word| known.contains(&word.as_str()))
 }
 
-/// Whether numbers are of a gripper or of what no audit asks about.
+/// Whether numbers are velocities, of a gripper or of what no audit asks about.
 pub(super) fn is_other(words: &[String]) -> bool {
-    has(words, OTHERS)
+    has(words, OTHERS) || has(words, VELOCITIES) || is_motor_current(words)
+}
+
+/// Whether numbers are velocities of joints, as far as their name says.
+pub(super) fn are_velocities(words: &[String]) -> bool {
+    let of_tool = |word: &String| POSES.contains(&word.as_str()) || word.as_str() == "linear";
+    has(words, VELOCITIES)
+        && !has(words, OTHERS)
+        && !has(words, GRIPPERS)
+        && !words.iter().any(of_tool)
+        && !is_motor_current(words)
+}
+
+/// Whether `current` is a motor's, and not the measured one of a position, as in `current_pos_x`.
+fn is_motor_current(words: &[String]) -> bool {
+    let is_measured = |word: &String| {
+        let word = word.as_str();
+        let is_short = matches!(word, "p" | "t");
+        let is_part = POSITIONS.contains(&word) || ROTATIONS.contains(&word);
+        (is_part && !is_short)
+            || POSES.contains(&word)
+            || matches!(word, "x" | "y" | "z" | "q" | "qpos" | "jpos" | "state" | "states")
+    };
+    let at = words.iter().position(|word| word == "current");
+    at.is_some_and(|at| !words[at..].iter().any(is_measured))
+}
+
+/// The words that a joint's position and its velocity share, such as its number, a side or `target`.
+pub(super) fn shared_words(words: &[String]) -> Vec<String> {
+    const NEUTRAL: &[&str] = &[
+        "state",
+        "states",
+        "observation",
+        "observations",
+        "obs",
+        "robot",
+        "arm",
+        "data",
+        "measured",
+        "actual",
+        "feedback",
+        "main",
+        "follower",
+        "field",
+        "current",
+        "angle",
+        "angles",
+        "a",
+        "j",
+        "s",
+    ];
+    let is_neutral = |word: &String| {
+        let word = word.as_str();
+        [VELOCITIES, POSITIONS, JOINTS, UNITS, NEUTRAL].iter().any(|known| known.contains(&word))
+    };
+    words.iter().filter(|word| !is_neutral(word)).cloned().collect()
+}
+
+/// Whether a name may mean desired positions as well as velocities: `qd`.
+pub(super) fn is_ambiguous_velocity(words: &[String]) -> bool {
+    has(words, &["qd"])
 }
 
 pub(super) fn is_gripper(words: &[String]) -> bool {
@@ -171,7 +301,29 @@ pub(super) fn are_joints(words: &[String]) -> bool {
 
 /// Whether a column of bare numbers holds poses, by its name.
 pub(super) fn is_pose(words: &[String]) -> bool {
-    has(words, POSES) && !is_other(words) && !has(words, &["joint", "joints", "gripper"])
+    let is_both = has(words, POSITIONS) && has(words, ROTATIONS);
+    (has(words, POSES) || is_both)
+        && !is_other(words)
+        && !has(words, &["joint", "joints", "gripper"])
+}
+
+/// The row and column of a matrix that a name ends in, from 0, and the words before: `T_03`, `R[1][2]`.
+pub(super) fn matrix_cell(name: &str) -> Option<(Vec<String>, (usize, usize))> {
+    let words = words(name);
+    let digits = |word: &String| word.chars().all(|c| c.is_ascii_digit());
+    let first = words.iter().position(digits)?;
+    let (stem, cell) = words.split_at(first);
+    let text = match cell {
+        [both] if both.len() == 2 => both.clone(),
+        [row, column] if row.len() == 1 && column.len() == 1 && digits(column) => {
+            format!("{row}{column}")
+        }
+        _ => return None,
+    };
+    let number: usize = text.parse().ok()?;
+    let is_of_pose = !stem.is_empty() && !is_other(stem) && !is_stem_of_joints(stem);
+    (is_of_pose && number / 10 <= 4 && number % 10 <= 4)
+        .then(|| (stem.to_vec(), (number / 10, number % 10)))
 }
 
 /// The name of a joint that a name is of, as models have it.
@@ -203,8 +355,14 @@ pub(super) fn numbered(name: &str) -> Option<(Vec<String>, usize)> {
 
 /// Whether the stem of numbered names is one of joints. A single letter is, where the letter is usual.
 pub(super) fn is_stem_of_joints(stem: &[String]) -> bool {
-    let letters = stem.last().is_some_and(|word| ["a", "j"].contains(&word.as_str()));
-    !is_other(stem) && !is_pose(stem) && !has(stem, GRIPPERS) && (has(stem, JOINTS) || letters)
+    let letters = stem.last().is_some_and(|word| ["a", "j", "jt", "rax"].contains(&word.as_str()));
+    // `rostopic echo -p` of a JointState.
+    let is_field = stem.ends_with(&["field".to_owned(), "position".to_owned()]);
+    let is_joint = has(stem, JOINTS) || letters || is_field;
+    is_joint
+        && !is_other(stem)
+        && (!is_pose(stem) || has(stem, &["joint", "joints"]))
+        && !has(stem, GRIPPERS)
 }
 
 /// What of a stem tells one arm from another: `left`, `right` and the like; empty for plain words.
@@ -236,52 +394,84 @@ pub(super) enum Axis {
     Xyz(usize),
     /// Of a position and nothing else.
     Position(usize),
-    /// Of three numbers of a rotation.
+    /// x, y, z of a rotation: of a quaternion if it has a w.
     Turn(usize),
     /// Of a quaternion: x, y, z, w.
     Quaternion(usize),
-    /// KUKA's A, B, C.
-    Letter(usize),
+    /// One of [`LABELS`], by its place, and the number's place in it.
+    Label(usize, usize),
 }
 
-/// What a name says of a pose: whose number it is, and the words that are left, which those of one pose share.
-pub(super) fn axis(name: &str) -> Option<(Vec<String>, Axis)> {
+/// All that a name may say of a pose: which of its numbers it is, and the words that are left, which the
+/// numbers of one pose share.
+pub(super) fn axes(name: &str) -> Vec<(Vec<String>, Axis)> {
     let words = words(name);
     if is_other(&words) || is_gripper(&words) {
-        return None;
+        return Vec::new();
     }
-    let axis_of = |word: &str| {
-        let one = |axes: &[&str], of: fn(usize) -> Axis| {
-            axes.iter().position(|axis| *axis == word).map(of)
-        };
-        one(&["x", "y", "z"], Axis::Xyz)
-            .or_else(|| one(&["px", "py", "pz"], Axis::Position))
-            .or_else(|| one(&["tx", "ty", "tz"], Axis::Position))
-            .or_else(|| one(&["qx", "qy", "qz", "qw"], Axis::Quaternion))
-            .or_else(|| one(&["rx", "ry", "rz"], Axis::Turn))
-            .or_else(|| one(&["roll", "pitch", "yaw"], Axis::Turn))
-            .or_else(|| one(&["phix", "phiy", "phiz"], Axis::Turn))
-            .or_else(|| one(&["rr", "rp"], Axis::Turn))
-            .or_else(|| one(&["a", "b", "c"], Axis::Letter))
-    };
-    let last_w = words.last().is_some_and(|word| word == "w");
-    let at = words.iter().rposition(|word| axis_of(word).is_some());
-    let (at, found) = match (at, last_w && has(&words, ROTATIONS)) {
-        (_, true) => (words.len() - 1, Axis::Quaternion(3)),
-        (Some(at), false) => (at, axis_of(&words[at])?),
-        (None, false) => return None,
-    };
     let of_rotation = has(&words, ROTATIONS);
-    let axis = match found {
-        Axis::Xyz(of) if has(&words, &["quat", "quaternion"]) => Axis::Quaternion(of),
-        Axis::Xyz(of) if words[..at].iter().any(|word| word == "q") && words.len() > 1 => {
-            Axis::Quaternion(of)
+    let place = |all: &[&str], word: &str| all.iter().position(|axis| *axis == word);
+    let mut found = Vec::new();
+    for (at, word) in words.iter().enumerate() {
+        let word = word.as_str();
+        let before = |known: &str| words[..at].iter().any(|word| word == known);
+        let mut axes: Vec<Axis> = Vec::new();
+        if let Some(of) = place(&["x", "y", "z"], word) {
+            axes.push(match () {
+                () if has(&words, QUATERNIONS) || before("q") => Axis::Quaternion(of),
+                () if of_rotation || before("r") => Axis::Turn(of),
+                () => Axis::Xyz(of),
+            });
         }
-        Axis::Xyz(of) if of_rotation => Axis::Turn(of),
-        found => found,
+        for position in [["px", "py", "pz"], ["tx", "ty", "tz"]] {
+            axes.extend(place(&position, word).map(Axis::Position));
+        }
+        axes.extend(place(&["qx", "qy", "qz", "qw"], word).map(Axis::Quaternion));
+        if word == "w" && (of_rotation || before("q")) {
+            axes.push(Axis::Quaternion(3));
+        } else {
+            let labels = LABELS.iter().enumerate();
+            axes.extend(
+                labels.filter_map(|(label, all)| Some(Axis::Label(label, place(all, word)?))),
+            );
+        }
+        let rest = words.iter().enumerate().filter(|(other, _)| *other != at);
+        let key = key(rest.map(|(_, word)| word));
+        found.extend(axes.into_iter().map(|axis| (key.clone(), axis)));
+    }
+    found
+}
+
+/// What the names of a rotation's numbers say of its encoding.
+pub(super) fn rotation_labels(names: &[&str]) -> Option<RotationLabels> {
+    let has_axis = |name: &&str, wanted: Axis| axes(name).iter().any(|(_, axis)| *axis == wanted);
+    let is_all = |of: &dyn Fn(usize) -> Axis| {
+        names.iter().enumerate().all(|(at, name)| has_axis(name, of(at)))
     };
-    let key = key(words.iter().enumerate().filter(|(other, _)| *other != at).map(|(_, word)| word));
-    Some((key, axis))
+    let are_named = |known: &[&str]| names.iter().all(|name| has(&words(name), known));
+    let label = |label: usize| is_all(&|at| Axis::Label(label, at));
+    match names.len() {
+        4 => {
+            let by_letter = |at| if at < 3 { Axis::Turn(at) } else { Axis::Quaternion(3) };
+            let is_it = is_all(&Axis::Quaternion) || is_all(&by_letter);
+            is_it.then_some(RotationLabels::Quaternion)
+        }
+        3 if label(1) || (are_named(&["rpy"]) && is_all(&Axis::Turn)) => {
+            Some(RotationLabels::RollPitchYaw)
+        }
+        3 if are_named(&["rotvec", "rv", "axisangle"]) && is_all(&Axis::Turn) => {
+            Some(RotationLabels::RotationVector)
+        }
+        3 if label(4) => Some(RotationLabels::Abc),
+        3 if label(5) => Some(RotationLabels::Wpr),
+        3 if label(6) => Some(RotationLabels::Oat),
+        _ => None,
+    }
+}
+
+/// Number of triples that [`Axis::Label`] counts.
+pub(super) fn labels() -> usize {
+    LABELS.len()
 }
 
 /// The words that name a pose, without those that say which part of it.
@@ -296,16 +486,23 @@ fn key<'a>(words: impl Iterator<Item = &'a String>) -> Vec<String> {
     words.filter(|word| !is_of_part(word)).cloned().collect()
 }
 
+/// The words that name a pose in the stem of numbered names.
+pub(super) fn key_of(stem: &[String]) -> Vec<String> {
+    key(stem.iter())
+}
+
 /// Which part of a pose a column of several bare numbers is, and the words that name the pose.
 pub(super) fn part(name: &str, width: usize) -> Option<(Vec<String>, Part)> {
     let words = words(name);
     if is_other(&words) || has(&words, &["joint", "joints"]) || is_gripper(&words) {
         return None;
     }
+    let is_position = has(&words, POSITIONS);
     let part = match width {
         3 if has(&words, ROTATIONS) => Part::Turn,
         4 if has(&words, ROTATIONS) => Part::Quaternion,
-        3 if has(&words, POSITIONS) => Part::Position,
+        9 if has(&words, ROTATIONS) && !is_position => Part::Matrix,
+        3 if is_position || is_pose(&words) => Part::Position,
         _ => return None,
     };
     Some((key(words.iter()), part))
@@ -317,14 +514,16 @@ pub(super) enum Part {
     Position,
     Turn,
     Quaternion,
+    /// A matrix of nine numbers.
+    Matrix,
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn is(name: &str) -> Option<(String, Axis)> {
-        axis(name).map(|(key, axis)| (key.join(" "), axis))
+    fn is(name: &str) -> Vec<(String, Axis)> {
+        axes(name).into_iter().map(|(key, axis)| (key.join(" "), axis)).collect()
     }
 
     #[test]
@@ -334,15 +533,24 @@ mod tests {
             ("tcp_qw", "tcp", Axis::Quaternion(3)),
             ("pose.orientation.w", "pose", Axis::Quaternion(3)),
             ("pose.position.y", "pose", Axis::Xyz(1)),
-            ("ee_roll_deg", "ee", Axis::Turn(0)),
-            ("A_RIst", "rist", Axis::Letter(0)),
+            ("pose.orientation.x", "pose", Axis::Turn(0)),
+            ("ee_roll_deg", "ee", Axis::Label(1, 0)),
+            ("A_RIst", "rist", Axis::Label(4, 0)),
+            ("W [deg]", "", Axis::Label(5, 0)),
+            ("P", "", Axis::Label(5, 1)),
+            ("T", "", Axis::Label(6, 2)),
+            ("current_pos_x", "current", Axis::Xyz(0)),
+            ("goal_orientation_w", "goal", Axis::Quaternion(3)),
+            ("r_x", "", Axis::Turn(0)),
             ("Z_RSol", "rsol", Axis::Xyz(2)),
             ("rot_x", "", Axis::Turn(0)),
         ] {
-            assert_eq!(is(name), Some((key.to_owned(), axis)), "{name}");
+            assert!(is(name).contains(&(key.to_owned(), axis)), "{name}: {:?}", is(name));
         }
-        for name in ["timestamp", "gripper", "vel_x", "q_1", "force_z", "shoulder_pan.pos"] {
-            assert_eq!(is(name), None, "{name}");
+        for name in
+            ["timestamp", "gripper", "vel_x", "q_1", "force_z", "shoulder_pan.pos", "current_1"]
+        {
+            assert_eq!(is(name), [], "{name}");
         }
     }
 
@@ -357,6 +565,8 @@ mod tests {
             ("observation.state.motor_2", true),
             ("C11", false),
             ("i4", false),
+            ("JT4", true),
+            ("field.position5", true),
             ("qd_3", false),
             ("torque_joint_1", false),
         ] {

@@ -4,7 +4,10 @@
 
 use std::io::{Cursor, Read};
 
-use super::{Column, Episodes, MOST_COLUMNS, MOST_NUMBERS, MOST_WIDE, Refusal, Table};
+use super::{
+    Column, Episodes, MOST_COLUMNS, MOST_NUMBERS, MOST_WIDE, Refusal, Table, common_rows,
+    lies_on_side,
+};
 
 pub(crate) const MAGIC: &[u8] = b"\x93NUMPY";
 /// Longest header that is read.
@@ -91,15 +94,16 @@ struct Header {
 
 /// An array alone.
 pub(super) fn npy(bytes: &[u8]) -> Result<Episodes, Refusal> {
-    let (columns, rows) = array("array", bytes)?;
-    Ok(vec![("0".to_owned(), Table { rows, columns, rate_hz: None })])
+    let rows = common_rows(&shape_of(bytes).into_iter().collect::<Vec<_>>());
+    let (columns, rows) = array("array", bytes, rows)?;
+    Ok(vec![("0".to_owned(), Table { rows, columns, rate_hz: None, ..Table::default() })])
 }
 
 /// An archive: its arrays of most rows are one table; a scalar called `fps` or the like is its rate.
 pub(super) fn npz(bytes: &[u8]) -> Result<Episodes, Refusal> {
     let mut archive = zip::ZipArchive::new(Cursor::new(bytes))
         .map_err(|error| format!("the zip archive cannot be read: {error}"))?;
-    let (mut arrays, mut rate_hz) = (Vec::new(), None);
+    let (mut arrays, mut rate_hz): (Vec<(String, Vec<u8>)>, _) = (Vec::new(), None);
     let mut budget = MOST_NUMBERS;
     for index in 0..archive.len().min(MOST_COLUMNS) {
         let entry =
@@ -121,19 +125,33 @@ pub(super) fn npz(bytes: &[u8]) -> Result<Episodes, Refusal> {
             }
             continue;
         }
-        // What holds no numbers, as images and texts, is not read.
-        if let Ok((columns, rows)) = array(&name, &content) {
-            budget = budget.saturating_sub(columns.iter().map(|column| column.values.len()).sum());
-            arrays.push((rows, columns));
+        arrays.push((name, content));
+        budget = budget.saturating_sub(arrays.last().map_or(0, |(_, content)| content.len() / 8));
+    }
+    let shapes: Vec<Vec<usize>> = arrays.iter().filter_map(|(_, bytes)| shape_of(bytes)).collect();
+    let common = common_rows(&shapes);
+    let mut table = Table { rate_hz, ..Table::default() };
+    let mut read = Vec::new();
+    for (name, content) in arrays {
+        match array(&name, &content, common) {
+            Ok((columns, rows)) => read.push((name, columns, rows)),
+            Err(why) => table.unread.push((name, why)),
         }
     }
-    let rows = arrays.iter().map(|(rows, _)| *rows).max().ok_or("it holds no array of numbers")?;
-    let columns = arrays
-        .into_iter()
-        .filter(|(own, _)| *own == rows)
-        .flat_map(|(_, columns)| columns)
-        .collect();
-    Ok(vec![("0".to_owned(), Table { rows, columns, rate_hz })])
+    table.rows =
+        read.iter().map(|(_, _, rows)| *rows).max().ok_or("it holds no array of numbers")?;
+    for (name, columns, rows) in read {
+        match rows == table.rows {
+            true => table.columns.extend(columns),
+            false => table.unread.push((name, format!("{rows} rows, not {}", table.rows))),
+        }
+    }
+    Ok(vec![("0".to_owned(), table)])
+}
+
+/// The shape of an array.
+fn shape_of(bytes: &[u8]) -> Option<Vec<usize>> {
+    header(bytes).ok().map(|(header, _)| header.shape)
 }
 
 /// The number of an array without dimensions.
@@ -146,10 +164,14 @@ fn scalar(bytes: &[u8]) -> Option<f64> {
         .then(|| kind.read(data))
 }
 
-/// The columns of one array, and its rows.
-fn array(name: &str, bytes: &[u8]) -> Result<(Vec<Column>, usize), Refusal> {
+/// The columns of one array, and its rows; an array on its side, of `rows` columns, is transposed.
+fn array(name: &str, bytes: &[u8], rows: usize) -> Result<(Vec<Column>, usize), Refusal> {
     let (header, data) = header(bytes)?;
-    let Header { fields, row_bytes, shape, is_fortran } = header;
+    let Header { fields, row_bytes, mut shape, mut is_fortran } = header;
+    if lies_on_side(&shape, rows) {
+        shape.swap(0, 1);
+        is_fortran = !is_fortran;
+    }
     let rows = *shape.first().ok_or("it is a single number")?;
     let inner = shape[1..].iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
     let inner = inner

@@ -211,7 +211,7 @@ fn episodes(leaves: &[Leaf], rows: usize) -> Episodes {
                 values: leaf.values[span.start * leaf.width..span.end * leaf.width].to_vec(),
             })
             .collect(),
-        rate_hz: None,
+        ..Table::default()
     };
     spans.into_iter().map(|(name, span)| (name, table(span))).collect()
 }

@@ -85,7 +85,10 @@ pub(super) fn read(bytes: &[u8], losses: &mut Losses) -> Result<Episodes, Refusa
         .map(|((name, parts), values)| column(name, parts, values))
         .chain([column(CLOCK, &[], clock)])
         .filter(|column| is_there(&column.values));
-    Ok(vec![("0".to_owned(), Table { rows, columns: columns.collect(), rate_hz: None })])
+    Ok(vec![(
+        "0".to_owned(),
+        Table { rows, columns: columns.collect(), rate_hz: None, ..Table::default() },
+    )])
 }
 
 /// The bytes of the first packet from `at` on: up to its end, or to where the next begins.

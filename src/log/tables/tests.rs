@@ -381,3 +381,107 @@ fn metadata_of_lerobot_name_the_numbers_and_are_held_to_them() {
     assert_eq!(found.len(), 2, "{found:?}");
     assert!(found[0].contains("6 numbers") && found[1].contains("50 frames a second"), "{found:?}");
 }
+
+/// A CSV of so many rows, of which `cell` says each number.
+fn csv(names: &[&str], rows: usize, cell: impl Fn(usize, usize) -> f64) -> String {
+    let line = |row: usize| {
+        let cells: Vec<String> = (0..names.len()).map(|at| cell(row, at).to_string()).collect();
+        cells.join(",")
+    };
+    let lines = (0..rows).map(line).collect::<Vec<_>>().join("\n");
+    format!("{}\n{lines}\n", names.join(","))
+}
+
+#[test]
+fn labels_of_makers_name_a_rotation() {
+    use crate::RotationLabels::{Abc, Oat, Quaternion, RollPitchYaw, Wpr};
+    for (labels, expected) in [
+        (["W", "P", "R"].as_slice(), Some(Wpr)),
+        (&["O", "A", "T"], Some(Oat)),
+        (&["A", "B", "C"], Some(Abc)),
+        (&["roll", "pitch", "yaw"], Some(RollPitchYaw)),
+        (&["orientation.w", "orientation.x", "orientation.y", "orientation.z"], Some(Quaternion)),
+        (&["theta_x", "theta_y", "theta_z"], None),
+    ] {
+        let names = [&["time", "X", "Y", "Z"], labels].concat();
+        let log = plain(csv(&names, 30, |row, at| 0.01 * row as f64 + at as f64).as_bytes());
+        let pose = topic(&log, "pose");
+        let own: Vec<_> = pose.cells.iter().skip(3).map(|cell| cell.labels).collect();
+        assert_eq!(own, vec![expected; labels.len()], "{labels:?}");
+    }
+}
+
+#[test]
+fn what_nothing_identifies_is_marked_if_it_is_measured() {
+    let names = ["time", "X", "Y", "Z", "alfa", "step", "force_x"];
+    let log = plain(
+        csv(&names, 30, |row, at| match at {
+            5 => row as f64,
+            _ => 0.01 * row as f64 + at as f64,
+        })
+        .as_bytes(),
+    );
+    let marked: Vec<&str> = log
+        .topics
+        .iter()
+        .flat_map(|topic| &topic.cells)
+        .filter(|cell| cell.is_unidentified)
+        .map(|cell| cell.name.as_str())
+        .collect();
+    assert_eq!(marked, ["alfa"]);
+}
+
+#[test]
+fn velocities_go_to_their_joints() {
+    let names = ["t", "q1", "q2", "q3", "q4", "dq_1", "dq_2", "dq_3", "dq_4", "speed_x"];
+    let log = plain(csv(&names, 30, |row, at| 0.01 * row as f64 + at as f64).as_bytes());
+    let Some(Columns::Joints(joints)) = &topic(&log, "q").columns else { panic!("no joints") };
+    let first: Vec<f64> = joints.joints.iter().map(|joint| joint.velocity[0]).collect();
+    assert_eq!(first, [5.0, 6.0, 7.0, 8.0]);
+    // `qd` as desired positions is near the positions, not their rates.
+    let names = ["t", "q1", "q2", "q3", "q4", "qd1", "qd2", "qd3", "qd4"];
+    let log = plain(
+        csv(&names, 30, |row, at| match at {
+            0 => 0.01 * row as f64,
+            _ => (0.3 * row as f64).sin() + (at - 1).rem_euclid(4) as f64,
+        })
+        .as_bytes(),
+    );
+    assert_eq!(self::joints(&log, "qd_command").0.len(), 4);
+}
+
+#[test]
+fn seconds_and_nanoseconds_are_one_stamp() {
+    let names = ["header.stamp.secs", "header.stamp.nsecs", "q1", "q2", "q3", "q4"];
+    let log = plain(
+        csv(&names, 40, |row, at| match at {
+            0 => (1_700_000_000 + row / 20) as f64,
+            1 => (50_000_000 * (row % 20) + 1) as f64,
+            _ => row as f64,
+        })
+        .as_bytes(),
+    );
+    let stamps = stamps(&log, "q");
+    assert_eq!(stamps[0], 1_700_000_000_000_000_001);
+    assert!(stamps.windows(2).all(|pair| pair[1] - pair[0] == 50_000_000));
+}
+
+#[test]
+fn arrays_on_their_side_are_turned() {
+    let header = "{'descr': '<f8', 'fortran_order': False, 'shape': (5, 60), }\n";
+    let data: Vec<u8> = (0..300)
+        .flat_map(|n| (f64::from(n % 60) + 1e-3 * f64::from(n / 60)).to_le_bytes())
+        .collect();
+    let log = plain(&npy(header, &data));
+    assert_eq!(log.topics[0].messages, 60);
+}
+
+#[test]
+fn a_matrix_by_row_and_column_is_a_pose() {
+    let mut names = vec!["t".to_owned()];
+    names.extend((0..16).map(|at| format!("T_{}{}", at / 4, at % 4)));
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    let log = plain(csv(&names, 30, |row, at| 0.01 * row as f64 + at as f64).as_bytes());
+    let (width, values) = array(&log, "t");
+    assert_eq!((width, values[3]), (16, 4.0));
+}

@@ -176,7 +176,7 @@ impl Example {
         let columns = columns.into_iter().filter(|(_, _, values)| is_of(values.len()));
         let columns =
             columns.take(MOST_COLUMNS).map(|(name, _, values)| column(name, rows, values));
-        Ok(Table { rows, columns: columns.collect(), rate_hz })
+        Ok(Table { rows, columns: columns.collect(), rate_hz, ..Table::default() })
     }
 }
 
@@ -201,7 +201,7 @@ fn single_steps(steps: Vec<Example>) -> Result<Table, Refusal> {
         let values = steps.iter().flat_map(own).collect();
         column(name.clone(), rows, values)
     });
-    Ok(Table { rows, columns: columns.collect(), rate_hz })
+    Ok(Table { rows, columns: columns.collect(), rate_hz, ..Table::default() })
 }
 
 fn column(name: String, rows: usize, values: Vec<f64>) -> Column {

@@ -75,7 +75,7 @@ pub(super) fn read(at: At, wanted: Option<&str>, losses: &mut Losses) -> Result<
                 values: array.read(&mut store, span.clone())?,
             });
         }
-        found.push((name, Table { rows: span.len(), columns, rate_hz }));
+        found.push((name, Table { rows: span.len(), columns, rate_hz, ..Table::default() }));
     }
     Ok(found)
 }

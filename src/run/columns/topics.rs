@@ -12,6 +12,16 @@ use super::{Search, Told};
 /// What arms are called where a table holds two and names neither.
 const SIDES: [&str; 2] = ["first/", "second/"];
 
+/// What is said of numbers that nothing identifies.
+const UNNAMED: &str = "its name does not say what it is";
+const FOLLOWS_NONE: &str = "it is neither a joint nor of the pose: it follows no column of them";
+const NOT_OF_ARM: &str = "neither joints nor a pose of the arm";
+
+/// Whether numbers of which this is said may be anything, a rotation too.
+fn is_open_conduct(said: &str) -> bool {
+    [UNNAMED, FOLLOWS_NONE, NOT_OF_ARM].contains(&said)
+}
+
 /// Puts the topics of what was told in the place of bare numbers. What is left of these is said.
 pub(super) fn rewrite(log: &mut Log, search: &Search<'_>, told: &Told) {
     let made: Vec<Topic> = told
@@ -51,7 +61,7 @@ pub(super) fn rewrite(log: &mut Log, search: &Search<'_>, told: &Told) {
         let mut runs: Vec<(Vec<usize>, String)> = Vec::new();
         for part in left {
             let said = match is_whole && count > 1 {
-                true => "neither joints nor a pose of the arm".to_owned(),
+                true => NOT_OF_ARM.to_owned(),
                 false => search.conduct((index, part), &used, &others),
             };
             match runs.last_mut() {
@@ -62,7 +72,12 @@ pub(super) fn rewrite(log: &mut Log, search: &Search<'_>, told: &Told) {
             }
         }
         for (run, said) in runs {
-            let cells: Vec<TableCell> = run.iter().map(|&part| topic.cells[part].clone()).collect();
+            // What follows other columns, or never changes, is no rotation.
+            let cell = |&part: &usize| TableCell {
+                is_unidentified: topic.cells[part].is_unidentified && is_open_conduct(&said),
+                ..topic.cells[part].clone()
+            };
+            let cells: Vec<TableCell> = run.iter().map(cell).collect();
             let names: Vec<String> = cells.iter().map(|cell| cell.name.clone()).collect();
             topics.push(Topic {
                 name: selectors(&names).concat(),
@@ -228,7 +243,7 @@ impl Search<'_> {
         others: &[&(Vec<usize>, String)],
     ) -> String {
         let at = self.cells.numbers.iter().position(|other| other.at == number);
-        let Some(at) = at else { return "its name does not say what it is".to_owned() };
+        let Some(at) = at else { return UNNAMED.to_owned() };
         if let Some((_, why)) = others.iter().find(|(columns, _)| columns.contains(&at)) {
             return why.clone();
         }
@@ -248,10 +263,8 @@ impl Search<'_> {
                 )
             }
             Conduct::RateOf(other) => format!("the rate of {}", name(other)),
-            Conduct::Own if used.is_empty() => "its name does not say what it is".to_owned(),
-            Conduct::Own => {
-                "it is neither a joint nor of the pose: it follows no column of them".to_owned()
-            }
+            Conduct::Own if used.is_empty() => UNNAMED.to_owned(),
+            Conduct::Own => FOLLOWS_NONE.to_owned(),
         }
     }
 }

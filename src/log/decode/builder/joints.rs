@@ -16,6 +16,9 @@ const ABSENT_CELLS: usize = 1 << 26;
 /// … one in so many values must be of one that it did: a topic has no more senders.
 const SENDERS: usize = 8;
 
+/// What joints are called that nothing names, before their number.
+const COUNTED: &str = "q";
+
 /// A message with joints for which there is no room.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TooManyJoints {
@@ -34,6 +37,8 @@ pub(in crate::decode) struct Joints {
     pub(super) positions: usize,
     /// and of the velocities.
     pub(super) velocities: usize,
+    /// What stands before the number of a joint that the messages do not name.
+    pub(super) stem: &'static str,
     pub(super) columns: JointColumns,
     pub(super) by_name: HashMap<String, usize>,
     /// Names of the message before, which the next one mostly repeats,
@@ -55,13 +60,26 @@ impl Joints {
     pub(super) fn append(&mut self, row: &Row, times: RowTimes) -> Result<(), TooManyJoints> {
         let [positions, velocities] =
             [self.positions, self.velocities].map(|index| row.lists[index].as_slice());
+        let is_counted = self.columns.unnamed && self.stem == COUNTED;
+        if is_counted && !row.names.is_empty() {
+            // Messages with names count more than those before them without.
+            let dropped = self.columns.wrong_length + self.columns.times.len() as u64;
+            *self = Self::of(self.positions, self.velocities);
+            self.columns.wrong_length = dropped;
+        } else if row.names.is_empty()
+            && !positions.is_empty()
+            && self.columns.joints.is_empty()
+            && self.stem.is_empty()
+        {
+            (self.columns.unnamed, self.stem) = (true, COUNTED);
+        }
         let unnamed = self.columns.unnamed;
         if !unnamed && positions.len() != row.names.len() {
             self.columns.wrong_length += 1;
             return Ok(());
         }
         if unnamed && positions.len() != self.names.len() {
-            self.map_names(&usual_names(positions.len()))?;
+            self.map_names(&usual_names(self.stem, positions.len()))?;
         } else if !unnamed && row.names != self.names {
             self.map_names(&row.names)?;
         }
@@ -117,7 +135,12 @@ impl Joints {
         let (cells, absent) = self.with(later, self.columns.joints.len() + new);
         // Names that are cut off, or no single words, are told apart by all of their text.
         let is_whole = |joint: &JointColumn| later.by_name.contains_key(&joint.name);
-        self.columns.joints.len() + new <= MAX_JOINTS
+        // Joints that only some messages name are told apart one after the other.
+        let is_alike = self.columns.joints.is_empty()
+            || later.columns.joints.is_empty()
+            || self.columns.unnamed == later.columns.unnamed;
+        is_alike
+            && self.columns.joints.len() + new <= MAX_JOINTS
             && !is_too_sparse(cells, absent)
             && later.columns.joints.iter().all(is_whole)
     }
@@ -148,8 +171,10 @@ impl Joints {
             }));
         }
         (self.cells, self.absent) = self.with(&later, self.columns.joints.len());
+        self.stem = if self.stem.is_empty() { later.stem } else { self.stem };
         let (own, later) = (&mut self.columns, later.columns);
         keep_first(&mut own.frame_id, &later.frame_id);
+        own.unnamed |= later.unnamed;
         own.wrong_length += later.wrong_length;
         own.contradictory += later.contradictory;
         own.not_finite += later.not_finite;
@@ -208,11 +233,11 @@ fn is_too_sparse(cells: usize, absent: usize) -> bool {
     absent > ABSENT_CELLS && cells / SENDERS > cells - absent
 }
 
-/// What Franka's drivers call `count` joints unless told otherwise.
-fn usual_names(count: usize) -> Names {
+/// The names of `count` joints that a message does not name, in their order.
+fn usual_names(stem: &str, count: usize) -> Names {
     let mut names = Names::default();
     for joint in 1..=count {
-        names.push(format!("panda_joint{joint}").as_bytes());
+        names.push(format!("{stem}{joint}").as_bytes());
     }
     names
 }

@@ -38,6 +38,7 @@ fn said_of_arm(table: &Table, settings: &ColumnSettings) -> Result<Vec<Group>, R
                 names: (1..=count).map(|number| format!("q{number}")).collect(),
                 unnamed: true,
                 lines: lines(settings, count)?,
+                velocities: Vec::new(),
             },
             (_, 3) => Meaning::Position,
             (_, 6 | 7 | 12 | 16) => Meaning::Pose,
@@ -48,7 +49,7 @@ fn said_of_arm(table: &Table, settings: &ColumnSettings) -> Result<Vec<Group>, R
             }
         };
         let why = format!("`columns.{key}` of the config");
-        groups.push(Group { topic: key.to_owned(), cells: all, meaning, why });
+        groups.push(Group { topic: key.to_owned(), cells: all, meaning, why, part: None });
     }
     Ok(groups)
 }
@@ -70,7 +71,7 @@ fn lines(settings: &ColumnSettings, count: usize) -> Result<Vec<[f64; 2]>, Refus
 
 fn selected(table: &Table, selector: &ColumnSelector) -> Result<Vec<Cell>, String> {
     let ColumnSelector { column: name, range } = selector;
-    let column = table.columns.iter().position(|column| column.name == *name);
+    let column = table.column(name);
     let column = column.ok_or_else(|| format!("it has no column '{name}'"))?;
     let width = table.columns[column].width;
     let (first, end) = range.unwrap_or((0, width));
