@@ -250,7 +250,7 @@ fn grouped_by<'a, R, K: PartialEq>(
     rows: impl Iterator<Item = &'a R>,
     key: impl Fn(&'a R) -> K,
 ) -> Vec<(K, Vec<&'a R>)> {
-    let mut groups: Vec<(K, Vec<&CheckRow>)> = Vec::new();
+    let mut groups: Vec<(K, Vec<&R>)> = Vec::new();
     for row in rows {
         let key = key(row);
         match groups.iter_mut().find(|(known, _)| *known == key) {

@@ -88,7 +88,9 @@ impl<'a> Page<'a> {
             let fetched = file.fetched().map_or(String::new(), |fetched| format!(", {fetched}"));
             self.line(out, STRONG, "log", &format!("{}{fetched}", file.path.display()))?;
         }
-        for note in &log.notes {
+        // What the error says is not said before it, too.
+        let said = self.report.error.as_ref().map_or("", |trouble| trouble.what.as_str());
+        for note in log.notes.iter().filter(|note| said.is_empty() || note.note != said) {
             let text = format!("{}: {}", note.path.display(), note.note);
             self.line(out, WARNING, "note", &text)?;
         }
