@@ -19,8 +19,10 @@ const NEAR: f64 = 5.0;
 const NEAR_SHARE: f64 = 0.002;
 /// A unit, a mirror or an inverse explains where it leaves this share of the extent, or less …
 const EXPLAINS: f64 = 0.15;
-/// A unit that nobody uses must leave no more than this.
+/// A unit that nobody uses must leave no more than this, and so many times less than usual units do: a free
+/// length scale absorbs part of any other error.
 const EXPLAINS_ODDLY: f64 = 0.003;
+const NEAR_ODDLY: f64 = 30.0;
 /// Scales from this on, and below its inverse, are units; nearer ones are growth.
 const UNIT_FROM: f64 = 1.25;
 /// A scale is a usual unit within this share of it, or within what is left where that is more.
@@ -100,8 +102,8 @@ pub(super) fn layouts(fk: &[Pose], reach_m: f64, written: &Written) -> Vec<Layou
         found.retain(|one| {
             let is_odd = LengthScale::usual()
                 .all(|unit| (one.metres * written.read_as_m / unit.in_m() - 1.0).abs() > 1e-6);
-            let most = if is_odd { EXPLAINS_ODDLY } else { EXPLAINS };
-            one.is_sound() || (one.left_m <= most * extent_m && NEAR * one.left_m <= sound_m)
+            let (most, near) = if is_odd { (EXPLAINS_ODDLY, NEAR_ODDLY) } else { (EXPLAINS, NEAR) };
+            one.is_sound() || (one.left_m <= most * extent_m && near * one.left_m <= sound_m)
         });
     } else {
         found.retain(Layout::is_sound);

@@ -21,6 +21,10 @@ const ENOUGH: usize = 12;
 /// Where this is left, m, the pose may be inverted or the joints in degrees.
 const ASTRAY_M: f64 = 5e-3;
 
+/// Standard deviation of a tool's length before it is seen, m: grippers are 0.1 to 0.3 m long, and a TCP beyond
+/// 0.5 m is rare.
+const USUAL_TOOL_M: f64 = 0.2;
+
 /// What must be assumed for a model to fit, the most harmless first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Needs {
@@ -28,6 +32,11 @@ pub enum Needs {
     Nothing,
     /// A tool of constant offset: an active TCP.
     Tool,
+    /// The base turned by half a turn about its z axis (`base` for `base_link`), with or without a tool.
+    HalfTurn {
+        /// Whether with a tool.
+        tool: bool,
+    },
     /// The zero of a joint, by its place in the chain, with or without a tool.
     Zero {
         /// The joint.
@@ -43,19 +52,27 @@ pub enum Needs {
 }
 
 impl Needs {
-    /// Whether that is no fault: nothing, or an active TCP.
+    /// Whether that is no fault of the arm: nothing, an active TCP, or the other usual base frame.
     pub fn is_harmless(self) -> bool {
-        matches!(self, Needs::Nothing | Needs::Tool)
+        matches!(self, Needs::Nothing | Needs::Tool | Needs::HalfTurn { .. })
+    }
+
+    /// Whether a tool is fitted.
+    pub fn has_tool(self) -> bool {
+        match self {
+            Needs::Nothing => false,
+            Needs::Tool => true,
+            Needs::HalfTurn { tool } | Needs::Zero { tool, .. } | Needs::Reference { tool } => tool,
+        }
     }
 
     /// How many numbers are fitted beside the latency.
     fn parameters(self) -> usize {
-        let tool = |tool: bool| if tool { 3 } else { 0 };
+        let tool = if self.has_tool() { 3 } else { 0 };
         match self {
-            Needs::Nothing => 0,
-            Needs::Tool => 3,
-            Needs::Zero { tool: with, .. } => 1 + tool(with),
-            Needs::Reference { tool: with } => 6 + tool(with),
+            Needs::Nothing | Needs::Tool => tool,
+            Needs::HalfTurn { .. } | Needs::Zero { .. } => 1 + tool,
+            Needs::Reference { .. } => 6 + tool,
         }
     }
 }
@@ -124,7 +141,8 @@ impl ModelFit {
 
     fn score(&self, way: &Way, floor_m: f64) -> f64 {
         let misread = if way.misread { 3 } else { 0 };
-        self.price(way.left_m, floor_m, way.needs.parameters() + misread)
+        let tool_prior = (way.tool_m.norm() / USUAL_TOOL_M).powi(2);
+        self.price(way.left_m, floor_m, way.needs.parameters() + misread) + tool_prior
     }
 
     /// The price of so many parameters that leave so much.
@@ -156,7 +174,8 @@ pub fn model_fit(
 ) -> Option<ModelFit> {
     let scale = metres_by_size(joints, stream);
     let lag_s = lags(joints, stream, most_lag_s);
-    let sights = lag_s.into_iter().filter_map(|lag_s| Sight::of(joints, stream, scale, lag_s));
+    let of = |lag_s| Sight::of(joints, stream, scale, (lag_s, most_lag_s));
+    let sights = lag_s.into_iter().filter_map(of);
     let best = sights
         .map(|sight| {
             let fit = sight.fit();
@@ -186,7 +205,7 @@ pub(super) fn tool_fit(
     let zeros = (0..stream.chain.dof()).map(|joint| Needs::Zero { joint, tool: true });
     let needs: Vec<Needs> = if with_zero { zeros.collect() } else { vec![Needs::Tool] };
     let sights = lags(joints, stream, most_lag_s).into_iter();
-    let sights = sights.filter_map(|lag_s| Sight::of(joints, stream, scale, lag_s));
+    let sights = sights.filter_map(|lag_s| Sight::of(joints, stream, scale, (lag_s, most_lag_s)));
     let ways = sights.flat_map(|sight| {
         let ways = needs.iter().filter_map(|needs| sight.way(*needs));
         ways.collect::<Vec<_>>()
@@ -208,6 +227,8 @@ struct Sight<'a> {
     joints: &'a JointTrack,
     stream: PoseStream<'a>,
     lag_s: f64,
+    /// The longest latency that is fitted, s.
+    most_lag_s: f64,
     t_s: Vec<f64>,
     xyz: Vec<Vec3>,
     /// Positions of the inverse poses, where the stream has rotations.
@@ -227,7 +248,12 @@ struct Guess {
 }
 
 impl<'a> Sight<'a> {
-    fn of(joints: &'a JointTrack, stream: &PoseStream<'a>, scale: f64, lag_s: f64) -> Option<Self> {
+    fn of(
+        joints: &'a JointTrack,
+        stream: &PoseStream<'a>,
+        scale: f64,
+        (lag_s, most_lag_s): (f64, f64),
+    ) -> Option<Self> {
         let PoseStream { track, chain, columns, .. } = *stream;
         let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, lag_s);
         let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row] * scale).collect();
@@ -243,6 +269,7 @@ impl<'a> Sight<'a> {
             joints,
             stream: *stream,
             lag_s,
+            most_lag_s,
             t_s,
             xyz,
             inverse_xyz,
@@ -253,7 +280,8 @@ impl<'a> Sight<'a> {
 
     /// The ways without a fault.
     fn fit(&self) -> ModelFit {
-        let needs = [Needs::Nothing, Needs::Tool];
+        let half_turns = [false, true].map(|tool| Needs::HalfTurn { tool });
+        let needs = [Needs::Nothing, Needs::Tool].into_iter().chain(half_turns);
         let ways = needs.into_iter().filter_map(|needs| self.way(needs)).collect();
         ModelFit { samples: self.t_s.len(), spread_m: super::placing::spread(&self.xyz), ways }
     }
@@ -278,6 +306,7 @@ impl<'a> Sight<'a> {
             joints: self.joints,
             stream: self.stream,
             lag_s: self.lag_s,
+            most_lag_s: self.most_lag_s,
             t_s: self.t_s.clone(),
             xyz: self.xyz.clone(),
             inverse_xyz: None,
@@ -317,20 +346,21 @@ impl<'a> Sight<'a> {
     fn way(&self, needs: Needs) -> Option<Way> {
         let dof = self.stream.chain.dof();
         let is_free = !self.stream.reference_known;
-        let (reference, tool) = match needs {
-            Needs::Reference { .. } if is_free => return None,
-            Needs::Reference { tool } => (true, tool),
-            Needs::Tool => (is_free, true),
-            Needs::Zero { tool, .. } => (is_free, tool),
-            Needs::Nothing => (is_free, false),
+        let reference = match needs {
+            Needs::Reference { .. } | Needs::HalfTurn { .. } if is_free => return None,
+            Needs::Reference { .. } => true,
+            _ => is_free,
         };
         let mut free = vec![0];
         if let Needs::Zero { joint, .. } = needs {
             free.push(1 + joint);
         }
         free.extend((0..6).filter(|_| reference).map(|at| 1 + dof + at));
-        free.extend((0..3).filter(|_| tool).map(|at| 7 + dof + at));
+        free.extend((0..3).filter(|_| needs.has_tool()).map(|at| 7 + dof + at));
         let mut starts = vec![self.plain()];
+        if matches!(needs, Needs::HalfTurn { .. }) {
+            starts[0].reference = Pose::rotation(Vec3::z() * std::f64::consts::PI);
+        }
         if reference {
             let turned = Expected::of(&self.fk).turned(&self.xyz);
             starts.extend(turned.map(|(reference, _)| Guess { reference, ..self.plain() }));
@@ -365,7 +395,10 @@ impl<'a> Sight<'a> {
             let dof = guess.zeros.len();
             for (&at, &change) in free.iter().zip(step.iter()) {
                 match at {
-                    0 => guess.lag_s += change,
+                    0 => {
+                        let most_s = self.most_lag_s;
+                        guess.lag_s = (guess.lag_s + change).clamp(-most_s, most_s);
+                    }
                     at if at <= dof => guess.zeros[at - 1] += change,
                     at if at > 6 + dof => guess.tool[at - 7 - dof] += change,
                     _ => {}
@@ -385,6 +418,8 @@ impl<'a> Sight<'a> {
     fn step(&self, guess: &Guess, free: &[usize]) -> (f64, Option<DVector<f64>>) {
         /// Steps are damped at this scale, so that what the log does not show stays in place.
         const SCALE: f64 = 0.5;
+        /// Share of the samples that the joints must cover at the fitted latency.
+        const COVERED: f64 = 0.75;
         let (n, dof) = (free.len(), guess.zeros.len());
         let mut moment = Moment::new(self);
         let (mut normal, mut right) = (DMatrix::zeros(n, n), DVector::zeros(n));
@@ -415,7 +450,8 @@ impl<'a> Sight<'a> {
                 }
             }
         }
-        if squares.len() < ENOUGH {
+        // A latency that leaves few samples covered explains little, however well.
+        if squares.len() < ENOUGH.max((COVERED * self.t_s.len() as f64) as usize) {
             return (f64::INFINITY, None);
         }
         for at in 0..n {

@@ -8,7 +8,7 @@
 
 use std::collections::BTreeMap;
 
-use super::catalogued::{Judges, Ranking, Standing};
+use super::catalogued::{Judges, Standing};
 use super::error::RunError;
 use super::model::{Clues, Model};
 use super::role::{OTHER_JOINTS, shared, words};
@@ -121,15 +121,27 @@ pub(super) fn catalogued(clues: &Clues<'_>, judges: &Judges<'_>) -> Result<Vec<M
     }
 }
 
-/// The arms of the catalogue with as many joints as are `logged`, in their order. Where a table only counts
-/// them the last may be a gripper.
+/// The arms of the catalogue with as many joints as are `logged`, in each of the usual orders. If a table only
+/// counts its joints the last may be a gripper.
 pub(super) fn along(logged: &[String], clues: &Clues<'_>) -> Vec<Model> {
-    let arms = logged.len() - usize::from(is_counted(logged));
-    let models = catalogue::entries().iter().filter_map(|robot| {
-        let path = path_of(robot).filter(|path| (arms..=logged.len()).contains(&path.len()))?;
-        Some(way(robot, &path, logged, true, clues)?.model)
-    });
-    models.collect()
+    let fewest = logged.len() - usize::from(is_counted(logged));
+    let of_robot = |robot: &Robot| -> Vec<Model> {
+        let path = path_of(robot).filter(|path| (fewest..=logged.len()).contains(&path.len()));
+        let orders = path.map(|path| usual_orders(&path)).unwrap_or_default();
+        let ways = orders.iter().filter_map(|order| way(robot, order, logged, true, clues));
+        ways.map(|way| way.model).collect()
+    };
+    catalogue::entries().iter().flat_map(of_robot).collect()
+}
+
+/// The orders in which drivers write the joints of an arm: from base to tip, and sorted by name as
+/// `joint_state_broadcaster` and MoveIt do (a UR's elbow comes first).
+pub(super) fn usual_orders(path: &[String]) -> Vec<Vec<String>> {
+    let mut sorted = path.to_vec();
+    sorted.sort();
+    let mut orders = vec![path.to_vec()];
+    orders.extend((sorted != path).then_some(sorted));
+    orders
 }
 
 /// Names the joints that tables, and joint states without names, only count after those of `robots`, of
@@ -164,29 +176,56 @@ pub(super) fn is_counted(joints: &[String]) -> bool {
     joints.len() >= FEWEST && joints.iter().enumerate().all(is_it)
 }
 
-/// The arm of the catalogue that counted joints are of: the only one that fits the poses.
+/// The catalogue arm of a table that only counts its joints, if one explains the poses far better than the others.
 ///
 /// # Errors
-/// Where none does, or arms of several makers.
+/// If the table has no poses, no arm fits them, or several arms that move differently fit about as well.
 pub(super) fn counted(clues: &Clues<'_>, judges: &Judges<'_>) -> Result<Vec<Model>, RunError> {
-    /// A wrong arm may come near: one that nothing names must fit as a drawing does, m.
+    /// An arm that fits only with a fault must fit as closely as a drawing fits a calibrated arm, m.
     const FITS_M: f64 = 5e-4;
+    let joints = clues.joints.len();
     let models = along(clues.joints, clues);
-    let names: Vec<&str> = models.iter().map(|model| model.robot.name.as_str()).collect();
-    let vendor = |at: usize| models[at].robot.provenance.as_ref().map(|of| of.vendor.clone());
-    let ranking = (judges.by_poses)(&models.iter().collect::<Vec<_>>());
-    let same = ranking.as_ref().map(Ranking::same).unwrap_or_default();
-    let open = |arms| RunError::Numbered { joints: clues.joints.len(), arms };
-    match (&ranking, same.as_slice()) {
-        (Some(ranking), [best, rest @ ..]) if best.fits && best.way.left_m < FITS_M => {
-            if rest.iter().any(|other| vendor(other.model) != vendor(best.model)) {
-                let arms = same.iter().map(|one| names[one.model].to_owned()).collect();
-                return Err(open(arms));
+    let names: Vec<String> = models.iter().map(|model| label(model, clues.joints)).collect();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    let Some(ranking) = (judges.by_poses)(&models.iter().collect::<Vec<_>>()) else {
+        return Err(RunError::Numbered { joints, arms: Vec::new(), best: None });
+    };
+    let ranking = ranking.with_unused_joints(|at| joints - moved(&models[at], clues.joints));
+    let Some(best) = ranking.standings.first() else {
+        return Err(RunError::Numbered { joints, arms: Vec::new(), best: None });
+    };
+    let is_sound = best.way.needs.is_harmless() && !best.way.misread;
+    let is_close = best.way.left_m < FITS_M.min(FITS_SHARE * best.spread_m);
+    if !best.fits || !(is_sound || is_close) {
+        let best = Some(format!("{} ({})", names[best.model], best.words()));
+        return Err(RunError::Numbered { joints, arms: Vec::new(), best });
+    }
+    let same = ranking.same();
+    if same.iter().any(|other| !other.moves_as(best)) {
+        let mut arms: Vec<String> = Vec::new();
+        for one in same {
+            if !arms.iter().any(|arm| arm == names[one.model]) {
+                arms.push(names[one.model].to_owned());
             }
-            let found = ranking.words(&names, "as many joints");
-            Ok(vec![Model { found, ..models[best.model].clone() }])
         }
-        _ => Err(open(Vec::new())),
+        return Err(RunError::Numbered { joints, arms, best: None });
+    }
+    let found = ranking.words(&names, "as many joints");
+    Ok(vec![Model { found, ..models[best.model].clone() }])
+}
+
+/// How many of the logged joints move an arm.
+fn moved(model: &Model, logged: &[String]) -> usize {
+    logged.iter().filter(|name| model.robot.joint(name).is_some()).count()
+}
+
+/// The name of an arm, and the order of its joints if that is not from base to tip.
+fn label(model: &Model, logged: &[String]) -> String {
+    let name = &model.robot.name;
+    let path = path_of(&model.robot).unwrap_or_default();
+    match logged.starts_with(&path) {
+        true => name.clone(),
+        false => format!("{name} with its joints sorted by name"),
     }
 }
 
@@ -422,6 +461,34 @@ mod tests {
         let nameless = names("alpha beta gamma delta");
         assert_eq!(orders(&nameless), Some(vec![nameless.clone()]));
         assert_eq!(orders(&logged[..3]), None);
+    }
+
+    #[test]
+    fn drivers_write_joints_along_the_arm_or_sorted_by_name() {
+        let ur = path_of(catalogue::find("ur5e").unwrap()).unwrap();
+        let sorted = [2, 1, 0, 3, 4, 5].map(|at: usize| ur[at].clone()).to_vec();
+        assert_eq!(usual_orders(&ur), [ur, sorted]);
+        let panda = path_of(catalogue::find("franka_fr3").unwrap()).unwrap();
+        assert_eq!(usual_orders(&panda), [panda]);
+    }
+
+    #[test]
+    fn counted_joints_are_tried_in_both_orders_and_arms_with_fewer_joints_only_beside_a_gripper() {
+        let frames = std::collections::BTreeSet::new();
+        let space = super::super::space::Space::default();
+        let clues = Clues {
+            joints: &[],
+            frames: &frames,
+            descriptions: &[],
+            calibrations: &[],
+            joint_map: &[],
+            space: &space,
+            robot_type: None,
+        };
+        let arms = along(&names("q1 q2 q3 q4 q5 q6 q7"), &clues);
+        assert_eq!(arms.iter().filter(|model| model.robot.name == "ur5e").count(), 2);
+        let dof = |model: &Model| path_of(&model.robot).map_or(0, |path| path.len());
+        assert!(arms.iter().all(|model| (6..=7).contains(&dof(model))));
     }
 
     #[test]

@@ -43,6 +43,16 @@ pub(super) struct Standing {
 }
 
 impl Standing {
+    /// Whether another model fits to the same residual: its links have the same lengths, as far as this motion
+    /// shows, so that an audit with either says the same.
+    pub fn moves_as(&self, other: &Self) -> bool {
+        /// Rounding and an early stop of the fit.
+        const ROUNDING_M: f64 = 1e-8;
+        const SHARE: f64 = 1e-3;
+        let (a, b) = (self.way.left_m, other.way.left_m);
+        (a - b).abs() <= ROUNDING_M + SHARE * a.max(b)
+    }
+
     /// How it fits, in words.
     pub fn words(&self) -> String {
         let left = Unit::Metre.show(self.way.left_m);
@@ -52,6 +62,7 @@ impl Standing {
             Needs::Tool => {
                 format!("{left} with a TCP of {}", Unit::Metre.show(self.way.tool_m.norm()))
             }
+            Needs::HalfTurn { .. } => format!("{left} in a base turned by 180°"),
             Needs::Zero { .. } => format!("{left} with a joint zero"),
             Needs::Reference { .. } => format!("{left} in another frame"),
         }
@@ -59,6 +70,21 @@ impl Standing {
 }
 
 impl Ranking {
+    /// The ranking with a price for each logged joint that a model leaves unused, as a gripper would be.
+    pub fn with_unused_joints(mut self, unused: impl Fn(usize) -> usize) -> Self {
+        for standing in &mut self.standings {
+            standing.score += self.apart * unused(standing.model) as f64;
+        }
+        let least = self.standings.iter().map(|one| one.score).fold(f64::INFINITY, f64::min);
+        let is_near = |one: &Standing| one.score <= least + self.apart;
+        // Stable: among equals the most harmless stays first.
+        self.standings.sort_by(|a, b| match (is_near(a), is_near(b)) {
+            (true, true) => std::cmp::Ordering::Equal,
+            _ => a.score.total_cmp(&b.score),
+        });
+        self
+    }
+
     /// The best, and those that fit and cannot be told from it.
     pub fn same(&self) -> Vec<&Standing> {
         let Some(best) = self.standings.first() else { return Vec::new() };

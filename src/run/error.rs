@@ -35,8 +35,10 @@ pub enum RunError {
     Numbered {
         /// How many there are.
         joints: usize,
-        /// The arms that fit.
+        /// The arms that fit about as well.
         arms: Vec<String>,
+        /// The arm that comes nearest and how near, if none fits.
+        best: Option<String>,
     },
     /// The model's joints are not those of the log.
     UnknownJoints {
@@ -158,13 +160,16 @@ impl RunError {
                     few(arms)
                 )
             }
-            Self::Numbered { joints, arms } if arms.is_empty() => {
-                format!(
-                    "the table does not name its {joints} joints, and no arm of the catalogue fits its poses"
-                )
-            }
-            Self::Numbered { joints, arms } => format!(
-                "the table does not name its {joints} joints, and {} arms of the catalogue fit its poses: {}",
+            Self::Numbered { joints, best: Some(best), .. } => format!(
+                "the table does not name its {joints} joints, and no arm of the catalogue fits its poses; nearest \
+                 is {best}"
+            ),
+            Self::Numbered { joints, arms, .. } if arms.is_empty() => format!(
+                "the table does not name its {joints} joints, and no pose that moves in it identifies the arm"
+            ),
+            Self::Numbered { joints, arms, .. } => format!(
+                "the table does not name its {joints} joints, and {} arms of the catalogue fit its poses about \
+                 equally: {}",
                 arms.len(),
                 few(arms)
             ),

@@ -137,6 +137,22 @@ struct Near {
     share: f64,
 }
 
+/// The places of an arm's joints, from base to tip, in a row that is written in the order of the chain, or sorted
+/// by name as many drivers do.
+fn usual_orders(chain: &Chain) -> Vec<Vec<usize>> {
+    let names = chain.joint_names();
+    let mut sorted: Vec<&String> = names.iter().collect();
+    sorted.sort();
+    let in_order: Vec<usize> = (0..names.len()).collect();
+    let by_name: Vec<usize> =
+        names.iter().filter_map(|name| sorted.iter().position(|other| *other == name)).collect();
+    let mut orders = vec![in_order];
+    if by_name != orders[0] {
+        orders.push(by_name);
+    }
+    orders
+}
+
 /// A block of columns that may be joints of an arm.
 #[derive(Clone)]
 pub struct Block {
@@ -234,6 +250,7 @@ impl Sheet {
     pub fn blocks(&self, wanted: &Wanted, arm: usize) -> Vec<Block> {
         let chain = wanted.chains[arm];
         let dof = chain.dof();
+        let orders = usual_orders(chain);
         let mut homes: Vec<usize> = self.homes.clone();
         homes.sort_unstable();
         homes.dedup();
@@ -244,8 +261,11 @@ impl Sheet {
             // Positions may stand beside their velocities and efforts, joint by joint.
             for stride in 1..=3 {
                 let wide = (dof - 1) * stride + 1;
-                for window in own.windows(wide) {
-                    let joints: Vec<usize> = window.iter().copied().step_by(stride).collect();
+                let windows = own.windows(wide).flat_map(|window| {
+                    orders.iter().map(move |order| (window, order.as_slice()))
+                });
+                for (window, order) in windows {
+                    let joints: Vec<usize> = order.iter().map(|at| window[at * stride]).collect();
                     if joints.iter().any(|column| wanted.taken.contains(column)) {
                         continue;
                     }

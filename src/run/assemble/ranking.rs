@@ -32,8 +32,15 @@ const FITS_SHARE: f64 = 0.01;
 const MOST_STREAMS: usize = 6;
 /// Scores nearer than this cannot be told apart.
 const APART: f64 = 20.0;
-/// Residuals below these say nothing: rounding, and the difference of an arm from its drawing.
-const FLOOR_M: std::ops::RangeInclusive<f64> = 5e-6..=1e-3;
+/// Residuals below these do not count for or against an arm: the links of a calibrated arm deviate by about
+/// 0.5 mm from its drawing, and a wrong arm with free frame and tool fits a short motion to micrometres.
+const FLOOR_M: std::ops::RangeInclusive<f64> = 5e-4..=1e-3;
+
+/// An arm is proposed in place of a named one only if it leaves so many times less than the named one does with
+/// its best explanation, …
+const STANDS_OUT: f64 = 5.0;
+/// … and with a tool no longer than this, m.
+const LONGEST_TOOL_M: f64 = 0.5;
 
 /// Of more models than these, where one leaves no more than this of each stream without a fault, m, those that
 /// leave so many times that and more than fits are not asked what fault would help them.
@@ -146,6 +153,10 @@ impl ByPoses<'_> {
                 return None;
             }
         }
+        // What fits with its joints in another usual order is no other arm either (ORD005).
+        if self.fits_in_another_order(model, &path.joints) {
+            return None;
+        }
         let joints: BTreeSet<&String> = path.joints.iter().collect();
         let candidates = catalogue::candidates_for(&path.joints);
         let complete = candidates
@@ -161,16 +172,22 @@ impl ByPoses<'_> {
         let rivals: Vec<Model> = candidates
             .into_iter()
             .filter(|rival| {
-                self.only_path(rival)
-                    .is_some_and(|path| path.joints.iter().collect::<BTreeSet<_>>() == joints)
+                let path = self.only_path(rival);
+                let has_all =
+                    path.is_some_and(|path| path.joints.iter().collect::<BTreeSet<_>>() == joints);
+                has_all && rival.robot.name != model.robot.name
             })
             .collect();
         let all: Vec<&Model> = std::iter::once(model).chain(&rivals).collect();
         let ranking = self.ranking(&all)?;
         let best = ranking.standings.first().filter(|best| best.model > 0)?;
         let own = ranking.standings.iter().find(|standing| standing.model == 0);
-        let is_better = own.is_none_or(|own| best.score + APART < own.score);
-        if !is_better || !best.fits || !best.way.needs.is_harmless() || best.way.misread {
+        let is_better = own.is_none_or(|own| {
+            best.score + APART < own.score && STANDS_OUT * best.way.left_m < own.way.left_m
+        });
+        let is_sound = best.way.needs.is_harmless() && !best.way.misread;
+        let is_plausible = is_sound && best.way.tool_m.norm() < LONGEST_TOOL_M;
+        if !is_better || !best.fits || !is_plausible {
             return None;
         }
         let wrong = WrongModel {
@@ -178,7 +195,7 @@ impl ByPoses<'_> {
             topic: best.topic.clone(),
             named_m: own.map_or(f64::INFINITY, |own| own.as_is_m),
             rival_m: best.way.left_m,
-            tool_m: (best.way.needs == Needs::Tool).then(|| best.way.tool_m.norm()),
+            tool_m: best.way.needs.has_tool().then(|| best.way.tool_m.norm()),
         };
         let found = format!(
             "the catalogue, in place of {} ({}), which leaves {} where this fits {} to {}",
@@ -190,6 +207,19 @@ impl ByPoses<'_> {
         );
         let rival = rivals.into_iter().nth(best.model - 1)?;
         Some(Model { found, instead_of: Some(wrong), ..rival })
+    }
+
+    /// Whether the model fits without a fault if its joints are written in another usual order.
+    fn fits_in_another_order(&self, model: &Model, path: &[String]) -> bool {
+        let others = by_order::usual_orders(path).into_iter().skip(1).filter_map(|order| {
+            let pairs: Vec<(String, String)> = path.iter().cloned().zip(order).collect();
+            Some(Model { robot: by_order::renamed(&model.robot, &pairs)?, ..model.clone() })
+        });
+        others.into_iter().any(|other| {
+            let ranking = self.ranking(&[&other]);
+            let best = ranking.as_ref().and_then(|ranking| ranking.standings.first());
+            best.is_some_and(|it| it.fits && it.way.needs.is_harmless() && !it.way.misread)
+        })
     }
 
     /// The one path of joints through a model that the joint states hold.

@@ -128,7 +128,8 @@ impl<'a> Search<'a> {
                 taken: &taken,
                 most_lag_s: self.most_lag_s,
             };
-            let mappings = self.cells.sheet.mappings(&wanted);
+            let mut mappings = self.cells.sheet.mappings(&wanted);
+            mappings.retain(|mapping| self.takes_whole_arrays(mapping));
             let Some(best) = mappings.first().filter(|best| best.fits() && best.spread_m > MOVES_M)
             else {
                 break;
@@ -165,6 +166,25 @@ impl<'a> Search<'a> {
             told.question = self.by_width(log);
         }
         told
+    }
+
+    /// Whether the joints are not a part of one arm's: of an array such as `position0` … `position6` they are all, all
+    /// but a gripper, those of one of two arms, or the array also holds the whole position.
+    fn takes_whole_arrays(&self, mapping: &Mapping) -> bool {
+        let stem = |at: usize| -> &str {
+            let name = self.cells.numbers[at].cell.name.as_str();
+            name.trim_end_matches(']').trim_end_matches(|c: char| c.is_ascii_digit())
+        };
+        let Some(own) = mapping.joints.first().map(|&at| stem(at)) else { return false };
+        if mapping.joints.iter().any(|&at| stem(at) != own) {
+            return true;
+        }
+        let dof = mapping.joints.len();
+        let count = (0..self.cells.numbers.len()).filter(|&at| stem(at) == own).count();
+        match mapping.position.iter().filter(|&&at| stem(at) == own).count() {
+            0 => count <= dof + 1 || count >= 2 * dof,
+            inside => inside == mapping.position.len(),
+        }
     }
 
     /// The columns of the joints that names tell, as each arm has them; none where they tell none.
