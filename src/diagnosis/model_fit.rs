@@ -203,7 +203,8 @@ pub(super) fn tool_fit(
 ) -> Option<Way> {
     let scale = metres_by_size(joints, stream);
     let zeros = (0..stream.chain.dof()).map(|joint| Needs::Zero { joint, tool: true });
-    let needs: Vec<Needs> = if with_zero { zeros.collect() } else { vec![Needs::Tool] };
+    let frames = [Needs::Tool, Needs::HalfTurn { tool: true }];
+    let needs: Vec<Needs> = if with_zero { zeros.collect() } else { frames.to_vec() };
     let sights = lags(joints, stream, most_lag_s).into_iter();
     let sights = sights.filter_map(|lag_s| Sight::of(joints, stream, scale, (lag_s, most_lag_s)));
     let ways = sights.flat_map(|sight| {

@@ -70,6 +70,10 @@ const NOISY: f64 = 0.2;
 const FITS_M: f64 = 3e-3;
 const FITS_SHARE: f64 = 0.01;
 
+/// In the arm's own base frame no more than this share of the extent is left, with a tool no longer than this, m.
+const AT_BASE_SHARE: f64 = 0.05;
+const LONGEST_TOOL_M: f64 = 0.5;
+
 /// The numbers of a table, by columns.
 pub struct Sheet {
     t_s: Vec<f64>,
@@ -111,6 +115,9 @@ pub struct Mapping {
     pub tool_m: f64,
     /// By how much the position is late, s.
     pub lag_s: f64,
+    /// Whether it also fits in the arm's base frame with a tool of usual length, so that nothing but that tool is free.
+    #[serde(default)]
+    pub is_at_base: bool,
 }
 
 impl Mapping {
@@ -483,13 +490,19 @@ impl Sheet {
         };
         let way = tool_fit(&joints, &stream, wanted.most_lag_s, with_zero)?;
         let metres = metres_by_size(&joints, &stream);
+        let spread_m = metres * spread(&track.xyz);
+        let in_base = PoseStream { reference_known: true, ..stream };
+        let is_at_base = tool_fit(&joints, &in_base, wanted.most_lag_s, false).is_some_and(|way| {
+            way.left_m <= FITS_M.min(AT_BASE_SHARE * spread_m) && way.tool_m.norm() < LONGEST_TOOL_M
+        });
         Some(Mapping {
             arm: block.arm,
             joints: block.joints.clone(),
             unit: block.unit,
             position,
             left_m: way.left_m,
-            spread_m: metres * spread(&track.xyz),
+            spread_m,
+            is_at_base,
             tool_m: way.tool_m.norm(),
             lag_s: way.lag_s,
         })

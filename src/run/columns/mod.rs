@@ -130,6 +130,13 @@ impl<'a> Search<'a> {
             };
             let mut mappings = self.cells.sheet.mappings(&wanted);
             mappings.retain(|mapping| self.takes_whole_arrays(mapping));
+            // With a free frame and a free tool other columns may fit as closely by chance.
+            let at_base: Vec<Vec<usize>> =
+                mappings.iter().filter(|it| it.is_at_base).map(|it| it.joints.clone()).collect();
+            if !at_base.is_empty() {
+                mappings.retain(|mapping| at_base.contains(&mapping.joints));
+                mappings.sort_by_key(|mapping| !mapping.is_at_base);
+            }
             let Some(best) = mappings.first().filter(|best| best.fits() && best.spread_m > MOVES_M)
             else {
                 break;
