@@ -1,7 +1,7 @@
 //! Constant frames between two series of rotations.
 
 use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Matrix6, SMatrix, Vector6};
 
 /// The candidate true rotations of every sample under one reading.
 #[derive(Default)]
@@ -92,18 +92,19 @@ pub(super) fn one_frame(truths: &Truths, fk: &[Rotation], side: Side) -> Rotatio
 /// the reference (`AX = XB`), whose axes give the reference by Wahba's problem; the tool follows.
 ///
 /// Park and Martin, "Robot sensor calibration: solving AX = XB on the Euclidean group", 1994, with
-/// the singular value solution of Wahba's problem (Markley 1988).
+/// the singular value solution of Wahba's problem (Markley 1988). If the rotations share one axis,
+/// noise decides the turn about it, so that Gauss–Newton steps on all samples follow.
 pub(super) fn both_frames(truths: &Truths, fk: &[Rotation]) -> (Rotation, Rotation) {
-    let (mut reference, mut tool) = (None, Rotation::identity());
-    for _ in 0..3 {
-        let chosen: Vec<Option<Rotation>> = (0..fk.len())
-            .map(|sample| match reference {
-                None => truths.of(sample).first().copied(),
-                Some(reference) => {
-                    nearest(truths.of(sample), &(reference * fk[sample] * tool)).map(|n| n.0)
-                }
-            })
-            .collect();
+    let first = (0..fk.len()).map(|sample| truths.of(sample).first().copied()).collect();
+    let mut chosen: Vec<Option<Rotation>> = first;
+    let (mut reference, mut tool) = (Rotation::identity(), Rotation::identity());
+    for round in 0..3 {
+        if round > 0 {
+            let nearest = |(sample, fk): (usize, &Rotation)| {
+                nearest(truths.of(sample), &(reference * fk * tool)).map(|n| n.0)
+            };
+            chosen = fk.iter().enumerate().map(nearest).collect();
+        }
         let mut correlation = Matrix3::zeros();
         let stride = (fk.len() / 3).max(1);
         for a in 0..fk.len() {
@@ -113,16 +114,55 @@ pub(super) fn both_frames(truths: &Truths, fk: &[Rotation]) -> (Rotation, Rotati
             let by_fk = rotvec_from_rotation(&(fk[b] * fk[a].inverse()));
             correlation += by_stream * by_fk.transpose();
         }
-        let turned = wahba(&correlation);
-        reference = Some(turned);
+        reference = wahba(&correlation);
         let offsets: Vec<Rotation> = chosen
             .iter()
             .zip(fk)
-            .filter_map(|(truth, fk)| truth.map(|truth| (turned * fk).inverse() * truth))
+            .filter_map(|(truth, fk)| truth.map(|truth| (reference * fk).inverse() * truth))
             .collect();
         tool = mean_rotation(&offsets);
     }
-    (reference.unwrap_or_default(), tool)
+    polished(&chosen, fk, reference, tool)
+}
+
+/// Both rotations after damped Gauss–Newton steps on the residuals of all samples.
+fn polished(
+    truths: &[Option<Rotation>],
+    fk: &[Rotation],
+    mut reference: Rotation,
+    mut tool: Rotation,
+) -> (Rotation, Rotation) {
+    /// Steps, and the share of the diagonal that damps them (Levenberg 1944): rotations about one
+    /// common axis leave a direction blind.
+    const STEPS: usize = 6;
+    const DAMPING: f64 = 1e-6;
+    /// Steps below this change nothing, rad.
+    const SETTLED: f64 = 1e-7;
+    for _ in 0..STEPS {
+        let (mut normal, mut right) = (Matrix6::zeros(), Vector6::zeros());
+        for (truth, fk) in truths.iter().zip(fk) {
+            let Some(truth) = truth else { continue };
+            let predicted = reference * fk * tool;
+            let residual = rotvec_from_rotation(&(truth * predicted.inverse()));
+            let hand = *predicted.to_rotation_matrix().matrix();
+            let mut rows = SMatrix::<f64, 3, 6>::zeros();
+            rows.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::identity());
+            rows.fixed_view_mut::<3, 3>(0, 3).copy_from(&hand);
+            normal += rows.transpose() * rows;
+            right += rows.transpose() * residual;
+        }
+        for i in 0..6 {
+            normal[(i, i)] *= 1.0 + DAMPING;
+        }
+        let Some(cholesky) = normal.cholesky() else { break };
+        let step: Vector6<f64> = cholesky.solve(&right);
+        reference = rotation_from_rotvec(step.fixed_rows::<3>(0).into()) * reference;
+        tool *= rotation_from_rotvec(step.fixed_rows::<3>(3).into());
+        if step.amax() < SETTLED {
+            break;
+        }
+    }
+    (reference, tool)
 }
 
 /// The rotation `a_from_b` that best takes vectors b to vectors a, from `Σ a·bᵀ`.

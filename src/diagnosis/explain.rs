@@ -257,7 +257,7 @@ fn choose(linear: &Linearized, menu: &Menu, state: &State) -> Choice {
     let score_of = |set: &[Cause]| -> f64 {
         let causes: Vec<Cause> = menu.always.iter().chain(set).copied().collect();
         let parameters = parameters_of(&causes, state);
-        if !set.is_empty() && linear.normal.separation(&parameters) < ENTANGLED {
+        if !set.is_empty() && is_entangled(linear, menu, &causes, state) {
             return f64::INFINITY;
         }
         let optional: usize = set.iter().map(|cause| cause.parameters(state).len()).sum();
@@ -296,6 +296,24 @@ fn choose(linear: &Linearized, menu: &Menu, state: &State) -> Choice {
     }
     best.causes.sort_unstable();
     best
+}
+
+/// Whether one of `causes` is a mix of the others.
+///
+/// A world and a marker that may both be anywhere share directions that weak motion does not show. Steps
+/// leave these in place, and the rest of both frames is fitted all the same; only what else shares a
+/// direction with them, such as a joint zero, has no amount.
+fn is_entangled(linear: &Linearized, menu: &Menu, causes: &[Cause], state: &State) -> bool {
+    let is_anywhere = |cause: &&Cause| match **cause {
+        Cause::Reference(s) | Cause::Tool(s) => menu.always.contains(&Cause::Reference(s)),
+        _ => false,
+    };
+    let (anywhere, others): (Vec<&Cause>, Vec<&Cause>) = causes.iter().partition(is_anywhere);
+    let parameters = |causes: Vec<&Cause>| -> Vec<usize> {
+        causes.into_iter().flat_map(|cause| cause.parameters(state)).collect()
+    };
+    let (anywhere, others) = (parameters(anywhere), parameters(others));
+    linear.normal.separation_beside(&anywhere, &others) < ENTANGLED
 }
 
 fn prune(mut choice: Choice, score_of: &dyn Fn(&[Cause]) -> f64) -> Choice {

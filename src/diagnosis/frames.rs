@@ -2,14 +2,15 @@
 
 use super::constant::{mean_rotation, wahba};
 use super::explain::{Cause, Explanation, Menu};
-use super::model::{StreamState, Sweep, Witness, twist_of};
+use super::model::{StreamState, Sweep, Witness, pose_of_twist, twist_of};
 use super::placing::Expected;
 use super::{FrameEstimate, Measured, Seen, Unseen};
 use ground::geometry::{
-    Pose, Rotation, Vec3, angle_between, pose, rotation_from_matrix_rows, rotvec_from_rotation,
+    Pose, Rotation, Vec3, angle_between, pose, rotation_from_matrix_rows, rotation_from_rotvec,
+    rotvec_from_rotation,
 };
 use ground::stats::{Length, joint_p_value};
-use nalgebra::{DMatrix, DVector, Matrix3};
+use nalgebra::{Matrix3, SMatrix, SVector};
 use std::sync::LazyLock;
 
 /// Samples from which first guesses are made.
@@ -36,9 +37,6 @@ pub(super) fn starts(witness: &Witness, latency_s: f64, offsets: &[f64]) -> Vec<
     let mut starts = Vec::new();
     if !witness.reference_known {
         starts.push(with(reference_frame(&fk, &logged), identity));
-        starts.push(with(reference, tool));
-        // Orientations that hardly change leave open how the world is turned; positions do not.
-        let (reference, tool) = by_positions(&fk, &logged);
         starts.push(with(reference, tool));
         return starts;
     }
@@ -143,39 +141,174 @@ pub(super) fn tool_start(witness: &Witness, state: &StreamState, offsets: &[f64]
     (fk.len() >= 3).then(|| tool_frame(&fk, &logged))
 }
 
-/// Reference and tool frame together (`A X = X B`; Park and Martin 1994).
+/// Position noise that first guesses assume, m, and the lever at which a rotation residual counts as a
+/// position residual, m.
+const START_NOISE_M: f64 = 1e-3;
+const START_LEVER_M: f64 = 0.3;
+/// Standard deviation of the prior on a marker's distance from the tip, m: the size of a hand with its
+/// tool. It keeps the marker near the tip in directions that the motion does not show.
+const MARKER_M: f64 = 0.5;
+/// Most Levenberg–Marquardt iterations of one start.
+const ITERATIONS: usize = 25;
+/// Iterations stop when the cost decreases by less than this share.
+const CONVERGED: f64 = 1e-6;
+
+/// Fits the reference and the tool frame together (`A X = X B`).
+///
+/// The cost has several minima if the hand turns little or about one axis only, so the fit starts from
+/// several rotations of the reference: that of the relative rotations (Park and Martin 1994), that of the
+/// positions (Kabsch 1976), and four that align the common axis of the relative rotations. Returns the
+/// pair with the least cost.
 pub(super) fn both_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
+    let correlation = relative_rotations(fk, logged);
+    let by_positions = by_positions(fk, logged);
+    let turns = common_axis_turns(&correlation, &by_positions.0.rotation);
+    let starts = turns.into_iter().map(|turn| frames_given(turn, fk, logged)).chain([by_positions]);
+    starts
+        .map(|(reference, tool)| refined(fk, logged, reference, tool))
+        .min_by(|a, b| a.0.total_cmp(&b.0))
+        .map_or_else(Default::default, |(_, reference, tool)| (reference, tool))
+}
+
+/// Correlation `Σ stream·FKᵀ` of the relative rotation vectors of a stream and of FK.
+fn relative_rotations(fk: &[Pose], logged: &[Pose]) -> Matrix3<f64> {
     let n = fk.len();
     let stride = (n / 3).max(1);
-    let mut correlation = Matrix3::zeros();
-    for a in 0..n {
+    let pair = |a: usize| {
         let b = (a + stride) % n;
         let by_stream = rotvec_from_rotation(&(logged[b].rotation * logged[a].rotation.inverse()));
         let by_fk = rotvec_from_rotation(&(fk[b].rotation * fk[a].rotation.inverse()));
-        correlation += by_stream * by_fk.transpose();
+        by_stream * by_fk.transpose()
+    };
+    (0..n).map(pair).sum()
+}
+
+/// Rotations of the reference that agree with relative rotations: the least-squares one, and those that
+/// align the common axis, from the one nearest to `about` on in quarter turns about the axis.
+fn common_axis_turns(correlation: &Matrix3<f64>, about: &Rotation) -> Vec<Rotation> {
+    let mut turns = vec![wahba(correlation)];
+    let svd = correlation.svd(true, true);
+    if let (Some(u), Some(v_t)) = (svd.u, svd.v_t) {
+        let in_stream: Vec3 = u.column(0).into();
+        let by_fk: Vec3 = v_t.row(0).transpose();
+        let to_axis = Rotation::rotation_between(&(about * by_fk), &in_stream);
+        let aligned = to_axis.unwrap_or_default() * about;
+        turns.extend((0..4).map(|quarter| {
+            let angle = f64::from(quarter) * std::f64::consts::FRAC_PI_2;
+            rotation_from_rotvec(in_stream * angle) * aligned
+        }));
     }
-    let turn = wahba(&correlation);
+    turns
+}
+
+/// Reference and tool frame for a given rotation of the reference.
+fn frames_given(turn: Rotation, fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
     let tools: Vec<Rotation> =
         fk.iter().zip(logged).map(|(fk, l)| (turn * fk.rotation).inverse() * l.rotation).collect();
     let tool_turn = mean_rotation(&tools);
     // p = t + turn·(p_fk + R_fk·c): linear in the reference's t and the tool's c.
-    let mut normal = DMatrix::zeros(6, 6);
-    let mut right = DVector::zeros(6);
+    let mut normal = SMatrix::<f64, 6, 6>::zeros();
+    let mut right = SVector::<f64, 6>::zeros();
     for (fk, l) in fk.iter().zip(logged) {
         let r = (turn * fk.rotation).to_rotation_matrix();
-        let mut rows = DMatrix::zeros(3, 6);
-        rows.view_mut((0, 0), (3, 3)).copy_from(&Matrix3::identity());
-        rows.view_mut((0, 3), (3, 3)).copy_from(r.matrix());
+        let mut rows = SMatrix::<f64, 3, 6>::zeros();
+        rows.fixed_view_mut::<3, 3>(0, 0).copy_from(&Matrix3::identity());
+        rows.fixed_view_mut::<3, 3>(0, 3).copy_from(r.matrix());
         let target = l.translation.vector - turn * fk.translation.vector;
-        normal += rows.transpose() * &rows;
+        normal += rows.transpose() * rows;
         right += rows.transpose() * target;
     }
-    for i in 0..6 {
-        normal[(i, i)] += 1e-9 * n as f64;
+    for i in 3..6 {
+        normal[(i, i)] += (START_NOISE_M / MARKER_M).powi(2);
     }
-    let solution = normal.cholesky().map_or_else(|| DVector::zeros(6), |c| c.solve(&right));
+    let solution = normal.cholesky().map_or_else(SVector::zeros, |c| c.solve(&right));
     let xyz = |first: usize| [solution[first], solution[first + 1], solution[first + 2]];
     (pose(xyz(0), turn), pose(xyz(3), tool_turn))
+}
+
+/// Normal equations of both frames: twelve parameters, the reference's first.
+type Frames12 = (SMatrix<f64, 12, 12>, SVector<f64, 12>);
+
+/// Residuals of one sample under both frames: position and rotation, weighted.
+fn residuals(fk: &Pose, logged: &Pose, reference: &Pose, tool: &Pose) -> (Pose, Vec3, Vec3) {
+    let predicted = reference * fk * tool;
+    let position = (logged.translation.vector - predicted.translation.vector) / START_NOISE_M;
+    let rotation = rotvec_from_rotation(&(logged.rotation * predicted.rotation.inverse()));
+    (predicted, position, rotation * (START_LEVER_M / START_NOISE_M))
+}
+
+/// Sum of the squares of all residuals, and of the marker's distance against its prior.
+fn cost_of(fk: &[Pose], logged: &[Pose], reference: &Pose, tool: &Pose) -> f64 {
+    let square = |(fk, l): (&Pose, &Pose)| {
+        let (_, position, rotation) = residuals(fk, l, reference, tool);
+        position.norm_squared() + rotation.norm_squared()
+    };
+    let prior = tool.translation.vector.norm_squared() / MARKER_M.powi(2);
+    fk.iter().zip(logged).map(square).sum::<f64>() + prior
+}
+
+/// Normal equations at both frames.
+fn normal_equations(fk: &[Pose], logged: &[Pose], reference: &Pose, tool: &Pose) -> Frames12 {
+    let (mut normal, mut right) = (SMatrix::zeros(), SVector::zeros());
+    let turn_weight = START_LEVER_M / START_NOISE_M;
+    for (fk, l) in fk.iter().zip(logged) {
+        let (predicted, position, rotation) = residuals(fk, l, reference, tool);
+        let hand = *predicted.rotation.to_rotation_matrix().matrix();
+        let lever = predicted.translation.vector.cross_matrix();
+        let mut rows = SMatrix::<f64, 6, 12>::zeros();
+        let identity = Matrix3::<f64>::identity();
+        rows.fixed_view_mut::<3, 3>(0, 0).copy_from(&(identity / START_NOISE_M));
+        rows.fixed_view_mut::<3, 3>(0, 3).copy_from(&(-lever / START_NOISE_M));
+        rows.fixed_view_mut::<3, 3>(0, 6).copy_from(&(hand / START_NOISE_M));
+        rows.fixed_view_mut::<3, 3>(3, 3).copy_from(&(identity * turn_weight));
+        rows.fixed_view_mut::<3, 3>(3, 9).copy_from(&(hand * turn_weight));
+        let mut residual = SVector::<f64, 6>::zeros();
+        residual.fixed_rows_mut::<3>(0).copy_from(&position);
+        residual.fixed_rows_mut::<3>(3).copy_from(&rotation);
+        normal += rows.transpose() * rows;
+        right += rows.transpose() * residual;
+    }
+    let prior = MARKER_M.powi(-2);
+    let pull = tool.rotation.inverse() * tool.translation.vector * prior;
+    for axis in 0..3 {
+        normal[(6 + axis, 6 + axis)] += prior;
+        right[6 + axis] -= pull[axis];
+    }
+    (normal, right)
+}
+
+/// Both frames after Levenberg–Marquardt iterations, with their cost.
+fn refined(fk: &[Pose], logged: &[Pose], reference: Pose, tool: Pose) -> (f64, Pose, Pose) {
+    let mut best = (cost_of(fk, logged, &reference, &tool), reference, tool);
+    let mut damping = 1e-6;
+    for _ in 0..ITERATIONS {
+        let (normal, right) = normal_equations(fk, logged, &best.1, &best.2);
+        let before = best.0;
+        while damping < 1e3 {
+            let mut damped = normal;
+            for i in 0..12 {
+                damped[(i, i)] *= 1.0 + damping;
+            }
+            let step = damped.cholesky().map(|cholesky| cholesky.solve(&right));
+            let moved = step.map(|step| {
+                let reference = pose_of_twist(&step.as_slice()[..6]) * best.1;
+                let tool = best.2 * pose_of_twist(&step.as_slice()[6..]);
+                (cost_of(fk, logged, &reference, &tool), reference, tool)
+            });
+            match moved.filter(|moved| moved.0 < best.0) {
+                Some(moved) => {
+                    best = moved;
+                    damping = (damping * 0.1).max(1e-9);
+                    break;
+                }
+                None => damping *= 10.0,
+            }
+        }
+        if before - best.0 <= CONVERGED * before {
+            break;
+        }
+    }
+    best
 }
 
 /// The quarter-turn rotation, other than none, that lies within [`ROUND_RAD`] of `rotation`.

@@ -460,6 +460,18 @@ impl Normal {
         cholesky.map_or(0.0, |cholesky| cholesky.l_dirty().diagonal().min().powi(2))
     }
 
+    /// The least share of any of `parameters`' effects that `beside` and the others before it do not
+    /// explain.
+    pub fn separation_beside(&self, beside: &[usize], parameters: &[usize]) -> f64 {
+        let all = [beside, parameters].concat();
+        let cholesky = self.scaled(&all).0.cholesky();
+        let share = |cholesky: nalgebra::Cholesky<f64, Dyn>| {
+            let own = cholesky.l_dirty().diagonal().rows(beside.len(), parameters.len()).min();
+            own.powi(2)
+        };
+        if parameters.is_empty() { 1.0 } else { cholesky.map_or(0.0, share) }
+    }
+
     /// The rows and columns `parameters` scaled to a unit diagonal, and the scale.
     fn scaled(&self, parameters: &[usize]) -> (DMatrix<f64>, DVector<f64>) {
         let n = parameters.len();

@@ -91,8 +91,6 @@ pub(super) enum ToolPart {
     Whole,
     /// Where it is: orientations say nothing.
     Point,
-    /// How it is turned: in a world that is anywhere, a tool that never turns may be anywhere on it.
-    Turn,
 }
 
 impl ToolPart {
@@ -101,7 +99,6 @@ impl ToolPart {
         match self {
             Self::Whole => 0..6,
             Self::Point => 0..3,
-            Self::Turn => 3..6,
         }
     }
 }

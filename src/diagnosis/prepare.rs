@@ -122,7 +122,6 @@ pub(super) fn prepare<'a>(
         blind: Blind { position: constant_axes, rotation: fit.is_none() },
         tool_part: match fit {
             None => ToolPart::Point,
-            Some(_) if !reference_known && !turns(turning.fk) => ToolPart::Turn,
             Some(_) => ToolPart::Whole,
         },
         middle_s: 0.5 * (track.t_s[0] + track.t_s[track.t_s.len() - 1]),

@@ -6,7 +6,7 @@ use crate::frames::starts;
 use crate::harmless::tools_first;
 use crate::joints::{Read, lone_zeros};
 use crate::latency::Peak;
-use crate::model::{State, StreamState, ToolPart, Witness};
+use crate::model::{State, StreamState, Witness};
 use crate::nominal::{MOST_M, MOST_RAD, is_nominal};
 use crate::prepare::Prepared;
 use crate::sampling::SEARCH_SAMPLES;
@@ -134,12 +134,7 @@ fn menu(prepared: &[&Prepared], read: &Read, with_offsets: bool) -> Menu {
         // A stream that is derived from the joint states agrees with them or does not: nothing is
         // to be explained away.
         if with_offsets {
-            // In a world that is anywhere, and with a tool that never turns, its own turn is no cause.
-            match prepared.witness.tool_part {
-                ToolPart::Turn => always.push(Cause::Tool(s)),
-                ToolPart::Whole | ToolPart::Point => optional.push(Cause::Tool(s)),
-            }
-            optional.push(Cause::Growth(s));
+            optional.extend([Cause::Tool(s), Cause::Growth(s)]);
         }
     }
     Menu { always, optional }
