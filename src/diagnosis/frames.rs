@@ -33,7 +33,7 @@ pub(super) fn starts(witness: &Witness, latency_s: f64, offsets: &[f64]) -> Vec<
     }
     let with = |reference: Pose, tool: Pose| StreamState { reference, tool, ..plain.clone() };
     let identity = Pose::identity();
-    let (reference, tool) = both_frames(&fk, &logged);
+    let (reference, tool) = fitted_frames(&fk, &logged);
     let mut starts = Vec::new();
     if !witness.reference_known {
         starts.push(with(reference_frame(&fk, &logged), identity));
@@ -153,13 +153,19 @@ const ITERATIONS: usize = 25;
 /// Iterations stop when the cost decreases by less than this share.
 const CONVERGED: f64 = 1e-6;
 
-/// Fits the reference and the tool frame together (`A X = X B`).
+/// First guess of the reference and the tool frame together, in closed form (`A X = X B`; Park and
+/// Martin 1994).
+pub(super) fn both_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
+    frames_given(wahba(&relative_rotations(fk, logged)), fk, logged)
+}
+
+/// Fits the reference and the tool frame together.
 ///
 /// The cost has several minima if the hand turns little or about one axis only, so the fit starts from
 /// several rotations of the reference: that of the relative rotations (Park and Martin 1994), that of the
 /// positions (Kabsch 1976), and four that align the common axis of the relative rotations. Returns the
 /// pair with the least cost.
-pub(super) fn both_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
+fn fitted_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
     let correlation = relative_rotations(fk, logged);
     let by_positions = by_positions(fk, logged);
     let turns = common_axis_turns(&correlation, &by_positions.0.rotation);
