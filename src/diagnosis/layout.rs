@@ -56,7 +56,7 @@ impl Layout {
     }
 
     /// Whether frames alone tell it from what it should be.
-    fn is_sound(&self) -> bool {
+    pub fn is_sound(&self) -> bool {
         self.metres == 1.0 && !self.inverted && !self.is_mirrored()
     }
 

@@ -188,7 +188,7 @@ fn simplest(columns: DMatrix<f64>) -> Vec<DVector<f64>> {
 }
 
 /// How far a joint moves over the run.
-fn travel(joints: &JointTrack, joint: usize) -> f64 {
+pub(super) fn travel(joints: &JointTrack, joint: usize) -> f64 {
     let column = || joints.q.iter().skip(joint).step_by(joints.dof.max(1)).copied();
     let (low, high) = column()
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), q| (low.min(q), high.max(q)));

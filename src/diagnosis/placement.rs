@@ -100,6 +100,18 @@ impl Placement {
         self.layouts.first().filter(|layout| layout.is_explained)
     }
 
+    /// The same without a mirror, an inverse or another unit.
+    pub fn sound(&self) -> Self {
+        let layouts = self.layouts.iter().filter(|layout| layout.is_sound()).cloned().collect();
+        Self {
+            metres: Ok(1.0),
+            layouts,
+            constant: self.constant,
+            peaks: self.peaks.clone(),
+            top_speed_m_s: self.top_speed_m_s,
+        }
+    }
+
     /// Whether the positions lie on the arm.
     pub fn is_on_arm(&self) -> bool {
         self.told().is_some()

@@ -11,6 +11,7 @@
 use super::latency::median_period_s;
 use super::model::{Blind, StreamState, Sweep, ToolPart, Witness};
 use super::nominal::calibrated;
+use super::observability::travel;
 use super::sampling::still_speeds;
 use super::{Aligned, PoseDiagnosis, PoseStream, Seen, Unseen};
 use ground::geometry::{Pose, Vec3, pose, rotvec_from_rotation};
@@ -28,6 +29,8 @@ const NEED: usize = 8;
 const MOVING: usize = 10;
 /// A tip whose points are spread by less rests, rms m.
 const AT_REST_M: f64 = 2e-3;
+/// Joints that all move by less do not leave their posture, rad or m: as for joint zeros, 3°.
+const TRAVEL_RAD: f64 = 0.05;
 /// Noise is what differs within this share of the time in which the motion becomes another.
 const SHORT: f64 = 0.25;
 /// Distance from the tip of the points that show how it turns, m.
@@ -140,8 +143,10 @@ pub fn proof(
     }
     let moves = moving(joints, stream, &logged.t_s);
     let points = tip_points(&logged.fk);
-    let at_rest = moves.iter().filter(|moves| **moves).count() < MOVING
-        || variance(&points) < AT_REST_M * AT_REST_M;
+    // A tip may rest while the joints move about it, as in the null space of an arm with seven.
+    let is_in_one_posture = variance(&points) < AT_REST_M * AT_REST_M
+        && stream.columns.iter().all(|&column| travel(joints, column) < TRAVEL_RAD);
+    let at_rest = moves.iter().filter(|moves| **moves).count() < MOVING || is_in_one_posture;
     let has_rotation = matches!(stream.track.orientation, Orientations::Rotations(_));
     let as_logged =
         Series::of(&logged.t_s, &logged.logged, &logged.fk, has_rotation).error(&moves, at_rest);

@@ -73,6 +73,20 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
         // A reading that leaves much is none.
         (reading, found) = (Err(Unseen::NotExcited), by(&as_logged));
     }
+    // Weak motion with a fault may look like a mirror or an inverse: none is named if the poses as
+    // written are explained with as few zeros.
+    let is_rewritten = found.streams.iter().any(|it| it.inverted || matches!(it.axes, Ok(Some(_))));
+    if is_rewritten && reading.as_ref().is_ok_and(JointReading::is_as_logged) {
+        let sound: Vec<Placement> = placements.iter().map(Placement::sound).collect();
+        let read = Read::by(joints, &as_logged, &slides);
+        let as_written = diagnose(joints, &read, streams, &sound, true);
+        if as_written.unexplained().is_none()
+            && as_written.is_near()
+            && as_written.zeros() <= found.zeros()
+        {
+            found = as_written;
+        }
+    }
     let astray = |found: &Found| {
         !found.streams.is_empty() && found.streams.iter().all(PoseDiagnosis::strays)
     };
@@ -145,6 +159,11 @@ struct Found {
 }
 
 impl Found {
+    /// Number of joint zeros in the explanation.
+    fn zeros(&self) -> usize {
+        self.offsets.iter().filter(|offset| offset.chosen).count()
+    }
+
     /// Whether some stream is near the arm.
     fn is_near(&self) -> bool {
         let near = |found: &PoseDiagnosis| {
