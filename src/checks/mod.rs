@@ -98,6 +98,12 @@ pub static FAMILIES: &[&Family] = &[
     &commands::FAMILY,
 ];
 
+/// Evidence of a row: its stream is computed from the joint states.
+pub(crate) const DERIVED: &str = "derived";
+
+/// Evidence of an open row: the streams' world is unknown, so that the fault may hide in it.
+pub(crate) const UNKNOWN_WORLD: &str = "unknown_world";
+
 /// The rules of all families in the order of their codes, in which they are asked.
 static REGISTRY: LazyLock<Vec<&Rule>> = LazyLock::new(|| {
     let mut rules: Vec<&Rule> = FAMILIES.iter().flat_map(|family| family.rules).copied().collect();
@@ -246,6 +252,11 @@ impl Judged {
         if let Outcome::Evaluated(Ruling::Faulty(fault)) = &mut self.outcome {
             fault.cause = cause;
         }
+    }
+
+    /// Marks the row of a stream that is computed from the joint states: it decides nothing for another.
+    fn derived_if(self, is_derived: bool) -> Self {
+        if is_derived { self.with_evidence(DERIVED, true) } else { self }
     }
 
     fn with_evidence(mut self, key: &str, value: impl Into<Value>) -> Self {

@@ -68,14 +68,15 @@ pub fn judge(
             let found = &stream.diagnosis;
             let doubt = found.strays().then_some("its positions do not lie on the arm");
             let bare = stream.bare.then_some(found);
-            stream.with((&found.reading, doubt, bare, stream.rotation_unread.as_slice()))
+            let unread = stream.rotation_unread.as_slice();
+            stream.with((&found.reading, doubt, bare, unread, arm.is_derived(stream)))
         });
         let unread = arm.diagnosis.reading.is_err() && !arm.poses.is_empty();
         let doubt = unread.then_some("the joint states themselves could not be read for sure");
         let imus = arm.imus.iter();
-        let imus = imus.map(|imu| imu.with((&imu.diagnosis.reading, doubt, None, &[][..])));
+        let imus = imus.map(|imu| imu.with((&imu.diagnosis.reading, doubt, None, &[][..], false)));
         judged.extend(streams.chain(imus).map(|stream| {
-            let (reading, doubt, bare, unread) = stream.found;
+            let (reading, doubt, bare, unread, is_derived) = stream.found;
             let judged = judge_stream(arm, reading, asked, word);
             let judged = match bare {
                 Some(found) => of_bare_numbers(arm, stream.topic(), asked, found, judged),
@@ -92,7 +93,7 @@ pub fn judge(
                 ),
                 (judged, _) => judged,
             };
-            stream.judged(outcome).estimated(estimate)
+            stream.judged(outcome).estimated(estimate).derived_if(is_derived)
         }));
     }
     judged

@@ -62,6 +62,11 @@ impl ArmEvidence {
         self.poses.iter().chain(&self.tf)
     }
 
+    /// Whether a pose stream is computed from the joint states, as /tf is.
+    pub fn is_derived(&self, stream: &Of<PoseEvidence>) -> bool {
+        self.tf.iter().any(|tf| tf.topic() == stream.topic())
+    }
+
     /// Whose word the arm's pose streams are together: an outside witness stands out, and only where
     /// all are the controller's is nothing else there.
     pub fn witness(&self) -> Witness {

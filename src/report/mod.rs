@@ -358,7 +358,15 @@ fn undecided(checks: &[CheckRow]) -> impl Iterator<Item = &'static Rule> {
     headline.filter(|rule| {
         let rows = checks.iter().filter(|row| row.code == rule.code);
         let asked = rows.filter(|row| row.status != Status::Skipped && !row.indistinguishable);
-        let decided: Vec<bool> = asked.map(|row| row.status.is_decided()).collect();
+        let (derived, witnesses): (Vec<&CheckRow>, Vec<&CheckRow>) =
+            asked.partition(|row| row.evidence.contains_key(checks::DERIVED));
+        // A stream that is computed from the joint states decides nothing for another.
+        let asked = if witnesses.is_empty() { derived } else { witnesses };
+        let is_hidden = |row: &&CheckRow| row.evidence.contains_key(checks::UNKNOWN_WORLD);
+        if asked.iter().any(is_hidden) {
+            return true;
+        }
+        let decided: Vec<bool> = asked.iter().map(|row| row.status.is_decided()).collect();
         match rule.is_proof() {
             true => decided.contains(&false),
             false => !decided.is_empty() && !decided.contains(&true),

@@ -3,7 +3,7 @@ use crate::checks::frames::THRESHOLDS;
 use crate::checks::poses::frm001;
 use crate::checks::poses::mdl001::MDL001;
 use crate::checks::twins::{estimate, twin_cause};
-use crate::checks::{Case, Grade, Judged, changes, standing};
+use crate::checks::{Case, Grade, Judged, UNKNOWN_WORLD, changes, standing};
 use crate::diagnosis::{FrameEstimate, JointOffset, Measured, Seen, Twin, Unseen};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Ruling, Severity, Unit};
@@ -77,7 +77,17 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
         return Vec::new();
     }
     let offsets = arm.diagnosis.offsets.iter().enumerate();
-    offsets.map(|(joint, offset)| judge(case, arm, joint, offset)).collect()
+    // A fault that this motion does not show may hide in a world that is anywhere.
+    let is_world_unknown = arm.poses.iter().all(|stream| !stream.reference_known);
+    let judged = offsets.map(|(joint, offset)| judge(case, arm, joint, offset));
+    judged
+        .map(|judged| match &judged.outcome {
+            Outcome::Inconclusive(_) if is_world_unknown => {
+                judged.with_evidence(UNKNOWN_WORLD, true)
+            }
+            _ => judged,
+        })
+        .collect()
 }
 
 fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> Judged {
