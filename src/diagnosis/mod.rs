@@ -93,7 +93,9 @@ pub use imu::{
     HeadingError, ImuDiagnosis, ImuNumbers, ImuProof, ImuStream, MountChange, Rates, Up, YawCourse,
     YawJump, YawWarmUp, diagnose_imu, proof_of_imu, reread_imu, turning_by_latency,
 };
-pub use joints::{JointOffset, JointReading, JointScale, JointSlip, JointUnit, Twin};
+pub use joints::{
+    JointCoupling, JointOffset, JointReading, JointScale, JointSlip, JointUnit, Twin,
+};
 pub use lag::{LatencyResidual, residual_by_latency};
 use large::{LargeChange, imu_changes, pose_changes};
 pub use latency::Peak;

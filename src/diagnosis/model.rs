@@ -68,8 +68,9 @@ pub(super) struct Witness<'a> {
     pub joints: &'a JointTrack,
     pub chain: &'a Chain,
     pub columns: &'a [usize],
-    /// The joints of the track whose scale is to be found.
-    pub gained: &'a [usize],
+    /// Pairs of joints of the track: the position of the first also contains a share of the second's,
+    /// which is to be found. A joint paired with itself has a scale.
+    pub gained: &'a [(usize, usize)],
     pub reference_known: bool,
     /// Joint speeds below which a joint counts as still, by joint of the track, rad/s or m/s.
     pub still: &'a [f64],
@@ -177,8 +178,7 @@ pub(super) fn pose_of_twist(twist: &[f64]) -> Pose {
 /// to be found, then each stream's.
 #[derive(Clone, Debug)]
 pub(super) struct State {
-    /// Offset of each joint of the track, rad or m; then of each of [`Witness::gained`] by what share
-    /// it moves more than its numbers say.
+    /// Offset of each joint of the track, rad or m; then the share of each pair of [`Witness::gained`].
     pub offsets: Vec<f64>,
     pub streams: Vec<StreamState>,
 }
@@ -285,10 +285,13 @@ impl Witness<'_> {
         self.t_s.len()
     }
 
-    /// Where the gain of a joint of the track stands among the offsets, if it is to be found.
-    fn gain_of(&self, column: usize) -> Option<usize> {
-        let at = self.gained.iter().position(|&gained| gained == column)?;
-        Some(self.joints.dof + at)
+    /// The gains of a joint of the track that are to be found: each with its index among the offsets
+    /// and the joint it multiplies.
+    fn gains_of(&self, column: usize) -> impl Iterator<Item = (usize, usize)> {
+        let gained = self.gained.iter().enumerate();
+        gained.filter_map(move |(at, &(own, by))| {
+            (own == column).then_some((self.joints.dof + at, by))
+        })
     }
 
     /// The pose that the model gives for sample `k`; the Jacobian of the chain is left in `sweep`.
@@ -307,9 +310,12 @@ impl Witness<'_> {
         }
         let mut moving = false;
         for (i, &column) in self.columns.iter().enumerate() {
-            let gain = self.gain_of(column).map_or(1.0, |at| 1.0 + offsets.get(at).unwrap_or(&0.0));
-            q[i] = gain * track_q[column] + offsets[column];
-            qd[i] = gain * track_qd[column];
+            (q[i], qd[i]) = (track_q[column] + offsets[column], track_qd[column]);
+            for (at, by) in self.gains_of(column) {
+                let gain = offsets.get(at).unwrap_or(&0.0);
+                q[i] += gain * track_q[by];
+                qd[i] += gain * track_qd[by];
+            }
             moving |= qd[i].abs() > self.still[column];
         }
         let base_from_link = self.chain.forward_with_jacobian(q, jacobian);
@@ -401,8 +407,8 @@ impl Witness<'_> {
             let (linear, angular) = sweep.column(i, &lever);
             let (linear, angular) = (to_reference * linear, to_reference * angular);
             set(self.columns[i], linear, angular);
-            if let Some(gain) = self.gain_of(self.columns[i]).filter(|&gain| gain < joints) {
-                let number = sweep.track_q[self.columns[i]];
+            for (gain, by) in self.gains_of(self.columns[i]).filter(|(gain, _)| *gain < joints) {
+                let number = sweep.track_q[by];
                 set(gain, linear * number, angular * number);
             }
             v += linear * sweep.qd[i];

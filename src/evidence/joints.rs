@@ -1,5 +1,7 @@
 //! The joints of an arm, and how they move by all of their samples.
 
+use std::f64::consts::TAU;
+
 use rayon::prelude::*;
 
 use crate::diagnosis::{
@@ -33,6 +35,9 @@ pub struct JointEvidence {
 pub struct JointMotion {
     /// How far it is beyond its positions' limits.
     pub positions: Option<Excess>,
+    /// The turns by which it is beyond its limits throughout the run, if it is within them that many
+    /// turns away; positive beyond the upper limit.
+    pub turns_beyond: Option<f64>,
     /// How far it is beyond its speed limit.
     pub speeds: Option<Excess>,
     /// How abruptly it changes its speed; `None` where its samples do not tell.
@@ -87,7 +92,11 @@ pub(super) fn joint_evidence(
         motion.is_endless =
             is_folded || model.is_some_and(|joint| joint.kind == JointKind::Continuous);
         // What is logged within one turn has no place on a longer way.
-        motion.positions = if is_folded { None } else { beyond_positions(t_s, position, &limits) };
+        if !is_folded {
+            motion.positions = beyond_positions(t_s, position, &limits);
+            let turns = model.is_some_and(|joint| joint.kind == JointKind::Revolute);
+            motion.turns_beyond = if turns { turns_beyond(position, &limits) } else { None };
+        }
         (motion.speeds, motion.abruptness) = match source.velocities {
             Velocities::Logged | Velocities::Near => (
                 beyond_speed(t_s, velocity, &limits),
@@ -102,6 +111,24 @@ pub(super) fn joint_evidence(
     }
     let prismatic = model.is_some_and(|joint| joint.kind == JointKind::Prismatic);
     JointEvidence { name, prismatic, limits, motion, velocity: None, really: None }
+}
+
+/// The turns by which positions, rad, are beyond `limits` throughout, if they are within them that many
+/// turns away.
+fn turns_beyond(position: &[f64], limits: &Limits) -> Option<f64> {
+    /// An encoder counts no more turns than this.
+    const MOST: f64 = 4.0;
+    let (lower, upper) = limits.lower.zip(limits.upper)?;
+    let finite = position.iter().copied().filter(|position| position.is_finite());
+    let (low, high) =
+        finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), q| (low.min(q), high.max(q)));
+    let turns = match () {
+        () if low > upper => ((high - upper) / TAU).ceil(),
+        () if high < lower => ((low - lower) / TAU).floor(),
+        () => return None,
+    };
+    let is_within = low - TAU * turns >= lower && high - TAU * turns <= upper;
+    (is_within && turns.abs() <= MOST).then_some(turns)
 }
 
 /// The times from which on the positions of each of so many joints are others than before, as one whose zero is

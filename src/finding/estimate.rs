@@ -51,6 +51,9 @@ pub enum Estimate {
         /// When it changes, where it is not one over the run.
         #[serde(flatten, skip_serializing_if = "Option::is_none")]
         change: Option<Change>,
+        /// How the joint's positions are wrong, for a joint that is coupled or off by turns.
+        #[serde(flatten)]
+        joint: JointRelation,
     },
     /// Three numbers that are of one convention, and that somebody read as another.
     Convention {
@@ -124,19 +127,28 @@ impl Estimate {
             unit: unit.symbol(),
             ci95: unit.interval95(measured),
             change: None,
+            joint: JointRelation::default(),
         }
     }
 
     /// A number that was read off the log and not estimated, so that it has no interval.
     pub fn counted(name: &'static str, unit: &'static str, value: f64) -> Self {
-        Estimate::Amount { name, value, unit, ci95: None, change: None }
+        Estimate::Amount {
+            name,
+            value,
+            unit,
+            ci95: None,
+            change: None,
+            joint: JointRelation::default(),
+        }
     }
 
     /// An estimate of a length, which cannot be negative.
     pub fn length(name: &'static str, unit: Unit, length: &Length) -> Self {
         let Length { norm, .. } = length;
         let ci95 = unit.interval95(norm).map(|ends| ends.map(|end| end.max(0.0)));
-        Estimate::Amount { name, value: norm.value, unit: unit.symbol(), ci95, change: None }
+        let (value, unit) = (norm.value, unit.symbol());
+        Estimate::Amount { name, value, unit, ci95, change: None, joint: JointRelation::default() }
     }
 
     /// The estimate of a length in m and an angle in rad, neither of which can be negative.
@@ -164,6 +176,26 @@ impl Estimate {
         self
     }
 
+    /// The same estimate of a joint that moves by `factor` per unit of the joint `with`.
+    pub fn coupled(mut self, with: &str, factor: f64) -> Self {
+        if let Estimate::Amount { joint, .. } = &mut self {
+            *joint = JointRelation {
+                with: Some(with.to_owned()),
+                factor: Some(factor),
+                ..JointRelation::default()
+            };
+        }
+        self
+    }
+
+    /// The same estimate of a joint that is off by so many turns.
+    pub fn off_by_turns(mut self, turns: f64) -> Self {
+        if let Estimate::Amount { joint, .. } = &mut self {
+            joint.turns = Some(turns);
+        }
+        self
+    }
+
     /// When the amount changes, from what and to what, where it is not one over the run.
     pub fn change(&self) -> Option<&Change> {
         match self {
@@ -171,6 +203,20 @@ impl Estimate {
             Estimate::Convention { .. } | Estimate::Slip { .. } | Estimate::Order { .. } => None,
         }
     }
+}
+
+/// How a joint's positions are wrong, beyond one number.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct JointRelation {
+    /// The joint that drives this one, if the two are coupled.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub with: Option<String>,
+    /// How far this joint moves per unit of `with`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub factor: Option<f64>,
+    /// The turns by which the positions are off: 1, 0.5 or 0.25, without a sign.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub turns: Option<f64>,
 }
 
 /// An amount that is one until some moment and another from there on.

@@ -12,7 +12,7 @@ use serde_json::{Map, Value};
 use crate::time::Stamp;
 
 pub use cause::{Cause, JointScaling, Sight};
-pub use estimate::{Angle, Change, Estimate, ReadAs, RunnerUp};
+pub use estimate::{Angle, Change, Estimate, JointRelation, ReadAs, RunnerUp};
 pub use read::Word;
 pub(crate) use read::{maybe_word, number, word};
 pub use unit::{Unit, rounded};

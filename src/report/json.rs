@@ -28,7 +28,7 @@ pub fn schema() -> String {
 mod tests {
     use proptest::prelude::*;
 
-    use crate::finding::{Angle, Change, Estimate, ReadAs, RunnerUp};
+    use crate::finding::{Angle, Change, Estimate, JointRelation, ReadAs, RunnerUp};
     use crate::time::Stamp;
 
     fn any_estimate() -> impl Strategy<Value = Estimate> {
@@ -46,15 +46,18 @@ mod tests {
                     change_ci95_ns,
                 });
         let change = prop::option::of(change).boxed();
-        let amount = (word(), number.clone(), word(), interval(), change.clone()).prop_map(
-            |(name, value, unit, ci95, change)| Estimate::Amount {
+        let some = || prop::option::of(number.clone());
+        let relation = (prop::option::of(text()), some(), some())
+            .prop_map(|(with, factor, turns)| JointRelation { with, factor, turns });
+        let amount = (word(), number.clone(), word(), interval(), change.clone(), relation)
+            .prop_map(|(name, value, unit, ci95, change, joint)| Estimate::Amount {
                 name,
                 value,
                 unit,
                 ci95,
                 change,
-            },
-        );
+                joint,
+            });
         let angle = (number.clone(), interval()).prop_map(|(value, ci95)| Angle { value, ci95 });
         let frame = (word(), number.clone(), interval(), angle, change).prop_map(
             |(name, value, ci95, rotation, change)| Estimate::Frame {

@@ -1,10 +1,12 @@
 //! Joints and the model that they move: order, scale, zeros, play, sag, velocities, DH convention.
 
 mod bends;
+mod coupling;
 pub(super) mod mot006;
 pub(super) mod ord005;
 pub(super) mod ord007;
 pub(super) mod ord009;
+mod turns;
 pub(super) mod vel001;
 pub(super) mod zer001;
 pub(super) mod zer003;

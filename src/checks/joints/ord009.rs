@@ -1,3 +1,4 @@
+use super::{coupling, turns};
 use crate::checks::decision::unseen;
 use crate::checks::{Case, Grade, Judged, Threshold, changes};
 use crate::diagnosis::{JointScale, Measured, UnitSlip};
@@ -28,6 +29,14 @@ rule! {
     /// where the numbers are of another kind than rad or m and have a zero of their own; the offset of
     /// any other joint is ZER001. `joints` lists the joints where the finding is on all of them.
     ///
+    /// A joint that moves with another one is named with that joint (`with`) and the `factor`:
+    /// `q_true = q_reported + factor · q_with`. FANUC controllers count J3 from the horizon, so a model
+    /// whose J3 counts from the upper arm needs J2 added. In some wrists one joint's gear turns the next
+    /// joint by a few percent.
+    ///
+    /// A joint that is off by a quarter, half or whole turn is named with its `turns`. A whole turn shows
+    /// only in the model's limits, which the joint exceeds throughout the run. The others show in the poses.
+    ///
     /// `changes` lists when it is another from some moment on, with its amounts before and after;
     /// the amount is then the size of the change (`from`, `to`, `change_ns`).
     ///
@@ -54,7 +63,14 @@ rule! {
 const SAME: f64 = 2e-3;
 
 fn check(case: &Case) -> Vec<Judged> {
-    let judged = |arm| judge_arm(arm).into_iter().chain(changing(case, arm));
+    let judged = |arm| {
+        let of_joints = turns::judge(case, arm).into_iter().chain(coupling::judge(arm));
+        let of_joints: Vec<Judged> = of_joints.chain(changing(case, arm)).collect();
+        // The row of the topic says that nothing was found, so it stands alone.
+        let of_scales = judge_arm(arm);
+        let is_sound = arm.diagnosis.reading.is_ok() && arm.diagnosis.scales.is_empty();
+        if is_sound && !of_joints.is_empty() { of_joints } else { [of_scales, of_joints].concat() }
+    };
     case.evidence.robots.iter().flat_map(judged).collect()
 }
 

@@ -1,3 +1,4 @@
+use super::turns;
 use crate::checks::decision::{DEGREE, Decision, Threshold, decide, unseen};
 use crate::checks::frames::THRESHOLDS;
 use crate::checks::poses::frm001;
@@ -108,6 +109,10 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
         }
         return Judged::new(subject, outcome).within(arm.span).estimated(estimate);
     }
+    if turns::part_of_turn(case, arm, joint).is_some() {
+        let why = "off by a half or quarter turn (ORD009)".to_owned();
+        return Judged::new(subject, Outcome::sound_because(why)).within(arm.span);
+    }
     let measured = match &offset.offset {
         Ok(measured) => measured,
         Err(why) => {
@@ -211,7 +216,7 @@ fn not_told_from(arm: &ArmEvidence, twin: &str) -> Outcome {
     }
 }
 
-fn threshold(unit: Unit) -> Threshold {
+pub(super) fn threshold(unit: Unit) -> Threshold {
     match unit {
         Unit::Metre => PRISMATIC,
         _ => ROTARY,

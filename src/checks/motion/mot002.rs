@@ -2,7 +2,9 @@ use crate::checks::motion::mot003::doubt_of_joint;
 use crate::checks::{Case, Grade, Judged, Limit};
 use crate::diagnosis::Abruptness;
 use crate::evidence::{ArmEvidence, JointEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
+use crate::finding::{
+    Cause, Estimate, Evidence, Fault, JointRelation, Outcome, Severity, Sight, Unit,
+};
 
 rule! {
     /// A joint stops, or starts, abruptly.
@@ -119,6 +121,7 @@ fn estimate(found: &Abruptness, unit: &'static str) -> Estimate {
         unit,
         ci95,
         change: None,
+        joint: JointRelation::default(),
     }
 }
 

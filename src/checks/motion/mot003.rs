@@ -68,9 +68,15 @@ pub(in crate::checks) fn doubt(arm: &ArmEvidence) -> Option<String> {
 /// The same of one joint.
 pub(in crate::checks) fn doubt_of_joint(arm: &ArmEvidence, joint: usize) -> Option<String> {
     let changes = arm.diagnosis.changes.iter().any(|change| change.column == joint);
-    let why =
-        "its numbers leap where its zero or scale changes (ZER001, ORD009), and nobody moved there";
-    motion_doubt(arm).or_else(|| changes.then(|| why.to_owned()))
+    let mut couplings = arm.diagnosis.reading.iter().flat_map(|reading| &reading.couplings);
+    let why = if couplings.any(|coupling| coupling.column == joint) {
+        "its positions contain another joint's (ORD009)"
+    } else if changes {
+        "its numbers leap where its zero or scale changes (ZER001, ORD009), and nobody moved there"
+    } else {
+        return motion_doubt(arm);
+    };
+    Some(motion_doubt(arm).unwrap_or_else(|| why.to_owned()))
 }
 
 /// Why the numbers of the joint states are no motion in known units, where they are not.
@@ -126,6 +132,11 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
         return judged(Outcome::Inconclusive(why));
     }
     let motion = &joint.motion;
+    if motion.turns_beyond.is_some() {
+        return judged(Outcome::Inconclusive(
+            "its positions are off by whole turns (ORD009)".to_owned(),
+        ));
+    }
     let range = limits.lower.zip(limits.upper).map_or(0.0, |(lower, upper)| upper - lower);
     let position = Broken::of("position", motion.positions.as_ref(), range);
     let top_speed = limits.velocity.unwrap_or(0.0);

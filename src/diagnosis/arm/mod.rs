@@ -18,8 +18,8 @@ use super::placing::spread;
 use super::prepare::{Prepared, prepare};
 use super::sampling::{as_rotations, stream_lag_s, stream_peaks};
 use super::{
-    AmountChange, ArmDiagnosis, JointChange, JointDiagnosis, JointOffset, JointReading, JointScale,
-    JointUnit, PoseDiagnosis, PoseStream, Residual, Seen, Unseen,
+    AmountChange, ArmDiagnosis, JointChange, JointCoupling, JointDiagnosis, JointOffset,
+    JointReading, JointScale, JointUnit, PoseDiagnosis, PoseStream, Residual, Seen, Unseen,
 };
 pub(super) use fit::FIT_SAMPLES;
 use fit::fit;
@@ -27,7 +27,7 @@ use ground::geometry::Vec3;
 use ground::robot::JointKind;
 use ground::stream::JointTrack;
 use stream::{no_diagnosis, stream_diagnosis};
-use zeros::{joint_offsets, joint_scales, unseen_offsets};
+use zeros::{joint_couplings, joint_offsets, joint_scales, unseen_offsets};
 
 /// Diagnoses the joint states and all pose streams that are witnesses to them.
 ///
@@ -126,12 +126,14 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
             slip.factor = own.map_or(slip.factor, |scale| scale.factor.value);
         }
     }
-    let Found { offsets, mut scales, streams } = found;
+    let Found { offsets, mut scales, mut couplings, streams } = found;
     // A joint that moves as its positions say has no scale, whatever was tried.
     if let Ok(reading) = &mut reading {
         let is_one = |factor: f64| (factor - 1.0).abs() < SAME_FACTOR;
         scales.retain(|scale| !is_one(scale.factor.value));
         reading.slips.retain(|slip| slip.unit != JointUnit::Scaled || !is_one(slip.factor));
+        couplings.retain(|coupling| coupling.factor.value.abs() > SAME_FACTOR);
+        reading.couplings.clone_from(&couplings);
     }
     let (changes, patches, bends) = (Vec::new(), Vec::new(), Vec::new());
     let joints = JointDiagnosis { reading, offsets, scales, changes, patches, bends };
@@ -155,6 +157,7 @@ const NEAR_M: f64 = 5e-3;
 struct Found {
     offsets: Vec<JointOffset>,
     scales: Vec<JointScale>,
+    couplings: Vec<JointCoupling>,
     streams: Vec<PoseDiagnosis>,
 }
 
@@ -176,7 +179,8 @@ impl Found {
     /// Whether the reading may be believed: some stream is near the arm, and no joint needs a scale of
     /// its own that is no gear's unless that explains all.
     fn holds(&self) -> bool {
-        let is_odd = self.scales.iter().any(|scale| !scale.is_coded() && !scale.is_round());
+        let is_odd = self.scales.iter().any(|scale| !scale.is_coded() && !scale.is_round())
+            || self.couplings.iter().any(|coupling| !coupling.is_round());
         self.is_near() && (!is_odd || self.unexplained().is_none())
     }
 
@@ -356,12 +360,16 @@ fn diagnose(
         .collect();
     let usable: Vec<&Prepared> = prepared.iter().flatten().collect();
     let fitted = fit(&usable, read, with_offsets);
-    let (offsets, scales) = match &fitted {
-        Some(_) if !with_offsets => (Vec::new(), Vec::new()),
-        Some(fitted) => (joint_offsets(fitted, &usable, joints), joint_scales(fitted, read)),
+    let (offsets, scales, couplings) = match &fitted {
+        Some(_) if !with_offsets => (Vec::new(), Vec::new(), Vec::new()),
+        Some(fitted) => (
+            joint_offsets(fitted, &usable, joints),
+            joint_scales(fitted, read),
+            joint_couplings(fitted, read),
+        ),
         None => {
             let why = prepared.iter().find_map(|prepared| prepared.as_ref().err());
-            (unseen_offsets(joints.dof, why.unwrap_or(&Unseen::NoOverlap)), Vec::new())
+            (unseen_offsets(joints.dof, why.unwrap_or(&Unseen::NoOverlap)), Vec::new(), Vec::new())
         }
     };
     let mut used = 0;
@@ -377,5 +385,5 @@ fn diagnose(
             (Err(why), _) => no_diagnosis(why.clone()),
         })
         .collect();
-    Found { offsets, scales, streams: diagnoses }
+    Found { offsets, scales, couplings, streams: diagnoses }
 }

@@ -5,7 +5,7 @@ use super::twins::{frame_twins, measured, twins};
 use crate::explain::Cause;
 use crate::joints::{Read, half_turns};
 use crate::prepare::Prepared;
-use crate::{JointOffset, JointScale, Measured, Unseen};
+use crate::{JointCoupling, JointOffset, JointScale, Measured, Unseen};
 use ground::geometry::Vec3;
 use ground::robot::JointKind;
 use ground::stream::JointTrack;
@@ -82,10 +82,12 @@ fn slides(prepared: &[&Prepared], joint: usize) -> bool {
 /// The scales of the joints that have one of their own.
 pub(super) fn joint_scales(fitted: &Fitted, read: &Read) -> Vec<JointScale> {
     let explanation = &fitted.explanation;
-    let scale = |(at, &column): (usize, &usize)| {
-        let gain = Cause::Gain(read.track.dof + at);
+    let scale = |(at, &(column, by)): (usize, &(usize, usize))| {
+        if by != column {
+            return None;
+        }
         let about = read.factors[column];
-        let gain = measured(fitted, &explanation.causes, gain, 0).ok()?;
+        let gain = gain(fitted, read, at)?;
         let factor = Measured {
             value: about * (1.0 + gain.value),
             std_error: about.abs() * gain.std_error,
@@ -97,6 +99,22 @@ pub(super) fn joint_scales(fitted: &Fitted, read: &Read) -> Vec<JointScale> {
         Some(JointScale { column, factor, offset })
     };
     read.gained.iter().enumerate().filter_map(scale).collect()
+}
+
+/// The couplings of `reading` with the factors that the fit finds.
+pub(super) fn joint_couplings(fitted: &Fitted, read: &Read) -> Vec<JointCoupling> {
+    let coupling = |(at, &(column, by)): (usize, &(usize, usize))| {
+        let about = read.couplings.iter().find(|own| (own.column, own.by) == (column, by))?;
+        let gain = gain(fitted, read, at)?;
+        let factor = Measured { value: about.factor.value + gain.value, ..gain };
+        Some(JointCoupling { column, by, factor })
+    };
+    read.gained.iter().enumerate().filter_map(coupling).collect()
+}
+
+/// The estimate of the pair `at` of [`Read::gained`], about what the reading says.
+fn gain(fitted: &Fitted, read: &Read, at: usize) -> Option<Measured> {
+    measured(fitted, &fitted.explanation.causes, Cause::Gain(read.track.dof + at), 0).ok()
 }
 
 /// Joints that move by more than 3° (or 50 mm) over the run.

@@ -28,6 +28,8 @@ pub struct JointReading {
     pub permutation: Option<(Vec<usize>, UnitSlip)>,
     /// Joints whose numbers are of another unit or scale, each by itself.
     pub slips: Vec<JointSlip>,
+    /// Joints that move with another joint, applied after the slips.
+    pub couplings: Vec<JointCoupling>,
     /// What then must be added to each joint's positions about, rad or m; empty where nothing.
     pub zeros: Vec<f64>,
     /// Residual of the positions as logged and so read, m, where they are not read as logged.
@@ -39,7 +41,10 @@ pub struct JointReading {
 impl JointReading {
     /// Whether the numbers mean what they say, up to their zeros.
     pub fn is_as_logged(&self) -> bool {
-        self.degrees.is_none() && self.permutation.is_none() && self.slips.is_empty()
+        self.degrees.is_none()
+            && self.permutation.is_none()
+            && self.slips.is_empty()
+            && self.couplings.is_empty()
     }
 
     /// The joints whose numbers alone are of one unit, with what is left as logged and so read.
@@ -49,6 +54,25 @@ impl JointReading {
             let own = self.slips.iter().filter(move |slip| slip.unit == unit);
             own.map(move |slip| (slip, left))
         })
+    }
+}
+
+/// A joint that moves with another one: `q_true[column] = q_reported[column] + factor · q_reported[by]`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct JointCoupling {
+    /// The joint's column.
+    pub column: usize,
+    /// The column of the joint that drives it.
+    pub by: usize,
+    /// Radians of the joint per radian of the driving joint.
+    pub factor: Measured,
+}
+
+impl JointCoupling {
+    /// Whether the joint moves by exactly as much as the driving joint, as in a controller that counts
+    /// the joint's angle from the horizon.
+    pub fn is_round(&self) -> bool {
+        is_round(self.factor.value)
     }
 }
 
@@ -96,12 +120,16 @@ impl JointScale {
 
     /// Whether the factor is a whole number, or one part of one, as of a reversed joint or a gear.
     pub fn is_round(&self) -> bool {
-        /// Within this share.
-        const NEAR: f64 = 0.01;
         let size = self.factor.value.abs();
-        let whole = size.max(size.recip());
-        (whole - whole.round()).abs() < NEAR * whole
+        is_round(size.max(size.recip()))
     }
+}
+
+/// Whether a factor is a whole number within 1 %, as of reversed, geared or coupled joints.
+fn is_round(factor: f64) -> bool {
+    const SHARE: f64 = 0.01;
+    let size = factor.abs();
+    size.round() > 0.0 && (size - size.round()).abs() < SHARE * size
 }
 
 /// Whether a joint's numbers that must be multiplied by `factor` are of another kind than rad or m.

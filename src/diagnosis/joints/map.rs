@@ -4,8 +4,19 @@
 use ground::robot::{Chain, JointKind};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
+/// A joint whose position also contains a share of another joint's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Coupling {
+    /// The joint that moves.
+    pub joint: usize,
+    /// The joint that drives it.
+    pub by: usize,
+    /// How far `joint` moves per unit of `by`.
+    pub factor: f64,
+}
+
 /// The number that each joint of a chain has, and what it means in rad or m:
-/// `q[j] = factor[j] · row[from[j]] + zero[j]`.
+/// `q[j] = factor[j] · row[from[j]] + zero[j]`, then `q[coupling.joint] += coupling.factor · q[coupling.by]`.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct JointMap {
     /// The entry that holds this joint's number.
@@ -14,18 +25,24 @@ pub(super) struct JointMap {
     pub factor: Vec<f64>,
     /// What is then added, rad or m.
     pub zero: Vec<f64>,
+    /// A pair of coupled joints.
+    pub coupling: Option<Coupling>,
 }
 
 impl JointMap {
     /// The numbers are what they say.
     pub fn as_logged(dof: usize) -> Self {
-        Self { from: (0..dof).collect(), factor: vec![1.0; dof], zero: vec![0.0; dof] }
+        let (from, zero) = ((0..dof).collect(), vec![0.0; dof]);
+        Self { from, factor: vec![1.0; dof], zero, coupling: None }
     }
 
     /// The joint positions that a row of numbers means.
     pub fn apply(&self, row: &[f64], q: &mut [f64]) {
         for (j, q) in q.iter_mut().enumerate() {
             *q = self.factor[j] * row[self.from[j]] + self.zero[j];
+        }
+        if let Some(Coupling { joint, by, factor }) = self.coupling {
+            q[joint] += factor * q[by];
         }
     }
 

@@ -18,12 +18,13 @@ use super::latency::{joint_activity, linear_speed, peaks};
 use super::model::Witness;
 use super::placing::{Expected, spread};
 use super::{PoseStream, Seen, UnitSlip, Unseen};
-pub use found::{JointOffset, JointReading, JointScale, JointSlip, JointUnit, Twin};
+pub use found::{JointCoupling, JointOffset, JointReading, JointScale, JointSlip, JointUnit, Twin};
 use ground::geometry::{Pose, Rotation, Vec3};
 use ground::robot::{Chain, JointKind};
+use ground::stats::Measured;
 use ground::stream::JointTrack;
 use lone::Lone;
-use map::JointMap;
+use map::{Coupling, JointMap};
 use search::{Found, Kind, Search, search};
 use std::borrow::Cow;
 use view::{Frames, Freedom, TURNS, View};
@@ -132,7 +133,7 @@ pub(super) fn other_reading(
     };
     let is_far =
         as_logged.m > FINE * spread(&moments.xyz) || as_logged.rad.is_some_and(|rad| rad > FAR_RAD);
-    let kinds = if is_far { &Kind::ALL[..] } else { &Kind::ALL[..1] };
+    let kinds = if is_far { &Kind::ALL[..] } else { &Kind::OF_NEAR[..] };
     let mut views = views(joints, stream, &moments);
     views.retain(|view| !turns_only || view.rotation.is_some());
     let found = look(stream, &[views], most, kinds)?;
@@ -310,6 +311,11 @@ fn reading(dof: usize, stream: &PoseStream, found: &Found, as_logged: f64) -> Jo
     for (&column, zero) in columns.iter().zip(&map.zero) {
         zeros[column] = *zero;
     }
+    let in_track = |coupling: Coupling| JointCoupling {
+        column: columns[coupling.joint],
+        by: columns[coupling.by],
+        factor: Measured { value: coupling.factor, std_error: 0.0, dof: 1.0 },
+    };
     let is_in_order = map.from.iter().enumerate().all(|(joint, &from)| joint == from);
     let mut permutation: Vec<usize> = (0..dof).collect();
     for (joint, &from) in map.from.iter().enumerate() {
@@ -319,6 +325,7 @@ fn reading(dof: usize, stream: &PoseStream, found: &Found, as_logged: f64) -> Jo
         degrees: all_in_degrees.then_some(slip),
         permutation: (!is_in_order).then_some((permutation, slip)),
         slips: slips.collect(),
+        couplings: map.coupling.map(in_track).into_iter().collect(),
         zeros,
         left: Some(slip),
         runner_up_m: found.runner_up_m,
@@ -379,6 +386,12 @@ pub(super) fn corrected(
         for values in [&mut track.q, &mut track.qd] {
             let own = values.iter_mut().skip(slip.column).step_by(joints.dof);
             own.for_each(|value| *value *= slip.factor);
+        }
+    }
+    for JointCoupling { column, by, factor } in &reading.couplings {
+        for values in [&mut track.q, &mut track.qd] {
+            let rows = values.chunks_exact_mut(joints.dof);
+            rows.for_each(|row| row[*column] += factor.value * row[*by]);
         }
     }
     track

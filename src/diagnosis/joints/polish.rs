@@ -1,6 +1,6 @@
 //! Gauss–Newton from a map and frames that are near (Levenberg 1944).
 
-use super::map::JointMap;
+use super::map::{Coupling, JointMap};
 use super::view::{Frames, Freedom, Left, View};
 use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
 use ground::robot::JointKind;
@@ -14,6 +14,8 @@ pub(super) struct Proposal {
     pub zeros: Vec<usize>,
     /// The joints whose factor is to be found.
     pub factors: Vec<usize>,
+    /// Whether the factor of the map's coupling is to be found.
+    pub fits_coupling: bool,
     /// How many causes it takes.
     pub price: f64,
 }
@@ -74,11 +76,12 @@ impl Proposal {
         Polished { map, left, price }
     }
 
-    /// Parameters: zeros, factors over what they are, the tool, the reference.
+    /// Parameters: zeros, factors over what they are, the coupling's factor, the tool, the reference.
     fn width(&self, freedom: Freedom, view: &View) -> usize {
         let tool = if view.rotation.is_some() { 6 } else { 3 };
         let reference = if freedom == Freedom::Both { 6 } else { 0 };
-        self.zeros.len() + self.factors.len() + tool + reference
+        let coupling = usize::from(self.fits_coupling);
+        self.zeros.len() + self.factors.len() + coupling + tool + reference
     }
 
     fn normal(
@@ -128,6 +131,11 @@ impl Proposal {
                 set(column, moved * linear, moved * angular);
                 column += 1;
             }
+            if let Some(Coupling { joint, by, .. }) = map.coupling.filter(|_| self.fits_coupling) {
+                let (linear, angular) = by_joint(joint);
+                set(column, q[by] * linear, q[by] * angular);
+                column += 1;
+            }
             for axis in 0..3 {
                 let along = predicted.rotation * Vec3::ith(axis, 1.0);
                 set(column + axis, along, Vec3::zeros());
@@ -172,6 +180,10 @@ impl Proposal {
         }
         for &joint in &self.factors {
             map.factor[joint] *= 1.0 + step[at].clamp(-0.2, 0.2);
+            at += 1;
+        }
+        if let Some(coupling) = map.coupling.as_mut().filter(|_| self.fits_coupling) {
+            coupling.factor += step[at].clamp(-0.2, 0.2);
             at += 1;
         }
         let three = |first: usize| Vec3::new(step[first], step[first + 1], step[first + 2]);

@@ -1,7 +1,7 @@
 //! The joint states under one reading.
 
 use super::super::sampling::still_speeds;
-use super::found::{JointReading, JointUnit, is_coded};
+use super::found::{JointCoupling, JointReading, JointUnit, is_coded};
 use super::{corrected, moved};
 use ground::stream::JointTrack;
 
@@ -13,8 +13,11 @@ pub(in super::super) struct Read {
     near: Option<JointTrack>,
     /// Those zeros, by joint of the track, and no gain yet for each of `gained`.
     pub offsets: Vec<f64>,
-    /// The joints whose scale is to be found.
-    pub gained: Vec<usize>,
+    /// The joints whose scale is to be found, each with itself, and coupled joints, each with the one
+    /// that drives it.
+    pub gained: Vec<(usize, usize)>,
+    /// Couplings with their approximate factors, which `track` contains already.
+    pub couplings: Vec<JointCoupling>,
     /// The joints' scales about, by joint of the track.
     pub factors: Vec<f64>,
     /// Joint speeds that are no motion, by joint of the track.
@@ -27,14 +30,16 @@ impl Read {
         let is_off = reading.zeros.iter().any(|zero| *zero != 0.0);
         let near = is_off.then(|| moved(&track, &reading.zeros));
         let scaled = reading.slips.iter().filter(|slip| slip.unit == JointUnit::Scaled);
-        let gained: Vec<usize> = scaled.map(|slip| slip.column).collect();
+        let coupled = reading.couplings.iter().map(|coupling| (coupling.column, coupling.by));
+        let gained: Vec<(usize, usize)> =
+            scaled.map(|slip| (slip.column, slip.column)).chain(coupled).collect();
         let mut factors = vec![1.0; joints.dof];
         reading.slips.iter().for_each(|slip| factors[slip.column] = slip.factor);
         let mut offsets = reading.zeros.clone();
         offsets.resize(joints.dof, 0.0);
         offsets.resize(joints.dof + gained.len(), 0.0);
         let still = still_speeds(&track);
-        Self { track, near, offsets, gained, factors, still }
+        Self { track, near, offsets, gained, couplings: reading.couplings.clone(), factors, still }
     }
 
     /// The same for a stream that is computed from the joints: as they are, but for names and units.
@@ -45,7 +50,9 @@ impl Read {
 
     /// Whether a joint's numbers are of another kind than rad or m and have a zero of their own.
     pub fn has_zero_of_code(&self, joint: usize) -> bool {
-        self.gained.contains(&joint) && is_coded(self.factors[joint]) && self.offsets[joint] != 0.0
+        self.gained.contains(&(joint, joint))
+            && is_coded(self.factors[joint])
+            && self.offsets[joint] != 0.0
     }
 
     /// The joint states near to the truth.

@@ -6,7 +6,7 @@
 
 use super::super::placing::spread;
 use super::lone::Lone;
-use super::map::{ALL_ORDERS, JointMap, orders, wholes};
+use super::map::{ALL_ORDERS, Coupling, JointMap, orders, wholes};
 use super::polish::{Polished, Proposal};
 use super::view::{Frames, Freedom, Left, View};
 use ground::robot::JointKind;
@@ -68,6 +68,8 @@ pub(super) enum Kind {
     One,
     /// The numbers in another order.
     Order,
+    /// One joint that moves with another one.
+    Coupled,
     /// All joints in another unit and one joint besides.
     UnitAndOne,
     /// Two joints.
@@ -78,8 +80,10 @@ pub(super) enum Kind {
 
 impl Kind {
     /// All of them.
-    pub const ALL: [Kind; 5] =
-        [Kind::One, Kind::Order, Kind::UnitAndOne, Kind::Two, Kind::OrderAndOne];
+    pub const ALL: [Kind; 6] =
+        [Kind::One, Kind::Order, Kind::Coupled, Kind::UnitAndOne, Kind::Two, Kind::OrderAndOne];
+    /// Those that may explain a stream that is near the arm as logged.
+    pub const OF_NEAR: [Kind; 2] = [Kind::One, Kind::Coupled];
 }
 
 /// Looks for a way of one kind that leaves no more than `most`.
@@ -96,6 +100,7 @@ pub(super) fn search(view: &View, kind: Kind, freedom: Freedom, most: Left) -> S
     let proposals = match kind {
         Kind::One => one(view, freedom),
         Kind::Order => ordered(view, freedom),
+        Kind::Coupled => coupled(view),
         Kind::UnitAndOne => unit_and_one(view, freedom),
         Kind::Two => two(view, freedom),
         Kind::OrderAndOne => order_and_one(view, freedom),
@@ -196,7 +201,7 @@ pub(super) fn likely(view: &View) -> Vec<(JointMap, bool)> {
 }
 
 fn as_it_is(map: JointMap, price: f64) -> Proposal {
-    Proposal { map, zeros: Vec::new(), factors: Vec::new(), price }
+    Proposal { map, zeros: Vec::new(), factors: Vec::new(), fits_coupling: false, price }
 }
 
 /// Whether a joint moves enough when its number in `map` is read by `factor`.
@@ -318,6 +323,32 @@ fn ordered(view: &View, freedom: Freedom) -> Vec<Proposal> {
     best_of(&thin, all, freedom, POLISHED / 2)
 }
 
+/// Pairs of turning joints of which one moves with the other: by as much (a controller that counts one
+/// joint's angle from the horizon, as FANUC's does for J3), or by a share that is to be found (wrists
+/// whose gears run through one another).
+fn coupled(view: &View) -> Vec<Proposal> {
+    let none = JointMap::as_logged(view.chain.dof());
+    let kinds = view.chain.joint_kinds();
+    let turning: Vec<usize> =
+        (0..kinds.len()).filter(|&joint| kinds[joint] != JointKind::Prismatic).collect();
+    let driving = moving(view, &none);
+    let pairs = turning.iter().flat_map(|&joint| {
+        let driving = driving.iter().filter(|by| turning.contains(by));
+        driving.filter(move |&&by| by != joint).map(move |&by| (joint, by))
+    });
+    let proposal = |(joint, by): (usize, usize), factor: f64, fits_coupling: bool| {
+        let map = JointMap { coupling: Some(Coupling { joint, by, factor }), ..none.clone() };
+        let price = if fits_coupling { 1.0 + ODD } else { 1.0 };
+        Proposal { fits_coupling, ..as_it_is(map, price) }
+    };
+    pairs
+        .flat_map(|pair| {
+            let round = [1.0, -1.0].map(|factor| proposal(pair, factor, false));
+            round.into_iter().chain([proposal(pair, 0.0, true)])
+        })
+        .collect()
+}
+
 /// All joints in another unit and one joint besides.
 fn unit_and_one(view: &View, freedom: Freedom) -> Vec<Proposal> {
     let units = wholes(view.chain).into_iter().filter(|whole| whole.is_unit);
@@ -343,6 +374,7 @@ fn lone(view: &View, base: &JointMap, price: f64, freedom: Freedom, joint: usize
         map: base.with(joint, factor, zero.unwrap_or(0.0)),
         zeros: zero.map(|_| joint).into_iter().collect(),
         factors: is_free.then_some(joint).into_iter().collect(),
+        fits_coupling: false,
         price: price + more,
     };
     let mut proposals = vec![proposal(own, Some(zero_of(own)), false, 1.0)];
@@ -445,6 +477,7 @@ fn two(view: &View, freedom: Freedom) -> Vec<Proposal> {
                         map: base.with(second, factor, zero.unwrap_or(0.0)),
                         zeros: firsts.iter().copied().chain(second_zero).collect(),
                         factors: Vec::new(),
+                        fits_coupling: false,
                         price: price + more,
                     }
                 };
@@ -475,6 +508,7 @@ fn order_and_one(view: &View, freedom: Freedom) -> Vec<Proposal> {
                     map: base.with(joint, 1.0, zero),
                     zeros: vec![joint],
                     factors: Vec::new(),
+                    fits_coupling: false,
                     price: ORDER + 1.0,
                 };
                 let moves = can_move.contains(&joint);

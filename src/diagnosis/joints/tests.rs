@@ -147,3 +147,18 @@ fn angles_are_settled_within_half_a_turn() {
         assert!((angle - TAU * half_turns(angle) - expected).abs() < 1e-12);
     }
 }
+
+#[test]
+fn a_coupled_pair_is_found_with_its_factor() {
+    let chain = ur5e();
+    for (joint, by, factor) in [(2, 1, 1.0), (2, 1, -1.0), (5, 4, 0.05), (4, 3, -0.02)] {
+        let view = view(&chain, tcp(), |q| {
+            let mut logged = q.to_vec();
+            logged[joint] -= factor * q[by];
+            logged
+        });
+        let coupling = found(&view, Kind::Coupled, Freedom::Tool).coupling.expect("a coupling");
+        assert_eq!((coupling.joint, coupling.by), (joint, by));
+        assert!((coupling.factor - factor).abs() < 1e-3, "{coupling:?}");
+    }
+}

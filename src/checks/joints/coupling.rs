@@ -1,0 +1,81 @@
+//! Joints that move with another joint, for ORD009.
+
+use crate::checks::Judged;
+use crate::diagnosis::JointCoupling;
+use crate::evidence::ArmEvidence;
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+
+/// One finding for each coupled pair.
+pub(super) fn judge(arm: &ArmEvidence) -> Vec<Judged> {
+    let couplings = arm.diagnosis.reading.iter().flat_map(|reading| &reading.couplings);
+    couplings.filter_map(|coupling| judge_pair(arm, coupling)).collect()
+}
+
+fn judge_pair(arm: &ArmEvidence, coupling: &JointCoupling) -> Option<Judged> {
+    let (joint, driver) = (arm.joints.get(coupling.column)?, arm.joints.get(coupling.by)?);
+    let (own, with, factor) = (&joint.name, &driver.name, coupling.factor.value);
+    let left = arm.diagnosis.reading.as_ref().ok()?.left?;
+    let (before, after) = (Unit::Metre.show(left.as_logged), Unit::Metre.show(left.corrected));
+    let size = factor.abs();
+    let term = if coupling.is_round() && size.round() == 1.0 {
+        with.clone()
+    } else {
+        format!("{size:.5} · {with}")
+    };
+    let sign = if factor < 0.0 { "-" } else { "+" };
+    let message = if coupling.is_round() {
+        format!("{own} is counted from another link: {with} must be {} it", sign_word(factor))
+    } else {
+        format!("{own} moves by {:.2} % of {with}'s motion in addition to its own", 100.0 * factor)
+    };
+    let fault = Fault {
+        severity: Severity::Error,
+        cause: Cause::Other,
+        title: "joints are coupled",
+        message,
+        evidence: Evidence {
+            effect: Some(format!("{before} off as logged, {after} with the coupling")),
+            effect_m: Some(left.as_logged),
+            ..Evidence::default()
+        },
+        fix: format!("{own}_true = {own} {sign} {term}"),
+    };
+    let estimate = Estimate::amount("joint coupling", Unit::One, &coupling.factor);
+    let judged = Judged::new(arm.joint_states(coupling.column), Outcome::faulty(fault));
+    Some(judged.within(arm.span).estimated(estimate.coupled(with, factor)))
+}
+
+fn sign_word(factor: f64) -> &'static str {
+    if factor < 0.0 { "subtracted from" } else { "added to" }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::checks::joints::ord009::ORD009;
+    use crate::checks::testing::{ask, clean_run, sure};
+    use crate::diagnosis::{JointCoupling, JointReading, UnitSlip};
+    use crate::finding::Estimate;
+
+    #[test]
+    fn a_coupled_joint_is_named_with_the_joint_that_drives_it() {
+        for (factor, fix) in
+            [(1.0, "lift_true = lift + pan"), (-0.03, "lift_true = lift - 0.03000 · pan")]
+        {
+            let mut run = clean_run();
+            run.robots[0].diagnosis.reading = Ok(JointReading {
+                couplings: vec![JointCoupling { column: 1, by: 0, factor: sure(factor) }],
+                left: Some(UnitSlip { as_logged: 0.6, corrected: 1e-5 }),
+                ..JointReading::default()
+            });
+            let (_, findings) = ask(&ORD009, &run);
+            let [finding] = findings.as_slice() else { panic!("{findings:?}") };
+            assert_eq!(finding.subject.joint.as_deref(), Some("lift"));
+            assert_eq!(finding.fix, fix);
+            let Some(Estimate::Amount { value, joint, .. }) = &finding.estimate else {
+                panic!("{finding:?}")
+            };
+            assert_eq!((*value, joint.factor), (factor, Some(factor)));
+            assert_eq!(joint.with.as_deref(), Some("pan"));
+        }
+    }
+}

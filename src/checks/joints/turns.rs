@@ -1,0 +1,141 @@
+//! Joints that are off by whole, half or quarter turns, for ORD009.
+
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+use super::zer001::{self, ZER001};
+use crate::checks::decision::{Decision, decide};
+use crate::checks::{Case, Judged, standing};
+use crate::diagnosis::Measured;
+use crate::evidence::ArmEvidence;
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
+
+/// One finding for each joint that is off by turns.
+pub(super) fn judge(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
+    let of_joint = |joint: usize| match part_of_turn(case, arm, joint) {
+        Some((turns, offset)) => Some(judged(arm, joint, turns, &offset, Seen::InPoses)),
+        None => judge_whole(arm, joint),
+    };
+    (0..arm.joints.len()).filter_map(of_joint).collect()
+}
+
+/// What shows that a joint is off.
+#[derive(Clone, Copy)]
+enum Seen {
+    InPoses,
+    InLimits,
+}
+
+/// A joint that exceeds its limits throughout the run, and none of them a turn away.
+fn judge_whole(arm: &ArmEvidence, joint: usize) -> Option<Judged> {
+    let turns = arm.joints.get(joint)?.motion.turns_beyond?;
+    if arm.diagnosis.offsets.get(joint).is_some_and(|offset| offset.chosen) {
+        return None;
+    }
+    let offset = Measured { value: -TAU * turns, std_error: 0.0, dof: 1.0 };
+    Some(judged(arm, joint, turns.abs(), &offset, Seen::InLimits))
+}
+
+/// The turns of a joint whose zero offset is a half or quarter turn: what is left of the offset is below
+/// ZER001's threshold. The first joint's is a matter of the base frame where that is named instead.
+pub(super) fn part_of_turn(
+    case: &Case,
+    arm: &ArmEvidence,
+    joint: usize,
+) -> Option<(f64, Measured)> {
+    let offset = arm.diagnosis.offsets.get(joint).filter(|offset| offset.chosen)?;
+    let measured = *offset.offset.as_ref().ok()?;
+    let unit = arm.joint_unit(joint);
+    let quarters = (measured.value / FRAC_PI_2).round();
+    if unit != Unit::Radian || quarters == 0.0 || arm.scale(joint).is_some() {
+        return None;
+    }
+    let threshold = case.thresholds.of(&ZER001, zer001::threshold(unit));
+    let rest = Measured { value: measured.value - quarters * FRAC_PI_2, ..measured };
+    let is_round =
+        !matches!(decide(&rest, &threshold, case.evidence.subjects()), Decision::Fail(_));
+    let is_sure = standing::doubt(arm, 0.0).is_none();
+    (is_round && is_sure).then_some((quarters.abs() / 4.0, measured))
+}
+
+fn judged(arm: &ArmEvidence, joint: usize, turns: f64, offset: &Measured, seen: Seen) -> Judged {
+    let (amount, name) = match turns {
+        0.25 => ("a quarter turn", "its zero is set a quarter turn off"),
+        0.5 => ("half a turn", "its zero is set half a turn off"),
+        1.0 => ("one turn", "the encoder lost its count"),
+        _ => ("several turns", "the encoder lost its count"),
+    };
+    let direction = if offset.value > 0.0 { "too few" } else { "too many" };
+    let sign = if offset.value < 0.0 { "-" } else { "+" };
+    let shown = Unit::Radian.show(offset.value.abs());
+    let message = match seen {
+        Seen::InLimits => format!(
+            "{amount} {direction}: {name}. Its positions exceed the limits throughout the run, and are \
+             within them {shown} away"
+        ),
+        Seen::InPoses => format!("{amount} ({shown}) {direction}: {name}"),
+    };
+    let effect_m = match seen {
+        Seen::InPoses => arm.diagnosis.offsets.get(joint).map(|offset| offset.effect_m),
+        Seen::InLimits => None,
+    };
+    let fault = Fault {
+        severity: Severity::Error,
+        cause: Cause::JointZero { offset: *offset, slides: false },
+        title: "joint is off by turns",
+        message,
+        evidence: Evidence {
+            effect: effect_m.map(|m| format!("{} at full reach", Unit::Metre.show(m))),
+            effect_m,
+            ..Evidence::default()
+        },
+        fix: format!(
+            "q_true = q_reported {sign} {:.5} rad, or re-home the joint",
+            offset.value.abs()
+        ),
+    };
+    let estimate = Estimate::amount("joint offset", Unit::Radian, offset).off_by_turns(turns);
+    Judged::new(arm.joint_states(joint), Outcome::faulty(fault))
+        .within(arm.span)
+        .estimated(estimate)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::{FRAC_PI_2, PI};
+
+    use crate::checks::joints::{ord009::ORD009, zer001::ZER001};
+    use crate::checks::testing::{ask, clean_run, sure};
+    use crate::finding::Estimate;
+
+    #[test]
+    fn a_zero_that_is_part_of_a_turn_is_named_as_turns_and_not_as_a_zero() {
+        for (offset, turns) in [(FRAC_PI_2, 0.25), (-PI, 0.5), (PI + 1e-4, 0.5)] {
+            let mut run = clean_run();
+            let lift = &mut run.robots[0].diagnosis.offsets[1];
+            (lift.offset, lift.chosen) = (Ok(sure(offset)), true);
+            let (_, findings) = ask(&ORD009, &run);
+            let [finding] = findings.as_slice() else { panic!("{findings:?}") };
+            let Some(Estimate::Amount { joint, .. }) = &finding.estimate else {
+                panic!("{finding:?}")
+            };
+            assert_eq!(joint.turns, Some(turns));
+            assert!(ask(&ZER001, &run).1.is_empty());
+        }
+        // Two degrees beside a quarter turn are a zero.
+        let mut run = clean_run();
+        let lift = &mut run.robots[0].diagnosis.offsets[1];
+        (lift.offset, lift.chosen) = (Ok(sure(FRAC_PI_2 + 0.035)), true);
+        assert!(ask(&ORD009, &run).1.is_empty());
+        assert_eq!(ask(&ZER001, &run).1.len(), 1);
+    }
+
+    #[test]
+    fn a_whole_turn_shows_in_the_limits() {
+        let mut run = clean_run();
+        run.robots[0].joints[1].motion.turns_beyond = Some(1.0);
+        let (_, findings) = ask(&ORD009, &run);
+        let [finding] = findings.as_slice() else { panic!("{findings:?}") };
+        assert!(finding.message.starts_with("one turn too many"), "{}", finding.message);
+        assert_eq!(finding.fix, "q_true = q_reported - 6.28319 rad, or re-home the joint");
+    }
+}
