@@ -157,7 +157,11 @@ fn a_coupled_pair_is_found_with_its_factor() {
             logged[joint] -= factor * q[by];
             logged
         });
-        let coupling = found(&view, Kind::Coupled, Freedom::Tool).coupling.expect("a coupling");
+        let most = Left { m: 5e-4, rad: Some(1e-3) };
+        let Search::Found(found) = search(&view, Kind::Coupled, Freedom::Tool, most) else {
+            panic!("{factor} of joint {by} in joint {joint} is not found")
+        };
+        let coupling = found.map.coupling.expect("a coupling");
         assert_eq!((coupling.joint, coupling.by), (joint, by));
         assert!((coupling.factor - factor).abs() < 1e-3, "{coupling:?}");
     }
