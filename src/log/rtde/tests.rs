@@ -172,7 +172,7 @@ fn decimal_commas_between_commas_are_explained() {
 fn without_the_controllers_time_it_is_a_table_like_others() {
     let text = table(",", "\n", 10).replace("timestamp", "time");
     let log = read_tables(&[text.as_bytes()]).unwrap();
-    assert_eq!(log.files[0].container, crate::Container::Csv);
+    assert_eq!(log.files[0].container, Container::Csv);
     assert_eq!(log.topics[0].name, "actual_q");
     let text = table(",", "\n", 10).replace("timestamp", "other");
     let error = read_tables(&[text.as_bytes()]).unwrap_err().to_string();
