@@ -199,6 +199,9 @@ pub(super) struct Lagging {
     /// What may go with the latency: the speed of the joints, rad/s, and of the tool, m/s; 0 where it is not
     /// to be asked.
     pub loads: [f64; 2],
+    /// Standard deviation of a component of `left` of the last kind that the noise of the joints makes; 0 if
+    /// unknown.
+    pub joint_noise: f64,
 }
 
 /// The course of the latency of a stream that is `aligned`, whose latency was taken to grow by
@@ -350,6 +353,7 @@ fn lagging(aligned: &Aligned, speed: impl Fn(f64) -> f64) -> Vec<Lagging> {
             left: [position(is, should), rotation(is, should)],
             velocity,
             loads: [speed(t[k]), velocity[0].norm()],
+            joint_noise: 0.0,
         }
     })
     .collect()

@@ -392,7 +392,7 @@ impl Weight {
 
     /// Each component counts as `1 / inflation` independent ones, so that costs are those of
     /// independent samples, and a kind with a long memory does not outvote the other.
-    fn level(&self) -> f64 {
+    pub fn level(&self) -> f64 {
         1.0 / (self.noise.sigma.powi(2) * self.noise.inflation())
     }
 }

@@ -210,7 +210,8 @@ fn possible(witness: &Witness, state: &StreamState, offsets: &[f64]) -> DMatrix<
         (0..POSTURES * dof).map(draw).collect()
     };
     let t_s: Vec<f64> = (0..POSTURES).map(|row| row as f64 * STEP_S).collect();
-    let joints = JointTrack { t_s: t_s.clone(), dof, q: drawn(PI), qd: drawn(1.0) };
+    let (q, qd) = (drawn(PI), drawn(1.0));
+    let joints = JointTrack { t_s: t_s.clone(), dof, q, qd, noise: Vec::new() };
     let ideal = Witness {
         joints: &joints,
         chain: witness.chain,

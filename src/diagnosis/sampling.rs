@@ -83,6 +83,9 @@ pub(super) fn slow_samples(
     (rows, fk)
 }
 
+/// A joint moves that is faster than so many standard deviations of its velocity's noise.
+pub(super) const STILL_SIGMAS: f64 = 5.0;
+
 /// Joint speeds that are no motion: five times the noise of the velocities, at least 0.2 mrad/s.
 ///
 /// Noise by the median magnitude of second differences, which smooth motion hardly has.
@@ -98,7 +101,7 @@ pub(super) fn still_speeds(joints: &JointTrack) -> Vec<f64> {
                 .map(|k| (speed(k - 1, j) - 2.0 * speed(k, j) + speed(k + 1, j)).abs())
                 .collect();
             let Some(median) = median(&mut bends) else { return f64::INFINITY };
-            (5.0 * NORMAL * median / 6f64.sqrt()).max(2e-4)
+            (STILL_SIGMAS * NORMAL * median / 6f64.sqrt()).max(2e-4)
         })
         .collect()
 }

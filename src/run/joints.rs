@@ -5,12 +5,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use rayon::prelude::*;
 
-use crate::stream::{Columns, JointColumns, JointTrack};
+use crate::stream::{Columns, JointColumns, JointTrack, sample_noise};
 use crate::time::Stamp;
 
 use super::Run;
 use super::rows::Rows;
-use super::velocities::{Velocities, agreement, smoothed};
+use super::velocities::{Smoothed, Velocities, agreement, smoothed};
 
 /// How one joint of a track came about.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -129,7 +129,8 @@ fn merge(topics: &[JointTopic<'_>], names: &[String], origin: Stamp) -> Option<M
     }
     let (grid, _) = joints.iter().rev().max_by_key(|(stamps, _)| stamps.len())?;
 
-    let mut track = JointTrack { dof: names.len(), ..Default::default() };
+    let noise = joints.iter().flat_map(|(_, track)| track.noise.iter().copied()).collect();
+    let mut track = JointTrack { dof: names.len(), noise, ..Default::default() };
     let mut stamps = Vec::new();
     let mut cursors: Vec<Cursor> = joints.iter().map(|_| Cursor::default()).collect();
     let mut row: Vec<(f64, f64)> = Vec::with_capacity(names.len());
@@ -276,10 +277,14 @@ impl Samples {
 
     fn track(&self, origin: Stamp) -> (JointTrack, Velocities) {
         let t_s: Vec<f64> = self.stamps.iter().map(|stamp| stamp.seconds_since(origin)).collect();
-        let (q, derived) = smoothed(&t_s, &self.position);
+        let Smoothed { q, qd: derived, mut noise } = smoothed(&t_s, &self.position);
         let velocities = agreement(&t_s, &q, &self.velocity, &derived);
-        let qd = if velocities == Velocities::Logged { self.velocity.clone() } else { derived };
-        (JointTrack { t_s, dof: 1, q, qd }, velocities)
+        let is_logged = velocities == Velocities::Logged;
+        let qd = if is_logged { self.velocity.clone() } else { derived };
+        if is_logged {
+            noise[1] = sample_noise(&qd);
+        }
+        (JointTrack { t_s, dof: 1, q, qd, noise: vec![noise] }, velocities)
     }
 }
 

@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use crate::diagnosis::encoder_step;
 use crate::stream::sample_noise;
 
 /// Where the velocities of a joint come from.
@@ -16,35 +17,55 @@ pub enum Velocities {
     Derived,
 }
 
+/// Positions and their derivative.
+pub(super) struct Smoothed {
+    pub q: Vec<f64>,
+    pub qd: Vec<f64>,
+    /// Standard deviations of the noise of either, that of rounding to an encoder's steps included.
+    pub noise: [f64; 2],
+}
+
 /// Positions and their derivative: as they are where noise hardly matters, else of the parabola
 /// that fits best over so many samples, and at most 0.15 s, that it does not.
 ///
 /// Noise of positions counts by the time that it feigns, its deviation over the typical speed: an
 /// encoder's 20 µrad at 1 rad/s is 20 µs and left alone, a hobby servo's 0.5 mrad at 0.05 rad/s is
 /// 10 ms and would decide every latency (Savitzky and Golay 1964).
-pub(super) fn smoothed(t_s: &[f64], q: &[f64]) -> (Vec<f64>, Vec<f64>) {
+pub(super) fn smoothed(t_s: &[f64], q: &[f64]) -> Smoothed {
     const FEIGNED_S: f64 = 5e-4;
     const LONGEST_S: f64 = 0.15;
     let derived = derivative(t_s, q);
     let rows = t_s.len();
     let speed = root_mean_square(&derived);
     let noise = sample_noise(q);
+    // Rounding to steps has the variance of a uniform distribution.
+    let rounded = noise.max(encoder_step(q) / 12f64.sqrt());
+    let span_s = t_s.last().zip(t_s.first()).map_or(0.0, |(last, first)| last - first);
+    let period_s = (span_s / rows.saturating_sub(1).max(1) as f64).max(f64::MIN_POSITIVE);
+    let as_they_are = |qd: Vec<f64>| Smoothed {
+        q: q.to_vec(),
+        qd,
+        noise: [rounded, rounded / (2f64.sqrt() * period_s)],
+    };
     if rows < 9 || noise <= FEIGNED_S * speed {
-        return (q.to_vec(), derived);
+        return as_they_are(derived);
     }
-    let period_s = (t_s[rows - 1] - t_s[0]) / (rows - 1) as f64;
     let needed = (noise / (FEIGNED_S * speed.max(f64::MIN_POSITIVE))).powi(2).ceil();
-    let longest = (0.5 * LONGEST_S / period_s.max(f64::MIN_POSITIVE)).floor();
+    let longest = (0.5 * LONGEST_S / period_s).floor();
     let half = (0.5 * needed.min(1e6)).min(longest) as usize;
     if half < 2 {
-        return (q.to_vec(), derived);
+        return as_they_are(derived);
     }
-    (0..rows)
-        .map(|row| {
-            let (from, to) = (row.saturating_sub(half), (row + half + 1).min(rows));
-            parabola(&t_s[from..to], &q[from..to], t_s[row]).unwrap_or((q[row], derived[row]))
-        })
-        .unzip()
+    let fitted = |row: usize| {
+        let (from, to) = (row.saturating_sub(half), (row + half + 1).min(rows));
+        parabola(&t_s[from..to], &q[from..to], t_s[row]).unwrap_or((q[row], derived[row]))
+    };
+    let (q, qd) = (0..rows).map(fitted).unzip();
+    // Variances of a parabola's value and slope at the middle of many even samples.
+    let samples = (2 * half + 1) as f64;
+    let noise =
+        [rounded * (2.25 / samples).sqrt(), rounded * (12.0 / samples.powi(3)).sqrt() / period_s];
+    Smoothed { q, qd, noise }
 }
 
 /// Value and slope at `at` of the parabola that fits best.

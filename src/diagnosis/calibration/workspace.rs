@@ -110,5 +110,6 @@ fn postures(chain: &Chain) -> JointTrack {
         dof: ranges.len(),
         qd: vec![0.0; q.len()],
         q,
+        noise: Vec::new(),
     }
 }

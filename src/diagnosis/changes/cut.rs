@@ -63,13 +63,14 @@ impl Cut<'_> {
     }
 
     fn joints_in(&self, (from_s, to_s): Span) -> JointTrack {
-        let JointTrack { t_s, dof, q, qd } = self.joints;
+        let JointTrack { t_s, dof, q, qd, noise } = self.joints;
         let [from, to] = [from_s, to_s].map(|at_s| t_s.partition_point(|t_s| *t_s < at_s));
         JointTrack {
             t_s: t_s[from..to].to_vec(),
             dof: *dof,
             q: q[from * dof..to * dof].to_vec(),
             qd: qd[from * dof..to * dof].to_vec(),
+            noise: noise.clone(),
         }
     }
 

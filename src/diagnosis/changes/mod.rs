@@ -396,6 +396,7 @@ fn joint_map(kept: &JointDiagnosis, beyond: &JointDiagnosis, run: &Cut) -> Vec<(
         dof,
         q: [vec![0.0; dof], vec![1.0; dof]].concat(),
         qd: vec![0.0; 2 * dof],
+        noise: Vec::new(),
     };
     let mut once = kept.clone();
     once.patches.clear();

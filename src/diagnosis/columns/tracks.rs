@@ -30,6 +30,6 @@ impl Sheet {
                 qd[row * dof + joint] = factor * (values[after] - values[before]) / h;
             }
         }
-        JointTrack { t_s: self.t_s.clone(), dof, q, qd }
+        JointTrack { t_s: self.t_s.clone(), dof, q, qd, noise: Vec::new() }
     }
 }

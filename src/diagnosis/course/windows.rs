@@ -29,6 +29,7 @@ pub(super) struct Sample {
     pub(super) residual: [f64; 6],
     pub(super) velocity: [f64; 6],
     pub(super) loads: [f64; 2],
+    pub(super) joint_noise: f64,
 }
 
 pub(super) fn samples(lagging: &[Lagging]) -> Vec<Sample> {
@@ -45,6 +46,7 @@ pub(super) fn samples(lagging: &[Lagging]) -> Vec<Sample> {
         residual: scaled(&of.left),
         velocity: scaled(&of.velocity),
         loads: of.loads,
+        joint_noise: of.joint_noise / noise[1],
     };
     lagging.iter().map(sample).collect()
 }
@@ -109,6 +111,10 @@ pub(super) fn window(samples: &[Sample], components: usize) -> Option<Window> {
     let variance = square / free as f64 * (1.0 + rho) / (1.0 - rho);
     // The rounding of stamps to nanoseconds and of positions is never beaten.
     let std_error_s = (variance.max(1e-3) / information).sqrt().max(1e-6);
+    // The rounding of joints to an encoder's steps may err to one side over a whole window.
+    let rows = (components * n) as f64;
+    let joint_noise = samples.iter().map(|sample| sample.joint_noise).sum::<f64>() / n as f64;
+    let std_error_s = std_error_s.hypot(joint_noise / (information / rows).sqrt());
     let t_s = samples.iter().map(|sample| sample.t_s).sum::<f64>() / n as f64;
     std_error_s.is_finite().then_some(Window { t_s, delta_s, std_error_s })
 }

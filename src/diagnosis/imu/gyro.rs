@@ -9,17 +9,20 @@
 
 mod changes;
 
-use super::super::constant::wahba;
 use super::super::course::{Lagging, course_of};
 use super::super::latency::median_period_s;
 use super::super::linear::Linear;
 use super::super::{GyroBias, GyroShape, LatencyCourse, Measured, Seen, Unseen};
 use super::found::{AxesTurn, BiasChange, BiasCourse, MountChange};
-use super::solve::{Model, Solved, lengths, solve};
-use super::{Clock, Delay, Link, NEED, SKEW_CHANCE, TURNS_RAD, explains, rms};
+use super::solve::{DesignNoise, Model, Solved, lengths, solve};
+use super::{
+    Clock, Delay, Link, NEED, SKEW_CHANCE, TURNS_RAD, add_block, explains, mount_of, rms,
+    turned_noise,
+};
 use ground::geometry::{Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::Length;
-use nalgebra::{DVector, Matrix3};
+use ground::stream::sample_noise;
+use nalgebra::{DMatrix, DVector, Matrix3};
 use std::ops::RangeInclusive;
 
 /// Gyro noise below this is no statistics, rad/s.
@@ -58,7 +61,7 @@ impl GyroFit {
         let imu_from_gyro = link_from_imu.inverse() * self.link_from_imu;
         let mount: Vec<usize> = GyroModel::MOUNT.collect();
         let turned = rotvec_from_rotation(&imu_from_gyro);
-        let size_rad = self.solved.length(&mount, turned.as_slice()).ok()?;
+        let size_rad = self.solved.least_length(&mount, turned.as_slice()).ok()?;
         Some(AxesTurn { imu_from_gyro, size_rad, with_accel: false })
     }
 }
@@ -144,10 +147,11 @@ impl Link<'_> {
         })
     }
 
-    /// The mount that best turns the rates of the link to those of the gyro.
+    /// The mount that best turns the rates of the link to those of the gyro, as near to the log's as can be.
     fn first_mount(&self, lag_s: f64, moves: bool) -> Rotation {
+        let logged = self.stream.link_from_imu.map(|pose| pose.rotation).unwrap_or_default();
         if !moves {
-            return self.stream.link_from_imu.map(|pose| pose.rotation).unwrap_or_default();
+            return logged;
         }
         let track = self.stream.track;
         let mut sweep = self.sweep();
@@ -160,7 +164,7 @@ impl Link<'_> {
                 correlation += moment.rotation.inverse() * moment.rate * track.gyro[k].transpose();
             }
         }
-        wahba(&correlation)
+        mount_of(&correlation, &logged)
     }
 
     /// Stretches of samples without a gap, at least `window_s` long, whose ends FK covers.
@@ -247,7 +251,7 @@ impl<'a> GyroModel<'a> {
         let mut sweep = self.link.sweep();
         let mut rate_at = |t_s: f64| {
             let moment = self.link.at(t_s, &mut sweep)?;
-            Some(moment.rotation.inverse() * moment.rate)
+            Some((moment.rotation.inverse() * moment.rate, moment.rate_noise))
         };
         let rows = (0..track.t_s.len()).step_by(self.link.stride());
         let rows = rows.filter(|&k| !self.link.numbers.saturates(&track.gyro[k]));
@@ -255,14 +259,16 @@ impl<'a> GyroModel<'a> {
             let truth_s = self.delay.truth_s(track.t_s[k]);
             let [before, rate, after] =
                 [-AROUND_S, 0.0, AROUND_S].map(|around_s| rate_at(truth_s + around_s));
-            let change = (after? - before?) / (2.0 * AROUND_S);
+            let ((before, _), (rate, rate_noise), (after, _)) = (before?, rate?, after?);
+            let change = (after - before) / (2.0 * AROUND_S);
             let at_s = track.t_s[k];
             let is = self.mount_at(at_s) * (undo * (track.gyro[k] - self.bias_at(at_s)));
             Some(Lagging {
                 t_s: track.t_s[k],
-                left: [Vec3::zeros(), is - rate?],
+                left: [Vec3::zeros(), is - rate],
                 velocity: [Vec3::zeros(), change],
                 loads: [0.0; 2],
+                joint_noise: (rate_noise / 3.0).sqrt(),
             })
         })
         .collect()
@@ -391,7 +397,7 @@ impl<'a> GyroModel<'a> {
         let known = known.ok_or(Unseen::NoFrame)?;
         let error = rotvec_from_rotation(&(known.rotation.inverse() * self.link_from_imu));
         let mount: Vec<usize> = Self::MOUNT.collect();
-        solved.length(&mount, error.as_slice())
+        solved.mount_error(&mount, error.as_slice())
     }
 
     /// Mean rate about the base's z that the bias would feign, rad/s.
@@ -413,6 +419,48 @@ impl<'a> GyroModel<'a> {
 impl Model for GyroModel<'_> {
     fn linearize(&self) -> Linear {
         self.linearized().0
+    }
+
+    /// FK's noise in the columns of the mount, the gyro's in all others.
+    fn design_noise(&self) -> DesignNoise {
+        let track = self.link.stream.track;
+        let gyro_noise = |axis: usize| {
+            sample_noise(&track.gyro.iter().map(|gyro| gyro[axis]).collect::<Vec<f64>>()).powi(2)
+        };
+        let gyro_noise = (0..3).map(gyro_noise).sum::<f64>() / 3.0;
+        let mut squares = DMatrix::zeros(Self::WIDTH, Self::WIDTH);
+        let mut sweep = self.link.sweep();
+        for window in &self.windows {
+            let [from_s, to_s] = [*window.start(), *window.end()].map(|k| track.t_s[k]);
+            let mut moment = |t_s: f64| self.link.at(self.delay.truth_s(t_s), &mut sweep);
+            let (Some(first), Some(last)) = (moment(from_s), moment(to_s)) else { continue };
+            let per_s = 1.0 / (to_s - from_s);
+            let base_from_imu = (last.rotation * self.mount_at(to_s)).to_rotation_matrix();
+            let in_base = (first.rotation_noise + last.rotation_noise) * per_s.powi(2);
+            let in_imu = base_from_imu.matrix().tr_mul(&(in_base * base_from_imu.matrix()));
+            let turned = turned_noise(&in_imu);
+            add_block(&mut squares, Self::MOUNT.start, &turned);
+            if self.slip.is_some_and(|(at_s, ..)| from_s > at_s) {
+                add_block(&mut squares, Self::SLIP.start, &turned);
+            }
+            if first.moving || last.moving {
+                let by_ends = 3.0 * 2.0 * gyro_noise * per_s.powi(2);
+                squares[(Self::LATENCY, Self::LATENCY)] += by_ends;
+                squares[(Self::SKEW, Self::SKEW)] += by_ends * (to_s - self.delay.middle_s).powi(2);
+            }
+            let of_mean = gyro_noise / (window.end() - window.start()).max(1) as f64;
+            for (column, (row, other)) in Self::SHAPE.zip(Self::ENTRIES) {
+                squares[(column, column)] += if row == other { of_mean } else { 2.0 * of_mean };
+            }
+        }
+        let groups = vec![
+            Self::SHAPE.collect(),
+            vec![Self::SKEW],
+            vec![Self::LATENCY],
+            Self::SLIP.collect(),
+            Self::MOUNT.collect(),
+        ];
+        DesignNoise { squares, groups }
     }
 
     fn apply(&mut self, delta: &DVector<f64>) {

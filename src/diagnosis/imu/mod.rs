@@ -14,13 +14,15 @@ mod held;
 mod numbers;
 mod orientation;
 mod solve;
+#[cfg(test)]
+mod tests;
 mod tilt;
 mod yaw;
 
-use super::constant::mean_rotation;
+use super::constant::{mean_rotation, wahba};
 use super::latency::{ArmSpeeds, Peak, angular_speed, by_lag, norms, peaks};
 use super::reread::rotations;
-use super::sampling::still_speeds;
+use super::sampling::{STILL_SIGMAS, still_speeds};
 use super::{AxesSlip, Meant, Measured, Reading, Seen, Unseen};
 pub use found::{
     AxesTurn, BiasChange, BiasCourse, GyroBias, GyroShape, Heading, HeadingError, ImuDiagnosis,
@@ -30,7 +32,8 @@ pub use held::{ImuProof, Rates, proof_of_imu};
 pub use numbers::{AccelSlip, AccelUnit, Clipped, ImuNumbers};
 
 use ground::geometry::{Rotation, Vec3, angle_between};
-use ground::stream::{ImuTrack, JointTrack};
+use ground::stream::{ImuTrack, JointTrack, sample_noise};
+use nalgebra::{DMatrix, Matrix3};
 
 /// Samples of an IMU that are fitted.
 pub(super) const FIT_SAMPLES: usize = 5000;
@@ -278,7 +281,38 @@ struct Link<'a> {
     stream: &'a ImuStream<'a>,
     numbers: &'a ImuNumbers,
     still: Vec<f64>,
+    /// Variances of the noise of each own joint's position and velocity.
+    joint_noise: Vec<[f64; 2]>,
     middle_s: f64,
+}
+
+/// Variances of the noise of a joint's position and velocity.
+fn joint_noise(joints: &JointTrack, column: usize, still: &[f64]) -> [f64; 2] {
+    if let Some(noise) = joints.noise.get(column) {
+        return noise.map(|sigma| sigma * sigma);
+    }
+    let q: Vec<f64> = joints.q.iter().skip(column).step_by(joints.dof.max(1)).copied().collect();
+    [sample_noise(&q).powi(2), (still[column] / STILL_SIGMAS).powi(2)]
+}
+
+/// The part of `Σ (δ×u)ᵀ(δ×v)` over axes u, v that noise δ of this covariance makes.
+fn turned_noise(covariance: &Matrix3<f64>) -> Matrix3<f64> {
+    Matrix3::from_diagonal_element(covariance.trace()) - covariance
+}
+
+/// Adds a block of 3 by 3 to a matrix, from `at` on.
+fn add_block(matrix: &mut DMatrix<f64>, at: usize, block: &Matrix3<f64>) {
+    let mut target = matrix.fixed_view_mut::<3, 3>(at, at);
+    target += block;
+}
+
+/// The mount that best turns vectors of the link to those of the IMU, from `Σ link·imuᵀ`. Where their
+/// directions hardly vary, the mount nearest to `expected` among those that do.
+fn mount_of(correlation: &Matrix3<f64>, expected: &Rotation) -> Rotation {
+    /// Weight of what is expected, as a share of the directions seen most.
+    const SHARE: f64 = 1e-2;
+    let expected = expected.to_rotation_matrix();
+    wahba(&(correlation + expected.matrix() * (SHARE * correlation.norm())))
 }
 
 /// The link at one moment.
@@ -287,6 +321,10 @@ struct Moment {
     rotation: Rotation,
     /// Angular velocity of the link in base, rad/s.
     rate: Vec3,
+    /// Covariance of the noise of `rotation`, in base, rad².
+    rotation_noise: Matrix3<f64>,
+    /// Trace of the covariance of the noise of `rate`, rad²/s².
+    rate_noise: f64,
     /// Whether some joint moves.
     moving: bool,
 }
@@ -322,7 +360,10 @@ impl<'a> Link<'a> {
             (Some(first), Some(last)) => 0.5 * (first + last),
             _ => 0.0,
         };
-        Self { joints, stream, numbers, still: still_speeds(joints), middle_s }
+        let still = still_speeds(joints);
+        let joint_noise = stream.columns.iter().map(|&column| joint_noise(joints, column, &still));
+        let joint_noise = joint_noise.collect();
+        Self { joints, stream, numbers, still, joint_noise, middle_s }
     }
 
     /// A latency without a skew.
@@ -349,9 +390,19 @@ impl<'a> Link<'a> {
             *own = q[column];
         }
         let pose = self.stream.chain.forward_with_jacobian(&sweep.q, &mut sweep.jacobian);
-        let mut moment = Moment { rotation: pose.rotation, rate: Vec3::zeros(), moving: false };
-        for (column, &track) in sweep.jacobian.iter().zip(self.stream.columns) {
-            moment.rate += Vec3::new(column[3], column[4], column[5]) * qd[track];
+        let mut moment = Moment {
+            rotation: pose.rotation,
+            rate: Vec3::zeros(),
+            rotation_noise: Matrix3::zeros(),
+            rate_noise: 0.0,
+            moving: false,
+        };
+        let columns = sweep.jacobian.iter().zip(self.stream.columns).zip(&self.joint_noise);
+        for ((column, &track), [position, velocity]) in columns {
+            let turns = Vec3::new(column[3], column[4], column[5]);
+            moment.rate += turns * qd[track];
+            moment.rotation_noise += turns * turns.transpose() * *position;
+            moment.rate_noise += turns.norm_squared() * velocity;
             moment.moving |= qd[track].abs() > self.still[track];
         }
         Some(moment)

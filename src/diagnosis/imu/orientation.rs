@@ -12,13 +12,16 @@ use super::super::model::FLOOR_RAD;
 use super::super::reading::{After, Fit, Logged, Samples, nearest_truth, read_in_gravity};
 use super::super::{Heading, LatencyCourse, Measured, ReadingEstimate, Seen, Unseen, YawCourse};
 use super::found::MountChange;
-use super::solve::{Model, Solved, lengths, solve};
+use super::solve::{DesignNoise, Model, Solved, lengths, solve};
 use super::yaw::{self, Course};
-use super::{Clock, Delay, Link, MOUNT_CHANCE, NEED, SKEW_CHANCE, TURNS_RAD, explains, rms};
+use super::{
+    Clock, Delay, Link, MOUNT_CHANCE, NEED, SKEW_CHANCE, TURNS_RAD, add_block, explains, mount_of,
+    rms, turned_noise,
+};
 use forms::Form;
 use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::Length;
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector, Matrix3};
 use std::f64::consts::TAU;
 use std::ops::Range;
 
@@ -158,9 +161,7 @@ impl Link<'_> {
         if model.rows.len() < NEED {
             return Err(Unseen::TooFewSamples { have: model.rows.len(), need: NEED });
         }
-        if known_mount.is_some() {
-            model.start_world();
-        }
+        model.start_mount(known_mount.unwrap_or_default());
         Ok((estimate, model))
     }
 
@@ -199,6 +200,11 @@ impl Link<'_> {
         };
         read_in_gravity(&samples, &forces)
     }
+}
+
+/// The axis of a rotation times the sine of its angle, which is continuous at half a turn.
+fn axis_by_sine(rotation: &Rotation) -> Vec3 {
+    2.0 * rotation.w * rotation.vector()
 }
 
 /// The model of the orientations.
@@ -293,7 +299,7 @@ impl<'a> OrientationModel<'a> {
         let known = self.link.stream.link_from_imu.ok_or(Unseen::NoFrame)?;
         let error = rotvec_from_rotation(&(known.rotation.inverse() * self.link_from_imu));
         let mount: Vec<usize> = Self::MOUNT.collect();
-        solved.length(&mount, error.as_slice())
+        solved.mount_error(&mount, error.as_slice())
     }
 
     /// Makes what `course` says beside the drift part of the model.
@@ -322,6 +328,26 @@ impl<'a> OrientationModel<'a> {
         formed + wandered + jumped.map(|jump| jump.size_rad).sum::<f64>()
     }
 
+    /// Starts from the mount by which the IMU turns about the axes of the link, as near to `expected` as can
+    /// be.
+    fn start_mount(&mut self, expected: Rotation) {
+        let mut sweep = self.link.sweep();
+        let t_s = &self.link.stream.track.t_s;
+        let mut middle: Option<(Rotation, Rotation)> = None;
+        let mut correlation = Matrix3::zeros();
+        for (&k, truth) in self.rows.iter().zip(&self.truth) {
+            let Some(moment) = self.link.at(self.delay.truth_s(t_s[k]), &mut sweep) else {
+                continue;
+            };
+            let (link, imu) = *middle.get_or_insert((moment.rotation, *truth));
+            let by_link = axis_by_sine(&(link.inverse() * moment.rotation));
+            let by_imu = axis_by_sine(&(imu.inverse() * truth));
+            correlation += by_link * by_imu.transpose();
+        }
+        self.link_from_imu = mount_of(&correlation, &expected);
+        self.start_world();
+    }
+
     /// Makes the world's rotation fit the mount by averaging.
     fn start_world(&mut self) {
         let mut sweep = self.link.sweep();
@@ -347,14 +373,16 @@ impl<'a> OrientationModel<'a> {
         let t_s = self.rows.iter().map(|&k| self.link.stream.track.t_s[k]);
         let moments = t_s.filter_map(|t_s| {
             let moment = self.link.at(self.delay.truth_s(t_s), &mut sweep)?;
-            Some((t_s, self.world_from_base * moment.rate))
+            let joint_noise = (moment.rotation_noise.trace() / 3.0).sqrt();
+            Some((t_s, self.world_from_base * moment.rate, joint_noise))
         });
         let left = linear.residual[0].iter().map(|&residual| Vec3::from(residual));
-        let lagging = |((t_s, rate), left)| Lagging {
+        let lagging = |((t_s, rate, joint_noise), left)| Lagging {
             t_s,
             left: [Vec3::zeros(), left],
             velocity: [Vec3::zeros(), rate],
             loads: [0.0; 2],
+            joint_noise,
         };
         moments.zip(left).map(lagging).collect()
     }
@@ -429,6 +457,38 @@ impl<'a> OrientationModel<'a> {
 impl Model for OrientationModel<'_> {
     fn linearize(&self) -> Linear {
         self.linearized().0
+    }
+
+    /// FK's noise in the columns of the mount and of the delay.
+    fn design_noise(&self) -> DesignNoise {
+        let width = self.first_jump() + self.jumps.len();
+        let mut squares = DMatrix::zeros(width, width);
+        let mut sweep = self.link.sweep();
+        let stamps = self.rows.iter().map(|&k| self.link.stream.track.t_s[k]);
+        for stamp in stamps {
+            let Some(moment) = self.link.at(self.delay.truth_s(stamp), &mut sweep) else {
+                continue;
+            };
+            let base_from_imu = (moment.rotation * self.mount_at(stamp)).to_rotation_matrix();
+            let in_imu = moment.rotation_noise * base_from_imu.matrix();
+            let turned = turned_noise(&base_from_imu.matrix().tr_mul(&in_imu));
+            add_block(&mut squares, Self::MOUNT.start, &turned);
+            if self.slip.is_some_and(|(at_s, ..)| stamp > at_s) {
+                add_block(&mut squares, Self::SLIP.start, &turned);
+            }
+            if moment.moving {
+                squares[(Self::LATENCY, Self::LATENCY)] += moment.rate_noise;
+                let since_s = stamp - self.link.middle_s;
+                squares[(Self::SKEW, Self::SKEW)] += moment.rate_noise * since_s.powi(2);
+            }
+        }
+        let groups = vec![
+            vec![Self::SKEW],
+            vec![Self::LATENCY],
+            Self::SLIP.collect(),
+            Self::MOUNT.collect(),
+        ];
+        DesignNoise { squares, groups }
     }
 
     fn apply(&mut self, delta: &DVector<f64>) {

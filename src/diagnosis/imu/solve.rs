@@ -1,8 +1,9 @@
 //! Gauss–Newton over the free parameters of a model of an IMU.
 
 use super::super::linear::{Linear, Normal, Weight};
-use super::super::robust::sandwich;
+use super::super::robust::{pseudo_inverse, sandwich};
 use super::super::{Measured, Seen, Unseen};
+use super::MOUNT_CHANCE;
 use ground::geometry::Vec3;
 use ground::stats::{Length, joint_p_value};
 use nalgebra::{DMatrix, DVector};
@@ -12,33 +13,106 @@ pub(super) trait Model {
     /// Residuals and their derivatives at the parameters as they are.
     fn linearize(&self) -> Linear;
 
+    /// Noise in those derivatives.
+    fn design_noise(&self) -> DesignNoise;
+
     /// Moves the parameters by `delta`, one entry a column of the design.
     fn apply(&mut self, delta: &DVector<f64>);
+}
+
+/// Measurement noise in the columns of a design (errors in variables: Fuller, *Measurement Error
+/// Models*, 1987, §2.2). It adds to `AᵀA` and so feigns information about parameters that a weak
+/// motion does not excite.
+pub(super) struct DesignNoise {
+    /// The expected share of noise in `AᵀA`, over all columns.
+    pub squares: DMatrix<f64>,
+    /// Columns of one unit whose combinations are tested together, the first to be held first.
+    pub groups: Vec<Vec<usize>>,
 }
 
 /// Covariance of the parameters that a fit left free.
 pub(super) struct Solved {
     free: Vec<usize>,
     covariance: DMatrix<f64>,
+    /// Directions over all columns that the motion does not excite, which the fit left as they were.
+    held: Vec<DVector<f64>>,
     dof: f64,
 }
 
-/// Fits the parameters `free` of `model`, and leaves the others as they are.
+/// Fits the parameters `free` of `model`, and leaves the others as they are. Directions that the motion
+/// does not excite above the noise in the design stay where they are, too.
 pub(super) fn solve(model: &mut impl Model, free: &[usize]) -> Solved {
     /// Steps after which a fit that still moves is left where it is.
     const STEPS: usize = 8;
     /// A step this small is the last, in the parameters' own units.
     const STILL: f64 = 1e-9;
+    let noise = model.design_noise();
     let mut left = STEPS;
+    let mut linear = model.linearize();
+    let excited = Excited::of(&linear, &noise, free);
     loop {
-        let linear = model.linearize();
-        let step = Step::of(&linear, free);
+        let step = Step::of(&linear, &excited);
         model.apply(&step.delta);
         left -= 1;
         if left == 0 || step.delta.amax() < STILL {
-            return step.solved(&linear, free);
+            return step.solved(&linear, excited);
         }
+        linear = model.linearize();
     }
+}
+
+/// The combinations of free parameters that a motion excites.
+struct Excited {
+    free: Vec<usize>,
+    /// Each combination, a column over all parameters.
+    basis: DMatrix<f64>,
+    /// The combinations that it does not excite.
+    held: Vec<DVector<f64>>,
+    /// Noise in `AᵀA` between the combinations.
+    noise: DMatrix<f64>,
+}
+
+impl Excited {
+    /// Noise may make this share of what `AᵀA` says of a combination. The noise of joints and gyros is
+    /// known to a factor of two in variance or so, hence twice that for safety.
+    const NOISE_SHARE: f64 = 0.25;
+
+    fn of(linear: &Linear, noise: &DesignNoise, free: &[usize]) -> Self {
+        let width = linear.width;
+        let squares = linear.information(&linear.even_weights());
+        let unit = |column: usize| DVector::from_fn(width, |i, _| f64::from(u8::from(i == column)));
+        let mut free = free.to_vec();
+        free.sort_unstable();
+        let mut basis: Vec<DVector<f64>> = free.iter().map(|&column| unit(column)).collect();
+        let mut held = Vec::new();
+        for group in &noise.groups {
+            let own: Vec<usize> =
+                group.iter().copied().filter(|column| free.contains(column)).collect();
+            if own.is_empty() {
+                continue;
+            }
+            basis.retain(|direction| own.iter().all(|&column| direction[column] == 0.0));
+            let own = columns(width, &own.iter().map(|&column| unit(column)).collect::<Vec<_>>());
+            let others = columns(width, &basis);
+            // What the other parameters do not explain of the group's effects.
+            let across = others.tr_mul(&squares) * &own;
+            let between = pseudo_inverse(&(others.tr_mul(&squares) * &others)).0;
+            let alone = own.tr_mul(&squares) * &own - across.tr_mul(&(between * &across));
+            let by_noise = own.tr_mul(&noise.squares) * &own;
+            let eigen = (alone - by_noise / Self::NOISE_SHARE).symmetric_eigen();
+            for (direction, excess) in eigen.eigenvectors.column_iter().zip(&eigen.eigenvalues) {
+                let direction = &own * direction;
+                if *excess > 0.0 { basis.push(direction) } else { held.push(direction) }
+            }
+        }
+        let basis = columns(width, &basis);
+        let noise = basis.tr_mul(&noise.squares) * &basis;
+        Self { free, basis, held, noise }
+    }
+}
+
+fn columns(width: usize, directions: &[DVector<f64>]) -> DMatrix<f64> {
+    DMatrix::from_fn(width, directions.len(), |i, j| directions[j][i])
 }
 
 /// One Gauss–Newton step on a linearised model.
@@ -50,36 +124,56 @@ struct Step {
 }
 
 impl Step {
-    /// The step of the parameters `free`.
-    fn of(linear: &Linear, free: &[usize]) -> Self {
+    /// The step along the excited combinations.
+    fn of(linear: &Linear, excited: &Excited) -> Self {
         let columns: Vec<usize> = (0..linear.width).collect();
-        let zero = DVector::zeros(linear.width);
-        let mut step =
-            Self { delta: zero.clone(), weights: linear.first_weights(), independent: 0.0 };
+        let delta = DVector::zeros(linear.width);
+        let mut step = Self { delta, weights: linear.first_weights(), independent: 0.0 };
+        let basis = &excited.basis;
         for _ in 0..2 {
             let mut normal = Normal::zeros(linear.width);
             linear.accumulate(&step.weights, &columns, &mut normal);
-            let delta = normal.step(&zero, free);
+            let matrix = basis.tr_mul(&normal.matrix) * basis - step.noise(excited);
+            let delta = basis * (pseudo_inverse(&matrix).0 * basis.tr_mul(&normal.right));
             let weights = linear.weights_after(delta.as_slice());
             step = Self { delta, weights, independent: normal.independent };
         }
         step
     }
 
+    /// The weighted noise in the normal matrix.
+    fn noise(&self, excited: &Excited) -> DMatrix<f64> {
+        let level = self.weights.first().map_or(0.0, Weight::level);
+        &excited.noise * level
+    }
+
     /// The covariance where it was taken.
-    fn solved(self, linear: &Linear, free: &[usize]) -> Solved {
-        let mut free = free.to_vec();
-        free.sort_unstable();
+    fn solved(self, linear: &Linear, excited: Excited) -> Solved {
+        let noise = self.noise(&excited);
+        let Excited { free, basis, mut held, .. } = excited;
         let targets: Vec<Option<usize>> =
             (0..linear.width).map(|column| free.binary_search(&column).ok()).collect();
         let mut information = DMatrix::zeros(free.len(), free.len());
         let mut scores = information.clone();
         linear.accumulate_covariance(&self.weights, &targets, &mut information, &mut scores);
-        let covariance = sandwich(&information, &scores);
+        let own = basis.select_rows(&free);
+        let information = own.tr_mul(&information) * &own - noise;
+        let mut covariance = sandwich(&information, &(own.tr_mul(&scores) * &own));
+        for (at, direction) in basis.column_iter().enumerate() {
+            if !covariance[(at, at)].is_finite() {
+                covariance.fill_row(at, 0.0);
+                covariance.fill_column(at, 0.0);
+                held.push(direction.into_owned());
+            }
+        }
+        let covariance = &own * covariance * own.transpose();
         let dof = (self.independent - free.len() as f64).max(3.0);
-        Solved { free, covariance, dof }
+        Solved { free, covariance, held, dof }
     }
 }
+
+/// A parameter is held of which more than this share lies in directions that are.
+const SHARE_HELD: f64 = 1e-3;
 
 /// How large the residual of each sample is.
 pub(super) fn lengths(linear: &Linear) -> impl Iterator<Item = f64> {
@@ -123,7 +217,45 @@ impl Solved {
         self.block(parameters).is_ok_and(|covariance| p_value(covariance) < chance)
     }
 
+    /// The length of the part of a vector of parameters that the motion excites: no longer than the
+    /// vector.
+    pub fn least_length(&self, parameters: &[usize], vector: &[f64]) -> Seen<Length> {
+        let n = parameters.len();
+        let mut held = DMatrix::zeros(n, n);
+        for direction in &self.held {
+            let own = DVector::from_fn(n, |i, _| direction[parameters[i]]);
+            held += &own * own.transpose();
+        }
+        let eigen = held.symmetric_eigen();
+        let excited = (0..n).filter(|&at| eigen.eigenvalues[at] < SHARE_HELD).collect::<Vec<_>>();
+        if excited.is_empty() {
+            return Err(Unseen::NotExcited);
+        }
+        let basis = eigen.eigenvectors.select_columns(&excited);
+        let covariance = basis.tr_mul(&self.covariance_of(parameters)?) * &basis;
+        let part = basis.tr_mul(&DVector::from_column_slice(vector));
+        Ok(Length::of(part.as_slice(), &covariance, self.dof))
+    }
+
+    /// The length of a mount's error. Where the motion does not show all of it, the part that it shows if
+    /// that is surely an error: a pass takes all of it.
+    pub fn mount_error(&self, parameters: &[usize], error: &[f64]) -> Seen<Length> {
+        let least = || self.least_length(parameters, error).ok();
+        self.length(parameters, error)
+            .or_else(|why| least().filter(|length| length.p_value < MOUNT_CHANCE).ok_or(why))
+    }
+
     fn block(&self, parameters: &[usize]) -> Seen<DMatrix<f64>> {
+        let is_held = |parameter: &usize| {
+            self.held.iter().any(|direction| direction[*parameter].powi(2) > SHARE_HELD)
+        };
+        if parameters.iter().any(is_held) {
+            return Err(Unseen::NotExcited);
+        }
+        self.covariance_of(parameters)
+    }
+
+    fn covariance_of(&self, parameters: &[usize]) -> Seen<DMatrix<f64>> {
         let at: Vec<usize> = parameters
             .iter()
             .map(|parameter| self.free.binary_search(parameter).map_err(|_| Unseen::NotExcited))

@@ -31,7 +31,7 @@ fn arm() -> (JointTrack, Chain, Vec<usize>) {
         std::array::from_fn::<f64, 6, _>(|joint| (after[joint] - before[joint]) / 2e-4)
     };
     let qd = t_s.iter().flat_map(|&t_s| slope(t_s)).collect();
-    (JointTrack { t_s, dof: 6, q, qd }, chain, (0..6).collect())
+    (JointTrack { t_s, dof: 6, q, qd, noise: Vec::new() }, chain, (0..6).collect())
 }
 
 /// What was found of commands of `pose_at` that are given at `t_s`.

@@ -15,6 +15,9 @@ pub struct JointTrack {
     /// Velocities at the same places, rad/s or m/s; as logged where they agree with the positions,
     /// else differentiated.
     pub qd: Vec<f64>,
+    /// Standard deviations of the noise of each joint's positions and velocities, which smoothing hides
+    /// from second differences; empty if unknown.
+    pub noise: Vec<[f64; 2]>,
 }
 
 impl JointTrack {
@@ -220,7 +223,7 @@ mod tests {
         let t_s: Vec<f64> =
             (0..40).map(|i| i as f64 * 0.01 + if i % 3 == 0 { 0.002 } else { 0.0 }).collect();
         let (q, qd) = t_s.iter().map(|&t| cubic(t)).unzip();
-        JointTrack { t_s, dof: 1, q, qd }
+        JointTrack { t_s, dof: 1, q, qd, noise: Vec::new() }
     }
 
     #[test]
@@ -237,7 +240,8 @@ mod tests {
     fn a_gap_is_bridged_only_by_joints_at_rest() {
         let t_s: Vec<f64> =
             (0..20).map(|i| f64::from(i) * 0.01 + if i < 10 { 0.0 } else { 0.5 }).collect();
-        let mut track = JointTrack { q: t_s.clone(), qd: vec![1.0; 20], dof: 1, t_s };
+        let mut track =
+            JointTrack { q: t_s.clone(), qd: vec![1.0; 20], dof: 1, t_s, noise: Vec::new() };
         let (mut q, mut qd) = ([0.0], [0.0]);
         assert!(!track.at(0.3, &mut 0, &mut q, &mut qd));
         assert!(track.at(0.09, &mut 0, &mut q, &mut qd) && track.at(0.6, &mut 0, &mut q, &mut qd));
@@ -250,7 +254,8 @@ mod tests {
     #[test]
     fn slow_sampling_is_no_gap() {
         let t_s: Vec<f64> = (0..20).map(|i| f64::from(i) * 0.2).collect();
-        let track = JointTrack { q: t_s.clone(), qd: vec![1.0; 20], dof: 1, t_s };
+        let track =
+            JointTrack { q: t_s.clone(), qd: vec![1.0; 20], dof: 1, t_s, noise: Vec::new() };
         assert!(track.at(0.3, &mut 0, &mut [0.0], &mut [0.0]));
     }
 

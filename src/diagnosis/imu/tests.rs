@@ -1,0 +1,104 @@
+//! IMUs on motions that excite little.
+
+use super::*;
+use crate::test_motion;
+use ground::geometry::{Pose, rotation_from_rotvec};
+use ground::robot::Chain;
+use rand::{RngExt, SeedableRng};
+use rand_distr::StandardNormal;
+use rand_pcg::Pcg64;
+
+const JOINT_NOISE_RAD: f64 = 2e-5;
+const GYRO_NOISE_RAD_S: f64 = 2e-3;
+const ORIENTATION_NOISE_RAD: f64 = 7e-4;
+
+/// 20 s at 100 Hz of an arm of which only one joint swings, each joint with noise, and its chain.
+fn one_joint(moving: usize, rng: &mut Pcg64) -> (JointTrack, Chain) {
+    let (_, chain) = test_motion::arm();
+    let mut joints = JointTrack { dof: 6, ..Default::default() };
+    let q = |row: i32, joint: usize| {
+        let t_s = f64::from(row) * 0.01;
+        if joint == moving { 0.4 * (1.3 * t_s).sin() } else { 0.3 * joint as f64 - 0.8 }
+    };
+    for row in 0..2000 {
+        joints.t_s.push(f64::from(row) * 0.01);
+        for joint in 0..6 {
+            joints.q.push(q(row, joint) + JOINT_NOISE_RAD * rng.sample::<f64, _>(StandardNormal));
+        }
+    }
+    joints.qd = vec![0.0; joints.q.len()];
+    for at in 6..joints.q.len() - 6 {
+        joints.qd[at] = (joints.q[at + 6] - joints.q[at - 6]) / 0.02;
+    }
+    (joints, chain)
+}
+
+/// What an IMU that is turned in its link by `mount` says of the motion of [`one_joint`].
+fn imu(moving: usize, mount: Rotation, rng: &mut Pcg64) -> ImuTrack {
+    let (_, chain) = test_motion::arm();
+    let rotation = |t_s: f64| {
+        let mut q: Vec<f64> = (0..6).map(|joint| 0.3 * f64::from(joint) - 0.8).collect();
+        q[moving] = 0.4 * (1.3 * t_s).sin();
+        chain.forward(&q).rotation * mount
+    };
+    let mut noise = |sigma: f64| sigma * Vec3::from_fn(|_, _| rng.sample::<f64, _>(StandardNormal));
+    let mut track = ImuTrack::default();
+    for row in 5..3980 {
+        let t_s = f64::from(row) * 0.005;
+        let turn = rotation(t_s - 1e-4).inverse() * rotation(t_s + 1e-4);
+        track.t_s.push(t_s);
+        track.gyro.push(turn.scaled_axis() / 2e-4 + noise(GYRO_NOISE_RAD_S));
+        track.accel.push(rotation(t_s).inverse() * Vec3::new(0.0, 0.0, 9.81));
+        track.orientation.push(rotation(t_s) * rotation_from_rotvec(noise(ORIENTATION_NOISE_RAD)));
+    }
+    track
+}
+
+/// The diagnosis of an IMU that is turned by `mount` where the log says `logged`, while joint `moving` swings.
+fn diagnosed(
+    moving: usize,
+    mount: Rotation,
+    logged: Rotation,
+    with_orientation: bool,
+) -> ImuDiagnosis {
+    let mut rng = Pcg64::seed_from_u64(7);
+    let (joints, chain) = one_joint(moving, &mut rng);
+    let mut track = imu(moving, mount, &mut rng);
+    if !with_orientation {
+        track.orientation.clear();
+    }
+    let stream = ImuStream {
+        track: &track,
+        chain: &chain,
+        columns: &[0, 1, 2, 3, 4, 5],
+        stamp_error_s: 0.0,
+        link_from_imu: Some(Pose::from_parts(Vec3::zeros().into(), logged)),
+        taken_off: None,
+    };
+    diagnose_imu(&joints, &stream, 1.0)
+}
+
+#[test]
+fn a_mount_is_not_observable_about_the_only_axis_of_motion() {
+    for moving in [0, 3, 5] {
+        let mount = rotation_from_rotvec(Vec3::new(0.3, -0.4, 1.2));
+        for with_orientation in [false, true] {
+            let found = diagnosed(moving, mount, mount, with_orientation);
+            assert!(found.mount_rad.is_err(), "joint {moving}: {:?}", found.mount_rad);
+            assert!(found.axes_turn.is_none(), "joint {moving}: {:?}", found.axes_turn);
+            let latency = found.latency_s.expect("a latency");
+            assert!(latency.value.abs() < 1e-3, "joint {moving}: {latency:?}");
+        }
+    }
+}
+
+#[test]
+fn a_mount_that_turns_the_only_axis_of_motion_is_found() {
+    // The tool's z is the axis of the last joint.
+    let off = rotation_from_rotvec(Vec3::x() * 90f64.to_radians());
+    for with_orientation in [false, true] {
+        let found = diagnosed(5, off, Rotation::identity(), with_orientation);
+        let mount = found.mount_rad.expect("a mount");
+        assert!((mount.norm.value - 90f64.to_radians()).abs() < 0.02, "{mount:?}");
+    }
+}
