@@ -228,6 +228,21 @@ fn a_required_rule_that_cannot_conclude_fails_the_call() {
 }
 
 #[test]
+fn too_little_rotation_for_hand_eye_fails_only_if_hand_eye_is_required() {
+    let few_views = ["audit", "fixtures/few_views.mcap", "--format", "json"];
+    let severity = |args: &[&str]| {
+        let report: Value = serde_json::from_slice(&poseaudit(args).stdout).expect("a report");
+        let findings = report["findings"].as_array().expect("a list");
+        let found = findings.iter().find(|finding| finding["code"] == "HEC002");
+        found.expect("HEC002")["severity"].clone()
+    };
+    assert_eq!(severity(&few_views), "info");
+    for code in ["HEC", "HEC001", "HEC002"] {
+        assert_eq!(severity(&[&few_views[..], &["--require", code]].concat()), "warning");
+    }
+}
+
+#[test]
 fn info_lists_topics_and_roles() {
     let output = poseaudit(&["info", CLEAN]);
     assert_eq!(status(&output), 0, "{}", stderr(&output));

@@ -33,7 +33,7 @@ use crate::finding::{
 };
 
 pub use calibration::Still;
-pub(crate) use calibration::{refusal, still};
+pub(crate) use calibration::{gains_nothing, refusal, still};
 pub use decision::{Decision, FrameThresholds, Threshold, decide, decide_both, decide_frame};
 pub(crate) use joints::zer001::ZER001;
 pub(crate) use latency::lat001::LAT001;
@@ -285,11 +285,20 @@ pub struct Case<'a> {
     pub evidence: &'a RunEvidence,
     /// The thresholds that the caller set instead of the rules' own.
     pub thresholds: &'a Thresholds,
+    /// Rules that must conclude.
+    pub required: &'a [Selector],
+}
+
+impl Case<'_> {
+    /// Whether the caller requires that `rule` concludes.
+    fn requires(&self, rule: &Rule) -> bool {
+        self.required.iter().any(|selector| selector.names(rule.code))
+    }
 }
 
 /// Asks every rule that `settings` leaves about every one of its subjects.
 pub fn evaluate(evidence: &RunEvidence, settings: &Settings) -> Evaluation {
-    let case = &Case { evidence, thresholds: &settings.thresholds };
+    let case = &Case { evidence, thresholds: &settings.thresholds, required: &settings.required };
     let mut evaluation = Evaluation::default();
     for rule in REGISTRY.iter().filter(|rule| settings.asks(rule)) {
         let mut judged = (rule.check)(case);

@@ -14,6 +14,8 @@ pub struct Settings {
     pub select: Vec<Selector>,
     /// None of these.
     pub ignore: Vec<Selector>,
+    /// Rules that must conclude.
+    pub required: Vec<Selector>,
     /// The thresholds that the caller set instead of the rules' own.
     pub thresholds: Thresholds,
     /// The severity of all that a rule finds wrong, where the caller set one; what is `info` stays so.

@@ -42,7 +42,7 @@ pub fn length(value: f64) -> Length {
 /// A run as a rule is asked about it, by the rules' own thresholds.
 pub fn as_case(evidence: &RunEvidence) -> Case<'_> {
     static OWN: LazyLock<Thresholds> = LazyLock::new(Thresholds::default);
-    Case { evidence, thresholds: &OWN }
+    Case { evidence, thresholds: &OWN, required: &[] }
 }
 
 /// What `rule` says of `run`: its rows and its findings.

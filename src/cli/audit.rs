@@ -170,12 +170,14 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     if viewer.is_some() && args.rrd.is_none() {
         args.rrd = Some(view::place()?);
     }
-    let mut require = args.require.clone();
+    let mut required = Vec::new();
     let audited = match args.how.clone().options() {
         Err(trouble) => Err(trouble),
-        Ok((how, required)) => {
+        Ok(how) => {
             let mut options = asked(&args, how)?;
-            require = first(require, required);
+            let rules = &mut options.policy.rules;
+            rules.required = first(args.require.clone(), std::mem::take(&mut rules.required));
+            required.clone_from(&rules.required);
             watched(|progress| {
                 options.read.progress = Some(progress);
                 poseaudit::audit(&options)
@@ -204,7 +206,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
         view::open(viewer, recording)?;
     }
     let outcome = Outcome::from(&report);
-    let open = report.not_concluded(&require);
+    let open = report.not_concluded(&required);
     if outcome == Outcome::Clean && !open.is_empty() {
         output::error(format_args!("--require {}: could not conclude", open.join(",")));
         return Ok(Outcome::Findings);

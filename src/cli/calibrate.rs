@@ -56,7 +56,7 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
     if out.exists() && !out.is_dir() {
         return Err(misuse(out.display().to_string(), "is no folder", "name a folder with --out"));
     }
-    let (options, _) = how.options()?;
+    let options = how.options()?;
     let options = with(options);
     let found = watched(|progress| {
         let mut options = options;

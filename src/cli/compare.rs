@@ -66,7 +66,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     sides.into_iter().for_each(|path| places.reads_log(path));
     args.output.iter().for_each(|path| places.writes(output::OUTPUT, path));
     places.check()?;
-    let (how, _) = args.how.options()?;
+    let how = args.how.options()?;
     let (old, new) = (kept(&args.old, Side::Old, &how)?, kept(&args.new, Side::New, &how)?);
     let comparison = compare(&old, &new, how.policy.fail_on);
     output::emit(args.output.as_deref(), |out| match args.format {

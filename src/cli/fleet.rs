@@ -157,7 +157,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
         return fleet_report::run(args);
     }
     args.how.find_config(&args.sources)?;
-    let (options, _) = args.how.clone().options()?;
+    let options = args.how.clone().options()?;
     let out = args.out.clone().unwrap_or_default();
     if args.worker {
         return work(&options, &Store::create(&out)?, args.pages);

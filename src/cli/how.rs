@@ -136,14 +136,12 @@ impl How {
         }
     }
 
-    /// What the config says of an audit, and before it the command line; and the rules that the config
-    /// says must conclude.
+    /// The options of an audit: those of the config, overridden by the command line.
     ///
     /// # Errors
     /// Where the config cannot be read.
-    pub fn options(self) -> Result<(poseaudit::Options, Vec<Selector>), Trouble> {
+    pub fn options(self) -> Result<poseaudit::Options, Trouble> {
         let config = self.config.as_deref().map(Config::from_file).transpose()?;
-        let required = config.as_ref().map(Config::required).unwrap_or_default();
         let mut options = config.as_ref().map(Config::options).unwrap_or_default();
         let (run, policy) = (&mut options.run, &mut options.policy);
         if !self.robots.is_empty() {
@@ -172,7 +170,7 @@ impl How {
         }
         options.read.verify = self.verify;
         options.read.max_unpacked_gib = self.max_unpacked;
-        Ok((options, required))
+        Ok(options)
     }
 }
 

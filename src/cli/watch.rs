@@ -85,7 +85,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     args.rrd.iter().for_each(|path| places.writes("--rrd", path));
     places.check()?;
     args.how.find_config(std::slice::from_ref(&args.path))?;
-    let (options, _) = args.how.clone().options()?;
+    let options = args.how.clone().options()?;
     let pace = Pace {
         every: Duration::from_secs_f64(args.every),
         idle: Duration::from_secs_f64(args.idle),

@@ -16,7 +16,7 @@ mod tests;
 use std::path::{Path, PathBuf};
 
 use crate::audit::{Options, Policy};
-use crate::checks::{Exemption, Selector};
+use crate::checks::Exemption;
 use crate::finding::Subject;
 use crate::log::ReadOptions;
 use crate::report::Trouble;
@@ -96,15 +96,11 @@ impl Config {
             policy.fail_on_inconclusive = *fail_on == FailOn::Inconclusive;
         }
         policy.rules.select = self.file.select.iter().map(|code| code.0.clone()).collect();
+        policy.rules.required = self.file.require.iter().map(|code| code.0.clone()).collect();
         policy.rules.exemptions = self.exemptions();
         self.file.rules.apply(&mut policy.rules);
         let read = ReadOptions { columns: self.file.columns.settings(), ..ReadOptions::default() };
         Options { read, run, policy, config: Some(self.path.clone()), ..Options::default() }
-    }
-
-    /// The rules that must conclude.
-    pub fn required(&self) -> Vec<Selector> {
-        self.file.require.iter().map(|code| code.0.clone()).collect()
     }
 
     /// Where byte `at` of the text is: the file and the line.

@@ -63,7 +63,10 @@ turning = "30 rad/s²"
     assert_eq!(options.run.calibrations[0].file, Path::new("setup/calibration.yaml"));
     assert_eq!((options.run.max_latency_s, options.policy.fail_on), (0.5, None));
     assert_eq!(options.run.stamp, crate::time::Clock::Log);
-    assert!(config.required()[0].names("LAT001") && options.policy.rules.select[0].names("LAT003"));
+    assert!(
+        options.policy.rules.required[0].names("LAT001")
+            && options.policy.rules.select[0].names("LAT003")
+    );
     let [known] = options.policy.rules.exemptions.as_slice() else { panic!("{options:?}") };
     assert_eq!(known.reason, "the driver's delay");
     assert_eq!(known.place, "setup/p.toml:12");

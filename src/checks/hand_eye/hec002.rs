@@ -31,8 +31,9 @@ rule! {
     /// target in view. The finding names an axis to add.
     ///
     /// ## When it misleads
-    /// It asks what this run can show. Where the camera's pose is known already and only to be used,
-    /// no rotation is needed, and the rule can be left out with `--ignore HEC002`.
+    /// It says what this run can show, not that anything is wrong: a cell that works tool-down never
+    /// tilts its hand. So it is `info`, unless a hand-eye calibration is required of the log
+    /// (`--require HEC`, or `require` in the config): then it is a warning.
     HEC002 {
         limits: &[LEAST_SPAN, LEAST_SPREAD],
         name: "hand-eye-rotation",
@@ -68,7 +69,7 @@ fn judge(case: &Case, facts: &HandEyeEvidence) -> Judged {
         _ if is_poor && seen_s < SHORT_S => Outcome::Inconclusive(format!(
             "the target is seen for {seen_s:.1} s only; record 10 s or more"
         )),
-        _ if is_poor => Outcome::faulty(fault(diversity, needed, &undetermined)),
+        _ if is_poor => Outcome::faulty(fault(diversity, needed, &undetermined, severity(case))),
         _ => Outcome::sound_because(format!(
             "the hand rotates by {}, about axes spread over {}{}",
             Unit::Radian.show(diversity.span_rad),
@@ -94,7 +95,18 @@ fn judge(case: &Case, facts: &HandEyeEvidence) -> Judged {
         .with_evidence("undetermined", undetermined)
 }
 
-fn fault(diversity: &Diversity, needed: [f64; 2], undetermined: &[String]) -> Fault {
+/// A motion that does not determine the camera's pose is a warning only if that pose is required.
+fn severity(case: &Case) -> Severity {
+    let required = [&hec001::HEC001, &HEC002].into_iter().any(|rule| case.requires(rule));
+    if required { Severity::Warning } else { Severity::Info }
+}
+
+fn fault(
+    diversity: &Diversity,
+    needed: [f64; 2],
+    undetermined: &[String],
+    severity: Severity,
+) -> Fault {
     let [least_span, least_spread] = needed.map(|angle| Unit::Radian.show(angle));
     let span = Unit::Radian.show(diversity.span_rad);
     let message = if diversity.span_rad < needed[0] {
@@ -109,8 +121,8 @@ fn fault(diversity: &Diversity, needed: [f64; 2], undetermined: &[String]) -> Fa
     };
     Fault {
         cause: Cause::Seen(Sight::HandEye),
-        severity: Severity::Warning,
-        title: "too little rotation",
+        severity,
+        title: "hand-eye is not observable",
         message: message + &limits,
         evidence: Evidence::default(),
         fix: motion(diversity, needed),
