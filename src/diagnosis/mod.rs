@@ -86,7 +86,7 @@ pub use gradual::GradualLatency;
 pub use ground::stats::{Length, Measured};
 pub use handeye::{
     CameraPose, Closure, Diversity, HandEyeDiagnosis, HandEyeStreams, Mount, PoseSeries, Solution,
-    Stretch, TargetReading, diagnose_hand_eye, turning_peaks,
+    Stretch, TargetReading, TargetScale, diagnose_hand_eye, turning_peaks,
 };
 pub use imu::{
     AccelSlip, AccelUnit, AxesTurn, BiasChange, BiasCourse, Clipped, GyroBias, GyroShape, Heading,

@@ -5,7 +5,7 @@ use crate::checks::hand_eye::chain::{
     LEAST_SPAN, SETTLE, THRESHOLDS, does_not_follow, is_mount_decided, unseen, where_is,
     with_solution,
 };
-use crate::checks::{Case, FrameThresholds, Grade, Judged, standing};
+use crate::checks::{Case, FrameThresholds, Grade, Judged, decide, standing};
 use crate::diagnosis::{Measured, Mount, Solution, Stretch, TargetReading};
 use crate::evidence::{ArmEvidence, HandEyeEvidence, Of, PoseEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
@@ -33,6 +33,8 @@ rule! {
     /// `scale` is by how many times all positions of the target are too long (a tag of another size than
     /// the detector was told, or of another unit), `depth_scale` by how many times depth alone is (a focal
     /// length that is wrong); of one of them where that closes the chain as well as both.
+    /// A factor that the camera's pose absorbs, since the distance to the target hardly changes, is estimated
+    /// beside the chain: it must be known to the first figure at the mean distance for a pass.
     /// Solved by Park and Martin (1994), refined by Gauss–Newton on robust weights. `reading` says how
     /// the target's poses must be read for the chain to close, where that is known.
     ///
@@ -79,6 +81,11 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
         Estimate::frame("closure", &solution.closure.excess_m, &solution.closure.excess_rad)
     };
     let open = decide_both(&best.closure.excess_m, &best.closure.excess_rad, &thresholds, subjects);
+    let scaled = match &found.reading {
+        Some((TargetReading::Stretched(_), _)) => as_logged,
+        _ => best,
+    };
+    let scale = decide(&scaled.scale.effect_m(), &thresholds.length, subjects);
     let span_rad = found.diversity.as_ref().map_or(0.0, |diversity| diversity.span_rad);
     let (outcome, estimate) = match (&found.reading, open) {
         _ if span_rad < case.thresholds.limit(&hec002::HEC002, &LEAST_SPAN) => {
@@ -103,6 +110,11 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
         (_, Decision::Pass) => match (facts.logged, by_mount) {
             (Some(logged), _) if logged != best.mount && is_mount_decided(best) => {
                 (Outcome::faulty(other_mount(logged)), closure(best))
+            }
+            _ if !matches!(scale, Decision::Pass) => {
+                let outcome =
+                    scale.into_outcome(SETTLE_SCALE, |severity| stretched(scaled, severity));
+                (outcome, closure(best))
             }
             (_, Some(error)) => {
                 let estimate =
@@ -308,6 +320,39 @@ fn is_fault(reading: &TargetReading, as_logged: &Solution, thresholds: &FrameThr
             thresholds.length.severity(as_logged.closure.excess_m.value).is_some()
         }
         _ => true,
+    }
+}
+
+/// What would tell the scale of a target's positions.
+const SETTLE_SCALE: &str = "the scale of the target's positions (lens, target size) is not known: see the \
+    target from distances that differ by a third";
+
+/// Positions that are too long or too short by a factor, though the chain closes with the camera elsewhere.
+fn stretched(solution: &Solution, severity: Severity) -> Fault {
+    /// One factor explains as much as the other if it is this nearly as sure.
+    const AS_SURE: f64 = 0.7;
+    let scale = &solution.scale;
+    let surely = |of: &Measured| ((of.value - 1.0) / of.std_error).abs();
+    let [size, depth] = [&scale.size, &scale.depth].map(surely);
+    let is_size = size > depth;
+    let stretch = Stretch {
+        size: Some(scale.size).filter(|_| is_size),
+        depth: Some(scale.depth).filter(|_| !is_size),
+        along: scale.along,
+        is_either: size.min(depth) > AS_SURE * size.max(depth),
+    };
+    let off = Unit::Metre.show(scale.effect_m().value.abs());
+    Fault {
+        severity,
+        cause: Cause::Seen(Sight::HandEye),
+        title: "target positions have a wrong scale",
+        message: format!(
+            "{}: the camera is off by {off} along its view ({})",
+            stretch_words(&stretch),
+            setting(solution)
+        ),
+        evidence: Evidence { effect_m: Some(scale.effect_m().value.abs()), ..Evidence::default() },
+        fix: stretch_fix(&stretch),
     }
 }
 

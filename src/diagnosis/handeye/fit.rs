@@ -32,9 +32,83 @@ pub(super) struct Fit {
     /// Standard deviation of position and rotation, in each direction, m and rad.
     pub sigma: [f64; 2],
     covariance: DMatrix<f64>,
+    /// Which poses the fit rests on.
+    keep: Vec<bool>,
+}
+
+/// By what factors the positions of a target are too long, each estimated alone beside the pose of the
+/// camera, the constant and the offset.
+#[derive(Clone, Copy, Debug)]
+pub struct TargetScale {
+    /// All coordinates, as where the detector is told a wrong size.
+    pub size: Measured,
+    /// Depth, as where the focal length is wrong.
+    pub depth: Measured,
+    /// Which coordinate is depth: 0 to 2.
+    pub along: usize,
+    /// The mean distance to the target, m.
+    pub distance_m: f64,
 }
 
 impl Fit {
+    /// The scale of the target's positions in `setting`, whose depth lies along `along`, to first order.
+    pub fn scale(&self, setting: &Setting, along: usize) -> TargetScale {
+        let Self { camera, constant, offset_s, .. } = *self;
+        let state = State { camera, constant, offset_s: offset_s.value };
+        let linear = state.linear(setting, &self.keep);
+        let foretold: Vec<Vec3> = setting
+            .targets
+            .iter()
+            .zip(&self.keep)
+            .filter_map(|((t_s, _), keep)| {
+                let carrier = setting.carrier_at(t_s - state.offset_s).filter(|_| *keep)?;
+                Some(state.foretold(&carrier).translation.vector)
+            })
+            .collect();
+        let distance_m =
+            foretold.iter().map(|xyz| xyz.norm()).sum::<f64>() / foretold.len().max(1) as f64;
+        let deep = |xyz: &Vec3| Vec3::ith(along, xyz[along]);
+        Self::scale_of(&linear, &foretold, Vec3::clone)
+            .zip(Self::scale_of(&linear, &foretold, deep))
+            .map_or_else(
+                || TargetScale::unknown(along, distance_m),
+                |(size, depth)| TargetScale { size, depth, along, distance_m },
+            )
+    }
+
+    /// One factor of what `stretched` says of the positions.
+    fn scale_of(
+        linear: &Linear,
+        foretold: &[Vec3],
+        stretched: impl Fn(&Vec3) -> Vec3,
+    ) -> Option<Measured> {
+        let mut wider = Linear::new(WIDTH + 1, &FLOOR);
+        for (sample, xyz) in foretold.iter().enumerate() {
+            let mut rows = wider.push(&[linear.residual[0][sample], linear.residual[1][sample]]);
+            for kind in 0..2 {
+                let row = |axis: usize| linear.row(sample, 3 * kind + axis);
+                for column in 0..WIDTH {
+                    rows.set(kind, column, [0, 1, 2].map(|axis| row(axis)[column]));
+                }
+            }
+            rows.set(0, WIDTH, stretched(xyz).into());
+        }
+        let all: Vec<usize> = (0..=WIDTH).collect();
+        let mut normal = Normal::zeros(WIDTH + 1);
+        wider.accumulate(&wider.weights_after(&[0.0; WIDTH + 1]), &all, &mut normal);
+        let step = normal.step(&nalgebra::DVector::zeros(WIDTH + 1), &all);
+        let weights = wider.weights_after(step.as_slice());
+        let targets: Vec<Option<usize>> = all.iter().copied().map(Some).collect();
+        let mut information = DMatrix::zeros(WIDTH + 1, WIDTH + 1);
+        let mut scores = information.clone();
+        wider.accumulate_covariance(&weights, &targets, &mut information, &mut scores);
+        let variance = sandwich(&information, &scores)[(WIDTH, WIDTH)];
+        let dof = (3.0 * wider.len() as f64 / weights.first()?.noise.inflation()
+            - (WIDTH + 1) as f64)
+            .max(3.0);
+        Some(Measured { value: 1.0 + step[WIDTH], std_error: variance.max(0.0).sqrt(), dof })
+    }
+
     /// What is left, as one number, rad.
     pub fn misfit(&self) -> f64 {
         together(self.sigma[0], self.sigma[1])
@@ -77,6 +151,22 @@ impl Fit {
     /// Whether a pose with these residuals is an outlier.
     pub fn is_far(&self, left: &[Vec3; 2]) -> bool {
         (0..2).any(|kind| left[kind].norm() > FAR * self.sigma[kind].max(FLOOR[kind]))
+    }
+}
+
+impl TargetScale {
+    fn unknown(along: usize, distance_m: f64) -> Self {
+        let nothing = Measured { value: 1.0, std_error: f64::INFINITY, dof: 3.0 };
+        Self { size: nothing, depth: nothing, along, distance_m }
+    }
+
+    /// By how much depth is off at the mean distance, m: of the factor that surely is not 1, the surer.
+    pub fn effect_m(&self) -> Measured {
+        let off = |of: &Measured| Measured { value: of.value - 1.0, ..*of };
+        let surely = |of: &Measured| (of.value / of.std_error).abs();
+        let (size, depth) = (off(&self.size), off(&self.depth));
+        let surer = if surely(&size) > surely(&depth) { size } else { depth };
+        surer.scaled(self.distance_m)
     }
 }
 
@@ -249,5 +339,6 @@ fn finished(state: State, setting: &Setting, keep: &[bool]) -> Option<Fit> {
         std_error: covariance[(OFFSET, OFFSET)].max(0.0).sqrt(),
         dof,
     };
-    Some(Fit { camera: state.camera, constant: state.constant, offset_s, sigma, covariance })
+    let State { camera, constant, .. } = state;
+    Some(Fit { camera, constant, offset_s, sigma, covariance, keep: keep.to_vec() })
 }

@@ -24,11 +24,12 @@ mod stretch;
 
 use super::latency::{self, Peak, Speed};
 use super::{FrameEstimate, Seen, Unseen};
-use ground::geometry::{Pose, angle_between, rotvec_from_rotation};
+use ground::geometry::{Pose, Vec3, angle_between, rotvec_from_rotation};
 use ground::stats::{Length, Measured};
 
 use closure::closure;
 use diversity::diversity;
+pub use fit::TargetScale;
 use fit::{Fit, fit};
 pub(super) use fit::{WIDTH, design};
 pub use reading::TargetReading;
@@ -141,6 +142,8 @@ pub struct Solution {
     pub misfit_rad: f64,
     /// How far it is from closing.
     pub closure: Closure,
+    /// The scale of the target's positions.
+    pub scale: TargetScale,
 }
 
 /// All that was estimated on a hand and a target.
@@ -320,6 +323,8 @@ fn solve(streams: &HandEyeStreams, target: &ReadTarget, lag_s: f64) -> Option<So
     let (mount, misfit, fit) = fits.into_iter().next()?;
     let full = ReadTarget { series: streams.target, reading: target.reading, stride: 1 };
     let closure = closure(&Setting::new(streams.hand, full.poses(), mount), &fit)?;
+    let along = Vec3::from(series::mean_direction(streams.target)).iamax();
+    let scale = fit.scale(&Setting::new(streams.hand, target.poses(), mount), along);
     let offset_s =
         Measured { std_error: fit.offset_s.std_error.hypot(streams.stamp_error_s), ..fit.offset_s };
     Some(Solution {
@@ -330,6 +335,7 @@ fn solve(streams: &HandEyeStreams, target: &ReadTarget, lag_s: f64) -> Option<So
         target: fit.constant,
         misfit_rad: misfit,
         closure,
+        scale,
     })
 }
 

@@ -253,3 +253,18 @@ fn a_mount_that_is_off_is_measured() {
     let other = HandEyeStreams { logged: Some((Mount::InHand, off)), ..streams };
     assert!(diagnose_hand_eye(&other, 2.0).mount_error.is_none());
 }
+
+#[test]
+fn a_wrong_focal_length_is_in_the_scale_of_depth() {
+    for factor in [1.0, 1.03, 0.97] {
+        let (hand, mut target) = Planted::new(Mount::InHand).streams();
+        // The target lies ahead of the camera, along the axis on which it is furthest.
+        let along = Vec3::from(series::mean_direction(&target)).iamax();
+        target.poses.iter_mut().for_each(|seen| seen.translation.vector[along] *= factor);
+        let scale = diagnosed(&hand, &target).solution.expect("it can be solved").scale;
+        assert_eq!(scale.along, along);
+        let depth = scale.depth;
+        assert!((depth.value - factor).abs() < 5e-3, "{factor}: {depth:?}");
+        assert!(depth.half_width(0.95) < 5e-3, "{factor}: {depth:?}");
+    }
+}
