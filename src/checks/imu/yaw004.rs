@@ -67,11 +67,11 @@ fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Judged {
         matches!(decision, Decision::Fail(_)).then_some((decision, change))
     });
     let judged = match changes {
-        Some((decision, change)) => {
+        Some((decision, change)) if !is_mostly_constant(change) => {
             let outcome = decision.into_outcome(SETTLE, |severity| changed(case, change, severity));
             imu.judged(outcome).estimated(estimate(case, change))
         }
-        None => {
+        _ => {
             let decision = decide_length(&bias.length_rad_s, &threshold, subjects);
             let outcome = decision.into_outcome(SETTLE, |severity| fault(bias, severity));
             let estimate = Estimate::length("gyro bias", THRESHOLD.unit, &bias.length_rad_s);
@@ -88,6 +88,12 @@ fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Judged {
             .with_evidence("misalignment_rad", misalignment_rad.map(shown).to_vec()),
         None => judged,
     }
+}
+
+/// Whether a bias is larger throughout than its change: then the bias is the fault, and the change evidence.
+fn is_mostly_constant(change: &BiasChange) -> bool {
+    let least = change.before_rad_s.norm().min(change.after_rad_s.norm());
+    least > change.size_rad_s.norm.value
 }
 
 /// The size of a change, and of a step from what to what and when.
@@ -167,6 +173,12 @@ fn fault(bias: &GyroBias, severity: Severity) -> Fault {
     let [x, y, z] = vector.map(|rate| format!("{rate:+.4}"));
     let drift = Unit::RadianPerSecond.show(bias.yaw_rate_rad_s);
     let shown = THRESHOLD.unit.show_measured(&bias.length_rad_s.norm);
+    let change = bias.change.as_ref().map_or(String::new(), |change| {
+        format!(
+            "; it changes by {} within the run",
+            Unit::GyroRate.show(change.size_rad_s.norm.value)
+        )
+    });
     let mut evidence = Evidence {
         effect: Some(format!("integrating it drifts yaw by {drift}")),
         ..Evidence::default()
@@ -177,7 +189,7 @@ fn fault(bias: &GyroBias, severity: Severity) -> Fault {
         cause: Cause::Seen(Sight::Gyro),
         severity,
         title: "gyro bias",
-        message: format!("gyro reads {shown} at rest"),
+        message: format!("gyro reads {shown} at rest{change}"),
         evidence,
         fix: format!("subtract ({x}, {y}, {z}) rad/s"),
     }
@@ -210,6 +222,24 @@ mod tests {
         let (_, findings) = ask(&YAW004, &run);
         assert_eq!(findings[0].title, "gyro bias settles");
         assert_eq!(findings[0].evidence.more["kind"], "warm-up");
+    }
+
+    #[test]
+    fn a_small_step_of_a_large_bias_is_a_bias() {
+        let mut run = clean_run();
+        let bias = bias_of(&mut run);
+        let course = BiasCourse::Step { at_s: 15.0, interval_s: [14.9, 15.1] };
+        let before_rad_s = Vec3::new(0.0, 2.4 * DEGREE, 0.0);
+        let after_rad_s = Vec3::new(0.0, 2.65 * DEGREE, 0.0);
+        let size_rad_s = length(0.25 * DEGREE);
+        bias.change = Some(BiasChange { course, before_rad_s, after_rad_s, size_rad_s });
+        (bias.vector_rad_s, bias.length_rad_s) = (after_rad_s, length(2.65 * DEGREE));
+        let (_, findings) = ask(&YAW004, &run);
+        assert_eq!(findings[0].title, "gyro bias");
+        assert_eq!(
+            findings[0].message,
+            "gyro reads 2.650 ± 0.001 °/s at rest; it changes by 0.25 °/s within the run"
+        );
     }
 
     fn bias_of(run: &mut crate::evidence::RunEvidence) -> &mut GyroBias {
