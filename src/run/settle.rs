@@ -10,7 +10,9 @@ use crate::diagnosis::{
     ArmDiagnosis, BaseTravel, Peak, PoseSeries, PoseStream, alternation, base_travel, carrier_lag,
     diagnose_imu, follows, is_seen_from_tool, likely_lags, position_misfit_m, turning_peaks,
 };
-use crate::run::{Arm, HandKind, HandSource, ImuSource, PoseSource, Role, Run, WhyNot};
+use crate::run::{
+    Arm, HandKind, HandSource, ImuSource, PoseSource, Role, Run, Stream, Unaudited, WhyNot,
+};
 use crate::stream::{Orientations, PoseTrack};
 
 use super::role::beside_arm;
@@ -391,7 +393,30 @@ fn leave_unmoved(run: &mut Run) {
         };
         arm.poses.iter().filter(is_said).filter_map(of)
     });
-    for (stream, samples, moved_m) in unmoved.collect::<Vec<_>>() {
+    let unmoved: Vec<(usize, usize, f64)> = unmoved.collect();
+    // A simulator's topic has the bodies of its whole world.
+    let is_object = |stream: usize| {
+        let Stream { topic, child_frame_id, role, .. } = &run.streams[stream];
+        let is_other =
+            |other: &Stream| other.topic == *topic && other.child_frame_id != *child_frame_id;
+        *role != Role::Pose && !child_frame_id.is_empty() && run.streams.iter().any(is_other)
+    };
+    let (objects, unmoved): (Vec<_>, Vec<_>) =
+        unmoved.into_iter().partition(|(stream, ..)| is_object(*stream));
+    let mut by_topic: BTreeMap<String, Vec<usize>> = BTreeMap::new();
+    for (stream, ..) in objects {
+        by_topic.entry(run.streams[stream].topic.clone()).or_default().push(stream);
+    }
+    for streams in by_topic.into_values() {
+        let name = |stream: &usize| run.streams[*stream].child_frame_id.clone();
+        let names: Vec<String> = streams.iter().map(name).collect();
+        for &stream in &streams {
+            run.unassign(stream, "an object of the scene: it never moves".to_owned());
+        }
+        let why = WhyNot::SceneObjects { names };
+        run.unaudited.push(Unaudited { stream: streams[0], why });
+    }
+    for (stream, samples, moved_m) in unmoved {
         let reason = "all its poses are the same while the joints move the tool".to_owned();
         run.leave_out(stream, WhyNot::NeverChanges { samples, moved_m }, reason);
     }

@@ -1,11 +1,13 @@
 //! The streams of a run: its topics, and where a topic carries several poses, each of them.
 
+use std::collections::HashSet;
+
 use crate::log::{RotationLabels, Topic};
 use crate::stream::{Columns, PoseColumns, Times};
 use crate::time::{Clock, Stamp};
 
 use super::clock::{self, Source, StreamClock};
-use super::role::{Role, named_role, plain_role};
+use super::role::{Role, named_role, plain_role, words};
 use super::rounded::RoundedStamps;
 use super::rows::Rows;
 use super::tf_tree::without_slash;
@@ -141,6 +143,7 @@ pub(super) fn split(topics: Vec<Topic>) -> Vec<Stream> {
     let mut streams: Vec<Stream> = topics.into_iter().flat_map(of_topic).collect();
     streams.iter_mut().for_each(Stream::mark_empty);
     leave_joints_to_named(&mut streams);
+    demote_fake_controllers(&mut streams);
     streams
 }
 
@@ -162,6 +165,33 @@ fn leave_joints_to_named(streams: &mut [Stream]) {
         if let Some(topic) = named.map(|stream| stream.topic.clone()) {
             streams[index].role = Role::Ignored;
             streams[index].reason = format!("its joints carry no names; those on '{topic}' do");
+        }
+    }
+}
+
+/// Takes the joint states of a fake controller (MoveIt's demo execution) as commands if another topic has the
+/// same joints.
+fn demote_fake_controllers(streams: &mut [Stream]) {
+    let joints = |stream: &Stream| -> Option<HashSet<String>> {
+        match (stream.role, &stream.columns) {
+            (Role::Joints, Some(Columns::Joints(columns))) => {
+                Some(columns.joints.iter().map(|joint| joint.name.clone()).collect())
+            }
+            _ => None,
+        }
+    };
+    let is_fake = |stream: &Stream| words(&stream.topic).iter().any(|word| word == "fake");
+    for index in 0..streams.len() {
+        let Some(own) = joints(&streams[index]).filter(|_| is_fake(&streams[index])) else {
+            continue;
+        };
+        let has_them = |stream: &&Stream| {
+            !is_fake(stream) && joints(stream).is_some_and(|other| own.is_subset(&other))
+        };
+        if let Some(topic) = streams.iter().find(has_them).map(|stream| stream.topic.clone()) {
+            streams[index].role = Role::Reference;
+            streams[index].reason =
+                format!("what a fake controller was sent; the joint states are on '{topic}'");
         }
     }
 }

@@ -264,6 +264,25 @@ fn a_controllers_feedback_is_the_arm_and_its_reference_is_not() {
     assert!(run.arms[0].joint_facts.iter().all(|joint| joint.stream == 0));
 }
 
+#[test]
+fn a_fake_controller_is_no_second_arm() {
+    const FAKE: &str = "/move_group/fake_controller_joint_states";
+    let mut recording = Recording::new();
+    let Columns::Joints(states) = recording.topics.remove(0).1 else { panic!("joints") };
+    let mut fake = states.clone();
+    fake.joints.iter_mut().for_each(|joint| joint.position.fill(0.0));
+    recording.add(FAKE, Columns::Joints(fake.clone()));
+    recording.add("/joint_states", Columns::Joints(states));
+    let run = recording.run();
+    let roles: Vec<Role> = run.streams.iter().map(|stream| stream.role).collect();
+    assert_eq!((roles, run.arms.len()), (vec![Role::Reference, Role::Joints], 1));
+    // Alone it is all that the log has.
+    let mut alone = Recording::new();
+    alone.topics.remove(0);
+    alone.add(FAKE, Columns::Joints(fake));
+    assert_eq!(alone.run().streams[0].role, Role::Joints);
+}
+
 /// A Franka arm as `franka_msgs/FrankaState` has it: joints without names, and a matrix by columns.
 fn franka() -> (JointColumns, ArrayColumns) {
     let robot = catalogue::find("panda").unwrap();

@@ -36,6 +36,12 @@ pub enum WhyNot {
         /// How far the joints move the tool meanwhile, m.
         moved_m: f64,
     },
+    /// Bodies of its topic that stand still while the joints move the tool, and of which nothing says that they
+    /// are the tool's: objects of a scene.
+    SceneObjects {
+        /// Their names.
+        names: Vec<String>,
+    },
     /// The arm's base moves in its frame, and nothing in the log says how.
     BaseMoves {
         /// The frame.

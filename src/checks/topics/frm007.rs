@@ -22,8 +22,8 @@ rule! {
     /// that believes its frame or its orientation is wrong by all of it.
     ///
     /// ## Evidence
-    /// `why` is `own-frame`, `no-orientation`, `never-changes`, `other-frames`, `base-moves`, `whose-arm`, `no-kinematics` or
-    /// `no-model`; beside it stand the number of `samples` and how far the joints move the tool (`moved_m`), the `frame`, the `base` with how far it travels (`travel_m`) and turns
+    /// `why` is `own-frame`, `no-orientation`, `never-changes`, `scene-objects`, `other-frames`, `base-moves`,
+    /// `whose-arm`, `no-kinematics` or `no-model`; beside it stand the number of `samples` and how far the joints move the tool (`moved_m`), the `frame`, the `base` with how far it travels (`travel_m`) and turns
     /// (`turn_rad`), the `arms`, what is `missing`, or the `joints`.
     ///
     /// ## How to fix
@@ -57,9 +57,13 @@ fn judge(stream: &Of<Vec<WhyNot>>) -> Vec<Judged> {
     }
     let of = |why: &WhyNot| {
         let Words { why: name, title, message, fix, evidence } = words(why);
+        let severity = match why {
+            WhyNot::SceneObjects { .. } => Severity::Info,
+            _ => Severity::Warning,
+        };
         let fault = Fault {
             cause: Cause::Seen(Sight::Stream),
-            severity: Severity::Warning,
+            severity,
             title,
             message,
             evidence: Evidence::default(),
@@ -127,6 +131,17 @@ fn words(why: &WhyNot) -> Words {
             ),
             fix: "look for what stopped it, and record it for as long as the arm moves".to_owned(),
             evidence: vec![("samples", json!(samples)), ("moved_m", json!(moved_m))],
+        },
+        WhyNot::SceneObjects { names } => Words {
+            why: "scene-objects",
+            title: "objects of the scene",
+            message: format!(
+                "{} bodies on it never move ({}): objects of the scene, not the tool",
+                names.len(),
+                few(names)
+            ),
+            fix: "nothing to fix; leave the topic out of the recording if nobody needs it".to_owned(),
+            evidence: vec![("bodies", json!(names))],
         },
         WhyNot::BaseMoves { frame, base, travel_m, turn_rad } => Words {
             why: "base-moves",
