@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::Options;
 use super::tables::table;
-use crate::checks::{Still, refusal, still};
+use crate::checks::{Still, gains_nothing, refusal, still};
 use crate::diagnosis::{
     ArmCalibration, CalibrationStream, NoCalibration, PoseDiagnosis, Reading, calibrate_arm,
 };
@@ -152,7 +152,7 @@ pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<Calibrated, T
         }));
         streams = outside;
     }
-    let (joints, found) = fitted(&drawing, &streams).map_err(|why| {
+    let (joints, found) = fitted_to_most(&drawing, &mut streams, &mut left_out).map_err(|why| {
         let (what, remedy) = words(why);
         trouble(place, what, remedy)
     })?;
@@ -206,6 +206,33 @@ fn words(why: NoCalibration) -> (&'static str, &'static str) {
         NoCalibration::Diverges => {
             ("the links' deviations do not settle", "see what `poseaudit audit` says of the log")
         }
+    }
+}
+
+/// Fits the arm's links to the streams. A minority of streams that gain nothing by it is left out, with the
+/// reason: it may be of another state of the arm. If most gain nothing, all are kept, and the result is
+/// refused.
+fn fitted_to_most(
+    robot: &Robot,
+    streams: &mut Vec<Taken>,
+    left_out: &mut Vec<String>,
+) -> Result<(Vec<String>, ArmCalibration), NoCalibration> {
+    let given = streams.len();
+    loop {
+        let (joints, found) = fitted(robot, streams)?;
+        let useless: Vec<Option<String>> = found.streams.iter().map(gains_nothing).collect();
+        let kept = useless.iter().filter(|why| why.is_none()).count();
+        if kept == streams.len() || 2 * kept <= given {
+            return Ok((joints, found));
+        }
+        let mut why_not = useless.into_iter();
+        streams.retain(|stream| match why_not.next().flatten() {
+            Some(why) => {
+                left_out.push(format!("{} {}: {why}", stream.log.display(), stream.topic));
+                false
+            }
+            None => true,
+        });
     }
 }
 

@@ -1,6 +1,6 @@
 //! Whether logs carry a calibration of an arm.
 
-use crate::diagnosis::ArmCalibration;
+use crate::diagnosis::{ArmCalibration, StreamCalibration};
 use crate::robot::{JointKind, Robot};
 
 /// A calibration is worth a file where FK is known so many times better by it than by the drawing …
@@ -57,32 +57,34 @@ pub(crate) fn refusal(found: &ArmCalibration, still: &[Still]) -> Option<String>
             1e3 * drawing
         ));
     }
-    for stream in &found.streams {
-        if stream.after.m > stream.before.m.max(NOISE * 3f64.sqrt() * stream.noise[0]) {
-            return Some(format!(
-                "the calibrated links leave more than the drawing: {:.3} mm rms, {:.3} mm by the drawing",
-                1e3 * stream.after.m,
-                1e3 * stream.before.m
-            ));
-        }
-        let (before, after) = (stream.held_out_before.m, stream.held_out_after.m);
-        let is_noise = before <= NOISE * 3f64.sqrt() * stream.noise[0];
-        if after > FORETELLS * before && !is_noise {
-            return Some(format!(
-                "of stretches that it has not seen it foretells no more than the drawing: {:.3} mm rms are \
-                 left, {:.3} mm by the drawing",
-                1e3 * after,
-                1e3 * before
-            ));
-        }
+    found.streams.iter().find_map(gains_nothing)
+}
+
+/// Why a stream speaks against the calibration, if it does: it is described no better than by the drawing.
+pub(crate) fn gains_nothing(stream: &StreamCalibration) -> Option<String> {
+    let noise_m = NOISE * 3f64.sqrt() * stream.noise[0];
+    if stream.after.m > stream.before.m.max(noise_m) {
+        return Some(format!(
+            "the calibrated links leave more than the drawing: {:.3} mm rms, {:.3} mm by the drawing",
+            1e3 * stream.after.m,
+            1e3 * stream.before.m
+        ));
     }
-    None
+    let (before, after) = (stream.held_out_before.m, stream.held_out_after.m);
+    (after > FORETELLS * before && before > noise_m).then(|| {
+        format!(
+            "of stretches that it has not seen it foretells no more than the drawing: {:.3} mm rms are \
+             left, {:.3} mm by the drawing",
+            1e3 * after,
+            1e3 * before
+        )
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::{LeftOver, StreamCalibration};
+    use crate::diagnosis::LeftOver;
     use crate::robot::catalogue;
 
     /// A calibration by which FK is known to `expected_m`, by the drawing to 1 mm, and that leaves what is
@@ -139,6 +141,16 @@ mod tests {
             let refused = refusal(&bad, &[]).unwrap_or_default();
             assert!(refused.contains(why), "{refused}");
         }
+    }
+
+    #[test]
+    fn a_stream_gains_nothing_that_is_described_no_better_than_by_the_drawing() {
+        let gains = |left: [f64; 2], unseen: [f64; 2]| {
+            gains_nothing(&found(1e-5, left, unseen).streams[0]).is_none()
+        };
+        assert!(gains([1e-3, 2e-5], [1e-3, 2e-5]));
+        assert!(!gains([1e-3, 2e-3], [1e-3, 2e-5]));
+        assert!(!gains([1e-3, 2e-5], [1e-3, 9.5e-4]));
     }
 
     #[test]
