@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use rayon::prelude::*;
 
 use crate::diagnosis::{
-    Abruptness, Excess, JointDiagnosis, JointOffset, Seen, Series, VelocityDiagnosis,
+    Abruptness, Excess, JointDiagnosis, Seen, Series, VelocityDiagnosis,
     VelocitySamples, abruptness, beyond_positions, beyond_speed, beyond_speed_of_positions,
     diagnose_velocity, encoder_step, stretches,
 };
@@ -49,18 +49,17 @@ pub struct JointMotion {
 /// What makes the joint states those that the arm has, where they are far from that: how the arm moves
 /// is not told by numbers that are no positions.
 pub(super) fn mending(arm: &Arm, found: &JointDiagnosis) -> Option<JointMending> {
-    /// A smaller zero changes neither speeds nor what a limit says of them, rad or m.
-    const FAR: f64 = 0.1;
     let reading = found.reading.as_ref().ok()?;
-    let zero = |(joint, offset): (usize, &JointOffset)| {
-        let coded = found.scales.iter().find(|scale| scale.column == joint && scale.is_coded());
-        let own = offset.offset.as_ref().ok().filter(|_| offset.chosen).map_or(0.0, |it| it.value);
-        coded.map_or(own, |scale| scale.offset)
-    };
-    let offset: Vec<f64> = found.offsets.iter().enumerate().map(zero).collect();
-    if reading.is_as_logged() && offset.iter().all(|offset| offset.abs() < FAR) {
+    if reading.is_as_logged() {
         return None;
     }
+    // The zero of a code such as ticks belongs to the unit. Any other zero is an estimate, and limits are
+    // checked on positions that were logged.
+    let coded_zero = |joint: usize| {
+        let coded = found.scales.iter().find(|scale| scale.column == joint && scale.is_coded());
+        coded.map_or(0.0, |scale| scale.offset)
+    };
+    let offset: Vec<f64> = (0..found.offsets.len()).map(coded_zero).collect();
     let mut mending = JointMending { offset, ..JointMending::none(arm.joint_names.len()) };
     if let Some((really, _)) = &reading.permutation {
         really.iter().enumerate().for_each(|(named, &really)| mending.from[really] = named);

@@ -34,7 +34,8 @@ rule! {
     /// control more often than of the joint. Speeds are the logged ones
     /// where they agree with the positions, else the positions' slope; one sample alone beyond a
     /// speed limit is taken for a bad reading. Some models state limits narrower than the arm's, on
-    /// purpose. A joint's wrong zero (ZER001) shifts its positions against their limits, too.
+    /// purpose. Positions are checked as they were logged, in the unit found: a zero estimated by ZER001
+    /// is not added to them.
     MOT003 {
         name: "limits-exceeded",
         grade: Grade::Fixed(Severity::Warning),
