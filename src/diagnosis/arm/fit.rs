@@ -4,7 +4,7 @@ use crate::drawing::{Drawing, drawing};
 use crate::explain::{Approach, Cause, Explanation, Menu, best, explain};
 use crate::frames::starts;
 use crate::harmless::tools_first;
-use crate::joints::{Read, lone_zeros};
+use crate::joints::{Read, is_quarter_turn, lone_zeros};
 use crate::latency::Peak;
 use crate::model::{State, StreamState, Witness};
 use crate::nominal::{MOST_M, MOST_RAD, is_nominal};
@@ -165,7 +165,12 @@ fn best_start(prepared: &Prepared, read: &Read, with_offsets: bool) -> State {
         let is_far = frames.len() > 1;
         begun.extend(frames.into_iter().map(|stream| start(&read.offsets, stream)));
         if is_far && prepared.witness.reference_known {
+            let first = prepared.witness.columns.first();
             for (joint, zero) in lone_zeros(&prepared.witness, lag_s, &read.offsets) {
+                if first == Some(&joint) && is_quarter_turn(zero) {
+                    // A base turned by a round angle is among the frames already.
+                    continue;
+                }
                 let mut offsets = read.offsets.clone();
                 offsets[joint] = zero;
                 begun.push(start(&offsets, StreamState::at_latency(lag_s)));

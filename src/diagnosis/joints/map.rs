@@ -56,10 +56,7 @@ impl JointMap {
     /// The same without a zero of the first joint that is a round turn: the base is turned then, as makers'
     /// bases are against each other's.
     pub fn with_base_turned(&self) -> Self {
-        const NEAR: f64 = 5e-3;
-        let quarters = self.zero[0] / FRAC_PI_2;
-        let is_round = (quarters - quarters.round()).abs() * FRAC_PI_2 < NEAR;
-        let zero = if is_round { 0.0 } else { self.zero[0] };
+        let zero = if is_quarter_turn(self.zero[0]) { 0.0 } else { self.zero[0] };
         self.with(0, self.factor[0], zero)
     }
 
@@ -114,6 +111,14 @@ impl JointMap {
         };
         (0..self.from.len()).filter(is_beyond).count()
     }
+}
+
+/// Whether an angle is a multiple of 90°, zero among them.
+pub(in super::super) fn is_quarter_turn(angle: f64) -> bool {
+    /// Tolerance, rad: an estimated round angle is this close, a tuned zero hardly ever.
+    const NEAR: f64 = 5e-3;
+    let quarters = angle / FRAC_PI_2;
+    (quarters - quarters.round()).abs() * FRAC_PI_2 < NEAR
 }
 
 /// Whole turns by which an angle is outside of (−π, π].

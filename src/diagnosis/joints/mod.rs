@@ -29,7 +29,7 @@ use search::{Found, Kind, Search, search};
 use std::borrow::Cow;
 use view::{Frames, Freedom, TURNS, View};
 
-pub(super) use map::half_turns;
+pub(super) use map::{half_turns, is_quarter_turn};
 pub(super) use read::Read;
 pub(super) use view::Left;
 
