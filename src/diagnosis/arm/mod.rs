@@ -7,19 +7,21 @@ mod twins;
 mod zeros;
 
 use std::borrow::Cow;
+use std::cell::LazyCell;
 
 use super::bends::bend;
 use super::joints::{
     Left, Read, corrected, lies_on_arm, likely_readings, other_reading, read_joints,
 };
 use super::latency::{ArmSpeeds, Peak};
+use super::nominal::{MOST_M, MOST_RAD};
 use super::placement::{Placement, metres_by_reach};
 use super::placing::spread;
 use super::prepare::{Prepared, prepare};
 use super::sampling::{as_rotations, stream_lag_s, stream_peaks};
 use super::{
     AmountChange, ArmDiagnosis, JointChange, JointCoupling, JointDiagnosis, JointOffset,
-    JointReading, JointScale, JointUnit, PoseDiagnosis, PoseStream, Residual, Seen, Unseen,
+    JointReading, JointScale, JointUnit, PoseDiagnosis, PoseStream, Residual, Seen, Taken, Unseen,
 };
 pub(super) use fit::FIT_SAMPLES;
 use fit::fit;
@@ -90,10 +92,20 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
     let astray = |found: &Found| {
         !found.streams.is_empty() && found.streams.iter().all(PoseDiagnosis::strays)
     };
+    // A reading must not spoil a stream that agrees with the joint states as they are logged.
+    let is_alone = streams.len() < 2;
+    let plain = LazyCell::new(|| by(&as_logged));
+    let spoils = |found: &Found| !is_alone && !found.keeps(&plain);
+    if reading.as_ref().is_ok_and(|reading| !reading.is_as_logged()) && spoils(&found) {
+        (reading, found) = (Ok(JointReading::default()), by(&as_logged));
+    }
     if reading.is_err() || astray(&found) {
         // What is wrong beside them may hide names and units.
         for likely in likely_readings(joints, streams, &metres, most_lag_s) {
             let by_it = by(&likely.reading);
+            if spoils(&by_it) {
+                continue;
+            }
             let is_part = likely.by_range && by_it.left() * PARTLY_BETTER < found.left();
             if is_part || (by_it.holds() && by_it.left() * FAR_BETTER < found.left()) {
                 (reading, found) = (Ok(likely.reading), by_it);
@@ -110,7 +122,8 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
         let other = other_reading(joints, own, metres[stream], lag_s, left);
         if let Some(other) = other {
             let by_other = by(&other);
-            if by_other.holds() && by_other.left() * FAR_BETTER < found.left() {
+            if by_other.holds() && by_other.left() * FAR_BETTER < found.left() && !spoils(&by_other)
+            {
                 (reading, found) = (Ok(other), by_other);
             }
         }
@@ -174,6 +187,21 @@ impl Found {
             found.residual.as_ref().is_ok_and(|residual| residual.excess_m.value < most_m)
         };
         self.streams.iter().any(near)
+    }
+
+    /// Whether each stream that agrees with FK in its own frames under `other` does so here.
+    fn keeps(&self, other: &Found) -> bool {
+        let agrees = |found: &PoseDiagnosis| {
+            let is_explained = found.residual.as_ref().is_ok_and(|left| {
+                left.rms_m < EXPLAINED_M && left.rms_rad < EXPLAINED_RAD && found.reading.is_ok()
+            });
+            let Taken { reference, .. } = &found.taken;
+            is_explained
+                && reference.translation.vector.norm() < MOST_M
+                && reference.rotation.angle() < MOST_RAD
+        };
+        let pairs = self.streams.iter().zip(&other.streams);
+        pairs.into_iter().all(|(own, other)| !agrees(other) || agrees(own))
     }
 
     /// Whether the reading may be believed: some stream is near the arm, and no joint needs a scale of
