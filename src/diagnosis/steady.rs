@@ -2,7 +2,7 @@
 //! be if it were.
 
 use super::bends::{gives, without_bends};
-use super::changes::{jumps_in_time, leaves_slowly, without_changes};
+use super::changes::{constant_frames_suffice, jumps_in_time, leaves_slowly, without_changes};
 use super::imu::diagnose_mended;
 use super::{
     ArmDiagnosis, GradualLatency, ImuDiagnosis, ImuNumbers, ImuStream, JointReading, LargeChange,
@@ -101,13 +101,20 @@ pub fn diagnose_steadied(
         }
     }
     let unsteadied = with_tracks(&streams, &tracks);
+    let is_within_links = constant_frames_suffice(&steady);
     let by_bend = without_bends(joints, &unsteadied, slides, &steady, most_lag_s);
+    // Link deviations look like sag and eccentricity, not like backlash.
+    let is_smooth = |bent: &ArmDiagnosis| bent.joints.bends.iter().any(|bend| !bend.is_play());
+    let by_bend = by_bend.filter(|bent| !is_within_links || !is_smooth(bent));
     let is_enough = |bent: &ArmDiagnosis| {
         !bent.joints.bends.is_empty() && !bent.streams.iter().any(leaves_slowly)
     };
     // A joint with play that turns back a few times is as one whose zero, or a frame, changes there.
     let most = if by_bend.as_ref().is_some_and(is_enough) { 1 } else { usize::MAX };
-    let by_change = without_changes(joints, &unsteadied, slides, &steady, most_lag_s, most);
+    let by_change = match is_within_links {
+        true => None,
+        false => without_changes(joints, &unsteadied, slides, &steady, most_lag_s, most),
+    };
     let (changed, otherwise) = match (by_change, by_bend) {
         (Some(change), Some(bend)) => match gives(&bend, &change) {
             true => (false, Some(bend)),

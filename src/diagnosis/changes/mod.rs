@@ -9,6 +9,7 @@
 //! nothing changed. Only if far less is left then was it a change.
 
 mod coding;
+mod constant;
 mod cut;
 mod found;
 mod jumps;
@@ -25,6 +26,7 @@ use ground::stats::Measured;
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
 use coding::same_coding;
+pub(super) use constant::constant_frames_suffice;
 use cut::{Cut, PART_SAMPLES, Span};
 pub use found::{AmountChange, Change, CodedParts, FrameChange, JointChange, JointPatch};
 use jumps::{Jump, of_joints};
