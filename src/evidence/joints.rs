@@ -5,9 +5,9 @@ use std::f64::consts::TAU;
 use rayon::prelude::*;
 
 use crate::diagnosis::{
-    Abruptness, Excess, JointDiagnosis, Seen, Series, VelocityDiagnosis,
-    VelocitySamples, abruptness, beyond_positions, beyond_speed, beyond_speed_of_positions,
-    diagnose_velocity, encoder_step, stretches,
+    Abruptness, Excess, JointDiagnosis, Seen, Series, VelocityDiagnosis, VelocitySamples,
+    abruptness, beyond_positions, beyond_speed, beyond_speed_of_positions, diagnose_velocity,
+    encoder_step, stretches,
 };
 use crate::robot::{JointKind, Limits};
 use crate::run::{Arm, JointMending, JointSamples, Run, Velocities};

@@ -268,9 +268,9 @@ impl Sheet {
             // Positions may stand beside their velocities and efforts, joint by joint.
             for stride in 1..=3 {
                 let wide = (dof - 1) * stride + 1;
-                let windows = own.windows(wide).flat_map(|window| {
-                    orders.iter().map(move |order| (window, order.as_slice()))
-                });
+                let windows = own
+                    .windows(wide)
+                    .flat_map(|window| orders.iter().map(move |order| (window, order.as_slice())));
                 for (window, order) in windows {
                     let joints: Vec<usize> = order.iter().map(|at| window[at * stride]).collect();
                     if joints.iter().any(|column| wanted.taken.contains(column)) {
