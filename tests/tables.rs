@@ -315,7 +315,8 @@ fn metadata_that_the_stamps_contradict_are_a_finding() {
     let finding = wrong.findings.iter().find(|finding| finding.code == "META001");
     let message = finding.map(|finding| finding.message.as_str()).unwrap_or_default();
     assert!(message.contains("declare 40 frames") && message.contains("25.0000"), "{message}");
-    assert_eq!(status(&audited(&CLEAN, None)), Status::Skipped);
+    // A table without metadata still has column names that its numbers may contradict.
+    assert_eq!(status(&audited(&CLEAN, None)), Status::Pass);
 }
 
 #[test]

@@ -117,13 +117,16 @@ pub(super) fn joint_evidence(
 fn turns_beyond(position: &[f64], limits: &Limits) -> Option<f64> {
     /// An encoder counts no more turns than this.
     const MOST: f64 = 4.0;
+    /// Within this share of the range beyond a limit the model's limit is as likely wrong (MOT003's `info`).
+    const SLIGHT: f64 = 0.01;
     let (lower, upper) = limits.lower.zip(limits.upper)?;
     let finite = position.iter().copied().filter(|position| position.is_finite());
     let (low, high) =
         finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), q| (low.min(q), high.max(q)));
+    let slight = SLIGHT * (upper - lower);
     let turns = match () {
-        () if low > upper => ((high - upper) / TAU).ceil(),
-        () if high < lower => ((low - lower) / TAU).floor(),
+        () if low > upper + slight => ((high - upper) / TAU).ceil(),
+        () if high < lower - slight => ((low - lower) / TAU).floor(),
         () => return None,
     };
     let is_within = low - TAU * turns >= lower && high - TAU * turns <= upper;

@@ -105,7 +105,12 @@ fn of(series: &Series<'_>) -> Option<Publishers> {
     let again =
         looked_at.windows(2).filter(|two| series.values.is_same(two[0].1, two[1].1)).count();
     let is_ticking = || Grid::of(&stamped_s).is_some_and(|grid| grid.is_of_one_even_sender());
-    let stamps_show_two = || split(&stamped_s, &off).is_some_and(|two| are_two(&stamped_s, &two));
+    // Poses that disagree are two publishers' even if their stamps, copied from joint states, are uneven.
+    let values_disagree = matches!(series.values, Values::Poses(_)) && rough > SMOOTH;
+    let stamps_show_two = || {
+        let two = split(&stamped_s, &off);
+        two.is_some_and(|two| values_disagree || are_two(&stamped_s, &two))
+    };
     let is_one = is_one(&stamped_s)
         || is_one(&received_s)
         || is_ticking()

@@ -46,7 +46,7 @@ pub(super) fn is_one(t_s: &[f64]) -> bool {
 /// so that the likelihood ratio is that of the deviations. One sender with jitter deviates as much from any comb.
 pub(super) fn are_two(t_s: &[f64], split: &Split) -> bool {
     /// Deviations that a split of one sender's rows gains by choosing the rows that fit stay below this factor.
-    const FACTOR: f64 = 2.0;
+    const FACTOR: f64 = 3.0;
     /// Stamps are no finer, s.
     const RESOLUTION_S: f64 = 1e-6;
     let one_s = periods(t_s)

@@ -6,7 +6,7 @@ use poseaudit::finding::{Estimate, Finding};
 use poseaudit::geometry::{
     Pose, QuaternionSlip, Vec3, pose, rotation_from_rotvec, rotation_from_xyzw,
 };
-use poseaudit::report::Report;
+use poseaudit::report::{Report, Verdict};
 use poseaudit::synth::{Coding, JOINT_STATES, POSE, ToolSlip};
 use serde_json::Value;
 
@@ -101,7 +101,8 @@ fn a_short_part_that_does_not_tell_how_it_is_coded_names_no_frame() {
         });
     });
     let said = codes(&report);
-    assert!(!said.is_empty() && said.is_subset(&["MDL001", "ORD002"].into()), "{said:?}");
+    assert!(said.is_subset(&["MDL001", "ORD002"].into()), "{said:?}");
+    assert_ne!(report.verdict, Verdict::Pass, "{said:?}");
 }
 
 #[test]

@@ -101,7 +101,7 @@ fn stamps_of_a_coarse_clock_are_no_lost_samples() {
         edited(|messages| tick(messages, POSE, TICK_NS)),
         edited(|messages| tick(messages, JOINT_STATES, 6_000_000)),
     ] {
-        assert_eq!(codes(&report), ["TIM005"].into(), "{}", summary(&report.findings));
+        assert_eq!(codes(&report), BTreeSet::new(), "{}", summary(&report.findings));
         let rows = report.checks.iter().filter(|row| row.code == "TIM002");
         assert!(rows.into_iter().all(|row| row.status == Status::Pass), "{:?}", report.checks);
     }
@@ -117,7 +117,7 @@ fn samples_that_are_lost_are_counted_beside_a_coarse_clock() {
             message.topic != POSE || random(row) > 0.08
         });
     });
-    assert_eq!(codes(&report), ["TIM002", "TIM005"].into(), "{}", summary(&report.findings));
+    assert_eq!(codes(&report), ["TIM002"].into(), "{}", summary(&report.findings));
     let estimate = the(&report, "TIM002", POSE).estimate.as_ref().and_then(Estimate::value);
     assert!(estimate.is_some_and(|share| (share - 0.08).abs() < 0.03), "{estimate:?}");
 }

@@ -128,8 +128,17 @@ fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Judged {
         (Ok(mount), None) => {
             let decision = decide_length(mount, &threshold, case.evidence.subjects());
             let found = imu.diagnosis.link_from_imu;
-            let outcome =
-                decision.into_outcome(SETTLE, |severity| fault(mount, imu, found, severity));
+            // A motion that shows the mount no better than the error threshold names no fault of it.
+            let is_vague = mount.norm.half_width(0.95) > threshold.error;
+            let outcome = match decision {
+                Decision::Fail(_) if is_vague => {
+                    let shown = THRESHOLD.unit.show_measured(&mount.norm);
+                    Outcome::Inconclusive(format!("{shown} is too uncertain; {SETTLE}"))
+                }
+                decision => {
+                    decision.into_outcome(SETTLE, |severity| fault(mount, imu, found, severity))
+                }
+            };
             let estimate = Estimate::length("mount error", THRESHOLD.unit, mount);
             imu.judged(outcome).estimated(estimate)
         }

@@ -140,6 +140,11 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
     }
     let range = limits.lower.zip(limits.upper).map_or(0.0, |(lower, upper)| upper - lower);
     let position = Broken::of("position", motion.positions.as_ref(), range);
+    if position.is_some() && zero_is_off(arm, index) {
+        let why =
+            "its positions exceed the limits, and its zero is off (ZER001, ORD009)".to_owned();
+        return judged(Outcome::Inconclusive(why));
+    }
     let top_speed = limits.velocity.unwrap_or(0.0);
     let slight_from = if motion.is_endless { ENDLESS / SLIGHT } else { 1.0 };
     let speed = Broken::of("speed", motion.speeds.as_ref(), slight_from * top_speed);
@@ -171,6 +176,15 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
         judged = judged.with_evidence(broken.what, evidence(case, broken.excess));
     }
     judged
+}
+
+/// Whether the joint's zero is off by so much that its positions say little of its limits.
+fn zero_is_off(arm: &ArmEvidence, joint: usize) -> bool {
+    /// Smaller zero offsets hardly change by how much a limit is exceeded, rad.
+    const FAR_RAD: f64 = 0.1;
+    let named = arm.diagnosis.offsets.get(joint).filter(|offset| offset.chosen);
+    let offset = named.and_then(|offset| offset.offset.as_ref().ok());
+    offset.is_some_and(|offset| offset.value.abs() > FAR_RAD)
 }
 
 fn tell(case: &Case, broken: &Broken<'_>, unit: Unit) -> String {
@@ -205,6 +219,17 @@ fn evidence(case: &Case, excess: &Excess) -> Value {
 mod tests {
     use super::*;
     use crate::checks::testing::{ask, clean_run};
+
+    #[test]
+    fn positions_of_a_joint_whose_zero_is_far_off_break_no_limit() {
+        let mut run = clean_run();
+        let arm = &mut run.robots[0];
+        arm.joints[1].motion.positions =
+            Some(Excess { limit: 3.0, value: 3.5, at_s: 1.0, seconds: 0.25 });
+        let lift = &mut arm.diagnosis.offsets[1];
+        (lift.offset, lift.chosen) = (Ok(crate::checks::testing::sure(-1.2)), true);
+        assert!(ask(&MOT003, &run).1.is_empty());
+    }
 
     #[test]
     fn a_slight_excess_is_told_and_noise_is_not() {

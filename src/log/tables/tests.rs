@@ -470,9 +470,10 @@ fn seconds_and_nanoseconds_are_one_stamp() {
 fn arrays_on_their_side_are_turned() {
     let header = "{'descr': '<f8', 'fortran_order': False, 'shape': (5, 60), }\n";
     let data: Vec<u8> = (0..300)
-        .flat_map(|n| (f64::from(n % 60) + 1e-3 * f64::from(n / 60)).to_le_bytes())
+        .flat_map(|n| (0.02 * f64::from(n % 60) + 1e-3 * f64::from(n / 60)).to_le_bytes())
         .collect();
-    let log = plain(&npy(header, &data));
+    let settings = ColumnSettings { rate_hz: Some(50.0), ..ColumnSettings::default() };
+    let log = read(&npy(header, &data), settings).unwrap_or_else(|error| panic!("{error}"));
     assert_eq!(log.topics[0].messages, 60);
 }
 
