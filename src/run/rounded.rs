@@ -129,7 +129,7 @@ impl Restored {
         let are_shared = share > SHARED && share < 1.5 * expected && !are_sent_again;
         // If the shortest interval is one tick, the tick may be the period, and longer intervals losses.
         let is_coarser = grid.ticks.iter().all(|ticks| *ticks >= 2);
-        if !are_shared && !(is_coarser && grid.is_of_one_even_sender()) {
+        if !(are_shared || is_coarser && grid.is_of_one_even_sender()) {
             return None;
         }
         let (restored_s, resolution_s) = straighten(&t_s, grid.tick_s);

@@ -185,6 +185,9 @@ pub enum SynthError {
     Write(#[from] McapError),
 }
 
+/// Positions and velocities of all joints at one time, rad and rad/s (m and m/s if a joint slides).
+pub type JointRow = (Vec<f64>, Vec<f64>);
+
 impl Scenario {
     /// A run of `robot` without faults: 20 s of pick and place, all streams on.
     pub fn new(robot: Robot, base: &str, tip: &str) -> Self {
@@ -307,7 +310,7 @@ impl Scenario {
     ///
     /// # Errors
     /// If there is no chain from `base` to `tip`.
-    pub fn joints_at(&self, times_s: &[f64]) -> Result<Vec<(Vec<f64>, Vec<f64>)>, SynthError> {
+    pub fn joints_at(&self, times_s: &[f64]) -> Result<Vec<JointRow>, SynthError> {
         let truth = Truth::new(self)?;
         Ok(times_s.iter().map(|&time_s| truth.joints(time_s)).collect())
     }

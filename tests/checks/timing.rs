@@ -298,7 +298,7 @@ fn sag_under_a_load_that_is_taken_up_is_told_before_and_after() {
 }
 
 /// Joint states at 500 Hz, stamped up to so much early or late.
-fn jitter_500_hz(messages: &mut Vec<Message>, most_s: f64) {
+fn jitter_500_hz(messages: &mut [Message], most_s: f64) {
     let joints = of_topic(messages, JOINT_STATES).enumerate();
     for (row, message) in joints {
         message.restamp((most_s * (2.0 * random(row) - 1.0) * SECOND_NS) as i64);

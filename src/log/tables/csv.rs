@@ -279,7 +279,7 @@ fn seconds(cell: &str) -> Option<f64> {
     if digits <= 2 && at(digits) == Some(b':') {
         let time: Time = cell.replace(',', ".").parse().ok()?;
         let midnight = Time::midnight();
-        return Some((time - midnight).total(jiff::Unit::Second).ok()?);
+        return (time - midnight).total(jiff::Unit::Second).ok();
     }
     if cell.len() < 16 {
         return None;

@@ -266,8 +266,8 @@ fn named_groups(table: &Table, all: &[Cell]) -> Vec<Group> {
 
 /// Matrices whose numbers are named by row and column.
 fn matrices(table: &Table, all: &[Cell]) -> Vec<Group> {
-    let mut families: BTreeMap<(&str, Vec<String>), BTreeMap<(usize, usize), Cell>> =
-        BTreeMap::new();
+    type Family<'a> = (&'a str, Vec<String>);
+    let mut families: BTreeMap<Family<'_>, BTreeMap<(usize, usize), Cell>> = BTreeMap::new();
     for &cell in all {
         if let Some((stem, at)) = names::matrix_cell(name(table, cell)) {
             families.entry((home(table, cell), stem)).or_default().entry(at).or_insert(cell);
