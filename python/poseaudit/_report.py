@@ -127,7 +127,8 @@ class Rotation:
 class Estimate:
     """By how much: `value` with its unit and 95 % interval; or what the numbers are (`is_`) and what
     they were read as. Of an amount that changes within the run `value` is the size of the change, from
-    `from_` to `to` at `change_ns`."""
+    `from_` to `to` at `change_ns`. A coupled joint moves by `factor` per unit of the joint `with_`; a joint
+    that is off by turns has `turns`."""
 
     name: str
     value: float | None = None
@@ -138,6 +139,9 @@ class Estimate:
     change_ns: int | None = None
     change_ci95_ns: tuple[int, int] | None = None
     rotation: Rotation | None = None
+    with_: str | None = None
+    factor: float | None = None
+    turns: float | None = None
     is_: Any = None
     read_as: Any = None
     equivalent: tuple[Mapping[str, Any], ...] = ()
