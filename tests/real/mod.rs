@@ -1,7 +1,7 @@
 //! Recordings of real arms: the table of expected answers, and one short excerpt.
 //!
 //! `ur3e.csv` holds the joints and the TCP pose of one run of a UR3e at 25 Hz, merged from five files of
-//! ubc-systopia/dsn-2022-rad-artifact at 7d954a99 (MIT, see `ur3e.LICENSE`).
+//! ubc-systopia/dsn-2022-rad-artifact at 7d954a99 (MIT, see `NOTICE.md`).
 
 use std::fs;
 use std::path::Path;
