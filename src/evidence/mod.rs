@@ -61,6 +61,8 @@ pub struct RunEvidence {
     /// Every stream of joint states or tool poses, and every other that says it is one, with why it is not
     /// audited as that.
     pub unaudited: Vec<Of<Vec<WhyNot>>>,
+    /// Every stream of poses that does what the arm does before it does, with its lead in seconds.
+    pub leaders: Vec<Of<f64>>,
     /// Topics that would play a role, and hold no message, or none with finite numbers.
     pub empty: Vec<EmptyEvidence>,
     /// Topics that the caller expects and the log does not have, with where that is said.
@@ -112,6 +114,7 @@ impl RunEvidence {
             frozen: samples::frozen(run),
             held: samples::held(run),
             unaudited: topics::unaudited(run, &unset),
+            leaders: run.leaders.iter().map(|&(stream, lead_s)| of(run, stream, lead_s)).collect(),
             empty: topics::empty(run),
             missing: topics::missing(run, &options.topics),
             start: run.span.map(|(start, _)| start),

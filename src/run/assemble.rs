@@ -155,6 +155,7 @@ impl Run {
             norms,
             contests,
             unaudited,
+            leaders: Vec::new(),
             undecided: Vec::new(),
             frozen: stalled::times(&sift.stalled).chain(frozen).collect(),
             alternations: Vec::new(),

@@ -185,6 +185,9 @@ pub struct Run {
     pub contests: Vec<Contest>,
     /// The streams that are not audited, or not as what they say they are.
     pub unaudited: Vec<Unaudited>,
+    /// The streams that do what the arm does before it does, each with its lead in seconds: commands, or
+    /// poses of the tool beside joint states that are late.
+    pub leaders: Vec<(usize, f64)>,
     /// The streams that may be tool poses, of which the motion does not tell.
     pub undecided: Vec<usize>,
     /// What the estimators do not see: stray samples, second publishers, repeats.
@@ -313,9 +316,8 @@ impl Run {
     pub fn settle_leader(&mut self, stream: usize, lead_s: f64) {
         let Some(settled) = self.streams.get(stream) else { return };
         let reason = format!(
-            "{}; it leads the arm: it was received {:.0} ms before the arm did the same, which no \
-             measurement of the arm can be (a hand tracker or a leader arm; or else the joint states are \
-             recorded late)",
+            "{}; it leads the arm: it was received {:.0} ms before the arm did the same, as a command \
+             is (a hand tracker or a leader arm), or joint states are that are recorded late",
             settled.reason,
             1e3 * lead_s
         );
@@ -323,5 +325,6 @@ impl Run {
         if let Some(leader) = self.streams.get_mut(stream) {
             leader.role = Role::Reference;
         }
+        self.leaders.push((stream, lead_s));
     }
 }

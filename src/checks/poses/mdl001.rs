@@ -84,7 +84,21 @@ const RECORD: &str = "record the tool's pose (the controller's, a tracker's), /t
 
 fn check(case: &Case) -> Vec<Judged> {
     let named = Named::of(case);
-    case.evidence.robots.iter().flat_map(|arm| judge_arm(case, &named, arm)).collect()
+    let arms = case.evidence.robots.iter().flat_map(|arm| judge_arm(case, &named, arm));
+    arms.chain(case.evidence.leaders.iter().map(judge_leader)).collect()
+}
+
+/// A stream that leads the arm is a command or a pose of the tool beside late joint states. Nothing in the
+/// log tells which, and in the second case a fault would go unseen.
+fn judge_leader(stream: &Of<f64>) -> Judged {
+    let why = format!(
+        "not compared: the arm does the same {:.0} ms later. A hand tracker or a leader arm does that, and so does \
+         a measurement of the tool beside late joint states; [stream.\"{}\"] with role = \"reference\" or \"pose\" in \
+         poseaudit.toml says which",
+        1e3 * **stream,
+        stream.topic(),
+    );
+    stream.judged(Outcome::Inconclusive(why))
 }
 
 /// A stream of an arm, and how its error stands.
