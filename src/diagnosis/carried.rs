@@ -2,7 +2,9 @@
 
 use super::PoseStream;
 use super::latency::ArmSpeeds;
-use super::placing::{Expected, spread};
+use super::frames::misfit_of_frames_m;
+use super::placement::metres_by_size;
+use super::placing::spread;
 use ground::geometry::{Pose, Vec3};
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
@@ -180,17 +182,24 @@ pub fn base_travel(
     })
 }
 
-/// Whether one world that the base stands still in and one point of the tool leave less than `most_m` of
-/// the positions, rms. A tool that keeps its orientation, seen by a tracker whose world and body are turned
-/// at will, looks like a base that slides along: then orientations leave open how the world is turned, and
-/// positions do not.
+/// Whether a base that stands still leaves less than `most_m` of the positions, rms, in metres or in the unit
+/// in which they spread as FK does: a constant world and marker explain them. A tool that keeps its orientation,
+/// or a hand that turns about one axis, else looks like a base that slides or turns.
 fn stands(joints: &JointTrack, stream: &PoseStream, latency_s: f64, most_m: f64) -> bool {
+    let Orientations::Rotations(rotations) = &stream.track.orientation else { return false };
     let mut fk = Forward::new(joints, stream);
-    let both = some_of(stream.track.t_s.len())
-        .into_iter()
-        .filter_map(|row| Some((fk.at(stream.track.t_s[row] - latency_s)?, stream.track.xyz[row])));
-    let (fk, xyz): (Vec<Pose>, Vec<Vec3>) = both.unzip();
-    Expected::of(&fk).misfit_anyhow(&xyz) < most_m
+    let both = some_of(stream.track.t_s.len()).into_iter().filter_map(|row| {
+        let logged = Pose::from_parts(stream.track.xyz[row].into(), rotations[row]);
+        Some((fk.at(stream.track.t_s[row] - latency_s)?, logged))
+    });
+    let (fk, logged): (Vec<Pose>, Vec<Pose>) = both.unzip();
+    [1.0, metres_by_size(joints, stream)].into_iter().any(|metres| {
+        let scaled = |pose: &Pose| {
+            Pose::from_parts((pose.translation.vector * metres).into(), pose.rotation)
+        };
+        let logged: Vec<Pose> = logged.iter().map(scaled).collect();
+        misfit_of_frames_m(&fk, &logged) < most_m * metres
+    })
 }
 
 /// How far poses go in the plane across the axis that they turn about, and how far they stray from it.

@@ -176,6 +176,15 @@ fn fitted_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
         .map_or_else(Default::default, |(_, reference, tool)| (reference, tool))
 }
 
+/// What the best constant reference and tool frames leave of the positions, rms m.
+pub(super) fn misfit_of_frames_m(fk: &[Pose], logged: &[Pose]) -> f64 {
+    let (reference, tool) = fitted_frames(fk, logged);
+    let left = fk.iter().zip(logged).map(|(fk, logged)| {
+        (logged.translation.vector - (reference * fk * tool).translation.vector).norm_squared()
+    });
+    (left.sum::<f64>() / fk.len().max(1) as f64).sqrt()
+}
+
 /// Correlation `Σ stream·FKᵀ` of the relative rotation vectors of a stream and of FK.
 fn relative_rotations(fk: &[Pose], logged: &[Pose]) -> Matrix3<f64> {
     let n = fk.len();

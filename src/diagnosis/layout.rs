@@ -23,6 +23,9 @@ const EXPLAINS: f64 = 0.15;
 /// length scale absorbs part of any other error.
 const EXPLAINS_ODDLY: f64 = 0.003;
 const NEAR_ODDLY: f64 = 30.0;
+/// A marker beside the tip moves more or less than the tip, by this factor at most: one 0.3 m from a tip that
+/// turns by 1 rad and moves by 0.1 m.
+const LEVER: f64 = 4.0;
 /// Scales from this on, and below its inverse, are units; nearer ones are growth.
 const UNIT_FROM: f64 = 1.25;
 /// A scale is a usual unit within this share of it, or within what is left where that is more.
@@ -99,11 +102,20 @@ pub(super) fn layouts(fk: &[Pose], reach_m: f64, written: &Written) -> Vec<Layou
                 found.extend(search.candidates(metres, true));
             }
         }
+        let is_odd = |one: &Layout| {
+            LengthScale::usual()
+                .all(|unit| (one.metres * written.read_as_m / unit.in_m() - 1.0).abs() > 1e-6)
+        };
+        let usual = found.iter().filter(|one| !is_odd(one)).map(|one| one.left_m);
+        let usual_m = usual.fold(f64::INFINITY, f64::min);
         found.retain(|one| {
-            let is_odd = LengthScale::usual()
-                .all(|unit| (one.metres * written.read_as_m / unit.in_m() - 1.0).abs() > 1e-6);
-            let (most, near) = if is_odd { (EXPLAINS_ODDLY, NEAR_ODDLY) } else { (EXPLAINS, NEAR) };
-            one.is_sound() || (one.left_m <= most * extent_m && near * one.left_m <= sound_m)
+            let explains = match is_odd(one) {
+                true => {
+                    one.left_m <= EXPLAINS_ODDLY * extent_m && NEAR_ODDLY * one.left_m <= usual_m
+                }
+                false => one.left_m <= EXPLAINS * extent_m && NEAR * one.left_m <= sound_m,
+            };
+            one.is_sound() || explains
         });
     } else {
         found.retain(Layout::is_sound);
@@ -220,10 +232,15 @@ impl<'a> Search<'a> {
         found
     }
 
-    /// The units that positions may be in, as metres a number of the track: one where they lie on the
-    /// arm as it is, and one where they lie on its mirror image.
+    /// The units that positions may be in, as metres a number of the track: the usual ones in which they
+    /// spread about as FK does, one in which they lie on the arm as it is, and one in which they lie on its
+    /// mirror image.
     fn units(&self) -> Vec<f64> {
-        let mut units: Vec<f64> = Vec::new();
+        let ratio = spread(self.written.xyz) / self.extent_m;
+        let may_be = |metres: &f64| (ratio * metres).ln().abs() < LEVER.ln();
+        let usual = LengthScale::usual().map(|unit| unit.in_m() / self.written.read_as_m);
+        let mut units: Vec<f64> =
+            usual.filter(|metres| *metres != 1.0).filter(may_be).collect();
         for sign in [1.0, -1.0] {
             let of_sign = |axes: &&Axes| axes.are_left_handed() == (sign < 0.0);
             let mut best: Option<Solved> = None;

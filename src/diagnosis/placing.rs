@@ -39,11 +39,6 @@ impl Expected {
         self.turned(xyz).map_or(plain, |(reference, _)| plain.min(self.misfit_at(xyz, &reference)))
     }
 
-    /// As [`Expected::misfit`], also of positions along a line.
-    pub fn misfit_anyhow(&self, xyz: &[Vec3]) -> f64 {
-        self.misfit(xyz).min(self.misfit_at(xyz, &self.turned_anyhow(xyz).0))
-    }
-
     /// As [`Expected::turned`], also of positions along a line: they leave the reference's turn about it
     /// open, and some turn is taken.
     pub fn turned_anyhow(&self, xyz: &[Vec3]) -> (Pose, Vec3) {

@@ -11,7 +11,9 @@ use crate::nominal::{MOST_M, MOST_RAD, is_nominal};
 use crate::prepare::Prepared;
 use crate::sampling::SEARCH_SAMPLES;
 use ground::geometry::Pose;
+use ground::robot::JointKind;
 use rayon::prelude::*;
+use std::f64::consts::FRAC_PI_2;
 
 /// Samples of each stream that are fitted.
 pub(crate) const FIT_SAMPLES: usize = 4000;
@@ -165,12 +167,7 @@ fn best_start(prepared: &Prepared, read: &Read, with_offsets: bool) -> State {
         let is_far = frames.len() > 1;
         begun.extend(frames.into_iter().map(|stream| start(&read.offsets, stream)));
         if is_far && prepared.witness.reference_known {
-            let first = prepared.witness.columns.first();
             for (joint, zero) in lone_zeros(&prepared.witness, lag_s, &read.offsets) {
-                if first == Some(&joint) && is_quarter_turn(zero) {
-                    // A base turned by a round angle is among the frames already.
-                    continue;
-                }
                 let mut offsets = read.offsets.clone();
                 offsets[joint] = zero;
                 begun.push(start(&offsets, StreamState::at_latency(lag_s)));
@@ -184,6 +181,29 @@ fn best_start(prepared: &Prepared, read: &Read, with_offsets: bool) -> State {
             explain(&[&prepared.witness], state, &menu, approach, SEARCH_SAMPLES)
         })
         .collect();
-    best(explanations)
-        .map_or_else(|| start(&read.offsets, StreamState::at_latency(0.0)), |best| best.state)
+    let state = best(explanations)
+        .map_or_else(|| start(&read.offsets, StreamState::at_latency(0.0)), |best| best.state);
+    with_base_turned(state, &prepared.witness)
+}
+
+/// The same state with quarter turns of the first joint's zero expressed as a turned base. Both move the arm
+/// alike, and makers' bases are turned so against each other's.
+fn with_base_turned(mut state: State, witness: &Witness) -> State {
+    let Some(&first) = witness.columns.first() else { return state };
+    let is_turning = witness.chain.joint_kinds().first() != Some(&JointKind::Prismatic);
+    let turn = (state.offsets[first] / FRAC_PI_2).round() * FRAC_PI_2;
+    if !is_turning || turn == 0.0 || !is_quarter_turn(state.offsets[first]) {
+        return state;
+    }
+    let mut positions = vec![0.0; witness.columns.len()];
+    let at_zero = witness.chain.forward(&positions);
+    positions[0] = turn;
+    let turned = witness.chain.forward(&positions) * at_zero.inverse();
+    state.offsets[first] -= turn;
+    for stream in &mut state.streams {
+        stream.reference *= turned;
+        let round = stream.round_reference.unwrap_or_default() * turned;
+        stream.round_reference = witness.reference_known.then_some(round);
+    }
+    state
 }
