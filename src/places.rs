@@ -5,10 +5,12 @@
 //! same file; those that are yet to be made by the folder that they will be in, and their name. All of it is
 //! looked at before anything is read.
 
+use std::collections::HashSet;
 use std::fs::{self, Metadata};
 use std::io;
 use std::path::{Component, Path, PathBuf};
 
+use crate::config::FILE_NAME;
 use crate::log;
 use crate::report::{Trouble, TroubleKind, is_descriptor, replaceable};
 
@@ -16,9 +18,25 @@ use crate::report::{Trouble, TroubleKind, is_descriptor, replaceable};
 #[derive(Clone, Debug, Default)]
 pub struct Places {
     inputs: Vec<(&'static str, Place)>,
-    /// The folders of meshes, any file below which may be read.
-    trees: Vec<Place>,
+    trees: Vec<Tree>,
     outputs: Vec<Output>,
+}
+
+/// A folder of which any file may be read.
+#[derive(Clone, Debug)]
+struct Tree {
+    folder: Place,
+    content: Content,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Content {
+    /// A log: a file added to it would be part of the log.
+    Log,
+    /// Meshes: only files that exist are read.
+    Meshes,
+    /// The tables of a fleet.
+    Results,
 }
 
 /// A file to write, or a folder in which files are written.
@@ -56,18 +74,32 @@ impl Places {
         self.inputs.push((what, Place::of(path)));
     }
 
-    /// Any file below `folder` may be read.
+    /// Any file below `folder` may be read: it holds meshes.
     pub fn reads_below(&mut self, folder: &Path) {
-        self.trees.push(Place::of(folder));
+        self.trees.push(Tree { folder: Place::of(folder), content: Content::Meshes });
     }
 
-    /// The log at `path` is read: a file, all files of a folder, or an object in a store, which is no
-    /// place here.
+    /// The results of a fleet in `folder` are read.
+    pub fn reads_results(&mut self, folder: &Path) {
+        self.trees.push(Tree { folder: Place::of(folder), content: Content::Results });
+    }
+
+    /// The log at `path` is read: a file with its sidecars, or a folder with all that is in it. An object in
+    /// a store has no place here. A `#episode` after the path is ignored.
     pub fn reads_log(&mut self, path: &Path) {
         let Some(path) = log::local(path) else { return };
-        let entries = fs::read_dir(&path).into_iter().flatten().flatten();
-        let inside: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
-        inside.iter().for_each(|file| self.reads("a file of the log", file));
+        let (path, _) = log::episode_of(&path);
+        let absolute = std::path::absolute(&path).unwrap_or_else(|_| path.clone());
+        let folder = path.is_dir().then(|| path.clone()).or_else(|| log::dataset_of(&absolute));
+        let is_last =
+            |folder: &PathBuf| self.trees.last().is_some_and(|tree| tree.folder.given == *folder);
+        // The episodes of a dataset follow each other.
+        let folder = folder.filter(|folder| !is_last(folder));
+        let content = Content::Log;
+        self.trees.extend(folder.map(|folder| Tree { folder: Place::of(&folder), content }));
+        for file in log::sidecars(&path) {
+            self.reads("a file of the log", &file);
+        }
         self.reads("the log", &path);
     }
 
@@ -114,6 +146,9 @@ impl Places {
                 let why = format!("it is {what} {}, which would be lost", input.given.display());
                 return Err(refused("stdout", &why, "send it elsewhere"));
             }
+            if let Some(why) = self.trees.iter().find_map(|tree| tree.loses(stream)) {
+                return Err(refused("stdout", &why, "send it elsewhere"));
+            }
         }
         for (at, output) in self.outputs.iter().enumerate() {
             let Output { option, place, kind } = output;
@@ -130,8 +165,8 @@ impl Places {
                 let input = input.given.display();
                 return refuse(&format!("it is {what} {input}, which would be lost"));
             }
-            if let Some(tree) = self.tree_of(place).filter(|_| is_file) {
-                return refuse(&format!("it is one of the files in --mesh-root {tree}"));
+            if let Some(why) = self.trees.iter().find_map(|tree| tree.refuses(output)) {
+                return refuse(&why);
             }
             if let Some(other) = self.outputs[..at].iter().find(|other| other.collides(output)) {
                 let (other, path) = (other.option, other.place.given.display());
@@ -147,12 +182,63 @@ impl Places {
         }
         Ok(())
     }
+}
 
-    /// The folder of meshes that what is at `place` is in.
-    fn tree_of(&self, place: &Place) -> Option<std::path::Display<'_>> {
-        let tree = self.trees.iter().find(|tree| place.path.starts_with(&tree.path))?;
-        place.metadata.as_ref().map(|_| tree.given.display())
+impl Tree {
+    /// Why `output` may not be written; `None` if it may be.
+    fn refuses(&self, output: &Output) -> Option<String> {
+        let Output { place, kind, .. } = output;
+        let exists = place.metadata.is_some();
+        let is_inside = place.path.starts_with(&self.folder.path);
+        let folder = self.folder.given.display();
+        match self.content {
+            _ if exists && *kind == Kind::File && self.loses(place).is_some() => self.loses(place),
+            // A config belongs next to the log, and is none of its files.
+            Content::Log if place.path.ends_with(FILE_NAME) && *kind == Kind::File => None,
+            Content::Log if is_inside => {
+                Some(format!("it is inside the log {folder}, and would become part of it"))
+            }
+            _ => None,
+        }
     }
+
+    /// Why an existing file may not be replaced: it is inside the folder, or a link inside leads to it.
+    fn loses(&self, place: &Place) -> Option<String> {
+        let own = place.metadata.as_ref().filter(|metadata| metadata.is_file())?;
+        let folder = self.folder.given.display();
+        let is_inside = place.path.starts_with(&self.folder.path);
+        match self.content {
+            Content::Meshes => {
+                is_inside.then(|| format!("it is one of the files in --mesh-root {folder}"))
+            }
+            Content::Log | Content::Results => {
+                let what =
+                    if self.content == Content::Log { "a file of the log" } else { "a table of" };
+                let holds = || is_inside || holds(&self.folder.path, own);
+                holds().then(|| format!("it is {what} {folder}, which would be lost"))
+            }
+        }
+    }
+}
+
+/// Whether `file` is below `folder`, or a link there leads to it.
+fn holds(folder: &Path, file: &Metadata) -> bool {
+    let (mut open, mut seen) = (vec![folder.to_owned()], HashSet::new());
+    while let Some(folder) = open.pop() {
+        // A link may lead to a folder above.
+        let Ok(own) = fs::canonicalize(&folder) else { continue };
+        if !seen.insert(own) {
+            continue;
+        }
+        for entry in fs::read_dir(&folder).into_iter().flatten().flatten() {
+            match fs::metadata(entry.path()) {
+                Ok(metadata) if metadata.is_dir() => open.push(entry.path()),
+                Ok(metadata) if is_same(&metadata, file) => return true,
+                _ => {}
+            }
+        }
+    }
+    false
 }
 
 impl Output {

@@ -238,6 +238,112 @@ fn no_output_is_an_input() {
     }
 }
 
+/// Every output that a log is read for, of which `LOG` is the log; for a folder, a file that is written into it.
+const OF_LOGS: &[(&str, Option<&str>)] = &[
+    ("audit LOG --output OUT", None),
+    ("audit LOG --format json --output OUT", None),
+    ("audit LOG --format json --format html --output OUT", Some("report.json")),
+    ("audit LOG --rrd OUT", None),
+    ("audit LOG --mcap OUT", None),
+    ("audit LOG --parquet OUT", Some("findings.parquet")),
+    ("audit LOG --fix OUT", Some("corrections.toml")),
+    ("compare old.json LOG --output OUT", None),
+    ("fleet LOG --out results --output OUT", None),
+];
+
+/// Logs that are folders, parts of a file or have files beside them, and the files that are read with each.
+const LOGS: &[(&str, &[&str])] = &[
+    ("a.lerobot", &["a.lerobot/meta/info.json", EPISODE]),
+    ("a.lerobot#1", &["a.lerobot/meta/info.json", EPISODE]),
+    (EPISODE, &["a.lerobot/meta/info.json", EPISODE]),
+    ("a.zarr", &["a.zarr/.zgroup", "a.zarr/actual_q/.zarray", "a.zarr/actual_q/0.0"]),
+    ("bag", &["bag/bag_0.mcap", "bag/metadata.yaml"]),
+    ("tfa/a.tfrecord", &["tfa/a.tfrecord", "tfa/features.json", "tfa/dataset_info.json"]),
+    ("b.h5#demo_1", &["b.h5"]),
+    ("a.npz", &["a.npz"]),
+    ("run.db3", &["run.db3", "run.db3-wal"]),
+];
+
+const EPISODE: &str = "a.lerobot/data/chunk-000/episode_000000.parquet";
+
+/// A folder with these logs, as far as it is told what they are.
+fn logs() -> TempDir {
+    let folder = inputs();
+    // The head of a record of no bytes.
+    let record = [&[0; 8][..], &[41, 3, 152, 7]].concat();
+    for file in LOGS.iter().flat_map(|(_, files)| files.iter()) {
+        let content: &[u8] = match *file {
+            "a.zarr/.zgroup" => b"{\"zarr_format\": 2}",
+            "a.lerobot/meta/info.json" => b"{}",
+            "tfa/a.tfrecord" => &record,
+            "run.db3" => b"SQLite format 3\0",
+            name => name.as_bytes(),
+        };
+        let path = folder.path().join(file);
+        fs::create_dir_all(path.parent().expect("a folder")).expect("a folder");
+        fs::write(path, content).expect("a file");
+    }
+    folder
+}
+
+#[test]
+fn no_output_is_a_file_of_a_log_at_any_depth() {
+    let folder = logs();
+    let at = |name: &str| folder.path().join(name);
+    for (number, (args, file)) in OF_LOGS.iter().enumerate() {
+        for (log, files) in LOGS {
+            let args = args.replace("LOG", log);
+            let call = Call { args: args.as_str().to_owned().leak(), inputs: &[], file: *file };
+            for input in *files {
+                let name =
+                    format!("{number}-{}-{}", log.replace('/', "_"), input.replace('/', "_"));
+                let [hard, soft] = ["hard", "soft"].map(|kind| format!("{kind}-{name}"));
+                match file {
+                    Some(file) => {
+                        fs::create_dir(at(&hard)).expect("a folder");
+                        fs::create_dir(at(&soft)).expect("a folder");
+                        fs::hard_link(at(input), at(&hard).join(file)).expect("a link");
+                        symlink(at(input), at(&soft).join(file)).expect("a link");
+                    }
+                    None => {
+                        refused(folder.path(), &call, input, "which would be lost");
+                        fs::hard_link(at(input), at(&hard)).expect("a link");
+                        symlink(at(input), at(&soft)).expect("a link");
+                    }
+                }
+                refused(folder.path(), &call, &hard, "which would be lost");
+                refused(folder.path(), &call, &soft, "which would be lost");
+            }
+        }
+    }
+}
+
+#[test]
+fn nothing_is_added_to_a_folder_that_is_a_log() {
+    let folder = logs();
+    for (args, file) in OF_LOGS {
+        for (log, inside) in [
+            ("a.lerobot", "a.lerobot/data/chunk-000"),
+            (EPISODE, "a.lerobot/data/chunk-000"),
+            ("a.zarr", "a.zarr/actual_q"),
+            ("bag", "bag"),
+        ] {
+            let args = args.replace("LOG", log);
+            let call = Call { args: args.leak(), inputs: &[], file: *file };
+            let out = if file.is_some() { inside.to_owned() } else { format!("{inside}/new") };
+            refused(folder.path(), &call, &out, "would become part of it");
+        }
+    }
+    // A config belongs there, and a report on results may take no table's place.
+    let init = Call { args: "init bag --output OUT", inputs: &[], file: None };
+    let args = args(init.args, "bag/poseaudit.toml");
+    let output = poseaudit(folder.path(), &args).output().expect("the binary runs");
+    assert!(!String::from_utf8_lossy(&output.stderr).contains("part of it"));
+    let results = Call { args: "fleet report a.lerobot --output OUT", inputs: &[], file: None };
+    refused(folder.path(), &results, EPISODE, "which would be lost");
+    refused(folder.path(), &results, "a.lerobot/new.html", "would become part of it");
+}
+
 #[test]
 fn a_report_on_a_wrong_config_takes_the_place_of_no_input() {
     let folder = inputs();

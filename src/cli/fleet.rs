@@ -190,10 +190,8 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
 fn places(args: &Args, options: &Options, out: &Path, sources: &[Source]) -> Places {
     let mut places = options.places();
     Store::folders(out).iter().for_each(|folder| places.keeps("--out", folder));
-    if let Some(path) = &args.output {
-        sources.iter().for_each(|source| places.reads_log(&source.path));
-        places.writes(output::OUTPUT, path);
-    }
+    sources.iter().for_each(|source| places.reads_log(&source.path));
+    args.output.iter().for_each(|path| places.writes(output::OUTPUT, path));
     places
 }
 

@@ -9,6 +9,7 @@ use poseaudit::fleet::report::{
     Day, FleetReport, Question, write_html, write_markdown, write_text,
 };
 use poseaudit::fleet::{Store, Template};
+use poseaudit::log;
 use poseaudit::places::Places;
 use poseaudit::report::Trouble;
 
@@ -73,6 +74,10 @@ enum Format {
 pub fn run(args: Args) -> Result<Outcome, Trouble> {
     let mut places = Places::default();
     Store::folders(&args.folder).iter().for_each(|folder| places.keeps("DIR", folder));
+    places.reads_results(&args.folder);
+    if log::is_dataset(&args.folder) || log::is_store(&args.folder) {
+        places.reads_log(&args.folder);
+    }
     args.output.iter().for_each(|path| places.writes(output::OUTPUT, path));
     places.check()?;
     let Some(store) = Store::open(&args.folder) else {

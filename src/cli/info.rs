@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use comfy_table::{CellAlignment, Table};
 use poseaudit::config::Config;
 use poseaudit::places::Places;
-use poseaudit::report::{LogSummary, Report, StreamRow, Trouble, tame};
+use poseaudit::report::{LogSummary, Report, StreamRow, Trouble, foreign, tame};
 use poseaudit::time::seconds;
 
 use super::progress::watched;
@@ -51,21 +51,19 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
 fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     let LogSummary { files, notes, messages, duration_s, .. } = &report.log;
     for file in files {
-        let (path, container, bytes) = (file.path.display(), file.container, file.bytes);
+        let (path, container, bytes) = (foreign(file.path.display()), file.container, file.bytes);
         let fetched = file.fetched().map_or(String::new(), |fetched| format!(", {fetched}"));
         writeln!(out, "{path}: {container}, {bytes} bytes{fetched}, checksums: {}", file.crc)?;
     }
     for note in notes {
-        writeln!(out, "note: {}: {}", note.path.display(), note.note)?;
+        writeln!(out, "note: {}: {}", foreign(note.path.display()), foreign(&note.note))?;
     }
     writeln!(out, "{:.1} s, {messages} messages", duration_s.unwrap_or(0.0))?;
     for robot in &report.robots {
         let joints = robot.joints.join(", ");
-        writeln!(
-            out,
-            "{}, {} → {}, from {}: {joints}",
-            robot.name, robot.base, robot.tip, robot.source
-        )?;
+        let (name, base, tip, source) = (&robot.name, &robot.base, &robot.tip, &robot.source);
+        let line = format!("{name}, {base} → {tip}, from {source}: {joints}");
+        writeln!(out, "{}", foreign(line))?;
     }
     writeln!(out, "\n{}", table(&report.streams).trim_fmt())
 }

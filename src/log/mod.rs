@@ -11,6 +11,7 @@
 #![cfg_attr(target_arch = "wasm32", allow(dead_code, reason = "the reader of databases uses it"))]
 
 mod ahead;
+mod contained;
 mod contents;
 mod decode;
 mod error;
@@ -20,6 +21,7 @@ mod intake;
 mod losses;
 mod mapped;
 mod mcap;
+mod memory;
 mod name;
 mod options;
 mod part;
@@ -59,7 +61,8 @@ pub use self::progress::Progress;
 pub use self::reading::open;
 pub use self::remote::{Listed, RemoteFault, is_url, list, normal};
 pub use self::tables::{
-    ColumnSelector, ColumnSettings, dataset_of, episode_of, episodes, files_of_store, is_store,
+    ColumnSelector, ColumnSettings, dataset_of, episode_of, episodes, files_of_store, is_dataset,
+    is_store,
 };
 
 /// The local file that `path` names, itself or as a `file://` URL; `None` for an object in a store.
@@ -73,9 +76,32 @@ pub const HEAD_BYTES: u64 = 4096;
 
 /// Whether the file at `path` holds a table, by its first bytes.
 pub fn is_table(path: &Path) -> bool {
+    is_store(path) || matches!(kind_of(path), Some(sniff::Kind::Table(_)))
+}
+
+/// The files beside the log file at `path` that are read with it, whether they exist or not.
+pub fn sidecars(path: &Path) -> Vec<PathBuf> {
+    match kind_of(path) {
+        Some(sniff::Kind::Sqlite) => {
+            let with = |end: &str| {
+                let mut name = path.as_os_str().to_owned();
+                name.push(end);
+                PathBuf::from(name)
+            };
+            ["-wal", "-shm", "-journal"].map(with).into()
+        }
+        Some(sniff::Kind::Table(tables::Kind::TfRecord)) => tables::declared_beside(path),
+        _ => Vec::new(),
+    }
+}
+
+/// What the file at `path` is, by its first bytes; `None` if it cannot be read.
+fn kind_of(path: &Path) -> Option<sniff::Kind> {
+    let is_file = std::fs::metadata(path).is_ok_and(|metadata| metadata.is_file());
     let mut head = Vec::new();
-    let read = File::open(path).and_then(|file| file.take(HEAD_BYTES).read_to_end(&mut head));
-    is_store(path) || (read.is_ok() && matches!(sniff::kind(&head), sniff::Kind::Table(_)))
+    let mut read = is_file.then(|| File::open(path).ok()).flatten()?.take(HEAD_BYTES);
+    read.read_to_end(&mut head).ok()?;
+    Some(sniff::kind(&head))
 }
 
 /// Whether a file that begins with `head` may be a log: of a zstd archive only reading it tells.

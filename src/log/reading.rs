@@ -3,12 +3,14 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
+use super::contained::{Contained, LEADS_OUT};
 use super::contents::{Container, Crc, Extent, Log, LogFile};
 use super::files::{Input, refuse_repeats};
 use super::intake::Intake;
 use super::losses::Losses;
 use super::mapped::Mapped;
 use super::mcap::Absent;
+use super::memory::Memory;
 use super::options::ReadOptions;
 use super::ranges::Present;
 use super::remote::{Address, Fetched};
@@ -30,6 +32,7 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
     let mut intake = Intake::default();
     let mut rtde = rtde::Recording::default();
     let mut tables = Tables::default();
+    let mut memory = Memory::of(options.max_unpacked_gib);
     let inputs = inputs(paths, options, &mut intake)?;
     refuse_repeats(&inputs)?;
     if let Some(progress) = &options.progress {
@@ -46,6 +49,8 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
             intake: &mut intake,
             rtde: &mut rtde,
             tables: &mut tables,
+            memory: &mut memory,
+            size: 0,
             present: Present::Whole,
         };
         let read = reading.file(input);
@@ -98,14 +103,41 @@ fn inputs(
                 let path = address.shown();
                 inputs.push(Input { address: Some(address), ..Input::local(path) });
             }
-            None if tables::is_dataset(path) => inputs.extend(tables::files_of(path)?),
+            None if tables::is_dataset(path) => {
+                inputs.extend(contained(path, tables::files_of(path)?, intake)?);
+            }
             None if tables::is_store(path) => inputs.push(Input::local(path.clone())),
-            None if path.is_dir() => inputs.extend(rosbag2::files_of(path, intake)?),
+            None if path.is_dir() => {
+                let files = rosbag2::files_of(path, intake)?;
+                inputs.extend(contained(path, files, intake)?);
+            }
             None => inputs.push(Input::local(path.clone())),
         }
         inputs[before..].iter_mut().for_each(|input| input.episode.clone_from(&episode));
     }
     Ok(inputs)
+}
+
+/// The files of the recording in `folder` without those that are links out of it, which are losses.
+fn contained(
+    folder: &Path,
+    inputs: Vec<Input>,
+    intake: &mut Intake,
+) -> Result<Vec<Input>, LogError> {
+    let mut within = Contained::of(folder);
+    let (inside, outside): (Vec<Input>, Vec<Input>) =
+        inputs.into_iter().partition(|input| within.holds(&input.path));
+    if inside.is_empty() {
+        let cause =
+            "whose files are links out of it, which are not followed; copy what they lead to";
+        return Err(LogError::Directory { path: folder.to_owned(), cause });
+    }
+    for Input { path, recorded, .. } in outside {
+        let mut losses = Losses::of(&path);
+        losses.add_unplaced(Extent::Messages, recorded, format!("it {LEADS_OUT}"));
+        intake.losses(losses);
+    }
+    Ok(inside)
 }
 
 /// One file being read.
@@ -119,6 +151,10 @@ struct Reading<'a> {
     intake: &'a mut Intake,
     rtde: &'a mut rtde::Recording,
     tables: &'a mut Tables,
+    /// What the numbers of all tables may take.
+    memory: &'a mut Memory,
+    /// Bytes of the file as it is stored.
+    size: u64,
     /// What of the file is there.
     present: Present,
 }
@@ -158,6 +194,7 @@ impl Reading<'_> {
             tables::files_of_store(folder).into_iter().filter_map(|file| file.metadata().ok());
         let bytes = sizes.map(|metadata| metadata.len()).sum();
         self.intake.begin_file(folder, bytes);
+        self.size = bytes;
         let kind = Kind::Table(tables::Kind::Zarr);
         let (container, crc) = self.content(kind, folder, &[], || ())?;
         Ok(LogFile { path: folder.to_owned(), container, bytes, fetched: None, crc })
@@ -166,6 +203,7 @@ impl Reading<'_> {
     /// Reads the `bytes` of a file, which is a temporary one if it is `named`.
     fn whole(&mut self, bytes: &[u8], named: Option<Staged>) -> Result<LogFile, LogError> {
         let (path, size) = (self.path, bytes.len() as u64);
+        self.size = size;
         self.intake.begin_file(path, size);
         self.intake.allowance = Allowance::of(size, self.options.max_unpacked_gib);
         let (container, crc) = match sniff::kind(bytes) {
@@ -224,7 +262,8 @@ impl Reading<'_> {
         bytes: &[u8],
         opened: impl FnOnce(),
     ) -> Result<(Container, Crc), LogError> {
-        let Self { options, losses, intake, rtde, tables, present, episode, .. } = self;
+        let Self { options, losses, intake, rtde, tables, memory, size, present, episode, .. } =
+            self;
         let path = || self.path.to_owned();
         let absent = |Absent(byte)| {
             let fault = RemoteFault::Contradiction { byte: byte as u64 };
@@ -263,7 +302,10 @@ impl Reading<'_> {
             }
             Kind::Table(kind) => {
                 let places = (self.path, place);
-                tables.read(kind, places, bytes, (&options.columns, *episode), losses, intake)?;
+                memory.add_file(*size);
+                let mut context = tables::Context { losses, memory };
+                let asked = (&options.columns, *episode);
+                tables.read(kind, places, bytes, asked, &mut context, intake)?;
                 (kind.container(), Crc::None)
             }
             Kind::Zstd => {

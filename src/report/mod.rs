@@ -44,7 +44,7 @@ pub(crate) use plans::{PlanOf, plan_around, plans};
 pub use rows::{RobotRow, StreamRow};
 pub(crate) use rows::{joined, robots, streams};
 pub(crate) use tame::quoted;
-pub use tame::{tame, upright};
+pub use tame::{foreign, tame, upright};
 pub use trouble::{Trouble, TroubleKind};
 pub(crate) use workspace::{ArmWorkspace, coverage, reached};
 pub use workspace::{JointCoverage, WorkspaceRow};

@@ -1,5 +1,5 @@
 use std::borrow::Cow;
-use std::fmt::Write as _;
+use std::fmt::{Display, Write as _};
 
 /// The replacement character.
 const STAND_IN: char = '\u{fffd}';
@@ -15,6 +15,11 @@ pub fn tame(text: &str) -> Cow<'_, str> {
         }
         false => upright(text),
     }
+}
+
+/// Text from a file, as part of a line of output: see [`tame`].
+pub fn foreign(text: impl Display) -> String {
+    tame(&text.to_string()).into_owned()
 }
 
 /// `text` in which characters that turn the direction of writing stand as escapes, so that none of it is

@@ -3,6 +3,7 @@
 mod cases;
 mod ci;
 mod compare;
+mod foreign;
 mod formats;
 mod junit;
 mod markdown;

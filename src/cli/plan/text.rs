@@ -4,6 +4,7 @@ use std::io::{self, Write};
 
 use poseaudit::diagnosis::plan::{Bound, Extent, Planned, Promise, extents, geometric_mean};
 use poseaudit::finding::Unit;
+use poseaudit::report::foreign;
 use poseaudit::stream::JointTrack;
 
 use super::super::output::table;
@@ -94,7 +95,8 @@ fn heading(
     let (base, tip) = (chain.base_name(), chain.tip_name());
     let (first, last) = motion.span().unwrap_or_default();
     let purpose = asked.purpose.name();
-    writeln!(out, "{}: {base} → {tip}, {:.1} s, for {purpose}", robot.name, last - first)
+    let (name, base, tip) = (foreign(&robot.name), foreign(base), foreign(tip));
+    writeln!(out, "{name}: {base} → {tip}, {:.1} s, for {purpose}", last - first)
 }
 
 /// How well amounts would be known, beside what other motions show of them.

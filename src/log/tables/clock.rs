@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::{Column, ColumnSettings, Refusal, Table, names};
+use super::{Column, ColumnSettings, Table, names};
 use ground::stats::median;
 use ground::time::NANOS_PER_SECOND;
 
@@ -77,7 +77,7 @@ pub(super) fn is_time(name: &str) -> bool {
 ///
 /// # Errors
 /// Where nothing says when its rows were, or several columns say it differently.
-pub(super) fn of(table: &Table, settings: &ColumnSettings) -> Result<Clock, Refusal> {
+pub(super) fn of(table: &Table, settings: &ColumnSettings) -> Result<Clock, String> {
     if let Some(name) = &settings.time {
         let cell = cell_of(table, name)
             .ok_or_else(|| format!("`columns.time` names '{name}', which is no column of it"))?;
@@ -209,7 +209,7 @@ fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock>
 
 /// The stamps in the one column whose numbers are times though its name does not say so: they rise by even
 /// steps. Copies of them in another unit or from another zero are the same.
-fn by_numbers(table: &Table) -> Result<Clock, Refusal> {
+fn by_numbers(table: &Table) -> Result<Clock, String> {
     /// More columns that rise alike are ramps, not clocks.
     const MOST_ALIKE: usize = 2;
     let none = || {
@@ -366,7 +366,8 @@ fn timed(at: usize, column: &Column) -> Option<Clock> {
         };
         exact.then_some(from.checked_add(nanos)?)
     };
-    let is_grid = steps.iter().all(|own| (own - step).abs() <= 2e-3 * step + grain(column));
+    let grain = grain(column);
+    let is_grid = steps.iter().all(|own| (own - step).abs() <= 2e-3 * step + grain);
     let unit_name = match unit {
         1.0 => "s",
         1e-3 => "ms",

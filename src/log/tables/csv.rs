@@ -5,15 +5,16 @@
 
 use jiff::civil::{DateTime, Time};
 
-use super::{Column, Episodes, MOST_COLUMNS, MOST_NUMBERS, MOST_WIDE, Refusal, Table, clock};
+use super::{Column, Context, Episodes, MOST_COLUMNS, MOST_WIDE, Refusal, Table, clock};
 use crate::Extent;
-use crate::losses::Losses;
 use crate::rtde;
 
 /// A column is text if less than this share of its cells are numbers.
 const NUMERIC: f64 = 0.5;
 /// Lines that may stand before the first row.
 const MOST_HEADER_LINES: usize = 200;
+/// Longest line that is read, as of RTDE's tables.
+const MOST_LINE: usize = 1 << 20;
 /// Marks of comments.
 const COMMENTS: [&str; 3] = ["#", "%", "//"];
 /// Fewer cells are no row of a robot's log.
@@ -108,6 +109,7 @@ fn layout(bytes: &[u8]) -> Option<Layout> {
     let mut all = all.take(MOST_HEADER_LINES).peekable();
     while let Some((rows_at, line, text)) = all.next() {
         let (delimiter, count) = match comment(text) {
+            _ if text.len() > MOST_LINE => (b',', 0),
             Some(_) => (b',', 0),
             None => delimiter_of(text),
         };
@@ -118,6 +120,7 @@ fn layout(bytes: &[u8]) -> Option<Layout> {
         let row = cells(text, delimiter);
         // The next row is as wide; what was cut off where only a beginning is read may be less.
         let is_table = match all.peek() {
+            Some((_, _, next)) if next.len() > MOST_LINE => false,
             Some((_, _, next)) => {
                 let next = cells(next, delimiter);
                 next.len() <= row.len() && next.iter().any(|cell| is_number(cell, delimiter))
@@ -168,7 +171,8 @@ fn names_above(above: &[&[u8]], delimiter: u8, row: &[&[u8]]) -> Option<Vec<Stri
         let all = || cells.iter().map(|cell| String::from_utf8_lossy(cell).trim().to_owned());
         (fits && is_text).then(|| all().collect())
     };
-    let mut known = above.iter().rev().filter_map(|line| texts(line));
+    let above = above.iter().rev().filter(|line| line.len() <= MOST_LINE);
+    let mut known = above.filter_map(|line| texts(line));
     let last = known.next()?;
     let unit = |text: &str| text.trim_matches(['[', ']', '(', ')', ' ']).to_lowercase();
     let are_units = last.iter().all(|text| text.is_empty() || UNITS.contains(&unit(text).as_str()));
@@ -184,9 +188,10 @@ fn names_above(above: &[&[u8]], delimiter: u8, row: &[&[u8]]) -> Option<Vec<Stri
     }
 }
 
-pub(super) fn read(bytes: &[u8], losses: &mut Losses) -> Result<Episodes, Refusal> {
+pub(super) fn read(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refusal> {
+    let losses = &mut *context.losses;
     let Some(Layout { delimiter, names, width, rows_at, line: first_line }) = layout(bytes) else {
-        return Err("it has no rows of numbers".to_owned());
+        return Err("it has no rows of numbers".into());
     };
     let mut values: Vec<Vec<f64>> = vec![Vec::new(); width];
     // The one text of each column, as far as it is one.
@@ -198,7 +203,7 @@ pub(super) fn read(bytes: &[u8], losses: &mut Losses) -> Result<Episodes, Refusa
             continue;
         }
         let line = first_line + line - 1;
-        let mut row = cells(text, delimiter);
+        let mut row = if text.len() > MOST_LINE { Vec::new() } else { cells(text, delimiter) };
         if row.len() == width + 1 && row.last().is_some_and(|cell| cell.is_empty()) {
             row.pop();
         }
@@ -211,14 +216,15 @@ pub(super) fn read(bytes: &[u8], losses: &mut Losses) -> Result<Episodes, Refusa
                     format!("the file ends within line {line}"),
                 );
             } else {
-                let what = format!("line {line}: {} columns, not {width}", row.len());
+                let what = match text.len() > MOST_LINE {
+                    true => format!("line {line} has {} bytes", text.len()),
+                    false => format!("line {line}: {} columns, not {width}", row.len()),
+                };
                 malformed.get_or_insert((0, what)).0 += 1;
             }
             continue;
         }
-        if values[0].len() * width > MOST_NUMBERS {
-            return Err(format!("it has more than {MOST_NUMBERS} numbers"));
-        }
+        context.memory.take(width)?;
         for ((column, known), cell) in values.iter_mut().zip(&mut texts).zip(row) {
             column.push(number(cell, delimiter));
             known.get_or_insert(cell);

@@ -1,20 +1,30 @@
 //! HDF5, as h5py writes it: data sets of numbers, by their paths. The groups of an episode each
 //! (`data/demo_0` of robomimic and LIBERO) are tables of their own.
 
+use std::collections::HashSet;
+
 use ::bytes::Bytes;
 use hdf5_reader::group::Group;
-use hdf5_reader::{Attribute, Dataset, Datatype, Hdf5File, OpenOptions};
-
-use super::{
-    Column, Episodes, MOST_COLUMNS, MOST_NUMBERS, MOST_PACKED, MOST_SMALL, MOST_WIDE, RATES,
-    Refusal, Table, common_rows, lies_on_side, rate_in, usual,
+use hdf5_reader::{
+    Attribute, ByteOrder, Dataset, Datatype, Hdf5File, OpenOptions, SliceInfo, SliceInfoElem,
 };
-use crate::Extent;
-use crate::losses::Losses;
+
+use super::chunks::{Assembly, Grid};
+use super::npy;
+use super::{
+    Candidate, Column, Context, Episodes, MOST_COLUMNS, MOST_EPISODES, MOST_METADATA, MOST_WIDE,
+    RATES, Refusal, RowLoss, Table, common_rows, lies_on_side, names, rate_in, usual,
+};
+use crate::memory::Memory;
 
 pub(crate) const MAGIC: &[u8] = b"\x89HDF\r\n\x1a\n";
-/// Groups within groups that are looked at.
+/// Groups within groups that are looked at, and all groups of an episode.
 const DEEP: usize = 8;
+const MOST_GROUPS: usize = 10_000;
+/// Parts of a data set without chunks that are read one by one if it cannot be read whole.
+const PARTS: usize = 64;
+/// Largest header of a group or a data set, in bytes.
+const MOST_HEADER: usize = 4 << 20;
 /// Names of groups of episodes, before their number.
 const EPISODES: &[&str] = &["demo", "episode", "ep", "traj", "trajectory"];
 
@@ -22,14 +32,17 @@ const EPISODES: &[&str] = &["demo", "episode", "ep", "traj", "trajectory"];
 pub(super) fn read(
     bytes: Bytes,
     wanted: Option<&str>,
-    losses: &mut Losses,
+    context: &mut Context,
 ) -> Result<Episodes, Refusal> {
-    let (home, episodes, rate_hz) = opened(bytes)?;
+    let (home, episodes, rate_hz) = opened(bytes, context.memory.left())?;
+    if wanted.is_none() && episodes.len() > MOST_EPISODES {
+        return Err(Refusal::Episodes);
+    }
     let names = match episodes.is_empty() {
         true => vec![None],
         false => episodes.into_iter().map(Some).collect(),
     };
-    let mut budget = MOST_NUMBERS;
+    let is_one = names.len() == 1;
     let mut found = Vec::new();
     for name in names {
         let label = name.clone().unwrap_or_else(|| "0".to_owned());
@@ -37,40 +50,39 @@ pub(super) fn read(
             continue;
         }
         let group = match &name {
-            Some(name) => home.group(name).map_err(|error| worded(&error))?,
-            None => home.clone(),
+            Some(name) => home.group(name),
+            None => Ok(home.clone()),
         };
-        let mut walk = Walk { found: Vec::new(), columns: Vec::new(), budget, refused: None };
+        let group = match group {
+            Ok(group) => group,
+            Err(error) if is_one => return Err(worded(&error)),
+            Err(error) => {
+                worded(&error).of(&label).report(None, context.losses);
+                continue;
+            }
+        };
+        let mut walk = Walk::default();
         walk.descend(&group, "", 0);
-        walk.read();
-        budget = walk.budget;
-        if let (Some(what), true) = (walk.refused, found.is_empty()) {
-            losses.add_unplaced(Extent::Messages, None, what);
-        }
-        let rows = usual(walk.columns.iter().map(|column| column.values.len() / column.width));
-        let (columns, others): (Vec<Column>, _) =
-            walk.columns.into_iter().partition(|column| column.values.len() == rows * column.width);
-        let unread = others.into_iter().map(|column| {
-            let why = format!("{} rows, not {rows}", column.values.len() / column.width.max(1));
-            (column.name, why)
-        });
-        let unread = unread.collect();
-        let rate_hz = rate_of(&group).or(rate_hz);
-        found.push((label, Table { rows, columns, rate_hz, unread, ..Table::default() }));
+        let mut table = walk.table(context.memory);
+        table.rate_hz = rate_of(&group).or(rate_hz);
+        found.push((label, table));
     }
     Ok(found)
 }
 
 /// The names of the episodes of a file.
 pub(super) fn episodes_in(bytes: Bytes) -> Result<Vec<String>, Refusal> {
-    opened(bytes).map(|(_, episodes, _)| episodes)
+    opened(bytes, MOST_METADATA).map(|(_, episodes, _)| episodes)
 }
 
-/// The group that holds the episodes, their names, and the rate that the file declares.
-fn opened(bytes: Bytes) -> Result<(Group, Vec<String>, Option<f64>), Refusal> {
-    let most = MOST_NUMBERS.min(MOST_PACKED.saturating_mul(bytes.len()).max(MOST_SMALL));
-    let options =
-        OpenOptions::default().with_max_read_bytes(8 * most).with_max_chunk_bytes(1 << 30);
+/// The group that holds the episodes, their names, and the rate that the file declares. No data set of more than
+/// `most` bytes is read.
+fn opened(bytes: Bytes, most: u64) -> Result<(Group, Vec<String>, Option<f64>), Refusal> {
+    let most = usize::try_from(most).unwrap_or(usize::MAX);
+    let options = OpenOptions::default()
+        .with_max_read_bytes(most)
+        .with_max_chunk_bytes(most.min(1 << 30))
+        .with_max_object_header_bytes(MOST_HEADER);
     let file = Hdf5File::from_owner(bytes, options).map_err(|error| worded(&error))?;
     let root = file.root_group().map_err(|error| worded(&error))?;
     let rate_hz = rate_of(&root);
@@ -99,22 +111,27 @@ fn episode_groups(group: &Group) -> Vec<String> {
     numbered.into_iter().map(|(_, name)| name).collect()
 }
 
-/// A walk over the groups of a file.
+/// A walk over the groups of an episode.
+#[derive(Default)]
 struct Walk {
     /// Data sets with their paths.
     found: Vec<(String, Dataset)>,
-    columns: Vec<Column>,
-    budget: usize,
-    /// Why the first data set that could not be read could not.
-    refused: Option<String>,
+    /// Groups that were visited, by their address: links may form cycles.
+    visited: HashSet<u64>,
+    /// Why groups cannot be read.
+    losses: Vec<RowLoss>,
 }
 
 impl Walk {
     fn descend(&mut self, group: &Group, path: &str, depth: usize) {
+        if self.visited.len() >= MOST_GROUPS || !self.visited.insert(group.address()) {
+            return;
+        }
         let (groups, datasets) = match group.members() {
             Ok(members) => members,
             Err(error) => {
-                self.refused.get_or_insert_with(|| format!("group '/{path}': {}", worded(&error)));
+                let what = worded(&error).of(&format!("/{path}"));
+                self.losses.push(RowLoss { rows: 0, what });
                 return;
             }
         };
@@ -124,6 +141,9 @@ impl Walk {
         };
         for dataset in datasets {
             if self.found.len() == MOST_COLUMNS {
+                let what =
+                    format!("it has more than {MOST_COLUMNS} data sets; the others are not read");
+                self.losses.push(RowLoss { rows: 0, what: what.into() });
                 return;
             }
             let name = below(dataset.name());
@@ -136,8 +156,8 @@ impl Walk {
         }
     }
 
-    /// Reads the data sets that were found.
-    fn read(&mut self) {
+    /// The table of the data sets that were found.
+    fn table(self, memory: &mut Memory) -> Table {
         let sides = |dataset: &Dataset| -> Vec<usize> {
             dataset
                 .shape()
@@ -145,68 +165,163 @@ impl Walk {
                 .map(|side| usize::try_from(*side).unwrap_or(usize::MAX))
                 .collect()
         };
-        let found = std::mem::take(&mut self.found);
-        let numeric = found.iter().filter(|(_, dataset)| kind_of(dataset.dtype()).is_some());
+        let numeric = self.found.iter().filter(|(_, dataset)| kind_of(dataset.dtype()).is_some());
         let shapes: Vec<Vec<usize>> = numeric.map(|(_, dataset)| sides(dataset)).collect();
-        let rows = common_rows(&shapes);
-        for (name, dataset) in found {
-            let is_on_side = lies_on_side(&sides(&dataset), rows);
-            self.dataset(&dataset, name, is_on_side);
-        }
+        let common = common_rows(&shapes);
+        let arrays: Vec<Array> = self
+            .found
+            .iter()
+            .filter_map(|(name, dataset)| {
+                let is_on_side = lies_on_side(&sides(dataset), common);
+                Array::of(name, dataset, sides(dataset), is_on_side)
+            })
+            .collect();
+        let rows = usual(arrays.iter().map(|array| array.rows));
+        let mut read = |array: Array| {
+            // What is of another number of rows is no column.
+            if array.rows == rows { array.read(memory) } else { array.unread() }
+        };
+        let candidates = arrays.into_iter().map(&mut read).collect();
+        let mut table = Table::of(candidates, Some(rows), memory);
+        table.losses.extend(self.losses);
+        table
     }
+}
 
-    /// Takes a data set of numbers: a row each, of one number or of a few; a column each if it lies on its
-    /// side.
-    fn dataset(&mut self, dataset: &Dataset, name: String, is_on_side: bool) {
-        let Some(kind) = kind_of(dataset.dtype()) else { return };
-        let mut shape = dataset.shape().to_vec();
+/// A data set of numbers: a row each, of one number or of a few; a column each if it lies on its side.
+struct Array<'a> {
+    dataset: &'a Dataset,
+    column: Column,
+    shape: Vec<usize>,
+    rows: usize,
+    is_on_side: bool,
+}
+
+impl<'a> Array<'a> {
+    /// `None` of what holds no numbers, and of images.
+    fn of(name: &str, dataset: &'a Dataset, shape: Vec<usize>, is_on_side: bool) -> Option<Self> {
+        let kind = kind_of(dataset.dtype())?;
+        let mut sides = shape.clone();
         if is_on_side {
-            shape.reverse();
+            sides.reverse();
         }
-        let [rows, inner @ ..] = shape.as_slice() else { return };
+        let [rows, inner @ ..] = sides.as_slice() else { return None };
         // Whole numbers in more than two dimensions are images.
         if inner.len() > 1 && !kind.starts_with("float") {
-            return;
+            return None;
         }
-        let width = inner.iter().try_fold(1_u64, |all, side| all.checked_mul(*side));
-        let Some(width) = width.filter(|width| (1..=MOST_WIDE as u64).contains(width)) else {
-            return;
-        };
-        let Some(count) = rows.checked_mul(width).filter(|count| *count > 0) else { return };
-        if count > self.budget as u64 {
-            self.refused
-                .get_or_insert_with(|| format!("'{name}' declares {rows} rows of {width} numbers"));
-            return;
+        let width = inner.iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
+        let width = width.filter(|width| (1..=MOST_WIDE).contains(width))?;
+        rows.checked_mul(width).filter(|count| *count > 0)?;
+        let column = Column { name: name.to_owned(), kind, width, ..Column::default() };
+        Some(Self { dataset, column, shape, rows: *rows, is_on_side })
+    }
+
+    fn unread(self) -> Candidate {
+        Candidate { column: self.column, rows: self.rows, ..Candidate::default() }
+    }
+
+    fn read(self, memory: &mut Memory) -> Candidate {
+        let (rows, width) = (self.rows, self.column.width);
+        if let Err(refusal) = memory.take(rows * width) {
+            return Candidate::refused(&self.column.name, rows, refusal.into());
         }
-        match values(dataset) {
+        let grid = (!self.is_on_side).then(|| self.grid()).flatten();
+        if let Some(grid) = grid {
+            return self.chunked(&grid);
+        }
+        match values(self.dataset) {
             Ok(mut values) => {
-                self.budget -= count as usize;
-                if is_on_side {
-                    let (rows, width) = (*rows as usize, width as usize);
+                if self.is_on_side {
                     let turned = (0..rows * width).map(|at| values[at % width * rows + at / width]);
                     values = turned.collect();
                 }
-                self.columns.push(Column {
-                    name,
-                    kind,
-                    width: width as usize,
-                    parts: Vec::new(),
-                    values,
-                });
+                Candidate { column: Column { values, ..self.column }, rows, ..Candidate::default() }
             }
-            Err(error) => {
-                self.refused.get_or_insert_with(|| format!("'{name}': {}", worded(&error)));
+            Err(error) if self.is_on_side => {
+                Candidate::refused(&self.column.name, rows, worded(&error))
+            }
+            Err(error) => self.by_parts(worded(&error)),
+        }
+    }
+
+    /// How it is cut into chunks, if it is.
+    fn grid(&self) -> Option<Grid> {
+        let chunks = self.dataset.chunks()?;
+        let chunks: Vec<usize> = chunks.iter().map(|side| *side as usize).collect();
+        let kind = kind_of_elements(self.dataset.dtype())?;
+        let is_sound = chunks.len() == self.shape.len() && !chunks.contains(&0);
+        let value = self.dataset.fill_value().and_then(|fill| fill.value.as_deref());
+        let fill =
+            value.filter(|value| value.len() == kind.size()).map_or(0.0, |value| kind.read(value));
+        let shape = self.shape.clone();
+        is_sound.then_some(Grid { shape, chunks, kind, fill, is_fortran: false })
+    }
+
+    /// Its numbers from the chunks that can be read.
+    fn chunked(self, grid: &Grid) -> Candidate {
+        let rows = self.rows;
+        let chunks = match self.dataset.iter_chunks() {
+            Ok(chunks) => chunks,
+            Err(error) => return Candidate::refused(&self.column.name, rows, worded(&error)),
+        };
+        let mut all = Assembly::of(grid, 0..rows);
+        let mut failed = None;
+        for chunk in chunks {
+            match chunk {
+                Ok(chunk) => {
+                    let place = chunk.offsets().iter().zip(&grid.chunks);
+                    let place: Vec<usize> = place.map(|(at, side)| *at as usize / side).collect();
+                    all.put(&place, Ok(Some(chunk.bytes().to_vec())));
+                }
+                Err(error) => _ = failed.get_or_insert_with(|| worded(&error)),
             }
         }
+        if let Some(why) = failed {
+            all.damage_absent(why);
+        }
+        let read = all.finish(names::is_of_arm(&self.column.name));
+        let column = Column { values: read.values, ..self.column };
+        Candidate { column, rows, lost: read.lost, why: read.why }
+    }
+
+    /// Its numbers from the parts that can be read, where the whole cannot be, because of `why`.
+    fn by_parts(self, why: Refusal) -> Candidate {
+        let (rows, width) = (self.rows, self.column.width);
+        let mut values = vec![f64::NAN; rows * width];
+        let mut lost = Vec::new();
+        let deep = rows.div_ceil(PARTS).max(1);
+        for start in (0..rows).step_by(deep) {
+            let part = start..rows.min(start + deep);
+            let whole =
+                |side: &usize| SliceInfoElem::Slice { start: 0, end: *side as u64, step: 1 };
+            let mut selections: Vec<SliceInfoElem> = self.shape.iter().map(whole).collect();
+            selections[0] =
+                SliceInfoElem::Slice { start: part.start as u64, end: part.end as u64, step: 1 };
+            match slice(self.dataset, &SliceInfo { selections }) {
+                Ok(own) if own.len() == part.len() * width => {
+                    values[part.start * width..part.end * width].copy_from_slice(&own);
+                }
+                _ => lost.push(part),
+            }
+        }
+        Candidate { column: Column { values, ..self.column }, rows, lost, why: Some(why) }
     }
 }
 
 /// The numbers of a data set, whatever their type.
 fn values(dataset: &Dataset) -> Result<Vec<f64>, hdf5_reader::error::Error> {
+    let all = dataset.shape().iter();
+    let whole = |side: &u64| SliceInfoElem::Slice { start: 0, end: *side, step: 1 };
+    slice(dataset, &SliceInfo { selections: all.map(whole).collect() })
+}
+
+/// Some of them.
+fn slice(dataset: &Dataset, part: &SliceInfo) -> Result<Vec<f64>, hdf5_reader::error::Error> {
     macro_rules! read {
         ($kind:ty) => {
             dataset
-                .read_array::<$kind>()
+                .read_slice::<$kind>(part)
                 .map(|array| array.into_iter().map(|value| value as f64).collect())
         };
     }
@@ -222,6 +337,18 @@ fn values(dataset: &Dataset) -> Result<Vec<f64>, hdf5_reader::error::Error> {
         Datatype::FixedPoint { size: 8, signed: false, .. } => read!(u64),
         _ => read!(f64),
     }
+}
+
+/// How the numbers of chunks are read; `None` of what is no number.
+fn kind_of_elements(datatype: &Datatype) -> Option<npy::Kind> {
+    let (letter, size, order) = match datatype {
+        Datatype::FloatingPoint { size, byte_order, .. } => ('f', size, byte_order),
+        Datatype::FixedPoint { size, signed: true, byte_order, .. } => ('i', size, byte_order),
+        Datatype::FixedPoint { size, signed: false, byte_order, .. } => ('u', size, byte_order),
+        _ => return None,
+    };
+    let order = if matches!(order, ByteOrder::BigEndian) { '>' } else { '<' };
+    npy::Kind::of(&format!("{order}{letter}{size}"))
 }
 
 fn kind_of(datatype: &Datatype) -> Option<String> {
@@ -244,6 +371,9 @@ fn rate_of(group: &Group) -> Option<f64> {
     let in_text = |attribute: &Attribute| {
         let text =
             (attribute.name == "env_args").then(|| attribute.read_string().ok()).flatten()?;
+        if text.len() as u64 > MOST_METADATA {
+            return None;
+        }
         rate_in(&serde_json::from_str(&text).ok()?)
     };
     let rate = attributes.iter().find_map(plain).or_else(|| attributes.iter().find_map(in_text))?;
@@ -255,5 +385,5 @@ fn worded(error: &hdf5_reader::error::Error) -> Refusal {
     let line = text.lines().next().unwrap_or_default();
     // h5py's own LZF, and what plugins bring.
     let advice = if line.contains("unsupported filter") { "; write it with gzip" } else { "" };
-    format!("the HDF5 file cannot be read: {line}{advice}")
+    format!("the HDF5 file cannot be read: {line}{advice}").into()
 }

@@ -10,15 +10,14 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::Table;
+use super::{MOST_METADATA, Table};
 use crate::LogError;
+use crate::contained::{Contained, LEADS_OUT};
 use crate::files::Input;
 
 const INFO: &str = "meta/info.json";
 /// Folders above `data/chunk-000/file-000.parquet` that are looked at.
 const DEEP: usize = 4;
-/// Largest `info.json` that is read.
-pub(super) const MOST_BYTES: u64 = 16 << 20;
 /// Most data files of a dataset that are one audit.
 const MOST_FILES: usize = 100;
 
@@ -61,7 +60,7 @@ struct RawFeature {
 }
 
 /// Whether a folder is such a dataset.
-pub(crate) fn is_dataset(folder: &Path) -> bool {
+pub fn is_dataset(folder: &Path) -> bool {
     folder.join(INFO).is_file()
 }
 
@@ -97,22 +96,39 @@ pub(crate) fn files_of(folder: &Path) -> Result<Vec<Input>, LogError> {
     }
 }
 
-/// The dataset that a file is of: that of the nearest folder above with `meta/info.json`.
-pub(super) fn above(path: &Path) -> Option<Dataset> {
-    dataset(&dataset_of(path)?.join(INFO))
+/// The dataset that a file is of: that of the nearest folder above with `meta/info.json`; or why that cannot be
+/// read.
+pub(super) fn above(path: &Path) -> Option<Result<Dataset, String>> {
+    let folder = dataset_of(path)?;
+    Some(text_in(&folder, &folder.join(INFO)).and_then(|text| dataset(&text)))
 }
 
-fn dataset(path: &PathBuf) -> Option<Dataset> {
-    let is_small = fs::metadata(path).is_ok_and(|metadata| metadata.len() <= MOST_BYTES);
-    let text = is_small.then(|| fs::read_to_string(path).ok()).flatten()?;
-    let Info { fps, robot_type, features } = serde_json::from_str(&text).ok()?;
+/// The text of a file of metadata in a folder.
+pub(super) fn text_in(folder: &Path, path: &Path) -> Result<String, String> {
+    let refused = |what: &dyn std::fmt::Display| Err(format!("{}: {what}", path.display()));
+    if !Contained::of(folder).holds(path) {
+        return refused(&LEADS_OUT);
+    }
+    match fs::metadata(path) {
+        Ok(metadata) if metadata.len() > MOST_METADATA => refused(&format!(
+            "it has {} bytes, more than the {MOST_METADATA} that are read",
+            metadata.len()
+        )),
+        Ok(_) => fs::read_to_string(path).or_else(|error| refused(&error)),
+        Err(error) => refused(&error),
+    }
+}
+
+fn dataset(text: &str) -> Result<Dataset, String> {
+    let Info { fps, robot_type, features } =
+        serde_json::from_str(text).map_err(|error| format!("{INFO} cannot be read: {error}"))?;
     let features = features.into_iter().map(|(name, RawFeature { dtype, shape, names })| {
         let width = shape.iter().try_fold(1_u64, |all, side| all.checked_mul(*side));
         let width =
             width.and_then(|width| usize::try_from(width).ok()).filter(|_| !shape.is_empty());
         (name, Feature { dtype, names: names_of(&names), ..Feature::of_width(width) })
     });
-    Some(Dataset {
+    Ok(Dataset {
         rate_hz: fps.filter(|fps| fps.is_finite() && *fps > 0.0),
         robot: robot_type.filter(|robot| !robot.is_empty()),
         features: features.collect(),

@@ -3,11 +3,11 @@
 
 mod said;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet, HashSet};
 
 use super::clock::{self, Clock};
 use super::names::{self, Axis, Part};
-use super::{Column, ColumnSettings, Found, Refusal, RowStamps, Table, array, positions};
+use super::{Column, ColumnSettings, Found, RowStamps, Table, array, positions};
 use crate::TableCell;
 use crate::rtde::JOINTS as UR_JOINTS;
 use ground::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times, usable};
@@ -18,7 +18,7 @@ const JOINTS: std::ops::RangeInclusive<usize> = 4..=8;
 const COUNTERS: &[&str] = &["frame_index", "episode_index", "index", "task_index"];
 
 /// One number of a row.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 struct Cell {
     column: usize,
     part: usize,
@@ -65,15 +65,16 @@ pub(super) fn of(
     table: &Table,
     clock: &Clock,
     settings: &ColumnSettings,
-) -> Result<Vec<Found>, Refusal> {
+) -> Result<Vec<Found>, String> {
     let mut groups = said::said(table, settings)?;
-    let is_taken =
-        |groups: &[Group], cell: &Cell| groups.iter().any(|group| group.cells.contains(cell));
+    let taken_by = |groups: &[Group]| -> HashSet<Cell> {
+        groups.iter().flat_map(|group| &group.cells).copied().collect()
+    };
     let own_clocks = match settings.time.is_none() && settings.rate_hz.is_none() {
         true => clock::of_groups(table),
         false => BTreeMap::new(),
     };
-    let clocks: Vec<(usize, usize)> = own_clocks
+    let clocks: HashSet<(usize, usize)> = own_clocks
         .values()
         .chain([clock])
         .flat_map(|clock| [clock.cell, clock.nanos])
@@ -82,17 +83,18 @@ pub(super) fn of(
     let is_clock = |cell: &Cell| clocks.contains(&(cell.column, cell.part));
     let open: Vec<usize> =
         (0..table.columns.len()).filter(|&at| table.columns[at].width > 0).collect();
+    let said = taken_by(&groups);
     let named: Vec<Cell> = open
         .iter()
         .flat_map(|&column| cells(table, column))
-        .filter(|cell| !is_taken(&groups, cell) && !is_clock(cell))
+        .filter(|cell| !said.contains(cell) && !is_clock(cell))
         .collect();
     let by_name = named_groups(table, &named);
     groups.extend(by_name);
+    let taken = taken_by(&groups);
     for column in open {
         let all = (0..table.columns[column].width).map(|part| Cell { column, part });
-        let free: Vec<Cell> =
-            all.filter(|cell| !is_taken(&groups, cell) && !is_clock(cell)).collect();
+        let free: Vec<Cell> = all.filter(|cell| !taken.contains(cell) && !is_clock(cell)).collect();
         let is_counter = COUNTERS.contains(&table.columns[column].name.as_str());
         match free.len() {
             0 => {}
@@ -136,6 +138,7 @@ pub(super) fn of(
         contradiction: None,
         columns: None,
         rows: table.rows as u64,
+        unstamped: 0,
     });
     Ok(found.chain(unread).collect())
 }
@@ -253,10 +256,9 @@ fn named_groups(table: &Table, all: &[Cell]) -> Vec<Group> {
         let part = part.map(|part| (home.to_owned(), key, part));
         groups.push(Group { topic, why: why(table, &cells, "by name"), cells, meaning, part });
     }
-    let is_free =
-        |groups: &[Group], cell: &Cell| !groups.iter().any(|group| group.cells.contains(cell));
     let free = |groups: &[Group]| -> Vec<Cell> {
-        all.iter().copied().filter(|cell| is_free(groups, cell)).collect()
+        let taken: HashSet<Cell> = groups.iter().flat_map(|group| &group.cells).copied().collect();
+        all.iter().copied().filter(|cell| !taken.contains(cell)).collect()
     };
     groups.extend(matrices(table, &free(&groups)));
     groups.extend(numbered(table, &free(&groups)));
@@ -414,18 +416,15 @@ fn take_velocities(table: &Table, clock: &Clock, groups: &mut Vec<Group>) {
         }
         words
     };
-    let is_used = |groups: &[Group], cell: &Cell| {
-        groups.iter().any(|group| {
-            let is_read = !matches!(group.meaning, Meaning::Numbers | Meaning::Nothing);
-            is_read && group.cells.contains(cell)
-        })
-    };
+    let read =
+        groups.iter().filter(|group| !matches!(group.meaning, Meaning::Numbers | Meaning::Nothing));
+    let used: HashSet<Cell> = read.flat_map(|group| &group.cells).copied().collect();
     let mut open: BTreeMap<Vec<String>, Cell> = BTreeMap::new();
     for (column, own) in table.columns.iter().enumerate() {
         for part in 0..own.width {
             let cell = Cell { column, part };
             let words = words_of(&cell);
-            if names::are_velocities(&words) && !is_used(groups, &cell) {
+            if names::are_velocities(&words) && !used.contains(&cell) {
                 open.entry(names::shared_words(&words)).or_insert(cell);
             }
         }
@@ -452,11 +451,9 @@ fn take_velocities(table: &Table, clock: &Clock, groups: &mut Vec<Group>) {
         velocities.clone_from(&own);
         taken.push(own);
     }
-    let is_taken = |cell: &Cell| {
-        taken.iter().flatten().any(|own| own == cell)
-            || commands.iter().any(|(cells, ..)| cells.contains(cell))
-    };
-    groups.iter_mut().for_each(|group| group.cells.retain(|cell| !is_taken(cell)));
+    let given = taken.iter().chain(commands.iter().map(|(cells, ..)| cells)).flatten();
+    let given: HashSet<Cell> = given.copied().collect();
+    groups.iter_mut().for_each(|group| group.cells.retain(|cell| !given.contains(cell)));
     groups.retain(|group| !group.cells.is_empty());
     for (cells, names, unnamed) in commands {
         let why = "desired joint positions: as numbers they are near the joints', not their rates";
@@ -687,17 +684,26 @@ impl Group {
         let kind = cells.first().map_or("", |cell| &table.columns[cell.column].kind);
         let kind =
             if cells.len() == 1 { kind.to_owned() } else { format!("{kind}[{}]", cells.len()) };
-        let stamps = clock.stamps.iter().zip(&own.stamps).enumerate();
-        let rows: Vec<(usize, RowStamps)> = stamps
-            .filter_map(|(row, (stamp, own))| {
-                Some((row, RowStamps { own: (*own)?, row: (*stamp)? }))
-            })
-            .collect();
-        let stamps: Vec<RowStamps> = rows.iter().map(|(_, stamp)| *stamp).collect();
         let at = |row: usize, cell: &Cell| {
             let column = &table.columns[cell.column];
             column.values.get(row * column.width + cell.part).copied().unwrap_or(f64::NAN)
         };
+        let columns: BTreeSet<usize> = cells.iter().map(|cell| cell.column).collect();
+        let (mut rows, mut unstamped) = (Vec::new(), 0);
+        for (row, (stamp, own)) in clock.stamps.iter().zip(&own.stamps).enumerate() {
+            // What was lost is reported as that, and is no gap and no number that is none.
+            if columns.iter().any(|column| table.is_lost(*column, row)) {
+                continue;
+            }
+            match (*own, *stamp) {
+                (Some(own), Some(stamp)) => rows.push((row, RowStamps { own, row: stamp })),
+                (None, Some(_)) if cells.iter().any(|cell| at(row, cell).is_finite()) => {
+                    unstamped += 1
+                }
+                _ => {}
+            }
+        }
+        let stamps: Vec<RowStamps> = rows.iter().map(|(_, stamp)| *stamp).collect();
         let values_of = |cells: &[Cell]| -> Vec<f64> {
             rows.iter().flat_map(|&(row, _)| cells.iter().map(move |cell| at(row, cell))).collect()
         };
@@ -766,7 +772,8 @@ impl Group {
             ..table_cell(table, cell)
         };
         let cells = cells.iter().enumerate().map(cell).collect();
-        Found { topic, kind, why, cells, contradiction, columns, rows: stamps.len() as u64 }
+        let rows = stamps.len() as u64;
+        Found { topic, kind, why, cells, contradiction, columns, rows, unstamped }
     }
 }
 

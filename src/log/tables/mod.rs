@@ -4,13 +4,16 @@
 //! A reader makes a [`Table`] of each episode; `clock` finds its stamps, `meaning` what its columns hold.
 //! What is left open there is listed as bare numbers: whether they follow the arm is decided further up.
 
+mod chunks;
 mod clock;
 mod csv;
 mod hdf5;
 mod lerobot;
+mod lost;
 mod meaning;
 mod names;
 mod npy;
+mod pages;
 mod parquet;
 mod repeats;
 mod rlds;
@@ -21,7 +24,8 @@ mod tests;
 mod tfrecord;
 mod zarr;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use ::bytes::Bytes;
@@ -31,6 +35,7 @@ use super::decode::Format;
 use super::intake::{ChannelId, Intake};
 use super::losses::Losses;
 use super::mapped::Mapped;
+use super::memory::Memory;
 use super::{Container, Extent, LogError, TableCell};
 use ground::stream::{ArrayColumns, Columns, JointColumns, PoseColumns, Times, usable};
 use ground::time::NANOS_PER_SECOND;
@@ -39,25 +44,25 @@ pub use self::settings::{ColumnSelector, ColumnSettings};
 
 pub(super) use self::csv::{has_time, is_table};
 pub(super) use self::hdf5::MAGIC as HDF5_MAGIC;
-pub use self::lerobot::dataset_of;
-pub(super) use self::lerobot::{files_of, is_dataset};
+pub(super) use self::lerobot::files_of;
+pub use self::lerobot::{dataset_of, is_dataset};
+pub(super) use self::lost::{Candidate, Refusal, RowLoss};
 pub(super) use self::npy::MAGIC as NPY_MAGIC;
+pub(super) use self::rlds::beside as declared_beside;
 pub(super) use self::rsi::has_packet;
 pub(super) use self::tfrecord::has_record;
 pub(super) use self::zarr::is_zip_store;
 pub use self::zarr::{files_of_store, is_store};
 
-/// Most numbers that a table may hold, of all its columns.
-const MOST_NUMBERS: usize = 1 << 28;
 /// Most episodes that are one audit.
 const MOST_EPISODES: usize = 100;
 /// Most columns of a table that are looked at.
 const MOST_COLUMNS: usize = 2000;
 /// Most numbers a row of one column; more is an image.
 const MOST_WIDE: usize = 256;
-/// Numbers that a byte of a file may unpack to, and those that any file may hold.
-const MOST_PACKED: usize = 1000;
-const MOST_SMALL: usize = 1 << 20;
+/// Largest file of metadata. Real ones have up to some 100 kB, and what is made of JSON takes up to 60 times
+/// as much memory.
+const MOST_METADATA: u64 = 4 << 20;
 /// Names of rates, in attributes.
 const RATES: &[&str] = &["fps", "control_freq", "control_frequency", "frequency", "rate_hz", "hz"];
 
@@ -72,6 +77,16 @@ pub(super) struct Table {
     pub unread: Vec<(String, String)>,
     /// First cells of columns of text, by their names.
     pub texts: BTreeMap<String, String>,
+    /// Rows of columns, by their place, that could not be read; their numbers are NaN.
+    pub lost_rows: BTreeMap<usize, Vec<Range<usize>>>,
+    /// Rows and columns that are in the file and not in the table.
+    pub losses: Vec<RowLoss>,
+}
+
+/// What the readers of tables report to.
+pub(super) struct Context<'a> {
+    pub losses: &'a mut Losses,
+    pub memory: &'a mut Memory,
 }
 
 impl Table {
@@ -148,18 +163,29 @@ impl Kind {
 #[derive(Default)]
 pub(super) struct Tables {
     streams: BTreeMap<String, Stream>,
-    /// Episodes read.
-    episodes: usize,
+    /// The episodes that were read, in order.
+    episodes: Vec<Episode>,
     /// The last time of receipt that was made up, ns.
     until: Option<i64>,
     told: bool,
     repeats: repeats::Repeats,
 }
 
+/// An episode that was read.
+struct Episode {
+    /// The file or dataset that it is part of: all its episodes have the same columns.
+    home: PathBuf,
+    file: PathBuf,
+    name: String,
+    rows: usize,
+}
+
 /// A topic that is made of columns.
 struct Stream {
     channel: ChannelId,
     columns: Columns,
+    /// The episodes that have it, by their place.
+    episodes: BTreeSet<usize>,
 }
 
 /// Columns that belong together, and why.
@@ -172,54 +198,58 @@ pub(super) struct Found {
     pub contradiction: Option<String>,
     pub columns: Option<Columns>,
     pub rows: u64,
+    /// Rows with numbers that are left out because their own clock says no time.
+    pub unstamped: u64,
 }
-
-/// Why a file of tables cannot be read, or a part of it.
-pub(super) type Refusal = String;
 
 /// Why an episode is not taken in.
 enum Refused {
     /// Nothing says what its columns are.
-    Question(Refusal),
+    Question(String),
     /// Its rows are of no use.
-    Rows(Refusal),
+    Rows(String),
 }
 
 impl Tables {
-    /// Reads the tables in `bytes`, which are at `path`. What is wrong with them goes to `losses`.
+    /// Reads the tables in `bytes`, which are at `path`. Damage and rows that are lost go to the losses.
     pub(super) fn read(
         &mut self,
         kind: Kind,
         (path, place): (&Path, &Path),
         bytes: &[u8],
         (settings, wanted): (&ColumnSettings, Option<&str>),
-        losses: &mut Losses,
+        context: &mut Context<'_>,
         intake: &mut Intake,
     ) -> Result<(), LogError> {
         let dataset = match kind {
             Kind::Parquet => lerobot::above(path),
-            Kind::TfRecord => rlds::beside(path),
+            Kind::TfRecord => rlds::declared(path),
             _ => None,
         };
+        let dataset = dataset.and_then(|read| {
+            read.map_err(|what| context.losses.add_unplaced(Extent::Index, None, what)).ok()
+        });
         let read = match kind {
-            Kind::Npy => npy::npy(bytes),
-            Kind::Npz => npy::npz(bytes),
-            Kind::Csv => csv::read(bytes, losses),
-            Kind::Rsi => rsi::read(bytes, losses),
-            Kind::Parquet => parquet::read(owned(place, bytes), dataset.as_ref(), wanted),
-            Kind::Hdf5 => hdf5::read(owned(place, bytes), wanted, losses),
-            Kind::Zarr if place.is_dir() => zarr::read(zarr::At::Folder(place), wanted, losses),
-            Kind::Zarr => zarr::read(zarr::At::Bytes(bytes), wanted, losses),
+            Kind::Npy => npy::npy(bytes, context),
+            Kind::Npz => npy::npz(bytes, context),
+            Kind::Csv => csv::read(bytes, context),
+            Kind::Rsi => rsi::read(bytes, context),
+            Kind::Parquet => parquet::read(owned(place, bytes), dataset.as_ref(), wanted, context),
+            Kind::Hdf5 => hdf5::read(owned(place, bytes), wanted, context),
+            Kind::Zarr if place.is_dir() => zarr::read(zarr::At::Folder(place), wanted, context),
+            Kind::Zarr => zarr::read(zarr::At::Bytes(bytes), wanted, context),
             Kind::TfRecord => {
                 let declared = dataset.as_ref();
                 let width = |name: &str| declared.and_then(|dataset| dataset.width(name));
-                tfrecord::read(bytes, wanted, width, losses)
+                tfrecord::read(bytes, wanted, width, context)
             }
         };
+        let too_many = || LogError::Episodes { path: path.to_owned(), most: MOST_EPISODES };
         let mut episodes = match read {
             Ok(episodes) => episodes,
-            Err(what) => {
-                losses.add_unplaced(Extent::Messages, None, what);
+            Err(Refusal::Episodes) => return Err(too_many()),
+            Err(refusal) => {
+                refusal.report(None, context.losses);
                 return Ok(());
             }
         };
@@ -228,15 +258,16 @@ impl Tables {
             // Another file of the dataset may have it.
             if episodes.is_empty() && dataset.is_none() {
                 let what = format!("there is no episode '{wanted}' in it");
-                losses.add_unplaced(Extent::Messages, None, what);
+                context.losses.add_unplaced(Extent::Messages, None, what);
                 return Ok(());
             }
         }
         let count = episodes.len();
-        self.episodes += count;
-        if self.episodes > MOST_EPISODES {
-            return Err(LogError::Episodes { path: path.to_owned(), most: MOST_EPISODES });
+        if self.episodes.len() + count > MOST_EPISODES {
+            return Err(too_many());
         }
+        let home = dataset_of(path).filter(|_| kind == Kind::Parquet);
+        let home = home.unwrap_or_else(|| path.to_owned());
         if let Some(dataset) = dataset {
             for (_, table) in &mut episodes {
                 dataset.describe(table);
@@ -246,26 +277,27 @@ impl Tables {
                 intake.contradiction(path, what);
             }
         }
-        let (mut lost, mut first) = (0, None);
         for (name, table) in episodes {
-            match self.take(path, &table, settings, intake) {
+            let label = if count > 1 { format!("episode {name}: ") } else { String::new() };
+            for loss in &table.losses {
+                loss.report(&label, context.losses);
+            }
+            // Why there are none is said by what was lost.
+            if table.columns.is_empty() && !table.losses.is_empty() {
+                continue;
+            }
+            let (home, file) = (home.clone(), path.to_owned());
+            self.episodes.push(Episode { home, file, name, rows: table.rows });
+            match self.take(path, &label, &table, settings, (context.losses, intake)) {
                 Ok(()) => {}
                 Err(Refused::Question(what)) => {
                     return Err(LogError::Columns { path: path.to_owned(), what });
                 }
                 Err(Refused::Rows(what)) => {
-                    lost += 1;
-                    first.get_or_insert(if count > 1 {
-                        format!("episode {name}: {what}")
-                    } else {
-                        what
-                    });
+                    let rows = (table.rows > 0).then_some(table.rows as u64);
+                    context.losses.add_unplaced(Extent::Messages, rows, format!("{label}{what}"));
                 }
             }
-        }
-        if let Some(first) = first {
-            let more = if lost > 1 { format!("; so are {} more", lost - 1) } else { String::new() };
-            losses.add_unplaced(Extent::Messages, None, format!("{first}{more}"));
         }
         Ok(())
     }
@@ -274,9 +306,10 @@ impl Tables {
     fn take(
         &mut self,
         path: &Path,
+        label: &str,
         table: &Table,
         settings: &ColumnSettings,
-        intake: &mut Intake,
+        (losses, intake): (&mut Losses, &mut Intake),
     ) -> Result<(), Refused> {
         if table.rows < 2 {
             return Err(Refused::Rows(format!("it has {} rows", table.rows)));
@@ -286,6 +319,7 @@ impl Tables {
         if found.iter().all(|found| found.columns.is_none()) {
             return Err(Refused::Rows("it holds no numbers beside its times".to_owned()));
         }
+        lost::report_unstamped(table, &clock, label, losses);
         let shift = self.shift(clock.first(), clock.last());
         let span = [clock.first(), clock.last()].map(|stamp| (stamp + shift).max(0) as u64);
         if !std::mem::replace(&mut self.told, true) {
@@ -299,13 +333,25 @@ impl Tables {
         if let Some(what) = clock.contradiction(table) {
             intake.contradiction(path, what);
         }
-        for Found { topic, kind, why, cells, contradiction, columns, rows } in found {
+        let episode = self.episodes.len().saturating_sub(1);
+        for found in found {
+            let Found { topic, kind, why, cells, contradiction, columns, rows, unstamped } = found;
             if let Some(what) = contradiction {
                 intake.contradiction(path, what);
             }
+            let mut lose = |rows: u64, what: &str| {
+                let what = format!("{label}'{topic}': {what}");
+                losses.add_unplaced(Extent::Messages, Some(rows), what);
+            };
+            if unstamped > 0 {
+                lose(unstamped, &format!("{unstamped} rows without a time of their own"));
+            }
             let format =
                 Format { encoding: "table", type_name: &kind, schema_encoding: "", schema: &[] };
-            let Some(channel) = intake.channel(&topic, format) else { continue };
+            let Some(channel) = intake.channel(&topic, format) else {
+                lose(rows, "more columns than are told apart");
+                continue;
+            };
             intake.count(channel, rows, (span[0], span[1]));
             intake.read_as(channel, why, cells);
             let Some(mut columns) = columns else { continue };
@@ -313,9 +359,15 @@ impl Tables {
                 times.log.iter_mut().for_each(|received| *received += shift);
             }
             match self.streams.get_mut(&topic) {
-                Some(stream) => append(&mut stream.columns, columns),
+                Some(stream) => {
+                    stream.episodes.insert(episode);
+                    if !append(&mut stream.columns, columns) {
+                        lose(rows, "its numbers are others than in the episodes before");
+                    }
+                }
                 None => {
-                    self.streams.insert(topic, Stream { channel, columns });
+                    let episodes = BTreeSet::from([episode]);
+                    self.streams.insert(topic, Stream { channel, columns, episodes });
                 }
             }
         }
@@ -334,13 +386,41 @@ impl Tables {
         shift
     }
 
-    /// Hands the columns of all tables to `intake`.
+    /// Hands the columns of all tables to `intake`, with the episodes that lack one which the others have.
     pub(super) fn hand_over(self, intake: &mut Intake) {
+        for (topic, stream) in &self.streams {
+            self.report_missing(topic, stream, intake);
+        }
         if self.told {
             intake.repeats(self.repeats.in_all());
         }
-        for Stream { channel, columns } in self.streams.into_values() {
+        for Stream { channel, columns, .. } in self.streams.into_values() {
             intake.columns(channel, columns);
+        }
+    }
+
+    /// Reports the episodes without a topic that at least half of the episodes of their file have.
+    fn report_missing(&self, topic: &str, stream: &Stream, intake: &mut Intake) {
+        let of_home = |home: &Path| {
+            let all = self.episodes.iter().enumerate();
+            all.filter(|(_, episode)| episode.home == home).map(|(at, _)| at).collect::<Vec<_>>()
+        };
+        let homes: BTreeSet<&Path> =
+            stream.episodes.iter().map(|at| self.episodes[*at].home.as_path()).collect();
+        for home in homes {
+            let all = of_home(home);
+            let missing: Vec<usize> =
+                all.iter().copied().filter(|at| !stream.episodes.contains(at)).collect();
+            if 2 * missing.len() > all.len() {
+                continue;
+            }
+            for Episode { file, name, rows, .. } in missing.iter().map(|at| &self.episodes[*at]) {
+                let mut losses = Losses::of(file);
+                let what =
+                    format!("episode {name} has no usable '{topic}', which other episodes have");
+                losses.add_unplaced(Extent::Messages, Some(*rows as u64), what);
+                intake.losses(losses);
+            }
         }
     }
 }
@@ -359,16 +439,19 @@ fn owned(place: &Path, bytes: &[u8]) -> Bytes {
     }
 }
 
-/// Appends the rows of a further episode; of another shape they are left out.
-fn append(to: &mut Columns, more: Columns) {
+/// Appends the rows of a further episode; whether its shape allows that.
+fn append(to: &mut Columns, more: Columns) -> bool {
     match (to, more) {
         (Columns::Joints(to), Columns::Joints(more)) => {
             let names =
                 |of: &JointColumns| of.joints.iter().map(|it| it.name.clone()).collect::<Vec<_>>();
             if names(to) != names(&more) {
-                return;
+                return false;
             }
             extend(&mut to.times, &more.times);
+            for (joint, count) in more.unusable.iter().enumerate() {
+                to.count_unusable(joint, *count);
+            }
             for (to, more) in to.joints.iter_mut().zip(more.joints) {
                 to.position.extend(more.position);
                 to.velocity.extend(more.velocity);
@@ -380,7 +463,7 @@ fn append(to: &mut Columns, more: Columns) {
             to.values.extend(more.values);
             to.not_finite += more.not_finite;
         }
-        (Columns::Poses(to), Columns::Poses(more)) => {
+        (Columns::Poses(to), Columns::Poses(more)) if to.len() == more.len() => {
             for (to, more) in to.iter_mut().zip(more) {
                 extend(&mut to.times, &more.times);
                 to.xyz.extend(more.xyz);
@@ -388,8 +471,9 @@ fn append(to: &mut Columns, more: Columns) {
                 to.not_finite += more.not_finite;
             }
         }
-        _ => {}
+        _ => return false,
     }
+    true
 }
 
 fn extend(to: &mut Times, more: &Times) {

@@ -2,6 +2,30 @@
 
 use crate::RotationLabels;
 
+/// Whether a name is one of what is recorded between two states, of which a run has one fewer: actions, rewards
+/// and the ends of episodes, as Gymnasium's environments return them from `step`.
+pub(super) fn is_of_steps(name: &str) -> bool {
+    const STEPS: &[&str] = &[
+        "action",
+        "actions",
+        "reward",
+        "rewards",
+        "done",
+        "dones",
+        "terminated",
+        "truncated",
+        "success",
+        "discount",
+    ];
+    words(name).iter().any(|word| STEPS.contains(&word.as_str()))
+}
+
+/// Whether a name says joint positions or a pose.
+pub(super) fn is_of_arm(name: &str) -> bool {
+    let words = words(name);
+    are_joints(&words) || is_pose(&words)
+}
+
 /// The words of a name, in lower case: cut at everything that is no letter or digit, where a capital follows
 /// a small letter, and between letters and digits.
 pub(super) fn words(name: &str) -> Vec<String> {

@@ -5,9 +5,10 @@
 use std::io::{Cursor, Read};
 
 use super::{
-    Column, Episodes, MOST_COLUMNS, MOST_NUMBERS, MOST_WIDE, Refusal, Table, common_rows,
+    Candidate, Column, Context, Episodes, MOST_COLUMNS, MOST_WIDE, Refusal, Table, common_rows,
     lies_on_side,
 };
+use crate::memory::Memory;
 
 pub(crate) const MAGIC: &[u8] = b"\x93NUMPY";
 /// Longest header that is read.
@@ -85,6 +86,7 @@ fn half(bits: u16) -> f64 {
 }
 
 /// What the header says: fields with their places in a row, the shape, and whether columns come first.
+#[derive(Clone)]
 struct Header {
     fields: Vec<(String, Kind, usize, usize)>,
     row_bytes: usize,
@@ -93,123 +95,190 @@ struct Header {
 }
 
 /// An array alone.
-pub(super) fn npy(bytes: &[u8]) -> Result<Episodes, Refusal> {
-    let rows = common_rows(&shape_of(bytes).into_iter().collect::<Vec<_>>());
-    let (columns, rows) = array("array", bytes, rows)?;
-    Ok(vec![("0".to_owned(), Table { rows, columns, rate_hz: None, ..Table::default() })])
+pub(super) fn npy(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refusal> {
+    let (header, data) = header(bytes)?;
+    let rows = common_rows(std::slice::from_ref(&header.shape));
+    let array = Array::of("array", header, data.len(), rows)?;
+    let candidates = array.columns(data, context.memory)?;
+    Ok(vec![("0".to_owned(), Table::of(candidates, None, context.memory))])
 }
 
-/// An archive: its arrays of most rows are one table; a scalar called `fps` or the like is its rate.
-pub(super) fn npz(bytes: &[u8]) -> Result<Episodes, Refusal> {
+/// An archive: its arrays of as many rows are one table; a scalar called `fps` or the like is its rate. Members
+/// are unpacked one by one, as far as their headers say that there are numbers.
+pub(super) fn npz(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refusal> {
     let mut archive = zip::ZipArchive::new(Cursor::new(bytes))
         .map_err(|error| format!("the zip archive cannot be read: {error}"))?;
-    let (mut arrays, mut rate_hz): (Vec<(String, Vec<u8>)>, _) = (Vec::new(), None);
-    let mut budget = MOST_NUMBERS;
-    for index in 0..archive.len().min(MOST_COLUMNS) {
-        let entry =
-            archive.by_index(index).map_err(|error| format!("a member cannot be read: {error}"))?;
-        let name = entry.name().ok().and_then(|name| name.strip_suffix(".npy").map(str::to_owned));
-        let Some(name) = name else { continue };
-        let mut content = Vec::new();
-        let most = 8 * budget as u64;
-        let read = entry.take(most + 1).read_to_end(&mut content);
-        read.map_err(|error| format!("'{name}' cannot be unpacked: {error}"))?;
-        if content.len() as u64 > most {
-            return Err(format!("its arrays have more than {MOST_NUMBERS} numbers"));
-        }
-        if let Some(scalar) = scalar(&content) {
-            if ["fps", "rate", "hz", "rate_hz", "frequency", "control_freq"]
-                .contains(&name.as_str())
-            {
-                rate_hz = Some(scalar).filter(|rate| *rate > 0.0);
-            }
+    let (mut arrays, mut rate_hz) = (Vec::new(), None);
+    let (mut unread, mut candidates) = (Vec::new(), Vec::new());
+    let count = archive.len();
+    if count > MOST_COLUMNS {
+        let what = format!("it has {count} arrays; {MOST_COLUMNS} are read");
+        Refusal::from(what).report(None, context.losses);
+    }
+    for index in 0..count.min(MOST_COLUMNS) {
+        let name = archive.name_for_index(index).and_then(Result::ok);
+        let Some(name) = name.and_then(|name| name.strip_suffix(".npy").map(str::to_owned)) else {
             continue;
+        };
+        match unpacked(&mut archive, index, MOST_HEADER as u64 + 64) {
+            Ok(head) => match header(&head) {
+                Ok((header, _)) if header.is_scalar() => {
+                    let rate = scalar(&head).filter(|rate| *rate > 0.0);
+                    rate_hz = rate.filter(|_| RATES.contains(&name.as_str())).or(rate_hz);
+                }
+                Ok((header, data)) => arrays.push((index, name, header, head.len() - data.len())),
+                Err(why) => unread.push((name, why.to_string())),
+            },
+            Err(why) => why.of(&name).report(None, context.losses),
         }
-        arrays.push((name, content));
-        budget = budget.saturating_sub(arrays.last().map_or(0, |(_, content)| content.len() / 8));
     }
-    let shapes: Vec<Vec<usize>> = arrays.iter().filter_map(|(_, bytes)| shape_of(bytes)).collect();
+    let shapes: Vec<Vec<usize>> =
+        arrays.iter().map(|(_, _, header, _)| header.shape.clone()).collect();
     let common = common_rows(&shapes);
-    let mut table = Table { rate_hz, ..Table::default() };
-    let mut read = Vec::new();
-    for (name, content) in arrays {
-        match array(&name, &content, common) {
-            Ok((columns, rows)) => read.push((name, columns, rows)),
-            Err(why) => table.unread.push((name, why)),
+    for (index, name, header, begin) in arrays {
+        let needed = header.bytes().and_then(|bytes| bytes.checked_add(begin));
+        let array = match Array::of(&name, header, needed.unwrap_or(usize::MAX) - begin, common) {
+            Ok(array) => array,
+            Err(why) => {
+                unread.push((name, why.to_string()));
+                continue;
+            }
+        };
+        let rows = array.rows;
+        // What is unpacked is there beside its numbers for a moment.
+        let most = needed.unwrap_or(usize::MAX) as u64;
+        let read = context.memory.allows(most).map_err(Refusal::from);
+        // One byte more, so that its end is seen and its checksum verified.
+        let read = read.and_then(|()| unpacked(&mut archive, index, most.saturating_add(1)));
+        let read = read.and_then(|content| {
+            array.columns(content.get(begin..).unwrap_or_default(), context.memory)
+        });
+        match read {
+            Ok(columns) => candidates.extend(columns),
+            Err(why) => candidates.push(Candidate::refused(&name, rows, why)),
         }
     }
-    table.rows =
-        read.iter().map(|(_, _, rows)| *rows).max().ok_or("it holds no array of numbers")?;
-    for (name, columns, rows) in read {
-        match rows == table.rows {
-            true => table.columns.extend(columns),
-            false => table.unread.push((name, format!("{rows} rows, not {}", table.rows))),
-        }
+    if candidates.is_empty() {
+        return Err("it holds no array of numbers".into());
     }
+    let mut table = Table::of(candidates, None, context.memory);
+    table.rate_hz = rate_hz;
+    table.unread.extend(unread);
     Ok(vec![("0".to_owned(), table)])
 }
 
-/// The shape of an array.
-fn shape_of(bytes: &[u8]) -> Option<Vec<usize>> {
-    header(bytes).ok().map(|(header, _)| header.shape)
+/// Names of arrays of one number that is a rate.
+const RATES: [&str; 6] = ["fps", "rate", "hz", "rate_hz", "frequency", "control_freq"];
+
+type Archive<'a> = zip::ZipArchive<Cursor<&'a [u8]>>;
+
+/// The first `most` bytes of a member of an archive.
+fn unpacked(archive: &mut Archive, index: usize, most: u64) -> Result<Vec<u8>, Refusal> {
+    let member = archive.by_index(index).map_err(|error| format!("it cannot be read: {error}"))?;
+    let mut content = Vec::new();
+    member
+        .take(most)
+        .read_to_end(&mut content)
+        .map_err(|error| format!("it cannot be unpacked: {error}"))?;
+    Ok(content)
+}
+
+impl Header {
+    /// The bytes of all its elements.
+    fn bytes(&self) -> Option<usize> {
+        let count = self.shape.iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
+        count?.checked_mul(self.row_bytes)
+    }
+
+    /// Whether it is of one number without dimensions.
+    fn is_scalar(&self) -> bool {
+        matches!(self.fields.as_slice(), [(_, _, 0, 1)])
+            && self.shape.len() < 2
+            && self.shape.iter().product::<usize>() == 1
+    }
 }
 
 /// The number of an array without dimensions.
 fn scalar(bytes: &[u8]) -> Option<f64> {
     let (header, data) = header(bytes).ok()?;
     let [(_, kind, 0, 1)] = header.fields.as_slice() else { return None };
-    (header.shape.iter().product::<usize>() == 1
-        && header.shape.len() < 2
-        && data.len() >= kind.size)
-        .then(|| kind.read(data))
+    (header.is_scalar() && data.len() >= kind.size).then(|| kind.read(data))
 }
 
-/// The columns of one array, and its rows; an array on its side, of `rows` columns, is transposed.
-fn array(name: &str, bytes: &[u8], rows: usize) -> Result<(Vec<Column>, usize), Refusal> {
-    let (header, data) = header(bytes)?;
-    let Header { fields, row_bytes, mut shape, mut is_fortran } = header;
-    if lies_on_side(&shape, rows) {
-        shape.swap(0, 1);
-        is_fortran = !is_fortran;
+/// An array whose header is a table's.
+struct Array<'a> {
+    name: &'a str,
+    header: Header,
+    rows: usize,
+    /// Elements of a row.
+    inner: usize,
+    is_record: bool,
+}
+
+impl<'a> Array<'a> {
+    /// The array of that header; on its side, of `rows` columns, it is transposed. At most `bytes` are there.
+    fn of(name: &'a str, header: Header, bytes: usize, rows: usize) -> Result<Self, Refusal> {
+        let mut header = header;
+        if lies_on_side(&header.shape, rows) {
+            header.shape.swap(0, 1);
+            header.is_fortran = !header.is_fortran;
+        }
+        let rows = *header.shape.first().ok_or("it is a single number")?;
+        let inner = header.shape[1..].iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
+        let inner = inner
+            .filter(|inner| (1..=MOST_WIDE).contains(inner))
+            .ok_or("its rows are images or empty")?;
+        // A header alone may declare anything.
+        if header.bytes().is_none() || (rows > 0 && bytes == 0) {
+            return Err(format!("it declares {rows} rows of {inner} numbers").into());
+        }
+        let is_record = header.fields.len() > 1 || !header.fields[0].0.is_empty();
+        if is_record && inner > 1 {
+            return Err("its records are in more than one dimension".into());
+        }
+        Ok(Self { name, header, rows, inner, is_record })
     }
-    let rows = *shape.first().ok_or("it is a single number")?;
-    let inner = shape[1..].iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
-    let inner = inner
-        .filter(|inner| (1..=MOST_WIDE).contains(inner))
-        .ok_or("its rows are images or empty")?;
-    let count = rows.checked_mul(inner).filter(|count| *count <= MOST_NUMBERS);
-    let needed = count.and_then(|count| count.checked_mul(row_bytes));
-    let (count, needed) =
-        count.zip(needed).ok_or_else(|| format!("it declares {rows} rows of {inner} numbers"))?;
-    if data.len() < needed {
-        return Err(format!(
-            "it is cut off: {rows} rows take {needed} bytes, and {} are there",
-            data.len()
-        ));
-    }
-    let is_record = fields.len() > 1 || !fields[0].0.is_empty();
-    if is_record && inner > 1 {
-        return Err("its records are in more than one dimension".to_owned());
-    }
-    let columns = fields.iter().map(|(field, kind, at, wide)| {
-        let element = |number: usize| kind.read(&data[number * row_bytes + at..]);
-        let values = match (is_record, is_fortran && inner > 1) {
-            (true, _) => (0..rows)
-                .flat_map(|row| (0..*wide).map(move |part| (row, part)))
-                .map(|(row, part)| kind.read(&data[row * row_bytes + at + part * kind.size..]))
-                .collect(),
-            (false, false) => (0..count).map(element).collect(),
-            // The first side goes fastest; the others are taken in their own order.
-            (false, true) => (0..rows)
-                .flat_map(|row| (0..inner).map(move |part| (row, part)))
-                .map(|(row, part)| element(row + rows * transposed(part, &shape[1..])))
-                .collect(),
+
+    /// Its columns from the bytes that are there.
+    fn columns(&self, data: &[u8], memory: &mut Memory) -> Result<Vec<Candidate>, Refusal> {
+        let Self { name, header, rows, inner, is_record } = self;
+        let Header { fields, row_bytes, shape, is_fortran } = header;
+        let (rows, inner) = (*rows, *inner);
+        let elements = data.len() / (*row_bytes).max(1);
+        let by_columns = *is_fortran && inner > 1;
+        // By columns, a row is there only with its last number.
+        let there = match by_columns {
+            true => elements.saturating_sub(rows * (inner - 1)).min(rows),
+            false => (elements / inner).min(rows),
         };
-        let name = if field.is_empty() { name.to_owned() } else { field.clone() };
-        let width = if is_record { *wide } else { inner };
-        Column { name, kind: kind.name(), width, parts: Vec::new(), values }
-    });
-    Ok((columns.collect(), rows))
+        let wide: usize = fields.iter().map(|(_, _, _, wide)| wide * inner).sum();
+        memory.take(there.saturating_mul(wide))?;
+        let why = (there < rows).then(|| {
+            let needed = rows.saturating_mul(inner).saturating_mul(*row_bytes);
+            format!("it is cut off: {needed} bytes are declared and {} are there", data.len())
+                .into()
+        });
+        let columns = fields.iter().map(|(field, kind, at, wide)| {
+            let element = |number: usize| kind.read(&data[number * row_bytes + at..]);
+            let values = match (is_record, by_columns) {
+                (true, _) => (0..there)
+                    .flat_map(|row| (0..*wide).map(move |part| (row, part)))
+                    .map(|(row, part)| kind.read(&data[row * row_bytes + at + part * kind.size..]))
+                    .collect(),
+                (false, false) => (0..there * inner).map(element).collect(),
+                // The first side goes fastest; the others are taken in their own order.
+                (false, true) => (0..there)
+                    .flat_map(|row| (0..inner).map(move |part| (row, part)))
+                    .map(|(row, part)| element(row + rows * transposed(part, &shape[1..])))
+                    .collect(),
+            };
+            let name = if field.is_empty() { (*name).to_owned() } else { field.clone() };
+            let width = if *is_record { *wide } else { inner };
+            let column = Column { name, kind: kind.name(), width, parts: Vec::new(), values };
+            Candidate { column, rows, lost: Vec::new(), why: Option::clone(&why) }
+        });
+        Ok(columns.collect())
+    }
 }
 
 /// The place by columns of what is number `part` by rows.
@@ -239,20 +308,20 @@ fn transposed(part: usize, sides: &[usize]) -> usize {
 
 /// The header, and the bytes behind it.
 fn header(bytes: &[u8]) -> Result<(Header, &[u8]), Refusal> {
-    let cut = || "it is cut off within its header".to_owned();
+    let cut = || Refusal::from("it is cut off within its header");
     let rest = bytes.strip_prefix(MAGIC).ok_or("it is no NPY array")?;
     let (version, rest) = rest.split_at_checked(2).ok_or_else(cut)?;
     let wide = if version[0] >= 2 { 4 } else { 2 };
     let (length, rest) = rest.split_at_checked(wide).ok_or_else(cut)?;
     let length = length.iter().rev().fold(0, |all, byte| all << 8 | usize::from(*byte));
     if length > MOST_HEADER {
-        return Err(format!("its header has {length} bytes"));
+        return Err(format!("its header has {length} bytes").into());
     }
     let (text, data) = rest.split_at_checked(length).ok_or_else(cut)?;
     let text = std::str::from_utf8(text).map_err(|_| "its header is no text")?;
-    let header = parsed(text).ok_or_else(|| match text.contains("O'") {
-        true => "it holds Python objects, which are not read; save plain arrays".to_owned(),
-        false => "its header does not describe numbers".to_owned(),
+    let header = parsed(text).ok_or(match text.contains("O'") {
+        true => "it holds Python objects, which are not read; save plain arrays",
+        false => "its header does not describe numbers",
     })?;
     Ok((header, data))
 }

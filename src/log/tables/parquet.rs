@@ -3,11 +3,13 @@
 //! Values are read leaf by leaf with their levels, so that what wrote the file does not matter: pyarrow's
 //! fixed lists and Hugging Face's sequences are the same there.
 
+use std::collections::VecDeque;
 use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use ::bytes::Bytes;
 use ::parquet::basic::Type;
+use ::parquet::column::page::{Page, PageMetadata, PageReader};
 use ::parquet::column::reader::{ColumnReader, ColumnReaderImpl, get_column_reader};
 use ::parquet::data_type::DataType;
 use ::parquet::errors::ParquetError;
@@ -16,20 +18,17 @@ use ::parquet::file::serialized_reader::SerializedPageReader;
 use ::parquet::file::statistics::Statistics;
 
 use super::lerobot::Dataset;
-use super::{Column, Episodes, MOST_COLUMNS, MOST_NUMBERS, MOST_WIDE, Refusal, Table};
+use super::pages::{self, PageHeader};
+use super::{
+    Candidate, Column, Context, Episodes, MOST_COLUMNS, MOST_EPISODES, MOST_WIDE, Refusal, RowLoss,
+    Table, usual,
+};
+use crate::memory::Memory;
 
 /// The column that tells the episodes of a dataset apart.
 const EPISODE: &str = "episode_index";
 /// Records that are decoded at once.
 const BATCH: usize = 1 << 14;
-
-/// The numbers of one leaf: as many in each row.
-struct Leaf {
-    name: String,
-    kind: &'static str,
-    width: usize,
-    values: Vec<f64>,
-}
 
 /// A file, and where in it what is.
 struct File {
@@ -57,12 +56,110 @@ impl File {
         Ok(Self { bytes: Arc::new(bytes), metadata })
     }
 
-    fn column(&self, group: usize, at: usize) -> Result<ColumnReader, Refusal> {
+    /// The reader of a column in a row group, and the pages of it that could not be read.
+    fn column(
+        &self,
+        group: usize,
+        at: usize,
+        memory: &Memory,
+    ) -> Result<(ColumnReader, Damaged), Refusal> {
         let of = self.metadata.row_group(group);
+        let column = of.column(at);
         let rows = usize::try_from(of.num_rows()).unwrap_or(0);
-        let pages = SerializedPageReader::new(Arc::clone(&self.bytes), of.column(at), rows, None);
+        let start = column.dictionary_page_offset().unwrap_or_else(|| column.data_page_offset());
+        let range = usize::try_from(start).ok().zip(usize::try_from(column.compressed_size()).ok());
+        let range = range.and_then(|(start, length)| Some(start..start.checked_add(length)?));
+        let content =
+            range.and_then(|range| self.bytes.get(range)).ok_or("its pages are not there")?;
+        let headers: VecDeque<PageHeader> = pages::headers(content).into();
+        for page in &headers {
+            // A page, what it is unpacked to and its numbers are there for a moment.
+            memory.allows((page.unpacked_bytes.max(page.values.saturating_mul(8))) as u64)?;
+        }
+        let pages = SerializedPageReader::new(Arc::clone(&self.bytes), column, rows, None);
         let pages = pages.map_err(|error| worded(&error))?;
-        Ok(get_column_reader(of.column(at).column_descr_ptr(), Box::new(pages)))
+        let declared = usize::try_from(column.num_values()).unwrap_or(0);
+        let damaged = Arc::new(Mutex::new(Pages { declared, ..Pages::default() }));
+        let pages = Sound { pages, headers, found: Arc::clone(&damaged) };
+        Ok((get_column_reader(column.column_descr_ptr(), Box::new(pages)), damaged))
+    }
+
+    /// The rows of each row group.
+    fn groups(&self) -> impl Iterator<Item = usize> {
+        self.metadata.row_groups().iter().map(|of| usize::try_from(of.num_rows()).unwrap_or(0))
+    }
+}
+
+/// What the pages of a column in a row group hold, and which could not be read.
+#[derive(Debug, Default)]
+struct Pages {
+    /// Values in all pages so far.
+    values: usize,
+    /// Damaged pages: the values before each, its own, and why.
+    damaged: Vec<(usize, usize, String)>,
+    /// Values that the column declares.
+    declared: usize,
+}
+
+type Damaged = Arc<Mutex<Pages>>;
+
+/// The pages of a column that can be read. One that is damaged is passed over and counted.
+struct Sound {
+    pages: SerializedPageReader<Bytes>,
+    /// Headers of the pages that come.
+    headers: VecDeque<PageHeader>,
+    found: Damaged,
+}
+
+impl Sound {
+    /// Counts the next page, and returns the values before it.
+    fn passed(&mut self) -> (usize, Option<PageHeader>) {
+        let header = self.headers.pop_front();
+        let mut found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
+        let before = found.values;
+        let own = header.filter(|header| !header.is_dictionary).map_or(0, |header| header.values);
+        found.values = before.saturating_add(own);
+        (before, header)
+    }
+}
+
+impl Iterator for Sound {
+    type Item = ::parquet::errors::Result<Page>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        self.get_next_page().transpose()
+    }
+}
+
+impl PageReader for Sound {
+    fn get_next_page(&mut self) -> ::parquet::errors::Result<Option<Page>> {
+        loop {
+            let page = self.pages.get_next_page();
+            let (before, header) = self.passed();
+            match (page, header) {
+                (Ok(page), _) => return Ok(page),
+                (Err(error), Some(header)) if !header.is_dictionary => {
+                    let mut found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
+                    found.damaged.push((before, header.values, worded(&error).to_string()));
+                }
+                // Without its dictionary no page can be decoded.
+                (Err(error), _) => return Err(error),
+            }
+        }
+    }
+
+    fn peek_next_page(&mut self) -> ::parquet::errors::Result<Option<PageMetadata>> {
+        Ok(self.headers.front().map(|header| header.metadata()))
+    }
+
+    fn skip_next_page(&mut self) -> ::parquet::errors::Result<()> {
+        self.pages.skip_next_page()?;
+        self.passed();
+        Ok(())
+    }
+
+    fn at_record_boundary(&mut self) -> ::parquet::errors::Result<bool> {
+        self.pages.at_record_boundary()
     }
 }
 
@@ -80,18 +177,30 @@ pub(super) fn read(
     bytes: Bytes,
     dataset: Option<&Dataset>,
     wanted: Option<&str>,
+    context: &mut Context,
 ) -> Result<Episodes, Refusal> {
     let reader = File::open(bytes)?;
     let schema = reader.metadata.file_metadata().schema_descr_ptr();
-    let mut leaves = Vec::new();
-    let mut budget = MOST_NUMBERS;
+    let all: usize = reader.groups().fold(0, usize::saturating_add);
     let rows = match wanted {
         Some(wanted) => {
-            let Some(rows) = rows_of(&reader, wanted)? else { return Ok(Vec::new()) };
+            let Some(rows) = rows_of(&reader, wanted, context.memory)? else {
+                return Ok(Vec::new());
+            };
             rows
         }
-        None => 0..usize::MAX,
+        None => 0..all,
     };
+    let declared = usize::try_from(reader.metadata.file_metadata().num_rows()).unwrap_or(0);
+    if wanted.is_none() && declared > all {
+        let what = format!("its footer declares {declared} rows, and its row groups {all}");
+        Refusal::from(what).report(Some((declared - all) as u64), context.losses);
+    }
+    if schema.num_columns() > MOST_COLUMNS {
+        let what = format!("it has {} columns; {MOST_COLUMNS} are read", schema.num_columns());
+        Refusal::from(what).report(None, context.losses);
+    }
+    let (mut candidates, mut unread) = (Vec::new(), Vec::new());
     for at in 0..schema.num_columns().min(MOST_COLUMNS) {
         let column = schema.column(at);
         let kind = match column.physical_type() {
@@ -112,34 +221,43 @@ pub(super) fn read(
         if column.max_rep_level() > 1 || !is_wanted {
             continue;
         }
-        let mut of = Numbers { is_list, budget, rows: rows.clone(), ..Numbers::default() };
-        of.read(&reader, at).map_err(|what| format!("column '{name}': {what}"))?;
-        let Numbers { lengths, values, .. } = of;
-        budget = budget.saturating_sub(values.len());
-        // A list of other lengths from row to row is no vector.
-        let Some(width) = lengths.width().filter(|width| *width <= MOST_WIDE) else { continue };
-        leaves.push(Leaf { name, kind, width, values });
+        let mut of = Numbers::of(&reader, at, rows.clone());
+        if let Err(what) = of.read(&reader, at, context.memory) {
+            candidates.push(Candidate::refused(&name, rows.len(), what));
+            continue;
+        }
+        let column = Column { name, kind: kind.to_owned(), ..Column::default() };
+        match of.candidate(column) {
+            Ok(candidate) => candidates.push(candidate),
+            Err(name) => unread.push((name, "lists of different lengths".to_owned())),
+        }
     }
-    let rows = leaves.iter().map(|leaf| leaf.values.len() / leaf.width).max().unwrap_or(0);
-    leaves.retain(|leaf| leaf.values.len() == rows * leaf.width);
-    if leaves.is_empty() || rows == 0 {
-        return Err("it holds no column of numbers".to_owned());
+    if candidates.is_empty() || rows.is_empty() {
+        return Err("it holds no column of numbers".into());
     }
-    Ok(episodes(&leaves, rows))
+    let mut whole = Table::of(candidates, Some(rows.len()), context.memory);
+    whole.unread.extend(unread);
+    if whole.columns.is_empty() {
+        let first = whole.losses.into_iter().next();
+        return Err(first.map_or_else(|| "it holds no column of numbers".into(), |loss| loss.what));
+    }
+    episodes(whole, wanted)
 }
 
 /// The names of the episodes of a file.
 pub(super) fn episodes_in(bytes: Bytes) -> Result<Vec<String>, Refusal> {
-    let mut index = index(&File::open(bytes)?)?;
+    let mut memory = Memory::of(None);
+    memory.add_file(bytes.len() as u64);
+    let mut index = index(&File::open(bytes)?, &mut memory)?;
     index.dedup();
     Ok(index.iter().map(f64::to_string).collect())
 }
 
 /// The episode of each row; empty where no column says it.
-fn index(reader: &File) -> Result<Vec<f64>, Refusal> {
+fn index(reader: &File, memory: &mut Memory) -> Result<Vec<f64>, Refusal> {
     let Some(at) = index_column(reader) else { return Ok(Vec::new()) };
-    let mut of = Numbers { budget: MOST_NUMBERS, rows: 0..usize::MAX, ..Numbers::default() };
-    of.read(reader, at)?;
+    let mut of = Numbers::of(reader, at, 0..reader.groups().fold(0, usize::saturating_add));
+    of.read(reader, at, memory)?;
     Ok(of.values)
 }
 
@@ -149,7 +267,11 @@ fn index_column(reader: &File) -> Option<usize> {
 }
 
 /// The rows of one episode. Row groups whose statistics say that it is not in them are passed over.
-fn rows_of(reader: &File, wanted: &str) -> Result<Option<Range<usize>>, Refusal> {
+fn rows_of(
+    reader: &File,
+    wanted: &str,
+    memory: &mut Memory,
+) -> Result<Option<Range<usize>>, Refusal> {
     let (Some(at), Ok(number)) = (index_column(reader), wanted.parse::<i64>()) else {
         return Ok(None);
     };
@@ -168,8 +290,9 @@ fn rows_of(reader: &File, wanted: &str) -> Result<Option<Range<usize>>, Refusal>
         if !may_hold {
             continue;
         }
-        let mut of = Numbers { budget: MOST_NUMBERS, rows: own.clone(), ..Numbers::default() };
-        of.read(reader, at)?;
+        let mut of = Numbers::of(reader, at, own.clone());
+        of.read(reader, at, memory)?;
+        memory.give_back(of.values.len());
         let is_its = |value: &f64| *value == number as f64;
         let Some(start) = of.values.iter().position(is_its) else { continue };
         let length = of.values[start..].iter().take_while(|value| is_its(value)).count();
@@ -183,151 +306,301 @@ fn rows_of(reader: &File, wanted: &str) -> Result<Option<Range<usize>>, Refusal>
     Ok(found)
 }
 
-/// The rows of each episode; the whole where there is no column of them.
-fn episodes(leaves: &[Leaf], rows: usize) -> Episodes {
-    let index = leaves.iter().find(|leaf| leaf.name == EPISODE && leaf.width == 1);
-    let mut spans: Vec<(String, Range<usize>)> = Vec::new();
-    match index {
-        Some(index) => {
-            for row in 0..rows {
-                let name = format!("{}", index.values[row]);
-                match spans.last_mut().filter(|(last, _)| *last == name) {
-                    Some((_, span)) => span.end = row + 1,
-                    None => spans.push((name, row..row + 1)),
-                }
-            }
+/// The tables of the episodes; the whole if no column says them, or one is `wanted`.
+fn episodes(whole: Table, wanted: Option<&str>) -> Result<Episodes, Refusal> {
+    let index = whole.columns.iter().position(|column| column.name == EPISODE && column.width == 1);
+    let Some(index) = index else { return Ok(vec![("0".to_owned(), whole)]) };
+    let mut spans: Vec<(f64, Range<usize>)> = Vec::new();
+    let number = |row: usize| whole.columns[index].values[row];
+    for row in (0..whole.rows).filter(|row| number(*row).is_finite()) {
+        match spans.last_mut().filter(|(last, _)| *last == number(row)) {
+            Some((_, span)) => span.end = row + 1,
+            None => spans.push((number(row), row..row + 1)),
         }
-        None => spans.push(("0".to_owned(), 0..rows)),
+        if wanted.is_none() && spans.len() > MOST_EPISODES {
+            return Err(Refusal::Episodes);
+        }
     }
-    let table = |span: Range<usize>| Table {
-        rows: span.len(),
-        columns: leaves
-            .iter()
-            .map(|leaf| Column {
-                name: leaf.name.clone(),
-                kind: leaf.kind.to_owned(),
-                width: leaf.width,
-                parts: Vec::new(),
-                values: leaf.values[span.start * leaf.width..span.end * leaf.width].to_vec(),
-            })
-            .collect(),
-        ..Table::default()
+    let of = |(number, span): (f64, Range<usize>), losses: Vec<RowLoss>| {
+        let columns = whole.columns.iter().map(|column| Column {
+            name: column.name.clone(),
+            kind: column.kind.clone(),
+            width: column.width,
+            parts: Vec::new(),
+            values: column.values[span.start * column.width..span.end * column.width].to_vec(),
+        });
+        let lost_in = |lost: &Vec<Range<usize>>| -> Vec<Range<usize>> {
+            let own = lost.iter().map(|lost| lost.start.max(span.start)..lost.end.min(span.end));
+            let own = own.filter(|lost| !lost.is_empty());
+            own.map(|lost| lost.start - span.start..lost.end - span.start).collect()
+        };
+        let lost_rows = whole.lost_rows.iter().map(|(at, lost)| (*at, lost_in(lost)));
+        let table = Table {
+            rows: span.len(),
+            columns: columns.collect(),
+            unread: whole.unread.clone(),
+            lost_rows: lost_rows.filter(|(_, lost)| !lost.is_empty()).collect(),
+            losses,
+            ..Table::default()
+        };
+        (number.to_string(), table)
     };
-    spans.into_iter().map(|(name, span)| (name, table(span))).collect()
-}
-
-/// How many numbers the rows of a leaf have.
-#[derive(Default)]
-struct Lengths {
-    open: Option<usize>,
-    all: Option<usize>,
-    differ: bool,
-}
-
-impl Lengths {
-    /// Counts a number; whether it is the first of its row.
-    fn count(&mut self, is_first: bool) {
-        if is_first {
-            self.end();
-        }
-        *self.open.get_or_insert(0) += 1;
-    }
-
-    fn end(&mut self) {
-        let Some(length) = self.open.take() else { return };
-        self.differ |= *self.all.get_or_insert(length) != length;
-    }
-
-    fn width(&self) -> Option<usize> {
-        self.all.filter(|_| !self.differ)
-    }
+    // What is lost of the file is said once.
+    let mut losses = Some(whole.losses.clone());
+    Ok(spans.into_iter().map(|span| of(span, losses.take().unwrap_or_default())).collect())
 }
 
 /// The numbers of a leaf in some rows; NaN where there is none.
-#[derive(Default)]
 struct Numbers {
     is_list: bool,
-    budget: usize,
+    /// The definition level of a number, and the least of an element of a list.
+    defined: i16,
+    element: i16,
     /// The rows of the file that are read.
     rows: Range<usize>,
-    lengths: Lengths,
     values: Vec<f64>,
+    /// Of a list, the numbers of each row.
+    lengths: Vec<u32>,
+    /// Rows that could not be read, from the first of `rows` on.
+    lost: Vec<Range<usize>>,
+    why: Option<Refusal>,
 }
 
 impl Numbers {
+    fn of(reader: &File, at: usize, rows: Range<usize>) -> Self {
+        let column = reader.metadata.file_metadata().schema_descr_ptr().column(at);
+        let defined = column.max_def_level();
+        let is_list = column.max_rep_level() == 1;
+        let element = defined - i16::from(column.self_type().is_optional());
+        let (values, lengths, lost) = (Vec::new(), Vec::new(), Vec::new());
+        Self { is_list, defined, element, rows, values, lengths, lost, why: None }
+    }
+
+    /// The rows that were read or given up.
+    fn count(&self) -> usize {
+        if self.is_list { self.lengths.len() } else { self.values.len() }
+    }
+
     /// Reads column `at` of all row groups that have any of the rows.
-    fn read(&mut self, reader: &File, at: usize) -> Result<(), Refusal> {
-        let mut first = 0;
-        for (group, count) in
-            reader.metadata.row_groups().iter().map(|of| of.num_rows()).enumerate()
-        {
-            let count = usize::try_from(count).unwrap_or(0);
-            let own = self.rows.start.max(first)..self.rows.end.min(first + count);
+    fn read(&mut self, reader: &File, at: usize, memory: &mut Memory) -> Result<(), Refusal> {
+        let mut first = 0_usize;
+        for (group, count) in reader.groups().enumerate() {
+            let end = first.saturating_add(count);
+            let own = self.rows.start.max(first)..self.rows.end.min(end);
             if !own.is_empty() {
-                self.column(reader.column(group, at)?, own.start - first..own.end - first)?;
+                let begin = self.count();
+                let rows = own.start - first..own.end - first;
+                let read = reader.column(group, at, memory).and_then(|(column, damaged)| {
+                    self.column(column, rows.clone(), &damaged, memory)
+                });
+                match read {
+                    // Beyond the memory no other group is read either.
+                    Err(refusal @ Refusal::Memory(_)) => return Err(refusal),
+                    read => self.settle(begin, rows.len(), read.err(), memory)?,
+                }
             }
-            first += count;
+            first = end;
         }
-        self.lengths.end();
         Ok(())
     }
 
-    fn column(&mut self, column: ColumnReader, rows: Range<usize>) -> Result<(), Refusal> {
+    /// Counts what is missing of a row group as lost.
+    fn settle(
+        &mut self,
+        begin: usize,
+        rows: usize,
+        why: Option<Refusal>,
+        memory: &mut Memory,
+    ) -> Result<(), Refusal> {
+        let read = self.count() - begin;
+        if read < rows {
+            memory.take(rows - read)?;
+            self.lost.push(begin + read..begin + rows);
+            self.why = self
+                .why
+                .take()
+                .or(why)
+                .or_else(|| Some("a row group has fewer rows than it declares".into()));
+            match self.is_list {
+                true => self.lengths.resize(begin + rows, 0),
+                false => self.values.resize(begin + rows, f64::NAN),
+            }
+        }
+        Ok(())
+    }
+
+    fn column(
+        &mut self,
+        column: ColumnReader,
+        rows: Range<usize>,
+        damaged: &Damaged,
+        memory: &mut Memory,
+    ) -> Result<(), Refusal> {
+        let rest = (rows, damaged, memory);
         match column {
             ColumnReader::BoolColumnReader(column) => {
-                self.append(column, rows, |value| f64::from(u8::from(value)))
+                self.append(column, rest, |value| f64::from(u8::from(value)))
             }
-            ColumnReader::Int32ColumnReader(column) => self.append(column, rows, f64::from),
+            ColumnReader::Int32ColumnReader(column) => self.append(column, rest, f64::from),
             ColumnReader::Int64ColumnReader(column) => {
-                self.append(column, rows, |value| value as f64)
+                self.append(column, rest, |value| value as f64)
             }
-            ColumnReader::FloatColumnReader(column) => self.append(column, rows, f64::from),
-            ColumnReader::DoubleColumnReader(column) => self.append(column, rows, |value| value),
-            _ => Err("it holds no numbers".to_owned()),
+            ColumnReader::FloatColumnReader(column) => self.append(column, rest, f64::from),
+            ColumnReader::DoubleColumnReader(column) => self.append(column, rest, |value| value),
+            _ => Err("it holds no numbers".into()),
         }
     }
 
     fn append<T: DataType>(
         &mut self,
         mut column: ColumnReaderImpl<T>,
-        rows: Range<usize>,
+        (rows, damaged, memory): (Range<usize>, &Damaged, &mut Memory),
         number: impl Fn(T::T) -> f64,
     ) -> Result<(), Refusal> {
         let (mut found, mut definitions, mut repetitions) = (Vec::new(), Vec::new(), Vec::new());
+        let begin = (self.count(), self.values.len());
         column.skip_records(rows.start).map_err(|error| worded(&error))?;
         let mut left = rows.len();
+        let mut read = Ok(());
         while left > 0 {
             found.clear();
             definitions.clear();
             repetitions.clear();
             let most = BATCH.min(left);
-            let (records, _, levels) = column
-                .read_records(most, Some(&mut definitions), Some(&mut repetitions), &mut found)
-                .map_err(|error| worded(&error))?;
-            if records == 0 {
-                return Ok(());
-            }
+            let records = column.read_records(
+                most,
+                Some(&mut definitions),
+                Some(&mut repetitions),
+                &mut found,
+            );
+            let (records, levels) = match records {
+                Ok((0, ..)) => break,
+                Ok((records, _, levels)) => (records, levels),
+                Err(error) => {
+                    read = Err(worded(&error));
+                    break;
+                }
+            };
             left -= records.min(left);
-            if self.values.len() + levels > self.budget {
-                return Err(format!("it has more than {} numbers", self.budget));
-            }
-            let most = definitions.iter().copied().max().unwrap_or(0);
+            memory.take(levels)?;
             let is_all = definitions.is_empty() || found.len() == levels;
             let mut own = found.drain(..);
             for level in 0..levels {
-                let starts = repetitions.get(level).is_none_or(|level| *level == 0);
-                self.lengths.count(!self.is_list || starts);
-                let is_there = is_all || definitions.get(level) == Some(&most);
+                let defined = definitions.get(level).copied().unwrap_or(self.defined);
+                if self.is_list && repetitions.get(level).is_none_or(|level| *level == 0) {
+                    self.lengths.push(0);
+                }
+                // An empty list, or none.
+                if self.is_list && !is_all && defined < self.element {
+                    continue;
+                }
+                let is_there = is_all || defined == self.defined;
                 let value = if is_there { own.next() } else { None };
                 self.values.push(value.map_or(f64::NAN, &number));
+                if let (true, Some(length)) = (self.is_list, self.lengths.last_mut()) {
+                    *length += 1;
+                }
+            }
+        }
+        self.insert_damaged(begin, rows.start, damaged)?;
+        read
+    }
+
+    /// Puts rows without numbers where the pages were that could not be read: `begin` are the rows and values before
+    /// this row group, of which `skipped` rows were passed over.
+    fn insert_damaged(
+        &mut self,
+        begin: (usize, usize),
+        skipped: usize,
+        damaged: &Damaged,
+    ) -> Result<(), Refusal> {
+        let found = std::mem::take(&mut *damaged.lock().unwrap_or_else(PoisonError::into_inner));
+        let Pages { values, declared, damaged } = found;
+        let Some((_, _, what)) = damaged.first() else { return Ok(()) };
+        self.why.get_or_insert_with(|| what.clone().into());
+        // If rows were skipped, if pages do not hold whole rows, or if there are other pages than declared, it is
+        // not known which rows are left.
+        let width = match self.is_list {
+            true => usual(self.lengths[begin.0..].iter().map(|length| *length as usize)),
+            false => 1,
+        };
+        let is_even = width > 0
+            && damaged
+                .iter()
+                .all(|(at, own, _)| at.is_multiple_of(width) && own.is_multiple_of(width))
+            && (!self.is_list || self.lengths[begin.0..].iter().all(|own| *own as usize == width));
+        if skipped > 0 || values != declared || !is_even {
+            self.values.truncate(begin.1);
+            self.lengths.truncate(if self.is_list { begin.0 } else { 0 });
+            return Err(what.as_str().into());
+        }
+        for (at, own, _) in &damaged {
+            let (row, rows) = (begin.0 + at / width, own / width);
+            if row > self.count() {
+                return Err("pages are missing".into());
+            }
+            self.lost.push(row..row + rows);
+            match self.is_list {
+                true => _ = self.lengths.splice(row..row, std::iter::repeat_n(0, rows)),
+                false => _ = self.values.splice(row..row, std::iter::repeat_n(f64::NAN, rows)),
             }
         }
         Ok(())
+    }
+
+    /// The column; its name if its lists are no vectors of as many numbers each.
+    fn candidate(self, column: Column) -> Result<Candidate, String> {
+        let Self { is_list, rows, values, lengths, mut lost, mut why, .. } = self;
+        if !is_list {
+            let column = Column { width: 1, values, ..column };
+            return Ok(Candidate { column, rows: rows.len(), lost, why });
+        }
+        let there = lengths.iter().filter(|length| **length > 0).map(|length| *length as usize);
+        let width = usual(there);
+        let others = |length: &&u32| **length as usize != width && **length > 0;
+        // Lists of as many lengths as rows, such as clouds of points.
+        if width == 0
+            || width > MOST_WIDE
+            || 2 * lengths.iter().filter(others).count() >= lengths.len()
+        {
+            return Err(column.name);
+        }
+        // Lists in half of the rows or fewer are those of a slower stream; nothing is lost of it.
+        let empty = lengths.iter().filter(|length| **length == 0).count();
+        let is_sparse = 2 * empty >= lengths.len();
+        let mut whole = Vec::with_capacity(width * lengths.len());
+        let mut at = 0;
+        for (row, length) in lengths.iter().enumerate() {
+            let own = &values[at..at + *length as usize];
+            at += *length as usize;
+            if own.len() == width {
+                whole.extend_from_slice(own);
+                continue;
+            }
+            whole.resize(whole.len() + width, f64::NAN);
+            if own.is_empty() && is_sparse {
+                continue;
+            }
+            match lost.last_mut().filter(|last| last.end == row) {
+                Some(last) => last.end = row + 1,
+                None => lost.push(row..row + 1),
+            }
+            if why.is_none() {
+                let what = if own.is_empty() {
+                    "no numbers".to_owned()
+                } else {
+                    format!("{} numbers, not {width}", own.len())
+                };
+                why = Some(format!("row {row} has {what}").into());
+            }
+        }
+        let column = Column { width, values: whole, ..column };
+        Ok(Candidate { column, rows: rows.len(), lost, why })
     }
 }
 
 fn worded(error: &ParquetError) -> Refusal {
     let text = error.to_string();
     let line = text.lines().next().unwrap_or_default();
-    format!("the Parquet file cannot be read: {line}")
+    format!("the Parquet file cannot be read: {line}").into()
 }

@@ -1,11 +1,10 @@
 //! What `features.json` says of an RLDS dataset, beside its TFRecord files.
 
-use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
-use super::lerobot::{Dataset, Feature, MOST_BYTES};
+use super::lerobot::{Dataset, Feature, text_in};
 use super::rate_in;
 use super::tfrecord::STEPS;
 
@@ -14,22 +13,29 @@ const INFO: &str = "dataset_info.json";
 /// Features within features that are looked at.
 const DEEP: usize = 8;
 
-/// What is declared of the steps of the dataset that a file is of.
-pub(super) fn beside(path: &Path) -> Option<Dataset> {
-    let path = path.parent()?.join(FEATURES);
-    let is_small = fs::metadata(&path).is_ok_and(|metadata| metadata.len() <= MOST_BYTES);
-    let text = is_small.then(|| fs::read_to_string(&path).ok()).flatten()?;
-    let mut dataset = Dataset { rate_hz: rate_beside(&path), ..Dataset::default() };
-    descend(&serde_json::from_str(&text).ok()?, "", DEEP, &mut dataset);
-    Some(dataset)
+/// The files beside a file of records that say what is in it.
+pub(crate) fn beside(path: &Path) -> Vec<PathBuf> {
+    [FEATURES, INFO].map(|name| path.with_file_name(name)).into()
 }
 
-/// The rate that the dataset's own metadata name, beside its features.
-fn rate_beside(features: &Path) -> Option<f64> {
-    let path = features.with_file_name(INFO);
-    let is_small = fs::metadata(&path).is_ok_and(|metadata| metadata.len() <= MOST_BYTES);
-    let text = is_small.then(|| fs::read_to_string(&path).ok()).flatten()?;
-    rate_in(&serde_json::from_str(&text).ok()?)
+/// What is declared of the steps of the dataset that a file is of, or why that cannot be read.
+pub(super) fn declared(path: &Path) -> Option<Result<Dataset, String>> {
+    let json = |name: &str| -> Option<Result<Value, String>> {
+        let file = path.with_file_name(name);
+        let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty());
+        let folder = parent.unwrap_or(Path::new("."));
+        let parsed = |text: String| {
+            serde_json::from_str(&text).map_err(|error| format!("{name} cannot be read: {error}"))
+        };
+        file.symlink_metadata().is_ok().then(|| text_in(folder, &file).and_then(parsed))
+    };
+    let features = json(FEATURES)?;
+    let rate_hz = json(INFO).and_then(Result::ok).and_then(|info| rate_in(&info));
+    Some(features.map(|features| {
+        let mut dataset = Dataset { rate_hz, ..Dataset::default() };
+        descend(&features, "", DEEP, &mut dataset);
+        dataset
+    }))
 }
 
 /// The numbers that a description counts, as in `[7x joint angles, 2x gripper position]`; none where it counts

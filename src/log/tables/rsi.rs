@@ -5,11 +5,11 @@
 
 use std::ops::Range;
 
-use roxmltree::{Document, Node};
+use ground::robot::xml_document;
+use roxmltree::Node;
 
-use super::{Column, Episodes, MOST_NUMBERS, Refusal, Table};
+use super::{Candidate, Column, Context, Episodes, Refusal, Table};
 use crate::Extent;
-use crate::losses::Losses;
 
 /// Elements of a packet that are read, and the attributes that hold their numbers.
 const ELEMENTS: &[(&str, &[&str])] = &[
@@ -33,7 +33,8 @@ pub(crate) fn has_packet(bytes: &[u8]) -> bool {
         .any(|name| find(rest, format!("<{name}").as_bytes(), 0).is_some())
 }
 
-pub(super) fn read(bytes: &[u8], losses: &mut Losses) -> Result<Episodes, Refusal> {
+pub(super) fn read(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refusal> {
+    let losses = &mut *context.losses;
     let wide: usize = ELEMENTS.iter().map(|(_, numbers)| numbers.len()).sum();
     let mut values: Vec<Vec<f64>> = vec![Vec::new(); ELEMENTS.len()];
     let mut clock = Vec::new();
@@ -41,9 +42,7 @@ pub(super) fn read(bytes: &[u8], losses: &mut Losses) -> Result<Episodes, Refusa
     let mut at = 0;
     while let Some(packet) = next(bytes, at) {
         at = packet.end;
-        if clock.len() * wide > MOST_NUMBERS {
-            return Err(format!("it has more than {MOST_NUMBERS} numbers"));
-        }
+        context.memory.take(wide + 1)?;
         let mut row = vec![f64::NAN; wide + 1];
         match numbers(&bytes[packet.clone()], &mut row) {
             Ok(()) => {
@@ -84,11 +83,9 @@ pub(super) fn read(bytes: &[u8], losses: &mut Losses) -> Result<Episodes, Refusa
         .zip(values)
         .map(|((name, parts), values)| column(name, parts, values))
         .chain([column(CLOCK, &[], clock)])
-        .filter(|column| is_there(&column.values));
-    Ok(vec![(
-        "0".to_owned(),
-        Table { rows, columns: columns.collect(), rate_hz: None, ..Table::default() },
-    )])
+        .filter(|column| is_there(&column.values))
+        .map(Candidate::whole);
+    Ok(vec![("0".to_owned(), Table::of(columns.collect(), Some(rows), context.memory))])
 }
 
 /// The bytes of the first packet from `at` on: up to its end, or to where the next begins.
@@ -118,7 +115,7 @@ fn find(bytes: &[u8], what: &[u8], at: usize) -> Option<usize> {
 /// Fills `row` with the numbers of a packet; those that it does not have are left as they are.
 fn numbers(packet: &[u8], row: &mut [f64]) -> Result<(), String> {
     let text = std::str::from_utf8(packet).map_err(|error| error.to_string())?;
-    let packet = Document::parse(text).map_err(|error| error.to_string())?;
+    let packet = xml_document(text).map_err(|(_, problem)| problem.to_string())?;
     let number = |text: &str| text.trim().parse::<f64>().unwrap_or(f64::NAN);
     let child = |name| packet.root_element().children().find(|node: &Node| node.has_tag_name(name));
     let mut cells = row.iter_mut();

@@ -3,14 +3,15 @@
 //!
 //! Framing: `tensorflow/core/lib/io/record_writer.h`. A record without `steps/…` is a single step.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::{
-    Column, Episodes, MOST_COLUMNS, MOST_NUMBERS, MOST_WIDE, RATES, Refusal, Table, usual,
+    Candidate, Column, Context, Episodes, MOST_COLUMNS, MOST_EPISODES, MOST_WIDE, RATES, Refusal,
+    RowLoss, Table, usual,
 };
 use crate::Extent;
 use crate::decode::{Reader, Value, WireError};
-use crate::losses::Losses;
+use crate::memory::Memory;
 
 /// What the names of a step's features begin with.
 pub(super) const STEPS: &str = "steps/";
@@ -72,8 +73,9 @@ pub(super) fn read(
     bytes: &[u8],
     wanted: Option<&str>,
     width: impl Fn(&str) -> Option<usize>,
-    losses: &mut Losses,
+    context: &mut Context,
 ) -> Result<Episodes, Refusal> {
+    let Context { losses, memory } = context;
     let (mut found, mut steps) = (Vec::new(), Vec::new());
     let mut records = Records { bytes, at: 0 };
     for (number, (start, record)) in records.by_ref().enumerate() {
@@ -91,9 +93,16 @@ pub(super) fn read(
         let mut lost = |what: &dyn std::fmt::Display| {
             losses.add(start, Extent::Messages, Some(1), format!("record {number}: {what}"));
         };
+        // Its numbers take 4 bytes in the file and 8 in memory, or 1 if they are small.
+        if !is_other || number == 0 {
+            memory.take(record.len())?;
+        }
+        if wanted.is_none() && found.len() > MOST_EPISODES {
+            return Err(Refusal::Episodes);
+        }
         match Example::of(record) {
             Ok(example) if example.is_episode() && is_other => {}
-            Ok(example) if example.is_episode() => match example.table(&width) {
+            Ok(example) if example.is_episode() => match example.table(&width, memory) {
                 Ok(table) => found.push((name, table)),
                 Err(what) => lost(&what),
             },
@@ -107,7 +116,7 @@ pub(super) fn read(
         losses.add(end, Extent::Tail, None, what);
     }
     if found.is_empty() && !steps.is_empty() {
-        found.push(("0".to_owned(), single_steps(steps)?));
+        found.push(("0".to_owned(), single_steps(&steps, memory)?));
     }
     Ok(found)
 }
@@ -146,66 +155,121 @@ impl Example {
     }
 
     /// The steps of an episode.
-    fn table(self, width: &impl Fn(&str) -> Option<usize>) -> Result<Table, Refusal> {
+    fn table(
+        self,
+        width: &impl Fn(&str) -> Option<usize>,
+        memory: &mut Memory,
+    ) -> Result<Table, Refusal> {
         let rate_hz = self.rate_hz();
-        let mut columns = Vec::new();
+        let (mut unread, mut candidates) = (Vec::new(), Vec::new());
         for (name, rows) in self.sequences {
-            let wide = rows.first().map_or(0, Vec::len);
-            let is_even = rows.iter().all(|row| row.len() == wide);
-            columns.extend((is_even && wide > 0).then(|| (name, Some(wide), rows.concat())));
+            match steps_of(&name, rows.iter().map(|row| Some(row.as_slice()))) {
+                Some(candidate) => candidates.push(candidate),
+                None => unread.push((name, "rows of different lengths, or images".to_owned())),
+            }
         }
+        let mut columns = Vec::new();
         for (name, values) in self.features {
             let Some(name) = name.strip_prefix(STEPS).filter(|_| !values.is_empty()) else {
                 continue;
             };
             let width = if SINGLE.contains(&name) { Some(1) } else { width(name) };
-            columns.push((name.to_owned(), width, values));
+            columns.push((name.to_owned(), width.filter(|width| *width > 0), values));
         }
         let single = columns.iter().find(|(name, ..)| SINGLE.contains(&name.as_str()));
         let declared =
             columns.iter().filter_map(|(_, width, values)| Some(values.len() / (*width)?));
+        let declared = declared.chain(candidates.iter().map(|candidate| candidate.rows));
         let rows = match single {
             Some((_, _, values)) => values.len(),
-            None if columns.iter().any(|(_, width, _)| width.is_some()) => usual(declared),
+            None if columns.iter().any(|(_, width, _)| width.is_some()) || columns.is_empty() => {
+                usual(declared)
+            }
             None => columns.iter().map(|(_, _, values)| values.len()).min().unwrap_or(0),
         };
         if rows == 0 {
-            return Err("it holds no steps with numbers".to_owned());
+            return Err("it holds no steps with numbers".into());
         }
-        let is_of = |count: usize| count.is_multiple_of(rows) && count / rows <= MOST_WIDE;
-        let columns = columns.into_iter().filter(|(_, _, values)| is_of(values.len()));
-        let columns =
-            columns.take(MOST_COLUMNS).map(|(name, _, values)| column(name, rows, values));
-        Ok(Table { rows, columns: columns.collect(), rate_hz, ..Table::default() })
+        let mut losses = Vec::new();
+        for (name, width, values) in columns {
+            let count = values.len();
+            if count / rows > MOST_WIDE {
+                unread.push((name, "its rows are images".to_owned()));
+            } else if !count.is_multiple_of(rows) {
+                let whole = width.map_or(rows, |width| count / width);
+                let what = format!(
+                    "'{name}' has {count} numbers for {rows} steps: which are missing is not known"
+                );
+                losses.push(RowLoss { rows: whole, what: what.into() });
+                unread.push((name, format!("{count} numbers, no multiple of {rows} steps")));
+            } else {
+                candidates.push(Candidate::whole(column(name, count / rows, values)));
+            }
+        }
+        if candidates.len() > MOST_COLUMNS {
+            let what = format!("it has {} features; {MOST_COLUMNS} are read", candidates.len());
+            losses.push(RowLoss { rows: 0, what: what.into() });
+            candidates.truncate(MOST_COLUMNS);
+        }
+        let mut table = Table::of(candidates, Some(rows), memory);
+        table.rate_hz = rate_hz;
+        table.unread.extend(unread);
+        table.losses.extend(losses);
+        Ok(table)
     }
+}
+
+/// The column of a feature with its numbers in each step; `None` if these are images, or of as many lengths as
+/// steps. Steps that have another number of them are lost.
+fn steps_of<'a>(
+    name: &str,
+    steps: impl ExactSizeIterator<Item = Option<&'a [f64]>> + Clone,
+) -> Option<Candidate> {
+    let rows = steps.len();
+    let width = usual(steps.clone().flatten().map(<[f64]>::len).filter(|own| *own > 0));
+    let fits = |own: &Option<&[f64]>| own.is_some_and(|own| own.len() == width);
+    if !(1..=MOST_WIDE).contains(&width) || 2 * steps.clone().filter(fits).count() <= rows {
+        return None;
+    }
+    let (mut values, mut lost, mut why) = (Vec::with_capacity(rows * width), Vec::new(), None);
+    for (row, own) in steps.enumerate() {
+        match own.filter(|own| own.len() == width) {
+            Some(own) => values.extend_from_slice(own),
+            None => {
+                values.resize(values.len() + width, f64::NAN);
+                lost.push(row..row + 1);
+                let count = own.map_or(0, <[f64]>::len);
+                why.get_or_insert_with(|| {
+                    format!("step {row} has {count} numbers, not {width}").into()
+                });
+            }
+        }
+    }
+    Some(Candidate { column: column(name.to_owned(), width, values), rows, lost, why })
 }
 
 /// Records of a step each, as one table.
-fn single_steps(steps: Vec<Example>) -> Result<Table, Refusal> {
-    let (rows, rate_hz) = (steps.len(), steps[0].rate_hz());
-    let widths: Vec<(String, usize)> = steps[0]
-        .features
-        .iter()
-        .filter(|(_, values)| (1..=MOST_WIDE).contains(&values.len()))
-        .map(|(name, values)| (name.clone(), values.len()))
-        .take(MOST_COLUMNS)
-        .collect();
-    if widths.iter().map(|(_, width)| width * rows).sum::<usize>() > MOST_NUMBERS {
-        return Err(format!("it has more than {MOST_NUMBERS} numbers"));
+fn single_steps(steps: &[Example], memory: &mut Memory) -> Result<Table, Refusal> {
+    let names: BTreeSet<&String> = steps.iter().flat_map(|step| step.features.keys()).collect();
+    let (mut unread, mut candidates) = (Vec::new(), Vec::new());
+    if names.len() > MOST_COLUMNS {
+        return Err(format!("it has {} features, more than {MOST_COLUMNS}", names.len()).into());
     }
-    let columns = widths.into_iter().map(|(name, width)| {
-        let own = |step: &Example| {
-            let values = step.features.get(&name).filter(|values| values.len() == width);
-            values.cloned().unwrap_or_else(|| vec![f64::NAN; width])
-        };
-        let values = steps.iter().flat_map(own).collect();
-        column(name.clone(), rows, values)
-    });
-    Ok(Table { rows, columns: columns.collect(), rate_hz, ..Table::default() })
+    for name in names {
+        let own = steps.iter().map(|step| step.features.get(name).map(Vec::as_slice));
+        memory.take(own.clone().flatten().map(<[f64]>::len).sum())?;
+        match steps_of(name, own) {
+            Some(candidate) => candidates.push(candidate),
+            None => unread.push((name.clone(), "rows of different lengths, or images".to_owned())),
+        }
+    }
+    let mut table = Table::of(candidates, Some(steps.len()), memory);
+    table.rate_hz = steps.first().and_then(Example::rate_hz);
+    table.unread.extend(unread);
+    Ok(table)
 }
 
-fn column(name: String, rows: usize, values: Vec<f64>) -> Column {
-    let width = values.len() / rows;
+fn column(name: String, width: usize, values: Vec<f64>) -> Column {
     Column { name, kind: "number".to_owned(), width, parts: Vec::new(), values }
 }
 

@@ -12,9 +12,9 @@ use std::path::{Path, PathBuf};
 
 use self::array::Array;
 use self::store::Store;
-use super::{Column, Episodes, MOST_NUMBERS, Refusal, Table, rate_in, usual};
-use crate::Extent;
-use crate::losses::Losses;
+use super::{Candidate, Column, Context, Episodes, MOST_EPISODES, Refusal, Table, rate_in, usual};
+use crate::contained::Contained;
+use crate::memory::Memory;
 
 #[cfg(test)]
 pub(crate) use self::blosc::unpacked as unpacked_blosc;
@@ -37,45 +37,65 @@ pub(super) enum At<'a> {
 struct Contents<'a> {
     store: Store<'a>,
     arrays: Vec<Array>,
-    /// Why the first array of numbers that is not read is not.
-    refused: Option<Refusal>,
+    /// Arrays that cannot be read, and why.
+    refused: Vec<Refusal>,
+    /// Whether the store says where episodes end.
+    has_ends: bool,
     episodes: Vec<Range<usize>>,
 }
 
 /// The episodes of a store; the only one that is `wanted`, if one is.
-pub(super) fn read(at: At, wanted: Option<&str>, losses: &mut Losses) -> Result<Episodes, Refusal> {
-    let Contents { mut store, arrays, refused, episodes } = opened(at)?;
-    if let Some(what) = refused {
-        losses.add_unplaced(Extent::Messages, None, what);
+pub(super) fn read(
+    at: At,
+    wanted: Option<&str>,
+    context: &mut Context,
+) -> Result<Episodes, Refusal> {
+    let Contents { mut store, arrays, refused, has_ends, episodes } = opened(at)?;
+    for what in refused {
+        what.report(None, context.losses);
+    }
+    if wanted.is_none() && episodes.len() > MOST_EPISODES {
+        return Err(Refusal::Episodes);
     }
     let mut groups = vec![String::new(), DATA.trim_end_matches('/').to_owned()];
     groups.extend(arrays.iter().map(|array| array.path.clone()));
     let rate_hz = groups.iter().find_map(|path| rate_in(&store.attributes(path)?));
-    let mut budget = MOST_NUMBERS;
     let mut found = Vec::new();
     for (number, span) in episodes.into_iter().enumerate() {
         let name = number.to_string();
         if wanted.is_some_and(|wanted| wanted != name) {
             continue;
         }
-        let mut columns = Vec::new();
+        let mut candidates = Vec::new();
         for array in &arrays {
-            let width = array.width().unwrap_or(1);
-            budget = budget
-                .checked_sub(span.len().saturating_mul(width))
-                .ok_or_else(|| format!("it has more than {MOST_NUMBERS} numbers"))?;
-            columns.push(Column {
+            let column = Column {
                 name: match array.path.strip_prefix(DATA).unwrap_or(&array.path) {
                     "" => "array".to_owned(),
                     path => path.to_owned(),
                 },
                 kind: array.kind(),
-                width,
-                parts: Vec::new(),
-                values: array.read(&mut store, span.clone())?,
+                width: array.width().unwrap_or(1),
+                ..Column::default()
+            };
+            // Where episodes follow each other an array that is short lacks the last rows.
+            let declared = if has_ends { span.len() } else { array.rows() };
+            if declared != span.len() {
+                candidates.push(Candidate { column, rows: declared, ..Candidate::default() });
+                continue;
+            }
+            let own = span.start.min(array.rows())..span.end.min(array.rows());
+            candidates.push(match array.read(&mut store, own, context.memory) {
+                Ok(read) => Candidate {
+                    column: Column { values: read.values, ..column },
+                    rows: declared,
+                    lost: read.lost,
+                    why: read.why,
+                },
+                Err(why) => Candidate::refused(&column.name, declared, why),
             });
         }
-        found.push((name, Table { rows: span.len(), columns, rate_hz, ..Table::default() }));
+        let table = Table { rate_hz, ..Table::of(candidates, Some(span.len()), context.memory) };
+        found.push((name, table));
     }
     Ok(found)
 }
@@ -85,10 +105,10 @@ pub fn files_of_store(folder: &Path) -> Vec<PathBuf> {
     let arrays = opened(At::Folder(folder)).map(|contents| contents.arrays).unwrap_or_default();
     let mut open: Vec<PathBuf> = arrays.iter().map(|array| folder.join(&array.path)).collect();
     open.push(folder.join("meta").join(ENDS));
-    let mut found = Vec::new();
+    let (mut found, mut contained) = (Vec::new(), Contained::of(folder));
     while let Some(path) = open.pop() {
         let inside = fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
-        for entry in inside {
+        for entry in inside.filter(|entry| contained.holds(&entry.path())) {
             let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
             if is_folder { &mut open } else { &mut found }.push(entry.path());
         }
@@ -104,29 +124,36 @@ pub(super) fn episodes_in(at: At) -> Result<Vec<String>, Refusal> {
 
 fn opened(at: At) -> Result<Contents, Refusal> {
     let mut store = match at {
-        At::Folder(path) => Store::Folder(path.to_owned()),
+        At::Folder(path) => Store::folder(path),
         At::Bytes(bytes) => Store::zip(bytes)?,
     };
-    let (mut arrays, mut ends, mut refused) = (Vec::new(), None, None);
+    let (mut arrays, mut ends, mut refused) = (Vec::new(), None, Vec::new());
     for (path, metadata) in store.arrays() {
-        match Array::of(&path, &metadata) {
-            Some(Ok(array)) if path.rsplit('/').next() == Some(ENDS) => ends = Some(array),
-            Some(Ok(array)) if array.width().is_some() => arrays.push(array),
-            Some(Err(what)) => _ = refused.get_or_insert(what),
-            _ => {}
+        match metadata.map(|metadata| Array::of(&path, &metadata)) {
+            Ok(Some(Ok(array))) if path.rsplit('/').next() == Some(ENDS) => ends = Some(array),
+            Ok(Some(Ok(array))) if array.width().is_some() => arrays.push(array),
+            Ok(Some(Err(what))) | Err(what) => refused.push(what),
+            Ok(_) => {}
         }
     }
-    let ends = ends.map(|ends| ends.read(&mut store, 0..ends.rows())).transpose()?;
-    let rows = match ends.as_ref().and_then(|ends| ends.last()) {
+    let mut memory = Memory::of(None);
+    let ends = ends.map(|ends| ends.read(&mut store, 0..ends.rows(), &mut memory)).transpose()?;
+    if let Some(ends) = ends.as_ref().filter(|ends| !ends.lost.is_empty()) {
+        let why = ends.why.clone();
+        return Err(why.unwrap_or_else(|| "chunks of it are missing".into()).of(ENDS));
+    }
+    let rows = match ends.as_ref().and_then(|ends| ends.values.last()) {
         Some(last) => *last as usize,
         None => usual(arrays.iter().map(Array::rows)),
     };
-    arrays.retain(|array| array.rows() >= rows && (array.rows() == rows || ends.is_some()));
+    // Of other arrays beside episodes nobody knows which rows they have.
+    arrays.retain(|array| ends.is_none() || array.rows() > rows / 2);
     if arrays.is_empty() || rows == 0 {
-        return Err(refused
-            .unwrap_or_else(|| "it holds no arrays of numbers, as many rows each".to_owned()));
+        let none = || "it holds no arrays of numbers, as many rows each".into();
+        return Err(refused.into_iter().next().unwrap_or_else(none));
     }
-    Ok(Contents { store, arrays, refused, episodes: episodes(ends.as_deref(), rows)? })
+    let episodes = episodes(ends.as_ref().map(|ends| ends.values.as_slice()), rows)?;
+    Ok(Contents { store, arrays, refused, has_ends: ends.is_some(), episodes })
 }
 
 /// The rows of each episode.
@@ -137,7 +164,7 @@ fn episodes(ends: Option<&[f64]>, rows: usize) -> Result<Vec<Range<usize>>, Refu
         let span = first..*end as usize;
         first = span.end;
         let is_sound = span.start < span.end && span.end <= rows;
-        is_sound.then_some(span).ok_or_else(|| format!("'{ENDS}' does not rise"))
+        is_sound.then_some(span).ok_or_else(|| format!("'{ENDS}' does not rise").into())
     };
     ends.unwrap_or(&whole).iter().map(&mut span).collect()
 }

@@ -6,6 +6,7 @@ use std::io;
 use crate::audit::Calibrated;
 use crate::diagnosis::LeftOver;
 use crate::finding::Unit;
+use crate::report::foreign;
 use crate::run::Witness;
 
 /// Directions that are not told are listed up to so many.
@@ -40,22 +41,26 @@ impl Calibrated {
     fn text(&self, files: &[String]) -> String {
         let found = &self.found;
         let mut text = String::new();
+        let name = foreign(&self.drawing.name);
         let _ = match &self.refused {
-            None => writeln!(text, "CALIBRATED  {}: {}", self.drawing.name, self.subject()),
-            Some(why) => writeln!(text, "REFUSED     {}: {why}", self.drawing.name),
+            None => writeln!(text, "CALIBRATED  {name}: {}", foreign(self.subject())),
+            Some(why) => writeln!(text, "REFUSED     {name}: {}", foreign(why)),
         };
         for (taken, stream) in self.streams.iter().zip(&found.streams) {
             let reading =
                 taken.reading.as_ref().map_or_else(String::new, |it| format!(", read as {it}"));
-            let log = taken.log.display();
+            let (log, topic, tip) =
+                (foreign(taken.log.display()), foreign(&taken.topic), foreign(&taken.tip));
             let _ = writeln!(
                 text,
-                "\n{log} {} ({}): {} poses of {} in {}{reading}",
-                taken.topic,
+                "\n{log} {topic} ({}): {} poses of {tip} in {}{reading}",
                 taken.witness.name(),
                 stream.samples,
-                taken.tip,
-                if stream.reference.is_some() { "a frame of its own" } else { &taken.base },
+                if stream.reference.is_some() {
+                    "a frame of its own".to_owned()
+                } else {
+                    foreign(&taken.base)
+                },
             );
             let line = |of: &LeftOver| match taken.rotation_is_blind() {
                 true => format!("{:.4} mm", 1e3 * of.m),
@@ -77,7 +82,7 @@ impl Calibrated {
             }
         }
         for why in &self.left_out {
-            let _ = writeln!(text, "\nleft out: {why}");
+            let _ = writeln!(text, "\nleft out: {}", foreign(why));
         }
         if let Some(moved) = found.unsettled {
             let _ = writeln!(
@@ -128,7 +133,7 @@ impl Calibrated {
         match files {
             [] => text += "\nnothing was written\n",
             files => {
-                let _ = writeln!(text, "\nwritten: {}", files.join(", "));
+                let _ = writeln!(text, "\nwritten: {}", foreign(files.join(", ")));
             }
         }
         text

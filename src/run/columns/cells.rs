@@ -30,6 +30,8 @@ pub(super) struct Number {
 
 /// All numbers that tell, beside each other.
 pub(super) struct Cells {
+    /// Where each number is among them.
+    places: HashMap<(usize, usize), usize>,
     pub numbers: Vec<Number>,
     pub sheet: Sheet,
 }
@@ -82,7 +84,13 @@ impl Cells {
         numbers.sort_by_key(|(number, _)| home(number));
         let homes = numbers.iter().map(|(number, _)| home(number)).collect();
         let (numbers, columns): (Vec<Number>, Vec<Vec<f64>>) = numbers.into_iter().unzip();
-        Some(Self { numbers, sheet: whole(&rows, columns, homes) })
+        let places = numbers.iter().enumerate().map(|(place, number)| (number.at, place)).collect();
+        Some(Self { numbers, places, sheet: whole(&rows, columns, homes) })
+    }
+
+    /// The place of a number, by its topic and its place there.
+    pub fn place(&self, at: (usize, usize)) -> Option<usize> {
+        self.places.get(&at).copied()
     }
 
     /// The numbers by their names.

@@ -39,7 +39,7 @@ pub(super) fn rewrite(log: &mut Log, search: &Search<'_>, told: &Told) {
     let mut topics = Vec::with_capacity(log.topics.len());
     for (index, topic) in std::mem::take(&mut log.topics).into_iter().enumerate() {
         let is_used = |part: usize| {
-            let at = search.cells.numbers.iter().position(|number| number.at == (index, part));
+            let at = search.cells.place((index, part));
             at.is_some_and(|at| used.contains(&at))
         };
         let count = topic.cells.len();
@@ -50,7 +50,7 @@ pub(super) fn rewrite(log: &mut Log, search: &Search<'_>, told: &Told) {
         }
         let left: Vec<usize> = (0..count)
             .filter(|&part| {
-                let at = search.cells.numbers.iter().position(|number| number.at == (index, part));
+                let at = search.cells.place((index, part));
                 !is_used(part)
                     || others.iter().any(|(columns, _)| at.is_some_and(|at| columns.contains(&at)))
             })
@@ -242,7 +242,7 @@ impl Search<'_> {
         used: &[usize],
         others: &[&(Vec<usize>, String)],
     ) -> String {
-        let at = self.cells.numbers.iter().position(|other| other.at == number);
+        let at = self.cells.place(number);
         let Some(at) = at else { return UNNAMED.to_owned() };
         if let Some((_, why)) = others.iter().find(|(columns, _)| columns.contains(&at)) {
             return why.clone();

@@ -1,10 +1,10 @@
 //! The columns that the caller names.
 
 use super::{Cell, Group, Meaning};
-use crate::tables::{ColumnSelector, ColumnSettings, Refusal, Table};
+use crate::tables::{ColumnSelector, ColumnSettings, Table};
 
 /// What the caller says, of the one arm or of each.
-pub(super) fn said(table: &Table, settings: &ColumnSettings) -> Result<Vec<Group>, Refusal> {
+pub(super) fn said(table: &Table, settings: &ColumnSettings) -> Result<Vec<Group>, String> {
     let mut groups = said_of_arm(table, settings)?;
     for (arm, settings) in &settings.arms {
         let own = said_of_arm(table, settings)
@@ -15,7 +15,7 @@ pub(super) fn said(table: &Table, settings: &ColumnSettings) -> Result<Vec<Group
     Ok(groups)
 }
 
-fn said_of_arm(table: &Table, settings: &ColumnSettings) -> Result<Vec<Group>, Refusal> {
+fn said_of_arm(table: &Table, settings: &ColumnSettings) -> Result<Vec<Group>, String> {
     let mut groups = Vec::new();
     let topics = [
         ("joints", &settings.joints),
@@ -55,7 +55,7 @@ fn said_of_arm(table: &Table, settings: &ColumnSettings) -> Result<Vec<Group>, R
 }
 
 /// Factor and offset of each of so many joints; none where none are said.
-fn lines(settings: &ColumnSettings, count: usize) -> Result<Vec<[f64; 2]>, Refusal> {
+fn lines(settings: &ColumnSettings, count: usize) -> Result<Vec<[f64; 2]>, String> {
     let (factors, offsets) = (&settings.joint_factors, &settings.joint_offsets);
     for (key, said) in [("joint_factors", factors), ("joint_offsets", offsets)] {
         if !said.is_empty() && said.len() != count {

@@ -91,10 +91,10 @@ fn what_a_store_declares_and_does_not_hold_is_one_line() {
         refusal(&store(move |metadata| metadata[name] = value.clone()))
     };
     for (name, value, said) in [
-        ("shape", json!([1_000_000_000, 6]), "more than 268435456 numbers"),
-        ("shape", json!([10_000_000, 6]), "are in no chunk"),
+        ("shape", json!([1_000_000_000, 6]), "--max-unpacked GIB"),
+        ("shape", json!([10_000_000, 6]), "--max-unpacked GIB"),
         ("shape", json!([u64::MAX, 6]), "no chunks that can be"),
-        ("chunks", json!([200_000_000, 6]), "200000000"),
+        ("chunks", json!([200_000_000, 6]), "--max-unpacked GIB"),
         ("chunks", json!([0, 6]), "no chunks that can be"),
         ("chunks", json!([20]), "no chunks that can be"),
         ("chunks", json!([30, 6]), "a chunk has 960 bytes"),
@@ -107,6 +107,76 @@ fn what_a_store_declares_and_does_not_hold_is_one_line() {
         let line = change(name, value);
         assert!(line.contains(said), "{name}: {line}");
     }
+}
+
+/// A store in a folder: `q` of 6 numbers and `pose` of 7, 50 rows in chunks of 10.
+fn folder_store() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().expect("a folder");
+    let write = |name: &str, content: &[u8]| {
+        let path = folder.path().join(name);
+        fs::create_dir_all(path.parent().expect("a folder")).expect("a folder");
+        fs::write(path, content).expect("a file");
+    };
+    write(".zgroup", br#"{"zarr_format": 2}"#);
+    write(".zattrs", br#"{"fps": 10}"#);
+    for (name, width) in [("q", 6), ("tcp_pose", 7)] {
+        let metadata = json!({"zarr_format": 2, "shape": [50, width], "chunks": [10, width], "dtype": "<f8",
+            "compressor": null, "filters": null, "fill_value": 0.0, "order": "C"});
+        write(&format!("{name}/.zarray"), metadata.to_string().as_bytes());
+        for chunk in 0..5 {
+            let numbers = (0..10 * width).map(|at| 0.01 * f64::from(10 * width * chunk + at) + 0.1);
+            let bytes: Vec<u8> = numbers.flat_map(f64::to_le_bytes).collect();
+            write(&format!("{name}/{chunk}.0"), &bytes);
+        }
+    }
+    folder
+}
+
+#[test]
+fn chunks_and_metadata_that_are_missing_are_losses() {
+    let whole = folder_store();
+    let log = of_folder(whole.path()).expect("a log");
+    assert_eq!((topic(&log, "q").messages, log.losses.as_slice()), (50, [].as_slice()));
+    fs::remove_file(whole.path().join("q/2.0")).expect("a chunk");
+    let log = of_folder(whole.path()).expect("a log");
+    assert_eq!((topic(&log, "q").messages, topic(&log, "tcp_pose").messages), (40, 50));
+    assert_eq!(log.losses[0].messages, Some(10));
+    assert!(log.losses[0].what.contains("rows 20 to 29 of 50"), "{:?}", log.losses);
+    for (file, content) in
+        [("q/.zarray", None), ("q/.zarray", Some("{")), ("q/.zarray", Some("null"))]
+    {
+        let folder = folder_store();
+        match content {
+            None => fs::remove_file(folder.path().join(file)).expect("metadata"),
+            Some(text) => fs::write(folder.path().join(file), text).expect("metadata"),
+        }
+        let log = of_folder(folder.path()).expect("a log");
+        assert!(
+            log.losses.iter().any(|loss| loss.what.contains("'q")),
+            "{content:?}: {:?}",
+            log.losses
+        );
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn links_out_of_the_folder_are_not_followed_and_cycles_end() {
+    use std::os::unix::fs::symlink;
+    let folder = folder_store();
+    let outside = tempfile::NamedTempFile::new().expect("a file");
+    let chunk: Vec<u8> = (0..60).flat_map(|at| f64::from(at).to_le_bytes()).collect();
+    fs::write(outside.path(), chunk).expect("a file");
+    let place = folder.path().join("q/1.0");
+    fs::remove_file(&place).expect("a chunk");
+    symlink(outside.path(), &place).expect("a link");
+    for at in 0..30 {
+        symlink(folder.path(), folder.path().join(format!("loop{at}"))).expect("a link");
+    }
+    let log = of_folder(folder.path()).expect("a log");
+    assert_eq!(topic(&log, "q").messages, 40);
+    assert!(log.losses[0].what.contains("a link out of the folder"), "{:?}", log.losses);
+    assert!(crate::files_of_store(folder.path()).iter().all(|file| !file.ends_with("q/1.0")));
 }
 
 #[test]
@@ -182,6 +252,8 @@ fn what_features_declare_is_held_against_the_records() {
     );
     let named = Path::new(&format!("{}#1", path.display())).to_owned();
     assert_eq!(of_folder(&named).expect("an episode").messages % 30, 0);
+    // A width of nothing is none.
+    assert_eq!(declared("0", "").len(), 1);
 }
 
 #[test]
@@ -241,4 +313,122 @@ fn packets_that_are_damaged_are_counted() {
     assert_eq!((topic(&log, "RIst").messages, log.losses[0].messages), (39, Some(1)));
     let hostile = format!("{}{}", packet(0), "<Rob ".repeat(100_000));
     let _ = read(hostile.as_bytes(), ColumnSettings::default());
+}
+
+/// A record as TensorFlow frames it.
+fn framed(record: &[u8]) -> Vec<u8> {
+    let masked = |bytes: &[u8]| {
+        crc32c::crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes()
+    };
+    let length = (record.len() as u64).to_le_bytes();
+    [&length, masked(&length).as_slice(), record, &masked(record)].concat()
+}
+
+/// A field of bytes in Protobuf's wire format.
+fn field(number: u8, content: &[u8]) -> Vec<u8> {
+    let mut all = vec![number << 3 | 2];
+    let mut length = content.len();
+    while length > 127 {
+        all.push((length & 127) as u8 | 128);
+        length >>= 7;
+    }
+    all.push(length as u8);
+    all.extend(content);
+    all
+}
+
+/// An example with these features of floats.
+fn example(features: &[(&str, Vec<f32>)]) -> Vec<u8> {
+    let of = |(name, numbers): &(&str, Vec<f32>)| {
+        let packed: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+        let feature = field(2, &field(1, &packed));
+        field(1, &[field(1, name.as_bytes()), field(2, &feature)].concat())
+    };
+    field(1, &features.iter().flat_map(of).collect::<Vec<u8>>())
+}
+
+/// Rows of six joints that move, by their number.
+fn joints_of(row: usize) -> Vec<f64> {
+    (0..6).map(|joint| (0.05 * row as f64 + f64::from(joint)).sin() + 0.001).collect()
+}
+
+/// A table of `rows` rows in each container, of which those that `is_lost` are missing or damaged in the way of the
+/// container, and the name of its joints.
+fn with_lost_rows(rows: usize, is_lost: &[bool]) -> Vec<(&'static str, &'static str, Vec<u8>)> {
+    let lost = |row: usize| is_lost.get(row).copied().unwrap_or(false);
+    let floats =
+        |row: usize| joints_of(row).into_iter().map(|value| value as f32).collect::<Vec<f32>>();
+    let csv: String = (0..rows)
+        .map(|row| {
+            let time = if lost(row) { String::new() } else { format!("{:.3}", 0.01 * row as f64) };
+            let cells: Vec<String> =
+                joints_of(row).iter().map(|value| format!("{value:.6}")).collect();
+            format!("{time},{}\n", cells.join(","))
+        })
+        .collect();
+    let csv = format!("t,q1,q2,q3,q4,q5,q6\n{csv}");
+    let rsi: String =
+        (0..rows as u32)
+            .map(|row| {
+                if lost(row as usize) {
+                    packet(row).replace("<RIst", "<RIst <")
+                } else {
+                    packet(row)
+                }
+            })
+            .collect();
+    let steps: Vec<u8> = (0..rows)
+        .flat_map(|row| {
+            let mut numbers = floats(row);
+            numbers.truncate(if lost(row) { 5 } else { 6 });
+            framed(&example(&[
+                ("joint_positions", numbers),
+                ("timestamp", vec![0.01 * row as f32]),
+            ]))
+        })
+        .collect();
+    let metadata = |width: usize| {
+        json!({"zarr_format": 2, "shape": [rows, width], "chunks": [1, width], "dtype": "<f8", "compressor": null,
+            "filters": null, "fill_value": 0.0, "order": "C"}).to_string().into_bytes()
+    };
+    let mut store = ZipWriter::new(Cursor::new(Vec::new()));
+    let mut add = |name: &str, content: &[u8]| {
+        store.start_file(name, SimpleFileOptions::default()).expect("a member");
+        store.write_all(content).expect("its bytes");
+    };
+    add(".zgroup", br#"{"zarr_format": 2}"#);
+    add(".zattrs", br#"{"fps": 100}"#);
+    add("joint_positions/.zarray", &metadata(6));
+    for row in (0..rows).filter(|row| !lost(*row)) {
+        let bytes: Vec<u8> = joints_of(row).into_iter().flat_map(f64::to_le_bytes).collect();
+        add(&format!("joint_positions/{row}.0"), &bytes);
+    }
+    let store = store.finish().expect("an archive").into_inner();
+    vec![
+        ("csv", "q", csv.into_bytes()),
+        ("rsi", "AIPos", rsi.into_bytes()),
+        ("tfrecord", "joint_positions", steps),
+        ("zarr", "joint_positions", store),
+        ("parquet", "joint_positions", super::lists_of_parquet(rows, joints_of, lost)),
+    ]
+}
+
+proptest::proptest! {
+    #![proptest_config(proptest::prelude::ProptestConfig::with_cases(24))]
+
+    #[test]
+    fn rows_in_a_file_are_rows_of_the_log_and_rows_reported(
+        rows in 40_usize..90,
+        lost in proptest::collection::vec(proptest::bool::weighted(0.1), 90),
+    ) {
+        // The first and the last row tell where times begin, and what is before a missing chunk.
+        let lost: Vec<bool> = lost.into_iter().enumerate().map(|(row, lost)| lost && row > 1 && row + 2 < rows).collect();
+        let count = lost.iter().filter(|lost| **lost).count() as u64;
+        for (container, name, bytes) in with_lost_rows(rows, &lost) {
+            let log = plain(&bytes);
+            let reported: u64 = log.losses.iter().filter_map(|loss| loss.messages).sum();
+            proptest::prop_assert_eq!(topic(&log, name).messages, rows as u64 - count, "{}", container);
+            proptest::prop_assert_eq!(reported, count, "{}: {:?}", container, log.losses);
+        }
+    }
 }

@@ -6,23 +6,22 @@ use serde_json::Value;
 
 use super::codec::Codec;
 use super::store::Store;
+use crate::memory::Memory;
+use crate::tables::chunks::{Assembled, Assembly, Grid};
 use crate::tables::npy::Kind;
-use crate::tables::{MOST_NUMBERS, MOST_PACKED, MOST_SMALL, MOST_WIDE, Refusal};
+use crate::tables::{MOST_WIDE, Refusal, names};
 
 /// The longest side of an array: what is beyond is no size.
 const LONGEST: usize = 1 << 30;
+/// Most steps of packing. Writers use up to four: filters, a shuffle, a compressor and a checksum.
+const MOST_CODECS: usize = 16;
 
 /// What an array is, and how its chunks are found and packed.
 #[derive(Clone, Debug)]
 pub(super) struct Array {
     /// Where it is in the store.
     pub path: String,
-    pub shape: Vec<usize>,
-    chunks: Vec<usize>,
-    kind: Kind,
-    /// What is where no chunk is.
-    fill: f64,
-    is_fortran: bool,
+    grid: Grid,
     /// In the order of the packing.
     codecs: Vec<Codec>,
     /// What stands before the numbers of a chunk's name, and between them.
@@ -37,163 +36,84 @@ impl Array {
         let read = if is_third { third(metadata) } else { second(metadata) };
         let array = match read? {
             Ok(array) => array,
-            Err(what) => return Some(Err(format!("'{path}': {what}"))),
+            Err(what) => return Some(Err(what.of(path))),
         };
-        let is_sound = array.chunks.len() == array.shape.len()
-            && !array.shape.is_empty()
-            && array.chunks.iter().all(|side| (1..=LONGEST).contains(side))
-            && array.shape.iter().all(|side| *side <= LONGEST);
+        let Grid { shape, chunks, .. } = &array.grid;
+        let is_sound = chunks.len() == shape.len()
+            && !shape.is_empty()
+            && chunks.iter().all(|side| (1..=LONGEST).contains(side))
+            && shape.iter().all(|side| *side <= LONGEST);
+        if array.codecs.len() > MOST_CODECS {
+            return Some(Err(
+                format!("'{path}': it declares more than {MOST_CODECS} codecs").into()
+            ));
+        }
         let array = Self { path: path.to_owned(), ..array };
         Some(if is_sound {
             Ok(array)
         } else {
-            Err(format!("'{path}': it declares no chunks that can be"))
+            Err(format!("'{path}': it declares no chunks that can be").into())
         })
     }
 
     pub fn rows(&self) -> usize {
-        self.shape[0]
+        self.grid.shape[0]
     }
 
     /// The numbers of a row; `None` of images.
     pub fn width(&self) -> Option<usize> {
-        let inner = &self.shape[1..];
+        let inner = &self.grid.shape[1..];
         let width = inner.iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
-        let is_image = inner.len() > 1 && !self.kind.is_float();
+        let is_image = inner.len() > 1 && !self.grid.kind.is_float();
         width.filter(|width| (1..=MOST_WIDE).contains(width) && !is_image)
     }
 
     pub fn kind(&self) -> String {
-        self.kind.name()
+        self.grid.kind.name()
     }
 
-    /// The numbers of some rows, row by row.
-    pub fn read(&self, store: &mut Store, rows: Range<usize>) -> Result<Vec<f64>, Refusal> {
-        let named = |what: Refusal| format!("'{}': {what}", self.path);
-        let width = self.width().unwrap_or(0);
-        if rows.len().checked_mul(width).is_none_or(|count| count > MOST_NUMBERS) {
-            return Err(named(format!("it declares {} rows of {width} numbers", rows.len())));
-        }
-        let (mut values, mut absent) = (Vec::new(), 0);
-        let deep = self.chunks[0];
-        let mut first = rows.start / deep;
-        while first * deep < rows.end {
-            let own = rows.start.max(first * deep)..rows.end.min(first.saturating_add(1) * deep);
-            self.band(store, first, own, (&mut values, &mut absent)).map_err(named)?;
-            first += 1;
-        }
-        Ok(values)
-    }
-
-    /// The numbers of `rows`, which are all in chunks of number `first` from above.
-    fn band(
+    /// The numbers of some rows, row by row, and which of these are lost.
+    pub fn read(
         &self,
         store: &mut Store,
-        first: usize,
         rows: Range<usize>,
-        (values, absent): (&mut Vec<f64>, &mut usize),
-    ) -> Result<(), Refusal> {
-        let inner = &self.shape[1..];
-        let grid = inner.iter().zip(&self.chunks[1..]).map(|(side, own)| side.div_ceil(*own));
-        let grid: Vec<usize> = grid.collect();
-        let width: usize = inner.iter().product();
-        let begin = values.len();
-        for number in 0..grid.iter().product() {
-            let place = places(number, &grid);
-            let names: Vec<String> =
-                [&first].into_iter().chain(&place).map(usize::to_string).collect();
-            let key = format!("{}/{}{}", self.path, self.before, names.join(self.between));
-            let chunk = store.get(&key)?.map(|packed| self.unpacked(packed)).transpose()?;
-            if chunk.is_none() {
-                *absent += rows.len() * width / grid.iter().product::<usize>().max(1);
-                if *absent > MOST_SMALL {
-                    return Err(format!("{absent} and more of its numbers are in no chunk"));
-                }
-            }
-            // Once something is there.
-            values.resize(begin + rows.len() * width, self.fill);
-            let Some(chunk) = chunk else { continue };
-            self.scatter(&chunk, first, &place, &rows, &mut values[begin..]);
+        memory: &mut Memory,
+    ) -> Result<Assembled, Refusal> {
+        if rows.is_empty() {
+            return Ok(Assembled { values: Vec::new(), lost: Vec::new(), why: None });
         }
-        Ok(())
-    }
-
-    /// Puts the numbers of one chunk where they are in `rows`.
-    fn scatter(
-        &self,
-        chunk: &[u8],
-        first: usize,
-        place: &[usize],
-        rows: &Range<usize>,
-        into: &mut [f64],
-    ) {
-        let (inner, own) = (&self.shape[1..], &self.chunks[1..]);
-        let width: usize = inner.iter().product();
-        let sides: usize = own.iter().product();
-        let deep = self.chunks[0];
-        for part in 0..sides {
-            let within = places(part, own);
-            let at: Vec<usize> = within
-                .iter()
-                .zip(place)
-                .zip(own)
-                .map(|((at, chunk), own)| chunk * own + at)
-                .collect();
-            // The last chunks reach beyond the array.
-            if at.iter().zip(inner).any(|(at, side)| at >= side) {
-                continue;
-            }
-            let column = at.iter().zip(inner).fold(0, |all, (at, side)| all * side + at);
-            let back: usize = within
-                .iter()
-                .rev()
-                .zip(own.iter().rev())
-                .fold(0, |all, (at, side)| all * side + at);
-            for row in rows.clone() {
-                let deeper = row - first * deep;
-                let element =
-                    if self.is_fortran { deeper + deep * back } else { deeper * sides + part };
-                into[(row - rows.start) * width + column] =
-                    self.kind.read(&chunk[element * self.kind.size()..]);
+        let whole = self.grid.chunk_bytes();
+        let whole = whole.ok_or_else(|| format!("its chunks declare {:?}", self.grid.chunks))?;
+        memory.take(rows.len().saturating_mul(self.width().unwrap_or(0)))?;
+        // Packed, unpacked and unshuffled.
+        memory.allows((whole as u64).saturating_mul(3))?;
+        let mut all = Assembly::of(&self.grid, rows);
+        for place in all.places() {
+            let numbers: Vec<String> = place.iter().map(usize::to_string).collect();
+            let key = format!("{}/{}{}", self.path, self.before, numbers.join(self.between));
+            let chunk = store
+                .get(&key, whole as u64)
+                .and_then(|packed| packed.map(|packed| self.unpacked(packed, whole)).transpose());
+            if !all.put(&place, chunk) {
+                break;
             }
         }
+        Ok(all.finish(names::is_of_arm(&self.path)))
     }
 
-    /// The bytes of a chunk, all of them.
-    fn unpacked(&self, mut bytes: Vec<u8>) -> Result<Vec<u8>, Refusal> {
-        let count = self.chunks.iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
-        let most = MOST_SMALL.max(bytes.len().saturating_mul(MOST_PACKED));
-        let whole = count
-            .and_then(|count| count.checked_mul(self.kind.size()))
-            .filter(|whole| *whole <= most)
-            .ok_or_else(|| {
-                format!("its chunks of {} bytes declare {:?}", bytes.len(), self.chunks)
-            })?;
+    /// The bytes of a chunk, `whole` of them.
+    fn unpacked(&self, mut bytes: Vec<u8>, whole: usize) -> Result<Vec<u8>, Refusal> {
         for codec in self.codecs.iter().rev() {
             // A checksum is 4 bytes more.
             bytes = codec.undo(&bytes, whole + 4)?;
         }
         match bytes.len() {
-            own if own < whole => Err(format!("a chunk has {own} bytes, {whole} are declared")),
+            own if own < whole => {
+                Err(format!("a chunk has {own} bytes, {whole} are declared").into())
+            }
             _ => Ok(bytes),
         }
     }
-}
-
-/// The places in a box of these sides of its element of this number, the last going fastest.
-fn places(number: usize, sides: &[usize]) -> Vec<usize> {
-    let mut rest = number;
-    let mut places: Vec<usize> = sides
-        .iter()
-        .rev()
-        .map(|side| {
-            let place = rest % side;
-            rest /= side;
-            place
-        })
-        .collect();
-    places.reverse();
-    places
 }
 
 fn sides(value: Option<&Value>) -> Option<Vec<usize>> {
@@ -217,16 +137,19 @@ fn second(metadata: &Value) -> Option<Result<Array, Refusal>> {
         |value: &Value| Codec::of(value.get("id").and_then(Value::as_str).unwrap_or(""), value);
     let filters = metadata.get("filters").and_then(Value::as_array).into_iter().flatten();
     let packer = metadata.get("compressor").filter(|value| !value.is_null());
-    let codecs: Result<Vec<Codec>, Refusal> = filters.chain(packer).map(codec).collect();
+    let codecs: Result<Vec<Codec>, Refusal> =
+        filters.chain(packer).take(MOST_CODECS + 1).map(codec).collect();
     let separator = metadata.get("dimension_separator").and_then(Value::as_str);
     let array = |codecs| {
         Some(Array {
             path: String::new(),
-            shape: sides(metadata.get("shape"))?,
-            chunks: sides(metadata.get("chunks"))?,
-            kind,
-            fill: fill(metadata.get("fill_value")),
-            is_fortran: metadata.get("order").and_then(Value::as_str) == Some("F"),
+            grid: Grid {
+                shape: sides(metadata.get("shape"))?,
+                chunks: sides(metadata.get("chunks"))?,
+                kind,
+                fill: fill(metadata.get("fill_value")),
+                is_fortran: metadata.get("order").and_then(Value::as_str) == Some("F"),
+            },
             codecs,
             before: "",
             between: if separator == Some("/") { "/" } else { "." },
@@ -240,7 +163,8 @@ fn third(metadata: &Value) -> Option<Result<Array, Refusal>> {
         |value: &Value, name: &str| value.get(name).and_then(Value::as_str).map(str::to_owned);
     let settings = |value: &Value, name: &str| text(value.get("configuration")?, name);
     let (mut codecs, mut is_big) = (Vec::new(), false);
-    for codec in metadata.get("codecs").and_then(Value::as_array).into_iter().flatten() {
+    let all = metadata.get("codecs").and_then(Value::as_array).into_iter().flatten();
+    for codec in all.take(MOST_CODECS + 2) {
         match text(codec, "name").as_deref().unwrap_or("") {
             "bytes" => is_big = settings(codec, "endian").as_deref() == Some("big"),
             name => match Codec::of(name, codec.get("configuration").unwrap_or(&Value::Null)) {
@@ -264,11 +188,13 @@ fn third(metadata: &Value) -> Option<Result<Array, Refusal>> {
     let grid = metadata.get("chunk_grid").and_then(|grid| grid.get("configuration"));
     Some(Ok(Array {
         path: String::new(),
-        shape: sides(metadata.get("shape"))?,
-        chunks: sides(grid.and_then(|grid| grid.get("chunk_shape")))?,
-        kind: Kind::of(&kind)?,
-        fill: fill(metadata.get("fill_value")),
-        is_fortran: false,
+        grid: Grid {
+            shape: sides(metadata.get("shape"))?,
+            chunks: sides(grid.and_then(|grid| grid.get("chunk_shape")))?,
+            kind: Kind::of(&kind)?,
+            fill: fill(metadata.get("fill_value")),
+            is_fortran: false,
+        },
         codecs,
         before: match (is_second, is_dotted) {
             (true, _) => "",

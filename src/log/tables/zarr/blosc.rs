@@ -26,23 +26,23 @@ struct Header {
 
 /// The bytes of a chunk, `most` at most.
 pub(crate) fn unpacked(chunk: &[u8], most: usize) -> Result<Vec<u8>, Refusal> {
-    let cut = || "a chunk is cut off".to_owned();
+    let cut = || Refusal::from("a chunk is cut off");
     let (header, rest) = chunk.split_first_chunk::<HEADER>().ok_or_else(cut)?;
     if header[0] > VERSION {
-        return Err("a chunk is none of Blosc 1".to_owned());
+        return Err("a chunk is none of Blosc 1".into());
     }
     let word = |at: usize| read_u32(header, at).unwrap_or(0);
     let header =
         Header { flags: header[2], size: header[3].max(1).into(), bytes: word(4), block: word(8) };
     let Header { flags, bytes, block, .. } = header;
     if bytes > most {
-        return Err(format!("a chunk declares {bytes} bytes, and its array {most}"));
+        return Err(format!("a chunk declares {bytes} bytes, and its array {most}").into());
     }
     if flags & 2 != 0 {
         return rest.get(..bytes).map(<[u8]>::to_vec).ok_or_else(cut);
     }
     if block == 0 && bytes > 0 {
-        return Err("a chunk declares blocks of 0 bytes".to_owned());
+        return Err("a chunk declares blocks of 0 bytes".into());
     }
     let mut whole = Vec::new();
     for number in 0..bytes.div_ceil(block.max(1)) {
@@ -90,7 +90,8 @@ impl Header {
             other => Err(format!(
                 "its chunks are packed with {}, which is not read; write it with lz4 or zstd",
                 PACKERS[usize::from(other)]
-            )),
+            )
+            .into()),
         }
     }
 

@@ -40,7 +40,8 @@ impl Codec {
             _ => {
                 return Err(format!(
                     "its codec '{name}' is not read; write it with blosc, zstd, gzip or none"
-                ));
+                )
+                .into());
             }
         })
     }
@@ -81,11 +82,11 @@ pub(super) fn lz4(block: &[u8], length: usize) -> Result<Vec<u8>, Refusal> {
 }
 
 fn too_long(length: usize, most: usize) -> Refusal {
-    format!("a chunk unpacks to {length} bytes or more, and {most} are declared")
+    format!("a chunk unpacks to {length} bytes or more, and {most} are declared").into()
 }
 
 #[expect(clippy::needless_pass_by_value, reason = "it is handed to map_err")]
 pub(super) fn worded(error: std::io::Error) -> Refusal {
     let text = error.to_string();
-    format!("a chunk cannot be unpacked: {}", text.lines().next().unwrap_or_default())
+    format!("a chunk cannot be unpacked: {}", text.lines().next().unwrap_or_default()).into()
 }

@@ -1,0 +1,98 @@
+//! Files of logs that are folders: links that lead out of the folder are not followed, so that a log that was
+//! downloaded cannot show what else is on the machine.
+
+use std::collections::HashMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Why such a link is not read, after the name of the file.
+pub(super) const LEADS_OUT: &str = "is a link out of the folder of the log, which is not followed; copy what it leads to into the folder";
+
+/// The folder of a log.
+#[derive(Debug)]
+pub(super) struct Contained {
+    root: Option<PathBuf>,
+    /// Whether folders that were looked at are in it.
+    folders: HashMap<PathBuf, bool>,
+}
+
+impl Contained {
+    /// The folder of a log at `folder`.
+    pub(super) fn of(folder: &Path) -> Self {
+        let root = fs::canonicalize(folder).ok();
+        let root = root.map(|root| hub(&root).unwrap_or(root));
+        Self { root, folders: HashMap::new() }
+    }
+
+    /// Whether the file at `path` is in the folder, or not there at all.
+    pub(super) fn holds(&mut self, path: &Path) -> bool {
+        let Some(root) = &self.root else { return true };
+        let is_inside =
+            |path: &Path| fs::canonicalize(path).is_ok_and(|path| path.starts_with(root));
+        match fs::symlink_metadata(path) {
+            Ok(metadata) if metadata.is_symlink() => is_inside(path),
+            Ok(_) => {
+                let Some(parent) = path.parent().filter(|parent| !parent.as_os_str().is_empty())
+                else {
+                    return true;
+                };
+                if let Some(known) = self.folders.get(parent) {
+                    return *known;
+                }
+                let found = is_inside(parent);
+                self.folders.insert(parent.to_owned(), found);
+                found
+            }
+            Err(_) => true,
+        }
+    }
+}
+
+/// The folder of a repository in the cache of the Hugging Face hub, whose snapshots are links into `blobs`
+/// (huggingface_hub, "Understand caching").
+fn hub(snapshot: &Path) -> Option<PathBuf> {
+    let snapshots = snapshot.parent().filter(|above| above.ends_with("snapshots"))?;
+    let repository = snapshots.parent()?;
+    repository.join("blobs").is_dir().then(|| repository.to_owned())
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use std::os::unix::fs::symlink;
+
+    use super::*;
+
+    #[test]
+    fn links_within_the_folder_are_followed_and_others_are_not() {
+        let home = tempfile::tempdir().expect("a folder");
+        let at = |name: &str| home.path().join(name);
+        for folder in ["log/inside", "other", "repo/snapshots/1/data", "repo/blobs"] {
+            fs::create_dir_all(at(folder)).expect("a folder");
+        }
+        for file in ["log/inside/a", "other/b", "repo/blobs/c"] {
+            fs::write(at(file), "x").expect("a file");
+        }
+        for (to, link) in [
+            ("log/inside/a", "log/near"),
+            ("other/b", "log/far"),
+            ("other", "log/folder"),
+            ("repo/blobs/c", "repo/snapshots/1/data/c"),
+            ("other/b", "repo/snapshots/1/data/b"),
+        ] {
+            symlink(at(to), at(link)).expect("a link");
+        }
+        let mut log = Contained::of(&at("log"));
+        for (file, holds) in [
+            ("log/inside/a", true),
+            ("log/near", true),
+            ("log/none", true),
+            ("log/far", false),
+            ("log/folder/b", false),
+        ] {
+            assert_eq!(log.holds(&at(file)), holds, "{file}");
+        }
+        let mut snapshot = Contained::of(&at("repo/snapshots/1"));
+        assert!(snapshot.holds(&at("repo/snapshots/1/data/c")));
+        assert!(!snapshot.holds(&at("repo/snapshots/1/data/b")));
+    }
+}

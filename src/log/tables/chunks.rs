@@ -1,0 +1,301 @@
+//! Arrays in chunks, as Zarr and HDF5 keep them: their numbers row by row, and the rows whose chunks are missing
+//! or damaged.
+
+use std::ops::Range;
+
+use super::Refusal;
+use super::npy::Kind;
+
+/// Most chunks that are looked for and are not there.
+const MOST_ABSENT: usize = 1 << 16;
+
+/// The shape of an array, and how it is cut.
+#[derive(Clone, Debug)]
+pub(super) struct Grid {
+    pub shape: Vec<usize>,
+    /// Sides of a chunk, none of them 0.
+    pub chunks: Vec<usize>,
+    pub kind: Kind,
+    /// The number that stands where no chunk is.
+    pub fill: f64,
+    /// Whether the first side goes fastest within a chunk.
+    pub is_fortran: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    Absent,
+    Whole,
+    Damaged,
+}
+
+/// Some rows of an array, put together from its chunks.
+pub(super) struct Assembly<'a> {
+    grid: &'a Grid,
+    rows: Range<usize>,
+    /// Chunks beside each other, in each dimension but the first.
+    inner: Vec<usize>,
+    width: usize,
+    values: Vec<f64>,
+    states: Vec<State>,
+    absent: usize,
+    why: Option<Refusal>,
+}
+
+/// The numbers of an array, and what of it is lost.
+#[derive(Debug)]
+pub(super) struct Assembled {
+    pub values: Vec<f64>,
+    pub lost: Vec<Range<usize>>,
+    pub why: Option<Refusal>,
+}
+
+impl Grid {
+    /// The bytes of a chunk; `None` if they cannot be counted.
+    pub fn chunk_bytes(&self) -> Option<usize> {
+        let count = self.chunks.iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
+        count?.checked_mul(self.kind.size())
+    }
+}
+
+impl<'a> Assembly<'a> {
+    /// `rows` of the array, whose memory was counted before.
+    pub fn of(grid: &'a Grid, rows: Range<usize>) -> Self {
+        let width: usize = grid.shape[1..].iter().product();
+        let sides = grid.shape[1..].iter().zip(&grid.chunks[1..]);
+        let inner: Vec<usize> = sides.map(|(side, own)| side.div_ceil(*own)).collect();
+        let bands = rows.end.div_ceil(grid.chunks[0]) - rows.start / grid.chunks[0];
+        let states = vec![State::Absent; bands * inner.iter().product::<usize>()];
+        let values = vec![grid.fill; rows.len() * width];
+        Self { grid, rows, inner, width, values, states, absent: 0, why: None }
+    }
+
+    /// The places of all chunks that have any of the rows.
+    pub fn places(&self) -> impl Iterator<Item = Vec<usize>> + use<> {
+        let (inner, first) = (self.inner.clone(), self.rows.start / self.grid.chunks[0]);
+        let wide: usize = inner.iter().product();
+        (0..self.states.len()).map(move |number| {
+            let mut place = vec![first + number / wide];
+            place.extend(within(number % wide, &inner));
+            place
+        })
+    }
+
+    /// Puts the numbers of a chunk where they belong; whether it makes sense to go on with further chunks.
+    pub fn put(&mut self, place: &[usize], chunk: Result<Option<Vec<u8>>, Refusal>) -> bool {
+        let Some(state) = self.state_of(place) else { return true };
+        self.states[state] = match chunk {
+            Ok(Some(bytes))
+                if self.grid.chunk_bytes().is_some_and(|whole| bytes.len() >= whole) =>
+            {
+                self.scatter(&bytes, place);
+                State::Whole
+            }
+            Ok(None) => {
+                self.absent += 1;
+                State::Absent
+            }
+            other => {
+                let why = other.err().unwrap_or_else(|| "a chunk is cut off".into());
+                self.why.get_or_insert(why);
+                State::Damaged
+            }
+        };
+        self.absent < MOST_ABSENT
+    }
+
+    /// Counts the chunks that were not put as damaged: some could not be read, and which is not known.
+    pub fn damage_absent(&mut self, why: Refusal) {
+        let absent = self.states.iter_mut().filter(|state| **state == State::Absent);
+        absent.for_each(|state| *state = State::Damaged);
+        self.why.get_or_insert(why);
+    }
+
+    /// The number of the chunk at a place; `None` if it has none of the rows.
+    fn state_of(&self, place: &[usize]) -> Option<usize> {
+        let (first, rest) = place.split_first()?;
+        let band = first.checked_sub(self.rows.start / self.grid.chunks[0])?;
+        let is_there = rest.len() == self.inner.len()
+            && rest.iter().zip(&self.inner).all(|(at, side)| at < side);
+        let cell = rest.iter().zip(&self.inner).fold(0, |all, (at, side)| all * side + at);
+        let wide: usize = self.inner.iter().product();
+        let number = band.checked_mul(wide)?.checked_add(cell)?;
+        (is_there && number < self.states.len()).then_some(number)
+    }
+
+    /// The rows of the array that are in a band of chunks.
+    fn band(&self, first: usize) -> Range<usize> {
+        let deep = self.grid.chunks[0];
+        self.rows.start.max(first * deep)
+            ..self.rows.end.min(first.saturating_add(1).saturating_mul(deep))
+    }
+
+    fn scatter(&mut self, chunk: &[u8], place: &[usize]) {
+        let (inner, own) = (&self.grid.shape[1..], &self.grid.chunks[1..]);
+        let (first, deep) = (place[0], self.grid.chunks[0]);
+        let sides: usize = own.iter().product();
+        let rows = self.band(first);
+        for part in 0..sides {
+            let at_in_chunk = within(part, own);
+            let at: Vec<usize> = at_in_chunk
+                .iter()
+                .zip(&place[1..])
+                .zip(own)
+                .map(|((at, chunk), own)| chunk * own + at)
+                .collect();
+            // The last chunks reach beyond the array.
+            if at.iter().zip(inner).any(|(at, side)| at >= side) {
+                continue;
+            }
+            let column = at.iter().zip(inner).fold(0, |all, (at, side)| all * side + at);
+            let back: usize = at_in_chunk
+                .iter()
+                .rev()
+                .zip(own.iter().rev())
+                .fold(0, |all, (at, side)| all * side + at);
+            for row in rows.clone() {
+                let deeper = row - first * deep;
+                let element =
+                    if self.grid.is_fortran { deeper + deep * back } else { deeper * sides + part };
+                self.values[(row - self.rows.start) * self.width + column] =
+                    self.grid.kind.read(&chunk[element * self.grid.kind.size()..]);
+            }
+        }
+    }
+
+    /// The numbers, and the rows that are lost. Writers leave out chunks that hold nothing but the fill value:
+    /// a missing chunk is a loss unless the numbers before and after it are the fill value, too. An array of which
+    /// all chunks are missing is a loss if it `must_vary`.
+    pub fn finish(mut self, must_vary: bool) -> Assembled {
+        let wide: usize = self.inner.iter().product::<usize>().max(1);
+        let bands = self.states.len() / wide;
+        let first = self.rows.start / self.grid.chunks[0];
+        let mut is_lost = vec![false; bands];
+        let mut missing = 0_usize;
+        for cell in 0..wide {
+            let state = |band: usize| self.states[band * wide + cell];
+            let columns = self.columns_of(cell);
+            let is_fill = |row: usize| {
+                let at = (row - self.rows.start) * self.width;
+                columns.iter().all(|column| self.values[at + column] == self.grid.fill)
+            };
+            let is_empty = (0..bands).all(|band| state(band) == State::Absent);
+            let mut band = 0;
+            while band < bands {
+                let start = band;
+                while band < bands && state(band) == State::Absent {
+                    band += 1;
+                }
+                if band > start {
+                    let whole = |band: usize| state(band) == State::Whole;
+                    let before = start.checked_sub(1).filter(|band| whole(*band));
+                    let after = (band < bands).then_some(band).filter(|band| whole(*band));
+                    let before = before.is_none_or(|band| is_fill(self.band(first + band).end - 1));
+                    let after = after.is_none_or(|band| is_fill(self.band(first + band).start));
+                    if !(before && after) || (is_empty && must_vary) {
+                        is_lost[start..band].fill(true);
+                        missing += band - start;
+                    }
+                }
+                if band < bands {
+                    is_lost[band] |= state(band) == State::Damaged;
+                    band += 1;
+                }
+            }
+        }
+        let lost: Vec<Range<usize>> = (0..bands)
+            .filter(|band| is_lost[*band])
+            .map(|band| self.band(first + band))
+            .map(|rows| rows.start - self.rows.start..rows.end - self.rows.start)
+            .collect();
+        let why = self.why.take().or_else(|| {
+            let of = bands * wide;
+            (missing > 0).then(|| format!("{missing} of its {of} chunks are missing").into())
+        });
+        Assembled { values: self.values, lost, why }
+    }
+
+    /// The numbers of a row that are in a chunk of a cell.
+    fn columns_of(&self, cell: usize) -> Vec<usize> {
+        let (inner, own) = (&self.grid.shape[1..], &self.grid.chunks[1..]);
+        let place = within(cell, &self.inner);
+        let is_in = |column: &usize| {
+            let at = within(*column, inner);
+            at.iter().zip(own).zip(&place).all(|((at, own), place)| at / own == *place)
+        };
+        (0..self.width).filter(is_in).collect()
+    }
+}
+
+/// The place in a box of these sides of its element of this number, the last going fastest.
+fn within(number: usize, sides: &[usize]) -> Vec<usize> {
+    let mut rest = number;
+    let mut places: Vec<usize> = sides
+        .iter()
+        .rev()
+        .map(|side| {
+            let place = rest % side;
+            rest /= side;
+            place
+        })
+        .collect();
+    places.reverse();
+    places
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An array of 20 rows of 4 in chunks of 5 by 2, of whose chunks some are `changed`.
+    fn assembled(
+        number: impl Fn(usize) -> f64,
+        must_vary: bool,
+        changed: &[(usize, usize, bool)],
+    ) -> Assembled {
+        let kind = Kind::of("<f8").expect("a kind");
+        let grid =
+            Grid { shape: vec![20, 4], chunks: vec![5, 2], kind, fill: 0.0, is_fortran: false };
+        let mut all = Assembly::of(&grid, 0..20);
+        for place in all.places() {
+            let rows = 5 * place[0]..5 * place[0] + 5;
+            let own = rows
+                .flat_map(|row| [2 * place[1], 2 * place[1] + 1].map(|at| number(4 * row + at)));
+            let bytes = own.flat_map(f64::to_le_bytes).collect();
+            let change = changed.iter().find(|(band, cell, _)| place == [*band, *cell]);
+            all.put(
+                &place,
+                match change {
+                    None => Ok(Some(bytes)),
+                    Some((.., false)) => Ok(None),
+                    Some((.., true)) => Err("damaged".into()),
+                },
+            );
+        }
+        all.finish(must_vary)
+    }
+
+    #[test]
+    fn missing_and_damaged_chunks_are_lost_rows() {
+        let number = |at: usize| at as f64 + 1.0;
+        let whole = assembled(number, true, &[]);
+        assert_eq!(whole.values, (1..=80).map(f64::from).collect::<Vec<_>>());
+        assert!(whole.lost.is_empty() && whole.why.is_none());
+        let cut = assembled(number, true, &[(1, 0, false), (3, 1, true)]);
+        assert_eq!(cut.lost, [5..10, 15..20]);
+        assert_eq!(cut.values[4 * 5 + 2], 23.0);
+    }
+
+    #[test]
+    fn chunks_of_nothing_but_the_fill_value_are_no_loss() {
+        let absent = [(1, 0, false), (2, 0, false)];
+        let zeros = |at: usize| if at % 4 < 2 { 0.0 } else { at as f64 + 1.0 };
+        assert!(assembled(zeros, true, &absent).lost.is_empty());
+        // One number before them that is another.
+        let one = |at: usize| if at == 4 * 4 { 1.0 } else { zeros(at) };
+        assert_eq!(assembled(one, true, &absent).lost, [5..10, 10..15]);
+        let none: Vec<(usize, usize, bool)> = (0..8).map(|at| (at / 2, at % 2, false)).collect();
+        assert!(assembled(|_| 0.0, false, &none).lost.is_empty());
+        assert_eq!(assembled(|_| 0.0, true, &none).lost.len(), 4);
+    }
+}

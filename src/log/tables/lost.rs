@@ -1,0 +1,283 @@
+//! Rows and columns that are in a file and not in the audit.
+//!
+//! Every reader hands its columns to [`Table::of`] with the rows that they should have and those that could not
+//! be read. What does not reach the table is a [`RowLoss`]: which column, how many rows, why.
+
+use std::ops::Range;
+
+use super::clock::Clock;
+use super::{Column, Extent, Losses, Table, names, usual};
+use crate::memory::{Memory, OutOfMemory};
+
+/// Why a file of tables cannot be read, or a part of it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Refusal {
+    /// It is damaged, or not what this program reads.
+    Damage(String),
+    /// It would take too much memory.
+    Memory(OutOfMemory),
+    /// It has more episodes than one audit takes.
+    Episodes,
+}
+
+impl Refusal {
+    /// Adds it to `losses`, as what took `rows`.
+    pub fn report(&self, rows: Option<u64>, losses: &mut Losses) {
+        losses.add_unplaced(self.extent(), rows, self.to_string());
+    }
+
+    fn extent(&self) -> Extent {
+        match self {
+            Self::Memory(_) => OutOfMemory::EXTENT,
+            Self::Damage(_) | Self::Episodes => Extent::Messages,
+        }
+    }
+
+    /// The same of the part called `name`.
+    pub fn of(self, name: &str) -> Self {
+        match self {
+            Self::Damage(what) => Self::Damage(format!("'{name}': {what}")),
+            other => other,
+        }
+    }
+}
+
+impl std::fmt::Display for Refusal {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Damage(what) => f.write_str(what),
+            Self::Memory(what) => what.fmt(f),
+            Self::Episodes => f.write_str("it has too many episodes"),
+        }
+    }
+}
+
+impl From<String> for Refusal {
+    fn from(what: String) -> Self {
+        Self::Damage(what)
+    }
+}
+
+impl From<&str> for Refusal {
+    fn from(what: &str) -> Self {
+        Self::Damage(what.to_owned())
+    }
+}
+
+impl From<OutOfMemory> for Refusal {
+    fn from(what: OutOfMemory) -> Self {
+        Self::Memory(what)
+    }
+}
+
+/// Rows of a column, or a whole column, that are in the file and not in the table.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct RowLoss {
+    pub rows: usize,
+    pub what: Refusal,
+}
+
+impl RowLoss {
+    /// Adds it to `losses`; `label` names the episode.
+    pub fn report(&self, label: &str, losses: &mut Losses) {
+        let what = format!("{label}{}", self.what);
+        losses.add_unplaced(self.what.extent(), Some(self.rows as u64), what);
+    }
+}
+
+/// A column as it was read.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Candidate {
+    /// Its numbers; those behind the last that was read may be absent.
+    pub column: Column,
+    /// The rows that the file declares.
+    pub rows: usize,
+    /// Rows that could not be read.
+    pub lost: Vec<Range<usize>>,
+    /// Why the first of them could not.
+    pub why: Option<Refusal>,
+}
+
+impl Candidate {
+    /// A column of which all rows were read.
+    pub fn whole(column: Column) -> Self {
+        let rows = column.values.len() / column.width.max(1);
+        Self { column, rows, ..Self::default() }
+    }
+
+    /// A column of which nothing could be read.
+    pub fn refused(name: &str, rows: usize, why: Refusal) -> Self {
+        let column = Column { name: name.to_owned(), width: 1, ..Column::default() };
+        Self { column, rows, lost: vec![0..rows], why: Some(why) }
+    }
+}
+
+impl Table {
+    /// The table of these columns: of `rows` rows, or of as many as most of them declare.
+    pub fn of(candidates: Vec<Candidate>, rows: Option<usize>, memory: &mut Memory) -> Self {
+        let rows = rows.unwrap_or_else(|| usual(candidates.iter().map(|column| column.rows)));
+        let mut table = Self { rows, ..Self::default() };
+        for candidate in candidates {
+            table.add(candidate, memory);
+        }
+        table
+    }
+
+    fn add(&mut self, candidate: Candidate, memory: &mut Memory) {
+        let Candidate { mut column, rows: own, mut lost, why } = candidate;
+        let (rows, width, name) = (self.rows, column.width, column.name.clone());
+        if own != rows {
+            let why = format!("{own} rows, not {rows}");
+            if is_of_same_rows(own, rows) && !(own + 1 == rows && names::is_of_steps(&name)) {
+                let what = format!("'{name}' has {why}: which are missing is not known");
+                self.losses.push(RowLoss { rows: own, what: what.into() });
+            }
+            self.unread.push((name, why));
+            return;
+        }
+        let read = column.values.len() / width.max(1);
+        if read < rows {
+            lost.push(read..rows);
+        }
+        let lost = joined(lost, rows);
+        let count: usize = lost.iter().map(Range::len).sum();
+        let mut lose = |rows: usize, what: Refusal| self.losses.push(RowLoss { rows, what });
+        if count > 0 {
+            let which = which(&lost, rows);
+            lose(
+                count,
+                match why {
+                    Some(Refusal::Damage(what)) => {
+                        Refusal::Damage(format!("'{name}': {what}{which}"))
+                    }
+                    Some(other) => other,
+                    None => Refusal::Damage(format!("'{name}'{which}")),
+                },
+            );
+        }
+        // What is missing takes memory, too.
+        let missing = rows.saturating_sub(read).saturating_mul(width);
+        if count == rows {
+            self.unread.push((name, "none of its rows can be read".to_owned()));
+        } else if let Err(refusal) = memory.take(missing) {
+            lose(rows - count, refusal.into());
+            self.unread.push((name, "its rows take too much memory".to_owned()));
+        } else {
+            column.values.resize(rows * width, f64::NAN);
+            for row in lost.iter().cloned().flatten() {
+                column.values[row * width..(row + 1) * width].fill(f64::NAN);
+            }
+            if count > 0 {
+                self.lost_rows.insert(self.columns.len(), lost);
+            }
+            self.columns.push(column);
+        }
+    }
+
+    /// Whether a row of a column was lost.
+    pub fn is_lost(&self, column: usize, row: usize) -> bool {
+        let Some(lost) = self.lost_rows.get(&column) else { return false };
+        let after = lost.partition_point(|range| range.end <= row);
+        lost.get(after).is_some_and(|range| range.contains(&row))
+    }
+}
+
+/// Whether columns of so many rows are of the same moments, so that some are missing: a slower stream of the
+/// same run has half as many, or fewer.
+fn is_of_same_rows(own: usize, rows: usize) -> bool {
+    own > rows / 2 && own < rows.saturating_mul(2)
+}
+
+/// Ranges in order, without overlaps, within the rows.
+fn joined(mut ranges: Vec<Range<usize>>, rows: usize) -> Vec<Range<usize>> {
+    ranges.sort_by_key(|range| range.start);
+    let mut all: Vec<Range<usize>> = Vec::new();
+    for range in ranges {
+        let range = range.start.min(rows)..range.end.min(rows);
+        match all.last_mut().filter(|last| range.start <= last.end) {
+            _ if range.is_empty() => {}
+            Some(last) => last.end = last.end.max(range.end),
+            None => all.push(range),
+        }
+    }
+    all
+}
+
+/// Which rows are lost, in words.
+fn which(lost: &[Range<usize>], rows: usize) -> String {
+    let count: usize = lost.iter().map(Range::len).sum();
+    match lost {
+        [all] if all.len() == rows => format!("; all its {rows} rows"),
+        [one] if one.len() == 1 => format!("; row {} of {rows}", one.start),
+        [one] => format!("; rows {} to {} of {rows}", one.start, one.end - 1),
+        [first, ..] => format!("; {count} of {rows} rows, from row {} on", first.start),
+        [] => String::new(),
+    }
+}
+
+/// Reports the rows with numbers that have no time.
+pub(super) fn report_unstamped(table: &Table, clock: &Clock, label: &str, losses: &mut Losses) {
+    let clocks: Vec<usize> =
+        [clock.cell, clock.nanos].into_iter().flatten().map(|(at, _)| at).collect();
+    let has_numbers = |row: usize| {
+        let others = table.columns.iter().enumerate().filter(|(at, _)| !clocks.contains(at));
+        others.into_iter().any(|(_, column)| {
+            let own = column.values.get(row * column.width..(row + 1) * column.width);
+            own.is_some_and(|own| own.iter().any(|value| value.is_finite()))
+        })
+    };
+    let is_told = |row: usize| clocks.iter().any(|at| table.is_lost(*at, row));
+    let unstamped = clock.stamps.iter().enumerate().filter(|(_, stamp)| stamp.is_none());
+    let lost = unstamped.filter(|(row, _)| !is_told(*row) && has_numbers(*row)).count();
+    if lost > 0 {
+        let column = clock.cell.and_then(|(at, _)| table.columns.get(at));
+        let column = column.map_or(String::new(), |column| format!(" in '{}'", column.name));
+        let what = format!("{label}{lost} of {} rows have no time{column}", table.rows);
+        losses.add_unplaced(Extent::Messages, Some(lost as u64), what);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn candidate(name: &str, rows: usize, read: usize) -> Candidate {
+        let values = (0..2 * read).map(|n| n as f64).collect();
+        let column = Column { name: name.to_owned(), width: 2, values, ..Column::default() };
+        Candidate { column, rows, ..Candidate::default() }
+    }
+
+    #[test]
+    fn rows_in_are_rows_in_the_table_and_rows_reported() {
+        let damaged = Candidate {
+            lost: vec![30..40, 10..20, 15..25, 99..200],
+            why: Some("a chunk is damaged".into()),
+            ..candidate("damaged", 100, 100)
+        };
+        let refused = Candidate::refused("refused", 100, "it cannot be unpacked".into());
+        let all = vec![
+            candidate("whole", 100, 100),
+            candidate("cut", 100, 60),
+            damaged,
+            refused,
+            candidate("short", 99, 99),
+            candidate("long", 101, 101),
+            candidate("rewards", 99, 99),
+            candidate("slow", 50, 50),
+        ];
+        let table = Table::of(all, None, &mut Memory::of(None));
+        let kept: Vec<&str> = table.columns.iter().map(|column| column.name.as_str()).collect();
+        assert_eq!(kept, ["whole", "cut", "damaged"]);
+        let lost: Vec<usize> = table.losses.iter().map(|loss| loss.rows).collect();
+        assert_eq!(lost, [40, 26, 100, 99, 101]);
+        let said: Vec<String> = table.losses.iter().map(|loss| loss.what.to_string()).collect();
+        assert_eq!(said[0], "'cut'; rows 60 to 99 of 100");
+        assert_eq!(said[1], "'damaged': a chunk is damaged; 26 of 100 rows, from row 10 on");
+        for (at, column) in table.columns.iter().enumerate() {
+            for row in 0..100 {
+                assert_eq!(column.values[2 * row].is_nan(), table.is_lost(at, row), "{row}");
+            }
+        }
+        assert_eq!(table.unread.len(), 5);
+    }
+}

@@ -1,0 +1,67 @@
+//! Text from files on a terminal: a name cannot begin a line, set colours or turn the direction of writing.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use super::{FAULTY, poseaudit, stderr, stdout};
+
+/// Begins a line that GitHub takes for a command, sets a colour and turns the direction of writing.
+const NAME: &str = "x\n::error::evil\u{1b}[31m\u{202e}.mcap";
+
+#[cfg(unix)]
+#[test]
+fn no_name_of_a_file_reaches_a_terminal_as_it_is() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = folder.path().join(NAME);
+    fs::copy(FAULTY, &log).expect("a copy");
+    let (log, out) = (log.display().to_string(), folder.path().join("out").display().to_string());
+    for args in [
+        vec!["audit", &log],
+        vec!["audit", &log, "-v"],
+        vec!["audit", &log, "--format", "github"],
+        vec!["audit", &log, "--format", "markdown"],
+        vec!["info", &log],
+        vec!["tf", &log, "base_link", "tool0"],
+        vec!["compare", &log, FAULTY],
+        vec!["calibrate", &log, "--out", &out],
+        vec!["fleet", &log, "--out", &out],
+        vec!["fleet", "report", &out],
+    ] {
+        let output = poseaudit(&args);
+        let printed = format!("{}{}", stdout(&output), stderr(&output));
+        assert!(!printed.is_empty(), "{args:?}");
+        for what in ["\n::error::evil", "\u{1b}[31m", "\u{202e}"] {
+            assert!(!printed.contains(what), "{args:?}: {printed}");
+        }
+    }
+}
+
+fn sources(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in fs::read_dir(folder).expect("a folder") {
+        let path = entry.expect("an entry").path();
+        if path.is_dir() { found.extend(sources(&path)) } else { found.push(path) }
+    }
+    found
+}
+
+/// Paths and names in a statement that prints go through `foreign` or `tame`.
+#[test]
+fn statements_that_print_names_use_the_one_function() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let mut raw = Vec::new();
+    for file in ["cli", "output/calibration"].iter().flat_map(|folder| sources(&root.join(folder)))
+    {
+        let text = fs::read_to_string(&file).expect("a source");
+        for (at, _) in text.match_indices("writeln!(") {
+            let end = text[at..].find(";\n").map_or(text.len(), |length| at + length);
+            let statement = &text[at..end.min(at + 400)];
+            let names = [".display()", "robot.name", ".topic,", "note.note"];
+            let prints = names.iter().any(|name| statement.contains(name));
+            if prints && !statement.contains("foreign(") && !statement.contains("tame(") {
+                raw.push(format!("{}: {}", file.display(), statement.lines().next().unwrap_or("")));
+            }
+        }
+    }
+    assert_eq!(raw, Vec::<String>::new());
+}
