@@ -1,16 +1,27 @@
 //! From the text of the file to its layout, with errors that name the line and what was meant.
 
-use std::fs;
+use std::fs::File as Opened;
+use std::io::Read;
 use std::path::Path;
 
 use super::file::File;
 use crate::report::{Trouble, TroubleKind};
 use crate::robot::nearest;
 
+/// Largest config that is read, in bytes: the parser takes up to 2000 times as much memory.
+const MOST_BYTES: usize = 256 << 10;
+/// Characters of a config that a message repeats.
+const MOST_SHOWN: usize = 200;
+
 /// The text of the file at `path`.
 pub(super) fn text_of(path: &Path) -> Result<String, Trouble> {
     let place = path.display().to_string();
-    fs::read_to_string(path).map_err(|error| {
+    let mut text = String::new();
+    let read = Opened::open(path).and_then(|file| {
+        // One byte more shows that it is too large.
+        file.take(MOST_BYTES as u64 + 1).read_to_string(&mut text)
+    });
+    read.map(|_| text).map_err(|error| {
         let remedy = "name a file that can be read; `poseaudit init LOG` writes one";
         refused(place, format!("cannot be read: {error}"), remedy)
     })
@@ -18,6 +29,10 @@ pub(super) fn text_of(path: &Path) -> Result<String, Trouble> {
 
 /// The layout of a text.
 pub(super) fn parsed(text: &str, path: &Path) -> Result<File, Trouble> {
+    if text.len() > MOST_BYTES {
+        let what = format!("it has more than the {MOST_BYTES} bytes that are read");
+        return Err(refused(path.display().to_string(), what, "name the config of one audit"));
+    }
     toml::from_str(text).map_err(|error| {
         let at = error.span().map_or(0, |span| span.start);
         let (what, remedy) = worded(error.message());
@@ -48,7 +63,7 @@ fn worded(message: &str) -> (String, &'static str) {
         let Some(rest) = message.strip_prefix(start) else { continue };
         // `is`, expected one of `a`, `b`: every second piece stands between backquotes.
         let mut quoted = rest.split('`').skip(1).step_by(2);
-        let is = quoted.next().unwrap_or_default();
+        let is = &brief(quoted.next().unwrap_or_default());
         let known: Vec<&str> = quoted.collect();
         let instead = match nearest(is, known.iter().copied()).first() {
             Some(near) => format!("did you mean `{near}`?"),
@@ -57,7 +72,15 @@ fn worded(message: &str) -> (String, &'static str) {
         return (format!("unknown {kind} `{is}`: {instead}"), remedy);
     }
     match message.strip_prefix("missing field ") {
-        Some(key) => (format!("the key {key} is missing"), KEYS),
-        None => (message, VALUES),
+        Some(key) => (format!("the key {} is missing", brief(key)), KEYS),
+        None => (brief(&message), VALUES),
+    }
+}
+
+/// The beginning of a text from the file.
+fn brief(text: &str) -> String {
+    match text.char_indices().nth(MOST_SHOWN) {
+        Some((at, _)) => format!("{}…", &text[..at]),
+        None => text.to_owned(),
     }
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use super::file::Corrections;
-use crate::report::Report;
+use crate::report::{Report, quoted};
 use crate::run::{Role, Run};
 use crate::stream::Columns;
 
@@ -72,11 +72,11 @@ impl Columnwise {
                 .iter()
                 .map(|(number, [factor, offset])| format!("{number}: ({factor:?}, {offset:?})"))
                 .collect();
-            let _ = writeln!(text, "    {column:?}: {{{}}},", all.join(", "));
+            let _ = writeln!(text, "    {}: {{{}}},", quoted(column), all.join(", "));
         }
         text += "}\n\n# Column: s by which it is late.\nLATE_S = {\n";
         for (column, late_s) in &self.late_s {
-            let _ = writeln!(text, "    {column:?}: {late_s:?},");
+            let _ = writeln!(text, "    {}: {late_s:?},", quoted(column));
         }
         Some(text + "}\n" + FUNCTIONS)
     }
@@ -154,5 +154,9 @@ mod tests {
         let text = found.text().expect("a module");
         assert!(text.contains("\n    \"observation.state\": {2: (1.0, 0.5), 4: (-1.0, 0.0)},\n"));
         assert!(text.contains("\n    \"observation.\\\"pose\": 0.06,\n"));
+        // Python knows no `\u{…}`.
+        found.late_s.insert("a\u{202e}\u{1}b".to_owned(), 0.5);
+        let text = found.text().expect("a module");
+        assert!(text.contains("\n    \"a\\u202e\\u0001b\": 0.5,\n"), "{text}");
     }
 }
