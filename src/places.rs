@@ -165,12 +165,12 @@ impl Places {
                 let input = input.given.display();
                 return refuse(&format!("it is {what} {input}, which would be lost"));
             }
-            if let Some(why) = self.trees.iter().find_map(|tree| tree.refuses(output)) {
-                return refuse(&why);
-            }
             if let Some(other) = self.outputs[..at].iter().find(|other| other.collides(output)) {
                 let (other, path) = (other.option, other.place.given.display());
                 return refuse(&format!("{other} {path} is to be written there"));
+            }
+            if let Some(why) = self.trees.iter().find_map(|tree| tree.refuses(output)) {
+                return refuse(&why);
             }
             if let Err(why) = place.can_be(*kind) {
                 return refuse(&why);

@@ -248,7 +248,6 @@ const OF_LOGS: &[(&str, Option<&str>)] = &[
     ("audit LOG --parquet OUT", Some("findings.parquet")),
     ("audit LOG --fix OUT", Some("corrections.toml")),
     ("compare old.json LOG --output OUT", None),
-    ("fleet LOG --out results --output OUT", None),
 ];
 
 /// Logs that are folders, parts of a file or have files beside them, and the files that are read with each.
