@@ -35,9 +35,6 @@ pub struct Hole {
     pub is_silent: bool,
 }
 
-/// An interval of more periods than this lacks a row.
-const LONG: f64 = 1.5;
-
 /// How far apart rows are that follow each other.
 pub(super) struct Pace {
     /// The typical interval, s: the mean of those close to the median, which rounding of stamps
@@ -45,6 +42,8 @@ pub(super) struct Pace {
     pub period_s: f64,
     /// Whether nearly all intervals are close to one, two, three … periods.
     pub is_regular: bool,
+    /// How many periods an interval may last although no row is missing: one, or as many as jitter reaches.
+    longest: u32,
 }
 
 impl Pace {
@@ -84,8 +83,39 @@ impl Pace {
             (periods - 1.0).abs() < CLOSE || (periods - periods.round().max(1.0)).abs() < CLOSE
         };
         let regular = intervals().filter(is_close).count();
-        Some(Self { period_s, is_regular: regular as f64 > REGULAR * count as f64 })
+        let is_regular = regular as f64 > REGULAR * count as f64;
+        Some(Self { period_s, is_regular, longest: reached_by_jitter(times, period_s) })
     }
+}
+
+/// The number of periods that jitter alone reaches: lost rows leave whole periods, so that intervals between two
+/// multiples are rarer than those at the upper one. A loop that waits between its rows has no such valley.
+fn reached_by_jitter(times: &[(Stamp, i64)], period_s: f64) -> u32 {
+    /// Intervals this near to a multiple are at it.
+    const NEAR: f64 = 0.25;
+    /// Intervals beyond this many periods are rare in any stream.
+    const MOST: usize = 8;
+    let periods: Vec<f64> =
+        times.windows(2).map(|pair| pair[1].0.seconds_since(pair[0].0) / period_s).collect();
+    let is_near = |periods: f64| (periods - periods.round()).abs() < NEAR;
+    let (mut at, mut below) = ([0_usize; MOST], [0_usize; MOST]);
+    for (row, &own) in periods.iter().enumerate() {
+        let upper = if is_near(own) { own.round() } else { own.ceil() };
+        if !(2.0..MOST as f64).contains(&upper) {
+            continue;
+        }
+        // A row that was late, or early, makes up for it in the interval beside.
+        let beside = [row.checked_sub(1), Some(row + 1)].into_iter().flatten();
+        let mut beside = beside.filter_map(|other| periods.get(other));
+        let makes_up = |other: &f64| *other < 1.0 - NEAR && is_near(own + other);
+        if is_near(own) {
+            at[upper as usize] += 1;
+        } else if !beside.any(makes_up) {
+            below[upper as usize] += 1;
+        }
+    }
+    let reached = (2..MOST).take_while(|&upper| below[upper] > at[upper]).count();
+    1 + reached as u32
 }
 
 /// The times between rows, held against their pace.
@@ -120,12 +150,14 @@ impl Intervals<'_> {
         2.0 * silences.fold(0.0, f64::max) > interval_s
     }
 
-    /// The intervals of about two periods and more.
+    /// The intervals in which rows are missing.
     pub fn holes(&self) -> Vec<Hole> {
         /// A stamp from another age would say that millions are missing.
         const MOST: f64 = 1e9;
         let periods = |interval_s: f64| (interval_s / self.pace.period_s).round().min(MOST);
-        let long = self.all().filter(|(_, interval_s)| *interval_s > LONG * self.pace.period_s);
+        let longest = self.pace.longest as usize;
+        let long_s = (longest as f64 + 0.5) * self.pace.period_s;
+        let long = self.all().filter(|(_, interval_s)| *interval_s > long_s);
         let mut long = long.peekable();
         if long.peek().is_none() {
             return Vec::new();
@@ -134,7 +166,7 @@ impl Intervals<'_> {
         received.sort_unstable();
         let hole = |(left, interval_s): (usize, f64)| Hole {
             stretch: self.stretch(left, 1),
-            missing: (periods(interval_s) as usize).saturating_sub(1),
+            missing: (periods(interval_s) as usize).saturating_sub(longest),
             is_silent: self.is_silent(&received, left, interval_s),
         };
         long.map(hole).collect()

@@ -104,6 +104,24 @@ fn missing_rows_are_counted_and_late_ones_make_up_for_theirs() {
 }
 
 #[test]
+fn a_loop_that_waits_between_its_rows_loses_none() {
+    // Waits of 8 to 20 ms, most of them 10 ms; and the same rows on time with every twentieth lost.
+    let waits = |row: i64| match (row * 7919) % 20 {
+        0..14 => 10,
+        14..17 => 13,
+        17..19 => 16,
+        _ => 20,
+    };
+    let at = |row: i64| (0..row).map(waits).sum::<i64>();
+    let waiting = cadence(&poses(|row| Some((at(row), at(row) + 1))));
+    assert_eq!(missing(&waiting), 0, "{waiting:?}");
+    let stalled =
+        cadence(&poses(|row| Some((at(row) + 300 * i64::from(row >= 400), at(row) + 301))));
+    let [hole] = stalled.holes.as_slice() else { panic!("{stalled:?}") };
+    assert!((hole.stretch.seconds() - 0.31).abs() < 0.02, "{hole:?}");
+}
+
+#[test]
 fn a_lower_rate_over_seconds_is_a_lull() {
     let slow = |row: i64| (row < 600 || row % 4 == 0).then(|| on_time(row));
     let found = cadence(&poses(slow));
