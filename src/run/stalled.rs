@@ -20,8 +20,11 @@ const STILL: f64 = 8.0;
 /// makes where it makes one: a coarse encoder's last bit is no leap, …
 const LEAP: f64 = 5e-3;
 const BITS: f64 = 4.0;
-/// … so many times the steps after it.
+/// … so many times the steps after it, …
 const FAR: f64 = 5.0;
+/// … and more than a joint does that accelerates by this between two rows, rad/s² or m/s². A UR5e that was guided by
+/// hand stops by up to 87 rad/s² in public recordings (docs/real-logs.md).
+pub(super) const HARDEST: f64 = 100.0;
 /// Rows after it, and before, that say how fast the joints went.
 const BESIDE: usize = 4;
 
@@ -71,10 +74,11 @@ pub(super) fn stalled<'s>(series: &Series<'s>, rows: &Rows) -> Vec<Stalled> {
         (0..count).map(|joint| LEAP.max(20.0 * noise[joint]).max(BITS * usual[joint])).collect();
     let (mut found, mut from) = (Vec::new(), 0);
     for at in 0..rows.len().saturating_sub(1 + BESIDE) {
+        let own = HARDEST * rows[at + 1].0.seconds_since(rows[at].0).powi(2);
         let leaps = |joint: usize| {
             let by = (q(at + 1, joint) - q(at, joint)).abs();
             let after = (1..BESIDE).map(|k| (q(at + 1 + k, joint) - q(at + k, joint)).abs());
-            by > far[joint] && by > FAR * after.fold(0.0, f64::max)
+            by > far[joint].max(own) && by > FAR * after.fold(0.0, f64::max)
         };
         if !(0..count).any(leaps) {
             continue;

@@ -18,6 +18,7 @@ use super::poses::Layout;
 use super::publishers::Publishers;
 use super::role::Role;
 use super::rows::Rows;
+use super::stalled::HARDEST;
 use super::streams::{Clocks, Stream};
 
 /// Samples in a row that may be stray; more of them are a motion.
@@ -295,7 +296,16 @@ fn leaps(samples: usize, at: At, measure: impl Distance) -> Option<Vec<(usize, f
             sample += 1;
             continue;
         }
-        let back = |next: usize| is_soon(sample, next) && distance(sample, next) < BACK * far;
+        let back = |next: usize| {
+            let span_s = |from: Stamp, to: Stamp| to.seconds_since(from).abs();
+            // To leave and to be back at rest takes four ramps of a quarter of the time.
+            let own = at(sample)
+                .zip(at(next))
+                .map(|(from, to)| HARDEST * span_s(from, to).powi(2) / 16.0);
+            is_soon(sample, next)
+                && distance(sample, next) < BACK * far
+                && own.is_none_or(|own| far > own)
+        };
         let next = (sample + 2..samples.min(sample + 2 + LONGEST)).find(|&next| back(next));
         let astray = match next {
             Some(next) => Some(sample + 1..next),
