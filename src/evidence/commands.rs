@@ -6,8 +6,10 @@ use crate::diagnosis::{
     Aligned, CommandDelay, CommandedArm, Commands, PoseDiagnosis, PoseSeries, ReferenceDiagnosis,
     Seen, diagnose_reference, joint_delays, pose_delay, unnamed_order,
 };
+use crate::finding::Subject;
 use crate::geometry::Pose;
-use crate::run::{Arm, PoseSource, ReferenceContent, ReferenceSource, Run};
+use crate::run::{Arm, PoseSource, ReferenceContent, ReferenceSource, Role, Run};
+use crate::stream::{Columns, JointColumn, JointColumns, JointTrack};
 
 /// One stream of commands.
 #[derive(Clone, Debug)]
@@ -45,6 +47,78 @@ pub enum WitnessKind {
     Corrected,
     /// Those of a stream as it was logged.
     AsLogged,
+}
+
+/// Joint commands of a log without a model of the arm, held against the joint states with the same names.
+#[derive(Clone, Debug)]
+pub struct UnmodelledCommands {
+    /// Names of the joints.
+    pub joints: Vec<String>,
+    /// By how much the state follows, of each joint.
+    pub delays: Vec<CommandDelay>,
+}
+
+/// By how much joint states follow commands in a run without a model of the arm.
+pub(super) fn without_model(run: &Run, most_lag_s: f64) -> Vec<Of<UnmodelledCommands>> {
+    if run.no_arm.is_none() {
+        return Vec::new();
+    }
+    let of_role = |role: Role| {
+        let streams = run.streams.iter().enumerate().filter(move |(_, own)| own.role == role);
+        streams.filter_map(|(index, own)| match &own.columns {
+            Some(Columns::Joints(joints)) => Some((index, joints)),
+            _ => None,
+        })
+    };
+    let of = |(index, commands): (usize, &JointColumns)| {
+        let shared = |states: &JointColumns| -> Vec<(usize, usize)> {
+            let place = |joint: &JointColumn| {
+                states.joints.iter().position(|other| other.name == joint.name)
+            };
+            let own = commands.joints.iter().enumerate();
+            own.filter_map(|(at, joint)| Some((at, place(joint)?))).collect()
+        };
+        let states = of_role(Role::Joints).map(|(state, joints)| (state, joints, shared(joints)));
+        let (state, states, pairs) = states.max_by_key(|(_, _, pairs)| pairs.len())?;
+        let (command_places, state_places): (Vec<usize>, Vec<usize>) = pairs.into_iter().unzip();
+        let (t_s, q) = rows_of(run, index, commands, &command_places)?;
+        let (state_t_s, state_q) = rows_of(run, state, states, &state_places)?;
+        let dof = state_places.len();
+        let qd = vec![0.0; state_q.len()];
+        let joints = JointTrack { t_s: state_t_s, dof, q: state_q, qd, noise: Vec::new() };
+        let order: Vec<usize> = (0..dof).collect();
+        let names = state_places.iter().map(|&at| states.joints[at].name.clone());
+        let found = UnmodelledCommands {
+            joints: names.collect(),
+            delays: joint_delays(&t_s, &order, &q, &joints, most_lag_s),
+        };
+        let topic = Some(run.streams[index].topic.clone());
+        let subject = Subject { topic, ..Subject::default() };
+        Some(Of { subject, span: span_of(run, index), found })
+    };
+    of_role(Role::Reference).filter_map(of).collect()
+}
+
+/// Times from the run's origin, strictly increasing, and positions of some joints of a stream, row-major; `None` if
+/// there are none.
+fn rows_of(
+    run: &Run,
+    stream: usize,
+    joints: &JointColumns,
+    places: &[usize],
+) -> Option<(Vec<f64>, Vec<f64>)> {
+    let clock = run.clocks.iter().find(|clock| clock.stream == stream)?;
+    let (mut t_s, mut q): (Vec<f64>, Vec<f64>) = Default::default();
+    for row in 0..joints.times.len() {
+        let Some(stamp) = clock.stamp_of(&joints.times, row) else { continue };
+        let at_s = stamp.seconds_since(run.origin);
+        let own = places.iter().map(|&at| joints.joints[at].position[row]);
+        if t_s.last().is_none_or(|last| at_s > *last) && own.clone().all(f64::is_finite) {
+            t_s.push(at_s);
+            q.extend(own);
+        }
+    }
+    (!q.is_empty()).then_some((t_s, q))
 }
 
 /// Diagnoses the commands to arm `index`, on whose streams `poses` were found before.

@@ -20,7 +20,7 @@ use crate::run::{Arm, Frozen, Norms, Run, RunOptions, Unaudited, WhyNot};
 use crate::time::Stamp;
 
 pub use arm::ArmEvidence;
-pub use commands::{ReferenceEvidence, ReferenceWitness, WitnessKind};
+pub use commands::{ReferenceEvidence, ReferenceWitness, UnmodelledCommands, WitnessKind};
 pub use estimate::DhEvidence;
 pub use hand_eye::HandEyeEvidence;
 pub use joints::{JointEvidence, JointMotion};
@@ -40,6 +40,8 @@ pub struct RunEvidence {
     pub robots: Vec<ArmEvidence>,
     /// Why there is none, where there is none.
     pub no_robot: Option<String>,
+    /// Joint commands, if there is no robot.
+    pub unmodelled_commands: Vec<Of<UnmodelledCommands>>,
     /// What cameras see, each held against a hand.
     pub hand_eyes: Vec<HandEyeEvidence>,
     /// Every stream that plays a part, by its stamps.
@@ -104,6 +106,7 @@ impl RunEvidence {
         Self {
             robots: robots.collect(),
             no_robot: run.no_arm.as_ref().map(|error| error.what()),
+            unmodelled_commands: commands::without_model(run, most_lag_s),
             hand_eyes,
             stamps: streams::stamps(run),
             unusable: samples::unusable(run),

@@ -1,10 +1,12 @@
 use crate::checks::decision::{Decision, Threshold, decide, unseen};
 use crate::checks::motion::mot003;
-use crate::checks::together::{alike, listed, prefix, subject};
+use crate::checks::together::alike;
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{CommandDelay, Measured, NoDelay, Response};
 use crate::evidence::{ArmEvidence, Of, ReferenceEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
+use crate::finding::{
+    Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Span, Subject, Unit,
+};
 
 rule! {
     /// From command to state it takes long.
@@ -42,7 +44,7 @@ rule! {
         name: "command-delay",
         grade: Grade::From(&[THRESHOLD]),
         headline: false,
-        needs_model: true,
+        needs_model: false,
         missing: "no commands to the arm in this log",
         check: check,
     }
@@ -56,7 +58,33 @@ fn check(case: &Case) -> Vec<Judged> {
     let of_arm = |arm: &ArmEvidence| -> Vec<Judged> {
         arm.references.iter().flat_map(|one| judge_stream(case, arm, one)).collect()
     };
-    case.evidence.robots.iter().flat_map(of_arm).collect()
+    let unmodelled = case.evidence.unmodelled_commands.iter().flat_map(|of| {
+        let joints = of.found.joints.iter().map(String::as_str).collect();
+        let commands = Commands { subject: &of.subject, span: of.span, joints };
+        let goals = goals(&of.found.delays).map(|why| {
+            vec![Judged::new(of.subject.clone(), Outcome::Inconclusive(why)).within(of.span)]
+        });
+        goals.unwrap_or_else(|| judge_delays(case, &commands, &of.found.delays))
+    });
+    case.evidence.robots.iter().flat_map(of_arm).chain(unmodelled).collect()
+}
+
+/// A stream of commands, and the names of the joints that its delays are of.
+struct Commands<'a> {
+    subject: &'a Subject,
+    span: Option<Span>,
+    joints: Vec<&'a str>,
+}
+
+impl Commands<'_> {
+    /// One of the joints, or the topic if there are several.
+    fn subject_of(&self, joints: &[usize]) -> Subject {
+        let joint = match joints {
+            [joint] => self.joints.get(*joint).map(|name| (*name).to_owned()),
+            _ => None,
+        };
+        Subject { joint, ..self.subject.clone() }
+    }
 }
 
 /// A delay that is too long.
@@ -75,19 +103,22 @@ fn judge_stream(case: &Case, arm: &ArmEvidence, reference: &Of<ReferenceEvidence
     if let Some(why) = mot003::doubt(arm).filter(|_| reference.is_of_joints) {
         return whole(Outcome::Inconclusive(why));
     }
-    if let Some(why) = goals(reference) {
+    if let Some(why) = goals(&reference.delays) {
         return whole(Outcome::Inconclusive(why));
     }
-    let topic = reference.topic();
+    let joints = arm.joints.iter().map(|joint| joint.name.as_str()).collect();
+    let commands = Commands { subject: &reference.subject, span: reference.span, joints };
+    judge_delays(case, &commands, &reference.delays)
+}
+
+fn judge_delays(case: &Case, commands: &Commands, delays: &[CommandDelay]) -> Vec<Judged> {
     let mut rows = Vec::new();
     let mut faults = Vec::new();
-    for (at, of) in reference.delays.iter().enumerate() {
+    for (at, of) in delays.iter().enumerate() {
         let place = of.joint.unwrap_or(at);
-        let subject = match of.joint {
-            Some(joint) => subject(arm, topic, &[joint]),
-            None => reference.subject.clone(),
-        };
-        let judged = |outcome| Judged::new(subject.clone(), outcome).within(reference.span);
+        let joints: Vec<usize> = of.joint.into_iter().collect();
+        let subject = commands.subject_of(&joints);
+        let judged = |outcome| Judged::new(subject.clone(), outcome).within(commands.span);
         let response = match &of.response {
             Ok(response) => response,
             Err(why) => {
@@ -107,15 +138,15 @@ fn judge_stream(case: &Case, arm: &ArmEvidence, reference: &Of<ReferenceEvidence
         rows.push(with_numbers(judged(outcome), of, response));
     }
     let groups = alike(faults, |a, b| is_same(a.response, b.response));
-    rows.extend(groups.iter().map(|group| named(case, arm, reference, group)));
+    rows.extend(groups.iter().map(|group| named(case, commands, group)));
     rows
 }
 
-/// Why a stream whose commands are goals cannot tell.
-fn goals(reference: &ReferenceEvidence) -> Option<String> {
+/// Why commands that are goals cannot tell.
+fn goals(delays: &[CommandDelay]) -> Option<String> {
     let are = |why: &NoDelay| {
         let is = |of: &CommandDelay| of.response.as_ref().err() == Some(why);
-        !reference.delays.is_empty() && reference.delays.iter().all(is)
+        !delays.is_empty() && delays.iter().all(is)
     };
     let what = match () {
         () if are(&NoDelay::Goals) => "its commands are goals, and not streamed",
@@ -144,12 +175,7 @@ fn is_same(a: &Response, b: &Response) -> bool {
 }
 
 /// The finding on joints with the same delay, or on the poses.
-fn named(
-    case: &Case,
-    arm: &ArmEvidence,
-    reference: &Of<ReferenceEvidence>,
-    group: &[(usize, Long<'_>)],
-) -> Judged {
+fn named(case: &Case, commands: &Commands, group: &[(usize, Long<'_>)]) -> Judged {
     let joints: Vec<usize> = group.iter().filter_map(|(_, long)| long.of.joint).collect();
     let by_delay = |a: &&(usize, Long<'_>), b: &&(usize, Long<'_>)| {
         let size = |one: &(usize, Long<'_>)| one.1.response.delay_s.value.abs();
@@ -158,9 +184,11 @@ fn named(
     let (_, Long { of, response, severity }) = *group.iter().max_by(by_delay).unwrap_or(&group[0]);
     let limit = Unit::Second.show(case.thresholds.of(&LAT004, THRESHOLD).warning);
     let is_early = response.delay_s.value < 0.0;
-    let (subject, who) = match of.joint {
-        Some(_) => (subject(arm, reference.topic(), &joints), prefix(arm, &joints)),
-        None => (reference.subject.clone(), String::new()),
+    let subject = commands.subject_of(&joints);
+    let who = match joints.len() {
+        0 | 1 => String::new(),
+        count if count == commands.joints.len() => "all joints: ".to_owned(),
+        count => format!("{count} joints: "),
     };
     let fault = Fault {
         severity,
@@ -172,13 +200,15 @@ fn named(
             true => "stamp commands when they are given, and states when they are read".to_owned(),
             false => format!(
                 "shorten what buffers or smooths {}, or allow for it where the loop is closed",
-                reference.topic()
+                commands.subject.topic.as_deref().unwrap_or_default()
             ),
         },
     };
-    let judged = Judged::new(subject, Outcome::faulty(fault)).within(reference.span);
+    let judged = Judged::new(subject, Outcome::faulty(fault)).within(commands.span);
     let judged = with_numbers(judged, of, response);
-    if of.joint.is_some() { listed(judged, arm, &joints) } else { judged }
+    let names: Vec<&str> =
+        joints.iter().filter_map(|&joint| commands.joints.get(joint).copied()).collect();
+    if names.len() > 1 { judged.with_evidence("joints", names) } else { judged }
 }
 
 /// How the state follows, in a clause.
