@@ -78,12 +78,15 @@ pub(super) fn leave_open_beside_what_is_left(evaluation: &mut Evaluation) {
 /// The families of rules whose causes are found by holding poses against joint states.
 const HELD: [&str; 7] = ["FRM001", "FRM002", "FRM003", "LAT", "ORD", "YAW", "ZER"];
 
-/// Where poses and joint states disagree and nothing explains it, no cause is named that does not, and
-/// what is open on them is so for that reason.
+/// If poses and joint states disagree and nothing explains it, or only another model of the arm does, no cause is
+/// named that does not, and what is open on them is so for that reason.
 pub(super) fn leave_open_beside_disagreement(case: &Case, evaluation: &mut Evaluation) {
     let Evaluation { checks, findings, .. } = evaluation;
     let disagreeing = findings.iter().filter_map(|finding| match &finding.cause {
         Cause::Disagreement { said } => Some((finding.subject.clone(), format!("{said} (MDL001)"))),
+        Cause::OtherRobot(_) => {
+            Some((finding.subject.clone(), format!("{} (MDL001)", finding.message)))
+        }
         _ => None,
     });
     let disagreeing: Vec<(Subject, String)> = disagreeing.collect();

@@ -135,7 +135,7 @@ pub fn clean_run() -> RunEvidence {
         span: SPAN,
         joints: ["pan", "lift", "elbow"].map(joint).to_vec(),
         reach_m: 0.85,
-        wrong_model: None,
+        better_model: None,
         dh: Some(DhEvidence {
             declared: DhConvention::Standard,
             estimate: DhEstimate {

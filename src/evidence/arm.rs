@@ -14,7 +14,7 @@ use crate::diagnosis::{
     ArmDiagnosis, JointDiagnosis, JointScale, PoseDiagnosis, Unseen, proof, proof_of_imu,
 };
 use crate::finding::{Span, Subject, Unit};
-use crate::run::{PoseSource, Run, RunOptions, Witness, WrongModel};
+use crate::run::{BetterModel, PoseSource, Run, RunOptions, Witness};
 use crate::stream::{Columns, Orientations};
 
 /// One robot and its streams.
@@ -30,8 +30,8 @@ pub struct ArmEvidence {
     pub joints: Vec<JointEvidence>,
     /// Distance of the tip from the base at full stretch, m.
     pub reach_m: f64,
-    /// The model that was named, where the log is of another arm, with which all else is judged.
-    pub wrong_model: Option<WrongModel>,
+    /// Another arm that fits the poses far better than the model that was named.
+    pub better_model: Option<BetterModel>,
     /// What its DH table says of itself and what the streams say of that, where it is one.
     pub dh: Option<DhEvidence>,
     /// What was estimated on its joints.
@@ -240,7 +240,7 @@ pub(super) fn arm_evidence(
         span: span_in(run, joints_stream),
         joints,
         reach_m: arm.chain.max_reach_m(),
-        wrong_model: arm.instead_of.clone(),
+        better_model: arm.better.clone(),
         dh: diagnosis.dh,
         taken_for_degrees,
         diagnosis: found,

@@ -139,7 +139,7 @@ fn model(arm: &Arm, options: &RunOptions) -> Option<(String, Robot)> {
         let is_its = |prefix: &String| arm.joint_names.iter().any(|name| name.starts_with(prefix));
         source.prefix.as_ref().is_none_or(is_its)
     });
-    match given.filter(|_| arm.instead_of.is_none()) {
+    match given {
         Some(given) => Some((given.model.clone(), given.robot().ok()?)),
         None if arm.robot.text().is_none() => {
             Some((arm.robot.name.clone(), robot_of(&arm.robot.name).ok()?))

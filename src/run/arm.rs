@@ -9,7 +9,7 @@ use crate::time::Stamp;
 
 use super::error::RunError;
 use super::joints::{JointFacts, JointSamples, JointTopics};
-use super::model::{FrameNames, Model, WrongModel};
+use super::model::{BetterModel, FrameNames, Model};
 use super::role::{Place, words};
 use super::skeleton::{self, ArmPath, driver};
 use super::sources::{ImuSource, PoseSource};
@@ -26,8 +26,8 @@ pub struct Arm {
     pub robot: Robot,
     /// How the robot was found, in words.
     pub found: String,
-    /// The model that was named, where the log is of another arm and `robot` takes its place.
-    pub instead_of: Option<WrongModel>,
+    /// Another arm that fits the poses far better than `robot`, which was named.
+    pub better: Option<BetterModel>,
     /// The chain from base to tip.
     pub chain: Chain,
     /// For each joint of `chain`, its column in `joints`.
@@ -221,7 +221,7 @@ impl Arm {
             name: robot.name.clone(),
             robot: robot.clone(),
             found: model.found.clone(),
-            instead_of: model.instead_of.clone(),
+            better: model.better.clone(),
             chain,
             columns,
             tip_named: ends.tip.is_some(),

@@ -38,6 +38,8 @@ pub(super) struct Standing {
     pub as_is_m: f64,
     /// Whether that way is near enough to be this arm's.
     pub fits: bool,
+    /// Whether it is also near enough without a fault.
+    pub fits_without_fault: bool,
     /// The topic that says most.
     pub topic: String,
 }
@@ -298,7 +300,17 @@ mod tests {
         let tool_m = Vec3::new(0.0, 0.0, 0.15);
         let way = Way { needs, misread: false, left_m, tool_m, lag_s: 0.0 };
         let topic = "actual_TCP_pose".to_owned();
-        Standing { model, score, way, spread_m: 0.3, as_is_m: left_m, fits: left_m < 3e-3, topic }
+        let (fits, fits_without_fault) = (left_m < 3e-3, left_m < 3e-3 && needs.is_harmless());
+        Standing {
+            model,
+            score,
+            way,
+            spread_m: 0.3,
+            as_is_m: left_m,
+            fits,
+            fits_without_fault,
+            topic,
+        }
     }
 
     #[test]

@@ -79,7 +79,7 @@ pub use flaws::{Between, Flaw, FlawKind};
 pub use frozen::Frozen;
 pub use held::Held;
 pub use joints::{JointFacts, JointSamples};
-pub use model::WrongModel;
+pub use model::BetterModel;
 pub use models::robot_of;
 pub use norms::{Norms, Written};
 pub use publishers::Publishers;

@@ -22,22 +22,22 @@ pub(super) struct Model {
     pub controller_tip: Option<LinkId>,
     /// Whether its joints are matched to the log's by their order, the names being others.
     pub by_order: bool,
-    /// The model that was named, where this one takes its place.
-    pub instead_of: Option<WrongModel>,
+    /// Another arm that fits the poses far better than this one, which was named.
+    pub better: Option<BetterModel>,
 }
 
-/// A model that was named and is not that of the log's arm.
+/// An arm of the catalogue that fits the poses far better than the model that was named.
 #[derive(Clone, Debug)]
-pub struct WrongModel {
-    /// The model that was named.
-    pub named: Robot,
-    /// The topic of poses that shows it.
+pub struct BetterModel {
+    /// Its name.
+    pub name: String,
+    /// The topic of the poses.
     pub topic: String,
-    /// What the named model leaves of these where neither frame nor joint is off, rms m.
+    /// Residual of these with the named model if neither frame nor joint is off, rms m.
     pub named_m: f64,
-    /// What the arm that took its place leaves, rms m.
-    pub rival_m: f64,
-    /// How long a tool that arm needs, m; none where it needs none.
+    /// Residual with this arm, rms m.
+    pub left_m: f64,
+    /// Length of the tool that it needs, m; `None` if it needs none.
     pub tool_m: Option<f64>,
 }
 
@@ -50,8 +50,8 @@ impl Model {
         };
         let controller_base = link(&robot.controller_base, known.0);
         let controller_tip = link(&robot.controller_tip, known.1);
-        let (by_order, instead_of) = (false, None);
-        Self { robot, found, frames, controller_base, controller_tip, by_order, instead_of }
+        let (by_order, better) = (false, None);
+        Self { robot, found, frames, controller_base, controller_tip, by_order, better }
     }
 }
 

@@ -155,7 +155,10 @@ fn a_tool_and_growth_are_no_calibration_however_noisy_the_tracker() {
 fn the_catalogue_arm_that_fits_is_named_beside_a_model_that_does_not() {
     let report = Log::with(|log| log.options.run.robots = vec!["ur10e".into()]).audited();
     let message = &the(&report, "MDL001", POSE).message;
-    assert!(message.contains("wrong robot model: this log is of a ur5e ("), "{message}");
+    assert!(message.contains("wrong robot model: a ur5e fits the poses to "), "{message}");
+    assert_eq!(report.robots[0].name, "ur10e");
+    let codes: BTreeSet<&str> = report.findings.iter().map(|finding| finding.code).collect();
+    assert_eq!(codes, ["MDL001"].into(), "{}", summary(&report.findings));
 }
 
 #[test]

@@ -12,7 +12,7 @@ use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{
     Cause, Estimate, Evidence, Fault, Outcome, ReadAs, Ruling, Severity, Subject, Unit, rounded,
 };
-use crate::run::WrongModel;
+use crate::run::BetterModel;
 
 rule! {
     /// An error is left that nothing found explains.
@@ -43,10 +43,9 @@ rule! {
     /// the streams in which it is left at the same times. Where it goes with the angle of a joint once,
     /// twice or three times a turn, as of an eccentric gear or encoder, the message names the joint and
     /// by how much. `candidates` are the nearest causes, each
-    /// with what it leaves. `fits` names an arm of the catalogue with the same joints that fits
-    /// without a cause where the model that was named does not, and to how much (`misfit_m`; `tool_m`
-    /// where it needs an active TCP); `value` is then what the named model leaves of the positions as
-    /// logged, and everything else is judged with the arm that fits.
+    /// with what it leaves. `fits` names an arm of the catalogue with the same joints that fits far better
+    /// than the model that was named, and its residual (`misfit_m`; `tool_m` if it needs an active TCP). The
+    /// audit keeps the named model; rules that compare the poses with it stay open.
     ///
     /// Of a gyro, `scale` is the gain less 1 along x, y and z with its interval; `axes` are those that
     /// saturate, `share` is that of the samples at the limit, `by_fk_rad_s` how fast the arm turned.
@@ -153,9 +152,9 @@ fn judge_arm(case: &Case, named: &Named, arm: &ArmEvidence) -> Vec<Judged> {
     }
     let imus = arm.imus.iter().flat_map(|imu| imu::judge(case, &thresholds, imu));
     let judged = streams.iter().map(|held| {
-        let wrong = arm.wrong_model.as_ref().filter(|wrong| wrong.topic == held.stream.topic());
-        match wrong.filter(|_| held.subject.frame.is_none()) {
-            Some(wrong) => Judged::new(held.subject.clone(), wrong_model(case, arm, wrong))
+        let better = arm.better_model.as_ref().filter(|it| it.topic == held.stream.topic());
+        match better.filter(|_| held.subject.frame.is_none()) {
+            Some(better) => Judged::new(held.subject.clone(), wrong_model(case, arm, better))
                 .within(held.stream.span),
             None => judge(case, held, &streams),
         }
@@ -450,40 +449,37 @@ fn candidates(stream: &Of<PoseEvidence>) -> Vec<String> {
     all.into_iter().chain(readings).collect()
 }
 
-/// The model that was named is another arm's.
-fn wrong_model(case: &Case, arm: &ArmEvidence, wrong: &WrongModel) -> Outcome {
-    let (is, named) = (&arm.name, &wrong.named.name);
-    let [fits, off] = [wrong.rival_m, wrong.named_m].map(|left_m| Unit::Metre.show(left_m));
-    let with = match wrong.tool_m {
-        Some(tool_m) => format!("with a TCP of {}", Unit::Metre.show(tool_m)),
+/// Another arm fits far better than the model that was named.
+fn wrong_model(case: &Case, arm: &ArmEvidence, better: &BetterModel) -> Outcome {
+    let BetterModel { name, named_m, left_m, tool_m, .. } = better;
+    let [fits, off] = [left_m, named_m].map(|left_m| Unit::Metre.show(*left_m));
+    let with = match tool_m {
+        Some(tool_m) => format!("with a TCP of {}", Unit::Metre.show(*tool_m)),
         None => "without any cause".to_owned(),
     };
-    let named = match is == named {
-        true => format!("as the {named} of the model that was given"),
-        false => format!("not of the {named} that was named"),
+    let named = match *name == arm.name {
+        true => format!("the {name} of the model that was given"),
+        false => format!("the {} that was named", arm.name),
     };
-    let mut evidence = Evidence { effect_m: Some(wrong.named_m), ..Evidence::default() };
-    let fits_json = json!({
-        "robot": is,
-        "misfit_m": wrong.rival_m,
-        "tool_m": wrong.tool_m,
-    });
+    let mut evidence = Evidence { effect_m: Some(*named_m), ..Evidence::default() };
+    let fits_json = json!({"robot": name, "misfit_m": left_m, "tool_m": tool_m});
     evidence.more.insert("fits".to_owned(), fits_json);
     Outcome::faulty(Fault {
-        cause: Cause::OtherRobot(is.clone()),
+        cause: Cause::OtherRobot(name.clone()),
         severity: case
             .thresholds
             .of_frames(&MDL001, THRESHOLDS)
             .length
-            .severity(wrong.named_m)
+            .severity(*named_m)
             .unwrap_or(Severity::Warning),
         title: "wrong robot model",
         message: format!(
-            "wrong robot model: this log is of a {is} ({fits} {with}), {named} \
-             ({off})"
+            "wrong robot model: a {name} fits the poses to {fits} {with}, {named} only to {off}"
         ),
         evidence,
-        fix: format!("audit with --robot {is}: everything else here is judged with it"),
+        fix: format!(
+            "if the arm is a {name}, audit with --robot {name}; else check the order, unit and sign of the joints"
+        ),
     })
 }
 

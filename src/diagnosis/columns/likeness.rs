@@ -3,6 +3,9 @@
 use super::{MOVING, Sheet};
 use ground::stats::median;
 
+/// Rates correlate by this at least.
+const RATE: f64 = 0.95;
+
 /// How some columns say what others do.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shift {
@@ -113,8 +116,6 @@ impl Sheet {
 
     /// What a column does beside some others.
     pub fn conduct(&self, column: usize, beside: &[usize]) -> Conduct {
-        /// Rates correlate by this at least.
-        const RATE: f64 = 0.95;
         let values = &self.columns[column];
         let [low, high] = self.range(column);
         if low == high {
@@ -129,20 +130,84 @@ impl Sheet {
         if let Some((other, shift)) = same.min_by(|a, b| a.1.left.total_cmp(&b.1.left)) {
             return Conduct::As(other, shift);
         }
-        let rate = |other: usize| -> f64 {
-            let own = &self.columns[other];
-            let rows = 1..own.len().saturating_sub(1);
-            let pairs = rows.map(|row| {
-                let h = self.t_s[row + 1] - self.t_s[row - 1];
-                (values[row], (own[row + 1] - own[row - 1]) / h)
-            });
-            correlation(&pairs.collect::<Vec<_>>())
-        };
-        let best = beside.iter().map(|&other| (rate(other), other));
+        let best = beside.iter().map(|&other| (self.rate_correlation(column, other), other));
         match best.max_by(|a, b| a.0.total_cmp(&b.0)) {
             Some((correlation, other)) if correlation > RATE => Conduct::RateOf(other),
             _ => Conduct::Own,
         }
+    }
+
+    /// The correlation of a column with the rate of another.
+    fn rate_correlation(&self, column: usize, of: usize) -> f64 {
+        correlation(&self.beside_rates(column, of).collect::<Vec<_>>())
+    }
+
+    /// Whether a column is the rate of another, in its unit a second.
+    pub(super) fn is_rate(&self, column: usize, of: usize) -> bool {
+        /// Share of the column's mean square that may differ.
+        const DIFFERS: f64 = 0.05;
+        let pairs = self.beside_rates(column, of);
+        let (differing, own) = pairs.fold((0.0, 0.0), |(differing, own), (value, rate)| {
+            (differing + (value - rate).powi(2), own + value * value)
+        });
+        differing < DIFFERS * own
+    }
+
+    /// The values of a column, each with the rate of another.
+    fn beside_rates(&self, column: usize, of: usize) -> impl Iterator<Item = (f64, f64)> + '_ {
+        let (values, own) = (&self.columns[column], &self.columns[of]);
+        (1..own.len().saturating_sub(1)).map(|row| {
+            let h = self.t_s[row + 1] - self.t_s[row - 1];
+            (values[row], (own[row + 1] - own[row - 1]) / h)
+        })
+    }
+
+    /// The columns that hold the rates of some others: of each that moves, equally far behind or before it.
+    pub fn rates_of(&self, columns: &[usize]) -> Option<Vec<usize>> {
+        let count = self.columns.len();
+        let moving: Vec<usize> = columns.iter().copied().filter(|&at| self.moves(at)).collect();
+        let shifted = |by: isize| -> Option<Vec<usize>> {
+            let shift = |&at: &usize| at.checked_add_signed(by).filter(|&at| at < count);
+            let own: Vec<usize> = columns.iter().map(shift).collect::<Option<_>>()?;
+            let is_its = |(&rate, &of): (&usize, &usize)| {
+                self.homes[rate] == self.homes[of] && !columns.contains(&rate)
+            };
+            own.iter().zip(columns).all(is_its).then_some(own)
+        };
+        let shifts = (1..count as isize).flat_map(|by| [by, -by]);
+        let are_rates = |rates: &Vec<usize>| {
+            let pairs = columns.iter().zip(rates).filter(|(at, _)| moving.contains(at));
+            pairs.into_iter().all(|(&at, &rate)| self.rate_correlation(rate, at) > RATE)
+        };
+        shifts.filter(|_| !moving.is_empty()).filter_map(shifted).find(are_rates)
+    }
+
+    /// The longest run of columns whose rates stand equally far behind each of them: positions and velocities.
+    /// Columns that hardly move may belong to it.
+    pub fn with_rates(&self) -> Option<(Vec<usize>, Vec<usize>)> {
+        let count = self.columns.len();
+        let moves: Vec<bool> = (0..count).map(|column| self.moves(column)).collect();
+        let mut best: Option<(usize, std::ops::Range<usize>, usize)> = None;
+        for behind in MOVING..count {
+            let is_pair = |at: &usize| {
+                self.homes[*at] == self.homes[at + behind]
+                    && (!moves[*at] || self.rate_correlation(at + behind, *at) > RATE)
+            };
+            let mut from = 0;
+            while from + behind < count {
+                let end = from + (from..count - behind).take_while(is_pair).count();
+                let moving = (from..end).filter(|&at| moves[at]).count();
+                if moving >= MOVING && best.as_ref().is_none_or(|best| moving > best.0) {
+                    // Velocities that follow at once tell how many there are.
+                    let first = (from..end).find(|&at| moves[at]).unwrap_or(from);
+                    let first = first.min(end.saturating_sub(behind).max(from));
+                    best = Some((moving, first..end.min(first + behind), behind));
+                }
+                from = end + 1;
+            }
+        }
+        let (_, own, behind) = best?;
+        Some((own.clone().collect(), own.map(|at| at + behind).collect()))
     }
 }
 

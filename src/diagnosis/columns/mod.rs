@@ -7,6 +7,7 @@
 
 use std::f64::consts::PI;
 
+mod at_base;
 mod likeness;
 mod linear;
 mod numbers;
@@ -22,9 +23,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::PoseStream;
-use super::model_fit::tool_fit;
-use super::placement::metres_by_size;
-use super::placing::spread;
+use super::model_fit::{Priced, frame_price, tool_fit};
 use ground::robot::Chain;
 use ground::stream::sample_noise;
 
@@ -60,6 +59,9 @@ const DEGREE: i32 = 6;
 const TWO_TURNS: f64 = 4.0 * PI;
 /// A joint may stand so far beyond its limits, rad or m.
 const BEYOND: f64 = 0.2;
+/// A joint is not faster than so many times its limit. One without a limit has the highest of the catalogue, rad/s.
+const TOO_FAST: f64 = 3.0;
+const FASTEST_RAD_S: f64 = 21.0;
 /// A column moves that spreads by more, rad or m.
 const MOVES: f64 = 0.01;
 /// Joints of a block that must move.
@@ -70,8 +72,10 @@ const NOISY: f64 = 0.2;
 const FITS_M: f64 = 3e-3;
 const FITS_SHARE: f64 = 0.01;
 
-/// In the arm's own base frame no more than this share of the extent is left, with a tool no longer than this, m.
-const AT_BASE_SHARE: f64 = 0.05;
+/// And no more than this share of it, however short the motion.
+const MOST_SHARE: f64 = 0.05;
+
+/// In the arm's own base frame the tool is no longer than this, m.
 const LONGEST_TOOL_M: f64 = 0.5;
 
 /// The numbers of a table, by columns.
@@ -80,6 +84,8 @@ pub struct Sheet {
     columns: Vec<Vec<f64>>,
     /// The array that each column is of: no block reaches from one into another.
     homes: Vec<usize>,
+    /// The fastest change of each column from a row to those after it, per second.
+    steepest: Vec<f64>,
 }
 
 /// What is sought.
@@ -115,15 +121,23 @@ pub struct Mapping {
     pub tool_m: f64,
     /// By how much the position is late, s.
     pub lag_s: f64,
-    /// Whether it also fits in the arm's base frame with a tool of usual length, so that nothing but that tool is free.
+    /// Whether it fits in the arm's base frame with a tool of usual length, so that nothing but that tool is free.
     #[serde(default)]
     pub is_at_base: bool,
+    /// Score of the fit, `n ln σ²` of the residual and the price of the frame and the tool: less is better.
+    #[serde(default)]
+    pub score: f64,
+}
+
+/// What FK may leave of a position with that extent, m.
+fn limit_m(spread_m: f64) -> f64 {
+    FITS_M.max(FITS_SHARE * spread_m)
 }
 
 impl Mapping {
     /// Whether FK and the position agree.
     pub fn fits(&self) -> bool {
-        self.left_m <= FITS_M.max(FITS_SHARE * self.spread_m)
+        self.left_m <= limit_m(self.spread_m).min(MOST_SHARE * self.spread_m)
     }
 
     fn block(&self) -> Block {
@@ -182,7 +196,28 @@ impl Sheet {
         let first = if first == 0 { 0 } else { liveliest(&rows, &columns) };
         let rows = &rows[first..(first + MOST_ROWS).min(rows.len())];
         let pick = |values: &Vec<f64>| rows.iter().map(|&row| values[row]).collect();
-        Self { t_s: pick(&t_s), columns: columns.iter().map(pick).collect(), homes }
+        let (t_s, columns): (Vec<f64>, Vec<Vec<f64>>) =
+            (pick(&t_s), columns.iter().map(pick).collect());
+        let mut sheet = Self { t_s, columns, homes, steepest: Vec::new() };
+        sheet.steepest = sheet.columns.iter().map(|values| sheet.steepest_of(values)).collect();
+        sheet
+    }
+
+    /// The fastest change of a column that is no stray value and no whole turn.
+    fn steepest_of(&self, values: &[f64]) -> f64 {
+        /// A stray value is gone after fewer rows.
+        const ROWS: usize = 4;
+        /// A turn in rad and in degrees, within this share.
+        const TURNS: [f64; 2] = [2.0 * PI, 360.0];
+        const NEAR: f64 = 0.05;
+        let step_s = self.step_s();
+        let is_turn = |by: f64| TURNS.iter().any(|turn| (by / turn - 1.0).abs() < NEAR);
+        let rate = |rows: &[f64]| {
+            let by = rows[1..].iter().map(|value| (value - rows[0]).abs());
+            let by = by.fold(f64::INFINITY, f64::min);
+            if is_turn(by) { 0.0 } else { by / step_s }
+        };
+        values.windows(ROWS).map(rate).fold(0.0, f64::max)
     }
 
     /// The time between two rows, s.
@@ -209,25 +244,24 @@ impl Sheet {
     }
 
     /// The ways to take columns for the joints of one of the arms and the position of its tool, of those that
-    /// come nearest; what FK leaves least of first.
+    /// come nearest; that of the best score first.
     pub fn mappings(&self, wanted: &Wanted) -> Vec<Mapping> {
         /// Ways that are tried with the zero of a joint, where none fits without.
         const WITH_ZERO: usize = 4;
-        let of = |near: &Near| self.fit(wanted, &near.block, near.position, false);
         for lags_s in &LAGS_S[..if wanted.chains.len() > FEW_ARMS { 1 } else { 2 }] {
-            let near = self.near(wanted, lags_s);
-            let (first, others) = near.split_at(near.len().min(FIRST_FITS));
-            let mut all: Vec<Mapping> = first.par_iter().filter_map(of).collect();
-            let is_clear = all.iter().any(|it| it.left_m < CLEAR * it.spread_m);
-            let others = others.par_iter().filter(|near| !is_clear || near.share < RIVAL);
-            all.extend(others.filter_map(of).collect::<Vec<_>>());
+            let mut all = self.fits_near(wanted, lags_s);
+            let best = all.iter().min_by(|a, b| a.left_m.total_cmp(&b.left_m));
+            // Without the latency many arms are as near: the right one may not have been fitted.
+            if let Some(lag_s) = best.filter(|best| !best.fits()).map(|best| best.lag_s) {
+                all.extend(self.fits_near(wanted, &[lag_s]));
+            }
             if !all.iter().any(Mapping::fits) {
                 all.sort_by(|a, b| a.left_m.total_cmp(&b.left_m));
                 all.truncate(WITH_ZERO);
                 let anew = |it: &Mapping| self.fit(wanted, &it.block(), it.position, true);
                 all = all.par_iter().filter_map(anew).collect();
             }
-            all.sort_by(|a, b| a.left_m.total_cmp(&b.left_m));
+            all.sort_by(|a, b| a.score.total_cmp(&b.score));
             let mut mappings: Vec<Mapping> = Vec::new();
             for mapping in all {
                 if !mappings.iter().any(|other| other.is_same(&mapping)) {
@@ -239,6 +273,27 @@ impl Sheet {
             }
         }
         Vec::new()
+    }
+
+    /// Fits of the blocks and positions that come near at one of some latencies.
+    fn fits_near(&self, wanted: &Wanted, lags_s: &[f64]) -> Vec<Mapping> {
+        let of = |near: &Near| self.fit(wanted, &near.block, near.position, false);
+        let mut near = self.near_at_base(wanted, lags_s);
+        near.extend(self.near(wanted, lags_s));
+        let (first, others) = near.split_at(near.len().min(FIRST_FITS));
+        let mut all: Vec<Mapping> = first.par_iter().filter_map(of).collect();
+        let is_clear = all.iter().any(|it| it.left_m < CLEAR * it.spread_m);
+        let others = others.par_iter().filter(|near| !is_clear || near.share < RIVAL);
+        all.extend(others.filter_map(of).collect::<Vec<_>>());
+        all.retain(|mapping| !self.holds_own_rate(mapping));
+        all
+    }
+
+    /// Whether some columns of a mapping are the rates of others: then they are no joints or no position.
+    fn holds_own_rate(&self, mapping: &Mapping) -> bool {
+        let all: Vec<usize> = mapping.joints.iter().chain(&mapping.position).copied().collect();
+        let moving: Vec<usize> = all.into_iter().filter(|&at| self.moves(at)).collect();
+        moving.iter().any(|&at| moving.iter().any(|&of| of != at && self.is_rate(at, of)))
     }
 
     /// What FK leaves where columns are taken as `mapping` takes those of another table, for the arm `chain`;
@@ -255,6 +310,11 @@ impl Sheet {
 
     /// The blocks that may be joints of an arm by their numbers: smooth, and within its limits.
     pub fn blocks(&self, wanted: &Wanted, arm: usize) -> Vec<Block> {
+        self.blocks_that_move(wanted, arm, MOVING)
+    }
+
+    /// The same, with at least so many joints moving.
+    fn blocks_that_move(&self, wanted: &Wanted, arm: usize, fewest: usize) -> Vec<Block> {
         let chain = wanted.chains[arm];
         let dof = chain.dof();
         let orders = usual_orders(chain);
@@ -278,7 +338,7 @@ impl Sheet {
                     }
                     let most = self.most(&joints);
                     let units = JointNumbers::of_size(most, wanted.chains.len() <= FEW_ARMS);
-                    let may_be = |unit: &JointNumbers| self.may_be(&joints, *unit, chain);
+                    let may_be = |unit: &JointNumbers| self.may_be(&joints, *unit, chain, fewest);
                     let units = units.into_iter().filter(may_be);
                     let of = |unit| Block { joints: joints.clone(), unit, arm };
                     blocks.extend(units.map(of));
@@ -294,8 +354,8 @@ impl Sheet {
         ends.map(f64::abs).fold(0.0, f64::max)
     }
 
-    /// Whether columns may be joints of an arm, read so.
-    fn may_be(&self, joints: &[usize], unit: JointNumbers, chain: &Chain) -> bool {
+    /// Whether columns may be joints of an arm, read so, of which that many move.
+    fn may_be(&self, joints: &[usize], unit: JointNumbers, chain: &Chain, fewest: usize) -> bool {
         let mut moving = 0;
         for (at, &column) in joints.iter().enumerate() {
             let (factor, zero) = unit.read(chain, at);
@@ -303,7 +363,10 @@ impl Sheet {
             let limits = chain.limits()[at];
             let is_beyond = low < limits.lower.unwrap_or(-TWO_TURNS) - BEYOND
                 || high > limits.upper.unwrap_or(TWO_TURNS) + BEYOND;
-            if is_beyond || !(high - low).is_finite() {
+            // No joint jumps, but a rotation vector that passes 180° does.
+            let fastest = TOO_FAST * limits.velocity.unwrap_or(FASTEST_RAD_S);
+            let jumps = factor * self.steepest[column] > fastest;
+            if is_beyond || jumps || !(high - low).is_finite() {
                 return false;
             }
             if high - low > MOVES {
@@ -313,7 +376,7 @@ impl Sheet {
                 }
             }
         }
-        moving >= MOVING
+        moving >= fewest
     }
 
     fn range(&self, column: usize) -> [f64; 2] {
@@ -360,19 +423,7 @@ impl Sheet {
             let own: f64 = position.iter().map(|&c| logged.column(c).norm_squared()).sum();
             position.iter().map(|&c| plain[c]).sum::<f64>() > PLAIN.powi(2) * own
         });
-        let blocks: Vec<Block> = wanted
-            .chains
-            .iter()
-            .enumerate()
-            .flat_map(|(arm, chain)| match wanted.joints {
-                Some(joints) if joints[arm].len() == chain.dof() => {
-                    let (joints, unit) = (joints[arm].clone(), JointNumbers::Radians);
-                    vec![Block { joints, unit, arm }]
-                }
-                Some(_) => Vec::new(),
-                None => self.blocks(wanted, arm),
-            })
-            .collect();
+        let blocks = self.wanted_blocks(wanted, MOVING);
         let tried: Vec<(&Block, f64)> = blocks
             .iter()
             .flat_map(|block| lags_s.iter().map(move |&lag_s| (block, lag_s)))
@@ -417,6 +468,19 @@ impl Sheet {
             }
         }
         kept
+    }
+
+    /// The blocks of all arms, or the joints that are known.
+    fn wanted_blocks(&self, wanted: &Wanted, fewest: usize) -> Vec<Block> {
+        let of = |(arm, chain): (usize, &&Chain)| match wanted.joints {
+            Some(joints) if joints[arm].len() == chain.dof() => {
+                let (joints, unit) = (joints[arm].clone(), JointNumbers::Radians);
+                vec![Block { joints, unit, arm }]
+            }
+            Some(_) => Vec::new(),
+            None => self.blocks_that_move(wanted, arm, fewest),
+        };
+        wanted.chains.iter().enumerate().flat_map(of).collect()
     }
 
     /// All columns at some rows, centred.
@@ -488,13 +552,20 @@ impl Sheet {
             stamps_copied: false,
             taken_off: None,
         };
-        let way = tool_fit(&joints, &stream, wanted.most_lag_s, with_zero)?;
-        let metres = metres_by_size(&joints, &stream);
-        let spread_m = metres * spread(&track.xyz);
         let in_base = PoseStream { reference_known: true, ..stream };
-        let is_at_base = tool_fit(&joints, &in_base, wanted.most_lag_s, false).is_some_and(|way| {
-            way.left_m <= FITS_M.min(AT_BASE_SHARE * spread_m) && way.tool_m.norm() < LONGEST_TOOL_M
+        let fit = |stream| tool_fit(&joints, stream, wanted.most_lag_s, with_zero);
+        let at_base = fit(&in_base).filter(|(it, spread_m)| {
+            let most_m = FITS_M.min(MOST_SHARE * spread_m);
+            it.way.left_m <= most_m && it.way.tool_m.norm() < LONGEST_TOOL_M
         });
+        let (is_at_base, (Priced { way, score }, spread_m)) = match at_base {
+            Some(found) => (true, found),
+            None => {
+                let (found, spread_m) = fit(&stream)?;
+                let score = found.score + frame_price(track.xyz.len());
+                (false, (Priced { score, ..found }, spread_m))
+            }
+        };
         Some(Mapping {
             arm: block.arm,
             joints: block.joints.clone(),
@@ -503,6 +574,7 @@ impl Sheet {
             left_m: way.left_m,
             spread_m,
             is_at_base,
+            score,
             tool_m: way.tool_m.norm(),
             lag_s: way.lag_s,
         })

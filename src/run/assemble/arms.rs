@@ -140,9 +140,7 @@ impl Assembly<'_> {
         let mut models = models::models(&said.given, &clues, &judges)?;
         calibrations::overlay_all(&mut models, &said.calibrations, &clues)?;
         for model in &mut models {
-            if let Some(rival) = poses.rival(model, &clues) {
-                *model = rival;
-            }
+            model.better = poses.better(model, &clues);
         }
         let ends = Ends { base: self.options.base.as_deref(), tip: self.options.tip.as_deref() };
         let (mut arms, mut refusal) = (Vec::new(), None);

@@ -2,7 +2,7 @@
 //! the streams of poses say. The same question is asked of a model that was named.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use rayon::prelude::*;
@@ -10,13 +10,11 @@ use rayon::prelude::*;
 use super::assembly::{Assembly, is_topic};
 use super::groups::Group;
 use crate::diagnosis::{ModelFit, Needs, PoseStream, Priced, Tried, model_fit};
-use crate::finding::Unit;
 use crate::robot::catalogue;
 use crate::run::arm::{Arm, Ends};
 use crate::run::by_order;
 use crate::run::catalogued::{Ranking, Standing};
-use crate::run::model::WrongModel;
-use crate::run::model::{Clues, Model};
+use crate::run::model::{BetterModel, Clues, Model};
 use crate::run::role::Role;
 use crate::run::skeleton;
 use crate::run::sources::PoseSource;
@@ -30,13 +28,10 @@ const FITS_M: f64 = 3e-3;
 const FITS_SHARE: f64 = 0.01;
 /// Streams of poses that are asked.
 const MOST_STREAMS: usize = 6;
-/// Scores nearer than this cannot be told apart.
+/// Arms whose scores differ by less cannot be told apart: a likelihood ratio of e¹⁰.
 const APART: f64 = 20.0;
-/// Residuals below these do not count for or against an arm: the links of a calibrated arm deviate by about
-/// 0.5 mm from its drawing, and a wrong arm with free frame and tool fits a short motion to micrometres.
-const FLOOR_M: std::ops::RangeInclusive<f64> = 5e-4..=1e-3;
 
-/// An arm is proposed in place of a named one only if it leaves so many times less than the named one does with
+/// Another arm is reported beside a named one only if it leaves so many times less than the named one does with
 /// its best explanation, …
 const STANDS_OUT: f64 = 5.0;
 /// … and with a tool no longer than this, m.
@@ -109,10 +104,10 @@ impl ByPoses<'_> {
             }
         });
         // What faults explain is asked only where it could be cheaper.
-        let (floors_m, near) = (floors_m(&entries), near(&entries));
+        let near = near(&entries);
         entries.par_iter_mut().zip(near).for_each(|(Entry { arm, fits }, is_near)| {
             let Some(arm) = arm.as_ref().filter(|_| is_near) else { return };
-            let open = fits.iter_mut().filter(|it| !it.fit.is_settled(floors_m[&it.stream]));
+            let open = fits.iter_mut().filter(|it| !it.fit.is_settled());
             open.for_each(|it| {
                 let all = self.fit_of(arm, &it.source, it.knows_frame, Tried::All);
                 it.fit = all.unwrap_or_else(|| it.fit.clone());
@@ -128,8 +123,10 @@ impl ByPoses<'_> {
                 score: rank.score,
                 way,
                 spread_m,
-                as_is_m: fit.map_or(f64::INFINITY, ModelFit::as_is_m),
+                as_is_m: fit.map_or(f64::INFINITY, |fit| fit.as_is_m),
                 fits: way.left_m <= FITS_M.max(FITS_SHARE * spread_m),
+                fits_without_fault: fit
+                    .is_some_and(|fit| fit.harmless_m() <= FITS_M.max(FITS_SHARE * spread_m)),
                 topic: self.assembly.streams[stream].topic.clone(),
             }
         });
@@ -137,8 +134,8 @@ impl ByPoses<'_> {
         (!standings.is_empty()).then_some(Ranking { standings, apart: APART })
     }
 
-    /// The arm of the catalogue that needs no cause where `model`, which was named, does.
-    pub fn rival(&self, model: &Model, clues: &Clues<'_>) -> Option<Model> {
+    /// The arm of the catalogue that fits far better than `model`, which was named.
+    pub fn better(&self, model: &Model, clues: &Clues<'_>) -> Option<BetterModel> {
         let path = self.only_path(model)?;
         let own = self.ranking(&[model])?;
         let own = own.standings.first()?;
@@ -190,23 +187,14 @@ impl ByPoses<'_> {
         if !is_better || !best.fits || !is_plausible {
             return None;
         }
-        let wrong = WrongModel {
-            named: model.robot.clone(),
+        let rival = &rivals[best.model.checked_sub(1)?];
+        Some(BetterModel {
+            name: rival.robot.name.clone(),
             topic: best.topic.clone(),
             named_m: own.map_or(f64::INFINITY, |own| own.as_is_m),
-            rival_m: best.way.left_m,
+            left_m: best.way.left_m,
             tool_m: best.way.needs.has_tool().then(|| best.way.tool_m.norm()),
-        };
-        let found = format!(
-            "the catalogue, in place of {} ({}), which leaves {} where this fits {} to {}",
-            model.robot.name,
-            model.found,
-            Unit::Metre.show(wrong.named_m),
-            wrong.topic,
-            best.words()
-        );
-        let rival = rivals.into_iter().nth(best.model - 1)?;
-        Some(Model { found, instead_of: Some(wrong), ..rival })
+        })
     }
 
     /// Whether the model fits without a fault if its joints are written in another usual order.
@@ -303,17 +291,6 @@ impl ByPoses<'_> {
     }
 }
 
-/// Below what residuals of each stream are the same to any model, m.
-fn floors_m(entries: &[Entry]) -> BTreeMap<usize, f64> {
-    let mut floors_m = BTreeMap::new();
-    for Fitted { stream, fit, .. } in entries.iter().flat_map(|entry| &entry.fits) {
-        let floor_m = (2.0 * fit.harmless_m()).clamp(*FLOOR_M.start(), *FLOOR_M.end());
-        let least = floors_m.entry(*stream).or_insert(floor_m);
-        *least = least.min(floor_m);
-    }
-    floors_m
-}
-
 /// Which models come near to the one that leaves least without a fault; all where none is clear, or they are few.
 fn near(entries: &[Entry]) -> Vec<bool> {
     let streams: BTreeSet<usize> =
@@ -348,10 +325,9 @@ fn ranks(entries: &[Entry]) -> Vec<Rank> {
     let explained: Vec<usize> = streams.iter().filter(is_explained).copied().collect();
     let counted: Vec<usize> =
         if explained.is_empty() { streams.into_iter().collect() } else { explained };
-    let floors_m = floors_m(entries);
     let rank = |(model, entry): (usize, &Entry)| {
         let each = counted.iter().map(|&stream| {
-            let best = entry.of(stream)?.best(floors_m[&stream])?;
+            let best = entry.of(stream)?.best()?;
             Some((stream, best))
         });
         let each: Vec<(usize, Priced)> = each.collect::<Option<_>>()?;

@@ -1,7 +1,7 @@
 //! The transforms of a log: their tree, the arm's own among them, and those that are measured poses.
 
 use crate::geometry::{Pose, Vec3, pose, rotation_from_xyzw};
-use crate::robot::{Chain, JointKind, Robot};
+use crate::robot::{JointKind, Robot};
 use crate::stream::{Columns, PoseColumns};
 use crate::time::Stamp;
 
@@ -153,7 +153,7 @@ impl Assembly<'_> {
         let (stream, piece) =
             moving.and_then(|edge| self.piece_of(arm, edge)).unwrap_or((first, 0));
         let Stamped { track, stamps } = poses::from_samples(samples, self.origin);
-        let (chain, columns) = self.publishers_chain(arm);
+        let (chain, columns) = (arm.chain.clone(), arm.columns.clone());
         let source = PoseSource {
             stream,
             chain,
@@ -166,19 +166,6 @@ impl Assembly<'_> {
             carrier: None,
         };
         Ok((source, from_model.collect()))
-    }
-
-    /// The chain that the transforms are of: where another model was named, and their lengths are that
-    /// one's, its publisher has it, too.
-    fn publishers_chain(&self, arm: &Arm) -> (Chain, Vec<usize>) {
-        let own = || (arm.chain.clone(), arm.columns.clone());
-        let Some(wrong) = &arm.instead_of else { return own() };
-        let misfit_m = |robot: &Robot| misfit_m(&arm.tree, robot, &arm.frames);
-        if misfit_m(&wrong.named) >= misfit_m(&arm.robot) {
-            return own();
-        }
-        let named = arm.with_robot(wrong.named.clone());
-        named.map_or_else(own, |named| (named.chain, named.columns))
     }
 
     /// The TF stream that an edge of an arm's tree is on, and which of its transforms.

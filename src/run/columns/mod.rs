@@ -37,9 +37,8 @@ struct Told {
     question: Option<String>,
 }
 
-/// Another way must leave so many times what the best does, and that is never taken for less, m.
-const APART: f64 = 4.0;
-const FLOOR_M: f64 = 5e-5;
+/// Ways whose scores differ by less cannot be told apart: a likelihood ratio of e¹⁰.
+const APART: f64 = 20.0;
 /// Arms that a table may be of.
 const MOST_ARMS: usize = 2;
 /// A tool that moves less tells nothing, m.
@@ -130,12 +129,15 @@ impl<'a> Search<'a> {
             };
             let mut mappings = self.cells.sheet.mappings(&wanted);
             mappings.retain(|mapping| self.takes_whole_arrays(mapping));
+            // A second arm is written as the first is.
+            if let Some(first) = told.arms.first().map(|arm| &arm.mapping) {
+                mappings.retain(|it| it.unit == first.unit && it.is_at_base >= first.is_at_base);
+            }
             // With a free frame and a free tool other columns may fit as closely by chance.
             let at_base: Vec<Vec<usize>> =
                 mappings.iter().filter(|it| it.is_at_base).map(|it| it.joints.clone()).collect();
             if !at_base.is_empty() {
                 mappings.retain(|mapping| at_base.contains(&mapping.joints));
-                mappings.sort_by_key(|mapping| !mapping.is_at_base);
             }
             let Some(best) = mappings.first().filter(|best| best.fits() && best.spread_m > MOVES_M)
             else {
@@ -150,8 +152,7 @@ impl<'a> Search<'a> {
             let best = points.min_by(|a, b| a.tool_m.total_cmp(&b.tool_m)).unwrap_or(best);
             let others = mappings.iter().filter(|other| !other.is_same(best));
             let rival = others.into_iter().find(|other| self.conflict(best, other));
-            let limit_m = APART * best.left_m.max(FLOOR_M);
-            if let Some(rival) = rival.filter(|rival| rival.left_m < limit_m) {
+            if let Some(rival) = rival.filter(|rival| rival.score < best.score + APART) {
                 told.question = Some(self.either(best, rival));
                 break;
             }
@@ -336,7 +337,17 @@ impl<'a> Search<'a> {
             }
             first += width;
         }
-        let ways = (!ways.is_empty()).then(|| ways.join(", or "))?;
+        if ways.is_empty() {
+            let (own, rates) = sheet.with_rates()?;
+            return Some(format!(
+                "{} are the rates of {}, but no columns are a pose that FK of these follows, so that nothing tells \
+                 whether they are the joints: if they are, write [columns] {}, and name the arm with --robot",
+                self.said(&rates),
+                self.said(&own),
+                self.line("joints", &own)
+            ));
+        }
+        let ways = ways.join(", or ");
         Some(format!(
             "no columns are a pose that FK of the others follows, so that nothing tells which are the joints: if they \
              are, write {ways}"

@@ -20,6 +20,9 @@ pub(super) struct Taken {
     pub pose_why: String,
     /// Whether the pose is what shall be.
     pub is_pose_command: bool,
+    /// The velocities of the joints.
+    #[serde(default)]
+    pub velocities: Option<Vec<usize>>,
     pub joint_commands: Option<(Vec<usize>, String)>,
     pub pose_commands: Option<(Vec<usize>, String)>,
     /// What says the same at the same time, or of another point.
@@ -36,7 +39,8 @@ impl Taken {
     pub fn all(&self) -> Vec<usize> {
         let commands = [&self.joint_commands, &self.pose_commands].into_iter().flatten();
         let further = commands.chain(&self.others).flat_map(|(columns, _)| columns.iter().copied());
-        self.mapping.joints.iter().chain(&self.pose).copied().chain(further).collect()
+        let own = self.mapping.joints.iter().chain(self.velocities.iter().flatten());
+        own.chain(&self.pose).copied().chain(further).collect()
     }
 }
 
@@ -192,9 +196,15 @@ impl Search<'_> {
             Unit::Metre.show(mapping.left_m),
             Unit::Metre.show(mapping.spread_m)
         );
+        let velocities = sheet.rates_of(&mapping.joints);
+        let joints_why = match &velocities {
+            Some(rates) => format!("{fits}; their velocities in {}", name(rates)),
+            None => fits.clone(),
+        };
         Ok(Taken {
             arm: arm.clone(),
-            joints_why: fits.clone(),
+            joints_why,
+            velocities,
             pose,
             pose_why: format!("{fits}; {rotation}"),
             is_pose_command,
@@ -282,8 +292,8 @@ impl Search<'_> {
                 let all = usize::try_from(from).ok()?..usize::try_from(from).ok()? + count;
                 let fits = all.clone().all(|at| at < numbers.len() && sheet.home(at) == home);
                 let is_last =
-                    count == 12 || self.is_last_row(&all.clone().collect::<Vec<_>>(), by_rows);
-                (fits && is_last && !all.clone().any(|at| mapping.joints.contains(&at)))
+                    || count == 12 || self.is_last_row(&all.clone().collect::<Vec<_>>(), by_rows);
+                (fits && is_last() && !all.clone().any(|at| mapping.joints.contains(&at)))
                     .then(|| all.collect::<Vec<usize>>())
             });
             if let Some(whole) = whole

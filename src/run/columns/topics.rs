@@ -141,13 +141,17 @@ fn of_arm(log: &Log, search: &Search<'_>, arm: &Taken, prefix: &str) -> Vec<Topi
         columns.iter().all(|&at| search.cells.numbers[at].known == super::Known::Open)
     };
     let chain = search.chain_of(arm);
-    let joints = |columns: &[usize]| joints(array(log, search, columns), arm.mapping.unit, chain);
+    let joints = |columns: &[usize], velocities: &[usize]| {
+        let numbers = array(log, search, &[columns, velocities].concat());
+        joints(numbers, columns.len(), arm.mapping.unit, chain)
+    };
     let own = &arm.mapping.joints;
     if is_open(own) {
-        topics.push(topic("joints", own, &arm.joints_why, joints(own)));
+        let velocities = arm.velocities.as_deref().filter(|own| is_open(own)).unwrap_or_default();
+        topics.push(topic("joints", own, &arm.joints_why, joints(own, velocities)));
     }
     if let Some((columns, why)) = &arm.joint_commands {
-        topics.push(topic("joint_commands", columns, why, joints(columns)));
+        topics.push(topic("joint_commands", columns, why, joints(columns, &[])));
     }
     let pose = |columns: &[usize]| match array(log, search, columns) {
         position if position.width == 3 => Columns::Poses(vec![positions(position)]),
@@ -194,26 +198,30 @@ fn array(log: &Log, search: &Search<'_>, columns: &[usize]) -> ArrayColumns {
     made
 }
 
-fn joints(array: ArrayColumns, unit: JointNumbers, chain: Option<&Chain>) -> Columns {
+/// Rows of joint positions, which velocities may follow.
+fn joints(array: ArrayColumns, count: usize, unit: JointNumbers, chain: Option<&Chain>) -> Columns {
     let degrees = unit == JointNumbers::Degrees;
     let lines: Vec<[f64; 2]> = match (unit, chain) {
         (JointNumbers::Ticks { .. } | JointNumbers::Shares, Some(chain)) => {
-            (0..array.width).map(|joint| <[f64; 2]>::from(unit.read(chain, joint))).collect()
+            (0..count).map(|joint| <[f64; 2]>::from(unit.read(chain, joint))).collect()
         }
         _ => Vec::new(),
     };
     let factor = if degrees { 1_f64.to_radians() } else { 1.0 };
     let column = |joint: usize| {
-        let numbers = array.values.iter().skip(joint).step_by(array.width);
+        let numbers = |at: usize| array.values.iter().skip(at).step_by(array.width);
         let [factor, offset] = lines.get(joint).copied().unwrap_or([factor, 0.0]);
         JointColumn {
             name: format!("q{}", joint + 1),
-            position: numbers.map(|q| factor * q + offset).collect(),
-            velocity: vec![f64::NAN; array.times.len()],
+            position: numbers(joint).map(|q| factor * q + offset).collect(),
+            velocity: match count + joint < array.width {
+                true => numbers(count + joint).map(|rate| factor * rate).collect(),
+                false => vec![f64::NAN; array.times.len()],
+            },
         }
     };
     Columns::Joints(JointColumns {
-        joints: (0..array.width).map(column).collect(),
+        joints: (0..count).map(column).collect(),
         times: array.times.clone(),
         not_finite: array.not_finite,
         unnamed: true,

@@ -3,7 +3,6 @@ use crate::checks::evaluate;
 use crate::checks::testing::{POSE, ask, clean_run, frame, left, sure};
 use crate::diagnosis::{FrameEstimate, Proof, Short, Unseen};
 use crate::finding::{CheckRow, Finding, Status};
-use crate::robot::catalogue;
 
 /// What the rule says of a pose stream that is off by `as_logged_m` and, beside all that was found,
 /// by `left_m`.
@@ -108,16 +107,16 @@ fn where_poses_and_joints_disagree_no_cause_is_named_and_all_say_why() {
 fn an_arm_that_fits_where_the_named_one_does_not_is_the_finding() {
     let mut run = clean_run();
     let arm = &mut run.robots[0];
-    arm.wrong_model = Some(WrongModel {
-        named: catalogue::find("ur3e").unwrap().clone(),
+    arm.better_model = Some(BetterModel {
+        name: "ur3e".to_owned(),
         topic: arm.poses[0].topic().to_owned(),
         named_m: 0.0274,
-        rival_m: 2e-5,
+        left_m: 2e-5,
         tool_m: None,
     });
     let finding = ask(&MDL001, &run).1.remove(0);
-    assert!(finding.message.contains("(20 µm without any cause)"), "{}", finding.message);
-    assert!(finding.message.ends_with("(27.4 mm)"), "{}", finding.message);
+    assert!(finding.message.contains("to 20 µm without any cause"), "{}", finding.message);
+    assert!(finding.message.ends_with("only to 27.4 mm"), "{}", finding.message);
     assert_eq!(finding.severity, Severity::Error);
     assert_eq!(finding.evidence.more["fits"]["misfit_m"], 2e-5);
 }

@@ -1,0 +1,122 @@
+//! Positions in the arm's own base frame: then nothing but a tool is free, so that the absolute position counts,
+//! and a motion of one or two joints is enough.
+
+use super::{Block, LONGEST_TOOL_M, Near, Sheet, Wanted};
+use ground::geometry::{Pose, Vec3};
+use ground::robot::Chain;
+use rayon::prelude::*;
+
+/// Share of the position's extent that a tool alone may leave before the fit with a latency.
+const NEAR: f64 = 0.3;
+/// Blocks that are fitted, and arms for each.
+const MOST_FITS: usize = 8;
+const MOST_ARMS: usize = 4;
+/// Positions beyond this are no metres but millimetres: no arm reaches as far.
+const FARTHEST_M: f64 = 10.0;
+
+impl Sheet {
+    /// Blocks and positions that agree in the base frame with a tool alone, the nearest first.
+    pub(super) fn near_at_base(&self, wanted: &Wanted, lags_s: &[f64]) -> Vec<Near> {
+        let rows = self.few_rows();
+        if rows.len() < super::FEW_ROWS / 3 || self.columns.len() > super::MOST_COLUMNS {
+            return Vec::new();
+        }
+        let logged: Vec<Logged> = match wanted.position {
+            Some(position) => vec![position],
+            None => self.positions(wanted.taken),
+        }
+        .into_iter()
+        .filter_map(|position| Logged::of(self, position, &rows))
+        .collect();
+        let blocks = self.wanted_blocks(wanted, 1);
+        let of = |block: &Block| -> Vec<Near> {
+            let chain = wanted.chains[block.arm];
+            let is_free = |logged: &&Logged| {
+                !logged.position.iter().any(|column| block.joints.contains(column))
+            };
+            let mut best: Vec<Near> = Vec::new();
+            for &lag_s in lags_s {
+                let fk = self.poses_at(block, chain, &rows, lag_s);
+                for logged in logged.iter().filter(is_free) {
+                    if let Some(share) = logged.share(&fk) {
+                        let (block, position) = (block.clone(), logged.position);
+                        best.push(Near { block, position, share });
+                    }
+                }
+            }
+            best
+        };
+        let mut near: Vec<Near> = blocks.par_iter().flat_map_iter(of).collect();
+        near.sort_by(|a, b| a.share.total_cmp(&b.share));
+        let mut kept: Vec<Near> = Vec::new();
+        let mut ways = 0;
+        for near in near {
+            let is_its = |other: &&Near| {
+                other.block.joints == near.block.joints && other.position == near.position
+            };
+            let arms: Vec<usize> = kept.iter().filter(is_its).map(|it| it.block.arm).collect();
+            let is_room = if arms.is_empty() { ways < MOST_FITS } else { arms.len() < MOST_ARMS };
+            if is_room && !arms.contains(&near.block.arm) {
+                ways += usize::from(arms.is_empty());
+                kept.push(near);
+            }
+        }
+        kept
+    }
+
+    /// FK of a block at some rows.
+    fn poses_at(&self, block: &Block, chain: &Chain, rows: &[usize], lag_s: f64) -> Vec<Pose> {
+        let at = |&row: &usize| chain.forward(&self.joints_at(block, chain, self.t_s[row] - lag_s));
+        rows.iter().map(at).collect()
+    }
+}
+
+/// Three columns as a position in metres.
+struct Logged {
+    position: [usize; 3],
+    xyz: Vec<Vec3>,
+    /// Sum of the squared distances from the mean.
+    extent: f64,
+}
+
+impl Logged {
+    /// `None` if fewer than two coordinates move, or the position is beyond any arm's reach.
+    fn of(sheet: &Sheet, position: [usize; 3], rows: &[usize]) -> Option<Self> {
+        let at = |&row: &usize| Vec3::from(position.map(|column| sheet.columns[column][row]));
+        let mut xyz: Vec<Vec3> = rows.iter().map(at).collect();
+        let farthest = xyz.iter().map(|xyz| xyz.norm()).fold(0.0, f64::max);
+        if farthest > FARTHEST_M {
+            xyz.iter_mut().for_each(|xyz| *xyz *= 1e-3);
+        }
+        let mean = xyz.iter().sum::<Vec3>() / xyz.len() as f64;
+        let squares: Vec3 = xyz.iter().map(|xyz| (xyz - mean).map(|d| d * d)).sum();
+        let extent = squares.sum();
+        let moving = squares.iter().filter(|square| **square > 1e-4 * extent).count();
+        let is_near = farthest < FARTHEST_M / 1e-3;
+        (extent > 0.0 && moving > 1 && is_near).then_some(Self { position, xyz, extent })
+    }
+
+    /// Share of the extent that FK leaves with the best tool, in the base or in a base turned by 180° about z;
+    /// `None` if that is much, or the tool is longer than tools are.
+    fn share(&self, fk: &[Pose]) -> Option<f64> {
+        [1.0, -1.0].into_iter().filter_map(|turn| self.share_turned(fk, turn)).reduce(f64::min)
+    }
+
+    fn share_turned(&self, fk: &[Pose], turn: f64) -> Option<f64> {
+        // Rotations keep lengths, so that the best tool is a mean.
+        let few = fk.len().div_ceil(super::FEWER_ROWS / 2);
+        let left = |step: usize| {
+            let (mut count, mut sum, mut squares) = (0.0, Vec3::zeros(), 0.0);
+            for (pose, xyz) in fk.iter().zip(&self.xyz).step_by(step) {
+                let xyz = Vec3::new(turn * xyz.x, turn * xyz.y, xyz.z);
+                let off = pose.rotation.inverse() * (xyz - pose.translation.vector);
+                (count, sum, squares) = (count + 1.0, sum + off, squares + off.norm_squared());
+            }
+            let tool: Vec3 = sum / count;
+            let left = (squares / count - tool.norm_squared()).max(0.0);
+            let share = (left * self.xyz.len() as f64 / self.extent).sqrt();
+            (share < NEAR && tool.norm() < LONGEST_TOOL_M).then_some(share)
+        };
+        left(few).and_then(|_| left(1))
+    }
+}
