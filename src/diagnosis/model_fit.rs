@@ -207,14 +207,13 @@ pub fn model_fit(
 }
 
 /// The cheapest way without a fault in which the model fits, its frame free if that is not known, or the cheapest
-/// with the zero of one joint; `None` if the joints cover too few samples. The second value is the rms distance of the
-/// positions from their median, m, over as many samples as the residual.
+/// with the zero of one joint; `None` if the joints cover too few samples.
 pub(super) fn tool_fit(
     joints: &JointTrack,
     stream: &PoseStream,
     most_lag_s: f64,
     with_zero: bool,
-) -> Option<(Priced, f64)> {
+) -> Option<Priced> {
     let scale = metres_by_size(joints, stream);
     let zeros = (0..stream.chain.dof()).map(|joint| Needs::Zero { joint, tool: true });
     let sights = lags(joints, stream, most_lag_s).into_iter();
@@ -224,9 +223,9 @@ pub(super) fn tool_fit(
         if with_zero {
             fit.ways = zeros.clone().flat_map(|needs| sight.ways(needs)).collect();
         }
-        Some((fit.best()?, sight.extent_m()))
+        fit.best()
     });
-    best.min_by(|a, b| a.0.score.total_cmp(&b.0.score))
+    best.min_by(|a, b| a.score.total_cmp(&b.score))
 }
 
 /// The price of a free frame for a stream of so many samples.
@@ -359,16 +358,6 @@ impl<'a> Sight<'a> {
             }
         }
         poses
-    }
-
-    /// Rms distance of the positions from their median, m, over the best nine tenths as residuals are.
-    fn extent_m(&self) -> f64 {
-        let middle: [f64; 3] = std::array::from_fn(|axis| {
-            let mut values: Vec<f64> = self.xyz.iter().map(|xyz| xyz[axis]).collect();
-            ground::stats::median(&mut values).unwrap_or(0.0)
-        });
-        let middle = Vec3::from(middle);
-        rms_of_most(self.xyz.iter().map(|xyz| (xyz - middle).norm_squared()).collect())
     }
 
     fn plain(&self) -> Guess {
@@ -514,6 +503,16 @@ impl<'a> Sight<'a> {
         // The factorisation reads the lower triangle.
         (left_m, normal.cholesky().map(|factor| factor.solve(&right)))
     }
+}
+
+/// Rms distance of positions from their median over the best nine tenths, as residuals are.
+pub(super) fn extent(xyz: &[Vec3]) -> f64 {
+    let middle: [f64; 3] = std::array::from_fn(|axis| {
+        let mut values: Vec<f64> = xyz.iter().map(|xyz| xyz[axis]).collect();
+        ground::stats::median(&mut values).unwrap_or(0.0)
+    });
+    let middle = Vec3::from(middle);
+    rms_of_most(xyz.iter().map(|xyz| (xyz - middle).norm_squared()).collect())
 }
 
 /// Root of the mean of the least nine tenths of some squares.

@@ -16,6 +16,7 @@ rule! {
     /// *t + delay*. Positive is a state that follows; negative is one that leads its command, which no arm
     /// does, so that one of the two stamps is wrong. Commands to joints are judged joint by joint, and
     /// joints with the same delay are one finding on their topic; commanded poses by FK of the joint states.
+    /// Without a model of the arm, commands are compared with the joint states that have the same names.
     ///
     /// ## Why it matters
     /// A loop that is closed over this delay oscillates: visual servoing, teleoperation and force control

@@ -23,7 +23,8 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::PoseStream;
-use super::model_fit::{Priced, frame_price, tool_fit};
+use super::model_fit::{Priced, extent, frame_price, tool_fit};
+use super::placement::metres_by_size;
 use ground::robot::Chain;
 use ground::stream::sample_noise;
 
@@ -552,18 +553,18 @@ impl Sheet {
             stamps_copied: false,
             taken_off: None,
         };
+        let spread_m = metres_by_size(&joints, &stream) * extent(&track.xyz);
         let in_base = PoseStream { reference_known: true, ..stream };
         let fit = |stream| tool_fit(&joints, stream, wanted.most_lag_s, with_zero);
-        let at_base = fit(&in_base).filter(|(it, spread_m)| {
+        let at_base = fit(&in_base).filter(|it| {
             let most_m = FITS_M.min(MOST_SHARE * spread_m);
             it.way.left_m <= most_m && it.way.tool_m.norm() < LONGEST_TOOL_M
         });
-        let (is_at_base, (Priced { way, score }, spread_m)) = match at_base {
-            Some(found) => (true, found),
+        let (is_at_base, Priced { way, score }) = match at_base {
+            Some(fit) => (true, fit),
             None => {
-                let (found, spread_m) = fit(&stream)?;
-                let score = found.score + frame_price(track.xyz.len());
-                (false, (Priced { score, ..found }, spread_m))
+                let found = fit(&stream)?;
+                (false, Priced { score: found.score + frame_price(track.xyz.len()), ..found })
             }
         };
         Some(Mapping {
