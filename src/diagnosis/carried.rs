@@ -1,8 +1,8 @@
 //! Arms whose base moves: poses in a frame that it moves in.
 
 use super::PoseStream;
+use super::frames::misfit_of_frames;
 use super::latency::ArmSpeeds;
-use super::frames::misfit_of_frames_m;
 use super::placement::metres_by_size;
 use super::placing::spread;
 use ground::geometry::{Pose, Vec3};
@@ -158,8 +158,8 @@ pub fn base_travel(
     let peaks = arm.peaks_of(&stream.track.t_s, &stream.track.xyz, Some(rotations), most_lag_s);
     let tried = (most_lag_s.min(MOST_S) / STEP_S) as i32;
     let lags = (-tried..=tried).map(|step| f64::from(step) * STEP_S);
-    let near = peaks.iter().take(3).map(|peak| peak.lag_s);
-    let best = lags.chain(near).min_by(|&a, &b| strays(a).total_cmp(&strays(b)))?;
+    let near: Vec<f64> = peaks.iter().take(3).map(|peak| peak.lag_s).collect();
+    let best = lags.chain(near.iter().copied()).min_by(|&a, &b| strays(a).total_cmp(&strays(b)))?;
     let latency_s = descend([best, 0.0], &|[latency_s, _]| strays(latency_s))[0];
     let bases = bases(latency_s);
     if bases.len() < ENOUGH {
@@ -175,7 +175,10 @@ pub fn base_travel(
     let moves = travel_m > STANDS_M
         && course.along_m > FARTHER * course.strays_m
         && largest_m < AT_ONCE * course.along_m
-        && !stands(joints, stream, latency_s, course.along_m / FARTHER);
+        && !near
+            .into_iter()
+            .chain([latency_s])
+            .any(|lag_s| stands(joints, stream, lag_s, course.along_m / FARTHER));
     moves.then(|| {
         let turned = bases.iter().map(|base| base.rotation.angle_to(&bases[0].rotation));
         BaseTravel { travel_m, turn_rad: turned.fold(0.0, f64::max) }
@@ -198,7 +201,7 @@ fn stands(joints: &JointTrack, stream: &PoseStream, latency_s: f64, most_m: f64)
             Pose::from_parts((pose.translation.vector * metres).into(), pose.rotation)
         };
         let logged: Vec<Pose> = logged.iter().map(scaled).collect();
-        misfit_of_frames_m(&fk, &logged) < most_m * metres
+        misfit_of_frames(&fk, &logged)[0] < most_m * metres
     })
 }
 

@@ -15,9 +15,10 @@
 //! the sizes are those under which the log is likeliest (variational bound on the marginal likelihood:
 //! Bishop, *Pattern Recognition and Machine Learning*, 2006, ch. 10.1 and 10.3).
 
+use super::explain::Cause;
 use super::linear::{Linear, Normal};
 use super::model::{StreamState, Witness};
-use super::nominal::{ANYTHING, is_anything, link_frames};
+use super::nominal::{ANYTHING, USUAL_M, With, is_anything, link_frames};
 use super::{Measured, Twin};
 use ground::geometry::{Rotation, Vec3};
 use ground::robot::{JointKind, turn_z_to};
@@ -29,6 +30,9 @@ pub(super) const RAD_PER_M: f64 = 1.745;
 pub(super) const LINKS_M: (f64, f64, f64) = (1e-5, 3e-3, 1.6);
 /// Size of a joint zero that is there, rad or m.
 pub(super) const ZERO: f64 = 0.02;
+/// Size of a radial growth that is there: some millimetres a metre. And of none.
+const GROWTH: f64 = 0.01;
+const NO_GROWTH: f64 = 1e-9;
 /// A zero is named where the log is so much likelier with it, as twice the log of the ratio: fifty times.
 const SURE: f64 = 8.0;
 /// Another joint's zero may be it as well where the log is no more than so much less likely with that,
@@ -106,12 +110,88 @@ enum Of {
     Anything,
     /// A deviation of one group, whose size is as long as it says where the group's is a metre.
     Deviation { group: usize, unit: f64 },
+    /// Radial growth, which no deviation of a link is.
+    Growth,
+}
+
+/// Causes beside the deviations of links.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Beside {
+    /// Joints of the chain whose zero is off.
+    zeros: Vec<usize>,
+    reference: bool,
+    tool: bool,
+    growth: bool,
+}
+
+impl Beside {
+    /// Those of `causes` that concern one stream.
+    fn of(causes: &[Cause], witness: &Witness, stream: usize) -> Self {
+        let mut beside = Self::default();
+        for cause in causes {
+            match *cause {
+                Cause::Zero(column) => {
+                    let joint = witness.columns.iter().position(|own| *own == column);
+                    beside.zeros.extend(joint);
+                }
+                Cause::Reference(s) => beside.reference |= s == stream,
+                Cause::Tool(s) => beside.tool |= s == stream,
+                Cause::Growth(s) => beside.growth |= s == stream,
+                Cause::Gain(_) | Cause::Latency(_) | Cause::Skew(_) => {}
+            }
+        }
+        beside
+    }
+}
+
+/// Those of `causes` that stand out of what links make that are off as those of usual arms: without such a
+/// one the log is much less likely, whatever size the links' deviations have up to that.
+///
+/// The stream is linearised about `plain` and `offsets`, which are without the causes.
+pub(super) fn standing_out(
+    (witness, stream): (&Witness, usize),
+    plain: &StreamState,
+    offsets: &[f64],
+    causes: &[Cause],
+) -> Vec<Cause> {
+    let stride = witness.len().div_ceil(SAMPLES).max(1);
+    let Some(model) = Model::at(witness, plain, offsets, stride) else { return causes.to_vec() };
+    let evidence = |causes: &[Cause]| {
+        let beside = Beside::of(causes, witness, stream);
+        let fits = sizes_m(USUAL_M).filter_map(|size_m| {
+            model.fit_beside(&beside, &model.alike(size_m)).map(|fit| fit.evidence)
+        });
+        fits.fold(f64::NEG_INFINITY, f64::max)
+    };
+    let mut kept = causes.to_vec();
+    let mut present = evidence(&kept);
+    while !kept.is_empty() {
+        let without = (0..kept.len()).map(|at| {
+            let mut rest = kept.clone();
+            rest.remove(at);
+            (evidence(&rest), rest)
+        });
+        match without.max_by(|a, b| a.0.total_cmp(&b.0)) {
+            Some((likelihood, rest)) if likelihood + SURE >= present => {
+                (present, kept) = (present.max(likelihood), rest);
+            }
+            _ => break,
+        }
+    }
+    kept
+}
+
+/// Sizes of deviations that are tried, m: up to `most`, ascending.
+fn sizes_m(most: f64) -> impl Iterator<Item = f64> {
+    let (least, _, times) = LINKS_M;
+    let tried = std::iter::successors(Some(least), move |size_m| Some(size_m * times));
+    tried.take_while(move |size_m| *size_m < most).chain([most])
 }
 
 /// The log linearised in the link frames, the latency and the zeros.
 struct Model {
     normal: Normal,
-    /// What each parameter is of. The zeros of the chain's joints are the last.
+    /// What each parameter is of. The zeros of the chain's joints are the last but for the growth.
     of: Vec<Of>,
     /// Joints of the chain.
     joints: usize,
@@ -141,7 +221,7 @@ impl Fit {
 impl Model {
     fn at(witness: &Witness, plain: &StreamState, offsets: &[f64], stride: usize) -> Option<Self> {
         let rows = (0..witness.len()).step_by(stride);
-        let linear = link_frames(witness, plain, offsets, rows, true);
+        let linear = link_frames(witness, plain, offsets, rows, With::ZerosAndGrowth);
         let joints = witness.columns.len();
         let (columns, of) = parameters(witness, plain);
         (linear.len() > of.len()).then(|| Self::of(&linear, joints, &columns, of))
@@ -172,7 +252,7 @@ impl Model {
 
     /// The parameter that is the zero of a joint.
     fn zero_at(&self, joint: usize) -> usize {
-        self.of.len() - self.joints + joint
+        self.of.len() - 1 - self.joints + joint
     }
 
     /// The groups that have deviations, of a drawing's links and of the zeros.
@@ -186,16 +266,33 @@ impl Model {
 
     /// The parameters with these zeros where the groups' deviations are of these sizes.
     fn fit(&self, zeros: &[usize], sizes_m: &[f64]) -> Option<Fit> {
+        let beside = Beside { zeros: zeros.to_vec(), ..Beside::default() };
+        self.fit_beside(&beside, sizes_m)
+    }
+
+    /// The parameters with these causes where the groups' deviations are of these sizes.
+    fn fit_beside(&self, beside: &Beside, sizes_m: &[f64]) -> Option<Fit> {
+        let is_of_frame = |group: usize| {
+            (beside.reference && group == 0) || (beside.tool && group == self.joints)
+        };
         let mut variances: Vec<f64> = self
             .of
             .iter()
             .map(|of| match of {
                 Of::Anything => ANYTHING.powi(2),
-                Of::Deviation { group, unit } => (unit * sizes_m[*group]).powi(2),
+                Of::Deviation { group, unit } => {
+                    let frame = if is_of_frame(*group) { ANYTHING } else { 0.0 };
+                    (unit * sizes_m[*group]).powi(2) + frame.powi(2)
+                }
+                Of::Growth => if beside.growth { GROWTH } else { NO_GROWTH }.powi(2),
             })
             .collect();
-        for &joint in zeros {
+        for &joint in &beside.zeros {
             variances[self.zero_at(joint)] += ZERO.powi(2);
+        }
+        if let Some(last) = self.joints.checked_sub(1).filter(|_| beside.tool) {
+            // A tool's turn about the last axis is a zero of the last joint.
+            variances[self.zero_at(last)] += ANYTHING.powi(2);
         }
         let mut precision = self.normal.matrix.clone();
         for (i, variance) in variances.iter().enumerate() {
@@ -208,7 +305,7 @@ impl Model {
         let usual_m = self.usual(sizes_m);
         let unlike: f64 = self.groups().map(|group| (sizes_m[group] / usual_m).ln()).sum();
         Some(Fit {
-            zeros: zeros.to_vec(),
+            zeros: beside.zeros.clone(),
             sizes_m: sizes_m.to_vec(),
             evidence: self.normal.right.dot(&mean) - log_det - log_prior - 2.0 * ALIKE * unlike,
             mean,
@@ -280,10 +377,8 @@ impl Model {
 
     /// No zeros, and links of the one size that fits best.
     fn without_zeros(&self) -> Option<Fit> {
-        let (least, most, times) = LINKS_M;
-        let tried = std::iter::successors(Some(least), |link_m| Some(link_m * times));
-        let tried = tried.take_while(|link_m| *link_m < most);
-        let fits = tried.filter_map(|link_m| self.fit(&[], &self.alike(link_m)));
+        let (_, most, _) = LINKS_M;
+        let fits = sizes_m(most).filter_map(|link_m| self.fit(&[], &self.alike(link_m)));
         let best = fits.max_by(|a, b| a.evidence.total_cmp(&b.evidence))?;
         self.settled(&[], &best.sizes_m)
     }
@@ -353,14 +448,15 @@ impl Model {
 }
 
 /// What each parameter changes of the columns of [`link_frames`], and what it is of: of each link's frame
-/// the six deviations but for that which is its joint's zero, the latency, and the zeros, which are a group
-/// of their own.
+/// the six deviations but for that which is its joint's zero, the latency, the zeros, which are a group of
+/// their own, and the radial growth.
 fn parameters(witness: &Witness, plain: &StreamState) -> (DMatrix<f64>, Vec<Of>) {
     let joints = witness.columns.len();
     let latency = 6 * (joints + 1);
     let unit = |turns: bool| if turns { RAD_PER_M } else { 1.0 };
     let mut columns: Vec<DVector<f64>> = Vec::new();
     let mut of = Vec::new();
+    let growth = latency + 1 + joints;
     let axes = witness.chain.joint_axes();
     let kinds = witness.chain.joint_kinds();
     for link in 0..=joints {
@@ -373,7 +469,7 @@ fn parameters(witness: &Witness, plain: &StreamState) -> (DMatrix<f64>, Vec<Of>)
                 continue;
             }
             let first = 6 * link + if turns { 3 } else { 0 };
-            let mut column = DVector::zeros(latency + 1 + joints);
+            let mut column = DVector::zeros(growth + 1);
             column.fixed_rows_mut::<3>(first).copy_from(&(basis * Vec3::ith(axis, 1.0)));
             columns.push(column);
             of.push(match is_free {
@@ -383,7 +479,7 @@ fn parameters(witness: &Witness, plain: &StreamState) -> (DMatrix<f64>, Vec<Of>)
         }
     }
     for own in latency..=latency + joints {
-        let mut column = DVector::zeros(latency + 1 + joints);
+        let mut column = DVector::zeros(growth + 1);
         column[own] = 1.0;
         columns.push(column);
         of.push(match own.checked_sub(latency + 1) {
@@ -394,5 +490,9 @@ fn parameters(witness: &Witness, plain: &StreamState) -> (DMatrix<f64>, Vec<Of>)
             }
         });
     }
+    let mut column = DVector::zeros(growth + 1);
+    column[growth] = 1.0;
+    columns.push(column);
+    of.push(Of::Growth);
     (DMatrix::from_columns(&columns), of)
 }

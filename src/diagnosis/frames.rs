@@ -176,13 +176,28 @@ fn fitted_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
         .map_or_else(Default::default, |(_, reference, tool)| (reference, tool))
 }
 
-/// What the best constant reference and tool frames leave of the positions, rms m.
-pub(super) fn misfit_of_frames_m(fk: &[Pose], logged: &[Pose]) -> f64 {
+/// What the best constant reference and tool frames leave of positions and rotations, rms m and rad.
+pub(super) fn misfit_of_frames(fk: &[Pose], logged: &[Pose]) -> [f64; 2] {
     let (reference, tool) = fitted_frames(fk, logged);
-    let left = fk.iter().zip(logged).map(|(fk, logged)| {
-        (logged.translation.vector - (reference * fk * tool).translation.vector).norm_squared()
-    });
-    (left.sum::<f64>() / fk.len().max(1) as f64).sqrt()
+    let (mut squares_m, mut squares_rad) = (0.0, 0.0);
+    for (fk, logged) in fk.iter().zip(logged) {
+        let left = (reference * fk * tool).inverse() * logged;
+        squares_m += left.translation.vector.norm_squared();
+        squares_rad += left.rotation.angle().powi(2);
+    }
+    [squares_m, squares_rad].map(|squares| (squares / fk.len().max(1) as f64).sqrt())
+}
+
+/// The same of a stream at its latency and with these joint offsets.
+pub(super) fn left_by_constant_frames(
+    witness: &Witness,
+    state: &StreamState,
+    offsets: &[f64],
+) -> [f64; 2] {
+    let identity = Pose::identity();
+    let plain = StreamState { reference: identity, tool: identity, ..state.clone() };
+    let (fk, logged) = pairs(witness, &plain, offsets);
+    misfit_of_frames(&fk, &logged)
 }
 
 /// Correlation `Σ stream·FKᵀ` of the relative rotation vectors of a stream and of FK.

@@ -239,8 +239,7 @@ impl<'a> Search<'a> {
         let ratio = spread(self.written.xyz) / self.extent_m;
         let may_be = |metres: &f64| (ratio * metres).ln().abs() < LEVER.ln();
         let usual = LengthScale::usual().map(|unit| unit.in_m() / self.written.read_as_m);
-        let mut units: Vec<f64> =
-            usual.filter(|metres| *metres != 1.0).filter(may_be).collect();
+        let mut units: Vec<f64> = usual.filter(|metres| *metres != 1.0).filter(may_be).collect();
         for sign in [1.0, -1.0] {
             let of_sign = |axes: &&Axes| axes.are_left_handed() == (sign < 0.0);
             let mut best: Option<Solved> = None;

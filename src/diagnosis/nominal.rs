@@ -66,7 +66,8 @@ pub(super) fn is_nominal(
     calibration.gain_over(&left) > calibration.price
 }
 
-fn rms(residual: &[[f64; 3]]) -> f64 {
+/// Rms length of residuals.
+pub(super) fn rms(residual: &[[f64; 3]]) -> f64 {
     let squares: f64 = residual.iter().flatten().map(|c| c * c).sum();
     (squares / residual.len().max(1) as f64).sqrt()
 }
@@ -93,13 +94,13 @@ pub(super) fn calibrated(
     let none = vec![0.0; witness.joints.dof];
     let calibration = Calibration::fit(witness, plain, &none, few);
     let rows = (0..witness.len()).step_by(stride.max(1));
-    link_frames(witness, plain, &none, rows, false).after(calibration.step.as_slice())
+    link_frames(witness, plain, &none, rows, With::Nothing).after(calibration.step.as_slice())
 }
 
 impl Calibration {
     fn fit(witness: &Witness, plain: &StreamState, offsets: &[f64], stride: usize) -> Self {
         let rows = (0..witness.len()).step_by(stride);
-        let frames = link_frames(witness, plain, offsets, rows, false);
+        let frames = link_frames(witness, plain, offsets, rows, With::Nothing);
         let all: Vec<usize> = (0..frames.width).collect();
         let usual: Vec<f64> = all.iter().map(|&i| usual_change(i, witness, plain)).collect();
         let none = DVector::zeros(frames.width);
@@ -168,19 +169,35 @@ fn price_of(step: &DVector<f64>, normal: &Normal, usual: &[f64]) -> f64 {
     size + narrowing(&all) - narrowing(&free)
 }
 
+/// What a linearisation holds beside link frames and the latency.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum With {
+    Nothing,
+    /// The zero of every joint of the chain.
+    Zeros,
+    /// These and the radial growth.
+    ZerosAndGrowth,
+}
+
 /// Some samples of a stream linearised about `plain` and `offsets`, in small changes of the reference
 /// and of every joint's child link frame, each six numbers, in its latency, and `with_zeros` in the zero
-/// of every joint of the chain.
+/// of every joint of the chain and in the radial growth.
 pub(super) fn link_frames(
     witness: &Witness,
     plain: &StreamState,
     offsets: &[f64],
     rows: impl Iterator<Item = usize>,
-    with_zeros: bool,
+    with: With,
 ) -> Linear {
     let (joints, blind) = (witness.columns.len(), witness.blind);
     let latency = 6 * (joints + 1);
-    let width = latency + 1 + if with_zeros { joints } else { 0 };
+    let width = latency
+        + 1
+        + match with {
+            With::Nothing => 0,
+            With::Zeros => joints,
+            With::ZerosAndGrowth => joints + 1,
+        };
     let mut linear = Linear::new(width, &[FLOOR_M, FLOOR_RAD]);
     let mut sweep = Sweep::new(witness);
     let mut links = Vec::new();
@@ -209,11 +226,15 @@ pub(super) fn link_frames(
         let base_from_link =
             reference.inverse() * predicted.rotation * plain.tool.rotation.inverse();
         let lever = base_from_link * plain.tool.translation.vector;
-        for joint in (0..joints).filter(|_| with_zeros) {
+        for joint in (0..joints).filter(|_| with != With::Nothing) {
             let (linear, angular) = sweep.column(joint, &lever);
             let (linear, angular) = (reference * linear, reference * angular);
             rows.set(0, latency + 1 + joint, blind.position(linear.into()));
             rows.set(1, latency + 1 + joint, blind.rotation(angular.into()));
+        }
+        if with == With::ZerosAndGrowth {
+            let from_base = tip - plain.reference.translation.vector;
+            rows.set(0, latency + 1 + joints, blind.position(from_base.into()));
         }
     }
     linear

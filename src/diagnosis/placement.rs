@@ -1,6 +1,7 @@
 //! How a stream's positions are written, as far as they tell by themselves: unit, axes, what is constant, and
 //! at which lags they follow the arm.
 
+use super::frames::misfit_of_frames;
 use super::latency::{ArmSpeeds, Peak};
 use super::layout::{Layout, Written, layouts};
 use super::placing::spread;
@@ -33,7 +34,7 @@ impl Placement {
         let arm = ArmSpeeds::of(joints, chain, columns);
         let mut peaks = stream_peaks(&arm, stream, most_lag_s);
         peaks.retain(|peak| peak.correlation > FOLLOWS);
-        let read_as_m = in_metres(track);
+        let read_as_m = in_metres_of(track);
         let reach_m = chain.max_reach_m();
         let mut placement = Self {
             metres: Err(Unseen::NoOverlap),
@@ -58,6 +59,11 @@ impl Placement {
                 && lies_there(&xyz, metres, &at, SETTLED)
             {
                 // In that unit they are where FK is, and no frame is needed to say otherwise.
+                placement.metres = Ok(metres);
+                (placement.layouts, placement.constant) = (Vec::new(), [false; 3]);
+                return placement;
+            }
+            if !reference_known && let Some(metres) = unit_by_poses(track, &rows, &fk) {
                 placement.metres = Ok(metres);
                 (placement.layouts, placement.constant) = (Vec::new(), [false; 3]);
                 return placement;
@@ -187,7 +193,7 @@ pub(super) fn metres_by_size(joints: &JointTrack, stream: &PoseStream) -> f64 {
     if at.len() < 2 {
         return 1.0;
     }
-    let read_as_m = in_metres(track);
+    let read_as_m = in_metres_of(track);
     by_size(&at, &xyz, chain.max_reach_m(), read_as_m, reference_known).unwrap_or(1.0)
 }
 
@@ -199,12 +205,36 @@ pub(super) fn metres_by_reach(stream: &PoseStream) -> f64 {
     let track = stream.track;
     let extent = spread(&track.xyz).max(f64::MIN_POSITIVE);
     let off = |factor: f64| (extent * factor / (SHARE * stream.chain.max_reach_m())).ln().abs();
-    let usual = LengthScale::usual().map(|unit| unit.in_m() / in_metres(track));
+    let usual = LengthScale::usual().map(|unit| unit.in_m() / in_metres_of(track));
     usual.chain([1.0]).min_by(|a, b| off(*a).total_cmp(&off(*b))).unwrap_or(1.0)
 }
 
+/// The usual unit, other than the metre, in which a constant world and marker explain the poses at `rows`
+/// clearly better than in metres. Rotations tell how the world is turned where positions alone do not.
+fn unit_by_poses(track: &PoseTrack, rows: &[usize], fk: &[Pose]) -> Option<f64> {
+    /// The unit leaves this share of the positions' own spread or less, and so many times less than metres.
+    const EXPLAINS: f64 = 0.1;
+    const BETTER: f64 = 5.0;
+    let rotations = as_rotations(&track.orientation)?;
+    let extent = spread(&track.xyz);
+    let share_left = |metres: f64| {
+        let scaled =
+            |&row: &usize| Pose::from_parts((track.xyz[row] * metres).into(), rotations[row]);
+        let logged: Vec<Pose> = rows.iter().map(scaled).collect();
+        misfit_of_frames(fk, &logged)[0] / (metres * extent)
+    };
+    let in_metres = share_left(1.0);
+    if in_metres <= EXPLAINS {
+        return None;
+    }
+    let usual = LengthScale::usual().map(|unit| unit.in_m() / in_metres_of(track));
+    let shares = usual.map(|metres| (share_left(metres), metres));
+    let (least, metres) = shares.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    (metres != 1.0 && least <= EXPLAINS && BETTER * least <= in_metres).then_some(metres)
+}
+
 /// How many metres a number of a stream is as it was read.
-fn in_metres(track: &PoseTrack) -> f64 {
+fn in_metres_of(track: &PoseTrack) -> f64 {
     track.declared.as_ref().map_or(1.0, |declared| declared.length.in_m())
 }
 

@@ -5,6 +5,7 @@
 //! it may need. The simplest reading near the least residual wins. Frame-free invariants alone
 //! cannot do this: several readings differ by a constant frame only.
 
+use super::arm::EXPLAINED_RAD;
 use super::constant::{Side, Truths, both_frames, nearest, one_frame};
 use super::{Reading, ReadingEstimate, Seen, Unseen};
 use ground::geometry::{
@@ -213,7 +214,11 @@ pub(super) fn read_in_gravity(samples: &Samples, forces: &[Vec3]) -> Seen<(Readi
             (simplicity(fit, samples.reference_known) + if leans { LEANS } else { 0 }, fit)
         })
         .collect();
-    let accepted_ranks = ranked.iter().filter(|(_, fit)| fit.residual_rad <= accepted);
+    // As logged an arm is this far off because its links differ from their drawing.
+    let is_accepted = |(rank, fit): &&(u8, &Fit)| {
+        fit.residual_rad <= accepted || (*rank == 0 && fit.residual_rad <= EXPLAINED_RAD)
+    };
+    let accepted_ranks = ranked.iter().filter(is_accepted);
     let simplest = accepted_ranks.map(|&(rank, _)| rank).min();
     let simple = || ranked.iter().filter(|(rank, _)| Some(*rank) == simplest).map(|(_, fit)| *fit);
     let least = simple().map(|fit| fit.residual_rad).min_by(f64::total_cmp).unwrap_or(least);

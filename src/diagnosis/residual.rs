@@ -8,7 +8,7 @@
 use super::linear::{Linear, Normal};
 use super::model::{StreamState, Witness};
 use super::noise::Noise;
-use super::nominal::{damped, link_frames};
+use super::nominal::{With, damped, link_frames};
 use super::{Aligned, Measured, Residual, Seen, Unseen};
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use nalgebra::DVector;
@@ -100,7 +100,7 @@ fn in_common(witness: &Witness, stream: &StreamState, offsets: &[f64]) -> [Measu
     let rows: Vec<usize> = (0..witness.len()).step_by(stride).collect();
     let parts: Vec<Linear> = rows
         .chunks(rows.len().div_ceil(PARTS).max(1))
-        .map(|rows| link_frames(witness, stream, offsets, rows.iter().copied(), false))
+        .map(|rows| link_frames(witness, stream, offsets, rows.iter().copied(), With::Nothing))
         .collect();
     let normals: Vec<Normal> = parts.iter().map(normal_of).collect();
     let foretold = |part: usize| {

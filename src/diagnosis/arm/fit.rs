@@ -1,13 +1,14 @@
 //! The fit of all streams of an arm together, from the start that explains each one best.
 
-use crate::drawing::{Drawing, drawing};
+use super::{EXPLAINED_M, EXPLAINED_RAD};
+use crate::drawing::{Drawing, ZERO, drawing, standing_out};
 use crate::explain::{Approach, Cause, Explanation, Menu, best, explain};
-use crate::frames::starts;
+use crate::frames::{left_by_constant_frames, starts};
 use crate::harmless::tools_first;
 use crate::joints::{Read, is_quarter_turn, lone_zeros};
 use crate::latency::Peak;
 use crate::model::{State, StreamState, Witness};
-use crate::nominal::{MOST_M, MOST_RAD, is_nominal};
+use crate::nominal::{MOST_M, MOST_RAD, is_nominal, rms};
 use crate::prepare::Prepared;
 use crate::sampling::SEARCH_SAMPLES;
 use ground::geometry::Pose;
@@ -27,7 +28,21 @@ pub(super) struct Fitted {
     pub(super) nominal: Option<Drawing>,
 }
 
-pub(super) fn fit(prepared: &[&Prepared], read: &Read, with_offsets: bool) -> Option<Fitted> {
+/// Whether the arm's links may deviate from the model.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Links {
+    /// As those of every arm do.
+    Deviate,
+    /// They are as in another part of the run, which the streams are held against.
+    AreKnown,
+}
+
+pub(super) fn fit(
+    prepared: &[&Prepared],
+    read: &Read,
+    with_offsets: bool,
+    links: Links,
+) -> Option<Fitted> {
     if prepared.is_empty() {
         return None;
     }
@@ -45,15 +60,20 @@ pub(super) fn fit(prepared: &[&Prepared], read: &Read, with_offsets: bool) -> Op
     let explanation = tools_first(&witnesses, explanation, &menu, FIT_SAMPLES);
     let plain: Vec<StreamState> =
         (0..witnesses.len()).map(|s| without_small_causes(&explanation, s)).collect();
-    let large = large_zeros(&explanation.state, read);
     let most = (0..witnesses.len()).max_by_key(|&s| witnesses[s].len())?;
+    // Calibrations change no zero by more, rad or m.
+    let large = large_zeros(&explanation.state, read, 0.1);
     let is_open = with_offsets && leaves_room(&explanation);
     let drawing = if is_open { drawing(witnesses[most], &plain[most], &large) } else { None };
     let offsets = drawing.as_ref().map_or_else(|| large.clone(), |it| it.with_zeros(&large));
     let is_of_calibrated =
         |s: usize| is_nominal(witnesses[s], s, &explanation.state, &plain[s], &offsets);
     if !is_open || !(0..witnesses.len()).any(is_of_calibrated) {
-        return Some(Fitted { explanation, menu, nominal: None });
+        let fitted = Fitted { explanation, menu, nominal: None };
+        return Some(match with_offsets && links == Links::Deviate {
+            true => without_feigned(fitted, &witnesses, most),
+            false => fitted,
+        });
     }
     let large = offsets;
     let kept = |cause: &Cause| match *cause {
@@ -76,6 +96,79 @@ pub(super) fn fit(prepared: &[&Prepared], read: &Read, with_offsets: bool) -> Op
     Some(Fitted { explanation, menu, nominal: drawing })
 }
 
+/// The same without the causes that the deviations of a usual arm's links may feign, where constant frames
+/// leave little without them, too. Stream `s` tells.
+fn without_feigned(fitted: Fitted, witnesses: &[&Witness], s: usize) -> Fitted {
+    let Fitted { explanation, menu, .. } = &fitted;
+    let small = small_causes(explanation, s);
+    if small.is_empty() || !explains_all(explanation) {
+        return fitted;
+    }
+    let undone = |causes: &[Cause]| {
+        let mut state = explanation.state.clone();
+        for cause in causes {
+            match *cause {
+                Cause::Zero(joint) => state.offsets[joint] = 0.0,
+                Cause::Reference(s) => state.streams[s].reference = Pose::identity(),
+                Cause::Tool(s) => state.streams[s].tool = Pose::identity(),
+                Cause::Growth(s) => state.streams[s].growth = 0.0,
+                Cause::Gain(_) | Cause::Latency(_) | Cause::Skew(_) => {}
+            }
+        }
+        state
+    };
+    let State { offsets, streams } = undone(&small);
+    let standing = standing_out((witnesses[s], s), &streams[s], &offsets, &small);
+    let (_, feigned): (Vec<Cause>, Vec<Cause>) =
+        small.into_iter().partition(|cause| standing.contains(cause));
+    if feigned.is_empty() {
+        return fitted;
+    }
+    let kept = |cause: &Cause| {
+        matches!(cause, Cause::Latency(_) | Cause::Skew(_) | Cause::Gain(_))
+            || (explanation.causes.contains(cause) && !feigned.contains(cause))
+    };
+    let optional = menu.optional.iter().copied().filter(kept).collect();
+    let menu = Menu { always: menu.always.clone(), optional };
+    let start = undone(&feigned);
+    let nominal = drawing(witnesses[s], &start.streams[s], &start.offsets);
+    let explanation = explain(witnesses, start, &menu, Approach::Careful, FIT_SAMPLES);
+    let State { offsets, streams } = &explanation.state;
+    // In a known frame what was dropped may leave a constant offset, which links of usual arms have, too.
+    let is_constant = || {
+        let [m, rad] = left_by_constant_frames(witnesses[s], &streams[s], offsets);
+        witnesses[s].reference_known && m < EXPLAINED_M && rad < EXPLAINED_RAD
+    };
+    match explains_all(&explanation) || is_constant() {
+        true => Fitted { explanation, menu, nominal },
+        false => fitted,
+    }
+}
+
+/// Whether an explanation leaves no more of any stream than MDL001 allows.
+fn explains_all(explanation: &Explanation) -> bool {
+    explanation.linear.streams.iter().all(|stream| {
+        rms(&stream.residual[0]) < EXPLAINED_M && rms(&stream.residual[1]) < EXPLAINED_RAD
+    })
+}
+
+/// The chosen causes of stream `s` that deviations of links may feign: zeros of less than [`ZERO`], small
+/// frames, and growth.
+fn small_causes(explanation: &Explanation, s: usize) -> Vec<Cause> {
+    let found = &explanation.state.streams[s];
+    let is_near = |frame: &Pose| {
+        frame.translation.vector.norm() <= MOST_M && frame.rotation.angle() <= MOST_RAD
+    };
+    let is_small = |cause: &&Cause| match **cause {
+        Cause::Zero(joint) => explanation.state.offsets[joint].abs() < ZERO,
+        Cause::Reference(own) => own == s && is_near(&found.reference),
+        Cause::Tool(own) => own == s && is_near(&found.tool),
+        Cause::Growth(own) => own == s,
+        Cause::Gain(_) | Cause::Latency(_) | Cause::Skew(_) => false,
+    };
+    explanation.causes.iter().filter(is_small).copied().collect()
+}
+
 /// Whether what was chosen may be what small deviations of all links make: several causes, or one
 /// beside which something is left.
 fn leaves_room(explanation: &Explanation) -> bool {
@@ -86,12 +179,10 @@ fn leaves_room(explanation: &Explanation) -> bool {
         || explanation.noise().iter().any(|noise| noise.inflation() > MEMORY)
 }
 
-/// The joint offsets that no calibration feigns, and what scales are found.
-fn large_zeros(state: &State, read: &Read) -> Vec<f64> {
-    /// Calibrations change no zero by more, rad or m.
-    const MOST: f64 = 0.1;
+/// The joint offsets larger than `most`, rad or m, and what scales are found.
+fn large_zeros(state: &State, read: &Read, most: f64) -> Vec<f64> {
     let kept = |(index, value): (usize, &f64)| {
-        if index >= read.track.dof || value.abs() > MOST { *value } else { 0.0 }
+        if index >= read.track.dof || value.abs() > most { *value } else { 0.0 }
     };
     state.offsets.iter().enumerate().map(kept).collect()
 }

@@ -24,7 +24,7 @@ use super::{
     JointReading, JointScale, JointUnit, PoseDiagnosis, PoseStream, Residual, Seen, Taken, Unseen,
 };
 pub(super) use fit::FIT_SAMPLES;
-use fit::fit;
+use fit::{Links, fit};
 use ground::geometry::Vec3;
 use ground::robot::JointKind;
 use ground::stream::JointTrack;
@@ -35,6 +35,25 @@ use zeros::{joint_couplings, joint_offsets, joint_scales, unseen_offsets};
 ///
 /// `most_lag_s` bounds the latency that is sought, s.
 pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64) -> ArmDiagnosis {
+    diagnose_with(joints, streams, most_lag_s, Links::Deviate)
+}
+
+/// The same of a part of a run from which what another part says is taken off already: the links are the
+/// same there, so what is left is no deviation of theirs.
+pub(super) fn diagnose_beyond(
+    joints: &JointTrack,
+    streams: &[PoseStream],
+    most_lag_s: f64,
+) -> ArmDiagnosis {
+    diagnose_with(joints, streams, most_lag_s, Links::AreKnown)
+}
+
+fn diagnose_with(
+    joints: &JointTrack,
+    streams: &[PoseStream],
+    most_lag_s: f64,
+    links: Links,
+) -> ArmDiagnosis {
     let slides = prismatic(joints.dof, streams);
     let placed = |joints: &JointTrack| -> Vec<Placement> {
         streams.iter().map(|stream| Placement::of(joints, stream, most_lag_s)).collect()
@@ -43,7 +62,7 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
     let by = |reading: &JointReading| {
         let read = Read::by(joints, reading, &slides);
         let anew = (*reading != JointReading::default()).then(|| placed(read.near()));
-        diagnose(joints, &read, streams, anew.as_ref().unwrap_or(&placements), true)
+        diagnose(joints, &read, streams, anew.as_ref().unwrap_or(&placements), true, links)
     };
     let as_logged = JointReading::default();
     let mut metres: Vec<f64> = placements.iter().map(Placement::metres).collect();
@@ -81,7 +100,7 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
     if is_rewritten && reading.as_ref().is_ok_and(JointReading::is_as_logged) {
         let sound: Vec<Placement> = placements.iter().map(Placement::sound).collect();
         let read = Read::by(joints, &as_logged, &slides);
-        let as_written = diagnose(joints, &read, streams, &sound, true);
+        let as_written = diagnose(joints, &read, streams, &sound, true, links);
         if as_written.unexplained().is_none()
             && as_written.is_near()
             && as_written.zeros() <= found.zeros()
@@ -161,7 +180,7 @@ const FAR_BETTER: f64 = 5.0;
 const PARTLY_BETTER: f64 = 3.0;
 /// What is left counts as explained below this, rms m and rad beyond the noise: MDL001's thresholds.
 const EXPLAINED_M: f64 = 1e-3;
-const EXPLAINED_RAD: f64 = 1.75e-3;
+pub(super) const EXPLAINED_RAD: f64 = 1.75e-3;
 /// A reading of the joints may leave this share of the motion's extent, or so much, m.
 const NEAR: f64 = 0.02;
 const NEAR_M: f64 = 5e-3;
@@ -270,7 +289,7 @@ pub fn diagnose_derived(
     let by = |reading: &JointReading| {
         let read = Read::by(joints, reading, &slides).for_derived();
         let placements = [Placement::of(&read.track, stream, most_lag_s)];
-        diagnose(joints, &read, streams, &placements, false).streams.remove(0)
+        diagnose(joints, &read, streams, &placements, false, Links::AreKnown).streams.remove(0)
     };
     let left = |diagnosis: &PoseDiagnosis| {
         diagnosis.residual.as_ref().map_or(f64::INFINITY, Residual::together_m)
@@ -379,6 +398,7 @@ fn diagnose(
     streams: &[PoseStream],
     placements: &[Placement],
     with_offsets: bool,
+    links: Links,
 ) -> Found {
     let joints = &read.track;
     let prepared: Vec<Seen<Prepared>> = streams
@@ -387,7 +407,7 @@ fn diagnose(
         .map(|(stream, placement)| prepare(read, stream, placement))
         .collect();
     let usable: Vec<&Prepared> = prepared.iter().flatten().collect();
-    let fitted = fit(&usable, read, with_offsets);
+    let fitted = fit(&usable, read, with_offsets, links);
     let (offsets, scales, couplings) = match &fitted {
         Some(_) if !with_offsets => (Vec::new(), Vec::new(), Vec::new()),
         Some(fitted) => (

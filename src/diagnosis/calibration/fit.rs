@@ -8,7 +8,7 @@ use crate::Measured;
 use crate::drawing::LINKS_M;
 use crate::linear::{Linear, Normal, Weight};
 use crate::model::{Blind, StreamState, ToolPart, Witness, pose_of_twist};
-use crate::nominal::link_frames;
+use crate::nominal::{With, link_frames};
 use ground::geometry::{Pose, Vec3};
 use ground::robot::{Chain, LinkPath, Robot};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
@@ -275,7 +275,7 @@ impl System<'_> {
                 offsets[column] = *zero;
             }
             let rows = (0..witness.len()).step_by(source.stride);
-            let linear = link_frames(&witness, &plain, &offsets, rows, true);
+            let linear = link_frames(&witness, &plain, &offsets, rows, With::Zeros);
             if linear.len() < FOLDS {
                 return None;
             }

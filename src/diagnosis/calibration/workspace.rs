@@ -3,7 +3,7 @@
 use super::Uncertainty;
 use super::fit::{State, System};
 use crate::model::{Blind, StreamState, ToolPart, Witness};
-use crate::nominal::link_frames;
+use crate::nominal::{With, link_frames};
 use ground::geometry::{Rotation, Vec3};
 use ground::robot::{Chain, JointKind, Limits};
 use ground::stream::JointTrack;
@@ -44,7 +44,8 @@ impl Workspace {
             middle_s: 0.0,
         };
         let plain = StreamState::at_latency(0.0);
-        let linear = link_frames(&witness, &plain, &vec![0.0; chain.dof()], 0..joints.len(), true);
+        let linear =
+            link_frames(&witness, &plain, &vec![0.0; chain.dof()], 0..joints.len(), With::Zeros);
         let rows = 6 * linear.len();
         let design = DMatrix::from_fn(rows, linear.width, |row, column| {
             linear.row(row / 6, row % 6)[column]

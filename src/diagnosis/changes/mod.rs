@@ -16,7 +16,7 @@ mod jumps;
 mod told;
 mod weigh;
 
-use super::arm::diagnose_arm;
+use super::arm::{diagnose_arm, diagnose_beyond};
 use super::bends::without_bends;
 use super::proof::beside_fk;
 use super::sampling::stream_lag_s;
@@ -246,7 +246,7 @@ impl Kept {
             .into_iter()
             .map(|stream| PoseStream { reference_known: true, ..stream })
             .collect();
-        let beyond = diagnose_arm(&joints, &known, run.most_lag_s);
+        let beyond = diagnose_beyond(&joints, &known, run.most_lag_s);
         Other { span, alone, beyond }
     }
 

@@ -7,7 +7,7 @@ use crate::handeye;
 use crate::imu;
 use crate::linear::Linear;
 use crate::model::{StreamState, ToolPart, Witness};
-use crate::nominal::{ANYTHING, USUAL_M, USUAL_RAD, link_frames};
+use crate::nominal::{ANYTHING, USUAL_M, USUAL_RAD, With, link_frames};
 use crate::robust::pseudo_inverse;
 use ground::geometry::{Rotation, Vec3};
 use ground::robot::{Chain, JointKind};
@@ -373,7 +373,7 @@ fn linearised(chain: &Chain, motion: &JointTrack) -> Linear {
         middle_s: 0.0,
         t_s: motion.t_s.clone(),
     };
-    link_frames(&witness, &StreamState::at_latency(0.0), &still, 0..motion.len(), true)
+    link_frames(&witness, &StreamState::at_latency(0.0), &still, 0..motion.len(), With::Zeros)
 }
 
 /// Postures all over the ranges of the joints, a tenth of a second apart.
