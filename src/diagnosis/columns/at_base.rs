@@ -64,6 +64,23 @@ impl Sheet {
         kept
     }
 
+    /// Whether a tool alone explains the position in the base frame at that latency in rows all over the table, slow
+    /// and fast.
+    pub(super) fn agrees_at_base(
+        &self,
+        block: &Block,
+        chain: &Chain,
+        position: [usize; 3],
+        lag_s: f64,
+    ) -> bool {
+        /// Share of the extent that may be left: the latency is not as exact as the residual at slow rows.
+        const MOST: f64 = 0.1;
+        let rows = self.few_rows();
+        let logged = Logged::of(self, position, &rows);
+        let fk = self.poses_at(block, chain, &rows, lag_s);
+        logged.and_then(|logged| logged.share(&fk)).is_some_and(|share| share < MOST)
+    }
+
     /// FK of a block at some rows.
     fn poses_at(&self, block: &Block, chain: &Chain, rows: &[usize], lag_s: f64) -> Vec<Pose> {
         let at = |&row: &usize| chain.forward(&self.joints_at(block, chain, self.t_s[row] - lag_s));

@@ -558,7 +558,9 @@ impl Sheet {
         let fit = |stream| tool_fit(&joints, stream, wanted.most_lag_s, with_zero);
         let at_base = fit(&in_base).filter(|it| {
             let most_m = FITS_M.min(MOST_SHARE * spread_m);
-            it.way.left_m <= most_m && it.way.tool_m.norm() < LONGEST_TOOL_M
+            it.way.left_m <= most_m
+                && it.way.tool_m.norm() < LONGEST_TOOL_M
+                && (with_zero || self.agrees_at_base(block, chain, position, it.way.lag_s))
         });
         let (is_at_base, Priced { way, score }) = match at_base {
             Some(fit) => (true, fit),
