@@ -189,7 +189,7 @@ cases! {
     } => BlamedOn("FRM002");
     ORD007 another_arms_table_is_no_convention: |log| {
         by_table(log, "standard", ["-0.425", "-0.365"]);
-    } => TakenBy("MDL001", "DH convention");
+    } => Undecided("wrong robot model");
     ORD007 a_urdf: |_| {} => Skipped("DH convention");
     ORD007 nothing_to_hold_the_table_against: |log| {
         by_table(log, "modified", [""; 2]);

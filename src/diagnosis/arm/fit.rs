@@ -104,8 +104,19 @@ fn without_feigned(fitted: Fitted, witnesses: &[&Witness], s: usize) -> Fitted {
     if small.is_empty() || !explains_all(explanation) {
         return fitted;
     }
+    let is_held =
+        |cause: Cause| explanation.causes.contains(&cause) || menu.always.contains(&cause);
     let undone = |causes: &[Cause]| {
         let mut state = explanation.state.clone();
+        for (s, stream) in state.streams.iter_mut().enumerate() {
+            // Frames that are no cause are exactly none.
+            if !is_held(Cause::Reference(s)) && stream.round_reference.is_none() {
+                stream.reference = Pose::identity();
+            }
+            if !is_held(Cause::Tool(s)) && stream.round_tool.is_none() {
+                stream.tool = Pose::identity();
+            }
+        }
         for cause in causes {
             match *cause {
                 Cause::Zero(joint) => state.offsets[joint] = 0.0,
@@ -153,17 +164,20 @@ fn explains_all(explanation: &Explanation) -> bool {
 }
 
 /// The chosen causes of stream `s` that deviations of links may feign: zeros of less than [`ZERO`], small
-/// frames, and growth.
+/// frames, and growth. What is less than MDL001 allows is no fault anyway.
 fn small_causes(explanation: &Explanation, s: usize) -> Vec<Cause> {
     let found = &explanation.state.streams[s];
     let is_near = |frame: &Pose| {
-        frame.translation.vector.norm() <= MOST_M && frame.rotation.angle() <= MOST_RAD
+        let (m, rad) = (frame.translation.vector.norm(), frame.rotation.angle());
+        (m > EXPLAINED_M || rad > EXPLAINED_RAD) && m <= MOST_M && rad <= MOST_RAD
     };
     let is_small = |cause: &&Cause| match **cause {
-        Cause::Zero(joint) => explanation.state.offsets[joint].abs() < ZERO,
+        Cause::Zero(joint) => {
+            (EXPLAINED_RAD..ZERO).contains(&explanation.state.offsets[joint].abs())
+        }
         Cause::Reference(own) => own == s && is_near(&found.reference),
         Cause::Tool(own) => own == s && is_near(&found.tool),
-        Cause::Growth(own) => own == s,
+        Cause::Growth(own) => own == s && found.growth.abs() > EXPLAINED_M,
         Cause::Gain(_) | Cause::Latency(_) | Cause::Skew(_) => false,
     };
     explanation.causes.iter().filter(is_small).copied().collect()
