@@ -15,7 +15,7 @@
 //! the sizes are those under which the log is likeliest (variational bound on the marginal likelihood:
 //! Bishop, *Pattern Recognition and Machine Learning*, 2006, ch. 10.1 and 10.3).
 
-use super::explain::Cause;
+use super::explain::{Cause, price};
 use super::linear::{Linear, Normal};
 use super::model::{StreamState, Witness};
 use super::nominal::{ANYTHING, USUAL_M, With, is_anything, link_frames};
@@ -145,7 +145,8 @@ impl Beside {
 }
 
 /// Those of `causes` that stand out of what links make that are off as those of usual arms: without such a
-/// one the log is much less likely, whatever size the links' deviations have up to that.
+/// one the log is less likely, whatever size the links' deviations have up to that, by more than the price of a
+/// parameter: links that are exact, beside a cause, are less usual than links that deviate.
 ///
 /// The stream is linearised about `plain` and `offsets`, which are without the causes.
 pub(super) fn standing_out(
@@ -163,6 +164,7 @@ pub(super) fn standing_out(
         });
         fits.fold(f64::NEG_INFINITY, f64::max)
     };
+    let sure = price(model.dof);
     let mut kept = causes.to_vec();
     let mut present = evidence(&kept);
     while !kept.is_empty() {
@@ -172,7 +174,7 @@ pub(super) fn standing_out(
             (evidence(&rest), rest)
         });
         match without.max_by(|a, b| a.0.total_cmp(&b.0)) {
-            Some((likelihood, rest)) if likelihood + SURE >= present => {
+            Some((likelihood, rest)) if likelihood + sure >= present => {
                 (present, kept) = (present.max(likelihood), rest);
             }
             _ => break,
