@@ -12,7 +12,7 @@ use poseaudit::time::Clock;
 pub type Target = (&'static str, fn(&[u8]));
 
 /// Every target.
-pub const TARGETS: [Target; 11] = [
+pub const TARGETS: [Target; 20] = [
     ("mcap", file),
     ("rosbag1", file),
     ("rosbag2", file),
@@ -24,6 +24,15 @@ pub const TARGETS: [Target; 11] = [
     ("ros1", |bytes| message("ros1", "ros1msg", bytes)),
     ("protobuf", |bytes| message("protobuf", "protobuf", bytes)),
     ("json", |bytes| message("json", "jsonschema", bytes)),
+    ("csv", file),
+    ("hdf5", file),
+    ("lerobot", lerobot),
+    ("npy", file),
+    ("npz", npz),
+    ("parquet", file),
+    ("rsi", file),
+    ("tfrecord", tfrecord),
+    ("zarr", zarr),
 ];
 
 /// Does with `bytes` what the target of this name does.
@@ -47,6 +56,88 @@ fn metadata(bytes: &[u8]) {
     let log = recorded("json", "std_msgs/msg/String", "jsonschema", b"", br#"{"data":"a"}"#);
     fs::write(folder.path().join("run_0.mcap"), log).expect("a file");
     check(open(folder.path()));
+}
+
+/// Reads a dataset with this `info.json`, and a sound episode.
+fn lerobot(bytes: &[u8]) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let chunk = folder.path().join("data/chunk-000");
+    fs::create_dir_all(&chunk).expect("a folder");
+    fs::create_dir_all(folder.path().join("meta")).expect("a folder");
+    fs::write(folder.path().join("meta/info.json"), bytes).expect("a file");
+    fs::write(chunk.join("episode_000000.parquet"), EPISODE).expect("a file");
+    check(open(folder.path()));
+}
+
+const EPISODE: &[u8] = include_bytes!("seeds/lerobot.parquet");
+
+/// Reads a store with one array, whose metadata are behind two bytes of their length, and its first chunk.
+fn zarr(bytes: &[u8]) {
+    let Some((metadata, chunk)) = delimited::<2>(bytes) else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    fs::create_dir(folder.path().join("q")).expect("a folder");
+    for (name, content) in [
+        (".zgroup", br#"{"zarr_format": 2}"#.as_slice()),
+        (".zattrs", br#"{"fps": 10}"#),
+        ("q/.zarray", metadata),
+        ("q/0.0", chunk),
+    ] {
+        fs::write(folder.path().join(name), content).expect("a file");
+    }
+    check(open(folder.path()));
+}
+
+/// Reads an archive of two arrays: the first is behind two bytes of its length.
+fn npz(bytes: &[u8]) {
+    let Some((first, second)) = delimited::<2>(bytes) else { return };
+    file(&zipped(&[("timestamp.npy", first), ("q.npy", second)]));
+}
+
+/// Reads a file of records, each behind two bytes of its length; their checksums hold.
+fn tfrecord(mut bytes: &[u8]) {
+    let mut framed = Vec::new();
+    while let Some((record, rest)) = delimited::<2>(bytes) {
+        // CRC-32C, masked.
+        let masked = |bytes: &[u8]| {
+            crc(0x82f6_3b78, bytes).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes()
+        };
+        let length = (record.len() as u64).to_le_bytes();
+        framed.extend([&length, masked(&length).as_slice(), record, &masked(record)].concat());
+        bytes = rest;
+    }
+    file(&framed);
+}
+
+/// The checksum of this reversed polynomial.
+fn crc(polynomial: u32, bytes: &[u8]) -> u32 {
+    let step = |crc: u32| if crc & 1 == 1 { crc >> 1 ^ polynomial } else { crc >> 1 };
+    !bytes.iter().fold(!0, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), |crc, _| step(crc)))
+}
+
+/// A zip archive of these files, stored (APPNOTE.TXT 6.3.10).
+fn zipped(files: &[(&str, &[u8])]) -> Vec<u8> {
+    let (mut all, mut directory) = (Vec::new(), Vec::new());
+    for (name, content) in files {
+        let offset = all.len() as u32;
+        let mut common = vec![20, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+        common.extend(crc(0xedb8_8320, content).to_le_bytes());
+        common.extend(
+            [content.len() as u32, content.len() as u32].iter().flat_map(|n| n.to_le_bytes()),
+        );
+        common.extend((name.len() as u16).to_le_bytes());
+        common.extend([0, 0]);
+        all.extend([b"PK\x03\x04", common.as_slice(), name.as_bytes(), content].concat());
+        directory.extend([b"PK\x01\x02\x14\x00", common.as_slice(), &[0; 10]].concat());
+        directory.extend(offset.to_le_bytes());
+        directory.extend(name.as_bytes());
+    }
+    let (start, size, count) = (all.len() as u32, directory.len() as u32, files.len() as u16);
+    all.extend(directory);
+    all.extend(b"PK\x05\x06\0\0\0\0");
+    all.extend([count, count].iter().flat_map(|n| n.to_le_bytes()));
+    all.extend([size, start].iter().flat_map(|n| n.to_le_bytes()));
+    all.extend([0, 0]);
+    all
 }
 
 /// Reads a log with one message, given with its type and schema before it: the type behind a byte of

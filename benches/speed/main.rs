@@ -112,8 +112,52 @@ fn main() -> Result<()> {
         last = Some((log.messages, cost));
     }
 
+    tables(&folder)?;
     stages(&logs.yardstick().path)?;
     forward_kinematics()
+}
+
+/// Growth of an audit with the size of a table: rows, and columns that nothing names.
+fn tables(folder: &Path) -> Result<()> {
+    println!(
+        "\nGrowth with the size of a table, whole audit (exponents of at most 1.1 are linear):"
+    );
+    let rows = [60_000, 120_000, 240_000].map(|rows| ("rows", rows, 6));
+    let columns = [100, 200, 400].map(|columns| ("columns", 500, columns));
+    for sizes in [rows, columns] {
+        let mut last: Option<(usize, Cost)> = None;
+        for (what, rows, columns) in sizes {
+            let path = folder.join(format!("{what}-{rows}-{columns}.csv"));
+            std::fs::write(&path, table(rows, columns))?;
+            let mut command = Command::new(env!("CARGO_BIN_EXE_poseaudit"));
+            // No arm is in it, which is no matter here.
+            let (cost, _) = process::cost(command.args(["audit", "--robot", "ur5e"]).arg(&path))?;
+            let size = rows * columns;
+            let exponent = last.map(|(before, cost_before)| {
+                (cost.cpu_s / cost_before.cpu_s).ln() / (size as f64 / before as f64).ln()
+            });
+            let exponent =
+                exponent.map_or(String::new(), |exponent| format!("exponent {exponent:.2}"));
+            println!("{what:34} {size:>9} {:>8.2} s cpu  {exponent}", cost.cpu_s);
+            last = Some((size, cost));
+        }
+    }
+    Ok(())
+}
+
+/// A table of evenly stamped rows of numbers that move.
+fn table(rows: usize, columns: usize) -> String {
+    let mut text = "timestamp".to_owned();
+    (1..=columns).for_each(|column| text += &format!(",q{column}"));
+    for row in 0..rows {
+        let t_s = 0.002 * row as f64;
+        text += &format!("\n{t_s:.3}");
+        for column in 0..columns {
+            let rate = 0.3 + 0.1 * column as f64;
+            text += &format!(",{:.6}", (rate * t_s + column as f64).sin());
+        }
+    }
+    text + "\n"
 }
 
 /// What users would write instead, where its packages are installed.

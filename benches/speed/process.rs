@@ -101,6 +101,13 @@ impl Pairs {
 
 /// Runs a command to its end; a status other than 0 is an error.
 fn run(command: &mut Command) -> Result<Cost> {
+    let (cost, code) = cost(command)?;
+    ensure!(code == Some(0), "{command:?} ended with {code:?}");
+    Ok(cost)
+}
+
+/// Runs a command to its end: what it cost, and its status.
+pub fn cost(command: &mut Command) -> Result<(Cost, Option<i32>)> {
     let before = children_s();
     let started = Instant::now();
     let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn()?;
@@ -112,8 +119,7 @@ fn run(command: &mut Command) -> Result<Cost> {
     }
     let wall_s = started.elapsed().as_secs_f64();
     let code = status.and_then(|status| status.code());
-    ensure!(code == Some(0), "{command:?} ended with {code:?}");
-    Ok(Cost { wall_s, cpu_s: children_s() - before, anonymous_mib })
+    Ok((Cost { wall_s, cpu_s: children_s() - before, anonymous_mib }, code))
 }
 
 /// Anonymous memory of a process, MiB.

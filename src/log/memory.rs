@@ -30,12 +30,12 @@ impl OutOfMemory {
 }
 
 impl Memory {
-    /// What a run may take however small its files are: 8 million numbers. An audit takes about four times as
+    /// What a run may take however small its files are: 4 million numbers. An audit takes up to seven times as
     /// much in all.
-    const BASE: u64 = 64 << 20;
-    /// What each byte of a file may take beyond that: 8 numbers. Episodes of LeRobot (Parquet) and robomimic
+    const BASE: u64 = 32 << 20;
+    /// What each byte of a file may take beyond that: 4 numbers. Episodes of LeRobot (Parquet) and robomimic
     /// (HDF5 with gzip) need 1 to 4 bytes for a number.
-    const RATIO: u64 = 64;
+    const RATIO: u64 = 32;
 
     /// The memory of a run, and as many GiB as were asked for.
     pub(super) fn of(asked_gib: Option<u32>) -> Self {
@@ -89,9 +89,9 @@ mod tests {
     fn all_files_share_what_they_may_take_together() {
         let mut memory = Memory::of(None);
         memory.add_file(1000);
-        assert_eq!(memory.take((8 << 20) + 8001).map_err(|it| it.limit), Err((64 << 20) + 64_000));
-        memory.take(8 << 20).expect("within the base");
-        memory.take(8000).expect("within the file's own");
+        assert_eq!(memory.take((4 << 20) + 4001).map_err(|it| it.limit), Err((32 << 20) + 32_000));
+        memory.take(4 << 20).expect("within the base");
+        memory.take(4000).expect("within the file's own");
         let refusal = memory.take(1).expect_err("beyond").to_string();
         assert!(refusal.contains("--max-unpacked") && !refusal.contains('\n'), "{refusal}");
         memory.give_back(1);

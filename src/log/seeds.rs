@@ -5,6 +5,7 @@ use std::fs;
 use std::path::Path;
 
 use super::decode::tests::encodings;
+use super::tables::tests as table_writers;
 use super::testing::{self, BagWriter, Cdr, DatabaseWriter, LogWriter};
 use super::{ReadOptions, open};
 
@@ -97,7 +98,46 @@ fn all() -> Vec<(&'static str, Vec<u8>)> {
     for (target, type_name, schema, data) in encodings::seeds() {
         seeds.push((target, message(type_name, &schema, &data)));
     }
+    seeds.extend(tables());
     seeds
+}
+
+/// Tables, as their targets take them.
+fn tables() -> Vec<(&'static str, Vec<u8>)> {
+    let behind_length =
+        |first: &[u8], rest: &[u8]| [&(first.len() as u16).to_le_bytes(), first, rest].concat();
+    let npy = |shape: &str, numbers: usize| {
+        let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}\n");
+        let data: Vec<u8> = (0..numbers).flat_map(|n| (0.01 * n as f64).to_le_bytes()).collect();
+        table_writers::npy(&header, &data)
+    };
+    let metadata = br#"{"zarr_format":2,"shape":[20,6],"chunks":[20,6],"dtype":"<f8","compressor":null,"filters":null,"fill_value":0.0,"order":"C"}"#;
+    let chunk: Vec<u8> = (0..120).flat_map(|n| f64::from(n).to_le_bytes()).collect();
+    let info = br#"{"fps":30,"robot_type":"so100","features":{"observation.state":{"dtype":"float32","shape":[7],"names":["a","b","c","d","e","f","g"]}}}"#;
+    let rows = "0.00,1,2,3,4,5,6\n0.01,1.5,2,3,4,5,6\n0.02,2,2,3,4,5,6\n".to_owned();
+    let episode = table_writers::parquet(30, 2, parquet::basic::Compression::SNAPPY, |_| 7);
+    let step = |n: u32| {
+        let joints = (0..6).map(|joint| 0.1 * (n * joint) as f32).collect();
+        table_writers::stores::example(&[
+            ("joint_positions", joints),
+            ("timestamp", vec![n as f32]),
+        ])
+    };
+    vec![
+        (
+            "csv",
+            format!("# a log\nt,q1,q2,q3,q4,q5,q6\ns,rad,rad,rad,rad,rad,rad\n{rows}").into_bytes(),
+        ),
+        ("csv", rows.replace(',', ";").replace('.', ",").into_bytes()),
+        ("hdf5", table_writers::CHUNKED.to_vec()),
+        ("lerobot", info.to_vec()),
+        ("npy", table_writers::records(20)),
+        ("npz", behind_length(&npy("(20,)", 20), &npy("(20, 6)", 120))),
+        ("parquet", episode),
+        ("rsi", (0..5).map(table_writers::stores::packet).collect::<String>().into_bytes()),
+        ("tfrecord", (0..4).flat_map(|n| behind_length(&step(n), &[])).collect()),
+        ("zarr", behind_length(metadata, &chunk)),
+    ]
 }
 
 /// Set to write the seeds anew.

@@ -29,16 +29,23 @@ pub struct PoseSource {
 }
 
 impl PoseSource {
+    /// What copies share: the number of poses, and the bits of the first stamp and coordinate.
+    pub fn copy_key(&self) -> (usize, Option<u64>, Option<u64>) {
+        let PoseTrack { t_s, xyz, .. } = &self.track;
+        let first = |value: Option<f64>| value.map(f64::to_bits);
+        (t_s.len(), first(t_s.first().copied()), first(xyz.first().map(|xyz| xyz[0])))
+    }
+
     /// Whether it says the same of the same link in the same frame at the same times.
     pub fn is_copy_of(&self, other: &Self) -> bool {
-        let frames = |of: &Self| {
-            let ends = (of.chain.base_name().to_owned(), of.chain.tip_name().to_owned());
-            (ends, of.reference_known, of.carrier.is_some())
-        };
         let (own, theirs) = (&self.track, &other.track);
-        frames(self) == frames(other)
+        // Times differ first: a log may have thousands of streams, each compared with each.
+        own.t_s == theirs.t_s
+            && self.chain.base_name() == other.chain.base_name()
+            && self.chain.tip_name() == other.chain.tip_name()
+            && self.reference_known == other.reference_known
+            && self.carrier.is_some() == other.carrier.is_some()
             && self.columns == other.columns
-            && own.t_s == theirs.t_s
             && own.xyz == theirs.xyz
             && own.orientation == theirs.orientation
     }

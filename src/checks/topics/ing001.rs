@@ -15,18 +15,21 @@ rule! {
     /// ## Evidence
     /// Where the damage begins (`offset`, bytes from the start of the file) and how many messages
     /// went with it (`messages_lost`), as far as anything in the file says so. The time of the finding
-    /// is that of what was lost, where the file says so.
+    /// is that of what was lost, where the file says so. Of a table the rows that are lost are named with their
+    /// column: `messages_lost` counts rows.
     ///
     /// ## How to fix
     /// Record again where messages are lost; see whether the disk was full or the recorder was
     /// killed. A missing index is made again by `mcap recover`. What is not read, because it would unpack to
     /// more than 16 GiB and 2000 times the size of the file (a bz2 chunk or a packed file to a sixteenth of
-    /// that), is read with `--max-unpacked GIB`.
+    /// that), or because its numbers would take more memory than 32 MiB and 32 times the size of its files (tables),
+    /// is read with `--max-unpacked GIB`.
     ///
     /// ## When it misleads
     /// It is a warning where only index, summary or a partial last chunk is missing, as after a
     /// recorder was killed, or where the log is sound and this program did not read all of it unasked; it
-    /// is an error where messages amid the file are lost. Bits that flipped in
+    /// is an error where messages amid the file are lost. A Zarr or HDF5 chunk that is missing is no loss if the
+    /// numbers before and after it are the fill value, too: writers leave such chunks out. Bits that flipped in
     /// a file without checksums are not seen; `--verify` checks all the checksums that there are.
     ING001 {
         name: "damaged-log",

@@ -20,7 +20,7 @@ mod rlds;
 mod rsi;
 mod settings;
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;
 mod tfrecord;
 mod zarr;
 

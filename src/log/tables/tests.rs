@@ -1,6 +1,6 @@
 //! Tables as bytes: made by the writers of their formats, cut, and declared otherwise than they are.
 
-mod stores;
+pub(crate) mod stores;
 
 use std::fs;
 use std::path::Path;
@@ -18,7 +18,7 @@ use crate::{ColumnSettings, Log, LogError, ReadOptions, Topic, open};
 use ground::stream::Columns;
 use ground::time::NANOS_PER_SECOND;
 
-const CHUNKED: &[u8] = include_bytes!("fixtures/chunked_latest.h5");
+pub(crate) const CHUNKED: &[u8] = include_bytes!("fixtures/chunked_latest.h5");
 const EPISODES: &[u8] = include_bytes!("fixtures/episodes_earliest.h5");
 
 /// Reads `bytes`, of whatever name.
@@ -69,7 +69,7 @@ fn stamps(log: &Log, name: &str) -> Vec<i64> {
 }
 
 /// An NPY array: its kind and shape as NumPy writes them, and its bytes.
-fn npy(header: &str, data: &[u8]) -> Vec<u8> {
+pub(crate) fn npy(header: &str, data: &[u8]) -> Vec<u8> {
     let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
     bytes.extend((header.len() as u16).to_le_bytes());
     bytes.extend(header.as_bytes());
@@ -78,7 +78,7 @@ fn npy(header: &str, data: &[u8]) -> Vec<u8> {
 }
 
 /// Rows of a time and six joints, as records of NumPy.
-fn records(rows: usize) -> Vec<u8> {
+pub(crate) fn records(rows: usize) -> Vec<u8> {
     let header = format!(
         "{{'descr': [('t', '<f8'), ('q', '>f4', (6,))], 'fortran_order': False, 'shape': ({rows},), }}\n"
     );
@@ -138,7 +138,7 @@ fn what_a_header_declares_and_is_not_there_is_one_line() {
 
 /// A Parquet file with a list of seven numbers, a time and an episode in each row; `widths` are those of the
 /// lists.
-fn parquet(
+pub(crate) fn parquet(
     rows: usize,
     episodes: usize,
     compression: Compression,

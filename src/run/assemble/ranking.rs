@@ -2,7 +2,7 @@
 //! the streams of poses say. The same question is asked of a model that was named.
 
 use std::cmp::Reverse;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 
 use rayon::prelude::*;
@@ -232,17 +232,20 @@ impl ByPoses<'_> {
         // Those that say most, copies once, and no more than tell.
         let mut longest: Vec<usize> = (0..streams.len()).collect();
         longest.sort_by_key(|&stream| Reverse(streams[stream].count));
-        let (mut fits, mut untold): (Vec<Fitted>, Vec<PoseSource>) = (Vec::new(), Vec::new());
+        let mut fits: Vec<Fitted> = Vec::new();
+        let mut untold: HashMap<_, Vec<PoseSource>> = HashMap::new();
         for stream in longest {
             let Some(source) = self.source_of(&arm, stream) else { continue };
-            let mut others = fits.iter().map(|fitted| &fitted.source).chain(&untold);
+            let key = source.copy_key();
+            let alike = untold.get(&key).into_iter().flatten();
+            let mut others = fits.iter().map(|fitted| &fitted.source).chain(alike);
             if others.any(|other| source.is_copy_of(other)) {
                 continue;
             }
             let knows_frame = source.reference_known && !free.contains(&stream);
             match self.fit_of(&arm, &source, knows_frame, Tried::Harmless) {
                 Some(fit) => fits.push(Fitted { stream, source, knows_frame, fit }),
-                None => untold.push(source),
+                None => untold.entry(key).or_default().push(source),
             }
             if fits.len() == MOST_STREAMS {
                 break;

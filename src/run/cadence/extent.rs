@@ -47,21 +47,43 @@ fn ends<T: Ord + Copy>(mut values: impl Iterator<Item = T>) -> Option<(T, T)> {
     )
 }
 
+/// When the streams begin and end, each in order.
+pub(super) struct Ends {
+    starts: Vec<i64>,
+    ends: Vec<i64>,
+}
+
+impl Ends {
+    pub(super) fn of(bounds: &[Option<Bounds>]) -> Self {
+        let sorted = |time: fn(&Bounds) -> i64| {
+            let mut times: Vec<i64> = bounds.iter().flatten().map(time).collect();
+            times.sort_unstable();
+            times
+        };
+        Self { starts: sorted(|of| of.received.0), ends: sorted(|of| of.received.1) }
+    }
+}
+
+/// The median of the sorted `times` without `own`, which is one of them. Of two the greater if `upper`.
+fn median_of_others(times: &[i64], own: i64, upper: bool) -> Option<i64> {
+    let others = times.len().checked_sub(1)?;
+    let middle = if upper { others / 2 } else { others.saturating_sub(1) / 2 };
+    let place = times.partition_point(|time| *time < own);
+    let is_there = middle < others;
+    is_there.then(|| times[middle + usize::from(middle >= place)])
+}
+
 /// How stream `index` lies against the others.
-pub(super) fn extent(bounds: &[Option<Bounds>], index: usize, motion: &Motion) -> Option<Extent> {
+pub(super) fn extent(
+    bounds: &[Option<Bounds>],
+    all: &Ends,
+    index: usize,
+    motion: &Motion,
+) -> Option<Extent> {
     let own = bounds[index]?;
-    let others = || {
-        let others = bounds.iter().enumerate().filter(move |(other, _)| *other != index);
-        others.filter_map(|(_, bounds)| *bounds)
-    };
     // Of two others the one that leaves the less to blame this stream for.
-    let median = |mut times: Vec<i64>, upper: bool| {
-        times.sort_unstable();
-        let middle = if upper { times.len() / 2 } else { times.len().saturating_sub(1) / 2 };
-        times.get(middle).copied()
-    };
-    let start = median(others().map(|other| other.received.0).collect(), true)?;
-    let end = median(others().map(|other| other.received.1).collect(), false)?;
+    let start = median_of_others(&all.starts, own.received.0, true)?;
+    let end = median_of_others(&all.ends, own.received.1, false)?;
     let late_start_s = seconds(own.received.0.saturating_sub(start));
     let early_end_s = seconds(end.saturating_sub(own.received.1));
     let (first, last) = own.stamps;

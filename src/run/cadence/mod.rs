@@ -22,7 +22,7 @@ use crate::stream::Columns;
 use crate::time::{Clock, Stamp, seconds};
 
 use self::coarse::Coarse;
-use self::extent::{Bounds, extent};
+use self::extent::{Bounds, Ends, extent};
 use self::intervals::{Intervals, Pace};
 use self::motion::Motion;
 use self::parts::{Part, parts};
@@ -182,8 +182,9 @@ pub(super) fn rhythms(
         all.filter(|_| is_expected(stream))
     };
     let bounds: Vec<Option<Bounds>> = rhythms.iter().map(with_others).collect();
+    let ends = Ends::of(&bounds);
     for (index, (rhythm, _)) in rhythms.iter_mut().enumerate() {
-        rhythm.extent = extent(&bounds, index, &motion);
+        rhythm.extent = extent(&bounds, &ends, index, &motion);
         let own = &streams[rhythm.stream];
         let came = || {
             let others = streams.iter().enumerate().filter(|(other, _)| *other != rhythm.stream);

@@ -269,7 +269,7 @@ fn a_record_that_is_damaged_does_not_take_the_others_with_it() {
 }
 
 /// A packet of KUKA's: pose and axes by its number.
-fn packet(number: u32) -> String {
+pub(crate) fn packet(number: u32) -> String {
     let cells = |names: &[&str]| -> String {
         let of = |(at, name): (usize, &&str)| format!(" {name}=\"{}.5\"", number as usize + at);
         names.iter().enumerate().map(of).collect()
@@ -338,7 +338,7 @@ fn field(number: u8, content: &[u8]) -> Vec<u8> {
 }
 
 /// An example with these features of floats.
-fn example(features: &[(&str, Vec<f32>)]) -> Vec<u8> {
+pub(crate) fn example(features: &[(&str, Vec<f32>)]) -> Vec<u8> {
     let of = |(name, numbers): &(&str, Vec<f32>)| {
         let packed: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
         let feature = field(2, &field(1, &packed));
