@@ -91,8 +91,11 @@ impl Places {
         let (path, _) = log::episode_of(&path);
         let absolute = std::path::absolute(&path).unwrap_or_else(|_| path.clone());
         let folder = path.is_dir().then(|| path.clone()).or_else(|| log::dataset_of(&absolute));
-        let is_last =
-            |folder: &PathBuf| self.trees.last().is_some_and(|tree| tree.folder.given == *folder);
+        let is_last = |folder: &PathBuf| {
+            self.trees
+                .last()
+                .is_some_and(|tree| tree.content == Content::Log && tree.folder.given == *folder)
+        };
         // The episodes of a dataset follow each other.
         let folder = folder.filter(|folder| !is_last(folder));
         let content = Content::Log;

@@ -182,7 +182,8 @@ impl Source {
             Source::Arm(robot) => {
                 let maker =
                     robot.provenance.as_ref().map(|it| format!(", {} {}", it.vendor, it.model));
-                writeln!(out, "robot          {}{}", robot.name, maker.unwrap_or_default())?;
+                let name = format!("{}{}", robot.name, maker.unwrap_or_default());
+                writeln!(out, "robot          {}", tame(&name))?;
                 for driver in self.drivers() {
                     writeln!(out, "topics of      {} ({})", driver.name, driver.source)?;
                 }

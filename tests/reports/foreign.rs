@@ -54,8 +54,9 @@ fn statements_that_print_names_use_the_one_function() {
     {
         let text = fs::read_to_string(&file).expect("a source");
         for (at, _) in text.match_indices("writeln!(") {
-            let end = text[at..].find(";\n").map_or(text.len(), |length| at + length);
-            let statement = &text[at..end.min(at + 400)];
+            let ends =
+                [";\n", ")\n    }", ",\n    }"].iter().filter_map(|end| text[at..].find(end));
+            let statement = &text[at..ends.min().map_or(text.len(), |length| at + length)];
             let names = [".display()", "robot.name", ".topic,", "note.note"];
             let prints = names.iter().any(|name| statement.contains(name));
             if prints && !statement.contains("foreign(") && !statement.contains("tame(") {

@@ -51,7 +51,7 @@ pub fn program(
     writeln!(
         out,
         "# poseaudit plan: {}, {:.1} s, for {purpose}",
-        planning.robot.name,
+        foreign(&planning.robot.name),
         series.length_s()
     )?;
     writeln!(out, "# {OBSTACLES}.")?;

@@ -3,6 +3,7 @@
 use std::io::{self, Write};
 
 use poseaudit::diagnosis::plan::{Planned, Promise, Series, extents, geometric_mean};
+use poseaudit::report::foreign;
 use poseaudit::stream::JointTrack;
 use serde_json::{Value, json};
 
@@ -138,7 +139,7 @@ pub fn yaml(planning: &Planning, series: &Series, out: &mut dyn Write) -> io::Re
     writeln!(
         out,
         "# trajectory_msgs/JointTrajectory of poseaudit plan, for {}",
-        planning.robot.name
+        foreign(&planning.robot.name)
     )?;
     writeln!(out, "# {OBSTACLES}")?;
     writeln!(out, "# The arm must stand in the first posture when it begins.")?;

@@ -108,7 +108,7 @@ impl Candidate {
     /// A column of which nothing could be read.
     pub fn refused(name: &str, rows: usize, why: Refusal) -> Self {
         let column = Column { name: name.to_owned(), width: 1, ..Column::default() };
-        Self { column, rows, lost: vec![0..rows], why: Some(why) }
+        Self { column, rows, lost: std::iter::once(0..rows).collect(), why: Some(why) }
     }
 }
 
