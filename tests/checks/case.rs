@@ -48,9 +48,6 @@ pub enum Expected {
     /// Neighbouring fault: the rule named here finds it, no other does, and it leaves the rule of the
     /// case open of some subjects, which says why.
     LeftOpenBy(&'static str, &'static str),
-    /// Neighbouring fault: the rule named here finds it, no other does, and it takes what the rule of
-    /// the case would ask, which says why.
-    TakenBy(&'static str, &'static str),
     /// Missing input: the rule has nothing to look at, and says what.
     Skipped(&'static str),
     /// Missing input: the rule cannot tell of any subject, and says why; nothing is found.
@@ -232,11 +229,6 @@ impl Case {
                 assert!(!open.is_empty(), "nothing is left open");
                 assert_all_say(&open, Status::Inconclusive, part);
             }
-            Expected::TakenBy(code, part) => {
-                let found_by: Vec<&str> = report.findings.iter().map(|found| found.code).collect();
-                assert_eq!(found_by, [*code], "found:\n{found}");
-                assert_all_say(&rows, Status::Skipped, part);
-            }
             Expected::Skipped(part) => {
                 assert_all_say(&rows, Status::Skipped, part);
                 assert!(report.findings.is_empty(), "found:\n{found}");
@@ -288,7 +280,7 @@ impl Expected {
         match self {
             Self::Found(..) => planted,
             Self::Sound => clean,
-            Self::BlamedOn(_) | Self::LeftOpenBy(..) | Self::TakenBy(..) => neighbour,
+            Self::BlamedOn(_) | Self::LeftOpenBy(..) => neighbour,
             Self::Skipped(_) | Self::Undecided(_) | Self::Refused(_) => missing,
         }
     }

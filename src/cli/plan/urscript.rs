@@ -4,6 +4,7 @@ use std::io::{self, Write};
 
 use poseaudit::diagnosis::plan::Series;
 use poseaudit::report::Trouble;
+use poseaudit::report::foreign;
 use poseaudit::robot::Chain;
 
 use super::super::misuse;
