@@ -53,6 +53,9 @@ rule! {
     /// Of a drawing against a calibrated arm `link_m` is by how much each link is off, as a standard
     /// deviation; angles by 0.1° where that is 1 mm.
     ///
+    /// A stream that does what the arm does by more than 40 ms before it is not compared, and is open: it is a
+    /// command, or a pose of the tool beside late joint states.
+    ///
     /// It is a finding where the error is three times what differs from sample to sample (an F of
     /// nine), or comes again with the posture; else it is open, and so is the run's verdict.
     ///
