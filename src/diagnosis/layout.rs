@@ -80,6 +80,11 @@ pub(super) struct Written<'a> {
     pub reference_known: bool,
 }
 
+/// Whether a marker's positions may spread so far where the tip's spread by `by_fk`.
+pub(super) fn may_spread_so(extent: f64, by_fk: f64) -> bool {
+    (extent / by_fk).ln().abs() < LEVER.ln()
+}
+
 /// The layouts in which positions lie on the arm about as well as in any, the simplest first; none where
 /// positions tell nothing, as the tip hardly moves.
 pub(super) fn layouts(fk: &[Pose], reach_m: f64, written: &Written) -> Vec<Layout> {
@@ -237,7 +242,8 @@ impl<'a> Search<'a> {
     /// mirror image.
     fn units(&self) -> Vec<f64> {
         let ratio = spread(self.written.xyz) / self.extent_m;
-        let may_be = |metres: &f64| (ratio * metres).ln().abs() < LEVER.ln();
+        let may_be =
+            |metres: &f64| !may_spread_so(ratio, 1.0) && may_spread_so(ratio * metres, 1.0);
         let usual = LengthScale::usual().map(|unit| unit.in_m() / self.written.read_as_m);
         let mut units: Vec<f64> = usual.filter(|metres| *metres != 1.0).filter(may_be).collect();
         for sign in [1.0, -1.0] {

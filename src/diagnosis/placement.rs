@@ -3,7 +3,7 @@
 
 use super::frames::misfit_of_frames;
 use super::latency::{ArmSpeeds, Peak};
-use super::layout::{Layout, Written, layouts};
+use super::layout::{Layout, Written, layouts, may_spread_so};
 use super::placing::spread;
 use super::sampling::{FOLLOWS, as_rotations, slow_samples, stream_peaks};
 use super::turning::FITS_RAD;
@@ -63,7 +63,11 @@ impl Placement {
                 (placement.layouts, placement.constant) = (Vec::new(), [false; 3]);
                 return placement;
             }
-            if !reference_known && let Some(metres) = unit_by_poses(track, &rows, &fk) {
+            let by_poses = match reference_known {
+                true => None,
+                false => unit_by_poses(track, &rows, &fk),
+            };
+            if let Some(metres) = by_poses.filter(|metres| *metres != 1.0) {
                 placement.metres = Ok(metres);
                 (placement.layouts, placement.constant) = (Vec::new(), [false; 3]);
                 return placement;
@@ -76,10 +80,13 @@ impl Placement {
                 [false, false, true] => Some(Some(2)),
                 _ => None,
             };
-            let layouts = left_out.map_or_else(Vec::new, |constant| {
+            let mut layouts = left_out.map_or_else(Vec::new, |constant| {
                 let written = Written { xyz: &xyz, constant, read_as_m, reference_known };
                 layouts(&fk, reach_m, &written)
             });
+            if by_poses.is_some() {
+                layouts.retain(|layout| layout.metres == 1.0);
+            }
             let left_m = layouts.first().map_or(f64::MAX, |layout| layout.left_m);
             if left_m < least_m {
                 least_m = left_m;
@@ -209,8 +216,8 @@ pub(super) fn metres_by_reach(stream: &PoseStream) -> f64 {
     usual.chain([1.0]).min_by(|a, b| off(*a).total_cmp(&off(*b))).unwrap_or(1.0)
 }
 
-/// The usual unit, other than the metre, in which a constant world and marker explain the poses at `rows`
-/// clearly better than in metres. Rotations tell how the world is turned where positions alone do not.
+/// The usual unit in which a constant world and marker explain the poses at `rows`: metres, or one that does
+/// so clearly better. Rotations tell how the world is turned where positions alone do not.
 fn unit_by_poses(track: &PoseTrack, rows: &[usize], fk: &[Pose]) -> Option<f64> {
     /// The unit leaves this share of the positions' own spread or less, and so many times less than metres.
     const EXPLAINS: f64 = 0.1;
@@ -225,6 +232,10 @@ fn unit_by_poses(track: &PoseTrack, rows: &[usize], fk: &[Pose]) -> Option<f64> 
     };
     let in_metres = share_left(1.0);
     if in_metres <= EXPLAINS {
+        return Some(1.0);
+    }
+    let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
+    if may_spread_so(extent, spread(&at)) {
         return None;
     }
     let usual = LengthScale::usual().map(|unit| unit.in_m() / in_metres_of(track));
