@@ -385,14 +385,17 @@ impl<'a> Sight<'a> {
         }
         free.extend((0..6).filter(|_| reference).map(|at| 1 + dof + at));
         free.extend((0..3).map(|at| 7 + dof + at));
-        let mut starts = vec![self.plain()];
-        if matches!(needs, Needs::HalfTurn { .. }) {
-            starts[0].reference = Pose::rotation(Vec3::z() * std::f64::consts::PI);
-        }
-        if reference {
-            let turned = Expected::of(&self.fk).turned(&self.xyz);
-            starts.extend(turned.map(|(reference, _)| Guess { reference, ..self.plain() }));
-        }
+        let from = |reference: Pose| Guess { reference, ..self.plain() };
+        let half_turn = Pose::rotation(Vec3::z() * std::f64::consts::PI);
+        let starts = match (needs, reference) {
+            (Needs::HalfTurn { .. }, _) => vec![from(half_turn)],
+            (_, false) => vec![self.plain()],
+            // Positions along a line leave the turn about it open: each usual frame is a start.
+            (_, true) => {
+                let (turned, _) = Expected::of(&self.fk).turned_anyhow(&self.xyz);
+                vec![self.plain(), from(half_turn), from(turned)]
+            }
+        };
         let priors: &[ToolPrior] = match needs.has_tool() {
             false => &[ToolPrior::Deviation],
             true => &[ToolPrior::None, ToolPrior::AlongAxis],

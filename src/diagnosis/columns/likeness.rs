@@ -188,7 +188,9 @@ impl Sheet {
         let count = self.columns.len();
         let moves: Vec<bool> = (0..count).map(|column| self.moves(column)).collect();
         let mut best: Option<(usize, std::ops::Range<usize>, usize)> = None;
-        for behind in MOVING..count {
+        // Both are in one array.
+        let widest = self.homes.chunk_by(|a, b| a == b).map(<[_]>::len).max().unwrap_or(0);
+        for behind in MOVING..widest {
             let is_pair = |at: &usize| {
                 self.homes[*at] == self.homes[at + behind]
                     && (!moves[*at] || self.rate_correlation(at + behind, *at) > RATE)

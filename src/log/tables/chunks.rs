@@ -228,7 +228,7 @@ impl<'a> Assembly<'a> {
 }
 
 /// The place in a box of these sides of its element of this number, the last going fastest.
-fn within(number: usize, sides: &[usize]) -> Vec<usize> {
+pub(super) fn within(number: usize, sides: &[usize]) -> Vec<usize> {
     let mut rest = number;
     let mut places: Vec<usize> = sides
         .iter()

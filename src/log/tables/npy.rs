@@ -4,6 +4,7 @@
 
 use std::io::{Cursor, Read};
 
+use super::chunks::within;
 use super::{
     Candidate, Column, Context, Episodes, MOST_COLUMNS, MOST_WIDE, Refusal, Table, common_rows,
     lies_on_side,
@@ -283,19 +284,8 @@ impl<'a> Array<'a> {
 
 /// The place by columns of what is number `part` by rows.
 fn transposed(part: usize, sides: &[usize]) -> usize {
-    let mut rest = part;
-    let mut places: Vec<usize> = sides
-        .iter()
-        .rev()
-        .map(|side| {
-            let place = rest % side;
-            rest /= side;
-            place
-        })
-        .collect();
-    places.reverse();
     let mut step = 1;
-    places
+    within(part, sides)
         .iter()
         .zip(sides)
         .map(|(place, side)| {
