@@ -175,7 +175,22 @@ impl LatencyCourse {
         })
     }
 
-    fn beyond_s(&self, t_s: f64) -> f64 {
+    /// Number of parameters that describe it beside a constant.
+    pub(super) fn parameters(&self) -> usize {
+        match self.shape {
+            LatencyShape::Steady => 0,
+            // When, and by how much.
+            LatencyShape::Steps => 2 * self.jumps.len(),
+            // Its two ends, and by how much.
+            LatencyShape::Ramp { .. } => 3,
+            LatencyShape::Wander => self.levels.len(),
+            // The latency for each unit of speed.
+            LatencyShape::WithLoad => 1,
+        }
+    }
+
+    /// Latency beyond what was found for the whole run at the stamp `t_s`, s.
+    pub(super) fn beyond_s(&self, t_s: f64) -> f64 {
         let after = self.levels.partition_point(|(from_s, _)| *from_s <= t_s);
         let level = |index: usize| self.levels.get(index).copied();
         match (after.checked_sub(1).and_then(level), level(after)) {

@@ -64,6 +64,7 @@ impl Blind {
 }
 
 /// A pose stream whose reading and units are settled, ready for the fit.
+#[derive(Clone)]
 pub(super) struct Witness<'a> {
     pub joints: &'a JointTrack,
     pub chain: &'a Chain,

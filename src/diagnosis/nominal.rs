@@ -11,8 +11,10 @@
 //! usually are, and for changes that are larger than theirs. Where few ordinary causes bring the
 //! residual to the noise there is nothing left to pay with, however many of them there are.
 
+use super::explain::price;
 use super::linear::{Linear, Normal, Weight};
 use super::model::{FLOOR_M, FLOOR_RAD, State, StreamState, Sweep, Witness};
+use super::{GradualLatency, LatencyCourse};
 use ground::geometry::{Pose, Vec3};
 use nalgebra::{DMatrix, DVector};
 
@@ -64,6 +66,43 @@ pub(super) fn is_nominal(
     let explained = witness.linearize(&state.streams[stream], &state.offsets, stride);
     let left = explained.weights_after(&vec![0.0; explained.width]);
     calibration.gain_over(&left) > calibration.price
+}
+
+/// Whether an arm whose links deviate as usual, with a constant latency, is a likelier source of the stream than
+/// an exact arm with the unsteady latency `course`. Slow motion hides a large change of latency, and link
+/// deviations look like one there.
+///
+/// `fitted` is the stream's state with all its causes, `plain` the one without those that calibrations make.
+/// Both are of stamps from which `removed` was subtracted.
+pub(super) fn links_outdo_course(
+    witness: &Witness,
+    [fitted, plain]: [&StreamState; 2],
+    offsets: &[f64],
+    course: &LatencyCourse,
+    removed: Option<&GradualLatency>,
+) -> bool {
+    let at_stamps = |stamp: &dyn Fn(f64) -> f64| {
+        let t_s = witness.t_s.iter().map(|t_s| stamp(*t_s)).collect();
+        Witness { t_s, ..witness.clone() }
+    };
+    let logged_s = |t_s: f64| removed.map_or(t_s, |gradual| gradual.logged_s(t_s));
+    let logged = at_stamps(&logged_s);
+    let steady = at_stamps(&|t_s| logged_s(t_s) - course.beyond_s(logged_s(t_s)));
+    let stride = witness.len().div_ceil(SAMPLES).max(1);
+    let as_logged = logged.linearize(plain, offsets, stride);
+    if rms(&as_logged.residual[0]) > MOST_M || rms(&as_logged.residual[1]) > MOST_RAD {
+        return false;
+    }
+    let calibration = Calibration::fit(&logged, plain, offsets, stride);
+    // The levels hold the skew; about which stamp it turns is in the constant latency.
+    let mut state = StreamState { skew: 0.0, ..fitted.clone() };
+    for _ in 0..2 {
+        state.latency_s += steady.at_latency(&state, offsets, SAMPLES).1;
+    }
+    let left = steady.linearize(&state, offsets, stride);
+    let left = left.weights_after(&vec![0.0; left.width]);
+    let price = price(calibration.samples as f64) * course.parameters() as f64;
+    calibration.gain_over(&left) + price > calibration.price
 }
 
 /// Rms length of residuals.

@@ -203,7 +203,7 @@ fn large_zeros(state: &State, read: &Read, most: f64) -> Vec<f64> {
 
 /// A stream's state without the causes that a calibration may feign: frames stay where they are
 /// unknown, round, or larger than calibrations are.
-fn without_small_causes(explanation: &Explanation, stream: usize) -> StreamState {
+pub(super) fn without_small_causes(explanation: &Explanation, stream: usize) -> StreamState {
     let found = &explanation.state.streams[stream];
     let is_large = |frame: &Pose| {
         frame.translation.vector.norm() > MOST_M || frame.rotation.angle() > MOST_RAD

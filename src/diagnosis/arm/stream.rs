@@ -1,13 +1,14 @@
 //! What a fit says of one stream.
 
 use super::align::align;
-use super::fit::Fitted;
+use super::fit::{Fitted, without_small_causes};
 use super::twins::measured;
 use crate::course::latency_course;
 use crate::explain::{Cause, ENTANGLED, Explanation};
 use crate::frames::{frame_estimate, placed_by_positions};
 use crate::latency::median_period_s;
 use crate::model::StreamState;
+use crate::nominal::links_outdo_course;
 use crate::observability::Observability;
 use crate::placement::Placement;
 use crate::prepare::Prepared;
@@ -15,8 +16,8 @@ use crate::residual::residual;
 use crate::sampling::SEARCH_SAMPLES;
 use crate::skewed::{SkewedDelays, skewed_delays};
 use crate::{
-    Aligned, AxesSlip, CodedParts, ConstantPart, LengthSlip, Measured, PoseDiagnosis, PoseStream,
-    Residual, Seen, Taken, UnitSlip, Unseen,
+    Aligned, AxesSlip, CodedParts, ConstantPart, LatencyCourse, LengthSlip, Measured,
+    PoseDiagnosis, PoseStream, Residual, Seen, Taken, UnitSlip, Unseen,
 };
 use ground::geometry::LengthScale;
 use ground::stream::JointTrack;
@@ -158,7 +159,17 @@ pub(super) fn stream_diagnosis(
     let course = match &latency_s {
         Ok(_) => {
             let speed = |t_s: f64| joint_speed(recorded, t_s - found.latency_s);
-            latency_course(&aligned, found.skew, stream.taken_off, speed)
+            let course = latency_course(&aligned, found.skew, stream.taken_off, speed);
+            let states = [found, &without_small_causes(explanation, index)];
+            let is_feigned = |course: &LatencyCourse| {
+                let removed = stream.taken_off;
+                course.is_unsteady
+                    && links_outdo_course(&prepared.witness, states, zeros, course, removed)
+            };
+            match course {
+                Ok(course) if is_feigned(&course) => Err(Unseen::NotExcited),
+                course => course,
+            }
         }
         Err(why) => Err(why.clone()),
     };
