@@ -1,21 +1,21 @@
-//! Positions in the arm's own base frame: then nothing but a tool is free, so that the absolute position counts,
-//! and a motion of one or two joints is enough.
+//! Search for tool positions in the arm's base frame. Only the tool offset is free, so absolute positions
+//! constrain the fit and motion of one or two joints is enough.
 
 use super::{Block, LONGEST_TOOL_M, Near, Sheet, Wanted};
 use ground::geometry::{Pose, Vec3};
 use ground::robot::Chain;
 use rayon::prelude::*;
 
-/// Share of the position's extent that a tool alone may leave before the fit with a latency.
+/// Maximum residual, as a share of the position's extent, before the latency is fitted.
 const NEAR: f64 = 0.3;
-/// Blocks that are fitted, and arms for each.
+/// Maximum number of joint and position candidates, and of arms per candidate.
 const MOST_FITS: usize = 8;
 const MOST_ARMS: usize = 4;
-/// Positions beyond this are no metres but millimetres: no arm reaches as far.
+/// Positions beyond this are in millimetres: no arm reaches 10 m.
 const FARTHEST_M: f64 = 10.0;
 
 impl Sheet {
-    /// Blocks and positions that agree in the base frame with a tool alone, the nearest first.
+    /// Candidates whose positions fit in the base frame with only a tool offset, best first.
     pub(super) fn near_at_base(&self, wanted: &Wanted, lags_s: &[f64]) -> Vec<Near> {
         let rows = self.few_rows();
         if rows.len() < super::FEW_ROWS / 3 || self.columns.len() > super::MOST_COLUMNS {
@@ -64,8 +64,8 @@ impl Sheet {
         kept
     }
 
-    /// Whether a tool alone explains the position in the base frame at that latency in rows all over the table, slow
-    /// and fast.
+    /// Checks that a tool offset explains the position in the base frame at this latency, over the whole
+    /// table and at all speeds.
     pub(super) fn agrees_at_base(
         &self,
         block: &Block,
@@ -73,7 +73,8 @@ impl Sheet {
         position: [usize; 3],
         lag_s: f64,
     ) -> bool {
-        /// Share of the extent that may be left: the latency is not as exact as the residual at slow rows.
+        /// Maximum residual as a share of the extent. Above the usual threshold, because the latency is
+        /// less precise than the residual at slow rows.
         const MOST: f64 = 0.1;
         let rows = self.few_rows();
         let logged = Logged::of(self, position, &rows);
@@ -81,23 +82,22 @@ impl Sheet {
         logged.and_then(|logged| logged.share(&fk)).is_some_and(|share| share < MOST)
     }
 
-    /// FK of a block at some rows.
     fn poses_at(&self, block: &Block, chain: &Chain, rows: &[usize], lag_s: f64) -> Vec<Pose> {
         let at = |&row: &usize| chain.forward(&self.joints_at(block, chain, self.t_s[row] - lag_s));
         rows.iter().map(at).collect()
     }
 }
 
-/// Three columns as a position in metres.
+/// Position in metres, read from three columns.
 struct Logged {
     position: [usize; 3],
     xyz: Vec<Vec3>,
-    /// Sum of the squared distances from the mean.
+    /// Sum of squared distances from the mean, m².
     extent: f64,
 }
 
 impl Logged {
-    /// `None` if fewer than two coordinates move, or the position is beyond any arm's reach.
+    /// `None` if fewer than two coordinates move, or if the position is out of any arm's reach.
     fn of(sheet: &Sheet, position: [usize; 3], rows: &[usize]) -> Option<Self> {
         let at = |&row: &usize| Vec3::from(position.map(|column| sheet.columns[column][row]));
         let mut xyz: Vec<Vec3> = rows.iter().map(at).collect();
@@ -113,14 +113,14 @@ impl Logged {
         (extent > 0.0 && moving > 1 && is_near).then_some(Self { position, xyz, extent })
     }
 
-    /// Share of the extent that FK leaves with the best tool, in the base or in a base turned by 180° about z;
-    /// `None` if that is much, or the tool is longer than tools are.
+    /// Residual with the best tool offset, as a share of the extent. Tries the base frame and a base turned
+    /// by 180° about z. `None` if the residual is large or the tool is longer than [`LONGEST_TOOL_M`].
     fn share(&self, fk: &[Pose]) -> Option<f64> {
         [1.0, -1.0].into_iter().filter_map(|turn| self.share_turned(fk, turn)).reduce(f64::min)
     }
 
     fn share_turned(&self, fk: &[Pose], turn: f64) -> Option<f64> {
-        // Rotations keep lengths, so that the best tool is a mean.
+        // Rotations preserve lengths, so the least-squares tool offset is a mean.
         let few = fk.len().div_ceil(super::FEWER_ROWS / 2);
         let left = |step: usize| {
             let (mut count, mut sum, mut squares) = (0.0, Vec3::zeros(), 0.0);

@@ -1,37 +1,37 @@
-//! Which columns say what others do, and when.
+//! Relations between columns: time-shifted copies and rates.
 
 use super::{MOVING, Sheet};
 use ground::stats::median;
 
-/// Rates correlate by this at least.
+/// Minimum correlation between a column and the rate of another.
 const RATE: f64 = 0.95;
 
-/// How some columns say what others do.
+/// Time shift between two groups of columns with the same content.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shift {
-    /// By how much they say it later, s.
+    /// Delay of the second group, s.
     pub later_s: f64,
-    /// What differs beside that, as a share of the spread.
+    /// Residual after the shift, as a share of the spread.
     pub left: f64,
 }
 
-/// What a column that is neither joint nor pose does.
+/// Content of a column that is neither a joint nor a pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Conduct {
-    /// It never changes.
+    /// Never changes.
     Constant,
-    /// It takes two values.
+    /// Takes two values.
     TwoLevels,
-    /// It says what that column says, by a shift.
+    /// Copy of that column with a time shift.
     As(usize, Shift),
-    /// It is the rate of that column.
+    /// Rate of that column.
     RateOf(usize),
-    /// It follows none.
+    /// Unrelated to the other columns.
     Own,
 }
 
 impl Sheet {
-    /// How `others` say what `columns` do, where they do.
+    /// Time shift of `others` relative to `columns`. `None` if their content differs.
     pub fn shift(&self, columns: &[usize], others: &[usize]) -> Option<Shift> {
         let series = |columns: &[usize]| -> Vec<Vec<f64>> {
             columns.iter().map(|&column| self.less(column, self.mean(column))).collect()
@@ -39,8 +39,8 @@ impl Sheet {
         self.shift_of(&series(columns), &series(others))
     }
 
-    /// The same of one column that is `apart` off another at rest: where both move along a line, the one is late
-    /// by as much as it is off.
+    /// Time shift between two columns that differ by `apart` at rest. On motion along a line, an offset
+    /// would otherwise pass as a delay.
     pub fn shift_beside(&self, column: usize, other: usize, apart: f64) -> Option<Shift> {
         let mean = self.mean(column);
         self.shift_of(&[self.less(column, mean)], &[self.less(other, mean - apart)])
@@ -55,7 +55,7 @@ impl Sheet {
     }
 
     fn shift_of(&self, these: &[Vec<f64>], those: &[Vec<f64>]) -> Option<Shift> {
-        /// The longest, s, and what differs of columns that are the same, as a share of the spread.
+        /// Longest shift, s, and maximum residual as a share of the spread.
         const LONGEST_S: f64 = 1.0;
         const SAME: f64 = 0.2;
         let rows = self.t_s.len();
@@ -85,13 +85,13 @@ impl Sheet {
         Some(Shift { later_s: (by as f64 + between) * step_s, left: least.sqrt() })
     }
 
-    /// How far `column` is from `other` where both stand still, by the median, and in how many rows they do;
-    /// `None` where they hardly rest, or hardly move.
+    /// Median offset of `column` from `other` at rest, and the number of rows at rest. `None` if the
+    /// columns rest or move too little.
     pub fn apart_at_rest(&self, column: usize, other: usize) -> Option<(f64, usize)> {
-        /// What stands still changes by no more than this share of its range, for so long.
+        /// A column rests if it changes by at most this share of its range over this time.
         const STILL: f64 = 1e-3;
         const REST_S: f64 = 0.5;
-        /// Rows that are needed, and how long it must move: one step is no motion.
+        /// Minimum rows at rest, and minimum time in motion. A single step is not a motion.
         const ROWS: usize = 20;
         const MOVES_S: f64 = 2.0;
         let reach = (0.5 * REST_S / self.step_s()).ceil() as usize;
@@ -114,7 +114,7 @@ impl Sheet {
         median(&mut apart).filter(|_| tells).map(|apart| (apart, count))
     }
 
-    /// What a column does beside some others.
+    /// Classifies a column by its relation to the columns `beside`.
     pub fn conduct(&self, column: usize, beside: &[usize]) -> Conduct {
         let values = &self.columns[column];
         let [low, high] = self.range(column);
@@ -137,14 +137,13 @@ impl Sheet {
         }
     }
 
-    /// The correlation of a column with the rate of another.
     fn rate_correlation(&self, column: usize, of: usize) -> f64 {
         correlation(&self.beside_rates(column, of).collect::<Vec<_>>())
     }
 
-    /// Whether a column is the rate of another, in its unit a second.
+    /// Checks whether a column is the rate of another, in that column's unit per second.
     pub(super) fn is_rate(&self, column: usize, of: usize) -> bool {
-        /// Share of the column's mean square that may differ.
+        /// Maximum deviation as a share of the column's mean square.
         const DIFFERS: f64 = 0.05;
         let pairs = self.beside_rates(column, of);
         let (differing, own) = pairs.fold((0.0, 0.0), |(differing, own), (value, rate)| {
@@ -153,7 +152,7 @@ impl Sheet {
         differing < DIFFERS * own
     }
 
-    /// The values of a column, each with the rate of another.
+    /// Values of a column, paired with the rate of another.
     fn beside_rates(&self, column: usize, of: usize) -> impl Iterator<Item = (f64, f64)> + '_ {
         let (values, own) = (&self.columns[column], &self.columns[of]);
         (1..own.len().saturating_sub(1)).map(|row| {
@@ -162,7 +161,8 @@ impl Sheet {
         })
     }
 
-    /// The columns that hold the rates of some others: of each that moves, equally far behind or before it.
+    /// Columns that contain the rates of `columns`, all at the same index offset. Only columns that move
+    /// are compared.
     pub fn rates_of(&self, columns: &[usize]) -> Option<Vec<usize>> {
         let count = self.columns.len();
         let moving: Vec<usize> = columns.iter().copied().filter(|&at| self.moves(at)).collect();
@@ -182,13 +182,13 @@ impl Sheet {
         shifts.filter(|_| !moving.is_empty()).filter_map(shifted).find(are_rates)
     }
 
-    /// The longest run of columns whose rates stand equally far behind each of them: positions and velocities.
-    /// Columns that hardly move may belong to it.
+    /// Longest run of columns whose rates follow at a constant index offset: positions and velocities. The
+    /// run may include columns that do not move.
     pub fn with_rates(&self) -> Option<(Vec<usize>, Vec<usize>)> {
         let count = self.columns.len();
         let moves: Vec<bool> = (0..count).map(|column| self.moves(column)).collect();
         let mut best: Option<(usize, std::ops::Range<usize>, usize)> = None;
-        // Both are in one array.
+        // Positions and velocities belong to the same array.
         let widest = self.homes.chunk_by(|a, b| a == b).map(<[_]>::len).max().unwrap_or(0);
         for behind in MOVING..widest {
             let is_pair = |at: &usize| {
@@ -200,7 +200,7 @@ impl Sheet {
                 let end = from + (from..count - behind).take_while(is_pair).count();
                 let moving = (from..end).filter(|&at| moves[at]).count();
                 if moving >= MOVING && best.as_ref().is_none_or(|best| moving > best.0) {
-                    // Velocities that follow at once tell how many there are.
+                    // If the velocities follow directly, their offset is the number of joints.
                     let first = (from..end).find(|&at| moves[at]).unwrap_or(from);
                     let first = first.min(end.saturating_sub(behind).max(from));
                     best = Some((moving, first..end.min(first + behind), behind));

@@ -1,10 +1,10 @@
-//! Linear fits of columns, and which rows tell most.
+//! Linear least squares on columns, and selection of rows with motion.
 
 use nalgebra::{DMatrix, DVector};
 
 use super::MOST_ROWS;
 
-/// Where the rows begin that move most.
+/// Start of the window of rows with the most motion.
 pub(super) fn liveliest(rows: &[usize], columns: &[Vec<f64>]) -> usize {
     let spreads: Vec<f64> = columns
         .iter()
@@ -31,7 +31,7 @@ pub(super) fn liveliest(rows: &[usize], columns: &[Vec<f64>]) -> usize {
     starts.max_by(|a, b| moved(a).total_cmp(&moved(b))).unwrap_or(0)
 }
 
-/// A matrix with the mean of each column taken off.
+/// Subtracts the mean of each column.
 pub(super) fn centred(mut matrix: DMatrix<f64>) -> DMatrix<f64> {
     for mut column in matrix.column_iter_mut() {
         let mean = column.mean();
@@ -40,7 +40,8 @@ pub(super) fn centred(mut matrix: DMatrix<f64>) -> DMatrix<f64> {
     matrix
 }
 
-/// The squares that `design` leaves of each column of `logged`, as of so many rows as are not fitted.
+/// Residual sum of squares of each column of `logged` after regression on `design`, scaled for the degrees
+/// of freedom.
 pub(super) fn left_of(design: &DMatrix<f64>, logged: &DMatrix<f64>) -> DVector<f64> {
     const RIDGE: f64 = 1e-9;
     let mut normal = design.transpose() * design;

@@ -1,9 +1,9 @@
-//! Which columns of a table are the joints of an arm and which the position of its tool.
+//! Identifies which columns of a table are an arm's joints and which are the position of its tool.
 //!
-//! A point on the tool is linear in FK's position and rotation, whatever the frame, the unit and the tool:
-//! `p = s·(R_b·(x + R·t)) + p_b`. So every block of columns that may be an arm's joints is held against all
-//! other columns at once, by linear least squares. What comes near is then fitted as any stream is, with
-//! latency, frame and tool free.
+//! A point on the tool is linear in FK's position and rotation, for any frame, unit and tool: `p =
+//! s·(R_b·(x + R·t)) + p_b`. Linear least squares therefore compares each block of joint candidates with
+//! all other columns at once. The best candidates are then fitted as pose streams, with latency, frame and
+//! tool free.
 
 use std::f64::consts::PI;
 
@@ -28,109 +28,111 @@ use super::placement::metres_by_size;
 use ground::robot::Chain;
 use ground::stream::sample_noise;
 
-/// Rows that are looked at, and no more of them a second than this.
+/// Maximum number of rows used, and their maximum rate.
 const MOST_ROWS: usize = 6000;
 const MOST_HZ: f64 = 110.0;
 /// Rows of the linear fits.
 const FEW_ROWS: usize = 150;
-/// Blocks that leave a larger share of the position's extent in the linear fit are not fitted; and those that
-/// do on a few rows are not held against all of them.
+/// Maximum residual of the linear fit, as a share of the position's extent. A fit to a few rows rejects
+/// poor candidates first.
 const NEAR: f64 = 0.4;
 const NEAR_ON_FEW: f64 = 0.55;
 const FEWER_ROWS: usize = 50;
-/// Blocks that are fitted, and arms for each.
+/// Maximum number of joint and position candidates, and of arms per candidate.
 const MOST_FITS: usize = 12;
 const MOST_ARMS: usize = 2;
-/// Ways that are fitted first. Where one of these leaves no more than this share of the extent, ways that leave
-/// a larger one in the linear fit are no rivals.
+/// Candidates fitted first. If one leaves a residual below `CLEAR` (share of the extent), candidates above
+/// `RIVAL` in the linear fit are skipped.
 const FIRST_FITS: usize = 4;
 const CLEAR: f64 = 0.005;
 const RIVAL: f64 = 0.25;
-/// Latencies at which blocks are sought, s: first without, then where nothing was near.
+/// Latencies of the search, s: zero first, the others only if zero finds no match.
 const LAGS_S: [&[f64]; 2] = [&[0.0], &[-0.4, -0.2, -0.1, 0.1, 0.2, 0.4]];
-/// Arms of which a log may be that are also tried with latencies.
+/// Maximum number of candidate arms for the search over latencies.
 const FEW_ARMS: usize = 4;
-/// Columns beyond these are not looked at.
+/// Tables with more columns are not searched.
 const MOST_COLUMNS: usize = 128;
-/// A position that a polynomial of time describes up to this share of its extent tells nothing: whatever moves
-/// so smoothly follows anything.
+/// Rejects a position that a polynomial in time describes to within this share of its extent. Such a smooth
+/// curve fits almost any arm.
 const PLAIN: f64 = 0.05;
 const DEGREE: i32 = 6;
-/// Two turns: beyond them numbers are no rad, and beyond this many degrees no degrees.
+/// Two turns. Larger values are not radians, and values beyond this many degrees are not degrees.
 const TWO_TURNS: f64 = 4.0 * PI;
-/// A joint may stand so far beyond its limits, rad or m.
+/// Tolerance beyond the joint limits, rad or m.
 const BEYOND: f64 = 0.2;
-/// A joint is not faster than so many times its limit. One without a limit has the highest of the catalogue, rad/s.
+/// Maximum joint speed as a multiple of its limit. Joints without a limit use the catalogue's highest,
+/// rad/s.
 const TOO_FAST: f64 = 3.0;
 const FASTEST_RAD_S: f64 = 21.0;
-/// A column moves that spreads by more, rad or m.
+/// Minimum range of a column that moves, rad or m.
 const MOVES: f64 = 0.01;
-/// Joints of a block that must move.
+/// Minimum number of moving joints in a block.
 const MOVING: usize = 3;
-/// Noise from row to row beside the spread of a column that is a motion.
+/// Maximum sample-to-sample noise of a moving column, as a share of its range.
 const NOISY: f64 = 0.2;
-/// A position follows an arm where FK leaves no more, m, or this share of its extent.
+/// Maximum residual of a position against FK: in m, or as a share of its extent.
 const FITS_M: f64 = 3e-3;
 const FITS_SHARE: f64 = 0.01;
 
-/// And no more than this share of it, however short the motion.
+/// Upper bound on the residual as a share of the extent, even for short motions.
 const MOST_SHARE: f64 = 0.05;
 
-/// In the arm's own base frame the tool is no longer than this, m.
+/// Maximum tool length in the arm's base frame, m.
 const LONGEST_TOOL_M: f64 = 0.5;
 
-/// The numbers of a table, by columns.
+/// Numeric columns of a table.
 pub struct Sheet {
     t_s: Vec<f64>,
     columns: Vec<Vec<f64>>,
-    /// The array that each column is of: no block reaches from one into another.
+    /// Source array of each column. Blocks do not span arrays.
     homes: Vec<usize>,
-    /// The fastest change of each column from a row to those after it, per second.
+    /// Fastest change of each column over a few rows, per second.
     steepest: Vec<f64>,
 }
 
-/// What is sought.
+/// Constraints of the search.
 pub struct Wanted<'a> {
-    /// The arms that it may be.
+    /// Candidate arms.
     pub chains: &'a [&'a Chain],
-    /// The columns of the joints as each of the arms has them, where they are known; these are rad.
+    /// Joint columns for each arm, in rad, if known.
     pub joints: Option<&'a [Vec<usize>]>,
-    /// The columns of the position, where they are known.
+    /// Position columns, if known.
     pub position: Option<[usize; 3]>,
-    /// Columns that are something else.
+    /// Columns already used for other data.
     pub taken: &'a [usize],
-    /// The longest latency, s.
+    /// Longest latency, s.
     pub most_lag_s: f64,
 }
 
-/// A way to take columns for joints and position.
+/// Assignment of columns to joints and position.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Mapping {
-    /// The arm, by its place.
+    /// Index of the arm.
     pub arm: usize,
-    /// The columns of its joints, from base to tip.
+    /// Joint columns, from base to tip.
     pub joints: Vec<usize>,
-    /// How their numbers are read.
+    /// Unit of the joint values.
     pub unit: JointNumbers,
-    /// The columns of the position.
+    /// Position columns.
     pub position: [usize; 3],
-    /// What FK leaves of the position, rms m, and how far that spreads.
+    /// Residual of the position against FK, rms m.
     pub left_m: f64,
     /// Rms distance of the positions from their mean, m.
     pub spread_m: f64,
-    /// How far the point is from the arm's tip, m.
+    /// Distance of the point from the arm's tip, m.
     pub tool_m: f64,
-    /// By how much the position is late, s.
+    /// Latency of the position, s.
     pub lag_s: f64,
-    /// Whether it fits in the arm's base frame with a tool of usual length, so that nothing but that tool is free.
+    /// Whether the position fits in the arm's base frame with a tool of usual length. Only the tool is then
+    /// free.
     #[serde(default)]
     pub is_at_base: bool,
-    /// Score of the fit, `n ln σ²` of the residual and the price of the frame and the tool: less is better.
+    /// Score of the fit: `n ln σ²` of the residual plus the penalties for frame and tool. Lower is better.
     #[serde(default)]
     pub score: f64,
 }
 
-/// What FK may leave of a position with that extent, m.
+/// Residual threshold for a position with that extent, m.
 fn limit_m(spread_m: f64) -> f64 {
     FITS_M.max(FITS_SHARE * spread_m)
 }
@@ -145,22 +147,22 @@ impl Mapping {
         Block { joints: self.joints.clone(), unit: self.unit, arm: self.arm }
     }
 
-    /// Whether it takes the same columns for the same.
+    /// Whether both assign the same columns with the same unit.
     pub fn is_same(&self, other: &Self) -> bool {
         let of = |it: &Self| (it.joints.clone(), it.position);
         of(self) == of(other) && self.unit == other.unit
     }
 }
 
-/// Columns that may be joints and position, and what share of the position's extent the linear fit leaves.
+/// Candidate joint and position columns, with the residual of the linear fit as a share of the extent.
 struct Near {
     block: Block,
     position: [usize; 3],
     share: f64,
 }
 
-/// The places of an arm's joints, from base to tip, in a row that is written in the order of the chain, or sorted
-/// by name as many drivers do.
+/// Column index of each joint, base to tip, for rows in chain order and for rows sorted by joint name
+/// (common in drivers).
 fn usual_orders(chain: &Chain) -> Vec<Vec<usize>> {
     let names = chain.joint_names();
     let mut sorted: Vec<&String> = names.iter().collect();
@@ -175,19 +177,20 @@ fn usual_orders(chain: &Chain) -> Vec<Vec<usize>> {
     orders
 }
 
-/// A block of columns that may be joints of an arm.
+/// Columns that may be the joints of an arm.
 #[derive(Clone)]
 pub struct Block {
-    /// The columns.
+    /// Column indices.
     pub joints: Vec<usize>,
-    /// How their numbers are read.
+    /// Unit of the joint values.
     pub unit: JointNumbers,
-    /// The arm, by its place.
+    /// Index of the arm.
     pub arm: usize,
 }
 
 impl Sheet {
-    /// Rows at times that rise; of many as many as tell, where they move most.
+    /// Builds the sheet from rows at increasing times. Long tables are downsampled and cut to the window
+    /// with the most motion.
     pub fn new(t_s: Vec<f64>, columns: Vec<Vec<f64>>, homes: Vec<usize>) -> Self {
         let span_s = t_s.last().zip(t_s.first()).map_or(0.0, |(last, first)| last - first);
         let rate_hz = t_s.len() as f64 / span_s.max(f64::MIN_POSITIVE);
@@ -204,11 +207,11 @@ impl Sheet {
         sheet
     }
 
-    /// The fastest change of a column that is no stray value and no whole turn.
+    /// Fastest change of a column, ignoring outliers and jumps by a whole turn.
     fn steepest_of(&self, values: &[f64]) -> f64 {
-        /// A stray value is gone after fewer rows.
+        /// Outliers last fewer rows than this.
         const ROWS: usize = 4;
-        /// A turn in rad and in degrees, within this share.
+        /// One turn in rad and in degrees, with a relative tolerance.
         const TURNS: [f64; 2] = [2.0 * PI, 360.0];
         const NEAR: f64 = 0.05;
         let step_s = self.step_s();
@@ -221,38 +224,39 @@ impl Sheet {
         values.windows(ROWS).map(rate).fold(0.0, f64::max)
     }
 
-    /// The time between two rows, s.
+    /// Mean time between rows, s.
     pub fn step_s(&self) -> f64 {
         let span_s =
             self.t_s.last().zip(self.t_s.first()).map_or(0.0, |(last, first)| last - first);
         span_s / (self.t_s.len().max(2) - 1) as f64
     }
 
-    /// The array that a column is of.
+    /// Source array of a column.
     pub fn home(&self, column: usize) -> usize {
         self.homes[column]
     }
 
-    /// Whether a column moves as a joint may.
+    /// Whether the column's range exceeds the minimum for a moving joint.
     pub fn moves(&self, column: usize) -> bool {
         let [low, high] = self.range(column);
         high - low > MOVES
     }
 
-    /// Whether a column is that number in each row.
+    /// Whether a column equals `value` in each row.
     pub fn is_always(&self, column: usize, value: f64) -> bool {
         self.columns[column].iter().all(|own| *own == value)
     }
 
-    /// The ways to take columns for the joints of one of the arms and the position of its tool, of those that
-    /// come nearest; that of the best score first.
+    /// Assignments of columns to an arm's joints and its tool position, best score first. Empty if none
+    /// fits.
     pub fn mappings(&self, wanted: &Wanted) -> Vec<Mapping> {
-        /// Ways that are tried with the zero of a joint, where none fits without.
+        /// Assignments refitted with a free joint zero if no assignment fits without one.
         const WITH_ZERO: usize = 4;
         for lags_s in &LAGS_S[..if wanted.chains.len() > FEW_ARMS { 1 } else { 2 }] {
             let mut all = self.fits_near(wanted, lags_s);
             let best = all.iter().min_by(|a, b| a.left_m.total_cmp(&b.left_m));
-            // Without the latency many arms are as near: the right one may not have been fitted.
+            // At the wrong latency many arms fit equally well, and the right one may not be among those
+            // fitted.
             if let Some(lag_s) = best.filter(|best| !best.fits()).map(|best| best.lag_s) {
                 all.extend(self.fits_near(wanted, &[lag_s]));
             }
@@ -276,7 +280,7 @@ impl Sheet {
         Vec::new()
     }
 
-    /// Fits of the blocks and positions that come near at one of some latencies.
+    /// Fits the best candidates of the linear search at the given latencies.
     fn fits_near(&self, wanted: &Wanted, lags_s: &[f64]) -> Vec<Mapping> {
         let of = |near: &Near| self.fit(wanted, &near.block, near.position, false);
         let mut near = self.near_at_base(wanted, lags_s);
@@ -290,15 +294,15 @@ impl Sheet {
         all
     }
 
-    /// Whether some columns of a mapping are the rates of others: then they are no joints or no position.
+    /// Whether some columns of a mapping are the rates of others: a joint or position column is then wrong.
     fn holds_own_rate(&self, mapping: &Mapping) -> bool {
         let all: Vec<usize> = mapping.joints.iter().chain(&mapping.position).copied().collect();
         let moving: Vec<usize> = all.into_iter().filter(|&at| self.moves(at)).collect();
         moving.iter().any(|&at| moving.iter().any(|&of| of != at && self.is_rate(at, of)))
     }
 
-    /// What FK leaves where columns are taken as `mapping` takes those of another table, for the arm `chain`;
-    /// where it does not fit, with the zero of a joint free.
+    /// Refits a mapping found on another table for the arm `chain`. Frees a joint zero if the mapping does
+    /// not fit without one.
     pub fn again(&self, mapping: &Mapping, chain: &Chain, most_lag_s: f64) -> Option<Mapping> {
         let wanted =
             Wanted { chains: &[chain], joints: None, position: None, taken: &[], most_lag_s };
@@ -309,12 +313,11 @@ impl Sheet {
         Some(Mapping { arm: mapping.arm, ..found })
     }
 
-    /// The blocks that may be joints of an arm by their numbers: smooth, and within its limits.
+    /// Blocks of columns that may be an arm's joints: smooth and within its limits.
     pub fn blocks(&self, wanted: &Wanted, arm: usize) -> Vec<Block> {
         self.blocks_that_move(wanted, arm, MOVING)
     }
 
-    /// The same, with at least so many joints moving.
     fn blocks_that_move(&self, wanted: &Wanted, arm: usize, fewest: usize) -> Vec<Block> {
         let chain = wanted.chains[arm];
         let dof = chain.dof();
@@ -326,7 +329,7 @@ impl Sheet {
         for home in homes {
             let own: Vec<usize> =
                 (0..self.columns.len()).filter(|&column| self.homes[column] == home).collect();
-            // Positions may stand beside their velocities and efforts, joint by joint.
+            // Positions may be interleaved with velocities and efforts, joint by joint.
             for stride in 1..=3 {
                 let wide = (dof - 1) * stride + 1;
                 let windows = own
@@ -349,13 +352,13 @@ impl Sheet {
         blocks
     }
 
-    /// The largest number of some columns.
+    /// Largest absolute value of the columns.
     fn most(&self, columns: &[usize]) -> f64 {
         let ends = columns.iter().flat_map(|&column| self.range(column));
         ends.map(f64::abs).fold(0.0, f64::max)
     }
 
-    /// Whether columns may be joints of an arm, read so, of which that many move.
+    /// Whether the columns may be an arm's joints in this unit, with at least `fewest` of them moving.
     fn may_be(&self, joints: &[usize], unit: JointNumbers, chain: &Chain, fewest: usize) -> bool {
         let mut moving = 0;
         for (at, &column) in joints.iter().enumerate() {
@@ -364,7 +367,7 @@ impl Sheet {
             let limits = chain.limits()[at];
             let is_beyond = low < limits.lower.unwrap_or(-TWO_TURNS) - BEYOND
                 || high > limits.upper.unwrap_or(TWO_TURNS) + BEYOND;
-            // No joint jumps, but a rotation vector that passes 180° does.
+            // Joints do not jump, but a rotation vector that passes 180° does.
             let fastest = TOO_FAST * limits.velocity.unwrap_or(FASTEST_RAD_S);
             let jumps = factor * self.steepest[column] > fastest;
             if is_beyond || jumps || !(high - low).is_finite() {
@@ -385,10 +388,10 @@ impl Sheet {
         self.columns[column].iter().fold(ends, |[low, high], &q| [low.min(q), high.max(q)])
     }
 
-    /// The triples of columns that may be a position.
+    /// Triples of columns that may be a position.
     pub fn positions(&self, taken: &[usize]) -> Vec<[usize; 3]> {
         let count = self.columns.len();
-        // Of a matrix, row by row, every fourth number is of the position.
+        // In a row-major 4×4 matrix the position is every fourth number.
         let triples = [1, 4].into_iter().flat_map(|stride| {
             (0..count.saturating_sub(2 * stride)).map(move |at| [at, at + stride, at + 2 * stride])
         });
@@ -400,7 +403,7 @@ impl Sheet {
         triples.filter(fits).collect()
     }
 
-    /// Blocks and positions that come near by a linear fit, the nearest first.
+    /// Joint and position candidates with a small residual in the linear fit, best first.
     fn near(&self, wanted: &Wanted, lags_s: &[f64]) -> Vec<Near> {
         let rows = self.few_rows();
         if rows.len() < FEW_ROWS / 3 || self.columns.len() > MOST_COLUMNS {
@@ -471,7 +474,7 @@ impl Sheet {
         kept
     }
 
-    /// The blocks of all arms, or the joints that are known.
+    /// Blocks for all arms, or the known joints.
     fn wanted_blocks(&self, wanted: &Wanted, fewest: usize) -> Vec<Block> {
         let of = |(arm, chain): (usize, &&Chain)| match wanted.joints {
             Some(joints) if joints[arm].len() == chain.dof() => {
@@ -484,14 +487,14 @@ impl Sheet {
         wanted.chains.iter().enumerate().flat_map(of).collect()
     }
 
-    /// All columns at some rows, centred.
+    /// All columns at the given rows, centred.
     fn at_rows(&self, rows: &[usize]) -> DMatrix<f64> {
         centred(DMatrix::from_fn(rows.len(), self.columns.len(), |row, column| {
             self.columns[column][rows[row]]
         }))
     }
 
-    /// Some rows, none so near to an end that a latency leads beyond it.
+    /// Evenly spaced rows, far enough from both ends for every latency of the search.
     fn few_rows(&self) -> Vec<usize> {
         let longest_s = LAGS_S[1].iter().copied().fold(0.0, f64::max);
         let (Some(first), Some(last)) = (self.t_s.first(), self.t_s.last()) else {
@@ -505,7 +508,7 @@ impl Sheet {
         (0..count).map(|at| inner[at * inner.len() / count]).collect()
     }
 
-    /// FK's position and rotation at some rows, centred.
+    /// FK position and rotation at the given rows, centred.
     fn design(&self, block: &Block, chain: &Chain, rows: &[usize], lag_s: f64) -> DMatrix<f64> {
         const NUMBERS: usize = 12;
         let mut design = DMatrix::zeros(rows.len(), NUMBERS);
@@ -518,7 +521,7 @@ impl Sheet {
         centred(design)
     }
 
-    /// Positions of the joints at a time, between rows along a line.
+    /// Joint positions at a time, interpolated linearly.
     fn joints_at(&self, block: &Block, chain: &Chain, t_s: f64) -> Vec<f64> {
         let after = self.t_s.partition_point(|t| *t < t_s).clamp(1, self.t_s.len() - 1);
         let (before_s, after_s) = (self.t_s[after - 1], self.t_s[after]);
@@ -532,7 +535,7 @@ impl Sheet {
         block.joints.iter().enumerate().map(at).collect()
     }
 
-    /// The block as joints of its arm, and the position as that of its tool.
+    /// Fits latency, tool and (if needed) frame for a block and a position.
     fn fit(
         &self,
         wanted: &Wanted,

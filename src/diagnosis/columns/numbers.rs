@@ -1,4 +1,4 @@
-//! How the numbers of joints may be read.
+//! Units of joint values.
 
 use std::f64::consts::PI;
 
@@ -7,26 +7,26 @@ use serde::{Deserialize, Serialize};
 use super::TWO_TURNS;
 use ground::robot::{Chain, JointKind};
 
-/// How the numbers of joints that turn may be read.
+/// Unit of the values of revolute joints.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum JointNumbers {
-    /// As they are.
+    /// Radians.
     Radians,
-    /// As degrees.
+    /// Degrees.
     Degrees,
-    /// As steps of an encoder with so many bits a turn, from 0 or from the middle.
+    /// Encoder ticks.
     Ticks {
-        /// Bits of the encoder.
+        /// Encoder resolution, bits per turn.
         bits: u8,
-        /// Whether the middle is zero.
+        /// Whether mid-range is the zero position; otherwise 0 is.
         centred: bool,
     },
-    /// As −100 … 100 of the joint's range.
+    /// −100 … 100 across the joint's range.
     Shares,
 }
 
 impl JointNumbers {
-    /// Factor and offset that make a joint's position of its number.
+    /// Factor and offset from the logged number to the joint position.
     pub fn read(self, chain: &Chain, joint: usize) -> (f64, f64) {
         let limits = chain.limits()[joint];
         match (self, limits.lower.zip(limits.upper)) {
@@ -41,7 +41,7 @@ impl JointNumbers {
         }
     }
 
-    /// Those that numbers up to `most` may be; shares only of one of a few arms.
+    /// Units compatible with values up to `most`. Shares of the range only for a few candidate arms.
     pub(super) fn of_size(most: f64, are_few: bool) -> Vec<Self> {
         const SHARE: f64 = 100.5;
         const BITS: [u8; 5] = [10, 12, 13, 14, 16];
@@ -61,7 +61,7 @@ impl JointNumbers {
         units
     }
 
-    /// What the numbers are, in words.
+    /// Name of the unit for messages.
     pub fn words(self) -> String {
         match self {
             Self::Radians => "rad".to_owned(),

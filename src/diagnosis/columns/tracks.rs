@@ -1,4 +1,4 @@
-//! Columns as tracks of joints and of positions.
+//! Converts columns to joint tracks and position tracks.
 
 use super::{Block, Sheet};
 use ground::geometry::Vec3;

@@ -1,15 +1,15 @@
-//! Which columns are the rotation of a tool.
+//! Identifies columns that contain the rotation of the tool.
 
 use super::{MOVING, Mapping, Sheet};
 use ground::geometry::{Convention, Rotation, angle_between, rotation_from_xyzw};
 use ground::robot::Chain;
 
 impl Sheet {
-    /// Whether columns are the rotation of the tool: 3 numbers by some convention, 4 of a quaternion in any
-    /// order, or 9 of a matrix. `None` where the tool hardly turns. Angles between poses tell it, which depend
-    /// on no frame, no tool and no order of components.
+    /// Whether the columns are the tool's rotation: 3 numbers in some convention, a quaternion in any
+    /// order, or a 3×3 matrix. `None` if the tool rotates too little. Compares angles between poses, which
+    /// do not depend on the frame, the tool or the order of components.
     pub fn turns_with(&self, mapping: &Mapping, chain: &Chain, columns: &[usize]) -> Option<bool> {
-        /// Rows that are compared, what may differ, rad, and how far the tool must turn, rad.
+        /// Number of rows compared, maximum difference, rad, and minimum rms rotation of the tool, rad.
         const ROWS: usize = 60;
         const APART_RAD: f64 = 0.05;
         const TURNS_RAD: f64 = 0.2;
@@ -68,7 +68,7 @@ impl Sheet {
         })
     }
 
-    /// Whether four columns are a unit quaternion in each row, and turn.
+    /// Whether four columns form a unit quaternion in each row, and at least three of them move.
     pub fn is_quaternion(&self, columns: [usize; 4]) -> bool {
         let norm = |row: usize| {
             columns.map(|column| self.columns[column][row].powi(2)).iter().sum::<f64>()
