@@ -1,31 +1,31 @@
-//! A run whose clock begins anew is several runs: a simulation that was reset, a bag that was looped.
+//! Splits a run at clock restarts, such as a simulation reset or a looped bag.
 //!
-//! A restart is where all stamps step back by more than a second. One stream that does so alone has
-//! a fault of its own, which the rules name.
+//! At a restart the stamps of all streams decrease by more than a second. If only one stream does, the
+//! rules report it as a fault of that stream.
 
 use crate::log::{Log, Topic};
 use crate::stats::median;
 use crate::stream::{Columns, Times};
 use crate::time::{NANOS_PER_SECOND, Stamp};
 
-/// Stamps that step back by more than this begin anew, ns.
+/// Minimum decrease of a stamp to count as a restart, ns.
 const RESTART: i64 = NANOS_PER_SECOND;
-/// Streams whose stamps step back so close together, by when they were received, do so as one, ns.
+/// Maximum difference in receive time between decreases of different streams that count as one restart, ns.
 const TOGETHER: i64 = 2 * NANOS_PER_SECOND;
 
-/// What lies between two restarts.
+/// Part of a log between two restarts.
 #[derive(Debug)]
 pub struct Segment {
-    /// What was logged in it; what holds at all times is in each.
+    /// Data of the segment. Data without time, such as static transforms, is in every segment.
     pub log: Log,
-    /// From its first to its last stamp, s.
+    /// Time from the first to the last stamp, s.
     pub seconds: f64,
 }
 
-/// Where most segments are briefer, it is stamps that leap and not a clock that begins anew, s.
+/// Minimum median duration of segments, s. Shorter ones indicate jumping stamps, not restarts.
 const BRIEF_S: f64 = 1.0;
 
-/// The segments of a log, in the order of receipt; one where its clock runs through.
+/// Splits a log at its restarts, in receive order. One segment if there are none.
 pub fn segments(log: Log) -> Vec<Segment> {
     let moving = || log.topics.iter().filter(|topic| moves(topic));
     if !moving().flat_map(times_of).any(may_restart) {
@@ -82,32 +82,31 @@ fn times_of(topic: &Topic) -> Vec<&Times> {
     topic.columns.as_ref().map(Columns::times).unwrap_or_default()
 }
 
-/// Whether stamps step back in the order of receipt, as far as that is told without sorting.
+/// Whether stamps decrease in receive order (a cheap check that does not sort).
 fn may_restart(times: &Times) -> bool {
     let step_back = |pair: &[i64]| pair[0].saturating_sub(pair[1]) > RESTART;
     times.header.windows(2).any(step_back) || !times.log.is_sorted()
 }
 
-/// Whether what a topic holds is of its time, and not of all times.
+/// Whether a topic holds data at its time, not for the whole run.
 fn moves(topic: &Topic) -> bool {
     let holds_at_all_times =
         matches!(topic.columns, Some(Columns::Text(_)) | None) || topic.name.ends_with("tf_static");
     !holds_at_all_times
 }
 
-/// A moment at which the clock begins anew: when the last message before it was received, and the
-/// first after it.
+/// A clock restart: receive times of the last message before it and the first after it.
 #[derive(Clone, Copy, Debug)]
 struct Restart {
     before: i64,
     after: i64,
 }
 
-/// The rows of one piece of a topic, in the order of receipt.
+/// Rows of one part of a topic, in receive order.
 struct Piece<'a> {
     times: &'a Times,
     order: Vec<usize>,
-    /// Where in `order` a row stands whose stamp is before that of the row ahead of it.
+    /// Indices into `order` of rows whose stamp is less than the stamp before.
     restarts: Vec<usize>,
 }
 
@@ -118,8 +117,8 @@ impl<'a> Piece<'a> {
 
     fn of(times: &'a Times) -> Self {
         let mut order: Vec<usize> = (0..times.len()).collect();
-        // Files are written in the order of receipt but for moments; a recorder whose own clock
-        // began anew is left in the order of its file.
+        // Files are nearly in receive order. If the recorder's own clock restarted, keep the order of the
+        // file.
         let steps_back = |pair: &[i64]| pair[0].saturating_sub(pair[1]) > RESTART;
         if !times.log.windows(2).any(steps_back) {
             order.sort_by_key(|&row| times.log[row]);
@@ -144,7 +143,7 @@ impl<'a> Piece<'a> {
         Restart { before: self.received(at - 1), after: self.received(at) }
     }
 
-    /// Where its own stamps step back at `restart`.
+    /// Index at which its own stamps decrease at `restart`.
     fn own(&self, restart: &Restart) -> Option<usize> {
         let apart = |&&at: &&usize| {
             let own = self.restart(at);
@@ -156,8 +155,8 @@ impl<'a> Piece<'a> {
         near.min_by_key(|at| apart(at).0.saturating_add(apart(at).1)).copied()
     }
 
-    /// Whether its stamps step back at `restart`, or say nothing of it: it has none, or ends before
-    /// or begins after.
+    /// Whether its stamps do not contradict `restart`: they decrease there, are missing, or do not cover
+    /// it.
     fn agrees(&self, restart: &Restart) -> bool {
         let stamped = self.order.iter().filter(|&&row| self.times.header[row] != 0);
         let received = stamped.map(|&row| self.times.log[row]);
@@ -170,7 +169,7 @@ impl<'a> Piece<'a> {
         self.own(restart).is_some() || is_over || is_later
     }
 
-    /// Where in `order` each segment but the first begins.
+    /// Start of each segment but the first, as an index into `order`.
     fn cuts(&self, restarts: &[Restart]) -> Vec<usize> {
         let by_receipt = |restart: &Restart| {
             let is_later = |&row: &usize| self.times.log[row] >= restart.after;
@@ -181,7 +180,7 @@ impl<'a> Piece<'a> {
         cuts.collect()
     }
 
-    /// The rows of a segment, in the order of the file.
+    /// The rows of a segment, in file order.
     fn rows(&self, restarts: &[Restart], segment: usize) -> Vec<usize> {
         let cuts = self.cuts(restarts);
         let (from, to) = self.bounds(&cuts, segment);
@@ -195,7 +194,7 @@ impl<'a> Piece<'a> {
         (from, cuts.get(segment).copied().unwrap_or(self.order.len()))
     }
 
-    /// From the first to the last stamp of a segment, s.
+    /// Duration of a segment, s.
     fn seconds(&self, cuts: &[usize], segment: usize) -> f64 {
         let (from, to) = self.bounds(cuts, segment);
         let rows = self.order.get(from..to).unwrap_or_default();
@@ -207,7 +206,7 @@ impl<'a> Piece<'a> {
     }
 }
 
-/// What a topic holds in one segment. Of how many messages, is told from its rows.
+/// The data of a topic in one segment, with the message count estimated from the share of rows.
 fn part_of(topic: &Topic, restarts: &[Restart], segment: usize) -> Topic {
     if !moves(topic) {
         return topic.clone();
@@ -226,12 +225,13 @@ fn part_of(topic: &Topic, restarts: &[Restart], segment: usize) -> Topic {
     if let Some(columns) = &mut columns {
         columns.retain(&rows);
         if topic.read_as.is_some() {
-            // Nobody received the rows of a table: what was made up put its episodes one after another.
+            // Rows of a table were not received; their receive times are made up to put episodes one after
+            // another.
             columns.times_mut().into_iter().for_each(|times| times.log.clone_from(&times.header));
         }
     }
     Topic {
-        // A topic of the run is not empty because a segment of it is.
+        // A topic with messages keeps at least one, even if a segment of it is empty.
         messages: ((topic.messages as f64 * share).round() as u64).max(topic.messages.min(1)),
         columns,
         undecodable: topic.undecodable.clone().filter(|_| segment == 0),
@@ -263,7 +263,7 @@ mod tests {
         }
     }
 
-    /// An IMU at 10 Hz whose stamp at a time of receipt in s is `stamp_s`.
+    /// An IMU at 10 Hz; `stamp` maps receive time to header stamp, s.
     fn imu(name: &str, from: i64, to: i64, stamp: impl Fn(i64) -> i64) -> Topic {
         let mut imu = ImuColumns::default();
         for received in (from * 10..to * 10).map(|tick| tick * S / 10) {
@@ -292,7 +292,7 @@ mod tests {
         }
     }
 
-    /// A clock that begins anew at 20 s.
+    /// A clock that restarts at 20 s.
     fn restarted(received: i64) -> i64 {
         S + received - if received < 20 * S { 0 } else { 20 * S }
     }

@@ -1,4 +1,4 @@
-//! The numbers of a table whose meaning is open, and those that names tell, as one sheet.
+//! The unidentified numbers of a table, together with those identified by name, as one [`Sheet`].
 
 use std::collections::HashMap;
 
@@ -9,40 +9,41 @@ use crate::run::role::{Role, beside_arm, plain_role};
 use crate::stream::{Columns, Times};
 use crate::time::NANOS_PER_SECOND;
 
-/// What is known of a number by its name.
+/// What a number's name identifies it as.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Known {
-    /// Nothing.
+    /// Not identified by name.
     Open,
-    /// A joint's measured position.
+    /// A measured joint position.
     Joint,
-    /// A number of a measured position of the tool.
+    /// A coordinate of the measured tool position.
     Position,
 }
 
-/// One number of a table's rows.
+/// One column of numbers in a table.
 pub(super) struct Number {
-    /// Its topic, by its place, and its own place in a row of that.
+    /// Index of its topic, and its index within a row of that topic.
     pub at: (usize, usize),
     pub cell: TableCell,
     pub known: Known,
 }
 
-/// All numbers that tell, beside each other.
+/// All columns that may describe the arm, with their values.
 pub(super) struct Cells {
-    /// Where each number is among them.
+    /// Maps a number's topic and index to its column in `sheet`.
     places: HashMap<(usize, usize), usize>,
     pub numbers: Vec<Number>,
     pub sheet: Sheet,
 }
 
-/// Whether nothing says what the numbers of a topic are.
+/// Whether the numbers of a topic are unidentified.
 pub(super) fn is_open(topic: &Topic) -> bool {
     topic.encoding == TABLE
         && matches!(&topic.columns, Some(Columns::Array(array)) if array.unnamed)
 }
 
-/// What a topic's numbers are by its names, where an audit measures the arm by them.
+/// What the name of a topic identifies its numbers as. `None` if an audit does not use them as
+/// measurements.
 fn known(topic: &Topic) -> Option<Known> {
     if topic.encoding != TABLE || topic.columns.as_ref().is_none_or(|it| it.times().is_empty()) {
         return None;
@@ -61,7 +62,7 @@ fn known(topic: &Topic) -> Option<Known> {
 }
 
 impl Cells {
-    /// Those of the table that most topics are of; `None` where nothing is open.
+    /// The columns of the table with the most rows. `None` if no topic is unidentified.
     pub fn of(topics: &[Topic]) -> Option<Self> {
         let times = topics.iter().filter(|topic| is_open(topic)).filter_map(times_of);
         let rows = times.max_by_key(|times| times.len())?.log.clone();
@@ -75,7 +76,7 @@ impl Cells {
                 numbers.push((number, own.values(topic, part)));
             }
         }
-        // Single numbers stand in the order of the table.
+        // Single numbers come first, in the order of the table.
         numbers.sort_by_key(|(number, _)| number.cell.at);
         let home = |number: &Number| match topics[number.at.0].cells.len() {
             1 => 0,
@@ -88,30 +89,30 @@ impl Cells {
         Some(Self { numbers, places, sheet: whole(&rows, columns, homes) })
     }
 
-    /// The place of a number, by its topic and its place there.
+    /// Column of a number, given its topic and index.
     pub fn place(&self, at: (usize, usize)) -> Option<usize> {
         self.places.get(&at).copied()
     }
 
-    /// The numbers by their names.
+    /// Names of the columns.
     pub fn names(&self) -> Vec<String> {
         self.numbers.iter().map(|number| number.cell.name.clone()).collect()
     }
 
-    /// Whether names do not say both where the joints and where the tool are.
+    /// Whether names do not identify both the joints and the tool position.
     pub fn is_asked(&self) -> bool {
         let are_known = |known| self.numbers.iter().any(|number| number.known == known);
         !(are_known(Known::Joint) && are_known(Known::Position))
     }
 
-    /// The places of the numbers of which that is known.
+    /// Columns of one kind.
     pub fn of_kind(&self, known: Known) -> Vec<usize> {
         (0..self.numbers.len()).filter(|&at| self.numbers[at].known == known).collect()
     }
 }
 
-/// All numbers of some topics beside each other, each times its factor, in the rows that all have; `None` where
-/// they are of different tables.
+/// All numbers of some topics in one sheet, each multiplied by its factor, for the rows that all topics
+/// have. `None` if the topics are from different tables.
 pub(super) fn side_by_side(topics: &[(&Topic, f64)]) -> Option<Sheet> {
     let rows = times_of(topics.first()?.0)?.log.clone();
     let (mut columns, mut homes) = (Vec::new(), Vec::new());
@@ -127,7 +128,7 @@ pub(super) fn side_by_side(topics: &[(&Topic, f64)]) -> Option<Sheet> {
     Some(whole(&rows, columns, homes))
 }
 
-/// The rows in which each column has a number, at times that rise.
+/// Keeps rows if every column is finite and time increases.
 fn whole(rows: &[i64], mut columns: Vec<Vec<f64>>, homes: Vec<usize>) -> Sheet {
     let mut whole: Vec<usize> = Vec::new();
     let mut last = i64::MIN;
@@ -150,11 +151,12 @@ fn times_of(topic: &Topic) -> Option<&Times> {
     topic.columns.as_ref()?.times().first().copied()
 }
 
-/// Where the rows of a topic stand among those of the table.
+/// Row of a topic for each row of the table, if it has one.
 struct Rows(Vec<Option<usize>>);
 
 impl Rows {
-    /// `None` where most are missing: it is of another table, or hardly ever a number.
+    /// `None` if the topic lacks more than 10 % of the rows: it is from another table, or is seldom a
+    /// number.
     fn of(topic: &Topic, rows: &[i64]) -> Option<Self> {
         const MOST: f64 = 0.9;
         let own = &times_of(topic)?.log;
@@ -169,7 +171,7 @@ impl Rows {
         (count as f64 >= MOST * rows.len() as f64).then_some(Self(found))
     }
 
-    /// One number of a topic in each row, NaN where it is missing.
+    /// Values of one number of a topic, one per table row; NaN if missing.
     fn values(&self, topic: &Topic, part: usize) -> Vec<f64> {
         let at = |row: usize| match &topic.columns {
             Some(Columns::Array(array)) => array.row(row)[part],
@@ -181,7 +183,7 @@ impl Rows {
     }
 }
 
-/// Numbers as `[columns]` of a config names them: runs of one column in short.
+/// Formats columns as `[columns]` in the config names them; consecutive elements become a range.
 pub fn selectors(cells: &[String]) -> Vec<String> {
     let split = |cell: &str| -> Option<(String, usize)> {
         let (column, at) = cell.strip_suffix(']')?.rsplit_once('[')?;

@@ -1,5 +1,7 @@
-//! Commands beside joints that names tell: bare numbers that say earlier what the joints do, and names that
-//! stand in another order than the numbers do.
+//! Joint commands in a table with named joints.
+//!
+//! Unnamed numbers are commands if they lead the joints. Named commands whose order contradicts their
+//! motion are excluded.
 
 use crate::diagnosis::{Sheet, Shift};
 use crate::log::{Log, Note, Topic};
@@ -9,18 +11,18 @@ use crate::stream::{Columns, JointColumn, JointColumns};
 
 use super::cells::{is_open, side_by_side};
 
-/// Most joints of a topic that are compared: each with each.
+/// Maximum number of joints of a topic; every pair is compared.
 const MOST_JOINTS: usize = 16;
-/// Joints that must move, and those that must be told from each other.
+/// Minimum number of joints that move, and of joints whose names are swapped.
 const MOVING: usize = 3;
 const SWAPPED: usize = 2;
-/// What differs of numbers that are the same joint's, as a share of its spread; what others' numbers leave at
-/// least, times that.
+/// Maximum residual between two columns of one joint, as a share of its spread, and the factor by which
+/// columns of other joints must exceed it.
 const SAME: f64 = 0.1;
 const OTHER: f64 = 3.0;
 
-/// Makes commands of bare numbers that are called so and say what named joints do; leaves out commands whose
-/// names the numbers contradict, and says it.
+/// Turns unnamed command topics that match named joints into joint commands. Excludes commands whose names
+/// contradict their numbers, and reports them.
 pub(super) fn settle(log: &mut Log) {
     let is_state = |topic: &&Topic| role(topic) == Some(Role::Joints);
     let states: Vec<usize> = places(&log.topics, is_state);
@@ -38,15 +40,15 @@ pub(super) fn settle(log: &mut Log) {
                 Way::Commands(lead_s) => {
                     topic.columns = topic.columns.take().map(|own| commanded(own, &joints));
                     topic.read_as = Some(format!(
-                        "joint commands: its numbers say what '{name}' do, {:.0} ms earlier",
+                        "joint commands: its numbers match '{name}', {:.0} ms earlier",
                         1e3 * lead_s
                     ));
                 }
                 Way::Swapped(pairs) => {
                     let (own, others): (Vec<String>, Vec<String>) = pairs.into_iter().unzip();
                     let what = format!(
-                        "'{}' and '{name}' name their numbers in different orders: what the first calls {} moves as \
-                         what the second calls {}",
+                        "'{}' and '{name}' name their joints in different orders: the first topic's {} moves \
+                         like the second topic's {}",
                         topic.name,
                         own.join(", "),
                         others.join(", ")
@@ -67,7 +69,7 @@ fn places(topics: &[Topic], is_it: impl Fn(&&Topic) -> bool) -> Vec<usize> {
     (0..topics.len()).filter(|&at| is_it(&&topics[at])).collect()
 }
 
-/// What a topic of named joints of a table is.
+/// Role of a table's topic that holds named joints.
 fn role(topic: &Topic) -> Option<Role> {
     let columns = topic.columns.as_ref().filter(|_| topic.encoding == TABLE)?;
     matches!(columns, Columns::Joints(_))
@@ -75,11 +77,11 @@ fn role(topic: &Topic) -> Option<Role> {
         .flatten()
 }
 
-/// What the numbers of a topic of commands are to named joints.
+/// Relation of a command topic to named joints.
 enum Way {
-    /// Their commands, by so long earlier, s.
+    /// They are commands that lead the joints by this time, s.
     Commands(f64),
-    /// Those whose names are swapped: what each is called, and what it moves as.
+    /// Their names are swapped: pairs of the name and the joint that it moves like.
     Swapped(Vec<(String, String)>),
 }
 
@@ -132,7 +134,7 @@ impl Way {
     }
 }
 
-/// The joints whose commands move as other joints do: none, unless each of them is one other's alone.
+/// Pairs of joints whose commands move like another joint's. `None` unless they form a unique permutation.
 fn swapped(
     arms: &[usize],
     own: &[Option<Shift>],
@@ -153,7 +155,7 @@ fn swapped(
         if best.left > SAME || best.later_s > sheet.step_s() || !is_only {
             return None;
         }
-        // What is called `other` moves as `joint`.
+        // The column named `other` moves like `joint`.
         pairs.push((other, joint));
     }
     let mut whose: Vec<usize> = pairs.iter().map(|(own, _)| *own).collect();
@@ -163,7 +165,7 @@ fn swapped(
     (pairs.len() >= SWAPPED && whose == moved).then_some(pairs)
 }
 
-/// Bare numbers as positions of the same joints in the same unit.
+/// Converts unnamed numbers to positions of the given joints, in the same unit.
 fn commanded(numbers: Columns, joints: &JointColumns) -> Columns {
     let Columns::Array(array) = numbers else { return numbers };
     let factor = if joints.taken_for_degrees { 1_f64.to_radians() } else { 1.0 };

@@ -1,12 +1,12 @@
-//! Where the names of a table's columns contradict their numbers.
+//! Table columns whose names contradict their numbers.
 
 use crate::diagnosis::Sheet;
 use crate::log::{Log, Note};
 use crate::run::by_order::TABLE;
 use crate::stream::{ArrayColumns, Columns, JointColumns};
 
-/// Joints by name, of which some numbers are a unit quaternion in each row, are a pose. They become bare
-/// numbers, and it is said.
+/// Finds topics named as joint positions that contain a unit quaternion in every row, as a pose does. Turns
+/// them into unnamed numbers and reports the contradiction.
 pub(super) fn find(log: &mut Log) {
     let Some(file) = log.files.first().map(|file| file.path.clone()) else { return };
     let mut found = Vec::new();
@@ -14,7 +14,8 @@ pub(super) fn find(log: &mut Log) {
         let Some(Columns::Joints(joints)) = &topic.columns else { continue };
         let Some(first) = quaternion_in(joints) else { continue };
         found.push(format!(
-            "'{}' is named as joint positions; its numbers {} to {} are a unit quaternion in each row, as of a pose",
+            "'{}' is named as joint positions, but its numbers {} to {} form a unit quaternion in every row, \
+             as in a pose",
             topic.name,
             first + 1,
             first + 4
@@ -27,7 +28,7 @@ pub(super) fn find(log: &mut Log) {
     }
 }
 
-/// Where a position and a quaternion stand among numbers that are named as joints.
+/// Index of the quaternion in a pose that is named as joints.
 fn quaternion_in(joints: &JointColumns) -> Option<usize> {
     let count = joints.joints.len();
     if count < 7 || joints.taken_for_degrees {

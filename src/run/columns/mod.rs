@@ -1,7 +1,8 @@
-//! What the columns of a table are by their numbers, where their names do not say it: the joints of an arm
-//! and the pose of its tool, which FK ties together, and commands, which say the same earlier.
+//! Identifies table columns by their numbers if their names do not identify them.
 //!
-//! A way to take them that is not the only one is a question, with the lines for the config that settle it.
+//! Searches for the joints of an arm and the tool pose, which FK relates, and for commands, which lead
+//! them. If several mappings fit equally well, the result is a question with the config lines that answer
+//! it.
 
 mod cells;
 mod commands;
@@ -23,29 +24,29 @@ use cells::{Cells, Known, is_open};
 use roles::Taken;
 pub use shared::{Shared, SharedColumns, SharedRow};
 
-/// An arm that the table may be of.
+/// An arm that the table may belong to.
 struct Candidate {
     name: String,
     chain: Chain,
 }
 
-/// What the numbers say.
+/// Column mappings identified from the numbers.
 #[derive(Default)]
 struct Told {
     arms: Vec<Taken>,
-    /// What they leave open, and what settles it.
+    /// Remaining ambiguity, and the config lines that resolve it.
     question: Option<String>,
 }
 
-/// Ways whose scores differ by less cannot be told apart: a likelihood ratio of e¹⁰.
+/// Minimum difference in score to prefer a mapping: a likelihood ratio of e¹⁰.
 const APART: f64 = 20.0;
-/// Arms that a table may be of.
+/// Maximum number of arms in one table.
 const MOST_ARMS: usize = 2;
-/// A tool that moves less tells nothing, m.
+/// Minimum spread of the tool position to identify columns, m.
 const MOVES_M: f64 = 0.02;
 
-/// Makes joints, poses and commands of the columns of tables whose names do not say what they are, where their
-/// numbers do; what they are is for others of the same dataset.
+/// Identifies unnamed table columns as joints, poses and commands, and rewrites their topics. Returns the
+/// mapping for other logs of the same dataset.
 pub fn tell_columns(log: &mut Log, options: &RunOptions) -> Option<SharedColumns> {
     contradictions::find(log);
     commands::settle(log);
@@ -72,7 +73,7 @@ pub fn tell_columns(log: &mut Log, options: &RunOptions) -> Option<SharedColumns
     Some(SharedColumns::of(names, told))
 }
 
-/// One table, and the arms that it may be of.
+/// The columns of one table, and the arms that it may belong to.
 struct Search<'a> {
     cells: &'a Cells,
     arms: Vec<Candidate>,
@@ -129,11 +130,11 @@ impl<'a> Search<'a> {
             };
             let mut mappings = self.cells.sheet.mappings(&wanted);
             mappings.retain(|mapping| self.takes_whole_arrays(mapping));
-            // A second arm is written as the first is.
+            // A second arm must use the same unit, and the base frame if the first does.
             if let Some(first) = told.arms.first().map(|arm| &arm.mapping) {
                 mappings.retain(|it| it.unit == first.unit && it.is_at_base >= first.is_at_base);
             }
-            // With a free frame and a free tool other columns may fit as closely by chance.
+            // With a free frame and a free tool, other columns may fit as well by chance.
             let at_base: Vec<Vec<usize>> =
                 mappings.iter().filter(|it| it.is_at_base).map(|it| it.joints.clone()).collect();
             if !at_base.is_empty() {
@@ -143,7 +144,7 @@ impl<'a> Search<'a> {
             else {
                 break;
             };
-            // Of several points on the tool the one nearest to the tip.
+            // If several points on the tool fit, prefer the one nearest to the tip.
             const NEARER_M: f64 = 0.01;
             let is_point = |other: &&Mapping| {
                 other.fits() && other.joints == best.joints && other.tool_m + NEARER_M < best.tool_m
@@ -176,8 +177,8 @@ impl<'a> Search<'a> {
         told
     }
 
-    /// Whether the joints are not a part of one arm's: of an array such as `position0` … `position6` they are all, all
-    /// but a gripper, those of one of two arms, or the array also holds the whole position.
+    /// Rejects mappings that use only part of an array such as `position0` … `position6`. Accepts the whole
+    /// array, all but a gripper, one of two arms, or an array that also contains the whole position.
     fn takes_whole_arrays(&self, mapping: &Mapping) -> bool {
         let stem = |at: usize| -> &str {
             let name = self.cells.numbers[at].cell.name.as_str();
@@ -195,7 +196,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// The columns of the joints that names tell, as each arm has them; none where they tell none.
+    /// Columns of the joints identified by name, in the order of each arm. `None` if there are none.
     fn known_joints(&self, log: &Log) -> Option<Vec<Vec<usize>>> {
         let known = self.cells.of_kind(Known::Joint);
         let first = self.cells.numbers.get(*known.first()?)?.at.0;
@@ -218,8 +219,8 @@ impl<'a> Search<'a> {
         Some(self.arms.iter().map(of_arm).collect())
     }
 
-    /// Whether two ways cannot both be so: they share columns, and are not one arm's with two points or with
-    /// commands.
+    /// Whether two mappings exclude each other: they share columns, and differ in more than the tool point
+    /// or commanded versus measured joints.
     fn conflict(&self, one: &Mapping, other: &Mapping) -> bool {
         let share = |a: &[usize], b: &[usize]| a.iter().any(|at| b.contains(at));
         let is_one_arm = one.joints == other.joints || self.are_commands(one, other);
@@ -229,7 +230,7 @@ impl<'a> Search<'a> {
             && !(is_one_arm && (is_one_point || !share(&one.position, &other.position)))
     }
 
-    /// Whether the joints of two ways say the same, one after the other.
+    /// Whether the joints of one mapping are a delayed copy of the other's.
     fn are_commands(&self, one: &Mapping, other: &Mapping) -> bool {
         let apart = one.joints.iter().all(|at| !other.joints.contains(at));
         apart
@@ -244,7 +245,7 @@ impl<'a> Search<'a> {
         selectors(&names)
     }
 
-    /// Columns in a sentence.
+    /// Short label of columns in a message.
     fn said(&self, columns: &[usize]) -> String {
         match self.names(columns).as_slice() {
             [only] => only.clone(),
@@ -253,7 +254,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// A line of `[columns]`.
+    /// Formats a line of `[columns]`.
     fn line(&self, key: &str, columns: &[usize]) -> String {
         let quoted: Vec<String> =
             self.names(columns).iter().map(|name| format!("\"{name}\"")).collect();
@@ -269,11 +270,11 @@ impl<'a> Search<'a> {
         format!("{joints}; {pose}")
     }
 
-    /// The question between two ways.
+    /// Question that asks which of two mappings is right.
     fn either(&self, best: &Mapping, rival: &Mapping) -> String {
         let way = |it: &Mapping| {
             format!(
-                "{} as joints of {} leave {} of {} ([columns] {})",
+                "{} as joints of {}, residual {} in {} ([columns] {})",
                 self.said(&it.joints),
                 self.arms[it.arm].name,
                 crate::finding::Unit::Metre.show(it.left_m),
@@ -281,11 +282,13 @@ impl<'a> Search<'a> {
                 self.lines(it)
             )
         };
-        format!("the columns may be two things: {}, or {}", way(best), way(rival))
+        format!("ambiguous columns: {}, or {}", way(best), way(rival))
     }
 
-    /// The question which numbers are joints, where no position tells it: those of a row that has as many as an
-    /// arm has joints, or two arms, with grippers or without. Commands are not the joints.
+    /// Question that asks which numbers are the joints if no position identifies them.
+    ///
+    /// Suggests arrays with as many numbers as one or two arms have joints, with or without grippers. Skips
+    /// commands.
     fn by_width(&self, log: &Log) -> Option<String> {
         let sheet = &self.cells.sheet;
         let chains = self.chains();
@@ -340,8 +343,8 @@ impl<'a> Search<'a> {
         if ways.is_empty() {
             let (own, rates) = sheet.with_rates()?;
             return Some(format!(
-                "{} are the rates of {}, but no columns are a pose that FK of these follows, so that nothing tells \
-                 whether they are the joints: if they are, write [columns] {}, and name the arm with --robot",
+                "{} are the rates of {}, but no columns are a pose that matches FK, so the joints cannot be \
+                 confirmed: if these are the joints, set [columns] {}, and name the arm with --robot",
                 self.said(&rates),
                 self.said(&own),
                 self.line("joints", &own)
@@ -349,8 +352,8 @@ impl<'a> Search<'a> {
         }
         let ways = ways.join(", or ");
         Some(format!(
-            "no columns are a pose that FK of the others follows, so that nothing tells which are the joints: if they \
-             are, write {ways}"
+            "no columns are a pose that matches FK of the others, so the joints cannot be identified: if you \
+             know them, set {ways}"
         ))
     }
 }

@@ -1,4 +1,4 @@
-//! Which of several columns that say the same are the measured ones, and what stands beside them.
+//! Separates measured columns from commands and copies, and adds rotation and velocity columns.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,30 +7,30 @@ use crate::finding::Unit;
 
 use super::Search;
 
-/// The columns of one arm, and why they are.
+/// Columns of one arm, and how they were identified.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Taken {
-    /// The name of the arm.
+    /// Name of the arm.
     pub arm: String,
-    /// Its joints and the position of its tool.
+    /// Columns of its joints and of the tool position.
     pub mapping: Mapping,
     pub joints_why: String,
     /// Position, then rotation.
     pub pose: Vec<usize>,
     pub pose_why: String,
-    /// Whether the pose is what shall be.
+    /// Whether the pose is a command.
     pub is_pose_command: bool,
-    /// The velocities of the joints.
+    /// Columns of the joint velocities.
     #[serde(default)]
     pub velocities: Option<Vec<usize>>,
     pub joint_commands: Option<(Vec<usize>, String)>,
     pub pose_commands: Option<(Vec<usize>, String)>,
-    /// What says the same at the same time, or of another point.
+    /// Copies, and positions of other points on the tool, each with the reason.
     pub others: Vec<(Vec<usize>, String)>,
 }
 
 impl Taken {
-    /// Whether its columns are among the first `count`.
+    /// Whether all its columns are among the first `count`.
     pub fn is_within(&self, count: usize) -> bool {
         self.all().iter().chain(&self.mapping.position).all(|&at| at < count)
     }
@@ -44,13 +44,13 @@ impl Taken {
     }
 }
 
-/// Columns that say the same as others by that shift.
+/// Columns that match others after a time shift.
 struct Same {
     columns: Vec<usize>,
     shift: Shift,
 }
 
-/// A position that says the same as another by that shift.
+/// A position that matches another after a time shift.
 type Later = ([usize; 3], Shift);
 
 impl Same {
@@ -59,14 +59,15 @@ impl Same {
     }
 }
 
-/// A command leads by this at least, s, where poses tell it from a measurement.
+/// Minimum lead of a command over a measurement, s, if poses distinguish them.
 const LEADS_S: f64 = 0.02;
 
 impl Search<'_> {
-    /// The arm that `best` is of, with all that belongs to it; `rival` is the next way to take its columns.
+    /// Completes the mapping `best` with commands, velocities, rotation and copies. `rival` is the next
+    /// best mapping of the same columns.
     ///
     /// # Errors
-    /// The question which of several columns are the measured ones.
+    /// A question if it cannot be determined which of several columns are measured.
     pub(super) fn taken(
         &self,
         best: &Mapping,
@@ -93,7 +94,7 @@ impl Search<'_> {
         for copy in copies {
             others.push((copy.columns, format!("the same numbers as {}", name(&best.joints))));
         }
-        // The last of those that say the same is what was measured.
+        // The latest of the matching columns is the measurement.
         let still_s = LEADS_S.max(0.3 * sheet.step_s());
         let mut ends: Vec<(f64, Vec<usize>)> = family
             .into_iter()
@@ -104,7 +105,7 @@ impl Search<'_> {
         let (last_s, joints) = ends[0].clone();
         if let Some((next_s, next)) = ends.get(1).filter(|next| last_s - next.0 < still_s) {
             return Err(format!(
-                "{} and {} say the same within {:.0} ms, and nothing tells which is measured: [columns] {}, or {}",
+                "{} and {} match within {:.0} ms, so the measured one is unknown: set [columns] {}, or {}",
                 name(&joints),
                 name(next),
                 1e3 * (last_s - next_s).max(0.001),
@@ -115,7 +116,7 @@ impl Search<'_> {
         let lead_s = ends.iter().map(|end| last_s - end.0).fold(0.0, f64::max);
         let joint_commands = ends.pop().filter(|_| !ends.is_empty()).map(|(at_s, columns)| {
             let why = format!(
-                "joint commands: they say what {} do {:.0} ms earlier",
+                "joint commands: they match {}, {:.0} ms earlier",
                 name(&joints),
                 1e3 * (last_s - at_s)
             );
@@ -127,7 +128,7 @@ impl Search<'_> {
             mapping.lag_s = best.lag_s - last_s;
         }
         for (_, columns) in ends.into_iter().skip(1) {
-            others.push((columns, format!("they say what {} do, earlier", name(&mapping.joints))));
+            others.push((columns, format!("they match {}, earlier", name(&mapping.joints))));
         }
         let mut pose_commands = None;
         let (mut position, mut lag_s) = (mapping.position, mapping.lag_s);
@@ -150,7 +151,8 @@ impl Search<'_> {
                 }
                 _ => {
                     return Err(format!(
-                        "{} and {} say the same position, and nothing tells which is measured: [columns] {}, or {}",
+                        "{} and {} are the same position, and the measured one is unknown: set [columns] {}, \
+                         or {}",
                         name(&position),
                         name(&other),
                         self.line("pose", &position),
@@ -160,7 +162,8 @@ impl Search<'_> {
             }
         }
         for other in points {
-            let why = "a position that follows the arm at another point of the tool".to_owned();
+            let why =
+                "the position of another point on the tool, which also follows the arm".to_owned();
             others.push((other.to_vec(), why));
         }
         mapping.position = position;
@@ -173,7 +176,7 @@ impl Search<'_> {
         let pose_commands = pose_commands.map(|(position, lead_s)| {
             let command = Mapping { position, lag_s: mapping.lag_s - lead_s, ..mapping.clone() };
             let why = format!(
-                "pose commands: they say what {} do {:.0} ms earlier",
+                "pose commands: they match {}, {:.0} ms earlier",
                 name(&mapping.position),
                 1e3 * lead_s
             );
@@ -183,14 +186,14 @@ impl Search<'_> {
         let unit = mapping.unit.words();
         let next = rival.map_or(String::new(), |rival| {
             format!(
-                "; the next way, {} with {}, leaves {}",
+                "; the next best mapping, {} with {}, matches within {}",
                 name(&rival.joints),
                 name(&rival.position),
                 Unit::Metre.show(rival.left_m)
             )
         });
         let fits = format!(
-            "FK of {arm} with {} in {unit} moves as {} do, to within {} of {}{next}",
+            "FK of {arm} with {} in {unit} matches {} within {}, for {} of motion{next}",
             name(&mapping.joints),
             name(&mapping.position),
             Unit::Metre.show(mapping.left_m),
@@ -198,7 +201,7 @@ impl Search<'_> {
         );
         let velocities = sheet.rates_of(&mapping.joints);
         let joints_why = match &velocities {
-            Some(rates) => format!("{fits}; their velocities in {}", name(rates)),
+            Some(rates) => format!("{fits}; their velocities are in {}", name(rates)),
             None => fits.clone(),
         };
         Ok(Taken {
@@ -215,8 +218,8 @@ impl Search<'_> {
         })
     }
 
-    /// The positions beside that of `mapping` that say the same by a shift, with that, and those of other
-    /// points of the same tool.
+    /// Finds further positions: those that match the position of `mapping` after a time shift, and those of
+    /// other points on the same tool.
     fn further_positions(
         &self,
         (best, mapping): (&Mapping, &Mapping),
@@ -245,7 +248,7 @@ impl Search<'_> {
         (same, points)
     }
 
-    /// The way with other joints of the same arm and the same position.
+    /// Refits the mapping with other joint columns for the same arm and position.
     fn refitted(&self, joints: &[usize], best: &Mapping, wanted: &Wanted) -> Option<Mapping> {
         if best.unit != JointNumbers::Radians {
             return None;
@@ -262,7 +265,7 @@ impl Search<'_> {
         Some(Mapping { arm: best.arm, ..found })
     }
 
-    /// The columns of a position with those of its rotation, and how these were told.
+    /// Adds the rotation columns to a position, with the reason.
     fn with_rotation(&self, mapping: &Mapping, wanted: &Wanted) -> (Vec<usize>, String) {
         let numbers = &self.cells.numbers;
         let [x, y, z] = mapping.position;
@@ -283,7 +286,7 @@ impl Search<'_> {
         let first = x as isize;
         let sixteen: [usize; 16] = std::array::from_fn(|at| at);
         if y == x + 4 || y == x + 1 {
-            // A matrix by rows or by columns, with its last row or without.
+            // A matrix by rows or by columns, with or without its last row.
             let by_rows = y == x + 4;
             let from = if by_rows { first - 3 } else { first - 12 };
             let rotation = [0, 1, 2, 4, 5, 6, 8, 9, 10];
@@ -300,18 +303,18 @@ impl Search<'_> {
                 && let Some(columns) = block(from, &rotation)
                 && turns(&columns) == Some(true)
             {
-                return (whole, "a matrix, whose rotation turns as FK does".to_owned());
+                return (whole, "a matrix whose rotation matches FK".to_owned());
             }
         }
         if y != x + 1 || z != x + 2 {
-            return (mapping.position.to_vec(), "no rotation beside it".to_owned());
+            return (mapping.position.to_vec(), "no adjacent rotation".to_owned());
         }
         let mut is_at_rest = false;
         for (from, count) in [(first + 3, 4), (first - 4, 4), (first + 3, 3), (first - 3, 3)] {
             let Some(columns) = block(from, &sixteen[..count]) else { continue };
             match turns(&columns) {
                 Some(true) => {
-                    let said = format!("{} turn as FK does", self.said(&columns));
+                    let said = format!("{} match FK's rotation", self.said(&columns));
                     return ([mapping.position.as_slice(), &columns].concat(), said);
                 }
                 Some(false) => {}
@@ -319,13 +322,13 @@ impl Search<'_> {
             }
         }
         let said = match is_at_rest {
-            true => "the tool turns too little to tell its rotation",
-            false => "no columns beside it turn as FK does",
+            true => "the tool rotates too little to identify its rotation",
+            false => "no adjacent columns match FK's rotation",
         };
         (mapping.position.to_vec(), said.to_owned())
     }
 
-    /// Whether the last row of a matrix of 16 numbers is that of a pose.
+    /// Whether the last row of a 4×4 matrix is (0, 0, 0, 1).
     fn is_last_row(&self, all: &[usize], by_rows: bool) -> bool {
         let at = if by_rows { [12, 13, 14, 15] } else { [3, 7, 11, 15] };
         let wanted = [0.0, 0.0, 0.0, 1.0];

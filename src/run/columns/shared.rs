@@ -1,4 +1,5 @@
-//! What some logs of a dataset tell of all of them, so that it is sought once and only verified in the others.
+//! Robot and column mapping shared by the logs of a dataset: determined on some logs, verified in the
+//! others.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,41 +9,41 @@ use crate::robot::{Robot, catalogue};
 
 use super::{MOVES_M, Search, Taken, Told, selectors};
 
-/// What some logs of a dataset tell of all of them.
+/// Robot and column mapping shared by the logs of a dataset.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Shared {
-    /// The logs that told it.
+    /// Names of the source logs.
     pub from: Vec<String>,
-    /// The arm of the catalogue that they are of.
+    /// Catalogue name of the arm.
     pub robot: Option<String>,
-    /// What their columns hold, where names leave that open.
+    /// Column mapping, if names do not identify the columns.
     pub columns: Option<SharedColumns>,
 }
 
-/// What the columns of a table hold.
+/// Column mapping of a table.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SharedColumns {
-    /// The log that told it.
+    /// Name of the source log.
     pub from: String,
-    /// All numbers of a row that were looked at, by their names.
+    /// Names of all numbers in a row that were considered.
     numbers: Vec<String>,
     arms: Vec<Taken>,
     question: Option<String>,
 }
 
-/// Some columns of a dataset.
+/// One identified group of columns in a dataset.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SharedRow {
-    /// What they are.
+    /// What the columns are.
     pub is: String,
-    /// Which, as `[columns]` of a config names them.
+    /// The columns, in the syntax of `[columns]`.
     pub columns: Vec<String>,
-    /// By what that was told.
+    /// How they were identified.
     pub why: String,
 }
 
 impl Shared {
-    /// What it says of a table with these numbers a row.
+    /// The mapping, if it applies to a table with these numbers per row.
     pub(super) fn of(&self, numbers: &[String]) -> Option<&SharedColumns> {
         let are_within =
             |of: &SharedColumns| of.arms.iter().all(|arm| arm.is_within(numbers.len()));
@@ -55,12 +56,12 @@ impl SharedColumns {
         Self { from: String::new(), numbers, arms: told.arms, question: told.question }
     }
 
-    /// Whether it says what the columns are.
+    /// Whether the columns are fully identified.
     pub fn is_told(&self) -> bool {
         !self.arms.is_empty() && self.question.is_none()
     }
 
-    /// Whether it says the same as another.
+    /// Whether two mappings use the same columns for the same purpose.
     pub fn agrees(&self, other: &Self) -> bool {
         let of = |it: &Self| -> Vec<_> {
             let arm = |arm: &Taken| {
@@ -73,12 +74,12 @@ impl SharedColumns {
         self.numbers == other.numbers && of(self) == of(other)
     }
 
-    /// What they leave open.
+    /// Remaining ambiguity, as a question.
     pub fn question(&self) -> Option<&str> {
         self.question.as_deref()
     }
 
-    /// What its columns are, and why.
+    /// The identified columns, with the reasons.
     pub fn rows(&self) -> Vec<SharedRow> {
         let row = |is: &str, columns: &[usize], why: &str| SharedRow {
             is: is.to_owned(),
@@ -106,7 +107,7 @@ impl SharedColumns {
         arms.flat_map(of).collect()
     }
 
-    /// The arms of the catalogue that it is of.
+    /// Catalogue robots of the mapping.
     pub(super) fn robots(&self) -> Vec<&'static Robot> {
         let mut robots: Vec<_> =
             self.arms.iter().filter_map(|arm| catalogue::find(&arm.arm)).collect();
@@ -116,13 +117,13 @@ impl SharedColumns {
 }
 
 impl Search<'_> {
-    /// What `shared` says, verified here: where FK does not follow, the columns are sought anew, and what
-    /// they are instead is a contradiction.
+    /// Verifies the shared mapping in this log. If FK does not match, searches for the columns again and
+    /// reports a different result as a contradiction.
     pub(super) fn shared(&self, shared: &SharedColumns, log: &mut Log) -> Told {
         let from = &shared.from;
         let mut told = Told { arms: Vec::new(), question: shared.question.clone() };
         if let Some(question) = &mut told.question {
-            *question += &format!(" (asked of {from}, not of each log)");
+            *question += &format!(" (asked once, for {from})");
         }
         let mut unfit = None;
         for arm in &shared.arms {
@@ -132,11 +133,11 @@ impl Search<'_> {
             let found = found.filter(|found| found.spread_m > MOVES_M);
             let (name, position) = (&arm.arm, self.said(&arm.mapping.position));
             let here = match &found {
-                None => "too little moves here to verify it".to_owned(),
+                None => "too little motion in this log to verify it".to_owned(),
                 Some(found) => {
                     let of = Unit::Metre.show(found.spread_m);
                     format!(
-                        "here FK leaves {} of {of} of {position}",
+                        "here FK has a residual of {} in {of} of motion in {position}",
                         Unit::Metre.show(found.left_m)
                     )
                 }
@@ -150,7 +151,7 @@ impl Search<'_> {
             };
             told.arms.push(Taken {
                 joints_why: why(&format!("joints of {name} in {}", arm.mapping.unit.words())),
-                pose_why: why(&format!("a pose that FK of {name} follows")),
+                pose_why: why(&format!("a pose that matches FK of {name}")),
                 joint_commands: commands(&arm.joint_commands, "joint commands"),
                 pose_commands: commands(&arm.pose_commands, "pose commands"),
                 ..arm.clone()
@@ -162,20 +163,17 @@ impl Search<'_> {
         };
         let own = self.told(log);
         if own.arms.is_empty() {
-            log.notes
-                .push(Note { file, what: format!("the columns are taken as in {from}; {unfit}") });
+            log.notes.push(Note { file, what: format!("columns mapped as in {from}; {unfit}") });
             return told;
         }
         let ways: Vec<String> = own.arms.iter().map(|arm| self.lines(&arm.mapping)).collect();
-        let what = format!(
-            "its columns are others than in {from}: [columns] {}; {unfit}",
-            ways.join("; ")
-        );
+        let what =
+            format!("its columns differ from {from}: [columns] {}; {unfit}", ways.join("; "));
         log.contradictions.get_or_insert_default().push(Note { file, what });
         own
     }
 
-    /// The chain of an arm that another log told.
+    /// Kinematic chain of an arm that was identified in another log.
     pub(super) fn chain_of(&self, arm: &Taken) -> Option<&crate::robot::Chain> {
         let dof = arm.mapping.joints.len();
         let is_it = |own: &&super::Candidate| own.name == arm.arm && own.chain.dof() == dof;

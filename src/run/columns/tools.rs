@@ -1,5 +1,5 @@
-//! Commanded positions of a tool beside measured ones, in one table: by how much the tool follows, and how far
-//! it is off where both stand still. No arm is needed for that.
+//! Compares a table's commanded tool position with the measured one: delay, and offset at rest. Needs no
+//! arm.
 
 use crate::log::{Log, Note, Topic};
 use crate::run::by_order::TABLE;
@@ -8,12 +8,13 @@ use crate::stream::Columns;
 
 use super::cells::side_by_side;
 
-/// Numbers of a position, which stand first in a pose.
+/// Number of position coordinates, which come first in a pose.
 const POSITION: usize = 3;
-/// What is left of a coordinate that follows its command, as a share of its spread.
+/// Maximum residual of a coordinate that follows its command, as a share of its spread.
 const SAME: f64 = 0.02;
 
-/// Says how the one measured position of the table follows the one commanded, by each coordinate that does.
+/// Adds a note with the delay and the rest offset of each coordinate that follows its command. Does nothing
+/// unless the table has exactly one measured and one commanded position.
 pub(super) fn compare(log: &mut Log) {
     let of = |is_command: bool| -> Option<&Topic> {
         let mut own = log.topics.iter().filter(|topic| {
@@ -31,7 +32,7 @@ pub(super) fn compare(log: &mut Log) {
         let by = -1e3 * shift.later_s;
         (shift.left < SAME).then(|| {
             format!(
-                "{} {} {} by {:.0} ms, and is {apart:+.3} off it at rest, in its own unit, by {rows} rows",
+                "{} {} {} by {:.0} ms; offset at rest {apart:+.3} in its own unit ({rows} rows)",
                 measured.cells[axis].name,
                 if by < 0.0 { "leads" } else { "follows" },
                 commanded.cells[axis].name,
@@ -47,7 +48,7 @@ pub(super) fn compare(log: &mut Log) {
     }
 }
 
-/// Whether names say that a topic's numbers are a pose or a position.
+/// Whether a topic is named as a pose or a position.
 fn is_named_pose(topic: &Topic) -> bool {
     let is_pose = match &topic.columns {
         Some(Columns::Array(array)) => !array.unnamed && matches!(array.width, 6 | 7),

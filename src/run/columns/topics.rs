@@ -1,4 +1,4 @@
-//! The topics of a table once it is told what its columns are.
+//! Rewrites the topics of a table after its columns are identified.
 
 use crate::diagnosis::{Conduct, JointNumbers};
 use crate::log::{Log, TableCell, Topic};
@@ -9,20 +9,21 @@ use super::cells::{is_open, selectors};
 use super::roles::Taken;
 use super::{Search, Told};
 
-/// What arms are called where a table holds two and names neither.
+/// Prefixes for two arms in a table that does not name them.
 const SIDES: [&str; 2] = ["first/", "second/"];
 
-/// What is said of numbers that nothing identifies.
-const UNNAMED: &str = "its name does not say what it is";
-const FOLLOWS_NONE: &str = "it is neither a joint nor of the pose: it follows no column of them";
+/// Reasons for numbers that could not be identified.
+const UNNAMED: &str = "its name does not identify it";
+const FOLLOWS_NONE: &str =
+    "neither a joint nor part of the pose, and it matches none of their columns";
 const NOT_OF_ARM: &str = "neither joints nor a pose of the arm";
 
-/// Whether numbers of which this is said may be anything, a rotation too.
+/// Whether numbers excluded for this reason may still be anything, such as a rotation.
 fn is_open_conduct(said: &str) -> bool {
     [UNNAMED, FOLLOWS_NONE, NOT_OF_ARM].contains(&said)
 }
 
-/// Puts the topics of what was told in the place of bare numbers. What is left of these is said.
+/// Replaces unnamed numbers by the identified topics. The remaining numbers get a reason each.
 pub(super) fn rewrite(log: &mut Log, search: &Search<'_>, told: &Told) {
     let made: Vec<Topic> = told
         .arms
@@ -72,7 +73,7 @@ pub(super) fn rewrite(log: &mut Log, search: &Search<'_>, told: &Told) {
             }
         }
         for (run, said) in runs {
-            // What follows other columns, or never changes, is no rotation.
+            // Numbers that copy other columns or never change are not a rotation.
             let cell = |&part: &usize| TableCell {
                 is_unidentified: topic.cells[part].is_unidentified && is_open_conduct(&said),
                 ..topic.cells[part].clone()
@@ -93,7 +94,7 @@ pub(super) fn rewrite(log: &mut Log, search: &Search<'_>, told: &Told) {
     log.topics = topics;
 }
 
-/// Leaves the single numbers of a table whose names tell all that is asked.
+/// Excludes single unidentified numbers if names already identify the joints and the pose.
 pub(super) fn leave_singles(log: &mut Log) {
     for topic in log.topics.iter_mut().filter(|topic| is_open(topic) && topic.cells.len() == 1) {
         topic.columns = None;
@@ -167,7 +168,7 @@ fn of_arm(log: &Log, search: &Search<'_>, arm: &Taken, prefix: &str) -> Vec<Topi
     topics
 }
 
-/// Some numbers of one table, in the rows that hold all of them.
+/// Joins numbers of one table, for the rows that contain all of them.
 fn array(log: &Log, search: &Search<'_>, columns: &[usize]) -> ArrayColumns {
     let of = |&column: &usize| {
         let (topic, part) = search.cells.numbers[column].at;
@@ -198,7 +199,7 @@ fn array(log: &Log, search: &Search<'_>, columns: &[usize]) -> ArrayColumns {
     made
 }
 
-/// Rows of joint positions, which velocities may follow.
+/// Converts rows of joint positions, optionally followed by velocities.
 fn joints(array: ArrayColumns, count: usize, unit: JointNumbers, chain: Option<&Chain>) -> Columns {
     let degrees = unit == JointNumbers::Degrees;
     let lines: Vec<[f64; 2]> = match (unit, chain) {
@@ -243,7 +244,7 @@ fn positions(array: ArrayColumns) -> PoseColumns {
 }
 
 impl Search<'_> {
-    /// What a number of a topic does that is neither a joint nor of the pose.
+    /// Describes how a number that is neither a joint nor part of the pose behaves.
     fn conduct(
         &self,
         number: (usize, usize),
@@ -258,17 +259,13 @@ impl Search<'_> {
         let name = |at: usize| selectors(&[self.cells.numbers[at].cell.name.clone()]).concat();
         match self.cells.sheet.conduct(at, used) {
             Conduct::Constant => "it never changes".to_owned(),
-            Conduct::TwoLevels => "it takes two values, as a gripper or a switch".to_owned(),
+            Conduct::TwoLevels => "it takes two values, like a gripper or a switch".to_owned(),
             Conduct::As(other, shift) if shift.later_s == 0.0 => {
-                format!("it says what {} does", name(other))
+                format!("a copy of {}", name(other))
             }
             Conduct::As(other, shift) => {
                 let when = if shift.later_s > 0.0 { "later" } else { "earlier" };
-                format!(
-                    "it says what {} does, {:.0} ms {when}",
-                    name(other),
-                    1e3 * shift.later_s.abs()
-                )
+                format!("a copy of {}, {:.0} ms {when}", name(other), 1e3 * shift.later_s.abs())
             }
             Conduct::RateOf(other) => format!("the rate of {}", name(other)),
             Conduct::Own if used.is_empty() => UNNAMED.to_owned(),
