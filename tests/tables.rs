@@ -235,7 +235,7 @@ fn a_tool_that_follows_its_command_is_said_without_an_arm() {
     fs::write(&path, text).expect("a file");
     let report = report(&path, None, ColumnSettings::default()).expect("a report");
     let notes: String = report.log.notes.iter().map(|note| note.note.as_str()).collect();
-    for said in ["X_RIst follows X_RSol by 60 ms, and is +0.200 off", "Z_RIst follows"] {
+    for said in ["X_RIst follows X_RSol by 60 ms; offset at rest +0.200", "Z_RIst follows"] {
         assert!(notes.contains(said), "{said}: {notes}");
     }
 }

@@ -50,6 +50,6 @@ fn the_columns_of_a_dataset_are_told_once_and_contradicted_by_name() -> Result<(
     assert_eq!(found, ["META001"], "{report:#}");
     let row = &findings[0];
     assert!(row["path"].as_str().is_some_and(|path| path.ends_with("episode_4.csv")));
-    assert!(row["message"].as_str().is_some_and(|what| what.contains("its columns are others")));
+    assert!(row["message"].as_str().is_some_and(|what| what.contains("its columns differ from")));
     Ok(())
 }
