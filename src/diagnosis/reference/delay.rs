@@ -1,4 +1,4 @@
-//! By how much the state of an arm follows what it was told.
+//! Delay between commands and the state of the arm.
 
 use super::is_streamed;
 use crate::latency::median_period_s;
@@ -7,25 +7,25 @@ use crate::{PoseSeries, Response, Unseen};
 use ground::geometry::{Vec3, rotvec_from_rotation};
 use ground::stream::{JointTrack, sample_noise};
 
-/// How a joint, or the tip, follows its commands.
+/// Response of a joint or of the tip to its commands.
 #[derive(Clone, Debug)]
 pub struct CommandDelay {
-    /// The joint's column in the joint track; `None` of poses.
+    /// Column in the joint track; `None` for poses.
     pub joint: Option<usize>,
-    /// Usual time between commands, s.
+    /// Median period of the commands, s.
     pub period_s: f64,
-    /// How it follows; why that cannot be told.
+    /// Response, or why it cannot be determined.
     pub response: Result<Response, NoDelay>,
 }
 
-/// Why a delay cannot be told.
+/// Why a delay cannot be determined.
 #[derive(Clone, Debug, PartialEq)]
 pub enum NoDelay {
-    /// The commands are goals, and no stream that leads.
+    /// The commands are single goals, not a stream.
     Goals,
-    /// They come as a stream, and go in steps: goals that are repeated.
+    /// The commands are a stream of steps: repeated goals.
     Steps,
-    /// For a reason that other estimates have, too.
+    /// Reason shared with other estimates.
     Unseen(Unseen),
 }
 
@@ -35,17 +35,18 @@ impl From<Unseen> for NoDelay {
     }
 }
 
-/// Windows over which changes are compared, s: the shortest; in periods of the commands and of the state.
+/// Windows over which changes are compared: the minimum, s, and the multiples of the command and state
+/// periods.
 const WINDOW_S: f64 = 0.1;
 const OF_COMMANDS: f64 = 2.5;
 const OF_STATE: f64 = 4.0;
-/// Longest delay that is looked for, s.
+/// Longest delay searched, s.
 const MOST_LAG_S: f64 = 2.0;
-/// Less than this is no motion that tells, rad or m.
+/// Minimum motion for an estimate, rad or m.
 const MOVES: f64 = 0.01;
 
-/// By how much each commanded joint follows: `q` has `order.len()` numbers a row at the times `t_s`, NaN
-/// where a command said nothing of a joint, and `order` says of each its column in `joints`.
+/// Estimates the delay of each commanded joint. `q` has `order.len()` numbers per row at the times `t_s`
+/// (NaN for joints without a command). `order` contains the column of each in `joints`.
 pub fn joint_delays(
     t_s: &[f64],
     order: &[usize],
@@ -70,7 +71,7 @@ pub fn joint_delays(
     order.iter().enumerate().map(of).collect()
 }
 
-/// By how much the tip follows commanded poses; both are `base_from_tip`.
+/// Estimates the delay of the tip relative to commanded poses. Both series are `base_from_tip`.
 pub fn pose_delay(told: &PoseSeries, done: &PoseSeries, most_lag_s: f64) -> CommandDelay {
     let period_s = median_period_s(&told.t_s);
     let columns = [told, done].map(columns);
@@ -98,9 +99,9 @@ pub fn pose_delay(told: &PoseSeries, done: &PoseSeries, most_lag_s: f64) -> Comm
     CommandDelay { joint: None, period_s, response }
 }
 
-/// Whether a command goes in steps that no arm follows as they are: more than half of its way is in
-/// leaps from one command to the next, several times faster than the arm ever is. A profile that is
-/// planned on the way to a goal says nothing of a delay.
+/// Whether commands advance in steps that no arm can follow: more than half of the path consists of jumps
+/// several times faster than the arm's top speed. The controller then plans its own profile, which does not
+/// show the delay.
 fn in_steps(told_t_s: &[f64], told: &[f64], done_t_s: &[f64], done: &[f64]) -> bool {
     const FASTER: f64 = 4.0;
     const SHARE: f64 = 0.5;
@@ -128,8 +129,7 @@ fn in_steps(told_t_s: &[f64], told: &[f64], done_t_s: &[f64], done: &[f64]) -> b
     leapt > SHARE * way
 }
 
-/// Position, m, and the rotation vectors from sample to sample added up, rad, times a length that
-/// balances the two.
+/// Position, m, and accumulated rotation vectors, rad, times a length that balances the two.
 fn columns(series: &PoseSeries) -> Vec<Vec<f64>> {
     const LENGTH_M: f64 = 0.3;
     let mut turned = Vec3::zeros();

@@ -1,48 +1,48 @@
-//! What was found on commands.
+//! Results of the comparison of commands with motion.
 
 use super::line::Line;
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use ground::stats::{Length, Measured};
 
-/// The difference between a command and where the arm came to rest.
+/// Difference between a command and the pose in which the arm came to rest.
 #[derive(Clone, Debug)]
 pub struct RestGap {
-    /// When both stood still, s from the run's origin.
+    /// Start of the interval in which both are constant, s from the run's origin.
     pub from_s: f64,
-    /// Until when.
+    /// End of the interval, s.
     pub to_s: f64,
-    /// `base_from_tip` as commanded.
+    /// Commanded `base_from_tip`.
     pub commanded: Pose,
-    /// `base_from_tip` as measured, the mean.
+    /// Mean of the measured `base_from_tip`.
     pub measured: Pose,
-    /// Distance of the two, m.
+    /// Distance between the two, m.
     pub distance_m: Length,
     /// Angle between the two, rad.
     pub angle_rad: Length,
-    /// Of commanded joints, the joint's column and by how much it is off what it was told:
-    /// `q_measured − q_commanded`, rad or m.
+    /// For each commanded joint, its column and its error `q_measured − q_commanded`, rad or m.
     pub joints: Vec<(usize, Measured)>,
 }
 
 impl RestGap {
-    /// `tip_from_commanded`: where the command is, seen from the tip.
+    /// `tip_from_commanded`: commanded pose in the measured tip frame.
     pub fn tip_from_commanded(&self) -> Pose {
         self.measured.inverse() * self.commanded
     }
 }
 
-/// Whether what differs at several rests is one and the same.
+/// Spread of the pose error over several rests.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Constancy {
-    /// The farthest of `tip_from_commanded` from their mean: m, rad. Nothing where it is another point
-    /// of the tool that is commanded.
+    /// Maximum deviation of `tip_from_commanded` from its mean, m and rad. Zero if the commands refer to
+    /// another point on the tool.
     pub in_tool: (f64, f64),
-    /// The same of `base_from_commanded_base`. Nothing where it is another base.
+    /// Maximum deviation of `base_from_commanded_base`, m and rad. Zero if the commands refer to another
+    /// base.
     pub in_base: (f64, f64),
 }
 
 impl Constancy {
-    /// Of two rests or more.
+    /// `None` for fewer than two rests.
     pub fn of(gaps: &[RestGap]) -> Option<Self> {
         if gaps.len() < 2 {
             return None;
@@ -68,35 +68,34 @@ impl Constancy {
     }
 }
 
-/// How an arm follows a streamed command, by FK of its joint states while it moves.
+/// How the arm follows a stream of commands, by FK of its joint states during motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Following {
-    /// How late the arm is, s.
+    /// Delay of the arm, s.
     pub delay_s: f64,
-    /// Correlation of the two speeds there.
+    /// Correlation of the two speeds at that delay.
     pub correlation: f64,
     /// Following error at equal stamps, rms m and rad.
     pub rms: (f64, f64),
-    /// What is left of it when the delay is taken off.
+    /// Following error after compensating the delay, rms m and rad.
     pub left: (f64, f64),
 }
 
-/// What was found of one stream of commands.
+/// Comparison of one command stream with the motion of the arm.
 #[derive(Clone, Debug)]
 pub struct ReferenceDiagnosis {
-    /// Whether the commands come so often that the arm is led by them.
+    /// Whether the commands are a stream that the arm follows, and not single goals.
     pub is_streamed: bool,
-    /// How the arm follows; `None` where commands are too few, or it does not.
+    /// How the arm follows. `None` if there are too few commands or it does not follow.
     pub following: Option<Following>,
-    /// Commands that stood still.
+    /// Number of constant commands.
     pub goals: usize,
-    /// Of these the ones near which the arm never came to rest after they were given; none of a stream
-    /// that leads it.
+    /// Goals near which the arm never came to rest afterwards. Zero for a stream that the arm follows.
     pub not_reached: usize,
-    /// Distance (m) and angle (rad) at the nearest rest of the one of these that was missed by least.
+    /// Smallest distance (m) and angle (rad) between such a goal and a rest.
     pub nearest_miss: Option<(f64, f64)>,
-    /// By each witness what differs at each rest near its command, in the order of time.
+    /// For each observation, the pose error at each rest near its command, in time order.
     pub gaps: Vec<Vec<RestGap>>,
-    /// The commanded straight lines, of poses that are streamed.
+    /// Straight lines commanded by a stream of poses.
     pub lines: Vec<Line>,
 }

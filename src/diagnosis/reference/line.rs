@@ -1,10 +1,10 @@
-//! Commanded straight lines: whether their orientation goes as it should, and whether the arm keeps to
-//! them.
+//! Commanded straight lines: whether their orientation is interpolated correctly, and whether the arm
+//! follows them.
 //!
-//! A line is what the commands themselves show: positions between two stops that lie on the chord. How
-//! fast it is gone along does not matter; what is held against it is where the tip is, and how it is
-//! turned, at the same part of the way. In between orientation is a slerp: a turn about one axis, in
-//! step with the way (Shoemake, "Animating rotation with quaternion curves", SIGGRAPH 1985).
+//! A line is detected from the commands: positions between two stops that lie on the chord. Position and
+//! orientation of the tip are compared at equal fractions of the path, so the speed profile has no effect.
+//! The reference orientation is a slerp, a rotation about one axis in proportion to the distance travelled
+//! (Shoemake, "Animating rotation with quaternion curves", SIGGRAPH 1985).
 
 use std::f64::consts::{PI, TAU};
 
@@ -15,49 +15,48 @@ use ground::geometry::{
     Convention, Pose, Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation,
 };
 
-/// Shorter ways are no lines, m.
+/// Minimum length of a line, m.
 const SHORTEST_M: f64 = 0.02;
-/// At a turn of nearly half the shortest one is not sure.
+/// Close to half a turn the shortest rotation is ambiguous.
 const LARGEST_TURN: f64 = 170.0 * PI / 180.0;
 
-/// A straight line that was commanded.
+/// Commanded straight line.
 #[derive(Clone, Debug)]
 pub struct Line {
-    /// When the command leaves its first end, s from the run's origin.
+    /// When the command leaves its start, s from the run's origin.
     pub from_s: f64,
-    /// When it comes to the other.
+    /// When the command reaches its end, s.
     pub to_s: f64,
-    /// Its length, m.
+    /// Length, m.
     pub length_m: f64,
-    /// The turn on the way, rad.
+    /// Rotation from start to end, rad.
     pub turn_rad: f64,
-    /// The largest angle between the commanded orientation and the slerp at the same part of the way,
-    /// rad.
+    /// Largest angle between the commanded orientation and the slerp at the same fraction of the path, rad.
     pub command_rad: f64,
-    /// The largest angle of it that no turn about the slerp's axis takes off, rad.
+    /// Largest component of that angle perpendicular to the slerp's axis, rad.
     pub command_off_axis_rad: f64,
-    /// What was interpolated instead, in words, where that is plain.
+    /// Name of the quantity interpolated instead, if it is clear.
     pub interpolated: Option<String>,
-    /// By each witness, how the tip kept to the line; `None` where it does not tell.
+    /// For each observation, how the tip followed the line; `None` if it cannot be determined.
     pub witnesses: Vec<Option<LineWitness>>,
 }
 
-/// How a tip kept to a line.
+/// Deviation of the tip from a commanded line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LineWitness {
-    /// The largest distance from the line through its own ends, beyond the noise, m.
+    /// Largest distance, beyond noise, from the line through its own end points, m.
     pub distance_m: Length,
-    /// The largest angle from the slerp between its own ends at the same part of the way, beyond the
-    /// noise, rad.
+    /// Largest angle, beyond noise, from the slerp between its own ends at the same fraction of the path,
+    /// rad.
     pub angle_rad: Length,
 }
 
-/// The way from one pose to another.
+/// Motion from one pose to another.
 struct Way {
     from: Pose,
     along: Vec3,
     length_m: f64,
-    /// The whole turn, in the frame of the first pose, rad.
+    /// Rotation vector from start to end, in the start frame, rad.
     turn: Vec3,
 }
 
@@ -73,7 +72,7 @@ impl Way {
         }
     }
 
-    /// Part of the way, 0 to 1, and what is off it, m.
+    /// Fraction of the path, 0 to 1, and the offset perpendicular to it, m.
     fn place(&self, pose: &Pose) -> (f64, Vec3) {
         let since = pose.translation.vector - self.from.translation.vector;
         let along_m = since.dot(&self.along);
@@ -84,8 +83,8 @@ impl Way {
         self.from.rotation * rotation_from_rotvec(self.turn * part.clamp(0.0, 1.0))
     }
 
-    /// The angle of a rotation that no turn about the axis of the way takes off, rad: the part of its
-    /// quaternion's vector across the axis is the sine of half of it.
+    /// Component of a rotation perpendicular to the axis of the path, rad. It is twice the arcsine of the
+    /// perpendicular part of the quaternion's vector.
     fn off_axis_rad(&self, rotation: &Rotation) -> f64 {
         let turn = rotvec_from_rotation(&(self.from.rotation.inverse() * rotation));
         let angle = turn.norm();
@@ -96,7 +95,7 @@ impl Way {
     }
 }
 
-/// The lines that commands show.
+/// Detects commanded lines and measures the deviation of each observation.
 pub(super) fn lines(
     series: &PoseSeries,
     holds: &[Hold],
@@ -118,11 +117,10 @@ pub(super) fn lines(
     pairs.collect()
 }
 
-/// The line that the commands of `rows` are, from their first to their last, if they are one.
+/// Line through the commands in `rows`, from first to last. `None` if they are not on a line.
 fn commanded(series: &PoseSeries, rows: std::ops::Range<usize>) -> Option<(Line, Way)> {
     const FEWEST: usize = 8;
-    /// What a commanded line may be off a straight one: numbers that were written short, m, and so
-    /// much of its length.
+    /// Maximum deviation from straightness: rounding of the numbers, m, plus a share of the length.
     const STRAIGHT: (f64, f64) = (2e-5, 1e-4);
     let poses = series.poses.get(rows.clone())?;
     let times = series.t_s.get(rows)?;
@@ -138,7 +136,7 @@ fn commanded(series: &PoseSeries, rows: std::ops::Range<usize>) -> Option<(Line,
         let (part, off) = way.place(pose);
         off.norm() <= most_m && (-beyond..=1.0 + beyond).contains(&part)
     };
-    // A command that falls silent, or jumps, shows no line.
+    // A command stream with a pause or a jump does not define a line.
     let longest = poses.windows(2).map(|pair| {
         (pair[1].translation.vector - pair[0].translation.vector).norm() / way.length_m
     });
@@ -163,13 +161,12 @@ fn commanded(series: &PoseSeries, rows: std::ops::Range<usize>) -> Option<(Line,
     Some((line, way))
 }
 
-/// What was interpolated from end to end, where it is no slerp and one of the usual mistakes leaves next
-/// to nothing: Euler angles or a rotation vector component by component, a quaternion's components, or a
-/// matrix's elements.
+/// Identifies the interpolation used instead of a slerp: linear in Euler angles, rotation vector,
+/// quaternion components or matrix elements. `None` for a slerp, or if no candidate fits well.
 fn interpolated(way: &Way, last: &Pose, placed: &[(f64, Rotation)]) -> Option<String> {
-    /// Less than this is a slerp with short numbers, rms rad.
+    /// Smaller deviations, rms rad, are a slerp with rounded numbers.
     const LEAST_RAD: f64 = 5e-4;
-    /// What a mistake may leave of what the slerp leaves.
+    /// Maximum residual of a candidate as a share of the slerp's.
     const SHARE: f64 = 0.05;
     let rms = |guess: &dyn Fn(f64) -> Rotation| {
         let square =
@@ -181,7 +178,7 @@ fn interpolated(way: &Way, last: &Pose, placed: &[(f64, Rotation)]) -> Option<St
         return None;
     }
     let (angle, axis) = (way.turn.norm(), way.turn.try_normalize(1e-9)?);
-    // A blend of two unit vectors `angle` apart has turned by this much of it.
+    // Angle of a linear blend of two unit vectors separated by `angle`.
     let blended =
         |angle: f64, part: f64| (part * angle.sin()).atan2(1.0 - part + part * angle.cos());
     let at_angle = |angle: f64| way.from.rotation * rotation_from_rotvec(axis * angle);
@@ -201,13 +198,13 @@ fn interpolated(way: &Way, last: &Pose, placed: &[(f64, Rotation)]) -> Option<St
             |part: f64| convention.rotation(std::array::from_fn(|at| a[at] + part * by[at]));
         guesses.push((rms(&guess), convention.to_string()));
     }
-    // Of equals the first, which is the most usual, counts as the least.
+    // `min_by` returns the first of equal candidates, which is the most common.
     let (least, name) = guesses.into_iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
     (least <= SHARE * by_slerp).then_some(name)
 }
 
-/// How a witness has the tip keep to a line: held against the line and the slerp between where it
-/// rests before and after, so that neither delay nor what is off at rest counts.
+/// Deviation of an observation from the line and slerp between its rests before and after. Delay and
+/// constant pose errors therefore have no effect.
 fn kept(
     line: &Line,
     way: &Way,
@@ -215,13 +212,13 @@ fn kept(
     stop: &Hold,
     witness: &WitnessSeries<'_>,
 ) -> Option<LineWitness> {
-    /// So much of a rest beside the way says where the way ends, s.
+    /// Duration of the rests averaged to locate the ends, s.
     const END_S: f64 = 0.3;
-    /// The way of the tip may be longer or shorter by this, m, and a share of it.
+    /// Maximum difference in path length, m, plus a share of the length.
     const ALIKE: (f64, f64) = (5e-3, 0.1);
-    /// It may turn more or less by this, rad.
+    /// Maximum difference in total rotation, rad.
     const TURNS_ALIKE: f64 = 3.0 * PI / 180.0;
-    /// Bins of the way, and samples in one.
+    /// Maximum number of bins along the path, and samples per bin.
     const BINS: usize = 20;
     const PER_BIN: usize = 4;
     let before = rests.iter().rev().find(|rest| rest.from_s < line.from_s)?;
@@ -273,20 +270,20 @@ fn kept(
             length_of(mean, of_mean(noise, count) + of_mean(noise, fewest))
         });
         let longest = lengths.max_by(|a, b| a.norm.value.total_cmp(&b.norm.value))?;
-        // The farthest of so many bins is there by chance so many times more often.
+        // Bonferroni correction for the maximum over the bins.
         Some(Length { p_value: (longest.p_value * bins as f64).min(1.0), ..longest })
     };
     Some(LineWitness { distance_m: farthest(0)?, angle_rad: farthest(1)? })
 }
 
-/// Where on the tool the commanded point is, `tip_from_point`; `None` where a line of that point is no
-/// line of the tip, and it is not sure which point is commanded.
+/// Commanded point on the tool, `tip_from_point`. `None` if it cannot be located and its path may differ
+/// from the tip's.
 fn commanded_point(way: &Way, line: &Line, first: &Pose, last: &Pose) -> Option<Pose> {
-    /// A tip this near to the commanded point goes along with it, m.
+    /// Maximum distance at which the tip counts as the commanded point, m.
     const NEAR_M: f64 = 5e-3;
-    /// Ways that turn by less are the same for all points, rad.
+    /// With less rotation than this, all points follow the same path, rad.
     const LITTLE_RAD: f64 = 2.0 * PI / 180.0;
-    /// One and the same point differs by no more from end to end, m.
+    /// Maximum difference between start and end for one and the same point, m.
     const SAME_M: f64 = 2e-3;
     let told = [
         way.from,

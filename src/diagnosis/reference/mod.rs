@@ -1,9 +1,9 @@
-//! What an arm was told against what it did: where both stand still, how the one follows the other,
-//! and whether a commanded straight line was one.
+//! Compares commands with the motion of the arm: error at rest, following error and latency, and
+//! straightness of commanded lines.
 //!
-//! A command holds until the next. Where a command has stood still and the arm rests, latency and
-//! following error have died away, and what differs is a difference of poses. Commands that the arm was
-//! never brought to are told from those that it missed by a little.
+//! A command holds until the next one. Once it has been constant for a while and the arm rests, latency and
+//! following error have decayed, and the remaining difference is a constant pose error. Goals that the arm
+//! never approached are counted separately from goals missed by a small distance.
 
 mod delay;
 mod found;
@@ -23,20 +23,20 @@ use ground::stream::JointTrack;
 pub use line::{Line, LineWitness};
 use rest::{Hold, Rest, holds, mean_pose, rests};
 
-/// What an arm was told, over time.
+/// Time series of commanded poses.
 #[derive(Clone, Debug, Default)]
 pub struct Commands {
-    /// `base_from_tip` as commanded.
+    /// Commanded `base_from_tip`.
     pub series: PoseSeries,
-    /// Of commanded joints the positions, row-major, in the order of the arm's joint track; NaN where no
-    /// command said anything of a joint. Empty of commanded poses.
+    /// Commanded joint positions, row-major, in the order of the arm's joint track. NaN for joints without
+    /// a command. Empty for pose commands.
     pub joints: Vec<f64>,
 }
 
 impl Commands {
-    /// Commands to joints: `q` has `order.len()` numbers a row, and `order` says of each its column in
-    /// `joints`. What a row does not say holds as it was said before; joints that were never commanded
-    /// are where they are.
+    /// Converts joint commands to poses. `q` has `order.len()` numbers per row, and `order` contains the
+    /// joint-track column of each. A joint missing from a row keeps its last command. Joints never
+    /// commanded use their measured position.
     pub fn of_joints(
         t_s: &[f64],
         order: &[usize],
@@ -67,8 +67,8 @@ impl Commands {
     }
 }
 
-/// The order of commands whose numbers have no names: that of the chain, of the joint track, or of the
-/// alphabet, whichever is nearest to the joints. `None` where none of them follows the joints.
+/// Determines the joint order of unnamed commands: chain, joint-track or alphabetical order, whichever is
+/// closest to the measured joints. `None` if none of them follows the joints.
 pub fn unnamed_order(
     t_s: &[f64],
     q: &[f64],
@@ -76,9 +76,9 @@ pub fn unnamed_order(
     names: &[String],
     columns: &[usize],
 ) -> Option<Vec<usize>> {
-    /// The joints are no farther from what they were told than this in the mean, rad or m, …
+    /// Maximum mean distance of the joints from the commands, rad or m, at one of the delays below.
     const NEAR: f64 = 0.1;
-    /// … so much later, s.
+    /// Delays tried, s.
     const LATER_S: [f64; 5] = [0.0, 0.1, 0.2, 0.4, 0.8];
     let mut alphabetical = columns.to_vec();
     alphabetical.sort_by_key(|&column| names.get(column));
@@ -102,38 +102,38 @@ pub fn unnamed_order(
     let distance = |order: &[usize]| {
         LATER_S.iter().map(|&later_s| distance_at(order, later_s)).fold(f64::INFINITY, f64::min)
     };
-    // Of equals the first counts as the least.
+    // `min_by` returns the first of equal candidates.
     let orders = [columns.to_vec(), as_tracked, alphabetical].into_iter();
     let orders = orders.map(|order| (distance(&order), order));
     let (least, order) = orders.min_by(|a, b| a.0.total_cmp(&b.0))?;
     (least < NEAR).then_some(order)
 }
 
-/// The arm's joint states, and the chain whose tip is commanded.
+/// Joint states of the arm, and the chain to the commanded tip.
 #[derive(Clone, Copy, Debug)]
 pub struct CommandedArm<'a> {
-    /// The joint states as recorded.
+    /// Joint states as recorded.
     pub joints: &'a JointTrack,
-    /// From base to tip.
+    /// Chain from base to tip.
     pub chain: &'a Chain,
-    /// For each joint of `chain`, its column in `joints`.
+    /// Column in `joints` of each joint of `chain`.
     pub columns: &'a [usize],
 }
 
-/// A witness of where the tip was, and how noisy it is.
+/// Measured poses of the tip, with their noise.
 struct WitnessSeries<'a> {
     series: &'a PoseSeries,
-    /// Of a component of its positions, m, and of its rotations, rad.
+    /// Noise per component of position, m, and rotation, rad.
     noise: [Noise; 2],
 }
 
-/// What an arm was told against what it did.
+/// Compares commands with the motion of the arm.
 ///
-/// `witnesses` say where the tip was, as `base_from_tip` at the times at which it was there; the first
-/// is FK of the joint states.
+/// Each entry of `witnesses` is a series of measured `base_from_tip`, corrected for latency. The first is
+/// FK of the joint states.
 ///
 /// # Errors
-/// Where there are no commands, or the arm never rests.
+/// If the commands do not overlap the joint states, or the arm never rests.
 pub fn diagnose_reference(
     commands: &Commands,
     arm: &CommandedArm<'_>,
@@ -174,7 +174,7 @@ pub fn diagnose_reference(
     let gaps_of = |hold: &Hold, &(from_s, to_s): &(f64, f64)| -> Vec<Option<RestGap>> {
         witnesses.iter().map(|one| gap(commands, arm, hold, (from_s, to_s), one)).collect()
     };
-    // Goals that the arm did not come near.
+    // Goals that the arm did not approach.
     let mut far: Vec<Vec<Option<RestGap>>> = Vec::new();
     let mut near: Vec<Vec<Option<RestGap>>> = Vec::new();
     for (hold, windows) in holds.iter().zip(&pairs) {
@@ -215,14 +215,14 @@ pub fn diagnose_reference(
     Ok(found)
 }
 
-/// Whether commands come so often that they lead the arm, and are not goals.
+/// Whether the commands are a stream that the arm follows, and not single goals.
 fn is_streamed(t_s: &[f64]) -> bool {
     const ENOUGH: usize = 20;
     const LONGEST_S: f64 = 0.2;
     t_s.len() >= ENOUGH && median_period_s(t_s) <= LONGEST_S
 }
 
-/// The times at which a command has stood still and the arm rests because of it.
+/// Intervals in which the command is constant and the arm rests as its result.
 fn windows(
     hold: &Hold,
     rests: &[Rest],
@@ -230,34 +230,35 @@ fn windows(
     follows: bool,
     delay_s: f64,
 ) -> Vec<(f64, f64)> {
-    /// What is left of a motion when the command stands still, s; twice the delay comes to it.
+    /// Time for the motion to settle after the command stops, s. Twice the delay is added.
     const SETTLED_S: f64 = 0.1;
-    /// Of a long rest the last of it counts, s.
+    /// Only the end of a long rest is used, s.
     const LAST_S: f64 = 1.0;
     let is_led = |rest: &&Rest| {
-        // Where nothing but the first command was ever given, the arm holds it.
+        // If no other command precedes it, a constant stream counts: the arm is holding it.
         follows || rest.from_s > hold.from_s || is_streamed && hold.first == 0
     };
     let window = |rest: &Rest| {
         let from_s = rest.from_s.max(hold.from_s + SETTLED_S + 2.0 * delay_s);
         let to_s = rest.to_s.min(hold.to_s);
-        // The later half, in which less is left of the motion.
+        // Use the later half, when the motion has settled further.
         let late_s = (0.5 * (from_s + to_s)).min(to_s - rest::LEAST_S).max(to_s - LAST_S);
         (to_s - from_s >= rest::LEAST_S).then_some((from_s.max(late_s), to_s))
     };
     rests.iter().filter(is_led).filter_map(window).collect()
 }
 
-/// Farther than this from a goal the arm was not brought to it: it was stopped, or is led elsewhere.
+/// A rest farther than this from the goal was not its target: the arm stopped early or was moved by other
+/// means.
 const NEAR_M: f64 = 0.02;
 const NEAR_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 
-/// How far a rest is from its command, in units of what counts as near.
+/// Distance of a rest from its command, relative to the thresholds for near.
 fn size(gap: &RestGap) -> f64 {
     (gap.distance_m.norm.value / NEAR_M).max(gap.angle_rad.norm.value / NEAR_RAD)
 }
 
-/// The same by the witness that has it nearest.
+/// The smallest such distance among the observations.
 fn apart(gaps: &[Option<RestGap>]) -> f64 {
     gaps.iter().flatten().map(size).fold(f64::INFINITY, f64::min)
 }
@@ -270,8 +271,8 @@ fn start_of(gaps: &[Option<RestGap>]) -> f64 {
     gaps.iter().flatten().map(|gap| gap.from_s).fold(f64::INFINITY, f64::min)
 }
 
-/// Whether goals that the arm did not come near are, by a witness, all off by one transform: three or
-/// more goals were then reached in another frame, or with another tool.
+/// Whether one rigid transform explains all distant goals (three or more) of an observation. They were then
+/// reached in another frame or with another tool.
 fn is_one_transform(far: &[Vec<Option<RestGap>>], witness: usize) -> bool {
     const FEWEST: usize = 3;
     const ALIKE: (f64, f64) = (0.25 * NEAR_M, 0.1 * NEAR_RAD);
@@ -281,9 +282,9 @@ fn is_one_transform(far: &[Vec<Option<RestGap>>], witness: usize) -> bool {
     constancy.is_some_and(|found| is_alike(found.in_tool) || is_alike(found.in_base))
 }
 
-/// The noise of a witness at rest: of positions, m, and of rotations, rad.
+/// Noise of a measured series at rest: positions, m, and rotations, rad.
 fn noise_of(series: &PoseSeries, rests: &[Rest]) -> [Noise; 2] {
-    /// The noise floors of the contract: 1 µm and 1 µrad.
+    /// Noise floors of the specification: 1 µm and 1 µrad.
     const FLOOR: f64 = 1e-6;
     let (mut metres, mut radians) = (Vec::new(), Vec::new());
     for rest in rests {
@@ -297,21 +298,21 @@ fn noise_of(series: &PoseSeries, rests: &[Rest]) -> [Noise; 2] {
     [metres, radians].map(|left: Vec<[f64; 3]>| Noise::of(&left, &vec![1.0; left.len()], FLOOR))
 }
 
-/// The variance of a mean of `count` samples, and the degrees of freedom behind it.
+/// Variance of a mean of `count` samples, allowing for autocorrelation.
 fn of_mean(noise: &Noise, count: usize) -> f64 {
     let inflation = (noise.inflation() / count.max(1) as f64).min(1.0);
     noise.sigma * noise.sigma * inflation
 }
 
-/// The length of `vector`, each of whose components has this variance.
+/// Length of `vector`, whose components all have this variance.
 fn length_of(vector: Vec3, variance: f64) -> Length {
-    /// Square of the noise floors: 1 µm and 1 µrad.
+    /// Squared noise floors: 1 µm and 1 µrad.
     const FLOOR: f64 = 1e-12;
     let covariance = nalgebra::DMatrix::identity(3, 3) * (variance + FLOOR);
     Length::of(vector.as_slice(), &covariance, f64::INFINITY)
 }
 
-/// What differs by a witness while command and arm stand still; `None` where it has too few samples, or
+/// Difference between command and measured pose at rest. `None` if there are too few samples or the pose
 /// still moves.
 fn gap(
     commands: &Commands,
@@ -321,9 +322,9 @@ fn gap(
     witness: &WitnessSeries<'_>,
 ) -> Option<RestGap> {
     const FEWEST: usize = 4;
-    /// What a rest may still move from its first half to its second, m and rad.
+    /// Maximum motion between the two halves of a rest, m and rad.
     const CREEPS: (f64, f64) = (2e-4, 3e-4);
-    /// Standard deviations that noise does not reach.
+    /// Noise tolerance in standard deviations.
     const SIGMAS: f64 = 4.0;
     let series = witness.series;
     let count = rest::within(series, from_s, to_s).count();
@@ -354,7 +355,7 @@ fn gap(
     })
 }
 
-/// By how much each commanded joint is off at a rest.
+/// Error of each commanded joint at a rest.
 fn joint_gaps(
     commands: &Commands,
     joints: &JointTrack,
@@ -378,11 +379,11 @@ fn joint_gaps(
     (0..dof).filter(|&column| commanded[column].is_finite()).map(off).collect()
 }
 
-/// How the arm follows; `None` where its speed does not correlate with the commands'.
+/// Delay and following error of the arm. `None` if its speed does not correlate with that of the commands.
 fn following(series: &PoseSeries, arm: &CommandedArm<'_>, most_lag_s: f64) -> Option<Following> {
-    /// Correlation of speeds from which an arm follows.
+    /// Minimum correlation between the two speeds.
     const FOLLOWS: f64 = 0.7;
-    /// Of peaks that are as high as this beside the highest, the one with the least lag is meant.
+    /// Peaks within this of the highest count as equal. The one with the smallest lag is selected.
     const AS_HIGH: f64 = 0.03;
     let CommandedArm { joints, chain, columns } = *arm;
     let (xyz, rotations): (Vec<Vec3>, Vec<Rotation>) =
@@ -395,7 +396,7 @@ fn following(series: &PoseSeries, arm: &CommandedArm<'_>, most_lag_s: f64) -> Op
     if peak.correlation < FOLLOWS {
         return None;
     }
-    // The commands are early by as much as the arm is late.
+    // The lag of the commands is negative: they lead the arm.
     let Peak { lag_s, correlation } = *peak;
     let delay_s = -lag_s;
     Some(Following {
@@ -406,12 +407,11 @@ fn following(series: &PoseSeries, arm: &CommandedArm<'_>, most_lag_s: f64) -> Op
     })
 }
 
-/// Distance and angle, rms m and rad, between FK and what was commanded `delay_s` before, while the
-/// arm moves.
+/// Rms distance, m, and angle, rad, between FK and the command `delay_s` earlier, while the arm moves.
 fn following_error(series: &PoseSeries, arm: &CommandedArm<'_>, delay_s: f64) -> (f64, f64) {
-    /// More rows do not make an rms better.
+    /// Maximum number of rows. More do not improve the rms.
     const ENOUGH: usize = 4000;
-    /// An arm moves whose joints do by more than this, rad/s or m/s.
+    /// Minimum joint speed of a moving arm, rad/s or m/s.
     const MOVES: f64 = 0.02;
     let CommandedArm { joints, chain, columns } = *arm;
     let period_s = median_period_s(&series.t_s);

@@ -1,33 +1,33 @@
-//! Where an arm rests, and where commands stand still.
+//! Detects when the arm rests and when commands are constant.
 
 use super::super::latency::median_period_s;
 use crate::PoseSeries;
 use ground::geometry::{Pose, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stream::{JointTrack, sample_noise};
 
-/// Shorter rests do not show what is left when a motion has died away, s.
+/// Shortest rest, s. In shorter ones the motion has not settled.
 pub(super) const LEAST_S: f64 = 0.1;
 
-/// A time in which no joint moves.
+/// Interval without joint motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Rest {
     pub from_s: f64,
     pub to_s: f64,
 }
 
-/// A command that stands still, and how long it holds.
+/// Constant command and its duration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Hold {
-    /// Its first row.
+    /// First row.
     pub first: usize,
-    /// Its last row.
+    /// Last row.
     pub last: usize,
     pub from_s: f64,
     pub to_s: f64,
 }
 
-/// The times in which no joint moves: the means of a tenth of a second before and after each sample
-/// are the same, within what noise makes of them.
+/// Detects intervals without joint motion. The means over a tenth of a second before and after each sample
+/// must agree within the noise.
 pub(super) fn rests(joints: &JointTrack) -> Vec<Rest> {
     let period_s = median_period_s(&joints.t_s);
     let is_gap = |row: usize| joints.t_s[row] - joints.t_s[row - 1] > (10.0 * period_s).max(0.1);
@@ -51,9 +51,9 @@ pub(super) fn rests(joints: &JointTrack) -> Vec<Rest> {
 fn still_rows(joints: &JointTrack, period_s: f64) -> Vec<bool> {
     /// Half of a window, s.
     const HALF_S: f64 = 0.1;
-    /// Slower than this is still, rad/s or m/s: 2 mm/s at a metre.
+    /// Maximum speed at rest, rad/s or m/s: 2 mm/s at a radius of 1 m.
     const STILL: f64 = 2e-3;
-    /// Standard deviations that noise does not reach.
+    /// Noise tolerance in standard deviations.
     const SIGMAS: f64 = 4.0;
     let (rows, dof) = (joints.len(), joints.dof);
     let half = ((HALF_S / period_s.max(1e-6)).round() as usize).max(1);
@@ -67,7 +67,7 @@ fn still_rows(joints: &JointTrack, period_s: f64) -> Vec<bool> {
         let mean = |from: usize, to: usize| (before[to] - before[from]) / (to - from) as f64;
         let by_noise = SIGMAS * sample_noise(&q) * (2.0 / half as f64).sqrt();
         for (row, still) in still.iter_mut().enumerate() {
-            // At the ends of the track a window is as long as can be.
+            // Windows are truncated at the ends of the track.
             let (from, to) = (row.saturating_sub(half), (row + 1 + half).min(rows));
             let left = if from == row { q[row] } else { mean(from, row) };
             let right = if row + 1 == to { q[row] } else { mean(row + 1, to) };
@@ -78,10 +78,10 @@ fn still_rows(joints: &JointTrack, period_s: f64) -> Vec<bool> {
     still
 }
 
-/// The commands that stand still. One that is not streamed holds until the next, or until `end_s`; one
-/// that is streamed until the stream falls silent.
+/// Intervals of constant commands. A single goal holds until the next one or until `end_s`; a streamed
+/// command holds until the stream stops.
 pub(super) fn holds(series: &PoseSeries, is_streamed: bool, end_s: f64) -> Vec<Hold> {
-    /// A command that differs by less is the same, m and rad.
+    /// Commands closer than this are equal, m and rad.
     const SAME: (f64, f64) = (5e-5, 5e-5);
     let PoseSeries { t_s, poses } = series;
     let silent_s = match is_streamed {
@@ -112,14 +112,14 @@ pub(super) fn holds(series: &PoseSeries, is_streamed: bool, end_s: f64) -> Vec<H
     found
 }
 
-/// The poses of a series from `from_s` to `to_s`.
+/// Poses of a series from `from_s` to `to_s`.
 pub(super) fn within(series: &PoseSeries, from_s: f64, to_s: f64) -> impl Iterator<Item = &Pose> {
     let from = series.t_s.partition_point(|&t| t < from_s);
     let to = series.t_s.partition_point(|&t| t <= to_s).max(from);
     series.poses[from..to].iter()
 }
 
-/// The mean of poses that hardly differ; `None` where there is none.
+/// Mean of nearly equal poses. `None` if the interval has no pose.
 pub(super) fn mean_pose(series: &PoseSeries, from_s: f64, to_s: f64) -> Option<Pose> {
     let first = within(series, from_s, to_s).next()?;
     let (mut xyz, mut turn, mut count) = (Vec3::zeros(), Vec3::zeros(), 0.0);
