@@ -1,63 +1,63 @@
-//! What an IMU's parameters do over time beside being constant: whether some of them are other ones from a
-//! moment on (sup-F over that moment: Andrews 1993), settle exponentially, or hang on something else.
+//! Tests whether IMU parameters vary over time: a step (sup-F over the change point: Andrews 1993), an
+//! exponential decay, or a dependence on another quantity.
 //!
-//! All is asked of one linearised model, by what it would leave with more columns: those of the parameters
-//! in question, weighted sample by sample.
+//! Each test extends one linearised model by columns of the parameters in question, weighted sample by
+//! sample, and evaluates the reduction of the residual.
 
 use super::super::linear::{Linear, Normal, Triangle};
 use super::super::noise::Noise;
 use super::super::robust::robust_sigma;
 use nalgebra::{DMatrix, DVector};
 
-/// Pieces of a run over which a course is sought before it is refined.
+/// Number of pieces that approximate a weight function in the coarse search.
 const COARSE: usize = 240;
-/// Moments that are tried, coarsely and near the best.
+/// Number of candidate change points in the coarse and in the fine search.
 const MOMENTS: usize = 60;
-/// A change leaves this much on either side of it, as a share of the run.
+/// Minimum distance of a change point from either end, as a share of the run.
 const SIDE: f64 = 0.06;
-/// By how much a change must make the sum of squares smaller, in variances of independent noise: what
-/// noise of the same memory does not do at any of the moments tried.
+/// Minimum reduction of the sum of squares, in variances of independent noise. Autocorrelated noise does
+/// not reach it at any candidate.
 const SURE: f64 = 45.0;
-/// Residuals beyond this many standard deviations are strays.
+/// Residuals beyond this many standard deviations are outliers.
 const STRAY: f64 = 8.0;
 
-/// A linearised model, and what is asked of it.
+/// Tests on a linearised model.
 pub(super) struct Asked<'a> {
     linear: &'a Linear,
     /// Time of each sample, s.
     t_s: Vec<f64>,
-    /// Parameters that are free.
+    /// Free parameters of the base model.
     base: Vec<usize>,
-    /// How much each sample counts.
+    /// Robust weight of each sample.
     counts: Vec<f64>,
     floor: f64,
-    /// Sum of squares without more.
+    /// Residual sum of squares of the base model.
     pub squares: f64,
 }
 
-/// What explains more.
+/// Extension that explains more of the residual.
 #[derive(Clone, Debug)]
 pub(super) struct Better {
-    /// The moment or the time constant, s; 0 where there is none.
+    /// Change point or time constant, s; 0 if neither applies.
     pub at_s: f64,
-    /// Its 95 % interval.
+    /// 95 % interval, s.
     pub interval_s: [f64; 2],
-    /// Sum of squares that is left.
+    /// Residual sum of squares.
     pub squares: f64,
-    /// By how much it is smaller, in variances of independent noise.
+    /// Reduction of the sum of squares, in variances of independent noise.
     gain: f64,
 }
 
 impl Better {
-    /// Whether noise does not do that.
+    /// Whether the reduction is significant.
     pub fn is_sure(&self) -> bool {
         self.gain > SURE
     }
 }
 
 impl<'a> Asked<'a> {
-    /// Of `linear`, whose samples are at `t_s`, with the parameters `base` free; nothing below `floor`
-    /// is statistics.
+    /// Prepares the tests on `linear` with samples at `t_s` and free parameters `base`. Residuals below
+    /// `floor` are treated as noise.
     pub fn of(linear: &'a Linear, t_s: Vec<f64>, base: &[usize], floor: f64) -> Self {
         let residual = &linear.residual[0];
         let limit = STRAY * robust_sigma(residual).max(floor) * 3f64.sqrt();
@@ -78,7 +78,7 @@ impl<'a> Asked<'a> {
         (last > first).then_some((first, last))
     }
 
-    /// Whether the parameters `columns` are other ones from some moment on.
+    /// Tests for a step of the parameters `columns`, and estimates the change point.
     pub fn step(&self, columns: &[usize]) -> Option<Better> {
         let (first, last) = self.span()?;
         let side_s = SIDE * (last - first);
@@ -95,14 +95,14 @@ impl<'a> Asked<'a> {
             best_s = least(near, at)?;
             around_s *= 4.0 / MOMENTS as f64;
         }
-        // Any moment between two samples is as good.
+        // All change points between two samples are equivalent; use the midpoint.
         let next = self.t_s.partition_point(|t_s| *t_s <= best_s);
         if let Some(before) = next.checked_sub(1).filter(|_| next < self.len()) {
             best_s = 0.5 * (self.t_s[before] + self.t_s[next]);
         }
         let weight = self.t_s.iter().map(|t_s| f64::from(u8::from(*t_s > best_s))).collect();
         let mut better = self.better(columns, &[weight])?;
-        // Moments that are as good but for chance.
+        // Change points within the 95 % likelihood region.
         let as_good = better.squares + 3.84 * self.variance(&better);
         let end = |sign: f64| {
             let mut step_s = 1.5 * (last - first) / self.len() as f64;
@@ -117,8 +117,8 @@ impl<'a> Asked<'a> {
         Some(better)
     }
 
-    /// Whether the parameters `columns` settle exponentially from the beginning on: `at_s` is the time
-    /// constant.
+    /// Tests for an exponential decay of the parameters `columns` from the start of the run. `at_s` is the
+    /// time constant.
     pub fn decay(&self, columns: &[usize]) -> Option<Better> {
         let (first, last) = self.span()?;
         let span_s = last - first;
@@ -135,7 +135,8 @@ impl<'a> Asked<'a> {
         Some(Better { at_s: tau_s, interval_s: [tau_s; 2], ..better })
     }
 
-    /// What is better with the parameters `columns` beside, by each of `weights` sample by sample.
+    /// Tests the model extended by the parameters `columns`, once for each of `weights` (one weight per
+    /// sample).
     pub fn better(&self, columns: &[usize], weights: &[Vec<f64>]) -> Option<Better> {
         let (squares, parameters) = self.left(columns, weights);
         let mut better = Better { at_s: 0.0, interval_s: [0.0; 2], squares, gain: 0.0 };
@@ -148,13 +149,12 @@ impl<'a> Asked<'a> {
         better.gain.is_finite().then_some(better)
     }
 
-    /// The variance of independent noise that a gain is counted in.
+    /// Variance of independent noise, the unit of the gain.
     fn variance(&self, better: &Better) -> f64 {
         (self.squares - better.squares) / better.gain.max(f64::MIN_POSITIVE)
     }
 
-    /// The sum of squares that is left, and the parameters: the base, then `columns` by the first weights,
-    /// and so on.
+    /// Residual sum of squares, and the parameters: the base, then `columns` for each set of weights.
     fn left(&self, columns: &[usize], weights: &[Vec<f64>]) -> (f64, DVector<f64>) {
         let width = self.base.len() + columns.len() * weights.len();
         let mut sums = Triangle::zeros(width + 1);
@@ -168,7 +168,7 @@ impl<'a> Asked<'a> {
         solved(width, |i, j| sums.at(i, j))
     }
 
-    /// The derivatives of one row, and its residual behind them, into `row`.
+    /// Fills `row` with the derivatives of one residual component, followed by the residual.
     fn fill(
         &self,
         row: &mut [f64],
@@ -204,12 +204,11 @@ impl<'a> Asked<'a> {
     }
 }
 
-/// What is asked over the course of a run of some parameters beside the base: the products, two by two, of the
-/// derivatives by the base's parameters, of those by the others and of the residual, summed up to each sample.
-/// Whatever the others' course, what it leaves is told from these sums.
+/// Prefix sums over the samples of all products of two derivatives, or of a derivative and the residual.
+/// They give the residual for any weight function without another pass over the data.
 struct Course<'a> {
     asked: &'a Asked<'a>,
-    /// How many the others are.
+    /// Number of parameters beyond the base.
     others: usize,
     before: Vec<Triangle>,
 }
@@ -231,15 +230,15 @@ impl<'a> Course<'a> {
         Self { asked, others: columns.len(), before }
     }
 
-    /// What is left where the others count from a sample on.
+    /// Residual sum of squares if the additional parameters apply from sample `from` on.
     fn left_by_step(&self, from: usize) -> f64 {
         let mut after = self.before[self.asked.len()].clone();
         after.add_scaled(&self.before[from], -1.0);
         self.left(&after, &after)
     }
 
-    /// What is left where the others count by a course over time, s, taken as constant over each of so many
-    /// pieces of the run.
+    /// Residual sum of squares if the additional parameters are scaled by `course(t)`, approximated as
+    /// constant over each of `pieces` pieces.
     fn left_by(&self, pieces: usize, course: impl Fn(f64) -> f64) -> f64 {
         let samples = self.asked.len();
         let mut once = Triangle::zeros(self.asked.base.len() + self.others + 1);
@@ -256,8 +255,8 @@ impl<'a> Course<'a> {
         self.left(&once, &twice)
     }
 
-    /// What is left by the sums of all, of those that one of the others has a part in, and of those between two
-    /// of the others.
+    /// Residual sum of squares from the products weighted once (base with additional) and twice (two
+    /// additional).
     fn left(&self, once: &Triangle, twice: &Triangle) -> f64 {
         let base = self.asked.base.len();
         let width = base + self.others;
@@ -271,8 +270,7 @@ impl<'a> Course<'a> {
     }
 }
 
-/// The sum of squares that is left, and the `width` parameters that leave it, by sums of products of the
-/// derivatives and, behind them, the residual.
+/// Residual sum of squares and least-squares parameters from the products of derivatives and residual.
 fn solved(width: usize, sums: impl Fn(usize, usize) -> f64) -> (f64, DVector<f64>) {
     let normal = Normal {
         matrix: DMatrix::from_fn(width, width, &sums),
@@ -284,7 +282,7 @@ fn solved(width: usize, sums: impl Fn(usize, usize) -> f64) -> (f64, DVector<f64
     ((sums(width, width) - normal.right.dot(&parameters)).max(0.0), parameters)
 }
 
-/// The one of `candidates` that leaves least.
+/// Candidate with the smallest residual.
 fn least(candidates: impl Iterator<Item = f64>, left: impl Fn(f64) -> f64) -> Option<f64> {
     let all = candidates.map(|candidate| (candidate, left(candidate)));
     all.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(candidate, _)| candidate)

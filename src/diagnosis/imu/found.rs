@@ -1,4 +1,4 @@
-//! What is estimated on an IMU.
+//! Estimates for an IMU.
 
 use super::ImuNumbers;
 use crate::{GradualLatency, LatencyCourse, ReadingEstimate, Seen, Unseen};
@@ -7,204 +7,203 @@ use ground::robot::Chain;
 use ground::stats::{Length, Measured};
 use ground::stream::ImuTrack;
 
-/// An IMU, as the estimators see it.
+/// Input of the IMU estimators.
 #[derive(Clone, Copy, Debug)]
 pub struct ImuStream<'a> {
-    /// The readings.
+    /// Measurements.
     pub track: &'a ImuTrack,
-    /// The chain from the robot's base to the link that carries the IMU.
+    /// Chain from the robot's base to the link with the IMU.
     pub chain: &'a Chain,
-    /// For each joint of `chain`, its column in the joint track.
+    /// Column in the joint track of each joint of `chain`.
     pub columns: &'a [usize],
-    /// Standard error that aligning a foreign clock left in the stamps, s; 0 on a shared clock.
+    /// Standard error of the clock alignment, s; 0 on a shared clock.
     pub stamp_error_s: f64,
-    /// `link_from_imu` by the log's frames, where they say.
+    /// `link_from_imu` in the log's frames, if present.
     pub link_from_imu: Option<Pose>,
-    /// What was taken off the stamps already, to be told of with what is found beyond it.
+    /// Latency already compensated in the stamps, to be reported together with the rest.
     pub taken_off: Option<&'a GradualLatency>,
 }
 
-/// The constant part of (gyro − rate by FK).
+/// Constant part of (gyro − FK rate).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GyroBias {
     /// In the sensor's frame, rad/s.
     pub vector_rad_s: Vec3,
     /// Its length, rad/s.
     pub length_rad_s: Length,
-    /// How fast yaw that is integrated from this gyro would drift about the base's z, rad/s.
+    /// Drift of yaw integrated from this gyro, about the base's z, rad/s.
     pub yaw_rate_rad_s: f64,
-    /// Scale and misalignment, where the gyro surely has them; they are no part of the bias.
+    /// Scale and misalignment, if significant. They are not included in the bias.
     pub shape: Option<GyroShape>,
-    /// How it changes within the run, where it surely does; `vector_rad_s` is then the larger of the two.
+    /// Change within the run, if significant. `vector_rad_s` is then the larger of the two values.
     pub change: Option<BiasChange>,
 }
 
-/// A gyro's bias that is not one over the run.
+/// Gyro bias that varies within the run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BiasChange {
-    /// How it goes from the one to the other.
+    /// Time profile of the change.
     pub course: BiasCourse,
-    /// The bias at the beginning, in the sensor's frame, rad/s.
+    /// Bias at the start, in the sensor's frame, rad/s.
     pub before_rad_s: Vec3,
-    /// The bias that it comes to, likewise.
+    /// Final bias, in the sensor's frame, rad/s.
     pub after_rad_s: Vec3,
-    /// The length of their difference, rad/s.
+    /// Length of their difference, rad/s.
     pub size_rad_s: Length,
 }
 
-/// How a gyro's bias goes from one value to another.
+/// Time profile of a gyro bias.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum BiasCourse {
-    /// At once.
+    /// Step.
     Step {
-        /// When, s from the run's origin.
+        /// Time of the step, s from the run's origin.
         at_s: f64,
-        /// 95 % interval of that, s.
+        /// 95 % interval of the time, s.
         interval_s: [f64; 2],
     },
-    /// Exponentially from the first sample on.
+    /// Exponential decay from the first sample.
     WarmUp {
-        /// In which it comes nearer by a factor of e, s.
+        /// Time constant, s.
         time_constant_s: f64,
     },
 }
 
-/// A gyro whose axes are not those of the orientation beside it.
+/// Gyro whose axes are rotated against those of the orientation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AxesTurn {
-    /// What takes rates in the gyro's axes to those of the orientation.
+    /// Rotation from the gyro's axes to those of the orientation.
     pub imu_from_gyro: Rotation,
     /// Its angle, rad.
     pub size_rad: Length,
-    /// Whether the accelerometer has the gyro's axes, and not the orientation's.
+    /// Whether the accelerometer shares the gyro's axes and not the orientation's.
     pub with_accel: bool,
 }
 
-/// Where the accelerometer feels up, as unit vectors.
+/// Direction opposite to gravity by the accelerometer, as unit vectors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Up {
-    /// In the world of the orientation.
+    /// In the world frame of the orientation.
     pub in_world: Vec3,
-    /// In the arm's base, by FK and the mount that fits best.
+    /// In the arm's base frame, by FK and the estimated mount.
     pub in_base: Vec3,
 }
 
-/// An IMU that is turned in its mount within the run.
+/// Rotation of an IMU in its mount within the run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MountChange {
-    /// When, s from the run's origin.
+    /// Time of the change, s from the run's origin.
     pub at_s: f64,
-    /// 95 % interval of that, s.
+    /// 95 % interval of the time, s.
     pub interval_s: [f64; 2],
-    /// `link_from_imu` from then on.
+    /// `link_from_imu` after the change.
     pub link_from_imu: Rotation,
-    /// By how much it is turned, rad.
+    /// Angle of the change, rad.
     pub size_rad: Length,
 }
 
-/// A yaw error that depends on where the IMU heads: hard and soft iron.
+/// Yaw error that depends on the heading: hard and soft iron.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HeadingError {
-    /// Half of what it goes from its least to its most, over the headings of the run, rad.
+    /// Half the peak-to-peak error over the headings of the run, rad.
     pub amplitude_rad: Measured,
-    /// The axis of the IMU whose heading it is: 0 is x.
+    /// IMU axis that defines the heading: 0 is x.
     pub axis: usize,
 }
 
-/// A yaw that drifts at first and less and less.
+/// Yaw drift that decays exponentially.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct YawWarmUp {
-    /// In which the drift falls by a factor of e, s.
+    /// Time constant, s.
     pub time_constant_s: f64,
-    /// How far it turns the yaw in all, rad; positive to the left.
+    /// Total rotation of the yaw, rad; positive to the left.
     pub turned_rad: Measured,
-    /// How fast it drifts at first beside the drift that stays, rad/s.
+    /// Initial drift in excess of the constant drift, rad/s.
     pub at_first_rad_s: Measured,
 }
 
-/// By what a gyro's rates differ from the true ones beside a bias and a rotation:
-/// `gyro = (1 + S)·ω + bias` with S symmetric.
+/// Scale and misalignment of a gyro: `gyro = (1 + S)·ω + bias` with S symmetric.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GyroShape {
-    /// Scale errors along x, y and z; positive where the gyro reads too much.
+    /// Scale errors along x, y and z; positive if the gyro measures too much.
     pub scale: [Measured; 3],
-    /// By how much the axes y and z, x and z, x and y lean towards each other, rad each axis.
+    /// Misalignment of y and z, x and z, x and y towards each other, rad per axis.
     pub misalignment_rad: [Measured; 3],
 }
 
-/// What an IMU's yaw error does beside drifting steadily.
+/// Yaw error of an IMU apart from constant drift.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct YawCourse {
-    /// Its jumps, in the order of time.
+    /// Jumps in time order.
     pub jumps: Vec<YawJump>,
-    /// Density of its random walk, rad/√s, where it wanders.
+    /// Density of the random walk, rad/√s, if there is one.
     pub walk_rad_rt_s: Option<f64>,
-    /// What of it depends on the heading.
+    /// Heading-dependent part.
     pub heading: Option<HeadingError>,
-    /// What of it settles from the beginning on.
+    /// Exponentially decaying part.
     pub warm_up: Option<YawWarmUp>,
 }
 
-/// A sudden change of yaw that stays.
+/// Permanent jump of the yaw.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct YawJump {
-    /// When, s from the run's origin.
+    /// Time of the jump, s from the run's origin.
     pub at_s: f64,
-    /// By how much, rad; positive to the left.
+    /// Size, rad; positive to the left.
     pub size_rad: Measured,
 }
 
-/// All that was estimated on one IMU.
+/// All estimates for one IMU.
 #[derive(Clone, Debug)]
 pub struct ImuDiagnosis {
     /// Convention and direction of the orientation.
     pub reading: Seen<ReadingEstimate>,
-    /// Latency against the joint states, s; where the clock surely has a skew, that at mid-run.
+    /// Latency against the joint states, s; at mid-run if the clock has a significant skew.
     pub latency_s: Seen<Measured>,
-    /// How its latency went over the run.
+    /// Latency profile over the run.
     pub latency_course: Seen<LatencyCourse>,
     /// Clock skew, s/s.
     pub skew: Seen<Measured>,
-    /// Drift of the IMU's yaw against FK's about gravity, rad/s.
+    /// Drift of the IMU's yaw about gravity against FK, rad/s.
     pub yaw_drift_rad_s: Seen<Measured>,
-    /// What that yaw does beside drifting.
+    /// Yaw error apart from the drift.
     pub yaw_course: YawCourse,
-    /// The best-fitting `link_from_imu` rotation error against the log's frames, rad.
+    /// Rotation error of the logged `link_from_imu`, rad.
     pub mount_rad: Seen<Length>,
-    /// `link_from_imu` as it fits best; where it changes, that at the beginning.
+    /// Estimated `link_from_imu`; the initial one if it changes.
     pub link_from_imu: Option<Rotation>,
-    /// How the gyro's axes are turned against the orientation's, where both follow the arm and they surely
-    /// are.
+    /// Rotation between the axes of the gyro and of the orientation, if both follow the arm and it is
+    /// significant.
     pub axes_turn: Option<AxesTurn>,
-    /// How the mount changes within the run, where it surely does.
+    /// Change of the mount within the run, if significant.
     pub mount_change: Option<MountChange>,
-    /// How the numbers are written. All else is of the numbers as they should be.
+    /// Units, saturation and handedness. All other estimates use the corrected measurements.
     pub numbers: ImuNumbers,
     /// Angle between gravity by the accelerometer and the vertical of the orientation, rad.
     pub tilt_rad: Seen<Length>,
-    /// Where the accelerometer feels up while the arm rests.
+    /// Direction opposite to gravity while the arm rests.
     pub up: Option<Up>,
-    /// Constant part of (gyro − rate by FK).
+    /// Constant part of (gyro − FK rate).
     pub gyro_bias: Seen<GyroBias>,
-    /// Stamp (s from the origin), yaw of IMU against FK (rad), for the pictures.
+    /// Stamp (s from the origin) and yaw error against FK (rad), for plots.
     pub yaw_error: Vec<(f64, f64)>,
-    /// The headings that this is the difference of, for the pictures.
+    /// The two headings whose difference is `yaw_error`, for plots.
     pub headings: Vec<Heading>,
 }
 
-/// Where one axis of an IMU points, about gravity.
+/// Direction of one IMU axis about gravity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Heading {
     /// Stamp, s from the run's origin.
     pub t_s: f64,
-    /// By the IMU's orientation, rad, without jumps by whole turns.
+    /// By the IMU's orientation, rad, unwrapped.
     pub imu_rad: f64,
-    /// By FK, turned to the IMU's world, rad, likewise.
+    /// By FK in the IMU's world frame, rad, unwrapped.
     pub fk_rad: f64,
 }
 
 impl ImuDiagnosis {
-    /// Nothing of it can be told.
+    /// Diagnosis without any estimate.
     pub fn unseen(why: &Unseen) -> Self {
         Self {
             reading: Err(why.clone()),

@@ -1,11 +1,10 @@
-//! The gyro against the rate of the link: `gyro = (1 + shape) · link_from_imu⁻¹ · ω(s − τ) + bias`.
+//! Fits the gyro to the rate of the link: `gyro = (1 + shape) · link_from_imu⁻¹ · ω(s − τ) + bias`.
 //!
-//! FK knows orientations and not rates: a rate that is differentiated from noisy joints is as noisy
-//! as their noise over a sample's time. So the gyro is integrated over windows and held against how
-//! far FK turned between their ends (preintegration: Forster et al., "On-manifold preintegration",
-//! IEEE T-RO 2017, with its first-order derivatives). A window is as short as the joints' noise
-//! allows, since a short one tells more of latency and mount. The bias may be another one from some
-//! moment on, or settle as the sensor warms up, and the IMU may slip in its mount: [`super::change`].
+//! Rates differentiated from noisy joint positions amplify the noise. Instead the gyro is integrated over
+//! windows and compared with the rotation by FK between their ends (preintegration: Forster et al.,
+//! "On-manifold preintegration", IEEE T-RO 2017, with its first-order derivatives). Windows are as short as
+//! the joints' noise allows, because short windows determine latency and mount better. Bias steps, bias
+//! warm-up and a slip in the mount are detected by [`super::change`].
 
 mod changes;
 
@@ -25,24 +24,24 @@ use ground::stream::sample_noise;
 use nalgebra::{DMatrix, DVector, Matrix3};
 use std::ops::RangeInclusive;
 
-/// Gyro noise below this is no statistics, rad/s.
+/// Noise floor of the gyro, rad/s.
 const FLOOR_RAD_S: f64 = 1e-6;
-/// The shortest window, s, and the fewest samples in one.
+/// Minimum window length, s, and in sample periods.
 const WINDOW_S: f64 = 0.1;
 const WINDOW_PERIODS: f64 = 4.0;
-/// Changes within a run that are looked for: one of the bias and one of the mount.
+/// Maximum number of changes within a run: one of the bias and one of the mount.
 const MOST_CHANGES: usize = 2;
-/// Windows that are fitted.
+/// Maximum number of windows in a fit.
 const FIT_WINDOWS: usize = 2500;
-/// Neighbouring windows share the error of FK at their common end with opposite signs. Where their
-/// residuals are correlated by less than this, that error is what they are made of.
+/// Neighbouring windows share the FK error at their common end with opposite signs. Below this correlation
+/// of their residuals, that error dominates.
 const SHARED_END: f64 = -0.2;
-/// A gyro's shape is believed below this chance …
+/// Significance level of a gyro's shape (scale and misalignment) …
 const SHAPE_CHANCE: f64 = 1e-4;
-/// … and from this size on, as a share.
+/// … and its minimum size, as a share.
 const SHAPE: f64 = 1e-3;
 
-/// What a fit of angular rates gives.
+/// Results of a gyro fit.
 pub(super) struct GyroFit {
     pub clock: Clock,
     pub delay: Delay,
@@ -55,8 +54,8 @@ pub(super) struct GyroFit {
 }
 
 impl GyroFit {
-    /// How the gyro's axes are turned against those of an orientation that is mounted as `link_from_imu`;
-    /// `None` where that cannot be told.
+    /// Rotation of the gyro's axes against an orientation with mount `link_from_imu`. `None` if it is not
+    /// observable.
     pub fn turned_against(&self, link_from_imu: &Rotation) -> Option<AxesTurn> {
         let imu_from_gyro = link_from_imu.inverse() * self.link_from_imu;
         let mount: Vec<usize> = GyroModel::MOUNT.collect();
@@ -122,7 +121,7 @@ impl Link<'_> {
             let all: Vec<usize> = free.iter().copied().chain(GyroModel::SHAPE).collect();
             let with_shape = solve(&mut shaped, &all);
             if shaped.is_surely_shaped(&with_shape) {
-                // What the shape left in the residual was taken for a delay that grows.
+                // A neglected shape biases the skew, so the delay is fitted again.
                 clock = shaped.settle_delay(&all);
                 solved = solve(&mut shaped, &all);
                 model = shaped;
@@ -147,7 +146,8 @@ impl Link<'_> {
         })
     }
 
-    /// The mount that best turns the rates of the link to those of the gyro, as near to the log's as can be.
+    /// Mount that best maps the rates of the link to the gyro's, as close to the logged one as the data
+    /// allow.
     fn first_mount(&self, lag_s: f64, moves: bool) -> Rotation {
         let logged = self.stream.link_from_imu.map(|pose| pose.rotation).unwrap_or_default();
         if !moves {
@@ -167,9 +167,9 @@ impl Link<'_> {
         mount_of(&correlation, &logged)
     }
 
-    /// Stretches of samples without a gap, at least `window_s` long, whose ends FK covers.
+    /// Windows of at least `window_s` without gaps, with FK available at both ends.
     fn windows(&self, window_s: f64, delay: &Delay) -> Vec<RangeInclusive<usize>> {
-        /// Periods without a sample that make a gap.
+        /// Minimum length of a gap in sample periods.
         const GAP_PERIODS: f64 = 5.0;
         let t_s = &self.stream.track.t_s;
         let gap_s = GAP_PERIODS * median_period_s(t_s);
@@ -193,7 +193,7 @@ impl Link<'_> {
     }
 }
 
-/// The model of the turns of all windows.
+/// Model of the rotations over all windows.
 #[derive(Clone)]
 struct GyroModel<'a> {
     link: &'a Link<'a>,
@@ -202,27 +202,27 @@ struct GyroModel<'a> {
     delay: Delay,
     link_from_imu: Rotation,
     bias_rad_s: Vec3,
-    /// Symmetric: scale errors on the diagonal, misalignment of the axes beside it. What is not
-    /// symmetric is a rotation, and the mount's.
+    /// Symmetric matrix: scale errors on the diagonal, axis misalignment off it. An antisymmetric part
+    /// would be a rotation and belongs to the mount.
     shape: Matrix3<f64>,
-    /// Whether the shape is fitted, or was.
+    /// Whether the shape is, or was, fitted.
     is_shaped: bool,
-    /// How the bias changes, where it does.
+    /// Time profile of the bias change, if any.
     course: Option<BiasCourse>,
-    /// By how much, rad/s: from the moment of a step on, or at the beginning of a decay.
+    /// Bias change, rad/s: after a step, or at the start of a decay.
     changed_rad_s: Vec3,
-    /// The moment at which the IMU slips, with its interval, and by how much:
-    /// `link_from_imu after = link_from_imu · slip`.
+    /// Slip of the IMU: time, 95 % interval, and rotation with `link_from_imu after = link_from_imu ·
+    /// slip`.
     slip: Option<(f64, [f64; 2], Rotation)>,
 }
 
-/// What the gyro says of one window.
+/// Gyro integrated over one window.
 struct Turn {
-    /// The orientation at the first sample from that at the last.
+    /// Rotation from the frame at the last sample to the frame at the first.
     first_from_last: Rotation,
-    /// Derivative of the turn, about axes at the last sample, by a change of the rate at all samples.
+    /// Derivative of the rotation, about axes at the last sample, with respect to a constant rate change.
     by_rate: Matrix3<f64>,
-    /// The same by each entry of the shape, for one unit of it, with the sign of the rate's error.
+    /// Derivative with respect to each entry of the shape, with the sign of the rate's error.
     by_shape: [Vec3; 6],
     /// Angular rate at the first and last sample, rad/s.
     rates: [Vec3; 2],
@@ -241,10 +241,10 @@ impl<'a> GyroModel<'a> {
     /// Row and column of each entry of the shape.
     const ENTRIES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)];
 
-    /// What is left of each rate in the frame of the link, and how fast FK's changes.
+    /// Residual of each rate in the link frame, and the angular acceleration by FK.
     fn lagging(&self) -> Vec<Lagging> {
-        /// Time to either side over which a change of rate is taken, s: long against the noise of
-        /// joint velocities, short against a motion.
+        /// Half-width of the finite difference, s: long enough to average joint velocity noise, short
+        /// relative to the motion.
         const AROUND_S: f64 = 0.025;
         let track = self.link.stream.track;
         let undo = (Matrix3::identity() + self.shape).try_inverse().unwrap_or_default();
@@ -292,7 +292,7 @@ impl<'a> GyroModel<'a> {
             let omega = 0.5 * (rate(k) + rate(k + 1));
             let step = rotation_from_rotvec(omega * dt);
             let back = step.inverse().to_rotation_matrix();
-            // What was turned before the middle of the step is seen from its end.
+            // Rotate the contribution at the middle of the step to its end.
             let half_back = rotation_from_rotvec(-0.5 * dt * omega).to_rotation_matrix();
             turn.first_from_last *= step;
             turn.by_rate = back * turn.by_rate + half_back.matrix() * undo * dt;
@@ -307,7 +307,7 @@ impl<'a> GyroModel<'a> {
         turn
     }
 
-    /// Fits the delay beside the parameters `others`, with a skew where there surely is one.
+    /// Fits the delay jointly with the parameters `others`. Includes a skew if it is significant.
     fn settle_delay(&mut self, others: &[usize]) -> Clock {
         let mut free = others.to_vec();
         free.extend([Self::LATENCY, Self::SKEW]);
@@ -321,7 +321,7 @@ impl<'a> GyroModel<'a> {
         Clock { latency_s: solved.one(Self::LATENCY, self.delay.latency_s), skew }
     }
 
-    /// How fast FK says that the link turns over the windows, rms rad/s.
+    /// Mean rate of the link over the windows by FK, rms rad/s.
     fn turning_rad_s(&self) -> f64 {
         let mut sweep = self.link.sweep();
         let t_s = &self.link.stream.track.t_s;
@@ -334,7 +334,7 @@ impl<'a> GyroModel<'a> {
         rms(self.windows.iter().filter_map(rate))
     }
 
-    /// Whether the residuals of neighbouring windows are each other's opposites.
+    /// Whether the FK error at common ends dominates the residuals of neighbouring windows.
     fn is_made_of_shared_ends(&self) -> bool {
         let linear = self.linearize();
         let residual = &linear.residual[0];
@@ -378,7 +378,7 @@ impl<'a> GyroModel<'a> {
             Ok(BiasChange { course, before_rad_s, after_rad_s, size_rad_s })
         });
         let change = change.transpose()?;
-        // Of a bias that changes the larger.
+        // Report the larger of the two biases.
         let constant = solved.length(&bias, self.bias_rad_s.as_slice())?;
         let both = self.bias_rad_s + self.changed_rad_s;
         let (vector_rad_s, length_rad_s) = match change {
@@ -400,7 +400,7 @@ impl<'a> GyroModel<'a> {
         solved.mount_error(&mount, error.as_slice())
     }
 
-    /// Mean rate about the base's z that the bias would feign, rad/s.
+    /// Mean rate about the base's z that the bias simulates, rad/s.
     fn yaw_rate(&self, bias_rad_s: &Vec3) -> f64 {
         let mut sweep = self.link.sweep();
         let t_s = &self.link.stream.track.t_s;
@@ -421,7 +421,7 @@ impl Model for GyroModel<'_> {
         self.linearized().0
     }
 
-    /// FK's noise in the columns of the mount, the gyro's in all others.
+    /// FK noise in the columns of the mount, gyro noise in all others.
     fn design_noise(&self) -> DesignNoise {
         let track = self.link.stream.track;
         let gyro_noise = |axis: usize| {
@@ -483,8 +483,8 @@ impl Model for GyroModel<'_> {
 }
 
 impl GyroModel<'_> {
-    /// The residuals, with the time of each. A residual is that of the mean rate over a window, in the
-    /// sensor's frame at its end.
+    /// Residuals with their times. Each is the residual of the mean rate over a window, in the sensor's
+    /// frame at its end.
     fn linearized(&self) -> (Linear, Vec<f64>) {
         let mut linear = Linear::new(Self::WIDTH, &[FLOOR_RAD_S]);
         let mut stamps = Vec::new();
@@ -510,7 +510,7 @@ impl GyroModel<'_> {
             let too_far = rotvec_from_rotation(&(last_from_first * turn.first_from_last));
             let mut rows = linear.push(&[(too_far * per_s).into()]);
             if first.moving || last.moving {
-                // By the gyro's own rates: those of FK share the joints' noise with the residual.
+                // Uses the gyro's rates: FK rates share the joints' noise with the residual.
                 let faster = turn.rates[1] - last_from_first * turn.rates[0];
                 let later = -faster * per_s;
                 let since_s = t_s[*window.end()] - self.delay.middle_s;
@@ -522,7 +522,7 @@ impl GyroModel<'_> {
                 let turned = |unit: Vec3| (unit - last_from_first * unit) * per_s;
                 let slip =
                     self.slip.filter(|_| slipped).map_or(Rotation::identity(), |slip| slip.2);
-                // The mount is turned before the slip is.
+                // The mount is applied before the slip.
                 rows.set(0, Self::MOUNT.start + axis, turned(slip.inverse() * unit).into());
                 let biased: Vec3 = turn.by_rate.column(axis) * per_s;
                 rows.set(0, Self::BIAS.start + axis, biased.into());

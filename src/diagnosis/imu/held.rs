@@ -1,4 +1,4 @@
-//! What an IMU leaves straight against FK, beside the fits: what a pass rests on.
+//! Residual of an IMU against FK, computed independently of the fits. A pass requires it to be small.
 
 use super::super::constant::{mean_rotation, wahba};
 use super::super::proof::{Error, Series};
@@ -7,36 +7,36 @@ use ground::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_r
 use ground::stream::{JointTrack, sample_noise};
 use nalgebra::Matrix3;
 
-/// Samples without which nothing is said.
+/// Minimum number of samples.
 const NEED: usize = 50;
 
-/// What an IMU that turns with the arm leaves against FK.
+/// Residual of an IMU that rotates with the arm.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ImuProof {
-    /// What its orientation leaves, rad, with latency, mount, a constant world and the course of its
-    /// yaw taken off; `length` is nothing.
+    /// Residual of its orientation, rad, after correcting latency, mount, world frame and yaw error.
+    /// `length` is zero.
     pub turning: Option<Error>,
-    /// What its gyro leaves.
+    /// Residual of its gyro.
     pub rates: Option<Rates>,
-    /// The median of what its accelerometer feels, m/s²; `None` where it feels nothing.
+    /// Median norm of its specific force, m/s². `None` if it is zero.
     pub gravity_m_s2: Option<f64>,
 }
 
-/// A gyro against the arm's angular rate, its mount and its mean taken off.
+/// Residual of a gyro against the arm's angular rate, after correcting the mount and the mean.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
-    /// How many times as fast as the arm it says that it turns.
+    /// Ratio of the gyro's rate to the arm's.
     pub scale: f64,
-    /// What it leaves, rms rad/s.
+    /// Residual, rms rad/s.
     pub left: f64,
-    /// The arm's rate, rms rad/s.
+    /// Angular rate of the link by FK, rms rad/s.
     pub by_fk: f64,
-    /// The gyro's noise from sample to sample, rms rad/s.
+    /// Sample-to-sample noise of the gyro, rms rad/s.
     pub noise: f64,
 }
 
-/// What an IMU leaves against FK of `joints`, which should be those corrected by what was found on
-/// them. `None` where it does not turn with the arm, so that it could not be held against it.
+/// Computes the residual of an IMU against FK of `joints`, which should be corrected already. `None` if the
+/// IMU does not rotate with the arm and so cannot be compared.
 pub fn proof_of_imu(
     joints: &JointTrack,
     stream: &ImuStream,
@@ -71,7 +71,7 @@ pub fn proof_of_imu(
     })
 }
 
-/// What the orientation leaves; `None` where there is none that was read as it is logged.
+/// Residual of the orientation. `None` if there is none or its encoding is misinterpreted.
 fn turning(
     stream: &ImuStream,
     found: &ImuDiagnosis,
@@ -112,8 +112,7 @@ fn turning(
     Some(Series::new(&t_s, &fk, nothing, Some(angle)).error(&moves, false))
 }
 
-/// What the gyro leaves of the arm's rates with the mount that suits it best; `None` where it says
-/// nothing.
+/// Residual of the gyro with its best-fitting mount. `None` if the gyro is always zero.
 fn rates(link: &Link, moments: &[(usize, Rotation, Vec3)]) -> Option<Rates> {
     let gyro = &link.stream.track.gyro;
     let in_range = |moment: &&(usize, Rotation, Vec3)| !link.numbers.saturates(&gyro[moment.0]);
@@ -142,7 +141,6 @@ fn rates(link: &Link, moments: &[(usize, Rotation, Vec3)]) -> Option<Rates> {
     })
 }
 
-/// The median of what the accelerometer feels, m/s²; `None` where it feels nothing.
 fn gravity(accel: &[Vec3]) -> Option<f64> {
     let mut sizes: Vec<f64> = accel.iter().map(Vec3::norm).collect();
     sizes.sort_by(f64::total_cmp);

@@ -1,11 +1,11 @@
-//! An IMU on the arm: its latency, its mount, the drift of its yaw and the bias of its gyro.
+//! IMU on the arm: latency, mount, yaw drift and gyro bias.
 //!
-//! With orientation: `world_from_imu(s) = Rz(drift·(s − middle)) · world_from_base · FK(q(s − τ))
-//! · link_from_imu`, the constant world yaw and tilt free, the mount free where the log does not give
-//! it or what it gives does not fit. Without: `gyro(s) = link_from_imu⁻¹ · ω_FK(s − τ) + bias`, ω the
-//! body rate of the link. `τ = latency + skew·(s − middle)`: an IMU often has a clock of its own. FK
-//! carries the joint offsets found, since a wrist zero of 1° looks like 0.6 °/min of drift and 0.9°
-//! of mount error without them.
+//! With orientation: `world_from_imu(s) = Rz(drift·(s − middle)) · world_from_base · FK(q(s − τ)) ·
+//! link_from_imu`. The constant world yaw and tilt are free. The mount is free if the log does not contain
+//! it or the logged one does not fit. Without: `gyro(s) = link_from_imu⁻¹ · ω_FK(s − τ) + bias`, with ω the
+//! body rate of the link. `τ = latency + skew·(s − middle)`, because an IMU often has its own clock. FK
+//! includes the estimated joint offsets: an uncorrected wrist zero of 1° looks like 0.6 °/min of drift and
+//! 0.9° of mount error.
 
 mod change;
 mod found;
@@ -35,24 +35,24 @@ use ground::geometry::{Rotation, Vec3, angle_between};
 use ground::stream::{ImuTrack, JointTrack, sample_noise};
 use nalgebra::{DMatrix, Matrix3};
 
-/// Samples of an IMU that are fitted.
+/// Maximum number of IMU samples in a fit.
 pub(super) const FIT_SAMPLES: usize = 5000;
-/// Speeds correlate less than this where an IMU does not follow the arm.
+/// Minimum correlation of speeds for an IMU that follows the arm.
 const FOLLOWS: f64 = 0.6;
-/// Samples without which nothing is fitted.
+/// Minimum number of samples for a fit.
 const NEED: usize = 20;
-/// A mount that fits better than the log's is believed below this chance.
+/// Significance level of a mount that differs from the logged one.
 const MOUNT_CHANCE: f64 = 1e-4;
-/// A skew is believed below this chance: one that is left out biases the latency.
+/// Significance level of a skew. It is high because an omitted skew biases the latency.
 const SKEW_CHANCE: f64 = 1e-3;
-/// Where FK turns the link by this or more, rms rad, …
+/// Minimum rotation of the link, rms rad, for the check below.
 const TURNS_RAD: f64 = 0.02;
-/// … what the fit says of an IMU's turning must correlate by this with what the IMU says.
+/// Minimum correlation between the fitted and the measured rotation.
 const EXPLAINS: f64 = 0.95;
-/// Samples that show how far a link turns.
+/// Number of samples used to measure the rotation of a link.
 const TURNING_SAMPLES: usize = 300;
 
-/// Diagnoses one IMU against the joint states, which should be those corrected by
+/// Diagnoses one IMU against the joint states, which should be corrected by
 /// [`JointDiagnosis::corrected_joints`](super::JointDiagnosis::corrected_joints).
 pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) -> ImuDiagnosis {
     let numbers = ImuNumbers::of(joints, stream, most_lag_s);
@@ -60,7 +60,7 @@ pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) ->
     diagnose_mended(joints, &ImuStream { track: &track, ..*stream }, &numbers, most_lag_s)
 }
 
-/// The same of a stream whose `numbers` are mended.
+/// Diagnoses a stream already converted according to `numbers`.
 pub(super) fn diagnose_mended(
     joints: &JointTrack,
     stream: &ImuStream,
@@ -75,11 +75,11 @@ pub(super) fn diagnose_mended(
     let orientation = if stream.track.orientation.is_empty() {
         Err(Unseen::NoOrientation)
     } else {
-        // The gyro's delay is free of any convention, and finer than the speeds'.
+        // The gyro's delay does not depend on a convention and is more precise than the speed correlation.
         let start = gyro.as_ref().map_or(link.delay(lag_s), |fit| fit.delay);
         link.fit_orientation(start, moves)
     };
-    // A gyro that seems to follow where the orientation beside it does not follows by chance.
+    // If the orientation of the same IMU does not follow the arm, a match of the gyro is coincidence.
     let clock = match (&orientation, &gyro) {
         (Ok(fit), Ok(gyro)) if fit.clock.skew.is_err() => {
             Clock { skew: gyro.clock.skew.clone(), ..fit.clock.clone() }
@@ -109,7 +109,7 @@ pub(super) fn diagnose_mended(
         _ => None,
     };
     let gyro_bias = gyro.and_then(|fit| fit.bias);
-    // Gravity is felt in the accelerometer's axes.
+    // Gravity is measured in the accelerometer's axes.
     let turned_accel = axes_turn.filter(|turn| turn.with_accel).map(|turn| {
         let accel = stream.track.accel.iter().map(|accel| turn.imu_from_gyro * accel).collect();
         ImuTrack { accel, ..stream.track.clone() }
@@ -160,14 +160,14 @@ pub(super) fn diagnose_mended(
     }
 }
 
-/// How the gyro's axes are turned against the orientation's, where they surely are.
+/// Rotation between the axes of the gyro and of the orientation, if significant.
 fn axes_turn(
     link: &Link,
     lag_s: f64,
     link_from_imu: &Rotation,
     gyro: &gyro::GyroFit,
 ) -> Option<AxesTurn> {
-    /// The accelerometer points one way by so much more in the gyro's axes than in the orientation's.
+    /// Minimum gain in constancy of the specific force for the accelerometer to share the gyro's axes.
     const STEADIER: f64 = 0.05;
     let turn = gyro.turned_against(link_from_imu)?;
     let turn = Some(turn).filter(|turn| turn.size_rad.p_value < MOUNT_CHANCE)?;
@@ -176,8 +176,8 @@ fn axes_turn(
     Some(AxesTurn { with_accel: by_gyro > by_imu + STEADIER, ..turn })
 }
 
-/// How the speed at which an IMU turns correlates with its link's at each lag within ±`most_lag_s`:
-/// by its gyro or by its orientation, whichever follows better. For the pictures.
+/// Correlation of the IMU's angular speed with that of its link for each lag within ±`most_lag_s`, for
+/// plots. Uses the gyro or the orientation, whichever correlates better.
 pub fn turning_by_latency(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) -> Vec<Peak> {
     let track = stream.track;
     let turning = ArmSpeeds::of(joints, stream.chain, stream.columns).angular;
@@ -195,9 +195,9 @@ pub fn turning_by_latency(joints: &JointTrack, stream: &ImuStream, most_lag_s: f
     if best(&oriented) > best(&gyro) { oriented } else { gyro }
 }
 
-/// The orientations of an IMU as `reading` says that they are meant: of the rotations that a sample
-/// may mean the one nearest to what FK and the constant frames that fit best say. `None` where the
-/// IMU does not follow the arm under it.
+/// Decodes the orientations of an IMU with the encoding `reading`. If several rotations are possible for a
+/// sample, selects the one closest to FK with the fitted constant frames. `None` if the IMU does not follow
+/// the arm with this encoding.
 pub fn reread_imu(
     joints: &JointTrack,
     stream: &ImuStream,
@@ -219,7 +219,7 @@ pub fn reread_imu(
     rotations(&stream.track.orientation, &meant, &expected, &mount, false)
 }
 
-/// By how much stamps lag the moments that they speak of: `latency + skew·(stamp − middle)`.
+/// Delay of stamps relative to the measured time: `latency + skew·(stamp − middle)`.
 #[derive(Clone, Copy, Debug)]
 struct Delay {
     latency_s: f64,
@@ -228,13 +228,13 @@ struct Delay {
 }
 
 impl Delay {
-    /// The moment that a sample stamped `stamp_s` speaks of.
+    /// Time of measurement of a sample stamped `stamp_s`.
     fn truth_s(&self, stamp_s: f64) -> f64 {
         stamp_s - self.latency_s - self.skew * (stamp_s - self.middle_s)
     }
 }
 
-/// What a fit says of an IMU's delay.
+/// Delay estimated by a fit.
 #[derive(Clone, Debug)]
 struct Clock {
     latency_s: Seen<Measured>,
@@ -246,7 +246,7 @@ impl Clock {
         Self { latency_s: Err(why.clone()), skew: Err(why.clone()) }
     }
 
-    /// With what aligning a foreign clock left in the stamps.
+    /// Adds the standard error of the clock alignment.
     fn aligned_to(self, stream: &ImuStream) -> Self {
         let span_s = match stream.track.t_s.as_slice() {
             [first, .., last] => last - first,
@@ -255,7 +255,7 @@ impl Clock {
         let widened = |seen: Seen<Measured>, by: f64| {
             seen.map(|one| Measured { std_error: one.std_error.hypot(by), ..one })
         };
-        // Stamps that are off by this much at either end feign a skew.
+        // Stamp errors of this size at both ends simulate a skew.
         let feigned = 2.0 * stream.stamp_error_s / span_s.max(f64::MIN_POSITIVE);
         Self {
             latency_s: widened(self.latency_s, stream.stamp_error_s),
@@ -264,7 +264,7 @@ impl Clock {
     }
 }
 
-/// Lags whose correlations are as good as equal: repeating motion.
+/// Lags with nearly equal correlations, caused by repetitive motion.
 fn repeats(peaks: &[Peak]) -> Option<Vec<f64>> {
     let best = peaks.first()?;
     let equal: Vec<f64> = peaks
@@ -275,18 +275,18 @@ fn repeats(peaks: &[Peak]) -> Option<Vec<f64>> {
     (equal.len() > 1).then_some(equal)
 }
 
-/// The link that carries the IMU, over time.
+/// Motion of the link with the IMU.
 struct Link<'a> {
     joints: &'a JointTrack,
     stream: &'a ImuStream<'a>,
     numbers: &'a ImuNumbers,
     still: Vec<f64>,
-    /// Variances of the noise of each own joint's position and velocity.
+    /// Noise variances of position and velocity for each joint of the chain.
     joint_noise: Vec<[f64; 2]>,
     middle_s: f64,
 }
 
-/// Variances of the noise of a joint's position and velocity.
+/// Noise variances of a joint's position and velocity.
 fn joint_noise(joints: &JointTrack, column: usize, still: &[f64]) -> [f64; 2] {
     if let Some(noise) = joints.noise.get(column) {
         return noise.map(|sigma| sigma * sigma);
@@ -295,27 +295,27 @@ fn joint_noise(joints: &JointTrack, column: usize, still: &[f64]) -> [f64; 2] {
     [sample_noise(&q).powi(2), (still[column] / STILL_SIGMAS).powi(2)]
 }
 
-/// The part of `Σ (δ×u)ᵀ(δ×v)` over axes u, v that noise δ of this covariance makes.
+/// Contribution of noise δ with this covariance to `Σ (δ×u)ᵀ(δ×v)` over axes u, v.
 fn turned_noise(covariance: &Matrix3<f64>) -> Matrix3<f64> {
     Matrix3::from_diagonal_element(covariance.trace()) - covariance
 }
 
-/// Adds a block of 3 by 3 to a matrix, from `at` on.
+/// Adds a 3×3 block to a matrix, starting at `(at, at)`.
 fn add_block(matrix: &mut DMatrix<f64>, at: usize, block: &Matrix3<f64>) {
     let mut target = matrix.fixed_view_mut::<3, 3>(at, at);
     target += block;
 }
 
-/// The mount that best turns vectors of the link to those of the IMU, from `Σ link·imuᵀ`. Where their
-/// directions hardly vary, the mount nearest to `expected` among those that do.
+/// Mount that best maps link vectors to IMU vectors, from `Σ link·imuᵀ`. If their directions vary too
+/// little, selects the solution closest to `expected`.
 fn mount_of(correlation: &Matrix3<f64>, expected: &Rotation) -> Rotation {
-    /// Weight of what is expected, as a share of the directions seen most.
+    /// Weight of `expected` as a share of the best-observed directions.
     const SHARE: f64 = 1e-2;
     let expected = expected.to_rotation_matrix();
     wahba(&(correlation + expected.matrix() * (SHARE * correlation.norm())))
 }
 
-/// The link at one moment.
+/// State of the link at one time.
 struct Moment {
     /// `base_from_link`.
     rotation: Rotation,
@@ -325,27 +325,25 @@ struct Moment {
     rotation_noise: Matrix3<f64>,
     /// Trace of the covariance of the noise of `rate`, rad²/s².
     rate_noise: f64,
-    /// Whether some joint moves.
+    /// Whether any joint moves.
     moving: bool,
 }
 
-/// Whether FK with what was fitted turns as the IMU does: its turning and what is left of it, both
-/// rms of the same quantity.
+/// Checks that the fitted model explains the IMU's rotation, given the rms rotation and the rms residual.
 ///
 /// # Errors
-/// It does not, so that nothing fitted means anything.
+/// If the correlation is too low for the fit to be meaningful.
 fn explains(turning: f64, left: f64) -> Seen<()> {
     let correlation = (1.0 - (left / turning).powi(2)).max(0.0).sqrt();
     if correlation < EXPLAINS { Err(Unseen::DoesNotFollow(correlation)) } else { Ok(()) }
 }
 
-/// Root of the mean square.
 fn rms(values: impl Iterator<Item = f64>) -> f64 {
     let (sum, count) = values.fold((0.0, 0.0), |(sum, n), value| (sum + value * value, n + 1.0));
     if count > 0.0 { f64::sqrt(sum / count) } else { 0.0 }
 }
 
-/// Buffers of a sweep.
+/// Buffers for successive evaluations.
 struct Sweep {
     cursor: usize,
     track: [Vec<f64>; 2],
@@ -366,7 +364,7 @@ impl<'a> Link<'a> {
         Self { joints, stream, numbers, still, joint_noise, middle_s }
     }
 
-    /// A latency without a skew.
+    /// Constant delay.
     fn delay(&self, latency_s: f64) -> Delay {
         Delay { latency_s, skew: 0.0, middle_s: self.middle_s }
     }
@@ -408,7 +406,7 @@ impl<'a> Link<'a> {
         Some(moment)
     }
 
-    /// Lags at which the IMU turns as fast as the link.
+    /// Lags at which the speed of the IMU correlates with that of the link.
     fn peaks(&self, most_lag_s: f64) -> Vec<Peak> {
         let track = self.stream.track;
         let ImuStream { chain, columns, .. } = *self.stream;
@@ -422,7 +420,7 @@ impl<'a> Link<'a> {
         if best(&oriented) > best(&gyro) { oriented } else { gyro }
     }
 
-    /// How far FK turns the link about its mean, rms rad.
+    /// Rms rotation of the link about its mean by FK, rad.
     fn turning_rad(&self, delay: &Delay) -> f64 {
         let stamps = &self.stream.track.t_s;
         let step = stamps.len().div_ceil(TURNING_SAMPLES).max(1);
@@ -436,7 +434,7 @@ impl<'a> Link<'a> {
         rms(turned.iter().map(|rotation| angle_between(&mean, rotation)))
     }
 
-    /// Every so many samples, so that about [`FIT_SAMPLES`] are used.
+    /// Stride that selects about [`FIT_SAMPLES`] samples.
     fn stride(&self) -> usize {
         self.stream.track.t_s.len().div_ceil(FIT_SAMPLES).max(1)
     }

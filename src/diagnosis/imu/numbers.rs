@@ -1,7 +1,7 @@
-//! How the numbers of an IMU are written: in which units, and beyond which value they never go.
+//! Units, saturation and handedness of an IMU's measurements.
 //!
-//! The gyro is held unintegrated against FK's angular rate: by the median ratio of their lengths, which
-//! no mount, order or sign of the axes changes, and which a bias or a lag moves but little.
+//! The gyro is compared with FK's angular rate by the median ratio of their norms. Mount, axis order and
+//! signs do not affect that ratio; bias and lag affect it little.
 
 use super::super::UnitSlip;
 use super::super::constant::wahba;
@@ -14,39 +14,38 @@ use std::borrow::Cow;
 
 /// Standard gravity, m/s².
 const GRAVITY_M_S2: f64 = 9.80665;
-/// A unit is named where the factor is its own to within this share.
+/// Tolerance of a scale factor to identify a unit, as a share.
 const NEAR: f64 = 0.2;
 
-/// How an IMU's numbers are written, where that is not as REP 145 has it.
+/// Deviations of an IMU's measurements from REP 145.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ImuNumbers {
-    /// What the gyro leaves of the arm's rates as rad/s and as °/s, rms rad/s, where it is in °/s.
+    /// Gyro residual in rad/s and in °/s, rms rad/s, if the gyro is in °/s.
     pub degrees: Option<UnitSlip>,
-    /// The unit of the accelerometer, where it is another than m/s².
+    /// Unit of the accelerometer, if it is not m/s².
     pub accel: Option<AccelSlip>,
-    /// Where the gyro saturates.
+    /// Saturation of the gyro.
     pub clipped: Option<Clipped>,
-    /// The axis of the gyro that is reversed, so that its axes are left-handed: 0 is x. Which one it is only
-    /// a known mount tells.
+    /// Gyro axis (0 is x) with reversed sign, which makes the axes left-handed. Only a known mount
+    /// identifies which axis it is.
     pub mirrored: Option<usize>,
 }
 
-/// An accelerometer in another unit than m/s².
+/// Accelerometer in a unit other than m/s².
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AccelSlip {
     /// The unit.
     pub unit: AccelUnit,
-    /// The specific force that it says it feels, in the logged numbers: the median, at rest where the arm
-    /// rests.
+    /// Median norm of the specific force as logged, at rest if the arm rests.
     pub felt: f64,
 }
 
-/// Units of acceleration that drivers leave in their messages.
+/// Acceleration units that drivers publish unconverted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AccelUnit {
     /// Standard gravity.
     G,
-    /// A thousandth of it.
+    /// A thousandth of standard gravity.
     MilliG,
     /// cm/s².
     Gal,
@@ -55,7 +54,7 @@ pub enum AccelUnit {
 impl AccelUnit {
     const ALL: [Self; 3] = [Self::G, Self::MilliG, Self::Gal];
 
-    /// One of it in m/s².
+    /// Size of the unit in m/s².
     pub const fn in_m_s2(self) -> f64 {
         match self {
             Self::G => GRAVITY_M_S2,
@@ -64,7 +63,7 @@ impl AccelUnit {
         }
     }
 
-    /// Its symbol.
+    /// Symbol of the unit.
     pub const fn symbol(self) -> &'static str {
         match self {
             Self::G => "g",
@@ -74,21 +73,21 @@ impl AccelUnit {
     }
 }
 
-/// A gyro that never passes a value which the arm's rate does pass.
+/// Gyro limited to a range that the arm's rate exceeds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clipped {
-    /// The largest size that is read, rad/s.
+    /// Largest value measured, rad/s.
     pub limit_rad_s: f64,
-    /// The axes on which it is reached: 0 is x.
+    /// Axes that reach the limit: 0 is x.
     pub axes: Vec<usize>,
-    /// Share of the samples that stand at it, 0 to 1.
+    /// Share of the samples at the limit, 0 to 1.
     pub share: f64,
-    /// How fast the arm turns about such an axis meanwhile: the largest rate, rad/s.
+    /// Largest rate by FK about a saturated axis, rad/s.
     pub by_fk_rad_s: f64,
 }
 
 impl ImuNumbers {
-    /// How the numbers of `stream` are written, by the arm that carries it.
+    /// Determines the units, saturation and handedness of `stream` by comparison with FK.
     pub fn of(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) -> Self {
         let none = Self::default();
         let link = Link::new(joints, stream, &none);
@@ -99,7 +98,7 @@ impl ImuNumbers {
         let plateaus = Plateau::all(&stream.track.gyro);
         let is_free = |pair: &&RatePair| plateaus.iter().all(|plateau| !plateau.at[pair.0]);
         let free: Vec<RatePair> = pairs.iter().filter(is_free).copied().collect();
-        // A value that is read all the time is no end of a range.
+        // A value read all the time is not a range limit.
         let free = if free.len() < NEED { pairs.clone() } else { free };
         let degrees = degrees(&free);
         let factor = if degrees.is_some() { 1f64.to_radians() } else { 1.0 };
@@ -108,7 +107,7 @@ impl ImuNumbers {
         Self { degrees, accel: accel(stream.track, &link.rests(lag_s)), clipped, mirrored }
     }
 
-    /// The track in rad/s and m/s².
+    /// Converts the track to rad/s, m/s² and right-handed axes.
     pub fn mended<'a>(&self, track: &'a ImuTrack) -> Cow<'a, ImuTrack> {
         if self.degrees.is_none() && self.accel.is_none() && self.mirrored.is_none() {
             return Cow::Borrowed(track);
@@ -126,7 +125,7 @@ impl ImuNumbers {
         })
     }
 
-    /// Whether a rate in rad/s is one at which the gyro saturates.
+    /// Whether a rate in rad/s is at the saturation limit.
     pub(super) fn saturates(&self, gyro: &Vec3) -> bool {
         self.clipped.as_ref().is_some_and(|clipped| {
             let limit = clipped.limit_rad_s * (1.0 - SAME);
@@ -135,14 +134,14 @@ impl ImuNumbers {
     }
 }
 
-/// Values that differ by less than this share are one.
+/// Relative tolerance for equal values.
 const SAME: f64 = 1e-5;
 
-/// A row of the track, its gyro as logged, and the body rate of the link by FK, rad/s.
+/// Row of the track, gyro as logged, and body rate of the link by FK, rad/s.
 type RatePair = (usize, Vec3, Vec3);
 
 impl Link<'_> {
-    /// What gyro and FK say while the arm moves.
+    /// Gyro samples and FK rates while the arm moves.
     fn rate_pairs(&self, lag_s: f64) -> Vec<RatePair> {
         let track = self.stream.track;
         let mut sweep = self.sweep();
@@ -155,7 +154,7 @@ impl Link<'_> {
         .collect()
     }
 
-    /// The rows at which the arm rests.
+    /// Rows at which the arm rests.
     fn rests(&self, lag_s: f64) -> Vec<usize> {
         let track = self.stream.track;
         let mut sweep = self.sweep();
@@ -167,11 +166,11 @@ impl Link<'_> {
     }
 }
 
-/// What the gyro leaves in either unit, where it turns as fast as the arm only in °/s.
+/// Gyro residual in both units, if its rate matches the arm's only in °/s.
 fn degrees(pairs: &[RatePair]) -> Option<UnitSlip> {
-    /// Slower rates than this share of the rms say little of a ratio.
+    /// Minimum rate for the ratio, as a share of the rms.
     const FAST: f64 = 0.5;
-    /// As degrees it leaves at most this share of the arm's rate, so that it is a gyro at all.
+    /// Maximum residual in °/s, as a share of the arm's rate, for the stream to be a gyro at all.
     const LEFT: f64 = 0.7;
     let by_fk = rms(pairs.iter().map(|(_, _, rate)| rate.norm()));
     let fast = pairs.iter().filter(|(_, _, rate)| rate.norm() > FAST * by_fk);
@@ -191,7 +190,7 @@ fn degrees(pairs: &[RatePair]) -> Option<UnitSlip> {
     (slip.corrected < LEFT * by_fk).then_some(slip)
 }
 
-/// The mount and the bias that take the arm's rates to a gyro's.
+/// Mount and bias that map the arm's rates to the gyro's.
 struct Alignment {
     link_from_imu: Rotation,
     bias: Vec3,
@@ -210,7 +209,7 @@ impl Alignment {
         Self { link_from_imu, bias: mean - link_from_imu.inverse() * mean_rate }
     }
 
-    /// What the gyro would read, rad/s.
+    /// Expected gyro measurement, rad/s.
     fn expected(&self, rate: &Vec3) -> Vec3 {
         self.link_from_imu.inverse() * rate + self.bias
     }
@@ -220,10 +219,10 @@ impl Alignment {
     }
 }
 
-/// The axis that is reversed, where the gyro turns as the arm does only with its axes left-handed: the one
-/// with which it is turned in its link as the log's frames say, as near as can be.
+/// Gyro axis with reversed sign, if only left-handed axes match the arm's rates. Selects the axis whose
+/// mount is closest to the logged one.
 fn mirrored(pairs: &[RatePair], factor: f64, known_mount: Option<Rotation>) -> Option<usize> {
-    /// It leaves at most this share of what right-handed axes leave, and of the arm's rate.
+    /// Maximum residual, as a share of the right-handed residual and of the arm's rate.
     const LEFT: f64 = 0.3;
     if pairs.len() < NEED {
         return None;
@@ -253,18 +252,18 @@ fn mirrored(pairs: &[RatePair], factor: f64, known_mount: Option<Rotation>) -> O
     all.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(axis, _)| axis)
 }
 
-/// An axis of a gyro that stands at its extreme again and again.
+/// Gyro axis that repeatedly measures its extreme value.
 struct Plateau {
     axis: usize,
-    /// The extreme, as logged.
+    /// Extreme value, as logged.
     most: f64,
-    /// Whether each row stands at it.
+    /// Whether each row is at the extreme.
     at: Vec<bool>,
 }
 
 impl Plateau {
     fn all(gyro: &[Vec3]) -> Vec<Self> {
-        /// So many samples at the extreme, and so many of them in a row, are no chance.
+        /// Minimum number of samples at the extreme, in total and consecutively.
         const SAMPLES: usize = 8;
         const IN_A_ROW: usize = 3;
         let of = |axis: usize| {
@@ -281,8 +280,8 @@ impl Plateau {
     }
 }
 
-/// Where the gyro, of so many `rows`, stays at one extreme while the arm turns faster, by those pairs that are
-/// `free` of extremes; `factor` takes it to rad/s.
+/// Detects saturation: the gyro stays at an extreme while the arm turns faster. The mount is estimated from
+/// the pairs `free` of extremes; `factor` converts to rad/s.
 fn clipped(
     plateaus: &[Plateau],
     pairs: &[RatePair],
@@ -290,7 +289,7 @@ fn clipped(
     factor: f64,
     rows: usize,
 ) -> Option<Clipped> {
-    /// The arm turns faster than the extreme by this share, in the median over those samples.
+    /// Minimum ratio of the expected rate to the extreme, by the median over those samples.
     const FASTER: f64 = 1.03;
     if plateaus.is_empty() || free.len() < NEED {
         return None;
@@ -321,10 +320,10 @@ fn clipped(
     })
 }
 
-/// The unit in which the accelerometer feels gravity, where that is not m/s²: at rest where the arm rests
-/// often enough, else over the run where what it feels is mostly one size.
+/// Unit of the accelerometer, if it is not m/s². Uses the samples at rest if there are enough, else the
+/// whole run if the norm is nearly constant.
 fn accel(track: &ImuTrack, rests: &[usize]) -> Option<AccelSlip> {
-    /// What is felt varies by less than this share of it, between the quartiles: gravity, not motion.
+    /// Maximum interquartile range as a share of the median. A larger spread is motion, not gravity.
     const STEADY: f64 = 0.2;
     let sizes = |rows: &mut dyn Iterator<Item = usize>| -> Vec<f64> {
         rows.map(|row| track.accel[row].norm()).collect()
@@ -348,7 +347,7 @@ mod tests {
     use super::*;
     use std::f64::consts::PI;
 
-    /// Rates about changing axes, and what a gyro turned by a mount says of them.
+    /// Gyro measurements and true rates about changing axes, with a rotated mount.
     fn pairs(gyro: impl Fn(Vec3) -> Vec3) -> Vec<RatePair> {
         let mount = ground::geometry::rotation_from_rotvec(Vec3::new(0.4, -1.1, 2.0));
         let rate = |k: usize| {

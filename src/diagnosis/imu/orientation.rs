@@ -1,7 +1,6 @@
-//! The orientation against FK:
-//! `world_from_imu(s) = Rz(yaw(s)) · world_from_base · FK(q(s − τ)) · link_from_imu`, where
-//! `yaw(s) = drift·(s − middle) + jumps before s + walk(s)`, and beside these what hangs on the heading and
-//! what settles exponentially ([`forms`]). The mount may be another one from some moment on.
+//! Fits the orientation to FK: `world_from_imu(s) = Rz(yaw(s)) · world_from_base · FK(q(s − τ)) ·
+//! link_from_imu`, with `yaw(s) = drift·(s − middle) + jumps before s + walk(s)`. Heading-dependent and
+//! exponentially decaying yaw errors are added by [`forms`]. The mount may change once within the run.
 
 mod forms;
 
@@ -27,14 +26,15 @@ use std::ops::Range;
 
 /// The whole run, s.
 const EVER: Range<f64> = f64::NEG_INFINITY..f64::INFINITY;
-/// Samples that readings are tried on.
+/// Samples used to test encodings.
 const READING_SAMPLES: usize = 72;
-/// Times that a yaw's course is taken up and all is fitted anew.
+/// Maximum number of refits with an updated yaw model.
 const PASSES: usize = 4;
-/// Times that jumps are taken up alone: what they did to the mount before looks like a walk.
+/// Number of first passes without a random walk. Until the mount is corrected, an unmodelled jump looks
+/// like a walk.
 const JUMPS_FIRST: usize = 2;
 
-/// What a fit of orientations gives.
+/// Results of an orientation fit.
 pub(super) struct OrientationFit {
     pub reading: ReadingEstimate,
     pub clock: Clock,
@@ -54,7 +54,7 @@ impl Link<'_> {
         let mut settled = model.settle(moves);
         if let Some(slipped) = settled.model.slipped(moves) {
             let (from_s, to_s) = slipped.longer_side();
-            // What no one mount fits seems to be written in no way.
+            // A slip makes every encoding fit badly, so the encoding is determined again on one side.
             reading = self
                 .read(&slipped.delay, self.known_mount(), from_s..to_s)
                 .map_or(reading, |read| read.0);
@@ -89,7 +89,7 @@ impl Link<'_> {
             }
             false => Clock::unseen(&Unseen::AtRest),
         };
-        // What a walk drifts by chance only the bins know.
+        // Only the bins account for the random drift of a walk.
         let walks = course.parts.walk_rad_rt_s.is_some();
         let drift_rad_s = match course.drift_rad_s.filter(|_| walks) {
             Some(drift_rad_s) => Ok(drift_rad_s),
@@ -118,12 +118,12 @@ impl Link<'_> {
         })
     }
 
-    /// The model from which the fit starts, with the branch of every sample chosen.
+    /// Initial model, with the branch chosen for every sample.
     fn orientation_model(&self, start: Delay) -> Seen<(ReadingEstimate, OrientationModel<'_>)> {
         let track = self.stream.track;
         let known_mount = self.known_mount();
         let (estimate, fit) = match self.read(&start, known_mount, EVER) {
-            // An IMU that slips far has two mounts, and so one in either half.
+            // With a large slip there are two mounts; try each half of the run.
             Err(why) => [f64::NEG_INFINITY..self.middle_s, self.middle_s..f64::INFINITY]
                 .into_iter()
                 .filter_map(|half| self.read(&start, known_mount, half).ok())
@@ -165,12 +165,12 @@ impl Link<'_> {
         Ok((estimate, model))
     }
 
-    /// How the IMU is turned in its link by the log's frames, where they say.
+    /// Logged rotation of the IMU in its link, if any.
     fn known_mount(&self) -> Option<Rotation> {
         self.stream.link_from_imu.map(|pose| pose.rotation)
     }
 
-    /// Which convention the orientation is written in then; the mount by the log's frames is taken off.
+    /// Determines the encoding of the orientation within `when_s`, relative to the known mount.
     fn read(
         &self,
         start: &Delay,
@@ -202,24 +202,24 @@ impl Link<'_> {
     }
 }
 
-/// The axis of a rotation times the sine of its angle, which is continuous at half a turn.
+/// Rotation axis times the sine of the angle, which is continuous at half a turn.
 fn axis_by_sine(rotation: &Rotation) -> Vec3 {
     2.0 * rotation.w * rotation.vector()
 }
 
-/// The model of the orientations.
+/// Model of the orientations.
 #[derive(Clone)]
 struct OrientationModel<'a> {
     link: &'a Link<'a>,
     rows: Vec<usize>,
     truth: Vec<Rotation>,
     jumps: Vec<Jump>,
-    /// The way that the yaw wanders, a row each; empty where it does not.
+    /// Random walk of the yaw, one value per row; empty if there is none.
     path_rad: Vec<f64>,
-    /// What else the yaw does.
+    /// Further parts of the yaw error.
     forms: Vec<Form>,
-    /// The moment at which the IMU slips, with its interval, and by how much:
-    /// `link_from_imu after = link_from_imu · slip`.
+    /// Slip of the IMU: time, 95 % interval, and rotation with `link_from_imu after = link_from_imu ·
+    /// slip`.
     slip: Option<(f64, [f64; 2], Rotation)>,
     delay: Delay,
     drift_rad_s: f64,
@@ -227,14 +227,14 @@ struct OrientationModel<'a> {
     link_from_imu: Rotation,
 }
 
-/// A jump of the yaw.
+/// Jump of the yaw.
 #[derive(Clone, Copy)]
 struct Jump {
     at_s: f64,
     size_rad: f64,
 }
 
-/// A fitted model, with the mount's error against the log's frames.
+/// Fitted model, with the mount's error relative to the log's frames.
 struct Settled<'a> {
     model: OrientationModel<'a>,
     solved: Solved,
@@ -249,17 +249,17 @@ impl<'a> OrientationModel<'a> {
     const MOUNT: Range<usize> = 5..8;
     const SKEW: usize = 8;
     const SLIP: Range<usize> = 9..12;
-    /// The columns from here on are those of the forms' parts, then those of the jumps.
+    /// Columns of the forms start here, followed by those of the jumps.
     const PARTS: usize = 12;
 
-    /// Fits the model with mount and skew free, and again with the log's mount and without a skew
-    /// where the free ones are surely no others.
+    /// Fits the model with mount and skew free. Refits with the logged mount and without skew if the free
+    /// values do not differ significantly.
     fn settle(&self, moves: bool) -> Settled<'a> {
         let mut free: Vec<usize> = Self::WORLD.chain([Self::DRIFT]).chain(Self::MOUNT).collect();
         if moves {
             free.push(Self::LATENCY);
         }
-        // A walk feigns a skew: then the gyro's is kept, and the jumps are the bins' to tell.
+        // A walk simulates a skew. The gyro's skew is then used, and the bins estimate the jumps.
         let walks = !self.path_rad.is_empty();
         if moves && !walks {
             free.push(Self::SKEW);
@@ -294,7 +294,7 @@ impl<'a> OrientationModel<'a> {
         Settled { model, solved, mount_rad, skew }
     }
 
-    /// The mount's error against the log's frames.
+    /// Error of the logged mount.
     fn mount(&self, solved: &Solved) -> Seen<Length> {
         let known = self.link.stream.link_from_imu.ok_or(Unseen::NoFrame)?;
         let error = rotvec_from_rotation(&(known.rotation.inverse() * self.link_from_imu));
@@ -302,7 +302,7 @@ impl<'a> OrientationModel<'a> {
         solved.mount_error(&mount, error.as_slice())
     }
 
-    /// Makes what `course` says beside the drift part of the model.
+    /// Adds the jumps and the random walk of `course` to the model.
     fn take_up(&mut self, course: &Course) {
         let t_s = &self.link.stream.track.t_s;
         let jumps = course.parts.jumps.iter();
@@ -314,12 +314,12 @@ impl<'a> OrientationModel<'a> {
         };
     }
 
-    /// Each jump with its column.
+    /// Column of each jump.
     fn jumps(&self) -> impl Iterator<Item = (usize, &Jump)> {
         (self.first_jump()..).zip(&self.jumps)
     }
 
-    /// What the yaw does at a row beside its drift, rad.
+    /// Yaw error at a row without the drift, rad.
     fn beside_drift(&self, row: usize) -> f64 {
         let stamp = self.link.stream.track.t_s[self.rows[row]];
         let formed: f64 = self.forms.iter().map(|form| form.at(row)).sum();
@@ -328,8 +328,8 @@ impl<'a> OrientationModel<'a> {
         formed + wandered + jumped.map(|jump| jump.size_rad).sum::<f64>()
     }
 
-    /// Starts from the mount by which the IMU turns about the axes of the link, as near to `expected` as can
-    /// be.
+    /// Initial mount: maps rotation axes of the link to those of the IMU, as close to `expected` as the
+    /// data allow.
     fn start_mount(&mut self, expected: Rotation) {
         let mut sweep = self.link.sweep();
         let t_s = &self.link.stream.track.t_s;
@@ -348,7 +348,7 @@ impl<'a> OrientationModel<'a> {
         self.start_world();
     }
 
-    /// Makes the world's rotation fit the mount by averaging.
+    /// Sets the world rotation to the average for the current mount.
     fn start_world(&mut self) {
         let mut sweep = self.link.sweep();
         let t_s = &self.link.stream.track.t_s;
@@ -366,7 +366,7 @@ impl<'a> OrientationModel<'a> {
         self.world_from_base = mean_rotation(&worlds);
     }
 
-    /// What is left of each rotation, and how fast FK turns.
+    /// Residual of each rotation, and the angular velocity by FK.
     fn lagging(&self) -> Vec<Lagging> {
         let linear = self.linearize();
         let mut sweep = self.link.sweep();
@@ -387,12 +387,12 @@ impl<'a> OrientationModel<'a> {
         moments.zip(left).map(lagging).collect()
     }
 
-    /// Stamp, and yaw of the IMU over that of the arm with the drift and all else left in.
+    /// Stamp and total yaw error relative to FK, drift included.
     fn yaw_error(&self) -> Vec<(f64, f64)> {
         Self { forms: Vec::new(), ..self.clone() }.yaw_beside_forms()
     }
 
-    /// The same without what hangs on the heading and what settles.
+    /// Yaw error without the heading-dependent and decaying parts.
     fn yaw_beside_forms(&self) -> Vec<(f64, f64)> {
         let still =
             Self { drift_rad_s: 0.0, jumps: Vec::new(), path_rad: Vec::new(), ..self.clone() };
@@ -407,10 +407,10 @@ impl<'a> OrientationModel<'a> {
         stamps.into_iter().zip(linear.residual[0].iter().map(|residual| residual[2])).collect()
     }
 
-    /// Where that axis of the IMU points which stays furthest from the vertical, by the IMU and by the
-    /// arm with the drift and all else left in; none where every axis comes close to it.
+    /// Heading of the IMU axis that stays furthest from the vertical, by the IMU and by FK, with the total
+    /// yaw error. Empty if every axis comes too close to the vertical.
     fn headings(&self) -> Vec<Heading> {
-        /// Cosine of the angle to the vertical from which on a heading means nothing.
+        /// Cosine of the smallest angle to the vertical for a usable heading.
         const UPRIGHT: f64 = 0.97;
         let mut sweep = self.link.sweep();
         let t_s = &self.link.stream.track.t_s;
@@ -459,7 +459,7 @@ impl Model for OrientationModel<'_> {
         self.linearized().0
     }
 
-    /// FK's noise in the columns of the mount and of the delay.
+    /// FK noise in the columns of the mount and of the delay.
     fn design_noise(&self) -> DesignNoise {
         let width = self.first_jump() + self.jumps.len();
         let mut squares = DMatrix::zeros(width, width);
@@ -511,7 +511,7 @@ impl Model for OrientationModel<'_> {
 }
 
 impl OrientationModel<'_> {
-    /// The residuals, with the row of each.
+    /// Residuals with their rows.
     fn linearized(&self) -> (Linear, Vec<usize>) {
         let mut linear = Linear::new(self.first_jump() + self.jumps.len(), &[FLOOR_RAD]);
         let mut kept = Vec::new();

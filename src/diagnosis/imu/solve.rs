@@ -1,4 +1,4 @@
-//! Gauss–Newton over the free parameters of a model of an IMU.
+//! Gauss–Newton for the free parameters of an IMU model.
 
 use super::super::linear::{Linear, Normal, Weight};
 use super::super::robust::{pseudo_inverse, sandwich};
@@ -8,43 +8,44 @@ use ground::geometry::Vec3;
 use ground::stats::{Length, joint_p_value};
 use nalgebra::{DMatrix, DVector};
 
-/// A model with parameters, of which some are fitted.
+/// Parametric model.
 pub(super) trait Model {
-    /// Residuals and their derivatives at the parameters as they are.
+    /// Residuals and derivatives at the current parameters.
     fn linearize(&self) -> Linear;
 
-    /// Noise in those derivatives.
+    /// Noise in the derivatives.
     fn design_noise(&self) -> DesignNoise;
 
-    /// Moves the parameters by `delta`, one entry a column of the design.
+    /// Adds `delta` to the parameters, one entry per column of the design.
     fn apply(&mut self, delta: &DVector<f64>);
 }
 
-/// Measurement noise in the columns of a design (errors in variables: Fuller, *Measurement Error
-/// Models*, 1987, §2.2). It adds to `AᵀA` and so feigns information about parameters that a weak
-/// motion does not excite.
+/// Measurement noise in the columns of a design (errors in variables: Fuller, *Measurement Error Models*,
+/// 1987, §2.2). It inflates `AᵀA` and so simulates information about parameters that a weak motion does not
+/// excite.
 pub(super) struct DesignNoise {
-    /// The expected share of noise in `AᵀA`, over all columns.
+    /// Expected contribution of the noise to `AᵀA`, over all columns.
     pub squares: DMatrix<f64>,
-    /// Columns of one unit whose combinations are tested together, the first to be held first.
+    /// Columns with equal units whose combinations are tested together, in the order in which they are
+    /// fixed.
     pub groups: Vec<Vec<usize>>,
 }
 
-/// Covariance of the parameters that a fit left free.
+/// Covariance of the fitted parameters.
 pub(super) struct Solved {
     free: Vec<usize>,
     covariance: DMatrix<f64>,
-    /// Directions over all columns that the motion does not excite, which the fit left as they were.
+    /// Unobservable directions over all columns, which the fit did not change.
     held: Vec<DVector<f64>>,
     dof: f64,
 }
 
-/// Fits the parameters `free` of `model`, and leaves the others as they are. Directions that the motion
-/// does not excite above the noise in the design stay where they are, too.
+/// Fits the parameters `free` of `model`. Directions that the motion does not excite above the design noise
+/// stay fixed.
 pub(super) fn solve(model: &mut impl Model, free: &[usize]) -> Solved {
-    /// Steps after which a fit that still moves is left where it is.
+    /// Maximum number of steps.
     const STEPS: usize = 8;
-    /// A step this small is the last, in the parameters' own units.
+    /// Convergence threshold of a step, in the parameters' units.
     const STILL: f64 = 1e-9;
     let noise = model.design_noise();
     let mut left = STEPS;
@@ -61,20 +62,20 @@ pub(super) fn solve(model: &mut impl Model, free: &[usize]) -> Solved {
     }
 }
 
-/// The combinations of free parameters that a motion excites.
+/// Linear combinations of the free parameters that a motion excites.
 struct Excited {
     free: Vec<usize>,
-    /// Each combination, a column over all parameters.
+    /// Each combination, as a column over all parameters.
     basis: DMatrix<f64>,
-    /// The combinations that it does not excite.
+    /// Combinations that are not excited.
     held: Vec<DVector<f64>>,
     /// Noise in `AᵀA` between the combinations.
     noise: DMatrix<f64>,
 }
 
 impl Excited {
-    /// Noise may make this share of what `AᵀA` says of a combination. The noise of joints and gyros is
-    /// known to a factor of two in variance or so, hence twice that for safety.
+    /// Maximum share of noise in the `AᵀA` of an excited combination. Joint and gyro noise are known to a
+    /// factor of two in variance; this adds another factor of two.
     const NOISE_SHARE: f64 = 0.25;
 
     fn of(linear: &Linear, noise: &DesignNoise, free: &[usize]) -> Self {
@@ -94,7 +95,7 @@ impl Excited {
             basis.retain(|direction| own.iter().all(|&column| direction[column] == 0.0));
             let own = columns(width, &own.iter().map(|&column| unit(column)).collect::<Vec<_>>());
             let others = columns(width, &basis);
-            // What the other parameters do not explain of the group's effects.
+            // Effects of the group that the other parameters do not explain.
             let across = others.tr_mul(&squares) * &own;
             let between = pseudo_inverse(&(others.tr_mul(&squares) * &others)).0;
             let alone = own.tr_mul(&squares) * &own - across.tr_mul(&(between * &across));
@@ -118,13 +119,13 @@ fn columns(width: usize, directions: &[DVector<f64>]) -> DMatrix<f64> {
 /// One Gauss–Newton step on a linearised model.
 struct Step {
     delta: DVector<f64>,
-    /// By what it leaves of the residuals.
+    /// Weights for the residuals after the step.
     weights: Vec<Weight>,
     independent: f64,
 }
 
 impl Step {
-    /// The step along the excited combinations.
+    /// Computes the step along the excited combinations.
     fn of(linear: &Linear, excited: &Excited) -> Self {
         let columns: Vec<usize> = (0..linear.width).collect();
         let delta = DVector::zeros(linear.width);
@@ -141,13 +142,13 @@ impl Step {
         step
     }
 
-    /// The weighted noise in the normal matrix.
+    /// Weighted noise in the normal matrix.
     fn noise(&self, excited: &Excited) -> DMatrix<f64> {
         let level = self.weights.first().map_or(0.0, Weight::level);
         &excited.noise * level
     }
 
-    /// The covariance where it was taken.
+    /// Covariance at the point of linearisation.
     fn solved(self, linear: &Linear, excited: Excited) -> Solved {
         let noise = self.noise(&excited);
         let Excited { free, basis, mut held, .. } = excited;
@@ -172,34 +173,34 @@ impl Step {
     }
 }
 
-/// A parameter is held of which more than this share lies in directions that are.
+/// A parameter with a larger share in fixed directions is not observable.
 const SHARE_HELD: f64 = 1e-3;
 
-/// How large the residual of each sample is.
+/// Norm of the residual of each sample.
 pub(super) fn lengths(linear: &Linear) -> impl Iterator<Item = f64> {
     linear.residual[0].iter().map(|&residual| Vec3::from(residual).norm())
 }
 
 impl Solved {
-    /// A parameter that the fit left at `value`.
+    /// Estimate of one parameter with fitted `value`.
     pub fn one(&self, parameter: usize, value: f64) -> Seen<Measured> {
         let variance = self.block(&[parameter])?[(0, 0)];
         Ok(Measured { value, std_error: variance.max(0.0).sqrt(), dof: self.dof })
     }
 
-    /// A sum of parameters, each times its entry of `along`, which the fit left at `value`.
+    /// Estimate of a linear combination of parameters with coefficients `along` and fitted `value`.
     pub fn along(&self, parameters: &[usize], along: &[f64], value: f64) -> Seen<Measured> {
         let along = DVector::from_column_slice(along);
         let variance = along.dot(&(self.block(parameters)? * &along));
         Ok(Measured { value, std_error: variance.max(0.0).sqrt(), dof: self.dof })
     }
 
-    /// The length of a vector of parameters.
+    /// Length of a vector of parameters.
     pub fn length(&self, parameters: &[usize], vector: &[f64]) -> Seen<Length> {
         Ok(Length::of(vector, &self.block(parameters)?, self.dof))
     }
 
-    /// The length of the sum of two vectors of parameters, which is `sum`.
+    /// Length of the sum of two vectors of parameters, `sum`.
     pub fn length_of_sum(&self, one: &[usize], other: &[usize], sum: &[f64]) -> Seen<Length> {
         let n = one.len();
         let both = self.block(&[one, other].concat())?;
@@ -209,16 +210,14 @@ impl Solved {
         Ok(Length::of(sum, &covariance, self.dof))
     }
 
-    /// Whether parameters as far from zero as `vector` have less than this `chance` of being truly
-    /// zero.
+    /// Tests whether the parameters `vector` differ from zero at the significance level `chance`.
     pub fn is_sure(&self, parameters: &[usize], vector: &[f64], chance: f64) -> bool {
         let vector = DVector::from_column_slice(vector);
         let p_value = |covariance| joint_p_value(&vector, &covariance, self.dof);
         self.block(parameters).is_ok_and(|covariance| p_value(covariance) < chance)
     }
 
-    /// The length of the part of a vector of parameters that the motion excites: no longer than the
-    /// vector.
+    /// Length of the observable component of a vector of parameters: a lower bound on the vector's length.
     pub fn least_length(&self, parameters: &[usize], vector: &[f64]) -> Seen<Length> {
         let n = parameters.len();
         let mut held = DMatrix::zeros(n, n);
@@ -237,8 +236,8 @@ impl Solved {
         Ok(Length::of(part.as_slice(), &covariance, self.dof))
     }
 
-    /// The length of a mount's error. Where the motion does not show all of it, the part that it shows if
-    /// that is surely an error: a pass takes all of it.
+    /// Length of a mount's error. If the motion shows only a part of it, that part is returned if it is
+    /// significant; to pass, the whole error must be observable.
     pub fn mount_error(&self, parameters: &[usize], error: &[f64]) -> Seen<Length> {
         let least = || self.least_length(parameters, error).ok();
         self.length(parameters, error)

@@ -1,4 +1,4 @@
-//! IMUs on motions that excite little.
+//! IMUs during motions with little excitation.
 
 use super::*;
 use crate::test_motion;
@@ -12,7 +12,7 @@ const JOINT_NOISE_RAD: f64 = 2e-5;
 const GYRO_NOISE_RAD_S: f64 = 2e-3;
 const ORIENTATION_NOISE_RAD: f64 = 7e-4;
 
-/// 20 s at 100 Hz of an arm of which only one joint swings, each joint with noise, and its chain.
+/// A 20 s joint track at 100 Hz in which only one joint moves, with noise on each joint, and its chain.
 fn one_joint(moving: usize, rng: &mut Pcg64) -> (JointTrack, Chain) {
     let (_, chain) = test_motion::arm();
     let mut joints = JointTrack { dof: 6, ..Default::default() };
@@ -33,7 +33,7 @@ fn one_joint(moving: usize, rng: &mut Pcg64) -> (JointTrack, Chain) {
     (joints, chain)
 }
 
-/// What an IMU that is turned in its link by `mount` says of the motion of [`one_joint`].
+/// Measurements of an IMU with rotation `mount` on the link, during the motion of [`one_joint`].
 fn imu(moving: usize, mount: Rotation, rng: &mut Pcg64) -> ImuTrack {
     let (_, chain) = test_motion::arm();
     let rotation = |t_s: f64| {
@@ -54,7 +54,7 @@ fn imu(moving: usize, mount: Rotation, rng: &mut Pcg64) -> ImuTrack {
     track
 }
 
-/// The diagnosis of an IMU that is turned by `mount` where the log says `logged`, while joint `moving` swings.
+/// Diagnosis of an IMU with true rotation `mount` and logged rotation `logged`, while joint `moving` moves.
 fn diagnosed(
     moving: usize,
     mount: Rotation,
@@ -94,7 +94,7 @@ fn a_mount_is_not_observable_about_the_only_axis_of_motion() {
 
 #[test]
 fn a_mount_that_turns_the_only_axis_of_motion_is_found() {
-    // The tool's z is the axis of the last joint.
+    // The tool's z axis is the axis of the last joint.
     let off = rotation_from_rotvec(Vec3::x() * 90f64.to_radians());
     for with_orientation in [false, true] {
         let found = diagnosed(5, off, Rotation::identity(), with_orientation);

@@ -1,4 +1,4 @@
-//! An IMU's lean against gravity.
+//! Tilt of an IMU's orientation against gravity.
 
 use super::super::{Seen, Unseen};
 use super::Link;
@@ -7,16 +7,16 @@ use ground::geometry::{Rotation, Vec3};
 use ground::stats::Length;
 use nalgebra::DMatrix;
 
-/// An arm rests where it also does this long before and after, s.
+/// Margin before and after a sample at rest, s.
 const SETTLING_S: f64 = 0.05;
-/// Blocks of samples at rest whose means are taken as independent: few, so that each outlasts the
-/// noise's memory.
+/// Number of blocks whose means are treated as independent. Few blocks outlast the noise's correlation
+/// time.
 const BLOCKS: usize = 10;
-/// Samples at rest without which there is no spread.
+/// Minimum number of samples at rest for an estimate of the spread.
 const NEED: usize = 4 * BLOCKS;
 
 impl Link<'_> {
-    /// How much what the accelerometer feels points one way in the base, 0 to 1, with it turned in its link by
+    /// Constancy of the specific force's direction in the base, 0 to 1, for an accelerometer with mount
     /// `link_from_accel`.
     pub(super) fn steadiness(&self, lag_s: f64, link_from_accel: &Rotation) -> f64 {
         let track = self.stream.track;
@@ -31,8 +31,7 @@ impl Link<'_> {
         sum.norm() / sizes
     }
 
-    /// Where the accelerometer feels up while the arm rests, with the IMU turned in its link by
-    /// `link_from_imu`.
+    /// Direction opposite to gravity while the arm rests, for the mount `link_from_imu`.
     pub(super) fn up(&self, lag_s: f64, link_from_imu: &Rotation) -> Option<Up> {
         let track = self.stream.track;
         let mut sweep = self.sweep();
@@ -52,7 +51,7 @@ impl Link<'_> {
         (count >= NEED).then_some(Up { in_world, in_base })
     }
 
-    /// The IMU's lean against gravity, from the moments at which the arm rests.
+    /// Tilt of the IMU against gravity, from samples at rest.
     pub(super) fn tilt(&self, lag_s: f64) -> Seen<Length> {
         let track = self.stream.track;
         if track.orientation.is_empty() {
@@ -69,8 +68,8 @@ impl Link<'_> {
     }
 }
 
-/// Angle between the mean of the specific `forces` felt at rest, in the world by the logged
-/// orientation, and the vertical; its error is from the spread over blocks.
+/// Angle between the vertical and the mean specific force at rest, rotated to the world by the logged
+/// orientation. The standard error comes from the spread over blocks.
 fn tilt(forces: &[Vec3]) -> Seen<Length> {
     let n = forces.len();
     if n < NEED {
@@ -79,7 +78,7 @@ fn tilt(forces: &[Vec3]) -> Seen<Length> {
     let mean = forces.iter().sum::<Vec3>() / n as f64;
     let gravity = mean.norm();
     if gravity < 1.0 {
-        return Err(Unseen::RestsOn("an accelerometer that feels gravity"));
+        return Err(Unseen::RestsOn("the direction of gravity"));
     }
     let blocks = forces.chunks_exact(n / BLOCKS).take(BLOCKS);
     let blocks = blocks.map(|block| block.iter().sum::<Vec3>());

@@ -1,54 +1,54 @@
-//! What the error of a yaw does over time: a steady drift, jumps, a random walk.
+//! Decomposes the yaw error over time into constant drift, jumps and a random walk.
 //!
-//! The error is averaged over bins long enough to be independent of each other, and explained by
-//! `a + b·t + Σ sizeⱼ·[t > atⱼ] + walk + white noise` with as few of the parts as its likelihood asks
-//! for. The covariance of bins under a walk of density q is that of averages of a Wiener process:
-//! `q²Δ(i + 1/2)` for bins i < j of length Δ, and `q²Δ(i + 1/3)` for one with itself.
+//! The error is averaged over bins long enough to be independent, and modelled as `a + b·t + Σ sizeⱼ·[t >
+//! atⱼ] + walk + white noise`, with only as many parts as the penalised likelihood supports. Bin averages
+//! of a Wiener process of density q have the covariance `q²Δ(i + 1/2)` for bins i < j of length Δ, and
+//! `q²Δ(i + 1/3)` for i = j.
 
 use super::super::noise::Noise;
 use super::super::{Measured, YawCourse, YawJump};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use std::f64::consts::{PI, TAU};
 
-/// Bins, and the fewest.
+/// Number of bins and its minimum.
 const BINS: f64 = 100.0;
 const FEWEST: usize = 10;
-/// Noise is forgotten after this many of its correlation times.
+/// Bin length in correlation times of the noise.
 const FORGOTTEN: f64 = 3.0;
-/// No noise is taken to remember longer than this over [`FORGOTTEN`]: what does, wanders. s.
+/// Upper bound on the bin length, s. A longer correlation is attributed to a random walk.
 const LONGEST_BIN_S: f64 = 0.4;
-/// How much better each part must make the logarithm of the likelihood. A jump's moment is searched
-/// for among all bins, a walk's density at the edge of what it can be.
+/// Minimum gain in log likelihood for each part. A jump is searched over all bins; a walk's density is
+/// tested on the boundary of its range.
 const JUMP_COST: f64 = 12.0;
 const WALK_COST: f64 = 7.0;
-/// More jumps than these are a walk.
+/// More jumps than this are modelled as a walk.
 const MOST_JUMPS: usize = 3;
-/// Errors below this are no statistics, rad.
+/// Noise floor of the yaw error, rad.
 const FLOOR_RAD: f64 = 1e-6;
 
-/// What explains a yaw's error.
+/// Decomposition of a yaw error.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Course {
-    /// The drift, where it is not simply that of the fit: rad/s.
+    /// Drift, if jumps or a walk change its estimate, rad/s.
     pub drift_rad_s: Option<Measured>,
     pub parts: YawCourse,
-    /// The error over time without its drift, rad, at these times; flat beyond them.
+    /// Random walk, rad, at the bin times; constant beyond them.
     path: Vec<(f64, f64)>,
 }
 
 impl Course {
-    /// Whether there is nothing but a drift.
+    /// Whether the error contains neither jumps nor a walk.
     pub fn is_steady(&self) -> bool {
         self.path.is_empty() && self.parts.jumps.is_empty()
     }
 
-    /// The same jumps alone.
+    /// Keeps only the jumps.
     pub fn without_walk(self) -> Self {
         let parts = YawCourse { walk_rad_rt_s: None, ..self.parts };
         Self { parts, drift_rad_s: None, path: Vec::new() }
     }
 
-    /// The walk's way at time `t_s`, rad.
+    /// Value of the random walk at time `t_s`, rad.
     pub fn wandered(&self, t_s: f64) -> f64 {
         let right = self.path.partition_point(|&(at, _)| at < t_s);
         match (right.checked_sub(1).map(|left| self.path[left]), self.path.get(right)) {
@@ -61,7 +61,7 @@ impl Course {
     }
 }
 
-/// Explains the yaw error `series` of times in s, ascending, and angles in rad.
+/// Decomposes the yaw error `series` of ascending times, s, and angles, rad.
 pub(super) fn explain(series: &[(f64, f64)]) -> Course {
     let Some(bins) = Bins::of(&unwrapped(series)) else {
         return Course::default();
@@ -75,7 +75,7 @@ pub(super) fn explain(series: &[(f64, f64)]) -> Course {
     best.map(|fit| bins.course(&fit)).unwrap_or_default()
 }
 
-/// The same angles without jumps by whole turns.
+/// Removes jumps by whole turns.
 pub(super) fn unwrapped(series: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let (mut turns, mut last) = (0.0, None);
     let unwrap = |&(t_s, angle): &(f64, f64)| {
@@ -90,23 +90,23 @@ pub(super) fn unwrapped(series: &[(f64, f64)]) -> Vec<(f64, f64)> {
     series.iter().map(unwrap).collect()
 }
 
-/// A series in bins of equal length.
+/// Bin averages of a series.
 struct Bins {
     samples: Vec<(f64, f64)>,
-    /// The range of samples of each bin that has any.
+    /// Sample range of each non-empty bin.
     ranges: Vec<std::ops::Range<usize>>,
     t_s: Vec<f64>,
     mean: DVector<f64>,
-    /// Covariance by a walk of density 1 rad/√s.
+    /// Covariance of a random walk of density 1 rad/√s.
     walk: DMatrix<f64>,
     middle_s: f64,
 }
 
-/// One explanation of the bins.
+/// One fitted decomposition.
 #[derive(Clone)]
 struct BinFit {
     jumps_s: Vec<f64>,
-    /// Variance of a walk a second over that of a bin.
+    /// Variance of the walk per second, relative to the variance of a bin.
     walk_ratio: f64,
     parameters: DVector<f64>,
     covariance: DMatrix<f64>,
@@ -147,7 +147,7 @@ impl Bins {
                 _ => ranges.push(k..k + 1),
             }
         }
-        // The last bin may be cut short, and a mean over less is noisier.
+        // The last bin may be incomplete; its mean is then noisier.
         let fullest = ranges.iter().map(ExactSizeIterator::len).max()?;
         ranges.retain(|range| 2 * range.len() >= fullest);
         let n = ranges.len();
@@ -170,7 +170,7 @@ impl Bins {
         Some(Self { samples: samples.to_vec(), ranges, t_s, mean, walk, middle_s })
     }
 
-    /// The share of each bin that lies after `at_s`.
+    /// Share of each bin after `at_s`.
     fn after(&self, at_s: f64) -> Vec<f64> {
         let share = |range: &std::ops::Range<usize>| {
             let samples = &self.samples[range.clone()];
@@ -180,13 +180,13 @@ impl Bins {
         self.ranges.iter().map(share).collect()
     }
 
-    /// Generalised least squares; the likelihood is concentrated in the parameters and the variance.
+    /// Generalised least squares. The likelihood is concentrated in the parameters and the variance.
     fn fit(&self, jumps_s: &[f64], walk_ratio: f64) -> BinFit {
         let root = self.root(walk_ratio);
         self.fit_whitened(jumps_s, walk_ratio, root.as_ref())
     }
 
-    /// The Cholesky factor of the covariance, where it is not the identity.
+    /// Cholesky factor of the covariance. `None` if it is the identity.
     fn root(&self, walk_ratio: f64) -> Option<Cholesky<f64, Dyn>> {
         let n = self.mean.len();
         let covariance = || DMatrix::identity(n, n) + &self.walk * walk_ratio;
@@ -225,7 +225,7 @@ impl Bins {
         let dof = (n - width) as f64;
         let variance = square / dof;
         let log_likelihood = -0.5 * n as f64 * (square / n as f64).ln() - log_root;
-        // What cannot be solved explains nothing.
+        // Reject singular models.
         let log_likelihood = match is_solved && log_likelihood.is_finite() {
             true => log_likelihood,
             false => f64::NEG_INFINITY,
@@ -241,7 +241,7 @@ impl Bins {
         }
     }
 
-    /// The same explanation with jumps while they pay.
+    /// Adds jumps while they improve the score.
     fn with_jumps(&self, mut fit: BinFit) -> BinFit {
         while fit.jumps_s.len() < MOST_JUMPS {
             let more = self.with_jump(&fit);
@@ -253,7 +253,7 @@ impl Bins {
         fit
     }
 
-    /// One more jump, where it helps most: between two bins first, then between two samples.
+    /// Adds the jump with the largest gain: searched between bins first, then between samples.
     fn with_jump(&self, fit: &BinFit) -> BinFit {
         let root = self.root(fit.walk_ratio);
         let try_at = |at_s: f64| {
@@ -280,10 +280,10 @@ impl Bins {
         near.step_by(stride).map(|k| try_at(self.samples[k].0)).fold(coarse, better)
     }
 
-    /// The same jumps with a walk, where that pays.
+    /// Adds a random walk if that improves the score.
     fn with_walk(&self, fit: BinFit) -> BinFit {
-        // From a walk that is lost in the noise of a bin to one that drowns it, by steps of 2
-        // in its variance, and then by finer ones.
+        // From a walk well below the noise of a bin to one well above it, in factors of 2 of its variance,
+        // then refined.
         let scale = 1.0 / (self.t_s[1] - self.t_s[0]).max(f64::MIN_POSITIVE);
         let coarse = (-14..=14).map(|power| scale * 2f64.powi(power));
         let jumps_s = fit.jumps_s.clone();
@@ -327,8 +327,7 @@ impl Bins {
     }
 }
 
-/// For how long the noise of a series remembers, s: its correlation time, with what is slower than
-/// some seconds taken off.
+/// Correlation time of the noise, s, after removing components slower than some seconds.
 fn memory_s(samples: &[(f64, f64)]) -> f64 {
     const STRETCHES: f64 = 8.0;
     const STRETCH_S: f64 = 2.0;
@@ -341,7 +340,7 @@ fn memory_s(samples: &[(f64, f64)]) -> f64 {
     noise.inflation() * span_s / n as f64
 }
 
-/// What a straight line leaves of some samples.
+/// Residuals of a straight-line fit.
 fn flattened(samples: &[(f64, f64)]) -> impl Iterator<Item = [f64; 3]> {
     let n = samples.len() as f64;
     let (t, y) =
@@ -364,7 +363,7 @@ mod tests {
 
     const RATE_HZ: f64 = 100.0;
 
-    /// 20 s of a yaw error with noise of 3e-4 rad and what `error` says, and a walk of this density.
+    /// A yaw error over 20 s: `error`, noise of 3e-4 rad and a random walk of this density.
     fn series(seed: u64, rho: f64, walk: f64, error: impl Fn(f64) -> f64) -> Vec<(f64, f64)> {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
         let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };

@@ -1,4 +1,4 @@
-//! A gyro whose bias or mount is not one over the run.
+//! Changes of a gyro's bias and mount within the run.
 
 use super::super::change::{Asked, Better};
 use super::super::found::{BiasCourse, MountChange};
@@ -7,7 +7,7 @@ use super::{FLOOR_RAD_S, GyroModel};
 use ground::geometry::{Rotation, Vec3, rotvec_from_rotation};
 
 impl GyroModel<'_> {
-    /// How much of the change of the bias acts at a moment, 0 to 1.
+    /// Fraction of the bias change in effect at a time, 0 to 1.
     pub(super) fn change_at(&self, t_s: f64) -> f64 {
         match self.course {
             Some(BiasCourse::Step { at_s, .. }) => f64::from(u8::from(t_s > at_s)),
@@ -23,7 +23,7 @@ impl GyroModel<'_> {
         self.bias_rad_s + self.changed_rad_s * self.change_at(t_s)
     }
 
-    /// `link_from_imu` at a moment.
+    /// `link_from_imu` at a time.
     pub(super) fn mount_at(&self, t_s: f64) -> Rotation {
         match &self.slip {
             Some((at_s, _, slip)) if t_s > *at_s => self.link_from_imu * slip,
@@ -31,11 +31,11 @@ impl GyroModel<'_> {
         }
     }
 
-    /// The model with the one change more that explains most, where one surely is there.
+    /// Adds the change that explains most of the residual. `None` if none is significant.
     pub(super) fn changed(&self, moves: bool) -> Option<Self> {
-        /// A slip leaves at most this share of the squares that nothing leaves, …
+        /// Maximum residual squares with a slip, relative to those without a change, …
         const LEFT: f64 = 0.5;
-        /// … and of those that any other change leaves.
+        /// … and relative to those with any other change.
         const CLEARLY: f64 = 0.8;
         let shaped = Self { is_shaped: true, ..self.clone() };
         let (linear, t_s) = shaped.linearized();
@@ -71,7 +71,7 @@ impl GyroModel<'_> {
         }
     }
 
-    /// The parameters that changes add.
+    /// Parameters added by changes.
     pub(super) fn free_by_changes(&self) -> impl Iterator<Item = usize> + use<> {
         let of_bias = self.course.is_some().then_some(Self::CHANGE);
         let of_mount = self.slip.is_some().then_some(Self::SLIP);

@@ -1,8 +1,8 @@
-//! What an orientation does beside drifting steadily, jumping and wandering: the IMU slips in its mount, its
-//! yaw error hangs on its heading, or settles exponentially as the sensor warms up.
+//! Orientation errors beyond drift, jumps and random walk: a slip in the mount, a heading-dependent yaw
+//! error, or an exponential decay during warm-up.
 //!
-//! Hard and soft iron turn a compass by harmonics of its heading, one turn and two turns a turn (the
-//! semicircular and quadrantal deviations of a ship's compass).
+//! Hard and soft iron cause yaw errors at the first and second harmonic of the heading (the semicircular
+//! and quadrantal deviations of a ship's compass).
 
 use super::super::super::Measured;
 use super::super::super::model::FLOOR_RAD;
@@ -13,11 +13,11 @@ use super::super::yaw;
 use super::{OrientationModel, Settled};
 use ground::geometry::{Rotation, Vec3, rotvec_from_rotation};
 
-/// A part of the yaw error that is a sum of given courses, each of some size.
+/// Part of the yaw error: a linear combination of given functions.
 #[derive(Clone)]
 pub(super) struct Form {
     kind: Kind,
-    /// Each course, one number a row.
+    /// Values of each function, one per row.
     pub weights: Vec<Vec<f64>>,
     pub sizes_rad: Vec<f64>,
 }
@@ -26,7 +26,7 @@ pub(super) struct Form {
 enum Kind {
     /// Harmonics of the heading of this axis of the IMU.
     Heading(usize),
-    /// An exponential of this time constant, s.
+    /// Exponential with this time constant, s.
     WarmUp(f64),
 }
 
@@ -35,19 +35,18 @@ impl Form {
         Self { kind, sizes_rad: vec![0.0; weights.len()], weights }
     }
 
-    /// What it turns the yaw by at a row, rad.
+    /// Yaw error at a row, rad.
     pub fn at(&self, row: usize) -> f64 {
         self.weights.iter().zip(&self.sizes_rad).map(|(weight, size)| weight[row] * size).sum()
     }
 }
 
 impl<'a> OrientationModel<'a> {
-    /// The column of the first jump.
     pub(super) fn first_jump(&self) -> usize {
         Self::PARTS + self.forms.iter().map(|form| form.sizes_rad.len()).sum::<usize>()
     }
 
-    /// `link_from_imu` at a moment.
+    /// `link_from_imu` at a time.
     pub(super) fn mount_at(&self, t_s: f64) -> Rotation {
         match &self.slip {
             Some((at_s, _, slip)) if t_s > *at_s => self.link_from_imu * slip,
@@ -55,7 +54,7 @@ impl<'a> OrientationModel<'a> {
         }
     }
 
-    /// The parameters that are free without any change.
+    /// Free parameters of the model without changes.
     fn constant(moves: bool) -> Vec<usize> {
         let moving = [Self::LATENCY, Self::SKEW].into_iter().filter(move |_| moves);
         Self::WORLD.chain([Self::DRIFT]).chain(Self::MOUNT).chain(moving).collect()
@@ -65,12 +64,12 @@ impl<'a> OrientationModel<'a> {
         rows.iter().map(|&row| self.link.stream.track.t_s[self.rows[row]]).collect()
     }
 
-    /// The model with a mount that slips, where one surely does: by which far less is left than by a world
-    /// that turns at once.
+    /// Adds a slip of the mount. `None` unless it is significant and clearly better than a jump of the
+    /// world frame.
     pub(super) fn slipped(&self, moves: bool) -> Option<Self> {
-        /// It leaves at most this share of the squares that nothing leaves, …
+        /// Maximum residual squares with a slip, relative to those without a change, …
         const LEFT: f64 = 0.3;
-        /// … and of those that a world which jumps leaves.
+        /// … and relative to those with a jump of the world frame.
         const CLEARLY: f64 = 0.8;
         let (linear, rows) = self.linearized();
         let asked = Asked::of(&linear, self.stamps(&rows), &Self::constant(moves), FLOOR_RAD);
@@ -90,7 +89,7 @@ impl<'a> OrientationModel<'a> {
         (slip.squares < CLEARLY * rival).then(|| Self { slip: slipped, ..self.clone() })
     }
 
-    /// The longer of the two sides of a slip, s.
+    /// Longer side of the slip, s.
     pub(super) fn longer_side(&self) -> (f64, f64) {
         match self.slip {
             Some((at_s, ..)) if at_s > self.link.middle_s => (f64::NEG_INFINITY, at_s),
@@ -107,17 +106,17 @@ impl<'a> OrientationModel<'a> {
         Some(MountChange { at_s, interval_s, link_from_imu, size_rad })
     }
 
-    /// A turn of the world about the vertical.
+    /// Column of a world rotation about the vertical.
     const YAW: [usize; 1] = [Self::WORLD.start + 2];
 
-    /// The model with what hangs on the heading, or with what settles, where that surely is there and
-    /// leaves nothing of a walk or of jumps that would be there without it.
+    /// Adds a heading-dependent or decaying yaw error. `None` unless it is significant and removes most of
+    /// the walk without adding jumps.
     pub(super) fn shaped(&self, moves: bool) -> Option<(Self, Settled<'a>)> {
-        /// It leaves at most this share of the squares, …
+        /// Maximum residual squares, relative to those of the base model, …
         const LEFT: f64 = 0.5;
-        /// … of a jump's, …
+        /// … to those with a jump, …
         const CLEARLY: f64 = 0.8;
-        /// … and of the walk.
+        /// … and maximum share of the remaining walk.
         const WALK_LEFT: f64 = 0.3;
         let (linear, rows) = self.linearized();
         let asked = Asked::of(&linear, self.stamps(&rows), &Self::constant(moves), FLOOR_RAD);
@@ -138,7 +137,7 @@ impl<'a> OrientationModel<'a> {
         let mut model = self.with_form(kind);
         let mut settled = model.settle(moves);
         if matches!(kind, Kind::Heading(_)) {
-            // The headings are known better with what they did taken off.
+            // Recompute the headings with the error corrected.
             model = Self { forms: Vec::new(), ..settled.model }.with_form(kind);
             settled = model.settle(moves);
         }
@@ -167,7 +166,7 @@ impl<'a> OrientationModel<'a> {
         Self { forms, ..self.clone() }
     }
 
-    /// The harmonics of the heading of each axis of the IMU over some rows.
+    /// Harmonics of the heading of each axis of the IMU at the given rows.
     fn headings_by_axis(&self, rows: &[usize]) -> Vec<(usize, Vec<Vec<f64>>)> {
         let t_s = self.stamps(rows);
         let mut sweep = self.link.sweep();
@@ -196,7 +195,7 @@ impl<'a> OrientationModel<'a> {
         (0..3).map(|axis| (axis, harmonics(axis))).collect()
     }
 
-    /// What hangs on the heading, and what settles.
+    /// Estimates of the heading-dependent and the decaying part.
     pub(super) fn formed(&self, solved: &Solved) -> (Option<HeadingError>, Option<YawWarmUp>) {
         let (mut heading, mut warm_up) = (None, None);
         let mut column = Self::PARTS;
