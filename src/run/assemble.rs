@@ -1,4 +1,4 @@
-//! From a decoded log to a run.
+//! Assembles a run from a decoded log.
 
 mod arms;
 mod assembly;
@@ -41,11 +41,11 @@ use transforms::tf_tree;
 pub use references::{ReferenceContent, ReferenceSource};
 
 impl Run {
-    /// The run that `log` recorded, complete: `mend` corrects it, and then the motion settles what names
-    /// and frames leave open. Nothing changes it after but what is read anew by what was estimated.
+    /// Assembles the run, lets `mend` correct it, and resolves by motion the roles that names and frames
+    /// leave undetermined. The run changes only afterwards if its data are re-read with estimated values.
     ///
     /// # Errors
-    /// As of [`Run::assemble`], and where `mend` fails.
+    /// Those of [`Run::assemble`] and of `mend`.
     pub fn complete<E: From<RunError>>(
         log: Log,
         options: &RunOptions,
@@ -57,12 +57,11 @@ impl Run {
         Ok(run)
     }
 
-    /// The run that `log` recorded, by what names, types and frames say.
+    /// Assembles the run from names, types and frames.
     ///
     /// # Errors
-    /// Where the caller's options cannot be followed: a robot that cannot be read, a base or tip that
-    /// is no link, a declared topic that is not there. What the log itself lacks is
-    /// [`Run::no_arm`].
+    /// If the caller's options are invalid: an unreadable robot, a base or tip that is not a link, or a
+    /// declared topic that does not exist. Faults of the log itself are in [`Run::no_arm`].
     pub fn assemble(log: Log, options: &RunOptions) -> Result<Run, RunError> {
         let given = models::given_or_shared(options)?;
         let calibrations = calibrations::given(&options.calibrations)?;
@@ -72,7 +71,7 @@ impl Run {
         by_order::name_counted(&mut topics_of_log, &robots);
         let mut streams = split(topics_of_log);
         for declared in &options.declared {
-            // What a config expects and the log does not have is a finding.
+            // A topic that the config expects and the log lacks is a finding, not an error.
             let by_config = options.topics.iter().any(|said| said.is_of(&declared.topic));
             let has_columns =
                 |stream: &Stream| is_topic(stream, &declared.topic) && stream.columns.is_some();
@@ -169,7 +168,7 @@ impl Run {
     }
 }
 
-/// Says of every stream of a table how its columns were told.
+/// Adds how the columns of a table's streams were identified to their reasons.
 fn say_columns(streams: &mut [Stream]) {
     for stream in streams {
         if let Some(read_as) = &stream.read_as {
@@ -184,13 +183,13 @@ fn check_topic(declared: &Declaration, streams: &[Stream]) -> Result<(), RunErro
     let of_topic = || streams.iter().filter(|stream| is_topic(stream, &declared.topic));
     let what = match (of_topic().count(), of_topic().any(|stream| is_pose(&stream))) {
         (0, _) => "the log has no such topic",
-        (_, false) => "the topic holds no poses",
+        (_, false) => "the topic has no poses",
         (_, true) => return Ok(()),
     };
     Err(not_so(declared, what.to_owned()))
 }
 
-/// The error where a topic is not what is declared of it.
+/// The error for a topic that does not match its declaration.
 fn not_so(declared: &Declaration, what: String) -> RunError {
     let remedy = "check the topic's name and type with `poseaudit info`";
     RunError::Declared { place: declared.place.clone(), what, remedy }
@@ -210,7 +209,7 @@ fn origin(streams: &[Stream]) -> Stamp {
     of_joints.or_else(of_any).map_or(Stamp::default(), |(start, _)| start)
 }
 
-/// The descriptions on topics and beside the messages, each with where it was.
+/// Robot descriptions from topics and attachments, each with its source.
 fn descriptions(
     streams: &[Stream],
     attached: Vec<crate::log::Description>,
@@ -227,7 +226,7 @@ fn descriptions(
     found
 }
 
-/// The places whose descriptions cannot be read, and why the first there cannot.
+/// Sources whose description cannot be read, each with its first error.
 fn unreadable(descriptions: &[(String, String)]) -> Vec<(String, RobotError)> {
     let refused = |(place, text): &(String, String)| {
         Some((place.clone(), Robot::from_text(text, place).err()?))
@@ -243,7 +242,7 @@ impl Assembly<'_> {
         self.timing.clocks.alignment_error_s((joints, 0), (stream, piece))
     }
 
-    /// Gives `stream` its role and, where it belongs to an arm, hands it over.
+    /// Assigns a role to `stream`, and its samples to the arm it belongs to.
     fn assign(&mut self, stream: usize) -> Result<(), RunError> {
         match &self.streams[stream].columns {
             Some(Columns::Poses(_) | Columns::Array(_)) => self.assign_pose(stream),

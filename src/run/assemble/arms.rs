@@ -1,4 +1,4 @@
-//! The arms of a log: which robots it is about, and which joint states are whose.
+//! Finds the arms of a log: its robot models, and the joint states of each arm.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -26,21 +26,21 @@ use super::groups::{Group, groups};
 use super::ranking::ByPoses;
 use super::transforms::{add_fixed_joints, add_odometry, misfit_m, tf_tree};
 
-/// What the caller and the log say of the robots.
+/// Robot information from the caller and the log.
 pub(super) struct Said<'a> {
     pub given: Vec<Given>,
     pub calibrations: Vec<GivenCalibration>,
-    /// Text of each description and calibration in the log, after the name of where it was.
+    /// Source and text of each robot description in the log.
     pub descriptions: &'a [(String, String)],
     pub logged_calibrations: &'a [(String, String)],
-    /// The type of the robot, as metadata say it.
+    /// Robot type in the log's metadata.
     pub robot_type: Option<&'a str>,
-    /// What the columns of a table leave open.
+    /// Unresolved ambiguity of a table's columns.
     pub question: Option<String>,
 }
 
 impl Assembly<'_> {
-    /// Finds the robots, cuts the arms out of them and follows the transforms along each.
+    /// Finds the robots and their arms, and follows the transforms along each arm.
     pub(super) fn find_arms(&mut self, said: &Said<'_>) -> Result<(), RunError> {
         let topics = seen_joint_topics(&self.streams, &self.timing, self.options.max_latency_s);
         if held_by(&topics).is_empty() {
@@ -57,7 +57,8 @@ impl Assembly<'_> {
         let is_missing = |said: &&JointName| !joints.contains(&said.logged);
         if let Some(said) = self.options.joint_map.iter().find(is_missing) {
             let near = nearest(&said.logged, joints.iter().map(String::as_str));
-            let near = near.first().map_or(String::new(), |near| format!("; is it '{near}'?"));
+            let near =
+                near.first().map_or(String::new(), |near| format!("; did you mean '{near}'?"));
             let what = format!("the log has no joint '{}'{near}", said.logged);
             return Err(RunError::JointMap { what });
         }
@@ -101,7 +102,7 @@ impl Assembly<'_> {
         Ok(())
     }
 
-    /// The arms of a group of joint states; `tree` gets what the model and odometry add to it.
+    /// Returns the arms of a group of joint states. Adds the model's fixed joints and odometry to `tree`.
     fn arms_of(
         &self,
         group: &Group<'_>,
@@ -168,7 +169,7 @@ impl Assembly<'_> {
         Ok(arms)
     }
 
-    /// Says of every stream of joint states which joints the arms use, and which they do not.
+    /// Records in each joint state stream which joints the arms use.
     pub(super) fn name_joints(&mut self) {
         let arms = &self.arms;
         if arms.is_empty() {
@@ -201,18 +202,19 @@ impl Assembly<'_> {
             if used.is_empty() {
                 stream.role = Role::Ignored;
                 stream.reason =
-                    "none of its joints moves an arm's tip, or another topic has them".to_owned();
+                    "none of its joints moves an arm's tip, or another topic already provides them"
+                        .to_owned();
             } else if !ignored.is_empty() {
                 let ignored = ignored.join(", ");
-                stream.reason =
-                    format!("joint states; ignored, as they do not move an arm's tip: {ignored}");
+                stream.reason = format!(
+                    "joint states; ignored because they do not move an arm's tip: {ignored}"
+                );
             }
         }
     }
 }
 
-/// Whether joints are those of an arm, as far as they tell: at least four that move and are not named
-/// after what is no arm's.
+/// Whether joints look like an arm's: at least four move and are not named like a gripper, wheel or leg.
 fn are_of_an_arm(joints: &[&JointColumn]) -> bool {
     const FEWEST: usize = 4;
     const MOVES: f64 = 0.02;
@@ -226,7 +228,7 @@ fn are_of_an_arm(joints: &[&JointColumn]) -> bool {
     joints.iter().filter(|joint| moves(joint) && is_arms(joint)).count() >= FEWEST
 }
 
-/// The joints that topics hold a sample of, in the order in which they appear.
+/// Joints with at least one sample, in the order in which they appear.
 fn held_by(topics: &[JointTopic<'_>]) -> Vec<String> {
     let mut joints: Vec<String> = Vec::new();
     for topic in topics {
@@ -238,8 +240,8 @@ fn held_by(topics: &[JointTopic<'_>]) -> Vec<String> {
     joints
 }
 
-/// Gives arms of equal names their tip's name too, or what their topics have that those of the others
-/// have not; and each the words that names of its streams may have.
+/// Adds a distinguishing label to arms of equal names: words of their topics, the tip, or the first joint.
+/// Sets the words by which stream names refer to each arm.
 fn tell_apart(arms: &mut [Arm]) {
     let is_double =
         |arms: &[Arm], arm: &Arm| arms.iter().filter(|other| other.name == arm.name).count() > 1;
@@ -250,7 +252,7 @@ fn tell_apart(arms: &mut [Arm]) {
     ];
     for label in labels {
         let doubles: Vec<bool> = arms.iter().map(|arm| is_double(arms, arm)).collect();
-        // What all of them have tells none apart.
+        // A label shared by all of them does not distinguish them.
         let of_doubles = || arms.iter().zip(&doubles).filter(|(_, is_double)| **is_double);
         let first = of_doubles().next().and_then(|(arm, _)| label(arm));
         let shared =
@@ -268,7 +270,7 @@ fn tell_apart(arms: &mut [Arm]) {
     }
 }
 
-/// The topics of joint states.
+/// The joint state topics, with all rows.
 pub(super) fn joint_topics<'a>(streams: &'a [Stream], timing: &Timing) -> Vec<JointTopic<'a>> {
     let with_columns = streams.iter().enumerate().filter_map(|(index, stream)| {
         let Some(Columns::Joints(columns)) = &stream.columns else { return None };
@@ -283,8 +285,8 @@ pub(super) fn joint_topics<'a>(streams: &'a [Stream], timing: &Timing) -> Vec<Jo
         .collect()
 }
 
-/// The same, with the rows that the estimators see. Of joints they see more than of other
-/// streams, by the latency that is sought.
+/// The joint state topics, with the rows used for estimation. These extend beyond the rows of other streams
+/// by the maximum latency.
 fn seen_joint_topics<'a>(
     streams: &'a [Stream],
     timing: &Timing,

@@ -1,4 +1,4 @@
-//! A run while it is assembled.
+//! State of a run during assembly.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use crate::run::timing::Timing;
 use crate::run::unaudited::Unaudited;
 use crate::time::Stamp;
 
-/// A run in the making.
+/// A run during assembly.
 pub(super) struct Assembly<'a> {
     pub(super) options: &'a RunOptions,
     pub(super) streams: Vec<Stream>,
@@ -20,12 +20,12 @@ pub(super) struct Assembly<'a> {
     pub(super) origin: Stamp,
     pub(super) tf: Arc<TfTree>,
     pub(super) arms: Vec<Arm>,
-    /// The streams of joint states of which there is no arm.
+    /// Joint state streams without an arm.
     pub(super) strangers: Vec<usize>,
     pub(super) unaudited: Vec<Unaudited>,
     pub(super) contests: Vec<Contest>,
     pub(super) frozen: Vec<Frozen>,
-    /// The streams that were looked at for that.
+    /// Streams that were searched for frozen samples.
     pub(super) watched: Vec<usize>,
 }
 

@@ -1,4 +1,4 @@
-//! Which topics of joint states are one arm's: two arms may name their joints alike.
+//! Groups joint state topics by arm; two arms may use the same joint names.
 
 use std::collections::HashSet;
 
@@ -7,22 +7,22 @@ use super::super::space::{Claim, Space};
 use super::super::streams::Stream;
 use crate::time::Stamp;
 
-/// Topics of joint states that may be one robot's, no joint of which is two.
+/// Joint state topics that may belong to one robot: each joint name refers to a single joint.
 pub(super) struct Group<'a> {
     pub joints: JointTopics<'a>,
     pub space: Space,
 }
 
-/// Samples of a joint that are compared.
+/// Number of samples of a joint that are compared.
 const SAMPLES: usize = 200;
-/// A joint that spreads by less rests, rad or m.
+/// Maximum spread of a joint at rest, rad or m.
 const AT_REST: f64 = 0.01;
-/// Two readings of one joint differ by less than this share of its motion.
+/// Maximum difference between two measurements of one joint, as a share of its motion.
 const AGREE: f64 = 0.01;
 
-/// Puts every topic to those that it can be of one robot with: topics that give joints of one name
-/// different positions are of different arms. What shares no joint with any, as a rail, goes to those
-/// that its name speaks for, else to all.
+/// Groups topics that can belong to one robot. Topics that contain different positions for the same joint
+/// name belong to different arms. A topic that shares no joint, such as a rail, joins the group that its
+/// name matches, or all.
 pub(super) fn groups<'a>(
     streams: &[Stream],
     topics: Vec<JointTopic<'a>>,
@@ -50,7 +50,7 @@ pub(super) fn groups<'a>(
             (None, None) => alone.push(index),
         }
     }
-    // The topics with most joints of each name it.
+    // The topic with the most joints names the group.
     let heads: Vec<String> = groups.iter().map(|members| name(&topics[members[0]])).collect();
     let spaces = Space::of_names(&heads);
     for index in alone {
@@ -76,7 +76,7 @@ pub(super) fn groups<'a>(
     groups.into_iter().zip(spaces).map(group).collect()
 }
 
-/// Whether two topics are in namespaces of their own, neither above the other.
+/// Whether two topics are in different namespaces, neither of which contains the other.
 fn are_siblings(a: &str, b: &str) -> bool {
     let space = |topic: &str| -> Vec<String> {
         let mut parts: Vec<String> =
@@ -88,14 +88,14 @@ fn are_siblings(a: &str, b: &str) -> bool {
     !a.starts_with(&b) && !b.starts_with(&a)
 }
 
-/// What the joints say of two topics that they share.
+/// Relation of two topics by the joints that they share.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Relation {
-    /// They share none.
+    /// They share no joint.
     Strangers,
-    /// They are of one arm.
+    /// They belong to one arm.
     One,
-    /// They are of two.
+    /// They belong to two arms.
     Two,
 }
 
@@ -109,12 +109,12 @@ impl Relation {
     }
 }
 
-/// One joint by two topics: positions of the first interpolated to the stamps of some samples of the
-/// second, and those.
+/// One joint in two topics: the first topic's positions, interpolated to the stamps of some samples of the
+/// second, and those samples.
 struct Beside {
     a: Vec<f64>,
     b: Vec<f64>,
-    /// Share of the samples of the second whose value the first has, too.
+    /// Share of the second topic's samples whose value also occurs in the first.
     copied: f64,
 }
 
@@ -129,7 +129,7 @@ fn relation(a: &JointTopic<'_>, b: &JointTopic<'_>, siblings: bool) -> Relation 
     let mean = |values: &dyn Fn(&Beside) -> f64| {
         beside.iter().map(values).sum::<f64>() / beside.len().max(1) as f64
     };
-    // Relays repeat values, whenever they stamp them; also where neither is at a time of the other.
+    // Relays repeat values, whatever stamps they use, even if the topics do not overlap in time.
     let copied = match beside.is_empty() {
         true => 1.0,
         false => mean(&|joint| joint.copied),
@@ -143,7 +143,7 @@ fn relation(a: &JointTopic<'_>, b: &JointTopic<'_>, siblings: bool) -> Relation 
         _ if copied > 0.9 => true,
         (true, siblings) => !siblings && gap < AT_REST,
         (false, true) => gap < 0.1 * AGREE * moved,
-        // Encoders that are read twice may be homed differently.
+        // Two encoder readouts of the same joint may have different zeros.
         (false, false) => about_mean < AGREE * moved,
     };
     if is_one { Relation::One } else { Relation::Two }

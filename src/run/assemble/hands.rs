@@ -1,4 +1,4 @@
-//! What cameras see, and the hands that may carry camera or target.
+//! Camera targets, and the hands that may carry the camera or the target.
 
 use crate::geometry::Pose;
 use crate::stream::{Columns, PoseTrack};
@@ -10,8 +10,8 @@ use super::super::targets::{self, HandKind, HandSource, TargetSource};
 use super::assembly::Assembly;
 
 impl Assembly<'_> {
-    /// What cameras see, each with the hands that it may be held against; with it what may be on the tool
-    /// as well, by its name alone.
+    /// The camera targets, each with the hands that it can be compared with. Includes streams that only
+    /// their name makes targets and that may also be on the tool.
     pub(super) fn targets(&self) -> Vec<TargetSource> {
         let is_target = |&index: &usize| may_be(&self.streams[index], Role::Target);
         (0..self.streams.len()).filter(is_target).filter_map(|index| self.target(index)).collect()
@@ -33,12 +33,12 @@ impl Assembly<'_> {
             }
             None => self.hands_without_arm(index),
         };
-        // A detector's poses are never all the same; a frame that is published over and over is.
+        // The poses of a detector change; a frame that is published repeatedly does not.
         let track = self.plain_track(index).filter(|track| track.changes())?;
         Some(TargetSource { stream: index, track, axes: targets::axes_of(&self.tf, camera), hands })
     }
 
-    /// The poses of a stream that holds one pose, as logged.
+    /// The poses of a stream that holds one pose per message, as logged.
     fn plain_track(&self, index: usize) -> Option<PoseTrack> {
         let Some(Columns::Poses(poses)) = &self.streams[index].columns else { return None };
         let [poses] = poses.as_slice() else { return None };
@@ -48,8 +48,7 @@ impl Assembly<'_> {
         (track.t_s.len() > 1).then_some(track)
     }
 
-    /// The streams of poses that may be a hand's in a log without an arm, and what its transforms
-    /// move.
+    /// Candidate hands in a log without an arm: pose streams, and frames that the transforms move.
     fn hands_without_arm(&self, target: usize) -> Vec<HandSource> {
         let camera = &self.streams[target].frame_id;
         let tied = |frame: &str| {

@@ -1,5 +1,5 @@
-//! Which arm a log is of, where several have its joint names: the one whose model needs least to be where
-//! the streams of poses say. The same question is asked of a model that was named.
+//! Ranks robot models by how well FK matches the pose streams, if several have the logged joint names. Also
+//! checks a model that was named.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeSet, HashMap};
@@ -22,39 +22,40 @@ use crate::run::space::Claim;
 use crate::run::tf_tree::TfTree;
 use crate::stream::Columns;
 
-/// A model fits where no more than this is left, m, as of a drawing against a calibrated arm, …
+/// Maximum residual of a model that fits, m: a nominal model against a calibrated arm.
 const FITS_M: f64 = 3e-3;
-/// … or this share of the positions' extent, as of a noisy tracker.
+/// The same as a share of the positions' extent, for noisy trackers.
 const FITS_SHARE: f64 = 0.01;
-/// Streams of poses that are asked.
+/// Maximum number of pose streams that are compared.
 const MOST_STREAMS: usize = 6;
-/// Arms whose scores differ by less cannot be told apart: a likelihood ratio of e¹⁰.
+/// Minimum difference in score between distinguishable arms: a likelihood ratio of e¹⁰.
 const APART: f64 = 20.0;
 
-/// Another arm is reported beside a named one only if it leaves so many times less than the named one does with
-/// its best explanation, …
+/// Minimum ratio of the residuals of the named arm, with its best explanation, and of another arm to report
+/// the other.
 const STANDS_OUT: f64 = 5.0;
-/// … and with a tool no longer than this, m.
+/// Maximum tool length of that other arm, m.
 const LONGEST_TOOL_M: f64 = 0.5;
 
-/// Of more models than these, where one leaves no more than this of each stream without a fault, m, those that
-/// leave so many times that and more than fits are not asked what fault would help them.
+/// Faults are not fitted for every model if there are more than `MANY` and one matches each stream within
+/// `CLEAR_M` metres without a fault. Models whose residual is `FAR` times larger and above the limit are
+/// then skipped.
 const MANY: usize = 4;
 const CLEAR_M: f64 = 1e-4;
 const FAR: f64 = 100.0;
 
-/// How one model fits the streams of poses.
+/// The fit of one model to the pose streams.
 #[derive(Default)]
 struct Entry {
     arm: Option<Arm>,
     fits: Vec<Fitted>,
 }
 
-/// How one model fits one stream.
+/// The fit of one model to one stream.
 struct Fitted {
     stream: usize,
     source: PoseSource,
-    /// Whether the model says where the stream's frame is, and was held to it.
+    /// Whether the model locates the stream's frame, and the fit used that.
     knows_frame: bool,
     fit: ModelFit,
 }
@@ -64,24 +65,24 @@ impl Entry {
         self.fits.iter().find(|fitted| fitted.stream == stream).map(|fitted| &fitted.fit)
     }
 
-    /// The streams whose frame the model knows, or does not.
+    /// The streams whose frame the model locates, or does not.
     fn whose_frame_is(&self, known: bool) -> impl Iterator<Item = usize> + '_ {
         let alike = move |fitted: &&Fitted| fitted.knows_frame == known;
         self.fits.iter().filter(alike).map(|fitted| fitted.stream)
     }
 }
 
-/// A model beside the others.
+/// A model with its score.
 struct Rank {
-    /// Its place among the models.
+    /// Index of the model.
     model: usize,
-    /// The sum of its scores.
+    /// Sum of its scores.
     score: f64,
-    /// The stream that says most, and the way in which the model fits it.
+    /// The stream with the smallest residual, and how the model fits it best.
     decisive: (usize, Priced),
 }
 
-/// What models of one group of joint states are held against.
+/// Ranks models of one group of joint states by the pose streams.
 pub(super) struct ByPoses<'a> {
     pub assembly: &'a Assembly<'a>,
     pub group: &'a Group<'a>,
@@ -89,8 +90,8 @@ pub(super) struct ByPoses<'a> {
 }
 
 impl ByPoses<'_> {
-    /// The models ranked by what they need to be where the streams of poses say, best first; none where
-    /// no stream tells. No model is held to a frame that another one does not know.
+    /// Ranks the models by what they must assume to match the pose streams, best first. `None` if no stream
+    /// distinguishes them. The frame of a stream is used only if every model locates it.
     pub fn ranking(&self, models: &[&Model]) -> Option<Ranking> {
         let none = BTreeSet::new();
         let arms: Vec<Option<Arm>> = models.iter().map(|model| self.arm(model)).collect();
@@ -103,7 +104,7 @@ impl ByPoses<'_> {
                 *entry = self.entry(entry.arm.take(), &free);
             }
         });
-        // What faults explain is asked only where it could be cheaper.
+        // Fit faults only for models that they could make the best.
         let near = near(&entries);
         entries.par_iter_mut().zip(near).for_each(|(Entry { arm, fits }, is_near)| {
             let Some(arm) = arm.as_ref().filter(|_| is_near) else { return };
@@ -134,7 +135,7 @@ impl ByPoses<'_> {
         (!standings.is_empty()).then_some(Ranking { standings, apart: APART })
     }
 
-    /// The arm of the catalogue that fits far better than `model`, which was named.
+    /// A catalogue arm that fits far better than `model`, which was named.
     pub fn better(&self, model: &Model, clues: &Clues<'_>) -> Option<BetterModel> {
         let path = self.only_path(model)?;
         let own = self.ranking(&[model])?;
@@ -142,7 +143,7 @@ impl ByPoses<'_> {
         if own.fits && own.way.needs == Needs::Nothing && !own.way.misread {
             return None;
         }
-        // What fits by the other convention of its own table is no other arm (ORD007).
+        // A model that fits with the other DH convention of its own table is not another arm (ORD007).
         if let Some(robot) = model.robot.under_other_convention() {
             let ranking = self.ranking(&[&Model { robot, ..model.clone() }]);
             let turned = ranking.as_ref().and_then(|ranking| ranking.standings.first());
@@ -150,7 +151,7 @@ impl ByPoses<'_> {
                 return None;
             }
         }
-        // What fits with its joints in another usual order is no other arm either (ORD005).
+        // A model that fits with its joints in another common order is not another arm (ORD005).
         if self.fits_in_another_order(model, &path.joints) {
             return None;
         }
@@ -197,7 +198,7 @@ impl ByPoses<'_> {
         })
     }
 
-    /// Whether the model fits without a fault if its joints are written in another usual order.
+    /// Whether the model fits without a fault if its joints are in another common order.
     fn fits_in_another_order(&self, model: &Model, path: &[String]) -> bool {
         let others = by_order::usual_orders(path).into_iter().skip(1).filter_map(|order| {
             let pairs: Vec<(String, String)> = path.iter().cloned().zip(order).collect();
@@ -210,14 +211,14 @@ impl ByPoses<'_> {
         })
     }
 
-    /// The one path of joints through a model that the joint states hold.
+    /// The path through a model whose joints are in the joint states, if there is exactly one.
     fn only_path(&self, model: &Model) -> Option<skeleton::ArmPath> {
         let is_logged = |name: &str| self.group.joints.topics.iter().any(|topic| topic.holds(name));
         let paths = skeleton::arms(&model.robot, is_logged);
         <[_; 1]>::try_from(paths).ok().map(|[path]| path)
     }
 
-    /// The arm that a model makes of the group.
+    /// Builds the arm of a model from the joint states of the group.
     fn arm(&self, model: &Model) -> Option<Arm> {
         let Assembly { options, .. } = self.assembly;
         let ends = Ends { base: options.base.as_deref(), tip: options.tip.as_deref() };
@@ -225,11 +226,11 @@ impl ByPoses<'_> {
         Some(Arm { space: self.group.space.clone(), tree: Arc::clone(self.tree), ..arm })
     }
 
-    /// How an arm fits the streams, held to the frames of all but those that are `free`.
+    /// Fits an arm to the streams, using their frames except for streams in `free`.
     fn entry(&self, arm: Option<Arm>, free: &BTreeSet<usize>) -> Entry {
         let streams = &self.assembly.streams;
         let Some(arm) = arm else { return Entry::default() };
-        // Those that say most, copies once, and no more than tell.
+        // Longest streams first, without copies, up to the maximum.
         let mut longest: Vec<usize> = (0..streams.len()).collect();
         longest.sort_by_key(|&stream| Reverse(streams[stream].count));
         let mut fits: Vec<Fitted> = Vec::new();
@@ -254,7 +255,7 @@ impl ByPoses<'_> {
         Entry { arm: Some(arm), fits }
     }
 
-    /// A stream of `arm`, where it may be its tool's pose.
+    /// A stream as a pose source of `arm`, if it may be its tool pose.
     fn source_of(&self, arm: &Arm, index: usize) -> Option<PoseSource> {
         let assembly = self.assembly;
         let stream = &assembly.streams[index];
@@ -273,7 +274,7 @@ impl ByPoses<'_> {
         assembly.pose_source(index, arm, &site, declared, (false, &mut Vec::new())).ok()
     }
 
-    /// How `arm` fits a stream, held to its frame or not.
+    /// Fits `arm` to a stream, with or without its frame.
     fn fit_of(
         &self,
         arm: &Arm,
@@ -294,7 +295,8 @@ impl ByPoses<'_> {
     }
 }
 
-/// Which models come near to the one that leaves least without a fault; all where none is clear, or they are few.
+/// Selects the models near the one with the smallest residual without a fault. All if none is clear or they
+/// are few.
 fn near(entries: &[Entry]) -> Vec<bool> {
     let streams: BTreeSet<usize> =
         entries.iter().flat_map(|entry| entry.fits.iter().map(|fitted| fitted.stream)).collect();
@@ -314,7 +316,7 @@ fn near(entries: &[Entry]) -> Vec<bool> {
     entries.iter().map(is_asked).collect()
 }
 
-/// The models by their scores over the streams that some of them explains, or over all where none does.
+/// Ranks the models by score over the streams that at least one explains, or over all if none explains any.
 fn ranks(entries: &[Entry]) -> Vec<Rank> {
     let streams: BTreeSet<usize> =
         entries.iter().flat_map(|entry| entry.fits.iter().map(|fitted| fitted.stream)).collect();
@@ -340,8 +342,8 @@ fn ranks(entries: &[Entry]) -> Vec<Rank> {
     };
     let mut ranks: Vec<Rank> = entries.iter().enumerate().filter_map(rank).collect();
     ranks.sort_by(|a, b| a.score.total_cmp(&b.score));
-    // Of those that cannot be told apart the most harmless: nothing, then the tool nearest to the
-    // flange's axis, as tools are.
+    // Among models that cannot be distinguished, prefer the smallest assumption, then the tool nearest to
+    // the flange axis.
     let least = ranks.first().map_or(0.0, |best| best.score);
     let near = ranks.iter().take_while(|rank| rank.score <= least + APART).count();
     let harm = |rank: &Rank| {

@@ -1,4 +1,4 @@
-//! What shall be: commanded poses and joint positions, brought to the base and the tip of an arm.
+//! Commanded poses and joint positions, transformed to the base and the tip of an arm.
 
 use crate::geometry::Pose;
 use crate::run::role::{Role, may_be, shared, words};
@@ -18,35 +18,35 @@ pub struct ReferenceSource {
     pub stream: usize,
     /// Index of the arm.
     pub arm: usize,
-    /// What is commanded, or why it cannot be held against the arm.
+    /// The commands, or why they cannot be compared with the arm.
     pub content: Result<ReferenceContent, String>,
 }
 
-/// What a stream commands. Times are seconds from the run's origin.
+/// Commands of a stream. Times are seconds from the run's origin.
 #[derive(Clone, Debug)]
 pub enum ReferenceContent {
     /// Poses of the arm's tip in its base, `base_from_tip`.
     Poses {
-        /// The poses, of which there may be one only.
+        /// The poses; possibly a single one.
         track: PoseTrack,
-        /// Whether the link that is commanded was named: by the caller, or as the child frame.
+        /// Whether the commanded link is named, by the caller or as the child frame.
         tip_named: bool,
-        /// Whether a frame was named that they are in; the controller's base is taken where not.
+        /// Whether the frame of the poses is named; otherwise it is assumed to be the controller's base.
         frame_named: bool,
     },
-    /// Positions of joints.
+    /// Joint positions.
     Joints {
         /// Times, strictly increasing.
         t_s: Vec<f64>,
-        /// For each number of a row its column in the arm's joint track; `None` where the log does not
-        /// say, and there are as many numbers as the chain has joints.
+        /// Column in the arm's joint track of each number in a row. `None` if the log does not name them
+        /// and there are as many as the chain has joints.
         columns: Option<Vec<usize>>,
-        /// Positions, row-major, rad or m; NaN where a message does not hold that joint.
+        /// Positions, row-major, rad or m; NaN if a message lacks the joint.
         q: Vec<f64>,
     },
 }
 
-/// Words of arrays whose numbers are no positions of joints.
+/// Topic words of arrays that do not contain joint positions.
 const NO_POSITIONS: &[&str] = &[
     "velocity",
     "velocities",
@@ -65,11 +65,11 @@ const NO_POSITIONS: &[&str] = &[
     "current",
 ];
 
-/// Rows beyond these are thinned out, and in a long run taken from its excerpts only.
+/// Maximum number of rows before they are thinned out, and taken only from the excerpts of a long run.
 const MANY: usize = 20_000;
 
 impl Assembly<'_> {
-    /// The commands to the arms. A stream that commands none of an arm's joints is none of them.
+    /// The commands to the arms. Streams that command none of an arm's joints are skipped.
     pub(super) fn references(&self) -> Vec<ReferenceSource> {
         let mut known_plans: Vec<&str> = Vec::new();
         let mut found = Vec::new();
@@ -83,7 +83,7 @@ impl Assembly<'_> {
                         continue;
                     }
                     known_plans.push(&stream.topic);
-                    let why = "it holds several poses at once: a plan, and no goal".to_owned();
+                    let why = "each message contains several poses: a plan, not a goal".to_owned();
                     self.owner(stream).map(|arm| (arm, Err(why)))
                 }
                 Some(Columns::Poses(_)) => {
@@ -104,7 +104,7 @@ impl Assembly<'_> {
         found
     }
 
-    /// The rows that are looked at.
+    /// The rows that are compared.
     fn looked_at(&self, index: usize) -> Rows {
         let mut rows = self.timing.clocks.rows(&self.streams, index, 0);
         if rows.len() > MANY {
@@ -118,17 +118,17 @@ impl Assembly<'_> {
     fn commanded_poses(&self, index: usize, owner: usize) -> Result<ReferenceContent, String> {
         let stream = &self.streams[index];
         let Some(Columns::Poses(columns)) = &stream.columns else {
-            return Err("it holds no poses".to_owned());
+            return Err("it has no poses".to_owned());
         };
         let [columns] = columns.as_slice() else {
-            return Err("it holds several poses".to_owned());
+            return Err("each message contains several poses".to_owned());
         };
         let rows = self.looked_at(index);
         let track = poses::from_poses(columns, &rows, None, self.origin)?.track;
         self.in_base(&self.arms[owner], stream, track)
     }
 
-    /// Poses of `stream` as those of the arm's tip in its base.
+    /// Transforms the poses of `stream` to poses of the arm's tip in its base.
     fn in_base(
         &self,
         arm: &Arm,
@@ -140,12 +140,12 @@ impl Assembly<'_> {
         }
         let frame = &stream.frame_id;
         let (place, anchor) = arm.place(frame);
-        // What moves an arm's base, as a waist, moves the frames on it.
+        // A joint before the base, such as a waist, also moves the frames on the base.
         let is_of_base =
             |anchor: Anchor| arm.robot.fixed_transform(arm.base, anchor.link).is_some();
         let (link, link_from_frame) = match (place, anchor) {
             (Place::MovingLink, anchor) if !anchor.is_some_and(is_of_base) => {
-                return Err(format!("it is in '{frame}', which the arm itself moves"));
+                return Err(format!("its frame '{frame}' is moved by the arm itself"));
             }
             (Place::Unnamed, _) => (arm.unnamed_base, Pose::identity()),
             (_, Some(anchor)) => (anchor.link, anchor.link_from_frame),
@@ -154,14 +154,17 @@ impl Assembly<'_> {
             }
         };
         let base_from_link = arm.robot.fixed_transform(arm.base, link).ok_or_else(|| {
-            format!("the arm's own joints lie between '{frame}' and '{}'", arm.frame_of(arm.base))
+            format!("joints of the arm lie between '{frame}' and '{}'", arm.frame_of(arm.base))
         })?;
         let child = &stream.child_frame_id;
         let (tip_from_child, child_named) = match arm.place(child) {
             (Place::MovingLink, Some(anchor)) => {
                 let tip_from_link = arm.robot.fixed_transform(arm.tip, anchor.link);
                 let tip_from_link = tip_from_link.ok_or_else(|| {
-                    format!("'{child}' moves against '{}', the arm's tip", arm.frame_of(arm.tip))
+                    format!(
+                        "'{child}' moves relative to '{}', the arm's tip",
+                        arm.frame_of(arm.tip)
+                    )
                 })?;
                 (tip_from_link * anchor.link_from_frame, true)
             }
@@ -178,7 +181,7 @@ impl Assembly<'_> {
         })
     }
 
-    /// Commands to joints that have names; of the arm that has most of them.
+    /// Commands to named joints, assigned to the arm with the most matching joints.
     fn commanded_joints(
         &self,
         index: usize,
@@ -205,7 +208,7 @@ impl Assembly<'_> {
         Some((arm, Ok(ReferenceContent::Joints { t_s, columns, q: q.collect() })))
     }
 
-    /// Commands as bare numbers: a matrix or a quaternion of a pose, or a number a joint.
+    /// Commands as unnamed numbers: a pose as matrix or quaternion, or one number per joint.
     fn commanded_numbers(
         &self,
         index: usize,
@@ -230,17 +233,20 @@ impl Assembly<'_> {
             }
             width => Err(match word {
                 Some(word) => {
-                    format!("{width} numbers a row, no joint positions by the word '{word}'")
+                    format!(
+                        "{width} numbers per row; not joint positions, because of the word '{word}' in \
+                        its name"
+                    )
                 }
                 None => {
-                    format!("{width} numbers a row, and the arm has {} joints", arm.chain.dof())
+                    format!("{width} numbers per row, but the arm has {} joints", arm.chain.dof())
                 }
             }),
         }
     }
 
-    /// Time and row of the commands, strictly increasing in time; of equal stamps the last, which is
-    /// what holds.
+    /// Time and row of the commands, strictly increasing in time. Of equal stamps, only the last command is
+    /// kept.
     fn command_rows(&self, index: usize) -> Vec<(f64, usize)> {
         let mut rows = self.looked_at(index);
         rows.sort();
@@ -249,7 +255,7 @@ impl Assembly<'_> {
     }
 }
 
-/// Whether a type holds several poses a message.
+/// Whether messages of the stream's type contain several poses.
 fn is_plan(stream: &Stream) -> bool {
     ["PoseArray", "PosesInFrame"].iter().any(|name| stream.type_name.ends_with(name))
 }

@@ -1,4 +1,4 @@
-//! The streams of poses and IMUs: whose they are, and between which links.
+//! Assigns pose and IMU streams to arms and determines their links.
 
 use crate::geometry::Pose;
 use crate::robot::LinkId;
@@ -23,39 +23,39 @@ use super::super::witness::{PoseNames, Witness, witness_of};
 use super::assembly::{Assembly, is_topic};
 use super::not_so;
 
-/// Between which links of an arm the poses of a stream are.
+/// The links of an arm between which a stream's poses are measured.
 pub(super) struct Site {
     pub frame: Place,
     pub child: Place,
     pub base: Anchor,
     pub tip: Anchor,
     pub tip_named: bool,
-    /// The frame in the base, where it moves there.
+    /// Poses of the frame in the base, if the frame moves there.
     pub carrier: Option<Vec<(Stamp, Pose)>>,
-    /// What of it needs saying.
+    /// Remarks for the stream's reason.
     pub said: String,
 }
 
-/// A stream as one of an arm.
+/// A stream as a pose source of an arm.
 struct Held {
     claim: Claimant,
     source: PoseSource,
 }
 
-/// Whether two poses are the same but for rounding.
+/// Whether two poses are equal up to rounding.
 fn is_same(a: &Pose, b: &Pose) -> bool {
     const ROUNDING: f64 = 1e-6;
     let apart = (a.translation.vector - b.translation.vector).norm();
     apart < ROUNDING && a.rotation.angle_to(&b.rotation) < ROUNDING
 }
 
-/// Why a stream of poses cannot be held against an arm.
+/// Why a pose stream cannot be compared with an arm.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum NoSource {
     /// No chain of known joints predicts it.
     #[error("{0}")]
     Kinematics(String),
-    /// Its samples are of no use.
+    /// It has no usable samples.
     #[error("{0}")]
     Samples(String),
 }
@@ -82,7 +82,7 @@ impl Assembly<'_> {
             reason += &format!("; {vendor}");
         }
         if unfit.is_some() {
-            reason += ", but it holds other numbers, which are read as they are";
+            reason += ", but its numbers do not match the declaration, which is ignored";
         }
         let is_wanted = matches!(role, Role::Pose | Role::Candidate { .. });
         let mut source = None;
@@ -114,7 +114,7 @@ impl Assembly<'_> {
                     return Err(not_so(declared, what.to_string()));
                 }
                 Err(why) => {
-                    // Between two links that move together nothing could be audited.
+                    // Poses between two links that do not move relative to each other cannot be audited.
                     let is_asked = known && site.frame != Place::MovingLink;
                     if let (true, NoSource::Kinematics(what)) = (is_asked, &why) {
                         unaudited = Some(WhyNot::NoKinematics { what: what.clone() });
@@ -126,7 +126,7 @@ impl Assembly<'_> {
             self.frozen.extend(frozen);
         } else if matches!(role, Role::Candidate { .. }) {
             role = beside_arm(&stream.topic);
-            reason += ", and there is no arm that it could follow";
+            reason += ", and there is no arm for it to follow";
         }
         let rivals: Vec<Held> = match &source {
             Some(_) => claimants.iter().skip(1).filter_map(|&arm| self.rival(index, arm)).collect(),
@@ -155,7 +155,7 @@ impl Assembly<'_> {
         Ok(())
     }
 
-    /// What another arm has to say for a stream being its own.
+    /// The stream as a pose source of another arm, if it may belong to that arm.
     fn rival(&self, index: usize, arm: usize) -> Option<Held> {
         let stream = &self.streams[index];
         let site = self.site(&self.arms[arm], stream);
@@ -176,7 +176,7 @@ impl Assembly<'_> {
         Held { claim: Claimant { arm, reference, link: of.frame_of(site.tip.link) }, source }
     }
 
-    /// What the caller says of the topic of a stream.
+    /// The caller's settings for the topic of a stream.
     fn said_of(&self, stream: &Stream) -> Option<&TopicSettings> {
         self.options.topics.iter().find(|said| said.is_of(&stream.topic))
     }
@@ -214,23 +214,23 @@ impl Assembly<'_> {
             is_declared,
         });
         match verdict {
-            // Many transforms start at the base: that alone says nothing.
+            // Many transforms start at the base, so the base frame alone is no evidence of a tool pose.
             (Role::Candidate { .. }, _) if self.is_transform(stream) => (
                 Role::Candidate { presumed: false },
-                format!("'{}' is no link of the robot", stream.child_frame_id),
+                format!("'{}' is not a link of the robot", stream.child_frame_id),
             ),
             verdict => verdict,
         }
     }
 
-    /// Whether a stream of poses is a transform of a TF topic.
+    /// Whether a pose stream is a transform of a TF topic.
     pub(super) fn is_transform(&self, stream: &Stream) -> bool {
         self.streams.iter().any(|other| other.role == Role::Tf && other.topic == stream.topic)
     }
 
-    /// The arms that a stream may belong to, by what of the following tells them apart, in this order: the
-    /// arm moves its child frame, words of its topic are the arm's, the arm has its frame, words of its
-    /// frames are the arm's. Where several are left only the motion can tell.
+    /// Candidate arms of a stream. Applies these criteria in order, each only if a candidate remains: the
+    /// arm moves the child frame, the topic name matches the arm, the arm has the frame, the frame names
+    /// match the arm. Motion must decide between several candidates.
     fn claimants(&self, stream: &Stream) -> Vec<usize> {
         let place = |arm: &Arm, frame: &str| arm.place(frame).0;
         let frames = [stream.frame_id.as_str(), stream.child_frame_id.as_str()];
@@ -253,17 +253,17 @@ impl Assembly<'_> {
         })
     }
 
-    /// The first arm that a stream may belong to.
+    /// The first candidate arm of a stream.
     pub(super) fn owner(&self, stream: &Stream) -> Option<usize> {
         self.claimants(stream).first().copied()
     }
 
-    /// Between which links of `arm` a stream's poses are.
+    /// Determines the links of `arm` between which a stream's poses are measured.
     pub(super) fn site(&self, arm: &Arm, stream: &Stream) -> Site {
         let (mut frame, mut frame_anchor) = arm.place(&stream.frame_id);
         let (child, child_anchor) = arm.place(&stream.child_frame_id);
         let still = |link: LinkId| Anchor { link, link_from_frame: Pose::identity() };
-        // The caller's tip stands before a stream's own child frame, but a transform is of its child.
+        // The caller's tip overrides a stream's child frame, except in a transform.
         let names_tip = child == Place::MovingLink && (!arm.tip_named || self.is_transform(stream));
         let child_tip = child_anchor.filter(|_| names_tip);
         let tip = child_tip.unwrap_or(still(arm.tip));
@@ -276,7 +276,7 @@ impl Assembly<'_> {
         let stands =
             stands.filter(|first| carrier.iter().flatten().all(|(_, pose)| is_same(first, pose)));
         if let Some(base_from_frame) = stands {
-            // Transforms over time that never change are as good as static ones.
+            // Dynamic transforms that never change are equivalent to static ones.
             let anchor = Anchor { link: arm.base, link_from_frame: base_from_frame };
             (frame, frame_anchor, carrier) = (Place::Tied, Some(anchor), None);
         } else if carrier.is_some() {
@@ -312,13 +312,13 @@ impl Assembly<'_> {
         }
         if child == Place::MovingLink && child_anchor.is_some_and(|anchor| anchor.link != tip.link)
         {
-            said += &format!("; audited as '{}', which the caller named", arm.chain.tip_name());
+            said += &format!("; audited as '{}', as set by the caller", arm.chain.tip_name());
         }
         let tip_named = arm.tip_named || child == Place::MovingLink;
         Site { frame, child, base, tip, tip_named, carrier, said }
     }
 
-    /// The poses of a stream with the chain that predicts them, or why there are none.
+    /// The poses of a stream and the chain that predicts them.
     pub(super) fn pose_source(
         &self,
         index: usize,
@@ -331,7 +331,7 @@ impl Assembly<'_> {
             arm.chain_between(site.base.link, site.tip.link).ok_or_else(|| {
                 let [base, tip] = [site.base.link, site.tip.link].map(|link| arm.frame_of(link));
                 NoSource::Kinematics(format!(
-                    "no joint in the joint states moves '{tip}' against '{base}'"
+                    "no joint in the joint states moves '{tip}' relative to '{base}'"
                 ))
             })?;
         let mut rows = self.timing.seen_rows(&self.streams, index, 0, 0.0);
@@ -339,15 +339,15 @@ impl Assembly<'_> {
         let mut logged = match &self.streams[index].columns {
             Some(Columns::Poses(poses)) => {
                 let [poses] = poses.as_slice() else {
-                    return Err("it holds several poses".to_owned().into());
+                    return Err("each message contains several poses".to_owned().into());
                 };
                 poses::from_poses(poses, &rows, declared, self.origin)?
             }
             Some(Columns::Array(array)) => poses::from_array(array, &rows, declared, self.origin)?,
-            _ => return Err("it holds no poses".to_owned().into()),
+            _ => return Err("it has no poses".to_owned().into()),
         };
         if site.frame == Place::Tool && !logged.track.changes() {
-            return Err("it never changes, as a tool's offset in its own frame".to_owned().into());
+            return Err("it never changes, like a tool offset in its own frame".to_owned().into());
         }
         let how = (known, self.options.max_latency_s);
         *frozen = take_frozen(index, &mut logged, &arm.joints, &columns, how);
@@ -371,7 +371,7 @@ impl Assembly<'_> {
         });
         let track = carrier.as_ref().map_or(track, |carrier| carrier.taken(0.0));
         if track.t_s.len() < 2 {
-            let what = "the transforms of its frame are not of its time".to_owned();
+            let what = "the transforms of its frame do not cover its time range".to_owned();
             return Err(NoSource::Kinematics(what));
         }
         Ok(PoseSource {
@@ -387,8 +387,8 @@ impl Assembly<'_> {
         })
     }
 
-    /// A frame that moves against an arm's base, in that base: by transforms that no known joint makes, of
-    /// which one at least is over time.
+    /// Poses of a moving frame in the arm's base, from transforms that do not depend on known joints and of
+    /// which at least one is dynamic.
     fn carrier(&self, arm: &Arm, frame: &str) -> Option<Vec<(Stamp, Pose)>> {
         let is_free = |edge: &Edge| {
             let (parent, child) = arm.tree.names(edge);
@@ -402,9 +402,10 @@ impl Assembly<'_> {
         (samples.len() > 1).then_some(samples)
     }
 
-    /// The frame above an arm's base in which that turns, by transforms that no known joint makes.
+    /// The root frame relative to which the arm's base rotates, by transforms that do not depend on known
+    /// joints.
     fn turns_in<'t>(&self, arm: &'t Arm) -> Option<&'t str> {
-        /// A base that turns by less stands, rad.
+        /// Maximum rotation of a stationary base, rad.
         const STANDS_RAD: f64 = 0.02;
         let root = arm.tree.root_of(&arm.frame_of(arm.base));
         let samples = self.carrier(arm, root)?;
@@ -428,9 +429,11 @@ impl Assembly<'_> {
                 self.streams[index].reason = format!("inertial measurements; {reason}");
                 return;
             }
-            _ => {
-                (arm.tip, None, "no frame says what carries it: taken to be at the tip".to_owned())
-            }
+            _ => (
+                arm.tip,
+                None,
+                "its frame does not show where it is mounted; assumed at the tip".to_owned(),
+            ),
         };
         if let Some(joint) = arm.unlogged_above(carrier) {
             let reason = format!("'{joint}', which moves it, is not in the joint states");
@@ -438,11 +441,11 @@ impl Assembly<'_> {
             return;
         }
         if let Some(root) = self.turns_in(arm) {
-            let reason = format!("the arm's base turns in '{root}', and it with it");
+            let reason = format!("the arm's base rotates in '{root}' and carries it");
             self.streams[index].reason = format!("inertial measurements; {reason}");
             return;
         }
-        // Gravity and the world do not ride on a waist.
+        // Gravity and the world frame do not move with a waist.
         let root = arm.robot.root();
         let rides = arm.robot.fixed_transform(root, arm.base).is_none();
         let base =

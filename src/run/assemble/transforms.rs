@@ -1,4 +1,4 @@
-//! The transforms of a log: their tree, the arm's own among them, and those that are measured poses.
+//! Transforms of a log: the TF tree, the arm's own transforms, and transforms that are measured poses.
 
 use crate::geometry::{Pose, Vec3, pose, rotation_from_xyzw};
 use crate::robot::{JointKind, Robot};
@@ -18,8 +18,7 @@ use super::super::timing::Timing;
 use super::super::witness::Witness;
 use super::assembly::Assembly;
 
-/// The tree of the transforms of the log's TF topics, but for those of another arm than the one in
-/// `space`.
+/// Builds the tree of the log's TF topics, without topics of arms outside `space`.
 pub(super) fn tf_tree(streams: &[Stream], timing: &Timing, space: &Space) -> TfTree {
     let mut tree = TfTree::default();
     for (index, stream) in streams.iter().enumerate() {
@@ -43,7 +42,7 @@ pub(super) fn tf_tree(streams: &[Stream], timing: &Timing, space: &Space) -> TfT
     tree
 }
 
-/// The samples of a piece of a stream that are poses, strictly increasing in time.
+/// The valid poses of one transform of a stream, strictly increasing in time.
 fn samples_of(
     streams: &[Stream],
     timing: &Timing,
@@ -58,7 +57,7 @@ fn samples_of(
     samples.into_iter().unzip()
 }
 
-/// Adds what topics of odometry say of an arm's base to the tree, where no transform does.
+/// Adds the base poses of odometry topics to the tree if no transform provides them.
 pub(super) fn add_odometry(tree: &mut TfTree, streams: &[Stream], timing: &Timing, arms: &[Arm]) {
     for (index, stream) in streams.iter().enumerate() {
         let Some(Columns::Poses(poses)) = &stream.columns else { continue };
@@ -83,8 +82,8 @@ fn pose_at(poses: &PoseColumns, row: usize) -> Option<Pose> {
     Some(pose(poses.xyz[row], rotation_from_xyzw(poses.q_xyzw[row])?))
 }
 
-/// How far the transforms of the log are from the lengths of a robot's links, rms m; `None` where
-/// fewer than three of them stand for a turning joint.
+/// Rms difference between the logged transforms and the lengths of a robot's links, m. `None` if fewer than
+/// three transforms belong to rotary joints.
 pub(super) fn misfit_m(tf: &TfTree, robot: &Robot, frames: &FrameNames) -> Option<f64> {
     const ENOUGH: usize = 3;
     let turning = robot
@@ -103,7 +102,8 @@ pub(super) fn misfit_m(tf: &TfTree, robot: &Robot, frames: &FrameNames) -> Optio
 }
 
 impl Assembly<'_> {
-    /// The poses of `arm`'s tip by the log's transforms, and which of these the model had to give.
+    /// Poses of `arm`'s tip from the log's transforms, and the transforms that had to be taken from the
+    /// model.
     pub(super) fn follow_transforms(
         &self,
         arm: &Arm,
@@ -117,7 +117,7 @@ impl Assembly<'_> {
             let (parent, child) = arm.tree.names(edge);
             arm.joints_between(parent, child)
         };
-        // A transform across several joints, or of a frame that is no link, is a measured pose.
+        // A transform across several joints, or of a frame that is not a link, is a measured pose.
         let is_of_the_model = |edge: &Edge| {
             edge.kind != EdgeKind::Dynamic || crosses(edge).is_some_and(|joints| joints.len() < 2)
         };
@@ -168,7 +168,7 @@ impl Assembly<'_> {
         Ok((source, from_model.collect()))
     }
 
-    /// The TF stream that an edge of an arm's tree is on, and which of its transforms.
+    /// The TF stream that contains an edge of an arm's tree, and the index of its transform.
     fn piece_of(&self, arm: &Arm, edge: &Edge) -> Option<(usize, usize)> {
         let names = arm.tree.names(edge);
         let is_it = |poses: &PoseColumns| {
@@ -182,8 +182,8 @@ impl Assembly<'_> {
         })
     }
 
-    /// Lists as streams of their own the transforms over time that are measured poses: those across
-    /// several joints, and those of a child that is no link of an arm and carries none.
+    /// Adds dynamic transforms that are measured poses as separate streams: transforms across several
+    /// joints, and those whose child is neither a link of an arm nor carries one.
     pub(super) fn measured_transforms(&mut self) {
         for index in 0..self.streams.len() {
             let stream = &self.streams[index];
@@ -246,7 +246,8 @@ impl Assembly<'_> {
         if let Some(arm) = stream.arm.map(|arm| &self.arms[arm]) {
             stream.reference = Some(arm.frame_of(arm.base));
             stream.link = Some(arm.frame_of(arm.tip));
-            // Transforms of the model's joints: what is measured became a stream of its own.
+            // Transforms of the model's joints come from the controller; measured ones are already separate
+            // streams.
             stream.witness = Some(Witness::Controller);
         } else if let Some(Err(reason)) = self.arms.first().map(|arm| &arm.tf) {
             stream.reason = format!("{}; {reason}", stream.reason);
@@ -254,7 +255,7 @@ impl Assembly<'_> {
     }
 }
 
-/// Adds those fixed joints of the arm's robot to the tree whose child has no parent there.
+/// Adds fixed joints of the arm's robot to the tree if their child has no parent there.
 pub(super) fn add_fixed_joints(tf: &mut TfTree, arm: &Arm) {
     for joint in arm.robot.joints().iter().filter(|joint| joint.kind == JointKind::Fixed) {
         let [parent, child] = [joint.parent, joint.child].map(|link| arm.frame_of(link));
