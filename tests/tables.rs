@@ -184,7 +184,7 @@ fn positions_without_rotations_are_audited_as_such() {
     let millimetres = of(CLEAN, 1e-3, Some("ur5e"));
     let said: Vec<_> =
         millimetres.findings.iter().map(|it| (it.code, it.title.to_string())).collect();
-    assert_eq!(said, [("ORD001", "how bare numbers were read".to_owned())]);
+    assert_eq!(said, [("ORD001", "encoding of undeclared numbers was inferred".to_owned())]);
     assert_eq!(millimetres.verdict, Verdict::Pass);
     let late = of(Table { late_s: 0.06, ..CLEAN }, 1.0, Some("ur5e"));
     assert_eq!(causes(&late), ["LAT001"]);

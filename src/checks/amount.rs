@@ -1,5 +1,5 @@
-//! What LAT002 and ZER002 share: an amount that is estimated on every stream, and that is a fault
-//! only where the smallest explanation needs it.
+//! Shared by LAT002 and ZER002: a scalar estimated on every stream, which is a fault only if the selected
+//! model contains it.
 
 use crate::checks::decision::{Decision, Threshold, decide, unseen};
 use crate::checks::{Case, Judged, Rule};
@@ -7,30 +7,30 @@ use crate::diagnosis::{Measured, Seen};
 use crate::evidence::{ArmEvidence, Of};
 use crate::finding::{Estimate, Fault, Outcome, Severity};
 
-/// An amount, and how its rule words it.
+/// A scalar parameter and how its rule reports it.
 pub struct Amount {
     /// Name of the estimate.
     pub name: &'static str,
-    /// From where it matters.
+    /// Thresholds for a warning and an error.
     pub threshold: Threshold,
-    /// What would tell where it could not be had.
+    /// The motion or topic that would make it observable.
     pub settle: &'static str,
-    /// The fault.
+    /// Builds the fault.
     pub fault: fn(&ArmEvidence, &Of<Estimated<'_>>, &Measured, Severity) -> Fault,
 }
 
-/// What is known of an amount on one stream.
+/// The estimate of a parameter on one stream.
 pub struct Estimated<'a> {
-    /// The amount.
+    /// The estimate.
     pub estimate: &'a Seen<Measured>,
-    /// Whether the smallest explanation contains it.
+    /// Whether the selected model contains it.
     pub is_chosen: bool,
-    /// Why it cannot be believed here, where it cannot.
+    /// Why the estimate is not reliable on this stream, if it is not.
     pub doubt: Option<String>,
 }
 
 impl Amount {
-    /// Judges the amount on one stream of `arm` for `rule`.
+    /// Judges the parameter on one stream of `arm` for `rule`.
     pub fn judge(
         &self,
         rule: &Rule,
@@ -55,7 +55,7 @@ impl Amount {
             }
             (Decision::Fail(_), None) => {
                 let shown = self.threshold.unit.show_signed(found);
-                open(format!("{shown} would fit, but what is found explains the log without it"))
+                open(format!("{shown} would fit, but the reported causes already explain the log"))
             }
         };
         let estimate = Estimate::amount(self.name, self.threshold.unit, found);

@@ -1,31 +1,30 @@
-//! Whether logs carry a calibration of an arm.
+//! Decides whether the logs contain enough information to calibrate an arm.
 
 use crate::diagnosis::{ArmCalibration, StreamCalibration};
 use crate::robot::{JointKind, Robot};
 
-/// A calibration is worth a file where FK is known so many times better by it than by the drawing …
+/// Minimum ratio of the expected FK error before calibration to the error after it.
 const WORTH: f64 = 2.0;
-/// … and what it foretells of poses that it has not seen leaves less than this share of what the
-/// drawing does, …
+/// Maximum ratio of the cross-validated residual after calibration to the residual before it.
 const FORETELLS: f64 = 0.9;
-/// … unless there is no more than the noise to foretell.
+/// Residuals up to this multiple of the noise need no improvement.
 const NOISE: f64 = 1.1;
-/// A joint that moves through less than this tells little of the links beside it, rad and m.
+/// A joint that moves less than this says little about its neighbouring links, rad and m.
 const LITTLE_RAD: f64 = 60.0 * std::f64::consts::PI / 180.0;
 const LITTLE_M: f64 = 0.1;
 
-/// A joint whose motion shows little.
+/// A joint that moved too little for calibration.
 #[derive(Clone, Debug)]
 pub struct Still {
-    /// Its name.
+    /// Name of the joint.
     pub joint: String,
-    /// How far it moved, rad or m.
+    /// Range of motion, rad or m.
     pub moved: f64,
-    /// Whether it slides.
+    /// Whether the joint is prismatic.
     pub slides: bool,
 }
 
-/// The joints that no stream saw move far.
+/// Joints that move too little in every stream.
 pub(crate) fn still(robot: &Robot, joints: &[String], found: &ArmCalibration) -> Vec<Still> {
     let of = |(at, joint): (usize, &String)| {
         let moved = found
@@ -40,7 +39,7 @@ pub(crate) fn still(robot: &Robot, joints: &[String], found: &ArmCalibration) ->
     joints.iter().enumerate().filter_map(of).collect()
 }
 
-/// Why the logs carry no calibration, where they do not.
+/// Reason for rejecting the calibration; `None` if it is accepted.
 pub(crate) fn refusal(found: &ArmCalibration, still: &[Still]) -> Option<String> {
     let (known, drawing) = (found.expected.m, found.drawing.m);
     if known.is_nan() || drawing == 0.0 || known * WORTH > drawing {
@@ -52,7 +51,7 @@ pub(crate) fn refusal(found: &ArmCalibration, still: &[Still]) -> Option<String>
             }
         };
         return Some(format!(
-            "over the workspace FK would be known to {:.3} mm rms, to no more than {:.3} mm by the drawing{moved}",
+            "expected FK error over the workspace: {:.3} mm rms calibrated, {:.3} mm nominal{moved}",
             1e3 * known,
             1e3 * drawing
         ));
@@ -60,12 +59,13 @@ pub(crate) fn refusal(found: &ArmCalibration, still: &[Still]) -> Option<String>
     found.streams.iter().find_map(gains_nothing)
 }
 
-/// Why a stream speaks against the calibration, if it does: it is described no better than by the drawing.
+/// Reason why a stream contradicts the calibration; `None` if the calibration fits it better than the
+/// nominal model.
 pub(crate) fn gains_nothing(stream: &StreamCalibration) -> Option<String> {
     let noise_m = NOISE * 3f64.sqrt() * stream.noise[0];
     if stream.after.m > stream.before.m.max(noise_m) {
         return Some(format!(
-            "the calibrated links leave more than the drawing: {:.3} mm rms, {:.3} mm by the drawing",
+            "calibrated residual of {:.3} mm rms exceeds the nominal residual of {:.3} mm",
             1e3 * stream.after.m,
             1e3 * stream.before.m
         ));
@@ -73,8 +73,7 @@ pub(crate) fn gains_nothing(stream: &StreamCalibration) -> Option<String> {
     let (before, after) = (stream.held_out_before.m, stream.held_out_after.m);
     (after > FORETELLS * before && before > noise_m).then(|| {
         format!(
-            "of stretches that it has not seen it foretells no more than the drawing: {:.3} mm rms are \
-             left, {:.3} mm by the drawing",
+            "cross-validated residual of {:.3} mm rms does not improve on the nominal residual of {:.3} mm",
             1e3 * after,
             1e3 * before
         )
@@ -87,8 +86,8 @@ mod tests {
     use crate::diagnosis::LeftOver;
     use crate::robot::catalogue;
 
-    /// A calibration by which FK is known to `expected_m`, by the drawing to 1 mm, and that leaves what is
-    /// said, m: by the drawing and by itself, and likewise of what it has not seen.
+    /// A calibration with an expected FK error of `expected_m` (1 mm for the nominal model), and the
+    /// residuals in metres: nominal and calibrated, on the training data and on held-out segments.
     fn found(
         expected_m: f64,
         [before, after]: [f64; 2],
@@ -130,13 +129,13 @@ mod tests {
     fn a_calibration_is_refused_that_knows_or_foretells_no_more_than_the_drawing() {
         let good = found(1e-5, [1e-3, 2e-5], [1e-3, 2e-5]);
         assert_eq!(refusal(&good, &[]), None);
-        // The drawing leaves nothing but noise.
+        // The nominal model already fits to within the noise.
         assert_eq!(refusal(&found(1e-5, [1.8e-5, 1.7e-5], [1.8e-5, 1.9e-5]), &[]), None);
         for (bad, why) in [
-            (found(7e-4, [1e-3, 2e-5], [1e-3, 2e-5]), "would be known to 0.700 mm"),
-            (found(f64::NAN, [1e-3, 2e-5], [1e-3, 2e-5]), "would be known"),
-            (found(1e-5, [1e-3, 2e-5], [1e-3, 9.5e-4]), "has not seen"),
-            (found(1e-5, [1e-3, 2e-3], [1e-3, 2e-5]), "leave more than the drawing"),
+            (found(7e-4, [1e-3, 2e-5], [1e-3, 2e-5]), "0.700 mm rms calibrated"),
+            (found(f64::NAN, [1e-3, 2e-5], [1e-3, 2e-5]), "rms calibrated"),
+            (found(1e-5, [1e-3, 2e-5], [1e-3, 9.5e-4]), "cross-validated residual"),
+            (found(1e-5, [1e-3, 2e-3], [1e-3, 2e-5]), "exceeds the nominal residual"),
         ] {
             let refused = refusal(&bad, &[]).unwrap_or_default();
             assert!(refused.contains(why), "{refused}");

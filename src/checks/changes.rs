@@ -1,5 +1,4 @@
-//! Amounts that change in mid-run: each is a finding of the rule whose amount it is, with what it was,
-//! what it became, and when.
+//! Findings for parameters that change during the run, with the values before and after and the time.
 
 use serde_json::{Value, json};
 
@@ -15,18 +14,18 @@ use crate::finding::{
 use crate::geometry::Pose;
 use crate::time::Stamp;
 
-/// What is the same of every change, whatever changes.
+/// Description of a change, common to all parameters.
 struct Told {
     /// `at +14.00 s`.
     at: String,
     from: String,
     to: String,
     by: String,
-    /// Of the amount itself, such as "tool frame".
+    /// Name of the parameter, such as "tool frame".
     name: &'static str,
     title: &'static str,
     effect_m: f64,
-    /// Every change of this amount.
+    /// All changes of this parameter.
     all: Vec<Value>,
 }
 
@@ -35,7 +34,7 @@ impl Told {
         let Self { at, from, to, by, name, title, effect_m, all } = self;
         let often = match all.len() {
             1 => String::new(),
-            times => format!(", and {times} times in all"),
+            times => format!("({times} changes in total)"),
         };
         Fault {
             severity,
@@ -48,16 +47,14 @@ impl Told {
                 more: std::iter::once(("changes".to_owned(), all.into())).collect(),
                 ..Evidence::default()
             },
-            fix: format!(
-                "look at what happened {at}, and use the {name} of each part for that part alone"
-            ),
+            fix: format!("check what happened {at}; use a separate {name} for each segment"),
         }
     }
 }
 
-/// An amount in words that is known as well as the change of it; `None` of one within the noise.
+/// Formats a value with the interval of its change; `None` if it is within the noise.
 fn beyond(unit: Unit, value: f64, by: &Measured) -> Option<String> {
-    /// Below this a change is not to be told from none, in standard errors.
+    /// Minimum ratio of the value to the standard error of its change.
     const NOISE: f64 = 4.0;
     let is_there = value.abs() > (NOISE * by.std_error).max(2.0 * unit.noise_floor());
     is_there.then(|| unit.show_measured(&Measured { value, ..*by }))
@@ -69,7 +66,7 @@ fn moments<V, S>(case: &Case, change: &Change<V, S>) -> (Stamp, [Stamp; 2]) {
     (at(0.0), [at(-change.within_s), at(change.within_s)])
 }
 
-/// What is to be said of a frame of a stream that changes; `None` of one that does not.
+/// Outcome for a frame of a stream that changes during the run; `None` if it is constant.
 pub fn frame(
     case: &Case,
     arm: &ArmEvidence,
@@ -112,8 +109,8 @@ pub fn frame(
         by: show(&change.by),
         name,
         title: match name {
-            "tool frame" => "tool frame changes in mid-run",
-            _ => "reference frame changes in mid-run",
+            "tool frame" => "tool frame changes mid-run",
+            _ => "reference frame changes mid-run",
         },
         effect_m: effect_m(change),
         all: changes.iter().map(listed).collect(),
@@ -122,7 +119,7 @@ pub fn frame(
     Some((outcome(decision, told), estimate))
 }
 
-/// What is to be said of a joint's amount that changes.
+/// Outcome for a scalar parameter that changes during the run.
 pub fn amount(
     case: &Case,
     name: &'static str,
@@ -155,14 +152,14 @@ pub fn amount(
 fn outcome(decision: Decision, told: Told) -> Outcome {
     match decision {
         Decision::Fail(severity) => Outcome::faulty(told.fault(severity)),
-        Decision::Pass => Outcome::sound_because(format!("it changes by {} {}", told.by, told.at)),
+        Decision::Pass => Outcome::sound_because(format!("changes by {} {}", told.by, told.at)),
         Decision::Undecided(why) => {
-            Outcome::Inconclusive(format!("it changes by {} {}; {why}", told.by, told.at))
+            Outcome::Inconclusive(format!("changes by {} {}; {why}", told.by, told.at))
         }
     }
 }
 
-/// A finding on how a stream's numbers are coded, told of the part of the run in which they are.
+/// Limits a finding about a stream's encoding to the part of the run in which that encoding occurs.
 pub fn of_part(case: &Case, mut judged: Judged) -> Judged {
     let coded_s = |subject: &Subject, cause: &Cause| {
         let mut streams = case.evidence.poses_and_tf();
@@ -191,10 +188,10 @@ pub fn of_part(case: &Case, mut judged: Judged) -> Judged {
         }
         (None, None) => return judged,
     };
-    fault.title = "the coding of its numbers changes in mid-run";
+    fault.title = "the encoding of the numbers changes mid-run";
     fault.cause = Cause::Changes;
     fault.message = format!("{when}: {}", fault.message);
-    fault.fix = format!("{}, for what was written {when}", fault.fix);
+    fault.fix = format!("{}, for the samples {when}", fault.fix);
     let changes: Vec<Value> =
         [from, to].into_iter().flatten().map(|at| at.to_string().into()).collect();
     let span = judged

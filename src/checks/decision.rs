@@ -1,30 +1,30 @@
-//! The one place where a number meets a threshold.
+//! Compares estimates with thresholds; no other module does.
 
 use crate::diagnosis::{FrameEstimate, Length, Measured, Unseen};
 use crate::finding::{Fault, Outcome, Severity, Unit, rounded};
 
-/// Confidence of the interval that must exclude zero before a rule fails.
+/// Confidence level of the interval that must exclude zero for a rule to fail.
 const FAIL_CONFIDENCE: f64 = 0.999;
 
-/// Confidence of the interval that must be narrow before a rule passes, and that reports show.
+/// Confidence level of the interval that reports show, and that must be narrow for a rule to pass.
 const PASS_CONFIDENCE: f64 = 0.95;
 
 /// One degree, in rad.
 pub const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
-/// The amounts from which a rule speaks up.
+/// Thresholds of a quantity for a warning and an error.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Threshold {
-    /// Their unit, in SI.
+    /// SI unit of the thresholds.
     pub unit: Unit,
-    /// A warning from here.
+    /// Smallest value that is a warning.
     pub warning: f64,
-    /// An error from here.
+    /// Smallest value that is an error.
     pub error: f64,
 }
 
 impl Threshold {
-    /// The severity of an amount of this size, `None` below the first threshold.
+    /// Severity of a value of this size; `None` below the warning threshold.
     pub fn severity(&self, size: f64) -> Option<Severity> {
         if size >= self.error {
             Some(Severity::Error)
@@ -36,22 +36,22 @@ impl Threshold {
     }
 }
 
-/// What the decision rule makes of an amount.
+/// Decision on an estimate.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Decision {
-    /// At or beyond the threshold, and surely not zero.
+    /// At or above the threshold, and significantly different from zero.
     Fail(Severity),
-    /// Below the threshold, and known well enough to say so.
+    /// Below the threshold, with a sufficiently narrow interval.
     Pass,
-    /// Neither; how well it is known against what is needed.
+    /// Neither, with the reason: the actual and the required uncertainty.
     Undecided(String),
 }
 
-/// Decides on one amount in a run of `subjects` subjects (Bonferroni's correction).
+/// Decides on an estimate in a run with `subjects` subjects (Bonferroni correction).
 ///
-/// Fails where |value| reaches the threshold and the interval at 99.9 % excludes zero; passes where it
-/// does not reach it and the half-width of the 95 % interval is within the threshold. The noise floor
-/// holds before either.
+/// Fails if |value| reaches the threshold and the 99.9 % interval excludes zero. Passes if |value| is below
+/// the threshold and the half-width of the 95 % interval is at most the threshold. Intervals are never
+/// narrower than the unit's noise floor.
 pub fn decide(measured: &Measured, threshold: &Threshold, subjects: usize) -> Decision {
     let size = measured.value.abs();
     let confidence = 1.0 - (1.0 - FAIL_CONFIDENCE) / subjects.max(1) as f64;
@@ -65,8 +65,8 @@ pub fn decide(measured: &Measured, threshold: &Threshold, subjects: usize) -> De
     }
 }
 
-/// Decides on the length of a vector: it fails where the vector's components together are surely not
-/// zero and the length's 95 % interval agrees.
+/// Decides on the length of a vector. Fails if the components are jointly significant and the 95 % interval
+/// of the length excludes zero.
 pub fn decide_length(length: &Length, threshold: &Threshold, subjects: usize) -> Decision {
     let norm = &length.norm;
     let chance = (1.0 - FAIL_CONFIDENCE) / subjects.max(1) as f64;
@@ -80,8 +80,8 @@ pub fn decide_length(length: &Length, threshold: &Threshold, subjects: usize) ->
 }
 
 impl Decision {
-    /// The outcome of a rule that this decides: its fault where it fails, and what would settle it
-    /// where it is open.
+    /// Converts the decision to an outcome. `fault` builds the fault; `settle` names the motion or topic
+    /// that would resolve an undecided case.
     pub fn into_outcome(self, settle: &str, fault: impl FnOnce(Severity) -> Fault) -> Outcome {
         match self {
             Decision::Pass => Outcome::sound(),
@@ -91,8 +91,8 @@ impl Decision {
     }
 }
 
-/// Decides on a frame error: one of its two norms reaches its threshold and the six numbers together
-/// are surely not zero, or both are below and known well enough.
+/// Decides on a frame error. Fails if one of the two norms reaches its threshold and the six components are
+/// jointly significant. Passes if both norms are below and known well enough.
 pub fn decide_frame(
     frame: &FrameEstimate,
     thresholds: &FrameThresholds,
@@ -109,7 +109,7 @@ pub fn decide_frame(
     }
 }
 
-/// The thresholds of a rule on frames: any one of them.
+/// Thresholds of a rule on frames; reaching either of them is a fault.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FrameThresholds {
     /// For the translation.
@@ -118,7 +118,7 @@ pub struct FrameThresholds {
     pub angle: Threshold,
 }
 
-/// Decides on a length and an angle that must both be in order.
+/// Decides on a length and an angle; both must pass.
 pub fn decide_both(
     length: &Measured,
     angle: &Measured,
@@ -146,37 +146,38 @@ fn unsettled(measured: &Measured, threshold: &Threshold) -> String {
     format!("{} is not significantly different from zero", unit.show_measured(measured))
 }
 
-/// The outcome where there is no estimate. `settle` names the motion or topic that would tell.
+/// Outcome for a quantity that has no estimate. `settle` names the motion or topic that would make it
+/// observable.
 pub fn unseen(unseen: &Unseen, settle: &str) -> Outcome {
     let why = match unseen {
         Unseen::TooFewSamples { have, need } => {
             format!("only {have} samples overlap the joint states, {need} are needed")
         }
-        Unseen::NoOverlap => "it shares no time with the joint states".to_owned(),
-        Unseen::AtRest => "the arm hardly moves".to_owned(),
+        Unseen::NoOverlap => "no overlap in time with the joint states".to_owned(),
+        Unseen::AtRest => "the arm barely moves".to_owned(),
         Unseen::NeverRests => "the arm never rests".to_owned(),
         Unseen::Periodic(lags) => {
             let lags: Vec<String> = lags.iter().map(|&lag| Unit::Second.show(lag)).collect();
-            format!("the motion repeats itself, so that several lags fit ({})", lags.join(", "))
+            format!("the motion is periodic, so several lags fit ({})", lags.join(", "))
         }
         Unseen::DoesNotFollow(peak) => {
-            format!("it does not follow the arm (correlation {} at best)", rounded(*peak, 2))
+            format!("does not follow the arm (peak correlation {})", rounded(*peak, 2))
         }
         Unseen::LittleRotation(span) => {
-            format!("its orientation spans {} only", Unit::Radian.show(*span))
+            format!("its orientation spans only {}", Unit::Radian.show(*span))
         }
         Unseen::NotExcited => "not observable in this motion".to_owned(),
-        Unseen::NoGyro => return Outcome::Skipped("it carries no angular velocity".to_owned()),
-        Unseen::NoOrientation => return Outcome::Skipped("it carries no orientation".to_owned()),
+        Unseen::NoGyro => return Outcome::Skipped("it has no angular velocity".to_owned()),
+        Unseen::NoOrientation => return Outcome::Skipped("it has no orientation".to_owned()),
         Unseen::OrientationNotSet => {
             return Outcome::Inconclusive(
-                "its orientation was never set: it stays as it is while the arm turns; fill it where \
-                 the pose is written"
+                "its orientation was never set: it stays constant while the arm turns; set it where the pose \
+                 is written"
                     .to_owned(),
             );
         }
         Unseen::NoFrame => {
-            return Outcome::Skipped("the log has no frame of the IMU on the arm".to_owned());
+            return Outcome::Skipped("no transform from the arm to the IMU in the log".to_owned());
         }
         Unseen::NominalKinematics => {
             return Outcome::Inconclusive(
@@ -186,7 +187,7 @@ pub fn unseen(unseen: &Unseen, settle: &str) -> Outcome {
             );
         }
         Unseen::RestsOn(what) => {
-            format!("blocked: {what} must be known first, and this log does not determine that")
+            format!("blocked: {what} must be known first, and this log does not determine it")
         }
     };
     Outcome::Inconclusive(format!("{why}; {settle}"))

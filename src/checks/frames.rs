@@ -1,4 +1,4 @@
-//! What FRM002 and FRM003 share: each judges one constant frame of every pose stream.
+//! Shared by FRM002 and FRM003: each judges one constant frame of every pose stream.
 
 use serde_json::{Value, json};
 
@@ -10,32 +10,32 @@ use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Alternative, Estimate, Fault, Outcome, Severity, Subject, Unit, rounded};
 use crate::geometry::{Pose, rotvec_from_rotation, xyz_of, xyzw_from_rotation};
 
-/// The thresholds of every rule on frames.
+/// Thresholds of the rules on frames.
 pub const THRESHOLDS: FrameThresholds = FrameThresholds {
     length: Threshold { unit: Unit::Metre, warning: 1e-3, error: 5e-3 },
     angle: Threshold { unit: Unit::Radian, warning: 0.1 * DEGREE, error: 0.5 * DEGREE },
 };
 
-/// What would tell where a frame could not be had.
+/// Motion that makes the frames observable.
 const SETTLE: &str = "turn the wrist through 60° about two axes, at several places";
 
-/// One end of a stream's transform, and how its rule words an offset of it.
+/// One end of a stream's transform, and how its rule reports an offset there.
 pub struct End {
     /// The rule.
     pub rule: &'static Rule,
     /// Name of the estimate.
     pub name: &'static str,
-    /// Its estimate.
+    /// Its estimate in a diagnosis.
     pub estimate: fn(&PoseDiagnosis) -> &Seen<FrameEstimate>,
-    /// The frame.
+    /// Name of the frame.
     pub frame: fn(&Of<PoseEvidence>) -> &str,
-    /// Why the offset of this stream is none to judge, where it is none.
+    /// Reason why the offset of this stream is not judged, if it is not.
     pub not_judged: fn(&Of<PoseEvidence>) -> Option<String>,
-    /// Its changes in mid-run.
+    /// Changes during the run.
     pub changes: fn(&PoseDiagnosis) -> &[FrameChange],
-    /// The twin that it is to joint offsets, if it is one.
+    /// Whether a joint offset's confounder is this end of the stream with this index.
     pub is_twin: fn(&Twin, usize) -> bool,
-    /// The fault.
+    /// Builds the fault.
     pub fault: fn(&ArmEvidence, &Of<PoseEvidence>, &FrameEstimate, Severity) -> Fault,
 }
 
@@ -109,7 +109,7 @@ fn named_instead(arm: &ArmEvidence, cause: &Alternative) -> Outcome {
     }
     let (code, joint) = (cause.code, cause.subject.label());
     Outcome::Indistinguishable(format!(
-        "indistinguishable from {code} on {joint}, which is named instead"
+        "indistinguishable from {code} on {joint}, which is reported instead"
     ))
 }
 
@@ -117,13 +117,13 @@ fn undecided(decision: &Decision, frame: &FrameEstimate) -> String {
     match decision {
         Decision::Undecided(why) => format!("{why}; {SETTLE}"),
         _ => format!(
-            "{} would fit, but what is found explains the log without it; {SETTLE}",
+            "{} would fit, but the reported causes already explain the log; {SETTLE}",
             show(frame)
         ),
     }
 }
 
-/// The joint offsets that do the same as this end of stream `index`.
+/// Joint offsets that are confounded with this end of stream `index`.
 fn twins<'a>(arm: &'a ArmEvidence, end: &End, index: usize) -> Vec<(&'a JointOffset, Alternative)> {
     let offsets = arm.diagnosis.offsets.iter().enumerate();
     let same =
@@ -131,13 +131,13 @@ fn twins<'a>(arm: &'a ArmEvidence, end: &End, index: usize) -> Vec<(&'a JointOff
     same.map(|(joint, offset)| (offset, zero_cause(arm, joint))).collect()
 }
 
-/// The two norms of a frame error with their intervals.
+/// Formats both norms of a frame error with their intervals.
 pub fn show(frame: &FrameEstimate) -> String {
     let length = Unit::Metre.show_measured(&frame.translation_m);
     format!("{length} and {}", Unit::Radian.show_measured(&frame.rotation_rad))
 }
 
-/// A pose in words: `xyz (0, 0, 0.14) m, rotation vector (0, 0, 180)°`.
+/// Formats a pose: `xyz (0, 0, 0.14) m, rotation vector (0, 0, 180)°`.
 pub fn show_pose(pose: &Pose) -> String {
     let list = |numbers: [f64; 3], decimals: usize| {
         numbers.map(|number| rounded(number, decimals)).join(", ")
@@ -146,7 +146,7 @@ pub fn show_pose(pose: &Pose) -> String {
     format!("xyz ({}) m, rotation vector ({})°", list(xyz_of(pose), 4), list(degrees, 2))
 }
 
-/// A pose as reports have it.
+/// A pose as JSON, as in reports.
 pub fn pose_json(pose: &Pose) -> Value {
     json!({ "xyz": xyz_of(pose), "quaternion_xyzw": xyzw_from_rotation(&pose.rotation) })
 }

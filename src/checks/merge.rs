@@ -1,22 +1,23 @@
-//! What the rules made of several segments of one run, as one.
+//! Merges the evaluations of several segments of one run.
 
 use serde_json::{Value, json};
 
 use super::{Evaluation, rank};
 use crate::finding::{CheckRow, Status};
 
-/// What the rules made of one segment.
+/// Evaluation of one segment.
 #[derive(Clone, Debug)]
 pub struct Part {
-    /// What they made of it.
+    /// The evaluation.
     pub evaluation: Evaluation,
-    /// Whether it is too short for what it leaves open to count.
+    /// Whether the segment is so short that its inconclusive checks are ignored.
     pub is_short: bool,
 }
 
-/// The evaluations of the segments of a run, in their order: each rule's gravest answer on each
-/// subject, and all findings, each of which says its segment. What the files are, is told once, and
-/// what cannot be shown is told of the segment `main`.
+/// Merges the evaluations of a run's segments, given in order of time.
+///
+/// Keeps the most severe status per rule and subject, and all findings with their segment number. Findings
+/// about files are kept once, and observability is that of segment `main`.
 pub fn merged(parts: Vec<Part>, main: usize) -> Evaluation {
     let count = parts.len();
     let mut whole = Evaluation::default();
@@ -66,13 +67,13 @@ pub fn merged(parts: Vec<Part>, main: usize) -> Evaluation {
     whole
 }
 
-/// Whether a rule is about the files, whatever their segments.
+/// Whether a rule judges the files, independently of segments.
 fn is_of_files(code: &str) -> bool {
     code.starts_with("ING") || code.starts_with("META")
 }
 
-/// Which of two answers on one subject stands: what a short segment leaves open does not undo what
-/// another decided.
+/// Rank of a row among those of one rule and subject; the highest is kept. An inconclusive row of a short
+/// segment ranks below a pass.
 fn gravity(row: &CheckRow, is_short: bool) -> u8 {
     match row.status {
         Status::Fail => 4,
@@ -83,7 +84,8 @@ fn gravity(row: &CheckRow, is_short: bool) -> u8 {
     }
 }
 
-/// Drops what short segments alone leave open of a whole arm where the rule was asked in others, too.
+/// Drops whole-arm rows that only short segments leave inconclusive, if the rule was decided in another
+/// segment.
 fn drop_short(rows: &mut Vec<CheckRow>, ranks: &[u8]) {
     let told: Vec<&str> =
         rows.iter().zip(ranks).filter(|(_, rank)| **rank > 1).map(|(row, _)| row.code).collect();
@@ -95,7 +97,7 @@ fn drop_short(rows: &mut Vec<CheckRow>, ranks: &[u8]) {
     });
 }
 
-/// Drops what a rule says of no subject where in another segment it had some.
+/// Drops the skipped row without a subject if the rule had a subject in another segment.
 fn leave_unasked_to_others(rows: &mut Vec<CheckRow>) {
     let asked: Vec<&str> =
         rows.iter().filter(|row| row.status != Status::Skipped).map(|row| row.code).collect();

@@ -1,8 +1,8 @@
-//! The rules: one file each, and the registry of them.
+//! The rules, one file each, and their registry.
 //!
-//! A rule turns numbers from `diagnosis` into verdicts and words. Its documentation, code, name,
-//! thresholds and logic stand together in its file; everything that lists or explains rules reads the
-//! [`registry`]. Nothing here estimates anything or reads files.
+//! A rule turns estimates from `diagnosis` into verdicts and messages. Its documentation, code, name,
+//! thresholds and logic are in its file; everything that lists or explains rules reads the [`registry`].
+//! Nothing here estimates anything or reads files.
 
 mod amount;
 mod calibration;
@@ -46,7 +46,7 @@ pub(crate) use reading::read_as as reading_names;
 pub use settings::{Exemption, Selector, Settings, UnknownRule};
 pub use thresholds::{Limit, Thresholds};
 
-/// Declares a rule; its doc comment is the text that `explain` prints.
+/// Declares a rule; its doc comment is the text printed by `explain`.
 macro_rules! rule {
     ($(#[doc = $line:literal])* $code:ident {
         limits: $limits:expr, $($field:ident: $value:expr),* $(,)?
@@ -75,12 +75,12 @@ mod samples;
 mod stamps;
 mod topics;
 
-/// What is examined together: the streams that a family of rules asks about.
+/// Rules on the same kind of stream.
 #[derive(Debug)]
 pub struct Family {
-    /// What is examined.
+    /// The kind of stream examined.
     pub examines: &'static str,
-    /// The rules that ask.
+    /// Its rules.
     pub rules: &'static [&'static Rule],
 }
 
@@ -98,91 +98,92 @@ pub static FAMILIES: &[&Family] = &[
     &commands::FAMILY,
 ];
 
-/// Evidence of a row: its stream is computed from the joint states.
+/// Evidence key of a row whose stream is computed from the joint states.
 pub(crate) const DERIVED: &str = "derived";
 
-/// Evidence of an open row: the streams' world is unknown, so that the fault may hide in it.
+/// Evidence key of an inconclusive row whose streams have an unknown world frame, which may absorb the
+/// fault.
 pub(crate) const UNKNOWN_WORLD: &str = "unknown_world";
 
-/// The rules of all families in the order of their codes, in which they are asked.
+/// All rules in the order of their codes, which is the order of evaluation.
 static REGISTRY: LazyLock<Vec<&Rule>> = LazyLock::new(|| {
     let mut rules: Vec<&Rule> = FAMILIES.iter().flat_map(|family| family.rules).copied().collect();
     rules.sort_by_key(|rule| rule.code);
     rules
 });
 
-/// Every rule, in the order of the codes.
+/// All rules, in the order of their codes.
 pub fn registry() -> &'static [&'static Rule] {
     &REGISTRY
 }
 
-/// The rule with this code, in whatever case it is written.
+/// Returns the rule with this code, ignoring case.
 ///
 /// # Errors
-/// If there is none: the nearest codes.
+/// If there is no such rule, with the most similar codes.
 pub fn find(code: &str) -> Result<&'static Rule, UnknownRule> {
     let found = REGISTRY.iter().find(|rule| rule.code.eq_ignore_ascii_case(code.trim()));
     found.copied().ok_or_else(|| UnknownRule::new(code))
 }
 
-/// A rule: what it is called, when it speaks up, and how it judges.
+/// A rule: code, name, thresholds and check.
 #[derive(Debug)]
 pub struct Rule {
-    /// Its code, which is never used again for another.
+    /// Code, which is never reused for another rule.
     pub code: &'static str,
-    /// Its name, in kebab-case.
+    /// Name in kebab-case.
     pub name: &'static str,
-    /// From when it speaks up, and how loudly.
+    /// Severity of its findings.
     pub grade: Grade,
-    /// What else it holds what it sees against; all of it can be set.
+    /// Further limits that the caller can set.
     pub limits: &'static [Limit],
-    /// Whether a run of which it decides nothing cannot pass; of a [proof](Rule::is_proof), one of
-    /// which it leaves anything open.
+    /// Whether a run cannot pass if this rule decides on none of its subjects. A [proof](Rule::is_proof)
+    /// must decide on all of them.
     pub headline: bool,
     /// Whether it needs a model of the robot.
     pub needs_model: bool,
-    /// What is not in the log where the rule has no subject.
+    /// Reason for skipping the rule if it has no subject in the log.
     missing: &'static str,
-    /// Asks the rule about each of its subjects.
+    /// Evaluates the rule on each of its subjects.
     check: fn(&Case) -> Vec<Judged>,
-    /// Its doc comment, each line with the blank that follows `///`.
+    /// Doc comment; each line keeps the space that follows `///`.
     doc: &'static str,
 }
 
 impl Rule {
-    /// The rule's text in Markdown: one line that says what is wrong, then its sections.
+    /// The rule's text in Markdown: a title line, then its sections.
     pub fn doc(&self) -> String {
         let lines = self.doc.lines().map(|line| line.strip_prefix(' ').unwrap_or(line));
         lines.collect::<Vec<_>>().join("\n")
     }
 
-    /// The letters that its family begins with.
+    /// Letters of the code, which name the rule's family.
     pub fn family(&self) -> &'static str {
         self.code.trim_end_matches(|c: char| c.is_ascii_digit())
     }
 
-    /// Whether a pass rests on each of its subjects, so that none may be open.
+    /// Whether all of the rule's subjects must be decided for a run to pass.
     pub fn is_proof(&self) -> bool {
         self.code == MDL001.code
     }
 
-    /// The first line of its text, without the period.
+    /// The title line of its text, without the period.
     pub fn summary(&self) -> &'static str {
         self.doc.lines().next().unwrap_or_default().trim().trim_end_matches('.')
     }
 }
 
-/// From when a rule speaks up, and how loudly.
+/// How a rule determines the severity of a finding.
 #[derive(Clone, Copy, Debug)]
 pub enum Grade {
-    /// The fault is there or it is not; the gravest that it can be.
+    /// No threshold; the most severe that a finding can be.
     Fixed(Severity),
-    /// From these thresholds, any one of them.
+    /// By thresholds; reaching any of them is enough.
     From(&'static [Threshold]),
 }
 
 impl Grade {
-    /// Its thresholds; none where the fault is there or not.
+    /// Its thresholds; empty for [`Grade::Fixed`].
     pub fn thresholds(&self) -> &'static [Threshold] {
         match self {
             Grade::Fixed(_) => &[],
@@ -190,7 +191,7 @@ impl Grade {
         }
     }
 
-    /// The gravest that it can be.
+    /// The most severe that a finding can be.
     pub fn most(&self) -> Severity {
         match self {
             Grade::Fixed(severity) => *severity,
@@ -217,7 +218,7 @@ impl fmt::Display for Grade {
     }
 }
 
-/// What a rule says of one subject.
+/// Result of a rule on one subject.
 #[derive(Clone, Debug)]
 pub struct Judged {
     subject: Subject,
@@ -228,7 +229,7 @@ pub struct Judged {
 }
 
 impl<T> Of<T> {
-    /// What a rule says of it.
+    /// Result of a rule on this subject and span.
     fn judged(&self, outcome: Outcome) -> Judged {
         Judged::new(self.subject.clone(), outcome).within(self.span)
     }
@@ -247,14 +248,15 @@ impl Judged {
         Self { estimate: estimate.into(), ..self }
     }
 
-    /// Names the cause of its fault, where it found one.
+    /// Sets the cause of its fault, if it has one.
     fn caused_by(&mut self, cause: Cause) {
         if let Outcome::Evaluated(Ruling::Faulty(fault)) = &mut self.outcome {
             fault.cause = cause;
         }
     }
 
-    /// Marks the row of a stream that is computed from the joint states: it decides nothing for another.
+    /// Marks the row of a stream that is computed from the joint states, which is evidence for no other
+    /// stream.
     fn derived_if(self, is_derived: bool) -> Self {
         if is_derived { self.with_evidence(DERIVED, true) } else { self }
     }
@@ -265,38 +267,38 @@ impl Judged {
     }
 }
 
-/// What the rules made of a run.
+/// Result of all rules on a run.
 #[derive(Clone, Debug, Default)]
 pub struct Evaluation {
-    /// A row for every rule asked and every subject it was asked about.
+    /// One row per selected rule and subject.
     pub checks: Vec<CheckRow>,
-    /// What is wrong: the gravest first, then what moves the arm's tip most.
+    /// Findings, by severity and then by effect at the arm's tip.
     pub findings: Vec<Finding>,
-    /// What is wrong and to be ignored, with the reason.
+    /// Findings exempted in the config, with the reason.
     pub ignored: Vec<Ignored>,
-    /// What each pose stream cannot show.
+    /// What each pose stream does not observe.
     pub observability: Vec<StreamObservability>,
 }
 
-/// What the rules are asked about: what is known of a run, and what they hold it against.
+/// Input of the rules: the evidence on a run and the caller's thresholds.
 #[derive(Clone, Copy, Debug)]
 pub struct Case<'a> {
-    /// What is known of the run.
+    /// Evidence on the run.
     pub evidence: &'a RunEvidence,
-    /// The thresholds that the caller set instead of the rules' own.
+    /// Thresholds that override those of the rules.
     pub thresholds: &'a Thresholds,
-    /// Rules that must conclude.
+    /// Rules whose outcome must not be inconclusive.
     pub required: &'a [Selector],
 }
 
 impl Case<'_> {
-    /// Whether the caller requires that `rule` concludes.
+    /// Whether the caller requires a conclusive outcome of `rule`.
     fn requires(&self, rule: &Rule) -> bool {
         self.required.iter().any(|selector| selector.names(rule.code))
     }
 }
 
-/// Asks every rule that `settings` leaves about every one of its subjects.
+/// Evaluates every rule that `settings` select on each of its subjects.
 pub fn evaluate(evidence: &RunEvidence, settings: &Settings) -> Evaluation {
     let case = &Case { evidence, thresholds: &settings.thresholds, required: &settings.required };
     let mut evaluation = Evaluation::default();
@@ -321,8 +323,8 @@ pub fn evaluate(evidence: &RunEvidence, settings: &Settings) -> Evaluation {
     evaluation
 }
 
-/// Puts a wrong model first, from which other findings may follow, then the gravest, then what moves the
-/// arm's tip most.
+/// Sorts a wrong model first, because other findings may follow from it; then by severity and effect at the
+/// tip.
 fn rank(findings: &mut [Finding]) {
     findings.sort_by(|a, b| {
         let effect = |finding: &Finding| finding.evidence.effect_m.unwrap_or(0.0);

@@ -1,5 +1,4 @@
-//! What the motion of a log cannot show, in words: which causes, and the motion that would show
-//! them.
+//! Describes which causes a log's motion does not observe, and which motion would.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -10,15 +9,15 @@ use crate::diagnosis::{BlindDirection, Observability, Parameter};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{CheckRow, Status, Subject, Unit, number};
 
-/// A cause of the size of its rule's first threshold is seen where it moves the log by this many
-/// standard deviations or more: then the half-width of its 95 % interval is within the threshold.
+/// A cause at its rule's first threshold is observable if it changes the log by at least this many standard
+/// deviations. The half-width of its 95 % interval is then within the threshold.
 const SEEN: f64 = 2.0;
-/// A joint that turns or slides by less hardly shows its zero, rad and m.
+/// Motion below which a joint's zero offset is barely observable, rad and m.
 const FAR_RAD: f64 = 30.0 * std::f64::consts::PI / 180.0;
 const FAR_M: f64 = 0.1;
 
-/// What is left open by how little a joint moved, rad or m: a sentence, where the rule on its zero could
-/// not tell.
+/// Sentence on a joint whose zero offset is undetermined because the joint moved too little (`moved` in rad
+/// or m); `None` otherwise.
 pub(crate) fn hidden_zero(
     joint: &str,
     unit: Unit,
@@ -33,60 +32,60 @@ pub(crate) fn hidden_zero(
     };
     let is_hidden = moved < far && checks.iter().any(is_open);
     is_hidden
-        .then(|| format!("{joint} moved by {} only: its zero is not observable", unit.show(moved)))
+        .then(|| format!("{joint} moved only {}: its zero is not observable", unit.show(moved)))
 }
 
-/// What one pose stream cannot show.
+/// What one pose stream does not observe.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct StreamObservability {
     /// Name of the robot.
     pub robot: String,
     /// Topic of the stream.
     pub topic: String,
-    /// The changes of the model's parameters that this log hardly shows; none where it shows all
-    /// that any log can.
+    /// Weakly observable directions in the space of the model's parameters; empty if the log shows all that
+    /// any log can.
     pub directions: Vec<Blind>,
-    /// What of it left a check open and what no check says of itself: causes that show only together.
+    /// Directions that make a check inconclusive and combine several causes, which no single check reports.
     #[serde(skip)]
     pub together: Vec<Blind>,
 }
 
-/// Causes that this log does not show, or does not tell apart.
+/// Causes that this log cannot observe or separate.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct Blind {
-    /// The causes that take part, the greatest weight first.
+    /// The causes involved, by decreasing weight.
     pub parameters: Vec<Part>,
-    /// By how many standard deviations of noise the log moves where each cause is of its weight
-    /// times its rule's first threshold (over the norm of the weights).
+    /// Change of the log, in standard deviations of noise, if each cause has its weight times its rule's
+    /// first threshold (divided by the norm of the weights).
     #[serde(deserialize_with = "number")]
     #[schemars(with = "Option<f64>")]
     pub singular_value: f64,
-    /// The motion that would show them.
+    /// Motion that would observe them.
     pub motion: String,
 }
 
-/// One cause's part in a direction.
+/// Contribution of one cause to a direction.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct Part {
-    /// The cause.
+    /// Name of the cause.
     pub name: String,
-    /// Its weight, in units of its rule's first threshold.
+    /// Weight, in units of the first threshold of its rule.
     #[serde(deserialize_with = "number")]
     #[schemars(with = "Option<f64>")]
     pub weight: f64,
-    /// The cause without its axis.
+    /// Name of the cause without its axis.
     #[serde(skip)]
     cause: String,
-    /// The rule that judges it.
+    /// Rule that judges it.
     #[serde(skip)]
     code: &'static str,
-    /// The joint, where it is one's.
+    /// Joint, for causes that belong to one.
     #[serde(skip)]
     joint: Option<String>,
 }
 
 impl Blind {
-    /// The causes in words and the motion, as one sentence on `topic`.
+    /// One sentence with the causes and the motion, for `topic`.
     pub fn sentence(&self, topic: &str) -> String {
         let (causes, motion) = (self.causes(), &self.motion);
         match self.parts_by_cause().len() {
@@ -95,7 +94,7 @@ impl Blind {
         }
     }
 
-    /// `zeros of a and b, reference frame and tool frame`.
+    /// Lists the causes: `zeros of a and b, reference frame and tool frame`.
     fn causes(&self) -> String {
         let parts = self.parts_by_cause();
         let joints: Vec<&str> = parts.iter().filter_map(|part| part.joint.as_deref()).collect();
@@ -110,7 +109,7 @@ impl Blind {
         listed(&zeros.as_deref().into_iter().chain(others).collect::<Vec<&str>>())
     }
 
-    /// The first part of each cause, whatever its axis.
+    /// The first part of each cause, ignoring axes.
     fn parts_by_cause(&self) -> Vec<&Part> {
         let mut causes: Vec<&Part> = Vec::new();
         for part in &self.parameters {
@@ -137,7 +136,8 @@ fn listed(items: &[&str]) -> String {
     }
 }
 
-/// What each pose stream cannot show. The checks that it leaves open get it as evidence.
+/// Computes the unobservable directions of each pose stream, and adds them as evidence to the checks that
+/// they make inconclusive.
 pub(super) fn observability(case: &Case, checks: &mut [CheckRow]) -> Vec<StreamObservability> {
     let mut streams = Vec::new();
     for arm in &case.evidence.robots {
@@ -166,7 +166,7 @@ pub(super) fn observability(case: &Case, checks: &mut [CheckRow]) -> Vec<StreamO
             streams.push(StreamObservability {
                 robot: arm.name.clone(),
                 topic: stream.topic().to_owned(),
-                // What does not show by itself is said by its check.
+                // A single cause is reported by its own check.
                 together: groups
                     .iter()
                     .map(|group| blind(arm, seen, group, is_noise))
@@ -179,8 +179,8 @@ pub(super) fn observability(case: &Case, checks: &mut [CheckRow]) -> Vec<StreamO
     streams
 }
 
-/// Whether a check on `stream` is open for want of motion. What a nominal or wrong model leaves open no
-/// motion settles.
+/// Whether a check on `stream` is inconclusive for lack of motion. A nominal or wrong model cannot be
+/// resolved by motion.
 fn is_left_to_motion(row: &CheckRow, arm: &ArmEvidence, stream: &Of<PoseEvidence>) -> bool {
     let Subject { robot, topic, .. } = &row.subject;
     row.status == Status::Inconclusive
@@ -191,7 +191,7 @@ fn is_left_to_motion(row: &CheckRow, arm: &ArmEvidence, stream: &Of<PoseEvidence
             || !stream.diagnosis.nominal && standing::doubt(arm, 0.0).is_none())
 }
 
-/// The directions, those that share a cause made one: of what is in either, only mixes show.
+/// Merges directions that share a cause, because only combinations of their causes are observable.
 fn that_share_a_cause(directions: Vec<BlindDirection>) -> Vec<BlindDirection> {
     let mut groups: Vec<BlindDirection> = Vec::new();
     for direction in directions {
@@ -221,7 +221,7 @@ fn that_share_a_cause(directions: Vec<BlindDirection>) -> Vec<BlindDirection> {
     groups
 }
 
-/// A parameter without its axis.
+/// Maps the axes of a frame to one parameter.
 fn cause_of(parameter: Parameter) -> Parameter {
     match parameter {
         Parameter::ReferenceShift(_) | Parameter::ReferenceTurn(_) => Parameter::ReferenceShift(0),
@@ -230,7 +230,7 @@ fn cause_of(parameter: Parameter) -> Parameter {
     }
 }
 
-/// The first threshold of the rule that judges a parameter.
+/// First threshold of the rule that judges a parameter.
 fn threshold(case: &Case, arm: &ArmEvidence, parameter: Parameter) -> f64 {
     let (code, unit) = match parameter {
         Parameter::JointZero(joint) => ("ZER001", arm.joint_unit(joint)),
@@ -280,13 +280,13 @@ fn part(arm: &ArmEvidence, parameter: Parameter, weight: f64) -> Part {
     Part { name: format!("{cause}{axis}"), weight, cause: cause.to_owned(), code, joint: None }
 }
 
-/// Whether what is left of a stream is no more than its noise may be.
+/// Whether the residual of a stream is consistent with noise.
 fn is_noise(checks: &[CheckRow], stream: &Subject) -> bool {
     let mut rows = checks.iter().filter(|row| row.code == "MDL001" && row.subject == *stream);
     rows.all(|row| row.status == Status::Pass)
 }
 
-/// The motion that would show a direction; `is_noise` where what is left of the poses is noise.
+/// Motion that would observe a direction. `is_noise` if the residual of the poses is noise.
 fn motion(
     arm: &ArmEvidence,
     seen: &Observability,
@@ -305,8 +305,8 @@ fn motion(
     if direction.parameters.iter().all(is_timing) {
         let skew = direction.parameters.iter().any(|one| one.0 == Parameter::Skew);
         return match skew {
-            true => "record a minute or more in which the arm moves from first to last".to_owned(),
-            false => "move with the arm faster than 0.2 rad/s".to_owned(),
+            true => "record at least a minute, with the arm moving from start to end".to_owned(),
+            false => "move the arm faster than 0.2 rad/s".to_owned(),
         };
     }
     let takes_part = |&joint: &usize| {
@@ -315,14 +315,17 @@ fn motion(
     let own: Vec<usize> = still.iter().copied().filter(takes_part).collect();
     let joints = if own.is_empty() { still } else { own };
     if joints.is_empty() {
-        let what = if is_noise { "its noise" } else { "what is left of it" };
-        return format!("record for longer and in more postures: {what} hides this");
+        let what = if is_noise { "its noise" } else { "its residual" };
+        return format!("record longer and in more configurations: {what} hides this");
     }
     let slides = joints.iter().any(|&joint| arm.joint_unit(joint) == Unit::Metre);
     let names: Vec<&str> = joints.iter().map(|&joint| arm.joints[joint].name.as_str()).collect();
-    let far = if slides { "30° (100 mm where it slides)" } else { "30°" };
+    let far = if slides { "30° (100 mm if prismatic)" } else { "30°" };
     match names.as_slice() {
-        [name] => format!("move {name} by more than {far}, with the others in two different poses"),
+        [name] => format!(
+            "move {name} by more than {far}, with the other joints in two different \
+            configurations"
+        ),
         names => format!("move {} by more than {far} each, at different times", listed(names)),
     }
 }
@@ -347,8 +350,8 @@ mod tests {
     fn a_joint_that_stays_is_asked_to_move() {
         assert_eq!(
             sentence([1.0, 0.01, 1.0], &[Parameter::JointZero(1)]),
-            "zero of lift not observable in /pose; move lift by more than 30°, with the others in \
-             two different poses"
+            "zero of lift not observable in /pose; move lift by more than 30°, with the other joints in two \
+             different configurations"
         );
         let two = [Parameter::JointZero(0), Parameter::JointZero(1)];
         assert_eq!(
@@ -371,7 +374,7 @@ mod tests {
     fn rest_asks_for_motion_and_a_short_run_for_length() {
         assert!(sentence([0.0; 3], &[Parameter::Latency]).contains("move every joint"));
         let said = sentence([1.0; 3], &[Parameter::Skew]);
-        assert!(said.ends_with("a minute or more in which the arm moves from first to last"));
+        assert!(said.ends_with("at least a minute, with the arm moving from start to end"));
     }
 
     #[test]

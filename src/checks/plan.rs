@@ -1,31 +1,31 @@
-//! Which motion would settle what a rule left open.
+//! Chooses the motion that would resolve an inconclusive rule.
 
 use super::poses::mdl001::MDL001;
 use crate::diagnosis::plan::Purpose;
 use crate::finding::{CheckRow, Status};
 
-/// Whether a row is open for what MDL001 has left and nothing explains: no motion settles that.
+/// Whether a row is inconclusive because of an unexplained residual (MDL001), which no motion resolves.
 pub(crate) fn is_behind_residual(row: &CheckRow) -> bool {
     let is_said = |reason: &String| reason.contains(&format!("({})", MDL001.code));
     row.status == Status::Inconclusive && row.reason.as_ref().is_some_and(is_said)
 }
 
-/// What a motion that shows this is made of.
+/// Describes the motion for a purpose.
 pub(crate) const fn recipe(purpose: Purpose) -> &'static str {
     match purpose {
         Purpose::Zeros => {
-            "each joint by 30° or more, one after another, the wrist by 60° about two axes, the arm \
-             stretched out and folded"
+            "each joint by 30° or more in turn, the wrist by 60° about two axes, the arm both stretched out \
+             and folded"
         }
-        Purpose::Calibration => "every joint moving, in postures over the whole workspace",
-        Purpose::Latency => "starts and stops that do not repeat, faster than 0.2 rad/s",
+        Purpose::Calibration => "all joints moving, in configurations across the whole workspace",
+        Purpose::Latency => "non-periodic starts and stops, faster than 0.2 rad/s",
         Purpose::HandEye => "the hand tilted by 30° or more about two axes, the target in view",
-        Purpose::Yaw => "the IMU turned by 60° about two axes, and rests of 2 s",
+        Purpose::Yaw => "the IMU turned by 60° about two axes, with rests of 2 s",
     }
 }
 
-/// What the motion must show that would settle a row, where a motion of the arm would. `is_drawing`: the
-/// arm's model is a drawing, of which single causes are told only once all links are calibrated.
+/// Purpose of the motion that would resolve a row; `None` if no arm motion would. With a nominal model
+/// (`is_drawing`), single causes are observable only after all links are calibrated.
 pub(crate) fn settled_by(row: &CheckRow, is_drawing: bool) -> Option<Purpose> {
     if row.status != Status::Inconclusive || row.indistinguishable || is_behind_residual(row) {
         return None;

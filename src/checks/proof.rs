@@ -1,11 +1,13 @@
-//! What becomes of the other rules' findings where MDL001 has something left.
+//! Withdraws findings of other rules that an unexplained residual (MDL001) could produce.
 
 use crate::checks::{Case, Evaluation};
 use crate::finding::{Cause, CheckRow, Estimate, Finding, Severity, Status, Subject, Unit};
 
-/// How many times what is left a cause must move the poses by to be believed beside it: what the model
-/// does not have looks like some of every cause. A latency has the motion's own course, and need only be
-/// more: but play of a joint looks like some milliseconds.
+/// Minimum ratio of a cause's effect to the unexplained residual for the cause to be reported; `None` if
+/// the residual does not affect it.
+///
+/// An unmodelled error resembles a bit of every cause. A latency follows the profile of the motion, so it
+/// only has to exceed the residual. However, backlash can resemble a few milliseconds of latency.
 fn believed(cause: &Cause) -> Option<f64> {
     match cause {
         Cause::Latency(_) | Cause::Skew(_) => Some(1.0),
@@ -14,10 +16,10 @@ fn believed(cause: &Cause) -> Option<f64> {
     }
 }
 
-/// How many times the angle that is left the zero of a joint must be.
+/// Minimum ratio of a joint's zero offset to the unexplained angle.
 const BELIEVED_TURN: f64 = 5.0;
 
-/// What is left of a stream and nothing explains.
+/// Unexplained residual of a stream.
 struct Unexplained {
     subject: Subject,
     length_m: f64,
@@ -38,7 +40,7 @@ impl Unexplained {
         }
     }
 
-    /// Whether a cause that was found on the same stream, or on a joint, may be a part of it.
+    /// Whether the residual could produce this finding on the same stream or on a joint.
     fn hides(&self, finding: &Finding) -> bool {
         let Subject { robot, topic, .. } = &finding.subject;
         let is_it =
@@ -55,7 +57,7 @@ impl Unexplained {
     }
 }
 
-/// Leaves causes open that do little beside what is left and nothing explains.
+/// Makes findings inconclusive whose effect is small compared with an unexplained residual.
 pub(super) fn leave_open_beside_what_is_left(evaluation: &mut Evaluation) {
     let Evaluation { checks, findings, .. } = evaluation;
     let left: Vec<Unexplained> = findings.iter().filter_map(Unexplained::of).collect();
@@ -63,7 +65,7 @@ pub(super) fn leave_open_beside_what_is_left(evaluation: &mut Evaluation) {
         let Some(left) = left.iter().find(|left| left.hides(finding)) else { return true };
         let (length, angle) = (Unit::Metre.show(left.length_m), Unit::Radian.show(left.angle_rad));
         let why = format!(
-            "{}, but {length} and {angle} are left that nothing explains (MDL001)",
+            "{}, but a residual of {length} and {angle} is unexplained (MDL001)",
             finding.message
         );
         let is_it =
@@ -75,11 +77,11 @@ pub(super) fn leave_open_beside_what_is_left(evaluation: &mut Evaluation) {
     });
 }
 
-/// The families of rules whose causes are found by holding poses against joint states.
+/// Families of rules that compare poses with joint states.
 const HELD: [&str; 7] = ["FRM001", "FRM002", "FRM003", "LAT", "ORD", "YAW", "ZER"];
 
-/// If poses and joint states disagree and nothing explains it, or only another model of the arm does, no cause is
-/// named that does not, and what is open on them is so for that reason.
+/// Makes those rules inconclusive if poses and joint states disagree for no known reason, or only because
+/// the robot model is wrong. Their findings are dropped.
 pub(super) fn leave_open_beside_disagreement(case: &Case, evaluation: &mut Evaluation) {
     let Evaluation { checks, findings, .. } = evaluation;
     let disagreeing = findings.iter().filter_map(|finding| match &finding.cause {

@@ -1,4 +1,4 @@
-//! What ORD001, ORD002 and ORD003 share: each judges the same estimate for its own kind of fault.
+//! Shared by ORD001, ORD002 and ORD003: each judges the same encoding estimate for one kind of fault.
 
 use crate::checks::decision::{DEGREE, unseen};
 use crate::checks::{Case, Judged};
@@ -10,24 +10,24 @@ use crate::geometry::{
     vendors,
 };
 
-/// A fault must leave at least this many times less than the stream as logged, and than the next
-/// best reading, to be named.
+/// Minimum ratio of the residuals as logged and of the next best encoding to the residual of a reported
+/// one.
 const CLEAR_RATIO: f64 = 2.0;
 
-/// No reading is believed that leaves more than this, rad.
+/// Maximum residual of an accepted encoding, rad.
 const FOLLOWS_RAD: f64 = 10.0 * DEGREE;
 
-/// What would tell where a reading could not be had.
+/// Motion that makes the encoding observable.
 const SETTLE: &str = "turn the wrist through 60° or more about two axes";
 
-/// Which rule a reading belongs to.
+/// Kind of misinterpretation; each belongs to one rule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Three numbers of one convention read as another (ORD001).
+    /// Three numbers interpreted in the wrong convention (ORD001).
     Convention,
-    /// Quaternion components in another order (ORD002).
+    /// Quaternion components in the wrong order (ORD002).
     QuaternionOrder,
-    /// Inverse or transpose (ORD003).
+    /// Inverse or transpose of the pose (ORD003).
     Direction,
 }
 
@@ -40,23 +40,23 @@ fn kind(reading: &Reading) -> Option<Kind> {
     }
 }
 
-/// How a rule words the fault that it found.
+/// How a rule reports its fault.
 pub struct Wording {
     /// As in [`Fault::title`].
     pub title: &'static str,
-    /// What was taken for what, to stand before "…, 64° off as logged".
+    /// The misinterpretation, followed in the message by ", 64° off as logged".
     pub what: String,
-    /// How to read it rightly, to stand after "0.01° once".
+    /// The correction, preceded in the message by "0.01° once".
     pub once: String,
     /// As in [`Fault::fix`].
     pub fix: String,
-    /// What is misread.
+    /// The misinterpretation as a cause.
     pub slip: RotationSlip,
     /// The estimate.
     pub estimate: Estimate,
 }
 
-/// Judges the reading of every stream for faults of one kind, which `word` puts into words.
+/// Judges the encoding of every stream for faults of kind `asked`. `word` writes the report.
 pub fn judge(
     case: &Case,
     asked: Kind,
@@ -66,13 +66,13 @@ pub fn judge(
     for arm in &case.evidence.robots {
         let streams = arm.poses_and_tf().map(|stream| {
             let found = &stream.diagnosis;
-            let doubt = found.strays().then_some("its positions do not lie on the arm");
+            let doubt = found.strays().then_some("its positions do not match FK");
             let bare = stream.bare.then_some(found);
             let unread = stream.rotation_unread.as_slice();
             stream.with((&found.reading, doubt, bare, unread, arm.is_derived(stream)))
         });
         let unread = arm.diagnosis.reading.is_err() && !arm.poses.is_empty();
-        let doubt = unread.then_some("the joint states themselves could not be read for sure");
+        let doubt = unread.then_some("the encoding of the joint states is itself undetermined");
         let imus = arm.imus.iter();
         let imus = imus.map(|imu| imu.with((&imu.diagnosis.reading, doubt, None, &[][..], false)));
         judged.extend(streams.chain(imus).map(|stream| {
@@ -111,8 +111,7 @@ fn judge_stream(
     };
     if reading.best_rad > FOLLOWS_RAD {
         let left = Unit::Radian.show(reading.best_rad);
-        let why =
-            format!("no reading follows the arm, the best leaves {left}: check --base and --tip");
+        let why = format!("no encoding matches FK (best residual {left}): check --base and --tip");
         return (Outcome::Inconclusive(why), None);
     }
     let runner_up = reading.runner_up.as_ref().map(|(runner_up, _)| runner_up);
@@ -123,10 +122,7 @@ fn judge_stream(
         }
     }
     if nothing_was_told_apart(reading) {
-        return (
-            Outcome::Inconclusive(format!("most readings would fit this motion; {SETTLE}")),
-            None,
-        );
+        return (Outcome::Inconclusive(format!("most encodings fit this motion; {SETTLE}")), None);
     }
     let is_inverted = asked == Kind::Direction && reading.inverted;
     if kind(&reading.best) != Some(asked) && !is_inverted {
@@ -142,19 +138,19 @@ fn judge_stream(
     }
 }
 
-/// The outcome for positions whose rotation may be in columns that nothing identifies.
+/// Outcome for positions whose rotation may be in unidentified columns.
 pub(super) fn not_checked(unread: &[String]) -> Outcome {
     const SHOWN: usize = 6;
     let shown = unread.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ");
     let more = if unread.len() > SHOWN { ", …" } else { "" };
     Outcome::Inconclusive(format!(
-        "its rotation is not checked: nothing says what the columns {shown}{more} are; name those of the \
-         rotation in `columns.pose` of the config, after the position's"
+        "rotation not checked: columns {shown}{more} are not identified; list the rotation's columns in \
+         `columns.pose` of the config, after the position's"
     ))
 }
 
-/// What is said of bare numbers of which nothing is declared: how they were read, once, and no fault of
-/// their convention.
+/// Outcome for bare numbers without a declared convention: one note with the inferred encoding, and no
+/// convention fault.
 fn of_bare_numbers(
     arm: &ArmEvidence,
     topic: &str,
@@ -178,18 +174,18 @@ fn of_bare_numbers(
             let fault = Fault {
                 severity: Severity::Info,
                 cause: Cause::Bare { coding: form, length, angle },
-                title: "how bare numbers were read",
-                message: format!("read as {said}: that is how they follow the arm"),
+                title: "encoding of undeclared numbers was inferred",
+                message: format!("assumed {said}: this encoding matches the arm's motion"),
                 evidence,
                 fix: format!(
-                    "say so to hold them to it: --declare {topic}={}",
+                    "declare it to make this a check: --declare {topic}={}",
                     declared(form, found)
                 ),
             };
             let (is, read_as) = (form.to_string(), form.to_string());
             (Outcome::faulty(fault), Some(Estimate::slip("reading", is, read_as)))
         }
-        // A quaternion in the usual order, or no rotation at all.
+        // A quaternion in the default order, or no rotation.
         (Kind::Convention, None) => match &found.length {
             Ok(Some(slip)) if is_read || matches!(found.reading, Err(Unseen::NoOrientation)) => {
                 let (is, read_as) = (slip.is.to_string(), slip.read_as.to_string());
@@ -198,36 +194,36 @@ fn of_bare_numbers(
             _ => (outcome, estimate),
         },
         (Kind::QuaternionOrder, Some(Coding::Wxyz)) if is_read => {
-            let why = "bare numbers of which nothing is declared have no order to violate";
+            let why = "no component order is declared for these numbers, so none is violated";
             (Outcome::sound_because(why.to_owned()), None)
         }
         _ => (outcome, estimate),
     }
 }
 
-/// What is said of bare positions that follow the arm in another unit than metres.
+/// Outcome for bare positions that match FK in a unit other than metres.
 fn bare_lengths(topic: &str, slip: &LengthSlip) -> Outcome {
     let is = slip.is.words();
     Outcome::faulty(Fault {
         severity: Severity::Info,
         cause: Cause::LengthUnit(Slip { is: slip.is, read_as: slip.read_as }),
-        title: "how bare numbers were read",
-        message: format!("positions read as {is}: that is how they follow the arm"),
+        title: "encoding of undeclared numbers was inferred",
+        message: format!("assumed {is}: positions match the arm's motion in this unit"),
         evidence: Evidence::default(),
-        fix: format!("multiply the positions of {topic} by {} where metres belong", slip.is.in_m()),
+        fix: format!("multiply the positions of {topic} by {} to get metres", slip.is.in_m()),
     })
 }
 
-/// Unit of lengths and of angles that bare numbers turned out to be in.
+/// Inferred units of lengths and angles in bare numbers.
 fn bare_units(found: &PoseDiagnosis) -> (LengthScale, AngleUnit) {
     let length = found.length.as_ref().ok().copied().flatten().map(|slip| slip.is);
     let angle = if found.degrees.is_some() { AngleUnit::Degree } else { AngleUnit::Radian };
     (length.unwrap_or(LengthScale::METRE), angle)
 }
 
-/// How bare numbers were read, with makers whose numbers are so: `KUKA's: mm, euler:ZYX in deg`.
+/// Describes the inferred encoding, with vendors that use it: `mm, euler:ZYX in deg (as KUKA does)`.
 fn bare_reading(arm: &ArmEvidence, topic: &str, form: Coding, found: &PoseDiagnosis) -> String {
-    /// Makers that are named.
+    /// Maximum number of vendors listed.
     const NAMED: usize = 3;
     let (length, angle) = bare_units(found);
     let is_three = matches!(form, Coding::Three(_));
@@ -235,7 +231,7 @@ fn bare_reading(arm: &ArmEvidence, topic: &str, form: Coding, found: &PoseDiagno
         let angles = !is_three || entry.units.angle.unwrap_or_default() == angle;
         entry.is_vendor() && entry.units.length.unwrap_or_default() == length && angles
     };
-    // Whose arm it is, its own names say best.
+    // Vendors that occur in the names of the arm or topic come first.
     let names = format!("{} {topic}", arm.name).to_lowercase();
     let is_other = |entry: &&str| {
         let first = entry.split_whitespace().next().unwrap_or_default().to_lowercase();
@@ -251,17 +247,15 @@ fn bare_reading(arm: &ArmEvidence, topic: &str, form: Coding, found: &PoseDiagno
     makers.truncate(NAMED);
     let makers = match makers.as_slice() {
         [] => String::new(),
-        makers => format!(
-            " (as {} {} them)",
-            makers.join(", "),
-            if makers.len() == 1 { "gives" } else { "give" }
-        ),
+        makers => {
+            format!(" (as {} {})", makers.join(", "), if makers.len() == 1 { "does" } else { "do" })
+        }
     };
     let angles = if is_three { format!(" in {}", angle.symbol()) } else { String::new() };
     format!("{length}, {form}{angles}{makers}")
 }
 
-/// What to declare of numbers that were read so.
+/// The `--declare` value for the inferred encoding.
 fn declared(form: Coding, found: &PoseDiagnosis) -> String {
     let (length, angle) = bare_units(found);
     let is_degrees = matches!(form, Coding::Three(_)) && angle == AngleUnit::Degree;
@@ -278,12 +272,12 @@ fn fault(
     let Wording { title, what, once, fix, slip, estimate } = wording;
     let left = Unit::Radian.show(reading.best_rad);
     let next = match reading.runner_up {
-        Some((_, rad)) => format!(" (next best reading: {})", Unit::Radian.show(rad)),
+        Some((_, rad)) => format!(" (next best encoding: {})", Unit::Radian.show(rad)),
         None => String::new(),
     };
     let message = match reading.as_logged_rad {
         Some(rad) => format!("{what}, {} off as logged", Unit::Radian.show(rad)),
-        None => format!("{what}, {left} left once {once}"),
+        None => format!("{what}, residual {left} once {once}"),
     };
     let mut evidence = Evidence {
         effect: Some(format!("{left} once {once}{next}")),
@@ -297,13 +291,13 @@ fn fault(
     (Outcome::faulty(fault), Some(estimate))
 }
 
-/// Whether the stream would have fitted as well if it had been misread in any way: its orientation
-/// hardly changes, and a constant frame makes up for the rest.
+/// Whether every encoding fits equally well, because the orientation barely changes and a constant frame
+/// absorbs the difference.
 fn nothing_was_told_apart(reading: &ReadingEstimate) -> bool {
     kind(&reading.best).is_none() && !reading.inverted && !reading.is_told
 }
 
-/// Whether the best reading is far enough from the stream as logged and from the next best.
+/// Whether the best encoding is clearly better than the stream as logged and the next best.
 fn is_clear(reading: &ReadingEstimate) -> bool {
     let best = reading.best_rad.max(Unit::Radian.noise_floor());
     let clear_of = |rad: f64| rad >= CLEAR_RATIO * best;
@@ -318,9 +312,9 @@ fn unclear(reading: &ReadingEstimate) -> String {
     match &reading.runner_up {
         Some((runner_up, rad)) => {
             let (runner_up, rad) = (describe(runner_up), Unit::Radian.show(*rad));
-            format!("{best} leaves {left} and {runner_up} {rad}; {SETTLE}")
+            format!("residual with {best}: {left}, with {runner_up}: {rad}; {SETTLE}")
         }
-        None => format!("{best} leaves {left}, hardly less than as logged; {SETTLE}"),
+        None => format!("residual with {best}: {left}, little better than as logged; {SETTLE}"),
     }
 }
 
@@ -334,7 +328,7 @@ fn describe(reading: &Reading) -> String {
     }
 }
 
-/// What a reading says the numbers are, and what they were read as, by their contract names.
+/// Contract names of an encoding: actual, and as interpreted in the log.
 pub fn read_as(reading: &Reading) -> ReadAs {
     let (is, read_as) = match reading {
         Reading::AsLogged => ("pose".to_owned(), "pose"),
@@ -355,12 +349,12 @@ pub fn read_as(reading: &Reading) -> ReadAs {
     ReadAs { is, read_as: read_as.to_owned() }
 }
 
-/// A misreading by its contract names.
+/// Contract names of a misinterpretation.
 pub fn read_as_misreading(misreading: &Misreading) -> ReadAs {
     ReadAs { is: misreading.is.to_string(), read_as: misreading.read_as.to_string() }
 }
 
-/// The order that quaternion components are in, and the one they were read in.
+/// Actual order of quaternion components, and the order assumed by the reader.
 pub fn quaternion_orders(slip: QuaternionSlip) -> (&'static str, &'static str) {
     match slip {
         QuaternionSlip::WxyzReadAsXyzw => ("quat:wxyz", "quat:xyzw"),
@@ -368,7 +362,7 @@ pub fn quaternion_orders(slip: QuaternionSlip) -> (&'static str, &'static str) {
     }
 }
 
-/// A convention in words.
+/// Name of a convention for messages.
 pub fn words(convention: Convention) -> String {
     if convention == Convention::RPY {
         return "roll-pitch-yaw".to_owned();

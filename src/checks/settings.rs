@@ -1,4 +1,4 @@
-//! What the caller says of the rules: which are asked, by which thresholds, and what is known already.
+//! Rule settings of the caller: selection, thresholds, severities and exemptions.
 
 use std::cmp::Reverse;
 use std::fmt;
@@ -7,69 +7,69 @@ use std::str::FromStr;
 use super::{REGISTRY, Rule, Thresholds};
 use crate::finding::{CheckRow, Finding, Ignored, Severity, Subject};
 
-/// Which rules to ask.
+/// Which rules to evaluate, and how.
 #[derive(Clone, Debug, Default)]
 pub struct Settings {
-    /// Only these; all where there is none.
+    /// Rules to evaluate; empty for all.
     pub select: Vec<Selector>,
-    /// None of these.
+    /// Rules to leave out.
     pub ignore: Vec<Selector>,
-    /// Rules that must conclude.
+    /// Rules whose outcome must not be inconclusive.
     pub required: Vec<Selector>,
-    /// The thresholds that the caller set instead of the rules' own.
+    /// Thresholds that override those of the rules.
     pub thresholds: Thresholds,
-    /// The severity of all that a rule finds wrong, where the caller set one; what is `info` stays so.
+    /// Severity of a rule's findings, where overridden. `info` findings keep their severity.
     pub severities: Vec<(&'static str, Severity)>,
-    /// What is known, and not to be counted.
+    /// Known findings that do not count.
     pub exemptions: Vec<Exemption>,
 }
 
 impl Settings {
-    /// Whether `rule` is to be asked.
+    /// Whether `rule` is selected.
     pub fn asks(&self, rule: &Rule) -> bool {
         let named =
             |selectors: &[Selector]| selectors.iter().any(|selector| selector.names(rule.code));
         (self.select.is_empty() || named(&self.select)) && !named(&self.ignore)
     }
 
-    /// The severity of a fault that the rule itself calls `found`.
+    /// Severity to report for a fault that the rule graded `found`.
     pub(super) fn severity(&self, rule: &Rule, found: Severity) -> Severity {
         let set = self.severities.iter().find(|(code, _)| *code == rule.code);
         set.map_or(found, |(_, set)| if found == Severity::Info { found } else { *set })
     }
 
-    /// What exempts a row, where something does.
+    /// The first exemption that covers a row.
     pub(super) fn exemption(&self, row: &CheckRow) -> Option<&Exemption> {
         self.exemptions.iter().find(|exemption| exemption.covers(row))
     }
 
-    /// The exemptions that cover nothing of what was asked.
+    /// Exemptions that cover none of the rows.
     pub fn unused<'a>(&'a self, rows: &[CheckRow]) -> Vec<&'a Exemption> {
         let is_unused = |exemption: &&Exemption| !rows.iter().any(|row| exemption.covers(row));
         self.exemptions.iter().filter(is_unused).collect()
     }
 
-    /// Whether any rule to be asked needs a model of the robot.
+    /// Whether a selected rule needs a robot model.
     pub fn need_model(&self) -> bool {
         REGISTRY.iter().any(|rule| rule.needs_model && self.asks(rule))
     }
 }
 
-/// Something that is known, so that it does not count; why, and where that is said.
+/// A known finding that does not count, with the reason and the place of its definition.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Exemption {
-    /// The rules.
+    /// Rules it covers.
     pub rules: Selector,
-    /// The subject; of what it leaves out any. A topic or a frame may lack its leading `/`.
+    /// Subject it covers; missing parts match any. The leading `/` of a topic or frame is optional.
     pub subject: Subject,
-    /// Why.
+    /// The reason.
     pub reason: String,
-    /// Where that is said.
+    /// File and line of the definition.
     pub place: String,
 }
 
 impl Exemption {
-    /// Whether it is about this row.
+    /// Whether it covers this row.
     fn covers(&self, row: &CheckRow) -> bool {
         let is = |wanted: &Option<String>, found: &Option<String>| match (wanted, found) {
             (None, _) => true,
@@ -108,12 +108,12 @@ impl fmt::Display for Exemption {
     }
 }
 
-/// A rule's code, or the letters that a family of codes begins with.
+/// A rule's code, or the leading letters of several codes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Selector(String);
 
 impl Selector {
-    /// Whether it names the rule with this code.
+    /// Whether it selects the rule with this code.
     pub fn names(&self, code: &str) -> bool {
         code.starts_with(&self.0)
     }
@@ -136,13 +136,13 @@ impl FromStr for Selector {
     }
 }
 
-/// There is no rule with this code.
+/// No rule has this code.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("there is no rule `{code}`; {}", self.remedy())]
 pub struct UnknownRule {
-    /// What was asked for.
+    /// The requested code.
     pub code: String,
-    /// The codes most like it, the nearest first.
+    /// The most similar codes, best first.
     pub nearest: Vec<&'static str>,
 }
 
@@ -161,7 +161,7 @@ impl UnknownRule {
         Self { code: code.to_owned(), nearest }
     }
 
-    /// What the reader can do.
+    /// A suggestion for the user.
     pub fn remedy(&self) -> String {
         match self.nearest.as_slice() {
             [] => "`poseaudit rules` lists them all".to_owned(),

@@ -1,5 +1,5 @@
-//! What is left of a stream's error when what the other rules decided is taken off: what MDL001 judges,
-//! and what a pass rests on.
+//! Residual of a stream after correcting every reported cause. MDL001 judges it, and a pass requires it to
+//! be small.
 
 use crate::checks::decision::{Decision, decide_both};
 use crate::checks::{Case, FrameThresholds, Judged, find};
@@ -10,32 +10,32 @@ use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Outcome, Ruling, Severity, Unit};
 use crate::run::{Apart, FlawKind};
 
-/// An error this many times as large as what differs from sample to sample is near it …
+/// An error up to this multiple of the sample-to-sample noise is consistent with noise.
 const NEAR: f64 = 2.0;
-/// … and surely beyond it from so many times on: an F of nine, which chance reaches once in a thousand
-/// times of seven independent samples.
+/// An error from this multiple on is significant: F = 9 has a probability of 0.001 for seven independent
+/// samples.
 const BEYOND: f64 = 3.0;
 
-/// Sag, play and encoder error that are each below their thresholds leave together up to so many times the
-/// thresholds for moments …
+/// Sag, backlash and encoder errors, each below its threshold, add up to at most this multiple of the
+/// thresholds at any sample …
 const TOGETHER: f64 = 2.0;
-/// … and so many times, rms, over a tenth of the run.
+/// … and to this multiple, rms, over a tenth of the run.
 const LASTING: f64 = 1.5;
 
-/// Samples of the run differ in what two publishers that are apart leave.
+/// Tolerance on the distance between two publishers, because the samples of a run differ.
 const ROOM: f64 = 1.2;
-/// What is turned by less is not turned, rad.
+/// Rotations below this are rounding, rad.
 const ROUNDING_RAD: f64 = 1e-3;
 
-/// What the rules that name causes made of a run.
+/// Outcomes of the rules that report causes.
 pub(super) struct Named {
     judged: Vec<(&'static str, Judged)>,
-    /// The topics on which two publishers disagree, by how much, and in how many transforms.
+    /// Topics with two conflicting publishers: distance between them, and number of transforms.
     doubled: Vec<(String, Apart, usize)>,
 }
 
 impl Named {
-    /// Asks them.
+    /// Evaluates these rules.
     pub fn of(case: &Case) -> Self {
         const CODES: [&str; 19] = [
             "FRM001", "FRM002", "FRM003", "LAT001", "LAT002", "LAT003", "ORD001", "ORD002",
@@ -56,7 +56,7 @@ impl Named {
         Self { judged: judged.collect(), doubled: doubled.collect() }
     }
 
-    /// What the rules among `codes` made of a topic of `arm`, or of one of its joints.
+    /// Outcomes of the rules in `codes` on a topic or joint of `arm`.
     fn on<'a>(
         &'a self,
         arm: &'a ArmEvidence,
@@ -71,8 +71,8 @@ impl Named {
         self.judged.iter().filter(is_meant).map(|(code, judged)| (*code, &judged.outcome))
     }
 
-    /// Whether FRM001 has found what `stream` is, which is /tf, or FRM004 two publishers of it that are
-    /// farther apart than what is left.
+    /// Whether `stream` is /tf and its residual is already reported: by FRM001, or by FRM004 as two
+    /// publishers whose distance exceeds the residual.
     fn says_of_tf(&self, arm: &ArmEvidence, stream: &Of<PoseEvidence>, left: &Left) -> bool {
         let is_doubled = || {
             self.doubled.iter().any(|(topic, by, edges)| {
@@ -91,7 +91,7 @@ impl Named {
     }
 }
 
-/// Whether a stream of `arm` is what /tf says of its tip.
+/// Whether a stream is the tip pose of `arm` from /tf.
 fn is_tf(arm: &ArmEvidence, stream: &Of<PoseEvidence>) -> bool {
     arm.tf.as_ref().is_some_and(|tf| std::ptr::eq(tf, stream))
 }
@@ -100,40 +100,41 @@ fn is_faulty(outcome: &Outcome) -> bool {
     matches!(outcome, Outcome::Evaluated(Ruling::Faulty(_)))
 }
 
-/// How the error of one stream stands.
+/// Attribution of one stream's error.
 pub(super) enum Standing {
-    /// It is below the thresholds as logged.
+    /// Below the thresholds as logged.
     Below,
-    /// It is what differs from sample to sample.
+    /// Consistent with sample-to-sample noise.
     Noise,
-    /// What was found leaves less than the thresholds, or what differs from sample to sample; whether a
-    /// rule names any of it.
+    /// The residual after correction is below the thresholds or consistent with noise. `is_named` if a rule
+    /// reports one of the corrected causes.
     Accounted { is_named: bool },
-    /// What is left is below the thresholds in the mean square and hardly above them anywhere, as what
-    /// amounts below a threshold at every joint leave together.
+    /// The residual is below the thresholds in rms and slightly above them in places, as small errors of
+    /// every joint add up.
     Small(Left),
-    /// Small changes of many kinematic parameters account for what else is left.
+    /// Small deviations of many kinematic parameters explain the residual.
     Nominal(Error),
-    /// Some is left that is surely more than all that.
+    /// A significant residual remains.
     Left(Left),
-    /// More is left than may be, and that may be noise, or causes whose rules are open: which.
+    /// A residual above the thresholds that may be noise, or due to the rules with these codes, which are
+    /// inconclusive.
     Open(Left, Vec<&'static str>),
 }
 
-/// What is left of a stream's error where it is too large.
+/// Residual that exceeds the thresholds.
 pub(super) struct Left {
     pub severity: Severity,
     pub error: Error,
-    /// The part in which it is largest.
+    /// Part of the run with the largest error.
     pub worst: Part,
-    /// The parts of the run in which it is too large, in the order of time.
+    /// Parts of the run above the thresholds, in order of time.
     pub parts: Vec<Part>,
 }
 
-/// Less that is left of a drawing is not worth a word, rms m.
+/// Minimum residual of a nominal model that is reported, rms m.
 const DRAWN_M: f64 = 0.3e-3;
 
-/// How the error of a stream stands, as `thresholds` have it; `None` where there is none.
+/// Attributes the error of a stream, given `thresholds`; `None` if the stream has no error estimate.
 pub(super) fn standing(
     named: &Named,
     arm: &ArmEvidence,
@@ -144,7 +145,7 @@ pub(super) fn standing(
     let found = &stream.diagnosis;
     let proof = stream.proof.as_ref().ok()?;
     let explained = proof.left.as_ref().unwrap_or(&proof.as_logged);
-    // What is computed from the joint states has no noise of its own.
+    // A stream computed from the joint states has no noise of its own.
     let near = if is_tf(arm, stream) { 0.0 } else { NEAR };
     let in_degrees = arm.diagnosis.reading.as_ref().is_ok_and(|read| read.degrees.is_some());
     if is_tf(arm, stream) && in_degrees && races(explained, named, stream, thresholds) {
@@ -163,11 +164,11 @@ pub(super) fn standing(
         return Some(Standing::Noise);
     }
     let left = match Left::of(explained, thresholds, near) {
-        // FRM001 says what is left of /tf, of which it is all.
+        // FRM001 already reports the whole residual of /tf.
         Some(left) if named.says_of_tf(arm, stream, &left) => {
             return Some(Standing::Accounted { is_named: true });
         }
-        // Against a frame that nobody knows, what is logged is off by any amount.
+        // The error as logged is meaningless if the reference frame is unknown.
         Some(left) if proof.left.is_none() && !stream.reference_known => {
             return Some(Standing::Open(left, vec!["ORD001"]));
         }
@@ -196,22 +197,22 @@ pub(super) fn standing(
     })
 }
 
-/// What was taken off the poses alone, where it is more than amounts that are each below a threshold make.
-/// Some rule must name it.
+/// Effect of the corrections to the poses alone, if larger than several causes below their thresholds could
+/// produce. A rule must report it.
 fn hidden_in_poses(proof: &Proof, thresholds: &FrameThresholds) -> Option<Left> {
     let left = Left::of(proof.beside_poses.as_ref()?, thresholds, NEAR)?;
     (left.severity == Severity::Error).then_some(left)
 }
 
-/// Whether what is left of /tf is what degrees leave that are read as radians: such joints race through
-/// nearly a turn from one sample to the next. Beside it two publishers may be apart.
+/// Whether the residual of /tf can come from degrees interpreted as radians, possibly together with two
+/// conflicting publishers. Such joints turn almost a full revolution between samples.
 fn races(
     error: &Error,
     named: &Named,
     stream: &Of<PoseEvidence>,
     thresholds: &FrameThresholds,
 ) -> bool {
-    /// In thresholds.
+    /// Maximum residual, in thresholds.
     const MOST: f64 = 5.0;
     let apart = named.doubled.iter().filter(|(topic, ..)| topic == stream.topic());
     let (by_m, by_rad) = apart
@@ -222,8 +223,7 @@ fn races(
         .all(|((size, threshold), by)| size.whole.rms < MOST * threshold.warning + ROOM * by)
 }
 
-/// Whether what is left comes again with the posture, which noise does not, however little of it is known
-/// from sample to sample.
+/// Whether the residual repeats with the configuration, unlike noise, even if the noise is poorly known.
 fn comes_again(found: &PoseDiagnosis, thresholds: &FrameThresholds, subjects: usize) -> bool {
     found.residual.as_ref().is_ok_and(|residual| {
         let Residual { excess_m, excess_rad, .. } = residual;
@@ -232,8 +232,8 @@ fn comes_again(found: &PoseDiagnosis, thresholds: &FrameThresholds, subjects: us
 }
 
 impl Left {
-    /// What of `error` reaches the thresholds and is more than `near` times what differs from sample to
-    /// sample; `None` where none is.
+    /// Parts of `error` that reach the thresholds and exceed `near` times the noise; `None` if there are
+    /// none.
     fn of(error: &Error, thresholds: &FrameThresholds, near: f64) -> Option<Self> {
         let mut parts: Vec<(f64, Severity, Part)> = Vec::new();
         for (size, threshold) in sizes(error, thresholds) {
@@ -252,12 +252,12 @@ impl Left {
         Some(Self { severity, error: error.clone(), worst, parts })
     }
 
-    /// What of `error` reaches the thresholds and is not near what differs from sample to sample.
+    /// Parts of `error` that reach the thresholds and are clearly above the noise.
     pub fn beyond(error: &Error, thresholds: &FrameThresholds) -> Option<Self> {
         Self::of(error, thresholds, NEAR)
     }
 
-    /// Whether it is what amounts below a threshold at every joint leave together.
+    /// Whether small errors of every joint, each below its threshold, can add up to it.
     fn is_small(&self, thresholds: &FrameThresholds) -> bool {
         let small = |amount: &Amount, warning: f64| {
             amount.rms < LASTING * warning && amount.most < TOGETHER * warning
@@ -268,13 +268,13 @@ impl Left {
         })
     }
 
-    /// Whether in its worst part it is surely more than what differs from sample to sample.
+    /// Whether the worst part is significantly above the noise.
     pub fn is_beyond_noise(&self) -> bool {
         self.worst.amount.noise.is_some_and(|noise| self.worst.amount.rms >= BEYOND * noise.rms)
     }
 
-    /// Whether over the whole run the error reaches its threshold in the mean square too, and is in some part
-    /// surely beyond measured noise.
+    /// Whether the rms over the whole run reaches its threshold, with a part significantly above the
+    /// measured noise.
     fn is_sure(&self, thresholds: &FrameThresholds) -> bool {
         let sure = |part: &Part| {
             let Amount { rms, noise, .. } = part.amount;
@@ -285,7 +285,7 @@ impl Left {
         })
     }
 
-    /// Whether it is left in some part at the same time as `other`.
+    /// Whether its worst part overlaps a part of `other` in time.
     pub fn shares(&self, other: &Left) -> bool {
         let meets = |a: &Part, b: &Part| a.from_s < b.to_s && b.from_s < a.to_s;
         other.parts.iter().any(|part| meets(part, &self.worst))
@@ -300,7 +300,7 @@ fn sizes<'a>(
     std::iter::once((&error.length, &thresholds.length)).chain(angle)
 }
 
-/// Which of the causes found on a stream are open, and whether any is named.
+/// Rules on a stream's causes that are inconclusive, and whether any cause is reported.
 struct Causes {
     joints: Vec<&'static str>,
     poses: Vec<&'static str>,
@@ -318,7 +318,7 @@ impl Causes {
                 .flatten()
                 .collect();
         let frame = |frame: &Seen<FrameEstimate>| frame.as_ref().is_ok_and(|frame| frame.chosen);
-        // Orientations that were logged and not read are not accounted for.
+        // An orientation whose encoding is undetermined is not accounted for.
         let has_angle = stream.proof.as_ref().is_ok_and(|proof| proof.as_logged.angle.is_some());
         let reading = match &found.reading {
             Ok(reading) => reading.inverted || !reading.best.is_as_logged(),
@@ -387,18 +387,18 @@ impl Causes {
     }
 }
 
-/// Where more than this is left, rms m, the model may be another arm's.
+/// From this unexplained residual on, the model may be of a different arm, rms m.
 const UNEXPLAINED_M: f64 = 5e-3;
-/// A cause that moves poses by so many times what is left is there whatever else is.
+/// A cause whose effect is this multiple of the unexplained residual is reported despite it.
 const FAR_BEYOND: f64 = 10.0;
 
-/// Why a cause that moves the poses of `arm` by `effect_m` cannot be believed, where it cannot: what
-/// is left beside it makes it a part of whatever the model does not have.
+/// Reason why a cause with an effect of `effect_m` cannot be reported for `arm`: an unexplained residual of
+/// the model could produce it. `None` if it can.
 pub(super) fn doubt(arm: &ArmEvidence, effect_m: f64) -> Option<String> {
     let left = arm.poses.iter().filter_map(|stream| stream.diagnosis.residual.as_ref().ok());
     let left_m = left.map(|residual| residual.excess_m.value).fold(0.0, f64::max);
     (left_m > UNEXPLAINED_M && effect_m < FAR_BEYOND * left_m).then(|| {
         let left = Unit::Metre.show(left_m);
-        format!("{left} is left that nothing explains (MDL001); check the model")
+        format!("unexplained residual of {left} (MDL001); check the model")
     })
 }

@@ -1,4 +1,4 @@
-//! A run in which nothing is wrong, for tests to plant estimates in.
+//! A fault-free run for tests, to be modified with faulty estimates.
 
 use std::sync::LazyLock;
 
@@ -29,23 +29,23 @@ pub const COMMANDS: &str = "/commanded_pose";
 
 const SPAN: Span = Span { start: Stamp::from_nanos(0), end: Stamp::from_nanos(40_000_000_000) };
 
-/// An amount that is surely within every threshold around it.
+/// An estimate with a negligible standard error.
 pub fn sure(value: f64) -> Measured {
     Measured { value, std_error: 1e-6, dof: 1e3 }
 }
 
-/// The length of a vector that is surely there, or surely not.
+/// Norm of a vector: significant, unless `value` is zero.
 pub fn length(value: f64) -> Length {
     Length { norm: sure(value), p_value: if value > 0.0 { 0.0 } else { 0.5 } }
 }
 
-/// A run as a rule is asked about it, by the rules' own thresholds.
+/// The rules' input with default thresholds.
 pub fn as_case(evidence: &RunEvidence) -> Case<'_> {
     static OWN: LazyLock<Thresholds> = LazyLock::new(Thresholds::default);
     Case { evidence, thresholds: &OWN, required: &[] }
 }
 
-/// What `rule` says of `run`: its rows and its findings.
+/// Rows and findings of `rule` on `run`.
 pub fn ask(rule: &Rule, run: &RunEvidence) -> (Vec<CheckRow>, Vec<Finding>) {
     let evaluation = evaluate(run, &Default::default());
     let (mut rows, mut findings) = (evaluation.checks, evaluation.findings);
@@ -54,8 +54,7 @@ pub fn ask(rule: &Rule, run: &RunEvidence) -> (Vec<CheckRow>, Vec<Finding>) {
     (rows, findings)
 }
 
-/// An error of this size in all of the run, as logged and beside all that was found, far beyond what
-/// differs from sample to sample.
+/// An error of this size over the whole run, before and after correction, far above the noise.
 pub fn left(most_m: f64, most_rad: f64) -> Proof {
     let size = |most: f64| {
         let noise = Some(Short { rms: 1e-8, most: 2e-8, over: 1 });
@@ -74,7 +73,7 @@ pub fn left(most_m: f64, most_rad: f64) -> Proof {
     }
 }
 
-/// One arm with a pose stream, /tf, an IMU and three joints, and nothing wrong with any of them.
+/// A fault-free arm with a pose stream, /tf, an IMU and three joints.
 pub fn clean_run() -> RunEvidence {
     let still = Abruptness {
         acceleration: 0.5,
@@ -185,13 +184,13 @@ pub fn clean_run() -> RunEvidence {
     }
 }
 
-/// What was found on a topic of the arm.
+/// A result on a topic of the arm.
 fn of<T>(topic: &str, found: T) -> Of<T> {
     let (robot, topic) = (Some(ARM.to_owned()), Some(topic.to_owned()));
     Of { subject: Subject { robot, topic, ..Subject::default() }, span: Some(SPAN), found }
 }
 
-/// Commands that the arm follows, along a line too, by FK and by a stream.
+/// Commands that the arm follows, including a straight line, observed by FK and by a stream.
 fn commands() -> ReferenceEvidence {
     let witness = |name: &str, kind| ReferenceWitness { name: name.to_owned(), kind };
     let kept = LineWitness { distance_m: length(0.0), angle_rad: length(0.0) };
@@ -236,7 +235,8 @@ fn commands() -> ReferenceEvidence {
     }
 }
 
-/// A rest at which the command is `length_m` off along the tool's x, the tool turned by `turn_rad`.
+/// A rest in which the command is off by `length_m` along the tool's x axis. The tool is turned by
+/// `turn_rad`.
 pub fn rest_gap(length_m: f64, turn_rad: f64) -> RestGap {
     let measured = pose([0.4, 0.1, 0.3], rotation_from_rotvec(Vec3::z() * turn_rad));
     RestGap {
@@ -250,7 +250,7 @@ pub fn rest_gap(length_m: f64, turn_rad: f64) -> RestGap {
     }
 }
 
-/// A frame error of `length_m` along x, not chosen.
+/// A frame error of `length_m` along x, not in the selected model.
 pub fn frame(length_m: f64) -> FrameEstimate {
     FrameEstimate {
         pose: Pose::translation(length_m, 0.0, 0.0),
@@ -336,7 +336,7 @@ fn stream(independent: bool) -> PoseEvidence {
     }
 }
 
-/// A latency that does not change.
+/// A constant latency.
 pub fn steady() -> LatencyCourse {
     LatencyCourse {
         swing_s: sure(0.0),

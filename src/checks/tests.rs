@@ -33,7 +33,7 @@ fn a_clean_run_passes_every_rule_about_an_arm() {
     }
 }
 
-/// What a rule says of a run, without words.
+/// Statuses of a rule's rows.
 fn statuses(rule: &Rule, run: &RunEvidence, settings: &Settings) -> Vec<Status> {
     let select = vec![rule.code.parse().expect("the rule's own code")];
     let settings = Settings { select, ..settings.clone() };
@@ -42,7 +42,7 @@ fn statuses(rule: &Rule, run: &RunEvidence, settings: &Settings) -> Vec<Status> 
 
 #[test]
 fn every_threshold_that_is_set_reaches_its_rule() {
-    // No joint slides or gives there, no yaw jumps, nothing shakes and no gyro has a gain.
+    // The clean run has no prismatic or compliant joint, yaw step, shaking or gyro gain.
     let idle = [
         ("ZER001", Unit::Metre),
         ("ZER003", Unit::Radian),
@@ -61,7 +61,7 @@ fn every_threshold_that_is_set_reaches_its_rule() {
             if !is_asked || idle.contains(&(rule.code, own.unit)) {
                 continue;
             }
-            // Nothing is known as well as that.
+            // Below the noise floor of every estimate.
             let fine = Threshold { warning: 1e-15, error: 2e-15, ..*own };
             settings.thresholds.set(rule, fine);
             assert_ne!(statuses(rule, &run, &settings), before, "{} {:?}", rule.code, own.unit);

@@ -1,22 +1,22 @@
-//! The amounts that rules judge by: their own, unless the caller set others.
+//! Thresholds and limits of rules: the defaults, unless the caller overrides them.
 
 use super::{FrameThresholds, Rule, Threshold};
 use crate::finding::Unit;
 
-/// An amount beside its thresholds that a rule holds what it sees against.
+/// A limit of a rule in addition to its thresholds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limit {
-    /// Its name in a config, in snake_case.
+    /// Config key, in snake_case.
     pub key: &'static str,
-    /// Its unit, in SI.
+    /// SI unit.
     pub unit: Unit,
-    /// The amount that the rule itself takes.
+    /// Default value.
     pub value: f64,
-    /// What it is, in a clause.
+    /// Description, as a clause.
     pub what: &'static str,
 }
 
-/// The thresholds and limits that the caller set instead of the rules' own.
+/// Thresholds and limits that override those of the rules.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Thresholds {
     thresholds: Vec<(&'static str, Threshold)>,
@@ -24,30 +24,30 @@ pub struct Thresholds {
 }
 
 impl Thresholds {
-    /// Sets the threshold of `rule` that is in this unit.
+    /// Overrides the threshold of `rule` in the unit of `threshold`.
     pub fn set(&mut self, rule: &Rule, threshold: Threshold) {
         self.thresholds.retain(|(code, set)| (*code, set.unit) != (rule.code, threshold.unit));
         self.thresholds.push((rule.code, threshold));
     }
 
-    /// Sets a limit of `rule`.
+    /// Overrides a limit of `rule`.
     pub fn set_limit(&mut self, rule: &Rule, limit: &Limit, value: f64) {
         self.limits.retain(|(code, key, _)| (*code, *key) != (rule.code, limit.key));
         self.limits.push((rule.code, limit.key, value));
     }
 
-    /// The threshold of `rule` that is in the unit of `own`, which is what the rule itself takes.
+    /// Threshold of `rule` in the unit of `own`, the default.
     pub fn of(&self, rule: &Rule, own: Threshold) -> Threshold {
         let is_it = |(code, set): &&(&str, Threshold)| (*code, set.unit) == (rule.code, own.unit);
         self.thresholds.iter().find(is_it).map_or(own, |(_, set)| *set)
     }
 
-    /// The thresholds of a rule on frames, of which `own` are its own.
+    /// Thresholds of a rule on frames; `own` are the defaults.
     pub(super) fn of_frames(&self, rule: &Rule, own: FrameThresholds) -> FrameThresholds {
         FrameThresholds { length: self.of(rule, own.length), angle: self.of(rule, own.angle) }
     }
 
-    /// The amount of a limit of `rule`.
+    /// Value of a limit of `rule`.
     pub fn limit(&self, rule: &Rule, limit: &Limit) -> f64 {
         let is_it = |(code, key, _): &&(&str, &str, f64)| (*code, *key) == (rule.code, limit.key);
         self.limits.iter().find(is_it).map_or(limit.value, |(_, _, value)| *value)

@@ -1,11 +1,10 @@
-//! Joints with the same fault are one finding.
+//! Combines joints with the same fault into one finding.
 
 use crate::checks::Judged;
 use crate::evidence::ArmEvidence;
 use crate::finding::Subject;
 
-/// What is wrong with the joints at these places, sorted into those that have the same, in the order of
-/// their first.
+/// Groups faults, given with their joint index, by equality. Groups are in the order of their first member.
 pub fn alike<T>(faults: Vec<(usize, T)>, is_same: impl Fn(&T, &T) -> bool) -> Vec<Vec<(usize, T)>> {
     let mut groups: Vec<Vec<(usize, T)>> = Vec::new();
     for fault in faults {
@@ -18,8 +17,7 @@ pub fn alike<T>(faults: Vec<(usize, T)>, is_same: impl Fn(&T, &T) -> bool) -> Ve
     groups
 }
 
-/// The subject of one finding on the joints at these places of a topic: the joint, or the topic where
-/// there are several.
+/// Subject of one finding: the joint, or the topic if there are several joints.
 pub fn subject(arm: &ArmEvidence, topic: &str, joints: &[usize]) -> Subject {
     let topic = arm.topic(topic);
     match joints {
@@ -28,7 +26,7 @@ pub fn subject(arm: &ArmEvidence, topic: &str, joints: &[usize]) -> Subject {
     }
 }
 
-/// Who they are in a message, before what they do: nothing of one, which is the subject.
+/// Message prefix with the number of joints; empty for one joint, which is the subject.
 pub fn prefix(arm: &ArmEvidence, joints: &[usize]) -> String {
     match joints.len() {
         1 => String::new(),
@@ -37,7 +35,7 @@ pub fn prefix(arm: &ArmEvidence, joints: &[usize]) -> String {
     }
 }
 
-/// Lists several joints by name in the evidence.
+/// Adds the names of several joints to the evidence.
 pub fn listed(judged: Judged, arm: &ArmEvidence, joints: &[usize]) -> Judged {
     let name = |joint: &usize| arm.joints.get(*joint).map(|joint| joint.name.clone());
     match joints {

@@ -1,22 +1,22 @@
-//! Joint zeros and constant frames that do the same to a log.
+//! Joint zero offsets and constant frames that have the same effect on a log.
 
 use crate::diagnosis::{Measured, Twin};
 use crate::evidence::ArmEvidence;
 use crate::finding::{Alternative, Estimate, Unit};
 
-/// The estimate of a joint's zero.
+/// Estimate of a joint's zero offset.
 pub fn estimate(unit: Unit, offset: &Measured) -> Estimate {
     Estimate::amount("joint zero offset", unit, offset)
 }
 
-/// The offset of joint `joint` as a cause that another rule cannot tell from its own.
+/// Zero offset of joint `joint` as an alternative cause for another rule.
 pub fn zero_cause(arm: &ArmEvidence, joint: usize) -> Alternative {
     let offset = arm.diagnosis.offsets.get(joint).and_then(|offset| offset.offset.as_ref().ok());
     let estimate = offset.map(|offset| estimate(arm.joint_unit(joint), offset));
     Alternative { code: "ZER001", subject: arm.joint(joint), estimate }
 }
 
-/// A twin of an offset in `unit`, as a cause.
+/// A confounder of an offset in `unit`, as an alternative cause.
 pub fn twin_cause(arm: &ArmEvidence, twin: &Twin, unit: Unit) -> Alternative {
     let topic = |stream: usize| arm.poses.get(stream).map_or("", |stream| stream.topic());
     let (code, subject, name, value, unit) = match *twin {

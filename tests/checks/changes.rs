@@ -26,7 +26,7 @@ fn a_tool_that_slips_is_named_with_both_offsets_and_the_moment() {
     .audited();
     assert_change(&report, "FRM003", POSE, 0.05, 1e-4);
     let finding = the(&report, "FRM003", POSE);
-    assert_eq!(finding.title, "tool frame changes in mid-run");
+    assert_eq!(finding.title, "tool frame changes mid-run");
     let to = &finding.evidence.more["changes"][0]["to"]["xyz"];
     let to = [0, 1, 2].map(|axis| to[axis].as_f64().expect("a number"));
     assert!((Vec3::from(to) - Vec3::new(0.0, 0.03, 0.04)).norm() < 1e-4, "{to:?}");

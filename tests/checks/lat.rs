@@ -69,7 +69,7 @@ cases! {
         log.run.tf.timing.rate_hz = 0.0;
         log.run.imu.timing.rate_hz = 0.0;
     } => Skipped("no pose, /tf or IMU");
-    LAT001 an_arm_at_rest: |log| log.run.motion = Motion::AtRest => Undecided("hardly moves");
+    LAT001 an_arm_at_rest: |log| log.run.motion = Motion::AtRest => Undecided("barely moves");
     LAT001 motion_that_repeats_itself: |log| {
         log.run.motion = Motion::Periodic { period_s: 0.8 };
     } => Undecided("repeats itself");
@@ -97,7 +97,7 @@ cases! {
         log.run.imu.timing.rate_hz = 0.0;
     } => Skipped("no pose or IMU stream");
     LAT002 an_arm_at_rest_shows_no_skew: |log| log.run.motion = Motion::AtRest
-        => Undecided("hardly moves");
+        => Undecided("barely moves");
 
     LAT003 a_pose_that_is_later_from_a_moment_on: |log| {
         log.run.duration_s = 16.0;
@@ -135,7 +135,7 @@ cases! {
         log.run.imu.timing.rate_hz = 0.0;
     } => Skipped("no pose, /tf or IMU");
     LAT003 an_arm_at_rest_shows_no_jump: |log| log.run.motion = Motion::AtRest
-        => Undecided("hardly moves");
+        => Undecided("barely moves");
 }
 
 #[test]

@@ -98,7 +98,7 @@ cases! {
     MOT006 sag_is_no_play: |log| gives(log, &[(1, Giving::Sag, 0.6)]) => BlamedOn("ZER003");
     MOT006 eccentric_gears_are_no_play: |log| gives(log, &[(1, Giving::Eccentric(2), 0.8)])
         => BlamedOn("MDL001");
-    MOT006 an_arm_at_rest_shows_no_play: |log| log.run.motion = Motion::AtRest => Undecided("hardly moves");
+    MOT006 an_arm_at_rest_shows_no_play: |log| log.run.motion = Motion::AtRest => Undecided("barely moves");
     MOT006 no_pose_beside_the_encoders: |log| log.run.pose.timing.rate_hz = 0.0 => Skipped("no pose stream");
 
     MOT004 a_line_that_is_bowed: |log| along(log, Lines { bow_m: 3e-3, ..Lines::default() })
