@@ -116,7 +116,7 @@ cases! {
     HEC001 a_target_of_another_motion: |log| {
         watched(log, Camera::InHand);
         log.edit = Some(|messages| crate::checks::yaw::reverse(messages, TARGET));
-    } => Undecided("does not turn as the hand does");
+    } => Undecided("rotation does not match the hand");
 
     HEC002 one_joint: |log| {
         watched(log, Camera::InHand);
@@ -134,7 +134,7 @@ cases! {
     HEC002 a_second_of_sight: |log| {
         watched(log, Camera::InHand);
         (log.run.duration_s, log.run.amplitude) = (1.2, 0.1);
-    } => Undecided("s only; record 10 s or more");
+    } => Undecided("s; record 10 s or more");
     HEC002 no_target_to_turn: |_| {} => Skipped("no camera-to-target poses");
 
     HEC003 body_axes_under_an_optical_frame: |log| {
@@ -169,7 +169,7 @@ cases! {
         watched(log, Camera::InHand);
         log.run.target.frame_id = "cam".to_owned();
         log.run.target.with_frame = false;
-    } => Skipped("does not say how the camera's axes lie");
+    } => Skipped("camera axis convention unknown");
 }
 
 /// A camera, as the log moves.
@@ -248,7 +248,7 @@ fn a_tag_of_another_size_is_told_from_a_lens() {
     let tag = audited(1.1, None);
     let size = factor(&tag, "scale").expect("a size");
     assert!((size - 1.1).abs() < 5e-3 && factor(&tag, "depth_scale").is_none(), "{tag:?}");
-    assert!(tag.fix.contains("told 40 mm, the target has 36."), "{}", tag.fix);
+    assert!(tag.fix.contains("configured as 40 mm measures 36."), "{}", tag.fix);
     let lens = audited(1.0, Some(|messages| deepen(messages, 0.9)));
     let depth = factor(&lens, "depth_scale").expect("a depth");
     assert!((depth - 0.9).abs() < 5e-3 && factor(&lens, "scale").is_none(), "{lens:?}");
@@ -268,12 +268,9 @@ fn what_mends_a_target_is_said() {
         let report = log.audited();
         the(&report, "HEC001", TARGET).message.clone()
     };
-    assert!(said(Coding::Transposed).ends_with("if its rotations are transposed"));
+    assert!(said(Coding::Transposed).ends_with("if target rotations are transposed"));
     let misread = said(crate::checks::ord::misread("rotvec", "euler:xyz"));
-    assert!(
-        misread.contains("its rotations are rotvec, which were read as euler:xyz"),
-        "{misread}"
-    );
+    assert!(misread.contains("target rotations are rotvec, not euler:xyz"), "{misread}");
 }
 
 #[test]

@@ -37,7 +37,7 @@ cases! {
         => warning(Joint("shoulder_lift_joint"), Amount(30.0, 3.0));
     MOT002 a_stop_at_ten_is_sound: |log| stop(log, 10.0) => Sound;
     MOT002 joints_in_degrees_are_no_motion: |log| log.run.joints.in_degrees = true
-        => LeftOpenBy("ORD004", "read them right first");
+        => LeftOpenBy("ORD004", "correct them first");
     MOT002 a_joint_zero_stops_nothing: |log| log.run.joints.zero_offsets = crate::checks::zer::zero(2, 0.6)
         => BlamedOn("ZER001");
     MOT002 no_joint_states: |log| log.run.joints.timing.rate_hz = 0.0 => Skipped("joint states");
@@ -49,7 +49,7 @@ cases! {
     MOT003 a_turn_within_the_limits_is_sound: |log| turn_too_many(log, -0.3) => Sound;
     MOT003 a_step_of_an_encoder_is_no_speed: |log| coarse_encoders(log) => Sound;
     MOT003 joints_in_degrees_are_within_no_limits: |log| log.run.joints.in_degrees = true
-        => LeftOpenBy("ORD004", "read them right first");
+        => LeftOpenBy("ORD004", "correct them first");
     MOT003 a_joint_zero_within_the_limits: |log| {
         log.run.joints.zero_offsets = crate::checks::zer::zero(2, 0.6);
     } => BlamedOn("ZER001");
@@ -142,7 +142,7 @@ fn steps_of_an_encoder_may_hide_shake() {
     let of_joints = |row: &&CheckRow| row.code == "MOT001" && row.subject.label() == JOINT_STATES;
     let row = report.checks.iter().find(of_joints).expect("a row");
     assert_eq!(row.status, Status::Inconclusive, "{row:?}");
-    assert!(row.reason.as_deref().is_some_and(|why| why.contains("hides shake")), "{row:?}");
+    assert!(row.reason.as_deref().is_some_and(|why| why.contains("hides vibration")), "{row:?}");
 }
 
 /// Encoders of 9 bits a turn, read a thousand times a second: a step from sample to sample is 350°/s.

@@ -1,4 +1,4 @@
-//! What the rules on hand and eye share.
+//! Thresholds, evidence and messages shared by the hand-eye rules.
 
 use serde_json::{Map, Value, json};
 
@@ -10,46 +10,47 @@ use crate::evidence::HandEyeEvidence;
 use crate::finding::{Outcome, Unit};
 use crate::run::CameraAxes;
 
-/// The thresholds of a chain that does not close, and of a mount that is not where frames say.
+/// Thresholds for the closure residual and for the camera mount error.
 pub const THRESHOLDS: FrameThresholds = FrameThresholds {
     length: Threshold { unit: Unit::Metre, warning: 2e-3, error: 1e-2 },
     angle: Threshold { unit: Unit::Radian, warning: 0.2 * DEGREE, error: 1.0 * DEGREE },
 };
 
-/// The least span of a hand's rotations from which its chain can be solved: a limit of HEC002.
+/// Minimum angle between two hand orientations for the chain to be solvable; a limit of HEC002.
 pub const LEAST_SPAN: Limit = Limit {
     key: "span",
     unit: Unit::Radian,
     value: 30.0 * DEGREE,
-    what: "the least span of the hand's rotations",
+    what: "minimum angle spanned by the hand's rotations",
 };
-/// The least spread of their axes.
+/// Minimum spread of the rotation axes.
 pub const LEAST_SPREAD: Limit = Limit {
     key: "spread",
     unit: Unit::Radian,
     value: 10.0 * DEGREE,
-    what: "the least angle between the axes of its rotations",
+    what: "minimum angle between the hand's rotation axes",
 };
 
-/// What would settle a hand-eye chain.
+/// The motion that makes a hand-eye chain observable.
 pub const SETTLE: &str =
-    "turn the hand by more than 30° about two axes or more while the camera sees the target";
+    "rotate the hand by more than 30° about two or more axes while the camera sees the target";
 
-/// A target is not the hand's of whose turning the chain leaves more than this share.
+/// The target does not follow the hand if the rotation residual exceeds this fraction of the hand's
+/// rotation.
 const FOLLOWS: f64 = 0.5;
-/// A mount is decided where the other one leaves so many times more.
+/// Minimum ratio of the two mounts' residuals for the mount to be determined.
 const DECIDED: f64 = 1.5;
 
-/// Where a camera is, in words.
+/// Describes the camera mount.
 pub fn where_is(mount: Mount) -> &'static str {
     match mount {
         Mount::InHand => "in the hand",
-        Mount::InBase => "fixed in the base",
+        Mount::InBase => "fixed to the base",
     }
 }
 
 impl CameraAxes {
-    /// The axes in words.
+    /// Describes the axes.
     pub fn words(self) -> &'static str {
         match self {
             CameraAxes::Optical => "z forward, x right",
@@ -58,37 +59,38 @@ impl CameraAxes {
     }
 }
 
-/// Whether the data tell where the camera is.
+/// Whether the data determine if the camera is in the hand or fixed.
 pub fn is_mount_decided(solution: &Solution) -> bool {
     solution.ratio >= DECIDED
 }
 
-/// Why a target that does not close tells nothing of the chain, where it does not.
+/// Explains why the residual says nothing about the chain. `None` if the target's rotation follows the
+/// hand's.
 pub fn does_not_follow(found: &HandEyeDiagnosis) -> Option<String> {
     let turning_rad = found.diversity.as_ref().map_or(0.0, |diversity| diversity.turning_rad);
     let left_rad = found.best()?.closure.rms_rad;
     (left_rad > FOLLOWS * turning_rad).then(|| {
         format!(
-            "the target does not turn as the hand does ({} of {} are left): it moves by itself, its \
-             rotations are misread, or neither it nor the camera is on this hand; {SETTLE}",
+            "target rotation does not match the hand's (residual {} of {}): the target moves, its rotations \
+             are misread, or neither target nor camera is on this hand; {SETTLE}",
             Unit::Radian.show(left_rad),
             Unit::Radian.show(turning_rad),
         )
     })
 }
 
-/// The outcome where there is no estimate.
+/// The outcome if there is no estimate.
 pub fn unseen(why: &Unseen) -> Outcome {
     Outcome::Inconclusive(match why {
         Unseen::TooFewSamples { have, need } => {
-            format!("only {have} of the target's poses have one of the hand, {need} are needed")
+            format!("only {have} target poses overlap with hand poses; {need} are needed")
         }
-        Unseen::NoOverlap => "target and hand share no time".to_owned(),
-        _ => format!("the hand does not turn while the target is seen; {SETTLE}"),
+        Unseen::NoOverlap => "target and hand poses do not overlap in time".to_owned(),
+        _ => format!("the hand does not rotate while the target is visible; {SETTLE}"),
     })
 }
 
-/// What every rule says of a solution.
+/// Adds the evidence on a solution that the hand-eye rules share.
 pub fn with_solution(judged: Judged, facts: &HandEyeEvidence, solution: &Solution) -> Judged {
     let mut all = Map::new();
     let closure = &solution.closure;
@@ -106,8 +108,8 @@ pub fn with_solution(judged: Judged, facts: &HandEyeEvidence, solution: &Solutio
         errors.map(half).to_vec()
     };
     let equivalent = match solution.mount {
-        Mount::InHand => "camera fixed, target's poses inverted (parent and child swapped)",
-        Mount::InBase => "camera in hand, target's poses inverted (parent and child swapped)",
+        Mount::InHand => "camera fixed, target poses inverted (parent and child swapped)",
+        Mount::InBase => "camera in hand, target poses inverted (parent and child swapped)",
     };
     let ratio = Some(solution.ratio).filter(|ratio| ratio.is_finite());
     let offset = &solution.offset_s;
@@ -140,7 +142,7 @@ pub fn with_solution(judged: Judged, facts: &HandEyeEvidence, solution: &Solutio
     all.into_iter().fold(judged, |judged, (key, value)| judged.with_evidence(&key, value))
 }
 
-/// The residuals of at most so many poses, evenly spread.
+/// The residuals of at most `MOST` evenly spaced poses.
 fn each(solution: &Solution) -> Value {
     const MOST: usize = 200;
     let all = &solution.closure.each;

@@ -14,38 +14,42 @@ rule! {
     /// A hand-eye chain does not close.
     ///
     /// ## What it means
-    /// Hand, camera and target are two rigid pairs: with the camera in the hand the target stays
-    /// where it is in the base, with the camera fixed it stays where it is in the hand. No pose of
-    /// the camera and no time offset makes the recorded poses do so, or the one that does is not
-    /// where the log's frames put the camera.
+    /// With the camera in the hand, the target is fixed in the base. With the camera fixed, the target is
+    /// fixed in the hand. Either no camera pose and time offset make the recorded poses consistent with
+    /// this, or the camera pose that does differs from the one in the log's frames.
     ///
     /// ## Why it matters
-    /// What the camera sees is reached for at the wrong place, by as much as the chain is open.
+    /// The robot misses what the camera sees by about the closure residual.
     ///
     /// ## Evidence
-    /// `pose` is the camera in the hand or, fixed, in the base (`mount` says which, `mount_ratio` by
-    /// what factor the other leaves more, `pose_in` names the frame), `pose_half_width_m` and `pose_half_width_rad` the 95 %
-    /// half-widths along its own axes, null where the motion does not show them. `target_pose` is the
-    /// constant on the other side, `equivalent` what no such log can tell from `mount`. `time_offset_s` is how late the target's stamps are against the
-    /// hand's; it is taken off. The estimate is the distance from the log's frames (`mount error`)
-    /// where they place the camera, else the rms of what is open beyond the noise from one pose to the
-    /// next (`closure`); `rms_m`, `median_m` and their like are with the noise, `each` lists poses.
-    /// `scale` is by how many times all positions of the target are too long (a tag of another size than
-    /// the detector was told, or of another unit), `depth_scale` by how many times depth alone is (a focal
-    /// length that is wrong); of one of them where that closes the chain as well as both.
-    /// A factor that the camera's pose absorbs, since the distance to the target hardly changes, is estimated
-    /// beside the chain: it must be known to the first figure at the mean distance for a pass.
-    /// Solved by Park and Martin (1994), refined by Gauss–Newton on robust weights. `reading` says how
-    /// the target's poses must be read for the chain to close, where that is known.
+    /// - `pose`: the camera pose in the frame `pose_in` (hand or base, by `mount`). `pose_half_width_m` and
+    ///   `pose_half_width_rad` are its 95 % half-widths along and about the camera's axes; null if not
+    ///   observable.
+    /// - `mount_ratio`: residual of the other mount divided by that of `mount`. `equivalent` is the setup
+    ///   that no such log can distinguish from `mount`.
+    /// - `target_pose`: the constant target pose on the other side of the chain.
+    /// - `time_offset_s`: latency of the target's stamps relative to the hand's. It is compensated.
+    /// - The estimate is the distance from the camera pose in the log's frames (`mount error`). Without
+    ///   such a frame it is the rms residual beyond pose-to-pose noise (`closure`).
+    /// - `rms_m`, `rms_rad`, `median_m`, `median_rad`: residual including noise; `each` lists it pose by
+    ///   pose.
+    /// - `scale`: factor by which all target positions are too long (wrong tag size or unit).
+    ///   `depth_scale`: factor by which depth alone is too long (wrong focal length). Only one is given if
+    ///   it closes the chain as well as both.
+    /// - `reading`: how the target poses must be read for the chain to close, if known.
+    ///
+    /// If the distance to the target barely changes, the camera pose absorbs a scale error. A pass
+    /// therefore requires the scale to be known to within the warning threshold at the mean distance. The
+    /// chain is solved with Park and Martin (1994) and refined by robust Gauss–Newton.
     ///
     /// ## How to fix
-    /// Correct what `reading` names. Else calibrate the camera's lens, give the detector the right
-    /// size of the target, see that nothing slips, and repeat the hand-eye calibration.
+    /// Correct what `reading` names. Otherwise calibrate the lens, give the detector the true target size,
+    /// check that nothing slips, and repeat the hand-eye calibration.
     ///
     /// ## When it misleads
-    /// A detector's errors go with the view and do not average out: a few millimetres at a metre are
-    /// usual. A target that is moved by hand, or is loose, opens the chain. A camera in the hand whose
-    /// poses are inverted (parent and child swapped) is the same to any log as a fixed camera.
+    /// Detector errors depend on the view and do not average out: a few millimetres at one metre are
+    /// normal. A loose target, or one moved by hand, opens the chain. A camera in the hand with inverted
+    /// poses (parent and child swapped) is indistinguishable from a fixed camera.
     HEC001 {
         name: "hand-eye-closure",
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),
@@ -122,7 +126,7 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
                 let outcome = match decide_frame(error, &thresholds, subjects) {
                     Decision::Pass => sound(facts, best),
                     Decision::Undecided(why) => {
-                        Outcome::Inconclusive(format!("the camera's mount: {why}; {SETTLE}"))
+                        Outcome::Inconclusive(format!("camera mount: {why}; {SETTLE}"))
                     }
                     Decision::Fail(severity) => Outcome::faulty(Fault {
                         severity,
@@ -133,14 +137,14 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
                         },
                         title: "camera mount error",
                         message: format!(
-                            "the camera is {} from where the log's frames put it",
+                            "the camera is {} from its pose in the log's frames",
                             show(error)
                         ),
                         evidence: Evidence {
                             effect_m: Some(error.translation_m.value),
                             ..Evidence::default()
                         },
-                        fix: "replace the camera's static transform by `pose`".to_owned(),
+                        fix: "replace the camera's static transform with `pose`".to_owned(),
                     }),
                 };
                 (outcome, estimate)
@@ -165,8 +169,8 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
     })
 }
 
-/// Why an open chain says nothing of hand and eye, where the arm's model may be what opens it: FK by
-/// it is the hand.
+/// Explains why an open chain does not indicate a hand-eye error. `None` if the arm's model, whose FK is
+/// the hand pose, is accurate enough.
 fn wrong_model(arm: &ArmEvidence, open_m: f64) -> Option<String> {
     let left = |stream: &Of<PoseEvidence>| {
         stream.diagnosis.residual.as_ref().ok().map(|residual| residual.excess_m.value)
@@ -183,7 +187,7 @@ fn wrong_model(arm: &ArmEvidence, open_m: f64) -> Option<String> {
     standing::doubt(arm, open_m)
 }
 
-/// The chain closes: how well, and what else was found.
+/// The outcome of a chain that closes.
 fn sound(facts: &HandEyeEvidence, solution: &Solution) -> Outcome {
     let closure = &solution.closure;
     let (m, rad) = (Unit::Metre.show(closure.rms_m), Unit::Radian.show(closure.rms_rad));
@@ -191,7 +195,7 @@ fn sound(facts: &HandEyeEvidence, solution: &Solution) -> Outcome {
     Outcome::sound_because(format!("closes to {m} and {rad} rms ({}); {camera}", setting(solution)))
 }
 
-/// Where the camera is, with the 95 % interval.
+/// The camera pose with its 95 % interval.
 fn camera(facts: &HandEyeEvidence, solution: &Solution) -> String {
     let camera = &solution.camera;
     let parent = facts.parent_of(solution.mount).unwrap_or_else(|| match solution.mount {
@@ -210,7 +214,7 @@ fn camera(facts: &HandEyeEvidence, solution: &Solution) -> String {
     format!("{parent}→camera: {} ({length}, {angle})", show_pose(&camera.pose))
 }
 
-/// Where the camera is and how late the target, in words.
+/// Camera mount and latency of the target.
 fn setting(solution: &Solution) -> String {
     let mount = match is_mount_decided(solution) {
         true => match solution.mount {
@@ -236,13 +240,14 @@ fn open_chain(facts: &HandEyeEvidence, solution: &Solution, severity: Severity) 
         cause: Cause::Seen(Sight::HandEye),
         title: "hand-eye chain does not close",
         message: format!(
-            "hand-eye residual {m} and {rad} rms beyond the noise after the best fit ({}); {}",
+            "hand-eye residual {m} and {rad} rms beyond noise after the best fit ({}); {}",
             setting(solution),
             camera(facts, solution),
         ),
         evidence: Evidence { effect_m: Some(closure.excess_m.value), ..Evidence::default() },
         fix:
-            "check lens calibration, target size and anything that may slip; then repeat the hand-eye calibration"
+            "check lens calibration, target size and anything that may slip, then repeat the hand-eye \
+             calibration"
                 .to_owned(),
     }
 }
@@ -263,7 +268,7 @@ fn misread(reading: &TargetReading, as_logged: &Solution, thresholds: &FrameThre
         evidence: Evidence { effect_m: Some(closure.rms_m), ..Evidence::default() },
         fix: match reading {
             TargetReading::Stretched(stretch) => stretch_fix(stretch),
-            _ => "correct how the detector writes its rotation".to_owned(),
+            _ => "correct the rotation encoding of the detector".to_owned(),
         },
     }
 }
@@ -278,41 +283,41 @@ fn other_mount(logged: Mount) -> Fault {
         cause: Cause::Seen(Sight::HandEye),
         title: "camera mount differs from the frames",
         message: format!(
-            "the log's frames have the camera {}, and the chain closes only with it {} or with the \
-             target's poses inverted",
+            "in the log's frames the camera is {}, but the chain closes only if it is {} or if the target \
+             poses are inverted",
             where_is(logged),
             where_is(other),
         ),
         evidence: Evidence::default(),
-        fix: "invert the target's poses (parent and child are swapped), or correct the camera's \
-              frame"
-            .to_owned(),
+        fix:
+            "invert the target poses (parent and child are swapped), or correct the camera's frame"
+                .to_owned(),
     }
 }
 
-/// How the target's poses must be read, in words.
+/// How the target poses must be read.
 fn reading_words(reading: &TargetReading) -> String {
     match reading {
         TargetReading::AsLogged => "read as logged".to_owned(),
         TargetReading::Axes(axes) => {
-            format!("its positions are {}", hec003::axes_words(axes))
+            format!("target positions are {}", hec003::axes_words(axes))
         }
-        TargetReading::Transposed => "its rotations are transposed".to_owned(),
+        TargetReading::Transposed => "target rotations are transposed".to_owned(),
         TargetReading::QuaternionOrder(_) => {
-            "its quaternions' components are put in the other order".to_owned()
+            "target quaternion components are reordered".to_owned()
         }
         TargetReading::Misread(class) => match class.members.first() {
             Some(one) => {
-                format!("its rotations are {}, which were read as {}", one.is, one.read_as)
+                format!("target rotations are {}, not {}", one.is, one.read_as)
             }
-            None => "its rotations are of another convention".to_owned(),
+            None => "target rotations follow a different convention".to_owned(),
         },
         TargetReading::Stretched(stretch) => stretch_words(stretch),
     }
 }
 
-/// Whether it is this rule's fault that the target is read otherwise: other axes are HEC003's, and a stretch
-/// counts from the thresholds on.
+/// Whether this rule reports the misinterpretation. HEC003 reports wrong axes; a wrong scale counts from
+/// the thresholds on.
 fn is_fault(reading: &TargetReading, as_logged: &Solution, thresholds: &FrameThresholds) -> bool {
     match reading {
         TargetReading::Axes(_) => false,
@@ -323,13 +328,14 @@ fn is_fault(reading: &TargetReading, as_logged: &Solution, thresholds: &FrameThr
     }
 }
 
-/// What would tell the scale of a target's positions.
-const SETTLE_SCALE: &str = "the scale of the target's positions (lens, target size) is not known: see the \
-    target from distances that differ by a third";
+/// The motion that determines the scale of a target's positions.
+const SETTLE_SCALE: &str = "the scale of the target positions (lens, target size) is undetermined: view the \
+    target at distances that differ by a third";
 
-/// Positions that are too long or too short by a factor, though the chain closes with the camera elsewhere.
+/// Target positions that are too long or too short, in a chain that closes because the camera pose absorbs
+/// the factor.
 fn stretched(solution: &Solution, severity: Severity) -> Fault {
-    /// One factor explains as much as the other if it is this nearly as sure.
+    /// Minimum ratio of the two factors' significances for them to be interchangeable.
     const AS_SURE: f64 = 0.7;
     let scale = &solution.scale;
     let surely = |of: &Measured| ((of.value - 1.0) / of.std_error).abs();
@@ -347,7 +353,7 @@ fn stretched(solution: &Solution, severity: Severity) -> Fault {
         cause: Cause::Seen(Sight::HandEye),
         title: "target positions have a wrong scale",
         message: format!(
-            "{}: the camera is off by {off} along its view ({})",
+            "best fit if {}; otherwise the camera is off by {off} along its view axis ({})",
             stretch_words(&stretch),
             setting(solution)
         ),
@@ -356,32 +362,33 @@ fn stretched(solution: &Solution, severity: Severity) -> Fault {
     }
 }
 
-/// A length that a target has to a detector, mm, by which a wrong one is shown.
+/// Example of a configured target size, mm, in the fix for a wrong one.
 const TOLD_MM: f64 = 40.0;
 
-/// By how much positions are stretched, in words.
+/// Describes the scale factors.
 fn stretch_words(Stretch { size, depth, .. }: &Stretch) -> String {
     let factor = |of: &Measured| format!("{:.4} ± {:.4}", of.value, of.half_width(0.95));
-    let size = size.as_ref().map(|size| format!("its positions are divided by {}", factor(size)));
+    let size =
+        size.as_ref().map(|size| format!("target positions are divided by {}", factor(size)));
     let depth =
-        depth.as_ref().map(|depth| format!("its depth alone is divided by {}", factor(depth)));
+        depth.as_ref().map(|depth| format!("target depth alone is divided by {}", factor(depth)));
     size.into_iter().chain(depth).collect::<Vec<String>>().join(" and ")
 }
 
-/// What must be told to the detector.
+/// The setting of the detector or lens to correct.
 fn stretch_fix(Stretch { size, depth, is_either, .. }: &Stretch) -> String {
     let size_fix = size.as_ref().map(|size| match size.value {
-        value if (value / 1e3 - 1.0).abs() < 0.02 => "write positions in metres, not in millimetres".to_owned(),
+        value if (value / 1e3 - 1.0).abs() < 0.02 => "publish positions in metres, not millimetres".to_owned(),
         value => format!(
-            "tell the detector the size that the target has: where it is told {TOLD_MM:.0} mm, the target \
-             has {:.1} mm",
+            "set the true target size in the detector: a target configured as {TOLD_MM:.0} mm measures {:.1} \
+             mm",
             TOLD_MM / value
         ),
     });
     let depth_fix = depth.as_ref().map(|depth| {
         let (off, side) = (depth.value - 1.0, if depth.value < 1.0 { "small" } else { "large" });
         format!(
-            "calibrate the lens: fx and fy are {:.1} % too {side}, and depth reads {:.3} times too long",
+            "calibrate the lens: fx and fy are {:.1} % too {side}, so depth is {:.3} times too long",
             100.0 * off.abs(),
             depth.value,
         )
@@ -390,10 +397,10 @@ fn stretch_fix(Stretch { size, depth, is_either, .. }: &Stretch) -> String {
     match (is_either, size) {
         (false, _) => both,
         (true, Some(_)) => {
-            format!("{both}; or calibrate the lens, as a wrong focal length does the same here")
+            format!("{both}; or calibrate the lens: a wrong focal length has the same effect here")
         }
         (true, None) => {
-            format!("{both}; or measure the target, as a wrong size does the same here")
+            format!("{both}; or measure the target: a wrong size has the same effect here")
         }
     }
 }

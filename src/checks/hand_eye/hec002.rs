@@ -9,31 +9,31 @@ use crate::evidence::HandEyeEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
 rule! {
-    /// A hand turns too little to solve hand and eye.
+    /// The hand rotates too little for hand-eye calibration.
     ///
     /// ## What it means
-    /// The pose of a camera on a hand is seen by how its view turns with the hand. Less than 30° in
-    /// all, or turns about one axis only, leave a part of that pose open: along the one axis the
-    /// camera may sit anywhere.
+    /// The camera's pose on the hand is observed through the hand's rotations. If they span less than 30°,
+    /// or share one axis, a part of that pose is undetermined: the camera may be anywhere along the common
+    /// axis.
     ///
     /// ## Why it matters
-    /// A calibration from such a run looks fine on the run itself and is off by centimetres as soon as
-    /// the hand tilts otherwise.
+    /// A calibration from such a run fits the run itself and is off by centimetres as soon as the hand
+    /// tilts differently.
     ///
     /// ## Evidence
-    /// `span_rad` is the largest angle between two orientations of the hand while the target is seen,
-    /// `spread_rad` how far from one another its axes are: the angle to the most common one
-    /// (`axis_in_hand`) that 95 % of its turns stay within. `undetermined` lists what of the camera's
-    /// pose is known no better than 2 mm and 0.2°.
+    /// - `span_rad`: largest angle between two hand orientations while the target is visible.
+    /// - `spread_rad`: spread of the rotation axes. 95 % of the rotations have an axis within this angle of
+    ///   the most common one, `axis_in_hand`.
+    /// - `undetermined`: components of the camera pose whose uncertainty exceeds 2 mm or 0.2°.
     ///
     /// ## How to fix
-    /// Record poses in which the hand is tilted by 30° or more about two axes at right angles, the
-    /// target in view. The finding names an axis to add.
+    /// Record poses with the hand tilted by 30° or more about two perpendicular axes and the target in
+    /// view. The finding names an axis to add.
     ///
     /// ## When it misleads
-    /// It says what this run can show, not that anything is wrong: a cell that works tool-down never
-    /// tilts its hand. So it is `info`, unless a hand-eye calibration is required of the log
-    /// (`--require HEC`, or `require` in the config): then it is a warning.
+    /// It describes what this run can show, not a fault: a cell that works tool-down never tilts its hand.
+    /// It is therefore `info`. It is a warning if hand-eye calibration is required of the log (`--require
+    /// HEC`, or `require` in the config).
     HEC002 {
         limits: &[LEAST_SPAN, LEAST_SPREAD],
         name: "hand-eye-rotation",
@@ -45,7 +45,7 @@ rule! {
     }
 }
 
-/// A run shorter than this is no try at hand and eye, s.
+/// A shorter run is not a calibration attempt, s.
 const SHORT_S: f64 = 3.0;
 
 fn check(case: &Case) -> Vec<Judged> {
@@ -67,17 +67,17 @@ fn judge(case: &Case, facts: &HandEyeEvidence) -> Judged {
     let outcome = match does_not_follow(found) {
         Some(why) if turns_enough && found.reading.is_none() => Outcome::Inconclusive(why),
         _ if is_poor && seen_s < SHORT_S => Outcome::Inconclusive(format!(
-            "the target is seen for {seen_s:.1} s only; record 10 s or more"
+            "the target is visible for only {seen_s:.1} s; record 10 s or more"
         )),
         _ if is_poor => Outcome::faulty(fault(diversity, needed, &undetermined, severity(case))),
         _ => Outcome::sound_because(format!(
-            "the hand rotates by {}, about axes spread over {}{}",
+            "the hand rotates by {}, with axes spread over {}{}",
             Unit::Radian.show(diversity.span_rad),
             Unit::Radian.show(diversity.spread_rad),
             match undetermined.as_slice() {
                 [] => String::new(),
                 some => format!(
-                    "; with the target's noise the camera cannot be determined {}",
+                    "; with this target noise the camera is undetermined {}",
                     some.join(", ")
                 ),
             }
@@ -95,7 +95,7 @@ fn judge(case: &Case, facts: &HandEyeEvidence) -> Judged {
         .with_evidence("undetermined", undetermined)
 }
 
-/// A motion that does not determine the camera's pose is a warning only if that pose is required.
+/// An unobservable camera pose is a warning only if that pose is required.
 fn severity(case: &Case) -> Severity {
     let required = [&hec001::HEC001, &HEC002].into_iter().any(|rule| case.requires(rule));
     if required { Severity::Warning } else { Severity::Info }
@@ -110,14 +110,14 @@ fn fault(
     let [least_span, least_spread] = needed.map(|angle| Unit::Radian.show(angle));
     let span = Unit::Radian.show(diversity.span_rad);
     let message = if diversity.span_rad < needed[0] {
-        format!("the hand rotates by {span} only (need {least_span})")
+        format!("the hand rotates by only {span} (need {least_span})")
     } else {
         let spread = Unit::Radian.show(diversity.spread_rad);
         format!("all rotations of the hand share one axis (spread {spread}, need {least_spread})")
     };
     let limits = match undetermined {
         [] => String::new(),
-        some => format!("; the camera cannot be determined {}", some.join(", ")),
+        some => format!("; the camera is undetermined {}", some.join(", ")),
     };
     Fault {
         cause: Cause::Seen(Sight::HandEye),
@@ -131,28 +131,29 @@ fn fault(
 
 /// The motion to add.
 fn motion(diversity: &Diversity, [least_span, least_spread]: [f64; 2]) -> String {
-    /// What makes a hand-eye calibration a good one, rad, where less is asked for.
+    /// Rotation for a good hand-eye calibration, rad; recommended even if the limits are lower.
     const GOOD: f64 = 30.0 * DEGREE;
     let turn = Unit::Radian.show(least_span.max(least_spread).max(GOOD));
     if diversity.span_rad < 2.0 * DEGREE {
-        return format!("turn the hand by {turn} or more about two axes, the target in view");
+        return format!(
+            "rotate the hand by {turn} or more about two axes, with the target in view"
+        );
     }
     let [across, other] = across(diversity.axis_in_hand);
     match diversity.spread_rad < least_spread {
         true => format!("add poses tilted by {turn} or more about {across} or {other} of the hand"),
-        false => format!("add poses tilted by {turn} or more, the target in view"),
+        false => format!("add poses tilted by {turn} or more, with the target in view"),
     }
 }
 
-/// The two axes of the hand that lie most across `axis`.
+/// The two axes of the hand closest to perpendicular to `axis`.
 fn across(axis: [f64; 3]) -> [&'static str; 2] {
     let mut named = [("x", axis[0].abs()), ("y", axis[1].abs()), ("z", axis[2].abs())];
     named.sort_by(|a, b| a.1.total_cmp(&b.1));
     [named[0].0, named[1].0]
 }
 
-/// Along and about which of its own axes a camera's pose is known no better than the thresholds of
-/// HEC001.
+/// The camera axes along and about which the pose uncertainty exceeds the thresholds of HEC001.
 fn undetermined(case: &Case, camera: &CameraPose) -> Vec<String> {
     let axes = ["x", "y", "z"];
     let half = |error: f64| Measured { std_error: error, ..camera.distance_m }.half_width(0.95);

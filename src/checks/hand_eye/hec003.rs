@@ -8,31 +8,31 @@ use crate::geometry::{Rotation, Vec3, angle_between, rotation_from_rpy};
 use crate::run::CameraAxes;
 
 rule! {
-    /// A camera's axes are swapped: z forward against z up.
+    /// Camera axes are swapped: optical (z forward) and body (z up).
     ///
     /// ## What it means
-    /// Cameras see along z, with x to the right (an *optical* frame, REP 103); bodies move along x,
-    /// with z up. Poses of one kind stand under a frame of the other, or the positions are of one kind
-    /// and the rotations of the other.
+    /// An *optical* camera frame (REP 103) has z forward and x right; a body frame has x forward and z up.
+    /// Poses of one kind are published in a frame of the other kind, or the positions follow one and the
+    /// rotations the other.
     ///
     /// ## Why it matters
-    /// What lies ahead is taken to lie above. Where the whole pose is swapped, a calibration of this
-    /// camera's mount hides it; whoever uses the frame by its name does not.
+    /// A point ahead of the camera is interpreted as above it. If the whole pose is swapped, a calibration
+    /// of this camera's mount hides the error, but other users of the frame are affected.
     ///
     /// ## Evidence
-    /// Positions in other axes than rotations keep the chain from closing: `reading` is what makes it
-    /// close. A pose that is swapped as a whole shows only against something that says how the
-    /// camera sits: static transforms from the hand or base to the camera, or a frame called `optical`
-    /// (or tied to one) whose target lies along x instead of z. `view` is the mean direction to the
-    /// target in the camera's axes.
+    /// If positions and rotations have different axes, the chain does not close; `reading` is the
+    /// interpretation that closes it. A pose swapped as a whole is detected only with a reference for the
+    /// camera's orientation: static transforms from the hand or base to the camera, or a frame called
+    /// `optical` (or attached to one) whose target lies along x instead of z. `view` is the mean direction
+    /// to the target in camera axes.
     ///
     /// ## How to fix
-    /// Publish the target in the frame that its numbers are in: `camera_link` is x forward,
-    /// `camera_optical_frame` is z forward.
+    /// Publish the target in the matching frame: `camera_link` is x forward, `camera_optical_frame` is z
+    /// forward.
     ///
     /// ## When it misleads
-    /// Without such frames nothing can be said of a pose that is swapped as a whole, and the rule is
-    /// skipped. A camera mounted askew by just that turn, against its frame in the log, looks the same.
+    /// Without such frames, a pose swapped as a whole cannot be detected and the rule is skipped. A camera
+    /// physically rotated by exactly this rotation relative to its frame looks the same.
     HEC003 {
         name: "camera-axes",
         grade: Grade::Fixed(Severity::Error),
@@ -43,33 +43,33 @@ rule! {
     }
 }
 
-/// A turn this near to that between the two kinds of axes is that one, rad.
+/// Maximum deviation from the body–optical rotation for a mount error to be a swap, rad.
 const NEAR: f64 = 20.0 * DEGREE;
-/// A target that lies within this of an axis lies along it.
+/// Maximum angle between an axis and the direction to the target for the axis to be the view axis, rad.
 const ALONG: f64 = 35.0 * DEGREE;
 
-/// How a camera's axes are swapped.
+/// How the camera axes are swapped.
 pub(super) enum Swap {
-    /// Positions are in other axes than rotations.
+    /// Positions and rotations have different axes.
     Within([(usize, f64); 3]),
-    /// The whole pose is in these axes, and its frame says that it is in the others.
+    /// The whole pose has these axes, and its frame name implies the others.
     Whole(CameraAxes),
 }
 
-/// The swap that a target's poses show, if they show one.
+/// The swap that the target poses show. `None` if they show none.
 pub(super) fn swap(facts: &HandEyeEvidence) -> Option<Swap> {
     let found = &facts.diagnosis;
     if let Some((TargetReading::Axes(axes), _)) = found.reading {
         return Some(Swap::Within(axes));
     }
     let known = found.mount_error.as_ref().filter(|error| {
-        // An error that could turn one kind into the other tells nothing.
+        // A less certain rotation could be either convention.
         error.rotation_rad.half_width(0.95) < NEAR
     });
     let by_mount = known.and_then(|error| {
         let near = |turn: &Rotation| angle_between(turn, &error.pose.rotation) < NEAR;
         let body_from_optical = body_from_optical();
-        // `logged_from_solved`: the solved frame is the one that the numbers are in.
+        // `logged_from_solved`: the poses are expressed in the solved frame.
         match () {
             () if near(&body_from_optical) => Some(CameraAxes::Optical),
             () if near(&body_from_optical.inverse()) => Some(CameraAxes::Body),
@@ -92,7 +92,7 @@ fn body_from_optical() -> Rotation {
     rotation_from_rpy([-FRAC_PI_2, 0.0, -FRAC_PI_2])
 }
 
-/// The axes in which a target in this direction is ahead.
+/// The convention in which a target in this direction is ahead.
 fn forward(view: [f64; 3]) -> Option<CameraAxes> {
     let view = Vec3::from(view);
     let along = |axis: Vec3| view.dot(&axis) > ALONG.cos() * view.norm().max(1e-9);
@@ -103,7 +103,7 @@ fn forward(view: [f64; 3]) -> Option<CameraAxes> {
     }
 }
 
-/// The axes that a position's are to be read as: `(−y, −z, x)`.
+/// How to permute a position, for instance `(-y, -z, x)`.
 pub(super) fn axes_words(axes: &[(usize, f64); 3]) -> String {
     let named = axes.map(|(from, sign)| {
         let sign = if sign < 0.0 { "-" } else { "" };
@@ -138,34 +138,34 @@ fn judge(facts: &HandEyeEvidence) -> Judged {
     }
 }
 
-/// The outcome where nothing is swapped, as far as that can be told.
+/// The outcome if no swap was found.
 fn unswapped(facts: &HandEyeEvidence) -> Outcome {
     let found = &facts.diagnosis;
     if let Some(why) = does_not_follow(found) {
         return Outcome::Inconclusive(why);
     }
     match (&found.mount_error, facts.axes, forward(found.view)) {
-        (Some(_), _, _) => Outcome::sound_because("the camera's axes lie as the log's frames say"),
+        (Some(_), _, _) => Outcome::sound_because("the camera axes agree with the log's frames"),
         (None, Some(named), Some(_)) => {
-            Outcome::sound_because(format!("the target lies ahead ({})", named.words()))
+            Outcome::sound_because(format!("the target is ahead of the camera ({})", named.words()))
         }
         (None, Some(named), None) => {
             let view = found.view.map(|part| rounded(part, 2)).join(", ");
             Outcome::Inconclusive(format!(
-                "the target lies neither along z nor along x but at ({view}), and the frame should \
-                 have {}; show the target in the middle of the view",
+                "the target is neither along z nor along x but at ({view}), in a frame that should have {}; \
+                 move the target to the image centre",
                 named.words()
             ))
         }
         (None, None, _) => Outcome::Skipped(
-            "the log does not say how the camera's axes lie: no static transform to the camera, and \
-             no `optical` in its frame's name"
+            "camera axis convention unknown: the log has no static transform to the camera, and its frame \
+             name does not contain `optical`"
                 .to_owned(),
         ),
     }
 }
 
-/// What the numbers are and what they were read as.
+/// The actual axes and the assumed ones.
 fn kinds(swap: &Swap) -> (&'static str, &'static str) {
     let (optical, body) = (CameraAxes::Optical.words(), CameraAxes::Body.words());
     match swap {
@@ -188,14 +188,14 @@ fn fault(facts: &HandEyeEvidence, swap: &Swap) -> Fault {
     let (message, fix) = match swap {
         Swap::Within(axes) => (
             format!(
-                "positions are in other axes than rotations: the chain closes if they are {}",
+                "positions and rotations have different axes: the chain closes if positions are {}",
                 axes_words(axes)
             ),
-            "write position and rotation of the target in one frame".to_owned(),
+            "publish position and rotation of the target in one frame".to_owned(),
         ),
         Swap::Whole(_) => (
-            format!("poses have {is}, and their frame '{camera}' should have {read_as}"),
-            "name the frame that the numbers are in: optical is z forward, body is x forward"
+            format!("poses have {is}, but frame '{camera}' should have {read_as}"),
+            "use the frame that matches the poses: optical is z forward, body is x forward"
                 .to_owned(),
         ),
     };

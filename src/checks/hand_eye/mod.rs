@@ -1,4 +1,4 @@
-//! Cameras that see a target, each with a hand.
+//! Hand-eye chains: a camera that sees a target, and the hand that moves one of them.
 
 mod chain;
 pub(super) mod hec001;

@@ -1,4 +1,4 @@
-//! How the arm moves: shake, stops, limits.
+//! Motion of the arm: vibration, abrupt stops, joint limits.
 
 pub(super) mod mot001;
 pub(super) mod mot002;
@@ -7,6 +7,6 @@ pub(super) mod mot003;
 use super::Family;
 
 pub(super) static FAMILY: Family = Family {
-    examines: "How the arm moves: shake, stops, limits",
+    examines: "Motion of the arm: vibration, abrupt stops, joint limits",
     rules: &[&mot001::MOT001, &mot002::MOT002, &mot003::MOT003],
 };

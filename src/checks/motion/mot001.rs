@@ -9,33 +9,35 @@ rule! {
     /// Tool vibration above the band of the motion.
     ///
     /// ## What it means
-    /// Above 10 Hz the path of the tool, by forward kinematics of the joint states or as a pose
-    /// stream has it, holds more than noise does: this much, rms, in the second and a half where it
-    /// is most. Of a pose stream the band begins where the motion of the joints ends, at 4 Hz at the
-    /// lowest: what the joints do not do is shake there too, if it is a tone. Noise has the same power at all frequencies and is taken off; where the arm was going
-    /// is slower than that and is not in it.
+    /// The rms of the tool's path above 10 Hz, beyond noise, in the 1.5 s in which it is largest. The path
+    /// is FK of the joint states, or a pose stream. For a pose stream the band starts at the upper end of
+    /// the joint motion, but not below 4 Hz. A tone that the joints do not show is therefore also
+    /// vibration. White noise is estimated and subtracted.
     ///
     /// ## Why it matters
-    /// That is a servo with a dead band that hunts for its target, a loose joint, a gain too high, or
-    /// a command that comes in steps. It blurs cameras, and every pose is off by it.
+    /// Typical causes are a servo hunting in its dead band, a loose joint, an excessive gain, or a stepped
+    /// command. It blurs camera images and adds to every pose error.
     ///
     /// ## Evidence
-    /// `frequency_hz` is the frequency that is strongest, `at_ns` says when, `noise_m` is the rms of
-    /// noise above `from_hz` there, and `resolved_m` the least shake that stands out from it. The
-    /// estimate is the rms in metres.
+    /// - The estimate is the rms in metres.
+    /// - `frequency_hz`: strongest frequency; `at_ns`: time of the window.
+    /// - `from_hz`: lower end of the band; `noise_m`: rms noise above it.
+    /// - `resolved_m`: smallest vibration distinguishable from the noise.
     ///
     /// ## How to fix
-    /// Compare the streams: what the joint states show is the servos' doing, what only an outside
-    /// witness shows is in the structure or in the witness. Widen the dead band, lower the gain, or
-    /// interpolate the command at the controller's rate.
+    /// Compare the streams: vibration in the joint states comes from the servos. Vibration only in an
+    /// independent pose stream comes from the structure or from the sensor. Widen the dead band, lower the
+    /// gain, or interpolate the command at the controller's rate.
     ///
     /// ## When it misleads
-    /// Less than 25 samples a second show nothing of it, and what shakes faster than half the rate
-    /// shows at another frequency. Steps of coarse encoders (10 bits are 6 mrad) hide what is below one and
-    /// a half times what they move the tip by. Tools that vibrate by design, such as a sander, do so. A stop hard
-    /// enough for MOT002 shakes for a moment, which is less than is looked at. A single step of the
-    /// path, as of a tool that slips, is taken off, and where the latency jumps (LAT003) nothing is
-    /// looked at.
+    /// - Streams below 25 Hz are skipped. Vibration above half the sample rate appears at an aliased
+    ///   frequency.
+    /// - Quantization steps of coarse encoders (6 mrad at 10 bits) mask vibration below 1.5 times the tip
+    ///   motion of one step.
+    /// - Some tools, such as sanders, vibrate by design.
+    /// - The ringing after an abrupt stop (MOT002) is shorter than the window.
+    /// - A single step in the path, for instance a slipping tool, is removed. Windows with a latency step
+    ///   (LAT003) are skipped.
     MOT001 {
         name: "shake",
         grade: Grade::From(&[THRESHOLD]),
@@ -47,8 +49,8 @@ rule! {
 }
 
 const THRESHOLD: Threshold = Threshold { unit: Unit::Metre, warning: 0.5e-3, error: 2e-3 };
-/// What would tell.
-const SETTLE: &str = "log it evenly, at 100 Hz or more";
+/// The log that makes vibration observable.
+const SETTLE: &str = "log evenly spaced samples at 100 Hz or more";
 
 fn check(case: &Case) -> Vec<Judged> {
     let of_arm = |arm: &ArmEvidence| -> Vec<Judged> {
@@ -61,7 +63,9 @@ fn judge(case: &Case, arm: &ArmEvidence, stream: &Of<ShakeEvidence>) -> Judged {
     let judged = |outcome| stream.judged(outcome);
     let why = match stream.topic() == arm.joints_topic {
         true => motion_doubt(arm),
-        false => stream.in_other_units.then(|| "its unit is not metres (ORD008)".to_owned()),
+        false => {
+            stream.in_other_units.then(|| "its positions are not in metres (ORD008)".to_owned())
+        }
     };
     if let Some(why) = why {
         return judged(Outcome::Inconclusive(why));
@@ -69,11 +73,11 @@ fn judge(case: &Case, arm: &ArmEvidence, stream: &Of<ShakeEvidence>) -> Judged {
     let found = match &stream.shake {
         Ok(found) => found,
         Err(NoShake::Slow(rate_hz)) => {
-            let why = format!("{rate_hz:.0} samples a second do not show what is above 10 Hz");
+            let why = format!("a rate of {rate_hz:.0} Hz cannot show vibration above 10 Hz");
             return judged(Outcome::Skipped(why));
         }
         Err(NoShake::Uneven) => {
-            let why = "it has no second and a half of even samples";
+            let why = "needs 1.5 s of evenly spaced samples";
             return judged(Outcome::Inconclusive(format!("{why}; {SETTLE}")));
         }
     };
@@ -83,7 +87,8 @@ fn judge(case: &Case, arm: &ArmEvidence, stream: &Of<ShakeEvidence>) -> Judged {
         None if found.resolved_m > threshold.warning => {
             let [resolved, needed] =
                 [found.resolved_m, threshold.warning].map(|m| THRESHOLD.unit.show(m));
-            let why = format!("its noise hides shake below {resolved}, and {needed} is needed");
+            let why =
+                format!("noise hides vibration below {resolved}; {needed} must be detectable");
             Outcome::Inconclusive(format!("{why}; {SETTLE}"))
         }
         None => Outcome::sound(),

@@ -7,35 +7,34 @@ use crate::finding::{
 };
 
 rule! {
-    /// A joint stops, or starts, abruptly.
+    /// A joint stops or starts abruptly.
     ///
     /// ## What it means
-    /// The acceleration of a joint exceeds 20 rad/s² (5 m/s² where it slides). It is the slope of the
-    /// logged velocities where there are any that are near the positions' own, else the bend of the
-    /// positions, fitted over windows from 3 to 33 samples as if these came evenly and as they are
-    /// stamped, whichever is less. Each window says how much of it noise could make, and the
-    /// one that is the surest beyond noise counts.
+    /// The acceleration of a joint exceeds 20 rad/s² (5 m/s² for a prismatic joint). It is the slope of the
+    /// logged velocities if they agree with the positions, otherwise the second derivative of the
+    /// positions. Both are fitted over windows of 3 to 33 samples, once as stamped and once evenly spaced;
+    /// the smaller value counts. Of all windows, the one most significant beyond noise is reported.
     ///
     /// ## Why it matters
-    /// Such stops shake the arm and what it carries, wear its gears, and are what protective stops,
-    /// emergency stops and commands without a profile look like. What was measured during one is no
-    /// evidence of anything else.
+    /// Such stops shake the arm and its payload and wear the gears. They are typical of protective stops,
+    /// emergency stops and commands without a velocity profile. Do not use data recorded during one for
+    /// calibration.
     ///
     /// ## Evidence
-    /// `at_ns` says when, `window_s` over what time it was fitted, `jerk` how fast the
-    /// acceleration changed there, and `noise` what noise alone would hardly reach (six standard
-    /// deviations). `resolved` is the least acceleration that a stop of 0.1 s would show.
+    /// - `at_ns`: time; `window_s`: duration of the fitted window.
+    /// - `jerk`: rate of change of the acceleration there.
+    /// - `noise`: six standard deviations of the acceleration from noise alone.
+    /// - `resolved`: smallest acceleration that a stop of 0.1 s would show.
     ///
     /// ## How to fix
-    /// Give commands a profile with bounded acceleration and jerk, blend waypoints instead of
-    /// stopping at them, and look in the controller's log for a protective stop at that time.
+    /// Use command profiles with bounded acceleration and jerk, blend waypoints instead of stopping at
+    /// them, and look for a protective stop in the controller's log at that time.
     ///
     /// ## When it misleads
-    /// A stop between two samples is averaged over them: record at 100 Hz or more. Where the noise of
-    /// the joint states, or the jitter of their stamps, hides such an acceleration, or samples are
-    /// farther apart than 50 ms, it is inconclusive. Times over gaps are not looked at (TIM002), and of
-    /// rows that repeat (TIM008) each value once. A value that no arm reaches is told as what it is:
-    /// numbers that are wrong.
+    /// A stop between two samples is averaged over them: record at 100 Hz or more. The result is
+    /// inconclusive if noise or stamp jitter hides such an acceleration, or if samples are more than 50 ms
+    /// apart. Gaps (TIM002) are skipped, and repeated samples (TIM008) count once. A value that no arm can
+    /// reach is reported as wrong data.
     MOT002 {
         limits: &[TURNING, SLIDING],
         name: "abrupt-stops",
@@ -47,21 +46,21 @@ rule! {
     }
 }
 
-/// The largest acceleration that is not abrupt.
+/// Largest acceleration of a revolute joint that is not abrupt.
 const TURNING: Limit = Limit {
     key: "turning",
     unit: Unit::RadianPerSecondSquared,
     value: 20.0,
-    what: "the acceleration from which a joint that turns stops abruptly",
+    what: "acceleration above which a revolute joint stops abruptly",
 };
-/// The same where a joint slides.
+/// The same for a prismatic joint.
 const SLIDING: Limit = Limit {
     key: "sliding",
     unit: Unit::MetrePerSecondSquared,
     value: 5.0,
-    what: "the acceleration from which a joint that slides stops abruptly",
+    what: "acceleration above which a prismatic joint stops abruptly",
 };
-/// What would tell.
+/// The log that makes abrupt stops observable.
 const SETTLE: &str = "log joint velocities at 100 Hz or more, evenly stamped";
 
 fn check(case: &Case) -> Vec<Judged> {
@@ -78,7 +77,7 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
         return judged(Outcome::Inconclusive(why));
     }
     let Some(found) = &joint.motion.abruptness else {
-        let why = "its samples are too few, or do not come evenly";
+        let why = "too few or unevenly spaced samples";
         return judged(Outcome::Inconclusive(format!("{why}; {SETTLE}")));
     };
     let limit = if joint.prismatic { SLIDING } else { TURNING };
@@ -87,15 +86,15 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
     let outcome = if acceleration - noise >= limit {
         Outcome::faulty(fault(case, found, limit, unit))
     } else if acceleration >= limit {
-        let seen = format!("it may accelerate by {acceleration:.0} {unit}, beyond {limit} {unit}");
-        let noise = format!("noise may make {noise:.0} of it");
+        let seen = format!("{acceleration:.0} {unit}, beyond the limit of {limit} {unit}");
+        let noise = format!("noise may account for {noise:.0}");
         Outcome::Inconclusive(format!("{seen}, but {noise}; {SETTLE}"))
     } else if resolved > limit {
         let hidden = match resolved.is_finite() {
-            true => format!(
-                "sampling is too coarse: only accelerations above {resolved:.0} {unit} would show"
-            ),
-            false => "samples are more than 50 ms apart: no abrupt stop would show".to_owned(),
+            true => {
+                format!("sampling is too coarse to show accelerations below {resolved:.0} {unit}")
+            }
+            false => "samples are more than 50 ms apart: an abrupt stop would not show".to_owned(),
         };
         Outcome::Inconclusive(format!("{hidden} (limit {limit} {unit}); {SETTLE}"))
     } else {
@@ -110,8 +109,8 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
         .with_evidence("resolved", resolved.is_finite().then_some(resolved))
 }
 
-/// The acceleration with its interval: two of the six standard deviations that `noise` is, and no less
-/// than the hundredth that a fit over a few samples may be off.
+/// The acceleration with its interval: two of the six standard deviations in `noise`, and at least 1 %, the
+/// error of a fit over a few samples.
 fn estimate(found: &Abruptness, unit: &'static str) -> Estimate {
     let half = (found.noise / 3.0).max(0.01 * found.acceleration);
     let ci95 = Some([found.acceleration - half, found.acceleration + half]);
@@ -125,7 +124,7 @@ fn estimate(found: &Abruptness, unit: &'static str) -> Estimate {
     }
 }
 
-/// No joint of an arm accelerates like this, rad/s² or m/s².
+/// Larger accelerations are impossible for an arm, rad/s² or m/s².
 const BEYOND_ARMS: f64 = 1e4;
 
 fn fault(case: &Case, found: &Abruptness, limit: f64, unit: &str) -> Fault {
@@ -135,13 +134,15 @@ fn fault(case: &Case, found: &Abruptness, limit: f64, unit: &str) -> Fault {
             severity: Severity::Warning,
             title: "impossible acceleration",
             message: format!(
-                "{:.0e} {unit} at {}: no arm accelerates like that; the positions or their stamps are wrong there",
+                "{:.0e} {unit} at {}: impossible for an arm; the positions or their stamps are wrong there",
                 found.acceleration,
                 case.evidence.moment(case.evidence.origin.shifted(found.at_s)),
             ),
             evidence: Evidence::default(),
-            fix: "check the joint's positions there for a unit change, a turn too many, a second publisher or wrong stamps"
-                .to_owned(),
+            fix:
+                "check the joint's positions there for a unit change, a whole-turn error, a second \
+                publisher or wrong stamps"
+                    .to_owned(),
         };
     }
     Fault {

@@ -6,36 +6,34 @@ use crate::evidence::{ArmEvidence, JointEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
 rule! {
-    /// A joint goes beyond its position or speed limits.
+    /// A joint exceeds its position or speed limits.
     ///
     /// ## What it means
-    /// By the model's limits (`<limit lower upper velocity>` of the URDF, or the catalogue's) a joint
-    /// was where it may not be, or faster than it may be. All joint states of the run are looked at.
-    /// Within 1 % of the range, or of the speed limit, it is told as `info`; so is up to twice the speed
-    /// limit of a joint that turns without end.
+    /// A joint exceeded a limit of the model (`<limit lower upper velocity>` in the URDF, or the
+    /// catalogue's). All joint states of the run are checked. The finding is `info` if the excess is within
+    /// 1 % of the range or of the speed limit. For a continuous joint it is `info` up to twice the speed
+    /// limit.
     ///
     /// ## Why it matters
-    /// An arm cannot do what its limits exclude. Either the limits in the model are not the arm's,
-    /// and plans made with them are wrong, or the numbers are not what the joint did: another unit,
-    /// another joint, a turn too many.
+    /// An arm cannot exceed its limits. Either the model's limits are not the arm's, and plans made with
+    /// them are wrong, or the positions are wrong: a different unit, another joint, or a whole-turn error.
     ///
     /// ## Evidence
-    /// `position` and `speed`, where exceeded: `limit`, the `value` farthest beyond it, `at_ns`, and
-    /// for how many `seconds` altogether. The estimate is by how much the limit is exceeded, of the
-    /// two the one that is more grave.
+    /// `position` and `speed`, if exceeded: `limit`, the farthest `value` beyond it, `at_ns`, and the total
+    /// `seconds` beyond it. The estimate is the excess; if both limits are exceeded, the more severe one.
     ///
     /// ## How to fix
-    /// Load the limits of the arm's own configuration into the model. Where a joint counts turns,
-    /// declare it continuous, or unwind it before the driver publishes it.
+    /// Copy the limits of the arm's own configuration into the model. If a joint counts turns, declare it
+    /// continuous, or unwind it before the driver publishes it.
     ///
     /// ## When it misleads
-    /// A continuous joint has no position limits, however far it turned, and neither has one that is
-    /// logged within one turn and passes its seam. Speed limits of such joints are those of a mode of
-    /// control more often than of the joint. Speeds are the logged ones
-    /// where they agree with the positions, else the positions' slope; one sample alone beyond a
-    /// speed limit is taken for a bad reading. Some models state limits narrower than the arm's, on
-    /// purpose. Positions are checked as they were logged, in the unit found: a zero estimated by ZER001
-    /// is not added to them.
+    /// - A continuous joint has no position limits. A joint logged within one turn that wraps around is
+    ///   treated as continuous. Speed limits of such joints often depend on the control mode.
+    /// - Speeds are the logged ones if they agree with the positions, otherwise the slope of the positions.
+    ///   A single sample beyond a speed limit is ignored as an outlier.
+    /// - Some models deliberately use narrower limits than the arm's.
+    /// - Positions are checked as logged, in the detected unit, without adding zero offsets estimated by
+    ///   ZER001.
     MOT003 {
         name: "limits-exceeded",
         grade: Grade::Fixed(Severity::Warning),
@@ -46,11 +44,11 @@ rule! {
     }
 }
 
-/// Within this share of the range, or of the limit, it is worth knowing only.
+/// An excess within this fraction of the range or limit is `info`.
 const SLIGHT: f64 = 0.01;
-/// Of a joint that turns without end, within this share of the speed limit.
+/// The same for the speed limit of a continuous joint.
 const ENDLESS: f64 = 1.0;
-/// Less than this is an encoder's noise at a stop, rad or m, or a second of it.
+/// Encoder noise at a stop, rad or m, or rad/s or m/s.
 const NOISE: f64 = 1e-4;
 
 fn check(case: &Case) -> Vec<Judged> {
@@ -60,52 +58,50 @@ fn check(case: &Case) -> Vec<Judged> {
     case.evidence.robots.iter().flat_map(of_arm).collect()
 }
 
-/// Why the numbers of the joint states cannot be held against limits or called motion, where they
-/// cannot.
+/// Explains why joint states cannot be compared with limits or used as motion. `None` if they can.
 pub(in crate::checks) fn doubt(arm: &ArmEvidence) -> Option<String> {
     doubt_of(arm).map(str::to_owned)
 }
 
-/// The same of one joint.
+/// The same for one joint.
 pub(in crate::checks) fn doubt_of_joint(arm: &ArmEvidence, joint: usize) -> Option<String> {
     let changes = arm.diagnosis.changes.iter().any(|change| change.column == joint);
     let mut couplings = arm.diagnosis.reading.iter().flat_map(|reading| &reading.couplings);
     let why = if couplings.any(|coupling| coupling.column == joint) {
         "its positions contain another joint's (ORD009)"
     } else if changes {
-        "its numbers leap where its zero or scale changes (ZER001, ORD009), and nobody moved there"
+        "its positions jump without motion where its zero or scale changes (ZER001, ORD009)"
     } else {
         return motion_doubt(arm);
     };
     Some(motion_doubt(arm).unwrap_or_else(|| why.to_owned()))
 }
 
-/// Why the numbers of the joint states are no motion in known units, where they are not.
+/// Explains why the joint states are not motion in a known unit. `None` if they are.
 pub(in crate::checks) fn motion_doubt(arm: &ArmEvidence) -> Option<String> {
     let open = || arm.unit_is_open().then(|| UNIT_IS_OPEN.to_owned());
     doubt(arm).or_else(open)
 }
 
-/// What is said where only the size of joint positions speaks for their unit.
-pub(in crate::checks) const UNIT_IS_OPEN: &str = "the joint positions are too large for rad, and no pose shows whether they are degrees, ticks or shares of \
-     the range; log the tool's pose too";
+/// The reason if the unit of the joint positions is inferred only from their size.
+pub(in crate::checks) const UNIT_IS_OPEN: &str = "the joint positions are too large for rad, and without \
+    poses they may be degrees, ticks or fractions of the range; log the tool pose too";
 
 fn doubt_of(arm: &ArmEvidence) -> Option<&'static str> {
     let why = match &arm.diagnosis.reading {
         Ok(reading) if reading.degrees.is_some() || reading.permutation.is_some() => {
-            "the joint positions are not what their names and units say; read them right first \
-             (ORD004, ORD005)"
+            "joint names or units are wrong; correct them first (ORD004, ORD005)"
         }
         Err(Unseen::NotExcited) => {
-            "poses and joint states disagree in whatever order and unit the joint positions are \
-             (MDL001), and that leaves open what those are"
+            "poses and joint states disagree for every joint order and unit (MDL001), so order and unit are \
+             undetermined"
         }
         _ => return None,
     };
     Some(why)
 }
 
-/// A limit that is exceeded.
+/// An exceeded limit.
 struct Broken<'a> {
     what: &'static str,
     excess: &'a Excess,
@@ -113,7 +109,7 @@ struct Broken<'a> {
 }
 
 impl<'a> Broken<'a> {
-    /// `None` where it is within noise; `range` is what a share of it is slight.
+    /// `None` if the excess is within noise. `range` scales the `info` fraction.
     fn of(what: &'static str, excess: Option<&'a Excess>, range: f64) -> Option<Self> {
         let excess = excess.filter(|excess| excess.over() > NOISE)?;
         let is_slight = excess.over() <= SLIGHT * range;
@@ -127,7 +123,7 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
     let judged = |outcome| Judged::new(subject.clone(), outcome).within(arm.span);
     let limits = &joint.limits;
     if limits.lower.or(limits.upper).or(limits.velocity).is_none() {
-        return judged(Outcome::Skipped("the model states no limits of it".to_owned()));
+        return judged(Outcome::Skipped("the model has no limits for this joint".to_owned()));
     }
     if let Some(why) = doubt_of_joint(arm, index) {
         return judged(Outcome::Inconclusive(why));
@@ -142,7 +138,7 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
     let position = Broken::of("position", motion.positions.as_ref(), range);
     if position.is_some() && zero_is_off(arm, index) {
         let why =
-            "its positions exceed the limits, and its zero is off (ZER001, ORD009)".to_owned();
+            "its positions exceed the limits, but its zero is off (ZER001, ORD009)".to_owned();
         return judged(Outcome::Inconclusive(why));
     }
     let top_speed = limits.velocity.unwrap_or(0.0);
@@ -160,7 +156,7 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
         title: "joint limit exceeded",
         message: told.join("; "),
         evidence: Evidence::default(),
-        fix: "hold the model's limits against the arm's own configuration".to_owned(),
+        fix: "compare the model's limits with the arm's own configuration".to_owned(),
     };
     let (name, symbol) = match (worst.what, unit) {
         ("position", unit) => ("beyond position limit", unit.symbol()),
@@ -178,9 +174,9 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
     judged
 }
 
-/// Whether the joint's zero is off by so much that its positions say little of its limits.
+/// Whether a zero offset of the joint is too large for its positions to be compared with limits.
 fn zero_is_off(arm: &ArmEvidence, joint: usize) -> bool {
-    /// Smaller zero offsets hardly change by how much a limit is exceeded, rad.
+    /// Smaller zero offsets barely change the excess, rad.
     const FAR_RAD: f64 = 0.1;
     let named = arm.diagnosis.offsets.get(joint).filter(|offset| offset.chosen);
     let offset = named.and_then(|offset| offset.offset.as_ref().ok());
@@ -191,12 +187,12 @@ fn tell(case: &Case, broken: &Broken<'_>, unit: Unit) -> String {
     let Excess { limit, value, at_s, seconds } = *broken.excess;
     let per = if broken.what == "speed" { "/s" } else { "" };
     let shown = |amount: f64| match unit {
-        // Not in mm: a limit is read against the model's own number.
+        // Not in mm, for comparison with the model's value.
         Unit::Metre => format!("{amount:.3} m{per}"),
         unit => format!("{}{per}", unit.show(amount)),
     };
     format!(
-        "its {} reaches {}, {} beyond the limit of {}, at {}, for {} altogether",
+        "{} reaches {}, {} beyond the limit of {}, at {}, for {} in total",
         broken.what,
         shown(value),
         shown(broken.excess.over()),
