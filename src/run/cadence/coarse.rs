@@ -1,22 +1,22 @@
-//! Rows whose stamps are of a coarse clock.
+//! Streams whose stamps come from a clock with a coarse resolution.
 
 use crate::run::grid::Grid;
 use crate::stats::median;
 use crate::time::{Stamp, seconds};
 
-/// What a coarse clock leaves of a rhythm.
+/// Timing of a stream stamped by a coarse clock.
 pub(super) struct Coarse {
-    /// Its tick, s.
+    /// Clock resolution (tick), s.
     pub tick_s: f64,
-    /// The rows as they were received, each at a stamp between the ticks, where receipts are finer.
+    /// Rows with stamps interpolated from their receive times, if these are finer.
     pub finer: Option<Vec<(Stamp, i64)>>,
-    /// Whether nothing tells which rows that could be between two ticks are lost.
+    /// Whether lost rows cannot be detected, because rows may share a tick.
     pub is_blurred: bool,
 }
 
 impl Coarse {
-    /// Of rows in the order of their stamps, with the times of receipt; `None` where their rhythm is not
-    /// that of a coarse clock.
+    /// Detects a coarse clock from rows in stamp order with their receive times. `None` if the intervals do
+    /// not indicate one.
     pub fn of(times: &[(Stamp, i64)]) -> Option<Self> {
         let (begin, received) = *times.first()?;
         let stamped_s: Vec<f64> = times.iter().map(|(at, _)| at.seconds_since(begin)).collect();
@@ -41,7 +41,7 @@ impl Coarse {
             finer.dedup_by_key(|(stamp, _)| *stamp);
             return Some(Self { tick_s: grid.tick_s, finer: Some(finer), is_blurred: false });
         }
-        // Receipts by the same clock tell no more than the stamps.
+        // Receive times of the same resolution add no information.
         let is_alike = || {
             let other = Grid::of(&received_s);
             other.is_some_and(|other| (other.tick_s - grid.tick_s).abs() < 0.01 * grid.tick_s)
@@ -55,8 +55,7 @@ impl Coarse {
     }
 }
 
-/// Whether nearly all rows were received a whole number of ticks after the one before: such a rhythm loses
-/// nothing between the ticks.
+/// Whether nearly all receive intervals are whole ticks: then no row falls between two ticks.
 fn is_of_whole_ticks(received_s: &[f64], tick_s: f64) -> bool {
     const NEARLY_ALL: f64 = 0.95;
     const NEAR: f64 = 0.05;

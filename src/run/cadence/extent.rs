@@ -1,22 +1,22 @@
-//! How the time of one stream lies against that of the others.
+//! Compares the start and end of each stream with the others.
 
 use super::motion::Motion;
 use super::parts::Part;
 use crate::run::clock::StreamClock;
 use crate::time::{Stamp, seconds};
 
-/// How the time of one stream lies against that of the others, by when their messages were received.
+/// Start and end of a stream relative to the other streams, by receive time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Extent {
-    /// By how much it begins after the others (their median), s; negative where before.
+    /// Start relative to the median start of the others, s; positive if later.
     pub late_start_s: f64,
-    /// By how much it ends before the others, s; negative where after.
+    /// End relative to the others, s; positive if earlier.
     pub early_end_s: f64,
-    /// Whether the arm moved before it began and after it ended; `None` where no joint states say.
+    /// Whether the arm moved before the start and after the end; `None` if no joint states cover that time.
     pub moving: [Option<bool>; 2],
 }
 
-/// First and last row of a stream: when received, and on the audit's clock.
+/// First and last row of a stream: receive time, and stamp on the audit's clock.
 #[derive(Clone, Copy)]
 pub(super) struct Bounds {
     received: (i64, i64),
@@ -37,7 +37,7 @@ impl Bounds {
     }
 }
 
-/// The least and the greatest.
+/// Minimum and maximum.
 fn ends<T: Ord + Copy>(mut values: impl Iterator<Item = T>) -> Option<(T, T)> {
     let first = values.next()?;
     Some(
@@ -47,7 +47,7 @@ fn ends<T: Ord + Copy>(mut values: impl Iterator<Item = T>) -> Option<(T, T)> {
     )
 }
 
-/// When the streams begin and end, each in order.
+/// Sorted start and end times of all streams.
 pub(super) struct Ends {
     starts: Vec<i64>,
     ends: Vec<i64>,
@@ -64,7 +64,8 @@ impl Ends {
     }
 }
 
-/// The median of the sorted `times` without `own`, which is one of them. Of two the greater if `upper`.
+/// Median of the sorted `times` without `own`, which is one of them. For an even count, the greater middle
+/// value if `upper`, otherwise the smaller.
 fn median_of_others(times: &[i64], own: i64, upper: bool) -> Option<i64> {
     let others = times.len().checked_sub(1)?;
     let middle = if upper { others / 2 } else { others.saturating_sub(1) / 2 };
@@ -73,7 +74,7 @@ fn median_of_others(times: &[i64], own: i64, upper: bool) -> Option<i64> {
     is_there.then(|| times[middle + usize::from(middle >= place)])
 }
 
-/// How stream `index` lies against the others.
+/// Compares the extent of stream `index` with the others.
 pub(super) fn extent(
     bounds: &[Option<Bounds>],
     all: &Ends,
@@ -81,7 +82,7 @@ pub(super) fn extent(
     motion: &Motion,
 ) -> Option<Extent> {
     let own = bounds[index]?;
-    // Of two others the one that leaves the less to blame this stream for.
+    // With two others, use the time that makes this stream's deviation smaller.
     let start = median_of_others(&all.starts, own.received.0, true)?;
     let end = median_of_others(&all.ends, own.received.1, false)?;
     let late_start_s = seconds(own.received.0.saturating_sub(start));

@@ -1,62 +1,62 @@
-//! The intervals between the rows of a stream, held against their pace.
+//! Finds missing rows and reduced rates in the intervals between rows.
 
 use super::motion::Motion;
 use crate::stats::median as median_of;
 use crate::time::{Stamp, seconds};
 
-/// A part of a stream's time.
+/// A time span of a stream.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stretch {
-    /// The stamp that it begins with.
+    /// First stamp.
     pub start: Stamp,
-    /// The stamp that it ends with.
+    /// Last stamp.
     pub end: Stamp,
-    /// Rows a second in it, both ends counted as half a row.
+    /// Mean rate in the span, Hz; each end counts as half a row.
     pub rate_hz: f64,
-    /// Whether the arm moved in it; `None` where no joint states say.
+    /// Whether the arm moved in the span; `None` if no joint states cover it.
     pub moving: Option<bool>,
 }
 
 impl Stretch {
-    /// Its length, s.
+    /// Duration, s.
     pub fn seconds(&self) -> f64 {
         self.end.seconds_since(self.start)
     }
 }
 
-/// An interval between two rows that lasts longer than a period.
+/// An interval between two rows that is longer than a period.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hole {
-    /// Its time.
+    /// Its time span.
     pub stretch: Stretch,
-    /// How many rows are missing in it, at the stream's period.
+    /// Number of missing rows, at the stream's period.
     pub missing: usize,
-    /// Whether nothing was received for most of it. What was received all the time had its clock set.
+    /// Whether nothing was received for at least half of it. Otherwise the clock was stepped.
     pub is_silent: bool,
 }
 
-/// How far apart rows are that follow each other.
+/// Typical interval between consecutive rows.
 pub(super) struct Pace {
-    /// The typical interval, s: the mean of those close to the median, which rounding of stamps
-    /// makes one of its steps.
+    /// Typical interval, s: the mean of the intervals near the median. Rounded stamps quantise the median
+    /// itself.
     pub period_s: f64,
-    /// Whether nearly all intervals are close to one, two, three … periods.
+    /// Whether nearly all intervals are near a multiple of the period.
     pub is_regular: bool,
-    /// How many periods an interval may last although no row is missing: one, or as many as jitter reaches.
+    /// Maximum number of periods without a missing row: one, or more with jitter.
     longest: u32,
 }
 
 impl Pace {
     pub fn of(times: &[(Stamp, i64)]) -> Option<Self> {
-        /// An interval this close to the median lacks no row.
+        /// Maximum deviation from the median of a single interval, as a share of the median.
         const SINGLE: f64 = 0.5;
         const CLOSE: f64 = 0.25;
         const REGULAR: f64 = 0.6;
-        /// Rows of whole bursts of 2, 3, 4, 6 or 12.
+        /// Block length that contains whole bursts of 2, 3, 4, 6 or 12 rows.
         const BURSTS: usize = 12;
-        /// The interval of most rows, of the mean one, if they come one by one: two rows in five may be lost.
+        /// Ratio of median to mean interval if rows are evenly spaced; up to two rows in five may be lost.
         const USUAL: std::ops::RangeInclusive<f64> = 0.5..=1.6;
-        /// As many intervals, evenly spread over all, tell the median.
+        /// Maximum number of intervals for the median, sampled evenly.
         const ENOUGH: usize = 50_000;
         let intervals = || times.windows(2).map(|pair| pair[1].0.seconds_since(pair[0].0));
         let count = times.len().saturating_sub(1);
@@ -65,7 +65,7 @@ impl Pace {
         }
         let mut some: Vec<f64> = intervals().step_by(count.div_ceil(ENOUGH)).collect();
         let mut median = median_of(&mut some)?;
-        // Rows that come in bursts have another interval within a burst than on average.
+        // Intervals within a burst differ from the mean interval.
         let blocks = times.windows(BURSTS + 1).step_by(count.div_ceil(ENOUGH));
         let mut blocks: Vec<f64> =
             blocks.map(|rows| rows[BURSTS].0.seconds_since(rows[0].0) / BURSTS as f64).collect();
@@ -79,7 +79,7 @@ impl Pace {
         let period_s = if singles > 0 { sum_s / f64::from(singles) } else { median };
         let is_close = |dt: &f64| {
             let periods = dt / period_s;
-            // Most are one period, and to round is slow.
+            // Check one period first, because rounding is slow.
             (periods - 1.0).abs() < CLOSE || (periods - periods.round().max(1.0)).abs() < CLOSE
         };
         let regular = intervals().filter(is_close).count();
@@ -88,12 +88,14 @@ impl Pace {
     }
 }
 
-/// The number of periods that jitter alone reaches: lost rows leave whole periods, so that intervals between two
-/// multiples are rarer than those at the upper one. A loop that waits between its rows has no such valley.
+/// Number of periods that jitter alone can reach.
+///
+/// Lost rows produce whole multiples of the period, so intervals between two multiples are rarer than at
+/// the upper multiple. A loop that waits between rows does not show this pattern.
 fn reached_by_jitter(times: &[(Stamp, i64)], period_s: f64) -> u32 {
-    /// Intervals this near to a multiple are at it.
+    /// Maximum distance from a multiple of the period, in periods.
     const NEAR: f64 = 0.25;
-    /// Intervals beyond this many periods are rare in any stream.
+    /// Longer intervals are rare in any stream, in periods.
     const MOST: usize = 8;
     let periods: Vec<f64> =
         times.windows(2).map(|pair| pair[1].0.seconds_since(pair[0].0) / period_s).collect();
@@ -104,7 +106,7 @@ fn reached_by_jitter(times: &[(Stamp, i64)], period_s: f64) -> u32 {
         if !(2.0..MOST as f64).contains(&upper) {
             continue;
         }
-        // A row that was late, or early, makes up for it in the interval beside.
+        // A late or early row shortens an adjacent interval accordingly.
         let beside = [row.checked_sub(1), Some(row + 1)].into_iter().flatten();
         let mut beside = beside.filter_map(|other| periods.get(other));
         let makes_up = |other: &f64| *other < 1.0 - NEAR && is_near(own + other);
@@ -118,9 +120,9 @@ fn reached_by_jitter(times: &[(Stamp, i64)], period_s: f64) -> u32 {
     1 + reached as u32
 }
 
-/// The times between rows, held against their pace.
+/// The intervals between rows, and their typical value.
 pub(super) struct Intervals<'a> {
-    /// Stamp and time of receipt of each row, in the order of the stamps, each stamp once.
+    /// Stamp and receive time of each row, sorted by unique stamps.
     pub times: &'a [(Stamp, i64)],
     pub pace: &'a Pace,
     pub motion: &'a Motion<'a>,
@@ -132,15 +134,15 @@ impl Intervals<'_> {
         pairs.map(|(left, pair)| (left, pair[1].0.seconds_since(pair[0].0)))
     }
 
-    /// Rows from `left` on over `count` intervals, as a stretch of time.
+    /// Time span of `count` intervals, starting at row `left`.
     fn stretch(&self, left: usize, count: usize) -> Stretch {
         let (start, end) = (self.times[left].0, self.times[left + count].0);
         let rate_hz = count as f64 / end.seconds_since(start);
         Stretch { start, end, rate_hz, moving: self.motion.moves(start, end) }
     }
 
-    /// Whether nothing was received, for half of it at least, in the interval from row `left` on.
-    /// `received` are the times of receipt in their own order.
+    /// Whether nothing was received for at least half of the interval after row `left`. `received` is
+    /// sorted.
     fn is_silent(&self, received: &[i64], left: usize, interval_s: f64) -> bool {
         let (before, after) = (self.times[left].1, self.times[left + 1].1);
         let from = received.partition_point(|&received| received < before);
@@ -150,9 +152,9 @@ impl Intervals<'_> {
         2.0 * silences.fold(0.0, f64::max) > interval_s
     }
 
-    /// The intervals in which rows are missing.
+    /// Intervals with missing rows.
     pub fn holes(&self) -> Vec<Hole> {
-        /// A stamp from another age would say that millions are missing.
+        /// Limits the count if a stamp is decades off.
         const MOST: f64 = 1e9;
         let periods = |interval_s: f64| (interval_s / self.pace.period_s).round().min(MOST);
         let longest = self.pace.longest as usize;
@@ -172,20 +174,20 @@ impl Intervals<'_> {
         long.map(hole).collect()
     }
 
-    /// How many rows follow the one before by less than half a period.
+    /// Number of rows less than half a period after the previous row.
     pub fn bunched(&self) -> usize {
         const SHORT: f64 = 0.5;
         self.all().filter(|(_, interval_s)| *interval_s < SHORT * self.pace.period_s).count()
     }
 
-    /// Stretches in which most of nine intervals that follow each other are longer than usual, and
-    /// none is far longer than the others: that would be a hole in it.
+    /// Time spans with a reduced rate: most of nine consecutive intervals are long, and none is so long
+    /// that it is a hole.
     pub fn lulls(&self) -> Vec<Stretch> {
-        /// A stream's rate varies by less.
+        /// Minimum ratio of a long interval to the period; normal variation is smaller.
         const LOWER: f64 = 1.25;
         const FAR_LONGER: f64 = 4.0;
         const AROUND: usize = 9;
-        // Hardly any interval is long, and of a window with such a median half of them are.
+        // Usually no interval is long, so return early.
         let is_long = |interval_s: &f64| *interval_s > LOWER * self.pace.period_s;
         if !self.pace.is_regular || !self.all().any(|(_, interval_s)| is_long(&interval_s)) {
             return Vec::new();

@@ -1,9 +1,8 @@
-//! How regularly the rows of a stream come: steps back, repeats, holes and lulls.
+//! Regularity of a stream's rows: decreasing stamps, repeats, holes and reduced rates.
 //!
-//! Stamps say when the content was true, receive times only that it arrived: a stamp that steps back
-//! is held against the order of receipt, and a hole in the stamps is one in the receipts too, or it
-//! was the clock that stepped. Nothing is judged here: how large a hole is a gap, and how many lost
-//! rows are a fault, is for the rules to say.
+//! A header stamp is the time of the content; a receive time is only its arrival. So stamps are compared
+//! with the receive order, and a hole in the stamps must also be a hole in the receive times, or the clock
+//! was stepped. The rules decide which holes and losses are faults.
 
 mod coarse;
 mod extent;
@@ -36,57 +35,54 @@ use super::timing::Timing;
 pub use self::extent::Extent;
 pub use self::intervals::{Hole, Stretch};
 
-/// How regularly the rows of one stream come, or of one transform of a TF topic, or of one of
-/// several senders on a topic of joint states.
+/// Regularity of one stream, one transform of a TF topic, or one sender on a joint state topic.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cadence {
-    /// The child frame of the transform.
+    /// Child frame of the transform.
     pub frame: Option<String>,
-    /// Whether an audit may expect it to be steady: false for transforms that are not of an arm's own
-    /// links.
+    /// Whether an audit expects it to be regular; false for transforms between frames that are not links of
+    /// an arm.
     pub wanted: bool,
-    /// Rows.
+    /// Number of rows.
     pub rows: usize,
-    /// Typical time between two rows, s; `None` of fewer than three rows.
+    /// Typical interval between rows, s; `None` if there are fewer than three rows.
     pub period_s: Option<f64>,
-    /// Whether nearly all intervals are close to one, two, three … periods.
+    /// Whether nearly all intervals are near a multiple of the period.
     pub is_regular: bool,
-    /// The tick of a coarse clock that its stamps are of, which hides when between two ticks a row came, s;
-    /// its rhythm is then that of the times of receipt, where these are finer.
+    /// Tick of a coarse stamp clock, s. The rhythm is then computed from receive times, if these are finer.
     pub tick_s: Option<f64>,
-    /// Whether the header stamps can be judged: they are there and advance.
+    /// Whether the header stamps are usable: present and increasing.
     pub stamped: bool,
-    /// Stamps before one that was received earlier: each with the stamp before it, and how far it is
-    /// behind, s.
+    /// Stamps less than one received earlier: the previous stamp, and the decrease, s.
     pub steps_back: Vec<(Stamp, f64)>,
-    /// Rows that repeat the stamp of an earlier one with the same content.
+    /// Rows that repeat an earlier stamp with the same content.
     pub repeats: usize,
-    /// Rows that repeat the stamp of an earlier one with other content.
+    /// Rows that repeat an earlier stamp with different content.
     pub conflicts: usize,
-    /// Intervals in which a row or more is missing, in the order of time.
+    /// Intervals with missing rows, in time order.
     pub holes: Vec<Hole>,
-    /// Rows closer than half a period to the one before: those were late, not lost, and make up for
-    /// one missing row each.
+    /// Rows less than half a period after the previous row. They were late, not lost, and each replaces one
+    /// missing row.
     pub bunched: usize,
-    /// Where rows come at a notably lower rate than usual, for several rows on end.
+    /// Time spans of several rows at a notably lower rate.
     pub lulls: Vec<Stretch>,
-    /// Rows missing by the numbers that the sender gives its messages; `None` where it gives none.
+    /// Rows missing from the sender's sequence numbers; `None` if these are absent or unusable.
     pub skipped: Option<usize>,
 }
 
-/// The rhythm of one stream.
+/// Regularity of one stream.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rhythm {
     /// Index of the stream.
     pub stream: usize,
-    /// Its parts.
+    /// One entry for each part.
     pub parts: Vec<Cadence>,
-    /// How it lies against the others; `None` where there is no other.
+    /// Start and end relative to the other streams; `None` if there is no other.
     pub extent: Option<Extent>,
 }
 
 impl Rhythm {
-    /// Whether its topic has the poses of its body in other frames, too.
+    /// Whether its topic also has the body's poses in other frames.
     fn has_relabelled(&self, streams: &[Stream]) -> bool {
         let own = &streams[self.stream];
         streams.iter().any(|other| is_relabelled(own, other, streams))
@@ -94,7 +90,7 @@ impl Rhythm {
 }
 
 impl Cadence {
-    /// Takes out the holes in which rows came elsewhere, at stamps in ascending order.
+    /// Removes holes that are covered by rows of other streams, given their sorted stamps.
     fn fill_holes(&mut self, came: &[Stamp]) {
         self.holes.retain(|hole| {
             let Stretch { start, end, .. } = hole.stretch;
@@ -111,7 +107,7 @@ impl Cadence {
     }
 }
 
-/// The rhythm of every stream that plays a part.
+/// Computes the regularity of every stream with a role.
 pub(super) fn rhythms(
     streams: &[Stream],
     timing: &Timing,
@@ -141,12 +137,12 @@ pub(super) fn rhythms(
             .filter(|part| part.wanted)
             .filter_map(|part| Bounds::of(part, timing.clocks.clock(index, part.piece)?))
             .reduce(Bounds::join);
-        // Where several senders share a topic, the numbers may count the messages of all.
+        // If several senders share a topic, the sequence numbers may count all their messages.
         let numbers = match parts.as_slice() {
             [only] if stream.role != Role::Tf => only.numbers(),
             _ => Vec::new(),
         };
-        // The transforms of one sender have the times of its messages.
+        // Transforms of one sender share the times of its messages.
         let led_by = |at: usize| {
             let part: &Part<'_> = &parts[at];
             let clock = |part: &Part<'_>| timing.clocks.index(index, part.piece);
@@ -172,7 +168,7 @@ pub(super) fn rhythms(
     };
     let found: Vec<_> = streams.par_iter().enumerate().filter_map(rhythm).collect();
     let (mut rhythms, counted): (Vec<_>, Vec<_>) = found.into_iter().unzip();
-    // What goes on under another frame_id has not ended.
+    // A stream that continues with another frame_id has not ended.
     let with_others = |(rhythm, own): &(Rhythm, Option<Bounds>)| {
         let stream = &streams[rhythm.stream];
         let others = rhythms.iter().filter(|(other, _)| {
@@ -206,7 +202,7 @@ pub(super) fn rhythms(
     rhythms.into_iter().map(|(rhythm, _)| rhythm).collect()
 }
 
-/// Whether the rows of a stream come in a rhythm that may be looked at.
+/// Whether the regularity of a stream is computed.
 fn has_rhythm(stream: &Stream) -> bool {
     match stream.role {
         Role::Joints
@@ -221,12 +217,12 @@ fn has_rhythm(stream: &Stream) -> bool {
     }
 }
 
-/// Whether a stream must be there from the first to the last of the run.
+/// Whether a stream is expected for the whole run.
 fn is_expected(stream: &Stream) -> bool {
     matches!(stream.role, Role::Joints | Role::Pose | Role::Candidate { .. } | Role::Tf | Role::Imu)
 }
 
-/// Whether two streams are the poses of one body on one topic, in other frames.
+/// Whether two streams are poses of one body on one topic, in different frames.
 fn is_relabelled(stream: &Stream, other: &Stream, streams: &[Stream]) -> bool {
     stream.topic == other.topic
         && stream.child_frame_id == other.child_frame_id
@@ -235,13 +231,13 @@ fn is_relabelled(stream: &Stream, other: &Stream, streams: &[Stream]) -> bool {
         && !streams.iter().any(|tf| tf.role == Role::Tf && tf.topic == stream.topic)
 }
 
-/// Whether a stream is a transform that is looked at with the others of its TF topic.
+/// Whether a stream is a transform that is handled with its TF topic.
 fn is_within_tf(stream: &Stream, streams: &[Stream]) -> bool {
     !matches!(stream.role, Role::Tf | Role::Pose | Role::Candidate { .. })
         && streams.iter().any(|other| other.role == Role::Tf && other.topic == stream.topic)
 }
 
-/// Whether a transform of TF topic `stream` is listed as a measured pose beside it.
+/// Whether a transform of TF topic `stream` is also listed as a measured pose.
 fn is_stream_of_its_own(part: &Part<'_>, stream: &Stream, streams: &[Stream]) -> bool {
     streams.iter().any(|other| {
         matches!(other.role, Role::Pose | Role::Candidate { .. })
@@ -251,7 +247,7 @@ fn is_stream_of_its_own(part: &Part<'_>, stream: &Stream, streams: &[Stream]) ->
 }
 
 impl Part<'_> {
-    /// What its times alone tell.
+    /// Regularity computed from the times alone.
     fn paced(&self, clock: &StreamClock, motion: &Motion) -> Cadence {
         let mut cadence = Cadence {
             rows: self.rows.len(),
@@ -290,7 +286,7 @@ impl Part<'_> {
         cadence
     }
 
-    /// All that there is to say, by what times like its own tell.
+    /// Complete regularity, given the part computed from equal times.
     fn cadence(&self, paced: &Cadence) -> Cadence {
         let (repeats, conflicts) = if paced.stamped { self.repeated() } else { (0, 0) };
         Cadence {
@@ -302,19 +298,19 @@ impl Part<'_> {
         }
     }
 
-    /// Rows whose header has a stamp, in the order of receipt.
+    /// Rows with a header stamp, in receive order.
     fn stamped(&self) -> impl Iterator<Item = (usize, i64)> {
         let rows = self.rows.iter().map(|row| (row, self.times.header[row]));
         rows.filter(|(_, stamp)| *stamp != 0)
     }
 
-    /// The numbers of its rows, in the order of receipt; none where not each row has one.
+    /// Sequence numbers of the rows, in receive order; empty if they are missing.
     fn numbers(&self) -> Vec<u32> {
         let numbers = &self.times.sequence;
         self.rows.iter().map_while(|row| numbers.get(row).copied()).collect()
     }
 
-    /// Where stamps step back: what stands before the step, and its size, s.
+    /// Decreases of the stamp: the previous stamp, and the decrease, s.
     fn steps_back(&self, offset_nanos: i64) -> Vec<(Stamp, f64)> {
         let mut steps = Vec::new();
         let mut before: Option<i64> = None;
@@ -328,7 +324,7 @@ impl Part<'_> {
         steps
     }
 
-    /// How many rows repeat the stamp of an earlier row: with the same content, with other.
+    /// Counts rows that repeat an earlier stamp, with the same and with different content.
     fn repeated(&self) -> (usize, usize) {
         if self.stamped().is_sorted_by(|a, b| a.1 < b.1) {
             return (0, 0);

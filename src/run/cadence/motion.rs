@@ -1,4 +1,4 @@
-//! Whether the arm moved.
+//! Detects whether the arm moved in a time span.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -7,7 +7,7 @@ use crate::run::arm::Arm;
 use crate::run::joints::{JointTopic, Samples};
 use crate::time::Stamp;
 
-/// When the joints were where.
+/// Positions of the joints over time.
 pub(super) struct Motion<'a> {
     pub joints: Vec<Positions<'a>>,
 }
@@ -16,7 +16,7 @@ pub(super) struct Motion<'a> {
 pub(super) type Positions<'a> = (Arc<[Stamp]>, Cow<'a, [f64]>);
 
 impl<'a> Motion<'a> {
-    /// Of the joints of the arms, or where there is no arm of all joints.
+    /// Uses the joints of the arms, or all joints if there is no arm.
     pub(super) fn of(topics: &[JointTopic<'a>], arms: &[Arm]) -> Self {
         let of_an_arm = |name: &str| {
             arms.is_empty()
@@ -38,11 +38,10 @@ impl<'a> Motion<'a> {
         Self { joints }
     }
 
-    /// Whether a joint moved between two times; `None` where the joint states cover less than half
-    /// of what lies between.
+    /// Whether a joint moved between two times; `None` if the joint states cover less than half of the
+    /// span.
     pub(super) fn moves(&self, start: Stamp, end: Stamp) -> Option<bool> {
-        /// What a joint's noise may feign, and less than an arm does in a tenth of a second of work,
-        /// rad or m.
+        /// Minimum joint motion, rad or m: above noise, and below the motion of a working arm in 0.1 s.
         const MOVES: f64 = 5e-3;
         let mut covered = false;
         for (stamps, position) in &self.joints {

@@ -1,4 +1,4 @@
-//! The parts of a stream that have a rhythm of their own: senders, transforms.
+//! Splits a stream into parts with separate rhythms: senders and transforms.
 
 use std::collections::HashSet;
 
@@ -7,32 +7,32 @@ use crate::run::role::is_sight;
 use crate::run::tf_tree::without_slash;
 use crate::stream::{Columns, JointColumns, PoseColumns, Times};
 
-/// Some rows of a stream that come from one sender at one rhythm.
+/// Rows of a stream from one sender.
 pub(super) struct Part<'a> {
-    /// Which piece of the stream's columns they are in.
+    /// Index of the part of the stream's columns.
     pub piece: usize,
     pub frame: Option<&'a str>,
     pub wanted: bool,
     pub times: &'a Times,
-    /// The rows, in the order of receipt.
+    /// Rows, in receive order.
     pub rows: Order,
     pub columns: Piece<'a>,
 }
 
-/// Rows in an order.
+/// An ordered selection of rows.
 pub(super) struct Order {
     count: usize,
-    /// `None` of all rows in the order of the log, which is nearly always that of receipt.
+    /// `None` for all rows in log order, which is usually the receive order.
     rows: Option<Vec<usize>>,
 }
 
 impl Part<'_> {
-    /// Whether its rows have the times of another part's.
+    /// Whether its rows have the same times as another part's.
     pub fn has_times_of(&self, other: &Self) -> bool {
         self.rows.rows == other.rows.rows && self.times == other.times
     }
 
-    /// The part's rows of each of two publishers.
+    /// Splits the part by publisher, given the rows of the second.
     pub fn by_publisher(self, second: &HashSet<usize>) -> [Self; 2] {
         let (of_second, of_first): (Vec<usize>, Vec<usize>) =
             self.rows.iter().partition(|row| second.contains(row));
@@ -46,7 +46,7 @@ impl Part<'_> {
 }
 
 impl Order {
-    /// All rows, in the order of receipt.
+    /// All rows, in receive order.
     fn of_all(times: &Times) -> Self {
         let count = times.len();
         match times.log.is_sorted() {
@@ -70,7 +70,7 @@ impl Order {
     }
 }
 
-/// What the rows of a part hold.
+/// Content of a part's rows.
 #[derive(Clone)]
 pub(super) enum Piece<'a> {
     Joints(&'a JointColumns),
@@ -80,7 +80,7 @@ pub(super) enum Piece<'a> {
 }
 
 impl Piece<'_> {
-    /// Whether two rows hold the same.
+    /// Whether two rows have the same content.
     pub fn is_same(&self, a: usize, b: usize) -> bool {
         let same = |a: f64, b: f64| a == b || (a.is_nan() && b.is_nan());
         match self {
@@ -98,7 +98,7 @@ impl Piece<'_> {
     }
 }
 
-/// The parts of what a stream held.
+/// Splits the columns of a stream into parts.
 pub(super) fn parts<'a>(columns: &'a Columns, arms: &[Arm]) -> Vec<Part<'a>> {
     let whole = |piece: usize, times: &'a Times, columns: Piece<'a>| Part {
         piece,
@@ -143,8 +143,7 @@ pub(super) fn parts<'a>(columns: &'a Columns, arms: &[Arm]) -> Vec<Part<'a>> {
     }
 }
 
-/// Whether a transform is between links of an arm; without an arm that could tell, whether it is
-/// none that a camera sees now and then.
+/// Whether a transform is between links of an arm. Without an arm, whether it is not a camera detection.
 fn is_of_an_arm(transform: &PoseColumns, arms: &[Arm]) -> bool {
     let (parent, child) =
         (without_slash(&transform.frame_id), without_slash(&transform.child_frame_id));
@@ -154,12 +153,12 @@ fn is_of_an_arm(transform: &PoseColumns, arms: &[Arm]) -> bool {
     arms.iter().any(|arm| arm.joints_between(parent, child).is_some())
 }
 
-/// Whether every message has every joint.
+/// Whether every message contains every joint.
 fn is_complete(joints: &JointColumns) -> bool {
     joints.joints.iter().all(|joint| joint.position.iter().all(|q| !q.is_nan()))
 }
 
-/// The rows of joint states by their sender: joints that are ever in one message have the same.
+/// Groups the rows of joint states by sender: joints that ever share a message have the same sender.
 pub(super) fn senders(joints: &JointColumns) -> Vec<Vec<usize>> {
     let in_row = |row: usize| {
         let joints = joints.joints.iter().enumerate();

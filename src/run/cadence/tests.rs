@@ -1,4 +1,4 @@
-//! Rhythms with one thing done to them.
+//! Streams with one modification each.
 
 use super::parts::senders;
 use super::*;
@@ -7,8 +7,8 @@ use crate::stream::{Columns, JointColumn, JointColumns, PoseColumns};
 
 const MS: i64 = 1_000_000;
 
-/// A stream at 100 Hz for 10 s, received 1 ms after its stamps; `edit` says what becomes of row
-/// `row`: its stamp and its time of receipt, ms.
+/// A stream at 100 Hz for 10 s, received 1 ms after its stamps. `edit` returns stamp and receive time of a
+/// row, ms.
 fn poses(edit: impl Fn(i64) -> Option<(i64, i64)>) -> Columns {
     let mut poses = PoseColumns::default();
     for row in 0..1000 {
@@ -24,7 +24,7 @@ fn on_time(row: i64) -> (i64, i64) {
     (10 * row, 10 * row + 1)
 }
 
-/// The cadence of the first part, beside a joint that moves in the first 5 s.
+/// Cadence of the first part, with a joint that moves in the first 5 s.
 fn cadence(columns: &Columns) -> Cadence {
     let clock = StreamClock {
         stream: 0,
@@ -47,7 +47,7 @@ fn cadence(columns: &Columns) -> Cadence {
     parts[0].cadence(&parts[0].paced(&clock, &Motion { joints }))
 }
 
-/// Rows missing in all holes.
+/// Total number of missing rows.
 fn missing(cadence: &Cadence) -> usize {
     cadence.holes.iter().map(|hole| hole.missing).sum()
 }
@@ -105,7 +105,7 @@ fn missing_rows_are_counted_and_late_ones_make_up_for_theirs() {
 
 #[test]
 fn a_loop_that_waits_between_its_rows_loses_none() {
-    // Waits of 8 to 20 ms, most of them 10 ms; and the same rows on time with every twentieth lost.
+    // Waits of 8 to 20 ms, most of them 10 ms.
     let waits = |row: i64| match (row * 7919) % 20 {
         0..14 => 10,
         14..17 => 13,
@@ -127,7 +127,7 @@ fn a_lower_rate_over_seconds_is_a_lull() {
     let found = cadence(&poses(slow));
     let [stretch] = found.lulls.as_slice() else { panic!("{found:?}") };
     assert!((stretch.rate_hz - 25.0).abs() < 1.0 && stretch.seconds() > 3.5, "{stretch:?}");
-    // At a rate so low that each interval is long by itself, too.
+    // At this rate every interval is long on its own.
     let crawls = |row: i64| (row < 700 || row % 20 == 0).then(|| on_time(row));
     let found = cadence(&poses(crawls));
     let [stretch] = found.lulls.as_slice() else { panic!("{found:?}") };
@@ -144,7 +144,7 @@ fn stamps_are_held_against_the_order_of_receipt() {
     let [(at, by_s)] = found.steps_back.as_slice() else { panic!("{found:?}") };
     assert_eq!(at.nanos(), (1_000_000 + 2990) * MS);
     assert!((by_s - 0.397).abs() < 1e-9, "{by_s}");
-    // Two that change places step back by one period.
+    // Two swapped stamps step back by one period.
     let swapped = |row: i64| {
         let (stamp, received) = on_time(row);
         Some((stamp, received + if row == 500 { 15 } else { 0 }))
