@@ -244,7 +244,7 @@ fn axes_of_ned_are_said_as_such() {
     })
     .audited();
     let world = the(&report, "YAW002", IMU);
-    assert!(world.message.contains("world points down (NED)"), "{}", world.message);
+    assert!(world.message.contains("world frame has z down (NED)"), "{}", world.message);
     let axes = the(&report, "YAW003", IMU);
     assert!(axes.message.contains("(FRD, as with NED: z points down)"), "{}", axes.message);
     assert_eq!(report.findings.len(), 2, "{}", summary(&report.findings));

@@ -1,4 +1,4 @@
-//! IMUs on the arm.
+//! IMUs on the arm: yaw drift, tilt, mount and gyro bias.
 
 pub(super) mod yaw001;
 pub(super) mod yaw002;

@@ -7,36 +7,41 @@ use crate::evidence::{ImuEvidence, Of};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Severity, Unit};
 
 rule! {
-    /// The yaw of an IMU drifts or jumps against the arm.
+    /// IMU yaw drifts or jumps relative to the arm.
     ///
     /// ## What it means
-    /// The IMU's heading turns about gravity while the arm's kinematics say that it did not. The
-    /// amount is the rate, d/dt of (IMU yaw − FK yaw), or for a sudden change that stays its size. A
-    /// constant yaw between the IMU's world and the robot's base is no fault.
+    /// The IMU's heading changes about gravity differently from the heading by forward kinematics. The
+    /// estimate is the rate of (IMU yaw − FK yaw), or the size of a permanent jump. A constant yaw offset
+    /// between the IMU's world and the robot's base is not a fault.
     ///
     /// ## Why it matters
-    /// Roll and pitch are held by gravity, yaw is held by nothing unless a magnetometer or another
-    /// reference is there: what is fused with it turns slowly away, a degree in 20 s at 3 °/min, or
-    /// at once where a magnet passes.
+    /// Gravity constrains roll and pitch, but only a magnetometer or another reference constrains yaw.
+    /// Anything fused with this IMU rotates away: 1° in 20 s at 3 °/min, or at once if a magnet passes.
     ///
     /// ## Evidence
-    /// The slope of the yaw error over the run, with the joint offsets that were found taken into
-    /// account and an interval that allows for correlated noise. `effect` says what it adds up to.
-    /// `kind` says what the error does: `drift`, `jump`, `random-walk`, `heading` (it depends on where the
-    /// IMU heads, by one and two turns a turn: hard and soft iron; `axis` is the axis of the IMU whose
-    /// heading it is) or `warm-up` (a drift that settles with `time_constant_s`), whichever explains it with
-    /// the fewest parts. What depends on the heading is taken off before jumps and drift are sought. Jumps and a walk are taken off before the slope is: `jumps` has the time of
-    /// each from the start of the log and its size, `walk_rad_rt_s` the walk's density in rad/√s. A
-    /// walk widens the slope's interval, since it drifts by chance.
+    /// The drift is the slope of the yaw error over the run, corrected for the joint zero offsets found.
+    /// Its interval allows for correlated noise. `effect` is the total over the run. `kind` is the model
+    /// that explains the error with the fewest parameters:
+    ///
+    /// - `drift`: a constant rate.
+    /// - `jump`: `jumps` lists the time of each, from the start of the log, and its size.
+    /// - `random-walk`: `walk_rad_rt_s` is its density in rad/√s. A walk drifts by chance, so it widens the
+    ///   interval of the drift.
+    /// - `heading`: an error that depends on the heading (first and second harmonic: hard and soft iron).
+    ///   `axis` is the IMU axis whose heading it is.
+    /// - `warm-up`: a drift that decays with `time_constant_s`.
+    ///
+    /// The heading error is removed before jumps and drift are estimated; jumps and walk are removed before
+    /// the drift.
     ///
     /// ## How to fix
-    /// Take yaw from kinematics, or give the filter a heading reference; calibrate the gyro's bias
-    /// while the arm stands. For a jump, keep the magnetometer from steel and motors, or leave it out.
+    /// Take yaw from kinematics, or give the filter a heading reference. Calibrate the gyro bias while the
+    /// arm rests. For a jump, keep the magnetometer away from steel and motors, or disable it.
     ///
     /// ## When it misleads
-    /// It needs orientation in the log (`orientation_covariance[0]` not −1). Short runs leave it
-    /// open: a run of 1 s knows a drift to half a degree a minute at best. A magnetometer near
-    /// motors makes errors that depend on the place and not on time or heading, which look like a walk.
+    /// It needs orientation in the log (`orientation_covariance[0]` not −1). Short runs are inconclusive: 1
+    /// s determines a drift to ±0.5 °/min at best. A magnetometer near motors has errors that depend on
+    /// position rather than time or heading; they look like a random walk.
     YAW001 {
         name: "yaw-drift",
         grade: Grade::From(&[THRESHOLD, JUMP]),
@@ -53,18 +58,18 @@ const THRESHOLD: Threshold = Threshold {
     error: 2.0 * DEGREE / 60.0,
 };
 
-/// A jump is shown from here: some times what a good filter wanders, and what matters to a pose.
+/// Reported from several times the wander of a good filter, where it starts to affect poses.
 const JUMP: Threshold =
     Threshold { unit: Unit::Radian, warning: 0.5 * DEGREE, error: 2.0 * DEGREE };
 
-/// What would tell where the drift could not be had.
+/// The motion that makes the drift observable.
 const SETTLE: &str = "record a minute or more, with rests";
 
 fn check(case: &Case) -> Vec<Judged> {
     case.evidence.imus().flat_map(|(_, imu)| judge(case, imu)).collect()
 }
 
-/// The drift, and the largest jump where there is one.
+/// Judges the drift, and the largest jump, heading error and warm-up if significant.
 fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Vec<Judged> {
     let subjects = case.evidence.subjects();
     let [drift_threshold, jump_threshold] =
@@ -81,7 +86,7 @@ fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Vec<Judged> {
     let mut judged = vec![with_course(imu.judged(outcome).estimated(estimate), course, kind)];
     let size = |jump: &&YawJump| jump.size_rad.value.abs();
     let largest = course.jumps.iter().max_by(|a, b| size(a).total_cmp(&size(b)));
-    // A jump that is not worth a word is only taken off the drift.
+    // Smaller jumps are only removed from the drift.
     if let Some(jump) = largest.filter(|jump| size(jump) >= jump_threshold.warning) {
         let outcome = decide(&jump.size_rad, &jump_threshold, subjects)
             .into_outcome(SETTLE, |severity| jumps(jump, severity));
@@ -112,7 +117,6 @@ fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Vec<Judged> {
     judged.into_iter().map(|judged| judged.within(imu.span)).collect()
 }
 
-/// The axes of an IMU.
 const AXES: [&str; 3] = ["x", "y", "z"];
 
 fn depends(heading: &HeadingError, severity: Severity) -> Fault {
@@ -122,12 +126,12 @@ fn depends(heading: &HeadingError, severity: Severity) -> Fault {
         cause: Cause::YawJump,
         title: "IMU yaw depends on heading",
         message: format!(
-            "yaw error depends on the heading of imu {}, by up to {size} either way: hard or soft iron, no drift",
+            "yaw error depends on the heading of imu {}, up to ±{size}: hard or soft iron, not drift",
             AXES[heading.axis]
         ),
         evidence: Evidence::default(),
         fix:
-            "calibrate the magnetometer on the arm, keep it from steel and motors, or leave it out"
+            "calibrate the magnetometer on the arm, keep it away from steel and motors, or disable it"
                 .to_owned(),
     }
 }
@@ -146,24 +150,24 @@ fn settles(warm_up: &YawWarmUp, severity: Severity) -> Fault {
             "yaw drifts {rate} at first and settles with a time constant of {tau_s:.1} s: warm-up"
         ),
         evidence: Evidence {
-            effect: Some(format!("{turned} in all, and no drift once it is warm")),
+            effect: Some(format!("{turned} in total, then no drift")),
             ..Evidence::default()
         },
-        fix: format!("switch the IMU on {:.0} s before it is used", (5.0 * tau_s).ceil()),
+        fix: format!("power on the IMU {:.0} s before use", (5.0 * tau_s).ceil()),
     }
 }
 
-/// What would settle an open drift, after what the yaw does besides.
+/// The action for an undetermined drift, with the random walk if there is one.
 fn settle(course: &YawCourse) -> String {
     match course.walk_rad_rt_s {
         Some(density) => {
-            format!("the yaw wanders by {} in each √s; {SETTLE}", Unit::Radian.show(density))
+            format!("the yaw wanders by {}/√s; {SETTLE}", Unit::Radian.show(density))
         }
         None => SETTLE.to_owned(),
     }
 }
 
-/// The evidence of what the yaw's error does.
+/// Adds the evidence on the yaw error model.
 fn with_course(judged: Judged, course: &YawCourse, kind: &str) -> Judged {
     let mut judged = judged.with_evidence("kind", kind);
     if let Some(density) = course.walk_rad_rt_s {
@@ -195,8 +199,9 @@ fn drifts(imu: &Of<ImuEvidence>, drift: &Measured, severity: Severity) -> Fault 
             effect: Some(format!("{turned} over this run of {seconds:.1} s")),
             ..Evidence::default()
         },
-        fix: "take yaw from FK, or enable a magnetometer or another heading aid in the filter"
-            .to_owned(),
+        fix:
+            "take yaw from FK, or enable a magnetometer or another heading reference in the filter"
+                .to_owned(),
     }
 }
 
@@ -208,7 +213,7 @@ fn jumps(jump: &YawJump, severity: Severity) -> Fault {
         title: "IMU yaw jumps",
         message: format!("yaw jumps by {size} against the arm at +{:.2} s", jump.at_s),
         evidence: Evidence::default(),
-        fix: "take yaw from FK, or keep the magnetometer from steel and motors".to_owned(),
+        fix: "take yaw from FK, or keep the magnetometer away from steel and motors".to_owned(),
     }
 }
 
@@ -248,6 +253,6 @@ mod tests {
         let (rows, _) = ask(&YAW001, &run);
         assert_eq!(rows[0].status, Status::Inconclusive);
         let reason = rows[0].reason.as_deref().unwrap_or_default();
-        assert!(reason.contains("the yaw wanders by 0.5° in each √s"), "{reason}");
+        assert!(reason.contains("the yaw wanders by 0.5°/√s"), "{reason}");
     }
 }

@@ -8,27 +8,26 @@ rule! {
     /// The roll and pitch of an IMU disagree with gravity.
     ///
     /// ## What it means
-    /// The orientation says where up is, and the accelerometer feels it; the two differ by this
-    /// angle on average over the run.
+    /// The vertical by the IMU's orientation and the vertical by its accelerometer differ by this angle,
+    /// averaged over the run.
     ///
     /// ## Why it matters
-    /// A tilt of 1° feigns an acceleration of 0.17 m/s² and turns every pose that is taken from the
-    /// IMU.
+    /// A tilt of 1° appears as an acceleration of 0.17 m/s² and rotates every pose derived from the IMU.
     ///
     /// ## Evidence
-    /// The angle between the mean specific force, turned into the world by the logged orientation,
-    /// and the world's vertical, while the arm rests, with an interval from its spread.
+    /// The angle between the vertical of the world frame and the mean specific force while the arm rests,
+    /// rotated into that frame by the logged orientation. The interval comes from its scatter.
     ///
-    /// Near half or a quarter of a turn it says which axis of the orientation's world is up instead of z
-    /// (REP 145): z down is NED. `up_in_world` is what the accelerometer feels as up, in that world,
-    /// `up_in_base` the same in the arm's base by FK and the mount.
+    /// If the tilt is close to 90° or 180°, the finding names the axis of the orientation's world frame
+    /// that points up instead of z (REP 145): z down is NED. `up_in_world` is the measured up direction in
+    /// that frame, `up_in_base` the same in the arm's base by FK and the mount.
     ///
     /// ## How to fix
-    /// Calibrate the accelerometer's bias, or level the IMU's world.
+    /// Calibrate the accelerometer's bias, or level the IMU's world frame.
     ///
     /// ## When it misleads
-    /// An accelerometer whose bias is 0.1 m/s² leans by 0.6°. A run that ends far from where it
-    /// began has a mean acceleration, but a small one. Without an accelerometer it cannot be told.
+    /// An accelerometer bias of 0.1 m/s² is a tilt of 0.6°. A run that ends far from its start has a small
+    /// nonzero mean acceleration. Without an accelerometer the tilt is not observable.
     YAW002 {
         name: "imu-tilt",
         grade: Grade::From(&[THRESHOLD]),
@@ -42,7 +41,7 @@ rule! {
 const THRESHOLD: Threshold =
     Threshold { unit: Unit::Radian, warning: 0.5 * DEGREE, error: 2.0 * DEGREE };
 
-/// What would tell where the tilt could not be had.
+/// The motion that makes the tilt observable.
 const SETTLE: &str = "record 10 s with rests";
 
 fn check(case: &Case) -> Vec<Judged> {
@@ -57,7 +56,7 @@ fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Judged {
     let as_logged = imu.diagnosis.reading.as_ref().is_ok_and(|reading| reading.best.is_as_logged());
     let outcome = match as_logged {
         false => Outcome::Inconclusive(
-            "the orientation is not as logged; read it right first (ORD001 to ORD003)".to_owned(),
+            "orientation encoding differs from the declared one; correct it first (ORD001 to ORD003)".to_owned(),
         ),
         true => {
             decide_length(tilt, &case.thresholds.of(&YAW002, THRESHOLD), case.evidence.subjects())
@@ -74,9 +73,10 @@ fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Judged {
     }
 }
 
-/// What else than z of its world is up, and what to do about it; `None` of a world that merely leans.
+/// Title, message and fix if another axis than z of the orientation's world points up. `None` if it is only
+/// tilted.
 fn world(up: &Up) -> Option<(&'static str, String, String)> {
-    /// An axis is up to within this angle, rad.
+    /// Maximum angle between an axis and the vertical for the axis to point up, rad.
     const UP: f64 = 10.0 * DEGREE;
     let axis = up.in_world.iamax();
     if up.in_world[axis].abs() < UP.cos() || (axis == 2 && up.in_world.z > 0.0) {
@@ -85,18 +85,18 @@ fn world(up: &Up) -> Option<(&'static str, String, String)> {
     if axis == 2 && up.in_base.z < -UP.cos() {
         return Some((
             "accelerometer reversed",
-            "the accelerometer's sign is reversed: at rest it reads gravity, and not the specific \
-             force, which points up (REP 145)"
+            "the accelerometer's sign is reversed: at rest it reads gravity instead of the specific force, \
+             which points up (REP 145)"
                 .to_owned(),
-            "negate the linear acceleration; or the arm hangs and its orientation's world is NED"
+            "negate the linear acceleration; if the arm hangs upside down, check for an NED orientation \
+             instead"
                 .to_owned(),
         ));
     }
     if axis == 2 {
         return Some((
             "IMU world is NED",
-            "z of the orientation's world points down (NED), where REP 145 wants ENU, z up"
-                .to_owned(),
+            "the orientation's world frame has z down (NED); REP 145 requires ENU, z up".to_owned(),
             "convert the orientation from NED to ENU: swap the world's x and y, and negate its z"
                 .to_owned(),
         ));
@@ -105,8 +105,8 @@ fn world(up: &Up) -> Option<(&'static str, String, String)> {
     let up = format!("{sign}{}", ["x", "y", "z"][axis]);
     Some((
         "IMU world is not z up",
-        format!("{up} of the orientation's world points up, where REP 145 wants z"),
-        format!("turn the orientation's world so that its {up} becomes z"),
+        format!("{up} of the orientation's world frame points up; REP 145 requires z"),
+        format!("rotate the orientation's world frame so that its {up} becomes z"),
     ))
 }
 
@@ -117,7 +117,7 @@ fn fault(tilt: &Length, up: Option<&Up>, severity: Severity) -> Fault {
             cause: Cause::Seen(Sight::Tilt),
             severity,
             title,
-            message: format!("{message}: roll and pitch are {shown} off gravity"),
+            message: format!("{message}; roll and pitch are {shown} off gravity"),
             evidence: Evidence::default(),
             fix,
         };
@@ -125,10 +125,10 @@ fn fault(tilt: &Length, up: Option<&Up>, severity: Severity) -> Fault {
     Fault {
         cause: Cause::Seen(Sight::Tilt),
         severity,
-        title: "IMU leans",
+        title: "IMU is tilted",
         message: format!("roll and pitch are {shown} off gravity"),
         evidence: Evidence::default(),
-        fix: "calibrate the accelerometer's bias, or level the IMU's world".to_owned(),
+        fix: "calibrate the accelerometer's bias, or level the IMU's world frame".to_owned(),
     }
 }
 
@@ -150,7 +150,7 @@ mod tests {
         assert_eq!(said([0.0, 0.0, -1.0], 1.0), "IMU world is NED");
         assert_eq!(said([0.0, 0.0, -1.0], -1.0), "accelerometer reversed");
         assert_eq!(said([0.0, 1.0, 0.0], 1.0), "IMU world is not z up");
-        assert_eq!(said([0.5, 0.5, -0.7], 1.0), "IMU leans");
+        assert_eq!(said([0.5, 0.5, -0.7], 1.0), "IMU is tilted");
     }
 
     #[test]

@@ -7,33 +7,36 @@ use crate::geometry::{Rotation, Vec3, angle_between, xyzw_from_rotation};
 use serde_json::{Value, json};
 
 rule! {
-    /// An IMU is mounted otherwise than the log's frames say.
+    /// IMU mount differs from the log's frames.
     ///
     /// ## What it means
-    /// The orientation follows the arm, but only with another rotation between the link and the
-    /// IMU than the log's transforms give.
+    /// The orientation follows the arm only with a different rotation between link and IMU than in the
+    /// log's transforms.
     ///
     /// ## Why it matters
-    /// Rates and accelerations arrive on the wrong axes: at 90° roll is pitch.
+    /// Angular rates and accelerations appear on the wrong axes: at 90°, roll becomes pitch.
     ///
     /// ## Evidence
-    /// The angle between the mount that fits best and the one in the log. `link_from_imu` is the one
-    /// that fits, as a quaternion x, y, z, w, and `direction_cosines` the same as a matrix: a column
-    /// for each axis of the IMU, in the axes of the link that its rows name. `axes` says in words where
-    /// each points; `logged_direction_cosines` and `logged_axes` are what the log's frames say. Where
-    /// the log has no frame of the IMU there is nothing to judge, and the mount is evidence only. Axes that
-    /// are permuted or reversed are said as such, for instance forward-right-down (FRD) where the frame is
-    /// forward-left-up. Of an IMU that slips within the run `value` is the angle by which it does, `from` and
-    /// `to` are its angle to the log's frames before and after, and `change_ns` is when;
-    /// `link_from_imu_after` is the mount from then on. A gyro whose axes are left-handed, or not those of the
-    /// orientation beside it, is a finding, too.
+    /// The angle between the best-fitting mount and the one in the log.
+    ///
+    /// - `link_from_imu`: the best-fitting mount as a quaternion x, y, z, w.
+    /// - `direction_cosines`: the same as a matrix, with one column per IMU axis and one row per link axis.
+    /// - `axes`: the direction of each IMU axis in words.
+    /// - `logged_direction_cosines`, `logged_axes`: the same for the mount in the log's frames.
+    /// - If the IMU slips within the run, `value` is the angle of the slip and `change_ns` its time. `from`
+    ///   and `to` are the angles to the logged mount before and after, and `link_from_imu_after` is the
+    ///   mount afterwards.
+    ///
+    /// If the log has no frame for the IMU, the rule is skipped and the mount is evidence only. Permuted or
+    /// reversed axes are named, for instance forward-right-down (FRD) in a forward-left-up frame. A gyro
+    /// with left-handed axes, or with axes other than those of the orientation, is also reported.
     ///
     /// ## How to fix
     /// Correct the static transform of the IMU's frame, or the axes that its driver reports.
     ///
     /// ## When it misleads
-    /// A wrong static transform and a wrongly mounted sensor do the same to the log. Joint zeros of
-    /// the wrist turn the mount too; those that were found are taken off.
+    /// A wrong static transform and a wrongly mounted sensor look the same in the log. Zero offsets of the
+    /// wrist joints also rotate the mount; the offsets found are corrected first.
     YAW003 {
         name: "imu-mount",
         grade: Grade::From(&[THRESHOLD]),
@@ -47,8 +50,8 @@ rule! {
 const THRESHOLD: Threshold =
     Threshold { unit: Unit::Radian, warning: 1.0 * DEGREE, error: 5.0 * DEGREE };
 
-/// What would tell where the mount could not be had.
-const SETTLE: &str = "turn the IMU through 60° about two axes";
+/// The motion that makes the mount observable.
+const SETTLE: &str = "rotate the IMU through 60° about two axes";
 
 fn check(case: &Case) -> Vec<Judged> {
     let imus = || case.evidence.imus().map(|(_, imu)| imu);
@@ -56,13 +59,12 @@ fn check(case: &Case) -> Vec<Judged> {
     imus().map(|imu| judge(case, imu)).chain(axes).collect()
 }
 
-/// Whether the gyro has the axes of the orientation beside it, and right-handed ones; `None` where nothing
-/// says otherwise.
+/// Checks that the gyro axes are right-handed and match the orientation's. `None` if no deviation is found.
 fn judge_axes(case: &Case, imu: &Of<ImuEvidence>) -> Option<Judged> {
     let fault = |severity, message: String, fix: String| Fault {
         severity,
         cause: Cause::Seen(Sight::ImuAxes),
-        title: "gyro axes are not the IMU's",
+        title: "gyro axes do not match the IMU's",
         message,
         evidence: Evidence::default(),
         fix,
@@ -71,15 +73,15 @@ fn judge_axes(case: &Case, imu: &Of<ImuEvidence>) -> Option<Judged> {
         let axis = AXES[axis];
         let message = format!("the gyro's axes are left-handed: {axis} is reversed");
         let fix =
-            format!("negate {axis} of the angular velocity, or see which axes the driver swaps");
+            format!("negate {axis} of the angular velocity, or check which axes the driver swaps");
         let outcome = Outcome::faulty(fault(Severity::Error, message, fix));
         let half = Estimate::counted("mount error", THRESHOLD.unit.symbol(), std::f64::consts::PI);
         return Some(imu.judged(outcome).estimated(half).within(imu.span));
     }
     let turn = imu.diagnosis.axes_turn.as_ref()?;
-    // Filters lean a little against their own gyro.
+    // Orientation filters deviate slightly from their own gyro, so the error threshold applies.
     let threshold = case.thresholds.of(&YAW003, THRESHOLD);
-    // Motion about one axis shows them about that axis alone.
+    // Rotation about a single axis leaves one direction unobservable.
     if turn.size_rad.norm.half_width(0.95) > threshold.error {
         return None;
     }
@@ -88,13 +90,13 @@ fn judge_axes(case: &Case, imu: &Of<ImuEvidence>) -> Option<Judged> {
     let Decision::Fail(severity) = decision else { return None };
     let size = THRESHOLD.unit.show_measured(&turn.size_rad.norm);
     let what = match turn.with_accel {
-        true => "axes of gyro and accelerometer",
-        false => "axes of the gyro",
+        true => "gyro and accelerometer axes",
+        false => "gyro axes",
     };
     let order = permuted(&turn.imu_from_gyro)
         .map_or(String::new(), |order| format!(": its x, y, z are the orientation's {order}"));
-    let message = format!("the {what} are {size} off those of the orientation{order}");
-    let fix = "report gyro, accelerometer and orientation in the same axes (REP 145)".to_owned();
+    let message = format!("{what} are {size} off the orientation's axes{order}");
+    let fix = "publish gyro, accelerometer and orientation in the same axes (REP 145)".to_owned();
     let estimate = Estimate::length("mount error", THRESHOLD.unit, &turn.size_rad);
     let judged = imu.judged(Outcome::faulty(fault(severity, message, fix))).within(imu.span);
     Some(judged.estimated(estimate))
@@ -128,7 +130,7 @@ fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Judged {
         (Ok(mount), None) => {
             let decision = decide_length(mount, &threshold, case.evidence.subjects());
             let found = imu.diagnosis.link_from_imu;
-            // A motion that shows the mount no better than the error threshold names no fault of it.
+            // A mount less certain than the error threshold cannot be a finding.
             let is_vague = mount.norm.half_width(0.95) > threshold.error;
             let outcome = match decision {
                 Decision::Fail(_) if is_vague => {
@@ -160,13 +162,12 @@ fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Judged {
     }
 }
 
-/// The axes of a frame.
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// An axis points along another up to this angle, rad.
+/// Maximum angle between two axes that count as parallel, rad.
 const ALONG: f64 = 10.0 * DEGREE;
 
-/// The matrix of a mount `link_from_imu`, its rows and columns named.
+/// The matrix of a mount `link_from_imu` with labelled rows and columns.
 fn direction_cosines(mount: &Rotation, link: &str) -> Value {
     let columns = [0, 1, 2].map(|axis| mount * Vec3::ith(axis, 1.0));
     let rows = [0, 1, 2].map(|row| columns.map(|column| column[row]));
@@ -177,14 +178,13 @@ fn direction_cosines(mount: &Rotation, link: &str) -> Value {
     })
 }
 
-/// Where each axis of the IMU points, in words.
+/// The direction of each IMU axis in words.
 fn sentences(mount: &Rotation, link: &str) -> Vec<String> {
     let sentence = |axis| format!("imu {} points {}", AXES[axis], direction(mount, axis, link));
     (0..AXES.len()).map(sentence).collect()
 }
 
-/// Where one axis of the IMU points: `along tool0 -y`, or between the two axes of the link that are
-/// nearest.
+/// Direction of one IMU axis: `along tool0 -y`, or between the two nearest link axes.
 fn direction(mount: &Rotation, axis: usize, link: &str) -> String {
     let cosines = mount * Vec3::ith(axis, 1.0);
     let mut nearest = [0, 1, 2];
@@ -201,14 +201,13 @@ fn direction(mount: &Rotation, axis: usize, link: &str) -> String {
     format!("between {first} and {second}, {off:.0}° off the first")
 }
 
-/// The angle of a mount to the log's, rad; to the mount at the beginning where the log has none.
+/// Angle between a mount and the logged one, rad; to the mount at the start if the log has none.
 fn mount_off(imu: &Of<ImuEvidence>, mount: Option<Rotation>) -> f64 {
     let of = imu.link_from_imu.or(imu.diagnosis.link_from_imu);
     of.zip(mount).map_or(0.0, |(of, mount)| angle_between(&of, &mount))
 }
 
-/// Where x, y and z point after `error`, where that is the axes in another order or reversed; `None` where
-/// it is not.
+/// The directions of x, y and z after `error` if it permutes or reverses axes, otherwise `None`.
 fn permuted(error: &Rotation) -> Option<String> {
     let axes: Vec<(usize, f64)> = (0..3)
         .map(|axis| {
@@ -236,7 +235,7 @@ fn permuted(error: &Rotation) -> Option<String> {
     Some(format!("{order}{known}"))
 }
 
-/// An IMU that turns in its mount within the run.
+/// The fault of an IMU that rotates in its mount within the run.
 fn slipped(
     case: &Case,
     imu: &Of<ImuEvidence>,
@@ -259,7 +258,7 @@ fn slipped(
         title: "IMU slips in its mount",
         message: format!("the IMU's mount turns by {size} at {at}{against}"),
         evidence: Evidence::default(),
-        fix: format!("fasten the IMU; calibrate its mount again for what was recorded after {at}"),
+        fix: format!("fasten the IMU; recalibrate its mount for data recorded after {at}"),
     }
 }
 
@@ -283,8 +282,8 @@ fn fault(
     Fault {
         severity,
         cause: found.map_or(Cause::Seen(Sight::ImuAxes), Cause::ImuMount),
-        title: "IMU mounted otherwise",
-        message: format!("mounting differs from the log's frames by {shown}{permuted}{axes}"),
+        title: "IMU mount differs",
+        message: format!("mount differs from the log's frames by {shown}{permuted}{axes}"),
         evidence: Evidence::default(),
         fix: "correct the IMU's static transform, or its driver's axes".to_owned(),
     }
@@ -324,7 +323,7 @@ mod tests {
         let cosines = direction_cosines(&mount([0.0, 0.0, 90.0]), "tool0");
         assert_eq!(cosines["rows"][1], "tool0 y");
         assert_eq!(cosines["columns"][0], "imu x");
-        // The IMU's x is the link's y.
+        // IMU x points along link y.
         assert!((cosines["matrix"][1][0].as_f64().unwrap() - 1.0).abs() < 1e-12);
         assert!((cosines["matrix"][0][1].as_f64().unwrap() + 1.0).abs() < 1e-12);
     }

@@ -10,31 +10,31 @@ rule! {
     /// A gyro has a bias.
     ///
     /// ## What it means
-    /// The gyro reads a constant rate beside the one that the arm's kinematics say; the amount is
-    /// its norm.
+    /// The gyro reads a constant rate in addition to the angular rate by forward kinematics. The estimate
+    /// is its norm.
     ///
     /// ## Why it matters
-    /// Integrating it drifts the heading at that rate: 0.1 °/s is 6° after a minute.
+    /// Integrated, it drifts the heading at that rate: 0.1 °/s is 6° after a minute.
     ///
     /// ## Evidence
-    /// The constant part of (gyro − angular rate by FK), fitted together with the IMU's latency and
-    /// mount to the turns between moments: `vector_rad_s` in the sensor's frame, and
-    /// `yaw_rate_rad_s`, what yaw that is integrated from this gyro would drift by. Where the gyro
-    /// surely reads rates too large, too small or askew, `scale` (along x, y and z) and
-    /// `misalignment_rad` (of y and z, x and z, x and y) say by how much; they are no part of the
-    /// bias.
+    /// The constant part of (gyro − angular rate by FK), fitted together with the IMU's latency and mount
+    /// to rotations over time intervals.
     ///
-    /// Where the bias surely is not one over the run, `kind` is `step` or `warm-up`, `from_vector_rad_s` and
-    /// `to_vector_rad_s` are what it is before and after; of a step the estimate says when (`change_ns`), of a
-    /// warm-up `time_constant_s` how fast it settles. `value` is then the size of the change where that
-    /// reaches the threshold, else the larger of the two.
+    /// - `vector_rad_s`: the bias in the sensor frame.
+    /// - `yaw_rate_rad_s`: drift of a yaw integrated from this gyro.
+    /// - `scale` (along x, y, z) and `misalignment_rad` (of y and z, x and z, x and y): given if
+    ///   significant; they are not part of the bias.
+    /// - `kind`: `step` or `warm-up` if the bias significantly changes over the run. `from_vector_rad_s`
+    ///   and `to_vector_rad_s` are the bias before and after. `change_ns` is the time of a step,
+    ///   `time_constant_s` the time constant of a warm-up. `value` is the size of the change if that
+    ///   reaches the threshold, otherwise the larger of the two biases.
     ///
     /// ## How to fix
-    /// Subtract the bias; estimate it anew whenever the arm rests, since it moves with temperature.
+    /// Subtract the bias. Re-estimate it whenever the arm rests, because it depends on temperature.
     ///
     /// ## When it misleads
-    /// The Earth turns at 0.004 °/s, which is below the threshold. A driver that removes the bias by
-    /// itself leaves what it has not yet learnt.
+    /// The Earth rotates at 0.004 °/s, below the threshold. A driver that removes the bias itself may not
+    /// yet have converged.
     YAW004 {
         name: "gyro-bias",
         grade: Grade::From(&[THRESHOLD]),
@@ -48,7 +48,7 @@ rule! {
 const THRESHOLD: Threshold =
     Threshold { unit: Unit::GyroRate, warning: 0.1 * DEGREE, error: 1.0 * DEGREE };
 
-/// What would tell where the bias could not be had.
+/// The motion that makes the bias observable.
 const SETTLE: &str = "record 10 s with rests";
 
 fn check(case: &Case) -> Vec<Judged> {
@@ -90,13 +90,13 @@ fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Judged {
     }
 }
 
-/// Whether a bias is larger throughout than its change: then the bias is the fault, and the change evidence.
+/// Whether the bias always exceeds its change. The fault is then the bias, and the change is evidence.
 fn is_mostly_constant(change: &BiasChange) -> bool {
     let least = change.before_rad_s.norm().min(change.after_rad_s.norm());
     least > change.size_rad_s.norm.value
 }
 
-/// The size of a change, and of a step from what to what and when.
+/// Size of a change; for a step also the values before and after, and the time.
 fn estimate(case: &Case, change: &BiasChange) -> Estimate {
     let size = Estimate::length("gyro bias", THRESHOLD.unit, &change.size_rad_s);
     match change.course {
@@ -123,7 +123,7 @@ fn with_change(judged: Judged, change: &BiasChange) -> Judged {
     }
 }
 
-/// A bias that is not one over the run.
+/// The fault of a bias that changes over the run.
 fn changed(case: &Case, change: &BiasChange, severity: Severity) -> Fault {
     let [from, to] =
         [change.before_rad_s, change.after_rad_s].map(|bias| Unit::GyroRate.show(bias.norm()));
@@ -137,7 +137,7 @@ fn changed(case: &Case, change: &BiasChange, severity: Severity) -> Fault {
                 "gyro bias changes",
                 format!("gyro bias steps by {size} at {when}, from {from} to {to}"),
                 format!(
-                    "estimate the bias anew from {when} on: subtract ({x}, {y}, {z}) rad/s there"
+                    "re-estimate the bias after {when}: subtract ({x}, {y}, {z}) rad/s from then on"
                 ),
             )
         }
@@ -148,7 +148,7 @@ fn changed(case: &Case, change: &BiasChange, severity: Severity) -> Fault {
                  {from} to {to}: warm-up"
             ),
             format!(
-                "switch the IMU on {:.0} s before it is used, then subtract ({x}, {y}, {z}) rad/s",
+                "power on the IMU {:.0} s before use, then subtract ({x}, {y}, {z}) rad/s",
                 (5.0 * time_constant_s).ceil()
             ),
         ),
@@ -163,7 +163,7 @@ fn changed(case: &Case, change: &BiasChange, severity: Severity) -> Fault {
     }
 }
 
-/// A number with its interval, as evidence.
+/// A value with its 95 % interval, as evidence.
 fn shown(measured: Measured) -> Value {
     json!({"value": measured.value, "ci95": measured.interval(0.95)})
 }

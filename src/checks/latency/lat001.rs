@@ -11,58 +11,62 @@ use crate::finding::{
 };
 
 rule! {
-    /// A stream is late or early against the joint states.
+    /// A stream is late or early relative to the joint states.
     ///
     /// ## What it means
-    /// What the stream says at stamp *t* was true at *t − latency*: positive is late, negative is
-    /// early. The reference is the joint states. Where two or more independent streams are early
-    /// by the same amount, it is the joint states that are late, and the one finding is on them.
+    /// A sample stamped *t* describes the state at *t − latency*: positive is late, negative is early. The
+    /// reference is the joint states. If two or more independent streams are early by the same latency, the
+    /// joint states are late, and the only finding is on them.
     ///
     /// ## Why it matters
-    /// A latency does nothing at rest and shifts every pose in motion by speed times latency: 20 ms
-    /// at 1 m/s is 20 mm. It makes hand-eye calibrations scatter and visual servoing oscillate.
+    /// A latency has no effect at rest. In motion it shifts every pose by speed times latency: 20 ms at 1
+    /// m/s is 20 mm. It scatters hand-eye calibrations and makes visual servoing oscillate.
     ///
     /// ## Evidence
-    /// The lag at which the stream follows forward kinematics best, with sub-sample resolution and
-    /// an interval that allows for correlated noise. Of a target that a camera sees it is the lag at which
-    /// the hand-eye chain closes best, fitted together with the camera's pose. `effect_m` is what it does at this run's top
-    /// speed. Where no other independent stream tells which side is off, the other side stands in
-    /// `indistinguishable`.
+    /// The lag at which the stream best follows forward kinematics, with sub-sample resolution and an
+    /// interval that allows for correlated noise. For a camera target it is the lag at which the hand-eye
+    /// chain closes best, fitted together with the camera's pose.
+    ///
+    /// `effect_m` is the position error at this run's top speed. If no third independent stream shows which
+    /// of the two is off, the other one is listed in `indistinguishable`.
     ///
     /// ## How to fix
-    /// Stamp a sample when it is taken, not when it is published or received, and from one clock.
-    /// A latency that is constant can be shifted off.
+    /// Stamp samples at acquisition, not when they are published or received, and with a single clock. A
+    /// constant latency can be corrected by shifting the stamps.
     ///
     /// ## When it misleads
-    /// Motion that repeats itself fits at several lags, an arm at rest and a target that is seen at rest
-    /// only (stop and go) fit any lag; these are inconclusive and not guessed. A filter on the stream is a latency too.
-    /// Delays that scatter to one side, as a transport's, have no one latency: the amount is then their
-    /// median, and `delays` has the mean, too. /tf of a
-    /// robot_state_publisher copies the joint states' stamps, so it is no witness on whether they
-    /// are late. Stamps that are cut to the tick of a coarse clock are early by half of it, which is said. A stream on another clock (TIM003) is aligned by minimum delay first: then a
-    /// latency as large as the transport's delay cannot be seen.
+    /// - A periodic motion fits several lags. An arm at rest, or a target seen only at rest (stop and go),
+    ///   fits any lag. These are inconclusive.
+    /// - A filter on the stream also adds latency.
+    /// - Delays skewed to one side, as in a transport, have no single latency. The estimate is then their
+    ///   median, and `delays` also has the mean.
+    /// - /tf from robot_state_publisher copies the joint states' stamps, so it cannot show whether they are
+    ///   late.
+    /// - Stamps truncated to the tick of a coarse clock are early by half a tick; the message reports it.
+    /// - A stream on another clock (TIM003) is first aligned by minimum delay. A constant transport delay
+    ///   is then not observable.
     LAT001 {
         name: "latency",
         grade: Grade::From(&[THRESHOLD]),
         headline: true,
         needs_model: true,
-        missing: "no pose, /tf or IMU stream beside the joint states",
+        missing: "no pose, /tf or IMU stream besides the joint states",
         check: check,
     }
 }
 
 const THRESHOLD: Threshold = Threshold { unit: Unit::Second, warning: 2e-3, error: 10e-3 };
 
-/// What would tell where a latency could not be had.
+/// The motion that makes a latency observable.
 const SETTLE: &str = "record 10 s of motion that starts, stops and does not repeat";
 
-/// What this rule looks at of a stream.
+/// The latency of a stream.
 #[derive(Clone, Copy)]
 struct Late<'a> {
-    /// Whether its stamps are its own.
+    /// Whether its stamps are independent of the joint states'.
     independent: bool,
     latency: &'a Seen<Measured>,
-    /// Its delays where they are skewed: the latency is then their median.
+    /// Its delays if they are skewed; the latency is then their median.
     delays: Option<&'a SkewedDelays>,
 }
 
@@ -75,8 +79,8 @@ fn check(case: &Case) -> Vec<Judged> {
     rows
 }
 
-/// Leaves of the transforms on one topic that are late by the same, up to `apart_s`, the first as the
-/// finding: one program stamped them all.
+/// Keeps the first of the transforms on one topic whose latencies agree within `apart_s` as the finding:
+/// one program stamped them all.
 fn name_once(rows: &mut [Judged], apart_s: f64) {
     let is_late = |row: &Judged| matches!(row.outcome, Outcome::Evaluated(Ruling::Faulty(_)));
     for at in 1..rows.len() {
@@ -90,7 +94,7 @@ fn name_once(rows: &mut [Judged], apart_s: f64) {
         let Some(first) = named.iter_mut().find(is_same) else { continue };
         let others = first.evidence.get("others_late").and_then(|count| count.as_u64());
         first.evidence.insert("others_late".to_owned(), (others.unwrap_or(0) + 1).into());
-        row.outcome = Outcome::sound_because("its latency is that of the whole topic, named once");
+        row.outcome = Outcome::sound_because("same latency as the whole topic, reported once");
     }
 }
 
@@ -123,8 +127,8 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     }
 }
 
-/// A target that is late or early against a hand that no joint states with a model move: which of the
-/// two is, nothing tells.
+/// Judges the latency of a target relative to a hand whose motion is not FK of joint states. Such a log
+/// does not determine which of the two is off.
 fn judge_without_joints(case: &Case, target: &HandEyeEvidence) -> Option<Judged> {
     let latency = target.diagnosis.latency_s.as_ref().ok().filter(|_| !target.hand_is_of_joints)?;
     let thresholds = case.thresholds.of(&LAT001, THRESHOLD);
@@ -134,7 +138,7 @@ fn judge_without_joints(case: &Case, target: &HandEyeEvidence) -> Option<Judged>
     let size = Measured { value: latency.value.abs(), ..*latency };
     let side = if latency.value > 0.0 { "late" } else { "early" };
     let why = format!(
-        "{} {side} against {}, and without joint states of a known model nothing shows which of the two; \
+        "{} {side} against {}; without joint states of a known model nothing shows which of the two is off: \
          record them, or name the arm with --robot",
         THRESHOLD.unit.show_measured(&size),
         target.hand,
@@ -147,8 +151,7 @@ fn judge_without_joints(case: &Case, target: &HandEyeEvidence) -> Option<Judged>
     )
 }
 
-/// How late the joint states are, where two or more independent streams agree on it and none
-/// disagrees.
+/// Latency of the joint states, if two or more independent streams agree on it and none disagrees.
 fn joints_lateness(case: &Case, streams: &[Of<Late>]) -> Option<Measured> {
     let threshold = case.thresholds.of(&LAT001, THRESHOLD);
     let (mut witnesses, mut topics) = (Vec::new(), BTreeSet::new());
@@ -157,7 +160,7 @@ fn joints_lateness(case: &Case, streams: &[Of<Late>]) -> Option<Measured> {
         match decide(latency, &threshold, case.evidence.subjects()) {
             Decision::Fail(_) if latency.value < 0.0 => {
                 witnesses.push(*latency);
-                // Several transforms of one topic are one witness.
+                // Several transforms on one topic count as one stream.
                 topics.insert(stream.topic());
             }
             Decision::Undecided(_) => {}
@@ -173,8 +176,8 @@ fn estimate<'a>(stream: &Of<Late<'a>>) -> Option<&'a Measured> {
     stream.latency.as_ref().ok()
 }
 
-/// The mean weighted by inverse variance, its error widened where the parts scatter more than
-/// theirs say (Birge ratio; Particle Data Group, *Review of Particle Physics*, §5.2.2).
+/// Mean weighted by inverse variance. Its standard error is inflated if the values scatter more than their
+/// errors predict (Birge ratio; Particle Data Group, *Review of Particle Physics*, §5.2.2).
 fn common(parts: &[Measured]) -> Option<Measured> {
     let variance = |part: &Measured| part.std_error.max(THRESHOLD.unit.noise_floor()).powi(2);
     let weight: f64 = parts.iter().map(|part| 1.0 / variance(part)).sum();
@@ -186,7 +189,7 @@ fn common(parts: &[Measured]) -> Option<Measured> {
     common.value.is_finite().then_some(common)
 }
 
-/// The one finding where it is the joint states that are late.
+/// The only finding if the joint states are late.
 fn joints_late(
     case: &Case,
     arm: &ArmEvidence,
@@ -226,7 +229,8 @@ fn joints_late(
         .estimated(Estimate::amount("latency", THRESHOLD.unit, lateness))
 }
 
-/// A stream beside joint states that were found late: it is not to blame for that.
+/// Judges a stream of an arm whose joint states are late. They explain the latency of an independent
+/// stream.
 fn beside_late_joints(case: &Case, arm: &ArmEvidence, stream: &Of<Late>) -> Judged {
     let remark = format!("its apparent latency is explained by {}", arm.joints_topic);
     let outcome = match stream.latency {
@@ -294,23 +298,20 @@ fn message(arm: &ArmEvidence, latency: &Measured) -> String {
     format!("{} {side} against {}", THRESHOLD.unit.show_measured(&size), arm.joints_topic)
 }
 
-/// What is to be said of a latency that is the median of skewed delays.
+/// Suffix for a latency that is the median of skewed delays.
 fn in_the_mean(stream: &Of<Late>) -> String {
     let mean = |delays: &SkewedDelays| {
         let mean = Measured { value: delays.mean_s.value.abs(), ..delays.mean_s };
         let side = if delays.mean_s.value > 0.0 { "late" } else { "early" };
-        format!(
-            ", which is the median; its delays are skewed, {} {side} in the mean",
-            THRESHOLD.unit.show_measured(&mean)
-        )
+        format!(" (median; delays are skewed, mean {} {side})", THRESHOLD.unit.show_measured(&mean))
     };
     stream.delays.map(mean).unwrap_or_default()
 }
 
-/// What is to be said of a latency that is no other than half the tick of a coarse clock to which stamps
-/// are cut: those of the stream, which is early by it then, or of the joint states.
+/// Suffix for a latency of half the tick of a coarse clock to which stamps are truncated: those of the
+/// stream, which is then early, or those of the joint states.
 fn of_tick(case: &Case, arm: &ArmEvidence, stream: &Of<Late>, latency: &Measured) -> String {
-    /// What the latency may be beside it, in ticks.
+    /// Tolerance of the comparison, in ticks.
     const NEAR: f64 = 0.1;
     let tick_s = |topic: &str| {
         let own = case.evidence.rhythms.iter().filter(|rhythm| rhythm.topic() == topic);
@@ -322,12 +323,12 @@ fn of_tick(case: &Case, arm: &ArmEvidence, stream: &Of<Late>, latency: &Measured
     let cut = |topic: &str, side: f64| {
         let tick_s = tick_s(topic).filter(|tick_s| is_half(*tick_s, side))?;
         let tick = THRESHOLD.unit.show(tick_s);
-        Some(format!(": half the tick of {tick} that the stamps of {topic} are cut to"))
+        Some(format!(": half a clock tick of {tick}; the stamps of {topic} are truncated to it"))
     };
     cut(stream.topic(), -1.0).or_else(|| cut(&arm.joints_topic, 1.0)).unwrap_or_default()
 }
 
-/// The shift that takes `latency` off, with its sign.
+/// The signed shift that corrects `latency`.
 fn shift(latency: &Measured) -> String {
     let sign = if latency.value > 0.0 { "-" } else { "+" };
     format!("{sign}{}", THRESHOLD.unit.show(latency.value.abs()))

@@ -6,33 +6,33 @@ use crate::evidence::{ArmEvidence, Of};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
-    /// A stream's latency grows, as of a clock that runs at another rate.
+    /// A stream's latency grows: its clock runs at a different rate.
     ///
     /// ## What it means
-    /// The latency of the stream against the joint states changes by this much per second of stamp:
-    /// positive where it grows. Two clocks that are not disciplined by each other do that.
+    /// The latency of the stream relative to the joint states changes at this rate per second of stamp
+    /// time; positive if it grows. Clocks that are not synchronised behave like this.
     ///
     /// ## Why it matters
-    /// A calibration of the latency holds for a moment only: at 200 ppm a stream is 12 ms later
-    /// after a minute and 0.7 s later after an hour.
+    /// A latency calibration is valid only briefly: at 200 ppm a stream is 12 ms later after a minute and
+    /// 0.7 s later after an hour.
     ///
     /// ## Evidence
-    /// The slope of the latency over the run, estimated together with it. `effect` says how far the
-    /// latency moved over this run. LAT001 states the latency at mid-run.
+    /// The slope of the latency over the run, estimated together with the latency. `effect` is the total
+    /// change over this run. LAT001 reports the latency at mid-run.
     ///
     /// ## How to fix
-    /// Discipline both clocks by NTP, PTP or chrony, or stamp on one host.
+    /// Synchronise both clocks (NTP, PTP or chrony), or stamp on one host.
     ///
     /// ## When it misleads
-    /// A buffer that fills up grows like a clock that runs away, until it drops samples. A run of less
-    /// than a minute tells a rate only where the latency grows by 2 ms in it. Where a stream has the
-    /// joint states' stamps there is one clock, and nothing to judge.
+    /// A filling buffer looks the same until it drops samples. In less than a minute, a rate is reported
+    /// only if the latency grows by 2 ms. A stream with the joint states' stamps shares their clock and is
+    /// skipped.
     LAT002 {
         name: "clock-skew",
         grade: Grade::From(&[THRESHOLD]),
         headline: false,
         needs_model: true,
-        missing: "no pose or IMU stream beside the joint states",
+        missing: "no pose or IMU stream besides the joint states",
         check: check,
     }
 }
@@ -40,7 +40,7 @@ rule! {
 const THRESHOLD: Threshold =
     Threshold { unit: Unit::SecondPerSecond, warning: 50e-6, error: 500e-6 };
 
-const SETTLE: &str = "record a minute or more in which the arm moves from first to last";
+const SETTLE: &str = "record a minute or more with the arm moving from start to end";
 
 const SKEW: Amount = Amount { name: "clock skew", threshold: THRESHOLD, settle: SETTLE, fault };
 
@@ -60,7 +60,7 @@ fn check(case: &Case) -> Vec<Judged> {
     poses.chain(imus).collect()
 }
 
-/// A stream of less than this, s, tells a rate only by a latency that grows by `GROWS_S` in it.
+/// A shorter stream, s, determines a rate only if the latency changes by at least `GROWS_S`.
 const OWN_MINUTE_S: f64 = 60.0;
 const GROWS_S: f64 = 2e-3;
 
@@ -68,17 +68,17 @@ fn judge(case: &Case, arm: &ArmEvidence, is_own: bool, skew: &Of<Estimated<'_>>)
     if is_own {
         return SKEW.judge(&LAT002, case, arm, skew);
     }
-    let why = "its stamps are those of the joint states: there is one clock";
+    let why = "same stamps as the joint states: there is only one clock";
     skew.judged(Outcome::Skipped(why.to_owned()))
 }
 
-/// Why a rate cannot be believed of a run that is short.
+/// Explains why a rate from a short run is not reliable. `None` if it is.
 fn doubt(skew: &Seen<Measured>, seconds: f64) -> Option<String> {
     let skew = skew.as_ref().ok()?;
     let moved_s = skew.value.abs() * seconds;
     (seconds < OWN_MINUTE_S && moved_s < GROWS_S).then(|| {
         format!(
-            "{} moves the latency by {} over {seconds:.0} s, which is too short to tell a rate by; {SETTLE}",
+            "{} changes the latency by {} in {seconds:.0} s: too short to determine a rate; {SETTLE}",
             THRESHOLD.unit.show_signed(skew),
             Unit::Second.show(moved_s),
         )
@@ -97,7 +97,7 @@ fn fault(
     Fault {
         severity,
         cause: Cause::Skew(*skew),
-        title: "clock runs at another rate",
+        title: "clock runs at a different rate",
         message: format!(
             "latency grows by {} against {}",
             THRESHOLD.unit.show_signed(skew),

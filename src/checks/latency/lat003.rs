@@ -7,59 +7,63 @@ use crate::evidence::{ArmEvidence, Of};
 use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
-    /// The latency of a stream jitters or drifts within the run.
+    /// A stream's latency is not constant.
     ///
     /// ## What it means
-    /// The stream is not late by one amount: from some moment on it is later or earlier than before,
-    /// or its latency goes up and down. A clock that is set, a queue that fills, a network that is
-    /// busy, stamps that are made on receipt do that.
+    /// The stream's latency steps or drifts to another level, varies with the load, or wanders. Typical
+    /// causes are a clock that is set, a queue that fills, a busy network, or stamps made on receipt.
     ///
     /// ## Why it matters
-    /// No single number takes such a latency off: what was calibrated in the morning is wrong after
-    /// the jump, and poses scatter by speed times jump. A latency that goes with the load is worst where
-    /// the arm is fastest.
+    /// No single shift corrects such a latency. A calibration is wrong after a step, and poses scatter by
+    /// speed times step. A latency that depends on load is largest when the arm is fastest.
     ///
     /// ## Evidence
-    /// Changes of more than a few hundredths of a second first, from level to level or gradual, by which lag
-    /// the stream's speed follows the arm's at which time; then the latency in windows of a second, from how the stream lies behind forward kinematics along
-    /// the motion; of an IMU by its orientation, or where it has none by its gyro. `kind` says what it is:
-    /// `step` (the estimate is the largest jump, positive where the stream is later from then on, and
-    /// `jumps` says when each was), `ramp` (from one level to another, with the sign; `ramp` says from when
-    /// to when), `load` (it grows with the speed of the joints or of the tool; the estimate is from the
-    /// least speed of the run to the highest) or `wander` (from least to most). One step and a ramp have
-    /// `from` and `to`. The other rules judge the stream with this taken off, at the latency that it has
-    /// longest, or of large steps at the least.
+    /// Changes of more than a few hundredths of a second are found first, from the lag between the stream's
+    /// speed and the arm's over time. The latency is then estimated in windows of 1 s, from the stream's
+    /// offset along the motion behind forward kinematics. For an IMU this uses its orientation, or its gyro
+    /// if it has none. `kind` is:
+    ///
+    /// - `step`: the estimate is the largest step, positive if the stream becomes later. `jumps` lists the
+    ///   times.
+    /// - `ramp`: from one level to another; the estimate is signed. `ramp` has the start and end time.
+    /// - `load`: it grows with joint or tool speed. The estimate is the difference between the highest and
+    ///   lowest speed of the run.
+    /// - `wander`: the estimate is the difference between maximum and minimum.
+    ///
+    /// A single step and a ramp also have `from` and `to`. The other rules judge the stream with this
+    /// variation removed, relative to the level that lasts longest, or to the lowest level if the steps are
+    /// large.
     ///
     /// ## How to fix
-    /// Stamp a sample when it is taken. Slew clocks instead of setting them, and look at what began
-    /// on the machine or the network at the moment of a jump.
+    /// Stamp samples at acquisition. Slew clocks instead of setting them. Check which process or traffic
+    /// started at the time of a step.
     ///
     /// ## When it misleads
-    /// A latency that grows steadily is LAT002. Where two or more independent streams of an arm jump at
-    /// one moment by the same amount and none stays, it is the joint states that jumped the other way,
-    /// and the one finding is on them; with a single stream nobody can tell. At rest a latency does
-    /// nothing, so a jump is dated to the next motion.
+    /// A latency that grows steadily is LAT002. If two or more independent streams step at the same time by
+    /// the same latency and none is constant, the joint states stepped the other way, and the only finding
+    /// is on them. A single stream cannot show which of the two it was. At rest a latency has no effect, so
+    /// a step is dated to the next motion.
     LAT003 {
         name: "unsteady-latency",
         grade: Grade::From(&[THRESHOLD]),
         headline: false,
         needs_model: true,
-        missing: "no pose, /tf or IMU stream beside the joint states",
+        missing: "no pose, /tf or IMU stream besides the joint states",
         check: check,
     }
 }
 
 const THRESHOLD: Threshold = Threshold { unit: Unit::Second, warning: 5e-3, error: 20e-3 };
 
-/// What would tell where it could not be told.
+/// The motion that makes the latency profile observable.
 const SETTLE: &str = "record 10 s or more of motion that starts and stops";
 
-/// What this rule looks at of a stream.
+/// The latency profile of a stream.
 struct Course<'a> {
-    /// Whether its stamps are its own.
+    /// Whether its stamps are independent of the joint states'.
     independent: bool,
     course: &'a Seen<LatencyCourse>,
-    /// The latency with the course taken off.
+    /// The latency after removing the profile.
     latency: Option<&'a Measured>,
 }
 
@@ -84,7 +88,7 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     };
     let beside = |stream: &Of<Course>| match stream.course {
         Ok(course) if stream.independent => {
-            let remark = format!("what it jumps by is {}'s", arm.joints_topic);
+            let remark = format!("its latency steps are those of {}", arm.joints_topic);
             stream.judged(Outcome::sound_because(remark)).estimated(estimate(case, course, None))
         }
         _ => judge(case, arm, stream),
@@ -94,10 +98,10 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     std::iter::once(judge(case, arm, &joints)).chain(streams.iter().map(beside)).collect()
 }
 
-/// The course of the joint states' own latency, where two or more independent streams jump together
-/// and none stays.
+/// The latency profile of the joint states, if two or more independent streams step together and none is
+/// constant.
 fn joints_course(case: &Case, streams: &[Of<Course>]) -> Option<LatencyCourse> {
-    /// Jumps so close together are one, s: each is dated to a window or to the next motion.
+    /// Maximum time between steps that count as one, s: each is dated to a window or to the next motion.
     const TOGETHER_S: f64 = 1.5;
     let mut witnesses: Vec<&LatencyCourse> = Vec::new();
     for course in
@@ -157,8 +161,8 @@ fn estimate(case: &Case, course: &LatencyCourse, latency: Option<&Measured>) -> 
     }
 }
 
-/// The latency before and after its one step or its ramp, s, and from when to when that is, s from the run's
-/// origin.
+/// The latency before and after its single step or ramp, s, and the start and end of that change, s from
+/// the run's origin.
 fn ends(course: &LatencyCourse, latency: Option<&Measured>) -> Option<(f64, f64, [f64; 2])> {
     let latency_s = latency?.value;
     let level = |level: Option<&(f64, f64)>| Some(latency_s + level?.1);
@@ -225,7 +229,7 @@ fn fault(
             "step",
             "latency jumps",
             format!(
-                "latency jumps {} times, by {} at most",
+                "latency jumps {} times, by up to {}",
                 jumps.len(),
                 THRESHOLD.unit.show_signed(swing)
             ),
@@ -242,9 +246,9 @@ fn fault(
         ),
         (LatencyShape::WithLoad, _) => (
             "load",
-            "latency goes with the load",
+            "latency depends on the load",
             format!(
-                "latency goes with the speed of the arm: it is {} later at the highest than at the lowest",
+                "latency grows with the arm's speed: {} later at the highest speed than at the lowest",
                 THRESHOLD.unit.show_measured(swing)
             ),
         ),
@@ -283,10 +287,9 @@ fn fault(
         evidence,
         fix: match course.shape {
             LatencyShape::WithLoad => {
-                "look at what computes, queues or filters more the faster the arm moves, and stamp a \
-                 sample when it is taken"
+                "check for computation, queues or filters whose load grows with speed; stamp at acquisition"
             }
-            _ => "stamp a sample when it is taken, and slew clocks instead of setting them",
+            _ => "stamp at acquisition, and slew clocks instead of setting them",
         }
         .to_owned(),
     }
