@@ -1,11 +1,10 @@
-//! One joint whose number may mean anything, the others being right: its scale and zero in closed
-//! form.
+//! Scale and zero of one joint in closed form, given the others.
 //!
-//! A turning joint takes the tip round a circle and its axes round theirs: a pose is
-//! `c + a·cos θ + b·sin θ` in all its twelve numbers. The sum of squares that angles θₖ leave is then
-//! a constant less `2·Re Σ zₖ·exp(−iθₖ)`, with `zₖ` from what the log says. With `θₖ = s·vₖ + o` the
-//! best `o` for a given `s` is the argument of `Σ zₖ·exp(−i·s·vₖ)`, and the best `s` is where its
-//! magnitude is greatest: a spectrum of few hundred lines tells every scale, sign and zero at once.
+//! A revolute joint moves the tip and its axes on circles, so all twelve numbers of a pose are `c + a·cos θ
+//! + b·sin θ`. The residual sum of squares for angles θₖ is then a constant minus `2·Re Σ zₖ·exp(−iθₖ)`,
+//! with `zₖ` from the logged poses. With `θₖ = s·vₖ + o`, the best `o` for a given `s` is the argument of
+//! `Σ zₖ·exp(−i·s·vₖ)`, and the best `s` maximises its magnitude. A spectrum of a few hundred lines
+//! therefore covers every scale, sign and zero.
 
 use super::map::JointMap;
 use super::view::{Frames, View};
@@ -13,24 +12,24 @@ use ground::geometry::Pose;
 use ground::robot::JointKind;
 use std::f64::consts::{PI, TAU};
 
-/// How the log speaks of one joint.
+/// Logged values and required positions of one joint.
 pub(super) struct Lone {
-    /// The joint's numbers.
+    /// Logged values of the joint.
     values: Vec<f64>,
-    /// Of a turning joint the real and imaginary part of `zₖ`; of a sliding one where it must be, m.
+    /// Real and imaginary part of `zₖ` for a revolute joint; required position, m, for a prismatic one.
     wanted: Vec<[f64; 2]>,
     slides: bool,
-    /// The least and greatest number.
+    /// Minimum and maximum of the logged values.
     span: [f64; 2],
 }
 
-/// The numbers of a pose, its rotation at a lever: twelve, or three where it has none.
+/// Pose as numbers, with rotations scaled by the lever: twelve, or three without a lever.
 fn numbers(pose: &Pose, lever_m: Option<f64>) -> [f64; 12] {
     let mut numbers = [0.0; 12];
     numbers[..3].copy_from_slice(pose.translation.vector.as_slice());
     if let Some(lever_m) = lever_m {
         let matrix = pose.rotation.to_rotation_matrix();
-        // The sum of squares of a matrix's change is twice that of its angle.
+        // The squared Frobenius norm of a matrix change is twice the squared angle.
         let scale = lever_m / 2f64.sqrt();
         for (number, entry) in numbers[3..].iter_mut().zip(matrix.matrix().iter()) {
             *number = scale * entry;
@@ -44,7 +43,7 @@ fn dot(a: &[f64; 12], b: &[f64; 12]) -> f64 {
 }
 
 impl Lone {
-    /// What `view` says of `joint`, the others being read by `map`, in `frames`.
+    /// Requirements on `joint`, with the other joints read by `map`, in `frames`.
     pub fn of(view: &View, map: &JointMap, frames: &Frames, joint: usize) -> Self {
         let dof = view.chain.dof();
         let slides = view.chain.joint_kinds()[joint] == JointKind::Prismatic;
@@ -66,7 +65,7 @@ impl Lone {
                 let along = between(&one, &zero);
                 [dot(&along, &between(&logged, &zero)) / dot(&along, &along).max(1e-12), 0.0]
             } else {
-                // c, a and b from three angles a third of a turn apart.
+                // c, a and b from three angles 120° apart.
                 let third = [at(0.0), at(TAU / 3.0), at(2.0 * TAU / 3.0)];
                 let part = |weights: [f64; 3]| -> [f64; 12] {
                     std::array::from_fn(|i| (0..3).map(|n| weights[n] * third[n][i]).sum())
@@ -82,7 +81,7 @@ impl Lone {
         Self { values, wanted, slides, span: view.spans[map.from[joint]] }
     }
 
-    /// The best zero for a factor, and how well that does (more is better).
+    /// Best zero for a factor, and its score (higher is better).
     pub fn zero(&self, factor: f64) -> (f64, f64) {
         if self.slides {
             let n = self.values.len().max(1) as f64;
@@ -100,7 +99,7 @@ impl Lone {
         (imaginary.atan2(real), real.hypot(imaginary))
     }
 
-    /// How well a factor does with no zero.
+    /// Score of a factor with zero offset 0.
     pub fn without_zero(&self, factor: f64) -> f64 {
         let samples = self.values.iter().zip(&self.wanted);
         if self.slides {
@@ -113,11 +112,11 @@ impl Lone {
         samples.map(part).sum()
     }
 
-    /// The factors that do best: with the zero that each needs, and without any.
+    /// Factors with the best score: with a free zero, and without one.
     pub fn factors(&self) -> Vec<(f64, f64)> {
-        /// No joint turns further, rad.
+        /// Maximum range of a joint, rad.
         const MOST: f64 = 2.5 * TAU;
-        /// Joints whose numbers span less do not tell their scale: 3° at most factors.
+        /// Spacing of the spectral lines, rad. Joints with a smaller range do not determine their scale.
         const LINE: f64 = PI / 16.0;
         let width = self.span[1] - self.span[0];
         let largest = self.span[0].abs().max(self.span[1].abs());
@@ -138,7 +137,7 @@ impl Lone {
         vec![(with_zero, self.zero(with_zero).0), (without, 0.0)]
     }
 
-    /// The straight lines, through zero and not, of a sliding joint.
+    /// Linear regression for a prismatic joint, with and without a zero.
     fn line(&self) -> Vec<(f64, f64)> {
         let n = self.values.len().max(1) as f64;
         let mean = |of: &dyn Fn(usize) -> f64| (0..self.values.len()).map(of).sum::<f64>() / n;

@@ -1,42 +1,41 @@
-//! How the numbers of a joint state may have to be read: whose they are, in which unit, from which
-//! zero.
+//! Mapping from logged joint values to joint positions: order, unit and zero.
 
 use ground::robot::{Chain, JointKind};
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
-/// A joint whose position also contains a share of another joint's.
+/// Joint whose position includes a multiple of another joint's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Coupling {
-    /// The joint that moves.
+    /// Driven joint.
     pub joint: usize,
-    /// The joint that drives it.
+    /// Driving joint.
     pub by: usize,
-    /// How far `joint` moves per unit of `by`.
+    /// Motion of `joint` per unit of `by`.
     pub factor: f64,
 }
 
-/// The number that each joint of a chain has, and what it means in rad or m:
-/// `q[j] = factor[j] · row[from[j]] + zero[j]`, then `q[coupling.joint] += coupling.factor · q[coupling.by]`.
+/// Mapping of a logged row to joint positions, rad or m: `q[j] = factor[j] · row[from[j]] + zero[j]`, then
+/// `q[coupling.joint] += coupling.factor · q[coupling.by]`.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct JointMap {
-    /// The entry that holds this joint's number.
+    /// Index of each joint's value in the row.
     pub from: Vec<usize>,
-    /// What the number is multiplied by.
+    /// Scale factor of each joint.
     pub factor: Vec<f64>,
-    /// What is then added, rad or m.
+    /// Zero offset of each joint, rad or m.
     pub zero: Vec<f64>,
-    /// A pair of coupled joints.
+    /// Coupled pair of joints.
     pub coupling: Option<Coupling>,
 }
 
 impl JointMap {
-    /// The numbers are what they say.
+    /// Identity mapping.
     pub fn as_logged(dof: usize) -> Self {
         let (from, zero) = ((0..dof).collect(), vec![0.0; dof]);
         Self { from, factor: vec![1.0; dof], zero, coupling: None }
     }
 
-    /// The joint positions that a row of numbers means.
+    /// Computes joint positions from a logged row.
     pub fn apply(&self, row: &[f64], q: &mut [f64]) {
         for (j, q) in q.iter_mut().enumerate() {
             *q = self.factor[j] * row[self.from[j]] + self.zero[j];
@@ -46,27 +45,27 @@ impl JointMap {
         }
     }
 
-    /// The same with one joint read otherwise.
+    /// Replaces factor and zero of one joint.
     pub fn with(&self, joint: usize, factor: f64, zero: f64) -> Self {
         let mut map = self.clone();
         (map.factor[joint], map.zero[joint]) = (factor, zero);
         map
     }
 
-    /// The same without a zero of the first joint that is a round turn: the base is turned then, as makers'
-    /// bases are against each other's.
+    /// Removes a zero of the first joint that is a multiple of 90°. It is attributed to the base frame,
+    /// which differs by such angles between makers.
     pub fn with_base_turned(&self) -> Self {
         let zero = if is_quarter_turn(self.zero[0]) { 0.0 } else { self.zero[0] };
         self.with(0, self.factor[0], zero)
     }
 
-    /// The same with numbers in another order, whose units go with the numbers.
+    /// Changes the order; the units stay with the logged values.
     pub fn in_order(&self, from: &[usize]) -> Self {
         Self { from: from.to_vec(), ..self.clone() }
     }
 
-    /// By how many turns a turning joint's zero may be moved, it is: into a half turn where the
-    /// numbers are whole radians, else to where the positions are nearest to the joint's range.
+    /// Removes whole turns from the zeros of revolute joints. Values in radians are unwrapped to within
+    /// half a turn, others to the centre of the joint's range.
     pub fn settle_turns(&mut self, chain: &Chain, spans: &[[f64; 2]]) {
         for (j, kind) in chain.joint_kinds().iter().enumerate() {
             if *kind == JointKind::Prismatic {
@@ -84,8 +83,7 @@ impl JointMap {
         }
     }
 
-    /// Whether it takes a turning joint to where none is: so far beyond its limits or, where it has none,
-    /// through so many turns.
+    /// Whether a revolute joint is far beyond its limits or, without limits, beyond several turns.
     pub fn out_of_range(&self, chain: &Chain, spans: &[[f64; 2]]) -> bool {
         const BEYOND: f64 = 2.0;
         const TURNS: f64 = 3.0;
@@ -99,8 +97,7 @@ impl JointMap {
         })
     }
 
-    /// How many joints it takes beyond the limits of the model by more than a twentieth of their
-    /// range.
+    /// Number of joints that exceed the model's limits by more than a twentieth of their range.
     pub fn beyond_limits(&self, chain: &Chain, spans: &[[f64; 2]]) -> usize {
         let is_beyond = |j: &usize| {
             let limits = chain.limits()[*j];
@@ -113,28 +110,28 @@ impl JointMap {
     }
 }
 
-/// Whether an angle is a multiple of 90°, zero among them.
+/// Whether an angle is a multiple of 90°, including zero.
 pub(in super::super) fn is_quarter_turn(angle: f64) -> bool {
-    /// Tolerance, rad: an estimated round angle is this close, a tuned zero hardly ever.
+    /// Tolerance, rad. Estimates of round angles are within it; a tuned zero rarely is.
     const NEAR: f64 = 5e-3;
     let quarters = angle / FRAC_PI_2;
     (quarters - quarters.round()).abs() * FRAC_PI_2 < NEAR
 }
 
-/// Whole turns by which an angle is outside of (−π, π].
+/// Number of whole turns by which an angle is outside (−π, π].
 pub(in super::super) fn half_turns(angle: f64) -> f64 {
     ((angle - PI) / TAU).ceil()
 }
 
-/// A way in which all joints of an arm may be read.
+/// Interpretation of all joints of an arm.
 pub(super) struct Whole {
     pub map: JointMap,
-    /// Whether turning joints are in degrees, and sliding ones in millimetres, and nothing else.
+    /// Whether it only changes revolute joints to degrees and prismatic ones to millimetres.
     pub is_unit: bool,
 }
 
-/// The ways in which all joints of an arm are read at once: degrees, millimetres, other units of
-/// angle, ticks of an encoder, all reversed, and shares of the range.
+/// Common interpretations of all joints: degrees, millimetres, other angle units, encoder ticks, all
+/// reversed, and shares of the range.
 pub(super) fn wholes(chain: &Chain) -> Vec<Whole> {
     let kinds = chain.joint_kinds();
     let none = JointMap::as_logged(kinds.len());
@@ -192,11 +189,11 @@ pub(super) fn wholes(chain: &Chain) -> Vec<Whole> {
     distinct
 }
 
-/// Most joints whose orders are all tried (7! = 5040).
+/// Maximum number of joints for an exhaustive search over orders (7! = 5040).
 pub(super) const ALL_ORDERS: usize = 7;
 
-/// Orders in which the numbers of joints may stand: all of them of up to `most` joints, else every
-/// exchange of two joints, and back to front, and by `names` sorted.
+/// Possible orders of the joint values: all permutations of up to `most` joints; otherwise all swaps, the
+/// reversed order, and the order sorted by `names`.
 pub(super) fn orders(names: &[String], most: usize) -> Vec<Vec<usize>> {
     let dof = names.len();
     let mut order: Vec<usize> = (0..dof).collect();

@@ -1,8 +1,8 @@
-//! Whether joint states carry the names and units that they claim.
+//! Checks the names and units of the joint states.
 //!
-//! Positions of a pose stream depend on no rotation convention, so they judge the joint states
-//! before anything else is known: each unit and each pairing of names is held against them, leaving
-//! a constant tool offset or a turned reference frame free.
+//! Positions of a pose stream do not depend on a rotation convention, so they check the joint states first.
+//! Each unit and joint order is compared with them, with a constant tool offset or a rotated reference
+//! frame free.
 
 mod found;
 mod lone;
@@ -33,29 +33,29 @@ pub(super) use map::{half_turns, is_quarter_turn};
 pub(super) use read::Read;
 pub(super) use view::Left;
 
-/// Another reading must be better than the one as logged by this factor.
+/// Minimum reduction of the residual for an interpretation other than the logged one.
 const BETTER: f64 = 5.0;
-/// Residual below which the joint states are not questioned, as a share of the motion's extent.
+/// Residual below which the joint states are accepted as logged, as a share of the motion's extent.
 const FINE: f64 = 0.05;
-/// The same where the reference frame had to be turned: an arm whose joints are read from tip to
-/// base moves much like the inverse of one whose frames are turned.
+/// Stricter threshold with a rotated reference frame: joints in reversed order move an arm much like the
+/// inverse of an arm with rotated frames.
 const FINE_TURNED: f64 = 0.005;
-/// What another reading may leave at slow moments, before latency and small causes are taken off: a
-/// share of the motion's extent, and an angle in rad.
+/// Maximum residual of another interpretation at slow samples, before correcting latency and small causes:
+/// a share of the motion's extent, and an angle in rad.
 const FITS: f64 = 0.02;
 const FITS_RAD: f64 = 0.03;
-/// Residual below which positions lie on the arm, as a share of their extent.
+/// Residual below which positions follow the arm, as a share of their extent.
 pub(super) const ON_ARM: f64 = 0.3;
 
-/// A tip whose positions spread by less rests, m.
+/// Maximum spread of the positions of a tip at rest, m.
 const AT_REST_M: f64 = 2e-3;
-/// A resting tip is where the joint states say, up to this share of the arm's reach.
+/// Maximum distance between a resting tip and FK, as a share of the arm's reach.
 const THERE: f64 = 0.03;
 
-/// Judges names and units of the joint states by the stream with the most samples.
+/// Determines the encoding of the joint states from the stream with the most joints and samples.
 ///
 /// # Errors
-/// There is no stream that shares a time span with the joints.
+/// If no stream overlaps the joint states, or the motion does not determine the encoding.
 pub(super) fn read_joints(
     joints: &JointTrack,
     streams: &[PoseStream],
@@ -80,7 +80,7 @@ pub(super) fn read_joints(
             return read_at_rest(chain, &moments, stream.reference_known);
         }
         if spread(&moments.xyz) < AT_REST_M {
-            // The joints move and the stream does not: it tells nothing of their names and units.
+            // The joints move but the stream does not, so it cannot check their names and units.
             return Err(Unseen::NotExcited);
         }
         extent = spread(&moments.xyz).max(0.01).min(extent);
@@ -98,16 +98,16 @@ pub(super) fn read_joints(
         return Ok(reading(joints.dof, stream, &found, as_logged));
     }
     if as_logged > ON_ARM * extent {
-        // Not as logged, and no one other reading stands out.
+        // The logged encoding does not fit, and no other is clearly best.
         return Err(Unseen::NotExcited);
     }
     Ok(JointReading::default())
 }
 
-/// A reading of the joint states by which `stream` leaves far less than `as_logged` at latency `lag_s`;
-/// `None` where no one reading stands out.
+/// Encoding of the joint states whose residual against `stream` at latency `lag_s` is far below
+/// `as_logged`. `None` if none is clearly best.
 ///
-/// Only the simplest readings are tried where the stream is not far from the arm as logged.
+/// Tries only the simplest encodings if the stream is close to FK as logged.
 pub(super) fn other_reading(
     joints: &JointTrack,
     stream: &PoseStream,
@@ -115,15 +115,15 @@ pub(super) fn other_reading(
     lag_s: f64,
     as_logged: Left,
 ) -> Option<JointReading> {
-    /// An angle that is far, rad.
+    /// Minimum angle of a large rotation residual, rad.
     const FAR_RAD: f64 = 0.05;
-    /// A length that is near, m.
+    /// Maximum length of a small position residual, m.
     const NEAR_M: f64 = 5e-3;
     let moments = slow_moments(joints, stream, scale, lag_s);
     if moments.xyz.len() < 6 || rests(stream.chain, &moments) {
         return None;
     }
-    // Where the rotations are what is wrong, the positions only have to stay as near as they are.
+    // If only the rotations are wrong, the position residual must not grow.
     let turns_only = as_logged.rad.is_some_and(|rad| rad > FAR_RAD) && as_logged.m < NEAR_M;
     let stay_m = if turns_only { 1.2 * unturned_misfit(stream.chain, &moments) } else { 0.0 };
     let better_m = (as_logged.m / BETTER).max(2e-4).max(stay_m);
@@ -140,10 +140,10 @@ pub(super) fn other_reading(
     Some(reading(joints.dof, stream, &found, as_logged.m))
 }
 
-/// The simplest way of reading the joints that leaves no more than `most`, if one stands out: in the
-/// views at the moments of one lag after the other.
+/// The simplest interpretation with a residual of at most `most`, if one is clearly best. Tries the views
+/// of each lag in turn.
 fn look(stream: &PoseStream, views: &[Vec<View>], most: Left, kinds: &[Kind]) -> Option<Found> {
-    /// Lags at which all is tried; at the others only what is simple.
+    /// Number of lags for all kinds; the other lags are tried only for the simplest kind.
     const LAGS: usize = 2;
     let both: &[Freedom] = match stream.reference_known {
         true => &[Freedom::Tool, Freedom::Both],
@@ -170,16 +170,15 @@ fn look(stream: &PoseStream, views: &[Vec<View>], most: Left, kinds: &[Kind]) ->
     None
 }
 
-/// A reading of the joint states that is likely though it leaves much beside it, and whether the numbers
-/// themselves say so.
+/// Likely encoding of the joint states with a large remaining residual.
 pub(super) struct Likely {
     pub reading: JointReading,
-    /// The numbers are beyond the limits of the joints as radians and within them as degrees.
+    /// Whether the values exceed the joint limits as radians and respect them as degrees.
     pub by_range: bool,
 }
 
-/// Readings that may be a part of what is wrong, the likeliest first: degrees where the joints cannot be
-/// where radians put them, then the unit and the order by which the positions are nearest to the arm.
+/// Encodings that may be part of the fault, most likely first: degrees if the values exceed the joint
+/// ranges as radians, then the unit and order with the smallest position residual.
 pub(super) fn likely_readings(
     joints: &JointTrack,
     streams: &[PoseStream],
@@ -213,10 +212,11 @@ pub(super) fn likely_readings(
     likely
 }
 
-/// The joints of the track, of which one with another zero would bring the poses of `witness` at
-/// latency `lag_s` far nearer to the arm than they are at `offsets`; the two best, with those zeros.
+/// Joints whose zero offset alone would greatly reduce the residual of `witness` at latency `lag_s`,
+/// relative to `offsets`. Returns the best two with their offsets.
 pub(super) fn lone_zeros(witness: &Witness, lag_s: f64, offsets: &[f64]) -> Vec<(usize, f64)> {
-    /// Zeros closer than this are found without, rad; and the share that may be left.
+    /// Minimum change of the zero, rad (Gauss–Newton finds smaller ones), and maximum share of the
+    /// residual.
     const CLOSE: f64 = 0.1;
     const SHARE: f64 = 0.3;
     let chain = witness.chain;
@@ -257,7 +257,7 @@ pub(super) fn lone_zeros(witness: &Witness, lag_s: f64, offsets: &[f64]) -> Vec<
     zeros.into_iter().take(2).map(|(_, joint, zero)| (joint, zero)).collect()
 }
 
-/// The ways in which the poses at `moments` may be taken: as they are, inverted, and by the positions alone.
+/// Interpretations of the poses: as logged, inverted, and positions only.
 fn views<'a>(joints: &JointTrack, stream: &PoseStream<'a>, moments: &Moments) -> Vec<View<'a>> {
     let chain = stream.chain;
     let span = |&column: &usize| {
@@ -284,13 +284,13 @@ fn views<'a>(joints: &JointTrack, stream: &PoseStream<'a>, moments: &Moments) ->
     views
 }
 
-/// A way that was found, in the columns of the joint track.
+/// Converts a map to columns of the joint track.
 fn reading(dof: usize, stream: &PoseStream, found: &Found, as_logged: f64) -> JointReading {
     let (map, kinds, columns) = (&found.map, stream.chain.joint_kinds(), stream.columns);
     let slip = UnitSlip { as_logged, corrected: found.left.m };
     let degree = 1f64.to_radians();
     let slides = |joint: usize| kinds[joint] == JointKind::Prismatic;
-    /// A scale that is found is known to this share of itself.
+    /// Relative precision of an estimated scale.
     const KNOWN: f64 = 1e-3;
     let in_degrees = |joint: usize| (map.factor[joint] / degree - 1.0).abs() < KNOWN;
     let turning: Vec<usize> = (0..map.from.len()).filter(|&joint| !slides(joint)).collect();
@@ -332,7 +332,7 @@ fn reading(dof: usize, stream: &PoseStream, found: &Found, as_logged: f64) -> Jo
     }
 }
 
-/// Whether neither the stream nor FK moves the tip, whatever unit the joints are in.
+/// Whether neither the stream nor FK moves the tip, in radians or degrees.
 fn rests(chain: &Chain, moments: &Moments) -> bool {
     let radians = in_radians(chain, moments);
     let fk = |moments: &Moments| -> Vec<Vec3> {
@@ -342,8 +342,8 @@ fn rests(chain: &Chain, moments: &Moments) -> bool {
     [&moments.xyz, &fk(moments), &fk(&radians)].into_iter().all(|xyz| spread(xyz) < AT_REST_M)
 }
 
-/// Judges names and units at rest: a tip that is where the joint states put it speaks for them, as no
-/// frame needs to be anything but what its name says. One that is elsewhere tells nothing.
+/// Determines the unit at rest. A tip at the position given by FK confirms names and unit without any free
+/// frame; a tip elsewhere is inconclusive.
 fn read_at_rest(chain: &Chain, moments: &Moments, reference_known: bool) -> Seen<JointReading> {
     let off = |moments: &Moments| -> f64 {
         let rows = moments.q.chunks_exact(chain.dof()).zip(&moments.xyz);
@@ -361,7 +361,7 @@ fn read_at_rest(chain: &Chain, moments: &Moments, reference_known: bool) -> Seen
     Ok(JointReading { degrees, ..JointReading::default() })
 }
 
-/// The joint track as it should have been recorded, but for the zeros.
+/// Corrects names, units and couplings of the joint track, but not the zeros.
 pub(super) fn corrected(
     joints: &JointTrack,
     reading: &JointReading,
@@ -397,7 +397,7 @@ pub(super) fn corrected(
     track
 }
 
-/// `track` with `zeros` added to its positions.
+/// Adds `zeros` to the positions of `track`.
 fn moved(track: &JointTrack, zeros: &[f64]) -> JointTrack {
     let mut moved = track.clone();
     for row in moved.q.chunks_exact_mut(track.dof.max(1)) {
@@ -406,7 +406,7 @@ fn moved(track: &JointTrack, zeros: &[f64]) -> JointTrack {
     moved
 }
 
-/// Whether a stream's positions lie on the arm at latency `lag_s`, up to a tool offset or a turned
+/// Whether a stream's positions follow the arm at latency `lag_s`, up to a tool offset or a rotated
 /// reference frame.
 pub(super) fn lies_on_arm(
     joints: &JointTrack,
@@ -418,13 +418,13 @@ pub(super) fn lies_on_arm(
     moments.xyz.len() >= 6 && misfit(stream.chain, &moments) < ON_ARM * spread(&moments.xyz)
 }
 
-/// Latencies at which the stream moves as the joints do, and none: what is left of the latency
-/// hardly matters at slow moments, but a wrong one does.
+/// Candidate latencies from speed correlation, and zero. A remaining error of the latency has little effect
+/// at slow samples, but a wrong candidate does.
 fn lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<f64> {
     let track = stream.track;
     let speed = linear_speed(&track.t_s, &track.xyz);
     let mut lags = vec![0.0];
-    // By the numbers as they are, and as if all joints moved as much.
+    // With speeds as logged, and normalised per joint.
     for joints in [Cow::Borrowed(joints), Cow::Owned(evened(joints))] {
         let peaks = peaks(&joint_activity(&joints), &speed, most_lag_s);
         for peak in peaks.iter().filter(|peak| peak.correlation > 0.4).take(2) {
@@ -436,7 +436,7 @@ fn lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<f64> {
     lags
 }
 
-/// What is left of the positions, rms m, when a constant tool offset is taken off.
+/// Position residual with a constant tool offset, rms m.
 fn unturned_misfit(chain: &Chain, moments: &Moments) -> f64 {
     let poses: Vec<Pose> = moments.q.chunks_exact(chain.dof()).map(|q| chain.forward(q)).collect();
     let expected = Expected::of(&poses);
@@ -444,12 +444,12 @@ fn unturned_misfit(chain: &Chain, moments: &Moments) -> f64 {
     moments.inverse_xyz.as_ref().map_or(plain, |xyz| plain.min(expected.tool_misfit(xyz)))
 }
 
-/// What is left of the positions, rms m, when constant frames are taken off.
+/// Position residual with constant frames, rms m.
 fn misfit(chain: &Chain, moments: &Moments) -> f64 {
     let poses: Vec<Pose> = moments.q.chunks_exact(chain.dof()).map(|q| chain.forward(q)).collect();
     let expected = Expected::of(&poses);
     let plain = expected.misfit(&moments.xyz);
-    // An inverted stream's positions lie on the arm once they are inverted.
+    // Inverted streams fit after inversion.
     moments.inverse_xyz.as_ref().map_or(plain, |inverse| plain.min(expected.misfit(inverse)))
 }
 

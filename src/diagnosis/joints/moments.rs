@@ -1,26 +1,26 @@
-//! The slow moments that tell how joints are written.
+//! Slow samples used to determine the encoding of the joints.
 
 use super::super::PoseStream;
 use ground::geometry::{Rotation, Vec3};
 use ground::robot::{Chain, JointKind};
 use ground::stream::{JointTrack, Orientations};
 
-/// Samples that readings are tried on.
+/// Number of samples used to test encodings.
 pub(super) const SAMPLES: usize = 60;
 
-/// Positions of a stream and the joint rows at the same moments.
+/// Positions of a stream and simultaneous joint positions.
 #[derive(Clone)]
 pub(super) struct Moments {
     pub xyz: Vec<Vec3>,
-    /// Rotations, where the stream has them and not bare numbers.
+    /// Rotations, if the stream has them decoded.
     pub rotation: Option<Vec<Rotation>>,
-    /// Positions of the inverse poses, where the stream has rotations.
+    /// Positions of the inverse poses, if the stream has rotations.
     pub inverse_xyz: Option<Vec<Vec3>>,
     /// Row-major, in the chain's order.
     pub q: Vec<f64>,
 }
 
-/// The joints with velocities in units of what each has, rms.
+/// Normalises the velocity of each joint by its rms.
 pub(super) fn evened(joints: &JointTrack) -> JointTrack {
     let mut evened = joints.clone();
     let rms = rms_speeds(joints);
@@ -30,7 +30,7 @@ pub(super) fn evened(joints: &JointTrack) -> JointTrack {
     evened
 }
 
-/// The speed of each joint, rms; at least one that no joint has.
+/// Rms speed of each joint, with a lower bound to allow division.
 pub(super) fn rms_speeds(joints: &JointTrack) -> Vec<f64> {
     let square = |joint: usize| {
         joints.qd.iter().skip(joint).step_by(joints.dof).map(|speed| speed * speed).sum::<f64>()
@@ -39,7 +39,7 @@ pub(super) fn rms_speeds(joints: &JointTrack) -> Vec<f64> {
     (0..joints.dof).map(rms).collect()
 }
 
-/// Slow moments at a latency, spread over the run.
+/// Slow samples at a given latency, spread over the run.
 pub(super) fn slow_moments(
     joints: &JointTrack,
     stream: &PoseStream,

@@ -1,4 +1,4 @@
-//! Gauss–Newton from a map and frames that are near (Levenberg 1944).
+//! Levenberg–Marquardt refinement of a map and frames (Levenberg 1944).
 
 use super::map::{Coupling, JointMap};
 use super::view::{Frames, Freedom, Left, View};
@@ -6,35 +6,35 @@ use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
 use ground::robot::JointKind;
 use nalgebra::{DMatrix, DVector};
 
-/// A way of reading the joints that is to be tried.
+/// Interpretation of the joint states to refine.
 #[derive(Clone, Debug)]
 pub(super) struct Proposal {
     pub map: JointMap,
-    /// The joints whose zero is to be found.
+    /// Joints with a free zero.
     pub zeros: Vec<usize>,
-    /// The joints whose factor is to be found.
+    /// Joints with a free factor.
     pub factors: Vec<usize>,
-    /// Whether the factor of the map's coupling is to be found.
+    /// Whether the factor of the map's coupling is free.
     pub fits_coupling: bool,
-    /// How many causes it takes.
+    /// Penalty: number of causes.
     pub price: f64,
 }
 
-/// What became of a proposal.
+/// Refined proposal.
 #[derive(Clone, Debug)]
 pub(super) struct Polished {
     pub map: JointMap,
     pub left: Left,
-    /// How many causes it takes, a turned tool among them.
+    /// Penalty: number of causes, including a rotated tool.
     pub price: f64,
 }
 
-/// A tool that is turned by more is a cause, rad; and what it costs.
+/// Minimum rotation of the tool that counts as a cause, rad, and its penalty.
 const TURNED: f64 = 0.1;
 const TOOL: f64 = 1.0;
 
 impl Proposal {
-    /// The proposal where it leaves least, after so many steps at most.
+    /// Minimises the residual in at most `steps` steps.
     pub fn polished(&self, view: &View, freedom: Freedom, steps: usize) -> Polished {
         let mut map = self.map.clone();
         let mut frames = view.frames(&view.fk(&map), freedom);
@@ -76,7 +76,7 @@ impl Proposal {
         Polished { map, left, price }
     }
 
-    /// Parameters: zeros, factors over what they are, the coupling's factor, the tool, the reference.
+    /// Number of parameters: zeros, relative factors, coupling factor, tool, reference.
     fn width(&self, freedom: Freedom, view: &View) -> usize {
         let tool = if view.rotation.is_some() { 6 } else { 3 };
         let reference = if freedom == Freedom::Both { 6 } else { 0 };
@@ -169,7 +169,7 @@ impl Proposal {
         frames: &Frames,
         step: &DVector<f64>,
     ) -> (JointMap, Frames) {
-        /// A turn beyond this is a step across the curve, rad.
+        /// Maximum rotation in one step, rad; the linearisation is not valid beyond it.
         const MOST: f64 = 0.5;
         let (mut map, mut frames, mut at) = (map.clone(), *frames, 0);
         let kinds = view.chain.joint_kinds();

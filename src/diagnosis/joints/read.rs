@@ -1,26 +1,26 @@
-//! The joint states under one reading.
+//! Joint states decoded with one encoding.
 
 use super::super::sampling::still_speeds;
 use super::found::{JointCoupling, JointReading, JointUnit, is_coded};
 use super::{corrected, moved};
 use ground::stream::JointTrack;
 
-/// The joint states as they are read.
+/// Decoded joint states.
 pub(in super::super) struct Read {
-    /// With the names and units that they should have.
+    /// Joint track with corrected names and units.
     pub track: JointTrack,
-    /// The same with the zeros added that are off by much, where some are.
+    /// The same track with large zeros added, if there are any.
     near: Option<JointTrack>,
-    /// Those zeros, by joint of the track, and no gain yet for each of `gained`.
+    /// Zeros added to `near`, per joint of the track, followed by a zero for each of `gained`.
     pub offsets: Vec<f64>,
-    /// The joints whose scale is to be found, each with itself, and coupled joints, each with the one
-    /// that drives it.
+    /// Gains to estimate: scaled joints (paired with themselves) and coupled joints (paired with the
+    /// driving joint).
     pub gained: Vec<(usize, usize)>,
-    /// Couplings with their approximate factors, which `track` contains already.
+    /// Couplings with approximate factors, already applied to `track`.
     pub couplings: Vec<JointCoupling>,
-    /// The joints' scales about, by joint of the track.
+    /// Approximate scale of each joint of the track.
     pub factors: Vec<f64>,
-    /// Joint speeds that are no motion, by joint of the track.
+    /// Maximum speed at rest of each joint of the track.
     pub still: Vec<f64>,
 }
 
@@ -42,20 +42,20 @@ impl Read {
         Self { track, near, offsets, gained, couplings: reading.couplings.clone(), factors, still }
     }
 
-    /// The same for a stream that is computed from the joints: as they are, but for names and units.
+    /// For a stream computed from the joint states: corrects names and units only.
     pub fn for_derived(self) -> Self {
         let offsets = vec![0.0; self.track.dof];
         Self { near: None, offsets, gained: Vec::new(), ..self }
     }
 
-    /// Whether a joint's numbers are of another kind than rad or m and have a zero of their own.
+    /// Whether a joint's values are not angles or lengths and their encoding has a zero.
     pub fn has_zero_of_code(&self, joint: usize) -> bool {
         self.gained.contains(&(joint, joint))
             && is_coded(self.factors[joint])
             && self.offsets[joint] != 0.0
     }
 
-    /// The joint states near to the truth.
+    /// Joint states with approximate zeros corrected.
     pub fn near(&self) -> &JointTrack {
         self.near.as_ref().unwrap_or(&self.track)
     }

@@ -1,8 +1,9 @@
-//! The simplest way of reading the joints that leaves hardly anything of a stream.
+//! Searches for the simplest interpretation of the joint states with a small residual against a pose
+//! stream.
 //!
-//! Ways are proposed by kinds, the simplest first: all joints in another unit, some reversed, one
-//! joint that means something else; then another order; then two of those at once. Of each kind the
-//! likeliest are polished, and where one of them fits, no further kind is tried.
+//! Interpretations are proposed by kind, the simplest first: another unit for all joints, reversed joints,
+//! or one joint misinterpreted; then another order; then combinations of two. The best proposals of a kind
+//! are refined. If one fits, the search stops.
 
 use super::super::placing::spread;
 use super::lone::Lone;
@@ -13,85 +14,85 @@ use ground::robot::JointKind;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 
-/// Proposals of a kind that are polished, after so many steps on so few samples.
+/// Number of proposals per kind refined on all samples, after `ROUGH_STEPS` steps on `ROUGH_SAMPLES`
+/// samples.
 const POLISHED: usize = 24;
 const ROUGH_STEPS: usize = 8;
 const ROUGH_SAMPLES: usize = 20;
-/// Most steps in which they are.
+/// Maximum number of steps of the full refinement.
 const STEPS: usize = 25;
-/// Of more proposals than these only the ones are looked at closely that strain the log least, and the
-/// samples on which that is told.
+/// If there are more proposals than this, a frame-free score on `STRAINED` samples preselects them.
 const CLOSELY: usize = 150;
 const STRAINED: usize = 12;
-/// A joint that moves by less tells neither its sign nor its scale: one that turns, rad, and one that
-/// slides, m.
+/// Minimum motion of a joint to determine its sign and scale: revolute, rad, and prismatic, m.
 const TURNS: f64 = 0.05;
 const SLIDES: f64 = 5e-3;
-/// Another way is told from the best where it leaves so many times as much.
+/// Minimum residual of another interpretation, relative to the best, to exclude it.
 const TOLD: f64 = 2.0;
-/// What costs more may leave less by this factor without being needed …
+/// A costlier interpretation is selected only if the cheaper one's residual exceeds this multiple of the
+/// least …
 const NO_BETTER: f64 = 4.0;
-/// … or by this much, m.
+/// … and this value, m.
 const FLOOR_M: f64 = 3e-4;
-/// The price of another order.
+/// Penalty for another order.
 const ORDER: f64 = 1.5;
-/// The price from which joints that are reversed cost more than one mirror.
+/// Reversed joints with a penalty above this cost more than one mirrored axis.
 const MIRROR: f64 = 1.2;
-/// Positions lie on an arm in a mirror where less than this share of their extent is left.
+/// Maximum residual of mirrored positions, as a share of their extent.
 const MIRRORED: f64 = 0.02;
-/// The prices of a scale that is not a round number, and of a reading beyond the model's limits.
+/// Penalties for a scale that is not a round number, and per joint beyond the model's limits.
 const ODD: f64 = 0.5;
 const BEYOND: f64 = 0.25;
 
-/// A way of reading the joints that fits.
+/// Interpretation of the joint states that fits.
 pub(super) struct Found {
     pub map: JointMap,
     pub left: Left,
-    /// What the next best way leaves that takes no more causes, m.
+    /// Residual of the next best interpretation at no higher price, m.
     pub runner_up_m: Option<f64>,
 }
 
-/// What a search came to.
+/// Outcome of a search.
 pub(super) enum Search {
-    /// One way stands out.
+    /// One interpretation is clearly best.
     Found(Found),
-    /// Several ways fit alike.
+    /// Several interpretations fit equally well.
     Ambiguous,
-    /// None fits.
+    /// No interpretation fits.
     Nothing,
 }
 
-/// Kinds of ways, the simplest first.
+/// Kinds of interpretations, the simplest first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Kind {
-    /// All joints in another unit, some of them reversed, or one joint read otherwise.
+    /// All joints in another unit, some joints reversed, or one joint misinterpreted.
     One,
-    /// The numbers in another order.
+    /// Positions in another order.
     Order,
-    /// One joint that moves with another one.
+    /// One joint coupled to another.
     Coupled,
-    /// All joints in another unit and one joint besides.
+    /// All joints in another unit, and one joint misinterpreted.
     UnitAndOne,
-    /// Two joints.
+    /// Two joints misinterpreted.
     Two,
-    /// The numbers in another order and one joint besides.
+    /// Positions in another order, and one joint misinterpreted.
     OrderAndOne,
 }
 
 impl Kind {
-    /// All of them.
+    /// All kinds.
     pub const ALL: [Kind; 6] =
         [Kind::One, Kind::Order, Kind::Coupled, Kind::UnitAndOne, Kind::Two, Kind::OrderAndOne];
-    /// Those that may explain a stream that is near the arm as logged.
+    /// Kinds that may explain a stream already close to FK as logged.
     pub const OF_NEAR: [Kind; 2] = [Kind::One, Kind::Coupled];
 }
 
-/// Looks for a way of one kind that leaves no more than `most`.
+/// Searches for an interpretation of one kind with a residual of at most `most`.
 pub(super) fn search(view: &View, kind: Kind, freedom: Freedom, most: Left) -> Search {
     let none = JointMap::as_logged(view.chain.dof());
     let fk = view.fk(&none);
     if fits(&view.left(&fk, &view.frames(&fk, freedom)), most) {
-        // Taken so, the poses have nothing against the joints as they are.
+        // The poses already fit the joint states as logged.
         return Search::Nothing;
     }
     if let (Kind::One, Some(found)) = (kind, mirrored_in_unit(view)) {
@@ -151,9 +152,9 @@ fn judge(view: &View, proposals: Vec<Proposal>, freedom: Freedom, most: Left) ->
     Search::Found(Found { map: best.map.clone(), left: best.left, runner_up_m })
 }
 
-/// Whether two maps say the same of all moments.
+/// Whether two maps give the same joint positions at all samples.
 fn same(view: &View, a: &JointMap, b: &JointMap) -> bool {
-    /// Closer is the same: rad or m.
+    /// Tolerance, rad or m.
     const NEAR: f64 = 0.02;
     let dof = view.chain.dof();
     let (mut by_a, mut by_b) = (vec![0.0; dof], vec![0.0; dof]);
@@ -169,7 +170,7 @@ fn same(view: &View, a: &JointMap, b: &JointMap) -> bool {
     })
 }
 
-/// The ways of `proposals` that leave least as they are.
+/// The proposals with the smallest residual before refinement.
 fn best_of(view: &View, proposals: Vec<Proposal>, freedom: Freedom, most: usize) -> Vec<Proposal> {
     let thin = view.thinned(STRAINED);
     let by = |proposals: Vec<Proposal>, most: usize, score: &(dyn Fn(&JointMap) -> f64 + Sync)| {
@@ -185,7 +186,7 @@ fn best_of(view: &View, proposals: Vec<Proposal>, freedom: Freedom, most: usize)
     by(few, most, &|map| view.misfit(map, freedom))
 }
 
-/// The maps that may be a part of what is wrong, and whether the joints' ranges say so.
+/// Maps likely to be part of the fault, and whether the joint ranges support them.
 pub(super) fn likely(view: &View) -> Vec<(JointMap, bool)> {
     let none = JointMap::as_logged(view.chain.dof());
     let units: Vec<JointMap> =
@@ -204,19 +205,19 @@ fn as_it_is(map: JointMap, price: f64) -> Proposal {
     Proposal { map, zeros: Vec::new(), factors: Vec::new(), fits_coupling: false, price }
 }
 
-/// Whether a joint moves enough when its number in `map` is read by `factor`.
+/// Whether a joint moves enough under `map` with this factor.
 fn moves(view: &View, map: &JointMap, joint: usize, factor: f64) -> bool {
     let [low, high] = view.spans[map.from[joint]];
     let slides = view.chain.joint_kinds()[joint] == JointKind::Prismatic;
     factor.abs() * (high - low) > if slides { SLIDES } else { TURNS }
 }
 
-/// The joints that move when they are read by `map`.
+/// Joints that move under `map`.
 fn moving(view: &View, map: &JointMap) -> Vec<usize> {
     (0..view.chain.dof()).filter(|&joint| moves(view, map, joint, map.factor[joint])).collect()
 }
 
-/// All joints in another unit, some of them reversed, or one joint read otherwise.
+/// All joints in another unit, some of them reversed, or one joint misinterpreted.
 fn one(view: &View, freedom: Freedom) -> Vec<Proposal> {
     let none = JointMap::as_logged(view.chain.dof());
     let whole = wholes(view.chain)
@@ -226,7 +227,7 @@ fn one(view: &View, freedom: Freedom) -> Vec<Proposal> {
     let mut proposals = best_of(view, whole, freedom, POLISHED / 2);
     let mut reversed = reversed(view, &none);
     if is_mirrored(view, &none) {
-        // Joints that are reversed together may mirror an arm: that is one cause, and they are several.
+        // Several reversed joints can be equivalent to one mirrored axis, which is a single cause.
         reversed.retain(|proposal| proposal.price < MIRROR);
     }
     proposals.extend(best_of(view, reversed, freedom, POLISHED / 2));
@@ -236,13 +237,13 @@ fn one(view: &View, freedom: Freedom) -> Vec<Proposal> {
     proposals
 }
 
-/// Whether the positions lie on the arm as `map` reads it once they are seen in a mirror.
+/// Whether the mirrored positions fit FK under `map`.
 fn is_mirrored(view: &View, map: &JointMap) -> bool {
     view.mirrored().misfit(map, Freedom::Both) < MIRRORED * spread(&view.xyz)
 }
 
-/// The unit by which the positions lie on the arm in a mirror: all joints reversed in that unit would put
-/// them there, too, but with turned frames.
+/// Unit in which the mirrored positions fit FK. Reversing all joints in that unit would also fit, but with
+/// rotated frames.
 fn mirrored_in_unit(view: &View) -> Option<Found> {
     let units = wholes(view.chain).into_iter().filter(|whole| whole.is_unit);
     let map = units.map(|whole| whole.map).find(|unit| is_mirrored(view, unit))?;
@@ -250,9 +251,9 @@ fn mirrored_in_unit(view: &View) -> Option<Found> {
     Some(Found { map, left, runner_up_m: None })
 }
 
-/// Some of the joints reversed. All of them are one cause.
+/// Reversed subsets of the joints. Reversing all of them is one cause.
 fn reversed(view: &View, base: &JointMap) -> Vec<Proposal> {
-    /// Most joints whose signs are all tried.
+    /// Maximum number of joints for an exhaustive search over signs.
     const MOST: usize = 10;
     let moving = moving(view, base);
     if moving.len() > MOST {
@@ -271,9 +272,9 @@ fn reversed(view: &View, base: &JointMap) -> Vec<Proposal> {
     (1..1u32 << moving.len()).map(flipped).collect()
 }
 
-/// All turning joints behind one gear that is no round number.
+/// One common factor for all revolute joints that is not a round number.
 fn geared(view: &View, base: &JointMap, freedom: Freedom) -> Option<Proposal> {
-    /// The largest turn of any joint, rad, and its least share; factors by this ratio apart.
+    /// Maximum range of any joint, rad, the minimum as a share of it, and the ratio of successive factors.
     const MOST: f64 = 2.0 * TAU;
     const LEAST: f64 = 0.01;
     const STEP: f64 = 1.04;
@@ -306,7 +307,7 @@ fn geared(view: &View, base: &JointMap, freedom: Freedom) -> Option<Proposal> {
     Some(Proposal { factors: turning, ..best })
 }
 
-/// The numbers in another order.
+/// Positions in another order.
 fn ordered(view: &View, freedom: Freedom) -> Vec<Proposal> {
     let thin = view.thinned(20);
     let none = JointMap::as_logged(view.chain.dof());
@@ -323,9 +324,8 @@ fn ordered(view: &View, freedom: Freedom) -> Vec<Proposal> {
     best_of(&thin, all, freedom, POLISHED / 2)
 }
 
-/// Pairs of turning joints of which one moves with the other: by as much (a controller that counts one
-/// joint's angle from the horizon, as FANUC's does for J3), or by a share that is to be found (wrists
-/// whose gears run through one another).
+/// Pairs of coupled revolute joints. The factor is ±1 (a controller that reports one joint's angle from the
+/// horizon, as FANUC's J3) or is estimated (wrists with concentric gear trains).
 fn coupled(view: &View) -> Vec<Proposal> {
     let none = JointMap::as_logged(view.chain.dof());
     let kinds = view.chain.joint_kinds();
@@ -349,7 +349,7 @@ fn coupled(view: &View) -> Vec<Proposal> {
         .collect()
 }
 
-/// All joints in another unit and one joint besides.
+/// All joints in another unit, and one joint misinterpreted.
 fn unit_and_one(view: &View, freedom: Freedom) -> Vec<Proposal> {
     let units = wholes(view.chain).into_iter().filter(|whole| whole.is_unit);
     let joints = 0..view.chain.dof();
@@ -361,7 +361,7 @@ fn unit_and_one(view: &View, freedom: Freedom) -> Vec<Proposal> {
         .collect()
 }
 
-/// One joint read otherwise than in `base`: its zero, its direction, its unit, its scale.
+/// One joint interpreted differently from `base`: its zero, direction, unit or scale.
 fn lone(view: &View, base: &JointMap, price: f64, freedom: Freedom, joint: usize) -> Vec<Proposal> {
     let slides = view.chain.joint_kinds()[joint] == JointKind::Prismatic;
     let own = base.factor[joint];
@@ -404,7 +404,7 @@ fn lone(view: &View, base: &JointMap, price: f64, freedom: Freedom, joint: usize
     proposals
 }
 
-/// What `pick` makes of one joint, the constant frames found with it by turns.
+/// Factor and zero of one joint from `pick`, alternating with the constant frames.
 fn settled(
     view: &View,
     base: &JointMap,
@@ -412,7 +412,7 @@ fn settled(
     joint: usize,
     pick: impl Fn(&Lone) -> (f64, f64),
 ) -> (f64, f64) {
-    /// How often.
+    /// Number of alternations.
     const TIMES: usize = 3;
     let mut frames = match freedom {
         Freedom::Tool => Frames::default(),
@@ -426,9 +426,9 @@ fn settled(
     found
 }
 
-/// Two joints, the first of them at a zero of a grid, either way round.
+/// Two joints, the first with a zero on a grid, forward or reversed.
 fn two(view: &View, freedom: Freedom) -> Vec<Proposal> {
-    /// Zeros of the first joint.
+    /// Number of grid points for the zero of the first joint.
     const ZEROS: u32 = 24;
     let thin = view.thinned(16);
     let dof = view.chain.dof();
@@ -488,12 +488,12 @@ fn two(view: &View, freedom: Freedom) -> Vec<Proposal> {
     best_of(&thin, proposals, freedom, POLISHED)
 }
 
-/// The numbers in another order and one joint besides.
+/// Positions in another order, and one joint misinterpreted.
 fn order_and_one(view: &View, freedom: Freedom) -> Vec<Proposal> {
     let thin = view.thinned(10);
     let dof = view.chain.dof();
     let none = JointMap::as_logged(dof);
-    // All orders of one joint less: each is tried with each joint.
+    // Exhaustive for one joint fewer than above, because each order is combined with each joint.
     let orders = orders(view.chain.joint_names(), ALL_ORDERS - 1);
     let proposals = orders
         .into_par_iter()

@@ -6,7 +6,7 @@ use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
 use ground::robot::{Chain, catalogue};
 use std::f64::consts::{PI, TAU};
 
-/// What a search may leave.
+/// Maximum residual of a search.
 const MOST: Left = Left { m: 5e-3, rad: Some(0.03) };
 
 fn ur5e() -> Chain {
@@ -15,7 +15,7 @@ fn ur5e() -> Chain {
     robot.chain(base, tip).expect("a chain")
 }
 
-/// Poses of an arm at true positions all over its range, with a tool, beside what was logged of these.
+/// Poses of an arm over its range, with a tool, paired with joint values transformed by `logged`.
 fn view<'a>(chain: &'a Chain, tool: Pose, logged: impl Fn(&[f64]) -> Vec<f64>) -> View<'a> {
     let mut random = Lcg::new();
     let mut of = |most: f64| random.number(2.0 * most) - most;

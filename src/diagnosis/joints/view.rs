@@ -1,5 +1,4 @@
-//! A stream at slow moments beside the numbers of the joint states: what is left of it when these are
-//! read in some way.
+//! Residual of a pose stream at slow samples for a mapping of the joint states.
 
 use super::super::frames::{both_frames, tool_frame};
 use super::super::placing::Expected;
@@ -7,16 +6,16 @@ use super::map::JointMap;
 use ground::geometry::{Pose, Rotation, Vec3, angle_between, pose, rotvec_from_rotation};
 use ground::robot::Chain;
 
-/// Turns in which the frames of a thinned view are sought, and of a whole one.
+/// Iterations of the frame search for a thinned and for a full view.
 const FEW_TURNS: usize = 5;
 pub(super) const TURNS: usize = 30;
 
-/// The constant frames that may be off beside the joints.
+/// Constant frames that are free.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Freedom {
-    /// The tool's: an active TCP.
+    /// Tool frame only: an active TCP.
     Tool,
-    /// The tool's and the reference.
+    /// Tool and reference frame.
     Both,
 }
 
@@ -27,7 +26,7 @@ pub(super) struct Frames {
     pub tool: Pose,
 }
 
-/// What is left, rms m and rad; no angle where only positions are looked at.
+/// Residual, rms m and rad; no angle if only positions are compared.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in super::super) struct Left {
     pub m: f64,
@@ -35,26 +34,26 @@ pub(in super::super) struct Left {
 }
 
 impl Left {
-    /// Both as one length, an angle at `lever_m`.
+    /// Combines both into one length, with the angle at `lever_m`.
     pub fn together(self, lever_m: f64) -> f64 {
         self.m.hypot(lever_m * self.rad.unwrap_or(0.0))
     }
 }
 
-/// A stream's poses at some moments, taken in one way, and the numbers of the joint states then.
+/// Interpreted poses of a stream, with the simultaneous joint values.
 #[derive(Clone)]
 pub(super) struct View<'a> {
     pub chain: &'a Chain,
     pub xyz: Vec<Vec3>,
-    /// The rotations, where they are taken for what they say.
+    /// Rotations, if they are used.
     pub rotation: Option<Vec<Rotation>>,
     /// Row-major, in the chain's order.
     pub q: Vec<f64>,
-    /// The least and the greatest number of each joint over the run.
+    /// Minimum and maximum of each joint's logged value over the run.
     pub spans: Vec<[f64; 2]>,
-    /// The length at which an angle counts, m.
+    /// Lever arm that converts angles to lengths, m.
     pub lever_m: f64,
-    /// Turns in which frames are sought by positions.
+    /// Iterations of the frame search by positions.
     pub turns: usize,
 }
 
@@ -63,7 +62,7 @@ impl View<'_> {
         self.xyz.len()
     }
 
-    /// Every `n`-th moment, so that at most `most` are left.
+    /// Selects at most `most` samples, evenly spaced.
     pub fn thinned(&self, most: usize) -> Self {
         let step = self.len().div_ceil(most).max(1);
         let rows = self.q.chunks_exact(self.chain.dof()).step_by(step);
@@ -78,13 +77,13 @@ impl View<'_> {
         }
     }
 
-    /// The positions seen in a mirror.
+    /// Mirrors the positions and drops the rotations.
     pub fn mirrored(&self) -> Self {
         let mirror = |xyz: &Vec3| Vec3::new(-xyz.x, xyz.y, xyz.z);
         Self { rotation: None, xyz: self.xyz.iter().map(mirror).collect(), ..self.clone() }
     }
 
-    /// FK of all moments when the numbers are read by `map`.
+    /// FK of all samples under `map`.
     pub fn fk(&self, map: &JointMap) -> Vec<Pose> {
         let dof = self.chain.dof();
         let mut q = vec![0.0; self.q.len()];
@@ -100,7 +99,7 @@ impl View<'_> {
         Some(self.xyz.iter().zip(rotation).map(|(p, r)| pose((*p).into(), *r)).collect())
     }
 
-    /// The constant frames that leave least.
+    /// Constant frames with the smallest residual.
     pub fn frames(&self, fk: &[Pose], freedom: Freedom) -> Frames {
         let expected = Expected::of(fk);
         let by_positions = |turns: usize| {
@@ -123,7 +122,7 @@ impl View<'_> {
         both.into_iter().min_by(|a, b| left(a).total_cmp(&left(b))).unwrap_or(tool)
     }
 
-    /// What is left when the poses of `fk` are taken off in `frames`.
+    /// Residual of the poses against `fk` in `frames`.
     pub fn left(&self, fk: &[Pose], frames: &Frames) -> Left {
         let (mut metres, mut radians) = (0.0, 0.0);
         for (k, fk) in fk.iter().enumerate() {
@@ -136,7 +135,7 @@ impl View<'_> {
         Left { m: (metres / n).sqrt(), rad }
     }
 
-    /// Logged minus predicted at moment `k`, m and rad.
+    /// Logged minus predicted at sample `k`, m and rad.
     pub fn residual(&self, k: usize, predicted: &Pose) -> [Vec3; 2] {
         let turn =
             |all: &Vec<Rotation>| rotvec_from_rotation(&(all[k] * predicted.rotation.inverse()));
@@ -144,8 +143,8 @@ impl View<'_> {
         [self.xyz[k] - predicted.translation.vector, rotation]
     }
 
-    /// How far FK of a map is from the log in what no constant frame changes: distances and angles
-    /// between moments (a tool's offset changes distances a little). Rms m.
+    /// Frame-independent residual of a map: distances and angles between samples, rms m. A tool offset
+    /// changes the distances slightly.
     pub fn strain(&self, map: &JointMap) -> f64 {
         let fk = self.fk(map);
         let n = fk.len();
@@ -164,7 +163,7 @@ impl View<'_> {
         (sum / f64::from(count.max(1))).sqrt()
     }
 
-    /// What a map leaves in the best frames, as one length.
+    /// Residual of a map with the best frames, as one length.
     pub fn misfit(&self, map: &JointMap, freedom: Freedom) -> f64 {
         let fk = self.fk(map);
         self.left(&fk, &self.frames(&fk, freedom)).together(self.lever_m)
