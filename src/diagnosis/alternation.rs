@@ -1,11 +1,11 @@
-//! Poses that alternate between the poses of several rigid bodies on one tool: a tracker that takes one
-//! marker for another and back, a tool centre point that a program switches.
+//! Tool switching: poses alternate between several rigid bodies on one tool. A tracker may confuse two
+//! markers, or a program may switch the tool centre point.
 //!
-//! `logged = world · FK · body`, and `body` is one of a few. Where it changes, the pose jumps by
-//! `body⁻¹ · other`, seen from the tool, whatever the arm does; when it changes back, by the inverse of
-//! that. So the poses on either side are carried on to the middle between them, which leaves of smooth
-//! motion hardly anything; what jumps farther there than the poses elsewhere and than FK anywhere is a
-//! change, and the jumps from the first body on say which body it is.
+//! `logged = world · FK · body`, with one of a few values of `body`. A switch multiplies the pose on the
+//! right by `body⁻¹ · other`, independent of the arm's motion, and switching back applies the inverse. To
+//! detect it, the poses before and after each interval are extrapolated to its middle, which removes smooth
+//! motion. A difference that exceeds those elsewhere and those of FK is a switch. The accumulated jumps
+//! identify the body.
 
 use super::bends::ways;
 use super::latency::median_period_s;
@@ -16,41 +16,42 @@ use ground::geometry::{Pose, Vec3, pose};
 use ground::stats::{Measured, quantile};
 use ground::stream::JointTrack;
 
-/// Samples without which nothing is told.
+/// Minimum number of samples.
 const ENOUGH: usize = 60;
-/// What is between two jumps has so many samples at least: what is shorter is a stray.
+/// Minimum number of samples between two switches. Shorter segments are outliers.
 const LEAST: usize = 4;
-/// No more bodies than these are told apart.
+/// Maximum number of bodies.
 const BODIES: usize = 4;
 
-/// The bodies that the poses of a stream alternate between.
+/// Bodies between which a stream's poses alternate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Alternation {
-    /// The others than the usual one, which most poses are of, or the first ones.
+    /// Bodies other than the usual one. The usual body has most poses or comes first.
     pub others: Vec<Other>,
-    /// All samples.
+    /// Total number of samples.
     pub samples: usize,
 }
 
-/// A body beside the usual one.
+/// Body other than the usual one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Other {
-    /// `usual_from_other`: the body, seen from the usual one.
+    /// `usual_from_other`: pose of the body in the usual body's frame.
     pub pose: Pose,
-    /// How far it is from the usual one, m.
+    /// Distance from the usual body, m.
     pub length_m: Measured,
-    /// How far it is turned against it, rad.
+    /// Rotation relative to the usual body, rad.
     pub angle_rad: Measured,
-    /// When it is seen, from and to, s.
+    /// Time spans with this body: start and end, s.
     pub spans_s: Vec<[f64; 2]>,
-    /// How many samples are of it.
+    /// Number of samples of this body.
     pub samples: usize,
 }
 
 impl Other {
-    /// Whether the jumps to it and back differ as those of no rigid body do: jitter of stamps makes such.
+    /// Returns whether the jumps to and from it are too inconsistent for a rigid body. Stamp jitter causes
+    /// such jumps.
     fn is_vague(&self) -> bool {
-        /// In standard errors, as a share.
+        /// Maximum relative standard error.
         const VAGUE: f64 = 0.1;
         let is_vague = |of: &Measured| of.std_error.is_finite() && of.std_error > VAGUE * of.value;
         is_vague(&self.length_m) && is_vague(&self.angle_rad)
@@ -58,7 +59,7 @@ impl Other {
 }
 
 impl Alternation {
-    /// The same with lengths in m, where the positions of the stream are in another unit.
+    /// Converts lengths to m if the positions of the stream have another unit.
     pub fn in_m(&self, found: &PoseDiagnosis) -> Self {
         let slip = found.length.as_ref().ok().and_then(Option::as_ref);
         let factor = slip.map_or(1.0, LengthSlip::factor);
@@ -71,8 +72,8 @@ impl Alternation {
     }
 }
 
-/// The bodies that the poses of `stream` alternate between, and all poses as those of the usual one; `None`
-/// where they do not alternate.
+/// Detects tool switching in `stream`. Returns the bodies, and all poses converted to the usual body.
+/// `None` if the poses do not alternate.
 pub fn alternation(joints: &JointTrack, stream: &PoseStream) -> Option<(Alternation, Vec<Pose>)> {
     let track = stream.track;
     let rotations = as_rotations(&track.orientation)?;
@@ -114,30 +115,30 @@ pub fn alternation(joints: &JointTrack, stream: &PoseStream) -> Option<(Alternat
     Some((Alternation { others, samples }, mended))
 }
 
-/// What poses jump by, from the one before, as it is carried on to the middle, to their own, carried back.
+/// Difference between consecutive poses, after extrapolating both to the middle of the interval.
 #[derive(Clone, Copy)]
 struct Step {
-    /// The sample.
+    /// Index of the later sample.
     row: usize,
     by: Pose,
     /// Length, m, and angle, rad.
     sizes: [f64; 2],
-    /// How many times longer than the steps beside it: what noise leaves grows so, and what motion leaves
-    /// as its square.
+    /// Ratio of the interval to the shorter adjacent one. The noise contribution grows linearly with it,
+    /// the motion contribution quadratically.
     times: f64,
 }
 
-/// What steps stay below, by length, m, and angle, rad.
+/// Upper limits of steps without a switch: length, m, and angle, rad.
 #[derive(Clone, Copy)]
 struct Limits {
-    /// What noise leaves.
+    /// Noise contribution.
     noise: [f64; 2],
-    /// What motion leaves.
+    /// Motion contribution.
     motion: [f64; 2],
 }
 
 impl Limits {
-    /// How large a pose is against the limits of a step so many times longer than the ones beside it.
+    /// Size relative to the limits of a step with interval ratio `times`.
     fn of(&self, sizes: [f64; 2], times: f64) -> f64 {
         let most = |kind: usize| (times * self.noise[kind]).max(times * times * self.motion[kind]);
         (0..2).map(|kind| sizes[kind] / most(kind)).fold(0.0, f64::max)
@@ -145,7 +146,7 @@ impl Limits {
 }
 
 fn steps(t_s: &[f64], period_s: f64, poses: &[Pose]) -> Vec<Step> {
-    /// Poses that are farther apart say nothing of each other, in periods.
+    /// Maximum interval in periods. Poses further apart cannot be compared.
     const FAR: f64 = 15.0;
     let twist = |a: usize, b: usize| twist_of(&(poses[a].inverse() * poses[b]));
     let of = |row: usize| {
@@ -168,20 +169,20 @@ fn steps(t_s: &[f64], period_s: f64, poses: &[Pose]) -> Vec<Step> {
     (2..poses.len().saturating_sub(1)).filter_map(of).collect()
 }
 
-/// From which length, m, and angle, rad, on a step is no motion and no noise.
+/// Limits above which neither motion nor noise explains a step.
 fn limits(
     joints: &JointTrack,
     stream: &PoseStream,
     period_s: f64,
     steps: &[Step],
 ) -> Option<Limits> {
-    /// So many times what nearly all steps of the stream stay below, and what all of FK's do.
+    /// Factor on the quantile of the stream's steps, that quantile, and factor on the largest FK step.
     const TIMES: f64 = 6.0;
     const NEARLY_ALL: f64 = 0.85;
     const TIMES_FK: f64 = 3.0;
-    /// A body's origin is so far from the tip at most, m.
+    /// Maximum distance of a body's origin from the tip, m.
     const LEVER_M: f64 = 0.2;
-    /// No jump is smaller, m and rad.
+    /// Smallest jump, m and rad.
     const LEAST: [f64; 2] = [5e-4, 3e-3];
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
     let mut fk = |t_s: f64| {
@@ -190,7 +191,7 @@ fn limits(
             stream.chain.forward(&own)
         })
     };
-    // At the stream's own stamps.
+    // At the stamps of the stream.
     let covered = stream.track.t_s.iter().filter_map(|&t_s| Some((t_s, fk(t_s)?)));
     let (t_s, fk): (Vec<f64>, Vec<Pose>) = covered.unzip();
     let by_fk = self::steps(&t_s, period_s, &fk);
@@ -207,9 +208,9 @@ fn limits(
     Some(limits)
 }
 
-/// The steps that are jumps: beyond the limits, and the largest about them.
+/// Steps that exceed the limits and are local maxima.
 fn jumps(steps: &[Step], limits: Limits) -> Vec<Step> {
-    /// A jump shows in the steps beside it, too, by half.
+    /// A jump also shows, at half its size, in adjacent steps.
     const BESIDE: usize = 2;
     let size = |step: &Step| limits.of(step.sizes, step.times);
     let is_jump = |at: &usize| {
@@ -220,16 +221,16 @@ fn jumps(steps: &[Step], limits: Limits) -> Vec<Step> {
     (0..steps.len()).filter(is_jump).map(|at| steps[at]).collect()
 }
 
-/// Whether the poses jump whenever one joint turns back, and at no other time: its link crosses its play.
+/// Returns whether the poses jump at every reversal of one joint and at no other time. That is backlash.
 fn is_play(joints: &JointTrack, stream: &PoseStream, jumps_s: &[f64]) -> bool {
-    /// By so much a jump and the turn may miss each other: the joint hardly moves about it, s.
+    /// Maximum time between jump and reversal, s. The joint moves little then.
     const NEAR_S: f64 = 0.3;
     let is_of = |&column: &usize| {
         let ways = ways(joints.len(), |row| joints.row(row)[column]);
         let turns = (1..ways.len()).filter(|&row| ways[row - 1] * ways[row] < 0.0);
         let turns_s: Vec<f64> = turns.map(|row| joints.t_s[row]).collect();
         let near = |a: &[f64], b: f64| a.iter().any(|a| (a - b).abs() < NEAR_S);
-        // Where in the play the link is at first is anybody's guess.
+        // The initial position within the backlash is unknown, so one jump may be unmatched.
         let missed = jumps_s.iter().filter(|at_s| !near(&turns_s, **at_s)).count();
         let meet = turns_s.iter().all(|at_s| near(jumps_s, *at_s));
         !turns_s.is_empty() && missed <= 1 && meet
@@ -237,21 +238,21 @@ fn is_play(joints: &JointTrack, stream: &PoseStream, jumps_s: &[f64]) -> bool {
     stream.columns.iter().any(is_of)
 }
 
-/// Which body the samples are of.
+/// Assignment of samples to bodies.
 struct Bodies {
-    /// The first sample, the one after the last, and the body.
+    /// First sample, end (exclusive), and body.
     stretches: Vec<(usize, usize, usize)>,
-    /// `first_from_body` of each, as the first jump to it has it, and how many times longer than the steps
-    /// beside them the jumps were that it is known by.
+    /// `first_from_body` according to the first jump to it, and the largest interval ratio of the jumps
+    /// that determine it.
     poses: Vec<(Pose, f64)>,
-    /// Every jump, from which body to which.
+    /// Every jump with the bodies before and after.
     jumps: Vec<(usize, usize, Step)>,
 }
 
 impl Bodies {
-    /// `None` where the jumps do not come back to bodies that were there before.
+    /// `None` if no body recurs.
     fn of(jumps: &[Step], samples: usize, limits: Limits) -> Option<Self> {
-        /// Bodies are one that are within so many limits of each other: less than half of a jump.
+        /// Bodies within this many limits of each other are the same.
         const ALIKE: f64 = 1.0;
         let mut bodies =
             Self { stretches: Vec::new(), poses: vec![(Pose::identity(), 1.0)], jumps: Vec::new() };
@@ -281,13 +282,13 @@ impl Bodies {
             (from, body) = (jump.row, next);
         }
         bodies.stretches.push((from, samples, body));
-        // Bodies that never come again are no alternation, and many of them are none.
+        // Without recurrence it is not switching. Many bodies indicate another problem.
         let comes_again = bodies.stretches.len() > bodies.poses.len();
         let is_short = samples - from < LEAST;
         (comes_again && !is_short && (2..=BODIES).contains(&bodies.poses.len())).then_some(bodies)
     }
 
-    /// The body that most samples are of, or the first one where hardly fewer are of that.
+    /// Body with the most samples. The first one if it has nearly as many.
     fn usual(&self) -> usize {
         const HARDLY_FEWER: f64 = 0.8;
         let samples = |body: usize| {
@@ -299,7 +300,8 @@ impl Bodies {
         if is_first { 0 } else { most }
     }
 
-    /// A body beside the usual one, by the mean of all jumps between the two, by inverse variance.
+    /// Pose of `body` relative to the usual one: mean of all jumps between the two, weighted by inverse
+    /// variance.
     fn other(&self, body: usize, usual: usize) -> Other {
         let first = self.poses[usual].0.inverse() * self.poses[body].0;
         let between = self.jumps.iter().filter_map(|&(from, to, Step { by, times, .. })| {
@@ -312,7 +314,7 @@ impl Bodies {
         });
         let mut about: Vec<([f64; 6], f64)> = between.collect();
         if about.is_empty() {
-            // There is no jump from one to the other at once.
+            // No direct jump between the two.
             about.push(([0.0; 6], 1.0));
         }
         let n = about.len() as f64;
@@ -353,7 +355,7 @@ mod tests {
     use ground::geometry::{angle_between, rotation_from_rpy};
     use ground::stream::{Orientations, PoseTrack};
 
-    /// What a tracker says of a body that is another one where `other` says so, and in `moved` worlds.
+    /// Tracker poses of a body that is replaced by `other` at some times, in a possibly moving world.
     fn found(
         other: &dyn Fn(f64) -> Option<Pose>,
         world: &dyn Fn(f64) -> Pose,

@@ -1,4 +1,4 @@
-//! Arms whose base moves: poses in a frame that it moves in.
+//! Arms with a moving base: poses are logged in a frame that does not move with the base.
 
 use super::PoseStream;
 use super::frames::misfit_of_frames;
@@ -8,39 +8,40 @@ use super::placing::spread;
 use ground::geometry::{Pose, Vec3};
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
-/// Samples that are looked at.
+/// Maximum number of samples used.
 const SAMPLES: usize = 300;
-/// Samples without which nothing is told.
+/// Minimum number of samples.
 const ENOUGH: usize = 20;
-/// Times are sought within this of each other, s.
+/// Largest latency or lag to search, s.
 const MOST_S: f64 = 0.5;
-/// How far apart they are tried first, and how finely they are told, s.
+/// Initial and final step of the search, s.
 const STEP_S: f64 = 0.02;
 const FINEST_S: f64 = 2e-5;
-/// A frame's transforms are late or early where that leaves less than this share of what they leave
-/// when they are of the time that the poses are of, …
+/// The transforms have a latency different from the poses' only if that reduces the residual below this
+/// fraction, …
 const SHARE: f64 = 0.7;
-/// … and by more than this, s.
+/// … and if the two differ by more than this, s.
 const APART_S: f64 = 2e-3;
-/// Positions that are off by this share of their extent lie on no arm as the joints are read; another
-/// time than that of the stamps is meant then where it leaves less than this share all the same.
+/// If the position residual exceeds the first fraction of the extent, the joints may be misinterpreted. A
+/// lag is then accepted only if it reduces the residual below the second fraction.
 const OFF_ARM: f64 = 0.1;
 const NEARER: f64 = 0.5;
 
-/// When the transforms of a moving frame must be taken for poses that are in it.
+/// Time at which to evaluate the transform of a moving frame for poses in it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CarrierLag {
-    /// Before the poses' stamps, s.
+    /// Time before the poses' stamps, s.
     pub lag_s: f64,
-    /// Whether it is the poses' own latency: the transforms are of the time of their stamps.
+    /// Whether this equals the latency of the poses, so the transforms are on time.
     pub is_on_time: bool,
 }
 
-/// When the transforms of the frame that `logged` is in must be taken so that the arm is where the
-/// joints put it: with `logged(s) = frame_from_base(s − λ) · FK(q(s − τ)) · tool`, λ and τ that leave
-/// least of the positions, both the same wherever that does. `None` where too few samples are known.
+/// Estimates the time at which to evaluate the transform of the frame of `logged`, such that the arm
+/// matches FK. Minimises the position residual of `logged(s) = frame_from_base(s − λ) · FK(q(s − τ)) ·
+/// tool` over λ and τ. They are equal unless separate values fit clearly better. `None` if too few samples
+/// have a transform.
 ///
-/// `stream` has the chain and its columns; `base_from_frame` is known at some times only.
+/// `stream` provides the chain and its columns. `base_from_frame` is defined at some times only.
 pub fn carrier_lag(
     joints: &JointTrack,
     stream: &PoseStream,
@@ -61,7 +62,7 @@ pub fn carrier_lag(
         if 2 * offsets.len() < rows.len() || offsets.len() < ENOUGH {
             return f64::INFINITY;
         }
-        // About a constant tool.
+        // Residual about a constant tool offset.
         let tool = offsets.iter().sum::<Vec3>() / offsets.len() as f64;
         let squares = offsets.iter().map(|offset| (offset - tool).norm_squared());
         (squares.sum::<f64>() / offsets.len() as f64).sqrt()
@@ -82,15 +83,15 @@ pub fn carrier_lag(
     let extent_m = spread(&in_base.collect::<Vec<Vec3>>());
     let least = cost(lag_s, latency_s);
     if least > OFF_ARM * extent_m && least > NEARER * cost(0.0, 0.0) {
-        // No time puts the arm where the joints do, so that they may be misread: its stamps hold.
+        // No lag makes the arm match FK, so the joints may be misinterpreted. Keep the stamps.
         return Some(CarrierLag { lag_s: 0.0, is_on_time: true });
     }
     let is_on_time = (lag_s - latency_s).abs() < APART_S || cost(lag_s, latency_s) > SHARE * left;
     Some(CarrierLag { lag_s: if is_on_time { together } else { lag_s }, is_on_time })
 }
 
-/// The least of a function near a point, by steps along the axes and between them that are halved where
-/// none helps (Hooke and Jeeves 1961).
+/// Minimises a function near `start` by pattern search (Hooke and Jeeves 1961): steps along the axes and
+/// diagonals, halved when none improves.
 fn descend(start: [f64; 2], cost: &dyn Fn([f64; 2]) -> f64) -> [f64; 2] {
     const WAYS: [[f64; 2]; 8] = [
         [1.0, 0.0],
@@ -114,28 +115,29 @@ fn descend(start: [f64; 2], cost: &dyn Fn([f64; 2]) -> f64) -> [f64; 2] {
     at
 }
 
-/// How an arm's base moves in the frame of its poses.
+/// Motion of an arm's base in the frame of its poses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BaseTravel {
-    /// How far it goes from where it is in the middle, at most, m.
+    /// Largest distance from its mean position, m.
     pub travel_m: f64,
-    /// How far it turns from how it stands first, at most, rad.
+    /// Largest rotation from its first orientation, rad.
     pub turn_rad: f64,
 }
 
-/// Whether the arm's base moves in the frame of a stream's poses as a vehicle, a lift or a rail does: at
-/// some latency, what FK leaves of the poses moves in a plane or along a line and turns about one axis
-/// only, and goes several times as far there as it strays from that.
+/// Detects a base that moves in the frame of a stream's poses, as on a vehicle, a lift or a rail. At some
+/// latency, the base pose computed from FK must move in a plane or along a line and rotate about one axis
+/// only. It must travel several times as far as it deviates from that.
 pub fn base_travel(
     joints: &JointTrack,
     stream: &PoseStream,
     most_lag_s: f64,
 ) -> Option<BaseTravel> {
-    /// A base that goes less far from its middle stands, m: an arm that is not its model may stray so.
+    /// Minimum travel of a moving base, m. An arm that differs from its model can deviate by less.
     const STANDS_M: f64 = 0.1;
-    /// It goes so many times as far as it strays, …
+    /// Minimum ratio of travel to deviation.
     const FARTHER: f64 = 10.0;
-    /// … and no more than this share of it at once: what was pushed stands before and after.
+    /// Maximum step between samples as a fraction of the travel. A larger step means a base that was pushed
+    /// once.
     const AT_ONCE: f64 = 0.5;
     let Orientations::Rotations(rotations) = &stream.track.orientation else { return None };
     let rows = some_of(stream.track.t_s.len());
@@ -185,9 +187,9 @@ pub fn base_travel(
     })
 }
 
-/// Whether a base that stands still leaves less than `most_m` of the positions, rms, in metres or in the unit
-/// in which they spread as FK does: a constant world and marker explain them. A tool that keeps its orientation,
-/// or a hand that turns about one axis, else looks like a base that slides or turns.
+/// Returns whether a fixed base, with a constant world frame and marker, has a position residual below
+/// `most_m` rms. Tests metres and the unit in which positions spread as FK does. Otherwise a tool with
+/// constant orientation, or one that rotates about a single axis, would look like a moving base.
 fn stands(joints: &JointTrack, stream: &PoseStream, latency_s: f64, most_m: f64) -> bool {
     let Orientations::Rotations(rotations) = &stream.track.orientation else { return false };
     let mut fk = Forward::new(joints, stream);
@@ -205,16 +207,16 @@ fn stands(joints: &JointTrack, stream: &PoseStream, latency_s: f64, most_m: f64)
     })
 }
 
-/// How far poses go in the plane across the axis that they turn about, and how far they stray from it.
+/// Travel of poses in the plane normal to their rotation axis, and their deviation from it.
 struct Course {
     along_m: f64,
     strays_m: f64,
 }
 
 impl Course {
-    /// Rotations that are off by 1 rad stray as far as positions by this, m.
+    /// Lever arm that converts rotations to lengths, m.
     const LEVER_M: f64 = 0.5;
-    /// A body turns hardly where the mean of its rotations is that near to one (5 mrad, rms).
+    /// Below this value of `1 − σ_min` of the mean rotation, the orientation is constant (5 mrad rms).
     const HARDLY: f64 = 1e-5;
 
     fn of(poses: &[Pose]) -> Self {
@@ -234,10 +236,10 @@ impl Course {
         };
         let turns = 1.0 - svd.singular_values.min();
         let (across, leans_rad) = if turns < Self::HARDLY {
-            // All axes keep their directions: positions lie in a plane or they do not.
+            // The orientation is constant, so only positions define the plane.
             (squares.min(), (2.0 * turns).max(0.0).sqrt())
         } else {
-            // The axis of the body that keeps its direction best, and that direction.
+            // Body axis whose direction varies least, and that direction.
             let at = svd.singular_values.imax();
             let (up, axis) = (u.column(at).into_owned(), v_t.row(at).transpose());
             let leans = poses.iter().map(|pose| (pose.rotation * axis - up).norm_squared());
@@ -251,7 +253,7 @@ impl Course {
     }
 }
 
-/// FK of a stream's chain at times that mostly increase.
+/// FK of a stream's chain at mostly increasing times.
 struct Forward<'a> {
     joints: &'a JointTrack,
     stream: &'a PoseStream<'a>,
@@ -278,7 +280,7 @@ impl<'a> Forward<'a> {
     }
 }
 
-/// Rows spread evenly over so many.
+/// Evenly spaced rows, at most [`SAMPLES`].
 fn some_of(rows: usize) -> Vec<usize> {
     (0..rows).step_by(rows.div_ceil(SAMPLES).max(1)).collect()
 }
@@ -294,7 +296,7 @@ mod tests {
         Pose::from_parts([0.2 * t_s, 0.5 * (0.31 * t_s).sin(), 0.0].into(), turn)
     }
 
-    /// Poses of the tool in `frame(t)`, all of them late by so much.
+    /// Poses of the tool in `frame(t)` with a constant latency.
     fn track(
         joints: &JointTrack,
         chain: &ground::robot::Chain,
@@ -342,7 +344,7 @@ mod tests {
 
     #[test]
     fn a_tool_that_keeps_its_orientation_before_a_tracker_is_no_base_that_slides() {
-        // Only the axes that slide a gantry's tool move: its orientation stays.
+        // A gantry with prismatic joints only: the tool keeps its orientation.
         let urdf = ["x", "y", "z"].iter().enumerate().fold(String::new(), |urdf, (n, axis)| {
             let unit = ["1 0 0", "0 1 0", "0 0 1"][n];
             urdf + &format!(

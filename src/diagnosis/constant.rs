@@ -3,7 +3,7 @@
 use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use nalgebra::{Matrix3, Matrix6, SMatrix, Vector6};
 
-/// The candidate true rotations of every sample under one reading.
+/// Candidate true rotations of every sample under one encoding.
 #[derive(Default)]
 pub(super) struct Truths {
     ends: Vec<usize>,
@@ -16,20 +16,19 @@ impl Truths {
         &self.rotations[start..self.ends[sample]]
     }
 
-    /// Forgets them all.
     pub fn clear(&mut self) {
         self.ends.clear();
         self.rotations.clear();
     }
 
-    /// Those of the next sample.
+    /// Appends the candidates of the next sample.
     pub fn push(&mut self, candidates: &[Rotation]) {
         self.rotations.extend_from_slice(candidates);
         self.ends.push(self.rotations.len());
     }
 }
 
-/// The candidate nearest to `expected`, with the cosine of half the angle between them.
+/// Candidate nearest to `expected`, with the cosine of half the angle between them.
 pub(super) fn nearest(candidates: &[Rotation], expected: &Rotation) -> Option<(Rotation, f64)> {
     candidates
         .iter()
@@ -43,10 +42,10 @@ pub(super) enum Side {
     Tool,
 }
 
-/// The one constant frame that best takes FK to the truths.
+/// Constant frame that best maps FK to the true rotations.
 ///
-/// A few samples' candidates are tried as anchors, since a wrong branch at one of them must not
-/// decide; the best is then averaged over all samples.
+/// Tries the candidates of several samples as anchors, because one of them may be on a wrong branch. Then
+/// averages over all samples.
 pub(super) fn one_frame(truths: &Truths, fk: &[Rotation], side: Side) -> Rotation {
     let frame_at = |truth: &Rotation, fk: &Rotation| match side {
         Side::Reference => truth * fk.inverse(),
@@ -88,12 +87,12 @@ pub(super) fn one_frame(truths: &Truths, fk: &[Rotation], side: Side) -> Rotatio
     frame
 }
 
-/// Reference and tool rotation together: relative rotations of the stream are those of FK turned by
-/// the reference (`AX = XB`), whose axes give the reference by Wahba's problem; the tool follows.
+/// Estimates reference and tool rotation together. Relative rotations of the stream are those of FK rotated
+/// by the reference (`AX = XB`), so their axes determine it by Wahba's problem. The tool follows.
 ///
-/// Park and Martin, "Robot sensor calibration: solving AX = XB on the Euclidean group", 1994, with
-/// the singular value solution of Wahba's problem (Markley 1988). If the rotations share one axis,
-/// noise decides the turn about it, so that Gauss–Newton steps on all samples follow.
+/// Park and Martin, "Robot sensor calibration: solving AX = XB on the Euclidean group", 1994, with the
+/// singular value solution of Wahba's problem (Markley 1988). If the rotations share one axis, the rotation
+/// about it is determined by noise only. Gauss–Newton steps on all samples therefore follow.
 pub(super) fn both_frames(truths: &Truths, fk: &[Rotation]) -> (Rotation, Rotation) {
     let first = (0..fk.len()).map(|sample| truths.of(sample).first().copied()).collect();
     let mut chosen: Vec<Option<Rotation>> = first;
@@ -125,18 +124,18 @@ pub(super) fn both_frames(truths: &Truths, fk: &[Rotation]) -> (Rotation, Rotati
     polished(&chosen, fk, reference, tool)
 }
 
-/// Both rotations after damped Gauss–Newton steps on the residuals of all samples.
+/// Refines both rotations by damped Gauss–Newton steps on the residuals of all samples.
 fn polished(
     truths: &[Option<Rotation>],
     fk: &[Rotation],
     mut reference: Rotation,
     mut tool: Rotation,
 ) -> (Rotation, Rotation) {
-    /// Steps, and the share of the diagonal that damps them (Levenberg 1944): rotations about one
-    /// common axis leave a direction blind.
+    /// Number of steps, and relative damping of the diagonal (Levenberg 1944). Rotations about one common
+    /// axis leave one direction unobservable.
     const STEPS: usize = 6;
     const DAMPING: f64 = 1e-6;
-    /// Steps below this change nothing, rad.
+    /// Convergence tolerance, rad.
     const SETTLED: f64 = 1e-7;
     for _ in 0..STEPS {
         let (mut normal, mut right) = (Matrix6::zeros(), Vector6::zeros());
@@ -165,7 +164,7 @@ fn polished(
     (reference, tool)
 }
 
-/// The rotation `a_from_b` that best takes vectors b to vectors a, from `Σ a·bᵀ`.
+/// Rotation `a_from_b` that best maps vectors b to vectors a, from `Σ a·bᵀ`.
 pub(super) fn wahba(correlation: &Matrix3<f64>) -> Rotation {
     let svd = correlation.svd(true, true);
     let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
@@ -177,8 +176,7 @@ pub(super) fn wahba(correlation: &Matrix3<f64>) -> Rotation {
     Rotation::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(matrix))
 }
 
-/// The mean of rotations that lie close together, by averaging rotation vectors about the median
-/// of the first guesses.
+/// Mean of similar rotations, by iteratively averaging rotation vectors.
 pub(super) fn mean_rotation(rotations: &[Rotation]) -> Rotation {
     let Some(first) = rotations.get(rotations.len() / 2) else {
         return Rotation::identity();

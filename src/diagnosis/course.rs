@@ -1,9 +1,9 @@
-//! The course of a stream's latency over the run: steady, in jumps, or wandering.
+//! Latency profile of a stream over the run: steady, in steps, or wandering.
 //!
-//! With everything found taken off, a stream that is late by δ more than was found lies behind FK by
-//! δ times its velocity. So in each window of about a second the residual is fitted by `c − δ·v`,
-//! position and rotation together. The constant `c` keeps an error of the model, which belongs to
-//! the posture and changes slowly, from being taken for a latency.
+//! After correcting everything found, an additional latency of δ shifts the stream against FK by −δ times
+//! its velocity. In each window of about a second, the position and rotation residuals are fitted jointly
+//! by `c − δ·v`. The constant `c` absorbs model error, which depends on the configuration and changes
+//! slowly.
 
 mod shapes;
 #[cfg(test)]
@@ -17,78 +17,79 @@ use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use shapes::{BENT_PARAMETERS, bent_chi2, left_beside, levels_at, path, with_load};
 use windows::{Sample, Window, chi2_beside_line, levels, samples, splits, windows};
 
-/// Length of a window, s.
+/// Window length, s.
 const WINDOW_S: f64 = 1.0;
-/// Samples in a window, at least.
+/// Minimum number of samples in a window.
 const SAMPLES: usize = 10;
-/// Windows without which nothing can be said.
+/// Minimum number of windows.
 const WINDOWS: usize = 4;
-/// A window this much less certain than the typical one says nothing, or where speeds alone told what was taken off,
-/// within a window by less than it changes there.
+/// A window is ignored if its standard error exceeds this multiple of the typical one. The second value
+/// applies if a gradual latency, estimated from speeds alone, is already compensated.
 const VAGUE: [f64; 2] = [5.0, 100.0];
-/// Jumps that are sought.
+/// Maximum number of latency steps.
 const JUMPS: usize = 4;
-/// By how much a jump must lower χ², in units of what χ² a window has left after it.
+/// Minimum decrease of χ² per latency step, in units of the remaining χ² per window.
 const SURE: f64 = 40.0;
-/// A swing is told from none by so many standard errors.
+/// A swing is significant if it exceeds this many standard errors.
 const TOLD: f64 = 6.0;
-/// Of what the course that leaves least takes off one that is simpler takes off all but this share: the first
-/// order of a latency, or what is left of it where most was taken off.
+/// A simpler profile is preferred if it explains all but this fraction of what the best profile explains.
+/// The second value applies if a gradual latency is already compensated.
 const HARDLY_MORE: [f64; 2] = [0.03, 0.002];
-/// χ² a window from which on a latency is not steady.
+/// χ² per window above which a latency is not steady.
 const UNSTEADY: f64 = 9.0;
 
-/// What the course of a latency is like.
+/// Kind of latency profile.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum LatencyShape {
-    /// It stays as it is.
+    /// Constant.
     Steady,
-    /// It jumps from level to level.
+    /// Steps between constant levels.
     Steps,
-    /// It goes from one level to another within a time, s from the run's origin.
+    /// Ramp from one level to another. Times are in s from the run's origin.
     Ramp {
-        /// When it begins.
+        /// Start of the ramp.
         from_s: f64,
-        /// When it ends.
+        /// End of the ramp.
         to_s: f64,
     },
-    /// It goes up and down.
+    /// Rises and falls.
     Wander,
-    /// It is the larger the faster the arm moves.
+    /// Grows with the speed of the arm.
     WithLoad,
 }
 
-/// How a stream's latency went over the run.
+/// Latency profile of a stream over the run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LatencyCourse {
-    /// Its largest jump or its ramp with the sign, or from the least to the most where it wanders or goes with
-    /// the load; where it is steady, the scatter beyond chance, s.
+    /// Size of the variation, s: largest step or ramp, signed; range from minimum to maximum if it wanders
+    /// or depends on load; scatter beyond chance if it is steady.
     pub swing_s: Measured,
-    /// Whether it is surely not steady.
+    /// Whether the variation is significant.
     pub is_unsteady: bool,
-    /// What it is like.
+    /// Kind of profile.
     pub shape: LatencyShape,
-    /// Its jumps, in the order of time; only of steps.
+    /// Latency steps in time order. Empty for other kinds.
     pub jumps: Vec<LatencyJump>,
-    /// Latency beyond what was found for the whole run or, where it is unsteady, with it taken off: from these
-    /// times on (s from the run's origin) where it jumps, else at these times, s.
+    /// Latency relative to the stream's estimated latency, s, at times in s from the run's origin. Constant
+    /// from each time on if the profile has steps, else linear in between. If unsteady, the reference is
+    /// the latency estimated after compensation.
     pub levels: Vec<(f64, f64)>,
-    /// Latency beyond what was found for the whole run in each window: its time, s from the run's
-    /// origin, and the latency, s.
+    /// Latency relative to the stream's estimated latency, s, in each window. Times are in s from the run's
+    /// origin.
     pub windows: Vec<(f64, Measured)>,
 }
 
-/// A sudden change of latency that stays.
+/// Sudden, lasting change of latency.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LatencyJump {
-    /// When, s from the run's origin.
+    /// Time, s from the run's origin.
     pub at_s: f64,
-    /// By how much, s; positive where the stream is later from then on.
+    /// Size, s. Positive if the latency increases.
     pub size_s: Measured,
 }
 
 impl LatencyCourse {
-    /// That of a latency that jumps between `levels`; `None` without a jump.
+    /// Builds the profile of a latency with steps between `levels`. `None` without a step.
     pub(super) fn of_jumps(
         jumps: Vec<LatencyJump>,
         levels: Vec<(f64, f64)>,
@@ -106,29 +107,30 @@ impl LatencyCourse {
         })
     }
 
-    /// The stamps `t_s` as they would be had the latency kept the level that it has longest, each
-    /// with its row; rows that would then come before an earlier one are left out.
+    /// Compensates the stamps `t_s` for the deviation from the median level. Returns each with its row, and
+    /// drops rows that would precede an earlier one.
     pub fn straightened(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
         let usual = self.usual_s(t_s);
         let straight = |t_s: &f64| t_s - (self.beyond_s(*t_s) - usual);
         in_order(t_s.iter().map(straight).enumerate())
     }
 
-    /// The level that it has longest at the stamps `t_s`, s.
+    /// Median level at the stamps `t_s`, s.
     pub fn usual_s(&self, t_s: &[f64]) -> f64 {
         let mut beyond: Vec<f64> = t_s.iter().map(|&t_s| self.beyond_s(t_s)).collect();
         beyond.sort_by(f64::total_cmp);
         beyond.get(beyond.len() / 2).copied().unwrap_or(0.0)
     }
 
-    /// The same with its levels told from the one that it has longest at the stamps `t_s`.
+    /// Same profile with its levels relative to the median level at the stamps `t_s`.
     pub(super) fn beside_usual(mut self, t_s: &[f64]) -> Self {
         let usual_s = self.usual_s(t_s);
         self.levels.iter_mut().for_each(|(_, level_s)| *level_s -= usual_s);
         self
     }
 
-    /// The same with what was found beyond it once it was taken off, where it is a ramp or goes with the load.
+    /// Adds `rest`, the profile that remains after compensating this one. Applies to ramps, wandering and
+    /// load-dependent profiles.
     pub(super) fn with(mut self, rest: &Self) -> Self {
         let added: Option<Vec<f64>> = match self.shape {
             LatencyShape::WithLoad if rest.shape == self.shape && rest.is_unsteady => {
@@ -154,7 +156,7 @@ impl LatencyCourse {
         self
     }
 
-    /// How much a ramp makes by the levels before and after it, which are better known than its ends.
+    /// Size of a ramp from the levels before and after it, which are more accurate than its ends.
     fn between_levels(&self, rest: &Self) -> Option<Measured> {
         let LatencyShape::Ramp { from_s, to_s } = self.shape else { return None };
         let level = |is_part: &dyn Fn(f64) -> bool| {
@@ -175,21 +177,21 @@ impl LatencyCourse {
         })
     }
 
-    /// Number of parameters that describe it beside a constant.
+    /// Number of parameters of the profile, excluding a constant.
     pub(super) fn parameters(&self) -> usize {
         match self.shape {
             LatencyShape::Steady => 0,
-            // When, and by how much.
+            // Time and size of each step.
             LatencyShape::Steps => 2 * self.jumps.len(),
-            // Its two ends, and by how much.
+            // Start, end and size.
             LatencyShape::Ramp { .. } => 3,
             LatencyShape::Wander => self.levels.len(),
-            // The latency for each unit of speed.
+            // Latency per unit of speed.
             LatencyShape::WithLoad => 1,
         }
     }
 
-    /// Latency beyond what was found for the whole run at the stamp `t_s`, s.
+    /// Latency relative to the stream's estimated latency at the stamp `t_s`, s.
     pub(super) fn beyond_s(&self, t_s: f64) -> f64 {
         let after = self.levels.partition_point(|(from_s, _)| *from_s <= t_s);
         let level = |index: usize| self.levels.get(index).copied();
@@ -204,24 +206,21 @@ impl LatencyCourse {
     }
 }
 
-/// What a late stream leaves at one stamp: what is left of it with everything found taken off, and
-/// how fast the truth changes. Two kinds of vectors; one that a stream has not is zero throughout.
+/// Residual of a late stream at one stamp after correcting everything found, and the true velocity. Up to
+/// two kinds of vectors, such as position and rotation; a missing kind is zero.
 pub(super) struct Lagging {
-    /// s from the run's origin.
+    /// Stamp, s from the run's origin.
     pub t_s: f64,
     pub left: [Vec3; 2],
     pub velocity: [Vec3; 2],
-    /// What may go with the latency: the speed of the joints, rad/s, and of the tool, m/s; 0 where it is not
-    /// to be asked.
+    /// Loads on which the latency may depend: joint speed, rad/s, and tool speed, m/s. 0 disables the test.
     pub loads: [f64; 2],
-    /// Standard deviation of a component of `left` of the last kind that the noise of the joints makes; 0 if
-    /// unknown.
+    /// Standard deviation of a component of the last kind of `left` caused by joint noise. 0 if unknown.
     pub joint_noise: f64,
 }
 
-/// The course of the latency of a stream that is `aligned`, whose latency was taken to grow by
-/// `skew` a second beside what was `taken` off its stamps. `speed` is that of the joints when a stamp's
-/// content was true, rad/s.
+/// Latency profile of the `aligned` samples of a stream. They are already compensated for `skew` and for
+/// the gradual latency `taken`. `speed` is the joint speed at the time of measurement of a stamp, rad/s.
 pub(super) fn latency_course(
     aligned: &Aligned,
     skew: f64,
@@ -231,7 +230,8 @@ pub(super) fn latency_course(
     course_of(&lagging(aligned, speed), 2, skew, taken)
 }
 
-/// The course of the latency of a stream that leaves `lagging`, of so many kinds, with what was `taken` off.
+/// Latency profile from the residuals `lagging` of this many kinds. They are already compensated for `skew`
+/// and `taken`.
 pub(super) fn course_of(
     lagging: &[Lagging],
     kinds: usize,
@@ -257,12 +257,13 @@ pub(super) fn course_of(
     for window in &mut windows {
         window.delta_s += taken_s(window.t_s);
     }
-    // A latency that grows steadily is a skew, which is not this course's to tell.
+    // Linear growth is skew, which is reported separately.
     let steady = chi2_beside_line(&windows);
     let free = (windows.len() - 2) as f64;
     let seen: Vec<(f64, Measured)> = windows.iter().map(|w| (w.t_s, w.measured())).collect();
     let loaded = if taken.is_none() { with_load(&samples) } else { None };
-    // A ramp in mid-run is much like a steady growth, whose rest is small beside what the windows know.
+    // A ramp within the run resembles a line, and its deviation is small relative to the window errors.
+    // Test for it explicitly.
     let is_bent = bent_chi2(&windows).is_some_and(|bent| {
         let left = (windows.len() as f64 - BENT_PARAMETERS).max(1.0);
         steady - bent > SURE * (bent / left).max(1.0)
@@ -272,7 +273,7 @@ pub(super) fn course_of(
     }
     let splits = splits(&windows);
     let jumps = || jumping_course(&samples, &windows, &splits, &taken_s);
-    // As they would be had nothing been taken off.
+    // Samples without the compensation.
     let ungrown: Vec<Sample> = samples
         .iter()
         .map(|sample| {
@@ -282,19 +283,20 @@ pub(super) fn course_of(
             Sample { residual, ..*sample }
         })
         .collect();
-    // What rises within a window is a jump.
+    // A rise within one window is a step.
     let is_ramp = |course: &LatencyCourse| match course.shape {
         LatencyShape::Ramp { from_s, to_s } => to_s - from_s >= WINDOW_S,
         _ => false,
     };
-    // Where it goes up and down by little single pieces swing more than it does.
+    // A piecewise linear fit exaggerates the swing of a small variation.
     let pieces = path(&windows, &ungrown).filter(|course| taken.is_some() || is_ramp(course));
-    // What goes with the load was fitted with nothing taken off.
+    // Latency that remains in `samples`. Only the load-dependent profile was fitted to them directly; the
+    // others include the compensated part.
     let untold_s = |course: &LatencyCourse, t_s: f64| match course.shape {
         LatencyShape::WithLoad => course.beyond_s(t_s),
         _ => course.beyond_s(t_s) - taken_s(t_s),
     };
-    // From the simplest on.
+    // In order of complexity.
     let tried = [
         loaded,
         (splits.len() == 1).then(jumps),
@@ -311,32 +313,32 @@ pub(super) fn course_of(
     let least = tried.iter().map(|(left, _)| *left).fold(f64::INFINITY, f64::min);
     let level_s = levels(&windows, &[]).0[0].value;
     let constant = left_beside(&samples, |row| level_s - taken_s(samples[row].t_s));
-    // The first order of a latency leaves something that no simple course is made of.
+    // The linearisation leaves a second-order residual that no simple profile explains.
     let hardly_more = HARDLY_MORE[usize::from(taken.is_some())];
     let enough = least + hardly_more * (constant - least).max(0.0) + 0.02 * noise;
     let Some((_, course)) = tried.into_iter().find(|(left, _)| *left <= enough) else {
         return Err(Unseen::NotExcited);
     };
-    // From least to most of many windows noise swings, too.
+    // With many windows, noise alone has a range from minimum to maximum.
     let is_told = course.swing_s.value.abs() > TOLD * course.swing_s.std_error;
     let without_s = |t_s: f64| if taken.is_some() { level_s - taken_s(t_s) } else { 0.0 };
     let is_unsteady = is_told && explains(&samples, without_s, |t_s| untold_s(&course, t_s));
     Ok(LatencyCourse { is_unsteady, windows: seen, ..course })
 }
 
-/// Whether a latency of `with_s` at each time, not of `without_s`, makes most of the residual beyond its noise,
-/// and neither of position nor of rotation leaves more than there was. An error of the model may look
-/// like a latency here and there, but not in both.
+/// Returns whether replacing latency `without_s` by `with_s` explains most of the excess residual, without
+/// increasing the position or rotation residual. A model error can imitate a latency in one of these, but
+/// not in both.
 fn explains(
     samples: &[Sample],
     without_s: impl Fn(f64) -> f64,
     with_s: impl Fn(f64) -> f64,
 ) -> bool {
-    /// The share of the residual that may be left.
+    /// Maximum remaining fraction of the excess residual.
     const LEFT: f64 = 0.5;
-    /// There is so much of it beyond the noise.
+    /// Minimum excess residual relative to the noise.
     const BEYOND: f64 = 0.1;
-    // Scaled by its noise, noise alone leaves 1 a component.
+    // The residuals are scaled by the noise, so noise contributes 1 per component.
     let noise = 3.0 * samples.len() as f64;
     let square = |kind: usize, late: bool| {
         let squares = samples.iter().map(|sample| {
@@ -352,7 +354,7 @@ fn explains(
     is_no_worse && is_more_than_scatter && after[0] + after[1] < LEFT * (before[0] + before[1])
 }
 
-/// Positions and rotations against FK.
+/// Position and rotation residuals against FK.
 fn lagging(aligned: &Aligned, speed: impl Fn(f64) -> f64) -> Vec<Lagging> {
     let t = &aligned.t_s;
     let rotation = |a: &Pose, b: &Pose| rotvec_from_rotation(&(a.rotation * b.rotation.inverse()));
@@ -379,7 +381,7 @@ fn steady_course(windows: &[Window], typical_s: f64) -> LatencyCourse {
     let mean = windows.iter().map(|w| w.weight() * w.delta_s).sum::<f64>() / weight;
     let scatter = windows.iter().map(|w| (w.delta_s - mean).powi(2) - w.std_error_s.powi(2));
     let scatter = (scatter.sum::<f64>() / windows.len() as f64).max(0.0).sqrt();
-    // Windows that scatter by more than they say know less than they say (Birge 1932).
+    // Inflate the error if windows scatter by more than their standard errors (Birge 1932).
     let std_error = typical_s.hypot(scatter);
     LatencyCourse {
         swing_s: Measured { value: scatter, std_error, dof: windows.len() as f64 },
@@ -426,7 +428,7 @@ fn jumping_course(
             let parts = sample.residual.iter().zip(&sample.velocity);
             parts.map(|(left, velocity)| (left + delta_s * velocity).powi(2)).sum::<f64>()
         };
-        // What moving the jump from before all samples past each of them makes of the residual.
+        // Change of the squared residual if the step moves from before all samples to after each of them.
         let mut sum = 0.0;
         let (mut least, mut at_s) = (0.0, around.0);
         for sample in inside {

@@ -1,62 +1,61 @@
-//! Whether the rows of a DH table are of the convention that the table says, told by what is left of
-//! the arm's streams under either.
+//! Checks the declared convention of a DH table by the residual of the arm's streams under each convention.
 
 use super::nominal::{MOST_M, MOST_RAD};
 use super::{ArmDiagnosis, PoseDiagnosis};
 
-/// A convention is the right one only where it leaves so many times less than the other.
+/// Minimum ratio of the residuals under the two conventions.
 const CLEARLY: f64 = 10.0;
-/// Less than this is the same to any convention, rms m.
+/// Residuals below this do not distinguish the conventions, rms m.
 const SAME_M: f64 = 1e-4;
 
-/// What is left of a stream under one convention, beyond its noise.
+/// Excess residual of a stream under one convention.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Left {
-    /// Of its positions, rms m; infinite where it could not be read.
+    /// Position residual, rms m. Infinite if the stream could not be decoded.
     pub m: f64,
-    /// Of its rotations, rms rad; likewise.
+    /// Rotation residual, rms rad. Infinite if the stream could not be decoded.
     pub rad: f64,
 }
 
-/// What either convention makes of a stream.
+/// Residuals of a stream under both conventions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DhStream {
-    /// Under the convention that the table says.
+    /// Residual under the declared convention.
     pub declared: Left,
-    /// How far its positions are from the arm under that, with constant frames taken off, rms m; none
-    /// where nothing asked for it.
+    /// Position residual under the declared convention after fitting constant frames, rms m. `None` if not
+    /// computed.
     pub declared_positions_m: Option<f64>,
-    /// Under the other one; none where nothing asked for it, or positions alone rule it out.
+    /// Residual under the other convention. `None` if not computed or if positions alone exclude it.
     pub other: Option<Left>,
 }
 
-/// What either convention makes of an arm's streams.
+/// Residuals of an arm's streams under both conventions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DhEstimate {
-    /// Each stream of poses.
+    /// Each pose stream.
     pub streams: Vec<DhStream>,
-    /// Faults that it takes under the convention that the table says: misreadings, joint zeros, frames,
-    /// growth.
+    /// Number of faults under the declared convention: misinterpretations, joint zeros, frames, radial
+    /// scale.
     pub declared_faults: usize,
-    /// The same under the other one.
+    /// Number of faults under the other convention.
     pub other_faults: usize,
 }
 
-/// Of which convention a table is.
+/// Convention of a table, as determined from the streams.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DhTold {
-    /// Of the one that it says.
+    /// The declared convention.
     AsDeclared,
-    /// Of the other one.
+    /// The other convention.
     Other,
-    /// Either explains the streams, the other one with fewer faults, or each some of them.
+    /// Undetermined: both explain the streams but the other one needs fewer faults, or each explains some.
     Either,
-    /// Neither explains any stream.
+    /// Neither convention explains a stream.
     Neither,
 }
 
 impl Left {
-    /// What a diagnosis leaves of each stream.
+    /// Excess residual of each stream in a diagnosis.
     pub fn of(diagnosis: &ArmDiagnosis) -> Vec<Self> {
         let is_read = diagnosis.joints.reading.is_ok();
         diagnosis.streams.iter().map(|stream| Self::of_stream(stream, is_read)).collect()
@@ -69,13 +68,13 @@ impl Left {
         }
     }
 
-    /// Whether that is no more than a drawing leaves of a calibrated arm.
+    /// Returns whether the residual is within what a nominal model of a calibrated arm has.
     pub fn is_explained(&self) -> bool {
         self.m <= MOST_M && self.rad <= MOST_RAD
     }
 }
 
-/// How many faults a diagnosis takes to leave no more.
+/// Number of faults in a diagnosis.
 pub fn faults(diagnosis: &ArmDiagnosis) -> usize {
     let of_joints = diagnosis.joints.reading.as_ref().map_or(0, |reading| {
         usize::from(reading.degrees.is_some()) + usize::from(reading.permutation.is_some())
@@ -91,12 +90,12 @@ pub fn faults(diagnosis: &ArmDiagnosis) -> usize {
 }
 
 impl DhStream {
-    /// Whether each convention explains it, the other one where it leaves clearly less.
+    /// Returns whether each convention explains the stream: declared, other.
     fn explained(&self) -> [bool; 2] {
         [self.declared.is_explained(), self.other.is_some_and(|other| other.is_explained())]
     }
 
-    /// Whether the other convention alone explains it.
+    /// Returns whether only the other convention explains the stream, and clearly better.
     pub fn speaks_for_other(&self) -> bool {
         let is_clear =
             self.other.is_some_and(|other| self.declared.m > CLEARLY * other.m.max(SAME_M));
@@ -105,8 +104,8 @@ impl DhStream {
 }
 
 impl DhEstimate {
-    /// Of which convention the table is, as far as these streams tell. A stream that neither explains
-    /// says nothing: it may not be of this arm.
+    /// Determines the convention. Streams that neither convention explains are ignored; they may belong to
+    /// another arm.
     pub fn told(&self) -> DhTold {
         let count =
             |is: &dyn Fn(&DhStream) -> bool| self.streams.iter().filter(|one| is(one)).count();
@@ -133,7 +132,7 @@ mod tests {
     const DRAWING: [f64; 2] = [4e-3, 4e-3];
     const UNREAD: [f64; 2] = [f64::INFINITY, f64::INFINITY];
 
-    /// What is told of streams that leave so much under each convention, with so many faults.
+    /// Determines the convention from the residuals under both and the numbers of faults.
     fn told(streams: &[([f64; 2], Option<[f64; 2]>)], faults: [usize; 2]) -> DhTold {
         let left = |[m, rad]: [f64; 2]| Left { m, rad };
         let streams = streams.iter().map(|&(declared, other)| DhStream {

@@ -1,19 +1,19 @@
-//! Joint zeros of an arm that is not its drawing.
+//! Joint zeros of an arm whose links deviate from the nominal model.
 //!
-//! Every link of a real arm differs from its drawing by some hundredths of a millimetre and thousandths
-//! of a degree, and a joint zero is named only where it stands out of what that makes. So the deviations
-//! of every link are random effects with a prior N(0, s²), lengths to angles as 1 mm to 0.1°, and the zeros
-//! are fixed effects beside them (Patterson and Thompson, *Recovery of inter-block information*, Biometrika
-//! 58, 1971). The interval of a zero then holds the drawing's inaccuracy as well as the noise.
+//! The links of a real arm deviate from the nominal model by hundredths of a millimetre and thousandths of
+//! a degree. A joint zero is reported only if it exceeds the effect of such deviations. The link deviations
+//! are therefore random effects with a prior N(0, s²), where 1 mm corresponds to 0.1°. The zeros are fixed
+//! effects (Patterson and Thompson, *Recovery of inter-block information*, Biometrika 58, 1971). The
+//! interval of a zero then includes the inaccuracy of the nominal model as well as the noise.
 //!
-//! What a link is off about or along its joint's axis is that joint's zero. It is a random effect, too: what
-//! all joints of an arm are off by is no fault of one.
+//! A link deviation about or along its joint's axis is the zero of that joint. It is a random effect as
+//! well, because an offset that all joints share is not the fault of one of them.
 //!
-//! Links are not off alike: of a UR5 as it left the factory one is turned by 0.37° and the next worst by
-//! 0.1°, and no joint's zero is off by 0.01°. So each link has an s of its own, and the zeros have one, and
-//! these vary about that of the arm so that deviations are Student's t with [`ALIKE`] degrees of freedom;
-//! the sizes are those under which the log is likeliest (variational bound on the marginal likelihood:
-//! Bishop, *Pattern Recognition and Machine Learning*, 2006, ch. 10.1 and 10.3).
+//! Deviations differ in size between links. On one factory-new UR5, one link was rotated by 0.37°, the next
+//! worst by 0.1°, and no joint zero was off by 0.01°. So each link has its own s, and the zeros share one.
+//! These sizes scatter about the arm's s such that deviations follow Student's t with [`ALIKE`] degrees of
+//! freedom. The sizes maximise a variational bound on the marginal likelihood (Bishop, *Pattern Recognition
+//! and Machine Learning*, 2006, ch. 10.1 and 10.3).
 
 use super::explain::{Cause, price};
 use super::linear::{Linear, Normal};
@@ -24,48 +24,49 @@ use ground::geometry::{Rotation, Vec3};
 use ground::robot::{JointKind, turn_z_to};
 use nalgebra::{DMatrix, DVector};
 
-/// The angle that a link is off where it is off by a length, rad/m: 0.1° to 1 mm.
+/// Ratio of angular to linear link deviations, rad/m: 0.1° per 1 mm.
 pub(super) const RAD_PER_M: f64 = 1.745;
-/// Deviations of a link that are tried, m: from the least to the most, each so many times the one before.
+/// Grid of link deviations, m: minimum, maximum, ratio.
 pub(super) const LINKS_M: (f64, f64, f64) = (1e-5, 3e-3, 1.6);
-/// Size of a joint zero that is there, rad or m.
+/// Prior standard deviation of a joint zero that is present, rad or m.
 pub(super) const ZERO: f64 = 0.02;
-/// Size of a radial growth that is there: some millimetres a metre. And of none.
+/// Prior standard deviation of a radial scale error that is present (millimetres per metre), and of an
+/// absent one.
 const GROWTH: f64 = 0.01;
 const NO_GROWTH: f64 = 1e-9;
-/// A zero is named where the log is so much likelier with it, as twice the log of the ratio: fifty times.
+/// Threshold on twice the log-likelihood ratio to report a zero (a ratio of about fifty).
 const SURE: f64 = 8.0;
-/// Another joint's zero may be it as well where the log is no more than so much less likely with that,
-/// in the same measure: a twentieth as likely.
+/// Another joint's zero is a confounder if twice its log-likelihood ratio is within this (a ratio of about
+/// twenty).
 const AS_LIKELY: f64 = 6.0;
-/// A zero of which the log leaves more than this share of [`ZERO`] is not told by it.
+/// A zero is not observable if its standard error exceeds this fraction of [`ZERO`].
 const LEARNT: f64 = 0.5;
-/// Zeros that are named at most.
+/// Maximum number of reported zeros.
 const MOST: usize = 4;
-/// Samples that are fitted.
+/// Maximum number of fitted samples.
 pub(super) const SAMPLES: usize = 1000;
-/// Rounds of fitting: zeros of degrees curve.
+/// Linearisation rounds. Zeros of several degrees are nonlinear.
 const ROUNDS: usize = 4;
-/// How alike the sizes of the deviations of links and zeros are, in degrees of freedom.
+/// Degrees of freedom of the Student's t prior: how similar the sizes of link deviations and zeros are.
 const ALIKE: f64 = 8.0;
-/// Rounds in which the sizes of the deviations settle, and how little twice the log of the
-/// likelihood then changes.
+/// Maximum number of rounds to estimate the sizes, and the change of twice the log-likelihood at which they
+/// have converged.
 const SETTLING: (usize, f64) = (40, 0.02);
 
-/// The zeros of an arm's joints beside what its links are off.
+/// Zeros of an arm's joints, estimated together with its link deviations.
 #[derive(Clone, Debug)]
 pub(super) struct Drawing {
-    /// The columns of the joints whose zero is off, and which of the others may be instead, with the zero
-    /// that each would have.
+    /// Columns of the joints with a zero offset. For each, the zeros of other joints that could replace it.
     pub named: Vec<(usize, Vec<Twin>)>,
-    /// The zero of each joint of the track beside those, rad or m; `None` of one outside the chain.
+    /// Zero of each joint of the track, rad or m. `None` if the joint is not in the chain or its zero is
+    /// not observable.
     pub zeros: Vec<Option<Measured>>,
-    /// By how much links differ from the drawing, as a standard deviation, m.
+    /// Standard deviation of the link deviations from the nominal model, m.
     pub link_m: f64,
 }
 
 impl Drawing {
-    /// Joint offsets with the named zeros in them.
+    /// Joint offsets including the reported zeros.
     pub fn with_zeros(&self, offsets: &[f64]) -> Vec<f64> {
         let mut with = offsets.to_vec();
         for &(column, _) in &self.named {
@@ -74,15 +75,14 @@ impl Drawing {
         with
     }
 
-    /// Zeros of other joints that may be in the place of that of the joint of `column`; `None` where it is
-    /// not named.
+    /// Confounders of the zero of the joint in `column`. `None` if that zero is not reported.
     pub fn twins(&self, column: usize) -> Option<&[Twin]> {
         self.named.iter().find(|named| named.0 == column).map(|named| named.1.as_slice())
     }
 }
 
-/// The likeliest zeros beside links that are off, from `offsets` on; `plain` is the stream's state
-/// without any cause that links may feign.
+/// Estimates the likeliest zeros together with link deviations, linearised about `offsets`. `plain` is the
+/// stream's state without any cause that link deviations could imitate.
 pub(super) fn drawing(witness: &Witness, plain: &StreamState, offsets: &[f64]) -> Option<Drawing> {
     let stride = witness.len().div_ceil(SAMPLES).max(1);
     let mut offsets = offsets.to_vec();
@@ -103,21 +103,21 @@ pub(super) fn drawing(witness: &Witness, plain: &StreamState, offsets: &[f64]) -
     None
 }
 
-/// What a parameter is of.
+/// Kind of a parameter.
 #[derive(Clone, Copy, PartialEq)]
 enum Of {
-    /// Nothing that a drawing says.
+    /// Parameter that the nominal model does not constrain.
     Anything,
-    /// A deviation of one group, whose size is as long as it says where the group's is a metre.
+    /// Deviation in one group. `unit` is its standard deviation when the group's size is 1 m.
     Deviation { group: usize, unit: f64 },
-    /// Radial growth, which no deviation of a link is.
+    /// Radial scale, which no link deviation can imitate.
     Growth,
 }
 
-/// Causes beside the deviations of links.
+/// Causes in addition to link deviations.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Beside {
-    /// Joints of the chain whose zero is off.
+    /// Joints of the chain with a zero offset.
     zeros: Vec<usize>,
     reference: bool,
     tool: bool,
@@ -125,7 +125,7 @@ struct Beside {
 }
 
 impl Beside {
-    /// Those of `causes` that concern one stream.
+    /// Selects the causes that affect `stream`.
     fn of(causes: &[Cause], witness: &Witness, stream: usize) -> Self {
         let mut beside = Self::default();
         for cause in causes {
@@ -144,11 +144,12 @@ impl Beside {
     }
 }
 
-/// Those of `causes` that stand out of what links make that are off as those of usual arms: without such a
-/// one the log is less likely, whatever size the links' deviations have up to that, by more than the price of a
-/// parameter: links that are exact, beside a cause, are less usual than links that deviate.
+/// Keeps the causes that exceed the effect of usual link deviations. A cause is dropped if removing it
+/// lowers twice the log-likelihood by no more than the price of a parameter. The likelihood is maximised
+/// over the size of the deviations, up to the usual size. Link deviations are preferred to a cause because
+/// no arm is exact.
 ///
-/// The stream is linearised about `plain` and `offsets`, which are without the causes.
+/// The stream is linearised about `plain` and `offsets`, which exclude the causes.
 pub(super) fn standing_out(
     (witness, stream): (&Witness, usize),
     plain: &StreamState,
@@ -183,38 +184,38 @@ pub(super) fn standing_out(
     kept
 }
 
-/// Sizes of deviations that are tried, m: up to `most`, ascending.
+/// Grid of deviation sizes up to `most`, m, ascending.
 fn sizes_m(most: f64) -> impl Iterator<Item = f64> {
     let (least, _, times) = LINKS_M;
     let tried = std::iter::successors(Some(least), move |size_m| Some(size_m * times));
     tried.take_while(move |size_m| *size_m < most).chain([most])
 }
 
-/// The log linearised in the link frames, the latency and the zeros.
+/// Stream linearised in the link frames, the latency and the zeros.
 struct Model {
     normal: Normal,
-    /// What each parameter is of. The zeros of the chain's joints are the last but for the growth.
+    /// Kind of each parameter. The zeros of the chain's joints precede the radial scale, which is last.
     of: Vec<Of>,
-    /// Joints of the chain.
+    /// Number of joints of the chain.
     joints: usize,
-    /// Degrees of freedom behind the noise.
+    /// Degrees of freedom of the noise estimate.
     dof: f64,
 }
 
-/// What is known of the parameters with some zeros once the log is.
+/// Posterior of the parameters for one set of zeros.
 struct Fit {
-    /// The joints whose zeros are in it, in their order.
+    /// Joints of the chain whose zeros are fixed effects.
     zeros: Vec<usize>,
-    /// The size of each group's deviations, m.
+    /// Size of each group's deviations, m.
     sizes_m: Vec<f64>,
-    /// Twice the log of the likelihood, up to what is the same for all.
+    /// Twice the log-likelihood, up to a common constant.
     evidence: f64,
     mean: DVector<f64>,
     covariance: DMatrix<f64>,
 }
 
 impl Fit {
-    /// The zeros without that of `joint`.
+    /// The zeros except that of `joint`.
     fn without(&self, joint: usize) -> Vec<usize> {
         self.zeros.iter().copied().filter(|zero| *zero != joint).collect()
     }
@@ -229,7 +230,8 @@ impl Model {
         (linear.len() > of.len()).then(|| Self::of(&linear, joints, &columns, of))
     }
 
-    /// Weighed by the noise that is left when all links may be off by a millimetre or so.
+    /// Builds the normal equations. The weights come from the residual when all links may deviate by about
+    /// 1 mm.
     fn of(linear: &Linear, joints: usize, columns: &DMatrix<f64>, of: Vec<Of>) -> Self {
         let all: Vec<usize> = (0..linear.width).collect();
         let every: Vec<usize> = (0..joints).collect();
@@ -247,17 +249,17 @@ impl Model {
         model
     }
 
-    /// Groups that are all off by the same, m.
+    /// The same size for all groups, m.
     fn alike(&self, size_m: f64) -> Vec<f64> {
         vec![size_m; self.joints + 2]
     }
 
-    /// The parameter that is the zero of a joint.
+    /// Parameter index of a joint's zero.
     fn zero_at(&self, joint: usize) -> usize {
         self.of.len() - 1 - self.joints + joint
     }
 
-    /// The groups that have deviations, of a drawing's links and of the zeros.
+    /// Groups with deviations: links and zeros.
     fn groups(&self) -> impl Iterator<Item = usize> {
         let has = |group: usize| {
             let is_its = |of: &Of| matches!(of, Of::Deviation { group: own, .. } if *own == group);
@@ -266,13 +268,13 @@ impl Model {
         (0..self.joints + 2).filter(move |group| has(*group))
     }
 
-    /// The parameters with these zeros where the groups' deviations are of these sizes.
+    /// Fits the parameters for these zeros and deviation sizes.
     fn fit(&self, zeros: &[usize], sizes_m: &[f64]) -> Option<Fit> {
         let beside = Beside { zeros: zeros.to_vec(), ..Beside::default() };
         self.fit_beside(&beside, sizes_m)
     }
 
-    /// The parameters with these causes where the groups' deviations are of these sizes.
+    /// Fits the parameters for these causes and deviation sizes.
     fn fit_beside(&self, beside: &Beside, sizes_m: &[f64]) -> Option<Fit> {
         let is_of_frame = |group: usize| {
             (beside.reference && group == 0) || (beside.tool && group == self.joints)
@@ -293,7 +295,7 @@ impl Model {
             variances[self.zero_at(joint)] += ZERO.powi(2);
         }
         if let Some(last) = self.joints.checked_sub(1).filter(|_| beside.tool) {
-            // A tool's turn about the last axis is a zero of the last joint.
+            // Tool rotation about the last axis is equivalent to a zero of the last joint.
             variances[self.zero_at(last)] += ANYTHING.powi(2);
         }
         let mut precision = self.normal.matrix.clone();
@@ -315,8 +317,8 @@ impl Model {
         })
     }
 
-    /// The zero of a joint that is in `fit`. What the joint's is off as all joints' are is in its error,
-    /// whose size is known by the other joints alone.
+    /// Zero of a joint in `fit`. Its standard error includes the scatter of all zeros of the arm, which is
+    /// estimated from the other joints only.
     fn zero(&self, fit: &Fit, joint: usize) -> Option<Measured> {
         let at = self.zero_at(joint);
         let Of::Deviation { group, unit } = self.of[at] else { return None };
@@ -329,15 +331,15 @@ impl Model {
         })
     }
 
-    /// The size about which those of the groups vary, m.
+    /// Typical size of the groups' deviations, m.
     fn usual(&self, sizes_m: &[f64]) -> f64 {
         let (least, most, _) = LINKS_M;
         let precisions: f64 = self.groups().map(|group| sizes_m[group].powi(-2)).sum();
         (self.groups().count() as f64 / precisions).sqrt().clamp(least, most)
     }
 
-    /// The likeliest sizes of the groups' deviations with these zeros, from `sizes_m` on. Where the log says
-    /// little of a group its size follows that of the others slowly, so that steps grow while they gain.
+    /// Maximises the likelihood over the deviation sizes for these zeros, starting from `sizes_m`. A group
+    /// with little information converges slowly, so the step grows while the likelihood increases.
     fn settled(&self, zeros: &[usize], sizes_m: &[f64]) -> Option<Fit> {
         let (most, little) = SETTLING;
         let mut fit = self.fit(zeros, sizes_m)?;
@@ -346,7 +348,7 @@ impl Model {
             let likelier = self.likelier(&fit);
             let step = |(&size, &next): (&f64, &f64)| size * (next / size).powf(stride);
             let next: Vec<f64> = fit.sizes_m.iter().zip(&likelier).map(step).collect();
-            // A step too far may leave no solution.
+            // Too large a step may make the system singular.
             match self.fit(zeros, &next).filter(|next| next.evidence > fit.evidence) {
                 Some(next) => {
                     let gained = next.evidence - fit.evidence;
@@ -362,7 +364,7 @@ impl Model {
         Some(fit)
     }
 
-    /// The sizes under which the deviations of `fit` are likeliest, as they are known by it.
+    /// Deviation sizes that maximise the likelihood given the posterior in `fit`.
     fn likelier(&self, fit: &Fit) -> Vec<f64> {
         let named: Vec<usize> = fit.zeros.iter().map(|joint| self.zero_at(*joint)).collect();
         let usual_m = self.usual(&fit.sizes_m);
@@ -377,7 +379,7 @@ impl Model {
         sums.into_iter().map(|(sum, count)| (sum / count).sqrt()).collect()
     }
 
-    /// No zeros, and links of the one size that fits best.
+    /// Fit without zeros, started from the best common deviation size.
     fn without_zeros(&self) -> Option<Fit> {
         let (_, most, _) = LINKS_M;
         let fits = sizes_m(most).filter_map(|link_m| self.fit(&[], &self.alike(link_m)));
@@ -385,7 +387,7 @@ impl Model {
         self.settled(&[], &best.sizes_m)
     }
 
-    /// Those `zeros` and one more, for each of the other joints.
+    /// Fits `zeros` plus one more, for each joint not in `zeros` or `but`.
     fn with_another(&self, zeros: &[usize], sizes_m: &[f64], but: &[usize]) -> Vec<(usize, Fit)> {
         let others =
             (0..self.joints).filter(|joint| !zeros.contains(joint) && !but.contains(joint));
@@ -396,7 +398,7 @@ impl Model {
         others.filter_map(with).collect()
     }
 
-    /// The zeros that stand out of what the links make, those of `before` among them.
+    /// Selects the zeros that exceed the effect of link deviations, starting from those of `before`.
     fn likeliest(&self, before: Option<Fit>) -> Option<Fit> {
         let mut chosen = match before {
             Some(before) => self.settled(&before.zeros, &before.sizes_m)?,
@@ -413,7 +415,7 @@ impl Model {
         Some(chosen)
     }
 
-    /// `fit` in the columns of the joint track, where the model is linearised about `offsets`.
+    /// Converts `fit` to columns of the joint track. The model is linearised about `offsets`.
     fn told(&self, fit: &Fit, witness: &Witness, offsets: &[f64]) -> Drawing {
         let absolute = |joint: usize, zero: Measured| {
             let column = witness.columns[joint];
@@ -449,9 +451,9 @@ impl Model {
     }
 }
 
-/// What each parameter changes of the columns of [`link_frames`], and what it is of: of each link's frame
-/// the six deviations but for that which is its joint's zero, the latency, the zeros, which are a group of
-/// their own, and the radial growth.
+/// Maps parameters to columns of [`link_frames`], and returns the kind of each. The parameters are the
+/// deviations of each link frame, the latency, the zeros (a separate group) and the radial scale. A link
+/// frame has six deviations, except the one equal to its joint's zero.
 fn parameters(witness: &Witness, plain: &StreamState) -> (DMatrix<f64>, Vec<Of>) {
     let joints = witness.columns.len();
     let latency = 6 * (joints + 1);

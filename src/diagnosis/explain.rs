@@ -1,8 +1,8 @@
-//! The smallest explanation: which few causes bring the residual to the noise floor.
+//! Model selection: finds the smallest set of causes that reduces the residual to the noise.
 //!
-//! The model is linearised once with every cause in it; each set of causes is then judged on the
-//! normal equations alone, so that hundreds of sets cost less than one pass over the samples. Around
-//! that, Gauss–Newton moves the state until the chosen set no longer changes.
+//! The model is linearised once with all causes. Each set of causes is then scored on the normal equations
+//! alone, so scoring hundreds of sets costs less than one pass over the samples. Gauss–Newton steps update
+//! the state until the selected set no longer changes.
 
 use super::Measured;
 use super::linear::{Linear, Normal, Weight};
@@ -12,25 +12,25 @@ use super::robust::{influence, sandwich};
 use nalgebra::{DMatrix, DVector};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// A set of causes in which one is this near to a mix of the others (unexplained share of its
-/// effect) is no explanation: the log cannot say how much of each there is.
+/// Minimum unexplained share of a cause's effect given the other causes. Below it the causes are collinear
+/// and the set is rejected.
 pub(super) const ENTANGLED: f64 = 1e-4;
 
-/// Most causes that are searched exhaustively.
+/// Maximum set size for exhaustive search.
 const EXHAUSTIVE: usize = 4;
 
-/// One thing that may be wrong: a group of parameters that come together.
+/// Possible cause of a residual: a group of parameters that are freed together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Cause {
     /// Zero offset of a joint of the track.
     Zero(usize),
-    /// Scale of a joint: the parameter that it is, among the joint offsets.
+    /// Scale of a joint, given by its parameter index among the joint offsets.
     Gain(usize),
     /// Latency of a stream.
     Latency(usize),
     /// Clock skew of a stream.
     Skew(usize),
-    /// Radial growth of a stream's positions.
+    /// Radial scale of a stream's positions.
     Growth(usize),
     /// Reference frame of a stream.
     Reference(usize),
@@ -39,7 +39,7 @@ pub(super) enum Cause {
 }
 
 impl Cause {
-    /// The parameters of this cause in a model's order.
+    /// Column indices of this cause's parameters.
     pub fn parameters(self, state: &State) -> std::ops::Range<usize> {
         let (stream, first, count) = match self {
             Cause::Zero(joint) | Cause::Gain(joint) => return joint..joint + 1,
@@ -65,27 +65,27 @@ fn parameters_of(causes: &[Cause], state: &State) -> Vec<usize> {
     parameters
 }
 
-/// The model linearised about a state, with its noise.
+/// Model linearised about a state, with its noise.
 pub(super) struct Linearized {
     pub streams: Vec<Linear>,
     weights: Vec<Vec<Weight>>,
     pub normal: Normal,
     values: DVector<f64>,
-    /// What freeing the parameters asked for last does: all of them are asked for in turn.
+    /// Result for the last requested parameters. They are queried several times in turn.
     freed: Mutex<Option<Arc<Freed>>>,
 }
 
-/// Some parameters, when only they are free.
+/// Estimates with only these parameters free.
 struct Freed {
     parameters: Vec<usize>,
-    /// How each moves with each score.
+    /// Influence of each score on each parameter.
     influence: DMatrix<f64>,
     /// Covariance under correlated noise.
     covariance: DMatrix<f64>,
     step: DVector<f64>,
 }
 
-/// Columns of a stream's own parameters in the whole model.
+/// Columns of a stream's parameters in the whole model.
 fn columns_of(state: &State, stream: usize) -> Vec<usize> {
     let joints = state.offsets.len();
     let start = state.index(stream, 0);
@@ -93,8 +93,8 @@ fn columns_of(state: &State, stream: usize) -> Vec<usize> {
 }
 
 impl Linearized {
-    /// Linearises all streams about `state`, taking about `most` samples of each, and weighs them
-    /// by the noise that is left when the causes in `all` are all free.
+    /// Linearises all streams about `state`, with about `most` samples each. The weights come from the
+    /// residual noise with all causes in `all` free.
     pub fn at(witnesses: &[&Witness], state: &State, most: usize, all: &[Cause]) -> Self {
         let streams: Vec<Linear> = witnesses
             .iter()
@@ -112,11 +112,11 @@ impl Linearized {
         linearized
     }
 
-    /// Weighs the residuals anew, by the noise that is left when `causes` are free.
+    /// Updates the weights from the residual noise with `causes` free.
     ///
-    /// While the causes are sought that is all of them, so that no fault counts as noise. For the
-    /// intervals it is those that were found: the others take off the slow part of coloured noise,
-    /// and with it most of its memory.
+    /// During the search these are all causes, so no fault counts as noise. For the intervals they are the
+    /// selected causes, because unneeded ones would absorb the slow part of coloured noise and hide its
+    /// autocorrelation.
     fn weigh(&mut self, state: &State, causes: &[Cause]) {
         let step = self.normal.step(&self.values, &parameters_of(causes, state));
         self.weights = (0..self.streams.len())
@@ -126,23 +126,22 @@ impl Linearized {
         self.freed = Mutex::new(None);
     }
 
-    /// The step that frees `parameters` and returns all others to "no such cause".
+    /// Step with `parameters` free and all others reset to zero.
     pub fn step(&self, parameters: &[usize]) -> DVector<f64> {
         self.normal.step(&self.values, parameters)
     }
 
-    /// The weighted cost after that step.
+    /// Weighted cost after that step.
     pub fn cost(&self, parameters: &[usize]) -> f64 {
         self.normal.cost_after(&self.step(parameters))
     }
 
-    /// Covariance of `parameters` when only they are free, under correlated noise
-    /// (`H⁻¹ S H⁻¹`, White 1980); infinite variances where the log does not show a parameter.
+    /// Covariance of `parameters` when only they are free, under correlated noise (`H⁻¹ S H⁻¹`, White
+    /// 1980). Variances of parameters that are not observable are infinite.
     pub fn covariance(&self, parameters: &[usize], state: &State) -> DMatrix<f64> {
         self.freed(parameters, state).covariance.clone()
     }
 
-    /// What freeing `parameters` does.
     fn freed(&self, parameters: &[usize], state: &State) -> Arc<Freed> {
         let mut known = self.freed.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(freed) = known.as_ref().filter(|freed| freed.parameters == parameters) {
@@ -164,17 +163,17 @@ impl Linearized {
         freed
     }
 
-    /// The information of one stream on all its parameters, the joints' first.
+    /// Information matrix of one stream on all its parameters, joints first.
     pub fn information_of(&self, stream: usize) -> DMatrix<f64> {
         self.streams[stream].information(&self.weights[stream])
     }
 
-    /// Degrees of freedom behind the covariance: independent residual components less parameters.
+    /// Degrees of freedom of the covariance: independent residual components minus parameters.
     pub fn dof(&self, parameters: usize) -> f64 {
         (self.normal.independent - parameters as f64).max(3.0)
     }
 
-    /// Degrees of freedom behind the variance along `influence`: of the samples that tell.
+    /// Effective degrees of freedom of the variance along `influence`, from the samples that contribute.
     fn dof_along(&self, parameters: &[usize], influence: &DVector<f64>, state: &State) -> f64 {
         let (mut sum, mut variance) = (0.0, f64::MIN_POSITIVE);
         for (s, linear) in self.streams.iter().enumerate() {
@@ -186,7 +185,7 @@ impl Linearized {
         (2.0 * sum * sum / variance).clamp(3.0, self.dof(parameters.len()))
     }
 
-    /// The estimate of parameter `parameters[which]` when all of `parameters` are free.
+    /// Estimate of `parameters[which]` when all of `parameters` are free. `None` if it is not observable.
     pub fn measured(&self, parameters: &[usize], which: usize, state: &State) -> Option<Measured> {
         let freed = self.freed(parameters, state);
         let variance = freed.covariance[(which, which)];
@@ -200,7 +199,7 @@ impl Linearized {
     }
 }
 
-/// Where each parameter of a stream stands among `parameters`.
+/// Index among `parameters` of each parameter of a stream.
 fn targets(parameters: &[usize], state: &State, stream: usize) -> Vec<Option<usize>> {
     let columns = columns_of(state, stream).into_iter();
     columns.map(|column| parameters.binary_search(&column).ok()).collect()
@@ -221,23 +220,23 @@ fn normal_of(streams: &[Linear], weights: &[Vec<Weight>], state: &State) -> Norm
     normal
 }
 
-/// What the search may use.
+/// Candidate causes of a search.
 #[derive(Clone)]
 pub(super) struct Menu {
     /// Causes that are always free.
     pub always: Vec<Cause>,
-    /// Causes that are free only where they pay.
+    /// Causes that must justify their price.
     pub optional: Vec<Cause>,
 }
 
 impl Menu {
-    /// Every cause.
+    /// All causes.
     pub fn all(&self) -> Vec<Cause> {
         self.always.iter().chain(&self.optional).copied().collect()
     }
 }
 
-/// A set of causes with its cost; less is better.
+/// Set of causes with its score. Smaller is better.
 #[derive(Clone, Debug)]
 pub(super) struct Choice {
     pub causes: Vec<Cause>,
@@ -245,13 +244,13 @@ pub(super) struct Choice {
     pub score: f64,
 }
 
-/// Price of one parameter: the Bayesian information criterion's `ln n`, and as much again as makes
-/// a needless cause a one-in-ten-thousand event rather than a one-in-a-hundred one.
+/// Price of one parameter: `ln n` of the Bayesian information criterion plus 8. The addition lowers the
+/// probability of a false cause from about 1 % to about 0.01 %.
 pub(super) fn price(independent: f64) -> f64 {
     independent.max(2.0).ln() + 8.0
 }
 
-/// The cheapest set of optional causes at a linearisation, with the runners-up of equal cost.
+/// Selects the set of optional causes with the lowest score at a linearisation.
 fn choose(linear: &Linearized, menu: &Menu, state: &State) -> Choice {
     let price = price(linear.normal.independent);
     let score_of = |set: &[Cause]| -> f64 {
@@ -264,7 +263,7 @@ fn choose(linear: &Linearized, menu: &Menu, state: &State) -> Choice {
         linear.cost(&parameters) + price * optional as f64
     };
     let mut best = Choice { score: score_of(&[]), causes: Vec::new() };
-    // No set leaves less than all causes together do.
+    // Lower bound on the cost of any set.
     let least = linear.cost(&parameters_of(&menu.all(), state));
     let mut set = Vec::new();
     let depth = if menu.optional.len() > 16 { EXHAUSTIVE - 1 } else { EXHAUSTIVE };
@@ -278,7 +277,7 @@ fn choose(linear: &Linearized, menu: &Menu, state: &State) -> Choice {
             best = Choice { score, causes: set.to_vec() };
         }
     });
-    // Beyond the exhaustive depth: add while it pays, then drop while it pays.
+    // Beyond the exhaustive depth, add causes and remove them again while the score improves.
     while best.causes.len() >= depth {
         let grown = menu
             .optional
@@ -298,11 +297,11 @@ fn choose(linear: &Linearized, menu: &Menu, state: &State) -> Choice {
     best
 }
 
-/// Whether one of `causes` is a mix of the others.
+/// Returns whether the causes are collinear.
 ///
-/// A world and a marker that may both be anywhere share directions that weak motion does not show. Steps
-/// leave these in place, and the rest of both frames is fitted all the same; only what else shares a
-/// direction with them, such as a joint zero, has no amount.
+/// If both world frame and marker are free, weak motion leaves common directions of the two unobservable.
+/// The steps keep these directions fixed. Another cause that shares such a direction, such as a joint zero,
+/// has no unique value.
 fn is_entangled(linear: &Linearized, menu: &Menu, causes: &[Cause], state: &State) -> bool {
     let is_anywhere = |cause: &&Cause| match **cause {
         Cause::Reference(s) | Cause::Tool(s) => menu.always.contains(&Cause::Reference(s)),
@@ -332,7 +331,7 @@ fn prune(mut choice: Choice, score_of: &dyn Fn(&[Cause]) -> f64) -> Choice {
     }
 }
 
-/// Calls `visit` with every subset of 1 to `depth` of `causes`.
+/// Calls `visit` with every subset of `causes` that has 1 to `depth` elements.
 fn subsets(causes: &[Cause], depth: usize, set: &mut Vec<Cause>, visit: &mut dyn FnMut(&[Cause])) {
     if depth == 0 {
         return;
@@ -345,25 +344,25 @@ fn subsets(causes: &[Cause], depth: usize, set: &mut Vec<Cause>, visit: &mut dyn
     }
 }
 
-/// An explanation: the state, the causes in it, and how good it is.
+/// Selected model: its state and causes, with the final linearisation.
 pub(super) struct Explanation {
     pub state: State,
-    /// The optional causes chosen, ascending.
+    /// Selected optional causes, ascending.
     pub causes: Vec<Cause>,
     pub linear: Linearized,
 }
 
-/// How a search begins.
+/// Starting strategy of a search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Approach {
-    /// From the start itself: right where the start is near, or the log shows little.
+    /// Start at the given state. Best if it is near the solution or if the log has little information.
     Careful,
-    /// By a few steps with every cause free, so that sets are compared near the truth and not
-    /// across a curve: right where large causes add up.
+    /// Take a few steps with all causes free first, so that sets are compared near the solution. Best if
+    /// several large causes add up.
     Bold,
 }
 
-/// Finds the smallest explanation from a starting state, on about `most` samples a stream.
+/// Selects the smallest model from a starting state, with about `most` samples per stream.
 pub(super) fn explain(
     witnesses: &[&Witness],
     start: State,
@@ -394,17 +393,17 @@ pub(super) fn explain(
     Explanation { state, causes, linear }
 }
 
-/// Whether a step is below what any estimate resolves.
+/// Returns whether a step is below the resolution of any estimate.
 fn small(step: &DVector<f64>) -> bool {
     step.amax() < 1e-7
 }
 
-/// The best of several explanations of the same streams: the least `Σ n·ln σ²` of the residuals at
-/// the state reached, plus the price of its parameters and round slips.
+/// Best of several models of the same streams. The score is `Σ n·ln σ²` of the final residuals plus the
+/// price of parameters and round frame errors.
 ///
-/// A state that has not settled leaves more than its causes could take off, and pays for it. The
-/// noise's memory, which makes `n` smaller, is the same for all: that of the explanation that leaves
-/// least. Memory that differs a little from one to the next would decide between equals.
+/// A model that has not converged has a larger residual and scores worse. The autocorrelation, which
+/// reduces `n`, is taken from the model with the smallest residual and applied to all. Otherwise small
+/// differences in autocorrelation would decide between equally good models.
 pub(super) fn best(explanations: Vec<Explanation>) -> Option<Explanation> {
     let noises: Vec<Vec<Noise>> = explanations.iter().map(Explanation::noise).collect();
     let log_sigmas = |noise: &[Noise]| noise.iter().map(|noise| noise.sigma.ln()).sum::<f64>();
@@ -414,7 +413,7 @@ pub(super) fn best(explanations: Vec<Explanation>) -> Option<Explanation> {
     let score = |(explanation, noise): &(Explanation, Vec<Noise>)| -> f64 {
         let kinds = noise.len() / explanation.linear.streams.len().max(1);
         let samples = explanation.linear.streams.iter().flat_map(|stream| {
-            // Three components a sample.
+            // Three components per sample.
             std::iter::repeat_n(3.0 * stream.len() as f64, kinds)
         });
         let fit: f64 = samples
@@ -431,7 +430,7 @@ pub(super) fn best(explanations: Vec<Explanation>) -> Option<Explanation> {
 }
 
 impl Explanation {
-    /// The noise of each stream and kind of residual (positions, rotations) at the state reached.
+    /// Noise of each stream and kind of residual (positions, rotations) at the final state.
     pub fn noise(&self) -> Vec<Noise> {
         let streams = self.linear.streams.iter();
         streams
@@ -440,13 +439,13 @@ impl Explanation {
             .collect()
     }
 
-    /// What its parameters and round slips cost.
+    /// Price of its parameters and round frame errors.
     fn price(&self) -> f64 {
         let tuned: usize =
             self.causes.iter().map(|cause| cause.parameters(&self.state).len()).sum();
         let streams = self.state.streams.iter();
         let round = streams.flat_map(|s| [&s.round_reference, &s.round_tool]).flatten().count();
-        // Between equals a round slip comes before a tuned number.
+        // Between equally good models, prefer a round error (such as 90°) to a tuned value.
         price(self.linear.normal.independent) * (tuned as f64 + 0.5 * round as f64)
     }
 }

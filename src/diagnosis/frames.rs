@@ -1,4 +1,4 @@
-//! Constant frame errors: first guesses from which the fit starts, and what it says of them.
+//! Constant frame errors: initial guesses for the fit, and the resulting estimates.
 
 use super::constant::{mean_rotation, wahba};
 use super::explain::{Cause, Explanation, Menu};
@@ -13,17 +13,16 @@ use ground::stats::{Length, joint_p_value};
 use nalgebra::{Matrix3, SMatrix, SVector};
 use std::sync::LazyLock;
 
-/// Samples from which first guesses are made.
+/// Number of samples for initial guesses.
 const SAMPLES: usize = 120;
-/// Rotations and translations within which the fit needs no first guess, rad and m.
+/// If most deviations are below these, the fit needs no initial guess, rad and m.
 const NEAR_RAD: f64 = 0.06;
 const NEAR_M: f64 = 0.03;
-/// A turn this near to a round one may be that round one, rad.
+/// Tolerance within which a rotation counts as a round one, rad.
 const ROUND_RAD: f64 = 0.06;
 
-/// The states from which a stream's explanation is sought, the joint offsets being about `offsets`: no
-/// frame error, and where the stream
-/// lies far off, each simple frame error in closed form and as a round slip.
+/// Starting states of a stream's fit, with joint offsets near `offsets`. The first has no frame error. If
+/// the stream is far from FK, adds closed-form solutions of simple frame errors, also as round errors.
 pub(super) fn starts(witness: &Witness, latency_s: f64, offsets: &[f64]) -> Vec<StreamState> {
     let tool_part = witness.tool_part;
     let plain = StreamState { tool_part, ..StreamState::at_latency(latency_s) };
@@ -75,7 +74,7 @@ pub(super) fn starts(witness: &Witness, latency_s: f64, offsets: &[f64]) -> Vec<
     starts
 }
 
-/// FK and logged poses side by side at a few samples.
+/// FK and logged poses at a subset of the samples.
 fn pairs(witness: &Witness, state: &StreamState, offsets: &[f64]) -> (Vec<Pose>, Vec<Pose>) {
     let mut sweep = Sweep::new(witness);
     let step = witness.len().div_ceil(SAMPLES).max(1);
@@ -93,7 +92,7 @@ fn mean(points: impl ExactSizeIterator<Item = Vec3>) -> Vec3 {
     points.sum::<Vec3>() / n
 }
 
-/// The reference frame that best takes FK to the logged poses.
+/// Reference frame that best maps FK to the logged poses.
 fn reference_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
     let turns: Vec<Rotation> =
         fk.iter().zip(logged).map(|(fk, l)| l.rotation * fk.rotation.inverse()).collect();
@@ -102,7 +101,7 @@ fn reference_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
     pose(mean(fk.iter().zip(logged).map(at)).into(), turn)
 }
 
-/// `state` with the reference and the tool frame that positions want at its latency.
+/// Sets the reference and tool frames of `state` to those that positions determine at its latency.
 pub(super) fn placed_by_positions(
     witness: &Witness,
     state: StreamState,
@@ -118,7 +117,7 @@ pub(super) fn placed_by_positions(
     StreamState { reference, tool, ..state }
 }
 
-/// Reference and tool frame, the former turned as positions want it.
+/// Reference frame with the rotation that positions determine, and tool frame.
 fn by_positions(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
     let xyz: Vec<Vec3> = logged.iter().map(|pose| pose.translation.vector).collect();
     let (reference, point) = Expected::of(fk).turned_anyhow(&xyz);
@@ -127,44 +126,44 @@ fn by_positions(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
     (reference, pose(point.into(), turn))
 }
 
-/// The tool frame that best takes FK to the logged poses.
+/// Tool frame that best maps FK to the logged poses.
 pub(super) fn tool_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
     let tools: Vec<Pose> = fk.iter().zip(logged).map(|(fk, l)| fk.inverse() * l).collect();
     let turns: Vec<Rotation> = tools.iter().map(|tool| tool.rotation).collect();
     pose(mean(tools.iter().map(|tool| tool.translation.vector)).into(), mean_rotation(&turns))
 }
 
-/// The tool frame that alone best takes FK to a stream's poses; none of too few samples.
+/// Tool frame that best maps FK to a stream's poses, without a reference error. `None` if there are too few
+/// samples.
 pub(super) fn tool_start(witness: &Witness, state: &StreamState, offsets: &[f64]) -> Option<Pose> {
     let plain = StreamState { tool: Pose::identity(), ..state.clone() };
     let (fk, logged) = pairs(witness, &plain, offsets);
     (fk.len() >= 3).then(|| tool_frame(&fk, &logged))
 }
 
-/// Position noise that first guesses assume, m, and the lever at which a rotation residual counts as a
-/// position residual, m.
+/// Assumed position noise for initial guesses, m, and the lever arm that converts rotation residuals to
+/// position residuals, m.
 const START_NOISE_M: f64 = 1e-3;
 const START_LEVER_M: f64 = 0.3;
-/// Standard deviation of the prior on a marker's distance from the tip, m: the size of a hand with its
-/// tool. It keeps the marker near the tip in directions that the motion does not show.
+/// Standard deviation of the prior on the marker's distance from the tip, m. The size of a hand with its
+/// tool. It keeps the marker near the tip in directions that the motion does not observe.
 const MARKER_M: f64 = 0.5;
-/// Most Levenberg–Marquardt iterations of one start.
+/// Maximum number of Levenberg–Marquardt iterations per start.
 const ITERATIONS: usize = 25;
-/// Iterations stop when the cost decreases by less than this share.
+/// Relative decrease of the cost at which the iteration has converged.
 const CONVERGED: f64 = 1e-6;
 
-/// First guess of the reference and the tool frame together, in closed form (`A X = X B`; Park and
-/// Martin 1994).
+/// Closed-form initial guess of reference and tool frame (`A X = X B`; Park and Martin 1994).
 pub(super) fn both_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
     frames_given(wahba(&relative_rotations(fk, logged)), fk, logged)
 }
 
-/// Fits the reference and the tool frame together.
+/// Fits reference and tool frame together.
 ///
-/// The cost has several minima if the hand turns little or about one axis only, so the fit starts from
-/// several rotations of the reference: that of the relative rotations (Park and Martin 1994), that of the
-/// positions (Kabsch 1976), and four that align the common axis of the relative rotations. Returns the
-/// pair with the least cost.
+/// The cost has several minima if the hand rotates little or about one axis only. The fit therefore starts
+/// from several rotations of the reference. One is from relative rotations (Park and Martin 1994), one from
+/// positions (Kabsch 1976), and four align the common axis of the relative rotations. Returns the pair with
+/// the lowest cost.
 fn fitted_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
     let correlation = relative_rotations(fk, logged);
     let by_positions = by_positions(fk, logged);
@@ -176,7 +175,7 @@ fn fitted_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
         .map_or_else(Default::default, |(_, reference, tool)| (reference, tool))
 }
 
-/// What the best constant reference and tool frames leave of positions and rotations, rms m and rad.
+/// Position and rotation residual after fitting constant reference and tool frames, rms m and rad.
 pub(super) fn misfit_of_frames(fk: &[Pose], logged: &[Pose]) -> [f64; 2] {
     let (reference, tool) = fitted_frames(fk, logged);
     let (mut squares_m, mut squares_rad) = (0.0, 0.0);
@@ -188,7 +187,7 @@ pub(super) fn misfit_of_frames(fk: &[Pose], logged: &[Pose]) -> [f64; 2] {
     [squares_m, squares_rad].map(|squares| (squares / fk.len().max(1) as f64).sqrt())
 }
 
-/// The same of a stream at its latency and with these joint offsets.
+/// Same for a stream with its latency and the given joint offsets.
 pub(super) fn left_by_constant_frames(
     witness: &Witness,
     state: &StreamState,
@@ -213,8 +212,8 @@ fn relative_rotations(fk: &[Pose], logged: &[Pose]) -> Matrix3<f64> {
     (0..n).map(pair).sum()
 }
 
-/// Rotations of the reference that agree with relative rotations: the least-squares one, and those that
-/// align the common axis, from the one nearest to `about` on in quarter turns about the axis.
+/// Reference rotations consistent with the relative rotations: the least-squares solution, and four that
+/// align the common axis. The four are a quarter turn apart about the axis, starting nearest to `about`.
 fn common_axis_turns(correlation: &Matrix3<f64>, about: &Rotation) -> Vec<Rotation> {
     let mut turns = vec![wahba(correlation)];
     let svd = correlation.svd(true, true);
@@ -256,10 +255,10 @@ fn frames_given(turn: Rotation, fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
     (pose(xyz(0), turn), pose(xyz(3), tool_turn))
 }
 
-/// Normal equations of both frames: twelve parameters, the reference's first.
+/// Normal equations of both frames: twelve parameters, reference first.
 type Frames12 = (SMatrix<f64, 12, 12>, SVector<f64, 12>);
 
-/// Residuals of one sample under both frames: position and rotation, weighted.
+/// Predicted pose, and weighted position and rotation residuals of one sample.
 fn residuals(fk: &Pose, logged: &Pose, reference: &Pose, tool: &Pose) -> (Pose, Vec3, Vec3) {
     let predicted = reference * fk * tool;
     let position = (logged.translation.vector - predicted.translation.vector) / START_NOISE_M;
@@ -267,7 +266,7 @@ fn residuals(fk: &Pose, logged: &Pose, reference: &Pose, tool: &Pose) -> (Pose, 
     (predicted, position, rotation * (START_LEVER_M / START_NOISE_M))
 }
 
-/// Sum of the squares of all residuals, and of the marker's distance against its prior.
+/// Sum of squares of all residuals, including the prior on the marker's distance.
 fn cost_of(fk: &[Pose], logged: &[Pose], reference: &Pose, tool: &Pose) -> f64 {
     let square = |(fk, l): (&Pose, &Pose)| {
         let (_, position, rotation) = residuals(fk, l, reference, tool);
@@ -307,7 +306,7 @@ fn normal_equations(fk: &[Pose], logged: &[Pose], reference: &Pose, tool: &Pose)
     (normal, right)
 }
 
-/// Both frames after Levenberg–Marquardt iterations, with their cost.
+/// Refines both frames by Levenberg–Marquardt. Returns the cost first.
 fn refined(fk: &[Pose], logged: &[Pose], reference: Pose, tool: Pose) -> (f64, Pose, Pose) {
     let mut best = (cost_of(fk, logged, &reference, &tool), reference, tool);
     let mut damping = 1e-6;
@@ -341,7 +340,7 @@ fn refined(fk: &[Pose], logged: &[Pose], reference: Pose, tool: Pose) -> (f64, P
     best
 }
 
-/// The quarter-turn rotation, other than none, that lies within [`ROUND_RAD`] of `rotation`.
+/// Quarter-turn rotation within [`ROUND_RAD`] of `rotation`, excluding the identity.
 fn round(rotation: &Rotation) -> Option<Pose> {
     static QUARTER_TURNS: LazyLock<Vec<Rotation>> = LazyLock::new(quarter_turns);
     QUARTER_TURNS
@@ -350,8 +349,8 @@ fn round(rotation: &Rotation) -> Option<Pose> {
         .map(|quarter| pose([0.0; 3], *quarter))
 }
 
-/// The round slip of a reference frame that is off by `frame`: about its own origin, or about the
-/// arm's first joint where the arm stands elsewhere in it, whichever lies nearer.
+/// Round rotation error of a reference frame with error `frame`. The rotation is about its origin or the
+/// arm's first joint, in case the arm is mounted elsewhere in it. Returns the closer one.
 fn round_about(frame: &Pose, first_joint: &Pose) -> Option<Pose> {
     let away_m =
         |round: &Pose| (round.translation.vector - frame.translation.vector).norm_squared();
@@ -361,7 +360,7 @@ fn round_about(frame: &Pose, first_joint: &Pose) -> Option<Pose> {
     both.into_iter().flatten().min_by(|a, b| away_m(a).total_cmp(&away_m(b)))
 }
 
-/// The 23 rotations, other than none, that take the axes to each other.
+/// The 23 rotations, excluding the identity, that map coordinate axes to coordinate axes.
 fn quarter_turns() -> Vec<Rotation> {
     let axes = [0usize, 1, 2];
     let signs = [1.0, -1.0];
@@ -381,7 +380,7 @@ fn quarter_turns() -> Vec<Rotation> {
     turns
 }
 
-/// What the explanation says of one frame when `causes` and what is always free are free.
+/// Estimates one frame with `causes` and the always-free causes free.
 pub(super) fn frame_estimate(
     explanation: &Explanation,
     menu: &Menu,
@@ -417,14 +416,14 @@ pub(super) fn frame_estimate(
     let part = if is_tool { found.tool_part.range() } else { 0..6 };
     let length = |first: usize| {
         let Some(at) = first.checked_sub(part.start).filter(|_| part.contains(&first)) else {
-            // Nothing shows it: it may be anything.
+            // The rotation is not observable.
             return Measured { value: 0.0, std_error: std::f64::consts::PI, dof };
         };
         let own = block.view((at, at), (3, 3)).into_owned();
         Length::of(&twist[first..first + 3], &own, dof).norm
     };
     let chosen = round.is_some() || explanation.causes.contains(&cause);
-    // The model takes base coordinates to the stream's; what is off is told the other way round.
+    // The model maps base coordinates to the stream's; the reported error is the inverse.
     let pose = if is_tool { frame } else { frame.inverse() };
     Ok(FrameEstimate { pose, translation_m: length(0), rotation_rad: length(3), p_value, chosen })
 }

@@ -1,17 +1,17 @@
-//! A stream's latency that goes along straight pieces by much.
+//! Large piecewise linear latency of a stream.
 
 use super::LatencyCourse;
 use super::large::{Followed, in_order, left};
 use super::latency::Speed;
 
-/// A latency along straight pieces between knots, as it was taken off a stream's stamps.
+/// Piecewise linear latency, as compensated in a stream's stamps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GradualLatency {
-    /// Stamps, s from the run's origin, and how late the stream is there, s. Two at least.
+    /// Stamps, s from the run's origin, and latency there, s. At least two.
     knots: Vec<(f64, f64)>,
 }
 
-/// One, what it leaves of the squares of the speeds, and what a latency that grows steadily leaves.
+/// Fitted latency, its squared speed residual, and that of a linear latency.
 pub(super) struct Fitted {
     pub gradual: GradualLatency,
     pub left: f64,
@@ -19,14 +19,14 @@ pub(super) struct Fitted {
 }
 
 impl GradualLatency {
-    /// That of a stream whose speed follows the arm's in windows at lags that change along them, with what it leaves
-    /// of the speeds and what the best straight line leaves. `None` where the windows hardly differ.
+    /// Fits the latency of a stream whose speed matches the arm's in `windows` at varying lags. Returns the
+    /// speed residuals of this fit and of the best line. `None` if the lags vary little.
     pub(super) fn of(arm: &Speed, stream: &Speed, windows: &[&Followed]) -> Option<Fitted> {
-        /// Less than this is small beside a second of motion, s.
+        /// Minimum variation, s. A smaller one does not affect estimates over a second of motion.
         const LEAST_S: f64 = 0.035;
-        /// A latency that strays less from a straight line grows steadily, s.
+        /// Minimum deviation from a line, s. A smaller one is skew.
         const BENT_S: f64 = 0.005;
-        /// Knots without which a course is a line.
+        /// Minimum number of knots.
         const KNOTS: usize = 6;
         let (first, last) = (windows.first()?, windows.last()?);
         let (begin_s, end_s) = (*arm.t_s.first()?, *arm.t_s.last()?);
@@ -45,39 +45,39 @@ impl GradualLatency {
         let of_line = line.fit(arm, stream);
         let mut rough = Self { knots };
         rough.fit(arm, stream);
-        // Windows overlap: between two of them stands another knot.
+        // The windows overlap, so add a knot between every two.
         let mut gradual = Self { knots: rough.halved() };
         let left = gradual.fit(arm, stream);
         let bends = gradual.knots.iter().any(|knot| (knot.1 - line.lag_s(knot.0)).abs() > BENT_S);
         Some(Fitted { gradual, left: if bends { left } else { of_line }, of_line })
     }
 
-    /// That of a course that was found, if it goes along straight pieces.
+    /// The latency of a piecewise linear profile. `None` for other profiles.
     pub(super) fn along(course: &LatencyCourse) -> Option<Self> {
         let knots = &course.levels;
         (course.jumps.is_empty() && knots.len() > 1).then(|| Self { knots: knots.clone() })
     }
 
-    /// How late the stream is at a stamp, s.
+    /// Latency at a stamp, s.
     pub(super) fn lag_s(&self, t_s: f64) -> f64 {
         let after = self.knots.partition_point(|knot| knot.0 <= t_s).clamp(1, self.knots.len() - 1);
         let ((a_s, a), (b_s, b)) = (self.knots[after - 1], self.knots[after]);
         a + (b - a) * ((t_s - a_s) / (b_s - a_s)).clamp(0.0, 1.0)
     }
 
-    /// The stamps `t_s` as they would be without it, each with its row; rows that would then come before an
-    /// earlier one are left out.
+    /// Compensates the stamps `t_s`. Returns each with its row, and drops rows that would precede an
+    /// earlier one.
     pub fn straightened(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
         in_order(t_s.iter().map(|t_s| t_s - self.lag_s(*t_s)).enumerate())
     }
 
-    /// The stamp that was logged where `t_s` stands without it, s.
+    /// Converts a compensated stamp back to the logged one, s.
     pub(super) fn logged_s(&self, t_s: f64) -> f64 {
-        // It changes by much less than a second a second.
+        // Fixed-point iteration. It converges because the latency changes slowly.
         (0..3).fold(t_s, |logged_s, _| t_s + self.lag_s(logged_s))
     }
 
-    /// Moves each knot's lag to where least is left of the speeds, by ever smaller steps; what that is.
+    /// Minimises the speed residual over the lag at each knot, with decreasing steps. Returns the residual.
     fn fit(&mut self, arm: &Speed, stream: &Speed) -> f64 {
         const STEPS_S: [f64; 5] = [0.02, 0.008, 0.003, 0.001, 0.0003];
         let mut least = left(arm, stream, &|t_s| self.lag_s(t_s));
@@ -95,7 +95,7 @@ impl GradualLatency {
         least
     }
 
-    /// The same with a knot amid each piece.
+    /// Knots with an additional one in the middle of each segment.
     fn halved(&self) -> Vec<(f64, f64)> {
         let amid = self.knots.windows(2).flat_map(|two| {
             let ((a_s, a), (b_s, b)) = (two[0], two[1]);

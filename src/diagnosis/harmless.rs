@@ -1,21 +1,21 @@
-//! An active TCP before a moved base, where the motion hardly tells them apart.
+//! Prefers a tool offset (an active TCP) to a base offset if the motion cannot distinguish them well.
 //!
-//! A tool that keeps its orientation is as far from the flange, seen from the base, as from the flange
-//! itself: its offset and one of the base are the same numbers. An offset of the tool is what controllers
-//! are set to; a base beside its place is a fault. So the tool is named wherever it leaves as little.
+//! If the tool keeps its orientation, a tool offset and a base offset have the same effect. A tool offset
+//! is a normal controller setting, a displaced base is a fault. So the tool is selected if it fits about as
+//! well.
 
 use super::explain::{Approach, Cause, Explanation, Menu, explain};
 use super::frames::tool_start;
 use super::model::{StreamState, Witness};
 use ground::geometry::Pose;
 
-/// What leaves at most so many times as much, …
+/// The tool fits as well if its residual is at most this multiple of the base's, …
 const AS_LITTLE: f64 = 1.5;
-/// … or more by at most this, leaves as little: what a drawing differs from an arm by, m and rad.
+/// … or exceeds it by at most this, m and rad. This is the effect of typical link deviations.
 const AS_LITTLE_MORE: [f64; 2] = [0.3e-3, 0.3e-3];
 
-/// The explanation with a tool in the place of each tuned reference frame that a tool explains as well,
-/// fitted on about `most` samples a stream.
+/// Replaces each tuned reference frame by a tool frame if that fits as well. Fits about `most` samples per
+/// stream.
 pub(super) fn tools_first(
     witnesses: &[&Witness],
     mut explanation: Explanation,

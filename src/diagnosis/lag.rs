@@ -1,29 +1,29 @@
-//! What a stream would leave if its latency were another: the valley around the one found.
+//! Residual of a stream as a function of latency, around the estimate.
 
 use super::{PoseDiagnosis, PoseStream};
 use ground::geometry::angle_between;
 use ground::stream::JointTrack;
 
-/// What a stream with everything else found taken off leaves at one latency.
+/// Residual of a corrected stream at one latency.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LatencyResidual {
-    /// The latency, s.
+    /// Latency, s.
     pub latency_s: f64,
-    /// Position against FK, rms m.
+    /// Position residual against FK, rms m.
     pub rms_m: f64,
-    /// Rotation against FK, rms rad.
+    /// Rotation residual against FK, rms rad.
     pub rms_rad: f64,
 }
 
-/// What `stream` leaves at latencies around the one that was `found` on it and around none, against
-/// `joints` as they should have been recorded. Empty where no latency was found, or too few samples
-/// have FK at all of these latencies.
+/// Residuals of `stream` at latencies around the estimate in `found` and around zero. `joints` are the
+/// corrected joint states. Empty if no latency was estimated, or if too few samples have FK at all of these
+/// latencies.
 pub fn residual_by_latency(
     joints: &JointTrack,
     stream: &PoseStream,
     found: &PoseDiagnosis,
 ) -> Vec<LatencyResidual> {
-    /// Samples that are compared, and the fewest.
+    /// Maximum and minimum number of compared samples.
     const SAMPLES: usize = 400;
     const FEWEST: usize = 20;
     let Ok(latency) = &found.latency_s else { return Vec::new() };
@@ -76,12 +76,12 @@ pub fn residual_by_latency(
         .collect()
 }
 
-/// Latencies to try, s, ascending: from below the one found and none to above both, the one found
-/// among them.
+/// Latencies to evaluate, s, ascending. They extend beyond the estimate and zero on both sides, and include
+/// the estimate.
 fn latencies_s(found_s: f64, half_width_s: f64) -> Vec<f64> {
-    /// Steps from one end to the other.
+    /// Number of steps.
     const STEPS: usize = 120;
-    /// Shown beyond the latency found and beyond none, s, at least.
+    /// Minimum margin beyond the estimate and zero, s.
     const BESIDE_S: f64 = 0.01;
     let beside_s = (0.6 * found_s.abs()).max(BESIDE_S).max(3.0 * half_width_s.min(1.0));
     let (low_s, high_s) = (found_s.min(0.0) - beside_s, found_s.max(0.0) + beside_s);

@@ -1,8 +1,8 @@
-//! Changes of a stream's latency that are too large for [`super::course`], which takes a residual for
-//! small: told from speeds alone, before anything else is sought.
+//! Large changes of a stream's latency, estimated from speeds alone before anything else. They are too
+//! large for [`super::course`], which requires small residuals.
 //!
-//! In windows of some seconds the stream follows the arm at one lag or another. These lags go from level to
-//! level ([`super::steps`]) or along straight pieces ([`super::gradual`]).
+//! In each window of several seconds, the stream's speed matches the arm's at some lag. Over the windows
+//! these lags form steps ([`super::steps`]) or a piecewise linear profile ([`super::gradual`]).
 
 use super::gradual::{Fitted, GradualLatency};
 use super::latency::{ArmSpeeds, Speed, angular_speed, linear_speed, norms, peaks};
@@ -11,26 +11,26 @@ use super::{ImuStream, PoseStream};
 use ground::stats::quantile;
 use ground::stream::{JointTrack, Orientations};
 
-/// Speeds correlate as well in a window at the lag that the stream has there.
+/// Minimum correlation of the speeds in a window.
 const FOLLOWS: f64 = 0.85;
-/// Straight pieces leave at most this share of what something simpler leaves.
+/// A piecewise linear profile must reduce the residual of the simpler models to at most this fraction.
 const SIMPLER: f64 = 0.9;
-/// Samples that the path is sought on.
+/// Maximum number of samples to fit the profile.
 pub(super) const SAMPLES: usize = 4000;
-/// With what is found the speeds are the same but for this share of how they vary.
+/// Maximum residual of the speeds after compensation, as a fraction of their variation.
 pub(super) const MISFIT: f64 = 0.15;
 
-/// How a latency changes by much within the run.
+/// Large change of latency within the run.
 #[derive(Clone, Debug, PartialEq)]
 pub enum LargeChange {
-    /// From level to level.
+    /// Steps between constant levels.
     Steps(LatencySteps),
-    /// Along straight pieces; or, where a model tells that it does not, from level to level.
+    /// Piecewise linear latency. Alternatively the steps, if the model fit rejects it.
     Gradual(GradualLatency, Option<LatencySteps>),
 }
 
 impl LargeChange {
-    /// The stamps `t_s` as they would be without it, each with its row.
+    /// Compensates the stamps `t_s`. Returns each with its row.
     pub fn straightened(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
         match self {
             Self::Steps(steps) => steps.straightened(t_s),
@@ -38,7 +38,7 @@ impl LargeChange {
         }
     }
 
-    /// Its steps, if these are what it is.
+    /// The steps, if this is a step change.
     pub fn steps(&self) -> Option<&LatencySteps> {
         match self {
             Self::Steps(steps) => Some(steps),
@@ -46,7 +46,7 @@ impl LargeChange {
         }
     }
 
-    /// What is taken off the stamps, if it goes along straight pieces.
+    /// The piecewise linear latency, if this is a gradual change.
     pub fn gradual(&self) -> Option<&GradualLatency> {
         match self {
             Self::Steps(_) => None,
@@ -55,7 +55,7 @@ impl LargeChange {
     }
 }
 
-/// How the latency of a stream of poses changes by much; `None` where it does not.
+/// Detects large latency changes of a pose stream. `None` if there are none.
 pub fn pose_changes(
     joints: &JointTrack,
     stream: &PoseStream,
@@ -73,12 +73,13 @@ pub fn pose_changes(
     changes(&pairs, most_lag_s)
 }
 
-/// A speed without what no motion is: where stamps step, positions that are far apart stand side by side.
+/// Removes spikes from a speed. They occur when stamps step back, so that distant positions have close
+/// stamps.
 fn without_spikes(arm: &Speed, speed: Speed) -> Speed {
-    /// So many times what nearly all samples stay below, at most.
+    /// Maximum ratio to the upper quantile.
     const TIMES: f64 = 4.0;
     const NEARLY_ALL: f64 = 0.95;
-    /// So many times as far above that as the arm's speed goes.
+    /// Margin on the ratio of the arm's maximum speed to its upper quantile.
     const FARTHER: f64 = 1.3;
     let nearly_all = |speed: &Speed| quantile(&mut speed.value.clone(), NEARLY_ALL);
     let (Some(of_arm), Some(own)) = (nearly_all(arm), nearly_all(&speed)) else { return speed };
@@ -90,7 +91,7 @@ fn without_spikes(arm: &Speed, speed: Speed) -> Speed {
     Speed { t_s, value }
 }
 
-/// How the latency of an IMU changes by much, by how fast it turns.
+/// Detects large latency changes of an IMU from its angular speed.
 pub fn imu_changes(
     joints: &JointTrack,
     stream: &ImuStream,
@@ -100,17 +101,17 @@ pub fn imu_changes(
     changes(&[(arm.angular, norms(&stream.track.t_s, &stream.track.gyro))], most_lag_s)
 }
 
-/// A window of time, and where a stream's speed follows the arm's best in it.
+/// Time window with the lag at which the stream's speed correlates best.
 pub(super) struct Followed {
-    /// Of the arm's time, s.
+    /// Middle of the window in the arm's time, s.
     pub middle_s: f64,
-    /// How late the stream is, s.
+    /// Latency of the stream, s.
     pub lag_s: f64,
-    /// How well, −1 to 1.
+    /// Correlation, −1 to 1.
     pub correlation: f64,
 }
 
-/// By the pair of speeds, the arm's and the stream's, that follow each other best.
+/// Detects latency changes from the pair of speeds (arm, stream) that correlates best.
 fn changes(pairs: &[(Speed, Speed)], most_lag_s: f64) -> Option<LargeChange> {
     let seen = pairs.iter().map(|(arm, stream)| (arm, stream, windows(arm, stream, most_lag_s)));
     let typical = |windows: &[Followed]| {
@@ -130,7 +131,7 @@ fn changes(pairs: &[(Speed, Speed)], most_lag_s: f64) -> Option<LargeChange> {
     let spread = spread(stream, &some_rows(stream));
     let of_steps =
         steps.as_ref().map_or(f64::INFINITY, |steps| left(arm, stream, &|t_s| steps.lag_s(t_s)));
-    // A latency that grows steadily is no matter of steps.
+    // Linear growth is skew, not steps.
     let otherwise = steps.filter(|_| of_steps < of_line);
     match of_gradual < (MISFIT * spread).min(SIMPLER * of_line.min(of_steps)) {
         true => Some(LargeChange::Gradual(gradual, otherwise)),
@@ -138,8 +139,7 @@ fn changes(pairs: &[(Speed, Speed)], most_lag_s: f64) -> Option<LargeChange> {
     }
 }
 
-/// The stamps of rows where they stand without a latency, each with its row; those that would then come before an
-/// earlier one are left out.
+/// Drops rows whose compensated stamps precede an earlier one.
 pub(super) fn in_order(straight_s: impl Iterator<Item = (usize, f64)>) -> Vec<(usize, f64)> {
     let mut kept: Vec<(usize, f64)> = Vec::with_capacity(straight_s.size_hint().0);
     for (row, t_s) in straight_s {
@@ -150,12 +150,12 @@ pub(super) fn in_order(straight_s: impl Iterator<Item = (usize, f64)>) -> Vec<(u
     kept
 }
 
-/// What a latency leaves of the squares of the speeds.
+/// Sum of squared speed differences at a latency.
 pub(super) fn left(arm: &Speed, stream: &Speed, lag_s: &dyn Fn(f64) -> f64) -> f64 {
     differences(arm, stream, &some_rows(stream), lag_s).iter().sum()
 }
 
-/// Rows that a path is sought on.
+/// Rows used to fit the profile.
 pub(super) fn some_rows(stream: &Speed) -> Vec<usize> {
     (0..stream.t_s.len()).step_by(stream.t_s.len().div_ceil(SAMPLES).max(1)).collect()
 }
@@ -179,7 +179,7 @@ fn windows(arm: &Speed, stream: &Speed, most_lag_s: f64) -> Vec<Followed> {
     while index < count {
         let next = arm.t_s.partition_point(|t_s| *t_s < from_s(index));
         let Some(next_s) = arm.t_s.get(next) else { break };
-        // Where nothing is there are no windows, however long that lasts.
+        // Skip windows in gaps, however long they are.
         let reaching = ((next_s - begin_s) / (0.5 * length_s)) as usize;
         index = index.max(reaching.saturating_sub(1));
         windows.extend(window(index));
@@ -193,21 +193,21 @@ fn between(speed: &Speed, from_s: f64, to_s: f64) -> Speed {
     Speed { t_s: speed.t_s[from..to].to_vec(), value: speed.value[from..to].to_vec() }
 }
 
-/// The squares of how a speed varies.
+/// Sum of squared deviations of a speed from its mean.
 pub(super) fn spread(speed: &Speed, rows: &[usize]) -> f64 {
     let values = || rows.iter().map(|&row| speed.value[row]);
     let mean = values().sum::<f64>() / rows.len().max(1) as f64;
     values().map(|value| (value - mean).powi(2)).sum()
 }
 
-/// The squares of what the stream's speed differs from the arm's at a lag; 0 where that is not known.
+/// Squared differences of the stream's speed from the arm's at a lag. 0 if the arm's speed is unknown.
 pub(super) fn differences(
     arm: &Speed,
     stream: &Speed,
     rows: &[usize],
     lag_s: impl Fn(f64) -> f64,
 ) -> Vec<f64> {
-    /// The arm's speed is not known through a longer silence, s.
+    /// Longest gap over which the arm's speed is interpolated, s.
     const SILENCE_S: f64 = 0.5;
     let mut after = 0;
     let arm_at = |t_s: f64, after: &mut usize| {
@@ -230,7 +230,7 @@ pub(super) fn differences(
         })
         .collect();
     let square = |of: fn(&(f64, f64)) -> f64| pairs.iter().flatten().map(of).sum::<f64>();
-    // The stream may be in another unit of length: its differences are told in its own.
+    // The stream may use another length unit, so compute the differences in its unit.
     let scale = (square(|pair| pair.0 * pair.0) / square(|pair| pair.1 * pair.1)).sqrt();
     let scale = if (0.5..2.0).contains(&scale) || !scale.is_finite() { 1.0 } else { scale };
     pairs
@@ -247,7 +247,7 @@ pub(super) mod tests {
         (1.3 * t_s).sin().powi(2) + 0.5 * (0.037 * t_s * t_s).sin().powi(2)
     }
 
-    /// 40 s of an arm, and a stream that is late by `late` of its stamps.
+    /// 40 s of an arm's speed, and that of a stream with latency `late` at its stamps.
     pub fn pair(late: impl Fn(f64) -> f64) -> (Speed, Speed) {
         let t_s: Vec<f64> = (0..4000).map(|row| f64::from(row) * 0.01).collect();
         let value = t_s.iter().map(|t_s| shape(*t_s)).collect();

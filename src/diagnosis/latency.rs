@@ -1,8 +1,7 @@
-//! Coarse latency: the lags at which a stream's speed follows the arm's.
+//! Coarse latency: correlates the stream's speed with the arm's.
 //!
-//! Speed is the one thing about a pose stream that survives a turned reference frame, and its
-//! correlation with FK's says how late the stream is before anything else is known. It is coarse by
-//! design: a tool offset or a wrong convention biases it by milliseconds, so the model refines it.
+//! The speed does not depend on the reference frame, so the lag can be found before anything else is known.
+//! It is coarse: a tool offset or a wrong convention biases it by milliseconds. The model fit refines it.
 
 use std::cell::RefCell;
 
@@ -13,36 +12,35 @@ use ground::stats::median;
 use ground::stream::JointTrack;
 use realfft::RealFftPlanner;
 
-/// A lag with the correlation of speeds there.
+/// Candidate lag with its correlation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Peak {
-    /// Latency of the stream, s; positive where the stream is late.
+    /// Latency of the stream, s. Positive if the stream is late.
     pub lag_s: f64,
     /// Pearson correlation of the two speeds over the common span, −1 to 1.
     pub correlation: f64,
 }
 
-/// A speed over time, on its own stamps.
+/// Speed as a time series with its own stamps.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Speed {
     pub t_s: Vec<f64>,
     pub value: Vec<f64>,
 }
 
-/// Speeds of an arm by FK, at the joint stamps; where there are more than 30 000 of these at every second,
-/// third and so on.
+/// Speeds of an arm by FK at the joint stamps, decimated to at most 30 000.
 pub(super) struct ArmSpeeds {
-    /// Of the chain's tip, m/s.
+    /// Linear speed of the chain's tip, m/s.
     pub linear: Speed,
-    /// Of the chain's tip, rad/s.
+    /// Angular speed of the chain's tip, rad/s.
     pub angular: Speed,
-    /// Of the base as it is seen from the tip, m/s.
+    /// Linear speed of the base in the tip frame, m/s.
     inverse: Speed,
 }
 
 impl ArmSpeeds {
     pub fn of(joints: &JointTrack, chain: &Chain, columns: &[usize]) -> Self {
-        /// Rows beyond these do not make a correlation better.
+        /// Maximum number of rows. More do not improve the correlation.
         const ENOUGH: usize = 30_000;
         let mut jacobian = vec![[0.0; 6]; columns.len()];
         let mut q = vec![0.0; columns.len()];
@@ -63,7 +61,7 @@ impl ArmSpeeds {
             }
             let linear = Vec3::new(twist[0], twist[1], twist[2]);
             let angular = Vec3::new(twist[3], twist[4], twist[5]);
-            // Of −Rᵀp: −Rᵀ(v − ω × p).
+            // Derivative of −Rᵀp: −Rᵀ(v − ω × p).
             let inverse = linear - angular.cross(&base_from_tip.translation.vector);
             for (speed, vector) in speeds.iter_mut().zip([linear, angular, inverse]) {
                 speed.push(vector.norm());
@@ -73,12 +71,12 @@ impl ArmSpeeds {
         Self { linear, angular, inverse }
     }
 
-    /// Speed of the tip at its fastest, m/s.
+    /// Maximum speed of the tip, m/s.
     pub fn top_m_s(&self) -> f64 {
         self.linear.value.iter().copied().fold(0.0, f64::max)
     }
 
-    /// The lags of a pose stream by the linear or angular speed that follows the arm best.
+    /// Candidate lags of a pose stream, from the speed (linear or angular) that correlates best.
     pub fn peaks_of(
         &self,
         t_s: &[f64],
@@ -87,7 +85,7 @@ impl ArmSpeeds {
         most_s: f64,
     ) -> Vec<Peak> {
         let linear = linear_speed(t_s, xyz);
-        // Whatever the rotations are read as, positions tell whether the poses are inverse.
+        // Positions alone show whether poses are inverted, independent of the rotation encoding.
         let mut found =
             vec![peaks(&self.linear, &linear, most_s), peaks(&self.inverse, &linear, most_s)];
         if let Some(rotation) = rotation {
@@ -100,8 +98,8 @@ impl ArmSpeeds {
     }
 }
 
-/// Speed of all joints together (root of the sum of squares), at the joint stamps: what any
-/// mix-up of joint names leaves as it is.
+/// Combined speed of all joints (root of the sum of squares) at the joint stamps. It is invariant to
+/// permuted joint names.
 pub(super) fn joint_activity(joints: &JointTrack) -> Speed {
     let value = joints
         .qd
@@ -111,7 +109,7 @@ pub(super) fn joint_activity(joints: &JointTrack) -> Speed {
     Speed { t_s: joints.t_s.clone(), value }
 }
 
-/// Speed of a stream between samples `window_s` apart, by `distance` of two samples.
+/// Speed of a stream between samples `window_s` apart. `distance` returns the distance of two samples.
 pub(super) fn differenced(
     t_s: &[f64],
     window_s: f64,
@@ -132,21 +130,21 @@ pub(super) fn differenced(
     speed
 }
 
-/// Time over which a stream's speed is taken, s: long against its noise, short against a motion.
+/// Averaging time of a stream's speed, s: long relative to its noise, short relative to a motion.
 fn window_s(t_s: &[f64]) -> f64 {
     (2.5 * median_period_s(t_s)).clamp(0.02, 0.2)
 }
 
-/// The median time between samples, s.
+/// Median interval between samples, s.
 pub(super) fn median_period_s(t_s: &[f64]) -> f64 {
-    /// A median of more is no better.
+    /// Maximum number of intervals. More do not improve the median.
     const ENOUGH: usize = 5_000;
     let stretches = stretches(t_s.len(), ENOUGH);
     let periods = stretches.flat_map(|rows| t_s[rows].windows(2).map(|pair| pair[1] - pair[0]));
     median(&mut periods.collect::<Vec<f64>>()).unwrap_or(0.0)
 }
 
-/// Speed of logged positions, in the positions' unit per second.
+/// Speed of logged positions, in their unit per second.
 pub(super) fn linear_speed(t_s: &[f64], xyz: &[Vec3]) -> Speed {
     differenced(t_s, window_s(t_s), |a, b| (xyz[b] - xyz[a]).norm())
 }
@@ -167,8 +165,7 @@ pub(super) fn norms(t_s: &[f64], vectors: &[Vec3]) -> Speed {
     Speed { t_s: t_s.to_vec(), value: vectors.iter().map(Vec3::norm).collect() }
 }
 
-/// The lags within ±`most_s` at which `stream` follows `arm`, best first; empty without motion or
-/// without a common span.
+/// Candidate lags within ±`most_s` at correlation peaks, best first. Empty without motion or a common span.
 pub(super) fn peaks(arm: &Speed, stream: &Speed, most_s: f64) -> Vec<Peak> {
     let by_lag = by_lag(arm, stream, most_s);
     let mut peaks: Vec<Peak> = by_lag
@@ -187,12 +184,12 @@ pub(super) fn peaks(arm: &Speed, stream: &Speed, most_s: f64) -> Vec<Peak> {
     peaks
 }
 
-/// How the speeds of `stream` and `arm` correlate at each lag within ±`most_s`, in even steps; NaN
-/// where they cannot be compared. Empty without a common span.
+/// Correlation of the speeds of `stream` and `arm` at evenly spaced lags within ±`most_s`. NaN if they
+/// cannot be compared. Empty without a common span.
 ///
-/// Where the joints are silent for long the arm's speed is in several pieces, whose sums are added.
+/// Long gaps in the joint states split the arm's speed into pieces. Their sums are added.
 pub(super) fn by_lag(arm: &Speed, stream: &Speed, most_s: f64) -> Vec<Peak> {
-    /// Most steps that the pieces have together.
+    /// Maximum number of steps of all pieces.
     const STEPS: f64 = 30_000.0;
     let periods = [arm, stream].map(|speed| median_period_s(&speed.t_s));
     let silences = periods.map(longest_silence_s);
@@ -206,7 +203,7 @@ pub(super) fn by_lag(arm: &Speed, stream: &Speed, most_s: f64) -> Vec<Peak> {
     let mut sums = Sums::none(2 * lags + 1);
     for (start, end) in pieces {
         let count = ((end - start) / step) as usize + 1;
-        // A late stream says after the piece what was true in it.
+        // A late stream describes the piece after its end.
         let before = start - lags as f64 * step;
         sums.add(
             &Grid::of(arm, silences[0], start, step, count),
@@ -218,28 +215,27 @@ pub(super) fn by_lag(arm: &Speed, stream: &Speed, most_s: f64) -> Vec<Peak> {
     correlations.map(|(at, correlation)| Peak { lag_s: lag_s(at), correlation }).collect()
 }
 
-/// Longest silence through which a speed is interpolated that is known every `period_s`, s.
+/// Longest gap to interpolate, s, for a speed sampled every `period_s`.
 fn longest_silence_s(period_s: f64) -> f64 {
     (20.0 * period_s).max(2.0)
 }
 
-/// First and last time of each piece of a speed that no silence longer than `longest_s` breaks.
+/// Start and end of each piece of a speed without gaps longer than `longest_s`.
 fn pieces(t_s: &[f64], longest_s: f64) -> Vec<(f64, f64)> {
     let unbroken = t_s.chunk_by(|a, b| b - a <= longest_s);
     unbroken.map(|piece| (piece[0], piece[piece.len() - 1])).collect()
 }
 
-/// A speed at even steps, and where it is known.
+/// Speed on an even grid, with a validity mask.
 struct Grid {
-    /// 0 where it is not known.
+    /// 0 if invalid.
     value: Vec<f64>,
-    /// 1 where it is known, else 0.
+    /// 1 if valid, else 0.
     known: Vec<f64>,
 }
 
 impl Grid {
-    /// `speed` every `step` from `start`, by linear interpolation through silences of up to
-    /// `longest_s`.
+    /// Samples `speed` every `step` from `start`. Interpolates linearly across gaps of up to `longest_s`.
     fn of(speed: &Speed, longest_s: f64, start: f64, step: f64, count: usize) -> Self {
         let mut right = speed.t_s.partition_point(|&t| t < start);
         let mut grid = Self { value: vec![0.0; count], known: vec![0.0; count] };
@@ -262,22 +258,22 @@ impl Grid {
         grid
     }
 
-    /// Known or not, the value, and its square.
+    /// Mask, value and squared value.
     fn powers(&self) -> [Vec<f64>; 3] {
         [self.known.clone(), self.value.clone(), self.value.iter().map(|v| v * v).collect()]
     }
 }
 
 thread_local! {
-    /// The transforms of a length take longer to plan than to make.
+    /// Caches plans, because planning a transform takes longer than computing it.
     static PLANS: RefCell<RealFftPlanner<f64>> = RefCell::new(RealFftPlanner::new());
 }
 
-/// The sums of Pearson's correlation at every lag.
+/// Sums for Pearson's correlation at every lag.
 struct Sums {
-    /// Over the times at which both speeds are known: how many, and of x, x², y, y² and xy.
+    /// Number of common times, and sums over them of x, x², y, y² and xy.
     sums: [Vec<f64>; 6],
-    /// Times at which each of the two is known.
+    /// Number of valid times of each speed.
     known: [f64; 2],
 }
 
@@ -286,11 +282,10 @@ impl Sums {
         Self { sums: std::array::from_fn(|_| vec![0.0; lags]), known: [0.0; 2] }
     }
 
-    /// Adds a piece: `stream` has a step more than `arm` for each lag but the first.
+    /// Adds a piece. `stream` has one step more than `arm` for each lag after the first.
     ///
-    /// Sums of products at all lags at once are a product of Fourier transforms (Press et al.,
-    /// *Numerical Recipes*, 3rd ed., §13.2); with the masks in the place of values they count only
-    /// what is known.
+    /// Sums of products at all lags are a product of Fourier transforms (Press et al., *Numerical Recipes*,
+    /// 3rd ed., §13.2). Multiplying by the masks restricts them to valid times.
     fn add(&mut self, arm: &Grid, stream: &Grid) {
         let length = stream.value.len().next_power_of_two();
         let (forward, inverse) = PLANS.with_borrow_mut(|planner| {
@@ -299,7 +294,7 @@ impl Sums {
         let spectrum = |values: &Vec<f64>| {
             let (mut padded, mut spectrum) = (values.clone(), forward.make_output_vec());
             padded.resize(length, 0.0);
-            // Fails only where the lengths differ from those planned.
+            // Fails only if the lengths differ from those planned.
             let done = forward.process(&mut padded, &mut spectrum);
             debug_assert!(done.is_ok());
             spectrum
@@ -312,7 +307,7 @@ impl Sums {
             let (mut product, mut lags): (Vec<_>, _) =
                 (product.collect(), inverse.make_output_vec());
             for end in [0, length / 2] {
-                // Exactly real by nature, and asked to be so.
+                // Real in theory, and the transform requires it.
                 product[end].im = 0.0;
             }
             let done = inverse.process(&mut product, &mut lags);
@@ -323,10 +318,10 @@ impl Sums {
         self.known[1] += stream.known.iter().sum::<f64>();
     }
 
-    /// At every lag; NaN where one of the two is constant, or less than a third of the times are
+    /// Correlation at every lag. NaN if a speed is constant or if less than a third of the times are
     /// common.
     fn correlations(&self) -> Vec<f64> {
-        /// Variance of what is constant, as a share of its square: what the transforms leave.
+        /// Relative variance below which a speed is constant. Rounding of the transforms stays below it.
         const CONSTANT: f64 = 1e-10;
         let fewest = self.known[0].min(self.known[1]) / 3.0;
         let at = |lag: usize| {

@@ -1,64 +1,67 @@
-//! In which unit and axes a stream's positions are written, and whether they are those of the inverse
-//! poses: told from positions alone, which depend on no convention of rotations.
+//! Unit and axis convention of a stream's positions, and whether its poses are inverted. Uses positions
+//! only, which do not depend on the rotation encoding.
 //!
 //! `logged = turn · (s · (fk + R·tool)) + shift`, with FK's poses or their inverses. For each of the 48
-//! ways to name axes that is linear, so that all are tried; where the frame may be turned at will, turn
-//! and the rest are fitted by turns. What is simplest comes first among those that leave about the least.
+//! axis conventions this is linear, so all are tested. If the frame's rotation is free, the rotation and
+//! the rest are fitted alternately. Among the solutions with about the smallest residual, the simplest one
+//! comes first.
 
 use super::placing::{rigid_turn, spread};
 use ground::geometry::{Axes, LengthScale, Pose, Vec3};
 use nalgebra::{DMatrix, DVector, Matrix3};
 
-/// Nothing is told where the tip moves by less than this share of the arm's reach, …
+/// Minimum motion of the tip as a fraction of the arm's reach.
 const MOVES: f64 = 0.01;
-/// … and nothing else is sought where this share of the motion's extent, or less, is left as logged.
+/// If positions as logged have a residual below this fraction of the extent, nothing else is tested.
 const FINE: f64 = 0.003;
-/// One layout leaves about as little as another within this factor …
+/// Two layouts fit equally well if their residuals are within this factor, …
 const NEAR: f64 = 5.0;
-/// … or where it leaves no more than this share of the extent.
+/// … or if the residual is at most this fraction of the extent.
 const NEAR_SHARE: f64 = 0.002;
-/// A unit, a mirror or an inverse explains where it leaves this share of the extent, or less …
+/// Maximum residual of a unit, mirroring or inverse, as a fraction of the extent.
 const EXPLAINS: f64 = 0.15;
-/// A unit that nobody uses must leave no more than this, and so many times less than usual units do: a free
-/// length scale absorbs part of any other error.
+/// Limits for an unusual unit: maximum residual as a fraction of the extent, and minimum ratio of the
+/// residual with usual units to its own. They are strict because a free scale absorbs part of any other
+/// error.
 const EXPLAINS_ODDLY: f64 = 0.003;
 const NEAR_ODDLY: f64 = 30.0;
-/// A marker beside the tip moves more or less than the tip, by this factor at most: one 0.3 m from a tip that
-/// turns by 1 rad and moves by 0.1 m.
+/// Maximum ratio of the motion of a marker to the motion of the tip. Derived for a marker 0.3 m from a tip
+/// that rotates by 1 rad and moves by 0.1 m.
 const LEVER: f64 = 4.0;
-/// Scales from this on, and below its inverse, are units; nearer ones are growth.
+/// Scales at least this far from 1 (or its inverse) are units; closer ones are radial scale.
 const UNIT_FROM: f64 = 1.25;
-/// A scale is a usual unit within this share of it, or within what is left where that is more.
+/// Relative tolerance to identify a usual unit. The residual replaces it if larger.
 const SNAPS: f64 = 0.02;
-/// Longest tool, and farthest base of an inverse pose, m.
+/// Longest tool offset, and largest base distance of an inverted pose, m.
 const LONGEST_TOOL_M: f64 = 1.5;
 const FARTHEST_BASE_M: f64 = 20.0;
 
-/// How positions are written.
+/// Position encoding: unit, inversion and axes.
 #[derive(Clone, Debug)]
 pub(super) struct Layout {
-    /// Metres that a number of the track is.
+    /// Unit of the track's numbers, m.
     pub metres: f64,
-    /// Whether they are those of the inverse poses.
+    /// Whether the poses are inverted.
     pub inverted: bool,
-    /// The axes that they are in, where these are axes of the base; else the frame is turned at will.
+    /// Axis convention, if the axes are parallel to the base's. `None` if the rotation of the frame is
+    /// free.
     pub axes: Option<Axes>,
-    /// What takes directions in the base to logged ones: a rotation, or with a mirror.
+    /// Maps directions in the base to logged ones. A rotation, or a rotation with mirroring.
     pub turn: Matrix3<f64>,
-    /// What is left of the positions, rms m.
+    /// Position residual, rms m.
     pub left_m: f64,
-    /// Whether that is little beside the motion.
+    /// Whether the residual is small relative to the motion.
     pub is_explained: bool,
     rank: u32,
 }
 
 impl Layout {
-    /// Whether no rotation takes the base's axes to the logged ones.
+    /// Returns whether the logged axes are left-handed.
     pub fn is_mirrored(&self) -> bool {
         self.turn.determinant() < 0.0
     }
 
-    /// Whether frames alone tell it from what it should be.
+    /// Returns whether only frames differ from the standard encoding.
     pub fn is_sound(&self) -> bool {
         self.metres == 1.0 && !self.inverted && !self.is_mirrored()
     }
@@ -69,24 +72,23 @@ impl Layout {
     }
 }
 
-/// What is known of a stream's positions.
+/// Positions of a stream.
 pub(super) struct Written<'a> {
     pub xyz: &'a [Vec3],
-    /// The coordinate that never changes, where one does not; it is left out.
+    /// Index of a constant coordinate, if there is one. It is ignored.
     pub constant: Option<usize>,
-    /// How many metres a number of the track was taken for when the track was made.
+    /// Unit that was assumed when the track was read, m.
     pub read_as_m: f64,
-    /// Whether the frame is tied to the base.
+    /// Whether the frame is fixed relative to the base.
     pub reference_known: bool,
 }
 
-/// Whether a marker's positions may spread so far where the tip's spread by `by_fk`.
+/// Returns whether the extent of a marker's positions is plausible for a tip with extent `by_fk`.
 pub(super) fn may_spread_so(extent: f64, by_fk: f64) -> bool {
     (extent / by_fk).ln().abs() < LEVER.ln()
 }
 
-/// The layouts in which positions lie on the arm about as well as in any, the simplest first; none where
-/// positions tell nothing, as the tip hardly moves.
+/// Layouts whose residual is close to the smallest, simplest first. Empty if the tip moves too little.
 pub(super) fn layouts(fk: &[Pose], reach_m: f64, written: &Written) -> Vec<Layout> {
     let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
     let extent_m = spread(&at);
@@ -137,10 +139,10 @@ pub(super) fn layouts(fk: &[Pose], reach_m: f64, written: &Written) -> Vec<Layou
     kept
 }
 
-/// The sums of the normal equations for scale (0), tool (1–3) and shift (4–6) that depend on FK alone.
+/// Normal matrix for scale (0), tool (1–3) and shift (4–6), which depends on FK only.
 struct Sums {
     normal: DMatrix<f64>,
-    /// Row of the base's axis that is left out.
+    /// Row of a base axis that is ignored.
     skipped: Option<usize>,
 }
 
@@ -148,21 +150,21 @@ struct Search<'a> {
     fk: &'a [Pose],
     written: &'a Written<'a>,
     inverted: bool,
-    /// Of FK's motion, m.
+    /// Extent of FK's motion, m.
     extent_m: f64,
-    /// With no row left out, or with that of one of the base's axes.
+    /// One entry without an ignored row, or one for each base axis ignored.
     sums: Vec<Sums>,
 }
 
-/// What a turn needs beside itself.
+/// Solution for a given rotation.
 struct Solved {
     scale: f64,
-    /// In the stream's unit.
+    /// Tool offset in the stream's unit.
     tool: Vec3,
     left_m: f64,
 }
 
-/// Which of tool and shift are free.
+/// Whether tool and shift are free.
 #[derive(Clone, Copy)]
 struct Free {
     tool: bool,
@@ -186,7 +188,7 @@ impl<'a> Search<'a> {
         Self { fk, written, inverted: false, extent_m, sums }
     }
 
-    /// The layouts of one unit; left-handed ones only where they are `any`.
+    /// Layouts with a given unit. Includes left-handed axes only if `any`.
     fn candidates(&self, metres: f64, any: bool) -> Vec<Layout> {
         let known = self.written.reference_known;
         let mut found = Vec::new();
@@ -237,9 +239,8 @@ impl<'a> Search<'a> {
         found
     }
 
-    /// The units that positions may be in, as metres a number of the track: the usual ones in which they
-    /// spread about as FK does, one in which they lie on the arm as it is, and one in which they lie on its
-    /// mirror image.
+    /// Candidate units, in metres per number of the track. These are the usual units for which the extents
+    /// agree, one fitted to the arm, and one fitted to its mirror image.
     fn units(&self) -> Vec<f64> {
         let ratio = spread(self.written.xyz) / self.extent_m;
         let may_be =
@@ -251,7 +252,7 @@ impl<'a> Search<'a> {
             let mut best: Option<Solved> = None;
             let mut consider = |solved: Option<Solved>| {
                 let Some(solved) = solved else { return };
-                // What no tool explains needs none: it may hide the scale of a motion about a point.
+                // Prefer the fit without a tool. A tool can hide the scale of a motion about a point.
                 let lead = if best.is_some() { 0.5 } else { 1.0 };
                 if best.as_ref().is_none_or(|best| solved.left_m < lead * best.left_m) {
                     best = Some(solved);
@@ -295,7 +296,7 @@ impl<'a> Search<'a> {
         units
     }
 
-    /// The sums that leave out what never changes where the positions are in `axes`.
+    /// Normal matrix that ignores the constant coordinate if positions are in `axes`.
     fn sums_of(&self, axes: Axes) -> &Sums {
         let constant = self.written.constant.and_then(|axis| {
             let along = axes.standard(Vec3::ith(axis, 1.0));
@@ -304,7 +305,7 @@ impl<'a> Search<'a> {
         constant.unwrap_or(&self.sums[0])
     }
 
-    /// The right side of the normal equations for one turn.
+    /// Right-hand side of the normal equations for one rotation.
     fn right<'s>(&self, turn: &Matrix3<f64>, sums: &'s Sums) -> Right<'s> {
         let mut right = DVector::zeros(7);
         let mut square = 0.0;
@@ -325,7 +326,7 @@ impl<'a> Search<'a> {
         Right { sums, right, square }
     }
 
-    /// Scale, unless it is given, and what is free of tool and shift; `None` where that is no arm's.
+    /// Solves for the free parameters among scale, tool and shift. `None` if the result is implausible.
     fn solve(&self, right: &Right, scale: Option<f64>, free: Free) -> Option<Solved> {
         let Right { sums: Sums { normal, .. }, right, square } = right;
         let mut columns: Vec<usize> = Vec::with_capacity(7);
@@ -341,7 +342,7 @@ impl<'a> Search<'a> {
         let plain = matrix.clone();
         let samples = self.fk.len() as f64;
         for (own, &column) in columns.iter().enumerate() {
-            // A tool that nothing shows is none.
+            // Keeps an unobservable tool at zero.
             matrix[(own, own)] += if column == 0 { 0.0 } else { 1e-6 * samples };
         }
         let found = match columns.is_empty() {
@@ -362,7 +363,7 @@ impl<'a> Search<'a> {
         (tool.norm() <= longest_m * scale).then_some(Solved { scale, tool, left_m })
     }
 
-    /// The best turn of one handedness near `start` with a given unit.
+    /// Best rotation near `start` for a given handedness and unit.
     fn turned(
         &self,
         start: Matrix3<f64>,
@@ -373,7 +374,7 @@ impl<'a> Search<'a> {
         self.by_turns(start, sign, Some(metres.recip()), free)
     }
 
-    /// The best turn and scale of one handedness near `start`.
+    /// Best rotation and scale near `start` for a given handedness.
     fn turned_to_any_scale(&self, start: Matrix3<f64>, sign: f64, free: Free) -> Option<Solved> {
         self.by_turns(start, sign, None, free).map(|(_, solved)| solved)
     }
@@ -385,7 +386,7 @@ impl<'a> Search<'a> {
         scale: Option<f64>,
         free: Free,
     ) -> Option<(Matrix3<f64>, Solved)> {
-        /// Rounds at most, and the share of what is left by which one must better the one before.
+        /// Maximum number of rounds, and minimum relative improvement per round.
         const ROUNDS: usize = 60;
         const BETTERS: f64 = 1e-4;
         let mut turn = start;
@@ -434,7 +435,7 @@ impl Sums {
     }
 }
 
-/// The matrix that takes directions in the base to those in `axes`.
+/// Matrix that maps directions in the base to directions in `axes`.
 pub(super) fn matrix_of(axes: Axes) -> Matrix3<f64> {
     let columns = [Vec3::x(), Vec3::y(), Vec3::z()].map(|unit| axes.of(unit));
     Matrix3::from_columns(&columns)

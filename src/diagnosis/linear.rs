@@ -1,29 +1,29 @@
-//! Linear least squares under correlated noise: residuals with their design, weights, normal
-//! equations, and the covariance of what they give.
+//! Linear least squares under correlated noise: residuals and design matrix, weights, normal equations, and
+//! covariance.
 
 use super::noise::Noise;
 use super::robust::{BLIND, huber, pseudo_inverse, robust_sigma};
 use nalgebra::{DMatrix, DMatrixView, DVector, Dyn};
 use std::sync::OnceLock;
 
-/// A stream's residuals and design, linearised about a state.
+/// Residuals and design matrix of a stream, linearised about a state.
 ///
-/// Each sample has one residual of three components a kind: position and rotation of a pose, the
-/// rotation alone of an IMU.
+/// Each sample has a residual of three components per kind: position and rotation of a pose, or only the
+/// rotation of an IMU.
 pub(super) struct Linear {
-    /// Parameters.
+    /// Number of parameters.
     pub width: usize,
-    /// Residuals by kind, one a sample.
+    /// Residuals indexed by kind and sample.
     pub residual: Vec<Vec<[f64; 3]>>,
-    /// No statistics below these standard deviations, by kind, in the kind's unit.
+    /// Minimum standard deviation of each kind, in its unit.
     floor: Vec<f64>,
-    /// Three rows a kind and sample of `width` derivatives.
+    /// Derivatives: three rows of `width` per kind and sample.
     design: Vec<f64>,
-    /// `AᵀA` of each kind's rows, once it is wanted.
+    /// `AᵀA` of each kind's rows, computed on first use.
     squares: OnceLock<Vec<Triangle>>,
 }
 
-/// The lower triangle of a symmetric matrix, row by row.
+/// Lower triangle of a symmetric matrix, row by row.
 #[derive(Clone)]
 pub(super) struct Triangle(Vec<f64>);
 
@@ -37,8 +37,7 @@ impl Triangle {
         Self((0..matrix.nrows()).flat_map(row).collect())
     }
 
-    /// Adds `weight · Σ vᵀv` over some rows of `width` numbers, all zero beside each other for many a
-    /// column.
+    /// Adds `weight · Σ vᵀv` over rows of `width` numbers. Skips columns in which all rows are zero.
     pub fn add_squares<const N: usize>(&mut self, rows: [&[f64]; N], weight: f64) {
         let mut rest = self.0.as_mut_slice();
         for i in 0..rows[0].len() {
@@ -65,14 +64,14 @@ impl Triangle {
     }
 }
 
-/// The rows of one sample, to be filled.
+/// Writable rows of one sample.
 pub(super) struct Rows<'a> {
     values: &'a mut [f64],
     width: usize,
 }
 
 impl Rows<'_> {
-    /// Sets the derivatives of the residual of `kind` by parameter `column`.
+    /// Sets the derivatives of the residual of `kind` with respect to parameter `column`.
     pub fn set(&mut self, kind: usize, column: usize, derivative: [f64; 3]) {
         for (axis, value) in derivative.into_iter().enumerate() {
             self.values[(kind * 3 + axis) * self.width + column] = value;
@@ -80,7 +79,7 @@ impl Rows<'_> {
     }
 }
 
-/// How much each residual of one kind counts.
+/// Weights of one kind of residual.
 pub(super) struct Weight {
     pub noise: Noise,
     /// Huber weight of each sample, 0 to 1.
@@ -88,7 +87,7 @@ pub(super) struct Weight {
 }
 
 impl Linear {
-    /// No samples yet of `width` parameters, with one kind for each entry of `floor`.
+    /// Creates an empty system of `width` parameters, with one kind for each entry of `floor`.
     pub fn new(width: usize, floor: &[f64]) -> Self {
         let residual = floor.iter().map(|_| Vec::new()).collect();
         Self {
@@ -100,7 +99,7 @@ impl Linear {
         }
     }
 
-    /// Appends a sample with its residual of each kind; its derivatives, all zero, are handed out.
+    /// Appends a sample with its residual of each kind. Returns its derivatives, initially zero.
     pub fn push(&mut self, residuals: &[[f64; 3]]) -> Rows<'_> {
         for (column, residual) in self.residual.iter_mut().zip(residuals) {
             column.push(*residual);
@@ -119,7 +118,7 @@ impl Linear {
         self.floor.len()
     }
 
-    /// The derivatives of one row of a sample.
+    /// Derivatives of one row of a sample.
     pub fn row(&self, sample: usize, row: usize) -> &[f64] {
         let start = (sample * 3 * self.kinds() + row) * self.width;
         &self.design[start..start + self.width]
@@ -129,7 +128,7 @@ impl Linear {
         self.residual[row / 3][sample][row % 3]
     }
 
-    /// The derivative by one parameter beside the residual, of every row.
+    /// Derivative with respect to one parameter, and residual, of every row.
     pub fn along(&self, parameter: usize) -> impl Iterator<Item = (f64, f64)> {
         let rows = 3 * self.kinds();
         (0..self.len() * rows).map(move |i| {
@@ -138,7 +137,7 @@ impl Linear {
         })
     }
 
-    /// The residuals that remain after a step of the parameters, by kind.
+    /// Residuals after a step of the parameters, by kind.
     pub fn after(&self, step: &[f64]) -> Vec<Vec<[f64; 3]>> {
         let remaining = |sample: usize, kind: usize| -> [f64; 3] {
             std::array::from_fn(|axis| {
@@ -151,7 +150,7 @@ impl Linear {
         (0..self.kinds()).map(of_kind).collect()
     }
 
-    /// Some of its samples, by their places.
+    /// Selects samples by index.
     pub fn part(&self, samples: &[usize]) -> Self {
         let mut part = Self::new(self.width, &self.floor);
         let each = 3 * self.kinds() * self.width;
@@ -164,7 +163,7 @@ impl Linear {
         part
     }
 
-    /// Weights before anything is known: the spread of the residuals themselves, taken as white.
+    /// Initial weights from the spread of the residuals, assuming white noise.
     pub fn first_weights(&self) -> Vec<Weight> {
         let of_kind = |(residual, &floor): (&Vec<[f64; 3]>, &f64)| Weight {
             noise: Noise { sigma: robust_sigma(residual).max(floor), share: 0.0, rho: 0.0 },
@@ -173,13 +172,13 @@ impl Linear {
         self.residual.iter().zip(&self.floor).map(of_kind).collect()
     }
 
-    /// Weights of 1.
+    /// Unit weights.
     pub fn even_weights(&self) -> Vec<Weight> {
         let noise = Noise { sigma: 1.0, share: 0.0, rho: 0.0 };
         self.residual.iter().map(|r| Weight { noise, robust: vec![1.0; r.len()] }).collect()
     }
 
-    /// Weights from what a step leaves of the residuals.
+    /// Weights from the residuals after a step.
     pub fn weights_after(&self, step: &[f64]) -> Vec<Weight> {
         let of_kind = |(residual, &floor): (Vec<[f64; 3]>, &f64)| {
             let robust = huber(&residual, floor);
@@ -188,7 +187,7 @@ impl Linear {
         self.after(step).into_iter().zip(&self.floor).map(of_kind).collect()
     }
 
-    /// The rows of all samples that are `row` of theirs, a row each, and the same transposed.
+    /// Row `row` of every sample as a matrix, and its transpose.
     fn design_of(&self, row: usize) -> [DMatrixView<'_, f64, Dyn, Dyn>; 2] {
         let apart = 3 * self.kinds() * self.width;
         let own = self.design.get(row * self.width..).unwrap_or_default();
@@ -199,14 +198,14 @@ impl Linear {
         ]
     }
 
-    /// The rows of `kind` of one sample.
+    /// Rows of `kind` of one sample.
     fn rows_of(&self, sample: usize, kind: usize) -> [&[f64]; 3] {
         std::array::from_fn(|axis| self.row(sample, 3 * kind + axis))
     }
 
     /// `Aᵀ W A` over all parameters.
     ///
-    /// Nearly all samples of a kind weigh the same: their squares are summed once for all weights.
+    /// Most samples of a kind have the same weight, so their squares are summed once for all weights.
     fn weighted_squares(&self, weights: &[Weight]) -> Triangle {
         let of_kind = |kind: usize| {
             let mut squares = DMatrix::zeros(self.width, self.width);
@@ -228,7 +227,7 @@ impl Linear {
         sum
     }
 
-    /// Adds this stream's normal equations into `normal`; `columns` maps its parameters.
+    /// Adds this stream's normal equations to `normal`. `columns` maps its parameters.
     pub fn accumulate(&self, weights: &[Weight], columns: &[usize], normal: &mut Normal) {
         let mut right = vec![0.0; self.width];
         for sample in 0..self.len() {
@@ -257,16 +256,16 @@ impl Linear {
         DMatrix::from_fn(self.width, self.width, |i, j| squares.at(i, j))
     }
 
-    /// Adds `Aᵀ W A` over the chosen parameters into `information`, and the covariance of the score
-    /// under the noise that `weights` describe into `scores`: the two parts of a sandwich covariance
-    /// (White 1980). `columns` says where each own parameter goes, if anywhere.
+    /// Adds the two parts of a sandwich covariance (White 1980). `Aᵀ W A` over the chosen parameters is
+    /// added to `information`, and the covariance of the score under the noise in `weights` to `scores`.
+    /// `columns` maps each parameter to its target, if any.
     ///
-    /// The components of one sample are not independent: a joint's noise moves all six of them
-    /// through its column of the Jacobian, differently in each posture. So what stands for the
-    /// noise of a sample is that sample's own residual `u = W r` as a whole, as in White's estimator.
-    /// Over time the autocovariance is that of [`Noise`], which is far better known than a truncated
-    /// empirical one: the autoregressive part is a sum of innovations, each of which reaches the
-    /// samples around it by the powers of ρ, so that the covariance is a sum of squares,
+    /// The components of one sample are not independent: noise of one joint affects all six through its
+    /// Jacobian column, which depends on the configuration. As in White's estimator, the sample's whole
+    /// residual `u = W r` therefore represents its noise. The autocovariance over time is from [`Noise`],
+    /// which is more accurate than a truncated empirical one. The autoregressive part is a sum of
+    /// innovations, each of which affects later samples by powers of ρ. The covariance is therefore a sum
+    /// of squares,
     ///
     /// `Σ_j (1−share)·(A_jᵀu_j)² + share·(1−ρ²)·(P_jᵀu_j)²` with `P_j = Σ_{l≤j} ρ^(j−l) A_l`.
     pub fn accumulate_covariance(
@@ -282,7 +281,7 @@ impl Linear {
         let reaching = self.each_score(weights, &chosen, |_, score| {
             squares.add_squares([&score.white, &score.lasting], 1.0);
         });
-        // Innovations after the last sample have no residual of their own.
+        // Innovations after the last sample have no residual.
         for (r, reaching) in reaching.chunks_exact(chosen.len().max(1)).take(rows).enumerate() {
             let Noise { sigma, share, rho } = weights[r / 3].noise;
             let lasting = share * (rho * sigma * weights[r / 3].level()).powi(2);
@@ -297,9 +296,9 @@ impl Linear {
         }
     }
 
-    /// The squares of which the variance along `influence` (one number a target) is the sum: the sum
-    /// itself, and the variance of that sum, by which it is itself known no better than so many
-    /// degrees of freedom (Satterthwaite 1946). Squares of noise that lasts go together.
+    /// Computes the variance along `influence` (one number per target) as a sum of squares. Returns this
+    /// sum and its variance, which together give the effective degrees of freedom (Satterthwaite 1946). The
+    /// variance accounts for autocorrelation.
     pub fn squares_along(
         &self,
         weights: &[Weight],
@@ -317,13 +316,13 @@ impl Linear {
             fourth += square * square;
         });
         let lasts = weights.iter().map(|weight| weight.noise.inflation_of_squares());
-        // Of a normal variable the fourth power is three squared variances, the variance of the
-        // square two of them.
+        // For a normal variable, the fourth moment is three times the squared variance, and the variance of
+        // the square is twice the squared variance.
         (sum, fourth * 2.0 / 3.0 * lasts.fold(1.0, f64::max))
     }
 
-    /// Calls `visit` with the score of every sample over the `chosen` parameters, and returns how each
-    /// row of the design reaches beyond the last one.
+    /// Calls `visit` with the score of every sample over the `chosen` parameters. Returns the weights with
+    /// which each row of the design continues beyond the last sample.
     fn each_score(
         &self,
         weights: &[Weight],
@@ -358,20 +357,20 @@ impl Linear {
     }
 }
 
-/// The own parameters that have a target, each with it.
+/// Parameters that have a target, with that target.
 fn chosen(columns: &[Option<usize>]) -> Vec<(usize, usize)> {
     let with_target = |(own, target): (usize, &Option<usize>)| target.map(|target| (own, target));
     columns.iter().enumerate().filter_map(with_target).collect()
 }
 
-/// What the residual of one sample adds to the score of each parameter: by noise of its own, and by
-/// noise that began with it and lasts.
+/// Contribution of one sample's residual to the score of each parameter, through white noise and through
+/// autocorrelated noise.
 struct Score {
     white: Vec<f64>,
     lasting: Vec<f64>,
 }
 
-/// Adds `value` to the entry of a symmetric matrix.
+/// Adds `value` to a symmetric matrix.
 fn add_both(matrix: &mut DMatrix<f64>, row: usize, column: usize, value: f64) {
     matrix[(row, column)] += value;
     if row != column {
@@ -380,18 +379,18 @@ fn add_both(matrix: &mut DMatrix<f64>, row: usize, column: usize, value: f64) {
 }
 
 impl Weight {
-    /// The weights of some samples, by their places.
+    /// Selects the weights of samples by index.
     pub fn part(&self, samples: &[usize]) -> Self {
         Self { noise: self.noise, robust: samples.iter().map(|&at| self.robust[at]).collect() }
     }
 
-    /// The weight of one residual component.
+    /// Weight of one residual component.
     fn of(&self, sample: usize) -> f64 {
         self.robust[sample] * self.level()
     }
 
-    /// Each component counts as `1 / inflation` independent ones, so that costs are those of
-    /// independent samples, and a kind with a long memory does not outvote the other.
+    /// Weight of a component without the robust factor. It counts as `1 / inflation` independent
+    /// components, so that a kind with strong autocorrelation does not outvote the other.
     pub fn level(&self) -> f64 {
         1.0 / (self.noise.sigma.powi(2) * self.noise.inflation())
     }
@@ -405,12 +404,12 @@ pub(super) struct Normal {
     pub right: DVector<f64>,
     /// `rᵀ W r`.
     pub cost: f64,
-    /// Number of residual components, counted as independent ones.
+    /// Effective number of independent residual components.
     pub independent: f64,
 }
 
 impl Normal {
-    /// Those of no samples.
+    /// Normal equations without samples.
     pub fn zeros(width: usize) -> Self {
         Self {
             matrix: DMatrix::zeros(width, width),
@@ -420,8 +419,8 @@ impl Normal {
         }
     }
 
-    /// The step that minimises the cost over `free` and takes every other parameter, now at
-    /// `values`, back to zero.
+    /// Step that minimises the cost over `free` and returns every other parameter, now at `values`, to
+    /// zero.
     pub fn step(&self, values: &DVector<f64>, free: &[usize]) -> DVector<f64> {
         let mut step = -values;
         for &parameter in free {
@@ -449,19 +448,19 @@ impl Normal {
         step
     }
 
-    /// The cost after a step.
+    /// Cost after a step.
     pub fn cost_after(&self, step: &DVector<f64>) -> f64 {
         self.cost - 2.0 * self.right.dot(step) + step.dot(&(&self.matrix * step))
     }
 
-    /// The least share of any of `parameters`' effects that the others before it do not explain.
+    /// Minimum, over `parameters`, of the share of a parameter's effect that the preceding ones do not
+    /// explain.
     pub fn separation(&self, parameters: &[usize]) -> f64 {
         let cholesky = self.scaled(parameters).0.cholesky();
         cholesky.map_or(0.0, |cholesky| cholesky.l_dirty().diagonal().min().powi(2))
     }
 
-    /// The least share of any of `parameters`' effects that `beside` and the others before it do not
-    /// explain.
+    /// Same, where `beside` also count as preceding parameters.
     pub fn separation_beside(&self, beside: &[usize], parameters: &[usize]) -> f64 {
         let all = [beside, parameters].concat();
         let cholesky = self.scaled(&all).0.cholesky();
@@ -472,7 +471,7 @@ impl Normal {
         if parameters.is_empty() { 1.0 } else { cholesky.map_or(0.0, share) }
     }
 
-    /// The rows and columns `parameters` scaled to a unit diagonal, and the scale.
+    /// Submatrix of `parameters` scaled to a unit diagonal, and the scale.
     fn scaled(&self, parameters: &[usize]) -> (DMatrix<f64>, DVector<f64>) {
         let n = parameters.len();
         let at = |i: usize, j: usize| self.matrix[(parameters[i], parameters[j])];

@@ -1,4 +1,4 @@
-//! A stream's samples beside FK, before and after the explanation.
+//! Aligns a stream's samples with FK, before and after correction.
 
 use crate::explain::Explanation;
 use crate::model::{Blind, StreamState, Sweep, Witness};
@@ -7,7 +7,7 @@ use crate::{Aligned, PoseStream};
 use ground::geometry::pose;
 use ground::stream::{JointTrack, Orientations};
 
-/// The stream's samples beside FK, before and after the explanation.
+/// Aligns the stream's samples with FK, before and after correcting the selected causes.
 pub(super) fn align(
     recorded: &JointTrack,
     stream: &PoseStream,

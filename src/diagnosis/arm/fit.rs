@@ -1,4 +1,4 @@
-//! The fit of all streams of an arm together, from the start that explains each one best.
+//! Fits all streams of an arm together, from the best starting state of each.
 
 use super::{EXPLAINED_M, EXPLAINED_RAD};
 use crate::drawing::{Drawing, ZERO, drawing, standing_out};
@@ -16,24 +16,24 @@ use ground::robot::JointKind;
 use rayon::prelude::*;
 use std::f64::consts::FRAC_PI_2;
 
-/// Samples of each stream that are fitted.
+/// Maximum number of fitted samples per stream.
 pub(crate) const FIT_SAMPLES: usize = 4000;
 
-/// The fit of all streams together.
+/// Joint fit of all streams.
 pub(super) struct Fitted {
     pub(super) explanation: Explanation,
     pub(super) menu: Menu,
-    /// What the joints' zeros are where the model is a drawing held against a calibrated arm, so that
-    /// no cause is named that small deviations of all links make.
+    /// Joint zeros with link deviations, if a nominal model is compared with a calibrated arm. Causes that
+    /// deviations of all links can imitate are then not reported.
     pub(super) nominal: Option<Drawing>,
 }
 
 /// Whether the arm's links may deviate from the model.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Links {
-    /// As those of every arm do.
+    /// They may deviate as usual.
     Deviate,
-    /// They are as in another part of the run, which the streams are held against.
+    /// They are already corrected by the result of another segment.
     AreKnown,
 }
 
@@ -50,7 +50,7 @@ pub(super) fn fit(
         prepared.iter().map(|prepared| best_start(prepared, read, with_offsets)).collect();
     let witnesses: Vec<&Witness> = prepared.iter().map(|prepared| &prepared.witness).collect();
     let menu = menu(prepared, read, with_offsets);
-    // Streams share the joints: the offsets of the stream with most samples start all.
+    // The streams share the joints, so start from the offsets of the stream with the most samples.
     let most = (0..prepared.len()).max_by_key(|&s| prepared[s].witness.len()).unwrap_or(0);
     let start = State {
         offsets: alone[most].offsets.clone(),
@@ -61,7 +61,7 @@ pub(super) fn fit(
     let plain: Vec<StreamState> =
         (0..witnesses.len()).map(|s| without_small_causes(&explanation, s)).collect();
     let most = (0..witnesses.len()).max_by_key(|&s| witnesses[s].len())?;
-    // Calibrations change no zero by more, rad or m.
+    // Calibrations do not change a zero by more than this, rad or m.
     let large = large_zeros(&explanation.state, read, 0.1);
     let is_open = with_offsets && leaves_room(&explanation);
     let drawing = if is_open { drawing(witnesses[most], &plain[most], &large) } else { None };
@@ -96,8 +96,8 @@ pub(super) fn fit(
     Some(Fitted { explanation, menu, nominal: drawing })
 }
 
-/// The same without the causes that the deviations of a usual arm's links may feign, where constant frames
-/// leave little without them, too. Stream `s` tells.
+/// Drops causes that usual link deviations can imitate, if constant frames have a small residual without
+/// them. Uses stream `s`.
 fn without_feigned(fitted: Fitted, witnesses: &[&Witness], s: usize) -> Fitted {
     let Fitted { explanation, menu, .. } = &fitted;
     let small = small_causes(explanation, s);
@@ -109,7 +109,7 @@ fn without_feigned(fitted: Fitted, witnesses: &[&Witness], s: usize) -> Fitted {
     let undone = |causes: &[Cause]| {
         let mut state = explanation.state.clone();
         for (s, stream) in state.streams.iter_mut().enumerate() {
-            // Frames that are no cause are exactly none.
+            // A frame that is not a cause must be exactly the identity.
             if !is_held(Cause::Reference(s)) && stream.round_reference.is_none() {
                 stream.reference = Pose::identity();
             }
@@ -145,7 +145,7 @@ fn without_feigned(fitted: Fitted, witnesses: &[&Witness], s: usize) -> Fitted {
     let nominal = drawing(witnesses[s], &start.streams[s], &start.offsets);
     let explanation = explain(witnesses, start, &menu, Approach::Careful, FIT_SAMPLES);
     let State { offsets, streams } = &explanation.state;
-    // In a known frame what was dropped may leave a constant offset, which links of usual arms have, too.
+    // In a known frame, the dropped causes may leave a constant offset, which usual links also have.
     let is_constant = || {
         let [m, rad] = left_by_constant_frames(witnesses[s], &streams[s], offsets);
         witnesses[s].reference_known && m < EXPLAINED_M && rad < EXPLAINED_RAD
@@ -156,15 +156,15 @@ fn without_feigned(fitted: Fitted, witnesses: &[&Witness], s: usize) -> Fitted {
     }
 }
 
-/// Whether an explanation leaves no more of any stream than MDL001 allows.
+/// Returns whether the residual of every stream is below MDL001's thresholds.
 fn explains_all(explanation: &Explanation) -> bool {
     explanation.linear.streams.iter().all(|stream| {
         rms(&stream.residual[0]) < EXPLAINED_M && rms(&stream.residual[1]) < EXPLAINED_RAD
     })
 }
 
-/// The chosen causes of stream `s` that deviations of links may feign: zeros of less than [`ZERO`], small
-/// frames, and growth. What is less than MDL001 allows is no fault anyway.
+/// Selected causes of stream `s` that link deviations can imitate: zeros below [`ZERO`], small frames, and
+/// radial scale. Causes below MDL001's thresholds are not faults and are ignored.
 fn small_causes(explanation: &Explanation, s: usize) -> Vec<Cause> {
     let found = &explanation.state.streams[s];
     let is_near = |frame: &Pose| {
@@ -183,17 +183,17 @@ fn small_causes(explanation: &Explanation, s: usize) -> Vec<Cause> {
     explanation.causes.iter().filter(is_small).copied().collect()
 }
 
-/// Whether what was chosen may be what small deviations of all links make: several causes, or one
-/// beside which something is left.
+/// Returns whether link deviations could explain the selected causes. This requires several causes, or one
+/// with a remaining residual.
 fn leaves_room(explanation: &Explanation) -> bool {
-    /// Noise that inflates the variance of a mean by more may be what a wrong model leaves.
+    /// Maximum variance inflation of white noise. A larger one indicates a wrong model.
     const MEMORY: f64 = 1.5;
     let is_small = |cause: &&Cause| !matches!(cause, Cause::Skew(_) | Cause::Gain(_));
     explanation.causes.iter().filter(is_small).count() > 1
         || explanation.noise().iter().any(|noise| noise.inflation() > MEMORY)
 }
 
-/// The joint offsets larger than `most`, rad or m, and what scales are found.
+/// Joint offsets larger than `most`, rad or m, and all scales.
 fn large_zeros(state: &State, read: &Read, most: f64) -> Vec<f64> {
     let kept = |(index, value): (usize, &f64)| {
         if index >= read.track.dof || value.abs() > most { *value } else { 0.0 }
@@ -201,8 +201,8 @@ fn large_zeros(state: &State, read: &Read, most: f64) -> Vec<f64> {
     state.offsets.iter().enumerate().map(kept).collect()
 }
 
-/// A stream's state without the causes that a calibration may feign: frames stay where they are
-/// unknown, round, or larger than calibrations are.
+/// State of a stream without the causes that a calibration can imitate. Keeps frames that are unknown,
+/// round, or too large for a calibration.
 pub(super) fn without_small_causes(explanation: &Explanation, stream: usize) -> StreamState {
     let found = &explanation.state.streams[stream];
     let is_large = |frame: &Pose| {
@@ -238,8 +238,8 @@ fn menu(prepared: &[&Prepared], read: &Read, with_offsets: bool) -> Menu {
         } else if with_offsets {
             optional.push(Cause::Reference(s));
         }
-        // A stream that is derived from the joint states agrees with them or does not: nothing is
-        // to be explained away.
+        // A stream that is derived from the joint states must agree with them, so it has no frame or scale
+        // causes.
         if with_offsets {
             optional.extend([Cause::Tool(s), Cause::Growth(s)]);
         }
@@ -247,13 +247,13 @@ fn menu(prepared: &[&Prepared], read: &Read, with_offsets: bool) -> Menu {
     Menu { always, optional }
 }
 
-/// The start from which a stream alone is explained best.
+/// Starting state from which a single stream fits best.
 fn best_start(prepared: &Prepared, read: &Read, with_offsets: bool) -> State {
     let menu = menu(&[prepared], read, with_offsets);
     let best_lag = prepared.peaks.first().map_or(0.0, |peak| peak.correlation);
     let lags: Vec<f64> = if prepared.moves {
         let near = |peak: &&Peak| peak.correlation > best_lag - 0.1;
-        // Streams that copy the joints' stamps lie exactly at none, in a hole of their own noise.
+        // Streams that copy the joints' stamps have exactly zero latency, a narrow minimum.
         prepared.peaks.iter().filter(near).take(3).map(|peak| peak.lag_s).chain([0.0]).collect()
     } else {
         vec![0.0]
@@ -291,8 +291,8 @@ fn best_start(prepared: &Prepared, read: &Read, with_offsets: bool) -> State {
     with_base_turned(state, &prepared.witness)
 }
 
-/// The same state with quarter turns of the first joint's zero expressed as a turned base. Both move the arm
-/// alike, and makers' bases are turned so against each other's.
+/// Converts quarter turns of the first joint's zero to a base rotation. The two are equivalent, and base
+/// frames of different makers differ by such turns.
 fn with_base_turned(mut state: State, witness: &Witness) -> State {
     let Some(&first) = witness.columns.first() else { return state };
     let is_turning = witness.chain.joint_kinds().first() != Some(&JointKind::Prismatic);

@@ -1,4 +1,4 @@
-//! The arm and its pose streams: everything that is estimated from joint states and poses together.
+//! Joint estimation of the arm and its pose streams.
 
 mod align;
 mod fit;
@@ -31,15 +31,15 @@ use ground::stream::JointTrack;
 use stream::{no_diagnosis, stream_diagnosis};
 use zeros::{joint_couplings, joint_offsets, joint_scales, unseen_offsets};
 
-/// Diagnoses the joint states and all pose streams that are witnesses to them.
+/// Diagnoses the joint states and all pose streams that are independent references.
 ///
-/// `most_lag_s` bounds the latency that is sought, s.
+/// `most_lag_s` is the largest latency to search, s.
 pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64) -> ArmDiagnosis {
     diagnose_with(joints, streams, most_lag_s, Links::Deviate)
 }
 
-/// The same of a part of a run from which what another part says is taken off already: the links are the
-/// same there, so what is left is no deviation of theirs.
+/// Same for a segment that is already corrected by the result of another one. The links are the same in
+/// both segments, so the residual is not due to link deviations.
 pub(super) fn diagnose_beyond(
     joints: &JointTrack,
     streams: &[PoseStream],
@@ -74,12 +74,12 @@ fn diagnose_with(
         })
     };
     let mut reading = match is_confirmed(&Read::by(joints, &as_logged, &slides)) {
-        // What positions lie on as they are written needs no other joint states.
+        // If the positions as logged match FK, the joint states need no other encoding.
         true => Ok(JointReading::default()),
         false => read_joints(joints, streams, &metres, most_lag_s),
     };
     if reading.is_err() {
-        // Joints that are read wrongly may feign another unit of the poses.
+        // Wrong joint encodings can imitate another position unit.
         let others = [vec![1.0; streams.len()], streams.iter().map(metres_by_reach).collect()];
         for other in others.into_iter().filter(|other| *other != metres) {
             let by_other = read_joints(joints, streams, &other, most_lag_s);
@@ -91,11 +91,11 @@ fn diagnose_with(
     }
     let mut found = by(reading.as_ref().unwrap_or(&as_logged));
     if reading.as_ref().is_ok_and(|reading| *reading != as_logged) && !found.holds() {
-        // A reading that leaves much is none.
+        // Reject an encoding with a large residual.
         (reading, found) = (Err(Unseen::NotExcited), by(&as_logged));
     }
-    // Weak motion with a fault may look like a mirror or an inverse: none is named if the poses as
-    // written are explained with as few zeros.
+    // With weak motion, a fault can look like mirrored axes or an inverse. Reject these if the poses as
+    // logged are explained with no more joint zeros.
     let is_rewritten = found.streams.iter().any(|it| it.inverted || matches!(it.axes, Ok(Some(_))));
     if is_rewritten && reading.as_ref().is_ok_and(JointReading::is_as_logged) {
         let sound: Vec<Placement> = placements.iter().map(Placement::sound).collect();
@@ -111,7 +111,7 @@ fn diagnose_with(
     let astray = |found: &Found| {
         !found.streams.is_empty() && found.streams.iter().all(PoseDiagnosis::strays)
     };
-    // A reading must not spoil a stream that agrees with the joint states as they are logged.
+    // An encoding must not break a stream that agrees with the joint states as logged.
     let is_alone = streams.len() < 2;
     let plain = LazyCell::new(|| by(&as_logged));
     let spoils = |found: &Found| !is_alone && !found.keeps(&plain);
@@ -119,7 +119,7 @@ fn diagnose_with(
         (reading, found) = (Ok(JointReading::default()), by(&as_logged));
     }
     if reading.is_err() || astray(&found) {
-        // What is wrong beside them may hide names and units.
+        // Other faults may hide the joint names and units.
         for likely in likely_readings(joints, streams, &metres, most_lag_s) {
             let by_it = by(&likely.reading);
             if spoils(&by_it) {
@@ -147,8 +147,7 @@ fn diagnose_with(
             }
         }
     }
-    // Names and units that leave every stream astray are not read rightly, however near some of the
-    // positions are.
+    // The encoding is undetermined if no stream follows FK, even if some positions are close.
     if astray(&found) && reading.as_ref().is_ok_and(JointReading::is_as_logged) {
         reading = Err(Unseen::NotExcited);
     }
@@ -159,7 +158,7 @@ fn diagnose_with(
         }
     }
     let Found { offsets, mut scales, mut couplings, streams } = found;
-    // A joint that moves as its positions say has no scale, whatever was tried.
+    // Remove scales that turned out to be 1.
     if let Ok(reading) = &mut reading {
         let is_one = |factor: f64| (factor - 1.0).abs() < SAME_FACTOR;
         scales.retain(|scale| !is_one(scale.factor.value));
@@ -172,20 +171,20 @@ fn diagnose_with(
     ArmDiagnosis { joints, streams }
 }
 
-/// A factor this near to 1 is none: over a turn it makes less than a tenth of a degree.
+/// A factor this close to 1 counts as 1. Over one turn it makes less than 0.1°.
 const SAME_FACTOR: f64 = 2e-4;
-/// Another reading of the joints must leave so many times less than the one as logged.
+/// Minimum ratio of the residual as logged to the residual with another joint encoding.
 const FAR_BETTER: f64 = 5.0;
-/// Degrees that the joints' ranges speak for must leave so many times less.
+/// Same for degrees that are indicated by the range of the joint values.
 const PARTLY_BETTER: f64 = 3.0;
-/// What is left counts as explained below this, rms m and rad beyond the noise: MDL001's thresholds.
+/// Excess residual that counts as explained, rms m and rad. These are MDL001's thresholds.
 const EXPLAINED_M: f64 = 1e-3;
 pub(super) const EXPLAINED_RAD: f64 = 1.75e-3;
-/// A reading of the joints may leave this share of the motion's extent, or so much, m.
+/// Maximum residual for a valid joint encoding: a fraction of the extent of the motion, or a length in m.
 const NEAR: f64 = 0.02;
 const NEAR_M: f64 = 5e-3;
 
-/// What was found by one reading of the joints.
+/// Result for one encoding of the joints.
 struct Found {
     offsets: Vec<JointOffset>,
     scales: Vec<JointScale>,
@@ -194,12 +193,12 @@ struct Found {
 }
 
 impl Found {
-    /// Number of joint zeros in the explanation.
+    /// Number of joint zeros in the selected model.
     fn zeros(&self) -> usize {
         self.offsets.iter().filter(|offset| offset.chosen).count()
     }
 
-    /// Whether some stream is near the arm.
+    /// Returns whether some stream is close to FK.
     fn is_near(&self) -> bool {
         let near = |found: &PoseDiagnosis| {
             let most_m = (NEAR * extent_m(found)).max(NEAR_M);
@@ -208,7 +207,7 @@ impl Found {
         self.streams.iter().any(near)
     }
 
-    /// Whether each stream that agrees with FK in its own frames under `other` does so here.
+    /// Returns whether each stream that agrees with FK without frame errors in `other` also does so here.
     fn keeps(&self, other: &Found) -> bool {
         let agrees = |found: &PoseDiagnosis| {
             let is_explained = found.residual.as_ref().is_ok_and(|left| {
@@ -223,20 +222,20 @@ impl Found {
         pairs.into_iter().all(|(own, other)| !agrees(other) || agrees(own))
     }
 
-    /// Whether the reading may be believed: some stream is near the arm, and no joint needs a scale of
-    /// its own that is no gear's unless that explains all.
+    /// Returns whether the encoding is credible. Some stream must be close to FK. A joint scale that is not
+    /// a plausible gear ratio is accepted only if everything is explained.
     fn holds(&self) -> bool {
         let is_odd = self.scales.iter().any(|scale| !scale.is_coded() && !scale.is_round())
             || self.couplings.iter().any(|coupling| !coupling.is_round());
         self.is_near() && (!is_odd || self.unexplained().is_none())
     }
 
-    /// All that is left, an angle counting at an arm's length of 0.3 m, m.
+    /// Sum of the excess residuals, m. Angles are weighted by an arm length of 0.3 m.
     fn left(&self) -> f64 {
         self.streams.iter().map(|found| together(&left(found))).sum()
     }
 
-    /// The stream of which most is left, and that, if it is not explained.
+    /// Stream with the largest excess residual, and the residual, if it is not explained.
     fn unexplained(&self) -> Option<(usize, Left)> {
         let lefts = self.streams.iter().map(left).enumerate();
         let worst = lefts.max_by(|a, b| together(&a.1).total_cmp(&together(&b.1)))?;
@@ -246,13 +245,13 @@ impl Found {
     }
 }
 
-/// What is left of a stream beyond its noise; a metre and a radian where it could not be read.
+/// Excess residual of a stream. 1 m and 1 rad if it could not be decoded.
 fn left(found: &PoseDiagnosis) -> Left {
     match (&found.residual, &found.reading) {
         (Ok(residual), Ok(_)) => {
             Left { m: residual.excess_m.value, rad: Some(residual.excess_rad.value) }
         }
-        // Its positions are read all the same; the last joint may turn the other way.
+        // Its positions are still valid. For example, the last joint may have the wrong sign.
         (Ok(residual), Err(Unseen::DoesNotFollow(_))) => {
             Left { m: residual.excess_m.value, rad: Some(1.0) }
         }
@@ -273,11 +272,10 @@ fn extent_m(found: &PoseDiagnosis) -> f64 {
     spread(&fk)
 }
 
-/// Diagnoses a stream that is computed from the joint states, such as /tf: it can be late or
-/// wrongly assembled, but it is no witness to the joints' zeros.
+/// Diagnoses a stream that is computed from the joint states, such as /tf. It can be late or wrongly
+/// assembled, but it is not an independent reference for the joint zeros.
 ///
-/// It is held against the joint states as recorded, or as `reading` corrects them, whichever it
-/// follows.
+/// It is compared with the joint states as recorded and as corrected by `reading`; the better match counts.
 pub fn diagnose_derived(
     joints: &JointTrack,
     reading: Option<&JointReading>,
@@ -305,12 +303,12 @@ pub fn diagnose_derived(
 }
 
 impl JointDiagnosis {
-    /// How the zero of a joint changes in mid-run, by most, where it does.
+    /// Returns the largest change of a joint's zero during the run. `None` if it is constant.
     pub fn zero_change(&self, column: usize) -> Option<&AmountChange> {
         self.largest_change(column, |change| change.zero.as_ref())
     }
 
-    /// How the scale of a joint changes in mid-run, by most, where it does.
+    /// Returns the largest change of a joint's scale during the run. `None` if it is constant.
     pub fn factor_change(&self, column: usize) -> Option<&AmountChange> {
         self.largest_change(column, |change| change.factor.as_ref())
     }
@@ -324,17 +322,17 @@ impl JointDiagnosis {
         AmountChange::largest(own.filter_map(of))
     }
 
-    /// The same without what no rule names: eccentricity of more than gears usually have.
+    /// Removes eccentricity above the usual level of gears, which no rule reports.
     pub fn as_named(&self) -> Self {
         let mut named = self.clone();
         named.bends.retain(|bend| !bend.is_eccentric());
         named
     }
 
-    /// The joint states as they should have been recorded: what changes in mid-run undone, names and units as
-    /// found, what gives in the joints added, and the joint offsets of the smallest explanation added.
+    /// Corrects the joint states: change points, names and units, joint compliance, and the joint offsets
+    /// of the selected model.
     ///
-    /// `prismatic` says for each column of `joints` whether that joint slides.
+    /// `prismatic` flags the prismatic joints among the columns of `joints`.
     pub fn corrected_joints(&self, joints: &JointTrack, prismatic: &[bool]) -> JointTrack {
         let mut unchanged = Cow::Borrowed(joints);
         for patch in &self.patches {
@@ -364,9 +362,10 @@ impl JointDiagnosis {
     }
 }
 
-/// How well a pose stream follows the arm: the best correlation of its speeds with FK's.
+/// Best correlation of a pose stream's speeds with FK's.
 ///
-/// Bare numbers must also lie where the arm is: joint angles in an array move when the arm moves.
+/// An array of bare numbers must also be positioned where the arm is, because joint angles in an array
+/// correlate with the motion as well.
 pub fn follows(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Option<Peak> {
     let peak = likely_lags(joints, stream, most_lag_s).first().copied()?;
     let placed = as_rotations(&stream.track.orientation).is_some() || {
@@ -376,7 +375,7 @@ pub fn follows(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Opt
     Some(if placed { peak } else { Peak { correlation: 0.0, ..peak } })
 }
 
-/// The lags at which a pose stream may follow the arm, by its speeds: the likeliest first.
+/// Candidate lags of a pose stream from its speeds, best first.
 pub fn likely_lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<Peak> {
     stream_peaks(&ArmSpeeds::of(joints, stream.chain, stream.columns), stream, most_lag_s)
 }
@@ -391,7 +390,7 @@ fn prismatic(dof: usize, streams: &[PoseStream]) -> Vec<bool> {
     prismatic
 }
 
-/// Fits all streams together and writes each one's diagnosis.
+/// Fits all streams together and diagnoses each.
 fn diagnose(
     recorded: &JointTrack,
     read: &Read,

@@ -1,4 +1,4 @@
-//! What a fit says of one stream.
+//! Diagnosis of one stream from a fit.
 
 use super::align::align;
 use super::fit::{Fitted, without_small_causes};
@@ -22,11 +22,11 @@ use crate::{
 use ground::geometry::LengthScale;
 use ground::stream::JointTrack;
 
-/// Residuals below this cannot tell two latencies apart, rms rad and m at an arm's length of 1 m.
+/// Residual below which two latencies cannot be distinguished, rms rad, or m at an arm length of 1 m.
 const ALIAS_FLOOR: f64 = 2e-5;
 
 pub(super) fn no_diagnosis(why: Unseen) -> PoseDiagnosis {
-    let rests = || Unseen::RestsOn("the reading of the rotations");
+    let rests = || Unseen::RestsOn("the rotation encoding");
     PoseDiagnosis {
         length: Err(why.clone()),
         axes: Err(why.clone()),
@@ -57,7 +57,7 @@ pub(super) fn no_diagnosis(why: Unseen) -> PoseDiagnosis {
     }
 }
 
-/// The unit that positions turned out to be in, where it is another one than they were read as.
+/// Detected unit of positions, if it differs from the assumed one.
 fn length_slip(
     stream: &PoseStream,
     placement: &Placement,
@@ -77,7 +77,7 @@ fn length_slip(
     Ok(Some(LengthSlip { is, read_as, residual: UnitSlip { as_logged, corrected } }))
 }
 
-/// The coordinates that never change, with what FK does to them.
+/// Constant coordinates, with their range according to FK.
 fn constant_parts(
     stream: &PoseStream,
     prepared: &Prepared,
@@ -177,7 +177,7 @@ pub(super) fn stream_diagnosis(
     let span_s = (t_s[t_s.len() - 1] - t_s[0]).max(f64::MIN_POSITIVE);
     let mut reading = prepared.reading.clone();
     if let (Ok(reading), Ok(residual)) = (&mut reading, &residual) {
-        // Latency, offsets and frames have been taken off since the readings were compared.
+        // Latency, offsets and frames have been corrected since the encodings were compared.
         reading.best_rad = reading.best_rad.min(residual.rms_rad);
     }
     PoseDiagnosis {
@@ -190,7 +190,7 @@ pub(super) fn stream_diagnosis(
         latency_s,
         delays,
         skew: one(Cause::Skew(index)).map(|skew| Measured {
-            // Stamps that are off by this much at either end feign a skew.
+            // Stamp errors of this size at both ends would look like skew.
             std_error: skew.std_error.hypot(2.0 * stream.stamp_error_s / span_s),
             ..skew
         }),
@@ -214,15 +214,15 @@ pub(super) fn stream_diagnosis(
     }
 }
 
-/// How fast the joints move together at the sample before a time, rad/s.
+/// Norm of the joint velocities at the sample before a time, rad/s.
 fn joint_speed(joints: &JointTrack, t_s: f64) -> f64 {
     let row = joints.t_s.partition_point(|at_s| *at_s <= t_s).saturating_sub(1);
     let rates = joints.qd.chunks_exact(joints.dof.max(1)).nth(row).unwrap_or_default();
     rates.iter().map(|rate| rate * rate).sum::<f64>().sqrt()
 }
 
-/// Whether a frame or the growth of stream `index`, which nothing needs, may be there all the same,
-/// made up for by another of them: at rest only all of them together show.
+/// Returns whether a frame or scale error of stream `index` would be compensated by another one. At rest,
+/// only their sum is observable.
 fn is_hidden(fitted: &Fitted, cause: Cause, index: usize) -> bool {
     let Fitted { explanation, menu, .. } = fitted;
     let (state, found) = (&explanation.state, &explanation.state.streams[index]);
@@ -246,7 +246,8 @@ fn is_hidden(fitted: &Fitted, cause: Cause, index: usize) -> bool {
     others.iter().any(makes_up)
 }
 
-/// Other lags at which the stream lies as well on the arm as at the one found: repeating motion.
+/// Other lags at which the stream matches FK equally well, because the motion repeats. `None` if there are
+/// none.
 fn aliases(prepared: &Prepared, explanation: &Explanation, index: usize) -> Option<Vec<f64>> {
     let found = &explanation.state.streams[index];
     let witness = &prepared.witness;
@@ -254,7 +255,7 @@ fn aliases(prepared: &Prepared, explanation: &Explanation, index: usize) -> Opti
     let at = |latency_s: f64| {
         let mut state = StreamState { latency_s, ..found.clone() };
         if !witness.reference_known {
-            // Another lag may want the world elsewhere, as a raster's next line does.
+            // Another lag may need another world frame, for example by one line of a raster.
             state = placed_by_positions(witness, state, offsets);
         }
         witness.at_latency(&state, offsets, SEARCH_SAMPLES)

@@ -1,10 +1,10 @@
-//! One amount of a fit with its interval, and the causes that would explain the log as well in its place.
+//! Estimates of single values of a fit, and their confounders.
 
 use super::fit::Fitted;
 use crate::explain::{Cause, ENTANGLED};
 use crate::{Measured, Seen, Twin, Unseen};
 
-/// The estimate of one parameter of `cause` when `causes` and what is always free are free.
+/// Estimates parameter `which` of `cause` when `causes` and the always-free causes are free.
 pub(super) fn measured(
     fitted: &Fitted,
     causes: &[Cause],
@@ -22,7 +22,7 @@ pub(super) fn measured(
     explanation.linear.measured(&parameters, at, state).ok_or(Unseen::NotExcited)
 }
 
-/// Causes that explain the log as well in the place of `cause`.
+/// Confounders of `cause`: causes that explain the log as well in its place.
 pub(super) fn twins(fitted: &Fitted, cause: Cause) -> Vec<Twin> {
     let Fitted { explanation, menu, .. } = fitted;
     let (state, linear) = (&explanation.state, &explanation.linear);
@@ -55,7 +55,7 @@ pub(super) fn twins(fitted: &Fitted, cause: Cause) -> Vec<Twin> {
         .collect()
 }
 
-/// Frames of the explanation that do to this log what the joint offset `cause` does.
+/// Frames in the selected model that are collinear with the joint offset `cause`.
 pub(super) fn frame_twins(fitted: &Fitted, cause: Cause) -> Vec<Twin> {
     let Fitted { explanation, menu, .. } = fitted;
     let (state, linear) = (&explanation.state, &explanation.linear);
@@ -84,7 +84,7 @@ pub(super) fn frame_twins(fitted: &Fitted, cause: Cause) -> Vec<Twin> {
         .collect()
 }
 
-/// The size of a frame change: its angle in rad, or where it does not turn its length in m.
+/// Size of a frame change: its angle in rad, or its length in m if it does not rotate.
 fn frame_amount(twist: &[f64]) -> f64 {
     let norm = |part: &[f64]| part.iter().map(|x| x * x).sum::<f64>().sqrt();
     let (length, angle) = (norm(&twist[..3]), norm(&twist[3..]));

@@ -1,4 +1,4 @@
-//! What a fit says of the joints: the offset of each, and its scale where it has a wrong one.
+//! Joint estimates of a fit: offsets, scales and couplings.
 
 use super::fit::Fitted;
 use super::twins::{frame_twins, measured, twins};
@@ -22,8 +22,8 @@ pub(super) fn unseen_offsets(dof: usize, why: &Unseen) -> Vec<JointOffset> {
     (0..dof).map(|_| offset()).collect()
 }
 
-/// The offset of every joint: those chosen with the chosen causes alone, the others with all
-/// joints free.
+/// Offset of every joint. Selected ones are estimated with only the selected causes free, the others with
+/// all joints free.
 pub(super) fn joint_offsets(
     fitted: &Fitted,
     prepared: &[&Prepared],
@@ -71,7 +71,6 @@ pub(super) fn joint_offsets(
         .collect()
 }
 
-/// Whether a joint of the track slides.
 fn slides(prepared: &[&Prepared], joint: usize) -> bool {
     prepared.iter().any(|Prepared { witness, .. }| {
         let own = witness.columns.iter().position(|&column| column == joint);
@@ -79,7 +78,7 @@ fn slides(prepared: &[&Prepared], joint: usize) -> bool {
     })
 }
 
-/// The scales of the joints that have one of their own.
+/// Scales of the joints that have one.
 pub(super) fn joint_scales(fitted: &Fitted, read: &Read) -> Vec<JointScale> {
     let explanation = &fitted.explanation;
     let scale = |(at, &(column, by)): (usize, &(usize, usize))| {
@@ -101,7 +100,7 @@ pub(super) fn joint_scales(fitted: &Fitted, read: &Read) -> Vec<JointScale> {
     read.gained.iter().enumerate().filter_map(scale).collect()
 }
 
-/// The couplings of `reading` with the factors that the fit finds.
+/// Joint couplings with fitted factors.
 pub(super) fn joint_couplings(fitted: &Fitted, read: &Read) -> Vec<JointCoupling> {
     let coupling = |(at, &(column, by)): (usize, &(usize, usize))| {
         let about = read.couplings.iter().find(|own| (own.column, own.by) == (column, by))?;
@@ -112,12 +111,12 @@ pub(super) fn joint_couplings(fitted: &Fitted, read: &Read) -> Vec<JointCoupling
     read.gained.iter().enumerate().filter_map(coupling).collect()
 }
 
-/// The estimate of the pair `at` of [`Read::gained`], about what the reading says.
+/// Estimate of entry `at` of [`Read::gained`], relative to the encoding.
 fn gain(fitted: &Fitted, read: &Read, at: usize) -> Option<Measured> {
     measured(fitted, &fitted.explanation.causes, Cause::Gain(read.track.dof + at), 0).ok()
 }
 
-/// Joints that move by more than 3° (or 50 mm) over the run.
+/// Flags joints that move by more than 3° (or 50 mm) over the run.
 fn moved_joints(joints: &JointTrack) -> Vec<bool> {
     (0..joints.dof)
         .map(|j| {
@@ -129,8 +128,8 @@ fn moved_joints(joints: &JointTrack) -> Vec<bool> {
         .collect()
 }
 
-/// Distance from a joint's axis to the tip at full stretch, m a rad (1 for a sliding joint): the
-/// largest over joint positions spread evenly over a turn each (Halton 1960).
+/// Largest distance from a joint's axis to the tip, m/rad (1 for a prismatic joint). The maximum is over
+/// evenly spread joint positions (Halton 1960).
 fn lever_m(prepared: &[&Prepared], joint: usize) -> f64 {
     const TRIED: u32 = 500;
     const BASES: [u32; 10] = [2, 3, 5, 7, 11, 13, 17, 19, 23, 29];
@@ -157,7 +156,7 @@ fn lever_m(prepared: &[&Prepared], joint: usize) -> f64 {
     prepared.iter().filter_map(lever).fold(0.0, f64::max)
 }
 
-/// The digits of `index` in `base` mirrored at the point, in [0, 1).
+/// Radical inverse: digits of `index` in `base`, mirrored at the point, in [0, 1).
 fn radical_inverse(mut index: u32, base: u32) -> f64 {
     let (mut value, mut digit) = (0.0, 1.0 / f64::from(base));
     while index > 0 {

@@ -1,4 +1,4 @@
-//! What is said of a joint that gives: play, sag, an eccentric gear.
+//! Joint compliance: backlash, sag or eccentricity of one joint.
 
 use super::gravity::{Gravity, Postures};
 use crate::AmountChange;
@@ -6,54 +6,53 @@ use ground::stats::Measured;
 use ground::stream::JointTrack;
 use std::sync::Arc;
 
-/// What gears and links of a healthy arm have, rad: an arm of which no joint gives more does not give.
+/// Compliance that gears and links of a healthy arm have, rad. Smaller values are not reported.
 pub(super) const USUAL_RAD: f64 = 2.1e-3;
 
-/// A joint whose link is not where its encoder says, by more in one posture or direction than in another:
-/// `q_true = q_reported + bend`.
+/// Deviation of a link from its encoder that depends on configuration or direction of motion: `q_true =
+/// q_reported + bend`.
 #[derive(Clone, Debug)]
 pub struct JointBend {
-    /// The joint's column.
+    /// Column of the joint.
     pub column: usize,
-    /// How much, rad: the full play, negative where the link goes before its encoder; the largest sag
-    /// over the run; the amplitude of the eccentricity.
+    /// Value, rad: full backlash, negative if the link leads its encoder; or largest sag over the run; or
+    /// amplitude of the eccentricity.
     pub amount: Measured,
-    /// How it goes.
+    /// Profile over the motion.
     pub shape: BendShape,
-    /// Its amount before and after a moment from which on it is another, as that of sag under another load,
-    /// rad; the joint states' clock.
+    /// Change point of the value, rad, such as sag after a load change. Times are on the joint states'
+    /// clock.
     pub change: Option<AmountChange>,
 }
 
-/// How the bend of a joint goes with its motion.
+/// Profile of a joint's compliance.
 #[derive(Clone, Debug)]
 pub enum BendShape {
-    /// The link hangs back by half the play (hysteresis).
+    /// Backlash: the link lags by half of it (hysteresis).
     Play(Crossing),
-    /// It goes with the torque of gravity.
+    /// Sag, proportional to the gravity torque.
     Sag(Sag),
-    /// It goes as `sin(order · q + phase)`.
+    /// Eccentricity, `sin(order · q + phase)`.
     Eccentric {
-        /// How often it comes again in a turn of the joint.
+        /// Cycles per turn of the joint.
         order: u32,
-        /// Where it begins, rad.
+        /// Phase, rad.
         phase_rad: f64,
     },
 }
 
-/// How a joint that turns back crosses its play.
+/// How a joint crosses its backlash after a reversal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Crossing {
-    /// The link stays where it is until its encoder has moved by the play: it is held by friction.
+    /// Friction holds the link until the encoder has moved by the backlash.
     Gradual,
-    /// The link goes from one end of the play to the other as soon as the joint turns back: it is
-    /// pushed, as by another gear or a load.
+    /// The link jumps across at the reversal, pushed by another gear or a load.
     Sudden,
 }
 
 impl Crossing {
-    /// How far the link of a joint with so much play is from its encoder, in plays from −½ to ½, at each of
-    /// `rows` positions of the encoder, from the middle on.
+    /// Offset of the link from its encoder, from −½ to ½ of the backlash, at each of `rows` encoder
+    /// positions. Starts in the middle.
     pub(super) fn behind(self, rows: usize, q: impl Fn(usize) -> f64, play_rad: f64) -> Vec<f64> {
         match self {
             Self::Gradual => play(rows, q, play_rad.abs()),
@@ -62,33 +61,33 @@ impl Crossing {
     }
 }
 
-/// A joint that yields to the torque of gravity.
+/// Sag of a joint under its gravity torque.
 #[derive(Clone, Debug)]
 pub struct Sag {
     pub(super) gravity: Arc<Gravity>,
-    /// The torque under which it sags by the whole amount, in the unit that `gravity` has.
+    /// Torque that causes the full sag, in the unit of `gravity`.
     pub(super) most_torque: f64,
 }
 
 impl JointBend {
-    /// Whether it is play.
+    /// Returns whether this is backlash.
     pub fn is_play(&self) -> bool {
         matches!(self.shape, BendShape::Play(_))
     }
 
-    /// Whether it is sag.
+    /// Returns whether this is sag.
     pub fn is_sag(&self) -> bool {
         matches!(self.shape, BendShape::Sag(_))
     }
 
-    /// Whether it is an eccentricity of more than gears and encoders usually have.
+    /// Returns whether this is eccentricity above the usual level of gears and encoders.
     pub fn is_eccentric(&self) -> bool {
         matches!(self.shape, BendShape::Eccentric { .. }) && self.amount.value > USUAL_RAD
     }
 }
 
-/// Adds to the positions of all joints what `bends` say of them, rad, and to the velocities how fast that
-/// changes. All are reckoned on the positions as they come.
+/// Adds the compliance in `bends` to the joint positions, rad, and its derivative to the velocities. All
+/// terms are computed from the reported positions.
 pub(crate) fn bend(joints: &mut JointTrack, bends: &[JointBend]) {
     let dof = joints.dof.max(1);
     let reported = joints.q.clone();
@@ -107,7 +106,7 @@ pub(crate) fn bend(joints: &mut JointTrack, bends: &[JointBend]) {
                 for (row, behind) in behind.into_iter().enumerate() {
                     let at = row * dof + column;
                     joints.q[at] += behind * amount;
-                    // In the middle of the play the link stands still.
+                    // The link is at rest while the joint crosses its backlash.
                     if behind.abs() < 0.499 && amount > 0.0 && *crossing == Crossing::Gradual {
                         joints.qd[at] = 0.0;
                     }
@@ -133,9 +132,9 @@ pub(crate) fn bend(joints: &mut JointTrack, bends: &[JointBend]) {
     }
 }
 
-/// The way in which a joint moved last, 1 or −1, at each of `rows` positions; 0 before it moves.
+/// Direction of the last motion of a joint, 1 or −1, at each of `rows` positions. 0 before it moves.
 pub(crate) fn ways(rows: usize, q: impl Fn(usize) -> f64) -> Vec<f64> {
-    /// What a joint turns back by at least, beyond the noise of an encoder, rad.
+    /// Minimum reversal, above encoder noise, rad.
     const LEAST_RAD: f64 = 3e-4;
     let (mut way, mut farthest) = (0.0, None);
     (0..rows)
@@ -150,7 +149,7 @@ pub(crate) fn ways(rows: usize, q: impl Fn(usize) -> f64) -> Vec<f64> {
         .collect()
 }
 
-/// The play operator of hysteresis.
+/// Play operator of hysteresis.
 fn play(rows: usize, q: impl Fn(usize) -> f64, play: f64) -> Vec<f64> {
     let mut behind = 0.0;
     let width = play.max(f64::MIN_POSITIVE);

@@ -1,10 +1,10 @@
-//! What gravity does to the joints of an arm.
+//! Gravity torques about the joints of an arm.
 
 use ground::geometry::{Pose, Vec3};
 use ground::robot::{Chain, JointKind};
 
-/// How the masses of an arm go from link to link, where its model says nothing of them: each link's is
-/// so many times that of the one before it, and the tool's so many times the last link's.
+/// Relative mass distribution, assumed if the model has no masses. `taper` is the ratio of each link's mass
+/// to the previous link's, `tool` the ratio of the tool's mass to the last link's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Masses {
     pub taper: f64,
@@ -12,7 +12,7 @@ pub(super) struct Masses {
 }
 
 impl Masses {
-    /// Those that are tried: alike, lighter outwards as arms are built, and with a tool or without.
+    /// Distributions that are tested: equal or tapered links, with and without a tool.
     pub const TRIED: [Self; 9] = {
         const fn of(taper: f64, tool: f64) -> Masses {
             Masses { taper, tool }
@@ -31,17 +31,17 @@ impl Masses {
     };
 }
 
-/// The torques of gravity about the joints of a chain whose base stands upright, up to a factor that
-/// all share: links are masses in the middle between their joints.
+/// Gravity torques about the joints of a chain with an upright base, up to a common factor. Each link is a
+/// point mass midway between its joints.
 #[derive(Clone, Debug)]
 pub(super) struct Gravity {
     chain: Chain,
-    /// For each joint of the chain, its column in the joint track.
+    /// Column in the joint track of each joint of the chain.
     columns: Vec<usize>,
     masses: Masses,
 }
 
-/// What the torques of one posture are reckoned in.
+/// Buffers for the torques of one configuration.
 #[derive(Default)]
 pub(super) struct Postures {
     q: Vec<f64>,
@@ -54,8 +54,8 @@ impl Gravity {
         Self { chain: chain.clone(), columns: columns.to_vec(), masses }
     }
 
-    /// The torque about the joint of each column of `out` at the positions of a row of the track, in
-    /// the sense of the joint's motion; 0 for joints that slide.
+    /// Computes the torque about each joint at the positions in `row`, positive along the joint's motion.
+    /// It is 0 for prismatic joints. `out` is indexed by column of the joint track.
     pub fn torques(&self, row: &[f64], buffer: &mut Postures, out: &mut [f64]) {
         let Postures { q, jacobian, frames } = buffer;
         q.clear();

@@ -1,11 +1,15 @@
-//! Joints that give: play, sag under gravity, eccentric gears and encoders.
+//! Joint compliance: backlash, sag under gravity, and eccentric gears or encoders.
 //!
-//! Play looks like a latency and sag like a joint's zero, so that the smallest explanation of a run may
-//! name these, and something is left that they do not explain. There it is asked what each joint may do
-//! beside them, on the explanation's own linearisation: play goes with the direction of the last motion
-//! (hysteresis), sag with the torque of gravity, eccentricity with the joint's angle ([`search`]). What is
-//! found is taken off the joint states, and everything else is sought anew on the arm as it would be if
-//! no joint gave. Only if far less is left then does one.
+//! Backlash resembles a latency and sag resembles a joint zero. The selected model may therefore report
+//! those instead and keep a large residual. In that case, regress the residual on one profile per joint
+//! ([`search`]):
+//!
+//! - backlash: the direction of the last motion (hysteresis)
+//! - sag: the gravity torque
+//! - eccentricity: the joint angle
+//!
+//! The joint states are then corrected for the estimated compliance and the arm is diagnosed again.
+//! Compliance is reported only if this reduces the residual substantially.
 
 mod found;
 mod gravity;
@@ -31,22 +35,22 @@ use gravity::Masses;
 pub(super) use rival::gives;
 use search::{Free, Kind, MASSES, Search, Term};
 
-/// Samples of a stream that are looked at.
+/// Maximum number of samples used per stream.
 const SAMPLES: usize = 2000;
-/// With the bends taken off at most this share is left of what was, beyond the noise.
+/// A compliance model must reduce the excess residual to at most this fraction.
 const LEFT: f64 = 0.5;
-/// Where so little of it is left, play and sag are enough.
+/// Backlash and sag are sufficient if they reduce the excess residual to at most this fraction.
 const ENOUGH: f64 = 0.15;
-/// At most this of a drawing that is held against a calibrated arm.
+/// Replaces [`LEFT`] if the residual is that of a nominal model of a calibrated arm.
 const LEFT_OF_NOMINAL: f64 = 0.25;
-/// An amount that moves by less is settled, rad.
+/// Convergence tolerance of a compliance value, rad.
 const SETTLED_RAD: f64 = 2e-5;
-/// A smaller zero is not asked whether it is a sag, rad.
+/// Smallest zero offset that is tested against sag as a competing model, rad.
 const LEAST_ZERO_RAD: f64 = 1e-3;
-/// How often an amount is bettered on what the explanation with it leaves.
+/// Number of refinement rounds.
 const ROUNDS: usize = 3;
 
-/// A run whose joints may give.
+/// Run whose joints are tested for compliance.
 struct Run<'a> {
     joints: &'a JointTrack,
     streams: &'a [PoseStream<'a>],
@@ -54,25 +58,25 @@ struct Run<'a> {
     most_lag_s: f64,
 }
 
-/// Samples of one stream and what an explanation leaves of them, in the base, at the tip.
+/// Samples of one stream with their residuals under a diagnosis, expressed in the base frame at the tip.
 #[derive(Default)]
 struct Samples {
-    /// Positions of all joints of the track as they are reported.
+    /// Reported positions of all joints of the track.
     q: Vec<Vec<f64>>,
-    /// Their velocities.
+    /// Velocities of all joints.
     qd: Vec<Vec<f64>>,
-    /// The row of the joint track before the sample, and how far it is to the next.
+    /// Row of the joint track before the sample, and the fraction of the interval to the next row.
     at: Vec<(usize, f64)>,
-    /// Jacobian of each joint of the track.
+    /// Jacobian column of each joint of the track.
     jacobian: Vec<Vec<[f64; 6]>>,
     fk: Vec<Pose>,
-    /// Of position, m, and of rotation, rad.
+    /// Position residual, m, and rotation residual, rad.
     residual: Vec<[[f64; 3]; 2]>,
     has_rotation: bool,
 }
 
-/// The diagnosis of an arm some of whose joints give, of the run as it would be if none did; `None` where
-/// none does, or where that explains too little. `found` is what the run says otherwise.
+/// Diagnoses the arm with joint compliance corrected. `found` is the diagnosis without compliance. `None`
+/// if no joint has compliance or if it does not explain enough of the residual.
 pub(super) fn without_bends(
     joints: &JointTrack,
     streams: &[PoseStream],
@@ -95,7 +99,7 @@ pub(super) fn without_bends(
     };
     let reading = match &found.joints.reading {
         Ok(reading) if !reading.is_as_logged() => reading,
-        // Joints that are read in no way are taken as they are logged.
+        // Without a valid encoding, use the joints as logged.
         _ => return without(Run { joints, streams, slides, most_lag_s }, found),
     };
     if !is_much && !found.joints.offsets.iter().any(|offset| offset.chosen) {
@@ -115,12 +119,12 @@ pub(super) fn without_bends(
     Some(after)
 }
 
-/// What is left of an arm's streams, an angle counting at 0.3 m, m.
+/// Residual of all pose streams of an arm, m. Angles are weighted by 0.3 m.
 #[derive(Clone, Copy, Debug)]
 struct Left {
-    /// Root mean square, beyond the noise.
+    /// Root mean square of the excess residual.
     rms_m: f64,
-    /// Median, with the noise.
+    /// Median, including noise.
     median_m: f64,
 }
 
@@ -139,8 +143,8 @@ impl Left {
         Self { rms_m: streams().map(rms).sum(), median_m: streams().map(half).sum() }
     }
 
-    /// Whether it is at most a share of `other`. Where a joint crosses its play at once, as on a sudden
-    /// load, some is left at each reversal and nothing beside it.
+    /// Returns whether the residual is at most `share` of `other`. Sudden backlash has a residual at each
+    /// reversal but a small median. In that case the limit on the rms is relaxed.
     fn is_within(&self, share: f64, other: &Self) -> bool {
         let is_mostly = self.median_m < 0.5 * share * other.median_m;
         self.rms_m <= share * other.rms_m || (is_mostly && self.rms_m <= 1.5 * share * other.rms_m)
@@ -148,8 +152,8 @@ impl Left {
 }
 
 impl Run<'_> {
-    /// The diagnosis of a run of which `found` is what it says otherwise, as it would be if no joint gave;
-    /// `None` where none does, or where that explains too little.
+    /// Diagnoses the run with joint compliance corrected. `found` is the diagnosis without compliance.
+    /// `None` if no compliance is found or if it does not explain enough.
     fn unbent(&self, found: &ArmDiagnosis) -> Option<ArmDiagnosis> {
         let samples = self.samples(self.joints, found);
         let before = Left::of(found);
@@ -160,7 +164,7 @@ impl Run<'_> {
             .flat_map(|(search, sets)| sets.iter().map(move |terms| (search, terms.clone())))
         {
             let is_eccentric = terms.iter().any(|term| matches!(term.kind, Kind::Eccentric(_)));
-            // An eccentricity can be bent to many shapes: play and sag come before it.
+            // Eccentricity is a flexible model, so backlash and sag take precedence.
             let enough = |(left, _): &(Left, ArmDiagnosis)| left.is_within(ENOUGH, &before);
             if is_eccentric && best.as_ref().is_some_and(enough) {
                 break;
@@ -173,7 +177,7 @@ impl Run<'_> {
         }
         let enough = |(left, _): &(Left, ArmDiagnosis)| left.is_within(ENOUGH, &before);
         if !best.as_ref().is_some_and(enough) {
-            // Another load makes of one sag two.
+            // A load change gives one joint two sag values.
             let loaded = found_sets.as_ref().map(|(search, _)| (search, search.loaded()));
             let loaded = loaded.filter(|(_, terms)| !terms.is_empty());
             if let Some(after) = loaded.and_then(|(search, terms)| self.without(search, terms)) {
@@ -183,7 +187,8 @@ impl Run<'_> {
                 }
             }
         }
-        // What is left of a drawing is of many small causes, of which a few bends take off something too.
+        // The residual of a nominal model has many small causes, and any few compliance terms absorb part
+        // of it.
         let is_nominal = found.streams.iter().any(|found| found.nominal);
         let most = if is_nominal { LEFT_OF_NOMINAL } else { LEFT };
         let (left, mut after) = best?;
@@ -194,7 +199,7 @@ impl Run<'_> {
         if after.joints.bends.iter().any(JointBend::is_eccentric) {
             self.leave_unnamed(&mut after);
         }
-        // Other masses than those that are guessed make something of a sag that a zero makes, too.
+        // The link masses are assumed. An error in them looks like a zero offset, so widen that interval.
         for bend in after.joints.bends.iter().filter(|bend| bend.is_sag()) {
             let offset = after.joints.offsets.get_mut(bend.column);
             if let Some(Ok(offset)) = offset.map(|offset| &mut offset.offset) {
@@ -204,12 +209,12 @@ impl Run<'_> {
         Some(after)
     }
 
-    /// The diagnosis of a run where joints may sag whose zeros are off by what is `found`: with a sag in the
-    /// place of a zero where that is surely likelier, and where it is nearly as likely with the sag beside
-    /// the zero as what cannot be told from it. `None` of neither.
+    /// Tests whether a joint zero in `found` is sag instead. Replaces the zero by sag if sag is clearly
+    /// likelier, and lists sag as a confounder of the zero if both are similarly likely. `None` if neither
+    /// holds.
     fn sags_like_zeros(&self, found: &ArmDiagnosis) -> Option<ArmDiagnosis> {
-        /// As twice the log of the likelihoods' ratio: for another cause in the place of one, and how much less
-        /// likely one may be that cannot be told.
+        /// Thresholds on twice the log-likelihood ratio: to replace one cause by another, and to list a
+        /// confounder.
         const SURE: f64 = 16.0;
         const CLOSE: f64 = 12.0;
         let is_plain = found.joints.reading.as_ref().is_ok_and(JointReading::is_as_logged);
@@ -245,8 +250,8 @@ impl Run<'_> {
         beside
     }
 
-    /// What may give on `samples`, as few joints as explain most, and the search that found them: by the
-    /// masses that fit best where some joint sags.
+    /// Finds sets of compliance terms that explain most with few joints. If a joint sags, uses the mass
+    /// distribution that fits best.
     fn search<'a>(&'a self, samples: &'a [Samples]) -> Option<(Search<'a>, Vec<Vec<Term>>)> {
         let search = Search::new(self, samples, Masses::TRIED[0])?;
         let sets = search.terms();
@@ -261,7 +266,7 @@ impl Run<'_> {
         Some((search, sets))
     }
 
-    /// The diagnosis of the run with the bends that `terms` are taken off; `None` where they are none.
+    /// Diagnoses the run after correcting the compliance in `terms`. `None` if no term remains.
     fn without(&self, search: &Search, mut terms: Vec<Term>) -> Option<ArmDiagnosis> {
         let free = Free::all(self);
         for _ in 0..ROUNDS {
@@ -270,11 +275,11 @@ impl Run<'_> {
         self.settled(search, terms)
     }
 
-    /// The same, from the amounts that `terms` have.
+    /// Same as [`Self::without`], starting from the values in `terms`.
     fn settled(&self, search: &Search, mut terms: Vec<Term>) -> Option<ArmDiagnosis> {
         let mut after = self.bent(&search.bends(&terms))?;
         for _ in 0..ROUNDS {
-            // What the explanation needs no more is not free beside the bends.
+            // Causes that the corrected model no longer contains are not free parameters.
             let before: Vec<f64> = terms.iter().map(Term::size).collect();
             let samples = self.samples(&after.0, &after.1);
             search.on(&samples).refine(&mut terms, &Free::chosen(self, &after.1), true);
@@ -292,7 +297,7 @@ impl Run<'_> {
         gives.then_some(after.1)
     }
 
-    /// The joint states with `bends` taken off, and what the run says of them then; `None` of no bends.
+    /// Joint states corrected for `bends`, and the diagnosis on them. `None` if `bends` is empty.
     fn bent(&self, bends: &[JointBend]) -> Option<(JointTrack, ArmDiagnosis)> {
         if bends.is_empty() {
             return None;
@@ -303,15 +308,14 @@ impl Run<'_> {
         Some((joints, found))
     }
 
-    /// The samples of every stream, and what is left of them where `joints` are those that were `found`
-    /// that of.
+    /// Samples of every stream with their residuals. `found` is the diagnosis of `joints`.
     fn samples(&self, joints: &JointTrack, found: &ArmDiagnosis) -> Vec<Samples> {
         let corrected = found.joints.corrected_joints(joints, self.slides);
         let both = self.streams.iter().zip(&found.streams);
         both.map(|(stream, found)| self.of_stream(&corrected, stream, found)).collect()
     }
 
-    /// When what a stream says at a stamp was true, s.
+    /// Maps a stamp of the stream to the time of measurement, s.
     fn truth_s(&self, stream: &PoseStream, found: &PoseDiagnosis) -> impl Fn(f64) -> f64 + use<> {
         let lag_s = match &found.latency_s {
             Ok(latency) => latency.value,
@@ -323,7 +327,7 @@ impl Run<'_> {
         move |t_s| t_s - lag_s - skew * (t_s - middle_s)
     }
 
-    /// Leaves in the aligned samples what no rule names: eccentricity.
+    /// Recomputes FK without eccentricity. No rule reports eccentricity, so it remains in the residual.
     fn leave_unnamed(&self, after: &mut ArmDiagnosis) {
         let named = after.joints.as_named().corrected_joints(self.joints, self.slides);
         let (mut q, mut qd) = (vec![0.0; named.dof], vec![0.0; named.dof]);

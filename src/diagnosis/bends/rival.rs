@@ -1,5 +1,5 @@
-//! Joints that give beside something that changes in mid-run: a joint with play that turns back a few times
-//! is much as one whose zero, or a frame, changes there.
+//! Compares joint compliance with change points. A few reversals of a joint with backlash look much like
+//! steps of its zero or of a frame.
 
 use crate::changes::left_m;
 use crate::{
@@ -8,19 +8,19 @@ use crate::{
 };
 use std::cmp::Ordering;
 
-/// A joint that gives before one that changes, where it leaves at most so many times as much.
+/// Maximum ratio of the residual with compliance to the residual with change points, if both models have
+/// the same number of causes.
 const AS_LITTLE: f64 = 1.5;
-/// The same where that takes fewer causes: amounts that are fitted beside what a crossing leaves are not
-/// quite those that they are.
+/// Same if compliance needs fewer causes. Larger, because the backlash crossings bias the fitted values.
 const AS_LITTLE_WITH_FEWER: f64 = 3.0;
 
-/// Whether joints give, as `bend` says, rather than that something changes, as `change` does.
+/// Returns whether the compliance model `bend` is preferred to the change-point model `change`.
 pub(crate) fn gives(bend: &ArmDiagnosis, change: &ArmDiagnosis) -> bool {
     if bend.joints.bends.is_empty() {
         return false;
     }
     let (own, other) = (causes(bend), causes(change));
-    // A load that changes does so to one joint as a zero that changes, which is simpler.
+    // A step of one joint's zero is simpler than a load change, so compliance must fit better.
     let is_loaded = bend.joints.bends.iter().any(|bend| bend.change.is_some());
     let most = match own.cmp(&other) {
         Ordering::Greater => return false,
@@ -28,11 +28,12 @@ pub(crate) fn gives(bend: &ArmDiagnosis, change: &ArmDiagnosis) -> bool {
         Ordering::Equal => AS_LITTLE,
         Ordering::Less => AS_LITTLE_WITH_FEWER,
     };
-    // While a joint crosses its play, and before it first moves, nobody knows where in it its link is.
+    // The position within the backlash is unknown during a crossing and before the first motion.
     left_m(bend) <= most * left_m(change) || mostly_left_m(bend) <= most * mostly_left_m(change)
 }
 
-/// What is left of nine of ten samples of an arm's streams, an angle counting at 0.3 m, rms.
+/// Trimmed rms residual of an arm's streams: the best nine tenths of the samples. Angles are weighted by
+/// 0.3 m.
 fn mostly_left_m(found: &ArmDiagnosis) -> f64 {
     const MOSTLY: f64 = 0.9;
     let of_stream = |found: &PoseDiagnosis| {
@@ -45,10 +46,10 @@ fn mostly_left_m(found: &ArmDiagnosis) -> f64 {
     found.streams.iter().map(of_stream).sum()
 }
 
-/// How many causes an explanation of an arm has beside latencies and readings; a change of an amount that
-/// is wrong before as well as after counts as two.
+/// Number of causes in a diagnosis, excluding latencies and encodings. A change point counts twice if the
+/// value is wrong both before and after it.
 fn causes(found: &ArmDiagnosis) -> usize {
-    /// So little of a change is no amount of its own.
+    /// A value below this fraction of the step counts as zero.
     const LITTLE: f64 = 0.2;
     let JointDiagnosis { offsets, changes, bends, .. } = &found.joints;
     let of_zero = |zero: &AmountChange| {

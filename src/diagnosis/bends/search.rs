@@ -1,5 +1,5 @@
-//! Which joints give, and by how much: linear least squares on what one explanation of the run leaves,
-//! with everything that explanation may hold free beside them.
+//! Selects the joints with compliance and estimates its values. Uses linear least squares on the residual
+//! of one diagnosis, with all causes of its model as free parameters.
 
 use super::found::{BendShape, Crossing, JointBend, Sag};
 use super::gravity::{Gravity, Masses, Postures};
@@ -11,44 +11,43 @@ use crate::{ArmDiagnosis, Change, FrameEstimate, Seen};
 use ground::stats::Measured;
 use std::sync::Arc;
 
-/// Play that is assumed while it is sought, rad; the shape hardly hangs on it.
+/// Backlash assumed during the search, rad. The profile depends only weakly on it.
 const FIRST_PLAY_RAD: f64 = 3e-3;
-/// A joint gives where that explains so much of what is left beyond the noise.
+/// A term must explain at least this fraction of the explainable excess residual.
 const SHARE: f64 = 0.03;
-/// Orders of eccentricity that are tried: of the joint itself, of its encoder, of a bearing.
+/// Eccentricity orders that are tested, in cycles per turn: joint, encoder, bearing.
 const ORDERS: [u32; 3] = [1, 2, 3];
-/// Torque below this share of the largest makes no sag that could be told.
+/// Joints whose gravity torque is below this fraction of the largest are not tested for sag.
 const LEAST_TORQUE: f64 = 0.05;
-/// An amount is told from none by so many standard errors.
+/// A value is significant if it exceeds this many standard errors.
 const TOLD: f64 = 4.0;
-/// Standard error of a sag by masses that are guessed, as a share: others take so much more or less of it.
+/// Relative standard error of sag due to the assumed link masses.
 pub(super) const MASSES: f64 = 0.07;
-/// More than this is no bend, rad.
+/// Larger values are not compliance, rad.
 const MOST_RAD: f64 = 0.1;
-/// Joints whose number ranges over less show no eccentricity, rad.
+/// Minimum range of a joint angle to test for eccentricity, rad.
 const LEAST_RANGE_RAD: f64 = 1.0;
 
-/// Moments at which another load is tried, and how much finer beside the best.
+/// Number of trial times for a load change, and the factor of the finer grid around the best.
 const MOMENTS: usize = 12;
 const FINER: i32 = 4;
 
-/// How a joint may give.
+/// Kind of joint compliance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Kind {
     Play(Crossing),
     Sag,
-    /// Sag that is another from a time on, s: another load.
+    /// Sag whose value changes at this time (a load change), s.
     LoadedSag(f64),
     Eccentric(u32),
 }
 
-/// A joint that may give.
+/// Compliance term of one joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Term {
     pub column: usize,
     pub kind: Kind,
-    /// The coefficients found so far: of eccentricity that of the sine and that of the cosine, of sag that is
-    /// another from a time on before and after.
+    /// Coefficients. Eccentricity: sine and cosine. Sag with a load change: before and after.
     pub amount: [f64; 2],
     pub std_error: f64,
     pub dof: f64,
@@ -64,7 +63,7 @@ impl Term {
         if matches!(self.kind, Kind::Eccentric(_) | Kind::LoadedSag(_)) { 2 } else { 1 }
     }
 
-    /// The size, rad, with its sign where it has one.
+    /// Magnitude, rad, signed except for eccentricity.
     pub fn size(&self) -> f64 {
         match self.kind {
             Kind::Play(_) | Kind::Sag => self.amount[0],
@@ -74,7 +73,7 @@ impl Term {
         }
     }
 
-    /// Whether it is one, and told from none.
+    /// Returns whether the value is physical and significant.
     fn holds(&self) -> bool {
         let size = self.size();
         let is_way = size > 0.0 || matches!(self.kind, Kind::Play(_));
@@ -82,15 +81,15 @@ impl Term {
     }
 }
 
-/// What is free beside the bends.
+/// Free parameters in addition to the compliance terms.
 pub(super) struct Free {
     pub zeros: Vec<bool>,
-    /// Of each stream: latency, growth, reference, tool.
+    /// Latency, radial scale, reference and tool of each stream.
     pub streams: Vec<[bool; 4]>,
 }
 
 impl Free {
-    /// All zeros, latencies and frames.
+    /// Frees all zeros, latencies and frames.
     pub fn all(run: &Run) -> Self {
         Self {
             zeros: vec![true; run.joints.dof],
@@ -98,7 +97,7 @@ impl Free {
         }
     }
 
-    /// What an explanation holds.
+    /// Frees only the causes that the selected model contains.
     pub fn chosen(run: &Run, found: &ArmDiagnosis) -> Self {
         let streams = run.streams.iter().zip(&found.streams).map(|(stream, found)| {
             let frame =
@@ -113,14 +112,14 @@ impl Free {
     }
 }
 
-/// The search for what gives on one linearisation.
+/// Search for compliance on one linearisation.
 pub(super) struct Search<'a> {
     run: &'a Run<'a>,
     samples: &'a [Samples],
     gravity: Arc<Gravity>,
-    /// The largest torque about each joint over the run.
+    /// Largest torque about each joint over the run.
     most_torque: Vec<f64>,
-    /// Torques of each sample of each stream, one a joint.
+    /// Gravity torques, indexed by stream, sample and joint.
     torques: Vec<Vec<Vec<f64>>>,
 }
 
@@ -136,7 +135,7 @@ impl<'a> Search<'a> {
         Some(Self { run, samples, gravity, most_torque, torques })
     }
 
-    /// The same on other samples of the run.
+    /// Same search on other samples of the run.
     pub fn on<'b>(&self, samples: &'b [Samples]) -> Search<'b>
     where
         'a: 'b,
@@ -147,8 +146,8 @@ impl<'a> Search<'a> {
         Search { run: self.run, samples, gravity, most_torque, torques }
     }
 
-    /// The sag of a joint that moves it by as much in the mean as a zero of `offset_rad` does; `None` where
-    /// gravity does not pull on it that way.
+    /// Sag whose mean over the samples equals a zero of `offset_rad`. `None` if the sign contradicts
+    /// gravity or the sag is too large.
     pub fn sag_like(&self, column: usize, offset_rad: f64) -> Option<Term> {
         let term = |term: &Term| term.column == column && term.kind == Kind::Sag;
         let term = self.candidates().into_iter().find(term)?;
@@ -159,7 +158,7 @@ impl<'a> Search<'a> {
         (amount[0] > 0.0 && amount[0] < MOST_RAD).then_some(Term { amount, ..term })
     }
 
-    /// Everything that may give.
+    /// All compliance terms that the motion can show.
     fn candidates(&self) -> Vec<Term> {
         let dof = self.run.joints.dof;
         let largest = self.most_torque.iter().copied().fold(0.0, f64::max);
@@ -189,7 +188,7 @@ impl<'a> Search<'a> {
         (0..dof).filter(used).flat_map(of_joint).collect()
     }
 
-    /// The shapes of `terms` at each sample of each stream, a number a coefficient.
+    /// Profiles of `terms`, indexed by stream, sample and coefficient.
     fn shapes(&self, terms: &[Term]) -> Vec<Vec<Vec<f64>>> {
         let joints = self.run.joints;
         let behind: Vec<Vec<f64>> = terms
@@ -272,8 +271,8 @@ impl<'a> Search<'a> {
         system
     }
 
-    /// The joints that give, as few as explain most, with everything else free: such as have play or sag
-    /// alone, and where they are others such as may be eccentric too.
+    /// Selects small sets of terms with all zeros, latencies and frames free. The first set contains only
+    /// backlash and sag. A second set follows if adding eccentricity selects it.
     pub fn terms(&self) -> Vec<Vec<Term>> {
         let (terms, free) = (self.candidates(), Free::all(self.run));
         let system = self.system(&terms, &free);
@@ -293,8 +292,8 @@ impl<'a> Search<'a> {
         sets.filter(|set| !set.is_empty()).map(of).collect()
     }
 
-    /// The joints that sag by another amount from some time on, as few as explain most beside play, with
-    /// everything else free: under another load. None where one amount does nearly as well.
+    /// Selects joints whose sag changes at one time (a load change), in addition to backlash, with
+    /// everything else free. Empty if constant sag fits about as well.
     pub fn loaded(&self) -> Vec<Term> {
         let free = Free::all(self.run);
         let with = |kind: fn(f64) -> Kind, at_s: f64| -> Vec<Term> {
@@ -333,19 +332,19 @@ impl<'a> Search<'a> {
         if is_loaded { set } else { Vec::new() }
     }
 
-    /// How finely the moment of another load is sought, s.
+    /// Time resolution of the load change, s.
     fn step_s(&self) -> f64 {
         let (first, last) = self.run.joints.span().unwrap_or_default();
         (last - first) / (MOMENTS as f64 * f64::from(FINER))
     }
 
-    /// `Σ n·ln σ` of what some terms leave, everything else free.
+    /// Residual noise `Σ n·ln σ` with `terms` and everything else free.
     pub fn left(&self, terms: &[Term]) -> f64 {
         self.system(terms, &Free::all(self.run)).noise()
     }
 
-    /// Moves the amounts of `terms` to where they leave least beside what is `free`. `is_taken` says whether
-    /// the samples are what is left with the amounts so far taken off: then those that are none are dropped.
+    /// Refines the values of `terms`. If `is_taken`, the residuals are already corrected for the current
+    /// values, and terms that are not significant are removed.
     pub fn refine(&self, terms: &mut Vec<Term>, free: &Free, is_taken: bool) {
         let system = self.system(terms, free);
         let every: Vec<usize> = (0..terms.len()).collect();
@@ -367,7 +366,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// The bends that `terms` are.
+    /// Converts `terms` to joint compliance.
     pub fn bends(&self, terms: &[Term]) -> Vec<JointBend> {
         let bend = |term: &Term| {
             let Term { column, amount, std_error, dof, .. } = *term;
@@ -404,8 +403,7 @@ impl<'a> Search<'a> {
     }
 }
 
-/// The set among `menu` that costs least with what each is worth, added and dropped one at a time. `plain`
-/// is the cost of none.
+/// Stepwise selection from `menu` that minimises cost plus price. `plain` is the cost of the empty set.
 fn fewest(
     menu: &[usize],
     plain: f64,
@@ -424,7 +422,7 @@ fn fewest(
         };
         set.push(index);
         now = after;
-        // What came first may be needless beside what came later.
+        // A later term can make an earlier one redundant.
         loop {
             let fewer = (0..set.len()).map(|at| {
                 let mut fewer = set.clone();
@@ -440,7 +438,7 @@ fn fewest(
     set
 }
 
-/// The torques about the joints at each sample of each stream.
+/// Gravity torques, indexed by stream, sample and joint.
 fn torques(gravity: &Gravity, samples: &[Samples], dof: usize) -> Vec<Vec<Vec<f64>>> {
     let mut buffer = Postures::default();
     let mut of_sample = |q: &Vec<f64>| {

@@ -1,4 +1,4 @@
-//! The normal equations of what may give, beside everything that an explanation may hold.
+//! Normal equations of the compliance terms together with all other causes of the model.
 
 use super::Samples;
 use super::search::{Free, Term};
@@ -8,25 +8,25 @@ use crate::robust::sandwich;
 use ground::geometry::Vec3;
 use nalgebra::{DMatrix, DVector};
 
-/// Parameters of a stream beside its joints': latency, growth, reference and tool.
+/// Parameters of each stream: latency, radial scale, reference and tool.
 pub(super) const STREAM: usize = 14;
 const PARTS: [std::ops::Range<usize>; 4] = [0..1, 1..2, 2..8, 8..14];
 
-/// Least squares with some terms beside everything else.
+/// Least-squares system of compliance terms and stream parameters.
 pub(super) struct System {
     pub linears: Vec<Linear>,
     pub weights: Vec<Vec<Weight>>,
     pub normal: Normal,
-    /// Columns of each stream's own parameters in the whole.
+    /// Columns of each stream's parameters in the full system.
     pub columns: Vec<Vec<usize>>,
-    /// Where each of the terms begins.
+    /// First column of each term.
     pub starts: Vec<usize>,
 }
 
 impl System {
     pub fn sum(&mut self) {
         let width = self.columns.iter().flatten().max().map_or(0, |last| last + 1);
-        /// As the fit of the model damps its steps.
+        /// Prior standard deviation that damps the steps, as in the fit of the model.
         const SCALE: f64 = 0.02;
         let mut normal = Normal::zeros(width);
         for ((linear, weights), columns) in
@@ -51,7 +51,7 @@ impl System {
         self.sum();
     }
 
-    /// The parameters of some terms and of what is free beside them, ascending.
+    /// Parameter indices of the terms in `set` and of the `free` parameters, ascending.
     pub fn parameters(&self, terms: &[Term], set: &[usize], free: &Free) -> Vec<usize> {
         let dof = free.zeros.len();
         let own = dof + terms.iter().map(Term::width).sum::<usize>();
@@ -79,7 +79,7 @@ impl System {
         self.normal.cost_after(&self.step(parameters))
     }
 
-    /// `Σ n·ln σ` of what is left.
+    /// Residual noise, `Σ n·ln σ`.
     pub fn noise(&self) -> f64 {
         let of_stream = |(linear, weights): (&Linear, &Vec<Weight>)| {
             let log = weights.iter().map(|weight| weight.noise.sigma.ln()).sum::<f64>();
@@ -102,7 +102,7 @@ impl System {
     }
 }
 
-/// The residuals of a stream's samples and their derivatives, in the base, at the tip.
+/// Linearises a stream: residuals of its samples and their derivatives, in the base frame at the tip.
 pub(super) fn linear(
     samples: &Samples,
     shapes: &[Vec<f64>],

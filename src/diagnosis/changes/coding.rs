@@ -1,12 +1,12 @@
-//! How the numbers of a stream are coded in one part of the run and in another.
+//! Encodings that differ between segments of a run.
 
 use super::cut::Span;
 use super::{CodedParts, Kept, Other};
 use crate::{PoseDiagnosis, Reading};
 
 impl Kept {
-    /// Says of the diagnosis of a stream whose poses were read anew how its numbers are coded: what of that
-    /// is other in another part, as in the part where it is not as logged.
+    /// Reports the encoding of stream `s` in its diagnosis `after`. If an encoding differs between
+    /// segments, reports the one that is not as logged, with the time span in which it applies.
     pub(super) fn read_as(&self, s: usize, others: &[Other], after: &mut PoseDiagnosis) {
         let own = &self.found.streams[s];
         let first = others.iter().find(|other| self.is_reread(s, other));
@@ -37,7 +37,7 @@ impl Kept {
     }
 }
 
-/// Whether something of the coding of two streams is the same.
+/// Compares one aspect of the encoding of two streams.
 type Same = fn(&PoseDiagnosis, &PoseDiagnosis) -> bool;
 
 fn same_rotation(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
@@ -63,7 +63,7 @@ fn same_axes(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
     of(a) == of(b)
 }
 
-/// Whether the numbers of two streams are coded in the same way.
+/// Returns whether two streams use the same encoding.
 pub(super) fn same_coding(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
     let all: [Same; 4] = [same_rotation, same_degrees, same_length, same_axes];
     all.into_iter().all(|same| same(a, b))

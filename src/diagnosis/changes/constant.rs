@@ -1,20 +1,20 @@
-//! What one constant tool frame and one constant reference frame leave of a run.
+//! Residual of a run after fitting a constant tool frame and a constant reference frame.
 
 use super::PART_SAMPLES;
 use crate::{Aligned, ArmDiagnosis};
 use ground::geometry::{Vec3, rotvec_from_rotation};
 use nalgebra::{Matrix3, SMatrix, SVector};
 
-/// Residuals below these are within what link deviations and calibration make: 1 mm and 0.1°, the warning
-/// figures of MDL001.
+/// Smaller residuals are consistent with link deviations and calibration error: 1 mm and 0.1°, the warning
+/// thresholds of MDL001.
 const MOST: [f64; 2] = [1e-3, 0.1 * std::f64::consts::PI / 180.0];
-/// Length by which rotations are weighed against positions, m.
+/// Length that weights rotations relative to positions, m.
 const ARM_M: f64 = 0.3;
-/// Parts of the run in which the residual must be small.
+/// Number of segments in which the residual must be small.
 const PARTS: usize = 20;
 
-/// Whether a constant tool and a constant reference leave less than 1 mm and 0.1° rms in every part of the
-/// run, for every stream of an arm.
+/// Returns whether constant tool and reference frames explain the run. The residual of every stream must be
+/// below 1 mm and 0.1° rms in every segment.
 pub(crate) fn constant_frames_suffice(found: &ArmDiagnosis) -> bool {
     let is_small = |aligned: &Aligned, has_rotation: bool| {
         let left = left_by_constant_frames(aligned, has_rotation);
@@ -33,8 +33,8 @@ pub(crate) fn constant_frames_suffice(found: &ArmDiagnosis) -> bool {
         && streams.all(|found| is_small(&found.aligned, found.reading.is_ok()))
 }
 
-/// Position (m) and rotation (rad) of each sample after a least-squares fit of a small tool and reference
-/// change.
+/// Position (m) and rotation (rad) residual of each sample after a least-squares fit of small changes of
+/// tool and reference.
 fn left_by_constant_frames(aligned: &Aligned, has_rotation: bool) -> Vec<[Vec3; 2]> {
     let pairs = || aligned.corrected.iter().zip(&aligned.fk_at_truth);
     let mut residuals: Vec<[Vec3; 2]> = pairs()

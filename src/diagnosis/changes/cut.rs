@@ -1,4 +1,4 @@
-//! A run in parts.
+//! Splits a run into segments.
 
 use std::ops::Range;
 
@@ -8,24 +8,24 @@ use crate::steady::straightened;
 use crate::{ArmDiagnosis, PoseStream};
 use ground::stream::{JointTrack, PoseTrack};
 
-/// A part of the run has so many samples of some stream.
+/// Minimum number of samples of some stream in a segment.
 pub(super) const PART_SAMPLES: usize = 20;
 
-/// A run that may be cut. Times of cuts are those of the joint states.
+/// Run that may be split. Change points are on the joint states' clock.
 pub(super) struct Cut<'a> {
     pub joints: &'a JointTrack,
     pub streams: &'a [PoseStream<'a>],
     pub slides: &'a [bool],
-    /// By how much each stream is late, s.
+    /// Latency of each stream, s.
     pub lags: &'a [f64],
     pub most_lag_s: f64,
 }
 
-/// A part of a run: from the one time on and before the other, s.
+/// Segment of a run: start (inclusive) and end (exclusive), s.
 pub(super) type Span = (f64, f64);
 
 impl Cut<'_> {
-    /// When streams jump, or the joint states do, by the clock of the joint states.
+    /// Change points of streams and joint states, on the joint states' clock.
     pub fn moments(&self, found: &ArmDiagnosis, of_joints: Vec<Jump>) -> Vec<Jump> {
         let of_stream = |s: usize| {
             let aligned = &found.streams[s].aligned;
@@ -35,7 +35,7 @@ impl Cut<'_> {
         strongest((0..self.streams.len()).flat_map(of_stream).chain(of_joints).collect())
     }
 
-    /// The parts between `moments` that are long enough; a shorter one goes with the one before it.
+    /// Splits the run at `moments`. A segment that is too short is merged with its neighbour.
     pub fn parts(&self, moments: &[Jump]) -> Vec<Span> {
         let mut parts = Vec::new();
         let mut from_s = f64::NEG_INFINITY;
@@ -50,14 +50,14 @@ impl Cut<'_> {
         parts
     }
 
-    /// The rows of a stream in a part.
+    /// Rows of a stream in a segment.
     fn rows(&self, stream: usize, (from_s, to_s): Span) -> Range<usize> {
         let (t_s, lag_s) = (&self.streams[stream].track.t_s, self.lags[stream]);
         let [from, to] = [from_s, to_s].map(|at_s| t_s.partition_point(|t_s| *t_s < at_s + lag_s));
         from..to
     }
 
-    /// The most samples that any stream has in a part.
+    /// Number of samples in a segment, of the stream that has most.
     pub fn samples(&self, span: Span) -> usize {
         (0..self.streams.len()).map(|s| self.rows(s, span).len()).max().unwrap_or(0)
     }
@@ -84,14 +84,14 @@ impl Cut<'_> {
         (0..self.streams.len()).map(track).collect()
     }
 
-    /// The streams with other tracks.
+    /// Replaces the tracks of the streams.
     pub fn with<'a>(&'a self, tracks: &'a [PoseTrack]) -> Vec<PoseStream<'a>> {
         let with =
             |(stream, track): (&PoseStream<'a>, &'a PoseTrack)| PoseStream { track, ..*stream };
         self.streams.iter().zip(tracks).map(with).collect()
     }
 
-    /// What a part says by itself.
+    /// Diagnoses a segment on its own.
     pub fn diagnose(&self, span: Span) -> (JointTrack, ArmDiagnosis) {
         let (joints, tracks) = (self.joints_in(span), self.tracks_in(span));
         let found = diagnose_arm(&joints, &self.with(&tracks), self.most_lag_s);

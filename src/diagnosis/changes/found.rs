@@ -1,73 +1,73 @@
-//! What is said of an amount that changes in mid-run.
+//! Change points of a value, as reported.
 
 use crate::FrameEstimate;
 use ground::geometry::Pose;
 use ground::stats::Measured;
 
-/// A moment from which on an amount is another.
+/// Change point of a value.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Change<Value, Size> {
-    /// When, s from the run's origin, by the stamps of the stream whose amount it is.
+    /// Time, s from the run's origin, by the stamps of the affected stream.
     pub at_s: f64,
-    /// The change came so much before or after that at most, s.
+    /// Half-width of the interval that contains the change, s.
     pub within_s: f64,
-    /// The amount before.
+    /// Value before.
     pub from: Value,
-    /// The amount after.
+    /// Value after.
     pub to: Value,
-    /// What takes the one to the other.
+    /// Difference between the two.
     pub by: Size,
 }
 
-/// A change of a frame: `reference_from_stream` or `tip_from_stream` before and after.
+/// Change point of a frame: `reference_from_stream` or `tip_from_stream` before and after.
 pub type FrameChange = Change<Pose, FrameEstimate>;
-/// A change of a number.
+/// Change point of a number.
 pub type AmountChange = Change<f64, Measured>;
 
 impl AmountChange {
-    /// The largest of some changes, where there is one.
+    /// Returns the largest of several changes. `None` if there are none.
     pub fn largest<'a>(changes: impl IntoIterator<Item = &'a Self>) -> Option<&'a Self> {
         let size = |change: &Self| change.by.value.abs();
         changes.into_iter().max_by(|a, b| size(a).total_cmp(&size(b)))
     }
 }
 
-/// A joint whose zero or scale changes.
+/// Change point of a joint's zero or scale.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointChange {
-    /// The joint's column.
+    /// Column of the joint.
     pub column: usize,
-    /// Of `q_true = factor · q_reported + offset` the offset, rad or m.
+    /// Offset in `q_true = factor · q_reported + offset`, rad or m.
     pub zero: Option<AmountChange>,
-    /// The factor.
+    /// Factor in the same equation.
     pub factor: Option<AmountChange>,
 }
 
-/// What makes the positions of a joint in a part of the run those of the rest.
+/// Correction that makes a joint's positions in one segment consistent with the baseline segment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JointPatch {
-    /// The joint's column.
+    /// Column of the joint.
     pub column: usize,
-    /// From this stamp on, s from the run's origin, …
+    /// Start of the segment (inclusive), s from the run's origin.
     pub from_s: f64,
-    /// … and before this one, …
+    /// End of the segment (exclusive), s from the run's origin.
     pub to_s: f64,
-    /// … positions are multiplied by this, …
+    /// Factor applied to positions.
     pub factor: f64,
-    /// … and this is added, rad or m.
+    /// Offset that is then added, rad or m.
     pub offset: f64,
 }
 
-/// The parts of the run in which a stream's numbers are coded as its diagnosis says, s from the run's origin by
-/// the joints' clock; `None` of what is coded so throughout.
+/// Part of the run that uses the reported encoding of a stream, s from the run's origin on the joints'
+/// clock. `None` if it is the whole run.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CodedParts {
-    /// Its rotations: convention, order of components, inverse.
+    /// Rotations: convention, order of components, inverse.
     pub rotation: Option<(f64, f64)>,
-    /// The unit of its angles.
+    /// Unit of angles.
     pub degrees: Option<(f64, f64)>,
-    /// The unit of its positions.
+    /// Unit of positions.
     pub length: Option<(f64, f64)>,
-    /// Its axes.
+    /// Axis convention.
     pub axes: Option<(f64, f64)>,
 }

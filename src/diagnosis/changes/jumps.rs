@@ -1,5 +1,5 @@
-//! Moments at which a stream jumps against the arm: from one sample to the next by more than the arm's
-//! motion and the noise make.
+//! Detects change points: times at which a stream jumps relative to the arm by more than motion and noise
+//! explain.
 
 use crate::latency::median_period_s;
 use crate::proof::beside_fk;
@@ -8,37 +8,37 @@ use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use ground::stats::{median, quantile};
 use ground::stream::JointTrack;
 
-/// Samples on either side of a moment whose means are compared: one where a jump is large, more where
-/// it hides in the noise.
+/// Window lengths on either side of a change point, in samples. One suffices for a large jump; a jump
+/// within the noise needs more.
 const SIDES: [usize; 3] = [1, 5, 25];
-/// A jump is so many times what the motion makes there.
+/// Minimum ratio of a jump to the variation that the motion explains.
 const TIMES: f64 = 6.0;
-/// Jumps that are followed up.
+/// Maximum number of change points.
 const MOST: usize = 8;
-/// A jump that is beside a larger one counts from this share of it on.
+/// Minimum strength of a change point relative to the strongest one.
 const LEAST: f64 = 0.2;
-/// A jump that shows over fewer samples as well, by this share, is dated by them.
+/// A shorter window dates a jump if its strength is at least this fraction of the longer window's.
 const FINER: f64 = 0.3;
-/// Jumps closer together are one, s.
+/// Minimum distance between change points, s.
 const APART_S: f64 = 0.5;
-/// Distance from the tip of the points that show how it turns, m.
+/// Lever arm that converts rotations to lengths, m.
 const ARM_M: f64 = 0.3;
 
-/// A moment between two samples of a stream.
+/// Change point between two samples of a stream.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Jump {
-    /// The middle of the two stamps, s from the run's origin.
+    /// Midpoint of the two stamps, s from the run's origin.
     pub at_s: f64,
-    /// Half the time between them, s.
+    /// Half the interval between them, s.
     pub within_s: f64,
-    /// How many times what the motion makes there; infinite of a gap.
+    /// Ratio to the variation that the motion explains. Infinite for a gap.
     pub times: f64,
-    /// The time on either side over whose mean it was seen, s.
+    /// Duration of the averaging window on either side, s.
     pub over_s: f64,
 }
 
-/// The moments at which a stream most likely jumps: by what `aligned` leaves of it, and straight from
-/// FK at `lag_s`.
+/// Detects the likeliest change points of a stream, from the residual in `aligned` and from the raw error
+/// against FK at `lag_s`.
 pub(super) fn jumps(
     joints: &JointTrack,
     stream: &PoseStream,
@@ -67,10 +67,9 @@ pub(super) fn jumps(
     strongest(found)
 }
 
-/// The jumps of a path by itself, whatever the arm does: from one sample to the next by more than from those
-/// before and to those after.
+/// Detects jumps in a path without FK: steps that exceed the mean of the two adjacent steps.
 fn of_path(t_s: &[f64], poses: &[Pose]) -> Vec<Jump> {
-    /// Below this a step is arithmetic, m.
+    /// Numerical floor of a step, m.
     const FLOOR_M: f64 = 1e-5;
     let step = |row: usize| -> [Vec3; 2] {
         let (a, b) = (&poses[row - 1], &poses[row]);
@@ -88,10 +87,10 @@ fn of_path(t_s: &[f64], poses: &[Pose]) -> Vec<Jump> {
     [of_kind(0), of_kind(1)].concat()
 }
 
-/// The jumps of the joint states by themselves, as where a zero is lost: of each joint from one sample to the
-/// next by more than from those before and to those after. Over a gap, as between two excerpts, it may have moved.
+/// Detects jumps in the joint states, such as a lost zero: steps that exceed the mean of the two adjacent
+/// steps. Steps across a gap, such as between two excerpts, are ignored because the joint may have moved.
 pub(super) fn of_joints(joints: &JointTrack) -> Vec<Jump> {
-    /// Less is no change that matters, rad or m.
+    /// Smallest jump that matters, rad or m.
     const LEAST: f64 = 1e-3;
     let rows = joints.len();
     let gap_s = least_gap_s(&joints.t_s);
@@ -108,10 +107,10 @@ pub(super) fn of_joints(joints: &JointTrack) -> Vec<Jump> {
     strongest((0..joints.dof).flat_map(of_joint).collect())
 }
 
-/// The jumps of what differs by so much from the line through its neighbours, from the second step on. Below
-/// `floor` a difference is none.
+/// Detects jumps in `sizes`, the differences between each step and the mean of its neighbours, starting at
+/// the second step. Differences below `floor` are ignored.
 fn of_sizes(t_s: &[f64], sizes: Vec<f64>, floor: f64) -> Vec<Jump> {
-    /// What nearly all samples are beside the line through their neighbours.
+    /// Quantile that represents the usual difference.
     const NEARLY_ALL: f64 = 0.95;
     let usual = quantile(&mut sizes.clone(), NEARLY_ALL).unwrap_or(0.0) + floor;
     let jump = |(at, size): (usize, f64)| {
@@ -127,16 +126,16 @@ fn of_sizes(t_s: &[f64], sizes: Vec<f64>, floor: f64) -> Vec<Jump> {
     sizes.into_iter().enumerate().filter_map(jump).collect()
 }
 
-/// Stamps further apart have a gap between them, s.
+/// Minimum interval between stamps that counts as a gap, s.
 fn least_gap_s(t_s: &[f64]) -> f64 {
-    /// A gap is so many periods, …
+    /// Minimum gap in periods.
     const PERIODS: f64 = 10.0;
-    /// … and so long, s.
+    /// Minimum gap, s.
     const LONG_S: f64 = 0.3;
     (PERIODS * median_period_s(t_s)).max(LONG_S)
 }
 
-/// The longest gaps of a stream, in which anything may happen.
+/// The longest gaps of a stream. Anything may change during a gap.
 fn gaps(t_s: &[f64]) -> Vec<Jump> {
     const FOLLOWED: usize = 3;
     let least_s = least_gap_s(t_s);
@@ -155,9 +154,9 @@ fn gaps(t_s: &[f64]) -> Vec<Jump> {
     gaps.into_iter().take(FOLLOWED).map(jump).collect()
 }
 
-/// The strongest jumps, no two of them close together, in the order of time.
+/// The strongest jumps in time order, at least [`APART_S`] apart.
 pub(super) fn strongest(found: Vec<Jump>) -> Vec<Jump> {
-    // The finer of two says when.
+    // The shorter window dates the jump.
     let finer = |jump: &Jump| {
         found.iter().any(|other| {
             other.over_s < jump.over_s
@@ -184,7 +183,7 @@ fn of_series(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose]) -> Vec<Jump> {
     SIDES.into_iter().flat_map(|side| of_sides(t_s, series, fk, side)).collect()
 }
 
-/// The jumps between means over `side` samples.
+/// Detects jumps between the means over `side` samples before and after.
 fn of_sides(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose], side: usize) -> Vec<Jump> {
     let n = series.len();
     if n < 4 * side + 20 {
@@ -200,7 +199,7 @@ fn of_sides(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose], side: usize) -> Vec<
     let apart = |a: [Vec3; 2], b: [Vec3; 2]| {
         a.iter().zip(&b).map(|(a, b)| (a - b).norm_squared()).sum::<f64>().sqrt()
     };
-    // Between the samples `row - 1` and `row`.
+    // Row indices such that the jump is between samples `row - 1` and `row`.
     let rows: Vec<usize> = (side..=n - side).filter(|row| *row < n).collect();
     let step = |row: usize| apart(mean(row - side, row), mean(row, row + side));
     let steps: Vec<f64> = rows.iter().map(|&row| step(row)).collect();
@@ -218,14 +217,14 @@ fn of_sides(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose], side: usize) -> Vec<
     let (Some(still), slope) = (median(&mut still), median(&mut slopes).unwrap_or(0.0)) else {
         return Vec::new();
     };
-    // Below this a step is arithmetic, m.
+    // Numerical floor of a step, m.
     const FLOOR_M: f64 = 1e-5;
     let jump = |(index, &row): (usize, &usize)| {
         let usual = still + slope * moves[index] + FLOOR_M;
         if steps[index] <= TIMES * usual {
             return None;
         }
-        // A residual that varies fast does so before and after as well.
+        // A residual that varies fast also varies before and after the jump.
         let before = (2..=6).filter_map(|by| steps.get(index.checked_sub(by * side)?).copied());
         let after = (2..=6).filter_map(|by| steps.get(index + by * side).copied());
         let [before, after] = [before.collect(), after.collect()]

@@ -1,12 +1,11 @@
-//! Changes in mid-run: a tool that slips, a base that is moved, a joint that loses its zero, numbers that
-//! are coded otherwise from some moment on.
+//! Change points: a tool slips, the base is moved, a joint loses its zero, or an encoding changes.
 //!
-//! One model over the whole run leaves a residual then that no cause explains. What changes does so
-//! between two samples, where the stream jumps against the arm ([`jumps`]). The run is cut there, the
-//! longest part is diagnosed by itself, and each other part against it: joints and poses with what the
-//! longest part says taken off, so that the smallest explanation of what remains is what changed
-//! (after Chow 1960). That is undone, and everything else is sought on the run as it would be had
-//! nothing changed. Only if far less is left then was it a change.
+//! In such a run, a single model has a residual that no cause explains. A change occurs between two
+//! samples, when the stream jumps relative to the arm ([`jumps`]). The run is split there. The longest
+//! segment, the baseline, is diagnosed on its own. The other segments are corrected by its result and
+//! diagnosed again, so the selected model of each contains only the differences (after Chow 1960). These
+//! differences are then corrected, and the whole run is diagnosed as if nothing had changed. The change
+//! points are reported only if this reduces the residual substantially.
 
 mod coding;
 mod constant;
@@ -33,17 +32,18 @@ use jumps::{Jump, of_joints};
 use weigh::is_worth;
 pub(super) use weigh::{gain, jumps_in_time, leaves_much, leaves_slowly, left_m};
 
-/// A part leaves at most so many times what the longest leaves, or this, m.
+/// Maximum residual of a segment, as a multiple of the baseline segment's residual; and a floor for it, m.
 const TIMES_LEFT: f64 = 4.0;
 const LITTLE_M: f64 = 1e-3;
-/// Parts that leave so many times what another does may be of one noise.
+/// Residuals of two segments whose ratio is below this may have the same noise level.
 const NOT_ALIKE: f64 = 2.0;
-/// A part that leaves this share of what the whole run leaves, or more, leaves the same.
+/// If the baseline segment has at least this fraction of the whole run's residual, change points do not
+/// explain it.
 const NEARLY_ALL: f64 = 0.97;
 
-/// The diagnosis of an arm whose streams or joints change in mid-run, of the run as it would be had
-/// nothing changed; `None` where nothing does, or where that explains too little. `found` is what the
-/// whole run says, and it changes at `most` moments.
+/// Diagnoses an arm whose streams or joints change during the run, as if nothing had changed. `found` is
+/// the diagnosis of the whole run. Tests at most `most` change points. `None` if there are none or if they
+/// do not explain enough of the residual.
 pub(super) fn without_changes(
     joints: &JointTrack,
     streams: &[PoseStream],
@@ -72,7 +72,7 @@ pub(super) fn without_changes(
         all.truncate(most);
         all.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
     }
-    // What jumps between two samples before what needs more to be seen.
+    // Test jumps between two samples first, then those that need averaging.
     let sharp: Vec<Jump> = all.iter().filter(|jump| jump.over_s == 0.0).copied().collect();
     let is_both = !sharp.is_empty() && sharp.len() < all.len();
     let by_sharp = if is_both { without_jumps(&run, &sharp, found) } else { None };
@@ -85,7 +85,7 @@ pub(super) fn without_changes(
     }
 }
 
-/// The diagnosis of a run that changes at some of `moments`, as it would be had nothing changed.
+/// Diagnoses a run with change points at some of `moments`, as if nothing had changed.
 fn without_jumps(run: &Cut, moments: &[Jump], found: &ArmDiagnosis) -> Option<ArmDiagnosis> {
     let Cut { joints, streams, slides, most_lag_s, .. } = *run;
     let parts = run.parts(moments);
@@ -93,7 +93,7 @@ fn without_jumps(run: &Cut, moments: &[Jump], found: &ArmDiagnosis) -> Option<Ar
     let kept = (parts.len() > 1).then(|| Kept::of(run, parts[kept]))?;
     let left = left_m(&kept.found);
     if left > NEARLY_ALL * left_m(found) {
-        // What is left there as well is no change.
+        // The baseline segment has the same residual, so it is not due to a change.
         return None;
     }
     let most_m = (TIMES_LEFT * left).max(LITTLE_M).min(left_m(found).max(NOT_ALIKE * left));
@@ -109,7 +109,7 @@ fn without_jumps(run: &Cut, moments: &[Jump], found: &ArmDiagnosis) -> Option<Ar
         })
         .collect();
     let mut after = diagnose_arm(&undone.joints, &changed, most_lag_s);
-    // What gives goes on giving, whatever changes.
+    // Joint compliance persists across change points.
     if let Some(bent) = without_bends(&undone.joints, &changed, slides, &after, most_lag_s) {
         after = bent;
     }
@@ -132,7 +132,7 @@ fn without_jumps(run: &Cut, moments: &[Jump], found: &ArmDiagnosis) -> Option<Ar
     (is_told && is_worth(found, &weighed, parameters(&after, parts.len()))).then_some(after)
 }
 
-/// How many numbers say what changes in a run of so many parts.
+/// Number of parameters that describe the changes in a run with `parts` segments.
 fn parameters(after: &ArmDiagnosis, parts: usize) -> usize {
     let of_stream = |found: &PoseDiagnosis| {
         let frames = found.tool_changes.len() + found.reference_changes.len();
@@ -149,8 +149,7 @@ fn parameters(after: &ArmDiagnosis, parts: usize) -> usize {
     moments + of_joints.sum::<usize>() + after.streams.iter().map(of_stream).sum::<usize>()
 }
 
-/// Puts what was logged and FK of the joint states as recorded beside the samples of a stream whose
-/// changes were undone.
+/// Restores the recorded poses, and FK of the recorded joint states, in the samples of a corrected stream.
 pub(super) fn as_recorded(joints: &JointTrack, stream: &PoseStream, after: &mut PoseDiagnosis) {
     let recorded = beside_fk(joints, stream, 0.0);
     let aligned = &mut after.aligned;
@@ -169,9 +168,9 @@ pub(super) fn as_recorded(joints: &JointTrack, stream: &PoseStream, after: &mut 
     }
 }
 
-/// Whether the last of `others` and the one after it, taken together, leave what each does by itself.
+/// Returns whether the last of `others` and `after`, merged, fit as well as each on its own.
 fn is_as_good(run: &Cut, both: &Other, others: &[Other], after: &Other) -> bool {
-    /// A share, and this, m.
+    /// Tolerance: a factor, and a length in m.
     const NEARLY: f64 = 1.03;
     const ARITHMETIC_M: f64 = 1e-5;
     let apart = || others.last().into_iter().chain([after]);
@@ -181,18 +180,19 @@ fn is_as_good(run: &Cut, both: &Other, others: &[Other], after: &Other) -> bool 
     left_m(&both.beyond) <= NEARLY * (squares / all.max(1.0)).sqrt() + ARITHMETIC_M
 }
 
-/// The part of the run against which the others are held.
+/// Baseline segment.
 struct Kept {
     span: Span,
     found: ArmDiagnosis,
 }
 
-/// Another part.
+/// Segment other than the baseline.
 struct Other {
     span: Span,
-    /// What it says by itself.
+    /// Diagnosis of the segment on its own.
     alone: ArmDiagnosis,
-    /// What it says with what the kept part says taken off: what is other in it.
+    /// Diagnosis of the segment after correcting it by the baseline's result. It contains only the
+    /// differences.
     beyond: ArmDiagnosis,
 }
 
@@ -201,8 +201,8 @@ impl Kept {
         Self { span, found: run.diagnose(span).1 }
     }
 
-    /// What the other parts say, each of which leaves `most_m` at most; one that by itself leaves more
-    /// goes with the one before it. `None` where one leaves more all the same.
+    /// Diagnoses the other segments. A segment whose residual exceeds `most_m` is merged with the previous
+    /// one. `None` if the residual is then still too large.
     fn others(&self, run: &Cut, parts: &[Span], most_m: f64) -> Option<Vec<Other>> {
         let leaves_little =
             |other: &Other| left_m(&other.beyond) <= most_m && self.is_believed(other);
@@ -214,7 +214,7 @@ impl Kept {
                 other = self.other(run, (before.span.0, part.1));
             }
             let other = Some(other).filter(leaves_little)?;
-            // Two that are other in the same way are one.
+            // Merge two segments that differ from the baseline in the same way.
             let before = others.last().filter(|before| before.span.1 == part.0);
             let both = before.map(|before| self.other(run, (before.span.0, part.1)));
             let is_one =
@@ -230,7 +230,7 @@ impl Kept {
         Some(others)
     }
 
-    /// What another part says.
+    /// Diagnoses another segment.
     fn other(&self, run: &Cut, span: Span) -> Other {
         let (joints, alone) = run.diagnose(span);
         let joints = self.found.joints.corrected_joints(&joints, run.slides);
@@ -250,10 +250,10 @@ impl Kept {
         Other { span, alone, beyond }
     }
 
-    /// Whether what another part says of its streams may be believed: where it does not tell how its
-    /// numbers are coded, they are coded as here and no frame turns by much.
+    /// Returns whether the diagnosis of another segment is reliable. If its encoding is undetermined, it
+    /// must match the baseline's, and no frame may rotate by much.
     fn is_believed(&self, other: &Other) -> bool {
-        /// A turn that a misread rotation may make of a few postures, rad.
+        /// Frame rotation that a misread rotation can imitate in a few configurations, rad.
         const MUCH_RAD: f64 = 0.1;
         let streams =
             self.found.streams.iter().zip(&other.alone.streams).zip(&other.beyond.streams);
@@ -268,17 +268,17 @@ impl Kept {
         })
     }
 
-    /// Whether stream `s` is read otherwise in another part.
+    /// Returns whether the encoding of stream `s` differs in another segment.
     fn is_reread(&self, s: usize, other: &Other) -> bool {
         let (own, its) = (&self.found.streams[s], &other.alone.streams[s]);
         let told = own.reading.is_ok() && its.reading.as_ref().is_ok_and(|its| its.is_told);
         told && !same_coding(own, its)
     }
 
-    /// By how much a stream is later in another part than the latency of this one, going on as it does here,
-    /// would have it, s, where it surely is.
+    /// Increase of the stream's latency in another segment over the baseline's, extrapolated with its skew,
+    /// s. `None` if it is not significant.
     fn later_by(&self, s: usize, other: &Other) -> Option<Measured> {
-        /// Less is left to the course of the latency, s.
+        /// Smaller steps are left to the latency profile, s.
         const LEAST_S: f64 = 1e-3;
         const SURE: f64 = 6.0;
         let (here, there) = (&self.found.streams[s], &other.beyond.streams[s]);
@@ -290,7 +290,7 @@ impl Kept {
         (by.value.abs() > LEAST_S.max(SURE * std_error)).then_some(by)
     }
 
-    /// The run as it would be had nothing changed; `None` where nothing did.
+    /// Corrects all changes. `None` if nothing changed.
     fn undone(&self, run: &Cut, others: &[Other]) -> Option<Undone> {
         let mut joints = run.joints.clone();
         let mut patches = Vec::new();
@@ -324,7 +324,7 @@ impl Kept {
         is_changed.then_some(Undone { joints, patches, tracks })
     }
 
-    /// The poses of a stream as they are read, with what is other in other parts taken off.
+    /// Decoded poses of a stream, with the differences of the other segments corrected.
     fn track(&self, s: usize, others: &[Other]) -> PoseTrack {
         let own = &self.found.streams[s];
         let mut parts = vec![(self.span, with_poses(own, as_read(own)))];
@@ -340,7 +340,7 @@ impl Kept {
         let mut parts = parts.into_iter().map(|(_, track)| track);
         let first = parts.next().unwrap_or_else(|| with_poses(own, as_read(own)));
         parts.fold(first, |mut all, part| {
-            // What is moved to an earlier time leaves out what would come twice.
+            // Correcting a latency can make segments overlap, so drop the overlap.
             let end_s = part.t_s.first().copied().unwrap_or(f64::INFINITY);
             let kept = all.t_s.partition_point(|t_s| *t_s < end_s);
             all.t_s.truncate(kept);
@@ -360,16 +360,16 @@ impl Kept {
     }
 }
 
-/// A run as it would be had nothing changed.
+/// Run with its changes corrected.
 struct Undone {
     joints: JointTrack,
     patches: Vec<JointPatch>,
-    /// The streams whose poses changed.
+    /// Corrected poses, for the streams that changed.
     tracks: Vec<Option<PoseTrack>>,
 }
 
 impl JointPatch {
-    /// Makes the positions of the joint in this part those of the rest.
+    /// Maps the joint's positions in this segment to the baseline segment.
     pub(super) fn apply(&self, joints: &mut JointTrack) {
         let Self { column, from_s, to_s, factor, offset } = *self;
         let dof = joints.dof.max(1);
@@ -382,8 +382,8 @@ impl JointPatch {
     }
 }
 
-/// What takes the positions of each joint that is other in a part to those of the rest: its column,
-/// factor and offset. None where names or units are wrong beside it.
+/// Corrections that map joint positions of another segment to the baseline: column, factor and offset of
+/// each joint that differs. Empty if joint names or units are wrong as well.
 fn joint_map(kept: &JointDiagnosis, beyond: &JointDiagnosis, run: &Cut) -> Vec<(usize, f64, f64)> {
     let is_plain = |found: &JointDiagnosis| {
         found.reading.as_ref().is_ok_and(|reading| reading.permutation.is_none())
@@ -392,7 +392,7 @@ fn joint_map(kept: &JointDiagnosis, beyond: &JointDiagnosis, run: &Cut) -> Vec<(
         return Vec::new();
     }
     let dof = run.joints.dof;
-    // The positions 0 and 1 of every joint, as the kept part corrects them, and as this one does then.
+    // Probe every joint at positions 0 and 1: corrected by the baseline, then by the other segment.
     let probe = JointTrack {
         t_s: vec![0.0, 1.0],
         dof,
@@ -424,12 +424,12 @@ fn is_chosen(frame: &Seen<FrameEstimate>) -> bool {
     frame.as_ref().is_ok_and(|frame| frame.chosen)
 }
 
-/// The poses of a stream's samples as they are read, in its reference, with nothing taken off.
+/// Decoded poses of a stream, in its reference frame, without any other correction.
 fn as_read(found: &PoseDiagnosis) -> impl Iterator<Item = Pose> {
     found.aligned.corrected.iter().map(|pose| found.taken.back(pose))
 }
 
-/// Other poses at the stamps of a stream's samples.
+/// Track with the given poses at the stamps of a stream's samples.
 fn with_poses(found: &PoseDiagnosis, poses: impl Iterator<Item = Pose>) -> PoseTrack {
     let (xyz, rotations): (Vec<_>, Vec<_>) =
         poses.map(|pose| (pose.translation.vector, pose.rotation)).unzip();

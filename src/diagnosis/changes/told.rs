@@ -1,4 +1,4 @@
-//! What is said of the changes that were undone: of each amount what it was, what it became, and when.
+//! Reports the corrected changes: value before, value after, and time.
 
 use super::cut::{Cut, Span};
 use super::jumps::Jump;
@@ -8,7 +8,7 @@ use ground::geometry::Pose;
 use ground::stats::Measured;
 
 impl Kept {
-    /// Writes what changed and when into the diagnosis of the run without it.
+    /// Adds the changes and their times to `after`, the diagnosis of the corrected run.
     pub(super) fn tell<'a>(
         &self,
         run: &Cut,
@@ -80,7 +80,8 @@ impl Kept {
             for change in joints.changes.iter().filter(|change| change.zero.is_some()) {
                 let by = change.zero.as_ref().map_or(0.0, |zero| zero.by.value.abs());
                 let is_at = |end: Option<&usize>| end == Some(&change.column);
-                // Alone, a stream sees the first joint turn as its base does, and the last one as its tool.
+                // With a single stream, the first joint's zero is equivalent to a base rotation and the
+                // last joint's to a tool rotation.
                 let base = is_at(stream.columns.first()).then_some(Twin::Reference(0, by));
                 let tool = is_at(stream.columns.last()).then_some(Twin::Tool(0, by));
                 if let Some(offset) = joints.offsets.get_mut(change.column) {
@@ -103,8 +104,8 @@ impl Kept {
     }
 }
 
-/// The change of a frame from the one part to the next: `kept` is the frame of the kept part, `from` and
-/// `to` what the parts have beyond it.
+/// Change of a frame from one segment to the next. `kept` is the baseline's frame; `from` and `to` are the
+/// differences of the two segments from it.
 fn frame_change(
     (at_s, within_s): (f64, f64),
     kept: Option<&FrameEstimate>,
@@ -129,7 +130,7 @@ fn frame_change(
         p_value: surest.p_value,
         chosen: true,
     };
-    // Two parts that are other in the same way do not differ.
+    // Two segments that differ from the baseline in the same way do not differ from each other.
     let is_same = both && length_m < 4.0 * length + 1e-4 && angle_rad < 4.0 * angle + 1e-4;
     let base = kept.map_or_else(Pose::identity, |kept| kept.pose);
     (!is_same).then(|| Change {
@@ -141,7 +142,7 @@ fn frame_change(
     })
 }
 
-/// The change of a number from the one part to the next, `none` where a part has none of its own.
+/// Change of a number from one segment to the next. `none` is the value of a segment without a difference.
 fn amount_change(
     (at_s, within_s): (f64, f64),
     kept: Option<&Measured>,

@@ -1,4 +1,4 @@
-//! How much is left of a run, and whether what changes in it explains enough.
+//! Measures the residual of a run and decides whether change points explain enough of it.
 
 use super::PART_SAMPLES;
 use crate::explain::price;
@@ -8,16 +8,16 @@ use crate::proof::{Part, Series, Size};
 use crate::{Aligned, ArmDiagnosis, PoseDiagnosis, Residual, Unseen};
 use ground::geometry::{Vec3, rotvec_from_rotation};
 
-/// With changes undone at most this share is left of what was, …
+/// Change points are accepted if they reduce the residual to this fraction.
 const HALF: f64 = 0.5;
-/// … or this, where it is small beside the noise.
+/// Maximum fraction if the likelihood must also justify them, because the residual is mostly noise.
 const MOST_OF_IT: f64 = 0.95;
-/// Less than this is left of a healthy stream, m and rad.
+/// Upper bound on the residual of a healthy stream, m and rad.
 const LITTLE: [f64; 2] = [0.3e-3, 0.5e-3];
 
-/// Whether what was found on a stream leaves more of it than its noise, in some part of the run.
+/// Returns whether the residual of a stream exceeds its noise in some segment of the run.
 pub(crate) fn leaves_much(found: &PoseDiagnosis) -> bool {
-    /// So many times the noise is more than noise.
+    /// Minimum ratio of residual to noise.
     const TIMES: f64 = 2.0;
     let aligned = &found.aligned;
     let does_not_follow = matches!(found.reading, Err(Unseen::DoesNotFollow(_)));
@@ -38,17 +38,18 @@ pub(crate) fn leaves_much(found: &PoseDiagnosis) -> bool {
     std::iter::once(&error.length).chain(&error.angle).zip(LITTLE).any(is_much)
 }
 
-/// Whether the latency of a stream surely jumps.
+/// Returns whether the latency of a stream has significant steps.
 pub(crate) fn jumps_in_time(found: &PoseDiagnosis) -> bool {
     found.course.as_ref().is_ok_and(|course| course.is_unsteady && !course.jumps.is_empty())
 }
 
-/// All that is left of an arm's streams, an angle counting at 0.3 m; a metre where one was not read.
+/// Residual of all streams of an arm. Angles are weighted by 0.3 m. A stream that was not decoded counts as
+/// 1 m.
 pub(crate) fn left_m(found: &ArmDiagnosis) -> f64 {
     of_streams(found, Residual::together_m)
 }
 
-/// The same beyond what differs from sample to sample.
+/// Excess residual of all streams of an arm, weighted as in [`left_m`].
 fn excess_m(found: &ArmDiagnosis) -> f64 {
     of_streams(found, |left| left.excess_m.value.hypot(0.3 * left.excess_rad.value))
 }
@@ -61,12 +62,12 @@ fn of_streams(found: &ArmDiagnosis, of: impl Fn(&Residual) -> f64) -> f64 {
     found.streams.iter().map(of_stream).sum()
 }
 
-/// Whether what was found on a stream leaves more of it than its noise, or a mean in some part of the run that
-/// noise does not have.
+/// Returns whether the residual of a stream exceeds its noise, or has a mean in some segment that noise
+/// does not explain.
 pub(crate) fn leaves_slowly(found: &PoseDiagnosis) -> bool {
-    /// Parts of the run.
+    /// Number of segments.
     const PARTS: usize = 10;
-    /// A mean is told from none by so many standard errors.
+    /// A mean is significant if it exceeds this many standard errors.
     const SURE: f64 = 6.0;
     if leaves_much(found) {
         return true;
@@ -93,7 +94,7 @@ fn mean(vectors: &[[f64; 3]]) -> Vec3 {
     vectors.iter().map(|v| Vec3::from(*v)).sum::<Vec3>() / vectors.len().max(1) as f64
 }
 
-/// What is left of a stream's samples: of position, m, and of rotation, rad.
+/// Residuals of a stream's samples: position, m, and rotation, rad.
 fn left(aligned: &Aligned) -> [Vec<[f64; 3]>; 2] {
     let both = || aligned.corrected.iter().zip(&aligned.fk_at_truth);
     let length = both().map(|(is, fk)| (is.translation.vector - fk.translation.vector).into());
@@ -102,8 +103,8 @@ fn left(aligned: &Aligned) -> [Vec<[f64; 3]>; 2] {
     [length.collect(), turn.collect()]
 }
 
-/// Whether changes that are told by so many `parameters` are worth it: they leave half at most, or the log is
-/// so much likelier with them as these cost (after Chow 1960, with the price that causes have).
+/// Returns whether change points with this many `parameters` are justified. They must halve the residual,
+/// or increase the likelihood by more than the price of the parameters (after Chow 1960).
 pub(super) fn is_worth(before: &ArmDiagnosis, after: &ArmDiagnosis, parameters: usize) -> bool {
     let [was, is] = [before, after].map(left_m);
     if is <= HALF * was {
@@ -114,11 +115,11 @@ pub(super) fn is_worth(before: &ArmDiagnosis, after: &ArmDiagnosis, parameters: 
     is_less && gain > price(independent) * parameters as f64
 }
 
-/// How much likelier a log is after one diagnosis than after another, as twice the log of the likelihoods' ratio,
-/// and its independent samples. They count with the memory of the noise that is left, so that what a wrong
-/// model leaves counts as few.
+/// Twice the log-likelihood ratio of two diagnoses, and the number of independent samples. The number
+/// accounts for autocorrelation of the residual, so the systematic residual of a wrong model counts as few
+/// samples.
 pub(crate) fn gain(before: &ArmDiagnosis, after: &ArmDiagnosis) -> (f64, f64) {
-    /// More memory is that of a motion, samples.
+    /// Longest noise correlation, samples. A longer one comes from the motion.
     const MEMORY: f64 = 200.0;
     let (mut gain, mut independent) = (0.0, 0.0);
     for (before, after) in before.streams.iter().zip(&after.streams) {

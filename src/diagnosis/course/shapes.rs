@@ -1,11 +1,11 @@
-//! The shapes that the course of a latency may have beside jumps: with the load, or along straight pieces.
+//! Latency profiles without steps: load-dependent and piecewise linear.
 
 use super::{LatencyCourse, LatencyShape, SURE, Sample, WINDOW_S, Window};
 use ground::stats::Measured;
 use nalgebra::{DMatrix, DVector};
 
-/// What is left of `samples` with a latency of `beyond_s` taken off and, in each window, a constant: an error
-/// of the model belongs to the posture. In units of the noise, squared and summed.
+/// Squared residual of `samples`, in units of the noise, after compensating the latency `beyond_s`.
+/// Subtracts a constant in each window, because model error depends on the configuration.
 pub(super) fn left_beside(samples: &[Sample], mut beyond_s: impl FnMut(usize) -> f64) -> f64 {
     let mut row = 0;
     of_windows(samples)
@@ -37,8 +37,9 @@ fn of_windows(samples: &[Sample]) -> impl Iterator<Item = &[Sample]> {
     })
 }
 
-/// Sums of the least squares of `residual = c − (a + b·load)·velocity` with a constant c for each window:
-/// of the products of velocity, of velocity times load, and of the residual.
+/// Least-squares sums for `residual = c − (a + b·load)·velocity` with a constant c for each window.
+/// `matrix` has the products of velocity and velocity times load; `right` has their products with the
+/// residual.
 #[derive(Clone, Copy, Default)]
 struct Sums {
     matrix: [f64; 3],
@@ -78,7 +79,7 @@ impl Sums {
         self
     }
 
-    /// The constant and the slope.
+    /// Solves for the constant and the slope.
     fn solved(&self) -> Option<[f64; 2]> {
         let ([aa, ab, bb], [a, b]) = (self.matrix, self.right);
         let determinant = aa * bb - ab * ab;
@@ -87,13 +88,12 @@ impl Sums {
     }
 }
 
-/// A latency that goes with the load, which is the speed of the joints or of the tool, as it is or through
-/// a filter; `None` where it does not.
+/// Fits a latency that depends on load, which is the joint or tool speed, unfiltered or low-pass filtered.
+/// `None` if it does not.
 pub(super) fn with_load(samples: &[Sample]) -> Option<LatencyCourse> {
     /// Time constants of the filter, s.
     const SLOW_S: [f64; 5] = [0.0, 0.05, 0.1, 0.2, 0.4];
-    /// With the load at most this share is left beyond what a constant and it leave together at best, which is
-    /// the noise.
+    /// The load model must reduce the excess residual of a constant latency to at most this fraction.
     const LEFT: f64 = 0.5;
     let constant = left_beside(samples, {
         let zero = vec![0.0; samples.len()];
@@ -155,7 +155,7 @@ fn windows_of<'a>(samples: &'a [Sample], load: &'a [f64]) -> impl Iterator<Item 
     })
 }
 
-/// The load at each sample through a low-pass of the first order.
+/// Load at each sample, filtered by a first-order low-pass.
 fn filtered(samples: &[Sample], kind: usize, slow_s: f64) -> Vec<f64> {
     let mut state = samples.first().map_or(0.0, |sample| sample.loads[kind]);
     let mut before_s = samples.first().map_or(0.0, |sample| sample.t_s);
@@ -171,19 +171,18 @@ fn filtered(samples: &[Sample], kind: usize, slow_s: f64) -> Vec<f64> {
         .collect()
 }
 
-/// The straight pieces that a latency goes along, from knot to knot; a ramp where it is level before and
-/// after one of them. The knots are sought on `windows` and the levels fitted to `samples`. `None` where few
-/// pieces do not tell it.
+/// Fits a piecewise linear latency. It is a ramp if it is level before and after one segment. Selects the
+/// knots on `windows` and fits the levels to `samples`. `None` if no fit with few segments is significant.
 pub(super) fn path(windows: &[Window], samples: &[Sample]) -> Option<LatencyCourse> {
-    /// Knots beside the first and the last.
+    /// Maximum number of inner knots.
     const MOST: usize = 16;
-    /// Samples that the levels are fitted to.
+    /// Maximum number of samples for the fit of the levels.
     const SAMPLES: usize = 6000;
     let (first, last) = (windows.first()?, windows.last()?);
     let mut knots = vec![first.t_s, last.t_s];
     let of_windows = |knots: &[f64]| Some(solved(knots, window_sums(windows, knots))?.1);
     let mut least = of_windows(&knots)?;
-    // A ramp in the middle of a run is hardly told by one knot.
+    // A single knot hardly improves the fit of a ramp within the run, so try two at once.
     if let Some((left, two)) = two_knots(windows, &knots, &of_windows)
         && least - left > SURE * (left / windows.len() as f64).max(1.0)
     {
@@ -209,7 +208,7 @@ pub(super) fn path(windows: &[Window], samples: &[Sample]) -> Option<LatencyCour
     let thinned: Vec<Sample> = samples.iter().step_by(stride).copied().collect();
     let of_samples = |knots: &[f64]| Some(solved(knots, total(&sample_sums(&thinned, knots)))?.1);
     let mut least = shifted(&mut knots, &[0.5, 0.25, 0.1], &of_samples)?;
-    // What came first may be needless beside what came later.
+    // A later knot can make an earlier one redundant.
     loop {
         let fewer = (1..knots.len() - 1).filter_map(|at| {
             let mut fewer = knots.clone();
@@ -259,23 +258,23 @@ pub(super) fn path(windows: &[Window], samples: &[Sample]) -> Option<LatencyCour
     })
 }
 
-/// The numbers of a path of three pieces: its levels and where its inner knots are.
+/// Number of parameters of a path with three segments: its levels and its inner knots.
 pub(super) const BENT_PARAMETERS: f64 = 6.0;
 
-/// χ² of the windows beside the best path of three straight pieces.
+/// χ² of the windows for the best path with three segments.
 pub(super) fn bent_chi2(windows: &[Window]) -> Option<f64> {
     let ends = [windows.first()?.t_s, windows.last()?.t_s];
     let left = |knots: &[f64]| Some(solved(knots, window_sums(windows, knots))?.1);
     Some(two_knots(windows, &ends, &left)?.0)
 }
 
-/// The two inner knots between `ends` that leave least, and what that is.
+/// Finds the two inner knots between `ends` that minimise the residual. Returns the residual and all knots.
 fn two_knots(
     windows: &[Window],
     ends: &[f64],
     left: &impl Fn(&[f64]) -> Option<f64>,
 ) -> Option<(f64, Vec<f64>)> {
-    /// Times that are tried.
+    /// Maximum number of trial times.
     const TRIED: usize = 40;
     let inner = windows.get(1..windows.len().saturating_sub(1))?;
     let times: Vec<f64> =
@@ -289,7 +288,7 @@ fn two_knots(
     with.min_by(|a, b| a.0.total_cmp(&b.0))
 }
 
-/// The levels at knots of what `windows` found; `None` where they do not tell them all.
+/// Levels at `knots`, fitted to `windows`. `None` if they are not all determined.
 pub(super) fn levels_at(knots: &[f64], windows: &[(f64, Measured)]) -> Option<Vec<f64>> {
     let windows: Vec<Window> = windows
         .iter()
@@ -303,16 +302,16 @@ pub(super) fn levels_at(knots: &[f64], windows: &[(f64, Measured)]) -> Option<Ve
     is_enough.then(|| solved(knots, window_sums(&windows, knots)))?.map(|(level_s, _)| level_s)
 }
 
-/// A knot that is off by less than this share of the swing is on the level beside it.
+/// A knot is on the level of another if they differ by less than this fraction of the swing.
 const LEVEL: f64 = 0.12;
-/// A knot without which this share more is left is needed.
+/// A knot is needed if removing it increases the residual by more than this fraction.
 const NEEDED: f64 = 0.01;
-/// Parts of the run each of which is left out in turn for the error (jackknife: Quenouille 1956).
+/// Number of blocks of the jackknife (Quenouille 1956).
 const PARTS: usize = 20;
-/// An amount is told from none by so many standard errors.
+/// A value is significant if it exceeds this many standard errors.
 const CERTAIN: f64 = 8.0;
 
-/// Normal equations for the levels at knots, and the sum of the squares.
+/// Normal equations for the levels at knots, and the sum of squares.
 #[derive(Clone)]
 struct Normal {
     matrix: DMatrix<f64>,
@@ -332,16 +331,17 @@ impl Normal {
     }
 }
 
-/// The two knots beside a time, each with its share there.
+/// The two knots adjacent to a time, with their interpolation weights.
 fn hats(knots: &[f64], t_s: f64) -> [(usize, f64); 2] {
     let after = knots.partition_point(|knot| *knot <= t_s).clamp(1, knots.len() - 1);
     let part = ((t_s - knots[after - 1]) / (knots[after] - knots[after - 1])).clamp(0.0, 1.0);
     [(after - 1, 1.0 - part), (after, part)]
 }
 
-/// The levels, and what they leave. Where nothing tells one, as while the arm rests, it is like those beside it.
+/// Solves for the levels. Returns them with the residual. A level without data, as while the arm rests, is
+/// close to its neighbours'.
 fn solved(knots: &[f64], sums: Normal) -> Option<(Vec<f64>, f64)> {
-    /// By this share of what is told of a level at the mean two that follow each other are tied.
+    /// Weight that ties adjacent levels, as a fraction of the mean information about a level.
     const TIED: f64 = 1e-5;
     let Normal { mut matrix, right, square } = sums;
     debug_assert_eq!(right.len(), knots.len());
@@ -372,7 +372,7 @@ fn window_sums(windows: &[Window], knots: &[f64]) -> Normal {
     sums
 }
 
-/// Of `residual = c − level·velocity` in each window, with a constant c for each.
+/// Least-squares sums for `residual = c − level·velocity` with a constant c in each window.
 fn sample_sums(samples: &[Sample], knots: &[f64]) -> Vec<Normal> {
     let n = knots.len();
     let of_window = |own: &[Sample]| {
@@ -418,7 +418,7 @@ fn total(sums: &[Normal]) -> Normal {
     all
 }
 
-/// The standard error of a number that is told by the sums of windows.
+/// Jackknife standard error of a value computed from the windows' sums.
 fn jackknife(sums: &[Normal], of: impl Fn(Normal) -> Option<f64>) -> f64 {
     let all = total(sums);
     let parts = sums.chunks(sums.len().div_ceil(PARTS).max(1));
@@ -438,7 +438,7 @@ fn jackknife(sums: &[Normal], of: impl Fn(Normal) -> Option<f64>) -> f64 {
     ((n - 1.0) / n * spread).sqrt()
 }
 
-/// Moves every inner knot to where it leaves least, by ever smaller steps; what is left then.
+/// Moves each inner knot to minimise the residual, with decreasing steps. Returns the residual.
 fn shifted(
     knots: &mut [f64],
     steps_s: &[f64],
@@ -449,7 +449,7 @@ fn shifted(
     for &step_s in steps_s {
         for knot in 1..knots.len().saturating_sub(1) {
             for by_s in [step_s, -step_s] {
-                // As far as it gets better.
+                // Repeat while it improves.
                 loop {
                     let before = knots[knot];
                     knots[knot] += by_s;

@@ -1,10 +1,9 @@
-//! The latency in windows of about a second.
+//! Latency in windows of about a second.
 
 use super::{JUMPS, Lagging, SAMPLES, SURE, WINDOW_S};
 use ground::geometry::Vec3;
 use ground::stats::Measured;
 
-/// One window.
 #[derive(Clone, Copy)]
 pub(super) struct Window {
     pub(super) t_s: f64,
@@ -22,7 +21,7 @@ impl Window {
     }
 }
 
-/// The same, in units of the noise of each kind.
+/// Sample in units of the noise of each kind.
 #[derive(Clone, Copy)]
 pub(super) struct Sample {
     pub(super) t_s: f64,
@@ -36,7 +35,7 @@ pub(super) fn samples(lagging: &[Lagging]) -> Vec<Sample> {
     let noise = [0, 1].map(|kind| {
         let steps = lagging.windows(2).map(|pair| pair[1].left[kind] - pair[0].left[kind]);
         let square: f64 = steps.map(|step| step.norm_squared()).sum();
-        // Below this a residual is arithmetic, m and rad.
+        // Numerical floor of a residual, m and rad.
         (square / (6 * lagging.len().max(1)) as f64).sqrt().max(1e-6)
     });
     let scaled =
@@ -51,7 +50,7 @@ pub(super) fn samples(lagging: &[Lagging]) -> Vec<Sample> {
     lagging.iter().map(sample).collect()
 }
 
-/// The windows in which the arm's velocity changes enough to tell.
+/// Estimates the latency in each window with enough variation of velocity.
 pub(super) fn windows(samples: &[Sample], components: usize) -> Vec<Window> {
     let mut windows = Vec::new();
     let mut rest = samples;
@@ -64,8 +63,8 @@ pub(super) fn windows(samples: &[Sample], components: usize) -> Vec<Window> {
     windows
 }
 
-/// The slope of residual over velocity by least squares, its error widened by what the residuals
-/// remember from sample to sample: `(1 + ρ)/(1 − ρ)`, and by how many windows' samples that leaves.
+/// Least-squares slope of residual over velocity. The variance is inflated by (1 + ρ)/(1 − ρ) for the
+/// autocorrelation ρ of the residuals.
 pub(super) fn window(samples: &[Sample], components: usize) -> Option<Window> {
     const REMEMBERED: f64 = 0.98;
     let n = samples.len();
@@ -106,12 +105,12 @@ pub(super) fn window(samples: &[Sample], components: usize) -> Option<Window> {
     let square: f64 = left.iter().map(|left| dot(left, left)).sum();
     let lagged: f64 = left.windows(2).map(|pair| dot(&pair[0], &pair[1])).sum();
     let rho = (lagged / square.max(f64::MIN_POSITIVE)).clamp(0.0, REMEMBERED);
-    // A slope, and the mean of each component, are taken from the samples.
+    // The slope and the mean of each component use up degrees of freedom.
     let free = components * (n - 1) - 1;
     let variance = square / free as f64 * (1.0 + rho) / (1.0 - rho);
-    // The rounding of stamps to nanoseconds and of positions is never beaten.
+    // Floor for the rounding of stamps to nanoseconds and of positions.
     let std_error_s = (variance.max(1e-3) / information).sqrt().max(1e-6);
-    // The rounding of joints to an encoder's steps may err to one side over a whole window.
+    // The rounding of joint positions to encoder steps can be biased over a whole window.
     let rows = (components * n) as f64;
     let joint_noise = samples.iter().map(|sample| sample.joint_noise).sum::<f64>() / n as f64;
     let std_error_s = std_error_s.hypot(joint_noise / (information / rows).sqrt());
@@ -119,7 +118,7 @@ pub(super) fn window(samples: &[Sample], components: usize) -> Option<Window> {
     std_error_s.is_finite().then_some(Window { t_s, delta_s, std_error_s })
 }
 
-/// χ² of the windows beside their best line.
+/// χ² of the windows relative to their best line.
 pub(super) fn chi2_beside_line(windows: &[Window]) -> f64 {
     let weight: f64 = windows.iter().map(Window::weight).sum();
     let mean = |of: &dyn Fn(&Window) -> f64| {
@@ -133,7 +132,7 @@ pub(super) fn chi2_beside_line(windows: &[Window]) -> f64 {
     windows.iter().map(|window| window.weight() * beside(window).powi(2)).sum()
 }
 
-/// The level and its error of each part that `splits` cut the windows into, and χ² beside them.
+/// Level of each segment between `splits`, with its standard error, and the total χ².
 pub(super) fn levels(windows: &[Window], splits: &[usize]) -> (Vec<Measured>, f64) {
     let ends = splits.iter().copied().chain([windows.len()]);
     let starts = std::iter::once(0).chain(splits.iter().copied());
@@ -152,8 +151,8 @@ pub(super) fn levels(windows: &[Window], splits: &[usize]) -> (Vec<Measured>, f6
     (levels, chi2)
 }
 
-/// Where the latency surely jumps: before these windows. The window in which it does so lies on
-/// neither level and is charged to both.
+/// Indices of windows at which the latency steps. The window that contains the step lies on neither level
+/// and increases the χ² of both.
 pub(super) fn splits(windows: &[Window]) -> Vec<usize> {
     let mut splits: Vec<usize> = Vec::new();
     while splits.len() < JUMPS {
