@@ -1,8 +1,67 @@
-//! Pure estimators on streams and a robot: each returns an estimate with its interval, or why it
-//! cannot tell.
+//! Estimators: joint states and streams in, estimates with intervals out.
 //!
-//! Nothing here reads files, knows topics, holds a rule's threshold or writes prose; `checks` turns
-//! these numbers into verdicts and words.
+//! This module reads no files, knows no topics and holds no thresholds of rules. `checks` turns its
+//! estimates into findings.
+//!
+//! # Input
+//! A `JointTrack` with joint positions `q` and velocities, and for each pose stream a [`PoseStream`]: the
+//! logged poses, the kinematic chain from its reference link to its tip, and whether its reference frame is
+//! known. Times are in seconds from the run's origin.
+//!
+//! # Measurement model (`model`)
+//! ```text
+//! logged(s) = C(reference · scaled(FK(q(s − τ) + δ) · tool)) + noise,   τ = latency + skew·(s − middle)
+//! ```
+//! - `s` is the stamp of a sample.
+//! - `C` is the encoding: unit and axes of positions, rotation convention, inversion of whole poses. It is
+//!   discrete.
+//! - `reference` and `tool` are constant poses, the identity if the frames are correct.
+//! - `scaled` multiplies positions by `1 + growth` about the base origin (radial scale).
+//! - `δ` contains the joint zeros, and unknown scales and couplings of joints if their encoding has any.
+//! - The noise is white plus first-order autoregressive (`noise`), with Huber weights for outliers
+//!   (`robust`).
+//!
+//! # Steps for an arm (`diagnose_steadied` in `steady`)
+//! 1. `large` estimates large latency steps and ramps from speeds. `steady` removes them from the stamps.
+//! 2. `latency` cross-correlates speeds to find candidate lags.
+//! 3. `placement` and `layout` determine the position encoding, `joints` the joint names and units. Both
+//!    use positions, before any rotation is decoded. `prepare`, `turning` and `reading` then determine the
+//!    rotation encoding.
+//! 4. `arm::fit` fits all streams together. `frames` provides starting points, `explain` selects causes and
+//!    iterates Gauss–Newton, and `harmless` replaces a moved reference by a tool if both fit.
+//! 5. `nominal` and `drawing` add link deviations as random effects. Causes that these explain as well are
+//!    dropped.
+//! 6. `arm::stream` and `arm::zeros` compute values, intervals and confounders; `residual` computes the
+//!    excess residual and `course` the latency profile. `steady` compensates a variable latency and repeats
+//!    steps 2 to 6.
+//! 7. `bends` (backlash, sag, eccentricity) and `changes` (change points) are competing models for a
+//!    remaining residual. Each corrects the run and repeats steps 2 to 6. It is accepted only if the
+//!    residual becomes much smaller.
+//!
+//! Streams computed from the joint states, such as /tf, are compared with these alone (`diagnose_derived`).
+//! IMUs are compared with FK of the corrected joint states (`imu`).
+//!
+//! # Selection of causes (`explain`)
+//! The latency of a moving stream and an unknown reference frame are always free. Candidate causes are the
+//! joint zeros, and per stream the skew, radial scale, reference and tool. The model is linearised once
+//! with all of them. Each set of causes then has the score `rᵀWr` after its least-squares step plus `ln n +
+//! 8` per parameter, with `n` the number of independent residuals. Sets of up to four causes (three if
+//! there are more than 16) are compared exhaustively, larger ones by greedy addition and pruning. Sets with
+//! a cause nearly equal to a combination of the others are rejected. Selection and steps alternate until
+//! both converge. This is repeated from every starting point, and the least `Σ n·ln σ²` plus price wins.
+//!
+//! # Checks
+//! `proof` compares each stream with FK without the estimators, as logged and corrected. `residual`
+//! cross-validates whether the residual repeats with the configuration. `observability` lists the
+//! parameters that the motion does not determine.
+//!
+//! # Output
+//! An [`ArmDiagnosis`]. Each estimate is a [`Measured`] (value, standard error, degrees of freedom) or the
+//! [`Unseen`] reason why it does not exist, and states whether its cause was selected.
+//!
+//! The remaining modules are separate estimators: `columns` identifies table columns, `model_fit` the arm
+//! model, and `handeye`, `calibration`, `plan`, `reference`, `velocity`, `shake`, `workspace` and `trend`
+//! do as their names say.
 #![warn(missing_docs, clippy::unwrap_used)]
 
 #[cfg(test)]
@@ -125,91 +184,92 @@ pub use workspace::{
     APART_RAD, CELL_M, JOINT_APART, JointSpan, Place, ReachedPose, Workspace, centre_m, reach_m,
 };
 
-/// Why an estimate does not exist. Each case carries what the words need.
+/// Reason why an estimate does not exist, with the values that a message needs.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Unseen {
-    /// Fewer samples overlap than the estimate needs.
+    /// Too few overlapping samples.
     TooFewSamples {
-        /// Samples of both streams at common times.
+        /// Number of samples of both streams at common times.
         have: usize,
-        /// Samples needed.
+        /// Number of samples needed.
         need: usize,
     },
-    /// The streams share no time span.
+    /// The streams do not overlap in time.
     NoOverlap,
-    /// The arm does not move enough.
+    /// The arm moves too little.
     AtRest,
     /// The arm never rests.
     NeverRests,
-    /// The motion repeats itself, so several lags fit; the candidates in seconds.
+    /// Several lags fit because the motion is periodic; the candidates, s.
     Periodic(Vec<f64>),
-    /// No lag makes the stream follow the arm: the best correlation found, from 0 to 1.
+    /// The stream follows the arm at no lag; the highest correlation found, 0 to 1.
     DoesNotFollow(f64),
-    /// The orientation changes too little; the span of orientations in rad.
+    /// The orientation changes too little; the range of orientations, rad.
     LittleRotation(f64),
-    /// The parameter moves nothing that the log shows, or the same as other unknowns do.
+    /// The parameter has no visible effect in the log, or the same effect as other unknowns.
     NotExcited,
-    /// The stream carries no orientation.
+    /// The stream has no orientation.
     NoOrientation,
-    /// The stream carries no angular velocity: it is zero while the arm turns.
+    /// The stream has no angular velocity: it is zero while the arm rotates.
     NoGyro,
-    /// The stream's orientation was never set: it stays as it is while the arm turns.
+    /// The stream's orientation is not set: it is constant while the arm rotates.
     OrientationNotSet,
-    /// The log does not say how the stream's frame is mounted.
+    /// The log does not contain the mounting of the stream's frame.
     NoFrame,
-    /// The model differs from the arm in many small ways, as a drawing differs from a calibrated
-    /// arm; single causes of that size cannot be told from them.
+    /// The arm deviates from the nominal model in many small ways. Single causes of that size cannot be
+    /// separated from link deviations.
     NominalKinematics,
-    /// Another estimate that this one rests on could not be had.
+    /// An estimate that this one requires does not exist.
     RestsOn(&'static str),
 }
 
-/// An estimate, or why there is none.
+/// Estimate, or the reason why it does not exist.
 pub type Seen<T> = Result<T, Unseen>;
 
-/// One pose stream, as the estimators see it.
+/// Pose stream as input of the estimators.
 #[derive(Clone, Copy, Debug)]
 pub struct PoseStream<'a> {
-    /// The poses as logged.
+    /// Poses as logged.
     pub track: &'a PoseTrack,
-    /// The chain from the stream's reference link to the link whose pose it is.
+    /// Chain from the stream's reference link to the link whose pose it contains.
     pub chain: &'a Chain,
-    /// For each joint of `chain`, its column in the joint track.
+    /// Column in the joint track of each joint of `chain`.
     pub columns: &'a [usize],
-    /// Whether the reference frame is tied to the robot's base; if not its pose is estimated.
+    /// Whether the reference frame is fixed to the robot's base; if not, its pose is estimated.
     pub reference_known: bool,
-    /// Standard error that aligning a foreign clock left in the stamps, s; 0 on a shared clock.
+    /// Standard error of the stamps from aligning a different clock, s. 0 on a shared clock.
     pub stamp_error_s: f64,
     /// Whether the stream's stamps are copies of the joints' stamps.
     pub stamps_copied: bool,
-    /// What was taken off the stamps already, to be told of with what is found beyond it.
+    /// Latency ramp already subtracted from the stamps; reported together with the remaining latency
+    /// profile.
     pub taken_off: Option<&'a GradualLatency>,
 }
 
-/// How the numbers of a stream must be read so that they follow the arm.
+/// Encoding of a stream's numbers under which it follows the arm.
 #[derive(Clone, Copy, Debug)]
 pub enum Reading {
-    /// As the log says.
+    /// As logged.
     AsLogged,
-    /// Three numbers of one convention were read as another; any member says the same.
+    /// Misinterpretation: three numbers of one convention were read as another. All members are equivalent.
     Misread(&'static MisreadingClass),
-    /// The quaternion's components are in another order.
+    /// Permuted quaternion components.
     QuaternionOrder(QuaternionSlip),
     /// The rotation is transposed, the position is not.
     Transposed,
-    /// The pose is inverted as a whole (parent and child exchanged).
+    /// The whole pose is inverted (parent and child exchanged).
     Inverted,
-    /// Bare numbers that are of this convention (no fault).
+    /// Bare numbers in this convention (not a fault).
     Numbers(Convention),
 }
 
 impl Reading {
-    /// Whether the stream means what it says.
+    /// Whether the encoding is as logged, not a fault.
     pub fn is_as_logged(&self) -> bool {
         matches!(self, Reading::AsLogged | Reading::Numbers(_))
     }
 
-    /// The misreading that names this reading, where it is one.
+    /// Misinterpretation behind this encoding, if any.
     pub fn misreading(&self) -> Option<Misreading> {
         match self {
             Reading::Misread(class) => class.members.first().copied(),
@@ -218,201 +278,199 @@ impl Reading {
     }
 }
 
-/// Which reading of a stream's orientation follows the arm, and by how much.
+/// Rotation encoding that follows the arm, with its competitors.
 #[derive(Clone, Debug)]
 pub struct ReadingEstimate {
-    /// The reading with the least residual; `AsLogged` wherever that explains the stream.
+    /// Selected encoding; `AsLogged` if that explains the stream.
     pub best: Reading,
-    /// Whether the pose as a whole is inverted, once its numbers are read so.
+    /// Whether the whole pose is also inverted.
     pub inverted: bool,
-    /// Residual angle as logged, rms rad; `None` for bare numbers.
+    /// Residual angle as logged, rms rad. `None` for bare numbers.
     pub as_logged_rad: Option<f64>,
-    /// Residual angle of the best reading, rms rad.
+    /// Residual angle of the selected encoding, rms rad.
     pub best_rad: f64,
-    /// The next best reading that is another map on this motion, with its residual, rms rad.
+    /// Next best encoding that differs on this motion, with its residual, rms rad.
     pub runner_up: Option<(Reading, f64)>,
-    /// Readings that this motion cannot tell from the best.
+    /// Encodings that are equivalent to the selected one on this motion.
     pub equivalent: Vec<Reading>,
-    /// The readings that fit best, with the frames that the best one needs: the least residual first,
-    /// rms rad, the best and the stream as logged among them.
+    /// Best encodings with the frames of the selected one, by increasing residual, rms rad. Includes the
+    /// selected encoding and the stream as logged.
     pub ranked: Vec<(Reading, f64)>,
-    /// Whether most readings fit worse; at rest a constant frame makes nearly all of them fit.
+    /// Whether most encodings fit worse. At rest nearly all of them fit with a constant frame.
     pub is_told: bool,
 }
 
-/// The axes that a stream's numbers are in, where they are not those of its frame.
+/// Axes of a stream's numbers that differ from the axes of its frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AxesSlip {
-    /// Those of its positions.
+    /// Axes of the positions.
     pub positions: Axes,
-    /// Those of its rotations.
+    /// Axes of the rotations.
     pub rotations: Axes,
 }
 
 impl AxesSlip {
-    /// The axes as they should be.
+    /// Standard axes.
     pub const NONE: Self = Self { positions: Axes::STANDARD, rotations: Axes::STANDARD };
 }
 
-/// Positions that are in another unit than they should be.
+/// Wrong length unit of positions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LengthSlip {
-    /// The unit that they are in.
+    /// Actual unit.
     pub is: LengthScale,
-    /// The one that they were taken for.
+    /// Unit in which they were read.
     pub read_as: LengthScale,
-    /// Residual in the one and in the other.
+    /// Residuals in both units.
     pub residual: UnitSlip,
 }
 
 impl LengthSlip {
-    /// What takes positions as they were read to m.
+    /// Factor from positions as read to m.
     pub fn factor(&self) -> f64 {
         self.is.in_m() / self.read_as.in_m()
     }
 }
 
-/// A part of a stream's poses that stays as it is while the arm moves it.
+/// Coordinate of a stream that is constant while the arm moves it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConstantPart {
-    /// Which coordinate: x, y or z.
+    /// Coordinate: x, y or z.
     pub coordinate: char,
     /// Its value, in the stream's unit.
     pub value: f64,
-    /// By how much FK moves it, m.
+    /// Range of the coordinate by FK, m.
     pub moved_m: f64,
 }
 
-/// Units of a stream's positions or angles that are not what they should be.
+/// Residuals before and after correcting a unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UnitSlip {
-    /// Residual as logged, in the quantity's SI unit.
+    /// Residual as logged, in SI units.
     pub as_logged: f64,
-    /// Residual with the other unit, in the quantity's SI unit.
+    /// Residual in the other unit, in SI units.
     pub corrected: f64,
 }
 
-/// A constant frame error, and how it was weighed.
+/// Constant frame error and its significance.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameEstimate {
-    /// The pose: for the reference frame `reference_from_stream`, for the tool `tip_from_stream`.
+    /// Pose: `reference_from_stream` for the reference frame, `tip_from_stream` for the tool.
     pub pose: Pose,
-    /// Norm of its translation, m.
+    /// Length of its translation, m.
     pub translation_m: Measured,
     /// Its rotation angle, rad.
     pub rotation_rad: Measured,
-    /// Chance of an estimate this large if the frame were right (joint test on the six numbers).
+    /// Probability of an estimate this large if the frame were correct (joint test of the six parameters).
     pub p_value: f64,
-    /// Whether the smallest explanation of the log contains this frame error.
+    /// Whether the selected model contains this frame error.
     pub chosen: bool,
 }
 
-/// What is left of a stream when everything found is taken off.
+/// Residual of a stream after correcting every finding.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Residual {
-    /// Position, rms m, beyond the sample-to-sample noise. Its interval excludes zero only where it
-    /// comes again with the posture.
+    /// Excess position residual over the noise between samples, rms m. Its interval excludes zero only if
+    /// the residual repeats with the configuration.
     pub excess_m: Measured,
-    /// Rotation, rms rad, likewise.
+    /// Excess rotation residual, rms rad.
     pub excess_rad: Measured,
-    /// Position, rms m.
+    /// Position residual, rms m.
     pub rms_m: f64,
-    /// Rotation, rms rad.
+    /// Rotation residual, rms rad.
     pub rms_rad: f64,
-    /// Position against FK as recorded, at equal stamps, rms m.
+    /// Position error against FK at equal stamps as recorded, rms m.
     pub before_m: f64,
-    /// Rotation against FK as recorded, at equal stamps, rms rad.
+    /// Rotation error against FK at equal stamps as recorded, rms rad.
     pub before_rad: f64,
 }
 
 impl Residual {
-    /// Position and rotation together, an angle counting at an arm's length of 0.3 m, rms m.
+    /// Position and rotation residual combined with a lever of 0.3 m, rms m.
     pub fn together_m(&self) -> f64 {
         self.rms_m.hypot(0.3 * self.rms_rad)
     }
 }
 
-/// All that was estimated on one pose stream.
+/// Diagnosis of one pose stream.
 #[derive(Clone, Debug)]
 pub struct PoseDiagnosis {
-    /// Convention and direction of the rotations.
+    /// Encoding of the rotations.
     pub reading: Seen<ReadingEstimate>,
-    /// Positions in another unit.
+    /// Wrong position unit.
     pub length: Seen<Option<LengthSlip>>,
-    /// Whether the poses as a whole are inverted, by their positions.
+    /// Whether whole poses are inverted, according to their positions.
     pub inverted: bool,
-    /// Axes that are exchanged or mirrored.
+    /// Exchanged or mirrored axes.
     pub axes: Seen<Option<AxesSlip>>,
-    /// Coordinates that never change.
+    /// Constant coordinates.
     pub constant: Vec<ConstantPart>,
-    /// Rotation numbers in degrees (bare number streams).
+    /// Rotation numbers in degrees (streams of bare numbers).
     pub degrees: Option<UnitSlip>,
-    /// Latency against the joint states, s; the median where its delays are skewed.
+    /// Latency relative to the joint states, s; the median if its delays are skewed.
     pub latency_s: Seen<Measured>,
-    /// Its delays, where they scatter to one side.
+    /// Delay distribution, if it is skewed.
     pub delays: Option<SkewedDelays>,
     /// Clock skew, s/s.
     pub skew: Seen<Measured>,
-    /// Whether the smallest explanation of the log contains the skew.
+    /// Whether the selected model contains the skew.
     pub skew_chosen: bool,
-    /// What the latency does within the run.
+    /// Latency profile over the run.
     pub course: Seen<LatencyCourse>,
-    /// Signed radial growth of positions, m/m.
+    /// Radial scale error of positions, m/m.
     pub growth: Seen<Measured>,
-    /// Whether the smallest explanation of the log contains the growth.
+    /// Whether the selected model contains the radial scale.
     pub growth_chosen: bool,
-    /// Error of the reference frame, `reference_from_stream`; the estimated pose of the reference
-    /// where that was not known.
+    /// Error of the reference frame, `reference_from_stream`. If the reference was unknown, its estimated
+    /// pose.
     pub reference: Seen<FrameEstimate>,
     /// Error of the tool frame, `tip_from_stream`.
     pub tool: Seen<FrameEstimate>,
-    /// When its reference frame changes, and by how much.
+    /// Change points of the reference frame.
     pub reference_changes: Vec<FrameChange>,
-    /// When its tool frame changes, and by how much.
+    /// Change points of the tool frame.
     pub tool_changes: Vec<FrameChange>,
-    /// When the growth of its positions changes, and by how much, m/m.
+    /// Change points of the radial scale, m/m.
     pub growth_changes: Vec<AmountChange>,
-    /// The parts of the run in which its numbers are coded as `reading`, `length`, `axes`, `inverted` and
-    /// `degrees` say.
+    /// Parts of the run to which `reading`, `length`, `axes`, `inverted` and `degrees` apply.
     pub coded: CodedParts,
-    /// What is left.
+    /// Residual after correcting every finding.
     pub residual: Seen<Residual>,
-    /// Whether what is left is that of nominal kinematics against a calibrated arm: at most 10 mm
-    /// and 0.5°, and explained by small changes of many kinematic parameters.
+    /// Whether link deviations explain the residual: nominal kinematics of a calibrated arm, at most 10 mm
+    /// and 0.5°.
     pub nominal: bool,
-    /// By how much each link of such an arm differs from the drawing, as a standard deviation, m; its
-    /// angles by 0.1° where that is 1 mm.
+    /// Standard deviation of the links from the nominal model, m. Angles deviate by 0.1° per mm.
     pub link_m: Option<f64>,
-    /// What this log tells of each parameter of the model; `None` where nothing was fitted.
+    /// Observability of each parameter. `None` if nothing was fitted.
     pub observability: Option<Observability>,
-    /// Largest speed of the tip by FK, m/s.
+    /// Maximum tip speed by FK, m/s.
     pub top_speed_m_s: f64,
-    /// The aligned samples.
+    /// Aligned samples.
     pub aligned: Aligned,
-    /// What was taken off them.
+    /// Corrections applied to them.
     pub taken: Taken,
 }
 
-/// The frames and the growth that are taken off a stream's poses to lay them on FK.
+/// Frame and radial scale corrections that align a stream's poses with FK.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Taken {
     /// `stream_from_reference`.
     pub reference: Pose,
     /// `tip_from_stream`.
     pub tool: Pose,
-    /// Radial growth of positions, m/m.
+    /// Radial scale error of positions, m/m.
     pub growth: f64,
 }
 
 impl Taken {
-    /// A pose as it is read with these taken off: that of the tip in the reference.
+    /// Corrects a decoded pose. Returns the pose of the tip in the reference frame.
     pub fn off(&self, read: &Pose) -> Pose {
         let mut in_base = self.reference.inv_mul(read);
         in_base.translation.vector /= 1.0 + self.growth;
         in_base * self.tool.inverse()
     }
 
-    /// The pose as it was read of one with these taken off.
+    /// Inverse of [`Taken::off`]: the decoded pose for a corrected one.
     pub fn back(&self, tip: &Pose) -> Pose {
         let mut in_base = tip * self.tool;
         in_base.translation.vector *= 1.0 + self.growth;
@@ -421,22 +479,22 @@ impl Taken {
 }
 
 impl PoseDiagnosis {
-    /// Whether something of it changes in mid-run.
+    /// Whether the stream has a change point.
     pub fn changes(&self) -> bool {
         let Self { reference_changes, tool_changes, growth_changes, coded, .. } = self;
         let are_frames = !reference_changes.is_empty() || !tool_changes.is_empty();
         are_frames || !growth_changes.is_empty() || *coded != CodedParts::default()
     }
 
-    /// Why the stream was not read. Where its orientations say nothing its positions still may.
+    /// Reason why the stream could not be used. Positions may be usable if orientations are not.
     pub fn unread(&self) -> Option<&Unseen> {
         self.reading.as_ref().err().filter(|_| self.residual.is_err())
     }
 
-    /// Whether what is left of the positions is a good part of their motion, so that nothing found on
-    /// the stream can be believed.
+    /// Whether the position residual is a large share of the motion, so that no finding on the stream is
+    /// credible.
     pub fn strays(&self) -> bool {
-        /// Less than this is noise or a calibration, rms m.
+        /// Residuals below this are noise or a calibration, rms m.
         const MUCH_M: f64 = 5e-3;
         let fk: Vec<Vec3> =
             self.aligned.fk_at_truth.iter().map(|pose| pose.translation.vector).collect();
@@ -444,35 +502,34 @@ impl PoseDiagnosis {
         left_m > MUCH_M && left_m > joints::ON_ARM * placing::spread(&fk)
     }
 
-    /// Whether the motion repeats itself, so that everything found beside the latency may be that
-    /// of a wrong lag.
+    /// Whether the motion is periodic, so that all other findings may belong to a wrong lag.
     pub fn repeats(&self) -> bool {
         matches!(self.latency_s, Err(Unseen::Periodic(_)))
     }
 }
 
-/// All that was estimated from the joint states and the pose streams together.
+/// Joint diagnosis of the joint states and the pose streams.
 #[derive(Clone, Debug)]
 pub struct ArmDiagnosis {
-    /// What is said of the joint states.
+    /// Diagnosis of the joint states.
     pub joints: JointDiagnosis,
-    /// One entry for each pose stream given.
+    /// One entry per pose stream, in input order.
     pub streams: Vec<PoseDiagnosis>,
 }
 
-/// What was estimated on the joint states of an arm.
+/// Diagnosis of an arm's joint states.
 #[derive(Clone, Debug)]
 pub struct JointDiagnosis {
-    /// Their names and units.
+    /// Joint names and units.
     pub reading: Seen<JointReading>,
     /// Zero offset of each joint of the chain, from all pose streams.
     pub offsets: Vec<JointOffset>,
-    /// The joints whose scale or direction is wrong.
+    /// Joints with a wrong scale or direction.
     pub scales: Vec<JointScale>,
-    /// The joints whose zero or scale changes in mid-run.
+    /// Joints with a change point of zero or scale.
     pub changes: Vec<JointChange>,
-    /// What makes their positions those that they would be had nothing changed.
+    /// Corrections that undo these changes.
     pub patches: Vec<JointPatch>,
-    /// The joints that give, as none of the others do.
+    /// Joints with compliance (backlash, sag or eccentricity).
     pub bends: Vec<JointBend>,
 }

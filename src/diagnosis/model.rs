@@ -1,9 +1,9 @@
-//! The model of a pose stream, and its derivatives.
+//! Measurement model of a pose stream and its derivatives.
 //!
-//! `logged(s) = reference · FK(q(s − τ) + δ) · tool`, with `τ = latency + skew·(s − middle)` and
-//! positions scaled by `1 + growth` about the base origin. Small changes of `reference` multiply on
-//! the left, of `tool` on the right. Residuals are taken in the stream's reference frame: position
-//! in m, rotation as the rotation vector of `logged · predicted⁻¹` in rad.
+//! `logged(s) = reference · FK(q(s − τ) + δ) · tool`, with `τ = latency + skew·(s − middle)` and positions
+//! scaled by `1 + growth` about the base origin. Perturbations of `reference` multiply on the left,
+//! perturbations of `tool` on the right. Residuals are in the stream's reference frame: position in m,
+//! rotation as the rotation vector of `logged · predicted⁻¹` in rad.
 
 use super::Taken;
 use super::linear::{Linear, Rows};
@@ -12,34 +12,34 @@ use ground::robot::Chain;
 use ground::stream::JointTrack;
 use nalgebra::{DVector, Translation3};
 
-/// Parameters of one stream, in the order of its columns.
+/// Column indices of a stream's parameters.
 pub(super) const LATENCY: usize = 0;
 pub(super) const SKEW: usize = 1;
 pub(super) const GROWTH: usize = 2;
 pub(super) const REFERENCE: usize = 3;
 pub(super) const TOOL: usize = 9;
-/// Parameters a stream.
+/// Number of parameters per stream.
 pub(super) const STREAM_WIDTH: usize = 15;
 
-/// Kinds of residual, in the order of a sample's rows.
+/// Residual kinds, in the order of a sample's rows.
 const POSITION: usize = 0;
 const ROTATION: usize = 1;
 
-/// Standard deviations below these are no statistics: 1 µm and 1 µrad.
+/// Lower bounds of the standard deviations: 1 µm and 1 µrad.
 pub(super) const FLOOR_M: f64 = 1e-6;
 pub(super) const FLOOR_RAD: f64 = 1e-6;
 
-/// What of a stream's poses says nothing, and is left out of every residual.
+/// Components of a stream's poses that carry no information. They are excluded from every residual.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Blind {
-    /// Coordinates of positions, in the stream's frame.
+    /// Position coordinates, in the stream's frame.
     pub position: [bool; 3],
-    /// Rotations.
+    /// All three rotation components.
     pub rotation: bool,
 }
 
 impl Blind {
-    /// A vector of the positions' kind without what is blind.
+    /// Sets the excluded coordinates of a position vector to zero.
     pub fn position(&self, mut vector: [f64; 3]) -> [f64; 3] {
         for (part, blind) in vector.iter_mut().zip(self.position) {
             *part *= f64::from(u8::from(!blind));
@@ -47,7 +47,7 @@ impl Blind {
         vector
     }
 
-    /// Puts into `pose` what is blind of it as it is in `expected`.
+    /// Copies the excluded components from `expected` into `pose`.
     pub fn fill(&self, pose: &mut Pose, expected: &Pose) {
         for (axis, _) in self.position.iter().enumerate().filter(|(_, blind)| **blind) {
             pose.translation.vector[axis] = expected.translation.vector[axis];
@@ -57,46 +57,46 @@ impl Blind {
         }
     }
 
-    /// A vector of the rotations' kind, likewise.
+    /// Sets a rotation vector to zero if rotations are excluded.
     pub fn rotation(&self, vector: [f64; 3]) -> [f64; 3] {
         if self.rotation { [0.0; 3] } else { vector }
     }
 }
 
-/// A pose stream whose reading and units are settled, ready for the fit.
+/// Pose observations of one stream with resolved encoding and units, ready for the fit.
 #[derive(Clone)]
 pub(super) struct Witness<'a> {
     pub joints: &'a JointTrack,
     pub chain: &'a Chain,
     pub columns: &'a [usize],
-    /// Pairs of joints of the track: the position of the first also contains a share of the second's,
-    /// which is to be found. A joint paired with itself has a scale.
+    /// Pairs of joints of the track: the position of the first also contains an unknown share of the
+    /// second's (coupling). A joint paired with itself has an unknown scale.
     pub gained: &'a [(usize, usize)],
     pub reference_known: bool,
-    /// Joint speeds below which a joint counts as still, by joint of the track, rad/s or m/s.
+    /// Speed of each joint of the track below which it counts as resting, rad/s or m/s.
     pub still: &'a [f64],
     pub t_s: Vec<f64>,
     pub xyz: Vec<Vec3>,
     pub rotation: Vec<Rotation>,
-    /// What of these says nothing.
+    /// Components excluded from the residuals.
     pub blind: Blind,
-    /// What of the tool they show.
+    /// Components of the tool frame that can be estimated.
     pub tool_part: ToolPart,
-    /// The stamp about which skew turns, s.
+    /// Stamp about which clock skew is defined, s.
     pub middle_s: f64,
 }
 
-/// What of a tool frame a log can show.
+/// Components of a tool frame that a log can determine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ToolPart {
-    /// Where it is and how it is turned.
+    /// Translation and rotation.
     Whole,
-    /// Where it is: orientations say nothing.
+    /// Translation only: orientations carry no information.
     Point,
 }
 
 impl ToolPart {
-    /// Its parameters among the tool's six.
+    /// Range of these components among the six tool parameters.
     pub fn range(self) -> std::ops::Range<usize> {
         match self {
             Self::Whole => 0..6,
@@ -105,7 +105,7 @@ impl ToolPart {
     }
 }
 
-/// The parameters of one stream.
+/// Parameters of one stream.
 #[derive(Clone, Debug)]
 pub(super) struct StreamState {
     pub latency_s: f64,
@@ -113,11 +113,11 @@ pub(super) struct StreamState {
     pub growth: f64,
     pub reference: Pose,
     pub tool: Pose,
-    /// The part of `reference` that is a round slip rather than a tuned number.
+    /// Part of `reference` that is a round slip (such as a quarter turn) rather than an estimated value.
     pub round_reference: Option<Pose>,
-    /// The part of `tool` that is a round slip rather than a tuned number.
+    /// Part of `tool` that is a round slip rather than an estimated value.
     pub round_tool: Option<Pose>,
-    /// What of the tool can be a cause.
+    /// Components of the tool that can be a cause.
     pub tool_part: ToolPart,
 }
 
@@ -135,12 +135,12 @@ impl StreamState {
         }
     }
 
-    /// What it takes off poses.
+    /// Correction that these parameters define for poses.
     pub fn taken(&self) -> Taken {
         Taken { reference: self.reference, tool: self.tool, growth: self.growth }
     }
 
-    /// The tuned parameters' present values: how far each is from "no such cause".
+    /// Values of the estimated parameters. Zero means that the cause is absent.
     fn values(&self) -> [f64; STREAM_WIDTH] {
         let mut values = [0.0; STREAM_WIDTH];
         values[LATENCY] = self.latency_s;
@@ -162,7 +162,7 @@ impl StreamState {
     }
 }
 
-/// Translation and rotation vector of a pose, side by side.
+/// Translation and rotation vector of a pose.
 pub(super) fn twist_of(pose: &Pose) -> [f64; 6] {
     let (p, r) = (pose.translation.vector, rotvec_from_rotation(&pose.rotation));
     [p.x, p.y, p.z, r.x, r.y, r.z]
@@ -175,11 +175,11 @@ pub(super) fn pose_of_twist(twist: &[f64]) -> Pose {
     )
 }
 
-/// The parameters of the whole model: joint offsets, with them the gains of joints whose scale is
-/// to be found, then each stream's.
+/// Parameters of the whole model: joint offsets, joint gains, then the parameters of each stream.
 #[derive(Clone, Debug)]
 pub(super) struct State {
-    /// Offset of each joint of the track, rad or m; then the share of each pair of [`Witness::gained`].
+    /// Offset of each joint of the track, rad or m, followed by the share of each pair in
+    /// [`Witness::gained`].
     pub offsets: Vec<f64>,
     pub streams: Vec<StreamState>,
 }
@@ -195,8 +195,8 @@ impl State {
         self.offsets.len() + stream * STREAM_WIDTH + parameter
     }
 
-    /// The scale at which steps are damped (Levenberg 1944): what the log shows is known far better
-    /// than this and hardly notices; what it does not show stays in place.
+    /// Damping scales of the steps (Levenberg 1944). Observable parameters are known far better than these
+    /// and are barely affected. Unobservable ones keep their value.
     pub fn scales(&self) -> Vec<f64> {
         let mut stream = [0.02; STREAM_WIDTH];
         stream[SKEW] = 1e-4;
@@ -204,13 +204,13 @@ impl State {
         joints.chain(self.streams.iter().flat_map(|_| stream)).collect()
     }
 
-    /// Present values of all tuned parameters.
+    /// Values of all estimated parameters.
     pub fn values(&self) -> DVector<f64> {
         let streams = self.streams.iter().flat_map(StreamState::values);
         DVector::from_iterator(self.width(), self.offsets.iter().copied().chain(streams))
     }
 
-    /// Moves every parameter by `delta`.
+    /// Adds `delta` to the parameters.
     pub fn step(&mut self, delta: &DVector<f64>) {
         let joints = self.offsets.len();
         for (offset, change) in self.offsets.iter_mut().zip(delta.iter()) {
@@ -223,15 +223,15 @@ impl State {
     }
 }
 
-/// One prediction and what it rests on.
+/// Prediction for one sample.
 struct Predicted {
     pose: Pose,
-    /// `base_from_link · tool` before the reference is applied.
+    /// `base_from_link · tool`, before the reference frame is applied.
     in_base: Pose,
     moving: bool,
 }
 
-/// Buffers of one sweep over a stream.
+/// Buffers for one pass over a stream.
 pub(super) struct Sweep {
     cursor: usize,
     track_q: Vec<f64>,
@@ -256,13 +256,13 @@ impl Sweep {
 }
 
 impl Sweep {
-    /// Joint positions of the last prediction, in the chain's order.
+    /// Joint positions of the last prediction, in chain order.
     pub fn q(&self) -> &[f64] {
         &self.q
     }
 
-    /// What a joint's coordinate does to a point of the link at the last prediction, `lever` from its
-    /// origin: linear and angular, in the chain's base.
+    /// Jacobian column of a joint at the last prediction, for a point at `lever` from the link origin:
+    /// linear and angular part, in the chain's base.
     pub fn column(&self, joint: usize, lever: &Vec3) -> (Vec3, Vec3) {
         let [x, y, z, rx, ry, rz] = self.jacobian[joint];
         let angular = Vec3::new(rx, ry, rz);
@@ -286,8 +286,8 @@ impl Witness<'_> {
         self.t_s.len()
     }
 
-    /// The gains of a joint of the track that are to be found: each with its index among the offsets
-    /// and the joint it multiplies.
+    /// Gains of a joint of the track: the index among the offsets and the joint whose position it
+    /// multiplies.
     fn gains_of(&self, column: usize) -> impl Iterator<Item = (usize, usize)> {
         let gained = self.gained.iter().enumerate();
         gained.filter_map(move |(at, &(own, by))| {
@@ -295,7 +295,8 @@ impl Witness<'_> {
         })
     }
 
-    /// The pose that the model gives for sample `k`; the Jacobian of the chain is left in `sweep`.
+    /// Predicts the pose of sample `k`; leaves the chain's Jacobian in `sweep`. `None` if the joint states
+    /// do not cover the sample.
     fn predict(
         &self,
         k: usize,
@@ -325,7 +326,7 @@ impl Witness<'_> {
         Some(Predicted { pose: stream.reference * in_base, in_base, moving })
     }
 
-    /// Samples, of about `most`, at which some joint moves.
+    /// Number of samples, out of about `most`, at which some joint moves.
     pub fn moving(&self, latency_s: f64, most: usize) -> usize {
         let (state, offsets) = (StreamState::at_latency(latency_s), vec![0.0; self.joints.dof]);
         let mut sweep = Sweep::new(self);
@@ -336,8 +337,8 @@ impl Witness<'_> {
             .count()
     }
 
-    /// Residual of about `most` samples at the latency of `stream` (rms of m and rad together), and
-    /// the change of latency that would lessen it most, s.
+    /// Rms residual over about `most` samples at the latency of `stream` (m and rad combined), and the
+    /// latency change that reduces it most, s.
     pub fn at_latency(&self, stream: &StreamState, offsets: &[f64], most: usize) -> (f64, f64) {
         let linear = self.linearize(stream, offsets, self.len().div_ceil(most).max(1));
         let latency = offsets.len() + LATENCY;
@@ -350,7 +351,7 @@ impl Witness<'_> {
         ((square / linear.len().max(1) as f64).sqrt(), along / steep)
     }
 
-    /// `reference_from_tip · tool` for sample `k`, or `None` where the joints do not cover it.
+    /// `reference_from_tip · tool` for sample `k`. `None` if the joint states do not cover it.
     pub fn pose_at(
         &self,
         k: usize,
@@ -361,14 +362,14 @@ impl Witness<'_> {
         self.predict(k, stream, offsets, sweep).map(|predicted| predicted.pose)
     }
 
-    /// Logged minus predicted: position in m, rotation vector in rad.
+    /// Logged minus predicted pose: position in m, rotation vector in rad.
     pub fn residual(&self, k: usize, predicted: &Pose) -> [[f64; 3]; 2] {
         let position = self.xyz[k] - predicted.translation.vector;
         let rotation = rotvec_from_rotation(&(self.rotation[k] * predicted.rotation.inverse()));
         [self.blind.position(position.into()), self.blind.rotation(rotation.into())]
     }
 
-    /// Residuals and design rows of every `stride`-th sample that the joints cover.
+    /// Residuals and design rows of every `stride`-th sample that the joint states cover.
     pub fn linearize(&self, stream: &StreamState, offsets: &[f64], stride: usize) -> Linear {
         let (joints, width) = (offsets.len(), offsets.len() + STREAM_WIDTH);
         let mut sweep = Sweep::new(self);
@@ -401,7 +402,7 @@ impl Witness<'_> {
         let at = predicted.pose.translation.vector;
         let in_base = predicted.in_base.translation.vector;
         let (mut v, mut w) = (Vec3::zeros(), Vec3::zeros());
-        // The chain's Jacobian is that of the link; the tool point adds the lever to it.
+        // The chain's Jacobian is for the link origin. The lever moves it to the tool point.
         let base_from_link = predicted.in_base.rotation * stream.tool.rotation.inverse();
         let lever = base_from_link * stream.tool.translation.vector;
         for i in 0..sweep.jacobian.len() {

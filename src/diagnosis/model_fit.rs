@@ -1,9 +1,10 @@
-//! What a model of the arm needs to explain the positions of a stream: nothing, an active TCP, a joint
-//! zero, a moved frame. Of several arms with the same joint names the log is of the one that needs least.
+//! Ranks arm models by the assumptions they need to explain the positions of a stream: none, an active TCP,
+//! a joint zero offset, or a different reference frame. Among arms with the same joint names, the log
+//! belongs to the one that needs least.
 //!
-//! Positions alone are held against FK, so that no convention of rotations is in the way. Each way is a
-//! Gauss–Newton fit of `p(s) = reference · FK(q(s − τ) + δ) · tool` with the latency free, on a few dozen
-//! slow samples; what it leaves is compared between arms, not judged.
+//! Only positions are compared with FK, so no rotation encoding matters. Each hypothesis is a Gauss–Newton
+//! fit of `p(s) = reference · FK(q(s − τ) + δ) · tool` with free latency, on a few dozen slow samples. The
+//! residuals rank the arms; they do not decide a verdict.
 
 use super::PoseStream;
 use super::latency::{joint_activity, linear_speed, peaks};
@@ -16,52 +17,53 @@ use ground::robot::JointKind;
 use ground::stream::{JointTrack, Orientations};
 use nalgebra::{DMatrix, DVector, Point3};
 
-/// Fewer samples tell nothing.
+/// Minimum number of samples for a fit.
 const ENOUGH: usize = 12;
-/// Where this is left, m, the pose may be inverted or the joints in degrees.
+/// If every fit has a larger residual, m, inverted poses and joints in degrees are tried as well.
 const ASTRAY_M: f64 = 5e-3;
 
-/// Standard deviation of a tool's length before it is seen, m: grippers are 0.1 to 0.3 m long, and a TCP beyond
-/// 0.5 m is rare.
+/// Prior standard deviation of a tool's length, m: grippers are 0.1 to 0.3 m long, and a TCP beyond 0.5 m
+/// is rare.
 const USUAL_TOOL_M: f64 = 0.2;
-/// By how much the flange of a calibrated arm deviates from that of its nominal model, m, as a standard deviation.
-/// Healthy UR5e of two public data sets deviate by 0.1 to 1.6 mm (docs/real-logs.md).
+/// Prior standard deviation of the flange position of a calibrated arm about its nominal model, m. Healthy
+/// UR5e of two public data sets deviate by 0.1 to 1.6 mm (docs/real-logs.md).
 const DEVIATION_M: f64 = 1e-3;
-/// Residuals below this do not count for or against a model, m. The nominal models of these arms leave 0.1 to 1.3 mm,
-/// and a wrong arm with a free tool fits short motion to micrometres.
+/// Residuals below this do not count for or against a model, m. Nominal models of these arms have residuals
+/// of 0.1 to 1.3 mm, and a wrong arm with a free tool fits short motion to micrometres.
 const FLOOR_M: f64 = 1e-3;
-/// Samples of one motion depend on each other: no more of them count. With 20, a zero or a tool that is not there is
-/// preferred to the deviations of real links (0.3 mm and 0.05° each, rich motion) in none of 60 generated runs.
+/// Maximum number of effective samples, because samples of one motion are correlated. With 20, an absent
+/// zero offset or tool is never preferred to real link deviations (0.3 mm and 0.05° each, rich motion) in
+/// 60 generated runs.
 const COUNTED: f64 = 20.0;
 
-/// What must be assumed for a model to fit, the most harmless first.
+/// Assumption under which a model fits, the most harmless first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Needs {
-    /// Nothing.
+    /// No assumption.
     Nothing,
-    /// A tool of constant offset: an active TCP.
+    /// A constant tool offset: an active TCP.
     Tool,
-    /// The base turned by half a turn about its z axis (`base` for `base_link`), with or without a tool.
+    /// The base turned by 180° about its z axis (`base` for `base_link`), with or without a tool.
     HalfTurn {
-        /// Whether with a tool.
+        /// Whether a tool is fitted.
         tool: bool,
     },
-    /// The zero of a joint, by its place in the chain, with or without a tool.
+    /// A zero offset of one joint, with or without a tool.
     Zero {
-        /// The joint.
+        /// Index of the joint in the chain.
         joint: usize,
-        /// Whether with a tool.
+        /// Whether a tool is fitted.
         tool: bool,
     },
-    /// Another reference frame, with or without a tool.
+    /// A different reference frame, with or without a tool.
     Reference {
-        /// Whether with a tool.
+        /// Whether a tool is fitted.
         tool: bool,
     },
 }
 
 impl Needs {
-    /// Whether that is no fault of the arm: nothing, an active TCP, or the other usual base frame.
+    /// Whether the assumption is not a fault: none, an active TCP, or the other usual base frame.
     pub fn is_harmless(self) -> bool {
         matches!(self, Needs::Nothing | Needs::Tool | Needs::HalfTurn { .. })
     }
@@ -75,7 +77,7 @@ impl Needs {
         }
     }
 
-    /// How many numbers are fitted besides the latency and the tool.
+    /// Number of fitted parameters besides the latency and the tool.
     fn parameters(self) -> usize {
         match self {
             Needs::Nothing | Needs::Tool => 0,
@@ -85,58 +87,58 @@ impl Needs {
     }
 }
 
-/// One way in which a model fits a stream.
+/// One fit of a model to a stream.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Way {
-    /// What it needs.
+    /// Assumption of the fit.
     pub needs: Needs,
-    /// Whether besides the poses are inverted or the joints in degrees.
+    /// Whether it also assumes inverted poses or joints in degrees.
     pub misread: bool,
-    /// What it leaves of the positions, rms m over the best nine tenths of the samples.
+    /// Position residual, rms m over the best 90 % of the samples.
     pub left_m: f64,
-    /// The tool's offset in the link's frame, m.
+    /// Tool offset in the link's frame, m.
     pub tool_m: Vec3,
-    /// The latency of the stream, s.
+    /// Latency of the stream, s.
     pub lag_s: f64,
 }
 
-/// How a model fits a stream.
+/// Fits of a model to a stream.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ModelFit {
-    /// Samples that it was tried on.
+    /// Number of samples fitted.
     pub samples: usize,
     /// Rms distance of the positions from their mean, m.
     pub spread_m: f64,
-    /// What is left with nothing assumed but a latency, m.
+    /// Position residual with only the latency fitted, m.
     pub as_is_m: f64,
-    /// Every way that was tried.
+    /// All fits.
     pub ways: Vec<Way>,
 }
 
-/// One way of a model with its price paid: less is better.
+/// One fit with its score; lower is better.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Priced {
-    /// The way.
+    /// The fit.
     pub way: Way,
-    /// `n ln σ²` of what it leaves, and the price of what it needs.
+    /// `n ln σ²` of the residual, plus the price of the parameters.
     pub score: f64,
 }
 
 impl ModelFit {
-    /// The least that is left without a fault, m.
+    /// Smallest residual of a fit without a fault, m.
     pub fn harmless_m(&self) -> f64 {
         let harmless = self.ways.iter().filter(|way| way.needs.is_harmless() && !way.misread);
         harmless.map(|way| way.left_m).fold(f64::INFINITY, f64::min)
     }
 
-    /// The cheapest way.
+    /// Fit with the lowest score.
     pub fn best(&self) -> Option<Priced> {
         let ways = self.ways.iter().map(|way| Priced { way: *way, score: self.score(way) });
         ways.min_by(|a, b| a.score.total_cmp(&b.score))
     }
 
-    /// Whether no way with a fault can be cheaper than those tried, as it would leave something and need a
-    /// number at least.
+    /// Whether no faulty hypothesis can score lower than the fits tried: it would need at least one
+    /// parameter.
     pub fn is_settled(&self) -> bool {
         let least = self.price(0.0, 1.0);
         self.best().is_some_and(|best| best.score <= least)
@@ -148,7 +150,8 @@ impl ModelFit {
         self.price(way.left_m, parameters) + self.tool_price(&way.tool_m)
     }
 
-    /// The price of a tool: of a deviation of the links, of a length along the flange's axis, or of any tool.
+    /// Price of a tool: the cheapest of a link deviation, an offset along the flange axis, and an arbitrary
+    /// tool.
     fn tool_price(&self, tool_m: &Vec3) -> f64 {
         let each = super::explain::price(self.counted());
         let deviation = |length_m: f64| 0.5 * (length_m / DEVIATION_M).powi(2);
@@ -157,7 +160,7 @@ impl ModelFit {
         deviation(tool_m.norm()).min(along_axis).min(3.0 * each + prior)
     }
 
-    /// The price of so many parameters that leave so much.
+    /// Score of a residual with `parameters` fitted parameters.
     fn price(&self, left_m: f64, parameters: f64) -> f64 {
         let n = self.counted();
         n * (left_m.powi(2) + FLOOR_M.powi(2)).ln() + super::explain::price(n) * parameters
@@ -168,16 +171,16 @@ impl ModelFit {
     }
 }
 
-/// Which ways a model is tried in.
+/// Which hypotheses to fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tried {
-    /// Those without a fault.
+    /// Hypotheses without a fault.
     Harmless,
-    /// All there are.
+    /// Every hypothesis.
     All,
 }
 
-/// How the model behind `stream`'s chain fits its positions; `None` where the joints cover too few
+/// Fits the model behind `stream`'s chain to its positions. `None` if the joint states cover too few
 /// samples.
 pub fn model_fit(
     joints: &JointTrack,
@@ -206,8 +209,8 @@ pub fn model_fit(
     Some(fit)
 }
 
-/// The cheapest way without a fault in which the model fits, its frame free if that is not known, or the cheapest
-/// with the zero of one joint; `None` if the joints cover too few samples.
+/// Returns the cheapest fit without a fault, or, if `with_zero`, with the zero offset of one joint. The
+/// frame is free if it is unknown. `None` if the joint states cover too few samples.
 pub(super) fn tool_fit(
     joints: &JointTrack,
     stream: &PoseStream,
@@ -228,13 +231,13 @@ pub(super) fn tool_fit(
     best.min_by(|a, b| a.score.total_cmp(&b.score))
 }
 
-/// The price of a free frame for a stream of so many samples.
+/// Price of a free frame for a stream with this many samples.
 pub(super) fn frame_price(samples: usize) -> f64 {
     let free = Needs::Reference { tool: false }.parameters() as f64;
     free * super::explain::price((samples as f64).min(COUNTED))
 }
 
-/// Latencies at which the stream moves as the joints do, and none.
+/// Candidate latencies from the correlation of stream speed and joint activity, and zero.
 fn lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<f64> {
     let track = stream.track;
     let speed = linear_speed(&track.t_s, &track.xyz);
@@ -243,23 +246,23 @@ fn lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<f64> {
     std::iter::once(0.0).chain(near.filter(|lag_s| lag_s.abs() > 0.02)).collect()
 }
 
-/// Some samples of a stream beside what moves it.
+/// Samples of a stream with the FK poses and joint states behind them.
 struct Sight<'a> {
     joints: &'a JointTrack,
     stream: PoseStream<'a>,
     lag_s: f64,
-    /// The longest latency that is fitted, s.
+    /// Maximum latency fitted, s.
     most_lag_s: f64,
     t_s: Vec<f64>,
     xyz: Vec<Vec3>,
-    /// Positions of the inverse poses, where the stream has rotations.
+    /// Positions of the inverse poses, if the stream has rotations.
     inverse_xyz: Option<Vec<Vec3>>,
     fk: Vec<Pose>,
-    /// Whether positions of the joints are degrees.
+    /// Whether joint positions are in degrees.
     in_degrees: bool,
 }
 
-/// What is fitted.
+/// Fitted parameters.
 #[derive(Clone)]
 struct Guess {
     lag_s: f64,
@@ -299,7 +302,7 @@ impl<'a> Sight<'a> {
         })
     }
 
-    /// The ways without a fault.
+    /// Fits without a fault.
     fn fit(&self) -> ModelFit {
         let half_turns = [false, true].map(|tool| Needs::HalfTurn { tool });
         let needs = [Needs::Nothing, Needs::Tool].into_iter().chain(half_turns);
@@ -313,7 +316,7 @@ impl<'a> Sight<'a> {
         }
     }
 
-    /// The ways with one, with poses and joints read as they are.
+    /// Fits with a fault, with poses and joints as logged.
     fn faulty_ways(&self) -> Vec<Way> {
         let dof = self.stream.chain.dof();
         let zeros =
@@ -322,7 +325,7 @@ impl<'a> Sight<'a> {
         references.into_iter().chain(zeros).flat_map(|needs| self.ways(needs)).collect()
     }
 
-    /// The ways of poses that are inverted, and of joints that are in degrees.
+    /// Fits of inverted poses and of joints in degrees.
     fn misread_ways(&self) -> Vec<Way> {
         let of = |sight: Sight<'_>| {
             let needs = [Needs::Nothing, Needs::Tool, Needs::Reference { tool: true }];
@@ -369,8 +372,8 @@ impl<'a> Sight<'a> {
         }
     }
 
-    /// The fits with the parameters of `needs` free, and the reference frame if it is not known: with a tool of
-    /// any kind and with one along the flange's axis, or with the deviation of the links alone.
+    /// Fits the parameters of `needs`, and the reference frame if it is unknown. A tool is fitted twice, in
+    /// any direction and along the flange axis. Without a tool, only a link deviation is fitted.
     fn ways(&self, needs: Needs) -> Vec<Way> {
         let dof = self.stream.chain.dof();
         let is_free = !self.stream.reference_known;
@@ -390,7 +393,7 @@ impl<'a> Sight<'a> {
         let starts = match (needs, reference) {
             (Needs::HalfTurn { .. }, _) => vec![from(half_turn)],
             (_, false) => vec![self.plain()],
-            // Positions along a line leave the turn about it open: each usual frame is a start.
+            // Positions on a line do not determine the rotation about it, so each usual frame is a start.
             (_, true) => {
                 let (turned, _) = Expected::of(&self.fk).turned_anyhow(&self.xyz);
                 vec![self.plain(), from(half_turn), from(turned)]
@@ -414,10 +417,10 @@ impl<'a> Sight<'a> {
         ways.collect()
     }
 
-    /// Gauss–Newton on the numbers `free`: latency, joint zeros, reference frame, tool, in this order.
+    /// Gauss–Newton on the parameters `free`, indexed as latency, joint zeros, reference frame, tool.
     fn solve(&self, mut guess: Guess, free: &[usize], prior: ToolPrior) -> (f64, Guess) {
         const ROUNDS: usize = 10;
-        /// The cost has settled if it changes by less than this share.
+        /// Relative change of the cost below which the fit has converged.
         const SETTLED: f64 = 1e-5;
         let mut least = f64::INFINITY;
         let mut best = (f64::INFINITY, guess.clone());
@@ -452,12 +455,12 @@ impl<'a> Sight<'a> {
         best
     }
 
-    /// What a guess leaves, rms m over the best nine tenths, and the step from it; infinite and none where the
-    /// joints cover too little.
+    /// Residual of a guess, rms m over the best 90 % of the samples, and the next step. Infinite and `None`
+    /// if the joint states cover too few samples.
     fn step(&self, guess: &Guess, free: &[usize], prior: ToolPrior) -> (f64, Option<DVector<f64>>) {
-        /// Steps are damped at this scale, so that what the log does not show stays in place.
+        /// Damping scale of the steps: unobservable parameters keep their value.
         const SCALE: f64 = 0.5;
-        /// Share of the samples that the joints must cover at the fitted latency.
+        /// Minimum share of the samples that the joint states must cover at the fitted latency.
         const COVERED: f64 = 0.75;
         let (n, dof) = (free.len(), guess.zeros.len());
         let mut moment = Moment::new(self);
@@ -489,7 +492,7 @@ impl<'a> Sight<'a> {
                 }
             }
         }
-        // A latency that leaves few samples covered explains little, however well.
+        // Reject latencies at which few samples are covered: a good fit of those means little.
         if squares.len() < ENOUGH.max((COVERED * self.t_s.len() as f64) as usize) {
             return (f64::INFINITY, None);
         }
@@ -508,7 +511,7 @@ impl<'a> Sight<'a> {
     }
 }
 
-/// Rms distance of positions from their median over the best nine tenths, as residuals are.
+/// Rms distance of positions from their median over the best 90 %, comparable with the residuals.
 pub(super) fn extent(xyz: &[Vec3]) -> f64 {
     let middle: [f64; 3] = std::array::from_fn(|axis| {
         let mut values: Vec<f64> = xyz.iter().map(|xyz| xyz[axis]).collect();
@@ -518,26 +521,26 @@ pub(super) fn extent(xyz: &[Vec3]) -> f64 {
     rms_of_most(xyz.iter().map(|xyz| (xyz - middle).norm_squared()).collect())
 }
 
-/// Root of the mean of the least nine tenths of some squares.
+/// Rms over the smallest 90 % of some squares.
 fn rms_of_most(mut squares: Vec<f64>) -> f64 {
     squares.sort_by(f64::total_cmp);
     let kept = (9 * squares.len()).div_ceil(10);
     (squares[..kept].iter().sum::<f64>() / kept.max(1) as f64).sqrt()
 }
 
-/// What is assumed of a tool before it is fitted.
+/// Prior on the tool.
 #[derive(Clone, Copy)]
 enum ToolPrior {
-    /// Nothing.
+    /// Flat.
     None,
-    /// It lies along the flange's axis, but for the deviation of the links.
+    /// On the flange axis, up to link deviations.
     AlongAxis,
-    /// There is none, but for the deviation of the links.
+    /// Zero, up to link deviations.
     Deviation,
 }
 
 impl ToolPrior {
-    /// Weights of the tool's coordinates against the rms residual.
+    /// Weights of the tool coordinates relative to the rms residual.
     fn weights(self) -> Vec3 {
         let each = FLOOR_M / DEVIATION_M / COUNTED.sqrt();
         match self {
@@ -547,13 +550,13 @@ impl ToolPrior {
         }
     }
 
-    /// The weighted coordinates of a tool.
+    /// Weighted coordinates of a tool.
     fn pull(self, tool_m: &Vec3) -> Vec3 {
         self.weights().component_mul(tool_m)
     }
 }
 
-/// The chain at one moment.
+/// State of the chain at one time.
 struct Moment<'a> {
     sight: &'a Sight<'a>,
     cursor: usize,
@@ -578,7 +581,8 @@ impl<'a> Moment<'a> {
         }
     }
 
-    /// Takes the joints to what a sample stamped `t_s` speaks of; false where they do not cover it.
+    /// Sets the joints to the time at which the sample stamped `t_s` was taken. False if the joint states
+    /// do not cover it.
     fn at(&mut self, t_s: f64, guess: &Guess) -> bool {
         let Sight { joints, stream, in_degrees, .. } = self.sight;
         let (q, qd) = &mut self.track;
@@ -596,12 +600,12 @@ impl<'a> Moment<'a> {
         true
     }
 
-    /// Where the model puts the stream's point, in its reference frame.
+    /// Predicted tool point, in the stream's reference frame.
     fn tip(&self, guess: &Guess) -> Vec3 {
         (guess.reference * (self.pose * Point3::from(guess.tool))).coords
     }
 
-    /// How that point moves with a joint, in the base, `lever` from the link's origin.
+    /// Derivative of the tool point by a joint, in the base; `lever` is its offset from the link origin.
     fn along(&self, joint: usize, lever: &Vec3) -> Vec3 {
         let [x, y, z, a, b, c] = self.jacobian[joint];
         Vec3::new(x, y, z) + Vec3::new(a, b, c).cross(lever)

@@ -1,5 +1,4 @@
-//! What a joint's motion comes to, from its samples alone: how far it is beyond its limits, and how
-//! abruptly it changes its speed.
+//! Speed and acceleration of a joint from its samples: limit violations and abrupt changes of speed.
 
 #[cfg(test)]
 mod tests;
@@ -12,28 +11,28 @@ use statrs::distribution::{Continuous, ContinuousCDF, Normal};
 
 use ground::robot::Limits;
 
-/// How far a joint is beyond a limit.
+/// Violation of a joint limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Excess {
-    /// The limit, rad or m, or a second of it.
+    /// The limit, in rad or m, or per second for speeds.
     pub limit: f64,
-    /// The value farthest beyond it.
+    /// Most extreme value.
     pub value: f64,
-    /// When that was, s.
+    /// Time of that value, s.
     pub at_s: f64,
-    /// How long the limit was exceeded altogether, s.
+    /// Total time beyond the limit, s.
     pub seconds: f64,
 }
 
 impl Excess {
-    /// By how much the limit is exceeded.
+    /// Excess over the limit.
     pub fn over(&self) -> f64 {
         (self.value - self.limit).abs()
     }
 }
 
-/// The positions of a joint beyond its limits; the lower limit or the upper, whichever is exceeded by
-/// more. Values that are not finite are passed over.
+/// Violation of a joint's position limits. Returns the limit, lower or upper, that is exceeded by more.
+/// Ignores values that are not finite.
 pub fn beyond_positions(t_s: &[f64], q: &[f64], limits: &Limits) -> Option<Excess> {
     let above = limits.upper.and_then(|upper| beyond(t_s, q.iter().copied(), upper));
     let below = limits.lower.and_then(|lower| {
@@ -43,32 +42,34 @@ pub fn beyond_positions(t_s: &[f64], q: &[f64], limits: &Limits) -> Option<Exces
     [above, below].into_iter().flatten().max_by(|a, b| a.over().total_cmp(&b.over()))
 }
 
-/// The speeds of a joint beyond its limit. Two neighbouring samples must be beyond it, and the less of
-/// them counts: one alone is a reading gone wrong.
+/// Violation of a joint's speed limit. Both of two consecutive samples must exceed it, and the smaller
+/// value counts: a single sample is an outlier.
 pub fn beyond_speed(t_s: &[f64], qd: &[f64], limits: &Limits) -> Option<Excess> {
     let held = qd.windows(2).map(|pair| pair[0].abs().min(pair[1].abs()));
     beyond(t_s, held, limits.velocity?)
 }
 
-/// The speeds of a joint beyond its limit by its positions alone: rates over as long a time as makes their noise,
-/// which includes what uneven stamps feign, small beside the limit, and beyond the limit by more than that noise.
-/// Each rate is taken over the stamps and over even times, and the less of both counts: a single row stamped late
-/// is no speed. `step` is what positions are whole numbers of, 0 if they are not.
+/// Violation of a joint's speed limit, from positions alone.
+///
+/// Rates are taken over a window long enough that noise, including that of jittered stamps, is small
+/// compared with the limit. They must exceed the limit by more than that noise. Each rate is computed over
+/// the stamps and over evenly spaced times, and the smaller one counts: a single late stamp is not a speed.
+/// `step` is the quantisation step of the positions, 0 if there is none.
 pub fn beyond_speed_of_positions(
     t_s: &[f64],
     q: &[f64],
     limits: &Limits,
     step: f64,
 ) -> Option<Excess> {
-    /// Share of the limit that noise and a step of the encoder may make.
+    /// Share of the limit allowed for noise and quantisation.
     const SHARE: f64 = 0.02;
-    /// Standard deviations that noise hardly reaches.
+    /// Standard deviations that noise rarely exceeds.
     const SIGMAS: f64 = 4.0;
-    /// Share of deviations within one standard deviation.
+    /// Share of normal deviations within one standard deviation.
     const ONE_SIGMA: f64 = 0.68;
-    /// Share of the stamps' jitter that a median of 17 leaves: 1.25 / √17.
+    /// Share of the stamp jitter remaining after a median of 17: 1.25 / √17.
     const LEFT: f64 = 0.3;
-    /// Motion changes within longer times, s.
+    /// Maximum window, s: motion changes over longer times.
     const LONGEST_S: f64 = 0.15;
     let limit = limits.velocity.filter(|limit| *limit > 0.0)?;
     if q.len() < ENOUGH || t_s.len() != q.len() {
@@ -91,11 +92,11 @@ pub fn beyond_speed_of_positions(
     beyond_speed(t_s, &lesser, &sure).map(|excess| Excess { limit, ..excess })
 }
 
-/// When rows would be if they came evenly: for each the median of what the rows around it say, at the usual
-/// interval. Rows across a gap say nothing.
+/// Evenly spaced times of the rows: each is the median of the times that its neighbours predict at the
+/// median interval. Neighbours across a gap are not used.
 fn even_times(t_s: &[f64]) -> Vec<f64> {
     const AROUND: usize = 8;
-    /// A gap is longer than so many intervals.
+    /// Minimum length of a gap, in intervals.
     const GAP: f64 = 4.0;
     let intervals = t_s.windows(2).map(|pair| pair[1] - pair[0]);
     let Some(period_s) = median_of(intervals) else { return t_s.to_vec() };
@@ -117,14 +118,14 @@ fn even_times(t_s: &[f64]) -> Vec<f64> {
         }
         let middle = said.len() / 2;
         let at_s = *said.select_nth_unstable_by(middle, f64::total_cmp).1;
-        // The usual interval is not that of each row: times never stand still.
+        // Rows deviate from the median interval, so keep the times increasing.
         let last_s = even_s.last().copied().unwrap_or(f64::NEG_INFINITY);
         even_s.push(if at_s > last_s { at_s } else { last_s + 1e-3 * period_s });
     }
     even_s
 }
 
-/// The rates of positions, each over at least `window_s` about its sample.
+/// Rates of positions, each over at least `window_s` centred on its sample.
 pub fn rates(t_s: &[f64], q: &[f64], window_s: f64) -> Vec<f64> {
     let rate = |row: usize| {
         let half_s = 0.5 * window_s;
@@ -137,12 +138,12 @@ pub fn rates(t_s: &[f64], q: &[f64], window_s: f64) -> Vec<f64> {
     (0..t_s.len().min(q.len())).map(rate).collect()
 }
 
-/// Values above a limit, each of which holds until the next sample, but no longer than a second.
+/// Values above a limit. Each value lasts until the next sample, but at most one second.
 fn beyond(t_s: &[f64], values: impl Iterator<Item = f64>, limit: f64) -> Option<Excess> {
     const LONGEST_S: f64 = 1.0;
     let mut found: Option<Excess> = None;
     for (row, (&at_s, value)) in t_s.iter().zip(values).enumerate() {
-        // A NaN is not above anything.
+        // NaN compares false.
         if value > limit {
             let seconds = t_s.get(row + 1).map_or(0.0, |next| (next - at_s).clamp(0.0, LONGEST_S));
             let first = Excess { limit, value, at_s, seconds: 0.0 };
@@ -156,56 +157,57 @@ fn beyond(t_s: &[f64], values: impl Iterator<Item = f64>, limit: f64) -> Option<
     found
 }
 
-/// What the samples of a joint are.
+/// Kind of a joint's samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Series {
-    /// Positions, of which acceleration is the second derivative.
+    /// Positions: acceleration is the second derivative.
     Positions,
-    /// Velocities, of which it is the first.
+    /// Velocities: acceleration is the first derivative.
     Velocities,
 }
 
-/// How abruptly a joint changes its speed.
+/// Largest acceleration of a joint, with its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Abruptness {
-    /// The acceleration that most surely is the largest: the one with the greatest lower bound, rad/s².
+    /// Acceleration with the greatest lower bound, rad/s².
     pub acceleration: f64,
-    /// What noise alone could hardly make of it, rad/s²: `SIGMAS` standard deviations.
+    /// Bound on the contribution of noise, rad/s²: `SIGMAS` standard deviations.
     pub noise: f64,
-    /// The time over which it was fitted, s.
+    /// Window of the fit, s.
     pub window_s: f64,
-    /// When it was, s.
+    /// Time of the acceleration, s.
     pub at_s: f64,
-    /// The change of the acceleration there over half that time, rad/s³.
+    /// Change of the acceleration over half the window, rad/s³.
     pub jerk: f64,
-    /// The least acceleration that a stop within `BRIEF_S` would show through the noise, rad/s²;
-    /// infinite where samples are too far apart.
+    /// Smallest acceleration of a stop within `BRIEF_S` that can be resolved from noise, rad/s². Infinite
+    /// if the sample interval is too long.
     pub resolved: f64,
 }
 
 /// Standard deviations that noise does not reach in a million windows.
 const SIGMAS: f64 = 6.0;
-/// A stop is abrupt within this time, s.
+/// Maximum duration of an abrupt stop, s.
 const BRIEF_S: f64 = 0.1;
-/// A window with an acceleration in it changes the speed by this share of its length times the fit, at least: a
-/// step of the speed in the middle of a window by 0.53, as the bend of a parabola through it is 15/8 of step over
-/// length, and one nearer to its ends by less.
+/// Minimum change of speed across a window, as a share of window length times fitted acceleration. A speed
+/// step in the middle of a window gives 0.53, because the second derivative of the fitted parabola is 15/8
+/// of step over length. A step nearer to its ends gives less.
 const LEAST_CHANGE: f64 = 0.4;
 /// Half-widths of the windows, in samples.
 const HALVES: [usize; 5] = [1, 2, 4, 8, 16];
-/// Fewer samples than this tell nothing.
+/// Minimum number of samples.
 const ENOUGH: usize = 9;
-/// Windows that noise is told from, of as many parts of the samples, where there are more.
+/// Maximum number of windows for the noise estimate, evenly spread over the samples.
 const MOST_WINDOWS: usize = 50_000;
-/// Rows whose fits are made at once.
+/// Rows fitted at once.
 const BLOCK: usize = 512;
 
-/// The largest acceleration of a joint, by the slope of velocities, or the bend of positions, that
-/// fits best over windows from 3 to 33 samples; each window says how much noise makes of it, and the
-/// one counts that is the surest beyond noise (Savitzky and Golay 1964). Windows with gaps, or over
-/// stamps that do not come evenly, are left out. `None` of too few even samples.
+/// Estimates the largest acceleration of a joint by least squares over windows of 3 to 33 samples (Savitzky
+/// and Golay 1964): the slope of velocities or the curvature of positions. Each window has its own noise
+/// bound; the result is the acceleration that exceeds its bound most. Skips windows with gaps or uneven
+/// stamps. `None` if there are too few evenly spaced samples.
 ///
-/// `step` is what positions are whole numbers of, 0 where they are not: each is off by up to half of it.
+/// `step` is the quantisation step of the positions, 0 if there is none. Each position is off by up to half
+/// of it.
 pub fn abruptness(t_s: &[f64], values: &[f64], series: Series, step: f64) -> Option<Abruptness> {
     let (t_s, values) = without_repeats(t_s, values);
     let (t_s, values) = (t_s.as_ref(), values.as_ref());
@@ -214,7 +216,7 @@ pub fn abruptness(t_s: &[f64], values: &[f64], series: Series, step: f64) -> Opt
     if rows < ENOUGH || period_s.is_nan() || period_s <= 0.0 {
         return None;
     }
-    // How many uneven intervals there are up to each sample.
+    // Cumulative number of uneven intervals.
     let mut uneven = vec![0_u32; rows];
     for row in 1..rows {
         let interval = (t_s[row] - t_s[row - 1]) / period_s;
@@ -238,7 +240,7 @@ pub fn abruptness(t_s: &[f64], values: &[f64], series: Series, step: f64) -> Opt
             let mut accelerations = [0.0; BLOCK];
             let accelerations = &mut accelerations[..BLOCK.min(last - first)];
             fit.along(values, first, accelerations);
-            // A NaN is larger than nothing.
+            // This fold ignores NaN.
             let largest = accelerations
                 .iter()
                 .fold(0.0, |most, a| if a.abs() > most { a.abs() } else { most });
@@ -256,9 +258,9 @@ pub fn abruptness(t_s: &[f64], values: &[f64], series: Series, step: f64) -> Opt
                 if !is_even || !is_surer(acceleration) {
                     continue;
                 }
-                // Stamps may jitter, or samples may: what is there shows either way.
+                // Either the stamps or the samples jitter: a real acceleration appears in both fits.
                 let acceleration = acceleration.min(fit.as_stamped(t_s, values, row).abs());
-                // An acceleration leaves another speed. A value that is early, late or off does not.
+                // A real acceleration changes the speed. An early, late or wrong value does not.
                 let change = speed_change(t_s, values, series, (row - half, row + half));
                 let acceleration = acceleration.min(change / (LEAST_CHANGE * window_s));
                 if is_surer(acceleration) {
@@ -277,8 +279,8 @@ pub fn abruptness(t_s: &[f64], values: &[f64], series: Series, step: f64) -> Opt
     surest.map(|surest| Abruptness { resolved, ..surest })
 }
 
-/// By how much the speed differs after the rows `from..=to` from before, by the samples beside them; 0 where there
-/// are too few.
+/// Difference of the mean speed before `from` and after `to`, from the neighbouring samples. 0 if there are
+/// too few.
 fn speed_change(t_s: &[f64], values: &[f64], series: Series, (from, to): (usize, usize)) -> f64 {
     const LEAST_ROWS: usize = 4;
     const MOST_ROWS: usize = 16;
@@ -306,17 +308,17 @@ fn speed_change(t_s: &[f64], values: &[f64], series: Series, (from, to): (usize,
     before.zip(after).map_or(0.0, |(before, after)| (after - before).abs())
 }
 
-/// Every one of `count`, or as many evenly spread over them as noise is told from.
+/// Indices below `count`, thinned to about `MOST_WINDOWS`.
 fn strided(count: usize) -> impl Iterator<Item = usize> + Clone {
     (0..count).step_by(count.div_ceil(MOST_WINDOWS).max(1))
 }
 
-/// The samples without those that only repeat the one before, where many do while the joint moves: a
-/// driver's reading that is published more often than it is taken.
+/// Drops repeated samples if many samples repeat while the joint moves: a publisher that runs faster than
+/// the driver reads.
 fn without_repeats<'a>(t_s: &'a [f64], values: &'a [f64]) -> (Cow<'a, [f64]>, Cow<'a, [f64]>) {
-    /// From this share of the intervals between changes on, repeats are of the publisher's making.
+    /// Share of the intervals between changes above which repeats are attributed to the publisher.
     const SHARE: f64 = 0.3;
-    /// Changes farther apart than this many samples have a rest between them.
+    /// Changes this many samples or more apart are separated by a rest.
     const REST: usize = 20;
     let is_change = |row: &usize| *row == 0 || values[*row] != values[*row - 1];
     let (mut last, mut all, mut repeated) = (0, 0_u32, 0_u32);
@@ -336,19 +338,20 @@ fn without_repeats<'a>(t_s: &'a [f64], values: &'a [f64]) -> (Cow<'a, [f64]>, Co
     (t_s.into(), values.into())
 }
 
-/// Standard deviation of the noise of single samples, by differences that smooth motion hardly has
-/// (second of velocities, fourth of positions).
+/// Noise of single samples, as standard deviations. Estimated from differences that remove smooth motion:
+/// second of velocities, fourth of positions.
 struct Noise {
-    /// Of all samples or of the quarter that moves fastest, whichever is more, as uneven stamps feign
-    /// noise that grows with speed.
+    /// Over all samples or over the fastest quarter, whichever is larger. Uneven stamps cause noise that
+    /// grows with speed.
     all: f64,
-    /// Of blocks of `length` samples, one after another.
+    /// Noise in each block of `length` samples.
     blocks: Vec<f64>,
     length: usize,
 }
 
 impl Noise {
-    /// Around a sample: of all, of its block or of those beside it, whichever is most.
+    /// Noise near a sample: the largest of the overall noise, its block's and those of the neighbouring
+    /// blocks.
     fn at(&self, row: usize) -> f64 {
         let block = row / self.length;
         let near = block.saturating_sub(1)..(block + 2).min(self.blocks.len());
@@ -361,11 +364,11 @@ impl Noise {
 }
 
 fn noise_of(values: &[f64], series: Series) -> Noise {
-    /// What is left of the samples when stops are left out, which numbers that come in steps are not.
+    /// Share of the samples kept, which excludes stops but not quantisation steps.
     const KEPT: f64 = 0.95;
-    /// The same of a block, of which a stop is a larger part.
+    /// The same for a block, where stops take a larger share.
     const KEPT_OF_BLOCK: f64 = 0.75;
-    /// Windows of a block.
+    /// Windows per block.
     const WINDOWS: usize = 128;
     let (difference, weight): (fn(&[f64]) -> f64, f64) = match series {
         Series::Velocities => (|w| w[1] - 2.0 * w[2] + w[3], 6.0),
@@ -390,8 +393,8 @@ fn noise_of(values: &[f64], series: Series) -> Noise {
     Noise { all, blocks: (0..count).step_by(length).map(of_block).collect(), length }
 }
 
-/// Root mean square of the share `kept` of values that are smallest, as normal noise has it with the
-/// rest: of what lies within `z` deviations the variance is 1 − 2zφ(z)/kept.
+/// Root mean square of the smallest share `kept` of the values, scaled to the full normal distribution.
+/// Within `z` standard deviations the variance is 1 − 2zφ(z)/kept.
 fn trimmed_rms(values: impl Iterator<Item = f64>, kept: f64) -> f64 {
     let normal = Normal::standard();
     let z = normal.inverse_cdf(0.5 * (1.0 + kept));
@@ -415,11 +418,11 @@ fn quantile_of(values: impl Iterator<Item = f64>, part: f64) -> Option<f64> {
     quantile(&mut values, part)
 }
 
-/// Acceleration by least squares over evenly spaced samples.
+/// Least-squares acceleration over evenly spaced samples.
 struct Fit {
     half: usize,
     series: Series,
-    /// What each sample of the window counts.
+    /// Coefficient of each sample in the window.
     weights: Vec<f64>,
 }
 
@@ -441,31 +444,31 @@ impl Fit {
         Self { half, series, weights }
     }
 
-    /// What it makes of noise of unit deviation.
+    /// Gain for white noise of unit standard deviation.
     fn gain(&self) -> f64 {
         self.weights.iter().map(|weight| weight * weight).sum::<f64>().sqrt()
     }
 
-    /// The most that it makes of errors of 1 at most.
+    /// Gain for errors of at most 1: the worst case.
     fn most(&self) -> f64 {
         self.weights.iter().map(|weight| weight.abs()).sum()
     }
 
-    /// The acceleration at `row`, which lies no nearer to an end than half a window.
+    /// Acceleration at `row`, which must be at least half a window from either end.
     fn at(&self, values: &[f64], row: usize) -> f64 {
         let window = &values[row - self.half..=row + self.half];
         window.iter().zip(&self.weights).map(|(value, weight)| value * weight).sum()
     }
 
-    /// The acceleration at `row` by least squares over the samples at their stamps; NaN where these tell
-    /// none.
+    /// Least-squares acceleration at `row` over the samples at their stamps. NaN if the stamps are
+    /// singular.
     fn as_stamped(&self, t_s: &[f64], values: &[f64], row: usize) -> f64 {
         let window = row - self.half..=row + self.half;
         let scale = (t_s[row + self.half] - t_s[row - self.half]).max(f64::MIN_POSITIVE);
         let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
         for (t, value) in t_s[window.clone()].iter().zip(&values[window]) {
             let x = (t - t_s[row]) / scale;
-            // A line needs no bend, and three samples have none to spare.
+            // Velocities need a line only, and three samples cannot determine more.
             let bend = if self.series == Series::Positions { x * x } else { 0.0 };
             let powers = Vector3::new(1.0, x, bend);
             normal += powers * powers.transpose();
@@ -481,7 +484,7 @@ impl Fit {
         })
     }
 
-    /// The accelerations at the rows from `first` on, as many as there is room for.
+    /// Accelerations at consecutive rows from `first`, one per entry of `accelerations`.
     fn along(&self, values: &[f64], first: usize, accelerations: &mut [f64]) {
         let count = accelerations.len();
         let beside = |place: usize| &values[first - self.half + place..][..count];
@@ -489,7 +492,7 @@ impl Fit {
         for (sum, value) in accelerations.iter_mut().zip(beside(self.half)) {
             *sum = middle * value;
         }
-        // What lies as far before the middle as another after it counts as much, up to its sign.
+        // The coefficients are symmetric or antisymmetric about the middle.
         for place in 0..self.half {
             let mirrored = self.weights.len() - 1 - place;
             let (weight, sign) = (self.weights[mirrored], self.weights[place].signum());
@@ -501,7 +504,7 @@ impl Fit {
         }
     }
 
-    /// The largest change of acceleration from `row` over half a window before or after it.
+    /// Largest change of acceleration from `row` to half a window before or after it, per second.
     fn jerk(&self, values: &[f64], row: usize, period_s: f64) -> f64 {
         let here = self.at(values, row);
         let beside = [row.checked_sub(self.half), Some(row + self.half)].into_iter().flatten();

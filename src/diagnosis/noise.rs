@@ -1,9 +1,9 @@
-//! How noisy a residual is, and how long its noise remembers.
+//! Standard deviation and autocorrelation of residuals.
 //!
-//! Residuals of logged poses are correlated: filters, quantised encoders and small model errors
-//! repeat from sample to sample, and an interval that takes samples as independent is too narrow by
-//! the square root of that. The autocovariance is modelled as white noise plus a first-order
-//! autoregressive part, `γ(0) = σ²`, `γ(k) = share·σ²·ρ^k`, which has the two limits that logs show.
+//! Residuals of logged poses are correlated: filters, quantised encoders and small model errors persist
+//! from sample to sample. Intervals that assume independent samples are too narrow by the square root of
+//! the inflation factor. The autocovariance is modelled as white noise plus a first-order autoregressive
+//! part, `γ(0) = σ²`, `γ(k) = share·σ²·ρ^k`.
 
 /// White plus first-order autoregressive noise of one kind of residual.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,20 +17,19 @@ pub(super) struct Noise {
 }
 
 impl Noise {
-    /// The factor by which correlation inflates the variance of a mean (`1 + 2·Σ γ(k)/γ(0)`).
+    /// Factor by which correlation inflates the variance of a mean (`1 + 2·Σ γ(k)/γ(0)`).
     pub fn inflation(&self) -> f64 {
         1.0 + 2.0 * self.share * self.rho / (1.0 - self.rho)
     }
 
-    /// The same for the variance of a mean of squares (`1 + 2·Σ (γ(k)/γ(0))²`, of normal noise).
+    /// Factor for the variance of a mean of squares (`1 + 2·Σ (γ(k)/γ(0))²`, for normal noise).
     pub fn inflation_of_squares(&self) -> f64 {
         let Self { share, rho, .. } = *self;
         1.0 + 2.0 * (share * rho).powi(2) / (1.0 - rho * rho)
     }
 
-    /// The noise of a residual of three components a sample, weighted by `weights` (0 to 1 each).
-    ///
-    /// `sigma` is never below `floor`.
+    /// Estimates the noise of a residual with three components per sample, weighted by `weights` (0 to 1
+    /// each). `sigma` is at least `floor`.
     pub fn of(residual: &[[f64; 3]], weights: &[f64], floor: f64) -> Self {
         let variance = weighted_variance(residual, weights);
         let correlations = correlations(residual, weights, variance);
@@ -45,7 +44,7 @@ fn weighted_variance(residual: &[[f64; 3]], weights: &[f64]) -> f64 {
     squares / (3.0 * total).max(1.0)
 }
 
-/// The mean correlation over lags from `first` to `last`.
+/// Mean correlation over lags from `first` to `last`.
 struct Correlation {
     first: usize,
     last: usize,
@@ -58,17 +57,17 @@ impl Correlation {
         (self.last - self.first + 1) as f64
     }
 
-    /// The mean of `ρ^lag` over the lags.
+    /// Mean of `ρ^lag` over the lags.
     fn of_autoregression(&self, rho: f64) -> f64 {
         let power = |lag: usize| rho.powi(lag as i32);
         (power(self.first) - power(self.last + 1)) / ((1.0 - rho) * self.width())
     }
 }
 
-/// Correlations over lags 1, 2–3, 4–7 and so on up to an eighth of the samples. A long memory of a
-/// small share of the noise shows in no single lag; over many it does.
+/// Correlations over lags 1, 2–3, 4–7 and so on up to an eighth of the samples. A long correlation of a
+/// small share of the noise is visible only when averaged over many lags.
 fn correlations(residual: &[[f64; 3]], weights: &[f64], variance: f64) -> Vec<Correlation> {
-    // Sums of all samples before each one, so that any window of lags costs one difference.
+    // Prefix sums: any window of lags costs one difference.
     let mut before = vec![([0.0; 3], 0.0)];
     for (r, w) in residual.iter().zip(weights) {
         let (sum, total) = before[before.len() - 1];
@@ -96,16 +95,16 @@ fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
 
-/// Least squares of `share·ρ^lag` to the correlations of `samples` samples, over a grid of ρ; no
-/// memory where the fit takes off no more than chance does.
+/// Least-squares fit of `share·ρ^lag` to the correlations over a grid of ρ. Returns zeros if the fit
+/// improves no more than chance does.
 fn fit_autoregression(correlations: &[Correlation], samples: usize) -> (f64, f64) {
-    /// Squares that chance takes off, in those of white noise's correlations: white noise of any
+    /// Improvement by chance, in squared standard errors of white noise's correlations. White noise of any
     /// length was taken for coloured less than once in a hundred times.
     const CHANCE: f64 = 9.0;
-    // A memory of more than a quarter of the log cannot be told from a constant.
+    // A correlation time of more than a quarter of the log cannot be separated from a constant.
     let longest = 1.0 - 4.0 / (samples as f64).max(8.0);
     let grid = (1..400).map(|i| 1.0 - (0.0025 * f64::from(i)).powi(2) * 0.9975);
-    // The mean of many lags is the better known, but coloured noise makes them go together.
+    // A mean over many lags is better known, but coloured noise correlates those lags.
     let weight = |one: &Correlation| one.width().sqrt();
     let misfit = |share: f64, rho: f64| -> f64 {
         let left = |one: &Correlation| one.mean - share * one.of_autoregression(rho);

@@ -1,15 +1,15 @@
-//! Whether a residual is that of a nominal model held against a calibrated arm.
+//! Tests whether a residual is explained by the difference between the nominal model and a calibrated arm.
 //!
-//! Every arm leaves the factory a little other than its drawing: lengths by tenths of a millimetre,
-//! axes by hundredths of a degree. Against the controller's calibrated pose the drawing's FK is then
-//! off by millimetres that no one or two joint zeros explain, and that small changes of all link
-//! frames do (Mooring, Roth and Driels, *Fundamentals of Manipulator Calibration*, 1991, ch. 3).
+//! Real arms deviate from their nominal model: lengths by tenths of a millimetre, axes by hundredths of a
+//! degree. FK of the nominal model then differs from the controller's calibrated pose by millimetres. One
+//! or two joint zeros do not explain this difference, but small changes of all link frames do (Mooring,
+//! Roth and Driels, *Fundamentals of Manipulator Calibration*, 1991, ch. 3).
 //!
-//! Forty numbers fit better than seven on any log. So the smallest explanation stands unless what it
-//! leaves is so much that the numbers of a calibration are worth it: their evidence (MacKay 1992,
-//! *Bayesian Interpolation*) pays for every direction that the log makes narrower than calibrations
-//! usually are, and for changes that are larger than theirs. Where few ordinary causes bring the
-//! residual to the noise there is nothing left to pay with, however many of them there are.
+//! Forty parameters fit better than seven on any log, so the two models are compared by their evidence
+//! (MacKay 1992, *Bayesian Interpolation*). The calibration pays for each direction that the log constrains
+//! beyond the prior, and for changes that are large under the prior. The selected causes are kept unless
+//! the calibration has the higher evidence. If a few causes already reduce the residual to the noise, it
+//! cannot.
 
 use super::explain::price;
 use super::linear::{Linear, Normal, Weight};
@@ -18,31 +18,31 @@ use super::{GradualLatency, LatencyCourse};
 use ground::geometry::{Pose, Vec3};
 use nalgebra::{DMatrix, DVector};
 
-/// No arm's calibration moves its tip by more, rms: 10 mm and 0.5°.
+/// Maximum rms change of the tip by a calibration: 10 mm and 0.5°.
 pub(super) const MOST_M: f64 = 10e-3;
 pub(super) const MOST_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
-/// Less than this beyond the noise is no drawing's that matters, rms, …
+/// Minimum rms excess over the noise for a nominal model to be considered, m.
 const LEAST_M: f64 = 0.3e-3;
-/// … but for a joint zero whose interval it widens.
+/// The same if joint zeros are named, whose intervals it widens, m.
 const LEAST_BESIDE_M: f64 = 0.05e-3;
-/// By how much calibrations usually change a link's frame in each direction: half a millimetre and
-/// 0.04° (as UR's factory calibrations do).
+/// Prior standard deviation of a link frame's calibration, per axis: 0.5 mm and 0.04° (as in UR's factory
+/// calibrations).
 pub(super) const USUAL_M: f64 = 0.5e-3;
 pub(super) const USUAL_RAD: f64 = 0.7e-3;
-/// What is not known before: frames and times that may be anything, m, rad or s.
+/// Prior standard deviation of parameters without prior knowledge, such as free frames and times; m, rad or
+/// s.
 pub(super) const ANYTHING: f64 = 0.1;
-/// Link frames change by no more than about this, m and rad: steps are damped at this scale.
+/// Damping scale of link frame changes, m and rad.
 const SCALE: f64 = 0.01;
-/// Samples that are fitted.
+/// Maximum number of fitted samples.
 const SAMPLES: usize = 1000;
-/// Rounds of weighing and fitting.
+/// Rounds of reweighting and fitting.
 const ROUNDS: usize = 4;
 
-/// Whether `witness` is of an arm that small changes of the link frames make of the model, rather
-/// than of one with the causes in `state`.
+/// Whether small changes of the link frames explain `witness` better than the causes in `state`.
 ///
-/// `plain` is the stream's state without any cause but latency and large frames, `offsets` the joint
-/// zeros that stand out of what links make.
+/// `plain` is the stream's state without causes other than latency and large frames. `offsets` are the
+/// joint zeros too large to be link deviations.
 pub(super) fn is_nominal(
     witness: &Witness,
     stream: usize,
@@ -94,7 +94,7 @@ pub(super) fn links_outdo_course(
         return false;
     }
     let calibration = Calibration::fit(&logged, plain, offsets, stride);
-    // The levels hold the skew; about which stamp it turns is in the constant latency.
+    // The levels contain the skew; its pivot stamp is absorbed by the constant latency.
     let mut state = StreamState { skew: 0.0, ..fitted.clone() };
     for _ in 0..2 {
         state.latency_s += steady.at_latency(&state, offsets, SAMPLES).1;
@@ -111,19 +111,19 @@ pub(super) fn rms(residual: &[[f64; 3]]) -> f64 {
     (squares / residual.len().max(1) as f64).sqrt()
 }
 
-/// The most likely changes of the link frames.
+/// Maximum a posteriori changes of the link frames.
 struct Calibration {
     samples: usize,
-    /// The weights of what they leave.
+    /// Weights of the residuals after these changes.
     weights: Vec<Weight>,
-    /// What they cost, in units of a squared deviation.
+    /// Complexity penalty, in units of a squared deviation.
     price: f64,
-    /// The changes, as [`link_frames`] numbers them.
+    /// The changes, indexed as in [`link_frames`].
     step: DVector<f64>,
 }
 
-/// What is left of the samples of `witness` when the most likely changes of the link frames are taken
-/// off: position in m and rotation in rad, of every `stride`-th sample that the joints cover.
+/// Residuals of `witness` after the most likely changes of the link frames: position in m and rotation in
+/// rad, for every `stride`-th sample that the joint states cover.
 pub(super) fn calibrated(
     witness: &Witness,
     plain: &StreamState,
@@ -159,9 +159,8 @@ impl Calibration {
         Self { samples: frames.len(), weights, price, step: changes }
     }
 
-    /// How much likelier the stream is than under causes that leave residuals of weights `left`, as
-    /// twice the log of the likelihoods' ratio. Both count with the memory of the calibrated fit's
-    /// noise, the nearer to the log's own.
+    /// Twice the log likelihood ratio of this fit to one whose residuals have weights `left`. Both use the
+    /// noise correlation of this fit, which is closer to the true one.
     fn gain_over(&self, left: &[Weight]) -> f64 {
         let gains = self.weights.iter().zip(left).map(|(own, other)| {
             let independent = 3.0 * self.samples as f64 / own.noise.inflation();
@@ -171,8 +170,8 @@ impl Calibration {
     }
 }
 
-/// By how much parameter `i` of [`link_frames`] usually differs from a drawing. What is free without
-/// any calibration, such as a tool that nobody named, is not known before.
+/// Prior standard deviation of parameter `i` of [`link_frames`]. Parameters that are free without a
+/// calibration, such as an undeclared tool, have a wide prior.
 fn usual_change(i: usize, witness: &Witness, plain: &StreamState) -> f64 {
     match i % 6 {
         _ if is_anything(i, witness, plain) => ANYTHING,
@@ -181,7 +180,7 @@ fn usual_change(i: usize, witness: &Witness, plain: &StreamState) -> f64 {
     }
 }
 
-/// Whether parameter `i` of [`link_frames`] may be anything, whatever the drawing is.
+/// Whether parameter `i` of [`link_frames`] is free regardless of the nominal model.
 pub(super) fn is_anything(i: usize, witness: &Witness, plain: &StreamState) -> bool {
     let joints = witness.columns.len();
     match i / 6 {
@@ -191,9 +190,9 @@ pub(super) fn is_anything(i: usize, witness: &Witness, plain: &StreamState) -> b
     }
 }
 
-/// The changes in `step`, each by its usual size, squared; and how much narrower the log makes them
-/// than they usually are: the log of the determinant by which it does, less that of the parameters
-/// which are free without a calibration.
+/// Complexity penalty of the changes in `step`: their squares in prior standard deviations, plus the log
+/// determinant of posterior over prior precision. The determinant of the parameters that are free without a
+/// calibration is subtracted.
 fn price_of(step: &DVector<f64>, normal: &Normal, usual: &[f64]) -> f64 {
     let all: Vec<usize> = (0..usual.len()).collect();
     let (free, held): (Vec<usize>, Vec<usize>) = all.iter().partition(|&&i| usual[i] == ANYTHING);
@@ -201,26 +200,25 @@ fn price_of(step: &DVector<f64>, normal: &Normal, usual: &[f64]) -> f64 {
         let at = |i: usize, j: usize| normal.matrix[(i, j)] * usual[i] * usual[j];
         let n = chosen.len();
         let precision = DMatrix::from_fn(n, n, |i, j| at(chosen[i], chosen[j]));
-        // One is what was known before; less can only be rounding.
+        // 1 is the prior precision; smaller values are rounding errors.
         precision.symmetric_eigenvalues().iter().map(|value| value.max(1.0).ln()).sum()
     };
     let size: f64 = held.iter().map(|&i| (step[i] / usual[i]).powi(2)).sum();
     size + narrowing(&all) - narrowing(&free)
 }
 
-/// What a linearisation holds beside link frames and the latency.
+/// Parameters of a linearisation in addition to link frames and latency.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum With {
     Nothing,
-    /// The zero of every joint of the chain.
+    /// Zero of every joint of the chain.
     Zeros,
-    /// These and the radial growth.
+    /// Joint zeros and the radial scale.
     ZerosAndGrowth,
 }
 
-/// Some samples of a stream linearised about `plain` and `offsets`, in small changes of the reference
-/// and of every joint's child link frame, each six numbers, in its latency, and `with_zeros` in the zero
-/// of every joint of the chain and in the radial growth.
+/// Linearises samples of a stream about `plain` and `offsets`. Columns: six changes each for the reference
+/// frame and every joint's child link frame, then the latency, then the parameters selected by `with`.
 pub(super) fn link_frames(
     witness: &Witness,
     plain: &StreamState,
@@ -279,7 +277,7 @@ pub(super) fn link_frames(
     linear
 }
 
-/// Normal equations of changes of link frames, damped at the scale of such changes.
+/// Adds damping to normal equations of link frame changes.
 pub(super) fn damped(mut normal: Normal) -> Normal {
     for i in 0..normal.right.len() {
         normal.matrix[(i, i)] += SCALE.powi(-2);

@@ -1,10 +1,10 @@
-//! What the motion of a log shows of each cause, and what it cannot show.
+//! Observability of each parameter in the motion of a log.
 //!
-//! The information matrix of a stream's whole model (every joint's zero, latency, skew, growth and
-//! both frames) says how far each change of the parameters moves the stream, in standard deviations
-//! of its noise. Directions in which it is small are those that the log does not see. Some are seen
-//! in no log, as the first joint's zero against a turn of the base: those are what a motion through
-//! every posture leaves blind, and they are set apart.
+//! The information matrix of a stream's whole model (joint zeros, latency, skew, radial scale and both
+//! frames) gives the change of the stream per change of the parameters, in standard deviations of its
+//! noise. Its weak directions are not observable in this log. Some directions are not observable in any
+//! log, such as the first joint's zero against a rotation of the base. They stay weak in a random motion
+//! through the whole joint space and are excluded.
 
 use super::model::{GROWTH, LATENCY, REFERENCE, SKEW, STREAM_WIDTH, StreamState, TOOL, Witness};
 use ground::geometry::{Rotation, Vec3};
@@ -15,16 +15,17 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use std::f64::consts::PI;
 
-/// Postures of the motion that shows all that can be seen.
+/// Number of configurations in the reference motion that excites everything observable.
 const POSTURES: usize = 200;
 /// Time between them, s.
 const STEP_S: f64 = 0.1;
-/// Directions of which that motion shows less than this share are seen in no log.
+/// Directions with less than this share of the largest eigenvalue of that motion are not observable in any
+/// log.
 const NEVER: f64 = 1e-9;
-/// Parameters with a smaller weight than this take no part in a direction.
+/// Minimum weight for a parameter to be listed in a direction.
 const TAKES_PART: f64 = 0.2;
 
-/// One number of the model of a pose stream.
+/// One parameter of a pose stream's model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Parameter {
     /// Zero offset of a joint, by its column in the joint track, rad or m.
@@ -33,15 +34,15 @@ pub enum Parameter {
     Latency,
     /// Clock skew, s/s.
     Skew,
-    /// Growth with reach, m/m.
+    /// Radial scale error, m/m.
     Growth,
-    /// Shift of the reference frame along an axis (0 to 2), m.
+    /// Translation of the reference frame along an axis (0 to 2), m.
     ReferenceShift(usize),
-    /// Turn of the reference frame about an axis (0 to 2), rad.
+    /// Rotation of the reference frame about an axis (0 to 2), rad.
     ReferenceTurn(usize),
-    /// Shift of the tool frame along an axis (0 to 2), m.
+    /// Translation of the tool frame along an axis (0 to 2), m.
     ToolShift(usize),
-    /// Turn of the tool frame about an axis (0 to 2), rad.
+    /// Rotation of the tool frame about an axis (0 to 2), rad.
     ToolTurn(usize),
 }
 
@@ -59,32 +60,32 @@ impl Parameter {
     }
 }
 
-/// How much a stream's log tells of each parameter.
+/// Information of a stream's log about each parameter.
 #[derive(Clone, Debug)]
 pub struct Observability {
     parameters: Vec<Parameter>,
-    /// What this log tells: `Aᵀ W A`.
+    /// Information of this log: `Aᵀ W A`.
     information: DMatrix<f64>,
-    /// The same of a motion through every posture, in units of its own.
+    /// Unweighted information of a motion through the whole joint space.
     possible: DMatrix<f64>,
-    /// How far each joint of the track moves over the run, rad or m.
+    /// Range of each joint of the track over the run, rad or m.
     pub travel: Vec<f64>,
 }
 
-/// A change of the parameters that a log hardly shows.
+/// Direction in parameter space that the log barely observes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BlindDirection {
-    /// The parameters that take part with their weights, in units of each one's threshold; the greatest
-    /// weight, which is 1 or −1, first.
+    /// Parameters with their weights in units of their thresholds. The first has the largest weight, 1 or
+    /// −1.
     pub parameters: Vec<(Parameter, f64)>,
-    /// By how many standard deviations the log moves where the parameters change by their weights
-    /// times their thresholds, over the root of the sum of squares of the weights.
+    /// Change of the stream, in standard deviations, for parameter changes of weight times threshold,
+    /// divided by the norm of the weights.
     pub singular_value: f64,
 }
 
 impl Observability {
-    /// Of a stream whose model at `state` has `information`: over the joints of the track and then
-    /// the stream's own parameters.
+    /// Observability of a stream whose model at `state` has `information`, over the joints of the track and
+    /// then the stream's own parameters.
     pub(super) fn of(
         witness: &Witness,
         state: &StreamState,
@@ -110,7 +111,7 @@ impl Observability {
         }
     }
 
-    /// The joints that take part, by their columns in the joint track.
+    /// Joints with a parameter, by their columns in the joint track.
     pub fn joints(&self) -> impl Iterator<Item = usize> {
         self.parameters.iter().filter_map(|parameter| match parameter {
             Parameter::JointZero(joint) => Some(*joint),
@@ -118,10 +119,10 @@ impl Observability {
         })
     }
 
-    /// The directions, orthogonal to those that no log shows, in which a change of the parameters by
-    /// their thresholds moves the log by less than `least` standard deviations.
+    /// Directions in which a parameter change of one threshold moves the log by less than `least` standard
+    /// deviations. Excludes the directions that no log observes.
     ///
-    /// `threshold` is the amount of each parameter that matters, in its unit.
+    /// `threshold` returns the smallest relevant value of a parameter, in its unit.
     pub fn blind(&self, threshold: impl Fn(Parameter) -> f64, least: f64) -> Vec<BlindDirection> {
         let thresholds: Vec<f64> = self.parameters.iter().map(|&one| threshold(one)).collect();
         let n = thresholds.len();
@@ -130,7 +131,7 @@ impl Observability {
         };
         let information = scaled(&self.information);
         let possible = scaled(&self.possible);
-        // Positions and lengths that no arm has overflow; of no number there is no direction.
+        // Absurd positions and lengths overflow; directions are undefined then.
         if n == 0 || !information.iter().chain(possible.iter()).all(|entry| entry.is_finite()) {
             return Vec::new();
         }
@@ -148,7 +149,7 @@ impl Observability {
         directions.iter().map(|direction| self.described(direction, &information)).collect()
     }
 
-    /// Of joints that move so far, with nothing else known.
+    /// Observability with known joint ranges and nothing else.
     pub fn of_travel(travel: Vec<f64>) -> Self {
         let parameters = (0..travel.len()).map(Parameter::JointZero).collect();
         let none = DMatrix::zeros(travel.len(), travel.len());
@@ -160,16 +161,16 @@ impl Observability {
         let weights = self.parameters.iter().copied().zip(direction.iter().copied());
         let mut parameters: Vec<(Parameter, f64)> =
             weights.filter(|(_, weight)| weight.abs() > TAKES_PART).collect();
-        // Weights that are equal but for rounding stay in the model's order, on every machine.
+        // Rounding keeps the order of equal weights independent of the platform.
         let digits = |weight: f64| (weight.abs() * 1e6).round();
         parameters.sort_by(|a, b| digits(b.1).total_cmp(&digits(a.1)));
         BlindDirection { parameters, singular_value: square.max(0.0).sqrt() }
     }
 }
 
-/// The columns mixed so that each has a parameter of its own: the one with the most weight in it,
-/// which is 1 there and 0 in all others (Gauss–Jordan with complete pivoting). Any mix of blind
-/// directions is blind; these are those that can be read.
+/// Combines the columns so that each has its own dominant parameter, with weight 1 there and 0 in all
+/// others (Gauss–Jordan with complete pivoting). Any combination of unobservable directions is
+/// unobservable; these are the most readable ones.
 fn simplest(columns: DMatrix<f64>) -> Vec<DVector<f64>> {
     let mut rows = columns.transpose();
     for row in 0..rows.nrows() {
@@ -187,7 +188,7 @@ fn simplest(columns: DMatrix<f64>) -> Vec<DVector<f64>> {
     rows.row_iter().map(|row| row.transpose() / row.amax().max(f64::MIN_POSITIVE)).collect()
 }
 
-/// How far a joint moves over the run.
+/// Range of a joint over the run.
 pub(super) fn travel(joints: &JointTrack, joint: usize) -> f64 {
     let column = || joints.q.iter().skip(joint).step_by(joints.dof.max(1)).copied();
     let (low, high) = column()
@@ -195,7 +196,7 @@ pub(super) fn travel(joints: &JointTrack, joint: usize) -> f64 {
     (high - low).max(0.0)
 }
 
-/// The information of a motion through postures all over the joints' ranges, at speeds of all signs.
+/// Information of a motion through random configurations over the joints' ranges, at speeds of both signs.
 fn possible(witness: &Witness, state: &StreamState, offsets: &[f64]) -> DMatrix<f64> {
     let dof = witness.joints.dof;
     let mut random = Pcg64::seed_from_u64(1);
@@ -226,7 +227,7 @@ fn possible(witness: &Witness, state: &StreamState, offsets: &[f64]) -> DMatrix<
         middle_s: 0.5 * t_s[POSTURES - 1],
         t_s,
     };
-    // Stamps at which the content is that of the postures themselves.
+    // With zero latency the stamps match the configurations.
     let at_postures = StreamState { latency_s: 0.0, skew: 0.0, ..state.clone() };
     let linear = ideal.linearize(&at_postures, offsets, 1);
     linear.information(&linear.even_weights())

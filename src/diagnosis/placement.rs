@@ -1,5 +1,5 @@
-//! How a stream's positions are written, as far as they tell by themselves: unit, axes, what is constant, and
-//! at which lags they follow the arm.
+//! Encoding of a stream's positions, from positions alone: unit, axes and constant coordinates. Also the
+//! lags at which the stream follows the arm.
 
 use super::frames::misfit_of_frames;
 use super::latency::{ArmSpeeds, Peak};
@@ -11,24 +11,24 @@ use super::{PoseStream, Seen, Unseen};
 use ground::geometry::{LengthScale, Pose, Vec3, angle_between};
 use ground::stream::{JointTrack, PoseTrack};
 
-/// How a stream's positions are written, as far as they tell by themselves.
+/// Encoding of a stream's positions, as far as positions alone determine it.
 pub(super) struct Placement {
-    /// What takes them to metres, whatever else is wrong.
+    /// Factor to metres, independent of any other fault.
     pub metres: Seen<f64>,
-    /// How they are written, the likeliest first; empty where they tell nothing.
+    /// Candidate axis layouts, most likely first. Empty if positions do not determine them.
     pub layouts: Vec<Layout>,
-    /// Which coordinates never change though FK's do.
+    /// Coordinates that are constant although FK's change.
     pub constant: [bool; 3],
-    /// The lags at which the stream follows the arm.
+    /// Lags at which the stream follows the arm.
     pub peaks: Vec<Peak>,
-    /// Speed of the arm's tip at its fastest, m/s.
+    /// Maximum tip speed, m/s.
     pub top_speed_m_s: f64,
 }
 
 impl Placement {
-    /// How the positions of `stream` are written against FK of `joints`.
+    /// Determines the encoding of `stream`'s positions against FK of `joints`.
     pub fn of(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Self {
-        /// Positions that leave this share of the motion's extent are settled.
+        /// Residual, as a share of the motion's extent, below which no further lag is tried.
         const SETTLED: f64 = 0.02;
         let PoseStream { track, chain, columns, reference_known, .. } = *stream;
         let arm = ArmSpeeds::of(joints, chain, columns);
@@ -58,7 +58,7 @@ impl Placement {
                 && metres != 1.0
                 && lies_there(&xyz, metres, &at, SETTLED)
             {
-                // In that unit they are where FK is, and no frame is needed to say otherwise.
+                // In that unit the positions match FK, so no other explanation is needed.
                 placement.metres = Ok(metres);
                 (placement.layouts, placement.constant) = (Vec::new(), [false; 3]);
                 return placement;
@@ -103,17 +103,17 @@ impl Placement {
         placement
     }
 
-    /// What takes the positions to metres; 1 where nothing tells.
+    /// Factor to metres; 1 if undetermined.
     pub fn metres(&self) -> f64 {
         *self.metres.as_ref().unwrap_or(&1.0)
     }
 
-    /// The likeliest layout where it leaves little.
+    /// Most likely layout, if it explains the positions.
     fn told(&self) -> Option<&Layout> {
         self.layouts.first().filter(|layout| layout.is_explained)
     }
 
-    /// The same without a mirror, an inverse or another unit.
+    /// Copy without layouts that mirror, invert or change the unit.
     pub fn sound(&self) -> Self {
         let layouts = self.layouts.iter().filter(|layout| layout.is_sound()).cloned().collect();
         Self {
@@ -125,26 +125,26 @@ impl Placement {
         }
     }
 
-    /// Whether the positions lie on the arm.
+    /// Whether a layout explains the positions.
     pub fn is_on_arm(&self) -> bool {
         self.told().is_some()
     }
 
-    /// Whether the positions lie on the arm once they are read otherwise than as logged.
+    /// Whether the positions match FK only after correcting their encoding.
     pub fn explains(&self) -> bool {
         let is_constant = self.constant.contains(&true);
         self.told().is_some_and(|layout| is_constant || layout.inverted || layout.is_mirrored())
     }
 }
 
-/// Which coordinates of a stream never change but for noise, where others do and those of FK all do.
+/// Coordinates of a stream that are constant up to noise, while others and all of FK's change.
 fn constant(xyz: &[Vec3], fk: &[Vec3]) -> [bool; 3] {
-    /// A coordinate is constant that spreads by less than this share of the widest …
+    /// Maximum spread of a constant coordinate, as a share of the widest one.
     const STAYS: f64 = 0.01;
-    /// … where FK's spread by this share of their widest at least, and by this, m.
+    /// Minimum spread of FK's coordinates, as a share of the widest one and in m.
     const MOVES: f64 = 0.05;
     const MOVES_M: f64 = 5e-3;
-    /// Positions that spread by less than this share of their size are one: the rest is rounding.
+    /// Spread below this share of the positions' magnitude is rounding.
     const ROUNDING: f64 = 1e-9;
     let spreads = |points: &[Vec3]| -> [f64; 3] {
         [0, 1, 2].map(|axis| {
@@ -161,8 +161,8 @@ fn constant(xyz: &[Vec3], fk: &[Vec3]) -> [bool; 3] {
     logged.map(|spread| all_move && some_move && spread <= STAYS * widest(logged))
 }
 
-/// What takes positions to metres by their size alone: the extent of motion against FK's, or at rest the
-/// distance from a known base.
+/// Factor to metres from the size of positions: their extent relative to FK's or, at rest, their distance
+/// from a known base.
 pub(super) fn by_size(
     fk: &[Vec3],
     xyz: &[Vec3],
@@ -170,7 +170,7 @@ pub(super) fn by_size(
     read_as_m: f64,
     reference_known: bool,
 ) -> Seen<f64> {
-    /// Sizes within this factor of a unit's are its own.
+    /// Maximum ratio to a unit's expected size.
     const ALIKE: f64 = 1.5;
     let (moved, extent) = (spread(fk), spread(xyz));
     let rests = moved <= 0.01 * reach_m;
@@ -187,11 +187,11 @@ pub(super) fn by_size(
     let usual = LengthScale::usual().map(|unit| unit.in_m() / read_as_m);
     let near = usual.filter(|factor| off(*factor) < ALIKE.ln());
     let nearest = near.min_by(|a, b| off(*a).total_cmp(&off(*b)));
-    // Within an arm's own reach nothing is told by size.
+    // Ratios within an arm's reach do not determine a unit.
     Ok(if (0.2..5.0).contains(&ratio) { 1.0 } else { nearest.unwrap_or(1.0) })
 }
 
-/// What takes a stream's positions to metres by their size alone; 1 where nothing tells.
+/// Factor of a stream's positions to metres by their size alone; 1 if undetermined.
 pub(super) fn metres_by_size(joints: &JointTrack, stream: &PoseStream) -> f64 {
     let PoseStream { track, chain, columns, reference_known, .. } = *stream;
     let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, 0.0);
@@ -204,10 +204,10 @@ pub(super) fn metres_by_size(joints: &JointTrack, stream: &PoseStream) -> f64 {
     by_size(&at, &xyz, chain.max_reach_m(), read_as_m, reference_known).unwrap_or(1.0)
 }
 
-/// The usual unit in which the positions' extent is most like the arm's reach, as a factor to metres,
-/// whatever the joint states say.
+/// Factor to metres of the usual unit that brings the positions' extent closest to the arm's reach,
+/// independent of the joint states.
 pub(super) fn metres_by_reach(stream: &PoseStream) -> f64 {
-    /// An arm's tip spreads by about so much of its reach.
+    /// Typical spread of an arm's tip as a share of its reach.
     const SHARE: f64 = 0.3;
     let track = stream.track;
     let extent = spread(&track.xyz).max(f64::MIN_POSITIVE);
@@ -216,10 +216,12 @@ pub(super) fn metres_by_reach(stream: &PoseStream) -> f64 {
     usual.chain([1.0]).min_by(|a, b| off(*a).total_cmp(&off(*b))).unwrap_or(1.0)
 }
 
-/// The usual unit in which a constant world and marker explain the poses at `rows`: metres, or one that does
-/// so clearly better. Rotations tell how the world is turned where positions alone do not.
+/// Factor to metres of the usual unit in which constant world and marker frames explain the poses at
+/// `rows`. Prefers metres unless another unit is clearly better. Rotations fix the world's orientation if
+/// positions alone do not.
 fn unit_by_poses(track: &PoseTrack, rows: &[usize], fk: &[Pose]) -> Option<f64> {
-    /// The unit leaves this share of the positions' own spread or less, and so many times less than metres.
+    /// Maximum residual in the unit, as a share of the positions' spread, and minimum factor by which it is
+    /// below that in metres.
     const EXPLAINS: f64 = 0.1;
     const BETTER: f64 = 5.0;
     let rotations = as_rotations(&track.orientation)?;
@@ -244,22 +246,22 @@ fn unit_by_poses(track: &PoseTrack, rows: &[usize], fk: &[Pose]) -> Option<f64> 
     (metres != 1.0 && least <= EXPLAINS && BETTER * least <= in_metres).then_some(metres)
 }
 
-/// How many metres a number of a stream is as it was read.
+/// Metres per unit of a stream's positions as read.
 fn in_metres_of(track: &PoseTrack) -> f64 {
     track.declared.as_ref().map_or(1.0, |declared| declared.length.in_m())
 }
 
-/// Whether positions of so many metres a number are where FK is, but for this share of its extent, rms.
+/// Whether positions in this unit match FK to this share of its extent, rms.
 fn lies_there(xyz: &[Vec3], metres: f64, fk: &[Vec3], share: f64) -> bool {
     let squares = xyz.iter().zip(fk).map(|(xyz, fk)| (xyz * metres - fk).norm_squared());
     let rms_m = (squares.sum::<f64>() / fk.len().max(1) as f64).sqrt();
     rms_m < share * spread(fk)
 }
 
-/// Whether a stream lies on the arm as it is and when it says so: then no lag that its speeds feign in a
-/// short or even motion calls for another reading.
+/// Whether a stream matches FK as logged at zero lag. If so, spurious lags of short or uniform motion are
+/// ignored.
 pub(super) fn lies_as_logged(joints: &JointTrack, stream: &PoseStream) -> bool {
-    /// It lies on the arm within this share of FK's extent.
+    /// Maximum position error, as a share of FK's extent.
     const LIES: f64 = 0.02;
     let PoseStream { track, chain, columns, .. } = *stream;
     let Some(rotations) = as_rotations(&track.orientation) else { return false };

@@ -1,26 +1,25 @@
-//! Where a stream's positions lie against the arm's: what can be said before any rotation is read.
+//! Comparison of a stream's positions with FK, before any rotation is decoded.
 
 use super::constant::wahba;
 use ground::geometry::{Pose, Rotation, Vec3, pose};
 use nalgebra::Matrix3;
 
-/// Positions lie on the arm where this share of their extent, or less, is left.
+/// Maximum residual, as a share of the positions' extent, for positions to match FK.
 pub(super) const ON_ARM: f64 = 0.1;
-/// A turn is known from positions where they spread in a second direction by this share of the
-/// first.
+/// Minimum spread of positions in the second direction, as a share of the first, to determine a rotation.
 const SPREAD: f64 = 0.02;
 
-/// Turns no longer change a tool that changed by less, in the unit of the positions.
+/// Change of the tool offset below which the iteration has converged, in the unit of the positions.
 const SETTLED: f64 = 1e-8;
 
-/// The poses that FK gives at the moments of a stream's samples, in columns.
+/// FK poses at a stream's samples, as columns.
 pub(super) struct Expected {
     pub xyz: Vec<Vec3>,
     pub rotation: Vec<Rotation>,
 }
 
 impl Expected {
-    /// Those of `poses`.
+    /// Columns of `poses`.
     pub fn of(poses: &[Pose]) -> Self {
         let (xyz, rotation) =
             poses.iter().map(|pose| (pose.translation.vector, pose.rotation)).unzip();
@@ -32,15 +31,15 @@ impl Expected {
         self.misfit_at(xyz, &Pose::identity())
     }
 
-    /// The least misfit of `xyz` with a constant tool offset, a turned and shifted reference, or
-    /// both taken off, rms in the unit of `xyz`.
+    /// Smallest misfit of `xyz` over a constant tool offset, with or without a rigid reference frame; rms
+    /// in the unit of `xyz`.
     pub fn misfit(&self, xyz: &[Vec3]) -> f64 {
         let plain = self.tool_misfit(xyz);
         self.turned(xyz).map_or(plain, |(reference, _)| plain.min(self.misfit_at(xyz, &reference)))
     }
 
-    /// As [`Expected::turned`], also of positions along a line: they leave the reference's turn about it
-    /// open, and some turn is taken.
+    /// Like [`Expected::turned`], but also for collinear positions, whose rotation about their line is then
+    /// arbitrary.
     pub fn turned_anyhow(&self, xyz: &[Vec3]) -> (Pose, Vec3) {
         self.turned(xyz).unwrap_or_else(|| {
             let reference = turned_so(&self.xyz, xyz, &products(&self.xyz, xyz));
@@ -48,8 +47,8 @@ impl Expected {
         })
     }
 
-    /// The reference frame and the constant tool offset that leave least of `xyz`, sought by so many
-    /// turns; of none the tool offset alone.
+    /// Reference frame and constant tool offset with the smallest misfit, after at most `turns` iterations.
+    /// With none, the tool offset alone.
     pub fn frames(&self, xyz: &[Vec3], turns: usize) -> (Pose, Vec3) {
         let plain = (Pose::identity(), self.tool(xyz, &Pose::identity()));
         let found = if turns > 0 { self.turned_by(xyz, turns) } else { None };
@@ -66,7 +65,7 @@ impl Expected {
         (left.sum::<f64>() / xyz.len().max(1) as f64).sqrt()
     }
 
-    /// Each sample's offset from FK, in the tool's frame.
+    /// Offset of each sample from FK, in the tool frame.
     fn offsets(&self, xyz: &[Vec3], reference: &Pose) -> impl Iterator<Item = Vec3> {
         let to_base = reference.inverse();
         let samples = xyz.iter().zip(self.xyz.iter().zip(&self.rotation));
@@ -79,13 +78,13 @@ impl Expected {
         self.offsets(xyz, reference).sum::<Vec3>() / xyz.len().max(1) as f64
     }
 
-    /// The reference frame and tool offset that best take FK to `xyz`, by turns: the frame by
-    /// Kabsch's method (1976), the tool by averaging. `None` where the positions lie on a line.
+    /// Fits reference frame and tool offset to `xyz` alternately: the frame by Kabsch's method (1976), the
+    /// tool by averaging. `None` if the positions are collinear.
     pub fn turned(&self, xyz: &[Vec3]) -> Option<(Pose, Vec3)> {
         self.turned_by(xyz, 30)
     }
 
-    /// [`Expected::turned`] by so many turns at most.
+    /// [`Expected::turned`] with at most `turns` iterations.
     fn turned_by(&self, xyz: &[Vec3], turns: usize) -> Option<(Pose, Vec3)> {
         let mut tool = Vec3::zeros();
         let mut reference = Pose::identity();
@@ -106,23 +105,23 @@ impl Expected {
     }
 }
 
-/// The rigid transform that best takes `from` to `to`; `None` where they lie on a line.
+/// Best rigid transform from `from` to `to`. `None` if they are collinear.
 fn rigid(from: &[Vec3], to: &[Vec3]) -> Option<Pose> {
     Some(turned_so(from, to, &correlation(from, to)?))
 }
 
-/// The rigid transform that best takes `from` to `to` by their `correlation`.
+/// Best rigid transform from `from` to `to`, given their `correlation`.
 fn turned_so(from: &[Vec3], to: &[Vec3], correlation: &Matrix3<f64>) -> Pose {
     let turn = wahba(correlation);
     let mean = |points: &[Vec3]| points.iter().sum::<Vec3>() / points.len().max(1) as f64;
     pose((mean(to) - turn * mean(from)).into(), turn)
 }
 
-/// The turn that best takes `from` to `to` about their means, with a mirror where `sign` is −1; `None`
-/// where they lie on a line.
+/// Best rotation from `from` to `to` about their means, combined with a reflection if `sign` is −1. `None`
+/// if they are collinear.
 pub(super) fn rigid_turn(from: &[Vec3], to: &[Vec3], sign: f64) -> Option<Matrix3<f64>> {
     let correlation = correlation(from, to)?;
-    // A mirror image of what is turned is turned the same way.
+    // A reflection through the origin commutes with rotations.
     let turn = wahba(&(correlation * sign)).to_rotation_matrix();
     Some(turn.matrix() * sign)
 }
@@ -135,7 +134,7 @@ fn products(from: &[Vec3], to: &[Vec3]) -> Matrix3<f64> {
     both.map(|(a, b)| (b - target) * (a - centre).transpose()).sum()
 }
 
-/// [`products`]; `None` where the points lie on a line.
+/// [`products`]. `None` if the points are collinear.
 fn correlation(from: &[Vec3], to: &[Vec3]) -> Option<Matrix3<f64>> {
     let correlation = products(from, to);
     let mut singular: Vec<f64> = correlation.singular_values().iter().copied().collect();

@@ -1,5 +1,4 @@
-//! A stream as it is to be read: its units, its rotations, and which of the rotations that a sample may
-//! mean it does mean.
+//! Decodes a stream: position units, rotation encoding, and the branch of each ambiguous rotation.
 
 use std::borrow::Cow;
 
@@ -15,37 +14,36 @@ use super::{AxesSlip, PoseStream, ReadingEstimate, Seen, UnitSlip, Unseen};
 use ground::geometry::{Rotation, Vec3, angle_between};
 use ground::stream::{DeclaredUnits, Orientations, PoseTrack};
 
-/// Moving samples without which a latency is not sought.
+/// Minimum number of moving samples to estimate a latency.
 const MOVING_SAMPLES: usize = 10;
 
-/// A stream whose reading is settled, with what settled it.
+/// Decoded stream, with the evidence for its encoding.
 pub(super) struct Prepared<'a> {
     pub witness: Witness<'a>,
-    /// How the rotations are read, where they are any.
+    /// Rotation encoding, if the stream has orientations.
     pub reading: Seen<ReadingEstimate>,
     pub degrees: Option<UnitSlip>,
     pub metres: f64,
-    /// The axes that positions and rotations are in, where they are not the standard ones.
+    /// Axes of positions and rotations, if they are not standard.
     pub axes: Option<AxesSlip>,
-    /// Whether the poses are inverted as a whole.
+    /// Whether whole poses are inverted.
     pub inverted: bool,
-    /// Which coordinates never change.
+    /// Constant coordinates.
     pub constant: [bool; 3],
-    /// How many frames must be turned for the rotations to be so.
+    /// Number of frames that must be rotated to match the rotations.
     frames: u8,
     pub peaks: Vec<Peak>,
     pub moves: bool,
 }
 
 impl Prepared<'_> {
-    /// Whether rotations confirm that the poses are written otherwise than they should be, so that no
-    /// fault of the joint states need be sought. Where rotations say nothing no joint feigns an inverse.
+    /// Whether rotations confirm the encoding fault, so that joint faults need not be considered. Without
+    /// rotations, no joint fault resembles an inverse.
     pub fn is_confirmed(&self) -> bool {
         let is_constant = self.constant.contains(&true);
         match &self.reading {
             Ok(reading) if reading.best_rad <= FITS_RAD => {
-                // An arm that is read from its tip to its base moves much as an inverse between turned
-                // frames does.
+                // An arm read from tip to base moves much like an inverse between rotated frames.
                 self.axes.is_some() || (self.inverted && self.frames < 2) || is_constant
             }
             Ok(_) => false,
@@ -54,7 +52,7 @@ impl Prepared<'_> {
     }
 }
 
-/// Settles reading and units of a stream and chooses the branch of each sample.
+/// Determines the encoding and units of a stream and the rotation branch of each sample.
 pub(super) fn prepare<'a>(
     read_as: &'a Read,
     stream: &PoseStream<'a>,
@@ -94,7 +92,7 @@ pub(super) fn prepare<'a>(
     let (way, reading, fit) = match is_set(&there, turning.fk) {
         true => match turning.best(ways) {
             Ok((way, reading, fit)) => (way, Ok(reading), Some(fit)),
-            // Positions that lie on the arm say what there is to say.
+            // Positions that match FK are used even without rotations.
             Err(why) if first.axes == AxesSlip::NONE && placement.is_on_arm() => {
                 (first, Err(why), None)
             }
@@ -150,9 +148,9 @@ pub(super) fn prepare<'a>(
     })
 }
 
-/// Whether orientations are any: not where they stay as they are while FK's turn.
+/// Whether orientations are set. They are not if they stay constant while FK's change.
 fn is_set(logged: &Orientations, fk: &[Rotation]) -> bool {
-    /// Orientations that stay within this are one, rad.
+    /// Maximum change of a constant orientation, rad.
     const STAYS_RAD: f64 = 1e-3;
     let stays = match logged {
         Orientations::Rotations(all) => farthest(all) < STAYS_RAD,
@@ -162,20 +160,20 @@ fn is_set(logged: &Orientations, fk: &[Rotation]) -> bool {
     !stays || !turns(fk)
 }
 
-/// Whether rotations turn by more than joints that are a little off may feign.
+/// Whether rotations change by more than small joint errors could cause.
 fn turns(rotations: &[Rotation]) -> bool {
     const TURNS_RAD: f64 = 0.2;
     farthest(rotations) > TURNS_RAD
 }
 
-/// The largest angle to the first of some rotations, rad.
+/// Largest angle between the first rotation and any other, rad.
 fn farthest(rotations: &[Rotation]) -> f64 {
     let from = rotations.first().copied().unwrap_or_default();
     rotations.iter().map(|one| angle_between(&from, one)).fold(0.0, f64::max)
 }
 
-/// A stream's orientations with their angles in the unit that follows the arm, and the slip where
-/// that is not the one logged or declared.
+/// Orientations in the angle unit that follows the arm, and the unit slip if that differs from the logged
+/// or declared one.
 fn in_right_angles<'a>(
     track: &'a PoseTrack,
     rows: &[usize],
@@ -208,7 +206,7 @@ fn in_right_angles<'a>(
     }
 }
 
-/// Whether the log has quaternions, and not three numbers that were declared to be a rotation.
+/// Whether the log has quaternions rather than three numbers declared to be a rotation.
 fn are_quaternions(track: &PoseTrack) -> bool {
     track.declared.as_ref().is_none_or(|declared| declared.in_other_angles.is_none())
 }
@@ -223,8 +221,8 @@ fn at_rows(orientation: &Orientations, rows: &[usize]) -> Orientations {
     }
 }
 
-/// Applies the reading to every sample, taking the branch nearest to what FK expects; samples that
-/// the joints do not cover are dropped. Without a reading, rotations are what FK expects.
+/// Decodes every sample, choosing the branch nearest to FK. Drops samples that the joint states do not
+/// cover. Without an encoding, FK's rotations are used.
 fn choose_branches(
     witness: &mut Witness,
     logged: &Logged,

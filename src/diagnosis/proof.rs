@@ -1,12 +1,11 @@
-//! The error of a stream straight from FK: as logged, and with what was found taken off. It is what a
-//! pass rests on, beside the estimators and without them.
+//! Residual check: compares a stream directly with FK, as logged and after correcting all findings. It does
+//! not use the estimators, and a `pass` requires it.
 //!
-//! An error that lasts for a part of the run is large in that part, whatever its mean: so its size is a
-//! high quantile of the whole and of every tenth of the moving run, which single strays do not reach.
-//! Whether it is noise is not asked of itself: a tool that slips in mid-run looks like one long
-//! fluctuation. What differs from sample to sample is known from second differences over less than the
-//! motion takes to become another (von Neumann 1941; Hall, Kay and Titterington 1990), and an error is
-//! held against that.
+//! An error that lasts for part of the run is large there, whatever its mean. Its size is therefore a high
+//! quantile, robust to single outliers, over the whole run and over each tenth of the moving run. The error
+//! must not estimate its own noise, because a tool that slips in mid-run looks like one long fluctuation.
+//! The noise comes from second differences over times in which the motion changes little (von Neumann 1941;
+//! Hall, Kay and Titterington 1990).
 
 use super::latency::median_period_s;
 use super::model::{Blind, StreamState, Sweep, ToolPart, Witness};
@@ -17,116 +16,115 @@ use super::{Aligned, PoseDiagnosis, PoseStream, Seen, Unseen};
 use ground::geometry::{Pose, Vec3, pose, rotvec_from_rotation};
 use ground::stream::{JointTrack, Orientations};
 
-/// The share of samples that an error's size is reached by.
+/// Quantile that defines the size of an error.
 const MOST: f64 = 0.95;
-/// Parts of the moving run that are looked at apart.
+/// Number of parts of the moving run.
 const PARTS: usize = 10;
-/// A part has as many samples, or the run has fewer parts.
+/// Minimum number of samples per part; shorter runs have fewer parts.
 const PART_SAMPLES: usize = 20;
-/// Samples without which nothing is said.
+/// Minimum number of samples for a result.
 const NEED: usize = 8;
-/// Moving samples without which the arm rests.
+/// With fewer moving samples, the arm counts as resting.
 const MOVING: usize = 10;
-/// A tip whose points are spread by less rests, rms m.
+/// Rms spread of the tip's points below which it counts as resting, m.
 const AT_REST_M: f64 = 2e-3;
-/// Joints that all move by less do not leave their posture, rad or m: as for joint zeros, 3°.
+/// Maximum range of the joints in a single configuration, rad or m: 3°, as for joint zeros.
 const TRAVEL_RAD: f64 = 0.05;
-/// Noise is what differs within this share of the time in which the motion becomes another.
+/// Maximum span of the noise estimate, as a share of the motion's correlation time.
 const SHORT: f64 = 0.25;
-/// Distance from the tip of the points that show how it turns, m.
+/// Lever of the points that represent the tip's rotation, m.
 const ARM_M: f64 = 0.3;
-/// Samples that the motion's memory is told from.
+/// Samples used to estimate the motion's correlation time.
 const MEMORY_SAMPLES: usize = 2000;
-/// Samples of which is said what a calibration would leave.
+/// Samples used to compute the residual after a calibration.
 const CALIBRATED_SAMPLES: usize = 5000;
 
-/// The error of one stream against FK, straight from both.
+/// Error of one stream against FK, computed directly from both.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Proof {
-    /// Whether the arm rests, so that this is of one posture, or of few.
+    /// Whether the arm rests, so that the error covers only one or a few configurations.
     pub at_rest: bool,
-    /// As logged, against FK of the joint states as recorded at the same stamps.
+    /// As logged, against FK of the recorded joint states at the same stamps.
     pub as_logged: Error,
-    /// With everything found taken off.
+    /// After correcting all findings.
     pub left: Option<Error>,
-    /// With everything found taken off but what was found on the joints and on times: names, units,
-    /// zeros, latency and skew.
+    /// After correcting the findings on poses only, not those on joints and times: names, units, zeros,
+    /// latency and skew.
     pub beside_joints: Option<Error>,
-    /// With everything found taken off but what was found on the poses: reading, units and frames.
+    /// After correcting the findings on joints and times only, not those on poses: encoding, units and
+    /// frames.
     pub beside_poses: Option<Error>,
-    /// With everything found and small changes of every link's frame taken off, as a calibration of
-    /// the arm makes them.
+    /// After correcting all findings and small changes of every link frame, as in a calibration of the arm.
     pub calibrated: Option<Error>,
 }
 
-/// By how much poses differ from FK.
+/// Differences between poses and FK.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Error {
-    /// Of position, m.
+    /// Position error, m.
     pub length: Size,
-    /// Of rotation, rad; `None` where the stream's orientations are bare numbers.
+    /// Rotation error, rad. `None` if the stream's orientations are bare numbers.
     pub angle: Option<Size>,
 }
 
-/// The size of an error over the run.
+/// Size of an error over the run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Size {
-    /// Of all of it.
+    /// Over the whole run.
     pub whole: Amount,
-    /// Of its parts, in the order of time.
+    /// Per part, in order of time.
     pub parts: Vec<Part>,
 }
 
-/// The size of an error, or of the noise, in m or rad.
+/// Size of an error and its noise, in m or rad.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Amount {
-    /// Samples.
+    /// Number of samples.
     pub samples: usize,
-    /// Root mean square, of all but the strays.
+    /// Root mean square, with outliers clipped to the quantile.
     pub rms: f64,
-    /// What 95 % of the samples stay below.
+    /// 95 % quantile.
     pub most: f64,
-    /// What differs from sample to sample; `None` where samples are too far apart to tell that from
-    /// what the motion does.
+    /// Noise between samples. `None` if the sample interval is too long to separate noise from motion.
     pub noise: Option<Short>,
 }
 
-/// What differs from sample to sample, in m or rad.
+/// Noise between samples, in m or rad.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Short {
     /// Root mean square.
     pub rms: f64,
-    /// What 95 % of the samples stay below.
+    /// 95 % quantile.
     pub most: f64,
-    /// Samples over which it is forgotten.
+    /// Lag of the differences, in samples.
     pub over: usize,
 }
 
-/// A part of the run.
+/// Part of the run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Part {
-    /// From when, s from the run's origin.
+    /// Start, s from the run's origin.
     pub from_s: f64,
-    /// Until when.
+    /// End, s.
     pub to_s: f64,
-    /// Where the tip is by FK when the error is largest, in the stream's reference, m.
+    /// Tip position by FK where the error is largest, in the stream's reference frame, m.
     pub at: Vec3,
-    /// How large the error is there.
+    /// Size of the error.
     pub amount: Amount,
 }
 
 impl Size {
-    /// The part in which the error is largest; `None` of no samples.
+    /// Part with the largest error. `None` if there are no samples.
     pub fn worst(&self) -> Option<&Part> {
         self.parts.iter().max_by(|a, b| a.amount.most.total_cmp(&b.amount.most))
     }
 }
 
-/// The error of a stream, as logged and with what was `found` on it taken off. `mended` are the joint
-/// states with what was found on them taken off.
+/// Error of a stream, as logged and corrected for the diagnosis `found`. `mended` are the corrected joint
+/// states.
 ///
 /// # Errors
-/// Where too few of its samples are covered by the joint states.
+/// Returns an error if the joint states cover too few of its samples.
 pub fn proof(
     joints: &JointTrack,
     mended: &JointTrack,
@@ -143,7 +141,7 @@ pub fn proof(
     }
     let moves = moving(joints, stream, &logged.t_s);
     let points = tip_points(&logged.fk);
-    // A tip may rest while the joints move about it, as in the null space of an arm with seven.
+    // The tip may rest while the joints move, as in the null space of a seven-joint arm.
     let is_in_one_posture = variance(&points) < AT_REST_M * AT_REST_M
         && stream.columns.iter().all(|&column| travel(joints, column) < TRAVEL_RAD);
     let at_rest = moves.iter().filter(|moves| **moves).count() < MOVING || is_in_one_posture;
@@ -166,7 +164,7 @@ pub fn proof(
     })
 }
 
-/// What small changes of every link's frame leave beside what was found.
+/// Residual after the findings and small changes of every link frame.
 fn by_calibration(
     mended: &JointTrack,
     stream: &PoseStream,
@@ -217,8 +215,7 @@ fn by_calibration(
     Some(Series::new(&t_s, &fk, length, Some(angle)).error(&moves, false))
 }
 
-/// The samples of a stream beside FK when they were true, a stream being late by `lag_s`; only stamps
-/// and these two are filled.
+/// Samples of a stream with FK at their stamps minus `lag_s`. Fills only `t_s`, `logged` and `fk`.
 pub(super) fn beside_fk(joints: &JointTrack, stream: &PoseStream, lag_s: f64) -> Aligned {
     let track = stream.track;
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
@@ -239,7 +236,7 @@ pub(super) fn beside_fk(joints: &JointTrack, stream: &PoseStream, lag_s: f64) ->
     aligned
 }
 
-/// At which of some stamps a joint of the stream's chain moves.
+/// For each stamp, whether a joint of the stream's chain moves.
 fn moving(joints: &JointTrack, stream: &PoseStream, t_s: &[f64]) -> Vec<bool> {
     let still = still_speeds(joints);
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
@@ -250,16 +247,16 @@ fn moving(joints: &JointTrack, stream: &PoseStream, t_s: &[f64]) -> Vec<bool> {
     t_s.iter().map(&mut moves).collect()
 }
 
-/// The error of every sample.
+/// Errors of all samples.
 pub(super) struct Series<'a> {
     t_s: &'a [f64],
     fk: &'a [Pose],
     length: Vec<Vec3>,
     angle: Option<Vec<Vec3>>,
-    /// The most samples between two that differ by noise alone, but for a hair; 0 where even
-    /// neighbours differ by motion.
+    /// Longest lag, in samples, over which the motion is negligible compared with noise. 0 if there is
+    /// none.
     short: usize,
-    /// Median time from one sample to the next, s.
+    /// Median sample interval, s.
     period_s: f64,
 }
 
@@ -285,7 +282,7 @@ impl<'a> Series<'a> {
         Self { t_s, fk, length, angle, short, period_s }
     }
 
-    /// The size of the error over the samples at which the arm moves, of all where it rests.
+    /// Size of the error over the samples in which the arm moves, or over all if it rests.
     pub fn error(&self, moves: &[bool], at_rest: bool) -> Error {
         let rows: Vec<usize> = (0..self.t_s.len()).filter(|&row| at_rest || moves[row]).collect();
         Error {
@@ -307,7 +304,7 @@ impl<'a> Series<'a> {
         Size { whole: self.amount(error, rows), parts: parts.filter_map(part).collect() }
     }
 
-    /// The mean place of the tip over the samples whose error is as large as `most`.
+    /// Mean tip position over the samples whose error is at least `most`.
     fn where_largest(&self, error: &[Vec3], rows: &[usize], most: f64) -> Vec3 {
         let large = rows.iter().filter(|&&row| error[row].norm() >= most);
         let places: Vec<Vec3> = large.map(|&row| self.fk[row].translation.vector).collect();
@@ -319,8 +316,8 @@ impl<'a> Series<'a> {
         Amount { samples: rows.len(), rms, most, noise: self.noise(error, rows) }
     }
 
-    /// What differs from sample to sample, over each distance at which the motion hardly shows: the
-    /// most of it, as noise that remembers shows at the longer ones only.
+    /// Noise from differences over each lag at which the motion is negligible. Returns the largest, because
+    /// correlated noise appears only at the longer lags.
     fn noise(&self, error: &[Vec3], rows: &[usize]) -> Option<Short> {
         let distances = std::iter::successors(Some(1), |k| Some(2 * k));
         let noises = distances.take_while(|&k| k <= self.short).filter_map(|over| {
@@ -331,7 +328,7 @@ impl<'a> Series<'a> {
             let difference = |&row: &usize| {
                 let (before, after) = (row.checked_sub(over)?, row + over);
                 let is_even = after < error.len() && is_whole(before, row) && is_whole(row, after);
-                // Of independent noise the square is six times its own.
+                // Second differences of independent noise have six times its variance.
                 is_even
                     .then(|| (error[before] - 2.0 * error[row] + error[after]).norm() / 6f64.sqrt())
             };
@@ -344,7 +341,7 @@ impl<'a> Series<'a> {
     }
 }
 
-/// Root mean square, where what is beyond the quantile counts as much as that, and the quantile.
+/// Root mean square with values clipped to the quantile, and the quantile.
 fn sizes(mut sizes: Vec<f64>) -> [f64; 2] {
     if sizes.is_empty() {
         return [0.0; 2];
@@ -355,7 +352,7 @@ fn sizes(mut sizes: Vec<f64>) -> [f64; 2] {
     [(squares / sizes.len() as f64).sqrt(), most]
 }
 
-/// Three points of the tip, which show how it moves and turns: itself, and two beside it from it, m.
+/// Points that represent the pose of the tip: its origin, and two levers from it, m.
 type Points = [Vec3; 3];
 
 fn tip_points(fk: &[Pose]) -> Vec<Points> {
@@ -366,12 +363,12 @@ fn tip_points(fk: &[Pose]) -> Vec<Points> {
     fk.iter().map(points).collect()
 }
 
-/// The square of how far apart two sets of points are, m².
+/// Squared distance between two sets of points, m².
 fn apart(a: &Points, b: &Points) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).norm_squared()).sum()
 }
 
-/// The mean square of how far points are from their mean, m².
+/// Mean squared distance of points from their mean, m².
 fn variance(points: &[Points]) -> f64 {
     let n = points.len().max(1) as f64;
     let mean: Points =
@@ -379,8 +376,8 @@ fn variance(points: &[Points]) -> f64 {
     points.iter().map(|points| apart(points, &mean)).sum::<f64>() / n
 }
 
-/// The time after which the pose of the tip is half another, s: its mean square change is half of what
-/// it is between any two times. Infinite where the tip does not move.
+/// Time over which the tip's pose decorrelates by half, s: its mean squared change is half that between two
+/// random times. Infinite if the tip does not move.
 fn memory_s(t_s: &[f64], fk: &[Pose], period_s: f64) -> f64 {
     let stride = fk.len().div_ceil(MEMORY_SAMPLES).max(1);
     let points = tip_points(fk);
@@ -396,7 +393,7 @@ fn memory_s(t_s: &[f64], fk: &[Pose], period_s: f64) -> f64 {
                 count += 1.0;
             }
         }
-        // 2·(1 − ρ)·variance, ρ the correlation after k samples.
+        // 2·(1 − ρ)·variance, with ρ the correlation after k samples.
         let change = if count > 0.0 { sum / count } else { 0.0 };
         if change >= variance {
             let (from, at) = before;
@@ -418,7 +415,7 @@ mod tests {
 
     const N: usize = 4000;
 
-    /// 32 s of a tip that swings through half a metre every 4 s, at 125 Hz.
+    /// 32 s at 125 Hz of a tip that swings by half a metre every 4 s.
     fn motion() -> (Vec<f64>, Vec<Pose>) {
         let t_s: Vec<f64> = (0..N).map(|row| row as f64 / 125.0).collect();
         let at = |t_s: &f64| {
@@ -430,7 +427,7 @@ mod tests {
         (t_s, fk)
     }
 
-    /// Noise of 1 mm a component that remembers by `rho` from sample to sample.
+    /// Autoregressive noise of 1 mm per component with correlation `rho` between samples.
     fn noise(rho: f64, seed: u64) -> Vec<Vec3> {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(seed);
         let mut state = Vec3::zeros();
@@ -447,7 +444,7 @@ mod tests {
         Series::new(&t_s, &fk, error, None).error(&[true; N], false).length
     }
 
-    /// How many times the noise the error is in its worst part.
+    /// Ratio of error to noise in the worst part.
     fn beyond(size: &Size) -> f64 {
         let amount = size.worst().expect("a part").amount;
         amount.rms / amount.noise.expect("its noise").rms

@@ -1,9 +1,9 @@
-//! Which convention a stream's rotations are written in.
+//! Estimates the encoding of a stream's rotations.
 //!
-//! Every reading (as logged, 443 different misreadings, swapped quaternion components, transposed)
-//! is applied to a few dozen samples and held against FK, alone and with a constant frame error that
-//! it may need. The simplest reading near the least residual wins. Frame-free invariants alone
-//! cannot do this: several readings differ by a constant frame only.
+//! Each candidate encoding (as logged, 443 misinterpretations, permuted quaternion components, transposed)
+//! is applied to a few dozen samples and compared with FK, with and without constant frame errors. The
+//! simplest candidate close to the smallest residual is selected. Frame-independent invariants alone are
+//! not sufficient, because several encodings differ only by a constant frame.
 
 use super::arm::EXPLAINED_RAD;
 use super::constant::{Side, Truths, both_frames, nearest, one_frame};
@@ -15,46 +15,47 @@ use ground::geometry::{
 use ground::stream::Orientations;
 use rayon::prelude::*;
 
-/// A reading fits when its residual is within this factor of the least one …
+/// Maximum ratio of an accepted residual to the smallest one, …
 const NEAR: f64 = 5.0;
-/// … or within this angle of it, rad (0.05°).
+/// … or maximum difference from it, rad (0.05°).
 const NEAR_RAD: f64 = 8.7e-4;
-/// No reading fits where the least residual is above this, rad (20°).
+/// No candidate is accepted if the smallest residual is larger, rad (20°).
 const HOPELESS_RAD: f64 = 0.35;
 
-/// Samples on which all readings are screened, at least.
+/// Minimum number of samples for screening all candidates.
 const SCREENED_ON: usize = 16;
-/// What is left there is off by less than this factor.
+/// Error factor of the residuals in screening.
 const FAR: f64 = 1.5;
-/// Readings that come nearest there and are held against all samples, about.
+/// Approximate number of candidates that pass the screening and are compared on all samples.
 const KEPT: usize = 48;
 
-/// Cosine of the tilt within which a world is upright (10°).
+/// Cosine of the largest tilt of an upright world frame (10°).
 const UPRIGHT: f64 = 0.985;
 
-/// Ranks by which a reading that leaves gravity leaning comes later: it needs a lean besides.
+/// Rank penalty of a candidate that leaves gravity tilted: it needs a tilt as a further fault.
 const LEANS: u8 = 2;
 
-/// Samples to read, and what FK says at the same moments.
+/// Samples to decode, with FK at the same times.
 pub(super) struct Samples<'a> {
     pub logged: Logged<'a>,
     pub fk: &'a [Rotation],
-    /// Whether a constant error of the reference frame may be needed.
+    /// Whether the reference frame may have a constant error.
     pub reference_free: bool,
-    /// Whether the reference frame is known at all; if not, its error is no fault.
+    /// Whether the reference frame is known; if not, its rotation is not a fault.
     pub reference_known: bool,
-    /// Whether they were logged as quaternions, whose components may be in another order.
+    /// Whether the log has quaternions, whose components may be permuted.
     pub are_quaternions: bool,
-    /// What positions say is to be undone once the numbers are read.
+    /// Corrections found from positions, applied after decoding.
     pub after: After,
 }
 
-/// What is undone of rotations once their numbers are read.
+/// Corrections applied to decoded rotations.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct After {
-    /// What writes rotations in the axes that they are in, by conjugation; `None` of standard ones.
+    /// Rotation between the stream's axes and the standard ones, applied by conjugation. `None` for
+    /// standard axes.
     pub conjugator: Option<Rotation>,
-    /// Whether the poses are inverted as a whole.
+    /// Whether whole poses are inverted.
     pub inverted: bool,
 }
 
@@ -70,7 +71,7 @@ impl After {
         }
     }
 
-    /// What a reading of rotations says of a stream whose poses are inverted as a whole.
+    /// Encoding to report for a candidate, if whole poses are inverted.
     fn named(&self, reading: Reading) -> Reading {
         match reading {
             Reading::AsLogged if self.inverted => Reading::Inverted,
@@ -80,7 +81,7 @@ impl After {
     }
 }
 
-/// Orientations as the log has them.
+/// Orientations as logged.
 #[derive(Clone, Copy)]
 pub(super) enum Logged<'a> {
     Rotations(&'a [Rotation]),
@@ -88,7 +89,7 @@ pub(super) enum Logged<'a> {
 }
 
 impl<'a> Logged<'a> {
-    /// The orientations of a stream.
+    /// Orientations of a stream; none if they are unset.
     pub fn of(orientation: &'a Orientations) -> Self {
         match orientation {
             Orientations::Rotations(rotations) => Self::Rotations(rotations),
@@ -98,7 +99,7 @@ impl<'a> Logged<'a> {
     }
 }
 
-/// Constant frames that a reading is allowed.
+/// Constant frame errors allowed for a candidate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Frames {
     None,
@@ -108,7 +109,7 @@ pub(super) enum Frames {
 }
 
 impl Frames {
-    /// How many they are.
+    /// Number of frames.
     pub fn count(self) -> u8 {
         match self {
             Self::None => 0,
@@ -118,18 +119,18 @@ impl Frames {
     }
 }
 
-/// A reading with the frames that it needs.
+/// Candidate encoding with fitted frame errors.
 #[derive(Clone, Copy)]
 pub(super) struct Fit {
     pub reading: Reading,
     pub frames: Frames,
     pub reference: Rotation,
     pub tool: Rotation,
-    /// Residual angle, rms rad over the best nine tenths of the samples.
+    /// Rms residual angle over the best 90 % of the samples, rad.
     pub residual_rad: f64,
 }
 
-/// Fills in the candidate true rotations of every sample under `reading`.
+/// Fills in the possible true rotations of every sample under `reading`.
 fn fill(truths_of: &mut Truths, reading: &Reading, samples: &Samples, buffer: &mut Vec<Rotation>) {
     truths_of.clear();
     let logged = &samples.logged;
@@ -144,7 +145,7 @@ fn fill(truths_of: &mut Truths, reading: &Reading, samples: &Samples, buffer: &m
     }
 }
 
-/// Replaces `out` by the rotations that sample `sample` may mean under `reading`.
+/// Replaces `out` by the possible true rotations of one sample under `reading`.
 fn truths(reading: &Reading, logged: &Logged, sample: usize, out: &mut Vec<Rotation>) {
     out.clear();
     match (reading, logged) {
@@ -168,8 +169,7 @@ fn truths(reading: &Reading, logged: &Logged, sample: usize, out: &mut Vec<Rotat
     }
 }
 
-/// The rotation of one sample under `reading`, with what comes `after` it undone, that lies nearest to
-/// `expected`.
+/// Decodes one sample under `reading` and `after`. Returns the branch nearest to `expected`.
 pub(super) fn nearest_truth(
     reading: &Reading,
     after: &After,
@@ -183,17 +183,17 @@ pub(super) fn nearest_truth(
     nearest(buffer, expected).map(|(rotation, _)| rotation)
 }
 
-/// Which reading follows FK.
+/// Selects the encoding that follows FK.
 ///
 /// # Errors
-/// Too few samples, or none of the readings follows.
+/// Returns an error if there are too few samples or no candidate follows FK.
 pub(super) fn read(samples: &Samples) -> Seen<(ReadingEstimate, Fit)> {
     read_in_gravity(samples, &[])
 }
 
-/// As [`read`], where the specific force in the sensor's frame is known with every sample: a reading
-/// as logged with another mount, and any misreading, must leave gravity upright on average, or they
-/// explain one fault by two.
+/// Like [`read`], with the specific force in the sensor frame for each sample. A candidate must leave
+/// gravity upright on average, unless it is the logged encoding with only the world rotated. Otherwise it
+/// explains one fault by two.
 pub(super) fn read_in_gravity(samples: &Samples, forces: &[Vec3]) -> Seen<(ReadingEstimate, Fit)> {
     let need = 3;
     if samples.fk.len() < need {
@@ -214,7 +214,7 @@ pub(super) fn read_in_gravity(samples: &Samples, forces: &[Vec3]) -> Seen<(Readi
             (simplicity(fit, samples.reference_known) + if leans { LEANS } else { 0 }, fit)
         })
         .collect();
-    // As logged an arm is this far off because its links differ from their drawing.
+    // A healthy arm with link deviations has residuals up to this as logged.
     let is_accepted = |(rank, fit): &&(u8, &Fit)| {
         fit.residual_rad <= accepted || (*rank == 0 && fit.residual_rad <= EXPLAINED_RAD)
     };
@@ -223,7 +223,7 @@ pub(super) fn read_in_gravity(samples: &Samples, forces: &[Vec3]) -> Seen<(Readi
     let simple = || ranked.iter().filter(|(rank, _)| Some(*rank) == simplest).map(|(_, fit)| *fit);
     let least = simple().map(|fit| fit.residual_rad).min_by(f64::total_cmp).unwrap_or(least);
     let near = (NEAR * least).max(least + NEAR_RAD);
-    // Of those that the log cannot tell apart, the one in an upright world, then the most usual.
+    // Among equivalent candidates, prefer an upright world, then the most common encoding.
     let leaning = |fit: &&Fit| (fit.reference * Vec3::z()).z < UPRIGHT;
     let best =
         *simple().filter(|fit| fit.residual_rad <= near).min_by_key(leaning).unwrap_or(&fits[0]);
@@ -263,10 +263,10 @@ pub(super) fn read_in_gravity(samples: &Samples, forces: &[Vec3]) -> Seen<(Readi
     Ok((estimate, best))
 }
 
-/// The readings with the least residuals, once each, and the stream as logged, all with the frames
-/// that the best one needs.
+/// Candidates with the smallest residuals, without duplicates, plus the best and the logged encoding. All
+/// use the frames of the best one.
 fn ranking(fits: &[Fit], best: &Fit) -> Vec<(Reading, f64)> {
-    /// Readings beside those two.
+    /// Number of candidates besides those two.
     const SHOWN: usize = 6;
     let alike = fits.iter().filter(|fit| fit.frames == best.frames);
     let mut alike: Vec<&Fit> = alike.collect();
@@ -280,7 +280,7 @@ fn ranking(fits: &[Fit], best: &Fit) -> Vec<(Reading, f64)> {
     kept.map(|(_, fit)| (fit.reading, fit.residual_rad)).collect()
 }
 
-/// Whether a reading that needs more than a turned world leaves gravity other than upright in it.
+/// Whether a candidate other than a rotated world leaves gravity tilted.
 fn leans(fit: &Fit, samples: &Samples, forces: &[Vec3]) -> bool {
     let turned_world_only = matches!(fit.frames, Frames::None | Frames::Reference);
     if turned_world_only && matches!(fit.reading, Reading::AsLogged) {
@@ -303,7 +303,7 @@ fn leans(fit: &Fit, samples: &Samples, forces: &[Vec3]) -> bool {
             Some(truth * force)
         })
         .sum();
-    // Without an accelerometer nothing leans. Forces that cancel each other do.
+    // Without an accelerometer nothing is tilted. Forces that cancel count as tilted.
     let all: f64 = forces.iter().map(Vec3::norm).sum();
     all > 0.0 && felt.z < UPRIGHT * felt.norm().max(0.5 * all)
 }
@@ -317,8 +317,8 @@ fn same_reading(a: &Reading, b: &Reading) -> bool {
     }
 }
 
-/// Less is simpler: no fault before one fault before several. Where the reference frame is not
-/// known, turning it is no fault, and no fault comes before any.
+/// Rank of a candidate by its faults; lower is simpler. If the reference frame is unknown, its rotation is
+/// not a fault.
 fn simplicity(fit: &Fit, reference_known: bool) -> u8 {
     let fault = u8::from(!matches!(fit.reading, Reading::AsLogged | Reading::Numbers(_)));
     match (reference_known, fit.frames) {
@@ -345,8 +345,8 @@ fn readings(samples: &Samples) -> Vec<Reading> {
     }
 }
 
-/// Every reading with the frames that it may need. Where the stream as logged fits without a fault no
-/// other frames can be chosen, and none are tried.
+/// Fits of every candidate with the allowed frames. If the stream fits as logged without a fault, no other
+/// frames are tried, because none could be selected.
 fn all_fits(samples: &Samples) -> Vec<Fit> {
     let mut frames = allowed(samples);
     if let Logged::Rotations(_) = samples.logged {
@@ -368,7 +368,7 @@ fn all_fits(samples: &Samples) -> Vec<Fit> {
         Logged::Rotations(all) if stride > 1 => all.iter().step_by(stride).copied().collect(),
         _ => return each_of(samples, readings(samples)).concat(),
     };
-    // All readings are screened on a few samples, and those that come near are held against all.
+    // Screen all candidates on a few samples, then fit the near ones on all samples.
     let fk: Vec<Rotation> = samples.fk.iter().step_by(stride).copied().collect();
     let few = Samples { logged: Logged::Rotations(&logged), fk: &fk, ..*samples };
     let screened = each_of(&few, readings(samples));
@@ -389,7 +389,7 @@ fn all_fits(samples: &Samples) -> Vec<Fit> {
     screened.into_par_iter().flat_map_iter(again).collect()
 }
 
-/// The frames that readings are allowed; the first is no fault.
+/// Frames allowed for a candidate; the first is not a fault.
 fn allowed(samples: &Samples) -> &'static [Frames] {
     match (samples.reference_known, samples.reference_free) {
         (false, _) => &[Frames::Reference, Frames::Both],
@@ -398,7 +398,7 @@ fn allowed(samples: &Samples) -> &'static [Frames] {
     }
 }
 
-/// The fits of one reading, with each of `frames`.
+/// Fits of one candidate, one per entry of `frames`.
 fn fits_of(
     samples: &Samples,
     frames: &[Frames],
@@ -422,7 +422,7 @@ fn fits_of(
     frames.iter().map(fit).collect()
 }
 
-/// The simplest fit of a reading that is known, near the best of its fits.
+/// Simplest fit of a known encoding, among those close to its best fit.
 pub(super) fn fit_known(samples: &Samples, reading: Reading) -> Option<Fit> {
     let known = &mut Truths::default();
     let fits = fits_of(samples, allowed(samples), reading, known, &mut Vec::new());
@@ -432,8 +432,8 @@ pub(super) fn fit_known(samples: &Samples, reading: Reading) -> Option<Fit> {
     near.min_by_key(|fit| simplicity(fit, samples.reference_known))
 }
 
-/// Rms angle of the best nine tenths of the samples between the nearest truths and
-/// `reference · fk · tool`.
+/// Rms angle between the nearest true rotations and `reference · fk · tool`, over the best 90 % of the
+/// samples.
 fn residual(truths: &Truths, fk: &[Rotation], reference: &Rotation, tool: &Rotation) -> f64 {
     let mut squares: Vec<f64> = fk
         .iter()

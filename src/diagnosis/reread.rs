@@ -1,5 +1,4 @@
-//! Streams read as somebody says that they are meant, where a misreading leaves several rotations
-//! that a sample may mean.
+//! Decodes a stream with a declared encoding, and resolves ambiguous rotations with FK.
 
 use super::reading::{After, Logged, Samples, fit_known, nearest_truth};
 use super::sampling::stream_lag_s;
@@ -7,24 +6,24 @@ use super::{AxesSlip, PoseStream, Reading};
 use ground::geometry::{Axes, Rotation};
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
-/// Samples that the constant frames are fitted on.
+/// Samples used to fit the constant frames.
 const FIT_SAMPLES: usize = 150;
 
-/// How the poses of a stream are meant.
+/// Intended encoding of a stream's poses.
 #[derive(Clone, Copy, Debug)]
 pub struct Meant {
-    /// How the numbers of its rotations are read.
+    /// Encoding of the rotations.
     pub reading: Reading,
-    /// The axes that they are in.
+    /// Axes of positions and rotations.
     pub axes: AxesSlip,
-    /// Whether the poses are then inverted as a whole.
+    /// Whether whole poses are also inverted.
     pub inverted: bool,
 }
 
-/// The poses of a stream as `meant` says: of the rotations that a sample may
-/// mean the one nearest to what FK of `joints` and the constant frames that fit best say, beside those
-/// known: `[stream_from_reference, tip_from_stream]`. `None` where the stream holds bare numbers, or
-/// shares no time with the joints.
+/// Decodes the poses of a stream as `meant`. Chooses the rotation branch of each sample nearest to FK of
+/// `joints`, after fitting constant frames on top of the `known` ones, `[stream_from_reference,
+/// tip_from_stream]`. `None` if the stream holds bare numbers, or does not overlap the joint states in
+/// time.
 pub fn reread_poses(
     joints: &JointTrack,
     stream: &PoseStream,
@@ -56,8 +55,8 @@ pub fn reread_poses(
     Some(PoseTrack { xyz, orientation: Orientations::Rotations(truths), ..track.clone() })
 }
 
-/// What `logged` means as `meant` says, where FK `expected` each rotation but for constant frames and
-/// a known `tool`; a sample without FK is the nearest to the one before it.
+/// Decodes `logged` as `meant`, nearest to FK's `expected` rotations up to constant frames and a known
+/// `tool`. A sample without FK takes the branch nearest to the previous sample.
 pub(super) fn rotations(
     logged: &[Rotation],
     meant: &Meant,

@@ -1,9 +1,9 @@
-//! What is left of a stream when everything found is taken off, and whether it is more than noise.
+//! Residual of a stream after correcting every finding, with a test of whether it exceeds noise.
 //!
-//! Noise that wanders and a wrong model look alike in a residual: both are more than what differs
-//! from sample to sample. But what a wrong model leaves belongs to the posture and comes again with
-//! it, and noise does not. So small changes of all link frames are fitted to three quarters of the
-//! log, and what they foretell is held against the residual of the fourth quarter.
+//! Correlated noise and a wrong model both leave a residual larger than the differences between samples.
+//! Model errors depend on the configuration and repeat with it; noise does not. The test is a
+//! cross-validation: small changes of all link frames are fitted to three quarters of the log, and their
+//! prediction is correlated with the residual of the rest.
 
 use super::linear::{Linear, Normal};
 use super::model::{StreamState, Witness};
@@ -13,18 +13,18 @@ use super::{Aligned, Measured, Residual, Seen, Unseen};
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use nalgebra::DVector;
 
-/// Samples that the link frames are fitted to.
+/// Samples used to fit the link frames.
 const SAMPLES: usize = 1000;
-/// Parts of the log, each foretold by the others.
+/// Number of cross-validation folds.
 const PARTS: usize = 4;
-/// Blocks of a log over which the foretelling is judged: so many, or fewer where noise lasts longer.
+/// Number of blocks for the correlation; fewer if noise is correlated for longer.
 const BLOCKS: std::ops::RangeInclusive<usize> = 8..=20;
-/// What the residual and what was foretold have in common counts as chance up to so many standard
-/// errors, beyond which even few blocks leave 95 % of chance behind.
+/// Standard errors below which the correlation counts as chance. Even with few blocks, 95 % of chance
+/// correlations stay below.
 const CHANCE: f64 = 2.0;
 
-/// What is left of a stream: `aligned` with everything found taken off, beyond what differs from
-/// sample to sample. `stream` and `offsets` are what was found on `witness`.
+/// Excess residual of a stream: `aligned` after correcting every finding, beyond the noise between samples.
+/// `stream` and `offsets` are the parameters estimated on `witness`.
 pub(super) fn residual(
     aligned: &Aligned,
     witness: &Witness,
@@ -59,11 +59,10 @@ fn rms(vectors: &[Vec3]) -> f64 {
     (vectors.iter().map(Vec3::norm_squared).sum::<f64>() / vectors.len().max(1) as f64).sqrt()
 }
 
-/// Root mean square beyond the noise from sample to sample (half the mean square of successive
-/// differences, von Neumann 1941).
+/// Rms beyond the noise between samples (half the mean squared successive difference, von Neumann 1941).
 ///
-/// Its standard error is that from the spread over blocks, and at least so large that the value is
-/// as far from zero, in standard errors, as what it has `in_common` with what was foretold.
+/// The standard error comes from the scatter over blocks. It is raised until the value is no more
+/// significant than its correlation with the prediction, `in_common`.
 fn excess(vectors: &[Vec3], in_common: &Measured) -> Measured {
     let blocks = 20.min(vectors.len() / 2).max(1);
     let size = vectors.len() / blocks;
@@ -77,13 +76,13 @@ fn excess(vectors: &[Vec3], in_common: &Measured) -> Measured {
         .collect();
     let Measured { value: mean, std_error: mean_error, .. } = mean_of(&beyond);
     let value = mean.max(0.0).sqrt();
-    // d(√x) = dx / 2√x, and near zero no more than √dx.
+    // d(√x) = dx / 2√x, limited to √dx near zero.
     let by_spread = (mean_error / (2.0 * value).max(mean_error.sqrt())).max(1e-9);
     let distance = in_common.value / in_common.std_error.max(f64::MIN_POSITIVE);
     Measured { value, std_error: by_spread.max(value / distance.max(CHANCE)), dof: in_common.dof }
 }
 
-/// The mean with its standard error; infinite of fewer than two values.
+/// Mean with its standard error, which is infinite for fewer than two values.
 fn mean_of(values: &[f64]) -> Measured {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n.max(1.0);
@@ -93,8 +92,8 @@ fn mean_of(values: &[f64]) -> Measured {
     Measured { value: mean, std_error, dof: (n - 1.0).max(1.0) }
 }
 
-/// What the residual of each part has in common with what the link frames foretell that were fitted
-/// to the others: the correlation over blocks, −1 to 1, for position and for rotation.
+/// Correlation between the residual of each fold and the prediction of link frames fitted to the other
+/// folds, −1 to 1, for position and rotation.
 fn in_common(witness: &Witness, stream: &StreamState, offsets: &[f64]) -> [Measured; 2] {
     let stride = witness.len().div_ceil(SAMPLES).max(1);
     let rows: Vec<usize> = (0..witness.len()).step_by(stride).collect();
@@ -134,8 +133,8 @@ fn normal_of(linear: &Linear) -> Normal {
     normal
 }
 
-/// The mean over blocks of the correlation between two series of vectors. A block is at least twice
-/// as long as the first series remembers.
+/// Mean over blocks of the correlation between two series of vectors. A block is at least twice as long as
+/// the correlation length of the first.
 fn correlation(pairs: &[([f64; 3], [f64; 3])]) -> Measured {
     let left: Vec<[f64; 3]> = pairs.iter().map(|pair| pair.0).collect();
     let noise = Noise::of(&left, &vec![1.0; left.len()], f64::MIN_POSITIVE);

@@ -1,71 +1,72 @@
-//! How one series follows another: by what delay, through which low-pass, with what gain.
+//! Estimates how a response follows a reference: delay, low-pass time constant and gain.
 //!
-//! What is compared is the change over windows of time and no derivative, so that noise and the steps of
-//! an encoder count once and not for every sample: an offset between the two series drops out. The
-//! change of the response over a window is fitted by gain times the change of the reference over the same
-//! window `delay` before (Ljung, *System Identification*, 2nd ed., §4.2, with two poles at most).
+//! Compares changes over time windows rather than derivatives, so noise and encoder quantisation enter once
+//! per window and a constant offset cancels. The change of the response is fitted by the gain times the
+//! change of the reference over the same window, `delay` earlier (Ljung, *System Identification*, 2nd ed.,
+//! §4.2, with at most two poles).
 
 use super::Unseen;
 use ground::stats::{Measured, median};
 use nalgebra::DMatrix;
 
-/// Most columns of a series.
+/// Maximum number of columns in a series.
 const WIDTH: usize = 6;
 
-/// A series of one number, or of groups of three, over time.
+/// Time series with one column or groups of three.
 ///
-/// Times are seconds from the run's origin, strictly increasing.
+/// Times are in seconds from the run's origin, strictly increasing.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Curve {
     t_s: Vec<f64>,
-    /// Each column at every time.
+    /// Values per column.
     columns: Vec<Vec<f64>>,
-    /// Slopes of the columns there.
+    /// Time derivatives per column.
     slopes: Vec<Vec<f64>>,
-    /// The longest interval that is interpolated, s.
+    /// Longest interval that is interpolated, s.
     longest_s: f64,
 }
 
-/// Changes of a response over windows of time.
+/// Changes of a response over time windows.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Changes {
-    /// From when to when, s.
+    /// Start and end of each window, s.
     pub windows: Vec<(f64, f64)>,
-    /// By how much each column changes.
+    /// Change of each column.
     pub by: Vec<[f64; WIDTH]>,
     /// Number of columns.
     pub width: usize,
 }
 
-/// How a response follows a reference.
+/// Response of one series to a reference.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Response {
-    /// How late the response is altogether, s: the delay, and the time constant of the low-pass.
+    /// Total delay, s: pure delay plus low-pass time constant.
     pub delay_s: Measured,
-    /// Time constant of the first-order low-pass between the two, s; 0 where a delay explains as much.
+    /// Time constant of the first-order low-pass, s. 0 if a pure delay explains the response as well.
     pub low_pass_s: f64,
-    /// What the response changes by where the reference changes by 1; the mean of several columns.
+    /// Change of the response per unit change of the reference, averaged over the columns.
     pub gain: f64,
-    /// The share of the response's energy that this explains, at most 1.
+    /// Explained share of the response's energy, at most 1.
     pub explained: f64,
-    /// The same of the best pure delay.
+    /// Share explained by the best pure delay.
     pub by_delay_alone: f64,
 }
 
 impl Response {
-    /// Corner of the low-pass, Hz; `None` where there is none.
+    /// Cut-off frequency of the low-pass, Hz. `None` if there is no low-pass.
     pub fn corner_hz(&self) -> Option<f64> {
         (self.low_pass_s > 0.0).then(|| 1.0 / (std::f64::consts::TAU * self.low_pass_s))
     }
 
-    /// The delay without that of the low-pass, s.
+    /// Pure delay without the low-pass, s.
     pub fn pure_delay_s(&self) -> f64 {
         self.delay_s.value - self.low_pass_s
     }
 }
 
 impl Curve {
-    /// Of columns over common times; a gap is what is longer than 0.2 s and five intervals.
+    /// Creates a curve from columns with common times. Intervals longer than both 0.2 s and five median
+    /// intervals are gaps.
     pub fn new(t_s: Vec<f64>, columns: Vec<Vec<f64>>) -> Self {
         const GAP: (f64, f64) = (0.2, 5.0);
         let mut periods: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -74,8 +75,8 @@ impl Curve {
         Self { t_s, columns, slopes, longest_s: GAP.0.max(GAP.1 * period_s) }
     }
 
-    /// The columns at `t_s`, by the cubic through the samples with their slopes; `None` outside of the
-    /// series and in gaps. `cursor` remembers the interval.
+    /// Cubic Hermite interpolation at `t_s`. `None` outside the series and in gaps. `cursor` caches the
+    /// interval.
     fn at(&self, t_s: f64, cursor: &mut usize) -> Option<[f64; WIDTH]> {
         let times = &self.t_s;
         let is_left =
@@ -104,15 +105,15 @@ impl Curve {
         Some(values)
     }
 
-    /// The changes of the columns over a window of time.
+    /// Changes of the columns over a time window.
     fn change(&self, (from_s, to_s): (f64, f64), cursors: &mut [usize; 2]) -> Option<[f64; WIDTH]> {
         let [first, last] = cursors;
         let (before, after) = (self.at(from_s, first)?, self.at(to_s, last)?);
         Some(std::array::from_fn(|column| after[column] - before[column]))
     }
 
-    /// The curve through a first-order low-pass with this time constant, s: exact for what is straight
-    /// between samples. It starts anew after a gap.
+    /// Applies a first-order low-pass with this time constant, s: exact for linear interpolation between
+    /// samples. Restarts after a gap.
     fn filtered(&self, constant_s: f64) -> Self {
         let filter = |column: &Vec<f64>| {
             let mut filtered = Vec::with_capacity(column.len());
@@ -136,7 +137,7 @@ impl Curve {
     }
 }
 
-/// The cubic between two values with the slopes there, at `part` of the way.
+/// Cubic Hermite interpolation at the fraction `part` of the interval.
 fn hermite(part: f64, ends: [f64; 2], slopes: [f64; 2]) -> f64 {
     let (square, cube) = (part * part, part * part * part);
     let rise = 3.0 * square - 2.0 * cube;
@@ -146,7 +147,7 @@ fn hermite(part: f64, ends: [f64; 2], slopes: [f64; 2]) -> f64 {
         + (cube - square) * slopes[1]
 }
 
-/// The slope at each sample, of the parabola through it and its neighbours.
+/// Slope at each sample of the parabola through it and its neighbours.
 pub(super) fn slopes(t_s: &[f64], values: &[f64]) -> Vec<f64> {
     let slope = |left: usize| (values[left + 1] - values[left]) / (t_s[left + 1] - t_s[left]);
     let last = values.len().saturating_sub(1);
@@ -162,14 +163,14 @@ pub(super) fn slopes(t_s: &[f64], values: &[f64]) -> Vec<f64> {
     (0..values.len()).map(at).collect()
 }
 
-/// The least squares of gains at one delay.
+/// Least-squares gains at one delay.
 struct Fit {
     /// For each group of columns: response = gains · reference.
     gains: Vec<DMatrix<f64>>,
-    /// Squares that are left, and those of the response, over the windows used.
+    /// Residual and total sums of squares over the windows used.
     left: f64,
     total: f64,
-    /// How many windows have a reference there.
+    /// Number of windows covered by the reference.
     used: usize,
 }
 
@@ -180,10 +181,10 @@ impl Fit {
 }
 
 impl Changes {
-    /// Of columns over common times, over windows of `window_s` without gaps within `span`, s, each from
-    /// the middle of the one before; of very long series farther apart.
+    /// Changes over windows of `window_s` within `span`, s, without gaps. Windows overlap by half, or are
+    /// thinned out in very long series.
     pub fn of(t_s: &[f64], columns: &[Vec<f64>], span: (f64, f64), window_s: f64) -> Self {
-        /// More do not make an estimate better.
+        /// Number of windows beyond which the estimate does not improve.
         const ENOUGH: f64 = 1500.0;
         let stride_s = (0.5 * window_s).max((span.1 - span.0) / ENOUGH);
         let mut changes = Self { width: columns.len(), ..Self::default() };
@@ -205,12 +206,12 @@ impl Changes {
         changes
     }
 
-    /// Columns of a group, whose gains are one matrix: three of a vector, else one.
+    /// Columns per gain matrix: three for vectors, otherwise one.
     fn group(&self) -> usize {
         if self.width.is_multiple_of(3) { 3 } else { 1 }
     }
 
-    /// The reference's changes over each window, so much earlier.
+    /// Changes of the reference over each window, shifted earlier by `delay_s`.
     pub fn references(&self, reference: &Curve, delay_s: f64) -> Vec<Option<[f64; WIDTH]>> {
         let mut cursors = [0; 2];
         let of = |&(from_s, to_s): &(f64, f64)| {
@@ -237,12 +238,12 @@ impl Changes {
                     }
                 }
             }
-            // What hardly moves has no gain of its own.
+            // Ridge term: columns without motion have no gain.
             let ridge = 1e-9 * normal.trace() + f64::MIN_POSITIVE;
             let inverse = (normal + DMatrix::identity(size, size) * ridge).try_inverse();
             let mut gains = inverse.map_or(DMatrix::zeros(size, size), |inverse| inverse * &right);
             if size == 1 {
-                // What goes the other way does not follow: half a period late, it would seem to.
+                // A negative gain is not a response: a periodic signal half a period late would fit it.
                 gains[(0, 0)] = gains[(0, 0)].max(0.0);
             }
             fit.total += total;
@@ -256,13 +257,13 @@ impl Changes {
         self.fit(&self.references(reference, delay_s))
     }
 
-    /// The share left at a delay; 1 where too few windows have a reference there.
+    /// Unexplained share at a delay. 1 if the reference covers too few windows.
     fn left_at(&self, reference: &Curve, delay_s: f64) -> f64 {
         let fit = self.fit_at(reference, delay_s);
         if 2 * fit.used < self.windows.len() { 1.0 } else { fit.share_left() }
     }
 
-    /// The delay between `low` and `high`, s, that leaves least (golden section).
+    /// Delay between `low` and `high`, s, with the smallest unexplained share (golden section search).
     fn refined(
         &self,
         reference: &Curve,
@@ -288,10 +289,10 @@ impl Changes {
         (inner[best], found[best])
     }
 
-    /// The standard error of the delay at `delay_s`, and its degrees of freedom: from what is left in
-    /// blocks of time, which may remember whatever it does within them (Liang and Zeger 1986).
+    /// Standard error of the delay and its degrees of freedom, from residuals summed over time blocks.
+    /// Allows any correlation within a block (Liang and Zeger 1986).
     fn uncertainty(&self, reference: &Curve, delay_s: f64) -> (f64, f64) {
-        /// Blocks at most, and the shortest, s.
+        /// Maximum number of blocks and minimum length of a block, s.
         const BLOCKS: f64 = 40.0;
         const SHORTEST_S: f64 = 0.5;
         const STEP_S: f64 = 1e-3;
@@ -303,7 +304,7 @@ impl Changes {
             let (before, after) = (before[row]?, after[row]?);
             Some(std::array::from_fn(|at| (after[at] - before[at]) / (2.0 * STEP_S)))
         };
-        // The slopes beside what the gains make up for.
+        // Project the slopes onto the complement of the gains.
         let sloped = Changes {
             by: (0..self.by.len())
                 .map(|row| slope(row).map_or([0.0; WIDTH], |slope| self.predicted(&fit, &slope)))
@@ -335,7 +336,7 @@ impl Changes {
         ((square * count / (count - 1.0)).sqrt() / information, count - 1.0)
     }
 
-    /// What the gains make of a reference.
+    /// Applies the gains to a change of the reference.
     fn predicted(&self, fit: &Fit, reference: &[f64; WIDTH]) -> [f64; WIDTH] {
         let size = self.group();
         std::array::from_fn(|at| {
@@ -344,22 +345,23 @@ impl Changes {
         })
     }
 
-    /// The gain at no delay, and the share of the response's energy that it leaves.
+    /// Gain at zero delay, and the unexplained share of the response's energy.
     pub fn gain(&self, reference: &Curve) -> (f64, f64) {
         let fit = self.fit_at(reference, 0.0);
         (mean_gain(&fit), fit.share_left())
     }
 
-    /// How the response follows `reference`, by delays up to `most_s` either way.
+    /// Estimates the response to `reference`, for delays up to `most_s` in both directions.
     ///
     /// # Errors
-    /// Where too little of it is explained, or several delays explain it as well.
+    /// Returns an error if too little is explained, or if several delays explain it equally well.
     pub fn follow(&self, reference: &Curve, most_s: f64) -> Result<Response, Unseen> {
-        /// Share of the energy from which a response follows.
+        /// Minimum explained share of the energy.
         const FOLLOWS: f64 = 0.8;
-        /// To how much a delay is refined, s.
+        /// Resolution of the delay, s.
         const FINE_S: f64 = 2e-5;
-        /// A delay that leaves so many times as much as the best, and this share more, is no rival.
+        /// Factor and offset to the best unexplained share within which another delay counts as a
+        /// competitor.
         const RIVAL: (f64, f64) = (2.0, 0.02);
         let mut lengths: Vec<f64> =
             self.windows.iter().map(|(from_s, to_s)| to_s - from_s).collect();
@@ -403,19 +405,19 @@ impl Changes {
         })
     }
 
-    /// The time constant of a low-pass, s, with the delay beside it, s, and the share that these leave;
-    /// a constant of 0 where they do not leave much less than `pure`, a delay alone and what it leaves.
+    /// Time constant of the low-pass, s, remaining delay, s, and unexplained share. The constant is 0
+    /// unless it improves clearly on `pure`, the best pure delay and its unexplained share.
     fn low_pass(&self, reference: &Curve, pure: (f64, f64), most_s: f64) -> (f64, f64, f64) {
-        /// A low-pass leaves at most this share of what a delay alone does, …
+        /// Maximum unexplained share of a low-pass, relative to a pure delay.
         const MUCH: f64 = 0.75;
-        /// … takes this much of the response's energy off it, …
+        /// Minimum decrease of the unexplained share.
         const WORTH: f64 = 1e-6;
-        /// … and is this much of the whole delay.
+        /// Minimum share of the low-pass in the whole delay.
         const PART: f64 = 0.2;
-        /// Time constants that are tried, s, and how many.
+        /// Shortest time constant tried, s, and number of steps up to the longest.
         const SHORTEST_S: f64 = 2e-3;
         const TRIED: usize = 24;
-        /// To how much the delay beside one is refined: s at least, and of the constant.
+        /// Resolution of the remaining delay: a minimum in s, and relative to the time constant.
         const FINE: (f64, f64) = (1e-4, 0.02);
         let with = |constant_s: f64| {
             let filtered = reference.filtered(constant_s);
@@ -437,13 +439,13 @@ impl Changes {
         let best = finer.min_by(by_left).unwrap_or(coarse);
         let is_worth =
             best.2 < MUCH * pure.1 && pure.1 - best.2 > WORTH && best.0 > PART * (best.0 + best.1);
-        // What is causal is no earlier than its reference by more than a stamp's error.
+        // A causal response does not precede its reference by more than a stamp error.
         let is_causal = best.1 > -0.25 * best.0 - 2e-3;
         if is_worth && is_causal { best } else { (0.0, pure.0, pure.1) }
     }
 }
 
-/// The mean of the gains of each column to itself.
+/// Mean of the diagonal gains over all columns.
 fn mean_gain(fit: &Fit) -> f64 {
     let columns: usize = fit.gains.iter().map(DMatrix::nrows).sum();
     fit.gains.iter().map(DMatrix::trace).sum::<f64>() / columns.max(1) as f64

@@ -1,4 +1,4 @@
-//! How well another model would do, told from positions alone and without any search.
+//! Fit of a competing model to the positions of a stream, without a search over causes.
 
 use super::PoseStream;
 use super::placing::Expected;
@@ -6,11 +6,11 @@ use super::sampling::slow_samples;
 use ground::geometry::Vec3;
 use ground::stream::{JointTrack, Orientations};
 
-/// How far the positions of `stream` are from where its chain puts them, rms m, with a constant tool
-/// offset and a moved reference frame taken off; `None` where the joints cover too few samples.
+/// Rms distance between the positions of `stream` and FK, m, with a constant tool offset and a moved
+/// reference frame fitted. `None` if the joint states cover too few samples.
 ///
-/// `scale` takes positions to m, `latency_s` is the stream's; only slow samples count, so that it
-/// need not be exact. A pose that was logged the wrong way round counts the right way.
+/// `scale` converts positions to m. `latency_s` is the stream's latency; it need not be exact because only
+/// slow samples are used. Inverse poses are tried as well.
 pub fn position_misfit_m(
     joints: &JointTrack,
     stream: &PoseStream,
@@ -21,14 +21,15 @@ pub fn position_misfit_m(
     Some(as_logged.min(inverted))
 }
 
-/// Whether the positions of `stream` are rather of what stands still and is seen from the tool than of
-/// the tool.
+/// Whether the positions of `stream` fit better as a fixed object seen from the tool than as the tool
+/// itself.
 pub fn is_seen_from_tool(joints: &JointTrack, stream: &PoseStream, latency_s: f64) -> bool {
     let misfits = misfits_m(joints, stream, 1.0, latency_s);
     misfits.is_some_and(|(as_logged, inverted)| inverted < as_logged)
 }
 
-/// The misfit of a stream's positions, rms m, and that of the inverse poses'; infinite without rotations.
+/// Misfit of a stream's positions and of the inverse poses, rms m. The second is infinite without
+/// rotations.
 fn misfits_m(
     joints: &JointTrack,
     stream: &PoseStream,

@@ -1,20 +1,20 @@
-//! Weights of residuals, and covariances that hold whatever their noise.
+//! Robust weights of residuals, and covariances valid under correlated noise.
 
 use ground::stats::{NORMAL, median};
 use nalgebra::{DMatrix, DVector};
 
-/// Eigenvalues of the scaled normal matrix below this are directions that the log does not show.
+/// Eigenvalues of the scaled normal matrix below this belong to unobservable directions.
 pub(super) const BLIND: f64 = 1e-9;
 
-/// Residuals beyond this many standard deviations lose weight (Huber).
+/// Standard deviations beyond which residuals are downweighted (Huber).
 const HUBER: f64 = 3.0;
 
-/// How each parameter moves with each score, `H⁻¹` over the directions that the log shows.
+/// Derivative of the parameters with respect to the scores: `H⁻¹` over the observable directions.
 pub(super) fn influence(information: &DMatrix<f64>) -> DMatrix<f64> {
     pseudo_inverse(information).0
 }
 
-/// The sandwich covariance `H⁻¹ S H⁻¹`; infinite variances where the log does not show a parameter.
+/// Sandwich covariance `H⁻¹ S H⁻¹`. Variances of unobservable parameters are infinite.
 pub(super) fn sandwich(information: &DMatrix<f64>, scores: &DMatrix<f64>) -> DMatrix<f64> {
     let (inverse, blind) = pseudo_inverse(information);
     let mut covariance = &inverse * scores * &inverse;
@@ -26,7 +26,7 @@ pub(super) fn sandwich(information: &DMatrix<f64>, scores: &DMatrix<f64>) -> DMa
     covariance
 }
 
-/// Huber weights of three-component residuals against their own robust spread.
+/// Huber weights of three-component residuals relative to their robust standard deviation.
 pub(super) fn huber(residual: &[[f64; 3]], floor: f64) -> Vec<f64> {
     let limit = HUBER * robust_sigma(residual).max(floor) * 3f64.sqrt();
     residual
@@ -38,14 +38,13 @@ pub(super) fn huber(residual: &[[f64; 3]], floor: f64) -> Vec<f64> {
         .collect()
 }
 
-/// Standard deviation of one component by the median magnitude of all.
+/// Standard deviation of one component, from the median magnitude of all.
 pub(super) fn robust_sigma(residual: &[[f64; 3]]) -> f64 {
     let mut magnitudes: Vec<f64> = residual.iter().flatten().map(|c| c.abs()).collect();
     NORMAL * median(&mut magnitudes).unwrap_or(0.0)
 }
 
-/// Inverse on the directions that the log shows, and for each parameter the share of it (0 to 1)
-/// that lies in directions that it does not.
+/// Inverse over the observable directions, and for each parameter its share (0 to 1) in unobservable ones.
 pub(super) fn pseudo_inverse(matrix: &DMatrix<f64>) -> (DMatrix<f64>, Vec<f64>) {
     let n = matrix.nrows();
     let scale = DVector::from_fn(n, |i, _| {

@@ -1,4 +1,4 @@
-//! Which samples of a stream tell, and at which lags.
+//! Selects samples of a stream, and finds the lags at which it follows the arm.
 
 use super::PoseStream;
 use super::latency::{ArmSpeeds, Peak};
@@ -8,16 +8,17 @@ use ground::stats::{NORMAL, median};
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 use std::ops::Range;
 
-/// Speeds correlate less than this where a stream does not follow the arm.
+/// Minimum correlation of speeds for a stream to follow the arm.
 pub(super) const FOLLOWS: f64 = 0.3;
 
-/// Samples a stream in the search for the explanation, and in the final fit.
+/// Samples per stream in the search for causes.
 pub(super) const SEARCH_SAMPLES: usize = 500;
 
-/// Samples that readings are tried on.
+/// Samples used to compare encodings.
 pub(super) const READING_SAMPLES: usize = 72;
 
-/// The rows of a series of `len`; of a longer one `most` of them, in stretches evenly over it.
+/// Row ranges of a series with `len` rows. Longer series are thinned to about `most` rows in evenly spread
+/// stretches.
 pub fn stretches(len: usize, most: usize) -> impl Iterator<Item = Range<usize>> {
     const STRETCHES: usize = 24;
     let (count, rows) = if len <= most { (1, len) } else { (STRETCHES, most / STRETCHES) };
@@ -31,13 +32,13 @@ pub(super) fn as_rotations(orientation: &Orientations) -> Option<&[Rotation]> {
     }
 }
 
-/// The lags at which a stream may follow the arm by its speeds, the likeliest first.
+/// Candidate lags of a stream from its speeds, most likely first.
 pub(super) fn stream_peaks(arm: &ArmSpeeds, stream: &PoseStream, most_lag_s: f64) -> Vec<Peak> {
     let PoseTrack { t_s, xyz, orientation, .. } = stream.track;
     arm.peaks_of(t_s, xyz, as_rotations(orientation), most_lag_s)
 }
 
-/// The lag at which a stream follows the arm best by its speeds, s; 0 where none does.
+/// Lag with the highest correlation of speeds, s; 0 if none is high enough.
 pub(super) fn stream_lag_s(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> f64 {
     let arm = ArmSpeeds::of(joints, stream.chain, stream.columns);
     let peaks = stream_peaks(&arm, stream, most_lag_s);
@@ -45,7 +46,7 @@ pub(super) fn stream_lag_s(joints: &JointTrack, stream: &PoseStream, most_lag_s:
     best.map_or(0.0, |peak| peak.lag_s)
 }
 
-/// Slow samples spread over the run, and FK at the moments that they speak of.
+/// Slow samples spread over the run, with FK at their times.
 pub(super) fn slow_samples(
     joints: &JointTrack,
     chain: &Chain,
@@ -53,7 +54,7 @@ pub(super) fn slow_samples(
     t_s: &[f64],
     lag_s: f64,
 ) -> (Vec<usize>, Vec<Pose>) {
-    /// Samples among which slow ones are sought.
+    /// Samples from which the slow half is taken.
     const ENOUGH: usize = 4000;
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
     let mut covered: Vec<(usize, f64)> = Vec::new();
@@ -83,14 +84,14 @@ pub(super) fn slow_samples(
     (rows, fk)
 }
 
-/// A joint moves that is faster than so many standard deviations of its velocity's noise.
+/// Standard deviations of the velocity noise above which a joint moves.
 pub(super) const STILL_SIGMAS: f64 = 5.0;
 
-/// Joint speeds that are no motion: five times the noise of the velocities, at least 0.2 mrad/s.
+/// Speed of each joint below which it rests: five times the velocity noise, at least 0.2 mrad/s.
 ///
-/// Noise by the median magnitude of second differences, which smooth motion hardly has.
+/// The noise is the median magnitude of second differences, which removes smooth motion.
 pub(super) fn still_speeds(joints: &JointTrack) -> Vec<f64> {
-    /// A median of more is no better.
+    /// Maximum number of samples for the median.
     const ENOUGH: usize = 20_000;
     let stride = joints.len().div_ceil(ENOUGH).max(1);
     let speed = |row: usize, joint: usize| joints.qd[row * joints.dof + joint];

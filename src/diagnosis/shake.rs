@@ -1,4 +1,4 @@
-//! Shake: what a path has above the frequencies of work, beside what noise has there.
+//! Vibration of a path: power above the frequencies of the commanded motion, in excess of the noise floor.
 
 use ground::stats::{median, quantile};
 use std::f64::consts::TAU;
@@ -7,62 +7,63 @@ use realfft::RealFftPlanner;
 
 use ground::geometry::Vec3;
 
-/// Shake of a path, where it is strongest for a second and a half.
+/// Vibration of a path over the 1.5 s in which it is strongest.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Shake {
-    /// Its rms above `from_hz`, the noise floor taken off, m.
+    /// Rms above `from_hz` after subtracting the noise floor, m.
     pub rms_m: f64,
-    /// Where it is looked for, Hz: above the work of the arm.
+    /// Lower end of the analysed band, Hz: above the commanded motion.
     pub from_hz: f64,
-    /// Rms of the noise there: what all frequencies have alike, m.
+    /// Rms of the noise in the band, estimated as white, m.
     pub noise_m: f64,
-    /// The least shake that stands out from that noise, m.
+    /// Smallest vibration that can be distinguished from that noise, m.
     pub resolved_m: f64,
-    /// The frequency that is strongest, Hz.
+    /// Frequency with the highest power, Hz.
     pub frequency_hz: f64,
-    /// When it is, s.
+    /// Time, s.
     pub at_s: f64,
 }
 
-/// Why a path does not tell.
+/// Reason why vibration cannot be estimated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum NoShake {
-    /// So many samples a second are too few for what is above `FROM_HZ`.
+    /// The sample rate, Hz, is too low for the band above `FROM_HZ`.
     Slow(f64),
-    /// There is no second and a half of even samples.
+    /// No 1.5 s of evenly spaced samples.
     Uneven,
 }
 
-/// Arms work below this frequency, Hz.
+/// Maximum frequency of usual arm motion, Hz.
 pub const FROM_HZ: f64 = 10.0;
-/// What is slower is no shake, even where the arm works slower still, Hz.
+/// Minimum frequency of vibration, Hz, even for slower motion.
 const LEAST_HZ: f64 = 4.0;
-/// Above where its work ends the arm moves by less, rms m.
+/// Rms motion above the frequency at which the commanded motion ends, m.
 const WORK_ENDS_M: f64 = 0.1e-3;
-/// Below `FROM_HZ` shake is a tone: so much of it is in the bins about the strongest.
+/// Minimum share of the power near the peak for vibration below `FROM_HZ`, which must be a single tone.
 const TONE: f64 = 0.7;
-/// Intervals that differ by a smaller share from the period are even.
+/// Maximum relative deviation of even sample intervals.
 const EVEN: f64 = 0.01;
-/// Fewer samples a second leave next to nothing between `FROM_HZ` and half the rate.
+/// Minimum sample rate, Hz: lower rates leave almost no band between `FROM_HZ` and the Nyquist frequency.
 const SLOWEST_HZ: f64 = 25.0;
 /// Length of a window, s.
 const WINDOW_S: f64 = 1.0;
-/// About so many positions are looked at, in blocks all over the run.
+/// Approximate number of positions analysed, in blocks over the whole run.
 const ENOUGH: usize = 60_000;
 
-/// The shake of a path that is sampled at `t_s` and is at `position_m` of a row, m. Where it is known,
-/// `work_m` is where the arm was going at a row: then shake is also looked for between the frequency at
-/// which that ends and `FROM_HZ`.
+/// Estimates the vibration of a path sampled at `t_s`, with `position_m` returning the position of a row,
+/// m.
 ///
-/// The run is cut into blocks of two windows of a second that overlap by half. Of each window a
-/// parabola is taken off, which is where the arm was going, and Hann's window put on; the power above
-/// `FROM_HZ` (Welch 1967) is that of shake and of noise. Noise has the same power at all
-/// frequencies, so that the median over frequencies is its, and what is beyond counts where it is
-/// beyond the chance of noise. Of the two windows of a block the less counts, as a single jerk is in
-/// one or in the middle of both; a step is taken off.
+/// `work_m`, if known, returns the commanded position. The band then starts where the commanded motion
+/// ends, below `FROM_HZ`.
+///
+/// The run is divided into blocks of two one-second windows with 50 % overlap. Each window is detrended
+/// with a parabola and Hann-tapered, and its power above `FROM_HZ` (Welch 1967) contains vibration and
+/// noise. The noise is white, so the median over frequencies estimates it. The excess counts if noise
+/// cannot explain it. The smaller value of the two windows counts, because a single jerk is central in only
+/// one of them. Single steps are removed.
 ///
 /// # Errors
-/// Where the samples are too slow, or nowhere even.
+/// Returns an error if the sample rate is too low, or if no block has evenly spaced samples.
 pub fn shake(
     t_s: &[f64],
     mut position_m: impl FnMut(usize) -> Vec3,
@@ -83,7 +84,7 @@ pub fn shake(
             t_s[start..start + block].windows(2).map(|pair| (pair[1] - pair[0]) / period_s);
         steps.all(|step| (0.5..1.5).contains(&step))
     };
-    // What is planned for a window is as long as it: stamps a nanosecond apart would have a long one.
+    // Stamps a nanosecond apart would otherwise allocate a huge FFT plan.
     if t_s.len() < block {
         return Err(NoShake::Uneven);
     }
@@ -100,7 +101,7 @@ pub fn shake(
             if first.rms_m < second.rms_m { first } else { second }
         };
         let mut least = of(&path, work.as_deref());
-        // Stamps may jitter, or rows may: shake shows either way.
+        // Either the stamps or the samples jitter: real vibration appears in both versions.
         let times = &t_s[start..start + block];
         let has_jitter =
             times.windows(2).any(|pair| ((pair[1] - pair[0]) / period_s - 1.0).abs() > EVEN);
@@ -118,7 +119,7 @@ pub fn shake(
     strongest.ok_or(NoShake::Uneven)
 }
 
-/// A path that is sampled at `t_s` at as many even times, by the cubic through the four nearest samples.
+/// Resamples a path at evenly spaced times, with the cubic through the four nearest samples.
 fn at_even_times(t_s: &[f64], path: &[Vec3]) -> Vec<Vec3> {
     const POINTS: usize = 4;
     let (count, first_s, last_s) = (t_s.len(), t_s[0], t_s[t_s.len() - 1]);
@@ -137,17 +138,17 @@ fn at_even_times(t_s: &[f64], path: &[Vec3]) -> Vec<Vec3> {
     (0..count).map(at).collect()
 }
 
-/// What a path does about the moment when it shakes most.
+/// Path around the time of its strongest vibration.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ShakeSeen {
-    /// Frequency in Hz, and the rms of all axes there, m.
+    /// Frequency in Hz and rms over all axes at it, m.
     pub spectrum: Vec<[f64; 2]>,
-    /// Time in s, and where the path is along the axis on which it moves most, m, beside the parabola that
-    /// fits best.
+    /// Time in s and position along the axis that moves most, m, after removing the best-fit parabola.
     pub trace: Vec<[f64; 2]>,
 }
 
-/// The second about `at_s` of a path, as [`shake`] looks at it; `None` where its samples are not even there.
+/// Spectrum and trace of a path for one second around `at_s`, processed as in [`shake`]. `None` if its
+/// samples are uneven there.
 pub fn shake_seen(
     t_s: &[f64],
     mut position_m: impl FnMut(usize) -> Vec3,
@@ -177,20 +178,20 @@ pub fn shake_seen(
     Some(ShakeSeen { spectrum: spectrum.collect(), trace: trace.collect() })
 }
 
-/// The median time between samples, s.
+/// Median sample interval, s.
 fn period(t_s: &[f64]) -> Option<f64> {
     let mut steps: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let period_s = median(&mut steps)?;
     (period_s > 0.0).then_some(period_s)
 }
 
-/// The median of the sum of three axes' powers in noise over its mean: χ² of six degrees.
+/// Ratio of median to mean of the power summed over three axes of noise: χ² with six degrees of freedom.
 const MEDIAN: f64 = 0.891;
 
-/// What the power of windows of one length is made with.
+/// FFT of windows of one length.
 struct Spectrum {
     plan: std::sync::Arc<dyn realfft::RealToComplex<f64>>,
-    /// Hann's window, of unit mean square.
+    /// Hann window with unit mean square.
     taper: Vec<f64>,
     rate_hz: f64,
 }
@@ -204,8 +205,7 @@ impl Spectrum {
         Self { plan, taper, rate_hz }
     }
 
-    /// The shake in a window of a path whose middle is at `at_s`, and of which `work` is where the arm
-    /// was going.
+    /// Vibration in one window of a path centred at `at_s`. `work` is the commanded path.
     fn shake(&mut self, path: &[Vec3], work: Option<&[Vec3]>, at_s: f64) -> Shake {
         let power = self.power(path);
         let from = (FROM_HZ / self.bin_hz(path.len())).ceil() as usize;
@@ -224,7 +224,7 @@ impl Spectrum {
         self.rate_hz / length as f64
     }
 
-    /// The power of a path at each frequency, of its three axes together, m².
+    /// Power of a path at each frequency, summed over its three axes, m².
     fn power(&mut self, path: &[Vec3]) -> Vec<f64> {
         let length = path.len();
         let mut power = vec![0.0; length / 2 + 1];
@@ -236,18 +236,18 @@ impl Spectrum {
             if self.plan.process(&mut values, &mut bins).is_err() {
                 return vec![0.0; length / 2 + 1];
             }
-            // Both signs of a frequency, so that all powers sum to the mean square (Parseval).
+            // Counts both signs of a frequency, so the powers sum to the mean square (Parseval).
             let scale = 2.0 / (length as f64).powi(2);
             power.iter_mut().zip(&bins).for_each(|(power, bin)| *power += scale * bin.norm_sqr());
         }
         power
     }
 
-    /// The bin from which on the work of an arm has no power, at most `most`.
+    /// First bin above the power of the commanded motion, at most `most`.
     fn work_ends(&self, power: &[f64], most: usize, length: usize) -> usize {
         let least = (LEAST_HZ / self.bin_hz(length)).ceil() as usize;
         let mut fast = power.get(most..length.div_ceil(2)).unwrap_or_default().to_vec();
-        // Encoders have noise of their own.
+        // Subtract the encoder noise.
         let floor = median(&mut fast).unwrap_or(0.0) / MEDIAN;
         let mut beyond = 0.0;
         for bin in (least..most).rev() {
@@ -259,12 +259,12 @@ impl Spectrum {
         least
     }
 
-    /// The shake of a window from the bin `from` on.
+    /// Vibration of a window from bin `from` upwards.
     fn band(&self, power: &[f64], from: usize, length: usize, at_s: f64) -> Shake {
-        /// Deviations of the noise's power that chance does not reach.
+        /// Standard deviations of the noise power that chance does not exceed.
         const SIGMAS: f64 = 6.0;
         let bin_hz = self.bin_hz(length);
-        // Without the last bin, which has no other sign.
+        // Exclude the Nyquist bin, whose power counts only once.
         let band = power.get(from..length.div_ceil(2)).unwrap_or_default();
         let Some((strongest, _)) = band.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)) else {
             return Shake::default();
@@ -273,7 +273,8 @@ impl Spectrum {
         let mut sorted = band.to_vec();
         let floor = median(&mut sorted).unwrap_or(0.0) / MEDIAN;
         let excess = band.iter().sum::<f64>() - count * floor;
-        // A power of six degrees of freedom deviates by 1/√3 of its mean, and neighbours share.
+        // The power has six degrees of freedom, so its standard deviation is 1/√3 of its mean; neighbouring
+        // bins are correlated.
         let by_chance = SIGMAS * floor * count.sqrt();
         let is_shake = excess > by_chance && excess.is_finite();
         Shake {
@@ -287,10 +288,10 @@ impl Spectrum {
     }
 }
 
-/// Takes off a step from one sample to the next, if there is one: a tool that slips, a clock that is set.
-/// What shakes does so again and again.
+/// Removes a single step between two samples, such as a slipping tool or a clock adjustment. Vibration
+/// repeats.
 fn take_step_off(path: &mut [Vec3]) {
-    /// A step is so many times what nearly all samples are beside the line through their neighbours.
+    /// Minimum size of a step, relative to this quantile of the deviations from linear interpolation.
     const TIMES: f64 = 10.0;
     const NEARLY_ALL: f64 = 0.95;
     let beside = |at: usize| {
@@ -308,7 +309,7 @@ fn take_step_off(path: &mut [Vec3]) {
     }
 }
 
-/// Takes off the parabola that fits best, by Legendre's polynomials, which are orthogonal.
+/// Removes the best-fit parabola, using orthogonal Legendre polynomials.
 fn take_parabola_off(values: &mut [f64]) {
     let middle = (values.len() as f64 - 1.0) / 2.0;
     let count = values.len() as f64;
@@ -333,7 +334,7 @@ fn take_parabola_off(values: &mut [f64]) {
 mod tests {
     use super::*;
 
-    /// 10 s at a rate of half a metre of work and what else `beside` makes of time and row.
+    /// 10 s of motion over half a metre, plus `beside` as a function of time and row.
     fn shaken(rate_hz: f64, beside: impl Fn(f64, usize) -> f64) -> Result<Shake, NoShake> {
         let t_s: Vec<f64> =
             (0..(10.0 * rate_hz) as usize).map(|row| row as f64 / rate_hz).collect();
@@ -383,7 +384,7 @@ mod tests {
         let white = |row: usize| 1e-3 * noise(row);
         let found = shaken(125.0, |_, row| white(row)).expect("even");
         assert!(found.rms_m < 2e-4, "{found:?}");
-        // Of the deviation of 1/√3 mm on one axis 52.5 of 62.5 Hz are in the band.
+        // The noise is 1/√3 mm on one axis; the band covers 52.5 of 62.5 Hz.
         assert!(
             (found.noise_m - 1e-3 * (52.5_f64 / 62.5 / 3.0).sqrt()).abs() < 1.5e-4,
             "{found:?}"
@@ -416,7 +417,7 @@ mod tests {
 
     #[test]
     fn stamps_that_jitter_as_the_rows_do_are_no_shake() {
-        // Every fifth interval is longer, and so is the motion in it; then the stamps alone jitter.
+        // Every fifth interval is longer: first with matching motion, then with jitter in the stamps only.
         let uneven_s: Vec<f64> =
             (0..2000).map(|row| 0.0104 * f64::from(row) + 0.0004 * f64::from(row % 5)).collect();
         let even_s: Vec<f64> = (0..2000).map(|row| 0.0104 * f64::from(row)).collect();

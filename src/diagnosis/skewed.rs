@@ -1,33 +1,33 @@
-//! Delays that scatter from sample to sample and to one side, as those of a transport or of a busy machine do.
+//! Delay jitter with a skewed distribution, as caused by a transport or a busy machine.
 //!
-//! A latency is then not one number: half of the samples are less late than the median, and the mean is
-//! beyond it. What a fit finds that trusts outliers less lies somewhere between, and says neither. What a
-//! sample is off along the motion, over the speed, is its own delay, where the motion is fast enough.
+//! The latency is then not a single number: the mean exceeds the median, and a robust fit lies between them
+//! without estimating either. The delay of each sample is its error along the motion divided by the speed,
+//! if the speed is high enough.
 
 use super::{Aligned, Measured};
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use ground::stats::median;
 
-/// The delays of a stream whose samples are late by amounts that are skewed.
+/// Skewed delays of a stream's samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SkewedDelays {
-    /// Their median, s.
+    /// Median, s.
     pub median_s: Measured,
-    /// Their mean, s.
+    /// Mean, s.
     pub mean_s: Measured,
 }
 
-/// An angle counts at so much of the length of an arm, m.
+/// Lever that converts angles to lengths, m.
 const ARM_M: f64 = 0.3;
-/// Blocks of the run over which errors are told.
+/// Number of blocks used for standard errors.
 const BLOCKS: usize = 20;
 
-/// The delays of the samples that are `aligned`, whose latency was taken to be `latency_s`; `None` where they do
-/// not scatter or are not skewed.
+/// Delay distribution of the `aligned` samples, whose fitted latency is `latency_s`. `None` if the delays
+/// do not scatter or are not skewed.
 pub(super) fn skewed_delays(aligned: &Aligned, latency_s: f64) -> Option<SkewedDelays> {
-    /// Along the motion the samples are off by so many times what they are off across it.
+    /// Minimum ratio of the error along the motion to the error across it.
     const ALONG: f64 = 3.0;
-    /// Mean and median are so many standard errors apart, and so much, s.
+    /// Minimum difference between mean and median, in standard errors and in s.
     const CERTAIN: f64 = 4.0;
     const APART_S: f64 = 1e-4;
     let all = delays(aligned);
@@ -40,7 +40,7 @@ pub(super) fn skewed_delays(aligned: &Aligned, latency_s: f64) -> Option<SkewedD
     let across: f64 = all.iter().map(|delay| delay.across.powi(2)).sum();
     let steps = all.windows(2).map(|pair| (pair[1].by_s - pair[0].by_s).powi(2));
     let spread: f64 = all.iter().map(|delay| (delay.by_s - middle_s).powi(2)).sum();
-    // Of what goes slowly there is less between samples than in all (von Neumann 1941).
+    // In slow changes, successive differences are smaller than the overall variance (von Neumann 1941).
     let is_scatter = steps.sum::<f64>() > spread;
     if along < ALONG * ALONG * across / 5.0 || !is_scatter {
         return None;
@@ -69,16 +69,16 @@ pub(super) fn skewed_delays(aligned: &Aligned, latency_s: f64) -> Option<SkewedD
     })
 }
 
-/// What one sample is late by beyond the latency that was found.
+/// Delay of one sample relative to the fitted latency.
 struct Delay {
     by_s: f64,
-    /// m/s.
+    /// Speed, m/s.
     speed: f64,
-    /// How far it is off across the motion, m.
+    /// Error across the motion, m.
     across: f64,
 }
 
-/// Of the samples at which the motion is fast.
+/// Delays of the samples with fast motion.
 fn delays(aligned: &Aligned) -> Vec<Delay> {
     let t = &aligned.t_s;
     let apart = |a: &Pose, b: &Pose| -> [Vec3; 2] {

@@ -1,5 +1,4 @@
-//! Streams whose latency is not steady: what else is wrong with them is sought on the streams as they would
-//! be if it were.
+//! Latency compensation: diagnoses streams with a variable latency after correcting their stamps.
 
 use super::bends::{gives, without_bends};
 use super::changes::{constant_frames_suffice, jumps_in_time, leaves_slowly, without_changes};
@@ -11,11 +10,11 @@ use super::{
 use ground::stream::{DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack};
 use rayon::prelude::*;
 
-/// How often a latency that changes by much is made finer.
+/// Number of refinements of a large latency change.
 const FINER: usize = 2;
 
-/// The diagnosis of an arm's pose streams; where the latency of some is not steady, that of the
-/// streams as they would be if it were, so that no other cause is sought for what it does.
+/// Diagnoses an arm's pose streams. If a stream's latency is not constant, it is compensated first, so its
+/// effects are not attributed to another cause.
 pub fn diagnose_steadied(
     joints: &JointTrack,
     streams: &[PoseStream],
@@ -29,7 +28,7 @@ pub fn diagnose_steadied(
     let mut found = diagnose_unchanged(joints, streams, &changes, most_lag_s);
     let is_misread = !found.joints.reading.as_ref().is_ok_and(JointReading::is_as_logged);
     if is_misread && changes.iter().all(Option::is_none) {
-        // Joints that are misread hide changes, and changes hide how they are to be read.
+        // Misread joints and latency changes hide each other.
         let mended = match &found.joints.reading {
             Ok(_) => found.joints.corrected_joints(joints, slides),
             Err(_) => {
@@ -52,7 +51,7 @@ pub fn diagnose_steadied(
     }
     let steps: Vec<_> =
         changes.iter().map(|change| change.as_ref().and_then(LargeChange::steps)).collect();
-    // What is gradual is a part of the course that was found.
+    // Ramps are part of the estimated latency profile; only steps are removed.
     let unstepped: Vec<Option<PoseTrack>> = streams
         .iter()
         .zip(&steps)
@@ -75,7 +74,7 @@ pub fn diagnose_steadied(
     } else {
         diagnose_arm(joints, &with_tracks(&streams, &tracks), most_lag_s)
     };
-    // What was found on stamps that are far off is not quite it.
+    // Profiles estimated on stamps with large errors are approximate, so refine them once.
     let mut is_bettered = false;
     for s in 0..streams.len() {
         if steps[s].is_some() || tracks[s].is_none() {
@@ -92,7 +91,7 @@ pub fn diagnose_steadied(
     if is_bettered {
         steady = diagnose_arm(joints, &with_tracks(&streams, &tracks), most_lag_s);
     }
-    // Those of large steps are told from the least level already.
+    // Profiles of large steps are already relative to the smallest level.
     for ((course, stream), steps) in courses.iter_mut().zip(&streams).zip(&steps) {
         if let (Ok(unsteady), None) = (course.as_mut(), steps)
             && unsteady.is_unsteady
@@ -109,7 +108,7 @@ pub fn diagnose_steadied(
     let is_enough = |bent: &ArmDiagnosis| {
         !bent.joints.bends.is_empty() && !bent.streams.iter().any(leaves_slowly)
     };
-    // A joint with play that turns back a few times is as one whose zero, or a frame, changes there.
+    // A joint with backlash that reverses a few times looks like a zero or frame that changes.
     let most = if by_bend.as_ref().is_some_and(is_enough) { 1 } else { usize::MAX };
     let by_change = match is_within_links {
         true => None,
@@ -133,8 +132,8 @@ pub fn diagnose_steadied(
     steady
 }
 
-/// Makes a gradual change finer by the course that was found with it taken off; where none was found speeds differ
-/// for another reason. `None` where it stays as it is.
+/// Refines a latency ramp with the profile of the compensated stream. If that has no variation, the speeds
+/// differ for another reason. `None` if nothing changes.
 fn refined(change: &mut Option<LargeChange>, course: &Seen<LatencyCourse>) -> Option<()> {
     let Some(LargeChange::Gradual(gradual, otherwise)) = change else { return None };
     match course.as_ref().ok().filter(|course| course.is_unsteady) {
@@ -144,7 +143,7 @@ fn refined(change: &mut Option<LargeChange>, course: &Seen<LatencyCourse>) -> Op
     Some(())
 }
 
-/// The diagnosis of streams as they would be without large changes of their latency.
+/// Diagnosis of the streams after removing large latency changes.
 fn diagnose_unchanged(
     joints: &JointTrack,
     streams: &[PoseStream],
@@ -163,7 +162,7 @@ fn diagnose_unchanged(
     diagnose_arm(joints, &streams, most_lag_s)
 }
 
-/// Streams with other tracks, where there are such.
+/// Replaces the tracks of streams for which a new one is given.
 fn with_tracks<'a>(
     streams: &[PoseStream<'a>],
     tracks: &'a [Option<PoseTrack>],
@@ -175,8 +174,7 @@ fn with_tracks<'a>(
     streams.iter().zip(tracks).map(with).collect()
 }
 
-/// The diagnosis of an IMU; where its latency is not steady, that of the IMU as it would be if it
-/// were.
+/// Diagnoses an IMU. If its latency is not constant, it is compensated first.
 pub fn diagnose_imu_steadied(
     joints: &JointTrack,
     stream: ImuStream,
@@ -205,7 +203,7 @@ pub fn diagnose_imu_steadied(
     };
     let mut change = imu_changes(joints, &stream, most_lag_s);
     let mut found = unchanged(&change);
-    // A small one is made finer as a large one is.
+    // Small ramps are refined like large ones.
     let small = found.latency_course.as_ref().ok().filter(|course| course.is_unsteady);
     let small = small.and_then(GradualLatency::along).map(|it| LargeChange::Gradual(it, None));
     change = change.or(small);
@@ -215,7 +213,7 @@ pub fn diagnose_imu_steadied(
         }
         found = unchanged(&change);
     }
-    // What is gradual is a part of the course that was found.
+    // Ramps are part of the estimated latency profile; only steps are removed.
     let steps = change.as_ref().and_then(LargeChange::steps);
     let stepping = steps.map(|steps| steps.course(&found.latency_course));
     let unsteady = found.latency_course.as_ref().ok().filter(|course| course.is_unsteady);
@@ -226,7 +224,7 @@ pub fn diagnose_imu_steadied(
     let unstepped = steps.map(|steps| steps.straightened(t_s));
     let rows = match &unstepped {
         None => course.straightened(t_s),
-        // The course is of the stamps without the steps.
+        // The profile refers to stamps without the steps.
         Some(rows) => {
             let unstepped_s: Vec<f64> = rows.iter().map(|&(_, t_s)| t_s).collect();
             let straight = course.straightened(&unstepped_s).into_iter();
@@ -241,14 +239,13 @@ pub fn diagnose_imu_steadied(
     ImuDiagnosis { latency_course: Ok(told), ..steady }
 }
 
-/// The poses of a stream at the stamps that they would have if its latency were steady; `None` where
-/// it is.
+/// Poses of a stream with stamps corrected to a constant latency. `None` if the latency is constant.
 pub fn steadied(stream: &PoseStream, course: &Seen<LatencyCourse>) -> Option<PoseTrack> {
     let course = course.as_ref().ok().filter(|course| course.is_unsteady)?;
     Some(straightened(stream.track, &course.straightened(&stream.track.t_s)))
 }
 
-/// Some rows of a track of poses, each at another time.
+/// Selects rows of a pose track and replaces their stamps.
 pub(super) fn straightened(track: &PoseTrack, rows: &[(usize, f64)]) -> PoseTrack {
     let declared = track.declared.as_ref().map(|declared| DeclaredUnits {
         in_other_angles: declared

@@ -1,31 +1,31 @@
-//! Large steps of a stream's latency: which of the lags at which it follows the arm it has at which time is the
-//! path of least difference of speeds, each step at a price (Viterbi 1967).
+//! Large latency steps: assigns one of the candidate lags to each time, minimising the speed difference
+//! plus a price per step (Viterbi 1967).
 
 use super::course::{LatencyCourse, LatencyJump, LatencyShape};
 use super::large::{Followed, MISFIT, SAMPLES, differences, in_order, some_rows, spread};
 use super::latency::Speed;
 use super::{Measured, Seen};
 
-/// Lags closer than this are one, s.
+/// Minimum separation of two candidate lags, s.
 const APART_S: f64 = 0.015;
-/// A level lasts this long, s.
+/// Minimum duration of a level, s.
 const LASTS_S: f64 = 1.5;
-/// Lags that are tried.
+/// Maximum number of candidate lags.
 const LAGS: usize = 8;
-/// Standard error of a lag by speeds alone, s.
+/// Standard error of a lag from speeds alone, s.
 const COARSE_S: f64 = 2e-3;
-/// Steps leave at most this share of the difference that one lag leaves.
+/// Maximum speed difference after the steps, relative to the best constant lag.
 const LEFT: f64 = 0.35;
 
-/// The levels of a latency that steps.
+/// Levels of a latency with steps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LatencySteps {
-    /// From which stamp on, s from the run's origin, and how late, s. Two at least; the first from the
-    /// beginning on.
+    /// Start stamp, s from the run's origin, and latency, s, of each level. At least two; the first starts
+    /// at −∞.
     levels: Vec<(f64, f64)>,
 }
 
-/// The steps of a stream that follows the arm in these windows.
+/// Latency steps of a stream that follows the arm in these windows.
 pub(super) fn steps(arm: &Speed, stream: &Speed, followed: &[&Followed]) -> Option<LatencySteps> {
     let lags = lags(followed);
     let rough = (lags.len() > 1).then(|| path(arm, stream, &lags)).flatten()?;
@@ -33,8 +33,7 @@ pub(super) fn steps(arm: &Speed, stream: &Speed, followed: &[&Followed]) -> Opti
     Some(finer.unwrap_or(rough))
 }
 
-/// The lags of the windows in which the stream follows; of those that are close the one at which it
-/// follows best.
+/// Candidate lags from the windows. Close lags are merged to the best correlated one.
 fn lags(windows: &[&Followed]) -> Vec<f64> {
     let mut all = windows.to_vec();
     all.sort_by(|a, b| a.lag_s.total_cmp(&b.lag_s));
@@ -46,9 +45,9 @@ fn lags(windows: &[&Followed]) -> Vec<f64> {
     groups.into_iter().take(LAGS).filter_map(best).collect()
 }
 
-/// Which of `lags` the stream has when.
+/// Assigns one of `lags` to each time.
 fn path(arm: &Speed, stream: &Speed, lags: &[f64]) -> Option<LatencySteps> {
-    /// A step costs as much as what differs at best does in this time, s.
+    /// Price of a step, as the duration over which the smallest speed difference accumulates to it, s.
     const PRICE_S: f64 = 10.0;
     let rows = some_rows(stream);
     let costs: Vec<Vec<f64>> =
@@ -85,7 +84,7 @@ fn path(arm: &Speed, stream: &Speed, lags: &[f64]) -> Option<LatencySteps> {
             levels.push((stream.t_s[rows[row]], way[row]));
         }
     }
-    // What does not last is a glitch of one of the two speeds.
+    // Drop short levels: they are glitches in one of the speeds.
     let ends: Vec<f64> =
         levels.iter().skip(1).map(|level| level.0).chain([stream.t_s[last]]).collect();
     let begin_s = stream.t_s[first];
@@ -113,9 +112,9 @@ fn path(arm: &Speed, stream: &Speed, lags: &[f64]) -> Option<LatencySteps> {
 }
 
 impl LatencySteps {
-    /// The lags of the levels, each where the speeds differ least as long as it lasts, s.
+    /// Refined lag of each level: the one with the smallest speed difference over its duration, s.
     fn finer_lags(&self, arm: &Speed, stream: &Speed) -> Vec<f64> {
-        /// How far they are sought from what a window told, and in which steps, s.
+        /// Search range and step around the coarse lag, s.
         const WITHIN_S: f64 = 0.03;
         const STEP_S: f64 = 1e-3;
         let ends_s = self.levels.iter().skip(1).map(|level| level.0).chain([f64::INFINITY]);
@@ -141,13 +140,13 @@ impl LatencySteps {
         finer
     }
 
-    /// The lag that is kept when the steps are taken off: the least.
+    /// Lag retained when the steps are removed: the smallest in magnitude, s.
     fn kept_s(&self) -> f64 {
         let lags = self.levels.iter().map(|level| level.1);
         lags.min_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or(0.0)
     }
 
-    /// How late the stream is at a stamp, s.
+    /// Latency at a stamp, s.
     pub(super) fn lag_s(&self, t_s: f64) -> f64 {
         let after = self.levels.partition_point(|(from_s, _)| *from_s <= t_s);
         self.levels[after.saturating_sub(1)].1
@@ -157,24 +156,24 @@ impl LatencySteps {
         self.lag_s(t_s) - self.kept_s()
     }
 
-    /// Whether a stamp is so far from all steps that it is of one level for sure: about a step back stand
-    /// samples of before and after it.
+    /// Whether a stamp is far enough from every step to belong to one level. Near a backward step, stamps
+    /// of both levels overlap.
     fn is_clear(&self, t_s: f64) -> bool {
         let mut steps = self.levels.windows(2);
         steps.all(|both| (t_s - both[1].0).abs() > (both[1].1 - both[0].1).abs())
     }
 
-    /// The stamps `t_s` as they would be without the steps, each with its row; rows beside a step, and
-    /// those that would then come before an earlier one, are left out.
+    /// Stamps with the steps removed, each with its row. Skips rows near a step and rows that would be out
+    /// of order.
     pub fn straightened(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
         let clear = t_s.iter().enumerate().filter(|(_, t_s)| self.is_clear(**t_s));
         in_order(clear.map(|(row, t_s)| (row, t_s - self.beyond_s(*t_s))))
     }
 
-    /// The course of the latency: these steps, made finer by the course that was found on the stream
-    /// without them, and the jumps that it has beside them.
+    /// Latency profile of these steps, refined with the profile `found` on the stream without them, plus
+    /// its additional jumps.
     pub fn course(&self, found: &Seen<LatencyCourse>) -> LatencyCourse {
-        /// A jump of the rest so near to a step is a part of it, s.
+        /// Maximum distance at which a jump of the remaining profile is merged with a step, s.
         const NEAR_S: f64 = 2.0;
         let fine = found.as_ref().ok();
         let begins: Vec<f64> =
@@ -218,9 +217,9 @@ impl LatencySteps {
     }
 }
 
-/// The mean of what some windows found, weighted, with the error by which they scatter.
+/// Weighted mean over windows, with a standard error scaled by their scatter.
 pub(super) fn mean<'a>(windows: impl Iterator<Item = &'a (f64, Measured)>) -> Option<Measured> {
-    /// No mean is better known than this, s.
+    /// Lower bound of the standard error, s.
     const FLOOR_S: f64 = 2e-5;
     let windows: Vec<&Measured> = windows.map(|(_, measured)| measured).collect();
     let weight: f64 = windows.iter().map(|one| one.std_error.powi(-2)).sum();

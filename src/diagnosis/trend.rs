@@ -1,67 +1,65 @@
-//! How an amount moves from run to run: not at all, steadily, or in one step.
+//! Change of a quantity between runs: constant, a linear trend, or one step.
 //!
-//! Runs differ from each other by more than the interval of each says: load, temperature, where the
-//! arm was. So a run's amount is taken as `line + u + e`, with `e` of the run's own standard error and
-//! `u` of a spread that is the same for all and estimated beside the line, after Paule and Mandel
-//! (*Consensus values and weighting factors*, J. Res. NBS 87, 1982): the spread that makes the weighted
-//! squares as many as their degrees of freedom. A step is the same fit, over before and after in place
-//! of time.
+//! Runs scatter by more than their own intervals because load, temperature and configurations differ. The
+//! model is `value = line + u + e`, where `e` has the run's own standard error and `u` a common standard
+//! deviation, estimated with the line. The estimate follows Paule and Mandel (*Consensus values and
+//! weighting factors*, J. Res. NBS 87, 1982): the weighted sum of squares equals its degrees of freedom. A
+//! step is the same fit with a before/after indicator instead of time.
 
 use super::Measured;
 use ground::stats::median;
 
-/// An amount that one run told.
+/// Estimate of a quantity from one run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Told {
-    /// When the run was, s from any origin.
+    /// Time of the run, s from any origin.
     pub time_s: f64,
-    /// The amount.
+    /// Value.
     pub value: f64,
-    /// Its standard error, of this run alone.
+    /// Standard error from this run alone.
     pub std_error: f64,
 }
 
-/// How an amount moved over the runs.
+/// Change of a quantity over the runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trend {
-    /// What it grows by in a second.
+    /// Slope, per second.
     pub rate_per_s: Measured,
-    /// The amount at `middle_s`, which its rate tells nothing about.
+    /// Value at `middle_s`, where it is uncorrelated with the slope.
     pub level: Measured,
-    /// The mean of the times, by the weights of the runs, s.
+    /// Weighted mean of the times, s.
     pub middle_s: f64,
-    /// How far runs lie from the line beyond what their own errors make, as a standard deviation.
+    /// Standard deviation between runs in excess of their own errors.
     pub spread: f64,
-    /// The step that tells more of the runs than the line does, where one does.
+    /// Step, if it explains the runs better than the line does.
     pub step: Option<Step>,
 }
 
-/// A step between two runs.
+/// Step between two runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step {
-    /// When the last run before it was, and the first after it, s.
+    /// Times of the last run before the step and the first one after it, s.
     pub between_s: [f64; 2],
-    /// By how much it went up.
+    /// Height of the step.
     pub by: Measured,
 }
 
-/// Fewer runs tell no trend.
+/// Minimum number of runs for a trend.
 pub const LEAST_RUNS: usize = 4;
 
-/// By so much the logarithm of its likelihood must be above the line's: its place was chosen.
+/// Minimum log likelihood ratio of a step to the line, because its position is selected.
 const STEP_LIKELIER: f64 = 5.0;
-/// Fits of one look at all runs.
+/// Maximum number of fits in one pass over the runs.
 const MOST_FITS: usize = 128;
 
-/// How an amount moves; `None` where there are fewer than [`LEAST_RUNS`] runs, or they are all of one
-/// time.
+/// Estimates the trend. `None` if there are fewer than [`LEAST_RUNS`] runs, or if all have the same time.
 pub fn trend(told: &[Told]) -> Option<Trend> {
     let mut told: Vec<Told> = told.iter().copied().filter(is_usable).collect();
     told.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
     if told.len() < LEAST_RUNS {
         return None;
     }
-    // Times from their middle, so that squares keep their digits.
+    // Centre the times to preserve precision.
     let origin_s = told.iter().map(|one| one.time_s).sum::<f64>() / told.len() as f64;
     let times_s: Vec<f64> = told.iter().map(|one| one.time_s - origin_s).collect();
     let line = Fit::of(&told, &times_s)?;
@@ -82,8 +80,8 @@ fn is_usable(told: &Told) -> bool {
     time_s.is_finite() && value.is_finite() && std_error.is_finite() && *std_error > 0.0
 }
 
-/// The likeliest step, with two runs at least on each side. Of many runs it is sought among a few places, then
-/// among those around the best.
+/// Most likely step with at least two runs on each side. With many runs the search goes from coarse to
+/// fine.
 fn step(told: &[Told]) -> Option<([f64; 2], Fit)> {
     let (mut places, mut best) = (2..told.len() - 1, None::<(usize, Fit)>);
     loop {
@@ -107,10 +105,10 @@ fn step(told: &[Told]) -> Option<([f64; 2], Fit)> {
     }
 }
 
-/// Whether a step by `by` before the runs from `after_s` on is there without any one of the runs, too: one
-/// run that is off is no step. Of many runs those that lie furthest from the middle are left out.
+/// Whether the step `by` at `after_s` persists without any single run: one outlier is not a step. With many
+/// runs, only those furthest from the median are left out.
 fn rests_on_no_run(told: &[Told], after_s: f64, by: f64) -> bool {
-    /// So much of it must be left.
+    /// Minimum share of the step that must persist.
     const LEFT: f64 = 0.5;
     let mut values: Vec<f64> = told.iter().map(|one| one.value).collect();
     let middle = median(&mut values).unwrap_or(0.0);
@@ -136,14 +134,14 @@ struct Fit {
 }
 
 impl Fit {
-    /// The fit over `x`; `None` where all of it is one value.
+    /// Fits over `x`. `None` if all its values are equal.
     fn of(told: &[Told], x: &[f64]) -> Option<Self> {
         let dof = told.len() as f64 - 2.0;
         let squares = |variance: f64| Weighed::of(told, x, variance).map(|fit| fit.squares);
         let mut high = told.iter().map(|one| one.value.powi(2)).fold(f64::MIN_POSITIVE, f64::max);
         let mut low = 0.0;
-        // No spread beyond the runs' own errors, or the one at which the squares are as many as they
-        // may be: they fall as it grows.
+        // The spread is zero if the squares allow it. Otherwise bisect: the squares decrease with the
+        // spread.
         if squares(0.0)? > dof {
             while squares(high)? > dof {
                 high *= 4.0;
@@ -168,7 +166,7 @@ impl Fit {
     }
 }
 
-/// The fit with weights that are known.
+/// Weighted least squares with a known spread.
 struct Weighed {
     slope: f64,
     slope_variance: f64,
@@ -209,7 +207,7 @@ mod tests {
 
     const DAY_S: f64 = 86_400.0;
 
-    /// Runs a day apart, of a known course, with a known spread.
+    /// Daily runs of a known course and spread.
     fn runs(count: usize, spread: f64, seed: u64, course: impl Fn(f64) -> f64) -> Vec<Told> {
         let mut random = Pcg64::seed_from_u64(seed);
         let noise = Normal::new(0.0, 1.0).expect("a distribution");

@@ -1,4 +1,4 @@
-//! How a stream turns beside the arm.
+//! Rotation encoding of a stream, given the candidate position layouts.
 
 use super::Reading;
 use super::layout::{Layout, matrix_of};
@@ -10,25 +10,25 @@ use ground::geometry::{Axes, Rotation, Vec3, angle_between};
 use ground::geometry::{Convention, QuaternionSlip};
 use nalgebra::Matrix3;
 
-/// Rotations are read rightly that leave no more than this, rad: joints may be off by some degrees.
+/// Maximum residual of a correct encoding, rad: joints may be off by some degrees.
 pub(super) const FITS_RAD: f64 = 0.05;
 
-/// One way to take a stream's poses to the base, before the rotations' numbers are read.
+/// Interpretation of a stream's positions and axes, before rotations are decoded.
 pub(super) struct Way {
     pub metres: f64,
     pub axes: AxesSlip,
     pub inverted: bool,
-    /// How the reference frame is turned, where positions tell.
+    /// Rotation of the reference frame, if positions determine it.
     pub reference: Option<Rotation>,
 }
 
 impl Way {
-    /// The ways to understand a layout; what it leaves is not much of the motion's `extent_m`.
+    /// Interpretations of a layout, whose residual should be small compared with the motion's `extent_m`.
     pub fn of(layout: &Layout, extent_m: f64) -> Vec<Self> {
         let standard = AxesSlip { positions: Axes::STANDARD, rotations: Axes::STANDARD };
         let way = |axes, reference| {
             let Layout { metres, inverted, .. } = *layout;
-            // Positions of inverse poses are in the tool's frame: they do not tell how the base's is turned.
+            // Positions of inverse poses are in the tool frame and do not determine the base's rotation.
             Way { metres, axes, inverted, reference: if inverted { None } else { reference } }
         };
         if layout.left_m > ON_ARM * extent_m {
@@ -44,7 +44,7 @@ impl Way {
                 ]
             }
             (None, true) => {
-                // In a world that is turned at will all mirrors are one: the most usual is named.
+                // With a freely rotated world all mirrors are equivalent: use the most common one.
                 let back = matrix_of(Axes::UNITY).transpose();
                 let turn = rotation_of(&(back * layout.turn));
                 vec![way(both(Axes::UNITY), Some(turn)), way(positions(Axes::UNITY), None)]
@@ -58,7 +58,7 @@ impl Way {
         }
     }
 
-    /// Another one in which rotations alone are in axes of their own.
+    /// Copy with different axes for rotations only.
     pub fn with_rotations_in(&self, rotations: Axes) -> Self {
         Way { axes: AxesSlip { rotations, ..self.axes }, ..*self }
     }
@@ -69,7 +69,7 @@ impl Way {
         After { conjugator, inverted: self.inverted }
     }
 
-    /// Positions of poses that are not yet turned round, m.
+    /// Positions in m, before any inversion.
     pub fn positions(&self, xyz: &[Vec3]) -> Vec<Vec3> {
         xyz.iter().map(|p| self.axes.positions.standard(*p) * self.metres).collect()
     }
@@ -79,7 +79,7 @@ fn rotation_of(matrix: &Matrix3<f64>) -> Rotation {
     Rotation::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(*matrix))
 }
 
-/// Orientations at some samples, and FK there.
+/// Orientations at some samples, with FK at the same times.
 pub(super) struct Turning<'a> {
     pub logged: Logged<'a>,
     pub fk: &'a [Rotation],
@@ -88,7 +88,7 @@ pub(super) struct Turning<'a> {
 }
 
 impl Turning<'_> {
-    /// What the rotations are read as on one way, with the turned reference in the fit.
+    /// Estimates the rotation encoding under one interpretation. The fit includes the rotated reference.
     pub fn read(&self, way: &Way) -> Seen<(ReadingEstimate, Fit)> {
         let turned = self.turned(way);
         let (mut reading, mut fit) = read(&self.samples(way, &turned))?;
@@ -99,7 +99,7 @@ impl Turning<'_> {
         Ok((reading, fit))
     }
 
-    /// What the simplest readings leave on one way, rad.
+    /// Smallest residual of the simplest encodings under one interpretation, rad.
     pub fn plain_rad(&self, way: &Way) -> f64 {
         let turned = self.turned(way);
         let samples = self.samples(way, &turned);
@@ -131,20 +131,20 @@ impl Turning<'_> {
         }
     }
 
-    /// Angle to FK of rotations as logged, rms rad.
+    /// Rms angle between rotations as logged and FK, rad.
     pub fn as_logged_rad(&self) -> Option<f64> {
         let Logged::Rotations(logged) = self.logged else { return None };
         let squares = logged.iter().zip(self.fk).map(|(a, b)| angle_between(a, b).powi(2));
         Some((squares.sum::<f64>() / logged.len().max(1) as f64).sqrt())
     }
 
-    /// The way on which rotations can be read best, with their reading.
+    /// Selects the interpretation under which rotations fit best, with their encoding.
     pub fn best(&self, ways: Vec<Way>) -> Seen<(Way, ReadingEstimate, Fit)> {
-        /// Rotations alone are in other axes only where that leaves so many times less.
+        /// Minimum improvement factor for different axes of rotations only.
         const BETTER: f64 = 5.0;
         let mut best: Option<(Way, ReadingEstimate, Fit)> = None;
         let mut why = Unseen::NoOrientation;
-        // Where positions tell the frame and are in its axes, rotations may still be in others.
+        // If positions determine the frame and have standard axes, rotations may still have different ones.
         let is_told = |way: &&Way| way.reference.is_some() && way.axes == AxesSlip::NONE;
         let told = ways.iter().find(is_told).map(|way| Way { ..*way });
         for way in ways {
@@ -155,7 +155,7 @@ impl Turning<'_> {
                     continue;
                 }
             };
-            // Reversed joints may mirror positions, but not so that rotations fit.
+            // Reversed joints may mirror positions, but then rotations do not fit.
             if way.axes != AxesSlip::NONE && fit.residual_rad > FITS_RAD {
                 continue;
             }

@@ -1,8 +1,8 @@
-//! Whether recorded velocities are the rates of the recorded positions, and what they are where not.
+//! Checks whether recorded velocities are the derivatives of the recorded positions, and classifies the
+//! error if not.
 //!
-//! Velocities are integrated between samples and held against the change of position over the same
-//! window, so that nothing is differentiated: the noise of an encoder enters twice a window, that of the
-//! velocities averages out.
+//! Velocities are integrated and compared with the change of position over the same window. Nothing is
+//! differentiated, so encoder noise enters only twice per window and velocity noise averages out.
 
 use super::latency::median_period_s;
 use super::response::{Changes, Curve, slopes};
@@ -11,67 +11,67 @@ use super::{Response, Unseen};
 use ground::stats::Measured;
 use ground::stream::sample_noise;
 
-/// The samples of one joint.
+/// Samples of one joint.
 #[derive(Clone, Copy, Debug)]
 pub struct VelocitySamples<'a> {
     /// Sample times, s, strictly increasing.
     pub t_s: &'a [f64],
-    /// Positions as recorded, rad or m.
+    /// Recorded positions, rad or m.
     pub position: &'a [f64],
-    /// Velocities as recorded, rad/s or m/s; NaN where there are none.
+    /// Recorded velocities, rad/s or m/s; NaN if missing.
     pub velocity: &'a [f64],
-    /// When positions are known to jump, s: no window goes over one.
+    /// Times of known position jumps, s. No window contains one.
     pub breaks: &'a [f64],
 }
 
-/// The velocities of a joint against the rates of its positions.
+/// Comparison of a joint's velocities with the derivatives of its positions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VelocityDiagnosis {
-    /// Their error over the error of no velocities at all: rms of velocity less rate, over rms rate, in
-    /// the band of the motion, beyond what noise, steps of the encoder and jitter of the stamps make.
+    /// Relative error: rms of velocity minus position rate, over rms rate, in the band of the motion.
+    /// Noise, encoder quantisation and stamp jitter are subtracted.
     pub error: Measured,
-    /// What of such an error these explain by themselves.
+    /// Relative error expected from those three alone.
     pub noise: f64,
-    /// Rms of the positions' rate, rad/s or m/s.
+    /// Rms rate of the positions, rad/s or m/s.
     pub rate: f64,
-    /// Windows that are compared, s.
+    /// Window length, s.
     pub window_s: f64,
-    /// What the velocities are.
+    /// Classification of the velocities.
     pub shape: VelocityShape,
 }
 
-/// What velocities are where they are not the rates of their positions.
+/// Relation of velocities to positions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum VelocityShape {
-    /// The rates, as well as this can be told.
+    /// Derivatives of the positions, within the uncertainty.
     Rates,
-    /// None: always zero, or next to it.
+    /// Zero or nearly zero.
     Zero,
-    /// The rates times a factor.
+    /// Derivatives times a factor.
     Scaled(f64),
-    /// Those of the joint in this place of the list, times a factor.
+    /// Derivatives of the joint at this index, times a factor.
     OfJoint(usize, f64),
-    /// The rates, late or early, through a low-pass, or both, times the gain.
+    /// Derivatives with a delay, a low-pass or both, times a gain.
     Filtered(Response),
     /// None of these.
     Unlike,
 }
 
-/// Below this relative error no cause is looked for, and a shift by half a sample is that of a
-/// difference of two samples.
+/// Relative error below which no cause is sought, and below which a half-sample shift is attributed to a
+/// finite difference.
 const SMALL: f64 = 0.02;
-/// An interval of so many usual ones is a gap.
+/// Minimum length of a gap, in median intervals.
 const GAP: f64 = 5.0;
-/// An interval that reaches to its end is so many standard errors wide to either side.
+/// Half-width of the interval in standard errors.
 const STD_ERRORS: f64 = 1.9;
-/// Longest delay that is looked for, s.
+/// Maximum delay, s.
 const MOST_LAG_S: f64 = 0.5;
 
-/// Whether the velocities of joint `index` are the rates of its positions; `joints` are all of the arm,
-/// whose velocities may be mixed up.
+/// Compares the velocities of joint `index` with the derivatives of its positions. `joints` are all joints
+/// of the arm, whose velocities may be permuted.
 ///
 /// # Errors
-/// Where the joint hardly moves, or has too few velocities.
+/// Returns an error if the joint barely moves, or has too few velocities.
 pub fn diagnose_velocity(
     joints: &[VelocitySamples<'_>],
     index: usize,
@@ -88,7 +88,7 @@ pub fn diagnose_velocity(
     let as_recorded = error_of(moved);
     let half_s = 0.5 * median_period_s(own.t_s);
     let curve = Curve::new(own.t_s.to_vec(), vec![own.position.to_vec()]);
-    // A difference of two samples is the rate of the moment between them.
+    // A difference of two samples is the rate midway between them.
     let of_difference = [-half_s, half_s]
         .map(|delay_s| changes.references(&curve, delay_s))
         .map(|shifted| shifted.iter().map(|at| at.map_or(f64::NAN, |at| at[0])).collect::<Vec<_>>())
@@ -99,12 +99,12 @@ pub fn diagnose_velocity(
     };
     let square = (square - by_noise).max(0.0);
     let value = square.sqrt();
-    // The noise is known to a half of its square; windows that overlap count once.
+    // The noise variance is known to ±50 %. Overlapping windows count once.
     let count = (0.5 * compared).max(1.0);
     let variance = 4.0 * square * by_noise / count + (0.5 * by_noise).powi(2);
     let [most, least] =
         [1.0, -1.0].map(|sign| (square + sign * 2.0 * variance.sqrt()).max(0.0).sqrt());
-    // Where the square may be none, the root may be, too.
+    // If the square may be zero, so may the root.
     let std_error = (most - value).max(value - least) / STD_ERRORS;
     let shape = match value < SMALL {
         true => VelocityShape::Rates,
@@ -125,47 +125,47 @@ fn mean_square(values: &[f64]) -> f64 {
     sum / f64::max(count, 1.0)
 }
 
-/// What noise adds, as variances.
+/// Variances of the noise.
 #[derive(Clone, Copy, Debug)]
 struct Noise {
-    /// Of a position, rad² or m².
+    /// Position, rad² or m².
     position: f64,
-    /// Of a velocity times the period between samples: of an integral by the second, rad²/s or m²/s.
+    /// Velocity times the sample interval, i.e. variance of the integral per second, rad²/s or m²/s.
     velocity: f64,
-    /// Of a stamp, s².
+    /// Stamp, s².
     stamp: f64,
-    /// Of integrating between samples, of the changes' own square.
+    /// Interpolation between samples, in the unit of a squared change.
     between: f64,
 }
 
 impl Noise {
-    /// The variance of the difference between the integral over a window and the change of position, of
-    /// which the square is `moved` in the mean.
+    /// Variance of the difference between integral and change of position over a window; `moved` is the
+    /// mean squared change.
     fn of_window(&self, window_s: f64, moved: f64) -> f64 {
         let by_stamps = 2.0 * self.stamp * moved / (window_s * window_s);
         2.0 * self.position + self.velocity * window_s + by_stamps + self.between
     }
 }
 
-/// What is compared of a joint.
+/// Compared quantities of a joint.
 #[derive(Debug)]
 struct Windows {
     window_s: f64,
     /// Integrals of the velocity.
     changes: Changes,
-    /// Changes of the position over the same windows, rad or m.
+    /// Changes of position over the same windows, rad or m.
     moved: Vec<f64>,
     noise: Noise,
 }
 
 impl Windows {
     fn of(joint: &VelocitySamples<'_>) -> Result<Self, Unseen> {
-        /// A joint moves that goes this far, rad or m.
+        /// Minimum travel of a moving joint, rad or m.
         const MOVES: f64 = 5e-3;
-        /// Windows needed.
+        /// Minimum number of windows.
         const NEED: usize = 20;
-        /// The shortest window and the longest, s; by how much they are made longer, until noise is this
-        /// share of the changes.
+        /// Shortest and longest window, s, growth factor, and the noise-to-change ratio at which the growth
+        /// stops.
         const LENGTHS_S: (f64, f64) = (0.1, 0.5);
         const LONGER: f64 = 1.5;
         const LITTLE: f64 = 0.01;
@@ -200,7 +200,7 @@ impl Windows {
     }
 }
 
-/// The variances of noise in a joint's samples.
+/// Variances of the noise in a joint's samples.
 fn noise(t_s: &[f64], q: &[f64], v: &[f64]) -> Noise {
     let period_s = median_period_s(t_s);
     let jitter: Vec<f64> = t_s
@@ -217,8 +217,8 @@ fn noise(t_s: &[f64], q: &[f64], v: &[f64]) -> Noise {
     }
 }
 
-/// The step of an encoder: what the least of all changes from sample to sample are, which is next to
-/// nothing of positions that have no steps.
+/// Quantisation step of an encoder: the 2 % quantile of nonzero changes. Almost zero if there is no
+/// quantisation.
 fn quantum(q: &[f64]) -> f64 {
     const SHARE: usize = 50;
     const ARITHMETIC: f64 = 1e-9;
@@ -228,8 +228,8 @@ fn quantum(q: &[f64]) -> f64 {
     if steps.is_empty() { 0.0 } else { *steps.select_nth_unstable_by(at, f64::total_cmp).1 }
 }
 
-/// The step of an encoder whose positions are all whole numbers of it; 0 of positions that have no steps. Of
-/// very many positions, by stretches in which most change.
+/// Quantisation step of an encoder, if all positions are multiples of it; otherwise 0. Long series are
+/// sampled in stretches, if most positions in them change.
 pub fn encoder_step(q: &[f64]) -> f64 {
     const ENOUGH: usize = 24_000;
     let some: Vec<f64> =
@@ -239,7 +239,7 @@ pub fn encoder_step(q: &[f64]) -> f64 {
 }
 
 fn step_of(q: &[f64]) -> f64 {
-    /// A whole number is one to this, of so many of the changes.
+    /// Tolerance of a multiple, and minimum share of changes that are multiples.
     const WHOLE: f64 = 0.02;
     const MOST: f64 = 0.95;
     let step = quantum(q);
@@ -252,9 +252,9 @@ fn step_of(q: &[f64]) -> f64 {
     if step > 0.0 && whole as f64 > MOST * all as f64 { step } else { 0.0 }
 }
 
-/// The integral of velocities from the first sample on.
+/// Integral of the velocities from the first sample.
 struct Integral {
-    /// By the cubic between samples, and by straight lines.
+    /// With cubic and with linear interpolation.
     at: Vec<[f64; 2]>,
 }
 
@@ -272,8 +272,7 @@ impl Integral {
         Self { at }
     }
 
-    /// The changes of the integral over windows, those of the position, and the variance of what is not
-    /// known between samples.
+    /// Changes of the integral and of the position over windows, and the variance due to interpolation.
     fn windows(
         &self,
         t_s: &[f64],
@@ -286,7 +285,7 @@ impl Integral {
         let span = (t_s.first().copied().unwrap_or(0.0), t_s.last().copied().unwrap_or(0.0));
         let all = Changes::of(t_s, &[cubic, straight, q.to_vec()], span, window_s);
         let gap_s = GAP * median_period_s(t_s);
-        // What the velocity was in a gap nobody knows, nor what the position is over a break.
+        // Velocity in a gap and position across a break are unknown.
         let is_gap = |pair: &&[f64]| {
             pair[1] - pair[0] > gap_s || breaks.iter().any(|at| (pair[0]..=pair[1]).contains(at))
         };
@@ -309,7 +308,7 @@ impl Integral {
     }
 }
 
-/// What the velocities are, where they are not the rates.
+/// Classifies velocities that are not the derivatives.
 fn shape(
     joints: &[VelocitySamples<'_>],
     index: usize,
@@ -317,9 +316,9 @@ fn shape(
     curve: &Curve,
     by_noise: f64,
 ) -> VelocityShape {
-    /// Of the rates' rms, this is none.
+    /// Maximum rms relative to the derivatives for zero velocities.
     const NONE: f64 = 0.02;
-    /// Of the error's square a cause leaves this at most.
+    /// Maximum share of the squared error that remains after a cause.
     const LEFT: f64 = 0.2;
     let Windows { changes, moved, .. } = windows;
     let by: Vec<f64> = changes.by.iter().map(|by| by[0]).collect();
@@ -328,7 +327,7 @@ fn shape(
         return VelocityShape::Zero;
     }
     let errors: Vec<f64> = by.iter().zip(moved).map(|(by, moved)| by - moved).collect();
-    // In squares of the response, as what a fit leaves is.
+    // As a share of the response's energy, like the residual of a fit.
     let allowed = (LEFT * mean_square(&errors) + by_noise).min(0.5 * own) / own;
     let signed = |sign: f64| {
         let by = changes.by.iter().map(|by| by.map(|by| sign * by)).collect();

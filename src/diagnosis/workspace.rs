@@ -1,5 +1,4 @@
-//! Where an arm has been: over which part of their ranges its joints moved, and which places and
-//! poses its tip reached.
+//! Joint ranges that an arm used, and the cells and poses that its tip reached.
 
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
@@ -7,31 +6,31 @@ use std::f64::consts::{PI, TAU};
 use ground::geometry::{Pose, Vec3, angle_between};
 use ground::robot::{Chain, JointKind, Limits};
 
-/// Edge of the cells of a reach map, m.
+/// Edge of a reach map cell, m.
 pub const CELL_M: f64 = 0.02;
-/// Orientations farther apart than this are two, rad.
+/// Minimum angle between different orientations, rad.
 pub const APART_RAD: f64 = 15.0 * PI / 180.0;
-/// Ways to reach a pose are two where a joint is farther apart than this, rad or m.
+/// Minimum difference of a joint between different configurations for a pose, rad or m.
 pub const JOINT_APART: f64 = 0.35;
-/// Parts that a joint's range is cut into to say how much of it was visited.
+/// Number of bins per joint range.
 const PARTS: usize = 72;
-/// A sample holds until the next one, but no longer than this, s.
+/// Maximum duration of a sample, s.
 const LONGEST_S: f64 = 1.0;
 
-/// The part of its range that a joint moved over.
+/// Range over which a joint moved.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JointSpan {
-    /// Its lowest position, rad or m.
+    /// Lowest position, rad or m.
     pub lowest: f64,
-    /// Its highest, rad or m.
+    /// Highest position, rad or m.
     pub highest: f64,
-    /// Share of its range that it visited: of its limits, of a turn where it has none and turns;
-    /// `None` where it slides without limits.
+    /// Visited share of the joint limits, or of a full turn without limits. `None` for a prismatic joint
+    /// without limits.
     pub visited: Option<f64>,
 }
 
 impl JointSpan {
-    /// The span of these positions, rad or m; `None` where none is finite.
+    /// Span of these positions, rad or m. `None` if none is finite.
     pub fn of(positions: &[f64], kind: JointKind, limits: &Limits) -> Option<Self> {
         let finite = || positions.iter().copied().filter(|position| position.is_finite());
         let none = (f64::INFINITY, f64::NEG_INFINITY);
@@ -50,7 +49,7 @@ impl JointSpan {
             for position in finite() {
                 let share = (position - lower) / width;
                 let share = match wraps {
-                    // The remainder of one turn is slow, and hardly ever more than one is off.
+                    // Avoids the slow remainder in the usual cases.
                     true if (0.0..1.0).contains(&share) => share,
                     true if (-1.0..0.0).contains(&share) => share + 1.0,
                     true => share.rem_euclid(1.0),
@@ -63,52 +62,52 @@ impl JointSpan {
         Some(Self { lowest, highest, visited })
     }
 
-    /// How far the joint moved, rad or m.
+    /// Travel of the joint, rad or m.
     pub fn width(&self) -> f64 {
         self.highest - self.lowest
     }
 }
 
-/// A cell of the reach map.
+/// Cell of the reach map.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Place {
-    /// Samples in it.
+    /// Number of samples.
     pub samples: usize,
-    /// How long the tip was in it, s.
+    /// Dwell time of the tip, s.
     pub dwell_s: f64,
-    /// Orientations in it that are [`APART_RAD`] apart.
+    /// Number of orientations at least [`APART_RAD`] apart.
     pub orientations: usize,
-    /// The poses reached in it; indices into [`Workspace::poses`].
+    /// Poses reached; indices into [`Workspace::poses`].
     pub poses: Vec<usize>,
 }
 
-/// A pose that the tip reached, the first time that it did.
+/// Pose of the tip when it was first reached.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReachedPose {
-    /// When, s from the run's origin.
+    /// Time, s from the run's origin.
     pub t_s: f64,
-    /// `base_from_tip` by forward kinematics of the joint states as recorded.
+    /// `base_from_tip` by FK of the recorded joint states.
     pub base_from_tip: Pose,
-    /// The positions of the chain's joints, rad or m.
+    /// Joint positions of the chain, rad or m.
     pub q: Vec<f64>,
-    /// Samples of this pose and these joints.
+    /// Number of samples with this pose and configuration.
     pub samples: usize,
 }
 
-/// The places and poses that the tip of a chain reached.
+/// Cells and poses reached by the tip of a chain.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Workspace {
-    /// The cells that it reached, by their numbers along x, y and z of the base: cell `i` lies from
-    /// `i · CELL_M` to `(i + 1) · CELL_M`.
+    /// Reached cells by their indices along x, y and z of the base. Cell `i` extends from `i · CELL_M` to
+    /// `(i + 1) · CELL_M`.
     pub places: BTreeMap<[i32; 3], Place>,
-    /// The different poses, and ways to reach them, in the order of time: of those in one cell each is
-    /// [`APART_RAD`] turned from every other, or reached with a joint [`JOINT_APART`] away.
+    /// Distinct poses and configurations in order of time. Within a cell they differ by [`APART_RAD`] in
+    /// orientation or by [`JOINT_APART`] in a joint.
     pub poses: Vec<ReachedPose>,
 }
 
 impl Workspace {
-    /// What the tip of `chain` reached at these times, s, with these positions of its joints, rad or
-    /// m. Samples that are not finite are passed over.
+    /// Workspace of `chain`'s tip from times, s, and joint positions, rad or m. Skips samples that are not
+    /// finite.
     pub fn of(chain: &Chain, samples: impl Iterator<Item = (f64, Vec<f64>)>) -> Self {
         let mut workspace = Self::default();
         let mut last: Option<(f64, [i32; 3])> = None;
@@ -156,17 +155,17 @@ impl Workspace {
 }
 
 fn cell_of(xyz: Vec3) -> [i32; 3] {
-    // Beyond what an `i32` holds, `as` saturates.
+    // `as` saturates beyond the range of `i32`.
     [xyz.x, xyz.y, xyz.z].map(|part| (part / CELL_M).floor() as i32)
 }
 
-/// The centre of a cell in the base, m.
+/// Centre of a cell in the base, m.
 pub fn centre_m(cell: [i32; 3]) -> [f64; 3] {
     cell.map(|number| (f64::from(number) + 0.5) * CELL_M)
 }
 
-/// The least and the greatest distance of the tip from the base at these joint positions, m; `None`
-/// of none.
+/// Smallest and largest distance of the tip from the base over these joint positions, m. `None` if there
+/// are none.
 pub fn reach_m(chain: &Chain, rows: impl Iterator<Item = Vec<f64>>) -> Option<(f64, f64)> {
     let distances = rows.map(|q| chain.forward(&q).translation.vector.norm());
     distances.filter(|distance| distance.is_finite()).fold(None, |ends, distance| {
@@ -190,7 +189,7 @@ mod tests {
         let span = JointSpan::of(&sweep, JointKind::Revolute, &limits(-1.0, 1.0)).unwrap();
         assert!((span.width() - 1.0).abs() < 1e-12 && (span.lowest + 0.5).abs() < 1e-12);
         assert!((span.visited.unwrap() - 0.5).abs() < 2.0 / PARTS as f64, "{span:?}");
-        // Three turns of a joint that goes round for ever visit all of one.
+        // Three turns of a continuous joint visit the full turn.
         let turns: Vec<f64> = (0..3000).map(|k| f64::from(k) * 3.0 * TAU / 3000.0).collect();
         let span = JointSpan::of(&turns, JointKind::Continuous, &Limits::default()).unwrap();
         assert_eq!(span.visited, Some(1.0));
@@ -210,7 +209,7 @@ mod tests {
             q[joint] += by;
             q
         };
-        // The last joint turns the tip on the spot; a whole turn of it is another way to a pose.
+        // The last joint rotates the tip in place; a full turn of it is a different configuration.
         let samples = [
             (0.0, home.clone()),
             (0.5, turned(5, 0.01)),
@@ -223,7 +222,7 @@ mod tests {
         let tip = chain.forward(&home).translation.vector;
         let place = &workspace.places[&cell_of(tip)];
         assert_eq!((place.samples, place.orientations, place.poses.len()), (4, 2, 3));
-        // The last of its samples holds for a second of the 7.5 s.
+        // The last sample lasts one of its 7.5 s.
         assert!((place.dwell_s - 2.5).abs() < 1e-12);
         assert_eq!(workspace.poses[0].samples, 2);
         let centre = centre_m(cell_of(tip));

@@ -2,7 +2,7 @@ use super::*;
 
 const RATE_HZ: f64 = 125.0;
 
-/// Noise between ±1 that has no pattern; its deviation is 1/√3.
+/// Hash noise in ±1 with standard deviation 1/√3.
 fn noise(row: usize) -> f64 {
     let hash = (row as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     let hash = (hash ^ (hash >> 31)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -13,7 +13,7 @@ fn times() -> Vec<f64> {
     (0..1000).map(|row| row as f64 / RATE_HZ).collect()
 }
 
-/// At 1 rad/s for 4 s, then to rest at `acceleration`.
+/// Position and velocity of a move at 1 rad/s that brakes at t = 4 s with `acceleration`.
 fn stop(t: f64, acceleration: f64) -> (f64, f64) {
     let (end, length) = (4.0, 1.0 / acceleration);
     match t - end {
@@ -44,7 +44,7 @@ fn noise_does_not_feign_a_stop() {
         let q: Vec<f64> = (0..t_s.len()).map(at).collect();
         let found = abruptness(&t_s, &q, Series::Positions, 0.0).expect("even samples");
         assert!(found.acceleration - found.noise < 0.5, "{size}: {found:?}");
-        // 1e-2/√3 rad at 125 Hz hide 20 rad/s² over 0.1 s, 1e-5/√3 do not.
+        // 1e-2/√3 rad at 125 Hz hides 20 rad/s² over 0.1 s; 1e-5/√3 does not.
         assert_eq!(found.resolved < 20.0, size < 1e-4, "{found:?}");
     }
 }
@@ -61,7 +61,7 @@ fn steps_of_an_encoder_do_not_feign_a_stop() {
 
 #[test]
 fn noise_that_grows_with_speed_does_not_feign_a_stop() {
-    // Samples that are taken up to 0.2 ms beside their stamps, of a joint that swings fast once.
+    // Samples are up to 0.2 ms off their stamps, and the joint swings fast once.
     let t_s: Vec<f64> = (0..12_500).map(|row| row as f64 / 500.0).collect();
     let angle =
         |t: f64| 1.2 * (2.0 * t).sin() + 0.2 * (-(t - 12.0).powi(2)).exp() * (8.0 * t).sin();

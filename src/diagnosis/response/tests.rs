@@ -2,7 +2,7 @@ use super::*;
 
 const PERIOD_S: f64 = 0.008;
 
-/// Motion that starts, stops and does not repeat itself, at `t` s.
+/// Non-periodic motion at time `t`, s.
 fn motion(t: f64) -> f64 {
     (1.1 * t).sin() + 0.6 * (2.3 * t + 0.4).sin() + 0.3 * (4.7 * t).cos()
 }
@@ -11,7 +11,7 @@ fn times() -> Vec<f64> {
     (0..2500).map(|row| f64::from(row) * PERIOD_S).collect()
 }
 
-/// How what `done` makes of the time follows what was commanded.
+/// Fits the response `done` to the commanded motion.
 fn followed(done: impl Fn(f64) -> f64) -> Result<Response, Unseen> {
     let t_s = times();
     let command = Curve::new(t_s.clone(), vec![t_s.iter().map(|&t| motion(t)).collect()]);
