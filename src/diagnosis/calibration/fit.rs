@@ -1,4 +1,4 @@
-//! Gauss–Newton from the drawing to the likeliest links.
+//! Gauss–Newton from the nominal model to the maximum of the posterior.
 
 use super::observed::untold;
 use super::parameters::Parameters;
@@ -13,51 +13,51 @@ use ground::geometry::{Pose, Vec3};
 use ground::robot::{Chain, LinkPath, Robot};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
-/// Samples of a stream that are fitted at most: more tell nothing more about an arm.
+/// Maximum number of samples per stream. More do not improve the estimate.
 const SAMPLES: usize = 20_000;
-/// Stretches of a stream, and how many folds they make, each of which is foretold by the others.
+/// Number of blocks per stream, and of cross-validation folds.
 const STRETCHES: usize = 50;
 const FOLDS: usize = 5;
-/// Rounds of fitting, and how small a step ends them, in standard deviations.
+/// Maximum number of iterations, and the step, in standard deviations, that ends them.
 const ROUNDS: usize = 12;
 const SETTLED: f64 = 1e-3;
 
-/// Where the fit stands.
+/// Current estimate.
 #[derive(Clone)]
 pub(super) struct State {
-    /// All parameters; those of streams are what was added to where they began.
+    /// All parameters. Those of streams are relative to their initial values.
     pub values: DVector<f64>,
     /// Latency, reference and tool of each stream.
     pub streams: Vec<(f64, Pose, Pose)>,
 }
 
-/// A stream linearised, with weights by what is left of it.
+/// Linearised stream, with weights from its residuals.
 struct Piece {
     linear: Linear,
     weights: Vec<Weight>,
 }
 
 impl Piece {
-    /// The samples of a fold: every fifth stretch, from one or another on.
+    /// Samples of a fold: every fifth block, starting at block `fold`.
     fn fold(&self, fold: usize) -> Vec<usize> {
         let stretch = self.linear.len().div_ceil(STRETCHES).max(1);
         (0..self.linear.len()).filter(|at| (at / stretch) % FOLDS == fold).collect()
     }
 
-    /// That fold by itself.
+    /// Restricts the piece to one fold.
     fn part(&self, fold: usize) -> Self {
         let samples = self.fold(fold);
         let weights = self.weights.iter().map(|weight| weight.part(&samples)).collect();
         Self { linear: self.linear.part(&samples), weights }
     }
 
-    /// What is left by kind after a step of its own parameters.
+    /// Residuals by kind after a step of the stream's parameters.
     fn after(&self, step: &DVector<f64>) -> Vec<Vec<[f64; 3]>> {
         self.linear.after(step.as_slice())
     }
 }
 
-/// A stream with what does not change from round to round.
+/// Stream with the data that are constant over the iterations.
 struct Source<'a> {
     stream: &'a CalibrationStream<'a>,
     xyz: Vec<Vec3>,
@@ -115,8 +115,8 @@ pub(super) fn fit(
     let (_, cholesky) = system.step(&whole, &state, link_m).ok_or(NoCalibration::Diverges)?;
     let prior = parameters.prior(link_m);
     let inverse = cholesky.inverse();
-    // What was fitted to a sample takes part of its noise: residuals are the smaller by the share of the
-    // numbers that it took, and scores by its square (MacKinnon and White 1985, HC3, on average).
+    // A fit absorbs part of each sample's noise. Residuals shrink by the share of fitted degrees of
+    // freedom, scores by its square (MacKinnon and White 1985, HC3, on average).
     let fitted = (&inverse * &whole.matrix).trace();
     let taken = (fitted / whole.independent.max(1.0)).clamp(0.0, 0.9);
     let scores = system.scores(&pieces) / (1.0 - taken).powi(2);
@@ -170,7 +170,7 @@ pub(super) fn fit(
     })
 }
 
-/// Root mean squares over some pieces of a stream, each by kind.
+/// Root mean square residual over some pieces of a stream, by kind.
 fn left(pieces: &[Vec<Vec<[f64; 3]>>]) -> LeftOver {
     let rms = |kind: usize| {
         let all = || pieces.iter().flat_map(|piece| &piece[kind]);
@@ -187,7 +187,7 @@ impl<'a> Source<'a> {
         Self { stream, xyz, stride, columns, still: vec![0.0; stream.joints.dof] }
     }
 
-    /// How far each joint of the chain moves while there are poses.
+    /// Range of each joint of the chain while poses are available.
     fn spans(&self) -> Vec<f64> {
         let t_s = &self.stream.t_s;
         let (Some(first), Some(last)) = (t_s.first(), t_s.last()) else { return Vec::new() };
@@ -223,7 +223,7 @@ impl<'a> Source<'a> {
     }
 }
 
-/// The equations of all streams of an arm.
+/// Equations of all streams of an arm.
 pub(super) struct System<'a> {
     pub robot: &'a Robot,
     pub path: &'a LinkPath,
@@ -232,21 +232,21 @@ pub(super) struct System<'a> {
 }
 
 impl System<'_> {
-    /// The robot with the links of `state` in it, and no zero.
+    /// Robot with the link deviations of `state`, without zeros.
     fn links_at(&self, state: &State) -> Robot {
         let deviations = self.parameters.deviations(state.values.as_slice());
         let deviations: Vec<Pose> = deviations.iter().map(|twist| pose_of_twist(twist)).collect();
         self.robot.deviated(self.path, &deviations, &[])
     }
 
-    /// The robot as `state` has it.
+    /// Robot with the link deviations and zeros of `state`.
     fn robot_at(&self, state: &State) -> Robot {
         let deviations = self.parameters.deviations(state.values.as_slice());
         let deviations: Vec<Pose> = deviations.iter().map(|twist| pose_of_twist(twist)).collect();
         self.robot.deviated(self.path, &deviations, &self.zeros(state))
     }
 
-    /// The zero of each joint of the chain.
+    /// Zero of each joint of the chain.
     fn zeros(&self, state: &State) -> Vec<f64> {
         let mut zeros = vec![0.0; self.path.axes.len()];
         for (at, &joint) in self.parameters.zeros.iter().enumerate() {
@@ -255,13 +255,13 @@ impl System<'_> {
         zeros
     }
 
-    /// The chain of stream `s`, of the links of `state`.
+    /// Chain of stream `s` with the link deviations of `state`.
     pub fn chain(&self, s: usize, state: &State) -> Option<Chain> {
         let stream = self.sources[s].stream;
         self.links_at(state).chain(stream.base, stream.tip).ok()
     }
 
-    /// All streams linearised about `state`, with weights by what is left there.
+    /// Linearises all streams about `state`, with weights from the residuals there.
     fn at(&self, state: &State, is_near: bool) -> Option<Vec<Piece>> {
         let robot = self.links_at(state);
         let zeros = self.zeros(state);
@@ -294,7 +294,7 @@ impl System<'_> {
         StreamState { reference, tool, skew, ..StreamState::at_latency(latency_s) }
     }
 
-    /// The normal equations of all streams.
+    /// Normal equations of all streams.
     fn normal(&self, pieces: &[Piece]) -> Normal {
         let mut normal = Normal::zeros(self.parameters.width());
         for (source, piece) in self.sources.iter().zip(pieces) {
@@ -309,7 +309,7 @@ impl System<'_> {
         normal
     }
 
-    /// The covariance of the scores, for a sandwich.
+    /// Covariance of the scores, for the sandwich estimator.
     fn scores(&self, pieces: &[Piece]) -> DMatrix<f64> {
         let mut all = DMatrix::zeros(self.parameters.width(), self.parameters.width());
         for (source, Piece { linear, weights }) in self.sources.iter().zip(pieces) {
@@ -322,17 +322,17 @@ impl System<'_> {
         all
     }
 
-    /// What was added to the parameters' beginnings, where a prior pulls them back to.
+    /// Deviation of the parameters from their prior means.
     fn beside_prior(&self, state: &State) -> DVector<f64> {
         let mut values = state.values.clone();
-        // Frames, latencies and zeros may be anything: their prior is wherever they stand.
+        // Frames, latencies and zeros have a flat prior, centred on the current value.
         values
             .rows_mut(self.parameters.links.len(), values.len() - self.parameters.links.len())
             .fill(0.0);
         values
     }
 
-    /// The step to the largest posterior where links are off by `link_m`, and the precision there.
+    /// Step to the maximum of the posterior for link deviations of size `link_m`, and the precision there.
     fn step(
         &self,
         normal: &Normal,
@@ -346,7 +346,7 @@ impl System<'_> {
         Some((cholesky.solve(&right), cholesky))
     }
 
-    /// The size of the links' deviations under which the logs are likeliest.
+    /// Size of the link deviations that maximises the marginal likelihood.
     fn best_link(&self, normal: &Normal, state: &State) -> f64 {
         let (least, most, times) = LINKS_M;
         let total = &normal.right + &normal.matrix * self.beside_prior(state);
@@ -366,8 +366,7 @@ impl System<'_> {
     }
 
     fn advance(&self, state: &mut State, step: &DVector<f64>) {
-        // Frames that are a little off and a little more are so by the sum, to the product of both:
-        // the next step makes up for it.
+        // Adding two frame errors neglects their product; the next iteration corrects it.
         state.values += step;
         for (s, (latency_s, reference, tool)) in state.streams.iter_mut().enumerate() {
             let own = self.parameters.own(s);
@@ -389,7 +388,7 @@ impl System<'_> {
         }
     }
 
-    /// The tip of stream `s` in the last link, which no joint moves.
+    /// Pose of stream `s`'s tip relative to the last joint.
     fn last_from_tip(&self, s: usize) -> Pose {
         let stream = self.sources[s].stream;
         let Ok(chain) = self.robot.chain(stream.base, stream.tip) else { return Pose::identity() };
@@ -398,8 +397,8 @@ impl System<'_> {
         frames.last().map_or_else(Pose::identity, |last| last.inv_mul(&chain.forward(&q)))
     }
 
-    /// What is left with the drawing's links once frames and latencies fit: of all, and of each fold when
-    /// they fit the others.
+    /// Residual with nominal links, after fitting frames and latencies: of all samples, and
+    /// cross-validated.
     fn with_drawing(&self, pieces: &[Piece]) -> Vec<(LeftOver, LeftOver)> {
         let own: Vec<usize> = (self.parameters.shared()..self.parameters.width()).collect();
         let none = DVector::zeros(self.parameters.width());
@@ -412,14 +411,14 @@ impl System<'_> {
         self.sources.iter().zip(pieces).zip(folds).map(of).collect()
     }
 
-    /// What is left of each fold, with everything fitted to the others.
+    /// Cross-validated residual, with all parameters fitted to the other folds.
     fn held_out(&self, pieces: &[Piece], state: &State, link_m: f64) -> Vec<LeftOver> {
         let none = || DVector::zeros(self.parameters.width());
         let of = |kept: &Normal| self.step(kept, state, link_m).map_or_else(none, |(step, _)| step);
         self.of_folds(pieces, of)
     }
 
-    /// What is left of each stream where each fold takes the step that the equations of all others give.
+    /// Residual of each stream, with each fold predicted by a step from the equations of the other folds.
     fn of_folds(&self, pieces: &[Piece], step: impl Fn(&Normal) -> DVector<f64>) -> Vec<LeftOver> {
         let whole = self.normal(pieces);
         let mut all: Vec<Vec<_>> = pieces.iter().map(|_| Vec::new()).collect();

@@ -1,11 +1,10 @@
-//! The arm itself: by how much each of its links differs from the drawing, as far as logs tell.
+//! Kinematic calibration: estimates the deviation of each link from the nominal model.
 //!
-//! The six deviations of every link have a prior N(0, s²), lengths to angles as 1 mm to 0.1°, and s is
-//! the one under which the logs are likeliest, as for the zeros of [`crate::drawing`]. Gauss–Newton
-//! goes from the drawing to where the posterior is largest, with weights that are robust against
-//! outliers and count for correlation. Covariances are sandwiches (White 1980) with the prior in them.
-//! Kinematic calibration: Hollerbach, Khalil, Gautier, *Model Identification*, in Springer Handbook of
-//! Robotics, 2016, ch. 6.
+//! The six deviations of every link have a prior N(0, s²), with 0.1° per mm; s maximises the marginal
+//! likelihood, as for the zeros in [`crate::drawing`]. Gauss–Newton starts at the nominal model and
+//! maximises the posterior. Its weights are robust against outliers and account for autocorrelation.
+//! Covariances are sandwich estimates (White 1980) that include the prior. Reference: Hollerbach, Khalil,
+//! Gautier, *Model Identification*, in Springer Handbook of Robotics, 2016, ch. 6.
 
 mod fit;
 mod observed;
@@ -20,158 +19,157 @@ use ground::robot::{LinkId, Robot};
 use ground::stream::JointTrack;
 use nalgebra::DMatrix;
 
-/// A stream of poses that an arm is calibrated by.
+/// Pose stream used for the calibration.
 #[derive(Clone, Debug)]
 pub struct CalibrationStream<'a> {
-    /// The joint states, read rightly, with no zero taken off.
+    /// Joint states with the encoding corrected, without zero correction.
     pub joints: &'a JointTrack,
-    /// For each joint of the chain, its column in them.
+    /// Column of each joint of the chain.
     pub columns: Vec<usize>,
-    /// The link that poses are in, or stand in for where the reference is free.
+    /// Reference link of the poses, or its nominal counterpart if the reference is free.
     pub base: LinkId,
-    /// The link whose poses they are, up to the tool.
+    /// Link whose poses are measured, apart from the tool.
     pub tip: LinkId,
     /// Stamps, s.
     pub t_s: Vec<f64>,
-    /// The poses, read rightly.
+    /// Poses with the encoding corrected.
     pub poses: Vec<Pose>,
-    /// Which coordinates say nothing.
+    /// Coordinates without information.
     pub blind: [bool; 3],
-    /// Whether the rotations say nothing.
+    /// Whether the rotations carry no information.
     pub rotation_is_blind: bool,
-    /// The latency, s; known where it is not free.
+    /// Latency, s: known, or the initial value if it is free.
     pub latency_s: f64,
     /// Whether the latency is estimated.
     pub latency_is_free: bool,
-    /// By how much the latency grows, s/s, about the middle of the stream.
+    /// Growth of the latency about the middle of the stream, s/s.
     pub skew: f64,
-    /// `stream_from_base`, to begin with where it is free.
+    /// `stream_from_base`: known, or the initial value if it is free.
     pub reference: Pose,
-    /// Whether the base may be anywhere in the stream's frame.
+    /// Whether the base frame is estimated.
     pub reference_is_free: bool,
-    /// `tip_from_tool`, to begin with where it is free.
+    /// `tip_from_tool`: known, or the initial value if it is free.
     pub tool: Pose,
-    /// Whether the tool may be anything.
+    /// Whether the tool frame is estimated.
     pub tool_is_free: bool,
 }
 
-/// A number of a link's deviation: along or about a direction in its frame.
+/// Component of a link's deviation along or about a direction in its frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinkParameter {
-    /// The link, as [`ground::robot::LinkPath`] numbers them.
+    /// Index of the link in [`ground::robot::LinkPath`].
     pub link: usize,
-    /// Whether it is a turn, rad, and not a shift, m.
+    /// Whether it is a rotation, rad, rather than a translation, m.
     pub turns: bool,
-    /// A unit vector in the link's frame.
+    /// Unit vector in the link's frame.
     pub direction: [f64; 3],
 }
 
-/// What is left of poses: rms.
+/// Rms residual of poses.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LeftOver {
-    /// Of positions, m.
+    /// Positions, m.
     pub m: f64,
-    /// Of rotations, rad.
+    /// Rotations, rad.
     pub rad: f64,
 }
 
-/// What a calibration leaves of a stream, and what the drawing did.
+/// Residuals of a stream before and after calibration.
 #[derive(Clone, Debug)]
 pub struct StreamCalibration {
-    /// Samples that were used.
+    /// Number of samples used.
     pub samples: usize,
-    /// Latency, s, where it was estimated.
+    /// Latency, s, if estimated.
     pub latency_s: Option<Measured>,
-    /// `stream_from_base`, where it was estimated.
+    /// `stream_from_base`, if estimated.
     pub reference: Option<Pose>,
-    /// `tip_from_tool`, where it was estimated.
+    /// `tip_from_tool`, if estimated.
     pub tool: Option<Pose>,
-    /// With the drawing's links, with everything else refitted.
+    /// Residual with nominal links, after fitting all other parameters.
     pub before: LeftOver,
-    /// With the calibrated links.
+    /// Residual with calibrated links.
     pub after: LeftOver,
-    /// With the drawing's links: of every fifth stretch, foretold by the others, for all five.
+    /// Cross-validated residual with nominal links, over five folds of contiguous blocks.
     pub held_out_before: LeftOver,
-    /// With links that were calibrated without the stretches that they foretell, likewise.
+    /// Cross-validated residual with calibrated links, over the same folds.
     pub held_out_after: LeftOver,
-    /// The noise of positions, m, and of rotations, rad, a component.
+    /// Noise per component of positions, m, and rotations, rad.
     pub noise: [f64; 2],
-    /// What correlation from sample to sample makes of the variance of a mean.
+    /// Factor by which autocorrelation inflates the variance of a mean.
     pub inflation: [f64; 2],
-    /// How far each joint of the chain moved, rad or m.
+    /// Range of each joint of the chain, rad or m.
     pub spans: Vec<f64>,
 }
 
-/// A direction of the links' parameters that the logs do not tell from the drawing.
+/// Direction of the link parameters that the logs do not determine.
 #[derive(Clone, Debug)]
 pub struct Untold {
-    /// The parameters that it is made of, each with its share of the direction (a unit vector of
-    /// parameters by their prior), the largest first.
+    /// Parameters with their components of the direction (a unit vector, scaled by the prior), largest
+    /// first.
     pub parts: Vec<(usize, f64)>,
-    /// How much narrower than before it is known: 1 is no narrower.
+    /// Ratio of posterior to prior variance: 1 if nothing was learned.
     pub share: f64,
-    /// By how much what is unknown of it moves the tip over the workspace, rms m.
+    /// Tip displacement over the workspace by the remaining uncertainty, rms m.
     pub effect_m: f64,
 }
 
-/// By how much FK is off over the whole workspace, up to constant frames that are free: rms.
+/// Rms error of FK over the whole workspace, up to free constant frames.
 pub type Uncertainty = LeftOver;
 
-/// An arm as logs tell it.
+/// Calibrated arm.
 #[derive(Clone, Debug)]
 pub struct ArmCalibration {
-    /// The model with the deviations in it.
+    /// Robot model with the deviations.
     pub robot: Robot,
-    /// The names of the links whose deviations are estimated.
+    /// Names of the links with estimated deviations.
     pub links: Vec<String>,
-    /// By how much each of them deviates from the drawing, in its own frame: m, and a rotation vector
-    /// in rad.
+    /// Deviation of each link in its own frame: translation, m, and rotation vector, rad.
     pub deviations: Vec<[f64; 6]>,
-    /// By how much links deviate, as a standard deviation, m; 0.1° to 1 mm.
+    /// Standard deviation of the link deviations, m (and 0.1° per mm).
     pub link_m: f64,
-    /// The numbers that were estimated of the links.
+    /// Estimated link parameters.
     pub parameters: Vec<LinkParameter>,
-    /// The joints of the chain whose zero was free, as they stand in it; after the links' numbers.
+    /// Joints of the chain with a free zero. Their values follow those of the links.
     pub zeros: Vec<usize>,
-    /// Their values: first the links', then the zeros', m and rad.
+    /// Estimates: link parameters, then zeros, m and rad.
     pub values: Vec<f64>,
-    /// The covariance of the values.
+    /// Covariance of the values.
     pub covariance: DMatrix<f64>,
-    /// Degrees of freedom behind the noise.
+    /// Degrees of freedom of the noise.
     pub dof: f64,
-    /// What became of each stream.
+    /// Results for each stream.
     pub streams: Vec<StreamCalibration>,
-    /// What the logs do not tell.
+    /// Directions that the logs do not determine.
     pub untold: Vec<Untold>,
-    /// How far the last round of fitting moved the numbers, rms standard deviations; none where they settled.
+    /// Last step of the iteration, rms in standard deviations. `None` if it converged.
     pub unsettled: Option<f64>,
-    /// How well FK of the robot is known over the whole workspace.
+    /// Uncertainty of the calibrated FK over the whole workspace.
     pub expected: Uncertainty,
-    /// How well FK of the drawing is, by the size of the deviations.
+    /// Uncertainty of the nominal FK, from the size of the deviations.
     pub drawing: Uncertainty,
 }
 
-/// Why there is no calibration.
+/// Reason why a calibration is not possible.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NoCalibration {
-    /// The chain leads over a joint from child to parent, or over one that mimics another.
+    /// The chain passes a joint from child to parent, or a mimic joint.
     Chain,
-    /// The streams are of chains with other joints.
+    /// The streams have chains with different joints.
     OtherJoints,
     /// Too few samples.
     TooFewSamples,
-    /// The numbers do not settle.
+    /// The iteration diverges.
     Diverges,
 }
 
 impl ArmCalibration {
-    /// A value with its standard error.
+    /// Value with its standard error.
     pub fn value(&self, index: usize) -> Measured {
         let std_error = self.covariance[(index, index)].max(0.0).sqrt();
         Measured { value: self.values[index], std_error, dof: self.dof }
     }
 
-    /// The standard error of each number of a link's deviation; zero where it is fixed by convention.
+    /// Standard errors of a link's deviation; zero for components fixed by convention.
     pub fn std_errors(&self, link: usize) -> [f64; 6] {
         std::array::from_fn(|axis| {
             let (turns, axis) = (axis >= 3, axis % 3);
@@ -189,10 +187,10 @@ impl ArmCalibration {
     }
 }
 
-/// Calibrates `robot` by `streams`; the zeros of the joints `zeros` of the chain are whatever they are.
+/// Calibrates `robot` from `streams`. The zeros of the chain's joints `zeros` are free.
 ///
 /// # Errors
-/// Where the chain or the samples do not allow it.
+/// If the chain or the samples do not permit a calibration.
 pub fn calibrate_arm(
     robot: &Robot,
     streams: &[CalibrationStream],

@@ -1,16 +1,16 @@
-//! Which directions of the links the logs do not tell: those of which no more is known than before.
+//! Directions of the link parameters that the logs do not determine.
 
 use super::Untold;
 use super::parameters::Parameters;
 use super::workspace::Workspace;
 use nalgebra::{DMatrix, DVector};
 
-/// A direction is told where its variance is less than this share of what it was before.
+/// A direction is determined if its variance is below this share of its prior variance.
 const TOLD: f64 = 0.5;
-/// Parameters that make up less than this of a direction are left out of it.
+/// Parameters with a smaller component in a direction are omitted from its description.
 const PART: f64 = 0.3;
 
-/// The directions that `information` does not tell, the least told first.
+/// Directions not determined by `information`, the least determined first.
 pub(super) fn untold(
     information: &DMatrix<f64>,
     parameters: &Parameters,
@@ -21,7 +21,7 @@ pub(super) fn untold(
     let prior = parameters.prior(link_m);
     let mut of_links = information.view((0, 0), (links, links)).into_owned();
     if all > links {
-        // What the rest takes for itself says nothing of the links.
+        // Marginalise over the other parameters.
         let mut rest = information.view((links, links), (all - links, all - links)).into_owned();
         (0..all - links).for_each(|i| rest[(i, i)] += prior[links + i]);
         let both = information.view((0, links), (links, all - links));

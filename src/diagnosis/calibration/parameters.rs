@@ -1,34 +1,34 @@
-//! Which numbers a calibration estimates, and what is fixed by convention because no log can tell it.
+//! Parameters of a calibration, and the gauge that fixes unobservable ones.
 //!
-//! What a joint turns about or slides along may stand before the joint or after it, and no pose tells
-//! which: a turn about and a shift along a turning joint's axis, all shifts and the turn about a
-//! sliding joint's. They stand before it, in the origin of that joint. So 4n + 6 numbers are left of
-//! n turning joints, as many as there are (Everett, Driels and Mooring, *Kinematic modelling for robot
-//! calibration*, ICRA 1987).
+//! A deviation along or about a joint's axis has the same effect before and after the joint. This concerns
+//! rotation and translation along a revolute joint's axis, and all translations and the rotation about a
+//! prismatic joint's. By convention it is assigned to the frame before the joint, its origin. The result is
+//! the minimal set of 4n + 6 parameters for n revolute joints (Everett, Driels and Mooring, *Kinematic
+//! modelling for robot calibration*, ICRA 1987).
 
 use super::{CalibrationStream, LinkParameter};
 use ground::geometry::{Pose, Vec3};
 use ground::robot::LinkPath;
 use nalgebra::{DMatrix, DVector};
 
-/// The angle that a link is off where it is off by a length, rad/m: 0.1° to 1 mm.
+/// Ratio of angular to linear link deviations, rad/m: 0.1° per mm.
 pub(super) use crate::drawing::RAD_PER_M;
 use crate::nominal::ANYTHING;
 
-/// The parameters of all streams of one arm: links and zeros first, which they share.
+/// Parameters of all streams of one arm. Links and zeros, which are shared, come first.
 pub(super) struct Parameters {
-    /// What each of the links' parameters is.
+    /// Link parameters.
     pub links: Vec<LinkParameter>,
-    /// The joints of the chain whose zero is free.
+    /// Joints of the chain with a free zero.
     pub zeros: Vec<usize>,
-    /// Where the own parameters of each stream begin, and the end of the last.
+    /// Index of the first parameter of each stream, followed by the total number.
     starts: Vec<usize>,
     joints: usize,
     own: Vec<Own>,
     base_from_first: Vec<Pose>,
 }
 
-/// Which of a stream's own parameters are free.
+/// Free parameters of a stream.
 #[derive(Clone, Copy)]
 pub(super) struct Own {
     pub latency: bool,
@@ -87,7 +87,7 @@ impl Parameters {
         self.starts[self.starts.len() - 1]
     }
 
-    /// How many of them the streams share.
+    /// Number of shared parameters.
     pub fn shared(&self) -> usize {
         self.starts[0]
     }
@@ -96,7 +96,7 @@ impl Parameters {
         self.own[stream]
     }
 
-    /// The precision of each parameter before the log is known, where links are off by `link_m`.
+    /// Prior precision of each parameter, for link deviations of size `link_m`.
     pub fn prior(&self, link_m: f64) -> Vec<f64> {
         let links = self.links.iter().map(|one| match one.turns {
             true => (RAD_PER_M * link_m).powi(-2),
@@ -106,8 +106,8 @@ impl Parameters {
         links.chain(std::iter::repeat_n(ANYTHING.powi(-2), rest)).collect()
     }
 
-    /// The covariance of the shared parameters of a drawing from which links are off by `link_m`, zeros
-    /// as any angle of theirs.
+    /// Prior covariance of the shared parameters of a nominal model with link deviations of size `link_m`.
+    /// Zeros have the prior of link angles.
     pub fn of_drawing(&self, link_m: f64) -> DMatrix<f64> {
         let mut precision = self.prior(link_m);
         precision.truncate(self.shared());
@@ -115,8 +115,8 @@ impl Parameters {
         DMatrix::from_diagonal(&DVector::from_vec(precision).map(f64::recip))
     }
 
-    /// What each parameter changes of the columns of [`crate::nominal::link_frames`] of a stream: its
-    /// reference, each child link of a joint, the latency, the zeros.
+    /// Mapping from the parameters to the columns of [`crate::nominal::link_frames`] for a stream: its
+    /// reference, each joint's child link, the latency, the zeros.
     pub fn columns_of(&self, stream: usize) -> DMatrix<f64> {
         let own = self.own[stream];
         let mut columns =
@@ -137,7 +137,7 @@ impl Parameters {
         columns
     }
 
-    /// The same of the parameters that streams share, in frames that are known.
+    /// The same mapping for the shared parameters only, with known frames.
     pub fn shared_columns(&self, stream: usize) -> DMatrix<f64> {
         self.shared_columns_where(stream, Own { latency: false, reference: false, tool: false })
     }
@@ -154,7 +154,8 @@ impl Parameters {
             let (shift, turn) = match one.link {
                 0 if own.reference => continue,
                 0 => {
-                    // The columns are about the stream's reference, the link's own frame is fixed in it.
+                    // The columns are derivatives at the stream's reference; transform the link's frame to
+                    // it.
                     let frame = &self.base_from_first[stream];
                     let turn = frame.rotation * turn;
                     (frame.rotation * shift + frame.translation.vector.cross(&turn), turn)
@@ -173,7 +174,7 @@ impl Parameters {
         columns
     }
 
-    /// The deviation of each link, of all parameters: translation in m, rotation vector in rad.
+    /// Deviation of each link: translation in m, rotation vector in rad.
     pub fn deviations(&self, values: &[f64]) -> Vec<[f64; 6]> {
         let mut all = vec![[0.0; 6]; self.joints + 1];
         for (one, value) in self.links.iter().zip(values) {
@@ -185,14 +186,14 @@ impl Parameters {
         all
     }
 
-    /// The parameters of a stream's own among all of them.
+    /// Indices of a stream's own parameters.
     pub fn of_stream(&self, stream: usize) -> std::ops::Range<usize> {
         self.starts[stream]..self.starts[stream + 1]
     }
 }
 
-/// The directions in which the frame of `link` may be off so that poses tell it from a deviation before
-/// its joint: unit vectors in the link.
+/// Unit vectors in the frame of `link` along which its deviation is distinguishable from one before its
+/// joint.
 pub(super) fn told(path: &LinkPath, link: usize, turns: bool) -> Vec<Vec3> {
     let all = || (0..3).map(|axis| Vec3::ith(axis, 1.0)).collect();
     if link == 0 {

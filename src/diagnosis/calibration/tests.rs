@@ -1,4 +1,4 @@
-//! Arms whose links are off by known amounts, and what is found of them.
+//! Calibration of arms with known link deviations.
 
 use super::*;
 use ground::geometry::{Vec3, angle_between, pose, rotation_from_rotvec};
@@ -25,11 +25,11 @@ impl Normal {
     }
 }
 
-/// An arm that is not its drawing, and a log of it.
+/// Arm that deviates from its nominal model, and a log of it.
 struct Case {
     drawing: Robot,
     truth: Robot,
-    /// What its links are off, as the parameters are numbered.
+    /// Link deviations, in the order of the parameters.
     values: Vec<f64>,
     base: LinkId,
     tip: LinkId,
@@ -39,8 +39,8 @@ struct Case {
 }
 
 impl Case {
-    /// `seconds` of a UR5e whose links are off by `link_m` and 0.1° to 1 mm, and whose joints swing by
-    /// `amplitude` each.
+    /// A UR5e over `seconds` with link deviations of `link_m` (and 0.1° per mm), whose joints oscillate by
+    /// `amplitude`.
     fn new(seed: u64, link_m: f64, seconds: f64, amplitude: [f64; 6]) -> Self {
         let mut normal = Normal(rand_pcg::Pcg64::seed_from_u64(seed));
         let drawing = catalogue::find("ur5e").expect("it is in the catalogue").clone();
@@ -116,7 +116,7 @@ impl Case {
         calibrate_arm(&self.drawing, &[self.stream()], &[]).expect("a calibration")
     }
 
-    /// The log with the base anywhere, and the tool anything.
+    /// The log with another base frame and another tool.
     fn elsewhere(&self, world: &Pose, tool: &Pose) -> CalibrationStream<'_> {
         CalibrationStream {
             poses: self.poses.iter().map(|pose| world * pose * tool).collect(),
@@ -129,7 +129,7 @@ impl Case {
     }
 }
 
-/// How far FK of two arms is apart over postures anywhere, rms m and rad.
+/// Rms difference of FK between two arms over the workspace, m and rad.
 fn apart(case: &Case, found: &Robot) -> (f64, f64) {
     let chains =
         [&case.truth, found].map(|robot| robot.chain(case.base, case.tip).expect("a chain"));
@@ -155,7 +155,7 @@ fn links_that_are_off_are_found_over_the_whole_workspace() {
         let (before_m, _) = apart(&case, &case.drawing);
         let (m, rad) = apart(&case, &found.robot);
         assert!(before_m > 1e-3 && m < 5e-6 && rad.to_degrees() < 0.001, "{before_m} {m} {rad}");
-        // What is foretold of the error is about what it is.
+        // The predicted error matches the actual one.
         assert!(
             m < 2.5 * found.expected.m && m > 0.3 * found.expected.m,
             "{m} {:?}",
@@ -183,7 +183,7 @@ fn intervals_hold_the_truth_as_often_as_they_say() {
             parameters_inside += usize::from((low..=high).contains(truth));
             parameters += 1;
         }
-        // Combinations that poses tell: FK at postures anywhere.
+        // Observable combinations: FK over the workspace.
         for k in 0..20 {
             let q: Vec<f64> = (0..6)
                 .map(|joint| 2.9 * (f64::from(k) * 0.7 + 1.9 * f64::from(joint)).sin())
@@ -202,7 +202,7 @@ fn intervals_hold_the_truth_as_often_as_they_say() {
     assert!((0.92..=0.98).contains(&of_parameters), "{share} {of_parameters}");
 }
 
-/// The standard error of the tip's position at `q`, by differences.
+/// Standard error of the tip position at `q`, by finite differences.
 fn spread_at(case: &Case, found: &ArmCalibration, q: &[f64]) -> [f64; 3] {
     const STEP: f64 = 1e-6;
     let path = case.drawing.link_path(case.base, case.tip).expect("a path");
@@ -247,7 +247,7 @@ fn another_place_of_the_base_and_another_tool_change_no_link() {
     for (at, ((x, y), z)) in a.values.iter().zip(&b.values).zip(&c.values).enumerate() {
         let spread = a.value(at).std_error;
         assert!((x - y).abs() < 0.02 * spread, "{at}: {x} {y} {spread}");
-        // On another tool the noise of rotations has another lever.
+        // With another tool, rotation noise acts on another lever.
         assert!((x - z).abs() < spread, "{at}: {x} {z} {spread}");
     }
 }

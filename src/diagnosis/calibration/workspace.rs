@@ -1,4 +1,4 @@
-//! What deviations of links do to the tip over the whole workspace, wherever the log's arm moved.
+//! Effect of link deviations on the tip over the whole workspace, independent of the logged motion.
 
 use super::Uncertainty;
 use super::fit::{State, System};
@@ -10,13 +10,13 @@ use ground::stream::JointTrack;
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
 
-/// Postures that stand for the workspace.
+/// Number of random configurations that sample the workspace.
 const POSTURES: usize = 300;
 
-/// How the shared parameters move the tip at postures anywhere within the joints' limits, with what
-/// constant frames that are free make up for taken off.
+/// Sensitivity of the tip to the shared parameters at configurations within the joint limits, after
+/// projecting out free constant frames.
 pub(super) struct Workspace {
-    /// Six rows a posture: position in m, rotation in rad.
+    /// Six rows per configuration: position in m, rotation in rad.
     effects: DMatrix<f64>,
 }
 
@@ -69,7 +69,7 @@ impl Workspace {
         Self { effects }
     }
 
-    /// How uncertain the tip is where the shared parameters have this covariance.
+    /// Uncertainty of the tip for a given covariance of the shared parameters.
     pub fn uncertainty(&self, covariance: &DMatrix<f64>) -> Uncertainty {
         let spread = &self.effects * covariance;
         let (mut m, mut rad) = (0.0, 0.0);
@@ -81,13 +81,13 @@ impl Workspace {
         Uncertainty { m: (m / postures).sqrt(), rad: (rad / postures).sqrt() }
     }
 
-    /// By how much a change of the shared parameters moves the tip, rms m.
+    /// Displacement of the tip by a change of the shared parameters, rms m.
     pub fn effect_m(&self, change: &DVector<f64>) -> f64 {
         self.uncertainty(&(change * change.transpose())).m
     }
 }
 
-/// Postures all over the joints' ranges, the same for every call, each at rest.
+/// Random configurations over the joint ranges, at rest, with a fixed seed.
 fn postures(chain: &Chain) -> JointTrack {
     let mut rng = rand_pcg::Pcg64::seed_from_u64(24);
     let range = |(limits, kind): (&Limits, &JointKind)| {

@@ -1,4 +1,4 @@
-//! How far the chain is from closing, pose by pose, and by how much that is more than noise.
+//! Closure error of each pose, and its excess over the noise.
 
 use super::fit::Fit;
 use super::series::Setting;
@@ -7,10 +7,10 @@ use ground::geometry::Vec3;
 use ground::stats::Measured;
 use ground::stats::median;
 
-/// Blocks over which the excess over noise is judged.
+/// Number of blocks for the standard error of the excess.
 const BLOCKS: usize = 12;
 
-/// The closure of every pose of `setting`; `None` where there are fewer than [`FEWEST`].
+/// Closure errors of all poses of `setting`. `None` for fewer than [`FEWEST`] poses.
 pub(super) fn closure(setting: &Setting, fit: &Fit) -> Option<Closure> {
     let left: Vec<(f64, [Vec3; 2])> = setting
         .targets
@@ -48,8 +48,8 @@ fn rms(vectors: &[Vec3]) -> f64 {
     (vectors.iter().map(Vec3::norm_squared).sum::<f64>() / vectors.len().max(1) as f64).sqrt()
 }
 
-/// Root mean square beyond the noise from one vector to the next (half the mean square of successive
-/// differences, von Neumann 1941), with the error that the spread over blocks gives it.
+/// Root mean square in excess of the sample-to-sample noise (half the mean squared successive difference,
+/// von Neumann 1941), with a standard error from the spread over blocks.
 fn excess(vectors: &[Vec3]) -> Measured {
     let size = (vectors.len() / BLOCKS).max(3);
     let beyond: Vec<f64> = vectors
@@ -68,7 +68,7 @@ fn excess(vectors: &[Vec3]) -> Measured {
     let spread = beyond.iter().map(|one| (one - mean).powi(2)).sum::<f64>() / (n - 1.0);
     let mean_error = (spread / n).sqrt();
     let value = mean.max(0.0).sqrt();
-    // d(√x) = dx / 2√x, and near zero no more than √dx.
+    // d(√x) = dx / 2√x, bounded by √dx near zero.
     let std_error = (mean_error / (2.0 * value).max(mean_error.sqrt()).max(1e-12)).max(1e-9);
     Measured { value, std_error, dof: n - 1.0 }
 }

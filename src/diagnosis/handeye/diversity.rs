@@ -1,17 +1,17 @@
-//! By how much a hand turns, and about how many axes.
+//! Rotation of the hand and the diversity of its rotation axes.
 
 use super::Diversity;
 use super::series::Setting;
 use ground::geometry::{Rotation, Vec3, rotvec_from_rotation};
 use nalgebra::Matrix3;
 
-/// Orientations that are held against each other.
+/// Number of orientations compared in pairs.
 const POSES: usize = 120;
-/// A turn of more than this has an axis worth counting, rad.
+/// Minimum rotation whose axis is counted, rad.
 const CLEAR_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
 
-/// The diversity of the hand's rotations while the target is seen; `setting` has the camera in the
-/// hand.
+/// Diversity of the hand's rotations while the target is visible. Expects a `setting` with the camera in
+/// the hand.
 pub(super) fn diversity(setting: &Setting, lag_s: f64) -> Diversity {
     let pairs = setting.pairs_at(lag_s, POSES);
     let hands: Vec<Rotation> = pairs.iter().map(|pair| pair.carrier.rotation).collect();
@@ -22,7 +22,7 @@ pub(super) fn diversity(setting: &Setting, lag_s: f64) -> Diversity {
         .map(|turn| rotvec_from_rotation(&turn))
         .collect();
     let span_rad = turns.iter().map(Vec3::norm).fold(0.0, f64::max);
-    // A turn counts by its size, so that noise between like orientations does not.
+    // Weighted by angle, so noise between similar orientations has little effect.
     let scatter: Matrix3<f64> = turns.iter().map(|turn| turn * turn.transpose()).sum();
     let eigen = scatter.symmetric_eigen();
     let axis: Vec3 = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into();
@@ -34,7 +34,7 @@ pub(super) fn diversity(setting: &Setting, lag_s: f64) -> Diversity {
         .collect();
     leans.sort_by(f64::total_cmp);
     let spread_rad = leans.get(leans.len() * 19 / 20).copied().unwrap_or_default();
-    // Of orientations about a mean, the mean square of a difference is twice that from the mean.
+    // The mean squared difference of two orientations is twice their variance.
     let squares: f64 = turns.iter().map(Vec3::norm_squared).sum();
     let turning_rad = (0.5 * squares / turns.len().max(1) as f64).sqrt();
     Diversity { span_rad, turning_rad, spread_rad, axis_in_hand: axis.into() }

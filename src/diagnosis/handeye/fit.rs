@@ -1,7 +1,7 @@
-//! The camera's pose, the constant and the time offset together, by Gauss–Newton on robust weights.
+//! Joint estimate of camera pose, constant and time offset by Gauss–Newton with robust weights.
 //!
-//! What is predicted is what the camera sees: `camera_from_target = (carrier · X)⁻¹ · Y`. Its errors
-//! are the detector's own, so position and rotation are weighed by what each of them leaves.
+//! The residual is in the camera frame: `camera_from_target = (carrier · X)⁻¹ · Y`. Its noise is the
+//! detector's own, so position and rotation are weighted by their residuals.
 
 use super::super::linear::{Linear, Normal, Weight};
 use super::super::robust::sandwich;
@@ -13,45 +13,44 @@ use ground::stats::Measured;
 use ground::stats::median;
 use nalgebra::DMatrix;
 
-/// Parameters: `X` shifted and turned in the camera's axes, `Y` shifted and turned in its parent's,
-/// and the offset.
+/// Parameters: translation and rotation of `X` in camera axes, those of `Y` in its parent's axes, and the
+/// time offset.
 pub(in super::super) const WIDTH: usize = 13;
 const OFFSET: usize = 12;
 const FLOOR: [f64; 2] = [1e-6, 1e-6];
 const ROUNDS: usize = 25;
-/// A pose is an outlier that is off by so many standard deviations of the rest.
+/// Outlier threshold in standard deviations of the remaining poses.
 const FAR: f64 = 6.0;
-/// No more than this share of the poses are outliers: else nothing says which are.
+/// Maximum share of outliers. Beyond it, outliers cannot be separated from valid data.
 const MOST_OUTLIERS: f64 = 0.35;
 
-/// What the fit found.
+/// Result of the fit.
 pub(super) struct Fit {
     pub camera: Pose,
     pub constant: Pose,
     pub offset_s: Measured,
-    /// Standard deviation of position and rotation, in each direction, m and rad.
+    /// Standard deviation of position and rotation per component, m and rad.
     pub sigma: [f64; 2],
     covariance: DMatrix<f64>,
-    /// Which poses the fit rests on.
+    /// Poses used by the fit, without outliers.
     keep: Vec<bool>,
 }
 
-/// By what factors the positions of a target are too long, each estimated alone beside the pose of the
-/// camera, the constant and the offset.
+/// Scale factors of the target's positions, each estimated jointly with camera pose, constant and offset.
 #[derive(Clone, Copy, Debug)]
 pub struct TargetScale {
-    /// All coordinates, as where the detector is told a wrong size.
+    /// Factor of all coordinates; deviates from 1 if the configured target size is wrong.
     pub size: Measured,
-    /// Depth, as where the focal length is wrong.
+    /// Factor of the depth; deviates from 1 if the focal length is wrong.
     pub depth: Measured,
-    /// Which coordinate is depth: 0 to 2.
+    /// Index of the depth coordinate: 0 to 2.
     pub along: usize,
-    /// The mean distance to the target, m.
+    /// Mean distance to the target, m.
     pub distance_m: f64,
 }
 
 impl Fit {
-    /// The scale of the target's positions in `setting`, whose depth lies along `along`, to first order.
+    /// Scale of the target's positions in `setting`, to first order, with depth along the axis `along`.
     pub fn scale(&self, setting: &Setting, along: usize) -> TargetScale {
         let Self { camera, constant, offset_s, .. } = *self;
         let state = State { camera, constant, offset_s: offset_s.value };
@@ -76,7 +75,7 @@ impl Fit {
             )
     }
 
-    /// One factor of what `stretched` says of the positions.
+    /// Scale of the component of the positions selected by `stretched`.
     fn scale_of(
         linear: &Linear,
         foretold: &[Vec3],
@@ -109,18 +108,18 @@ impl Fit {
         Some(Measured { value: 1.0 + step[WIDTH], std_error: variance.max(0.0).sqrt(), dof })
     }
 
-    /// What is left, as one number, rad.
+    /// Combined residual of position and rotation, rad.
     pub fn misfit(&self) -> f64 {
         together(self.sigma[0], self.sigma[1])
     }
 
-    /// The camera's pose with its errors.
+    /// Camera pose with its standard errors.
     pub fn camera(&self) -> CameraPose {
         let dof = self.offset_s.dof;
         let error = |first: usize| {
             [0, 1, 2].map(|axis| self.covariance[(first + axis, first + axis)].max(0.0).sqrt())
         };
-        // Of a length only the error along it counts; of none the largest.
+        // Standard error of the length: along the vector, or the largest component if the vector is zero.
         let along = |vector: Vec3, first: usize| {
             let value = vector.norm();
             let direction = vector.try_normalize(1e-9);
@@ -143,7 +142,7 @@ impl Fit {
         }
     }
 
-    /// What a target pose is off by from what the chain foretells, m and rad in the camera's axes.
+    /// Deviation of a target pose from the prediction, m and rad in camera axes.
     pub fn left(&self, carrier: &Pose, target: &Pose) -> [Vec3; 2] {
         off(target, &((carrier * self.camera).inverse() * self.constant))
     }
@@ -160,7 +159,7 @@ impl TargetScale {
         Self { size: nothing, depth: nothing, along, distance_m }
     }
 
-    /// By how much depth is off at the mean distance, m: of the factor that surely is not 1, the surer.
+    /// Depth error at the mean distance, m, from the more significant of the two factors.
     pub fn effect_m(&self) -> Measured {
         let off = |of: &Measured| Measured { value: of.value - 1.0, ..*of };
         let surely = |of: &Measured| (of.value / of.std_error).abs();
@@ -170,7 +169,7 @@ impl TargetScale {
     }
 }
 
-/// What `seen` is off by from `foretold`.
+/// Difference of `seen` from `foretold`, m and rad.
 fn off(seen: &Pose, foretold: &Pose) -> [Vec3; 2] {
     [
         seen.translation.vector - foretold.translation.vector,
@@ -178,7 +177,7 @@ fn off(seen: &Pose, foretold: &Pose) -> [Vec3; 2] {
     ]
 }
 
-/// The state of the fit.
+/// Parameters of the fit.
 #[derive(Clone, Copy)]
 struct State {
     camera: Pose,
@@ -202,9 +201,9 @@ impl State {
         }
     }
 
-    /// Residuals and their derivatives at the poses of `setting` that `keep` takes.
+    /// Residuals and derivatives at the poses of `setting` selected by `keep`.
     fn linear(&self, setting: &Setting, keep: &[bool]) -> Linear {
-        /// Time over which the hand's speed is taken, s.
+        /// Half-width of the finite difference for the hand's velocity, s.
         const STEP_S: f64 = 0.01;
         let mut linear = Linear::new(WIDTH, &FLOOR);
         for (&(t_s, target), keep) in setting.targets.iter().zip(keep) {
@@ -232,26 +231,26 @@ impl State {
     }
 }
 
-/// How what a camera in the hand sees of a target changes with each parameter, where the hand is at
-/// `hands` at the times `t_s`; the target is at `ahead` in the camera, m, at the first of them.
+/// Derivatives of the observed target pose for a camera in the hand, with the hand at `hands` at the times
+/// `t_s`. The target is at `ahead` in the camera, m, at the first of them.
 pub(in super::super) fn design(t_s: &[f64], hands: Vec<Pose>, camera: Pose, ahead: Vec3) -> Linear {
     let target = pose(ahead.into(), Default::default());
     let constant = hands.first().copied().unwrap_or_default() * camera * target;
     let series = PoseSeries { t_s: t_s.to_vec(), poses: hands };
-    // What is seen matters to residuals alone.
+    // The observed poses affect only the residuals, not the derivatives.
     let targets = t_s.iter().map(|&t_s| (t_s, target));
     let setting = Setting::new(&series, targets, Mount::InHand);
     let state = State { camera, constant, offset_s: 0.0 };
     state.linear(&setting, &vec![true; t_s.len()])
 }
 
-/// Refines `start`; `None` where fewer than [`FEWEST`] poses are left.
+/// Refines `start`. `None` if fewer than [`FEWEST`] poses remain.
 pub(super) fn fit(setting: &Setting, start: Start, lag_s: f64) -> Option<Fit> {
     let state = State { camera: start.camera, constant: start.constant, offset_s: lag_s };
     let all = vec![true; setting.targets.len()];
     let state = converged(state, setting, &all)?;
     let found = finished(state, setting, &all)?;
-    // Once more without the outliers.
+    // Refit without outliers.
     let near: Vec<bool> = setting
         .targets
         .iter()
@@ -268,7 +267,7 @@ pub(super) fn fit(setting: &Setting, start: Start, lag_s: f64) -> Option<Fit> {
     finished(state, setting, &near)
 }
 
-/// Gauss–Newton from `state`, each step halved until it leaves less by the weights before it.
+/// Gauss–Newton from `state`; halves each step until the cost decreases under the previous weights.
 fn converged(mut state: State, setting: &Setting, keep: &[bool]) -> Option<State> {
     const HALVINGS: usize = 6;
     let mut linear = state.linear(setting, keep);
@@ -284,7 +283,7 @@ fn converged(mut state: State, setting: &Setting, keep: &[bool]) -> Option<State
         for _ in 0..HALVINGS {
             let moved = state.moved(step.as_slice());
             let there = moved.linear(setting, keep);
-            // Near the ends an offset may gain or lose a pose.
+            // A change of the offset may add or remove poses at the ends.
             let same = there.len() == linear.len();
             if !same || normal_of(&there, &weights).cost <= normal.cost {
                 next = Some((moved, there));
@@ -312,7 +311,7 @@ fn normal_of(linear: &Linear, weights: &[Weight]) -> Normal {
     normal
 }
 
-/// The fit at `state`, with its covariance.
+/// Fit at `state`, with its covariance.
 fn finished(state: State, setting: &Setting, keep: &[bool]) -> Option<Fit> {
     let linear = state.linear(setting, keep);
     if linear.len() < FEWEST {
@@ -328,7 +327,7 @@ fn finished(state: State, setting: &Setting, keep: &[bool]) -> Option<Fit> {
         weights.iter().map(|weight| 3.0 * linear.len() as f64 / weight.noise.inflation()).sum();
     let dof = (independent - WIDTH as f64).max(3.0);
     let sigma = [0, 1].map(|kind| {
-        /// Standard deviations in the median length of three normal components.
+        /// Median length of three normal components, in standard deviations.
         const NORMAL: f64 = 1.5382;
         let mut norms: Vec<f64> =
             linear.residual[kind].iter().map(|residual| Vec3::from(*residual).norm()).collect();

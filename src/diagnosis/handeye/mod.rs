@@ -1,18 +1,18 @@
-//! Hand-eye: a hand that an arm moves, a target that a camera sees, and whether the two can be of one
-//! rigid setting.
+//! Hand-eye calibration: whether a hand moved by an arm and a target seen by a camera fit one rigid setup.
 //!
 //! With the camera in the hand, `base_from_hand · X · camera_from_target` is the constant
-//! `base_from_target`; with the camera fixed in the base and the target in the hand,
-//! `base_from_hand⁻¹ · X · camera_from_target` is the constant `hand_from_target`. `X`, the pose of the
-//! camera in what carries it, and that constant `Y` are both unknown. Both hypotheses have one shape,
-//! `mount_from_camera = X`, `carrier · X · camera_from_target = Y`, where the carrier is the hand's pose
-//! or its inverse, so one solver serves both.
+//! `base_from_target`. With the camera fixed in the base and the target in the hand, `base_from_hand⁻¹ · X
+//! · camera_from_target` is the constant `hand_from_target`. `X`, the pose of the camera on its mount, and
+//! the constant `Y` are unknown. Both hypotheses have the form `mount_from_camera = X`, `carrier · X ·
+//! camera_from_target = Y`, with the hand's pose or its inverse as carrier, so one solver handles both.
 //!
-//! The steps: the lag at which hand and target turn alike; a first guess in closed form from relative
-//! motions (`A X = X B`: Park and Martin, "Robot sensor calibration: solving AX = XB on the Euclidean
-//! group", IEEE Trans. Robotics and Automation 10(5), 1994), from pairs of which both turn by the same
-//! angle, as they must (Chen, "A screw motion approach to uniqueness analysis of head-eye geometry",
-//! CVPR 1991); then Gauss–Newton over `X`, `Y` and the time offset, on robust weights.
+//! The steps:
+//! 1. The lag at which hand and target rotate alike.
+//! 2. An initial solution in closed form from relative motions (`A X = X B`: Park and Martin, "Robot sensor
+//!    calibration: solving AX = XB on the Euclidean group", IEEE Trans. Robotics and Automation 10(5),
+//!    1994), from pairs with equal rotation angles (Chen, "A screw motion approach to uniqueness analysis
+//!    of head-eye geometry", CVPR 1991).
+//! 3. Gauss–Newton over `X`, `Y` and the time offset, with robust weights.
 
 mod closure;
 mod diversity;
@@ -38,131 +38,129 @@ pub use series::PoseSeries;
 use series::Setting;
 pub use stretch::Stretch;
 
-/// Poses that the fit uses; more are thinned out evenly.
+/// Maximum number of poses in the fit; longer streams are thinned evenly.
 pub(super) const FIT_POSES: usize = 500;
-/// Poses of both streams that a fit needs at least.
+/// Minimum number of simultaneous poses for a fit.
 const FEWEST: usize = 12;
 
-/// Where the camera is.
+/// Mounting of the camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mount {
-    /// The hand carries it, and the target is fixed in the base (eye in hand).
+    /// Camera in the hand, target fixed in the base (eye-in-hand).
     InHand,
-    /// It is fixed in the base, and the hand carries the target (eye to hand).
+    /// Camera fixed in the base, target in the hand (eye-to-hand).
     InBase,
 }
 
 impl Mount {
-    /// Both.
+    /// Both mountings.
     pub const ALL: [Mount; 2] = [Mount::InHand, Mount::InBase];
 }
 
-/// A hand and a target.
+/// Input streams of the hand-eye calibration.
 #[derive(Clone, Copy, Debug)]
 pub struct HandEyeStreams<'a> {
     /// `base_from_hand` over time.
     pub hand: &'a PoseSeries,
     /// `camera_from_target` over time.
     pub target: &'a PoseSeries,
-    /// Standard error that aligning a foreign clock left between the two, s; 0 on a shared clock.
+    /// Standard error of the clock alignment between the two, s; 0 on a shared clock.
     pub stamp_error_s: f64,
-    /// Where the log's frames say that the camera is: the mount, and `hand_from_camera` or
-    /// `base_from_camera`.
+    /// Logged mounting, with `hand_from_camera` or `base_from_camera`, if any.
     pub logged: Option<(Mount, Pose)>,
 }
 
-/// By how much the hand turns, and about what.
+/// Rotation of the hand and the diversity of its axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Diversity {
-    /// The largest angle between two of its orientations, rad.
+    /// Largest angle between two orientations, rad.
     pub span_rad: f64,
-    /// How far its orientations are from their mean, rms rad.
+    /// Rms angle between the orientations and their mean, rad.
     pub turning_rad: f64,
-    /// The angle to the axis that it mostly turns about, rad, that 95 % of its turns stay within; 0
-    /// to π/2.
+    /// 95th percentile of the angle between the rotation axes and the principal axis, rad; 0 to π/2.
     pub spread_rad: f64,
-    /// The axis that it mostly turns about, in the hand.
+    /// Principal rotation axis, in the hand.
     pub axis_in_hand: [f64; 3],
 }
 
-/// How far the chain is from closing.
+/// Closure error of the hand-eye chain.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Closure {
-    /// Target poses held against the chain, outliers with them.
+    /// Number of target poses compared with the chain, including outliers.
     pub poses: usize,
-    /// How many of them are outliers: off by more than six standard deviations of the rest.
+    /// Number of outliers: errors beyond six standard deviations of the rest.
     pub outliers: usize,
-    /// Position, rms m, without the outliers.
+    /// Position error, rms m, without outliers.
     pub rms_m: f64,
-    /// Rotation, rms rad, without the outliers.
+    /// Rotation error, rms rad, without outliers.
     pub rms_rad: f64,
-    /// Position, median m, of all poses.
+    /// Median position error of all poses, m.
     pub median_m: f64,
-    /// Rotation, median rad, of all poses.
+    /// Median rotation error of all poses, rad.
     pub median_rad: f64,
-    /// Position beyond the noise from one pose to the next, rms m.
+    /// Position error in excess of the pose-to-pose noise, rms m.
     pub excess_m: Measured,
-    /// Rotation beyond the noise from one pose to the next, rms rad.
+    /// Rotation error in excess of the pose-to-pose noise, rms rad.
     pub excess_rad: Measured,
-    /// Stamp (s from the run's origin), position (m) and rotation (rad) of each pose.
+    /// Stamp (s from the run's origin), position error (m) and rotation error (rad) of each pose.
     pub each: Vec<(f64, f64, f64)>,
 }
 
-/// `X` as it was solved for.
+/// Estimated camera pose `X`.
 #[derive(Clone, Debug)]
 pub struct CameraPose {
-    /// `hand_from_camera` or `base_from_camera`, by the mount.
+    /// `hand_from_camera` or `base_from_camera`, depending on the mounting.
     pub pose: Pose,
-    /// Standard errors of its translation along its own axes, m; infinite where the motion does not
-    /// show it.
+    /// Standard errors of the translation along the camera axes, m; infinite if not observable.
     pub translation_error_m: [f64; 3],
-    /// Standard errors of its rotation about its own axes, rad; infinite likewise.
+    /// Standard errors of the rotation about the camera axes, rad; infinite if not observable.
     pub rotation_error_rad: [f64; 3],
-    /// Length of its translation, m.
+    /// Length of the translation, m.
     pub distance_m: Measured,
-    /// Angle of its rotation, rad.
+    /// Angle of the rotation, rad.
     pub angle_rad: Measured,
 }
 
-/// Hand and eye under one hypothesis of where the camera is.
+/// Hand-eye solution for one mounting.
 #[derive(Clone, Debug)]
 pub struct Solution {
-    /// The hypothesis.
+    /// Mounting of the camera.
     pub mount: Mount,
-    /// By what factor the other hypothesis leaves more; infinite where it could not be solved.
+    /// Residual of the other mounting relative to this one; infinite if that has no solution.
     pub ratio: f64,
-    /// How late the target's stamps are against the hand's, s: what they say at *t* was true at
-    /// *t − offset*.
+    /// Delay of the target's stamps relative to the hand's, s: a sample stamped *t* was measured at *t −
+    /// offset*.
     pub offset_s: Measured,
-    /// The camera in what carries it.
+    /// Pose of the camera on its mount.
     pub camera: CameraPose,
     /// The constant: `base_from_target` or `hand_from_target`.
     pub target: Pose,
-    /// What is left of the poses that the fit uses, position and rotation together, rad.
+    /// Combined residual of position and rotation in the fit, rad.
     pub misfit_rad: f64,
-    /// How far it is from closing.
+    /// Closure error.
     pub closure: Closure,
-    /// The scale of the target's positions.
+    /// Scale of the target's positions.
     pub scale: TargetScale,
 }
 
-/// All that was estimated on a hand and a target.
+/// Results of the hand-eye calibration.
 #[derive(Clone, Debug)]
 pub struct HandEyeDiagnosis {
-    /// How well the target turns as the hand does: the best correlation of their angular speeds.
+    /// Best correlation between the angular speeds of target and hand.
     pub follows: Option<Peak>,
-    /// How much the hand turns while the target is seen.
+    /// Rotation of the hand while the target is visible.
     pub diversity: Seen<Diversity>,
-    /// The chain as logged.
+    /// Solution for the poses as logged.
     pub solution: Seen<Solution>,
-    /// Another way to read the target's poses under which it closes far better, where there is one.
+    /// Alternative encoding of the target's poses with a much smaller closure error, if any, and its
+    /// solution.
     pub reading: Option<(TargetReading, Solution)>,
-    /// How late the target's stamps are against the hand's, s: that of the best solution, or why this
-    /// motion does not show it.
+    /// Delay of the target's stamps relative to the hand's, s, by the best solution, or why it is not
+    /// observable.
     pub latency_s: Seen<Measured>,
-    /// The pose of the camera against what the log's frames say, `logged_from_solved`.
+    /// Deviation of the estimated camera pose from the logged one, `logged_from_solved`.
     pub mount_error: Option<FrameEstimate>,
-    /// Direction from the camera to the target, the mean in its axes.
+    /// Mean direction from the camera to the target, in camera axes.
     pub view: [f64; 3],
 }
 
@@ -179,15 +177,14 @@ impl HandEyeDiagnosis {
         }
     }
 
-    /// The solution that explains the log: that of the other reading where there is one.
+    /// Solution with the alternative encoding if there is one, otherwise as logged.
     pub fn best(&self) -> Option<&Solution> {
         let read = self.reading.as_ref().map(|(_, solution)| solution);
         read.or(self.solution.as_ref().ok())
     }
 }
 
-/// The correlation of the angular speeds of a hand and a target and the lag of the target, best
-/// first.
+/// Correlation peaks between the angular speeds of hand and target, with the target's lag, best first.
 pub fn turning_peaks(hand: &PoseSeries, target: &PoseSeries, most_lag_s: f64) -> Vec<Peak> {
     let window_s = (2.5 * latency::median_period_s(&target.t_s)).clamp(0.25, 0.6);
     let speed = |series: &PoseSeries| -> Speed {
@@ -198,7 +195,7 @@ pub fn turning_peaks(hand: &PoseSeries, target: &PoseSeries, most_lag_s: f64) ->
     latency::peaks(&speed(hand), &speed(target), most_lag_s)
 }
 
-/// Estimates the time offset, the camera's pose and the closure of a hand and a target.
+/// Estimates time offset, camera pose and closure error.
 pub fn diagnose_hand_eye(streams: &HandEyeStreams, most_lag_s: f64) -> HandEyeDiagnosis {
     let HandEyeStreams { hand, target, .. } = *streams;
     if hand.overlap_s(target) <= 0.0 {
@@ -236,13 +233,12 @@ pub fn diagnose_hand_eye(streams: &HandEyeStreams, most_lag_s: f64) -> HandEyeDi
     diagnosis
 }
 
-/// How late the target is by the best solution; why that is not told where the target does not turn as
-/// the hand does, where nothing moves while it is seen, or where another of `lags` closes the chain as
-/// well.
+/// Delay of the target by the best solution. An error if the target does not follow the hand, if nothing
+/// moves while it is visible, or if several of `lags` fit equally well.
 fn latency(streams: &HandEyeStreams, found: &HandEyeDiagnosis, lags: &[f64]) -> Seen<Measured> {
-    /// The target is not the hand's of whose turning the chain leaves more than this share.
+    /// Maximum rotation residual as a share of the hand's rotation, for a target that follows the hand.
     const FOLLOWS: f64 = 0.5;
-    /// Another lag is as good that leaves less than so many times as much.
+    /// Another lag fits equally well if its residual is below this multiple of the best.
     const AS_GOOD: f64 = 2.0;
     let best = match (found.best(), &found.solution) {
         (Some(best), _) => best,
@@ -276,12 +272,12 @@ fn latency(streams: &HandEyeStreams, found: &HandEyeDiagnosis, lags: &[f64]) -> 
     Err(Unseen::Periodic(fitting))
 }
 
-/// The lags that are worth a try: that of the best correlation, and those of correlations near it.
+/// Lags of the best correlation peak and of those close to it.
 fn candidate_lags(peaks: &[Peak]) -> Vec<f64> {
-    /// So much less correlation may still be the right lag.
+    /// Maximum deficit of a peak relative to the best.
     const NEAR: f64 = 0.1;
     const MOST: usize = 3;
-    /// Less is no more than chance, and no lag is as good.
+    /// Minimum correlation. Below it, only zero lag is tried.
     const SOME: f64 = 0.4;
     let Some(best) = peaks.first().filter(|peak| peak.correlation > SOME) else {
         return vec![0.0];
@@ -290,7 +286,7 @@ fn candidate_lags(peaks: &[Peak]) -> Vec<f64> {
     near.take(MOST).map(|peak| peak.lag_s).collect()
 }
 
-/// The lag under which the closed form closes best.
+/// Lag with the smallest closure error of the closed-form solution.
 fn best_lag_s(hand: &PoseSeries, target: &ReadTarget, lags: &[f64]) -> f64 {
     let misfit = |lag_s: f64| {
         let misfits = Mount::ALL.map(|mount| {
@@ -309,7 +305,7 @@ fn best_lag_s(hand: &PoseSeries, target: &ReadTarget, lags: &[f64]) -> f64 {
     }
 }
 
-/// Solves under both mounts and keeps the one that leaves less.
+/// Solves for both mountings and returns the solution with the smaller residual.
 fn solve(streams: &HandEyeStreams, target: &ReadTarget, lag_s: f64) -> Option<Solution> {
     let fits = Mount::ALL.map(|mount| {
         let setting = Setting::new(streams.hand, target.poses(), mount);
@@ -339,7 +335,7 @@ fn solve(streams: &HandEyeStreams, target: &ReadTarget, lag_s: f64) -> Option<So
     })
 }
 
-/// The solved pose of the camera against the logged one, where both mounts are the same.
+/// Deviation of the estimated from the logged camera pose, if both have the same mounting.
 fn mount_error(streams: &HandEyeStreams, solution: &Solution) -> Option<FrameEstimate> {
     let (mount, logged) = streams.logged?;
     if mount != solution.mount {
@@ -362,15 +358,15 @@ fn mount_error(streams: &HandEyeStreams, solution: &Solution) -> Option<FrameEst
             .all(|error| error.is_finite())
             .then(|| Length::of(&vector, &covariance, camera.distance_m.dof))
     };
-    // Errors along the camera's axes as solved and as logged differ by a turn, which is small where
-    // it matters.
+    // The errors are given in the axes of the estimated camera. The difference from the logged axes is
+    // small for any deviation of interest.
     let length = of(pose.translation.vector.into(), camera.translation_error_m)?;
     let angle = of(turned.into(), camera.rotation_error_rad)?;
     Some(FrameEstimate {
         pose,
         translation_m: length.norm,
         rotation_rad: angle.norm,
-        // Either of the two, by Bonferroni.
+        // Bonferroni correction for two tests.
         p_value: (2.0 * length.p_value.min(angle.p_value)).min(1.0),
         chosen: true,
     })

@@ -1,8 +1,8 @@
-//! Other ways to read the poses of a target, of which one may be what its writer meant.
+//! Alternative encodings of a target's poses.
 //!
-//! A turn of all its axes at once is a part of the camera's mount and no fault that the two streams
-//! can show. What they do show is a position in other axes than the rotation, a rotation that is
-//! transposed or read by another convention, and positions that are stretched.
+//! A common rotation of all axes is absorbed by the camera's mount and is not observable. Observable are
+//! positions in other axes than rotations, transposed rotations, rotations in another convention, and
+//! scaled positions.
 
 use super::series::{PoseSeries, Setting};
 use super::start::{angle_gap, quick_start};
@@ -13,25 +13,25 @@ use ground::geometry::{
     xyzw_from_rotation,
 };
 
-/// How the poses of a target must be read so that the chain closes.
+/// Encoding of a target's poses with which the chain closes.
 #[derive(Clone, Copy, Debug)]
 pub enum TargetReading {
     /// As logged.
     AsLogged,
-    /// Positions are in other axes than rotations: for each axis of the rotations, which number of the
-    /// position lies along it, and with which sign.
+    /// Positions and rotations use different axes. For each rotation axis: index and sign of the position
+    /// coordinate.
     Axes([(usize, f64); 3]),
     /// Rotations are transposed, positions are not.
     Transposed,
     /// Quaternion components are in another order.
     QuaternionOrder(QuaternionSlip),
-    /// Rotation numbers of one convention were read as another's.
+    /// Rotation numbers of one convention were interpreted in another.
     Misread(&'static MisreadingClass),
-    /// Positions are stretched.
+    /// Positions are scaled.
     Stretched(Stretch),
 }
 
-/// A target as some reading has it.
+/// Target series with an encoding.
 #[derive(Clone, Copy)]
 pub(super) struct ReadTarget<'a> {
     pub series: &'a PoseSeries,
@@ -40,13 +40,13 @@ pub(super) struct ReadTarget<'a> {
 }
 
 impl<'a> ReadTarget<'a> {
-    /// The target as logged, thinned out to about `most` poses.
+    /// Target as logged, thinned to about `most` poses.
     pub fn as_logged(series: &'a PoseSeries, most: usize) -> Self {
         let stride = series.t_s.len().div_ceil(most).max(1);
         Self { series, reading: TargetReading::AsLogged, stride }
     }
 
-    /// The poses, each at its stamp.
+    /// Decoded poses with their stamps.
     pub fn poses(&self) -> impl Iterator<Item = (f64, Pose)> {
         let mut truths = Vec::new();
         let stamped = self.series.t_s.iter().zip(&self.series.poses).step_by(self.stride);
@@ -55,7 +55,7 @@ impl<'a> ReadTarget<'a> {
 }
 
 impl TargetReading {
-    /// What was meant where `logged` was written; `truths` is room to work in.
+    /// Decodes `logged`; `truths` is a scratch buffer.
     fn read(&self, logged: &Pose, truths: &mut Vec<Rotation>) -> Pose {
         let (xyz, rotation) = (logged.translation.vector, logged.rotation);
         match self {
@@ -77,16 +77,15 @@ impl TargetReading {
     }
 }
 
-/// A reading is better that leaves less than this share.
+/// Maximum residual of a better encoding, relative to the logged one.
 const BETTER: f64 = 1.0 / 3.0;
-/// Poses by which readings are compared.
+/// Number of poses used to compare encodings.
 const POSES: usize = 80;
-/// Less than this is left of a chain of which no other reading need be sought, m and rad: noise of the
-/// best detectors.
+/// Closure errors below this, m and rad, need no other encoding: noise of the best detectors.
 const CLOSES: (f64, f64) = (1.5e-3, 0.15 * std::f64::consts::PI / 180.0);
 
-/// The reading under which the chain closes far better than `as_logged`, with its solution. None is
-/// looked for where the chain closes, or where one other is as good.
+/// Encoding with a much smaller closure error than `as_logged`, with its solution. `None` if the chain
+/// closes as logged.
 pub(super) fn better_reading(
     streams: &HandEyeStreams,
     as_logged: &Solution,
@@ -101,13 +100,13 @@ pub(super) fn better_reading(
     found.into_iter().flatten().min_by(|a, b| misfit(a).total_cmp(&misfit(b)))
 }
 
-/// The stretch of the positions under which the chain closes far better than `as_logged`.
+/// Scale of the positions with a much smaller closure error than `as_logged`.
 fn stretched(
     streams: &HandEyeStreams,
     as_logged: &Solution,
     lag_s: f64,
 ) -> Option<(TargetReading, Solution)> {
-    /// What is left beyond the noise is less than this share of what was, and of what is left with it.
+    /// Maximum excess error, relative to the one as logged and to the total error after correction.
     const LESS: f64 = 0.5;
     let with = |stretch: Stretch| {
         let reading = TargetReading::Stretched(stretch);
@@ -115,7 +114,7 @@ fn stretched(
         Some((reading, solve(streams, &read, lag_s)?))
     };
     let at = |one: &Solution| stretch(streams, one.mount, one.offset_s.value);
-    // Where the stretch is large, the offset that was found beside it is none.
+    // The time offset estimated with a large scale error is unreliable, so repeat at the corrected one.
     let (_, first) = with(at(as_logged)?)?;
     let (reading, solution) = with(at(&first)?)?;
     let (left_m, was_m) = (solution.closure.excess_m.value, as_logged.closure.excess_m.value);
@@ -123,7 +122,7 @@ fn stretched(
     closes.then_some((reading, solution))
 }
 
-/// Another reading than a stretch.
+/// Alternative encoding other than a scale.
 fn otherwise(
     streams: &HandEyeStreams,
     as_logged: &Solution,
@@ -152,7 +151,7 @@ fn otherwise(
     closes(&solution, as_logged).then_some((reading, solution))
 }
 
-/// By how much the chain fails to close under a reading, by the better mount.
+/// Closure error with an encoding, for the better mounting.
 fn closing(streams: &HandEyeStreams, reading: TargetReading, lag_s: f64) -> Option<f64> {
     let read = read_with(streams, reading);
     let misfits = Mount::ALL.into_iter().filter_map(|mount| {
@@ -169,12 +168,12 @@ fn read_with<'a>(streams: &HandEyeStreams<'a>, reading: TargetReading) -> ReadTa
     ReadTarget { series: streams.target, reading, stride }
 }
 
-/// The readings that may be the one. Where the turns between poses are of the hand's angles already,
-/// it must be one that leaves angles as they are; else one that makes them so.
+/// Candidate encodings. If the rotation angles already match the hand's, only encodings that preserve
+/// angles; otherwise only those that make them match.
 fn candidates(streams: &HandEyeStreams, lag_s: f64) -> Vec<TargetReading> {
-    /// Angles are the hand's that differ by less than this in the median, rad.
+    /// Maximum median difference of matching angles, rad.
     const ALIKE: f64 = 0.03;
-    /// Readings that make the angles more alike, of which so many are looked at.
+    /// Maximum number of encodings that improve the angles to be tried.
     const LOOKED_AT: usize = 6;
     let gap = |reading| {
         let read = read_with(streams, reading);
@@ -203,7 +202,7 @@ fn candidates(streams: &HandEyeStreams, lag_s: f64) -> Vec<TargetReading> {
     gaps.into_iter().map(|(_, reading)| reading).collect()
 }
 
-/// All ways to name the axes of a right-handed or left-handed frame otherwise: 47.
+/// All 47 other signed permutations of the axes, including left-handed ones.
 fn axes() -> impl Iterator<Item = [(usize, f64); 3]> {
     const ORDERS: [[usize; 3]; 6] =
         [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];

@@ -1,4 +1,4 @@
-//! Poses over time, and the two streams side by side.
+//! Pose series, and the two streams of a hand-eye calibration in parallel.
 
 use super::super::latency::median_period_s;
 use super::Mount;
@@ -11,12 +11,12 @@ use ground::stream::{JointTrack, Orientations, PoseTrack};
 pub struct PoseSeries {
     /// Sample times, s.
     pub t_s: Vec<f64>,
-    /// The poses, translations in m.
+    /// Poses with translations in m.
     pub poses: Vec<Pose>,
 }
 
 impl PoseSeries {
-    /// The poses of a track; `None` where its orientations are bare numbers.
+    /// Poses of a track. `None` if its orientations are undecoded.
     pub fn of_track(track: &PoseTrack) -> Option<Self> {
         let Orientations::Rotations(rotations) = &track.orientation else { return None };
         let poses = track.xyz.iter().zip(rotations);
@@ -24,9 +24,9 @@ impl PoseSeries {
         Some(Self { t_s: track.t_s.clone(), poses })
     }
 
-    /// The poses of a chain's tip by FK of joint states, at 100 to 200 of them a second.
+    /// Tip poses by FK of the joint states, thinned to 100–200 Hz.
     pub fn by_kinematics(joints: &JointTrack, chain: &Chain, columns: &[usize]) -> Self {
-        /// As often as a hand need be known: between samples it moves by next to a straight line.
+        /// Sampling period of the hand. Between samples its motion is nearly linear.
         const PERIOD_S: f64 = 0.01;
         let period_s = median_period_s(&joints.t_s).max(1e-6);
         let step = ((PERIOD_S / period_s) as usize).max(1);
@@ -42,7 +42,7 @@ impl PoseSeries {
         series
     }
 
-    /// Length of the time that it shares with `other`, s; not positive where there is none.
+    /// Length of the common time span, s; not positive if there is none.
     pub fn overlap_s(&self, other: &PoseSeries) -> f64 {
         let span = |series: &PoseSeries| Some((*series.t_s.first()?, *series.t_s.last()?));
         match (span(self), span(other)) {
@@ -51,8 +51,8 @@ impl PoseSeries {
         }
     }
 
-    /// The pose at `t_s`: position linearly, rotation along the shortest turn. `None` outside the
-    /// samples, and in gaps of more than 0.2 s and ten times the usual period.
+    /// Interpolates the pose at `t_s`: position linearly, rotation along the shortest path. `None` outside
+    /// the samples and in gaps longer than both 0.2 s and ten periods.
     pub(crate) fn at(&self, t_s: f64, period_s: f64) -> Option<Pose> {
         let right = self.t_s.partition_point(|&t| t < t_s);
         let (after_s, after) = (*self.t_s.get(right)?, self.poses.get(right)?);
@@ -74,8 +74,7 @@ impl PoseSeries {
     }
 }
 
-/// The mean of the directions to the poses of a series, in its own frame; shorter than 1 where they
-/// differ.
+/// Mean direction to the poses of a series, in its own frame. Its length is below 1 if the directions vary.
 pub(super) fn mean_direction(series: &PoseSeries) -> [f64; 3] {
     let directions = series.poses.iter().filter_map(|pose| {
         let xyz = pose.translation.vector;
@@ -86,21 +85,21 @@ pub(super) fn mean_direction(series: &PoseSeries) -> [f64; 3] {
     (sum / series.poses.len().max(1) as f64).into()
 }
 
-/// One target pose, and what carries the camera at that time.
+/// One target pose with the simultaneous carrier pose.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pair {
-    /// `base_from_hand` with the camera in the hand, `hand_from_base` with it in the base.
+    /// `base_from_hand` for a camera in the hand, `hand_from_base` for one in the base.
     pub carrier: Pose,
     /// `camera_from_target`.
     pub target: Pose,
 }
 
-/// A hand and a target under one hypothesis of where the camera is.
+/// Streams of hand and target for one mounting of the camera.
 pub(super) struct Setting<'a> {
     hand: &'a PoseSeries,
     period_s: f64,
     mount: Mount,
-    /// Target poses as they are read.
+    /// Decoded target poses.
     pub targets: Vec<(f64, Pose)>,
 }
 
@@ -114,7 +113,7 @@ impl<'a> Setting<'a> {
         Self { hand, period_s, mount, targets: target.collect() }
     }
 
-    /// What carries the camera at `t_s`.
+    /// Carrier pose at `t_s`.
     pub fn carrier_at(&self, t_s: f64) -> Option<Pose> {
         let hand = self.hand.at(t_s, self.period_s)?;
         Some(match self.mount {
@@ -123,12 +122,12 @@ impl<'a> Setting<'a> {
         })
     }
 
-    /// How many target poses have a hand pose if the target is late by `lag_s`.
+    /// Number of target poses with a simultaneous hand pose, for a target delay of `lag_s`.
     pub fn count_at(&self, lag_s: f64) -> usize {
         self.pairs_at(lag_s, usize::MAX).len()
     }
 
-    /// At most `most` pairs, evenly spread, if the target is late by `lag_s`.
+    /// At most `most` pairs, evenly spaced, for a target delay of `lag_s`.
     pub fn pairs_at(&self, lag_s: f64, most: usize) -> Vec<Pair> {
         let step = self.targets.len().div_ceil(most).max(1);
         let pairs = self.targets.iter().step_by(step).filter_map(|&(t_s, target)| {

@@ -1,4 +1,4 @@
-//! A first guess of the camera's pose in closed form.
+//! Initial camera pose in closed form.
 
 use super::super::constant::wahba;
 use super::series::Pair;
@@ -8,36 +8,36 @@ use ground::geometry::{
 use ground::stats::median;
 use nalgebra::{Matrix3, Matrix6, Vector6};
 
-/// Poses that the closed form uses.
+/// Maximum number of poses in the closed form.
 pub(super) const POSES: usize = 150;
-/// A length and an angle that count the same, m and rad: the thresholds of a hand-eye chain.
+/// Ratio that makes lengths and angles comparable, from the thresholds of a hand-eye chain.
 const M_PER_RAD: f64 = 2e-3 / (0.2 * std::f64::consts::PI / 180.0);
 
-/// The camera in what carries it and the constant that the chain closes on.
+/// Camera pose on its mount, and the constant of the chain.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Start {
     pub camera: Pose,
     pub constant: Pose,
-    /// By how much the chain fails to close, median, in rad and m alike.
+    /// Median closure error, position and rotation combined, rad.
     pub misfit: f64,
 }
 
-/// A length and an angle as one number, rad.
+/// Combines a length and an angle, rad.
 pub(super) fn together(length_m: f64, angle_rad: f64) -> f64 {
     (length_m / M_PER_RAD).hypot(angle_rad)
 }
 
-/// Park and Martin's closed form; `None` where the pairs hold no two orientations.
+/// Closed-form solution by Park and Martin. `None` if the orientations do not vary.
 ///
-/// Turns about one axis only leave the camera's own turn about it open, which positions may yet
-/// tell: then several are tried.
+/// Rotations about a single axis do not determine the camera's rotation about it. Several candidates are
+/// then compared by their positions.
 pub(super) fn start(pairs: &[Pair]) -> Option<Start> {
     let rotations = camera_rotations(pairs)?;
     let starts = rotations.iter().filter_map(|rotation| with_rotation(pairs, rotation));
     starts.min_by(|a, b| a.misfit.total_cmp(&b.misfit))
 }
 
-/// As [`start`], without trying turns about a single axis.
+/// As [`start`], but with a single candidate if there is only one axis.
 pub(super) fn quick_start(pairs: &[Pair]) -> Option<Start> {
     with_rotation(pairs, camera_rotations(pairs)?.first()?)
 }
@@ -54,14 +54,14 @@ fn with_rotation(pairs: &[Pair], rotation: &Rotation) -> Option<Start> {
     Some(Start { camera, constant, misfit: median(&mut misfits).unwrap_or(0.0) })
 }
 
-/// By how much one pair fails to close.
+/// Closure error of one pair.
 fn misfit(pair: &Pair, camera: &Pose, constant: &Pose) -> f64 {
     let closed = pair.carrier * camera * pair.target;
     let off_m = (closed.translation.vector - constant.translation.vector).norm();
     together(off_m, angle_between(&closed.rotation, &constant.rotation))
 }
 
-/// The relative turns of carrier and camera between poses at several distances in time.
+/// Relative rotations of carrier and camera between poses at several time distances.
 fn turns(pairs: &[Pair]) -> Vec<(Vec3, Vec3)> {
     let n = pairs.len();
     let strides = [n / 2, n / 3, n / 7].map(|stride| stride.max(1));
@@ -76,23 +76,22 @@ fn turns(pairs: &[Pair]) -> Vec<(Vec3, Vec3)> {
     all.collect()
 }
 
-/// By how much the turns of carrier and camera between two poses differ in angle, which no mount
-/// changes: the median, rad.
+/// Median difference between the rotation angles of carrier and camera, rad. It does not depend on the
+/// mount.
 pub(super) fn angle_gap(pairs: &[Pair]) -> f64 {
     let mut gaps: Vec<f64> =
         turns(pairs).iter().map(|(a, b)| (a.norm() - b.norm()).abs()).collect();
     median(&mut gaps).unwrap_or(0.0)
 }
 
-/// The rotation that takes the camera's turns to the carrier's; several about the axis where there is
-/// only one.
+/// Rotation that maps camera rotations to carrier rotations. Several candidates if there is only one axis.
 fn camera_rotations(pairs: &[Pair]) -> Option<Vec<Rotation>> {
-    /// The second axis counts by less than this share of the first: there is one.
+    /// There is only one axis if the second eigenvalue is below this share of the first.
     const ONE_AXIS: f64 = 0.01;
     const TRIED: usize = 12;
-    /// Turns of less than this share of the largest say little.
+    /// Minimum rotation as a share of the largest; smaller ones are uninformative.
     const SMALL: f64 = 0.3;
-    /// Turns near a half one have no sure axis, rad.
+    /// Maximum rotation, rad; near half a turn the axis is ambiguous.
     const NEAR_HALF: f64 = 2.9;
     let turns = turns(pairs);
     let largest = turns.iter().map(|(a, _)| a.norm()).filter(|&a| a < NEAR_HALF);
@@ -111,7 +110,7 @@ fn camera_rotations(pairs: &[Pair]) -> Option<Vec<Rotation>> {
         return None;
     }
     let guess = wahba(&alike().map(|(a, b)| a * b.transpose()).sum::<Matrix3<f64>>());
-    // Once more without those that the guess leaves far off.
+    // Repeat without outliers of the first estimate.
     let mut off: Vec<f64> = alike().map(|(a, b)| (a - guess * b).norm()).collect();
     let limit = 3.0 * median(&mut off).unwrap_or(0.0) + 1e-9;
     let near = || alike().filter(|(a, b)| (a - guess * b).norm() <= limit);
@@ -129,7 +128,7 @@ fn camera_rotations(pairs: &[Pair]) -> Option<Vec<Rotation>> {
     Some((0..TRIED).map(|k| turn(k) * rotation).collect())
 }
 
-/// The rotation that most others are near: the one of a few with the least median distance.
+/// Rotation with the smallest median distance to all others, among a few candidates.
 fn central(rotations: &[Rotation]) -> Option<Rotation> {
     const TRIED: usize = 15;
     let step = rotations.len().div_ceil(TRIED).max(1);
@@ -141,8 +140,8 @@ fn central(rotations: &[Rotation]) -> Option<Rotation> {
     tried.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, one)| one)
 }
 
-/// The translations of the camera and of the constant: linear in `R_c·t_x − t_y = −(R_c·R_x·t + t_c)`,
-/// by weights that poses far off lose (Cauchy's).
+/// Translations of camera and constant: linear in `R_c·t_x − t_y = −(R_c·R_x·t + t_c)`, with Cauchy
+/// weights.
 fn translations(pairs: &[Pair], rotation: &Rotation) -> Option<(Vec3, Vec3)> {
     const ROUNDS: usize = 4;
     let rows: Vec<(Matrix3<f64>, Vec3)> = pairs

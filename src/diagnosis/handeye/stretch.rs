@@ -1,8 +1,8 @@
-//! A target whose positions are stretched: a tag of another size than the detector was told scales them
-//! all, a focal length that is wrong scales depth alone.
+//! Scale errors of a target's positions. A wrong tag size scales all coordinates; a wrong focal length
+//! scales only depth.
 //!
-//! With the camera's rotation known, camera, constant and both factors are linear:
-//! `R_c·t_x − t_y + a·R_c·R_x·t + d·R_c·R_x·t_z·z = −t_c`.
+//! For a known camera rotation the model is linear in camera, constant and both factors: `R_c·t_x − t_y +
+//! a·R_c·R_x·t + d·R_c·R_x·t_z·z = −t_c`.
 
 use super::reading::ReadTarget;
 use super::series::{Pair, Setting, mean_direction};
@@ -12,21 +12,21 @@ use ground::geometry::{Rotation, Vec3};
 use ground::stats::{Measured, median};
 use nalgebra::{DMatrix, DVector, Matrix3};
 
-/// What stretches the positions of a target.
+/// Scale errors of a target's positions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stretch {
-    /// How many times too long all positions are; 1 where nothing is wrong with the target's size.
+    /// Factor by which all positions are too long; 1 if the target size is right.
     pub size: Option<Measured>,
-    /// How many times too long depth is beyond that; 1 where nothing is wrong with the focal length.
+    /// Additional factor by which the depth is too long; 1 if the focal length is right.
     pub depth: Option<Measured>,
-    /// Which coordinate is depth: 0 to 2.
+    /// Index of the depth coordinate: 0 to 2.
     pub along: usize,
-    /// Whether the other of the two would do nearly as well in this motion.
+    /// Whether either factor alone explains this motion almost equally well.
     pub is_either: bool,
 }
 
 impl Stretch {
-    /// A position as it should have been logged.
+    /// Corrects a logged position.
     pub fn mended(&self, xyz: Vec3) -> Vec3 {
         let factor = |of: &Option<Measured>| of.map_or(1.0, |of| of.value);
         let mut xyz = xyz / factor(&self.size);
@@ -35,31 +35,31 @@ impl Stretch {
     }
 }
 
-/// Columns: the camera, the constant, the factor of all, what depth has more.
+/// Columns: camera, constant, common factor, additional depth factor.
 const WIDTH: usize = 8;
 const SIZE: usize = 6;
 const DEPTH: usize = 7;
 
-/// What some factors leave.
+/// Fit with some factors free.
 struct Tried {
-    /// The factor of all, and what depth has more.
+    /// Common factor, and additional depth factor.
     factors: [f64; 2],
-    /// Their standard errors.
+    /// Standard errors of the factors.
     errors: [f64; 2],
-    /// Median length, m.
+    /// Median residual, m.
     left_m: f64,
     dof: f64,
 }
 
-/// The stretch of the positions of a target, late by `offset_s`, that closes the chain far better than none; of one factor where
-/// that leaves as little as two. `None` where none does.
+/// Scale of the positions of a target with delay `offset_s`. Prefers one factor if it fits as well as two.
+/// `None` if no factor reduces the closure error substantially.
 pub(super) fn stretch(streams: &HandEyeStreams, mount: Mount, offset_s: f64) -> Option<Stretch> {
-    /// None leaves so many times more.
+    /// Minimum residual without a factor, relative to the selected model.
     const WORSE: f64 = 1.4;
-    /// One factor leaves at most so many times more than two.
+    /// Maximum residual with one factor, relative to that with two.
     const AS_LITTLE: f64 = 1.12;
-    /// A factor that is so many standard errors from 1 is not 1, nor nearer to it than this: a lens bends
-    /// as much.
+    /// Minimum deviation of a factor from 1, in standard errors and as a value. Lens distortion reaches the
+    /// latter.
     const SURE: f64 = 5.0;
     const LEAST: f64 = 2e-3;
     let target = ReadTarget::as_logged(streams.target, FIT_POSES);
@@ -99,8 +99,7 @@ pub(super) fn stretch(streams: &HandEyeStreams, mount: Mount, offset_s: f64) -> 
     (found.size.is_some() || found.depth.is_some()).then_some(found)
 }
 
-/// The least squares of the chain's positions with the factors in `free`, by weights that poses far off
-/// lose (Cauchy's).
+/// Least squares of the chain's positions with the factors in `free`, with Cauchy weights.
 fn solved(pairs: &[Pair], rotation: &Rotation, along: usize, free: &[usize]) -> Option<Tried> {
     const ROUNDS: usize = 4;
     let columns: Vec<usize> = (0..SIZE).chain(free.iter().copied()).collect();
@@ -143,7 +142,7 @@ fn solved(pairs: &[Pair], rotation: &Rotation, along: usize, free: &[usize]) -> 
         let scale = (2.0 * left_m).max(1e-9);
         weights = off.iter().map(|off| 1.0 / (1.0 + (off / scale).powi(2))).collect();
     }
-    // Of three normal components the median length is 1.5382 standard deviations.
+    // The median length of three normal components is 1.5382 standard deviations.
     let sigma_m = left_m / 1.5382;
     let of = |column: usize, fixed: f64| match columns.iter().position(|&own| own == column) {
         Some(at) => (found[at], sigma_m * inverse[(at, at)].max(0.0).sqrt()),

@@ -1,11 +1,11 @@
-//! A hand and a target made of known poses.
+//! Hand-eye calibration on synthetic poses.
 
 use super::*;
 use ground::geometry::{Vec3, pose, rotation_from_rotvec};
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// The hand at a time: two turns and a shift, each to a rhythm of its own.
+/// Hand pose at a time: rotations and translations with different frequencies.
 fn hand_at(t_s: f64, axes: usize) -> Pose {
     let wave = |rate: f64, phase: f64| (rate * t_s + phase).sin();
     let turn = Vec3::new(
@@ -17,7 +17,7 @@ fn hand_at(t_s: f64, axes: usize) -> Pose {
     pose(shift, rotation_from_rotvec(Vec3::new(0.0, 3.0, 0.2)) * rotation_from_rotvec(turn))
 }
 
-/// What is planted.
+/// True parameters of a synthetic setup.
 #[derive(Clone, Copy)]
 struct Planted {
     mount: Mount,
@@ -85,7 +85,7 @@ fn diagnosis(planted: &Planted) -> HandEyeDiagnosis {
 fn assert_near(found: &Pose, planted: &Pose, m: f64, rad: f64) {
     let off_m = (found.translation.vector - planted.translation.vector).norm();
     let off_rad = angle_between(&found.rotation, &planted.rotation);
-    assert!(off_m < m && off_rad < rad, "{off_m} m, {off_rad} rad off");
+    assert!(off_m < m && off_rad < rad, "{off_m} m, {off_rad} rad apart");
 }
 
 #[test]
@@ -113,7 +113,7 @@ fn camera_target_mount_and_offset_are_recovered() {
 fn without_noise_nothing_is_left() {
     let planted = Planted { sigma: [0.0; 2], ..Planted::new(Mount::InHand) };
     let solution = diagnosis(&planted).solution.expect("it can be solved");
-    // What is left is the hand's path between its samples.
+    // The remaining error is the hand's interpolation between samples.
     assert!(solution.closure.rms_m < 3e-5 && solution.closure.rms_rad < 3e-5);
     assert_near(&solution.camera.pose, &planted.camera, 2e-5, 2e-5);
 }
@@ -167,7 +167,7 @@ fn one_axis_leaves_the_camera_open_along_it() {
     assert!(diversity.axis_in_hand[0].abs() > 0.99);
     let solution = found.solution.expect("it can be solved");
     assert!(solution.closure.excess_m.value < 1e-3, "{:?}", solution.closure.excess_m);
-    // The hand's x axis in the camera.
+    // Hand's x axis in the camera.
     let along = planted.camera.rotation.inverse() * Vec3::x();
     let most = (0..3).max_by(|&a, &b| along[a].abs().total_cmp(&along[b].abs())).expect("three");
     assert!(solution.camera.translation_error_m[most] > 0.05);
@@ -246,7 +246,7 @@ fn a_mount_that_is_off_is_measured() {
     let off = pose([0.0, 0.006, 0.0], rotation_from_rotvec(Vec3::new(0.0, 0.0, 0.02)));
     let logged = Some((Mount::InBase, planted.camera * off.inverse()));
     let streams = HandEyeStreams { hand: &hand, target: &target, stamp_error_s: 0.0, logged };
-    let error = diagnose_hand_eye(&streams, 2.0).mount_error.expect("the frames say where");
+    let error = diagnose_hand_eye(&streams, 2.0).mount_error.expect("a logged camera pose");
     assert!((error.translation_m.value - 0.006).abs() < 5e-4, "{error:?}");
     assert!((error.rotation_rad.value - 0.02).abs() < 1e-3, "{error:?}");
     assert!(error.p_value < 1e-6);
@@ -258,7 +258,7 @@ fn a_mount_that_is_off_is_measured() {
 fn a_wrong_focal_length_is_in_the_scale_of_depth() {
     for factor in [1.0, 1.03, 0.97] {
         let (hand, mut target) = Planted::new(Mount::InHand).streams();
-        // The target lies ahead of the camera, along the axis on which it is furthest.
+        // Depth is the axis with the largest mean component.
         let along = Vec3::from(series::mean_direction(&target)).iamax();
         target.poses.iter_mut().for_each(|seen| seen.translation.vector[along] *= factor);
         let scale = diagnosed(&hand, &target).solution.expect("it can be solved").scale;

@@ -1,62 +1,61 @@
-//! What a motion keeps off: the arm itself, a floor, and the edge of what a camera sees.
+//! Clearances of a motion: self-collision, the floor, and the camera's field of view.
 
 use ground::geometry::{Pose, Vec3};
 use ground::robot::Chain;
 
-/// An arm as capsules: a straight from each joint's origin to the next one's, base first and tip last,
-/// with a radius each.
+/// Arm as capsules: segments between consecutive joint origins, from base to tip, each with a radius.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Body {
-    /// The radius of each straight, m: one more than there are joints.
+    /// Radius of each segment, m; one more than the number of joints.
     pub radius_m: Vec<f64>,
 }
 
-/// What a camera in the hand must see.
+/// Visibility constraint of a camera in the hand.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
-    /// The camera.
+    /// Pose of the camera.
     pub hand_from_camera: Pose,
-    /// The target in the base, m.
+    /// Target in the base, m.
     pub target: Vec3,
-    /// The largest angle between the camera's z axis and the direction to the target, rad.
+    /// Maximum angle between the camera's z axis and the direction to the target, rad.
     pub half_rad: f64,
 }
 
-/// What a motion keeps off, and by how much.
+/// Clearances that a motion must keep.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Keep {
     /// The arm.
     pub body: Body,
-    /// The least distance between surfaces, m.
+    /// Minimum distance between surfaces, m.
     pub clear_m: f64,
-    /// Height in the base that nothing of the moving arm may be below, m.
+    /// Height of the floor in the base, m.
     pub floor_m: Option<f64>,
-    /// What the camera must see.
+    /// Visibility constraint, if any.
     pub view: Option<View>,
-    /// Pairs of straights that are held apart, with the least distance between their surfaces, m.
+    /// Segment pairs to check, with the minimum distance between their surfaces, m.
     pairs: Vec<(usize, usize, f64)>,
-    /// The least height over the floor of each straight, m.
+    /// Minimum height of each segment above the floor, m.
     heights: Vec<f64>,
 }
 
-/// Two parts that come near each other, or one that comes near the floor.
+/// Violation of a clearance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Nearness {
-    /// Two straights of the arm, counted from the base, with the distance between their surfaces, m.
+    /// Two segments of the arm, counted from the base, and the distance between their surfaces, m.
     Parts(usize, usize, f64),
-    /// A straight and the floor, m.
+    /// Segment and its height above the floor, m.
     Floor(usize, f64),
-    /// The target leaves the camera's view: the angle to the camera's z axis, rad.
+    /// Target outside the camera's view: angle to the camera's z axis, rad.
     View(f64),
 }
 
-/// What is nearer than wanted in a posture that is known to be free may come this much nearer, m.
+/// Tolerance for segments already too close in the known free configuration, m.
 const YIELD_M: f64 = 5e-3;
 
 impl Keep {
-    /// Of an arm whose posture `free` touches nothing. Parts that are joined by less of the arm than twice
-    /// their radii are neighbours, which no capsule tells apart; parts that are nearer than `clear_m` there
-    /// already stay about as near.
+    /// Derives the clearances for an arm whose configuration `free` is collision-free. Segments connected
+    /// by a path shorter than twice their radii are neighbours and are not checked. Segments already closer
+    /// than `clear_m` must keep about that distance.
     pub fn around(
         chain: &Chain,
         free: &[f64],
@@ -87,7 +86,7 @@ impl Keep {
         keep
     }
 
-    /// The height of the lowest point of a straight, m; of one whose ends do not move none.
+    /// Height of the lowest point of a segment, m. Infinite for the fixed first segment.
     fn height(&self, points: &[Vec3], at: usize) -> f64 {
         match at {
             0 => f64::INFINITY,
@@ -95,7 +94,7 @@ impl Keep {
         }
     }
 
-    /// What comes too near in posture `q`.
+    /// First violation in configuration `q`.
     pub fn offence(&self, chain: &Chain, q: &[f64]) -> Option<Nearness> {
         let points = points(chain, q);
         let parts = self.pairs.iter().find_map(|&(i, j, least)| {
@@ -118,7 +117,7 @@ impl Keep {
         parts.or_else(floor).or_else(view)
     }
 
-    /// What is nearer than wanted in posture `q` all the same: pairs of parts, and parts over the floor.
+    /// Segment pairs, and segments above the floor, closer than `clear_m` in configuration `q`.
     pub fn near(&self, chain: &Chain, q: &[f64]) -> Vec<Nearness> {
         let points = points(chain, q);
         let pairs = self.pairs.iter().filter_map(|&(i, j, _)| {
@@ -133,14 +132,14 @@ impl Keep {
         pairs.chain(floor).collect()
     }
 
-    /// How many pairs of parts are held apart.
+    /// Number of segment pairs checked.
     pub fn pairs(&self) -> usize {
         self.pairs.len()
     }
 }
 
 impl View {
-    /// The angle between the camera's z axis and the direction to the target, rad.
+    /// Angle between the camera's z axis and the direction to the target, rad.
     fn angle(&self, base_from_hand: &Pose) -> f64 {
         let camera = base_from_hand * self.hand_from_camera;
         let seen = camera.inverse() * nalgebra::Point3::from(self.target);
@@ -148,7 +147,7 @@ impl View {
     }
 }
 
-/// The origins of the base, the joints and the tip, m.
+/// Origins of the base, the joints and the tip, m.
 pub(super) fn points(chain: &Chain, q: &[f64]) -> Vec<Vec3> {
     let mut frames = Vec::new();
     chain.joint_frames(q, &mut frames);
@@ -157,7 +156,7 @@ pub(super) fn points(chain: &Chain, q: &[f64]) -> Vec<Vec3> {
     std::iter::once(Vec3::zeros()).chain(joints).chain([tip]).collect()
 }
 
-/// The distance between two straights, m (Ericson, *Real-Time Collision Detection*, 2005, ch. 5.1.9).
+/// Distance between two segments, m (Ericson, *Real-Time Collision Detection*, 2005, ch. 5.1.9).
 fn between(one: &[Vec3], other: &[Vec3]) -> f64 {
     const NONE: f64 = 1e-12;
     let (d1, d2, r) = (one[1] - one[0], other[1] - other[0], one[0] - other[0]);

@@ -1,38 +1,39 @@
-//! Motions as sums of sines over the whole time, which begin and end at rest.
+//! Finite Fourier series motions that start and end at rest.
 
 use super::Room;
 use ground::stream::JointTrack;
 use std::f64::consts::{PI, TAU};
 
-/// Samples for each turn of the fastest sine at which limits are held.
+/// Samples per period of the fastest sine at which limits are checked.
 const SAMPLES: usize = 16;
 
-/// `q_j(t) = around_j + Σ_k sin_jk·sin(kω(t − rest)) + cos_jk·cos(kω(t − rest))`, `ω = 2π / seconds`, with
-/// position `around_j` and neither speed nor acceleration at both ends, and at rest before and after.
+/// `q_j(t) = around_j + Σ_k sin_jk·sin(kω(t − rest)) + cos_jk·cos(kω(t − rest))`, `ω = 2π / seconds`. At
+/// both ends the position is `around_j` with zero velocity and acceleration; the arm rests before and
+/// after.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Series {
-    /// The posture at both ends, rad or m.
+    /// Configuration at both ends, rad or m.
     pub around: Vec<f64>,
-    /// How long it moves, s.
+    /// Duration of the motion, s.
     pub seconds: f64,
-    /// How long it rests before it moves, and after, s.
+    /// Duration of the rest before and after it, s.
     pub rest_s: f64,
-    /// Sines a joint.
+    /// Number of sines per joint.
     pub harmonics: usize,
-    /// The amplitudes of the sines, joint after joint, rad or m.
+    /// Sine amplitudes, joint by joint, rad or m.
     pub sin: Vec<f64>,
-    /// The amplitudes of the cosines, likewise.
+    /// Cosine amplitudes, joint by joint, rad or m.
     pub cos: Vec<f64>,
 }
 
 impl Series {
-    /// A motion that rests.
+    /// Motion with all amplitudes zero.
     pub(super) fn at_rest(around: &[f64], seconds: f64, rest_s: f64, harmonics: usize) -> Self {
         let (around, none) = (around.to_vec(), vec![0.0; around.len() * harmonics]);
         Self { around, seconds, rest_s, harmonics, sin: none.clone(), cos: none }
     }
 
-    /// How long it lasts with its rests, s.
+    /// Total duration including rests, s.
     pub fn length_s(&self) -> f64 {
         self.seconds + 2.0 * self.rest_s
     }
@@ -42,12 +43,12 @@ impl Series {
         self.around.len()
     }
 
-    /// Position, speed and acceleration of a joint.
+    /// Position, velocity and acceleration of a joint.
     pub fn at(&self, joint: usize, t_s: f64) -> [f64; 3] {
         self.moving(joint, (t_s - self.rest_s).clamp(0.0, self.seconds))
     }
 
-    /// The same, so long after it began to move.
+    /// Same as [`Self::at`], with time relative to the start of the motion.
     fn moving(&self, joint: usize, t_s: f64) -> [f64; 3] {
         let omega = TAU / self.seconds;
         let own = joint * self.harmonics..(joint + 1) * self.harmonics;
@@ -62,7 +63,7 @@ impl Series {
         sum
     }
 
-    /// Positions and speeds at `count` times from the first to the last, evenly.
+    /// Positions and velocities at `count` evenly spaced times.
     pub fn track(&self, count: usize) -> JointTrack {
         let last = count.max(2) - 1;
         let mut track = JointTrack { dof: self.dof(), ..JointTrack::default() };
@@ -78,15 +79,15 @@ impl Series {
         track
     }
 
-    /// Takes off a joint what keeps it from resting at both ends, and makes it as large as `share` of its
-    /// room allows.
+    /// Projects a joint's amplitudes onto motions at rest at both ends, and scales them to `share` of its
+    /// room.
     ///
-    /// A sum of K sines that is at most m at N equal steps is nowhere above `m / cos(πK/N)` (Ehlich and
-    /// Zeller, "Schwankung von Polynomen zwischen Gitterpunkten", Mathematische Zeitschrift 86, 1964): so
-    /// limits hold between samples, too.
+    /// A sum of K sines bounded by m at N equidistant points is bounded by `m / cos(πK/N)` everywhere
+    /// (Ehlich and Zeller, "Schwankung von Polynomen zwischen Gitterpunkten", Mathematische Zeitschrift 86,
+    /// 1964). Limits therefore also hold between samples.
     pub(super) fn fill(&mut self, joint: usize, room: &Room, share: f64) {
         let own = joint * self.harmonics..(joint + 1) * self.harmonics;
-        // Speed at the ends is Σ k·sin_k, position Σ cos_k, acceleration Σ k²·cos_k.
+        // At the ends, velocity is Σ k·sin_k, position Σ cos_k, acceleration Σ k²·cos_k.
         take_off(&mut self.sin[own.clone()], &[|k| (k + 1) as f64]);
         take_off(&mut self.cos[own.clone()], &[|_| 1.0, |k| ((k + 1) as f64).powi(2)]);
         let count = SAMPLES * self.harmonics;
@@ -102,7 +103,7 @@ impl Series {
                 most[3].max(qdd.abs()),
             ];
         }
-        // Of a side the other one's overshoot counts, too: the bound is that of the absolute value.
+        // The bound applies to the absolute value, so either side includes the larger overshoot.
         let over = (between - 1.0) * most[0].max(most[1]);
         let allowed = [
             share * room.above / (most[0] + over),
@@ -118,7 +119,7 @@ impl Series {
     }
 }
 
-/// Takes the parts along some directions off a vector (Gram and Schmidt).
+/// Subtracts the projections of a vector onto some directions (Gram–Schmidt).
 fn take_off<const N: usize>(values: &mut [f64], directions: &[fn(usize) -> f64; N]) {
     let mut taken: Vec<Vec<f64>> = Vec::new();
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
@@ -132,7 +133,7 @@ fn take_off<const N: usize>(values: &mut [f64], directions: &[fn(usize) -> f64; 
         own.iter_mut().for_each(|value| *value /= norm);
         taken.push(own);
     }
-    // Twice: what rounding leaves the first time is gone the second.
+    // The second pass removes rounding errors.
     for other in taken.iter().chain(&taken) {
         let along = dot(values, other);
         values.iter_mut().zip(other).for_each(|(value, other)| *value -= along * other);

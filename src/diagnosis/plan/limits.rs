@@ -1,37 +1,37 @@
-//! Where a motion goes, and where that is beyond a limit.
+//! Range of a motion, and limit violations.
 
 use ground::robot::Chain;
 use ground::stream::JointTrack;
 
-/// What of a joint is limited.
+/// Limited quantity of a joint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Bound {
-    /// Its lowest position.
+    /// Lowest position.
     Lower,
-    /// Its highest position.
+    /// Highest position.
     Upper,
-    /// Its speed.
+    /// Speed.
     Speed,
-    /// Its acceleration.
+    /// Acceleration.
     Acceleration,
 }
 
-/// One limit that a motion is beyond.
+/// Violation of one limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Beyond {
-    /// The joint, in the chain's order.
+    /// Index of the joint in the chain.
     pub joint: usize,
-    /// What of it.
+    /// Limited quantity.
     pub bound: Bound,
-    /// When it is farthest beyond, s.
+    /// Time of the largest violation, s.
     pub t_s: f64,
-    /// What it is then, in SI units.
+    /// Value at that time, SI units.
     pub value: f64,
     /// The limit.
     pub limit: f64,
 }
 
-/// How one joint moves.
+/// Range of one joint's motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extent {
     /// Lowest position, rad or m.
@@ -44,7 +44,7 @@ pub struct Extent {
     pub acceleration: f64,
 }
 
-/// Speeds between samples by their positions and accelerations by their speeds, with the times of each.
+/// Time, velocity (position difference) and acceleration (velocity difference) between consecutive samples.
 fn rates(motion: &JointTrack, joint: usize) -> impl Iterator<Item = (f64, f64, f64)> {
     let (dof, last) = (motion.dof, motion.len().saturating_sub(1));
     (0..last).map(move |row| {
@@ -55,7 +55,7 @@ fn rates(motion: &JointTrack, joint: usize) -> impl Iterator<Item = (f64, f64, f
     })
 }
 
-/// How each joint moves.
+/// Range of each joint's motion.
 pub fn extents(motion: &JointTrack) -> Vec<Extent> {
     let column = |values: &'_ [f64], joint: usize| -> Vec<f64> {
         values.iter().skip(joint).step_by(motion.dof).copied().collect()
@@ -74,17 +74,17 @@ pub fn extents(motion: &JointTrack) -> Vec<Extent> {
     (0..motion.dof).map(extent).collect()
 }
 
-/// The limits that a motion of `chain` is beyond, each once, where it is farthest beyond. `speed` and
-/// `acceleration` are the highest of each joint.
+/// Limits violated by a motion of `chain`, each at its largest violation. `speed` and `acceleration` are
+/// the limits of each joint.
 pub fn beyond(
     chain: &Chain,
     motion: &JointTrack,
     speed: &[f64],
     acceleration: &[f64],
 ) -> Vec<Beyond> {
-    /// Rounding in a file is no transgression.
+    /// Tolerance for rounding in a file.
     const SLACK: f64 = 1e-6;
-    /// Nor is what differences make of speeds that are rounded.
+    /// Tolerance for finite differences of rounded values.
     const DIFFERENCED: f64 = 1e-2;
     let mut found = Vec::new();
     for (joint, limits) in chain.limits().iter().enumerate() {

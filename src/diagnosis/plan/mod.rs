@@ -1,11 +1,10 @@
-//! The motion to record so that an audit can tell what it could not, and what a given motion would show.
+//! Plans the motion to record for an audit or calibration, and predicts the precision of a given motion.
 //!
-//! A motion is judged by the information matrix of the estimators themselves: their Jacobians at its
-//! postures, weighed by the noise that the poses are expected to have. Of motions within the limits around
-//! a posture the one is sought whose information on what is asked has the largest determinant, beside
-//! everything else that is unknown (D-optimality: Fedorov, *Theory of Optimal Experiments*, 1972; of
-//! robot motions: Swevers et al., "Optimal robot excitation and identification", IEEE Trans. Robotics and
-//! Automation 13(5), 1997).
+//! A motion is evaluated by the information matrix of the estimators: their Jacobians at its
+//! configurations, weighted by the expected pose noise. The search maximises the determinant of the
+//! information on the requested parameters, marginalised over all other unknowns (D-optimality: Fedorov,
+//! *Theory of Optimal Experiments*, 1972; for robot motions: Swevers et al., "Optimal robot excitation and
+//! identification", IEEE Trans. Robotics and Automation 13(5), 1997).
 
 mod distance;
 mod fourier;
@@ -26,32 +25,32 @@ pub use limits::{Beyond, Bound, Extent, beyond, extents};
 pub use search::{Infeasible, Planned, plan, sampled};
 pub use shown::{Promise, Showable, geometric_mean, promises};
 
-/// What a motion is to show.
+/// Quantity to estimate from a motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
-    /// The zeros of the joints.
+    /// Zero offsets of the joints.
     Zeros,
-    /// The deviations of all links from the drawing.
+    /// Deviations of all links from the nominal model.
     Calibration,
-    /// The latency of poses against the joint states.
+    /// Latency of poses against the joint states.
     Latency,
-    /// The pose of a camera in the hand.
+    /// Pose of a camera in the hand.
     HandEye,
     /// Drift and tilt of an IMU's orientation.
     Yaw,
 }
 
 impl Purpose {
-    /// Every one, the most asked for first.
+    /// All purposes, most common first.
     pub const ALL: [Purpose; 5] =
         [Purpose::Zeros, Purpose::Calibration, Purpose::Latency, Purpose::HandEye, Purpose::Yaw];
 
-    /// Whether poses in a frame show it, known or not.
+    /// Whether it is estimated from poses in a known or unknown frame.
     pub const fn is_of_poses(self) -> bool {
         matches!(self, Purpose::Zeros | Purpose::Calibration | Purpose::Latency)
     }
 
-    /// Its name on the command line and in reports.
+    /// Name on the command line and in reports.
     pub const fn name(self) -> &'static str {
         match self {
             Purpose::Zeros => "zeros",
@@ -63,62 +62,60 @@ impl Purpose {
     }
 }
 
-/// By what the motion is seen.
+/// Properties of the measurement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sensing {
     /// Standard deviation of a position along each axis, m.
     pub noise_m: f64,
     /// Standard deviation of a rotation about each axis, rad.
     pub noise_rad: f64,
-    /// Poses a second.
+    /// Pose rate, Hz.
     pub rate_hz: f64,
-    /// Whether the frame that the poses are in and the point that they are of are unknown, as those of
-    /// a tracker are.
+    /// Whether the reference frame and the measured point are unknown, as for a tracker.
     pub outside: bool,
-    /// By how much the links differ from the drawing, as a standard deviation, m; angles by 0.1° where
-    /// that is 1 mm.
+    /// Standard deviation of the link deviations from the nominal model, m (and 0.1° per mm).
     pub link_m: f64,
-    /// The camera in the hand.
+    /// Pose of the camera in the hand.
     pub hand_from_camera: Pose,
-    /// How far in front of the camera, along its z axis, the target is in the posture of the start, m.
+    /// Distance of the target along the camera's z axis in the start configuration, m.
     pub target_m: f64,
 }
 
-/// How far, how fast and how abruptly one joint may move from where it is.
+/// Limits of one joint's motion relative to its start.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Room {
     /// Downwards, rad or m, not negative.
     pub below: f64,
-    /// Upwards, likewise.
+    /// Upwards, rad or m, not negative.
     pub above: f64,
-    /// Highest speed, rad/s or m/s.
+    /// Maximum speed, rad/s or m/s.
     pub velocity: f64,
-    /// Highest acceleration, rad/s² or m/s².
+    /// Maximum acceleration, rad/s² or m/s².
     pub acceleration: f64,
 }
 
-/// A motion that is asked for.
+/// Requirements on a motion.
 #[derive(Clone, Debug)]
 pub struct Task<'a> {
     /// The arm.
     pub chain: &'a Chain,
-    /// The posture at which the motion begins and ends, in the chain's order, rad or m.
+    /// Start and end configuration, in the chain's order, rad or m.
     pub around: &'a [f64],
-    /// The room of each joint.
+    /// Limits of each joint.
     pub rooms: &'a [Room],
-    /// How long it lasts with its rests, s.
+    /// Total duration including rests, s.
     pub seconds: f64,
-    /// What it is to show.
+    /// Quantity to estimate.
     pub purpose: Purpose,
-    /// By what.
+    /// Measurement used for it.
     pub sensing: Sensing,
-    /// What it keeps off.
+    /// Clearances.
     pub keep: &'a Keep,
-    /// Of the random numbers.
+    /// Random seed.
     pub seed: u64,
 }
 
-/// What a motion shows.
+/// Expected precision of a motion.
 pub fn shown(
     chain: &Chain,
     motion: &JointTrack,

@@ -1,4 +1,4 @@
-//! The search for the motion whose information on what is asked is largest.
+//! Search for the motion with the largest information on the requested parameters.
 
 use super::fourier::Series;
 use super::shown::{Promise, Sight};
@@ -9,52 +9,52 @@ use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-/// The fastest sine, Hz: arms follow it, and poses that are some milliseconds late show it.
+/// Highest frequency, Hz. Arms can follow it, and a latency of some milliseconds is visible at it.
 const FASTEST_HZ: f64 = 0.3;
-/// Sines a joint: fewer leave no freedom, more cost time.
+/// Number of sines per joint. Fewer leave too little freedom, more take too long.
 const SINES: std::ops::RangeInclusive<usize> = 5..=18;
-/// How long a motion rests at either end, s, and the most of its time: what is told at rest only is told then.
+/// Rest at either end, s, and its maximum share of the time. Some estimates need samples at rest.
 const REST_S: f64 = 2.0;
 const REST_SHARE: f64 = 0.05;
-/// Rows at which a motion is judged.
+/// Number of rows at which a motion is evaluated.
 const ROWS: usize = 160;
-/// Rows a second at which a motion keeps off what it should: while it is sought, and once it is found.
+/// Rate at which the clearance is checked: during the search, and for the result.
 const LOOKED_HZ: f64 = 10.0;
 const HELD_HZ: f64 = 50.0;
-/// Motions of random phases that are tried at first, and of which the one in the middle is compared with.
+/// Number of random initial motions. The median of them serves as a baseline.
 const DRAWS: usize = 15;
-/// Steps of the search.
+/// Number of search steps.
 const STEPS: usize = 1500;
-/// Shares of the room that are tried, where more of it brings the arm too near something.
+/// Fractions of the room, tried in turn until the clearance is kept.
 const SHARES: [f64; 8] = [1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05];
 
-/// A motion that was found.
+/// Result of the search.
 #[derive(Clone, Debug)]
 pub struct Planned {
     /// The motion.
     pub series: Series,
-    /// The share of the room that it keeps to.
+    /// Fraction of the room that it uses.
     pub share: f64,
-    /// What it shows.
+    /// Expected precision of the motion.
     pub promises: Vec<Promise>,
-    /// What one of random phases within the same limits shows: of several, the one in the middle.
+    /// Expected precision of the median random motion within the same limits.
     pub random: Vec<Promise>,
-    /// What the same time shows in which one joint after the other goes to and fro.
+    /// Expected precision if the joints move one after the other for the same total time.
     pub one_by_one: Vec<Promise>,
 }
 
-/// Why there is no motion.
+/// Reason why no motion was found.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Infeasible {
-    /// No joint has any room.
+    /// No joint can move.
     NoRoom,
-    /// Whatever was tried came too near something; what, at the smallest share of the room.
+    /// All attempts violated a clearance; the violation at the smallest fraction of the room.
     TooNear(Option<Nearness>),
-    /// No motion shows what is asked.
+    /// No motion makes the requested parameters observable.
     NothingShown,
 }
 
-/// The motion at the rows at which it is judged; `None` where these are more than 2 s apart while it moves.
+/// Samples the motion at the evaluation rows. `None` if these are more than 2 s apart during motion.
 pub fn sampled(motion: &JointTrack, chain: &Chain) -> Option<JointTrack> {
     let (first, last) = motion.span()?;
     let mut sampled = JointTrack { dof: chain.dof(), ..JointTrack::default() };
@@ -72,10 +72,10 @@ pub fn sampled(motion: &JointTrack, chain: &Chain) -> Option<JointTrack> {
     Some(sampled)
 }
 
-/// The motion that shows most of what is asked.
+/// Finds the motion with the largest information on the requested parameters.
 ///
 /// # Errors
-/// Where there is none within the limits.
+/// If no motion satisfies the limits.
 pub fn plan(task: &Task) -> Result<Planned, Infeasible> {
     let room = |room: &super::Room| room.above.min(room.below);
     if !task.rooms.iter().any(|it| room(it) > 0.0 && it.velocity > 0.0 && it.acceleration > 0.0) {
@@ -126,14 +126,14 @@ pub fn plan(task: &Task) -> Result<Planned, Infeasible> {
 
 struct Search<'a> {
     task: &'a Task<'a>,
-    /// How long it moves, s.
+    /// Duration of the motion without rests, s.
     seconds: f64,
     rest_s: f64,
     harmonics: usize,
 }
 
 impl Search<'_> {
-    /// A motion of random phases.
+    /// Random motion within the limits.
     fn drawn(&self, random: &mut Pcg64, share: f64) -> Series {
         let Self { task, seconds, rest_s, harmonics } = *self;
         let mut series = Series::at_rest(task.around, seconds, rest_s, harmonics);
@@ -150,7 +150,7 @@ impl Search<'_> {
         series
     }
 
-    /// What it comes too near, at so many rows a second.
+    /// First clearance violation, checked at `rate_hz`.
     fn offence(&self, series: &Series, rate_hz: f64) -> Option<Nearness> {
         let track = series.track((series.length_s() * rate_hz).ceil() as usize + 1);
         (0..track.len()).find_map(|row| self.task.keep.offence(self.task.chain, track.row(row)))
@@ -162,8 +162,8 @@ impl Search<'_> {
         sight.map_or(f64::INFINITY, |sight| sight.score())
     }
 
-    /// Better motions by small changes of one joint at a time: each that is better is kept, and changes
-    /// grow where they often are (Rechenberg, *Evolutionsstrategie*, 1973).
+    /// (1+1) evolution strategy: random changes of one joint at a time, kept if better. The step size
+    /// adapts to the success rate (Rechenberg, *Evolutionsstrategie*, 1973).
     fn climbed(&self, start: (f64, Series), share: f64, random: &mut Pcg64) -> (f64, Series) {
         let (mut best, mut size) = (start, 0.5);
         for _ in 0..STEPS {
@@ -188,15 +188,15 @@ impl Search<'_> {
         best
     }
 
-    /// One joint after the other to and fro in its part of the time, as far and as fast as the limits
-    /// allow, from rest to rest.
+    /// Each joint in turn moves forth and back once, from rest to rest, as far and as fast as the limits
+    /// allow.
     fn one_by_one(&self, share: f64, rows: usize) -> JointTrack {
         let dof = self.task.around.len();
         let (seconds, whole_s) = (self.seconds / dof as f64, self.seconds + 2.0 * self.rest_s);
         let series: Vec<Series> = (0..dof)
             .map(|joint| {
                 let mut series = Series::at_rest(self.task.around, seconds, 0.0, 2);
-                // sin x − sin 2x / 2 begins and ends at rest.
+                // sin x − sin 2x / 2 starts and ends at rest.
                 (series.sin[2 * joint], series.sin[2 * joint + 1]) = (1.0, -0.5);
                 series.fill(joint, &self.task.rooms[joint], share);
                 series

@@ -1,4 +1,4 @@
-//! What a motion shows of what is asked, by the information matrix of the estimator that is asked.
+//! Expected precision of a motion, from the information matrix of the corresponding estimator.
 
 use super::{Purpose, Sensing};
 use crate::arm::FIT_SAMPLES;
@@ -17,57 +17,57 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use std::f64::consts::PI;
 
-/// Half of a 95 % interval, in standard deviations of normal noise.
+/// Half-width of a 95 % interval in standard deviations.
 const HALF: f64 = 1.959_963_985;
-/// Postures all over the ranges of the joints at which a calibrated model is judged.
+/// Number of configurations over the workspace at which a calibrated model is evaluated.
 const POSTURES: usize = 150;
-/// What is known no better than to this share of what was known before is not shown.
+/// A parameter is observable if its standard deviation is below this share of the prior one.
 const LEARNT: f64 = 0.5;
-/// What is not known before of a camera's or an IMU's mount and time, m, rad and s: this keeps a score
-/// finite where a motion shows nothing.
+/// Weak prior of a camera's or IMU's mount and time, m, rad and s. It keeps the score finite for
+/// unobservable parameters.
 const NOT_KNOWN: f64 = 1.0;
 
-/// An amount that a motion may show.
+/// Quantity that a motion may determine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Showable {
-    /// The zero of a joint, in the chain's order, beside those of all others, rad or m.
+    /// Zero of a joint, in the chain's order, with all zeros free, rad or m.
     Zero(usize),
-    /// The zero of a joint beside links that differ from the drawing, rad or m.
+    /// Zero of a joint with link deviations free, rad or m.
     ZeroBesideLinks(usize),
-    /// The tip's position by the calibrated model, rms m, where the motion goes or `everywhere`.
+    /// Tip position of the calibrated model, rms m, along the motion or `everywhere`.
     FkPosition {
-        /// All over the ranges of the joints.
+        /// Over the whole workspace.
         everywhere: bool,
     },
-    /// The tip's rotation by it, rms rad.
+    /// Tip rotation of the calibrated model, rms rad.
     FkRotation {
-        /// All over the ranges of the joints.
+        /// Over the whole workspace.
         everywhere: bool,
     },
-    /// The latency, s.
+    /// Latency, s.
     Latency,
-    /// The position of the camera along one of its axes (0 to 2), m.
+    /// Camera position along one of its axes (0 to 2), m.
     CameraShift(usize),
-    /// The rotation of the camera about one of its axes, rad.
+    /// Camera rotation about one of its axes, rad.
     CameraTurn(usize),
-    /// The drift of the yaw, rad/s.
+    /// Yaw drift, rad/s.
     YawDrift,
-    /// The tilt of the IMU's world about x or y (0 or 1) of the base, rad.
+    /// Tilt of the IMU's world about x or y (0 or 1) of the base, rad.
     Tilt(usize),
 }
 
-/// How well an amount is expected to be known.
+/// Expected precision of a quantity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Promise {
-    /// The amount.
+    /// The quantity.
     pub of: Showable,
-    /// Half of its 95 % interval, of the tip's errors their root mean square; infinite where the motion does
-    /// not show it.
+    /// Half-width of its 95 % interval, or the rms of the tip's errors. Infinite if the motion does not
+    /// determine it.
     pub half: f64,
 }
 
-/// What is asked of some parameters: of which, with which standard deviation each was known before
-/// (infinite: not at all), and at which of them.
+/// Free parameters, their prior standard deviations (infinite for a flat prior), and which of them are
+/// requested.
 struct Question {
     parameters: Vec<usize>,
     before: Vec<f64>,
@@ -75,7 +75,7 @@ struct Question {
 }
 
 impl Question {
-    /// The covariance of what is asked, infinite where the motion does not show it.
+    /// Covariance of the requested parameters, infinite for unobservable ones.
     fn covariance(&self, information: &DMatrix<f64>) -> DMatrix<f64> {
         let n = self.parameters.len();
         let at = |i: usize, j: usize| information[(self.parameters[i], self.parameters[j])];
@@ -96,7 +96,7 @@ impl Question {
         covariance.select_rows(&self.asked).select_columns(&self.asked)
     }
 
-    /// The log of the determinant of that: less is better.
+    /// Log determinant of the covariance; lower is better.
     fn score(&self, information: &DMatrix<f64>) -> f64 {
         let known = Self {
             before: self.before.iter().map(|before| before.min(NOT_KNOWN)).collect(),
@@ -110,7 +110,7 @@ impl Question {
     }
 }
 
-/// A motion linearised, row by row, as the estimator that is asked linearises a log of it.
+/// Linearised motion, sample by sample, as in the estimator.
 pub(super) struct Sight<'a> {
     sensing: &'a Sensing,
     purpose: Purpose,
@@ -121,7 +121,7 @@ pub(super) struct Sight<'a> {
 }
 
 impl<'a> Sight<'a> {
-    /// `None` where the joints' positions are not known between the rows of `motion`.
+    /// `None` if joint positions between the rows of `motion` are unknown.
     pub fn of(
         chain: &Chain,
         motion: &'a JointTrack,
@@ -149,7 +149,7 @@ impl<'a> Sight<'a> {
         })
     }
 
-    /// The information of a log of which the estimator takes `most` samples at most.
+    /// Information from a log of which the estimator uses at most `most` samples.
     fn information(&self, most: usize) -> DMatrix<f64> {
         let &Sensing { noise_m, noise_rad, rate_hz, .. } = self.sensing;
         let mut weights = self.linear.even_weights();
@@ -165,7 +165,7 @@ impl<'a> Sight<'a> {
         }
     }
 
-    /// With a column more: the yaw's drift about the middle of the motion.
+    /// Appends a column for the yaw drift about the middle of the motion.
     fn with_drift(&self, information: DMatrix<f64>, noise_rad: f64) -> DMatrix<f64> {
         let (width, middle_s) = (information.ncols(), self.t_s[0] + 0.5 * self.seconds);
         let mut with = information.resize(width + 1, width + 1, 0.0);
@@ -195,16 +195,14 @@ impl<'a> Sight<'a> {
         self.links() + 1 + joint
     }
 
-    /// What is always free: the frame of the poses and the point that they are of, where these are
-    /// unknown.
+    /// Reference and tool frame, if unknown.
     fn frames(&self) -> Vec<usize> {
         let last = self.links() - 6;
         let outside = self.sensing.outside;
         (0..6).chain(last..last + 6).filter(|_| outside).collect()
     }
 
-    /// The links with what is known of them before, the latency, and the zeros of some joints, which are
-    /// asked.
+    /// Question about the zeros of some joints, with link deviations (prior `link`) and latency free.
     fn beside_links(&self, zeros: &[usize], link: (f64, f64)) -> Question {
         let frames = self.frames();
         let before = |i: usize| match i % 6 {
@@ -219,7 +217,7 @@ impl<'a> Sight<'a> {
         Question { asked: (self.links() + 1..parameters.len()).collect(), parameters, before }
     }
 
-    /// Some parameters of which nothing is known before, the first `asked` of which are asked.
+    /// Question with flat priors, about the first `asked` of the parameters.
     fn freely(parameters: Vec<usize>, asked: usize) -> Question {
         let before = vec![f64::INFINITY; parameters.len()];
         Question { parameters, before, asked: (0..asked).collect() }
@@ -229,7 +227,7 @@ impl<'a> Sight<'a> {
         (self.sensing.link_m, RAD_PER_M * self.sensing.link_m)
     }
 
-    /// All zeros, beside latency and frames.
+    /// All zeros, with latency and frames free.
     fn zeros(&self) -> Question {
         let zeros = (0..self.joints).map(|joint| self.zero(joint));
         let parameters = zeros.chain([self.latency()]).chain(self.frames()).collect();
@@ -246,7 +244,7 @@ impl<'a> Sight<'a> {
         Self::freely(latency.chain(self.frames()).collect(), 1)
     }
 
-    /// Drift and tilt, beside the yaw, the mount and the latency.
+    /// Drift and tilt, with yaw, mount and latency free.
     fn yaw(&self) -> Question {
         let (drift, mount) = (self.linear.width, self.links() - 3);
         let beside = [YAW, self.latency(), mount, mount + 1, mount + 2];
@@ -257,7 +255,7 @@ impl<'a> Sight<'a> {
         Self::freely((0..handeye::WIDTH).collect(), 6)
     }
 
-    /// The log of the determinant of what is asked: less is better.
+    /// Log determinant of the covariance of the requested parameters; lower is better.
     pub fn score(&self) -> f64 {
         let all: Vec<usize> = (0..self.joints).collect();
         let (question, most) = match self.purpose {
@@ -273,7 +271,7 @@ impl<'a> Sight<'a> {
         question.score(&self.information(most))
     }
 
-    /// How well what is asked is expected to be known.
+    /// Expected precision of the requested quantities.
     pub fn promises(&self, chain: &Chain) -> Vec<Promise> {
         let each = |question: &Question, most: usize, of: &dyn Fn(usize) -> Showable| {
             let covariance = question.covariance(&self.information(most));
@@ -309,7 +307,7 @@ impl<'a> Sight<'a> {
         }
     }
 
-    /// How far the tip of a calibrated model is off, where the motion goes and everywhere.
+    /// Expected tip error of a calibrated model, along the motion and over the workspace.
     fn calibrated(&self, chain: &Chain) -> Vec<Promise> {
         let covariance = self.calibration().covariance(&self.information(FIT_SAMPLES));
         let everywhere = all_over(chain);
@@ -334,11 +332,11 @@ impl<'a> Sight<'a> {
     }
 }
 
-/// The turn of the world about z, and about x, among the link frames' parameters.
+/// Rotation of the world about z, and about x, in the link frames' parameters.
 const YAW: usize = 5;
 const TILT: usize = 3;
 
-/// How well a motion shows what is asked; `None` where it is not known between its rows.
+/// Expected precision of a motion. `None` if the motion is unknown between its rows.
 pub fn promises(
     chain: &Chain,
     motion: &JointTrack,
@@ -348,14 +346,14 @@ pub fn promises(
     Some(Sight::of(chain, motion, purpose, sensing)?.promises(chain))
 }
 
-/// The geometric mean of those that both motions show, of the one over the other, and of as many amounts.
+/// Geometric mean of the ratio `one / other`, over the quantities that both motions determine.
 pub fn geometric_mean(one: &[Promise], other: &[Promise]) -> Option<f64> {
     let both = one.iter().zip(other).map(|(one, other)| (one.half / other.half).ln());
     let logs: Vec<f64> = both.filter(|log| log.is_finite()).collect();
     (!logs.is_empty()).then(|| (logs.iter().sum::<f64>() / logs.len() as f64).exp())
 }
 
-/// Rows of a motion linearised in the link frames, the latency and the zeros.
+/// Linearises a motion in the link frames, the latency and the zeros.
 fn linearised(chain: &Chain, motion: &JointTrack) -> Linear {
     let columns: Vec<usize> = (0..chain.dof()).collect();
     let still = vec![0.0; chain.dof()];
@@ -376,7 +374,7 @@ fn linearised(chain: &Chain, motion: &JointTrack) -> Linear {
     link_frames(&witness, &StreamState::at_latency(0.0), &still, 0..motion.len(), With::Zeros)
 }
 
-/// Postures all over the ranges of the joints, a tenth of a second apart.
+/// Random configurations over the workspace, 0.1 s apart.
 fn all_over(chain: &Chain) -> JointTrack {
     let mut random = Pcg64::seed_from_u64(1);
     let mut track = JointTrack { dof: chain.dof(), ..JointTrack::default() };

@@ -40,7 +40,7 @@ fn free(chain: &Chain, q: &[f64]) -> Keep {
     Keep::around(chain, q, Body { radius_m }, 0.01, None, None)
 }
 
-/// A task of 20 s around [`UR`], with room on all sides.
+/// A 20 s task around [`UR`], with room in all directions.
 fn task<'a>(chain: &'a Chain, keep: &'a Keep, purpose: Purpose) -> Task<'a> {
     let (around, rooms, sensing) = (&UR, &[ROOM; 6], sensing());
     Task { chain, around, rooms, seconds: 20.0, purpose, sensing, keep, seed: 1 }
@@ -52,7 +52,7 @@ fn planned(chain: &Chain, purpose: Purpose, outside: bool) -> Planned {
     plan(&Task { seconds: 30.0, sensing, ..task(chain, &keep, purpose) }).unwrap()
 }
 
-/// The room that is left of 0.4 rad, and of as many limits.
+/// Room of up to 0.4 rad within the limits.
 fn rooms(chain: &Chain, q: &[f64]) -> Vec<Room> {
     let room = |(limits, q): (&ground::robot::Limits, &f64)| Room {
         below: limits.lower.map_or(0.4, |lower| (q - lower).min(0.4)),
@@ -63,7 +63,7 @@ fn rooms(chain: &Chain, q: &[f64]) -> Vec<Room> {
     chain.limits().iter().zip(q).map(room).collect()
 }
 
-/// A posture within the limits.
+/// Configuration within the limits.
 fn posture(chain: &Chain, parts: &[f64]) -> Vec<f64> {
     let kinds = chain.joint_kinds().iter();
     let at = |((kind, limits), part): ((&JointKind, &ground::robot::Limits), &f64)| {
@@ -147,7 +147,7 @@ proptest! {
                     prop_assert!(near.is_none(), "{near:?} at row {row} of {rows}");
                 }
             }
-            // Of the arms of few joints no motion may show it.
+            // With few joints the quantity may be unobservable.
             Err(why) => prop_assert!(why != Infeasible::NoRoom, "{why:?}"),
         }
     }
@@ -186,10 +186,10 @@ fn it_shows_more_than_random_phases_and_than_one_joint_at_a_time() {
 fn what_no_motion_shows_is_promised_to_nobody() {
     let found = planned(&ur5e(), Purpose::Zeros, true);
     let zero = |joint: usize| found.promises[joint].half;
-    // As one with the tracker's frame, and with the marker's turn.
+    // Joint 0 is confounded with the tracker frame, joint 5 with the marker's rotation.
     assert!(zero(0).is_infinite() && zero(5).is_infinite());
     assert!((1..5).all(|joint| zero(joint) < 1e-3));
-    // Beside links, of which something was known before, nothing was learnt of them either.
+    // With a prior on the links, these zeros remain undetermined.
     let beside = |joint: usize| found.promises[6 + joint].half;
     assert!(beside(0).is_infinite() && beside(5).is_infinite() && beside(2) < 2e-3);
 }
@@ -201,7 +201,7 @@ fn a_posture_at_its_limits_has_no_room_and_one_that_folds_is_too_near() {
     let keep = free(&chain, &UR);
     let none = Task { rooms: &[none; 6], ..task(&chain, &keep, Purpose::Zeros) };
     assert_eq!(plan(&none).unwrap_err(), Infeasible::NoRoom);
-    // Stretched out above a floor a hair below the lowest part: every motion dips.
+    // Stretched out just above the floor, every motion violates the clearance.
     let flat = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
     let keep = Keep::around(
         &chain,
@@ -215,7 +215,7 @@ fn a_posture_at_its_limits_has_no_room_and_one_that_folds_is_too_near() {
     assert!(matches!(plan(&dipping), Err(Infeasible::TooNear(Some(Nearness::Floor(..))))));
 }
 
-/// The poses of a motion, with noise.
+/// Poses of a motion, with noise.
 fn logged(chain: &Chain, motion: &JointTrack, late_s: f64, zeros: &[f64], seed: u64) -> PoseTrack {
     let mut random = Pcg64::seed_from_u64(seed);
     let mut normal = |sigma: f64| {
@@ -246,8 +246,7 @@ fn empty() -> PoseTrack {
     }
 }
 
-/// Logs of one motion that are audited, against what it promised: the estimator's own interval, and how far
-/// its estimates are off.
+/// Compares the estimator's intervals and errors on simulated logs with the predicted precision.
 #[test]
 fn promises_are_kept() {
     const RUNS: u64 = 16;
@@ -290,12 +289,12 @@ fn promises_are_kept() {
         claimed.push(halves[at] / promised);
         seen.push(1.96 * squares[at].sqrt() / promised);
     }
-    println!("claimed {claimed:.3?} seen {seen:.3?}");
+    println!("claimed {claimed:.3?}, actual {seen:.3?}");
     assert!(claimed.iter().all(|ratio| (ratio - 1.0).abs() < 0.2), "{claimed:?}");
-    // Of 16 runs the spread is known to 18 %, of the seven together to 7 %.
+    // The spread is known to 18 % from 16 runs, and to 7 % from all seven.
     let mean = seen.iter().sum::<f64>() / seen.len() as f64;
     assert!((mean - 1.0).abs() < 0.25, "{seen:?}");
-    // With zeros that are off, and named, those are known at least as well.
+    // Estimated zero offsets are at least as precise.
     let track = logged(&chain, &motion, 0.02, &truth, 99);
     let found = diagnosed(&track);
     for joint in [1, 2, 3] {
