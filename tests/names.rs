@@ -58,7 +58,7 @@ fn an_arm_is_matched_by_the_order_of_its_joints_and_the_evidence_is_said() {
     let report = audited(&[run], as_robot("ur5e")).expect("a report");
     let said = source(&report);
     assert!(said.contains("J1…J6 are shoulder_pan_joint…wrist_3_joint"), "{said}");
-    assert!(said.contains("fits to") && said.contains("with a joint zero"), "{said}");
+    assert!(said.contains("fits within") && said.contains("with a joint zero"), "{said}");
     let zero = report.findings.iter().find(|found| *found.code == *"ZER001").expect("the zero");
     assert_eq!(zero.subject.joint.as_deref(), Some("J3"));
 }

@@ -1,32 +1,32 @@
-//! How far two poses of one pair of frames are apart.
+//! Distance between two poses of the same frames.
 
 use crate::stream::PoseColumns;
 
-/// How far two poses are apart.
+/// Distance between two poses.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Apart {
-    /// Distance of the origins, m.
+    /// Distance between the origins, m.
     pub length_m: f64,
     /// Angle between the orientations, rad.
     pub angle_rad: f64,
 }
 
 impl Apart {
-    /// How far row `b` of some poses is from row `a` of others, whatever the norms and signs of the
-    /// quaternions; no angle where one is not set.
+    /// Distance between row `b` of some poses and row `a` of others. Ignores norms and signs of the
+    /// quaternions; the angle is zero if one is unset.
     pub(super) fn between(a: (&PoseColumns, usize), b: (&PoseColumns, usize)) -> Self {
         let of = |(poses, row): (&PoseColumns, usize)| (poses.xyz[row], poses.q_xyzw[row]);
         Self::of(of(a), of(b))
     }
 
-    /// How far two positions, m, and quaternions are apart.
+    /// Distance between two poses, given as positions, m, and quaternions.
     pub(super) fn of(a: ([f64; 3], [f64; 4]), b: ([f64; 3], [f64; 4])) -> Self {
         let (xyz, p, q) = ([a.0, b.0], a.1, b.1);
         let dot = |p: [f64; 4], q: [f64; 4]| p.iter().zip(q).map(|(a, b)| a * b).sum::<f64>();
         let sign = if dot(p, q) < 0.0 { -1.0 } else { 1.0 };
         let [norm_p, norm_q] = [p, q].map(|q| dot(q, q).sqrt());
         let (to_p, to_q) = (1.0 / norm_p, sign / norm_q);
-        // The chord tells small angles that the cosine cannot (angle = 4 asin(chord / 2)).
+        // The chord resolves small angles better than the cosine (angle = 4 asin(chord / 2)).
         let chord: f64 = (0..4).map(|i| (p[i] * to_p - q[i] * to_q).powi(2)).sum::<f64>().sqrt();
         let angle_rad = 4.0 * arc_sine((chord / 2.0).min(1.0));
         let squares: f64 = xyz[0].iter().zip(xyz[1]).map(|(a, b)| (a - b).powi(2)).sum();
@@ -35,23 +35,24 @@ impl Apart {
         Self { length_m: squares.sqrt(), angle_rad }
     }
 
-    /// Whether two rotations are less than `limit_rad` apart, told without a root; not all that are.
+    /// Whether two rotations are certainly less than `limit_rad` apart. Avoids square roots; may return
+    /// false for some that are.
     pub(super) fn is_surely_turned_less(p: [f64; 4], q: [f64; 4], limit_rad: f64) -> bool {
         let dot = |p: [f64; 4], q: [f64; 4]| p.iter().zip(q).map(|(a, b)| a * b).sum::<f64>();
         let sign = if dot(p, q) < 0.0 { -1.0 } else { 1.0 };
         let square: f64 = (0..4).map(|i| (p[i] - sign * q[i]).powi(2)).sum();
-        // Of norms from 1/2 on the chord is at most twice as long, and the angle 2.1 times that.
+        // For norms of at least 1/2, the chord is at most twice as long, and the angle 2.1 times that.
         dot(p, p) >= 0.25 && dot(q, q) >= 0.25 && 18.0 * square <= (limit_rad * limit_rad).min(4.0)
     }
 
-    /// One number for comparisons: what it comes to at the end of a lever of a metre, m.
+    /// Combined size for comparisons: displacement at the end of a 1 m lever, m.
     pub(super) fn size(self) -> f64 {
         self.length_m + self.angle_rad
     }
 }
 
-/// `asin(x)`, by the first terms of its series where the next one is below the last bit: nearly all
-/// samples are close to the one before.
+/// `asin(x)`, by a series that is exact to rounding for small values: consecutive samples are usually
+/// close.
 fn arc_sine(x: f64) -> f64 {
     if x < 1e-4 { x * (1.0 + x * x / 6.0) } else { x.asin() }
 }

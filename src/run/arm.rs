@@ -1,4 +1,4 @@
-//! One arm of a run: its joints over time and the streams that say where it was.
+//! One arm of a run: its joint states, and the streams that measure its pose.
 
 use std::sync::Arc;
 
@@ -20,50 +20,50 @@ use super::tf_tree::{TfTree, without_slash};
 /// One arm of a run.
 #[derive(Clone, Debug)]
 pub struct Arm {
-    /// Its name in reports.
+    /// Name in reports.
     pub name: String,
-    /// The robot that it is a part of, its joints named as in the log.
+    /// Robot that contains the arm, with joint names as in the log.
     pub robot: Robot,
-    /// How the robot was found, in words.
+    /// How the robot was identified.
     pub found: String,
-    /// Another arm that fits the poses far better than `robot`, which was named.
+    /// A different arm that fits the poses far better than `robot`, if `robot` was named.
     pub better: Option<BetterModel>,
-    /// The chain from base to tip.
+    /// Chain from base to tip.
     pub chain: Chain,
-    /// For each joint of `chain`, its column in `joints`.
+    /// Column in `joints` of each joint of `chain`.
     pub columns: Vec<usize>,
     /// Whether the caller named the tip.
     pub tip_named: bool,
     /// Names of the columns of `joints`.
     pub joint_names: Vec<String>,
-    /// The joint states.
+    /// Joint states.
     pub joints: Arc<JointTrack>,
-    /// How each column came about.
+    /// Origin of each column.
     pub joint_facts: Vec<JointFacts>,
-    /// The joint states as recorded, and what became of them, where the caller corrected them.
+    /// Joint states as recorded, and the corrections, if the caller corrected them.
     pub recorded: Option<(Arc<JointTrack>, JointMending)>,
-    /// Streams of measured tool poses, and candidates.
+    /// Measured tool poses, and candidates.
     pub poses: Vec<PoseSource>,
-    /// The chain from base to tip by the log's transforms, or why there is none.
+    /// Tip poses from the log's transforms, or why there are none.
     pub tf: Result<PoseSource, NoTf>,
-    /// Transforms that the log does not publish, which `tf` takes from the model: parent, child.
+    /// Transforms missing from the log that `tf` takes from the model: parent, child.
     pub from_model: Vec<(String, String)>,
-    /// The IMUs that it carries.
+    /// IMUs on the arm.
     pub imus: Vec<ImuSource>,
     pub(super) base: LinkId,
     pub(super) tip: LinkId,
-    /// The link that poses are in whose stream names no frame.
+    /// Reference link of poses whose stream names no frame.
     pub(super) unnamed_base: LinkId,
     pub(super) frames: FrameNames,
     pub(super) joint_stamps: Arc<[Stamp]>,
-    /// What tells it from other arms by name.
+    /// Names that distinguish it from other arms.
     pub(super) space: Space,
-    /// The frames that are its own or nobody's, and the transforms between them.
+    /// Its own and shared frames, and the transforms between them.
     pub(super) tree: Arc<TfTree>,
 }
 
 impl Arm {
-    /// For each column of its joint track, whether that joint slides.
+    /// Whether each column of its joint track is a prismatic joint.
     pub fn slides(&self) -> Vec<bool> {
         let slides = |name: &String| {
             self.robot.joint(name).is_some_and(|joint| joint.kind == JointKind::Prismatic)
@@ -72,30 +72,30 @@ impl Arm {
     }
 }
 
-/// How the joint states of an arm must be corrected, column for column.
+/// Corrections of the joint states, for each column.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointMending {
-    /// The column that holds this joint's positions.
+    /// Column that contains this joint's positions.
     pub from: Vec<usize>,
-    /// What positions and velocities are multiplied by.
+    /// Factor for positions and velocities.
     pub factor: Vec<f64>,
-    /// What is then added to positions, rad or m.
+    /// Offset added to the scaled positions, rad or m.
     pub offset: Vec<f64>,
 }
 
 impl JointMending {
-    /// Nothing is wrong with any of so many joints.
+    /// No correction for any joint.
     pub fn none(joints: usize) -> Self {
         let from = (0..joints).collect();
         Self { from, factor: vec![1.0; joints], offset: vec![0.0; joints] }
     }
 
-    /// Whether nothing is wrong.
+    /// Whether there is no correction.
     pub fn is_nothing(&self) -> bool {
         *self == Self::none(self.from.len())
     }
 
-    /// The joint states corrected.
+    /// Corrected joint states.
     pub fn mended(&self, track: &JointTrack) -> JointTrack {
         let mut mended = track.clone();
         for start in (0..track.q.len()).step_by(track.dof.max(1)) {
@@ -108,7 +108,7 @@ impl JointMending {
         mended
     }
 
-    /// All samples of each joint, corrected.
+    /// Corrected samples of each joint.
     pub fn mended_samples<'a>(&self, samples: &[JointSamples<'a>]) -> Vec<JointSamples<'a>> {
         let mended = self.from.iter().enumerate().map(|(joint, &from)| {
             let mut samples = samples[from].clone();
@@ -121,7 +121,7 @@ impl JointMending {
     }
 }
 
-/// Why the log's transforms do not lead from base to tip.
+/// Why the log's transforms do not connect base and tip.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum NoTf {
     /// There are none.
@@ -130,23 +130,23 @@ pub enum NoTf {
     /// They do not connect base and tip.
     #[error(transparent)]
     NoPath(#[from] TfError),
-    /// No transform over time stands for these joints.
-    #[error("no transform over time crosses {}", joints.join(", "))]
+    /// No dynamic transform covers these joints.
+    #[error("no transform over time covers {}", joints.join(", "))]
     NotCovered {
         /// The joints.
         joints: Vec<String>,
     },
-    /// Some of them were taken from the model, which is not what its table says.
-    #[error("some of them are the model's own, whose DH table is of the other convention")]
+    /// Some of them come from the model, whose DH convention was wrong.
+    #[error("some of them come from the model, whose DH table uses the other convention")]
     OtherModel,
-    /// They lie on another arm with the same joints and frames.
-    #[error("they are of {arm}, by its motion")]
+    /// They belong to a different arm with the same joints and frames.
+    #[error("they belong to {arm}, by its motion")]
     OfAnotherArm {
         /// That arm.
         arm: String,
     },
-    /// They are never all known at one time.
-    #[error("the transforms from base to tip are at no two times all known")]
+    /// They are never all available at one time.
+    #[error("fewer than two times have all transforms from base to tip")]
     NoSamples,
 }
 
@@ -157,7 +157,7 @@ pub(super) struct Anchor {
     pub link_from_frame: Pose,
 }
 
-/// The options of the caller that concern an arm.
+/// The caller's base and tip options.
 #[derive(Clone, Copy)]
 pub(super) struct Ends<'a> {
     pub base: Option<&'a str>,
@@ -165,11 +165,10 @@ pub(super) struct Ends<'a> {
 }
 
 impl Arm {
-    /// The arm of `model` along `path`, with its joint states.
+    /// Builds the arm of `model` along `path`, with its joint states.
     ///
     /// # Errors
-    /// Where base or tip are no links, the joint states lack joints between them, or no time has
-    /// samples of all.
+    /// If base or tip are not links, joints between them are missing, or no time has samples of all joints.
     pub(super) fn new(
         model: &Model,
         path: &ArmPath,
@@ -243,8 +242,8 @@ impl Arm {
         })
     }
 
-    /// This arm, its streams predicted by `robot`: the same links and joints, with other lengths.
-    /// `None` where a chain of it cannot be computed.
+    /// The same arm with its streams predicted by `robot`, which has the same links and joints with
+    /// different lengths. `None` if one of its chains cannot be computed.
     pub(crate) fn with_robot(&self, robot: Robot) -> Option<Self> {
         let chain = |old: &Chain| {
             robot.chain(robot.link(old.base_name())?, robot.link(old.tip_name())?).ok()
@@ -258,7 +257,7 @@ impl Arm {
             .iter()
             .map(|source| Some(ImuSource { chain: chain(&source.chain)?, ..source.clone() }));
         let tf = match &self.tf {
-            // What the model gave is of the other lengths.
+            // Transforms from the old model have the wrong lengths.
             Ok(_) if !self.from_model.is_empty() => Err(NoTf::OtherModel),
             Ok(source) => Ok(PoseSource { chain: chain(&source.chain)?, ..source.clone() }),
             Err(why) => Err(why.clone()),
@@ -273,26 +272,26 @@ impl Arm {
         })
     }
 
-    /// Corrects the joint states, and keeps them as recorded beside.
+    /// Corrects the joint states, and keeps the recorded ones.
     pub(crate) fn mend_joints(&mut self, mending: JointMending) {
         let mended = mending.mended(&self.joints);
         let recorded = std::mem::replace(&mut self.joints, Arc::new(mended));
         self.recorded = Some((recorded, mending));
     }
 
-    /// Whether this arm is the one along `path`, and not only part of the same robot.
+    /// Whether this arm includes a joint of `path`, rather than only belonging to the same robot.
     pub(super) fn is_along(&self, path: &ArmPath) -> bool {
         self.chain.joint_names().iter().any(|joint| path.joints.contains(joint))
     }
 
-    /// The chain between two links and the columns of its joints, if the joint states hold them.
+    /// The chain between two links and the columns of its joints, if the joint states contain them.
     pub(super) fn chain_between(&self, base: LinkId, tip: LinkId) -> Option<(Chain, Vec<usize>)> {
         let chain = self.robot.chain(base, tip).ok()?;
         let columns = columns_of(&self.joint_names, &chain)?;
         Some((chain, columns))
     }
 
-    /// What is known of a frame that a stream names, and the link that it is, or is tied to.
+    /// Classifies a frame, and returns the link that it is or is tied to.
     pub(super) fn place(&self, frame: &str) -> (Place, Option<Anchor>) {
         if frame.is_empty() {
             return (Place::Unnamed, None);
@@ -319,7 +318,7 @@ impl Arm {
         (place, Some(anchor))
     }
 
-    /// The joints between two frames, if both are links of this robot.
+    /// Joints between two frames, if both are links of this robot.
     pub(super) fn joints_between(&self, a: &str, b: &str) -> Option<Vec<String>> {
         let link = |frame| self.frames.link_of(&self.robot, frame);
         let chain = self.robot.chain(link(a)?, link(b)?);
@@ -331,36 +330,35 @@ impl Arm {
         self.joints_above(link) > 0
     }
 
-    /// A joint that moves `link` and is not in the joint states: whatever the link does is not known then.
+    /// A joint that moves `link` but is missing from the joint states, so that the link's pose is unknown.
     pub(super) fn unlogged_above(&self, link: LinkId) -> Option<&str> {
         skeleton::moving_joints_above(&self.robot, link)
             .map(|joint| driver(&self.robot, joint).name.as_str())
             .find(|name| !self.reads(name))
     }
 
-    /// Whether the joint states that are read hold the joint called `name`.
     fn reads(&self, name: &str) -> bool {
         self.joint_names.iter().any(|known| known == name)
     }
 
-    /// Whether a joint that the joint states hold lies between two frames that are links of this robot.
+    /// Whether a logged joint lies between two frames that are links of this robot.
     pub(super) fn knows_between(&self, a: &str, b: &str) -> bool {
         let joints = self.joints_between(a, b);
         joints.is_some_and(|joints| joints.iter().any(|joint| self.reads(joint)))
     }
 
-    /// Whose something is that goes by these names, as far as words tell.
+    /// Whether these names refer to this arm.
     pub(super) fn claim<'n>(&self, names: impl IntoIterator<Item = &'n str>) -> Claim {
         self.space.claim(names)
     }
 
-    /// How many joints of this arm move `link`.
+    /// Number of this arm's joints that move `link`.
     fn joints_above(&self, link: LinkId) -> usize {
         let above = skeleton::moving_joints_above(&self.robot, link);
         above.filter(|joint| self.reads(&driver(&self.robot, joint).name)).count()
     }
 
-    /// Whether more than half of the arm's joints, and no fewer than four, lie between two links.
+    /// Whether more than half of the arm's joints, and at least four, lie between two links.
     pub(super) fn has_most_between(&self, base: LinkId, tip: LinkId) -> bool {
         const FEWEST: usize = 4;
         let own = self.chain.joint_names();
@@ -370,13 +368,13 @@ impl Arm {
         })
     }
 
-    /// Whether the frame called `name` is a link that most of the arm's joints move.
+    /// Whether the frame is a link that most of the arm's joints move.
     pub(super) fn is_far_out(&self, name: &str) -> bool {
         let link = self.frames.link_of(&self.robot, name);
         link.is_some_and(|link| 2 * self.joints_above(link) > self.joint_names.len())
     }
 
-    /// The words of its joints and its tip: what those of most of its joints have.
+    /// Words shared by most of its joint names, and those in the name of its tip.
     pub(super) fn words(&self) -> Vec<String> {
         let of_joints: Vec<Vec<String>> = self.joint_names.iter().map(|name| words(name)).collect();
         let is_of_most = |word: &String| {
@@ -390,19 +388,19 @@ impl Arm {
         own
     }
 
-    /// The frames of the log that are its base and its tip.
+    /// Frame names of its base and its tip in the log.
     pub(crate) fn end_frames(&self) -> [String; 2] {
         [self.base, self.tip].map(|link| self.frame_of(link))
     }
 
-    /// The frame that the log calls `link`.
+    /// Frame name of `link` in the log.
     pub(super) fn frame_of(&self, link: LinkId) -> String {
         self.frames.frame_of(self.robot.link_name(link))
     }
 }
 
-/// The controller's base, else the root; the arm's own first link where a joint above it moves that
-/// the joint states do not hold.
+/// The controller's base, else the root. The arm's first link if an unlogged joint moves it relative to
+/// those.
 fn default_base(model: &Model, path: &ArmPath) -> LinkId {
     let robot = &model.robot;
     let known = |joint: &Joint| path.joints.contains(&driver(robot, joint).name);

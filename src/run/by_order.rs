@@ -1,10 +1,9 @@
-//! Arms whose joints the log names otherwise than their model does, or only counts: matched by order and
+//! Matches arms whose joint names differ between log and model, or are only numbered, by order and
 //! kinematics.
 //!
-//! Which joint is which is asked of the numbers in the logged names, else of their order in the log; which
-//! of several ways, or of several arms, of the streams of poses. What these do not settle is a question to
-//! the caller (`--joint-map`, `--robot`), not a guess. The joints that a table counts are the model's in its
-//! order: they get its names.
+//! The joint order comes from numbers in the logged names, else from the log. Pose streams decide between
+//! several orders or arms. Remaining ambiguity is an error that asks for `--joint-map` or `--robot`. Joints
+//! that a table only numbers get the names of the model's joints in its order.
 
 use std::collections::BTreeMap;
 
@@ -17,15 +16,15 @@ use crate::log::Topic;
 use crate::robot::{Robot, catalogue};
 use crate::stream::{Columns, JointColumn, JointColumns};
 
-/// The encoding of topics that are made of a table's columns.
+/// Encoding of topics made from table columns.
 pub(super) const TABLE: &str = "table";
 
-/// Arms have at least so many joints.
+/// Minimum number of joints of an arm.
 const FEWEST: usize = 4;
-/// An arm whose joints are named otherwise must leave less than this share of the positions' extent.
+/// Maximum residual of an arm with different joint names, as a share of the positions' extent.
 const FITS_SHARE: f64 = 0.02;
 
-/// What parts of an arm are called, from the base on.
+/// Names of the parts of an arm, starting at the base.
 const PARTS: [&[&str]; 6] = [
     &["rail", "track", "gantry", "slide"],
     &["base", "waist", "pan", "swing", "turret"],
@@ -35,26 +34,26 @@ const PARTS: [&[&str]; 6] = [
     &["wrist", "hand", "flange", "tool"],
 ];
 
-/// The logged joints that may be one arm's, in each order that they may have along it.
+/// Logged joints that may belong to one arm, in each possible order along it.
 #[derive(Clone, Debug, PartialEq)]
 struct Series {
     orders: Vec<Vec<String>>,
-    /// Whether numbers in their names say the order.
+    /// Whether the order comes from numbers in their names.
     is_numbered: bool,
 }
 
 /// One way to match a model.
 struct Match {
     model: Model,
-    /// The joints of the model beside those of the log.
+    /// Pairs of logged and modelled joint names.
     pairs: Vec<(String, String)>,
     is_numbered: bool,
 }
 
-/// `robot` under the names of the log, once for each series of joints that is one of its arms.
+/// Renames the joints of `robot` as in the log, once for each series of joints that matches its arm.
 ///
 /// # Errors
-/// Where no series has as many joints as the arm, or several ways to match it are as good.
+/// If no series has as many joints as the arm, or several matches are equally good.
 pub(super) fn matched(
     robot: &Robot,
     joints: &[String],
@@ -87,11 +86,10 @@ pub(super) fn matched(
     }
 }
 
-/// The arms of the catalogue that series of logged joints are, matched by order, each where no other arm
-/// fits the streams of poses as well.
+/// Catalogue arms that match series of logged joints by order, if only one arm fits the pose streams.
 ///
 /// # Errors
-/// Where several arms fit as well.
+/// If several arms fit equally well.
 pub(super) fn catalogued(clues: &Clues<'_>, judges: &Judges<'_>) -> Result<Vec<Model>, RunError> {
     let mut models = Vec::new();
     let mut question = None;
@@ -105,7 +103,7 @@ pub(super) fn catalogued(clues: &Clues<'_>, judges: &Judges<'_>) -> Result<Vec<M
         match proven(ways.collect(), judges) {
             Settled::One { way, why } => {
                 let found = format!(
-                    "the catalogue, whose {} alone fits with its joints in the order of the log's ({}; {why})",
+                    "the catalogue: only {} fits with its joints in the log's order ({}; {why})",
                     way.model.robot.name,
                     shown(&way.pairs),
                 );
@@ -121,8 +119,8 @@ pub(super) fn catalogued(clues: &Clues<'_>, judges: &Judges<'_>) -> Result<Vec<M
     }
 }
 
-/// The arms of the catalogue with as many joints as are `logged`, in each of the usual orders. If a table only
-/// counts its joints the last may be a gripper.
+/// Catalogue arms with as many joints as are `logged`, in each common order. The last numbered joint of a
+/// table may be a gripper.
 pub(super) fn along(logged: &[String], clues: &Clues<'_>) -> Vec<Model> {
     let fewest = logged.len() - usize::from(is_counted(logged));
     let of_robot = |robot: &Robot| -> Vec<Model> {
@@ -134,8 +132,8 @@ pub(super) fn along(logged: &[String], clues: &Clues<'_>) -> Vec<Model> {
     catalogue::entries().iter().flat_map(of_robot).collect()
 }
 
-/// The orders in which drivers write the joints of an arm: from base to tip, and sorted by name as
-/// `joint_state_broadcaster` and MoveIt do (a UR's elbow comes first).
+/// Common joint orders of drivers: from base to tip, and sorted by name as `joint_state_broadcaster` and
+/// MoveIt do (a UR's elbow comes first).
 pub(super) fn usual_orders(path: &[String]) -> Vec<Vec<String>> {
     let mut sorted = path.to_vec();
     sorted.sort();
@@ -144,8 +142,7 @@ pub(super) fn usual_orders(path: &[String]) -> Vec<Vec<String>> {
     orders
 }
 
-/// Names the joints that tables, and joint states without names, only count after those of `robots`, of
-/// which each may be for names with a prefix.
+/// Names numbered joints after those of `robots`. Each robot may apply only to names with its prefix.
 pub(super) fn name_counted(topics: &mut [Topic], robots: &[(&Robot, Option<&str>)]) {
     for topic in topics {
         let Some(Columns::Joints(joints)) = &mut topic.columns else { continue };
@@ -161,7 +158,8 @@ pub(super) fn name_counted(topics: &mut [Topic], robots: &[(&Robot, Option<&str>
     }
 }
 
-/// The side in names such as `left_q1`, empty in `q1`; `None` where joints have names of their own.
+/// Prefix of numbered names, such as `left` for `left_q1` and empty for `q1`. `None` if the joints have
+/// proper names.
 fn side_of(joints: &JointColumns) -> Option<String> {
     let first = joints.joints.first().filter(|_| joints.unnamed)?;
     let side = first.name.strip_suffix("q1")?;
@@ -170,18 +168,19 @@ fn side_of(joints: &JointColumns) -> Option<String> {
     is_counted.then(|| side.trim_end_matches('_').to_owned())
 }
 
-/// Whether all joints are those of a table that only counts them.
+/// Whether all joints are numbered joints of a table.
 pub(super) fn is_counted(joints: &[String]) -> bool {
     let is_it = |(at, name): (usize, &String)| *name == format!("q{}", at + 1);
     joints.len() >= FEWEST && joints.iter().enumerate().all(is_it)
 }
 
-/// The catalogue arm of a table that only counts its joints, if one explains the poses far better than the others.
+/// Catalogue arm of a table with numbered joints, if it explains the poses far better than the others.
 ///
 /// # Errors
 /// If the table has no poses, no arm fits them, or several arms that move differently fit about as well.
 pub(super) fn counted(clues: &Clues<'_>, judges: &Judges<'_>) -> Result<Vec<Model>, RunError> {
-    /// An arm that fits only with a fault must fit as closely as a drawing fits a calibrated arm, m.
+    /// Maximum residual of an arm that fits only with a fault, m: the deviation of a nominal model from a
+    /// calibrated arm.
     const FITS_M: f64 = 5e-4;
     let joints = clues.joints.len();
     let models = along(clues.joints, clues);
@@ -194,7 +193,7 @@ pub(super) fn counted(clues: &Clues<'_>, judges: &Judges<'_>) -> Result<Vec<Mode
     let Some(best) = ranking.standings.first() else {
         return Err(RunError::Numbered { joints, arms: Vec::new(), best: None });
     };
-    // A joint zero may be a little nearer to the deviations of a real arm's links than none.
+    // A zero offset may fit slightly better than none, because it absorbs link deviations.
     let is_sound = best.fits_without_fault;
     let is_close = best.way.left_m < FITS_M.min(FITS_SHARE * best.spread_m);
     if !best.fits || !(is_sound || is_close) {
@@ -215,12 +214,12 @@ pub(super) fn counted(clues: &Clues<'_>, judges: &Judges<'_>) -> Result<Vec<Mode
     Ok(vec![Model { found, ..models[best.model].clone() }])
 }
 
-/// How many of the logged joints move an arm.
+/// Number of logged joints that move an arm.
 fn moved(model: &Model, logged: &[String]) -> usize {
     logged.iter().filter(|name| model.robot.joint(name).is_some()).count()
 }
 
-/// The name of an arm, and the order of its joints if that is not from base to tip.
+/// Name of an arm, and its joint order if that is not from base to tip.
 fn label(model: &Model, logged: &[String]) -> String {
     let name = &model.robot.name;
     let path = path_of(&model.robot).unwrap_or_default();
@@ -230,22 +229,22 @@ fn label(model: &Model, logged: &[String]) -> String {
     }
 }
 
-/// Which of several ways it is.
+/// Result of the choice between several matches.
 enum Settled {
-    /// This one, for this reason.
+    /// This match, with the reason.
     One {
         way: Box<Match>,
         why: String,
     },
-    /// One of these.
+    /// Undetermined between these.
     Open {
         ways: Vec<String>,
     },
     None,
 }
 
-/// The way to match a model that was named: the one that the poses prove, else the only one that numbers
-/// say, where no pose contradicts it.
+/// The match for a named model: the one confirmed by poses, else the only one with numbered names if no
+/// pose contradicts it.
 fn settled(ways: Vec<Match>, judges: &Judges<'_>) -> Settled {
     let is_only = ways.len() == 1 && ways[0].is_numbered;
     if !is_only {
@@ -254,7 +253,7 @@ fn settled(ways: Vec<Match>, judges: &Judges<'_>) -> Settled {
     let ranking = (judges.by_poses)(&[&ways[0].model]);
     let best = ranking.as_ref().and_then(|ranking| ranking.standings.first());
     let why = match best {
-        None => Some("by their numbers: no stream of poses confirms it".to_owned()),
+        None => Some("by their numbers, not confirmed by a pose stream".to_owned()),
         Some(best) if best.fits => Some(fits(best)),
         Some(_) => None,
     };
@@ -265,7 +264,7 @@ fn settled(ways: Vec<Match>, judges: &Judges<'_>) -> Settled {
     }
 }
 
-/// The way that fits the streams of poses without a fault, where no other one does as well.
+/// The match that fits the pose streams without a fault, if no other fits as well.
 fn proven(ways: Vec<Match>, judges: &Judges<'_>) -> Settled {
     let models: Vec<&Model> = ways.iter().map(|way| &way.model).collect();
     let Some(ranking) = (judges.by_poses)(&models) else {
@@ -277,7 +276,7 @@ fn proven(ways: Vec<Match>, judges: &Judges<'_>) -> Settled {
     let Some(best) = ranking.standings.iter().find(|one| is_sound(one)) else {
         return Settled::Open { ways: Vec::new() };
     };
-    // Another one with a fault is as good an answer where it explains as much.
+    // A match with a fault counts as an alternative if it explains as much.
     let is_as_good = |other: &&Standing| other.fits && other.score <= best.score + ranking.apart;
     let same: Vec<&Standing> = ranking.standings.iter().filter(is_as_good).collect();
     if same.len() > 1 {
@@ -295,7 +294,7 @@ fn proven(ways: Vec<Match>, judges: &Judges<'_>) -> Settled {
             let name = |one: &Standing| ways[one.model].model.robot.name.as_str();
             let other = if name(next) == name(best) { "in another order" } else { name(next) };
             let (count, how) = (ways.len(), next.words());
-            format!("{}; the next best of {count}, {other}, to {how}", fits(best))
+            format!("{}; the next best of {count}, {other}, within {how}", fits(best))
         }
         None => fits(best),
     };
@@ -305,7 +304,7 @@ fn proven(ways: Vec<Match>, judges: &Judges<'_>) -> Settled {
     }
 }
 
-/// Whether a model fits so that chance and faults are out of the question.
+/// Whether a model fits without a fault, and too closely for chance.
 fn is_sound(one: &Standing) -> bool {
     one.fits
         && one.way.needs.is_harmless()
@@ -314,10 +313,10 @@ fn is_sound(one: &Standing) -> bool {
 }
 
 fn fits(one: &Standing) -> String {
-    format!("{} fits to {}", one.topic, one.words())
+    format!("{} fits within {}", one.topic, one.words())
 }
 
-/// Every way to lay the arm of `robot` along a series.
+/// All ways to match the arm of `robot` with a series.
 fn ways(robot: &Robot, series: &Series, clues: &Clues<'_>) -> Vec<Match> {
     let Some(path) = path_of(robot) else { return Vec::new() };
     let windows = series.orders.iter().flat_map(|order| {
@@ -342,7 +341,7 @@ fn way(
     Some(Match { model, pairs, is_numbered })
 }
 
-/// `robot` with the joints on the right of `pairs` called what is on the left.
+/// Renames joints of `robot`: each pair is the new name and the old one.
 pub(super) fn renamed(robot: &Robot, pairs: &[(String, String)]) -> Option<Robot> {
     robot.with_joints_renamed(|name| {
         let pair = pairs.iter().find(|(_, modelled)| modelled == name);
@@ -350,7 +349,7 @@ pub(super) fn renamed(robot: &Robot, pairs: &[(String, String)]) -> Option<Robot
     })
 }
 
-/// The joints of the one arm of `robot`, from base to tip.
+/// Joints of the only arm of `robot`, from base to tip.
 fn path_of(robot: &Robot) -> Option<Vec<String>> {
     let paths = skeleton::arms(robot, |_| true);
     <[_; 1]>::try_from(paths).ok().map(|[path]| path.joints)
@@ -361,8 +360,8 @@ fn own_names(robot: &Robot) -> Vec<String> {
     own.map(|joint| joint.name.clone()).collect()
 }
 
-/// The series among logged joints: those that are told apart by a number alone, in its order; where there
-/// are none, all of them in the order of the log, or in that of the parts of an arm that they name.
+/// Finds series among logged joints: names that differ only in a number, sorted by it. Without such names,
+/// all joints in the log's order, or ordered by the arm parts that they name.
 fn series(joints: &[String]) -> Vec<Series> {
     let is_arms = |name: &&String| shared(&parts(name), OTHER_JOINTS).is_none();
     let arms: Vec<&String> = joints.iter().filter(is_arms).collect();
@@ -388,8 +387,7 @@ fn series(joints: &[String]) -> Vec<Series> {
     }
 }
 
-/// Joints in the order of the parts of an arm that they name, those of one part by their names; `None` where
-/// one names none.
+/// Joints ordered by the arm part that they name, then by name. `None` if one names no part.
 fn by_part(joints: &[String]) -> Option<Vec<String>> {
     let rank = |name: &String| {
         let words = parts(name);
@@ -401,13 +399,13 @@ fn by_part(joints: &[String]) -> Option<Vec<String>> {
     Some(ranked.into_iter().map(|(_, name)| name.clone()).collect())
 }
 
-/// The words of a name without the numbers behind them.
+/// Words of a name, without trailing numbers.
 fn parts(name: &str) -> Vec<String> {
     let words = words(name).into_iter();
     words.map(|word| word.trim_end_matches(|c: char| c.is_ascii_digit()).to_owned()).collect()
 }
 
-/// The last number in a name, and what is before and after it.
+/// Last number in a name, with the text before and after it.
 fn numbered(name: &str) -> Option<(&str, u64, &str)> {
     let end = name.rfind(|c: char| c.is_ascii_digit())? + 1;
     let start = name[..end]
@@ -416,7 +414,7 @@ fn numbered(name: &str) -> Option<(&str, u64, &str)> {
     Some((&name[..start], name[start..end].parse().ok()?, &name[end..]))
 }
 
-/// How joints are matched, in short: `a1…a7 are lbr_A1…lbr_A7`.
+/// Short form of the matched joints: `a1…a7 are lbr_A1…lbr_A7`.
 fn shown(pairs: &[(String, String)]) -> String {
     let ends = |name: fn(&(String, String)) -> &String| match pairs {
         [first, .., last] => format!("{}…{}", name(first), name(last)),
@@ -425,7 +423,7 @@ fn shown(pairs: &[(String, String)]) -> String {
     format!("{} are {}", ends(|pair| &pair.0), ends(|pair| &pair.1))
 }
 
-/// The option that would say so.
+/// The option that selects this match.
 fn map_of(pairs: &[(String, String)]) -> String {
     let pairs: Vec<String> =
         pairs.iter().map(|(logged, modelled)| format!("{logged}={modelled}")).collect();

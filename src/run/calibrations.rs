@@ -1,4 +1,4 @@
-//! Calibrations of arms: the caller's, else those in the log, laid over the models.
+//! Applies calibrations to the models: the caller's, or those in the log.
 
 use crate::robot::Calibration;
 
@@ -6,16 +6,16 @@ use super::declaration::CalibrationSource;
 use super::error::RunError;
 use super::model::{Clues, Model};
 
-/// A calibration that the caller named, and what the joints of its arm start with in the log.
+/// A calibration given by the caller, and the joint name prefix of its arm in the log.
 pub(super) struct GivenCalibration {
     pub(super) calibration: Calibration,
     pub(super) prefix: Option<String>,
 }
 
-/// Reads the calibrations that the caller named.
+/// Reads the calibrations given by the caller.
 ///
 /// # Errors
-/// Where one is no calibration.
+/// If a file is not a calibration.
 pub(super) fn given(sources: &[CalibrationSource]) -> Result<Vec<GivenCalibration>, RunError> {
     let read = |source: &CalibrationSource| {
         let calibration = Calibration::from_file(&source.file).map_err(RunError::Calibration)?;
@@ -24,12 +24,11 @@ pub(super) fn given(sources: &[CalibrationSource]) -> Result<Vec<GivenCalibratio
     sources.iter().map(read).collect()
 }
 
-/// Lays the calibrations that the caller `given` over the models or, where there are none, those
-/// that the log holds.
+/// Applies the caller's calibrations to the models. Without any, applies those in the log.
 ///
 /// # Errors
-/// Where one of the caller's is of no arm of the log, or could be of several. What travelled in the
-/// log is left out then, and that is said.
+/// If one of the caller's matches no arm of the log, or several. A calibration in the log is then only
+/// skipped with a remark.
 pub(super) fn overlay_all(
     models: &mut [Model],
     given: &[GivenCalibration],
@@ -45,14 +44,14 @@ pub(super) fn overlay_all(
         let read = Calibration::from_text(text, place).map_err(RunError::Calibration);
         if let Err(error) = read.and_then(|calibration| overlay(models, &calibration, None)) {
             for model in models.iter_mut() {
-                model.found += &format!("; a calibration in the log is left out: {}", error.what());
+                model.found += &format!("; a calibration in the log was skipped: {}", error.what());
             }
         }
     }
     Ok(())
 }
 
-/// Lays `calibration` over the one arm that has its joints, whose names start with `prefix`.
+/// Applies `calibration` to the only arm that has its joints, with names that start with `prefix`.
 fn overlay(
     models: &mut [Model],
     calibration: &Calibration,

@@ -1,4 +1,4 @@
-//! Poses in a frame that moves against the arm's base, as odometry's, and the transforms that say how.
+//! Transforms poses in a moving frame, such as odometry, to the arm's base.
 
 use crate::geometry::Pose;
 use crate::stream::{Orientations, PoseTrack};
@@ -7,8 +7,8 @@ use super::sources::{Carrier, PoseSource};
 use super::tf_tree::between;
 
 impl PoseSource {
-    /// Takes poses in a frame that moves into the base anew, the transforms so long before their stamps;
-    /// `is_on_time` where that is the poses' own latency.
+    /// Transforms the poses of a moving base again, with transforms `lag_s` before the poses' stamps.
+    /// `is_on_time` if that is the poses' own latency.
     pub(crate) fn take(&mut self, lag_s: f64, is_on_time: bool) {
         let Some(carrier) = &mut self.carrier else { return };
         let taken = carrier.taken(lag_s);
@@ -20,8 +20,8 @@ impl PoseSource {
 }
 
 impl Carrier {
-    /// The frame in the base at a time, interpolated; `None` before the first transform and after the
-    /// last.
+    /// Pose of the frame in the base at a time, interpolated. `None` outside the time range of the
+    /// transforms.
     pub fn at(&self, t_s: f64) -> Option<Pose> {
         let right = self.t_s.partition_point(|&t| t < t_s);
         let (&after_s, after) = (self.t_s.get(right)?, self.base_from_frame.get(right)?);
@@ -33,7 +33,7 @@ impl Carrier {
         Some(between(&self.base_from_frame[left], after, part))
     }
 
-    /// The poses in the base, the transforms taken so long before their stamps.
+    /// The poses in the base, with transforms `lag_s` before the poses' stamps.
     pub fn taken(&self, lag_s: f64) -> PoseTrack {
         let logged = &self.logged;
         let rotations = match &logged.orientation {

@@ -1,4 +1,4 @@
-//! Which arm of the catalogue a log is of, where several have its joint names.
+//! Selects the catalogue arm of a log if several have its joint names.
 
 use crate::diagnosis::{Needs, Way};
 use crate::finding::Unit;
@@ -8,78 +8,79 @@ use super::by_order;
 use super::error::RunError;
 use super::model::{Clues, Model};
 
-/// What tells arms with the same joint names apart.
+/// Criteria that distinguish arms with the same joint names.
 pub(super) struct Judges<'a> {
-    /// How far the transforms of the log are from the lengths of a model's links, rms m.
+    /// Rms difference between the log's transforms and a model's link lengths, m.
     pub by_transforms: &'a dyn Fn(&Model) -> Option<f64>,
-    /// What each of several models needs to be where the streams of poses say.
+    /// Ranks models by what they must assume to match the pose streams.
     pub by_poses: &'a dyn Fn(&[&Model]) -> Option<Ranking>,
 }
 
-/// Several models, ranked by what they need to be where the streams of poses say.
+/// Models ranked by what they must assume to match the pose streams.
 pub(super) struct Ranking {
-    /// The best first; of those that cannot be told apart the one that needs the most harmless.
+    /// Best first. Among models that cannot be distinguished, the one with the smallest assumption is
+    /// first.
     pub standings: Vec<Standing>,
-    /// Scores nearer than this cannot be told apart.
+    /// Minimum difference in score between distinguishable models.
     pub apart: f64,
 }
 
-/// Where one of several models stands.
+/// Rank of one model.
 pub(super) struct Standing {
-    /// Its place among the models.
+    /// Index of the model.
     pub model: usize,
-    /// What it needs and leaves; less is better.
+    /// Score of its residual and assumptions; lower is better.
     pub score: f64,
-    /// The way in which it fits best.
+    /// Its best fit.
     pub way: Way,
     /// Rms distance of the positions from their mean, m.
     pub spread_m: f64,
-    /// What it leaves of the positions as logged, m.
+    /// Residual of the positions as logged, m.
     pub as_is_m: f64,
-    /// Whether that way is near enough to be this arm's.
+    /// Whether the residual is small enough for this arm.
     pub fits: bool,
-    /// Whether it is also near enough without a fault.
+    /// Whether a fit without a fault is also close enough.
     pub fits_without_fault: bool,
-    /// The topic that says most.
+    /// The topic with the smallest residual.
     pub topic: String,
 }
 
 impl Standing {
-    /// Whether another model fits to the same residual: its links have the same lengths, as far as this motion
-    /// shows, so that an audit with either says the same.
+    /// Whether another model has the same residual. Their links then have equal lengths as far as this
+    /// motion shows, and audits with either agree.
     pub fn moves_as(&self, other: &Self) -> bool {
-        /// Rounding and an early stop of the fit.
+        /// Rounding, and early termination of the fit.
         const ROUNDING_M: f64 = 1e-8;
         const SHARE: f64 = 1e-3;
         let (a, b) = (self.way.left_m, other.way.left_m);
         (a - b).abs() <= ROUNDING_M + SHARE * a.max(b)
     }
 
-    /// How it fits, in words.
+    /// Describes the fit.
     pub fn words(&self) -> String {
         let left = Unit::Metre.show(self.way.left_m);
         match self.way.needs {
-            _ if self.way.misread => format!("{left} with its numbers read otherwise"),
+            _ if self.way.misread => format!("{left} with inverted poses or joints in degrees"),
             Needs::Nothing => left,
             Needs::Tool => {
                 format!("{left} with a TCP of {}", Unit::Metre.show(self.way.tool_m.norm()))
             }
             Needs::HalfTurn { .. } => format!("{left} in a base turned by 180°"),
-            Needs::Zero { .. } => format!("{left} with a joint zero"),
+            Needs::Zero { .. } => format!("{left} with a joint zero offset"),
             Needs::Reference { .. } => format!("{left} in another frame"),
         }
     }
 }
 
 impl Ranking {
-    /// The ranking with a price for each logged joint that a model leaves unused, as a gripper would be.
+    /// Adds a penalty for each logged joint that a model does not use, such as a gripper.
     pub fn with_unused_joints(mut self, unused: impl Fn(usize) -> usize) -> Self {
         for standing in &mut self.standings {
             standing.score += self.apart * unused(standing.model) as f64;
         }
         let least = self.standings.iter().map(|one| one.score).fold(f64::INFINITY, f64::min);
         let is_near = |one: &Standing| one.score <= least + self.apart;
-        // Stable: among equals the most harmless stays first.
+        // Stable sort: among equals, the smallest assumption stays first.
         self.standings.sort_by(|a, b| match (is_near(a), is_near(b)) {
             (true, true) => std::cmp::Ordering::Equal,
             _ => a.score.total_cmp(&b.score),
@@ -87,7 +88,7 @@ impl Ranking {
         self
     }
 
-    /// The best, and those that fit and cannot be told from it.
+    /// The best model, and those that fit and cannot be distinguished from it.
     pub fn same(&self) -> Vec<&Standing> {
         let Some(best) = self.standings.first() else { return Vec::new() };
         let others = self.standings.iter().skip(1);
@@ -95,20 +96,20 @@ impl Ranking {
         std::iter::once(best).chain(others.filter(is_same)).collect()
     }
 
-    /// How the best was told from the others, in words.
+    /// Describes how the best model compares with the others.
     pub fn words(&self, names: &[&str], alike: &str) -> String {
         let [best, others @ ..] = self.standings.as_slice() else { return String::new() };
         let least = self.standings.iter().map(|one| one.score).fold(f64::INFINITY, f64::min);
         let (same, further): (Vec<&Standing>, Vec<&Standing>) =
             others.iter().partition(|other| other.score <= least + self.apart);
         let mut words = format!(
-            "the catalogue: of {} arms with {alike} it needs the fewest causes: {} fits to {}",
+            "the catalogue: best match of {} arms with {alike}: {} fits within {}",
             names.len(),
             best.topic,
             best.words()
         );
         if let Some(next) = further.first() {
-            words += &format!("; the next, {}, to {}", names[next.model], next.words());
+            words += &format!("; next best {}, within {}", names[next.model], next.words());
         }
         if !same.is_empty() {
             let same: Vec<String> = same
@@ -116,7 +117,7 @@ impl Ranking {
                 .map(|other| format!("{} ({})", names[other.model], other.words()))
                 .collect();
             words += &format!(
-                "; this motion cannot tell it from {}: name yours with --robot",
+                "; this motion cannot distinguish it from {}: name yours with --robot",
                 same.join(", ")
             );
         }
@@ -124,9 +125,11 @@ impl Ranking {
     }
 }
 
-/// The arms of the catalogue whose joint names are in the log, each of equals the one that needs the
-/// fewest causes. One whose names the log has only behind a prefix that it does not know must fit too:
-/// names such as `joint_1` are anybody's.
+/// Catalogue arms with the log's joint names. Among arms with equal names, selects the one that needs the
+/// fewest causes.
+///
+/// An arm whose names match only after an unknown prefix is removed must also fit, because names such as
+/// `joint_1` are common.
 pub(super) fn from_catalogue(
     clues: &Clues<'_>,
     judges: &Judges<'_>,
@@ -165,23 +168,23 @@ pub(super) fn from_catalogue(
     }
 }
 
-/// The arm of several that metadata name, where nothing else tells.
+/// The arm named in the metadata, if nothing else determines it.
 fn by_type(found: &[catalogue::Candidate], clues: &Clues<'_>) -> Option<Option<Model>> {
     let robot_type = clues.robot_type?;
     let named = of_type(robot_type)?;
     let candidate = found.iter().find(|candidate| candidate.robot.name == named.name)?;
-    let how = format!("the catalogue, by the robot type '{robot_type}' of the metadata");
+    let how = format!("the catalogue, by the robot type '{robot_type}' in the metadata");
     Some(Some(Model::new(candidate.renamed()?, how, &candidate.names.to_prefix, clues)))
 }
 
-/// The arm of the catalogue that metadata name: `so101_follower` is a `so101`.
+/// Catalogue arm named in the metadata: `so101_follower` is a `so101`.
 pub(super) fn of_type(robot_type: &str) -> Option<&'static Robot> {
     let words: Vec<&str> = robot_type.split(['_', '-', ' ']).collect();
     (1..=words.len()).rev().find_map(|count| catalogue::find(&words[..count].join("_")))
 }
 
-/// The arms of the catalogue that have the joints which the caller maps those of the log to, each map's the
-/// one that needs the fewest causes.
+/// Catalogue arms with the joints that the caller maps the log's joints to. Selects for each map the arm
+/// that needs the fewest causes.
 pub(super) fn mapped_from_catalogue(
     maps: &[Vec<(String, String)>],
     clues: &Clues<'_>,
@@ -195,7 +198,7 @@ pub(super) fn mapped_from_catalogue(
         let equals: Vec<Model> = renamed.collect();
         if equals.is_empty() {
             let names: Vec<&str> = map.iter().map(|(_, name)| name.as_str()).collect();
-            let what = format!("no arm of the catalogue has the joints {}", names.join(", "));
+            let what = format!("no catalogue arm has the joints {}", names.join(", "));
             return Err(RunError::JointMap { what });
         }
         the_one_of(equals, false, judges)
@@ -203,15 +206,15 @@ pub(super) fn mapped_from_catalogue(
     Ok(each.collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
 }
 
-/// The one of catalogue arms with the same joint names that the log is of.
+/// Selects from catalogue arms with the same joint names.
 fn the_one_of(
     equals: Vec<Model>,
     is_stranger: bool,
     judges: &Judges<'_>,
 ) -> Result<Option<Model>, RunError> {
-    /// An arm whose links are further from the log's transforms than this is another one, m.
+    /// Maximum difference between an arm's links and the log's transforms, m.
     const FITS_M: f64 = 0.01;
-    /// An arm that is closer by less than this is not clearly closer, m.
+    /// Minimum margin over the next closest arm, m.
     const APART_M: f64 = 1e-3;
     let take = |at: usize, found: String| {
         let model = equals.get(at).cloned()?;
@@ -231,7 +234,7 @@ fn the_one_of(
                 || by_poses.is_some_and(|ranking| ranking.standings.iter().any(|one| one.fits))
         };
         let is_it = !is_stranger || fits();
-        let found = "the catalogue: the one arm with these joint names".to_owned();
+        let found = "the catalogue: the only arm with these joint names".to_owned();
         return Ok(is_it.then(|| take(*only, found)).flatten());
     }
     if let [(misfit, best), (next, _), ..] = by_transforms[..]
@@ -239,8 +242,8 @@ fn the_one_of(
         && next > 2.0 * misfit + APART_M
     {
         let found = format!(
-            "the catalogue: matches /tf within {:.1} mm, the closest of {} arms with these joint names \
-             (next best {:.1} mm)",
+            "the catalogue: matches /tf within {:.1} mm, the closest of {} arms with these joint names (next \
+             best {:.1} mm)",
             1e3 * misfit,
             names.len(),
             1e3 * next
@@ -251,7 +254,7 @@ fn the_one_of(
     let is_one_makers = equals.iter().all(|model| vendor(model) == vendor(&equals[0]));
     let ranking = (judges.by_poses)(&equals.iter().collect::<Vec<_>>());
     match ranking.as_ref().and_then(|ranking| Some((ranking, ranking.standings.first()?))) {
-        // Names such as joint_1 are anybody's: an arm that does not fit is not this maker's.
+        // Many makers use names such as joint_1, so an arm that does not fit may be from another maker.
         Some((ranking, best)) if best.fits || is_one_makers => {
             Ok(take(best.model, ranking.words(&names, "these joint names")))
         }
@@ -335,8 +338,8 @@ mod tests {
         let found = found(&ur(), &judges).unwrap();
         assert_eq!(found[0].robot.name, "ur3");
         let said = &found[0].found;
-        assert!(said.contains("actual_TCP_pose fits to 20 µm"), "{said}");
-        assert!(said.contains("the next, ur3e, to 8.1 mm with a TCP of 150 mm"), "{said}");
+        assert!(said.contains("actual_TCP_pose fits within 20 µm"), "{said}");
+        assert!(said.contains("next best ur3e, within 8.1 mm with a TCP of 150 mm"), "{said}");
     }
 
     #[test]
@@ -350,7 +353,10 @@ mod tests {
         let judges = Judges { by_transforms: &|_| None, by_poses: &by_poses };
         let found = found(&ur(), &judges).unwrap();
         let said = &found[0].found;
-        assert!(said.contains("cannot tell it from ur16e") && said.contains("--robot"), "{said}");
+        assert!(
+            said.contains("cannot distinguish it from ur16e") && said.contains("--robot"),
+            "{said}"
+        );
     }
 
     #[test]

@@ -1,79 +1,78 @@
-//! Which time places each stream, and which streams run on another clock than the rest.
+//! Selects the clock of each stream and aligns streams on different clocks.
 
 use std::ops::RangeInclusive;
 
 use crate::stream::Times;
 use crate::time::{Clock, Stamp, seconds};
 
-/// What the headers of a stream say of time.
+/// State of a stream's header stamps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HeaderStamps {
-    /// Stamps that advance; a few of them may be zero, see [`StreamClock::zero`].
+    /// Increasing stamps; a few may be zero, see [`StreamClock::zero`].
     Sound,
-    /// The messages' type has no header.
+    /// The message type has no header.
     Absent,
-    /// At least half of them are zero, as when nobody sets them.
+    /// At least half of them are zero, because the sender does not set them.
     Zero,
-    /// They stand still.
+    /// All are equal.
     Constant,
-    /// Most of them are before the one before.
+    /// Most are less than the previous stamp.
     Backward,
 }
 
-/// Whose time a stream's header stamps are.
+/// Clock of a stream's header stamps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Epoch {
-    /// The clock of most streams, within the largest latency of the recorder's.
+    /// The clock of most streams, within the maximum latency of the recorder's.
     Common,
-    /// Another clock than that of most streams.
+    /// A different clock from most streams.
     Foreign,
-    /// The clock of most streams, which is not the recorder's: simulation, or a replay.
+    /// The clock of most streams, which differs from the recorder's: simulation, or a replay.
     CommonButNotTheRecorders,
 }
 
-/// How the stamps of a stream were brought onto the clock of most streams.
+/// How a stream's stamps were aligned to the clock of most streams.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Alignment {
-    /// Added to every stamp, ns: clocks may be decades apart, which seconds in an `f64` blur.
+    /// Offset added to every stamp, ns. An integer, because clocks may be decades apart, too far for
+    /// seconds in an `f64`.
     pub offset_nanos: i64,
-    /// Standard error of the offset, s: how far the typical delay of the two streams' transport
-    /// lies above the least, which is as much as their least delays may differ by.
+    /// Standard error of the offset, s: the typical minus the minimum transport delay of both streams.
+    /// Their minimum delays may differ by as much.
     pub spread_s: f64,
 }
 
-/// The time of one stream.
+/// Clock of one stream.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StreamClock {
     /// Index of the stream.
     pub stream: usize,
-    /// The child frame of the first transform concerned, where the transforms of a TF topic are on
-    /// several clocks.
+    /// Child frame of the first transform in the group, if the transforms of a TF topic use several clocks.
     pub frame: Option<String>,
-    /// The clock that places the stream's rows.
+    /// Clock used for the stream's rows.
     pub clock: Clock,
-    /// What the headers say.
+    /// State of the header stamps.
     pub stamps: HeaderStamps,
-    /// Rows of the stream.
+    /// Number of rows.
     pub rows: u64,
-    /// Rows whose header stamp is zero.
+    /// Number of rows with a header stamp of zero.
     pub zero: u64,
-    /// Where nearly all of its times lie, ns; one beyond is none.
+    /// Valid range of times, ns. Times outside are discarded.
     pub near: RangeInclusive<i64>,
-    /// Rows whose time is beyond.
+    /// Number of rows with a time outside that range.
     pub far: u64,
-    /// Median of log time minus header stamp, s; `None` where the headers are not [`HeaderStamps::Sound`].
+    /// Median of log time minus header stamp, s; `None` if the headers are not [`HeaderStamps::Sound`].
     pub log_minus_header_s: Option<f64>,
-    /// The same of the one message in a hundred that came soonest: negative where messages were received
-    /// before the time that they are stamped with.
+    /// 1 % quantile of the same difference, s. Negative if messages were received before their stamps.
     pub soonest_s: Option<f64>,
-    /// Whose time the header stamps are.
+    /// Clock of the header stamps.
     pub epoch: Epoch,
-    /// How the stamps were moved, where they were.
+    /// Alignment of the stamps, if they were shifted.
     pub alignment: Option<Alignment>,
 }
 
 impl StreamClock {
-    /// The rows of `times` that have a stamp on the stream's clock, each after its own.
+    /// Rows of `times` with a valid stamp on the stream's clock.
     pub fn rows_of(&self, times: &Times) -> impl Iterator<Item = (Stamp, usize)> {
         let offset = self.alignment.map_or(0, |alignment| alignment.offset_nanos);
         let may_be_unset = self.clock == Clock::Header;
@@ -83,7 +82,7 @@ impl StreamClock {
             .map(move |(nanos, row)| (Stamp::from_nanos(nanos.saturating_add(offset)), row))
     }
 
-    /// When one row was; `None` where it has no stamp on the stream's clock, or is not there.
+    /// Stamp of one row. `None` if it has no stamp on the stream's clock, or the row does not exist.
     pub fn stamp_of(&self, times: &Times, row: usize) -> Option<Stamp> {
         let offset = self.alignment.map_or(0, |alignment| alignment.offset_nanos);
         let nanos = *times.on(self.clock).get(row)?;
@@ -93,15 +92,14 @@ impl StreamClock {
     }
 }
 
-/// What the clocks are told from: a stream, or some transforms of a TF topic.
+/// Input for clock selection: a stream, or some transforms of a TF topic.
 pub(super) struct Source<'a> {
     pub stream: usize,
     pub frame: Option<&'a str>,
-    /// The times of all rows, in pieces: one a transform.
+    /// Times of all rows; one entry per transform.
     pub times: Vec<&'a Times>,
     pub has_header: bool,
-    /// Whether the stream holds joint states: they decide where as many streams say the one as the
-    /// other.
+    /// Whether the stream contains joint states, which break ties between streams.
     pub is_joints: bool,
 }
 
@@ -130,18 +128,17 @@ impl Source<'_> {
         (state, zero)
     }
 
-    /// The times on `clock`; rows without a stamp are left out.
+    /// Times on `clock`, without rows that have no stamp.
     fn nanos(&self, clock: Clock) -> impl Iterator<Item = i64> {
         let nanos = self.times.iter().flat_map(move |times| times.on(clock)).copied();
         nanos.filter(move |nanos| clock != Clock::Header || *nanos != 0)
     }
 
-    /// Where a row may be by the nine rows in ten that are amid the others: a day from these, or a
-    /// hundred times as long as they last. A single stamp from the end of time would make a run of
-    /// centuries.
+    /// Valid range of times: the central 90 % of the rows, extended by a day or by 100 times their span.
+    /// Otherwise a single far stamp would extend the run by centuries.
     fn near(&self, clock: Clock) -> RangeInclusive<i64> {
         const DAY: i64 = 86_400_000_000_000;
-        /// Of fewer rows nothing tells which are amid the others, and more say no more.
+        /// Number of rows for the estimate. Fewer are not checked; more do not improve it.
         const ROWS: RangeInclusive<usize> = 20..=100_000;
         let every = self.rows().div_ceil(*ROWS.end()).max(1);
         let mut nanos: Vec<i64> = self.nanos(clock).step_by(every).collect();
@@ -159,9 +156,9 @@ impl Source<'_> {
         self.nanos(clock).filter(|nanos| !near.contains(nanos)).count() as u64
     }
 
-    /// Log time minus time on `clock`; rows without a stamp are left out.
+    /// Log time minus time on `clock`, without rows that have no stamp.
     fn delay(&self, clock: Clock) -> Option<Delay> {
-        /// More rows than these say no more.
+        /// Maximum number of rows for the estimate.
         const ENOUGH: usize = 100_000;
         let rows = self.times.iter().flat_map(|times| times.log.iter().zip(times.on(clock)));
         let rows = rows.step_by(self.rows().div_ceil(ENOUGH).max(1));
@@ -170,9 +167,10 @@ impl Source<'_> {
     }
 }
 
-/// The transforms of TF topic `stream`, each given by its child frame and times, grouped by clock:
-/// those whose stamps are of one kind and, in the median, within `max_latency_s` of each other.
-/// With each group come the indices of its transforms.
+/// Groups the transforms of TF topic `stream` by clock.
+///
+/// Each transform is given by its child frame and times. A group has stamps of one kind with median delays
+/// within `max_latency_s` of each other. Returns each group with the indices of its transforms.
 pub(super) fn by_clock<'a>(
     stream: usize,
     transforms: impl Iterator<Item = (&'a str, &'a Times)>,
@@ -208,11 +206,11 @@ pub(super) fn by_clock<'a>(
     groups
 }
 
-/// What the delays of one stream come to, ns.
+/// Statistics of a stream's delays, ns.
 #[derive(Clone, Copy, Debug)]
 struct Delay {
     median: i64,
-    /// The 1 % quantile: robust against a single stamp from the future, and close to the least.
+    /// 1 % quantile: close to the minimum, and robust against a single stamp from the future.
     floor: i64,
 }
 
@@ -237,14 +235,13 @@ impl Delay {
     }
 }
 
-/// Chooses the clock of every stream and aligns those whose clock is not that of most.
+/// Selects the clock of every stream, and aligns streams that are not on the clock of most streams.
 ///
-/// Streams whose header stamps lie more than `max_latency_s` off the others' (in the median, seen
-/// from the recorder) are on another clock. They are aligned by the least delay: transport can only
-/// delay a message, so the lower envelope of log time minus stamp is the clocks' offset plus the
-/// least transport, and that of a stream on the common clock takes the transport off. A stream
-/// that falls back to log time is aligned in the same way where the common clock is not the
-/// recorder's.
+/// A stream whose median delay to the recorder differs by more than `max_latency_s` from the others is on
+/// another clock. Alignment uses the minimum delay: transport only adds delay, so the minimum of log time
+/// minus stamp is the clock offset plus the minimum transport delay. Subtracting the minimum of a stream on
+/// the common clock removes that delay. A stream that falls back to log time is aligned in the same way if
+/// the common clock is not the recorder's.
 pub(super) fn settle(
     sources: &[Source<'_>],
     wanted: Clock,
@@ -294,7 +291,7 @@ fn align(
     let agreeing = |delay: Delay| {
         votes.iter().filter(|(_, other)| other.is_within(max_latency_s, delay.median)).count()
     };
-    // Joint states before others, then the earlier stream.
+    // Joint states first, then the earlier stream.
     let rank = |&&(i, delay): &&(usize, Delay)| {
         (agreeing(delay), sources[i].is_joints, std::cmp::Reverse(i))
     };
@@ -326,7 +323,7 @@ mod tests {
     const JOINTS: usize = 7;
     const START: i64 = 1_760_000_000_000_000_000;
 
-    /// 1000 rows at 100 Hz whose transport takes 100 µs to 2.1 ms; `header` changes true stamps.
+    /// 1000 rows at 100 Hz with transport delays of 100 µs to 2.1 ms; `header` changes the true stamps.
     fn times(header: impl Fn(usize, i64) -> i64) -> Times {
         let mut times = Times::default();
         for row in 0..1000 {

@@ -1,4 +1,4 @@
-//! Streams and transforms that several arms may claim, which of them gets each, and arms that only lead.
+//! Resolves streams and transforms that may belong to several arms, and leader arms.
 
 use super::Run;
 use super::arm::NoTf;
@@ -7,28 +7,28 @@ use super::streams::Stream;
 use super::targets::HandKind;
 use super::unaudited::{Unaudited, WhyNot};
 
-/// A stream that several arms may claim.
+/// A stream that may belong to several arms.
 #[derive(Clone, Debug)]
 pub struct Contest {
     /// Index of the stream.
     pub stream: usize,
-    /// What each would have it be.
+    /// Its frames, for each candidate arm.
     pub claims: Vec<Claimant>,
 }
 
-/// An arm that a stream may be of, and what it is then.
+/// A candidate arm of a stream, and the stream's frames for that arm.
 #[derive(Clone, Debug)]
 pub struct Claimant {
     /// Index of the arm.
     pub arm: usize,
-    /// The frame that its poses are then audited in.
+    /// Reference frame of the poses.
     pub(super) reference: String,
-    /// The frame whose poses they are then.
+    /// Frame whose poses they are.
     pub(super) link: String,
 }
 
 impl Claimant {
-    /// Makes a stream this arm's.
+    /// Assigns a stream to this arm.
     pub(super) fn give(&self, stream: &mut Stream) {
         stream.arm = Some(self.arm);
         (stream.reference, stream.link) = (Some(self.reference.clone()), Some(self.link.clone()));
@@ -36,14 +36,18 @@ impl Claimant {
 }
 
 impl Run {
-    /// Gives the stream of a contest to the arm that it follows; to none where the motion does not tell.
+    /// Assigns a contested stream to the arm that it follows, or to none if the motion does not determine
+    /// it.
     pub fn award(&mut self, contest: &Contest, winner: Option<usize>) {
         let Contest { stream, claims } = contest;
         let names = claims.iter().filter_map(|claim| Some(self.arms.get(claim.arm)?.name.clone()));
         let names: Vec<String> = names.collect();
         let claim = claims.iter().find(|claim| Some(claim.arm) == winner);
         let Some(claim) = claim else {
-            let reason = format!("it may be of {}, and the motion cannot tell", names.join(" or "));
+            let reason = format!(
+                "it may belong to {}, and the motion does not distinguish them",
+                names.join(" or ")
+            );
             self.unassign(*stream, reason);
             let why = WhyNot::WhoseArm { arms: names };
             self.unaudited.push(Unaudited { stream: *stream, why });
@@ -59,11 +63,11 @@ impl Run {
         let Some(awarded) = self.streams.get_mut(*stream) else { return };
         claim.give(awarded);
         if let Some(arm) = self.arms.get(claim.arm) {
-            awarded.reason += &format!("; of {}, by its motion", arm.name);
+            awarded.reason += &format!("; belongs to {}, by its motion", arm.name);
         }
     }
 
-    /// Leaves transforms that stand for several arms to the one that they lie on.
+    /// Assigns transforms that fit several arms to the one that they follow.
     pub fn award_transforms(&mut self, claimants: &[usize], winner: usize) {
         let arm = self.arms[winner].name.clone();
         for &loser in claimants.iter().filter(|&&index| index != winner) {
@@ -71,7 +75,7 @@ impl Run {
         }
     }
 
-    /// Makes the joint states of arm `index` commands: they do by `lead_s` before `of` what it then does.
+    /// Turns the joint states of arm `index` into commands: they lead `of` by `lead_s`.
     pub fn settle_leading_arm(&mut self, index: usize, of: &str, lead_s: f64) {
         self.arms.remove(index);
         for stream in self.streams.iter_mut().filter(|stream| stream.arm == Some(index)) {
@@ -95,7 +99,7 @@ impl Run {
         }
     }
 
-    /// Takes a stream from its arm, and what was said of it.
+    /// Removes a stream from its arm, with its findings.
     pub fn unassign(&mut self, stream: usize, reason: String) {
         for arm in &mut self.arms {
             arm.poses.retain(|source| source.stream != stream);
@@ -106,7 +110,7 @@ impl Run {
         (stream.arm, stream.reference, stream.link, stream.witness) = (None, None, None, None);
     }
 
-    /// What the run could not audit of a stream, beside what is known already.
+    /// Unassigns a stream, and records why it is not audited.
     pub fn leave_out(&mut self, stream: usize, why: WhyNot, reason: String) {
         self.unassign(stream, reason);
         self.unaudited.push(Unaudited { stream, why });

@@ -1,4 +1,4 @@
-//! What the caller says of robots and streams, as the command line and the config spell it.
+//! The caller's declarations of robots and streams, in the syntax of the command line and the config.
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -10,27 +10,27 @@ use crate::stream::Columns;
 use super::error::RunError;
 use super::models::robot_of;
 
-/// Where a robot comes from: `FILE`, `NAME` of the catalogue, or `PREFIX=` and one of them.
+/// Source of a robot: `FILE`, a catalogue `NAME`, or either after `PREFIX=`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RobotSource {
-    /// What the names of this robot's joints start with in the log, where several arms are in it.
+    /// Prefix of this robot's joint names in the log, if it contains several arms.
     pub prefix: Option<String>,
     /// Path of a URDF or TOML file, or the name of a catalogue arm.
     pub model: String,
-    /// What that file says, where the caller has it; then none is looked for.
+    /// Content of that file, if the caller provides it; the file is then not read.
     pub text: Option<String>,
 }
 
 impl RobotSource {
-    /// Its file; `None` where it is named by the catalogue.
+    /// Path of its file; `None` if it is from the catalogue.
     pub fn file(&self) -> Option<&Path> {
         Some(Path::new(&self.model)).filter(|path| self.text.is_none() && path.is_file())
     }
 
-    /// The robot.
+    /// Loads the robot.
     ///
     /// # Errors
-    /// Where its text or its file cannot be read as a robot, or the catalogue has no such name.
+    /// If its text or its file is not a valid robot, or the catalogue does not have the name.
     pub fn robot(&self) -> Result<Robot, RunError> {
         match &self.text {
             Some(text) => Ok(Robot::from_text(text, &self.model)?),
@@ -46,12 +46,12 @@ impl From<&str> for RobotSource {
     }
 }
 
-/// The calibration of an arm: `FILE`, or `PREFIX=FILE`.
+/// Calibration of an arm: `FILE`, or `PREFIX=FILE`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CalibrationSource {
-    /// What the names of that arm's joints start with in the log, where several arms are in it.
+    /// Prefix of that arm's joint names in the log, if it contains several arms.
     pub prefix: Option<String>,
-    /// Path of the JSON that `calibrate` wrote, or of the YAML of `ur_calibration`.
+    /// Path of a JSON file from `calibrate`, or of a YAML file from `ur_calibration`.
     pub file: PathBuf,
 }
 
@@ -62,12 +62,12 @@ impl From<&str> for CalibrationSource {
     }
 }
 
-/// A joint that the log and the model name otherwise: `LOG=MODEL`.
+/// A joint with different names in log and model: `LOG=MODEL`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct JointName {
-    /// Its name in the log.
+    /// Name in the log.
     pub logged: String,
-    /// Its name in the model.
+    /// Name in the model.
     pub modelled: String,
 }
 
@@ -84,7 +84,7 @@ impl FromStr for JointName {
     }
 }
 
-/// What stands before and after the `=`, where a prefix does.
+/// Splits at the `=` of a prefix, if there is one.
 fn after_prefix(text: &str) -> (Option<String>, &str) {
     match text.split_once('=') {
         Some((prefix, rest)) if !prefix.contains(['/', '.']) => (Some(prefix.to_owned()), rest),
@@ -92,30 +92,31 @@ fn after_prefix(text: &str) -> (Option<String>, &str) {
     }
 }
 
-/// What the caller says of one topic: `TOPIC=CONVENTION[,deg][,mm]`, or `TOPIC=MAKER`, as in `kuka`.
+/// The caller's declaration of a topic: `TOPIC=CONVENTION[,deg][,mm]`, or `TOPIC=VENDOR`, as in `kuka`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Declaration {
     /// The topic.
     pub topic: String,
-    /// Where the caller says so, as errors name it.
+    /// Source of the declaration, for error messages.
     pub place: String,
-    /// How its rotations are coded.
+    /// Encoding of rotations.
     pub coding: Coding,
-    /// The unit of its positions: metres or millimetres.
+    /// Unit of positions: metres or millimetres.
     pub length: LengthScale,
-    /// The unit of its angles.
+    /// Unit of angles.
     pub angle: AngleUnit,
-    /// Whether only a vendor was named: it then says nothing of a topic of other numbers.
+    /// Whether only a vendor was named. The declaration then applies only to topics with that vendor's
+    /// number of values.
     pub is_of_vendor: bool,
 }
 
 impl Declaration {
-    /// Whether it is about this topic.
+    /// Whether it applies to this topic.
     pub fn is_of(&self, topic: &str) -> bool {
         self.topic.trim_start_matches('/') == topic.trim_start_matches('/')
     }
 
-    /// Whether it says something of what these columns hold.
+    /// Whether it applies to these columns.
     pub(super) fn fits(&self, columns: Option<&Columns>) -> bool {
         match columns {
             _ if !self.is_of_vendor => true,
@@ -127,22 +128,22 @@ impl Declaration {
     }
 }
 
-/// Why a text is no [`Declaration`].
+/// Why a text is not a [`Declaration`].
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DeclarationError {
-    /// No `=` in it.
+    /// It contains no `=`.
     #[error(
         "`{0}` declares nothing: write TOPIC=CONVENTION, as in /tcp=rotvec or /tcp=euler:ZYX,deg,mm"
     )]
     NoConvention(String),
-    /// The name after the `=`.
+    /// Unknown convention after the `=`.
     #[error("{0}; for a quaternion write `quat:xyzw` or `quat:wxyz`")]
     Convention(#[from] ConventionError),
-    /// A maker whose numbers are a matrix.
-    #[error("`{0}` gives matrices, which their numbers tell: there is nothing to declare")]
+    /// A vendor that logs matrices.
+    #[error("`{0}` gives matrices, which need no declaration")]
     Matrix(String),
-    /// A word after the convention.
-    #[error("unit `{0}` is unknown: after the convention `deg` or `rad`, `mm` or `m` can stand")]
+    /// Unknown word after the convention.
+    #[error("unknown unit `{0}`: after the convention, use `deg` or `rad`, `mm` or `m`")]
     Unit(String),
     /// Two units that exclude each other.
     #[error("`{0}` contradicts another unit")]

@@ -145,7 +145,7 @@ pub(super) fn models(
     }
     if let Some(RunError::Robot(error)) = refusal {
         for model in &mut catalogued {
-            model.found += &format!("; the description in the log is left out: {error}");
+            model.found += &format!("; the description in the log was skipped: {error}");
         }
     }
     Ok(catalogued)
@@ -475,7 +475,7 @@ kinematics:
         let mut models = models(&given(&["ur10e".into()]).unwrap(), &clues, &NOBODY).unwrap();
         overlay_all(&mut models, &[], &clues).unwrap();
         assert_eq!(height_of_shoulder(&models[0], ""), 0.1807);
-        assert!(models[0].found.contains("is left out"), "{}", models[0].found);
+        assert!(models[0].found.contains("was skipped"), "{}", models[0].found);
     }
 
     #[test]
