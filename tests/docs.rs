@@ -103,6 +103,20 @@ fn what_the_pages_ask_of_a_sound_log_is_answered() {
     }
 }
 
+#[test]
+fn concepts_name_existing_modules_and_rules() {
+    let rows = rows::<5>("concepts.md");
+    assert!(rows.len() >= 60, "only {} rows were read", rows.len());
+    for [term, meaning, _, rules, module] in rows.into_iter().filter(|row| row[0] != "term") {
+        assert!(meaning.split_whitespace().count() <= 25, "{term}: too long");
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(quoted(&module));
+        assert!(path.exists(), "{term}: no {module}");
+        for code in rules.split([',', ' ']).filter(|word| is_code(word)) {
+            assert!(poseaudit::checks::find(code).is_ok(), "{term}: no rule {code}");
+        }
+    }
+}
+
 /// The text of a document.
 fn document(name: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs").join(name);
