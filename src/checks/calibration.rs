@@ -9,7 +9,7 @@ const WORTH: f64 = 2.0;
 const FORETELLS: f64 = 0.9;
 /// Residuals up to this multiple of the noise need no improvement.
 const NOISE: f64 = 1.1;
-/// A joint that moves less than this says little about its neighbouring links, rad and m.
+/// A joint that moves less than this reveals little about its neighbouring links, rad and m.
 const LITTLE_RAD: f64 = 60.0 * std::f64::consts::PI / 180.0;
 const LITTLE_M: f64 = 0.1;
 

@@ -238,7 +238,7 @@ cases! {
     FRM006 a_goal_in_a_frame_of_its_own: |log| {
         told(log, Commands::Goals, 0.0);
         log.run.reference.frame_id = "map".to_owned();
-    } => Skipped("not tied to the robot");
+    } => Skipped("not fixed to the robot");
     FRM006 no_goals: |_| {} => Skipped("no goal");
 }
 

@@ -46,7 +46,7 @@ cases! {
         => BlamedOn("ZER002");
 
     MDL001 nothing_but_joint_states: |log| joint_states_alone(&mut log.run)
-        => Undecided("nothing in this log could be held against /joint_states");
+        => Undecided("nothing in this log can be compared with /joint_states");
     MDL001 a_handful_of_samples: |log| {
         joint_states_alone(&mut log.run);
         log.run.pose.timing.rate_hz = 0.3;

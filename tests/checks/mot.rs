@@ -231,7 +231,7 @@ fn an_eccentric_gear_is_said_with_what_is_left() {
     let log = Log::with(|log| gives(log, &[(1, Giving::Eccentric(2), 0.8)]));
     let report = log.audited();
     let message = &the(&report, "MDL001", POSE).message;
-    let said = "it goes with the angle of shoulder_lift_joint: eccentric gear or encoder, ±0.8";
+    let said = "it varies with the angle of shoulder_lift_joint: eccentric gear or encoder, ±0.8";
     assert!(message.contains(said), "{message}");
     let joint_or_time = |code: &str| code.starts_with("ZER") || code.starts_with("LAT");
     assert!(!report.findings.iter().any(|found| joint_or_time(found.code)));

@@ -170,7 +170,7 @@ cases! {
         log.options.policy.rules.ignore = vec!["TIM005".parse().expect("a rule")];
         log.edit = Some(|messages| as_euler(messages, Convention::RPY));
     } => Sound;
-    ORD006 no_bare_numbers: |_| {} => Skipped("no stream is coded in Euler angles");
+    ORD006 no_bare_numbers: |_| {} => Skipped("no stream uses Euler angles");
 
     ORD007 a_standard_table_that_says_modified: |log| by_table(log, "modified", [""; 2])
         => error(On::Robot, ReadAs("standard", "modified"));
@@ -368,7 +368,7 @@ fn bare_numbers_are_read_as_what_follows_the_arm() {
     let report = audited_as_numbers(|messages| as_numbers(messages, 1.0));
     let message = &the(&report, "ORD001", NUMBERS).message;
     assert!(
-        message.starts_with("read as m, rotvec in rad (as Universal Robots gives them)"),
+        message.starts_with("assumed m, rotvec in rad (as Universal Robots does)"),
         "{message}"
     );
 }
@@ -377,7 +377,7 @@ fn bare_numbers_are_read_as_what_follows_the_arm() {
 fn bare_numbers_may_be_degrees() {
     let report = audited_as_numbers(|messages| as_numbers(messages, 1_f64.to_degrees()));
     let message = &the(&report, "ORD001", NUMBERS).message;
-    assert!(message.starts_with("read as m, rotvec in deg"), "{message}");
+    assert!(message.starts_with("assumed m, rotvec in deg"), "{message}");
     for code in ["ORD004", "ORD006", "ORD008"] {
         let rows =
             report.checks.iter().filter(|row| row.code == code && row.subject.label() == NUMBERS);

@@ -9,26 +9,25 @@ rule! {
     /// /tf disagrees with forward kinematics of the joint states.
     ///
     /// ## What it means
-    /// The pose that /tf gives for the tip is not the one that the robot's description gives for
-    /// the joint positions of the same moment, after /tf's own latency has been taken off (that is
-    /// LAT001).
+    /// The tip pose in /tf differs from the pose that the robot description gives for the joint positions
+    /// at the same time. The latency of /tf is compensated first (LAT001 reports it).
     ///
     /// ## Why it matters
-    /// Everything that asks tf2 (planning, sensors, visualisation) uses other kinematics than nodes that
+    /// Everything that uses tf2 (planning, sensors, visualisation) has different kinematics from nodes that
     /// compute FK themselves.
     ///
     /// ## Evidence
-    /// The constant offset where there is one, else the rms that is left beyond the noise.
-    /// `before_m` is what it is with /tf's latency. /tf is compared with the joint states as
-    /// recorded: what a state publisher inherits from a joint fault is listed with that fault.
+    /// The constant offset if there is one, otherwise the rms residual beyond the noise. `before_m` is the
+    /// residual without latency compensation. /tf is compared with the joint states as recorded: an error
+    /// that the state publisher inherits from a joint fault is listed with that fault.
     ///
     /// ## How to fix
-    /// Give the state publisher and the audit the same description: calibrated kinematics, the same
-    /// variant, the same tool. See whether a second publisher sends the same frames.
+    /// Use the same description for the state publisher and the audit: calibrated kinematics, variant and
+    /// tool. Check whether a second publisher sends the same frames.
     ///
     /// ## When it misleads
-    /// A description given with `--robot` that is not the one the publisher used is exactly this
-    /// finding. Edges of /tf that are missing and fixed in the model are taken from the model.
+    /// If `--robot` names a different description from the publisher's, this finding follows. Fixed
+    /// transforms missing from /tf are taken from the model.
     FRM001 {
         name: "tf-against-kinematics",
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),
@@ -39,20 +38,20 @@ rule! {
     }
 }
 
-/// What would tell where the disagreement could not be had.
-const SETTLE: &str = "record /tf beside the joint states while the arm moves";
+/// Recording that makes the disagreement observable.
+const SETTLE: &str = "record /tf together with the joint states while the arm moves";
 
-/// How /tf disagrees with kinematics, and what is decided on that.
+/// Disagreement of /tf with FK, and the decision on it.
 struct Disagreement {
     length: Measured,
     angle: Measured,
-    /// Whether it is the same everywhere.
+    /// Whether it is a constant offset.
     constant: bool,
     decision: Decision,
 }
 
 impl Disagreement {
-    /// The constant offset, where one explains the disagreement; else what is left beyond the noise.
+    /// The constant offset, if one explains the disagreement; otherwise the residual beyond the noise.
     fn of<'a>(case: &Case, tf: &'a PoseDiagnosis) -> Result<Self, &'a Unseen> {
         let (thresholds, subjects) =
             (case.thresholds.of_frames(&FRM001, THRESHOLDS), case.evidence.subjects());
@@ -69,7 +68,7 @@ impl Disagreement {
     }
 }
 
-/// Whether /tf says what the joint states as recorded say, so that it inherits their faults.
+/// Whether /tf matches the joint states as recorded, and so inherits their faults.
 pub(in crate::checks) fn agrees(case: &Case, tf: &PoseDiagnosis) -> bool {
     Disagreement::of(case, tf).is_ok_and(|found| found.decision == Decision::Pass)
 }
@@ -85,7 +84,7 @@ fn check(case: &Case) -> Vec<Judged> {
             Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(stream.span),
         };
         if let (Decision::Fail(_), Some(what)) = (&found.decision, misread(arm)) {
-            let why = format!("it rests on the joint states, whose {what}");
+            let why = format!("computed from the joint states, whose {what}");
             return Judged::new(subject, Outcome::Inconclusive(why)).within(stream.span);
         }
         let estimate = Estimate::frame("disagreement", &found.length, &found.angle);
@@ -98,8 +97,7 @@ fn check(case: &Case) -> Vec<Judged> {
     judged.collect()
 }
 
-/// What is wrong with the joint states as recorded, so that nothing computed from them, and no
-/// interpolation of them, can be judged.
+/// Fault of the recorded joint states that makes everything computed or interpolated from them invalid.
 fn misread(arm: &ArmEvidence) -> Option<&'static str> {
     let joints = arm.diagnosis.reading.as_ref().ok()?;
     match joints {
@@ -127,9 +125,9 @@ fn outcome(found: Disagreement) -> Outcome {
         cause: Cause::TfDisagrees,
         severity,
         title: "/tf disagrees with kinematics",
-        message: format!("{length} and {angle} {kind} off from FK of the joint states"),
+        message: format!("differs from FK of the joint states by {length} and {angle} {kind}"),
         evidence: Evidence { effect_m: Some(found.length.value), ..Evidence::default() },
-        fix: "give the state publisher and the audit the same description of the robot".to_owned(),
+        fix: "use the same robot description for the state publisher and the audit".to_owned(),
     })
 }
 
@@ -145,12 +143,15 @@ mod tests {
         run.robots[0].tf.as_mut().unwrap().diagnosis.tool =
             Ok(FrameEstimate { chosen: true, ..frame(0.003) });
         let constant = ask(&FRM001, &run).1;
-        assert_eq!(constant[0].message, "3 mm and 0° everywhere off from FK of the joint states");
+        assert_eq!(
+            constant[0].message,
+            "differs from FK of the joint states by 3 mm and 0° everywhere"
+        );
 
         let mut run = clean_run();
         let residual = run.robots[0].tf.as_mut().unwrap().diagnosis.residual.as_mut();
         residual.expect("a residual").excess_m = sure(0.02);
         let varying = ask(&FRM001, &run).1;
-        assert_eq!(varying[0].message, "20 mm and 0° rms off from FK of the joint states");
+        assert_eq!(varying[0].message, "differs from FK of the joint states by 20 mm and 0° rms");
     }
 }

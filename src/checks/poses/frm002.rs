@@ -10,39 +10,39 @@ rule! {
     /// The reference frame of a stream is off by a constant.
     ///
     /// ## What it means
-    /// The poses are expressed in another frame than their `frame_id` says. The usual case: a
-    /// Universal Robots controller speaks of `base`, and somebody labelled its poses `base_link`,
-    /// which is turned by 180° about z.
+    /// The poses are expressed in a different frame from their `frame_id`. A common case: Universal Robots
+    /// controllers report poses in `base`, and the driver labels them `base_link`, which is rotated by 180°
+    /// about z.
     ///
     /// ## Why it matters
-    /// Every pose is wrong by the same transform, seen from the base: a half turn sends the arm to
-    /// the other side of the table.
+    /// Every pose is wrong by the same transform in the base frame. A half turn sends the arm to the other
+    /// side of the table.
     ///
     /// ## Evidence
-    /// `pose` is `reference_from_stream`: apply it to a logged pose to have it in the frame that
-    /// the log names. The amount is the norm of its translation; the angle stands in `rotation`.
-    /// The test is joint on all six numbers.
+    /// `pose` is `reference_from_stream`; apply it to a logged pose to express it in the named frame. The
+    /// value is the norm of its translation, and `rotation` is the angle. The significance test is joint
+    /// over all six components.
     ///
-    /// Where `frame_id` changes in mid-run and the poses are right under one name and not under the other,
-    /// the amount has `from`, `to` and `change_ns`, too.
+    /// If `frame_id` changes during the run and the poses are right under only one of the names, the value
+    /// also has `from`, `to` and `change_ns`.
     ///
-    /// `changes` lists when it is another from some moment on, with its amounts before and after;
-    /// the amount is then the size of the change (`from`, `to`, `change_ns`).
+    /// `changes` lists the times from which the offset is different, with the offsets before and after. The
+    /// value is then the size of the change (`from`, `to`, `change_ns`).
     ///
     /// ## How to fix
-    /// Name the frame that the poses are in, or publish the static transform to it.
+    /// Set `frame_id` to the frame of the poses, or publish the static transform to it.
     ///
     /// ## When it misleads
-    /// A base turned about the first joint's axis is the same to any log as an offset of that
-    /// joint's zero: a joint zero is preferred, unless the angle is a round one, and the other
-    /// stands in `indistinguishable`. A frame that is not tied to the robot (a tracker's world) is
-    /// estimated and never a fault.
+    /// No log can distinguish a base rotated about the first joint's axis from a zero offset of that joint.
+    /// The joint zero is preferred unless the angle is a round number; the alternative is listed in
+    /// `indistinguishable`. A frame that is not fixed to the robot (a tracker's world) is estimated, and is
+    /// never a fault.
     FRM002 {
         name: "reference-frame",
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),
         headline: false,
         needs_model: true,
-        missing: "no pose stream beside the joint states",
+        missing: "no pose stream to compare with the joint states",
         check: check,
     }
 }
@@ -55,7 +55,7 @@ fn check(case: &Case) -> Vec<Judged> {
         frame: |stream| &stream.reference,
         not_judged: |stream| {
             let why =
-                || format!("{} is not tied to the robot, its pose is estimated", stream.reference);
+                || format!("{} is not fixed to the robot; its pose is estimated", stream.reference);
             (!stream.reference_known).then(why)
         },
         changes: |diagnosis| &diagnosis.reference_changes,
@@ -65,8 +65,8 @@ fn check(case: &Case) -> Vec<Judged> {
     frames::judge(case, &reference).into_iter().map(|judged| since_label(case, judged)).collect()
 }
 
-/// Says of poses that are off in the frame that their frame_id names for a part of the run when that part
-/// begins or ends, where under the frame_id of the other part they are right.
+/// Adds the start or end time to an offset that occurs in part of the run, if the poses are right under the
+/// `frame_id` of the other part.
 fn since_label(case: &Case, mut judged: Judged) -> Judged {
     let Outcome::Evaluated(Ruling::Faulty(fault)) = &mut judged.outcome else { return judged };
     let subject = &judged.subject;
@@ -92,9 +92,9 @@ fn since_label(case: &Case, mut judged: Judged) -> Judged {
     let moment = case.evidence.moment(at);
     let when = if is_after { format!("from {moment} on") } else { format!("until {moment}") };
     let named = subject.frame.as_deref().unwrap_or_default();
-    fault.title = "reference frame is off for a part of the run";
+    fault.title = "reference frame is off for part of the run";
     fault.message =
-        format!("{when}, where frame_id is {named} and not {}: {}", other.reference, fault.message);
+        format!("{when}, with frame_id {named} instead of {}: {}", other.reference, fault.message);
     let value = value.unwrap_or(0.0);
     let (from, to) = if is_after { (0.0, value) } else { (value, 0.0) };
     let change = Change { from, to, change_ns: at, change_ci95_ns: None };
@@ -109,12 +109,14 @@ fn fault(
     severity: Severity,
 ) -> Fault {
     let reference = &stream.reference;
-    // Columns of a table are in the base or in the controller's: neither contradicts a declaration.
+    // Table columns may be in the base frame or the controller's base frame; neither contradicts a
+    // declaration.
     let is_either_base = stream.is_of_table && stream.bare && is_half_turn_about_z(&frame.pose);
     let severity = if is_either_base { Severity::Info } else { severity };
     let fix = if is_half_turn_about_z(&frame.pose) {
         format!(
-            "the poses are in a frame turned by 180° about z (UR's base against base_link), not in {reference}: correct frame_id"
+            "the poses are in a frame rotated by 180° about z (UR: base instead of base_link), not in \
+             {reference}: correct frame_id"
         )
     } else {
         let pose = show_pose(&frame.pose);
@@ -125,7 +127,7 @@ fn fault(
         severity,
         cause: Cause::Reference(frame.pose),
         title: "reference frame is off",
-        message: format!("poses are {} off from {reference}, everywhere", show(frame)),
+        message: format!("poses have a constant offset of {} from {reference}", show(frame)),
         evidence: Evidence { effect_m: Some(effect_m), ..Evidence::default() },
         fix,
     }

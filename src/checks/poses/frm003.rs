@@ -9,39 +9,39 @@ rule! {
     /// The tool frame of a stream is off by a constant.
     ///
     /// ## What it means
-    /// The poses are those of another point on the last link than the tip that was named: flange
-    /// against tool0, or a TCP that is active in the controller.
+    /// The poses describe a different point on the last link than the named tip: the flange instead of
+    /// tool0, or a TCP that is active in the controller.
     ///
     /// ## Why it matters
-    /// Seen from the tool the error is always the same, seen from the base it turns with the wrist,
-    /// so that no correction of a few taught points takes it off.
+    /// The error is constant in the tool frame but rotates with the wrist in the base frame. Correcting a
+    /// few taught points does not remove it.
     ///
     /// ## Evidence
-    /// `pose` is `tip_from_stream`: where the stream's point is, seen from the tip. The amount is
-    /// the norm of its translation; the angle stands in `rotation`. The test is joint on all six
-    /// numbers. Where the poses alternate between rigid bodies on one tool (a tracker that takes one
-    /// marker for another, a TCP that is switched), a finding for each body beside the usual one says how
-    /// far it is from that (`pose` is `usual_from_other`) and when it is seen (`spans_ns`, the first from
-    /// `change_ns` on, of `samples`); everything else is judged with all poses as those of the usual one.
+    /// `pose` is `tip_from_stream`: the stream's point in the tip frame. The value is the norm of its
+    /// translation, and `rotation` is the angle. The significance test is joint over all six components.
     ///
-    /// `changes` lists when it is another from some moment on, with its amounts before and after;
-    /// the amount is then the size of the change (`from`, `to`, `change_ns`).
+    /// The poses may alternate between several rigid bodies on one tool (a tracker confuses markers, or the
+    /// TCP is switched). Each body other than the most frequent one then has a finding with its offset from
+    /// that body (`pose` is `usual_from_other`), its times (`spans_ns`, from `change_ns` on) and its number
+    /// of `samples`. All other rules use the poses converted to the most frequent body.
+    ///
+    /// `changes` lists the times from which the offset is different, with the offsets before and after. The
+    /// value is then the size of the change (`from`, `to`, `change_ns`).
     ///
     /// ## How to fix
-    /// Set the controller's active TCP to the one meant, or name with `--tip` the link that the
-    /// stream speaks of.
+    /// Set the controller's active TCP to the intended one, or name the link of the stream with `--tip`.
     ///
     /// ## When it misleads
-    /// Where nobody named the tip (`--tip`, the stream's child frame) an offset is most likely the
-    /// active TCP and is reported as `info`; of an outside witness it is where its marker sits, which is
-    /// `info`, too. A twist about the last joint's axis is the same to any
-    /// log as an offset of that joint's zero; the other stands in `indistinguishable`.
+    /// If the tip is not named (`--tip`, or the stream's child frame), an offset is probably the active TCP
+    /// and is reported as `info`. The offset of an external tracker is the position of its marker, also
+    /// `info`. No log can distinguish a rotation about the last joint's axis from a zero offset of that
+    /// joint; the alternative is listed in `indistinguishable`.
     FRM003 {
         name: "tool-frame",
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),
         headline: false,
         needs_model: true,
-        missing: "no pose stream beside the joint states",
+        missing: "no pose stream to compare with the joint states",
         check: check,
     }
 }
@@ -67,9 +67,9 @@ fn check(case: &Case) -> Vec<Judged> {
     judged
 }
 
-/// Poses that are of another body on the tool for some of the time.
+/// Finding for a second body on the tool, to which part of the poses belong.
 fn alternates(case: &Case, arm: &ArmEvidence, stream: &Of<PoseEvidence>, other: &Other) -> Judged {
-    /// Times that are named.
+    /// Maximum number of time spans in the message.
     const NAMED: usize = 3;
     let thresholds = case.thresholds.of_frames(&FRM003, THRESHOLDS);
     let (length, angle) = (&other.length_m, &other.angle_rad);
@@ -89,17 +89,16 @@ fn alternates(case: &Case, arm: &ArmEvidence, stream: &Of<PoseEvidence>, other: 
         spans.iter().take(NAMED).map(|[from, to]| format!("{from} to {to}")).collect();
     let more = match spans.len().saturating_sub(NAMED) {
         0 => String::new(),
-        more => format!(" and {more} times more"),
+        more => format!(" and {more} more times"),
     };
     let (what, fix) = match stream.witness {
         Witness::External => (
-            "the tracker mistakes another marker, or a rotated constellation, for the body",
-            "make the constellation of markers asymmetric and keep bodies apart; leave out the poses of \
-             these times",
+            "the tracker confuses the body with another marker or a rotated constellation",
+            "use an asymmetric marker constellation and keep bodies apart; exclude the poses at these times",
         ),
         _ => (
             "another tool frame is active",
-            "keep one active TCP, or put the frame of each pose into its header",
+            "keep one active TCP, or record the frame of each pose in its header",
         ),
     };
     let effect_m = length.value + angle.value * length.value;
@@ -108,7 +107,7 @@ fn alternates(case: &Case, arm: &ArmEvidence, stream: &Of<PoseEvidence>, other: 
         cause: Cause::Seen(Sight::Stream),
         title: "tool frame alternates",
         message: format!(
-            "{:.0} % of the poses are of a second body, {} and {} from the first ({}{more}): {what}",
+            "{:.0} % of the poses belong to a second body, {} and {} from the first ({}{more}): {what}",
             100.0 * other.samples as f64 / samples.max(1) as f64,
             Unit::Metre.show_measured(length),
             Unit::Radian.show_measured(angle),
@@ -141,7 +140,7 @@ fn fault(
 ) -> Fault {
     let tip = &stream.tip;
     let (severity, guess) = match (stream.witness, stream.tip_named) {
-        (Witness::External, _) => (Severity::Info, ": where its marker sits"),
+        (Witness::External, _) => (Severity::Info, ", the position of its marker"),
         (_, true) => (severity, ""),
         (_, false) => (Severity::Info, ", probably the active TCP"),
     };

@@ -15,58 +15,59 @@ use crate::finding::{
 use crate::run::BetterModel;
 
 rule! {
-    /// An error is left that nothing found explains.
+    /// Residual error with no identified cause.
     ///
     /// ## What it means
-    /// Every stream is held against FK twice. Beside the estimators, and without them, its error as
-    /// logged is taken straight from FK: what 95 % of the samples stay below, over the moving run and
-    /// over each tenth of it. Where that reaches the thresholds, the amounts that other rules found must
-    /// account for it: with them taken off, less than the thresholds may be left in every tenth, or no
-    /// more than twice what differs from sample to sample. What is more than that has no name in this
-    /// audit: kinematic parameters, a bent link, gear error, what changes slowly in mid-run, another
-    /// arm.
+    /// Every stream is compared with FK twice. The second comparison bypasses the estimators: it takes the
+    /// 95th percentile of the raw error over the moving run and over each tenth of it. If that reaches the
+    /// thresholds, the findings of the other rules must explain it. After correcting them, the error in
+    /// every tenth must be below the thresholds, or at most twice the sample-to-sample noise. A larger
+    /// residual has no cause that this audit models: kinematic parameters, a bent link, gear error, a slow
+    /// change during the run, or a different arm.
     ///
-    /// An IMU is held against FK, too: by what its orientation and its gyro leave beside what was found, by
-    /// the scale of its gyro (`gyro gain`, the share by which it reads too much or too little), and by the
-    /// value that its gyro never passes while the arm does (`gyro saturation`).
+    /// IMUs are also compared with FK: the residuals of orientation and gyro after correction, the scale of
+    /// the gyro (`gyro gain`, its relative error), and the rate at which the gyro saturates while the arm
+    /// turns faster (`gyro saturation`).
     ///
     /// ## Why it matters
-    /// A run passes only where this rule passes on every stream. It is the best accuracy that correcting
-    /// the other findings can reach, and the warning that the description may be of another arm.
+    /// A run passes only if this rule passes on every stream. The residual is the best accuracy that
+    /// correcting the other findings can reach, and a warning that the description may belong to a
+    /// different arm.
     ///
     /// ## Evidence
-    /// `value` is the rms of position beyond the sample-to-sample noise, `rotation` that of
-    /// orientation; `rms_m` and `rms_rad` are with the noise, `before_m` and `before_rad` before
-    /// anything was taken off. `as_logged` is the error straight from FK, `left` what the findings
-    /// leave of it, both as what 95 % stay below (`most_m`, `most_rad`) in the worst tenth of the run,
-    /// with its times and the place of the tip there (`from_ns`, `to_ns`, `at_m`). `shared_by` names
-    /// the streams in which it is left at the same times. Where it goes with the angle of a joint once,
-    /// twice or three times a turn, as of an eccentric gear or encoder, the message names the joint and
-    /// by how much. `candidates` are the nearest causes, each
-    /// with what it leaves. `fits` names an arm of the catalogue with the same joints that fits far better
-    /// than the model that was named, and its residual (`misfit_m`; `tool_m` if it needs an active TCP). The
-    /// audit keeps the named model; rules that compare the poses with it stay open.
+    /// `value` is the rms position error beyond the sample-to-sample noise, and `rotation` the rms
+    /// orientation error. `rms_m` and `rms_rad` include the noise; `before_m` and `before_rad` are before
+    /// any correction. `as_logged` is the raw error against FK, and `left` the error after correcting the
+    /// findings. Both give the 95th percentile (`most_m`, `most_rad`) in the worst tenth of the run, with
+    /// its times and tip position (`from_ns`, `to_ns`, `at_m`). `shared_by` lists the streams with a
+    /// residual at the same times.
     ///
-    /// Of a gyro, `scale` is the gain less 1 along x, y and z with its interval; `axes` are those that
-    /// saturate, `share` is that of the samples at the limit, `by_fk_rad_s` how fast the arm turned.
+    /// If the residual varies with one, two or three times a joint's angle, as from an eccentric gear or
+    /// encoder, the message names the joint and the amplitude. `candidates` are the closest explanations,
+    /// each with its residual. `fits` names a catalogue arm with the same joints that fits far better than
+    /// the given model, and its residual (`misfit_m`; `tool_m` if it needs an active TCP). The audit keeps
+    /// the given model; rules that compare poses with it are inconclusive.
     ///
-    /// Of a drawing against a calibrated arm `link_m` is by how much each link is off, as a standard
-    /// deviation; angles by 0.1° where that is 1 mm.
+    /// For a gyro, `scale` is the gain minus 1 along x, y and z with its interval. `axes` are the saturated
+    /// axes, `share` the fraction of samples at the limit, and `by_fk_rad_s` the arm's maximum rate.
     ///
-    /// A stream that does what the arm does by more than 40 ms before it is not compared, and is open: it is a
-    /// command, or a pose of the tool beside late joint states.
+    /// For a nominal model of a calibrated arm, `link_m` is the standard deviation of the link deviations.
+    /// Their angles scale with 0.1° per 1 mm.
     ///
-    /// It is a finding where the error is three times what differs from sample to sample (an F of
-    /// nine), or comes again with the posture; else it is open, and so is the run's verdict.
+    /// A stream that leads the arm by more than 40 ms is not compared and is inconclusive. It is a command,
+    /// or a tool pose with late joint states.
+    ///
+    /// The residual is a finding if it is at least three times the sample-to-sample noise (F = 9), or if it
+    /// repeats with the configuration. Otherwise it is inconclusive, and so is the run.
     ///
     /// ## How to fix
     /// Use the arm's own calibrated description (for a UR, `calibration.yaml` extracted from the
-    /// controller). If it is a few millimetres everywhere, that is it; if it is centimetres, look
-    /// for the wrong model; if it begins at some time, look at what happened then.
+    /// controller). A residual of a few millimetres everywhere is usually calibration. A residual of
+    /// centimetres suggests the wrong model. If it starts at some time, check what happened then.
     ///
     /// ## When it misleads
-    /// A nominal description against a calibrated arm leaves 1–10 mm; that is no fault of the log.
-    /// Slowly wandering noise of a tracker counts as an error that is left.
+    /// A nominal description of a calibrated arm has a residual of 1–10 mm; the log is then not at fault.
+    /// Slowly varying tracker noise counts as residual.
     MDL001 {
         name: "unexplained-residual",
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle, imu::GAIN]),
@@ -77,12 +78,12 @@ rule! {
     }
 }
 
-/// What would tell where the residual could not be had.
+/// Motion that makes the residual observable.
 const SETTLE: &str = "record 10 s in which every joint moves";
 
-/// What must be recorded where there is nothing to hold the joint states against.
-const RECORD: &str = "record the tool's pose (the controller's, a tracker's), /tf or an IMU on the \
-                      arm, while every joint moves for 10 s";
+/// What to record if there is nothing to compare with the joint states.
+const RECORD: &str = "record the tool's pose (from the controller or a tracker), /tf or an IMU on the arm \
+    while every joint moves for 10 s";
 
 fn check(case: &Case) -> Vec<Judged> {
     let named = Named::of(case);
@@ -90,30 +91,30 @@ fn check(case: &Case) -> Vec<Judged> {
     arms.chain(case.evidence.leaders.iter().map(judge_leader)).collect()
 }
 
-/// A stream that leads the arm is a command or a pose of the tool beside late joint states. Nothing in the
-/// log tells which, and in the second case a fault would go unseen.
+/// A stream that leads the arm is a command, or a tool pose with late joint states. The log does not show
+/// which, and the second case could hide a fault, so the outcome is inconclusive.
 fn judge_leader(stream: &Of<f64>) -> Judged {
     let why = format!(
-        "not compared: the arm does the same {:.0} ms later. A hand tracker or a leader arm does that, and so does \
-         a measurement of the tool beside late joint states; [stream.\"{}\"] with role = \"reference\" or \"pose\" in \
-         poseaudit.toml says which",
+        "not compared: it leads the arm by {:.0} ms, as a command, hand tracker or leader arm does, or a \
+         tool pose if the joint states are late; set role = \"reference\" or role = \"pose\" in \
+         [stream.\"{}\"] of poseaudit.toml",
         1e3 * **stream,
         stream.topic(),
     );
     stream.judged(Outcome::Inconclusive(why))
 }
 
-/// A stream of an arm, and how its error stands.
+/// A stream of an arm with the attribution of its error.
 struct Held<'a> {
     stream: &'a Of<PoseEvidence>,
     subject: Subject,
     standing: Option<Standing>,
-    /// What it goes with, where that is known: see [`eccentricity`].
+    /// Joint angle with which the residual varies, if known: see [`eccentricity`].
     goes_with: String,
 }
 
 impl Held<'_> {
-    /// What is left of it, where that is too much.
+    /// Its residual, if too large.
     fn left(&self) -> Option<&Left> {
         match self.standing.as_ref()? {
             Standing::Left(left) | Standing::Open(left, _) => Some(left),
@@ -121,7 +122,7 @@ impl Held<'_> {
         }
     }
 
-    /// Whether nothing that was found makes the poses those of the arm.
+    /// Whether no combination of causes makes the poses match the arm.
     fn is_astray(&self) -> bool {
         let reference_known = self.stream.reference_known;
         match &self.stream.diagnosis.residual {
@@ -138,7 +139,7 @@ fn judge_arm(case: &Case, named: &Named, arm: &ArmEvidence) -> Vec<Judged> {
         Held { stream, subject, standing, goes_with: eccentricity(arm) }
     };
     let poses = arm.poses.iter().map(|stream| held(stream.subject.clone(), stream));
-    // What is reckoned from the joint states knows nothing of their eccentricity.
+    // A stream computed from the joint states does not contain their eccentricity.
     let tf = arm
         .tf
         .iter()
@@ -146,11 +147,11 @@ fn judge_arm(case: &Case, named: &Named, arm: &ArmEvidence) -> Vec<Judged> {
     let streams: Vec<Held> = poses.chain(tf).collect();
     if streams.is_empty() && arm.imus.iter().all(|imu| imu.proof.is_none()) {
         if case.evidence.hand_eyes.iter().any(|eye| eye.robot.as_ref() == Some(&arm.name)) {
-            let why = "only what a camera sees was held against it (HEC001)".to_owned();
+            let why = "compared only with camera observations (HEC001)".to_owned();
             return vec![Judged::new(arm.subject(), Outcome::Skipped(why))];
         }
         let why =
-            format!("nothing in this log could be held against {}; {RECORD}", arm.joints_topic);
+            format!("nothing in this log can be compared with {}; {RECORD}", arm.joints_topic);
         return vec![Judged::new(arm.subject(), Outcome::Inconclusive(why)).within(arm.span)];
     }
     let imus = arm.imus.iter().flat_map(|imu| imu::judge(case, &thresholds, imu));
@@ -203,8 +204,8 @@ fn judge(case: &Case, held: &Held, all: &[Held]) -> Judged {
     }
 }
 
-/// What an error is beyond the noise, rms. Whenever the arm does this again it is the same but for the
-/// noise: so its interval is that of a mean of independent noise.
+/// The rms error beyond the noise. The error repeats with the motion apart from the noise, so its interval
+/// is that of a mean of independent noise.
 fn beyond_noise(whole: &Amount) -> Measured {
     let noise = whole.noise.unwrap_or_default();
     let independent = (whole.samples as f64 / noise.over.max(1) as f64).max(3.0);
@@ -215,7 +216,7 @@ fn beyond_noise(whole: &Amount) -> Measured {
     }
 }
 
-/// The size of an error over the run, and in the part in which it is largest.
+/// An error over the whole run, and its largest part, as JSON.
 fn error_json(case: &Case, error: &Error) -> Value {
     let most = |size: &Size| size.worst().map(|part| part.amount.most);
     let worst = error.length.worst();
@@ -240,19 +241,19 @@ fn outcome(case: &Case, held: &Held, all: &[Held]) -> Outcome {
         Standing::Left(left) | Standing::Open(left, _) if at_rest => {
             let off = sizes(&left.error);
             Outcome::Inconclusive(format!(
-                "it is {off} off at rest, and one posture does not tell why; {SETTLE}"
+                "off by {off} at rest; one configuration cannot show why; {SETTLE}"
             ))
         }
         _ if at_rest => Outcome::Inconclusive(format!(
-            "the arm hardly moves, and that poses agree in one posture proves little; {SETTLE}"
+            "the arm barely moves, and agreement in one configuration proves little; {SETTLE}"
         )),
         Standing::Below | Standing::Accounted { is_named: true } => Outcome::sound(),
         Standing::Noise => Outcome::sound_because(format!(
-            "{} off as logged, which differ from sample to sample",
+            "{} off as logged, within the sample-to-sample noise",
             as_logged()
         )),
         Standing::Accounted { is_named: false } => Outcome::sound_because(format!(
-            "{} off as logged, by amounts that are each below the thresholds of their rules",
+            "{} off as logged, fully explained by the estimated corrections",
             as_logged()
         )),
         Standing::Small(left) => Outcome::faulty(small(case, left)),
@@ -263,7 +264,7 @@ fn outcome(case: &Case, held: &Held, all: &[Held]) -> Outcome {
     }
 }
 
-/// The two sizes of an error: `12 mm and 0.3°`.
+/// Formats the rms errors: `12 mm and 0.3°`.
 fn sizes(error: &Error) -> String {
     let length = Unit::Metre.show(error.length.whole.rms);
     match &error.angle {
@@ -272,8 +273,8 @@ fn sizes(error: &Error) -> String {
     }
 }
 
-/// When and where too much is left: `in 5 of 10 parts of the run, from +10.02 s to +20.00 s, up to 70 mm
-/// and 0.2° near (…) m`.
+/// Formats time, size and place of the error: `in 5 of 10 parts of the run, from +10.02 s to +20.00 s, up
+/// to 70 mm and 0.2°, largest near (…) m`.
 fn where_left(case: &Case, left: &Left) -> String {
     let Part { at, .. } = left.worst;
     let most = |size: &Size| size.worst().map_or(0.0, |part| part.amount.most);
@@ -290,25 +291,25 @@ fn where_left(case: &Case, left: &Left) -> String {
         _ if count == all => "throughout".to_owned(),
         count => format!("in {count} of {all} parts of the run, from {from} to {to}"),
     };
-    format!("{parts}, up to {most}, most near ({at}) m")
+    format!("{parts}, up to {most}, largest near ({at}) m")
 }
 
-/// Why it is open what is left.
+/// Reason why a residual is inconclusive.
 fn why_open(case: &Case, left: &Left, open: &[&str]) -> String {
     let (off, most) = (sizes(&left.error), where_left(case, left));
     let why = match (open, left.error.length.whole.noise) {
         ([], Some(noise)) if !left.is_beyond_noise() => format!(
-            "no finding accounts for that, and it is not surely more than {} that differ from sample \
-             to sample",
+            "no finding explains it, and it is not significantly above the noise of {}",
             Unit::Metre.show(noise.rms)
         ),
-        ([], Some(_)) => "no finding accounts for that".to_owned(),
-        ([], None) => "no finding accounts for that, and samples this far apart do not tell its \
-                       noise"
-            .to_owned(),
-        (open, _) => format!("what accounts for it is open: {}", open.join(", ")),
+        ([], Some(_)) => "no finding explains it".to_owned(),
+        ([], None) => {
+            "no finding explains it, and the samples are too far apart to estimate the noise"
+                .to_owned()
+        }
+        (open, _) => format!("its possible causes are undetermined: {}", open.join(", ")),
     };
-    format!("{off} are left, {most}; {why}; {SETTLE}")
+    format!("residual {off}, {most}; {why}; {SETTLE}")
 }
 
 fn small(case: &Case, left: &Left) -> Fault {
@@ -317,7 +318,7 @@ fn small(case: &Case, left: &Left) -> Fault {
         severity: Severity::Info,
         title: "small residual",
         message: format!(
-            "{} rms are left, as sag, play or encoder error below 0.1° a joint leave together",
+            "residual {} rms, consistent with normal sag, backlash or encoder error below 0.1° per joint",
             sizes(&left.error)
         ),
         evidence: Evidence {
@@ -325,11 +326,11 @@ fn small(case: &Case, left: &Left) -> Fault {
             effect_m: Some(left.error.length.whole.rms),
             ..Evidence::default()
         },
-        fix: "nothing, where that is as well as the arm is known to be".to_owned(),
+        fix: "no action needed if this is within the arm's rated accuracy".to_owned(),
     }
 }
 
-/// A number by its first digit.
+/// Rounds to one significant digit.
 fn round_to_one(value: f64) -> f64 {
     let unit = 10f64.powf(value.abs().log10().floor());
     (value / unit).round() * unit
@@ -337,14 +338,14 @@ fn round_to_one(value: f64) -> f64 {
 
 fn nominal(error: &Error, link_m: Option<f64>) -> Fault {
     let by = link_m.map_or(String::new(), |link_m| {
-        format!(": about {} a link", Unit::Metre.show(round_to_one(link_m)))
+        format!(": about {} per link", Unit::Metre.show(round_to_one(link_m)))
     });
     Fault {
         cause: Cause::Model,
         severity: Severity::Info,
         title: "nominal kinematics",
         message: format!(
-            "residual {} rms, as of a nominal model against a calibrated arm{by}",
+            "residual {} rms, typical of a nominal model of a calibrated arm{by}",
             sizes(error)
         ),
         evidence: Evidence {
@@ -352,13 +353,13 @@ fn nominal(error: &Error, link_m: Option<f64>) -> Fault {
             more: link_m.map(|link_m| ("link_m".to_owned(), link_m.into())).into_iter().collect(),
             ..Evidence::default()
         },
-        fix: "use the arm's calibration (of a UR, calibration.yaml from the controller), or estimate it from logs \
-              with `poseaudit calibrate`"
+        fix: "use the arm's calibration (for a UR, calibration.yaml from the controller), or estimate it \
+            from logs with `poseaudit calibrate`"
             .to_owned(),
     }
 }
 
-/// What is left beside the causes that were found.
+/// Finding for the residual after correcting all other findings.
 fn unexplained(case: &Case, held: &Held, all: &[Held], left: &Left) -> Fault {
     let sharing = all.iter().filter(|other| other.subject != held.subject);
     let sharing = sharing.filter(|other| other.left().is_some_and(|other| left.shares(other)));
@@ -370,15 +371,16 @@ fn unexplained(case: &Case, held: &Held, all: &[Held], left: &Left) -> Fault {
     };
     let shared = match sharing.as_slice() {
         [] => String::new(),
-        sharing => format!(", and the same of {}", sharing.join(", ")),
+        sharing => format!(", shared with {}", sharing.join(", ")),
     };
     evidence.more.insert("shared_by".to_owned(), sharing.into());
     let said = format!("unexplained residual {} rms{shared}", sizes(&left.error));
     let goes_with = &held.goes_with;
     let message = format!("{said} after all other findings are corrected{goes_with}");
-    let fix = "use the arm's calibrated description, or see whether it is the right one; where it \
-               begins at some time, see what happened to the tool, the frames or the joints then"
-        .to_owned();
+    let fix =
+        "use the arm's calibrated description, or check that it belongs to this arm; if the error \
+        starts at some time, check what happened to the tool, the frames or the joints then"
+            .to_owned();
     Fault {
         severity: left.severity,
         cause: Cause::Model,
@@ -389,24 +391,23 @@ fn unexplained(case: &Case, held: &Held, all: &[Held], left: &Left) -> Fault {
     }
 }
 
-/// Poses and joint states that nothing makes those of one arm.
+/// Finding for poses and joint states that no cause reconciles.
 fn disagreement(held: &Held, left: &Left) -> Fault {
     let stream = held.stream;
     let as_logged = stream.proof.as_ref().ok().map(|proof| &proof.as_logged);
-    // Against a frame that is not tied to the robot, what is logged is off by any amount.
+    // The error as logged is meaningless if the reference frame is not fixed to the robot.
     let error = as_logged.filter(|_| stream.reference_known).unwrap_or(&left.error);
     let candidates = candidates(stream);
     let said = said(error);
     let nearest = match candidates.first() {
-        Some(first) => format!("; nearest is {first}"),
+        Some(first) => format!("; closest explanation: {first}"),
         None => String::new(),
     };
     let mut evidence = Evidence { effect_m: Some(error.length.whole.rms), ..Evidence::default() };
-    let said = format!("{said}, and no cause that poseaudit knows explains it");
+    let said = format!("{said}, and no known cause explains it");
     let message = format!("{said}{nearest}");
-    let fix = format!(
-        "see whether it is this arm's description, and whether the joint states are this arm's; {TELLS}"
-    );
+    let fix =
+        format!("check that the description and the joint states belong to this arm; {TELLS}");
     evidence.more.insert("candidates".to_owned(), candidates.into());
     Fault {
         severity: Severity::Error,
@@ -418,13 +419,13 @@ fn disagreement(held: &Held, left: &Left) -> Fault {
     }
 }
 
-/// The title where nothing makes poses and joint states those of one arm.
+/// Title if no cause reconciles poses and joint states.
 const DISAGREE: &str = "poses and joint states disagree";
 
-/// What would tell why they do.
-const TELLS: &str = "record 10 s in which one joint after the other moves by 30° alone";
+/// Motion that would show why.
+const TELLS: &str = "record 10 s in which the joints move by 30° one at a time";
 
-/// By how much poses and joint states disagree, as reports say it.
+/// Formats the disagreement between poses and joint states.
 fn said(error: &Error) -> String {
     let length = Unit::Metre.show(error.length.whole.rms);
     let angle = error.angle.as_ref().map(|angle| Unit::Radian.show(angle.whole.rms));
@@ -432,7 +433,7 @@ fn said(error: &Error) -> String {
     format!("poses and joint states disagree by {length}{angle}")
 }
 
-/// The nearest causes, each with what it leaves: the best first.
+/// Closest explanations with their residuals, best first.
 fn candidates(stream: &Of<PoseEvidence>) -> Vec<String> {
     let found = &stream.diagnosis;
     let proof = stream.proof.as_ref().ok();
@@ -441,28 +442,28 @@ fn candidates(stream: &Of<PoseEvidence>) -> Vec<String> {
         let nearer = |left: &&Error| rms(left) < 0.5 * rms(&proof.as_logged);
         proof.left.as_ref().filter(nearer)
     });
-    let all = left.map(|left| format!("all that was found together, which leaves {}", sizes(left)));
+    let all = left.map(|left| format!("all findings together (residual {})", sizes(left)));
     let ranked = found.reading.as_ref().map_or(&[] as &[_], |reading| &reading.ranked);
     let readings =
         ranked.iter().filter(|(reading, _)| !matches!(reading, Reading::AsLogged)).take(3);
     let readings = readings.map(|(reading, left_rad)| {
         let ReadAs { is, read_as: was } = read_as(reading);
-        format!("{is} read as {was}, which leaves {}", Unit::Radian.show(*left_rad))
+        format!("{is} read as {was} (residual {})", Unit::Radian.show(*left_rad))
     });
     all.into_iter().chain(readings).collect()
 }
 
-/// Another arm fits far better than the model that was named.
+/// Outcome if another arm fits far better than the given model.
 fn wrong_model(case: &Case, arm: &ArmEvidence, better: &BetterModel) -> Outcome {
     let BetterModel { name, named_m, left_m, tool_m, .. } = better;
     let [fits, off] = [left_m, named_m].map(|left_m| Unit::Metre.show(*left_m));
     let with = match tool_m {
         Some(tool_m) => format!("with a TCP of {}", Unit::Metre.show(*tool_m)),
-        None => "without any cause".to_owned(),
+        None => "with no further correction".to_owned(),
     };
     let named = match *name == arm.name {
-        true => format!("the {name} of the model that was given"),
-        false => format!("the {} that was named", arm.name),
+        true => format!("the {name} of the given model"),
+        false => format!("the given {}", arm.name),
     };
     let mut evidence = Evidence { effect_m: Some(*named_m), ..Evidence::default() };
     let fits_json = json!({"robot": name, "misfit_m": left_m, "tool_m": tool_m});
@@ -481,7 +482,8 @@ fn wrong_model(case: &Case, arm: &ArmEvidence, better: &BetterModel) -> Outcome 
         ),
         evidence,
         fix: format!(
-            "if the arm is a {name}, audit with --robot {name}; else check the order, unit and sign of the joints"
+            "if the arm is a {name}, audit with --robot {name}; otherwise check the order, unit and sign of \
+             the joints"
         ),
     })
 }

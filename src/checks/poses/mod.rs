@@ -1,4 +1,4 @@
-//! Tool poses and /tf against FK: frames, codings, units, and what is left.
+//! Rules on tool poses and /tf against FK: frames, encodings, units and residuals.
 
 pub(super) mod frm001;
 pub(super) mod frm002;
@@ -17,7 +17,7 @@ pub(super) mod zer002;
 use super::Family;
 
 pub(super) static FAMILY: Family = Family {
-    examines: "Tool poses and /tf against FK: frames, codings, units, and what is left",
+    examines: "Tool poses and /tf against FK: frames, encodings, units and residuals",
     rules: &[
         &frm001::FRM001,
         &frm002::FRM002,

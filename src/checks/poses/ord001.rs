@@ -8,45 +8,41 @@ rule! {
     /// Rotation numbers of one convention are read as another.
     ///
     /// ## What it means
-    /// Three numbers that mean one thing (say a rotation vector, as Universal Robots reports it)
-    /// were turned into a rotation as if they meant another (say roll, pitch, yaw). The positions
-    /// are right, the orientations are not, and every orientation is off by another amount.
+    /// Three numbers in one convention (for example a rotation vector, from Universal Robots) were
+    /// converted to a rotation as if they were in another (say roll, pitch, yaw). The positions are right.
+    /// The orientations are wrong, by a different rotation at every pose.
     ///
-    /// Names are `rotvec` and `euler:SEQ` with SciPy's letters: lower case turns about fixed axes,
-    /// upper case about moving axes, the numbers in the order of the letters. ROS rpy is
-    /// `euler:xyz`. `euler:SEQ@axes` are numbers labelled rx, ry, rz that are turned in the order
-    /// SEQ.
+    /// Names are `rotvec` and `euler:SEQ` with SciPy's letters: lower case rotates about fixed axes, upper
+    /// case about moving axes, with the numbers in the order of the letters. ROS rpy is `euler:xyz`.
+    /// `euler:SEQ@axes` are numbers labelled rx, ry, rz that are applied in the order SEQ.
     ///
     /// ## Why it matters
-    /// Near the pose at which somebody tested, the two readings may almost agree. Elsewhere they
-    /// part by tens of degrees: a grasp planned from these poses misses, and a hand-eye calibration
-    /// on them converges to nonsense without a warning.
+    /// Near the pose used for testing, the two interpretations may almost agree. Elsewhere they differ by
+    /// tens of degrees: a grasp planned from these poses misses, and a hand-eye calibration converges to a
+    /// wrong result without a warning.
     ///
     /// ## Evidence
-    /// The stream's orientations are compared with forward kinematics under every pair of
-    /// conventions, on every branch that a pendant may show (wrapped angles, the second Euler
-    /// solution, rotation vectors beyond 180°). The finding gives the residual as logged
-    /// (`as_logged_rad`), under the best reading (`corrected_rad`) and the ratio of the next best
-    /// to it. Pairs that are the same map on every rotation, and pairs that this motion cannot tell
-    /// apart, stand in `equivalent`.
+    /// The stream's orientations are compared with forward kinematics under every pair of conventions, on
+    /// every branch that a pendant may show (wrapped angles, the second Euler solution, rotation vectors
+    /// beyond 180°). The finding gives the residual as logged (`as_logged_rad`), the residual under the
+    /// best interpretation (`corrected_rad`), and the ratio of the next best to it. `equivalent` lists the
+    /// pairs that are the same map for every rotation or that this motion cannot separate.
     ///
     /// ## How to fix
-    /// Change the line that turns the numbers into a rotation; the finding spells it in SciPy's
-    /// words. To repair a log: turn the logged rotation back into the numbers with `read_as`, then
-    /// into a rotation with `is`.
+    /// Change the line that converts the numbers to a rotation; the finding gives the SciPy call. To repair
+    /// a log, convert the logged rotation back to numbers with `read_as`, then to a rotation with `is`.
     ///
     /// ## When it misleads
-    /// Where the arm hardly turns, or about one axis only, many readings agree and the rule says
-    /// so instead of choosing. Where the stream's reference frame is not tied to the robot (a
-    /// tracker's world), some readings differ by a constant frame only; the most usual is named and
-    /// the others are listed. A reading is named only where it leaves at most half of what every
-    /// other leaves.
+    /// If the arm barely rotates, or rotates about one axis only, many interpretations agree and the rule
+    /// is inconclusive. If the stream's reference frame is not fixed to the robot (a tracker's world), some
+    /// interpretations differ only by a constant frame; the most common is reported and the others are
+    /// listed. An interpretation is reported only if its residual is at most half of every other's.
     ORD001 {
         name: "rotation-convention",
         grade: Grade::Fixed(Severity::Error),
         headline: true,
         needs_model: true,
-        missing: "no stream with orientations beside the joint states",
+        missing: "no stream with orientations to compare with the joint states",
         check: check,
     }
 }
@@ -81,7 +77,7 @@ fn word(estimate: &ReadingEstimate) -> Option<Wording> {
     })
 }
 
-/// The line to write and the line to replace, in SciPy's words.
+/// The SciPy call to write and the one to replace.
 fn fix(Misreading { is, read_as }: &Misreading) -> String {
     let by_axis = |convention: &Convention| {
         *convention == Convention::RotVec || convention.to_string().ends_with("@axes")
@@ -90,7 +86,7 @@ fn fix(Misreading { is, read_as }: &Misreading) -> String {
     format!("{}, not {}", scipy_call(*is, labels), scipy_call(*read_as, labels))
 }
 
-/// SciPy's call that turns numbers with these `labels`, in the order of the log, into a rotation.
+/// SciPy call that converts numbers with these `labels`, in log order, to a rotation.
 fn scipy_call(convention: Convention, labels: [&str; 3]) -> String {
     let name = convention.to_string();
     let Some(order) = name.strip_prefix("euler:") else {

@@ -5,35 +5,34 @@ use crate::finding::{Estimate, Severity};
 use crate::geometry::{QuaternionSlip, RotationSlip};
 
 rule! {
-    /// Quaternion components stand in the wrong order.
+    /// Quaternion components are in the wrong order.
     ///
     /// ## What it means
-    /// The four numbers are w, x, y, z and were stored as x, y, z, w, or the other way round. ROS
-    /// messages, SciPy and Eigen's storage want x, y, z, w; MuJoCo, transforms3d, ABB's robtargets
-    /// and most constructors take w first.
+    /// The four numbers are w, x, y, z but were stored as x, y, z, w, or the reverse. ROS messages, SciPy
+    /// and Eigen's storage use x, y, z, w. MuJoCo, transforms3d, ABB robtargets and most constructors take
+    /// w first.
     ///
     /// ## Why it matters
-    /// The result is still a unit quaternion, so nothing complains, but it is another rotation.
-    /// Yaw often looks right over part of its range and then stops, which is taken for drift.
+    /// The result is still a unit quaternion, so nothing fails, but it is a different rotation. Yaw often
+    /// looks right over part of its range and then stops, which is mistaken for drift.
     ///
     /// ## Evidence
-    /// The residual against forward kinematics with the components as logged (`as_logged_rad`) and
-    /// in the other order (`corrected_rad`).
+    /// The residual against forward kinematics with the components as logged (`as_logged_rad`) and in the
+    /// other order (`corrected_rad`).
     ///
     /// ## How to fix
-    /// Reorder where the quaternion is written, by name and not by position. Pose messages have the
-    /// fields x, y, z, w; `Quaternion(w, x, y, z)` is a constructor's order.
+    /// Reorder the components where the quaternion is written, by name and not by position. Pose messages
+    /// have the fields x, y, z, w; `Quaternion(w, x, y, z)` is the order of a constructor.
     ///
     /// ## When it misleads
-    /// With less than some 20° of orientation change, or turning about one axis only, another
-    /// order may fit as well once a constant frame is allowed for; the rule then says that it
-    /// cannot tell.
+    /// If the orientation changes by less than about 20°, or about one axis only, both orders may fit with
+    /// a constant frame. The rule is then inconclusive.
     ORD002 {
         name: "quaternion-order",
         grade: Grade::Fixed(Severity::Error),
         headline: false,
         needs_model: true,
-        missing: "no stream with orientations beside the joint states",
+        missing: "no stream with orientations to compare with the joint states",
         check: check,
     }
 }

@@ -8,40 +8,39 @@ rule! {
     /// A rotation or a whole pose is inverted.
     ///
     /// ## What it means
-    /// `pose-inverse`: the stream holds `tip_from_base` where `base_from_tip` belongs; parent and
-    /// child are exchanged. `transpose`: only the rotation is inverted, the position is right;
-    /// somebody mixed active and passive rotations, or read a matrix by columns instead of rows.
+    /// `pose-inverse`: the stream holds `tip_from_base` instead of `base_from_tip`; parent and child are
+    /// swapped. `transpose`: only the rotation is inverted and the position is right. Active and passive
+    /// rotations were mixed, or a matrix was read by columns instead of rows.
     ///
     /// ## Why it matters
-    /// An inverted pose moves the wrong way, and a transposed one turns the wrong way. Both look
-    /// plausible at rest, and both make a calibration converge to a wrong answer.
+    /// An inverted pose moves the wrong way, and a transposed rotation turns the wrong way. Both look
+    /// plausible at rest, and both make a calibration converge to a wrong result.
     ///
     /// ## Evidence
     /// The residual against forward kinematics as logged (`as_logged_rad`) and once inverted
-    /// (`corrected_rad`). Positions separate the two: those of an inverted pose are the base seen
-    /// from the tip.
+    /// (`corrected_rad`). Positions distinguish the two cases: those of an inverted pose are the base
+    /// position in the tip frame.
     ///
     /// ## How to fix
-    /// Publish `base_from_tip`: in tf2, `lookup_transform(base, tip)` and not the other way round.
-    /// Transpose a matrix that is stored by columns (Franka's `O_T_EE` is) before it is read by
-    /// rows.
+    /// Publish `base_from_tip`: in tf2, call `lookup_transform(base, tip)` and not the reverse. Transpose a
+    /// column-major matrix (such as Franka's `O_T_EE`) before reading it by rows.
     ///
     /// ## When it misleads
-    /// Where the reference frame is not tied to the robot, inverse and plain orientation differ by
-    /// constant frames only for motions about few axes; the rule then prefers no fault.
+    /// If the reference frame is not fixed to the robot, and the motion is about few axes, inverted and
+    /// plain orientations differ only by constant frames. The rule then prefers no fault.
     ORD003 {
         name: "inverted-pose",
         grade: Grade::Fixed(Severity::Error),
         headline: false,
         needs_model: true,
-        missing: "no stream with orientations beside the joint states",
+        missing: "no stream with orientations to compare with the joint states",
         check: check,
     }
 }
 
 fn check(case: &Case) -> Vec<Judged> {
     let mut judged = reading::judge(case, Kind::Direction, word);
-    // Positions tell an inverse where orientations say nothing.
+    // Positions reveal an inverted pose if the orientations do not.
     let inverted = case.evidence.poses().filter(|(_, stream)| {
         let found = &stream.diagnosis;
         found.inverted && found.reading.is_err() && !found.strays()
@@ -56,7 +55,7 @@ fn check(case: &Case) -> Vec<Judged> {
     judged
 }
 
-/// The estimate of a transposed rotation or an inverted pose.
+/// Estimate for a transposed rotation or an inverted pose.
 fn direction(slip: RotationSlip) -> Estimate {
     let Slip { is, read_as } = slip.into();
     Estimate::slip("direction", is, read_as)
@@ -71,7 +70,7 @@ fn by_positions(found: &PoseDiagnosis) -> Fault {
         cause: Cause::Rotation(RotationSlip::Inverted),
         title: "pose is inverted",
         message: format!(
-            "positions are those of the inverse of what its frames say, {} off as logged",
+            "positions are those of the inverse pose, {} off as logged",
             Unit::Metre.show(before)
         ),
         evidence: Evidence {
@@ -83,22 +82,22 @@ fn by_positions(found: &PoseDiagnosis) -> Fault {
     }
 }
 
-/// How an inverse pose is mended.
+/// Fix for an inverted pose.
 const EXCHANGE: &str =
-    "exchange parent and child: publish base_from_tip, as lookup_transform(base, tip) gives it";
+    "swap parent and child: publish base_from_tip, as returned by lookup_transform(base, tip)";
 
 fn word(estimate: &ReadingEstimate) -> Option<Wording> {
     let (title, what, fix, slip) = match estimate.best {
         _ if estimate.inverted => (
             "pose is inverted",
-            "the pose is the inverse of what its frames say",
+            "the pose is the inverse of the transform that its frames name",
             EXCHANGE,
             RotationSlip::Inverted,
         ),
         Reading::Transposed => (
             "rotation is transposed",
-            "the rotation is the transpose of what the frames say",
-            "invert the rotation where it is written; a matrix stored by columns is read by columns",
+            "the rotation is the transpose of the one that the frames name",
+            "invert the rotation where it is written; read a column-major matrix by columns",
             RotationSlip::Transposed,
         ),
         _ => return None,

@@ -9,35 +9,34 @@ rule! {
     /// Degrees published as radians, or vice versa.
     ///
     /// ## What it means
-    /// The joint positions, or those of one joint, are degrees, and everything that reads them takes
-    /// them for radians (REP 103). Of rotation numbers that were declared it is the declaration that
-    /// names the wrong unit, either way. A bare array of which nothing is declared has no unit to
-    /// violate: what it was read as is said by ORD001. Or the angular velocity of an IMU is in degrees a
-    /// second: then the other rules judge the IMU with it converted.
+    /// The positions of one or all joints are in degrees, but consumers expect radians (REP 103). For
+    /// declared rotation numbers, the declaration may name the wrong unit, either way. Undeclared numbers
+    /// cannot have a wrong unit; ORD001 reports the unit assumed for them. The angular velocity of an IMU
+    /// may also be in degrees per second; the other rules then use the converted values.
     ///
     /// ## Why it matters
-    /// Forward kinematics of degrees read as radians is noise within the arm's reach: nothing built
-    /// on it can be right, and every other finding would be about the wrong motion. The audit
-    /// therefore reads the numbers as degrees before it judges anything else.
+    /// Forward kinematics of degrees read as radians is noise within the arm's reach. Nothing based on it
+    /// can be right, and every other finding would be about the wrong motion. The audit therefore converts
+    /// the numbers before it evaluates any other rule.
     ///
     /// ## Evidence
-    /// What the stream leaves against forward kinematics as logged (`as_logged`) and as degrees
-    /// (`corrected`): metres for joint positions, radians for rotation numbers, radians a second for a
-    /// gyro, which is held unintegrated against the arm's angular rate.
+    /// The residual of the stream against forward kinematics as logged (`as_logged`) and as degrees
+    /// (`corrected`): metres for joint positions, radians for rotation numbers, radians per second for a
+    /// gyro. The gyro is compared with the arm's angular rate without integration.
     ///
     /// ## How to fix
-    /// Convert at the source, `np.deg2rad(q)`; of an IMU, `np.deg2rad(angular_velocity)`. For a stream that shall stay in degrees declare it:
-    /// `--declare TOPIC=CONVENTION,deg`.
+    /// Convert at the source with `np.deg2rad(q)`, or `np.deg2rad(angular_velocity)` for an IMU. If a
+    /// stream is meant to be in degrees, declare it: `--declare TOPIC=CONVENTION,deg`.
     ///
     /// ## When it misleads
-    /// A prismatic joint is in metres and is left alone. An arm that stays within a degree of zero
-    /// looks alike in both units; then there is no finding.
+    /// A prismatic joint is in metres and is not converted. If the arm stays within a degree of zero, both
+    /// units fit and there is no finding.
     ORD004 {
         name: "degrees-for-radians",
         grade: Grade::Fixed(Severity::Error),
         headline: false,
         needs_model: true,
-        missing: "no joint states with a stream to hold them against",
+        missing: "no joint states with a stream to compare them with",
         check: check,
     }
 }
@@ -49,7 +48,7 @@ fn check(case: &Case) -> Vec<Judged> {
 fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
     let topic = arm.topic(&arm.joints_topic);
     let joints = match &arm.diagnosis.reading {
-        Err(why) => vec![Judged::new(topic, unseen(why, "log a pose or /tf too"))],
+        Err(why) => vec![Judged::new(topic, unseen(why, "also log a pose or /tf"))],
         Ok(reading) => {
             let alone = reading.slips_of(JointUnit::Degrees).map(|(slip, left)| {
                 let subject = arm.joint_states(slip.column);
@@ -67,7 +66,7 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
     let numbers = arm.poses.iter().filter_map(|stream| {
         let declared = stream.declared.and_then(|declared| declared.angles);
         if stream.bare {
-            let why = "bare numbers of which nothing is declared have no unit to violate";
+            let why = "no unit is declared for these numbers, so none is violated";
             return (stream.bare_numbers && stream.diagnosis.degrees.is_some())
                 .then(|| stream.judged(Outcome::sound_because(why.to_owned())));
         }
@@ -80,7 +79,7 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
     joints.into_iter().map(|joints| joints.within(arm.span)).chain(numbers).chain(gyros).collect()
 }
 
-/// The unit of a gyro; `None` of an IMU that does not turn with the arm, so that nothing tells.
+/// Judges the unit of a gyro; `None` if the IMU does not rotate with the arm.
 fn judge_gyro(imu: &Of<ImuEvidence>) -> Option<Judged> {
     let Some(UnitSlip { as_logged, corrected }) = imu.diagnosis.numbers.degrees else {
         let turns = imu.proof.as_ref()?.rates.is_some();
@@ -93,11 +92,11 @@ fn judge_gyro(imu: &Of<ImuEvidence>) -> Option<Judged> {
         cause: Cause::Seen(Sight::Stream),
         title: "gyro in degrees per second",
         message: format!(
-            "angular velocity is in °/s where rad/s belong: residual {before} rms against the arm's \
-             rate as logged, {after} once read as °/s"
+            "angular velocity is in °/s instead of rad/s: residual {before} rms against the arm's rate as \
+             logged, {after} once read as °/s"
         ),
         evidence: Evidence {
-            effect: Some("whoever integrates it turns 57 times too far".to_owned()),
+            effect: Some("integrating it gives 57 times too large an angle".to_owned()),
             ..Evidence::default()
         },
         fix: format!("publish {topic} in rad/s: np.deg2rad(angular_velocity)"),
@@ -108,17 +107,17 @@ fn judge_gyro(imu: &Of<ImuEvidence>) -> Option<Judged> {
     Some(judged.with_evidence("as_logged", as_logged).with_evidence("corrected", corrected))
 }
 
-/// What angles are taken for.
+/// Unit assumed for angles in the log.
 #[derive(Clone, Copy)]
 enum Taken {
-    /// Radians, as every log should have them.
+    /// Radians, the default.
     Logged,
-    /// What the caller declared them to be.
+    /// The unit declared by the caller.
     Declared(AngleUnit),
 }
 
 impl Taken {
-    /// The unit that they are in, if it is the other one, and the one they are taken for.
+    /// The actual and the assumed unit, if they differ.
     fn slip(self) -> Slip<AngleUnit> {
         let (degrees, radians) = (AngleUnit::Degree, AngleUnit::Radian);
         match self {
@@ -142,18 +141,18 @@ fn judge(
     let unit = taken.slip();
     let (title, what, fix) = match (taken, unit.is) {
         (Taken::Logged, _) => (
-            "degrees where radians belong",
-            "the numbers are degrees where radians belong".to_owned(),
+            "degrees instead of radians",
+            "the numbers are degrees instead of radians".to_owned(),
             format!("publish {topic} in radians: np.deg2rad(q)"),
         ),
         (Taken::Declared(_), AngleUnit::Degree) => (
             "degrees declared as radians",
-            "the numbers are degrees and were declared as radians".to_owned(),
+            "the numbers are degrees but were declared as radians".to_owned(),
             format!("declare {topic} with `,deg`"),
         ),
         (Taken::Declared(_), _) => (
             "radians declared as degrees",
-            "the numbers are radians and were declared as degrees".to_owned(),
+            "the numbers are radians but were declared as degrees".to_owned(),
             format!("declare {topic} without `,deg`"),
         ),
     };

@@ -6,51 +6,51 @@ use crate::evidence::{ArmEvidence, EulerEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Span, Unit};
 
 rule! {
-    /// An Euler-coded stream works near gimbal lock.
+    /// Euler angles are near gimbal lock.
     ///
     /// ## What it means
-    /// The rotations of a stream are three turns about axes, and the middle one comes within 5° of
-    /// where the outer two turn about the same axis: ±90° where three axes take part (rpy), 0° and
-    /// 180° where the first is the third (ZYZ).
+    /// The rotations of a stream are Euler angles, and the middle angle comes within 5° of a value at which
+    /// the outer two rotate about the same axis: ±90° for three different axes (rpy), 0° and 180° if the
+    /// first and third axis are the same (ZYZ).
     ///
     /// ## Why it matters
-    /// There only the sum of the outer turns is told: the numbers jump while the tool hardly moves,
-    /// and whoever interpolates, filters, differentiates or averages them invents motion.
+    /// There, only the sum or difference of the outer angles is determined. The numbers jump while the tool
+    /// barely moves, so interpolating, filtering, differentiating or averaging them creates false motion.
     ///
     /// ## Evidence
-    /// `convention` is what the numbers are; `spans` lists when they are near the lock, with how
-    /// near, and `count` says how many such spans there are; `nearest_rad` is the least distance.
-    /// The estimate is the share of the stream's samples that is near.
+    /// `convention` is the convention of the numbers. `spans` lists the times near the lock with their
+    /// distance from it, and `count` is the number of such spans; `nearest_rad` is the smallest distance.
+    /// The value is the fraction of samples near the lock.
     ///
     /// ## How to fix
-    /// Log and pass on quaternions, and make Euler angles only for people to read. Where angles must
-    /// be, choose an order whose lock lies outside the work.
+    /// Log and exchange quaternions, and use Euler angles only for display. If angles are required, choose
+    /// an order whose lock is outside the workspace.
     ///
     /// ## When it misleads
-    /// Nothing is wrong with the rotations themselves, which the audit reads right. Only bare
-    /// numbers are looked at whose convention was declared or told from the arm: whether a
-    /// quaternion was Euler angles before, the log does not say.
+    /// The rotations themselves are right, and the audit interprets them correctly. The rule covers only
+    /// bare numbers whose convention is declared or inferred from the arm. Whether a quaternion was
+    /// converted from Euler angles is unknown.
     ORD006 {
         limits: &[NEAR],
         name: "gimbal-lock",
         grade: Grade::Fixed(Severity::Warning),
         headline: false,
         needs_model: true,
-        missing: "gimbal lock: no stream is coded in Euler angles",
+        missing: "gimbal lock: no stream uses Euler angles",
         check: check,
     }
 }
 
-/// So near the lock is near.
+/// Angle to gimbal lock that counts as near.
 const NEAR: Limit = Limit {
     key: "near",
     unit: Unit::Radian,
     value: 5.0 * DEGREE,
-    what: "so close to gimbal lock is near",
+    what: "how close to gimbal lock counts as near",
 };
-/// Spans that are less than this apart are one, s.
+/// Spans closer together than this are merged, s.
 const APART_S: f64 = 0.5;
-/// Spans that the evidence lists.
+/// Maximum number of spans in the evidence.
 const LISTED: usize = 10;
 
 fn check(case: &Case) -> Vec<Judged> {
@@ -60,7 +60,7 @@ fn check(case: &Case) -> Vec<Judged> {
             let judged = match stream.bare {
                 true => Judged::new(
                     stream.subject.clone(),
-                    Outcome::sound_because("nobody declared how it is coded".to_owned()),
+                    Outcome::sound_because("its convention is not declared".to_owned()),
                 ),
                 false => judge(case, arm, stream.topic(), coded),
             };
@@ -71,7 +71,7 @@ fn check(case: &Case) -> Vec<Judged> {
     case.evidence.robots.iter().flat_map(of_arm).collect()
 }
 
-/// A time near the lock.
+/// A span of time near the lock.
 #[derive(Debug, PartialEq)]
 struct Near {
     span: Span,
@@ -100,7 +100,7 @@ fn near(coded: &EulerEvidence, within_rad: f64) -> Vec<Near> {
 fn judge(case: &Case, arm: &ArmEvidence, topic: &str, coded: &EulerEvidence) -> Judged {
     let subject = arm.topic(topic);
     let Some(convention) = coded.convention else {
-        let why = "which convention its numbers are is not told; declare it with --declare";
+        let why = "its convention is undetermined; declare it with --declare";
         return Judged::new(subject, Outcome::Inconclusive(why.to_owned()));
     };
     if coded.margins_rad.is_empty() {
@@ -121,8 +121,8 @@ fn judge(case: &Case, arm: &ArmEvidence, topic: &str, coded: &EulerEvidence) -> 
             severity: Severity::Warning,
             title: "Euler angles near gimbal lock",
             message: format!(
-                "{convention} is within {} of gimbal lock in {:.1} % of the samples, longest for \
-                 {} from {} on, {} at the nearest",
+                "{convention} is within {} of gimbal lock in {:.1} % of the samples, longest for {} from {} \
+                 on; the nearest sample is at {}",
                 Unit::Radian.show(within_rad),
                 100.0 * share,
                 Unit::Second.show(longest.span.seconds()),

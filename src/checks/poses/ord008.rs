@@ -9,39 +9,38 @@ rule! {
     /// Millimetres, or another unit, published as metres, or vice versa.
     ///
     /// ## What it means
-    /// The positions of a pose stream are in another unit than the metres that a message wants (REP 103):
-    /// millimetres as pendants show them, centimetres, inches, tenths of a millimetre. Or the positions
-    /// of a sliding joint are millimetres or centimetres. Of a stream that was declared it is the
-    /// declaration that names the wrong unit, either way. Or the linear acceleration of an IMU is in g,
-    /// thousandths of it or cm/s² where a message wants m/s²: then the other rules judge the IMU with it
-    /// converted.
+    /// The positions of a pose stream are not in metres (REP 103), but in millimetres as pendants show
+    /// them, centimetres, inches or tenths of a millimetre. Or the positions of a prismatic joint are in
+    /// millimetres or centimetres. For a declared stream, the declaration may name the wrong unit, either
+    /// way. Or the linear acceleration of an IMU is in g, mg or cm/s² instead of m/s²; the other rules then
+    /// use the converted values.
     ///
     /// ## Why it matters
-    /// The tip appears a thousand times too far out. What does not crash on that will scale it
-    /// silently somewhere else.
+    /// The tip appears a thousand times too far away. Consumers that do not fail may compensate for it
+    /// silently elsewhere.
     ///
     /// ## Evidence
-    /// The factor is estimated from the motion, with the frames that it may need left free. Where it is
-    /// that of a usual unit to 2 %, that unit is named, else the metres of one number. What the positions
-    /// leave against forward kinematics as metres is `as_logged_m`, in the unit found `corrected_m`. A unit
-    /// is named only where it explains the positions. Of an accelerometer, `felt` is the size of the
-    /// specific force in the logged numbers, the median at rest: 9.81 in m/s², 1 in g.
+    /// The factor is estimated from the motion, with free constant frames if they are needed. If it matches
+    /// a common unit to 2 %, that unit is reported; otherwise the factor to metres. `as_logged_m` is the
+    /// position residual against forward kinematics in metres, and `corrected_m` the residual in the
+    /// detected unit. A unit is reported only if it explains the positions. For an accelerometer, `felt` is
+    /// the median magnitude of the logged specific force at rest: 9.81 in m/s², 1 in g.
     ///
     /// ## How to fix
-    /// Convert where the message is filled. A bare array of which nothing is declared has no unit to
-    /// violate; what it was read as is said by ORD001. To hold it to millimetres declare it:
-    /// `--declare TOPIC=CONVENTION,mm`.
+    /// Convert where the message is filled. Undeclared arrays cannot have a wrong unit; ORD001 reports the
+    /// unit assumed for them. To check that they are in millimetres, declare it: `--declare
+    /// TOPIC=CONVENTION,mm`.
     ///
     /// ## When it misleads
-    /// A factor of a thousand and a scale error of a thousand are the same thing; nothing else
-    /// comes near it. A factor within a quarter of 1 is growth (ZER002) and no unit. Where the tip turns
-    /// about one point only, a long tool does what a unit does; the unit is named.
+    /// A factor of 1000 and a scale error of 1000 are the same. Factors within 25 % of 1 are a radial scale
+    /// (ZER002), not a unit. If the tip only rotates about one point, a long tool has the same effect as a
+    /// unit; the unit is reported.
     ORD008 {
         name: "millimetres-for-metres",
         grade: Grade::Fixed(Severity::Error),
         headline: false,
         needs_model: true,
-        missing: "no pose stream beside the joint states",
+        missing: "no pose stream to compare with the joint states",
         check: check,
     }
 }
@@ -53,11 +52,11 @@ fn check(case: &Case) -> Vec<Judged> {
             Err(why) => unseen(why, "move the tip by 10 cm or more"),
             Ok(None) => Outcome::sound(),
             Ok(Some(slip)) if stream.bare => Outcome::sound_because(format!(
-                "read as {}: bare numbers of which nothing is declared have no unit to violate",
+                "read as {}: no unit is declared for these numbers, so none is violated",
                 slip.is.words()
             )),
             Ok(Some(slip)) if stream.diagnosis.strays() => Outcome::Inconclusive(format!(
-                "{} would leave {}, which explains nothing (MDL001)",
+                "{} would still have a residual of {}, so it explains nothing (MDL001)",
                 slip.is.words(),
                 Unit::Metre.show(slip.residual.corrected)
             )),
@@ -76,7 +75,7 @@ fn check(case: &Case) -> Vec<Judged> {
     judged.chain(case.evidence.robots.iter().flat_map(judge_joints)).chain(imus).collect()
 }
 
-/// The unit of an accelerometer; `None` of one that feels nothing or motion alone.
+/// Judges the unit of an accelerometer; `None` if it measures neither gravity nor a wrong unit.
 fn judge_accelerometer(imu: &Of<ImuEvidence>) -> Option<Judged> {
     let Some(AccelSlip { unit, felt }) = imu.diagnosis.numbers.accel else {
         let feels = imu.proof.as_ref()?.gravity_m_s2.is_some();
@@ -89,8 +88,8 @@ fn judge_accelerometer(imu: &Of<ImuEvidence>) -> Option<Judged> {
         cause: Cause::Seen(Sight::Stream),
         title: "accelerometer not in m/s²",
         message: format!(
-            "linear acceleration is in {symbol} where m/s² belong: it reads {size} at rest, where \
-             gravity is 9.81 m/s²"
+            "linear acceleration is in {symbol} instead of m/s²: it reads {size} at rest, while gravity is \
+             9.81 m/s²"
         ),
         evidence: Evidence::default(),
         fix: format!("multiply the linear acceleration of {topic} by {}", unit.in_m_s2()),
@@ -100,7 +99,7 @@ fn judge_accelerometer(imu: &Of<ImuEvidence>) -> Option<Judged> {
     Some(judged.with_evidence("felt", felt))
 }
 
-/// The sliding joints whose positions are not metres.
+/// Findings for prismatic joints whose positions are not in metres.
 fn judge_joints(arm: &ArmEvidence) -> Vec<Judged> {
     let Ok(reading) = &arm.diagnosis.reading else { return Vec::new() };
     let units = [
@@ -117,7 +116,7 @@ fn judge_joints(arm: &ArmEvidence) -> Vec<Judged> {
         let fault = Fault {
             severity: Severity::Error,
             cause: Cause::JointUnit(slip.factor),
-            title: "sliding joint not in metres",
+            title: "prismatic joint not in metres",
             message: format!("the positions of {joint} are {what}, {before} off as logged"),
             evidence: Evidence {
                 effect: Some(format!("{after} once read as {what}")),
@@ -135,7 +134,7 @@ fn judge_joints(arm: &ArmEvidence) -> Vec<Judged> {
     judged.collect()
 }
 
-/// The fault of positions that are in another unit than they were read as.
+/// Fault for positions in a different unit from the one assumed.
 fn fault(stream: &Of<PoseEvidence>, slip: &LengthSlip) -> Fault {
     let topic = stream.topic();
     let (is, read_as) = (slip.is.words(), slip.read_as.words());
@@ -146,9 +145,9 @@ fn fault(stream: &Of<PoseEvidence>, slip: &LengthSlip) -> Fault {
             if is_metres {
                 "metres declared as millimetres"
             } else {
-                "another unit of length declared"
+                "wrong unit of length declared"
             },
-            format!("positions are {is} and were declared as {read_as}"),
+            format!("positions are {is} but were declared as {read_as}"),
             match (is_metres, is_millimetres) {
                 (true, _) => format!("declare {topic} without `,mm`"),
                 (_, true) => format!("declare {topic} with `,mm`"),
@@ -156,12 +155,8 @@ fn fault(stream: &Of<PoseEvidence>, slip: &LengthSlip) -> Fault {
             },
         ),
         None => (
-            if is_millimetres {
-                "millimetres where metres belong"
-            } else {
-                "another unit of length where metres belong"
-            },
-            format!("positions are {is} where metres belong"),
+            if is_millimetres { "millimetres instead of metres" } else { "wrong unit of length" },
+            format!("positions are {is} instead of metres"),
             match is_millimetres {
                 true => format!("divide the positions of {topic} by 1000"),
                 false => format!("multiply the positions of {topic} by {}", slip.is.in_m()),

@@ -9,36 +9,35 @@ rule! {
     /// Axes are exchanged or mirrored.
     ///
     /// ## What it means
-    /// The numbers of a pose stream are in other axes than those of its frame: y is up, as game engines
-    /// have it, or the frame is left-handed, or positions or quaternions alone had their components
-    /// exchanged on the way from one program to another. ROS wants x forward, y left, z up (REP 103),
-    /// right-handed.
+    /// The numbers of a pose stream use different axes from those of its frame. For example, y is up as in
+    /// game engines, the frame is left-handed, or the components of positions or quaternions were permuted
+    /// between two programs. ROS uses x forward, y left, z up (REP 103), right-handed.
     ///
     /// ## Why it matters
-    /// No frame that is published beside the poses mends it where it is a mirror: everything that moves
-    /// left moves right, and what turns one way turns the other.
+    /// If the axes are mirrored, no static transform can correct the poses: everything that moves left
+    /// moves right, and rotations are reversed.
     ///
     /// ## Evidence
-    /// Positions are held against forward kinematics in each of the 48 ways to name and to point three
-    /// axes, rotations then in those that positions are in and in all others. `positions` and `rotations`
-    /// say which axes each is in; `as_logged_m` is what positions leave as logged, `corrected_m` and
-    /// `corrected_rad` what is left once both are read rightly. A way is named only where it explains the
+    /// Positions are compared with forward kinematics under all 48 axis permutations with signs. Rotations
+    /// are then compared under those that fit the positions and under all others. `positions` and
+    /// `rotations` give the axes of each. `as_logged_m` is the position residual as logged; `corrected_m`
+    /// and `corrected_rad` are the residuals after correction. Axes are reported only if they explain the
     /// stream.
     ///
     /// ## How to fix
-    /// Take the components over by name: `fix` says which stands for which. Of a left-handed frame the
-    /// vector part of a quaternion changes its signs as well, since a mirror turns rotations round.
+    /// Copy the components by name, as listed in `fix`. For a left-handed frame, the vector part of the
+    /// quaternion also changes sign, because a mirror reverses rotations.
     ///
     /// ## When it misleads
-    /// A world that is turned by a quarter and right-handed is a frame (FRM002), unless the tool's axes are
-    /// exchanged by the same. In a tracker's world, which may be turned anyhow, all left-handed frames are
-    /// one; the most usual is named. A motion in a plane, or about one axis, tells no mirror.
+    /// A right-handed world rotated by 90° is a frame offset (FRM002), unless the tool's axes are permuted
+    /// in the same way. In a tracker's world with unknown rotation, all left-handed frames are equivalent;
+    /// the most common is reported. Motion in a plane or about one axis cannot reveal a mirror.
     ORD010 {
         name: "axes-exchanged",
         grade: Grade::Fixed(Severity::Error),
         headline: false,
         needs_model: true,
-        missing: "no pose stream beside the joint states",
+        missing: "no pose stream to compare with the joint states",
         check: check,
     }
 }
@@ -50,7 +49,7 @@ fn check(case: &Case) -> Vec<Judged> {
             Err(ref why) => unseen(why, "move the tip by 10 cm or more in all directions"),
             Ok(None) => Outcome::sound(),
             Ok(Some(_)) if stream.diagnosis.strays() => Outcome::Inconclusive(
-                "no axes explain its positions (MDL001); check the model and its joints".to_owned(),
+                "no axis convention explains its positions (MDL001); check the model and its joints".to_owned(),
             ),
             Ok(Some(slip)) => {
                 let outcome = Outcome::faulty(fault(stream, slip));
@@ -66,13 +65,13 @@ fn check(case: &Case) -> Vec<Judged> {
     judged.collect()
 }
 
-/// Whether rotations are in the axes of the positions. Those of a left-handed frame and of its opposite
-/// write rotations alike.
+/// Whether rotations use the axes of the positions. A left-handed frame and its opposite encode rotations
+/// identically.
 fn are_alike(slip: AxesSlip) -> bool {
     slip.positions.conjugator() == slip.rotations.conjugator()
 }
 
-/// What the axes are.
+/// Name of the axes.
 fn named(slip: AxesSlip) -> String {
     let AxesSlip { positions, rotations } = slip;
     match (positions == Axes::STANDARD, rotations == Axes::STANDARD) {
@@ -97,7 +96,7 @@ fn fault(stream: &Of<PoseEvidence>, slip: AxesSlip) -> Fault {
     let after_rad = residual.map_or(0.0, |residual| residual.rms_rad);
     let mut evidence = Evidence {
         effect: Some(format!(
-            "{} and {} once read so",
+            "{} and {} once corrected",
             Unit::Metre.show(after),
             Unit::Radian.show(after_rad)
         )),
@@ -121,17 +120,13 @@ fn fault(stream: &Of<PoseEvidence>, slip: AxesSlip) -> Fault {
         cause: Cause::Axes { positions, rotations },
         title,
         message: format!(
-            "axes are {} where {} belong, {} off as logged",
+            "axes are {} instead of {}, {} off as logged",
             named(slip),
             Axes::STANDARD,
             Unit::Metre.show(before)
         ),
         evidence,
-        fix: format!(
-            "fill {} with {} of what stands there now",
-            stream.topic(),
-            lines.join(" and ")
-        ),
+        fix: format!("fill {} with {} of the current values", stream.topic(), lines.join(" and ")),
     }
 }
 

@@ -8,28 +8,28 @@ rule! {
     /// A coordinate never changes while the arm moves it.
     ///
     /// ## What it means
-    /// Of a pose stream x, y or z has one value from the first sample to the last, and forward kinematics
-    /// moves it: it was never filled, or comes from a planar pose (x, y and a heading).
+    /// The x, y or z of a pose stream has the same value from the first sample to the last, while forward
+    /// kinematics moves it. It was never filled, or comes from a planar pose (x, y and a heading).
     ///
     /// ## Why it matters
-    /// The pose is off by all that the arm moves there, and nothing in the message says so.
+    /// The pose is off by the arm's full motion along that axis, and nothing in the message shows it.
     ///
     /// ## Evidence
-    /// `value` is the range over which forward kinematics moves the coordinate, `constant` the one value
-    /// that the log has. The other coordinates are audited all the same.
+    /// `value` is the range over which forward kinematics moves the coordinate, and `constant` its value in
+    /// the log. The other coordinates are audited normally.
     ///
     /// ## How to fix
     /// Fill the coordinate where the message is written.
     ///
     /// ## When it misleads
-    /// What changes by less than a hundredth of the other coordinates counts as noise. Where forward
-    /// kinematics keeps a coordinate too, as a task at one height does, nothing is said.
+    /// Changes below 1 % of the other coordinates' range count as noise. If forward kinematics also keeps
+    /// the coordinate constant, as in a task at one height, nothing is reported.
     ORD011 {
         name: "constant-coordinate",
         grade: Grade::Fixed(Severity::Error),
         headline: false,
         needs_model: true,
-        missing: "no pose stream beside the joint states",
+        missing: "no pose stream to compare with the joint states",
         check: check,
     }
 }
@@ -66,9 +66,7 @@ fn fault(stream: &Of<PoseEvidence>, parts: &[ConstantPart], most_m: f64) -> Faul
         .iter()
         .map(|ConstantPart { coordinate, value, moved_m }| {
             let (value, moved) = (rounded(*value, 4), Unit::Metre.show(*moved_m));
-            format!(
-                "{coordinate} is {value} throughout while forward kinematics moves it by {moved}"
-            )
+            format!("{coordinate} is {value} throughout while FK moves it by {moved}")
         })
         .collect();
     let names: Vec<String> = parts.iter().map(|part| part.coordinate.to_string()).collect();
@@ -94,7 +92,7 @@ mod tests {
         run.robots[0].poses[0].diagnosis.constant =
             vec![ConstantPart { coordinate: 'z', value: 0.0, moved_m: 0.43 }];
         let findings = ask(&ORD011, &run).1;
-        let expected = "z is 0.0000 throughout while forward kinematics moves it by 430 mm";
+        let expected = "z is 0.0000 throughout while FK moves it by 430 mm";
         assert_eq!(findings[0].message, expected);
     }
 }

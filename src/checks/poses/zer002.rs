@@ -9,32 +9,31 @@ rule! {
     /// The position error grows with reach, and no joint offset explains it.
     ///
     /// ## What it means
-    /// The logged positions are too far from the base's origin, or too near, by a share of their
-    /// distance: positive where they are logged too far out.
+    /// The logged positions are too far from the base's origin, or too near, by a fraction of their
+    /// distance. Positive means too far.
     ///
     /// ## Why it matters
-    /// At 1 % an arm of 0.85 m misses by 8.5 mm when it is stretched out and by nothing near its
-    /// base, which looks like a bent joint and is a scale.
+    /// At 1 %, a stretched-out arm of 0.85 m misses by 8.5 mm, but by nothing near its base. This looks
+    /// like a bent joint but is a scale error.
     ///
     /// ## Evidence
-    /// The radial scale of the logged over the recomputed position, from the base's origin,
-    /// minus 1, estimated together with everything else; it is named only where the joints' zeros
-    /// and the frames do not explain the log without it. Where it is another from some moment on,
-    /// `from`, `to` and `change_ns` say so.
+    /// The radial scale of logged over computed positions from the base's origin, minus 1. It is estimated
+    /// together with all other parameters, and reported only if joint zeros and frames do not explain the
+    /// log without it. If it changes during the run, `from`, `to` and `change_ns` are given.
     ///
     /// ## How to fix
-    /// Look for a unit or scale factor in the driver, and for a description of another size or
-    /// variant of the arm.
+    /// Look for a unit or scale factor in the driver, or for a description of a different size or variant
+    /// of the arm.
     ///
     /// ## When it misleads
-    /// Links that are all 1 % too long in the description do the same. A tracker with a wrong scale
-    /// does it too: then the arm is right.
+    /// If all links in the description are 1 % too long, the effect is the same. A tracker with a wrong
+    /// scale also causes it; the arm is then right.
     ZER002 {
         name: "growth-with-reach",
         grade: Grade::From(&[THRESHOLD]),
         headline: false,
         needs_model: true,
-        missing: "no pose stream beside the joint states",
+        missing: "no pose stream to compare with the joint states",
         check: check,
     }
 }
@@ -52,7 +51,7 @@ fn check(case: &Case) -> Vec<Judged> {
     let judged = case.evidence.poses().map(|(arm, stream)| {
         if let Some(change) = AmountChange::largest(&stream.diagnosis.growth_changes) {
             let threshold = case.thresholds.of(&ZER002, THRESHOLD);
-            let title = "growth with reach changes in mid-run";
+            let title = "growth with reach changes mid-run";
             let effect_m = change.by.value.abs() * arm.reach_m;
             let (outcome, estimate) =
                 changes::amount(case, GROWTH.name, title, change, &threshold, effect_m);
@@ -70,11 +69,10 @@ fn check(case: &Case) -> Vec<Judged> {
 
 fn doubt(arm: &ArmEvidence, diagnosis: &PoseDiagnosis) -> Option<String> {
     if diagnosis.repeats() {
-        let why =
-            "it rests on a latency that fits at several lags; record motion that does not repeat";
+        let why = "depends on a latency that fits at several lags; record non-periodic motion";
         return Some(why.to_owned());
     }
-    // Another arm is first of all a longer or a shorter one.
+    // The main difference between two arms is usually their size.
     standing::doubt(arm, 0.0)
 }
 
@@ -92,7 +90,7 @@ fn fault(arm: &ArmEvidence, growth: &Measured, severity: Severity) -> Fault {
             ..Evidence::default()
         },
         fix: format!(
-            "look for a scale of {:.4} in the driver, or for a description of another size",
+            "look for a scale of {:.4} in the driver, or for a description of a different size",
             1.0 + growth.value
         ),
     }

@@ -1,4 +1,4 @@
-//! An IMU against FK: what it leaves, the gain of its gyro, and where that saturates.
+//! An IMU compared with FK: residuals, gyro gain and gyro saturation.
 
 use serde_json::json;
 
@@ -10,17 +10,17 @@ use crate::diagnosis::{Clipped, Measured, Rates};
 use crate::evidence::{ImuEvidence, Of};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
-/// The gain of a gyro less 1, and the share of its samples that saturate: data sheets of MEMS gyros allow
-/// three percent.
+/// Thresholds of the gyro gain minus 1, and of the fraction of saturated samples. Data sheets of MEMS gyros
+/// allow a gain error of 3 %.
 pub const GAIN: Threshold = Threshold { unit: Unit::One, warning: 0.04, error: 0.1 };
 
-/// What would tell where the gain could not be had.
+/// Motion that makes the gain observable.
 const SETTLE: &str = "turn the IMU through 60° about three axes";
 
-/// The axes of a gyro.
+/// Names of the gyro axes.
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// What is wrong with the gyro itself, else whether the IMU turns as the arm does.
+/// Findings on the gyro itself, or whether the IMU rotates with the arm if there are none.
 pub fn judge(case: &Case, thresholds: &FrameThresholds, imu: &Of<ImuEvidence>) -> Vec<Judged> {
     let threshold = case.thresholds.of(&MDL001, GAIN);
     let clipped = imu.diagnosis.numbers.clipped.as_ref();
@@ -33,43 +33,43 @@ pub fn judge(case: &Case, thresholds: &FrameThresholds, imu: &Of<ImuEvidence>) -
     }
 }
 
-/// Whether an IMU turns as the arm does, by its orientation, which is a filter's and so judged from the
-/// second threshold on, by its gyro, and by the gravity that it feels.
+/// Checks whether the IMU rotates with the arm, by orientation, gyro and measured gravity. The orientation
+/// is filtered, so only the error threshold applies to it.
 fn odd(thresholds: &FrameThresholds, imu: &Of<ImuEvidence>) -> Outcome {
-    /// A gyro that leaves a larger share of the arm's rate says something else.
+    /// Maximum ratio of the gyro's residual to the arm's rate.
     const SHARE: f64 = 0.3;
-    /// Standard gravity, m/s², and by which share of it a healthy accelerometer's median may be off on
-    /// an arm that moves.
+    /// Standard gravity, m/s², and the maximum relative error of a healthy accelerometer's median on a
+    /// moving arm.
     const GRAVITY: (f64, f64) = (9.81, 0.2);
     let Some(proof) = &imu.proof else {
-        return Outcome::Skipped("it does not turn with the arm".to_owned());
+        return Outcome::Skipped("it does not rotate with the arm".to_owned());
     };
     let mut odd = Vec::new();
     let angle = Threshold { warning: thresholds.angle.error, ..thresholds.angle };
     let coarse = FrameThresholds { angle, ..*thresholds };
     if let Some(left) = proof.turning.as_ref().and_then(|error| Left::beyond(error, &coarse)) {
         let most = Unit::Radian.show(left.worst.amount.most);
-        odd.push(format!("its orientation is up to {most} off beside what was found"));
+        odd.push(format!("its orientation is off by up to {most} after correction"));
     }
     if let Some(Rates { scale, left, by_fk, noise }) = proof.rates
         && left > SHARE * by_fk
         && left > 2.0 * noise
     {
         odd.push(format!(
-            "its gyro turns {scale:.2} times as fast as the arm, and leaves {} of {}",
+            "its gyro rate is {scale:.2} times the arm's (residual {} of {})",
             Unit::GyroRate.show(left),
             Unit::GyroRate.show(by_fk)
         ));
     }
     let (standard, share) = GRAVITY;
     if let Some(felt) = proof.gravity_m_s2.filter(|felt| (felt / standard - 1.0).abs() > share) {
-        odd.push(format!("its accelerometer feels {felt:.2} m/s², where gravity is {standard}"));
+        odd.push(format!("its accelerometer measures {felt:.2} m/s² instead of {standard} m/s²"));
     }
     if odd.is_empty() {
         return Outcome::sound();
     }
     Outcome::Inconclusive(format!(
-        "{}; no finding accounts for that: check its units and axes",
+        "{}; no finding explains this: check its units and axes",
         odd.join("; ")
     ))
 }
@@ -89,7 +89,7 @@ fn saturates(imu: &Of<ImuEvidence>, clipped: &Clipped, threshold: &Threshold) ->
              the samples)"
         ),
         evidence: Evidence {
-            effect: Some("what is integrated from it turns too little".to_owned()),
+            effect: Some("rotations integrated from it are too small".to_owned()),
             ..Evidence::default()
         },
         fix: format!("set the gyro's full-scale range above {by_fk}, or turn more slowly"),
@@ -103,7 +103,7 @@ fn saturates(imu: &Of<ImuEvidence>, clipped: &Clipped, threshold: &Threshold) ->
         .with_evidence("by_fk_rad_s", *by_fk_rad_s)
 }
 
-/// The gain of the axis on which it is furthest from 1; `None` where the gyro surely has none.
+/// Gain of the axis with the largest deviation from 1; `None` if it is below the warning threshold.
 fn gain(case: &Case, imu: &Of<ImuEvidence>, threshold: &Threshold) -> Option<Judged> {
     let scale = imu.diagnosis.gyro_bias.as_ref().ok()?.shape?.scale;
     let worst = scale.iter().max_by(|a, b| a.value.abs().total_cmp(&b.value.abs()))?;
@@ -119,14 +119,14 @@ fn gain(case: &Case, imu: &Of<ImuEvidence>, threshold: &Threshold) -> Option<Jud
     Some(judged.with_evidence("scale", scale.iter().map(shown).collect::<Vec<_>>()))
 }
 
-/// A gyro that reads too much or too little.
+/// Finding for a gyro with a wrong gain.
 fn reads(
     imu: &Of<ImuEvidence>,
     scale: &[Measured; 3],
     worst: &Measured,
     severity: Severity,
 ) -> Fault {
-    /// Axes whose gains are this near that of the worst share it.
+    /// Axes whose gain error is within this fraction of the worst one are listed with it.
     const SHARED: f64 = 0.5;
     let shares = |one: &Measured| (one.value - worst.value).abs() < SHARED * worst.value.abs();
     let axes = AXES.iter().zip(scale).filter(|(_, one)| shares(one)).map(|(axis, _)| *axis);
@@ -144,8 +144,7 @@ fn reads(
         cause: Cause::Seen(Sight::Stream),
         title: "gyro gain",
         message: format!(
-            "gyro gain {gain:.3} on {on}: it reads {percent} % too {much} against the \
-             arm's rate"
+            "gyro gain {gain:.3} on {on}: it reads {percent} % too {much} compared with the arm's rate"
         ),
         evidence: Evidence {
             effect: Some(format!("a turn of 90° integrates to {:.1}°", 90.0 * gain)),

@@ -4,8 +4,7 @@ use crate::checks::testing::{POSE, ask, clean_run, frame, left, sure};
 use crate::diagnosis::{FrameEstimate, Proof, Short, Unseen};
 use crate::finding::{CheckRow, Finding, Status};
 
-/// What the rule says of a pose stream that is off by `as_logged_m` and, beside all that was found,
-/// by `left_m`.
+/// Row and findings for a pose stream with errors of `as_logged_m` as logged and `left_m` after correction.
 fn judged(as_logged_m: f64, left_m: f64, change: fn(&mut ArmEvidence)) -> (CheckRow, Vec<Finding>) {
     let mut run = clean_run();
     run.robots[0].poses[0].proof =
@@ -44,7 +43,7 @@ fn what_is_found_accounts_for_its_amount_and_what_is_open_does_not() {
         proof.beside_joints = Some(proof.as_logged.clone());
     });
     assert_eq!(row.status, Status::Inconclusive);
-    assert!(row.reason.is_some_and(|why| why.contains("is open: LAT001")));
+    assert!(row.reason.is_some_and(|why| why.contains("undetermined: LAT001")));
 }
 
 #[test]
@@ -77,7 +76,7 @@ fn where_nothing_could_be_held_against_the_joints_that_is_open() {
     let (rows, _) = ask(&MDL001, &run);
     let why = rows[0].reason.as_deref().unwrap_or_default();
     assert_eq!(rows[0].status, Status::Inconclusive);
-    assert!(why.contains("nothing in this log could be held against /joint_states"), "{why}");
+    assert!(why.contains("nothing in this log can be compared with /joint_states"), "{why}");
 }
 
 #[test]
@@ -91,8 +90,7 @@ fn where_poses_and_joints_disagree_no_cause_is_named_and_all_say_why() {
     let evaluation = evaluate(&run, &Default::default());
     let [finding] = evaluation.findings.as_slice() else { panic!("{evaluation:?}") };
     assert_eq!((finding.code, finding.title), ("MDL001", DISAGREE));
-    let said = "poses and joint states disagree by 560 mm, 32.1°, and no cause that poseaudit knows \
-                explains it";
+    let said = "poses and joint states disagree by 560 mm, 32.1°, and no known cause explains it";
     assert!(finding.message.starts_with(said), "{}", finding.message);
     let late = evaluation
         .checks
@@ -115,7 +113,7 @@ fn an_arm_that_fits_where_the_named_one_does_not_is_the_finding() {
         tool_m: None,
     });
     let finding = ask(&MDL001, &run).1.remove(0);
-    assert!(finding.message.contains("to 20 µm without any cause"), "{}", finding.message);
+    assert!(finding.message.contains("to 20 µm with no further correction"), "{}", finding.message);
     assert!(finding.message.ends_with("only to 27.4 mm"), "{}", finding.message);
     assert_eq!(finding.severity, Severity::Error);
     assert_eq!(finding.evidence.more["fits"]["misfit_m"], 2e-5);
