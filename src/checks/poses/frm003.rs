@@ -67,7 +67,7 @@ fn check(case: &Case) -> Vec<Judged> {
     judged
 }
 
-/// Finding for a second body on the tool, to which part of the poses belong.
+/// Finding for a second body on the tool, described by part of the poses.
 fn alternates(case: &Case, arm: &ArmEvidence, stream: &Of<PoseEvidence>, other: &Other) -> Judged {
     /// Maximum number of time spans in the message.
     const NAMED: usize = 3;

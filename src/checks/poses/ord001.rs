@@ -8,7 +8,7 @@ rule! {
     /// Rotation numbers of one convention are read as another.
     ///
     /// ## What it means
-    /// Three numbers in one convention (for example a rotation vector, from Universal Robots) were
+    /// Three numbers in one convention (for example a rotation vector, from a UR) were
     /// converted to a rotation as if they were in another (say roll, pitch, yaw). The positions are right.
     /// The orientations are wrong, by a different rotation at every pose.
     ///

@@ -90,13 +90,13 @@ fn word(estimate: &ReadingEstimate) -> Option<Wording> {
     let (title, what, fix, slip) = match estimate.best {
         _ if estimate.inverted => (
             "pose is inverted",
-            "the pose is the inverse of the transform that its frames name",
+            "the pose is inverted relative to its frame names",
             EXCHANGE,
             RotationSlip::Inverted,
         ),
         Reading::Transposed => (
             "rotation is transposed",
-            "the rotation is the transpose of the one that the frames name",
+            "the rotation is transposed relative to its frame names",
             "invert the rotation where it is written; read a column-major matrix by columns",
             RotationSlip::Transposed,
         ),
