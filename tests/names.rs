@@ -83,7 +83,7 @@ fn names_without_numbers_are_taken_in_the_order_that_fits() {
 fn what_does_not_fit_is_a_question_with_the_option_that_answers_it() {
     for (robot, part) in [
         ("ur10", "--joint-map J1=shoulder_pan_joint,J2=shoulder_lift_joint"),
-        ("ur5", "in their order the poses do not fit"),
+        ("ur5", "matched by order, the poses do not fit"),
         ("franka_fer", "joint names differ: the log has J1"),
     ] {
         let report = audited(&[ur5e("J")], as_robot(robot)).expect("a report");

@@ -2,19 +2,19 @@ use std::fmt;
 
 use crate::robot::{ChainError, RobotError};
 
-/// Why a run has no arm to audit, or why the caller's options cannot be followed.
+/// Why a run has no arm to audit, or why the caller's options are invalid.
 ///
-/// Each case says what is wrong, where, and what to do about it; its text is all three in one line.
+/// The text of each case gives the place, the problem and the remedy in one line.
 #[derive(Debug)]
 pub enum RunError {
-    /// No topic holds joint states.
+    /// No topic contains joint states.
     NoJointStates {
-        /// JointState topics that hold commands, not states.
+        /// JointState topics that contain commands.
         commands: Vec<String>,
-        /// What the columns of a table leave open.
+        /// Unresolved ambiguity of a table's columns.
         question: Option<String>,
     },
-    /// The joint states hold no finite sample of the joints that the arm needs.
+    /// The joint states contain no finite sample of all joints of the arm.
     NoSamples {
         /// The robot.
         robot: String,
@@ -26,75 +26,75 @@ pub enum RunError {
         /// Joints in the log.
         logged: Vec<String>,
     },
-    /// Several catalogue arms have these joint names, and the log cannot tell them apart.
+    /// Several catalogue arms have these joint names, and nothing in the log distinguishes them.
     Ambiguous {
         /// The arms.
         arms: Vec<String>,
     },
-    /// A table does not name its joints, and no arm of the catalogue or more than one fits its poses.
+    /// A table does not name its joints, and its poses fit no catalogue arm, or several.
     Numbered {
-        /// How many there are.
+        /// Number of joints.
         joints: usize,
-        /// The arms that fit about as well.
+        /// The arms that fit about equally well.
         arms: Vec<String>,
-        /// The arm that comes nearest and how near, if none fits.
+        /// The closest arm and its residual, if none fits.
         best: Option<String>,
     },
-    /// The model's joints are not those of the log.
+    /// Joint names differ between model and log.
     UnknownJoints {
         /// The model.
         robot: String,
-        /// Where it came from.
+        /// Source of the model.
         source: String,
         /// Joints in the log.
         logged: Vec<String>,
         /// Joints of the model.
         modelled: Vec<String>,
-        /// Options that would match them, of which the log does not say which it is.
+        /// Options that would match them.
         ways: Vec<String>,
     },
-    /// Several catalogue arms, under other joint names, fit the log as well.
+    /// Several catalogue arms with different joint names fit the log equally well.
     SameMotion {
         /// The arms.
         arms: Vec<String>,
     },
-    /// A `--joint-map` cannot be followed.
+    /// Invalid `--joint-map`.
     JointMap {
-        /// What is wrong with it.
+        /// The problem.
         what: String,
     },
-    /// A `--robot` is neither a file nor an arm of the catalogue.
+    /// A `--robot` is neither a file nor a catalogue arm.
     UnknownRobot {
-        /// What was asked for.
+        /// The given name.
         name: String,
-        /// Catalogue names that come near.
+        /// Similar catalogue names.
         nearest: Vec<String>,
     },
     /// A model could not be read.
     Robot(RobotError),
-    /// A calibration could not be read, or is not of the arm.
+    /// A calibration could not be read, or belongs to a different arm.
     Calibration(RobotError),
-    /// A calibration whose arm is not in the log, or could be one of several.
+    /// A calibration matches no arm of the log, or several.
     CalibrationOf {
-        /// Where it was read from.
+        /// Source of the calibration.
         source: String,
-        /// What the joints of the arms that it could be of start with.
+        /// Joint name prefixes of the arms that it matches.
         prefixes: Vec<String>,
     },
-    /// `--base` or `--tip` is no link of the robot.
+    /// `--base` or `--tip` is not a link of the robot.
     UnknownLink {
         /// The option: `--base` or `--tip`.
         option: &'static str,
-        /// The name given.
+        /// The given name.
         link: String,
-        /// Where the model came from.
+        /// Source of the model.
         source: String,
-        /// Links whose names come near.
+        /// Links with similar names.
         nearest: Vec<String>,
     },
-    /// No chain leads from base to tip.
+    /// No chain connects base and tip.
     Chain(ChainError),
-    /// Joints between base and tip that the joint states do not hold.
+    /// The joint states lack joints between base and tip.
     MissingJoints {
         /// The base link.
         base: String,
@@ -103,19 +103,19 @@ pub enum RunError {
         /// The joints.
         joints: Vec<String>,
     },
-    /// A declared topic is not in the log, or holds nothing that the declaration fits.
+    /// A declared topic is not in the log, or the declaration does not fit its messages.
     Declared {
-        /// Where the caller declares it.
+        /// Source of the declaration.
         place: String,
-        /// What is wrong with it.
+        /// The problem.
         what: String,
-        /// What to do.
+        /// The remedy.
         remedy: &'static str,
     },
 }
 
 impl RunError {
-    /// Whether the caller's options are at fault, not what the log holds.
+    /// Whether the caller's options are at fault, rather than the log.
     pub(super) fn is_of_the_call(&self) -> bool {
         match self {
             Self::UnknownRobot { .. }
@@ -137,7 +137,7 @@ impl RunError {
         }
     }
 
-    /// What is wrong.
+    /// The problem.
     pub fn what(&self) -> String {
         match self {
             Self::NoJointStates { question: Some(question), .. } => question.clone(),
@@ -148,62 +148,60 @@ impl RunError {
                 format!("the log has joint commands ({}) but no joint states", few(commands))
             }
             Self::NoSamples { robot, joints } => {
-                format!("no sample holds all joints of '{robot}' ({})", few(joints))
+                format!("no sample contains all joints of '{robot}' ({})", few(joints))
             }
             Self::NoModel { logged } => {
                 format!("no robot model matches the joints {}", few(logged))
             }
             Self::Ambiguous { arms } => {
-                format!(
-                    "{} arms of the catalogue have these joint names: {}",
-                    arms.len(),
-                    few(arms)
-                )
+                format!("{} catalogue arms have these joint names: {}", arms.len(), few(arms))
             }
             Self::Numbered { joints, best: Some(best), .. } => format!(
-                "the table does not name its {joints} joints, and no arm of the catalogue fits its poses; nearest \
-                 is {best}"
+                "the table does not name its {joints} joints, and no catalogue arm fits its poses; closest: \
+                 {best}"
             ),
             Self::Numbered { joints, arms, .. } if arms.is_empty() => format!(
-                "the table does not name its {joints} joints, and no pose that moves in it identifies the arm"
+                "the table does not name its {joints} joints, and has no moving pose that identifies the arm"
             ),
             Self::Numbered { joints, arms, .. } => format!(
-                "the table does not name its {joints} joints, and {} arms of the catalogue fit its poses about \
-                 equally: {}",
+                "the table does not name its {joints} joints, and {} catalogue arms fit its poses about \
+                 equally well: {}",
                 arms.len(),
                 few(arms)
             ),
             Self::UnknownJoints { robot, logged, modelled, .. } if modelled.is_empty() => {
-                format!("'{robot}' has no joint that moves: the log has {}", few(logged))
+                format!("'{robot}' has no movable joint, but the log has {}", few(logged))
             }
             Self::UnknownJoints { robot, logged, modelled, ways, .. } => {
                 let said = match ways.as_slice() {
                     [] => String::new(),
-                    [way] => format!("; in their order the poses do not fit ({way})"),
-                    ways => format!("; {} ways fit as well: {}", ways.len(), ways.join(" or ")),
+                    [way] => format!("; matched by order, the poses do not fit ({way})"),
+                    ways => {
+                        format!("; {} ways fit equally well: {}", ways.len(), ways.join(" or "))
+                    }
                 };
                 let (logged, modelled) = (few(logged), few(modelled));
                 format!("joint names differ: the log has {logged}, {robot} has {modelled}{said}")
             }
             Self::SameMotion { arms } => format!(
-                "the joints have names of no arm of the catalogue, and in their order {} arms fit as well: {}",
+                "no catalogue arm has these joint names, and {} arms fit equally well in their order: {}",
                 arms.len(),
                 few(arms)
             ),
             Self::JointMap { what } => what.clone(),
             Self::UnknownRobot { name, nearest } => {
-                format!(
-                    "'{name}' is neither a file nor an arm of the catalogue{}",
-                    did_you_mean(nearest)
-                )
+                format!("'{name}' is neither a file nor a catalogue arm{}", did_you_mean(nearest))
             }
             Self::Robot(error) | Self::Calibration(error) => error.problem().to_string(),
             Self::CalibrationOf { prefixes, .. } if prefixes.is_empty() => {
-                "no arm of the log has the joints of a UR that it could be of".to_owned()
+                "no arm of the log has UR joints that it could belong to".to_owned()
             }
             Self::CalibrationOf { prefixes, .. } => {
                 let arms: Vec<String> = prefixes.iter().map(|it| format!("'{it}'")).collect();
-                format!("it could be of several arms, whose joints start with {}", few(&arms))
+                format!(
+                    "it could belong to several arms, whose joint names start with {}",
+                    few(&arms)
+                )
             }
             Self::UnknownLink { option, link, nearest, .. } => {
                 format!("{option} '{link}' is not a link of the robot{}", did_you_mean(nearest))
@@ -219,7 +217,7 @@ impl RunError {
         }
     }
 
-    /// Where it is wrong: a file with its line, a topic, an option.
+    /// The place of the problem: a file with its line, a topic, an option.
     pub fn place(&self) -> String {
         match self {
             Self::NoJointStates { .. }
@@ -238,39 +236,39 @@ impl RunError {
         }
     }
 
-    /// What the reader of the message can do, as a short clause.
+    /// What the user can do, as a short clause.
     pub fn remedy(&self) -> &'static str {
         match self {
             Self::NoJointStates { question: Some(_), .. } => {
-                "say it in the config of --config, or name the arm with --robot"
+                "set it in the config given by --config, or name the arm with --robot"
             }
             Self::NoJointStates { .. } => {
-                "record the topic /joint_states (sensor_msgs/JointState), or name a table's columns in [columns] of the \
-                 config"
+                "record the topic /joint_states (sensor_msgs/JointState), or name a table's columns in \
+                 [columns] of the config"
             }
             Self::NoSamples { .. } => "record the joint states of the whole arm",
             Self::NoModel { .. } => {
-                "pass --robot FILE with the arm's URDF, or --robot NAME of the catalogue, such as ur5e"
+                "pass --robot FILE with the arm's URDF, or --robot NAME from the catalogue, such as ur5e"
             }
             Self::Ambiguous { .. } | Self::Numbered { .. } | Self::SameMotion { .. } => {
-                "pass --robot NAME with the one it is"
+                "pass --robot NAME with the correct one"
             }
             Self::JointMap { .. } => {
-                "write --joint-map LOG=MODEL,… with names of the log and of the model"
+                "write --joint-map LOG=MODEL,… with joint names of the log and of the model"
             }
             Self::UnknownJoints { .. } => {
-                "say which is which with --joint-map LOG=MODEL,…, or pass the --robot that was recorded"
+                "map them with --joint-map LOG=MODEL,…, or pass the --robot that was recorded"
             }
             Self::UnknownRobot { .. } => {
-                "pass a URDF or TOML file, or a name of the catalogue, such as ur5e"
+                "pass a URDF or TOML file, or a catalogue name such as ur5e"
             }
             Self::Robot(error) | Self::Calibration(error) => error.problem().advice(),
             Self::CalibrationOf { prefixes, .. } if prefixes.is_empty() => {
-                "leave --calibration out, or name the --robot that was recorded"
+                "omit --calibration, or name the --robot that was recorded"
             }
-            Self::CalibrationOf { .. } => "say which: --calibration PREFIX=FILE",
-            Self::UnknownLink { .. } => "name a link of the model, or leave the option out",
-            Self::Chain(_) => "or leave --base and --tip out",
+            Self::CalibrationOf { .. } => "select one with --calibration PREFIX=FILE",
+            Self::UnknownLink { .. } => "name a link of the model, or omit the option",
+            Self::Chain(_) => "or omit --base and --tip",
             Self::MissingJoints { .. } => "choose a tip before these joints, or record them",
             Self::Declared { remedy, .. } => remedy,
         }
@@ -304,10 +302,10 @@ impl From<ChainError> for RunError {
     }
 }
 
-/// The first few of `names`, and how many more there are.
+/// The first few of `names`, and the number of the remaining ones.
 fn few(names: &[String]) -> String {
     const SHOWN: usize = 8;
-    // One more takes no more room than to say so.
+    // One more name is as short as the remark.
     let count = if names.len() == SHOWN + 1 { names.len() } else { SHOWN };
     let shown = names.iter().take(count).map(String::as_str).collect::<Vec<_>>().join(", ");
     match names.len().saturating_sub(count) {

@@ -1,10 +1,9 @@
-//! What of a long run the estimators see.
+//! Excerpts of a long run for estimation.
 //!
-//! An estimate from an hour of motion is hardly better than one from five minutes that are spread
-//! over the hour, and costs twelve times as much. So of a run longer than [`WHOLE_S`] the estimators
-//! see excerpts: it is cut into [`PARTS`] parts with as many joint states each, and of each part they
-//! see the stretch in which the joints move most. Clocks, rates, gaps, repeats and counts are always
-//! of all rows.
+//! An estimate from five minutes spread over an hour is nearly as good as one from the whole hour, and
+//! twelve times cheaper. So a run longer than [`WHOLE_S`] is divided into [`PARTS`] parts with equally many
+//! joint states, and the estimators use the span of each part with the most joint motion. Clocks, rates,
+//! gaps, repeats and counts always use all rows.
 
 use rayon::prelude::*;
 
@@ -16,29 +15,29 @@ use super::rows::Rows;
 use super::sift::Sift;
 use super::streams::{Clocks, Stream};
 
-/// A run that is no longer is seen whole, s.
+/// Maximum duration of a run that is used completely, s.
 const WHOLE_S: i64 = 300;
-/// Parts that a longer one is cut into.
+/// Number of parts of a longer run.
 const PARTS: usize = 24;
-/// What is seen of each part, s.
+/// Duration of the excerpt of each part, s.
 const EXCERPT_S: i64 = 12;
-/// Most steps of a run in which motion is summed; in a run of a day each is a second.
+/// Maximum number of time steps over which motion is summed; about a second each for a day.
 const STEPS: i64 = 100_000;
 
 /// The excerpts of a run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Excerpts {
-    /// First and last nanosecond of each on the audit's clock, in the order of time.
+    /// First and last nanosecond of each excerpt on the audit's clock, in time order.
     spans: Vec<(i64, i64)>,
 }
 
 impl Excerpts {
-    /// The excerpts of a run with these streams; `None` where it is seen whole, or has no joint states.
+    /// The excerpts of a run. `None` if it is used completely, or has no joint states.
     pub(super) fn of(streams: &[Stream], clocks: &Clocks, sift: &Sift) -> Option<Self> {
         let topics = joints(streams, clocks, sift);
         let (start, end) = bulk(&topics.iter().max_by_key(|(_, rows)| rows.len())?.1)?;
         let span = end.saturating_sub(start);
-        // Some 2 % of it are margin.
+        // About 2 % is margin.
         if span <= WHOLE_S * NANOS_PER_SECOND * 102 / 100 {
             return None;
         }
@@ -56,14 +55,14 @@ impl Excerpts {
         Some(Self { spans: spans.collect() })
     }
 
-    /// Whether a time is in one of them, or less than `around_s` off; of times that mostly follow each
-    /// other.
+    /// Returns a test whether a time is in an excerpt, or less than `around_s` away. Fast for increasing
+    /// times.
     pub(super) fn holds(&self, around_s: f64) -> impl FnMut(Stamp) -> bool {
         let around = nanos(around_s);
         let widened =
             |(start, end): &(i64, i64)| (start.saturating_sub(around), end.saturating_add(around));
         let spans: Vec<(i64, i64)> = self.spans.iter().map(widened).collect();
-        // Between which times the next span is the one that was found last.
+        // Range of times with the same next span as the last query.
         let mut until = (i64::MAX, i64::MIN);
         let mut start = i64::MAX;
         move |stamp| {
@@ -80,14 +79,14 @@ impl Excerpts {
         }
     }
 
-    /// How many there are, and how long they are together, s.
+    /// Number of excerpts, and their total duration, s.
     pub fn extent(&self) -> (usize, f64) {
         let nanos: i64 = self.spans.iter().map(|(start, end)| end - start).sum();
         (self.spans.len(), crate::time::seconds(nanos))
     }
 }
 
-/// The topics of joint states, each with its rows but for stray ones.
+/// Joint state topics with their rows, without outliers.
 fn joints<'a>(
     streams: &'a [Stream],
     clocks: &Clocks,
@@ -106,9 +105,9 @@ fn joints<'a>(
     with_rows.collect()
 }
 
-/// Between which times the rows are but for stray ones, ns.
+/// Time range of the rows without outlier stamps, with a margin, ns.
 fn bulk(rows: &Rows) -> Option<(i64, i64)> {
-    // So many at either end may be stray; as many are there even so, a little further out.
+    // Excludes this many rows at each end; the margin includes them again if they are regular.
     let stray = rows.len() / 200;
     let last = rows.len().checked_sub(1 + stray)?;
     let mut stamps: Vec<i64> = rows.iter().map(|(stamp, _)| stamp.nanos()).collect();
@@ -120,14 +119,14 @@ fn bulk(rows: &Rows) -> Option<(i64, i64)> {
     Some((start.saturating_sub(margin), end.saturating_add(margin)))
 }
 
-/// What the joints do in each step of a run.
+/// Joint motion in each time step of a run.
 struct Activity {
-    /// Where the run begins and how long a step is, ns.
+    /// Start of the run and duration of a step, ns.
     start: i64,
     step: i64,
-    /// Rows in each step.
+    /// Number of rows in each step.
     rows: Vec<usize>,
-    /// By how much the joints move in each step, summed over all, rad and m together.
+    /// Joint motion in each step, summed over all joints, rad and m combined.
     motion: Vec<f64>,
 }
 
@@ -136,13 +135,13 @@ impl Activity {
         Self { start, step, rows: vec![0; steps], motion: vec![0.0; steps] }
     }
 
-    /// Adds a topic of joint states.
+    /// Adds a joint state topic.
     fn add(&mut self, joints: &JointColumns, rows: &Rows) {
         let step_of = |stamp: Stamp| {
             let since = stamp.nanos().checked_sub(self.start)?;
             usize::try_from(since / self.step).ok().filter(|step| *step < self.rows.len())
         };
-        // Beyond the run are stray stamps only.
+        // Only outlier stamps are outside the run.
         let steps: Vec<(usize, usize)> =
             rows.iter().filter_map(|&(stamp, row)| Some((step_of(stamp)?, row))).collect();
         steps.iter().for_each(|&(step, _)| self.rows[step] += 1);
@@ -161,13 +160,13 @@ impl Activity {
             }
             motion
         });
-        // In their order, so that the sums are always the same.
+        // A fixed order makes the sums reproducible.
         for motion in motion.collect::<Vec<_>>() {
             self.motion.iter_mut().zip(motion).for_each(|(sum, moved)| *sum += moved);
         }
     }
 
-    /// First step of each part, and the one behind its last.
+    /// First step and end step (exclusive) of each part.
     fn parts(&self) -> Vec<(usize, usize)> {
         let mut behind = Vec::with_capacity(PARTS);
         let (all, mut seen) = (self.rows.iter().sum::<usize>(), 0);
@@ -182,10 +181,10 @@ impl Activity {
     }
 }
 
-/// Where the `length` steps begin in which there is most motion.
+/// Start of the `length` steps with the most motion.
 fn busiest(motion: &[f64], length: usize) -> usize {
     let sums = motion.windows(length).map(|window| window.iter().sum::<f64>());
-    // Of equals the first: `max_by` would give the last.
+    // The first of equals; `max_by` would return the last.
     let best = sums.enumerate().reduce(|best, next| if next.1 > best.1 { next } else { best });
     best.map_or(0, |(at, _)| at)
 }
@@ -197,7 +196,7 @@ mod tests {
     use crate::run::streams::split;
     use crate::stream::JointColumn;
 
-    /// Joint states every half second for `seconds`, which move in the last tenth of every part.
+    /// Joint states every half second for `seconds`, with motion in the last tenth of every part.
     fn excerpts(seconds: i64, stray: Option<i64>) -> Option<Excerpts> {
         let mut columns = JointColumns::default();
         columns.joints.push(JointColumn { name: "a".into(), ..Default::default() });
@@ -232,7 +231,7 @@ mod tests {
     #[test]
     fn a_short_run_is_seen_whole() {
         assert_eq!(excerpts(WHOLE_S, None), None);
-        // A stamp from another age makes it no longer.
+        // An outlier stamp does not extend the run.
         assert_eq!(excerpts(WHOLE_S, Some(i64::MAX)), None);
     }
 

@@ -1,4 +1,4 @@
-//! What keeps the frames of a log from being a tree, as tf2 needs them.
+//! TF problems: violations of the tree structure that tf2 requires.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -12,67 +12,67 @@ use super::streams::Stream;
 use super::tf_error::TfError;
 use super::tf_tree::{Edge, EdgeKind, without_slash};
 
-/// A flaw of the frames, and the topics that it is on.
+/// A TF problem, and its topics.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Flaw {
-    /// What it is.
+    /// Kind of problem.
     pub kind: FlawKind,
     /// The topics, each once.
     pub topics: Vec<String>,
 }
 
-/// What is wrong with the frames.
+/// Kinds of TF problems.
 #[derive(Clone, Debug, PartialEq)]
 pub enum FlawKind {
-    /// A frame hangs below several others at once.
+    /// A frame has several parents at the same time.
     SeveralParents {
         /// The frame.
         child: String,
-        /// Those above it.
+        /// Its parents.
         parents: Vec<String>,
     },
-    /// Frames hang below each other in a ring: each below the next, the last below the first.
+    /// Frames form a cycle: each is the child of the next, and the last of the first.
     Cycle {
         /// The frames.
         frames: Vec<String>,
     },
-    /// A transform of a static topic is published with several values.
+    /// A transform on a static topic changes.
     StaticMoves {
         /// The transform.
         edge: Between,
-        /// By how much.
+        /// Largest change.
         by: Apart,
     },
-    /// Several publishers give a transform different values.
+    /// Several publishers send different values of a transform.
     Conflict {
         /// The transform.
         edge: Between,
-        /// How far they are apart.
+        /// Distance between the values.
         by: Apart,
-        /// How many samples are of another publisher than the samples beside them.
+        /// Number of samples from a different publisher than the adjacent samples.
         jumps: usize,
-        /// Samples.
+        /// Number of samples.
         rows: usize,
     },
-    /// Two publish a topic or some of its transforms.
+    /// Two publishers send a topic or some of its transforms.
     Publishers {
-        /// Parent and child of the transform in which they disagree most, or of the first; `None` of
-        /// poses and joint states.
+        /// Parent and child of the transform with the largest disagreement, or the first. `None` for poses
+        /// and joint states.
         edge: Option<Between>,
-        /// How many transforms they disagree in.
+        /// Number of transforms that they disagree on.
         edges: usize,
-        /// How far they are apart; `None` where they say the same.
+        /// Distance between their values; `None` if they agree.
         by: Option<Apart>,
-        /// Rows a second of each.
+        /// Rate of each publisher, Hz.
         rates_hz: [f64; 2],
-        /// Rows of each.
+        /// Number of rows of each publisher.
         rows: [usize; 2],
-        /// Whether joint positions are apart, and not poses.
+        /// Whether they disagree on joint positions rather than poses.
         are_joints: bool,
     },
-    /// No transforms lead from a frame that a stream needs to the arm's base.
+    /// No transforms connect a stream's frame to the arm's base.
     Pieces {
-        /// The topic that needs it.
+        /// The topic of the stream.
         needed_by: String,
         /// The frame.
         frame: String,
@@ -90,14 +90,14 @@ pub struct Between {
     pub child: String,
 }
 
-/// Less than this is what rounding does, m at a metre.
+/// Maximum distance due to rounding, m on a 1 m lever.
 const ROUNDING: f64 = 1e-4;
 
 /// A transform of a TF topic.
 struct Piece<'a> {
     topic: &'a str,
     is_static: bool,
-    /// Whether its publishers are told apart, and looked at by themselves.
+    /// Whether its publishers are separated and reported on their own.
     is_of_two: bool,
     poses: &'a PoseColumns,
 }
@@ -116,8 +116,8 @@ impl Piece<'_> {
     }
 }
 
-/// The flaws of the transforms themselves, namespace by namespace: robots that have TF topics of their
-/// own may use the same names.
+/// Finds problems of the transforms, separately for each namespace: robots with their own TF topics may use
+/// the same frame names.
 pub(super) fn flaws(streams: &[Stream], publishers: &[Publishers]) -> Vec<Flaw> {
     let mut spaces: BTreeMap<&str, Vec<Piece<'_>>> = BTreeMap::new();
     for (index, stream) in streams.iter().enumerate() {
@@ -143,7 +143,7 @@ pub(super) fn flaws(streams: &[Stream], publishers: &[Publishers]) -> Vec<Flaw> 
     flaws
 }
 
-/// The one flaw of a topic that two publish.
+/// The problem of a topic with two publishers.
 fn several_publishers(stream: &Stream, found: &[&Publishers]) -> Option<Flaw> {
     let size = |two: &Publishers| two.apart.map_or(0.0, Apart::size);
     let worst = found.iter().rev().max_by(|a, b| size(a).total_cmp(&size(b)))?;
@@ -202,10 +202,10 @@ fn several_parents(pieces: &[Piece<'_>]) -> Vec<Flaw> {
     by_child.into_iter().filter_map(flaw).collect()
 }
 
-/// Whether two transforms are published at the same time, and not first one and then the other, as of
-/// what is picked up and put down.
+/// Whether two transforms are published during the same time, rather than one after the other, as for an
+/// object that is picked and placed.
 fn are_at_once(a: &Piece<'_>, b: &Piece<'_>) -> bool {
-    /// Turns that picking and placing takes now and then.
+    /// Number of alternations that pick and place may cause.
     const FEW: usize = 4;
     if a.is_static || b.is_static {
         return true;
@@ -222,7 +222,7 @@ fn are_at_once(a: &Piece<'_>, b: &Piece<'_>) -> bool {
     turns >= FEW && 4 * turns >= a.len().min(b.len())
 }
 
-/// The rings of frames, each once, from the frame that was named first on.
+/// Finds each cycle once, starting with the frame that was named first.
 fn cycles(pieces: &[Piece<'_>]) -> Vec<Flaw> {
     let mut parent_of: BTreeMap<&str, &Piece<'_>> = BTreeMap::new();
     for piece in pieces {
@@ -250,7 +250,7 @@ fn cycles(pieces: &[Piece<'_>]) -> Vec<Flaw> {
     found
 }
 
-/// Whether a static transform is published with several values.
+/// Detects a static transform that changes.
 fn moving(piece: &Piece<'_>) -> Option<Flaw> {
     let poses = piece.poses;
     let apart = (1..poses.times.len()).map(|row| Apart::between((poses, 0), (poses, row)));
@@ -261,7 +261,7 @@ fn moving(piece: &Piece<'_>) -> Option<Flaw> {
     })
 }
 
-/// The transforms that several publishers give different values.
+/// Transforms for which several publishers send different values.
 fn conflicts(pieces: &[Piece<'_>]) -> Vec<Flaw> {
     let mut found = Vec::new();
     for piece in pieces.iter().filter(|piece| !piece.is_static) {
@@ -273,7 +273,7 @@ fn conflicts(pieces: &[Piece<'_>]) -> Vec<Flaw> {
     found
 }
 
-/// Whether a transform over time is elsewhere than its static one says.
+/// Compares a dynamic transform with the static one of the same frames.
 fn overrules(fixed: &Piece<'_>, piece: &Piece<'_>) -> Option<Flaw> {
     let rows = piece.poses.times.len();
     let apart = (0..rows).map(|row| Apart::between((fixed.poses, 0), (piece.poses, row)));
@@ -284,27 +284,29 @@ fn overrules(fixed: &Piece<'_>, piece: &Piece<'_>) -> Option<Flaw> {
     })
 }
 
-/// Whether the samples of a transform jump there and back: each of the one publisher is far from those
-/// beside it, which agree with one another.
+/// Detects alternating publishers: each sample of one is far from its neighbours, which agree with each
+/// other.
 fn alternates(piece: &Piece<'_>) -> Option<Flaw> {
-    /// A jump is larger than this, m at a metre.
+    /// Minimum size of a jump, m on a 1 m lever.
     const JUMP: f64 = 1e-3;
-    /// The samples beside one agree where they are less than this share of the jump apart.
+    /// Maximum distance between the neighbours of a sample, as a share of the jump.
     const AGREE: f64 = 0.02;
-    /// From this share of jumps on, and this many, it is no stray sample.
+    /// Minimum share and number of jumps that are not outliers.
     const SHARE: f64 = 0.1;
     const FEW: usize = 5;
-    /// What turns round comes to where it was, too, and two samples on is four times as far away. Of
-    /// two publishers that sample is of the one or the other, and no farther than this many jumps.
+    /// Maximum distance to the samples two rows away, as a multiple of the jump.
+    ///
+    /// A reversal of the motion also returns to its place, but is then four times as far away two samples
+    /// later. With two publishers, that sample belongs to one of them.
     const ON: f64 = 1.5;
-    /// Samples that the share is told from, at least half of them, and how many follow each other.
+    /// Maximum number of samples that are checked, and how many of them are consecutive.
     const ENOUGH: usize = 20_000;
     const STRETCH: usize = 500;
     let poses = piece.poses;
     let apart = |a: usize, b: usize| Apart::between((poses, a), (poses, b));
     let (mut rows, mut jumps, mut largest) = (0, 0, Apart::default());
     let inner = 2..poses.times.len().saturating_sub(2);
-    // Stretches, and not every so many samples: publishers may take turns as regularly.
+    // Consecutive samples rather than every n-th, because publishers may alternate regularly.
     let parts = inner.len().div_ceil(ENOUGH).max(1);
     let is_looked_at = |row: &usize| (row / STRETCH).is_multiple_of(parts);
     for row in inner.filter(is_looked_at) {
@@ -326,9 +328,10 @@ fn alternates(piece: &Piece<'_>) -> Option<Flaw> {
 }
 
 impl Run {
-    /// Where the frames fall into pieces that an audited stream needs together: the frame that it names
-    /// and the arm's base are both in transforms of the log, the frame is neither of the robot nor tied
-    /// to it, and no way leads from the one to the other.
+    /// Disconnected frames that an audited stream needs.
+    ///
+    /// The stream's frame and the arm's base both occur in the log's transforms, the frame is neither part
+    /// of the robot nor tied to it, and no path connects them.
     pub fn pieces(&self) -> Vec<Flaw> {
         let of_streams = self.streams.iter().filter_map(|stream| {
             let is_audited = matches!(stream.role, Role::Pose | Role::Imu);
@@ -362,7 +365,7 @@ impl Run {
         })
     }
 
-    /// Whether a transform is not the log's, or is itself a stream of measured poses.
+    /// Whether a transform comes from the model, or is itself a stream of measured poses.
     fn is_stream(&self, edge: &Edge) -> bool {
         let names = self.tf.names(edge);
         edge.kind == EdgeKind::Model
@@ -377,7 +380,7 @@ impl Run {
 mod tests {
     use super::*;
 
-    /// A transform at 10 Hz for 4 s from `from_s` on, along x by what `x_m` says of each row.
+    /// A transform at 10 Hz for 4 s from `from_s`; `x_m` returns the x coordinate of each row.
     fn poses(parent: &str, child: &str, from_s: i64, x_m: impl Fn(usize) -> f64) -> PoseColumns {
         let mut poses = PoseColumns {
             frame_id: parent.to_owned(),
@@ -410,7 +413,7 @@ mod tests {
             panic!("{found:?}")
         };
         assert_eq!((child.as_str(), parents.as_slice()), ("c", &["a".into(), "b".into()][..]));
-        // What is put down here and picked up there hangs below one at a time.
+        // A frame that is placed here and picked there has one parent at a time.
         let later = poses("b", "c", 5, |_| 0.0);
         assert_eq!(flaws_of(&[dynamic(&a), dynamic(&later)]), []);
     }

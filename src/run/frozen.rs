@@ -1,9 +1,9 @@
-//! Times in which a stream of poses repeats one value though the arm moves.
+//! Detects pose streams that repeat one value while the arm moves.
 //!
-//! How late the stream is, nobody knows yet. A time is told to be frozen only where the arm nowhere rests
-//! for half as long within the latency that is sought: then it moved, whatever the latency. Without these
-//! times what is left of the stream shows its faults; with them, its pose would follow nothing. Once the
-//! lag is known by the speeds of what is left, the times that lie beside a rest are told, too.
+//! The latency is not known yet. A span counts as frozen only if the arm does not rest for half as long
+//! anywhere within the maximum latency; it then moved at any latency. Removing these spans makes other
+//! faults of the stream estimable. Spans next to a rest are detected later, when the lag is estimated from
+//! speeds.
 
 use crate::stream::{JointTrack, Orientations, PoseTrack};
 use crate::time::Stamp;
@@ -13,41 +13,42 @@ use super::arm::Arm;
 use super::poses::Stamped;
 use super::sources::PoseSource;
 
-/// Shorter repeats are how a slow source looks in a fast stream, s …
+/// Minimum duration, s; shorter repeats occur if a slow source feeds a fast stream.
 const LEAST_S: f64 = 0.25;
-/// … and so are fewer periods.
+/// Minimum number of periods, for the same reason.
 const LEAST_PERIODS: usize = 10;
-/// What was said in a longer silence, nobody knows, s.
+/// Maximum interval between repeated samples, s; longer gaps end a span.
 const BREAK_S: f64 = 1.0;
-/// Where a stream may be later than this, and what it says is of before the first joint state or of after
-/// the last, nothing is told, s.
+/// Maximum latency at which values near the start or end may lie outside the joint states, s. Such spans
+/// are not reported.
 const LATE_S: f64 = 1.0;
-/// A joint that moves by less rests, rad or m, …
+/// Maximum motion of a joint at rest, rad or m.
 const REST: f64 = 5e-3;
-/// … and by less than this share of its range over the run, in whatever unit it is.
+/// The same as a share of the joint's range over the run, whatever its unit.
 const REST_SHARE: f64 = 0.01;
 
-/// A time in which a stream stood still and the arm did not.
+/// A span during which a stream repeated one value while the arm moved.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frozen {
     /// Index of the stream.
     pub stream: usize,
-    /// The first sample with the value.
+    /// Stamp of the first sample with the value.
     pub start: Stamp,
-    /// The last one.
+    /// Stamp of the last sample with the value.
     pub end: Stamp,
-    /// Samples with it.
+    /// Number of samples with the value.
     pub samples: usize,
-    /// Whether the stream says nothing else.
+    /// Whether the stream contains no other value.
     pub whole: bool,
-    /// The most that a joint moved meanwhile, at any latency that is sought, at least: rad or m.
+    /// Motion of the fastest joint during the span, rad or m: the minimum over all possible latencies.
     pub moved: f64,
 }
 
-/// Takes the samples out of a stream's track that repeat a value while the arm moves, but for the first
-/// of each value, and says when that was. `columns` of the joints move the link whose poses they are.
-/// Of a stream that is not `known` to be this arm's nothing is taken where little else would be left: it
-/// may well stand still.
+/// Removes the samples of a track that repeat a value while the arm moves, except the first of each value,
+/// and returns the spans. `columns` are the joints that move the link.
+///
+/// If the stream is not `known` to belong to this arm, nothing is removed when little would remain: it may
+/// not move at all.
 pub(super) fn take_frozen(
     stream: usize,
     poses: &mut Stamped<PoseTrack>,
@@ -85,15 +86,15 @@ pub(super) fn take_frozen(
 }
 
 impl PoseSource {
-    /// Whether it repeats a value for long anywhere.
+    /// Whether it repeats a value for a long time.
     pub fn stands_still(&self) -> bool {
         !holds(&self.track).is_empty()
     }
 
-    /// By how much the joints move what it is the pose of while it says one thing only, m; `None` where it
-    /// says more, or they do not move it.
+    /// How far the joints move its link while it repeats a single value, m. `None` if it has several
+    /// values, or the joints do not move the link.
     pub fn unmoved_by_m(&self, joints: &JointTrack) -> Option<f64> {
-        /// Moments that are looked at.
+        /// Maximum number of samples that are compared.
         const LOOKS: usize = 64;
         let Self { track, chain, columns, .. } = self;
         let ([first_s, .., last_s], true) =
@@ -115,8 +116,8 @@ impl PoseSource {
 }
 
 impl Run {
-    /// Takes the samples out of a source's track that repeat a value while the arm moves, now that the
-    /// lags are known at which the source may follow the arm: it moved at each of them.
+    /// Removes samples that repeat a value while the arm moves at each of `lags_s`, the lags at which the
+    /// source may follow the arm.
     pub fn take_frozen_at(&mut self, arm: usize, source: usize, lags_s: &[f64]) {
         let Arm { joints, poses, .. } = &mut self.arms[arm];
         let PoseSource { stream, track, columns, .. } = &mut poses[source];
@@ -147,7 +148,7 @@ impl Run {
     }
 }
 
-/// What each joint of the track must move by in order not to rest.
+/// Minimum motion of each joint that counts as motion.
 fn rests(joints: &JointTrack) -> Vec<f64> {
     let rows = || 0..joints.len();
     let rest = |joint| (REST_SHARE * range(rows().map(|row| joints.row(row)[joint]))).max(REST);
@@ -158,7 +159,7 @@ fn range(of: impl Iterator<Item = f64> + Clone) -> f64 {
     of.clone().fold(f64::NEG_INFINITY, f64::max) - of.fold(f64::INFINITY, f64::min)
 }
 
-/// The first and the last row of each time that is long enough in which a track repeats one value.
+/// First and last row of each long enough span with one repeated value.
 fn holds(track: &PoseTrack) -> Vec<(usize, usize)> {
     let (mut holds, mut first) = (Vec::new(), 0);
     while first < track.t_s.len() {
@@ -174,15 +175,15 @@ fn holds(track: &PoseTrack) -> Vec<(usize, usize)> {
     holds
 }
 
-/// By how much the joint moves in `hold` that moves most, at the lag of those about `lags_s` at which it
-/// moves least; 0 where all rest. `None` where the joint states do not cover it.
+/// Motion during `hold` of the joint that moves most, minimised over lags near `lags_s`; 0 if all rest.
+/// `None` if the joint states do not cover the span.
 fn motion_at(
     joints: &JointTrack,
     (columns, rests): (&[usize], &[f64]),
     hold: (f64, f64),
     lags_s: &[f64],
 ) -> Option<f64> {
-    /// A lag by speeds alone is right to this, s, and is tried in such steps.
+    /// Accuracy of a lag estimated from speeds, and step of the search, s.
     const RIGHT_S: f64 = 0.1;
     const STEP_S: f64 = 0.01;
     let (&begin_s, &end_s) = (joints.t_s.first()?, joints.t_s.last()?);
@@ -208,7 +209,7 @@ fn motion_at(
         .filter(|it| it.is_finite())
 }
 
-/// Whether two samples are the same to the last bit.
+/// Whether two samples are bitwise equal.
 fn is_same(track: &PoseTrack, a: usize, b: usize) -> bool {
     track.xyz[a] == track.xyz[b]
         && match &track.orientation {
@@ -238,16 +239,17 @@ fn retain<T>(values: &mut Vec<T>, kept: &[bool]) {
     values.retain(|_| kept.next().is_none_or(|kept| *kept));
 }
 
-/// Of all times half as long as `hold` and within `most_lag_s` of it the one in which the joints move
-/// least: by how much the joint moves then that moves most, 0 where all rest. `None` where the joint
-/// states do not cover them, so that the arm may have rested unseen.
+/// Least joint motion over all spans half as long as `hold` and within `most_lag_s` of it.
+///
+/// The motion is that of the joint that moves most; 0 if all rest. `None` if the joint states do not cover
+/// the spans, as the arm may then have rested.
 fn least_motion(
     joints: &JointTrack,
     (columns, rests): (&[usize], &[f64]),
     hold: (f64, f64),
     most_lag_s: f64,
 ) -> Option<f64> {
-    /// Starts that are tried in a length, and samples that are looked at in it.
+    /// Number of start times per span length, and of samples per span.
     const STARTS: f64 = 4.0;
     const LOOKS: usize = 8;
     let (&begin_s, &end_s) = (joints.t_s.first()?, joints.t_s.last()?);
@@ -260,7 +262,7 @@ fn least_motion(
     if hold.0 + late_s + length_s > end_s || hold.1 - late_s - length_s < begin_s {
         return None;
     }
-    // The first value may be of before the first joint state.
+    // The first value may precede the first joint state.
     if hold.0 - begin_s < LATE_S && hold.1 - most_lag_s - begin_s < LEAST_S {
         return None;
     }

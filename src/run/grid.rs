@@ -1,31 +1,30 @@
-//! Stamps of a coarse clock: multiples of a tick, such as the 15.6 ms of some Windows machines, which say when
-//! a row came to within a tick only.
+//! Detects stamps of a coarse clock: multiples of a tick, such as 15.6 ms on some Windows machines.
 
-/// Ticks shorter than this do no harm, s.
+/// Minimum tick that matters, s.
 const LEAST_S: f64 = 2e-3;
-/// Nearly all intervals are multiples of the tick.
+/// Minimum share of intervals that are multiples of the tick.
 const NEARLY_ALL: f64 = 0.98;
 
-/// Rows whose stamps are multiples of a tick.
+/// Rows with stamps that are multiples of a tick.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Grid {
     /// The tick, s.
     pub tick_s: f64,
-    /// Ticks from each row to the next.
+    /// Number of ticks between consecutive rows.
     pub ticks: Vec<u32>,
 }
 
 impl Grid {
-    /// Of stamps in ascending order, s; `None` where they are multiples of no tick. An even stream without
-    /// a coarse clock has ticks, too: its period.
+    /// Estimates the tick of ascending stamps, s. `None` if they are not multiples of any. The tick of an
+    /// even stream with a fine clock is its period.
     pub fn of(t_s: &[f64]) -> Option<Self> {
         Self::with_least_tick(t_s, LEAST_S)
     }
 
-    /// The same, of ticks of `least_s` or more.
+    /// The same for ticks of at least `least_s`.
     pub fn with_least_tick(t_s: &[f64], least_s: f64) -> Option<Self> {
         const FEWEST: usize = 50;
-        /// The shortest interval is so many ticks at most.
+        /// Maximum number of ticks in the shortest interval.
         const MOST: u32 = 4;
         /// Rounding of stamps, s.
         const ROUNDING_S: f64 = 2e-5;
@@ -53,12 +52,13 @@ impl Grid {
         })
     }
 
-    /// Whether the stamps are those that an even sender has by a clock with this tick whose period is no
-    /// multiple of it: over the same number of rows their ticks differ by one at most (a Sturmian
-    /// sequence; Lothaire, *Algebraic Combinatorics on Words*, ch. 2). What rows that are lost leave is not
-    /// so even. `false` of stamps that a tick makes no coarser.
+    /// Whether the stamps come from a regular sender whose period is not a multiple of the tick.
+    ///
+    /// Over equal numbers of rows, the ticks then differ by at most one (a Sturmian sequence; Lothaire,
+    /// *Algebraic Combinatorics on Words*, ch. 2). Lost rows make them less even. `false` if the tick does
+    /// not make the stamps coarser.
     pub fn is_of_one_even_sender(&self) -> bool {
-        /// In a window of this many ticks more or less than usual those of lost rows would vary.
+        /// Window length as a number of rare intervals, so that lost rows would change the sum.
         const RARE: f64 = 4.0;
         const HARDLY_ANY: f64 = 5e-3;
         const NEARLY: f64 = 0.9;
@@ -80,12 +80,12 @@ impl Grid {
         even as f64 >= NEARLY * sums.len() as f64
     }
 
-    /// Whether the times of receipt tell that the tick hides no loss: where stamps are more ticks apart than
-    /// usual fewer of them went by. `received_s` are those of the same rows, s.
+    /// Whether receive times show that no rows were lost: longer stamp intervals are shorter by receive
+    /// time. `received_s` belong to the same rows, s.
     pub fn hides_no_loss(&self, received_s: &[f64]) -> bool {
-        /// By so many ticks the stamps are further apart than the receipts.
+        /// Minimum excess of long stamp intervals over receive intervals, ticks.
         const APART: f64 = 0.25;
-        /// And hardly further where they are not.
+        /// Maximum excess of the other intervals, ticks.
         const HARDLY: f64 = 0.1;
         const FEWEST: usize = 5;
         let mut sorted = self.ticks.clone();
@@ -107,7 +107,7 @@ impl Grid {
 mod tests {
     use super::*;
 
-    /// 40 s at a period, by a clock with a tick, with every so many rows lost at random.
+    /// 40 s of stamps at a period, from a clock with a tick, with the given share of rows lost at random.
     fn stamps(period_s: f64, tick_s: f64, lost: f64) -> (Vec<f64>, Vec<f64>) {
         let mut state = 12_345_u64;
         let mut random = || {

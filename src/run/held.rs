@@ -1,8 +1,8 @@
-//! Rows that repeat the values of the row before with a new stamp while the arm moves: a poller that
-//! asks more often than there is something new, or an up-sampler.
+//! Detects rows that repeat the previous values with a new stamp during motion: a poller faster than its
+//! source, or an up-sampler.
 //!
-//! An arm at rest repeats values, and so does a slow joint whose encoder is coarse. So rows count only
-//! where the next value is several of the source's own least steps off for each row that it was held.
+//! An arm at rest repeats values, and so does a slow joint with a coarse encoder. So repeats count only if
+//! the next value differs by several of the source's least increments for each repeated row.
 
 use std::sync::LazyLock;
 
@@ -14,56 +14,55 @@ use super::apart::Apart;
 use super::rows::Rows;
 use super::series::{Series, Values};
 
-/// What a piece of a stream repeats.
+/// Stale samples of one part of a stream.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Held {
     /// Index of the stream.
     pub stream: usize,
-    /// The child frame of the transform.
+    /// Child frame of the transform.
     pub frame: Option<String>,
-    /// Rows in motion.
+    /// Number of rows in motion.
     pub rows: usize,
-    /// How many of them repeat the row before.
+    /// Number of these that repeat the previous row.
     pub repeated: usize,
-    /// Rows a second in motion.
+    /// Row rate in motion, Hz.
     pub rows_hz: f64,
-    /// New values a second in motion.
+    /// Rate of new values in motion, Hz.
     pub values_hz: f64,
-    /// Mean time that a row's value had been there, s, in motion.
+    /// Mean age of a row's value in motion, s.
     pub mean_age_s: f64,
-    /// Which of the stream's pieces.
+    /// Index of the stream's part.
     pub(super) piece: usize,
-    /// The rows with a new value, in order, each with the time that it is taken at; none where
-    /// too few are repeated for that.
+    /// Rows with a new value, in order, with their corrected times. Empty if few rows are repeated.
     pub(super) new: Vec<(usize, Stamp)>,
 }
 
 impl Held {
-    /// Whether so many are repeated that each value is taken once.
+    /// Whether repeated values are removed.
     pub fn is_taken_once(&self) -> bool {
         !self.new.is_empty()
     }
 
-    /// The share of rows in motion that repeat the row before.
+    /// Share of rows in motion that repeat the previous row.
     pub fn share(&self) -> f64 {
         self.repeated as f64 / self.rows.max(1) as f64
     }
 }
 
-/// From this share on each value is taken once.
+/// Minimum share of repeated rows for removal.
 const TAKEN_ONCE: f64 = 0.05;
-/// Time over which a joint is seen to move, s, and what it then comes to, rad or m.
+/// Time over which joint motion is measured, s, and minimum motion, rad or m.
 const AROUND_S: f64 = 0.1;
 const MOVED: f64 = 5e-3;
-/// Rows in motion without which nothing is told.
+/// Minimum number of rows in motion.
 const ENOUGH: usize = 40;
 
-/// Whether each value of a piece is taken once.
+/// Whether repeated values are removed from a part of a stream.
 pub(super) fn is_taken_once(held: &[Held], stream: usize, piece: usize) -> bool {
     held.iter().any(|held| (held.stream, held.piece) == (stream, piece) && held.is_taken_once())
 }
 
-/// Keeps of the rows of a piece those with a new value, at the time that it is taken at.
+/// Removes repeated values from the rows of a part, and corrects the times of the others.
 pub(super) fn take_once(held: &[Held], stream: usize, piece: usize, rows: &mut Rows) {
     let of_it = |held: &&Held| (held.stream, held.piece) == (stream, piece) && !held.new.is_empty();
     let Some(held) = held.iter().find(of_it) else { return };
@@ -76,7 +75,7 @@ pub(super) fn take_once(held: &[Held], stream: usize, piece: usize, rows: &mut R
     });
 }
 
-/// What is held of each piece.
+/// Detects repeated values in each series.
 pub(super) fn held(series: &[Series<'_>]) -> Vec<Held> {
     let motion: Motion<'_> = LazyLock::new(Box::new(|| {
         let joints = series.iter().filter(|series| matches!(series.values, Values::Joints(_)));
@@ -87,7 +86,7 @@ pub(super) fn held(series: &[Series<'_>]) -> Vec<Held> {
         .par_iter()
         .map(|series| Some(series).filter(is_of_joints).and_then(|own| of(own, &motion, &[])))
         .collect();
-    // What is computed from joint states that are held has their stamps; of fresh ones it holds its own.
+    // Poses computed from stale joint states share their stamps.
     let held = series.iter().zip(&of_joints);
     let held = held.filter(|(_, found)| found.as_ref().is_some_and(Held::is_taken_once));
     let mut stamps: Vec<Stamp> =
@@ -100,9 +99,9 @@ pub(super) fn held(series: &[Series<'_>]) -> Vec<Held> {
     series.par_iter().zip(of_joints).filter_map(found).collect()
 }
 
-/// Rows that follow each other with one value.
+/// Consecutive rows with one value.
 struct Group {
-    /// The first of them, among the series' rows.
+    /// Index of the first row in the series.
     first: usize,
     count: usize,
 }
@@ -119,7 +118,7 @@ fn groups(series: &Series<'_>) -> impl Iterator<Item = Group> {
     })
 }
 
-/// The least step of each kind that is one: the source's last bit, or next to nothing.
+/// Smallest non-zero step of each number: the resolution of the source.
 fn quanta(series: &Series<'_>, groups: &[Group]) -> Vec<f64> {
     let mut least: Vec<f64> = Vec::new();
     for pair in groups.windows(2) {
@@ -134,8 +133,8 @@ fn quanta(series: &Series<'_>, groups: &[Group]) -> Vec<f64> {
     least
 }
 
-/// The steps from one group to the next: of a transform its length and its angle, in which a coarse
-/// encoder's steps are alike, else of each number.
+/// Steps between two groups: length and angle for a transform, because encoder steps are uniform in these;
+/// otherwise each number.
 fn steps(series: &Series<'_>, pair: [&Group; 2]) -> Vec<f64> {
     let [a, b] = pair.map(|group| series.rows[group.first].1);
     if let (Values::Poses(poses), Some(_)) = (&series.values, series.frame) {
@@ -146,15 +145,15 @@ fn steps(series: &Series<'_>, pair: [&Group; 2]) -> Vec<f64> {
     (0..series.values.width()).map(number).collect()
 }
 
-/// How fast joints go at a time, in their last bits a second, and by how much the one that goes
-/// farthest moves around it, rad or m.
+/// Joint speed at a time, in least increments per second, and the motion of the fastest joint around it,
+/// rad or m.
 struct Pace {
     at: Stamp,
     bits_per_s: f64,
     moved: f64,
 }
 
-/// The paces of all joint states, which hardly a log needs.
+/// Joint speeds of all joint states, computed only if needed.
 type Motion<'a> = LazyLock<Vec<Vec<Pace>>, Box<dyn FnOnce() -> Vec<Vec<Pace>> + Send + 'a>>;
 
 fn paces(series: &Series<'_>) -> Vec<Pace> {
@@ -183,10 +182,9 @@ fn paces(series: &Series<'_>) -> Vec<Pace> {
     (0..groups.len()).map(pace).collect()
 }
 
-/// Whether the joints go fast enough at a time that rows `period_s` apart must differ; `None` where
-/// none say.
+/// Whether the joints are fast enough that rows `period_s` apart must differ. `None` without joint states.
 fn must_differ(motion: &Motion<'_>, at: Stamp, period_s: f64) -> Option<bool> {
-    /// Last bits in a period that a pose shows at any noise.
+    /// Minimum motion per period to be visible despite noise, in least increments.
     const BITS: f64 = 3.0;
     let near = motion.iter().filter_map(|paces| {
         let next = paces.partition_point(|pace| pace.at < at);
@@ -195,7 +193,7 @@ fn must_differ(motion: &Motion<'_>, at: Stamp, period_s: f64) -> Option<bool> {
     near.map(|pace| pace.moved > MOVED && pace.bits_per_s * period_s > BITS).reduce(|a, b| a || b)
 }
 
-/// Whether a transform goes somewhere around one of its groups, and does not only tremble.
+/// Whether a transform moves around one of its groups, rather than only vibrating.
 fn travels(series: &Series<'_>, groups: &[Group], at: usize) -> bool {
     let stamp = |group: &Group| series.rows[group.first].0;
     let now = stamp(&groups[at]);
@@ -207,9 +205,9 @@ fn travels(series: &Series<'_>, groups: &[Group], at: usize) -> bool {
 }
 
 fn of(series: &Series<'_>, motion: &Motion<'_>, joint_stamps: &[Stamp]) -> Option<Held> {
-    /// The next value is as many least steps off for each row that one was held.
+    /// Minimum step to the next value per repeated row, in least increments.
     const STEPS: f64 = 2.0;
-    /// What is held longer than so many times the usual rests.
+    /// Maximum repeat count, as a multiple of the usual one; the arm rests if it is longer.
     const RESTS: usize = 3;
     let rows = &series.rows;
     if rows.len() < ENOUGH {
@@ -231,7 +229,7 @@ fn of(series: &Series<'_>, motion: &Motion<'_>, joint_stamps: &[Stamp]) -> Optio
             .zip(&quanta)
             .any(|(step, quantum)| *step >= STEPS * quantum * group.count as f64);
         let by_joints = || must_differ(motion, rows[group.first].0, span_s / group.count as f64);
-        // A transform is of one joint, and others may move.
+        // A transform depends on one joint, and others may move.
         let is_told = goes_on
             && match is_of_joints || has_frame {
                 true => is_of_joints || travels(series, &groups, at),
@@ -271,7 +269,7 @@ fn of(series: &Series<'_>, motion: &Motion<'_>, joint_stamps: &[Stamp]) -> Optio
         new: Vec::new(),
     };
     if held.share() >= TAKEN_ONCE {
-        // What rests goes on at the usual pace, so that a rest is no gap.
+        // Splits a rest at the usual rate, so that it is not a gap.
         let most = (count as f64 / moving.len() as f64).ceil() as usize;
         let pieces = groups.iter().flat_map(|group| {
             let starts = (0..group.count).step_by(most.max(1));
@@ -286,15 +284,15 @@ fn of(series: &Series<'_>, motion: &Motion<'_>, joint_stamps: &[Stamp]) -> Optio
     (held.repeated > 0).then_some(held)
 }
 
-/// Whether nearly all of some rows have stamps that are among others.
+/// Whether at least 90 % of the rows have stamps in a given set.
 fn is_of(rows: &Rows, stamps: &[Stamp]) -> bool {
     let copies = rows.iter().filter(|(stamp, _)| stamps.binary_search(stamp).is_ok()).count();
     10 * copies >= 9 * rows.len()
 }
 
-/// When the value of some rows is taken to be. What has stamps of its own is as late as its rows are,
-/// in the mean; joint states, which are the reference, and what was read together with them, is taken
-/// at the time it was new.
+/// Corrected time of a repeated value: the mean of its stamps if the stream has its own stamps.
+///
+/// Joint states, which are the time reference, and values read with them use the first stamp.
 fn taken_at(series: &Series<'_>, rows: std::ops::Range<usize>, is_own: bool) -> Stamp {
     let first = series.rows[rows.start].0;
     if !is_own {
@@ -312,8 +310,8 @@ mod tests {
 
     const MS: i64 = 1_000_000;
 
-    /// Two joints that start, stop and turn back, read every so many ms, at rows every so many, to so
-    /// many rad.
+    /// Two joints that start, stop and reverse, read every `read_ms` into rows every `row_ms`, with
+    /// resolution `bit` rad.
     fn read(row_ms: i64, read_ms: i64, bit: f64) -> JointColumns {
         let mut columns = JointColumns::default();
         for name in ["a", "b"] {

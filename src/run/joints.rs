@@ -1,4 +1,4 @@
-//! The joint states of all topics, merged to one track on one time grid.
+//! Merges the joint states of all topics into one track on a common time grid.
 
 use std::borrow::Cow;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -12,16 +12,16 @@ use super::Run;
 use super::rows::Rows;
 use super::velocities::{Smoothed, Velocities, agreement, smoothed};
 
-/// How one joint of a track came about.
+/// Origin of one joint of a track.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct JointFacts {
-    /// The joint, as the log names it.
+    /// Joint name in the log.
     pub name: String,
-    /// Index of the stream that it was read from.
+    /// Index of its stream.
     pub stream: usize,
-    /// Samples on that stream.
+    /// Number of samples in that stream.
     pub samples: usize,
-    /// Where its velocities come from.
+    /// Source of its velocities.
     pub velocities: Velocities,
 }
 
@@ -31,18 +31,18 @@ pub(super) struct JointTopic<'a> {
     /// Index of its stream.
     pub stream: usize,
     pub columns: &'a JointColumns,
-    /// The rows that are looked at.
+    /// The selected rows.
     pub rows: Rows,
 }
 
 impl JointTopic<'_> {
-    /// Whether all its rows are looked at, each later than the one before.
+    /// Whether all its rows are selected and strictly increase in time.
     pub fn is_in_order(&self) -> bool {
         self.rows.len() == self.columns.times.len()
             && self.rows.is_sorted_by(|(earlier, _), (later, _)| earlier < later)
     }
 
-    /// Whether it has a sample of the joint called `name`.
+    /// Whether it has a sample of the joint.
     pub fn holds(&self, name: &str) -> bool {
         let joint = self.columns.joints.iter().find(|joint| joint.name == name);
         let has_sample =
@@ -51,8 +51,8 @@ impl JointTopic<'_> {
     }
 }
 
-/// The topics of joint states that may be one robot's, and what was merged of them: the models that are
-/// ranked ask for the same joints.
+/// Joint state topics that may belong to one robot, with a cache of merged tracks: ranked models request
+/// the same joints.
 pub(super) struct JointTopics<'a> {
     pub topics: Vec<JointTopic<'a>>,
     origin: Stamp,
@@ -60,12 +60,12 @@ pub(super) struct JointTopics<'a> {
 }
 
 impl<'a> JointTopics<'a> {
-    /// Times of what is merged are relative to `origin`.
+    /// Merged times are relative to `origin`.
     pub fn new(topics: Vec<JointTopic<'a>>, origin: Stamp) -> Self {
         Self { topics, origin, merged: Mutex::default() }
     }
 
-    /// The joints called `names`, as [`merge`] does.
+    /// The named joints, merged by [`merge`].
     pub fn merged(&self, names: &[String]) -> Option<Merged> {
         let known = || self.merged.lock().unwrap_or_else(PoisonError::into_inner);
         let found = known().iter().find(|(of, _)| of == names).map(|(_, merged)| merged.clone());
@@ -77,16 +77,16 @@ impl<'a> JointTopics<'a> {
     }
 }
 
-/// The track of some joints, and how it came about.
+/// Merged track of some joints, and their origin.
 #[derive(Clone)]
 pub(super) struct Merged {
     pub track: Arc<JointTrack>,
-    /// The stamps of the track's samples.
+    /// Stamps of the track's samples.
     pub stamps: Arc<[Stamp]>,
     pub facts: Vec<JointFacts>,
 }
 
-/// The finite samples of one joint, strictly increasing in time.
+/// Finite samples of one joint, strictly increasing in time.
 #[derive(Default)]
 pub(super) struct Samples {
     pub stamps: Vec<Stamp>,
@@ -94,13 +94,12 @@ pub(super) struct Samples {
     velocity: Vec<f64>,
 }
 
-/// The joints called `names`, in that order, on the time grid of the one with the most samples.
+/// Merges the named joints, in that order, on the time grid of the joint with the most samples.
 ///
-/// Each joint is read from one topic: the one with the most of these joints, of equals the one with
-/// the most rows, that has it. Where another joint has no sample at a time of the grid it is
-/// interpolated; where it cannot be, because it has not begun, has ended or moved through a gap, the
-/// time is left out. Times are relative to `origin`. `None` where a joint has no sample, or fewer
-/// than two times are left.
+/// Each joint is read from one topic: among those that have it, the one with the most requested joints,
+/// then with the most rows. Joints without a sample at a grid time are interpolated. A grid time is skipped
+/// if a joint cannot be interpolated, because it has not started, has ended or moved through a gap. Times
+/// are relative to `origin`. `None` if a joint has no sample, or fewer than two times remain.
 fn merge(topics: &[JointTopic<'_>], names: &[String], origin: Stamp) -> Option<Merged> {
     let mut ranked: Vec<&JointTopic<'_>> = topics.iter().collect();
     let holds = |topic: &JointTopic<'_>| {
@@ -156,24 +155,23 @@ fn merge(topics: &[JointTopic<'_>], names: &[String], origin: Stamp) -> Option<M
 /// All finite samples of one joint of an arm, strictly increasing in time.
 #[derive(Clone, Debug, Default)]
 pub struct JointSamples<'a> {
-    /// Sample times, s from the run's origin. Joints whose samples are all of the same messages share
-    /// them.
+    /// Sample times, s from the run's origin; shared by joints of the same messages.
     pub t_s: Arc<[f64]>,
     /// Positions, rad or m.
     pub position: Cow<'a, [f64]>,
-    /// Velocities as logged, rad/s or m/s; NaN where the log has none.
+    /// Velocities as logged, rad/s or m/s; NaN if the log has none.
     pub velocity: Cow<'a, [f64]>,
 }
 
 impl JointSamples<'_> {
-    /// Whether the samples of another joint are at the same times.
+    /// Whether the samples of two joints have the same times.
     pub fn is_beside(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.t_s, &other.t_s) || self.t_s == other.t_s
     }
 }
 
 impl Run {
-    /// All samples of each of some joints, the excerpts of a long run or not.
+    /// All samples of each joint, including those outside the excerpts of a long run.
     pub fn joint_samples(&self, joints: &[JointFacts]) -> Vec<JointSamples<'_>> {
         let mut topics: Vec<(JointTopic<'_>, Option<Arc<[f64]>>)> = Vec::new();
         let mut samples = Vec::with_capacity(joints.len());
@@ -191,8 +189,7 @@ impl Run {
         samples
     }
 
-    /// The joint states of a stream, and the times of its rows, s, where each comes after the one
-    /// before.
+    /// The joint states of a stream, and the times of its rows, s, if they are strictly increasing.
     fn joint_topic(&self, stream: usize) -> Option<(JointTopic<'_>, Option<Arc<[f64]>>)> {
         let Columns::Joints(columns) = self.streams.get(stream)?.columns.as_ref()? else {
             return None;
@@ -208,7 +205,7 @@ impl Run {
 }
 
 impl<'a> JointTopic<'a> {
-    /// The samples of the joint called `name`; `t_s` are the times of all rows, where they are in order.
+    /// Samples of a joint. `t_s` are the times of all rows, if they are in order.
     fn samples(&self, name: &str, t_s: Option<&Arc<[f64]>>, origin: Stamp) -> JointSamples<'a> {
         let columns: &'a JointColumns = self.columns;
         let joint = columns.joints.iter().find(|joint| joint.name == name);
@@ -231,7 +228,7 @@ impl<'a> JointTopic<'a> {
     }
 }
 
-/// Where a sweep over one joint's samples has come.
+/// Position of a sweep over one joint's samples.
 #[derive(Default)]
 struct Cursor {
     next: usize,
@@ -239,7 +236,7 @@ struct Cursor {
 }
 
 impl Cursor {
-    /// Position and velocity at `stamp`: the sample itself where there is one, else interpolated.
+    /// Position and velocity at `stamp`, interpolated if there is no sample.
     fn sample(
         &mut self,
         stamps: &[Stamp],
@@ -259,7 +256,7 @@ impl Cursor {
 }
 
 impl Samples {
-    /// The finite samples of `name`, in order of time; of equal stamps the first.
+    /// Finite samples of `name`, in time order; the first of equal stamps.
     pub fn of(topic: &JointTopic<'_>, name: &str) -> Self {
         let Some(joint) = topic.columns.joints.iter().find(|joint| joint.name == name) else {
             return Self::default();
@@ -294,7 +291,7 @@ mod tests {
     use super::*;
     use crate::stream::JointColumn;
 
-    /// Two joints at 100 Hz for 3 s; `velocity` makes the logged velocity of time and true velocity.
+    /// Two joints at 100 Hz for 3 s; `velocity` computes the logged velocity from time and true velocity.
     fn columns(velocity: impl Fn(f64, f64) -> f64) -> JointColumns {
         let mut columns = JointColumns::default();
         for name in ["a", "b"] {
