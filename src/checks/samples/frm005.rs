@@ -7,32 +7,32 @@ use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight,
 use crate::run::{Norms, Written};
 
 rule! {
-    /// Quaternions are not of unit norm, or matrices not orthonormal.
+    /// Quaternions are not unit-norm, or matrices not orthonormal.
     ///
     /// ## What it means
-    /// The numbers of a rotation are no rotation: the largest of `| |q| − 1 |` over all samples of a
-    /// stream, or of `max |RᵀR − I|` where it logs matrices, reaches the threshold. Quaternions of all
-    /// zeros were never set; they are counted and not judged.
+    /// The logged rotations are not valid rotations: the maximum of `| |q| − 1 |` over all samples of a
+    /// stream, or of `max |RᵀR − I|` for matrices, reaches the threshold. All-zero quaternions were never
+    /// set; they are counted but not judged.
     ///
     /// ## Why it matters
-    /// Every reader mends it in a way of its own: one normalises, one scales and shears what it
-    /// turns, one throws. A norm that dips between samples is the mark of orientations that were
-    /// blended number by number, and then the angle is wrong, too, not only the norm.
+    /// Consumers disagree on how to handle it: some normalise, some scale and shear, some throw. A norm
+    /// that dips between samples indicates component-wise interpolation of orientations; the angle is then
+    /// also wrong.
     ///
     /// ## Evidence
-    /// `written` is `quaternion` or `matrix`; `median` the defect that half of the samples exceed,
-    /// which tells a coding that is always rough from single samples; `unset` how many quaternions
-    /// are all zeros; `at_ns` the stamp of the largest defect; `frames` lists the transforms of a TF
-    /// topic that are concerned, each with its largest defect.
+    /// - `written`: `quaternion` or `matrix`.
+    /// - `median`: median defect. It distinguishes a rough encoding from single bad samples.
+    /// - `unset`: number of all-zero quaternions; `at_ns`: stamp of the largest defect.
+    /// - `frames`: the affected transforms of a TF topic, each with its largest defect.
     ///
     /// ## How to fix
-    /// Interpolate rotations along the arc (slerp), not their components or matrix entries, and
-    /// normalise before publishing. Where all samples are off by the same, look for a fixed-point or
-    /// single-precision conversion, or for numbers printed with few digits.
+    /// Interpolate rotations along the arc (slerp), not their components or matrix entries, and normalise
+    /// before publishing. If all samples deviate equally, look for a fixed-point or single-precision
+    /// conversion, or for values printed with few digits.
     ///
     /// ## When it misleads
-    /// Quaternions printed with three decimals are off by up to 1e-3. Components in the wrong order
-    /// have unit norm all the same; that is ORD002's.
+    /// Quaternions printed with three decimals deviate by up to 1e-3. Components in the wrong order still
+    /// have unit norm; ORD002 detects them.
     FRM005 {
         name: "not-a-rotation",
         grade: Grade::From(&[THRESHOLD]),
@@ -44,7 +44,7 @@ rule! {
 }
 
 const THRESHOLD: Threshold = Threshold { unit: Unit::One, warning: 1e-3, error: 1e-2 };
-/// Transforms that the evidence lists.
+/// Maximum number of transforms in the evidence.
 const LISTED: usize = 10;
 
 fn check(case: &Case) -> Vec<Judged> {
@@ -100,7 +100,7 @@ fn fault(case: &Case, worst: &Norms, severity: Severity) -> Fault {
     let when = worst.at.map_or(String::new(), |at| format!(" at {}", case.evidence.moment(at)));
     let half = match case.thresholds.of(&FRM005, THRESHOLD).severity(worst.median) {
         Some(_) => format!("median {}", Unit::One.show(worst.median)),
-        None => "most samples by less than the limit".to_owned(),
+        None => "most samples are within the limit".to_owned(),
     };
     let (title, what) = match worst.written {
         Written::Quaternion => {

@@ -3,33 +3,32 @@ use crate::evidence::{Of, UnusableEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight};
 
 rule! {
-    /// Samples hold numbers that nothing can have.
+    /// Samples have unusable values.
     ///
     /// ## What it means
-    /// Positions, orientations or readings are NaN, infinite or beyond ±1e12, in whatever unit, or some of
-    /// a stream's orientations were never set and others were. Or joint states have other numbers of names
-    /// and of positions, or name a joint twice with other positions, and arrays other lengths than the first.
-    /// The samples came; what they say is nothing.
+    /// Positions, orientations or sensor values are NaN, infinite or beyond ±1e12 in any unit. Or some
+    /// orientations of a stream are unset while others are set. Or joint states have different numbers of
+    /// names and positions, or list a joint twice with different positions, or an array differs in length
+    /// from the first.
     ///
     /// ## Why it matters
-    /// The audit leaves such samples out before anything is made of them, so that they decide nothing else
-    /// here. What uses the stream may not: one infinity in a mean or in a filter stays there for good. What
-    /// is left may not be the whole run.
+    /// The audit excludes such samples from all other checks. Consumers of the stream may not: one infinity
+    /// stays in a mean or a filter for good. The remaining samples may not cover the whole run.
     ///
     /// ## Evidence
-    /// `unusable` is how many samples hold such numbers, `unset` how many have no orientation, `misfits` how
-    /// many have more or fewer numbers than they should, `contradictory` how many name a joint twice, of
-    /// `samples`. The estimate is their share. Of a
-    /// sample without an orientation the position is audited.
+    /// Of `samples` in total: `unusable` have such values, `unset` have no orientation, `misfits` have the
+    /// wrong number of values, and `contradictory` list a joint twice. The estimate is the fraction
+    /// affected. The position of a sample without an orientation is audited.
     ///
     /// ## How to fix
-    /// Look at what is sent: a driver that has no reading yet, a division by a time of zero, a filter that
-    /// diverged, an orientation that only some of the senders fill in. Send nothing where there is nothing.
+    /// Check the publisher: a driver without a first measurement, a division by zero time, a diverged
+    /// filter, or an orientation that only some publishers set. Publish nothing while there is no valid
+    /// value.
     ///
     /// ## When it misleads
-    /// It is `info` where they are few, at most three or one in a thousand: drivers send NaN until they
-    /// know better. Of joint states the joints of the arm count. A stream of which no orientation is set is
-    /// FRM007's, one of which no sample is usable TIM006's.
+    /// At most three samples, or one in a thousand, are `info`, because drivers often send NaN at startup.
+    /// For joint states only the joints of the arm count. A stream without any orientation is reported by
+    /// FRM007, one without any usable sample by TIM006.
     ING003 {
         name: "unusable-samples",
         grade: Grade::Fixed(Severity::Warning),
@@ -40,7 +39,7 @@ rule! {
     }
 }
 
-/// So many samples are few, and such a share of all.
+/// Up to this number of samples, or this fraction of all, the finding is `info`.
 const FEW: u64 = 3;
 const FEW_OF_ALL: f64 = 1e-3;
 
@@ -60,18 +59,19 @@ fn judge(stream: &Of<UnusableEvidence>) -> Judged {
         (count > 0).then(|| format!("{count} of {samples} samples {what}"))
     };
     let said = [
-        of(misfits, "have more or fewer numbers than they should, and are left out"),
-        of(contradictory, "name a joint twice, with other positions; the last is taken"),
-        of(unusable, "hold no usable numbers: none, infinite or beyond 1e12; they are left out"),
-        of(unset, "have no orientation, while the others have: of these the positions are audited"),
+        of(misfits, "have the wrong number of values; excluded"),
+        of(contradictory, "list a joint twice with different positions; the last one is used"),
+        of(unusable, "have unusable values (NaN, infinite or beyond 1e12); excluded"),
+        of(unset, "have no orientation, although others do; only their positions are audited"),
     ];
     let fault = Fault {
         cause: Cause::Seen(Sight::Stream),
         severity: if are_few { Severity::Info } else { Severity::Warning },
-        title: "samples hold no usable numbers",
+        title: "samples have unusable values",
         message: said.into_iter().flatten().collect::<Vec<_>>().join("; "),
         evidence: Evidence::default(),
-        fix: "see what is sent then, and send nothing where there is nothing".to_owned(),
+        fix: "check the publisher at these times; publish nothing while there is no valid value"
+            .to_owned(),
     };
     stream
         .judged(Outcome::faulty(fault))

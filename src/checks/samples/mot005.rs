@@ -6,34 +6,36 @@ use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight,
 use crate::run::{FEWEST_SAMPLES, Strays};
 
 rule! {
-    /// Samples jump away and come back.
+    /// Samples jump away and back (outliers).
     ///
     /// ## What it means
-    /// One to three samples of a joint, of a pose or of a transform are five times as far from their
-    /// neighbours as any near them, and the samples after them go on where those before left off. No
-    /// arm moves like that.
+    /// One to three consecutive samples of a joint, pose or transform are at least five times as far from
+    /// their neighbours as any samples nearby, and the motion then continues from where it was. No arm
+    /// moves like that.
     ///
     /// ## Why it matters
-    /// The audit leaves such samples out, so that they decide nothing else here. What uses the stream
-    /// does not: a controller follows the jump, a filter smears it over a second, a map keeps it.
+    /// The audit excludes these samples from all other checks. Consumers of the stream do not: a controller
+    /// follows the jump, a filter smears it over a second, a map keeps it.
     ///
     /// ## Evidence
-    /// `count` is how many samples are stray, `length_m` (of a joint its own unit) and `angle_rad` how
-    /// far the farthest is off, `at_ns` its stamp; `parts` lists the joints or transforms that are
-    /// concerned. The estimate is the longest jump as logged, or the widest angle where nothing jumps
-    /// in position.
+    /// - `count`: number of outliers.
+    /// - `length_m` (in the joint's own unit for a joint) and `angle_rad`: distance of the farthest;
+    ///   `at_ns`: its stamp.
+    /// - `parts`: the affected joints or transforms.
+    /// - The estimate is the longest jump as logged, or the largest angle if no position jumps.
     ///
     /// ## How to fix
-    /// Look at what is sent at that time: a pose of zeros before the first is known, a bit that was
-    /// dropped between encoder and driver, a tracker that took something else for its target, a
-    /// second publisher. Drop or hold such samples where they arise.
+    /// Check what is published at that time: a zero pose before the first measurement, a bit error between
+    /// encoder and driver, a tracker that locked on another target, or a second publisher. Drop such
+    /// samples, or repeat the last valid one, at the source.
     ///
     /// ## When it misleads
-    /// A jump for longer than a quarter of a second may be a motion, and is none of this. Where
-    /// more than one sample in twenty is off, nothing tells which are stray, and it is inconclusive: two
-    /// publishers of one transform are FRM004's. Of poses and bare numbers only positions are looked at.
-    /// Fewer than twenty samples do not show what is usual, and it is inconclusive likewise. A stray
-    /// of a wrongly scaled stream (ORD008) is as wrongly scaled.
+    /// - A jump that lasts longer than 0.25 s may be a motion and is not reported.
+    /// - If more than 5 % of the samples jump, outliers cannot be identified and the rule is inconclusive.
+    ///   FRM004 reports two publishers of one transform.
+    /// - Fewer than 20 samples are also inconclusive.
+    /// - For poses and untyped arrays only positions are checked.
+    /// - In a wrongly scaled stream (ORD008) the jump has the same wrong scale.
     MOT005 {
         name: "stray-samples",
         grade: Grade::Fixed(Severity::Warning),
@@ -44,7 +46,7 @@ rule! {
     }
 }
 
-/// Joints or transforms that the evidence lists.
+/// Maximum number of joints or transforms in the evidence.
 const LISTED: usize = 10;
 
 fn check(case: &Case) -> Vec<Judged> {
@@ -55,12 +57,12 @@ fn judge(case: &Case, stream: &Of<StrayEvidence>) -> Judged {
     let judged = |subject, outcome| Judged::new(subject, outcome).within(stream.span);
     let are_untold = |part: &Strays| part.count() == 0;
     if !stream.parts.is_empty() && stream.parts.iter().all(are_untold) {
-        let why = "more than one sample in twenty jumps, so that nothing tells which are stray; look at \
-                   the stream itself";
+        let why = "more than 5 % of the samples jump, so outliers cannot be identified; check the stream \
+            itself";
         return judged(stream.subject.clone(), Outcome::Inconclusive(why.to_owned()));
     }
     if stream.parts.is_empty() && stream.samples < FEWEST_SAMPLES {
-        let why = format!("fewer than {FEWEST_SAMPLES} samples do not show what is usual");
+        let why = format!("fewer than {FEWEST_SAMPLES} samples: too few to identify outliers");
         return judged(stream.subject.clone(), Outcome::Inconclusive(why));
     }
     let told = || stream.parts.iter().filter(|part| !are_untold(part));
@@ -98,7 +100,7 @@ fn judge(case: &Case, stream: &Of<StrayEvidence>) -> Judged {
 }
 
 impl StrayEvidence {
-    /// The jump of a part in its unit.
+    /// The jump of a part, with its unit.
     fn amount(&self, part: &Strays) -> (Unit, f64) {
         let turns = part.joint.as_ref().is_some_and(|joint| !self.sliding.contains(joint));
         match (turns, part.farthest.length_m) {
@@ -130,9 +132,11 @@ fn fault(
         severity: Severity::Warning,
         title: "samples jump away and back",
         message: format!(
-            "{count} {samples} away and back, by {most}{shown}{of}{when}; left out of everything else"
+            "{count} {samples} away and back, by {most}{shown}{of}{when}; excluded from all other checks"
         ),
         evidence: Evidence::default(),
-        fix: format!("see what is sent on {topic} then, and drop or hold such samples there"),
+        fix: format!(
+            "check what is published on {topic} then, and drop such samples at the source"
+        ),
     }
 }

@@ -6,47 +6,46 @@ use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight,
 use crate::run::Frozen;
 
 rule! {
-    /// A stream of poses or joint states repeats one value while the arm moves.
+    /// A stream is frozen while the arm moves.
     ///
     /// ## What it means
-    /// For a quarter of a second and ten samples or more a stream says the same pose, to the last bit,
-    /// with new stamps, and at no latency that is sought do the joints rest for half of that time, or at
-    /// none that its speeds allow they rest throughout. Or joint states say the same as long, but for
-    /// their noise, and then go on from elsewhere at once, amid a motion.
+    /// For at least 0.25 s and ten samples, a pose stream repeats one pose bit for bit with new stamps,
+    /// although the arm moves. The check allows for latency: at no latency within the search range do the
+    /// joints rest for half of that time, or at no latency consistent with its speeds do they rest
+    /// throughout. Joint states are frozen if they stay constant within their noise for that long and then
+    /// jump amid a motion.
     ///
     /// ## Why it matters
-    /// The stream looks alive: its rate and its stamps are as they should be. Whoever uses it takes an
-    /// old pose for the present one, and the error is as large as the arm moves meanwhile.
+    /// The stream looks alive: its rate and its stamps are normal. Consumers take an old pose for the
+    /// current one, with an error as large as the motion in the meantime.
     ///
     /// ## Evidence
-    /// `times` lists when the stream stood still, each with its samples and how far a joint moved
-    /// meanwhile at least; `count` says how many there are. The estimate is the longest, in seconds.
-    /// Nothing else in the report is told from these samples.
+    /// `times` lists each interval with its samples and the minimum motion of a joint in it. `count` is
+    /// their number. The estimate is the longest, in seconds. All other rules ignore these samples.
     ///
     /// ## How to fix
-    /// Look for the source that stopped while something else goes on publishing its last value: a
-    /// driver that lost its connection, a tracker that lost its target, a filter that holds. Publish
-    /// nothing then, or say that the value is stale.
+    /// Find the source that stopped while another node kept publishing its last value: a driver that lost
+    /// its connection, a tracker that lost its target, a filter that holds. Publish nothing in that case,
+    /// or mark the value as stale.
     ///
     /// ## When it misleads
-    /// A slow source in a fast stream looks alike where it comes less than four times a second: its
-    /// stamps are the fault then. A stream that stands still at the very end of the log may as well be
-    /// late, and is not reported; nor is one that stands still near a rest of the arm, unless its speeds
-    /// say how late it is. Transforms are not looked at: those that
-    /// stand still while the joints move are FRM001's. Joint states that stand still to the very end are
-    /// not told from an arm that rests. Of a long run only the excerpts are looked at, and
-    /// `samples` counts those that were.
+    /// - A source slower than 4 Hz in a fast stream looks the same; its stamps are then the fault.
+    /// - A stream frozen until the end of the log may also be late, and is not reported. The same applies
+    ///   close to a rest of the arm, unless the stream's speeds determine its latency.
+    /// - FRM001 checks transforms that do not move with the joints.
+    /// - Joint states frozen until the end are indistinguishable from an arm at rest.
+    /// - Long runs are checked in excerpts; `samples` counts those checked.
     TIM007 {
         name: "frozen-stream",
         grade: Grade::Fixed(Severity::Error),
         headline: false,
         needs_model: true,
-        missing: "no joint states, and no tool pose that could be held against an arm",
+        missing: "no joint states, and no tool pose that can be compared with an arm",
         check: check,
     }
 }
 
-/// Times that the evidence lists.
+/// Maximum number of intervals in the evidence.
 const LISTED: usize = 10;
 
 fn check(case: &Case) -> Vec<Judged> {
@@ -71,15 +70,15 @@ fn judge(case: &Case, stream: &Of<Vec<Frozen>>) -> Judged {
     let outcome = Outcome::faulty(Fault {
         cause: Cause::Seen(Sight::Stream),
         severity: Severity::Error,
-        title: "stream stands still while the arm moves",
+        title: "stream frozen while the arm moves",
         message: format!(
-            "says one value for {} from {} on while the arm moves{others}; left out of everything else",
+            "frozen for {} (from {}) while the arm moved{others}; excluded from all other checks",
             Unit::Second.show(seconds(longest)),
             case.evidence.moment(longest.start),
         ),
         evidence: Evidence::default(),
         fix: format!(
-            "see why the source of {topic} stopped then, and what repeated its last value"
+            "check why the source of {topic} stopped then, and what repeated its last value"
         ),
     });
     let times = stream.iter().take(LISTED).map(|time| {

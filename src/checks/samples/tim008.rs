@@ -8,31 +8,34 @@ rule! {
     /// Rows repeat values with new stamps while the arm moves.
     ///
     /// ## What it means
-    /// From 5 % of the rows on, those of a stream of joint states, poses, transforms or an IMU say what
-    /// the row before said, to the last bit, under a stamp of their own, though the arm moves: a script
-    /// that polls faster than there is something new, or a node that fills a rate up.
+    /// At least 5 % of the rows of a stream (joint states, poses, transforms or IMU) repeat the previous
+    /// row bit for bit under a new stamp while the arm moves. Typical causes are a script that polls faster
+    /// than values arrive, or a node that upsamples by repetition.
     ///
     /// ## Why it matters
-    /// The stamps say that the values are new, and they are not: each is as old as it was held. Whoever
-    /// takes differences finds standstill and leaps, accelerations that no arm has and a shake at the true
-    /// rate; whoever joins by stamp is late by half of the time that values are held.
+    /// The stamps claim new values, but each value is as old as it was held. Differentiation gives
+    /// standstills and jumps, impossible accelerations and vibration at the true rate. Joining by stamp is
+    /// late by half the hold time.
     ///
     /// ## Evidence
-    /// `repeated` of `rows` in motion repeat the row before; `rows_hz` is their rate and `values_hz` the
-    /// true one, of new values. `mean_age_s` is how long a row's value had been there, in the mean. The
-    /// estimate is the share of rows that repeat. The other rules take each value once: joint states, and
-    /// what repeats with them, at the time they were new; other streams at the middle of the time that
-    /// they are held, so that a latency (LAT001) holds the mean age.
+    /// - `repeated` of `rows` in motion repeat the previous row.
+    /// - `rows_hz`: row rate; `values_hz`: true rate, of new values.
+    /// - `mean_age_s`: mean age of a row's value.
+    /// - The estimate is the fraction of repeated rows.
+    ///
+    /// The other rules use each value once: joint states, and streams that repeat with them, at the time
+    /// the value was new; other streams at the middle of the hold time, so their latency (LAT001) includes
+    /// the mean age.
     ///
     /// ## How to fix
-    /// Subscribe instead of polling, or stamp a value when it is read and send it once. Where a consumer
-    /// wants a fixed rate, let it interpolate.
+    /// Subscribe instead of polling, or stamp a value when it is read and publish it once. If a consumer
+    /// needs a fixed rate, interpolate there.
     ///
     /// ## When it misleads
-    /// An arm at rest repeats values, and so does a slow joint with a coarse encoder: neither is counted.
-    /// Where the topic's name says that it is latched, it is told as `info`. Rows that repeat with their
-    /// old stamp are sent twice, which is no fault (TIM004); what repeats for a quarter of a second and
-    /// more while the arm moves is TIM007's.
+    /// An arm at rest repeats values, and so does a slow joint with a coarse encoder; neither is counted. A
+    /// topic whose name indicates latching is `info`. Rows repeated with their old stamp are sent twice,
+    /// which is not a fault (TIM004). Values repeated for 0.25 s or more while the arm moves are reported
+    /// by TIM007.
     TIM008 {
         name: "repeated-rows",
         grade: Grade::From(&[THRESHOLD]),
@@ -55,7 +58,7 @@ fn judge(case: &Case, stream: &Of<HeldEvidence>) -> Judged {
     let outcome = match case.thresholds.of(&TIM008, THRESHOLD).severity(worst.share()) {
         None => Outcome::sound(),
         Some(_) if stream.is_of_joints => {
-            Outcome::sound_because("what it repeats are the joint states' repeats".to_owned())
+            Outcome::sound_because("its repeats are those of the joint states".to_owned())
         }
         Some(severity) => Outcome::faulty(fault(stream, worst, severity)),
     };
@@ -72,7 +75,7 @@ fn judge(case: &Case, stream: &Of<HeldEvidence>) -> Judged {
 
 fn fault(stream: &Of<HeldEvidence>, held: &Held, severity: Severity) -> Fault {
     let frame = match (&held.frame, stream.parts.len()) {
-        (Some(frame), 2..) => format!(" (most of all '{frame}')"),
+        (Some(frame), 2..) => format!(" (worst: '{frame}')"),
         _ => String::new(),
     };
     Fault {
@@ -80,8 +83,8 @@ fn fault(stream: &Of<HeldEvidence>, held: &Held, severity: Severity) -> Fault {
         severity: if stream.is_latched { Severity::Info } else { severity },
         title: "rows repeat old values",
         message: format!(
-            "{:.0} % of the rows in motion repeat the one before{frame}: values are new at {:.1} Hz and \
-             sent at {:.1} Hz, and are {} old in the mean",
+            "{:.0} % of the rows in motion repeat the previous row{frame}: new values at {:.1} Hz, sent at \
+             {:.1} Hz, {} old on average",
             100.0 * held.share(),
             held.values_hz,
             held.rows_hz,
@@ -89,7 +92,7 @@ fn fault(stream: &Of<HeldEvidence>, held: &Held, severity: Severity) -> Fault {
         ),
         evidence: Evidence::default(),
         fix: format!(
-            "send each value of {} once, with the time at which it was read",
+            "publish each value of {} once, stamped when it was read",
             stream.subject.label()
         ),
     }

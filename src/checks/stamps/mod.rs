@@ -1,4 +1,4 @@
-//! Stamps and rhythm: whether each stream says when, and keeps coming.
+//! Stamps and rates: clocks, gaps and lost samples.
 
 pub(super) mod tim001;
 pub(super) mod tim002;
@@ -9,6 +9,6 @@ pub(super) mod tim005;
 use super::Family;
 
 pub(super) static FAMILY: Family = Family {
-    examines: "Stamps and rhythm: whether each stream says when, and keeps coming",
+    examines: "Stamps and rates: clocks, gaps and lost samples",
     rules: &[&tim001::TIM001, &tim002::TIM002, &tim003::TIM003, &tim004::TIM004, &tim005::TIM005],
 };

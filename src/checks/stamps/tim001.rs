@@ -10,26 +10,25 @@ rule! {
     /// Stamps run backwards.
     ///
     /// ## What it means
-    /// A message carries a stamp that is before that of the message received ahead of it, by more
-    /// than a period of its stream. Of /tf each transform is looked at by itself, of joint states
-    /// each sender. Where all streams step back by more than a second it is the clock that began
-    /// anew: the run is split there, and this rule does not speak up.
+    /// A message has an earlier stamp than the message received before it, by more than the stream's
+    /// period. /tf is checked per transform, joint states per publisher. If all streams step back by more
+    /// than a second, the clock was restarted: the run is split there, and this rule does not report it.
     ///
     /// ## Why it matters
-    /// tf2 refuses a transform that is older than what it has, or throws its buffer away; filters
-    /// that integrate over time integrate backwards.
+    /// tf2 rejects a transform older than its latest, or clears its buffer. Filters that integrate over
+    /// time integrate backwards.
     ///
     /// ## Evidence
-    /// `steps` says where (the stamp before the step) and by how much, `count` how often. The
-    /// estimate is the largest step.
+    /// `steps` lists the stamp before each step and its size; `count` is their number. The estimate is the
+    /// largest step.
     ///
     /// ## How to fix
-    /// Look for two nodes that publish on one topic, a clock that is set while recording (use a
-    /// slewing NTP client), or messages that are queued and sent out of order.
+    /// Look for two nodes that publish on one topic, a clock that is set while recording (use a slewing NTP
+    /// client), or messages that are queued and sent out of order.
     ///
     /// ## When it misleads
-    /// A transport that may reorder messages (UDP, best effort) makes small steps that a receiver
-    /// has to live with.
+    /// A transport that may reorder messages (UDP, best effort) causes small steps that receivers must
+    /// tolerate.
     TIM001 {
         name: "backward-stamps",
         grade: Grade::Fixed(Severity::Warning),
@@ -40,17 +39,16 @@ rule! {
     }
 }
 
-/// A step of this many periods or less is two samples that change places, and what their stamps
-/// jitter.
+/// Minimum step in periods. Smaller steps are two swapped samples with stamp jitter.
 const PLACES: f64 = 1.2;
-/// Steps that the evidence lists.
+/// Maximum number of steps in the evidence.
 const LISTED: usize = 10;
 
 fn check(case: &Case) -> Vec<Judged> {
     case.evidence.rhythms.iter().map(|rhythm| judge(case, rhythm)).collect()
 }
 
-/// Where a part's stamps step back by more than a period, and by how much, s.
+/// Steps back of a part by more than a period: the stamp before the step, and its size, s.
 fn steps_back(part: &Cadence) -> impl Iterator<Item = &(Stamp, f64)> {
     let least_s = PLACES * part.period_s.unwrap_or(0.0);
     part.steps_back.iter().filter(move |(_, by_s)| *by_s > least_s)
@@ -61,7 +59,7 @@ fn judge(case: &Case, rhythm: &Of<RhythmEvidence>) -> Judged {
         rhythm.parts.iter().filter(|part| steps_back(part).next().is_some()).collect();
     let subject = rhythm.subject_of(&concerned);
     if !rhythm.parts.iter().any(|part| part.stamped) {
-        let outcome = Outcome::Skipped("its messages carry no stamps".to_owned());
+        let outcome = Outcome::Skipped("its messages have no stamps".to_owned());
         return Judged::new(subject, outcome).within(rhythm.span);
     }
     let steps = || concerned.iter().flat_map(|part| steps_back(part));
@@ -76,7 +74,7 @@ fn judge(case: &Case, rhythm: &Of<RhythmEvidence>) -> Judged {
     let message = match count {
         1 => format!("stamps step back by {largest} at {}", case.evidence.moment(at)),
         _ => format!(
-            "stamps step back {count} times, by {largest} at most (at {})",
+            "stamps step back {count} times, by up to {largest} (at {})",
             case.evidence.moment(at)
         ),
     };
@@ -87,7 +85,7 @@ fn judge(case: &Case, rhythm: &Of<RhythmEvidence>) -> Judged {
         message,
         evidence: Evidence::default(),
         fix: format!(
-            "look for a second publisher on {}, or a clock that is set",
+            "check for a second publisher on {}, or a clock that is set",
             rhythm.subject.label()
         ),
     };

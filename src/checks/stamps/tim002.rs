@@ -8,80 +8,86 @@ use crate::run::{Cadence, Hole, Stretch};
 use crate::time::Stamp;
 
 rule! {
-    /// A stream has gaps, or loses samples.
+    /// A stream has gaps or loses samples.
     ///
     /// ## What it means
-    /// Nothing came for longer than ten periods and 0.1 s while the arm moved, or more than 1 % of
-    /// the samples are missing between the others. The period is the stream's own, by the interval
-    /// that most of its samples keep; where the sender numbers its messages (`header.seq` in ROS 1,
-    /// `sequence` in MCAP) by one in each topic, numbers that are left out are lost samples, too.
+    /// No samples arrived for more than ten periods and 0.1 s while the arm moved, or more than 1 % of the
+    /// samples are missing in between. The period is the most common interval of the stream. If the
+    /// publisher numbers its messages per topic (`header.seq` in ROS 1, `sequence` in MCAP), skipped
+    /// numbers also count as lost samples.
     ///
     /// ## Why it matters
-    /// Whoever interpolates over a gap invents a path. Samples that get lost under load get lost when
-    /// it matters, and a controller that runs on them stutters.
+    /// Interpolation over a gap invents a path. Samples lost under load are lost when they matter most, and
+    /// a controller that depends on them stutters.
     ///
     /// ## Evidence
-    /// `gaps` lists where a gap begins, how long it is, and `count` how many there are; `lost` and
-    /// `samples` how many samples are missing, and there; `skipped` how many by their numbers. The
-    /// estimate is the longest gap in seconds, or without gaps the share of samples lost. `made_by` says
-    /// what made them where the log shows it: `recorder` or `transport`. Where two publish one topic, the
-    /// samples of each are counted by themselves.
+    /// - `gaps`: start and length of each; `count`: their number.
+    /// - `lost`: missing samples; `samples`: received samples; `skipped`: samples missing by sequence
+    ///   number.
+    /// - `made_by`: `recorder` or `transport` if the log shows the cause, otherwise null.
+    /// - The estimate is the longest gap in seconds, or the fraction of lost samples if there are no gaps.
+    ///
+    /// If two nodes publish on one topic, the samples of each are counted separately.
     ///
     /// ## How to fix
-    /// Where all streams stop at once it is the recorder's disk or CPU; where numbers are left out
-    /// messages were sent and lost: use reliable transport or a longer queue. Else the log does not show
-    /// whether the sender stopped or its messages were lost, and `made_by` is null.
+    /// If all streams stop at once, check the recorder's disk and CPU. If sequence numbers are skipped,
+    /// messages were sent and lost: use reliable transport or a longer queue. Otherwise the log does not
+    /// show whether the publisher stopped or messages were lost.
     ///
     /// ## When it misleads
-    /// A stream that is sent on change is silent while the arm rests; that is no gap. A stream
-    /// without a fixed period cannot be counted unless its messages are numbered, and a lower rate
-    /// over seconds is TIM006's. Commands and what a camera sees are sent when there is something to
-    /// say, and are not judged; a stream that nobody assigned is judged only where it has a period.
+    /// A stream published on change is silent while the arm rests; that is not a gap. Losses in a stream
+    /// without a fixed period can be counted only by sequence number. TIM006 reports a lower rate over
+    /// seconds. Commands and camera detections are published on occasion and are not judged. A stream
+    /// without an assigned role is judged only if it is periodic.
     TIM002 {
         limits: &[GAP_PERIODS, GAP, LOST],
         name: "gaps",
         grade: Grade::Fixed(Severity::Warning),
         headline: false,
         needs_model: false,
-        missing: "no stream that should be steady in this log",
+        missing: "no periodic stream in this log",
         check: check,
     }
 }
 
-/// A gap is longer than this many periods, and than [`GAP`].
+/// Minimum length of a gap, in periods. [`GAP`] must also be exceeded.
 const GAP_PERIODS: Limit = Limit {
     key: "gap_periods",
     unit: Unit::One,
     value: 10.0,
-    what: "a gap is longer than this many periods",
+    what: "minimum length of a gap in periods",
 };
-/// A gap is longer than this.
-const GAP: Limit =
-    Limit { key: "gap", unit: Unit::Second, value: 0.1, what: "a gap is longer than this, too" };
-/// The share of samples from which on losing them is a fault.
+/// Minimum length of a gap.
+const GAP: Limit = Limit {
+    key: "gap",
+    unit: Unit::Second,
+    value: 0.1,
+    what: "minimum length of a gap; both limits apply",
+};
+/// Fraction of lost samples above which they are reported.
 const LOST: Limit = Limit {
     key: "lost",
     unit: Unit::One,
     value: 0.01,
-    what: "the share of samples from which on losing them is a fault",
+    what: "fraction of lost samples above which they are reported",
 };
-/// Fewer lost samples than this are no share.
+/// Minimum number of lost samples for the fraction to be significant.
 const COUNTS: usize = 3;
-/// Gaps that the evidence lists.
+/// Maximum number of gaps in the evidence.
 const LISTED: usize = 10;
 
-/// What would tell where it could not be told.
-const SETTLE: &str = "record the joint states beside it";
+/// The stream that would make the result conclusive.
+const SETTLE: &str = "record the joint states too";
 
-/// What a stream's rhythm is held against.
+/// The limits for one stream.
 #[derive(Clone, Copy)]
 struct Limits {
     gap_periods: f64,
     gap_s: f64,
     lost: f64,
-    /// What is a lower rate, and no loss.
+    /// The limits of a lower rate, which is not a loss.
     pace: Pace,
-    /// The period that the caller says it has, s.
+    /// Period declared by the caller, s.
     said_period_s: Option<f64>,
 }
 
@@ -99,8 +105,7 @@ fn check(case: &Case) -> Vec<Judged> {
     let mut told: Vec<&Of<RhythmEvidence>> = Vec::new();
     let judge_once = |rhythm| {
         if let Some(first) = told.iter().find(|first| has_rows_of(first, rhythm)) {
-            let why =
-                format!("its rows have the stamps of {}, whose gaps are reported", first.topic());
+            let why = format!("same stamps as {}, whose gaps are reported", first.topic());
             return Judged::new(rhythm.subject.clone(), Outcome::sound_because(why))
                 .within(rhythm.span);
         }
@@ -110,7 +115,7 @@ fn check(case: &Case) -> Vec<Judged> {
     steady.map(judge_once).collect()
 }
 
-/// Whether two streams have gaps at the same stamps, to the nanosecond, as columns of one table have.
+/// Whether two streams have gaps at the same stamps, to the nanosecond, like columns of one table.
 fn has_rows_of(one: &Of<RhythmEvidence>, other: &Of<RhythmEvidence>) -> bool {
     let holes = |of: &Of<RhythmEvidence>| -> Vec<(Stamp, Stamp)> {
         let holes = of.wanted().flat_map(|part| &part.holes);
@@ -120,8 +125,8 @@ fn has_rows_of(one: &Of<RhythmEvidence>, other: &Of<RhythmEvidence>) -> bool {
     !own.is_empty() && own == holes(other)
 }
 
-/// The parts of a stream that are judged: those that an audit may expect to be steady, and of a
-/// stream of which nothing is known those that are.
+/// The parts of a stream to judge: those expected to be periodic. For a stream without a role, those that
+/// are periodic.
 fn judged(rhythm: &Of<RhythmEvidence>) -> impl Iterator<Item = &Cadence> {
     let is_known = rhythm.due.is_expected();
     rhythm.wanted().filter(move |part| is_known || part.is_regular)
@@ -146,7 +151,7 @@ fn judge(case: &Case, rhythm: &Of<RhythmEvidence>) -> Judged {
     let came = rhythm.unusable + rhythm.unstamped + rhythm.elsewhere;
     if !concerned.is_empty() && came > 0 && missing as u64 <= 2 * came {
         let why = format!(
-            "the samples that are missing came: {} hold no usable numbers (ING003), {} no stamp (TIM005), \
+            "the missing samples were received: {} have unusable values (ING003), {} have no stamp (TIM005), \
              {} are in another frame (FRM007); record it again",
             rhythm.unusable, rhythm.unstamped, rhythm.elsewhere
         );
@@ -159,20 +164,20 @@ fn judge(case: &Case, rhythm: &Of<RhythmEvidence>) -> Judged {
         format!("{} at {}", Unit::Second.show(gap.seconds()), case.evidence.moment(gap.start))
     };
     let outcome = if rhythm.wanted().next().is_none() {
-        Outcome::Skipped("no robot says which of its transforms an arm needs".to_owned())
+        Outcome::Skipped("no robot defines which of its transforms are needed".to_owned())
     } else if judged(rhythm).next().is_none() {
-        let why = "its samples come at no fixed period, and nothing says that they should";
+        let why = "no fixed period, and none is expected";
         Outcome::Skipped(why.to_owned())
     } else if let Some(gap) = silent(None) {
         let gap = shown(gap);
         Outcome::Inconclusive(format!(
-            "nothing came for {gap}, and no joint states say whether the arm moved; {SETTLE}"
+            "no samples for {gap}, and no joint states show whether the arm moved; {SETTLE}"
         ))
     } else if judged(rhythm).any(|part| lost(by, part).is_none()) {
-        let why = "its samples come at no fixed period, so that lost ones cannot be counted";
-        Outcome::Inconclusive(format!("{why}; send them at one, or count them in the message"))
+        let why = "no fixed period, so lost samples cannot be counted";
+        Outcome::Inconclusive(format!("{why}; publish at a fixed rate, or number the messages"))
     } else if let Some(gap) = silent(Some(false)) {
-        Outcome::sound_because(format!("nothing came for {}, while the arm rested", shown(gap)))
+        Outcome::sound_because(format!("no samples for {}, while the arm rested", shown(gap)))
     } else {
         Outcome::sound()
     };
@@ -183,24 +188,24 @@ fn longer(a: &Stretch, b: &Stretch) -> std::cmp::Ordering {
     a.seconds().total_cmp(&b.seconds())
 }
 
-/// Whether a hole is longer than any delay of a message explains.
+/// Whether a hole is longer than any message delay.
 fn is_long(by: &Limits, part: &Cadence, hole: &Hole) -> bool {
     let length_s = hole.stretch.seconds();
     let own_s = part.period_s.unwrap_or(f64::INFINITY);
-    // What is said of a topic of transforms is of its fastest.
+    // The declared rate of a topic of transforms applies to its fastest transform.
     let said_s = by.said_period_s.filter(|said_s| own_s < 2.0 * said_s || own_s.is_infinite());
     let period_s = said_s.unwrap_or(own_s);
     length_s > by.gap_s && length_s > by.gap_periods * period_s
 }
 
-/// The holes of a part that are not those of a lower rate.
+/// The holes of a part outside stretches with a lower rate.
 fn holes<'a>(by: &Limits, part: &'a Cadence) -> impl Iterator<Item = &'a Hole> {
     let slow: Vec<&Stretch> = slow(by.pace, part).collect();
     let is_slow = move |at: Stamp| slow.iter().any(|lull| lull.start <= at && at < lull.end);
     part.holes.iter().filter(move |hole| !is_slow(hole.stretch.start))
 }
 
-/// The gaps of a part: nothing was received for long.
+/// The gaps of a part: long holes in which nothing was received.
 fn gaps<'a>(by: &Limits, part: &'a Cadence) -> impl Iterator<Item = &'a Stretch> {
     let long = holes(by, part).filter(|hole| hole.is_silent && is_long(by, part, hole));
     long.map(|hole| &hole.stretch)
@@ -214,10 +219,9 @@ fn has_gaps(by: &Limits, part: &Cadence) -> bool {
     moving(by, part).next().is_some()
 }
 
-/// How many of a part's samples are lost, by its period or by its numbers; `None` where neither
-/// tells.
+/// Number of lost samples of a part, by its period or by sequence numbers. `None` if neither is available.
 fn lost(by: &Limits, part: &Cadence) -> Option<usize> {
-    // That no number is left out may be the work of a recorder that gives them.
+    // Unbroken numbers may be assigned by the recorder, so they do not prove that nothing was lost.
     let by_number = part.skipped.filter(|skipped| *skipped > 0);
     lost_by_period(by, part).max(by_number)
 }
@@ -228,11 +232,11 @@ fn lost_by_period(by: &Limits, part: &Cadence) -> Option<usize> {
         !is_long(by, part, hole) || (hole.is_silent && !rests)
     };
     let missing: usize = holes(by, part).filter(is_lost).map(|hole| hole.missing).sum();
-    // What is late, or has the stamp of another sample, is not missing at its own.
+    // Late samples, and samples with the stamp of another sample, are not missing.
     part.is_regular.then(|| missing.saturating_sub(part.bunched).saturating_sub(part.conflicts))
 }
 
-/// The share of a part's samples that is lost.
+/// Fraction of a part's samples that are lost.
 fn lost_share(by: &Limits, part: &Cadence) -> f64 {
     let lost = lost(by, part).unwrap_or(0);
     lost as f64 / (lost + part.rows).max(1) as f64
@@ -249,14 +253,14 @@ fn fault(case: &Case, by: &Limits, rhythm: &Of<RhythmEvidence>, concerned: &[&Ca
     let (lost, samples) = worst.map_or((0, 0), |part| (lost(by, part).unwrap_or(0), part.rows));
     let skipped = worst.and_then(|part| part.skipped);
     let share = worst.map_or(0.0, |part| lost_share(by, part));
-    let loss = format!("{:.1} % of samples are lost: {lost} of {}", 100.0 * share, lost + samples);
+    let loss = format!("{:.1} % of samples lost: {lost} of {}", 100.0 * share, lost + samples);
     let (title, message, estimate) = match gaps().max_by(|a, b| longer(a, b)) {
         Some(gap) => {
             let (length, at) = (Unit::Second.show(gap.seconds()), case.evidence.moment(gap.start));
             let message = match gaps().count() {
-                1 => format!("nothing came for {length} at {at}, while the arm moved"),
+                1 => format!("no samples for {length} at {at} while the arm moved"),
                 count => {
-                    format!("{count} gaps while the arm moved, the longest of {length} at {at}")
+                    format!("{count} gaps while the arm moved, longest {length} at {at}")
                 }
             };
             let estimate = Estimate::counted("longest gap", Unit::Second.symbol(), gap.seconds());
@@ -289,15 +293,15 @@ fn fault(case: &Case, by: &Limits, rhythm: &Of<RhythmEvidence>, concerned: &[&Ca
         .with_evidence("made_by", cause.made_by)
 }
 
-/// What made a gap or lost samples, as far as the log shows it.
+/// The cause of a gap or of lost samples, if the log shows it.
 struct Maker {
     made_by: Option<&'static str>,
     said: &'static str,
     fix: &'static str,
 }
 
-/// Where all streams stop it is the recorder or its machine; where numbers are left out the messages
-/// were sent; else the sender may have stopped as well as its way to the recorder.
+/// Determines the cause: the recorder or its machine if all streams stop, the transport if sequence numbers
+/// are skipped. Otherwise the publisher may have stopped or its messages were lost.
 fn cause(
     case: &Case,
     rhythm: &Of<RhythmEvidence>,
@@ -324,21 +328,21 @@ fn cause(
     if gap.is_some_and(all_stop) {
         return Maker {
             made_by: Some("recorder"),
-            said: "; all other streams stop with it",
-            fix: "look at the recorder's disk and the load of its machine at that time",
+            said: "; all other streams stop too",
+            fix: "check the recorder's disk and CPU load at that time",
         };
     }
     match skipped {
         Some(1..) => Maker {
             made_by: Some("transport"),
-            said: "; numbers are left out, so that messages were sent and lost on their way",
-            fix: "look at the load of recorder and network, and use a reliable, longer queue",
+            said: "; sequence numbers are skipped: messages were sent but lost",
+            fix: "check the load of recorder and network, and use a reliable, longer queue",
         },
         _ => Maker {
             made_by: None,
             said: "",
-            fix: "the log does not show whether its sender stopped or messages were lost on their way: \
-                  number them, and look at the sender's log and at the load of recorder and network",
+            fix: "check the publisher's log, and the load of recorder and network; number the messages to \
+                distinguish the two",
         },
     }
 }
@@ -357,7 +361,7 @@ mod tests {
         Limits { gap_periods, gap_s, lost, pace: Pace::of(&as_case(&run)), said_period_s: None }
     }
 
-    /// A part of 1000 samples at 100 Hz with a hole of so many periods.
+    /// A part of 1000 samples at 100 Hz with a hole of this many periods.
     fn with_hole(periods: i64, is_silent: bool) -> Cadence {
         let (start, end) = (Stamp::from_nanos(0), Stamp::from_nanos(10 * periods * MS));
         let stretch = Stretch { start, end, rate_hz: 100.0 / periods as f64, moving: Some(true) };
@@ -377,7 +381,7 @@ mod tests {
         assert!(has_gaps(&own(), &with_hole(11, true)));
         assert!(!has_gaps(&own(), &with_hole(10, true)));
         assert!(!has_gaps(&own(), &with_hole(70, false)));
-        // What is no gap may still be a loss; a clock that is set forward takes nothing.
+        // A hole too short for a gap may be a loss; a clock that is set forward loses nothing.
         let lost = [with_hole(9, true), with_hole(9, false), with_hole(70, false)];
         assert_eq!(lost.map(|part| lost_by_period(&own(), &part)), [Some(8), Some(8), Some(0)]);
     }

@@ -6,29 +6,28 @@ use crate::run::Epoch;
 use crate::time::seconds;
 
 rule! {
-    /// A stream is stamped by another clock than the others.
+    /// A stream is stamped by a different clock than the others.
     ///
     /// ## What it means
-    /// The stream's stamps are from another epoch (time since boot, simulation time), or off by
-    /// more than `--max-latency`: no latency explains that, it is another clock.
+    /// The stream's stamps have another epoch (time since boot, simulation time), or an offset of more than
+    /// `--max-latency`, which cannot be a latency.
     ///
     /// ## Why it matters
-    /// tf2 refuses to look such stamps up, or extrapolates; joined by stamp, the data of one moment
-    /// meet the data of another.
+    /// tf2 rejects such stamps or extrapolates. Joining by stamp combines data from different times.
     ///
     /// ## Evidence
-    /// The offset of the stream's clock from the one that the others share, by the message that
-    /// came through the transport fastest. `spread_s` is how far the transport's delay scatters,
-    /// which no alignment can see through: LAT001 carries it in its interval. Where messages of a stream
-    /// on the common clock were received before the time that they are stamped with, its row says so.
+    /// The offset of the stream's clock from the clock that the others share, determined by the message
+    /// with the minimum transport delay. `spread_s` is the scatter of the transport delay, the limit of any
+    /// alignment; the interval of LAT001 includes it. If messages of a stream on the common clock were
+    /// received before their own stamps, its row reports it.
     ///
     /// ## How to fix
-    /// Stamp with the ROS clock, synchronise the machines (chrony, PTP), or use receive times with
-    /// `--stamp log`. In simulation set `use_sim_time` on every node.
+    /// Stamp with the ROS clock, synchronise the machines (chrony, PTP), or use receive times with `--stamp
+    /// log`. In simulation set `use_sim_time` on every node.
     ///
     /// ## When it misleads
-    /// Where all streams share one clock that is not the recorder's, or the log holds `/clock`, it
-    /// is simulation or a controller's time and the finding is `info`.
+    /// If all streams share one clock that differs from the recorder's, or the log contains `/clock`, it is
+    /// simulation or controller time and the finding is `info`.
     TIM003 {
         name: "foreign-clock",
         grade: Grade::Fixed(Severity::Warning),
@@ -39,7 +38,7 @@ rule! {
     }
 }
 
-/// Clocks of one machine differ by less, s.
+/// Maximum difference between clocks on one machine, s.
 const AHEAD_S: f64 = 1e-3;
 
 fn check(case: &Case) -> Vec<Judged> {
@@ -47,7 +46,7 @@ fn check(case: &Case) -> Vec<Judged> {
     shared_clock(case).into_iter().chain(streams).collect()
 }
 
-/// The one remark where the clock that the streams share is not the recorder's.
+/// The single finding if the streams share a clock other than the recorder's.
 fn shared_clock(case: &Case) -> Option<Judged> {
     let mut offsets: Vec<f64> = case
         .evidence
@@ -65,7 +64,7 @@ fn shared_clock(case: &Case) -> Option<Judged> {
         title: "all stamps are from one foreign clock",
         message: format!("all stamps are {} off the recorder's clock", Unit::Second.show(offset_s)),
         evidence: Evidence::default(),
-        fix: "nothing, if this is simulation or a controller's own time".to_owned(),
+        fix: "no action needed if this is simulation or controller time".to_owned(),
     });
     Some(Judged::new(Subject::default(), outcome).estimated(estimate(offset_s, f64::INFINITY)))
 }
@@ -78,8 +77,8 @@ fn judge(stream: &Of<StampEvidence>, simulated: bool) -> Judged {
         let outcome = match early_s.filter(|early_s| *early_s > AHEAD_S) {
             None => Outcome::sound(),
             Some(early_s) => Outcome::sound_because(format!(
-                "messages were received up to {} before the time that they are stamped with: its clock is \
-                 ahead of the recorder's, or it stamps ahead",
+                "messages arrive up to {} before their own stamps: its clock is ahead of the recorder's, or \
+                 it stamps ahead",
                 Unit::Second.show(early_s)
             )),
         };
@@ -91,9 +90,9 @@ fn judge(stream: &Of<StampEvidence>, simulated: bool) -> Judged {
     let effect = match aligned {
         Some((_, spread_s)) => {
             let spread = Unit::Second.show(spread_s);
-            format!("aligned by minimum delay, to the transport's spread of {spread}")
+            format!("aligned by minimum delay, within the transport's spread of {spread}")
         }
-        None => "not aligned, and not judged against the others".to_owned(),
+        None => "not aligned, and not compared with other streams".to_owned(),
     };
     let fault = Fault {
         cause: Cause::Stamps,
@@ -102,7 +101,7 @@ fn judge(stream: &Of<StampEvidence>, simulated: bool) -> Judged {
         message: format!("stamps are {by}off the other streams' clock"),
         evidence: Evidence { effect: Some(effect), ..Evidence::default() },
         fix: format!(
-            "stamp {} with the clock of the others, or use --stamp log",
+            "stamp {} with the clock of the other streams, or use --stamp log",
             stream.subject.label()
         ),
     };
@@ -113,7 +112,7 @@ fn judge(stream: &Of<StampEvidence>, simulated: bool) -> Judged {
         .with_evidence("spread_s", spread_s)
 }
 
-/// An offset with the standard error `spread_s`.
+/// An offset with standard error `spread_s`.
 fn estimate(offset_s: f64, spread_s: f64) -> Estimate {
     let offset = Measured { value: offset_s, std_error: spread_s, dof: f64::INFINITY };
     Estimate::amount("clock offset", Unit::Second, &offset)

@@ -4,28 +4,28 @@ use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Cadence;
 
 rule! {
-    /// Several messages carry one stamp and say different things.
+    /// Several samples have the same stamp but different content.
     ///
     /// ## What it means
-    /// More than 0.1 % of a stream's samples have the stamp of an earlier one, but not its content.
-    /// Of /tf each transform is looked at by itself, of joint states each sender.
+    /// More than 0.1 % of a stream's samples have the stamp of an earlier one, but different content. /tf
+    /// is checked per transform, joint states per publisher.
     ///
     /// ## Why it matters
-    /// At one time the arm is in one place. Interpolation divides by a time of zero, tf2 keeps one of
-    /// the two and warns of the other, and which one is chance.
+    /// The arm has one pose at a time. Interpolation divides by zero time, and tf2 keeps an arbitrary one
+    /// of the two with a warning.
     ///
     /// ## Evidence
-    /// `conflicts` is how many samples contradict an earlier one of the same stamp, `repeats` how
-    /// many only repeat it. The estimate is the share of those that contradict.
+    /// `conflicts` is the number of samples that contradict an earlier one with the same stamp, `repeats`
+    /// the number of identical repeats. The estimate is the fraction of conflicts.
     ///
     /// ## How to fix
-    /// Look for two nodes that publish the same, or a driver that stamps a whole batch of readings
-    /// with the time at which it read the buffer. Stamp every reading.
+    /// Look for two nodes that publish the same, or a driver that stamps a whole batch of measurements with
+    /// the time at which it read the buffer. Stamp every measurement.
     ///
     /// ## When it misleads
-    /// A node that sends its last value again with its old stamp, such as a state publisher that is
-    /// asked more often than it is told, repeats and does not contradict; that is not counted. Stamps
-    /// that are rounded to milliseconds may collide where the stream is faster than that.
+    /// A node that resends its last value with its old stamp, such as a state publisher that is polled
+    /// faster than it is updated, does not contradict itself and is not counted. Stamps rounded to
+    /// milliseconds may collide in a stream faster than 1 kHz.
     TIM004 {
         limits: &[DUPLICATES],
         name: "duplicate-stamps",
@@ -37,12 +37,12 @@ rule! {
     }
 }
 
-/// The share of samples from which on duplicates are a fault.
+/// Fraction of samples above which duplicate stamps are a fault.
 const DUPLICATES: Limit = Limit {
     key: "duplicates",
     unit: Unit::One,
     value: 1e-3,
-    what: "the share of samples from which on duplicates are a fault",
+    what: "fraction of samples above which duplicate stamps are a fault",
 };
 
 fn check(case: &Case) -> Vec<Judged> {
@@ -58,7 +58,7 @@ fn judge(case: &Case, rhythm: &Of<RhythmEvidence>) -> Judged {
     let concerned: Vec<&Cadence> = rhythm.parts.iter().filter(|part| share(part) > most).collect();
     let subject = rhythm.subject_of(&concerned);
     if !rhythm.parts.iter().any(|part| part.stamped) {
-        let outcome = Outcome::Skipped("its messages carry no stamps".to_owned());
+        let outcome = Outcome::Skipped("its messages have no stamps".to_owned());
         return Judged::new(subject, outcome).within(rhythm.span);
     }
     let repeats: usize = rhythm.parts.iter().map(|part| part.repeats).sum();
@@ -66,7 +66,9 @@ fn judge(case: &Case, rhythm: &Of<RhythmEvidence>) -> Judged {
     let Some(worst) = worst else {
         let outcome = match repeats {
             0 => Outcome::sound(),
-            _ => Outcome::sound_because(format!("{repeats} samples are sent twice, and are equal")),
+            _ => Outcome::sound_because(format!(
+                "{repeats} samples are sent twice with equal content"
+            )),
         };
         return Judged::new(subject, outcome).within(rhythm.span);
     };
@@ -75,12 +77,12 @@ fn judge(case: &Case, rhythm: &Of<RhythmEvidence>) -> Judged {
         severity: Severity::Warning,
         title: "stamps are used twice",
         message: format!(
-            "{} of {} samples have the stamp of another, and other content",
+            "{} of {} samples have the stamp of another sample but different content",
             worst.conflicts, worst.rows
         ),
         evidence: Evidence::default(),
         fix: format!(
-            "look for a second publisher on {}, and stamp every reading",
+            "check for a second publisher on {}, and stamp every measurement",
             rhythm.subject.label()
         ),
     };

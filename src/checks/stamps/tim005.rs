@@ -5,34 +5,37 @@ use crate::run::{HeaderStamps, RoundedStamps};
 use crate::time::Clock;
 
 rule! {
-    /// Stamps are zero, constant, backward, missing, rounded or beyond the run.
+    /// Stamps are zero, constant, backward, missing, rounded or far outside the run.
     ///
     /// ## What it means
-    /// The messages do not say when their content was true. The audit then takes the time at which
-    /// the recorder received them. Or a few samples carry a time a day or more from all the others, and a
-    /// hundred times as far as these are from each other: no run is that long, and they are left out.
+    /// The messages have no valid acquisition time. The audit then uses the time at which the recorder
+    /// received them.
     ///
-    /// Rounded stamps are multiples of a tick, such as whole seconds or hundredths, so that several rows share
-    /// one or their intervals alternate. The audit restores them from the order of the rows; this is `info`.
+    /// Stamps far outside the run are at least a day from all others, and at least a hundred times the
+    /// length of the run. Their samples are excluded.
+    ///
+    /// Rounded stamps are multiples of a tick, such as whole seconds or hundredths, so several rows share
+    /// one or their intervals alternate. The audit restores them from the row order; this is `info`.
     ///
     /// ## Why it matters
-    /// Receive times carry the transport's delay and its scatter: a latency found on such a stream
-    /// is that of content and transport together.
+    /// Receive times include the transport delay and its scatter. A latency found on such a stream includes
+    /// the transport.
     ///
     /// ## Evidence
-    /// `samples` is how many samples there are, `zero` how many of them carry a zero stamp,
-    /// `far` how many one that is beyond the run. Of rounded stamps `tick_s` is the tick, `shared` how many rows
-    /// had the stamp of the row before them, and `resolution_s` how far a restored stamp may be off.
+    /// - `samples`: number of samples; `zero`: those with a zero stamp; `far`: those with a stamp far
+    ///   outside the run.
+    /// - For rounded stamps: `tick_s` is the tick, `shared` the number of rows with the stamp of the
+    ///   previous row, and `resolution_s` the maximum error of a restored stamp.
     ///
     /// ## How to fix
-    /// Fill `header.stamp` when the sample is taken. Where the type has no header, use one that has
-    /// (PoseStamped for a bare array).
+    /// Fill `header.stamp` at acquisition. If the type has no header, use one that has (PoseStamped instead
+    /// of a bare array).
     ///
     /// ## When it misleads
-    /// A type without a header cannot carry a stamp; that is said as `info`, and only of a stream that
-    /// is audited. Commands are often sent without a stamp, to be followed at once: `info`, too.
-    /// Of stamps beyond the run at most three, or one in a thousand, are `info`.
-    /// Static transforms may carry stamp zero by design and are not counted.
+    /// A type without a header cannot have a stamp; this is `info`, and only for audited streams. Commands
+    /// are often sent without a stamp for immediate execution; this is also `info`. Up to three stamps
+    /// outside the run, or one in a thousand, are `info`. Static transforms may have stamp zero by design
+    /// and are not counted.
     TIM005 {
         name: "unusable-stamps",
         grade: Grade::Fixed(Severity::Warning),
@@ -43,14 +46,13 @@ rule! {
     }
 }
 
-const BEYOND: &str = "stamps are beyond the run";
+const BEYOND: &str = "stamps are far outside the run";
 
 fn check(case: &Case) -> Vec<Judged> {
     case.evidence.stamps.iter().filter(|stream| is_asked(stream)).map(judge).collect()
 }
 
-/// Whether the rule is asked about a stream: not where nothing is audited by it and its type has no
-/// stamp to fill.
+/// Whether the rule applies to a stream: it is audited, or its type has a stamp.
 fn is_asked(stream: &Of<StampEvidence>) -> bool {
     stream.due.is_expected() || stream.clock.stamps != HeaderStamps::Absent
 }
@@ -60,7 +62,7 @@ fn judge(stream: &Of<StampEvidence>) -> Judged {
     if let Some(rounded) = &stream.rounded {
         return judge_rounded(stream, rounded);
     }
-    // Many a command is sent without a stamp, to be followed at once.
+    // Many commands are sent without a stamp, for immediate execution.
     let usual = match stream.due {
         Due::OnOccasion => Severity::Info,
         Due::Always | Due::InMotion | Due::Untold => Severity::Warning,
@@ -73,40 +75,40 @@ fn judge(stream: &Of<StampEvidence>) -> Judged {
             BEYOND,
             format!("{far} of {rows} stamps are a day or more from all others"),
         ),
-        // A simulation's clock starts at zero.
+        // A simulation clock starts at zero.
         HeaderStamps::Sound if zero <= 1 => {
             let outcome = match zero {
                 0 => Outcome::sound(),
-                _ => Outcome::sound_because("one stamp is zero, and its sample left out"),
+                _ => Outcome::sound_because("one stamp is zero; its sample is excluded"),
             };
             return stream.judged(outcome);
         }
         HeaderStamps::Sound | HeaderStamps::Zero => {
-            (usual, "stamps are zero", format!("{zero} of {rows} stamps are zero or no time"))
+            (usual, "stamps are zero", format!("{zero} of {rows} stamps are zero or invalid"))
         }
         HeaderStamps::Backward => (
             usual,
             "stamps run backward",
-            format!("most of {rows} stamps are before the one before"),
+            format!("most of {rows} stamps are earlier than the previous one"),
         ),
         HeaderStamps::Constant => {
             (usual, "stamps stand still", format!("all {rows} stamps are the same"))
         }
         HeaderStamps::Absent => (
             Severity::Info,
-            "messages carry no stamps",
-            format!("{rows} messages carry no stamp, as their type has none"),
+            "messages have no stamps",
+            format!("{rows} messages have no stamp: their type has no header"),
         ),
     };
     let message = match far {
         0 => message,
         _ if title == BEYOND => message,
-        _ => format!("{message}; {far} samples are a day or more from all others and left out"),
+        _ => format!("{message}; {far} samples are a day or more from all others and excluded"),
     };
     let effect = match stream.clock.clock {
-        _ if title == BEYOND => "these samples are left out".to_owned(),
-        Clock::Header => "the samples without a stamp are left out".to_owned(),
-        clock => format!("judged by {} time, which includes the transport's delay", clock.name()),
+        _ if title == BEYOND => "these samples are excluded".to_owned(),
+        Clock::Header => "samples without a stamp are excluded".to_owned(),
+        clock => format!("judged by {} time, which includes the transport delay", clock.name()),
     };
     let fault = Fault {
         cause: Cause::Stamps,
@@ -114,7 +116,7 @@ fn judge(stream: &Of<StampEvidence>) -> Judged {
         title,
         message,
         evidence: Evidence { effect: Some(effect), ..Evidence::default() },
-        fix: "fill header.stamp when the sample is taken".to_owned(),
+        fix: "fill header.stamp at acquisition".to_owned(),
     };
     stream
         .judged(Outcome::faulty(fault))
@@ -128,18 +130,20 @@ fn judge_rounded(stream: &Of<StampEvidence>, rounded: &RoundedStamps) -> Judged 
     let [tick, resolution] = [tick_s, resolution_s].map(|s| Unit::Second.show(s));
     let sharing = match shared {
         0 => String::new(),
-        shared => format!(", {shared} of {} rows share one with the row before", stream.clock.rows),
+        shared => {
+            format!(", {shared} of {} rows share one with the previous row", stream.clock.rows)
+        }
     };
     let fault = Fault {
         cause: Cause::Stamps,
         severity: Severity::Info,
         title: "stamps are rounded",
         message: format!(
-            "stamps are multiples of {tick}{sharing}; restored from the order of the rows to ±{resolution}, beside \
-             a constant offset of up to half the tick"
+            "stamps are multiples of {tick}{sharing}; restored from the row order to ±{resolution}, plus a \
+             constant offset of up to half the tick"
         ),
         evidence: Evidence::default(),
-        fix: "record stamps with all their digits: nanoseconds, or seconds with six decimals"
+        fix: "record stamps with full resolution: nanoseconds, or seconds with six decimals"
             .to_owned(),
     };
     stream

@@ -5,37 +5,41 @@ use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subjec
 use crate::run::{Apart, Flaw, FlawKind};
 
 rule! {
-    /// The frames of the log are no tree.
+    /// The TF frames do not form a tree.
     ///
     /// ## What it means
-    /// A frame hangs below two others at once, frames hang below each other in a ring, a transform
-    /// of /tf_static is published with different values, two publishers give one transform or one topic
-    /// of poses or joint states different values, or no transforms lead from a frame that an audited stream needs to the arm's base.
+    /// One of the following:
+    ///
+    /// - A frame has two parents, or frames form a cycle.
+    /// - A transform on /tf_static is published with different values.
+    /// - Two nodes publish different values for one transform, or on one topic of poses or joint states.
+    /// - No transforms connect a frame that an audited stream needs to the arm's base.
     ///
     /// ## Why it matters
-    /// tf2 keeps whichever message came last: with two parents or two publishers a lookup gives one
-    /// answer now and another a moment later, and neither is an error to its caller. A ring and a
-    /// tree in pieces make lookups fail, and a static transform is cached for ever by whoever heard
-    /// it first.
+    /// tf2 uses the latest message. With two parents or two publishers, lookups alternate between two
+    /// answers without an error. A cycle or a disconnected tree makes lookups fail, and a static transform
+    /// is cached forever by whoever received it first.
     ///
     /// ## Evidence
-    /// `what` is `several-parents`, `cycle`, `static-moves`, `conflict` or `pieces`; `frames` the
-    /// frames, `topics` the topics. Where values differ, `length_m` and `angle_rad` say by how much,
-    /// and the estimate is the length, or the angle where there is no length. Of a conflict, `jumps` of
-    /// `samples` are elsewhere than those beside them. `what` is `publishers` where two rhythms tell two
-    /// publishers of a topic or a transform apart: `rates_hz` and `samples` are those of each. The other
-    /// rules look at the one with more samples.
+    /// - `what`: `several-parents`, `cycle`, `static-moves`, `conflict`, `publishers` or `pieces`.
+    /// - `frames`, `topics`: the frames and topics involved.
+    /// - `length_m`, `angle_rad`: difference of the values. The estimate is the length, or the angle if
+    ///   there is no length.
+    /// - For a conflict, `jumps` of `samples` differ from their neighbours.
+    /// - For `publishers`, two publishers of a topic or transform are distinguished by their rates;
+    ///   `rates_hz` and `samples` are those of each. The other rules use the one with more samples.
     ///
     /// ## How to fix
-    /// Let one node publish each transform, and give each frame one parent: turn a transform round,
-    /// or rename the frame of the second publisher. Publish what moves on /tf. For pieces, publish
-    /// the transform that ties the two roots.
+    /// Let one node publish each transform, and give each frame one parent: invert a transform, or rename
+    /// the frame of the second publisher. Publish moving frames on /tf. For disconnected frames, publish
+    /// the transform between the two roots.
     ///
     /// ## When it misleads
-    /// What is picked up and put down changes its parent now and then, which is no fault and not
-    /// counted as one. Two publishers that say the same are told as `info`. A static transform that was calibrated anew during the run did move. Streams
-    /// in the world of a tracker that no transform names need no tie: it is estimated. Topics in
-    /// different namespaces (`/left/tf`, `/right/tf`) are trees of their own.
+    /// - An object that is picked up and put down changes its parent occasionally; this is not counted.
+    /// - Two publishers with equal values are `info`.
+    /// - A static transform that was recalibrated during the run did change.
+    /// - A tracker's world frame needs no transform to the base: it is estimated.
+    /// - Topics in different namespaces (`/left/tf`, `/right/tf`) are separate trees.
     FRM004 {
         name: "broken-frame-tree",
         grade: Grade::Fixed(Severity::Error),
@@ -78,7 +82,7 @@ fn judge(flaw: &Flaw) -> Judged {
     for (key, value) in said.numbers {
         judged = judged.with_evidence(key, value);
     }
-    // Of what turns only, by how much.
+    // A pure rotation is measured by its angle.
     let moved = said.by.map(|by| match by.length_m < 1e-6 && by.angle_rad > 0.0 {
         true => Estimate::counted("difference", "rad", by.angle_rad),
         false => Estimate::counted("difference", "m", by.length_m),
@@ -86,12 +90,12 @@ fn judge(flaw: &Flaw) -> Judged {
     judged.estimated(moved)
 }
 
-/// A flaw in words.
+/// A TF problem with its messages.
 struct Said {
     severity: Severity,
     what: &'static str,
     title: &'static str,
-    /// The frames, that which is meant first.
+    /// The frames, the affected one first.
     frames: Vec<String>,
     by: Option<Apart>,
     numbers: Vec<(&'static str, Value)>,
@@ -115,13 +119,13 @@ impl Said {
                     parents.join("' and '")
                 ),
                 fix: format!(
-                    "keep one of these transforms of '{child}'; publish the others inverted, or not at all"
+                    "keep one of these transforms of '{child}'; invert or remove the others"
                 ),
             },
             FlawKind::Cycle { frames } => Self {
                 severity: Severity::Error,
                 what: "cycle",
-                title: "frames form a ring",
+                title: "frames form a cycle",
                 frames: frames.clone(),
                 by: None,
                 numbers: Vec::new(),
@@ -131,8 +135,7 @@ impl Said {
                         format!("'{}' are each other's parents, on {on}", several.join("', '"))
                     }
                 },
-                fix: "publish one of these transforms the other way round, or not at all"
-                    .to_owned(),
+                fix: "invert or remove one of these transforms".to_owned(),
             },
             FlawKind::StaticMoves { edge, by } => Self {
                 severity: Severity::Error,
@@ -142,12 +145,12 @@ impl Said {
                 by: Some(*by),
                 numbers: numbers(by).to_vec(),
                 message: format!(
-                    "'{}' to '{}' on {on} is published with values that are {} apart",
+                    "static transform '{}' to '{}' on {on} has values that differ by {}",
                     edge.parent,
                     edge.child,
                     shown(by)
                 ),
-                fix: format!("publish '{}' on /tf, or once", edge.child),
+                fix: format!("publish '{}' on /tf, or only once", edge.child),
             },
             FlawKind::Conflict { edge, by, jumps, rows } => Self {
                 severity: Severity::Error,
@@ -158,7 +161,7 @@ impl Said {
                 numbers: [&numbers(by)[..], &[("jumps", json!(jumps)), ("samples", json!(rows))]]
                     .concat(),
                 message: format!(
-                    "'{}' to '{}' on {on} jumps between values that are {} apart",
+                    "'{}' to '{}' on {on} jumps between values that differ by {}",
                     edge.parent,
                     edge.child,
                     shown(by)
@@ -169,7 +172,7 @@ impl Said {
                 let what = match (edge, edges) {
                     (Some(edge), 0 | 1) => format!("'{}' to '{}' on {on}", edge.parent, edge.child),
                     (Some(edge), edges) => format!(
-                        "{edges} transforms on {on}, '{}' to '{}' above all,",
+                        "{edges} transforms on {on} (worst: '{}' to '{}')",
                         edge.parent, edge.child
                     ),
                     (None, _) => on.clone(),
@@ -181,11 +184,11 @@ impl Said {
                 };
                 let message = match by {
                     Some(by) => format!(
-                        "{what} is published twice, at {a} and at {b}, with values that are {} apart",
+                        "two publishers of {what}, at {a} and {b}, differ by {}",
                         amount(by)
                     ),
                     None => {
-                        format!("it is published twice, at {a} and at {b}, with the same values")
+                        format!("two publishers, at {a} and {b}, send the same values")
                     }
                 };
                 let frames = edge.iter().flat_map(|edge| [edge.child.clone(), edge.parent.clone()]);
@@ -197,7 +200,7 @@ impl Said {
                     what: "publishers",
                     title: match by {
                         Some(_) => "two publishers disagree",
-                        None => "two publishers say the same",
+                        None => "two publishers send the same",
                     },
                     frames: frames.collect(),
                     by: *by,
@@ -209,14 +212,14 @@ impl Said {
             FlawKind::Pieces { needed_by, frame, base } => Self {
                 severity: Severity::Error,
                 what: "pieces",
-                title: "the frames are in pieces",
+                title: "the frame tree is disconnected",
                 frames: vec![frame.clone(), base.clone()],
                 by: None,
                 numbers: vec![("needed_by", json!(needed_by))],
                 message: format!(
-                    "no transforms lead from '{frame}', which {needed_by} needs, to '{base}'"
+                    "no transforms connect '{frame}', needed by {needed_by}, to '{base}'"
                 ),
-                fix: format!("publish the transform that ties '{frame}' to '{base}'"),
+                fix: format!("publish the transform between '{frame}' and '{base}'"),
             },
         }
     }

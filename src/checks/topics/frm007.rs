@@ -6,43 +6,49 @@ use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Sight, Unit};
 use crate::run::WhyNot;
 
 rule! {
-    /// An arm or a pose stream is not audited, or not as what it says it is.
+    /// An arm or a pose stream is not audited, or not as declared.
     ///
     /// ## What it means
-    /// The log holds a stream that says it is a tool's pose, or joint states of an arm, and it cannot be
-    /// taken at its word: its `frame_id` is the tool's own frame, in which the tool never moves; its
-    /// orientations were never set; its pose never changes while the joints move the tool; some of its poses are in frames that
-    /// nothing ties to the arm; the arm's base moves in its frame and no transform says how; it may
-    /// be of either of two arms; no kinematics can be held against it; no model has its joints. What can
-    /// be told without that is told all the same: positions are audited where orientations are not set,
-    /// and poses in the tool's own frame as ones in an unknown frame.
+    /// The log contains a tool pose stream, or joint states of an arm, whose metadata cannot be trusted.
+    /// `why` names the reason:
+    ///
+    /// - `own-frame`: its `frame_id` is the tool's own frame, in which the tool cannot move.
+    /// - `no-orientation`: its orientations were never set.
+    /// - `never-changes`: its pose is constant while the joints move the tool.
+    /// - `scene-objects`: its bodies never move: they are objects of the scene.
+    /// - `other-frames`: some poses are in frames without a transform to the arm.
+    /// - `base-moves`: the arm's base moves in its frame, and no transform describes how.
+    /// - `whose-arm`: it may belong to either of two arms.
+    /// - `no-kinematics`: no kinematics can be compared with it.
+    /// - `no-model`: no model has its joints.
+    ///
+    /// Everything else is still audited: positions if orientations are not set, and poses in the tool's own
+    /// frame as poses in an unknown frame.
     ///
     /// ## Why it matters
-    /// What is not audited is not sound. A run that passes says nothing of such a stream, and a program
-    /// that believes its frame or its orientation is wrong by all of it.
+    /// A stream that is not audited may be wrong even if the run passes. A program that trusts its frame or
+    /// orientation is wrong by the full offset.
     ///
     /// ## Evidence
-    /// `why` is `own-frame`, `no-orientation`, `never-changes`, `scene-objects`, `other-frames`, `base-moves`,
-    /// `whose-arm`, `no-kinematics` or `no-model`; beside it stand the number of `samples` and how far the joints move the tool (`moved_m`), the `frame`, the `base` with how far it travels (`travel_m`) and turns
-    /// (`turn_rad`), the `arms`, what is `missing`, or the `joints`.
+    /// `why`, and depending on it: the number of `samples`, the tool's travel by the joints (`moved_m`),
+    /// the `frame`, the `base` with its travel (`travel_m`) and rotation (`turn_rad`), the `arms`, the
+    /// `frames`, the `bodies`, `missing` kinematics, or the `joints`.
     ///
     /// ## How to fix
-    /// Write the frame that the numbers are in into `frame_id` (the base, not the tool). Set the
-    /// orientation, or publish a point. Record the transform from the frame to the base that moves in it
-    /// (odometry's, on /tf). Name topics after their arms. Record the description of every robot, or name
-    /// it with `--robot PREFIX=FILE`.
+    /// Set `frame_id` to the frame of the poses (the base, not the tool). Set the orientation, or publish a
+    /// point. Record the transform from the frame to a moving base (odometry, on /tf). Name topics after
+    /// their arms. Record the description of every robot, or name it with `--robot PREFIX=FILE`.
     ///
     /// ## When it misleads
-    /// Joint states of an arm that nobody wants to audit (a leader arm that is held by hand, an arm
-    /// beside the cell) are said, too: ignore the rule for their topic. A gantry or a SCARA that never
-    /// tilts its tool has an orientation that stays the same: only where the joints turn the tool that is
-    /// said of it.
+    /// Joint states of an arm that is not to be audited (a hand-held leader arm, an arm next to the cell)
+    /// are also reported: ignore the rule for their topic. A gantry or a SCARA that never tilts its tool
+    /// has a constant orientation; it is reported only if the joints rotate the tool.
     FRM007 {
         name: "not-audited",
         grade: Grade::Fixed(Severity::Warning),
         headline: false,
         needs_model: true,
-        missing: "no stream of tool poses or joint states that an arm is held against",
+        missing: "no stream of tool poses or joint states of an arm",
         check: check,
     }
 }
@@ -91,10 +97,10 @@ fn words(why: &WhyNot) -> Words {
             why: "own-frame",
             title: "frame_id is the tool's own frame",
             message: format!(
-                "its frame_id '{frame}' is the tool's own frame, in which the tool does not move, and \
-                 its poses do; they are audited as ones in an unknown frame"
+                "frame_id is '{frame}', the tool's own frame, yet the pose moves; audited as poses in an \
+                 unknown frame"
             ),
-            fix: "write the frame that the numbers are in (the arm's base) into frame_id"
+            fix: "set frame_id to the frame of the poses (the arm's base)"
                 .to_owned(),
             evidence: vec![("frame", json!(frame))],
         },
@@ -102,53 +108,52 @@ fn words(why: &WhyNot) -> Words {
             why: "no-orientation",
             title: "orientations were never set",
             message:
-                "all its orientations are the same or none, while the joints turn the tool; only \
-                      its positions are audited"
+                "all orientations are equal or unset while the joints rotate the tool; only positions are \
+                 audited"
                     .to_owned(),
             fix: "set the orientation, or publish a point".to_owned(),
             evidence: Vec::new(),
         },
         WhyNot::OtherFrames { frames, samples, of } => Words {
             why: "other-frames",
-            title: "a topic whose poses are in several frames",
+            title: "topic has poses in several frames",
             message: format!(
-                "{samples} of its {of} poses are in other frames ({}), which nothing ties to the arm: where \
-                 they should be is not known",
+                "{samples} of {of} poses are in other frames ({}) without a transform to the arm; not \
+                 audited",
                 few(frames)
             ),
-            fix: "see who else sends on the topic, and give each source a topic, or record the transforms \
-                  to these frames"
+            fix: "check which other nodes publish on the topic and separate the sources, or record the \
+                transforms to these frames"
                 .to_owned(),
             evidence: vec![("frames", json!(frames.len())), ("samples", json!(samples))],
         },
         WhyNot::NeverChanges { samples, moved_m } => Words {
             why: "never-changes",
-            title: "poses that never change",
+            title: "pose never changes",
             message: format!(
-                "all its {samples} poses are the same, while the joints move the tool by {}; nothing is \
-                 held against them",
+                "all {samples} poses are equal while the joints move the tool by {}; not audited",
                 Unit::Metre.show(*moved_m)
             ),
-            fix: "look for what stopped it, and record it for as long as the arm moves".to_owned(),
+            fix: "check why it stopped, and record it while the arm moves".to_owned(),
             evidence: vec![("samples", json!(samples)), ("moved_m", json!(moved_m))],
         },
         WhyNot::SceneObjects { names } => Words {
             why: "scene-objects",
             title: "objects of the scene",
             message: format!(
-                "{} bodies on it never move ({}): objects of the scene, not the tool",
+                "{} bodies never move ({}): scene objects, not the tool",
                 names.len(),
                 few(names)
             ),
-            fix: "nothing to fix; leave the topic out of the recording if nobody needs it".to_owned(),
+            fix: "no action needed; exclude the topic from recording if it is unused".to_owned(),
             evidence: vec![("bodies", json!(names))],
         },
         WhyNot::BaseMoves { frame, base, travel_m, turn_rad } => Words {
             why: "base-moves",
-            title: "the arm's base moves in the frame of the poses",
+            title: "arm base moves in the frame of the poses",
             message: format!(
-                "'{base}' moves in its frame '{frame}', by {travel_m:.2} m and {:.0}°, and no transform \
-                 in the log says how: the poses cannot be held against the joint states",
+                "'{base}' moves in its frame '{frame}' by {travel_m:.2} m and {:.0}° without a transform in \
+                 the log: poses cannot be compared with the joint states",
                 turn_rad.to_degrees()
             ),
             fix: format!("record the transforms from '{frame}' to '{base}' (/tf, or odometry)"),
@@ -161,9 +166,9 @@ fn words(why: &WhyNot) -> Words {
         },
         WhyNot::WhoseArm { arms } => Words {
             why: "whose-arm",
-            title: "nothing says which arm's pose it is",
+            title: "pose stream of an unknown arm",
             message: format!(
-                "it may be the tool of {}: names and frames do not tell, and the motion does not either",
+                "it may be the tool of {}: neither names, frames nor motion identify the arm",
                 arms.join(" or ")
             ),
             fix: "name the topic or its frames after the arm".to_owned(),
@@ -171,27 +176,27 @@ fn words(why: &WhyNot) -> Words {
         },
         WhyNot::NoKinematics { what } => Words {
             why: "no-kinematics",
-            title: "a tool's pose cannot be held against the arm",
-            message: format!("its name or its frames say that it is a tool's pose, but {what}"),
+            title: "tool pose cannot be compared with the arm",
+            message: format!("a tool pose by its name or frames, but {what}"),
             fix: "record what is missing, or name the frames with `frame` and `link` in the config"
                 .to_owned(),
             evidence: vec![("missing", json!(what))],
         },
         WhyNot::NoModel { joints } => Words {
             why: "no-model",
-            title: "joint states of an arm that no model has",
+            title: "joint states of an arm without a model",
             message: format!(
-                "{} joints move as an arm's ({}), and no model has them",
+                "{} joints move like an arm ({}), but no model has them",
                 joints.len(),
                 few(joints)
             ),
-            fix: "record the robot's description, or name it with --robot PREFIX=FILE".to_owned(),
+            fix: "record the robot description, or pass it with --robot PREFIX=FILE".to_owned(),
             evidence: vec![("joints", json!(joints))],
         },
     }
 }
 
-/// The first of some names.
+/// The first of the names, comma-separated.
 fn few(names: &[String]) -> String {
     const SHOWN: usize = 4;
     let shown = names.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ");

@@ -3,26 +3,26 @@ use crate::evidence::{Undecodable, UndecodableTopic};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Sight, Subject};
 
 rule! {
-    /// A topic that the audit wants cannot be decoded.
+    /// A topic needed by the audit cannot be decoded.
     ///
     /// ## What it means
-    /// The topic's type is one that an audit uses, but its messages cannot be read: the schema is
-    /// missing or malformed, the encoding is unknown, or messages are shorter than the schema says. Or
-    /// the topic holds a robot description that cannot be read, and no `--robot` stands in for it: the
-    /// catalogue's arm may, and is no proof that the description is right.
+    /// The audit uses the topic's type, but cannot decode its messages: the schema is missing or malformed,
+    /// the encoding is unknown, or messages are shorter than their schema. Or the topic has a robot
+    /// description that cannot be parsed and no `--robot` replaces it. An arm from the catalogue may be
+    /// used instead, but does not verify the description.
     ///
     /// ## Why it matters
-    /// What is on the topic was not audited. That must not be taken for "fine".
+    /// The topic was not audited, so it may be wrong even if everything else passes.
     ///
     /// ## Evidence
-    /// How many messages are concerned, and why the first of them could not be read.
+    /// The number of affected messages, and why the first of them could not be decoded.
     ///
     /// ## How to fix
-    /// Record with the schema in the log (rosbag2 does so for MCAP since Iron), and with the
-    /// message definitions that the publisher was built with.
+    /// Record with the schema in the log (rosbag2 does so for MCAP since Iron), and with the publisher's
+    /// message definitions.
     ///
     /// ## When it misleads
-    /// A single short message, as of a recorder that was killed, counts like any other.
+    /// A single short message, for instance from a killed recorder, also counts.
     ING002 {
         name: "undecodable-topic",
         grade: Grade::Fixed(Severity::Warning),
@@ -44,11 +44,11 @@ fn judge(topic: &UndecodableTopic) -> Judged {
     let (message, fix) = match &topic.what {
         Undecodable::Messages(type_name) => (
             format!("{} messages of {type_name} cannot be decoded: {}", topic.messages, topic.why),
-            "record with the message definitions that the publisher was built with",
+            "record with the publisher's message definitions",
         ),
         Undecodable::Description => (
-            format!("its robot description cannot be read: {}", topic.why),
-            "correct the description, or name the model with --robot",
+            format!("robot description cannot be parsed: {}", topic.why),
+            "correct the description, or pass a model with --robot",
         ),
     };
     let fault = Fault {

@@ -6,36 +6,40 @@ use crate::geometry::{Coding, Convention, QuaternionSlip, vendors};
 use crate::log::{Note, RotationLabels};
 
 rule! {
-    /// Metadata contradict the numbers.
+    /// Metadata contradict the data.
     ///
     /// ## What it means
-    /// What a dataset declares of its columns (the rate, how many numbers a row has, their names) is not
-    /// what the file holds; or the name of a column says rad or joint position, and its numbers go beyond two
-    /// turns or hold a unit quaternion in each row; or the columns of a rotation are named roll, pitch, yaw, A, B,
-    /// C (KUKA), W, P, R (FANUC), O, A, T (Kawasaki) or x, y, z, w, and follow the arm only in another encoding; or commands name their numbers in another order than the
-    /// joints that these move as; or an episode's columns are others than its dataset's.
+    /// One of the following:
+    ///
+    /// - The columns declared by a dataset (rate, row length, names) differ from the file's.
+    /// - A column named as rad or joint position exceeds two turns, or holds a unit quaternion in each row.
+    /// - Rotation columns are named roll, pitch, yaw; A, B, C (KUKA); W, P, R (FANUC); O, A, T (Kawasaki);
+    ///   or x, y, z, w, but follow the arm only in another encoding.
+    /// - Commands list their joints in a different order than the joints that follow them.
+    /// - An episode's columns differ from its dataset's.
     ///
     /// ## Why it matters
-    /// Loaders believe the metadata. A wrong rate scales every velocity and every latency; a name too few
-    /// shifts the meaning of all numbers behind it.
+    /// Loaders trust the metadata. A wrong rate scales every velocity and latency. A missing name shifts
+    /// the meaning of all following columns.
     ///
     /// ## Evidence
-    /// One finding for each contradiction, with the file; the message has the declared and the measured value.
+    /// One finding per contradiction, with the file. The message has the declared and the measured value.
     ///
     /// ## How to fix
-    /// Correct `meta/info.json` or the name, or write the dataset again with the features it declares.
+    /// Correct `meta/info.json` or the name, or rewrite the dataset with the declared features.
     ///
     /// ## When it misleads
-    /// Two joints that move alike are not told from each other, and swapped names of such are not found. Rates are compared with the median step of the stamps, where the stamps are a column: stamps that the
-    /// recorder made from the declared rate agree with it whatever the true rate was. Other
-    /// units and meanings are not compared here: joints in degrees are ORD004's, a pose that follows no arm is
-    /// FRM007's.
+    /// - Two joints that move alike cannot be distinguished, so swapped names between them are not found.
+    /// - Rates are compared with the median interval of a stamp column. Stamps that the recorder generated
+    ///   from the declared rate always agree with it.
+    /// - Other units and meanings are not checked here: ORD004 detects joints in degrees, FRM007 a pose
+    ///   that follows no arm.
     META001 {
         name: "contradicted-metadata",
         grade: Grade::Fixed(Severity::Warning),
         headline: false,
         needs_model: false,
-        missing: "no metadata that declare what the numbers are",
+        missing: "no metadata that declare the columns",
         check: check,
     }
 }
@@ -53,7 +57,7 @@ fn check(case: &Case) -> Vec<Judged> {
 
 fn judge(note: &Note) -> Judged {
     let file = note.file.display().to_string();
-    let fix = "correct the metadata, or write the dataset again";
+    let fix = "correct the metadata, or rewrite the dataset";
     let outcome = contradicted(note.what.clone(), fix.to_owned());
     Judged::new(Subject { topic: Some(file), ..Subject::default() }, outcome)
 }
@@ -62,17 +66,18 @@ fn contradicted(message: String, fix: String) -> Outcome {
     Outcome::faulty(Fault {
         cause: Cause::Other,
         severity: Severity::Warning,
-        title: "metadata contradict the numbers",
+        title: "metadata contradict the data",
         message,
         evidence: Evidence::default(),
         fix,
     })
 }
 
-/// Whether the rotation of a stream is what the names of its columns say; `None` if they say nothing, or the
-/// motion does not tell.
+/// Whether the rotation encoding of a stream matches its column names. `None` if the names or the motion do
+/// not determine it.
 fn judge_labels(arm: &ArmEvidence, pose: &Of<PoseEvidence>) -> Option<Judged> {
-    /// No reading is believed that leaves more, rad; the named one must leave so many times what the best does.
+    /// Maximum residual of a credible encoding, rad, and maximum ratio of the named encoding's residual to
+    /// the best.
     const FOLLOWS_RAD: f64 = 0.17;
     const CLEAR_RATIO: f64 = 2.0;
     let labels = pose.labels?;
@@ -99,7 +104,7 @@ fn judge_labels(arm: &ArmEvidence, pose: &Of<PoseEvidence>) -> Option<Judged> {
         false => {
             let said = named.first().map_or_else(String::new, Coding::to_string);
             let message = format!(
-                "its rotation is named {} ({said}), and the numbers follow the arm only as {best}",
+                "rotation columns are named {} ({said}), but they follow the arm only as {best}",
                 words(labels)
             );
             contradicted(message, format!("rename the columns, or write the rotation as {said}"))
@@ -108,17 +113,17 @@ fn judge_labels(arm: &ArmEvidence, pose: &Of<PoseEvidence>) -> Option<Judged> {
     Some(pose.judged(outcome))
 }
 
-/// The encodings that names may stand for, the usual one first.
+/// The encodings that the names may denote, the most common first.
 fn codings(labels: RotationLabels, arm: &str) -> Vec<Coding> {
     let is_of = |maker: &str| arm.to_lowercase().contains(maker);
-    // `vendors.toml`: makers whose A, B, C are not KUKA's.
+    // `vendors.toml`: manufacturers whose A, B, C differ from KUKA's.
     let makers: &[&str] = match labels {
         RotationLabels::Quaternion => return vec![Coding::Xyzw],
         RotationLabels::RotationVector => return vec![Coding::Three(Convention::RotVec)],
         RotationLabels::RollPitchYaw => &["xarm"],
         RotationLabels::Wpr => &["fanuc"],
         RotationLabels::Oat => &["kawasaki"],
-        // A Doosan can be set to other orders.
+        // A Doosan is configurable to other orders.
         RotationLabels::Abc if is_of("doosan") => &["doosan", "kuka", "mitsubishi"],
         RotationLabels::Abc if is_of("mitsubishi") => &["mitsubishi"],
         RotationLabels::Abc => &["kuka"],

@@ -5,31 +5,31 @@ use crate::evidence::{RepeatEvidence, RepeatKind};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Subject};
 
 rule! {
-    /// Columns repeat others, or never change.
+    /// Columns repeat others or never change.
     ///
     /// ## What it means
-    /// Two columns of a table hold the same numbers in every row, to the last bit, or a column holds one
-    /// value while the arm moves. What was measured twice differs in its noise: one of the two is a copy.
+    /// Two columns of a table are identical in every row, bit for bit, or a column is constant while the
+    /// arm moves. Two measurements differ in noise, so one of the two is a copy.
     ///
     /// ## Why it matters
-    /// A copy confirms nothing. Commands that are the states teach a policy to stay where it is, a tracker's
-    /// pose that is the controller's is no witness from outside, and a joint that is another joint leaves
-    /// one of them unknown.
+    /// A copy is not independent evidence. Commands that equal the states teach a policy to stay in place.
+    /// A tracker pose copied from the controller is not independent. A joint copied from another joint
+    /// leaves one of them unknown.
     ///
     /// ## Evidence
-    /// `of` is what is repeated; there is none where the column holds one value. All rows of all episodes
-    /// that were read repeat.
+    /// `of` is the original column; null if the column is constant. The columns are identical in all rows
+    /// of all episodes that were read.
     ///
-    /// A warning where commands are states, where poses from outside are the controller's, and where a joint
-    /// is another one; `info` of other copies, of joints that rest, and of topics that stand still.
+    /// It is a warning if commands equal states, if independent poses equal the controller's, or if a joint
+    /// equals another. Other copies, resting joints and constant topics are `info`.
     ///
     /// ## How to fix
-    /// See where the recorder takes the column from, and record what it should hold.
+    /// Check where the recorder takes the column from, and record the intended signal.
     ///
     /// ## When it misleads
-    /// A recorder may write one measurement under two names on purpose, as LIBERO does; that is `info`. A
-    /// joint that is not used rests to the bit where its encoder is coarse. Copies by another unit or type,
-    /// and with a shift by a row, are not told; nor is anything in episodes of less than 20 rows.
+    /// A recorder may deliberately write one measurement under two names, as LIBERO does; this is `info`.
+    /// An unused joint is constant if its encoder is coarse. Copies in another unit or type, or shifted by
+    /// a row, are not detected. Episodes shorter than 20 rows are skipped.
     META002 {
         name: "repeated-columns",
         grade: Grade::Fixed(Severity::Warning),
@@ -54,34 +54,33 @@ fn judge(found: &RepeatEvidence) -> Judged {
     let (severity, title, message) = match kind {
         RepeatKind::CommandIsState => (
             Severity::Warning,
-            "commands are the states",
-            format!("equals {of} in every row, to the bit: one of the two is a copy"),
+            "commands equal the states",
+            format!("identical to {of} in every row: one of the two is a copy"),
         ),
         RepeatKind::WitnessIsOther => (
             Severity::Warning,
-            "a witness is a copy",
-            format!("equals {of} in every row, to the bit: it is no witness from outside"),
+            "independent pose is a copy",
+            format!("identical to {of} in every row: not an independent measurement"),
         ),
         RepeatKind::JointIsJoint => (
             Severity::Warning,
             "a joint is a copy of another",
-            format!("equals {of} in every row of {}, to the bit", repeat.topic),
+            format!("identical to {of} in every row of {}", repeat.topic),
         ),
         RepeatKind::JointRests => (
             Severity::Info,
             "a joint never moves",
-            format!("holds one value in every row of {} while other joints move", repeat.topic),
+            format!("constant in every row of {} while other joints move", repeat.topic),
         ),
         RepeatKind::Still => (
             Severity::Info,
             "columns never change",
-            "hold one value in every row while the arm moves; nothing is held against them"
-                .to_owned(),
+            "constant in every row while the arm moves; not compared with anything".to_owned(),
         ),
         RepeatKind::Same => (
             Severity::Info,
             "columns are copies",
-            format!("equals {of} in every row, to the bit: it confirms nothing that {of} does not"),
+            format!("identical to {of} in every row: it adds no evidence to {of}"),
         ),
     };
     let fault = Fault {
@@ -90,7 +89,7 @@ fn judge(found: &RepeatEvidence) -> Judged {
         title,
         message,
         evidence: Evidence::default(),
-        fix: "see where the recorder takes these columns from".to_owned(),
+        fix: "check where the recorder takes these columns from".to_owned(),
     };
     let (topic, joint) = (Some(repeat.topic.clone()), repeat.number.clone());
     Judged::new(Subject { topic, joint, ..Subject::default() }, Outcome::faulty(fault))

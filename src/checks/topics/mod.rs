@@ -1,4 +1,4 @@
-//! Files, topics and frames: what is damaged, not there, not read or not audited.
+//! Files, topics and frames: damaged, missing or unaudited data.
 
 pub(super) mod frm004;
 pub(super) mod frm007;
@@ -11,7 +11,7 @@ pub(super) mod tim006;
 use super::Family;
 
 pub(super) static FAMILY: Family = Family {
-    examines: "Files, topics and frames: what is damaged, not there, not read or not audited",
+    examines: "Files, topics and frames: damaged, missing or unaudited data",
     rules: &[
         &ing001::ING001,
         &ing002::ING002,

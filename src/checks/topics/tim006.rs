@@ -4,69 +4,75 @@ use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subjec
 use crate::run::{Cadence, Stretch};
 
 rule! {
-    /// A stream that is expected is empty, incomplete or slow.
+    /// An expected stream is empty, incomplete or slow.
     ///
     /// ## What it means
-    /// A topic of joint states, transforms, tool poses or an IMU is in the log and holds no message, or
-    /// none whose numbers are finite; or it begins or ends more than a second off the others, by when
-    /// messages were received; or it runs below its own usual rate for two seconds or more, or below the
-    /// rate that a config declares; or a config names a topic that the log does not have.
+    /// One of the following:
+    ///
+    /// - A topic of joint states, transforms, tool poses or an IMU has no messages, or none with finite
+    ///   values.
+    /// - It begins or ends more than a second apart from the others, by receive time.
+    /// - It runs below its usual rate for two seconds or more, or below the rate declared in a config.
+    /// - A config names a topic that the log does not have.
     ///
     /// ## Why it matters
-    /// What is not there was not audited, however well the rest passes. A stream that ends early is a
-    /// driver that died; one that slows down is a machine that cannot keep up.
+    /// Missing data were not audited, even if everything else passes. A stream that ends early indicates a
+    /// crashed driver; one that slows down, an overloaded machine.
     ///
     /// ## Evidence
-    /// `late_start_s` and `early_end_s` against the median of the other streams, and how slow the
-    /// slowest stretch is. The estimate is the time missed in seconds, or the rate in that stretch.
+    /// `late_start_s` and `early_end_s` are relative to the median of the other streams. The estimate is
+    /// the missed time in seconds, or the rate in the slowest stretch.
     ///
     /// ## How to fix
-    /// Start the recorder when all drivers run and stop it before them; look into the driver's log at
-    /// the time where its stream ends.
+    /// Start the recorder when all drivers run and stop it before them. Check the driver's log at the time
+    /// at which its stream ends.
     ///
     /// ## When it misleads
-    /// A stream that is sent on change begins with the first motion and ends with the last; where the
-    /// arm rested meanwhile, that is no fault. What rate a driver should have is a setting of it: one
-    /// that is slow from first to last is noticed only where a config declares its `rate_hz`.
-    /// Commands, what a camera sees and streams that nobody assigned are not expected, and may be empty
-    /// or short.
+    /// A stream published on change begins with the first motion and ends with the last; this is not a
+    /// fault if the arm rested otherwise. A driver that is too slow throughout is detected only if a config
+    /// declares its `rate_hz`. Commands, camera detections and streams without an assigned role may be
+    /// empty or short.
     TIM006 {
         limits: &[TOGETHER, SLOW, LASTS, BELOW],
         name: "incomplete-stream",
         grade: Grade::Fixed(Severity::Warning),
         headline: false,
         needs_model: false,
-        missing: "no stream that must be whole in this log",
+        missing: "no stream that must be complete in this log",
         check: check,
     }
 }
 
-/// Streams that begin and end so close together begin and end as one.
+/// Maximum difference of start or end times between complete streams.
 const TOGETHER: Limit = Limit {
     key: "together",
     unit: Unit::Second,
     value: 1.0,
-    what: "streams that begin and end within this are complete",
+    what: "maximum difference in start and end times of complete streams",
 };
-/// A stream is slow where its interval is this many times the usual, …
+/// Minimum ratio of a slow stream's interval to the usual one.
 const SLOW: Limit = Limit {
     key: "slow",
     unit: Unit::One,
     value: 1.4,
-    what: "a stream is slow where its interval is this many times the usual",
+    what: "minimum ratio of a slow stream's interval to the usual one",
 };
-/// … for this long or longer.
-const LASTS: Limit =
-    Limit { key: "lasts", unit: Unit::Second, value: 2.0, what: "and stays so for this long" };
-/// A stream is slow that runs below this share of its declared rate.
+/// Minimum duration of a slow stretch.
+const LASTS: Limit = Limit {
+    key: "lasts",
+    unit: Unit::Second,
+    value: 2.0,
+    what: "minimum duration of a slow stretch",
+};
+/// Minimum ratio of the measured rate to the declared rate.
 const BELOW: Limit = Limit {
     key: "below",
     unit: Unit::One,
     value: 0.9,
-    what: "the share of its declared rate below which a stream is slow",
+    what: "minimum ratio of the measured to the declared rate",
 };
 
-/// What a lower rate is.
+/// The limits of a lower rate.
 #[derive(Clone, Copy)]
 pub(in crate::checks) struct Pace {
     slow: f64,
@@ -93,11 +99,11 @@ fn nothing(empty: &EmptyEvidence) -> Judged {
     let (message, fix) = match empty.messages {
         0 => (
             "topic recorded but empty".to_owned(),
-            format!("see whether {topic} was published, with a compatible QoS"),
+            format!("check that {topic} was published, with a compatible QoS"),
         ),
         messages => (
-            format!("it holds finite numbers in none of its {messages} messages"),
-            format!("see what {topic} is computed from"),
+            format!("none of its {messages} messages has finite values"),
+            format!("check the source of {topic}"),
         ),
     };
     Judged::new(
@@ -121,14 +127,14 @@ fn missing(subject: Subject, place: &str) -> Judged {
             cause: Cause::Stamps,
             severity: Severity::Warning,
             title: "stream is missing",
-            message: format!("the log has no such topic, and {place} expects it"),
+            message: format!("the log has no such topic, but {place} expects it"),
             evidence: Evidence::default(),
             fix: format!("record {topic}, or correct its name there"),
         }),
     )
 }
 
-/// The rate of a stream where it is notably below that which the caller says, and that one, Hz.
+/// Measured and declared rate, Hz, if the stream is notably slower than declared.
 fn below_said(case: &Case, rhythm: &Of<RhythmEvidence>) -> Option<(f64, f64)> {
     let (said_hz, rate_hz) = (rhythm.said_hz?, rhythm.rate_hz?);
     (rate_hz < case.thresholds.limit(&TIM006, &BELOW) * said_hz).then_some((rate_hz, said_hz))
@@ -161,7 +167,7 @@ fn judge(case: &Case, rhythm: &Of<RhythmEvidence>) -> Judged {
             format!("runs at {rate_hz:.1} Hz for {length} from {at}, usually at {usual_hz:.1} Hz");
         ("stream is slow", message, Estimate::counted("rate", "Hz", rate_hz))
     } else if let Some((rate_hz, said_hz)) = below_said(case, rhythm) {
-        let message = format!("runs at {rate_hz:.1} Hz, and {said_hz:.1} Hz are declared");
+        let message = format!("runs at {rate_hz:.1} Hz; declared are {said_hz:.1} Hz");
         ("stream is slow", message, Estimate::counted("rate", "Hz", rate_hz))
     } else {
         return Judged::new(rhythm.subject_of(&[]), Outcome::sound()).within(rhythm.span);
@@ -177,7 +183,7 @@ fn judge(case: &Case, rhythm: &Of<RhythmEvidence>) -> Judged {
         title,
         message,
         evidence: Evidence::default(),
-        fix: format!("see what became of the sender of {} at that time", rhythm.subject.label()),
+        fix: format!("check the publisher of {} at that time", rhythm.subject.label()),
     };
     Judged::new(rhythm.subject_of(&slow), Outcome::faulty(fault))
         .within(rhythm.span)
@@ -186,11 +192,10 @@ fn judge(case: &Case, rhythm: &Of<RhythmEvidence>) -> Judged {
         .with_evidence("early_end_s", early_s)
 }
 
-/// What a stream misses at its start and at its end, s; nothing where it may be silent because the
-/// arm rests.
+/// Time missed at start and end, s. Zero if the stream may be silent because the arm rests.
 fn missed(rhythm: &Of<RhythmEvidence>) -> (f64, f64) {
     let Some(extent) = rhythm.extent else { return (0.0, 0.0) };
-    // The next sample may have been due a period after the last.
+    // The next sample is due one period after the last.
     let period_s = rhythm.wanted().filter_map(|part| part.period_s).fold(0.0, f64::max);
     let counted = |missed_s: f64, moving: Option<bool>| match moving {
         Some(false) if rhythm.due == Due::InMotion => 0.0,
@@ -200,14 +205,14 @@ fn missed(rhythm: &Of<RhythmEvidence>) -> (f64, f64) {
     (counted(extent.late_start_s, before), counted(extent.early_end_s, after))
 }
 
-/// Where a part runs below its usual rate.
+/// Stretches in which a part runs below its usual rate.
 pub(in crate::checks) fn slow(pace: Pace, part: &Cadence) -> impl Iterator<Item = &Stretch> {
     let usual_s = part.period_s.unwrap_or(f64::INFINITY);
     let is_slow = move |lull: &&Stretch| lull.rate_hz * usual_s * pace.slow < 1.0;
     part.lulls.iter().filter(is_slow).filter(move |lull| lull.seconds() >= pace.lasts_s)
 }
 
-/// The slowest stretch of a part, but for those of a rest that may be slow.
+/// The slowest stretch of a part, except at rest if the stream may be slow then.
 fn slowest<'a>(pace: Pace, rhythm: &Of<RhythmEvidence>, part: &'a Cadence) -> Option<&'a Stretch> {
     let is_due = |lull: &&Stretch| lull.moving == Some(true) || rhythm.due != Due::InMotion;
     let stretches = slow(pace, part).filter(is_due);
