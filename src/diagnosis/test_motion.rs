@@ -5,7 +5,7 @@ use ground::stream::JointTrack;
 
 /// 20 s of a UR5e whose joints swing at different rates, and its chain from `base` to `tool0`.
 pub fn arm() -> (JointTrack, Chain) {
-    let robot = catalogue::find("ur5e").expect("in the catalogue");
+    let robot = catalogue::find("ur5e").expect("it is in the catalogue");
     let link = |name| robot.link(name).expect("a link");
     let chain = robot.chain(link("base"), link("tool0")).expect("a chain");
     let mut joints = JointTrack { dof: 6, ..Default::default() };
