@@ -215,7 +215,7 @@ fn what_mends_a_log_is_written_and_taken_back() {
     assert_refused(
         &["audit", FAULTY, "--corrections", &file],
         2,
-        "corrections.toml:2: no corrections",
+        "corrections.toml:2: invalid corrections",
     );
 }
 

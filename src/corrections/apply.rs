@@ -1,4 +1,4 @@
-//! Corrections applied to a log: latencies to its stamps, all else to the streams of a run.
+//! Applies corrections to a log: latencies to its stamps, everything else to the streams of a run.
 
 use std::path::Path;
 
@@ -15,7 +15,7 @@ use crate::run::{Arm, JointMending, PoseSource, Run};
 use crate::stream::Orientations;
 use crate::time::{nanos, seconds};
 
-/// Corrections, and the file that they are from.
+/// Corrections with the file they come from.
 #[derive(Clone, Copy)]
 pub(crate) struct Given<'a> {
     pub corrections: &'a Corrections,
@@ -28,16 +28,15 @@ impl Given<'_> {
             kind: TroubleKind::Call,
             what,
             place: self.file.display().to_string(),
-            remedy: "correct the name (see `poseaudit info`), or take it out of the file"
+            remedy: "correct the name (see `poseaudit info`), or remove it from the file"
                 .to_owned(),
         }
     }
 
-    /// Takes the latencies off the stamps of `log`: of the header's and of the receipt's alike, so
-    /// that a stream on another clock is still aligned as it was.
+    /// Subtracts the latencies from header and receive stamps of `log`, so clock alignment is unaffected.
     ///
     /// # Errors
-    /// Where a topic is not in the log.
+    /// Returns an error if a topic is not in the log.
     pub fn shift(&self, log: &mut Log) -> Result<(), Trouble> {
         for correction in &self.corrections.topics {
             let name = &correction.name;
@@ -60,10 +59,10 @@ impl Given<'_> {
         Ok(())
     }
 
-    /// Applies all but the latencies to the streams of `run`.
+    /// Applies all corrections except latencies to the streams of `run`.
     ///
     /// # Errors
-    /// Where a joint is no arm's, or a topic is not what its correction is for.
+    /// Returns an error if no arm has a joint, or if a correction does not apply to its topic.
     pub fn apply(&self, run: &mut Run, most_lag_s: f64) -> Result<(), Trouble> {
         self.mend_joints(run)?;
         for correction in &self.corrections.topics {
@@ -74,7 +73,7 @@ impl Given<'_> {
             }
             if self.is_of_pose(correction) && streams().count() > 1 {
                 return Err(
-                    self.refuse(format!("topic '{name}' holds the poses of several frames"))
+                    self.refuse(format!("topic '{name}' contains the poses of several frames"))
                 );
             }
             let mut open = Open::of(correction);
@@ -119,7 +118,7 @@ impl Given<'_> {
         Ok(())
     }
 
-    /// What is wrong with the joint states of an arm.
+    /// Collects the joint corrections of an arm.
     fn joint_mending(&self, arm: &Arm, topics: &[String]) -> Result<JointMending, Trouble> {
         let mut mending = JointMending::none(arm.joint_names.len());
         let column = |name: &String| arm.joint_names.iter().position(|joint| joint == name);
@@ -172,7 +171,7 @@ impl Given<'_> {
         Ok(mending)
     }
 
-    /// What is corrected, in words, for the report.
+    /// Describes the corrections, for the report.
     pub fn notes(&self) -> Vec<String> {
         let joints = self.corrections.joints.iter().map(|joint| {
             let turned = joint.offset_rad.map(|rad| Unit::Radian.show(rad));
@@ -190,7 +189,7 @@ impl Given<'_> {
 }
 
 impl TopicCorrection {
-    /// How the poses are meant, where that is not as logged.
+    /// Intended encoding of the poses, if it differs from the logged one.
     fn meant(&self) -> Option<Meant> {
         let reading = self.rotation.and_then(reading);
         let inverted = self.inverse == Some(true);
@@ -201,7 +200,7 @@ impl TopicCorrection {
         is_any.then_some(Meant { reading: reading.unwrap_or(Reading::AsLogged), axes, inverted })
     }
 
-    /// What it corrects, in words.
+    /// Lists the corrected parts as text.
     fn parts(&self) -> Vec<String> {
         let frames = [
             (self.link_from_imu_xyzw.is_some(), "mount"),
@@ -228,7 +227,7 @@ impl TopicCorrection {
     }
 }
 
-/// The parts of a topic's correction that nothing has taken up yet.
+/// Parts of a topic's correction that have not been applied yet.
 struct Open(Vec<&'static str>);
 
 impl Open {

@@ -1,11 +1,11 @@
-//! Lines of code that read numbers as what they are.
+//! Lines of code that decode numbers correctly.
 
 use crate::geometry::{CodeLine, Convention, QuaternionSlip, code_of_numbers, code_of_quaternion};
 
-/// One line each in the [`LIBRARIES`].
+/// One line per entry of [`LIBRARIES`].
 pub(super) type Lines = Vec<CodeLine>;
 
-/// The libraries that have a line for whatever must be mended.
+/// Libraries with a line for every correction.
 const LIBRARIES: [&str; 4] = ["SciPy", "tf2 (C++)", "Eigen", "nalgebra"];
 
 fn lines(of_each: [&str; 4]) -> Lines {
@@ -13,7 +13,7 @@ fn lines(of_each: [&str; 4]) -> Lines {
     LIBRARIES.into_iter().zip(of_each).map(line).collect()
 }
 
-/// The names of three numbers of a convention, in the order of the log.
+/// Variable names for three numbers of a convention, in logged order.
 pub(super) fn labels(convention: Convention) -> [&'static str; 3] {
     match convention.is_by_axis() {
         true => ["rx", "ry", "rz"],
@@ -21,12 +21,12 @@ pub(super) fn labels(convention: Convention) -> [&'static str; 3] {
     }
 }
 
-/// The rotation that three numbers of `convention` code, named as [`labels`] has them.
+/// Decodes three numbers of `convention`, named by [`labels`].
 pub(super) fn of_numbers(convention: Convention) -> Lines {
     everywhere(code_of_numbers(convention, labels(convention)))
 }
 
-/// The rotation of four numbers `n` in the order of the log.
+/// Decodes a quaternion from four numbers `n` in logged order.
 pub(super) fn of_quaternion(slip: QuaternionSlip) -> Lines {
     let xyzw = match slip {
         QuaternionSlip::WxyzReadAsXyzw => [1, 2, 3, 0],
@@ -40,17 +40,17 @@ fn everywhere(mut lines: Lines) -> Lines {
     lines
 }
 
-/// The inverse of a `rotation`, its position left as it is.
+/// Inverts a `rotation` but not the position.
 pub(super) fn inverse_rotation() -> Lines {
     lines([
         "rotation.inv()",
         "rotation.inverse()  // tf2::Quaternion",
-        "rotation.inverse()  // Eigen::Quaterniond; of a matrix .transpose()",
+        "rotation.inverse()  // Eigen::Quaterniond; for a matrix .transpose()",
         "rotation.inverse()",
     ])
 }
 
-/// The inverse of a `pose` as a whole.
+/// Inverts a whole `pose`.
 pub(super) fn inverse_pose() -> Lines {
     lines([
         "RigidTransform.from_components(xyz, rotation).inv()  # or rotation.inv(), -rotation.inv().apply(xyz)",
@@ -60,7 +60,7 @@ pub(super) fn inverse_pose() -> Lines {
     ])
 }
 
-/// Angles times a factor of π/180, or of its inverse.
+/// Scales angles by π/180 or its inverse.
 pub(super) fn angles(to_radians: bool) -> Lines {
     match to_radians {
         true => lines([
@@ -78,7 +78,7 @@ pub(super) fn angles(to_radians: bool) -> Lines {
     }
 }
 
-/// Positions times a factor.
+/// Scales positions.
 pub(super) fn lengths(factor: f64) -> Lines {
     let times = format!("xyz * {factor:?}");
     lines([&times; 4])

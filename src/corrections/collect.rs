@@ -1,4 +1,4 @@
-//! From the findings of an audit to what mends them.
+//! Derives corrections from the findings of an audit.
 
 use super::code::{self, Lines};
 use super::dataset;
@@ -15,46 +15,46 @@ use crate::report::Report;
 use crate::run::{Arm, Run};
 use crate::stats::Measured;
 
-/// All that mends what an audit found, and what is found that nothing here mends.
+/// Corrections for the findings of an audit, and the findings that remain uncorrected.
 pub(crate) struct Mending {
-    /// What an audit takes back.
+    /// Corrections that an audit can apply.
     pub corrections: Corrections,
     pub(super) codes: Vec<Coded>,
     pub(super) frames: Vec<FixedFrame>,
     pub(super) models: Vec<Patched>,
-    /// What corrects the columns of a dataset, as Python.
+    /// Python module that corrects the columns of a dataset.
     pub(super) module: Option<String>,
-    /// Why a model with joint offsets is not patched.
+    /// Reasons why models with joint offsets are not patched.
     pub(super) unpatched: Vec<String>,
     pub(super) mended: Vec<Mended>,
     pub(super) open: Vec<Left>,
 }
 
-/// How the numbers of a topic must be read.
+/// Code that decodes a topic correctly.
 pub(super) struct Coded {
     pub finding: String,
-    /// What is wrong, in words.
+    /// Description of the fault.
     pub what: String,
-    /// What names the code uses for the numbers of the log.
+    /// Variable names in the code for the logged numbers.
     pub names: String,
     pub lines: Option<Lines>,
 }
 
-/// A model's text, and the same changed.
+/// Text of a model before and after the patch.
 pub(super) struct Patched {
     pub file: String,
     pub before: String,
     pub after: String,
 }
 
-/// A finding that files mend.
+/// Finding corrected by files.
 pub(super) struct Mended {
     pub finding: String,
     pub what: String,
     pub files: Vec<&'static str>,
 }
 
-/// A finding that no file mends.
+/// Finding that no file corrects.
 pub(super) struct Left {
     pub finding: String,
     pub why: String,
@@ -62,23 +62,23 @@ pub(super) struct Left {
 
 pub(super) const CORRECTIONS: &str = "corrections.toml";
 pub(super) const OFFSETS: &str = "joint_offsets.yaml";
-/// What corrects the columns of a dataset.
+/// Python module that corrects the columns of a dataset.
 pub(super) const MODULE: &str = "dataset_step.py";
 pub(super) const LATENCIES: &str = "latency.yaml";
 pub(super) const CONVENTIONS: &str = "conventions.md";
 pub(super) const TRANSFORMS: &str = "static_transforms.sh";
 pub(super) const JOINTS: &str = "fixed_joints.xml";
-/// Stands for the patched model, whose name is that of the model.
+/// Placeholder for the patched model, which is named after the original.
 pub(super) const MODEL: &str = "the patched model";
 
-/// What is said beside a mending that belongs to the program that publishes /tf.
-const WHERE_PUBLISHED: &str = " (where the transforms are published)";
+/// Appended to corrections that belong in the publisher of /tf.
+const WHERE_PUBLISHED: &str = " (in the publisher of the transforms)";
 
-/// What a finding is mended by, in words, and in which files; or why by nothing.
+/// Description of a correction and its files, or the reason why there is none.
 type Taken = Result<(String, Vec<&'static str>), String>;
 
 impl Mending {
-    /// What mends the findings of `report`, which is on `run`, or has it as its segment `main`.
+    /// Derives corrections from `report`, which covers `run` or has it as segment `main`.
     pub fn of(report: &Report, run: &Run, evidence: &RunEvidence, main: usize) -> Self {
         let mut mending = Self {
             corrections: Corrections::default(),
@@ -95,7 +95,7 @@ impl Mending {
             let label = label(finding);
             let taken = match finding.segment {
                 Some(other) if other != main => {
-                    Err("it is of another segment of the run than the longest".to_owned())
+                    Err("it belongs to a segment of the run other than the longest".to_owned())
                 }
                 _ => mending.take(&source, finding),
             };
@@ -109,7 +109,7 @@ impl Mending {
         mending
     }
 
-    /// Takes what mends the cause of a finding.
+    /// Adds the correction for the cause of a finding.
     fn take(&mut self, source: &Source<'_>, finding: &Finding) -> Taken {
         match &finding.cause {
             Cause::JointZero { offset, slides } => self.take_zero(source, finding, offset, *slides),
@@ -124,8 +124,8 @@ impl Mending {
                 let topic = finding.subject.topic.clone().ok_or_else(nothing)?;
                 let order = JointOrder { is: is.clone(), read_as: read_as.clone() };
                 self.corrections.topic(&topic).joint_order = Some(order);
-                let what = "the positions stand in another order than the names".to_owned();
-                let names = format!("the names in the order of the numbers: {}", is.join(", "));
+                let what = "the positions are in a different order than the names".to_owned();
+                let names = format!("names in the order of the numbers: {}", is.join(", "));
                 self.code(finding, &what, names, None);
                 Ok((what, vec![CONVENTIONS, CORRECTIONS]))
             }
@@ -135,7 +135,7 @@ impl Mending {
             }
             Cause::OtherRobot(robot) => Ok((format!("audit with `--robot {robot}`"), Vec::new())),
             Cause::Latency(latency) => self.take_latency(source, finding, latency),
-            // The rate of one segment's clock says nothing of the next.
+            // The clock rate of one segment does not apply to the next.
             Cause::Skew(_) if finding.segment.is_some() => Err(finding.fix.clone()),
             Cause::Skew(skew) => {
                 let (value, ci95) = amount(Unit::SecondPerSecond, skew)?;
@@ -153,13 +153,13 @@ impl Mending {
             }
             Cause::AngleUnit(unit) => {
                 let lines = code::angles(unit.is == AngleUnit::Degree);
-                let names = "angles: the numbers as they are";
+                let names = "angles: the numbers as logged";
                 let is_of = |topic: &mut TopicCorrection| topic.angle_unit = Some(*unit);
                 self.take_unit(source, finding, (names, lines), is_of)
             }
             Cause::LengthUnit(unit) => {
                 let lines = code::lengths(unit.factor());
-                let names = "xyz: the position as it is read now";
+                let names = "xyz: the position as currently decoded";
                 let is_of = |topic: &mut TopicCorrection| topic.length_unit = Some(*unit);
                 self.take_unit(source, finding, (names, lines), is_of)
             }
@@ -242,7 +242,7 @@ impl Mending {
         let topic = source.lone_topic(finding)?;
         let mut copies = Vec::new();
         if let Some(arm) = source.evidence.robots.iter().find(|arm| arm.joints_topic == topic) {
-            // Who copies the joints' stamps is as late as they are.
+            // Streams that copy the joints' stamps share their latency.
             let poses = arm.poses_and_tf().filter(|stream| !stream.independent);
             copies.extend(poses.map(|stream| stream.topic().to_owned()));
             let imus = arm.imus.iter().filter(|imu| !imu.independent);
@@ -250,7 +250,7 @@ impl Mending {
         }
         let mut what = format!("latency of {}", Unit::Second.show(value));
         if !copies.is_empty() {
-            what += &format!(", with {} whose stamps are copies", copies.join(" and "));
+            what += &format!(", with {}, whose stamps are copies", copies.join(" and "));
         }
         let own = self.corrections.topic(&topic);
         own.latency_s = Some(own.latency_s.unwrap_or(0.0) + value);
@@ -263,7 +263,7 @@ impl Mending {
         Ok((what, vec![LATENCIES, CORRECTIONS]))
     }
 
-    /// Takes what bare numbers were read as, so that frames can be applied to them.
+    /// Adds the encoding of bare numbers, needed to apply frames to them.
     fn take_numbers(
         &mut self,
         source: &Source<'_>,
@@ -305,17 +305,19 @@ impl Mending {
             RotationSlip::Misread(misreading) => {
                 let labels = code::labels(misreading.is).join(", ");
                 (
-                    format!("{labels}: the numbers in their order, rad"),
+                    format!("{labels}: the numbers in logged order, rad"),
                     code::of_numbers(misreading.is),
                 )
             }
             RotationSlip::Quaternion(slip) => {
-                ("n: the four numbers in their order".to_owned(), code::of_quaternion(slip))
+                ("n: the four numbers in logged order".to_owned(), code::of_quaternion(slip))
             }
             RotationSlip::Transposed => {
-                ("rotation: as it is read now".to_owned(), code::inverse_rotation())
+                ("rotation: as currently decoded".to_owned(), code::inverse_rotation())
             }
-            RotationSlip::Inverted => ("pose: as it is read now".to_owned(), code::inverse_pose()),
+            RotationSlip::Inverted => {
+                ("pose: as currently decoded".to_owned(), code::inverse_pose())
+            }
         };
         let Slip { is, read_as } = Slip::<String>::from(slip);
         let what = format!("{is} read as {read_as}");
@@ -325,7 +327,7 @@ impl Mending {
         }
         let correction = self.corrections.topic(&topic);
         match (slip, correction.rotation) {
-            // A pose that is inverted besides is inverted once its numbers are read rightly.
+            // A pose that is also inverted is inverted after decoding.
             (RotationSlip::Inverted, Some(_)) => correction.inverse = Some(true),
             (slip, Some(RotationSlip::Inverted)) => {
                 (correction.rotation, correction.inverse) = (Some(slip), Some(true));
@@ -335,8 +337,7 @@ impl Mending {
         Ok((what, vec![CONVENTIONS, CORRECTIONS]))
     }
 
-    /// Takes numbers that are of another unit; `code` names them and mends them, `set` corrects their
-    /// topic.
+    /// Adds a unit correction. The lines use the given names; `set` corrects the topic.
     fn take_unit(
         &mut self,
         source: &Source<'_>,
@@ -354,7 +355,7 @@ impl Mending {
         Ok((what, vec![CONVENTIONS, CORRECTIONS]))
     }
 
-    /// Takes the frame that poses are in (`is_reference`), or that they are of.
+    /// Adds a correction of the reference frame (`is_reference`) or the tool frame.
     fn take_frame(
         &mut self,
         source: &Source<'_>,
@@ -370,12 +371,13 @@ impl Mending {
         let frame = Some(FrameCorrection::from(found));
         let (what, comment) = if is_reference {
             correction.reference_from_stream = frame;
-            let comment = format!("the frame that {topic} is in: make it its frame_id");
-            (format!("{topic} is in a frame of its own, {child}"), comment)
+            let comment = format!("reference frame of {topic}: use it as its frame_id");
+            (format!("{topic} has a different reference frame, {child}"), comment)
         } else {
             correction.tip_from_stream = frame;
-            let comment = format!("the frame whose poses {topic} holds: make it its child frame");
-            (format!("{topic} is of a frame of its own, {child}"), comment)
+            let comment =
+                format!("frame whose poses {topic} contains: use it as its child_frame_id");
+            (format!("{topic} has a different tool frame, {child}"), comment)
         };
         correction.convention = correction.convention.or(convention);
         self.fix_frame(finding, comment, [parent, child], *found);
@@ -392,9 +394,9 @@ impl Mending {
         let pose = Pose::from_parts(logged.translation, *rotation);
         let correction = self.corrections.topic(&topic);
         correction.link_from_imu_xyzw = Some(xyzw_from_rotation(rotation));
-        let what = format!("{child} is turned otherwise in {parent}");
+        let what = format!("{child} has a different orientation in {parent}");
         let comment =
-            format!("in the place of the static transform to {child}; its position is the log's");
+            format!("replaces the static transform to {child}; the position is the log's");
         self.fix_frame(finding, comment, [parent, child], pose);
         Ok((what, vec![TRANSFORMS, JOINTS, CORRECTIONS]))
     }
@@ -416,11 +418,14 @@ impl Mending {
             Some(true) => correction.hand_from_camera = frame,
             Some(false) => correction.base_from_camera = frame,
             None => {
-                return Err("the motion does not tell whether the camera is in the hand".to_owned());
+                return Err(
+                    "the motion does not determine whether the camera is mounted on the hand"
+                        .to_owned(),
+                );
             }
         }
-        let what = format!("{child} is elsewhere in {parent}");
-        let comment = format!("in the place of the static transform to {child}");
+        let what = format!("{child} has a different pose in {parent}");
+        let comment = format!("replaces the static transform to {child}");
         self.fix_frame(finding, comment, [parent, child], *pose);
         Ok((what, vec![TRANSFORMS, JOINTS, CORRECTIONS]))
     }
@@ -441,7 +446,7 @@ impl Mending {
         self.codes.push(Coded { finding, what, names, lines });
     }
 
-    /// Takes the joint offsets into the texts of the models.
+    /// Applies the joint offsets to the models.
     fn patch_models(&mut self, run: &Run) {
         let mut done: Vec<&Arm> = Vec::new();
         for arm in &run.arms {
@@ -449,7 +454,7 @@ impl Mending {
                 continue;
             }
             done.push(arm);
-            // One description may hold several arms.
+            // One description may contain several arms.
             let names: Vec<&String> = run
                 .arms
                 .iter()
@@ -479,7 +484,7 @@ impl Mending {
         }
     }
 
-    /// A name for the file of a patched model: that of its source, where it has one.
+    /// File name of a patched model: that of its source, if any.
     fn model_name(&self, arm: &Arm, text: &str) -> String {
         let extension = if text.trim_start_matches('\u{feff}').trim_start().starts_with('<') {
             "urdf"

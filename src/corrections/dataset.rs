@@ -1,4 +1,4 @@
-//! What mends the columns of a dataset, as Python: for whoever loads it, and as a step of LeRobot's processors.
+//! Corrections of a dataset's columns as a Python module, for loaders and as a LeRobot processor step.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -8,20 +8,20 @@ use crate::report::{Report, quoted};
 use crate::run::{Role, Run};
 use crate::stream::Columns;
 
-/// Containers whose topics are columns, by their names, with all their numbers.
+/// Containers whose topics are whole columns under their own names.
 const WHOLE_COLUMNS: [&str; 6] = ["npy", "npz", "parquet", "hdf5", "zarr", "tfrecord"];
 
-/// What is wrong with columns.
+/// Corrections by column.
 #[derive(Default)]
 struct Columnwise {
-    /// Factor and offset of numbers, in the unit that they are logged in.
+    /// Factor and offset per number, in the logged unit.
     numbers: BTreeMap<String, BTreeMap<usize, [f64; 2]>>,
-    /// By how much columns are late, s.
+    /// Latency of columns, s.
     late_s: BTreeMap<String, f64>,
 }
 
-/// The module that corrects the columns of the files of `report`; `None` where they are no dataset, or nothing
-/// that a loader can mend was found.
+/// Module that corrects the columns of the files in `report`. `None` if they are not a dataset, or if a
+/// loader cannot correct any finding.
 pub(super) fn module(report: &Report, run: &Run, corrections: &Corrections) -> Option<String> {
     let is_dataset = |container: &str| WHOLE_COLUMNS.contains(&container);
     if !report.log.files.iter().all(|file| is_dataset(file.container)) {
@@ -53,7 +53,7 @@ pub(super) fn module(report: &Report, run: &Run, corrections: &Corrections) -> O
     found.text()
 }
 
-/// The column and the number in its rows that `NAME[AT]` is.
+/// Splits `NAME[AT]` into the column and the index in its rows.
 fn part_of(cell: &str) -> Option<(String, usize)> {
     let (column, at) = cell.strip_suffix(']')?.rsplit_once('[')?;
     Some((column.to_owned(), at.parse().ok()?))
@@ -74,7 +74,7 @@ impl Columnwise {
                 .collect();
             let _ = writeln!(text, "    {}: {{{}}},", quoted(column), all.join(", "));
         }
-        text += "}\n\n# Column: s by which it is late.\nLATE_S = {\n";
+        text += "}\n\n# Column: latency in s.\nLATE_S = {\n";
         for (column, late_s) in &self.late_s {
             let _ = writeln!(text, "    {}: {late_s:?},", quoted(column));
         }
@@ -82,13 +82,13 @@ impl Columnwise {
     }
 }
 
-const HEAD: &str = r#""""Corrections of a dataset's columns by poseaudit. No data are written.
+const HEAD: &str = r#""""Corrections of a dataset's columns by poseaudit. The data are not modified.
 
     from dataset_step import correct, delta_timestamps, shifted
 
     frame = correct(frame)                       # a dict of arrays or tensors by column; numbers last
-    LeRobotDataset(repo_id, delta_timestamps=delta_timestamps(fps))   # late columns, read so much later
-    episode = shifted(episode, fps)              # the same of whole episodes as arrays, rows first
+    LeRobotDataset(repo_id, delta_timestamps=delta_timestamps(fps))   # late columns are read later
+    episode = shifted(episode, fps)              # the same for whole episodes as arrays, rows first
     DataProcessorPipeline([CorrectColumns(), ...])                    # a step of LeRobot's processors
 """
 
@@ -98,7 +98,7 @@ import numpy
 const FUNCTIONS: &str = r#"
 
 def correct(frame):
-    """The frame, or frames, with the numbers of NUMBERS corrected; what is given stays as it is."""
+    """Return a copy of the frame, or frames, with the numbers in NUMBERS corrected."""
     frame = dict(frame)
     for column, numbers in NUMBERS.items():
         if column in frame:
@@ -111,12 +111,12 @@ def correct(frame):
 
 
 def delta_timestamps(fps):
-    """What LeRobotDataset takes: each late column is read as many frames later as its delay is nearest to."""
+    """Argument for LeRobotDataset: each late column is read later by its latency, rounded to frames."""
     return {column: [round(late_s * fps) / fps] for column, late_s in LATE_S.items()}
 
 
 def shifted(episode, fps):
-    """An episode with its late columns moved by whole rows; all are cut to the rows that are left."""
+    """Return an episode with its late columns moved by whole rows; all are cut to the common rows."""
     rows = {column: round(LATE_S.get(column, 0.0) * fps) for column in episode}
     first, last = max(0, -min(rows.values())), max(0, max(rows.values()))
     count = min(len(values) for values in episode.values()) - first - last
@@ -131,7 +131,7 @@ else:
 
     @ProcessorStepRegistry.register("poseaudit_correct_columns")
     class CorrectColumns(ObservationProcessorStep):
-        """`correct`, before anything is normalized."""
+        """Apply `correct` before normalization."""
 
         def observation(self, observation):
             return correct(observation)
@@ -154,7 +154,7 @@ mod tests {
         let text = found.text().expect("a module");
         assert!(text.contains("\n    \"observation.state\": {2: (1.0, 0.5), 4: (-1.0, 0.0)},\n"));
         assert!(text.contains("\n    \"observation.\\\"pose\": 0.06,\n"));
-        // Python knows no `\u{…}`.
+        // Python does not have `\u{…}` escapes.
         found.late_s.insert("a\u{202e}\u{1}b".to_owned(), 0.5);
         let text = found.text().expect("a module");
         assert!(text.contains("\n    \"a\\u202e\\u0001b\": 0.5,\n"), "{text}");

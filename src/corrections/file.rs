@@ -1,4 +1,4 @@
-//! The file that holds corrections, in TOML.
+//! Corrections file, in TOML.
 
 use std::f64::consts::TAU;
 use std::fs;
@@ -14,15 +14,15 @@ use crate::geometry::{
 };
 use crate::report::{Trouble, TroubleKind};
 
-/// Corrections of the joints and topics of a log. Names are those of the log.
+/// Corrections of a log's joints and topics. Names are as in the log.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Corrections {
     schema: Schema,
-    /// The joints whose zero or scale is off.
+    /// Joints with a zero offset or a scale error.
     #[serde(default, rename = "joint", skip_serializing_if = "Vec::is_empty")]
     pub joints: Vec<JointCorrection>,
-    /// The topics, each with all that is wrong with it.
+    /// Topics with all their corrections.
     #[serde(default, rename = "topic", skip_serializing_if = "Vec::is_empty")]
     pub topics: Vec<TopicCorrection>,
 }
@@ -34,7 +34,7 @@ enum Schema {
     One,
 }
 
-/// `value` to a billionth, and no −0.
+/// Rounds to 1e-9 and avoids −0.
 pub(super) fn rounded(value: f64) -> f64 {
     (value * 1e9).round() / 1e9 + 0.0
 }
@@ -43,21 +43,21 @@ pub(super) fn rounded(value: f64) -> f64 {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JointCorrection {
-    /// The joint.
+    /// Joint name.
     pub name: String,
-    /// The robot, where several have a joint of that name.
+    /// Robot name, if several robots have a joint of this name.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub robot: Option<String>,
-    /// What its positions and velocities are multiplied by.
+    /// Factor for positions and velocities.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "finite")]
     pub factor: Option<f64>,
     /// 95 % interval of the factor.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub factor_ci95: Option<[f64; 2]>,
-    /// The offset of a joint that turns, rad; at most a turn.
+    /// Offset of a revolute joint, rad; at most one turn.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "angle")]
     pub offset_rad: Option<f64>,
-    /// The offset of a joint that slides, m; at most 10.
+    /// Offset of a prismatic joint, m; at most 10.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "length")]
     pub offset_m: Option<f64>,
     /// 95 % interval of the offset, in its unit.
@@ -66,90 +66,90 @@ pub struct JointCorrection {
 }
 
 impl JointCorrection {
-    /// Sets the offset of a joint that turns, rad, or of one that slides, m.
+    /// Sets the offset of a revolute joint, rad, or a prismatic joint, m.
     pub(super) fn set_offset(&mut self, offset: f64, slides: bool) {
         (self.offset_rad, self.offset_m) =
             if slides { (None, Some(offset)) } else { (Some(offset), None) };
     }
 }
 
-/// What is wrong with a topic. Of several slips units are mended first, then rotations, then frames.
+/// Corrections of a topic, applied in the order units, rotations, frames.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TopicCorrection {
-    /// The topic.
+    /// Topic name.
     pub name: String,
-    /// What is stamped *t* was true at *t − latency*, s; at most an hour.
+    /// Latency, s: a sample stamped *t* was taken at *t − latency*. At most one hour.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "latency")]
     pub latency_s: Option<f64>,
     /// 95 % interval of the latency, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub latency_ci95: Option<[f64; 2]>,
-    /// By how much the latency grows with each second of stamp, s/s; at most a tenth.
+    /// Growth of the latency per second of stamp, s/s; at most 0.1.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "skew")]
     pub skew: Option<f64>,
     /// 95 % interval of the skew, s/s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub skew_ci95: Option<[f64; 2]>,
-    /// When the latency is `latency_s`, where it grows, s after the topic's first stamp.
+    /// Time at which the latency is `latency_s`, s after the topic's first stamp.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "finite")]
     pub skew_about_s: Option<f64>,
-    /// The convention of bare rotation numbers, so that frames can be applied to them.
+    /// Convention of bare rotation numbers, needed to apply frames to them.
     #[serde(default, skip_serializing_if = "Option::is_none", with = "convention_name")]
     pub convention: Option<Convention>,
-    /// `link_from_imu`, x, y, z, w: how the IMU is turned in the link that carries it.
+    /// `link_from_imu`, x, y, z, w: orientation of the IMU in its link.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "quaternion")]
     pub link_from_imu_xyzw: Option<[f64; 4]>,
-    /// What the positions' unit is, and what it was taken for.
+    /// Actual length unit of positions, and the one they were read in.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub length_unit: Option<Slip<LengthScale>>,
-    /// The same of the angles, or of the positions of joints that turn.
+    /// The same for angles, or positions of revolute joints.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub angle_unit: Option<Slip<AngleUnit>>,
-    /// Whose positions stand under which joints' names.
+    /// Joints whose positions are under different names.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub joint_order: Option<JointOrder>,
-    /// What the rotations are, and what they were read as.
+    /// Actual rotation encoding, and the one it was read as.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rotation: Option<RotationSlip>,
-    /// Whether the poses are inverted as a whole, once their rotations are read so.
+    /// Whether whole poses are inverted after decoding.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub inverse: Option<bool>,
-    /// The axes that the numbers are in.
+    /// Axes of the numbers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub axes: Option<AxesCorrection>,
-    /// `reference_from_stream`: stands before a logged pose.
+    /// `reference_from_stream`, multiplied from the left.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reference_from_stream: Option<FrameCorrection>,
-    /// `tip_from_stream`: its inverse stands behind a logged pose.
+    /// `tip_from_stream`, whose inverse is multiplied from the right.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tip_from_stream: Option<FrameCorrection>,
-    /// Where the camera of a target is in the hand.
+    /// Pose of a target's camera in the hand.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hand_from_camera: Option<FrameCorrection>,
-    /// Where the camera of a target is in the base.
+    /// Pose of a target's camera in the base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub base_from_camera: Option<FrameCorrection>,
 }
 
-/// Positions that stand under other joints' names: that under `read_as[i]` is that of `is[i]`.
+/// Permuted joint positions: the position named `read_as[i]` belongs to `is[i]`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JointOrder {
-    /// The joints in the order that the numbers are in.
+    /// Joints in the order of the numbers.
     pub is: Vec<String>,
-    /// The joints in the order of the names.
+    /// Joints in the order of the names.
     pub read_as: Vec<String>,
 }
 
-/// The axes that positions and rotations are in, as in `x right, y up, z forward (left-handed)`.
+/// Axes of positions and rotations, for example `x right, y up, z forward (left-handed)`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AxesCorrection {
-    /// Those of the positions.
+    /// Axes of the positions.
     #[serde(with = "axes_name")]
     pub positions: Axes,
-    /// Those of the rotations.
+    /// Axes of the rotations.
     #[serde(with = "axes_name")]
     pub rotations: Axes,
 }
@@ -179,7 +179,7 @@ impl FrameCorrection {
     }
 }
 
-/// How a stream must be read whose rotations are misread so.
+/// Encoding that decodes rotations with this slip.
 pub(super) fn reading(slip: RotationSlip) -> Option<Reading> {
     Some(match slip {
         RotationSlip::Transposed => Reading::Transposed,
@@ -193,7 +193,7 @@ pub(super) fn reading(slip: RotationSlip) -> Option<Reading> {
     })
 }
 
-/// Axes in words.
+/// Axes as text.
 mod axes_name {
     use super::{Axes, Deserialize, Deserializer};
     use serde::Serializer;
@@ -208,7 +208,7 @@ mod axes_name {
     }
 }
 
-/// The name of a convention.
+/// Name of a convention.
 mod convention_name {
     use super::{Convention, Deserialize, Deserializer};
     use serde::Serializer;
@@ -231,11 +231,11 @@ fn finite<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
     let value = f64::deserialize(from)?;
     match value.is_finite() {
         true => Ok(Some(value)),
-        false => Err(D::Error::custom(format!("{value} is no amount"))),
+        false => Err(D::Error::custom(format!("{value} is not a finite number"))),
     }
 }
 
-/// A number of this size or less.
+/// Parses a number with absolute value at most `most`.
 fn within<'de, D: Deserializer<'de>>(
     from: D,
     most: f64,
@@ -244,7 +244,7 @@ fn within<'de, D: Deserializer<'de>>(
     let value = finite(from)?;
     match value {
         Some(amount) if amount.abs() > most => Err(D::Error::custom(format!(
-            "{amount} {unit} is out of range: {most} {unit} is the most"
+            "{amount} {unit} is out of range: the maximum is {most} {unit}"
         ))),
         value => Ok(value),
     }
@@ -274,20 +274,20 @@ fn unit_quaternion<'de, D: Deserializer<'de>>(from: D) -> Result<[f64; 4], D::Er
     let q_xyzw = <[f64; 4]>::deserialize(from)?;
     match rotation_from_xyzw(q_xyzw) {
         Some(_) => Ok(q_xyzw),
-        None => Err(D::Error::custom("a quaternion of no length is no rotation")),
+        None => Err(D::Error::custom("a quaternion of length zero is not a rotation")),
     }
 }
 
-/// What a file of corrections begins with.
+/// Header of a corrections file.
 const HEADER: &str = "\
-# Corrections, as `poseaudit audit LOG --corrections FILE` takes them back.
-# A joint: q_true = factor * q_reported + offset. A latency: what is stamped t was true at t - latency.
+# Corrections, to be applied with `poseaudit audit LOG --corrections FILE`.
+# Joint: q_true = factor * q_reported + offset. Latency: a sample stamped t was taken at t - latency.
 # Frames: `a_from_b` maps coordinates in b to coordinates in a; lengths in m, angles in rad.
 
 ";
 
 impl Corrections {
-    /// Whether there is none.
+    /// Whether there are no corrections.
     pub fn is_empty(&self) -> bool {
         self.joints.is_empty() && self.topics.is_empty()
     }
@@ -295,34 +295,34 @@ impl Corrections {
     /// Reads the file at `path`.
     ///
     /// # Errors
-    /// Where it cannot be read, or is not of this layout; with the line.
+    /// Returns an error, with the line, if it cannot be read or has a different layout.
     pub fn from_file(path: &Path) -> Result<Self, Trouble> {
         let place = path.display().to_string();
         let text = fs::read_to_string(path).map_err(|error| Trouble {
             kind: TroubleKind::Call,
             what: format!("cannot be read: {error}"),
             place: place.clone(),
-            remedy: "name the corrections.toml that `audit --fix DIR` wrote".to_owned(),
+            remedy: "pass the corrections.toml written by `audit --fix DIR`".to_owned(),
         })?;
         Self::from_text(&text, &place)
     }
 
-    /// Reads the text of a file; `source` names it in errors.
+    /// Parses the text of a file; `source` names it in errors.
     ///
     /// # Errors
-    /// Where it is not of this layout; with the line.
+    /// Returns an error, with the line, if it has a different layout.
     pub fn from_text(text: &str, source: &str) -> Result<Self, Trouble> {
         let refuse = |place: String, what: String| Trouble {
             kind: TroubleKind::Call,
             what,
             place,
-            remedy: "compare it with what `audit --fix DIR` writes".to_owned(),
+            remedy: "compare it with a file written by `audit --fix DIR`".to_owned(),
         };
         let corrections: Self = toml::from_str(text).map_err(|error| {
             let before = &text.as_bytes()[..error.span().map_or(0, |span| span.start)];
             let line = 1 + before.iter().filter(|&&byte| byte == b'\n').count();
             let what = error.message().lines().collect::<Vec<_>>().join(", ");
-            refuse(format!("{source}:{line}"), format!("no corrections: {what}"))
+            refuse(format!("{source}:{line}"), format!("invalid corrections: {what}"))
         })?;
         match corrections.flaw() {
             Some(what) => Err(refuse(source.to_owned(), what)),
@@ -330,7 +330,7 @@ impl Corrections {
         }
     }
 
-    /// What is wrong with it, beyond its layout.
+    /// First inconsistency beyond the layout.
     fn flaw(&self) -> Option<String> {
         for (index, joint) in self.joints.iter().enumerate() {
             let name = &joint.name;
@@ -339,21 +339,21 @@ impl Corrections {
                 return Some(format!("joint '{name}' needs one of offset_rad and offset_m"));
             }
             if joint.factor == Some(0.0) {
-                return Some(format!("joint '{name}': a factor of 0 leaves nothing"));
+                return Some(format!("joint '{name}': factor must not be 0"));
             }
             let same = |other: &JointCorrection| other.name == *name && other.robot == joint.robot;
             if self.joints[..index].iter().any(same) {
-                return Some(format!("joint '{name}' is there twice"));
+                return Some(format!("joint '{name}' is listed twice"));
             }
         }
         for (index, topic) in self.topics.iter().enumerate() {
             let name = &topic.name;
             let same = |other: &TopicCorrection| is_same(&other.name, name);
             if self.topics[..index].iter().any(same) {
-                return Some(format!("topic '{name}' is there twice"));
+                return Some(format!("topic '{name}' is listed twice"));
             }
             if topic.skew.is_some() && topic.skew_about_s.is_none() {
-                return Some(format!("topic '{name}' has a skew and no skew_about_s"));
+                return Some(format!("topic '{name}' has a skew but no skew_about_s"));
             }
             let frames = [
                 &topic.reference_from_stream,
@@ -363,7 +363,7 @@ impl Corrections {
             ];
             let numbers = frames.into_iter().flatten().flat_map(|frame| frame.xyz);
             if let Some(number) = numbers.into_iter().find(|number| !number.is_finite()) {
-                return Some(format!("topic '{name}': {number} is no length"));
+                return Some(format!("topic '{name}': {number} is not a valid length"));
             }
             if let Some(JointOrder { is, read_as }) = &topic.joint_order {
                 let sorted = |names: &[String]| {
@@ -373,20 +373,23 @@ impl Corrections {
                 };
                 let (is, read_as) = (sorted(is), sorted(read_as));
                 if is != read_as || is.windows(2).any(|pair| pair[0] == pair[1]) {
-                    return Some(format!("joint_order of '{name}' is no order of the same joints"));
+                    return Some(format!(
+                        "joint_order of '{name}': `is` and `read_as` must list the same \
+                        joints once"
+                    ));
                 }
             }
         }
         None
     }
 
-    /// The text of the file.
+    /// Text of the file.
     pub fn to_text(&self) -> String {
         let body = toml::to_string(self).expect("names and numbers are TOML");
         format!("{HEADER}{body}")
     }
 
-    /// The correction of a joint, which is made where there is none.
+    /// Correction of a joint, created if missing.
     pub(super) fn joint(&mut self, name: &str, robot: Option<String>) -> &mut JointCorrection {
         let at = self.joints.iter().position(|joint| joint.name == name && joint.robot == robot);
         let at = at.unwrap_or_else(|| {
@@ -397,7 +400,7 @@ impl Corrections {
         &mut self.joints[at]
     }
 
-    /// The correction of a topic, which is made where there is none.
+    /// Correction of a topic, created if missing.
     pub(super) fn topic(&mut self, name: &str) -> &mut TopicCorrection {
         let at = self.topics.iter().position(|topic| topic.name == name);
         let at = at.unwrap_or_else(|| {
@@ -453,9 +456,13 @@ mod tests {
         for (text, place, part) in [
             ("schema = \"poseaudit.corrections/9\"", "c.toml:1", "unknown variant"),
             ("[[joint]]\nname = \"a\"\nofset_rad = 1\n", "c.toml:4", "ofset_rad"),
-            ("[[joint]]\nname = \"a\"\noffset_rad = nan\n", "c.toml:4", "NaN is no amount"),
+            (
+                "[[joint]]\nname = \"a\"\noffset_rad = nan\n",
+                "c.toml:4",
+                "NaN is not a finite number",
+            ),
             ("[[joint]]\nname = \"a\"\noffset_rad = 30\n", "c.toml:4", "out of range"),
-            ("[[topic]]\nname = \"/t\"\nlatency_s = 1e9\n", "c.toml:4", "3600 s is the most"),
+            ("[[topic]]\nname = \"/t\"\nlatency_s = 1e9\n", "c.toml:4", "the maximum is 3600 s"),
             ("[[topic]]\nname = \"/t\"\n[[topic]]\nname = \"t\"\n", "c.toml", "twice"),
             ("[[joint]]\nname = \"a\"\n", "c.toml", "needs one of"),
             (
@@ -467,7 +474,7 @@ mod tests {
             (
                 "[[topic]]\nname = \"/t\"\nlink_from_imu_xyzw = [0.0, 0.0, 0.0, 0.0]\n",
                 "c.toml:4",
-                "no rotation",
+                "not a rotation",
             ),
             ("[[topic]]\nname = \"/t\"\nskew = 1e-4\n", "c.toml", "skew_about_s"),
             ("[[topic]]\nname = \"/t\"\n[[topic]]\nname = \"/t\"\n", "c.toml", "twice"),

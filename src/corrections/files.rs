@@ -1,4 +1,4 @@
-//! The files that hold what mends a system.
+//! Writes the files with the corrections of a system.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -15,21 +15,21 @@ use crate::geometry::CodeLine;
 use crate::report::markdown::prose;
 use crate::report::{quoted, tame};
 
-/// The file that says what the others are.
+/// Index of the other files.
 const INDEX: &str = "corrections.md";
 
-/// All files but those of the models.
+/// All files except those of the models.
 pub(crate) const FIX_FILES: [&str; 8] =
     [INDEX, CORRECTIONS, OFFSETS, LATENCIES, CONVENTIONS, TRANSFORMS, JOINTS, MODULE];
 
-/// The files that a patched copy of the model at `source` may be, and the patch.
+/// Possible files of a patched copy of the model at `source`, with its patch.
 pub(crate) fn model_files(source: &Path) -> [String; 4] {
     let stem = model_stem(source);
     ["urdf", "toml", "urdf.patch", "toml.patch"].map(|ending| format!("{stem}.{ending}"))
 }
 
 impl Mending {
-    /// The files, each with its text.
+    /// File names and contents.
     pub fn files(&self) -> Vec<(String, String)> {
         let mut files = vec![
             (INDEX.to_owned(), self.index()),
@@ -57,9 +57,9 @@ impl Mending {
     fn index(&self) -> String {
         let mut text = "# Corrections\n\n".to_owned();
         if self.mended.is_empty() {
-            text += "Nothing was found that a file could mend.\n";
+            text += "No finding can be corrected by a file.\n";
         } else {
-            text += "| finding | what is wrong | in |\n|---|---|---|\n";
+            text += "| finding | correction | in |\n|---|---|---|\n";
             for mended in &self.mended {
                 let Mended { finding, what, .. } = mended;
                 let (finding, what) = (prose(finding), prose(what));
@@ -77,14 +77,14 @@ impl Mending {
         for (name, what) in self.descriptions() {
             let _ = writeln!(text, "- `{name}`: {what}");
         }
-        text += "\nFiles not listed here are left over from an earlier run.\n";
-        text += "\n## To try them\n\n";
+        text += "\nFiles not listed here are from an earlier run.\n";
+        text += "\n## Try them\n\n";
         text += "`poseaudit audit LOG --corrections corrections.toml` applies them to the streams of the\n\
-                 log before it judges anything: corrected findings should disappear.\n";
+            log before the rules run: corrected findings should disappear.\n";
         if !self.models.is_empty() {
-            text += "A patched model, given with `--robot`, stands in the place of the joint offsets: take\n\
-                     these out of `corrections.toml` then, and out of any driver. What the log's own /tf\n\
-                     was published with is the model before the patch, which FRM001 will say.\n";
+            text += "A patched model, passed with `--robot`, replaces the joint offsets: remove them from\n\
+                `corrections.toml` and from any driver. The log's own /tf was published with the\n\
+                unpatched model, so FRM001 will report it.\n";
         }
         for why in &self.unpatched {
             let why = prose(why);
@@ -93,7 +93,7 @@ impl Mending {
         text
     }
 
-    /// The files that hold what mends a finding.
+    /// Files that correct a finding.
     fn names(&self, mended: &Mended) -> Vec<String> {
         let names = mended.files.iter().flat_map(|&file| match file {
             MODEL => self.models.iter().map(|model| model.file.clone()).collect(),
@@ -103,28 +103,29 @@ impl Mending {
     }
 
     fn descriptions(&self) -> Vec<(String, &'static str)> {
-        let mut all = vec![(
-            CORRECTIONS.to_owned(),
-            "all of it for a program; `audit --corrections` takes it back",
-        )];
+        let mut all = vec![(CORRECTIONS.to_owned(), "all corrections, for `audit --corrections`")];
         let mut add = |name: &str, what: &'static str, is_there: bool| {
             all.extend(is_there.then(|| (name.to_owned(), what)));
         };
         add(
             OFFSETS,
-            "what must be added to each joint's reported position",
+            "offsets to add to the reported joint positions",
             !self.corrections.joints.is_empty(),
         );
-        add(LATENCIES, "how late each topic is", self.latencies().is_some());
-        add(CONVENTIONS, "the lines of code that read a topic rightly", !self.codes.is_empty());
-        add(TRANSFORMS, "frames as commands of tf2_ros", !self.frames.is_empty());
-        add(JOINTS, "the same frames as joints of a URDF", !self.frames.is_empty());
+        add(LATENCIES, "latency of each topic", self.latencies().is_some());
+        add(CONVENTIONS, "lines of code that decode a topic correctly", !self.codes.is_empty());
+        add(TRANSFORMS, "frames as tf2_ros commands", !self.frames.is_empty());
+        add(JOINTS, "the same frames as URDF joints", !self.frames.is_empty());
         let module =
-            "offsets and delays of the dataset's columns in Python, also as a LeRobot step";
+            "offsets and delays of the dataset's columns as a Python module, with a LeRobot step";
         add(MODULE, module, self.module.is_some());
         for model in &self.models {
-            add(&model.file, "the model, its joints' origins turned by the offsets", true);
-            add(&format!("{}.patch", model.file), "what was changed in it, for `patch -p1`", true);
+            add(&model.file, "the model with joint origins corrected by the offsets", true);
+            add(
+                &format!("{}.patch", model.file),
+                "the changes to the model, for `patch -p1`",
+                true,
+            );
         }
         all
     }
@@ -134,9 +135,9 @@ impl Mending {
             return None;
         }
         let mut text = "\
-# Zero offsets of joints: q_true = q_reported + offset (rad; m of a joint that slides). A joint with a
+# Zero offsets of joints: q_true = q_reported + offset (rad; m for a prismatic joint). A joint with a
 # factor has q_true = factor * q_reported + offset.
-# ci95 is the 95 % interval. Add the offset where the position is reported, or use the patched model,
+# ci95 is the 95 % interval. Either add the offset to the reported position or use the patched model,
 # not both.
 joints:
 "
@@ -165,10 +166,10 @@ joints:
         let topics = &self.corrections.topics;
         let late = topics.iter().filter(|topic| topic.latency_s.is_some() || topic.skew.is_some());
         let mut text = "\
-# Latency of topics against the joint states, s. Positive is late: what is stamped t was true at
-# t - latency_s, so take latency_s off the stamps. ci95 is the 95 % interval.
-# A skew says by how much the latency grows with each second of stamp; it is latency_s (0 where that is
-# not given) skew_about_s seconds after the first stamp of the run.
+# Latency of topics relative to the joint states, s. Positive is late: a sample stamped t was taken at
+# t - latency_s, so subtract latency_s from the stamps. ci95 is the 95 % interval.
+# A skew is the growth of the latency per second of stamp. The latency is latency_s (0 if not given)
+# skew_about_s seconds after the first stamp of the run.
 topics:
 "
         .to_owned();
@@ -194,9 +195,7 @@ topics:
             return None;
         }
         let mut text =
-            "# Conventions\n\nChange the line that turns numbers into poses, and nothing \
-                        after it.\n"
-                .to_owned();
+            "# Conventions\n\nChange only the line that converts numbers to poses.\n".to_owned();
         for coded in &self.codes {
             let [finding, what] = [&coded.finding, &coded.what].map(|text| prose(text));
             let _ = writeln!(text, "\n## {finding}\n\n{what}; {}\n", coded.names);
@@ -211,8 +210,7 @@ topics:
         if self.frames.is_empty() {
             return None;
         }
-        let mut text =
-            "#!/bin/sh\n# Frames that do not move, for tf2_ros; one process each.\n".to_owned();
+        let mut text = "#!/bin/sh\n# Static frames for tf2_ros; one process each.\n".to_owned();
         for frame in &self.frames {
             let comment = format!("{}: {}", frame.finding, frame.comment);
             let comment = tame(&comment);
@@ -226,10 +224,9 @@ topics:
         if self.frames.is_empty() {
             return None;
         }
-        let mut text =
-            "<!-- Joints to put into a URDF. A frame that is new needs its link besides: \
+        let mut text = "<!-- Joints to add to a URDF. A new frame also needs a link: \
                         <link name=\"...\"/>. -->\n"
-                .to_owned();
+            .to_owned();
         for frame in &self.frames {
             let (finding, comment) = (in_xml(&frame.finding), in_xml(&frame.comment));
             let _ = write!(text, "\n<!-- {finding}: {comment} -->\n{}\n", frame.joint());

@@ -1,27 +1,27 @@
-//! Constant frames as a static transform's command and as a joint of a URDF.
+//! Constant frames as static transform commands and URDF joints.
 
 use std::path::Path;
 
 use super::file::rounded;
 use crate::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
 
-/// A frame that does not move in another.
+/// Frame fixed in another frame.
 #[derive(Clone, Debug)]
 pub(super) struct FixedFrame {
-    /// The finding that it mends, and on what.
+    /// Finding that it corrects, with its subject.
     pub finding: String,
-    /// What to do with it, in words.
+    /// Instruction for its use.
     pub comment: String,
-    /// The frame that it is in.
+    /// Parent frame.
     pub parent: String,
-    /// The frame.
+    /// Child frame.
     pub child: String,
     /// `parent_from_child`.
     pub pose: Pose,
 }
 
 impl FixedFrame {
-    /// The command that publishes it.
+    /// Command that publishes it.
     pub fn command(&self) -> String {
         let [x, y, z] = xyz_of(&self.pose).map(number);
         let [qx, qy, qz, qw] = xyzw_from_rotation(&self.pose.rotation).map(number);
@@ -34,7 +34,7 @@ impl FixedFrame {
         )
     }
 
-    /// The joint of a URDF that it is.
+    /// URDF joint.
     pub fn joint(&self) -> String {
         let [x, y, z] = xyz_of(&self.pose).map(number);
         let [roll, pitch, yaw] = Convention::RPY.numbers(&self.pose.rotation).map(number);
@@ -48,12 +48,12 @@ impl FixedFrame {
     }
 }
 
-/// A number to a billionth of a metre, a radian or a part.
+/// Formats a number rounded to 1e-9.
 fn number(value: f64) -> String {
     rounded(value).to_string()
 }
 
-/// A name that a shell takes as one word.
+/// Quotes a name for the shell if necessary.
 fn in_shell(name: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);
     match !name.is_empty() && name.chars().all(is_plain) {
@@ -62,19 +62,19 @@ fn in_shell(name: &str) -> String {
     }
 }
 
-/// A text as the value of an XML attribute, or in a comment.
+/// Escapes a text for an XML attribute or comment.
 pub(super) fn in_xml(text: &str) -> String {
     let escaped = text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
     escaped.replace('"', "&quot;").replace("--", "- -")
 }
 
-/// A text as a part of a name.
+/// Converts a text to part of a file or frame name.
 pub(super) fn slug(text: &str) -> String {
     let plain = text.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' });
     plain.collect::<String>().trim_matches('_').to_owned()
 }
 
-/// What the name of a patched model begins with: that of its source, where it has one.
+/// File stem of a patched model: that of its source, if any.
 pub(super) fn model_stem(source: &Path) -> String {
     let stem = slug(source.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default());
     if stem.is_empty() || stem == "corrections" { "robot".to_owned() } else { stem }

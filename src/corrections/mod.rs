@@ -1,8 +1,8 @@
-//! Corrections: what would mend the system that a log was recorded on.
+//! Corrections of the system on which a log was recorded.
 //!
-//! [`Corrections`] are told from an audit's findings, written as files that a person or a driver can
-//! use, and taken back by an audit that applies them to the streams before it judges anything. They
-//! hold amounts and no thresholds; nothing here estimates.
+//! [`Corrections`] are derived from an audit's findings and written as files for people and drivers. An
+//! audit can apply them to the streams before the rules run. They contain values but no thresholds, and
+//! nothing here estimates.
 
 mod apply;
 #[cfg(feature = "fix")]

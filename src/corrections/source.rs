@@ -1,4 +1,4 @@
-//! What findings are read with.
+//! Context from which corrections are derived.
 
 use super::file::rounded;
 use crate::diagnosis::Reading;
@@ -9,7 +9,7 @@ use crate::report::{Report, StreamRow};
 use crate::run::Run;
 use crate::stats::Measured;
 
-/// What findings are read with.
+/// Report, run and evidence behind the findings.
 pub(super) struct Source<'a> {
     pub report: &'a Report,
     pub run: &'a Run,
@@ -21,17 +21,19 @@ impl Source<'_> {
         self.report.streams.iter().find(|row| row.topic == topic)
     }
 
-    /// The topic of a finding, which holds one stream.
+    /// Topic of a finding, if it holds a single stream.
     pub fn lone_topic(&self, finding: &Finding) -> Result<String, String> {
         let topic = finding.subject.topic.clone().ok_or_else(nothing)?;
         let streams = self.report.streams.iter().filter(|row| row.topic == topic).count();
         match streams {
             0 | 1 => Ok(topic),
-            _ => Err(format!("{topic} holds several streams, which no correction tells apart")),
+            _ => Err(format!(
+                "{topic} holds several streams, which a correction cannot address separately"
+            )),
         }
     }
 
-    /// The robot of a finding on a joint, where several have a joint of that name.
+    /// Robot of a finding on a joint, if several robots have a joint of this name.
     pub fn robot_of(&self, finding: &Finding, joint: &str) -> Option<String> {
         let arms =
             self.run.arms.iter().filter(|arm| arm.joint_names.iter().any(|own| own == joint));
@@ -42,7 +44,7 @@ impl Source<'_> {
         self.row(topic).is_some_and(|row| row.role == "tf")
     }
 
-    /// The convention that the bare numbers of a topic turned out to be in.
+    /// Estimated convention of a topic's bare numbers.
     pub fn convention_of_numbers(&self, topic: &str) -> Option<Convention> {
         let (_, stream) = self.evidence.poses().find(|(_, stream)| stream.topic() == topic)?;
         match stream.diagnosis.reading.as_ref().ok()?.best {
@@ -52,7 +54,7 @@ impl Source<'_> {
     }
 }
 
-/// The code of a finding, and what it is on.
+/// Code and subject of a finding.
 pub(super) fn label(finding: &Finding) -> String {
     match finding.subject.label() {
         "" => finding.code.to_owned(),
@@ -61,10 +63,10 @@ pub(super) fn label(finding: &Finding) -> String {
 }
 
 pub(super) fn nothing() -> String {
-    "the finding holds no amount that could be applied".to_owned()
+    "the finding has no value that can be applied".to_owned()
 }
 
-/// The value of an amount in `unit`, and its interval.
+/// Value in `unit` and its interval.
 pub(super) fn amount(unit: Unit, found: &Measured) -> Result<(f64, Option<[f64; 2]>), String> {
     match found.value.is_finite() {
         true => Ok((rounded(found.value), unit.interval95(found).map(|ends| ends.map(rounded)))),
@@ -72,7 +74,7 @@ pub(super) fn amount(unit: Unit, found: &Measured) -> Result<(f64, Option<[f64; 
     }
 }
 
-/// What was taken for what, in words.
+/// Slip of a finding as text.
 pub(super) fn slip_words(finding: &Finding) -> Result<String, String> {
     match &finding.estimate {
         Some(Estimate::Slip { is, read_as, .. }) => Ok(format!("{is} read as {read_as}")),

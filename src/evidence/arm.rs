@@ -1,4 +1,4 @@
-//! One arm, and what was estimated on it and its streams.
+//! Evidence about one arm: estimates on its joints and streams.
 
 use std::borrow::Cow;
 
@@ -17,7 +17,7 @@ use crate::finding::{Span, Subject, Unit};
 use crate::run::{BetterModel, PoseSource, Run, RunOptions, Witness};
 use crate::stream::{Columns, Orientations};
 
-/// One robot and its streams.
+/// Robot with its streams.
 #[derive(Clone, Debug)]
 pub struct ArmEvidence {
     /// Name of the robot.
@@ -26,27 +26,27 @@ pub struct ArmEvidence {
     pub joints_topic: String,
     /// First and last stamp of its joint states.
     pub span: Span,
-    /// The joints of its chain, as `diagnosis` numbers them.
+    /// Joints of its chain, indexed as in `diagnosis`.
     pub joints: Vec<JointEvidence>,
-    /// Distance of the tip from the base at full stretch, m.
+    /// Distance from base to tip at full stretch, m.
     pub reach_m: f64,
-    /// Another arm that fits the poses far better than the model that was named.
+    /// Different arm model that fits the poses far better than the declared one.
     pub better_model: Option<BetterModel>,
-    /// What its DH table says of itself and what the streams say of that, where it is one.
+    /// Declared DH convention and the evidence for it, if the model is a DH table.
     pub dh: Option<DhEvidence>,
-    /// What was estimated on its joints.
+    /// Diagnosis of its joint states.
     pub diagnosis: JointDiagnosis,
-    /// The pose streams, in the order that the twins of a joint offset count them.
+    /// Pose streams, indexed as in the confounders of a joint offset.
     pub poses: Vec<Of<PoseEvidence>>,
-    /// What /tf says of the tip, against FK of the joint states as recorded.
+    /// Tip pose from /tf, against FK of the recorded joint states.
     pub tf: Option<Of<PoseEvidence>>,
-    /// What shakes the tip, by the joint states and by each pose stream.
+    /// Vibration of the tip, from the joint states and from each pose stream.
     pub shakes: Vec<Of<ShakeEvidence>>,
-    /// The IMUs on the arm.
+    /// IMUs on the arm.
     pub imus: Vec<Of<ImuEvidence>>,
-    /// Whether its joint positions were taken for degrees, by their size.
+    /// Whether joint positions were identified as degrees by their magnitude.
     pub taken_for_degrees: bool,
-    /// What the arm was told.
+    /// Command streams.
     pub references: Vec<Of<ReferenceEvidence>>,
 }
 
@@ -57,7 +57,7 @@ impl ArmEvidence {
         self.joints.len() + streams
     }
 
-    /// The pose streams and then /tf.
+    /// Pose streams followed by /tf.
     pub fn poses_and_tf(&self) -> impl Iterator<Item = &Of<PoseEvidence>> {
         self.poses.iter().chain(&self.tf)
     }
@@ -67,8 +67,7 @@ impl ArmEvidence {
         self.tf.iter().any(|tf| tf.topic() == stream.topic())
     }
 
-    /// Whose word the arm's pose streams are together: an outside witness stands out, and only where
-    /// all are the controller's is nothing else there.
+    /// Combined source of the pose streams: external if any is, controller if all are.
     pub fn witness(&self) -> Witness {
         let of = |witness: Witness| self.poses.iter().filter(move |s| s.witness == witness).count();
         match (of(Witness::External), of(Witness::Controller)) {
@@ -78,7 +77,7 @@ impl ArmEvidence {
         }
     }
 
-    /// Largest speed of the tip by FK, m/s; 0 where no stream says.
+    /// Maximum tip speed by FK, m/s; 0 without streams.
     pub fn top_speed_m_s(&self) -> f64 {
         self.poses_and_tf().map(|stream| stream.diagnosis.top_speed_m_s).fold(0.0, f64::max)
     }
@@ -93,7 +92,7 @@ impl ArmEvidence {
         Subject { topic: Some(topic.to_owned()), ..self.subject() }
     }
 
-    /// A frame that a topic of this robot speaks of, as a subject.
+    /// A frame in a topic of this robot as a subject.
     pub fn frame(&self, topic: &str, frame: &str) -> Subject {
         Subject { frame: Some(frame.to_owned()), ..self.topic(topic) }
     }
@@ -104,22 +103,22 @@ impl ArmEvidence {
         Subject { joint, ..self.subject() }
     }
 
-    /// What the joint states say of a joint, as a subject.
+    /// A joint in the joint states topic as a subject.
     pub fn joint_states(&self, index: usize) -> Subject {
         Subject { topic: Some(self.joints_topic.clone()), ..self.joint(index) }
     }
 
-    /// The scale of a joint that has a wrong one.
+    /// Scale error of a joint, if any.
     pub fn scale(&self, index: usize) -> Option<&JointScale> {
         self.diagnosis.scales.iter().find(|scale| scale.column == index)
     }
 
-    /// Whether its joint positions were taken for degrees, and no pose shows that they are.
+    /// Whether joint positions were identified as degrees but no pose confirms it.
     pub fn unit_is_open(&self) -> bool {
         self.taken_for_degrees && self.diagnosis.reading.is_err()
     }
 
-    /// The unit of a joint's positions.
+    /// Unit of a joint's positions.
     pub fn joint_unit(&self, index: usize) -> Unit {
         match self.joints.get(index) {
             Some(joint) if joint.prismatic => Unit::Metre,
@@ -128,7 +127,7 @@ impl ArmEvidence {
     }
 }
 
-/// What is known of arm `index`, on which `diagnosis` was estimated.
+/// Collects the evidence for arm `index` from its `diagnosis`.
 pub(super) fn arm_evidence(
     run: &Run,
     index: usize,

@@ -1,4 +1,4 @@
-//! What an arm was told, held against what it did.
+//! Comparison of commands with the motion of the arm.
 
 use super::poses::PoseEvidence;
 use super::{Of, of_arm, span_of};
@@ -11,54 +11,54 @@ use crate::geometry::Pose;
 use crate::run::{Arm, PoseSource, ReferenceContent, ReferenceSource, Role, Run};
 use crate::stream::{Columns, JointColumn, JointColumns, JointTrack};
 
-/// One stream of commands.
+/// One command stream.
 #[derive(Clone, Debug)]
 pub struct ReferenceEvidence {
-    /// Whether joints are commanded, and not poses.
+    /// Whether it commands joints rather than poses.
     pub is_of_joints: bool,
-    /// Whether the link that is commanded was named; if not it may be an active TCP.
+    /// Whether the commanded link is declared; if not, it may be an active TCP.
     pub tip_named: bool,
-    /// Whether a frame was named that commanded poses are in.
+    /// Whether the frame of the commanded poses is declared.
     pub frame_named: bool,
-    /// Who says where the tip was, one for each entry of the gaps and of a line's witnesses.
+    /// Sources of the actual tip pose, one per entry of the gaps and of a line's observations.
     pub witnesses: Vec<ReferenceWitness>,
-    /// What was estimated; why the commands cannot be held against the arm, where they cannot.
+    /// Diagnosis, or the reason why the commands cannot be compared with the arm.
     pub diagnosis: Result<Seen<ReferenceDiagnosis>, String>,
-    /// By how much the state follows: of each joint that is commanded, else of the tip. Empty where the
-    /// commands cannot be held against the arm.
+    /// Delay from command to state, per commanded joint or for the tip. Empty if the commands cannot be
+    /// compared with the arm.
     pub delays: Vec<CommandDelay>,
 }
 
-/// Who says where the tip was.
+/// Source of the actual tip pose.
 #[derive(Clone, Debug)]
 pub struct ReferenceWitness {
-    /// Its name in words: the topic of a stream.
+    /// Display name: the topic of a stream.
     pub name: String,
-    /// What its poses are.
+    /// Kind of its poses.
     pub kind: WitnessKind,
 }
 
-/// What the poses of a witness are.
+/// Kind of a source's poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WitnessKind {
-    /// Forward kinematics of the joint states as recorded.
+    /// Forward kinematics of the recorded joint states.
     Kinematics,
-    /// Those of a stream with everything taken off that was found on it.
+    /// Pose stream after correcting its findings.
     Corrected,
-    /// Those of a stream as it was logged.
+    /// Pose stream as logged.
     AsLogged,
 }
 
-/// Joint commands of a log without a model of the arm, held against the joint states with the same names.
+/// Joint commands of a log without an arm model, compared with the joint states of the same names.
 #[derive(Clone, Debug)]
 pub struct UnmodelledCommands {
-    /// Names of the joints.
+    /// Joint names.
     pub joints: Vec<String>,
-    /// By how much the state follows, of each joint.
+    /// Delay from command to state, per joint.
     pub delays: Vec<CommandDelay>,
 }
 
-/// By how much joint states follow commands in a run without a model of the arm.
+/// Delays from joint commands to joint states in a run without an arm model.
 pub(super) fn without_model(run: &Run, most_lag_s: f64) -> Vec<Of<UnmodelledCommands>> {
     if run.no_arm.is_none() {
         return Vec::new();
@@ -99,8 +99,8 @@ pub(super) fn without_model(run: &Run, most_lag_s: f64) -> Vec<Of<UnmodelledComm
     of_role(Role::Reference).filter_map(of).collect()
 }
 
-/// Times from the run's origin, strictly increasing, and positions of some joints of a stream, row-major; `None` if
-/// there are none.
+/// Strictly increasing times from the run's origin and row-major positions of the joints at `places`.
+/// `None` if there are none.
 fn rows_of(
     run: &Run,
     stream: usize,
@@ -121,7 +121,7 @@ fn rows_of(
     (!q.is_empty()).then_some((t_s, q))
 }
 
-/// Diagnoses the commands to arm `index`, on whose streams `poses` were found before.
+/// Diagnoses the commands to arm `index`, given the evidence for its pose streams.
 pub(super) fn references(
     run: &Run,
     index: usize,
@@ -151,7 +151,7 @@ pub(super) fn references(
             Ok(ReferenceContent::Joints { .. }) => (true, true, true),
             Err(_) => (false, false, false),
         };
-        // What the joints were told is held against the joints alone: both have their zeros.
+        // Joint commands are compared with the joint states only, because both have the same zeros.
         let others = if is_of_joints { [].as_slice() } else { of_streams.as_slice() };
         let (witnesses, series): (Vec<ReferenceWitness>, Vec<PoseSeries>) =
             of_joints.iter().chain(others).cloned().unzip();
@@ -173,8 +173,8 @@ pub(super) fn references(
     found.collect()
 }
 
-/// What was found of one stream of commands, and by how much the arm follows it; why it cannot be held
-/// against the arm, where it cannot.
+/// Diagnosis of one command stream and the delays of the arm. The error is the reason why they cannot be
+/// compared.
 fn diagnose(
     arm: &Arm,
     content: &ReferenceContent,
@@ -192,7 +192,7 @@ fn diagnose(
             let order = match columns {
                 Some(columns) => columns.clone(),
                 None => unnamed_order(t_s, q, &arm.joints, &arm.joint_names, &arm.columns).ok_or(
-                    "its numbers have no names, and follow the joints in none of the usual orders",
+                    "its values have no joint names and match the joints in none of the usual orders",
                 )?,
             };
             let delays = joint_delays(t_s, &order, q, &arm.joints, most_lag_s);
@@ -206,14 +206,14 @@ fn diagnose(
     let is_unnamed = matches!(content, ReferenceContent::Joints { columns: None, .. });
     match &found {
         Ok(found) if is_unnamed && !leads(found) => {
-            Err("its numbers have no names, and do not lead the joints".to_owned())
+            Err("its values have no joint names and do not lead the joint states".to_owned())
         }
         _ => Ok((found, delays)),
     }
 }
 
-/// Where a stream has the arm's tip in its base: with everything found on it taken off, and as logged.
-/// Its latency is taken off from both.
+/// Poses of the arm's tip in its base according to a stream, after correcting its findings and as logged.
+/// Both are corrected for latency.
 fn of_stream(
     run: &Run,
     arm: &Arm,

@@ -1,4 +1,4 @@
-//! What is estimated on each arm of a run.
+//! Runs the estimators on each arm of a run.
 
 use rayon::prelude::*;
 
@@ -11,16 +11,16 @@ use crate::robot::DhConvention;
 use crate::run::{Arm, ImuSource, Run, retake_carried, together};
 use crate::stream::JointTrack;
 
-/// The DH table of a robot.
+/// DH table of a robot.
 #[derive(Clone, Debug)]
 pub struct DhEvidence {
-    /// The convention that it says it is in.
+    /// Declared convention.
     pub declared: DhConvention,
-    /// What either convention leaves of the streams.
+    /// Residuals of the streams under either convention.
     pub estimate: DhEstimate,
 }
 
-/// What was estimated on one arm.
+/// Diagnosis of one arm.
 pub(super) struct Diagnosis {
     pub arm: ArmDiagnosis,
     pub tf: Option<PoseDiagnosis>,
@@ -28,8 +28,8 @@ pub(super) struct Diagnosis {
     pub dh: Option<DhEvidence>,
 }
 
-/// Diagnoses every arm of a run. An arm whose DH table proves to be of the other convention than it
-/// says is read by that one from here on.
+/// Diagnoses every arm of a run. If a DH table turns out to use the undeclared convention, the arm is
+/// replaced by that interpretation.
 pub(super) fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<Diagnosis> {
     let arms = 0..run.arms.len();
     arms.map(|index| {
@@ -46,7 +46,7 @@ pub(super) fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<Diagnosis> {
         match other.filter(|_| is_other) {
             Some((mut arm, other)) => {
                 let convention = declared.other().name();
-                arm.found += &format!(", its DH table read as {convention}");
+                arm.found += &format!(", DH table interpreted as {convention}");
                 run.replace_arm(index, arm);
                 Diagnosis { dh, ..other }
             }
@@ -56,18 +56,17 @@ pub(super) fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<Diagnosis> {
     .collect()
 }
 
-/// What the convention that an arm's DH table does not name leaves of its streams, beside what was
-/// `found` under the one that it names. Nothing is looked for where that explains them without a
-/// fault, or where the positions alone rule the other out.
+/// Diagnosis under the undeclared DH convention, compared with `found` under the declared one. Skipped if
+/// the declared one explains the streams without a fault, or if positions alone rule out the other.
 fn by_other_convention(
     run: &Run,
     arm: &Arm,
     found: &ArmDiagnosis,
     most_lag_s: f64,
 ) -> (DhEstimate, Option<(Arm, Diagnosis)>) {
-    /// Positions lie on an arm to this much with any faults, m, …
+    /// Maximum position misfit of a possible convention, m, …
     const NEAR_M: f64 = 0.02;
-    /// … or to this share of what they do on another.
+    /// … or relative to the declared one.
     const NEARER: f64 = 0.5;
     let declared = Left::of(found);
     let mut estimate = DhEstimate {
@@ -114,7 +113,7 @@ fn by_other_convention(
     (estimate, Some((other, diagnosis)))
 }
 
-/// What takes the positions of a stream to m.
+/// Factor from a stream's positions to m.
 fn position_factor(found: &PoseDiagnosis) -> f64 {
     found.length.as_ref().ok().copied().flatten().map_or(1.0, |slip| slip.factor())
 }
@@ -140,7 +139,7 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
             found.residual.as_ref().map_or(f64::INFINITY, Residual::together_m)
         };
         let found = diagnose_derived(&arm.joints, reading, stream, most_lag_s);
-        // What publishes the log's transforms knows of no correction.
+        // The publisher of the log's transforms does not apply corrections.
         let as_recorded = arm
             .recorded
             .as_ref()
@@ -163,7 +162,7 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
         })
     };
     let imu = |source: &ImuSource| match &diagnosis.joints.reading {
-        // No reading of the joint states fits the poses, so that FK of them tells nothing.
+        // Without a valid interpretation of the joint states, FK is meaningless.
         Err(Unseen::NotExcited) => {
             ImuDiagnosis::unseen(&Unseen::RestsOn("the order and the unit of the joint positions"))
         }
@@ -173,8 +172,7 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
     Diagnosis { arm: diagnosis, tf, imus, dh: None }
 }
 
-/// The joint states of an arm with what was found on them taken off; `None` where no reading of them
-/// fits the arm's poses.
+/// Corrected joint states of an arm. `None` if no interpretation of them fits its poses.
 pub(super) fn readable_joints(arm: &Arm, found: &ArmDiagnosis) -> Option<JointTrack> {
     let is_unread = matches!(found.joints.reading, Err(Unseen::NotExcited));
     (!is_unread).then(|| found.joints.corrected_joints(&arm.joints, &arm.slides()))

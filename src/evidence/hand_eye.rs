@@ -1,4 +1,4 @@
-//! What cameras see, each held against a hand.
+//! Hand-eye evidence: each target seen by a camera, compared with a hand.
 
 use crate::diagnosis::{
     HandEyeDiagnosis, HandEyeStreams, Mount, PoseSeries, diagnose_hand_eye, turning_peaks,
@@ -7,37 +7,37 @@ use crate::finding::{Span, Subject};
 use crate::run::{CameraAxes, HandKind, HandSource, Run, TargetSource};
 use crate::stream::JointTrack;
 
-/// A target that a camera sees, and a hand.
+/// Target seen by a camera, with a hand.
 #[derive(Clone, Debug)]
 pub struct HandEyeEvidence {
-    /// Name of the robot whose hand it is, where there is one.
+    /// Robot to which the hand belongs, if any.
     pub robot: Option<String>,
     /// Topic of the target.
     pub topic: String,
-    /// The camera's frame.
+    /// Camera frame.
     pub camera: String,
-    /// The target's frame; empty where the log names none.
+    /// Target frame; empty if not declared.
     pub target: String,
     /// First and last stamp of the target.
     pub span: Option<Span>,
-    /// The hand in words: a topic, or a link and what its poses are computed from.
+    /// Display name of the hand: a topic, or a link and the source of its poses.
     pub hand: String,
-    /// Whether its poses are FK of the joint states of `robot`, and so of their stamps.
+    /// Whether the hand's poses are FK of the joint states of `robot`, with their stamps.
     pub hand_is_of_joints: bool,
-    /// The frame of the hand; empty where the log names none.
+    /// Hand frame; empty if not declared.
     pub hand_frame: String,
-    /// The frame of the base that the hand's poses are in; empty where the log names none.
+    /// Base frame of the hand's poses; empty if not declared.
     pub base: String,
-    /// Which way the camera's axes should point, where the log's frames say.
+    /// Expected axes of the camera, if the log's frames determine them.
     pub axes: Option<CameraAxes>,
-    /// Where the log's frames have the camera.
+    /// Mount of the camera according to the log's frames.
     pub logged: Option<Mount>,
-    /// What was estimated.
+    /// Diagnosis.
     pub diagnosis: HandEyeDiagnosis,
 }
 
 impl HandEyeEvidence {
-    /// The frame that a camera on this mount is in, where the log names it.
+    /// Parent frame of a camera on this mount, if declared.
     pub fn parent_of(&self, mount: Mount) -> Option<String> {
         let frame = match mount {
             Mount::InHand => &self.hand_frame,
@@ -57,8 +57,8 @@ impl HandEyeEvidence {
     }
 }
 
-/// Diagnoses every target against its hand. `joints` are those of each arm, corrected by what was
-/// found on them; `None` where they cannot be read.
+/// Diagnoses every target against its hand. `joints` returns the corrected joint states of an arm, or
+/// `None` if they cannot be interpreted.
 pub(super) fn hand_eyes(
     run: &Run,
     joints: impl Fn(usize) -> Option<JointTrack>,
@@ -98,7 +98,7 @@ pub(super) fn hand_eyes(
     facts.collect()
 }
 
-/// The hand that a target turns most like, with its poses; the first where none turns.
+/// Hand whose rotation correlates best with the target's, with its poses; the first if none rotates.
 fn best_hand<'a>(
     target: &'a TargetSource,
     series: &PoseSeries,
@@ -123,11 +123,11 @@ fn best_hand<'a>(
     if hands.len() < 2 {
         return hands.pop();
     }
-    // Of equals the last counts as the greatest, and the first is wanted.
+    // `max_by` returns the last of equals, so reverse to prefer the first.
     hands.into_iter().rev().max_by(|a, b| alike(&a.1).total_cmp(&alike(&b.1)))
 }
 
-/// The frame of the base.
+/// Base frame.
 fn base_of(run: &Run, kind: &HandKind) -> String {
     match kind {
         HandKind::Joints { chain, .. } => chain.base_name().to_owned(),
@@ -136,7 +136,7 @@ fn base_of(run: &Run, kind: &HandKind) -> String {
     }
 }
 
-/// The frame of the hand.
+/// Hand frame.
 fn hand_frame_of(run: &Run, kind: &HandKind) -> String {
     match kind {
         HandKind::Joints { chain, .. } => chain.tip_name().to_owned(),
@@ -145,7 +145,7 @@ fn hand_frame_of(run: &Run, kind: &HandKind) -> String {
     }
 }
 
-/// The hand in words.
+/// Display name of the hand.
 fn name_of(run: &Run, kind: &HandKind) -> String {
     match kind {
         HandKind::Joints { chain, .. } => format!("{} by FK", chain.tip_name()),

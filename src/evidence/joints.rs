@@ -1,4 +1,4 @@
-//! The joints of an arm, and how they move by all of their samples.
+//! Joints of an arm, and their motion over all samples.
 
 use std::f64::consts::TAU;
 
@@ -15,46 +15,46 @@ use crate::run::{Arm, JointMending, JointSamples, Run, Velocities};
 /// One joint of a chain.
 #[derive(Clone, Debug)]
 pub struct JointEvidence {
-    /// Its name, as the log spells it.
+    /// Name, as in the log.
     pub name: String,
-    /// Whether it slides.
+    /// Whether it is prismatic.
     pub prismatic: bool,
-    /// The limits that the model states.
+    /// Limits in the model.
     pub limits: Limits,
-    /// What it does, by all of its samples.
+    /// Motion over all samples.
     pub motion: JointMotion,
-    /// Its velocities, as recorded, against its positions, as recorded; `None` where there are none.
+    /// Recorded velocities compared with recorded positions. `None` without velocities.
     pub velocity: Option<Seen<VelocityDiagnosis>>,
-    /// What its positions really are, where the arm's pose streams showed that: those that stand under the
-    /// joint in this place of the list, times a factor.
+    /// Actual content of its positions, if the pose streams show it: index of the joint that they belong
+    /// to, and a factor.
     pub really: Option<(usize, f64)>,
 }
 
-/// What a joint does over the run.
+/// Motion of a joint over the run.
 #[derive(Clone, Debug, Default)]
 pub struct JointMotion {
-    /// How far it is beyond its positions' limits.
+    /// Violation of its position limits.
     pub positions: Option<Excess>,
-    /// The turns by which it is beyond its limits throughout the run, if it is within them that many
-    /// turns away; positive beyond the upper limit.
+    /// Number of full turns by which it is beyond its limits throughout the run; positive beyond the upper
+    /// limit.
     pub turns_beyond: Option<f64>,
-    /// How far it is beyond its speed limit.
+    /// Violation of its speed limit.
     pub speeds: Option<Excess>,
-    /// How abruptly it changes its speed; `None` where its samples do not tell.
+    /// Largest acceleration. `None` if its samples do not allow an estimate.
     pub abruptness: Option<Abruptness>,
-    /// Whether it turns without end, by the model or as the log shows.
+    /// Whether it rotates without limits, according to the model or the log.
     pub is_endless: bool,
 }
 
-/// What makes the joint states those that the arm has, where they are far from that: how the arm moves
-/// is not told by numbers that are no positions.
+/// Corrections that turn the joint states into the actual positions, if names or units are wrong. Motion
+/// cannot be judged on wrong numbers.
 pub(super) fn mending(arm: &Arm, found: &JointDiagnosis) -> Option<JointMending> {
     let reading = found.reading.as_ref().ok()?;
     if reading.is_as_logged() {
         return None;
     }
-    // The zero of a code such as ticks belongs to the unit. Any other zero is an estimate, and limits are
-    // checked on positions that were logged.
+    // The zero of an encoding such as ticks is part of the unit. All other zeros are estimates, and limits
+    // apply to logged positions.
     let coded_zero = |joint: usize| {
         let coded = found.scales.iter().find(|scale| scale.column == joint && scale.is_coded());
         coded.map_or(0.0, |scale| scale.offset)
@@ -71,7 +71,7 @@ pub(super) fn mending(arm: &Arm, found: &JointDiagnosis) -> Option<JointMending>
     Some(mending)
 }
 
-/// A joint, and what it does by all of its samples.
+/// Evidence for one joint over all of its samples.
 pub(super) fn joint_evidence(
     run: &Run,
     arm: &Arm,
@@ -90,7 +90,7 @@ pub(super) fn joint_evidence(
             .any(|folded| folded.stream == source.stream && folded.joint == source.name);
         motion.is_endless =
             is_folded || model.is_some_and(|joint| joint.kind == JointKind::Continuous);
-        // What is logged within one turn has no place on a longer way.
+        // Positions wrapped to one turn cannot be compared with limits.
         if !is_folded {
             motion.positions = beyond_positions(t_s, position, &limits);
             let turns = model.is_some_and(|joint| joint.kind == JointKind::Revolute);
@@ -112,12 +112,13 @@ pub(super) fn joint_evidence(
     JointEvidence { name, prismatic, limits, motion, velocity: None, really: None }
 }
 
-/// The turns by which positions, rad, are beyond `limits` throughout, if they are within them that many
-/// turns away.
+/// Number of full turns by which positions, rad, are beyond `limits` throughout, if subtracting them brings
+/// all within.
 fn turns_beyond(position: &[f64], limits: &Limits) -> Option<f64> {
-    /// An encoder counts no more turns than this.
+    /// Maximum number of turns an encoder counts.
     const MOST: f64 = 4.0;
-    /// Within this share of the range beyond a limit the model's limit is as likely wrong (MOT003's `info`).
+    /// Maximum excess, as a share of the range, at which the model's limit is as likely to be wrong
+    /// (MOT003's `info`).
     const SLIGHT: f64 = 0.01;
     let (lower, upper) = limits.lower.zip(limits.upper)?;
     let finite = position.iter().copied().filter(|position| position.is_finite());
@@ -133,8 +134,7 @@ fn turns_beyond(position: &[f64], limits: &Limits) -> Option<f64> {
     (is_within && turns.abs() <= MOST).then_some(turns)
 }
 
-/// The times from which on the positions of each of so many joints are others than before, as one whose zero is
-/// lost.
+/// Change points of each joint's positions, such as a lost zero.
 pub(super) fn breaks(found: &JointDiagnosis, joints: usize) -> Vec<Vec<f64>> {
     let mut breaks = vec![Vec::new(); joints];
     for change in &found.changes {
@@ -146,13 +146,13 @@ pub(super) fn breaks(found: &JointDiagnosis, joints: usize) -> Vec<Vec<f64>> {
     breaks
 }
 
-/// The velocities of each joint against its positions, both as recorded; `None` of one that has none. The
-/// positions are others from each of `breaks` on.
+/// Compares recorded velocities with recorded positions, per joint. `None` for joints without velocities.
+/// Positions change at each of `breaks`.
 pub(super) fn velocities(
     recorded: &[JointSamples<'_>],
     breaks: &[Vec<f64>],
 ) -> Vec<Option<Seen<VelocityDiagnosis>>> {
-    /// More samples tell no more.
+    /// Maximum number of samples used.
     const ENOUGH: usize = 24_000;
     let some = |of: &[f64]| -> Vec<f64> {
         stretches(of.len(), ENOUGH).flat_map(|rows| of[rows].iter().copied()).collect()

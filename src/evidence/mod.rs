@@ -1,5 +1,5 @@
-//! What is estimated on a run and counted in it, stream by stream: what the rules judge. Each family of
-//! streams has a file, with what is known of one and how that is had of the run.
+//! Evidence: everything estimated and counted in a run, per stream. Rules judge this. Each family of
+//! streams has a file with its types and the code that computes them from the run.
 
 mod arm;
 mod commands;
@@ -33,61 +33,61 @@ pub use topics::{
     EmptyEvidence, FrameEvidence, RepeatEvidence, RepeatKind, Undecodable, UndecodableTopic,
 };
 
-/// All that is known of one run.
+/// All evidence about one run.
 #[derive(Clone, Debug, Default)]
 pub struct RunEvidence {
-    /// The robots in the log that have a model, each with its streams.
+    /// Robots with a model, each with its streams.
     pub robots: Vec<ArmEvidence>,
-    /// Why there is none, where there is none.
+    /// Reason why there is no robot, if so.
     pub no_robot: Option<String>,
     /// Joint commands, if there is no robot.
     pub unmodelled_commands: Vec<Of<UnmodelledCommands>>,
-    /// What cameras see, each held against a hand.
+    /// Targets seen by cameras, each compared with a hand.
     pub hand_eyes: Vec<HandEyeEvidence>,
-    /// Every stream that plays a part, by its stamps.
+    /// Stamps of every stream with a role.
     pub stamps: Vec<Of<StampEvidence>>,
-    /// Every stream that is audited, by its samples that hold no usable numbers.
+    /// Unusable samples of every audited stream.
     pub unusable: Vec<Of<UnusableEvidence>>,
-    /// Every stream that plays a part, by how regularly it comes.
+    /// Sample timing of every stream with a role.
     pub rhythms: Vec<Of<RhythmEvidence>>,
-    /// The TF topics, and what keeps their frames from being a tree.
+    /// TF topics and the problems of their tree.
     pub frames: FrameEvidence,
-    /// Every stream that logs rotations as more than three numbers, by how far they are from rotations.
+    /// Deviation from rotations, for every stream whose rotations have more than three numbers.
     pub norms: Vec<Of<Vec<Norms>>>,
-    /// Every stream of joint states, tool poses or transforms, by the samples that jump away and back.
+    /// Outliers of every stream of joint states, tool poses or transforms.
     pub strays: Vec<Of<StrayEvidence>>,
-    /// Every stream of tool poses that the arm can be held against, by when it stood still.
+    /// Frozen intervals of every pose stream compared with the arm.
     pub frozen: Vec<Of<Vec<Frozen>>>,
-    /// What repeats values with new stamps.
+    /// Streams that repeat values with new stamps.
     pub held: Vec<Of<HeldEvidence>>,
-    /// Every stream of joint states or tool poses, and every other that says it is one, with why it is not
-    /// audited as that.
+    /// Streams of joint states or tool poses, and streams declared as such, with the reasons why they are
+    /// not audited.
     pub unaudited: Vec<Of<Vec<WhyNot>>>,
-    /// Every stream of poses that does what the arm does before it does, with its lead in seconds.
+    /// Pose streams that lead the arm, with the lead in seconds.
     pub leaders: Vec<Of<f64>>,
-    /// Topics that would play a role, and hold no message, or none with finite numbers.
+    /// Relevant topics without messages or without finite numbers.
     pub empty: Vec<EmptyEvidence>,
-    /// Topics that the caller expects and the log does not have, with where that is said.
+    /// Expected topics that are missing, with the place where they are declared.
     pub missing: Vec<(Subject, String)>,
     /// First stamp of the run.
     pub start: Option<Stamp>,
-    /// The stamp that times in seconds of the diagnosis are relative to.
+    /// Origin of all times in seconds.
     pub origin: Stamp,
-    /// Whether the log holds `/clock`, the mark of simulation.
+    /// Whether the log contains `/clock`, which indicates simulation.
     pub simulated: bool,
     /// Damage to the files.
     pub losses: Vec<Loss>,
-    /// Topics that the audit wants and that could not be decoded.
+    /// Relevant topics that could not be decoded.
     pub undecodable: Vec<UndecodableTopic>,
-    /// What metadata declare and the numbers are not; `None` where nothing is declared.
+    /// Contradictions between metadata and numbers. `None` if nothing is declared.
     pub contradictions: Option<Vec<Note>>,
-    /// Columns that hold what others hold, or one value; `None` without tables.
+    /// Duplicate or constant columns. `None` without tables.
     pub repeats: Option<Vec<RepeatEvidence>>,
 }
 
 impl RunEvidence {
-    /// What is known of `run`. An arm whose DH table proves to be of the other convention than it says is
-    /// read by that one from here on.
+    /// Collects the evidence for `run`. If a DH table turns out to use the undeclared convention, its arm
+    /// is replaced.
     pub fn of(run: &mut Run, lost: &Lost, options: &RunOptions) -> Self {
         let most_lag_s = options.max_latency_s;
         let diagnoses = estimate::diagnose(run, most_lag_s);
@@ -130,18 +130,18 @@ impl RunEvidence {
         }
     }
 
-    /// Number of subjects (streams and joints) in the run, by which intervals are corrected.
+    /// Number of subjects (streams and joints), for the multiple-comparison correction of intervals.
     pub fn subjects(&self) -> usize {
         let of_robots: usize = self.robots.iter().map(ArmEvidence::subjects).sum();
         (of_robots + self.hand_eyes.len()).max(1)
     }
 
-    /// Whether messages amid the files are lost, so that what is missing of a stream may be the log's.
+    /// Whether messages within the files are lost, so gaps may be the recording's fault.
     pub fn lost_messages(&self) -> bool {
         self.losses.iter().any(|loss| loss.extent >= log::Extent::Messages)
     }
 
-    /// A moment of the run as a person finds it again: seconds from the start.
+    /// Formats a stamp as seconds from the start of the run.
     pub fn moment(&self, stamp: Stamp) -> String {
         format!("+{:.2} s", stamp.seconds_since(self.start.unwrap_or(stamp)))
     }
@@ -151,7 +151,7 @@ impl RunEvidence {
         self.robots.iter().flat_map(|arm| arm.poses.iter().map(move |stream| (arm, stream)))
     }
 
-    /// Every pose stream and every /tf with its robot.
+    /// Every pose stream and /tf with its robot.
     pub fn poses_and_tf(&self) -> impl Iterator<Item = (&ArmEvidence, &Of<PoseEvidence>)> {
         self.robots.iter().flat_map(|arm| arm.poses_and_tf().map(move |stream| (arm, stream)))
     }
@@ -162,29 +162,29 @@ impl RunEvidence {
     }
 }
 
-/// What was found on a stream.
+/// Evidence about a stream.
 #[derive(Clone, Debug)]
 pub struct Of<T> {
     /// The stream.
     pub subject: Subject,
     /// First and last stamp used.
     pub span: Option<Span>,
-    /// What was found.
+    /// The evidence.
     pub found: T,
 }
 
 impl<T> Of<T> {
-    /// The topic of the stream.
+    /// Topic of the stream.
     pub fn topic(&self) -> &str {
         self.subject.topic.as_deref().unwrap_or_default()
     }
 
-    /// Length of its span, s; 0 without one.
+    /// Length of the span, s; 0 without one.
     pub fn seconds(&self) -> f64 {
         self.span.map_or(0.0, |span| span.seconds())
     }
 
-    /// Something else that was found on the same stream.
+    /// Different evidence about the same stream.
     pub(crate) fn with<U>(&self, found: U) -> Of<U> {
         Of { subject: self.subject.clone(), span: self.span, found }
     }
@@ -204,20 +204,20 @@ impl<T> DerefMut for Of<T> {
     }
 }
 
-/// What reading the files lost.
+/// Data lost or rejected while reading the files.
 #[derive(Clone, Debug, Default)]
 pub struct Lost {
     /// Damage to the files.
     pub losses: Vec<Loss>,
-    /// Topics that the audit wants and that could not be decoded.
+    /// Relevant topics that could not be decoded.
     pub undecodable: Vec<UndecodableTopic>,
-    /// What metadata declare and the numbers are not; `None` where nothing is declared.
+    /// Contradictions between metadata and numbers. `None` if nothing is declared.
     pub contradictions: Option<Vec<Note>>,
-    /// What in tables repeats in every row; `None` without tables.
+    /// Duplicate or constant columns of tables. `None` without tables.
     pub repeats: Option<Vec<Repeat>>,
 }
 
-/// What was found on the stream `index`.
+/// Evidence about the stream `index`.
 fn of<T>(run: &Run, index: usize, found: T) -> Of<T> {
     let stream = &run.streams[index];
     let subject = Subject {
@@ -229,7 +229,7 @@ fn of<T>(run: &Run, index: usize, found: T) -> Of<T> {
     Of { subject, span: span_of(run, index), found }
 }
 
-/// What was found on a stream of an arm: with its topic for a subject, whatever frame it is of.
+/// Evidence about a stream of an arm, whose subject has no frame.
 fn of_arm<T>(run: &Run, arm: &Arm, stream: usize, found: T) -> Of<T> {
     let (robot, topic) = (Some(arm.name.clone()), Some(run.streams[stream].topic.clone()));
     let subject = Subject { robot, topic, ..Subject::default() };
@@ -242,7 +242,7 @@ fn span_of(run: &Run, stream: usize) -> Option<Span> {
     Some(Span { start: stream.start?, end: stream.end? })
 }
 
-/// First and last stamp of a stream, else of the run.
+/// First and last stamp of a stream; otherwise of the run.
 fn span_in(run: &Run, stream: usize) -> Span {
     span_of(run, stream).unwrap_or_else(|| {
         let (start, end) = run.span.unwrap_or((run.origin, run.origin));

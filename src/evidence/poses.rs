@@ -1,4 +1,4 @@
-//! The streams of an arm: tool poses and IMUs.
+//! Pose streams and IMUs of an arm.
 
 use crate::diagnosis::{Alternation, ImuDiagnosis, ImuProof, PoseDiagnosis, Proof, Reading, Seen};
 use crate::geometry::{AngleUnit, Coding, Convention, LengthScale, Rotation};
@@ -7,81 +7,81 @@ use crate::run::{Declaration, PoseSource, Role, Run, Stream, Witness};
 use crate::stream::Columns;
 use crate::time::Stamp;
 
-/// One stream of poses.
+/// One pose stream.
 #[derive(Clone, Debug)]
 pub struct PoseEvidence {
-    /// The frame that its poses are expressed in.
+    /// Frame in which its poses are expressed.
     pub reference: String,
-    /// Whether that frame is tied to the robot; if not its pose is estimated and not judged.
+    /// Whether that frame is fixed to the robot; if not, its pose is estimated but not judged.
     pub reference_known: bool,
-    /// The frame whose poses they are.
+    /// Frame whose poses it contains.
     pub tip: String,
-    /// Whether somebody named the tip (`--tip`, the stream's child frame), so that an offset from it
-    /// is a fault and not the active TCP.
+    /// Whether the tip is declared (`--tip`, the stream's child frame). If so, an offset from it is a fault
+    /// rather than the active TCP.
     pub tip_named: bool,
-    /// Whose word the poses are.
+    /// Source of the poses.
     pub witness: Witness,
-    /// Its error straight from FK.
+    /// Direct comparison with FK.
     pub proof: Seen<Proof>,
-    /// Whether its stamps are its own, not copies of the joints'.
+    /// Whether its stamps are independent rather than copies of the joints' stamps.
     pub independent: bool,
     /// Whether its rotations are bare numbers, which may be degrees.
     pub bare_numbers: bool,
-    /// Whether it holds bare numbers of which nothing is declared, so that they violate no convention.
+    /// Whether it contains bare numbers without a declaration, which cannot violate a convention.
     pub bare: bool,
-    /// The units that the caller declared its numbers to be in.
+    /// Units declared by the caller.
     pub declared: Option<Declared>,
-    /// How its rotations are coded, where they are three bare numbers.
+    /// Encoding of its rotations, if they are three bare numbers.
     pub euler: Option<EulerEvidence>,
-    /// What the names of its rotation's columns say of their encoding, of a table.
+    /// Rotation encoding according to the column names of a table.
     pub labels: Option<RotationLabels>,
-    /// Whether it is columns of a table, which name no frame.
+    /// Whether it comes from table columns, which have no frame.
     pub is_of_table: bool,
-    /// Columns of a table beside positions that nothing identifies, and that may be their rotation.
+    /// Unidentified table columns next to positions, which may be their rotation.
     pub rotation_unread: Vec<String>,
-    /// The rigid bodies on the tool that its poses alternate between, where they do; everything else was
-    /// estimated on all of them as those of the usual one.
+    /// Rigid bodies on the tool between which its poses alternate, if any. All other estimates refer to the
+    /// most frequent one.
     pub alternation: Option<Alternation>,
-    /// What was estimated on it.
+    /// Diagnosis.
     pub diagnosis: PoseDiagnosis,
 }
 
-/// Rotations that are coded as three numbers.
+/// Rotations encoded as three numbers.
 #[derive(Clone, Debug)]
 pub struct EulerEvidence {
-    /// What the numbers are, as declared or as the arm tells; `None` where it does not.
+    /// Convention, as declared or as estimated. `None` if undetermined.
     pub convention: Option<Convention>,
-    /// For every row with a stamp, how far it is from gimbal lock, rad; empty where the convention
-    /// has none.
+    /// Distance from gimbal lock of every row with a stamp, rad. Empty if the convention has no gimbal
+    /// lock.
     pub margins_rad: Vec<(Stamp, f64)>,
 }
 
-/// The units of a stream's numbers as the caller declared them.
+/// Units of a stream's numbers as declared by the caller.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Declared {
-    /// The unit of the angles, where the numbers hold any.
+    /// Angle unit, if the numbers contain angles.
     pub angles: Option<AngleUnit>,
-    /// The unit of the positions.
+    /// Length unit of the positions.
     pub lengths: LengthScale,
 }
 
 /// One IMU.
 #[derive(Clone, Debug)]
 pub struct ImuEvidence {
-    /// Whether its stamps are its own, not copies of the joints'.
+    /// Whether its stamps are independent rather than copies of the joints' stamps.
     pub independent: bool,
-    /// The link that carries it.
+    /// Link on which it is mounted.
     pub link: String,
-    /// How it is turned in that link by the log's frames, where they say.
+    /// Its orientation in that link according to the log's frames, if given.
     pub link_from_imu: Option<Rotation>,
-    /// What it leaves straight against FK; `None` where it does not turn with the arm.
+    /// Direct comparison with FK. `None` if it does not rotate with the arm.
     pub proof: Option<ImuProof>,
-    /// What was estimated on it.
+    /// Diagnosis.
     pub diagnosis: ImuDiagnosis,
 }
 
-/// How the rotations of a stream of six bare numbers are coded, and how near gimbal lock all its rows
-/// are; `None` of other streams.
+/// Rotation encoding of a stream with six bare numbers, and the distance of its rows from gimbal lock.
+/// `None` for other streams.
 pub(super) fn euler(
     run: &Run,
     source: &PoseSource,
@@ -120,7 +120,7 @@ pub(super) fn euler(
     })
 }
 
-/// The numbers of the table that may be the rotation of positions without one, as nothing identifies them.
+/// Unidentified table columns that may be the rotation of positions without one.
 pub(super) fn rotation_unread(run: &Run, source: &PoseSource) -> Vec<String> {
     if !run.streams[source.stream].holds_no_rotation() {
         return Vec::new();

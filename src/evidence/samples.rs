@@ -1,48 +1,48 @@
-//! What samples of a run's streams hold: numbers that are none, jump, repeat, or are no rotations.
+//! Sample defects: unusable numbers, outliers, repeated values and invalid rotations.
 
 use super::{Of, of};
 use crate::robot::JointKind;
 use crate::run::{Frozen, Held, Norms, PoseSource, Role, Run, Strays, Stream};
 use crate::stream::Columns;
 
-/// The samples of a stream that hold no usable numbers.
+/// Unusable samples of a stream.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct UnusableEvidence {
-    /// Those that are NaN, infinite or larger than anything is.
+    /// Samples that are NaN, infinite or absurdly large.
     pub unusable: u64,
-    /// Those without an orientation, where others have one.
+    /// Samples without an orientation, if others have one.
     pub unset: u64,
-    /// Those with more or fewer numbers than they should have.
+    /// Samples with a wrong number of values.
     pub misfits: u64,
-    /// Those that name a joint twice, with other positions.
+    /// Samples that list a joint twice with different positions.
     pub contradictory: u64,
-    /// All of them.
+    /// Total number of samples.
     pub samples: u64,
 }
 
-/// What of a stream jumps away and comes back.
+/// Outliers of a stream.
 #[derive(Clone, Debug)]
 pub struct StrayEvidence {
-    /// Its samples; where it holds several poses, those of the one that has most.
+    /// Number of samples; if the stream has several poses, of the most frequent one.
     pub samples: usize,
-    /// The joints of it, or its transforms, that have such samples.
+    /// Joints or transforms with outliers.
     pub parts: Vec<Strays>,
-    /// The joints that slide.
+    /// Prismatic joints.
     pub sliding: Vec<String>,
 }
 
-/// What a stream repeats with new stamps while the arm moves.
+/// Values that a stream repeats with new stamps while the arm moves.
 #[derive(Clone, Debug)]
 pub struct HeldEvidence {
-    /// Of each of its transforms, or of all of it, where anything is repeated.
+    /// Repeated values of each transform, or of the whole stream.
     pub parts: Vec<Held>,
-    /// Whether its name says that it repeats on purpose.
+    /// Whether the topic name indicates deliberate repetition.
     pub is_latched: bool,
-    /// Whether it is computed from joint states that repeat, and has their stamps.
+    /// Whether it is computed from repeated joint states and has their stamps.
     pub is_of_joints: bool,
 }
 
-/// The norms of the streams that log rotations, each with all its transforms.
+/// Norms of all streams with rotations, grouped by stream.
 pub(super) fn norms(run: &Run) -> Vec<Of<Vec<Norms>>> {
     let is_tf = |topic: &str| {
         run.streams.iter().any(|stream| stream.role == Role::Tf && stream.topic == topic)
@@ -52,9 +52,9 @@ pub(super) fn norms(run: &Run) -> Vec<Of<Vec<Norms>>> {
     for norms in &run.norms {
         let Some(stream) = run.streams.get(norms.stream) else { continue };
         let is_rotations = match &stream.columns {
-            // Four of a bare array's numbers are a quaternion only where it is a pose.
+            // Four numbers of a bare array are a quaternion only if it is a pose.
             Some(Columns::Array(_)) => stream.role == Role::Pose,
-            // What a transform says is judged on its own topic.
+            // Transforms are judged on their own topic.
             Some(Columns::Poses(_)) => stream.role != Role::Ignored && !is_tf(&stream.topic),
             _ => true,
         };
@@ -70,7 +70,7 @@ pub(super) fn norms(run: &Run) -> Vec<Of<Vec<Norms>>> {
     streams
 }
 
-/// The streams that are audited, each with its samples that hold no usable numbers.
+/// Unusable samples of the audited streams.
 pub(super) fn unusable(run: &Run) -> Vec<Of<UnusableEvidence>> {
     let is_asked =
         |stream: &Stream| matches!(stream.role, Role::Joints | Role::Pose | Role::Tf | Role::Imu);
@@ -96,7 +96,7 @@ pub(super) fn unusable(run: &Run) -> Vec<Of<UnusableEvidence>> {
                 joint = worst.filter(|_| facts.unusable > 0).map(|(name, _)| name.to_owned());
             }
             Some(Columns::Poses(_) | Columns::Transforms(_)) => {
-                // Where none is set at all the part has no rotations.
+                // If no orientation is set, the part has no rotations.
                 let some = run.norms.iter().filter(|norms| norms.stream == index && norms.rows > 0);
                 facts.unset = some.map(|norms| norms.unset as u64).sum();
             }
@@ -113,14 +113,14 @@ pub(super) fn unusable(run: &Run) -> Vec<Of<UnusableEvidence>> {
     streams.map(unusable).collect()
 }
 
-/// The streams of joint states, tool poses and transforms, each with what of it jumps away and back.
+/// Outliers of the streams of joint states, tool poses and transforms.
 pub(super) fn strays(run: &Run) -> Vec<Of<StrayEvidence>> {
     let is_tf = |topic: &str| {
         run.streams.iter().any(|stream| stream.role == Role::Tf && stream.topic == topic)
     };
     let is_asked = |stream: &Stream| match stream.role {
         Role::Joints | Role::Tf => true,
-        // What a transform says is judged on its own topic.
+        // Transforms are judged on their own topic.
         Role::Pose => !is_tf(&stream.topic),
         _ => false,
     };
@@ -144,7 +144,7 @@ pub(super) fn strays(run: &Run) -> Vec<Of<StrayEvidence>> {
     streams.map(strays).collect()
 }
 
-/// The streams of poses that an arm was held against, each with when it stood still.
+/// Frozen intervals of the pose and joint streams compared with an arm.
 pub(super) fn frozen(run: &Run) -> Vec<Of<Vec<Frozen>>> {
     let frozen = |index: usize| {
         let stream = run.streams.get(index)?;
@@ -159,14 +159,14 @@ pub(super) fn frozen(run: &Run) -> Vec<Of<Vec<Frozen>>> {
     joints.chain(run.watched.iter().copied()).filter_map(frozen).collect()
 }
 
-/// The streams whose values could repeat, each with what of it does.
+/// Repeated values of the streams that could have any.
 pub(super) fn held(run: &Run) -> Vec<Of<HeldEvidence>> {
     let is_tf = |topic: &str| {
         run.streams.iter().any(|stream| stream.role == Role::Tf && stream.topic == topic)
     };
     let is_asked = |stream: &Stream| match stream.role {
         Role::Joints | Role::Tf | Role::Imu => true,
-        // What a transform says is judged on its own topic.
+        // Transforms are judged on their own topic.
         Role::Pose => !is_tf(&stream.topic),
         _ => false,
     };

@@ -1,33 +1,33 @@
-//! What shakes the tip.
+//! Vibration of the tip.
 
 use crate::diagnosis::{Aligned, NoShake, PoseDiagnosis, Shake, encoder_step, shake};
 use crate::geometry::Pose;
 use crate::run::{Arm, JointSamples};
 use crate::stream::{JointTrack, PoseTrack};
 
-/// What one stream says of the tip's shake.
+/// Vibration of the tip according to one stream.
 #[derive(Clone, Debug)]
 pub struct ShakeEvidence {
-    /// Whether its positions are not the metres that they are taken for.
+    /// Whether its positions are in a wrong unit.
     pub in_other_units: bool,
-    /// The shake, or why it does not tell.
+    /// Vibration, or the reason why it cannot be estimated.
     pub shake: Result<Shake, NoShake>,
 }
 
-/// The shake of the tip by a stream of poses, but for where its clock steps: the path does, too.
-/// `joints` are the arm's joint states.
+/// Vibration of the tip according to a pose stream, excluding the surroundings of latency steps, which also
+/// step the path. `joints` are the arm's joint states.
 pub(super) fn shake_of_poses(
     track: &PoseTrack,
     found: &PoseDiagnosis,
     joints: &JointTrack,
 ) -> Result<Shake, NoShake> {
-    /// Joint states farther apart do not tell where the arm was going so fast, s.
+    /// Maximum interval of joint states that resolve the commanded motion, s.
     const APART_S: f64 = 0.04;
-    /// Rows so near to a step are left out, s.
+    /// Rows closer to a latency step are excluded, s.
     const BESIDE_S: f64 = 0.1;
     let Aligned { t_s: known_s, corrected, fk_at_truth, .. } = &found.aligned;
     if found.inverted {
-        // The arm as the tool sees it shakes by the tool's turns too.
+        // In an inverted pose, rotations of the tool also move the position.
         let at = |poses: &[Pose], row: usize| found.taken.back(&poses[row]).translation.vector;
         let going = |row: usize| at(fk_at_truth, row);
         return shake(known_s, |row| at(corrected, row), Some(&going));
@@ -36,27 +36,27 @@ pub(super) fn shake_of_poses(
     let is_clear = |t_s: f64| jumps.iter().all(|jump| (jump.at_s - t_s).abs() > BESIDE_S);
     let rows: Vec<usize> = (0..track.t_s.len()).filter(|&row| is_clear(track.t_s[row])).collect();
     let t_s: Vec<f64> = rows.iter().map(|&row| track.t_s[row]).collect();
-    // Where the stream would be by FK, at the nearest sample for which that is known.
+    // Expected position of the stream by FK, at the nearest aligned sample.
     let going = |row: usize| {
         let after = known_s.partition_point(|known_s| *known_s < t_s[row]);
         let nearest = after.min(known_s.len() - 1);
         found.taken.back(&fk_at_truth[nearest]).translation.vector
     };
-    // Few of the samples do not tell where the arm was going.
+    // Too few aligned samples do not determine the commanded motion.
     let span_s = joints.span().map_or(f64::INFINITY, |(first, last)| last - first);
     let is_known =
         2 * known_s.len() > t_s.len() && !found.strays() && span_s < APART_S * joints.len() as f64;
     shake(&t_s, |row| track.xyz[rows[row]], if is_known { Some(&going) } else { None })
 }
 
-/// The shake of the tip by the joint states as they are, or where the joints do not share their stamps
-/// by the track that they were brought to.
+/// Vibration of the tip according to the joint states, or to the resampled track if joints have different
+/// stamps.
 pub(super) fn shake_of_joints(
     arm: &Arm,
     samples: &[JointSamples<'_>],
     track: &JointTrack,
 ) -> Result<Shake, NoShake> {
-    /// Steps make up to so many times their rms where they are most.
+    /// Maximum ratio of local to overall rms of quantisation noise.
     const BEYOND: f64 = 1.5;
     let mut q = vec![0.0; arm.columns.len()];
     let mut tip = |position: &dyn Fn(usize) -> f64| {
@@ -69,15 +69,15 @@ pub(super) fn shake_of_joints(
         }
         _ => shake(&track.t_s, |row| tip(&|column| track.row(row)[column]), None),
     }?;
-    // Steps of encoders are no white noise: a joint that goes evenly makes tones of them.
+    // Encoder quantisation is not white: uniform motion turns it into tones.
     let hidden_m = BEYOND * by_encoders(arm, samples, track);
     let rms_m = if found.rms_m < hidden_m { 0.0 } else { found.rms_m };
     Ok(Shake { rms_m, resolved_m: found.resolved_m.max(hidden_m), ..found })
 }
 
-/// By how much the steps of the joints' encoders move the tip, rms, m.
+/// Rms effect of the joint encoders' quantisation on the tip, m.
 fn by_encoders(arm: &Arm, samples: &[JointSamples<'_>], track: &JointTrack) -> f64 {
-    /// Postures that are looked at.
+    /// Number of configurations evaluated.
     const POSTURES: usize = 50;
     let step = |column: &usize| samples.get(*column).map_or(0.0, |of| encoder_step(&of.position));
     let steps: Vec<f64> = arm.columns.iter().map(step).collect();
@@ -90,7 +90,7 @@ fn by_encoders(arm: &Arm, samples: &[JointSamples<'_>], track: &JointTrack) -> f
         let q: Vec<f64> = arm.columns.iter().map(|&column| track.row(row)[column]).collect();
         arm.chain.forward_with_jacobian(&q, &mut jacobian);
         let of_joint = |(column, step): (&[f64; 6], &f64)| {
-            // An error that is anything up to half a step either way.
+            // Variance of a uniform error of ± half a step.
             (column[0].powi(2) + column[1].powi(2) + column[2].powi(2)) * step * step / 12.0
         };
         jacobian.iter().zip(&steps).map(of_joint).sum::<f64>()

@@ -1,4 +1,4 @@
-//! When a run's streams came: their stamps, and how regularly.
+//! Timing of a run's streams: stamps and regularity.
 
 use super::{Of, of};
 use crate::finding::Subject;
@@ -7,61 +7,60 @@ use crate::run::{
 };
 use crate::time::Clock;
 
-/// When the samples of a stream are due.
+/// When samples of a stream are expected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Due {
-    /// From the first of the run to the last: joint states, an IMU.
+    /// Throughout the run: joint states, IMU.
     Always,
-    /// At least while the arm moves: poses and transforms may be sent on change.
+    /// At least while the arm moves: poses and transforms may be published on change.
     InMotion,
-    /// Nobody knows, as nothing says what the stream is.
+    /// Unknown, because the stream is not identified.
     Untold,
-    /// When there is something to say: commands, and what a camera sees.
+    /// Occasionally: commands, and targets seen by a camera.
     OnOccasion,
 }
 
 impl Due {
-    /// Whether an audit rests on the stream, so that it must be there.
+    /// Whether an audit depends on the stream, so it must be present.
     pub fn is_expected(self) -> bool {
         matches!(self, Due::Always | Due::InMotion)
     }
 }
 
-/// The stamps of one stream, with when they are due.
+/// Stamps of one stream.
 #[derive(Clone, Debug)]
 pub struct StampEvidence {
-    /// When its samples are due.
+    /// When samples are expected.
     pub due: Due,
-    /// What its headers say, and whose time that is.
+    /// Header stamps and the clock they come from.
     pub clock: StreamClock,
-    /// How its stamps were rounded; `None` if they were not.
+    /// Rounding of the stamps. `None` if there is none.
     pub rounded: Option<RoundedStamps>,
 }
 
-/// How regularly one stream comes.
+/// Sample timing of one stream.
 #[derive(Clone, Debug)]
 pub struct RhythmEvidence {
-    /// When its samples are due.
+    /// When samples are expected.
     pub due: Due,
-    /// Samples a second.
+    /// Samples per second.
     pub rate_hz: Option<f64>,
-    /// Samples a second as the caller says that there should be.
+    /// Samples per second as declared by the caller.
     pub said_hz: Option<f64>,
-    /// Samples that came and are left out, because they hold no usable numbers.
+    /// Number of samples excluded because their numbers are unusable.
     pub unusable: u64,
-    /// Samples that came and are left out, because their stamps are none.
+    /// Number of samples excluded because their stamps are invalid.
     pub unstamped: u64,
-    /// Samples of its topic that came and say that they are in another frame.
+    /// Number of samples of the topic in a different frame.
     pub elsewhere: u64,
-    /// The rhythm of each of its senders, or of each transform.
+    /// Timing of each sender or transform.
     pub parts: Vec<Cadence>,
-    /// How it lies against the other streams.
+    /// Extent in time relative to the other streams.
     pub extent: Option<Extent>,
 }
 
 impl Of<RhythmEvidence> {
-    /// The stream as a subject; of a TF topic the one transform that is concerned, where it is one
-    /// of several.
+    /// The stream as a subject, narrowed to one transform of a TF topic if only that is concerned.
     pub fn subject_of(&self, concerned: &[&Cadence]) -> Subject {
         match concerned {
             [only] if self.parts.len() > 1 => {
@@ -71,17 +70,17 @@ impl Of<RhythmEvidence> {
         }
     }
 
-    /// The parts that an audit needs.
+    /// Parts that an audit needs.
     pub fn wanted(&self) -> impl Iterator<Item = &Cadence> {
         self.parts.iter().filter(|part| part.wanted)
     }
 }
 
-/// When the samples of a stream are due; `None` where the rules about stamps are not asked about it.
+/// When samples of a stream are expected. `None` if timing rules do not apply.
 fn due(run: &Run, stream: &Stream) -> Option<Due> {
     match stream.role {
         Role::Joints | Role::Imu => Some(Due::Always),
-        // Without an arm, nothing says which of the transforms must be there.
+        // Without an arm, the required transforms are unknown.
         Role::Tf if run.arms.is_empty() => Some(Due::Untold),
         Role::Pose | Role::Tf => Some(Due::InMotion),
         Role::Candidate { .. } | Role::Unassigned => Some(Due::Untold),
@@ -90,7 +89,7 @@ fn due(run: &Run, stream: &Stream) -> Option<Due> {
     }
 }
 
-/// The frame whose poses a stream holds, where its topic is that of other streams, too.
+/// Frame whose poses a stream contains, if its topic has several streams.
 pub(crate) fn frame_of_several(run: &Run, stream: &Stream) -> Option<String> {
     let of_topic = run.streams.iter().filter(|other| other.topic == stream.topic);
     let is_one_of_several = of_topic.count() > 1 && !stream.child_frame_id.is_empty();
@@ -118,7 +117,7 @@ pub(super) fn rhythms(run: &Run, others: &[Unaudited]) -> Vec<Of<RhythmEvidence>
                     _ => 0,
                 })
                 .sum(),
-            // Of joint states no row is left out.
+            // Rows of joint states are never excluded.
             unusable: if stream.role == Role::Joints { 0 } else { stream.unusable() },
             parts: rhythm.parts.clone(),
             extent: rhythm.extent,
@@ -128,7 +127,7 @@ pub(super) fn rhythms(run: &Run, others: &[Unaudited]) -> Vec<Of<RhythmEvidence>
     rhythms.filter(|rhythm| !rhythm.parts.is_empty()).collect()
 }
 
-/// Every stream that plays a part, by its stamps.
+/// Stamps of every stream with a role.
 pub(super) fn stamps(run: &Run) -> Vec<Of<StampEvidence>> {
     let stamps = run.clocks.iter().filter_map(|clock| {
         let stream = run.streams.get(clock.stream)?;

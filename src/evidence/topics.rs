@@ -1,4 +1,4 @@
-//! Topics and frames: what is not there, not read or not audited, and why.
+//! Topics and frames that are missing, unreadable or not audited, with reasons.
 
 use super::{Of, of};
 use crate::diagnosis::{ArmDiagnosis, Unseen};
@@ -9,73 +9,73 @@ use crate::robot::RobotError;
 use crate::run::{Arm, Flaw, Role, Run, Stream, TopicSettings, Unaudited, WhyNot, Witness};
 use crate::stream::{Columns, JointColumn};
 
-/// The frames of a log.
+/// Frames of a log.
 #[derive(Clone, Debug, Default)]
 pub struct FrameEvidence {
-    /// The topics of transforms, static ones too.
+    /// Topics with transforms, including static ones.
     pub topics: Vec<String>,
-    /// What keeps them from being a tree.
+    /// Problems of their tree.
     pub flaws: Vec<Flaw>,
 }
 
-/// A topic that says nothing.
+/// Topic without usable content.
 #[derive(Clone, Debug)]
 pub struct EmptyEvidence {
     /// The topic.
     pub subject: Subject,
-    /// Its messages, none of which holds finite numbers.
+    /// Number of messages, none with finite numbers.
     pub messages: u64,
 }
 
-/// Columns of a table that hold what others hold in every row, or one value.
+/// Duplicate or constant columns of a table.
 #[derive(Clone, Debug)]
 pub struct RepeatEvidence {
     /// The columns.
     pub repeat: Repeat,
-    /// What it is to the audit that they repeat.
+    /// Consequence for the audit.
     pub kind: RepeatKind,
 }
 
-/// What it is to the audit that columns repeat.
+/// Consequence of duplicate or constant columns for the audit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RepeatKind {
-    /// Commands are states, or the other way round.
+    /// Commands duplicate states, or vice versa.
     CommandIsState,
-    /// An outside witness says what is not from outside.
+    /// An external reference duplicates data of the robot.
     WitnessIsOther,
-    /// A joint is another one.
+    /// A joint duplicates another joint.
     JointIsJoint,
     /// A joint never moves while others do.
     JointRests,
-    /// A topic never changes while the arm moves.
+    /// A topic is constant while the arm moves.
     Still,
-    /// Two topics are one.
+    /// Two topics are identical.
     Same,
 }
 
-/// A topic that could not be decoded.
+/// Topic that could not be decoded.
 #[derive(Clone, Debug)]
 pub struct UndecodableTopic {
-    /// Its name.
+    /// Topic name.
     pub topic: String,
-    /// What could not: its type, as the log spells it, or a robot description.
+    /// Undecodable content: a message type as in the log, or a robot description.
     pub what: Undecodable,
-    /// How many of its messages could not be decoded.
+    /// Number of undecodable messages.
     pub messages: u64,
-    /// Why the first of them could not.
+    /// Error of the first one.
     pub why: String,
 }
 
-/// What of a topic could not be decoded.
+/// Undecodable content of a topic.
 #[derive(Clone, Debug)]
 pub enum Undecodable {
     /// Messages of this type.
     Messages(String),
-    /// The robot description in them.
+    /// The robot description they contain.
     Description,
 }
 
-/// What could not be decoded: messages, and robot descriptions.
+/// Undecodable messages and robot descriptions.
 pub(super) fn undecodable(run: &Run, messages: &[UndecodableTopic]) -> Vec<UndecodableTopic> {
     let description = |(topic, error): &(String, RobotError)| UndecodableTopic {
         topic: topic.clone(),
@@ -86,7 +86,7 @@ pub(super) fn undecodable(run: &Run, messages: &[UndecodableTopic]) -> Vec<Undec
     messages.iter().cloned().chain(run.unreadable.iter().map(description)).collect()
 }
 
-/// The topics of transforms, and what is wrong with their frames.
+/// Topics with transforms, and the problems of their frames.
 pub(super) fn frames(run: &Run) -> FrameEvidence {
     let is_tf = |stream: &&Stream| matches!(stream.columns, Some(Columns::Transforms(_)));
     FrameEvidence {
@@ -95,7 +95,7 @@ pub(super) fn frames(run: &Run) -> FrameEvidence {
     }
 }
 
-/// The streams of an arm whose orientations were never set.
+/// Streams of an arm whose orientations are never set.
 pub(super) fn unset(run: &Run, arm: &Arm, found: &ArmDiagnosis) -> Vec<Unaudited> {
     let streams = arm.poses.iter().zip(&found.streams);
     let unset = streams.filter(|(source, found)| {
@@ -106,7 +106,7 @@ pub(super) fn unset(run: &Run, arm: &Arm, found: &ArmDiagnosis) -> Vec<Unaudited
     unset.map(|(source, _)| Unaudited { stream: source.stream, why: why.clone() }).collect()
 }
 
-/// The streams of poses of the same on the same topic, whatever frames they are in, with their indices.
+/// Pose streams with the same topic and child frame, in any reference frame, with their indices.
 fn beside<'a>(run: &'a Run, own: &'a Stream) -> impl Iterator<Item = (usize, &'a Stream)> {
     run.streams.iter().enumerate().filter(|(_, other)| {
         other.topic == own.topic
@@ -115,7 +115,7 @@ fn beside<'a>(run: &'a Run, own: &'a Stream) -> impl Iterator<Item = (usize, &'a
     })
 }
 
-/// The topics of which the arm is held against some poses, and others are in frames that nothing ties to it.
+/// Topics with poses compared with the arm and further poses in frames not connected to it.
 pub(super) fn in_other_frames(run: &Run) -> Vec<Unaudited> {
     let sources = run.arms.iter().flat_map(|arm| &arm.poses);
     let tied: Vec<usize> =
@@ -139,7 +139,7 @@ pub(super) fn in_other_frames(run: &Run) -> Vec<Unaudited> {
     tied.iter().filter_map(|&index| of(index)).collect()
 }
 
-/// The streams that are audited or would be, each with why it is not, or not as what it says it is.
+/// Audited or relevant streams, with the reasons why they are not audited or not used as declared.
 pub(super) fn unaudited(run: &Run, unset: &[Unaudited]) -> Vec<Of<Vec<WhyNot>>> {
     if run.arms.is_empty() {
         return Vec::new();
@@ -153,7 +153,7 @@ pub(super) fn unaudited(run: &Run, unset: &[Unaudited]) -> Vec<Of<Vec<WhyNot>>> 
     run.streams.iter().enumerate().filter_map(why_not).collect()
 }
 
-/// What repeats in tables, of which other rules say nothing.
+/// Duplicate or constant columns that no other rule covers.
 pub(super) fn repeats(run: &Run, found: Option<&[Repeat]>) -> Option<Vec<RepeatEvidence>> {
     let stream = |topic: &str| run.streams.iter().find(|stream| stream.topic == topic);
     let is_command = |stream: &Stream| stream.role == Role::Reference;
@@ -164,7 +164,7 @@ pub(super) fn repeats(run: &Run, found: Option<&[Repeat]>) -> Option<Vec<RepeatE
             (Some(_), Some(_)) => RepeatKind::JointIsJoint,
             (Some(_), None) if is_command(own) => return None,
             (Some(_), None) => RepeatKind::JointRests,
-            // That of a pose is FRM007, and a goal may stay where it is.
+            // A constant pose is FRM007, and a goal may be constant.
             (None, None) if own.role != Role::Unassigned => return None,
             (None, None) => RepeatKind::Still,
             (None, Some(of)) => {
@@ -181,8 +181,7 @@ pub(super) fn repeats(run: &Run, found: Option<&[Repeat]>) -> Option<Vec<RepeatE
     found.map(|found| found.iter().filter_map(of).collect())
 }
 
-/// The topics that hold nothing and would be audited; of joint states and transforms only where no
-/// other topic has any.
+/// Relevant topics without content. Joint states and transforms are listed only if no other topic has them.
 pub(super) fn empty(run: &Run) -> Vec<EmptyEvidence> {
     let holds =
         |role: Role| run.streams.iter().any(|stream| stream.role == role && !stream.is_empty);
@@ -204,8 +203,7 @@ pub(super) fn empty(run: &Run) -> Vec<EmptyEvidence> {
     missed.chain(joints).collect()
 }
 
-/// The joints of an arm that a topic of joint states names and never says the position of, and that no
-/// other topic says.
+/// Joints of an arm that a joint states topic lists without positions, if no other topic has them.
 fn joints_without_positions(run: &Run, stream: &Stream) -> Vec<String> {
     let Some(Columns::Joints(columns)) = &stream.columns else { return Vec::new() };
     if stream.role != Role::Joints {
@@ -223,7 +221,7 @@ fn joints_without_positions(run: &Run, stream: &Stream) -> Vec<String> {
     columns.joints.iter().filter(is_silent).map(|joint| joint.name.clone()).collect()
 }
 
-/// The topics that the caller expects and the log does not have.
+/// Expected topics that are not in the log.
 pub(super) fn missing(run: &Run, topics: &[TopicSettings]) -> Vec<(Subject, String)> {
     let is_there = |said: &TopicSettings| {
         run.streams

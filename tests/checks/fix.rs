@@ -294,7 +294,7 @@ fn what_no_file_mends_is_said() {
     assert!(index.contains("## Not in these files\n\n- YAW004 on /imu/data: "), "{index}");
     let clean = Loop::of(|_| {});
     clean.assert_mends(&[], &[]);
-    assert!(clean.text("corrections.md").contains("Nothing was found that a file could mend"));
+    assert!(clean.text("corrections.md").contains("No finding can be corrected by a file"));
 }
 
 #[test]

@@ -360,7 +360,7 @@ fn beside_a_wrong_dh_convention_other_faults_are_found_as_if_it_were_right() {
     assert_eq!(codes, ["LAT001", "ORD007", "ZER001"], "{}", summary(&report.findings));
     Degrees(0.6, 0.02).assert_is(the(&report, "ZER001", "elbow_joint").estimate.as_ref());
     let source = &report.robots[0].source;
-    assert!(source.ends_with("its DH table read as standard"), "{source}");
+    assert!(source.ends_with("DH table interpreted as standard"), "{source}");
 }
 
 #[test]
