@@ -1,12 +1,12 @@
-//! One run: which part each topic plays and why, the arms in it, and the frames between them.
+//! One run: the role of each topic, the arms, and the frames between them.
 //!
-//! [`Run::assemble`] turns what was decoded into what the estimators need: joint states on one time
-//! grid, pose and IMU streams with the chains that predict them, transforms with interpolation, and
-//! every stream on one clock. What a stream is cannot always be told from its name: such streams are
-//! [`Role::Candidate`]s until the motion tells whether they follow the arm ([`Run::complete`]).
+//! [`Run::assemble`] converts decoded data to the input of the estimators: joint states on one time grid,
+//! pose and IMU streams with the chains that predict them, interpolated transforms, and all streams on one
+//! clock. The name does not always determine the role of a pose stream. Such streams are
+//! [`Role::Candidate`]s until the motion shows whether they follow the arm ([`Run::complete`]).
 //!
-//! A log without an arm, or without a model of it, is no error here: its streams, clocks and
-//! transforms can still be audited, and [`Run::no_arm`] says what is missing.
+//! A log without an arm or without its model is not an error: its streams, clocks and transforms are still
+//! audited, and [`Run::no_arm`] gives the reason.
 
 mod apart;
 mod arm;
@@ -101,35 +101,36 @@ pub use unfold::Folded;
 pub use velocities::Velocities;
 pub use witness::Witness;
 
-/// Correlation of speeds from which a stream follows the arm.
+/// Minimum correlation of speeds for a stream that follows the arm.
 const FOLLOWS: f64 = 0.7;
 
-/// Correlation of speeds below which a stream does not follow the arm, whatever its frame says. Less
-/// than [`FOLLOWS`], because a bad clock or convention lowers it too.
+/// Correlation of speeds below which a stream does not follow the arm, whatever its frame. Less than
+/// [`FOLLOWS`], because a faulty clock or convention also lowers it.
 const CONTRADICTS: f64 = 0.4;
 
-/// What the caller says of a run.
+/// The caller's options for a run.
 #[derive(Clone, Debug)]
 pub struct RunOptions {
-    /// The robots in it; where none is named, the log is asked and then the catalogue.
+    /// Robots of the run. If empty, they come from the log, then from the catalogue.
     pub robots: Vec<RobotSource>,
-    /// Calibrations of the URs among them; where none is named, the log may hold one.
+    /// Calibrations of its URs. If empty, the log may contain one.
     pub calibrations: Vec<CalibrationSource>,
-    /// The link to take as base.
+    /// Base link.
     pub base: Option<String>,
-    /// The link to take as tip.
+    /// Tip link.
     pub tip: Option<String>,
-    /// The clock to place messages by.
+    /// Clock of the messages.
     pub stamp: Clock,
-    /// Stamps further than this off the other streams', s, are of another clock.
+    /// Maximum difference between the stamps of a stream and the others, s; beyond it, the stream uses
+    /// another clock.
     pub max_latency_s: f64,
-    /// What the model calls joints that the log names otherwise.
+    /// Model names of joints that have different names in the log.
     pub joint_map: Vec<JointName>,
-    /// How the caller says that single streams are coded.
+    /// Declared encodings of streams.
     pub declared: Vec<Declaration>,
-    /// What else the caller says of single topics.
+    /// Other settings for single topics.
     pub topics: Vec<TopicSettings>,
-    /// What other logs of the same dataset told of all of them.
+    /// Robot and columns determined from other logs of the same dataset.
     pub shared: Option<Shared>,
 }
 
@@ -150,72 +151,70 @@ impl Default for RunOptions {
     }
 }
 
-/// One run, ready to be diagnosed.
+/// One run, ready for diagnosis.
 #[derive(Debug)]
 pub struct Run {
-    /// The stamp that times in seconds are relative to: the earliest of the joint states or, without
-    /// any, of all streams.
+    /// Zero of times in seconds: the first stamp of the joint states or, without any, of all streams.
     pub origin: Stamp,
-    /// First and last stamp of all streams, on the clock that the audit uses.
+    /// First and last stamp of all streams, on the audit's clock.
     pub span: Option<(Stamp, Stamp)>,
-    /// All topics, in the order of the log; after them transforms of TF topics that are measured
-    /// poses.
+    /// All topics in the order of the log, then transforms of TF topics that are measured poses.
     pub streams: Vec<Stream>,
     /// The arms.
     pub arms: Vec<Arm>,
-    /// What cameras see, with the hands that it may be held against.
+    /// Camera targets, with the hands that they can be compared with.
     pub targets: Vec<TargetSource>,
-    /// What the arms were told, as far as it can be held against them.
+    /// Commands to the arms.
     pub references: Vec<ReferenceSource>,
     /// The frames of all arms, and the transforms between them.
     pub tf: Arc<TfTree>,
-    /// The clock of every stream that moves in time.
+    /// Clock of every stream with time stamps.
     pub clocks: Vec<StreamClock>,
-    /// The streams whose stamps were rounded, and were restored from the order of their rows.
+    /// Streams with rounded stamps that were restored from the row order.
     pub rounded: Vec<RoundedStamps>,
-    /// How regularly every stream comes that plays a part.
+    /// Regularity of every stream with a role.
     pub rhythms: Vec<Rhythm>,
-    /// What keeps the transforms from being a tree.
+    /// TF problems.
     pub flaws: Vec<Flaw>,
-    /// The joints that are logged within one turn; their positions are unwrapped.
+    /// Joints that are logged modulo one turn; their positions are unwrapped.
     pub folded: Vec<Folded>,
-    /// How far the rotations of every stream that logs them are from being rotations.
+    /// Norm defects of all streams with quaternions or matrices.
     pub norms: Vec<Norms>,
-    /// The streams that several arms may claim.
+    /// Streams that may belong to several arms.
     pub contests: Vec<Contest>,
-    /// The streams that are not audited, or not as what they say they are.
+    /// Streams that are not audited, or only in part.
     pub unaudited: Vec<Unaudited>,
-    /// The streams that do what the arm does before it does, each with its lead in seconds: commands, or
-    /// poses of the tool beside joint states that are late.
+    /// Streams that lead the arm, with their lead in seconds: commands, or tool poses with late joint
+    /// states.
     pub leaders: Vec<(usize, f64)>,
-    /// The streams that may be tool poses, of which the motion does not tell.
+    /// Candidate tool poses that the motion neither confirms nor rejects.
     pub undecided: Vec<usize>,
-    /// What the estimators do not see: stray samples, second publishers, repeats.
+    /// Samples excluded from estimation: outliers, second publishers, repeats.
     pub sift: Sift,
-    /// When streams of poses stood still and their arm did not, and joint states on their way; the
-    /// estimators do not see that either.
+    /// Spans of frozen poses while the arm moved, and of frozen joint states in motion; also excluded from
+    /// estimation.
     pub frozen: Vec<Frozen>,
-    /// The streams that were looked at for that.
+    /// Streams that were searched for frozen spans.
     pub watched: Vec<usize>,
-    /// The streams whose poses alternate between several rigid bodies on the tool; the estimators see all
-    /// of them as those of the usual one.
+    /// Streams whose poses alternate between several rigid bodies on the tool; their poses are converted to
+    /// those of the main body.
     pub alternations: Vec<(usize, Alternation)>,
-    /// What of it the estimators see; `None` where that is all of it.
+    /// Excerpts used for estimation; `None` if the whole run is used.
     pub excerpts: Option<Excerpts>,
-    /// Whether the log holds `/clock`, the mark of simulated time.
+    /// Whether the log contains `/clock`, which indicates simulated time.
     pub has_clock_topic: bool,
     /// Why there is no arm.
     pub no_arm: Option<RunError>,
-    /// Where the log holds a robot description that is wanted and cannot be read, and why not.
+    /// Sources of required robot descriptions that cannot be read, with the errors.
     pub unreadable: Vec<(String, RobotError)>,
 }
 
-/// Standard error of receive times, s, where a stream has no stamps of its own: transports differ by
-/// about a millisecond.
+/// Standard error of receive times, s, for a stream without header stamps: transport delays vary by about a
+/// millisecond.
 const TRANSPORT_S: f64 = 1e-3;
 
 impl Run {
-    /// A stream of poses, as the diagnosis takes it.
+    /// Converts a pose source to the input of the diagnosis.
     pub fn pose_stream<'a>(&self, source: &'a PoseSource) -> PoseStream<'a> {
         let mut clocks = self.clocks.iter().filter(|clock| clock.stream == source.stream);
         let received = clocks.any(|clock| clock.stamps != HeaderStamps::Sound);
@@ -230,14 +229,14 @@ impl Run {
         }
     }
 
-    /// The candidates of an arm: indices of their streams.
+    /// Stream indices of the candidates.
     pub fn candidates(&self) -> impl Iterator<Item = usize> + '_ {
         let is_candidate =
             |index: &usize| matches!(self.streams[*index].role, Role::Candidate { .. });
         (0..self.streams.len()).filter(is_candidate)
     }
 
-    /// Puts `arm` in the place of arm `index`, and its chains into the hands that are this arm's.
+    /// Replaces arm `index` by `arm`, and updates the chains of its hands.
     pub(crate) fn replace_arm(&mut self, index: usize, arm: Arm) {
         for hand in self.targets.iter_mut().flat_map(|target| &mut target.hands) {
             let HandKind::Joints { arm: of, chain, .. } = &mut hand.kind else { continue };
@@ -252,44 +251,41 @@ impl Run {
         self.arms[index] = arm;
     }
 
-    /// Makes `stream`, which belongs to no arm, the tool pose that the target on `topic` is held
-    /// against: their angular speeds correlate by `correlation`.
+    /// Makes `stream`, which belongs to no arm, the hand pose for the target on `topic`: their angular
+    /// speeds correlate.
     pub fn settle_hand(&mut self, stream: usize, topic: &str, correlation: f64) {
         let Some(settled) = self.streams.get_mut(stream) else { return };
         if settled.role == Role::Unassigned {
             settled.role = Role::Pose;
             settled.reason = format!(
-                "it turns as the target on '{topic}' does: its angular speed correlates by \
-                 {correlation:.2}"
+                "it rotates with the target on '{topic}' (angular speed correlation {correlation:.2})"
             );
         }
     }
 
-    /// Settles whether candidate `stream` is a tool pose: `peak` is the highest correlation of its
-    /// speeds with the arm's, from 0 to 1, or `None` where the motion cannot tell.
+    /// Decides whether candidate `stream` is a tool pose. `peak` is the highest correlation of its speeds
+    /// with the arm's, from 0 to 1, or `None` if the motion does not determine it.
     ///
-    /// A stream that is no tool pose is unassigned with the reason, and leaves its arm. A stream
-    /// that is no candidate keeps its role.
+    /// A rejected candidate is unassigned with the reason. A stream that is not a candidate keeps its role.
     pub fn settle(&mut self, stream: usize, peak: Option<f64>) {
         let Some(settled) = self.streams.get_mut(stream) else { return };
         let Role::Candidate { presumed } = settled.role else { return };
         let (is_pose, verdict) = match peak {
             Some(peak) if peak >= FOLLOWS => {
-                (true, format!("it follows the arm: its speed correlates by {peak:.2}"))
+                (true, format!("it follows the arm (speed correlation {peak:.2})"))
             }
-            Some(peak) if presumed && peak >= CONTRADICTS => (
-                true,
-                format!("its motion does not contradict that: its speed correlates by {peak:.2}"),
-            ),
+            Some(peak) if presumed && peak >= CONTRADICTS => {
+                (true, format!("its motion is consistent with that (speed correlation {peak:.2})"))
+            }
             Some(peak) => (
                 false,
                 format!(
-                    "it does not follow the arm: its speed correlates by {}, not {FOLLOWS}",
+                    "it does not follow the arm (speed correlation {}, below {FOLLOWS})",
                     rounded(peak, 2)
                 ),
             ),
-            None if presumed => (true, "the motion cannot tell".to_owned()),
-            None => (false, "the motion cannot tell whether it follows the arm".to_owned()),
+            None if presumed => (true, "the motion neither confirms nor refutes it".to_owned()),
+            None => (false, "the motion does not show whether it follows the arm".to_owned()),
         };
         settled.role = if is_pose { Role::Pose } else { Role::Unassigned };
         settled.reason = format!("{}; {verdict}", settled.reason);
@@ -305,19 +301,19 @@ impl Run {
         }
     }
 
-    /// Makes candidate `stream`, which is no tool pose, what its name says.
+    /// Assigns the role of its name to candidate `stream`, which is not a tool pose.
     pub(crate) fn settle_by_name(&mut self, stream: usize, reason: String) {
         self.unassign(stream, reason);
         let Some(settled) = self.streams.get_mut(stream) else { return };
         settled.role = role::beside_arm(&settled.topic);
     }
 
-    /// Makes candidate `stream` a command: it does by `lead_s` before the arm what the arm then does.
+    /// Makes candidate `stream` a command: it leads the arm by `lead_s`.
     pub fn settle_leader(&mut self, stream: usize, lead_s: f64) {
         let Some(settled) = self.streams.get(stream) else { return };
         let reason = format!(
-            "{}; it leads the arm: it was received {:.0} ms before the arm did the same, as a command \
-             is (a hand tracker or a leader arm), or joint states are that are recorded late",
+            "{}; it leads the arm: received {:.0} ms before the arm made the same motion, like a command \
+             (hand tracker, leader arm), or because the joint states are recorded late",
             settled.reason,
             1e3 * lead_s
         );

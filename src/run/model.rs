@@ -1,4 +1,4 @@
-//! A model as it stands for an arm of the log.
+//! Robot model with the names used in the log.
 
 use std::collections::BTreeSet;
 
@@ -10,34 +10,34 @@ use crate::robot::{LinkId, Robot, catalogue};
 /// A robot of the log.
 #[derive(Clone, Debug)]
 pub(super) struct Model {
-    /// The robot, its joints named as in the log.
+    /// The robot, with joint names as in the log.
     pub robot: Robot,
-    /// How it was found, in words.
+    /// How it was found.
     pub found: String,
-    /// How the log names its links.
+    /// Names of its links in the log.
     pub frames: FrameNames,
-    /// The link that the controller reports poses in, if the robot has it.
+    /// Reference link of the controller's poses, if the robot has it.
     pub controller_base: Option<LinkId>,
-    /// The link whose pose the controller reports, if the robot has it.
+    /// Tip link of the controller's poses, if the robot has it.
     pub controller_tip: Option<LinkId>,
-    /// Whether its joints are matched to the log's by their order, the names being others.
+    /// Whether its joints are matched to the log's by order, because their names differ.
     pub by_order: bool,
-    /// Another arm that fits the poses far better than this one, which was named.
+    /// A different arm that fits the poses far better than this named one.
     pub better: Option<BetterModel>,
 }
 
-/// An arm of the catalogue that fits the poses far better than the model that was named.
+/// A catalogue arm that fits the poses far better than the named model.
 #[derive(Clone, Debug)]
 pub struct BetterModel {
     /// Its name.
     pub name: String,
-    /// The topic of the poses.
+    /// Topic of the poses.
     pub topic: String,
-    /// Residual of these with the named model if neither frame nor joint is off, rms m.
+    /// Residual with the named model and no frame or zero offset, rms m.
     pub named_m: f64,
     /// Residual with this arm, rms m.
     pub left_m: f64,
-    /// Length of the tool that it needs, m; `None` if it needs none.
+    /// Length of the required tool, m; `None` if no tool is required.
     pub tool_m: Option<f64>,
 }
 
@@ -55,26 +55,25 @@ impl Model {
     }
 }
 
-/// What the log says of its robots.
+/// Information in the log about its robots.
 pub(super) struct Clues<'a> {
     /// Joints with at least one sample, in the order in which they appear.
     pub joints: &'a [String],
-    /// Frames that streams and transforms name.
+    /// Frames named by streams and transforms.
     pub frames: &'a BTreeSet<String>,
-    /// Robot descriptions, each with the name of where it was.
+    /// Source and text of each robot description.
     pub descriptions: &'a [(String, String)],
-    /// Calibrations of a UR, each with the name of where it was.
+    /// Source and text of each UR calibration.
     pub calibrations: &'a [(String, String)],
-    /// What the caller says of joints that the model names otherwise.
+    /// The caller's mapping of joint names.
     pub joint_map: &'a [JointName],
-    /// What tells this arm from others whose joints have the same names.
+    /// Names that distinguish this arm from others with the same joint names.
     pub space: &'a Space,
-    /// The type of the robot, as metadata say it.
+    /// Robot type in the metadata.
     pub robot_type: Option<&'a str>,
 }
 
-/// The base and tip that controllers of catalogue arms with the joints of `robot` report in, each
-/// where all of these arms agree.
+/// Controller base and tip of catalogue arms with the joints of `robot`, if all of these arms agree.
 fn controller_links(robot: &Robot, joints: &[String]) -> (Option<String>, Option<String>) {
     let own: Vec<&String> = joints.iter().filter(|joint| robot.joint(joint).is_some()).collect();
     let arms: Vec<Robot> = catalogue::candidates_for(&own)
@@ -89,13 +88,13 @@ fn controller_links(robot: &Robot, joints: &[String]) -> (Option<String>, Option
     (agreed(|arm| &arm.controller_base), agreed(|arm| &arm.controller_tip))
 }
 
-/// Whether a link has a name that trackers and maps give frames of their own, too.
+/// Whether a link name is also common for the frames of trackers and maps.
 fn is_world(link: &str) -> bool {
     const WORLDS: &[&str] = &["world", "map", "odom", "origin", "earth"];
     words(link).iter().all(|word| WORLDS.contains(&word.as_str()))
 }
 
-/// How the log's frames are named after a robot's links: a prefix taken off, another put on.
+/// How frame names in the log derive from a robot's link names: one prefix removed, another added.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct FrameNames {
     strip: String,
@@ -103,12 +102,11 @@ pub(super) struct FrameNames {
 }
 
 impl FrameNames {
-    /// The naming under which most links are among the logged `frames`: as the joints are, without
-    /// the joints' prefix, or with a prefix that the joints do not have, as where only a `tf_prefix`
-    /// was set.
+    /// Selects the naming with the most links among the logged `frames`: as the joints, without the joints'
+    /// prefix, or with a prefix that the joints lack, such as a `tf_prefix`.
     ///
-    /// A prefix counts that more frames have than one of a name that every program gives a world of its
-    /// own. Of two arms each has its own.
+    /// Ignores prefixes that occur only before generic names such as `world`. With two arms, each has its
+    /// own prefix.
     fn fit(robot: &Robot, joint_prefix: &str, frames: &BTreeSet<String>, space: &Space) -> Self {
         let links: Vec<&str> = robot.links().map(|link| robot.link_name(link)).collect();
         let prefixes: BTreeSet<&str> = frames
@@ -130,7 +128,7 @@ impl FrameNames {
             let count = links.iter().filter(|link| frames.contains(&naming.frame_of(link))).count();
             (count, space.claim([naming.add.as_str()]) == Claim::Own)
         };
-        // Of namings that fit as well the first, which is to change nothing.
+        // Of equal namings, the first, which changes nothing.
         namings.into_iter().rev().max_by_key(logged).unwrap_or_default()
     }
 

@@ -1,4 +1,4 @@
-//! Which robots the log is about, under the names that the log uses.
+//! Selects the robot models of a log, with the names used in the log.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -14,19 +14,19 @@ use super::skeleton::is_own;
 use super::space::{Claim, Space};
 use super::{RunOptions, Shared};
 
-/// A robot that the caller named, and what its joints start with in the log, or a word of where its
-/// joint states are.
+/// A robot given by the caller, and the prefix of its joint names in the log, or a word of its joint state
+/// topic.
 pub(super) struct Given {
     robot: Robot,
     prefix: Option<String>,
-    /// Who named it.
+    /// Source of the selection.
     by: String,
 }
 
-/// Reads the robots that the caller named.
+/// Reads the robots given by the caller.
 ///
 /// # Errors
-/// Where one is neither a file nor in the catalogue, or its file is no robot.
+/// If one is neither a file nor in the catalogue, or its file is not a robot.
 pub(super) fn given(sources: &[RobotSource]) -> Result<Vec<Given>, RunError> {
     sources
         .iter()
@@ -37,10 +37,10 @@ pub(super) fn given(sources: &[RobotSource]) -> Result<Vec<Given>, RunError> {
         .collect()
 }
 
-/// The same, else the arm that other logs of the dataset told.
+/// The robots given by the caller, or the arm determined from other logs of the dataset.
 ///
 /// # Errors
-/// As [`given`].
+/// Those of [`given`].
 pub(super) fn given_or_shared(options: &RunOptions) -> Result<Vec<Given>, RunError> {
     let Some(Shared { robot: Some(robot), from, .. }) = &options.shared else {
         return given(&options.robots);
@@ -52,8 +52,8 @@ pub(super) fn given_or_shared(options: &RunOptions) -> Result<Vec<Given>, RunErr
     Ok(vec![Given { robot: robot_of(robot)?, prefix: None, by }])
 }
 
-/// The models that may name the joints of a table that only counts them, each with its prefix: the caller's,
-/// else the arm of the catalogue that metadata name.
+/// Models that may name the numbered joints of a table, each with its prefix: the caller's, or the
+/// catalogue arm named in the metadata.
 pub(super) fn for_numbers<'a>(
     given: &'a [Given],
     robot_type: Option<&str>,
@@ -64,10 +64,10 @@ pub(super) fn for_numbers<'a>(
     given.iter().map(|given| (&given.robot, given.prefix.as_deref())).collect()
 }
 
-/// The robot of a URDF or TOML file, or of a name in the catalogue.
+/// Loads a robot from a URDF or TOML file, or by catalogue name.
 ///
 /// # Errors
-/// Where the file cannot be read as a robot, or the catalogue has no such name.
+/// If the file is not a valid robot, or the catalogue does not have the name.
 pub fn robot_of(model: &str) -> Result<Robot, RunError> {
     let path = Path::new(model);
     if path.is_file() || path.extension().is_some() {
@@ -79,12 +79,12 @@ pub fn robot_of(model: &str) -> Result<Robot, RunError> {
     })
 }
 
-/// The robots of the log: those that the caller named, else those described in the log, else those
-/// of the catalogue whose joint names match; of catalogue arms with the same names the one that the
-/// `judges` say needs the fewest causes.
+/// Robots of the log: those given by the caller, else those described in the log, else catalogue arms with
+/// matching joint names. Of catalogue arms with the same names, selects the one that needs the fewest
+/// causes according to `judges`.
 ///
 /// # Errors
-/// Where there is none whose joints are in the log.
+/// If no robot has the joints of the log.
 pub(super) fn models(
     given: &[Given],
     clues: &Clues<'_>,
@@ -96,7 +96,7 @@ pub(super) fn models(
         if !clues.space.is_one_of_several() {
             return models.collect::<Result<Vec<_>, _>>().map(|models| models.concat());
         }
-        // Each is of one of the arms.
+        // Each model may belong to one of several arms.
         let (found, refused): (Vec<_>, Vec<_>) = models.partition(Result::is_ok);
         let found: Vec<Model> = found.into_iter().flatten().flatten().collect();
         return match refused.into_iter().next() {
@@ -110,7 +110,7 @@ pub(super) fn models(
     let spaces = Space::of_names(&places);
     for ((place, text), space) in clues.descriptions.iter().zip(&spaces) {
         let found = format!("the description in the log ({place})");
-        // Of several descriptions each is of the joints that its topic is named after, if any are.
+        // With several descriptions, each describes the joints that match its topic name, if any.
         let is_its = |joint: &&String| space.claim([joint.as_str()]) == Claim::Own;
         let own: Vec<String> = clues.joints.iter().filter(is_its).cloned().collect();
         let joints = if own.is_empty() { clues.joints.to_vec() } else { own };
@@ -167,8 +167,7 @@ fn of_given(
     called((&given.robot, &joints, may_repeat), clues, judges, &given.by)
 }
 
-/// The robot of the first, with its names matched to those of the second: as the caller maps them, else as
-/// they are spelt, else by their order.
+/// Matches the names of a robot to logged joints: by the caller's mapping, else by spelling, else by order.
 fn called(
     (robot, joints, may_repeat): (&Robot, &[String], bool),
     clues: &Clues<'_>,
@@ -177,16 +176,17 @@ fn called(
 ) -> Result<Vec<Model>, RunError> {
     let maps = maps(clues.joint_map, joints);
     if !maps.is_empty() {
-        let found = format!("{found}, joints as --joint-map says");
+        let found = format!("{found}, joints mapped by --joint-map");
         let mapped = maps.iter().map(|map| {
             let lacking = map.iter().find(|(_, modelled)| robot.joint(modelled).is_none());
             if let Some((_, name)) = lacking {
                 let near = nearest(name, robot.joints().iter().map(|joint| joint.name.as_str()));
-                let near = near.first().map_or(String::new(), |near| format!("; is it '{near}'?"));
-                let what = format!("'{name}' is no joint of {}{near}", robot.name);
+                let near =
+                    near.first().map_or(String::new(), |near| format!("; did you mean '{near}'?"));
+                let what = format!("'{name}' is not a joint of {}{near}", robot.name);
                 return Err(RunError::JointMap { what });
             }
-            let what = format!("two joints of {} would have one name", robot.name);
+            let what = format!("two joints of {} would have the same name", robot.name);
             let renamed = by_order::renamed(robot, map).ok_or(RunError::JointMap { what })?;
             named(&renamed, clues, joints.to_vec(), false, &found)
         });
@@ -200,8 +200,8 @@ fn called(
     }
 }
 
-/// What the caller says of `joints`, log before model; where one joint of the model is several in the log,
-/// a map for each arm.
+/// The caller's mapping of `joints`, as logged and model names. One map per arm if several logged joints
+/// map to the same model joint.
 fn maps(said: &[JointName], joints: &[String]) -> Vec<Vec<(String, String)>> {
     let mut maps: Vec<Vec<(String, String)>> = Vec::new();
     for JointName { logged, modelled } in said.iter().filter(|said| joints.contains(&said.logged)) {
@@ -215,7 +215,7 @@ fn maps(said: &[JointName], joints: &[String]) -> Vec<Vec<(String, String)>> {
     maps
 }
 
-/// `robot` under the names among `joints` that fit best and, if it `may_repeat`, once more for each
+/// Renames `robot` with the prefix that fits `joints` best. If it `may_repeat`, adds a model for each
 /// further set of names that fits as well (two arms of one model).
 fn named(
     robot: &Robot,
@@ -264,8 +264,8 @@ fn named(
     Ok(models)
 }
 
-/// `robot` with the joints of one of its arms as the log names them, which says in the name of their
-/// topic whose they are: `left_elbow` in the model, `elbow` on `/left/joint_states`.
+/// Removes an arm's prefix from the joint names of `robot` if the log has it in the topic name:
+/// `left_elbow` in the model, `elbow` on `/left/joint_states`.
 fn without_space(robot: &Robot, space: &Space, joints: &[String]) -> Option<Robot> {
     let known = |robot: &Robot| joints.iter().filter(|name| robot.joint(name).is_some()).count();
     let own: Vec<&str> = robot
@@ -289,8 +289,8 @@ fn without_space(robot: &Robot, space: &Space, joints: &[String]) -> Option<Robo
     bare.max_by_key(|bare| known(bare)).filter(|bare| known(bare) > known(robot))
 }
 
-/// `renamed`, but for the joints of `robot` that the log has under their own names and not under the
-/// new ones: a rail may go without the prefix of the arm that is on it.
+/// Restores original names of joints that the log has only without the new prefix: a rail may lack the
+/// prefix of its arm.
 fn with_plain_names(renamed: &Robot, robot: &Robot, joints: &[String]) -> Option<Robot> {
     let plain: Vec<(&String, &String)> = renamed
         .joints()

@@ -1,5 +1,5 @@
-//! How far logged rotations are from being rotations: quaternions from unit norm, matrices from
-//! orthonormality. Of all rows, as nothing but their own numbers is needed.
+//! Norm defects of logged rotations: deviation of quaternions from unit norm, and of matrices from
+//! orthonormality. All rows are checked.
 
 use rayon::prelude::*;
 
@@ -11,12 +11,12 @@ use super::Run;
 use super::poses::Layout;
 use super::streams::{Clocks, Stream};
 
-/// What is further from a rotation than this may be asked for again, row by row: no rounding is as coarse.
+/// Maximum defect due to rounding. Rotations with larger defects are kept for the report.
 const ASKED_FOR: f64 = 1e-5;
-/// A quaternion shorter than this is one that nobody set.
+/// Norm below which a quaternion counts as unset.
 const UNSET: f64 = 1e-6;
 
-/// What the rotations of a stream are written as.
+/// Encoding of a stream's rotations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Written {
     /// Four numbers; the defect is `| |q| − 1 |`.
@@ -25,30 +25,30 @@ pub enum Written {
     Matrix,
 }
 
-/// How far the rotations of a stream, or of one transform of it, are from being rotations.
+/// Norm defects of a stream, or of one of its transforms.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Norms {
     /// Index of the stream.
     pub stream: usize,
-    /// The child frame of the transform.
+    /// Child frame of the transform.
     pub frame: Option<String>,
-    /// What the rotations are written as.
+    /// Encoding of the rotations.
     pub written: Written,
-    /// Rotations that were set.
+    /// Number of set rotations.
     pub rows: usize,
-    /// Quaternions of all zeros, which say nothing.
+    /// Number of all-zero quaternions.
     pub unset: usize,
-    /// Which of the stream's pieces.
+    /// Index of the stream's part.
     piece: usize,
-    /// The largest defect.
+    /// Largest defect.
     pub largest: f64,
-    /// The defect that half of the rotations exceed; of very many, by some spread over all.
+    /// Median defect; of a subset if there are very many rows.
     pub median: f64,
-    /// The stamp of the largest defect, where that row has one.
+    /// Stamp of the largest defect, if that row has one.
     pub at: Option<Stamp>,
 }
 
-/// The norms of every stream that holds quaternions, and of bare arrays that may.
+/// Norm defects of every stream with quaternions, and of unnamed arrays that may contain rotations.
 pub(super) fn norms(streams: &[Stream], clocks: &Clocks) -> Vec<Norms> {
     let of = |(index, stream): (usize, &Stream)| {
         let at = |piece: usize, row| {
@@ -64,8 +64,8 @@ pub(super) fn norms(streams: &[Stream], clocks: &Clocks) -> Vec<Norms> {
     streams.par_iter().enumerate().flat_map_iter(of).collect()
 }
 
-/// Gives back what the rows of poses and IMUs hold, of which all was taken that is looked at. Stamps stay, and
-/// what may be asked for again: rotations that are none, and rows whose stamps repeat.
+/// Releases the values of poses and IMUs that are no longer needed. Keeps stamps, invalid rotations, and
+/// rows with repeated stamps.
 pub(super) fn release(streams: &mut [Stream], norms: &[Norms]) {
     for (index, stream) in streams.iter_mut().enumerate() {
         let own = norms.iter().filter(|norms| norms.stream == index);
@@ -77,15 +77,14 @@ pub(super) fn release(streams: &mut [Stream], norms: &[Norms]) {
     }
 }
 
-/// Whether all rows are in the order of receipt and each stamp is later than that before it.
+/// Whether all rows are in receive order with strictly increasing stamps.
 fn ascend(times: &Times) -> bool {
     let stamped = times.header.iter().filter(|stamp| **stamp != 0);
     times.log.is_sorted() && stamped.is_sorted_by(|a, b| a < b)
 }
 
 impl Run {
-    /// Stamp and defect of each rotation of a stream, or of one transform of it; none where all are rotations
-    /// but for rounding.
+    /// Stamp and defect of each rotation of a stream or transform. Empty if all are valid up to rounding.
     pub fn norm_defects(&self, norms: &Norms) -> Vec<(Stamp, f64)> {
         let Some(stream) = self.streams.get(norms.stream) else { return Vec::new() };
         let Some(clock) = self.clocks.iter().find(|clock| clock.stream == norms.stream) else {
@@ -100,10 +99,10 @@ impl Run {
     }
 }
 
-/// The defect of a row, NaN where no rotation was set.
+/// Defect of a row, NaN if its rotation is unset.
 type Defect<'a> = Box<dyn Fn(usize) -> f64 + 'a>;
 
-/// The pieces of a stream, each with its child frame and how many rows it has.
+/// Parts of a stream, each with its child frame and number of rows.
 fn pieces(stream: &Stream) -> Vec<(Option<String>, Written, usize, Defect<'_>)> {
     use Written::{Matrix, Quaternion};
     match &stream.columns {
@@ -144,7 +143,7 @@ fn norm_defect(square: f64) -> f64 {
     if norm < UNSET { f64::NAN } else { (norm - 1.0).abs() }
 }
 
-/// The defects of matrices, where the array holds such.
+/// Defects of matrices, if the array contains any.
 fn of_matrices(array: &ArrayColumns) -> Option<Defect<'_>> {
     let layout = [12, 16].contains(&array.width).then(|| Layout::of(array)).flatten()?;
     Some(Box::new(move |row| orthonormality(layout.split(array.row(row)).1)))
@@ -163,14 +162,14 @@ fn orthonormality(rows: [[f64; 3]; 3]) -> f64 {
 }
 
 impl Norms {
-    /// `None` where there is no row.
+    /// `None` if there are no rows.
     fn of(
         (stream, piece, frame): (usize, usize, Option<String>),
         written: Written,
         defects: impl ExactSizeIterator<Item = f64>,
         at: impl Fn(usize) -> Option<Stamp>,
     ) -> Option<Self> {
-        /// Rows that the median is told from.
+        /// Maximum number of rows for the median.
         const ENOUGH: usize = 20_000;
         let all = defects.len();
         if all == 0 {
@@ -208,7 +207,7 @@ mod tests {
         Norms::of((0, 0, None), Written::Quaternion, defects, at).expect("there are rows")
     }
 
-    /// Poses at these stamps, with a last rotation of so long.
+    /// Poses at these stamps, with the given norm of the last quaternion.
     fn poses(stamps: [i64; 3], length: f64) -> Columns {
         let mut poses = PoseColumns::default();
         for (row, stamp) in stamps.into_iter().enumerate() {
@@ -259,7 +258,7 @@ mod tests {
         assert_eq!((norms.rows, norms.unset), (3, 1));
         assert_eq!(norms.at, Some(Stamp::from_nanos(2)));
         assert_eq!(of(&[[0.0; 4]]).rows, 0);
-        // All rows of a topic may have been dropped: none of them has a time.
+        // If all rows of a topic were dropped, there is no time.
         let none = (0..0).map(of_quaternions(&[]));
         let unasked = |_| unreachable!("there is no row");
         assert_eq!(Norms::of((0, 0, None), Written::Quaternion, none, unasked), None);
@@ -267,7 +266,7 @@ mod tests {
 
     #[test]
     fn a_lerp_between_two_quaternions_is_short_by_the_cosine() {
-        // Half way between rotations by 0° and 60°: the chord of an arc of 30° in quaternion space.
+        // Halfway between rotations by 0° and 60°: the chord of an arc of 30° in quaternion space.
         let [a, b] = [0.0_f64, 30.0].map(|half| half.to_radians());
         let middle = [(a.sin() + b.sin()) / 2.0, 0.0, 0.0, (a.cos() + b.cos()) / 2.0];
         let expected = 1.0 - 15.0_f64.to_radians().cos();
@@ -276,7 +275,7 @@ mod tests {
 
     #[test]
     fn a_lerp_between_two_matrices_is_not_orthonormal() {
-        // Half way between rotations by 0° and 90° about z the columns are 1/√2 long.
+        // Halfway between rotations by 0° and 90° about z, the columns have length 1/√2.
         let rows = [[0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [0.0, 0.0, 1.0]];
         assert!((orthonormality(rows) - 0.5).abs() < 1e-15);
         assert_eq!(orthonormality([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), 0.0);

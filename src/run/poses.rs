@@ -1,4 +1,4 @@
-//! Columns of poses, arrays and IMU readings as tracks.
+//! Converts columns of poses, arrays and IMU data to tracks.
 
 use crate::geometry::{
     AngleUnit, Coding, Pose, Rotation, Vec3, rotation_from_matrix_rows, rotation_from_xyzw,
@@ -11,14 +11,14 @@ use crate::time::Stamp;
 use super::declaration::Declaration;
 use super::rows::Rows;
 
-/// A track, and the stamps of its samples.
+/// A track with the stamps of its samples.
 #[derive(Clone, Debug)]
 pub(super) struct Stamped<T> {
     pub track: T,
     pub stamps: Vec<Stamp>,
 }
 
-/// The rows that `keep` takes, in the order of time; of equal stamps the first.
+/// Selected rows in time order; the first of equal stamps.
 fn rows_in_order(rows: &Rows, keep: impl Fn(usize) -> bool) -> Rows {
     let mut rows: Rows = rows.iter().copied().filter(|(_, row)| keep(*row)).collect();
     rows.sort_by_key(|(stamp, _)| *stamp);
@@ -26,17 +26,17 @@ fn rows_in_order(rows: &Rows, keep: impl Fn(usize) -> bool) -> Rows {
     rows
 }
 
-/// Most samples of a stream that the estimators see.
+/// Maximum number of samples of a stream for estimation.
 const MOST_SAMPLES: usize = 20_000;
 
-/// Leaves every second, third and so on of what is seen, where that is more than [`MOST_SAMPLES`].
+/// Keeps every n-th element so that at most [`MOST_SAMPLES`] remain.
 pub(super) fn thinned<T>(seen: &mut Vec<T>) {
     let stride = seen.len().div_ceil(MOST_SAMPLES).max(1);
     let mut index = 0..;
     seen.retain(|_| index.next().is_some_and(|index: usize| index.is_multiple_of(stride)));
 }
 
-/// Cuts a track of the rows that `sample` can read.
+/// Builds a track from the rows that `sample` can convert.
 fn track_of(
     rows: &Rows,
     origin: Stamp,
@@ -61,10 +61,10 @@ fn stamped<T>(
     Stamped { track: track(t_s), stamps }
 }
 
-/// The track of logged poses; rows whose quaternion is no rotation are left out.
+/// Track of logged poses, without rows that have an invalid quaternion.
 ///
 /// # Errors
-/// Where the declaration does not fit quaternions.
+/// If the declaration does not fit quaternions.
 pub(super) fn from_poses(
     poses: &PoseColumns,
     rows: &Rows,
@@ -72,12 +72,12 @@ pub(super) fn from_poses(
     origin: Stamp,
 ) -> Result<Stamped<PoseTrack>, String> {
     if declared.is_some_and(|declared| matches!(declared.coding, Coding::Three(_))) {
-        return Err("the topic holds quaternions, not three rotation numbers".to_owned());
+        return Err("the topic contains quaternions, not three rotation numbers".to_owned());
     }
     let scale = unit_m(declared);
     let is_set = |row: &usize| rotation_from_xyzw(poses.q_xyzw[*row]).is_some();
     if !rows.is_empty() && !rows.iter().any(|(_, row)| is_set(row)) {
-        // Nobody set the orientations; the positions may be right all the same.
+        // The orientations were never set, but the positions may be valid.
         let rows = rows_in_order(rows, |_| true);
         let xyz = rows.iter().map(|(_, row)| Vec3::from(poses.xyz[*row]) * scale).collect();
         let orientation = Orientations::Unset(rows.len());
@@ -91,11 +91,11 @@ pub(super) fn from_poses(
     Ok(with_units(track, declared))
 }
 
-/// The track of bare arrays: 6 numbers are position and three rotation numbers, 7 position and
-/// quaternion, 12 and 16 a matrix.
+/// Track of an unnamed array: 6 numbers are position and three rotation numbers, 7 position and quaternion,
+/// 12 and 16 a matrix.
 ///
 /// # Errors
-/// Where the declaration does not fit, or 12 or 16 numbers are no matrix of a pose.
+/// If the declaration does not fit, or 12 or 16 numbers are not a pose matrix.
 pub(super) fn from_array(
     array: &ArrayColumns,
     rows: &Rows,
@@ -116,7 +116,7 @@ fn read_array(
     let is_quaternion = declared.map(|declared| !declared.coding.has_angles());
     match array.width {
         6 if is_quaternion == Some(true) => {
-            Err("the topic holds three rotation numbers, not a quaternion".to_owned())
+            Err("the topic contains three rotation numbers, not a quaternion".to_owned())
         }
         6 => {
             let rows = rows_in_order(rows, |_| true);
@@ -140,7 +140,7 @@ fn read_array(
             Ok(stamped(&rows, origin, |t_s| PoseTrack { t_s, xyz, orientation, declared }))
         }
         7 if is_quaternion == Some(false) => {
-            Err("the topic holds a quaternion, not three rotation numbers".to_owned())
+            Err("the topic contains a quaternion, not three rotation numbers".to_owned())
         }
         7 => Ok(track_of(rows, origin, |row| {
             let values = array.row(row);
@@ -149,7 +149,7 @@ fn read_array(
         })),
         _ => {
             let layout = Layout::of(array).ok_or_else(|| {
-                format!("its {} numbers a row are no matrix of a pose", array.width)
+                format!("its {} numbers per row are not a pose matrix", array.width)
             })?;
             Ok(track_of(rows, origin, |row| {
                 let (translation, rows) = layout.split(array.row(row));
@@ -164,7 +164,7 @@ fn unit_m(declared: Option<&Declaration>) -> f64 {
     declared.map_or(1.0, |declared| declared.length.in_m())
 }
 
-/// The track with the units that the caller declared.
+/// Adds the declared units to the track.
 fn with_units(mut track: Stamped<PoseTrack>, declared: Option<&Declaration>) -> Stamped<PoseTrack> {
     if let Some(&Declaration { length, angle, .. }) = declared {
         let known = track.track.declared.take().unwrap_or_default();
@@ -180,7 +180,7 @@ fn as_xyzw(logged: [f64; 4], declared: Option<&Declaration>) -> [f64; 4] {
     }
 }
 
-/// How a matrix lies in its row of numbers.
+/// Memory order of a matrix.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Layout {
     RowMajor,
@@ -188,8 +188,8 @@ pub(super) enum Layout {
 }
 
 impl Layout {
-    /// The layout in which most rows are poses: of 16 numbers by where 0 0 0 1 stands, of 12 by
-    /// where an orthonormal matrix stands.
+    /// The order that makes most rows valid poses: by the position of 0 0 0 1 for 16 numbers, by
+    /// orthonormality for 12.
     pub(super) fn of(array: &ArrayColumns) -> Option<Self> {
         let rows = array.times.len();
         [Self::RowMajor, Self::ColumnMajor].into_iter().find(|layout| {
@@ -223,10 +223,10 @@ impl Layout {
     }
 }
 
-/// The track `a_from_c` of a track `b_from_c`-like stream: `before · logged · after`.
+/// Track of `before · logged · after`.
 ///
-/// Bare numbers have no frames, so there is nothing to change in them. Of positions without orientations
-/// only the reference can be changed.
+/// Unnamed numbers have no frames and are not changed. For positions without orientations, only the
+/// reference changes.
 pub(super) fn reframed(mut track: PoseTrack, before: &Pose, after: &Pose) -> PoseTrack {
     if let Orientations::Unset(_) = track.orientation {
         let moved = |xyz: &Vec3| (before * nalgebra::Point3::from(*xyz)).coords;
@@ -240,7 +240,7 @@ pub(super) fn reframed(mut track: PoseTrack, before: &Pose, after: &Pose) -> Pos
     track
 }
 
-/// The track of `poses`, whose stamps increase strictly.
+/// Track of `samples`, whose stamps strictly increase.
 pub(super) fn from_samples(samples: Vec<(Stamp, Pose)>, origin: Stamp) -> Stamped<PoseTrack> {
     let rows: Rows = samples.iter().map(|(stamp, _)| *stamp).zip(0..).collect();
     track_of(&rows, origin, |row| {
@@ -249,8 +249,8 @@ pub(super) fn from_samples(samples: Vec<(Stamp, Pose)>, origin: Stamp) -> Stampe
     })
 }
 
-/// The track of an IMU. It has orientation where most rows have one; rows without are then left
-/// out.
+/// Track of an IMU. If most rows have an orientation, the others are omitted; otherwise the track has no
+/// orientations.
 pub(super) fn from_imu(imu: &ImuColumns, rows: &Rows, origin: Stamp) -> Stamped<ImuTrack> {
     let rotation = |row: usize| rotation_from_xyzw(imu.q_xyzw[row]);
     let all = imu.q_xyzw.len();
@@ -265,7 +265,7 @@ pub(super) fn from_imu(imu: &ImuColumns, rows: &Rows, origin: Stamp) -> Stamped<
     stamped(&rows, origin, |t_s| ImuTrack { t_s, orientation, gyro, accel })
 }
 
-/// Whether at least 90 % of `stamps` are among `of`, exactly; both in order.
+/// Whether at least 90 % of `stamps` are exactly among `of`; both are sorted.
 pub(super) fn are_copies(stamps: &[Stamp], of: &[Stamp]) -> bool {
     let copies = stamps.iter().filter(|stamp| of.binary_search(stamp).is_ok()).count();
     !stamps.is_empty() && 10 * copies >= 9 * stamps.len()

@@ -1,9 +1,8 @@
-//! Two publishers of one topic or of one transform, told apart by their rhythms.
+//! Separates two publishers of one topic or transform by their periods.
 //!
-//! Rows that no single rhythm explains are two publishers' where each of two does nearly all of its
-//! own. That needs no value: two that say the same are told as well as two that disagree. Whether
-//! they disagree is then seen by holding the rows of the one against what lies between those of the
-//! other.
+//! If no single period explains the rows, but two periods each explain nearly all of their rows, there are
+//! two publishers. This needs no values, so it also detects publishers that agree. Their disagreement is
+//! then measured by comparing rows of the second with interpolated rows of the first.
 
 use std::collections::HashSet;
 
@@ -17,27 +16,27 @@ use super::rows::Rows;
 use super::series::{Series, Values};
 use super::trains::{FEWEST, NEARLY, SMOOTH, Split, are_two, is_one, roughness, split, split_by};
 
-/// Two publishers of one piece of a stream.
+/// Two publishers of one part of a stream.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Publishers {
     /// Index of the stream.
     pub stream: usize,
-    /// Parent and child of the transform; `None` of poses and joint states.
+    /// Parent and child of the transform; `None` for poses and joint states.
     pub frames: Option<(String, String)>,
-    /// Rows of each, those of the one that is used first.
+    /// Number of rows of each; the publisher that is used comes first.
     pub rows: [usize; 2],
-    /// Rows a second of each.
+    /// Rate of each, Hz.
     pub rates_hz: [f64; 2],
-    /// How far what they say is apart: of poses m and rad, of joints the farthest in its unit, as
-    /// `angle_rad`; nothing where they say the same.
+    /// Distance between their values; `None` if they agree. For joints, the largest difference in the
+    /// joint's unit, as `angle_rad`.
     pub apart: Option<Apart>,
-    /// Which of the stream's pieces.
+    /// Index of the stream's part.
     pub(super) piece: usize,
-    /// The rows of the second.
+    /// Rows of the second publisher.
     pub(super) second: HashSet<usize>,
 }
 
-/// Takes the rows of the second publisher out.
+/// Removes the rows of the second publisher.
 pub(super) fn hide(found: &[Publishers], stream: usize, piece: usize, rows: &mut Rows) {
     let of_it = |found: &&Publishers| (found.stream, found.piece) == (stream, piece);
     if let Some(found) = found.iter().find(of_it) {
@@ -45,10 +44,11 @@ pub(super) fn hide(found: &[Publishers], stream: usize, piece: usize, rows: &mut
     }
 }
 
-/// The pieces that two publish.
+/// Finds parts of streams with two publishers.
 pub(super) fn publishers(series: &[Series<'_>]) -> Vec<Publishers> {
     let mut found: Vec<Option<Publishers>> = series.par_iter().map(of).collect();
-    // What two say differently tells them apart; what comes in the same messages is theirs, too.
+    // Disagreement separates two publishers; other parts sent in the same messages belong to the same
+    // publishers.
     for leader in 0..series.len() {
         let Some(led) = found[leader].clone().filter(|one| one.apart.is_some()) else { continue };
         let sent: HashSet<[i64; 2]> =
@@ -67,26 +67,26 @@ pub(super) fn publishers(series: &[Series<'_>]) -> Vec<Publishers> {
     found.into_iter().flatten().collect()
 }
 
-/// When a row was stamped and received.
+/// Header stamp and receive time of a row.
 fn sent(series: &Series<'_>, row: usize) -> [i64; 2] {
     [series.times.header[row], series.times.log[row]]
 }
 
-/// Rows without which nothing is told.
+/// Minimum number of rows.
 const ENOUGH: usize = 60;
 
-/// Rows that are looked at, …
+/// Maximum number of rows that are checked.
 const MOST: usize = 4000;
-/// … and first, where one rhythm explains them.
+/// Number of rows checked first if one period explains all rows.
 const PART: usize = 500;
-/// Two publishers in one rhythm are told where each is smoother by this factor than both together.
+/// Minimum ratio of the roughness of both publishers together to that of each, if they share one period.
 const SMOOTHER: f64 = 4.0;
 
 fn of(series: &Series<'_>) -> Option<Publishers> {
     if series.rows.len() < ENOUGH || matches!(series.values, Values::Imu(_) | Values::Array(_)) {
         return None;
     }
-    // One publisher that stamps or sends evenly, whatever it loses.
+    // A single publisher with regular stamps or receive times, possibly with losses.
     let looked_at = &series.rows[..series.rows.len().min(MOST)];
     let begin = looked_at[0].0;
     let stamped_s: Vec<f64> =
@@ -105,7 +105,8 @@ fn of(series: &Series<'_>) -> Option<Publishers> {
     let again =
         looked_at.windows(2).filter(|two| series.values.is_same(two[0].1, two[1].1)).count();
     let is_ticking = || Grid::of(&stamped_s).is_some_and(|grid| grid.is_of_one_even_sender());
-    // Poses that disagree are two publishers' even if their stamps, copied from joint states, are uneven.
+    // Poses that disagree have two publishers even if their stamps, copied from joint states, are
+    // irregular.
     let values_disagree = matches!(series.values, Values::Poses(_)) && rough > SMOOTH;
     let stamps_show_two = || {
         let two = split(&stamped_s, &off);
@@ -116,18 +117,18 @@ fn of(series: &Series<'_>) -> Option<Publishers> {
         || is_ticking()
         || is_read_evenly(series, looked_at.len())
         || !stamps_show_two();
-    // What repeats values is as rough as two that disagree.
+    // Repeated values are as rough as disagreeing publishers.
     if is_one && (rough <= SMOOTH || again as f64 > NEARLY * looked_at.len() as f64) {
         return None;
     }
-    // Two of one rhythm are seen in a part of the rows, where they are at all.
+    // Two publishers with one period are visible in a part of the rows.
     let is_smoother = |parts: &Split| SMOOTHER * parts.roughness(&off) <= rough;
     let part = &stamped_s[..stamped_s.len().min(PART)];
     if is_one && !split(part, &off).is_some_and(|parts| is_smoother(&parts)) {
         return None;
     }
     let parts = split(&stamped_s, &off).filter(|parts| !is_one || is_smoother(parts))?;
-    // The whole run by the rhythms that a part of it has.
+    // Applies the periods found in a part to the whole run.
     let rows = match looked_at.len() == t_s.len() {
         true => parts.rows,
         false => split_by(&t_s, parts.periods_s, &off)?.rows,
@@ -135,8 +136,8 @@ fn of(series: &Series<'_>) -> Option<Publishers> {
     told(series, &t_s, rows, is_one)
 }
 
-/// Whether the values lie between their neighbours by the number of the row far better than by its stamp: one
-/// sender reads them evenly, and stamps or sends them in bursts.
+/// Whether values are interpolated far better by row number than by stamp. A single sender then reads them
+/// regularly, and stamps or sends them in bursts.
 fn is_read_evenly(series: &Series<'_>, rows: usize) -> bool {
     const BETTER: f64 = 0.5;
     let mut off = [0.0; 2];
@@ -151,8 +152,8 @@ fn is_read_evenly(series: &Series<'_>, rows: usize) -> bool {
     off[0] < BETTER * off[1]
 }
 
-/// What is told of two publishers by the rows of each. What shares one rhythm is two publishers' only where
-/// they are as far apart throughout: what shakes as fast as it is sampled is not, nor what is stamped unevenly.
+/// Builds the result from the rows of both publishers. `None` if publishers with one period do not differ
+/// steadily: the cause is then vibration or irregular stamps.
 fn told(
     series: &Series<'_>,
     t_s: &[f64],
@@ -163,7 +164,7 @@ fn told(
     if (is_one && !(apart.is_there && apart.is_steady)) || (series.is_table && !apart.is_there) {
         return None;
     }
-    // What is sent again with its stamp is no second publisher.
+    // Messages resent with the same stamp are not a second publisher.
     let sent: HashSet<i64> = first.iter().map(|&at| series.rows[at].0.nanos()).collect();
     let is_again = |at: &&usize| sent.contains(&series.rows[**at].0.nanos());
     if !apart.is_there && second.iter().filter(is_again).count() * 10 > second.len() * 9 {
@@ -190,24 +191,24 @@ fn told(
     })
 }
 
-/// How far what two publishers say is apart.
+/// Distance between the values of two publishers.
 struct Gap {
     by: Apart,
     is_there: bool,
-    /// Whether it is nearly the same throughout.
+    /// Whether it is nearly constant.
     is_steady: bool,
 }
 
-/// The rows of the second held against what lies between those of the first, and these against what
-/// lies between their neighbours, which is what that tells at best. `None` where nothing lies between.
+/// Compares rows of the second publisher with interpolated rows of the first, and rows of the first with
+/// their neighbours to get the interpolation error. `None` if no rows can be compared.
 fn apart(series: &Series<'_>, t_s: &[f64], [first, second]: [&[usize]; 2]) -> Option<Gap> {
-    /// What is apart by less is not, m or rad: rounding, and noise of encoders.
+    /// Minimum distance, m or rad: above rounding and encoder noise.
     const LEAST: f64 = 3e-4;
-    /// It is more than what lies between rows is uncertain by.
+    /// Minimum ratio of the distance to the interpolation error.
     const TIMES: f64 = 2.0;
-    /// It is steady where it is hardly ever less than this share of what it is at most.
+    /// Minimum ratio of the smallest to the largest distance of a constant offset.
     const STEADY: f64 = 0.7;
-    /// What is apart by more at times than usually is apart by motion.
+    /// Ratio of the largest to the usual distance above which the motion causes the distance.
     const VARIES: f64 = 2.0;
     let row = |at: usize| series.rows[at].1;
     let gap = |left: usize, at: usize, right: usize| {
@@ -231,7 +232,7 @@ fn apart(series: &Series<'_>, t_s: &[f64], [first, second]: [&[usize]; 2]) -> Op
     }
     let told = |of: fn(&Apart) -> f64| {
         let [usual, far] = [0.5, 0.9].map(|part| quantile(gaps.iter().map(of), part));
-        // Some rows of the one may be the other's where they come together.
+        // Rows that coincide may be attributed to the wrong publisher.
         let uncertain = quantile(own.iter().map(of), 0.8);
         let by = if far > VARIES * usual { far } else { usual };
         (by, far > LEAST + TIMES * uncertain)
@@ -249,7 +250,7 @@ fn quantile(values: impl Iterator<Item = f64>, part: f64) -> f64 {
     values.get((values.len().saturating_sub(1) as f64 * part) as usize).copied().unwrap_or(0.0)
 }
 
-/// How far the middle one of three rows is from `part` of the way between the others.
+/// Distance of the middle row from the interpolation between the others at `part`.
 fn gap(values: &Values<'_>, [left, at, right]: [usize; 3], part: f64) -> Apart {
     match values {
         Values::Poses(poses) => {
@@ -281,8 +282,8 @@ mod tests {
 
     const MS: i64 = 1_000_000;
 
-    /// 20 s of a transform that publishers send every so many ms from so many ms on; each says a swing
-    /// of its own plus what it is off by, m.
+    /// 20 s of a transform from publishers, each given by period (ms), phase (ms) and offset (m) of a
+    /// common oscillation.
     fn sent(by: &[(f64, f64, f64)]) -> PoseColumns {
         let mut rows: Vec<(i64, f64)> = Vec::new();
         for (period_ms, phase_ms, off_m) in by {
@@ -322,7 +323,7 @@ mod tests {
         ] {
             for off_m in [0.0, 0.005] {
                 if (a_ms, phase_ms, off_m) == (b_ms, 0.0, 0.0) {
-                    // Copies under the same stamps are one publisher's, sent twice.
+                    // Copies with the same stamps come from one publisher that sends twice.
                     continue;
                 }
                 let two = sent(&[(a_ms, 0.0, 0.0), (b_ms, phase_ms, off_m)]);

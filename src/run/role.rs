@@ -1,41 +1,41 @@
-//! Which part a topic plays, told from its name, its type and its frames.
+//! Determines the role of a topic from its name, type and frames.
 
 use crate::stream::Columns;
 
 use super::streams::Stream;
 
-/// The part that a stream plays in the audit.
+/// Role of a stream in the audit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
     /// Joint states.
     Joints,
-    /// A measured pose of the tool.
+    /// A measured tool pose.
     Pose,
-    /// A pose that is the tool's if it follows the arm; see `Run::settle`.
+    /// A pose that is a tool pose if it follows the arm; see `Run::settle`.
     Candidate {
-        /// Whether its frame speaks for it, so that a motion that cannot tell leaves it a tool pose.
+        /// Whether its frame suggests a tool pose, which it remains if the motion does not decide.
         presumed: bool,
     },
     /// A command, goal or plan.
     Reference,
-    /// What a camera sees: a tag, a board, an object.
+    /// A camera detection: a tag, a board, an object.
     Target,
-    /// Transforms over time.
+    /// Dynamic transforms.
     Tf,
-    /// Transforms that hold at all times.
+    /// Static transforms.
     TfStatic,
     /// An inertial measurement unit.
     Imu,
-    /// A description of the robot.
+    /// A robot description.
     Description,
-    /// A pose that belongs to no arm as far as can be told.
+    /// A pose that could not be assigned to an arm.
     Unassigned,
-    /// Of no use to an audit.
+    /// Not used by the audit.
     Ignored,
 }
 
 impl Role {
-    /// The name used in reports; a candidate that nobody settled is unassigned.
+    /// Name in reports; an undetermined candidate is unassigned.
     pub const fn name(self) -> &'static str {
         match self {
             Role::Joints => "joints",
@@ -52,16 +52,16 @@ impl Role {
     }
 }
 
-/// A role, and why in words.
+/// A role with its reason.
 pub(super) type Verdict = (Role, String);
 
-/// Words of joints that are no arm's.
+/// Words in names of joints that are not part of an arm.
 pub(super) const OTHER_JOINTS: &[&str] = &[
     "finger", "fingers", "thumb", "gripper", "hand", "jaw", "knuckle", "wheel", "wheels", "caster",
     "steering", "head", "neck", "camera", "leg", "hip", "knee", "ankle", "toe",
 ];
 
-/// Words of topics that carry what shall be, not what is.
+/// Words in names of command topics.
 const GOALS: &[&str] = &[
     "goal",
     "goals",
@@ -84,7 +84,7 @@ const GOALS: &[&str] = &[
     "interactive",
 ];
 
-/// Words of topics that carry what a camera found.
+/// Words in names of camera detections.
 pub(super) const SIGHTS: &[&str] = &[
     "tag",
     "tags",
@@ -104,19 +104,19 @@ pub(super) const SIGHTS: &[&str] = &[
     "objects",
 ];
 
-/// Of these, those that trackers give a body on a tool as well.
+/// Words of [`SIGHTS`] that trackers also use for bodies on a tool.
 const BODIES: &[&str] = &["tag", "tags", "marker", "markers", "object", "objects"];
-/// Of [`GOALS`], those that trackers give a body on a tool as well.
+/// Words of [`GOALS`] that trackers also use for bodies on a tool.
 const AIMS: &[&str] = &["target", "targets"];
 
-/// Words of a camera's own frame.
+/// Words in names of camera frames.
 pub(super) const CAMERAS: &[&str] = &["camera", "cam", "optical", "rgb", "depth"];
 
-/// Words of topics that carry where a mobile base is.
+/// Words in names of mobile base poses.
 const MOBILE: &[&str] =
     &["odom", "odometry", "amcl", "slam", "localization", "gps", "initialpose", "footprint"];
 
-/// Words of number arrays that are no pose.
+/// Words in names of number arrays that are not poses.
 const NO_POSE: &[&str] = &[
     "joint",
     "joints",
@@ -135,7 +135,7 @@ const NO_POSE: &[&str] = &[
     "temperatures",
 ];
 
-/// Words, in this order, of topics on which arm drivers publish the measured tool pose, and whose.
+/// Consecutive words in topic names of measured tool poses, and the drivers that use them.
 const DRIVERS: &[(&[&str], &str)] = &[
     (&["tcp", "pose"], "UR drivers"),
     (&["o", "t", "ee"], "Franka drivers"),
@@ -151,28 +151,28 @@ const DRIVERS: &[(&[&str], &str)] = &[
     (&["end", "effector", "pose"], "arm drivers"),
 ];
 
-/// What is known of a frame that a stream names.
+/// Relation of a stream's frame to the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Place {
-    /// The stream names none.
+    /// The stream names no frame.
     Unnamed,
-    /// A link between which and the root no joint of the arm lies.
+    /// A link that no joint of the arm moves.
     StillLink,
     /// A link that the arm moves.
     MovingLink,
-    /// A link that the arm moves, most of whose joints are below it, as on a waist.
+    /// A link that the arm moves, but with most of its joints further out, such as a waist.
     Upstream,
-    /// A link that moves with the tool whose pose it is said to be in.
+    /// A link that moves with the tool whose pose is expressed in it.
     Tool,
     /// Tied to a link that the arm does not move, by static transforms.
     Tied,
-    /// Tied to such a link by transforms over time, as odometry's.
+    /// Tied to such a link by dynamic transforms, such as odometry.
     Carried,
-    /// None of these.
+    /// Not tied to the robot.
     Unknown,
 }
 
-/// What the role of a pose stream is told from.
+/// Properties that determine the role of a pose stream.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PoseTopic<'a> {
     pub topic: &'a str,
@@ -183,7 +183,7 @@ pub(super) struct PoseTopic<'a> {
     pub is_declared: bool,
 }
 
-/// The role of a topic by what it holds, as far as that settles it: all but poses and arrays.
+/// Role of a topic by type. `None` for poses and arrays, which need more information.
 pub(super) fn plain_role(topic: &str, columns: &Columns) -> Option<Verdict> {
     let words = words(topic);
     let verdict = match columns {
@@ -192,20 +192,20 @@ pub(super) fn plain_role(topic: &str, columns: &Columns) -> Option<Verdict> {
             None => (Role::Joints, "joint states".to_owned()),
         },
         Columns::Transforms(_) if topic.ends_with("tf_static") => {
-            (Role::TfStatic, "transforms that hold at all times".to_owned())
+            (Role::TfStatic, "static transforms".to_owned())
         }
         Columns::Transforms(_) => (Role::Tf, "transforms over time".to_owned()),
         Columns::Imu(_) => (Role::Imu, "inertial measurements".to_owned()),
         Columns::Text(_) if topic.ends_with("robot_description") => {
-            (Role::Description, "a description of the robot".to_owned())
+            (Role::Description, "robot description".to_owned())
         }
-        Columns::Text(_) => (Role::Ignored, "text that is no robot description".to_owned()),
+        Columns::Text(_) => (Role::Ignored, "text, not a robot description".to_owned()),
         Columns::Poses(_) | Columns::Array(_) => return None,
     };
     Some(verdict)
 }
 
-/// The role of a stream of poses by its topic alone.
+/// Role of a pose stream by its topic name alone.
 pub(super) fn named_role(topic: &str) -> Role {
     let (frame, child) = (Place::Unnamed, Place::Unnamed);
     let unnamed =
@@ -213,7 +213,7 @@ pub(super) fn named_role(topic: &str) -> Role {
     pose_role(&unnamed).0
 }
 
-/// The role of a stream of poses that are not the tool's, by its topic alone.
+/// Role by topic name of a pose stream that is not a tool pose.
 pub(super) fn beside_arm(topic: &str) -> Role {
     match named_role(topic) {
         role @ (Role::Target | Role::Reference) => role,
@@ -221,14 +221,14 @@ pub(super) fn beside_arm(topic: &str) -> Role {
     }
 }
 
-/// Whether a stream plays a role, or plays it where the motion does not tell another than its name.
+/// Whether a stream has a role, or has it by name if the motion does not determine another.
 pub(super) fn may_be(stream: &Stream, role: Role) -> bool {
     let is_open = matches!(stream.role, Role::Candidate { .. })
         && matches!(stream.columns, Some(Columns::Poses(_)));
     stream.role == role || (is_open && beside_arm(&stream.topic) == role)
 }
 
-/// The role of a stream of poses with frames.
+/// Role of a pose stream with frames.
 pub(super) fn pose_role(pose: &PoseTopic<'_>) -> Verdict {
     let PoseTopic { topic, frame_id, child_frame_id, .. } = *pose;
     let topic_words = words(topic);
@@ -243,10 +243,10 @@ pub(super) fn pose_role(pose: &PoseTopic<'_>) -> Verdict {
         return (Role::Target, format!("seen by a camera, by the word '{word}' in its name"));
     }
     if pose.child != Place::MovingLink && is_of_camera {
-        return (Role::Target, format!("seen by a camera: it is in the frame '{frame_id}'"));
+        return (Role::Target, format!("seen by a camera: its frame is '{frame_id}'"));
     }
     if let Some(word) = shared(&topic_words, GOALS) {
-        return (Role::Reference, format!("what shall be, by the word '{word}' in its name"));
+        return (Role::Reference, format!("a command, by the word '{word}' in its name"));
     }
     match pose.child {
         Place::MovingLink => {
@@ -268,15 +268,15 @@ pub(super) fn pose_role(pose: &PoseTopic<'_>) -> Verdict {
         return (Role::Unassigned, format!("the pose of a mobile base, by the word '{word}'"));
     }
     if let Some(driver) = driver_of(&topic_words) {
-        return (Role::Pose, format!("the name that {driver} give the tool pose"));
+        return (Role::Pose, format!("the topic name that {driver} use for the tool pose"));
     }
     match pose.frame {
         Place::MovingLink => {
-            (Role::Unassigned, format!("it is in '{frame_id}', which the arm itself moves"))
+            (Role::Unassigned, format!("its frame '{frame_id}' is moved by the arm itself"))
         }
         Place::Tool => (
             Role::Candidate { presumed: false },
-            format!("its frame '{frame_id}' is the tool's own, in which the tool cannot move"),
+            format!("its frame '{frame_id}' is the tool's own, where the tool cannot move"),
         ),
         Place::StillLink | Place::Upstream => (
             Role::Candidate { presumed: true },
@@ -284,17 +284,17 @@ pub(super) fn pose_role(pose: &PoseTopic<'_>) -> Verdict {
         ),
         Place::Carried => (
             Role::Candidate { presumed: false },
-            format!("its frame '{frame_id}' moves against the arm's base, as the transforms say"),
+            format!("its frame '{frame_id}' moves relative to the arm's base, by the transforms"),
         ),
         Place::Tied | Place::Unnamed | Place::Unknown => (
             Role::Candidate { presumed: false },
-            "neither its name nor its frames say whose pose it is".to_owned(),
+            "neither its name nor its frames identify the body".to_owned(),
         ),
     }
 }
 
-/// A role that a name only hints at: what a tracker calls a body on the tool is a camera's target or a goal
-/// elsewhere, and which it is the motion tells.
+/// Role of ambiguous names: trackers use them for bodies on a tool, others for camera targets or goals. The
+/// motion decides.
 fn open_role(topic_words: &[String], frame: Place) -> Option<Verdict> {
     let is_only = |known: &[&'static str], open: &[&'static str]| {
         let others = || known.iter().copied().filter(|word| !open.contains(word));
@@ -307,11 +307,12 @@ fn open_role(topic_words: &[String], frame: Place) -> Option<Verdict> {
         (_, Some(word), Place::Unknown) if shared(topic_words, SIGHTS).is_none() => word,
         _ => return None,
     };
-    let why = format!("the word '{word}' in its name may be a tracker's for a body on the tool");
+    let why =
+        format!("the word '{word}' in its name may be a tracker's name for a body on the tool");
     Some((Role::Candidate { presumed: false }, why))
 }
 
-/// The role of a stream of bare numbers, `width` a row.
+/// Role of a stream of unnamed numbers with `width` numbers per row.
 pub(super) fn array_role(topic: &str, width: usize, is_declared: bool) -> Verdict {
     let topic_words = words(topic);
     let is_pose_width = matches!(width, 6 | 7 | 12 | 16);
@@ -319,25 +320,28 @@ pub(super) fn array_role(topic: &str, width: usize, is_declared: bool) -> Verdic
         return (Role::Pose, "declared".to_owned());
     }
     if let Some(word) = goal(topic, &topic_words) {
-        return (Role::Reference, format!("what shall be, by the word '{word}' in its name"));
+        return (Role::Reference, format!("a command, by the word '{word}' in its name"));
     }
     if let Some(word) = shared(&topic_words, NO_POSE) {
-        return (Role::Ignored, format!("no pose, by the word '{word}' in its name"));
+        return (Role::Ignored, format!("not a pose, by the word '{word}' in its name"));
     }
     if !is_pose_width {
-        return (Role::Ignored, format!("{width} numbers a row are no pose (6, 7, 12 or 16 are)"));
+        return (
+            Role::Ignored,
+            format!("{width} numbers per row are not a pose (6, 7, 12 or 16 are)"),
+        );
     }
-    (Role::Candidate { presumed: false }, format!("{width} numbers a row may be a pose"))
+    (Role::Candidate { presumed: false }, format!("{width} numbers per row may be a pose"))
 }
 
-/// The word of a topic that says that it carries what shall be. Columns of tables say so in other words.
+/// Word that marks a topic as a command. Table columns use additional words.
 fn goal(topic: &str, words: &[String]) -> Option<&'static str> {
     const OF_COLUMNS: &[&str] = &["action", "actions", "rsol", "asol", "aspos"];
     let is_column = !topic.starts_with('/');
     shared(words, GOALS).or_else(|| shared(words, OF_COLUMNS).filter(|_| is_column))
 }
 
-/// Whether a frame's name says that it is a camera's, or something that a camera sees.
+/// Whether a frame name refers to a camera or its target.
 pub(super) fn is_sight(frame: &str) -> bool {
     let words = words(frame);
     shared(&words, SIGHTS).or_else(|| shared(&words, CAMERAS)).is_some()
@@ -353,8 +357,8 @@ pub(super) fn shared(words: &[String], known: &[&'static str]) -> Option<&'stati
     known.iter().copied().find(|known| words.iter().any(|word| word == known))
 }
 
-/// The words of a topic or frame, in lower case: cut at everything that is no letter or digit, and
-/// where a capital follows a small letter.
+/// Words of a topic or frame, in lower case: split at characters other than letters and digits, and before
+/// a capital after a small letter.
 pub(super) fn words(name: &str) -> Vec<String> {
     let mut words: Vec<String> = Vec::new();
     let mut last = '/';

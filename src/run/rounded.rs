@@ -1,9 +1,10 @@
-//! Stamps that a coarse clock rounded: milliseconds in a table, whole seconds, the 15.6 ms of some machines.
+//! Restores stamps that were rounded by a coarse clock: milliseconds in a table, whole seconds, or 15.6 ms
+//! on some machines.
 //!
-//! Several rows then share a stamp, or their intervals alternate between multiples of the tick. The order of the
-//! rows still tells when each was: a sender that is nearly even passes through the interval that each rounded
-//! stamp leaves open along few straight lines (O'Rourke, "An on-line algorithm for fitting straight lines between
-//! data ranges", 1981). The stamps on those lines replace the rounded ones.
+//! Several rows then share a stamp, or intervals alternate between multiples of the tick. The row order
+//! still determines the times: a nearly regular sender follows a few straight lines through the intervals
+//! of the rounded stamps (O'Rourke, "An on-line algorithm for fitting straight lines between data ranges",
+//! 1981). Times on these lines replace the stamps.
 
 use crate::stream::{Columns, Times};
 use crate::time::{Clock, NANOS_PER_SECOND};
@@ -13,37 +14,37 @@ use super::role::Role;
 use super::series::Values;
 use super::streams::Stream;
 
-/// A piece of a stream whose stamps were rounded, and were restored from the order of its rows.
+/// Part of a stream with rounded stamps that were restored from the row order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RoundedStamps {
     /// Index of the stream.
     pub stream: usize,
-    /// The tick of the clock, s.
+    /// Tick of the clock, s.
     pub tick_s: f64,
-    /// Rows that had the stamp of the row before them.
+    /// Number of rows with the same stamp as the previous row.
     pub shared: usize,
-    /// How far a restored stamp may be off, s, beside a constant offset of up to half a tick.
+    /// Maximum error of a restored stamp, s, in addition to a constant offset of up to half a tick.
     pub resolution_s: f64,
-    /// Which of the stream's pieces.
+    /// Index of the stream's part.
     pub(super) piece: usize,
-    /// Pieces with the same stamps have the same number.
+    /// Group number, equal for parts with the same stamps.
     pub(super) group: usize,
 }
 
 impl RoundedStamps {
-    /// Whether the stamps of another piece are the same ones, as those of one table are.
+    /// Whether another part has the same stamps, as in one table.
     pub(super) fn is_restored_as(&self, other: &Self) -> bool {
         self.group == other.group
     }
 }
 
-/// Ticks shorter than this are not looked for, s.
+/// Minimum tick, s.
 const LEAST_TICK_S: f64 = 2e-4;
 
-/// Replaces rounded stamps on `clock` by those that the order of the rows restores.
+/// Replaces rounded stamps on `clock` by restored ones.
 pub(super) fn restore(streams: &mut [Stream], clock: Clock) -> Vec<RoundedStamps> {
     let mut found = Vec::new();
-    // Streams of one table, and copies of another stream's stamps, have one answer.
+    // Streams of one table, and copies of another stream's stamps, share one result.
     let mut known: Vec<(Vec<i64>, Restored)> = Vec::new();
     for (index, stream) in streams.iter_mut().enumerate() {
         let is_of_use = !matches!(stream.role, Role::TfStatic | Role::Description | Role::Ignored);
@@ -74,7 +75,7 @@ pub(super) fn restore(streams: &mut [Stream], clock: Clock) -> Vec<RoundedStamps
     found
 }
 
-/// The column that times the rows: log time if the headers hold no stamps.
+/// The clock used for the rows: log time if the headers have no stamps.
 fn stamped_by(times: &Times, clock: Clock) -> Clock {
     let has_stamps = times.header.iter().any(|nanos| *nanos != 0);
     if clock == Clock::Header && !has_stamps { Clock::Log } else { clock }
@@ -99,9 +100,9 @@ struct Restored {
 }
 
 impl Restored {
-    /// `None` unless the stamps are multiples of a tick that hides when rows were.
+    /// `None` unless the stamps are multiples of a tick that hides the times of rows.
     fn of(raw: &[i64], values: &Values<'_>) -> Option<Self> {
-        /// The share of rows with the stamp of the row before, under other values, that shows a coarse clock.
+        /// Minimum share of rows with the previous stamp but different values for a coarse clock.
         const SHARED: f64 = 0.02;
         let first = *raw.first()?;
         if !raw.is_sorted() || raw.contains(&0) {
@@ -118,12 +119,12 @@ impl Restored {
                 sent_again += usize::from(*repeats);
             }
         }
-        // An arm at rest repeats values, too: rows that share a stamp may repeat as often as others do.
+        // An arm at rest also repeats values: rows with a shared stamp may repeat as often as others.
         let rest = repeats.iter().filter(|repeats| **repeats).count() - sent_again;
         let usual = rest as f64 / (repeats.len() - shared).max(1) as f64;
         let are_sent_again = sent_again as f64 > 0.5 * shared as f64 * (1.0 + usual);
         let share = shared as f64 / raw.len() as f64;
-        // An even sender that is faster than the tick shares stamps as often as its period says.
+        // Expected share of shared stamps of a regular sender faster than the tick.
         let period_s = t_s[t_s.len() - 1] / (t_s.len() - 1) as f64;
         let expected = 1.0 - period_s / grid.tick_s;
         let are_shared = share > SHARED && share < 1.5 * expected && !are_sent_again;
@@ -145,11 +146,12 @@ impl Restored {
     }
 }
 
-/// Whether new values lie between their neighbours by the restored times, as those of one sender do and those of
-/// two that disagree do not; `None` if too few values are new.
+/// Whether new values are interpolated well at the restored times, unlike those of two publishers that
+/// disagree. `None` if too few values are new.
 fn is_smooth(t_s: &[f64], values: &Values<'_>, repeats: &[bool]) -> Option<bool> {
     const ENOUGH: usize = 20;
-    /// Of noise alone the distance to the neighbours' line is √1.5 / √2 = 0.87 of a step; of motion it is far less.
+    /// For white noise, the ratio of the interpolation residual to a step is √1.5 / √2 = 0.87; for motion
+    /// it is far smaller.
     const SMOOTH: f64 = 0.6;
     let numbers = if matches!(values, Values::Poses(_)) { 3 } else { values.width() };
     let is_new = |row: &usize| *row == 0 || !repeats[row - 1];
@@ -170,10 +172,10 @@ fn is_smooth(t_s: &[f64], values: &Values<'_>, repeats: &[bool]) -> Option<bool>
     (count >= ENOUGH && steps > 0.0).then_some(off < SMOOTH * steps)
 }
 
-/// The stamps along as few straight lines as pass within half a tick of each, and a margin for what the sender is
-/// uneven by; and how far they may be off, s.
+/// Fits as few straight lines as possible within half a tick of each stamp, plus a margin for jitter.
+/// Returns times on the lines, and their uncertainty, s.
 fn straighten(t_s: &[f64], tick_s: f64) -> (Vec<f64>, f64) {
-    /// An even sender is late by fewer periods than this, and a loss of more rows is seen.
+    /// Maximum jitter of a regular sender, in periods; losing more rows is visible.
     const UNEVEN: f64 = 1.0;
     let n = t_s.len();
     let period_s = (t_s[n - 1] - t_s[0]) / (n - 1) as f64;
@@ -187,8 +189,8 @@ fn straighten(t_s: &[f64], tick_s: f64) -> (Vec<f64>, f64) {
         let beside = || own.iter().enumerate().map(|(row, at)| at - line.at(row));
         let least = beside().fold(f64::INFINITY, f64::min);
         let most = beside().fold(f64::NEG_INFINITY, f64::max);
-        // Every offset between these bounds keeps the line within half a tick of the stamps; the line itself is as
-        // uncertain as a mean of so many rounded stamps.
+        // Every offset between these bounds keeps the line within half a tick of the stamps. The line
+        // itself is as uncertain as a mean of as many rounded stamps.
         let (low, high) = (most - 0.5 * tick_s, least + 0.5 * tick_s);
         let offset = 0.5 * (low + high);
         let left_open_s = (0.5 * (high - low)).abs() + tick_s / (rows as f64).sqrt();
@@ -199,7 +201,7 @@ fn straighten(t_s: &[f64], tick_s: f64) -> (Vec<f64>, f64) {
     (restored, weighted / n as f64)
 }
 
-/// A line through the first rows, by their number.
+/// A line through the first rows, as a function of row number.
 struct Line {
     rows: usize,
     at_first: f64,
@@ -211,8 +213,8 @@ impl Line {
         self.at_first + self.slope * row as f64
     }
 
-    /// The line that stays within `half` of as many values as any line does, from the first on. It halves the
-    /// angle between the steepest and the flattest of those lines.
+    /// The line that stays within `half` of the longest possible run of initial values. Its slope is the
+    /// mean of the steepest and the flattest such line.
     fn along(values: &[f64], half: f64) -> Self {
         type Point = (f64, f64);
         let slope = |a: Point, b: Point| (b.1 - a.1) / (b.0 - a.0);
@@ -274,7 +276,7 @@ impl Line {
         }
         let (least, most) = (slope(flattest.0, flattest.1), slope(steepest.0, steepest.1));
         let slope = 0.5 * (least + most);
-        // Both lines meet in one point, through which the mean one goes, too.
+        // Both lines intersect in a point, which is also on the mean line.
         let at_zero = |line: (Point, Point), slope: f64| line.0.1 - slope * line.0.0;
         let (a, b) = (at_zero(flattest, least), at_zero(steepest, most));
         let meet = if (most - least).abs() > f64::EPSILON { (a - b) / (most - least) } else { 0.0 };
@@ -287,7 +289,7 @@ impl Line {
 mod tests {
     use super::*;
 
-    /// Rows at a period with jitter, uniform within ±`jitter_s`, without those in `gap`.
+    /// Rows at a period with uniform jitter within ±`jitter_s`, without those in `gap`.
     fn sent(period_s: f64, jitter_s: f64, gap: std::ops::Range<usize>) -> Vec<f64> {
         let mut state = 7_u64;
         let mut random = || {
@@ -308,7 +310,7 @@ mod tests {
 
     #[test]
     fn the_order_of_rows_restores_rounded_stamps() {
-        // Within an eighth of the tick, a quarter with jitter.
+        // Tolerance: an eighth of the tick, a quarter with jitter.
         for (period_s, tick_s, jitter_s, within_s) in [
             (0.008, 0.01, 0.0, 1.25e-3),
             (0.008, 0.01, 3e-4, 2.5e-3),

@@ -1,6 +1,6 @@
-//! Rows of a stream in the order of their stamps.
+//! Rows of a stream with their stamps.
 
 use crate::time::Stamp;
 
-/// Rows of a piece of a stream, in the order of the log, each after the time when it was.
+/// Rows of a part of a stream, in log order, each with its stamp.
 pub(super) type Rows = Vec<(Stamp, usize)>;

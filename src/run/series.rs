@@ -1,5 +1,5 @@
-//! Each piece of each stream as rows of numbers in the order of time, whatever they mean: one of
-//! joint states, of poses, of each transform, of an IMU.
+//! Uniform access to the parts of streams as rows of numbers in time order: joint states, poses, each
+//! transform, an IMU.
 
 use crate::stream::{ArrayColumns, Columns, ImuColumns, JointColumns, PoseColumns, Times};
 
@@ -8,23 +8,23 @@ use super::rows::Rows;
 use super::streams::{Clocks, Stream};
 use super::tf_tree::without_slash;
 
-/// A piece of a stream.
+/// A part of a stream.
 pub(super) struct Series<'a> {
     /// Index of the stream.
     pub stream: usize,
-    /// Which of its pieces.
+    /// Index of the part.
     pub piece: usize,
-    /// The child frame of a transform.
+    /// Child frame of a transform.
     pub frame: Option<&'a str>,
-    /// Whether it is columns of a table, which one program writes.
+    /// Whether its columns come from a table, which one program writes.
     pub is_table: bool,
-    /// The rows that have a stamp, in the order of their stamps.
+    /// Rows with a stamp, in stamp order.
     pub rows: Rows,
     pub times: &'a Times,
     pub values: Values<'a>,
 }
 
-/// What the rows hold.
+/// Content of the rows.
 #[derive(Clone, Copy)]
 pub(super) enum Values<'a> {
     Joints(&'a JointColumns),
@@ -34,7 +34,7 @@ pub(super) enum Values<'a> {
 }
 
 impl Values<'_> {
-    /// How many numbers a row has.
+    /// Number of values per row.
     pub fn width(&self) -> usize {
         match self {
             Values::Joints(joints) => joints.joints.len(),
@@ -44,7 +44,7 @@ impl Values<'_> {
         }
     }
 
-    /// One number of a row.
+    /// One value of a row.
     pub fn at(&self, row: usize, number: usize) -> f64 {
         match (self, number) {
             (Values::Joints(joints), _) => joints.joints[number].position[row],
@@ -57,7 +57,7 @@ impl Values<'_> {
         }
     }
 
-    /// Whether two rows are the same to the last bit.
+    /// Whether two rows are bitwise equal.
     pub fn is_same(&self, a: usize, b: usize) -> bool {
         let same = |a: f64, b: f64| a == b || (a.is_nan() && b.is_nan());
         (0..self.width()).all(|number| same(self.at(a, number), self.at(b, number)))
@@ -65,14 +65,14 @@ impl Values<'_> {
 }
 
 impl Series<'_> {
-    /// Seconds from the first row to each.
+    /// Time of each row since the first, s.
     pub fn seconds(&self) -> Vec<f64> {
         let first = self.rows.first().map(|(stamp, _)| *stamp).unwrap_or_default();
         self.rows.iter().map(|(stamp, _)| stamp.seconds_since(first)).collect()
     }
 }
 
-/// All pieces that a run may use, but for those of joint states that not each message has all of.
+/// All parts that a run may use, except joint states with incomplete messages.
 pub(super) fn series<'a>(streams: &'a [Stream], clocks: &Clocks) -> Vec<Series<'a>> {
     let mut found = Vec::new();
     for (stream, held) in streams.iter().enumerate() {

@@ -1,5 +1,5 @@
-//! Settles what names and frames leave open about a run's streams of poses: which arm each is of, when
-//! the frame that it is in was where, and whether it follows the arm at all.
+//! Resolves by motion the properties of pose streams that names and frames leave undetermined: the arm, the
+//! pose of a moving base, and whether the stream follows the arm.
 
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
@@ -17,7 +17,7 @@ use crate::stream::{Orientations, PoseTrack};
 
 use super::role::beside_arm;
 
-/// Settles all of it.
+/// Resolves everything, in this order.
 pub(super) fn settle(run: &mut Run, most_lag_s: f64) {
     settle_alternations(run);
     settle_carried(run, most_lag_s);
@@ -32,7 +32,7 @@ pub(super) fn settle(run: &mut Run, most_lag_s: f64) {
     settle_hands(run, most_lag_s);
 }
 
-/// Takes poses that alternate between several rigid bodies on one tool as those of the usual one.
+/// Converts poses that alternate between several rigid bodies on one tool to poses of the main body.
 fn settle_alternations(run: &mut Run) {
     let all: Vec<(usize, usize)> = run
         .arms
@@ -57,11 +57,11 @@ fn settle_alternations(run: &mut Run) {
     }
 }
 
-/// Streams of poses of an arm that tell together how its joint states are to be read; those beyond are held
-/// against what these tell, one by one.
+/// Maximum number of an arm's pose streams that are diagnosed jointly, to determine the encoding of its
+/// joint states. Further streams are diagnosed one by one with that result.
 const TOGETHER: usize = 6;
 
-/// Puts the streams of an arm that say most first, and copies of others last.
+/// Sorts the streams of an arm by length, with copies last.
 fn settle_crowds(run: &mut Run) {
     for arm in &mut run.arms {
         let is_copy =
@@ -76,23 +76,24 @@ fn settle_crowds(run: &mut Run) {
         arm.poses = ranked.into_iter().map(|(_, source)| source).collect();
         for source in &arm.poses[together(arm)..] {
             let reason = &mut run.streams[source.stream].reason;
-            *reason += "; held alone against the joints as other streams tell them";
+            *reason +=
+                "; diagnosed separately, with joint states as determined from the other streams";
         }
     }
 }
 
-/// How many of an arm's streams of poses are looked at together: the first that are no copies.
+/// Number of an arm's pose streams that are diagnosed jointly: the first ones that are not copies.
 pub(crate) fn together(arm: &Arm) -> usize {
     let is_copy =
         |index: &usize| arm.poses[..*index].iter().any(|one| arm.poses[*index].is_copy_of(one));
     (0..arm.poses.len().min(TOGETHER)).take_while(|index| !is_copy(index)).count()
 }
 
-/// Leaves out what streams of poses repeat while their arm moves at the lags at which they may follow it.
+/// Removes repeated poses while the arm moves, at the lags at which the streams may follow it.
 fn settle_frozen(run: &mut Run, most_lag_s: f64) {
-    /// Speeds correlate by this at least where the lag is known by them, …
+    /// Minimum correlation of speeds to trust the lag.
     const FOLLOWS: f64 = 0.3;
-    /// … and at other lags that may be meant by this share of the best.
+    /// Minimum correlation at other possible lags, as a share of the best.
     const NEARLY: f64 = 0.7;
     for arm in 0..run.arms.len() {
         for source in 0..run.arms[arm].poses.len() {
@@ -113,10 +114,10 @@ fn settle_frozen(run: &mut Run, most_lag_s: f64) {
     }
 }
 
-/// It lies on one arm where it is less than this share as far off as off the next.
+/// Maximum ratio of the residuals of the nearest arm and the next one.
 const NEARER: f64 = 0.5;
 
-/// Leaves transforms between the same frames, which stand for several arms, to the one that they lie on.
+/// Assigns transforms between frames that several arms share to the arm that they fit.
 fn settle_transforms(run: &mut Run) {
     let frames = |arm: &Arm| {
         let source = arm.tf.as_ref().ok()?;
@@ -142,8 +143,7 @@ fn settle_transforms(run: &mut Run) {
     }
 }
 
-/// Makes joint states commands that nothing is measured beside, where an arm of the same joints does what
-/// they say later.
+/// Turns joint states without any measurement into commands if an arm with the same joints follows them.
 fn settle_leading_arms(run: &mut Run, most_lag_s: f64) {
     let nothing_beside = |arm: &Arm| arm.poses.is_empty() && arm.imus.is_empty() && arm.tf.is_err();
     for index in (0..run.arms.len()).rev() {
@@ -160,9 +160,9 @@ fn settle_leading_arms(run: &mut Run, most_lag_s: f64) {
     }
 }
 
-/// By how much the joint states of `leader` lead those of an arm of the same kind, s, where they do.
+/// Lead of the joint states of `leader` over those of an arm of the same kind, s, if they lead.
 fn leads(leader: &Arm, arm: &Arm, most_lag_s: f64) -> Option<f64> {
-    /// Moments of the arm that are looked at.
+    /// Maximum number of the arm's samples that are compared.
     const MOST: usize = 20_000;
     let rows = || (0..arm.joints.len()).step_by(arm.joints.len().div_ceil(MOST).max(1));
     let poses = rows().map(|row| {
@@ -190,14 +190,14 @@ fn leads(leader: &Arm, arm: &Arm, most_lag_s: f64) -> Option<f64> {
     (peak.correlation >= LEADS && peak.lag_s > LEAST_S).then_some(peak.lag_s)
 }
 
-/// Shorter leads are stamps, transport and filters, s.
+/// Minimum lead, s; shorter leads are due to stamps, transport and filters.
 const LEAST_S: f64 = 0.04;
-/// Speeds of a stream that leads correlate as well as those of one that follows.
+/// Minimum correlation of speeds of a leading stream, as for one that follows.
 const LEADS: f64 = 0.7;
-/// Motion repeats itself that correlates at another lag by this share of the best.
+/// Minimum correlation at another lag, as a share of the best, for periodic motion.
 const REPEATS: f64 = 0.9;
 
-/// Settles which candidates are tool poses, by whether they follow the arm.
+/// Decides which candidates are tool poses, by whether they follow the arm.
 fn settle_candidates(run: &mut Run, most_lag_s: f64) {
     let candidates: Vec<usize> = run.candidates().collect();
     let lag_of = |&candidate: &usize| {
@@ -217,12 +217,12 @@ fn settle_candidates(run: &mut Run, most_lag_s: f64) {
             is_seen_from_tool(&arm.joints, &run.pose_stream(source), peak.lag_s)
         });
         if is_of_own_frame && is_seen {
-            let reason = "it moves as what stands still and is seen from the tool".to_owned();
+            let reason = "it moves like a fixed object seen from the tool".to_owned();
             run.unassign(candidate, reason);
             continue;
         }
         if is_seen && beside_arm(&run.streams[candidate].topic) == Role::Target {
-            let reason = "it moves as what stands still and is seen from the tool".to_owned();
+            let reason = "it moves like a fixed object seen from the tool".to_owned();
             run.settle_by_name(candidate, reason);
             continue;
         }
@@ -236,11 +236,10 @@ fn settle_candidates(run: &mut Run, most_lag_s: f64) {
     }
 }
 
-/// By how much a stream leads its arm, s, where it does.
+/// Lead of a stream over its arm, s, if it leads.
 ///
-/// What is measured on an arm cannot be received before the arm did it. Stamps that run ahead of their
-/// clock make a stream early, and its messages come with the others all the same; joint states that are
-/// late make all other streams early.
+/// A measurement cannot be received before the arm moves. If only the stamps are ahead, the messages still
+/// arrive with the others. If the joint states are late, all other streams appear early.
 fn lead_s(run: &Run, arm: &Arm, source: &PoseSource, peak: Peak, lags: &mut Lags) -> Option<f64> {
     let joints = arm.joint_facts.first()?.stream;
     let delay_s = |stream: usize| {
@@ -251,7 +250,7 @@ fn lead_s(run: &Run, arm: &Arm, source: &PoseSource, peak: Peak, lags: &mut Lags
     if peak.correlation < LEADS || peak.lag_s > -LEAST_S || received_s > -LEAST_S {
         return None;
     }
-    // Motion that repeats itself follows as well at a lag of now.
+    // Periodic motion also matches at a lag near zero.
     let peaks = likely_lags(&arm.joints, &run.pose_stream(source), lags.most_lag_s);
     let is_now = |other: &Peak| {
         other.correlation > LEADS.max(REPEATS * peak.correlation) && other.lag_s > -LEAST_S
@@ -268,12 +267,12 @@ fn lead_s(run: &Run, arm: &Arm, source: &PoseSource, peak: Peak, lags: &mut Lags
     (!agrees).then_some(-received_s)
 }
 
-/// The lags at which streams follow their arms, found once each.
+/// Cache of the lags at which streams follow their arms.
 struct Lags {
     most_lag_s: f64,
-    /// By the streams' indices.
+    /// Peaks by stream index.
     poses: BTreeMap<usize, Option<Peak>>,
-    /// Likewise, s.
+    /// Lags by stream index, s.
     imus: BTreeMap<usize, Option<f64>>,
 }
 
@@ -297,8 +296,7 @@ fn source_of(run: &Run, stream: usize) -> Option<(&Arm, &PoseSource)> {
     sources.into_iter().find(|(_, source)| source.stream == stream)
 }
 
-/// Takes poses in frames that move into the arms' bases, with the transforms of the time that they are
-/// of.
+/// Transforms poses of moving bases with transforms at the estimated time.
 fn settle_carried(run: &mut Run, most_lag_s: f64) {
     for arm in 0..run.arms.len() {
         for source in 0..run.arms[arm].poses.len() {
@@ -316,8 +314,7 @@ fn settle_carried(run: &mut Run, most_lag_s: f64) {
             let index = source.stream;
             if let (false, Some(stream)) = (lag.is_on_time, run.streams.get_mut(index)) {
                 stream.reason += &format!(
-                    "; the transforms of '{frame}' that it lies on best are those of {:.0} ms before \
-                     its stamps",
+                    "; the transforms of '{frame}' fit best {:.0} ms before its stamps",
                     1e3 * lag.lag_s
                 );
             }
@@ -325,10 +322,10 @@ fn settle_carried(run: &mut Run, most_lag_s: f64) {
     }
 }
 
-/// Takes the poses of an arm that are in a frame that moves into its base anew, where what was `found`
-/// says that they are of another time than was thought; whether there are such.
+/// Transforms the poses of moving bases again if the latencies in `found` differ from those assumed.
+/// Returns whether any did.
 pub(crate) fn retake_carried(run: &mut Run, arm: usize, found: &ArmDiagnosis) -> bool {
-    /// Transforms that are nearer in time than this are near enough, s.
+    /// Maximum latency difference that needs no new transformation, s.
     const NEAR_S: f64 = 3e-4;
     let mut are_other = false;
     for (source, found) in run.arms[arm].poses.iter_mut().zip(&found.streams) {
@@ -344,10 +341,10 @@ pub(crate) fn retake_carried(run: &mut Run, arm: usize, found: &ArmDiagnosis) ->
     are_other
 }
 
-/// Gives every stream that several arms may claim to the one that it lies on best or, where it lies on
-/// all alike, follows best.
+/// Assigns each contested stream to the arm with the smallest residual or, if the residuals are similar, to
+/// the arm with the highest correlation.
 fn settle_contests(run: &mut Run, most_lag_s: f64) {
-    /// It follows one arm where its speed correlates by this much more than with the next.
+    /// Minimum margin of the correlation over the next arm.
     const MORE: f64 = 0.1;
     for contest in std::mem::take(&mut run.contests) {
         let mut scores: Vec<(usize, f64, f64)> = Vec::new();
@@ -379,8 +376,8 @@ fn settle_contests(run: &mut Run, most_lag_s: f64) {
     }
 }
 
-/// Leaves out streams that say one pose throughout while the joints move the tool: whether they stand
-/// still or are of another time, nothing can be told by them.
+/// Excludes streams with a constant pose while the joints move the tool. Whether they are stationary or
+/// from another time cannot be determined.
 fn leave_unmoved(run: &mut Run) {
     let unmoved = run.arms.iter().flat_map(|arm| {
         let of = |source: &PoseSource| {
@@ -394,7 +391,7 @@ fn leave_unmoved(run: &mut Run) {
         arm.poses.iter().filter(is_said).filter_map(of)
     });
     let unmoved: Vec<(usize, usize, f64)> = unmoved.collect();
-    // A simulator's topic has the bodies of its whole world.
+    // A simulator's topic contains all bodies of its world.
     let is_object = |stream: usize| {
         let Stream { topic, child_frame_id, role, .. } = &run.streams[stream];
         let is_other =
@@ -422,8 +419,8 @@ fn leave_unmoved(run: &mut Run) {
     }
 }
 
-/// Leaves out streams in whose frame the arm's base moves and nothing says how: no cause that stays the
-/// same could be found on them.
+/// Excludes streams in whose frame the arm's base moves unpredictably: constant causes cannot be estimated
+/// from them.
 fn leave_moving_bases(run: &mut Run, most_lag_s: f64) {
     let is_of_unknown_frame = |source: &&PoseSource| {
         let is_pose = run.streams.get(source.stream).is_some_and(|one| one.role == Role::Pose);
@@ -440,16 +437,15 @@ fn leave_moving_bases(run: &mut Run, most_lag_s: f64) {
     for (stream, base, BaseTravel { travel_m, turn_rad }) in moving {
         let frame = run.streams.get(stream).map_or_else(String::new, |one| one.frame_id.clone());
         let reason =
-            format!("'{base}' moves in its frame '{frame}', and nothing in the log says how");
+            format!("'{base}' moves in its frame '{frame}', and the log has no transforms for it");
         run.leave_out(stream, WhyNot::BaseMoves { frame, base, travel_m, turn_rad }, reason);
     }
 }
 
-/// Correlation of angular speeds from which a stream of poses is the hand that a target is held
-/// against.
+/// Minimum correlation of angular speeds between a target and its hand.
 const TURNS_ALIKE: f64 = 0.7;
 
-/// Settles in a log without an arm which streams are hands, by whether targets turn as they do.
+/// In a log without an arm, selects the hand streams that rotate with a target.
 fn settle_hands(run: &mut Run, most_lag_s: f64) {
     let mut found = Vec::new();
     for target in &run.targets {

@@ -93,7 +93,10 @@ pub(super) fn witness_of(names: &PoseNames<'_>) -> (Witness, String) {
         return (Witness::External, format!("messages of {package}"));
     }
     if let Some(driver) = driver_of(&topic_words) {
-        return (Witness::Controller, format!("the name that {driver} give the tool pose"));
+        return (
+            Witness::Controller,
+            format!("the topic name that {driver} use for the tool pose"),
+        );
     }
     if of_package(CONTROLLERS) {
         return (Witness::Controller, format!("messages of {package}"));
