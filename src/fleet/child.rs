@@ -1,10 +1,9 @@
-//! Processes that audit: what a log takes, and where its audit dies, is not the caller's affair.
+//! Worker processes, which isolate the caller from crashes and resource use of an audit.
 //!
-//! A process that audits is this program again, called with the same options. It is told in a line on
-//! stdin what to do, tells in a line on stdout at which log it is, and in one how they ended; their rows it
-//! writes itself, those of one order together. It then waits for the next order: to start a process, read
-//! the catalogue and the metadata of a dataset costs as much as a short log. When its stdin ends, whoever
-//! called it is gone, and so is it.
+//! A worker is this program, started with the same options. It reads orders from stdin, one per line. On
+//! stdout it reports the start of each log, then the results of the order. It writes the rows itself,
+//! together for one order, and waits for the next order: process start, catalogue and dataset metadata cost
+//! as much as a short log. A worker exits when its stdin closes, so it does not outlive its caller.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write};
@@ -23,70 +22,71 @@ use super::task::{Answer, Task};
 use crate::Options;
 use crate::boundary::forget_staged;
 
-/// What one log may take.
+/// Resource limits per log.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Limits {
-    /// Time; any where there is none.
+    /// Time limit, if any.
     pub time: Option<Duration>,
-    /// Memory of a process, bytes; any where there is none. Pages of the log's file do not count. Only
-    /// Linux holds it.
+    /// Memory limit of a process in bytes, if any. Mapped pages of the log do not count. Enforced on Linux
+    /// only.
     pub memory_bytes: Option<u64>,
 }
 
-/// What a process is to do.
+/// Order to a worker.
 #[derive(Debug, Serialize, Deserialize)]
 pub enum Order {
-    /// Audit these.
+    /// Audit these logs.
     Audit(Vec<Job>),
-    /// Say what the log at this path, in the bytes of this system, tells of all logs of its dataset.
+    /// Determine what the log at this path (in the system's byte encoding) shows about all logs of its
+    /// dataset.
     Learn(Vec<u8>),
 }
 
 /// One log to audit.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Job {
-    /// Its path, in the bytes of this system.
+    /// Path in the system's byte encoding.
     pub path: Vec<u8>,
-    /// Under which key its rows are kept, and more.
+    /// Key of its rows, with further metadata.
     pub task: Task,
-    /// What others of its dataset told.
+    /// Common properties of its dataset.
     pub shared: Option<Shared>,
 }
 
-/// What it tells.
+/// Message from a worker.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Told {
-    /// It begins with a log: its place in the order.
+    /// Starts the log at this index of the order.
     Begun(usize),
-    /// How the first audits of the order ended, whose rows are kept, and what kept each from being one.
+    /// Results of the first logs of the order, with their rows stored.
     Answers(Vec<Ended>),
-    /// What a log tells of others.
+    /// What a log shows about its dataset.
     Learnt(Option<Shared>),
     /// Why the rows could not be written.
     Fault(String),
 }
 
-/// How an audit ended, and what kept the log from being audited.
+/// Result of an audit, and why the log could not be audited, if so.
 pub type Ended = (Answer, Option<String>);
 
-/// How a process ended that gave no answer.
+/// How a process ended without an answer.
 #[derive(Debug)]
 pub enum Death {
-    /// It took too long.
+    /// Exceeded the time limit.
     TimedOut,
-    /// It wanted more memory than it may have.
+    /// Exceeded the memory limit.
     OutOfMemory,
-    /// It crashed: how.
+    /// Crashed, with a description.
     Crashed(String),
-    /// It could not write its rows, or could not be started: why. That is no fault of the log.
+    /// Could not write its rows, or could not be started, with the reason. Not the fault of the log.
     Unable(String),
 }
 
-/// A process that waits for orders.
+/// Process that waits for orders.
 pub struct Worker {
     child: Child,
-    /// With its end the process ends.
+    /// Closing it ends the process.
     stdin: ChildStdin,
     lines: Receiver<String>,
     errors: File,
@@ -94,17 +94,16 @@ pub struct Worker {
 }
 
 impl Worker {
-    /// Starts `command`, which ends in [`serve`].
+    /// Starts `command`, which must call [`serve`].
     ///
     /// # Errors
-    /// Where it cannot be started.
+    /// If it cannot be started.
     pub fn start(mut command: Command, limits: &Limits) -> Result<Self, Death> {
-        let unable =
-            |error: io::Error| Death::Unable(format!("no process can be started: {error}"));
+        let unable = |error: io::Error| Death::Unable(format!("cannot start a process: {error}"));
         let errors = tempfile::tempfile().map_err(|error| {
             let folder = std::env::temp_dir();
-            let what = format!("no file can be made in {}: {error}", folder.display());
-            Death::Unable(what + "; let TMPDIR name another folder")
+            let what = format!("cannot create a file in {}: {error}", folder.display());
+            Death::Unable(what + "; set TMPDIR to another folder")
         })?;
         command
             .env("RAYON_NUM_THREADS", "1")
@@ -117,7 +116,7 @@ impl Worker {
         let none = || unable(io::ErrorKind::BrokenPipe.into());
         let mut stdin = child.stdin.take().ok_or_else(none)?;
         let stdout = child.stdout.take().ok_or_else(none)?;
-        // Where it has died already, its status says so.
+        // If the process has already ended, its exit status shows why.
         let _ = writeln!(stdin, "{}", limits.memory_bytes.unwrap_or_default());
         let (sender, lines) = channel();
         thread::spawn(move || {
@@ -127,11 +126,10 @@ impl Worker {
         Ok(Self { child, stdin, lines, errors, time: limits.time })
     }
 
-    /// Has it audit the first of some logs, one at least; how these ended, and what kept each from being
-    /// audited.
+    /// Audits the first logs of `jobs`, at least one. Returns their results.
     ///
     /// # Errors
-    /// If it ends without that: how, and at which of the logs it was. The rows of none are kept.
+    /// If the process ends without an answer: how, and at which log. No rows are stored.
     pub fn audited(&mut self, jobs: Vec<Job>) -> Result<Vec<Ended>, (usize, Death)> {
         match self.told(&Order::Audit(jobs))? {
             Told::Answers(answers) => Ok(answers),
@@ -139,10 +137,10 @@ impl Worker {
         }
     }
 
-    /// What the log at `path` tells of all of its dataset.
+    /// What the log at `path` shows about all logs of its dataset.
     ///
     /// # Errors
-    /// If the process ends without that.
+    /// If the process ends without an answer.
     pub fn learnt(&mut self, path: Vec<u8>) -> Result<Option<Shared>, Death> {
         match self.told(&Order::Learn(path)).map_err(|(_, death)| death)? {
             Told::Learnt(shared) => Ok(shared),
@@ -150,11 +148,11 @@ impl Worker {
         }
     }
 
-    /// What it tells in the end, and at which log it was where it does not.
+    /// Sends an order and returns the final message, or the log at which the process failed.
     fn told(&mut self, order: &Order) -> Result<Told, (usize, Death)> {
         let said_before = self.errors.metadata().map_or(0, |metadata| metadata.len());
         let mut at = 0;
-        // Where it has died already, its status says so.
+        // If the process has already ended, its exit status shows why.
         let _ = writeln!(self.stdin, "{}", serde_json::to_string(order).unwrap_or_default());
         loop {
             let line = match self.time {
@@ -165,7 +163,7 @@ impl Worker {
                 Ok(Ok(Told::Begun(log))) => at = log,
                 Ok(Ok(Told::Fault(why))) => return Err((at, Death::Unable(why))),
                 Ok(Ok(told)) => return Ok(told),
-                // What is not whole is no answer.
+                // Ignore incomplete messages.
                 Ok(Err(_)) => {}
                 Err(RecvTimeoutError::Timeout) => {
                     let _ = self.child.kill();
@@ -181,17 +179,17 @@ impl Worker {
         }
     }
 
-    /// That it answered what it was not asked.
+    /// Kills a process that gave an unexpected answer.
     fn gone(&mut self) -> Death {
         let _ = self.child.kill();
         let _ = self.child.wait();
-        Death::Crashed("it answered what it was not asked".to_owned())
+        Death::Crashed("unexpected answer to an order".to_owned())
     }
 
-    /// What the process wrote to stderr behind the first of so many bytes.
+    /// Output of the process on stderr, without the first `said_before` bytes.
     fn words(&mut self, said_before: u64) -> String {
         let mut bytes = Vec::new();
-        // What cannot be read says nothing.
+        // Unreadable output is ignored.
         let _ = self
             .errors
             .seek(SeekFrom::Start(said_before))
@@ -202,7 +200,7 @@ impl Worker {
 
 impl Drop for Worker {
     fn drop(&mut self) {
-        // It waits for an order, or it has ended.
+        // The process is idle or has ended.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -212,12 +210,12 @@ fn death(status: ExitStatus, words: &str) -> Death {
     if is_of_memory(words) {
         return Death::OutOfMemory;
     }
-    // The first line says what went wrong; what follows is how to learn more.
+    // The first line contains the error; the rest are hints.
     let words = words.lines().find(|line| !line.trim().is_empty()).unwrap_or_default().trim();
     let how = match signal(status) {
-        Some(9) => "it was killed, as where the machine runs out of memory".to_owned(),
-        Some(signal) => format!("it died of signal {signal}"),
-        None => format!("it ended with {status} and without an answer"),
+        Some(9) => "killed, possibly because the machine ran out of memory".to_owned(),
+        Some(signal) => format!("killed by signal {signal}"),
+        None => format!("exited with {status} without an answer"),
     };
     Death::Crashed(if words.is_empty() { how } else { format!("{how}: {words}") })
 }
@@ -232,14 +230,14 @@ fn signal(_: ExitStatus) -> Option<i32> {
     None
 }
 
-/// Orders are cut short after so long, that a call which is killed loses little.
+/// Maximum duration of an order, so that an interrupted call loses little.
 const ORDER: Duration = Duration::from_secs(2);
 
-/// What a process does that audits: takes orders from stdin, audits logs as `options` say, writes their rows
-/// into `store`, with `paged` their pages, too, and tells how they ended on stdout.
+/// Main loop of a worker: reads orders from stdin, audits logs with `options`, writes their rows to `store`
+/// (and their pages, if `paged`), and reports the results on stdout.
 ///
 /// # Errors
-/// If nobody takes the answers.
+/// If the results cannot be written to stdout.
 pub fn serve(options: &Options, store: &Store, paged: bool) -> io::Result<()> {
     let mut lines = BufReader::new(io::stdin()).lines();
     let memory_bytes = lines.next().transpose()?.and_then(|line| line.parse().ok());
@@ -264,7 +262,7 @@ pub fn serve(options: &Options, store: &Store, paged: bool) -> io::Result<()> {
     Ok(())
 }
 
-/// Audits some logs, as far as it comes in a while, and keeps their rows; or why these cannot be kept.
+/// Audits logs until the time is up and stores their rows. Returns the reason if the rows cannot be stored.
 fn audited(
     jobs: &[Job],
     options: &Options,
@@ -300,12 +298,12 @@ fn tell(told: &Told) -> io::Result<()> {
     stdout.flush()
 }
 
-/// Lets this process have no more memory than this. Pages of files that are only read do not count.
+/// Limits the memory of this process. Pages of read-only mapped files do not count.
 #[cfg(target_os = "linux")]
-#[allow(unsafe_code, reason = "a limit is set")]
+#[allow(unsafe_code, reason = "sets a resource limit")]
 fn limit_memory(bytes: u64) -> io::Result<()> {
     let limit = libc::rlimit { rlim_cur: bytes, rlim_max: bytes };
-    // SAFETY: the call reads the struct, which outlives it, and changes nothing but the limit.
+    // SAFETY: the call only reads the struct, which outlives it, and has no effect other than the limit.
     match unsafe { libc::setrlimit(libc::RLIMIT_DATA, &limit) } {
         0 => Ok(()),
         _ => Err(io::Error::last_os_error()),
@@ -332,6 +330,6 @@ mod tests {
         let Death::Crashed(how) = death(aborted, "\nfree(): invalid pointer\nnote: more\n") else {
             panic!("no crash");
         };
-        assert_eq!(how, "it died of signal 6: free(): invalid pointer");
+        assert_eq!(how, "killed by signal 6: free(): invalid pointer");
     }
 }

@@ -1,4 +1,4 @@
-//! What a log holds, as a name that any copy of it has too.
+//! Identifies a log by its content, independent of its location.
 
 use std::fs::{self, File};
 use std::io;
@@ -10,30 +10,30 @@ use walkdir::WalkDir;
 
 use crate::log::{Listed, episode_of, files_of_store, is_store};
 
-/// What stands for the content of a log.
+/// How the content of a log is identified.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Identity {
-    /// A hash of every byte: a copy elsewhere is the same log.
+    /// Hash of every byte: copies are the same log.
     Content,
-    /// Path, size and time of the last change: nothing is read.
+    /// Path, size and modification time; nothing is read.
     File,
 }
 
-/// The content of a log, and how its files stood when it was looked at.
+/// Content identifier of a log, with the state of its files.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Content {
-    /// The name of the content: `blake3:`, `file:` or `object:`, and 64 digits.
+    /// Identifier: `blake3:`, `file:` or `object:`, followed by 64 digits.
     pub id: String,
-    /// How its files stood.
+    /// State of the files when they were read.
     pub stand: Stand,
 }
 
-/// How the files of a log stand.
+/// State of a log's files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Stand {
-    /// Their size together.
+    /// Total size.
     pub bytes: u64,
-    /// When one of them was last changed, ns since 1970.
+    /// Latest modification time, ns since 1970.
     pub mtime_ns: i64,
 }
 
@@ -41,10 +41,10 @@ pub struct Stand {
 const KEY_DIGITS: usize = 32;
 
 impl Stand {
-    /// How the log at `path` stands.
+    /// State of the log at `path`.
     ///
     /// # Errors
-    /// Where it is not there, or one of its files is no regular one.
+    /// If it does not exist, or contains something other than regular files.
     pub fn of(path: &Path) -> io::Result<Self> {
         let mut stand = Self { bytes: 0, mtime_ns: 0 };
         for file in files(path)? {
@@ -60,8 +60,7 @@ impl Stand {
         Ok(stand)
     }
 
-    /// The name of the log at `path` as it stands: what it was found to hold is true as long as this
-    /// is.
+    /// Hash of path and state. A stored content identifier is valid as long as this hash is unchanged.
     pub fn name(&self, path: &Path) -> String {
         let mut hasher = Hasher::new();
         for part in [
@@ -76,12 +75,12 @@ impl Stand {
 }
 
 impl Content {
-    /// The content of the log at `path`, which stands so.
+    /// Content of the log at `path` with state `stand`.
     ///
     /// # Errors
-    /// Where it cannot be read.
+    /// If it cannot be read.
     pub fn of(path: &Path, stand: Stand, identity: Identity) -> io::Result<Self> {
-        // To hash a file anew for each of its episodes would take their number of times as long.
+        // Hashing a file once per episode would be too slow.
         let id = match (identity, episode_of(path)) {
             (Identity::Content, (_, None)) => format!("blake3:{}", hash(path)?),
             (Identity::File, _) | (_, (_, Some(_))) => format!("file:{}", stand.name(path)),
@@ -91,7 +90,7 @@ impl Content {
 }
 
 impl From<&Listed> for Content {
-    /// The content of an object: its URL, size and version stand for it, and nothing of it is fetched.
+    /// Content of an object, from its URL, size and version, without downloading it.
     fn from(object: &Listed) -> Self {
         let mut hasher = Hasher::new();
         for part in [&object.url, &object.bytes.to_string(), &object.version] {
@@ -102,7 +101,7 @@ impl From<&Listed> for Content {
     }
 }
 
-/// The key of a log's rows: `content` audited by this `version` with the settings of this hash.
+/// Key of a log's rows: `content` audited by this `version` with the settings of this hash.
 pub fn key_of(content: &str, version: &str, settings: &str) -> String {
     let mut hasher = Hasher::new();
     for part in [content, version, settings] {
@@ -111,12 +110,12 @@ pub fn key_of(content: &str, version: &str, settings: &str) -> String {
     hasher.finalize().to_hex()[..KEY_DIGITS].to_owned()
 }
 
-/// Takes in a part with its length, so that no two rows of parts are alike.
+/// Hashes a part together with its length, to avoid collisions between different splits.
 fn part_of(hasher: &mut Hasher, part: &[u8]) {
     hasher.update(&(part.len() as u64).to_le_bytes()).update(part);
 }
 
-/// The hash of a file's bytes; of a folder's files with their names.
+/// Hash of a file's bytes, or of the names and contents of a folder's files.
 fn hash(path: &Path) -> io::Result<String> {
     let mut hasher = Hasher::new();
     if !path.is_dir() {
@@ -131,7 +130,7 @@ fn hash(path: &Path) -> io::Result<String> {
     Ok(hasher.finalize().to_hex().to_string())
 }
 
-/// The files of a log, in the order of their paths.
+/// Files of a log, sorted by path.
 fn files(path: &Path) -> io::Result<Vec<PathBuf>> {
     let (path, _) = &episode_of(path);
     if !path.is_dir() {

@@ -1,4 +1,4 @@
-//! What the logs of one dataset share: asked of a few of them, before all are audited.
+//! Properties that the logs of one dataset share, determined from a few of them before the audits.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -12,15 +12,15 @@ use crate::robot::catalogue;
 pub use crate::run::Shared;
 use crate::run::{Run, tell_columns};
 
-/// Logs of one dataset, by their places.
+/// Indices of the logs of each dataset.
 pub type Groups = BTreeMap<PathBuf, Vec<usize>>;
 
-/// Fewer logs are each asked for themselves.
+/// Minimum number of logs; smaller datasets are not sampled.
 const FEW: usize = 4;
-/// Logs that are asked; where none of these decides, up to twice as many.
+/// Number of logs sampled. If none is conclusive, up to twice as many.
 pub const ASKED: usize = 3;
 
-/// The datasets among some logs: LeRobot folders, files of many episodes, and tables beside each other.
+/// Datasets among the logs: LeRobot folders, files with many episodes, and tables in one folder.
 pub fn groups(sources: &[Source]) -> Groups {
     let mut groups = Groups::new();
     for (at, source) in sources.iter().enumerate() {
@@ -30,7 +30,7 @@ pub fn groups(sources: &[Source]) -> Groups {
     groups
 }
 
-/// The dataset that a log is of; empty where it is of none.
+/// Dataset of a log; empty if it belongs to none.
 pub fn group_of(path: &Path) -> PathBuf {
     if is_url(path) {
         return PathBuf::new();
@@ -44,7 +44,7 @@ pub fn group_of(path: &Path) -> PathBuf {
     }
 }
 
-/// Which of some logs are asked first, and then: spread over all.
+/// Sample of the logs, spread over all, in the order of inspection.
 pub fn asked(members: &[usize]) -> Vec<usize> {
     let at = |share: f64| members[((members.len() - 1) as f64 * share) as usize];
     let mut asked: Vec<usize> = Vec::new();
@@ -56,7 +56,7 @@ pub fn asked(members: &[usize]) -> Vec<usize> {
     asked
 }
 
-/// What one log tells of all of its dataset.
+/// What one log shows about all logs of its dataset.
 pub fn learnt(path: &Path, options: &Options) -> Option<Shared> {
     let options = Options { logs: vec![path.to_owned()], ..options.clone() };
     let from = SourceName::of(path).to_string();
@@ -78,11 +78,11 @@ pub fn learnt(path: &Path, options: &Options) -> Option<Shared> {
     caught(learn).ok()?.ok()
 }
 
-/// What some logs tell together: their arm where all name the same, their columns where those that decide
+/// Combines the results of several logs: the arm if all agree, and the columns if all conclusive ones
 /// agree.
 pub fn together(told: Vec<Shared>, group: &Path) -> Option<Shared> {
     let first = told.first()?;
-    // Tables in a folder may be of several arms.
+    // Tables in one folder may belong to several arms.
     let is_one = dataset_of(&group.join("meta")).is_some() || group.is_file() || is_store(group);
     let robot = first.robot.clone();
     let robot = robot.filter(|_| is_one && told.iter().all(|it| it.robot == first.robot));
@@ -100,7 +100,7 @@ pub fn together(told: Vec<Shared>, group: &Path) -> Option<Shared> {
     Some(Shared { from, robot, columns }).filter(|it| it.robot.is_some() || it.columns.is_some())
 }
 
-/// Whether what some logs told leaves something open that another may tell.
+/// Whether the columns are still undetermined and another log may help.
 pub fn is_open(told: &[Shared]) -> bool {
     let is_told = |it: &Shared| it.columns.as_ref().is_some_and(|columns| columns.is_told());
     told.iter().any(|it| it.columns.is_some()) && !told.iter().any(is_told)

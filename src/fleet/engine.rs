@@ -1,4 +1,4 @@
-//! Logs over the cores of this machine, each in its own process.
+//! Distributes logs over worker processes on this machine.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -22,54 +22,54 @@ use super::task::{Answer, Task};
 use crate::log::{SourceName, is_url, list};
 use crate::report::{Trouble, TroubleKind};
 
-/// After so many logs, or so long, what was learnt of files is written down.
+/// Intervals, in logs and in time, at which content hashes are saved.
 const NOTED_AFTER: usize = 100;
 const NOTED_EVERY: Duration = Duration::from_secs(10);
 
-/// Parts are merged, where they are many, after so many logs.
+/// Number of logs after which small table parts are merged.
 const MERGED_AFTER: usize = 100;
 
-/// What one call is to do.
+/// Parameters of one call.
 pub struct Call<'a> {
-    /// The logs.
+    /// Logs to audit.
     pub sources: Vec<Source>,
-    /// Where the results go.
+    /// Destination of the results.
     pub store: &'a Store,
-    /// How logs are audited.
+    /// Audit settings.
     pub settings: &'a AuditSettings,
-    /// What stands for a log's content.
+    /// How the content of a log is identified.
     pub identity: Identity,
-    /// What all logs are of, …
+    /// Labels of all logs, …
     pub labels: Labels,
-    /// … and what their paths say beside it.
+    /// … and labels derived from their paths.
     pub template: Option<Template>,
-    /// Logs at a time.
+    /// Number of parallel jobs.
     pub jobs: usize,
-    /// What one log may take.
+    /// Limits per log.
     pub limits: Limits,
-    /// Whether logs are tried again that took too much, or that made the program fail.
+    /// Whether to retry logs that exceeded a limit or crashed.
     pub retry: bool,
-    /// The call that audits as it is told: see [`super::serve`].
+    /// Command that starts a worker process: see [`super::serve`].
     pub worker: &'a (dyn Fn() -> io::Result<Command> + Sync),
-    /// Is told how far it is after each log.
+    /// Progress callback, called after each log.
     pub progress: &'a (dyn Fn(Course) + Sync),
 }
 
-/// How far a call is.
+/// Progress of a call.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Course {
-    /// Logs that it has been through, …
+    /// Logs processed, …
     pub done: usize,
-    /// … of which it audited so many itself, …
+    /// … of which this call audited, …
     pub audited: usize,
-    /// … of so many.
+    /// … out of this total.
     pub total: usize,
 }
 
-/// Audits what has no row yet, and keeps a row for each log.
+/// Audits all logs without a row and stores a row for each.
 ///
 /// # Errors
-/// Where the store cannot be read or written, or no process can be started. What is wrong with a log is
+/// If the store cannot be read or written, or a process cannot be started. Problems of a log are stored in
 /// its row.
 pub fn run(call: &Call<'_>) -> Result<Outcomes, Trouble> {
     call.store.keep_settings(call.settings)?;
@@ -99,7 +99,7 @@ pub fn run(call: &Call<'_>) -> Result<Outcomes, Trouble> {
     Ok(book.outcomes)
 }
 
-/// The content of the object at `url`, as its store tells.
+/// Content of the object at `url`, from its listing.
 fn object(url: &Path) -> io::Result<Content> {
     let found = list(url).map_err(io::Error::other)?;
     let object = found.iter().find(|object| Path::new(&object.url) == url);
@@ -108,11 +108,11 @@ fn object(url: &Path) -> io::Result<Content> {
 
 struct Engine<'a> {
     call: &'a Call<'a>,
-    /// What was done before, by key.
+    /// Results of earlier calls, by key.
     done: HashMap<String, Answer>,
-    /// Contents of files as they stood before.
+    /// Known contents by file state (path, size, modification time).
     contents: HashMap<String, String>,
-    /// The datasets that the logs are of, and what these tell of all their logs.
+    /// Datasets of the logs, and what their logs have in common.
     groups: Groups,
     shared: Mutex<HashMap<PathBuf, Option<Shared>>>,
     next: AtomicUsize,
@@ -120,28 +120,28 @@ struct Engine<'a> {
     book: Mutex<Book>,
 }
 
-/// What the threads know together.
+/// State shared by the threads.
 #[derive(Default)]
 struct Book {
     outcomes: Outcomes,
     course: Course,
-    /// Keys that one of them has taken.
+    /// Keys already assigned to a thread.
     taken: HashSet<String>,
-    /// What was learnt of files and is not written down yet.
+    /// Content hashes not yet saved.
     learnt: Vec<SourceRow>,
     noted: Option<Instant>,
-    /// What ends the call.
+    /// Error that ends the call.
     trouble: Option<Trouble>,
 }
 
-/// How it went with one log.
+/// Outcome for one log.
 enum Settled {
     Now(Answer, Option<String>),
     Before(Answer),
     Duplicate,
 }
 
-/// A log of which nothing stands yet, or how it went.
+/// Log that needs an audit, or its outcome.
 enum Looked {
     Settled(Settled),
     Open(Box<Job>),
@@ -152,9 +152,10 @@ impl Engine<'_> {
         self.book.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes logs until there are none left, or the call is at its end.
+    /// Processes logs until none are left or the call ends.
     fn work(&self) {
-        /// Logs that are handed to a process at once, so many that none waits for another's in the end.
+        /// Maximum number of logs per order. It also limits the order to a share of the logs, so all
+        /// workers finish at about the same time.
         const MOST: usize = 32;
         const SHARES: usize = 4;
         let all = self.call.sources.len();
@@ -176,7 +177,7 @@ impl Engine<'_> {
         }
     }
 
-    /// Sees to it that some logs have a row each.
+    /// Ensures that each of the logs has a row.
     fn settle(&self, sources: &[Source], worker: &mut Option<Worker>) -> Result<(), Trouble> {
         let mut open: Vec<(&Path, Job)> = Vec::new();
         for source in sources {
@@ -194,7 +195,7 @@ impl Engine<'_> {
                     for ((path, _), (answer, what)) in done.into_iter().zip(answers) {
                         self.enter(path, Settled::Now(answer, what))?;
                     }
-                    // What failed may have left something behind in it.
+                    // The failure may have left the process in a bad state.
                     if is_over {
                         *worker = None;
                     }
@@ -210,7 +211,7 @@ impl Engine<'_> {
         Ok(())
     }
 
-    /// The process that audits, which is started where there is none.
+    /// Returns the worker process and starts it if necessary.
     fn worker<'a>(&self, worker: &'a mut Option<Worker>) -> Result<&'a mut Worker, Trouble> {
         if let Some(worker) = worker {
             return Ok(worker);
@@ -223,14 +224,14 @@ impl Engine<'_> {
         }
     }
 
-    /// The row of a log whose audit died.
+    /// Stores the row of a log whose audit process failed.
     fn died(&self, task: &Task, death: Death) -> Result<Settled, Trouble> {
         let (status, what) = match death {
             Death::Unable(why) => return Err(self.unable(why)),
             Death::TimedOut => (Status::TimedOut, self.too_long()),
             Death::OutOfMemory => (Status::OutOfMemory, self.too_much()),
             Death::Crashed(how) => {
-                (Status::Crashed, crashed(task, format!("the audit died: {how}")))
+                (Status::Crashed, crashed(task, format!("the audit process failed: {how}")))
             }
         };
         let trouble = Trouble { place: task.path.clone(), ..what };
@@ -267,7 +268,7 @@ impl Engine<'_> {
         Ok(Looked::Open(Box::new(Job { path, task, shared })))
     }
 
-    /// What the dataset of a log tells of all its logs: asked of a few of them once, and kept.
+    /// What the logs of a dataset have in common: determined once from a few of them, and stored.
     fn shared(&self, path: &Path, worker: &mut Option<Worker>) -> Result<Option<Shared>, Trouble> {
         let group = dataset::group_of(path);
         if group.as_os_str().is_empty() {
@@ -290,7 +291,7 @@ impl Engine<'_> {
                     let path = self.call.sources[at].path.as_os_str().as_encoded_bytes().to_vec();
                     match self.worker(worker)?.learnt(path) {
                         Ok(shared) => told.extend(shared),
-                        // Its own audit says why.
+                        // The error is reported by the log's own audit.
                         Err(_) => *worker = None,
                     }
                 }
@@ -306,7 +307,7 @@ impl Engine<'_> {
         Ok(shared)
     }
 
-    /// The content of a log: as it is known, where its files stand as they did.
+    /// Content of a log; uses the stored hash if its files are unchanged.
     fn content(&self, path: &Path) -> io::Result<Content> {
         let stand = Stand::of(path)?;
         if self.call.identity == Identity::File {
@@ -317,7 +318,7 @@ impl Engine<'_> {
             return Ok(Content { id: id.clone(), stand });
         }
         let content = Content::of(path, stand, Identity::Content)?;
-        // A log that is still being written is another one soon.
+        // Do not store the hash of a log that is still being written.
         if Stand::of(path)? == stand {
             self.book().learnt.push(SourceRow {
                 source,
@@ -349,14 +350,14 @@ impl Engine<'_> {
         }
     }
 
-    /// The row of a log that cannot be read: its path stands for its content.
+    /// Stores the row of an unreadable log, with its path in place of the content.
     fn unreadable(&self, path: &Path, error: &io::Error) -> Result<Settled, Trouble> {
         let task = self.task(path, &unread_content(path), Stand { bytes: 0, mtime_ns: 0 });
         let trouble = Trouble {
             kind: TroubleKind::Log,
-            what: format!("it cannot be read: {error}"),
+            what: format!("cannot be read: {error}"),
             place: task.path.clone(),
-            remedy: "make it readable, and call again".to_owned(),
+            remedy: "make it readable and run again".to_owned(),
         };
         let answer = give_up(&task, Status::Unreadable, &trouble, self.call.store)?;
         Ok(Settled::Now(answer, Some(trouble.what)))
@@ -364,25 +365,25 @@ impl Engine<'_> {
 
     fn too_long(&self) -> Trouble {
         let seconds = self.call.limits.time.unwrap_or_default().as_secs_f64();
-        let what = format!("its audit took longer than {seconds} s");
-        let remedy = "allow more with --timeout, and call again with --retry".to_owned();
+        let what = format!("the audit took longer than {seconds} s");
+        let remedy = "raise --timeout and run again with --retry".to_owned();
         Trouble { kind: TroubleKind::Log, what, place: String::new(), remedy }
     }
 
     fn too_much(&self) -> Trouble {
         let mebibytes = self.call.limits.memory_bytes.unwrap_or_default() >> 20;
-        let what = format!("its audit wanted more than {mebibytes} MiB of memory");
-        let remedy = "allow more with --memory, and call again with --retry".to_owned();
+        let what = format!("the audit needed more than {mebibytes} MiB of memory");
+        let remedy = "raise --memory and run again with --retry".to_owned();
         Trouble { kind: TroubleKind::Log, what, place: String::new(), remedy }
     }
 
     fn unable(&self, what: String) -> Trouble {
         let place = self.call.store.path().display().to_string();
-        let remedy = "mend that, and call again: what is done stays done".to_owned();
+        let remedy = "fix this and run again; finished logs are kept".to_owned();
         Trouble { kind: TroubleKind::Call, what, place, remedy }
     }
 
-    /// Enters what became of a log, and sees to the store from time to time.
+    /// Records the outcome of a log, and saves and merges tables at intervals.
     fn enter(&self, path: &Path, settled: Settled) -> Result<(), Trouble> {
         let mut is_new = false;
         let mut book = self.book();
@@ -427,7 +428,7 @@ impl Engine<'_> {
     }
 }
 
-/// What stands for the content of a log that cannot be read.
+/// Content identifier of an unreadable log.
 fn unread_content(path: &Path) -> String {
     let path = path.as_os_str().as_encoded_bytes();
     format!("unread:{}", blake3::hash(path).to_hex())

@@ -1,14 +1,14 @@
-//! Which site, arm or anything else a log is of: told by the caller, or by the log's path.
+//! Labels of a log, such as site and arm: given by the caller or derived from its path.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::str::FromStr;
 
-/// Names and what they are, as `site` → `berlin`.
+/// Label names and values, such as `site` → `berlin`.
 pub type Labels = BTreeMap<String, String>;
 
-/// What the end of a path looks like, as in `{site}/{arm}/*.mcap`: a name in braces takes what stands
-/// there, `*` passes over anything, neither of them over a `/`.
+/// Pattern for the end of a path, such as `{site}/{arm}/*.mcap`: a name in braces captures text, `*`
+/// matches anything; neither matches `/`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Template {
     parts: Vec<Vec<Token>>,
@@ -21,7 +21,7 @@ enum Token {
     Name(String),
 }
 
-/// A text that is no [`Template`].
+/// Invalid [`Template`].
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}; expected parts of a path with names in braces, as in {{site}}/{{arm}}/*.mcap")]
 pub struct TemplateError(&'static str);
@@ -32,7 +32,7 @@ impl FromStr for Template {
     fn from_str(text: &str) -> Result<Self, TemplateError> {
         let parts: Vec<Vec<Token>> = text.split('/').map(tokens).collect::<Result<_, _>>()?;
         let has_name = parts.iter().flatten().any(|token| matches!(token, Token::Name(_)));
-        has_name.then_some(Self { parts }).ok_or(TemplateError("there is no {name} in it"))
+        has_name.then_some(Self { parts }).ok_or(TemplateError("it contains no {name}"))
     }
 }
 
@@ -51,7 +51,7 @@ fn tokens(part: &str) -> Result<Vec<Token>, TemplateError> {
             b'{' => {
                 let end = after.find('}').ok_or(TemplateError("a { is not closed"))?;
                 if end == 0 {
-                    return Err(TemplateError("{} holds no name"));
+                    return Err(TemplateError("{} contains no name"));
                 }
                 tokens.push(Token::Name(after[..end].to_owned()));
                 &after[end + 1..]
@@ -66,7 +66,7 @@ fn tokens(part: &str) -> Result<Vec<Token>, TemplateError> {
 }
 
 impl Template {
-    /// What the path says; nothing where it ends otherwise.
+    /// Labels captured from the path; empty if it does not match.
     pub fn labels(&self, path: &Path) -> Labels {
         let parts: Vec<_> = path.iter().map(|part| part.to_string_lossy()).collect();
         let mut labels = Labels::new();
@@ -80,7 +80,7 @@ impl Template {
     }
 }
 
-/// Whether `text` is what `tokens` say; names take as little as they can, and something.
+/// Matches `text` against `tokens`. Names match the shortest non-empty text.
 fn take(tokens: &[Token], text: &str, labels: &mut Labels) -> bool {
     let Some((first, others)) = tokens.split_first() else { return text.is_empty() };
     let ends = text.char_indices().map(|(at, _)| at).chain([text.len()]);

@@ -1,9 +1,9 @@
-//! What this machine has.
+//! Properties of this machine.
 
 use std::fs;
 
-/// Memory of this machine, or of the part of it that this process may use, bytes; `None` where the
-/// system does not say.
+/// Memory available to this process in bytes, limited by its cgroup. `None` if the system does not report
+/// it.
 pub fn memory_bytes() -> Option<u64> {
     let whole = fs::read_to_string("/proc/meminfo").ok()?;
     let line = whole.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;

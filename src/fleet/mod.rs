@@ -1,8 +1,8 @@
-//! Many logs: each audited in a process of its own, its rows kept as Parquet in one folder.
+//! Audits many logs, each in a separate process, and stores the results as Parquet tables in one folder.
 //!
-//! What is kept of a log has a key: its content, the version of the program and the settings of the
-//! audit. A call does what has no row yet, and a call that is killed loses the logs that it was at.
-//! `docs/fleet.md` says how the folder is laid out; other programs may read it and write to it.
+//! The key of a log's rows combines its content, the program version and the audit settings. A call audits
+//! only logs without a row, so an interrupted call loses only the logs in progress. `docs/fleet.md`
+//! documents the folder layout; other programs may read it and write to it.
 
 mod child;
 mod content;

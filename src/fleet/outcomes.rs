@@ -1,4 +1,4 @@
-//! How a call over many logs ended.
+//! Summary of a call over many logs.
 
 use serde::Serialize;
 
@@ -7,82 +7,81 @@ use super::task::Answer;
 use crate::finding::Severity;
 use crate::report::Verdict;
 
-/// How a call ended.
+/// Summary of a call.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Outcomes {
-    /// Logs that were named.
+    /// Logs given by the caller.
     pub logs: usize,
-    /// Logs that have the content of another of them, whose row is theirs.
+    /// Logs with the same content as another log; they share its row.
     pub duplicates: usize,
-    /// Logs that an earlier call had done.
+    /// Logs done by an earlier call.
     pub done_before: usize,
-    /// Logs that this call did.
+    /// Logs done by this call.
     pub done_now: usize,
-    /// How the audits ended, of all that were named, each content once.
+    /// Audits by status, each content once.
     pub statuses: Statuses,
-    /// What the reports say, where warnings fail a run.
+    /// Reports by verdict, with warnings counted as failures.
     pub verdicts: Verdicts,
-    /// Logs that this call could not audit, by their paths.
+    /// Logs that this call could not audit, sorted by path.
     pub errors: Vec<Failure>,
-    /// Each answer, for what is yet to be asked.
+    /// All answers, for later queries.
     #[serde(skip)]
     answers: Vec<Answer>,
 }
 
-/// Logs by the status of their audit.
+/// Number of logs by audit status.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Statuses {
-    /// See [`Status`], here and below.
+    /// See [`Status`] for this and the other fields.
     pub audited: usize,
-    /// It could be read, and not audited.
+    /// Readable but not audited.
     pub not_audited: usize,
-    /// It could not be read.
+    /// Not readable.
     pub unreadable: usize,
-    /// It took too long.
+    /// Exceeded the time limit.
     pub timed_out: usize,
-    /// It took too much memory.
+    /// Exceeded the memory limit.
     pub out_of_memory: usize,
-    /// The audit of it died.
+    /// The audit process crashed.
     pub crashed: usize,
 }
 
-/// Logs by their verdict.
+/// Number of logs by verdict.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Verdicts {
-    /// Nothing wrong.
+    /// No problem found.
     pub pass: usize,
     /// A warning or an error.
     pub fail: usize,
-    /// A main question stayed open.
+    /// A main question could not be answered.
     pub inconclusive: usize,
 }
 
-/// A log that could not be audited.
+/// Log that could not be audited.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct Failure {
-    /// Its path.
+    /// Path of the log.
     pub path: String,
-    /// How its audit ended.
+    /// Status of the audit.
     pub status: Status,
-    /// Why.
+    /// Reason.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub what: Option<String>,
 }
 
 impl Outcomes {
-    /// Logs with a finding of severity `fail_on` or above; where `fails_open`, those whose verdict is
-    /// inconclusive, too.
+    /// Number of logs with a finding of severity `fail_on` or above, or, if `fails_open`, with an
+    /// inconclusive verdict.
     pub fn failing(&self, fail_on: Option<Severity>, fails_open: bool) -> usize {
         let is_open = |answer: &Answer| fails_open && answer.verdict == Some(Verdict::Inconclusive);
         self.answers.iter().filter(|answer| answer.fails(fail_on) || is_open(answer)).count()
     }
 
-    /// Logs on which there is no audit.
+    /// Number of logs without an audit.
     pub fn unaudited(&self) -> usize {
         self.answers.iter().filter(|answer| answer.status != Status::Audited).count()
     }
 
-    /// Counts one more.
     pub(super) fn count(&mut self, answer: Answer) {
         self.statuses.count(answer.status);
         self.verdicts.count(answer.verdict);
@@ -91,7 +90,6 @@ impl Outcomes {
 }
 
 impl Statuses {
-    /// Counts one more.
     pub(super) fn count(&mut self, status: Status) {
         *match status {
             Status::Audited => &mut self.audited,
@@ -105,7 +103,6 @@ impl Statuses {
 }
 
 impl Verdicts {
-    /// Counts one more.
     pub(super) fn count(&mut self, verdict: Option<Verdict>) {
         match verdict {
             Some(Verdict::Pass) => self.pass += 1,

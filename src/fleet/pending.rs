@@ -1,4 +1,4 @@
-//! What is left to do, for an engine that is not this one.
+//! Lists the remaining logs, for external schedulers.
 
 use std::io;
 use std::path::Path;
@@ -9,12 +9,12 @@ use super::sources::Source;
 use super::store::Store;
 use crate::report::Trouble;
 
-/// The logs among `sources` that have no row in `store` yet, as far as that is known without reading them:
-/// one whose content nobody has hashed is among them, also where it is a copy of another. With `retry` those
-/// are, too, that are not done for good.
+/// Logs among `sources` without a row in `store`, as far as known without reading them. Logs whose content
+/// is not hashed yet are included, even if they are copies. With `retry`, logs without a final status are
+/// also included.
 ///
 /// # Errors
-/// Where the store cannot be read.
+/// If the store cannot be read.
 pub fn pending(
     sources: Vec<Source>,
     store: &Store,

@@ -1,4 +1,4 @@
-//! How logs are audited, as a name that the same settings have wherever they come from.
+//! Audit settings with a reproducible hash.
 
 use std::fs;
 use std::path::Path;
@@ -9,24 +9,24 @@ use crate::Options;
 use crate::report::{Trouble, TroubleKind};
 use crate::robot::catalogue;
 
-/// The settings of an audit.
+/// Settings of an audit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AuditSettings {
-    /// Their hash: 16 digits.
+    /// Hash: 16 digits.
     pub hash: String,
-    /// What they are, for a reader.
+    /// The settings in readable form.
     pub said: Value,
 }
 
-/// Digits of the hash: 64 bits, as there are few settings.
+/// Digits of the hash: 64 bits, because there are few settings.
 const DIGITS: usize = 16;
 
 impl AuditSettings {
-    /// The settings in `options`. Files that they name count by what is in them; where a log is, what
-    /// else is written and which severity fails do not count.
+    /// Settings in `options`. Files count by their content. The log, the output options and the failing
+    /// severity are not included.
     ///
     /// # Errors
-    /// Where one of the files cannot be read.
+    /// If a file cannot be read.
     pub fn of(options: &Options) -> Result<Self, Trouble> {
         let Options { read, run, policy, .. } = options;
         let robot = |robot: &crate::run::RobotSource| -> Result<Value, Trouble> {
@@ -36,7 +36,7 @@ impl AuditSettings {
                 false if catalogue::find(&robot.model).is_none() => {
                     return Err(Trouble {
                         kind: TroubleKind::Call,
-                        what: "it is neither a file nor an arm of the catalogue".to_owned(),
+                        what: "neither a file nor an arm of the catalogue".to_owned(),
                         place: robot.model.clone(),
                         remedy: "name a URDF or TOML file, or an arm of `poseaudit robots`"
                             .to_owned(),
@@ -50,7 +50,7 @@ impl AuditSettings {
             Ok(json!({ "prefix": one.prefix, "file": content_of(&one.file)? }))
         };
         let config = options.config.as_deref();
-        // Lines of the config are told by its content; where it lies does not matter.
+        // Config entries refer to lines of the config; remove its path, which must not affect the hash.
         let place = config.map(|path| path.display().to_string()).filter(|path| !path.is_empty());
         let shown = |text: String| match &place {
             Some(place) => text.replace(place.as_str(), "config"),
@@ -77,13 +77,13 @@ impl AuditSettings {
     }
 }
 
-/// The hash of a file's content.
+/// Hash of a file's content.
 fn content_of(path: &Path) -> Result<String, Trouble> {
     let bytes = fs::read(path).map_err(|error| Trouble {
         kind: TroubleKind::Call,
-        what: format!("it cannot be read: {error}"),
+        what: format!("cannot be read: {error}"),
         place: path.display().to_string(),
-        remedy: "name a file that can be read".to_owned(),
+        remedy: "name a readable file".to_owned(),
     })?;
     Ok(format!("blake3:{}", blake3::hash(&bytes).to_hex()))
 }

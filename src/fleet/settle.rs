@@ -1,4 +1,4 @@
-//! What an audit makes of one log's rows.
+//! Audits one log and builds its rows.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -13,11 +13,11 @@ use crate::finding::Severity;
 use crate::report::{Report, Trouble, TroubleKind, html, write_whole};
 use crate::{Audited, Options, audit};
 
-/// Audits the log of `options`: its rows for `store`, and what kept it from being audited. A panic is caught, and
-/// becomes its row. With `paged` its report is kept as a page, too.
+/// Audits the log of `options`. Returns its rows for `store`, and why it could not be audited, if so.
+/// Panics are caught and stored in the row. If `paged`, the report is also saved as a page.
 ///
 /// # Errors
-/// Where its page cannot be written.
+/// If the page cannot be written.
 pub fn settle(
     task: &Task,
     options: &Options,
@@ -53,7 +53,7 @@ fn write_page(path: &Path, report: &Report) -> Result<(), StoreError> {
     write_whole(path, write).map_err(|source| StoreError::File { path: path.to_owned(), source })
 }
 
-/// `status`, unless it was memory that was missing.
+/// `status`, or out of memory if the error indicates that.
 fn or_out_of_memory(status: Status, trouble: &Trouble) -> Status {
     if is_of_memory(&trouble.what) { Status::OutOfMemory } else { status }
 }
@@ -79,10 +79,10 @@ fn of_trouble(
     (answer, Tables::of_trouble(Row { task, answer: &answer }, trouble))
 }
 
-/// Puts the row of a log into `store` on which there is no report.
+/// Stores the row of a log without a report.
 ///
 /// # Errors
-/// Where it cannot be written.
+/// If it cannot be written.
 pub fn give_up(
     task: &Task,
     status: Status,
@@ -104,19 +104,19 @@ fn rows(
     Ok(LogRows { key: task.key.clone(), answer, tables: tables.map_err(fault)? })
 }
 
-/// The trouble with a log that makes the program fail.
+/// Error for a log that crashes the program.
 pub fn crashed(task: &Task, what: String) -> Trouble {
     Trouble {
         kind: TroubleKind::Log,
         what,
         place: task.path.clone(),
-        remedy: "report this as a bug, with the log".to_owned(),
+        remedy: "report this as a bug and attach the log".to_owned(),
     }
 }
 
-/// Whether a process or a library that says this was refused memory.
+/// Whether an error message indicates a failed memory allocation.
 pub(super) fn is_of_memory(words: &str) -> bool {
-    // Of the allocator, of the operating system, of SQLite.
+    // Messages of the allocator, the operating system, and SQLite.
     ["memory allocation of", "Cannot allocate memory", "out of memory"]
         .iter()
         .any(|part| words.contains(part))

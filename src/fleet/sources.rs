@@ -1,4 +1,4 @@
-//! From what is named on a command line to logs.
+//! Resolves command line arguments to logs.
 
 use std::fs::{self, File};
 use std::io::{self, Read};
@@ -10,17 +10,17 @@ use super::content::Content;
 use crate::log::{self, Listed, SourceName};
 use crate::report::{Trouble, TroubleKind};
 
-/// Where one log is.
+/// Location of one log.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Source {
-    /// Its absolute path: a file, or the folder of a rosbag2 recording; or the URL of an object.
+    /// Absolute path of a file or of the folder of a rosbag2 recording, or the URL of an object.
     pub path: PathBuf,
-    /// Its content, where that is known already: of an object that was listed.
+    /// Content, if already known from a listing.
     pub content: Option<Content>,
 }
 
 impl Source {
-    /// The log at `path`, of which nothing else is known.
+    /// Log at `path` with unknown content.
     fn at(path: PathBuf) -> Self {
         Self { path, content: None }
     }
@@ -32,8 +32,8 @@ impl From<&Listed> for Source {
     }
 }
 
-/// Endings of logs. A file of such a name is a log even where its bytes do not say so, so that one that
-/// is empty or cut off within its first bytes is not passed over.
+/// File extensions of logs. Files with these names count as logs even if their bytes do not identify them,
+/// so empty or truncated logs are reported.
 const ENDINGS: &[&str] = &[
     ".mcap",
     ".bag",
@@ -46,21 +46,21 @@ const ENDINGS: &[&str] = &[
     ".db3.zstd",
 ];
 
-/// What a rosbag2 recording has in its folder.
+/// Metadata file of a rosbag2 folder.
 const METADATA: &str = "metadata.yaml";
 
-/// The logs that `wanted` names, each once, in the order of their paths: files; folders, with all that
-/// is in them; patterns such as `runs/*/*.mcap`; URLs of objects, and of prefixes such as
-/// `s3://bucket/cell7` or patterns of such; and for `-` what `list` holds, one path or URL a line, or
-/// with a zero byte behind each.
+/// Logs given by `wanted`, each once, sorted by path. Entries are files, folders (searched recursively),
+/// patterns such as `runs/*/*.mcap`, URLs of objects, or URL prefixes and patterns such as
+/// `s3://bucket/cell7`. For `-`, paths or URLs are read from `list`, one per line or separated by zero
+/// bytes.
 ///
-/// Whatever is named by itself is a log, also where it cannot be read: that is said in its row. In a
-/// folder a log is what its first bytes or its ending say is one; hidden files are passed over. Below a
-/// prefix in a store it is its ending alone.
+/// An explicitly named file is always a log, even if it is unreadable; its row then contains the error. In
+/// folders, logs are identified by their first bytes or their extension, and hidden files are skipped.
+/// Below a URL prefix, only the extension counts.
 ///
 /// # Errors
-/// Where something named by itself is not there, a pattern is none, a store cannot be listed, or there is
-/// no log at all.
+/// If an explicitly named entry does not exist, a pattern is invalid, a store cannot be listed, or no log
+/// is found.
 pub fn sources(wanted: &[String], mut list: impl Read) -> Result<Vec<Source>, Trouble> {
     let mut found = Vec::new();
     for named in wanted {
@@ -79,18 +79,18 @@ pub fn sources(wanted: &[String], mut list: impl Read) -> Result<Vec<Source>, Tr
             path if fs::symlink_metadata(path).is_ok() => of_path(Path::new(path), &mut found),
             pattern if pattern.contains(['*', '?', '[']) => {
                 let paths = glob::glob(pattern)
-                    .map_err(|error| trouble(pattern, format!("it is no pattern: {error}")))?;
-                // What a pattern cannot look into holds nothing that it names.
+                    .map_err(|error| trouble(pattern, format!("invalid pattern: {error}")))?;
+                // Unreadable folders match nothing.
                 paths.filter_map(Result::ok).for_each(|path| of_path(&path, &mut found));
             }
             path => return Err(trouble(path, "no such file or folder".to_owned())),
         }
         if found.len() == before {
-            return Err(trouble(named, "there is no log in it".to_owned()));
+            return Err(trouble(named, "contains no log".to_owned()));
         }
     }
     found.sort();
-    // Of two that are one, the first knows less.
+    // After sorting, the entry without content precedes its duplicate.
     found.dedup_by(|next, kept| {
         let is_same = next.path == kept.path;
         if is_same {
@@ -101,7 +101,7 @@ pub fn sources(wanted: &[String], mut list: impl Read) -> Result<Vec<Source>, Tr
     Ok(found)
 }
 
-/// The paths of a list.
+/// Paths in a list.
 fn listed(text: &[u8]) -> Vec<PathBuf> {
     let separator = if text.contains(&0) { 0 } else { b'\n' };
     let lines = text.split(|&byte| byte == separator);
@@ -120,7 +120,7 @@ pub(super) fn path_of(bytes: &[u8]) -> PathBuf {
     PathBuf::from(String::from_utf8_lossy(bytes).into_owned())
 }
 
-/// The objects at `url`, below it, or below what of it is no pattern.
+/// Objects at `url`, below it, or matching it as a pattern.
 fn of_url(url: &str, found: &mut Vec<Source>) -> Result<(), Trouble> {
     let is_web = url.starts_with("http");
     let stars = url.find('*').filter(|_| !is_web);
@@ -131,7 +131,7 @@ fn of_url(url: &str, found: &mut Vec<Source>) -> Result<(), Trouble> {
         return Ok(());
     };
     let pattern = glob::Pattern::new(url);
-    let pattern = pattern.map_err(|error| trouble(url, format!("it is no pattern: {error}")))?;
+    let pattern = pattern.map_err(|error| trouble(url, format!("invalid pattern: {error}")))?;
     let prefix = &url[..url[..stars].rfind('/').map_or(stars, |slash| slash + 1)];
     let options = glob::MatchOptions { require_literal_separator: true, ..Default::default() };
     let below = log::list(Path::new(prefix))?;
@@ -140,7 +140,7 @@ fn of_url(url: &str, found: &mut Vec<Source>) -> Result<(), Trouble> {
     Ok(())
 }
 
-/// The logs at `path`, which was named by itself.
+/// Logs at `path`, which was named explicitly.
 fn of_path(path: &Path, found: &mut Vec<Source>) {
     if log::is_url(path) {
         found.push(Source::at(log::normal(path)));
@@ -158,7 +158,7 @@ fn of_path(path: &Path, found: &mut Vec<Source>) {
         .sort_by_file_name()
         .into_iter()
         .filter_entry(is_shown);
-    // A folder that cannot be looked into, or a link in a circle, has nothing to say.
+    // Skip unreadable folders and cyclic links.
     while let Some(entry) = entries.next() {
         let Ok(entry) = entry else { continue };
         let is_folder = entry.file_type().is_dir();
@@ -171,7 +171,7 @@ fn of_path(path: &Path, found: &mut Vec<Source>) {
     }
 }
 
-/// A file of tables as its episodes, each a log of its own; any other file as itself.
+/// Episodes of a table file, each as a separate log, or the file itself.
 fn episodes_of(path: &Path) -> Vec<Source> {
     let path = absolute(path);
     let names = log::episodes(&path);
@@ -182,7 +182,7 @@ fn episodes_of(path: &Path) -> Vec<Source> {
     }
 }
 
-/// Whether a file is one of a dataset's metadata, which LeRobot keeps as tables, too.
+/// Whether a file belongs to a dataset's metadata, which LeRobot also stores as tables.
 fn is_metadata(path: &Path) -> bool {
     let is_meta = |folder: &Path| folder.ends_with("meta") && folder.join("info.json").is_file();
     path.ancestors().skip(1).take(3).any(is_meta)
@@ -192,7 +192,7 @@ fn absolute(path: &Path) -> PathBuf {
     std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
 }
 
-/// Whether a folder is one rosbag2 recording, or a store of tables.
+/// Whether a folder is a rosbag2 recording or a table store.
 fn is_recording(folder: &Path) -> bool {
     if log::is_store(folder) {
         return true;
@@ -213,12 +213,13 @@ fn is_log(path: &Path) -> bool {
     let is_file = fs::metadata(path).is_ok_and(|metadata| metadata.is_file());
     let mut head = Vec::new();
     let read = |head: &mut Vec<u8>| File::open(path)?.take(log::HEAD_BYTES).read_to_end(head);
-    // Tables as Parquet are anybody's, a fleet's own results too: in a folder those of a dataset are logs.
+    // Parquet files in a folder count only as part of a dataset: others may be unrelated, such as fleet
+    // results.
     let is_anybodys = |head: &[u8]| head.starts_with(b"PAR1") && log::dataset_of(path).is_none();
     is_file && read(&mut head).is_ok() && log::looks_like_log(&head) && !is_anybodys(&head)
 }
 
-/// Whether a name ends as those of logs do.
+/// Whether a name has the extension of a log.
 fn has_ending(name: &str) -> bool {
     let name = name.to_ascii_lowercase();
     ENDINGS.iter().any(|ending| name.ends_with(ending))

@@ -1,4 +1,4 @@
-//! One log of a fleet: what is asked of it, and how it ended.
+//! Task and result for one log of a fleet.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,47 +6,47 @@ use super::labels::Labels;
 use crate::finding::Severity;
 use crate::report::Verdict;
 
-/// A log to audit, and under which key its rows are kept.
+/// Log to audit, with the key of its rows.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Task {
-    /// The key of its rows.
+    /// Key of its rows.
     pub key: String,
-    /// Its path, as the tables name it.
+    /// Path, as stored in the tables.
     pub path: String,
-    /// The name of its content.
+    /// Content identifier.
     pub content: String,
-    /// Version of the program.
+    /// Program version.
     pub version: String,
     /// Hash of the settings.
     pub settings: String,
     /// Size of its files.
     pub bytes: u64,
-    /// When one of them was last changed, ns since 1970.
+    /// Latest modification time, ns since 1970.
     pub mtime_ns: i64,
-    /// Which site, arm or anything else it is of.
+    /// Labels, such as site and arm.
     pub labels: Labels,
 }
 
-/// How the audit of a log ended.
+/// Status of an audit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Status {
-    /// It was audited.
+    /// Audited.
     Audited,
-    /// It was read, and could not be audited: it is no log, has no arm in it, or no model is known.
+    /// Readable but not auditable: not a log, without an arm, or without a robot model.
     NotAudited,
-    /// It could not be read. Every call tries again.
+    /// Not readable. Every call tries again.
     Unreadable,
-    /// It took longer than a log may.
+    /// Exceeded the time limit.
     TimedOut,
-    /// It needed more memory than a log may.
+    /// Exceeded the memory limit.
     OutOfMemory,
-    /// The audit of it died.
+    /// The audit process crashed.
     Crashed,
 }
 
 impl Status {
-    /// All of them.
+    /// All statuses.
     pub const ALL: [Status; 6] = [
         Status::Audited,
         Status::NotAudited,
@@ -56,7 +56,7 @@ impl Status {
         Status::Crashed,
     ];
 
-    /// Its name in tables.
+    /// Name in tables.
     pub const fn name(self) -> &'static str {
         match self {
             Status::Audited => "audited",
@@ -68,39 +68,39 @@ impl Status {
         }
     }
 
-    /// The status of this name.
+    /// Status with this name.
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|status| status.name() == name)
     }
 
-    /// Whether to try again leads to the same.
+    /// Whether a retry would give the same result.
     pub const fn is_final(self) -> bool {
         matches!(self, Status::Audited | Status::NotAudited)
     }
 }
 
-/// How the audit of a log ended.
+/// Result of an audit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Answer {
-    /// Whether it was audited.
+    /// Status of the audit.
     pub status: Status,
-    /// What the report says where warnings fail a run.
+    /// Verdict of the report, with warnings counted as failures.
     pub verdict: Option<Verdict>,
-    /// Findings that are errors, …
+    /// Number of errors, …
     pub errors: u32,
     /// … warnings …
     pub warnings: u32,
-    /// … and worth knowing.
+    /// … and infos.
     pub infos: u32,
 }
 
 impl Answer {
-    /// The answer where there is no report.
+    /// Answer for a log without a report.
     pub const fn without_report(status: Status) -> Self {
         Self { status, verdict: None, errors: 0, warnings: 0, infos: 0 }
     }
 
-    /// Whether findings of severity `fail_on` or above were found.
+    /// Whether there are findings of severity `fail_on` or above.
     pub fn fails(&self, fail_on: Option<Severity>) -> bool {
         match fail_on {
             None => false,

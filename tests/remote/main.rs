@@ -225,7 +225,7 @@ fn a_user_and_a_password_are_used_and_shown_nowhere() {
         (&["audit", &wrong], 3, "401 Unauthorized"),
         (&["audit", &misspelt], 2, "no store is reached by htp://"),
         (&["audit", &misspelt.replace("://", ":/")], 2, "no such file"),
-        (&["fleet", &misspelt, "--out", &out], 2, "there is no log in it"),
+        (&["fleet", &misspelt, "--out", &out], 2, "contains no log"),
         (&["audit", s3], 2, "credentials are not taken from it"),
         (&["compare", &misspelt, &wrong], 2, "htp://"),
         (&["tf", &wrong, "a", "b"], 3, "401 Unauthorized"),

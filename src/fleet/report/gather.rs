@@ -1,4 +1,4 @@
-//! From the parts of the tables to what the report says, one part at a time.
+//! Collects the content of the report from the table parts, one at a time.
 
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
@@ -16,7 +16,7 @@ use crate::fleet::outcomes::Verdicts;
 use crate::fleet::store::{Status, Store, StoreError, Table};
 use crate::report::Verdict;
 
-/// What was gathered.
+/// Content of the report.
 pub struct Gathered {
     pub logs: LogCounts,
     pub arms: Vec<ArmRow>,
@@ -26,7 +26,7 @@ pub struct Gathered {
     pub errors: Vec<ErrorRow>,
 }
 
-/// A row of `runs`.
+/// Row of `runs`.
 struct Log {
     path: String,
     content: String,
@@ -38,7 +38,7 @@ struct Log {
     status: Status,
     verdict: Option<Verdict>,
     start_ns: Option<i64>,
-    /// Which of the episodes it is that are of no calendar.
+    /// Episode number, for logs without calendar time.
     episode: Option<usize>,
 }
 
@@ -49,24 +49,24 @@ impl Log {
         Whose { site, arm, robot, ..Whose::default() }
     }
 
-    /// When it begins, where that is a time of the calendar.
+    /// Start time, if it is a calendar time.
     fn dated_ns(&self) -> Option<i64> {
         self.start_ns.filter(|&start_ns| start_ns >= calendar::FIRST_NS)
     }
 
-    /// Where it stands in a trend; nowhere, where it has neither a time nor a number.
+    /// Position in a trend. `None` if it has neither a time nor an episode number.
     fn at(&self) -> Option<At> {
         self.dated_ns().map(At::Time).or(self.episode.map(At::Episode))
     }
 
-    /// Whether its path names an episode, within a file or as one.
+    /// Whether the path denotes an episode or an episode within a file.
     fn is_episode(&self) -> bool {
         let name = self.path.rsplit('/').next().unwrap_or_default();
         name.contains('#') || name.starts_with("episode_")
     }
 }
 
-/// Gathers what `question` asks for.
+/// Collects the content for `question`.
 pub fn gather(store: &Store, question: &Question) -> Result<Gathered, StoreError> {
     let (logs, set_aside) = logs(store, question)?;
     let mut gathering = Gathering::of(&logs, question);
@@ -111,7 +111,7 @@ pub fn gather(store: &Store, question: &Question) -> Result<Gathered, StoreError
 }
 
 impl Question {
-    /// Whether what was found in a log counts: not where it is of before the time asked for.
+    /// Whether findings of a log count: not if it precedes the requested time.
     fn counts(&self, log: &Log) -> bool {
         match (self.since_ns, log.dated_ns()) {
             (Some(since_ns), Some(start_ns)) => start_ns >= since_ns,
@@ -155,7 +155,7 @@ const FINDINGS: &[&str] = &[
     "ignored_because",
 ];
 
-/// The logs of one version and of the same settings, by key; and how many rows are of others.
+/// Logs of one version and settings by key, and the number of rows with others.
 fn logs(store: &Store, question: &Question) -> Result<(BTreeMap<String, Log>, usize), StoreError> {
     let mut logs = BTreeMap::new();
     store.each(Table::Runs, Some(RUNS), |part| {
@@ -200,8 +200,8 @@ fn logs(store: &Store, question: &Question) -> Result<(BTreeMap<String, Log>, us
     Ok((logs, set_aside))
 }
 
-/// The version and the settings whose rows are wanted: those that were asked for, else of the latest
-/// version those that were written down last.
+/// Version and settings to report: the requested ones, otherwise the latest version with its most recently
+/// stored settings.
 fn wanted(
     store: &Store,
     logs: &BTreeMap<String, Log>,
@@ -225,7 +225,7 @@ fn wanted(
     Some((version.to_owned(), settings.to_owned()))
 }
 
-/// The keys of a part's rows, of those that are in no part before: the rows of a log stand together.
+/// Keys of a part's rows, without keys of earlier parts. The rows of a log are contiguous.
 fn new_keys(part: &Part<'_>, seen: &mut HashSet<String>) -> PolarsResult<Vec<Option<String>>> {
     let mut keys = Vec::with_capacity(part.0.height());
     for row in 0..part.0.height() {
@@ -235,27 +235,27 @@ fn new_keys(part: &Part<'_>, seen: &mut HashSet<String>) -> PolarsResult<Vec<Opt
     Ok(keys)
 }
 
-/// When a log begins, which episode it is, and its path.
+/// Start time, episode number and path of a log.
 pub(super) type LogPlace = (Option<i64>, Option<usize>, String);
 
-/// What is found on a subject.
+/// Findings on a subject.
 pub(super) struct Found {
     pub(super) severity: Severity,
-    /// The logs it is found in, by their beginnings, their numbers as episodes and their paths, with title and message of each.
+    /// Title and message for each log with the finding.
     pub(super) logs: BTreeMap<LogPlace, (String, String)>,
 }
 
-/// A rule and whom it is about.
+/// Rule and subject.
 pub(super) type Cause = (String, Whose);
 
 struct Gathering<'a> {
     question: &'a Question,
-    /// The names of the robots of each log, where it has one.
+    /// Robot name for each log with a single robot.
     sole_robots: HashMap<&'a str, &'a str>,
-    /// In how many logs a rule passed on a subject.
+    /// Number of logs in which a rule passed on a subject.
     asked: BTreeMap<Cause, usize>,
     found: BTreeMap<Cause, Found>,
-    /// By unit, and apart where logs are of no calendar.
+    /// Series by cause and unit; logs without calendar time are separate.
     series: BTreeMap<(Cause, String, bool), Series>,
 }
 
@@ -274,7 +274,7 @@ impl<'a> Gathering<'a> {
         }
     }
 
-    /// Whom a row is about. Where a file is the subject, that is the log itself.
+    /// Subject of a row. If the topic is the log file, the subject is the log.
     fn whose(&self, part: &Part<'_>, row: usize, log: &Log) -> PolarsResult<Whose> {
         let named = part.text("robot", row)?;
         let sole = || self.sole_robots.get(log.path.as_str()).map(|name| (*name).to_owned());
@@ -347,8 +347,7 @@ impl<'a> Gathering<'a> {
     }
 }
 
-/// What is found, the most frequent of the gravest first.
-/// The logs, the latest first.
+/// Rows of the logs, latest first.
 fn log_rows(
     store: &Store,
     logs: &BTreeMap<String, Log>,
@@ -384,7 +383,7 @@ fn log_rows(
     counted.iter().map(row).collect()
 }
 
-/// The arms, by site and name.
+/// Summary of each arm, by site and name.
 fn arms(
     logs: &BTreeMap<String, Log>,
     question: &Question,

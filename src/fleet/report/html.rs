@@ -1,5 +1,4 @@
-//! The report as one page for a browser: what moves with its plot, what is found where, the arms, all
-//! other trends.
+//! Fleet report as an HTML page: trends with plots, findings, arms, and all other trends.
 
 use std::collections::BTreeSet;
 use std::io::{self, Write};
@@ -14,16 +13,16 @@ use super::{At, Course, DatasetRow, FindingRow, FleetReport, TrendRow, calendar}
 use crate::log::ESCAPED;
 use crate::report::html::{Plot, Role, Series, Style, percent, shell};
 
-/// No more plots are drawn than this.
+/// Maximum number of plots.
 const MOST_PLOTS: usize = 100;
 
-/// No more rows of one kind are shown; JSON has them all.
+/// Maximum number of rows of one kind; JSON contains all.
 const MOST_ROWS: usize = 500;
 
-/// Logs drawn on one plot.
+/// Maximum number of logs per plot.
 const MOST_POINTS: usize = 1000;
 
-/// Writes the report. The same report gives the same bytes.
+/// Writes the report. The output is deterministic.
 ///
 /// # Errors
 /// If `out` cannot be written.
@@ -39,7 +38,7 @@ fn page(report: &FleetReport) -> Markup {
     let (moving, others): (Vec<_>, Vec<_>) =
         drawn.iter().partition(|(_, row, _)| row.course.is_moving());
     let body = html! {
-        a .skip href="#moves" { "Skip to what moves" }
+        a .skip href="#moves" { "Skip to trends" }
         header .page {
             p .tool { "poseaudit" }
             h1 { "Fleet" }
@@ -56,7 +55,7 @@ fn page(report: &FleetReport) -> Markup {
             }
             section #moves aria-labelledby="moves-title" {
                 h2 #moves-title .quiet[moving.is_empty()] {
-                    @if moving.is_empty() { "Nothing moves" } @else { "What moves" }
+                    @if moving.is_empty() { "No trend found" } @else { "Trends found" }
                 }
                 @for (id, row, plot) in &moving { (article(id, row, plot)) }
             }
@@ -80,20 +79,20 @@ fn page(report: &FleetReport) -> Markup {
     shell(&format!("{word} · fleet of {} logs", report.logs.total), class, &body, plots)
 }
 
-/// The plots: of what moves all, then of what does not, as many as there may be.
+/// Plots of the trends, found trends first, up to the maximum.
 fn drawn(report: &FleetReport) -> Vec<(String, &TrendRow, Plot)> {
     let rows = report.trends.iter().filter(|row| row.level.is_some());
     let numbered = rows.take(MOST_PLOTS).enumerate();
     numbered.map(|(index, row)| (format!("trend-{}", index + 1), row, plot(row))).collect()
 }
 
-/// The amounts of a trend over the days or the episodes, and the line through them.
+/// Plot of a trend over days or episodes, with its line.
 fn plot(row: &TrendRow) -> Plot {
     let (factor, y_label) = everyday(&row.unit);
     let first = row.points.first().map_or(At::Episode(0), |first| first.at);
     let (per, x_label, origin) = match first {
         At::Time(first_ns) => (86_400.0, "days", format!("Day 0 is {}.", calendar::day(first_ns))),
-        At::Episode(_) => (1.0, "episodes", "Episodes from the first on.".to_owned()),
+        At::Episode(_) => (1.0, "episodes", "Episodes are counted from the first.".to_owned()),
     };
     let x: Vec<f64> = row.points.iter().map(|point| point.at.since(first) / per).collect();
     let half = |ci95: [f64; 2]| 0.5 * (ci95[1] - ci95[0]) * factor;
@@ -104,7 +103,7 @@ fn plot(row: &TrendRow) -> Plot {
         half_widths: row.points.iter().map(|point| half(point.ci95)).collect(),
     };
     let last = x.last().copied().filter(|&last| last > 0.0).unwrap_or(1.0);
-    // Through a step no line says anything.
+    // A line does not describe a step.
     let line = row.line.filter(|_| row.course != Course::Stepped).map(|[from, to]| Series {
         label: "line".to_owned(),
         role: Role::Beside,
@@ -116,7 +115,7 @@ fn plot(row: &TrendRow) -> Plot {
         robot: row.whose.robot.clone().unwrap_or_default(),
         of: format!("{} {} {}", row.code, row.whose.arm_label(), row.whose.part()),
         says: match row.course.is_moving() {
-            // That stands above it in large letters.
+            // The heading already contains the summary.
             true => origin,
             false => format!("{}: {}. {origin}", row.course.name(), row.says()),
         },
@@ -129,7 +128,7 @@ fn plot(row: &TrendRow) -> Plot {
     }
 }
 
-/// Factor and symbol of the unit in which amounts of this SI symbol are drawn.
+/// Factor and symbol of the display unit for an SI symbol.
 fn everyday(symbol: &str) -> (f64, &'static str) {
     match symbol {
         "m" => (1e3, "mm"),
@@ -177,13 +176,7 @@ fn findings(report: &FleetReport) -> Markup {
             }
         }
     };
-    table(
-        "findings",
-        "What is found",
-        &["", "arm", "of", "", "worst", "last"],
-        &report.findings,
-        row,
-    )
+    table("findings", "Findings", &["", "arm", "of", "", "worst", "last"], &report.findings, row)
 }
 
 fn arms(report: &FleetReport) -> Markup {
@@ -202,7 +195,7 @@ fn arms(report: &FleetReport) -> Markup {
     })
 }
 
-/// In how many logs of each arm each rule found something.
+/// Number of logs with findings of each rule for each arm.
 fn matrix(report: &FleetReport) -> Markup {
     let codes: BTreeSet<&str> =
         report.arms.iter().flat_map(|arm| &arm.fails).map(|fail| fail.code.as_str()).collect();
@@ -231,7 +224,7 @@ fn matrix(report: &FleetReport) -> Markup {
     })
 }
 
-/// A file as a link: from the page's folder, or from the root.
+/// Link to a file: relative to the page, or absolute.
 fn link(page: &Path) -> String {
     let page = page.display().to_string();
     let path = utf8_percent_encode(&page, ESCAPED);
@@ -259,15 +252,16 @@ fn logs(report: &FleetReport) -> Markup {
     })
 }
 
-/// What the columns of each dataset hold, learnt once for all its logs.
+/// Content of each dataset's columns.
 fn datasets(report: &FleetReport) -> Markup {
     let rows: Vec<(&DatasetRow, String, String, &str)> = report
         .datasets
         .iter()
         .flat_map(|of| {
-            let robot = of.robot.iter().map(move |robot| {
-                (of, "arm".to_owned(), robot.clone(), "by all logs that were asked")
-            });
+            let robot = of
+                .robot
+                .iter()
+                .map(move |robot| (of, "arm".to_owned(), robot.clone(), "all sampled logs agree"));
             let columns = of
                 .columns
                 .iter()
@@ -318,7 +312,7 @@ fn trends(report: &FleetReport) -> Markup {
     })
 }
 
-/// A section with a table; none where there are no rows.
+/// Section with a table; empty if there are no rows.
 fn table<T>(
     id: &str,
     title: &str,

@@ -1,4 +1,4 @@
-//! The report as Markdown: a card for the page of a dataset.
+//! Fleet report as Markdown, for a dataset card.
 
 use std::io::{self, Write};
 
@@ -6,10 +6,10 @@ use super::text::{arm, head, how_often, totals};
 use super::{FindingRow, FleetReport};
 use crate::report::markdown::{code, prose};
 
-/// No more rows are shown; JSON and HTML have more.
+/// Maximum number of rows; JSON and HTML contain more.
 const MOST_ROWS: usize = 20;
 
-/// Writes the card.
+/// Writes the report as Markdown.
 ///
 /// # Errors
 /// If `out` cannot be written.

@@ -1,5 +1,4 @@
-//! What the logs of a fleet say together: which arms, sites and topics fail which rules, and how
-//! amounts move over time.
+//! Fleet report: which arms, sites and topics violate which rules, and trends of estimates over time.
 
 mod calendar;
 mod found;
@@ -27,46 +26,46 @@ pub use markdown::write as write_markdown;
 pub use text::write as write_text;
 pub use trends::{At, Course, Moved, Point, TrendRow};
 
-/// The schema of the report in JSON.
+/// Schema of the JSON report.
 pub const SCHEMA: &str = "poseaudit.fleet/1";
 
-/// What is asked of a folder of results.
+/// Query of a results folder.
 #[derive(Clone, Debug, Default)]
 pub struct Question {
-    /// Findings of this severity fail it; `None`: none does.
+    /// Minimum severity of a finding that fails the report; `None`: no finding does.
     pub fail_on: Option<Severity>,
-    /// Whether a verdict that is inconclusive fails it, too.
+    /// Whether an inconclusive verdict fails the report.
     pub fails_open: bool,
-    /// Findings of runs before this time do not count, ns since 1970. Trends see all runs.
+    /// Ignore findings of runs before this time, ns since 1970. Trends use all runs.
     pub since_ns: Option<i64>,
-    /// What paths say they are of, in place of the labels that rows have.
+    /// Template that derives labels from paths, in place of the stored labels.
     pub template: Option<super::labels::Template>,
-    /// The hash of the settings whose rows are wanted; of none the latest.
+    /// Hash of the settings to report; the latest if `None`.
     pub settings: Option<String>,
-    /// Only these rules; all where there is none.
+    /// Rules to report; all if empty.
     pub select: Vec<Selector>,
 }
 
-/// The report on a fleet. Its fields stand in the order of the JSON object.
+/// Fleet report. The fields are in the order of the JSON object.
 #[derive(Clone, Debug, Serialize)]
 pub struct FleetReport {
     schema: &'static str,
     tool: Tool,
-    /// Whether something is there that fails it.
+    /// Whether the report fails.
     pub failing: bool,
-    /// The logs.
+    /// Number of logs.
     pub logs: LogCounts,
-    /// The datasets that they are of, and what these tell of all their logs.
+    /// Datasets of the logs, with their shared properties.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub datasets: Vec<DatasetRow>,
-    /// The arms.
+    /// Arms.
     pub arms: Vec<ArmRow>,
-    /// Each log, the latest first.
+    /// Logs, latest first.
     #[serde(rename = "runs")]
     pub rows: Vec<LogRow>,
-    /// What is found, a row a rule and subject, the most frequent of the gravest first.
+    /// Findings, one row per rule and subject, by severity and frequency.
     pub findings: Vec<FindingRow>,
-    /// How amounts moved; what moves stands first.
+    /// Trends; found trends first.
     pub trends: Vec<TrendRow>,
     /// Logs that could not be audited.
     pub errors: Vec<ErrorRow>,
@@ -78,80 +77,80 @@ struct Tool {
     version: &'static str,
 }
 
-/// The logs of a fleet, counted.
+/// Counts of the logs of a fleet.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct LogCounts {
     /// Logs, each content once.
     pub total: usize,
-    /// How their audits ended.
+    /// Logs by audit status.
     pub statuses: Statuses,
-    /// What the reports say, where warnings fail a run.
+    /// Reports by verdict, with warnings counted as failures.
     pub verdicts: Verdicts,
-    /// Logs that other paths have too, as copies.
+    /// Additional paths with the same content.
     pub copies: usize,
-    /// Logs whose first stamp is of no calendar, so that no trend sees them.
+    /// Logs without calendar time, which are excluded from trends.
     pub undated: usize,
     /// Logs before the time from which findings count.
     pub before: usize,
-    /// First stamp of the first of them, as a decimal string.
+    /// Earliest start stamp, as a decimal string.
     pub start_ns: Option<String>,
-    /// First stamp of the last.
+    /// Latest start stamp, as a decimal string.
     pub end_ns: Option<String>,
-    /// The version that audited them.
+    /// Program version of the audits.
     pub version: String,
-    /// Hash of the settings with which it did.
+    /// Hash of the audit settings.
     pub settings: String,
-    /// Logs with rows of other versions or settings, which are left aside.
+    /// Logs with rows of other versions or settings, which are excluded.
     pub set_aside: usize,
 }
 
-/// Whose log it is, and what in it is meant.
+/// Subject: a site, arm and robot, and a part of the log.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 pub struct Whose {
-    /// The site, as labelled.
+    /// Site label.
     pub site: Option<String>,
-    /// The arm, as labelled.
+    /// Arm label.
     pub arm: Option<String>,
-    /// The robot, as the log or its model calls it.
+    /// Robot name in the log or model.
     pub robot: Option<String>,
-    /// The topic.
+    /// Topic.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub topic: Option<String>,
-    /// The joint.
+    /// Joint.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub joint: Option<String>,
-    /// The frame.
+    /// Frame.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame: Option<String>,
 }
 
 impl Whose {
-    /// Site, arm and robot in words; a dash where none of them is known.
+    /// Site, arm and robot as text.
     pub fn arm_label(&self) -> String {
         let parts = [&self.site, &self.arm, &self.robot].into_iter().flatten();
         let parts: Vec<&str> = parts.map(String::as_str).collect();
         if parts.is_empty() { "unknown arm".to_owned() } else { parts.join(" / ") }
     }
 
-    /// What in the log is meant: joint, topic or frame; empty for the whole of it.
+    /// Joint, topic and frame as text; empty for the whole log.
     pub fn part(&self) -> String {
         let parts = [&self.joint, &self.topic, &self.frame].into_iter().flatten();
         parts.map(String::as_str).collect::<Vec<_>>().join(" ")
     }
 }
 
-/// A dataset, and what was learnt of some of its logs for all.
+/// Dataset and the shared properties of its logs.
 #[derive(Clone, Debug, Serialize)]
 pub struct DatasetRow {
-    /// Its folder or file.
+    /// Folder or file.
     pub dataset: String,
-    /// The logs that were asked.
+    /// Logs sampled.
     pub asked: Vec<String>,
-    /// The arm of the catalogue that they are of.
+    /// Arm of the catalogue.
     pub robot: Option<String>,
-    /// What its columns hold, where their names do not say it.
+    /// Content of columns not identified by their names.
     pub columns: Vec<SharedRow>,
-    /// What they leave open.
+    /// Open question, if any.
     pub open: Option<String>,
 }
 
@@ -168,7 +167,7 @@ impl DatasetRow {
         }
     }
 
-    /// It in lines: its arm, its columns, what they leave open.
+    /// Summary lines: arm, columns, open question.
     fn lines(&self) -> Vec<String> {
         let robot = self.robot.as_deref().map_or(String::new(), |robot| format!(": {robot}"));
         let head = format!("{}{robot}, by {}", self.dataset, self.asked.join(", "));
@@ -179,102 +178,102 @@ impl DatasetRow {
     }
 }
 
-/// An arm.
+/// Summary of one arm.
 #[derive(Clone, Debug, Serialize)]
 pub struct ArmRow {
     /// Site, arm and robot.
     #[serde(flatten)]
     pub whose: Whose,
-    /// Logs of it.
+    /// Number of logs.
     pub logs: usize,
-    /// What their reports say.
+    /// Logs by verdict.
     pub verdicts: Verdicts,
-    /// The rules that found a warning or an error, with the number of logs.
+    /// Rules with warnings or errors, with the number of logs.
     pub fails: Vec<RuleCount>,
 }
 
-/// One log.
+/// Summary of one log.
 #[derive(Clone, Debug, Serialize)]
 pub struct LogRow {
-    /// Its path.
+    /// Path.
     pub path: String,
     /// Site, arm and robots.
     #[serde(flatten)]
     pub whose: Whose,
-    /// How its audit ended.
+    /// Status of the audit.
     pub status: Status,
-    /// What its report says, where warnings fail a run.
+    /// Verdict of the report, with warnings counted as failures.
     pub verdict: Option<Verdict>,
-    /// First stamp, as a decimal string.
+    /// Start stamp, as a decimal string.
     pub start_ns: Option<String>,
-    /// Its report as a page, where that was kept.
+    /// Report page, if stored.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub page: Option<PathBuf>,
-    /// The rules that found a warning or an error in it.
+    /// Rules with warnings or errors in this log.
     pub codes: Vec<String>,
 }
 
-/// In how many logs a rule found something.
+/// Number of logs with a finding of a rule.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct RuleCount {
     /// Code of the rule.
     pub code: String,
-    /// Logs.
+    /// Number of logs.
     pub logs: usize,
 }
 
-/// A rule that found something on a subject.
+/// Finding of a rule on a subject.
 #[derive(Clone, Debug, Serialize)]
 pub struct FindingRow {
     /// Code of the rule.
     pub code: String,
-    /// The fault in a few words.
+    /// Short title.
     pub title: String,
-    /// The gravest of them.
+    /// Highest severity.
     pub severity: Severity,
-    /// What is at fault.
+    /// Subject.
     #[serde(flatten)]
     pub whose: Whose,
-    /// Logs in which it was found, …
+    /// Logs with the finding.
     pub logs: usize,
-    /// … and in which it was looked at and not found.
+    /// Logs in which the rule passed on this subject.
     pub sound: usize,
-    /// The latest of them in words, …
+    /// Message in the latest log.
     pub message: String,
-    /// … where it is, …
+    /// Path of the latest log.
     pub path: String,
-    /// … and when it began, as a decimal string.
+    /// Start of the latest log, as a decimal string.
     pub start_ns: Option<String>,
-    /// The log whose amount is the largest, where it is another.
+    /// Log with the largest value, if it is not the latest.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub worst: Option<Worst>,
 }
 
-/// The log in which an amount is the largest.
+/// Log with the largest value.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Worst {
-    /// It in words.
+    /// Message in this log.
     pub message: String,
-    /// The log.
+    /// Path of the log.
     pub path: String,
 }
 
-/// A log that could not be audited.
+/// Log that could not be audited.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct ErrorRow {
-    /// Its path.
+    /// Path.
     pub path: String,
-    /// How its audit ended.
+    /// Status of the audit.
     pub status: Status,
-    /// What is wrong.
+    /// Problem.
     pub what: String,
-    /// What to do.
+    /// Remedy.
     #[serde(rename = "do")]
     pub remedy: String,
 }
 
 impl FleetReport {
-    /// The same with pages named from `folder`, where that holds them.
+    /// Makes page paths below `folder` relative to it.
     pub fn linked_from(mut self, folder: &Path) -> Self {
         let Ok(folder) = folder.canonicalize() else { return self };
         for page in self.rows.iter_mut().filter_map(|row| row.page.as_mut()) {
@@ -285,10 +284,10 @@ impl FleetReport {
         self
     }
 
-    /// The report on what `store` holds.
+    /// Report on the results in `store`.
     ///
     /// # Errors
-    /// Where it cannot be read.
+    /// If the store cannot be read.
     pub fn of(store: &Store, question: &Question) -> Result<Self, StoreError> {
         let gathered = gather::gather(store, question)?;
         let fails = |severity: Severity| question.fail_on.is_some_and(|least| severity >= least);
@@ -313,7 +312,7 @@ impl FleetReport {
         })
     }
 
-    /// Trends that say that something moves.
+    /// Trends that were found.
     pub fn moving(&self) -> impl Iterator<Item = &TrendRow> {
         self.trends.iter().filter(|row| row.course.is_moving())
     }

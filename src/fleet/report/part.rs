@@ -1,9 +1,9 @@
-//! The cells of a part of a table.
+//! Access to the cells of a table part.
 
 use polars::prelude::{DataFrame, PolarsResult};
 use serde_json::Value;
 
-/// A part of a table, by cells.
+/// Part of a table.
 pub(super) struct Part<'a>(pub(super) &'a DataFrame);
 
 impl Part<'_> {
@@ -19,7 +19,7 @@ impl Part<'_> {
         Ok(self.0.column(name)?.i64()?.get(row))
     }
 
-    /// What the estimate of a row calls itself.
+    /// Name of the estimate in a row.
     pub(super) fn name_of_estimate(&self, row: usize) -> PolarsResult<String> {
         let text = self.text("estimate_json", row)?;
         let estimate: Option<Value> = text.and_then(|text| serde_json::from_str(&text).ok());

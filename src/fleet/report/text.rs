@@ -1,5 +1,4 @@
-//! The report for a person at a terminal: what moves, what is found where, the arms, what could not be
-//! audited.
+//! Fleet report as text for a terminal: trends, findings, arms, and logs not audited.
 
 use std::io::{self, Write};
 
@@ -9,10 +8,10 @@ use super::{ArmRow, FindingRow, FleetReport, TrendRow, calendar};
 use crate::finding::Severity;
 use crate::report::tame;
 
-/// Width of the column of labels.
+/// Width of the label column.
 const LABEL: usize = 16;
 
-/// No more rows of one kind are shown; JSON and HTML have more.
+/// Maximum number of rows of one kind; JSON and HTML contain more.
 const MOST_ROWS: usize = 20;
 
 const ERROR: Style = AnsiColor::Red.on_default().bold();
@@ -54,7 +53,7 @@ pub fn write(report: &FleetReport, out: &mut dyn Write) -> io::Result<()> {
     })
 }
 
-/// What the report is about, label by label.
+/// Header lines with labels.
 pub fn head(report: &FleetReport) -> Vec<(&'static str, String)> {
     let logs = &report.logs;
     let mut said = format!("{}", logs.total);
@@ -67,16 +66,15 @@ pub fn head(report: &FleetReport) -> Vec<(&'static str, String)> {
     }
     let mut head = vec![("logs", said)];
     if logs.before > 0 {
-        head.push(("not counted", format!("{} logs of before the day asked for", logs.before)));
+        head.push(("not counted", format!("{} logs before the requested day", logs.before)));
     }
     if logs.undated > 0 {
-        let said =
-            format!("{} logs, whose stamps are of no calendar: no trend has them", logs.undated);
+        let said = format!("{} logs without calendar time: not included in trends", logs.undated);
         head.push(("undated", said));
     }
     if logs.set_aside > 0 {
         let said = format!(
-            "{} rows of other versions or settings; these are of {} and {}",
+            "{} rows of other versions or settings; shown: version {}, settings {}",
             logs.set_aside, logs.version, logs.settings
         );
         head.push(("set aside", said));
@@ -84,7 +82,7 @@ pub fn head(report: &FleetReport) -> Vec<(&'static str, String)> {
     head
 }
 
-/// The result in a line.
+/// Summary line.
 pub fn totals(report: &FleetReport) -> String {
     let verdicts = &report.logs.verdicts;
     let moving = report.moving().count();
@@ -102,7 +100,7 @@ pub fn totals(report: &FleetReport) -> String {
     parts.join(", ")
 }
 
-/// An arm in a line.
+/// One-line summary of an arm.
 pub fn arm(row: &ArmRow) -> String {
     let fails: Vec<String> =
         row.fails.iter().map(|fail| format!("{} in {}", fail.code, fail.logs)).collect();
@@ -110,7 +108,7 @@ pub fn arm(row: &ArmRow) -> String {
     format!("{}: {} logs, {} fail: {fails}", row.whose.arm_label(), row.logs, row.verdicts.fail)
 }
 
-/// In how many logs a finding is.
+/// Share of logs with a finding, as text.
 pub fn how_often(row: &FindingRow) -> String {
     let of = row.logs + row.sound;
     match (row.logs, row.sound) {

@@ -1,4 +1,4 @@
-//! How the amounts of a fleet move.
+//! Trends of estimates over the logs of a fleet.
 
 use serde::Serialize;
 
@@ -9,57 +9,57 @@ use crate::diagnosis::{LEAST_RUNS, Measured, Told, Trend, trend};
 use crate::finding::Unit;
 use crate::time::seconds;
 
-/// What counts as movement is told with this confidence, shared among all that was asked.
+/// Confidence level of a trend, with Bonferroni correction over all series.
 const SURE: f64 = 0.999;
 
-/// What moves by a smaller share of the rule's first threshold over all its runs does not matter.
+/// Minimum total change, as a share of the rule's first threshold.
 const MATERIAL: f64 = 0.1;
 
-/// A day in seconds.
+/// Seconds per day.
 const DAY_S: f64 = 86_400.0;
 
-/// An amount over time, as it was gathered.
+/// Time series of an estimate.
 #[derive(Clone, Debug)]
 pub struct Series {
     /// Code of the rule.
     pub code: String,
-    /// What the amount is, as the estimate calls it.
+    /// Name of the estimate.
     pub name: String,
     /// SI symbol.
     pub unit: String,
-    /// Whose it is.
+    /// Subject of the estimate.
     pub whose: Whose,
-    /// What each log told.
+    /// Values of the logs.
     pub points: Vec<Point>,
 }
 
-/// What one log told.
+/// Value of one log.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Point {
-    /// Where the log stands among the others.
+    /// Position of the log in the sequence.
     #[serde(flatten)]
     pub at: At,
-    /// The amount.
+    /// Value.
     pub value: f64,
-    /// Its 95 % interval.
+    /// 95 % interval.
     pub ci95: [f64; 2],
-    /// The log.
+    /// Path of the log.
     pub path: String,
 }
 
-/// Where a log stands among the others of a trend.
+/// Position of a log in the sequence of a trend.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub enum At {
-    /// When it begins, ns since 1970, as a decimal string.
+    /// Start time, ns since 1970, as a decimal string.
     #[serde(rename = "start_ns")]
     Time(#[serde(serialize_with = "decimal")] i64),
-    /// Which episode it is, where its stamps are of no calendar: by the numbers in paths and names.
+    /// Episode number, for logs without calendar time, from the numbers in their paths.
     #[serde(rename = "episode")]
     Episode(usize),
 }
 
 impl At {
-    /// From the first of them on, in seconds or in episodes.
+    /// Distance from `first` in seconds or episodes.
     pub fn since(self, first: Self) -> f64 {
         match (self, first) {
             (Self::Time(own), Self::Time(first)) => seconds(own - first),
@@ -73,27 +73,27 @@ fn decimal<S: serde::Serializer>(stamp: &i64, to: S) -> Result<S::Ok, S::Error> 
     to.collect_str(stamp)
 }
 
-/// How an amount moved.
+/// Kind of trend.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Course {
-    /// It grows or shrinks from run to run.
+    /// Linear increase or decrease.
     Creeps,
-    /// It went up or down between two runs.
+    /// Step between two runs.
     Stepped,
-    /// It does not move by as much as the rule's first threshold.
+    /// The total change is below the rule's first threshold.
     Steady,
-    /// The runs do not tell.
+    /// Not determined by these runs.
     Untold,
 }
 
 impl Course {
-    /// Whether something moves.
+    /// Whether a trend was found.
     pub const fn is_moving(self) -> bool {
         matches!(self, Course::Creeps | Course::Stepped)
     }
 
-    /// Its name in reports.
+    /// Name in reports.
     pub const fn name(self) -> &'static str {
         match self {
             Course::Creeps => "creeps",
@@ -104,57 +104,57 @@ impl Course {
     }
 }
 
-/// An amount with its 95 % interval.
+/// Value with its 95 % interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Moved {
-    /// The amount, SI; of a rate a day.
+    /// Value in SI units; rates per day.
     pub value: f64,
-    /// Its interval.
+    /// 95 % interval.
     pub ci95: [f64; 2],
 }
 
-/// How an amount moved over the logs.
+/// Trend of an estimate over the logs.
 #[derive(Clone, Debug, Serialize)]
 pub struct TrendRow {
     /// Code of the rule.
     pub code: String,
-    /// What the amount is.
+    /// Name of the estimate.
     pub name: String,
     /// SI symbol.
     pub unit: String,
-    /// Whose it is.
+    /// Subject of the estimate.
     #[serde(flatten)]
     pub whose: Whose,
-    /// How it moved.
+    /// Kind of trend.
     pub course: Course,
-    /// Logs that told it.
+    /// Number of logs with an estimate.
     pub logs: usize,
-    /// What it grows by in a day.
+    /// Slope per day.
     pub rate_per_day: Option<Moved>,
-    /// What it grows by from one episode to the next, where these are of no calendar.
+    /// Slope per episode, for logs without calendar time.
     pub rate_per_episode: Option<Moved>,
-    /// The amount in the middle of the runs.
+    /// Value at the middle of the runs.
     pub level: Option<Moved>,
-    /// How far runs lie from the line beyond their own intervals: a standard deviation.
+    /// Standard deviation of the runs about the line in excess of their own intervals.
     pub spread: Option<f64>,
-    /// By how much it stepped.
+    /// Size of the step.
     pub step: Option<Moved>,
-    /// The last log before the step and the first after it, ns as decimal strings.
+    /// Last log before the step and first after it, ns as decimal strings.
     pub step_between_ns: Option<[String; 2]>,
-    /// The same as paths.
+    /// The same two logs as paths.
     pub step_between: Option<[String; 2]>,
-    /// The rule's first threshold for it.
+    /// First threshold of the rule.
     pub figure: Option<f64>,
-    /// When it reaches that, if it goes on so, ns as a decimal string; the time of the last log where it
-    /// is there already.
+    /// Extrapolated time at which the threshold is reached, ns as a decimal string; the time of the last
+    /// log if it has been reached.
     pub reaches_figure_ns: Option<String>,
-    /// What each log told, in the order of time.
+    /// Values of the logs in time order.
     pub points: Vec<Point>,
-    /// The line, as amounts at the first and at the last log.
+    /// Values of the line at the first and the last log.
     pub line: Option<[f64; 2]>,
 }
 
-/// The rows of what was gathered: what moves first, then what is not told, in the order of codes.
+/// Rows of the trends: found trends first, undetermined ones last, then by code.
 pub fn rows(series: Vec<Series>) -> Vec<TrendRow> {
     let asked = series.iter().filter(|one| one.points.len() >= LEAST_RUNS).count();
     let mut rows: Vec<TrendRow> = series.into_iter().map(|one| row(one, asked)).collect();
@@ -205,7 +205,7 @@ fn row(series: Series, asked: usize) -> TrendRow {
             let (now, rate) = (at(&found, last_s), found.rate_per_s.value);
             let left_s = ((figure * rate.signum() - now) / rate).max(0.0);
             let is_there = now.abs() >= figure;
-            // Further away than a stamp goes, it is never.
+            // `None` if the time is too far away to represent.
             let left_s = if is_there { 0.0 } else { left_s };
             if left_s < 1e9 { stamp(last_s + left_s) } else { None }
         }),
@@ -218,7 +218,7 @@ fn row(series: Series, asked: usize) -> TrendRow {
     }
 }
 
-/// A point as the estimator takes it: of an interval, half of it is 1.96 standard errors.
+/// Converts a point for the estimator; half a 95 % interval is 1.96 standard errors.
 fn told(point: &Point, time_s: f64) -> Told {
     let [low, high] = point.ci95;
     Told { time_s, value: point.value, std_error: 0.5 * (high - low) / 1.959_964 }
@@ -252,7 +252,7 @@ fn course(found: &Trend, figure: Option<f64>, span_s: f64, asked: usize) -> Cour
     }
 }
 
-/// The first figure of a rule for amounts of this unit.
+/// First threshold of a rule for values in this unit.
 fn figure(code: &str, unit: &str) -> Option<f64> {
     let rule = checks::find(code).ok()?;
     let figures = rule.grade.thresholds();
@@ -260,17 +260,17 @@ fn figure(code: &str, unit: &str) -> Option<f64> {
 }
 
 impl TrendRow {
-    /// The unit of its amounts, for people.
+    /// Display unit of the values.
     pub fn unit_of(&self) -> Unit {
         Unit::of(&self.unit, &self.name).unwrap_or(Unit::One)
     }
 
-    /// An amount with its interval, in everyday units.
+    /// Value with its interval in display units.
     fn shown(&self, moved: &Moved) -> String {
         self.unit_of().show_signed_within(moved.value, Some(moved.ci95))
     }
 
-    /// A rate as people take it in: what a day or an episode brings is mostly too little for the digits shown.
+    /// Slope over 30 days or 100 episodes; smaller spans often need more digits than are shown.
     fn shown_rate(&self) -> Option<String> {
         const DAYS: f64 = 30.0;
         const EPISODES: f64 = 100.0;
@@ -283,7 +283,7 @@ impl TrendRow {
         Some(format!("{shown} in {times} {of}"))
     }
 
-    /// What is to be said of it in one line.
+    /// One-line summary.
     pub fn says(&self) -> String {
         let unit = self.unit_of();
         match (self.course, self.shown_rate(), &self.step) {
@@ -294,7 +294,7 @@ impl TrendRow {
                         let when_ns: i64 = when.parse().unwrap_or_default();
                         let figure = unit.show(figure);
                         match when_ns - last_ns {
-                            ..=0 => format!("; beyond the rule's {figure} already"),
+                            ..=0 => format!("; already beyond the rule's {figure}"),
                             left => format!(
                                 "; reaches the rule's {figure} on {}, in {} days",
                                 calendar::day(when_ns),
@@ -320,13 +320,16 @@ impl TrendRow {
                 format!("{}{}", self.shown(step), between.unwrap_or_default())
             }
             (Course::Steady, Some(rate), _) => format!("{rate} over {} logs", self.logs),
-            (_, Some(rate), _) => format!("{rate} over {} logs, which does not tell", self.logs),
-            _ => format!("{} logs with a date and an interval; {LEAST_RUNS} tell", self.logs),
+            (_, Some(rate), _) => format!("{rate} over {} logs, not significant", self.logs),
+            _ => format!(
+                "{} logs with a date and an interval; at least {LEAST_RUNS} needed",
+                self.logs
+            ),
         }
     }
 }
 
-/// A path in parts, so that those in it that are numbers are in the order of their values.
+/// Splits a path so that numbers in it sort by value.
 pub(super) fn natural(path: &str) -> Vec<(u64, String)> {
     let mut parts: Vec<(u64, String)> = Vec::new();
     for part in path.split_inclusive(|c: char| !c.is_ascii_digit()) {

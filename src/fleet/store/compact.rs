@@ -1,9 +1,8 @@
-//! Few parts out of many.
+//! Merges table parts.
 //!
-//! A hundred parts of one level become one of the next, so that a row is rewritten once for every
-//! factor of a hundred in the number of logs. Rows of logs that another call may try again stay where
-//! they are. The new part is there before the old ones are deleted; what stands in both after a crash
-//! is deleted by the next call.
+//! A hundred parts of one level are merged into one of the next, so a row is rewritten once per factor of a
+//! hundred in the number of logs. Rows of logs that may be retried are not merged. The merged part is
+//! written before the old ones are deleted; duplicates after a crash are deleted by the next call.
 
 use std::collections::HashSet;
 use std::fs::{File, TryLockError};
@@ -13,14 +12,14 @@ use polars::prelude::DataFrame;
 
 use super::{LogRows, Status, Store, StoreError, TABLES, Table, parts};
 
-/// So many parts of a level become one.
+/// Number of parts of a level that are merged.
 const MANY: usize = 100;
 
 impl Store {
-    /// Makes few parts out of many, where there are many and no other process is at it.
+    /// Merges parts if there are many and no other process is merging.
     ///
     /// # Errors
-    /// Where a part cannot be read or written.
+    /// If a part cannot be read or written.
     pub fn compact(&self) -> Result<(), StoreError> {
         let path = self.path().join(".lock");
         let fault = |source| StoreError::File { path: path.clone(), source };
@@ -28,7 +27,7 @@ impl Store {
         match lock.try_lock() {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => return Ok(()),
-            // Some shared folders know no locks: their parts stay many.
+            // Some network file systems do not support locks; parts are not merged there.
             Err(TryLockError::Error(_)) => return Ok(()),
         }
         self.merge_logs()?;
@@ -43,7 +42,7 @@ impl Store {
         Ok(())
     }
 
-    /// Merges the parts of single logs that are done for good, all tables of a log in one go.
+    /// Merges the parts of single logs with a final status, for all tables together.
     fn merge_logs(&self) -> Result<(), StoreError> {
         let runs = parts::of(&self.folder.of(Table::Runs))?;
         let single: Vec<&PathBuf> = runs.iter().filter(|path| parts::level(path) == 0).collect();
@@ -88,8 +87,7 @@ impl Store {
         Ok(())
     }
 
-    /// Puts the rows of logs that are done for good in one part of each table, as if parts of each had been
-    /// merged.
+    /// Writes the rows of logs with a final status as one merged part per table.
     pub(super) fn commit_together(&self, logs: Vec<LogRows>) -> Result<(), StoreError> {
         let keys: Vec<String> = logs.iter().map(|log| log.key.clone()).collect();
         let name = parts::merged_name(1, &parts::together(keys.iter().map(String::as_str)));
@@ -101,11 +99,11 @@ impl Store {
                 parts::write(&path, &mut whole)?;
             }
         }
-        // An earlier call may have left some of their own.
+        // Delete separate parts left by earlier calls.
         keys.iter().try_for_each(|key| self.forget(key))
     }
 
-    /// Merges the parts of one level of a table, where they are many.
+    /// Merges the parts of one level of a table if there are enough.
     fn merge_level(&self, table: Table, level: u32) -> Result<bool, StoreError> {
         let all = parts::of(&self.folder.of(table))?;
         let alike: Vec<PathBuf> =
@@ -119,7 +117,7 @@ impl Store {
         Ok(true)
     }
 
-    /// Makes one part of these, and deletes them once it is there.
+    /// Merges parts into one and then deletes them.
     fn merge(
         &self,
         table: Table,
@@ -148,7 +146,7 @@ impl Store {
     }
 }
 
-/// All rows as one frame, for `path`; none where there are none.
+/// Concatenates data frames for `path`. `None` if there are none.
 fn stacked(
     mut frames: impl Iterator<Item = DataFrame>,
     path: &Path,

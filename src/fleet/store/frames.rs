@@ -1,4 +1,4 @@
-//! The rows of one log, as frames. `docs/fleet.md` lists the columns.
+//! Builds the rows of one log as data frames. `docs/fleet.md` lists the columns.
 
 use polars::prelude::{Column, DataFrame, NamedFrom, PolarsError, PolarsResult, Series};
 use serde::Serialize;
@@ -10,40 +10,40 @@ use crate::output::tables::{checks_frame, findings_frame};
 use crate::report::{Report, StreamRow, Trouble, Verdict};
 use crate::time::Stamp;
 
-/// The columns of `runs` that an [`Answer`] is read from, and the key.
+/// Columns of `runs` needed for an [`Answer`], with the key.
 pub const ANSWER_COLUMNS: &[&str] = &["key", "status", "verdict", "errors", "warnings", "infos"];
 
-/// The rows of one log.
+/// Rows of one log for all tables.
 #[derive(Debug)]
 pub struct Tables {
     frames: Vec<(Table, DataFrame)>,
 }
 
-/// What is kept of one log.
+/// Results of one log to store.
 #[derive(Debug)]
 pub struct LogRows {
-    /// Its key.
+    /// Key of the log.
     pub key: String,
-    /// How its audit ended.
+    /// Result of its audit.
     pub answer: Answer,
     /// Its rows.
     pub tables: Tables,
 }
 
-/// What the row of `runs` says beside the report.
+/// Content of a row of `runs` in addition to the report.
 #[derive(Clone, Copy, Debug)]
 pub struct Row<'a> {
-    /// Which log it is.
+    /// The log.
     pub task: &'a Task,
-    /// How its audit ended.
+    /// Result of its audit.
     pub answer: &'a Answer,
 }
 
 impl Tables {
-    /// The rows of a log that was read. `trouble` is what kept the audit from saying more.
+    /// Rows of a log with a report. `trouble` contains the error of an incomplete audit.
     ///
     /// # Errors
-    /// None that a report can cause.
+    /// Does not fail for valid reports.
     pub fn of(row: Row<'_>, report: &Report, trouble: Option<&Trouble>) -> PolarsResult<Self> {
         let key = row.task.key.as_str();
         let ignored = report.ignored.iter().map(|ignored| &ignored.finding);
@@ -65,10 +65,10 @@ impl Tables {
         Ok(Self { frames: frames.collect::<PolarsResult<_>>()? })
     }
 
-    /// The rows of a log on which there is no report.
+    /// Rows of a log without a report.
     ///
     /// # Errors
-    /// None that can be caused.
+    /// Does not fail for valid input.
     pub fn of_trouble(row: Row<'_>, trouble: &Trouble) -> PolarsResult<Self> {
         let frames = TABLES.into_iter().map(|table| {
             let frame = match table {
@@ -86,7 +86,7 @@ impl Tables {
     }
 }
 
-/// The answers in a part of `runs`, by key. A status that is not known is one to try again.
+/// Answers in a part of `runs`, by key. Unknown statuses are treated as not final.
 pub fn answers(frame: &DataFrame) -> PolarsResult<Vec<(String, Answer)>> {
     let text = |name: &str| Ok::<_, PolarsError>(frame.column(name)?.str()?.iter());
     let count = |name: &str| -> PolarsResult<Vec<u32>> {
@@ -193,8 +193,7 @@ fn errors_frame(row: Row<'_>, trouble: Option<&Trouble>) -> PolarsResult<DataFra
     numbered(&row.task.key, DataFrame::new(1, columns)?)
 }
 
-/// A frame with the key of its log and the number of the row before the other columns: together they
-/// name a row, whichever part it stands in.
+/// Prepends the log's key and the row number, which together identify a row in any part.
 fn numbered(key: &str, mut frame: DataFrame) -> PolarsResult<DataFrame> {
     let rows = frame.height();
     let numbers: Vec<u32> = (0..rows as u32).collect();
@@ -207,7 +206,7 @@ fn text<'a>(name: &str, values: impl Iterator<Item = Option<&'a str>>) -> Column
     Column::new(name.into(), values.collect::<Vec<_>>())
 }
 
-/// A column of one row.
+/// Column with a single value.
 fn one<T, P: ?Sized>(name: &str, value: T) -> Column
 where
     Series: NamedFrom<Vec<T>, P>,
@@ -215,12 +214,12 @@ where
     Column::new(name.into(), vec![value])
 }
 
-/// What is written into tables has string keys and finite numbers only, which JSON always takes.
+/// Serialises a value with string keys and finite numbers, for which JSON cannot fail.
 fn as_json(value: &impl Serialize) -> String {
     serde_json::to_string(value).unwrap_or_default()
 }
 
-/// How many findings of a severity count.
+/// Number of findings of a severity, without ignored ones.
 pub(in crate::fleet) fn found(report: &Report, severity: Severity) -> u32 {
     report.findings.iter().filter(|finding| finding.severity == severity).count() as u32
 }

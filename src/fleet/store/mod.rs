@@ -1,10 +1,9 @@
-//! The folder that the results are kept in: a folder for each table, and in it Parquet files, the
-//! parts of the table.
+//! Results folder: one subfolder per table, with Parquet files as parts of the table.
 //!
-//! A part takes its place when it is whole, by being renamed. The rows of one log are a part of each
-//! table that bears its key, and that of `runs` comes last: a log without it is not done. Who writes
-//! the same log again replaces its parts. A hundred parts become one, beside which they are deleted
-//! (`compact`); a reader that comes between sees rows twice, and takes each key once.
+//! Parts are renamed into place when complete. A log's rows form one part per table, named by its key. The
+//! part of `runs` is written last, so a log without it is not done. Writing a log again replaces its parts.
+//! Every hundred parts are merged into one and then deleted (`compact`). A concurrent reader may see rows
+//! twice and must use each key once.
 
 mod compact;
 mod frames;
@@ -28,36 +27,36 @@ use crate::report::{Trouble, TroubleKind};
 pub(super) use frames::found;
 pub use frames::{LogRows, Row, Tables};
 
-/// A table.
+/// Table of the results folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Table {
-    /// A row a log: how its audit ended.
+    /// One row per log: result of its audit.
     Runs,
-    /// A row a topic.
+    /// One row per topic.
     Streams,
-    /// A row for every rule and subject.
+    /// One row per rule and subject.
     Checks,
-    /// A row a finding.
+    /// One row per finding.
     Findings,
-    /// A row a log that could not be audited: why.
+    /// One row per log that could not be audited, with the reason.
     Errors,
-    /// A row a file as it stood: which content it had.
+    /// One row per file state, with its content identifier.
     Sources,
 }
 
-/// The tables whose rows are of a log, in the order in which they are written.
+/// Tables with rows of a log, in write order.
 pub const TABLES: [Table; 5] =
     [Table::Streams, Table::Checks, Table::Findings, Table::Errors, Table::Runs];
 
-/// The folder of what settings of a hash are.
+/// Folder of settings by hash.
 const SETTINGS: &str = "settings";
-/// Folder of what the logs of a dataset share.
+/// Folder of shared properties of datasets.
 const DATASETS: &str = "datasets";
-/// Folder of the pages of logs.
+/// Folder of report pages.
 const PAGES: &str = "pages";
 
 impl Table {
-    /// Its name, which is that of its folder.
+    /// Name of the table and its folder.
     pub const fn name(self) -> &'static str {
         match self {
             Table::Runs => "runs",
@@ -70,23 +69,23 @@ impl Table {
     }
 }
 
-/// What is kept in a folder could not be read or written.
+/// Error when reading or writing the results folder.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
-    /// A file.
+    /// A file cannot be accessed.
     #[error("{}: {source}", path.display())]
     File {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// Cause.
         source: io::Error,
     },
-    /// What is in it.
+    /// The content of a file is invalid.
     #[error("{}: {source}", path.display())]
     Content {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// Cause.
         source: PolarsError,
     },
 }
@@ -98,7 +97,7 @@ impl StoreError {
         }
     }
 
-    /// Whether the part is gone since it was seen.
+    /// Whether the part no longer exists.
     fn is_gone(&self) -> bool {
         matches!(self, StoreError::File { source, .. } if source.kind() == io::ErrorKind::NotFound)
     }
@@ -109,43 +108,43 @@ impl From<StoreError> for Trouble {
         let place = error.path().display().to_string();
         let (what, remedy) = match &error {
             StoreError::File { source, .. } => (
-                format!("it cannot be read or written: {source}"),
-                "name a folder of your own with --out",
+                format!("cannot be read or written: {source}"),
+                "choose a writable folder with --out",
             ),
             StoreError::Content { source, .. } => (
                 format!(
-                    "no table of a fleet: {}",
+                    "not a fleet table: {}",
                     source.to_string().lines().next().unwrap_or_default()
                 ),
-                "delete the file, and call again: what it held is done anew",
+                "delete the file and run again; its logs are then audited again",
             ),
         };
         Trouble { kind: TroubleKind::Call, what, place, remedy: remedy.to_owned() }
     }
 }
 
-/// What is known of the files of a folder, as far as parts are concerned.
+/// Results folder and the locations of its tables.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Folder(PathBuf);
 
 impl Folder {
-    /// Where the parts of a table are.
+    /// Folder of a table's parts.
     pub fn of(&self, table: Table) -> PathBuf {
         self.0.join(table.name())
     }
 }
 
-/// A folder with the results of audits.
+/// Folder with audit results.
 #[derive(Clone, Debug)]
 pub struct Store {
     folder: Folder,
 }
 
 impl Store {
-    /// The store in `folder`, which is made where it is not there.
+    /// Opens the store in `folder` and creates it if necessary.
     ///
     /// # Errors
-    /// Where it cannot be made.
+    /// If it cannot be created.
     pub fn create(folder: &Path) -> Result<Self, StoreError> {
         let store = Self { folder: Folder(folder.to_owned()) };
         for table in TABLES.into_iter().chain([Table::Sources]) {
@@ -158,32 +157,32 @@ impl Store {
         Ok(store)
     }
 
-    /// The folders below `folder` that it keeps its files in.
+    /// Subfolders of `folder` that a store uses.
     pub fn folders(folder: &Path) -> Vec<PathBuf> {
         let tables = TABLES.into_iter().chain([Table::Sources]).map(Table::name);
         tables.chain([SETTINGS, DATASETS, PAGES]).map(|name| folder.join(name)).collect()
     }
 
-    /// The store that is in `folder`; `None` where there is none.
+    /// Opens the store in `folder`. `None` if there is none.
     pub fn open(folder: &Path) -> Option<Self> {
         let folder = Folder(folder.to_owned());
         folder.of(Table::Runs).is_dir().then_some(Self { folder })
     }
 
-    /// Where the page of the log with this key is, if it was asked for.
+    /// Path of a log's report page.
     pub fn page(&self, key: &str) -> PathBuf {
         self.path().join(PAGES).join(format!("{key}.html"))
     }
 
-    /// Where it is.
+    /// Path of the folder.
     pub fn path(&self) -> &Path {
         &self.folder.0
     }
 
-    /// Keeps what the settings of a hash are, for who reads the tables.
+    /// Stores the settings under their hash, for readers of the tables.
     ///
     /// # Errors
-    /// Where it cannot be written.
+    /// If the file cannot be written.
     pub fn keep_settings(&self, settings: &AuditSettings) -> Result<(), StoreError> {
         let path = self.path().join(SETTINGS).join(format!("{}.json", settings.hash));
         if path.is_file() {
@@ -194,14 +193,14 @@ impl Store {
             .map_err(|source| StoreError::File { path, source })
     }
 
-    /// What the logs of a dataset share, as it was learnt with settings of a hash.
+    /// Shared properties of a dataset, as determined with these settings.
     pub fn dataset(&self, dataset: &Path, settings: &str) -> Option<Shared> {
         let text = fs::read_to_string(self.dataset_file(dataset, settings)).ok()?;
         let kept: KeptDataset = serde_json::from_str(&text).ok()?;
         Some(kept.shared)
     }
 
-    /// What the logs of each dataset share, as it was learnt with settings of a hash, by their names.
+    /// Shared properties of all datasets, as determined with these settings, sorted by name.
     pub fn datasets(&self, settings: &str) -> Vec<KeptDataset> {
         let files = fs::read_dir(self.path().join(DATASETS)).into_iter().flatten().flatten();
         let texts = files.filter_map(|file| fs::read_to_string(file.path()).ok());
@@ -212,10 +211,10 @@ impl Store {
         kept
     }
 
-    /// Keeps what the logs of a dataset share.
+    /// Stores the shared properties of a dataset.
     ///
     /// # Errors
-    /// Where it cannot be written.
+    /// If the file cannot be written.
     pub fn keep_dataset(
         &self,
         dataset: &Path,
@@ -235,17 +234,16 @@ impl Store {
         self.path().join(DATASETS).join(format!("{name}.json"))
     }
 
-    /// When the settings of this hash were written down first; nothing where they were not.
+    /// Time at which the settings with this hash were first stored, if ever.
     pub(super) fn settings_written(&self, hash: &str) -> Option<std::time::SystemTime> {
         let path = self.path().join(SETTINGS).join(format!("{hash}.json"));
         fs::metadata(path).and_then(|metadata| metadata.modified()).ok()
     }
 
-    /// Puts the rows of some logs in their places, those of `runs` last: of several that are done for good
-    /// together.
+    /// Stores the rows of several logs, `runs` last. Rows of logs with a final status are written together.
     ///
     /// # Errors
-    /// Where a part cannot be written.
+    /// If a part cannot be written.
     pub fn commit(&self, logs: Vec<LogRows>) -> Result<(), StoreError> {
         let (done, others): (Vec<_>, Vec<_>) =
             logs.into_iter().partition(|log| log.answer.status.is_final());
@@ -260,7 +258,7 @@ impl Store {
         for (table, mut frame) in tables.into_frames() {
             let path = self.folder.of(table).join(parts::name(key));
             match frame.height() {
-                // An earlier call may have left some there and died.
+                // Remove parts left by an interrupted call.
                 0 => parts::remove(&path)?,
                 _ => parts::write(&path, &mut frame)?,
             }
@@ -268,19 +266,19 @@ impl Store {
         Ok(())
     }
 
-    /// Forgets the rows of a key that a log of its own does not have any more.
+    /// Deletes the separate parts of a key.
     ///
     /// # Errors
-    /// Where a part is there and cannot be deleted.
+    /// If a part exists and cannot be deleted.
     pub fn forget(&self, key: &str) -> Result<(), StoreError> {
         let paths = TABLES.into_iter().map(|table| self.folder.of(table).join(parts::name(key)));
         paths.rev().try_for_each(|path| parts::remove(&path))
     }
 
-    /// How the logs ended that are done, by their keys.
+    /// Results of all logs that are done, by key.
     ///
     /// # Errors
-    /// Where a part cannot be read.
+    /// If a part cannot be read.
     pub fn done(&self) -> Result<HashMap<String, Answer>, StoreError> {
         let mut done = HashMap::new();
         self.each(Table::Runs, Some(frames::ANSWER_COLUMNS), |frame| {
@@ -290,10 +288,10 @@ impl Store {
         Ok(done)
     }
 
-    /// Which content files had as they stood, by the names of their stand.
+    /// Known contents by file state.
     ///
     /// # Errors
-    /// Where a part cannot be read.
+    /// If a part cannot be read.
     pub fn contents(&self) -> Result<HashMap<String, String>, StoreError> {
         let mut contents = HashMap::new();
         self.each(Table::Sources, Some(&["source", "content"]), |frame| {
@@ -306,10 +304,10 @@ impl Store {
         Ok(contents)
     }
 
-    /// Keeps which content files had as they stood.
+    /// Stores contents by file state.
     ///
     /// # Errors
-    /// Where the part cannot be written.
+    /// If the part cannot be written.
     pub fn add_sources(&self, rows: &[SourceRow]) -> Result<(), StoreError> {
         if rows.is_empty() {
             return Ok(());
@@ -334,10 +332,10 @@ impl Store {
         parts::write(&path, &mut frame)
     }
 
-    /// Hands each part of a table to `take`, with those of its columns that are named.
+    /// Passes each part of a table to `take`, with the given columns.
     ///
     /// # Errors
-    /// Where a part cannot be read, or `take` cannot.
+    /// If a part cannot be read, or `take` fails.
     pub fn each(
         &self,
         table: Table,
@@ -345,8 +343,7 @@ impl Store {
         mut take: impl FnMut(DataFrame) -> Result<(), PolarsError>,
     ) -> Result<(), StoreError> {
         let mut taken = HashSet::new();
-        // Parts that were there are gone where another process has made one of them meanwhile, which
-        // is there then.
+        // A concurrent merge may replace parts; read the new part then.
         for _ in 0..parts::MOST_TRIES {
             let mut is_gone = false;
             for path in parts::of(&self.folder.of(table))? {
@@ -371,28 +368,28 @@ impl Store {
     }
 }
 
-/// What the logs of a dataset share, as it is kept.
+/// Stored shared properties of a dataset.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct KeptDataset {
-    /// The folder or file of the dataset.
+    /// Folder or file of the dataset.
     pub dataset: String,
     /// Hash of the settings.
     pub settings: String,
-    /// What its logs share.
+    /// Shared properties of its logs.
     pub shared: Shared,
 }
 
-/// Which content a file had as it stood.
+/// Content of a file in a given state.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SourceRow {
-    /// Name of the file as it stood.
+    /// Hash of path and state.
     pub source: String,
-    /// Its path.
+    /// Path of the file.
     pub path: String,
-    /// Its size.
+    /// Size.
     pub bytes: u64,
-    /// When it was last changed, ns since 1970.
+    /// Modification time, ns since 1970.
     pub mtime_ns: i64,
-    /// The name of its content.
+    /// Content identifier.
     pub content: String,
 }

@@ -1,4 +1,4 @@
-//! The files of a table.
+//! Files of a table.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter};
@@ -13,48 +13,48 @@ use super::StoreError;
 
 const ENDING: &str = ".parquet";
 
-/// What the name of a part begins with that was made of others, before its level.
+/// Prefix of merged parts, followed by the level.
 const MERGED: &str = "merged-";
 
-/// What the names of files begin with that are being written: see [`crate::report::write_whole`].
+/// Prefix of incomplete files: see [`crate::report::write_whole`].
 const STAGED: &str = ".poseaudit-";
 
-/// Nobody writes a part for so long.
+/// Age after which an incomplete file is abandoned.
 const LEFT_BEHIND: Duration = Duration::from_secs(3600);
 
-/// How often a folder is looked through whose parts are merged meanwhile.
+/// Maximum number of scans of a folder during concurrent merges.
 pub const MOST_TRIES: usize = 5;
 
-/// Name of the part of one log, or of some that have a name together.
+/// File name of the part of a key.
 pub fn name(key: &str) -> String {
     format!("{key}{ENDING}")
 }
 
-/// Name of a part that is made of those with these keys.
+/// File name of a merged part.
 pub fn merged_name(level: u32, keys: &str) -> String {
     format!("{MERGED}{level}-{keys}{ENDING}")
 }
 
-/// A name for several keys together, whatever their order.
+/// Hash of several keys, independent of their order.
 pub fn together<'a>(keys: impl IntoIterator<Item = &'a str>) -> String {
     let mut keys: Vec<&str> = keys.into_iter().collect();
     keys.sort_unstable();
     blake3::hash(keys.join("\n").as_bytes()).to_hex()[..32].to_owned()
 }
 
-/// How often the rows of a part have been merged; 0 for those of one log.
+/// Merge level of a part; 0 for a single log.
 pub fn level(path: &Path) -> u32 {
     let level =
         || path.file_stem()?.to_str()?.strip_prefix(MERGED)?.split('-').next()?.parse().ok();
     level().unwrap_or(0)
 }
 
-/// The key in the name of a part of one log.
+/// Key of the part of a single log.
 pub fn key(path: &Path) -> Option<&str> {
     path.file_stem()?.to_str().filter(|_| level(path) == 0)
 }
 
-/// The parts in a folder, in the order of their names. What is being written has another ending.
+/// Parts in a folder, sorted by name. Incomplete files are excluded.
 pub fn of(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
     let fault = |source| StoreError::File { path: folder.to_owned(), source };
     let entries = match fs::read_dir(folder) {
@@ -73,7 +73,7 @@ pub fn of(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
     Ok(parts)
 }
 
-/// Reads a part, or those of its columns that are named.
+/// Reads a part, or the given columns of it.
 pub fn read(path: &Path, columns: Option<&[&str]>) -> Result<DataFrame, StoreError> {
     let file =
         File::open(path).map_err(|source| StoreError::File { path: path.to_owned(), source })?;
@@ -82,7 +82,7 @@ pub fn read(path: &Path, columns: Option<&[&str]>) -> Result<DataFrame, StoreErr
     reader.finish().map_err(|source| StoreError::Content { path: path.to_owned(), source })
 }
 
-/// Has `frame` take its place at `path` once it is whole and on the disk.
+/// Writes `frame` to `path` atomically and durably.
 pub fn write(path: &Path, frame: &mut DataFrame) -> Result<(), StoreError> {
     crate::report::write_whole(path, |staged| write_durably(staged, frame)).map_err(|fault| {
         match fault {
@@ -90,14 +90,14 @@ pub fn write(path: &Path, frame: &mut DataFrame) -> Result<(), StoreError> {
             Fault::Frame(source) => StoreError::Content { path: path.to_owned(), source },
         }
     })?;
-    // That the new name outlives a loss of power, too; not every system can be asked for it.
+    // Syncs the folder to make the rename durable. Not supported on every system.
     if let Some(Ok(folder)) = path.parent().map(File::open) {
         let _ = folder.sync_all();
     }
     Ok(())
 }
 
-/// Deletes a part, if it is there.
+/// Deletes a part if it exists.
 pub fn remove(path: &Path) -> Result<(), StoreError> {
     match fs::remove_file(path) {
         Err(source) if source.kind() != io::ErrorKind::NotFound => {
@@ -107,7 +107,7 @@ pub fn remove(path: &Path) -> Result<(), StoreError> {
     }
 }
 
-/// Deletes what processes left in a folder that died amid a part, long ago.
+/// Deletes old incomplete files of processes that died.
 pub fn sweep(folder: &Path) {
     let is_old = |path: &Path| {
         let changed = fs::metadata(path).and_then(|metadata| metadata.modified());
@@ -116,7 +116,7 @@ pub fn sweep(folder: &Path) {
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let is_staged = entry.file_name().to_string_lossy().starts_with(STAGED);
         if is_staged && is_old(&entry.path()) {
-            // Where another process was faster it is gone all the same.
+            // Another process may have deleted it already.
             let _ = fs::remove_file(entry.path());
         }
     }
