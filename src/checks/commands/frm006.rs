@@ -12,38 +12,40 @@ use crate::finding::{
 };
 
 rule! {
-    /// A command and the pose that the arm comes to rest at differ.
+    /// Steady-state error between a command and the pose at rest.
     ///
     /// ## What it means
-    /// The command (a goal, a streamed pose, commanded joints) is constant, the arm has settled, latency
-    /// and following error have died away, and the tip is still off target. Commanded joints go through
-    /// forward kinematics.
+    /// The command (a goal, a streamed pose or commanded joints) is constant, and the arm has settled.
+    /// Latency and following error have decayed, yet the tip is still off target. Commanded joints are
+    /// converted by forward kinematics.
     ///
     /// ## Why it matters
-    /// It is the error that a program sees at every pick and every place. Where the goal came from one
-    /// chain of frames and the measured pose from another, it says that the two chains differ.
+    /// This is the error of every pick and place. If the goal and the measured pose come from different
+    /// chains of frames, it shows that the two chains differ.
     ///
     /// ## Evidence
-    /// The distance at the worst rest of a stream that leads the arm, and at the middle one of single
-    /// goals; `rests` says how many were seen, `beyond` how many exceed the thresholds, `at_ns` when.
-    /// `pose` is `tip_from_commanded`. `joints` says of each commanded joint by how much it stays off
-    /// (`q_measured − q_commanded`). `measured_by` is the witness that is nearest to the command, of FK
-    /// and the pose streams, as logged and with what was found taken off: where these differ among
-    /// themselves, other rules say why; `others` is what differs by them. Of the `goals`, `not_reached`
-    /// counts those near which the arm never came to rest: stopped, replaced, or never tried, which is
-    /// no fault. `following` is how a streamed command is followed: the delay, the rms error, and what
-    /// is left of it when the delay is taken off.
+    /// The distance at the worst rest for streamed commands, and at the median rest for single goals.
+    /// `rests` is the number of rests, `beyond` the number above the thresholds, and `at_ns` the time.
+    /// `pose` is `tip_from_commanded`. `joints` lists the error of each commanded joint (`q_measured −
+    /// q_commanded`).
+    ///
+    /// `measured_by` is the pose source nearest to the command, among FK and the pose streams, as logged
+    /// and corrected. `others` lists the errors according to the other sources; if the sources differ,
+    /// other rules report the cause. `not_reached` counts the `goals` near which the arm never came to rest
+    /// because it was stopped, redirected or did not try; this is not a fault. `following` describes how a
+    /// streamed command is followed: the delay, the rms error, and the residual after compensating the
+    /// delay.
     ///
     /// ## How to fix
-    /// Separate the chains first: express goal and measured pose in one frame, by the same tool and the
-    /// same kinematics. Then look at the controller: a joint that stays off lacks an integral part, is
-    /// overloaded, or is held by a brake; a controller with compliance gives way to loads by design.
+    /// Separate the chains first: express goal and measured pose in one frame, with the same tool and
+    /// kinematics. Then check the controller. A joint with a steady-state error lacks integral action, is
+    /// overloaded, or is held by a brake. A compliant controller yields to loads by design.
     ///
     /// ## When it misleads
-    /// A constant offset seen from the tool, at rests that are turned differently, is most likely that
-    /// of another active TCP, and `info` unless the commanded link was named. A single goal that the
-    /// arm was stopped close to, within 20 mm, looks like one that it missed. Against FK alone
-    /// a drawing of a calibrated arm differs by millimetres (MDL001), too.
+    /// An offset that is constant in the tool frame at different orientations is probably a different
+    /// active TCP. It is `info` unless the commanded link was named. A single goal at which the arm was
+    /// stopped within 20 mm looks like a missed goal. If only FK is available, a nominal model of a
+    /// calibrated arm also differs by millimetres (MDL001).
     FRM006 {
         name: "reference-at-rest",
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),
@@ -54,13 +56,13 @@ rule! {
     }
 }
 
-/// What would tell.
+/// Motion that makes the error observable.
 const SETTLE: &str = "let the arm rest for half a second at its goals";
-/// An offset of more than this at rests that are all alike may be another tool's or base's as well.
+/// If all rests are alike, an offset above this may also be a tool or base frame offset, m.
 const LITTLE_M: f64 = 0.02;
-/// No arm stays short of its goal by more than this, m.
+/// Maximum plausible steady-state error of an arm, m.
 const MUCH_M: f64 = 0.1;
-/// What a drawing of an arm leaves against the calibrated arm, m and rad.
+/// Typical residual of a nominal model of a calibrated arm, m and rad.
 const NOMINAL: (f64, f64) = (0.01, THRESHOLDS.angle.error);
 
 fn check(case: &Case) -> Vec<Judged> {
@@ -70,15 +72,15 @@ fn check(case: &Case) -> Vec<Judged> {
     case.evidence.robots.iter().flat_map(of_arm).collect()
 }
 
-/// The rests by one witness.
+/// The rests according to one source of poses.
 struct Seen<'a> {
-    /// Which witness it is.
+    /// Index of the source.
     witness: usize,
-    /// The rest that is judged.
+    /// The rest to judge.
     gap: &'a RestGap,
     estimate: FrameEstimate,
     decision: Decision,
-    /// How many rests exceed the thresholds.
+    /// Number of rests above the thresholds.
     beyond: usize,
 }
 
@@ -89,11 +91,11 @@ impl<'a> Seen<'a> {
         let mut gaps: Vec<&RestGap> = found.gaps.get(witness)?.iter().collect();
         gaps.sort_by(|a, b| size(a).total_cmp(&size(b)));
         let leads = found.following.is_some();
-        // A goal that the arm was stopped close to must not speak for the others.
+        // The median, because the arm may have been stopped close to a single goal.
         let at = if leads { gaps.len().checked_sub(1)? } else { gaps.len().checked_sub(1)? / 2 };
         let gap = *gaps.get(at)?;
         let beyond = gaps.iter().filter(|gap| size(gap) >= 1.0).count();
-        // The worst of several is by chance so much the farther.
+        // Bonferroni correction: the worst of several rests is judged.
         let tests = if leads { 2 * gaps.len() } else { 2 };
         let p_value = gap.distance_m.p_value.min(gap.angle_rad.p_value);
         let estimate = FrameEstimate {
@@ -108,7 +110,7 @@ impl<'a> Seen<'a> {
     }
 }
 
-/// How far apart a rest is, in units of the first thresholds.
+/// Error at a rest in units of the warning thresholds.
 fn size(gap: &RestGap, thresholds: &FrameThresholds) -> f64 {
     let length = gap.distance_m.norm.value / thresholds.length.warning;
     length.max(gap.angle_rad.norm.value / thresholds.angle.warning)
@@ -195,26 +197,26 @@ fn sound(
     {
         let (topic, off) = (&reference.witnesses[other.witness].name, show(&other.estimate));
         return Outcome::Inconclusive(format!(
-            "it agrees with {name} and is {off} off {topic}, and nothing found says which of the two \
-             is right; record a motion that settles FRM002 and FRM003"
+            "it agrees with {name} but differs from {topic} by {off}; record a motion that makes FRM002 and \
+             FRM003 observable to show which of the two is right"
         ));
     }
     let [length, angle] = [
         Unit::Metre.show(nearest.estimate.translation_m.value),
         Unit::Radian.show(nearest.estimate.rotation_rad.value),
     ];
-    Outcome::sound_because(format!("{name} is {length} and {angle} off it at rest"))
+    Outcome::sound_because(format!("{name} differs from it by {length} and {angle} at rest"))
 }
 
-/// Why no rest is held against a command.
+/// Reason why no rest can be compared with a command.
 fn not_reached(found: &ReferenceDiagnosis) -> String {
     let why = match (found.goals, found.nearest_miss) {
-        (0, _) => "the command never stands still".to_owned(),
+        (0, _) => "the command is never constant".to_owned(),
         (goals, Some((m, rad))) => {
             let (m, rad) = (Unit::Metre.show(m), Unit::Radian.show(rad));
             format!(
-                "the arm was brought to none of {goals} goals: the nearest was missed by {m} and {rad}, \
-                 which may be a frame or a tool as well as a goal that was given up"
+                "the arm reached none of {goals} goals: it missed the nearest by {m} and {rad}, which may be \
+                 a frame offset, a tool offset or an abandoned goal"
             )
         }
         (goals, None) => format!("the arm comes to rest after none of {goals} goals"),
@@ -244,19 +246,18 @@ fn fault(
     let is_beyond = |m: f64| may_be_a_frame && nearest.estimate.translation_m.value > m;
     let open = match (in_tool, in_base) {
         (true, true) if is_beyond(LITTLE_M) && !(reference.tip_named && reference.frame_named) => {
-            "may as well be another TCP or another base; rest at two goals at which the tool is turned \
-             differently"
+            "may be a different TCP or base frame; rest at two goals with different tool orientations"
         }
         (_, true) if is_beyond(LITTLE_M) && !reference.frame_named => {
-            "is the same everywhere seen from the base, and the command names no frame; name it"
+            "is constant in the base frame, and the command names no frame; name it"
         }
         (false, false) if is_beyond(MUCH_M) => {
-            "is neither another frame nor another tool: the command is scaled, or another arm's"
+            "is neither a frame nor a tool offset: the command is scaled, or belongs to a different arm"
         }
         _ => "",
     };
     if !open.is_empty() {
-        return Outcome::Inconclusive(format!("it is {off} off, which {open}"));
+        return Outcome::Inconclusive(format!("off by {off}, which {open}"));
     }
     let by_fk_alone = reference.witnesses.len() == 1;
     let is_as_of_a_drawing = may_be_a_frame
@@ -283,9 +284,7 @@ fn fault(
         add("MDL001", "residual");
     }
     let (severity, guess) = match severity {
-        _ if is_a_tool => {
-            (Severity::Info, ", seen from the tool always the same: probably another TCP")
-        }
+        _ if is_a_tool => (Severity::Info, ", constant in the tool frame: probably another TCP"),
         Severity::Error if is_as_of_a_drawing => (Severity::Warning, ""),
         severity => (severity, ""),
     };
@@ -296,7 +295,7 @@ fn fault(
     Outcome::faulty(Fault {
         cause: Cause::Seen(Sight::Rest),
         severity,
-        title: "command and rest differ",
+        title: "command and pose at rest differ",
         message: format!("steady-state error {off}, at {moment}{of}{stays}{guess}"),
         evidence: Evidence {
             indistinguishable,
@@ -304,42 +303,41 @@ fn fault(
             ..Evidence::default()
         },
         fix: match is_a_tool {
-            true => "command the tool that is active, or name the commanded link".to_owned(),
+            true => "command the active tool, or name the commanded link".to_owned(),
             false => {
-                "express goal and pose by one chain of frames; then see why the controller stays \
-                      off"
+                "express goal and pose through the same chain of frames; then check why the controller keeps \
+                 an error"
                 .to_owned()
             }
         },
     })
 }
 
-/// Whether what differs is the same at all rests but for a fifth of it, and a little.
+/// Whether the error is the same at all rests, within a tolerance relative to its size.
 fn is_one(gap: &RestGap, (spread_m, spread_rad): (f64, f64), thresholds: &FrameThresholds) -> bool {
     const SHARE: f64 = 0.2;
-    /// Of the first thresholds.
+    /// In units of the warning thresholds.
     const LITTLE: f64 = 0.3;
     let allowed = |size: f64, threshold: f64| (SHARE * size).max(LITTLE * threshold);
     spread_m <= allowed(gap.distance_m.norm.value, thresholds.length.warning)
         && spread_rad <= allowed(gap.angle_rad.norm.value, thresholds.angle.warning)
 }
 
-/// The joint that stays off by most, of commanded joints, in words.
+/// The commanded joint with the largest error, for messages.
 fn worst_joint(arm: &ArmEvidence, gap: &RestGap) -> Option<String> {
     let (joint, off) =
         gap.joints.iter().max_by(|a, b| a.1.value.abs().total_cmp(&b.1.value.abs()))?;
     let name = &arm.joints.get(*joint)?.name;
-    Some(format!("{name} stays {} off", arm.joint_unit(*joint).show_signed(off)))
+    Some(format!("{name} stays off by {}", arm.joint_unit(*joint).show_signed(off)))
 }
 
-/// By how much the joint that is farthest off stays off, in the numbers of the log, where these were taken for
-/// degrees.
+/// The largest joint error in the log's numbers, which were interpreted as degrees.
 fn joint_gaps(arm: &ArmEvidence, gap: &RestGap) -> String {
     let worst = gap.joints.iter().max_by(|a, b| a.1.value.abs().total_cmp(&b.1.value.abs()));
     let joint =
         worst.and_then(|(joint, off)| Some((arm.joints.get(*joint)?, off.value.to_degrees())));
     joint.map_or(String::new(), |(joint, off)| {
-        format!("{} stays {off:.2} of its numbers off its command at rest; ", joint.name)
+        format!("{} stays off its command by {off:.2} in logged units at rest; ", joint.name)
     })
 }
 

@@ -9,38 +9,39 @@ use crate::finding::{
 };
 
 rule! {
-    /// From command to state it takes long.
+    /// High command-to-state delay.
     ///
     /// ## What it means
-    /// The state follows a streamed command by this much: what was commanded at stamp *t* is reached at
-    /// *t + delay*. Positive is a state that follows; negative is one that leads its command, which no arm
-    /// does, so that one of the two stamps is wrong. Commands to joints are judged joint by joint, and
-    /// joints with the same delay are one finding on their topic; commanded poses by FK of the joint states.
-    /// Without a model of the arm, commands are compared with the joint states that have the same names.
+    /// The state follows a streamed command with this delay: the command at stamp *t* is reached at *t +
+    /// delay*. A negative delay means that the state leads its command, which is impossible, so one of the
+    /// stamps is wrong. Joint commands are judged per joint, and joints with the same delay are one finding
+    /// on their topic. Commanded poses are compared with FK of the joint states. Without an arm model,
+    /// commands are compared with the joint states of the same names.
     ///
     /// ## Why it matters
-    /// A loop that is closed over this delay oscillates: visual servoing, teleoperation and force control
-    /// must be slower than a fraction of its inverse. A policy that is trained on pairs of state and
-    /// command learns the delay with them.
+    /// A control loop closed over this delay oscillates. Visual servoing, teleoperation and force control
+    /// need a bandwidth below a fraction of its inverse. A policy trained on pairs of state and command
+    /// learns the delay.
     ///
     /// ## Evidence
-    /// The delay at which changes of the command, over windows, explain the changes of the state best, with
-    /// an interval by blocks of time. Where a first-order low-pass explains much more than a delay,
-    /// `low_pass_hz` is its corner, and the delay holds its time constant; `pure_delay_s` is without it.
-    /// `gain` is what the state moves where the command moves by 1, `explained` the share of the state's
-    /// motion that this makes up for, and `command_period_s` the time between commands: a delay of one
-    /// period is a one-step shift. FRM006 says where command and state differ at rest.
+    /// The delay at which changes of the command best explain changes of the state, over windows, with a
+    /// block-based interval. If a first-order low-pass explains much more than a delay, `low_pass_hz` is
+    /// its corner frequency. The delay then includes its time constant, and `pure_delay_s` excludes it.
+    /// `gain` is the motion of the state per unit of the command, `explained` the explained fraction of the
+    /// state's motion, and `command_period_s` the time between commands. A delay of one period is a
+    /// one-step shift. FRM006 reports differences at rest.
     ///
     /// ## How to fix
-    /// Look for a trajectory that is smoothed or buffered on the way: a look-ahead time, a low-pass on the
-    /// set-points, a queue of commands, a gain of the tracking loop that is low. A one-step shift comes
-    /// from a controller that interpolates to each command until the next one comes, or from pairing each
-    /// state with the command before.
+    /// Look for smoothing or buffering of the trajectory: a look-ahead time, a low-pass on the set-points,
+    /// a command queue, or a low gain in the tracking loop. A one-step shift comes from a controller that
+    /// interpolates to each command until the next arrives, or from pairing each state with the previous
+    /// command.
     ///
     /// ## When it misleads
-    /// Goals say nothing of a delay, also where they are sent again and again: the way there is planned.
-    /// Motion that repeats itself fits at several delays. A command without a stamp is held against the
-    /// time that it was recorded. The `time_from_start` of a trajectory's point is not taken off. Joint states that are late themselves (LAT001) make it longer.
+    /// Goals do not show a delay, even if they are repeated, because the controller plans the path.
+    /// Periodic motion fits several delays. A command without a stamp is compared at its record time. The
+    /// `time_from_start` of trajectory points is not subtracted. Late joint states (LAT001) increase the
+    /// delay.
     LAT004 {
         name: "command-delay",
         grade: Grade::From(&[THRESHOLD]),
@@ -52,7 +53,7 @@ rule! {
 }
 
 const THRESHOLD: Threshold = Threshold { unit: Unit::Second, warning: 0.05, error: 0.2 };
-/// What would tell.
+/// Motion that makes the delay observable.
 const SETTLE: &str = "record 10 s of motion that starts, stops and does not repeat";
 
 fn check(case: &Case) -> Vec<Judged> {
@@ -70,7 +71,7 @@ fn check(case: &Case) -> Vec<Judged> {
     case.evidence.robots.iter().flat_map(of_arm).chain(unmodelled).collect()
 }
 
-/// A stream of commands, and the names of the joints that its delays are of.
+/// A command stream, and the names of its joints.
 struct Commands<'a> {
     subject: &'a Subject,
     span: Option<Span>,
@@ -78,7 +79,7 @@ struct Commands<'a> {
 }
 
 impl Commands<'_> {
-    /// One of the joints, or the topic if there are several.
+    /// The joint, or the topic if there are several joints.
     fn subject_of(&self, joints: &[usize]) -> Subject {
         let joint = match joints {
             [joint] => self.joints.get(*joint).map(|name| (*name).to_owned()),
@@ -88,7 +89,7 @@ impl Commands<'_> {
     }
 }
 
-/// A delay that is too long.
+/// A delay above the threshold.
 #[derive(Clone, Copy)]
 struct Long<'a> {
     of: &'a CommandDelay,
@@ -143,31 +144,31 @@ fn judge_delays(case: &Case, commands: &Commands, delays: &[CommandDelay]) -> Ve
     rows
 }
 
-/// Why commands that are goals cannot tell.
+/// Reason why commands that are goals do not show a delay; `None` if they are streamed.
 fn goals(delays: &[CommandDelay]) -> Option<String> {
     let are = |why: &NoDelay| {
         let is = |of: &CommandDelay| of.response.as_ref().err() == Some(why);
         !delays.is_empty() && delays.iter().all(is)
     };
     let what = match () {
-        () if are(&NoDelay::Goals) => "its commands are goals, and not streamed",
-        () if are(&NoDelay::Steps) => "its commands go in steps, as goals do that are sent again",
+        () if are(&NoDelay::Goals) => "its commands are goals, not streamed",
+        () if are(&NoDelay::Steps) => "its commands change in steps, like repeated goals",
         () => return None,
     };
-    Some(format!("{what}: the arm plans its way there; log the set-points that the drives get"))
+    Some(format!("{what}, and the arm plans the path itself; log the drives' set-points"))
 }
 
 fn untold(why: &NoDelay) -> Outcome {
     match why {
-        NoDelay::Goals | NoDelay::Steps => Outcome::Inconclusive(format!(
-            "it is given goals, and its way there is planned; {SETTLE}"
-        )),
+        NoDelay::Goals | NoDelay::Steps => {
+            Outcome::Inconclusive(format!("it receives goals and plans the path itself; {SETTLE}"))
+        }
         NoDelay::Unseen(why) => unseen(why, SETTLE),
     }
 }
 
 fn is_same(a: &Response, b: &Response) -> bool {
-    /// Delays this near to each other are one, s, or as a share.
+    /// Delays closer than this are the same, s or relative.
     const NEAR_S: f64 = 5e-3;
     const SHARE: f64 = 0.1;
     let apart_s = (a.delay_s.value - b.delay_s.value).abs();
@@ -175,7 +176,7 @@ fn is_same(a: &Response, b: &Response) -> bool {
     apart_s < NEAR_S.max(SHARE * a.delay_s.value.abs()).max(known_s.min(0.05))
 }
 
-/// The finding on joints with the same delay, or on the poses.
+/// Finding for joints with the same delay, or for the poses.
 fn named(case: &Case, commands: &Commands, group: &[(usize, Long<'_>)]) -> Judged {
     let joints: Vec<usize> = group.iter().filter_map(|(_, long)| long.of.joint).collect();
     let by_delay = |a: &&(usize, Long<'_>), b: &&(usize, Long<'_>)| {
@@ -198,9 +199,9 @@ fn named(case: &Case, commands: &Commands, group: &[(usize, Long<'_>)]) -> Judge
         message: format!("{who}{} (limit {limit})", words(of, response)),
         evidence: Evidence::default(),
         fix: match is_early {
-            true => "stamp commands when they are given, and states when they are read".to_owned(),
+            true => "stamp commands when they are sent, and states when they are read".to_owned(),
             false => format!(
-                "shorten what buffers or smooths {}, or allow for it where the loop is closed",
+                "reduce buffering or smoothing of {}, or allow for the delay in the control loop",
                 commands.subject.topic.as_deref().unwrap_or_default()
             ),
         },
@@ -212,7 +213,7 @@ fn named(case: &Case, commands: &Commands, group: &[(usize, Long<'_>)]) -> Judge
     if names.len() > 1 { judged.with_evidence("joints", names) } else { judged }
 }
 
-/// How the state follows, in a clause.
+/// Describes the delay in a clause.
 fn words(of: &CommandDelay, response: &Response) -> String {
     let delay = &response.delay_s;
     let shown = Unit::Second.show_measured(&Measured { value: delay.value.abs(), ..*delay });
@@ -236,7 +237,7 @@ fn words(of: &CommandDelay, response: &Response) -> String {
     format!("state follows by {shown}{how}")
 }
 
-/// Whether a delay is that of one command.
+/// Whether a delay equals one command period.
 fn is_one_step(of: &CommandDelay, delay: &Measured) -> bool {
     const SHARE: f64 = 0.1;
     (delay.value - of.period_s).abs() < SHARE * of.period_s

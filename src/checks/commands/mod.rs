@@ -1,4 +1,4 @@
-//! What the arm was told, against what it did.
+//! Rules that compare commands with the motion of the arm.
 
 pub(super) mod frm006;
 pub(super) mod lat004;
@@ -8,6 +8,6 @@ mod witness;
 use super::Family;
 
 pub(super) static FAMILY: Family = Family {
-    examines: "What the arm was told, against what it did",
+    examines: "Commands compared with the motion of the arm",
     rules: &[&frm006::FRM006, &lat004::LAT004, &mot004::MOT004],
 };

@@ -11,33 +11,33 @@ rule! {
     /// A commanded straight line is not straight, or its orientation is not a slerp.
     ///
     /// ## What it means
-    /// Streamed poses lead the tip along a straight line from one stop to the next, and the tip leaves
-    /// it; or the orientation on the way is not the turn about one axis, in step with the way, that
-    /// leads from the one end to the other (slerp). The latter may be so in the command already.
+    /// Streamed poses lead the tip along a straight line from one stop to the next, and the tip deviates
+    /// from it. Or the orientation along the line is not a slerp: a rotation about one axis, in step with
+    /// the translation, from one end to the other. The command itself may already deviate from the slerp.
     ///
     /// ## Why it matters
-    /// Whatever is glued, welded, cut or inserted along the line goes where the tip goes. An
-    /// orientation that was interpolated by its Euler angles, its quaternion's components or its
-    /// matrix's elements swings out on the way though both ends are right.
+    /// Gluing, welding, cutting and insertion follow the actual path of the tip. If Euler angles,
+    /// quaternion components or matrix elements are interpolated, the orientation swings out along the way
+    /// although both ends are right.
     ///
     /// ## Evidence
-    /// The largest distance from the line and the largest angle from the slerp, beyond the noise, of
-    /// the line where that is most. The measured way is held against the line between where the tip
-    /// rests before and after, so that neither delay nor an offset counts; `measured_by` is the witness
-    /// that keeps to it best. `command_rad` is the angle that the command itself is off the slerp,
-    /// `command_off_axis_rad` what of it is across the axis, `interpolated` what was interpolated
-    /// component by component instead, where that is plain. `lines` counts the lines, `length_m` and
-    /// `turn_rad` are of the worst, `at_ns` says when it begins.
+    /// The largest distance from the line and the largest angle from the slerp, beyond the noise, on the
+    /// worst line. The measured path is compared with the line between the tip's rests before and after it,
+    /// so neither delay nor offset counts. `measured_by` is the source of poses with the smallest
+    /// deviation. `command_rad` is the deviation of the command itself from the slerp, and
+    /// `command_off_axis_rad` its component off the axis. `interpolated` names the components that were
+    /// interpolated instead, if identified. `lines` is the number of lines; `length_m`, `turn_rad` and the
+    /// start `at_ns` describe the worst one.
     ///
     /// ## How to fix
-    /// Interpolate positions linearly and rotations by slerp, both by the same part of the way, and
-    /// solve inverse kinematics in small steps. If the command is right, compare the joints' delays and
-    /// following errors; slow down.
+    /// Interpolate positions linearly and rotations by slerp, both with the same path parameter, and solve
+    /// inverse kinematics in small steps. If the command is right, compare the joints' delays and following
+    /// errors, and slow down.
     ///
     /// ## When it misleads
-    /// Only what streamed poses show is a line: moves of the joints go in arcs and are not blamed for
-    /// it, and lines that nobody streams are not seen. A planner that turns to a rhythm of its own,
-    /// about one axis, is told as `info`. A way that just happens to be straight is taken for a line.
+    /// Only lines in streamed poses are judged. Joint moves follow arcs and are not reported, and lines
+    /// that are not streamed are not visible. A planner that rotates about one axis with its own timing is
+    /// reported as `info`. A path that happens to be straight is treated as a line.
     MOT004 {
         name: "line",
         grade: Grade::From(&[THRESHOLDS.length, THRESHOLDS.angle]),
@@ -53,7 +53,7 @@ const THRESHOLDS: FrameThresholds = FrameThresholds {
     angle: Threshold { unit: Unit::Radian, warning: 0.5 * DEGREE, error: 2.0 * DEGREE },
 };
 
-/// What would tell.
+/// Recording that makes the deviation observable.
 const SETTLE: &str =
     "log the tool pose or the joint states at 50 Hz or more, with a rest at both ends";
 
@@ -65,8 +65,8 @@ fn check(case: &Case) -> Vec<Judged> {
     case.evidence.robots.iter().flat_map(of_arm).collect()
 }
 
-/// How far a witness is off a line, in units of the first thresholds; without the angle where the command
-/// is off itself.
+/// Deviation from a line in units of the warning thresholds. The angle is ignored if the command itself
+/// deviates.
 fn size(line: &Line, witness: &LineWitness, thresholds: &FrameThresholds) -> f64 {
     let length = witness.distance_m.norm.value / thresholds.length.warning;
     match is_off(line, thresholds) {
@@ -79,7 +79,7 @@ fn is_off(line: &Line, thresholds: &FrameThresholds) -> bool {
     thresholds.angle.severity(line.command_rad).is_some()
 }
 
-/// The line that a witness is off most.
+/// The line with the largest deviation according to one source of poses.
 fn worst<'a>(
     lines: &'a [Line],
     witness: usize,
@@ -117,11 +117,11 @@ fn judge(case: &Case, arm: &ArmEvidence, reference: &Of<ReferenceEvidence>) -> J
     let outcome = match (is_off(commanded, thresholds), &measured) {
         (true, _) => swings(commanded, thresholds),
         (false, Some(measured)) => leaves(case, line, measured, lines.len()),
-        (false, None) => Outcome::Inconclusive(format!(
-            "no witness has the tip along any of the lines; {SETTLE}"
-        )),
+        (false, None) => {
+            Outcome::Inconclusive(format!("no source of poses covers any of the lines; {SETTLE}"))
+        }
     };
-    // The command's fault does not hide that the tip leaves the line.
+    // A fault of the command must not hide that the tip leaves the line.
     let outcome = match (outcome, kept) {
         (Outcome::Evaluated(_), Some((_, (line, measured)))) if is_off(commanded, thresholds) => {
             with_distance(case, commanded, line, measured, lines.len())
@@ -150,7 +150,7 @@ fn judge(case: &Case, arm: &ArmEvidence, reference: &Of<ReferenceEvidence>) -> J
         .with_evidence("measured_by", measured_by)
 }
 
-/// How the tip keeps to the worst line.
+/// Decides on the worst line.
 fn decide(case: &Case, line: &Line, measured: &LineWitness, lines: usize) -> Decision {
     let (thresholds, subjects) =
         (case.thresholds.of_frames(&MOT004, THRESHOLDS), case.evidence.subjects() * lines);
@@ -166,13 +166,14 @@ fn decide(case: &Case, line: &Line, measured: &LineWitness, lines: usize) -> Dec
     }
 }
 
-/// The outcome where the command is a slerp.
+/// Outcome if the command is a slerp.
 fn leaves(case: &Case, line: &Line, measured: &LineWitness, lines: usize) -> Outcome {
     let distance = Unit::Metre.show_measured(&measured.distance_m.norm);
     let angle = Unit::Radian.show_measured(&measured.angle_rad.norm);
     match decide(case, line, measured, lines) {
         Decision::Pass => {
-            Outcome::sound_because(format!("the tip is at most {distance} and {angle} off its lines"))
+            Outcome::sound_because(format!("the tip deviates from its lines by at most {distance} and \
+                {angle}"))
         }
         Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
         Decision::Fail(severity) => Outcome::faulty(Fault {
@@ -188,34 +189,32 @@ fn leaves(case: &Case, line: &Line, measured: &LineWitness, lines: usize) -> Out
                 effect_m: Some(measured.distance_m.norm.value),
                 ..Evidence::default()
             },
-            fix: "solve inverse kinematics in smaller steps along the line, or slow down: the command \
-                  is straight"
+            fix: "the command is straight: solve inverse kinematics in smaller steps along the line, or slow \
+                down"
                 .to_owned(),
         }),
     }
 }
 
-/// The outcome where the command itself is no slerp.
+/// Outcome if the command itself is not a slerp.
 fn swings(line: &Line, thresholds: &FrameThresholds) -> Outcome {
     let (off, turn) = (Unit::Radian.show(line.command_rad), Unit::Radian.show(line.turn_rad));
     let across = Unit::Radian.show(line.command_off_axis_rad);
     let is_pace = thresholds.angle.severity(line.command_off_axis_rad).is_none();
     let (severity, as_if) = match &line.interpolated {
-        Some(name) => {
-            (thresholds.angle.severity(line.command_rad), format!(": as of {name} interpolated"))
-        }
-        None if is_pace => {
-            (Some(Severity::Info), ": it turns at another pace than it goes".to_owned())
-        }
-        None => (
+        Some(name) => (
             thresholds.angle.severity(line.command_rad),
-            format!(", {across} of it across the axis"),
+            format!(", as if {name} were interpolated"),
         ),
+        None if is_pace => {
+            (Some(Severity::Info), ": rotation and translation are not in step".to_owned())
+        }
+        None => (thresholds.angle.severity(line.command_rad), format!(", {across} off the axis")),
     };
     Outcome::faulty(Fault {
         cause: Cause::Seen(Sight::Line),
         severity: severity.unwrap_or(Severity::Info),
-        title: "line's orientation is no slerp",
+        title: "orientation along the line is not a slerp",
         message: format!(
             "the commanded orientation deviates {off} from the slerp over {turn}{as_if}"
         ),
@@ -224,7 +223,8 @@ fn swings(line: &Line, thresholds: &FrameThresholds) -> Outcome {
     })
 }
 
-/// The same, where the tip may leave the line beside it: the graver of the two is said first.
+/// Same, with the distance of the tip from the line if that also fails. The severity is the higher of the
+/// two.
 fn with_distance(
     case: &Case,
     commanded: &Line,

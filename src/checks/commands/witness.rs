@@ -1,4 +1,4 @@
-//! What the rules on commands share.
+//! Shared by the rules on commands.
 
 use serde_json::{Value, json};
 
@@ -9,7 +9,7 @@ use crate::evidence::ReferenceEvidence;
 use crate::evidence::{ArmEvidence, Of, WitnessKind};
 use crate::finding::Outcome;
 
-/// What was found of commands; else the outcome of a rule that is asked about them.
+/// Diagnosis of a command stream; the rule's outcome if there is none.
 pub fn found<'a>(
     arm: &ArmEvidence,
     reference: &'a Of<ReferenceEvidence>,
@@ -25,7 +25,7 @@ pub fn found<'a>(
     }
 }
 
-/// Whether something was found that makes a stream of poses and FK of the joint states differ.
+/// Whether a finding makes the pose streams and FK of the joint states differ.
 pub fn witnesses_differ(arm: &ArmEvidence) -> bool {
     let is_chosen = |offset: &JointOffset| offset.chosen;
     let differs =
@@ -33,7 +33,7 @@ pub fn witnesses_differ(arm: &ArmEvidence) -> bool {
     differs || arm.diagnosis.offsets.iter().any(is_chosen)
 }
 
-/// A witness in words.
+/// Name of a source of tool poses, for messages.
 pub fn witness_name(reference: &Of<ReferenceEvidence>, index: usize) -> String {
     match reference.witnesses.get(index) {
         Some(witness) if witness.kind == WitnessKind::Corrected => {
@@ -44,7 +44,7 @@ pub fn witness_name(reference: &Of<ReferenceEvidence>, index: usize) -> String {
     }
 }
 
-/// How an arm follows, as reports have it; null where it was not led.
+/// How the arm follows a streamed command, as JSON; null for single goals.
 pub fn following_json(following: Option<&Following>) -> Value {
     let Some(following) = following else { return Value::Null };
     json!({

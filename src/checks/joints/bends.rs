@@ -1,5 +1,5 @@
-//! What MOT006 and ZER003 share: an amount by which a joint gives, and that only a run tells in which
-//! something is left otherwise.
+//! Shared by MOT006 and ZER003: joint compliance, which is observable only if the other causes do not
+//! explain the log.
 
 use crate::checks::decision::{Threshold, decide};
 use crate::checks::frames::THRESHOLDS;
@@ -8,22 +8,22 @@ use crate::diagnosis::{JointBend, Measured};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Estimate, Fault, Outcome, Ruling, Severity, Unit};
 
-/// A way in which joints give, and how its rule words it.
+/// A kind of joint compliance and how its rule reports it.
 pub(super) struct Giving {
     /// Name of the estimate.
     pub name: &'static str,
-    /// From where it matters.
+    /// Thresholds for a warning and an error.
     pub threshold: Threshold,
-    /// What would tell where it could not be had.
+    /// Motion that makes it observable.
     pub settle: &'static str,
-    /// Whether a bend is of this way.
+    /// Whether a joint's compliance is of this kind.
     pub is_it: fn(&JointBend) -> bool,
-    /// The fault.
+    /// Builds the fault.
     pub fault: fn(&ArmEvidence, &JointBend, Severity) -> Fault,
 }
 
 impl Giving {
-    /// Judges every joint that gives in this way, or the arm where none does.
+    /// Judges every joint with this kind of compliance, or the arm if there is none.
     pub fn check(&self, rule: &Rule, case: &Case) -> Vec<Judged> {
         let arms = case.evidence.robots.iter().filter(|arm| !arm.poses.is_empty());
         arms.flat_map(|arm| self.judge_arm(rule, case, arm)).collect()
@@ -35,7 +35,7 @@ impl Giving {
         if own.is_empty() {
             let outcome = match left(arm) {
                 _ if !moves(arm) => {
-                    let why = "the arm hardly moves, or no pose could be held against it";
+                    let why = "the arm barely moves, or no pose can be compared with it";
                     Outcome::Inconclusive(format!("{why}; {}", self.settle))
                 }
                 None => Outcome::sound(),
@@ -51,7 +51,7 @@ impl Giving {
         let subject = arm.joint(bend.column);
         if let Some(change) = &bend.change {
             let (effect_m, _) = effect(arm, bend.column, change.by.value);
-            let title = "a joint gives by another amount from some moment on";
+            let title = "joint compliance changes mid-run";
             let (outcome, estimate) =
                 changes::amount(case, self.name, title, change, &threshold, effect_m);
             if matches!(outcome, Outcome::Evaluated(Ruling::Faulty(_))) {
@@ -69,7 +69,7 @@ impl Giving {
     }
 }
 
-/// Whether some pose stream was held against the arm in motion.
+/// Whether a pose stream was compared with the arm in motion.
 fn moves(arm: &ArmEvidence) -> bool {
     let moves = |stream: &Of<PoseEvidence>| {
         let is_told = stream.proof.as_ref().is_ok_and(|proof| !proof.at_rest);
@@ -78,7 +78,7 @@ fn moves(arm: &ArmEvidence) -> bool {
     arm.poses.iter().any(moves)
 }
 
-/// What is left of the arm's poses that may be of any joint, where it is more than a joint may give.
+/// Residual of the arm's poses that any joint may have caused; `None` if it is below the thresholds.
 fn left(arm: &ArmEvidence) -> Option<String> {
     let streams = arm.poses.iter().map(|stream| &stream.diagnosis);
     let left =
@@ -89,11 +89,11 @@ fn left(arm: &ArmEvidence) -> Option<String> {
     let is_much = most.0 > THRESHOLDS.length.warning || most.1 > THRESHOLDS.angle.warning;
     is_much.then(|| {
         let [length, angle] = [Unit::Metre.show(most.0), Unit::Radian.show(most.1)];
-        format!("{length} and {angle} are left that it does not explain (MDL001)")
+        format!("it does not explain the residual of {length} and {angle} (MDL001)")
     })
 }
 
-/// By how much a turn of joint `column` moves the tip at full reach, m, and that in words.
+/// Displacement of the tip at full reach if joint `column` rotates, in metres and formatted.
 pub(super) fn effect(arm: &ArmEvidence, column: usize, turn_rad: f64) -> (f64, String) {
     let lever_m = arm.diagnosis.offsets.get(column).map_or(0.0, |offset| offset.lever_m);
     let effect_m = lever_m * turn_rad.abs();

@@ -1,4 +1,4 @@
-//! Joints that move with another joint, for ORD009.
+//! Coupled joints, for ORD009.
 
 use crate::checks::Judged;
 use crate::diagnosis::JointCoupling;
@@ -24,7 +24,7 @@ fn judge_pair(arm: &ArmEvidence, coupling: &JointCoupling) -> Option<Judged> {
     };
     let sign = if factor < 0.0 { "-" } else { "+" };
     let message = if coupling.is_round() {
-        format!("{own} is counted from another link: {with} must be {} it", sign_word(factor))
+        format!("{own} is measured from a different link: {with} must be {} it", sign_word(factor))
     } else {
         format!("{own} moves by {:.2} % of {with}'s motion in addition to its own", 100.0 * factor)
     };

@@ -1,4 +1,4 @@
-//! Joints and the model that they move: order, scale, zeros, play, sag, velocities, DH convention.
+//! Rules on joints and the kinematic model: order, scale, zeros, backlash, sag, velocities, DH convention.
 
 mod bends;
 mod coupling;
@@ -14,7 +14,7 @@ pub(super) mod zer003;
 use super::Family;
 
 pub(super) static FAMILY: Family = Family {
-    examines: "Joints and the model that they move: order, scale, zeros, play, sag, velocities, DH convention",
+    examines: "Joints and kinematic model: order, scale, zeros, backlash, sag, velocities, DH convention",
     rules: &[
         &ord005::ORD005,
         &ord007::ORD007,

@@ -6,40 +6,40 @@ use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
 
 rule! {
-    /// A joint has play.
+    /// A joint has backlash.
     ///
     /// ## What it means
-    /// After each change of its direction the joint's encoder moves by the play before the link follows:
-    /// backlash of a gear, a loose coupling, a slack belt. The amount is the full play.
+    /// After each change of direction, the joint's encoder moves by the backlash before the link follows: a
+    /// gear with play, a loose coupling or a slack belt. The value is the full backlash.
     ///
     /// ## Why it matters
-    /// The tool comes to another place from either side, by the play times the lever: 0.5° at the
-    /// shoulder of an arm of 0.85 m is 7 mm. Against poses it looks like a latency of some milliseconds,
-    /// which no shift of stamps mends.
+    /// The tool reaches a different place from either side, by the backlash times the lever arm: 0.5° at
+    /// the shoulder of an arm of 0.85 m is 7 mm. Against poses it resembles a latency of a few
+    /// milliseconds, which no shift of stamps corrects.
     ///
     /// ## Evidence
-    /// Where the causes of the other rules leave more than noise, it is asked of each joint what goes with
-    /// the direction of its last motion (hysteresis), beside sag (ZER003) and eccentricity, with every
-    /// latency, zero and frame free: whether the link waits while its encoder crosses the play, or is
-    /// pushed through it as the joint turns back. It is named where far less is left with it, and before
-    /// zeros or frames that change in mid-run where it needs fewer of them. Latency and zeros are
-    /// then judged with the play taken off. `leads` says that poses go before this joint's encoder: it is
-    /// on the side of the link, and the poses are reckoned from the motor's.
+    /// If the causes of the other rules do not explain the log to within the noise, each joint is tested
+    /// for hysteresis, together with sag (ZER003) and eccentricity. All latencies, zeros and frames are
+    /// free. The link may wait while its encoder crosses the backlash, or be pushed through it when the
+    /// joint reverses. Backlash is reported if it reduces the residual substantially. It is preferred to
+    /// zeros or frames that change during the run if fewer causes are then needed. Latency and zeros are
+    /// then judged on corrected joint states. `leads` means that the poses lead this joint's encoder: it is
+    /// on the link side, and the poses are computed from the motor's encoder.
     ///
     /// ## How to fix
-    /// Adjust the gear's preload, or tighten the coupling or belt. Until then come to each target from the
-    /// same side.
+    /// Adjust the gear's preload, or tighten the coupling or belt. Until then, approach each target from
+    /// the same side.
     ///
     /// ## When it misleads
-    /// Dry friction that winds up a soft gear goes with direction too. A joint that is always loaded from
-    /// the same side has play that never shows. The controller's own poses show play only where the
-    /// controller has encoders on both sides.
+    /// Dry friction that winds up a compliant gear also depends on the direction. A joint that is always
+    /// loaded from the same side never shows its backlash. The controller's own poses show backlash only if
+    /// it has encoders on both sides of the gear.
     MOT006 {
         name: "backlash",
         grade: Grade::From(&[THRESHOLD]),
         headline: false,
         needs_model: true,
-        missing: "no pose stream beside the joint states",
+        missing: "no pose stream to compare with the joint states",
         check: check,
     }
 }
@@ -50,7 +50,7 @@ const THRESHOLD: Threshold =
 const PLAY: Giving = Giving {
     name: "play",
     threshold: THRESHOLD,
-    settle: "move one joint after the other to and fro",
+    settle: "move the joints back and forth, one at a time",
     is_it: JointBend::is_play,
     fault,
 };
@@ -64,8 +64,8 @@ fn fault(arm: &ArmEvidence, bend: &JointBend, severity: Severity) -> Fault {
     let leads = bend.amount.value < 0.0;
     let (effect_m, moved) = effect(arm, bend.column, size.value);
     let how = match leads {
-        true => "the poses go on before the encoder does",
-        false => "the link follows the encoder beyond it only",
+        true => "the poses lead the encoder",
+        false => "the link follows the encoder only beyond it",
     };
     let mut evidence =
         Evidence { effect: Some(moved), effect_m: Some(effect_m), ..Evidence::default() };
@@ -73,11 +73,11 @@ fn fault(arm: &ArmEvidence, bend: &JointBend, severity: Severity) -> Fault {
     Fault {
         severity,
         cause: Cause::Bend,
-        title: "joint has play",
-        message: format!("play of {}: {how}", Unit::Radian.show_measured(&size)),
+        title: "joint has backlash",
+        message: format!("backlash of {}: {how}", Unit::Radian.show_measured(&size)),
         evidence,
-        fix: "adjust the gear's preload, or tighten its coupling or belt; until then come to each \
-              target from the same side"
+        fix: "adjust the gear's preload, or tighten its coupling or belt; until then approach each target \
+            from the same side"
             .to_owned(),
     }
 }

@@ -8,32 +8,31 @@ rule! {
     /// Joint names and positions are paired in the wrong order.
     ///
     /// ## What it means
-    /// The positions of a joint state stand under other joints' names. Usually one side sorts by
-    /// alphabet (elbow before shoulder) or by driver, and the other by the chain.
+    /// The positions of a joint state are published under other joints' names. Usually one side uses
+    /// alphabetical order (elbow before shoulder) or driver order, and the other the order of the chain.
     ///
     /// ## Why it matters
-    /// Whoever pairs by name gets another arm: forward kinematics, collision checks and /tf are all
-    /// wrong together, and agree with each other.
+    /// Consumers that pair by name get wrong joint positions. Forward kinematics, collision checks and /tf
+    /// are then all wrong, but consistent with each other.
     ///
     /// ## Evidence
-    /// Every order of the chain's joints is tried against a stream that does not come from the
-    /// names. `permutation` lists the joints in the order that the numbers are in; `as_logged_m`,
-    /// `corrected_m` and `runner_up_m` are what is left as logged, in that order, and in the next
-    /// best one.
+    /// Every order of the chain's joints is compared with a stream that is not computed from the named
+    /// joints. `permutation` lists the joints in the order of the numbers. `as_logged_m`, `corrected_m` and
+    /// `runner_up_m` are the residuals as logged, in that order, and in the next best order.
     ///
     /// ## How to fix
-    /// Fill `position` in the order of `name`, and look joints up by name and never by index. In
-    /// ros2_control, the order of the `joints` parameter is the order of the numbers.
+    /// Fill `position` in the order of `name`, and look joints up by name, never by index. In ros2_control,
+    /// the `joints` parameter defines the order of the numbers.
     ///
     /// ## When it misleads
-    /// /tf of a robot_state_publisher inherits the mistake and cannot show it: there must be a pose
-    /// from elsewhere. Joints that do not move in the run cannot be told from each other.
+    /// /tf from a robot_state_publisher inherits the mistake and cannot show it; a pose from a different
+    /// source is required. Joints that do not move in the run are indistinguishable.
     ORD005 {
         name: "joint-order",
         grade: Grade::Fixed(Severity::Error),
         headline: false,
         needs_model: true,
-        missing: "no joint states with a stream to hold them against",
+        missing: "no joint states with a stream to compare them with",
         check: check,
     }
 }
@@ -45,7 +44,7 @@ fn check(case: &Case) -> Vec<Judged> {
 fn judge(arm: &ArmEvidence) -> Judged {
     let subject = arm.topic(&arm.joints_topic);
     match &arm.diagnosis.reading {
-        Err(why) => Judged::new(subject, unseen(why, "log a pose that does not come from /tf too")),
+        Err(why) => Judged::new(subject, unseen(why, "also log a pose that does not come from /tf")),
         Ok(JointReading { permutation: None, .. }) => Judged::new(subject, Outcome::sound()),
         Ok(JointReading { permutation: Some((order, slip)), runner_up_m, .. }) => {
             let names: Vec<String> = arm.joints.iter().map(|joint| joint.name.clone()).collect();

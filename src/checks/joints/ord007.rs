@@ -10,30 +10,31 @@ rule! {
     /// The DH table fits only under the other DH convention.
     ///
     /// ## What it means
-    /// The rows a, d, α, θ of the robot's table are of the other convention than the table says:
-    /// standard (Denavit and Hartenberg, Spong; a row turns about z first) or modified (Craig; about x
-    /// first, with a and α of the row before). The same numbers are another arm under each.
+    /// The rows a, d, α, θ of the robot's table use the other convention than the declared one. The
+    /// conventions are standard (Denavit and Hartenberg, Spong; a row rotates about z first) and modified
+    /// (Craig; about x first, with a and α of the previous row). The same numbers describe a different arm
+    /// under each.
     ///
     /// ## Why it matters
-    /// Forward kinematics of such a table is wrong everywhere by decimetres, and looks plausible in
-    /// the posture where all joints are at zero. Every other finding would be about the wrong arm. The
-    /// audit therefore goes on with the convention that fits.
+    /// Forward kinematics of such a table is wrong everywhere by decimetres, but looks plausible with all
+    /// joints at zero. Every other finding would be about the wrong arm. All other rules therefore use the
+    /// convention that fits.
     ///
     /// ## Evidence
-    /// `streams` has for each stream what it leaves beyond its noise under the convention that the table
-    /// says (`declared_m`, `declared_rad`) and under the other one (`other_m`, `other_rad`), with all
-    /// that explains it taken off; null where it cannot be read so. `declared_positions_m` is how far its
-    /// positions are from the arm as declared. `declared_faults` and `other_faults` count what that
-    /// takes. The rule fires only where the other convention leaves of a stream no more than a drawing
-    /// leaves of a calibrated arm, and a tenth of what the declared one does at most, and no stream
-    /// says otherwise.
+    /// For each stream, `streams` has the residual beyond its noise under the declared convention
+    /// (`declared_m`, `declared_rad`) and under the other one (`other_m`, `other_rad`), after correcting
+    /// all causes; null if the stream cannot be interpreted. `declared_positions_m` is the distance of its
+    /// positions from the arm as declared. `declared_faults` and `other_faults` count the causes needed.
+    /// The rule fires only if the residual of a stream under the other convention is typical of a nominal
+    /// model of a calibrated arm, and at most a tenth of that under the declared one. No stream may
+    /// contradict this.
     ///
     /// ## How to fix
-    /// Correct `convention` in the table's `[dh]`; `audit --fix DIR` writes it so.
+    /// Correct `convention` in the table's `[dh]`; `audit --fix DIR` writes the corrected table.
     ///
     /// ## When it misleads
-    /// Where all axes are parallel and all links of one length the conventions differ by constant
-    /// frames, and the rule says that either may be meant. A table of another arm fits under neither.
+    /// If all axes are parallel and all links have the same length, the conventions differ by constant
+    /// frames, and the rule is inconclusive. The table of a different arm fits under neither convention.
     ORD007 {
         name: "dh-convention",
         grade: Grade::Fixed(Severity::Error),
@@ -44,7 +45,7 @@ rule! {
     }
 }
 
-/// What would tell where neither convention does.
+/// Motion that separates the conventions.
 const SETTLE: &str = "move every joint, and check the table's rows";
 
 fn check(case: &Case) -> Vec<Judged> {
@@ -57,18 +58,18 @@ fn judge(arm: &ArmEvidence, facts: &DhEvidence) -> Judged {
     let told = estimate.told();
     let outcome = match told {
         _ if arm.poses.is_empty() => {
-            Outcome::Skipped("no pose stream to hold the DH table against".to_owned())
+            Outcome::Skipped("no pose stream to compare with the DH table".to_owned())
         }
         DhTold::AsDeclared => Outcome::sound(),
         DhTold::Other => Outcome::faulty(fault(convention.other(), estimate)),
         DhTold::Either => Outcome::Inconclusive(format!(
-            "the rows explain the streams as {read_as}, with {}, and as {is}, with {}; see where the \
-             table comes from",
+            "the table fits the streams both as {read_as} (with {}) and as {is} (with {}); check the source \
+             of the table",
             faults(estimate.declared_faults),
             faults(estimate.other_faults),
         )),
         DhTold::Neither => Outcome::Inconclusive(format!(
-            "the rows explain the streams under neither convention; {SETTLE}"
+            "the table fits the streams under neither convention; {SETTLE}"
         )),
     };
     let slip = (told == DhTold::Other).then_some(Estimate::slip("DH convention", is, read_as));
@@ -114,18 +115,20 @@ fn fault(convention: DhConvention, estimate: &DhEstimate) -> Fault {
     let after = Unit::Metre.show(after_m);
     let message = match off_m {
         Some(off_m) => format!(
-            "the rows are of the {is} convention, not {read_as}: {} off as declared",
+            "the table is in the {is} convention, not {read_as}: {} off as declared",
             Unit::Metre.show(off_m)
         ),
-        None => format!("the rows are of the {is} convention, not {read_as}: that leaves {after}"),
+        None => format!(
+            "the table is in the {is} convention, not {read_as}: residual {after} once corrected"
+        ),
     };
     Fault {
         severity: Severity::Error,
         cause: Cause::Dh(convention),
-        title: "DH table of the other convention",
+        title: "DH table in the other convention",
         message,
         evidence: Evidence {
-            effect: Some(format!("{after} once read as {is}; the audit goes on with that")),
+            effect: Some(format!("{after} once read as {is}; all other rules use this")),
             effect_m: off_m,
             ..Evidence::default()
         },

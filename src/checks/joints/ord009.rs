@@ -11,62 +11,63 @@ rule! {
     /// A joint's direction or scale is wrong.
     ///
     /// ## What it means
-    /// The joint's numbers must be multiplied before they are its position in rad or m:
-    /// `q_true = factor · q_reported + offset`. −1 is a joint that counts the other way round; 2, 0.5 or
-    /// 100 is a gear that somebody counted twice or not at all; 0.00153 is a tick of an encoder of
-    /// 4096 a turn; half the joint's range over 100 is a number from −100 to 100. One finding a joint;
-    /// where all joints have the same factor, one on their topic.
+    /// The joint's numbers must be scaled to get its position in rad or m: `q_true = factor · q_reported +
+    /// offset`. A factor of −1 is a reversed joint. 2, 0.5 or 100 is a gear ratio applied twice or not at
+    /// all. 0.00153 is a tick of an encoder with 4096 ticks per turn. Half the joint's range divided by 100
+    /// is a number from −100 to 100. One finding per joint; if all joints have the same factor, one finding
+    /// on their topic.
     ///
     /// ## Why it matters
-    /// Forward kinematics of such a joint is wrong wherever the joint is not at its zero, by as much
-    /// as the arm is long, and everything computed from it is wrong with it: /tf, collision checks, every
-    /// other finding. The audit therefore goes on with the joint as it should be.
+    /// Forward kinematics of such a joint is wrong everywhere except at zero, by up to the length of the
+    /// arm. Everything computed from it is wrong: /tf, collision checks and every other finding. All other
+    /// rules therefore use the corrected joint.
     ///
     /// ## Evidence
-    /// `factor` is estimated together with all else that is found on the arm's pose streams, and its
-    /// interval says how well. `as_logged_m` and `corrected_m` are what the poses leave as logged, and
-    /// with the joint read so; a reading that leaves much is not named. `offset` is what is then added,
-    /// where the numbers are of another kind than rad or m and have a zero of their own; the offset of
-    /// any other joint is ZER001. `joints` lists the joints where the finding is on all of them.
+    /// `factor` is estimated together with all other causes on the arm's pose streams, and has an interval.
+    /// `as_logged_m` and `corrected_m` are the pose residuals as logged and with the corrected joint; a
+    /// factor with a large residual is not reported. `offset` is added after scaling, if the numbers are
+    /// neither rad nor m and have their own zero. The offset of any other joint is ZER001. `joints` lists
+    /// the joints if the finding is on all of them.
     ///
-    /// A joint that moves with another one is named with that joint (`with`) and the `factor`:
-    /// `q_true = q_reported + factor · q_with`. FANUC controllers count J3 from the horizon, so a model
-    /// whose J3 counts from the upper arm needs J2 added. In some wrists one joint's gear turns the next
-    /// joint by a few percent.
+    /// A joint that moves together with another one is reported with that joint (`with`) and the `factor`:
+    /// `q_true = q_reported + factor · q_with`. FANUC controllers measure J3 from the horizon, so a model
+    /// that measures J3 from the upper arm needs J2 added. In some wrists, one joint's gear rotates the
+    /// next joint by a few percent.
     ///
-    /// A joint that is off by a quarter, half or whole turn is named with its `turns`. A whole turn shows
-    /// only in the model's limits, which the joint exceeds throughout the run. The others show in the poses.
+    /// A joint that is off by a quarter, half or whole turn is reported with its `turns`. A whole turn is
+    /// visible only in the model's limits, which the joint exceeds throughout the run. The others are
+    /// visible in the poses.
     ///
-    /// `changes` lists when it is another from some moment on, with its amounts before and after;
-    /// the amount is then the size of the change (`from`, `to`, `change_ns`).
+    /// `changes` lists the times from which the scale is different, with the scales before and after. The
+    /// value is then the size of the change (`from`, `to`, `change_ns`).
     ///
     /// ## How to fix
-    /// Multiply where the joint states are filled, or correct the driver's `direction`, gear ratio or
-    /// encoder resolution. Where the numbers are right, it is the axis in the robot's description that
-    /// points the other way: the log cannot tell these two apart.
+    /// Scale the numbers where the joint states are filled, or correct the driver's `direction`, gear ratio
+    /// or encoder resolution. If the numbers are right, the axis in the robot's description points the
+    /// wrong way; the log cannot distinguish these two cases.
     ///
     /// ## When it misleads
-    /// A joint that hardly moves shows neither its sign nor its scale. The sign of the last joint shows in
-    /// orientations only. All joints of an arm that is its own mirror image, turned the other way, are
-    /// the same as poses in mirrored axes.
+    /// A joint that barely moves shows neither its sign nor its scale. The sign of the last joint is
+    /// visible in orientations only. Reversing all joints of a mirror-symmetric arm has the same effect as
+    /// poses in mirrored axes.
     ORD009 {
         name: "joint-scale",
         grade: Grade::Fixed(Severity::Error),
         headline: false,
         needs_model: true,
-        missing: "no joint states with a stream to hold them against",
+        missing: "no joint states with a stream to compare them with",
         check: check,
     }
 }
 
-/// Factors this near to each other, as a share, are one.
+/// Factors that differ by less than this, relatively, are the same.
 const SAME: f64 = 2e-3;
 
 fn check(case: &Case) -> Vec<Judged> {
     let judged = |arm| {
         let of_joints = turns::judge(case, arm).into_iter().chain(coupling::judge(arm));
         let of_joints: Vec<Judged> = of_joints.chain(changing(case, arm)).collect();
-        // The row of the topic says that nothing was found, so it stands alone.
+        // Omit the topic's pass row if a joint has a finding.
         let of_scales = judge_arm(arm);
         let is_sound = arm.diagnosis.reading.is_ok() && arm.diagnosis.scales.is_empty();
         if is_sound && !of_joints.is_empty() { of_joints } else { [of_scales, of_joints].concat() }
@@ -83,7 +84,7 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
             (scales, reading)
         }
         Err(why) => {
-            let outcome = unseen(why, "log a pose that does not come from /tf too");
+            let outcome = unseen(why, "also log a pose that does not come from /tf");
             return vec![Judged::new(topic, outcome).within(arm.span)];
         }
     };
@@ -117,16 +118,16 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
     }
 }
 
-/// The joints whose scale changes in mid-run.
+/// Joints whose scale changes during the run.
 fn changing(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
-    /// Less is no change of a scale.
+    /// Minimum change of a scale.
     const THRESHOLD: Threshold = Threshold { unit: Unit::One, warning: 1e-3, error: 1e-3 };
     let columns = 0..arm.joints.len();
     let judged = columns.filter_map(|column| {
         let change = arm.diagnosis.factor_change(column)?;
         let lever_m = arm.diagnosis.offsets.get(column).map_or(0.0, |offset| offset.lever_m);
         let effect_m = lever_m * change.by.value.abs();
-        let title = "joint scale changes in mid-run";
+        let title = "joint scale changes mid-run";
         let (outcome, estimate) =
             changes::amount(case, "joint scale", title, change, &THRESHOLD, effect_m);
         let subject = arm.joint_states(column);
@@ -135,7 +136,7 @@ fn changing(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     judged.collect()
 }
 
-/// What takes the numbers of the log to rad, where these were taken for degrees on the way.
+/// Factor from the log's numbers to rad, if they were interpreted as degrees.
 fn as_logged(arm: &ArmEvidence, factor: Measured) -> Measured {
     match arm.taken_for_degrees {
         true => factor.scaled(1f64.to_radians()),
@@ -178,7 +179,7 @@ fn fault(arm: &ArmEvidence, scale: &JointScale, joints: &[JointScale], left: &Un
     }
 }
 
-/// What mends a joint that has this scale.
+/// Correction of a joint with this scale.
 fn scaling(arm: &ArmEvidence, scale: &JointScale) -> Option<JointScaling> {
     let joint = arm.joints.get(scale.column)?;
     Some(JointScaling {
@@ -189,38 +190,38 @@ fn scaling(arm: &ArmEvidence, scale: &JointScale) -> Option<JointScaling> {
     })
 }
 
-/// What a factor looks like, in words.
+/// Describes a factor.
 fn kind(arm: &ArmEvidence, scale: &JointScale) -> String {
     let factor = as_logged(arm, scale.factor).value.abs();
     let reversed = if scale.factor.value < 0.0 { ", counted backwards" } else { "" };
     let ticks = TAU / factor;
     let bits = ticks.log2().round();
     if (8.0..=24.0).contains(&bits) && near(ticks, bits.exp2()) {
-        return format!("the positions are ticks of {:.0} a turn{reversed}", bits.exp2());
+        return format!("the positions are ticks, {:.0} per turn{reversed}", bits.exp2());
     }
     let limits = arm.joints.get(scale.column).map(|joint| joint.limits);
     let range = limits.and_then(|limits| Some(limits.upper? - limits.lower?));
     let is_share = |of: f64| range.is_some_and(|range| near(range / factor, of));
     if is_share(200.0) {
-        return format!("the positions are from -100 to 100 of the range{reversed}");
+        return format!("the positions run from -100 to 100 over the range{reversed}");
     }
     if is_share(100.0) {
         return format!("the positions are a percentage of the range{reversed}");
     }
     format!(
-        "the joint moves {} times what its positions say",
+        "the joint moves {} times its reported positions",
         shown(as_logged(arm, scale.factor).value)
     )
 }
 
-/// Whether a number is another one for all that a log can show.
+/// Whether two numbers are indistinguishable in a log.
 fn near(value: f64, other: f64) -> bool {
     (value - other).abs() < SAME * other.abs()
 }
 
 fn shown(factor: f64) -> String {
     match factor.abs() {
-        // What is near 1 is told by how much.
+        // Factors near 1 need all digits.
         size if near(size, size.round()) && size >= 1.0 && factor.round() != 1.0 => {
             format!("{factor:.0}")
         }
@@ -275,7 +276,7 @@ mod tests {
         let (_, findings) = ask(&ORD009, &scaled(&[(0, tick), (1, tick), (2, tick)]));
         let [finding] = findings.as_slice() else { panic!("{findings:?}") };
         assert!(finding.subject.joint.is_none(), "{finding:?}");
-        assert!(finding.message.contains("ticks of 4096 a turn"), "{}", finding.message);
+        assert!(finding.message.contains("ticks, 4096 per turn"), "{}", finding.message);
         assert!(finding.fix.ends_with("+ 0.25000"), "{}", finding.fix);
         let (_, findings) = ask(&ORD009, &scaled(&[(0, 2.0), (1, 0.5)]));
         assert_eq!(findings.len(), 2);
@@ -283,7 +284,7 @@ mod tests {
 
     #[test]
     fn shares_of_the_range_are_called_so() {
-        // The joints of the clean run go from -3 to 3.
+        // The joints of the clean run have limits of -3 and 3.
         let (_, findings) = ask(&ORD009, &scaled(&[(0, 0.03)]));
         assert!(findings[0].message.contains("from -100 to 100"), "{}", findings[0].message);
         let (_, findings) = ask(&ORD009, &scaled(&[(0, 0.06)]));

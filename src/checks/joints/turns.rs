@@ -18,14 +18,14 @@ pub(super) fn judge(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     (0..arm.joints.len()).filter_map(of_joint).collect()
 }
 
-/// What shows that a joint is off.
+/// Evidence for the offset.
 #[derive(Clone, Copy)]
 enum Seen {
     InPoses,
     InLimits,
 }
 
-/// A joint that exceeds its limits throughout the run, and none of them a turn away.
+/// Finding for a joint that exceeds its limits throughout the run, but not if shifted by a turn.
 fn judge_whole(arm: &ArmEvidence, joint: usize) -> Option<Judged> {
     let turns = arm.joints.get(joint)?.motion.turns_beyond?;
     if arm.diagnosis.offsets.get(joint).is_some_and(|offset| offset.chosen) {
@@ -35,8 +35,8 @@ fn judge_whole(arm: &ArmEvidence, joint: usize) -> Option<Judged> {
     Some(judged(arm, joint, turns.abs(), &offset, Seen::InLimits))
 }
 
-/// The turns of a joint whose zero offset is a half or quarter turn: what is left of the offset is below
-/// ZER001's threshold. The first joint's is a matter of the base frame where that is named instead.
+/// Turns and offset of a joint whose zero offset is a multiple of a quarter turn, to within ZER001's
+/// threshold. `None` for the first joint if the base frame is reported instead.
 pub(super) fn part_of_turn(
     case: &Case,
     arm: &ArmEvidence,
@@ -70,7 +70,7 @@ fn judged(arm: &ArmEvidence, joint: usize, turns: f64, offset: &Measured, seen: 
     let message = match seen {
         Seen::InLimits => format!(
             "{amount} {direction}: {name}. Its positions exceed the limits throughout the run, and are \
-             within them {shown} away"
+             within them if shifted by {shown}"
         ),
         Seen::InPoses => format!("{amount} ({shown}) {direction}: {name}"),
     };
@@ -121,7 +121,7 @@ mod tests {
             assert_eq!(joint.turns, Some(turns));
             assert!(ask(&ZER001, &run).1.is_empty());
         }
-        // Two degrees beside a quarter turn are a zero.
+        // Two degrees more than a quarter turn are a zero offset.
         let mut run = clean_run();
         let lift = &mut run.robots[0].diagnosis.offsets[1];
         (lift.offset, lift.chosen) = (Ok(sure(FRAC_PI_2 + 0.035)), true);

@@ -9,32 +9,33 @@ rule! {
     /// Recorded velocities are not the rates of the recorded positions.
     ///
     /// ## What it means
-    /// The velocities in the joint states differ from the rate at which the positions beside them change:
-    /// another unit, the wrong sign, another joint's number, late or filtered, or zero while the joint
-    /// moves. One finding a joint; joints with the same fault are one finding on their topic.
+    /// The velocities in the joint states differ from the rate of change of the positions: they have a
+    /// different unit, the wrong sign, another joint's values, a delay or a filter, or are zero while the
+    /// joint moves. One finding per joint; joints with the same fault are one finding on their topic.
     ///
     /// ## Why it matters
-    /// Velocities go into feed-forward, damping, interpolation between samples, collision detection and
-    /// training data. A sign or unit that is wrong makes a controller unstable, a filter makes it late.
+    /// Velocities are used in feed-forward, damping, interpolation between samples, collision detection and
+    /// training data. A wrong sign or unit makes a controller unstable, and a filter makes it late.
     ///
     /// ## Evidence
-    /// Velocities are integrated over windows (`window_s`) and held against the change of position over
-    /// the same windows, so that nothing is differentiated. The estimate is rms error over rms rate, beyond
-    /// `noise`: what the encoder's steps, noise and the jitter of the stamps make of it. `rate` is the rms
-    /// rate of the positions. `kind` is `zero`, `scaled`, `other-joint`, `filtered` or `unlike`; `gain` is
-    /// the velocity where the rate is 1, `delay_s` how late the velocities are (negative: early) with its
-    /// interval, `low_pass_hz` the corner of a first-order low-pass that explains more than a delay.
+    /// Velocities are integrated over windows (`window_s`) and compared with the change of position over
+    /// the same windows, so no signal is differentiated. The value is the rms error divided by the rms
+    /// rate, beyond `noise`: the effect of encoder resolution, noise and stamp jitter. `rate` is the rms
+    /// rate of the positions. `kind` is `zero`, `scaled`, `other-joint`, `filtered` or `unlike`. `gain` is
+    /// the velocity at a rate of 1. `delay_s` is the delay of the velocities (negative: early) with its
+    /// interval. `low_pass_hz` is the corner frequency of a first-order low-pass, if it explains more than
+    /// a delay.
     ///
     /// ## How to fix
-    /// Fill `velocity` from the same reading as `position`, in rad/s (m/s where the joint slides) and in
-    /// the order of `name`. Leave it empty where the driver has none: zeros say that the arm stands still.
-    /// Filter less, or delay the positions by as much.
+    /// Fill `velocity` from the same reading as `position`, in rad/s (m/s for prismatic joints) and in the
+    /// order of `name`. If the driver has no velocities, leave it empty: zeros mean that the arm is at
+    /// rest. Filter less, or delay the positions equally.
     ///
     /// ## When it misleads
-    /// Positions may be what is wrong, as where they are in degrees; poses of the tool tell (ORD004,
-    /// ORD009), and velocities that are the rates of positions so read are right. White noise on velocities
-    /// is no fault. A velocity that is the difference of two samples is late by half of the time between
-    /// them, which is not counted. A joint that hardly moves shows nothing.
+    /// The positions may be wrong instead, for example in degrees. Tool poses show this (ORD004, ORD009),
+    /// and velocities that match the corrected positions are accepted. White noise on velocities is not a
+    /// fault. A velocity computed from two samples is late by half a sample period, which is not counted. A
+    /// joint that barely moves shows nothing.
     VEL001 {
         name: "velocity-mismatch",
         grade: Grade::From(&[THRESHOLD]),
@@ -46,9 +47,9 @@ rule! {
 }
 
 const THRESHOLD: Threshold = Threshold { unit: Unit::One, warning: 0.05, error: 0.2 };
-/// What would tell.
+/// Motion that makes the error observable.
 const SETTLE: &str = "move each joint by 30° or more, at 0.2 rad/s or more";
-/// Factors this near to each other, as a share, are one.
+/// Factors that differ by less than this, relatively, are the same.
 const SAME: f64 = 0.03;
 
 fn check(case: &Case) -> Vec<Judged> {
@@ -87,7 +88,7 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
             },
             Decision::Pass => Outcome::sound(),
             Decision::Undecided(_) => Outcome::Inconclusive(format!(
-                "noise and steps of the positions are {} of the rate (limit {}); {SETTLE}",
+                "noise and resolution of the positions are {} of the rate (limit {}); {SETTLE}",
                 percent(found.noise),
                 percent(threshold.warning),
             )),
@@ -104,12 +105,12 @@ fn unseen(why: &Unseen) -> String {
         Unseen::TooFewSamples { have, need } => {
             format!("it has {have} samples with a velocity, {need} are needed")
         }
-        _ => "the joint hardly moves".to_owned(),
+        _ => "the joint barely moves".to_owned(),
     }
 }
 
-/// Why velocities are right that are not the rates of the positions as recorded: they are those of the
-/// positions as the pose streams show them.
+/// Reason why velocities that contradict the recorded positions are right: they match the positions
+/// corrected by means of the pose streams.
 fn meant(joint: &JointEvidence, index: usize, shape: &VelocityShape) -> Option<&'static str> {
     let (from, factor) = joint.really?;
     let (of, gain) = match *shape {
@@ -118,9 +119,7 @@ fn meant(joint: &JointEvidence, index: usize, shape: &VelocityShape) -> Option<&
         _ => return None,
     };
     let is_meant = of == from && near(gain, factor);
-    is_meant.then_some(
-        "they are the rates of the positions as these should be (ORD004, ORD005, ORD009)",
-    )
+    is_meant.then_some("they match the corrected positions (ORD004, ORD005, ORD009)")
 }
 
 fn near(value: f64, other: f64) -> bool {
@@ -128,7 +127,7 @@ fn near(value: f64, other: f64) -> bool {
 }
 
 fn is_same(a: &VelocityShape, b: &VelocityShape) -> bool {
-    /// Delays this near to each other are one, s, or as a share.
+    /// Delays closer than this are the same, s or relative.
     const DELAY_S: f64 = 2e-3;
     const SHARE: f64 = 0.2;
     match (a, b) {
@@ -152,7 +151,7 @@ fn percent(share: f64) -> String {
     format!("{} %", shown.strip_suffix(".0").unwrap_or(&shown))
 }
 
-/// The finding on joints with the same fault.
+/// Finding for joints with the same fault.
 fn named(
     case: &Case,
     arm: &ArmEvidence,
@@ -175,7 +174,7 @@ fn named(
         title: match found.shape {
             VelocityShape::Zero => "velocities are zero in motion",
             VelocityShape::Filtered(_) => "velocities are late or filtered",
-            _ => "velocities are not the positions' rates",
+            _ => "velocities do not match the positions",
         },
         message: format!(
             "{}{what}: error {} of the rate (limit {limit})",
@@ -190,7 +189,7 @@ fn named(
     listed(with_numbers(judged, found), arm, &joints)
 }
 
-/// What the velocities are, in a clause, and what to do about it.
+/// Describes the velocities in a clause, with the fix.
 fn words(arm: &ArmEvidence, joint: usize, found: &VelocityDiagnosis) -> (String, String) {
     let fill = |what: &str| format!("{what} where {} is filled", arm.joints_topic);
     match found.shape {
@@ -236,7 +235,9 @@ fn late(response: &Response) -> String {
     let size = crate::diagnosis::Measured { value: delay.value.abs(), ..*delay };
     let shown = Unit::Second.show_measured(&size);
     match (response.corner_hz(), delay.value < 0.0) {
-        (Some(hz), _) => format!("velocities pass a low-pass of {} Hz ({shown} late)", short(hz)),
+        (Some(hz), _) => {
+            format!("velocities are low-pass filtered at {} Hz ({shown} late)", short(hz))
+        }
         (None, true) => format!("velocities lead the positions by {shown}"),
         (None, false) => format!("velocities lag the positions by {shown}"),
     }
@@ -249,16 +250,16 @@ fn per_second(arm: &ArmEvidence, joint: usize) -> &'static str {
     }
 }
 
-/// A factor in words.
+/// Describes a factor.
 fn scale(arm: &ArmEvidence, joint: usize, gain: f64) -> String {
     const DEGREES: f64 = 180.0 / std::f64::consts::PI;
     const TURNS: f64 = 1.0 / std::f64::consts::TAU;
     let slides = arm.joint_unit(joint) == Unit::Metre;
     let known: &[(f64, &str)] = match slides {
-        true => &[(1e3, "millimetres per second"), (1e-3, "of positions in millimetres")],
+        true => &[(1e3, "millimetres per second"), (1e-3, "m/s with positions in millimetres")],
         false => &[
             (DEGREES, "degrees per second"),
-            (1.0 / DEGREES, "rad/s beside positions in degrees"),
+            (1.0 / DEGREES, "rad/s with positions in degrees"),
             (60.0 * TURNS, "revolutions per minute"),
             (TURNS, "revolutions per second"),
         ],

@@ -14,50 +14,51 @@ rule! {
     /// A joint's zero is off.
     ///
     /// ## What it means
-    /// The joint reports its position with a constant error: `q_true = q_reported + offset`. One
-    /// finding a joint, from all pose streams together.
+    /// The joint reports its position with a constant error: `q_true = q_reported + offset`. One finding
+    /// per joint, from all pose streams together.
     ///
     /// ## Why it matters
-    /// The arm repeats perfectly and is wrong everywhere. An offset of 0.5° at the shoulder moves
-    /// the tip of an arm of 0.85 m by 7 mm; programs taught by hand hide it, everything computed
-    /// from kinematics shows it.
+    /// The arm repeats perfectly but is wrong everywhere. An offset of 0.5° at the shoulder of an arm of
+    /// 0.85 m moves the tip by 7 mm. Manually taught programs hide it; everything computed from kinematics
+    /// shows it.
     ///
     /// ## Evidence
-    /// The smallest set of causes (joint zeros, frames) that explains all streams together with
-    /// their latencies. `effect_m` is what the offset moves the tip by at full stretch. Streams
-    /// that were computed from the faulty joint states are in `inherited_by`. Causes that do the
-    /// same to this log (the first joint's zero and the base's yaw, the last joint's and a twist of
-    /// the tool, a rail's zero and a shift of the base) are in `indistinguishable`.
+    /// The smallest set of causes (joint zeros, frames) that explains all streams, together with their
+    /// latencies. `effect_m` is the displacement of the tip at full reach. `inherited_by` lists streams
+    /// that were computed from the faulty joint states. `indistinguishable` lists causes with the same
+    /// effect on this log: the first joint's zero and the base's yaw, the last joint's zero and a rotation
+    /// of the tool, a rail's zero and a shift of the base.
     ///
-    /// Where several causes, or what they leave, may be an inaccurate drawing, the deviations of all
-    /// links are estimated beside the zeros, each link's and all zeros' with a size of its own: a zero is then
-    /// named where the log is fifty times as likely with it, and its interval holds the deviations. Zeros of
-    /// other joints that are a twentieth as likely or more are in `indistinguishable`.
+    /// If an inaccurate nominal model could explain several causes or the residual, the deviations of all
+    /// links are estimated together with the zeros, each with its own standard deviation. A zero is then
+    /// reported if it makes the log fifty times as likely, and its interval includes the link deviations.
+    /// Zeros of other joints that are at least a twentieth as likely are in `indistinguishable`.
     ///
-    /// Beside an error that nothing explains (MDL001) a zero is named only where it moves the tip by thirty
-    /// times as much, and beside a tracker whose body this motion does not place, not at all.
+    /// With an unexplained residual (MDL001), a zero is reported only if it moves the tip at least 30 times
+    /// as far. If the motion cannot locate the tracker's marker, it is never reported.
     ///
-    /// `changes` lists when it is another from some moment on, with its amounts before and after;
-    /// the amount is then the size of the change (`from`, `to`, `change_ns`).
+    /// `changes` lists the times from which the offset is different, with the offsets before and after. The
+    /// value is then the size of the change (`from`, `to`, `change_ns`).
     ///
-    /// `witness` says whose word the poses are (`controller`, `external`, `unknown`), `meaning` what
-    /// the offset then says of the arm.
+    /// `witness` is the source of the poses (`controller`, `external`, `unknown`), and `meaning` what the
+    /// offset then implies for the arm.
     ///
     /// ## How to fix
-    /// Re-home or re-master the joint, or add the offset in the driver's calibration file. Check
-    /// the robot's description first: a model of another variant of the arm looks the same.
+    /// Re-home or re-master the joint, or add the offset to the driver's calibration file. Check the
+    /// robot's description first: a model of a different variant of the arm has the same effect.
     ///
     /// ## When it misleads
-    /// A controller's own pose is computed from the same encoders: against it the rule says that
-    /// this model or these joint states differ from the controller's, and a zero error of the
-    /// mechanics cannot show. For that an outside witness (tracker, camera, IMU) is needed. An offset that only one of several explanations needs is never a finding.
-    /// In few postures gravity bends a joint as a zero offset does: then `indistinguishable` lists ZER003.
+    /// A controller's own pose is computed from the same encoders. Against it, an offset means that this
+    /// model or these joint states differ from the controller's; a mechanical zero error is invisible. An
+    /// independent source (tracker, camera, IMU) shows it. An offset required by only one of several
+    /// explanations is never a finding. In few configurations, sag has the same effect as a zero offset;
+    /// `indistinguishable` then lists ZER003.
     ZER001 {
         name: "joint-zero",
         grade: Grade::From(&[ROTARY, PRISMATIC]),
         headline: true,
         needs_model: true,
-        missing: "no pose stream beside the joint states",
+        missing: "no pose stream to compare with the joint states",
         check: check,
     }
 }
@@ -66,7 +67,7 @@ const ROTARY: Threshold =
     Threshold { unit: Unit::Radian, warning: 0.1 * DEGREE, error: 0.5 * DEGREE };
 const PRISMATIC: Threshold = Threshold { unit: Unit::Metre, warning: 0.2e-3, error: 1e-3 };
 
-/// What would tell where an offset could not be had.
+/// Motion that makes the offset observable.
 const SETTLE: &str = "move each joint by 30° or more, one after another";
 
 fn check(case: &Case) -> Vec<Judged> {
@@ -78,7 +79,7 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
         return Vec::new();
     }
     let offsets = arm.diagnosis.offsets.iter().enumerate();
-    // A fault that this motion does not show may hide in a world that is anywhere.
+    // An unknown world frame may absorb a fault that this motion does not observe.
     let is_world_unknown = arm.poses.iter().all(|stream| !stream.reference_known);
     let judged = offsets.map(|(joint, offset)| judge(case, arm, joint, offset));
     judged
@@ -94,13 +95,13 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
 fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> Judged {
     let subject = arm.joint(joint);
     if let Some(scale) = arm.scale(joint).filter(|scale| scale.is_coded()) {
-        let why = format!("a part of its scale, {:.5} (ORD009)", scale.offset);
+        let why = format!("the offset belongs to its scale, {:.5} (ORD009)", scale.offset);
         return Judged::new(subject, Outcome::sound_because(why)).within(arm.span);
     }
     let threshold = case.thresholds.of(&ZER001, threshold(arm.joint_unit(joint)));
     if let Some(change) = arm.diagnosis.zero_change(joint) {
         let effect_m = offset.lever_m * change.by.value.abs();
-        let title = "joint zero changes in mid-run";
+        let title = "joint zero changes mid-run";
         let (mut outcome, estimate) =
             changes::amount(case, "joint offset", title, change, &threshold, effect_m);
         if let Outcome::Evaluated(Ruling::Faulty(fault)) = &mut outcome {
@@ -131,7 +132,7 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
             if offset.chosen && arm.poses.iter().any(|s| s.diagnosis.repeats()) =>
         {
             Outcome::Inconclusive(format!(
-                "it rests on a latency that fits at several lags; {SETTLE}"
+                "depends on a latency that fits at several lags; {SETTLE}"
             ))
         }
         (Decision::Fail(severity), _) if offset.chosen => {
@@ -150,7 +151,7 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
         }
         (Decision::Fail(_), _) => {
             let shown = threshold.unit.show_signed(measured);
-            let why = format!("{shown} would fit, but what is found explains the log without it");
+            let why = format!("{shown} would fit, but the reported causes already explain the log");
             Outcome::Inconclusive(format!("{why}; {SETTLE}"))
         }
         (Decision::Undecided(_), _) if arm.poses.iter().any(|s| s.diagnosis.nominal) => {
@@ -161,12 +162,12 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
     Judged::new(subject, outcome).within(arm.span).estimated(estimate(threshold.unit, measured))
 }
 
-/// Why a zero may be what an unknown tool does: an outside witness follows a body of which this motion does
-/// not show where it sits, and more than noise is left.
+/// Reason why a zero offset may be the effect of an unknown tool frame: the motion does not locate an
+/// external marker, and a residual above the noise remains. `None` if it cannot.
 fn hidden_tool(arm: &ArmEvidence) -> Option<String> {
-    /// A tool whose place is known no better may be anywhere in the hand, m.
+    /// Standard error above which a tool's position is unknown, m.
     const UNKNOWN_M: f64 = 0.01;
-    /// More than this, m, is left of no healthy stream.
+    /// Maximum residual of a healthy stream, m.
     const LEFT_M: f64 = 0.3e-3;
     let is_hidden = |stream: &&Of<PoseEvidence>| {
         let diagnosis = &stream.diagnosis;
@@ -179,16 +180,17 @@ fn hidden_tool(arm: &ArmEvidence) -> Option<String> {
     let stream = arm.poses.iter().find(is_hidden)?;
     let left = stream.diagnosis.residual.as_ref().ok()?.excess_m.value;
     Some(format!(
-        "the tool of {} is not observable in this motion, and {} residual is unexplained; {SETTLE}",
+        "the tool frame of {} is not observable in this motion, and a residual of {} is unexplained; \
+         {SETTLE}",
         stream.topic(),
         Unit::Metre.show(left)
     ))
 }
 
-/// Why a zero may be what another model does: of a stream more is left than MDL001 allows, and the zero moves
-/// the tip by no more than some multiple of that.
+/// Reason why a zero offset may be the effect of a wrong model: a residual exceeds the thresholds of
+/// MDL001, and the effect of the zero is below a multiple of it. `None` if it cannot.
 fn other_model(case: &Case, arm: &ArmEvidence, offset: &JointOffset) -> Option<String> {
-    /// A zero that moves the tip by so many times what is left stands out of what links make.
+    /// Minimum ratio of a zero's effect to the residual, for link deviations not to produce it.
     const STANDS_OUT: f64 = 30.0;
     let limits = case.thresholds.of_frames(&MDL001, THRESHOLDS);
     let least = |amount: &Measured| amount.value - amount.half_width(0.95);
@@ -201,7 +203,7 @@ fn other_model(case: &Case, arm: &ArmEvidence, offset: &JointOffset) -> Option<S
     });
     let left = much.max_by(|a, b| a.excess_m.value.total_cmp(&b.excess_m.value))?;
     Some(format!(
-        "{} and {} residual is unexplained beside it (MDL001); use the arm's own calibration, or {SETTLE}",
+        "a residual of {} and {} is unexplained (MDL001); use the arm's own calibration, or {SETTLE}",
         Unit::Metre.show(left.excess_m.value),
         Unit::Radian.show(left.excess_rad.value)
     ))
@@ -211,7 +213,7 @@ fn not_told_from(arm: &ArmEvidence, twin: &str) -> Outcome {
     match standing::doubt(arm, 0.0) {
         Some(why) => Outcome::Inconclusive(why),
         None => Outcome::Indistinguishable(format!(
-            "indistinguishable from {twin}, which is named instead"
+            "indistinguishable from {twin}, which is reported instead"
         )),
     }
 }
@@ -233,8 +235,8 @@ fn fault(
     let (offset, unit) = (&arm.diagnosis.offsets[joint], arm.joint_unit(joint));
     let left = arm.poses.iter().filter_map(|stream| stream.diagnosis.residual.as_ref().ok());
     let left = left.map(|residual| residual.rms_m).reduce(f64::max);
-    let left =
-        left.map_or(String::new(), |m| format!(", {} left when corrected", Unit::Metre.show(m)));
+    let left = left
+        .map_or(String::new(), |m| format!(", residual {} after correction", Unit::Metre.show(m)));
     let moved = Unit::Metre.show(offset.effect_m);
     let mut evidence = Evidence {
         indistinguishable: offset.twins.iter().map(|twin| twin_cause(arm, twin, unit)).collect(),
@@ -270,21 +272,22 @@ fn fault(
     Fault { severity, cause, title: "joint zero is off", message, evidence, fix }
 }
 
-/// What an offset says of the arm itself, by whose word it is.
+/// What an offset implies for the arm, given the source of the poses.
 fn meaning(witness: Witness) -> &'static str {
     match witness {
         Witness::Controller => {
-            "the controller's poses use the same encoders, so that a mechanical zero error is invisible here: check with a tracker, a camera or an IMU"
+            "the controller's poses use the same encoders, so a mechanical zero error is invisible here: \
+             check with a tracker, a camera or an IMU"
         }
-        Witness::External => "an outside witness saw it: the joint itself is off, or the model",
+        Witness::External => "measured independently: the joint itself is off, or the model",
         Witness::Unknown => {
-            "by the controller's own poses the model or the joint states differ from its; by a \
-             tracker's or camera's the joint itself is off"
+            "if the poses are the controller's own, the model or the joint states differ from the \
+             controller's; if they are from a tracker or camera, the joint itself is off"
         }
     }
 }
 
-/// The twin of `offset` that the smallest explanation contains, in words.
+/// The confounder of `offset` that is in the selected model, for messages.
 fn named_instead(arm: &ArmEvidence, offset: &JointOffset) -> Option<String> {
     let chosen = |frame: &Seen<FrameEstimate>| frame.as_ref().is_ok_and(|frame| frame.chosen);
     let named = offset.twins.iter().find(|twin| match **twin {
@@ -374,10 +377,10 @@ mod tests {
             ask(&ZER001, &run).0[0].status
         };
         assert_eq!(status(1e-4, 0.0, 0.01), Status::Fail);
-        // Where the tool sits is not known.
+        // The tool's position is unknown.
         assert_eq!(status(1.0, 0.0, 0.01), Status::Fail);
         assert_eq!(status(1.0, 0.8e-3, 0.01), Status::Inconclusive);
-        // More is left than MDL001 allows.
+        // The residual exceeds MDL001's threshold.
         assert_eq!(status(1e-4, 2e-3, 0.01), Status::Inconclusive);
         assert_eq!(status(1e-4, 2e-3, 0.2), Status::Fail);
     }

@@ -9,37 +9,39 @@ rule! {
     /// A joint sags under gravity.
     ///
     /// ## What it means
-    /// The link hangs lower than the joint's encoder says, by as much as gravity turns at the joint: gears,
-    /// belts and links that yield. The amount is the largest sag over the run. One finding a joint.
+    /// The link hangs lower than the joint's encoder reports, in proportion to the gravity torque:
+    /// compliant gears, belts and links. The value is the largest sag over the run. One finding per joint.
     ///
     /// ## Why it matters
-    /// It is most when the arm is stretched out and loaded, and none when it hangs. It looks like a zero
-    /// that is off, but a zero that is set for one posture is wrong in the others.
+    /// Sag is largest when the arm is stretched out and loaded, and zero when it hangs. It resembles a zero
+    /// offset, but a zero that is corrected for one configuration is wrong in the others.
     ///
     /// ## Evidence
-    /// Where the causes of the other rules leave more than noise, it is asked of each joint what goes with
-    /// the torque of gravity about it, beside play (MOT006) and eccentricity, with every latency, zero and
-    /// frame free. Gravity points along −z of the chain's base. The masses of links are taken to lie in the
-    /// middle between joints and to go down outwards, at the ratio that fits best; only their ratios
-    /// matter. It is named where far less is left with it. Zeros are then judged with the sag taken off.
+    /// If the causes of the other rules do not explain the log to within the noise, each joint is tested
+    /// for a deflection proportional to its gravity torque, together with backlash (MOT006) and
+    /// eccentricity. All latencies, zeros and frames are free. Gravity points along −z of the chain's base.
+    /// Link masses are assumed halfway between the joints, and to decrease outwards at the ratio that fits
+    /// best; only their ratios matter. Sag is reported if it reduces the residual substantially. Zeros are
+    /// then judged on corrected joint states.
     ///
-    /// A load that is taken up or put down in mid-run makes the sag another from then on: the amount is then
-    /// the size of the change (`from`, `to`, `change_ns`).
+    /// If a load is picked up or put down during the run, the sag changes. The value is then the size of
+    /// the change (`from`, `to`, `change_ns`).
     ///
     /// ## How to fix
-    /// Tell the controller the payload and its centre of mass; where it has a compliance of its joints,
-    /// enter that. Else correct targets by the sag of their posture.
+    /// Configure the payload and its centre of mass in the controller, and the joint compliance if it
+    /// supports that. Otherwise correct targets by the sag in their configuration.
     ///
     /// ## When it misleads
-    /// An arm on a wall or a ceiling whose base frame is not upright has gravity elsewhere. In few postures
-    /// sag cannot be told from a zero. A base that tilts under the arm does nearly the same. Of two changes
-    /// of the load in one run neither is told.
+    /// If the arm is mounted on a wall or ceiling and its base frame is not upright, gravity has a
+    /// different direction. In few configurations, sag is indistinguishable from a zero offset. A base that
+    /// tilts under the arm has nearly the same effect. If the load changes twice in one run, neither change
+    /// is reported.
     ZER003 {
         name: "sag",
         grade: Grade::From(&[THRESHOLD]),
         headline: false,
         needs_model: true,
-        missing: "no pose stream beside the joint states",
+        missing: "no pose stream to compare with the joint states",
         check: check,
     }
 }
@@ -71,8 +73,8 @@ fn fault(arm: &ArmEvidence, bend: &JointBend, severity: Severity) -> Fault {
             effect_m: Some(effect_m),
             ..Evidence::default()
         },
-        fix: "tell the controller the payload and its centre of mass, or the joint's compliance; else \
-              correct each target by the sag of its posture"
+        fix: "configure the payload, its centre of mass or the joint's compliance in the controller; \
+            otherwise correct each target by the sag in its configuration"
             .to_owned(),
     }
 }
