@@ -401,7 +401,7 @@ fn folders_files_of_others_and_what_is_read_only_are_left_alone() {
         refused(folder.path(), call, "kept", or_there("is read-only"));
         let link = format!("folder/link-{number}");
         symlink(at("file"), at(&link)).expect("a link");
-        refused(folder.path(), call, &link, or_there("a link out of its folder"));
+        refused(folder.path(), call, &link, or_there("outside its folder"));
     }
 }
 

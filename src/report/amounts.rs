@@ -1,9 +1,9 @@
-//! Estimates as people say them.
+//! Estimates formatted for people.
 
 use crate::finding::{Estimate, Unit};
 
-/// An estimate in everyday units, with its 95 % interval where it has one; a reading as what the
-/// numbers are and what they were read as.
+/// Formats an estimate in everyday units with its 95 % interval, if it has one. An encoding shows the
+/// actual and the assumed one.
 pub(crate) fn shown(estimate: &Estimate) -> String {
     match estimate {
         Estimate::Amount { name, value, unit, ci95, .. } => of_unit(unit, name, *value, *ci95),
@@ -18,15 +18,15 @@ pub(crate) fn shown(estimate: &Estimate) -> String {
     }
 }
 
-/// What numbers are, and what they were read as.
+/// Formats an actual and an assumed encoding.
 pub(crate) fn reading(is: &str, read_as: &str) -> String {
     format!("{is} read as {read_as}")
 }
 
-/// `15.0 ± 0.2 ms`; of a symbol that is no [`Unit`]'s the number with the symbol.
+/// `15.0 ± 0.2 ms`. A symbol without a [`Unit`] is appended as it is written.
 pub(crate) fn of_unit(symbol: &str, name: &str, value: f64, ci95: Option<[f64; 2]>) -> String {
     match (Unit::of(symbol, name), ci95) {
-        // The lower end of a length stops at zero, the upper one is where it is.
+        // The lower end of a length is clipped at zero, so use the upper one.
         (Some(unit), Some([_, high])) => unit.show_interval(value, high - value, false),
         (Some(unit), None) => unit.show(value),
         (None, _) => format!("{value:.3} {symbol}"),

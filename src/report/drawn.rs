@@ -1,4 +1,4 @@
-//! Joins a run and what was estimated on it to the series behind a report's pictures.
+//! Computes the data series of a report's plots.
 
 mod own;
 
@@ -19,14 +19,13 @@ use crate::run::{Arm, Edge, EdgeKind, ImuSource, PoseSource, Rhythm, Run, Stream
 use crate::stream::JointTrack;
 use crate::time::Stamp;
 
-/// Silences that are kept of one stream.
+/// Maximum number of gaps per stream.
 const MOST_SILENCES: usize = 60;
 
-/// Streams of poses of an arm that are drawn though no finding is about them.
+/// Maximum number of pose streams per arm that are plotted without a finding.
 const DRAWN: usize = 16;
 
-/// The series behind the pictures of a run and of what was found on it. `corrected` gives an arm's joint
-/// states as they should have been recorded.
+/// Data series of the plots of a run and its findings. `corrected` returns an arm's corrected joint states.
 pub(crate) fn figures(
     run: &Run,
     facts: &RunEvidence,
@@ -55,7 +54,7 @@ pub(crate) fn figures(
         });
         figures.poses.par_extend(drawn);
         for (source, stream) in arm.tf.iter().zip(&facts.tf) {
-            // What publishes the log's transforms knows of no correction.
+            // The publisher of the log's transforms uses uncorrected joint states.
             let joints = arm.recorded.as_ref().map_or(&arm.joints, |(recorded, _)| recorded);
             let drawn = pose(&clock, joints, source, facts, stream);
             figures.poses.push(PoseFigure { is_derived: true, ..drawn });
@@ -65,19 +64,19 @@ pub(crate) fn figures(
     figures
 }
 
-/// Times of the run as the report says them.
+/// Converts times to seconds from the start of the run.
 struct Clock<'a> {
     run: &'a Run,
     start: Stamp,
 }
 
 impl Clock<'_> {
-    /// Seconds from the start of a stamp.
+    /// Converts a stamp.
     fn of_stamp_s(&self, stamp: Stamp) -> f64 {
         stamp.seconds_since(self.start)
     }
 
-    /// Seconds from the start of seconds from the run's origin.
+    /// Converts seconds from the run's origin.
     fn of_origin_s(&self, t_s: f64) -> f64 {
         t_s + self.run.origin.seconds_since(self.start)
     }
@@ -134,7 +133,7 @@ fn scores(reading: &Seen<ReadingEstimate>) -> Vec<ReadingScore> {
             is_best,
             is: names.is,
             read_as: names.read_as,
-            // The best one is fitted on.
+            // The best one was refined by the fit.
             rms_rad: if is_best { reading.best_rad } else { *rms_rad },
         }
     };
@@ -142,7 +141,7 @@ fn scores(reading: &Seen<ReadingEstimate>) -> Vec<ReadingScore> {
 }
 
 fn imus(clock: &Clock, joints: &JointTrack, arm: &Arm, facts: &ArmEvidence) -> Vec<ImuFigure> {
-    /// Correlations are shown this far beyond twice the latency, s.
+    /// Range of correlations beyond twice the latency, s.
     const BESIDE_S: f64 = 0.08;
     let figure = |(source, imu): (&ImuSource, &Of<ImuEvidence>)| {
         let found = &imu.diagnosis;
@@ -187,7 +186,7 @@ fn timeline(clock: &Clock) -> Vec<TimelineRow> {
     run.streams.iter().enumerate().filter_map(row).collect()
 }
 
-/// The longest silences of a stream in the order of time, and how many there are beside them.
+/// Longest gaps of a stream in time order, and the number of others.
 fn silences(clock: &Clock, rhythm: Option<&Rhythm>) -> (Vec<Silence>, usize) {
     let parts = rhythm.into_iter().flat_map(|rhythm| &rhythm.parts).filter(|part| part.wanted);
     let holes = parts.flat_map(|part| &part.holes);

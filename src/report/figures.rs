@@ -1,80 +1,79 @@
-//! The series behind a report's pictures, in SI units and seconds from the start of the run.
+//! Data series of a report's plots, in SI units and seconds from the start of the run.
 //!
-//! Filled where a format draws them, from what plots, tables and the recording read too; see
-//! [`Audited::with_figures`](crate::Audited::with_figures).
+//! Computed only if a format draws them; see [`Audited::with_figures`](crate::Audited::with_figures).
 
 use crate::time::Stamp;
 
-/// What the pictures of a report show.
+/// Data of all plots of a report.
 #[derive(Clone, Debug, Default)]
 pub struct Figures {
-    /// Length of the run, s.
+    /// Duration of the run, s.
     pub duration_s: f64,
-    /// Whether they are of the longest segment only of a run whose clock began anew.
+    /// Whether the data cover only the longest segment, because the clock was reset during the run.
     pub of_longest_segment: bool,
-    /// The pose streams, and /tf.
+    /// Pose streams and /tf.
     pub poses: Vec<PoseFigure>,
-    /// The IMUs.
+    /// IMUs.
     pub imus: Vec<ImuFigure>,
-    /// The pictures of single findings, with the place of the finding in the report.
+    /// Plots specific to single findings, with the index of the finding in the report.
     pub own: Vec<(usize, Own)>,
-    /// First stamp of the run, from which times count.
+    /// First stamp of the run, the origin of all times.
     pub start: Option<Stamp>,
-    /// When each stream was there.
+    /// Time spans of all streams.
     pub timeline: Vec<TimelineRow>,
-    /// The transforms of the log and the still ones of its models.
+    /// Transforms of the log and fixed joints of the models.
     pub frames: Vec<FrameEdge>,
 }
 
-/// The picture of one finding's own.
+/// Plot specific to one finding.
 #[derive(Clone, Debug)]
 pub enum Own {
-    /// A path that shakes: its spectrum in Hz and rms m, and the path in s and m.
+    /// Vibration: spectrum in Hz and rms m, and path in s and m.
     Shake {
         /// Frequency and rms.
         spectrum: Vec<[f64; 2]>,
-        /// Time and place along the axis that moves most.
+        /// Time and position along the axis with most motion.
         trace: Vec<[f64; 2]>,
     },
-    /// What a camera sees against a hand.
+    /// Hand-eye closure.
     HandEye {
-        /// Time, distance in m and angle in rad that the chain is open by, of each view.
+        /// Time, distance in m and angle in rad of the closure error of each view.
         each: Vec<[f64; 3]>,
-        /// From where the target is seen, rad about two axes across the mean view.
+        /// Viewing directions of the target, rad about two axes normal to the mean direction.
         views: Vec<[f64; 2]>,
-        /// Where the target is in the camera's frame, m.
+        /// Positions of the target in the camera frame, m.
         seen: Vec<[f64; 3]>,
     },
-    /// A commanded line: way along it in m, distance in m and angle in rad from it.
+    /// Commanded line: position along it in m, deviation in m and in rad.
     Line {
-        /// The tip by FK, from the line through its own ends.
+        /// Tip by FK, relative to the line between its end points.
         tip: Vec<[f64; 3]>,
         /// The command.
         command: Vec<[f64; 3]>,
     },
-    /// Where the arm came to rest, against each goal: both m in the base.
+    /// Rest positions of the arm and their goals, m in the base frame.
     Rests(Vec<[[f64; 3]; 2]>),
-    /// Time and by how much a rotation is none.
+    /// Time and deviation from a valid rotation.
     Norms(Vec<[f64; 2]>),
-    /// The columns of the rotations from an IMU to its link.
+    /// Axes of an IMU in its link, as columns of rotation matrices.
     ImuAxes {
         /// The link.
         link: String,
-        /// As the motion has it.
+        /// Estimated from the motion.
         found: [[f64; 3]; 3],
-        /// As the log's frames have it.
+        /// From the log's frames.
         logged: Option<[[f64; 3]; 3]>,
     },
-    /// Time and the three rates of a gyro, rad/s.
+    /// Time and three rates of a gyro, rad/s.
     Gyro {
         /// The rates.
         rates: Vec<[f64; 4]>,
-        /// Whether they are of rests alone.
+        /// Whether only samples at rest are included.
         at_rest: bool,
-        /// The bias found.
+        /// Estimated bias.
         bias: Option<[f64; 3]>,
     },
-    /// Where up is by the accelerometer in the world of the orientation: its x and y as angles, rad.
+    /// Up direction from the accelerometer in the orientation's world frame: x and y as angles, rad.
     Tilt(Vec<[f64; 2]>),
     /// A joint.
     Joint(JointFigure),
@@ -85,51 +84,51 @@ pub enum Own {
 pub struct JointFigure {
     /// The joint.
     pub joint: String,
-    /// Whether it slides.
+    /// Whether it is prismatic.
     pub slides: bool,
     /// Times, s.
     pub t_s: Vec<f64>,
     /// Positions.
     pub position: Vec<f64>,
-    /// Velocities as recorded; empty where there are none.
+    /// Recorded velocities. Empty if there are none.
     pub velocity: Vec<f64>,
-    /// The rates of the positions.
+    /// Rates computed from the positions.
     pub rate: Vec<f64>,
-    /// Limits of the position.
+    /// Position limits.
     pub limits: [Option<f64>; 2],
-    /// Limit of the speed.
+    /// Velocity limit.
     pub top_speed: Option<f64>,
 }
 
-/// Errors of one pose stream. The columns have an entry a sample; those `before` are empty where the
-/// log does not tie the stream's frame to the arm.
+/// Errors of one pose stream, with one entry per sample in each column. The columns `before_…` are empty if
+/// the stream's frame is not connected to the arm in the log.
 #[derive(Clone, Debug, Default)]
 pub struct PoseFigure {
     /// The arm.
     pub robot: String,
     /// The stream's topic.
     pub topic: String,
-    /// Whether it is computed from the joint states, as /tf is.
+    /// Whether it is derived from the joint states, such as /tf.
     pub is_derived: bool,
     /// Stamps, s.
     pub t_s: Vec<f64>,
-    /// Distance from FK as recorded, m.
+    /// Position error against recorded FK, m.
     pub before_m: Vec<f64>,
-    /// Angle to FK as recorded, rad.
+    /// Rotation error against recorded FK, rad.
     pub before_rad: Vec<f64>,
-    /// The same once everything found is taken off, m.
+    /// Position error after correcting all findings, m.
     pub after_m: Vec<f64>,
-    /// Likewise, rad.
+    /// Rotation error after correcting all findings, rad.
     pub after_rad: Vec<f64>,
     /// Distance of FK from the origin of the reference frame, m.
     pub reach_m: Vec<f64>,
-    /// The tip by FK in the reference frame, m.
+    /// Tip position by FK in the reference frame, m.
     pub at_m: Vec<[f64; 3]>,
-    /// What is left at latencies around the one found: latency in s, rms m, rms rad.
+    /// Residual at latencies around the estimate: latency in s, rms m, rms rad.
     pub left_by_latency: Vec<[f64; 3]>,
-    /// Its latency over the run.
+    /// Latency profile over the run.
     pub latency_course: Vec<CoursePoint>,
-    /// What each reading of its rotations leaves.
+    /// Residual of each rotation encoding.
     pub readings: Vec<ReadingScore>,
 }
 
@@ -140,71 +139,71 @@ pub struct ImuFigure {
     pub robot: String,
     /// The IMU's topic.
     pub topic: String,
-    /// Stamp in s, and yaw of the IMU over that of FK in rad.
+    /// Stamp in s, and yaw error of the IMU against FK in rad.
     pub yaw_error: Vec<[f64; 2]>,
-    /// Stamp in s, and heading by the IMU and by FK in rad; empty where no axis has one throughout.
+    /// Stamp in s, and heading by the IMU and by FK in rad. Empty if no axis has a heading throughout.
     pub headings: Vec<[f64; 3]>,
-    /// How its speed of turning correlates with FK's: latency in s, correlation.
+    /// Correlation of its angular speed with FK's: latency in s, correlation.
     pub correlation_by_latency: Vec<[f64; 2]>,
-    /// Its latency over the run.
+    /// Latency profile over the run.
     pub latency_course: Vec<CoursePoint>,
-    /// What each reading of its rotations leaves.
+    /// Residual of each rotation encoding.
     pub readings: Vec<ReadingScore>,
 }
 
-/// The latency of a stream in a window of about a second.
+/// Latency of a stream in a window of about a second.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CoursePoint {
     /// Middle of the window, s.
     pub t_s: f64,
-    /// Latency beyond that of the whole run, s.
+    /// Latency relative to the whole run's, s.
     pub beyond_s: f64,
-    /// Half the width of its 95 % interval, s.
+    /// Half width of its 95 % interval, s.
     pub half_width_s: f64,
 }
 
-/// What one reading of a stream's rotations leaves.
+/// Residual of one rotation encoding of a stream.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReadingScore {
-    /// What the numbers are under it, by the names of the estimates.
+    /// Actual encoding of the numbers in this hypothesis.
     pub is: String,
-    /// What they were read as.
+    /// Assumed encoding.
     pub read_as: String,
     /// Whether it is the stream as logged.
     pub is_as_logged: bool,
-    /// Whether it is the reading that the audit names.
+    /// Whether the audit selects this encoding.
     pub is_best: bool,
     /// Residual angle, rms rad.
     pub rms_rad: f64,
 }
 
-/// When one stream was there.
+/// Time span of one stream.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TimelineRow {
     /// Its topic.
     pub topic: String,
-    /// Its child frame, where the topic has several streams.
+    /// Child frame, if the topic has several streams.
     pub frame: Option<String>,
     /// First and last stamp, s.
     pub span_s: [f64; 2],
-    /// Samples a second.
+    /// Samples per second.
     pub rate_hz: Option<f64>,
-    /// Messages or samples, and how many could not be used.
+    /// Number of messages or samples.
     pub count: u64,
-    /// Samples that could not be used.
+    /// Number of samples that could not be used.
     pub dropped: u64,
-    /// The longest intervals in which samples are missing, in the order of time.
+    /// Longest intervals with missing samples, in time order.
     pub silences: Vec<Silence>,
-    /// Silences beside those.
+    /// Number of further such intervals.
     pub silences_left_out: usize,
 }
 
-/// An interval in which samples of a stream are missing.
+/// Interval with missing samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Silence {
-    /// From and to, s.
+    /// Start and end, s.
     pub span_s: [f64; 2],
-    /// Samples missing, at the stream's period.
+    /// Number of missing samples at the stream's period.
     pub missing: usize,
 }
 
@@ -215,17 +214,17 @@ pub struct FrameEdge {
     pub parent: String,
     /// The child frame.
     pub child: String,
-    /// Where it comes from.
+    /// Origin of the transform.
     pub kind: FrameEdgeKind,
 }
 
-/// Where a transform comes from.
+/// Origin of a transform.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameEdgeKind {
-    /// Sent over and over.
+    /// Published repeatedly.
     Moving,
-    /// Sent as static.
+    /// Published as static.
     Still,
-    /// A fixed joint of the model that the log does not publish.
+    /// Fixed joint of the model that the log does not publish.
     Model,
 }

@@ -4,14 +4,13 @@ use std::path::{Path, PathBuf};
 
 use crate::boundary::Staged;
 
-/// Has `write` fill the file that it is given, which takes its place at `path` once it is whole: who
-/// interrupts it finds there what was there before. The folders of `path` are made; what is no
-/// regular file, such as a pipe, is written to directly. A link stays, and what it leads to in its own
-/// folder is replaced.
+/// Calls `write` with a temporary file and moves it to `path` when it is complete, so an interruption keeps
+/// the old file. Creates the parent folders. Writes directly to a path that is not a regular file, such as
+/// a pipe. A symbolic link is kept and its target, if in the same folder, is replaced.
 ///
 /// # Errors
-/// What `write` returns, or if no file can be made there: where a link leads out of its folder, and where
-/// the file that is there is read-only, nothing is.
+/// If `write` fails or the file cannot be created. Also if a link points outside its folder or the existing
+/// file is read-only.
 pub fn write_whole<E: From<io::Error>>(
     path: &Path,
     write: impl FnOnce(&Path) -> Result<(), E>,
@@ -27,7 +26,7 @@ pub fn write_whole<E: From<io::Error>>(
     fs::create_dir_all(folder)?;
     let mut beside = tempfile::Builder::new();
     beside.prefix(".poseaudit-");
-    // Who may not read the old one may not read the new one.
+    // Keep the permissions of the old file.
     let of_old = fs::metadata(&path).map(|metadata| metadata.permissions()).ok();
     if let Some(permissions) = of_old.or_else(permissions) {
         beside.permissions(permissions);
@@ -38,11 +37,10 @@ pub fn write_whole<E: From<io::Error>>(
     Ok(())
 }
 
-/// The path at which what is written to `path` would be: that of a file which is there already, unless a link
-/// leads to it out of its own folder.
+/// Resolves `path` to the file to replace, following a link within the same folder.
 ///
 /// # Errors
-/// If a link does, or the file is protected against being written.
+/// If the link points outside its folder, or if the file is read-only.
 pub(crate) fn replaceable(path: &Path) -> io::Result<PathBuf> {
     let Ok(target) = fs::canonicalize(path) else { return Ok(path.to_owned()) };
     if is_descriptor(path) {
@@ -56,7 +54,9 @@ pub(crate) fn replaceable(path: &Path) -> io::Result<PathBuf> {
     let folder = fs::canonicalize(folder.unwrap_or(Path::new(".")))?;
     if path.is_symlink() && target.parent() != Some(&folder) {
         let target = target.display();
-        return Err(io::Error::other(format!("it is a link out of its folder, to {target}")));
+        return Err(io::Error::other(format!(
+            "it is a symbolic link to {target}, outside its folder"
+        )));
     }
     if metadata.permissions().readonly() {
         return Err(io::Error::other("the file there is read-only"));
@@ -64,12 +64,13 @@ pub(crate) fn replaceable(path: &Path) -> io::Result<PathBuf> {
     Ok(target)
 }
 
-/// Whether `path` names what this process has open, as `/dev/stdout` does: that is written to as it is.
+/// Returns whether `path` is an open descriptor of this process, such as `/dev/stdout`. It is written
+/// directly.
 pub(crate) fn is_descriptor(path: &Path) -> bool {
     path.starts_with("/dev") || path.starts_with("/proc")
 }
 
-/// Those of any new file; a temporary one is its owner's alone.
+/// Default permissions of a new file. Temporary files are accessible to the owner only.
 #[cfg(unix)]
 fn permissions() -> Option<Permissions> {
     use std::os::unix::fs::PermissionsExt;
@@ -133,7 +134,7 @@ mod tests {
             assert_eq!(fs::read_to_string(&file).unwrap(), "old");
             error.to_string()
         };
-        assert!(refused(&link).starts_with("it is a link out of its folder, to /"));
+        assert!(refused(&link).starts_with("it is a symbolic link to /"));
         fs::set_permissions(&file, Permissions::from_mode(0o444)).unwrap();
         assert_eq!(refused(&file), "the file there is read-only");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);

@@ -1,4 +1,4 @@
-//! The formats of the report, a line each.
+//! Report formats.
 
 use std::fmt;
 use std::io::{self, Write};
@@ -8,16 +8,16 @@ use super::{Report, github, html, json, junit, markdown, sarif, text};
 /// A format of the report.
 #[derive(Clone, Copy)]
 pub struct Format {
-    /// Its name, as `--format` takes it.
+    /// Name for `--format`.
     pub name: &'static str,
-    /// The file that it becomes where several formats share a folder.
+    /// File name in a folder of several formats.
     pub file_name: &'static str,
-    /// Whom it is for.
+    /// Intended use.
     pub about: &'static str,
     write: fn(&Report, &mut dyn Write) -> io::Result<()>,
 }
 
-/// Every format: a new one is a file of this room and a line here.
+/// All formats. To add one, create a file in this folder and add an entry here.
 pub static FORMATS: &[Format] = &[
     Format { name: "text", file_name: "report.txt", about: "For people", write: text::write },
     Format {
@@ -59,22 +59,22 @@ pub static FORMATS: &[Format] = &[
 ];
 
 impl Format {
-    /// The format for people at a terminal, which every list of formats begins with.
+    /// Text format for terminals, the first of every list of formats.
     pub fn text() -> &'static Format {
         &FORMATS[0]
     }
 
-    /// The format of this name.
+    /// Format with the given name.
     pub fn named(name: &str) -> Option<&'static Format> {
         FORMATS.iter().find(|format| format.name == name)
     }
 
-    /// Whether it is the one for people at a terminal, who read on stderr what went wrong.
+    /// Returns whether this is the text format, whose errors go to stderr.
     pub fn is_text(&self) -> bool {
         self.name == Self::text().name
     }
 
-    /// Whether it shows the pictures of [`Report::figures`].
+    /// Returns whether the format shows [`Report::figures`].
     pub fn is_pictured(&self) -> bool {
         matches!(self.name, "html" | "text")
     }

@@ -1,5 +1,5 @@
-//! The report as workflow commands, which GitHub shows as annotations: the gravest first, as it
-//! shows only the first ten of each level.
+//! Report as workflow commands, which GitHub shows as annotations. Sorted by severity, because GitHub shows
+//! only the first ten of each level.
 
 use std::io::{self, Write};
 
@@ -7,10 +7,7 @@ use super::Report;
 use super::outline::Outline;
 use crate::finding::{Finding, Severity};
 
-/// Writes an annotation for each finding, and one with the verdict.
-///
-/// # Errors
-/// If `out` cannot be written.
+/// Writes an annotation for each finding, and one for the verdict.
 pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     let says = Outline::of(report);
     let file = report.log.files.first().map(|file| file.path.display().to_string());
@@ -58,12 +55,12 @@ fn command(
     writeln!(out, "::{level} {file}title={}::{}", property(title), data(message))
 }
 
-/// Text behind the second pair of colons, which a line ends.
+/// Escapes the message of a command, which ends at a line break.
 fn data(text: &str) -> String {
     text.replace('%', "%25").replace('\r', "%0D").replace('\n', "%0A")
 }
 
-/// The value of a property, which a colon or a comma ends, too.
+/// Escapes the value of a property, which also ends at a colon or a comma.
 fn property(text: &str) -> String {
     data(text).replace(':', "%3A").replace(',', "%2C")
 }

@@ -1,4 +1,4 @@
-//! The report for programs: one JSON object, in SI units.
+//! Report for programs: one JSON object in SI units.
 
 use std::io::{self, Write};
 
@@ -6,16 +6,13 @@ use schemars::generate::SchemaSettings;
 
 use super::Report;
 
-/// Writes the report; numbers that are not finite become `null`.
-///
-/// # Errors
-/// If `out` cannot be written.
+/// Writes the report. Numbers that are not finite become `null`.
 pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     serde_json::to_writer_pretty(&mut *out, report)?;
     writeln!(out)
 }
 
-/// The JSON schema of a report, with a newline at its end; `docs/poseaudit.report.schema.json`.
+/// JSON schema of a report, ending with a newline; `docs/poseaudit.report.schema.json`.
 pub fn schema() -> String {
     let settings = SchemaSettings::draft07().for_serialize();
     let schema = settings.into_generator().into_root_schema_for::<Report>();

@@ -1,8 +1,7 @@
-//! The report as JUnit XML, which CI systems show as tests: a suite for each rule, in it a case for
-//! each subject.
+//! Report as JUnit XML for CI systems: one suite per rule, with one case per subject.
 //!
-//! A case fails where its finding fails the run. What the log could not tell and what was not in it
-//! is skipped, with the reason; a finding that fails nothing is said in the output of its case.
+//! A case fails if its finding fails the run. Inconclusive and inapplicable checks are skipped, with the
+//! reason. A finding that does not fail the run is written to the output of its case.
 
 use std::io::{self, Write};
 
@@ -49,9 +48,9 @@ pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
         tests.add_test_suite(suite(&format!("{} {}", rows[0].code, rows[0].name), cases));
     }
     let text = tests.to_string().map_err(io::Error::other)?;
-    // Two characters that no XML may hold, and that its writer leaves.
+    // Replace two characters that XML forbids and the writer does not escape.
     let text = text.replace(['\u{fffe}', '\u{ffff}'], "\u{fffd}");
-    // The schema that Jenkins holds such files against knows no such count of the whole.
+    // The schema used by Jenkins does not allow this attribute on the root.
     let skipped = format!(" skipped=\"{}\"", tests.skipped);
     out.write_all(text.replacen(&skipped, "", 1).as_bytes())
 }
@@ -93,7 +92,7 @@ fn skipped(why: String) -> TestCaseStatus {
     status
 }
 
-/// What was found, what that means and how to mend it.
+/// Message, meaning and fix of findings.
 fn words(says: &Outline, found: &[&Finding]) -> String {
     let blocks = found.iter().map(|finding| {
         let head = format!("{}: {}", finding.severity.name(), finding.message);

@@ -1,4 +1,4 @@
-//! A report as it was kept: read back from its JSON.
+//! Reads a stored JSON report.
 
 use std::fs;
 use std::path::Path;
@@ -8,10 +8,10 @@ use serde_json::Value;
 use super::{Report, SCHEMA, Trouble, TroubleKind};
 
 impl Report {
-    /// The report in the file at `path`.
+    /// Reads the report at `path`.
     ///
     /// # Errors
-    /// If it cannot be read, or is no report of this schema.
+    /// If it cannot be read, or if it is not a report with this schema.
     pub fn from_file(path: &Path) -> Result<Self, Trouble> {
         let trouble = |place: String, what: String| Trouble {
             kind: TroubleKind::Call,
@@ -35,11 +35,11 @@ impl Report {
                 return Err(trouble(place, what));
             }
             None => {
-                return Err(trouble(place, format!("no report: its schema is not `{SCHEMA}`")));
+                return Err(trouble(place, format!("not a report: its schema is not `{SCHEMA}`")));
             }
         }
-        // Once more from the text: only that knows the lines.
+        // Parse the text again, because only that reports line numbers.
         serde_json::from_slice(&text)
-            .map_err(|error| trouble(at(&error), format!("no report: {error}")))
+            .map_err(|error| trouble(at(&error), format!("not a report: {error}")))
     }
 }

@@ -1,8 +1,7 @@
-//! The report for a comment on a pull request: GitHub's Markdown, the verdict and the causes first,
-//! the rest folded away.
+//! Report as GitHub Markdown for a pull request comment: verdict and causes first, the rest folded.
 //!
-//! Names of topics, joints and files come from the log and are escaped: they end no cell of a table,
-//! begin no element of HTML, and name nobody.
+//! Names of topics, joints and files come from the log and are escaped. They cannot end a table cell, start
+//! an HTML element or mention a user.
 
 use std::io::{self, Write};
 
@@ -27,7 +26,7 @@ pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     }
     header(report, &says, out)?;
     findings(report, &says, out)?;
-    // Where nothing is wrong but not all was told, that is what is to be read.
+    // Without findings, the inconclusive checks matter most, so unfold them.
     folded("Inconclusive", says.open_lines(), report.verdict == Verdict::Inconclusive, out)?;
     folded("Ignored", says.ignored(), true, out)?;
     folded("Passed", says.passed().lines(), false, out)?;
@@ -68,13 +67,13 @@ fn findings(report: &Report, says: &Outline, out: &mut dyn Write) -> io::Result<
     writeln!(out)
 }
 
-/// What is wrong, what that does, and what else it could be.
+/// Message, effect and confounders of a finding.
 fn what(finding: &Finding, says: &Outline) -> String {
     let lines = std::iter::once(finding.message.clone()).chain(says.about(finding));
     lines.map(|line| prose(&line)).collect::<Vec<_>>().join("<br>")
 }
 
-/// Lines under a heading that opens them.
+/// Writes lines in a collapsible section.
 fn folded(title: &str, lines: Vec<String>, open: bool, out: &mut dyn Write) -> io::Result<()> {
     if lines.is_empty() {
         return Ok(());
@@ -87,7 +86,7 @@ fn folded(title: &str, lines: Vec<String>, open: bool, out: &mut dyn Write) -> i
     writeln!(out, "\n</details>\n")
 }
 
-/// A name as it is, in the type of code.
+/// Formats a name as inline code.
 pub(crate) fn code(name: &str) -> String {
     let is_tame = |c: char| c.is_ascii_alphanumeric() || "/_-. :,+=()".contains(c);
     let is_padded = name.starts_with(' ') || name.ends_with(' ');
@@ -97,7 +96,7 @@ pub(crate) fn code(name: &str) -> String {
     format!("<code>{}</code>", prose(name))
 }
 
-/// Words in which no character means anything to Markdown or HTML.
+/// Escapes text so that no character has a meaning in Markdown or HTML.
 pub(crate) fn prose(text: &str) -> String {
     let text = upright(text);
     let mut escaped = String::with_capacity(text.len());
@@ -110,10 +109,10 @@ pub(crate) fn prose(text: &str) -> String {
             '&' => escaped.push_str("&amp;"),
             '<' => escaped.push_str("&lt;"),
             '>' => escaped.push_str("&gt;"),
-            // As references they end no cell, however many backslashes stand before them.
+            // Character references are safe in a table cell even after backslashes.
             '|' => escaped.push_str("&#124;"),
             '\\' => escaped.push_str("&#92;"),
-            // A mention, and the beginning of a link, need them side by side with the word.
+            // A zero-width space or a reference breaks a mention or the start of a link.
             '@' => escaped.push_str("@\u{200b}"),
             ':' if rest.peek() == Some(&'/') => escaped.push_str("&#58;"),
             '_' if is_between_words => escaped.push('_'),

@@ -1,6 +1,5 @@
-//! What an audit hands out: the report, and one file for each format of it.
-//!
-//! A format only renders. What is in a report is settled when it is made.
+//! The audit report, with one file per output format. A format only renders; the content of a report is
+//! final when it is created.
 
 pub(crate) mod amounts;
 pub mod compare;
@@ -58,51 +57,51 @@ enum Schema {
     One,
 }
 
-/// The report on one run. Its fields stand in the order of the JSON object.
+/// Report on one run. The fields are in the order of the JSON object.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[schemars(title = "poseaudit.report/1")]
 pub struct Report {
     schema: Schema,
     tool: Tool,
-    /// The answer in one word.
+    /// Overall result.
     pub verdict: Verdict,
-    /// Why next to nothing could be evaluated, where that is so.
+    /// Why almost nothing could be evaluated, if so.
     pub error: Option<Trouble>,
-    /// The files.
+    /// The audited files.
     pub log: LogSummary,
     /// The arms.
     pub robots: Vec<RobotRow>,
     /// The topics.
     pub streams: Vec<StreamRow>,
-    /// A row for every rule asked and every subject it was asked about.
+    /// One row for each rule and each subject it was evaluated on.
     pub checks: Vec<CheckRow>,
-    /// What is wrong: the gravest first, then what moves the arm's tip most.
+    /// Problems found: by severity, then by their effect at the arm's tip.
     pub findings: Vec<Finding>,
-    /// What is wrong, known to the caller and not counted, with the reason.
+    /// Problems that the configuration ignores, with the reason.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub ignored: Vec<Ignored>,
-    /// What each pose stream cannot show, and the motion that would.
+    /// Parameters that are not observable in each pose stream, and a motion that would show them.
     #[serde(default)]
     pub observability: Vec<StreamObservability>,
-    /// Over which part of its ranges each arm moved.
+    /// Part of its joint ranges that each arm covered.
     #[serde(default)]
     pub workspace: Vec<WorkspaceRow>,
-    /// The motions that would settle what was left open.
+    /// Motions that would resolve inconclusive checks.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub plans: Vec<PlanRow>,
-    /// The call that made it, as a shell takes it.
+    /// Shell command that created the report.
     #[serde(skip)]
     call: Option<String>,
-    /// The least severity that fails the run; `None` where nothing does.
+    /// Lowest severity that fails the run. `None` if nothing does.
     #[serde(skip)]
     fail_on: Option<Severity>,
-    /// Whether an inconclusive verdict fails the run, too.
+    /// Whether an inconclusive verdict also fails the run.
     #[serde(skip)]
     pub fails_open: bool,
-    /// What its pictures show, where they were asked for.
+    /// Data of the plots, if requested.
     #[serde(skip)]
     pub figures: Option<Figures>,
-    /// The amounts that the caller set instead of the rules' own.
+    /// Thresholds that the configuration overrides.
     #[serde(skip)]
     pub(crate) thresholds: Thresholds,
 }
@@ -115,24 +114,24 @@ struct Tool {
     version: Word,
 }
 
-/// The answer in one word.
+/// Overall result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
-    /// Nothing wrong, and the headline rules could tell.
+    /// No problem found, and the headline rules were decided.
     Pass,
-    /// There is a finding at or above the severity that fails.
+    /// A finding reaches the severity that fails the run.
     Fail,
-    /// Nothing wrong was found, but a headline rule could not tell.
+    /// No problem found, but a headline rule could not be decided.
     Inconclusive,
 }
 
-/// What was read.
+/// The log that was read.
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 pub struct LogSummary {
     /// The files, in the order given.
     pub files: Vec<FileRow>,
-    /// Messages read.
+    /// Number of messages read.
     pub messages: u64,
     /// First log time.
     #[schemars(with = "Option<String>")]
@@ -140,12 +139,12 @@ pub struct LogSummary {
     /// Last log time.
     #[schemars(with = "Option<String>")]
     pub end_ns: Option<Stamp>,
-    /// From the first to the last log time, s.
+    /// Time from the first to the last log time, s.
     pub duration_s: Option<f64>,
-    /// The column of a table that holds times, where its numbers told it and not its name.
+    /// Time column of a table, if it was identified by its values instead of its name.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_column: Option<String>,
-    /// What a reader should know of the files, and is no damage.
+    /// Remarks on the files that are not damage.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<NoteRow>,
 }
@@ -156,21 +155,21 @@ pub struct FileRow {
     /// Path as given.
     #[schemars(with = "String")]
     pub path: PathBuf,
-    /// What kind of file it is.
+    /// File type.
     #[serde(deserialize_with = "word")]
     pub container: Word,
-    /// Its size.
+    /// Size in bytes.
     pub bytes: u64,
-    /// How many bytes were fetched to read it, where it is an object in a store.
+    /// Bytes fetched, if the file is an object in a store.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fetched_bytes: Option<u64>,
-    /// How much of it a checksum vouches for: `all`, `partial` or `none`.
+    /// Share of the file that is covered by a checksum: `all`, `partial` or `none`.
     #[serde(deserialize_with = "word")]
     pub crc: Word,
 }
 
 impl FileRow {
-    /// How much of an object was fetched, in words; `None` for a local file.
+    /// Describes how much of an object was fetched. `None` for a local file.
     pub fn fetched(&self) -> Option<String> {
         let (fetched, size) = (self.fetched_bytes? as f64, self.bytes as f64);
         let (megabytes, percent) = (fetched / 1e6, 100.0 * fetched / size.max(1.0));
@@ -178,19 +177,19 @@ impl FileRow {
     }
 }
 
-/// What a reader should know of a file, and is no damage.
+/// Remark on a file that is not damage.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct NoteRow {
-    /// The file, or the folder.
+    /// The file or folder.
     #[schemars(with = "String")]
     pub path: PathBuf,
-    /// What there is to know.
+    /// Text of the remark.
     pub note: String,
 }
 
 impl Report {
-    /// The report on what was read and evaluated. A finding of severity `fail_on` or above fails
-    /// the run; `None` lets nothing fail it.
+    /// Creates the report from the evaluated checks. A finding of severity `fail_on` or above fails the
+    /// run; with `None`, nothing does.
     pub fn new(
         log: LogSummary,
         robots: Vec<RobotRow>,
@@ -219,7 +218,7 @@ impl Report {
         }
     }
 
-    /// The call that writes a recording of the same audit.
+    /// Command that writes a recording of the same audit.
     fn replay(&self) -> String {
         let call = self.call.clone().unwrap_or_else(|| {
             let logs = self.log.files.iter().map(|file| file.path.display().to_string());
@@ -229,24 +228,24 @@ impl Report {
         format!("{call} --rrd run.rrd")
     }
 
-    /// Keeps the words of the call that made it.
+    /// Stores the command line that created the report.
     pub fn called(mut self, words: &[String]) -> Self {
         let words: Vec<String> = words.iter().map(|word| tame::shell_word(word)).collect();
         self.call = Some(words.join(" "));
         self
     }
 
-    /// The report on what a log holds, with nothing evaluated.
+    /// Report on the content of a log, without any evaluation.
     pub fn of_log(log: LogSummary, robots: Vec<RobotRow>, streams: Vec<StreamRow>) -> Self {
         Self { log, robots, streams, ..Self::empty() }
     }
 
-    /// The report where there is nothing to report on but the trouble.
+    /// Report with only an error.
     pub fn of_trouble(trouble: Trouble) -> Self {
         Self { error: Some(trouble), ..Self::empty() }
     }
 
-    /// This report, with what kept it from saying more. It cannot be a pass then.
+    /// Adds an error that limited the audit. A pass becomes inconclusive.
     pub fn with_trouble(self, trouble: Trouble) -> Self {
         let verdict = match self.verdict {
             Verdict::Pass => Verdict::Inconclusive,
@@ -278,31 +277,30 @@ impl Report {
         }
     }
 
-    /// From which amount in `unit` a rule warns; `None` where it judges none in that unit.
+    /// Warning threshold of a rule for amounts in `unit`. `None` if the rule has no such amount.
     pub(crate) fn warns_from(&self, rule: &Rule, unit: Unit) -> Option<f64> {
         let own = rule.grade.thresholds().iter().find(|threshold| threshold.unit == unit)?;
         Some(self.thresholds.of(rule, *own).warning)
     }
 
-    /// Whether a finding of this severity fails the run.
+    /// Returns whether a finding of this severity fails the run.
     pub fn fails_on(&self, severity: Severity) -> bool {
         self.fail_on.is_some_and(|least| severity >= least)
     }
 
-    /// The codes of the rules that leave a verdict INCONCLUSIVE.
+    /// Codes of the rules that make the verdict INCONCLUSIVE.
     pub fn undecided(&self) -> Vec<&'static str> {
         undecided(&self.checks).map(|rule| rule.code).collect()
     }
 
-    /// The file that what kept the audit from saying more is shown at: the first of the log, else the
-    /// one that could not be read.
+    /// File at which to show the error: the first file of the log, else the one that could not be read.
     fn file_in_trouble(&self) -> Option<&Path> {
         let first = self.log.files.first().map(|file| file.path.as_path());
         let of_log = self.error.as_ref().filter(|trouble| trouble.kind == TroubleKind::Log);
         first.or_else(|| of_log.map(|trouble| Path::new(&trouble.place)))
     }
 
-    /// The rules in `required` that decided nothing, or left a subject open that could be decided.
+    /// Rules in `required` that decided nothing, or left a decidable subject inconclusive.
     pub fn not_concluded(&self, required: &[checks::Selector]) -> Vec<&'static str> {
         let rules = checks::registry().iter().map(|rule| rule.code);
         let required = rules.filter(|code| required.iter().any(|selector| selector.names(code)));
@@ -317,7 +315,7 @@ impl Report {
     }
 }
 
-/// The trouble where rules about an arm were asked and none found its input in the log.
+/// Error if rules about an arm were requested but none found its input in the log.
 fn nothing_evaluated(log: &LogSummary, checks: &[CheckRow]) -> Option<Trouble> {
     let needs_model = |row: &&CheckRow| checks::find(row.code).is_ok_and(|rule| rule.needs_model);
     let about_arm: Vec<&CheckRow> = checks.iter().filter(needs_model).collect();
@@ -335,14 +333,14 @@ fn nothing_evaluated(log: &LogSummary, checks: &[CheckRow]) -> Option<Trouble> {
     })
 }
 
-/// Whether hand and eye were judged, which needs no arm.
+/// Returns whether a hand-eye check was decided, which does not require an arm.
 pub(crate) fn tells_hand_eye(checks: &[CheckRow]) -> bool {
     checks.iter().any(|row| row.code.starts_with("HEC") && row.status.is_decided())
 }
 
-/// Fail with a finding at or above `fail_on`; else inconclusive where a headline rule found its
-/// input and decided none of its subjects, or what proves a pass left one open; else pass. Subjects that
-/// no such log could decide do not count.
+/// Computes the verdict. Fail if a finding reaches `fail_on`. Else inconclusive if a headline rule with
+/// input decided none of its subjects, or if a rule required for a pass is inconclusive on one. Subjects
+/// that no such log can decide are ignored.
 fn verdict(checks: &[CheckRow], findings: &[Finding], fail_on: Option<Severity>) -> Verdict {
     if fail_on.is_some_and(|least| findings.iter().any(|finding| finding.severity >= least)) {
         return Verdict::Fail;
@@ -351,8 +349,8 @@ fn verdict(checks: &[CheckRow], findings: &[Finding], fail_on: Option<Severity>)
     if is_open { Verdict::Inconclusive } else { Verdict::Pass }
 }
 
-/// The headline rules that found their input and decided none of their subjects, or of which one open
-/// subject is too many.
+/// Headline rules with input that decided none of their subjects, or that must decide every subject and did
+/// not.
 fn undecided(checks: &[CheckRow]) -> impl Iterator<Item = &'static Rule> {
     let headline = checks::registry().iter().copied().filter(|rule| rule.headline);
     headline.filter(|rule| {
@@ -360,7 +358,7 @@ fn undecided(checks: &[CheckRow]) -> impl Iterator<Item = &'static Rule> {
         let asked = rows.filter(|row| row.status != Status::Skipped && !row.indistinguishable);
         let (derived, witnesses): (Vec<&CheckRow>, Vec<&CheckRow>) =
             asked.partition(|row| row.evidence.contains_key(checks::DERIVED));
-        // A stream that is computed from the joint states decides nothing for another.
+        // A stream derived from the joint states is not independent evidence.
         let asked = if witnesses.is_empty() { derived } else { witnesses };
         let is_hidden = |row: &&CheckRow| row.evidence.contains_key(checks::UNKNOWN_WORLD);
         if asked.iter().any(is_hidden) {
@@ -375,7 +373,7 @@ fn undecided(checks: &[CheckRow]) -> impl Iterator<Item = &'static Rule> {
 }
 
 impl Verdict {
-    /// Its name in JSON and in tables.
+    /// Name in JSON and tables.
     pub const fn name(self) -> &'static str {
         match self {
             Verdict::Pass => "pass",
@@ -384,7 +382,7 @@ impl Verdict {
         }
     }
 
-    /// The verdict of this name.
+    /// Verdict with the given name.
     pub fn named(name: &str) -> Option<Self> {
         let all = [Verdict::Pass, Verdict::Fail, Verdict::Inconclusive];
         all.into_iter().find(|verdict| verdict.name() == name)

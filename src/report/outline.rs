@@ -1,4 +1,4 @@
-//! What a report says in words, as every format for people says it.
+//! Text of a report, shared by all human-readable formats.
 
 mod open;
 mod passed;
@@ -12,30 +12,30 @@ use crate::finding::{
 
 pub(crate) use passed::{Bound, Passed};
 
-/// The words of one report.
+/// Text generator for one report.
 pub(crate) struct Outline<'a> {
     report: &'a Report,
-    /// Whether there are several robots, so that subjects must say which.
+    /// Whether there are several robots, so that subjects must include the robot.
     robots: bool,
 }
 
 /// The rows of one rule.
 struct Outcomes<'a> {
-    /// Those that passed, …
+    /// Rows that passed, …
     plain: Vec<&'a CheckRow>,
-    /// … and those of which that had to be explained.
+    /// … and passed rows with a remark.
     remarked: Vec<&'a CheckRow>,
-    /// How many there are, without those that were skipped.
+    /// Number of rows that were not skipped.
     asked: usize,
 }
 
 impl<'a> Outline<'a> {
-    /// Those of `report`.
+    /// Creates the text generator of `report`.
     pub fn of(report: &'a Report) -> Self {
         Self { report, robots: report.robots.len() > 1 }
     }
 
-    /// The verdict's reason and how many checks ended how: `2 errors; 46 checks passed, 3 inconclusive`.
+    /// Reason for the verdict and counts of checks: `2 errors; 46 checks passed, 3 inconclusive`.
     pub fn why(&self) -> String {
         let counts = self.checks_counted();
         match self.report.verdict {
@@ -83,14 +83,14 @@ impl<'a> Outline<'a> {
         counts.collect::<Vec<_>>().join(", ")
     }
 
-    /// The headline rules that decided nothing.
+    /// Headline rules that decided nothing.
     fn undecided(&self) -> String {
         let named =
             undecided(&self.report.checks).map(|rule| format!("{} ({})", rule.code, rule.name));
         named.collect::<Vec<_>>().join(", ")
     }
 
-    /// `12.0 s, 2 102 messages, 6 topics`, where there is a log.
+    /// `12.0 s, 2 102 messages, 6 topics`. `None` without a log.
     pub fn extent(&self) -> Option<String> {
         let log = &self.report.log;
         let topics = self.report.streams.iter().map(|stream| stream.topic.as_str());
@@ -99,12 +99,12 @@ impl<'a> Outline<'a> {
         Some(format!("{duration_s:.1} s, {} messages, {topics} topics", grouped(log.messages)))
     }
 
-    /// What a check or a finding is about.
+    /// Subject of a check or a finding.
     pub fn subject(&self, subject: &Subject) -> String {
         subject.label_among(self.robots)
     }
 
-    /// What several checks are about; all joints of an arm are said together.
+    /// Subjects of several checks. All joints of an arm are combined.
     fn subjects(&self, rows: &[&CheckRow]) -> String {
         let mut said = Vec::new();
         let mut rows = rows.to_vec();
@@ -122,7 +122,7 @@ impl<'a> Outline<'a> {
         said.join(", ")
     }
 
-    /// ` on /pose, /tf`; nothing of what is about the whole run.
+    /// ` on /pose, /tf`. Empty for the whole run.
     fn on(&self, rows: &[&CheckRow]) -> String {
         match self.subjects(rows) {
             none if none.is_empty() => String::new(),
@@ -130,8 +130,7 @@ impl<'a> Outline<'a> {
         }
     }
 
-    /// What stands under a finding's message, a line each: what the fault does, what the amount
-    /// means, and the other causes that the log cannot tell from it.
+    /// Lines below a finding's message: effect of the fault, meaning of the amount, and confounders.
     pub fn about(&self, finding: &Finding) -> Vec<String> {
         let evidence = &finding.evidence;
         let meaning = evidence.more.get("meaning").and_then(|it| it.as_str());
@@ -142,7 +141,7 @@ impl<'a> Outline<'a> {
             .collect()
     }
 
-    /// The other causes that a log cannot tell from one, where there are some.
+    /// Confounders of a cause. `None` if there are none.
     fn cannot_be_told_from(&self, others: &[Alternative]) -> Option<String> {
         let others: Vec<String> = others.iter().map(|other| self.alternative(other)).collect();
         (!others.is_empty()).then(|| format!("equally likely: {}", others.join(", ")))
@@ -161,7 +160,7 @@ impl<'a> Outline<'a> {
         format!("{} on {}{amount}", other.code, self.subject(&other.subject))
     }
 
-    /// What the motion shows only together, a line for what would be told apart together.
+    /// Parameters that are observable only in combination, one line per motion that would separate them.
     pub fn cannot_show(&self) -> Vec<String> {
         let streams = self.report.observability.iter();
         let lines = streams
@@ -169,7 +168,7 @@ impl<'a> Outline<'a> {
         lines.collect()
     }
 
-    /// What is wrong, known, and not to be counted, a line each with the reason.
+    /// Ignored findings, one line each with the reason.
     pub fn ignored(&self) -> Vec<String> {
         let said = self.report.ignored.iter().map(|Ignored { finding, reason, place }| {
             let (code, subject) = (finding.code, self.subject(&finding.subject));
@@ -179,7 +178,7 @@ impl<'a> Outline<'a> {
         said.collect()
     }
 
-    /// The columns of tables that nothing was held against, a line for each reason.
+    /// Table columns that were not used, one line per reason.
     pub fn unused(&self) -> Vec<String> {
         let is_of_table = |row: &&StreamRow| !row.columns.is_empty() || row.type_name == "unread";
         let is_unused = |row: &&StreamRow| ["ignored", "unassigned"].contains(&row.role);
@@ -196,7 +195,7 @@ impl<'a> Outline<'a> {
         lines.collect()
     }
 
-    /// What was skipped, a line for each reason.
+    /// Skipped checks, one line per reason.
     pub fn skipped(&self) -> Vec<String> {
         let is_said = |row: &&CheckRow| {
             let mut known = self.report.ignored.iter().map(|known| &known.finding);
@@ -219,7 +218,7 @@ impl<'a> Outline<'a> {
         self.report.checks.iter().filter(move |row| row.code == code)
     }
 
-    /// The codes of all rows, in their order.
+    /// Codes of all rows in order.
     fn codes(&self) -> Vec<&'static str> {
         let mut codes: Vec<&str> = self.report.checks.iter().map(|row| row.code).collect();
         codes.dedup();
@@ -232,7 +231,7 @@ fn is_joint_of(subject: &Subject, robot: &RobotRow) -> bool {
         && subject.joint.as_ref().is_some_and(|joint| robot.joints.contains(joint))
 }
 
-/// A count with its digits in groups of three.
+/// Formats a count with groups of three digits.
 fn grouped(count: u64) -> String {
     let digits = count.to_string();
     let mut text = String::with_capacity(digits.len() + digits.len() / 3);
@@ -245,7 +244,7 @@ fn grouped(count: u64) -> String {
     text
 }
 
-/// Rows in groups of equal key, in the order in which keys first come.
+/// Groups rows by key, in order of first occurrence.
 fn grouped_by<'a, R, K: PartialEq>(
     rows: impl Iterator<Item = &'a R>,
     key: impl Fn(&'a R) -> K,
@@ -261,7 +260,7 @@ fn grouped_by<'a, R, K: PartialEq>(
     groups
 }
 
-/// Codes with runs of three and more written as `ORD002–005`.
+/// Abbreviates runs of three or more codes as `ORD002–005`.
 fn ranges(codes: &[&str]) -> Vec<String> {
     let split = |code: &str| -> Option<(String, u32)> {
         let (family, number) = code.split_at_checked(3)?;

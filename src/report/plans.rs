@@ -1,4 +1,4 @@
-//! The calls of `poseaudit plan` that write the motions which would settle what was left open.
+//! Suggests `poseaudit plan` commands whose motions would resolve inconclusive checks.
 
 use std::path::{Path, PathBuf};
 
@@ -15,22 +15,22 @@ use crate::robot::{Chain, JointKind, Robot};
 use crate::run::{Arm, Run, RunOptions, Witness, robot_of};
 use crate::stream::JointTrack;
 
-/// One motion that would settle some of what was left open.
+/// Motion that would resolve inconclusive checks.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct PlanRow {
-    /// The arm that is to move.
+    /// The arm to move.
     pub robot: String,
-    /// What the motion shows: `zeros`, `calibration`, `latency`, `hand-eye` or `yaw`.
+    /// Purpose of the motion: `zeros`, `calibration`, `latency`, `hand-eye` or `yaw`.
     #[serde(deserialize_with = "word")]
     pub purpose: Word,
-    /// The rules that it would let conclude.
+    /// Rules that it would resolve.
     pub codes: Vec<String>,
-    /// The call that writes it, around a posture that this log visited.
+    /// Command that generates it, around a configuration that this log visited.
     pub command: String,
 }
 
-/// The motions that would settle what `checks` left open, of each arm and for each purpose one. `logs` are the
-/// files that the run was read from.
+/// Motions that would resolve inconclusive checks in `checks`, one per arm and purpose. `logs` are the
+/// files of the run.
 pub(crate) fn plans(
     run: &Run,
     evidence: &RunEvidence,
@@ -61,7 +61,7 @@ pub(crate) fn plans(
             codes.dedup();
             if !codes.is_empty() {
                 let (robot, name) = (arm.name.clone(), purpose.name());
-                // Neither the frame of an outside witness nor the point that it sees is known.
+                // The frame of an independent reference and its measured point are unknown.
                 let is_outside = own_witness == Some(Witness::External) && purpose.is_of_poses();
                 let outside = if is_outside { " --outside" } else { "" };
                 let command = format!("{call} --for {name}{outside}");
@@ -72,8 +72,8 @@ pub(crate) fn plans(
     plans
 }
 
-/// The call without its purpose; `None` where nothing that it can read has the arm's model, or the log
-/// visited no posture within the limits.
+/// Command without its purpose. `None` if no readable source has the arm's model, or if the log has no
+/// configuration within the limits.
 fn call(run: &Run, arm: &Arm, options: &RunOptions, logs: &[PathBuf]) -> Option<String> {
     let own = |name: &str, given: &Option<String>| {
         given.as_ref().map_or(String::new(), |given| option(name, given))
@@ -92,26 +92,25 @@ fn call(run: &Run, arm: &Arm, options: &RunOptions, logs: &[PathBuf]) -> Option<
     plan_around(&of).filter(|_| of.model.is_some() || logs.len() == 1)
 }
 
-/// What a motion is to be planned around.
+/// Input for a suggested motion.
 pub(crate) struct PlanOf<'a> {
-    /// The arm, as the log names its links.
+    /// The robot with the log's link names.
     pub robot: &'a Robot,
-    /// Its chain.
+    /// Chain of the arm.
     pub chain: &'a Chain,
-    /// Its joint states.
+    /// Joint states of the arm.
     pub joints: &'a JointTrack,
-    /// For each joint of the chain, its column in them.
+    /// Column in the joint states of each joint of the chain.
     pub columns: &'a [usize],
-    /// What `plan` reads it from by name or file, and what it then is; else the log.
+    /// Name or file of the model for `plan`, with the model. `None` to use the log.
     pub model: Option<(String, Robot)>,
-    /// The log.
+    /// Path of the log.
     pub log: &'a Path,
-    /// The options that tell which arm of the log it is.
+    /// Options that select the arm in the log.
     pub in_log: String,
 }
 
-/// The call of `plan` around a posture that the joint states visited; `None` where they visited none within
-/// the limits.
+/// `plan` command around a configuration in the joint states. `None` if none is within the limits.
 pub(crate) fn plan_around(of: &PlanOf<'_>) -> Option<String> {
     let around: Vec<String> =
         posture(of.joints, of.columns, of.chain)?.iter().map(|q| shown(*q)).collect();
@@ -120,7 +119,7 @@ pub(crate) fn plan_around(of: &PlanOf<'_>) -> Option<String> {
         let log = shell_word(&of.log.display().to_string());
         return Some(format!("poseaudit plan {log}{} --around={around}", of.in_log));
     };
-    // Links are named as in the log; their order is the model's.
+    // Link names are the log's. Their order is the model's.
     let named = |name: &str| Some(robot.link_name(of.robot.link(name)?).to_owned());
     let (base, tip) = (named(of.chain.base_name())?, named(of.chain.tip_name())?);
     let usual_base = robot.default_base.as_deref().and_then(|name| robot.link(name));
@@ -133,7 +132,7 @@ pub(crate) fn plan_around(of: &PlanOf<'_>) -> Option<String> {
     Some(format!("poseaudit plan {}{base}{tip} --around={around}", shell_word(model)))
 }
 
-/// The model that `plan` can read by name or file, where the log's own is not the arm's.
+/// Model that `plan` can read by name or file, if the log does not contain the arm's model.
 fn model(arm: &Arm, options: &RunOptions) -> Option<(String, Robot)> {
     let given = options.robots.iter().find(|source| {
         let is_its = |prefix: &String| arm.joint_names.iter().any(|name| name.starts_with(prefix));
@@ -148,10 +147,10 @@ fn model(arm: &Arm, options: &RunOptions) -> Option<(String, Robot)> {
     }
 }
 
-/// The posture of the joint states that is nearest to the middle of each joint's positions, within the
-/// limits; turns that the limits allow no room for are taken off.
+/// Configuration closest to the middle of each joint's positions, within the limits. Removes whole turns
+/// that the limits do not allow.
 fn posture(joints: &JointTrack, columns: &[usize], chain: &Chain) -> Option<Vec<f64>> {
-    /// Samples that tell where the middle is.
+    /// Maximum number of samples to determine the middle.
     const ENOUGH: usize = 20_000;
     let rows = || (0..joints.len()).step_by(joints.len().div_ceil(ENOUGH).max(1));
     let middle = |&at: &usize| {
@@ -170,7 +169,7 @@ fn posture(joints: &JointTrack, columns: &[usize], chain: &Chain) -> Option<Vec<
 
 fn within(chain: &Chain, mut q: Vec<f64>) -> Option<Vec<f64>> {
     use std::f64::consts::TAU;
-    /// What is shown is rounded.
+    /// The displayed values are rounded.
     const ROUNDING: f64 = 1e-3;
     for ((q, kind), limits) in q.iter_mut().zip(chain.joint_kinds()).zip(chain.limits()) {
         let low = limits.lower.unwrap_or(f64::NEG_INFINITY) + ROUNDING;
@@ -211,7 +210,8 @@ mod tests {
         let q = vec![TAU + 0.5, -1.0, 1.0, 0.0, 0.0, -TAU - 0.25];
         let turned = within(&chain, q).expect("a posture");
         assert!((turned[0] - 0.5).abs() < 1e-12 && (turned[5] + 0.25).abs() < 1e-12, "{turned:?}");
-        // The elbow has less than a turn: half a turn and a bit more is on its other side.
+        // The elbow's range is less than a turn. Slightly more than half a turn is equivalent to the other
+        // side.
         let folded = within(&chain, vec![0.0, 0.0, 3.5, 0.0, 0.0, 0.0]).expect("a posture");
         assert!((folded[2] - 3.5 + TAU).abs() < 1e-12, "{folded:?}");
         let at_its_end = vec![0.0, 0.0, std::f64::consts::PI, 0.0, 0.0, 0.0];

@@ -1,4 +1,4 @@
-//! The rows of a report that say what the log holds.
+//! Report rows that describe the content of the log.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -11,49 +11,49 @@ use crate::time::Stamp;
 /// One arm.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct RobotRow {
-    /// Its name.
+    /// Name of the arm.
     pub name: String,
-    /// Where its model comes from.
+    /// Source of its model.
     pub source: String,
-    /// The link that the chain begins at.
+    /// First link of the chain.
     pub base: String,
-    /// The link that it ends at.
+    /// Last link of the chain.
     pub tip: String,
     /// Its joints, from base to tip.
     pub joints: Vec<String>,
 }
 
-/// One topic, or one pair of frames of it.
+/// One topic, or one pair of frames in it.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct StreamRow {
     /// Its topic.
     pub topic: String,
-    /// Type, as the log spells it.
+    /// Type as spelled in the log.
     #[serde(rename = "type")]
     pub type_name: String,
-    /// The part it plays.
+    /// Role of the stream.
     #[serde(deserialize_with = "word")]
     pub role: Word,
-    /// Why it plays that part.
+    /// Reason for the role.
     pub reason: String,
     /// The robot it belongs to.
     pub robot: Option<String>,
-    /// The frame its messages name.
+    /// Frame of its messages.
     pub frame_id: Option<String>,
-    /// The child frame its messages name.
+    /// Child frame of its messages.
     pub child_frame_id: Option<String>,
-    /// The link that its poses are taken to be in.
+    /// Link assumed as the reference of its poses.
     pub reference: Option<String>,
-    /// The link whose poses they are taken to be.
+    /// Link whose poses it is assumed to contain.
     pub link: Option<String>,
-    /// Whose word its poses are: `controller`, `external` or `unknown`.
+    /// Source of its poses: `controller`, `external` or `unknown`.
     #[serde(default, deserialize_with = "maybe_word")]
     pub witness: Option<Word>,
-    /// Messages or samples.
+    /// Number of messages or samples.
     pub count: u64,
-    /// Samples that could not be used.
+    /// Number of samples that could not be used.
     pub dropped: u64,
-    /// Samples a second.
+    /// Samples per second.
     pub rate_hz: Option<f64>,
     /// First stamp.
     #[schemars(with = "Option<String>")]
@@ -61,15 +61,15 @@ pub struct StreamRow {
     /// Last stamp.
     #[schemars(with = "Option<String>")]
     pub end_ns: Option<Stamp>,
-    /// The columns of a table that it is made of, as `[columns]` of a config names them.
+    /// Table columns that it is made of, as named in `[columns]` of a config.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub columns: Vec<String>,
-    /// Factor and offset that make rad of each joint's numbers, where they are neither rad nor degrees.
+    /// Factor and offset that convert each joint's numbers to rad, if they are neither rad nor degrees.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub joint_lines: Vec<[f64; 2]>,
 }
 
-/// One row for each stream of the segments.
+/// Merges the rows of all segments, one per stream.
 pub(crate) fn joined(rows: impl Iterator<Item = StreamRow>) -> Vec<StreamRow> {
     let mut joined: Vec<StreamRow> = Vec::new();
     for row in rows {

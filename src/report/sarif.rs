@@ -1,7 +1,7 @@
-//! The report as SARIF 2.1.0, for code scanning.
+//! Report as SARIF 2.1.0 for code scanning.
 //!
-//! A result is a finding; one that the caller ignores is suppressed. What the log could not tell is no result, nor a pass: it is a notification
-//! of the invocation, with its rule.
+//! Each finding is a result; ignored ones are suppressed. Inconclusive checks are notifications of the
+//! invocation with their rule, because they are neither results nor passes.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -42,7 +42,7 @@ fn log(report: &Report) -> Value {
         "$schema": SCHEMA,
         "version": "2.1.0",
         "runs": [{
-            // What code scanning tells the logs of one commit apart by: all before the last slash.
+            // Code scanning distinguishes the logs of one commit by the part before the last slash.
             "automationDetails": { "id": format!("poseaudit/{}/", artifact(report)) },
             "tool": {
                 "driver": {
@@ -63,12 +63,12 @@ fn log(report: &Report) -> Value {
     })
 }
 
-/// The log, by its first file.
+/// Identifies the log by its first file.
 fn artifact(report: &Report) -> String {
     report.log.files.first().map_or_else(String::new, |file| uri(&file.path))
 }
 
-/// A rule, with all that `explain` says of it.
+/// Rule descriptor with the text of `explain`.
 fn descriptor(rule: &Rule) -> Value {
     let gravest = match rule.grade {
         Grade::Fixed(severity) => severity,
@@ -81,14 +81,14 @@ fn descriptor(rule: &Rule) -> Value {
         "id": rule.code,
         "name": rule.name,
         "shortDescription": said(&format!("{}.", rule.summary())),
-        "fullDescription": said(&format!("{}. Speaks up: {}.", rule.summary(), rule.grade)),
+        "fullDescription": said(&format!("{}. Severity: {}.", rule.summary(), rule.grade)),
         "help": { "text": plain.join("\n"), "markdown": doc },
         "defaultConfiguration": { "level": level(gravest) },
         "properties": { "tags": ["robotics", rule.family()] },
     })
 }
 
-/// What kept the audit from saying more, and what the log could not tell.
+/// Error that limited the audit, and inconclusive checks.
 fn notifications(report: &Report) -> Vec<Value> {
     let trouble = report.error.iter().map(|trouble| {
         let locations =
@@ -104,7 +104,7 @@ fn notifications(report: &Report) -> Vec<Value> {
     let open = open.map(|row| {
         let subject = says.subject(&row.subject);
         let reason = row.reason.as_deref().unwrap_or_default();
-        let text = format!("{} on {subject} could not be told: {reason}", row.code);
+        let text = format!("{} on {subject} is inconclusive: {reason}", row.code);
         json!({
             "level": "note",
             "message": said(&text),
@@ -132,7 +132,7 @@ fn result(report: &Report, finding: &Finding) -> Value {
         "level": level(finding.severity),
         "message": said(&message(report, finding)),
         "locations": locations,
-        // The second is the one that GitHub looks at.
+        // GitHub uses the second one.
         "partialFingerprints": { "cause/v1": cause, "primaryLocationLineHash": cause },
         "properties": {
             "estimate": finding.estimate,
@@ -144,7 +144,7 @@ fn result(report: &Report, finding: &Finding) -> Value {
     })
 }
 
-/// What is known and not counted: a result that is shown to nobody, with the reason.
+/// Suppressed result of an ignored finding, with the reason.
 fn suppressed(report: &Report, known: &Ignored) -> Value {
     let mut result = result(report, &known.finding);
     let justification = format!("{} ({})", known.reason, known.place);
@@ -163,8 +163,8 @@ fn message(report: &Report, finding: &Finding) -> String {
     format!("{subject}{}{about}. Fix: {}", finding.message, finding.fix)
 }
 
-/// A message that says `text`: what would be a placeholder in it or a link is escaped (SARIF 2.1.0,
-/// §3.11.5 and §3.11.6), as names in a log may look like either.
+/// SARIF message. Escapes placeholders and links (SARIF 2.1.0, §3.11.5 and §3.11.6), since names in a log
+/// may look like either.
 fn said(text: &str) -> Value {
     let mut text = text.replace('{', "{{").replace('}', "}}");
     if text.contains("](") {
@@ -173,13 +173,12 @@ fn said(text: &str) -> Value {
     json!({ "text": text })
 }
 
-/// The place of a rule in the list of rules.
+/// Index of a rule in the list of rules.
 fn index(code: &str) -> Option<usize> {
     checks::registry().iter().position(|rule| rule.code == code)
 }
 
-/// What stays the same of a fault from run to run: the rule and whom it blames, no amount and no name
-/// of a file.
+/// Fingerprint of a fault that is stable between runs: rule and subject, without amounts and file names.
 fn cause(report: &Report, finding: &Finding) -> String {
     let is_file = |name: &str| report.log.files.iter().any(|file| file.path == Path::new(name));
     let parts = finding.subject.parts().map(|(kind, name)| {
@@ -188,7 +187,7 @@ fn cause(report: &Report, finding: &Finding) -> String {
     format!("{}{}", finding.code, parts.collect::<String>())
 }
 
-/// A place in a file. Logs have no lines, but who shows results shows them at one.
+/// Location in a file. Logs have no lines, but viewers require one.
 fn physical(path: &Path) -> Value {
     json!({ "artifactLocation": { "uri": uri(path) }, "region": { "startLine": 1 } })
 }
@@ -208,12 +207,12 @@ fn level(severity: Severity) -> &'static str {
     }
 }
 
-/// A path as a URI: relative as it was given, of the scheme `file`, or the URL of an object.
+/// Converts a path to a URI: relative as given, absolute with the scheme `file`, or the URL of an object.
 fn uri(path: &Path) -> String {
     if let Some((scheme, rest)) =
         path.to_str().filter(|_| is_url(path)).and_then(|url| url.split_once("://"))
     {
-        // A web address is encoded as it is given, a key is not.
+        // A web address is already encoded, an object key is not.
         let is_web = matches!(scheme, "http" | "https");
         let rest = if is_web { rest.to_owned() } else { uri(Path::new(rest)) };
         return format!("{scheme}://{rest}");

@@ -1,22 +1,22 @@
-//! Errors over time as a row of bars, for a terminal.
+//! Errors over time as a row of bars for a terminal.
 
 use super::Report;
 use super::figures::{Figures, ImuFigure, PoseFigure};
 use crate::finding::{Finding, Severity, Unit};
 
-/// Bars in a row.
+/// Number of bars in a row.
 const CELLS: usize = 32;
 
-/// From the lowest to the highest.
+/// Bars from lowest to highest.
 const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
 
-/// Where there is no sample.
+/// Cell without samples.
 const NONE: char = '·';
 
-/// A line for each stream whose errors the findings explain, in the order of the figures; none where
-/// the figures were not asked for, or nothing is a fault.
+/// One line for each stream whose errors the findings explain, in the order of the figures. Empty without
+/// figures or faults.
 pub(super) fn over_time(report: &Report) -> Vec<String> {
-    /// What is explained leaves less than this share, rms.
+    /// Findings must reduce the rms error below this fraction.
     const EXPLAINED: f64 = 0.5;
     let is_fault = |found: &Finding| found.severity != Severity::Info;
     let figures = report.figures.as_ref().filter(|_| report.findings.iter().any(is_fault));
@@ -29,7 +29,7 @@ pub(super) fn over_time(report: &Report) -> Vec<String> {
     poses.chain(imus.filter_map(|imu| of_imu(figures, imu))).collect()
 }
 
-/// Distance or angle, whichever is more at the end of a lever of a metre.
+/// Shows distance or angle, whichever is larger at a lever arm of 1 m.
 fn of_pose(figures: &Figures, figure: &PoseFigure, explained: f64) -> Option<String> {
     let sizes = |metres: &[f64], radians: &[f64]| [rms(metres), rms(radians)];
     let before = sizes(&figure.before_m, &figure.before_rad);
@@ -62,13 +62,13 @@ fn of_imu(figures: &Figures, figure: &ImuFigure) -> Option<String> {
     Some(format!("{bars}  {}: yaw {least} to {most} ahead of FK's", figure.topic))
 }
 
-/// The largest of `samples`, times in s and values, in each of [`CELLS`] parts of a run of
-/// `duration_s`, over `floor`. `None` where all are alike.
+/// Largest of `samples` (time in s, value) above `floor`, in each of [`CELLS`] intervals of `duration_s`.
+/// `None` if all are equal.
 fn bars(duration_s: f64, samples: impl Iterator<Item = (f64, f64)>, floor: f64) -> Option<String> {
     let mut largest = [f64::NAN; CELLS];
     for (t_s, value) in samples {
         let cell = (t_s / duration_s * CELLS as f64).clamp(0.0, (CELLS - 1) as f64) as usize;
-        // What is no number gives way to what is.
+        // `max` ignores NaN.
         largest[cell] = largest[cell].max(value);
     }
     let most = largest.iter().copied().fold(f64::NAN, f64::max);
@@ -80,7 +80,7 @@ fn bars(duration_s: f64, samples: impl Iterator<Item = (f64, f64)>, floor: f64) 
     (most > floor).then(|| largest.iter().map(bar).collect())
 }
 
-/// Root of the mean square of those that are numbers; NaN of none.
+/// Root mean square of the finite values. NaN if there are none.
 fn rms(errors: &[f64]) -> f64 {
     let finite = errors.iter().filter(|error| error.is_finite());
     let (sum, count) = finite.fold((0.0, 0.0), |(sum, n), error| (sum + error * error, n + 1.0));

@@ -4,9 +4,8 @@ use std::fmt::{Display, Write as _};
 /// The replacement character.
 const STAND_IN: char = '\u{fffd}';
 
-/// `text` without control characters, for a terminal or a line of a log: a name in a log cannot set
-/// colours, move the cursor or begin a line. Characters that turn the direction of writing are shown as
-/// escapes.
+/// Removes control characters from `text`, for a terminal or a line of a log. A name in a log can then not
+/// set colours, move the cursor or start a line. Characters that change the writing direction are escaped.
 pub fn tame(text: &str) -> Cow<'_, str> {
     match text.contains(char::is_control) {
         true => {
@@ -17,13 +16,13 @@ pub fn tame(text: &str) -> Cow<'_, str> {
     }
 }
 
-/// Text from a file, as part of a line of output: see [`tame`].
+/// Text from a file as part of a line of output; see [`tame`].
 pub fn foreign(text: impl Display) -> String {
     tame(&text.to_string()).into_owned()
 }
 
-/// `text` in which characters that turn the direction of writing stand as escapes, so that none of it is
-/// shown elsewhere than it stands. In JSON, YAML and texts of TOML in double quotes it is the same text.
+/// Escapes characters that change the writing direction, so that all text appears in its actual place. In
+/// JSON, YAML and TOML strings in double quotes, the value is unchanged.
 pub fn upright(text: &str) -> Cow<'_, str> {
     if !text.contains(turns) {
         return Cow::Borrowed(text);
@@ -31,13 +30,13 @@ pub fn upright(text: &str) -> Cow<'_, str> {
     Cow::Owned(escaped(text, turns))
 }
 
-/// `text` in double quotes, as JSON, YAML and TOML write it on one line.
+/// Quotes `text` for one line of JSON, YAML or TOML.
 pub(crate) fn quoted(text: &str) -> String {
     let text = serde_json::Value::from(text).to_string();
     escaped(&text, |c| turns(c) || c.is_control())
 }
 
-/// As a shell reads one word.
+/// Quotes `text` as one shell word.
 pub fn shell_word(text: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "/._-+:@%=,".contains(c);
     match !text.is_empty() && text.chars().all(is_plain) {
@@ -57,8 +56,8 @@ fn escaped(text: &str, is_escaped: impl Fn(char) -> bool) -> String {
     })
 }
 
-/// Whether a character turns the direction of writing, ends a line unseen, or is a control of a terminal
-/// that no format escapes (C1).
+/// Returns whether a character changes the writing direction, ends a line invisibly, or is a C1 terminal
+/// control that no format escapes.
 fn turns(c: char) -> bool {
     matches!(
         c,

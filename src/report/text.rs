@@ -1,8 +1,6 @@
-//! The report for a person at a bench: the verdict, the causes, what passed and what could not be
-//! told.
+//! Report for people: the verdict, the causes, passed checks and inconclusive checks.
 //!
-//! Styles are written as ANSI sequences; whoever opens `out` strips them where nobody would see
-//! colours.
+//! Styles are ANSI sequences. The caller strips them from `out` if colours are not supported.
 
 use std::io::{self, Write};
 
@@ -13,10 +11,10 @@ use super::outline::{Bound, Outline};
 use super::{JointCoverage, Report, Verdict, WorkspaceRow, spark, tame};
 use crate::finding::{Finding, Severity};
 
-/// Width of the column of labels.
+/// Width of the label column.
 const LABEL: usize = 16;
 
-/// Lines on a terminal are at least and at most so wide.
+/// Minimum and maximum line width on a terminal.
 const NARROWEST: usize = 60;
 const WIDEST: usize = 120;
 
@@ -27,19 +25,13 @@ const GOOD: Style = AnsiColor::Green.on_default().bold();
 const STRONG: Style = Style::new().bold();
 const QUIET: Style = Style::new().dimmed();
 
-/// Writes the report, each statement in one line however long, so that other programs find it.
-///
-/// # Errors
-/// If `out` cannot be written.
+/// Writes the report with one line per statement, so that it can be searched.
 pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     Page::of(report, None).write(out)
 }
 
-/// Writes the report for a terminal that is so many columns wide: lines are broken between words,
-/// and go on beside the labels.
-///
-/// # Errors
-/// If `out` cannot be written.
+/// Writes the report for a terminal with the given number of columns. Lines wrap between words and are
+/// indented to the labels.
 pub fn write_within(report: &Report, columns: usize, out: &mut dyn Write) -> io::Result<()> {
     Page::of(report, Some(columns.clamp(NARROWEST, WIDEST))).write(out)
 }
@@ -47,7 +39,7 @@ pub fn write_within(report: &Report, columns: usize, out: &mut dyn Write) -> io:
 struct Page<'a> {
     report: &'a Report,
     says: Outline<'a>,
-    /// Where lines end, if not where their statement does.
+    /// Line width. `None` disables wrapping.
     columns: Option<usize>,
 }
 
@@ -88,7 +80,7 @@ impl<'a> Page<'a> {
             let fetched = file.fetched().map_or(String::new(), |fetched| format!(", {fetched}"));
             self.line(out, STRONG, "log", &format!("{}{fetched}", file.path.display()))?;
         }
-        // What the error says is not said before it, too.
+        // Do not repeat the text of the error as a note.
         let said = self.report.error.as_ref().map_or("", |trouble| trouble.what.as_str());
         for note in log.notes.iter().filter(|note| said.is_empty() || note.note != said) {
             let text = format!("{}: {}", note.path.display(), note.note);
@@ -143,14 +135,14 @@ impl<'a> Page<'a> {
     fn passed(&self, out: &mut dyn Write) -> io::Result<()> {
         let passed = self.says.passed();
         let bounds: Vec<String> = passed.bounds.iter().map(Bound::sentence).collect();
-        // Where nobody wraps lines, each is one, which grep finds.
+        // Without wrapping, write one line per item so that grep finds it.
         let bounds = if self.columns.is_some() { self.lists(&bounds, "; ") } else { bounds };
         let lists = bounds.into_iter().chain(self.lists(&passed.whole, ", "));
         let texts = lists.chain(self.lists(&passed.parts, "; ")).chain(passed.remarks);
         self.block(out, GOOD, "passed", texts.collect())
     }
 
-    /// How far the joints and the tip of an arm moved.
+    /// Range of motion of an arm's joints and tip.
     fn workspace(&self, arm: &WorkspaceRow) -> String {
         let several = self.report.robots.len() > 1;
         let of = if several { format!("{}: ", arm.robot) } else { String::new() };
@@ -175,7 +167,7 @@ impl<'a> Page<'a> {
         }
     }
 
-    /// What to call next.
+    /// Suggested next commands.
     fn hints(&self, out: &mut dyn Write) -> io::Result<()> {
         let Some(first) = self.report.findings.first() else {
             return Ok(());
@@ -185,13 +177,13 @@ impl<'a> Page<'a> {
         self.call(out, "replay", &self.report.replay())
     }
 
-    /// A call, on a line of its own however long it is: it is to be copied.
+    /// Writes a command on one line without wrapping, so that it can be copied.
     fn call(&self, out: &mut dyn Write, label: &str, call: &str) -> io::Result<()> {
         let blanks = " ".repeat(LABEL.saturating_sub(label.chars().count()).max(1));
         writeln!(out, "{QUIET}{label}{QUIET:#}{blanks}{}", tame(call))
     }
 
-    /// Writes lines of which the first has a label.
+    /// Writes lines; the first one has a label.
     fn block(
         &self,
         out: &mut dyn Write,
@@ -203,12 +195,12 @@ impl<'a> Page<'a> {
         labels.zip(&texts).try_for_each(|(label, text)| self.line(out, style, label, text))
     }
 
-    /// Writes one line with its label, which may be empty.
+    /// Writes one line with a label, which may be empty.
     fn line(&self, out: &mut dyn Write, style: Style, label: &str, text: &str) -> io::Result<()> {
         self.styled(out, style, label, &tame(text))
     }
 
-    /// As [`Page::line`], of a text that has styles in it and is tame but for them.
+    /// Same as [`Page::line`] for a text that contains styles and is otherwise sanitized.
     fn styled(&self, out: &mut dyn Write, style: Style, label: &str, text: &str) -> io::Result<()> {
         let blanks = LABEL.saturating_sub(label.chars().count()).max(1);
         let head = match label {
@@ -229,7 +221,7 @@ impl<'a> Page<'a> {
         textwrap::wrap(text, options).iter().try_for_each(|line| writeln!(out, "{line}"))
     }
 
-    /// `items` joined by `separator`, on a terminal broken into lines that fit beside the labels.
+    /// Joins `items` with `separator`. On a terminal, wraps them next to the labels.
     fn lists(&self, items: &[String], separator: &str) -> Vec<String> {
         let width = self.columns.unwrap_or(usize::MAX);
         let mut lines: Vec<String> = Vec::new();

@@ -7,35 +7,35 @@ use serde::{Deserialize, Serialize};
 use crate::log::{LogError, SourceName};
 use crate::run::RunError;
 
-/// Why a call or a log cannot be worked with: one line, and what to do.
+/// Why a call or a log cannot be processed, and what to do about it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, thiserror::Error)]
 #[error("{place}: {what}; {remedy}")]
 pub struct Trouble {
-    /// Whose fault it is.
+    /// Origin of the error.
     #[serde(skip)]
     pub kind: TroubleKind,
     /// What is wrong.
     pub what: String,
-    /// Where: a file, a topic, an option.
+    /// Location: a file, a topic or an option.
     #[serde(rename = "where")]
     pub place: String,
-    /// What the reader can do.
+    /// Suggested action.
     #[serde(rename = "do")]
     pub remedy: String,
 }
 
-/// Whose fault a [`Trouble`] is.
+/// Origin of a [`Trouble`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum TroubleKind {
-    /// The call's: an option, a file that is not there.
+    /// The call: an option or a missing file.
     Call,
-    /// The log's: unreadable, no arm in it, no model of the arm.
+    /// The log: unreadable, without an arm, or without a model of the arm.
     #[default]
     Log,
 }
 
 impl Trouble {
-    /// The trouble with a file or folder that the caller named to be written.
+    /// Error for a file or folder that cannot be written.
     pub fn unwritable(path: &Path, what: String, remedy: &str) -> Self {
         let (kind, place) = (TroubleKind::Call, path.display().to_string());
         Trouble { kind, what, place, remedy: remedy.to_owned() }
@@ -82,14 +82,14 @@ impl From<LogError> for Trouble {
             LogError::Remote { ref fault, .. } if fault.is_of_the_call() => TroubleKind::Call,
             _ => TroubleKind::Log,
         };
-        let another = "name a log that a recorder wrote";
+        let another = "pass a log that a recorder wrote";
         let (path, what, remedy) = match error {
             LogError::NotFound { path } => (path, "no such file".to_owned(), another),
             LogError::Permission { path } => {
                 (path, "permission denied".to_owned(), "make it readable")
             }
             LogError::Directory { path, cause } => {
-                (path, format!("it is a directory {cause}"), "name the log files in it")
+                (path, format!("it is a directory {cause}"), "pass the log files in it")
             }
             LogError::Twice { path, first } => {
                 (path, format!("it is the same as {}", first.display()), "name it once")
@@ -104,9 +104,11 @@ impl From<LogError> for Trouble {
                 };
                 (path, format!("it cannot be read: {source}"), remedy)
             }
-            LogError::Empty { path } => {
-                (path, "the file is empty (0 bytes)".to_owned(), "see whether it was ever written")
-            }
+            LogError::Empty { path } => (
+                path,
+                "the file is empty (0 bytes)".to_owned(),
+                "check whether the recorder wrote it",
+            ),
             LogError::Unsupported { path, looks, instead } => {
                 (path, format!("it is {looks}, which is not supported"), instead)
             }
@@ -116,20 +118,19 @@ impl From<LogError> for Trouble {
                 "name an MCAP file, a bag or a table (CSV, NPY, NPZ, Parquet, HDF5)",
             ),
             LogError::Columns { path, what } => {
-                (path, what, "say it in [columns] of the config (docs/datasets.md)")
+                (path, what, "declare it in [columns] of the config (docs/datasets.md)")
             }
             LogError::Episodes { path, most } => (
                 path,
                 format!("it holds more than {most} episodes"),
-                "name one as FILE#EPISODE, or audit each with `poseaudit fleet`",
+                "select one as FILE#EPISODE, or audit each with `poseaudit fleet`",
             ),
             LogError::NoMessages { path, cause } => {
                 (path, format!("no messages can be read: {cause}"), "record again")
             }
             LogError::Temporary { path, source } => {
                 let folder = std::env::temp_dir();
-                let what =
-                    format!("what it unpacks to cannot be kept in {}: {source}", folder.display());
+                let what = format!("it cannot be unpacked in {}: {source}", folder.display());
                 (path, what, "make room, or let TMPDIR name another folder")
             }
             LogError::Remote { url, fault } => (url, fault.to_string(), fault.remedy()),

@@ -1,4 +1,4 @@
-//! Joins a run's joint states to where its arms have been, for the report and for tables.
+//! Workspace covered by the arms of a run, for the report and tables.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -11,22 +11,22 @@ use crate::finding::{Cause, CheckRow, Finding, Unit, Word, word};
 use crate::robot::{Chain, JointKind};
 use crate::run::{Arm, JointSamples, Run};
 
-/// Over which part of its ranges one arm moved.
+/// Part of its ranges that one arm covered.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct WorkspaceRow {
     /// The arm.
     pub robot: String,
     /// Its joints, from base to tip.
     pub joints: Vec<JointCoverage>,
-    /// The least and the greatest distance of its tip from its base, m.
+    /// Smallest and largest distance of its tip from its base, m.
     pub reach_m: [f64; 2],
-    /// How far the tip could be at most, m.
+    /// Largest possible distance of the tip, m.
     pub max_reach_m: f64,
-    /// What could not be concluded because a joint hardly moved: a sentence each.
+    /// Conclusions that were not possible because a joint moved too little, one sentence each.
     pub hides: Vec<String>,
 }
 
-/// Over which part of its range one joint moved.
+/// Part of its range that one joint covered.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct JointCoverage {
     /// The joint.
@@ -34,36 +34,37 @@ pub struct JointCoverage {
     /// Unit of the positions: `rad` or `m`.
     #[serde(deserialize_with = "word")]
     pub unit: Word,
-    /// Its lowest position.
+    /// Lowest position.
     pub lowest: f64,
-    /// Its highest.
+    /// Highest position.
     pub highest: f64,
-    /// Its lower limit.
+    /// Lower limit.
     pub lower: Option<f64>,
-    /// Its upper limit.
+    /// Upper limit.
     pub upper: Option<f64>,
-    /// Share of its limits that it visited, of a turn where it has none and turns.
+    /// Fraction of the range between its limits that was covered. Fraction of a turn for a revolute joint
+    /// without limits.
     pub visited: Option<f64>,
 }
 
-/// Where one arm has been.
+/// Workspace of one arm.
 pub(crate) struct ArmWorkspace<'a> {
-    /// Its name.
+    /// Name of the arm.
     pub robot: &'a str,
-    /// Its chain from base to tip.
+    /// Chain from base to tip.
     pub chain: &'a Chain,
-    /// What its tip reached.
+    /// Space reached by its tip.
     pub workspace: Workspace,
 }
 
-/// Over which part of its ranges each arm moved, and what was left open for it. Arms whose joint
-/// states are to be read otherwise than they are have none.
+/// Range that each arm covered, and inconclusive checks due to too little motion. Excludes arms with
+/// misinterpreted joint states.
 pub(crate) fn coverage(run: &Run, judged: &Evaluation) -> Vec<WorkspaceRow> {
     let rows = run.arms.iter().filter(|arm| !is_misread(arm, &judged.findings));
     rows.filter_map(|arm| arm_coverage(run, arm, &judged.checks)).collect()
 }
 
-/// The places and poses that the tip of each arm reached, by all samples of its joint states.
+/// Positions and poses reached by the tip of each arm, from all samples of its joint states.
 pub(crate) fn reached<'a>(run: &'a Run, findings: &[Finding]) -> Vec<ArmWorkspace<'a>> {
     let arms = run.arms.iter().filter(|arm| !is_misread(arm, findings));
     let reached = arms.map(|arm| {
@@ -74,7 +75,7 @@ pub(crate) fn reached<'a>(run: &'a Run, findings: &[Finding]) -> Vec<ArmWorkspac
     reached.collect()
 }
 
-/// Whether the joint states of an arm are in another unit or order than they seem.
+/// Returns whether the unit or the order of an arm's joint states is misinterpreted.
 pub(super) fn is_misread(arm: &Arm, findings: &[Finding]) -> bool {
     let is_of_arm =
         |found: &&Finding| found.subject.robot.as_ref().is_none_or(|robot| *robot == arm.name);
@@ -84,7 +85,7 @@ pub(super) fn is_misread(arm: &Arm, findings: &[Finding]) -> bool {
 }
 
 fn arm_coverage(run: &Run, arm: &Arm, checks: &[CheckRow]) -> Option<WorkspaceRow> {
-    /// Samples that tell how far the tip was.
+    /// Maximum number of samples to determine the distance of the tip.
     const ENOUGH: usize = 20_000;
     let rows = Rows::of(run, arm);
     let some = (0..rows.len()).step_by(rows.len().div_ceil(ENOUGH).max(1));
@@ -120,8 +121,8 @@ fn arm_coverage(run: &Run, arm: &Arm, checks: &[CheckRow]) -> Option<WorkspaceRo
     })
 }
 
-/// Samples of all joints of an arm: all that were recorded, where the joints share their messages,
-/// else those of the track that they were brought to.
+/// Samples of all joints of an arm. All recorded ones if the joints share their messages, else those of the
+/// resampled track.
 struct Rows<'a> {
     arm: &'a Arm,
     samples: Vec<JointSamples<'a>>,
@@ -145,7 +146,7 @@ impl<'a> Rows<'a> {
         }
     }
 
-    /// When a sample was, s from the run's origin, and the positions of the chain's joints there.
+    /// Time of a sample, s from the run's origin, and positions of the chain's joints.
     fn at(&self, row: usize) -> (f64, Vec<f64>) {
         let columns = self.arm.columns.iter();
         match self.samples.first() {

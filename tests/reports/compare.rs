@@ -212,8 +212,8 @@ fn what_is_no_report_is_refused_with_its_place() {
     for (path, parts) in [
         (write("other.json", &other), ["other.json", "poseaudit.report/9", "--format json"]),
         (write("cut.json", &report[..300]), ["cut.json:", "no JSON", "--format json"]),
-        (write("broken.json", &broken), ["broken.json:7", "no report", "--format json"]),
-        (write("object.json", "{}"), ["object.json", "no report", "--format json"]),
+        (write("broken.json", &broken), ["broken.json:7", "not a report", "--format json"]),
+        (write("object.json", "{}"), ["object.json", "not a report", "--format json"]),
         (write("text.txt", "a,b\n1,2\n"), ["text.txt", "not a robot log", "name"]),
         ("no/such.json".to_owned(), ["no/such.json", "no such file", ""]),
     ] {

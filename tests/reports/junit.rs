@@ -104,7 +104,7 @@ fn what_was_not_audited_is_an_error() {
         kind: TroubleKind::Log,
         what: "the file is empty (0 bytes)".to_owned(),
         place: "empty.mcap".to_owned(),
-        remedy: "see whether it was ever written".to_owned(),
+        remedy: "check whether the recorder wrote it".to_owned(),
     });
     let text = written("junit", &report);
     let document = Document::parse(&text).expect("XML");

@@ -77,10 +77,14 @@ fn a_log_that_could_not_be_audited_passes_nothing() {
 #[test]
 fn findings_have_their_own_pictures_with_their_limits() {
     for (log, titles, limit) in [
-        ("shake", &["Spectrum of the tip's path", "The path where it shakes most"][..], "0.5 mm"),
+        (
+            "shake",
+            &["Spectrum of the tip's path", "Path during the strongest vibration"][..],
+            "0.5 mm",
+        ),
         ("line", &["Deviation from the commanded line"], "1 mm"),
-        ("goal", &["Rests around their goals", "Goals and rests"], "1 mm"),
-        ("slipped_target", &["Hand-eye residual of each view", "Directions of the views"], "2 mm"),
+        ("goal", &["Rest positions relative to goals", "Goals and rests"], "1 mm"),
+        ("slipped_target", &["Hand-eye residual of each view", "Viewing directions"], "2 mm"),
         ("stop", &["Joint speed", "Joint position"], ""),
     ] {
         let page = written("html", &audited(log).with_figures().report);
@@ -89,7 +93,7 @@ fn findings_have_their_own_pictures_with_their_limits() {
         }
         let said = [format!("limit {limit}"), format!("limit ±{limit}")];
         assert!(limit.is_empty() || said.iter().any(|said| page.contains(said)), "{log}: {limit}");
-        assert!(!page.contains("No picture"), "{log}");
+        assert!(!page.contains("No plot"), "{log}");
     }
 }
 

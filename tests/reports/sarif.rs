@@ -19,7 +19,7 @@ fn no_audit() -> Report {
         kind: TroubleKind::Log,
         what: "the file is empty (0 bytes)".to_owned(),
         place: HOSTILE.to_owned(),
-        remedy: "see whether it was ever written".to_owned(),
+        remedy: "check whether the recorder wrote it".to_owned(),
     })
 }
 

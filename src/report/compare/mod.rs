@@ -1,9 +1,8 @@
-//! Two reports side by side: what appeared, what went, what grew or shrank, and what can no longer
-//! be told.
+//! Compares two reports: new, fixed, larger, smaller and no longer decidable causes.
 //!
-//! A cause is the same in both where the rule and the subject are. Its amount has grown or shrunk
-//! where the two 95 % intervals share no value and it changed by a tenth or more: intervals of sound
-//! logs are narrower than one run differs from the next.
+//! Causes are matched by rule and subject. An amount has changed if the two 95 % intervals do not overlap
+//! and it differs by a tenth or more. The second condition is needed because the intervals of good logs are
+//! narrower than the differences between runs.
 
 mod words;
 
@@ -14,80 +13,80 @@ use crate::report::{Report, Verdict};
 
 pub use words::{markdown, text};
 
-/// Amounts that differ by a smaller share are the same.
+/// Minimum relative change of an amount.
 const MATERIAL: f64 = 0.1;
 
-/// What became of a cause.
+/// Change of a cause between two reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Course {
-    /// The old report has no such finding.
+    /// Not in the old report.
     Appeared,
-    /// It is more than it was, or graver.
+    /// Larger or more severe.
     Grew,
-    /// It is another amount or reading, neither more nor less: another sign, another convention.
+    /// A different amount or encoding that is neither larger nor smaller, such as another sign.
     Changed,
-    /// It is as it was, as far as the intervals tell.
+    /// Unchanged within the intervals.
     Same,
-    /// It is less than it was.
+    /// Smaller.
     Shrank,
-    /// There is no such finding any more, but the new log does not tell that nothing is wrong.
+    /// No longer found, but the new log cannot decide the check.
     Untold,
-    /// It is gone: its check passes.
+    /// Fixed: the check passes.
     Gone,
 }
 
-/// A cause in the old report, in the new one, or in both.
+/// Cause in the old report, the new report, or both.
 #[derive(Clone, Debug, Serialize)]
 pub struct Change {
-    /// What became of it.
+    /// How it changed.
     pub course: Course,
     /// Whether it fails the comparison.
     pub regression: bool,
     /// Code of the rule.
     pub code: Word,
-    /// What is at fault.
+    /// Subject of the finding.
     pub subject: Subject,
-    /// The finding of the old report.
+    /// Finding in the old report.
     pub old: Option<Finding>,
-    /// That of the new one.
+    /// Finding in the new report.
     pub new: Option<Finding>,
-    /// Why nothing is told of it any more, where that is so.
+    /// Why it is no longer decided, if so.
     pub reason: Option<String>,
 }
 
-/// A check that passed, and of which the new log does not tell.
+/// Check that passed before and is not decided by the new log.
 #[derive(Clone, Debug, Serialize)]
 pub struct Lost {
     /// Code of the rule.
     pub code: Word,
-    /// What it was asked about.
+    /// Subject of the check.
     pub subject: Subject,
-    /// How it ended now: inconclusive, or skipped.
+    /// Current status: inconclusive or skipped.
     pub status: Status,
-    /// Why.
+    /// Reason for the status.
     pub reason: Option<String>,
 }
 
-/// Two reports side by side.
+/// Comparison of two reports.
 #[derive(Clone, Debug, Serialize)]
 pub struct Comparison {
     schema: &'static str,
     /// Whether the new report is worse.
     pub regression: bool,
-    /// The verdicts, old and new.
+    /// Old and new verdict.
     pub verdicts: [Verdict; 2],
-    /// What kept the new audit from saying more, where that is new.
+    /// Error that limited the new audit, if it is new.
     pub error: Option<String>,
-    /// Every cause of either report; what fails the comparison stands first.
+    /// All causes of both reports, regressions first.
     pub causes: Vec<Change>,
-    /// Checks that passed and now tell nothing.
+    /// Checks that passed before and are not decided now.
     pub lost: Vec<Lost>,
 }
 
-/// Puts `old` and `new` side by side. What appeared, grew or became another thing is a regression
-/// from the severity `fail_on`; so is a pass that became inconclusive, and a log that cannot be
-/// audited any more. `None` lets nothing fail.
+/// Compares `old` and `new`. A new, larger or different finding of severity `fail_on` or above is a
+/// regression. So is a pass that became inconclusive, or a log that can no longer be audited. With `None`,
+/// nothing is.
 pub fn compare(old: &Report, new: &Report, fail_on: Option<Severity>) -> Comparison {
     let fails = |severity: Severity| fail_on.is_some_and(|least| severity >= least);
     let mut causes: Vec<Change> = Vec::new();
@@ -106,13 +105,13 @@ pub fn compare(old: &Report, new: &Report, fail_on: Option<Severity>) -> Compari
         });
     }
     for finding in causes_of(old).filter(|finding| same_cause(new, old, finding).is_none()) {
-        // Some rules pass on the whole log and fault a part of it.
+        // Some rules pass on the whole log and fail on a part of it.
         let row = check(new, finding.code, &whom(old, &finding.subject))
             .or_else(|| check(new, finding.code, &Subject::default()));
         let (course, reason) = match row {
             Some(row) if row.status == Status::Pass => (Course::Gone, None),
             Some(row) => (Course::Untold, row.reason.clone()),
-            None => (Course::Untold, Some("the rule was not asked about it".to_owned())),
+            None => (Course::Untold, Some("the rule was not evaluated on it".to_owned())),
         };
         causes.push(Change {
             course,
@@ -139,7 +138,7 @@ pub fn compare(old: &Report, new: &Report, fail_on: Option<Severity>) -> Compari
     }
 }
 
-/// The findings, of a cause that was found several times (in segments of a run) the gravest.
+/// Findings of a report. If a cause occurs several times (in segments of a run), only the most severe one.
 fn causes_of(report: &Report) -> impl Iterator<Item = &Finding> {
     report.findings.iter().enumerate().filter_map(|(index, finding)| {
         let is_same =
@@ -148,7 +147,7 @@ fn causes_of(report: &Report) -> impl Iterator<Item = &Finding> {
     })
 }
 
-/// The finding in `report` that names the same cause as `finding`, which is one of `its`.
+/// Finding in `report` with the same cause as `finding`, which belongs to `its`.
 fn same_cause<'a>(report: &'a Report, its: &Report, finding: &Finding) -> Option<&'a Finding> {
     let subject = whom(its, &finding.subject);
     let is_same =
@@ -156,7 +155,7 @@ fn same_cause<'a>(report: &'a Report, its: &Report, finding: &Finding) -> Option
     report.findings.iter().find(is_same)
 }
 
-/// Whom a check or a finding of `report` is about, whatever the file is called that it was seen in.
+/// Subject of a check or a finding, independent of the log's file name.
 fn whom(report: &Report, subject: &Subject) -> Subject {
     let is_file =
         |name: &String| report.log.files.iter().any(|file| file.path.to_str() == Some(name));
@@ -164,7 +163,7 @@ fn whom(report: &Report, subject: &Subject) -> Subject {
     Subject { topic: topic.filter(|topic| !is_file(topic)), ..subject.clone() }
 }
 
-/// How asking a rule about a subject ended, if it was asked.
+/// Check of a rule on a subject, if there is one.
 fn check<'a>(report: &'a Report, code: &str, subject: &Subject) -> Option<&'a CheckRow> {
     let mut rows = report.checks.iter();
     rows.find(|row| row.code == code && &whom(report, &row.subject) == subject)
@@ -219,7 +218,7 @@ fn between(old: &Estimate, new: &Estimate) -> Course {
         ) => {
             let length = amount(*value, *ci95, *new, *new_ci95);
             let angle = amount(rotation.value, rotation.ci95, turned.value, turned.ci95);
-            // Worse in one way is worse.
+            // Worse in one component is worse overall.
             match length.min(angle) {
                 Course::Same => length.max(angle),
                 course => course,
@@ -238,7 +237,7 @@ fn between(old: &Estimate, new: &Estimate) -> Course {
     }
 }
 
-/// What became of a number.
+/// Compares two numbers.
 fn amount(old: f64, old_ci95: Option<[f64; 2]>, new: f64, new_ci95: Option<[f64; 2]>) -> Course {
     let half = |value: f64, ci95: Option<[f64; 2]>| {
         ci95.map_or(0.0, |[low, high]| (high - value).max(value - low))

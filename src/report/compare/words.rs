@@ -1,4 +1,4 @@
-//! A comparison for people: at a terminal, and in a comment on a pull request.
+//! Comparison for people: terminal text and Markdown.
 
 use std::io::{self, Write};
 
@@ -8,10 +8,10 @@ use super::{Change, Comparison, Course, Lost};
 use crate::finding::{Estimate, Finding, Subject};
 use crate::report::{amounts, markdown as md, tame};
 
-/// Width of the column of labels.
+/// Width of the label column.
 const LABEL: usize = 16;
 
-/// What a finding without a subject is on.
+/// Subject text of a finding without a subject.
 const THE_RUN: &str = "the run";
 
 const BAD: Style = AnsiColor::Red.on_default().bold();
@@ -20,7 +20,7 @@ const GOOD: Style = AnsiColor::Green.on_default().bold();
 const QUIET: Style = Style::new().dimmed();
 
 impl Course {
-    /// Its name in reports.
+    /// Name in reports.
     const fn name(self) -> &'static str {
         match self {
             Course::Appeared => "new",
@@ -34,10 +34,7 @@ impl Course {
     }
 }
 
-/// Writes the comparison for a person at a terminal.
-///
-/// # Errors
-/// If `out` cannot be written.
+/// Writes the comparison for a terminal.
 pub fn text(comparison: &Comparison, out: &mut dyn Write) -> io::Result<()> {
     let [old, new] = comparison.verdicts;
     line(out, Style::new().bold(), "verdict", &format!("{old} → {new}"))?;
@@ -69,10 +66,7 @@ pub fn text(comparison: &Comparison, out: &mut dyn Write) -> io::Result<()> {
     Ok(())
 }
 
-/// Writes the comparison as GitHub's Markdown.
-///
-/// # Errors
-/// If `out` cannot be written.
+/// Writes the comparison as GitHub Markdown.
 pub fn markdown(comparison: &Comparison, out: &mut dyn Write) -> io::Result<()> {
     let title = if comparison.regression { "regression" } else { "no regression" };
     let [old, new] = comparison.verdicts;
@@ -95,7 +89,7 @@ pub fn markdown(comparison: &Comparison, out: &mut dyn Write) -> io::Result<()> 
         writeln!(out)?;
     }
     if !comparison.lost.is_empty() {
-        writeln!(out, "<details><summary>Passed, and is inconclusive now</summary>\n")?;
+        writeln!(out, "<details><summary>Passed before, inconclusive now</summary>\n")?;
         for lost in &comparison.lost {
             writeln!(out, "- {}", md::prose(&comparison.lost_words(lost)))?;
         }
@@ -105,7 +99,7 @@ pub fn markdown(comparison: &Comparison, out: &mut dyn Write) -> io::Result<()> 
 }
 
 impl Comparison {
-    /// `1 new, 2 fixed`, and what else makes it worse.
+    /// `1 new, 2 fixed`, with other reasons for a regression.
     fn why(&self) -> String {
         let courses = [
             Course::Appeared,
@@ -130,7 +124,7 @@ impl Comparison {
         if all.is_empty() { "no problems before or now".to_owned() } else { all.join(", ") }
     }
 
-    /// Whom a cause or a check is about, with its robot where several are spoken of.
+    /// Subject of a cause or a check, with its robot if there are several.
     fn whom(&self, subject: &Subject) -> String {
         let causes = self.causes.iter().map(|change| &change.subject);
         let subjects = causes.chain(self.lost.iter().map(|lost| &lost.subject));
@@ -143,7 +137,7 @@ impl Comparison {
         }
     }
 
-    /// What a check said, and why it says nothing now.
+    /// Describes a check that passed before and why it is not decided now.
     fn lost_words(&self, lost: &Lost) -> String {
         let (code, whom) = (&lost.code, self.whom(&lost.subject));
         let reason = lost.reason.as_deref().unwrap_or_default();
@@ -152,7 +146,7 @@ impl Comparison {
 }
 
 impl Change {
-    /// What it was and what it is.
+    /// Old and new state.
     fn words(&self) -> String {
         match (&self.old, &self.new) {
             (Some(old), Some(new)) if self.course != Course::Same => {
@@ -172,7 +166,7 @@ impl Change {
     }
 }
 
-/// Severity and amount, or what was said where there is no amount.
+/// Severity and amount, or the message if there is no amount.
 fn short(finding: &Finding) -> String {
     let is_known = |estimate: &&Estimate| estimate.value().is_none_or(f64::is_finite);
     let amount = finding.estimate.as_ref().filter(is_known);

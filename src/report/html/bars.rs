@@ -1,35 +1,34 @@
-//! Pictures that are tables: bars and amounts with their intervals.
+//! Tables that serve as plots: bars, and amounts with their intervals.
 
 use maud::{Markup, html};
 
 use crate::finding::Unit;
 
-/// One bar a row.
+/// Bar chart with one bar per row.
 #[derive(Clone, Debug)]
 pub struct Bars {
-    /// What they show, in a few words.
+    /// Short title.
     pub title: String,
-    /// What they are, in a sentence.
+    /// Description in one sentence.
     pub says: String,
     /// The rows.
     pub bars: Vec<Bar>,
 }
 
-/// One bar.
 #[derive(Clone, Debug)]
 pub struct Bar {
-    /// Its name.
+    /// Name of the bar.
     pub label: String,
-    /// Its length.
+    /// Length of the bar.
     pub value: f64,
-    /// The same in words.
+    /// Formatted value.
     pub shown: String,
-    /// Whether it is the one that the audit names.
+    /// Whether the audit selects this one.
     pub is_best: bool,
 }
 
 impl Bars {
-    /// The bars as a table.
+    /// Renders the bars as a table.
     pub fn markup(&self) -> Markup {
         let most = self.bars.iter().map(|bar| bar.value).fold(f64::MIN_POSITIVE, f64::max);
         html! {
@@ -54,29 +53,29 @@ impl Bars {
 /// Amounts with their intervals on one axis through zero.
 #[derive(Clone, Debug)]
 pub struct Whiskers {
-    /// What they show, in a few words.
+    /// Short title.
     pub title: String,
-    /// What they are, in a sentence.
+    /// Description in one sentence.
     pub says: String,
     /// The rows.
     pub rows: Vec<Whisker>,
 }
 
-/// An amount with its interval.
+/// Amount with its interval.
 #[derive(Clone, Debug)]
 pub struct Whisker {
-    /// Its name.
+    /// Name of the amount.
     pub label: String,
-    /// The amount and its interval, in the unit's SI unit; `None` where it could not be told.
+    /// Amount and interval in SI units. `None` if it could not be determined.
     pub amount: Option<(f64, Option<[f64; 2]>, Unit)>,
-    /// Whether the audit finds fault with it.
+    /// Whether it is a finding.
     pub is_fault: bool,
-    /// From which size it would, in the unit of the amount.
+    /// Threshold in the unit of the amount.
     pub limit: Option<f64>,
 }
 
 impl Whiskers {
-    /// The amounts as a table.
+    /// Renders the amounts as a table.
     pub fn markup(&self) -> Markup {
         html! {
             figure .picture {
@@ -116,10 +115,10 @@ impl Whiskers {
         }
     }
 
-    /// What the half axis stands for: all of every amount, and of the intervals as much as does not
-    /// make the amounts small.
+    /// Length of half the axis. Contains every amount, and the intervals unless they would make the amounts
+    /// too small.
     fn full(&self, unit: Unit) -> f64 {
-        /// Intervals may make the axis this much longer than the largest amount.
+        /// Maximum ratio of the axis to the largest amount, due to intervals.
         const LONGER: f64 = 3.0;
         let alike = self.rows.iter().filter_map(|row| row.amount).filter(|(.., own)| *own == unit);
         let most = alike.clone().map(|(value, ..)| value.abs()).fold(f64::MIN_POSITIVE, f64::max);
@@ -128,7 +127,7 @@ impl Whiskers {
     }
 }
 
-/// A share as a CSS percentage; none where it is not finite.
+/// Formats a fraction as a CSS percentage. 0 if it is not finite.
 pub fn percent(share: f64) -> String {
     let share = if share.is_finite() { share } else { 0.0 };
     format!("{:.2}%", 100.0 * share)

@@ -7,10 +7,10 @@ use maud::{Markup, html};
 use crate::report::figures::{Figures, FrameEdge, FrameEdgeKind};
 use crate::report::{RobotRow, StreamRow};
 
-/// Frames deeper than this are not drawn: no arm has them, and a page of them nobody reads.
+/// Maximum depth of frames that are drawn. Real arms stay below it.
 const DEEPEST: usize = 60;
 
-/// The section of the page.
+/// Section of the page.
 pub fn section(figures: &Figures, robots: &[RobotRow]) -> Markup {
     let tree = Tree::of(&figures.frames, robots);
     html! {
@@ -35,7 +35,7 @@ pub fn section(figures: &Figures, robots: &[RobotRow]) -> Markup {
     }
 }
 
-/// The frames that a stream names, in the words of the table of streams.
+/// Frames of a stream as shown in the table of streams.
 pub fn of_stream(stream: &StreamRow) -> Markup {
     let parent = stream.frame_id.as_deref().or(stream.reference.as_deref());
     let child = stream.child_frame_id.as_deref().or(stream.link.as_deref());
@@ -51,7 +51,7 @@ pub fn of_stream(stream: &StreamRow) -> Markup {
 struct Tree<'a> {
     children: BTreeMap<&'a str, Vec<&'a FrameEdge>>,
     parents: BTreeMap<&'a str, Vec<&'a str>>,
-    /// All frames, in the order in which they come.
+    /// All frames in order of occurrence.
     frames: Vec<&'a str>,
     named: BTreeSet<&'a str>,
 }
@@ -69,7 +69,7 @@ impl<'a> Tree<'a> {
             let (parent, child) = (edge.parent.as_str(), edge.child.as_str());
             tree.frames.extend([parent, child].into_iter().filter(|frame| known.insert(*frame)));
             let siblings = tree.children.entry(parent).or_default();
-            // The log's transform and the model's are one.
+            // Merge a transform of the log with the same one of the model.
             if !siblings.iter().any(|other| other.child == child) {
                 siblings.push(edge);
                 tree.parents.entry(child).or_default().push(parent);
@@ -86,8 +86,8 @@ impl<'a> Tree<'a> {
         self.frames().filter(|frame| !self.parents.contains_key(frame))
     }
 
-    /// A frame with what hangs on it. A frame that was drawn before is named again and ends there, so
-    /// that a cycle ends.
+    /// Renders a frame with its children. A frame that was already drawn is named but not expanded, which
+    /// ends cycles.
     fn branch(
         &self,
         frame: &'a str,
@@ -120,6 +120,6 @@ const fn kind(kind: FrameEdgeKind) -> &'static str {
     match kind {
         FrameEdgeKind::Moving => "moving",
         FrameEdgeKind::Still => "static",
-        FrameEdgeKind::Model => "in the model only",
+        FrameEdgeKind::Model => "only in the model",
     }
 }

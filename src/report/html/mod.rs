@@ -1,9 +1,7 @@
-//! The report as one page for a browser, which loads nothing from anywhere: verdict and findings
-//! first, each with the picture that proves it, then the rest.
+//! Report as one self-contained HTML page: verdict and findings first, each with its plots, then the rest.
 //!
-//! Names of topics come from whoever made the log. What is text goes through [`maud`], which escapes
-//! it; what is data goes into JSON without a `<`; and the page's policy lets no script run but the two
-//! that stand here, by their hashes.
+//! Names in the page come from the log and may be malicious. Text is escaped by [`maud`]. Data is embedded
+//! as JSON without `<`. The content security policy allows only the two scripts below, by their hashes.
 
 mod bars;
 mod frames;
@@ -36,18 +34,15 @@ const UPLOT_STYLE: &str = include_str!("uplot/uPlot.min.css");
 const STYLE: &str = include_str!("page.css");
 const SCRIPT: &str = include_str!("page.js");
 
-/// Rows drawn on all plots of a page together, …
+/// Maximum number of rows of all plots of a page, …
 const MOST_ROWS: usize = 45_000;
-/// … on one plot at least and at most.
+/// … and minimum and maximum of one plot.
 const MOST_ROWS_OF_PLOT: [usize; 2] = [300, 3_000];
-/// No more plots than this are drawn.
+/// Maximum number of plots.
 const MOST_PLOTS: usize = 120;
 
-/// Writes the report. It holds no time and no path but those in the log and in the call, so that the
-/// same report gives the same bytes.
-///
-/// # Errors
-/// If `out` cannot be written.
+/// Writes the report. It contains only times and paths from the log and the call, so equal reports have
+/// equal bytes.
 pub fn write(report: &Report, out: &mut dyn Write) -> io::Result<()> {
     out.write_all(page(report).into_string().as_bytes())
 }
@@ -77,8 +72,8 @@ fn page(report: &Report) -> Markup {
     shell(&title, verdict_class(report), &body, data(&proofs, rows))
 }
 
-/// A page with this body that loads nothing from anywhere, and in which no script runs but those that
-/// draw `plots`: what [`Plot::json`] makes, by the ids that the body names.
+/// Self-contained page with this body. Only the scripts that draw `plots` may run. `plots` maps ids used in
+/// the body to the output of [`Plot::json`].
 pub(crate) fn shell(title: &str, class: &str, body: &Markup, plots: Map<String, Value>) -> Markup {
     let policy = format!(
         "default-src 'none'; style-src 'unsafe-inline'; script-src {} {}; base-uri 'none'; \
@@ -116,12 +111,12 @@ const fn verdict_class(report: &Report) -> &'static str {
     }
 }
 
-/// The id of a plot of a finding, both counted from 0.
+/// Id of a plot of a finding. Both indices start at 0.
 fn plot_id(finding: usize, plot: usize) -> String {
     format!("plot-{}-{}", finding + 1, plot + 1)
 }
 
-/// Leaves out plots beyond [`MOST_PLOTS`], and says how many.
+/// Drops plots beyond [`MOST_PLOTS`] and returns their number.
 fn limit(proofs: &mut [Proof]) -> usize {
     let (mut drawn, mut left_out) = (0, 0);
     for proof in proofs {
@@ -133,7 +128,7 @@ fn limit(proofs: &mut [Proof]) -> usize {
     left_out
 }
 
-/// What the script draws the plots from.
+/// Plot data for the script.
 fn data(proofs: &[Proof], rows: usize) -> Map<String, Value> {
     let plots = proofs.iter().enumerate().flat_map(|(finding, proof)| {
         let plots = proof.plots.iter().enumerate();
@@ -142,13 +137,12 @@ fn data(proofs: &[Proof], rows: usize) -> Map<String, Value> {
     plots.collect()
 }
 
-/// Data as a script finds it. No `<` is left in it, so that no name in it ends the element that it
-/// stands in.
+/// Serialises data for a script element. Escapes `<`, so that no name can end the element.
 fn embedded(plots: Map<String, Value>) -> String {
     Value::Object(plots).to_string().replace('<', "\\u003c")
 }
 
-/// A script's hash, as a page's policy has it.
+/// Hash of a script for the content security policy.
 fn hash(script: &str) -> String {
     format!("'sha256-{}'", BASE64_STANDARD.encode(Sha256::digest(script)))
 }

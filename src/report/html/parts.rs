@@ -1,4 +1,4 @@
-//! The parts of the page, from its head to its foot.
+//! Parts of the page, from header to footer.
 
 use std::iter::once;
 
@@ -12,20 +12,20 @@ use crate::finding::Finding;
 use crate::report::outline::{Bound, Outline, Passed};
 use crate::report::{JointCoverage, Report, WorkspaceRow};
 
-/// The parts of one page.
+/// Renders the parts of one page.
 pub struct Parts<'a> {
     pub report: &'a Report,
     pub outline: &'a Outline<'a>,
-    /// What stands under each finding.
+    /// Evidence below each finding.
     pub proofs: &'a [Proof],
-    /// Rows that one plot may have.
+    /// Maximum number of rows of one plot.
     pub rows: usize,
-    /// Plots that are not drawn because there are too many.
+    /// Number of plots that are omitted.
     pub left_out: usize,
 }
 
 impl Parts<'_> {
-    /// The name of the run: that of its first file.
+    /// Name of the run, from its first file.
     pub fn name(&self) -> String {
         let files = &self.report.log.files;
         let name = |path: &std::path::Path| match path.file_name() {
@@ -63,7 +63,7 @@ impl Parts<'_> {
         }
     }
 
-    /// The answer, and the causes in a line each.
+    /// Verdict, and one line per cause.
     pub fn verdict(&self) -> Markup {
         html! {
             section .verdict aria-labelledby="verdict" {
@@ -97,7 +97,7 @@ impl Parts<'_> {
         }
     }
 
-    /// A section for every finding.
+    /// One section per finding.
     pub fn findings(&self) -> Markup {
         html! {
             section #findings aria-labelledby="findings-title" {
@@ -111,7 +111,7 @@ impl Parts<'_> {
                 }
                 @if self.left_out > 0 {
                     p .note {
-                        (self.left_out) " plots are left out: a page draws no more than "
+                        (self.left_out) " plots are omitted: a page draws at most "
                         (super::MOST_PLOTS) "."
                     }
                 }
@@ -140,7 +140,7 @@ impl Parts<'_> {
         }
     }
 
-    /// The rule of a finding, where no finding before it is of the same.
+    /// Rule of a finding, if it is the first finding of that rule.
     fn rule_first_at(&self, index: usize) -> Option<&'static Rule> {
         let code = self.report.findings[index].code;
         let is_first = !self.report.findings[..index].iter().any(|other| other.code == code);
@@ -171,14 +171,14 @@ impl Parts<'_> {
                     p .note { "See " a href={ "#" (part) } { (what) } "." }
                 }
                 (None, Some(_)) if proof.is_empty() => {
-                    p .note { "No picture: what this rule looks at is not kept as a series." }
+                    p .note { "No plot: the data of this rule are not stored as a series." }
                 }
                 _ => {}
             }
         }
     }
 
-    /// What passed, what could not be told and the rest.
+    /// Passed checks, inconclusive checks and the rest.
     pub fn rest(&self) -> Markup {
         let figures = self.report.figures.as_ref();
         let notes = self.report.log.notes.iter();
@@ -202,7 +202,7 @@ impl Parts<'_> {
         }
     }
 
-    /// What could not be decided, what would settle it, and behind that the reason of each.
+    /// Inconclusive checks with the action that would resolve them, and the reasons folded.
     fn open(&self) -> Markup {
         let groups = self.outline.could_not_tell();
         html! {
@@ -227,7 +227,7 @@ impl Parts<'_> {
         }
     }
 
-    /// What passed: the amounts that are bounded, then the rest.
+    /// Passed checks: bounded amounts, then the rest.
     fn passed(&self) -> Markup {
         let Passed { bounds, whole, parts, remarks } = self.outline.passed();
         let whole = whole.join(", ");
@@ -255,7 +255,7 @@ impl Parts<'_> {
         }
     }
 
-    /// How far the joints and the tip of each arm moved.
+    /// Range of motion of the joints and the tip of each arm.
     fn workspace(&self) -> Markup {
         html! {
             @if !self.report.workspace.is_empty() {
@@ -333,7 +333,7 @@ fn row(bound: &Bound) -> Markup {
     }
 }
 
-/// Lines under a heading; nothing where there are none.
+/// Lines with a heading. Nothing if there are none.
 fn list(id: &str, title: &str, lines: &[String]) -> Markup {
     html! {
         @if !lines.is_empty() {
@@ -345,7 +345,7 @@ fn list(id: &str, title: &str, lines: &[String]) -> Markup {
     }
 }
 
-/// A line in which what is before the first word or colon, the codes of rules, is set apart.
+/// Formats a line whose leading rule codes are highlighted.
 fn coded(line: &str) -> Markup {
     let is_code = |c: char| c.is_ascii_uppercase() || c.is_ascii_digit() || "–, ".contains(c);
     let end = line.find(|c| !is_code(c)).unwrap_or(line.len());

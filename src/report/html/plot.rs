@@ -1,78 +1,78 @@
-//! One plot: what a browser draws from its JSON, and the same as a table.
+//! Line plot: JSON for the browser, and a table of the same values.
 
 use maud::{Markup, html};
 use serde_json::{Value, json};
 
 use crate::stats::thin;
 
-/// Stretches of the table behind a plot.
+/// Number of intervals in the table of a plot.
 const STRETCHES: usize = 20;
 
-/// A plot of one or more series over one axis.
+/// Plot of one or more series over a common axis.
 #[derive(Clone, Debug, Default)]
 pub struct Plot {
-    /// What it shows, in a few words.
+    /// Short title.
     pub title: &'static str,
-    /// The arm that its stream belongs to.
+    /// Arm of the stream.
     pub robot: String,
-    /// The stream that it shows.
+    /// Plotted stream.
     pub of: String,
-    /// What to look for, in a sentence; read out in the place of the picture.
+    /// Description in one sentence, also used as the alternative text.
     pub says: String,
-    /// The axis along which it goes, ascending.
+    /// Values of the horizontal axis, ascending.
     pub x: Vec<f64>,
-    /// Name and unit of that axis.
+    /// Name and unit of the horizontal axis.
     pub x_label: &'static str,
-    /// Name and unit of the other axis.
+    /// Name and unit of the vertical axis.
     pub y_label: &'static str,
-    /// What is drawn.
+    /// The series.
     pub series: Vec<Series>,
-    /// Whether the axis of values begins at zero.
+    /// Whether the vertical axis starts at zero.
     pub from_zero: bool,
-    /// A place on the axis that is marked.
+    /// Marked position on the horizontal axis.
     pub mark: Option<Mark>,
-    /// Limits that values are held against.
+    /// Limits of the values.
     pub limits: Vec<Limit>,
-    /// How the points are drawn.
+    /// Drawing style of the points.
     pub style: Style,
 }
 
-/// A limit, drawn across the plot.
+/// Limit line.
 #[derive(Clone, Debug)]
 pub struct Limit {
-    /// Where, in the unit of its axis.
+    /// Position in the unit of its axis.
     pub at: f64,
-    /// Whether it is on the axis along which the plot goes.
+    /// Whether it is on the horizontal axis.
     pub is_along: bool,
-    /// What stands beside it; nothing where another says it.
+    /// Label. Empty if another limit has it.
     pub label: String,
 }
 
-/// One series of a plot; as many values as the plot has places.
+/// One series, with one value per position of the horizontal axis.
 #[derive(Clone, Debug)]
 pub struct Series {
-    /// Its name.
+    /// Name of the series.
     pub label: String,
-    /// What it stands for, which gives its colour.
+    /// Role, which determines the colour.
     pub role: Role,
-    /// Its values.
+    /// Values.
     pub values: Vec<f64>,
-    /// Half the width of each value's interval, where they have one.
+    /// Half width of each value's interval. Empty if there are none.
     pub half_widths: Vec<f64>,
 }
 
-/// What a series stands for.
+/// Role of a series.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
     /// As logged.
     Before,
-    /// Once everything found is taken off.
+    /// After correcting all findings.
     After,
-    /// A measured amount.
+    /// Measured amount.
     Amount,
-    /// What an amount is held against, or a line through it.
+    /// Reference of an amount, or a fitted line.
     Beside,
-    /// A limit that is no constant.
+    /// Limit that is not constant.
     Limit,
 }
 
@@ -88,37 +88,37 @@ impl Role {
     }
 }
 
-/// How the points of a plot are drawn.
+/// Drawing style of the points of a plot.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Style {
-    /// Joined, but for silences of the log.
+    /// Line with breaks at gaps of the log.
     #[default]
     Time,
-    /// Joined.
+    /// Continuous line.
     Curve,
-    /// Each by itself.
+    /// Separate points.
     Points,
 }
 
-/// A place on the axis, with its interval.
+/// Marked position with its interval.
 #[derive(Clone, Debug)]
 pub struct Mark {
-    /// Where.
+    /// Position.
     pub at: f64,
-    /// From and to.
+    /// Start and end.
     pub interval: Option<[f64; 2]>,
-    /// What stands beside it.
+    /// Label.
     pub label: String,
 }
 
 impl Plot {
-    /// Whether there is anything to draw.
+    /// Returns whether there is nothing to draw.
     pub fn is_empty(&self) -> bool {
         self.x.len() < 2 || self.series.is_empty()
     }
 
-    /// The picture's place in the page, the note on what is left out, and its values as a table. The
-    /// stream is named where it is not `known` from what stands above.
+    /// Renders the placeholder of the plot, a note if it is thinned, and a table of its values. Names the
+    /// stream unless it is `known` from the context.
     pub fn markup(&self, id: &str, known: Option<&str>, most_rows: usize) -> Markup {
         let rows = self.kept(most_rows).len();
         html! {
@@ -145,7 +145,7 @@ impl Plot {
         }
     }
 
-    /// What the page's script draws it from.
+    /// JSON for the page's script.
     pub fn json(&self, most_rows: usize) -> Value {
         let rows = self.kept(most_rows);
         let longest = self.longest_step();
@@ -160,7 +160,7 @@ impl Plot {
             all
         };
         let mut x = broken(&self.x, to_place);
-        // A place of its own, between its neighbours, breaks the line.
+        // A null between two positions breaks the line.
         for at in 1..x.len().saturating_sub(1) {
             if let (true, Some(a), Some(b)) =
                 (x[at].is_null(), x[at - 1].as_f64(), x[at + 1].as_f64())
@@ -196,25 +196,24 @@ impl Plot {
         })
     }
 
-    /// The rows that are drawn.
+    /// Indices of the rows to draw.
     fn kept(&self, most_rows: usize) -> Vec<usize> {
         let series: Vec<&[f64]> = self.series.iter().map(|one| one.values.as_slice()).collect();
         thin::extremes(&series, most_rows)
     }
 
-    /// Whether the log is silent between two rows that are drawn next to each other: for longer than
-    /// `longest`.
+    /// Returns whether there is a gap longer than `longest` between two consecutive drawn rows.
     fn is_silence(&self, before: usize, after: usize, longest: f64) -> bool {
-        // Between kept rows others are left out: the step that counts is a single one.
+        // Rows in between may be omitted, so test each single step.
         let step = |row: usize| self.x[row + 1] - self.x[row];
         self.style == Style::Time && (before..after).any(|row| step(row) > longest)
     }
 
-    /// The longest step along the axis that a line goes through.
+    /// Longest step that a line spans.
     fn longest_step(&self) -> f64 {
-        /// As a share of the whole.
+        /// As a fraction of the whole axis.
         const SHARE: f64 = 0.02;
-        /// In median steps, which of a short stream are a larger share each.
+        /// In median steps, which are a larger fraction for a short stream.
         const STEPS: f64 = 5.0;
         let whole = self.x.last().zip(self.x.first()).map_or(0.0, |(last, first)| last - first);
         let mut steps: Vec<f64> = self.x.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -223,7 +222,7 @@ impl Plot {
         (SHARE * whole).max(STEPS * median)
     }
 
-    /// The lowest and the highest value of each series in stretches of the axis.
+    /// Minimum and maximum of each series in intervals of the axis.
     fn table(&self) -> Markup {
         let stretch = self.x.len().div_ceil(STRETCHES).max(1);
         let starts = (0..self.x.len()).step_by(stretch);
@@ -241,7 +240,7 @@ impl Plot {
         html! {
             div .scroll tabindex="0" role="region" aria-label={ "Values of " (self.title) } {
                 table {
-                    caption { "Lowest and highest value in each stretch" }
+                    caption { "Minimum and maximum of each interval" }
                     thead {
                         tr {
                             th scope="col" { (self.x_label) }
@@ -273,17 +272,17 @@ fn broken_or_none(
     if half_widths.is_empty() { Value::Null } else { json!(broken(half_widths, to_digits)) }
 }
 
-/// A place on an axis to a ten-thousandth.
+/// Rounds a position on an axis to four decimals.
 fn to_place(value: f64) -> f64 {
     (value * 1e4).round() / 1e4
 }
 
-/// A value to five digits.
+/// Rounds a value to five digits.
 fn to_digits(value: f64) -> f64 {
     format!("{value:.4e}").parse().unwrap_or(value)
 }
 
-/// A value in a table, to three digits; a dash where it is not finite.
+/// Formats a value for the table with three digits. A dash if it is not finite.
 fn shown(value: f64) -> String {
     if !value.is_finite() {
         return "–".to_owned();

@@ -1,4 +1,4 @@
-//! Which picture proves a finding.
+//! Selects the plots that support a finding.
 
 use std::collections::BTreeMap;
 
@@ -14,28 +14,28 @@ use crate::geometry::RotationSlip;
 use crate::report::Report;
 use crate::report::figures::{Figures, ImuFigure, PoseFigure, ReadingScore};
 
-/// Streams that one finding shows; of a joint or a whole arm there may be many.
+/// Maximum number of streams per finding. A joint or a whole arm may have many.
 const MOST_STREAMS: usize = 3;
 
-/// What stands under a finding.
+/// Evidence shown below a finding.
 #[derive(Debug, Default)]
 pub struct Proof {
-    /// Its pictures.
+    /// Line plots.
     pub plots: Vec<Plot>,
-    /// Its pictures of planes.
+    /// Plane plots.
     pub planes: Vec<Plane>,
-    /// Its bars.
+    /// Bar charts.
     pub bars: Vec<Bars>,
-    /// Its amounts with their intervals.
+    /// Amounts with intervals.
     pub whiskers: Vec<Whiskers>,
-    /// Findings, counted from 0, that show a picture of this one already, with its title.
+    /// Indices (from 0) of findings that already show one of these plots, with its title.
     pub shown_by: Vec<(usize, &'static str)>,
-    /// A part of the page that shows it: its id, and what it shows.
+    /// Section of the page that shows it: id and name.
     pub part: Option<(&'static str, &'static str)>,
 }
 
 impl Proof {
-    /// Whether nothing shows the finding.
+    /// Returns whether nothing is shown.
     pub fn is_empty(&self) -> bool {
         self.plots.is_empty()
             && self.planes.is_empty()
@@ -46,8 +46,8 @@ impl Proof {
     }
 }
 
-/// The proofs of a report's findings, in their order. A picture that several share stands with the
-/// first of them.
+/// Evidence of all findings of a report, in order. A shared plot appears with the first finding that uses
+/// it.
 pub fn proofs(report: &Report) -> Vec<Proof> {
     let none = Figures::default();
     let figures = report.figures.as_ref().unwrap_or(&none);
@@ -73,12 +73,12 @@ pub fn proofs(report: &Report) -> Vec<Proof> {
         .collect()
 }
 
-/// A finding with what its pictures are drawn from.
+/// A finding with the data of its plots.
 struct Case<'a> {
     report: &'a Report,
     figures: &'a Figures,
     finding: &'a Finding,
-    /// The place of the finding in the report.
+    /// Index of the finding in the report.
     index: usize,
 }
 
@@ -170,7 +170,7 @@ impl Case<'_> {
         proof
     }
 
-    /// What the rule found on everything of this robot that it was asked about.
+    /// Amounts of the finding's rule for all subjects of this robot.
     fn amounts(&self) -> Option<Whiskers> {
         let rule = checks::find(self.finding.code).ok()?;
         let rows = self.checks(self.finding.code).flat_map(whiskers).map(|row| {
@@ -186,7 +186,7 @@ impl Case<'_> {
         })
     }
 
-    /// The pose streams that the finding is on: that of its topic, else those of its robot.
+    /// Pose streams of the finding: its topic's, else its robot's.
     fn poses(&self) -> impl Iterator<Item = &PoseFigure> {
         let subject = &self.finding.subject;
         let is_its = |pose: &&PoseFigure| self.is_on(&pose.robot, &pose.topic);
@@ -206,20 +206,20 @@ impl Case<'_> {
         imus.filter(|imu| self.is_on(&imu.robot, &imu.topic)).take(MOST_STREAMS)
     }
 
-    /// Whether the finding is on this stream: several arms may share a topic, such as /tf.
+    /// Returns whether the finding refers to this stream. Several arms may share a topic such as /tf.
     fn is_on(&self, robot: &str, topic: &str) -> bool {
         let subject = &self.finding.subject;
         subject.topic.as_deref() == Some(topic)
             && subject.robot.as_deref().is_none_or(|its| its == robot)
     }
 
-    /// The check of another rule or subject of the report.
+    /// Checks of a rule for the robot of the finding.
     fn checks(&self, code: &str) -> impl Iterator<Item = &CheckRow> {
         let robot = &self.finding.subject.robot;
         self.report.checks.iter().filter(move |row| row.code == code && row.subject.robot == *robot)
     }
 
-    /// The latency found on a topic, as a mark in ms.
+    /// Estimated latency of a topic as a mark in ms.
     fn latency_mark(&self, topic: &str) -> Option<Mark> {
         let row =
             self.checks(LAT001.code).find(|row| row.subject.topic.as_deref() == Some(topic))?;
@@ -236,7 +236,7 @@ impl Case<'_> {
             let values = pose.left_by_latency.iter().map(|at| at[part]);
             values.clone().fold(0.0, f64::max) - values.fold(f64::INFINITY, f64::min)
         };
-        // A tip that turns on the spot shows a latency in its rotation only.
+        // If the tip rotates in place, only the rotation shows a latency.
         let in_place = spread(1) < 1e-5;
         let (part, factor, unit) =
             if in_place { (2, 1f64.to_degrees(), "rms °") } else { (1, 1e3, "rms mm") };
@@ -267,8 +267,7 @@ impl Case<'_> {
             title: "Correlation vs. assumed latency",
             robot: imu.robot.clone(),
             of: imu.topic.clone(),
-            says: "Turning speed against forward kinematics; the peak is near the latency, which a finer \
-                   fit gives."
+            says: "Angular speed vs. forward kinematics. The peak is close to the latency; a fit refines it."
                 .to_owned(),
             x: imu.correlation_by_latency.iter().map(|at| at[0] * 1e3).collect(),
             x_label: "latency, ms",
@@ -286,19 +285,18 @@ impl Case<'_> {
         }
     }
 
-    /// From where on the finding's own rule warns, of amounts in this unit.
+    /// Warning threshold of the finding's rule in this unit.
     fn own_limit(&self, unit: Unit) -> Option<f64> {
         self.report.warns_from(checks::find(self.finding.code).ok()?, unit)
     }
 
-    /// The limits of a rule on amounts of either sign, along the axis of a plot; `factor` leads from SI to
-    /// the axis.
+    /// Limits of a rule for signed amounts on the horizontal axis. `factor` converts SI to the axis.
     fn limits_along(&self, rule: &Rule, unit: Unit, factor: f64) -> Vec<Limit> {
         let limits = both_signs(self.report.warns_from(rule, unit), unit, factor);
         limits.into_iter().map(|limit| Limit { is_along: true, ..limit }).collect()
     }
 
-    /// The zero offsets of all joints of the robot.
+    /// Zero offsets of all joints of the robot.
     fn offsets(&self) -> Option<Whiskers> {
         let rows = self.checks(ZER001.code).map(|row| {
             let joint = row.subject.label().to_owned();
@@ -364,7 +362,7 @@ impl Case<'_> {
     }
 }
 
-/// A limit on amounts of either sign; `factor` leads from SI to the axis.
+/// Limits of a signed amount. `factor` converts SI to the axis.
 fn both_signs(limit: Option<f64>, unit: Unit, factor: f64) -> Vec<Limit> {
     let label = limit.map_or(String::new(), |limit| format!("limit ±{}", unit.show(limit)));
     let ends =
@@ -372,7 +370,7 @@ fn both_signs(limit: Option<f64>, unit: Unit, factor: f64) -> Vec<Limit> {
     ends.map(|(at, label)| Limit { at: at * factor, is_along: false, label }).collect()
 }
 
-/// A limit on a size; `factor` leads from SI to the axis.
+/// Limit of an unsigned amount. `factor` converts SI to the axis.
 fn one_sided(limit: Option<f64>, unit: Unit, factor: f64) -> Vec<Limit> {
     let limit = limit.map(|limit| Limit {
         at: limit * factor,
@@ -382,7 +380,7 @@ fn one_sided(limit: Option<f64>, unit: Unit, factor: f64) -> Vec<Limit> {
     limit.into_iter().collect()
 }
 
-/// The amount of a check: of a frame, its length and its angle.
+/// Amount of a check. For a frame, length and angle.
 fn whiskers(row: &CheckRow) -> Vec<Whisker> {
     let label = row.subject.label();
     let whisker = |what: &str, name: &str, value: f64, ci95, symbol: &str| {
@@ -418,10 +416,10 @@ fn headings(imu: &ImuFigure) -> Plot {
         half_widths: Vec::new(),
     });
     Plot {
-        title: "Heading by the IMU and by FK",
+        title: "Heading by IMU and by FK",
         robot: imu.robot.clone(),
         of: imu.topic.clone(),
-        says: "Where one axis of the sensor points about the vertical.".to_owned(),
+        says: "Direction of one sensor axis about the vertical.".to_owned(),
         x: imu.headings.iter().map(|at| at[0]).collect(),
         x_label: "time, s",
         y_label: "°",
@@ -430,7 +428,7 @@ fn headings(imu: &ImuFigure) -> Plot {
     }
 }
 
-/// What each reading of a stream's rotations leaves.
+/// Residual of each rotation encoding of a stream.
 fn readings(scores: &[ReadingScore]) -> Option<Bars> {
     let bars = scores.iter().map(|score| Bar {
         label: match (score.is_as_logged, score.is == score.read_as) {
@@ -445,7 +443,7 @@ fn readings(scores: &[ReadingScore]) -> Option<Bars> {
     let bars: Vec<Bar> = bars.collect();
     (!bars.is_empty()).then(|| Bars {
         title: "Residual under each rotation convention".to_owned(),
-        says: "Angle to forward kinematics, rms, with the frames that the best reading needs."
+        says: "Rms angle to forward kinematics, after fitting the frames of the best encoding."
             .to_owned(),
         bars,
     })

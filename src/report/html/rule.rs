@@ -1,11 +1,11 @@
-//! The text of a rule under its finding.
+//! Documentation of a rule below its finding.
 
 use maud::{Markup, PreEscaped, html};
 use pulldown_cmark::{Event, Parser, TagEnd};
 
 use crate::checks::Rule;
 
-/// What the rule's finding means and when it misleads, folded away.
+/// Collapsible section: meaning of the finding and when it misleads.
 pub fn folded(rule: &Rule) -> Markup {
     html! {
         details .values .rule {
@@ -16,7 +16,7 @@ pub fn folded(rule: &Rule) -> Markup {
     }
 }
 
-/// Markdown of paragraphs, headings, lists and code as HTML; all text is escaped.
+/// Renders Markdown paragraphs, headings, lists and code as HTML. All text is escaped.
 fn rendered(markdown: &str) -> String {
     let mut out = String::new();
     for event in Parser::new(markdown) {

@@ -11,13 +11,13 @@ use crate::report::figures::{
 use crate::report::{LogSummary, NoteRow, RobotRow, StreamRow};
 use crate::stats::Measured;
 
-/// What a topic may be called by who wishes the reader ill.
+/// Malicious topic name.
 const HOSTILE: &str = "/pose</script><img src=x onerror=alert(1)>\"'&";
 
 const POSE: &str = "/pose";
 const IMU: &str = "/imu";
 
-/// A finding of a rule that has pictures.
+/// Finding of a rule that has plots.
 fn finding(code: &'static str, topic: &str) -> Finding {
     let measured = Measured { value: 1e-2, std_error: 1e-4, dof: 1e3 };
     let cause = match code {
@@ -72,7 +72,7 @@ fn report(findings: Vec<Finding>, figures: Figures) -> Report {
     Report { figures: Some(figures), ..report }
 }
 
-/// A stream of `rows` samples, with a peak in each of its errors.
+/// Stream of `rows` samples with a peak in each error.
 fn pose_figure(topic: &str, rows: usize) -> PoseFigure {
     let wave = |rate: f64| -> Vec<f64> {
         (0..rows).map(|row| 0.012_345_678 * (1.0 + (rate * row as f64).sin())).collect()
@@ -123,7 +123,7 @@ fn written(report: &Report) -> String {
     String::from_utf8(page).expect("UTF-8")
 }
 
-/// The values of all attributes of that name, of scripts and styles nothing.
+/// Values of all attributes with this name, outside scripts and styles.
 fn attributes<'a>(page: &'a str, name: &str) -> Vec<&'a str> {
     let start = format!(" {name}=\"");
     let parts = page.split(&start).skip(1);
@@ -211,7 +211,7 @@ fn hostile_names_stay_text() {
     };
     report.streams = vec![row(HOSTILE)];
     let page = written(&report);
-    assert!(!page.contains("<img") && page.contains("&lt;img"), "an element came in");
+    assert!(!page.contains("<img") && page.contains("&lt;img"), "a name became an element");
     assert_eq!(page.matches("</script").count(), 3);
     assert_eq!(page.matches("<script").count(), 3);
 }
@@ -252,7 +252,7 @@ fn every_finding_of_every_rule_has_its_section() {
         let section = page.split(&start).nth(1).and_then(|rest| rest.split("</article>").next());
         let section = section.unwrap_or_else(|| panic!("{code} has no section"));
         assert!(section.contains(code) && section.contains("mend /pose"), "{code}");
-        // A picture, where it is, or that there is none.
+        // A plot, a reference to one, or a note that there is none.
         assert!(section.contains("<figure") || section.contains("class=\"note\""), "{code}");
     }
 }
@@ -285,7 +285,7 @@ fn an_hour_fits_into_two_megabytes() {
     let report = report(findings, figures);
     let page = written(&report);
     assert!(page.len() <= 2_000_000, "{} bytes", page.len());
-    assert!(page.contains("min/max of"), "what is left out must be said");
+    assert!(page.contains("min/max of"), "omitted samples must be mentioned");
     assert_eq!(page, written(&report));
 }
 

@@ -1,13 +1,13 @@
-//! When each stream of the run was there, and where samples are missing.
+//! Time spans of the run's streams, and their gaps.
 
 use maud::{Markup, html};
 
 use super::bars::percent;
 use crate::report::figures::{Figures, Silence, TimelineRow};
 
-/// The section of the page.
+/// Section of the page.
 pub fn section(figures: &Figures) -> Markup {
-    // What is on another clock lies elsewhere in time; the axis is the run's.
+    // Streams on another clock are elsewhere in time; the axis is the run's.
     let whole = figures.duration_s.max(f64::MIN_POSITIVE);
     html! {
         @if !figures.timeline.is_empty() {
@@ -16,7 +16,7 @@ pub fn section(figures: &Figures) -> Markup {
                 p .says {
                     "From the first to the last sample of each stream, 0 to "
                     (format!("{:.1} s", figures.duration_s))
-                    "; gaps are silences in which samples are missing."
+                    "; gaps are missing samples."
                 }
                 table .bars .timeline {
                     thead .visually-hidden {

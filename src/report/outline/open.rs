@@ -1,18 +1,18 @@
-//! What could not be decided, by what would settle it.
+//! Inconclusive checks, grouped by the action that would resolve them.
 
 use super::{Outline, grouped_by, ranges};
 use crate::checks::{self, recipe, settled_by};
 use crate::diagnosis::plan::Purpose;
 use crate::finding::{CheckRow, Estimate, Status, Unit};
 
-/// What would settle a check.
+/// Action that would resolve a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Settles<'a> {
-    /// Another motion of the arm.
+    /// Record another motion of the arm.
     Motion,
-    /// To find the cause of what MDL001 has left.
+    /// Find the cause of the residual reported by MDL001.
     Residual,
-    /// What its reason ends in.
+    /// Action that ends the check's reason.
     Said(&'a str),
 }
 
@@ -28,7 +28,7 @@ impl<'a> Settles<'a> {
         }
     }
 
-    /// Why what it settles is open, where that is one and the same.
+    /// Reason shared by all checks of the group, if there is one.
     const fn words(self) -> &'static str {
         match self {
             Settles::Motion => "not observable in this motion",
@@ -39,7 +39,7 @@ impl<'a> Settles<'a> {
 }
 
 impl Outline<'_> {
-    /// What could not be decided, a line for each thing that would settle it.
+    /// Inconclusive checks, one line per action that would resolve them.
     pub fn could_not_tell(&self) -> Vec<String> {
         let groups = grouped_by(self.open(), Settles::of);
         let lines = groups.into_iter().map(|(settles, rows)| {
@@ -52,7 +52,7 @@ impl Outline<'_> {
         lines.collect()
     }
 
-    /// The same with the reason of each, a line for each rule and reason.
+    /// Inconclusive checks with their reasons, one line per rule and reason.
     pub fn reasons(&self) -> Vec<String> {
         let groups = grouped_by(self.open(), |row| (row.code, row.reason.as_deref()));
         let lines = groups.into_iter().map(|((code, reason), rows)| {
@@ -65,8 +65,8 @@ impl Outline<'_> {
         self.report.checks.iter().filter(|row| row.status == Status::Inconclusive)
     }
 
-    /// `LAT001–003 on /pose, /tf`: rules that are open on the same together. Of what no motion settles,
-    /// with the reason.
+    /// `LAT001–003 on /pose, /tf`: combines rules that are inconclusive on the same subjects. Includes the
+    /// reason if no motion resolves them.
     fn items(&self, settles: Settles<'_>, rows: &[&CheckRow]) -> Vec<String> {
         let by_rule = grouped_by(rows.iter().copied(), |row| (row.code, why(settles, row)));
         let mut items: Vec<(Vec<&str>, String, Option<&str>)> = Vec::new();
@@ -84,16 +84,17 @@ impl Outline<'_> {
         said.collect()
     }
 
-    /// All of that, what only other motions would tell apart, and the motion with the calls that write it.
+    /// All inconclusive checks, parameters that need other motions, and the recommended motion with its
+    /// commands.
     pub fn open_lines(&self) -> Vec<String> {
         let plans = self.plans().into_iter().map(str::to_owned).collect();
         let recipe = self.recipe().into_iter().collect();
         [self.could_not_tell(), self.cannot_show(), recipe, plans].concat()
     }
 
-    /// The motion that would settle what is open for want of one, in a sentence.
+    /// Motion that would resolve inconclusive checks, as a sentence.
     pub fn recipe(&self) -> Option<String> {
-        /// What `plan` writes by itself, s.
+        /// Default duration of `plan`, s.
         const SECONDS: u32 = 60;
         let plans = &self.report.plans;
         let named = |purpose: &Purpose| plans.iter().any(|plan| plan.purpose == purpose.name());
@@ -120,7 +121,7 @@ impl Outline<'_> {
         Some(format!("record {SECONDS} s with {}{or}", parts.join("; ")))
     }
 
-    /// The calls that write that motion, for each arm one: as a shell takes them.
+    /// Commands that generate this motion, one per arm, quoted for a shell.
     pub fn plans(&self) -> Vec<&str> {
         let mut plans = Vec::new();
         let mut arms: Vec<&str> = Vec::new();
@@ -134,11 +135,11 @@ impl Outline<'_> {
     }
 }
 
-/// Why a check is open, where what would settle it does not say that.
+/// Reason of a check, if its group does not already state it.
 fn why<'a>(settles: Settles<'_>, row: &'a CheckRow) -> Option<&'a str> {
     match settles {
         Settles::Motion | Settles::Residual => None,
-        // What has no remedy of its own is its own.
+        // A reason without a remedy is its own group.
         Settles::Said(settle) => {
             let reason = row.reason.as_deref()?;
             Some(reason.strip_suffix(settle)?.trim_end_matches("; ")).filter(|why| !why.is_empty())
@@ -146,7 +147,7 @@ fn why<'a>(settles: Settles<'_>, row: &'a CheckRow) -> Option<&'a str> {
     }
 }
 
-/// How badly the amount of a single check is known, where it was estimated.
+/// Half width of the interval of a single check, if it has an estimate.
 fn half_width(rows: &[&CheckRow]) -> String {
     let [row] = rows else { return String::new() };
     let Some(Estimate::Amount { name, unit, ci95: Some([low, high]), .. }) = &row.estimate else {

@@ -1,36 +1,36 @@
-//! What passed, with the amounts that a pass bounds.
+//! Passed checks, with the amounts that they bound.
 
 use super::{Outcomes, Outline, ranges};
 use crate::checks;
 use crate::finding::{CheckRow, Estimate, Status, Unit};
 use crate::report::amounts::of_unit;
 
-/// What passed.
+/// Passed checks.
 #[derive(Default)]
 pub(crate) struct Passed {
     /// Rules that bound an amount.
     pub bounds: Vec<Bound>,
-    /// Rules that passed on all that they were asked about and bound none, runs of codes as ranges.
+    /// Rules without an amount that passed on all subjects, with ranges of codes abbreviated.
     pub whole: Vec<String>,
-    /// Rules that passed on some of it, with what.
+    /// Rules that passed on some subjects, with these subjects.
     pub parts: Vec<String>,
-    /// What was said of a pass.
+    /// Remarks on passed checks.
     pub remarks: Vec<String>,
 }
 
-/// An amount that a pass bounds.
+/// Amount bounded by a pass.
 pub(crate) struct Bound {
     /// The rule.
     pub code: &'static str,
-    /// What is bounded.
+    /// Name of the amount.
     pub name: &'static str,
-    /// The largest of it with its interval.
+    /// Largest amount with its interval.
     pub amount: String,
-    /// What it is held against; empty where the rule has no threshold.
+    /// Threshold. Empty if the rule has none.
     pub limit: String,
-    /// Of how many the largest is said, where there are several.
+    /// Number of amounts, if there are several.
     pub of: Option<usize>,
-    /// What passed, where not all did.
+    /// Subjects that passed, if not all did.
     pub on: Option<String>,
 }
 
@@ -44,7 +44,7 @@ impl Bound {
 }
 
 impl Passed {
-    /// All of it: a line for each amount, then the lists and what was said.
+    /// All lines: amounts, then lists and remarks.
     pub fn lines(self) -> Vec<String> {
         let bounds: Vec<String> = self.bounds.iter().map(Bound::sentence).collect();
         let lists = [self.whole.join(", "), self.parts.join("; ")].into_iter();
@@ -54,7 +54,7 @@ impl Passed {
 }
 
 impl Outline<'_> {
-    /// What passed; nothing of a log that could not be audited.
+    /// Summarises the passed checks. Empty if the log could not be audited.
     pub fn passed(&self) -> Passed {
         let mut said = Passed::default();
         if self.report.error.is_some() {
@@ -88,7 +88,8 @@ impl Outline<'_> {
         said
     }
 
-    /// The largest amount among rows that passed, of so many that were asked; `None` where none has one.
+    /// Largest amount among the passed rows. `asked` is the number of evaluated rows. `None` if no row has
+    /// an amount.
     fn bound(&self, code: &'static str, rows: &[&CheckRow], asked: usize) -> Option<Bound> {
         let sizes: Vec<(f64, &Estimate)> =
             rows.iter().filter_map(|row| Some((size(row)?, row.estimate.as_ref()?))).collect();
@@ -121,7 +122,7 @@ impl<'a> Outcomes<'a> {
     }
 }
 
-/// How much a row may be at most.
+/// Upper bound of a row's amount.
 fn size(row: &CheckRow) -> Option<f64> {
     let (value, ci95) = match row.estimate.as_ref()? {
         Estimate::Amount { value, ci95, .. } | Estimate::Frame { value, ci95, .. } => {
@@ -133,13 +134,13 @@ fn size(row: &CheckRow) -> Option<f64> {
     Some(ends.fold(value.abs(), f64::max)).filter(|size| size.is_finite())
 }
 
-/// An estimate that passed: nothing smaller than the noise floor is said to be zero.
+/// Formats an estimate that passed. Values below the noise floor are not shown as zero.
 fn amount(estimate: &Estimate) -> Option<String> {
     let shown = |symbol: &'static str, name: &str, value: f64, ci95: Option<[f64; 2]>| {
         let unit = Unit::of(symbol, name)?;
         let floor = unit.noise_floor().max(if unit == Unit::One { 1e-4 } else { 0.0 });
         Some(match ci95 {
-            // Below its noise, whatever that is.
+            // Exactly zero, with unknown noise.
             None if value == 0.0 => "none detected".to_owned(),
             None if value.abs() < floor => format!("< {}", unit.show(floor)),
             _ => of_unit(symbol, name, value, ci95),

@@ -1,4 +1,4 @@
-//! The errors of pose streams: over time, over reach and over the workspace.
+//! Errors of pose streams over time, reach and workspace.
 
 use super::{Case, both_signs, one_sided};
 use crate::checks::MDL001;
@@ -54,7 +54,7 @@ impl Case<'_> {
         }
     }
 
-    /// When it changes, where it does within the run.
+    /// Change point of the finding, if there is one.
     fn change(&self) -> Option<Mark> {
         let change = match self.finding.estimate.as_ref()? {
             Estimate::Amount { change, .. } | Estimate::Frame { change, .. } => change.as_ref()?,
@@ -104,7 +104,7 @@ pub(super) fn over_reach(pose: &PoseFigure) -> Plot {
         title: "Position error vs. reach",
         robot: pose.robot.clone(),
         of: pose.topic.clone(),
-        says: "A wrong zero or length shows more the further the arm reaches.".to_owned(),
+        says: "A wrong zero or length causes more error the further the arm reaches.".to_owned(),
         x: sorted(&pose.reach_m),
         x_label: "distance from the base, m",
         y_label: "mm",
@@ -115,7 +115,8 @@ pub(super) fn over_reach(pose: &PoseFigure) -> Plot {
     }
 }
 
-/// The two states of a stream; as logged only where the log ties its frame to the arm.
+/// Errors before and after correction. Before only if the stream's frame is connected to the arm in the
+/// log.
 fn before_and_after([before, after]: [&Vec<f64>; 2], factor: f64) -> Vec<Series> {
     let states = [("as logged", Role::Before, before), ("after correction", Role::After, after)];
     let drawn = states.into_iter().filter(|(.., values)| !values.is_empty());
@@ -129,7 +130,7 @@ fn before_and_after([before, after]: [&Vec<f64>; 2], factor: f64) -> Vec<Series>
         .collect()
 }
 
-/// `up to 24 mm as logged, up to 0.1 mm explained`.
+/// `up to 24 mm as logged, up to 0.1 mm after correction`.
 fn most(series: &[Series], unit: &str) -> String {
     let parts = series.iter().map(|series| {
         let finite = series.values.iter().copied().filter(|value| value.is_finite());
@@ -146,8 +147,9 @@ fn course([robot, topic]: [&str; 2], points: &[CoursePoint]) -> Plot {
         title: "Latency over time",
         robot: robot.to_owned(),
         of: topic.to_owned(),
-        says: "In windows of a second with their 95 % intervals, beyond that of the whole run."
-            .to_owned(),
+        says:
+            "Per one-second window with 95 % intervals, relative to the latency of the whole run."
+                .to_owned(),
         x: points.iter().map(|point| point.t_s).collect(),
         x_label: "time, s",
         y_label: "ms",
@@ -162,9 +164,9 @@ fn course([robot, topic]: [&str; 2], points: &[CoursePoint]) -> Plot {
     }
 }
 
-/// The position errors of a stream over the workspace, from above and from the side.
+/// Position errors of a stream over the workspace, in top and side view.
 pub(super) fn over_workspace(pose: &PoseFigure) -> Vec<Plane> {
-    /// Places that are drawn.
+    /// Maximum number of points.
     const MOST: usize = 300;
     let errors = if pose.before_m.is_empty() { &pose.after_m } else { &pose.before_m };
     let what = if pose.before_m.is_empty() { "after correction" } else { "as logged" };

@@ -1,4 +1,4 @@
-//! The pictures of findings that have one of their own.
+//! Plots specific to single findings.
 
 use super::{Case, Proof, both_signs, one_sided};
 use crate::finding::{Estimate, Unit};
@@ -7,7 +7,7 @@ use crate::report::html::plane::{Arrow, Dot, Plane};
 use crate::report::html::plot::{Limit, Mark, Plot, Role, Series, Style};
 
 impl Case<'_> {
-    /// Adds the picture of the finding, where it was drawn.
+    /// Adds the finding's specific plot, if its data exist.
     pub(super) fn add_own(&self, proof: &mut Proof) {
         let own = self.figures.own.iter().filter(|(index, _)| *index == self.index);
         for (_, own) in own {
@@ -55,7 +55,7 @@ impl Case<'_> {
         }
     }
 
-    /// A number of the finding's evidence.
+    /// Number in the finding's evidence.
     fn evidence(&self, key: &str) -> Option<f64> {
         self.finding.evidence.more.get(key)?.as_f64()
     }
@@ -66,7 +66,7 @@ impl Case<'_> {
         let from = self.evidence("from_hz").map(|at| Limit {
             at,
             is_along: true,
-            label: format!("counted from {at:.0} Hz"),
+            label: format!("counted above {at:.0} Hz"),
         });
         Plot {
             x: spectrum.iter().map(|at| at[0]).collect(),
@@ -77,7 +77,7 @@ impl Case<'_> {
             style: Style::Curve,
             ..self.plot(
                 "Spectrum of the tip's path",
-                "Each bin's rms over one second where it shakes most, all axes.",
+                "Rms per bin over the second with the strongest vibration, all axes.",
                 ["frequency, Hz", "mm rms"],
             )
         }
@@ -90,14 +90,14 @@ impl Case<'_> {
             limits: both_signs(self.own_limit(Unit::Metre), Unit::Metre, 1e3),
             style: Style::Curve,
             ..self.plot(
-                "The path where it shakes most",
-                "Along the axis that moves most, beside a parabola; the limit is of the rms.",
+                "Path during the strongest vibration",
+                "Deviation from a parabola along the axis with most motion; the limit applies to the rms.",
                 ["time, s", "mm"],
             )
         }
     }
 
-    /// By how much the chain is open, view by view.
+    /// Closure error of each view.
     fn closures(&self, each: &[[f64; 3]]) -> [Plot; 2] {
         let parts = [
             ("Hand-eye residual of each view", 1, Unit::Metre, "mm", 1e3),
@@ -109,18 +109,14 @@ impl Case<'_> {
             from_zero: true,
             limits: one_sided(self.own_limit(unit), unit, factor),
             style: Style::Points,
-            ..self.plot(
-                title,
-                "By how much hand, camera and target do not close.",
-                ["time, s", label],
-            )
+            ..self.plot(title, "Closure error of hand, camera and target.", ["time, s", label])
         })
     }
 
     fn beside_line(&self, tip: &[[f64; 3]], unit: Unit) -> Plot {
         let (title, part, label, factor) = match unit {
             Unit::Metre => ("Deviation from the commanded line", 1, "mm", 1e3),
-            _ => ("Orientation beside the even turn", 2, "°", 1f64.to_degrees()),
+            _ => ("Deviation from slerp", 2, "°", 1f64.to_degrees()),
         };
         Plot {
             x: tip.iter().map(|at| at[0] * 1e3).collect(),
@@ -130,7 +126,7 @@ impl Case<'_> {
             style: Style::Curve,
             ..self.plot(
                 title,
-                "The worst line, against the line through its own ends.",
+                "The worst line, compared with the straight line between its ends.",
                 ["along the line, mm", label],
             )
         }
@@ -146,21 +142,21 @@ impl Case<'_> {
             style: Style::Curve,
             ..self.plot(
                 "Commanded orientation vs. slerp",
-                "The command itself, against the even turn between its ends.",
+                "The command, compared with slerp between its ends.",
                 ["along the line, mm", "°"],
             )
         }
     }
 
-    /// Where the arm came to rest seen from each goal, and goals and rests from above.
+    /// Rest positions relative to the goals, and a top view of both.
     fn rests(&self, gaps: &[[[f64; 3]; 2]]) -> [Plane; 2] {
         let off = |axes: [usize; 2]| {
             gaps.iter().map(move |[goal, rest]| axes.map(|axis| (rest[axis] - goal[axis]) * 1e3))
         };
         let limit = self.own_limit(Unit::Metre);
         let around = Plane {
-            title: "Rests around their goals".to_owned(),
-            says: "Measured − commanded, from above; all goals in the middle.".to_owned(),
+            title: "Rest positions relative to goals".to_owned(),
+            says: "Measured − commanded, top view; goals at the centre.".to_owned(),
             axes: ["x, mm", "y, mm"],
             arrows: off([0, 1])
                 .map(|to| Arrow { from: [0.0; 2], to, label: String::new(), role: Role::Before })
@@ -174,7 +170,7 @@ impl Case<'_> {
             .flat_map(|[goal, rest]| [(place(goal), Role::Beside), (place(rest), Role::Before)]);
         let whole = Plane {
             title: "Goals and rests".to_owned(),
-            says: "From above, in the base: goals dark, rests red.".to_owned(),
+            says: "Top view in the base frame: goals dark, rest positions red.".to_owned(),
             axes: ["x, m", "y, m"],
             dots: dots.map(|(at, role)| Dot { at, size: 0.5, role }).collect(),
             ..Plane::default()
@@ -190,7 +186,7 @@ impl Case<'_> {
             limits: one_sided(self.own_limit(Unit::One), Unit::One, 1.0),
             ..self.plot(
                 "Deviation from a rotation",
-                "Of a quaternion its norm from 1, of a matrix from orthonormal.",
+                "Quaternion: deviation of the norm from 1. Matrix: deviation from orthonormality.",
                 ["time, s", "deviation"],
             )
         }
@@ -207,7 +203,7 @@ impl Case<'_> {
         };
         let says = match at_rest {
             true => "While all joints rest: a good gyro reads zero.",
-            false => "The arm never rests: the rates of its motion are in it.",
+            false => "The arm never rests, so its motion is included.",
         };
         Plot {
             x: rates.iter().map(|at| at[0]).collect(),
@@ -221,8 +217,8 @@ impl Case<'_> {
     fn tilt(&self, up: &[[f64; 2]]) -> Plane {
         let limit = self.own_limit(Unit::Radian);
         Plane {
-            title: "Up by the accelerometer".to_owned(),
-            says: "In the world of the orientation, while the arm rests; level is in the middle."
+            title: "Up direction by the accelerometer".to_owned(),
+            says: "In the world frame of the orientation, while the arm rests; level is at the centre."
                 .to_owned(),
             axes: ["towards x, °", "towards y, °"],
             dots: up
@@ -235,7 +231,7 @@ impl Case<'_> {
         }
     }
 
-    /// The joint's positions and speeds.
+    /// Positions and speeds of the joint.
     fn joint(&self, joint: &JointFigure) -> [Plot; 2] {
         let factor = if joint.slides { 1e3 } else { 1f64.to_degrees() };
         let [unit, rate] = if joint.slides { ["mm", "mm/s"] } else { ["°", "°/s"] };
@@ -259,7 +255,7 @@ impl Case<'_> {
             series("recorded velocity", Role::Before, joint.velocity.iter().map(|v| v * factor))
         });
         let rates =
-            series("rate of the positions", Role::After, joint.rate.iter().map(|v| v * factor));
+            series("rate from the positions", Role::After, joint.rate.iter().map(|v| v * factor));
         let says = joint.joint.clone();
         [
             Plot {
@@ -268,7 +264,11 @@ impl Case<'_> {
                 limits: speed.collect(),
                 mark: mark.clone(),
                 of: says.clone(),
-                ..self.plot("Joint speed", "Recorded, and by its positions.", ["time, s", rate])
+                ..self.plot(
+                    "Joint speed",
+                    "Recorded, and computed from the positions.",
+                    ["time, s", rate],
+                )
             },
             Plot {
                 x: joint.t_s.clone(),
@@ -285,7 +285,7 @@ impl Case<'_> {
         ]
     }
 
-    /// The amount of the finding, in words.
+    /// Formatted amount of the finding.
     fn amount(&self) -> String {
         match &self.finding.estimate {
             Some(Estimate::Amount { name, value, unit, .. }) => {
@@ -296,7 +296,7 @@ impl Case<'_> {
     }
 }
 
-/// Whether a plot shows a tenth of its limit or more.
+/// Returns whether a plot reaches a tenth of its limit.
 fn is_near_its_limit(plot: &Plot) -> bool {
     let values = plot.series.iter().flat_map(|series| &series.values);
     let most = values.map(|value| value.abs()).fold(0.0, f64::max);
@@ -307,22 +307,25 @@ fn series(label: &str, role: Role, values: impl Iterator<Item = f64>) -> Series 
     Series { label: label.to_owned(), role, values: values.collect(), half_widths: Vec::new() }
 }
 
-/// The directions of the views.
+/// Plot of the viewing directions.
 fn seen_from(views: &[[f64; 2]]) -> Plane {
     Plane {
-        title: "Directions of the views".to_owned(),
-        says: "From where the camera sees the target, against the mean: a good calibration spreads by 30° \
-               or more in both."
+        title: "Viewing directions".to_owned(),
+        says: "Directions from which the camera sees the target, relative to their mean. A good \
+               calibration spans 30° or more in both."
             .to_owned(),
         axes: ["tilt, °", "tilt across, °"],
-        dots: views.iter().map(|at| Dot { at: at.map(f64::to_degrees), size: 0.2, role: Role::Amount }).collect(),
+        dots: views
+            .iter()
+            .map(|at| Dot { at: at.map(f64::to_degrees), size: 0.2, role: Role::Amount })
+            .collect(),
         ..Plane::default()
     }
 }
 
-/// The axes of an IMU in its link, in an oblique view.
+/// Axes of an IMU in its link, in an oblique view.
 fn imu_axes(link: &str, found: &[[f64; 3]; 3], logged: Option<&[[f64; 3]; 3]>) -> Plane {
-    // x to the left and below, y to the right, z up.
+    // x to the left and down, y to the right, z up.
     let place = |at: &[f64; 3]| [at[1] - 0.5 * at[0], at[2] - 0.35 * at[0]];
     let axes = |columns: &[[f64; 3]; 3], size: f64, role: Role, prefix: &str| -> Vec<Arrow> {
         let named = columns.iter().zip(["x", "y", "z"]);
@@ -339,7 +342,7 @@ fn imu_axes(link: &str, found: &[[f64; 3]; 3], logged: Option<&[[f64; 3]; 3]>) -
     let logged = logged.map_or_else(Vec::new, |logged| axes(logged, 0.95, Role::Before, "logged "));
     Plane {
         title: "Axes of the IMU in its link".to_owned(),
-        says: "Dark: the link; red: the IMU by the log's frames; green: by its motion.".to_owned(),
+        says: "Dark: link. Red: IMU by the log's frames. Green: IMU by its motion.".to_owned(),
         arrows: [link_axes, logged, axes(found, 0.65, Role::After, "imu ")].concat(),
         ..Plane::default()
     }
