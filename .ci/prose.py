@@ -2,7 +2,7 @@
 """Fails if prose departs from the project's style: `.ci/prose.py PATH...`, in the root of the repository.
 
 Counts the phrasings below in comments and strings of .rs files, in .md files outside code, and in docstrings and
-comments of .py files. Each is at least eight times as frequent in this project's first year as in 29 crates (arrow,
+comments of .py files. Each is at least eight times as frequent in this project's early texts as in 29 crates (arrow,
 clap, jiff, nalgebra, object_store, rayon ...). A room is a folder directly below src, another top-level folder, or a
 document. It fails if it has more than LIMIT phrasings per 1000 words, or more than its entry in ALLOWED.
 docs/style.md shows how to write instead.
