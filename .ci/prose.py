@@ -28,7 +28,7 @@ ALLOWED = {
     "docs/watch.md": 32, "examples": 18, "examples/ci/README.md": 18, "fixtures": 8, "fixtures/README.md": 14,
     "fuzz": 44, "python": 46, "python/README.md": 28, "src": 53, "src/audit": 66, "src/bin": 22,
     "src/browser": 54, "src/checks": 31, "src/cli": 46, "src/config": 42, "src/corrections": 54, "src/desk": 53,
-    "src/evidence": 75, "src/finding": 71, "src/fleet": 66, "src/ground": 32, "src/log": 46, "src/output": 53,
+    "src/evidence": 75, "src/finding": 71, "src/fleet": 66, "src/log": 46, "src/output": 53,
     "src/report": 53, "src/run": 33, "src/synth": 47, "tests": 40,
 }
 

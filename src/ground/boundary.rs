@@ -1,6 +1,5 @@
-//! Where this program ends before its time: a panic, or memory that is refused, becomes one line, and
-//! temporary files go.
-#![allow(unsafe_code, reason = "an allocator that counts, and the end of a process without memory")]
+//! Abnormal termination: turns a panic or a failed allocation into one line, and deletes temporary files.
+#![allow(unsafe_code, reason = "a counting allocator, and process exit without memory")]
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::any::Any;
@@ -13,11 +12,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use tempfile::TempPath;
 
-/// What `work` returns, or in one line what it said when it panicked and where. Whatever it would print
-/// of its own is not printed.
+/// Runs `work` and suppresses the output of a panic.
 ///
 /// # Errors
-/// If it panics.
+/// If it panics: the first line of the panic message with its source location.
 pub fn caught<T>(work: impl FnOnce() -> T) -> Result<T, String> {
     let said = Arc::new(Mutex::new(None));
     let before = panic::take_hook();
@@ -41,21 +39,20 @@ fn message(payload: &(dyn Any + Send)) -> String {
     text.unwrap_or("no reason given").lines().next().unwrap_or_default().to_owned()
 }
 
-/// Files that are to go where the process ends before they are done with.
+/// Temporary files to delete if the process ends early.
 static STAGED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
-/// A temporary file. It goes when this does, or when the process is interrupted, unless it has got another
-/// name.
+/// Temporary file, deleted when dropped or when the process is interrupted, unless it was renamed.
 #[derive(Debug)]
 pub struct Staged(TempPath);
 
 impl Staged {
-    /// Makes the file by `make`.
+    /// Creates the file with `make`.
     ///
     /// # Errors
-    /// Where it fails.
+    /// If `make` fails.
     pub fn new(make: impl FnOnce() -> io::Result<TempPath>) -> io::Result<Self> {
-        // Held while it is made: either it is not there yet, or it is known.
+        // The lock is held during creation, so every existing file is registered.
         let mut all = STAGED.lock().unwrap_or_else(PoisonError::into_inner);
         let path = make()?;
         all.push(path.to_path_buf());
@@ -78,38 +75,38 @@ impl Drop for Staged {
     }
 }
 
-/// Deletes the temporary files, and has none made any more: the process is about to end.
+/// Deletes the temporary files before the process exits. The lock is kept, so no more can be created.
 pub fn forget_staged() {
     let all = STAGED.lock().unwrap_or_else(PoisonError::into_inner);
-    // What has got its name already is whole.
+    // Files that were renamed are complete and stay.
     all.iter().for_each(|path| drop(fs::remove_file(path)));
     std::mem::forget(all);
 }
 
-/// The system's memory, as the allocator of a program. Where there is none left, the program ends in one
-/// line and status 70: nobody goes on without memory, and the library would abort with a trace.
+/// Global allocator that uses the system's. If an allocation fails, it prints one line and exits with
+/// status 70; the standard library would abort with a trace.
 #[derive(Debug)]
 pub struct Memory;
 
-// SAFETY: every call is the system's allocator's, of which nothing but null is kept from the caller.
+// SAFETY: forwards every call to the system allocator; only null results are intercepted.
 unsafe impl GlobalAlloc for Memory {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        // SAFETY: the caller holds what `alloc` asks for.
+        // SAFETY: the caller upholds the contract of `alloc`.
         given(unsafe { System.alloc(layout) }, layout.size())
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
-        // SAFETY: the caller holds what `alloc_zeroed` asks for.
+        // SAFETY: the caller upholds the contract of `alloc_zeroed`.
         given(unsafe { System.alloc_zeroed(layout) }, layout.size())
     }
 
     unsafe fn realloc(&self, memory: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        // SAFETY: the caller holds what `realloc` asks for.
+        // SAFETY: the caller upholds the contract of `realloc`.
         given(unsafe { System.realloc(memory, layout, size) }, size)
     }
 
     unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
-        // SAFETY: the caller holds what `dealloc` asks for.
+        // SAFETY: the caller upholds the contract of `dealloc`.
         unsafe { System.dealloc(memory, layout) }
     }
 }
@@ -122,17 +119,17 @@ fn given(memory: *mut u8, bytes: usize) -> *mut u8 {
     memory
 }
 
-/// Ends the program without taking any memory. A fleet knows the line.
+/// Ends the process without allocating. `fleet` recognises the printed line.
 #[cold]
 fn refused(bytes: usize) -> ! {
-    // Nobody is left to be told that nobody can be told.
+    // Nothing can be done if stderr fails too.
     let _ = writeln!(
         io::stderr(),
         "error: out of memory: a memory allocation of {bytes} bytes was refused; allow more memory, or \
          audit a part of the log"
     );
     #[cfg(target_os = "linux")]
-    // SAFETY: the call ends the process at once, and runs nothing that may need memory.
+    // SAFETY: ends the process immediately, without running code that may allocate.
     unsafe {
         libc::_exit(70)
     }
@@ -144,7 +141,7 @@ fn refused(bytes: usize) -> ! {
 mod tests {
     use super::*;
 
-    /// What a panic says is heard by one hook for all of the process.
+    /// The panic hook is global, so tests that use it run one at a time.
     static HOOK: Mutex<()> = Mutex::new(());
 
     #[test]

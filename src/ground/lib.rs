@@ -1,8 +1,8 @@
-//! The ground floor of `poseaudit`: poses and how they are coded, robots and their kinematics, columns and
-//! their interpolation, intervals, stamps, and where the process ends.
+//! Foundation of `poseaudit`: poses and encodings, robots and kinematics, columns and interpolation,
+//! intervals, stamps, and process termination.
 //!
-//! A crate of its own, so that it is compiled once and at a level of its own; the rooms are those of
-//! `poseaudit` itself.
+//! A separate crate with its own optimisation level, so it is compiled once. Its modules are re-exported by
+//! `poseaudit`.
 #![warn(missing_docs, clippy::unwrap_used)]
 
 pub mod boundary;

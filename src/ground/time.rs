@@ -1,7 +1,7 @@
-//! Time as logs keep it: whole nanoseconds, and the name of the clock that wrote them.
+//! Time as logs store it: integer nanoseconds, and the clock that wrote them.
 //!
-//! A log's epoch stamps do not fit an `f64` to better than a quarter of a microsecond, so a stamp
-//! stays an `i64` until a difference is taken; only differences become seconds.
+//! An `f64` resolves epoch stamps only to 0.25 µs. Stamps therefore stay `i64`; only differences become
+//! seconds.
 
 use std::fmt;
 
@@ -11,12 +11,12 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 /// Nanoseconds per second.
 pub const NANOS_PER_SECOND: i64 = 1_000_000_000;
 
-/// A point in time: nanoseconds since the epoch of whatever clock wrote it.
+/// A point in time: nanoseconds since the epoch of the clock that wrote it.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Debug, Default)]
 pub struct Stamp(i64);
 
 impl Stamp {
-    /// The stamp of `nanos` nanoseconds since the clock's epoch.
+    /// Creates a stamp from nanoseconds since the clock's epoch.
     pub const fn from_nanos(nanos: i64) -> Self {
         Self(nanos)
     }
@@ -31,7 +31,7 @@ impl Stamp {
         seconds(self.0.saturating_sub(origin.0))
     }
 
-    /// This stamp moved by `offset_s` seconds.
+    /// Returns this stamp moved by `offset_s` seconds.
     pub fn shifted(self, offset_s: f64) -> Self {
         Self(self.0.saturating_add(nanos(offset_s)))
     }
@@ -43,7 +43,7 @@ impl fmt::Display for Stamp {
     }
 }
 
-/// As the decimal string of its nanoseconds, which JSON's numbers cannot hold.
+/// Serialised as a decimal string, because JSON numbers cannot represent it exactly.
 impl Serialize for Stamp {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
         to.collect_str(self)
@@ -57,20 +57,20 @@ impl<'de> Deserialize<'de> for Stamp {
     }
 }
 
-/// Seconds in a difference of `nanos` nanoseconds.
+/// Converts a difference of `nanos` nanoseconds to seconds.
 pub fn seconds(nanos: i64) -> f64 {
     nanos as f64 / NANOS_PER_SECOND as f64
 }
 
-/// Nanoseconds in a difference of `seconds` seconds, to the nearest; saturates.
+/// Converts a difference of `seconds` seconds to the nearest nanosecond; saturates.
 pub fn nanos(seconds: f64) -> i64 {
     (seconds * NANOS_PER_SECOND as f64).round() as i64
 }
 
-/// Which of a message's times places its content on the time line.
+/// The time of a message that the audit uses.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub enum Clock {
-    /// The stamp in the message's own header: when the content was true.
+    /// Stamp in the message header: when the sample was valid.
     #[default]
     Header,
     /// When the recorder received the message.

@@ -215,7 +215,7 @@ fn what_makes_no_chain_says_what_to_do() {
     assert!(error("a", "b").starts_with("no joint between 'a' and 'b' can move; choose"));
     assert!(error("a", "c").starts_with("joint 'free' between base and tip is floating; choose"));
     assert!(error("a", "d").starts_with("joint 'm' mimics 'nobody', which is not a joint"));
-    assert!(error("a", "e").starts_with("joint 'n' mimics 'n', which leads back to itself"));
+    assert!(error("a", "e").starts_with("joint 'n' mimics 'n', which refers back to itself"));
 }
 
 #[test]

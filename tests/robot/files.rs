@@ -65,7 +65,7 @@ fn a_bad_table_is_refused_with_its_line() {
         ),
         (
             "[dh]\nconvention = 'standard'\njoint_names = ['a']\nrows = []",
-            "arm.toml:1: 1 joint_names of [dh] for 0 rows; give one a row",
+            "arm.toml:1: 1 joint_names of [dh] for 0 rows; give one per row",
         ),
         (
             &format!("units = 'mm, deg'\n{fixed}"),
@@ -84,7 +84,7 @@ fn a_bad_table_is_refused_with_its_line() {
             &format!("tip = 'c'\n{fixed}"),
             "arm.toml:1: the tip 'c' is not a link of the model; correct the name",
         ),
-        (&format!("dof = 1\n{fixed}"), "arm.toml:1: dof = 1, and 0 joints can move; correct dof"),
+        (&format!("dof = 1\n{fixed}"), "arm.toml:1: dof = 1, but 0 joints can move; correct dof"),
         (
             &fixed.replace("fixed", "ball"),
             "arm.toml:1: joint 'j': type \"ball\" is unknown; use revolute",
@@ -183,7 +183,7 @@ fn a_bad_urdf_is_refused_with_its_line() {
         ),
         (
             joint("<origin xyz='0 1e308 0'/>"),
-            "x:3: joint 'j' of link 'b' has the number 1e308, and none beyond 1000000 is taken; correct the number",
+            "x:3: joint 'j' of link 'b' has the number 1e308; the largest allowed is 1000000; correct the number",
         ),
         (
             joint("<mimic joint='k' multiplier='-1e7'/>"),

@@ -1,33 +1,33 @@
-//! Coordinate axes that are named otherwise: exchanged, pointing the other way, mirrored.
+//! Axis conventions: coordinate axes that are exchanged, reversed or mirrored.
 
 use super::{Pose, Rotation, Vec3, rotation_from_matrix_rows};
 use std::fmt;
 use std::str::FromStr;
 use std::sync::LazyLock;
 
-/// Where a frame's x, y and z point, by the axes of the frame that they should be (REP 103: x forward, y
+/// Directions of a frame's x, y and z axes, as signed axes of the standard frame (REP 103: x forward, y
 /// left, z up).
 ///
-/// Half of the 48 are left-handed: no rotation takes a right-handed frame to them.
+/// 24 of the 48 conventions are left-handed: no rotation maps a right-handed frame to them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Axes {
-    /// The axis that each one lies along, 0 to 2, all different.
+    /// Standard axis parallel to each axis, 0 to 2, all different.
     along: [usize; 3],
-    /// Whether it points the other way.
+    /// Whether the axis points in the opposite direction.
     reversed: [bool; 3],
 }
 
-/// Where each axis of REP 103 points, and the other way.
+/// Positive and negative direction of each standard axis.
 const WORDS: [[&str; 2]; 3] = [["forward", "back"], ["left", "right"], ["up", "down"]];
 
 impl Axes {
-    /// Those that REP 103 asks for.
+    /// The axes required by REP 103.
     pub const STANDARD: Self = Self { along: [0, 1, 2], reversed: [false; 3] };
 
-    /// Those of Unity: x right, y up, z forward, left-handed.
+    /// The axes of Unity: x right, y up, z forward, left-handed.
     pub const UNITY: Self = Self { along: [1, 2, 0], reversed: [true, false, false] };
 
-    /// All 48; those with fewest axes out of place first.
+    /// All 48 conventions; those with the fewest changed axes first.
     pub fn all() -> &'static [Self] {
         static ALL: LazyLock<Vec<Axes>> = LazyLock::new(|| {
             let orders = [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]];
@@ -42,24 +42,23 @@ impl Axes {
         &ALL
     }
 
-    /// Whether an axis is what it should be.
     fn is_in_place(self, axis: usize) -> bool {
         self.along[axis] == axis && !self.reversed[axis]
     }
 
-    /// Whether they are left-handed.
+    /// Whether the axes are left-handed.
     pub fn are_left_handed(self) -> bool {
         let [a, b, c] = self.along;
         let is_odd = (a > b) ^ (a > c) ^ (b > c);
         self.reversed.iter().fold(is_odd, |odd, reversed| odd ^ reversed)
     }
 
-    /// Whether some axis lies along another one, so that more than signs are exchanged.
+    /// Whether axes are permuted, rather than only reversed.
     pub fn are_exchanged(self) -> bool {
         self.along != Self::STANDARD.along
     }
 
-    /// A vector in these axes, from its standard components.
+    /// Converts a vector from standard components to these axes.
     pub fn of(self, standard: Vec3) -> Vec3 {
         Vec3::from_fn(|axis, _| {
             let part = standard[self.along[axis]];
@@ -67,7 +66,7 @@ impl Axes {
         })
     }
 
-    /// The standard components of a vector in these axes.
+    /// Converts a vector from these axes to standard components.
     pub fn standard(self, own: Vec3) -> Vec3 {
         let mut standard = Vec3::zeros();
         for axis in 0..3 {
@@ -76,8 +75,8 @@ impl Axes {
         standard
     }
 
-    /// The rotation whose conjugation `Q·R·Q⁻¹` writes a rotation in these axes. Axes and their opposites
-    /// write rotations alike, so that left-handed ones have one, too.
+    /// Rotation Q such that `Q·R·Q⁻¹` expresses a rotation R in these axes. It also exists for left-handed
+    /// axes, because reversing all axes does not change a rotation.
     pub fn conjugator(self) -> Rotation {
         let sign = if self.are_left_handed() { -1.0 } else { 1.0 };
         let columns = [Vec3::x(), Vec3::y(), Vec3::z()].map(|unit| self.of(unit) * sign);
@@ -85,7 +84,7 @@ impl Axes {
         rotation_from_matrix_rows(rows).map_or_else(Rotation::identity, |(rotation, _)| rotation)
     }
 
-    /// The axes that undo these: what is written in them again is as it was.
+    /// The convention that converts back to standard axes.
     pub fn inverse(self) -> Self {
         let mut inverse = Self::STANDARD;
         for axis in 0..3 {
@@ -95,17 +94,17 @@ impl Axes {
         inverse
     }
 
-    /// A pose whose world and body are both written in these axes, from the standard one.
+    /// Converts a pose from standard axes; world and body both use these axes.
     pub fn of_pose(self, standard: &Pose) -> Pose {
         let turn = self.conjugator();
         let xyz = self.of(standard.translation.vector);
         Pose::from_parts(xyz.into(), turn * standard.rotation * turn.inverse())
     }
 
-    /// The vector part of a quaternion in these axes, by the signed names of its standard components, as in
-    /// `[-y, z, x]`: what a reader must fill its x, y and z with to have the standard one.
+    /// Expressions for the standard x, y and z in terms of the logged components, such as `[-y, z, x]`; of
+    /// a position, or of the vector part of a quaternion.
     pub fn standard_names(self, is_vector_part: bool) -> [String; 3] {
-        // A rotation's axis is a pseudovector: it turns round where the handedness changes.
+        // The axis of a rotation is a pseudovector: its sign changes with the handedness.
         let turned = is_vector_part && self.are_left_handed();
         let mut names: [String; 3] = Default::default();
         for axis in 0..3 {
@@ -129,9 +128,9 @@ impl FromStr for Axes {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let found = Self::all().iter().find(|axes| axes.to_string() == text);
-        found
-            .copied()
-            .ok_or_else(|| format!("`{text}` names no axes: write them as in `{}`", Self::UNITY))
+        found.copied().ok_or_else(|| {
+            format!("`{text}` is not an axis convention: write axes as in `{}`", Self::UNITY)
+        })
     }
 }
 
@@ -169,7 +168,7 @@ mod tests {
             let conjugator = axes.conjugator();
             let own = conjugator * rotation * conjugator.inverse();
             assert!((own * axes.of(v) - axes.of(rotation * v)).norm() < 1e-12, "{axes}");
-            // The names say how to undo it, number by number.
+            // The names undo the conversion component by component.
             let names = axes.standard_names(true);
             let rotvec = rotvec_from_rotation(&own);
             let named = |name: &String| {

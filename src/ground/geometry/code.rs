@@ -1,10 +1,10 @@
-//! A rotation as lines of code.
+//! Source code that constructs a rotation.
 
 use std::fmt::Display;
 
 use super::Convention;
 
-/// A line of code in a library.
+/// Line of code for one library.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CodeLine {
     /// The library.
@@ -13,8 +13,8 @@ pub struct CodeLine {
     pub line: String,
 }
 
-/// Lines that make the rotation of `numbers` (rad; literals or names) in `convention`, by the turns
-/// themselves and not by the library's own name of the order.
+/// Returns lines that construct the rotation from `numbers` (rad; literals or names) in `convention`. Lines
+/// without order letters multiply single turns, because libraries name Euler orders differently.
 pub fn code_of_numbers(convention: Convention, numbers: [impl Display; 3]) -> Vec<CodeLine> {
     let Convention::Euler(order) = convention else {
         let [a, b, c] = numbers;
@@ -45,7 +45,7 @@ pub fn code_of_numbers(convention: Convention, numbers: [impl Display; 3]) -> Ve
     let letters: String = turns.iter().map(|(axis, _)| *axis).collect();
     let in_order = turns.each_ref().map(|(_, angle)| angle.as_str()).join(", ");
     let is_fixed = order.is_about_fixed_axes();
-    // The first of several turns about fixed axes stands last, of those about moving axes first.
+    // About fixed axes the first turn is the last factor; about moving axes it is the first.
     let product = |factor: &dyn Fn(char, &str) -> String| {
         let mut factors = turns.each_ref().map(|(axis, angle)| factor(*axis, angle));
         if is_fixed {
@@ -78,7 +78,8 @@ pub fn code_of_numbers(convention: Convention, numbers: [impl Display; 3]) -> Ve
     ])
 }
 
-/// Lines that make the rotation of a quaternion, its numbers (literals or names) in each library's order.
+/// Returns lines that construct the rotation of a quaternion (literals or names), in each library's
+/// component order.
 pub fn code_of_quaternion(xyzw: [impl Display; 4]) -> Vec<CodeLine> {
     let [x, y, z, w] = xyzw;
     lines([
@@ -108,7 +109,7 @@ mod tests {
         lines.iter().find(|line| line.library == library).unwrap().line.clone()
     }
 
-    /// What the line of nalgebra makes, told from its text.
+    /// Evaluates the nalgebra line.
     fn evaluated(line: &str) -> Rotation {
         let numbers = |text: &str| -> Vec<f64> {
             text.split(", ").map(|number| number.trim_end_matches(')').parse().unwrap()).collect()

@@ -1,4 +1,4 @@
-//! How the numbers of a pose code its rotation, and in which order.
+//! Encodings of a rotation in the numbers of a pose.
 
 use std::fmt;
 use std::str::FromStr;
@@ -7,35 +7,35 @@ use serde::Deserialize;
 
 use super::{Convention, ConventionError};
 
-/// How numbers code a rotation.
+/// Encoding of a rotation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(try_from = "String")]
 pub enum Coding {
-    /// Three numbers of this convention.
+    /// Three numbers in this convention.
     Three(Convention),
-    /// A quaternion x, y, z, w.
+    /// Quaternion x, y, z, w.
     Xyzw,
-    /// A quaternion w, x, y, z.
+    /// Quaternion w, x, y, z.
     Wxyz,
-    /// A matrix row by row: nine numbers, or twelve or sixteen with the position.
+    /// Matrix by rows: nine numbers, or twelve or sixteen with the position.
     Rows,
-    /// The same column by column.
+    /// Matrix by columns.
     Columns,
-    /// The first two columns of a matrix, as learned policies give rotations (Zhou et al., *On the
-    /// Continuity of Rotation Representations in Neural Networks*, CVPR 2019).
+    /// First two columns of a matrix, the usual output of learned policies (Zhou et al., *On the Continuity
+    /// of Rotation Representations in Neural Networks*, CVPR 2019).
     TwoColumns,
-    /// The first two rows of a matrix (PyTorch3D's `matrix_to_rotation_6d`).
+    /// First two rows of a matrix (PyTorch3D's `matrix_to_rotation_6d`).
     TwoRows,
-    /// A unit vector along the axis, then the angle.
+    /// Unit vector along the axis, followed by the angle.
     AxisAngle,
 }
 
 impl Coding {
-    /// The coding of that name where it is three numbers or a quaternion: of the others the numbers tell
-    /// how they lie, so nobody declares them.
+    /// Parses an encoding that can be declared: three numbers or a quaternion. The layout of all others is
+    /// identified from the numbers.
     ///
     /// # Errors
-    /// Where there is none.
+    /// If the name is unknown or cannot be declared.
     pub fn declared(name: &str) -> Result<Self, ConventionError> {
         match name.parse()? {
             coding @ (Self::Three(_) | Self::Xyzw | Self::Wxyz) => Ok(coding),
@@ -43,17 +43,17 @@ impl Coding {
         }
     }
 
-    /// Whether its numbers are angles.
+    /// Whether the numbers include angles.
     pub fn has_angles(self) -> bool {
         matches!(self, Self::Three(_) | Self::AxisAngle)
     }
 
-    /// Whether it is a matrix, or two columns or rows of one.
+    /// Whether the numbers are a matrix, or two columns or rows of one.
     pub fn is_matrix(self) -> bool {
         matches!(self, Self::Rows | Self::Columns | Self::TwoColumns | Self::TwoRows)
     }
 
-    /// How unusual it is, from 0.
+    /// Rank by usage; 0 is the most common.
     pub fn usual_rank(self) -> u8 {
         match self {
             Self::Three(convention) => convention.usual_rank(),

@@ -1,4 +1,4 @@
-//! The names of the ways in which three numbers code a rotation, and the change between them.
+//! Conventions of rotations in three numbers: names and conversions.
 
 use super::euler::{Axis, EulerOrder, Frame};
 use super::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
@@ -7,13 +7,13 @@ use std::f64::consts::TAU;
 use std::fmt;
 use std::str::FromStr;
 
-/// How three numbers code a rotation.
+/// Convention of a rotation in three numbers.
 ///
-/// Its name is `rotvec`, `euler:SEQ` with SciPy's letters (lower case about fixed axes, upper case
-/// about moving axes, the numbers in the order of the letters; ROS rpy is `euler:xyz`), or
-/// `euler:SEQ@axes` where the numbers are always (rx, ry, rz) and are turned in the order SEQ. Two
-/// conventions are equal exactly if they are the same map: a `@axes` name of a plain map parses to
-/// the plain convention, and about moving axes to its twin about fixed axes.
+/// Names are `rotvec`, `euler:SEQ` and `euler:SEQ@axes`. SEQ uses SciPy's letters: lower case about fixed
+/// axes, upper case about moving axes, numbers in the order of the letters; ROS rpy is `euler:xyz`. With
+/// `@axes` the numbers are always (rx, ry, rz), applied in the order SEQ. Two conventions are equal exactly
+/// if they are the same map. An `@axes` name of a plain map therefore parses to the plain convention, and
+/// one about moving axes to its equivalent about fixed axes.
 ///
 /// ```
 /// # use poseaudit_ground::geometry::Convention;
@@ -43,7 +43,7 @@ const fn labelled(axes: [Axis; 3]) -> Convention {
     Convention::Euler(EulerOrder::labelled(axes, Frame::Fixed))
 }
 
-/// The most usual first.
+/// Most common first.
 const ALL: [Convention; 29] = [
     Convention::RotVec,
     fixed([X, Y, Z]),
@@ -72,7 +72,7 @@ const ALL: [Convention; 29] = [
     moving([Y, X, Y]),
     moving([Y, Z, Y]),
     moving([Z, X, Z]),
-    // What no plain order says.
+    // Maps without a plain name.
     labelled([X, Z, Y]),
     labelled([Y, X, Z]),
     labelled([Y, Z, X]),
@@ -80,17 +80,17 @@ const ALL: [Convention; 29] = [
 ];
 
 impl Convention {
-    /// Roll, pitch, yaw as ROS has them: `euler:xyz`.
+    /// Roll, pitch, yaw as in ROS: `euler:xyz`.
     pub const RPY: Self = fixed([X, Y, Z]);
 
-    /// The rotation vector, the 24 Euler orders and the four maps that only a `@axes` name says;
-    /// the most usual first.
+    /// The rotation vector, the 24 Euler orders and the four maps that only `@axes` can name; most common
+    /// first.
     pub fn all() -> &'static [Self] {
         &ALL
     }
 
-    /// How unusual it is: rotation vector, `euler:xyz`, `euler:ZYX`, `euler:XYZ`, `euler:ZYZ`, then
-    /// all other plain orders, then those labelled by axis.
+    /// Rank by usage: rotation vector, `euler:xyz`, `euler:ZYX`, `euler:XYZ`, `euler:ZYZ`, then all other
+    /// plain orders, then those labelled by axis.
     pub fn usual_rank(self) -> u8 {
         const NAMED: u8 = 5;
         match self {
@@ -99,7 +99,7 @@ impl Convention {
         }
     }
 
-    /// Whether the numbers are of the axes x, y and z, and not of turns one after the other.
+    /// Whether the numbers belong to the axes x, y and z rather than to consecutive turns.
     pub fn is_by_axis(self) -> bool {
         match self {
             Self::RotVec => true,
@@ -107,7 +107,7 @@ impl Convention {
         }
     }
 
-    /// The rotation (`a_from_b`) that `numbers` (rad) code.
+    /// Converts `numbers` (rad) to a rotation (`a_from_b`).
     pub fn rotation(self, numbers: [f64; 3]) -> Rotation {
         match self {
             Self::RotVec => rotation_from_rotvec(Vec3::from(numbers)),
@@ -115,12 +115,12 @@ impl Convention {
         }
     }
 
-    /// The numbers, rad, that code `rotation`, on the principal branch.
+    /// Converts a rotation to numbers, rad, on the principal branch.
     ///
-    /// A rotation vector has norm ≤ π. The outer angles of an Euler order are in (−π, π], the
-    /// middle one in [−π/2, π/2], or in [0, π] where the first and last axis are one. Within
-    /// 1e-7 rad of gimbal lock only the sum or difference of the outer two is known: the one of the
-    /// last letter is then zero, as in SciPy.
+    /// A rotation vector has norm ≤ π. The outer angles of an Euler order are in (−π, π]. The middle one is
+    /// in [−π/2, π/2], or in [0, π] if the first and last axis are equal. Within 1e-7 rad of gimbal lock
+    /// only the sum or difference of the outer two is determined; the angle of the last letter is then
+    /// zero, as in SciPy.
     pub fn numbers(self, rotation: &Rotation) -> [f64; 3] {
         match self {
             Self::RotVec => rotvec_from_rotation(rotation).into(),
@@ -128,13 +128,12 @@ impl Convention {
         }
     }
 
-    /// Replaces `out` by every triple, rad, that a pendant could show for `rotation`, the principal
-    /// one first.
+    /// Replaces `out` by every triple, rad, that a pendant could show for `rotation`, the principal one
+    /// first.
     ///
-    /// For an Euler order these are its two solutions, each angle in (−π, π]; whole turns more in
-    /// one of them are left to the reader. For a rotation vector of angle θ these are the vectors
-    /// along its axis of length θ, θ − 2π, θ + 2π and θ − 4π; of no rotation, which has no axis,
-    /// only the zero vector.
+    /// An Euler order has two solutions, each angle in (−π, π]; additional whole turns are not included. A
+    /// rotation vector of angle θ yields the vectors along its axis of length θ, θ − 2π, θ + 2π and θ − 4π.
+    /// The identity has no axis and yields only the zero vector.
     pub fn branches(self, rotation: &Rotation, out: &mut Vec<[f64; 3]>) {
         out.clear();
         match self {
@@ -143,8 +142,8 @@ impl Convention {
         }
     }
 
-    /// How far the middle angle of `numbers` (rad) is from gimbal lock, rad, in [0, π/2]; `None`
-    /// for a rotation vector, which has none.
+    /// Distance of the middle angle of `numbers` (rad) from gimbal lock, rad, in [0, π/2]; `None` for a
+    /// rotation vector.
     pub fn gimbal_margin(self, numbers: [f64; 3]) -> Option<f64> {
         match self {
             Self::RotVec => None,
@@ -153,7 +152,7 @@ impl Convention {
     }
 }
 
-/// The rotation vectors of `rotation` of norm below 4π, rad, the shortest first.
+/// Rotation vectors of `rotation` with norm below 4π, rad, shortest first.
 pub(super) fn rotvec_branches(rotation: &Rotation) -> impl Iterator<Item = [f64; 3]> {
     const TURNS: [f64; 4] = [0.0, -1.0, 1.0, -2.0];
     let rotvec = rotvec_from_rotation(rotation);
@@ -165,25 +164,25 @@ pub(super) fn rotvec_branches(rotation: &Rotation) -> impl Iterator<Item = [f64;
     })
 }
 
-/// Why a text is not the name of a [`Convention`].
+/// Error of parsing a [`Convention`].
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ConventionError {
-    /// Not of the form of any name.
+    /// Not in the form of any name.
     #[error(
-        "no rotation convention is named `{0}`: expected `rotvec`, or `euler:` and three axis letters \
-         as in `euler:xyz`, `euler:ZYX` or `euler:xzy@axes`"
+        "unknown rotation convention `{0}`: expected `rotvec`, or `euler:` and three axis letters as in \
+         `euler:xyz`, `euler:ZYX` or `euler:xzy@axes`"
     )]
     Unknown(String),
-    /// As `euler:xYz`.
+    /// For example `euler:xYz`.
     #[error(
         "`{0}` mixes upper and lower case: write `xyz` for turns about fixed axes, `XYZ` about \
          moving axes"
     )]
     MixedCase(String),
-    /// As `euler:xxz`.
-    #[error("`{0}` turns twice in a row about one axis: neighbouring letters must differ")]
+    /// For example `euler:xxz`.
+    #[error("`{0}` turns twice in a row about one axis: adjacent letters must differ")]
     RepeatedAxis(String),
-    /// As `euler:zyz@axes`, which leaves rx without a place.
+    /// For example `euler:zyz@axes`, which has no place for rx.
     #[error("`{0}` has no number for one axis: `@axes` needs three different letters")]
     AxisWithoutNumber(String),
 }
@@ -246,9 +245,9 @@ mod tests {
     const NUMBERS: [f64; 3] = [0.7, -0.4, 2.1];
     const ROTVEC: [f64; 3] = [1.2, -1.7, 0.6];
 
-    /// Of each convention: the rotation that `NUMBERS` code, as x, y, z, w; and the numbers that
-    /// code the rotation of `ROTVEC`. By SciPy 1.17.1: `Rotation.from_euler(SEQ, NUMBERS)` and
-    /// `Rotation.from_rotvec(ROTVEC).as_euler(SEQ)`; the numbers of `@axes` sorted by hand.
+    /// For each convention: the rotation of `NUMBERS` as x, y, z, w, and the numbers of the rotation of
+    /// `ROTVEC`. Computed with SciPy 1.17.1: `Rotation.from_euler(SEQ, NUMBERS)` and
+    /// `Rotation.from_rotvec(ROTVEC).as_euler(SEQ)`; the numbers of `@axes` were sorted by hand.
     #[rustfmt::skip]
     const SCIPY: [(&str, [f64; 4], [f64; 3]); 29] = [
         ("rotvec",
@@ -368,7 +367,7 @@ mod tests {
             for _ in 0..200 {
                 let mut numbers = random.triple(PI);
                 if convention == Convention::RotVec {
-                    // As long as just under a whole turn, so mostly beyond π.
+                    // Up to a whole turn, so mostly beyond π.
                     numbers = (Vec3::from(numbers).normalize() * random.number(TAU)).into();
                 }
                 let rotation = convention.rotation(numbers);
@@ -485,7 +484,7 @@ mod tests {
         let said = |name: &str| name.parse::<Convention>().unwrap_err().to_string();
         for name in ["", "euler:", "euler:xy", "euler:abc", "euler:é", "quat:xyzw", "rotvec@axes"]
         {
-            assert!(said(name).starts_with("no rotation convention is named"), "{name}");
+            assert!(said(name).starts_with("unknown rotation convention"), "{name}");
         }
         assert!(said("euler:xYz").contains("mixes upper and lower case"));
         assert!(said("euler:xxz").contains("twice in a row"));

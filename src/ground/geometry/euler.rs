@@ -1,16 +1,15 @@
-//! Three turns about coordinate axes: how 24 Euler orders, and four more whose numbers are labelled
-//! by axis, code a rotation.
+//! Rotations as three turns about coordinate axes: 24 Euler orders, and four whose numbers are labelled by
+//! axis.
 
 use super::Rotation;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::fmt;
 
-/// The middle angle's distance from gimbal lock, rad, below which the split between the outer two
-/// angles is taken for noise. SciPy's figure.
+/// Distance of the middle angle from gimbal lock, rad, below which only the sum or difference of the outer
+/// angles is used. SciPy's value.
 const LOCK_RAD: f64 = 1e-7;
 
-/// A coordinate axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Axis {
     X,
@@ -18,45 +17,44 @@ pub(super) enum Axis {
     Z,
 }
 
-/// Which axes the second and third turn go about.
+/// Reference of the axes of the second and third turn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Frame {
-    /// The fixed ones (extrinsic; lower case in SciPy).
+    /// Fixed axes (extrinsic; lower case in SciPy).
     Fixed,
-    /// The ones that the earlier turns have moved (intrinsic; upper case in SciPy).
+    /// Axes moved by the earlier turns (intrinsic; upper case in SciPy).
     Moving,
 }
 
-/// The order of three turns about coordinate axes, and which number belongs to which turn.
+/// Order of three turns about coordinate axes, with the assignment of numbers to turns.
 ///
-/// Equal orders are equal maps from numbers to rotations, and different ones are different maps.
+/// Two orders are equal exactly if they are the same map from numbers to rotations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct EulerOrder {
     axes: [Axis; 3],
     frame: Frame,
-    /// The numbers are (rx, ry, rz) whatever the order of the turns. Only where no plain order is
-    /// the same map, and then `frame` is `Fixed`.
+    /// The numbers are (rx, ry, rz) regardless of the order of the turns. Only if no plain order is the
+    /// same map; `frame` is then `Fixed`.
     labelled_by_axis: bool,
 }
 
-/// One of an order's turns.
 #[derive(Clone, Copy)]
 struct Turn {
     axis: Axis,
-    /// Which of the three numbers is its angle.
+    /// Index of its angle in the three numbers.
     number: usize,
 }
 
 impl EulerOrder {
-    /// Turns about `axes`, the numbers in the order of the turns; neighbours in `axes` differ.
+    /// Turns about `axes`, with the numbers in the order of the turns; adjacent axes differ.
     pub(super) const fn plain(axes: [Axis; 3], frame: Frame) -> Self {
         Self { axes, frame, labelled_by_axis: false }
     }
 
-    /// Turns about three different `axes`, the numbers being (rx, ry, rz).
+    /// Turns about three different `axes`, with the numbers (rx, ry, rz).
     ///
-    /// About moving axes this is the reverse order about fixed axes; and of the six orders, two
-    /// have a plain name.
+    /// An order about moving axes equals the reverse order about fixed axes. Two of the six orders have a
+    /// plain name.
     pub(super) const fn labelled(axes: [Axis; 3], frame: Frame) -> Self {
         let [a, b, c] = axes;
         let fixed = match frame {
@@ -70,17 +68,17 @@ impl EulerOrder {
         }
     }
 
-    /// Whether the numbers are labelled by axis and not by turn.
+    /// Whether the numbers are labelled by axis rather than by turn.
     pub(super) fn is_labelled_by_axis(self) -> bool {
         self.labelled_by_axis
     }
 
-    /// Whether the first and third turn share an axis (a proper Euler order, as z-y-z).
+    /// Whether the first and third turn share an axis (a proper Euler order, such as z-y-z).
     fn is_proper(self) -> bool {
         self.axes[0] == self.axes[2]
     }
 
-    /// The turns in the order in which they happen about fixed axes.
+    /// The turns in the order of execution about fixed axes.
     fn turns(self) -> [Turn; 3] {
         let turn = |letter: usize| {
             let axis = self.axes[letter];
@@ -92,13 +90,13 @@ impl EulerOrder {
         }
     }
 
-    /// Whether the turns go about the fixed axes, and not about those that the earlier ones moved.
+    /// Whether the turns are about fixed axes.
     pub(super) fn is_about_fixed_axes(self) -> bool {
         self.frame == Frame::Fixed
     }
 
-    /// The turns in the order of the name: the axis (`x`, `y` or `z`), and which of the three numbers is
-    /// the angle.
+    /// The turns in the order of the name: the axis (`x`, `y` or `z`), and the index of its angle in the
+    /// three numbers.
     pub(super) fn lettered(self) -> [(char, usize); 3] {
         let mut turns = self.turns();
         if self.frame == Frame::Moving {
@@ -107,18 +105,18 @@ impl EulerOrder {
         turns.map(|turn| (['x', 'y', 'z'][turn.axis as usize], turn.number))
     }
 
-    /// The rotation that `numbers` (rad) code.
+    /// Converts `numbers` (rad) to a rotation.
     pub(super) fn rotation(self, numbers: [f64; 3]) -> Rotation {
         self.rotation_from_half_angles(numbers.map(Phase::of_half))
     }
 
-    /// Both triples, rad, each in (−π, π], that code `rotation`: the principal one, whose middle
-    /// angle is in [−π/2, π/2] or, of a proper order, in [0, π]; then the other one.
+    /// Both triples, rad, each angle in (−π, π], that represent `rotation`. The principal one is first; its
+    /// middle angle is in [−π/2, π/2], or in [0, π] for a proper order.
     pub(super) fn solutions(self, rotation: &Rotation) -> [[f64; 3]; 2] {
         self.half_angle_solutions(rotation).map(|halves| halves.map(Phase::doubled))
     }
 
-    /// How far `numbers` are from gimbal lock, rad, in [0, π/2].
+    /// Distance of `numbers` from gimbal lock, rad, in [0, π/2].
     pub(super) fn gimbal_margin(self, numbers: [f64; 3]) -> f64 {
         let [_, middle, _] = self.turns();
         let past_half_turn = numbers[middle.number].rem_euclid(PI);
@@ -129,7 +127,7 @@ impl EulerOrder {
         }
     }
 
-    /// The rotation that three numbers code, given the phases of half of each.
+    /// Converts the phases of half of each number to a rotation.
     pub(super) fn rotation_from_half_angles(self, halves: [Phase; 3]) -> Rotation {
         let [first, second, third] = self.turns().map(|turn| {
             let Phase { cos, sin } = halves[turn.number];
@@ -140,13 +138,12 @@ impl EulerOrder {
         UnitQuaternion::new_unchecked(third * second * first)
     }
 
-    /// [`solutions`](Self::solutions) as the phases of half of each number, which needs square
-    /// roots only, no trigonometry.
+    /// [`solutions`](Self::solutions) as the phases of half of each number. Needs only square roots, no
+    /// trigonometry.
     ///
     /// After Bernardes and Viollet, "Quaternion to Euler angles conversion: a direct, general and
-    /// computationally efficient method" (PLoS ONE 17(11), 2022), which SciPy uses as well. As in
-    /// SciPy, in gimbal lock (within 1e-7 rad) the number of the last letter is zero; the other
-    /// solution then has it at π.
+    /// computationally efficient method" (PLoS ONE 17(11), 2022), as in SciPy. In gimbal lock (within 1e-7
+    /// rad) the number of the last letter is zero, as in SciPy; in the other solution it is π.
     pub(super) fn half_angle_solutions(self, rotation: &Rotation) -> [[Phase; 3]; 2] {
         let turns = self.turns();
         let proper = self.is_proper();
@@ -155,9 +152,9 @@ impl EulerOrder {
             k = 3 - i - j;
         }
         let sign = if (i + 1) % 3 == j { 1.0 } else { -1.0 };
-        // (a, b) points along half the sum of the outer angles and is as long as the cosine of half
-        // the middle one; (c, d) along half their difference, as long as the sine. With three axes
-        // this holds of the middle angle plus π/2, and of the third one times `sign`.
+        // (a, b) points along half the sum of the outer angles; its length is the cosine of half the middle
+        // one. (c, d) points along half their difference; its length is the sine. With three axes this
+        // applies to the middle angle plus π/2, and to the third one times `sign`.
         let (w, v) = (rotation.w, rotation.imag());
         let [a, b, c, d] = if proper {
             [w, v[i], v[j], sign * v[k]]
@@ -167,7 +164,7 @@ impl EulerOrder {
 
         let (cos, sin) = (length(a, b), length(c, d));
         let tiny = 0.5 * LOCK_RAD * length(cos, sin);
-        // In lock only one of them is known; the other is what makes the last letter's angle zero.
+        // In lock only one of them is determined; the other is chosen for a zero angle of the last letter.
         let partner = |known: Phase| match self.frame {
             Frame::Fixed => known.negated(),
             Frame::Moving => known,
@@ -222,10 +219,10 @@ impl fmt::Display for EulerOrder {
     }
 }
 
-/// A point on the unit circle.
+/// Point on the unit circle.
 ///
-/// Numbers travel from one order to another as the phase of half their angle, where a phase and its
-/// opposite are one: a whole turn more in a number is −1 on the quaternion.
+/// Conversions between orders use the phase of half of each angle. A phase and its opposite are equivalent:
+/// a whole turn changes the sign of the quaternion.
 #[derive(Clone, Copy)]
 pub(super) struct Phase {
     cos: f64,
@@ -245,17 +242,17 @@ impl Phase {
         Self { cos: x / length, sin: y / length }
     }
 
-    /// Twice this phase, rad, in (−π, π].
+    /// Twice this phase as an angle, rad, in (−π, π].
     fn doubled(self) -> f64 {
         let flip = self.cos < 0.0 || (self.cos == 0.0 && self.sin < 0.0);
         let (cos, sin) = if flip { (-self.cos, -self.sin) } else { (self.cos, self.sin) };
-        // Plus zero, so that no report shows −0.
+        // Adding zero avoids −0 in reports.
         2.0 * sin.atan2(cos) + 0.0
     }
 
     /// Half of this phase, or its opposite.
     fn halved(self) -> Self {
-        // Both directions are the bisector; each is exact where the other loses digits.
+        // Both expressions give the bisector; each is accurate where the other loses digits.
         if self.cos > 0.0 {
             Self::towards(1.0 + self.cos, self.sin)
         } else {
@@ -285,7 +282,7 @@ impl Phase {
     }
 }
 
-/// The length of (x, y); plain, for components no larger than a few.
+/// Length of (x, y), without scaling, for small components.
 fn length(x: f64, y: f64) -> f64 {
     (x * x + y * y).sqrt()
 }

@@ -1,9 +1,12 @@
-//! Poses and rotations, and every change of rotation convention.
+//! Poses, rotations and conversions between rotation conventions.
 //!
-//! `a_from_b` maps coordinates in frame b to coordinates in frame a; ROS TF with parent a and child
-//! b is `a_from_b`. Outside this room nobody builds a quaternion from numbers.
+//! `a_from_b` maps coordinates in frame b to coordinates in frame a; ROS TF with parent a and child b is
+//! `a_from_b`. Only this module constructs rotations from numbers.
 
-#![allow(clippy::disallowed_methods, reason = "the one room where numbers become rotations")]
+#![allow(
+    clippy::disallowed_methods,
+    reason = "the only module that constructs rotations from numbers"
+)]
 
 mod axes;
 mod code;
@@ -35,15 +38,15 @@ pub type Pose = Isometry3<f64>;
 /// A rotation `a_from_b`.
 pub type Rotation = UnitQuaternion<f64>;
 
-/// A vector of three components; its unit and frame are in the name of the variable.
+/// A vector of three components; the variable's name states its unit and frame.
 pub type Vec3 = Vector3<f64>;
 
-/// The pose with translation `xyz` (m) and `rotation`.
+/// Creates a pose from a translation (m) and a rotation.
 pub fn pose(xyz: [f64; 3], rotation: Rotation) -> Pose {
     Pose::from_parts(Translation3::new(xyz[0], xyz[1], xyz[2]), rotation)
 }
 
-/// The translation of `pose` as an array, m.
+/// Returns the translation of `pose`, m.
 pub fn xyz_of(pose: &Pose) -> [f64; 3] {
     pose.translation.vector.into()
 }

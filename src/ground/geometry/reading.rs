@@ -1,4 +1,4 @@
-//! The fault of reading the numbers of one rotation convention as another's.
+//! Misinterpretations: numbers of one rotation convention converted as another.
 
 use super::convention::{Convention, rotvec_branches};
 use super::{Rotation, Slip, Vec3, rotation_from_rotvec};
@@ -6,32 +6,32 @@ use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 use std::sync::LazyLock;
 
-/// Two rotations by less than this angle apart, rad, are one candidate.
+/// Rotations closer than this, rad, are the same candidate.
 const SAME_RAD: f64 = 1e-9;
 
 /// Rotation vectors, rad, in general position: maps that agree on these agree everywhere.
 const PROBES: [[f64; 3]; 3] = [[0.5, -0.9, 1.3], [-1.9, 0.4, 0.8], [0.3, 2.2, -1.1]];
 
-/// Three numbers that are `is`, and somebody read them as `read_as`.
+/// Three numbers in the convention `is` that were converted as `read_as`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Misreading {
-    /// What the numbers mean.
+    /// True convention of the numbers.
     pub is: Convention,
-    /// What they were taken for.
+    /// Convention used for the conversion.
     pub read_as: Convention,
 }
 
 impl Misreading {
-    /// Replaces `out` by every rotation that may have been the true one where `logged` is what the
-    /// misreading made of it; the one from the principal numbers first, none twice.
+    /// Replaces `out` by every rotation that this misinterpretation can turn into `logged`, without
+    /// duplicates. The rotation of the principal numbers is first.
     ///
-    /// The misread numbers are any that `read_as` turns into `logged` and that `is` can show: a
-    /// rotation vector of norm ≤ 2π, or Euler angles from −π to 2π (both ±180° and 0–360° displays).
-    /// Whole turns in a number are no matter to an Euler order, but a rotation vector with another
-    /// 2π in one component is another rotation. Where `logged` is in the gimbal lock of `read_as`
-    /// the numbers are a continuum, of which [`Convention::branches`] has two.
+    /// The numbers are any that `read_as` turns into `logged` and that `is` can represent: a rotation
+    /// vector of norm ≤ 2π, or Euler angles from −π to 2π (displays with ±180° and 0–360°). Whole turns do
+    /// not change an Euler angle, but adding 2π to one component changes a rotation vector. If `logged` is
+    /// in gimbal lock under `read_as`, the numbers form a continuum; [`Convention::branches`] returns two
+    /// points on it.
     ///
-    /// Nothing is allocated once `out` has room for a dozen.
+    /// Does not allocate if `out` has capacity for twelve.
     pub fn truths(&self, logged: &Rotation, out: &mut Vec<Rotation>) {
         out.clear();
         match (self.is, self.read_as) {
@@ -60,8 +60,8 @@ impl Misreading {
     }
 }
 
-/// The vectors whose components are those of `numbers` (rad, in [−π, π]) up to a whole turn and
-/// within ±2π, `numbers` first.
+/// Vectors with the components of `numbers` (rad, in [−π, π]) up to a whole turn, within ±2π; `numbers`
+/// first.
 fn with_whole_turns(numbers: [f64; 3]) -> impl Iterator<Item = Vec3> {
     let turned = numbers.map(|angle| angle - TAU.copysign(angle));
     (0..8).map(move |mask| {
@@ -75,25 +75,25 @@ fn push_new(out: &mut Vec<Rotation>, candidate: Rotation) {
     }
 }
 
-/// Whether two rotations are less than [`SAME_RAD`] apart; q and −q are one rotation.
+/// Whether two rotations differ by less than [`SAME_RAD`]; q and −q are equal.
 fn is_same(a: &Rotation, b: &Rotation) -> bool {
-    // Unit quaternions half of a small angle apart lie that far apart as points.
+    // For a small angle the distance of unit quaternions is half the angle.
     let sign = if a.coords.dot(&b.coords) < 0.0 { -1.0 } else { 1.0 };
     (a.coords - b.coords * sign).norm_squared() < (0.5 * SAME_RAD).powi(2)
 }
 
-/// Misreadings that are the same map on every rotation, so that no log can tell them apart.
+/// Misinterpretations that are the same map on every rotation; no log can distinguish them.
 #[derive(Clone, Debug)]
 pub struct MisreadingClass {
-    /// The most usual first: by the ranks of both conventions together
-    /// ([`Convention::usual_rank`]), then those read as `euler:xyz`. Never empty.
+    /// Most common first: by the ranks of both conventions ([`Convention::usual_rank`]), then those read as
+    /// `euler:xyz`. Never empty.
     pub members: Vec<Misreading>,
 }
 
-/// All misreadings of one of [`Convention::all`] as another, those that are one map in one class;
-/// the class with the most usual member first.
+/// All misinterpretations between two different conventions of [`Convention::all`], grouped by map. The
+/// class with the most common member is first.
 ///
-/// None of them is the identity or the plain transpose of a rotation.
+/// None is the identity or the transpose of a rotation.
 pub fn misreading_classes() -> &'static [MisreadingClass] {
     static CLASSES: LazyLock<Vec<MisreadingClass>> =
         LazyLock::new(|| classes_of(Convention::all()));
@@ -106,7 +106,7 @@ fn classes_of(conventions: &[Convention]) -> Vec<MisreadingClass> {
         .flat_map(|&is| conventions.iter().map(move |&read_as| Misreading { is, read_as }))
         .filter(|misreading| misreading.is != misreading.read_as)
         .collect();
-    // Stable: the rest is in the order of `conventions`.
+    // The sort is stable: ties keep the order of `conventions`.
     misreadings.sort_by_key(|Misreading { is, read_as }| {
         (is.usual_rank() + read_as.usual_rank(), *read_as != Convention::RPY)
     });
@@ -138,20 +138,20 @@ fn is_same_set(a: &[Rotation], b: &[Rotation]) -> bool {
     a.len() == b.len() && a.iter().all(|x| b.iter().any(|y| is_same(x, y)))
 }
 
-/// Quaternion components taken in the wrong order.
+/// Quaternion components in the wrong order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum QuaternionSlip {
-    /// The four numbers are `quat:wxyz`, and somebody read them as `quat:xyzw`.
+    /// The four numbers are `quat:wxyz` and were read as `quat:xyzw`.
     WxyzReadAsXyzw,
-    /// The four numbers are `quat:xyzw`, and somebody read them as `quat:wxyz`.
+    /// The four numbers are `quat:xyzw` and were read as `quat:wxyz`.
     XyzwReadAsWxyz,
 }
 
 impl QuaternionSlip {
-    /// Both of them.
+    /// Both orders.
     pub const BOTH: [Self; 2] = [Self::WxyzReadAsXyzw, Self::XyzwReadAsWxyz];
 
-    /// The true components x, y, z, w where the slip made `logged_xyzw` of them.
+    /// Returns the true components x, y, z, w for the logged ones.
     pub fn truth(self, logged_xyzw: [f64; 4]) -> [f64; 4] {
         let [x, y, z, w] = logged_xyzw;
         match self {
@@ -161,17 +161,17 @@ impl QuaternionSlip {
     }
 }
 
-/// What became of the rotations of a stream, or of its poses as a whole.
+/// Misinterpretation of the rotations or poses of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "Slip<String>", into = "Slip<String>")]
 pub enum RotationSlip {
-    /// Three numbers of one convention were read as another.
+    /// Three numbers of one convention were converted as another.
     Misread(Misreading),
-    /// The quaternion's components stand in the other order.
+    /// The quaternion components are in the other order.
     Quaternion(QuaternionSlip),
-    /// The rotation is inverted, the position is not.
+    /// The rotation is inverted, but not the position.
     Transposed,
-    /// The pose is inverted as a whole.
+    /// The whole pose is inverted.
     Inverted,
 }
 
@@ -190,7 +190,7 @@ impl TryFrom<Slip<String>> for RotationSlip {
                     |name: &str| name.parse::<Convention>().map_err(|error| error.to_string());
                 let misreading = Misreading { is: convention(is)?, read_as: convention(read_as)? };
                 if misreading.is == misreading.read_as {
-                    return Err(format!("`{is}` read as `{read_as}` is no slip"));
+                    return Err(format!("`{is}` read as `{read_as}` is not a misinterpretation"));
                 }
                 Self::Misread(misreading)
             }
@@ -242,8 +242,7 @@ mod tests {
                 for _ in 0..20 {
                     let truth = rotation_from_rotvec(Vec3::from(random.triple(PI)));
                     is.branches(&truth, &mut shown);
-                    // A pendant shows a rotation vector up to a whole turn, and Euler angles on any
-                    // branch.
+                    // A pendant shows a rotation vector up to a whole turn, and Euler angles on any branch.
                     for numbers in &shown[..2] {
                         let logged = read_as.rotation(*numbers);
                         class.members[0].truths(&logged, &mut truths);
@@ -305,8 +304,8 @@ mod tests {
     fn every_misreading_is_in_one_class() {
         let members: usize = misreading_classes().iter().map(|class| class.members.len()).sum();
         assert_eq!(members, 29 * 28);
-        // Checked against SciPy on random rotations. The 251 and the identity, the transpose and a
-        // quaternion slip are the 254 different maps of 603 hypotheses.
+        // Checked with SciPy on random rotations. The 251 maps, the identity, the transpose and a
+        // quaternion order are the 254 different maps of 603 hypotheses.
         assert_eq!(misreading_classes().len(), 443);
         assert_eq!(classes_of(&Convention::all()[..25]).len(), 251);
     }
@@ -329,7 +328,7 @@ mod tests {
     #[test]
     fn a_quaternion_slip_is_undone() {
         let (w, x, y, z) = (0.9, 0.1, -0.2, 0.3);
-        // A reader that takes (w, x, y, z) for (x, y, z, w), and the other way round.
+        // (w, x, y, z) read as (x, y, z, w), and the reverse.
         assert_eq!(QuaternionSlip::WxyzReadAsXyzw.truth([w, x, y, z]), [x, y, z, w]);
         assert_eq!(QuaternionSlip::XyzwReadAsWxyz.truth([y, z, w, x]), [x, y, z, w]);
     }

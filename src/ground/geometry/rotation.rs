@@ -1,29 +1,29 @@
 use super::{Rotation, Vec3};
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion};
 
-/// The rotation of a quaternion given as x, y, z, w of any positive norm.
+/// Converts a quaternion x, y, z, w of any positive norm to a rotation.
 ///
-/// `None` where the norm is zero, tiny or not finite.
+/// `None` if the norm is zero, tiny or not finite.
 pub fn rotation_from_xyzw(q_xyzw: [f64; 4]) -> Option<Rotation> {
     let [x, y, z, w] = q_xyzw;
     UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-6).filter(|q| q.w.is_finite())
 }
 
-/// The components x, y, z, w of a rotation, with w ≥ 0.
+/// Returns the components x, y, z, w of a rotation, with w ≥ 0.
 pub fn xyzw_from_rotation(rotation: &Rotation) -> [f64; 4] {
     let sign = if rotation.w < 0.0 { -1.0 } else { 1.0 };
     [rotation.i, rotation.j, rotation.k, rotation.w].map(|c| sign * c)
 }
 
-/// The rotation of a rotation vector (axis times angle, rad): `exp([r]×)`.
+/// Converts a rotation vector (axis times angle, rad) to a rotation: `exp([r]×)`.
 pub fn rotation_from_rotvec(rotvec: Vec3) -> Rotation {
     Rotation::from_scaled_axis(rotvec)
 }
 
-/// The rotation vector of a rotation, rad, of norm ≤ π.
+/// Converts a rotation to a rotation vector, rad, with norm ≤ π.
 ///
-/// Accurate for small angles too: `2·atan2(|v|, w)` about `v`
-/// (Solà, "Quaternion kinematics for the error-state Kalman filter", eq. 106).
+/// Also accurate for small angles: `2·atan2(|v|, w)` about `v` (Solà, "Quaternion kinematics for the
+/// error-state Kalman filter", eq. 106).
 pub fn rotvec_from_rotation(rotation: &Rotation) -> Vec3 {
     let [x, y, z, w] = xyzw_from_rotation(rotation);
     let v = Vec3::new(x, y, z);
@@ -34,13 +34,13 @@ pub fn rotvec_from_rotation(rotation: &Rotation) -> Vec3 {
     v * (2.0 * norm.atan2(w) / norm)
 }
 
-/// Roll, pitch, yaw about fixed axes, rad: `Rz(yaw)·Ry(pitch)·Rx(roll)`, as URDF and tf2 mean it.
+/// Converts roll, pitch, yaw about fixed axes, rad, as in URDF and tf2: `Rz(yaw)·Ry(pitch)·Rx(roll)`.
 pub fn rotation_from_rpy(rpy: [f64; 3]) -> Rotation {
     Rotation::from_euler_angles(rpy[0], rpy[1], rpy[2])
 }
 
-/// The rotation nearest to a matrix given by its rows, and the matrix's largest deviation from
-/// orthonormality `max |RᵀR − I|`; `None` where it is not finite or not near any rotation
+/// Returns the rotation closest to a matrix given by rows, and the matrix's largest deviation from
+/// orthonormality `max |RᵀR − I|`. `None` if the matrix is not finite or not close to a rotation
 /// (determinant ≤ 0 or deviation > 0.5).
 pub fn rotation_from_matrix_rows(rows: [[f64; 3]; 3]) -> Option<(Rotation, f64)> {
     let matrix = Matrix3::from_fn(|r, c| rows[r][c]);
@@ -54,9 +54,9 @@ pub fn rotation_from_matrix_rows(rows: [[f64; 3]; 3]) -> Option<(Rotation, f64)>
     Some((UnitQuaternion::from_rotation_matrix(&rotation), defect))
 }
 
-/// The angle of the rotation that takes `a` to `b`, rad, in [0, π].
+/// Angle of the rotation from `a` to `b`, rad, in [0, π].
 ///
-/// This is the orientation error everywhere: never a difference of quaternions or Euler angles.
+/// All orientation errors use this angle, never a difference of quaternions or Euler angles.
 pub fn angle_between(a: &Rotation, b: &Rotation) -> f64 {
     rotvec_from_rotation(&(a.inverse() * b)).norm()
 }

@@ -1,4 +1,4 @@
-//! Numbers for tests.
+//! Deterministic random numbers for tests.
 
 /// Knuth's 64-bit linear congruential generator (MMIX); the same numbers in every run.
 pub struct Lcg(u64);

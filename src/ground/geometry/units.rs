@@ -1,14 +1,14 @@
-//! The units that poses come in.
+//! Units of poses.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 use std::str::FromStr;
 
-/// The unit of a position: how many metres a number is.
+/// Unit of a position, in metres per unit.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub struct LengthScale(f64);
 
-/// Units that positions come in, by how many metres each is: symbol and name.
+/// Units of positions: metres per unit, symbol and name.
 const USUAL: [(f64, &str, &str); 10] = [
     (1.0, "m", "metres"),
     (1e-3, "mm", "millimetres"),
@@ -28,17 +28,17 @@ impl LengthScale {
     /// Millimetres.
     pub const MILLIMETRE: Self = Self(1e-3);
 
-    /// A number of so many metres.
+    /// Creates a unit from its length in metres.
     pub fn of(metres: f64) -> Self {
         Self(metres)
     }
 
-    /// How many metres a number is.
+    /// Metres per unit.
     pub fn in_m(self) -> f64 {
         self.0
     }
 
-    /// The usual units.
+    /// The units of positions in common use.
     pub fn usual() -> impl Iterator<Item = Self> {
         USUAL.iter().map(|(metres, ..)| Self(*metres))
     }
@@ -47,7 +47,7 @@ impl LengthScale {
         USUAL.iter().find(|(metres, ..)| (self.0 / metres - 1.0).abs() < 1e-9)
     }
 
-    /// Its name in words: `centimetres`, or how many metres a number is.
+    /// Name of the unit, such as `centimetres`; for an unnamed unit its length in metres.
     pub fn words(self) -> String {
         self.entry()
             .map_or_else(|| format!("numbers of {self} each"), |(.., name)| (*name).to_owned())
@@ -61,7 +61,7 @@ impl Default for LengthScale {
 }
 
 impl fmt::Display for LengthScale {
-    /// Its symbol: `cm`; of an unusual one how many metres a number is: `0.0043 m`.
+    /// Symbol, such as `cm`; for an unnamed unit its length in metres, such as `0.0043 m`.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.entry() {
             Some((_, symbol, _)) => out.write_str(symbol),
@@ -82,10 +82,7 @@ impl FromStr for LengthScale {
         let found: Option<f64> = usual.or_else(metres);
         found.filter(|metres| metres.is_finite() && *metres > 0.0).map(Self).ok_or_else(|| {
             let symbols: Vec<&str> = USUAL.iter().map(|(_, symbol, _)| *symbol).collect();
-            format!(
-                "`{text}` is no unit of length: there are {}, and `0.0043 m`",
-                symbols.join(", ")
-            )
+            format!("`{text}` is not a unit of length: use {}, or `0.0043 m`", symbols.join(", "))
         })
     }
 }
@@ -102,7 +99,7 @@ impl<'de> Deserialize<'de> for LengthScale {
     }
 }
 
-/// The unit of angles.
+/// Unit of an angle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum AngleUnit {
     /// Radians.
@@ -123,7 +120,7 @@ pub enum AngleUnit {
 impl AngleUnit {
     const ALL: [Self; 4] = [Self::Radian, Self::Degree, Self::Millidegree, Self::TenthMillidegree];
 
-    /// How many radians it is.
+    /// Radians per unit.
     pub fn in_rad(self) -> f64 {
         match self {
             Self::Radian => 1.0,
@@ -133,7 +130,7 @@ impl AngleUnit {
         }
     }
 
-    /// The one that it is taken for: degrees of radians, radians of all others.
+    /// The unit that it is usually confused with: degrees for radians, radians for all others.
     pub fn other(self) -> Self {
         match self {
             Self::Radian => Self::Degree,
@@ -151,7 +148,7 @@ impl AngleUnit {
         }
     }
 
-    /// Its name, as of several.
+    /// Plural name.
     pub fn words(self) -> &'static str {
         match self {
             Self::Radian => "radians",
@@ -162,31 +159,31 @@ impl AngleUnit {
     }
 }
 
-/// One thing that was taken for another.
+/// A value and the interpretation that was wrongly used for it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Slip<T> {
-    /// What it is.
+    /// True interpretation.
     pub is: T,
-    /// What it was read as.
+    /// Interpretation that was used.
     pub read_as: T,
 }
 
 impl Slip<AngleUnit> {
-    /// What angles must be multiplied by.
+    /// Factor that corrects the angles.
     pub fn factor(self) -> f64 {
         self.is.in_rad() / self.read_as.in_rad()
     }
 }
 
 impl Slip<LengthScale> {
-    /// What lengths must be multiplied by.
+    /// Factor that corrects the lengths.
     pub fn factor(self) -> f64 {
         self.is.in_m() / self.read_as.in_m()
     }
 }
 
-/// The units that somebody named, `mm, deg`; none of what they left open.
+/// Declared units, such as `mm, deg`; `None` if not declared.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(try_from = "String")]
 pub struct Units {
@@ -196,20 +193,20 @@ pub struct Units {
     pub angle: Option<AngleUnit>,
 }
 
-/// Why a word is not taken into [`Units`].
+/// Error of [`Units::take`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum UnitError {
-    /// It is neither a unit of length nor one of angles.
+    /// Neither a unit of length nor of angle.
     Unknown,
-    /// Another unit of the same kind was named before.
+    /// Contradicts a unit of the same kind that was already declared.
     Contradiction,
 }
 
 impl Units {
-    /// Takes one more unit.
+    /// Adds a unit.
     ///
     /// # Errors
-    /// Where the word is no unit, or contradicts another one.
+    /// If the symbol is not a unit, or contradicts an earlier one.
     pub fn take(&mut self, symbol: &str) -> Result<(), UnitError> {
         let angle = AngleUnit::ALL.into_iter().find(|unit| unit.symbol() == symbol);
         let is_known = match (angle, symbol.parse()) {
@@ -220,7 +217,7 @@ impl Units {
         is_known.then_some(()).ok_or(UnitError::Contradiction)
     }
 
-    /// These, and where they say nothing what `others` say.
+    /// Returns these units, completed from `others`.
     pub fn or(self, others: Self) -> Self {
         Self { length: self.length.or(others.length), angle: self.angle.or(others.angle) }
     }

@@ -1,4 +1,4 @@
-//! Who codes rotations how, from `vendors.toml`: vendors of arms, libraries and formats.
+//! Rotation encodings of arm vendors, libraries and formats, from `vendors.toml`.
 
 use std::sync::LazyLock;
 
@@ -6,29 +6,29 @@ use serde::{Deserialize, Deserializer};
 
 use super::{Coding, Convention, Units};
 
-/// A vendor, a library or a format, and how its rotations are coded.
+/// A vendor, library or format, with its rotation encoding.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Use {
-    /// The vendor or the library.
+    /// The vendor or library.
     pub who: String,
-    /// What of it: a display, a function, a type.
+    /// The display, function or type.
     pub what: String,
-    /// How its numbers code a rotation.
+    /// Encoding of the rotation.
     #[serde(rename = "convention")]
     pub coding: Coding,
-    /// The units that they come in, as far as these are settled.
+    /// Units, if determined.
     #[serde(default)]
     pub units: Units,
-    /// Whether the source is better than hearsay.
+    /// Whether a reliable source confirms it.
     #[serde(rename = "confidence", deserialize_with = "is_confirmed")]
     pub is_confirmed: bool,
-    /// Whether the library itself was executed.
+    /// Whether it was checked by executing the library.
     #[serde(rename = "checked", default)]
     pub is_checked: bool,
-    /// What its pose is of and in, where a controller gives it.
+    /// Frames of the pose, if a controller reports it.
     pub pose: Option<String>,
-    /// Where that is from.
+    /// Source of the information.
     pub source: String,
     id: Option<String>,
 }
@@ -38,16 +38,16 @@ fn is_confirmed<'de, D: Deserializer<'de>>(from: D) -> Result<bool, D::Error> {
 }
 
 impl Use {
-    /// Whether it is what an arm's controller gives.
+    /// Whether a confirmed arm controller reports it.
     pub fn is_vendor(&self) -> bool {
-        /// Vendors of arms stand first in the table, the first of the libraries is this one.
+        /// First library in the table; arm vendors precede it.
         const FIRST_LIBRARY: &str = "ROS";
         let library = FACTS.uses.iter().position(|entry| entry.who == FIRST_LIBRARY);
         let own = FACTS.uses.iter().position(|entry| std::ptr::eq(entry, self));
         self.is_confirmed && own < library
     }
 
-    /// Who gives what, and how: a clause for the reason of a stream.
+    /// Describes the entry in a clause, for the reason of a stream's role.
     pub fn said(&self) -> String {
         let Self { who, what, coding, units, .. } = self;
         let pose = self.pose.as_ref().map_or(String::new(), |pose| format!(": {pose}"));
@@ -55,18 +55,18 @@ impl Use {
     }
 }
 
-/// What a library calls a Euler order.
+/// Name of an Euler order in a library.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LibraryName {
     /// The library.
     pub who: String,
-    /// Its name of the order.
+    /// Name of the order.
     pub name: String,
-    /// Where that is from.
+    /// Source of the information.
     pub source: String,
 }
 
-/// How a library names orders.
+/// Patterns of a library's names of orders.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Naming {
@@ -88,28 +88,28 @@ static FACTS: LazyLock<Facts> = LazyLock::new(|| {
     toml::from_str(include_str!("vendors.toml")).expect("the embedded table is valid")
 });
 
-/// Everybody in the table, vendors of arms first.
+/// All entries, arm vendors first.
 pub fn uses() -> &'static [Use] {
     &FACTS.uses
 }
 
-/// The names that stand for a vendor's or a format's convention, as `kuka`.
+/// Names of vendors' and formats' conventions, such as `kuka`.
 pub fn names() -> impl Iterator<Item = &'static str> {
     uses().iter().filter_map(|entry| entry.id.as_deref())
 }
 
-/// The vendor or format of that name, in whatever case.
+/// Returns the vendor or format with this name, ignoring case.
 pub fn find(name: &str) -> Option<&'static Use> {
     let wanted = name.trim().to_lowercase();
     uses().iter().find(|entry| entry.id.as_ref() == Some(&wanted))
 }
 
-/// Those whose rotations are coded so.
+/// Returns the entries with this encoding.
 pub fn uses_of(coding: Coding) -> impl Iterator<Item = &'static Use> {
     uses().iter().filter(move |entry| entry.coding == coding)
 }
 
-/// What libraries call `coding`, where it is a Euler order whose numbers go by turn.
+/// Names of `coding` in libraries, if it is an Euler order with numbers in the order of the turns.
 pub fn library_names(coding: Coding) -> Vec<LibraryName> {
     let Coding::Three(Convention::Euler(order)) = coding else { return Vec::new() };
     if order.is_labelled_by_axis() {

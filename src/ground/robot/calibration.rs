@@ -1,13 +1,12 @@
-//! A calibration: where the joints of an arm really are.
+//! Calibrations: measured origins of an arm's joints.
 //!
-//! Of any arm it may be the JSON that `poseaudit calibrate` writes, of which the joints are read: each
-//! with its name and its origin, xyz in m and roll, pitch, yaw in rad as in a URDF's `<origin>`.
+//! For any arm: the JSON of `poseaudit calibrate`, with the name and origin of each joint (xyz in m; roll,
+//! pitch, yaw in rad, as in a URDF's `<origin>`).
 //!
-//! Universal Robots measures every arm and keeps what it found in the controller, whose own poses
-//! are by it. The ROS driver's `ur_calibration` extracts it as YAML, and `ur_description` puts each
-//! block's six numbers into the origin of one joint (`urdf/ur_macro.xacro` of
-//! UniversalRobots/Universal_Robots_ROS2_Description): xyz in m and roll, pitch, yaw in rad as in a
-//! URDF's `<origin>`. Blocks are named after the link that the joint carries.
+//! Universal Robots measures every arm and stores the result in the controller, whose poses use it. The ROS
+//! driver's `ur_calibration` extracts it as YAML. `ur_description` uses the six numbers of each block as
+//! the origin of one joint (`urdf/ur_macro.xacro` of UniversalRobots/Universal_Robots_ROS2_Description), in
+//! the same format. Blocks are named after the child link of the joint.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -21,7 +20,7 @@ use super::model::Robot;
 use super::without_bom;
 use crate::geometry::{Convention, Pose, angle_between, pose, rotation_from_rpy, xyz_of};
 
-/// The joint whose origin each block is, in the order of [`Blocks`].
+/// Joint of each block, in the order of [`Blocks`].
 const JOINTS: [&str; 6] = [
     "shoulder_pan_joint",
     "shoulder_lift_joint",
@@ -31,25 +30,25 @@ const JOINTS: [&str; 6] = [
     "wrist_3_joint",
 ];
 
-/// The blocks of the file, in the order of [`JOINTS`].
+/// Block names, in the order of [`JOINTS`].
 const BLOCKS: [&str; 6] = ["shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"];
 
-/// No calibration moves a joint's origin by more than this, m and rad: it would be another arm's.
+/// Maximum change of a joint's origin by a calibration, m and rad. Larger changes indicate another arm.
 const MOST_M: f64 = 0.05;
 const MOST_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 
-/// The origins of an arm's joints, as measured.
+/// Measured origins of an arm's joints.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Calibration {
-    /// What it was read from.
+    /// Name of its source.
     pub source: String,
-    /// The controller's name of it, such as `calib_2327696229793275135`.
+    /// Identifier in the controller, such as `calib_2327696229793275135`.
     pub hash: Option<String>,
-    /// The joints, each with its `parent_from_joint` and the line of its block.
+    /// Name, `parent_from_joint` and line of each joint.
     origins: Vec<(String, Pose, usize)>,
 }
 
-/// What `poseaudit calibrate` writes, as far as it is read back.
+/// The parts of the file of `poseaudit calibrate` that are read.
 #[derive(Deserialize)]
 struct Written {
     schema: String,
@@ -63,7 +62,7 @@ struct WrittenJoint {
     rpy: [f64; 3],
 }
 
-/// The schema of that file.
+/// Schema of that file.
 pub const CALIBRATION_SCHEMA: &str = "poseaudit.calibration/1";
 
 #[derive(Deserialize)]
@@ -96,7 +95,7 @@ impl Calibration {
     /// Reads the file at `path`.
     ///
     /// # Errors
-    /// As [`Calibration::from_text`], or where the file cannot be read as text.
+    /// As [`Calibration::from_text`], or if the file cannot be read as text.
     pub fn from_file(path: &Path) -> Result<Self, RobotError> {
         let file = path.display().to_string();
         let text = super::text_of(path)
@@ -104,19 +103,18 @@ impl Calibration {
         Self::from_text(&text, &file)
     }
 
-    /// Reads the YAML of `ur_calibration`, or the JSON of `poseaudit calibrate`; `source` names it in
+    /// Parses the YAML of `ur_calibration` or the JSON of `poseaudit calibrate`; `source` is its name in
     /// errors.
     ///
     /// # Errors
-    /// Where it is no YAML of that layout, lacks a block or one of its six numbers, or a number is
-    /// none; with the line.
+    /// If the layout is wrong, a block or number is missing, or a number is invalid; with the line.
     pub fn from_text(text: &str, source: &str) -> Result<Self, RobotError> {
         let refuse = |error: serde_saphyr::Error| {
             let what = error.without_snippet().to_string().lines().collect::<Vec<_>>().join(", ");
             RobotError::new(source, error.location().map(line), Problem::Calibration(what))
         };
         if without_bom(text).trim_start().starts_with('{') {
-            // JSON is YAML.
+            // JSON is a subset of YAML.
             let written = serde_saphyr::from_str(without_bom(text)).map_err(refuse)?;
             return Self::of_written(written, source);
         }
@@ -157,7 +155,7 @@ impl Calibration {
         Ok(Self { source: source.to_owned(), hash: None, origins })
     }
 
-    /// What it was read from and the controller's name of it: `arm.yaml (calib_23…)`.
+    /// Source and identifier: `arm.yaml (calib_23…)`.
     pub fn label(&self) -> String {
         match &self.hash {
             Some(hash) => format!("{} ({hash})", self.source),
@@ -183,8 +181,7 @@ impl Block {
 }
 
 impl Robot {
-    /// What stands before the names of the joints of `calibration` in this robot, once for each arm in
-    /// it that has them all.
+    /// Finds the prefixes under which this robot has all joints of `calibration`, one for each such arm.
     pub fn prefixes_of(&self, calibration: &Calibration) -> Vec<String> {
         let Some((first, ..)) = calibration.origins.first() else { return Vec::new() };
         let firsts =
@@ -196,8 +193,8 @@ impl Robot {
         firsts.filter(has_all).map(str::to_owned).collect()
     }
 
-    /// The YAML of `ur_calibration` with the origins of the UR joints that `prefix` stands before, and
-    /// `hash` for the controller's name of it; `None` where this robot has no such joints.
+    /// Writes the origins of the UR joints with `prefix` as YAML of `ur_calibration`, with the identifier
+    /// `hash`. `None` if the robot has no such joints.
     pub fn ur_calibration(&self, prefix: &str, hash: &str) -> Option<String> {
         let mut text = "kinematics:\n".to_owned();
         for (block, joint) in BLOCKS.iter().zip(JOINTS) {
@@ -215,12 +212,11 @@ impl Robot {
         Some(text)
     }
 
-    /// The same robot with the origins of the joints that `prefix` stands before as `calibration`
-    /// has them.
+    /// Returns a copy in which the joints with `prefix` have the origins of `calibration`.
     ///
     /// # Errors
-    /// Where the robot has no such joints, or one of them would move by more than 5 cm or 5°: the
-    /// calibration is another arm's then, or the model has other frames than `ur_description`.
+    /// If the robot lacks such a joint, or an origin would move by more than 5 cm or 5°. The calibration
+    /// then belongs to another arm, or the model has other frames than `ur_description`.
     pub fn calibrated(&self, prefix: &str, calibration: &Calibration) -> Result<Robot, RobotError> {
         let mut robot = self.clone();
         for (joint, origin, line) in &calibration.origins {
@@ -300,7 +296,7 @@ kinematics:
         let text = NOMINAL.replace("forearm: {x: -0.425", "forearm: {x: -0.426");
         let calibration = Calibration::from_text(&text, "arm.yaml").unwrap();
         let calibrated = ur5e().calibrated("", &calibration).unwrap();
-        // Stretched along −x of the base with all joints at zero.
+        // The forearm extends along −x of the base with all joints at zero.
         let zero = [0.0; 6];
         let tool = |robot: &Robot| base_from_tool(robot, &zero).translation.vector;
         let moved = tool(&calibrated) - tool(&ur5e());
@@ -328,7 +324,10 @@ kinematics:
         assert!(error(&nan).starts_with("arm.yaml:8: "), "{}", error(&nan));
         for text in ["", "kinematics:", "a: [", "<robot/>", "just words", "\u{0}\u{1}"] {
             let error = error(text);
-            assert!(error.contains("no calibration of a UR") && !error.contains('\n'), "{error}");
+            assert!(
+                error.contains("not a calibration of a UR") && !error.contains('\n'),
+                "{error}"
+            );
         }
     }
 

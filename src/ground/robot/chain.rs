@@ -10,11 +10,11 @@ use super::error::ChainError;
 use super::joint::{JointKind, Limits};
 use super::model::{Joint, LinkId, PathStep, Robot};
 
-/// The path from a base link to a tip link, ready to be computed.
+/// Kinematic chain from a base link to a tip link.
 ///
-/// Its coordinates are the joints that move the tip by themselves, from base to tip; a joint that
-/// mimics another moves with that one and is no coordinate. Positions `q` are the joints' own, in
-/// rad or m, also where the path goes over a joint from child to parent.
+/// The coordinates are the independently movable joints on the path, from base to tip; a mimic joint moves
+/// with its driver and is not a coordinate. Positions `q` are joint positions in rad or m, even if the path
+/// passes a joint from child to parent.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chain {
     base_name: String,
@@ -23,12 +23,12 @@ pub struct Chain {
     joint_kinds: Vec<JointKind>,
     limits: Vec<Limits>,
     steps: Vec<Step>,
-    /// The tip in the frame of the last step.
+    /// Tip in the frame of the last step.
     step_from_tip: Rigid,
     max_reach_m: Derived,
 }
 
-/// What follows from the rest of a chain, once it was asked for; it makes no two chains differ.
+/// Cached derived value, ignored when chains are compared.
 #[derive(Debug, Clone, Default)]
 struct Derived(OnceLock<f64>);
 
@@ -38,24 +38,24 @@ impl PartialEq for Derived {
     }
 }
 
-/// One motion of the path, in a frame turned such that the motion is about or along z.
+/// One motion of the path, in a frame whose z axis is the axis of motion.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Step {
-    /// This step's frame before the motion in the last step's frame after its motion.
+    /// Frame of this step before its motion, in the frame of the previous step after its motion.
     pub previous_from_step: Rigid,
-    /// The coordinate that drives it: motion = `factor · q[coordinate] + offset`.
+    /// Driving coordinate: motion = `factor · q[coordinate] + offset`.
     pub coordinate: usize,
     pub factor: f64,
     pub offset: f64,
     pub slides: bool,
-    /// The joint's child link in this step's frame, after the motion or, upwards, before it.
+    /// Child link of the joint in this step's frame, after the motion or, for upward steps, before it.
     step_from_child: Rigid,
     upwards: bool,
-    /// Whether the joint is the coordinate's own, not one that mimics it.
+    /// Whether the joint is the coordinate's own joint rather than a mimic.
     is_own: bool,
 }
 
-/// A pose as a matrix, which costs less to multiply and to move along z than a quaternion.
+/// A pose as a matrix; cheaper to multiply and to translate along z than a quaternion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Rigid {
     pub rotation: Matrix3<f64>,
@@ -63,14 +63,14 @@ pub(super) struct Rigid {
 }
 
 impl Robot {
-    /// The chain from `base` to `tip`, over the link where their branches meet.
+    /// Builds the chain from `base` to `tip` through their lowest common ancestor.
     ///
     /// # Errors
-    /// Where the two are one link, nothing between them moves, a floating or planar joint lies
-    /// between them, or a joint there mimics one that cannot drive it.
+    /// If base and tip are equal, no joint between them moves, a floating or planar joint lies between
+    /// them, or a mimic joint between them has an invalid driver.
     ///
     /// # Panics
-    /// Where a link is of another robot with more links.
+    /// If a link belongs to another robot with more links.
     pub fn chain(&self, base: LinkId, tip: LinkId) -> Result<Chain, ChainError> {
         let (base_name, tip_name) = (self.link_name(base), self.link_name(tip));
         if base == tip {
@@ -89,7 +89,7 @@ impl Robot {
         Ok(builder.finish(base_name, tip_name))
     }
 
-    /// The joint that drives `joint` in the end, and the factor and offset on its position.
+    /// Finds the joint that finally drives `joint`, with the factor and offset of its position.
     fn driver<'a>(&'a self, joint: &'a Joint) -> Result<(&'a Joint, f64, f64), ChainError> {
         let (mut driver, mut factor, mut offset) = (joint, 1.0, 0.0);
         for _ in self.joints() {
@@ -106,17 +106,17 @@ impl Robot {
             }
         }
         let master = joint.mimic.as_ref().map_or_else(String::new, |mimic| mimic.joint.clone());
-        let why = "leads back to itself";
+        let why = "refers back to itself";
         Err(ChainError::Mimic { joint: joint.name.clone(), master, why })
     }
 }
 
-/// Gathers the steps of a chain along a path.
+/// Builder of a chain along a path.
 struct Builder<'a> {
     robot: &'a Robot,
     coordinates: Vec<&'a Joint>,
     steps: Vec<Step>,
-    /// From the last step's frame after its motion to where the path has come.
+    /// Transform from the last step's frame, after its motion, to the current end of the path.
     since_last_step: Pose,
 }
 
@@ -145,7 +145,7 @@ impl<'a> Builder<'a> {
         Ok(())
     }
 
-    /// Downwards the motion follows the fixed part of the joint; upwards it comes first, negated.
+    /// Downwards, the motion follows the fixed part of the joint; upwards, the negated motion precedes it.
     fn push_motion(&mut self, path_step: &PathStep<'a>) -> Result<(), ChainError> {
         let &PathStep { joint, upwards } = path_step;
         let (driver, factor, offset) = self.robot.driver(joint)?;
@@ -192,54 +192,54 @@ impl<'a> Builder<'a> {
 }
 
 impl Chain {
-    /// The number of coordinates.
+    /// Number of coordinates.
     pub fn dof(&self) -> usize {
         self.joint_names.len()
     }
 
-    /// The names of the coordinates' joints, from base to tip.
+    /// Names of the coordinates' joints, from base to tip.
     pub fn joint_names(&self) -> &[String] {
         &self.joint_names
     }
 
-    /// How each coordinate's joint moves: revolute, continuous or prismatic.
+    /// Type of each coordinate's joint: revolute, continuous or prismatic.
     pub fn joint_kinds(&self) -> &[JointKind] {
         &self.joint_kinds
     }
 
-    /// The limits of each coordinate's joint.
+    /// Limits of each coordinate's joint.
     pub fn limits(&self) -> &[Limits] {
         &self.limits
     }
 
-    /// The link that poses are in.
+    /// Name of the base link.
     pub fn base_name(&self) -> &str {
         &self.base_name
     }
 
-    /// The link whose pose is computed.
+    /// Name of the tip link.
     pub fn tip_name(&self) -> &str {
         &self.tip_name
     }
 
-    /// `base_from_tip` at joint positions `q`.
+    /// Computes `base_from_tip` at joint positions `q`.
     ///
     /// # Panics
-    /// Where `q` has not one position a coordinate.
+    /// If the length of `q` differs from `dof`.
     pub fn forward(&self, q: &[f64]) -> Pose {
         self.walk(q, |_, _, _| ()).to_pose()
     }
 
-    /// `base_from_tip` and its geometric Jacobian: column i is the velocity of the tip's origin
-    /// (m/s) and the angular velocity of the tip (rad/s), both in base, at unit speed of joint i.
+    /// Computes `base_from_tip` and its geometric Jacobian. Column i is the linear velocity of the tip's
+    /// origin (m/s) and the angular velocity of the tip (rad/s), both in base, at unit speed of joint i.
     ///
-    /// Each step adds `z × (tip − origin)` and `z`, or `z` and nothing where it slides
-    /// (Siciliano et al., "Robotics", eq. 3.30), times its factor on the coordinate.
+    /// Each revolute step adds `z × (tip − origin)` and `z`; each prismatic step adds `z` and zero
+    /// (Siciliano et al., "Robotics", eq. 3.30), times its factor.
     ///
     /// # Panics
-    /// Where `q` has not one position or `jacobian` not one column a coordinate.
+    /// If the length of `q` or `jacobian` differs from `dof`.
     pub fn forward_with_jacobian(&self, q: &[f64], jacobian: &mut [[f64; 6]]) -> Pose {
-        assert_eq!(jacobian.len(), self.dof(), "one column a coordinate");
+        assert_eq!(jacobian.len(), self.dof(), "one column per coordinate");
         jacobian.fill([0.0; 6]);
         let base_from_tip = self.walk(q, |step, _, base_from_step| {
             let z = step.factor * base_from_step.z();
@@ -257,19 +257,19 @@ impl Chain {
         base_from_tip.to_pose()
     }
 
-    /// `base_from_joint` of the first joint's own frame, which no joint moves.
+    /// `base_from_joint` of the first joint's fixed frame.
     pub fn first_joint_frame(&self) -> Pose {
         let first =
             |step: &Step| step.previous_from_step.to_pose() * step.step_from_child.to_pose();
         self.steps.first().map_or_else(Pose::identity, first)
     }
 
-    /// `base_from_link` of the child link of each coordinate's joint.
+    /// Computes `base_from_link` of the child link of each coordinate's joint.
     ///
-    /// A joint outside the path that only drives others in it gives the child link of the first.
+    /// For a driving joint outside the path, uses the first mimic joint on the path.
     ///
     /// # Panics
-    /// Where `q` has not one position a coordinate.
+    /// If the length of `q` differs from `dof`.
     pub fn joint_frames(&self, q: &[f64], out: &mut Vec<Pose>) {
         out.clear();
         out.resize(self.dof(), Pose::identity());
@@ -283,7 +283,7 @@ impl Chain {
         });
     }
 
-    /// The axis of each coordinate's joint in the joint's child link, a unit vector.
+    /// Unit vector of each coordinate's joint axis, in the joint's child link.
     pub fn joint_axes(&self) -> Vec<Vec3> {
         let own = |coordinate: usize| {
             let mut steps = self.steps.iter().filter(move |step| step.coordinate == coordinate);
@@ -294,11 +294,11 @@ impl Chain {
         (0..self.dof()).map(|coordinate| own(coordinate).map_or_else(Vec3::z, axis)).collect()
     }
 
-    /// The largest distance from the base's origin to the tip's that a search finds, m.
+    /// Approximate reach: the largest distance found between the origins of base and tip, m.
     ///
-    /// It never exceeds the true reach and rarely misses it by more than 1 %: from the middle and
-    /// the quarters of the joints' ranges, each joint in turn takes the best of 48 positions.
-    /// Joints without limits turn by ±π; sliding joints without limits stay at zero.
+    /// It never exceeds the true reach and is rarely more than 1 % lower. The search starts from the middle
+    /// and the quarters of the joint ranges; each joint in turn takes the best of 48 positions. Revolute
+    /// joints without limits cover ±π; prismatic joints without limits stay at zero.
     pub fn max_reach_m(&self) -> f64 {
         *self.max_reach_m.0.get_or_init(|| {
             let ranges: Vec<[f64; 2]> = (0..self.dof()).map(|joint| self.range(joint)).collect();
@@ -331,7 +331,7 @@ impl Chain {
         self.walk(q, |_, _, _| ()).translation.norm()
     }
 
-    /// The range of positions to search; for a turning joint at most one turn.
+    /// Range of positions to search; at most one turn for a revolute joint.
     fn range(&self, joint: usize) -> [f64; 2] {
         use std::f64::consts::PI;
         let Limits { lower, upper, .. } = self.limits[joint];
@@ -355,11 +355,11 @@ impl Chain {
         &self.step_from_tip
     }
 
-    /// Goes along the path and shows `visit` each step with its frame in base before and after
-    /// the motion; returns `base_from_tip`.
+    /// Walks the path and calls `visit` with each step and its frame in base before and after the motion;
+    /// returns `base_from_tip`.
     #[inline]
     fn walk(&self, q: &[f64], mut visit: impl FnMut(&Step, &Rigid, &Rigid)) -> Rigid {
-        assert_eq!(q.len(), self.dof(), "one position a coordinate");
+        assert_eq!(q.len(), self.dof(), "one position per coordinate");
         let mut base_from_here = Rigid::IDENTITY;
         for step in &self.steps {
             let before = base_from_here * step.previous_from_step;
@@ -375,7 +375,7 @@ impl Chain {
     }
 }
 
-/// A rotation that takes z to the unit vector `axis`; the identity where they are equal.
+/// A rotation that maps z to the unit vector `axis`; the identity if they are equal.
 pub fn turn_z_to(axis: &Vec3) -> Rotation {
     Rotation::rotation_between(&Vec3::z(), axis)
         .unwrap_or_else(|| Rotation::from_axis_angle(&Vec3::x_axis(), std::f64::consts::PI))
@@ -398,7 +398,7 @@ impl Rigid {
         self.rotation.column(2).into_owned()
     }
 
-    /// Turned about its own z axis: only the other two axes change.
+    /// Rotation about its own z axis: only the x and y columns change.
     #[inline]
     fn turned_about_z(mut self, angle_rad: f64) -> Self {
         let (sin, cos) = angle_rad.sin_cos();

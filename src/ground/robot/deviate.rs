@@ -1,40 +1,39 @@
-//! Arms whose links are not quite those of their model.
+//! Robots whose link frames deviate from the nominal model.
 
 use super::joint::JointKind;
 use super::model::{LinkId, Robot};
 use crate::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
 
-/// The links along a chain whose frames may be off, and the joints whose origins say so.
+/// Links along a chain whose frames may deviate, and the joints whose origins contain the deviation.
 ///
-/// Link 0 is the one that the first moving joint stands on, link i the one that the joint of
-/// coordinate i − 1 moves.
+/// Link 0 carries the first moving joint; link i is moved by the joint of coordinate i − 1.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LinkPath {
     /// `base_from_link` of link 0.
     pub base_from_first: Pose,
-    /// The names of the links.
+    /// Names of the links.
     pub links: Vec<String>,
-    /// The axis of the joint that moves each link but link 0, in that link.
+    /// Axis of the joint that moves each link except link 0, in that link.
     pub axes: Vec<Vec3>,
-    /// Whether that joint slides.
+    /// Whether that joint is prismatic.
     pub slides: Vec<bool>,
-    /// For each link, the index of the joint whose origin in it takes its deviation; none of a last
-    /// link that is itself the tip.
+    /// For each link, the index of the joint whose origin contains its deviation; `None` for a last link
+    /// that is the tip.
     carriers: Vec<Option<usize>>,
-    /// For each moving joint, its index.
+    /// Index of each moving joint.
     joints: Vec<usize>,
 }
 
 impl LinkPath {
-    /// Whether the model has a place for the deviation of link `index`.
+    /// Whether the model can represent a deviation of link `index`.
     pub fn carries(&self, index: usize) -> bool {
         self.carriers.get(index).is_some_and(Option::is_some)
     }
 }
 
 impl Robot {
-    /// The links from `base` to `tip`. None where the way leads over a moving joint from child to
-    /// parent, over one that mimics another, or over no moving joint.
+    /// Returns the links from `base` to `tip`. `None` if no joint on the path moves, or if a moving joint
+    /// is a mimic or is passed from child to parent.
     pub fn link_path(&self, base: LinkId, tip: LinkId) -> Option<LinkPath> {
         let path = self.path(base, tip);
         let moves = |kind: JointKind| kind != JointKind::Fixed;
@@ -65,9 +64,9 @@ impl Robot {
         Some(links)
     }
 
-    /// The same robot with each link along `path` off by its deviation, in that link's own frame (m,
-    /// rad), and with the joints' zeros taken into the model (`q_true = q_reported + zero`; rad, or m).
-    /// A deviation for which the model has no place is left out.
+    /// Returns a copy in which each link along `path` deviates by a pose in its own frame (m, rad), and in
+    /// which the joint zeros are added to the model (`q_true = q_reported + zero`; rad or m). Deviations
+    /// that the model cannot represent are ignored.
     pub fn deviated(&self, path: &LinkPath, deviations: &[Pose], zeros: &[f64]) -> Robot {
         let mut origins: Vec<Pose> =
             self.joints().iter().map(|joint| joint.parent_from_joint).collect();

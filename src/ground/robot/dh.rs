@@ -1,10 +1,9 @@
-//! Denavit-Hartenberg tables as joints.
+//! Conversion of Denavit-Hartenberg tables to joints.
 //!
-//! Standard (Denavit & Hartenberg 1955; Spong, Hutchinson & Vidyasagar, "Robot Modeling and
-//! Control", eq. 3.10): `T_i = Rz(θ_i)·Dz(d_i)·Dx(a_i)·Rx(α_i)`.
-//! Modified (Craig, "Introduction to Robotics", eq. 3.6):
-//! `T_i = Rx(α_{i−1})·Dx(a_{i−1})·Rz(θ_i)·Dz(d_i)`; row i holds `a_{i−1}` and `α_{i−1}`.
-//! A revolute joint adds its position to θ, a prismatic one to d.
+//! Standard (Denavit & Hartenberg 1955; Spong, Hutchinson & Vidyasagar, "Robot Modeling and Control", eq.
+//! 3.10): `T_i = Rz(θ_i)·Dz(d_i)·Dx(a_i)·Rx(α_i)`. Modified (Craig, "Introduction to Robotics", eq. 3.6):
+//! `T_i = Rx(α_{i−1})·Dx(a_{i−1})·Rz(θ_i)·Dz(d_i)`; row i contains `a_{i−1}` and `α_{i−1}`. A revolute
+//! joint adds its position to θ, a prismatic one to d.
 
 use serde::Deserialize;
 
@@ -13,18 +12,18 @@ use crate::geometry::{Pose, Vec3, pose, rotation_from_rpy};
 use super::error::Problem;
 use super::joint::{JointDraft, JointKind, Limits, MOST};
 
-/// Which of the two formulas the rows of a DH table belong to; never guessed.
+/// Convention of a DH table. The table must declare it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum DhConvention {
-    /// Denavit and Hartenberg's, Spong's: the row turns about z first.
+    /// Denavit and Hartenberg, Spong: a row rotates about z first.
     Standard,
-    /// Craig's: the row turns about x first.
+    /// Craig: a row rotates about x first.
     Modified,
 }
 
 impl DhConvention {
-    /// The name that a table gives it.
+    /// Name used in tables.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Standard => "standard",
@@ -32,7 +31,7 @@ impl DhConvention {
         }
     }
 
-    /// The one that it is not.
+    /// The opposite convention.
     pub const fn other(self) -> Self {
         match self {
             Self::Standard => Self::Modified,
@@ -41,16 +40,16 @@ impl DhConvention {
     }
 }
 
-/// The DH table that the joints of a robot are of.
+/// The DH table behind a robot's joints.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DhModel {
-    /// The convention that the table says it is in.
+    /// Declared convention.
     pub convention: DhConvention,
-    /// `parent_from_joint` of every joint, in the file's order, if the rows are of the other one.
+    /// `parent_from_joint` of every joint, in file order, under the other convention.
     pub(super) other_origins: Vec<Pose>,
 }
 
-/// How the joint of a row moves.
+/// Type of the joint of a row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum RowKind {
@@ -86,9 +85,9 @@ pub(super) struct DhTable {
 }
 
 impl DhTable {
-    /// One moving joint a row about its z axis, then a fixed joint to the tip.
+    /// Creates one movable joint per row, about or along its z axis, and a fixed joint to the tip.
     ///
-    /// `link_i` is the link that joint i moves; in the modified convention its frame is frame i.
+    /// Joint i moves `link_i`; in the modified convention this is frame i.
     pub(super) fn joints(&self, at: usize) -> Result<Vec<JointDraft>, Problem> {
         self.check_finite()?;
         let names = self.per_row("joint_names", self.joint_names.as_deref(), |row| {
@@ -110,8 +109,7 @@ impl DhTable {
         Ok(joints)
     }
 
-    /// `parent_from_joint` of every row's joint and of the fixed one to the tip, if the rows are of
-    /// `convention`.
+    /// `parent_from_joint` of every row's joint and of the fixed joint to the tip, under `convention`.
     fn origins(&self, convention: DhConvention) -> Vec<Pose> {
         let mut before = pose(self.pre_xyz, rotation_from_rpy(self.pre_rpy));
         let mut origins = Vec::with_capacity(self.rows.len() + 1);
@@ -124,7 +122,7 @@ impl DhTable {
         origins
     }
 
-    /// What the robot keeps of it.
+    /// The data that the robot keeps.
     pub(super) fn model(&self) -> DhModel {
         let other_origins = self.origins(self.convention.other());
         DhModel { convention: self.convention, other_origins }
@@ -147,7 +145,7 @@ impl DhTable {
         Err(Problem::NotFinite { element: "[dh]".to_owned() })
     }
 
-    /// The given values, one a row, or the default of each row.
+    /// The given values, one per row, or the default of each row.
     fn per_row<T: Clone>(
         &self,
         what: &str,
@@ -174,9 +172,9 @@ impl From<RowKind> for JointKind {
     }
 }
 
-/// The fixed parts of a row before and after its motion, which is about or along z.
+/// Fixed parts of a row before and after its motion about or along z.
 ///
-/// Motion, `Rz(theta_offset)` and `Dz(d)` share the axis and so commute.
+/// Motion, `Rz(theta_offset)` and `Dz(d)` share the axis, so they commute.
 fn split(convention: DhConvention, [a, d, alpha, theta_offset]: [f64; 4]) -> (Pose, Pose) {
     let across = pose([a, 0.0, 0.0], rotation_from_rpy([alpha, 0.0, 0.0]));
     let along = pose([0.0, 0.0, d], rotation_from_rpy([0.0, 0.0, theta_offset]));

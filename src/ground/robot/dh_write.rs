@@ -1,4 +1,4 @@
-//! A chain as a DH table.
+//! Conversion of a chain to a DH table.
 
 use std::fmt::Write as _;
 
@@ -7,18 +7,18 @@ use super::joint::JointKind;
 use super::model::{LinkId, Robot};
 use crate::geometry::{Convention, Pose, Rotation, Vec3, pose, rotation_from_rpy, xyz_of};
 
-/// A table whose FK is off by more than this is not written, m and rad.
+/// Maximum FK difference of a converted table, m and rad.
 const SAME: f64 = 1e-9;
-/// Axes that are parallel to this much have no common normal of their own, rad.
+/// Axes closer to parallel than this have no unique common normal, rad.
 const PARALLEL: f64 = 1e-12;
 
 impl Robot {
-    /// The DH table of the joints from `base` to `tip`, in the form that robots are read from; `None` where
-    /// one of them slides or mimics another, or FK of the table would be another.
+    /// Converts the joints from `base` to `tip` to a DH table in the format of [`Robot::from_toml`]. `None`
+    /// if a joint is prismatic or a mimic, or if FK of the table differs.
     ///
-    /// The joints' axes are taken as lines: row i goes from the common normal of axes i − 1 and i to that
-    /// of i and i + 1 (Craig, *Introduction to Robotics*, ch. 3.5). Axes that are nearly parallel meet
-    /// their common normal far away, which makes large `d` that cancel.
+    /// Treats joint axes as lines: row i leads from the common normal of axes i − 1 and i to that of axes i
+    /// and i + 1 (Craig, *Introduction to Robotics*, ch. 3.5). The common normal of nearly parallel axes is
+    /// far away, which causes large `d` that cancel.
     pub fn to_dh(&self, base: LinkId, tip: LinkId, convention: DhConvention) -> Option<String> {
         let chain = self.chain(base, tip).ok()?;
         if chain.joint_kinds().contains(&JointKind::Prismatic) {
@@ -38,7 +38,7 @@ impl Robot {
             let line = axes[joint];
             at.push(axes.get(joint + 1).map_or(line, |next| on_common_normal(&line, next)));
         }
-        // Modified rows: frame i from frame i − 1; frame 0 is where `pre` leads.
+        // Modified rows lead from frame i − 1 to frame i; `pre` leads to frame 0.
         let mut rows = Vec::new();
         let pre = at[0];
         let mut before = at[0];
@@ -51,7 +51,7 @@ impl Robot {
         let (pre, rows, post) = match convention {
             DhConvention::Modified => (pre, rows, post),
             DhConvention::Standard => {
-                // A standard row is Rz Dz of one row and Rx Dx of the next.
+                // A standard row combines Rz and Dz of one row with Rx and Dx of the next.
                 let next =
                     |row: usize| rows.get(row + 1).map_or([0.0; 2], |next| [next[0], next[2]]);
                 let standard = |(row, own): (usize, &[f64; 4])| {
@@ -75,7 +75,7 @@ impl Robot {
     }
 }
 
-/// The frame on `line`'s z axis that has its x axis along the common normal to that of `next`.
+/// Frame with its origin and z on the axis `line`, and x along the common normal to the axis `next`.
 fn on_common_normal(line: &Pose, next: &Pose) -> Pose {
     let [z, other] = [line, next].map(|pose| pose.rotation * Vec3::z());
     let between = next.translation.vector - line.translation.vector;
@@ -94,7 +94,7 @@ fn on_common_normal(line: &Pose, next: &Pose) -> Pose {
     Pose::from_parts(origin.into(), rotation)
 }
 
-/// `[a, d, alpha, theta]` of a frame whose z axis the x axis of the one before meets at a right angle.
+/// `[a, d, alpha, theta]` of a frame whose z axis intersects the previous x axis at a right angle.
 fn modified_row(step: &Pose) -> [f64; 4] {
     let z = step.rotation * Vec3::z();
     let alpha = (-z.y).atan2(z.z);

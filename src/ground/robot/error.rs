@@ -1,13 +1,13 @@
-//! What can be wrong with a model or a chain: what was found, where, and what to do about it.
+//! Errors of models and chains: problem, place and advice.
 
 use std::fmt;
 
 use super::joint::JointKind;
 
-/// A problem and where in the text it stands, byte offset.
+/// A problem with its byte offset in the text.
 pub(super) type Located = (usize, Problem);
 
-/// Why a robot could not be read.
+/// Error of reading a robot model.
 #[derive(Debug)]
 pub struct RobotError {
     file: String,
@@ -20,14 +20,14 @@ impl RobotError {
         Self { file: file.to_owned(), line, problem }
     }
 
-    /// The error of a problem at a byte offset of `text`.
+    /// Creates the error for a problem at a byte offset of `text`.
     pub(super) fn located(file: &str, text: &str, (offset, problem): Located) -> Self {
         let before = &text.as_bytes()[..offset.min(text.len())];
         let line = 1 + before.iter().filter(|&&byte| byte == b'\n').count();
         Self::new(file, Some(line), problem)
     }
 
-    /// The name of the text that was read, with the line where there is one: `arm.urdf:12`.
+    /// Name of the text, with the line if known: `arm.urdf:12`.
     pub fn place(&self) -> String {
         match self.line {
             Some(line) => format!("{}:{line}", self.file),
@@ -35,7 +35,7 @@ impl RobotError {
         }
     }
 
-    /// What is wrong; its text names the link, the joint and the value.
+    /// The problem; its message names the link, the joint and the value.
     pub fn problem(&self) -> &Problem {
         &self.problem
     }
@@ -53,25 +53,26 @@ impl std::error::Error for RobotError {
     }
 }
 
-/// What is wrong with a model's text.
+/// Problem in the text of a model.
 #[derive(Debug, thiserror::Error)]
-#[expect(missing_docs, reason = "each message says it")]
+#[expect(missing_docs, reason = "the messages document the variants")]
 pub enum Problem {
     #[error("cannot be read as text")]
     Unreadable(#[source] std::io::Error),
     #[error("cannot be read as text")]
     UnreadableCalibration(#[source] std::io::Error),
-    #[error("no calibration of a UR: {0}")]
+    #[error("not a calibration of a UR: {0}")]
     Calibration(String),
     #[error("'{robot}' has no joint '{joint}', which every UR has")]
     NoSuchJoint { robot: String, joint: String },
     #[error(
-        "it is not of '{robot}': joint '{joint}' would be {millimetres:.1} mm and {degrees:.2}° off"
+        "not the calibration of '{robot}': joint '{joint}' would move by {millimetres:.1} mm and \
+         {degrees:.2}°"
     )]
     AnotherArm { robot: String, joint: String, millimetres: f64, degrees: f64 },
     #[error("not well-formed XML: {0}")]
     Xml(String),
-    #[error("its document type declares entities, which are not read")]
+    #[error("document type declares entities, which are not supported")]
     DocumentType,
     #[error("it has more than {limit} {what}")]
     TooMuch { what: &'static str, limit: usize },
@@ -85,7 +86,7 @@ pub enum Problem {
     Units { found: String },
     #[error("{found} of [dh] for {rows} rows")]
     DhCount { found: String, rows: usize },
-    #[error("dof = {stated}, and {counted} joints can move")]
+    #[error("dof = {stated}, but {counted} joints can move")]
     Dof { stated: usize, counted: usize },
     #[error("the file has neither [[joint]] nor [dh]")]
     NoKinematics,
@@ -98,7 +99,7 @@ pub enum Problem {
     #[error("{element} has a number that is not finite, or beyond 1000000")]
     NotFinite { element: String },
     #[error(
-        "joint '{joint}' of link '{link}' has the number {found:e}, and none beyond {most} is taken"
+        "joint '{joint}' of link '{link}' has the number {found:e}; the largest allowed is {most}"
     )]
     Beyond { joint: String, link: String, found: f64, most: f64 },
     #[error("joint '{joint}': the axis is zero")]
@@ -120,25 +121,25 @@ pub enum Problem {
 }
 
 impl Problem {
-    /// What the reader of the message can do, as a short clause.
+    /// What the user can do, as a short clause.
     pub fn advice(&self) -> &'static str {
         match self {
             Self::Unreadable(_) => "check that it exists and is a URDF or a TOML file",
             Self::UnreadableCalibration(_) | Self::Calibration(_) => {
                 "give the YAML that ur_calibration extracts from the controller"
             }
-            Self::NoSuchJoint { .. } => "give it with a UR, and with its prefix: PREFIX=FILE",
+            Self::NoSuchJoint { .. } => "use it with a UR, and with its prefix: PREFIX=FILE",
             Self::AnotherArm { .. } => {
-                "give this arm's calibration, or a model with the frames of ur_description"
+                "use this arm's calibration, or a model with the frames of ur_description"
             }
             Self::Xml(_) => "repair the file, or export the URDF again",
             Self::DocumentType => "expand it first: xmllint --noent --dropdtd FILE",
-            Self::TooMuch { .. } => "give links and joints alone",
+            Self::TooMuch { .. } => "provide a model with links and joints only",
             Self::NotARobot { .. } => "give the arm's URDF (not an SDF, SRDF or MJCF file)",
             Self::Xacro { .. } => "expand it first: xacro FILE.xacro > FILE.urdf",
             Self::Toml(_) => "compare it with an arm of the catalogue",
             Self::Units { .. } => "convert the numbers to metres and radians",
-            Self::DhCount { .. } => "give one a row",
+            Self::DhCount { .. } => "give one per row",
             Self::Dof { .. } => "correct dof, or the joints' types",
             Self::NoKinematics => "add one of the two",
             Self::NoLink => "give the URDF itself (an SRDF has only groups)",
@@ -160,9 +161,9 @@ impl Problem {
     }
 }
 
-/// Why no chain leads from one link to another.
+/// Error of building the chain between two links.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[expect(missing_docs, reason = "each message says it")]
+#[expect(missing_docs, reason = "the messages document the variants")]
 pub enum ChainError {
     #[error("robot '{robot}' has no link '{link}'; try '{}'", instead.join("' or '"))]
     UnknownLink { robot: String, link: String, instead: Vec<String> },

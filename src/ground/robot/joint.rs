@@ -1,21 +1,21 @@
-//! Joints: how they move, within which limits, and as a text declares them.
+//! Joint types, limits and declarations.
 
 use crate::geometry::{Pose, Vec3};
 
-/// How a joint moves.
+/// Type of motion of a joint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum JointKind {
-    /// Turns about its axis between limits, rad.
+    /// Rotates about its axis between limits, rad.
     Revolute,
-    /// Turns about its axis without end, rad.
+    /// Rotates about its axis without limits, rad.
     Continuous,
     /// Slides along its axis, m.
     Prismatic,
     /// Does not move.
     Fixed,
-    /// Moves freely; no chain leads over it.
+    /// Moves freely; not supported in a chain.
     Floating,
-    /// Moves in a plane; no chain leads over it.
+    /// Moves in a plane; not supported in a chain.
     Planar,
 }
 
@@ -29,7 +29,7 @@ impl JointKind {
         Self::Planar,
     ];
 
-    /// The name that URDF gives it.
+    /// Name in URDF.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Revolute => "revolute",
@@ -41,58 +41,58 @@ impl JointKind {
         }
     }
 
-    /// The kind of that URDF name.
+    /// Parses a URDF name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|kind| kind.name() == name)
     }
 
-    /// Whether one number says where the joint stands.
+    /// Whether one number defines the position of the joint.
     pub const fn has_position(self) -> bool {
         matches!(self, Self::Revolute | Self::Continuous | Self::Prismatic)
     }
 }
 
-/// No length, position or factor of a model is beyond this: 1000 km, or as many turns. Squares and sums
-/// of what is taken stay finite, and exact to a micrometre.
+/// Maximum length, position or factor in a model: 1000 km, or as many turns. Squares and sums then stay
+/// finite, and accurate to a micrometre.
 pub(super) const MOST: f64 = 1e6;
 
-/// A joint's limits, each where the model states it: rad and rad/s, or m and m/s if prismatic.
+/// Limits of a joint, each if the model states it: rad and rad/s, or m and m/s if prismatic.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Limits {
-    /// The lowest position.
+    /// Lowest position.
     pub lower: Option<f64>,
-    /// The highest position.
+    /// Highest position.
     pub upper: Option<f64>,
-    /// The highest speed.
+    /// Highest speed.
     pub velocity: Option<f64>,
 }
 
 impl Limits {
-    /// The limits that limit anything: 1e308 says that there is none.
+    /// Removes limits that have no effect, such as 1e308.
     pub(super) fn within_reason(self) -> Self {
         let kept = |limit: Option<f64>| limit.filter(|limit| limit.abs() <= MOST);
         Self { lower: kept(self.lower), upper: kept(self.upper), velocity: kept(self.velocity) }
     }
 }
 
-/// `position = multiplier · master's position + offset`, as URDF's `<mimic>`.
+/// `position = multiplier · master's position + offset`, as in URDF's `<mimic>`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mimic {
-    /// The name of the driving joint.
+    /// Name of the driving joint.
     pub joint: String,
-    /// The factor on its position.
+    /// Factor of its position.
     pub multiplier: f64,
-    /// What is added, rad or m.
+    /// Offset, rad or m.
     pub offset: f64,
 }
 
-/// A name and where in the text it was declared, byte offset.
+/// A link name with the byte offset of its declaration.
 pub(super) struct LinkDraft {
     pub name: String,
     pub at: usize,
 }
 
-/// A joint as read, its links still names.
+/// A parsed joint whose links are still names.
 pub(super) struct JointDraft {
     pub name: String,
     pub kind: JointKind,

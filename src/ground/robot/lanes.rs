@@ -1,4 +1,4 @@
-//! Forward kinematics of many configurations, four at once: one a lane.
+//! SIMD forward kinematics: four configurations at once.
 
 use nalgebra::Matrix3;
 use wide::f64x4;
@@ -7,10 +7,10 @@ use crate::geometry::{Pose, Vec3};
 
 use super::chain::{Chain, Rigid};
 
-/// Configurations at once.
+/// Configurations per batch.
 const LANES: usize = 4;
 
-/// A pose in each lane, as a matrix by columns.
+/// One pose per lane, as matrix columns.
 #[derive(Clone, Copy)]
 struct Rigids {
     columns: [[f64x4; 3]; 3],
@@ -18,13 +18,13 @@ struct Rigids {
 }
 
 impl Chain {
-    /// `base_from_tip` of each row of `q_rows`, which holds one position a coordinate, row after row.
+    /// Computes `base_from_tip` for each row of `q_rows` (row-major, one position per coordinate).
     ///
     /// # Panics
-    /// Where the last row is not complete.
+    /// If the last row is incomplete.
     pub fn forward_batch(&self, q_rows: &[f64], out: &mut Vec<Pose>) {
         let dof = self.dof();
-        assert_eq!(q_rows.len() % dof, 0, "one position a coordinate in each row");
+        assert_eq!(q_rows.len() % dof, 0, "one position per coordinate in each row");
         out.clear();
         out.reserve(q_rows.len() / dof);
         let mut fours = q_rows.chunks_exact(LANES * dof);
@@ -97,14 +97,14 @@ impl Rigids {
     }
 }
 
-/// Sine and cosine of each lane, within two units in the last place: the polynomials of Cephes (Moshier,
-/// `sin.c`) about the nearest multiple of π/2, which is taken off in three parts.
+/// Sine and cosine of each lane, within two units in the last place. Uses the polynomials of Cephes
+/// (Moshier, `sin.c`) after subtracting the nearest multiple of π/2 in three parts.
 #[inline]
 fn sin_cos(angle_rad: f64x4) -> (f64x4, f64x4) {
-    /// Added to a number and taken off again it leaves the nearest whole one, which stands in the last bits
-    /// between.
+    /// Adding and subtracting this constant rounds to the nearest integer; the integer is in the last bits
+    /// of the sum.
     const WHOLE: f64 = 6_755_399_441_055_744.0;
-    /// Angles beyond lose digits by the three parts, rad.
+    /// Above this angle the three-part reduction loses digits, rad.
     const MOST_RAD: f64 = 1e5;
     const HALF_PI: [f64; 3] =
         [1.570_796_310_901_641_8, 1.589_325_471_229_585_7e-8, 6.123_233_995_736_766e-17];
@@ -139,7 +139,8 @@ fn sin_cos(angle_rad: f64x4) -> (f64x4, f64x4) {
     let cos = f64x4::ONE - square * f64x4::HALF + square * square * sum(COS);
     let (sin, cos) = (sin.to_array().map(f64::to_bits), cos.to_array().map(f64::to_bits));
     let quarter = shifted.to_array().map(f64::to_bits);
-    // In odd quarters the two change places; the sine is negative in the last two, the cosine in the middle.
+    // Sine and cosine are exchanged in odd quadrants. The sine is negative in the last two quadrants, the
+    // cosine in the middle two.
     let either = |own: [u64; 4], other: [u64; 4], from: u64| {
         f64x4::new(std::array::from_fn(|lane| {
             let odd = 0_u64.wrapping_sub(quarter[lane] & 1);
@@ -174,7 +175,8 @@ mod tests {
         assert!([sin, cos].iter().all(|of| of.as_array()[..2].iter().all(|one| one.is_nan())));
     }
 
-    /// Four at once are what each is by itself, to rounding, of every arm of the catalogue and any number of rows.
+    /// Batches match single evaluations up to rounding, for every catalogue arm and different numbers of
+    /// rows.
     #[test]
     fn many_at_once_are_what_each_is() {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(7);

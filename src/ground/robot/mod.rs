@@ -1,8 +1,8 @@
-//! The arm as a tree of joints, where it comes from, and its forward kinematics.
+//! Robot models: trees of joints, their sources and forward kinematics.
 //!
-//! A [`Robot`] is read from a URDF, from TOML (joints or a Denavit-Hartenberg table) or taken from
-//! the [`catalogue`]; a UR's [`Calibration`] can be laid over it. [`Robot::chain`] cuts the path between two links out of it; a [`Chain`]
-//! turns joint positions into `base_from_tip`.
+//! A [`Robot`] is read from a URDF, from TOML (joints or a Denavit-Hartenberg table) or from the
+//! [`catalogue`]; a [`Calibration`] can replace its joint origins. [`Robot::chain`] extracts the path
+//! between two links as a [`Chain`], which computes `base_from_tip` from joint positions.
 
 mod calibration;
 pub mod catalogue;
@@ -44,10 +44,10 @@ use std::path::Path;
 use xml::MAX_TEXT_BYTES;
 
 impl Robot {
-    /// Reads the URDF or TOML file at `path`; the content tells which, not the extension.
+    /// Reads the URDF or TOML file at `path`; the format is detected from the content.
     ///
     /// # Errors
-    /// As [`Robot::from_text`], or where the file cannot be read as text.
+    /// As [`Robot::from_text`], or if the file cannot be read as text.
     pub fn from_file(path: &Path) -> Result<Robot, RobotError> {
         let file = path.display().to_string();
         let text =
@@ -55,10 +55,10 @@ impl Robot {
         Robot::from_text(&text, &file)
     }
 
-    /// Reads `text` as a URDF where it begins with `<`, else as TOML; `source` names it in errors.
+    /// Parses `text` as a URDF if it starts with `<`, otherwise as TOML; `source` is its name in errors.
     ///
     /// # Errors
-    /// What is wrong with the model, with its line.
+    /// If the model is invalid, with the line.
     pub fn from_text(text: &str, source: &str) -> Result<Robot, RobotError> {
         if without_bom(text).trim_start().starts_with('<') {
             Robot::from_urdf(text, source)
@@ -68,18 +68,18 @@ impl Robot {
     }
 }
 
-/// The text at `path`, unless it is larger than any model.
+/// Reads the text at `path`, up to the maximum size of a model.
 fn text_of(path: &Path) -> io::Result<String> {
     let mut bytes = Vec::new();
     File::open(path)?.take(MAX_TEXT_BYTES as u64 + 1).read_to_end(&mut bytes)?;
     if bytes.len() > MAX_TEXT_BYTES {
-        let what = format!("it has more than the {MAX_TEXT_BYTES} bytes that are read");
+        let what = format!("larger than the limit of {MAX_TEXT_BYTES} bytes");
         return Err(io::Error::new(io::ErrorKind::FileTooLarge, what));
     }
     String::from_utf8(bytes).map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))
 }
 
-/// `text` without the byte order mark that some editors put first.
+/// Removes the byte order mark that some editors write.
 fn without_bom(text: &str) -> &str {
     text.strip_prefix('\u{feff}').unwrap_or(text)
 }

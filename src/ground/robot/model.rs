@@ -1,4 +1,4 @@
-//! The tree of links and joints, and what can be asked of it.
+//! Tree of links and joints.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -10,97 +10,96 @@ use super::error::{ChainError, Located, Problem};
 use super::joint::{JointDraft, JointKind, Limits, LinkDraft, MOST, Mimic};
 use super::nearest::nearest;
 
-/// A robot: links joined into one tree.
+/// Robot: one tree of links and joints.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Robot {
-    /// The model's own name.
+    /// Name of the model.
     pub name: String,
-    /// Where the model came from: a file, a topic, or `catalogue`.
+    /// Source of the model: a file, a topic, or `catalogue`.
     pub source: String,
-    /// The base link that the model's author names.
+    /// Base link declared by the model's author.
     pub default_base: Option<String>,
-    /// The tip link that the model's author names.
+    /// Tip link declared by the model's author.
     pub default_tip: Option<String>,
-    /// The link that the controller reports its poses in.
+    /// Link in which the controller expresses its poses.
     pub controller_base: Option<String>,
     /// The link whose pose the controller reports.
     pub controller_tip: Option<String>,
-    /// Prefixes that this arm's joints and links carry, one or the other, in the wild.
+    /// Alternative prefixes of this arm's joints and links in logs.
     pub joint_prefixes: Vec<String>,
-    /// Other names of the arm.
+    /// Alternative names of the arm.
     pub aliases: Vec<String>,
-    /// Whose numbers these are, where the file says so.
+    /// Origin of the kinematic data, if the file declares it.
     pub provenance: Option<Provenance>,
-    /// The DH table that its joints are of, where they are of one.
+    /// DH table of the joints, if the model is one.
     pub dh: Option<DhModel>,
-    /// The text that it was read from; none for arms of the catalogue.
+    /// Text from which the model was read; `None` for catalogue arms.
     pub(super) text: Option<Arc<str>>,
     links: Vec<Link>,
     joints: Vec<Joint>,
     link_ids: HashMap<String, LinkId>,
-    /// Index of each joint by its name.
     joint_ids: HashMap<String, usize>,
     root: LinkId,
 }
 
-/// Whose numbers a catalogue arm is made of.
+/// Origin of a catalogue arm's kinematic data.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Provenance {
-    /// The arm's maker.
+    /// Manufacturer.
     pub vendor: String,
-    /// The arm's name in the maker's words.
+    /// The manufacturer's name of the arm.
     pub model: String,
-    /// The repository and commit that the numbers were read from.
+    /// Repository and commit of the data.
     pub source: String,
-    /// The licence of that source.
+    /// Licence of the source.
     pub licence: String,
 }
 
-/// A link of the robot that gave it.
+/// Index of a link, valid for the robot that returned it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct LinkId(usize);
 
 #[derive(Debug, Clone, PartialEq)]
 struct Link {
     name: String,
-    /// Index of the joint above it.
+    /// Index of the joint whose child it is.
     parent: Option<usize>,
-    /// Indices of the joints below it, in the file's order.
+    /// Indices of the joints whose parent it is, in file order.
     children: Vec<usize>,
 }
 
 /// A joint between two links.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Joint {
-    /// The joint's name, unique in its robot.
+    /// Name, unique within the robot.
     pub name: String,
-    /// How it moves.
+    /// Type of motion.
     pub kind: JointKind,
-    /// The link on the root's side.
+    /// The link towards the root.
     pub parent: LinkId,
-    /// The link on the leaves' side; its frame is the joint's frame after the motion.
+    /// The link away from the root; its frame is the joint's frame after the motion.
     pub child: LinkId,
     /// `parent_from_joint`: the pose of the child link in the parent link at position zero.
     pub parent_from_joint: Pose,
-    /// The axis of motion in the joint's frame, of unit length.
+    /// Unit vector of the axis of motion, in the joint's frame.
     pub axis: Vec3,
-    /// The limits that the model states.
+    /// Limits stated by the model.
     pub limits: Limits,
     /// The joint that drives this one, if any.
     pub mimic: Option<Mimic>,
 }
 
-/// Where links and joints were declared, in their order.
+/// Byte offsets of the declarations of links and joints.
 struct Offsets {
     links: Vec<usize>,
     joints: Vec<usize>,
 }
 
 impl Robot {
-    /// The tree of these links and joints.
+    /// Builds the tree from links and joints.
     ///
     /// # Errors
-    /// Where they are not one tree with unique names.
+    /// If they do not form one tree with unique names.
     pub(super) fn assemble(
         name: &str,
         source: &str,
@@ -134,34 +133,34 @@ impl Robot {
         })
     }
 
-    /// The text that it was read from: a URDF, or TOML. None for arms of the catalogue.
+    /// Source text, URDF or TOML; `None` for catalogue arms.
     pub fn text(&self) -> Option<&str> {
         self.text.as_deref()
     }
 
-    /// All links, in the file's order.
+    /// All links, in file order.
     pub fn links(&self) -> impl Iterator<Item = LinkId> + '_ {
         (0..self.links.len()).map(LinkId)
     }
 
-    /// All joints, in the file's order.
+    /// All joints, in file order.
     pub fn joints(&self) -> &[Joint] {
         &self.joints
     }
 
-    /// The joint of that name.
+    /// Returns the joint with this name.
     pub fn joint(&self, name: &str) -> Option<&Joint> {
         self.joint_ids.get(name).map(|&joint| &self.joints[joint])
     }
 
-    /// Puts the origin of the joint called `name`, if it is there, at `parent_from_joint`.
+    /// Sets the origin of the joint `name`, if it exists.
     pub(super) fn move_joint(&mut self, name: &str, parent_from_joint: Pose) {
         if let Some(&joint) = self.joint_ids.get(name) {
             self.joints[joint].parent_from_joint = parent_from_joint;
         }
     }
 
-    /// The same robot with the origins of its joints, in the file's order, at `parent_from_joint`.
+    /// Returns a copy with the joint origins `parent_from_joint`, in file order.
     pub(super) fn with_origins(&self, parent_from_joint: &[Pose]) -> Robot {
         let mut robot = self.clone();
         for (joint, origin) in robot.joints.iter_mut().zip(parent_from_joint) {
@@ -170,8 +169,8 @@ impl Robot {
         robot
     }
 
-    /// The robot that the same rows describe under the other DH convention; none where its joints
-    /// are of no DH table.
+    /// Returns the robot that the same rows describe under the other DH convention. `None` if the model is
+    /// not a DH table.
     pub fn under_other_convention(&self) -> Option<Robot> {
         let dh = self.dh.as_ref()?;
         let mut robot = self.with_origins(&dh.other_origins);
@@ -180,15 +179,15 @@ impl Robot {
         Some(robot)
     }
 
-    /// The link of that name.
+    /// Returns the link with this name.
     pub fn link(&self, name: &str) -> Option<LinkId> {
         self.link_ids.get(name).copied()
     }
 
-    /// The link of that name, for a name that a person gave.
+    /// Returns the link with a name given by the user.
     ///
     /// # Errors
-    /// [`ChainError::UnknownLink`] with the names that come nearest, else the tree's ends.
+    /// [`ChainError::UnknownLink`] with the most similar names, or with root and leaves if there are none.
     pub fn link_or_nearest(&self, name: &str) -> Result<LinkId, ChainError> {
         self.link(name).ok_or_else(|| {
             let mut instead = self.nearest_link_names(name);
@@ -204,44 +203,44 @@ impl Robot {
         })
     }
 
-    /// The name of a link.
+    /// Returns the name of a link.
     pub fn link_name(&self, link: LinkId) -> &str {
         &self.links[link.0].name
     }
 
-    /// The link that no joint leads to.
+    /// Returns the root link.
     pub fn root(&self) -> LinkId {
         self.root
     }
 
-    /// The joint that leads to `link`; none for the root.
+    /// Returns the joint whose child is `link`; `None` for the root.
     pub fn parent_joint(&self, link: LinkId) -> Option<&Joint> {
         self.links[link.0].parent.map(|joint| &self.joints[joint])
     }
 
-    /// The joints that lead away from `link`, in the file's order.
+    /// Returns the joints whose parent is `link`, in file order.
     pub fn child_joints(&self, link: LinkId) -> impl Iterator<Item = &Joint> {
         self.links[link.0].children.iter().map(|&joint| &self.joints[joint])
     }
 
-    /// The links that no joint leads away from, in the file's order.
+    /// Returns the links without children, in file order.
     pub fn leaf_links(&self) -> impl Iterator<Item = LinkId> + '_ {
         self.links().filter(|link| self.links[link.0].children.is_empty())
     }
 
-    /// Up to three links whose names come near to a misspelt `name`, nearest first.
+    /// Returns up to three link names similar to a misspelt `name`, most similar first.
     pub fn nearest_link_names(&self, name: &str) -> Vec<&str> {
         nearest(name, self.links.iter().map(|link| link.name.as_str()))
     }
 
-    /// `a_from_b` where only fixed joints lie between the two links.
+    /// Returns `a_from_b` if only fixed joints connect the two links.
     pub fn fixed_transform(&self, a: LinkId, b: LinkId) -> Option<Pose> {
         let path = self.path(a, b);
         let fixed = path.iter().all(|step| step.joint.kind == JointKind::Fixed);
         fixed.then(|| path.iter().fold(Pose::identity(), |pose, step| pose * step.fixed_part()))
     }
 
-    /// The joints from `from` to `to`: up the tree to where the two branches meet, then down.
+    /// Joints from `from` to `to`: up to their lowest common ancestor, then down.
     pub(super) fn path(&self, from: LinkId, to: LinkId) -> Vec<PathStep<'_>> {
         let (mut up, mut down) = (self.joints_to_root(from), self.joints_to_root(to));
         while let (Some(a), Some(b)) = (up.last(), down.last())
@@ -260,8 +259,8 @@ impl Robot {
             .collect()
     }
 
-    /// The same robot with every link and joint name passed through `rename`; `None` where two
-    /// names would become one.
+    /// Returns a copy with `rename` applied to every link and joint name; `None` if two names would become
+    /// equal.
     pub(super) fn renamed(&self, rename: impl Fn(&str) -> String) -> Option<Robot> {
         let mut robot = self.with_joints_renamed(&rename)?;
         for link in &mut robot.links {
@@ -281,8 +280,7 @@ impl Robot {
         (robot.link_ids.len() == robot.links.len()).then_some(robot)
     }
 
-    /// The same robot with every joint name passed through `rename`, and its links as they are; `None`
-    /// where two names would become one.
+    /// Returns a copy with `rename` applied to every joint name; `None` if two names would become equal.
     pub fn with_joints_renamed(&self, rename: impl Fn(&str) -> String) -> Option<Robot> {
         let mut robot = self.clone();
         for joint in &mut robot.joints {
@@ -300,12 +298,12 @@ impl Robot {
 /// One joint of a path through the tree.
 pub(super) struct PathStep<'a> {
     pub joint: &'a Joint,
-    /// From the child link to the parent link.
+    /// Whether the step leads from child to parent.
     pub upwards: bool,
 }
 
 impl PathStep<'_> {
-    /// The transform from the link before the step to the link after it at position zero.
+    /// Transform across the step at position zero.
     pub(super) fn fixed_part(&self) -> Pose {
         if self.upwards {
             self.joint.parent_from_joint.inverse()
@@ -315,16 +313,16 @@ impl PathStep<'_> {
     }
 }
 
-/// The unit vector along `xyz`; any where the kind has no axis.
+/// Normalises `xyz`; returns an arbitrary axis for joint types without one.
 ///
 /// # Errors
-/// Where the axis matters and has no direction.
+/// If the axis is needed and is zero.
 pub(super) fn unit_axis(joint: &str, kind: JointKind, xyz: [f64; 3]) -> Result<Vec3, Problem> {
     if !kind.has_position() {
         return Ok(Vec3::x());
     }
     let axis = Vec3::from(xyz);
-    // Components that are large enough have an infinite square.
+    // Scaled first, because the squares of large components overflow.
     let largest = axis.amax();
     let axis = (largest > 1e-9).then(|| (axis / largest).normalize());
     axis.ok_or_else(|| Problem::ZeroAxis { joint: joint.to_owned() })
@@ -388,7 +386,7 @@ fn connect(
     Ok((joints, joint_ids))
 }
 
-/// The one link above all others; every link has at most one parent already.
+/// Finds the only root; every link already has at most one parent.
 fn find_root(links: &[Link], joints: &[Joint], at: &Offsets) -> Result<LinkId, Located> {
     let reached = reach(links, joints);
     let looped = links.iter().zip(reached).find(|(_, reached)| !reached);
@@ -405,7 +403,7 @@ fn find_root(links: &[Link], joints: &[Joint], at: &Offsets) -> Result<LinkId, L
     Ok(LinkId(first))
 }
 
-/// For every link, whether a link without a parent stands above it.
+/// For every link, whether it descends from a link without a parent.
 fn reach(links: &[Link], joints: &[Joint]) -> Vec<bool> {
     let mut reached = vec![false; links.len()];
     let mut pending: Vec<usize> =

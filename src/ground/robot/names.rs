@@ -1,22 +1,22 @@
-//! Names as logs write them: prefixed, or misspelt.
+//! Matching of joint names with prefixes.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeSet, HashSet};
 
 use super::model::Robot;
 
-/// How a robot's joint names meet the names in a log.
+/// Mapping from a robot's joint names to the names in a log.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NameMatch {
-    /// The prefix to take off the robot's names.
+    /// Prefix to remove from the robot's names.
     pub from_prefix: String,
-    /// The prefix to put there; see [`Robot::with_prefix_replaced`].
+    /// Prefix to add instead; see [`Robot::with_prefix_replaced`].
     pub to_prefix: String,
-    /// How many of the robot's joints are in the log under that prefix.
+    /// Number of the robot's joints found in the log with this prefix.
     pub matched: usize,
-    /// How many joints the robot has that move by themselves.
+    /// Number of independently movable joints of the robot.
     pub joints: usize,
-    /// How many characters of the two prefixes are strange to this robot.
+    /// Number of characters in the two prefixes that this robot does not use.
     pub strangeness: usize,
 }
 
@@ -26,18 +26,17 @@ impl NameMatch {
         self.matched == self.joints
     }
 
-    /// The name in the log of the robot's joint or link `name`.
+    /// Returns the logged name of the robot's joint or link `name`.
     pub fn logged_name(&self, name: &str) -> String {
         with_prefix_replaced(name, &self.from_prefix, &self.to_prefix)
     }
 }
 
 impl Robot {
-    /// The prefixes under which this robot's joints are among the `logged` names, best first: most
-    /// joints, then least strange. Two equal arms in one log give two matches.
+    /// Finds prefixes that map this robot's joints to `logged` names. Best first: most joints, then fewest
+    /// unknown characters. Two identical arms in one log yield two matches.
     ///
-    /// A log may put a namespace or `tf_prefix` before the names, or use another of
-    /// `joint_prefixes`.
+    /// A log may add a namespace or `tf_prefix` to the names, or use one of `joint_prefixes`.
     pub fn match_joint_names<S: AsRef<str>>(&self, logged: &[S]) -> Vec<NameMatch> {
         let logged: HashSet<&str> = logged.iter().map(AsRef::as_ref).collect();
         let own = self.own_joint_names();
@@ -62,9 +61,9 @@ impl Robot {
         matches
     }
 
-    /// The same robot with `from` at the start of its link and joint names replaced by `to`.
+    /// Returns a copy with the prefix `from` of link and joint names replaced by `to`.
     ///
-    /// Names that do not start with `from` stay. `None` where two names would become one.
+    /// Other names do not change. `None` if two names would become equal.
     pub fn with_prefix_replaced(&self, from: &str, to: &str) -> Option<Robot> {
         self.renamed(|name| with_prefix_replaced(name, from, to))
     }
@@ -74,8 +73,8 @@ impl Robot {
         self.joints().iter().filter(moving).map(|joint| joint.name.as_str()).collect()
     }
 
-    /// The prefixes of the joint names: none, the declared and the common one that all of them have, and
-    /// the one that most have (an arm's on a rail).
+    /// Candidate prefixes of the joint names: the empty one, declared and common prefixes of all joints,
+    /// and the prefix of most joints (for an arm on a rail).
     fn own_prefixes<'a>(&'a self, names: &[&'a str]) -> BTreeSet<&'a str> {
         let declared = self.joint_prefixes.iter().map(String::as_str);
         let shared = |prefix: &&str| names.iter().all(|name| name.starts_with(prefix));
@@ -98,7 +97,7 @@ fn with_prefix_replaced(name: &str, from: &str, to: &str) -> String {
     }
 }
 
-/// The prefixes before any of `stems` in the logged names, sorted.
+/// Prefixes of any of `stems` in the logged names, sorted.
 fn logged_prefixes(stems: &[&str], logged: &HashSet<&str>) -> BTreeSet<String> {
     let before = |name: &str, stem: &str| {
         let prefix = name.strip_suffix(stem)?;
@@ -107,7 +106,8 @@ fn logged_prefixes(stems: &[&str], logged: &HashSet<&str>) -> BTreeSet<String> {
     logged.iter().flat_map(|name| stems.iter().filter_map(move |stem| before(name, stem))).collect()
 }
 
-/// The characters of `to` beyond a prefix that the robot is known by, else of both prefixes.
+/// Number of characters of `to` that precede a known prefix of the robot; without one, the length of both
+/// prefixes.
 fn strangeness(from: &str, to: &str, own: &BTreeSet<&str>, declared: &[String]) -> usize {
     if from.is_empty() {
         return to.len();
@@ -121,7 +121,7 @@ fn strangeness(from: &str, to: &str, own: &BTreeSet<&str>, declared: &[String]) 
         .unwrap_or(from.len() + to.len())
 }
 
-/// The prefix of all names up to a separator, after which each goes on with a letter.
+/// Common prefix of all names up to a separator that a letter follows.
 fn common_prefix<'a>(names: &[&'a str]) -> Option<&'a str> {
     let first: &'a str = names.first()?;
     let ends = first.rmatch_indices(is_separator).map(|(at, separator)| at + separator.len());

@@ -1,7 +1,6 @@
-//! Names that a misspelt one may mean.
+//! Suggestions for misspelt names.
 
-/// Up to three of `candidates` that a misspelt `name` may mean, nearest first; upper and lower case are
-/// the same.
+/// Returns up to three of `candidates` similar to `name`, most similar first, ignoring case.
 pub fn nearest<'a>(name: &str, candidates: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
     let furthest = (name.chars().count() / 3).max(1);
     let name = name.to_lowercase();

@@ -1,4 +1,4 @@
-//! A model's own text with one thing in it changed, and all else as it was.
+//! Minimal edits of a model's source text.
 
 use std::ops::Range;
 
@@ -15,44 +15,42 @@ use crate::geometry::{
     Convention, Pose, angle_between, pose, rotation_from_rotvec, xyz_of, xyzw_from_rotation,
 };
 
-/// Origins that a text is written with may be off by this, m and rad.
+/// Tolerance of the origins in an edited text, m and rad.
 const WRITTEN: f64 = 1e-9;
 
-/// Why a text is not patched.
+/// Error of editing a model's text.
 #[derive(Debug, thiserror::Error)]
 pub enum NoPatch {
-    /// The robot is the catalogue's, or was made otherwise.
+    /// The robot is from the catalogue or was not read from text.
     #[error("the model is not from a file or a description")]
     NoText,
-    /// A calibration is laid over the model: it would undo what a patch does.
-    #[error("the joints' origins are not the text's own: a calibration is laid over them")]
+    /// The joint origins were replaced by a calibration, which would undo the edit.
+    #[error("the joint origins were replaced by a calibration")]
     Overlaid,
-    /// The text has another layout than a URDF's or a DH table's.
+    /// The layout is neither a URDF nor a DH table.
     #[error("the text is neither a URDF nor a DH table")]
     Layout,
-    /// The text could not be read again.
+    /// The edited text could not be parsed.
     #[error("{0}")]
     Unreadable(#[from] RobotError),
-    /// What was written does not say what it should.
-    #[error("joint '{0}' is written in a way that cannot be patched")]
+    /// The edited text does not have the intended effect.
+    #[error("the format of joint '{0}' does not allow an edit")]
     NotPatched(String),
 }
 
-/// What is put in the place of a part of a text, byte offsets.
+/// A replacement for a byte range of a text.
 type Edit = (Range<usize>, String);
 
 impl Robot {
-    /// The text of this robot with the zero offsets of some joints taken into the model: FK of
-    /// positions as reported is then what FK of `position + offset` was (`q_true = q_reported +
-    /// offset`; rad, or m of a joint that slides).
+    /// Edits the text so that the joint zeros include `offsets`: FK of reported positions then equals the
+    /// previous FK of `position + offset` (`q_true = q_reported + offset`; rad, or m for prismatic joints).
     ///
-    /// A joint's origin moves by its own motion, `parent_from_joint · motion(axis, offset)`; of a DH
-    /// table it is θ or d of the row that changes, and the convention where the robot is read by
-    /// the other one. Offsets of joints that the robot does not have are left out. Nothing else of
-    /// the text changes.
+    /// The origin of a joint becomes `parent_from_joint · motion(axis, offset)`. In a DH table, θ or d of
+    /// the row changes, and the convention if the robot uses the other one. Offsets of unknown joints are
+    /// ignored. The rest of the text stays.
     ///
     /// # Errors
-    /// Where there is no text, or it cannot be changed so.
+    /// If there is no text, or it cannot be edited.
     pub fn text_with_offsets(&self, offsets: &[(&str, f64)]) -> Result<String, NoPatch> {
         let (text, own) = self.own_text()?;
         let text = text.as_str();
@@ -83,11 +81,11 @@ impl Robot {
         Ok(patched)
     }
 
-    /// The text of this robot, a URDF, with the origins of its joints where `to`, the same robot with
-    /// other origins, has them. Nothing else of the text changes.
+    /// Edits a URDF so that its joints have the origins of `to`, a copy of this robot. The rest of the text
+    /// stays.
     ///
     /// # Errors
-    /// Where there is no such text, or it cannot be changed so.
+    /// If the text is missing, is not a URDF, or cannot be edited.
     pub fn text_with_origins_of(&self, to: &Robot) -> Result<String, NoPatch> {
         let text = self.text().ok_or(NoPatch::NoText)?;
         if !is_xml(text) {
@@ -105,8 +103,7 @@ impl Robot {
         Ok(patched)
     }
 
-    /// The text, its DH table of the convention that this robot is read by, and the robot that it then
-    /// describes under its own names.
+    /// Returns the text, with the DH convention that this robot uses, and the robot parsed from it.
     fn own_text(&self) -> Result<(String, Robot), NoPatch> {
         let text = self.text().ok_or(NoPatch::NoText)?;
         let text = match &self.dh {
@@ -124,7 +121,7 @@ impl Robot {
     }
 }
 
-/// The text of a DH table with this convention in it.
+/// Sets the convention in the text of a DH table.
 fn of_convention(text: &str, convention: DhConvention) -> Option<String> {
     let table: DhText = toml::from_str(text).ok()?;
     let stated = table.dh.convention;
@@ -143,7 +140,7 @@ fn is_same(a: &Pose, b: &Pose) -> bool {
     apart.translation.vector.norm() < WRITTEN && angle_between(&a.rotation, &b.rotation) < WRITTEN
 }
 
-/// What a joint's motion by `offset` is in its own frame.
+/// Motion of a joint by `offset`, in its own frame.
 fn motion(kind: JointKind, axis: &crate::geometry::Vec3, offset: f64) -> Pose {
     match kind {
         JointKind::Prismatic => pose((axis * offset).into(), rotation_from_rotvec(axis * 0.0)),
@@ -151,7 +148,7 @@ fn motion(kind: JointKind, axis: &crate::geometry::Vec3, offset: f64) -> Pose {
     }
 }
 
-/// `text` with its edits, which do not overlap.
+/// Applies edits that do not overlap.
 fn edited(text: &str, mut edits: Vec<Edit>) -> String {
     edits.sort_by_key(|(place, _)| std::cmp::Reverse(place.start));
     let mut edited = text.to_owned();
@@ -161,7 +158,7 @@ fn edited(text: &str, mut edits: Vec<Edit>) -> String {
     edited
 }
 
-/// A number with twelve decimals at most, without zeros at the end.
+/// Formats a number with at most twelve decimals, without trailing zeros.
 pub(super) fn number(value: f64) -> String {
     let text = format!("{value:.12}");
     let text = text.trim_end_matches('0').trim_end_matches('.');
@@ -183,7 +180,7 @@ struct DhRows {
     rows: Vec<[Spanned<f64>; 4]>,
 }
 
-/// θ or d of the rows whose joints have an offset.
+/// Edits θ or d of the rows whose joints have an offset.
 fn dh_edits(
     text: &str,
     own: &Robot,
@@ -202,12 +199,12 @@ fn dh_edits(
     Ok(edits.collect())
 }
 
-/// A number as TOML tells it from an integer.
+/// Formats a number as a TOML float.
 fn decimal(number: &str) -> String {
     if number.contains('.') { number.to_owned() } else { format!("{number}.0") }
 }
 
-/// The origins of joints, where they come to be others.
+/// Edits the origins of joints that change.
 fn urdf_edits(
     text: &str,
     own: &Robot,
@@ -238,7 +235,7 @@ fn urdf_edits(
     Ok(edits)
 }
 
-/// Sets an attribute of a joint's origin, which may have none, or not be there.
+/// Sets an attribute of a joint's origin; inserts the attribute or the element if it is missing.
 fn attribute_edit(
     text: &str,
     joint: Node<'_, '_>,

@@ -1,4 +1,4 @@
-//! Robots in TOML: the catalogue's schema, for files of one's own too.
+//! Robots in TOML, with the schema of the catalogue.
 
 use std::collections::HashSet;
 
@@ -15,12 +15,12 @@ use super::model::{Provenance, Robot, unit_axis};
 use super::without_bom;
 
 impl Robot {
-    /// Reads a robot in TOML, in m and rad: `[[joint]]` tables as in URDF, or a `[dh]` table.
+    /// Parses a robot in TOML, in m and rad: `[[joint]]` tables as in URDF, or a `[dh]` table.
     ///
-    /// Where a file has both, the joints are used. `source` names the file in errors.
+    /// If there are both, the joints are used. `source` is the file's name in errors.
     ///
     /// # Errors
-    /// Where the text is not TOML of that schema, or its joints are not one tree.
+    /// If the text does not match the schema, or its joints do not form one tree.
     pub fn from_toml(text: &str, source: &str) -> Result<Robot, RobotError> {
         let text = without_bom(text);
         let table: RobotTable = parse(text, source)?;
@@ -31,7 +31,7 @@ impl Robot {
     }
 }
 
-/// Reads TOML; the error has the line.
+/// Parses TOML; errors include the line.
 pub(super) fn parse<T: serde::de::DeserializeOwned>(
     text: &str,
     source: &str,
@@ -43,7 +43,7 @@ pub(super) fn parse<T: serde::de::DeserializeOwned>(
     })
 }
 
-/// One robot of the schema.
+/// TOML table of one robot.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct RobotTable {
@@ -94,7 +94,7 @@ struct JointTable {
 }
 
 impl RobotTable {
-    /// The robot of this table.
+    /// Converts the table to a robot.
     pub(super) fn into_robot(mut self, source: &str) -> Result<Robot, Located> {
         if let Some(found) = self.units.take_if(|units| units != "m, rad") {
             return Err((0, Problem::Units { found }));
@@ -115,7 +115,7 @@ impl RobotTable {
         Ok(robot)
     }
 
-    /// The joints, and the DH table that they are of where there are no others.
+    /// Joints of the table; if it has only a DH table, its joints and the table.
     fn joint_drafts(&mut self) -> Result<(Vec<JointDraft>, Option<DhModel>), Located> {
         if !self.joints.is_empty() {
             let joints: Result<_, _> = self.joints.drain(..).map(joint_draft).collect();
@@ -177,7 +177,7 @@ fn joint_draft(table: Spanned<JointTable>) -> Result<JointDraft, Located> {
     })
 }
 
-/// The links that the joints name, in the order of their first mention.
+/// Links named by the joints, in the order of first appearance.
 fn links_of(joints: &[JointDraft]) -> Vec<LinkDraft> {
     let mut seen = HashSet::new();
     let mentions =
@@ -218,7 +218,7 @@ mod tests {
         robot: Vec<T>,
     }
 
-    /// How far the catalogue says that an arm's `[dh]` is from its joints.
+    /// Stated differences between `[dh]` and the joints of a catalogue arm.
     #[derive(Deserialize)]
     struct Stated {
         dh: Option<StatedDifference>,
@@ -250,7 +250,7 @@ mod tests {
         assert_eq!(compared, 33);
     }
 
-    /// The stated differences are maxima over other positions than these, hence the factor.
+    /// The stated maxima belong to other positions, hence the factor.
     fn assert_agrees(table: RobotTable, dh: &DhTable, stated: &StatedDifference) {
         let drafts = dh.joints(0).unwrap();
         let of_rows = Robot::assemble("dh", "dh", links_of(&drafts), drafts).unwrap();

@@ -1,4 +1,4 @@
-//! Reads the kinematics of a URDF and nothing else: a broken visual is nobody's business here.
+//! Parser for the kinematics of a URDF; all other elements are ignored.
 //!
 //! Format and defaults: <https://wiki.ros.org/urdf/XML/joint>.
 
@@ -13,14 +13,14 @@ use super::model::{Robot, unit_axis};
 use super::xml::document;
 
 impl Robot {
-    /// Reads a URDF; `source` names it in errors, such as its file or topic.
+    /// Parses a URDF; `source` is its file or topic in errors.
     ///
-    /// Only `<link>` and `<joint>` are looked at. A missing origin is the identity, a missing axis
-    /// is x, and an axis need not be of unit length, as URDF has it.
+    /// Reads only `<link>` and `<joint>`. Defaults as in URDF: identity for a missing origin, x for a
+    /// missing axis; axes are normalised.
     ///
     /// # Errors
-    /// Where the text is no URDF, is not expanded from xacro, declares entities, has a bad number or more
-    /// than a model has, or is not one tree.
+    /// If the text is not a URDF, contains xacro, declares entities, has an invalid number or too many
+    /// elements, or is not one tree.
     pub fn from_urdf(text: &str, source: &str) -> Result<Robot, RobotError> {
         let document = document(text);
         let robot = document.and_then(|document| read_robot(document.root_element(), source));
@@ -73,7 +73,7 @@ fn read_joint(node: Node) -> Result<JointDraft, Located> {
     })
 }
 
-/// A joint's node and what to call it in errors.
+/// A joint's node, with its name in errors.
 struct Element<'a> {
     node: Node<'a, 'a>,
     label: String,
@@ -98,7 +98,7 @@ impl<'a> Element<'a> {
         Ok(pose(xyz, rotation))
     }
 
-    /// The rotation of `quat_xyzw`, which newer URDFs may have in place of `rpy`.
+    /// Rotation from `quat_xyzw`, an alternative to `rpy` in newer URDFs.
     fn quaternion(&self) -> Result<Option<Rotation>, Located> {
         const EXPECTED: &str = "a quaternion x y z w";
         let Some(components) = self.numbers::<4>("origin", "quat_xyzw", EXPECTED)? else {
@@ -109,7 +109,7 @@ impl<'a> Element<'a> {
         rotation_from_xyzw(components).map(Some).ok_or_else(bad)
     }
 
-    /// Limits that are absent or infinite are no limits; nor are positions of a continuous joint.
+    /// Absent or infinite limits count as none; so do position limits of a continuous joint.
     fn limits(&self, kind: JointKind) -> Result<Limits, Located> {
         let limit = |attribute| -> Result<Option<f64>, Located> {
             Ok(self.number("limit", attribute)?.filter(|value| value.is_finite()))
@@ -138,7 +138,7 @@ impl<'a> Element<'a> {
         Ok(self.numbers(tag, attribute, "a finite number")?.map(|[number]| number))
     }
 
-    /// `N` finite numbers of an attribute, if it is there.
+    /// Parses `N` finite numbers of an optional attribute.
     fn numbers<const N: usize>(
         &self,
         tag: &str,
@@ -154,7 +154,7 @@ impl<'a> Element<'a> {
         numbers.map(Some).ok_or_else(|| self.bad_number(tag, attribute, text, expected))
     }
 
-    /// A number of an attribute, if it is there; it may be infinite.
+    /// Parses an optional attribute; the number may be infinite.
     fn number(&self, tag: &str, attribute: &'static str) -> Result<Option<f64>, Located> {
         let Some(text) = self.attribute(tag, attribute) else { return Ok(None) };
         let number = text.trim().parse().ok().filter(|x: &f64| !x.is_nan());

@@ -1,7 +1,7 @@
-//! What a URDF says that its links look like.
+//! Visual and collision shapes of a URDF.
 //!
-//! It is read where somebody draws the robot, not where one is audited, and leniently: a visual that
-//! is broken is left out. Format: <https://wiki.ros.org/urdf/XML/link>.
+//! Only read to draw a robot, and leniently: invalid visuals are ignored. Format:
+//! <https://wiki.ros.org/urdf/XML/link>.
 
 use roxmltree::Node;
 
@@ -16,42 +16,42 @@ use super::{LinkId, Robot};
 pub struct Visual {
     /// The link.
     pub link: LinkId,
-    /// Where it is in the link's frame.
+    /// Pose of the visual in the link's frame.
     pub link_from_visual: Pose,
-    /// What is there.
+    /// Its shape.
     pub shape: Shape,
 }
 
-/// The shape of a visual, about the origin of its frame.
+/// Shape of a visual, centred on its frame.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Shape {
-    /// A file.
+    /// Mesh file.
     Mesh {
-        /// Where the model says that it is, such as `package://ur_description/meshes/base.dae`.
+        /// Path in the model, such as `package://ur_description/meshes/base.dae`.
         uri: String,
-        /// What its x, y and z are multiplied by.
+        /// Scale factors of x, y and z.
         scale: [f64; 3],
     },
-    /// A box with these edges along x, y and z, m.
+    /// Box with these edge lengths along x, y and z, m.
     Box([f64; 3]),
-    /// A cylinder along z.
+    /// Cylinder along z.
     Cylinder {
-        /// Its radius, m.
+        /// Radius, m.
         radius_m: f64,
-        /// Its length, m.
+        /// Length, m.
         length_m: f64,
     },
-    /// A sphere of this radius, m.
+    /// Sphere with this radius, m.
     Sphere(f64),
 }
 
 impl Robot {
-    /// The visuals of the model's links, in the file's order. A model that is no URDF has none.
+    /// Returns the visuals of the links, in file order. Empty if the model is not a URDF.
     pub fn visuals(&self) -> Vec<Visual> {
         self.drawn("visual")
     }
 
-    /// What stands for the model's links in collisions, likewise.
+    /// Returns the collision shapes of the links, in file order.
     pub fn collisions(&self) -> Vec<Visual> {
         self.drawn("collision")
     }
@@ -59,7 +59,7 @@ impl Robot {
     fn drawn(&self, element: &'static str) -> Vec<Visual> {
         let document = self.text().map(document);
         let Some(Ok(document)) = document else { return Vec::new() };
-        // Names may have been changed since it was read; the order has not.
+        // Links may have been renamed since the file was read, but keep their order.
         let links = named(document.root_element(), "link").zip(self.links());
         let visuals = links.flat_map(|(node, link)| {
             named(node, element).filter_map(move |visual| visual_of(link, visual))
@@ -101,7 +101,7 @@ fn named<'a, 'input>(
     node.children().filter(move |child| child.is_element() && child.tag_name().name() == name)
 }
 
-/// `N` numbers that a shape can have.
+/// Parses `N` numbers of plausible magnitude.
 fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
     let words =
         text.split_whitespace().map(|word| word.parse().ok().filter(|x: &f64| x.abs() <= MOST));

@@ -1,4 +1,4 @@
-//! A robot as a URDF of its kinematics: links, joints, origins, axes, limits.
+//! Writes a robot's kinematics as a URDF: links, joints, origins, axes, limits.
 
 use std::fmt::Write as _;
 
@@ -8,7 +8,7 @@ use super::patch::numbers;
 use crate::geometry::{Convention, xyz_of};
 
 impl Robot {
-    /// A URDF that says of joints and links what this robot is, of which nothing else is known.
+    /// Converts the robot to a URDF with its kinematics only.
     pub fn to_urdf(&self) -> String {
         let mut text =
             format!("<?xml version=\"1.0\"?>\n<robot name=\"{}\">\n", escaped(&self.name));

@@ -1,24 +1,27 @@
-//! XML of a model, which may have come with a log from anywhere: what could make it grow is refused
-//! before it is parsed.
+//! XML parsing of untrusted models. Documents that would exhaust time or memory are rejected before
+//! parsing.
 
 use roxmltree::{Document, Error, ParsingOptions};
 
 use super::error::Problem;
 
-/// A model's text may have this many bytes. A humanoid's URDF has some 200 kB.
+/// Maximum size of a model's text, bytes. The URDF of a humanoid has about 200 kB.
 pub(super) const MAX_TEXT_BYTES: usize = 8 << 20;
-/// Elements, texts and comments of a document.
+/// Maximum number of elements, texts and comments.
 const MAX_NODES: u32 = 200_000;
-/// Elements in elements.
+/// Maximum nesting depth.
 const MAX_DEPTH: usize = 100;
-/// Attributes of one element; the parser compares each with each.
+/// Maximum number of attributes per element; the parser compares all pairs.
 const MAX_ATTRIBUTES: usize = 256;
-/// Namespaces that are declared anywhere; the parser carries those of an element to all in it.
+/// Maximum number of namespace declarations; the parser copies those of an element to its descendants.
 const MAX_NAMESPACES: usize = 512;
 
-/// The document, or the byte at which `text` is none that is read, and why.
+/// Parses `text`.
 ///
-/// A document type that declares entities is refused: 400 kB of entities unpack to 40 GB.
+/// Declared entities are rejected: 400 kB of entities expand to 40 GB.
+///
+/// # Errors
+/// The byte offset and the problem.
 pub fn document(text: &str) -> Result<Document<'_>, (usize, Problem)> {
     bounded(text)?;
     let declares = text.contains("<!ENTITY");
@@ -45,14 +48,13 @@ fn more(limit: usize, what: &'static str) -> Problem {
     Problem::TooMuch { what, limit }
 }
 
-/// The byte at which the line of the error begins.
+/// Byte offset of the line of the error.
 fn place(text: &str, error: &Error) -> usize {
     let row = error.pos().row.saturating_sub(1) as usize;
     text.split_inclusive('\n').take(row).map(str::len).sum()
 }
 
-/// Walks the tags of `text` as far as they are sound, and refuses what the parser would take too long
-/// or too much memory for.
+/// Scans the tags of `text` and rejects documents that would take the parser too much time or memory.
 fn bounded(text: &str) -> Result<(), (usize, Problem)> {
     if text.len() > MAX_TEXT_BYTES {
         return Err((0, more(MAX_TEXT_BYTES, "bytes")));
@@ -80,7 +82,7 @@ fn bounded(text: &str) -> Result<(), (usize, Problem)> {
         namespaces += tag.matches("xmlns").count();
         let quotes = tag.bytes().filter(|byte| matches!(byte, b'"' | b'\'')).count();
         let refusal = [
-            (depth > MAX_DEPTH, more(MAX_DEPTH, "elements in each other")),
+            (depth > MAX_DEPTH, more(MAX_DEPTH, "nested elements")),
             (quotes > 2 * MAX_ATTRIBUTES, more(MAX_ATTRIBUTES, "attributes of an element")),
             (namespaces > MAX_NAMESPACES, more(MAX_NAMESPACES, "namespaces")),
         ];
@@ -91,7 +93,7 @@ fn bounded(text: &str) -> Result<(), (usize, Problem)> {
     Ok(())
 }
 
-/// The length of the tag that `text` begins with; a `>` between quotes does not end it.
+/// Length of the tag at the start of `text`; a `>` between quotes does not end it.
 fn tag_length(text: &str) -> Option<usize> {
     let mut quote = None;
     for (at, byte) in text.bytes().enumerate() {
@@ -126,8 +128,8 @@ mod tests {
         assert!(refusal(&" ".repeat(MAX_TEXT_BYTES + 1)).contains("8388608 bytes"));
         assert!(refusal(&format!("<r>{}</r>", "<a/>".repeat(200_000))).contains("200000 elements"));
         let deep = format!("{}{}", "<a>".repeat(101), "</a>".repeat(101));
-        assert!(refusal(&deep).contains("100 elements in each other"));
-        // Each would keep the parser for minutes.
+        assert!(refusal(&deep).contains("100 nested elements"));
+        // The parser would take minutes for each of these.
         let of_one: String = (0..100_000).fold("<a ".to_owned(), |mut text, at| {
             let _ = write!(text, "a{at}='' ");
             text

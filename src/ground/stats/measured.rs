@@ -1,22 +1,19 @@
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ChiSquared, ContinuousCDF, FisherSnedecor, Normal, StudentsT};
 
-/// A number with its standard error.
-///
-/// The unit is that of the field that holds it.
+/// Estimate with its standard error, in the unit of the field that contains it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measured {
     /// The estimate.
     pub value: f64,
-    /// Its standard error, corrected for the autocorrelation of the residuals.
+    /// Standard error, corrected for the autocorrelation of the residuals.
     pub std_error: f64,
     /// Effective degrees of freedom behind `std_error`.
     pub dof: f64,
 }
 
 impl Measured {
-    /// Half the width of the interval that covers the truth with probability `confidence`
-    /// (Student's t with `dof` degrees of freedom).
+    /// Half-width of the interval with coverage `confidence` (Student's t with `dof` degrees of freedom).
     pub fn half_width(&self, confidence: f64) -> f64 {
         if !self.std_error.is_finite() {
             return f64::INFINITY;
@@ -24,41 +21,40 @@ impl Measured {
         quantile(0.5 + 0.5 * confidence, self.dof) * self.std_error
     }
 
-    /// The interval that covers the truth with probability `confidence`.
+    /// Interval with coverage `confidence`.
     pub fn interval(&self, confidence: f64) -> [f64; 2] {
         let half = self.half_width(confidence);
         [self.value - half, self.value + half]
     }
 
-    /// This number times `factor`.
+    /// Returns the estimate multiplied by `factor`.
     pub fn scaled(&self, factor: f64) -> Self {
         Self { value: self.value * factor, std_error: self.std_error * factor.abs(), ..*self }
     }
 }
 
-/// The length of a measured vector, and how surely there is one.
+/// Length of a measured vector, with the significance of its difference from zero.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Length {
-    /// The length; its interval reaches down to zero or below where zero is not excluded.
+    /// The length. Its interval includes zero unless zero is rejected.
     pub norm: Measured,
-    /// Chance of a vector at least this far from zero if it were truly zero, by all components
-    /// together.
+    /// p-value of the joint test that all components are zero.
     pub p_value: f64,
 }
 
 impl Length {
-    /// The length of `vector`, whose errors have this `covariance`, known with `dof` degrees of
+    /// Estimates the length of `vector` from the `covariance` of its errors, which has `dof` degrees of
     /// freedom.
     ///
-    /// Noise makes a vector longer: `E|v̂|² = |v|² + tr C`. So `|v|²` is estimated by `|v̂|² − tr C`,
-    /// whose variance is `4 vᵀCv + 2 tr C²` for normal errors (Mathai and Provost, *Quadratic Forms
-    /// in Random Variables*, 1992, §3.2). `4 v̂ᵀCv̂` is in the mean `2 tr C²` above that, which makes
-    /// up for being smallest where the vector is unluckily short.
-    /// The ends of its interval are those of the length squared.
+    /// Noise makes a vector longer: `E|v̂|² = |v|² + tr C`. Therefore `|v|²` is estimated by `|v̂|² − tr
+    /// C`, with variance `4 vᵀCv + 2 tr C²` for normal errors (Mathai and Provost, *Quadratic Forms in
+    /// Random Variables*, 1992, §3.2). On average, `4 v̂ᵀCv̂` exceeds that by `2 tr C²`, which compensates
+    /// for its low values if noise shortens the vector. The bounds of the interval are computed from the
+    /// squared length.
     pub fn of(vector: &[f64], covariance: &DMatrix<f64>, dof: f64) -> Self {
-        /// Standard deviations in half a 95 % interval; rounded down, so that an end at zero is one.
+        /// Standard deviations in half of a 95 % interval; rounded down, so a bound at zero stays at zero.
         const HALF: f64 = 1.9599;
-        /// The interval of a vector that may be zero with this chance reaches down to zero.
+        /// The interval includes zero if the p-value exceeds this.
         const SURE: f64 = 1e-3;
         /// Standard deviations by which noise may have shortened a vector.
         const UNLUCKY: f64 = 1.4;
@@ -73,8 +69,7 @@ impl Length {
         let (mut above, mut below) =
             ((square + reach).sqrt() - value, value - (square - reach).max(0.0).sqrt());
         if square <= reach || p_value > SURE {
-            // Close to zero the square is skewed: a vector no longer than its noise may be
-            // unluckily so.
+            // Near zero the distribution of the square is skewed, and noise may have shortened the vector.
             above = above.max(v.norm() + UNLUCKY * largest_std_error(covariance) - value);
             below = value;
         }
@@ -83,13 +78,13 @@ impl Length {
     }
 }
 
-/// The standard error of a vector in the direction in which it is least known.
+/// Largest standard error over all directions.
 fn largest_std_error(covariance: &DMatrix<f64>) -> f64 {
     covariance.clone().symmetric_eigenvalues().max().max(0.0).sqrt()
 }
 
-/// Chance of a vector at least this far from zero if it were truly zero: Hotelling's T² test, Wald's
-/// where `dof` is large.
+/// p-value of the hypothesis that all components are zero: Hotelling's T² test, or Wald's test if `dof` is
+/// large.
 pub fn joint_p_value(vector: &DVector<f64>, covariance: &DMatrix<f64>, dof: f64) -> f64 {
     let Some(cholesky) = covariance.clone().cholesky() else {
         return 1.0;
@@ -105,8 +100,8 @@ pub fn joint_p_value(vector: &DVector<f64>, covariance: &DMatrix<f64>, dof: f64)
     FisherSnedecor::new(count, dof.max(2.0)).map_or(1.0, |f| f.sf(statistic / count))
 }
 
-/// From so many degrees of freedom on the normal quantile is within 0.3 % even at p = 1 − 1e-6, and
-/// the inverse of t no longer needed (nor, for infinite `dof`, finite).
+/// Degrees of freedom from which the normal quantile replaces Student's t: it differs by less than 0.3 %
+/// even at p = 1 − 1e-6, and also works for infinite `dof`.
 const MANY: f64 = 2000.0;
 
 /// Quantile `p` of Student's t with `dof` degrees of freedom.
@@ -138,7 +133,7 @@ mod tests {
         assert!((just_below / quantile(1.0 - 1e-6, 2000.0) - 1.0).abs() < 0.004);
     }
 
-    /// Lengths of noisy copies of `true_vector`, whose errors have the standard errors `sigma`.
+    /// Lengths of noisy copies of `true_vector` with standard errors `sigma`.
     fn lengths(true_vector: [f64; 3], sigma: [f64; 3]) -> Vec<Length> {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(3);
         let covariance = DMatrix::from_diagonal(&DVector::from_iterator(3, sigma.map(|s| s * s)));

@@ -1,4 +1,4 @@
-//! Numbers with their errors, and what is usual among many.
+//! Estimates with standard errors, and robust statistics.
 
 mod measured;
 pub mod thin;
@@ -6,17 +6,16 @@ pub mod thin;
 pub use measured::joint_p_value;
 pub use measured::{Length, Measured};
 
-/// Standard deviations in a median magnitude of normal noise: 1/Φ⁻¹(3/4).
+/// Ratio of the standard deviation to the median magnitude for normal noise: 1/Φ⁻¹(3/4).
 pub const NORMAL: f64 = 1.4826;
 
-/// The number that `part` of `values`, from 0 to 1, lie below; `None` of nothing. `values` are put into
-/// another order.
+/// Quantile of `values` at `part` (0 to 1); `None` if there are no values. Reorders `values`.
 pub fn quantile(values: &mut [f64], part: f64) -> Option<f64> {
     let at = ((values.len() as f64 * part) as usize).min(values.len().checked_sub(1)?);
     Some(*values.select_nth_unstable_by(at, f64::total_cmp).1)
 }
 
-/// The median; of an even number of values the upper of the two in the middle.
+/// Median; the upper of the two middle values if their number is even.
 pub fn median(values: &mut [f64]) -> Option<f64> {
     quantile(values, 0.5)
 }

@@ -1,15 +1,14 @@
-//! Which rows of a long stream are kept where it is drawn.
+//! Selection of rows for plots of long streams.
 
-/// Rows for what moves: every k-th with the least k that keeps no more than `most`, and the last.
+/// Every k-th row and the last one, with the smallest k that keeps at most `most` rows.
 pub fn evenly(rows: usize, most: usize) -> Vec<usize> {
     let step = rows.div_ceil(most.max(1)).max(1);
     let last = rows.checked_sub(1).filter(|last| last % step != 0);
     (0..rows).step_by(step).chain(last).collect()
 }
 
-/// Rows for what is plotted over one axis: of each of equal stretches those with the lowest and the
-/// highest value of each of `series`, in their order, so that no peak is lost. About `most` rows,
-/// and all where there are no more.
+/// Rows with the minimum and maximum of each series in equal intervals, in order, so no peak is lost. Keeps
+/// about `most` rows; keeps all if there are at most `most`.
 pub fn extremes(series: &[&[f64]], most: usize) -> Vec<usize> {
     let rows = series.first().map_or(0, |values| values.len());
     if rows <= most {

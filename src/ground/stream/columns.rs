@@ -1,23 +1,20 @@
 use crate::time::Clock;
 
-/// The times of every row of a stream, one entry a row in each column, in nanoseconds.
+/// Times of every row of a stream in nanoseconds, one entry per row in each column.
 ///
-/// A message without a header stamp has 0 in `header`, as ROS writes an unset stamp; where its type has
-/// none, `unstamped` says so.
+/// `header` is 0 for an unset stamp, as in ROS; `unstamped` marks types without a header stamp.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Times {
     /// Stamp in the message's header (for /tf: of that transform).
     pub header: Vec<i64>,
     /// When the recorder received the message.
     pub log: Vec<i64>,
-    /// When the sender published it; empty where that is when the recorder received it, of every row,
-    /// as most recorders write. See [`Times::on`].
+    /// When the sender published it. Empty if it equals the receive time in every row, as most recorders
+    /// write. See [`Times::on`].
     publish: Vec<i64>,
-    /// The number that the message had, of those that count theirs; empty, or 0 throughout, where
-    /// they do not.
+    /// Sequence number of the message; empty, or 0 throughout, if the sender does not count.
     pub sequence: Vec<u32>,
-    /// Whether the type has no stamp at all, so that `header` is 0 throughout for no fault of its
-    /// sender.
+    /// Whether the type has no stamp. `header` is then 0 throughout, which is not a fault of the sender.
     pub unstamped: bool,
 }
 
@@ -69,7 +66,7 @@ impl Times {
         }
     }
 
-    /// The order of rows by the time on `clock` (stable), or `None` when they are in order already.
+    /// Stable sort order of the rows by `clock`; `None` if they are already sorted.
     pub fn sort_permutation(&self, clock: Clock) -> Option<Vec<usize>> {
         let column = self.on(clock);
         if column.is_sorted() {
@@ -80,8 +77,8 @@ impl Times {
         Some(order)
     }
 
-    /// Moves every time back by what `lateness`, ns, says of the nanoseconds since the first on its
-    /// clock; a header that was not set stays so.
+    /// Subtracts `lateness` (ns) from every time, as a function of the nanoseconds since the first time on
+    /// the same clock. Unset headers stay unset.
     pub fn shift_back(&mut self, lateness: impl Fn(i64) -> i64) {
         for column in [&mut self.header, &mut self.log, &mut self.publish] {
             let first = column.iter().copied().filter(|nanos| *nanos != 0).min().unwrap_or(0);
@@ -91,8 +88,8 @@ impl Times {
         }
     }
 
-    /// Replaces the times on `clock`, and with them the times of receipt if these follow the headers by a
-    /// constant, as those of tables do.
+    /// Replaces the times on `clock`. If the receive times follow the headers at a constant delay, as in
+    /// tables, they move too.
     pub fn restamp(&mut self, clock: Clock, nanos: Vec<i64>) {
         let delay = self
             .log
@@ -132,49 +129,48 @@ fn permute<T: Copy>(column: &mut Vec<T>, order: &[usize]) {
     *column = order.iter().map(|&row| column[row]).collect();
 }
 
-/// The positions and velocities of one joint, one entry for each row of its [`JointColumns`].
+/// Positions and velocities of one joint, one entry per row of its [`JointColumns`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct JointColumn {
     /// Joint name as the log spells it.
     pub name: String,
-    /// Joint position, rad or m; NaN in rows whose message did not carry this joint.
+    /// Joint position, rad or m; NaN if the message lacks this joint.
     pub position: Vec<f64>,
-    /// Joint velocity, rad/s or m/s; NaN where the message carried none.
+    /// Joint velocity, rad/s or m/s; NaN if the message has none.
     pub velocity: Vec<f64>,
 }
 
-/// No joint, length, speed or angle has a number beyond this, in whatever unit: its square is still one.
+/// Upper bound of a plausible magnitude, in any unit. Its square does not overflow.
 const MOST: f64 = 1e12;
 
-/// Whether a number can be a joint's position, a length or the like: neither NaN nor infinite, nor so
-/// large that nothing is.
+/// Whether a value is plausible: finite and at most 1e12 in magnitude.
 pub fn usable(value: f64) -> bool {
     value.abs() <= MOST
 }
 
-/// A JointState topic: one column a joint name, all over the same rows.
+/// A JointState topic: one column per joint name, with common rows.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct JointColumns {
     /// Times of the rows.
     pub times: Times,
     /// The header's frame, usually empty.
     pub frame_id: String,
-    /// One column a joint name, in the order in which names first appeared.
+    /// One column per joint name, in the order of first appearance.
     pub joints: Vec<JointColumn>,
-    /// Messages dropped whole: lengths of names and positions differ.
+    /// Messages dropped because the numbers of names and positions differ.
     pub wrong_length: u64,
-    /// Messages that name a joint twice with other positions, of which the last is taken.
+    /// Messages that name a joint twice with different positions; the last position is used.
     pub contradictory: u64,
-    /// Values dropped: positions that are not [`usable`] in messages that were otherwise kept.
+    /// Positions dropped because they are not [`usable`], in messages that were otherwise kept.
     pub not_finite: u64,
-    /// The same of each joint, in their order, up to the last that has any.
+    /// The same count per joint, up to the last joint with any.
     pub unusable: Vec<u64>,
-    /// Whether the type carries no names, so that those here are the driver's usual ones.
+    /// Whether the type carries no names; the names here are then the driver's defaults.
     pub unnamed: bool,
-    /// Whether the positions were taken for degrees, by nothing but their size, and are rad here.
+    /// Whether the positions were assumed to be degrees because of their magnitude. They are rad here.
     pub taken_for_degrees: bool,
-    /// Factor and offset by which each position here was made of the number that is logged, where that is
-    /// neither rad nor degrees; else empty.
+    /// Factor and offset that converted each logged position, if it was in neither rad nor degrees;
+    /// otherwise empty.
     pub lines: Vec<[f64; 2]>,
 }
 
@@ -185,9 +181,9 @@ pub struct PoseColumns {
     pub times: Times,
     /// Frame that the poses are expressed in (the parent), without a leading `/`.
     pub frame_id: String,
-    /// Frame whose pose it is (the child), without a leading `/`; empty where the type has none.
+    /// Frame whose poses these are (the child), without a leading `/`; empty if the type has none.
     pub child_frame_id: String,
-    /// Position as logged, meant to be metres.
+    /// Position as logged, nominally in metres.
     pub xyz: Vec<[f64; 3]>,
     /// Quaternion as logged, in the order of the message's fields x, y, z, w.
     pub q_xyzw: Vec<[f64; 4]>,
@@ -202,36 +198,36 @@ pub struct ImuColumns {
     pub times: Times,
     /// Frame of the sensor, without a leading `/`.
     pub frame_id: String,
-    /// `world_from_imu` as logged (REP 145), fields x, y, z, w; all zero where unknown.
+    /// `world_from_imu` as logged (REP 145), fields x, y, z, w; all zero if unknown.
     pub q_xyzw: Vec<[f64; 4]>,
     /// Angular velocity in the sensor's frame, rad/s.
     pub gyro: Vec<[f64; 3]>,
     /// Linear acceleration (specific force) in the sensor's frame, m/s².
     pub accel: Vec<[f64; 3]>,
-    /// Whether any message says that it has an orientation (`orientation_covariance[0] != -1`).
+    /// Whether any message declares an orientation (`orientation_covariance[0] != -1`).
     pub has_orientation: bool,
     /// Rows dropped because a value is not [`usable`].
     pub not_finite: u64,
 }
 
-/// Bare arrays of numbers of one length, such as `std_msgs/Float64MultiArray`.
+/// Bare arrays with a constant number of values, such as `std_msgs/Float64MultiArray`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ArrayColumns {
     /// Times of the rows.
     pub times: Times,
-    /// Numbers a row.
+    /// Values per row.
     pub width: usize,
-    /// Row-major values, `width` a row.
+    /// Row-major values, `width` per row.
     pub values: Vec<f64>,
-    /// Whether nothing says what the numbers are, as of a table whose names say nothing.
+    /// Whether nothing identifies the numbers, as in a table with meaningless column names.
     pub unnamed: bool,
-    /// Messages dropped because their length was not `width` (the first message's).
+    /// Messages dropped because their length differs from `width`, the length of the first message.
     pub wrong_length: u64,
     /// Rows dropped because a value is not [`usable`].
     pub not_finite: u64,
 }
 
-/// Texts, such as `robot_description`. Latched topics repeat: equal texts are kept once.
+/// Texts, such as `robot_description`. Equal texts of a latched topic are stored once.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TextColumns {
     /// Times of the rows.
@@ -240,7 +236,7 @@ pub struct TextColumns {
     pub text: Vec<String>,
 }
 
-/// What a topic held.
+/// Content of a topic.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Columns {
     /// Joint states.
@@ -258,7 +254,7 @@ pub enum Columns {
 }
 
 impl Columns {
-    /// The times of each of its parts: of every transform or pose, else of all.
+    /// Times of each part: of each transform or pose, or of the whole topic.
     pub fn times(&self) -> Vec<&Times> {
         match self {
             Columns::Joints(joints) => vec![&joints.times],
@@ -271,7 +267,7 @@ impl Columns {
         }
     }
 
-    /// The same, to change them.
+    /// The same, mutable.
     pub fn times_mut(&mut self) -> Vec<&mut Times> {
         match self {
             Columns::Joints(joints) => vec![&mut joints.times],
@@ -286,8 +282,8 @@ impl Columns {
 }
 
 impl Columns {
-    /// Keeps of each part, in the order of [`Columns::times`], the rows given; parts of which none is
-    /// kept go.
+    /// Keeps the given rows of each part, in the order of [`Columns::times`], and removes empty poses and
+    /// transforms.
     pub fn retain(&mut self, rows: &[Vec<usize>]) {
         match self {
             Columns::Joints(joints) => rows.iter().for_each(|rows| joints.select(rows)),
@@ -303,8 +299,8 @@ impl Columns {
 }
 
 impl Columns {
-    /// Gives back what the rows of poses and IMUs hold, but for the parts, by their place and times, that are
-    /// `kept`. The times of all rows stay.
+    /// Frees the values of poses and IMUs, except the parts (index and times) for which `kept` returns
+    /// true. The times of all rows stay.
     pub fn release_values(&mut self, kept: impl Fn(usize, &Times) -> bool) {
         match self {
             Columns::Poses(poses) | Columns::Transforms(poses) => {
@@ -322,13 +318,13 @@ impl Columns {
 }
 
 impl JointColumns {
-    /// Counts a position of a joint, by its place, that is not [`usable`].
+    /// Counts a position of joint `joint` that is not [`usable`].
     pub fn drop_value(&mut self, joint: usize) {
         self.not_finite += 1;
         self.count_unusable(joint, 1);
     }
 
-    /// Counts positions of a joint that were dropped, besides [`JointColumns::not_finite`].
+    /// Counts dropped positions of a joint, without changing [`JointColumns::not_finite`].
     pub fn count_unusable(&mut self, joint: usize, count: u64) {
         if count > 0 && self.unusable.len() <= joint {
             self.unusable.resize(joint + 1, 0);
@@ -346,7 +342,7 @@ impl JointColumns {
         }
     }
 
-    /// Puts the rows in the order of `clock`.
+    /// Sorts the rows by `clock`.
     pub fn sort_by(&mut self, clock: Clock) {
         let Some(order) = self.times.sort_permutation(clock) else {
             return;
@@ -362,7 +358,7 @@ impl PoseColumns {
         permute(&mut self.q_xyzw, rows);
     }
 
-    /// Puts the rows in the order of `clock`.
+    /// Sorts the rows by `clock`.
     pub fn sort_by(&mut self, clock: Clock) {
         let Some(order) = self.times.sort_permutation(clock) else {
             return;
@@ -379,7 +375,7 @@ impl ImuColumns {
         permute(&mut self.accel, rows);
     }
 
-    /// Puts the rows in the order of `clock`.
+    /// Sorts the rows by `clock`.
     pub fn sort_by(&mut self, clock: Clock) {
         let Some(order) = self.times.sort_permutation(clock) else {
             return;
@@ -399,7 +395,7 @@ impl ArrayColumns {
         self.values = rows.iter().flat_map(|&row| self.row(row).to_vec()).collect();
     }
 
-    /// Puts the rows in the order of `clock`.
+    /// Sorts the rows by `clock`.
     pub fn sort_by(&mut self, clock: Clock) {
         let Some(order) = self.times.sort_permutation(clock) else {
             return;

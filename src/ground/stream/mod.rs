@@ -1,9 +1,8 @@
-//! The columns of one topic: what decoders append to and everything above reads.
+//! Columns of one topic, filled by decoders and read by all later stages.
 //!
-//! A decoder appends rows as it meets them; [`Times::sort_permutation`] and the `sort_by` methods
-//! then put a stream in the order of the clock that the audit uses. Nothing here knows what a topic
-//! means or which file it came from. Rotations stay in the numbers that the log holds
-//! (`_xyzw`, raw arrays); only `geometry` turns numbers into rotations.
+//! A decoder appends rows as they arrive. [`Times::sort_permutation`] and the `sort_by` methods then sort a
+//! stream by the clock that the audit uses. Nothing here knows the meaning of a topic or its file.
+//! Rotations stay as logged (`_xyzw`, raw arrays); only `geometry` converts numbers to rotations.
 
 mod columns;
 mod tracks;

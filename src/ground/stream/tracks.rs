@@ -1,7 +1,7 @@
 use crate::geometry::{AngleUnit, LengthScale, Rotation, Vec3};
 use crate::stats::{NORMAL, median};
 
-/// Positions of a chain's joints over time, on one common time grid.
+/// Positions of the joints of a chain over time, on a common time grid.
 ///
 /// Times are seconds from the run's origin, strictly increasing.
 #[derive(Clone, Debug, Default)]
@@ -10,18 +10,18 @@ pub struct JointTrack {
     pub t_s: Vec<f64>,
     /// Number of joints.
     pub dof: usize,
-    /// Positions, row-major, `dof` a row, rad or m.
+    /// Positions, row-major, `dof` per row, rad or m.
     pub q: Vec<f64>,
-    /// Velocities at the same places, rad/s or m/s; as logged where they agree with the positions,
-    /// else differentiated.
+    /// Velocities, same layout, rad/s or m/s; as logged if they agree with the positions, otherwise
+    /// differentiated.
     pub qd: Vec<f64>,
-    /// Standard deviations of the noise of each joint's positions and velocities, which smoothing hides
-    /// from second differences; empty if unknown.
+    /// Standard deviations of the position and velocity noise of each joint, which second differences
+    /// underestimate after smoothing; empty if unknown.
     pub noise: Vec<[f64; 2]>,
 }
 
 impl JointTrack {
-    /// Takes the numbers of all joints but those that slide for degrees: makes them radians.
+    /// Converts the values of all revolute joints from degrees to radians.
     pub fn take_for_degrees(&mut self, slides: &[bool]) {
         for values in [&mut self.q, &mut self.qd] {
             for row in values.chunks_exact_mut(self.dof.max(1)) {
@@ -51,13 +51,13 @@ impl JointTrack {
         Some((*self.t_s.first()?, *self.t_s.last()?))
     }
 
-    /// Positions at time `t_s` by cubic Hermite interpolation and velocities by linear, written to
-    /// `q` and `qd` (`dof` each): the curve's own slope would carry the positions' noise. Returns
-    /// false, and writes nothing, outside the track's span and in gaps through which a joint moved: longer
-    /// than 0.1 s and than ten intervals beside them, or than 2 s.
+    /// Interpolates positions (cubic Hermite) and velocities (linear) at time `t_s` into `q` and `qd`,
+    /// `dof` values each. Velocities are not the slope of the cubic, which would amplify the noise of the
+    /// positions. Returns false and writes nothing outside the track's span and in gaps during which a
+    /// joint moved. A gap is longer than 2 s, or longer than 0.1 s and ten adjacent intervals.
     ///
-    /// `cursor` remembers the last interval, so that a sweep in time order costs O(1) a call.
-    /// Hermite basis: Press et al., *Numerical Recipes*, 3rd ed., §3.3 (cubic with given slopes).
+    /// `cursor` stores the last interval, so a sweep in time order costs O(1) per call. Hermite basis:
+    /// Press et al., *Numerical Recipes*, 3rd ed., §3.3 (cubic with given slopes).
     pub fn at(&self, t_s: f64, cursor: &mut usize, q: &mut [f64], qd: &mut [f64]) -> bool {
         let Some(left) = bracket(&self.t_s, t_s, cursor) else {
             return false;
@@ -80,13 +80,13 @@ impl JointTrack {
         true
     }
 
-    /// Whether the interval from sample `left` on is too long to tell how the joints moved in it.
+    /// Whether the interval after sample `left` is too long for interpolation, and a joint moved in it.
     fn is_gap(&self, left: usize) -> bool {
         const LONG_S: f64 = 0.1;
         const PERIODS: f64 = 10.0;
-        /// Longer than this is long whatever the others are, s.
+        /// Intervals above this are gaps regardless of the adjacent ones, s.
         const UNTOLD_S: f64 = 2.0;
-        /// Less than this a joint at rest may show: rad or m, and rad/s or m/s.
+        /// Change and speed that a joint at rest may show: rad or m, and rad/s or m/s.
         const STILL: (f64, f64) = (1e-3, 1e-2);
         let interval = |left: usize| Some(self.t_s.get(left + 1)? - self.t_s[left]);
         let is_longer =
@@ -123,25 +123,25 @@ fn bracket(t: &[f64], t_s: f64, cursor: &mut usize) -> Option<usize> {
     Some(left)
 }
 
-/// Standard deviation of the noise from sample to sample, by the median magnitude of second
-/// differences, which smooth motion hardly has; of very many, of some evenly spread over all. In the
-/// unit of `q`, 0 of fewer than three samples.
+/// Standard deviation of the noise between samples, in the unit of `q`. Computed from the median magnitude
+/// of second differences, to which smooth motion contributes little; long series are subsampled evenly. 0
+/// for fewer than three samples.
 pub fn sample_noise(q: &[f64]) -> f64 {
-    /// As many differences tell the median within 1 %.
+    /// This number determines the median within 1 %.
     const ENOUGH: usize = 25_000;
     let some = q.windows(3).step_by(q.len().div_ceil(ENOUGH).max(1));
     let mut bends: Vec<f64> = some.map(|w| (w[0] - 2.0 * w[1] + w[2]).abs()).collect();
     NORMAL * median(&mut bends).unwrap_or(0.0) / 6f64.sqrt()
 }
 
-/// What a pose stream says of orientation.
+/// Orientations of a pose stream.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Orientations {
     /// Rotations `reference_from_child` as logged.
     Rotations(Vec<Rotation>),
-    /// Three bare numbers a sample, whose convention the log does not say.
+    /// Three bare numbers per sample with undeclared convention.
     Numbers(Vec<[f64; 3]>),
-    /// None: so many samples whose orientation nobody set.
+    /// Orientations that were never set, with their number.
     Unset(usize),
 }
 
@@ -166,11 +166,11 @@ impl Orientations {
 pub struct PoseTrack {
     /// Sample times, s.
     pub t_s: Vec<f64>,
-    /// Positions in the reference frame as logged, meant to be m.
+    /// Positions in the reference frame as logged, nominally in m.
     pub xyz: Vec<Vec3>,
-    /// Orientations, as many as positions.
+    /// Orientations, one per position.
     pub orientation: Orientations,
-    /// What the caller said of the units of the numbers, where they said anything.
+    /// Units declared by the caller, if any.
     pub declared: Option<DeclaredUnits>,
 }
 
@@ -186,15 +186,15 @@ impl PoseTrack {
     }
 }
 
-/// The units in which the caller declared the numbers of a stream to be. Positions and orientations
-/// are read by them; the caller may be wrong.
+/// Units that the caller declared for a stream. Positions and orientations are converted with them; they
+/// may be wrong.
 #[derive(Clone, Debug, Default)]
 pub struct DeclaredUnits {
     /// The unit of positions: metres or millimetres.
     pub length: LengthScale,
     /// The unit of angles.
     pub angle: AngleUnit,
-    /// The orientations if the angles were in the other unit; none where there are no angles.
+    /// The orientations if the angles were in the other unit; `None` if there are no angles.
     pub in_other_angles: Option<Vec<Rotation>>,
 }
 
@@ -203,7 +203,7 @@ pub struct DeclaredUnits {
 pub struct ImuTrack {
     /// Sample times, s.
     pub t_s: Vec<f64>,
-    /// `world_from_imu`, one a sample, or empty where the log has no orientation.
+    /// `world_from_imu`, one per sample; empty if the log has no orientation.
     pub orientation: Vec<Rotation>,
     /// Angular velocity in the sensor's frame, rad/s.
     pub gyro: Vec<Vec3>,

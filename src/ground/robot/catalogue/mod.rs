@@ -1,4 +1,4 @@
-//! Arms whose kinematics come with the crate: one data file a vendor, with source and licence.
+//! Catalogue of arms: one embedded data file per vendor, with source and licence.
 
 use std::sync::LazyLock;
 
@@ -34,17 +34,17 @@ struct Vendor {
     robot: Vec<RobotTable>,
 }
 
-/// A catalogue arm whose joint names fit a log.
+/// A catalogue arm whose joint names match a log.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Candidate {
-    /// The arm under its catalogue names.
+    /// The arm with its catalogue names.
     pub robot: &'static Robot,
-    /// How its names meet the log's.
+    /// Mapping to the log's names.
     pub names: NameMatch,
 }
 
 impl Candidate {
-    /// The arm under the log's names; `None` where these are not unique.
+    /// Returns the arm with the log's names; `None` if they are not unique.
     pub fn renamed(&self) -> Option<Robot> {
         self.robot.with_prefix_replaced(&self.names.from_prefix, &self.names.to_prefix)
     }
@@ -60,17 +60,18 @@ pub fn entries() -> &'static [Robot] {
     &ENTRIES
 }
 
-/// The names of all arms, by vendor.
+/// Names of all arms, by vendor.
 pub fn names() -> impl Iterator<Item = &'static str> {
     entries().iter().map(|robot| robot.name.as_str())
 }
 
-/// The arm of that name or alias; case, `-` and spaces for `_` do not matter, nor does the maker, or what
-/// comes behind, where only one arm is left: `iiwa14` is `kuka_lbr_iiwa14`, `irb120` `abb_irb120_3_58`.
+/// Finds an arm by name or alias. Ignores case and treats `-` and spaces as `_`. The vendor's name and a
+/// suffix may be omitted if only one arm matches: `iiwa14` is `kuka_lbr_iiwa14`, `irb120` is
+/// `abb_irb120_3_58`.
 pub fn find(name: &str) -> Option<&'static Robot> {
     let wanted = normalised(name);
     let is_called = |robot: &&Robot| robot.name == wanted || robot.aliases.contains(&wanted);
-    // A maker's name has one word or two, and a model's a letter first and a digit.
+    // A vendor's name has one or two words; a model's name starts with a letter and contains a digit.
     let is_model = wanted.starts_with(|first: char| first.is_ascii_alphabetic())
         && wanted.contains(|c: char| c.is_ascii_digit());
     let is_short_for = |robot: &&Robot| {
@@ -84,8 +85,8 @@ pub fn find(name: &str) -> Option<&'static Robot> {
     })
 }
 
-/// Up to three names or aliases that a misspelt or shortened `name` may mean, nearest first: those
-/// that contain it, else those that come near as a whole or without their maker's name.
+/// Suggests up to three names or aliases for a misspelt or shortened `name`, most similar first: those that
+/// contain it, else similar ones with or without the vendor's name.
 pub fn nearest_names(name: &str) -> Vec<&'static str> {
     let wanted = normalised(name);
     let aliases = || entries().iter().flat_map(|robot| &robot.aliases).map(String::as_str);
@@ -108,12 +109,12 @@ pub fn nearest_names(name: &str) -> Vec<&'static str> {
     meant
 }
 
-/// The arms of which at least half the joints are among the `logged` names, best first.
+/// Finds arms with at least half of their joints among the `logged` names, best first.
 ///
-/// Best is the arm with the largest part of its joints in the log, then the one with the most,
-/// then the one whose prefixes are the least strange. Two arms in one log give candidates each,
-/// told apart by `names.to_prefix`. Many arms share names such as `joint_1`:
-/// equals stay in the catalogue's order, and only the motion can tell them apart.
+/// Sorted by the share of joints in the log, then by their number, then by the fewest unknown prefix
+/// characters. Two arms in one log yield separate candidates, with different `names.to_prefix`. Many arms
+/// have generic names such as `joint_1`; equal candidates keep the order of the catalogue, and only the
+/// motion can distinguish them.
 pub fn candidates_for<S: AsRef<str>>(logged: &[S]) -> Vec<Candidate> {
     let mut candidates: Vec<Candidate> = entries()
         .iter()
