@@ -298,7 +298,7 @@ fn two_poses_are_reconciled() {
     let output = poseaudit(&call);
     assert_eq!(status(&output), 0, "{}", stderr(&output));
     assert!(
-        stdout(&output).starts_with("reconciled      0.22°, 2.41 mm left"),
+        stdout(&output).starts_with("reconciled      residual 0.22°, 2.41 mm"),
         "{}",
         stdout(&output)
     );
@@ -332,7 +332,7 @@ fn numbers_need_no_quotes_and_one_pose_takes_no_word_of_two() {
 
 #[test]
 fn what_is_no_pose_gets_one_line() {
-    assert_refused(&["pose", "1 2 3 4 5"], 2, "5 numbers are no pose");
+    assert_refused(&["pose", "1 2 3 4 5"], 2, "5 numbers are not a pose");
     assert_refused(
         &["pose", "1 0 0  0 0.9 0  0 0 1"],
         2,

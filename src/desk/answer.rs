@@ -1,30 +1,30 @@
-//! What makes pairs of poses agree, as it is told.
+//! Result of the search for what reconciles pairs of poses.
 
 use super::form::Reading;
 use super::frames::{FixedFrame, worlds};
 use crate::geometry::{Axes, Convention, Misreading, Pose, Vec3, angle_between};
 
-/// What rounding and a nominal model may leave of poses that agree: rad and m.
+/// Residual below which poses agree, from rounding and a nominal model: rad and m.
 pub(super) const AGREES_RAD: f64 = 1.0 * std::f64::consts::PI / 180.0;
 pub(super) const AGREES_M: f64 = 0.010;
 
-/// Differences of this size, rad and m, count as one step; a third of it as none.
+/// Differences of this size, rad and m, count as one unit of the score; this share of it is the floor.
 const STEP_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
 const STEP_M: f64 = 0.005;
 const NO_STEP: f64 = 0.3;
 
-// What an explanation pays for an inversion, in halvings of what is left.
+// Penalties for an inversion, in halvings of the residual.
 const INVERSE: f64 = 2.0;
 const TRANSPOSE: f64 = 2.5;
 
-/// Which of a pose is turned round.
+/// Inverted part of a pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Inversion {
-    /// Nothing.
+    /// None.
     None,
-    /// The whole pose: parent and child are swapped.
+    /// Whole pose: parent and child are swapped.
     Pose,
-    /// The rotation alone: it is transposed.
+    /// Rotation only: transposed.
     Rotation,
 }
 
@@ -48,19 +48,19 @@ impl Inversion {
     }
 }
 
-/// What lies between the two poses at one end.
+/// Transform between the two poses at one end.
 #[derive(Clone, Debug, PartialEq)]
 pub enum End {
-    /// Nothing.
+    /// None.
     None,
-    /// Frames that are fixed to each other: at the base `but_from_is`, at the tip `is_from_but`.
+    /// Frames fixed to each other: at the base `but_from_is`, at the tip `is_from_but`.
     Frames(FixedFrame),
-    /// A constant transform of the same sense, fitted to several pairs.
+    /// Constant transform in the same direction, fitted to several pairs.
     Fitted(Pose),
 }
 
 impl End {
-    /// The transform.
+    /// The transform; identity if there is none.
     pub fn transform(&self) -> Pose {
         match self {
             Self::None => Pose::identity(),
@@ -84,21 +84,21 @@ impl End {
     }
 }
 
-/// What an explanation leaves, over all pairs.
+/// Residual of an explanation over all pairs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Residual {
-    /// The angle, rms, rad.
+    /// Rotation, rms rad.
     pub rotation_rad: f64,
-    /// The largest angle, rad.
+    /// Largest rotation, rad.
     pub worst_rotation_rad: f64,
-    /// The distance, rms, m; none where a side has no positions.
+    /// Position, rms m; `None` if a side has no positions.
     pub position_m: Option<f64>,
-    /// The largest distance, m.
+    /// Largest position residual, m.
     pub worst_position_m: Option<f64>,
 }
 
 impl Residual {
-    /// Whether it is no more than rounding and a nominal model leave: 1° and 10 mm.
+    /// Whether the residual is within rounding and nominal model errors: 1° and 10 mm.
     pub fn agrees(&self) -> bool {
         self.rotation_rad <= AGREES_RAD && self.position_m.is_none_or(|m| m <= AGREES_M)
     }
@@ -116,7 +116,7 @@ impl Residual {
         }
     }
 
-    /// Its size in doublings.
+    /// Size on a logarithmic scale, base 2.
     pub(super) fn size(&self) -> f64 {
         let doublings = |amount: f64, step: f64| (NO_STEP + amount / step).log2();
         doublings(self.rotation_rad, STEP_RAD)
@@ -139,22 +139,22 @@ impl Gap {
     }
 }
 
-/// What would close what is left of one pair, which no one pair can confirm.
+/// Transforms that would remove the residual of a single pair, which one pair cannot confirm.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WouldDo {
-    /// A tool: `is_from_but` after the explanation's own steps.
+    /// Tool offset: `is_from_but` after the explanation's own steps.
     pub tool: Pose,
-    /// Or an offset of the base: `but_from_is`.
+    /// Base offset: `but_from_is`.
     pub base: Pose,
-    /// Whether it is a translation alone, the rotations being explained.
+    /// Whether it is a pure translation because the rotations agree.
     pub is_translation: bool,
 }
 
 impl WouldDo {
-    /// How far apart the positions are, and along what: `150.0 mm along tool z`. `None` where the rotations
-    /// are apart, too.
+    /// Distance between the positions and its axis, such as `150.0 mm along tool z`. `None` if the
+    /// rotations differ.
     pub fn apart(&self) -> Option<String> {
-        /// A distance is along an axis where so much of it is.
+        /// Minimum share of the distance along an axis.
         const ALONG: f64 = 0.995;
         let shift = self.tool.translation.vector;
         let along = |vector: Vec3, end: &str| {
@@ -173,40 +173,40 @@ impl WouldDo {
     }
 }
 
-/// An explanation of the difference: B is `base · axes(inversion(A)) · tip`.
+/// Explanation of the difference: B is `base · axes(inversion(A)) · tip`.
 #[derive(Clone, Debug)]
 pub struct Hypothesis {
-    /// How the one side, A, is read.
+    /// Encoding of side A.
     pub is: Reading,
-    /// How the other side, B, is read.
+    /// Encoding of side B.
     pub but: Reading,
-    /// What of A is turned round first.
+    /// Inversion applied to A first.
     pub inversion: Inversion,
-    /// The axes that B's whole world is written in, by those of A's.
+    /// Axes of B's world in terms of A's.
     pub axes: Axes,
-    /// The frames at the base.
+    /// Frames at the base.
     pub base: End,
-    /// The frames at the tip.
+    /// Frames at the tip.
     pub tip: End,
-    /// Three numbers that were read in two ways on the way to the two poses.
+    /// Different interpretations of the same three numbers on the two sides.
     pub misreading: Option<Misreading>,
-    /// What is left.
+    /// Residual.
     pub residual: Residual,
-    /// What is left and what was assumed, in doublings; the lower the better.
+    /// Residual plus penalties on a logarithmic scale, base 2; lower is better.
     pub score: f64,
-    /// Other readings that leave as much.
+    /// Other encodings with the same residual.
     pub equivalents: Vec<[Reading; 2]>,
-    /// Other names for the same change.
+    /// Other names for the same transformation.
     pub also: Vec<String>,
 }
 
 impl Hypothesis {
-    /// What it says, a clause each.
+    /// Assertions of the explanation, one per entry.
     pub fn claims(&self) -> Vec<String> {
         let mut claims = Vec::new();
         if let Some(Misreading { is, read_as }) = self.misreading {
             claims.push(format!(
-                "A read three numbers as {}, B read the same numbers as {}",
+                "A interprets three numbers as {}, B interprets the same numbers as {}",
                 spelt(is),
                 spelt(read_as)
             ));
@@ -220,19 +220,20 @@ impl Hypothesis {
             }
         }
         claims.extend(said_of_axes(self.axes));
-        claims.extend(self.base.claim("in", "a constant offset of the base lies between them"));
-        claims.extend(self.tip.claim("of", "a constant tool lies between them"));
+        claims.extend(self.base.claim("in", "a constant base offset between them"));
+        claims.extend(self.tip.claim("of", "a constant tool offset between them"));
         claims
     }
 
-    /// Whether both sides can be read otherwise only in the same way: what differs between them is told.
+    /// Whether all equivalent encodings change both sides alike, so the difference between them is
+    /// determined.
     pub(super) fn tells_the_change(&self) -> bool {
         let is_alike = |[is, but]: &[Reading; 2]| is.form == but.form;
         self.equivalents.is_empty()
             || self.is.form == self.but.form && self.equivalents.iter().all(is_alike)
     }
 
-    /// The pose that B should be where A is `is`.
+    /// Predicted pose of B for `is` as A.
     pub(super) fn expected(&self, is: &Pose) -> Pose {
         let axes = self.axes.of_pose(&self.inversion.of(is));
         self.base.transform() * axes * self.tip.transform()
@@ -247,7 +248,7 @@ fn spelt(convention: Convention) -> String {
     }
 }
 
-/// What other axes say, and whose they are.
+/// Describes a change of axes, with its known users.
 fn said_of_axes(axes: Axes) -> Option<String> {
     if axes == Axes::STANDARD {
         return None;
@@ -256,42 +257,42 @@ fn said_of_axes(axes: Axes) -> Option<String> {
     let whose = |axes: Axes| worlds().iter().find(|world| world.axes == axes);
     let whose = match (whose(axes), whose(axes.inverse())) {
         (Some(both), Some(_)) if axes == axes.inverse() => {
-            format!(" ({}, one of the two)", both.who)
+            format!(" ({}, either side)", both.who)
         }
         (Some(but), _) => format!(" (B: {})", but.who),
         (None, Some(is)) => format!(" (A: {})", is.who),
         (None, None) => String::new(),
     };
-    let hand = if axes.are_left_handed() { ", the other hand" } else { "" };
+    let hand = if axes.are_left_handed() { ", opposite handedness" } else { "" };
     Some(format!("B's x, y, z are A's {x}, {y}, {z}, in world and body{hand}{whose}"))
 }
 
-/// How far the pairs are explained.
+/// Verdict on the pairs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// The first explanation leaves no more than rounding and a nominal model, and no other is as good.
+    /// One explanation agrees, and no other is as good.
     Reconciled,
-    /// Several do, or one does with several conventions.
+    /// Several explanations agree, or one with several conventions.
     Ambiguous,
-    /// None does.
+    /// No explanation agrees.
     Open,
 }
 
-/// What reconciles the pairs.
+/// Result of the search.
 #[derive(Clone, Debug)]
 pub struct Answer {
-    /// How far they are explained.
+    /// Verdict.
     pub verdict: Verdict,
-    /// Explanations, the best first.
+    /// Explanations, best first.
     pub hypotheses: Vec<Hypothesis>,
-    /// How many of them are as good as the first, with it; zero where none explains the pairs.
+    /// Number of explanations as good as the first, including it; zero if none agrees.
     pub as_good: usize,
-    /// What would close what the first leaves of a single pair.
+    /// Transforms that would remove the residual of a single pair.
     pub would_do: Option<WouldDo>,
-    /// How many ways to read the two rotations were tried.
+    /// Number of encodings tried for the two rotations.
     pub tried: usize,
-    /// How many of as many random rotations would come as close, on average; of a single pair.
+    /// Expected number of matches this close among that many random rotations; for a single pair.
     pub by_chance: Option<f64>,
-    /// What to look out for.
+    /// Warnings.
     pub notes: Vec<String>,
 }

@@ -1,4 +1,4 @@
-//! Constant transforms between pairs of poses.
+//! Fits constant transforms between pairs of poses.
 
 use super::answer::AGREES_RAD;
 use crate::geometry::{
@@ -7,21 +7,21 @@ use crate::geometry::{
 };
 use nalgebra::{DMatrix, DVector, Matrix3};
 
-/// Pairs whose transforms are turned by more against each other have no constant one, rad.
+/// Maximum angle between the transforms of two pairs for a constant transform, rad.
 const HOPELESS_RAD: f64 = 20.0 * AGREES_RAD;
 
-/// Poses that a base and a tool can be fitted to: as many numbers as both have, and half as many again.
+/// Minimum number of poses to fit base and tool: 1.5 times as many values as unknowns.
 const ENOUGH: usize = 3;
 
-/// Turns that are smaller, rad, tell no axis.
+/// Minimum rotation that defines an axis, rad.
 const LEAST_TURN_RAD: f64 = 0.05;
 
-/// The constant `before_from_after` that is nearest to all pairs: `after = before · tip`.
+/// Fits the constant `before_from_after` to all pairs: `after = before · tip`.
 pub(super) fn tip(before: &[Pose], after: &[Pose]) -> Option<Pose> {
     mean(before.iter().zip(after).map(|(before, after)| before.inverse() * after).collect())
 }
 
-/// The constant `after_from_before` that is nearest to all pairs: `after = base · before`.
+/// Fits the constant `after_from_before` to all pairs: `after = base · before`.
 pub(super) fn base(before: &[Pose], after: &[Pose]) -> Option<Pose> {
     mean(before.iter().zip(after).map(|(before, after)| after * before.inverse()).collect())
 }
@@ -40,12 +40,12 @@ fn mean(poses: Vec<Pose>) -> Option<Pose> {
     Some(crate::geometry::pose(xyz.into(), rotation))
 }
 
-/// The base and the tip that are nearest to all pairs: `after = base · before · tip`. `None` of pairs that
-/// are too few, turn about one axis only, or have none.
+/// Fits constant base and tip transforms to all pairs: `after = base · before · tip`. `None` if there are
+/// too few pairs, if they rotate about a single axis, or if there is no constant solution.
 ///
-/// The rotations from the turns between poses (Park and Martin, *Robot sensor calibration: solving
-/// AX = XB on the Euclidean group*, IEEE Trans. Robotics and Automation 10, 1994), the translations by
-/// least squares.
+/// Rotations are estimated from relative rotations (Park and Martin, *Robot sensor calibration: solving AX
+/// = XB on the Euclidean group*, IEEE Trans. Robotics and Automation 10, 1994), translations by least
+/// squares.
 pub(super) fn both(before: &[Pose], after: &[Pose]) -> Option<(Pose, Pose)> {
     if before.len() < ENOUGH {
         return None;
@@ -60,7 +60,7 @@ pub(super) fn both(before: &[Pose], after: &[Pose]) -> Option<(Pose, Pose)> {
         if (a.norm() - b.norm()).abs() > HOPELESS_RAD {
             return None;
         }
-        // A half turn may go either way.
+        // The axis of a half turn is ambiguous in sign.
         if a.norm() > LEAST_TURN_RAD && a.norm() < std::f64::consts::PI - LEAST_TURN_RAD {
             moment += a * b.transpose();
             axes += a.normalize() * a.normalize().transpose();
@@ -102,7 +102,7 @@ fn sorted(mut values: [f64; 3]) -> [f64; 3] {
     values
 }
 
-/// The rotation X with `a = X b` nearest to all, of the sum of `a bᵀ`.
+/// Rotation X that best satisfies `a = X b`, from the sum of `a bᵀ`.
 fn nearest_rotation(moment: Matrix3<f64>) -> Option<Rotation> {
     let svd = moment.svd(true, true);
     let (u, v_t) = (svd.u?, svd.v_t?);

@@ -1,4 +1,4 @@
-//! How the numbers of a pose are coded: their form, their order, their units.
+//! Encoding of a pose's numbers: form, order and units.
 
 use std::f64::consts::TAU;
 use std::fmt;
@@ -12,26 +12,25 @@ use crate::geometry::{
 
 use super::error::DeskError;
 
-/// How far a matrix, `max |RᵀR − I|`, or a quaternion's norm may be off before it is refused.
+/// Maximum deviation of a matrix, `max |RᵀR − I|`, or of a quaternion's norm (times ten).
 const REFUSED_DEFECT: f64 = 1e-2;
 
-/// The defect from which it is said.
+/// Deviation above which a note is added.
 pub(super) const SAID_DEFECT: f64 = 1e-3;
 
-/// The margin to gimbal lock, rad, below which it is said: that of ORD006.
+/// Distance to gimbal lock below which a note is added, rad; as in ORD006.
 pub(super) const LOCK_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 
-/// Lengths, in the unit as given, beyond which they are not in metres, not in centimetres, and not in
-/// millimetres.
+/// Maximum lengths, in the given unit, for metres, centimetres and millimetres.
 const LONGEST_M: f64 = 10.0;
 const LONGEST_CM: f64 = 1e3;
 const LONGEST_MM: f64 = 1e4;
 
-/// Angles, in the unit as given, beyond which they are not in radians, and not in degrees.
+/// Maximum angles, in the given unit, for radians and degrees.
 const WIDEST_RAD: f64 = 1.1 * TAU;
 const WIDEST_DEG: f64 = 1e3;
 
-/// Whether `count` numbers can be a pose, or a rotation alone, that is coded so.
+/// Whether the form can have this many numbers, with or without a position.
 fn takes(form: Coding, count: usize) -> bool {
     match form {
         Coding::Three(_) => matches!(count, 3 | 6),
@@ -41,7 +40,7 @@ fn takes(form: Coding, count: usize) -> bool {
     }
 }
 
-/// Whether that many numbers in `form` hold a position.
+/// Whether this many numbers in `form` include a position.
 fn has_position(form: Coding, count: usize) -> bool {
     match form {
         Coding::Three(_) => count == 6,
@@ -51,23 +50,24 @@ fn has_position(form: Coding, count: usize) -> bool {
     }
 }
 
-/// What is known of how numbers are coded.
+/// Known properties of an encoding.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Style {
-    /// The form.
+    /// Form of the rotation.
     pub form: Option<Coding>,
-    /// The units.
+    /// Units.
     pub units: Units,
 }
 
 impl Style {
-    /// This, and where it says nothing what `other` says.
+    /// Fills missing properties from `other`.
     pub fn or(self, other: Self) -> Self {
         Self { form: self.form.or(other.form), units: self.units.or(other.units) }
     }
 }
 
-/// `FORM`, `NAME` of a maker, and units, with commas: `euler:ZYX,deg,mm`, `kuka`, `mm`.
+/// Parses `FORM` or the `NAME` of a maker, and units, separated by commas: `euler:ZYX,deg,mm`, `kuka`,
+/// `mm`.
 impl FromStr for Style {
     type Err = DeskError;
 
@@ -93,36 +93,36 @@ impl FromStr for Style {
     }
 }
 
-/// One way to read numbers as a pose.
+/// Encoding of a pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading {
-    /// The form of the rotation.
+    /// Form of the rotation.
     pub form: Coding,
-    /// The unit of the position.
+    /// Unit of the position.
     pub length: LengthScale,
-    /// The unit of the angles; of no matter where there are none.
+    /// Unit of the angles; ignored if the form has none.
     pub angle: AngleUnit,
-    /// Whether the numbers hold a position; if not its unit is of no matter.
+    /// Whether there is a position; otherwise its unit is ignored.
     pub has_position: bool,
-    /// Whether the unit of the position is other than the numbers' size suggests.
+    /// Whether the unit of the position is unusual for the size of the numbers.
     pub has_odd_length: bool,
-    /// Whether the unit of the angles is.
+    /// Whether the unit of the angles is unusual for the size of the numbers.
     pub has_odd_angle: bool,
 }
 
-/// No number of a pose is larger, in whatever unit.
+/// Maximum absolute value of a number in any unit.
 const FARTHEST: f64 = 1e9;
 
 impl Reading {
-    /// How many units are other than the numbers' size suggests.
+    /// Number of unusual units.
     pub fn odd_units(&self) -> u8 {
         u8::from(self.has_odd_length) + u8::from(self.has_odd_angle)
     }
 
-    /// The pose that `numbers` code, its position zero where they are a rotation alone.
+    /// Decodes `numbers`; the position is zero for a rotation alone.
     ///
     /// # Errors
-    /// Where their number does not fit the form, or they are no rotation.
+    /// If the count does not fit the form, or the numbers are not a rotation.
     pub fn pose(&self, numbers: &[f64]) -> Result<Pose, DeskError> {
         let form = self.form;
         if !takes(form, numbers.len()) {
@@ -169,7 +169,7 @@ impl fmt::Display for Reading {
     }
 }
 
-/// The last `N` numbers, and the three before them or zeros.
+/// The last `N` numbers, and the three before them, or zeros.
 fn before_last<const N: usize>(numbers: &[f64]) -> ([f64; 3], [f64; N]) {
     let (xyz, last) = numbers.split_at(numbers.len() - N);
     let mut rotation = [0.0; N];
@@ -184,7 +184,7 @@ fn three(numbers: &[f64]) -> [f64; 3] {
     }
 }
 
-/// The rotation about an axis, rad.
+/// Rotation about an axis, rad.
 fn about(axis: [f64; 3], angle: f64) -> Result<Rotation, DeskError> {
     let axis = Vec3::from(axis);
     match (axis.norm() - 1.0).abs() <= REFUSED_DEFECT {
@@ -193,7 +193,7 @@ fn about(axis: [f64; 3], angle: f64) -> Result<Rotation, DeskError> {
     }
 }
 
-/// The position and the rows of the rotation in the numbers of a matrix, or of two of its columns or rows.
+/// Position and rotation rows of a matrix, or of two of its columns or rows.
 fn matrix(form: Coding, numbers: &[f64]) -> Result<([f64; 3], [[f64; 3]; 3]), DeskError> {
     if matches!(form, Coding::TwoColumns | Coding::TwoRows) {
         let (xyz, [a, b, c, d, e, f]) = before_last::<6>(numbers);
@@ -225,7 +225,7 @@ fn matrix(form: Coding, numbers: &[f64]) -> Result<([f64; 3], [[f64; 3]; 3]), De
     Ok((xyz, [0, 1, 2].map(|row| [0, 1, 2].map(|column| at(row, column)))))
 }
 
-/// Whether nine numbers are a matrix whose rows are orthonormal, and which mirrors.
+/// Whether nine numbers are an orthonormal matrix with determinant −1.
 fn is_mirrored(numbers: &[f64]) -> bool {
     let matrix = |numbers: &[f64]| matrix(Coding::Rows, numbers).ok().map(|(_, rows)| rows);
     let mirrored = (numbers.len() == 9).then(|| numbers.iter().map(|c| -c).collect::<Vec<f64>>());
@@ -263,8 +263,8 @@ fn norm_of(q: [f64; 4]) -> f64 {
     q.iter().map(|c| c * c).sum::<f64>().sqrt()
 }
 
-/// By how much the rotation numbers miss a rotation: a matrix `max |RᵀR − I|`, a quaternion its norm
-/// minus 1; zero where nothing can be missed.
+/// Deviation from a rotation: `max |RᵀR − I|` of a matrix, or the norm minus 1 of a quaternion; zero for
+/// other forms.
 pub(super) fn defect(form: Coding, numbers: &[f64]) -> f64 {
     match form {
         Coding::Three(_) | Coding::AxisAngle => 0.0,
@@ -276,7 +276,7 @@ pub(super) fn defect(form: Coding, numbers: &[f64]) -> f64 {
     }
 }
 
-/// How far the angles of `numbers` are from gimbal lock, rad; none where they have no such thing.
+/// Distance of the angles from gimbal lock, rad; `None` if the form has none.
 pub(super) fn gimbal_margin(reading: &Reading, numbers: &[f64]) -> Option<f64> {
     match reading.form {
         Coding::Three(convention) if numbers.len() >= 3 => {
@@ -287,13 +287,14 @@ pub(super) fn gimbal_margin(reading: &Reading, numbers: &[f64]) -> Option<f64> {
     }
 }
 
-/// Every way in which `samples`, all of one length, can be read within `style`; the likeliest first.
+/// All encodings of `samples` (of equal length) compatible with `style`, most likely first.
 ///
-/// Lengths above 10 are millimetres and above 10,000 micrometres, angles above 1.1 turns degrees and above
-/// 1,000 parts of them; below, metres and radians come first and the others after them, as odd.
+/// Lengths above 10 are millimetres and above 10,000 micrometres; angles above 1.1 turns are degrees and
+/// above 1,000 fractions of degrees. Below that, metres and radians come first; other units follow and are
+/// marked as unusual.
 ///
 /// # Errors
-/// Where there is none; then why the likeliest is not.
+/// If there is no encoding; contains the reason for the most likely one.
 pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>, DeskError> {
     let count = samples.first().map_or(0, |numbers| numbers.len());
     let forms: Vec<Coding> = match (style.form, count) {
@@ -307,7 +308,7 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
     let mut found: Vec<Reading> = Vec::new();
     let mut refusal = None;
     for form in forms {
-        // What is a whole rotation is no other form of one.
+        // Numbers that are a complete rotation are not interpreted as a partial one.
         let is_partial = matches!(form, Coding::AxisAngle | Coding::TwoColumns | Coding::TwoRows);
         let is_whole = |known: &Reading| matches!(known.form, Coding::Xyzw | Coding::Rows);
         if is_partial && (found.iter().any(is_whole) || samples.iter().all(|n| is_mirrored(n))) {
@@ -327,14 +328,14 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
             Ok(poses) => poses,
             Err(error) => {
                 refusal = Some(match refusal {
-                    // Of two orders of a matrix the one whose last row is right says what is wrong.
+                    // If one matrix order has a valid last row, its error is more informative.
                     Some(first) if !matches!(first, DeskError::LastRow { .. }) => first,
                     _ => error,
                 });
                 continue;
             }
         };
-        // A symmetric matrix is one pose by rows and by columns.
+        // A symmetric matrix is the same pose in row-major and column-major order.
         let is_known = |known: &Reading| {
             matches!((known.form, form), (Coding::Rows, Coding::Columns))
                 && samples.iter().zip(&poses).all(|(numbers, pose)| {
@@ -376,7 +377,7 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
     }
 }
 
-/// The units that lengths may be in, and whether each is odd for numbers of that size.
+/// Possible units of lengths, and whether each is unusual for numbers of that size.
 fn lengths(longest: f64) -> Vec<(LengthScale, bool)> {
     let [metre, millimetre] = [LengthScale::METRE, LengthScale::MILLIMETRE];
     let [centimetre, micrometre] = [1e-2, 1e-6].map(LengthScale::of);
@@ -389,7 +390,7 @@ fn lengths(longest: f64) -> Vec<(LengthScale, bool)> {
     }
 }
 
-/// The units that angles may be in, and whether each is odd for numbers of that size.
+/// Possible units of angles, and whether each is unusual for numbers of that size.
 fn angles(widest: f64) -> Vec<(AngleUnit, bool)> {
     match widest {
         0.0 => vec![(AngleUnit::Radian, false)],

@@ -1,5 +1,5 @@
-//! Fixed frames at the ends of an arm that two poses may differ by, and the axes of other worlds; those of
-//! usual arms, cameras and engines are in `frames.toml`.
+//! Fixed frames at the ends of an arm, and other axis conventions, that may separate two poses. Those of
+//! common arms, cameras and engines are in `frames.toml`.
 
 use std::sync::LazyLock;
 
@@ -10,24 +10,24 @@ use crate::robot::{LinkId, Robot, catalogue, nearest};
 
 use super::error::DeskError;
 
-/// Two transforms by less than this apart, m and rad, are one.
+/// Tolerance for equal transforms, m and rad.
 const SAME: f64 = 1e-6;
 
-/// The frames that a pose is said to be of.
+/// Declared frames of a pose.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct FrameNames {
-    /// The frame that it is in.
+    /// Reference frame.
     pub parent: Option<String>,
-    /// The frame whose pose it is.
+    /// Frame whose pose is given.
     pub child: Option<String>,
 }
 
 impl FrameNames {
-    /// Holds the frames against the links of `robot`, or of all arms of the catalogue where none is
-    /// known; a prefix of theirs does not matter.
+    /// Checks the frames against the links of `robot`, or of all catalogue arms if it is unknown. Prefixes
+    /// are ignored.
     ///
     /// # Errors
-    /// Where one is no link: its name, and the nearest.
+    /// If a frame is not a link: its name, and the closest link.
     pub fn check(&self, robot: Option<&Robot>) -> Result<(), DeskError> {
         let robots: Vec<&Robot> = match robot {
             Some(robot) => vec![robot],
@@ -46,7 +46,7 @@ impl FrameNames {
     }
 }
 
-/// Whether a frame is called so, but for a prefix.
+/// Whether the frame names match, apart from a prefix.
 fn meets(given: &str, frame: &str) -> bool {
     let prefix = given.strip_suffix(frame);
     prefix.is_some_and(|prefix| prefix.is_empty() || prefix.ends_with(['/', '_', '-', '.']))
@@ -70,7 +70,7 @@ struct Entry {
     to: String,
 }
 
-/// Two frames with one origin.
+/// Two frames with a common origin.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Turn {
@@ -78,17 +78,17 @@ struct Turn {
     who: String,
     from: String,
     to: String,
-    /// The axes of `to` by those of `from`.
+    /// Axes of `to` in terms of those of `from`.
     axes: String,
 }
 
-/// The axes that an engine, a tracker or a format writes its whole world in.
+/// World axes of an engine, a tracker or a format.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct World {
-    /// Whose it is.
+    /// Its user.
     pub who: String,
-    /// Its axes by those of ROS (REP 103).
+    /// Its axes in terms of ROS axes (REP 103).
     #[serde(deserialize_with = "axes")]
     pub axes: Axes,
 }
@@ -97,10 +97,10 @@ fn axes<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Axes, D::Error> {
     String::deserialize(from)?.parse().map_err(serde::de::Error::custom)
 }
 
-/// Two frames that stand fixed to each other at one end of usual arms.
+/// Two frames fixed to each other at one end of common arms.
 struct FixedPair {
     is_base: bool,
-    /// Whose arms have them.
+    /// Makers of arms with these frames.
     arms: String,
     from: String,
     to: String,
@@ -111,7 +111,7 @@ static TABLE: LazyLock<File> = LazyLock::new(|| {
     toml::from_str(include_str!("frames.toml")).expect("the embedded table is valid")
 });
 
-/// The worlds whose axes are known, the most usual first.
+/// Known axis conventions, most common first.
 pub(super) fn worlds() -> &'static [World] {
     &TABLE.worlds
 }
@@ -146,34 +146,34 @@ static TURNS: LazyLock<Vec<FixedPair>> = LazyLock::new(|| {
     TABLE.turns.iter().flat_map(turned).collect()
 });
 
-/// The frames of the two poses at one end, and the constant transform between them.
+/// Frames of the two poses at one end, and the constant transform between them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FixedFrame {
-    /// The frame of the pose that is.
+    /// Frame of the first pose.
     pub is: String,
-    /// The frame of the other pose.
+    /// Frame of the other pose.
     pub but: String,
-    /// Whose arms have these frames.
+    /// Makers of arms with these frames.
     pub arms: String,
     /// At the base `but_from_is`, at the tip `is_from_but`.
     pub transform: Pose,
-    /// Whether the call named these two frames.
+    /// Whether the caller named these two frames.
     pub is_named: bool,
-    /// Whether they are no frames of an arm: other axes of a world, a camera or a body.
+    /// Whether this is a change of axes (of a world, a camera or a body) and not a pair of arm frames.
     pub is_turn: bool,
-    /// Other frames that are as far apart, as `tool0 → flange of Universal Robots`.
+    /// Other frames with the same transform, such as `tool0 → flange of Universal Robots`.
     pub also: Vec<String>,
 }
 
 impl FixedFrame {
-    /// Whether nothing says which pose is of which frame: the transform is its own inverse, and the
-    /// call does not name the frames.
+    /// Whether the assignment of frames to poses is undetermined: the transform is its own inverse, and the
+    /// caller did not name the frames.
     pub fn is_either_way(&self) -> bool {
         !self.is_named && is_same(&(self.transform * self.transform), &Pose::identity())
     }
 }
 
-/// The constant transforms that may lie between two poses of one arm, beside none.
+/// Candidate constant transforms between two poses of one arm, in addition to none.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Corrections {
     /// At the base.
@@ -183,8 +183,7 @@ pub struct Corrections {
 }
 
 impl Corrections {
-    /// Those of `robot`, or of usual arms where none is known; `is` and `but` are the frames that the
-    /// poses are said to be of.
+    /// Candidates for `robot`, or for common arms if it is unknown; `is` and `but` are the declared frames.
     pub fn of(robot: Option<&Robot>, is: &FrameNames, but: &FrameNames) -> Self {
         let mut found = Self::default();
         match robot {
@@ -220,7 +219,7 @@ impl Corrections {
 fn push_fixed_to(robot: &Robot, end: LinkId, is_base: bool, found: &mut Vec<FixedFrame>) {
     let mut fixed: Vec<LinkId> =
         robot.links().filter(|link| robot.fixed_transform(end, *link).is_some()).collect();
-    // Of frames that are as far apart those are told that poses are usually of.
+    // Of frames with equal transforms, prefer those in which poses are commonly given.
     let ends =
         [&robot.default_base, &robot.controller_base, &robot.default_tip, &robot.controller_tip];
     fixed.sort_by_key(|link| {
@@ -259,18 +258,18 @@ fn push_both(
     }
 }
 
-/// Marks what the call names, drops what is no change, and keeps one of those that are the same.
+/// Marks named frames, drops identities, and merges equal transforms.
 fn settle(frames: &mut Vec<FixedFrame>, [is, but]: [Option<&str>; 2]) {
     let meets = |given: Option<&str>, frame: &str| given.is_some_and(|given| meets(given, frame));
     for frame in frames.iter_mut() {
         frame.is_named = meets(is, &frame.is) && meets(but, &frame.but);
     }
-    // Stable: of the others the first stays.
+    // The sort is stable: other frames keep their order.
     frames.sort_by_key(|frame| !frame.is_named);
     let mut kept: Vec<FixedFrame> = Vec::new();
     for frame in frames.drain(..) {
         match kept.iter_mut().find(|known| is_same(&known.transform, &frame.transform)) {
-            // What is its own inverse is said one way.
+            // A transform that is its own inverse is listed in one direction only.
             Some(known) if known.is == frame.but && known.but == frame.is => {}
             Some(known) => {
                 let told = |is: &str, but: &str| format!("{is} → {but} ({})", frame.arms);
@@ -319,7 +318,7 @@ mod tests {
         assert_eq!(names("base", "left_tool0").check(robot), Ok(()));
         assert_eq!(names("base_link", "fr3_link8").check(None), Ok(()));
         let said = names("base", "tol0").check(robot).unwrap_err().to_string();
-        assert_eq!(said, "`tol0` is no link of an arm: did you mean `tool0`?");
+        assert_eq!(said, "`tol0` is not a link of an arm: did you mean `tool0`?");
         assert!(names("base", "fr3_link8").check(robot).is_err());
     }
 

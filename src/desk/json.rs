@@ -1,4 +1,4 @@
-//! Poses as JSON.
+//! Pose desk results as JSON.
 
 use super::{Answer, End, Hypothesis, Inversion, Reading, Sheets, Verdict};
 use crate::geometry::vendors::Use;
@@ -38,7 +38,7 @@ fn uses_as_json(uses: &[&'static Use]) -> Vec<Value> {
     uses.iter().map(entry).collect()
 }
 
-/// What one pose is.
+/// Converts the result for one pose.
 pub fn sheets_as_json(sheets: &Sheets) -> Value {
     let schema = "poseaudit.pose/1";
     match sheets {
@@ -85,7 +85,7 @@ pub fn sheets_as_json(sheets: &Sheets) -> Value {
     }
 }
 
-/// What makes so many pairs agree.
+/// Converts the result for pairs of poses.
 pub fn answer_as_json(answer: &Answer, pairs: usize) -> Value {
     let hypotheses: Vec<Value> = answer.hypotheses.iter().map(hypothesis_as_json).collect();
     let would_do = answer.would_do.as_ref().map(|would_do| {
@@ -113,7 +113,7 @@ pub fn answer_as_json(answer: &Answer, pairs: usize) -> Value {
     })
 }
 
-/// What stands at an end; `sense` says which way its transform goes.
+/// Converts the transform at one end; `sense` is the key that gives its direction.
 fn end_as_json(end: &End, sense: &str) -> Value {
     let transform = pose_as_json(&end.transform());
     match end {

@@ -1,22 +1,22 @@
-//! Poses whose numbers carry names or units, as controllers print them.
+//! Parses poses whose numbers have names or units, as printed by controllers.
 
 use super::error::DeskError;
 use super::form::Style;
 use super::paste::Pasted;
 use crate::geometry::{AngleUnit, Coding, Convention, LengthScale, Units, vendors};
 
-/// What a text consists of.
+/// Token of a text.
 enum Token<'a> {
     Number(f64),
     Word(&'a str),
     Mark(char),
 }
 
-/// The names of a rotation's numbers, and who prints them so.
+/// Names of a rotation's numbers.
 struct Names {
     names: &'static [&'static str],
     coding: Option<Coding>,
-    /// The maker's entry in the table of conventions, for its coding and units.
+    /// Maker in the table of conventions, for coding and units.
     maker: Option<&'static str>,
     kind: &'static str,
 }
@@ -46,10 +46,10 @@ const fn named(
     Names { names, coding, maker, kind }
 }
 
-/// The pose in `text`, where its numbers carry names or units; `None` where it has neither.
+/// Parses the pose in `text` if its numbers have names or units; otherwise `None`.
 ///
 /// # Errors
-/// Where a name comes twice.
+/// If a name occurs twice.
 pub(super) fn labelled(text: &str) -> Result<Option<Pasted>, DeskError> {
     let tokens = tokens(text);
     let units = units(&tokens);
@@ -75,7 +75,7 @@ pub(super) fn labelled(text: &str) -> Result<Option<Pasted>, DeskError> {
         let count = found.iter().filter(|(known, _)| known == twice).count();
         return Err(DeskError::Several(count));
     }
-    // Mitsubishi's A, B and C go by x, y and z: only KUKA writes braces around them.
+    // Mitsubishi also uses A, B and C, about x, y and z; only KUKA encloses them in braces.
     let is_told = set.maker != Some("kuka") || text.contains('{');
     let maker = set.maker.filter(|_| is_told).and_then(vendors::find);
     let style = Style {
@@ -85,7 +85,7 @@ pub(super) fn labelled(text: &str) -> Result<Option<Pasted>, DeskError> {
     Ok(Some(Pasted::new([position, rotation].concat(), style, set.kind)))
 }
 
-/// Numbers that carry units and nothing else.
+/// Numbers with units but without names.
 fn with_units(tokens: &[Token], units: Units) -> Option<Pasted> {
     let words = tokens.iter().filter(|token| matches!(token, Token::Word(_))).count();
     let of_units = tokens.iter().filter(|token| unit(token).is_some()).count();
@@ -100,7 +100,7 @@ fn with_units(tokens: &[Token], units: Units) -> Option<Pasted> {
     Some(Pasted::new(numbers.collect(), style, "numbers with units"))
 }
 
-/// The units that are written in the text; of several lengths or angles the first.
+/// Units in the text; the first if there are several.
 fn units(tokens: &[Token]) -> Units {
     let mut units = Units::default();
     for found in tokens.iter().filter_map(unit) {
@@ -146,7 +146,7 @@ fn tokens(text: &str) -> Vec<Token<'_>> {
     tokens
 }
 
-/// How many bytes of `text` are one number, with its sign and exponent.
+/// Length in bytes of the number at the start of `text`, with sign and exponent.
 fn number_length(text: &str) -> usize {
     let mut last = ' ';
     let mut chars = text.char_indices().peekable();
@@ -169,7 +169,7 @@ fn word_length(text: &str) -> usize {
     text.find(|c| !is_of_word(c)).unwrap_or(text.len())
 }
 
-/// The numbers of the first groups in brackets that hold no others, as RAPID and VAL3 nest them.
+/// Numbers of the innermost bracketed groups, as nested in RAPID and VAL3.
 pub(super) fn groups(text: &str, [open, close]: [char; 2]) -> Vec<Vec<f64>> {
     let mut groups = Vec::new();
     let mut inner = None;

@@ -1,7 +1,7 @@
-//! The pose desk: one pose as a person has it, in every convention; and what makes two poses agree.
+//! Pose desk: shows one pose in every convention, and finds what reconciles two poses.
 //!
-//! [`paste()`] takes a text apart, [`sheet()`] says one pose in every convention with those who use each,
-//! and [`reconcile()`] ranks what makes pairs of poses one.
+//! [`paste()`] parses a text, [`sheet()`] converts one pose to every convention with its users, and
+//! [`reconcile()`] ranks explanations for the difference between pairs of poses.
 
 mod answer;
 mod error;

@@ -1,4 +1,4 @@
-//! Pairs of poses in a CSV.
+//! Reads pairs of poses from CSV.
 
 use super::error::DeskError;
 use super::paste::{Pasted, paste};
@@ -6,17 +6,17 @@ use super::paste::{Pasted, paste};
 /// Two poses that should agree.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pair {
-    /// What the one source says.
+    /// Pose from one source.
     pub is: Pasted,
-    /// What the other says.
+    /// Pose from the other source.
     pub but: Pasted,
 }
 
-/// The pairs in `text`: two columns with a pose each, with or without a header; or a column for each
-/// number, whose names begin with `is` and `but`.
+/// Reads pairs from `text`: two columns with a pose each, with or without a header, or one column per
+/// number with names that start with `is` and `but`.
 ///
 /// # Errors
-/// Where a row is no pair; it names the row, counted from 1 with the header.
+/// If a row is not a pair; names the row, counted from 1 including the header.
 pub fn pairs_from_csv(text: &str) -> Result<Vec<Pair>, DeskError> {
     let mut reader = csv::ReaderBuilder::new()
         .has_headers(false)
@@ -52,7 +52,7 @@ pub fn pairs_from_csv(text: &str) -> Result<Vec<Pair>, DeskError> {
     }
 }
 
-/// The columns of either side, where the first row names them.
+/// Columns of each side, if the first row is a header.
 fn header(record: &csv::StringRecord) -> Option<[Vec<usize>; 2]> {
     let of = |side: &str| -> Vec<usize> {
         let names = record.iter().map(str::to_ascii_lowercase).enumerate();

@@ -1,5 +1,4 @@
-//! What a person pastes, taken apart: bare numbers, a UR literal, a controller's text, a URDF origin, a ROS
-//! message.
+//! Parses pasted poses: bare numbers, UR literals, controller text, URDF origins, ROS messages.
 
 use serde_json::Value;
 
@@ -10,25 +9,25 @@ use super::form::Style;
 use super::labelled::{groups, labelled};
 use crate::robot::xml_document;
 
-/// The numbers of a pose, and what the text around them says of them.
+/// Numbers of a pose, with the encoding shown by the text.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pasted {
-    /// The numbers in their order: 6, 7, 12 or 16, or 3, 4 or 9 of a rotation alone.
+    /// Numbers in order: 6, 7, 12 or 16, or 3, 4 or 9 for a rotation without a position.
     pub numbers: Vec<f64>,
-    /// What the text says of their form and units.
+    /// Form and units shown by the text.
     pub style: Style,
-    /// What the text was taken for.
+    /// Recognised kind of text.
     pub kind: &'static str,
-    /// The frame that the pose is in, where the text names it.
+    /// Reference frame, if given in the text.
     pub parent: Option<String>,
-    /// The frame whose pose it is, where the text names it.
+    /// Frame whose pose is given, if named in the text.
     pub child: Option<String>,
 }
 
-/// Takes `text` apart; what it is shows in itself.
+/// Parses `text` and recognises its kind.
 ///
 /// # Errors
-/// Where it holds something else than a pose.
+/// If it is not a pose.
 pub fn paste(text: &str) -> Result<Pasted, DeskError> {
     let text = text.trim();
     if text.contains("xyz=") || text.contains("rpy=") || text.starts_with('<') {
@@ -77,7 +76,7 @@ fn ur_literal(text: &str) -> Result<Option<Pasted>, DeskError> {
     }
 }
 
-/// A robtarget of RAPID, `[[x,y,z],[q1,q2,q3,q4],[…],[…]]`, or a point of VAL3, `{{x,y,z,rx,ry,rz},{…}}`.
+/// RAPID robtarget, `[[x,y,z],[q1,q2,q3,q4],[…],[…]]`, or VAL3 point, `{{x,y,z,rx,ry,rz},{…}}`.
 fn nested(text: &str) -> Option<Pasted> {
     let of_maker = |numbers: Vec<f64>, maker: &str, kind: &'static str| {
         let maker = vendors::find(maker)?;
@@ -109,7 +108,7 @@ impl Pasted {
     }
 }
 
-/// Numbers with blanks, commas, semicolons, brackets or a degree sign between them.
+/// Numbers separated by spaces, commas, semicolons, brackets or degree signs.
 fn bare(text: &str) -> Result<Vec<f64>, DeskError> {
     let text = text.replace('−', "-");
     let is_between = |c: char| c.is_whitespace() || ",;[](){}|°".contains(c);
@@ -122,7 +121,7 @@ fn bare(text: &str) -> Result<Vec<f64>, DeskError> {
     numbers.collect()
 }
 
-/// `<origin xyz="…" rpy="…"/>`, with or without what is around the attributes.
+/// `<origin xyz="…" rpy="…"/>`, or only its attributes.
 fn urdf(text: &str) -> Result<Pasted, DeskError> {
     let attributes = text.trim_start_matches("<origin").trim_end_matches('>').trim_end_matches('/');
     let element = match text.starts_with('<') && !text.starts_with("<origin") {
@@ -137,7 +136,7 @@ fn urdf(text: &str) -> Result<Pasted, DeskError> {
     }
     let mut numbers = Vec::new();
     for name in ["xyz", "rpy"] {
-        // URDF takes zeros for an attribute that is not there.
+        // Missing attributes are zero in URDF.
         let found = bare(origin.attribute(name).unwrap_or("0 0 0"))?;
         if found.len() != 3 {
             return Err(DeskError::Count { count: found.len() });
@@ -147,7 +146,7 @@ fn urdf(text: &str) -> Result<Pasted, DeskError> {
     Ok(Pasted::new(numbers, si(Coding::Three(Convention::RPY)), "URDF origin"))
 }
 
-/// What `tf2_echo` prints.
+/// Output of `tf2_echo`.
 fn tf2_echo(text: &str) -> Result<Pasted, DeskError> {
     if let more @ 2.. = text.matches("Translation:").count() {
         return Err(DeskError::Several(more));
@@ -165,7 +164,7 @@ fn tf2_echo(text: &str) -> Result<Pasted, DeskError> {
     Ok(Pasted::new(numbers, si(Coding::Xyzw), "tf2_echo"))
 }
 
-/// A ROS message as `ros2 topic echo` prints it, or in JSON.
+/// ROS message as printed by `ros2 topic echo`, or as JSON.
 fn message(text: &str) -> Result<Pasted, DeskError> {
     let document = text.split("\n---").next().unwrap_or(text).trim_start_matches("---");
     let message: Value = serde_saphyr::from_str(document)
@@ -183,7 +182,7 @@ fn first_line(text: &str) -> String {
     text.lines().next().unwrap_or_default().to_owned()
 }
 
-/// The maps in `value` that hold a pose.
+/// Maps in `value` that contain a pose.
 fn find<'a>(value: &'a Value, found: &mut Vec<&'a Value>) {
     match value {
         Value::Object(map) => {
@@ -218,7 +217,7 @@ fn of_message(holder: &Value, message: &Value) -> Result<Pasted, DeskError> {
     Ok(pasted)
 }
 
-/// The first text of that key anywhere in `value`, without a leading `/`; none where it is empty.
+/// First non-empty text with that key in `value`, without a leading `/`.
 fn name(value: &Value, key: &str) -> Option<String> {
     match value {
         Value::Object(map) => {
@@ -326,7 +325,7 @@ transforms:
         let pasted = paste(rapid).unwrap();
         assert_eq!(pasted.numbers, [600.0, -10.5, 200.0, 0.5, 0.5, -0.5, 0.5]);
         assert_eq!(pasted.style.form, Some(Coding::Wxyz));
-        // Lists of Python are no RAPID.
+        // Python lists are not RAPID.
         assert_eq!(paste("[[0.6, 0, 0.2], [0, 0, 0, 1]]").unwrap().style, Style::default());
         let script = paste("movel(p[0.1, -0.2, 0.3, 1.2, -1.7, 0.6], a=1.2, v=0.25)").unwrap();
         assert_eq!(script.numbers, [0.1, -0.2, 0.3, 1.2, -1.7, 0.6]);

@@ -1,8 +1,9 @@
-//! What makes pairs of poses agree.
+//! Finds what reconciles pairs of poses.
 //!
-//! Every reading of the one side against every reading of the other, over inversions, the axes of other
-//! worlds and fixed frames: `but = base · axes(is) · tip`. What is left is judged together with how much was assumed, so that a simple
-//! explanation wins over a longer one that leaves about as much.
+//! Tests every encoding of one side against every encoding of the other, with inversions, other axis
+//! conventions and fixed frames: `but = base · axes(is) · tip`. The score combines the residual with a
+//! penalty for the assumptions, so a simple explanation is preferred to a more complex one with a similar
+//! residual.
 
 use super::answer::{AGREES_RAD, Answer, End, Gap, Hypothesis, Residual, Verdict, WouldDo};
 use super::error::DeskError;
@@ -12,29 +13,29 @@ use super::pairs::Pair;
 use super::search::{Candidate, Group, HOPELESS, SEARCHED, Search, groups};
 use crate::geometry::{Pose, angle_between};
 
-/// By less than this an explanation is no better than another.
+/// Minimum difference in score for one explanation to be better than another.
 const NO_BETTER: f64 = 1.5;
 
-/// How many explanations are told.
+/// Maximum number of explanations listed.
 const TOLD: usize = 6;
 
-/// What is asked.
+/// Input of the search.
 #[derive(Clone, Debug)]
 pub struct Question {
     /// Poses that should agree, at least one pair.
     pub pairs: Vec<Pair>,
-    /// What the call says of the one side.
+    /// Known encoding of one side.
     pub is: Style,
-    /// What the call says of the other.
+    /// Known encoding of the other side.
     pub but: Style,
-    /// The fixed frames that may lie between them.
+    /// Candidate fixed frames between the two sides.
     pub frames: Corrections,
 }
 
-/// Ranks what makes the pairs of `question` agree.
+/// Ranks explanations that reconcile the pairs of `question`.
 ///
 /// # Errors
-/// Where there is no pair, or a side is no pose in its style.
+/// If there is no pair, or a side is not a pose in its style.
 pub fn reconcile(question: &Question) -> Result<Answer, DeskError> {
     let count = question.pairs.len();
     let side = |pasted: &dyn Fn(&Pair) -> &super::Pasted, style: Style| {
@@ -71,8 +72,7 @@ pub fn reconcile(question: &Question) -> Result<Answer, DeskError> {
     Ok(answer)
 }
 
-/// What of the numbers of a side blurs the answer: rotations that are not quite rotations, and Euler
-/// angles near gimbal lock.
+/// Warnings about the numbers of a side: deviation from a rotation, and Euler angles near gimbal lock.
 fn flaws<'a>(
     side: &str,
     reading: &Reading,
@@ -82,14 +82,14 @@ fn flaws<'a>(
     let missed = numbers.clone().map(|numbers| defect(reading.form, numbers)).fold(0.0, f64::max);
     if missed > SAID_DEFECT {
         notes.push(format!(
-            "{side} misses a rotation by {missed:.1e}: it was rounded, or is no rotation"
+            "{side} deviates from a rotation by {missed:.1e}: rounded, or not a rotation"
         ));
     }
     let margins_rad = numbers.filter_map(|numbers| gimbal_margin(reading, numbers));
     let margin_rad = margins_rad.fold(f64::INFINITY, f64::min);
     if margin_rad < LOCK_RAD {
         notes.push(format!(
-            "{side} comes within {:.2}° of gimbal lock of {}: its outer angles are hardly told apart",
+            "{side} comes within {:.2}° of gimbal lock of {}: the outer angles are nearly degenerate",
             margin_rad.to_degrees(),
             reading.form
         ));
@@ -97,13 +97,13 @@ fn flaws<'a>(
     notes
 }
 
-/// What is told of the search.
+/// Conversion of the search result to an answer.
 impl Search<'_> {
     fn answer(mut self, count: usize) -> Answer {
         let found = std::mem::take(&mut self.found);
         let mut found: Vec<Candidate> =
             found.into_iter().filter(|candidate| candidate.score <= self.best + HOPELESS).collect();
-        // Stable: of equals the one that was tried first, which is the most usual.
+        // The sort is stable: of equal candidates the first tried, which is the most common, comes first.
         found.sort_by(|a, b| a.score.total_cmp(&b.score));
         let mut told: Vec<Hypothesis> = Vec::new();
         let mut first: Vec<Candidate> = Vec::new();
@@ -137,8 +137,8 @@ impl Search<'_> {
         self.judged(told, count)
     }
 
-    /// Whether two explanations are one: the same change of the same numbers, or of numbers that are read
-    /// otherwise and leave as much.
+    /// Whether two explanations are equivalent: the same transformation, with the same numbers or an
+    /// encoding with the same residual.
     fn are_alike(&self, known: &Candidate, other: &Candidate) -> bool {
         if known.misreading.is_some() != other.misreading.is_some()
             || !known.steps.are(&other.steps, self.frames)
@@ -198,7 +198,7 @@ impl Search<'_> {
             Some(WouldDo { tool, base, is_translation })
         });
         let by_chance = best.filter(|_| count == 1).map(|best| {
-            // The share of all rotations within an angle of one: (θ − sin θ) / π.
+            // Share of all rotations within an angle: (θ − sin θ) / π.
             let angle = best.residual.rotation_rad.max(0.2_f64.to_radians());
             self.tried as f64 * (angle - angle.sin()) / std::f64::consts::PI
         });
@@ -212,7 +212,8 @@ impl Search<'_> {
             && spread_rad < 10_f64.to_radians()
         {
             notes.push(format!(
-                "the orientations differ by {:.1}° only: a constant tool and a moved base look alike",
+                "the orientations differ by only {:.1}°: a tool offset and a base offset cannot be \
+                 distinguished",
                 spread_rad.to_degrees()
             ));
         }
@@ -224,7 +225,7 @@ impl Search<'_> {
         group.poses.first().copied()
     }
 
-    /// The largest angle between the first pose of a side and another.
+    /// Largest angle between the first pose of a side and the others.
     fn spread_rad(&self) -> Option<f64> {
         let poses = &self.is.first()?.poses;
         let first = poses.first()?;

@@ -1,4 +1,4 @@
-//! One pose in every convention.
+//! Converts one pose to every convention.
 
 use crate::geometry::{
     AngleUnit, CodeLine, Coding, Convention, LengthScale, Pose, Rotation, Vec3, code_of_numbers,
@@ -11,18 +11,18 @@ use super::frames::worlds;
 use super::paste::Pasted;
 use crate::geometry::vendors::{LibraryName, Use, library_names, uses_of};
 
-/// A pose in one convention.
+/// Pose in one convention.
 #[derive(Clone, Debug)]
 pub struct Row {
     /// The convention.
     pub form: Coding,
-    /// The numbers of the rotation, rad where they are angles; a matrix has nine.
+    /// Numbers of the rotation, with angles in rad; nine for a matrix.
     pub numbers: Vec<f64>,
-    /// How far from gimbal lock, rad; none where there is no such thing.
+    /// Distance to gimbal lock, rad; `None` if the convention has none.
     pub gimbal_margin_rad: Option<f64>,
-    /// Who uses it.
+    /// Users of the convention.
     pub uses: Vec<&'static Use>,
-    /// What libraries call it.
+    /// Names of the convention in libraries.
     pub names: Vec<LibraryName>,
 }
 
@@ -43,56 +43,56 @@ impl Row {
     }
 }
 
-/// One pose in every convention.
+/// Pose in every convention.
 #[derive(Clone, Debug)]
 pub struct Sheet {
-    /// How it was read.
+    /// Encoding of the input.
     pub reading: Reading,
     /// The pose.
     pub pose: Pose,
-    /// Whether a position was given.
+    /// Whether the input has a position.
     pub has_position: bool,
-    /// Quaternions, rotation vector, matrix, then Euler orders, the most usual first.
+    /// Quaternions, rotation vector, matrix, then Euler orders, most common first.
     pub rows: Vec<Row>,
-    /// The pose as other worlds have it, in their axes.
+    /// The pose in other axis conventions.
     pub worlds: Vec<(&'static str, Pose)>,
-    /// Lines of code from the numbers as given, where they are three.
+    /// Lines of code for the numbers as given, if the rotation has three numbers.
     pub code_of_numbers: Vec<CodeLine>,
-    /// Lines of code from the quaternion.
+    /// Lines of code for the quaternion.
     pub code_of_quaternion: Vec<CodeLine>,
-    /// What was inferred, and what to look out for.
+    /// Assumptions and warnings.
     pub notes: Vec<String>,
 }
 
-/// A pose as one of several conventions would have it.
+/// Interpretation of a pose in one of several possible conventions.
 #[derive(Clone, Debug)]
 pub struct Candidate {
     /// The convention.
     pub reading: Reading,
-    /// The pose then.
+    /// The resulting pose.
     pub pose: Pose,
-    /// Who uses it.
+    /// Users of the convention.
     pub uses: Vec<&'static Use>,
 }
 
-/// What one text is.
+/// Result for one text.
 #[derive(Clone, Debug)]
 pub enum Sheets {
-    /// A pose.
+    /// The encoding is determined.
     One(Box<Sheet>),
-    /// Several, by the convention that the text does not name; those that somebody is known to use.
+    /// The convention is ambiguous; lists those with known users.
     Several {
-        /// The candidates, the most usual first.
+        /// Candidates, most common first.
         candidates: Vec<Candidate>,
-        /// What was inferred.
+        /// Assumptions.
         notes: Vec<String>,
     },
 }
 
-/// Says what `pasted` is; `style` is what the call says of it.
+/// Interprets `pasted`; `style` is the encoding given by the caller.
 ///
 /// # Errors
-/// Where it is no pose in that style.
+/// If the numbers are not a pose in that style.
 pub fn sheet(pasted: &Pasted, style: Style) -> Result<Sheets, DeskError> {
     let known = style.or(pasted.style);
     let readings = readings(&[&pasted.numbers], known)?;
@@ -112,7 +112,7 @@ pub fn sheet(pasted: &Pasted, style: Style) -> Result<Sheets, DeskError> {
         && usual.first().is_some_and(|first| first.form == Coding::Rows)
         && known.form.is_none()
     {
-        notes.push("rows were assumed; by columns it is --from matrix:columns".to_owned());
+        notes.push("row-major assumed; for column-major use --from matrix:columns".to_owned());
     }
     match usual.as_slice() {
         [reading] => {
@@ -135,18 +135,26 @@ fn unit_notes(reading: &Reading, known: Style) -> Vec<String> {
     if reading.has_position && known.units.length.is_none() {
         let length = reading.length;
         notes.push(match length {
-            LengthScale::METRE => "metres: no length is above 10; --mm says otherwise".to_owned(),
-            LengthScale::MILLIMETRE => {
-                "millimetres: a length is above 10; --m says otherwise".to_owned()
+            LengthScale::METRE => {
+                "metres assumed: no length exceeds 10; override with --mm".to_owned()
             }
-            _ => format!("{}: a length is above 10,000; --mm says otherwise", length.words()),
+            LengthScale::MILLIMETRE => {
+                "millimetres assumed: a length exceeds 10; override with --m".to_owned()
+            }
+            _ => format!("{} assumed: a length exceeds 10,000; override with --mm", length.words()),
         });
     }
     if reading.form.has_angles() && known.units.angle.is_none() {
         notes.push(match reading.angle {
-            AngleUnit::Radian => "radians: no angle is above 6.9; --deg says otherwise".to_owned(),
-            AngleUnit::Degree => "degrees: an angle is above 6.9; --rad says otherwise".to_owned(),
-            parts => format!("{}: an angle is above 1,000; --deg says otherwise", parts.words()),
+            AngleUnit::Radian => {
+                "radians assumed: no angle exceeds 6.9; override with --deg".to_owned()
+            }
+            AngleUnit::Degree => {
+                "degrees assumed: an angle exceeds 6.9; override with --rad".to_owned()
+            }
+            parts => {
+                format!("{} assumed: an angle exceeds 1,000; override with --deg", parts.words())
+            }
         });
     }
     notes
@@ -158,9 +166,12 @@ fn one(reading: Reading, pasted: &Pasted, mut notes: Vec<String>) -> Result<Shee
     if missed > SAID_DEFECT {
         notes.push(match reading.form {
             form if form.is_matrix() => {
-                format!("the matrix is not quite orthonormal (max |RᵀR − I| {missed:.1e}); this is the nearest rotation")
+                format!(
+                    "the matrix is not exactly orthonormal (max |RᵀR − I| {missed:.1e}); using the \
+                    nearest rotation"
+                )
             }
-            _ => format!("the quaternion's norm is off 1 by {missed:.1e}; it was divided by it"),
+            _ => format!("the quaternion's norm differs from 1 by {missed:.1e}; it was normalised"),
         });
     }
     let rotation = &pose.rotation;
@@ -188,7 +199,7 @@ fn one(reading: Reading, pasted: &Pasted, mut notes: Vec<String>) -> Result<Shee
         && row.is_near_lock()
     {
         notes.push(format!(
-            "{:.2}° from gimbal lock of {}: its outer angles are hardly told apart",
+            "{:.2}° from gimbal lock of {}: the outer angles are nearly degenerate",
             margin_rad.to_degrees(),
             row.form
         ));
@@ -216,13 +227,13 @@ fn one(reading: Reading, pasted: &Pasted, mut notes: Vec<String>) -> Result<Shee
     })
 }
 
-/// The unit vector along the axis, and the angle, rad.
+/// Unit vector along the axis, and angle, rad.
 fn axis_angle(rotation: &Rotation) -> Vec<f64> {
     let axis = rotation.axis().map_or(Vec3::z(), |axis| axis.into_inner());
     vec![axis.x, axis.y, axis.z, rotation.angle()]
 }
 
-/// A number to a billionth that every language takes for a float.
+/// Number rounded to 1e-9, written as a float literal valid in every language.
 fn literal(value: f64) -> String {
     format!("{:?}", (value * 1e9).round() / 1e9 + 0.0)
 }
@@ -255,7 +266,7 @@ mod tests {
 
     #[test]
     fn the_sample_of_aubos_sdk_is_its_quaternion() {
-        // The vendor's own sample: rpy, rad, and quaternion w, x, y, z.
+        // Example from the vendor: rpy, rad, and quaternion w, x, y, z.
         let sheet = one("0.611 0.785 0.960", "aubo");
         let expected = [0.834722, 0.078043, 0.451893, 0.304864];
         assert_near(&numbers(&sheet, "quat:wxyz"), &expected, 1e-6);
@@ -288,7 +299,7 @@ mod tests {
 
     #[test]
     fn frankas_matrix_goes_by_columns_and_rokaes_by_rows() {
-        // Rz(90°), then 0.3, 0.1, 0.5.
+        // Rz(90°), position 0.3, 0.1, 0.5.
         let columns = one("0 1 0 0  -1 0 0 0  0 0 1 0  0.3 0.1 0.5 1", "");
         let rows = one("0 -1 0 0.3  1 0 0 0.1  0 0 1 0.5  0 0 0 1", "");
         assert_eq!(columns.reading.form, Coding::Columns);

@@ -1,4 +1,4 @@
-//! Poses for a reader.
+//! Pose desk results as text.
 
 use std::io::{self, Write};
 
@@ -10,7 +10,7 @@ use crate::finding::rounded;
 use crate::geometry::vendors::{self, Use};
 use crate::geometry::{Coding, Convention, Pose, xyz_of, xyzw_from_rotation};
 
-/// How wide the names of users run.
+/// Width of the column of users.
 const USERS_WIDTH: usize = 56;
 
 fn listed(numbers: &[f64], digits: usize) -> String {
@@ -23,7 +23,7 @@ fn degrees(numbers: &[f64]) -> Vec<f64> {
     numbers.iter().map(|angle| angle.to_degrees()).collect()
 }
 
-/// Those who use something, each once; `?` behind those that are not confirmed.
+/// Names of users, without duplicates; unconfirmed ones are marked with `(?)`.
 fn users(uses: &[&'static Use]) -> Vec<String> {
     let mut names: Vec<String> = Vec::new();
     for entry in uses {
@@ -35,7 +35,7 @@ fn users(uses: &[&'static Use]) -> Vec<String> {
     names
 }
 
-/// Names with commas, in lines.
+/// Joins names with commas and wraps them.
 fn in_lines(names: &[String], width: usize) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for (at, name) in names.iter().enumerate() {
@@ -52,7 +52,7 @@ fn in_lines(names: &[String], width: usize) -> Vec<String> {
     lines
 }
 
-/// `left` and `right` beside each other, behind a name of 16 columns.
+/// Writes two columns after a label of 16 characters.
 fn beside(out: &mut dyn Write, name: &str, left: &[String], right: &[String]) -> io::Result<()> {
     let width = left.iter().map(|line| line.chars().count()).max().unwrap_or(0).max(44);
     for at in 0..left.len().max(right.len()) {
@@ -63,7 +63,7 @@ fn beside(out: &mut dyn Write, name: &str, left: &[String], right: &[String]) ->
     Ok(())
 }
 
-/// Writes what one pose is, or may be.
+/// Writes the result for one pose.
 ///
 /// # Errors
 /// If `out` cannot be written.
@@ -101,7 +101,7 @@ fn write_sheet(sheet: &Sheet, pasted: &Pasted, out: &mut dyn Write) -> io::Resul
     if others.iter().any(|row| row.is_near_lock()) {
         writeln!(out, "! within 5° of gimbal lock")?;
     }
-    writeln!(out, "\nin the axes of others, m and x y z w")?;
+    writeln!(out, "\nin other axis conventions, m and x y z w")?;
     for (who, pose) in &sheet.worlds {
         let xyz = if sheet.has_position { listed(&xyz_of(pose), 4) } else { String::new() };
         writeln!(out, "{who:32}{xyz}  {}", listed(&xyzw_from_rotation(&pose.rotation), 6))?;
@@ -122,7 +122,7 @@ fn write_sheet(sheet: &Sheet, pasted: &Pasted, out: &mut dyn Write) -> io::Resul
     Ok(())
 }
 
-/// A convention that somebody uses.
+/// Writes a convention with known users.
 fn write_row(row: &Row, out: &mut dyn Write) -> io::Result<()> {
     if row.uses.is_empty() {
         return Ok(());
@@ -136,7 +136,7 @@ fn write_row(row: &Row, out: &mut dyn Write) -> io::Result<()> {
         Coding::Rows => {
             row.numbers.chunks(3).map(|line| format!("   {}", listed(line, 6))).collect()
         }
-        // Those of the rows, turned.
+        // Same values as the rows, transposed.
         Coding::Columns => vec!["   the same, column by column".to_owned()],
         Coding::TwoColumns | Coding::TwoRows => vec![format!("   {}", listed(&row.numbers, 6))],
         Coding::AxisAngle => {
@@ -160,8 +160,8 @@ fn write_candidates(
 ) -> io::Result<()> {
     writeln!(
         out,
-        "{:16}the numbers do not say in which convention they are; --from does",
-        "left open"
+        "{:16}the numbers do not determine the convention; set it with --from",
+        "ambiguous"
     )?;
     for note in notes {
         writeln!(out, "{:16}{note}", "")?;
@@ -199,7 +199,7 @@ fn frame_text(pose: &Pose) -> String {
     format!("xyz {xyz} mm, rpy {rpy}°")
 }
 
-/// Writes what makes so many pairs agree.
+/// Writes the result for pairs of poses.
 ///
 /// # Errors
 /// If `out` cannot be written.
@@ -216,19 +216,19 @@ pub fn write_answer(answer: &Answer, pairs: usize, out: &mut dyn Write) -> io::R
         writeln!(out, "orientations agree, {apart}")?;
     }
     if answer.hypotheses.is_empty() {
-        writeln!(out, "{head:16}nothing that was tried comes near")?;
+        writeln!(out, "{head:16}no explanation comes close")?;
     }
     let mut last = "";
     for (at, hypothesis) in answer.hypotheses.iter().enumerate() {
         if at < answer.as_good.max(1) {
-            write_hypothesis(if at == 0 { head } else { "or as well" }, hypothesis, &of, out)?;
+            write_hypothesis(if at == 0 { head } else { "equally good" }, hypothesis, &of, out)?;
             continue;
         }
-        // What remains is told: a reading that explains less of it is none.
+        // The remaining difference is listed separately, so worse explanations are not useful.
         if apart.is_some() {
             break;
         }
-        let label = if hypothesis.residual.agrees() { "the longer way" } else { "worse" };
+        let label = if hypothesis.residual.agrees() { "more complex" } else { "worse" };
         let name = if label == last { "" } else { label };
         last = label;
         writeln!(out, "{name:16}{:22}{}", left(&hypothesis.residual), in_short(hypothesis))?;
@@ -249,7 +249,7 @@ fn write_hypothesis(
         name = "";
         done
     };
-    line(out, &format!("{} left ({of})", left(&hypothesis.residual)))?;
+    line(out, &format!("residual {} ({of})", left(&hypothesis.residual)))?;
     for (side, reading) in [("A", hypothesis.is), ("B", hypothesis.but)] {
         let names = in_lines(&users(&uses_with_units(&reading)), USERS_WIDTH);
         let names = names.first().map_or(String::new(), |first| match names.len() {
@@ -268,7 +268,7 @@ fn write_hypothesis(
                 let transform = frame_text(&frames.transform);
                 line(out, &format!("{} → {}: {transform}", frames.is, frames.but))?;
                 if !frames.also.is_empty() {
-                    line(out, &format!("as far apart: {}", frames.also.join(", ")))?;
+                    line(out, &format!("same transform: {}", frames.also.join(", ")))?;
                 }
             }
             End::Fitted(transform) => line(out, &format!("{name}: {}", frame_text(transform)))?,
@@ -279,7 +279,7 @@ fn write_hypothesis(
     }
     if !hypothesis.equivalents.is_empty() {
         let names = equivalents(hypothesis);
-        line(out, "these numbers cannot tell it from:")?;
+        line(out, "these numbers are equally consistent with:")?;
         for names in in_lines(&names, 80) {
             line(out, &format!("  {names}"))?;
         }
@@ -287,7 +287,7 @@ fn write_hypothesis(
     Ok(())
 }
 
-/// The other readings that leave as much.
+/// Names of the other encodings with the same residual.
 fn equivalents(hypothesis: &Hypothesis) -> Vec<String> {
     let (alike, unlike): (Vec<&[Reading; 2]>, Vec<&[Reading; 2]>) =
         hypothesis.equivalents.iter().partition(|[is, but]| is.form == but.form);
@@ -310,7 +310,7 @@ fn equivalents(hypothesis: &Hypothesis) -> Vec<String> {
     names
 }
 
-/// An explanation on one line.
+/// One-line summary of an explanation.
 fn in_short(hypothesis: &Hypothesis) -> String {
     let mut parts = vec![format!("A {}; B {}", hypothesis.is, hypothesis.but)];
     parts.extend(hypothesis.claims());
@@ -327,8 +327,8 @@ fn write_cautions(answer: &Answer, out: &mut dyn Write) -> io::Result<()> {
             )?,
             false => writeln!(
                 out,
-                "\n{:16}a constant tool would do, as some tool does for any one pair: give more pairs",
-                "no claim"
+                "\n{:16}some constant tool explains any single pair; give more pairs",
+                "not enough data"
             )?,
         }
         writeln!(out, "{:16}tool: {}", "", frame_text(&would_do.tool))?;
@@ -341,7 +341,7 @@ fn write_cautions(answer: &Answer, out: &mut dyn Write) -> io::Result<()> {
     {
         writeln!(
             out,
-            "\n{:16}{} readings were tried; of as many random rotations {by_chance:.2} would come as close",
+            "\n{:16}{} encodings tried; expected random matches this close: {by_chance:.2}",
             "chance", answer.tried
         )?;
     }
@@ -351,7 +351,7 @@ fn write_cautions(answer: &Answer, out: &mut dyn Write) -> io::Result<()> {
     Ok(())
 }
 
-/// Those who use the form of `reading` in its units.
+/// Users of the form of `reading` with its units.
 fn uses_with_units(reading: &Reading) -> Vec<&'static Use> {
     let in_units = |entry: &&'static Use| {
         (!reading.has_position || entry.units.length == Some(reading.length))
