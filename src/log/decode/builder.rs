@@ -1,4 +1,4 @@
-//! Rows appended to columns, then finalized.
+//! Appends rows to columns and finalizes them.
 
 mod joints;
 mod poses;
@@ -13,10 +13,10 @@ use ground::stream::{Columns, ImuColumns, TextColumns};
 pub(crate) use self::joints::TooManyJoints;
 pub(crate) use self::poses::MAX_FRAMES;
 
-/// The columns of one topic while rows are appended.
+/// Columns of one topic while rows are appended.
 ///
-/// A type that holds several kinds of content has a part for each: the first under the topic's own
-/// name, the others under that name with the field after a dot, as in Foxglove's message paths.
+/// A type with several kinds of content has one part per kind. The first has the topic's own name, the
+/// others append a dot and the field, as in Foxglove's message paths.
 #[derive(Clone, Debug)]
 pub(crate) struct Builder {
     kinds: &'static [PartOf],
@@ -25,10 +25,10 @@ pub(crate) struct Builder {
     stamped: bool,
 }
 
-/// What comes after the topic's name, and the columns to fill.
+/// Suffix of the topic's name, and the columns to fill.
 pub(super) type PartOf = (&'static str, fn() -> Part);
 
-/// The columns of one kind of content.
+/// Columns of one kind of content.
 #[derive(Clone, Debug)]
 pub(super) enum Part {
     Joints(Joints),
@@ -41,18 +41,17 @@ pub(super) enum Part {
 }
 
 impl Part {
-    /// The names and positions of joints.
+    /// Joint names and positions.
     pub(super) fn joints() -> Self {
         Self::Joints(Joints::of(row::VALUES, row::VELOCITIES))
     }
 
-    /// The names of joints and the positions that they shall have.
+    /// Joint names and commanded positions.
     pub(super) fn reference() -> Self {
         Self::Joints(Joints::of(row::REFERENCE, row::REFERENCE_VELOCITIES))
     }
 
-    /// The positions of a Franka arm's joints, whose names are not in the message: what its drivers
-    /// call them unless told otherwise.
+    /// Joint positions of a Franka arm. Messages have no names, so the drivers' default names are used.
     pub(super) fn franka_joints() -> Self {
         let mut joints = Joints::of(row::VALUES, row::VELOCITIES);
         joints.columns.unnamed = true;
@@ -65,12 +64,12 @@ impl Part {
         Self::Poses(Poses::default())
     }
 
-    /// Poses by their place in the message.
+    /// Poses by their index in the message.
     pub(super) fn numbered_poses() -> Self {
         Self::Crowd(Crowd { poses: Poses::default(), naming: Naming::Numbers, most: 0 })
     }
 
-    /// Poses by the name at their place in the message.
+    /// Poses by the name at their index in the message.
     pub(super) fn named_poses() -> Self {
         Self::Crowd(Crowd { poses: Poses::default(), naming: Naming::Names, most: 0 })
     }
@@ -85,7 +84,7 @@ impl Part {
         Self::Imu(ImuColumns::default())
     }
 
-    /// Bare numbers, from a list.
+    /// Bare numbers from a list.
     pub(super) fn array() -> Self {
         Self::Array(Array::of(Numbers::List(row::VALUES)))
     }
@@ -95,12 +94,12 @@ impl Part {
         Self::Array(Array::of(Numbers::List(row::MATRIX)))
     }
 
-    /// The components of a quaternion alone.
+    /// Components of a quaternion alone.
     pub(super) fn quaternion() -> Self {
         Self::Array(Array::of(Numbers::Fields(row::QUATERNION..row::QUATERNION + 4)))
     }
 
-    /// The components of a vector alone.
+    /// Components of a vector alone.
     pub(super) fn vector() -> Self {
         Self::Array(Array::of(Numbers::Fields(row::POSITION..row::POSITION + 3)))
     }
@@ -143,7 +142,7 @@ impl Part {
             (Part::Imu(own), Part::Imu(later)) => join_imu(own, later),
             (Part::Array(own), Part::Array(later)) => own.join(later),
             (Part::Text(own), Part::Text(later)) => join_texts(own, later),
-            // Of one recipe both have the same parts, which `fits` asks.
+            // Builders of one recipe have the same parts; `fits` checks this.
             _ => {}
         }
     }
@@ -162,37 +161,37 @@ impl Part {
 }
 
 impl Builder {
-    /// Empty columns for the parts of a type, which has a stamp or not.
+    /// Empty columns for the parts of a type.
     pub(super) fn new(kinds: &'static [PartOf], stamped: bool) -> Self {
         let parts = kinds.iter().map(|(name, part)| (*name, part())).collect();
         Self { kinds, parts, stamped }
     }
 
-    /// The same columns, empty.
+    /// The same columns without rows.
     pub(crate) fn blank(&self) -> Self {
         Self::new(self.kinds, self.stamped)
     }
 
-    /// Whether to [`Builder::join`] the rows of `later`, which has the same parts, is to append each of
-    /// them here.
+    /// Whether [`Builder::join`] with `later`, which has the same parts, is equivalent to appending its
+    /// rows one by one.
     pub(crate) fn fits(&self, later: &Self) -> bool {
         let parts = self.parts.iter().zip(&later.parts);
         parts.into_iter().all(|((_, own), (_, later))| own.fits(later))
     }
 
-    /// Appends all rows of `later`, which [fits](Builder::fits).
+    /// Appends all rows of `later`, which must [fit](Builder::fits).
     pub(crate) fn join(&mut self, later: Self) {
         for ((_, own), (_, later)) in self.parts.iter_mut().zip(later.parts) {
             own.join(later);
         }
     }
 
-    /// Appends one row, or counts why it is dropped.
+    /// Appends one row, or counts the reason why it is dropped.
     pub(crate) fn append(&mut self, row: &Row, times: RowTimes) -> Result<(), TooManyJoints> {
         self.parts.iter_mut().try_for_each(|(_, part)| part.append(row, times))
     }
 
-    /// Rows that were not taken, because the topic has more pairs of frames than [`MAX_FRAMES`].
+    /// Number of rows rejected because the topic has more pairs of frames than [`MAX_FRAMES`].
     pub(crate) fn refused(&self) -> u64 {
         let refused = |part: &Part| match part {
             Part::Poses(poses) | Part::Transforms(poses) => poses.refused,
@@ -202,11 +201,11 @@ impl Builder {
         self.parts.iter().map(|(_, part)| refused(part)).sum()
     }
 
-    /// Why what was appended is of no use, where it is of none.
+    /// Reason why the appended content is unusable, if so.
     pub(crate) fn useless(&self) -> Option<String> {
         self.parts.iter().find_map(|(_, part)| match part {
             Part::Crowd(crowd) if crowd.is_too_large() => Some(format!(
-                "a message of it holds {} poses, and an arm has no more than {}",
+                "a message contains {} poses; an arm has at most {}",
                 crowd.most,
                 crowd.naming.most()
             )),
@@ -214,8 +213,7 @@ impl Builder {
         })
     }
 
-    /// The columns of each part, with what comes after the topic's name; none for a part that turned
-    /// out to be of no use.
+    /// Columns of each part with the suffix of its topic name. `None` for an unusable part.
     pub(crate) fn finalize(self) -> Vec<(&'static str, Option<Columns>)> {
         let unstamped = !self.stamped;
         let finalized = |(name, part): (&'static str, Part)| {

@@ -1,9 +1,9 @@
-//! A cursor over a message of CDR or of ROS 1 serialization.
+//! Cursor over a message in CDR or ROS 1 serialization.
 
 use super::row::MAX_LIST;
 use super::schema::Primitive;
 
-/// A message that is not in a representation read here.
+/// Unsupported message representation.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum EncapsulationError {
     #[error("the message has {len} bytes, expected at least the 4 of the CDR header")]
@@ -19,36 +19,37 @@ pub(crate) enum EncapsulationError {
     Unknown { id: u16 },
 }
 
-/// A value that reaches beyond the end of the message.
+/// Value that extends beyond the end of the message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("byte {offset} of the message: {wanted} bytes wanted, {left} left")]
+#[error("byte {offset} of the message: needs {wanted} bytes, {left} remain")]
 pub(crate) struct Short {
-    /// Offset of the value from the message's first byte.
+    /// Offset of the value from the start of the message.
     offset: usize,
-    /// Bytes it would take.
+    /// Bytes needed.
     wanted: u64,
-    /// Bytes that are there.
+    /// Bytes remaining.
     left: usize,
 }
 
-/// How the values of a message follow each other.
+/// Alignment of the values in a message.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Layout {
-    /// ROS 1: nothing between them.
+    /// ROS 1: no padding.
     Packed,
-    /// The first CDR: aligned to their size.
+    /// CDR version 1: aligned to their size.
     Cdr,
-    /// The second CDR: aligned to their size, but never to more than 4; lengths stand before
-    /// collections of anything but numbers.
+    /// CDR version 2: aligned to their size, at most to 4; collections of anything but numbers have a
+    /// length prefix.
     Cdr2 {
-        /// Whether a length stands also before messages whose type does not say that it is final.
+        /// Whether messages also have a length prefix unless their type is final.
         delimited: bool,
     },
 }
 
-/// A bounds-checked walk over the body of one message.
+/// Bounds-checked cursor over the body of one message.
 ///
-/// CDR aligns values from the end of the encapsulation header (DDS XTypes 1.3, §7.4.3 and §7.6.3.1.2).
+/// CDR aligns values relative to the end of the encapsulation header (DDS XTypes 1.3, §7.4.3 and
+/// §7.6.3.1.2).
 #[derive(Debug)]
 pub(super) struct Cursor<'a> {
     body: &'a [u8],
@@ -60,16 +61,16 @@ pub(super) struct Cursor<'a> {
     layout: Layout,
 }
 
-/// Where a delimited message ends, and what follows it.
+/// Body that surrounds a delimited message.
 pub(super) struct Outside<'a>(&'a [u8]);
 
-/// Bytes of the encapsulation header.
+/// Length of the encapsulation header in bytes.
 const HEADER: usize = 4;
 
 impl<'a> Cursor<'a> {
-    /// A cursor at the first value of a CDR message.
+    /// Cursor at the first value of a CDR message.
     pub(super) fn cdr(message: &'a [u8]) -> Result<Self, EncapsulationError> {
-        // The other two bytes are options; padding at the end, which they count, is never read.
+        // The other two bytes are options. They count the padding at the end, which is never read.
         let Some((&[high, low, _, _], body)) = message.split_first_chunk::<HEADER>() else {
             return Err(EncapsulationError::Short { len: message.len() });
         };
@@ -86,7 +87,7 @@ impl<'a> Cursor<'a> {
         Ok(Self { body, at: 0, before: HEADER, big_endian: id & 1 == 0, max_align, layout })
     }
 
-    /// A cursor at the first value of a ROS 1 message.
+    /// Cursor at the first value of a ROS 1 message.
     pub(super) fn ros1(message: &'a [u8]) -> Self {
         Self {
             body: message,
@@ -103,8 +104,7 @@ impl<'a> Cursor<'a> {
         self.layout
     }
 
-    /// Enters a message whose length stands before it; nothing beyond its end is read until
-    /// [`Cursor::leave`].
+    /// Enters a message with a length prefix. Nothing beyond its end is read until [`Cursor::leave`].
     pub(super) fn enter(&mut self) -> Result<Outside<'a>, Short> {
         let length = self.length()? as usize;
         let outside = Outside(self.body);
@@ -112,7 +112,7 @@ impl<'a> Cursor<'a> {
         Ok(outside)
     }
 
-    /// Leaves a message, past what a newer version of its type may have at its end.
+    /// Leaves a message, skipping fields that a newer version of its type appended.
     pub(super) fn leave(&mut self, outside: Outside<'a>) {
         self.at = self.body.len();
         self.body = outside.0;
@@ -123,29 +123,29 @@ impl<'a> Cursor<'a> {
         self.before
     }
 
-    /// Where in the body the cursor is; the next value may be padded to begin behind it.
+    /// Position in the body. The next value may start later because of padding.
     pub(super) fn at(&self) -> usize {
         self.at
     }
 
-    /// Goes to where [`Cursor::at`] was in a message.
+    /// Moves to a position returned by [`Cursor::at`].
     pub(super) fn seek(&mut self, at: usize) {
         self.at = at;
     }
 
-    /// Whether numbers are lowest byte first.
+    /// Whether numbers are little-endian.
     pub(super) fn is_little_endian(&self) -> bool {
         !self.big_endian
     }
 
-    /// Where in the body the next value of `size` bytes begins.
+    /// Position in the body of the next value of `size` bytes.
     #[inline]
     pub(super) fn aligned(&self, size: usize) -> usize {
         let align = size.min(self.max_align);
         self.at + (self.at.wrapping_neg() & (align - 1))
     }
 
-    /// The bytes of `count` values of `size` bytes each, after their padding.
+    /// Bytes of `count` values of `size` bytes each, after padding.
     #[inline]
     fn take(&mut self, size: usize, count: u64) -> Result<&'a [u8], Short> {
         if count == 0 || size == 0 {
@@ -161,7 +161,7 @@ impl<'a> Cursor<'a> {
         Ok(&self.body[start..self.at])
     }
 
-    /// The bytes of one value of `N` bytes, lowest byte first.
+    /// Bytes of one value, in little-endian order.
     #[inline]
     fn value<const N: usize>(&mut self) -> Result<[u8; N], Short> {
         let start = self.aligned(N);
@@ -176,13 +176,13 @@ impl<'a> Cursor<'a> {
         Ok(value)
     }
 
-    /// Passes over `count` values of `size` bytes each.
+    /// Skips `count` values of `size` bytes each.
     #[inline]
     pub(super) fn skip(&mut self, size: usize, count: u64) -> Result<(), Short> {
         self.take(size, count).map(|_| ())
     }
 
-    /// The length that stands before a sequence whose elements take at least a byte each.
+    /// Length prefix of a sequence whose elements take at least one byte each.
     #[inline]
     pub(super) fn length(&mut self) -> Result<u32, Short> {
         let length = u32::from_le_bytes(self.value()?);
@@ -193,7 +193,7 @@ impl<'a> Cursor<'a> {
         Ok(length)
     }
 
-    /// A string, without the zero that ends it in CDR.
+    /// String without the terminating zero of CDR.
     #[inline]
     pub(super) fn text(&mut self) -> Result<&'a [u8], Short> {
         let length = self.length()?;
@@ -204,7 +204,7 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    /// A whole number; fractions are cut off.
+    /// Integer; fractions are truncated.
     #[inline]
     pub(super) fn integer(&mut self, primitive: Primitive) -> Result<i64, Short> {
         Ok(match primitive {
@@ -214,7 +214,7 @@ impl<'a> Cursor<'a> {
         })
     }
 
-    /// A number of any type.
+    /// Number of any type.
     #[inline]
     pub(super) fn number(&mut self, primitive: Primitive) -> Result<f64, Short> {
         Ok(match primitive {
@@ -231,7 +231,7 @@ impl<'a> Cursor<'a> {
         })
     }
 
-    /// Reads doubles that follow each other.
+    /// Reads consecutive doubles.
     #[inline]
     pub(super) fn doubles(&mut self, values: &mut [f64]) -> Result<(), Short> {
         if self.big_endian {
@@ -254,7 +254,7 @@ impl<'a> Cursor<'a> {
         Ok(())
     }
 
-    /// Replaces `list` by `count` numbers of one type; by none where they are more than [`MAX_LIST`].
+    /// Replaces `list` with `count` numbers of one type, or clears it if there are more than [`MAX_LIST`].
     pub(super) fn numbers(
         &mut self,
         primitive: Primitive,
@@ -262,7 +262,7 @@ impl<'a> Cursor<'a> {
         list: &mut Vec<f64>,
     ) -> Result<(), Short> {
         list.clear();
-        // Before anything is allocated for them: are they there?
+        // Check the bounds before allocating.
         let bytes = self.take(primitive.size(), count.into())?;
         if count as usize > MAX_LIST {
             return Ok(());

@@ -1,4 +1,4 @@
-//! Why a message could not be decoded.
+//! Errors in decoding a message.
 
 use super::builder::TooManyJoints;
 use super::cursor::{EncapsulationError, Short};
@@ -6,27 +6,27 @@ use super::protobuf::WireError;
 use super::row::Row;
 use super::schema::excerpt;
 
-/// Why a message could not be decoded.
+/// Reason why a message could not be decoded.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum DecodeError<'p> {
-    /// The message is not in a representation read here.
+    /// Unsupported message representation.
     #[error(transparent)]
     Encapsulation(#[from] EncapsulationError),
-    /// A field reaches beyond the end of the message.
+    /// A field extends beyond the end of the message.
     #[error("field `{}`: {short}", excerpt(field))]
     Short { field: &'p str, short: Short },
-    /// It is no JSON, or not of the type's fields.
+    /// Invalid JSON, or JSON without the type's fields.
     #[error(transparent)]
     Json(#[from] JsonError),
-    /// It is no protocol buffer, or not of the type's fields.
+    /// Invalid protocol buffer, or one without the type's fields.
     #[error(transparent)]
     Protobuf(#[from] WireError),
-    /// The columns refused the row.
+    /// The columns rejected the row.
     #[error(transparent)]
     Refused(#[from] TooManyJoints),
 }
 
-/// Why a message could not be read.
+/// Reason why a JSON message could not be decoded.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum JsonError {
     #[error("not JSON of this type: {what}")]
@@ -35,5 +35,5 @@ pub(crate) enum JsonError {
     Missing { path: String },
 }
 
-/// What a walk does with each row.
+/// Callback for each row.
 pub(super) type Append<'f> = dyn FnMut(&Row) -> Result<(), TooManyJoints> + 'f;

@@ -1,8 +1,8 @@
-//! Message definitions in OMG IDL 4.2, as rosbag2 stores them: one or several files, each after a
-//! line of `=` and a line `IDL: package/msg/Type`.
+//! Message definitions in OMG IDL 4.2 as stored by rosbag2: one or more files, each after a line of `=` and
+//! a line `IDL: package/msg/Type`.
 //!
-//! Only what says how bytes lie is kept: structures, aliases, enumerations, constants for lengths,
-//! and of the annotations those about extensibility and optional members.
+//! Keeps only what determines the byte layout: structures, aliases, enumerations, constants for lengths,
+//! and the annotations for extensibility and optional members.
 
 mod tokens;
 
@@ -24,36 +24,36 @@ pub(super) fn parse(type_name: &str, schema: &[u8]) -> Result<Schema, SchemaErro
     Schema::new(type_name, parser.resolve()?)
 }
 
-/// A type as a member names it.
+/// Type of a member.
 #[derive(Clone, Debug)]
 struct Type {
     base: Base,
     arity: Arity,
 }
 
-/// A structure before the names in it are resolved.
+/// Structure before its names are resolved.
 struct Struct {
-    /// The modules that it is in, each ending in `/`.
+    /// Enclosing modules, each followed by `/`.
     scope: String,
     name: String,
     fields: Vec<Field>,
     extensibility: Extensibility,
 }
 
-/// What is known while files are read. Names are whole, their modules parted by `/`.
+/// State while reading files. Names are fully qualified, with `/` between modules.
 #[derive(Default)]
 struct Parser<'a> {
     tokens: Tokens<'a>,
     scope: String,
     structs: Vec<Struct>,
     struct_names: HashSet<String>,
-    /// Aliases, each with the scope that its type is named in.
+    /// Aliases with the scope of their type.
     aliases: HashMap<String, (String, Type)>,
     constants: HashMap<String, u64>,
     fields: usize,
 }
 
-/// What annotations said that matters.
+/// Relevant annotations.
 #[derive(Clone, Copy)]
 struct Annotations {
     extensibility: Extensibility,
@@ -124,7 +124,7 @@ impl Parser<'_> {
         Ok(())
     }
 
-    /// Reads the members that one declaration makes.
+    /// Reads the members of one declaration.
     fn member(&mut self, fields: &mut Vec<Field>) -> Result<(), SchemaError> {
         let annotations = self.annotations()?;
         let before = self.tokens.here();
@@ -132,7 +132,7 @@ impl Parser<'_> {
         let spelled = self.tokens.since(before);
         loop {
             let name = self.tokens.name("the name of a member")?;
-            // An underscore lets a member be called as a word of the language is.
+            // An underscore escapes member names that are keywords.
             let name = name.strip_prefix('_').unwrap_or(name).to_owned();
             let dimensions = self.dimensions()?;
             let mut of = self.array(of.clone(), dimensions);
@@ -167,7 +167,7 @@ impl Parser<'_> {
         }
     }
 
-    /// Reads a constant; only whole numbers can be lengths.
+    /// Reads a constant. Only integers can be lengths.
     fn constant(&mut self) -> Result<(), SchemaError> {
         self.type_of(0)?;
         let name = self.tokens.name("the name of a constant")?;
@@ -183,8 +183,8 @@ impl Parser<'_> {
         self.tokens.skip_to(';')
     }
 
-    /// Reads an enumeration, whose values take as many bytes as its bits need (DDS XTypes 1.3,
-    /// §7.3.1.2.1.5: 32 bits unless it says).
+    /// Reads an enumeration. The size of its values depends on the bit bound (DDS XTypes 1.3, §7.3.1.2.1.5:
+    /// 32 bits by default).
     fn enumeration(&mut self, bit_bound: u64) -> Result<(), SchemaError> {
         let name = self.tokens.name("the name of an enumeration")?;
         let primitive = match bit_bound {
@@ -197,7 +197,7 @@ impl Parser<'_> {
         self.tokens.skip_block()
     }
 
-    /// Passes over a type that cannot be read, and remembers it.
+    /// Skips a type that cannot be decoded, and records it.
     fn opaque(&mut self, why: &'static str) -> Result<(), SchemaError> {
         let name = self.tokens.name("the name of a type")?;
         let of = Type { base: Base::Unreadable(why), arity: Arity::One };
@@ -269,7 +269,7 @@ impl Parser<'_> {
         Ok(Type { base, arity: Arity::One })
     }
 
-    /// Reads on after the first word of the C-like names of integers.
+    /// Reads the rest of a C-style integer name.
     fn old_integer(&mut self, first: &str) -> Result<Type, SchemaError> {
         let mut words = vec![first.to_owned()];
         while let Some(Token::Name(word @ ("long" | "short" | "double"))) = self.tokens.peek() {
@@ -289,7 +289,7 @@ impl Parser<'_> {
         Ok(Type { base, arity: Arity::One })
     }
 
-    /// Reads the dimensions after a name, and gives their product.
+    /// Reads the dimensions after a name and returns their product.
     fn dimensions(&mut self) -> Result<Option<u32>, SchemaError> {
         let mut length: Option<u32> = None;
         while self.tokens.accept('[') {
@@ -314,7 +314,7 @@ impl Parser<'_> {
         Ok(length)
     }
 
-    /// `of` as an array of so many, if there are dimensions.
+    /// Wraps `of` in an array if there are dimensions.
     fn array(&mut self, of: Type, dimensions: Option<u32>) -> Type {
         match dimensions {
             None => of,
@@ -322,13 +322,13 @@ impl Parser<'_> {
         }
     }
 
-    /// What an array or sequence of `of` has as elements: arrays in arrays get a type of their own,
-    /// with one nameless field.
+    /// Element type of an array or sequence of `of`. A nested array becomes a structure with one unnamed
+    /// field.
     fn element(&mut self, of: Type) -> Base {
         let Type { base, arity: arity @ (Arity::Array(_) | Arity::Sequence) } = of else {
             return of.base;
         };
-        // No name in a file can begin so.
+        // Names in a file cannot start with a slash.
         let name = format!("/{}", self.structs.len());
         let fields =
             vec![Field { name: String::new(), base, arity, spelled: "an array in it".into() }];
@@ -343,9 +343,9 @@ impl Parser<'_> {
         self.structs.push(of);
     }
 
-    /// The structures with whole names in them, and aliases replaced by what they stand for.
+    /// Resolves names and aliases in all structures.
     fn resolve(mut self) -> Result<Vec<Definition>, SchemaError> {
-        // Aliases of arrays may make structures of their own while they are resolved.
+        // Resolving aliases of arrays may add structures.
         let mut index = 0;
         let mut definitions = Vec::new();
         while index < self.structs.len() {
@@ -392,7 +392,7 @@ impl Parser<'_> {
     }
 }
 
-/// What `find` has for `name` in the innermost of the modules of `scope` that has it.
+/// Looks up `name` with `find` in the modules of `scope`, innermost first.
 fn innermost<T>(scope: &str, name: &str, find: impl Fn(&str) -> Option<T>) -> Option<T> {
     if let Some(whole) = name.strip_prefix('/') {
         return find(whole).or_else(|| find(name));
@@ -417,7 +417,7 @@ fn primitive(word: &str) -> Option<Primitive> {
     })
 }
 
-/// A whole number in any of the language's bases.
+/// Parses an integer in any base of the language.
 fn whole(text: &str) -> Option<u64> {
     match text.as_bytes() {
         [b'0', b'x' | b'X', ..] => u64::from_str_radix(&text[2..], 16).ok(),

@@ -1,8 +1,8 @@
-//! JSON messages, read field by field without a tree of them.
+//! Reads JSON messages field by field, without building a tree.
 //!
-//! Names are those of the type's fields. ROS types are as rosbridge writes them, Foxglove's as its
-//! schemas have them or as protocol buffers map to JSON: a stamp is an object of seconds and
-//! nanoseconds or a text, a number may be `null` or a text, a field that is left out has its default.
+//! Field names are those of the type. ROS types are as rosbridge writes them; Foxglove types as in its
+//! schemas, or in the JSON mapping of protocol buffers. A stamp is an object with seconds and nanoseconds,
+//! or a string. A number may be `null` or a string, and a missing field has its default.
 
 mod values;
 
@@ -16,30 +16,30 @@ use super::recipes::Recipe;
 use super::row::{Row, Slot};
 use super::schema::excerpt;
 
-/// The wanted fields as a tree.
+/// Wanted fields as a tree.
 #[derive(Debug)]
 pub(crate) struct Plan {
     root: Branch,
-    /// All slots, to be emptied before a message; and those of one row, before each.
+    /// All slots, reset before a message, and the slots of a row, reset before each row.
     slots: Vec<Slot>,
     row_slots: Vec<Slot>,
     has_rows: bool,
-    /// The objects that a message must have, and those that a row must.
+    /// Required objects of a message and of a row.
     required: Marks,
     row_required: Marks,
 }
 
-/// A set of [`Branch::mark`]s.
+/// Set of [`Branch::mark`]s.
 type Marks = u64;
 
-/// An object with wanted fields.
+/// Object with wanted fields.
 #[derive(Debug)]
 struct Branch {
-    /// From the message's root; empty for the message itself.
+    /// Path from the message's root; empty for the message itself.
     path: String,
-    /// One bit, of its own.
+    /// Unique bit.
     mark: Marks,
-    /// Whether it is the array whose elements are rows.
+    /// Whether this is the array whose elements are rows.
     is_rows: bool,
     children: Vec<(&'static str, Child)>,
 }
@@ -51,7 +51,7 @@ enum Child {
 }
 
 impl Plan {
-    /// The fields of all layouts of `recipe`: a message has those of one.
+    /// Collects the fields of all layouts of `recipe`; a message has one layout.
     pub(super) fn new(recipe: &Recipe) -> Self {
         let mut marks = 0;
         let mut root = Branch::new(String::new(), false, &mut marks);
@@ -85,7 +85,7 @@ impl Plan {
         Self { root, slots, row_slots, has_rows: recipe.each.is_some(), required, row_required }
     }
 
-    /// Reads `message` through `row` and gives each of its rows to `append`.
+    /// Decodes `message` into `row` and passes each of its rows to `append`.
     pub(super) fn decode<'p>(
         &'p self,
         message: &[u8],
@@ -93,7 +93,7 @@ impl Plan {
         append: &mut Append<'_>,
     ) -> Result<(), DecodeError<'p>> {
         self.slots.iter().for_each(|&slot| row.reset(slot));
-        // The array of rows may stand before what all of its rows share.
+        // The array of rows may precede the fields shared by all rows.
         let found = self.walk(message, Pass::Shared, row, append)?;
         self.require(self.required, found)?;
         if self.has_rows {
@@ -120,7 +120,7 @@ impl Plan {
         Ok(walk.found)
     }
 
-    /// Refuses where an object is missing: its numbers would all be zero.
+    /// Fails if an object is missing, because its numbers would all be zero.
     fn require(&self, required: Marks, found: Marks) -> Result<(), JsonError> {
         let missing = required & !found;
         if missing == 0 {
@@ -143,7 +143,7 @@ impl Branch {
         Self { path, mark, is_rows, children: Vec::new() }
     }
 
-    /// Adds the leaf at `path`, and the branches to it.
+    /// Adds the leaf at `path` and the branches leading to it.
     fn insert(
         &mut self,
         path: &'static str,
@@ -171,7 +171,7 @@ impl Branch {
         }
     }
 
-    /// Shows this branch and all below it.
+    /// Calls `see` for this branch and all below it.
     fn visit(&self, see: &mut dyn FnMut(&Branch)) {
         see(self);
         for (_, child) in &self.children {
@@ -188,14 +188,14 @@ impl Branch {
     }
 }
 
-/// What is read in one pass over a message.
+/// Fields read in one pass over a message.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum Pass {
-    /// What is not in a row.
+    /// Fields outside rows.
     Shared,
     /// The rows only.
     Rows,
-    /// All within one row.
+    /// All fields within one row.
     Row,
 }
 
@@ -335,8 +335,7 @@ impl<'v> Visitor<'_> for Key<'v> {
     }
 }
 
-/// Whether `key` is a field's `name`, or that name as protocol buffers write it in JSON, in
-/// lowerCamelCase.
+/// Whether `key` is a field's `name`, or its lowerCamelCase form in the JSON mapping of protocol buffers.
 fn is_named(name: &str, key: &str) -> bool {
     let mut raised = false;
     let camel = name.chars().filter_map(|letter| {

@@ -1,9 +1,8 @@
-//! From a message's bytes to rows of columns.
+//! Decodes message bytes into rows of columns.
 //!
-//! Three things meet here and know nothing of one another: the [`recipes`] say which fields of a type
-//! fill which slot of a [`Row`]; a [`Plan`] reads those fields from the wire, by the schema in the
-//! log; a [`Builder`] appends rows to the columns. A new message type is a recipe, a new encoding is
-//! another way to fill a `Row`.
+//! Three independent parts: [`recipes`] map the fields of a type to the slots of a [`Row`]. A [`Plan`]
+//! reads these fields from the wire according to the schema in the log. A [`Builder`] appends rows to the
+//! columns. A new message type needs a recipe; a new encoding needs another way to fill a `Row`.
 
 mod builder;
 mod cursor;
@@ -31,12 +30,12 @@ pub(super) use self::recipes::Recipe;
 pub(super) use self::row::{Row, RowTimes};
 pub(super) use self::schema::{bounded, canonical, excerpt};
 
-/// How a log describes the messages of a channel.
+/// Message format of a channel, as declared in the log.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Format<'a> {
     /// Encoding of the messages, such as `cdr`.
     pub(super) encoding: &'a str,
-    /// Type name as the log spells it.
+    /// Type name as in the log.
     pub(super) type_name: &'a str,
     /// Encoding of the schema, such as `ros2msg`; empty without a schema.
     pub(super) schema_encoding: &'a str,
@@ -44,31 +43,31 @@ pub(super) struct Format<'a> {
     pub(super) schema: &'a [u8],
 }
 
-/// Why the messages of a channel cannot be decoded, whatever is in them.
+/// Reason why the messages of a channel cannot be decoded, regardless of content.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum FormatError {
-    /// The messages are in an encoding that is not read here.
+    /// Unsupported message encoding.
     #[error("messages are encoded as `{found}`, expected `cdr`, `ros1`, `json` or `protobuf`")]
     Encoding { found: String },
-    /// The schema is in a language that is not read here.
+    /// Unsupported schema language.
     #[error("schema is written in `{found}`, expected {expected}")]
     SchemaEncoding { expected: &'static str, found: String },
-    /// There is no schema to decode by.
-    #[error("the log holds no schema for `{type_name}`")]
+    /// No schema.
+    #[error("the log has no schema for `{type_name}`")]
     NoSchema { type_name: String },
-    /// The schema is broken, or lacks a field that is wanted.
+    /// The schema is invalid or lacks a required field.
     #[error("schema of `{type_name}`: {source}")]
     Schema { type_name: String, source: SchemaError },
 }
 
 impl Format<'_> {
-    /// How to read the fields of `recipe` from messages in this format.
+    /// Plan for reading the fields of `recipe` from messages in this format.
     pub(super) fn plan(self, recipe: &Recipe) -> Result<Plan, FormatError> {
         match self.encoding {
             "cdr" => self.steps(recipe, Serialization::Cdr),
             "ros1" => self.steps(recipe, Serialization::Ros1),
             "protobuf" => self.protobuf(recipe),
-            // A schema of JSON only repeats what the type's name and the messages say.
+            // JSON schemas add nothing to the type name and the messages.
             "json" => Ok(Plan::Json(json::Plan::new(recipe))),
             other => Err(FormatError::Encoding { found: excerpt(other) }),
         }
@@ -108,7 +107,7 @@ impl Format<'_> {
         self.first_layout(recipe, compile).map(Plan::Protobuf)
     }
 
-    /// The plan for the first of the recipe's layouts that the schema has.
+    /// Plan for the first layout of the recipe that the schema supports.
     fn first_layout<P>(
         self,
         recipe: &Recipe,

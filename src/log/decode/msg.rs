@@ -1,5 +1,5 @@
-//! Message definitions as ROS writes them: the definition of the type, then those of all that it
-//! contains, each after a line of `=` and a line `MSG: package/Type`.
+//! Message definitions in ROS format: the definition of the type, followed by all types it contains, each
+//! after a line of `=` and a line `MSG: package/Type`.
 
 use std::collections::HashSet;
 
@@ -8,19 +8,19 @@ use super::schema::{
     SchemaError, canonical, excerpt,
 };
 
-/// The definitions of the common types of ROS 2, for logs without any.
+/// Definitions of the common ROS 2 types, for logs without schemas.
 const COMMON: &str = include_str!("common.msg");
 
-/// Where the two generations of ROS mean different things by one word.
+/// ROS generation, where the same word has different meanings.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Dialect {
     /// `byte` is signed.
     Ros1,
-    /// `byte` is not.
+    /// `byte` is unsigned.
     Ros2,
 }
 
-/// The one type that ROS 1 lets every package name without its own.
+/// The only type that ROS 1 allows without a package name.
 const HEADER: &str = "std_msgs/Header";
 
 /// Parses the concatenated definitions of `type_name`.
@@ -33,13 +33,13 @@ pub(super) fn parse(
     Schema::new(type_name, definitions(&canonical(type_name), &text, dialect)?)
 }
 
-/// The definition of the common type `type_name`, if it is one.
+/// Definition of the common type `type_name`, if it is one.
 pub(super) fn common(type_name: &str) -> Option<Schema> {
     let definitions = definitions("", COMMON, Dialect::Ros2).ok()?;
     Schema::new(type_name, definitions).ok()
 }
 
-/// All types that `text` defines; the first is called `name`.
+/// All types defined in `text`; the first is called `name`.
 fn definitions(name: &str, text: &str, dialect: Dialect) -> Result<Vec<Definition>, SchemaError> {
     let mut done = Vec::new();
     let mut fields = 0;
@@ -71,8 +71,8 @@ fn definitions(name: &str, text: &str, dialect: Dialect) -> Result<Vec<Definitio
     Ok(done)
 }
 
-/// Takes a bare `Header` that its own package does not define for that of ROS: definitions that were
-/// made from those of ROS 1 keep the word.
+/// Resolves a bare `Header` to ROS's own if its package does not define one: definitions converted from ROS
+/// 1 keep the bare name.
 fn settle_headers(definitions: &mut [Definition]) {
     let defined: HashSet<String> =
         definitions.iter().map(|definition| definition.name.clone()).collect();
@@ -87,14 +87,14 @@ fn settle_headers(definitions: &mut [Definition]) {
     }
 }
 
-/// The field that a line declares; `None` for a constant, a comment or an empty line.
+/// Field declared in a line. `None` for a constant, comment or empty line.
 fn field(
     owner: &str,
     number: usize,
     line: &str,
     dialect: Dialect,
 ) -> Result<Option<Field>, SchemaError> {
-    // A `#` within the text of a constant or a default may be cut: neither is on the wire.
+    // A `#` in a string constant or default may be cut off, because neither is on the wire.
     let declaration = line.split('#').next().unwrap_or_default().trim();
     if declaration.is_empty() {
         return Ok(None);
@@ -117,7 +117,7 @@ fn field(
     Ok(Some(Field { name: name.into(), base, arity, spelled: spelled.into() }))
 }
 
-/// The type `spelled` in the definition of `owner`.
+/// Type `spelled` in the definition of `owner`.
 fn type_of(
     owner: &str,
     line: usize,
@@ -137,7 +137,7 @@ fn type_of(
     Ok((base_of(owner, base, dialect), arity))
 }
 
-/// The type of one value, `name` in the definition of `owner`.
+/// Type of one value, `name` in the definition of `owner`.
 fn base_of(owner: &str, name: &str, dialect: Dialect) -> Base {
     if let Some(primitive) = primitive(name, dialect) {
         return Base::Number(primitive);
@@ -146,7 +146,7 @@ fn base_of(owner: &str, name: &str, dialect: Dialect) -> Base {
         "string" => Base::Text,
         "wstring" => Base::Unreadable("which has no settled encoding"),
         "time" | "duration" => Base::Message(name.into()),
-        // ROS 2 means the type of its own package, see `Header` below.
+        // ROS 2 refers to the type of the same package, see `Header` below.
         "Header" if dialect == Dialect::Ros1 => Base::Message(HEADER.into()),
         _ if name.contains('/') => Base::Message(canonical(name).into()),
         _ => match owner.rsplit_once('/') {

@@ -1,10 +1,10 @@
-//! Plans: how the rows of one channel are read from its messages, in whatever encoding.
+//! Plans for reading the rows of a channel from its messages, in any encoding.
 
 use super::fault::{Append, DecodeError};
 use super::row::Row;
 use super::{json, protobuf, steps};
 
-/// What a recipe became for the format of one channel.
+/// Recipe compiled for the format of one channel.
 #[derive(Debug)]
 pub(crate) enum Plan {
     /// CDR or ROS 1 serialization.
@@ -16,7 +16,7 @@ pub(crate) enum Plan {
 }
 
 impl Plan {
-    /// Reads `message` through `row` and gives each of its rows to `append`.
+    /// Decodes `message` into `row` and passes each of its rows to `append`.
     pub(crate) fn decode<'p>(
         &'p self,
         message: &[u8],

@@ -1,8 +1,8 @@
-//! Protocol buffers, by the descriptors in the log.
+//! Protocol buffers, decoded with the descriptors in the log.
 //!
-//! Field numbers are looked up by name once for a channel; messages are then read from the wire as
-//! they come (protobuf.dev, "Encoding"). Unknown fields are passed over, and a field that is left out
-//! has its default, as proto3 has it: zero or empty.
+//! Field numbers are looked up by name once per channel; messages are then read sequentially from the wire
+//! (protobuf.dev, "Encoding"). Unknown fields are skipped. A missing field has its proto3 default: zero or
+//! empty.
 
 mod descriptor;
 mod wire;
@@ -17,15 +17,15 @@ use self::descriptor::{Field, Kind, Message, Scalar};
 use self::wire::Fault;
 pub(crate) use self::wire::{Reader, Value, WireError};
 
-/// The wanted fields as a tree of field numbers.
+/// Wanted fields as a tree of field numbers.
 #[derive(Debug)]
 pub(crate) struct Plan {
     root: Vec<Wanted>,
-    /// All slots, to be emptied before a message; and those of one row, before each.
+    /// All slots, reset before a message, and the slots of a row, reset before each row.
     slots: Vec<Slot>,
     row_slots: Vec<Slot>,
     has_rows: bool,
-    /// Whether numbers are wanted of messages within the message, or within a row.
+    /// Whether numbers in nested messages are wanted, in the message or in a row.
     has_vectors: bool,
 }
 
@@ -33,7 +33,7 @@ pub(crate) struct Plan {
 #[derive(Debug)]
 struct Wanted {
     number: u32,
-    /// From the message's root.
+    /// Path from the message's root.
     path: Box<str>,
     what: What,
 }
@@ -46,32 +46,31 @@ enum What {
     List(Scalar, usize),
     Text(usize),
     Names,
-    /// A message with wanted fields.
+    /// Message with wanted fields.
     Message(Vec<Wanted>),
-    /// A message for each row.
+    /// Repeated message, one row each.
     Rows(Vec<Wanted>),
 }
 
-/// What was met on a walk over a message.
+/// Content encountered in one pass over a message.
 #[derive(Debug, Default)]
 struct Met {
     rows: usize,
-    /// Messages of which numbers are wanted, such as a position: of the whole, or of one row.
+    /// Number of messages with wanted numbers, such as a position, in the whole message or one row.
     vectors: usize,
 }
 
-/// What is read in one pass over a message.
+/// Fields read in one pass over a message.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum Pass {
-    /// What is not in a row.
+    /// Fields outside rows.
     Shared,
     /// The rows only.
     Rows,
 }
 
 impl Plan {
-    /// Finds `fields` in the type `type_name`; the elements of the array `each`, if there is one,
-    /// are a row each.
+    /// Finds `fields` in the type `type_name`. Each element of the array `each`, if given, becomes a row.
     pub(super) fn compile(
         types: &Types,
         type_name: &str,
@@ -97,7 +96,7 @@ impl Plan {
         })
     }
 
-    /// Reads `message` through `row` and gives each of its rows to `append`.
+    /// Decodes `message` into `row` and passes each of its rows to `append`.
     pub(super) fn decode<'p>(
         &'p self,
         message: &[u8],
@@ -105,7 +104,7 @@ impl Plan {
         append: &mut Append<'_>,
     ) -> Result<(), DecodeError<'p>> {
         self.slots.iter().for_each(|&slot| row.reset(slot));
-        // The rows may stand before what all of them share.
+        // The rows may precede the fields shared by all of them.
         let mut met = Met::default();
         self.walk(&self.root, Reader::new(message), Pass::Shared, row, append, &mut met)?;
         self.cap_lists(row);
@@ -159,8 +158,8 @@ impl Plan {
         Ok(())
     }
 
-    /// Refuses what has neither position nor rotation: its numbers would all be zero. One of the two
-    /// may be left out.
+    /// Fails if a message has neither position nor rotation, because its numbers would all be zero. One of
+    /// the two may be missing.
     fn require_vectors(&self, met: &Met, reader: &Reader<'_>) -> Result<(), WireError> {
         match met.vectors {
             0 if self.has_vectors => Err(reader.error(Fault::Empty)),
@@ -177,12 +176,12 @@ impl Plan {
     }
 }
 
-/// Whether numbers are wanted of a message itself.
+/// Whether the message itself has wanted numbers.
 fn is_vector(wanted: &[Wanted]) -> bool {
     wanted.iter().any(|wanted| matches!(wanted.what, What::Number(..)))
 }
 
-/// Whether numbers are wanted of messages below.
+/// Whether nested messages have wanted numbers.
 fn has_vectors(wanted: &[Wanted]) -> bool {
     wanted.iter().any(|wanted| match &wanted.what {
         What::Message(wanted) | What::Rows(wanted) => is_vector(wanted) || has_vectors(wanted),
@@ -191,14 +190,14 @@ fn has_vectors(wanted: &[Wanted]) -> bool {
 }
 
 impl What {
-    /// Reads a value that has no wanted fields of its own.
+    /// Reads a value without nested wanted fields.
     fn read(&self, value: Value<'_>, row: &mut Row) -> Result<(), Fault> {
         match *self {
             What::Seconds(scalar) => row.seconds = scalar.integer(value)?,
             What::Nanoseconds(scalar) => row.nanoseconds = scalar.integer(value)?,
             What::Number(scalar, index) => row.numbers[index] = scalar.number(value)?,
             What::List(scalar, index) => {
-                // Packed into one value, or each of its own.
+                // Either packed into one value or one value each.
                 let Value::Bytes(packed) = value else {
                     row.push(index, scalar.number(value)?);
                     return Ok(());
@@ -217,7 +216,7 @@ impl What {
 }
 
 impl Scalar {
-    /// The next of packed values.
+    /// Next packed value.
     fn next<'a>(self, reader: &mut Reader<'a>) -> Result<Option<Value<'a>>, Fault> {
         if reader.is_at_end() {
             return Ok(None);
@@ -243,7 +242,7 @@ impl Scalar {
         })
     }
 
-    /// A whole number; the largest where it is larger, and fractions are cut off.
+    /// Integer; saturates, and fractions are truncated.
     fn integer(self, value: Value<'_>) -> Result<i64, Fault> {
         let saturated = |bits: u64| i64::try_from(bits).unwrap_or(i64::MAX);
         Ok(match (self, value) {
@@ -264,14 +263,14 @@ impl Scalar {
     }
 }
 
-/// What is known while descriptors are walked.
+/// State while walking descriptors.
 struct Compiler<'a> {
     types: &'a Types,
     each: Option<&'static str>,
 }
 
 impl Compiler<'_> {
-    /// The fields of `message` that lead to the wanted ones, whose paths all begin with `prefix`.
+    /// Fields of `message` that lead to the wanted ones, whose paths all start with `prefix`.
     fn message(
         &self,
         message: &Message,
@@ -329,7 +328,7 @@ impl Compiler<'_> {
         })
     }
 
-    /// A time: a message of seconds and nanoseconds, as `google.protobuf.Timestamp`.
+    /// A time: a message with seconds and nanoseconds, such as `google.protobuf.Timestamp`.
     fn stamp(&self, message: &Message, field: &Field, path: &str) -> Result<What, SchemaError> {
         let part = |names: &[&str], what: fn(Scalar) -> What| {
             let part = names.iter().find_map(|name| message.field(name))?;
@@ -352,12 +351,12 @@ impl Compiler<'_> {
     }
 }
 
-/// Bytes of a path before the names below `prefix`.
+/// Length of a path before the names below `prefix`.
 fn prefix_len(prefix: &str) -> usize {
     if prefix.is_empty() { 0 } else { prefix.len() + 1 }
 }
 
-/// The first name of `path` below `prefix`.
+/// First name of `path` below `prefix`.
 fn name_below<'a>(path: &'a str, prefix: &str) -> &'a str {
     let rest = &path[prefix_len(prefix)..];
     rest.split('.').next().unwrap_or(rest)

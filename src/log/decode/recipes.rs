@@ -1,28 +1,27 @@
-//! Which fields of which message types fill which slots, and the columns that they become.
+//! Maps fields of message types to slots and columns.
 
 use super::builder::{Builder, Part, PartOf};
 use super::row::{self, Slot};
 use super::schema::canonical;
 
-/// Which field fills which slot, by its path from the message's root.
+/// Slot for each field, by its path from the message's root.
 pub(super) type Fields = &'static [(&'static str, Slot)];
 
-/// How a message type becomes rows.
+/// Conversion of a message type to rows.
 pub(crate) struct Recipe {
-    /// Names of the type as `package/Type`, or as `package.Type` where ROS is not.
+    /// Type names as `package/Type`, or `package.Type` outside ROS.
     type_names: &'static [&'static str],
-    /// The array whose elements are a row each; without one, a message is a row.
+    /// Array whose elements are rows; without it, a message is one row.
     pub(super) each: Option<&'static str>,
-    /// The fields, in each of the ways that the type has had them; of the first layout of which all
-    /// exist they are read.
+    /// Fields of each version of the type. The first layout whose fields all exist is used.
     pub(super) layouts: &'static [Fields],
-    /// The columns to fill: the first under the topic's own name. Where an array has the rows there is
-    /// one part, whose group a row has ([`Row::group`](row::Row::group)).
+    /// Columns to fill; the first has the topic's own name. If rows come from an array there is one part,
+    /// and rows have groups ([`Row::group`](row::Row::group)).
     parts: &'static [PartOf],
 }
 
 impl Recipe {
-    /// The recipe for a type, which may be spelled `package/Type` or `package/msg/Type`.
+    /// Recipe for a type spelled `package/Type` or `package/msg/Type`.
     pub(crate) fn of(type_name: &str) -> Option<&'static Recipe> {
         let type_name = canonical(type_name);
         RECIPES.iter().find(|recipe| recipe.type_names.contains(&type_name.as_ref()))
@@ -35,7 +34,7 @@ impl Recipe {
     }
 }
 
-/// The one layout of a type.
+/// Single layout of a type.
 macro_rules! layout {
     ($($field:expr),* $(,)?) => { &[&[$($field),*]] };
 }
@@ -74,7 +73,7 @@ const STAMP: (&str, Slot) = ("header.stamp", Slot::Stamp);
 const FRAME: (&str, Slot) = ("header.frame_id", Slot::Text(row::FRAME));
 const NAMES: (&str, Slot) = ("joint_names", Slot::Names);
 
-/// Every message type that has columns.
+/// All message types with columns.
 static RECIPES: &[Recipe] = &[
     Recipe {
         type_names: &["sensor_msgs/JointState"],
@@ -91,7 +90,7 @@ static RECIPES: &[Recipe] = &[
     Recipe {
         type_names: &["control_msgs/JointTrajectoryControllerState"],
         each: None,
-        // `desired` and `actual` are the names that ROS 2 gave up in 2023.
+        // ROS 2 dropped the names `desired` and `actual` in 2023.
         layouts: &[
             &[
                 STAMP,
@@ -115,7 +114,7 @@ static RECIPES: &[Recipe] = &[
         parts: &[("", Part::joints), (".reference", Part::reference)],
     },
     Recipe {
-        // A set-point, where there is one point; of a whole trajectory the last counts, as a goal.
+        // A single point is a set-point; the last point of a trajectory counts as its goal.
         type_names: &["trajectory_msgs/JointTrajectory"],
         each: Some("points"),
         layouts: layout![
@@ -128,7 +127,7 @@ static RECIPES: &[Recipe] = &[
         parts: &[(".setpoint", Part::reference)],
     },
     Recipe {
-        // The arm's own state: ROS 1 spells the matrix in capitals.
+        // The arm's own state; ROS 1 spells the matrix in capitals.
         type_names: &[
             "franka_msgs/FrankaState",
             "franka_control/FrankaState",

@@ -1,43 +1,43 @@
-//! The scratch row between wire formats and columns.
+//! Intermediate row between wire formats and columns.
 
 use std::cell::Cell;
 
 use super::steps::Shape;
 
-/// Index into [`Row::texts`]: the header's frame.
+/// Index into [`Row::texts`]: frame of the header.
 pub(super) const FRAME: usize = 0;
-/// Index into [`Row::texts`]: the child frame.
+/// Index into [`Row::texts`]: child frame.
 pub(super) const CHILD: usize = 1;
-/// Index into [`Row::texts`]: the text of a type that is only a text.
+/// Index into [`Row::texts`]: text of a text-only type.
 pub(super) const BODY: usize = 0;
 
-/// Index into [`Row::numbers`]: four numbers x, y, z, w.
+/// Index into [`Row::numbers`]: quaternion x, y, z, w.
 pub(super) const QUATERNION: usize = 0;
-/// Index into [`Row::numbers`]: three numbers of a pose.
+/// Index into [`Row::numbers`]: position of a pose, three numbers.
 pub(super) const POSITION: usize = 4;
-/// Index into [`Row::numbers`]: three numbers of an IMU reading.
+/// Index into [`Row::numbers`]: angular velocity of an IMU, three numbers.
 pub(super) const GYRO: usize = 4;
-/// Index into [`Row::numbers`]: three numbers of an IMU reading.
+/// Index into [`Row::numbers`]: specific force of an IMU, three numbers.
 pub(super) const ACCEL: usize = 7;
 
 /// Index into [`Row::lists`]: positions, a bare array, or a covariance.
 pub(super) const VALUES: usize = 0;
 /// Index into [`Row::lists`]: velocities.
 pub(super) const VELOCITIES: usize = 1;
-/// Index into [`Row::lists`]: positions that the joints shall have.
+/// Index into [`Row::lists`]: commanded joint positions.
 pub(super) const REFERENCE: usize = 2;
-/// Index into [`Row::lists`]: velocities that the joints shall have.
+/// Index into [`Row::lists`]: commanded joint velocities.
 pub(super) const REFERENCE_VELOCITIES: usize = 3;
-/// Index into [`Row::lists`]: the matrix of a pose.
+/// Index into [`Row::lists`]: matrix of a pose.
 pub(super) const MATRIX: usize = 2;
 
-/// Most numbers or names in one list; longer lists are left empty, or cut, as of no arm.
+/// Maximum length of a list. Longer lists are cleared or truncated; an arm does not have them.
 pub(super) const MAX_LIST: usize = 1 << 16;
 
-/// What a field of a message fills.
+/// Destination of a message field.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Slot {
-    /// The time at which the content was true.
+    /// Time at which the content was valid.
     Stamp,
     /// One of [`Row::texts`].
     Text(usize),
@@ -50,7 +50,7 @@ pub(super) enum Slot {
 }
 
 impl Slot {
-    /// What a schema must declare for this slot.
+    /// Type that a schema must declare for this slot.
     pub(super) const fn expected(self) -> &'static str {
         match self {
             Slot::Stamp => "a time",
@@ -62,22 +62,21 @@ impl Slot {
     }
 }
 
-/// The times of a message, in nanoseconds.
+/// Times of a message, ns.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub(crate) struct RowTimes {
-    /// When the recorder received it.
+    /// Receive time of the recorder.
     pub(crate) log: i64,
-    /// When the sender published it.
+    /// Publish time of the sender.
     pub(crate) publish: i64,
-    /// The number that its sender, or the recorder, gave it; 0 where none did.
+    /// Sequence number from the sender or recorder; 0 if there is none.
     pub(crate) sequence: u32,
 }
 
-/// The fields of one row, as the wire had them.
+/// Fields of one row as read from the wire.
 ///
-/// One `Row` serves all messages of a channel: its buffers are cleared and filled again, so that
-/// decoding allocates only while they grow. A plan fills every slot of its recipe for every row;
-/// the others keep their defaults.
+/// One `Row` serves all messages of a channel. Its buffers are reused, so decoding allocates only while
+/// they grow. A plan fills every slot of its recipe for every row; the others keep their defaults.
 #[derive(Debug, Default)]
 pub(crate) struct Row {
     pub(super) seconds: i64,
@@ -86,29 +85,29 @@ pub(crate) struct Row {
     pub(super) texts: [String; 2],
     pub(super) names: Names,
     pub(super) lists: [Vec<f64>; 4],
-    /// Which element of the message's array of rows it is.
+    /// Index in the message's array of rows.
     pub(super) index: usize,
-    /// In which group of poses the row is.
+    /// Pose group of the row.
     pub(super) group: Cell<Group>,
-    /// Where the values of the message before lay, in an encoding that is walked.
+    /// Positions of the previous message's values, in encodings without an index.
     pub(super) shape: Option<Box<Shape>>,
 }
 
-/// In which group of poses a row is, where all messages of one shape have such a row.
+/// Pose group of a row, cached if all messages of one shape share it.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub(super) enum Group {
-    /// Told by its texts, and of no interest to others.
+    /// Determined by its texts; the group is not requested.
     #[default]
     ByTexts,
-    /// Told by its texts, and wanted here.
+    /// Determined by its texts; the group is requested.
     Wanted,
-    /// This one. The texts may be those of another row.
+    /// Known group. The texts may belong to a different row.
     Known(usize),
 }
 
 impl Row {
-    /// The stamp in nanoseconds; saturates. 0, as where none was set, where the nanoseconds beside whole
-    /// seconds are a second or more: no clock says so.
+    /// Stamp in ns; saturates. 0 (not set) if the seconds are nonzero and the nanoseconds are a second or
+    /// more, which no clock produces.
     pub(super) fn stamp(&self) -> i64 {
         if self.seconds != 0 && !(0..1_000_000_000).contains(&self.nanoseconds) {
             return 0;
@@ -116,12 +115,12 @@ impl Row {
         self.seconds.saturating_mul(1_000_000_000).saturating_add(self.nanoseconds)
     }
 
-    /// The `N` numbers from index `first` on.
+    /// `N` consecutive numbers from index `first`.
     pub(super) fn numbers<const N: usize>(&self, first: usize) -> [f64; N] {
         std::array::from_fn(|i| self.numbers[first + i])
     }
 
-    /// Empties a slot, as where a message leaves out what has the default value.
+    /// Resets a slot to its default, used for fields missing from a message.
     pub(super) fn reset(&mut self, slot: Slot) {
         match slot {
             Slot::Stamp => (self.seconds, self.nanoseconds) = (0, 0),
@@ -132,7 +131,7 @@ impl Row {
         }
     }
 
-    /// Appends to the list at `index`; one that is too long is emptied by [`Row::cap_list`].
+    /// Appends to the list at `index`; [`Row::cap_list`] clears it if it is too long.
     pub(super) fn push(&mut self, index: usize, value: f64) {
         let list = &mut self.lists[index];
         if list.len() <= MAX_LIST {
@@ -140,14 +139,14 @@ impl Row {
         }
     }
 
-    /// Empties the list at `index` if it is too long.
+    /// Clears the list at `index` if it is too long.
     pub(super) fn cap_list(&mut self, index: usize) {
         if self.lists[index].len() > MAX_LIST {
             self.lists[index].clear();
         }
     }
 
-    /// Replaces the text at `index`, which is mostly that of the row before.
+    /// Replaces the text at `index`, which usually equals the previous one.
     pub(super) fn set_text(&mut self, index: usize, bytes: &[u8]) {
         let text = &mut self.texts[index];
         if text.as_bytes() != bytes {
@@ -156,22 +155,22 @@ impl Row {
         }
     }
 
-    /// The frame at `index`, without the leading `/` of ROS 1.
+    /// Frame at `index`, without the leading `/` of ROS 1.
     pub(super) fn frame(&self, index: usize) -> &str {
         let frame = &self.texts[index];
         frame.strip_prefix('/').unwrap_or(frame)
     }
 }
 
-/// A list of names in one buffer.
+/// List of names in one buffer.
 ///
-/// It is filled anew for every message, mostly with the same names: those of the message before stay
-/// in the buffer until another one comes in their place.
+/// It is refilled for every message, usually with the same names, so previous names stay in the buffer
+/// until they are replaced.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Names {
     text: String,
     ends: Vec<usize>,
-    /// How many of those in the buffer are in the list.
+    /// Number of buffered names that are in the list.
     len: usize,
 }
 
@@ -209,7 +208,7 @@ impl Names {
         self.len
     }
 
-    /// Where the first `count` names end in the buffer.
+    /// End of the first `count` names in the buffer.
     fn end_of(&self, count: usize) -> usize {
         count.checked_sub(1).and_then(|last| self.ends.get(last)).copied().unwrap_or(0)
     }
@@ -222,7 +221,7 @@ impl Names {
         &self.text.as_bytes()[..self.end_of(self.len)]
     }
 
-    /// The name at `index`.
+    /// Name at `index`.
     pub(super) fn get(&self, index: usize) -> Option<&str> {
         Some(&self.text[self.end_of(index)..*self.ends().get(index)?])
     }
@@ -237,7 +236,7 @@ impl Names {
     }
 }
 
-/// Appends `bytes` with a replacement character for what is not UTF-8, without allocating a copy.
+/// Appends `bytes` with replacement characters for invalid UTF-8, without a copy.
 fn push_lossy(text: &mut String, bytes: &[u8]) {
     if let Ok(valid) = std::str::from_utf8(bytes) {
         text.push_str(valid);

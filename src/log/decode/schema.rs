@@ -1,25 +1,25 @@
-//! Message types as a schema describes them, whatever language it is written in.
+//! Message types described by a schema, independent of its language.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
 
-/// Most fields that a schema may define in all, and most that a message may have with all that it
-/// contains. Types that double at every level are stopped here.
+/// Maximum number of fields in a schema and in a message including nested ones. Limits types that double at
+/// every level.
 pub(super) const MAX_FIELDS: usize = 10_000;
 
-/// Most types that a schema may define.
+/// Maximum number of types in a schema.
 pub(super) const MAX_TYPES: usize = 5_000;
 
-/// Deepest nesting of messages. A type that contains itself is stopped here.
+/// Maximum nesting of messages. Limits types that contain themselves.
 pub(super) const MAX_DEPTH: usize = 32;
 
-/// Longest schema, in bytes. Those of whole message packages have below a tenth of it.
+/// Maximum length of a schema, in bytes. Whole message packages need less than a tenth.
 const MAX_BYTES: usize = 4 << 20;
 
-/// Longest name of a field or type, in bytes.
+/// Maximum length of a field or type name, in bytes.
 pub(super) const MAX_NAME: usize = 256;
 
-/// Why a schema cannot be used.
+/// Reason why a schema cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum SchemaError {
     #[error("line {line}: expected `MSG: package/Type` after the separator, found `{found}`")]
@@ -37,7 +37,7 @@ pub(crate) enum SchemaError {
     LongName { line: usize },
     #[error("not a FileDescriptorSet: {}", excerpt(what))]
     Descriptor { what: String },
-    #[error("it does not define `{}`", excerpt(type_name))]
+    #[error("does not define `{}`", excerpt(type_name))]
     NoRoot { type_name: String },
     #[error(
         "field `{}` is of type `{}`, which the schema does not define",
@@ -52,11 +52,11 @@ pub(crate) enum SchemaError {
         excerpt(field)
     )]
     TooDeep { field: String },
-    #[error("more than {MAX_FIELDS} fields in all; types that contain each other many times over?")]
+    #[error("more than {MAX_FIELDS} fields in total; types may contain each other repeatedly")]
     TooManyFields,
     #[error("more than {MAX_TYPES} types")]
     TooManyTypes,
-    #[error("{bytes} bytes long, more than {MAX_BYTES}")]
+    #[error("{bytes} bytes long; the limit is {MAX_BYTES}")]
     TooLong { bytes: usize },
     #[error("expected {expected} in field `{}`, found `{}`", excerpt(field), excerpt(found))]
     Mismatch { field: String, expected: &'static str, found: String },
@@ -64,7 +64,7 @@ pub(crate) enum SchemaError {
     Missing { field: &'static str },
 }
 
-/// Refuses a schema that is too long to be one.
+/// Rejects a schema that is too long.
 pub(super) fn check_length(schema: &[u8]) -> Result<(), SchemaError> {
     match schema.len() {
         0..=MAX_BYTES => Ok(()),
@@ -77,24 +77,23 @@ pub(super) fn text(schema: &[u8]) -> Result<Cow<'_, str>, SchemaError> {
     check_length(schema).map(|()| String::from_utf8_lossy(schema))
 }
 
-/// The start of `text`, for messages to people.
+/// Start of `text`, for messages.
 pub(crate) fn excerpt(text: &str) -> String {
     const LONGEST: usize = 80;
     start_of(text, LONGEST).into_owned()
 }
 
-/// A name of a topic, type, frame or joint, which messages hold whole; one that is longer than any is
-/// cut.
+/// Name of a topic, type, frame or joint for messages, truncated if it is too long.
 pub(crate) fn bounded(name: &str) -> Cow<'_, str> {
     const LONGEST: usize = 256;
     match start_of(name, LONGEST) {
         short if !short.contains(char::is_control) => short,
-        // A name is a word in reports, tables and scripts, and never more than one line.
+        // Names are used in reports, tables and scripts, and must fit on one line.
         short => Cow::Owned(short.replace(char::is_control, "\u{fffd}")),
     }
 }
 
-/// The first characters of `text`, with an ellipsis where there are more.
+/// Start of `text`, with an ellipsis if it is truncated.
 fn start_of(text: &str, longest: usize) -> Cow<'_, str> {
     match text.char_indices().nth(longest) {
         Some((end, _)) => Cow::Owned(format!("{}…", &text[..end])),
@@ -102,7 +101,7 @@ fn start_of(text: &str, longest: usize) -> Cow<'_, str> {
     }
 }
 
-/// A number on the wire. Truth values, bytes and characters are read as 8-bit numbers.
+/// Number on the wire. Booleans, bytes and characters are read as 8-bit numbers.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Primitive {
     U8,
@@ -118,7 +117,7 @@ pub(super) enum Primitive {
 }
 
 impl Primitive {
-    /// Bytes on the wire.
+    /// Size on the wire in bytes.
     pub(super) const fn size(self) -> usize {
         match self {
             Primitive::U8 | Primitive::I8 => 1,
@@ -129,20 +128,20 @@ impl Primitive {
     }
 }
 
-/// The type of one value of a field.
+/// Type of one value of a field.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(super) enum Base {
     Number(Primitive),
-    /// A named number: the second CDR has a length before collections of it.
+    /// Enumeration: CDR version 2 has a length prefix before collections of it.
     Enumeration(Primitive),
     Text,
-    /// Another message, by its name in [`canonical`] form.
+    /// Message, by its name in [`canonical`] form.
     Message(String),
-    /// What cannot be read or passed over, and why.
+    /// Type that cannot be read or skipped, with the reason.
     Unreadable(&'static str),
 }
 
-/// How many values a field has.
+/// Number of values of a field.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Arity {
     One,
@@ -156,19 +155,19 @@ pub(super) struct Field {
     pub(super) name: String,
     pub(super) base: Base,
     pub(super) arity: Arity,
-    /// The type as the schema spells it, for messages to people.
+    /// Type as in the schema, for messages.
     pub(super) spelled: String,
 }
 
-/// Whether a type may grow, by which the second CDR tells whether its length stands before it (DDS
-/// XTypes 1.3, §7.4.3.5).
+/// Whether a type may be extended, which determines its length prefix in CDR version 2 (DDS XTypes 1.3,
+/// §7.4.3.5).
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Extensibility {
-    /// The schema does not say: as the header of each message has it.
+    /// Not in the schema: determined by the header of each message.
     Unsaid,
     Final,
     Appendable,
-    /// Every member carries its id.
+    /// Every member has an id.
     Mutable,
 }
 
@@ -182,13 +181,13 @@ pub(super) struct Definition {
 }
 
 impl Definition {
-    /// A type without fields so far.
+    /// A type without fields.
     pub(super) fn new(name: impl Into<String>) -> Self {
         Self { name: name.into(), fields: Vec::new(), extensibility: Extensibility::Unsaid }
     }
 }
 
-/// A message type with all types that it contains.
+/// Message type with all types that it contains.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(super) struct Schema {
     definitions: Vec<Definition>,
@@ -196,7 +195,7 @@ pub(super) struct Schema {
     root: usize,
 }
 
-/// Types that a schema may use without defining them, with those of their seconds and nanoseconds.
+/// Types usable without a definition, with the types of their seconds and nanoseconds.
 const BUILT_IN: [(&str, Primitive, Primitive); 4] = [
     ("time", Primitive::U32, Primitive::U32),
     ("duration", Primitive::I32, Primitive::I32),
@@ -215,7 +214,7 @@ fn built_in((name, seconds, nanoseconds): (&str, Primitive, Primitive)) -> Defin
     Definition { fields, ..Definition::new(name) }
 }
 
-/// `package/Type` for either spelling of a type name, `package/msg/Type` or `package/Type`.
+/// Converts `package/msg/Type` to `package/Type`.
 pub(crate) fn canonical(type_name: &str) -> Cow<'_, str> {
     match type_name.split_once("/msg/") {
         Some((package, name)) => Cow::Owned(format!("{package}/{name}")),
@@ -224,7 +223,7 @@ pub(crate) fn canonical(type_name: &str) -> Cow<'_, str> {
 }
 
 impl Schema {
-    /// The type `type_name` with the others of `definitions`; of equal names the first holds.
+    /// Schema of `type_name` with the other `definitions`. For duplicate names the first counts.
     pub(super) fn new(
         type_name: &str,
         mut definitions: Vec<Definition>,
@@ -240,12 +239,12 @@ impl Schema {
         Ok(Self { definitions, by_name, root })
     }
 
-    /// The message itself.
+    /// Definition of the message itself.
     pub(super) fn root(&self) -> &Definition {
         &self.definitions[self.root]
     }
 
-    /// The definition of the canonical name `name`.
+    /// Definition with the canonical name `name`.
     pub(super) fn definition(&self, name: &str) -> Option<&Definition> {
         self.by_name.get(name).map(|&index| &self.definitions[index])
     }

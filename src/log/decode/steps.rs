@@ -1,4 +1,4 @@
-//! A schema and a recipe compiled into the steps that read one message of CDR or of ROS 1.
+//! Steps that read a CDR or ROS 1 message, compiled from a schema and a recipe.
 
 mod compile;
 mod op;
@@ -14,30 +14,30 @@ use super::schema::{Schema, SchemaError};
 
 pub(super) use self::shape::Shape;
 
-/// The steps that read the wanted fields of a message, and pass over the others, in one walk.
+/// Steps that read the wanted fields of a message and skip the others, in one pass.
 #[derive(Debug)]
 pub(crate) struct Plan {
     serialization: Serialization,
-    /// For values that simply follow each other.
+    /// Steps for consecutive values without lengths.
     plain: Vec<Step>,
-    /// For the second CDR, with lengths among the values; empty for ROS 1.
+    /// Steps for CDR version 2, with lengths between the values; empty for ROS 1.
     delimited: Vec<Step>,
-    /// Whether the message itself is the row, or a [`Op::Repeat`] among the steps has rows.
+    /// Whether the message itself is the row; otherwise an [`Op::Repeat`] among the steps has rows.
     whole: bool,
 }
 
-/// The rules by which messages were written.
+/// Serialization of messages.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Serialization {
-    /// ROS 1: packed, little endian, no header.
+    /// ROS 1: packed, little-endian, without a header.
     Ros1,
-    /// CDR, of whichever version the header of each message says.
+    /// CDR, in the version given by the header of each message.
     Cdr,
 }
 
 impl Plan {
-    /// Compiles the steps that read `fields` from messages of `schema`; the elements of the array
-    /// `each`, if there is one, are a row each.
+    /// Compiles the steps that read `fields` from messages of `schema`. Each element of the array `each`,
+    /// if given, becomes a row.
     pub(super) fn compile(
         schema: &Schema,
         fields: Fields,
@@ -52,7 +52,7 @@ impl Plan {
         Ok(Self { serialization, plain, delimited, whole: each.is_none() })
     }
 
-    /// Reads `message` through `row` and gives each of its rows to `append`.
+    /// Decodes `message` into `row` and passes each of its rows to `append`.
     pub(super) fn decode<'p>(
         &'p self,
         message: &[u8],
@@ -60,14 +60,14 @@ impl Plan {
         append: &mut Append<'_>,
     ) -> Result<(), DecodeError<'p>> {
         let mut cursor = self.cursor(message)?;
-        // Beside the row, which it fills.
+        // Moved out of the row, which is borrowed mutably.
         let mut shape = row.shape.take().unwrap_or_default();
         let result = self.read(message, &mut cursor, row, &mut shape, append);
         row.shape = Some(shape);
         result
     }
 
-    /// Reads `message` by the shape of the one before it if it has the same, else by its steps.
+    /// Reads `message` with the shape of the previous one if it is the same; otherwise with its steps.
     fn read<'p>(
         &'p self,
         message: &[u8],
@@ -91,7 +91,7 @@ impl Plan {
         Ok(())
     }
 
-    /// A cursor at the first value of `message`.
+    /// Cursor at the first value of `message`.
     fn cursor<'m>(&self, message: &'m [u8]) -> Result<Cursor<'m>, EncapsulationError> {
         match self.serialization {
             Serialization::Ros1 => Ok(Cursor::ros1(message)),
@@ -99,7 +99,7 @@ impl Plan {
         }
     }
 
-    /// The steps for what is at `cursor`.
+    /// Steps for the layout at `cursor`.
     fn steps(&self, cursor: &Cursor<'_>) -> &[Step] {
         match cursor.layout() {
             Layout::Packed | Layout::Cdr => &self.plain,
@@ -108,7 +108,7 @@ impl Plan {
     }
 }
 
-/// Walks `steps` once.
+/// Executes `steps` once.
 fn walk<'p>(
     steps: &'p [Step],
     cursor: &mut Cursor<'_>,

@@ -13,7 +13,7 @@ use super::*;
 use ground::stream::{Columns, ImuColumns, JointColumns, PoseColumns};
 use ground::time::Clock;
 
-/// What the messages decode to, in parts, and the first error.
+/// Decoded parts of the messages, and the first error.
 fn decode_all(
     format: Format<'_>,
     messages: &[Vec<u8>],
@@ -33,7 +33,7 @@ fn decode_all(
     (builder.finalize(), first)
 }
 
-/// The same of CDR by a message definition, for types of one part.
+/// The same for CDR with a message definition, for types with one part.
 fn decode(type_name: &str, schema: &str, messages: &[Vec<u8>]) -> (Columns, Option<String>) {
     let (mut parts, error) = decode_all(cdr(type_name, schema), messages);
     assert_eq!((parts.len(), parts[0].0), (1, ""));
@@ -74,7 +74,7 @@ fn refused(format: Format<'_>) -> String {
     format.plan(Recipe::of(format.type_name).unwrap()).unwrap_err().to_string()
 }
 
-/// Equal, where NaN equals NaN.
+/// Asserts equality with NaN equal to NaN.
 fn assert_same(found: &[f64], expected: &[f64]) {
     let bits = |values: &[f64]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
     assert_eq!(bits(found), bits(expected), "{found:?} {expected:?}");
@@ -139,13 +139,13 @@ fn joint_names_without_end_are_refused() {
     let (columns, error) = decode("sensor_msgs/JointState", testing::JOINT_STATE, &messages);
     let Columns::Joints(joints) = columns else { panic!("joints") };
     assert_eq!(joints.joints.len(), 256);
-    assert_eq!(error.unwrap(), "more than 256 different joint names on one topic");
+    assert_eq!(error.unwrap(), "topic has more than 256 different joint names");
     assert!(joints.joints.iter().all(|joint| joint.position.len() == joints.times.len()));
 }
 
 #[test]
 fn the_schema_in_the_log_says_where_fields_are() {
-    // More fields, another order, other number types, and a time as ROS 1 had it.
+    // More fields, a different order and number types, and a ROS 1 time.
     let schema = testing::schema(
         "uint8 extra\nfloat32[] velocity\nDetail[2] details\nfloat32[<=9] position # bounded\n\
          string<=20[] name\nHeader header\nDetail[] more",
@@ -331,7 +331,7 @@ fn a_hostile_length_is_an_error() {
     let message = Cdr::little().header(0, 0, "x").u32(u32::MAX).done();
     let (_, error) = decode("sensor_msgs/JointState", testing::JOINT_STATE, &[message]);
     let error = error.unwrap();
-    let expected = "field `name`: byte 24 of the message: 4294967295 bytes wanted, 0 left";
+    let expected = "field `name`: byte 24 of the message: needs 4294967295 bytes, 0 remain";
     assert_eq!(error, expected);
 }
 
@@ -469,9 +469,9 @@ fn protocol_buffers_of_another_type_are_refused() {
         schema_encoding: "protobuf",
         schema: foxglove,
     };
-    // Field 3 is the pose; here it is a number.
+    // Field 3 should be the pose; here it is a number.
     let (_, error) = decode_all(format, &[vec![0x18, 0x01]]);
-    assert!(error.unwrap().starts_with("field `pose`: a value of another wire type"), "wire type");
+    assert!(error.unwrap().starts_with("field `pose`: a wire type that differs"), "wire type");
     let joints = Format { type_name: "sensor_msgs/JointState", ..format };
     assert!(refused(joints).contains("does not define `sensor_msgs/JointState`"));
     assert!(refused(Format { schema: b"", ..format }).contains("no schema"));
@@ -489,5 +489,5 @@ fn other_encodings_are_named() {
     let expected = "schema is written in `ros1msg`, expected `ros2msg` or `ros2idl`";
     assert_eq!(refused(other), expected);
     let none = Format { encoding: "ros1", schema: b"", ..format };
-    assert_eq!(refused(none), "the log holds no schema for `sensor_msgs/JointState`");
+    assert_eq!(refused(none), "the log has no schema for `sensor_msgs/JointState`");
 }

@@ -70,7 +70,7 @@ fn more_poses_than_an_arm_has_are_said_to_be_of_no_use() {
     let log = intake.finish(Vec::new());
     assert_eq!((&log.topics[0].columns, &log.topics[0].undecodable), (&None, &None));
     let useless = log.topics[0].useless.as_deref().unwrap();
-    assert_eq!(useless, "a message of it holds 40 poses, and an arm has no more than 16");
+    assert_eq!(useless, "a message contains 40 poses; an arm has at most 16");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Joint states, appended row by row.
+//! Appends joint states.
 
 use std::collections::HashMap;
 
@@ -7,47 +7,47 @@ use super::super::schema::bounded;
 use super::values::{keep_first, push_times};
 use ground::stream::{JointColumn, JointColumns, usable};
 
-/// Most joint names a topic may have. Rows are dense, so that a message with a new name each time
-/// would fill the memory; the largest humanoids have below a hundred joints.
+/// Maximum number of joint names on a topic. Rows are dense, so new names in every message would fill the
+/// memory. The largest humanoids have fewer than a hundred joints.
 const MAX_JOINTS: usize = 256;
 
-/// Once this many values are of joints that their message did not name (a gigabyte of them), …
+/// Number of values missing from their messages (one gigabyte) above which sparsity is checked, …
 const ABSENT_CELLS: usize = 1 << 26;
-/// … one in so many values must be of one that it did: a topic has no more senders.
+/// … and the minimum share of present values is then one in this many. A topic does not have more senders.
 const SENDERS: usize = 8;
 
-/// What joints are called that nothing names, before their number.
+/// Prefix of unnamed joints, followed by their number.
 const COUNTED: &str = "q";
 
-/// A message with joints for which there is no room.
+/// Joints in a message exceed the limits.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TooManyJoints {
-    /// It names more joints than a topic may have.
-    #[error("more than {MAX_JOINTS} different joint names on one topic")]
+    /// More joint names than a topic may have.
+    #[error("topic has more than {MAX_JOINTS} different joint names")]
     Names,
-    /// Too many of the joints that were named before are not in this message and most others.
-    #[error("most of the topic's joints are in hardly any of its messages")]
+    /// Too many of the known joints are missing from this and most other messages.
+    #[error("most joints of the topic are missing from most of its messages")]
     Absent,
 }
 
-/// Joint states, with the way from a message's names to their columns.
+/// Joint states, with the map from message names to columns.
 #[derive(Clone, Debug, Default)]
 pub(in crate::decode) struct Joints {
-    /// Index into [`Row::lists`] of the positions,
+    /// Index of the positions in [`Row::lists`].
     pub(super) positions: usize,
-    /// and of the velocities.
+    /// Index of the velocities in [`Row::lists`].
     pub(super) velocities: usize,
-    /// What stands before the number of a joint that the messages do not name.
+    /// Prefix of the numbers of unnamed joints.
     pub(super) stem: &'static str,
     pub(super) columns: JointColumns,
     pub(super) by_name: HashMap<String, usize>,
-    /// Names of the message before, which the next one mostly repeats,
+    /// Names in the previous message, which the next one usually repeats.
     pub(super) names: Names,
-    /// and the column of each,
+    /// Column of each of these names.
     pub(super) order: Vec<usize>,
-    /// and whether that is every column once.
+    /// Whether they are all columns, each once.
     pub(super) is_complete: bool,
-    /// Values of all rows, and how many of them no message had.
+    /// Number of values in all rows, and how many are missing from their messages.
     pub(super) cells: usize,
     pub(super) absent: usize,
 }
@@ -62,7 +62,7 @@ impl Joints {
             [self.positions, self.velocities].map(|index| row.lists[index].as_slice());
         let is_counted = self.columns.unnamed && self.stem == COUNTED;
         if is_counted && !row.names.is_empty() {
-            // Messages with names count more than those before them without.
+            // Messages with names take precedence over earlier ones without.
             let dropped = self.columns.wrong_length + self.columns.times.len() as u64;
             *self = Self::of(self.positions, self.velocities);
             self.columns.wrong_length = dropped;
@@ -113,7 +113,7 @@ impl Joints {
                 joint.position.push(position);
                 joint.velocity.push(velocity);
             } else {
-                // Of a name that is there twice the last value counts that is one.
+                // For duplicate names, the last value that is not NaN counts.
                 if !position.is_nan() {
                     let known = joint.position[index];
                     contradicts |= !known.is_nan() && known != position;
@@ -128,14 +128,14 @@ impl Joints {
         Ok(())
     }
 
-    /// Whether there is room for the rows of `later`.
+    /// Whether the limits allow the rows of `later`.
     pub(super) fn fits(&self, later: &Self) -> bool {
         let is_new = |joint: &&JointColumn| !self.by_name.contains_key(&joint.name);
         let new = later.columns.joints.iter().filter(is_new).count();
         let (cells, absent) = self.with(later, self.columns.joints.len() + new);
-        // Names that are cut off, or no single words, are told apart by all of their text.
+        // Names that are truncated or contain spaces are compared by their full text.
         let is_whole = |joint: &JointColumn| later.by_name.contains_key(&joint.name);
-        // Joints that only some messages name are told apart one after the other.
+        // Joints named only in some messages must be matched one message at a time.
         let is_alike = self.columns.joints.is_empty()
             || later.columns.joints.is_empty()
             || self.columns.unnamed == later.columns.unnamed;
@@ -145,8 +145,7 @@ impl Joints {
             && later.columns.joints.iter().all(is_whole)
     }
 
-    /// Values of all rows, and how many of them no message had, with those of `later` in columns for
-    /// `width` joints.
+    /// Number of all values and of missing values after joining `later` into columns for `width` joints.
     fn with(&self, later: &Self, width: usize) -> (usize, usize) {
         let cells = later.columns.times.len() * width;
         let there = later.cells - later.absent;
@@ -155,7 +154,7 @@ impl Joints {
 
     /// Appends the rows of `later`.
     pub(super) fn join(&mut self, later: Self) {
-        // The next message that is appended alone finds its columns anew.
+        // The next single message maps its names again.
         self.names.clear();
         self.order.clear();
         self.is_complete = false;
@@ -192,9 +191,9 @@ impl Joints {
         }
     }
 
-    /// Finds the columns of `names`, and makes those that are new.
+    /// Finds or creates the columns of `names`.
     pub(super) fn map_names(&mut self, names: &Names) -> Result<(), TooManyJoints> {
-        // Should the columns run out halfway, the next message must be mapped anew.
+        // If this fails halfway, the next message must be mapped again.
         self.names.clear();
         self.order.clear();
         self.is_complete = false;
@@ -227,13 +226,13 @@ impl Joints {
     }
 }
 
-/// Whether the rows of joint states take far more memory than what is in them, with so many values, of
-/// which so many are of joints that their message did not name.
+/// Whether the rows need far more memory than their content, given the number of all values and of missing
+/// ones.
 fn is_too_sparse(cells: usize, absent: usize) -> bool {
     absent > ABSENT_CELLS && cells / SENDERS > cells - absent
 }
 
-/// The names of `count` joints that a message does not name, in their order.
+/// Default names of `count` unnamed joints.
 fn usual_names(stem: &str, count: usize) -> Names {
     let mut names = Names::default();
     for joint in 1..=count {

@@ -1,4 +1,4 @@
-//! Poses, appended row by row to the columns of their pair of frames.
+//! Appends poses to the columns of their pair of frames.
 
 use std::collections::HashMap;
 
@@ -7,32 +7,31 @@ use super::super::schema::bounded;
 use super::values::{all_usable, push_times, quaternion};
 use ground::stream::PoseColumns;
 
-/// What stands for the child frame of poses that are told apart by their place in the message; the
-/// first has none, as where it is the only one. Particle clouds and paths have more.
+/// Child frames for poses identified by their index in the message. The first is empty, as for a single
+/// pose. Particle clouds and paths have more poses.
 const PLACES: [&str; 16] = [
     "", "[1]", "[2]", "[3]", "[4]", "[5]", "[6]", "[7]", "[8]", "[9]", "[10]", "[11]", "[12]",
     "[13]", "[14]", "[15]",
 ];
 
-/// Most pairs of frames on one topic. The largest trees have a few hundred.
+/// Maximum number of frame pairs on a topic. The largest trees have a few hundred.
 pub(crate) const MAX_FRAMES: usize = 1 << 12;
 
-/// What Gazebo calls the frame that its states are in.
+/// Gazebo's name for the frame of its states.
 const SIMULATED_WORLD: &str = "world";
 
-/// Poses split by frame and child frame.
+/// Poses grouped by frame and child frame.
 #[derive(Clone, Debug, Default)]
 pub(in crate::decode) struct Poses {
     pub(super) groups: Vec<PoseColumns>,
     pub(super) by_frames: HashMap<String, usize>,
-    /// Scratch for a key of `by_frames`.
+    /// Buffer for a key of `by_frames`.
     pub(super) key: String,
-    /// The group of the row before,
+    /// Group of the previous row.
     pub(super) last: usize,
-    /// and for each group the one whose row came after its own the last time: trees are published
-    /// in one order.
+    /// For each group, the group that followed it last time: trees are published in a constant order.
     pub(super) next: Vec<usize>,
-    /// Rows of pairs of frames beyond [`MAX_FRAMES`].
+    /// Number of rows with frame pairs beyond [`MAX_FRAMES`].
     pub(super) refused: u64,
 }
 
@@ -71,7 +70,7 @@ impl Poses {
         group.q_xyzw.push(q_xyzw);
     }
 
-    /// The group of a pair of frames; `None` where there are too many of them.
+    /// Group of a pair of frames. `None` if there are too many.
     pub(super) fn group(&mut self, frame_id: &str, child_frame_id: &str) -> Option<usize> {
         let group = self.find(frame_id, child_frame_id)?;
         self.next.resize(self.groups.len(), 0);
@@ -83,7 +82,8 @@ impl Poses {
     }
 
     pub(super) fn find(&mut self, frame_id: &str, child_frame_id: &str) -> Option<usize> {
-        // To compare nothing with nothing takes glibc's vector instructions longer than all the rest.
+        // Comparing two empty strings with glibc's vector instructions takes longer than everything else
+        // here.
         let is = |own: &str, other: &str| {
             own.is_empty() == other.is_empty() && (own.is_empty() || own == other)
         };
@@ -117,14 +117,14 @@ impl Poses {
 }
 
 impl Poses {
-    /// The key of each group, in their order.
+    /// Keys in the order of their groups.
     fn keys(&self) -> Vec<&str> {
         let mut keys = vec![""; self.groups.len()];
         self.by_frames.iter().for_each(|(key, &group)| keys[group] = key.as_str());
         keys
     }
 
-    /// Whether there is room for the groups of `later` that are not here yet.
+    /// Whether the limit allows the new groups of `later`.
     pub(super) fn fits(&self, later: &Self) -> bool {
         let is_new = |key: &&&str| !self.by_frames.contains_key(**key);
         self.groups.len() + later.keys().iter().filter(is_new).count() <= MAX_FRAMES
@@ -152,21 +152,21 @@ impl Poses {
     }
 }
 
-/// The poses of messages that hold several at once.
+/// Poses of messages that contain several.
 #[derive(Clone, Debug)]
 pub(in crate::decode) struct Crowd {
     pub(super) poses: Poses,
     pub(super) naming: Naming,
-    /// Most that a message held.
+    /// Maximum number in one message.
     pub(super) most: usize,
 }
 
-/// How the poses of one message are told apart.
+/// Identification of the poses within a message.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Naming {
-    /// By their place; see [`PLACES`].
+    /// By index; see [`PLACES`].
     Numbers,
-    /// By the name at their place, in the frame of the simulated world.
+    /// By the name at their index, in the frame of the simulated world.
     Names,
 }
 
@@ -205,12 +205,12 @@ impl Crowd {
         self.most = self.most.max(later.most);
     }
 
-    /// Whether a message held too many to be those of an arm.
+    /// Whether a message contained too many poses for an arm.
     pub(super) fn is_too_large(&self) -> bool {
         self.most > self.naming.most()
     }
 
-    /// The poses, unless they are too many to be an arm's.
+    /// The poses, unless there are too many for an arm.
     pub(super) fn finalize(self) -> Option<Vec<PoseColumns>> {
         let is_too_large = self.is_too_large();
         let mut groups = self.poses.groups;
@@ -221,7 +221,7 @@ impl Crowd {
     }
 }
 
-/// Takes the model off `model::link` where the links can be told apart without it.
+/// Removes the model from `model::link` if links are unique without it.
 fn take_off_models(groups: &mut [PoseColumns]) {
     let link = |name: &str| name.rsplit("::").next().unwrap_or(name).to_owned();
     let links: Vec<String> = groups.iter().map(|group| link(&group.child_frame_id)).collect();

@@ -1,4 +1,4 @@
-//! Readings of IMUs, bare numbers and texts, appended row by row.
+//! Appends IMU samples, bare numbers and texts.
 
 use std::ops::Range;
 
@@ -6,15 +6,15 @@ use super::super::row::{self, Row, RowTimes};
 use super::super::schema::bounded;
 use ground::stream::{ArrayColumns, ImuColumns, TextColumns, Times, usable};
 
-/// Most distinct texts kept of a topic.
+/// Maximum number of distinct texts kept per topic.
 const MAX_TEXTS: usize = 64;
 
-/// Longest text kept, in bytes.
+/// Maximum length of a text, in bytes.
 const MAX_TEXT_BYTES: usize = 16 << 20;
 
 pub(super) fn append_imu(imu: &mut ImuColumns, row: &Row, times: RowTimes) {
     keep_first(&mut imu.frame_id, row.frame(row::FRAME));
-    // REP 145: −1 in the first place says that there is no orientation.
+    // REP 145: −1 in the first element means that there is no orientation.
     let has_orientation = row.lists[row::VALUES].first() != Some(&-1.0);
     let q_xyzw = if has_orientation { row.numbers(row::QUATERNION) } else { [0.0; 4] };
     let gyro = row.numbers(row::GYRO);
@@ -30,7 +30,7 @@ pub(super) fn append_imu(imu: &mut ImuColumns, row: &Row, times: RowTimes) {
     imu.accel.push(accel);
 }
 
-/// Appends the readings of `later`.
+/// Appends the samples of `later`.
 pub(super) fn join_imu(imu: &mut ImuColumns, later: ImuColumns) {
     keep_first(&mut imu.frame_id, &later.frame_id);
     imu.has_orientation |= later.has_orientation;
@@ -41,14 +41,14 @@ pub(super) fn join_imu(imu: &mut ImuColumns, later: ImuColumns) {
     imu.accel.extend_from_slice(&later.accel);
 }
 
-/// Bare numbers, and where they are from.
+/// Bare numbers and their source.
 #[derive(Clone, Debug)]
 pub(in crate::decode) struct Array {
     pub(super) numbers: Numbers,
     pub(super) columns: ArrayColumns,
 }
 
-/// Which numbers of a row.
+/// Source of numbers in a row.
 #[derive(Clone, Debug)]
 pub(super) enum Numbers {
     /// One of [`Row::lists`].
@@ -81,7 +81,7 @@ impl Array {
         }
     }
 
-    /// Whether rows of `later` are as wide as those here.
+    /// Whether rows of `later` have the same width.
     pub(super) fn fits(&self, later: &Self) -> bool {
         [0, later.columns.width].contains(&self.columns.width)
     }
@@ -105,7 +105,7 @@ pub(super) fn append_text(column: &mut TextColumns, row: &Row, times: RowTimes) 
     }
 }
 
-/// Appends those texts of `later` that are not there.
+/// Appends the texts of `later` that are new.
 pub(super) fn join_texts(column: &mut TextColumns, later: TextColumns) {
     for (row, text) in later.text.into_iter().enumerate() {
         if has_room(column, &text) {
@@ -115,7 +115,7 @@ pub(super) fn join_texts(column: &mut TextColumns, later: TextColumns) {
     }
 }
 
-/// Whether a text is to be kept.
+/// Whether a text should be kept.
 fn has_room(column: &TextColumns, text: &String) -> bool {
     let full = column.text.len() == MAX_TEXTS || text.len() > MAX_TEXT_BYTES;
     !full && !column.text.contains(text)
@@ -138,7 +138,7 @@ pub(super) fn all_usable(values: &[f64]) -> bool {
     values.iter().all(|value| usable(*value))
 }
 
-/// A quaternion; not a number in all four places says what zeros say: nobody set it.
+/// Quaternion of a row. Four NaNs mean the same as zeros: not set.
 pub(super) fn quaternion(row: &Row) -> [f64; 4] {
     let q_xyzw = row.numbers::<4>(row::QUATERNION);
     if q_xyzw.iter().all(|part| part.is_nan()) { [0.0; 4] } else { q_xyzw }

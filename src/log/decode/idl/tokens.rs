@@ -1,25 +1,25 @@
-//! The words and marks of IDL.
+//! Tokens of IDL.
 
 use super::super::schema::{MAX_NAME, SchemaError, excerpt};
 
-/// One word or mark.
+/// One token.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Token<'a> {
-    /// A word, or several with `::` between or before them.
+    /// Identifier, or several with `::` between or before them.
     Name(&'a str),
-    /// What begins with a digit.
+    /// Token that starts with a digit.
     Number(&'a str),
-    /// A text or a character, with its quotes.
+    /// String or character literal with its quotes.
     Text(&'a str),
     /// Any other character.
     Mark(char),
 }
 
-/// The tokens of some files, one after the other.
+/// Tokens of consecutive files.
 #[derive(Default)]
 pub(super) struct Tokens<'a> {
     text: &'a str,
-    /// Where the next token begins.
+    /// Start of the next token.
     at: usize,
 }
 
@@ -37,12 +37,12 @@ impl<'a> Tokens<'a> {
         self.at == self.text.len()
     }
 
-    /// A place to give to [`Tokens::since`].
+    /// Position for [`Tokens::since`].
     pub(super) fn here(&self) -> usize {
         self.at
     }
 
-    /// The text since a place.
+    /// Text since a position.
     pub(super) fn since(&self, place: usize) -> String {
         excerpt(self.text[place..self.at].trim())
     }
@@ -69,7 +69,7 @@ impl<'a> Tokens<'a> {
         Some(token)
     }
 
-    /// Takes `mark` if it is next.
+    /// Consumes `mark` if it is next.
     pub(super) fn accept(&mut self, mark: char) -> bool {
         let is_next = self.peek() == Some(Token::Mark(mark));
         if is_next {
@@ -95,7 +95,7 @@ impl<'a> Tokens<'a> {
         self.refuse_next(expected)
     }
 
-    /// Takes a name, or says that `expected` was.
+    /// Consumes a name; otherwise returns an error with `expected`.
     pub(super) fn name(&mut self, expected: &'static str) -> Result<&'a str, SchemaError> {
         match self.peek() {
             Some(Token::Name(name)) if name.len() <= MAX_NAME => {
@@ -107,7 +107,7 @@ impl<'a> Tokens<'a> {
         }
     }
 
-    /// The error that not `expected` stands here, but `found`.
+    /// Syntax error: `found` instead of `expected`.
     pub(super) fn refuse<T>(&self, expected: &'static str, found: &str) -> Result<T, SchemaError> {
         Err(SchemaError::Syntax { line: self.line(), expected, found: excerpt(found) })
     }
@@ -121,7 +121,7 @@ impl<'a> Tokens<'a> {
         self.text[..self.at].matches('\n').count() + 1
     }
 
-    /// Passes over all up to and with `mark`.
+    /// Skips up to and including `mark`.
     pub(super) fn skip_to(&mut self, mark: char) -> Result<(), SchemaError> {
         while !self.accept(mark) {
             if self.take().is_none() {
@@ -131,18 +131,18 @@ impl<'a> Tokens<'a> {
         Ok(())
     }
 
-    /// Passes over all up to the end of the next `{ … }`.
+    /// Skips up to the end of the next `{ … }`.
     pub(super) fn skip_block(&mut self) -> Result<(), SchemaError> {
         self.skip_to('{')?;
         self.skip_nested('{', '}')
     }
 
-    /// Passes over a bound in `< … >`, if there is one.
+    /// Skips a bound in `< … >`, if present.
     pub(super) fn skip_bound(&mut self) -> Result<(), SchemaError> {
         if self.accept('<') { self.skip_nested('<', '>') } else { Ok(()) }
     }
 
-    /// Passes over the parameters of an annotation, and gives the first word in them.
+    /// Skips the parameters of an annotation and returns their first word.
     pub(super) fn parenthesized(&mut self) -> Result<Option<&'a str>, SchemaError> {
         if !self.accept('(') {
             return Ok(None);
@@ -155,7 +155,7 @@ impl<'a> Tokens<'a> {
         Ok(first)
     }
 
-    /// Passes over all up to the mark that closes one that was taken.
+    /// Skips up to the mark that closes one already consumed.
     fn skip_nested(&mut self, open: char, close: char) -> Result<(), SchemaError> {
         let mut depth = 1_usize;
         while depth > 0 {
@@ -169,7 +169,7 @@ impl<'a> Tokens<'a> {
         Ok(())
     }
 
-    /// Passes over blanks, comments, preprocessor lines and the lines between files.
+    /// Skips whitespace, comments, preprocessor lines and file separators.
     fn skip_blank(&mut self) {
         loop {
             let rest = &self.text[self.at..];
@@ -188,7 +188,7 @@ impl<'a> Tokens<'a> {
         }
     }
 
-    /// Whether the line at `at` parts two files.
+    /// Whether the line at `at` separates two files.
     fn is_header(&self, at: usize) -> bool {
         self.text[at..].starts_with("===") || self.text[at..].starts_with("IDL:")
     }
@@ -199,7 +199,7 @@ impl<'a> Tokens<'a> {
     }
 }
 
-/// The length of a text in quotes, to the end where it does not end.
+/// Length of a quoted text; up to the end if it is not terminated.
 fn text_length(text: &str, quote: char) -> usize {
     let mut is_escaped = false;
     for (at, c) in text.char_indices().skip(1) {
@@ -215,7 +215,7 @@ fn word(text: &str, belongs: impl Fn(char) -> bool) -> &str {
     &text[..text.find(|c| !belongs(c)).unwrap_or(text.len())]
 }
 
-/// A word, or several with `::` between or before them.
+/// Identifier, or several with `::` between or before them.
 fn name(text: &str) -> &str {
     let mut length = 0;
     loop {

@@ -1,4 +1,4 @@
-//! Values of JSON into slots of a row.
+//! Reads JSON values into slots of a row.
 
 use std::fmt;
 
@@ -49,7 +49,7 @@ impl<'de> Visitor<'de> for SlotVisitor<'_> {
 
     fn visit_unit<E: Error>(self) -> Result<(), E> {
         match self.slot {
-            // What JSON cannot say: not a number, or infinite.
+            // JSON writes NaN and infinity as null.
             Slot::Number(_) => self.number(f64::NAN),
             Slot::List(_) => Ok(()),
             slot => {
@@ -76,7 +76,7 @@ impl<'de> Visitor<'de> for SlotVisitor<'_> {
             Slot::Text(index) => self.row.set_text(index, text.as_bytes()),
             Slot::Stamp => match timestamp(text) {
                 Some(stamp) => (self.row.seconds, self.row.nanoseconds) = stamp,
-                None => return Err(self.mismatch("a text that is none (RFC 3339)")),
+                None => return Err(self.mismatch("a string that is not an RFC 3339 time")),
             },
             Slot::Number(_) => match number(text) {
                 Some(value) => return self.number(value),
@@ -106,8 +106,8 @@ impl<'de> Visitor<'de> for SlotVisitor<'_> {
     }
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<(), A::Error> {
-        // A list under the name that it had in another version of the type is mostly there, and empty:
-        // it does not take the place of one that is not.
+        // A list under a name from a different version of the type is usually present but empty. It must
+        // not replace a list with values.
         match self.slot {
             Slot::List(index) => {
                 let mut next = list.next_element_seed(Number)?;
@@ -165,11 +165,11 @@ impl Visitor<'_> for Number {
     }
 
     fn visit_str<E: Error>(self, text: &str) -> Result<f64, E> {
-        number(text).ok_or_else(|| E::custom("expected a number, found a text"))
+        number(text).ok_or_else(|| E::custom("expected a number, found a string"))
     }
 }
 
-/// Reads a whole number, which protocol buffers write as a text where it has 64 bits.
+/// Reads an integer. Protocol buffers write 64-bit integers as strings.
 struct Integer;
 
 impl<'de> DeserializeSeed<'de> for Integer {
@@ -184,7 +184,7 @@ impl Visitor<'_> for Integer {
     type Value = i64;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a whole number in a time")
+        f.write_str("an integer in a time")
     }
 
     fn visit_i64<E: Error>(self, value: i64) -> Result<i64, E> {
@@ -196,7 +196,7 @@ impl Visitor<'_> for Integer {
     }
 
     fn visit_str<E: Error>(self, text: &str) -> Result<i64, E> {
-        text.parse().map_err(|_| E::custom("expected a whole number in a time, found a text"))
+        text.parse().map_err(|_| E::custom("expected an integer in a time, found a string"))
     }
 }
 
@@ -224,7 +224,7 @@ impl Visitor<'_> for Name<'_> {
     }
 }
 
-/// Finds the parts of a time by the names that ROS 1, ROS 2 and protocol buffers give them.
+/// Matches the parts of a time by their names in ROS 1, ROS 2 and protocol buffers.
 struct StampKey;
 
 enum StampPart {
@@ -256,7 +256,7 @@ impl Visitor<'_> for StampKey {
     }
 }
 
-/// A number that was written as a text, as protocol buffers write those that JSON has no word for.
+/// Parses a number written as a string, as protocol buffers do for values that JSON lacks.
 fn number(text: &str) -> Option<f64> {
     match text {
         "NaN" => Some(f64::NAN),
@@ -266,8 +266,8 @@ fn number(text: &str) -> Option<f64> {
     }
 }
 
-/// Seconds since 1970 and nanoseconds of a time in RFC 3339, such as `2024-05-06T07:08:09.5Z`; what is
-/// below a nanosecond is cut off.
+/// Seconds since 1970 and nanoseconds of an RFC 3339 time such as `2024-05-06T07:08:09.5Z`. Smaller digits
+/// are truncated.
 fn timestamp(text: &str) -> Option<(i64, i64)> {
     let text = text.trim();
     let (whole, places) = text.split_once('.').unwrap_or((text, ""));
@@ -278,12 +278,12 @@ fn timestamp(text: &str) -> Option<(i64, i64)> {
     }
     .ok()?;
     let (second, nanosecond) = (time.as_second(), i64::from(time.subsec_nanosecond()));
-    // Before 1970 both are negative.
+    // Both are negative before 1970.
     let borrow = i64::from(nanosecond < 0);
     Some((second - borrow, nanosecond + borrow * NANOS_PER_SECOND))
 }
 
-/// Decimal places of a second down to a nanosecond.
+/// Decimal places of a nanosecond.
 const NANOSECOND_PLACES: usize = 9;
 
 #[cfg(test)]
@@ -292,7 +292,7 @@ mod tests {
 
     #[test]
     fn times_are_read_as_the_internet_writes_them() {
-        // By `date -u -d … +%s`.
+        // From `date -u -d … +%s`.
         for (text, expected) in [
             ("1970-01-01T00:00:00Z", Some((0, 0))),
             ("2024-02-29T23:59:59.5Z", Some((1_709_251_199, 500_000_000))),

@@ -1,20 +1,20 @@
-//! Message types from a `google.protobuf.FileDescriptorSet`, which is a protocol buffer itself; field
-//! numbers are those of descriptor.proto.
+//! Message types from a `google.protobuf.FileDescriptorSet`, itself a protocol buffer; field numbers are
+//! from descriptor.proto.
 
 use std::collections::HashMap;
 
 use super::super::schema::{MAX_DEPTH, MAX_FIELDS, MAX_NAME, MAX_TYPES, SchemaError, check_length};
 use super::wire::{Reader, Value, WireError};
 
-/// How the bits of a number are meant.
+/// Interpretation of a number's bits.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Scalar {
     F64,
     F32,
-    /// 64 bits of which negative numbers take all, also those of fewer bits.
+    /// Two's complement sign-extended to 64 bits, also for shorter types.
     Signed,
     Unsigned,
-    /// The sign in the lowest bit.
+    /// Sign in the lowest bit.
     Zigzag,
     Fixed32,
     Fixed64,
@@ -22,11 +22,11 @@ pub(super) enum Scalar {
     SignedFixed64,
 }
 
-/// All message types of a set of files, by their full names without a leading dot.
+/// Message types of a set of files by full name, without a leading dot.
 #[derive(Debug, Default)]
 pub(in super::super) struct Types {
     messages: HashMap<String, Message>,
-    /// Fields of all of them.
+    /// Total number of fields.
     fields: usize,
 }
 
@@ -45,14 +45,14 @@ pub(super) struct Field {
     pub(super) kind: Kind,
 }
 
-/// The type of one value of a field.
+/// Type of one value of a field.
 #[derive(Debug)]
 pub(super) enum Kind {
     Number(Scalar),
     Text,
-    /// Another message, by its full name without a leading dot.
+    /// Message, by full name without a leading dot.
     Message(String),
-    /// Bytes, a group, or a type that is not known.
+    /// Bytes, a group or an unknown type.
     Other,
 }
 
@@ -63,7 +63,7 @@ impl Message {
 }
 
 impl Field {
-    /// The type in words.
+    /// Description of the type.
     pub(super) fn spelled(&self) -> String {
         let repeated = if self.is_repeated { "repeated " } else { "" };
         match &self.kind {
@@ -89,12 +89,12 @@ impl Types {
         Ok(types)
     }
 
-    /// The message type of a full name.
+    /// Message type with a full name.
     pub(super) fn message(&self, name: &str) -> Option<&Message> {
         self.messages.get(name)
     }
 
-    /// Takes the types of a `FileDescriptorProto`.
+    /// Adds the types of a `FileDescriptorProto`.
     fn file(&mut self, file: &[u8]) -> Result<(), SchemaError> {
         let mut package = String::new();
         let mut reader = Reader::new(file);
@@ -112,7 +112,7 @@ impl Types {
         Ok(())
     }
 
-    /// Takes a `DescriptorProto` and the types within it.
+    /// Adds a `DescriptorProto` and its nested types.
     fn message_type(
         &mut self,
         message: &[u8],
@@ -167,7 +167,7 @@ fn field(field: &[u8]) -> Result<Field, SchemaError> {
     Ok(Field { name, number, is_repeated: label == REPEATED, kind: kind(code, type_name) })
 }
 
-/// The type of a field by its code in `FieldDescriptorProto.Type`.
+/// Type of a field from its code in `FieldDescriptorProto.Type`.
 fn kind(code: u64, type_name: String) -> Kind {
     Kind::Number(match code {
         1 => Scalar::F64,
@@ -191,7 +191,7 @@ fn bytes(value: Value<'_>) -> Result<&[u8], SchemaError> {
     value.bytes().map_err(|fault| broken(Reader::new(&[]).error(fault)))
 }
 
-/// A name; nested types repeat the names that they are within.
+/// Decodes a name. Nested types repeat the names of their parents.
 fn text(value: Value<'_>) -> Result<String, SchemaError> {
     let name = bytes(value)?;
     if name.len() > MAX_NAME {

@@ -1,18 +1,18 @@
-//! The wire format of protocol buffers.
+//! Wire format of protocol buffers.
 
-/// A message that does not follow the wire format.
+/// Violation of the wire format.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{}{fault} (byte {offset} of the message that holds it)", said(path))]
+#[error("{}{fault} (byte {offset} of the enclosing message)", said(path))]
 pub(crate) struct WireError {
-    /// The field, where it is known.
+    /// Field path, if known.
     path: String,
-    /// From the beginning of the message that holds the field.
+    /// Offset from the start of the message that contains the field.
     offset: usize,
     fault: Fault,
 }
 
 impl WireError {
-    /// The same in the field at `path`.
+    /// The same error with the field at `path`.
     pub(super) fn in_field(self, path: &str) -> Self {
         Self { path: path.to_owned(), ..self }
     }
@@ -22,26 +22,26 @@ fn said(path: &str) -> String {
     if path.is_empty() { String::new() } else { format!("field `{path}`: ") }
 }
 
-/// What is wrong on the wire.
+/// Kind of violation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum Fault {
-    #[error("a value reaches beyond the end")]
+    #[error("a value extends beyond the end")]
     Short,
-    #[error("a number of more than 64 bits")]
+    #[error("a number with more than 64 bits")]
     Varint,
-    #[error("a value of another wire type than the schema says")]
+    #[error("a wire type that differs from the schema")]
     WireType,
     #[error("an unknown wire type")]
     UnknownWireType,
     #[error("field number 0")]
     FieldNumber,
-    #[error("groups that do not end, or nest too deep")]
+    #[error("unterminated groups, or groups nested too deeply")]
     Group,
     #[error("neither a position nor a rotation")]
     Empty,
 }
 
-/// One value, by its wire type.
+/// One value, by wire type.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) enum Value<'a> {
     Varint(u64),
@@ -51,7 +51,7 @@ pub(crate) enum Value<'a> {
 }
 
 impl<'a> Value<'a> {
-    /// A text, bytes or a message.
+    /// Content of a string, bytes field or message.
     pub(super) fn bytes(self) -> Result<&'a [u8], Fault> {
         match self {
             Value::Bytes(bytes) => Ok(bytes),
@@ -60,14 +60,14 @@ impl<'a> Value<'a> {
     }
 }
 
-/// A walk over the fields of one message.
+/// Reader of the fields of one message.
 #[derive(Debug)]
 pub(crate) struct Reader<'a> {
     bytes: &'a [u8],
     at: usize,
 }
 
-/// Deepest nesting of groups, which nobody has written for long.
+/// Maximum nesting of groups, a feature long deprecated.
 const MAX_GROUPS: usize = 32;
 
 impl<'a> Reader<'a> {
@@ -79,17 +79,17 @@ impl<'a> Reader<'a> {
         self.at == self.bytes.len()
     }
 
-    /// The error at the current place.
+    /// Error at the current position.
     pub(crate) fn error(&self, fault: Fault) -> WireError {
         WireError { path: String::new(), offset: self.at, fault }
     }
 
-    /// A walk over the message that is `value`.
+    /// Reader of the message in `value`.
     pub(super) fn message(&self, value: Value<'a>) -> Result<Reader<'a>, Fault> {
         value.bytes().map(Reader::new)
     }
 
-    /// Number and value of the next field, groups passed over; `None` at the end.
+    /// Number and value of the next field; skips groups. `None` at the end.
     pub(crate) fn field(&mut self) -> Result<Option<(u32, Value<'a>)>, WireError> {
         self.next_field().map_err(|fault| self.error(fault))
     }
@@ -167,7 +167,7 @@ mod tests {
 
     #[test]
     fn numbers_are_those_of_the_encoding_guide() {
-        // protobuf.dev, "Encoding": 150 is 96 01, and field 1 of it is 08 96 01.
+        // protobuf.dev, "Encoding": 150 is 96 01, and as field 1 it is 08 96 01.
         assert_eq!(Reader::new(&[0x96, 0x01]).varint(), Ok(150));
         let field = Reader::new(&[0x08, 0x96, 0x01]).field();
         assert_eq!(field, Ok(Some((1, Value::Varint(150)))));

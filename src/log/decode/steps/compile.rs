@@ -1,4 +1,4 @@
-//! A schema and the wanted fields, compiled into steps.
+//! Compiles a schema and the wanted fields into steps.
 
 use super::super::recipes::Fields;
 use super::super::row::Slot;
@@ -8,7 +8,7 @@ use super::super::schema::{
 };
 use super::op::{Count, Op, Step};
 
-/// How steps differ by what they are walked over.
+/// Wire format for which steps are compiled.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Wire {
     Ros1,
@@ -16,15 +16,15 @@ pub(super) enum Wire {
     Cdr2,
 }
 
-/// What is known while a schema is walked.
+/// State while a schema is walked.
 pub(super) struct Compiler<'a> {
     schema: &'a Schema,
     wanted: Fields,
     each: Option<&'static str>,
     wire: Wire,
-    /// Fields met so far.
+    /// Number of fields so far.
     fields: usize,
-    /// Which of the wanted fields were met.
+    /// Which of the wanted fields have been found.
     found: Vec<bool>,
 }
 
@@ -38,7 +38,7 @@ impl<'a> Compiler<'a> {
         Self { schema, wanted, each, wire, fields: 0, found: vec![false; wanted.len()] }
     }
 
-    /// The steps of a whole message.
+    /// Steps of a whole message.
     pub(super) fn compile(mut self) -> Result<Vec<Step>, SchemaError> {
         let mut steps = Vec::new();
         self.message(self.schema.root(), "", 0, &mut steps)?;
@@ -51,7 +51,7 @@ impl<'a> Compiler<'a> {
         unreadable(&steps).map_or(Ok(steps), Err)
     }
 
-    /// Appends the steps for the fields of `message`, whose own path is `prefix`.
+    /// Appends the steps for the fields of `message`, whose path is `prefix`.
     fn message(
         &mut self,
         message: &Definition,
@@ -62,7 +62,7 @@ impl<'a> Compiler<'a> {
         if depth > MAX_DEPTH {
             return Err(SchemaError::TooDeep { field: prefix.into() });
         }
-        // Without a length before them, the fields are as if they stood where the message does.
+        // Without a length prefix, the fields are inlined.
         let mut own = Vec::new();
         let always = match (self.wire, message.extensibility) {
             (Wire::Ros1 | Wire::Cdr, _) | (_, Extensibility::Final) => None,
@@ -70,20 +70,20 @@ impl<'a> Compiler<'a> {
         };
         let inner = if always.is_some() { &mut own } else { &mut *steps };
         if message.extensibility == Extensibility::Mutable {
-            let why = "in which every field carries its id";
+            let why = "in which every field has an id";
             push(inner, unread(prefix, &message.name, why), prefix.into());
         }
         for field in &message.fields {
             let path = match prefix {
                 "" => field.name.clone(),
-                // A type that stands for an array in an array has no name of its own.
+                // A type that represents a nested array has no name.
                 _ if field.name.is_empty() => prefix.to_owned(),
                 _ => format!("{prefix}.{}", field.name),
             };
             self.field(field, path, depth, inner)?;
         }
         if message.fields.is_empty() && self.wire != Wire::Ros1 {
-            // An empty message takes a byte in ROS 2 (`structure_needs_at_least_one_member`).
+            // An empty message takes one byte in ROS 2 (`structure_needs_at_least_one_member`).
             push(inner, Op::Skip { size: 1, count: Count::Fixed(1) }, prefix.into());
         }
         if let Some(always) = always {
@@ -134,7 +134,7 @@ impl<'a> Compiler<'a> {
                 self.nested(name, &path, depth, &mut nested)?;
                 self.push_length(field, &path, steps);
                 match (nested.is_empty() && !rows, count) {
-                    // In ROS 1 an empty message takes no bytes, however often it is there.
+                    // In ROS 1, empty messages take no bytes, regardless of their number.
                     (true, Count::Fixed(_)) => return Ok(()),
                     (true, Count::Wire) => Op::Skip { size: 0, count },
                     (false, _) => Op::Repeat { count, steps: nested, rows },
@@ -164,8 +164,7 @@ impl<'a> Compiler<'a> {
         }
     }
 
-    /// Passes over the length in bytes that the second CDR puts before a collection of anything but
-    /// numbers.
+    /// Skips the length in bytes that CDR version 2 puts before a collection of anything but numbers.
     fn push_length(&self, field: &Field, path: &str, steps: &mut Vec<Step>) {
         if self.wire == Wire::Cdr2 && field.arity != Arity::One {
             push(steps, Op::Skip { size: 4, count: Count::Fixed(1) }, path.into());
@@ -247,7 +246,7 @@ impl<'a> Compiler<'a> {
     }
 }
 
-/// Makes one step of doubles that follow each other, on the wire and in the row.
+/// Merges consecutive doubles, on the wire and in the row, into one step.
 fn join(steps: &mut Vec<Step>) {
     let mut joined: Vec<Step> = Vec::with_capacity(steps.len());
     for mut step in steps.drain(..) {
@@ -268,8 +267,8 @@ fn join(steps: &mut Vec<Step>) {
     *steps = joined;
 }
 
-/// Cuts off what follows the last wanted field: it need not be walked. Within the elements of an
-/// array all must be, to find the next; a delimited message says itself where it ends.
+/// Removes the steps after the last wanted field. Elements of an array must be walked completely to find
+/// the next one. A delimited message contains its own end.
 fn trim(steps: &mut Vec<Step>) {
     while steps.pop_if(|step| step.op.is_skip()).is_some() {}
     if let Some(Step { op: Op::Delimited { steps, .. }, .. }) = steps.last_mut() {
@@ -277,7 +276,7 @@ fn trim(steps: &mut Vec<Step>) {
     }
 }
 
-/// The first reason why a step cannot be walked.
+/// First reason why a step cannot be executed.
 fn unreadable(steps: &[Step]) -> Option<SchemaError> {
     steps.iter().find_map(|step| match &step.op {
         Op::Unreadable(error) => Some((**error).clone()),
@@ -290,7 +289,7 @@ fn unread(path: &str, spelled: &str, why: &'static str) -> Op {
     Op::Unreadable(Box::new(SchemaError::Unreadable { field, spelled, why }))
 }
 
-/// Appends a step; numbers to pass over join those before them.
+/// Appends a step; merges consecutive skips.
 fn push(steps: &mut Vec<Step>, op: Op, path: String) {
     if let Op::Skip { size, count: Count::Fixed(more) } = op
         && let Some(Step { op: Op::Skip { size: before, count: Count::Fixed(count) }, .. }) =

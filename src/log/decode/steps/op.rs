@@ -1,10 +1,10 @@
-//! One step: a field to read or to pass over.
+//! Steps: fields to read or skip.
 
 use super::super::cursor::{Cursor, Short};
 use super::super::row::Row;
 use super::super::schema::{Arity, Primitive, SchemaError};
 
-/// One field to read or to pass over.
+/// One field to read or skip.
 #[derive(Debug)]
 pub(super) struct Step {
     pub(super) op: Op,
@@ -14,9 +14,9 @@ pub(super) struct Step {
 
 #[derive(Debug)]
 pub(super) enum Op {
-    /// Pass over numbers of `size` bytes.
+    /// Skip numbers of `size` bytes.
     Skip { size: usize, count: Count },
-    /// Pass over strings.
+    /// Skip strings.
     SkipTexts(Count),
     /// Read [`Row::seconds`].
     Seconds(Primitive),
@@ -24,7 +24,7 @@ pub(super) enum Op {
     Nanoseconds(Primitive),
     /// Read into one of [`Row::numbers`].
     Number(Primitive, usize),
-    /// Read doubles that follow each other into as many of [`Row::numbers`].
+    /// Read consecutive doubles into [`Row::numbers`].
     Doubles(std::ops::Range<usize>),
     /// Read into one of [`Row::lists`].
     List(Primitive, Count, usize),
@@ -32,26 +32,27 @@ pub(super) enum Op {
     Text(usize),
     /// Read [`Row::names`].
     Names(Count),
-    /// Walk the steps for every element of an array.
+    /// Execute the steps for every element of an array.
     Repeat { count: Count, steps: Vec<Step>, rows: bool },
-    /// Walk the steps of a message before which its length may stand: `always`, or where the
-    /// header of the message says that types are delimited.
+    /// Execute the steps of a message that has a length prefix: `always`, or if the header of the message
+    /// declares delimited types.
     Delimited { always: bool, steps: Vec<Step> },
-    /// Fail: what follows cannot be found. Compiled only to be cut off as of no use, or refused.
+    /// Fail, because the position of the following fields is unknown. Such steps are either trimmed or
+    /// rejected.
     Unreadable(Box<SchemaError>),
 }
 
-/// How often a value is there.
+/// Number of values.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Count {
-    /// As often as the schema says.
+    /// Given by the schema.
     Fixed(u32),
-    /// As often as the length on the wire says.
+    /// Given by the length on the wire.
     Wire,
 }
 
 impl Op {
-    /// Whether the step leaves the row as it is.
+    /// Whether the step does not change the row.
     pub(super) fn is_skip(&self) -> bool {
         match self {
             Op::Skip { .. } | Op::SkipTexts(_) => true,
@@ -62,7 +63,7 @@ impl Op {
         }
     }
 
-    /// Steps within this one.
+    /// Nested steps.
     pub(super) fn inner(&self) -> &[Step] {
         match self {
             Op::Repeat { steps, .. } | Op::Delimited { steps, .. } => steps,
@@ -70,7 +71,7 @@ impl Op {
         }
     }
 
-    /// Reads or passes over one field; what has steps of its own the plan walks.
+    /// Reads or skips one field. The plan executes nested steps.
     pub(super) fn run(&self, cursor: &mut Cursor<'_>, row: &mut Row) -> Result<(), Short> {
         match *self {
             Op::Skip { size, count } => {
@@ -104,7 +105,7 @@ impl Op {
 }
 
 impl Count {
-    /// The count for the value at the cursor.
+    /// Count for the value at the cursor.
     pub(super) fn of(self, cursor: &mut Cursor<'_>) -> Result<u32, Short> {
         match self {
             Count::Fixed(count) => Ok(count),

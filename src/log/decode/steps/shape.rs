@@ -1,8 +1,8 @@
-//! Where the values of a message lie, so that the next message of the same shape is not walked.
+//! Cached positions of a message's values, used to read the next message of the same shape directly.
 //!
-//! What decides where a value lies are the lengths and texts before it, and of one channel they are
-//! mostly the same in every message. So these bytes are kept of the message that was walked last. Where
-//! the next one has the same at the same places, its values are read from where those of the last were.
+//! Lengths and texts determine where the following values are. In most channels they are the same in every
+//! message, so these bytes of the last parsed message are kept. If the next message has the same bytes at
+//! the same positions, its values are read from the cached positions.
 
 use std::ops::Range;
 
@@ -12,63 +12,63 @@ use super::super::row::{Group, MAX_LIST, Row};
 use super::super::schema::Primitive;
 use super::op::{Count, Op, Step};
 
-/// Most values that are read by their places. Arms have fewer, clouds of particles more.
+/// Maximum number of values read by position. Arms have fewer; particle clouds have more.
 const MOST_READS: usize = 512;
 
-/// Farthest that what decides lies from the message's first byte.
+/// Maximum offset of a decisive byte in the message.
 const FARTHEST: usize = 1 << 14;
 
-/// After so many messages in a row, each of another shape, …
+/// After this many consecutive messages of different shapes, …
 const PATIENCE: u32 = 8;
-/// … the shape is looked for once in so many.
+/// … the shape is computed only for one message in this many.
 const SELDOM: u32 = 64;
 
-/// The shape of the message that was walked last.
+/// Shape of the last parsed message.
 #[derive(Debug, Default)]
 pub(in crate::decode) struct Shape {
-    /// What to do with a message of it, in this order; empty where no shape is known.
+    /// Reads for a message of this shape, in order; empty if no shape is known.
     reads: Vec<Read>,
-    /// Where the bytes are that decide it.
+    /// Byte ranges that determine the shape.
     decisive: Vec<Range<usize>>,
-    /// The last message, in words of eight bytes, as far as they decide,
+    /// Last message in eight-byte words, up to the last decisive byte.
     words: Vec<u64>,
-    /// and of each word the bits that do.
+    /// Decisive bits of each word.
     masks: Vec<u64>,
-    /// Bytes that a message must have.
+    /// Minimum length of a message in bytes.
     least: usize,
-    /// Messages in a row that were of no known shape.
+    /// Consecutive messages of unknown shape.
     strange: u32,
-    /// The group of each row, where a message has several.
+    /// Group of each row, if a message has several rows.
     groups: Vec<Group>,
-    /// Whether all of them are known, so that nobody asks for the rows' texts.
+    /// Whether all groups are known, so the texts of the rows are not needed.
     is_told: bool,
 }
 
 #[derive(Debug)]
 enum Read {
-    /// Read the stamp: seconds at the first of these bytes of the message, nanoseconds at the second.
+    /// Read the stamp: offsets of seconds and nanoseconds in the message.
     Stamp(usize, usize),
-    /// Read as many doubles from this byte on.
+    /// Read consecutive doubles from this offset.
     Doubles(usize, Range<usize>),
-    /// Replace a list by so many doubles from this byte on.
+    /// Replace a list with `count` doubles from offset `at`.
     List { at: usize, count: usize, index: usize },
-    /// Read anything else, that is here in the message's body.
+    /// Read any other value at this offset in the body.
     Value(usize, Op),
-    /// The row is whole: the message's only one.
+    /// The row is complete: the only one of the message.
     Only,
-    /// The row is whole, which is this element of the array of rows.
+    /// The row is complete: this element of the array of rows.
     Row(usize),
 }
 
 impl Shape {
-    /// Whether `message` has this shape, as far as one is known.
+    /// Whether `message` has the known shape.
     pub(super) fn is_of(&self, message: &[u8]) -> bool {
         if self.reads.is_empty() || message.len() < self.least {
             return false;
         }
         let (words, rest) = message.as_chunks();
         let own = self.words.iter().zip(&self.masks);
-        // All words without a branch: there are few, and they are mostly the same.
+        // Compare without branches: there are few words, usually equal.
         let differs = own.zip(words).fold(0, |differs, ((own, mask), word)| {
             differs | (own ^ u64::from_le_bytes(*word)) & mask
         });
@@ -76,18 +76,18 @@ impl Shape {
         differs == 0 && last.is_none_or(|(own, mask)| (own ^ filled(rest)) & mask == 0)
     }
 
-    /// Forgets the shape, as where a message of another one is walked.
+    /// Discards the shape, because a message of a different one was parsed.
     pub(super) fn forget(&mut self) {
         self.reads.clear();
         self.strange = self.strange.saturating_add(1);
     }
 
-    /// Whether it is worth while to look for the shape of the message that was just walked.
+    /// Whether to compute the shape of the message just parsed.
     pub(super) fn is_wanted(&self) -> bool {
         self.strange <= PATIENCE || self.strange.is_multiple_of(SELDOM)
     }
 
-    /// Reads `message`, which is of this shape, through `row`; `cursor` is at the beginning of its body.
+    /// Reads `message`, which has this shape, into `row`; `cursor` is at the start of its body.
     pub(super) fn read(
         &mut self,
         message: &[u8],
@@ -137,9 +137,9 @@ impl Shape {
         Ok(())
     }
 
-    /// Takes the shape of `message`, which was walked without fault.
+    /// Computes the shape of `message`, which was parsed without error.
     ///
-    /// `steps` are those of the message, `cursor` is at its first value, and `whole` says whether the
+    /// `steps` are the steps of the message, `cursor` is at its first value, and `whole` is true if the
     /// message itself is the row.
     pub(super) fn take(
         &mut self,
@@ -172,43 +172,43 @@ impl Shape {
     }
 }
 
-/// The words of eight bytes in `bytes`, the last filled up with zeros.
+/// Eight-byte words of `bytes`, the last padded with zeros.
 fn words(bytes: &[u8]) -> Vec<u64> {
     let (words, rest) = bytes.as_chunks();
     let last = (!rest.is_empty()).then(|| filled(rest));
     words.iter().map(|word| u64::from_le_bytes(*word)).chain(last).collect()
 }
 
-/// Fewer than eight bytes as a word, filled up with zeros.
+/// Fewer than eight bytes as a word padded with zeros.
 fn filled(bytes: &[u8]) -> u64 {
     let mut word = [0; 8];
     word[..bytes.len()].copy_from_slice(bytes);
     u64::from_le_bytes(word)
 }
 
-/// The bytes of doubles that follow each other.
+/// Bytes of consecutive doubles.
 fn doubles(bytes: &[u8]) -> &[[u8; 8]] {
     bytes.as_chunks().0
 }
 
-/// The four bytes from `at` on, which are there.
+/// The four bytes from `at`, which must exist.
 fn word(message: &[u8], at: usize) -> [u8; 4] {
     message[at..].first_chunk().copied().unwrap_or_default()
 }
 
-/// A walk that reads nothing but where things are.
+/// Pass that records positions without reading values.
 struct Walk<'s> {
     shape: &'s mut Shape,
     /// Bytes of the message before its body.
     before: usize,
-    /// Whether its numbers are lowest byte first.
+    /// Whether its numbers are little-endian.
     is_little_endian: bool,
-    /// Whether a message has several rows, each with texts of its own.
+    /// Whether a message has several rows, each with different texts.
     several: bool,
 }
 
 impl Walk<'_> {
-    /// Walks `steps`; `None` where their shape cannot be kept.
+    /// Records the positions in `steps`. `None` if the shape cannot be cached.
     fn over(&mut self, steps: &[Step], cursor: &mut Cursor<'_>) -> Option<()> {
         for Step { op, .. } in steps {
             match *op {
@@ -230,7 +230,7 @@ impl Walk<'_> {
                 Op::Text(index) => {
                     let at = cursor.at();
                     self.decided(cursor, Cursor::text)?;
-                    // The only row of a message has the text already.
+                    // If a message has a single row, its text is already set.
                     if self.several {
                         self.push(Read::Value(at, Op::Text(index)))?;
                     }
@@ -289,7 +289,7 @@ impl Walk<'_> {
         }
     }
 
-    /// Reads what decides where the rest lies.
+    /// Reads a value that determines the position of later ones.
     fn decided<'m, T>(
         &mut self,
         cursor: &mut Cursor<'m>,
@@ -305,14 +305,14 @@ impl Walk<'_> {
         (end <= FARTHEST).then_some(value)
     }
 
-    /// Takes down a number, which is passed over.
+    /// Records a number and skips it.
     fn value(&mut self, primitive: Primitive, op: Op, cursor: &mut Cursor<'_>) -> Option<()> {
         let size = primitive.size();
         self.push(Read::Value(cursor.aligned(size), op))?;
         cursor.skip(size, 1).ok()
     }
 
-    /// Makes one of seconds and nanoseconds, where they are what ROS 2 has.
+    /// Merges seconds and nanoseconds of ROS 2 types into one read.
     fn join_stamp(&mut self) {
         use Primitive::{I32, U32};
         if let [.., Read::Value(s, Op::Seconds(I32)), Read::Value(ns, Op::Nanoseconds(U32))] =

@@ -1,10 +1,10 @@
-//! The same content, written in every encoding, decodes to the same columns.
+//! The same content decodes to the same columns in every encoding.
 
 use super::super::*;
 use super::decode_all;
 use ground::stream::{Columns, JointColumns, PoseColumns};
 
-/// How to write.
+/// Encoding of the writer.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum Style {
     Ros1,
@@ -22,7 +22,7 @@ const STYLES: [Style; 7] = [
     Style::Cdr2 { big_endian: true, delimited: true },
 ];
 
-/// Writes values one after the other; after DDS XTypes 1.3, §7.4.3, and the ROS 1 wiki.
+/// Serializes consecutive values, according to DDS XTypes 1.3, §7.4.3, and the ROS 1 wiki.
 struct Writer {
     style: Style,
     bytes: Vec<u8>,
@@ -70,7 +70,7 @@ impl Writer {
         self.bytes.extend(&[0][..zero]);
     }
 
-    /// Writes `content` after its length in bytes, if `has_length`.
+    /// Writes `content`, with its length in bytes before it if `has_length`.
     fn delimited(&mut self, has_length: bool, content: impl FnOnce(&mut Self)) {
         if !has_length {
             return content(self);
@@ -129,7 +129,7 @@ struct Joints {
     velocity: Vec<f64>,
 }
 
-/// Numbers that are the same each time (Knuth's linear congruential generator).
+/// Reproducible random numbers (Knuth's linear congruential generator).
 struct Random(u64);
 
 impl Random {
@@ -138,7 +138,7 @@ impl Random {
         self.0 >> 33
     }
 
-    /// Of few digits in either base, so that no way of writing it rounds.
+    /// Few digits in both bases, so every encoding is exact.
     fn number(&mut self) -> f64 {
         ((self.next() % (1 << 20)) as f64 - f64::from(1 << 19)) / 1024.0
     }
@@ -229,7 +229,7 @@ fn in_json(transforms: &[Transform], rows_first: bool) -> Vec<u8> {
     format!(r#"{{"other":null,"transforms":[{}]}}"#, rows.join(",")).into_bytes()
 }
 
-/// A protocol buffer being written.
+/// Protocol buffer writer.
 #[derive(Default)]
 struct Proto(Vec<u8>);
 
@@ -270,7 +270,7 @@ fn in_protobuf(transforms: &[Transform]) -> Vec<u8> {
             let each = numbers.iter().enumerate();
             each.fold(Proto::default(), |proto, (i, &x)| proto.f64(i as u64 + 1, x)).0
         };
-        // In another order than the numbers', and with fields that nobody knows.
+        // Fields out of order, with unknown fields.
         let row = Proto::default().bytes(5, &numbers(&transform.q_xyzw)).integer(77, 5);
         let row = row.bytes(3, transform.frames[1].as_bytes()).bytes(1, &stamp.0);
         let row = row.bytes(2, transform.frames[0].as_bytes()).f64(99, 1.0);
@@ -310,8 +310,7 @@ const ROS1_TRANSFORMS: &str = "FrameTransform[] transforms\n===\nMSG: foxglove_m
     ===\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n\
     ===\nMSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n";
 
-/// Two transforms in each encoding: its name among the fuzz targets, the type, the schema and the
-/// message.
+/// Two transforms in each encoding: name of the fuzz target, type, schema and message.
 pub(crate) fn seeds() -> Vec<(&'static str, &'static str, Vec<u8>, Vec<u8>)> {
     let mut random = Random(11);
     let transforms = [random.transform(), random.transform()];
@@ -419,8 +418,8 @@ fn joint_states_are_the_same_in_every_encoding() {
 
 #[test]
 fn the_second_cdr_as_the_specification_lays_it_out() {
-    // Names {"a"}, positions {1.5}; DDS XTypes 1.3, §7.4.3.5: every appendable structure and every
-    // sequence of strings has its length in bytes before it, doubles are aligned to 4.
+    // Names {"a"}, positions {1.5}. DDS XTypes 1.3, §7.4.3.5: every appendable structure and every sequence
+    // of strings has a length prefix, and doubles are aligned to 4.
     let delimited: &[u8] = &[
         0x00, 0x09, 0x00, 0x00, // D_CDR2_LE, no options
         0x3c, 0, 0, 0, // JointState: 60 bytes

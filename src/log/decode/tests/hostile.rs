@@ -1,4 +1,4 @@
-//! Lengths, depths and sizes that are there to hurt: an error, in little memory.
+//! Malicious lengths, depths and sizes must cause an error without using much memory.
 
 use super::super::super::testing::Cdr;
 use super::super::*;
@@ -11,7 +11,7 @@ fn error(format: Format<'_>, message: Vec<u8>) -> String {
 
 #[test]
 fn arrays_of_nothing_take_no_time() {
-    // In ROS 1 an empty message takes no bytes, so that its number is not bounded by the message's.
+    // In ROS 1 an empty message takes no bytes, so the message length does not bound their number.
     let text = "Empty[4000000000] a\nEmpty[] b\nstring data\n===\nMSG: std_msgs/Empty\n";
     let format =
         Format { encoding: "ros1", schema_encoding: "ros1msg", ..cdr("std_msgs/String", text) };
@@ -24,7 +24,7 @@ fn arrays_of_nothing_take_no_time() {
 
 #[test]
 fn arrays_of_nothing_in_arrays_take_no_time() {
-    // A quarter of a million times as many times nothing as the message has bytes left.
+    // Repeats empty elements 250,000 times as often as the message has bytes.
     let text = "Many[4000000000] a\nstring data\n===\nMSG: std_msgs/Many\nEmpty[] b\n\
                 ===\nMSG: std_msgs/Empty\n";
     let format =
@@ -88,7 +88,7 @@ fn json_of_any_depth_is_read_or_refused() {
     assert!(error(format, long).len() < 300);
 }
 
-/// A field of the wire type for lengths.
+/// Length-delimited field.
 fn field(number: u8, content: &[u8]) -> Vec<u8> {
     let mut bytes = vec![number << 3 | 2];
     let mut length = content.len();
@@ -118,12 +118,12 @@ fn descriptors_that_nest_or_grow_without_end_are_refused() {
         (0..5_001).map(|i| field(4, &field(1, format!("T{i}").as_bytes()))).collect();
     assert!(refused(types.concat()).contains("more than 5000 types"));
     assert!(refused(field(4, &field(1, &[b'x'; 300]))).contains("name of more than 256"));
-    assert!(refused(vec![0; 5 << 20]).contains("bytes long, more than"));
+    assert!(refused(vec![0; 5 << 20]).contains("bytes long; the limit is"));
 }
 
 #[test]
 fn a_protobuf_type_that_contains_itself_is_read_as_deep_as_the_recipe() {
-    // message FrameTransform { repeated FrameTransform transforms = 1; } is not what is wanted.
+    // message FrameTransform { repeated FrameTransform transforms = 1; } does not match the recipe.
     let itself =
         [field(1, b"transforms"), vec![0x18, 1, 0x20, 3, 0x28, 11], field(6, b".foxglove.T")];
     let message = [field(1, b"FrameTransforms"), field(2, &itself.concat())].concat();

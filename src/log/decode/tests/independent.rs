@@ -1,4 +1,4 @@
-//! Messages that other programs wrote decode to the numbers that went in.
+//! Messages written by other programs decode to the original numbers.
 
 use super::super::*;
 use super::vectors::*;
@@ -8,7 +8,7 @@ use ground::stream::{Columns, JointColumns, PoseColumns};
 const STAMP: i64 = 1_700_000_000_123_456_789;
 const TURNED: [f64; 4] = [0.0, 0.0, 0.6, 0.8];
 
-/// The columns of one message, in the order of its parts.
+/// Columns of one message, by part.
 fn columns(format: Format<'_>, hexadecimal: &str) -> Vec<(&'static str, Columns)> {
     let (parts, error) = decode_all(format, &[bytes(hexadecimal)]);
     assert_eq!(error, None);
@@ -34,7 +34,7 @@ fn ros1<'a>(type_name: &'a str, definition: &'a str) -> Format<'a> {
     Format { encoding, type_name, schema_encoding, schema: definition.as_bytes() }
 }
 
-/// As SQLite bags have them: without a definition.
+/// As in SQLite bags: without a definition.
 fn bare(type_name: &str) -> Format<'_> {
     Format { encoding: "cdr", type_name, schema_encoding: "", schema: b"" }
 }
@@ -213,7 +213,7 @@ fn every_cut_message_is_an_error_or_lacks_only_what_is_not_read() {
             assert!(error.is_some(), "{length} bytes of {} were enough", format.type_name);
         }
     }
-    // Cut between two fields, protocol buffers are whole; they must not panic anywhere.
+    // A protocol buffer cut between two fields is still valid. No cut may cause a panic.
     let message = bytes(PROTO_POSES_IN_FRAME);
     let broken = (0..message.len())
         .filter(|&length| {

@@ -1,4 +1,4 @@
-//! Types that were spelled otherwise in other versions, and what is left out of messages.
+//! Different versions of message types, and messages with missing fields.
 
 use super::super::*;
 use super::{cdr, decode_all, refusal};
@@ -40,7 +40,7 @@ fn a_transform_without_position_and_rotation_is_refused() {
         schema_encoding: "protobuf",
         schema: include_bytes!("foxglove.bin"),
     };
-    // In field 1 a transform: of a name only, and of an empty rotation only.
+    // Field 1 is a transform: with only a name, and with only an empty rotation.
     let (named, rotated) = (vec![0x0a, 3, 0x1a, 1, b'c'], vec![0x0a, 2, 0x2a, 0]);
     let (parts, error) = decode_all(protobuf, &[named]);
     assert!(error.is_some_and(|error| error.contains("neither a position nor a rotation")));
@@ -67,7 +67,7 @@ fn enumerations_are_as_wide_as_they_say_and_their_lists_have_lengths() {
         schema: schema.as_bytes(),
     };
     let first = Cdr::little().u8(1).u32(2).u8(0).u8(1).u32(1).list(&[1.5]).done();
-    // The second CDR (DDS XTypes 1.3, §7.4.3.5): six bytes of a list of what is no primitive type.
+    // CDR version 2 (DDS XTypes 1.3, §7.4.3.5): six bytes for a list of a non-primitive type.
     let second = vec![
         0, 7, 0, 0, 1, 0, 0, 0, 6, 0, 0, 0, 2, 0, 0, 0, 0, 1, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 0, 0,
         0, 0, 0, 0, 0xf8, 0x3f,
@@ -92,7 +92,7 @@ fn a_bare_header_is_that_of_its_package_where_it_has_one() {
     };
     assert_eq!(values(own, Cdr::little().u8(1).list(&[1.5]).done()), [1.5]);
     assert_eq!(values(other, Cdr::little().header(1, 2, "base").list(&[2.5]).done()), [2.5]);
-    // In a package that has a Header of its own, and beside that of ROS.
+    // A package with its own Header, in addition to the one of ROS.
     let nested = "my_msgs/Stamped first\nfloat64[] data\n===\nMSG: my_msgs/Stamped\nHeader header\n\
                   ===\nMSG: my_msgs/Header\nuint8 kind\n\
                   ===\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n";

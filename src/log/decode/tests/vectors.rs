@@ -1,9 +1,9 @@
-//! Messages that other programs wrote, in hexadecimal.
+//! Messages written by other programs, in hexadecimal.
 //!
 //! ROS 1 and ROS 2 messages: the Python package `rosbags` 0.11.9 (`serialize_ros1`, `serialize_cdr`,
-//! definitions by `generate_msgdef`). Protocol buffers: `protobuf` 7.36 with
-//! `foxglove-schemas-protobuf` 0.4.0, whose descriptors without comments are in `foxglove.bin`; the JSON
-//! of the same messages is by `MessageToJson`. Stamps are 1700000000.123456789 s if nothing else is said.
+//! definitions by `generate_msgdef`). Protocol buffers: `protobuf` 7.36 with `foxglove-schemas-protobuf`
+//! 0.4.0, whose descriptors without comments are in `foxglove.bin`; the JSON of the same messages is from
+//! `MessageToJson`. Stamps are 1700000000.123456789 s unless noted.
 
 /// `sensor_msgs/JointState`: base, shoulder 0.5 (0.125/s), elbow −1.25 (2/s).
 pub(super) const ROS1_JOINT_STATE: &str = "\
@@ -30,7 +30,7 @@ pub(super) const ROS1_IMU: &str = "\
     000000000000000000000000000000000000000000000000000000\
     ";
 
-/// `geometry_msgs/PoseArray` of two poses.
+/// `geometry_msgs/PoseArray` with two poses.
 pub(super) const ROS1_POSE_ARRAY: &str = "\
     0700000000f1536515cd5b07030000006d617002000000000000000000f03f0000000000000040000000000000084000\
     000000000000000000000000000000333333333333e33f9a9999999999e93f0000000000001040000000000000004000\
@@ -46,7 +46,7 @@ pub(super) const ROS1_CONTROLLER_STATE: &str = "\
     000000000000\
     ";
 
-/// `franka_msgs/FrankaState`; what is not read is NaN.
+/// `franka_msgs/FrankaState`; unused fields are NaN.
 pub(super) const ROS1_FRANKA_STATE: &str = "\
     0700000000f1536515cd5b0700000000000000000000f87f000000000000f87f000000000000f87f000000000000f87f\
     000000000000f87f000000000000f87f000000000000f87f000000000000f87f000000000000f87f000000000000f87f\
@@ -336,10 +336,10 @@ int32 sec
 uint32 nanosec
 "#;
 
-/// As protocol buffers map to JSON: numbers that are zero left out.
+/// JSON mapping of protocol buffers, without zeros.
 pub(super) const JSON_FRAME_TRANSFORMS: &str = r#"{"transforms": [{"timestamp": "2023-11-14T22:13:20.123456789Z", "parent_frame_id": "base", "child_frame_id": "link_1", "translation": {"x": 0.1, "y": 0.2, "z": 0.3}, "rotation": {"z": 0.6, "w": 0.8}}, {"timestamp": "2023-11-14T22:13:21.000000005Z", "parent_frame_id": "link_1", "child_frame_id": "tool0", "translation": {"x": -1.0, "z": 2.5}, "rotation": {"x": 0.5, "y": -0.5, "z": 0.5, "w": 0.5}}]}
 "#;
 
-/// As protocol buffers map to JSON: numbers that are zero left out.
+/// JSON mapping of protocol buffers, without zeros.
 pub(super) const JSON_POSES_IN_FRAME: &str = r#"{"timestamp": "2023-11-14T22:13:20.123456789Z", "frame_id": "map", "poses": [{"position": {"x": 1.0, "y": 2.0, "z": 3.0}, "orientation": {"z": 0.6, "w": 0.8}}, {"position": {"x": 4.0, "y": 2.0, "z": 3.0}, "orientation": {"z": 0.6, "w": 0.8}}]}
 "#;
