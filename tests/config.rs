@@ -188,7 +188,7 @@ fn a_topic_that_cannot_be_what_is_said_is_refused_with_the_line() {
     for (keys, part) in [
         ("role = \"imu\"", "cannot have the role `imu`"),
         ("frame = \"base_lnk\"", "did you mean 'base_link'?"),
-        ("link = \"no_such_thing\"", "no link of an arm"),
+        ("link = \"no_such_thing\"", "not a link of an arm"),
         ("convention = \"rotvec\"", "contains quaternions"),
     ] {
         let said = refused(&format!("\n[stream.\"/tcp_pose_broadcaster/pose\"]\n{keys}"));

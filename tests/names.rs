@@ -103,7 +103,7 @@ fn no_arm_is_guessed_without_poses() {
     assert!(refusal(&report).contains("no robot model matches the joints"), "{}", refusal(&report));
     // A robot that is named has its numbers, and nothing that confirms them.
     let report = audited(&[run], as_robot("ur5e")).expect("a report");
-    assert!(source(&report).contains("no stream of poses confirms it"), "{}", source(&report));
+    assert!(source(&report).contains("not confirmed by a pose stream"), "{}", source(&report));
 }
 
 #[test]

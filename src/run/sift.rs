@@ -1,5 +1,5 @@
-//! Which rows of a stream the estimators see, and at what time: of one publisher, neither stray nor
-//! old, and each value once.
+//! Filters the samples of a stream before estimation: one publisher, no outliers, no stale or repeated
+//! values.
 
 use std::borrow::Cow;
 
@@ -12,27 +12,27 @@ use super::stalled::{self, Stalled, stalled};
 use super::strays::{self, Strays, strays};
 use super::streams::{Clocks, Stream};
 
-/// What was found that keeps rows from being seen.
+/// Samples excluded from estimation.
 #[derive(Debug, Default)]
 pub struct Sift {
-    /// The samples that jump away and back.
+    /// Outliers.
     pub strays: Vec<Strays>,
-    /// The topics and transforms that two publish.
+    /// Topics and transforms with two publishers.
     pub publishers: Vec<Publishers>,
-    /// What repeats values with new stamps.
+    /// Repeated values with new stamps.
     pub held: Vec<Held>,
-    /// When joint states stood still.
+    /// Frozen joint states.
     pub(super) stalled: Vec<Stalled>,
 }
 
 impl Sift {
-    /// Looks through all streams.
+    /// Checks all streams.
     pub(super) fn of(streams: &[Stream], clocks: &Clocks) -> Self {
         let mut series = series(streams, clocks);
         let publishers = publishers(&series);
         for series in &mut series {
             publishers::hide(&publishers, series.stream, series.piece, &mut series.rows);
-            // What is sent again with its stamp is the same row.
+            // A message resent with its stamp is the same row.
             series.rows.dedup_by_key(|(stamp, _)| *stamp);
         }
         let held = held(&series);
@@ -52,7 +52,7 @@ impl Sift {
         Self { strays, publishers, held, stalled }
     }
 
-    /// Leaves of the rows of a piece those that are seen.
+    /// Removes the filtered rows of a part.
     pub(super) fn sift(&self, stream: usize, piece: usize, rows: &mut Rows) {
         publishers::hide(&self.publishers, stream, piece, rows);
         strays::hide(&self.strays, stream, piece, rows);
@@ -60,7 +60,7 @@ impl Sift {
         held::take_once(&self.held, stream, piece, rows);
     }
 
-    /// Makes what was found on one piece that of another stream too.
+    /// Copies the results of one part to another stream.
     pub(super) fn share(&mut self, (stream, piece): (usize, usize), to: usize) {
         fn shared<T: Clone>(
             all: &mut Vec<T>,

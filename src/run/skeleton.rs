@@ -1,42 +1,42 @@
-//! Which path through a robot is the arm, and which link is its tip.
+//! Finds the joint path of each arm in a robot model, and its tip.
 
 use crate::robot::{Joint, JointKind, LinkId, Robot};
 
-/// A path of joints that the joint states hold.
+/// A path of logged joints.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct ArmPath {
     /// The link above the first joint.
     pub base: LinkId,
     /// The link that the last joint moves.
     pub end: LinkId,
-    /// Names of the joints that move by themselves, from base to end.
+    /// Names of the independent joints, from base to end.
     pub joints: Vec<String>,
 }
 
-/// Words of joints that open and close a gripper.
+/// Words in names of joints that open and close a gripper.
 const GRIPPER: &[&str] = &["gripper", "finger", "jaw", "claw", "knuckle"];
 
-/// Words of joints that turn a whole gripper.
+/// Words in names of joints that rotate a whole gripper.
 const TURNS: &[&str] = &["roll", "rot", "pitch", "yaw", "turn", "wrist"];
 
-/// Whether a joint moves by itself and with one coordinate.
+/// Whether a joint has one coordinate and does not mimic another.
 pub(super) fn is_own(joint: &Joint) -> bool {
     joint.kind.has_position() && joint.mimic.is_none()
 }
 
-/// The joint that moves `joint` in the end: itself, or the one that it mimics.
+/// The joint that drives `joint`: itself, or the one that it mimics.
 pub(super) fn driver<'a>(robot: &'a Robot, joint: &'a Joint) -> &'a Joint {
     let master = |joint: &&'a Joint| robot.joint(&joint.mimic.as_ref()?.joint);
-    // No more steps than joints, so that those that mimic each other end.
+    // Limits the steps, so that cyclic mimics end.
     let drivers = std::iter::successors(Some(joint), master).take(robot.joints().len() + 1);
     drivers.last().unwrap_or(joint)
 }
 
-/// The arms of `robot`: the longest path of own joints that `logged` holds, and further ones with
-/// at least four joints of their own, of which there are more than they share.
+/// The arms of `robot`: the longest path of independent logged joints, and further paths with at least four
+/// joints of their own, more than they share.
 ///
-/// A path ends where the tree forks into moving branches all of which have fewer joints than the
-/// path so far (a gripper), and before a last joint named as a gripper's.
+/// A path ends if the tree forks into moving branches that all have fewer joints than the path so far (a
+/// gripper), and before a last joint that is named like a gripper's.
 pub(super) fn arms(robot: &Robot, logged: impl Fn(&str) -> bool) -> Vec<ArmPath> {
     const OWN: usize = 4;
     let mut walk = Walk { robot, logged, ends: Vec::new() };
@@ -65,7 +65,7 @@ struct Walk<'a, F> {
 }
 
 impl<F: Fn(&str) -> bool> Walk<'_, F> {
-    /// Follows the tree below `link`, reached over `path`.
+    /// Follows the tree below `link`, which `path` reaches.
     fn descend(&mut self, link: LinkId, path: ArmPath) {
         let robot = self.robot;
         let branches: Vec<(&Joint, usize)> = robot
@@ -102,18 +102,18 @@ impl<F: Fn(&str) -> bool> Walk<'_, F> {
             path.joints.push(joint.name.clone());
             path.end = joint.child;
         } else if !is_fixed(joint) && !(self.logged)(&driver(self.robot, joint).name) {
-            // Where this joint stands is not known, so the arm can only begin below it.
+            // The position of this joint is unknown, so the arm can only start below it.
             path = ArmPath { base: joint.child, end: joint.child, joints: Vec::new() };
         }
         path
     }
 
-    /// Whether anything below `joint`, or itself, moves.
+    /// Whether `joint` or anything below it moves.
     fn moves(&self, joint: &Joint) -> bool {
         !is_fixed(joint) || self.robot.child_joints(joint.child).any(|below| self.moves(below))
     }
 
-    /// The most logged own joints on a path from `joint` down.
+    /// Maximum number of independent logged joints on a path that starts with `joint`.
     fn depth(&self, joint: &Joint) -> usize {
         let below = self.robot.child_joints(joint.child).map(|below| self.depth(below)).max();
         usize::from(is_own(joint) && (self.logged)(&joint.name)) + below.unwrap_or(0)
@@ -124,16 +124,17 @@ fn is_fixed(joint: &Joint) -> bool {
     joint.kind == JointKind::Fixed
 }
 
-/// Whether `joint` is the last of an arm and named as one that opens a gripper.
+/// Whether `joint` is the last of an arm and is named like a gripper's.
 fn opens_gripper(joint: &Joint, depth: usize, path: &ArmPath) -> bool {
     let name = joint.name.to_lowercase();
     let has = |words: &[&str]| words.iter().any(|word| name.contains(word));
     depth == 1 && path.joints.len() > 1 && is_own(joint) && has(GRIPPER) && !has(TURNS)
 }
 
-/// The tip that the model itself suggests: of the links fixed to `end`, `preferred` if it is one of
-/// them, else the first called `tool0`, `flange`, `*_tcp` or `*_link8`, in this order, else the one
-/// behind the most fixed joints.
+/// Default tip of an arm, among the links fixed to `end`.
+///
+/// This is `preferred` if present, else the first link named `tool0`, `flange`, `*_tcp` or `*_link8`, in
+/// this order, else the one behind the most fixed joints.
 pub(super) fn tip(robot: &Robot, end: LinkId, preferred: Option<&str>) -> LinkId {
     let fixed = fixed_below(robot, end);
     let named = |fits: &dyn Fn(&str) -> bool| {
@@ -152,7 +153,7 @@ pub(super) fn tip(robot: &Robot, end: LinkId, preferred: Option<&str>) -> LinkId
         .unwrap_or(end)
 }
 
-/// `link` and the links fixed to it below it, with the number of joints between, parents first.
+/// `link` and the links fixed below it, each with the number of joints in between, parents first.
 fn fixed_below(robot: &Robot, link: LinkId) -> Vec<(LinkId, usize)> {
     let mut found = vec![(link, 0)];
     let mut next = 0;
@@ -164,7 +165,7 @@ fn fixed_below(robot: &Robot, link: LinkId) -> Vec<(LinkId, usize)> {
     found
 }
 
-/// The joints that move on the way from the root to `link`.
+/// Movable joints between the root and `link`.
 pub(super) fn moving_joints_above(robot: &Robot, link: LinkId) -> impl Iterator<Item = &Joint> {
     let up =
         std::iter::successors(robot.parent_joint(link), |joint| robot.parent_joint(joint.parent));
@@ -175,7 +176,7 @@ pub(super) fn moving_joints_above(robot: &Robot, link: LinkId) -> impl Iterator<
 pub(super) mod tests {
     use super::*;
 
-    /// A URDF of joints given as "name type parent child".
+    /// A URDF with joints given as "name type parent child".
     pub fn robot(joints: &[&str]) -> Robot {
         let mut links: Vec<&str> = Vec::new();
         let mut body = String::new();

@@ -1,33 +1,33 @@
-//! What tells the arms of one log apart by name.
+//! Distinguishes the arms of a log by the words in their names.
 
 use super::role::words;
 
-/// The words that are one arm's in names of topics, frames and joints, and those that are others'.
+/// Words in names of topics, frames and joints that identify one arm, and those that identify others.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Space {
     own: Vec<String>,
     others: Vec<String>,
 }
 
-/// Whose a name is.
+/// Which arm a name refers to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Claim {
-    /// It has words of another arm and none of this one.
+    /// It contains words of a different arm and none of this one.
     Foreign,
-    /// It says nothing.
+    /// It contains no distinguishing word.
     Neutral,
-    /// It has a word of this arm.
+    /// It contains a word of this arm.
     Own,
 }
 
 impl Space {
-    /// The spaces of arms that go by these names: of each the words that not all of them have.
+    /// The spaces of arms with these names: for each, the words that not all of them share.
     pub fn of_names<S: AsRef<str>>(names: &[S]) -> Vec<Space> {
         let all: Vec<Vec<String>> = names.iter().map(|name| words(name.as_ref())).collect();
         Self::of_words(&all)
     }
 
-    /// The same of words.
+    /// The same, from words.
     pub fn of_words(all: &[Vec<String>]) -> Vec<Space> {
         let is_shared = |word: &String| all.iter().all(|words| words.contains(word));
         let telling = |words: &Vec<String>| -> Vec<String> {
@@ -43,7 +43,7 @@ impl Space {
         (0..all.len()).map(space).collect()
     }
 
-    /// Whose something is that goes by these names.
+    /// Which arm some names refer to.
     pub fn claim<'n>(&self, names: impl IntoIterator<Item = &'n str>) -> Claim {
         let words: Vec<String> = names.into_iter().flat_map(words).collect();
         let has = |known: &[String]| known.iter().any(|word| words.contains(word));

@@ -1,7 +1,7 @@
-//! Times in which joint states stand still though the arm moves.
+//! Detects frozen joint states while the arm moves.
 //!
-//! A joint that stops on its way at full speed and is elsewhere one sample later did not stop: its
-//! number did. The times are taken out of what the estimators see, as a gap.
+//! If a joint stops abruptly at full speed and is elsewhere one sample later, the value was frozen, not the
+//! joint. These spans are excluded from estimation, like gaps.
 
 use std::borrow::Cow;
 
@@ -11,38 +11,38 @@ use super::frozen::Frozen;
 use super::rows::Rows;
 use super::series::{Series, Values};
 
-/// Shorter times, and of fewer rows, are how a slow source looks, s.
+/// Minimum duration, s, and number of rows; shorter spans are typical of slow sources.
 const LEAST_S: f64 = 0.25;
 const LEAST_ROWS: usize = 10;
-/// Standing still is to move by no more than so many deviations of the noise.
+/// Maximum motion while frozen, in standard deviations of the noise.
 const STILL: f64 = 8.0;
-/// It ends with a leap of this at least, rad or m, and of so many of the steps that the joint usually
-/// makes where it makes one: a coarse encoder's last bit is no leap, …
+/// Minimum jump at the end, rad or m, and in usual non-zero steps of the joint, to exclude the resolution
+/// of a coarse encoder.
 const LEAP: f64 = 5e-3;
 const BITS: f64 = 4.0;
-/// … so many times the steps after it, …
+/// Minimum ratio of the jump to the steps after it.
 const FAR: f64 = 5.0;
-/// … and more than a joint does that accelerates by this between two rows, rad/s² or m/s². A UR5e that was guided by
+/// Maximum acceleration of a real joint, rad/s² or m/s²; the jump must exceed it. A UR5e that was guided by
 /// hand stops by up to 87 rad/s² in public recordings (docs/real-logs.md).
 pub(super) const HARDEST: f64 = 100.0;
-/// Rows after it, and before, that say how fast the joints went.
+/// Number of rows before and after that show the joint speeds.
 const BESIDE: usize = 4;
 
-/// A time in which joint states stood still, and its rows, from the second on.
+/// A span of frozen joint states, and its rows from the second on.
 #[derive(Debug)]
 pub(super) struct Stalled {
     pub frozen: Frozen,
     pub rows: Vec<usize>,
 }
 
-/// Takes the rows out that say an old value.
+/// Removes the frozen rows.
 pub(super) fn hide(stalled: &[Stalled], stream: usize, rows: &mut Rows) {
     for found in stalled.iter().filter(|found| found.frozen.stream == stream) {
         rows.retain(|(_, row)| found.rows.binary_search(row).is_err());
     }
 }
 
-/// The times in which the joint states of `series` stand still; `rows` are those that are looked at.
+/// Finds spans of frozen joint states in `series`, in the given `rows`.
 pub(super) fn stalled<'s>(series: &Series<'s>, rows: &Rows) -> Vec<Stalled> {
     let Values::Joints(joints) = series.values else { return Vec::new() };
     let is_all = rows.len() == joints.times.len() && (0..).zip(rows).all(|(at, row)| row.1 == at);
@@ -93,7 +93,7 @@ pub(super) fn stalled<'s>(series: &Series<'s>, rows: &Rows) -> Vec<Stalled> {
         let is_long = end.seconds_since(start) >= LEAST_S && at - first >= LEAST_ROWS;
         let period_s = end.seconds_since(start) / (at - first).max(1) as f64;
         let is_beside = rows[at + 1].0.seconds_since(end) < 3.0 * period_s;
-        // A number that is set anew at rest leaps, too: then nothing moves before it nor after it.
+        // A value that is redefined at rest also jumps, but then nothing moves before or after.
         let moves = |a: usize, b: usize| {
             (0..count).any(|joint| {
                 let by = (q(b, joint) - q(a, joint)).abs();
@@ -115,7 +115,7 @@ pub(super) fn stalled<'s>(series: &Series<'s>, rows: &Rows) -> Vec<Stalled> {
     found
 }
 
-/// The times alone.
+/// The spans alone.
 pub(super) fn times(stalled: &[Stalled]) -> impl Iterator<Item = Frozen> + '_ {
     stalled.iter().map(|found| found.frozen)
 }
@@ -126,8 +126,8 @@ mod tests {
     use crate::stream::JointColumns;
     use crate::time::Stamp;
 
-    /// 20 s of a joint that swings at 100 Hz, with noise, and what `edit` makes of the time that each
-    /// row says and adds to it.
+    /// 20 s of an oscillating joint at 100 Hz, with noise. `edit` returns the time at which the position is
+    /// taken and an offset.
     fn swings(noise: f64, edit: impl Fn(f64) -> (f64, f64)) -> JointColumns {
         let mut columns = JointColumns::default();
         columns.joints.push(JointColumn { name: "a".to_owned(), ..JointColumn::default() });

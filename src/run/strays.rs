@@ -1,8 +1,8 @@
-//! Samples that jump away from those before and come back within a few: an encoder's dropped bit, a
-//! tracker that lost its target, a pose that was zero until the first was known.
+//! Detects outliers: samples that jump away and return within a few samples, due to a dropped encoder bit,
+//! a tracker that lost its target, or a pose that is zero before the first valid one.
 //!
-//! Of all rows, as nothing but their own numbers is needed. The estimators see none of them: one sample
-//! ten metres off would decide every speed and every spread.
+//! All rows are checked, because only their own values are needed. Estimators exclude outliers: a single
+//! sample ten metres off would dominate speeds and spreads.
 
 use std::collections::HashSet;
 use std::f64::consts::TAU;
@@ -21,53 +21,53 @@ use super::rows::Rows;
 use super::stalled::HARDEST;
 use super::streams::{Clocks, Stream};
 
-/// Samples in a row that may be stray; more of them are a motion.
+/// Maximum number of consecutive outliers; more are a motion.
 const LONGEST: usize = 3;
-/// A stray is gone this soon; what takes longer may be a motion, s.
+/// Maximum duration of outliers, s; longer excursions may be a motion.
 const SOON_S: f64 = 0.25;
-/// A stray is this many times as far off as samples usually are from the next, and as any near it.
+/// Minimum ratio of the jump to the usual steps, and to the steps nearby.
 const FAR: f64 = 5.0;
-/// What is so many times as far off as usual is no motion, whatever is near.
+/// Minimum ratio to the usual steps that is always an outlier, whatever is nearby.
 const BEYOND: f64 = 1000.0;
-/// It has come back where what is left is less than this share of the jump.
+/// Maximum distance after the return, as a share of the jump.
 const BACK: f64 = 0.2;
-/// Jumps shorter than this are none, rad or m …
+/// Minimum jump, rad or m.
 const LEAST: f64 = 1e-3;
-/// … and of what mostly stands still, as the last bit of an encoder flips.
+/// The same for mostly stationary values, because the last bit of an encoder flips.
 const LEAST_AT_REST: f64 = 5e-3;
-/// Of more than this share of the samples nothing tells which are stray.
+/// Maximum share of outliers; with more, outliers cannot be distinguished from data.
 const MOST: f64 = 0.05;
-/// Fewer samples do not show what is usual, so that none of them is told to be stray.
+/// Minimum number of samples to determine usual steps; with fewer, no outliers are reported.
 pub const FEWEST_SAMPLES: usize = 20;
 
-/// The stray samples of a stream, of one transform or of one joint.
+/// Outliers of a stream, of one transform or of one joint.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Strays {
     /// Index of the stream.
     pub stream: usize,
-    /// The child frame of the transform.
+    /// Child frame of the transform.
     pub frame: Option<String>,
     /// The joint.
     pub joint: Option<String>,
-    /// The longest jump: of a pose m and rad, of a joint in its unit, as `length_m`.
+    /// The largest jump: for a pose in m and rad, for a joint in its unit, as `length_m`.
     pub farthest: Apart,
-    /// The stamp of that sample, where it has one.
+    /// Stamp of that sample, if it has one.
     pub at: Option<Stamp>,
-    /// Which of the piece it is of the stream's.
+    /// Index of the stream's part.
     pub(super) piece: usize,
-    /// The rows, in order; none where there are so many that nothing tells which are stray.
+    /// Outlier rows in order. Empty if there are too many to tell outliers from data.
     pub(super) rows: Vec<usize>,
 }
 
 impl Strays {
-    /// How many samples they are; 0 where more than one in twenty jumps, so that nothing tells which are
-    /// stray.
+    /// Number of outliers; 0 if more than one in twenty samples jumps, so that outliers cannot be
+    /// identified.
     pub fn count(&self) -> usize {
         self.rows.len()
     }
 }
 
-/// Takes out the rows of a piece of a stream that are stray.
+/// Removes the outliers from the rows of a part.
 pub(super) fn hide(strays: &[Strays], stream: usize, piece: usize, rows: &mut Rows) {
     let of_it = strays.iter().filter(|found| (found.stream, found.piece) == (stream, piece));
     let stray: HashSet<usize> = of_it.flat_map(|found| &found.rows).copied().collect();
@@ -76,7 +76,8 @@ pub(super) fn hide(strays: &[Strays], stream: usize, piece: usize, rows: &mut Ro
     }
 }
 
-/// The stray samples of joint states, poses and transforms; of what two publish nothing is stray for being the other's.
+/// Outliers of joint states, poses and transforms. Skips parts with two publishers, whose rows differ from
+/// each other.
 pub(super) fn strays(
     streams: &[Stream],
     clocks: &Clocks,
@@ -92,7 +93,7 @@ pub(super) fn strays(
         )
     };
     let of = |(index, stream): (usize, &Stream)| {
-        // The stamps of a log that has none are no help: then only samples in a row count.
+        // Without stamps, only consecutive samples are compared.
         let times = stream.times();
         let at = |piece: usize, row: usize| {
             let clock = clocks.clock(index, piece).zip(times.get(piece));
@@ -127,10 +128,10 @@ pub(super) fn strays(
     streams.par_iter().enumerate().flat_map_iter(of).collect()
 }
 
-/// When a row was.
+/// Stamp of a row.
 type At<'a> = &'a (dyn Fn(usize) -> Option<Stamp> + Sync);
 
-/// Strays before their time is known.
+/// Outliers without their stamp.
 struct Found {
     piece: usize,
     frame: Option<String>,
@@ -164,10 +165,9 @@ fn of_joints(joints: &JointColumns, at: At) -> Vec<Found> {
     joints.joints.par_iter().filter_map(of).collect()
 }
 
-/// How far a joint went, whole turns in rad or in degrees left out: a continuous joint is logged with
-/// or without them.
+/// Joint motion, ignoring whole turns in rad or degrees: continuous joints may be wrapped.
 fn turned(by: f64) -> f64 {
-    /// Nobody counts more turns from one sample to the next.
+    /// Maximum number of turns between two samples.
     const TURNS: f64 = 4.0;
     let without = |turn: f64| match by.abs() > TURNS * turn {
         true => f64::INFINITY,
@@ -179,8 +179,8 @@ fn turned(by: f64) -> f64 {
     }
 }
 
-/// Orientations count where they are a `transform`'s: those of a pose that was misread jump for no
-/// fault of the sample.
+/// Outliers of poses. Orientations are checked only for a `transform`; those of a misinterpreted pose jump
+/// without an outlier.
 fn of_poses(piece: usize, poses: &PoseColumns, transform: bool, at: At) -> Option<Found> {
     let frame = (!poses.child_frame_id.is_empty()).then(|| poses.child_frame_id.clone());
     let samples = poses.times.len();
@@ -189,7 +189,7 @@ fn of_poses(piece: usize, poses: &PoseColumns, transform: bool, at: At) -> Optio
     of_leaps(piece, frame, samples, &moved, &turned)
 }
 
-/// Of bare numbers the positions only: angles of a turn less or more jump for no fault.
+/// Outliers of unnamed numbers. Only positions are checked, because angles may jump by a turn.
 fn of_array(array: &ArrayColumns, at: At) -> Option<Found> {
     let layout = [12, 16].contains(&array.width).then(|| Layout::of(array)).flatten();
     let xyz = |row: usize| match layout {
@@ -226,17 +226,17 @@ fn farthest(leaps: &[(usize, f64)]) -> Option<(usize, f64)> {
     leaps.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1))
 }
 
-/// The samples of `leaps`, where they are not too many of all `samples` to tell which are stray.
+/// The samples of `leaps`, unless they are too large a share of all `samples`.
 fn told(leaps: &[(usize, f64)], samples: usize) -> impl Iterator<Item = usize> {
     let are_few = leaps.len() as f64 <= MOST * samples as f64;
     leaps.iter().filter(move |_| are_few).map(|(sample, _)| *sample)
 }
 
-/// How far two samples are apart.
+/// Distance between two samples.
 trait Distance {
     fn between(&self, a: usize, b: usize) -> f64;
 
-    /// Whether it is surely no more than `limit`, told faster; not of all that is.
+    /// Whether the distance is certainly at most `limit`. Fast; may return false for some that are.
     fn is_surely_within(&self, a: usize, b: usize, limit: f64) -> bool;
 }
 
@@ -250,7 +250,7 @@ impl<F: Fn(usize, usize) -> f64> Distance for F {
     }
 }
 
-/// The angle between orientations.
+/// Angle between orientations.
 struct Turned<'a>(&'a PoseColumns);
 
 impl Distance for Turned<'_> {
@@ -263,8 +263,8 @@ impl Distance for Turned<'_> {
     }
 }
 
-/// The samples that are stray, each with how far it is off, by the `distance` of two samples and when
-/// each was; `None` of so few that they show nothing usual.
+/// Finds outliers, each with its distance, from the distance and the time of samples. `None` if there are
+/// too few samples.
 fn leaps(samples: usize, at: At, measure: impl Distance) -> Option<Vec<(usize, f64)>> {
     let mut found = Vec::new();
     let distance = |a: usize, b: usize| measure.between(a, b);
@@ -279,7 +279,7 @@ fn leaps(samples: usize, at: At, measure: impl Distance) -> Option<Vec<(usize, f
         (Some(from), Some(to)) => to.seconds_since(from).abs() <= SOON_S,
         _ => true,
     };
-    // At first and at last nothing comes back, and what begins to move is no stray.
+    // At both ends there is no return, and the start of a motion is not an outlier.
     let inside = || (LONGEST..samples.saturating_sub(LONGEST + 1)).map(step);
     let is_unlike_all = |far: f64| {
         let longest = inside().filter(|step| step.is_finite()).fold(0.0, f64::max);
@@ -298,7 +298,7 @@ fn leaps(samples: usize, at: At, measure: impl Distance) -> Option<Vec<(usize, f
         }
         let back = |next: usize| {
             let span_s = |from: Stamp, to: Stamp| to.seconds_since(from).abs();
-            // To leave and to be back at rest takes four ramps of a quarter of the time.
+            // Leaving and returning at rest takes four accelerations of a quarter of the time each.
             let own = at(sample)
                 .zip(at(next))
                 .map(|(from, to)| HARDEST * span_s(from, to).powi(2) / 16.0);
@@ -334,8 +334,8 @@ fn leaps(samples: usize, at: At, measure: impl Distance) -> Option<Vec<(usize, f
     Some(found)
 }
 
-/// Where several of the steps are alike and no step is smaller, what is far off such a step: the last
-/// bit of an encoder or the last digit of a text that flips; else 0.
+/// Minimum outlier distance if several steps equal the smallest one: the last bit of an encoder or digit of
+/// a text; else 0.
 fn flips(samples: usize, distance: &impl Fn(usize, usize) -> f64) -> f64 {
     let steps =
         || (1..samples).map(|sample| distance(sample - 1, sample)).filter(|step| *step > 0.0);
@@ -344,8 +344,8 @@ fn flips(samples: usize, distance: &impl Fn(usize, usize) -> f64) -> f64 {
     if alike > 2 * LONGEST { FAR * least } else { 0.0 }
 }
 
-/// What a sample is off the next at most, of three in four of those that are off at all; 0 where hardly
-/// any is. Of very many samples, by some spread over all.
+/// Upper quartile of the non-zero steps between samples; 0 if nearly all steps are zero. Uses a subset of
+/// very many samples.
 fn usual_step(samples: usize, distance: &impl Fn(usize, usize) -> f64) -> Option<f64> {
     const ENOUGH: usize = 4096;
     let stride = samples.div_ceil(ENOUGH).max(1);
@@ -362,8 +362,8 @@ fn usual_step(samples: usize, distance: &impl Fn(usize, usize) -> f64) -> Option
     Some(*steps.select_nth_unstable_by(rank, f64::total_cmp).1)
 }
 
-/// The sixth largest of the steps within eight samples of `astray`: other strays may be near, but in a
-/// fast motion more than that are long.
+/// The sixth largest step within eight samples of `astray`. A few other outliers may be nearby, but a fast
+/// motion has more long steps.
 fn nearby(samples: usize, astray: &Range<usize>, step: &impl Fn(usize) -> f64) -> f64 {
     const AROUND: usize = 8;
     let before = astray.start.saturating_sub(AROUND + 1)..astray.start.saturating_sub(1);
@@ -418,10 +418,10 @@ mod tests {
     #[test]
     fn motion_is_not_stray() {
         assert_eq!(astray(&smooth(500)), Vec::<usize>::new());
-        // Sampled so coarsely that it goes out and comes back between samples.
+        // So coarsely sampled that it leaves and returns between samples.
         let coarse: Vec<f64> = smooth(2000).into_iter().step_by(60).collect();
         assert_eq!(astray(&coarse), Vec::<usize>::new());
-        // A step that stays is a motion, too.
+        // A permanent step is also a motion.
         let mut moved = smooth(500);
         moved[200..].iter_mut().for_each(|q| *q += 0.5);
         assert_eq!(astray(&moved), Vec::<usize>::new());
@@ -451,7 +451,7 @@ mod tests {
         };
         assert_eq!(astray(&rest(0, 2)), Vec::<usize>::new());
         assert_eq!(astray(&rest(498, 500)), Vec::<usize>::new());
-        // Each value comes several times.
+        // Each value occurs several times.
         let held: Vec<f64> = (0..500).map(|row| (row / 12) as f64 * 0.01).collect();
         assert_eq!(astray(&held), Vec::<usize>::new());
     }

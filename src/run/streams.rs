@@ -1,4 +1,4 @@
-//! The streams of a run: its topics, and where a topic carries several poses, each of them.
+//! Streams of a run: its topics, or each pose of a topic with several.
 
 use std::collections::HashSet;
 
@@ -13,63 +13,62 @@ use super::rows::Rows;
 use super::tf_tree::without_slash;
 use super::witness::Witness;
 
-/// One stream, the part it plays, and why.
+/// A stream, its role, and the reason.
 #[derive(Clone, Debug)]
 pub struct Stream {
     /// Topic name.
     pub topic: String,
-    /// Type name as the log spells it.
+    /// Type name as in the log.
     pub type_name: String,
-    /// The part it plays.
+    /// Its role.
     pub role: Role,
-    /// Why, in words.
+    /// Reason for the role.
     pub reason: String,
     /// Index of the arm that it belongs to.
     pub arm: Option<usize>,
-    /// Frame that its content is in; empty where the type has none or it is not set.
+    /// Frame of its content; empty if the type has none or it is not set.
     pub frame_id: String,
-    /// Frame whose pose it is; empty likewise.
+    /// Frame whose pose it is; empty in the same cases.
     pub child_frame_id: String,
-    /// The link that its poses are audited in.
+    /// Reference link of its audited poses.
     pub reference: Option<String>,
-    /// The link whose pose it is taken to be, or that carries the IMU.
+    /// Link whose pose it is, or that carries the IMU.
     pub link: Option<String>,
-    /// Whose word its poses are, or its readings; `None` where it has none that an audit uses.
+    /// Source of its poses or measurements; `None` if the audit uses none.
     pub witness: Option<Witness>,
-    /// Messages; of a topic with several poses the rows of this one.
+    /// Number of messages; for a topic with several poses, the rows of this one.
     pub count: u64,
-    /// What of them was dropped: not decodable, of wrong length, not finite, without a stamp.
+    /// Number of dropped ones: undecodable, of wrong length, not finite, or without a stamp.
     pub dropped: u64,
-    /// Rows a second; of a TF topic those of its most frequent transform.
+    /// Rate, Hz; for a TF topic, of its most frequent transform.
     pub rate_hz: Option<f64>,
-    /// Rows a second as the caller says that there should be.
+    /// Rate expected by the caller, Hz.
     pub said_hz: Option<f64>,
-    /// Time of the first row, on the clock that the audit uses.
+    /// Time of the first row, on the audit's clock.
     pub start: Option<Stamp>,
     /// Time of the last row.
     pub end: Option<Stamp>,
-    /// Whether an audit would want it, by its type and name, and it holds no message, or none with
-    /// finite numbers.
+    /// Whether it would be audited by type and name, but has no messages, or none with finite numbers.
     pub is_empty: bool,
-    /// How its columns were told, of a table.
+    /// How the columns of a table were identified.
     pub read_as: Option<String>,
-    /// Which numbers of a table it is made of, as `[columns]` of a config names them.
+    /// Its table columns, in the syntax of `[columns]`.
     pub cells: Vec<String>,
-    /// What the names of its rotation's columns say of their encoding, of a table.
+    /// Rotation encoding given by the column names of a table.
     pub labels: Option<RotationLabels>,
-    /// Numbers of a table that are measured and that nothing identifies.
+    /// Measured table columns that could not be identified.
     pub unidentified: Vec<String>,
-    /// What it held, as logged.
+    /// Its content, as logged.
     pub columns: Option<Columns>,
 }
 
 impl Stream {
-    /// The times of its rows, in pieces: one a transform.
+    /// Times of its rows; one part per transform.
     pub fn times(&self) -> Vec<&Times> {
         self.columns.as_ref().map(Columns::times).unwrap_or_default()
     }
 
-    /// Rows that came and were left out, because they hold no usable numbers; of joint states values.
+    /// Number of rows without usable numbers; of values for joint states.
     pub fn unusable(&self) -> u64 {
         match &self.columns {
             Some(Columns::Joints(joints)) => joints.not_finite,
@@ -82,30 +81,30 @@ impl Stream {
         }
     }
 
-    /// Whether it is positions of a table without columns of a rotation beside them.
+    /// Whether it contains table positions without rotation columns.
     pub fn holds_no_rotation(&self) -> bool {
         !self.cells.is_empty() && matches!(self.columns, Some(Columns::Poses(_)))
     }
 
-    /// Whether its numbers come without a unit or a convention.
+    /// Whether its numbers have no unit or convention.
     pub fn is_bare(&self) -> bool {
         matches!(self.columns, Some(Columns::Array(_))) || self.holds_no_rotation()
     }
 
-    /// Says so where an audit would want it and everything in it was dropped.
+    /// Marks it as empty if it would be audited but all rows were dropped.
     fn mark_empty(&mut self) {
         let has_rows = |columns: &Columns| columns.times().iter().any(|times| !times.is_empty());
         let Some(columns) = self.columns.as_ref().filter(|columns| !has_rows(columns)) else {
             return;
         };
-        // What cannot be decoded is ING002's.
+        // ING002 reports topics that cannot be decoded.
         if dropped_in(columns) > 0 && is_wanted(self, columns) {
             self.is_empty = true;
-            self.reason = "none of its messages holds finite numbers".to_owned();
+            self.reason = "none of its messages has finite numbers".to_owned();
         }
     }
 
-    /// The stream of one pose of many on a topic.
+    /// The stream of one pose on a topic with several.
     pub(super) fn of_pose(&self, poses: PoseColumns) -> Self {
         let (count, dropped) = (poses.times.len() as u64, poses.not_finite);
         Stream {
@@ -138,7 +137,7 @@ impl Stream {
     }
 }
 
-/// The streams of `topics`, in their order, as far as their roles can be told without a robot.
+/// The streams of `topics`, in their order, with the roles that need no robot.
 pub(super) fn split(topics: Vec<Topic>) -> Vec<Stream> {
     let mut streams: Vec<Stream> = topics.into_iter().flat_map(of_topic).collect();
     streams.iter_mut().for_each(Stream::mark_empty);
@@ -147,8 +146,8 @@ pub(super) fn split(topics: Vec<Topic>) -> Vec<Stream> {
     streams
 }
 
-/// Ignores joint states without names where another topic has as many joints with names: the same arm
-/// would seem to be there twice, once under the names that its driver usually gives.
+/// Ignores unnamed joint states if another topic has as many named joints. Otherwise the arm would appear
+/// twice, once with its driver's usual names.
 fn leave_joints_to_named(streams: &mut [Stream]) {
     let joints = |stream: &Stream, unnamed: bool| match (stream.role, &stream.columns) {
         (Role::Joints, Some(Columns::Joints(joints))) if joints.unnamed == unnamed => {
@@ -164,12 +163,12 @@ fn leave_joints_to_named(streams: &mut [Stream]) {
         let named = streams.iter().find(|stream| joints(stream, false) >= Some(count));
         if let Some(topic) = named.map(|stream| stream.topic.clone()) {
             streams[index].role = Role::Ignored;
-            streams[index].reason = format!("its joints carry no names; those on '{topic}' do");
+            streams[index].reason = format!("its joints have no names, unlike those on '{topic}'");
         }
     }
 }
 
-/// Takes the joint states of a fake controller (MoveIt's demo execution) as commands if another topic has the
+/// Treats joint states of a fake controller (MoveIt's demo execution) as commands if another topic has the
 /// same joints.
 fn demote_fake_controllers(streams: &mut [Stream]) {
     let joints = |stream: &Stream| -> Option<HashSet<String>> {
@@ -191,7 +190,7 @@ fn demote_fake_controllers(streams: &mut [Stream]) {
         if let Some(topic) = streams.iter().find(has_them).map(|stream| stream.topic.clone()) {
             streams[index].role = Role::Reference;
             streams[index].reason =
-                format!("what a fake controller was sent; the joint states are on '{topic}'");
+                format!("commands to a fake controller; the joint states are on '{topic}'");
         }
     }
 }
@@ -202,7 +201,7 @@ fn of_topic(topic: Topic) -> Vec<Stream> {
         topic: topic.name,
         type_name: topic.type_name,
         role: Role::Ignored,
-        reason: "an audit does not use this type".to_owned(),
+        reason: "the audit does not use this type".to_owned(),
         arm: None,
         frame_id: String::new(),
         child_frame_id: String::new(),
@@ -229,7 +228,7 @@ fn of_topic(topic: Topic) -> Vec<Stream> {
     };
     if topic.messages == 0 && topic.columns.as_ref().is_some_and(|held| is_wanted(&stream, held)) {
         stream.is_empty = true;
-        stream.reason = "it holds no message".to_owned();
+        stream.reason = "it has no messages".to_owned();
     }
     let has_rows = |columns: &Columns| !columns.times().is_empty();
     let Some(columns) = topic.columns.filter(has_rows) else {
@@ -241,8 +240,7 @@ fn of_topic(topic: Topic) -> Vec<Stream> {
         return vec![stream];
     };
     if let Columns::Poses(poses) = columns {
-        (stream.role, stream.reason) =
-            (Role::Unassigned, "no arm that it could belong to".to_owned());
+        (stream.role, stream.reason) = (Role::Unassigned, "it matches no arm".to_owned());
         let mut streams: Vec<Stream> =
             poses.into_iter().map(|poses| stream.of_pose(poses)).collect();
         if let Some(first) = streams.first_mut() {
@@ -257,7 +255,7 @@ fn of_topic(topic: Topic) -> Vec<Stream> {
         Some((role, reason)) => (stream.role, stream.reason) = (role, reason),
         None => {
             stream.role = Role::Unassigned;
-            stream.reason = "no arm that it could belong to".to_owned();
+            stream.reason = "it matches no arm".to_owned();
         }
     }
     stream.frame_id = match &columns {
@@ -270,7 +268,7 @@ fn of_topic(topic: Topic) -> Vec<Stream> {
     vec![stream]
 }
 
-/// Whether an audit would want a topic of such columns, by its name alone.
+/// Whether a topic with these columns would be audited, by its name alone.
 fn is_wanted(stream: &Stream, columns: &Columns) -> bool {
     let role = match columns {
         Columns::Poses(_) => Some(named_role(&stream.topic)),
@@ -279,7 +277,7 @@ fn is_wanted(stream: &Stream, columns: &Columns) -> bool {
     matches!(role, Some(Role::Joints | Role::Pose | Role::Tf | Role::Imu))
 }
 
-/// Rows and values that the decoder dropped.
+/// Number of rows and values dropped by the decoder.
 fn dropped_in(columns: &Columns) -> u64 {
     match columns {
         Columns::Joints(joints) => joints.wrong_length + joints.not_finite,
@@ -295,14 +293,14 @@ fn dropped_in(columns: &Columns) -> u64 {
 /// The clocks of all streams.
 pub(super) struct Clocks {
     pub all: Vec<StreamClock>,
-    /// For every stream, for every piece of it, the index of its clock.
+    /// Clock index for each part of each stream.
     of: Vec<Vec<usize>>,
-    /// The pieces whose stamps were rounded.
+    /// Parts with rounded stamps.
     pub rounded: Vec<RoundedStamps>,
 }
 
 impl Clocks {
-    /// Settles the clock of every stream that moves in time.
+    /// Selects the clock of every stream with time stamps.
     pub fn settle(streams: &[Stream], wanted: Clock, max_latency_s: f64) -> Self {
         let mut sources = Vec::new();
         let mut of: Vec<Vec<usize>> = vec![Vec::new(); streams.len()];
@@ -336,17 +334,17 @@ impl Clocks {
         Self { all: clock::settle(&sources, wanted, max_latency_s), of, rounded: Vec::new() }
     }
 
-    /// The clock of a piece of a stream; none for what holds at all times.
+    /// Clock of a part of a stream; `None` for static data.
     pub fn clock(&self, stream: usize, piece: usize) -> Option<&StreamClock> {
         self.all.get(self.index(stream, piece)?)
     }
 
-    /// Which of all it is.
+    /// Index of that clock.
     pub fn index(&self, stream: usize, piece: usize) -> Option<usize> {
         self.of.get(stream)?.get(piece).copied()
     }
 
-    /// The rows of a piece of a stream that have a stamp.
+    /// Rows of a part of a stream that have a stamp.
     pub fn rows(&self, streams: &[Stream], stream: usize, piece: usize) -> Rows {
         let times = streams[stream].times();
         let mut rows = Rows::new();
@@ -357,7 +355,7 @@ impl Clocks {
         rows
     }
 
-    /// Those of them that are kept.
+    /// The same rows, filtered by stamp.
     pub fn rows_where(
         &self,
         streams: &[Stream],
@@ -374,7 +372,7 @@ impl Clocks {
         }
     }
 
-    /// Makes the clock of one piece that of another stream too, which is appended.
+    /// Shares the clock of a part with a new stream, which is appended.
     pub fn share(&mut self, stream: usize, piece: usize) {
         let to = self.of.len();
         let shared = self.rounded_stamps(stream, piece).cloned();
@@ -382,23 +380,23 @@ impl Clocks {
         self.of.push(vec![self.of[stream][piece]]);
     }
 
-    /// How many streams have clocks.
+    /// Number of streams with clocks.
     pub fn streams(&self) -> usize {
         self.of.len()
     }
 
-    /// How the stamps of a piece were rounded; `None` if they were not.
+    /// Rounding of a part's stamps; `None` if they are not rounded.
     pub fn rounded_stamps(&self, stream: usize, piece: usize) -> Option<&RoundedStamps> {
         self.rounded.iter().find(|own| (own.stream, own.piece) == (stream, piece))
     }
 
-    /// Standard error of the time between two streams that alignment and rounded stamps left, s.
+    /// Standard error of the time between two streams due to clock alignment and rounded stamps, s.
     pub fn alignment_error_s(&self, a: (usize, usize), b: (usize, usize)) -> f64 {
         let spread = |(stream, piece)| {
             let alignment = self.clock(stream, piece).and_then(|clock| clock.alignment);
             alignment.map_or(0.0, |alignment| alignment.spread_s)
         };
-        // The standard deviation of a uniform error. Rows of one table were restored as one.
+        // Standard deviation of a uniform error. Rows of one table share their error.
         let rounding = |(stream, piece)| {
             self.rounded_stamps(stream, piece).map_or(0.0, |own| own.resolution_s / 3_f64.sqrt())
         };
@@ -409,7 +407,7 @@ impl Clocks {
         f64::hypot(spread(a), spread(b)).hypot(rounding_s)
     }
 
-    /// Fills in first and last time and rate of every stream, and counts rows without a stamp.
+    /// Sets the time range and rate of every stream, and counts rows without a stamp.
     pub fn measure(&self, streams: &mut [Stream]) {
         for (index, stream) in streams.iter_mut().enumerate() {
             let pieces = self.of[index].len();

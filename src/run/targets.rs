@@ -1,4 +1,4 @@
-//! What cameras see, and the hands that it may be held against.
+//! Camera targets, and the hands that they can be compared with.
 
 use crate::geometry::Pose;
 use crate::robot::{Chain, LinkId};
@@ -8,43 +8,42 @@ use super::arm::Arm;
 use super::role::{CAMERAS, Place, SIGHTS, shared, words};
 use super::tf_tree::{EdgeKind, TfTree};
 
-/// Which way the axes of a camera's frame point, as the log's frames say.
+/// Axis convention of a camera frame, according to the log's frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CameraAxes {
-    /// z forward, x right: the frame's name says `optical` (REP 103).
+    /// z forward, x right: the frame name contains `optical` (REP 103).
     Optical,
-    /// x forward, z up: static transforms tie it to an optical frame by that turn.
+    /// x forward, z up: static transforms tie it to an optical frame with that rotation.
     Body,
 }
 
-/// A target that a camera sees.
+/// A target seen by a camera.
 #[derive(Clone, Debug)]
 pub struct TargetSource {
     /// Index of the stream.
     pub stream: usize,
     /// `camera_from_target` as logged.
     pub track: PoseTrack,
-    /// Which way the camera's axes should point, where the log says.
+    /// Expected axis convention of the camera, if the log shows it.
     pub axes: Option<CameraAxes>,
-    /// The hands that may move the camera or the target; of several the one that turns alike.
+    /// Candidate hands that move the camera or the target.
     pub hands: Vec<HandSource>,
 }
 
-/// A hand, and where the log's frames say that the camera is.
+/// A hand, and the camera's pose according to the log's frames.
 #[derive(Clone, Debug)]
 pub struct HandSource {
-    /// What its poses are computed from.
+    /// Source of the hand's poses.
     pub kind: HandKind,
-    /// The camera in the hand, where frames that never change say so.
+    /// Camera in the hand, if static frames give it.
     pub hand_from_camera: Option<Pose>,
-    /// The camera in the base, likewise.
+    /// Camera in the base, if static frames give it.
     pub base_from_camera: Option<Pose>,
-    /// Standard error that aligning a foreign clock left between hand and target, s; 0 on a shared
-    /// clock.
+    /// Standard error of the time between hand and target due to clock alignment, s; 0 on a shared clock.
     pub stamp_error_s: f64,
 }
 
-/// What the poses of a hand are computed from.
+/// Source of a hand's poses.
 #[derive(Clone, Debug)]
 pub enum HandKind {
     /// FK of an arm's joint states.
@@ -53,10 +52,10 @@ pub enum HandKind {
         arm: usize,
         /// From the base to the hand.
         chain: Chain,
-        /// For each joint of `chain`, its column in the arm's joint track.
+        /// Column in the arm's joint track of each joint of `chain`.
         columns: Vec<usize>,
     },
-    /// A stream of poses.
+    /// A pose stream.
     Stream {
         /// Its index.
         stream: usize,
@@ -65,9 +64,9 @@ pub enum HandKind {
     },
     /// Transforms of the log.
     Transforms {
-        /// The frame of the base.
+        /// Frame of the base.
         base: String,
-        /// The frame of the hand.
+        /// Frame of the hand.
         frame: String,
         /// `base_from_hand`.
         track: PoseTrack,
@@ -75,15 +74,15 @@ pub enum HandKind {
 }
 
 impl HandKind {
-    /// FK of `arm` to the link that carries the camera's frame, or else to its tip, and what the
-    /// frames say of the camera.
+    /// FK of `arm` to the link that carries the camera's frame, or else to its tip, with the camera's poses
+    /// in hand and base.
     pub(super) fn of_arm(
         index: usize,
         arm: &Arm,
         camera: &str,
     ) -> Option<(Self, [Option<Pose>; 2])> {
         let (place, anchor) = arm.place(camera);
-        // What stands beside a rail does not ride on it.
+        // A camera next to a rail does not move with it.
         let root = arm.robot.root();
         let rides = arm.robot.fixed_transform(root, arm.base).is_none();
         let base = match rides && arm.chain_between(root, arm.tip).is_some() {
@@ -113,14 +112,14 @@ impl HandKind {
     }
 }
 
-/// Whether a transform over time is a sighting by its names alone: from a camera's frame to what is
-/// none.
+/// Whether a dynamic transform is a camera detection by its names: from a camera frame to a different kind
+/// of frame.
 pub(super) fn is_sighting(frame: &str, child: &str) -> bool {
     let is_camera = |name: &str| shared(&words(name), CAMERAS).is_some();
     is_camera(frame) && (!is_camera(child) || shared(&words(child), SIGHTS).is_some())
 }
 
-/// Which way the axes of the frame called `camera` should point.
+/// Expected axis convention of the camera frame.
 pub(super) fn axes_of(tf: &TfTree, camera: &str) -> Option<CameraAxes> {
     let is_optical = |frame: &str| words(frame).iter().any(|word| word == "optical");
     if is_optical(camera) {
@@ -134,8 +133,8 @@ pub(super) fn axes_of(tf: &TfTree, camera: &str) -> Option<CameraAxes> {
     (forward.z > 0.98 && left.x < -0.98).then_some(CameraAxes::Body)
 }
 
-/// Base and hand of a log without an arm by its transforms: the frame that carries the camera, else
-/// the one that most transforms over time move; sightings do not count.
+/// Base and hand frame of a log without an arm: the moving frame that carries the camera, or else the frame
+/// moved by the most dynamic transforms. Ignores camera detections.
 pub(super) fn hand_frame(tf: &TfTree, camera: &str) -> Option<(String, String)> {
     let moved_by = |frame: &str| {
         let edges = tf.edges_above(frame);

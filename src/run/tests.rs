@@ -1,4 +1,4 @@
-//! Whole runs, from columns to arms.
+//! Complete runs, from columns to arms.
 
 mod recording;
 
@@ -12,7 +12,7 @@ use crate::stream::{
 
 use self::recording::{ROWS, Recording, START, TRANSPORT, poses, q_at, some_pose, stamps};
 
-/// The largest distance between a source's positions and what its chain predicts, m.
+/// Maximum distance between a source's positions and FK of its chain, m.
 fn misfit_m(arm: &Arm, source: &PoseSource) -> f64 {
     let (mut q, mut qd) = (vec![0.0; arm.joints.dof], vec![0.0; arm.joints.dof]);
     let gaps = source.track.t_s.iter().zip(&source.track.xyz).map(|(&t_s, xyz)| {
@@ -143,7 +143,7 @@ fn a_candidate_that_does_not_follow_is_unassigned_with_the_reason() {
         run.settle(stream, peak);
     }
     assert_eq!(role_of(&run, "/camera_mount_pose").0, "unassigned");
-    assert!(role_of(&run, "/camera_mount_pose").1.contains("correlates by 0.50"));
+    assert!(role_of(&run, "/camera_mount_pose").1.contains("speed correlation 0.50"));
     assert_eq!(role_of(&run, "/hand_pose").0, "pose");
     assert_eq!(run.arms[0].poses.iter().map(|source| source.stream).collect::<Vec<_>>(), [2]);
 }
@@ -163,7 +163,7 @@ fn transforms_that_cross_not_all_joints_are_no_source() {
     let run = recording.run();
     let expected = NoTf::NotCovered { joints: vec!["elbow_joint".to_owned()] };
     assert_eq!(run.arms[0].tf.as_ref().unwrap_err(), &expected);
-    assert!(role_of(&run, "/tf").1.contains("crosses elbow_joint"));
+    assert!(role_of(&run, "/tf").1.contains("covers elbow_joint"));
 }
 
 #[test]
@@ -276,14 +276,14 @@ fn a_fake_controller_is_no_second_arm() {
     let run = recording.run();
     let roles: Vec<Role> = run.streams.iter().map(|stream| stream.role).collect();
     assert_eq!((roles, run.arms.len()), (vec![Role::Reference, Role::Joints], 1));
-    // Alone it is all that the log has.
+    // Without other joint states, it is used.
     let mut alone = Recording::new();
     alone.topics.remove(0);
     alone.add(FAKE, Columns::Joints(fake));
     assert_eq!(alone.run().streams[0].role, Role::Joints);
 }
 
-/// A Franka arm as `franka_msgs/FrankaState` has it: joints without names, and a matrix by columns.
+/// A Franka arm as in `franka_msgs/FrankaState`: unnamed joints, and a column-major matrix.
 fn franka() -> (JointColumns, ArrayColumns) {
     let robot = catalogue::find("panda").unwrap();
     let [base, tip] = ["fer_link0", "fer_hand_tcp"].map(|link| robot.link(link).unwrap());
@@ -341,7 +341,7 @@ fn joints_without_names_are_left_to_those_with() {
     recording.add("/joint_states", Columns::Joints(named));
     let run = Run::assemble(recording.log(), &RunOptions::default()).unwrap();
     assert_eq!((run.arms.len(), run.streams[0].role), (1, Role::Ignored));
-    assert_eq!(run.streams[0].reason, "its joints carry no names; those on '/joint_states' do");
+    assert_eq!(run.streams[0].reason, "its joints have no names, unlike those on '/joint_states'");
     assert_eq!(run.arms[0].poses.len(), 1);
 }
 

@@ -1,38 +1,39 @@
-//! Why a transform cannot be told.
+//! Errors of transform lookups.
 
-/// Why a transform cannot be told.
+/// Why a transform lookup failed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum TfError {
     /// No edge of the tree has this frame.
     #[error("frame '{frame}' is not in the tree{}", did_you_mean(.nearest))]
     UnknownFrame {
-        /// The frame asked for.
+        /// The requested frame.
         frame: String,
-        /// Frames whose names come near.
+        /// Frames with similar names.
         nearest: Vec<String>,
     },
     /// The frames are in different trees.
     #[error(
-        "'{target}' and '{source_frame}' are not connected: their trees have the roots '{target_root}' and '{source_root}'"
+        "'{target}' and '{source_frame}' are not connected: their trees have the roots '{target_root}' and \
+         '{source_root}'"
     )]
     NotConnected {
-        /// The frame asked for.
+        /// The requested target frame.
         target: String,
-        /// The other frame asked for.
+        /// The requested source frame.
         source_frame: String,
-        /// The root above the one.
+        /// Root above the target.
         target_root: String,
-        /// The root above the other.
+        /// Root above the source.
         source_root: String,
     },
-    /// A transform on the way has no samples on both sides of the time.
-    #[error("'{parent}' to '{child}' has no transform at that time: it is {} s {} of its samples", outside_by_s.abs(), side(*.outside_by_s))]
+    /// A transform on the path has no samples on both sides of the time.
+    #[error("'{parent}' to '{child}' has no transform at that time, {} s {} of its samples", outside_by_s.abs(), side(*.outside_by_s))]
     Extrapolation {
-        /// The parent frame of the transform.
+        /// Parent frame of the transform.
         parent: String,
-        /// The child frame of the transform.
+        /// Child frame of the transform.
         child: String,
-        /// How far outside the samples the time lies, s: negative before the first.
+        /// Distance of the time from the samples, s: negative before the first.
         outside_by_s: f64,
     },
 }

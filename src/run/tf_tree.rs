@@ -7,32 +7,32 @@ use crate::geometry::{Pose, rotation_from_rotvec, rotvec_from_rotation};
 use crate::robot::nearest;
 use crate::time::Stamp;
 
-/// Where the transform between two frames comes from.
+/// Source of the transform between two frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EdgeKind {
     /// A static TF topic: one transform for all times.
     Static,
-    /// A TF topic: samples, interpolated between.
+    /// A TF topic: interpolated samples.
     Dynamic,
-    /// A fixed joint of the robot's model, which the log does not publish.
+    /// A fixed joint of the robot's model that the log does not publish.
     Model,
 }
 
 /// The transform between a frame and one of its parents.
 #[derive(Clone, Debug)]
 pub struct Edge {
-    /// Where it comes from.
+    /// Its source.
     pub kind: EdgeKind,
     parent: usize,
     child: usize,
-    /// Sample times, strictly increasing; one entry, without meaning, unless dynamic.
+    /// Sample times, strictly increasing; a single unused entry unless dynamic.
     stamps: Vec<Stamp>,
     parent_from_child: Vec<Pose>,
 }
 
 impl Edge {
-    /// `parent_from_child` at `at`, interpolated: position linearly, rotation along the shortest
-    /// turn (slerp). `None` before the first and after the last sample.
+    /// `parent_from_child` at `at`, interpolated: position linearly, rotation by slerp. `None` outside the
+    /// samples.
     fn at(&self, at: Stamp) -> Option<Pose> {
         if self.kind != EdgeKind::Dynamic {
             return self.parent_from_child.first().copied();
@@ -52,7 +52,7 @@ impl Edge {
         self.parent_from_child.first()
     }
 
-    /// By how much `at` lies outside the samples, s: negative before the first.
+    /// Distance of `at` from the samples, s: negative before the first.
     fn outside_by_s(&self, at: Stamp) -> f64 {
         match (self.stamps.first(), self.stamps.last()) {
             (Some(&first), _) if at < first => at.seconds_since(first),
@@ -62,7 +62,7 @@ impl Edge {
     }
 }
 
-/// The pose at `part` of the way from `a` to `b`.
+/// Interpolates between `a` and `b`; `part` is 0 to 1.
 pub(super) fn between(a: &Pose, b: &Pose, part: f64) -> Pose {
     let turn = rotvec_from_rotation(&(a.rotation.inverse() * b.rotation));
     Pose::from_parts(
@@ -73,20 +73,19 @@ pub(super) fn between(a: &Pose, b: &Pose, part: f64) -> Pose {
 
 /// The frames of a log and the transforms between them.
 ///
-/// Nothing here requires the edges to be a tree: a log may give a frame two parents, or a cycle.
-/// The way between two frames is the one with the fewest edges, of equals the one whose edges were
-/// inserted first.
+/// The edges need not form a tree: a log may give a frame two parents, or contain a cycle. The path between
+/// two frames is the one with the fewest edges, then the one whose edges were inserted first.
 #[derive(Clone, Debug, Default)]
 pub struct TfTree {
     frames: Vec<String>,
     ids: HashMap<String, usize>,
     edges: Vec<Edge>,
-    /// For every frame the edges that touch it, in the order of insertion.
+    /// Edges at every frame, in insertion order.
     touching: Vec<Vec<usize>>,
 }
 
 impl TfTree {
-    /// Adds a transform that holds at all times.
+    /// Adds a static transform.
     pub fn insert_fixed(
         &mut self,
         parent: &str,
@@ -97,7 +96,7 @@ impl TfTree {
         self.insert(parent, child, kind, vec![Stamp::default()], vec![parent_from_child]);
     }
 
-    /// Adds the samples of a transform; `stamps` must increase strictly.
+    /// Adds the samples of a transform; `stamps` must strictly increase.
     pub fn insert_samples(
         &mut self,
         parent: &str,
@@ -135,50 +134,50 @@ impl TfTree {
         id
     }
 
-    /// The frames, in the order in which they first appeared.
+    /// The frames, in order of first appearance.
     pub fn frames(&self) -> impl Iterator<Item = &str> {
         self.frames.iter().map(String::as_str)
     }
 
-    /// Whether a frame of that name is in the tree.
+    /// Whether the tree contains the frame.
     pub fn contains(&self, frame: &str) -> bool {
         self.ids.contains_key(without_slash(frame))
     }
 
-    /// The first transform inserted between these two frames, in this direction.
+    /// The first inserted transform between these two frames, in this direction.
     pub fn edge(&self, parent: &str, child: &str) -> Option<&Edge> {
         let names = (without_slash(parent), without_slash(child));
         self.edges.iter().find(|edge| self.names(edge) == names)
     }
 
-    /// Whether some transform has this frame as its child.
+    /// Whether a transform has this frame as its child.
     pub fn has_parent(&self, child: &str) -> bool {
         self.edges.iter().any(|edge| self.names(edge).1 == without_slash(child))
     }
 
-    /// The transforms, in the order of insertion.
+    /// The transforms, in insertion order.
     pub fn edges(&self) -> &[Edge] {
         &self.edges
     }
 
-    /// The names of an edge's parent and child.
+    /// Names of an edge's parent and child.
     pub fn names(&self, edge: &Edge) -> (&str, &str) {
         (&self.frames[edge.parent], &self.frames[edge.child])
     }
 
-    /// `target_from_source` at `at`, as tf2's `lookup_transform`.
+    /// `target_from_source` at `at`, like tf2's `lookup_transform`.
     ///
     /// # Errors
-    /// Where a frame is unknown, the two are not connected, or a transform on the way has no
-    /// samples on both sides of `at`.
+    /// If a frame is unknown, the two are not connected, or a transform on the path has no samples on both
+    /// sides of `at`.
     pub fn lookup(&self, target: &str, source: &str, at: Stamp) -> Result<Pose, TfError> {
         self.path(target, source, |_| true)?.at(at)
     }
 
-    /// The way from `source` to `target` over the edges that `admits` lets through.
+    /// The path from `source` to `target` over edges that satisfy `admits`.
     ///
     /// # Errors
-    /// Where a frame is unknown or the two are not connected.
+    /// If a frame is unknown or the two are not connected.
     pub fn path(
         &self,
         target: &str,
@@ -206,8 +205,8 @@ impl TfTree {
         Ok(TfPath { tree: self, steps })
     }
 
-    /// The nearest frame that `accepts` takes and that transforms which never change tie to
-    /// `frame`, with `accepted_from_frame`.
+    /// The nearest frame that satisfies `accepts` and is tied to `frame` by static transforms, with
+    /// `accepted_from_frame`.
     pub fn tied(&self, frame: &str, accepts: impl Fn(&str) -> bool) -> Option<(&str, Pose)> {
         let from = self.id(frame).ok()?;
         let fixed = |edge: &Edge| edge.kind != EdgeKind::Dynamic;
@@ -228,14 +227,14 @@ impl TfTree {
         Some((name, accepted_from_frame))
     }
 
-    /// `target_from_source` over transforms that never change, if there are such.
+    /// `target_from_source` over static transforms, if they connect the frames.
     fn lookup_fixed(&self, target: &str, source: &str) -> Option<Pose> {
         let path = self.path(target, source, |edge| edge.kind != EdgeKind::Dynamic).ok()?;
         path.at(Stamp::default()).ok()
     }
 
-    /// Walks outwards from `from`, nearest frames first, until `stop` takes one; returns for each
-    /// frame reached the edge it was reached by. A frame is entered once, so cycles end.
+    /// Breadth-first search from `from` until `stop` returns true. Returns the edge through which each
+    /// frame was reached.
     fn flood(
         &self,
         from: usize,
@@ -263,13 +262,13 @@ impl TfTree {
         came_by
     }
 
-    /// Whether `upper` is a parent of `lower`, or above one, over first parents.
+    /// Whether `upper` is an ancestor of `lower`, following first parents.
     pub fn is_above(&self, upper: &str, lower: &str) -> bool {
         let (Ok(upper), Ok(lower)) = (self.id(upper), self.id(lower)) else { return false };
         self.ancestors(lower).any(|frame| frame == upper)
     }
 
-    /// The transforms above `frame` over first parents, from it to the root.
+    /// Transforms from `frame` up to the root, following first parents.
     pub(super) fn edges_above(&self, frame: &str) -> Vec<&Edge> {
         let Ok(id) = self.id(frame) else { return Vec::new() };
         let up = |frame: usize| {
@@ -279,17 +278,17 @@ impl TfTree {
         std::iter::once(id).chain(self.ancestors(id)).filter_map(up).collect()
     }
 
-    /// The frame above all others from `frame` upwards; itself where none is.
+    /// Root above `frame`, or `frame` itself.
     pub(super) fn root_of(&self, frame: &str) -> &str {
         self.id(frame).map_or("", |id| self.root_above(id))
     }
 
-    /// The frame above all others over first parents; a frame of the cycle where there is one.
+    /// Root following first parents; a frame of the cycle if there is one.
     fn root_above(&self, frame: usize) -> &str {
         &self.frames[self.ancestors(frame).last().unwrap_or(frame)]
     }
 
-    /// The frames above `frame` over first parents; no more than there are frames, so cycles end.
+    /// Ancestors of `frame`, following first parents. Limited to the number of frames, so that cycles end.
     fn ancestors(&self, frame: usize) -> impl Iterator<Item = usize> {
         let parent = |frame: &usize| {
             let up = self.touching[*frame].iter().find(|&&edge| self.edges[edge].child == *frame);
@@ -307,7 +306,7 @@ impl TfTree {
     }
 }
 
-/// The transforms that lead from one frame to another.
+/// The transforms between two frames.
 #[derive(Clone, Debug)]
 pub struct TfPath<'a> {
     tree: &'a TfTree,
@@ -326,7 +325,7 @@ impl TfPath<'_> {
     /// `target_from_source` at `at`.
     ///
     /// # Errors
-    /// [`TfError::Extrapolation`] where a transform has no samples on both sides of `at`.
+    /// [`TfError::Extrapolation`] if a transform has no samples on both sides of `at`.
     pub fn at(&self, at: Stamp) -> Result<Pose, TfError> {
         let mut target_from_here = Pose::identity();
         for Step { edge, downwards } in &self.steps {
@@ -344,8 +343,7 @@ impl TfPath<'_> {
         Ok(target_from_here)
     }
 
-    /// The first and the last time at which all its dynamic transforms are known; `None` where it has
-    /// none.
+    /// Time range of all its dynamic transforms; `None` if it has none.
     pub fn span(&self) -> Option<(Stamp, Stamp)> {
         let dynamic = || self.edges().filter(|edge| edge.kind == EdgeKind::Dynamic);
         let first = dynamic().filter_map(|edge| edge.stamps.first()).max()?;
@@ -359,7 +357,7 @@ impl TfPath<'_> {
         dynamic.all(|edge| edge.stamps.binary_search(&at).is_ok())
     }
 
-    /// Of the newest samples of its dynamic transforms up to `at` the oldest.
+    /// Oldest of the latest samples of its dynamic transforms up to `at`.
     pub fn newest_before(&self, at: Stamp) -> Option<Stamp> {
         let dynamic = self.edges().filter(|edge| edge.kind == EdgeKind::Dynamic);
         let newest = dynamic.filter_map(|edge| {
@@ -369,23 +367,23 @@ impl TfPath<'_> {
         newest.min()
     }
 
-    /// The edges of the path, from the target to the source.
+    /// Edges of the path, from the target to the source.
     pub fn edges(&self) -> impl Iterator<Item = &Edge> {
         self.steps.iter().map(|step| step.edge)
     }
 
-    /// The stamps of all its dynamic transforms, in order and each once.
+    /// Distinct stamps of all its dynamic transforms, in order.
     pub fn stamps(&self) -> Vec<Stamp> {
         let dynamic = self.edges().filter(|edge| edge.kind == EdgeKind::Dynamic);
         let mut stamps: Vec<Stamp> = dynamic.flat_map(|edge| edge.stamps.iter().copied()).collect();
-        // Of each they are in order already, which a stable sort makes use of.
+        // The stable sort is fast on runs that are already sorted.
         stamps.sort();
         stamps.dedup();
         stamps
     }
 }
 
-/// A frame's name without the leading `/` that older logs write.
+/// A frame name without the leading `/` of older logs.
 pub(super) fn without_slash(frame: &str) -> &str {
     frame.trim_start_matches('/')
 }

@@ -1,4 +1,4 @@
-//! When the rows of every stream were, and which of them the estimators see.
+//! Stamps of the rows of every stream, and the rows used for estimation.
 
 use super::excerpts::Excerpts;
 use super::rounded;
@@ -7,18 +7,17 @@ use super::sift::Sift;
 use super::streams::{Clocks, Stream};
 use crate::time::Clock;
 
-/// The clocks of all streams, and what of their rows is seen.
+/// The clocks of all streams, and the filters of their rows.
 pub(super) struct Timing {
     pub clocks: Clocks,
-    /// What of a long run is seen.
+    /// Excerpts of a long run.
     pub excerpts: Option<Excerpts>,
-    /// What else is not seen.
+    /// Excluded samples.
     pub sift: Sift,
 }
 
 impl Timing {
-    /// Settles the clock of every stream that moves in time, measures the streams by it, and looks through
-    /// their rows.
+    /// Selects the clock of every stream, measures rates, and checks the rows.
     pub fn of(streams: &mut [Stream], wanted: Clock, max_latency_s: f64) -> Self {
         let rounded = rounded::restore(streams, wanted);
         let mut clocks = Clocks::settle(streams, wanted, max_latency_s);
@@ -29,8 +28,8 @@ impl Timing {
         Self { clocks, excerpts, sift }
     }
 
-    /// Those rows of a piece of a stream that the estimators see: in the run's excerpts, or less than
-    /// `around_s` off, and not sifted out.
+    /// Rows of a part of a stream for estimation: in the run's excerpts, or less than `around_s` away, and
+    /// not excluded.
     pub fn seen_rows(
         &self,
         streams: &[Stream],
@@ -51,18 +50,17 @@ impl Timing {
         rows
     }
 
-    /// Makes the clock of one piece, and what was found on it, those of another stream too, which is
-    /// appended.
+    /// Shares the clock and the results of one part with a new stream, which is appended.
     pub fn share(&mut self, stream: usize, piece: usize) {
         self.sift.share((stream, piece), self.clocks.streams());
         self.clocks.share(stream, piece);
     }
 }
 
-/// Leaves out what follows a clock that was set back until it is past where it had been: in the order of
-/// stamps it would lie among what came before. Single messages that overtake each other stay.
+/// Removes rows after a clock was set back until the clock has caught up, because they would mix with
+/// earlier rows. Keeps single messages out of order.
 fn leave_out_overlaps(rows: &mut Rows, received: &[i64]) {
-    /// Rows on end that are stamped before one that came earlier.
+    /// Minimum number of consecutive rows with earlier stamps.
     const BLOCK: usize = 10;
     if rows.is_sorted_by_key(|(stamp, _)| *stamp) {
         return;

@@ -1,4 +1,4 @@
-//! What the caller says of topics: their roles, frames, witnesses and rates.
+//! The caller's settings for topics: roles, frames, sources and rates.
 
 use schemars::JsonSchema;
 use serde::Deserialize;
@@ -13,36 +13,36 @@ use super::streams::Stream;
 use super::tf_tree::{TfTree, without_slash};
 use super::witness::Witness;
 
-/// What the caller says of one topic, beside how its numbers are coded.
+/// The caller's settings for one topic, except its encoding.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TopicSettings {
     /// The topic.
     pub topic: String,
-    /// Where the caller says it, as errors and reasons name it.
+    /// Source of the settings, for errors and reasons.
     pub place: String,
-    /// The part that it plays.
+    /// Its role.
     pub role: Option<SaidRole>,
-    /// Whose word its poses are.
+    /// Source of its poses.
     pub witness: Option<Witness>,
-    /// The frame that its poses are in, or an IMU's own frame.
+    /// Reference frame of its poses, or an IMU's own frame.
     pub frame: Option<String>,
-    /// The link whose poses they are.
+    /// Link whose poses they are.
     pub link: Option<String>,
-    /// How often it should come, Hz.
+    /// Expected rate, Hz.
     pub rate_hz: Option<f64>,
-    /// What its numbers are by whom the caller says it is from, for the stream's reason.
+    /// Encoding of the named vendor, for the stream's reason.
     pub vendor: Option<String>,
-    /// Whether it is made of columns of a table: a log that is none has no such topic.
+    /// Whether its content comes from table columns, so that other logs do not contain the topic.
     pub of_columns: bool,
 }
 
 impl TopicSettings {
-    /// Whether it is about this topic.
+    /// Whether they apply to this topic.
     pub fn is_of(&self, topic: &str) -> bool {
         self.topic.trim_start_matches('/') == topic.trim_start_matches('/')
     }
 
-    /// Whether the log should hold the topic.
+    /// Whether the log should contain the topic.
     pub fn is_expected(&self) -> bool {
         let plays = |role| !matches!(role, SaidRole::Ignored | SaidRole::Reference);
         !self.of_columns && self.role.map_or(self.rate_hz.is_some(), plays)
@@ -53,32 +53,32 @@ impl TopicSettings {
     }
 }
 
-/// A part that a caller may give to a topic.
+/// A role that the caller can assign to a topic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SaidRole {
     /// Joint states.
     Joints,
-    /// A measured pose of the tool.
+    /// A measured tool pose.
     Pose,
     /// A command, goal or plan.
     Reference,
-    /// What a camera sees.
+    /// A camera detection.
     Target,
-    /// Transforms over time.
+    /// Dynamic transforms.
     Tf,
-    /// Transforms that hold at all times.
+    /// Static transforms.
     TfStatic,
     /// An inertial measurement unit.
     Imu,
-    /// A description of the robot.
+    /// A robot description.
     Description,
-    /// Of no use to this audit.
+    /// Not used by this audit.
     Ignored,
 }
 
 impl SaidRole {
-    /// Every role, in the order in which they are listed.
+    /// All roles, in listing order.
     pub const ALL: [Self; 9] = [
         Self::Joints,
         Self::Pose,
@@ -91,12 +91,12 @@ impl SaidRole {
         Self::Ignored,
     ];
 
-    /// Its name, as reports and configs spell it.
+    /// Name in reports and configs.
     pub const fn name(self) -> &'static str {
         self.role().name()
     }
 
-    /// The role that it gives.
+    /// The corresponding role.
     pub(super) const fn role(self) -> Role {
         match self {
             Self::Joints => Role::Joints,
@@ -111,7 +111,7 @@ impl SaidRole {
         }
     }
 
-    /// Whether content of this kind can play it.
+    /// Whether this content can have the role.
     fn fits(self, columns: &Columns) -> bool {
         match columns {
             Columns::Joints(_) => matches!(self, Self::Joints | Self::Reference | Self::Ignored),
@@ -125,7 +125,7 @@ impl SaidRole {
     }
 }
 
-/// What columns hold, in words.
+/// Describes the content of columns.
 fn content(columns: &Columns) -> &'static str {
     match columns {
         Columns::Joints(_) => "joint states",
@@ -137,11 +137,11 @@ fn content(columns: &Columns) -> &'static str {
     }
 }
 
-/// Takes over what the caller says of the streams, before anything is told from their names. Topics
-/// that the log does not hold are passed over.
+/// Applies the caller's settings to the streams, before names are used. Skips topics that the log does not
+/// contain.
 ///
 /// # Errors
-/// Where a topic cannot be what it is said to be.
+/// If a topic's content does not fit its settings.
 pub(super) fn apply(settings: &[TopicSettings], streams: &mut [Stream]) -> Result<(), RunError> {
     for said in settings {
         for stream in streams.iter_mut().filter(|stream| said.is_of(&stream.topic)) {
@@ -152,7 +152,7 @@ pub(super) fn apply(settings: &[TopicSettings], streams: &mut [Stream]) -> Resul
 }
 
 fn apply_to(said: &TopicSettings, stream: &mut Stream) -> Result<(), RunError> {
-    const ROLE: &str = "see with `poseaudit info` what the topic holds";
+    const ROLE: &str = "check the content of the topic with `poseaudit info`";
     stream.said_hz = said.rate_hz;
     if said.role == Some(SaidRole::Ignored) {
         (stream.role, stream.is_empty, stream.columns) = (Role::Ignored, false, None);
@@ -163,7 +163,7 @@ fn apply_to(said: &TopicSettings, stream: &mut Stream) -> Result<(), RunError> {
     if let Some(role) = said.role {
         if !role.fits(columns) {
             let what = format!(
-                "'{}' holds {} and cannot have the role `{}`",
+                "'{}' contains {} and cannot have the role `{}`",
                 stream.topic,
                 content(columns),
                 role.name()
@@ -178,7 +178,7 @@ fn apply_to(said: &TopicSettings, stream: &mut Stream) -> Result<(), RunError> {
     for (key, name, has) in [("frame", &said.frame, has_frame), ("link", &said.link, has_link)] {
         if name.is_some() && !has {
             let what =
-                format!("'{}' holds {}, which have no `{key}`", stream.topic, content(columns));
+                format!("'{}' contains {}, which have no `{key}`", stream.topic, content(columns));
             return Err(said.refused(what, ROLE));
         }
     }
@@ -191,11 +191,11 @@ fn apply_to(said: &TopicSettings, stream: &mut Stream) -> Result<(), RunError> {
     Ok(())
 }
 
-/// Holds the frames and links that the caller names against those that there are.
+/// Checks the frames and links named by the caller.
 ///
 /// # Errors
-/// Where a link is none of an arm, or a frame looks like a misspelt one. A frame that is like none is
-/// one that nothing ties to the robot.
+/// If a link is not part of an arm, or a frame looks misspelt. A frame without similar names is accepted as
+/// one that is not tied to the robot.
 pub(super) fn check_frames(
     settings: &[TopicSettings],
     streams: &[Stream],
@@ -221,7 +221,7 @@ pub(super) fn check_frames(
                 return Err(said.refused(what, REMEDY));
             }
             if key == "link" {
-                return Err(said.refused(format!("link '{name}' is no link of an arm"), REMEDY));
+                return Err(said.refused(format!("link '{name}' is not a link of an arm"), REMEDY));
             }
         }
     }

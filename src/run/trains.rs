@@ -1,28 +1,28 @@
-//! Rows in the rhythm of one sender or of two, told from their times.
+//! Separates rows of one or two periodic senders by their times.
 
-/// A rhythm explains nearly all where it leaves less than this share.
+/// Maximum share of rows that the periods do not explain.
 pub(super) const NEARLY: f64 = 0.04;
 
-/// A rhythm has a row at this share of its ticks, at least.
+/// Minimum share of a period's ticks that have a row.
 const KEPT: f64 = 0.85;
 
-/// A tick may be off by this share of a period.
+/// Maximum deviation from a tick, in periods.
 const TOLERANCE: f64 = 0.3;
 
-/// Rows follow each other smoothly where they are no farther than this from where those before them lead,
-/// m or rad.
+/// Maximum distance of a row from the extrapolation of the rows before it, in a smooth sequence, m or rad.
 pub(super) const SMOOTH: f64 = 3e-4;
 
-/// Rows of a publisher without which nothing is told of it.
+/// Minimum number of rows of a publisher.
 pub(super) const FEWEST: usize = 12;
 
-/// How far a row is from where two others before it lead, in one number.
+/// Distance of a row from the extrapolation of two earlier rows, as one number.
 pub(super) type Off<'a> = &'a dyn Fn(usize, usize, usize) -> f64;
 
-/// With rows at fewer of its ticks, a fine rhythm explains whatever two coarse ones do.
+/// Minimum share of ticks with a row for a single sender. A fine period with fewer rows could explain two
+/// coarse periods.
 const LOSSY: f64 = 0.7;
 
-/// Whether one rhythm explains nearly all rows.
+/// Whether one period explains nearly all rows.
 pub(super) fn is_one(t_s: &[f64]) -> bool {
     let distinct: Vec<f64> =
         t_s.iter().copied().fold(Vec::with_capacity(t_s.len()), |mut kept, t| {
@@ -41,13 +41,16 @@ pub(super) fn is_one(t_s: &[f64]) -> bool {
         })
 }
 
-/// Whether two combs explain the stamps of `split` clearly better than one: the rows deviate from one comb by far
-/// more than each of the two deviates from its own. Both models have normal deviations and a phase that may drift,
-/// so that the likelihood ratio is that of the deviations. One sender with jitter deviates as much from any comb.
+/// Whether two combs explain the stamps of `split` clearly better than one.
+///
+/// Compares the deviation of all rows from one comb with the deviations of both parts from their own combs.
+/// Both models have normal deviations and a drifting phase, so this is a likelihood ratio. The jitter of a
+/// single sender deviates equally from any comb.
 pub(super) fn are_two(t_s: &[f64], split: &Split) -> bool {
-    /// Deviations that a split of one sender's rows gains by choosing the rows that fit stay below this factor.
+    /// Minimum ratio of deviations. Splitting the rows of one sender gains less, although the split selects
+    /// rows that fit.
     const FACTOR: f64 = 3.0;
-    /// Stamps are no finer, s.
+    /// Minimum deviation, s, due to the resolution of stamps.
     const RESOLUTION_S: f64 = 1e-6;
     let one_s = periods(t_s)
         .into_iter()
@@ -63,7 +66,7 @@ pub(super) fn are_two(t_s: &[f64], split: &Split) -> bool {
     one_s.ln() - two / split.explained() as f64 > FACTOR.ln()
 }
 
-/// How far rows deviate from a comb, s; `None` if fewer of its ticks than [`LOSSY`] have a row.
+/// Deviation of rows from a comb, s; `None` if the share of ticks with a row is below [`LOSSY`].
 fn comb_deviation(t_s: &[f64], period_s: f64) -> Option<f64> {
     let (mut tick, mut phases) = (0.0, vec![*t_s.first()?]);
     for pair in t_s.windows(2) {
@@ -73,10 +76,9 @@ fn comb_deviation(t_s: &[f64], period_s: f64) -> Option<f64> {
     (t_s.len() as f64 > LOSSY * tick).then(|| phase_deviation(&phases))
 }
 
-/// How far values deviate from the line through those around each: root mean square without the largest, which are
-/// slips by a period.
+/// Rms deviation of values from their local mean, without the largest, which are slips by a period.
 fn phase_deviation(phases: &[f64]) -> f64 {
-    /// Rows before and after that give the phase.
+    /// Number of rows before and after that determine the phase.
     const AROUND: usize = 8;
     const KEPT: f64 = 0.95;
     let mut squares: Vec<f64> = phases
@@ -94,15 +96,15 @@ fn phase_deviation(phases: &[f64]) -> f64 {
     (squares[..kept].iter().sum::<f64>() / kept as f64).sqrt()
 }
 
-/// The intervals between rows and the next few after them that come most often, s.
+/// The most frequent intervals between rows and the next few after them, s.
 fn periods(t_s: &[f64]) -> Vec<f64> {
-    /// Rows after each that are looked at.
+    /// Maximum number of rows ahead.
     const AHEAD: usize = 6;
-    /// Intervals within this share are one.
+    /// Relative tolerance of equal intervals.
     const ALIKE: f64 = 0.03;
     const KEPT: usize = 14;
-    /// Of those that come most often so many may be one that is stamped unevenly, where they are apart by
-    /// less than this.
+    /// Number of the most frequent intervals that may be one irregularly stamped interval, and their
+    /// maximum ratio.
     const COPIED: usize = 8;
     const ONE_APART: f64 = 1.8;
     let mut all: Vec<f64> = (1..=AHEAD)
@@ -119,7 +121,7 @@ fn periods(t_s: &[f64]) -> Vec<f64> {
     }
     bins.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.total_cmp(&b.1)));
     let often: Vec<f64> = bins.into_iter().take(KEPT).map(|(_, period_s)| period_s).collect();
-    // A stamp that is copied from joint states is one of theirs before it is due or after it.
+    // A stamp copied from joint states is the one before or after the due time.
     let mut sorted: Vec<f64> = often.iter().copied().take(COPIED).collect();
     sorted.sort_by(f64::total_cmp);
     let between = sorted.windows(2).filter(|pair| pair[1] < ONE_APART * pair[0]);
@@ -127,13 +129,13 @@ fn periods(t_s: &[f64]) -> Vec<f64> {
     often.into_iter().chain(between).collect()
 }
 
-/// The rows that are not `used` and come every `period_s`, from the start that finds most of them.
+/// Rows that are not `used` and come every `period_s`, from the start that finds the most.
 fn best_train(t_s: &[f64], used: &[bool], period_s: f64, off: Off<'_>) -> Vec<usize> {
     const STARTS: usize = 6;
     let free: Vec<usize> = (0..t_s.len()).filter(|&row| !used[row]).collect();
     let mut best = Vec::new();
     for (passed, &start) in free.iter().take(STARTS).enumerate() {
-        // No later start finds more than the rows that are left.
+        // A later start cannot find more than the remaining rows.
         if best.len() > free.len() - passed {
             break;
         }
@@ -145,12 +147,12 @@ fn best_train(t_s: &[f64], used: &[bool], period_s: f64, off: Off<'_>) -> Vec<us
     best
 }
 
-/// The rows that follow `start` every `period_s`, each timed by the one before: of several at one tick
-/// the one that is nearest to where the rows before lead.
+/// Rows that follow `start` every `period_s`, each predicted from the previous one. Of several rows at one
+/// tick, selects the one nearest to the extrapolation.
 fn train(t_s: &[f64], used: &[bool], start: usize, period_s: f64, off: Off<'_>) -> Vec<usize> {
-    /// Stamps as close as this share are of one tick.
+    /// Maximum difference of stamps at one tick, in periods.
     const EQUAL: f64 = 0.02;
-    /// Of these one is surely nearer that is off by less than this share of the other.
+    /// Maximum ratio of distances to prefer a row by its value.
     const SURELY: f64 = 0.5;
     let mut rows = vec![start];
     loop {
@@ -184,21 +186,21 @@ fn train(t_s: &[f64], used: &[bool], start: usize, period_s: f64, off: Off<'_>) 
     }
 }
 
-/// Two rhythms, the one with more rows first, and the rows of each.
+/// Two periods, the one with more rows first, and the rows of each.
 pub(super) struct Split {
     pub(super) periods_s: [f64; 2],
     pub(super) rows: [Vec<usize>; 2],
 }
 
-/// The two rhythms that explain nearly all rows and nearly all of whose ticks have one: of those whose
-/// rows follow each other as smoothly as any, the two that come most evenly.
+/// Finds two periods that explain nearly all rows, with rows at nearly all of their ticks. Among splits
+/// with smooth values, selects the most regular one.
 pub(super) fn split(t_s: &[f64], off: Off<'_>) -> Option<Split> {
-    /// Or than so many times the least.
+    /// Maximum ratio to the least roughness.
     const TIMES: f64 = 2.0;
     let tried = periods(t_s).into_iter().filter_map(|period_s| {
         let (first, used) = kept_train(t_s, &vec![false; t_s.len()], period_s, off)?;
         let rest: Vec<f64> = (0..t_s.len()).filter(|&row| !used[row]).map(|row| t_s[row]).collect();
-        // No rhythm has more rows than its least intervals have room for.
+        // A period cannot have more rows than its shortest intervals allow.
         let span_s = t_s.last()? - t_s.first()?;
         let most = |second_s: f64| 2.0 + span_s / ((1.0 - TOLERANCE) * second_s);
         let left = rest.len() as f64 - NEARLY * t_s.len() as f64;
@@ -222,8 +224,7 @@ pub(super) fn split_by(t_s: &[f64], periods_s: [f64; 2], off: Off<'_>) -> Option
     Split::of(t_s, periods_s, [first, second])
 }
 
-/// The rows that come every `period_s`, and those with what was used before; `None` where too many of
-/// its ticks have none.
+/// Rows that come every `period_s`, and those used so far. `None` if too many ticks have no row.
 fn kept_train(
     t_s: &[f64],
     used: &[bool],
@@ -243,12 +244,12 @@ impl Split {
         self.rows[0].len() + self.rows[1].len()
     }
 
-    /// How far rows are from where the two before them of the same rhythm lead.
+    /// Mean distance of rows from the extrapolation within the same period; the larger of both.
     pub(super) fn roughness(&self, off: Off<'_>) -> f64 {
         self.rows.iter().map(|rows| roughness(rows, off)).fold(0.0, f64::max)
     }
 
-    /// How far rows are from their ticks, as a share of the period, and the share of rows that have none.
+    /// Mean deviation of rows from their ticks, in periods, plus the share of unexplained rows.
     pub(super) fn unevenness(&self, t_s: &[f64]) -> f64 {
         let off_tick = |rows: &[usize], period_s: f64| -> f64 {
             let ticks = rows.windows(2).map(|pair| (t_s[pair[1]] - t_s[pair[0]]) / period_s);
@@ -263,7 +264,7 @@ impl Split {
         (off + (t_s.len() - self.explained()) as f64) / t_s.len() as f64
     }
 
-    /// `None` where they leave too many rows.
+    /// `None` if too many rows are unexplained.
     pub(super) fn of(t_s: &[f64], periods_s: [f64; 2], rows: [Vec<usize>; 2]) -> Option<Self> {
         let mut split = Self { periods_s, rows };
         if split.rows[0].len() < split.rows[1].len() {
@@ -275,7 +276,7 @@ impl Split {
     }
 }
 
-/// How far rows are in the mean from where the two before them lead.
+/// Mean distance of rows from the extrapolation of the two rows before.
 pub(super) fn roughness(rows: &[usize], off: Off<'_>) -> f64 {
     let offs = rows.windows(3).map(|three| off(three[0], three[1], three[2]));
     offs.sum::<f64>() / rows.len() as f64

@@ -1,69 +1,68 @@
-//! Streams that cannot be what they say, and arms of which nothing could be audited.
+//! Streams that are not audited, or not with their stated meaning.
 
-/// A stream that is not audited, or not as what it says it is.
+/// A stream that is not audited, or not with its stated meaning.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Unaudited {
     /// Index of the stream.
     pub stream: usize,
-    /// Why.
+    /// The reason.
     pub why: WhyNot,
 }
 
-/// Why a stream is not audited, or not as what it says it is.
+/// Why a stream is not audited, or not with its stated meaning.
 #[derive(Clone, Debug, PartialEq)]
 pub enum WhyNot {
-    /// Its frame is the tool's own, in which the tool does not move. It is audited as one in an unknown
-    /// frame.
+    /// Its frame is the tool's own, where the tool does not move. It is audited with an unknown frame.
     OwnFrame {
         /// The frame.
         frame: String,
     },
     /// Its orientations were never set. Its positions are audited.
     NoOrientation,
-    /// Its topic has poses of the same in other frames, which nothing ties to the arm.
+    /// Its topic has poses of the same body in other frames that are not tied to the arm.
     OtherFrames {
         /// The frames, in the order of the log.
         frames: Vec<String>,
-        /// Poses in them.
+        /// Number of poses in them.
         samples: u64,
-        /// Poses of the topic.
+        /// Number of poses of the topic.
         of: u64,
     },
-    /// All its poses are one while the joints move the tool.
+    /// All its poses are equal while the joints move the tool.
     NeverChanges {
-        /// Samples.
+        /// Number of samples.
         samples: usize,
-        /// How far the joints move the tool meanwhile, m.
+        /// Motion of the tool by the joints, m.
         moved_m: f64,
     },
-    /// Bodies of its topic that stand still while the joints move the tool, and of which nothing says that they
-    /// are the tool's: objects of a scene.
+    /// Bodies of its topic that are stationary while the joints move the tool, and are not named as the
+    /// tool: objects of a scene.
     SceneObjects {
         /// Their names.
         names: Vec<String>,
     },
-    /// The arm's base moves in its frame, and nothing in the log says how.
+    /// The arm's base moves in its frame, and the log has no transforms for it.
     BaseMoves {
         /// The frame.
         frame: String,
         /// The arm's base.
         base: String,
-        /// How far the base goes, m.
+        /// Travel of the base, m.
         travel_m: f64,
-        /// How far it turns, rad.
+        /// Rotation of the base, rad.
         turn_rad: f64,
     },
-    /// It is a tool's, and the log does not tell which arm's.
+    /// It is a tool pose, but its arm is undetermined.
     WhoseArm {
         /// Names of the arms.
         arms: Vec<String>,
     },
-    /// Its name or its frames say that it is a tool's, and no kinematics can be held against it.
+    /// Its name or frames mark it as a tool pose, but no kinematics can predict it.
     NoKinematics {
-        /// What is missing.
+        /// The missing part.
         what: String,
     },
-    /// Joint states of an arm that no model has.
+    /// Joint states of an arm without a model.
     NoModel {
         /// The joints.
         joints: Vec<String>,

@@ -1,8 +1,8 @@
-//! Joints that are logged within one turn, ±π or 0…2π, though they go on: unwrapped.
+//! Unwraps joints that are logged modulo one turn, ±π or 0…2π, although they continue to rotate.
 //!
-//! Where a position leaps by a whole turn from one end of what the joint says to the other, the joint
-//! went on and its number began anew. The leaps are taken off before anything is differentiated,
-//! interpolated or held against limits. Numbers may be degrees.
+//! If a position jumps by a whole turn between the ends of its range, the joint continued and its value
+//! wrapped. The jumps are removed before differentiation, interpolation and limit checks. Values may be
+//! degrees.
 
 use std::f64::consts::TAU;
 
@@ -13,31 +13,31 @@ use crate::stream::{Columns, JointColumn};
 use super::role::Role;
 use super::streams::Stream;
 
-/// A turn in the units that joints are logged in, rad and degrees.
+/// One turn in the units of logged joints, rad and degrees.
 const TURNS: [f64; 2] = [TAU, 360.0];
-/// Both sides of the seam lie within this share of a turn of its ends, …
+/// Maximum distance of both samples from the ends of the range, in turns.
 const NEAR: f64 = 0.02;
-/// … or within as many of the longest usual steps, …
+/// The same, in long usual steps; the larger applies.
 const STEPS: f64 = 4.0;
-/// … but never farther than this share of a turn.
+/// Upper bound of that distance, in turns.
 const FAR: f64 = 0.125;
-/// Of the numbers this share lies between the ends of the seam.
+/// Minimum share of values within the range.
 const WITHIN: f64 = 0.99;
 
-/// A joint whose position is logged within one turn.
+/// A joint that is logged modulo one turn.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Folded {
     /// Index of the stream.
     pub stream: usize,
-    /// The joint, as the log names it.
+    /// Joint name in the log.
     pub joint: String,
-    /// A turn in the unit of its numbers.
+    /// One turn in the unit of its values.
     pub turn: f64,
-    /// How often it passed the seam.
+    /// Number of wraps.
     pub times: usize,
 }
 
-/// Unwraps the joints of all streams, states and commands, and says which.
+/// Unwraps the joints of all streams, states and commands, and returns them.
 pub(super) fn unfold(streams: &mut [Stream]) -> Vec<Folded> {
     let of = |(index, stream): (usize, &mut Stream)| {
         let Some(Columns::Joints(joints)) = &mut stream.columns else { return Vec::new() };
@@ -50,7 +50,7 @@ pub(super) fn unfold(streams: &mut [Stream]) -> Vec<Folded> {
     streams.par_iter_mut().enumerate().flat_map_iter(of).collect()
 }
 
-/// Says so of every stream of joint states that it concerns.
+/// Adds a remark to the affected joint state streams.
 pub(super) fn say(streams: &mut [Stream], folded: &[Folded]) {
     for (index, stream) in streams.iter_mut().enumerate() {
         let names: Vec<&str> = folded
@@ -59,20 +59,18 @@ pub(super) fn say(streams: &mut [Stream], folded: &[Folded]) {
             .map(|folded| folded.joint.as_str())
             .collect();
         if stream.role == Role::Joints && !names.is_empty() {
-            stream.reason +=
-                &format!("; logged within one turn, and unwrapped: {}", names.join(", "));
+            stream.reason += &format!("; logged modulo one turn, unwrapped: {}", names.join(", "));
         }
     }
 }
 
-/// Takes the leaps of a whole turn off, and says how many there were; `None`, and nothing is changed,
-/// where there is none.
+/// Removes jumps of a whole turn, and returns their number. `None`, without changes, if there are none.
 fn unfold_column(q: &mut [f64]) -> Option<(f64, usize)> {
     TURNS.into_iter().find_map(|turn| Some((turn, take_off(q, turn)?)))
 }
 
 fn take_off(q: &mut [f64], turn: f64) -> Option<usize> {
-    // Nearly no joint leaps at all.
+    // Fast path: most joints do not jump.
     if q.windows(2).all(|pair| (pair[1] - pair[0]).abs() < 0.5 * turn) {
         return None;
     }
@@ -92,7 +90,7 @@ fn take_off(q: &mut [f64], turn: f64) -> Option<usize> {
         return None;
     }
     let near = (STEPS * long).max(NEAR * turn).min(FAR * turn);
-    // A joint that goes on by a little and begins anew leaps by a turn, less that.
+    // A joint that moves slightly and wraps jumps by a turn minus that motion.
     let leaps = |pair: &[usize]| {
         let by = q[pair[1]] - q[pair[0]];
         turns(pair).abs() == 1.0 && (by - turn * turns(pair)).abs() <= near
@@ -131,7 +129,7 @@ mod tests {
     use super::*;
     use std::f64::consts::PI;
 
-    /// A joint that turns on, then back, in steps of a hundredth of a second, with some noise.
+    /// A joint that rotates forwards, then back, at 100 Hz with some noise.
     fn turning() -> Vec<f64> {
         let noise = |row: i32| 2e-4 * f64::from((row * 7919) % 13 - 6);
         (0..3000).map(|row| 9.0 * (f64::from(row) * 4e-3).sin() + noise(row)).collect()

@@ -1,36 +1,35 @@
-//! Velocities of joints: those of the log, or those that the positions have.
+//! Joint velocities: logged ones, or derivatives of the positions.
 
 use nalgebra::{Matrix3, Vector3};
 
 use crate::diagnosis::encoder_step;
 use crate::stream::sample_noise;
 
-/// Where the velocities of a joint come from.
+/// Source of a joint's velocities.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Velocities {
-    /// The log's, which agree with the positions.
+    /// Logged, and consistent with the positions.
     Logged,
-    /// Differentiated; the log's are near the positions' own, as they are where rows are read unevenly,
-    /// and tell motion better.
+    /// Derivatives. Logged velocities are close to them, as with irregularly read rows, and detect motion
+    /// better.
     Near,
-    /// Differentiated: the log has none, or they do not agree with the positions.
+    /// Derivatives: velocities are missing, or inconsistent with the positions.
     Derived,
 }
 
-/// Positions and their derivative.
+/// Positions and their derivatives.
 pub(super) struct Smoothed {
     pub q: Vec<f64>,
     pub qd: Vec<f64>,
-    /// Standard deviations of the noise of either, that of rounding to an encoder's steps included.
+    /// Standard deviations of the noise of both, including rounding to encoder steps.
     pub noise: [f64; 2],
 }
 
-/// Positions and their derivative: as they are where noise hardly matters, else of the parabola
-/// that fits best over so many samples, and at most 0.15 s, that it does not.
+/// Differentiates positions. If noise matters, smooths them by local parabola fits over up to 0.15 s.
 ///
-/// Noise of positions counts by the time that it feigns, its deviation over the typical speed: an
-/// encoder's 20 µrad at 1 rad/s is 20 µs and left alone, a hobby servo's 0.5 mrad at 0.05 rad/s is
-/// 10 ms and would decide every latency (Savitzky and Golay 1964).
+/// The criterion is the equivalent timing error: noise divided by the typical speed. An encoder's 20 µrad
+/// at 1 rad/s is 20 µs and is not smoothed. A hobby servo's 0.5 mrad at 0.05 rad/s is 10 ms and would
+/// dominate every latency (Savitzky and Golay 1964).
 pub(super) fn smoothed(t_s: &[f64], q: &[f64]) -> Smoothed {
     const FEIGNED_S: f64 = 5e-4;
     const LONGEST_S: f64 = 0.15;
@@ -61,14 +60,14 @@ pub(super) fn smoothed(t_s: &[f64], q: &[f64]) -> Smoothed {
         parabola(&t_s[from..to], &q[from..to], t_s[row]).unwrap_or((q[row], derived[row]))
     };
     let (q, qd) = (0..rows).map(fitted).unzip();
-    // Variances of a parabola's value and slope at the middle of many even samples.
+    // Variances of a parabola's value and slope at the middle of many evenly spaced samples.
     let samples = (2 * half + 1) as f64;
     let noise =
         [rounded * (2.25 / samples).sqrt(), rounded * (12.0 / samples.powi(3)).sqrt() / period_s];
     Smoothed { q, qd, noise }
 }
 
-/// Value and slope at `at` of the parabola that fits best.
+/// Value and slope at `at` of the least-squares parabola.
 fn parabola(t_s: &[f64], q: &[f64], at: f64) -> Option<(f64, f64)> {
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
     for (t, q) in t_s.iter().zip(q) {
@@ -84,10 +83,10 @@ fn root_mean_square(values: &[f64]) -> f64 {
     (values.iter().map(|v| v * v).sum::<f64>() / values.len().max(1) as f64).sqrt()
 }
 
-/// The derivative of `q` over `t_s`: of the parabola through each sample and its neighbours, exact
-/// to second order also where samples are not evenly spaced (Fornberg, "Generation of finite
-/// difference formulas on arbitrarily spaced grids", 1988); at the ends that of the parabola through
-/// the outermost three.
+/// Derivative of `q` over `t_s`, from the parabola through each sample and its neighbours.
+///
+/// Exact to second order for uneven samples (Fornberg, "Generation of finite difference formulas on
+/// arbitrarily spaced grids", 1988). At the ends, uses the parabola through the outermost three.
 pub(super) fn derivative(t_s: &[f64], q: &[f64]) -> Vec<f64> {
     let slope = |left: usize| (q[left + 1] - q[left]) / (t_s[left + 1] - t_s[left]);
     let rows = t_s.len();
@@ -103,12 +102,12 @@ pub(super) fn derivative(t_s: &[f64], q: &[f64]) -> Vec<f64> {
     (0..rows).map(at).collect()
 }
 
-/// How well logged velocities are those of the positions.
+/// Compares logged velocities with the positions.
 ///
-/// Over windows of 0.1 s their integral (trapezoids) must be the change of position within 2 % of
-/// its rms and what the positions' noise makes of it: integrals rather than derivatives. A joint
-/// that does not move has no velocity above what its positions' derivative shows. They are near where
-/// their integrals go with the changes, and neither is a fifth more than the other.
+/// Compares integrals rather than derivatives. Over windows of 0.1 s, the trapezoidal integral must match
+/// the position change within 2 % of its rms plus position noise. A joint at rest must not have velocities
+/// above the derivative of its positions. Velocities are near if integrals and changes correlate and their
+/// ratio is within a fifth of one.
 pub(super) fn agreement(t_s: &[f64], q: &[f64], velocity: &[f64], derived: &[f64]) -> Velocities {
     const NEAR: f64 = 0.2;
     const WINDOW_S: f64 = 0.1;
@@ -143,7 +142,7 @@ pub(super) fn agreement(t_s: &[f64], q: &[f64], velocity: &[f64], derived: &[f64
         let peak = |values: &[f64]| values.iter().fold(0.0_f64, |peak, v| peak.max(v.abs()));
         return or_else(peak(velocity) <= peak(derived), Velocities::Derived);
     }
-    // Each end of a window adds its noise; three times its variance is beyond chance.
+    // Each end of a window contributes its noise; three times its variance exceeds chance.
     let by_noise = 3.0 * windows * 2.0 * sample_noise(q).powi(2);
     let slope = along / moved;
     let is_near = (slope - 1.0).abs() < NEAR && along * along > (1.0 - NEAR) * moved * summed;

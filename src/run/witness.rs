@@ -1,30 +1,30 @@
-//! Whose word a stream of poses is: the controller's own, or somebody's who looks at the arm.
+//! Source of a pose stream: the controller, or an independent measurement.
 //!
-//! A controller's pose is FK of the same encoders as the joint states, with its own calibration. It
-//! can show that a model differs from the controller's, and never that the mechanics differ from
-//! both. Whether a stream is one is told from names and frames alone: how its noise relates to the
-//! joints' would be a further hint, but filters and rounding make it a poor one.
+//! A controller's pose is FK of the same encoders as the joint states, with its own calibration. It can
+//! show that a model differs from the controller's, but not that the mechanics differ from both. The source
+//! is determined from names and frames alone. Noise is not used, because filters and rounding make its
+//! relation to the joints' noise unreliable.
 
 use schemars::JsonSchema;
 use serde::Deserialize;
 
 use super::role::{Place, driver_of, shared, words};
 
-/// Whose word poses are.
+/// Source of poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 #[schemars(rename = "WitnessName")]
 pub enum Witness {
-    /// The controller's, or a program's that computes it from the joint states.
+    /// The controller, or a program that computes poses from joint states.
     Controller,
-    /// A tracker's or a camera's.
+    /// A tracker or a camera.
     External,
-    /// Nobody knows.
+    /// Not known.
     Unknown,
 }
 
 impl Witness {
-    /// The name used in reports.
+    /// Name in reports.
     pub const fn name(self) -> &'static str {
         match self {
             Witness::Controller => "controller",
@@ -34,7 +34,7 @@ impl Witness {
     }
 }
 
-/// Words of topics and frames of what looks at an arm from outside.
+/// Words in names of topics and frames of independent measurements.
 const OUTSIDE: &[&str] = &[
     "vicon",
     "optitrack",
@@ -56,28 +56,28 @@ const OUTSIDE: &[&str] = &[
     "optical",
 ];
 
-/// How packages begin whose messages come from a controller.
+/// Prefixes of packages with controller messages.
 const CONTROLLERS: &[&str] =
     &["franka_", "ur_", "lbr_fri_", "iiwa_", "kuka_", "xarm_", "dsr_", "jaka_", "aubo_", "kinova_"];
 
-/// How packages begin whose messages come from a tracker or a camera.
+/// Prefixes of packages with tracker or camera messages.
 const TRACKERS: &[&str] =
     &["vicon_", "mocap", "motion_capture_", "optitrack_", "vrpn_", "apriltag_", "aruco_"];
 
-/// What the witness of a pose stream is told from.
+/// Properties that determine the source of a pose stream.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PoseNames<'a> {
     pub topic: &'a str,
     pub type_name: &'a str,
     pub frame_id: &'a str,
     pub child_frame_id: &'a str,
-    /// What is known of the frame that the poses are in.
+    /// Relation of the poses' frame to the arm.
     pub frame: Place,
     /// Whether its stamps are copies of the joints' stamps.
     pub stamps_copied: bool,
 }
 
-/// Whose word a stream of poses is, and why in words.
+/// Determines the source of a pose stream, with the reason.
 pub(super) fn witness_of(names: &PoseNames<'_>) -> (Witness, String) {
     let PoseNames { topic, type_name, frame_id, child_frame_id, .. } = *names;
     let package = type_name.split('/').next().unwrap_or_default();
@@ -105,14 +105,14 @@ pub(super) fn witness_of(names: &PoseNames<'_>) -> (Witness, String) {
         return (Witness::Controller, format!("its child frame '{child_frame_id}'"));
     }
     if names.stamps_copied {
-        return (Witness::Controller, "its stamps, which are the joint states'".to_owned());
+        return (Witness::Controller, "its stamps, copied from the joint states".to_owned());
     }
     match names.frame {
         Place::Unknown => {
-            let why = format!("its frame '{frame_id}', which nothing ties to the robot");
+            let why = format!("its frame '{frame_id}', which is not tied to the robot");
             (Witness::External, why)
         }
-        _ => (Witness::Unknown, "neither name nor frame".to_owned()),
+        _ => (Witness::Unknown, "lack of a known name or frame".to_owned()),
     }
 }
 

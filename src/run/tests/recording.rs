@@ -1,4 +1,4 @@
-//! A log of an arm, put together stream by stream.
+//! Builds the log of an arm stream by stream.
 
 use super::*;
 
@@ -10,7 +10,7 @@ pub(super) const PERIOD: i64 = 8_000_000;
 
 pub(super) const TRANSPORT: i64 = 300_000;
 
-/// A log of a UR5e that turns all its joints.
+/// A log of a UR5e that moves all its joints.
 pub(super) struct Recording {
     pub(super) robot: Robot,
     pub(super) topics: Vec<(String, Columns)>,
@@ -91,7 +91,7 @@ impl Recording {
         move |nanos| chain.forward(&q_at(nanos))
     }
 
-    /// Adds what a robot_state_publisher writes; `prefix` stands before every frame.
+    /// Adds the transforms of a robot_state_publisher; `prefix` is added to every frame.
     pub(super) fn add_tf(&mut self, prefix: &str, with_fixed: bool) {
         let (mut fixed, mut moving) = (Vec::new(), Vec::new());
         for joint in self.robot.joints() {
