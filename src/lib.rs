@@ -1,8 +1,7 @@
 //! Audits robot-arm pose logs.
 //!
-//! poseaudit reads one recorded run of a robot arm, recomputes by forward kinematics where the arm
-//! must have been, and finds wrong poses, timestamps and conventions, by
-//! how much, and how sure it is.
+//! poseaudit reads one recorded run of a robot arm, recomputes its poses by forward kinematics, and finds
+//! wrong poses, timestamps and conventions, with their size and uncertainty.
 //!
 //! ```no_run
 //! let options = poseaudit::Options { logs: vec!["run.mcap".into()], ..Default::default() };
@@ -10,18 +9,19 @@
 //! for finding in &audited.report.findings {
 //!     println!("{} {}", finding.code, finding.message);
 //! }
-//! audited.write_fixes("mend".as_ref())?;
+//! audited.write_fixes("corrections".as_ref())?;
 //! # Ok::<(), poseaudit::report::Trouble>(())
 //! ```
 //!
-//! Data walks one way: bytes → [`log`] → [`run`] → [`evidence`] → [`checks`] → [`report`] → [`output`].
-//! [`diagnosis`] estimates, [`robot`] feeds it; [`stream`], [`geometry`] and [`time`] are the ground floor.
-//! Beside it, [`desk`] says what single poses are.
-// Items say units and frames, and nothing that came from a file ends in a panic.
+//! Data flows in one direction: bytes → [`log`] → [`run`] → [`evidence`] → [`checks`] → [`report`] →
+//! [`output`]. [`diagnosis`] estimates causes with models of [`robot`]. [`stream`], [`geometry`] and
+//! [`time`] are the base modules. [`desk`] is independent of this pipeline: it converts and compares single
+//! poses.
+// Public items document units and frames, and input from files must not cause a panic.
 #![warn(missing_docs, clippy::unwrap_used)]
 #![cfg_attr(
     not(all(feature = "fix", feature = "recording", feature = "tables")),
-    allow(dead_code, unused_imports, reason = "the outputs read it")
+    allow(dead_code, unused_imports, reason = "used by the output features")
 )]
 
 mod audit;
@@ -53,11 +53,11 @@ use corrections::{Corrections, Given};
 use report::{Report, Trouble};
 use run::Run;
 
-/// Audits one run, and writes nothing.
+/// Audits one run without writing files.
 ///
 /// # Errors
-/// Where the call is wrong or the log cannot be read. A log without an arm or a model is reported
-/// on, with the trouble in [`Report::error`].
+/// If the call is invalid or the log cannot be read. A log without an arm or a model returns a report with
+/// [`Report::error`] set.
 pub fn audit(options: &Options) -> Result<Audited, Trouble> {
     options.places().check()?;
     let corrections = options.corrections.as_deref().map(Corrections::from_file).transpose()?;
@@ -70,18 +70,19 @@ pub fn audit(options: &Options) -> Result<Audited, Trouble> {
     Audited::of(log, options, given)
 }
 
-/// Audits what was read of a log that is still being written ([`log::Follow`]). Corrections are not applied.
+/// Audits the data read so far of a log that is still being written ([`log::Follow`]). Corrections are not
+/// applied.
 ///
 /// # Errors
-/// Where the call is wrong. A log without an arm or a model is reported on.
+/// If the call is invalid. A log without an arm or a model returns a report with the error.
 pub fn audit_read(log: log::Log, options: &Options) -> Result<Audited, Trouble> {
     Audited::of(log, options, None)
 }
 
-/// What a log holds: its topics, and which role each gets and why. Nothing is audited.
+/// Lists the topics of a log, with the role of each and why, without an audit.
 ///
 /// # Errors
-/// Where the log cannot be read.
+/// If the log cannot be read.
 pub fn info(options: &Options) -> Result<Report, Trouble> {
     let mut log = log::open(&options.logs, &options.read)?;
     run::tell_columns(&mut log, &options.run);

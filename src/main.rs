@@ -1,4 +1,4 @@
-//! `poseaudit`: the outcome of a command becomes the exit status of the process.
+//! `poseaudit`: maps the outcome of a command to the exit status of the process.
 
 mod cli;
 

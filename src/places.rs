@@ -1,9 +1,8 @@
-//! What a call reads, and what it writes: no file that it writes is one that it reads, or another that it
-//! writes.
+//! The inputs and outputs of a call: no output may overwrite an input or another output.
 //!
-//! Files that are there are told by device and inode, so that links and other spellings of a path are the
-//! same file; those that are yet to be made by the folder that they will be in, and their name. All of it is
-//! looked at before anything is read.
+//! Existing files are identified by device and inode, so links and different spellings of a path are the
+//! same file. New files are identified by their folder and name. Everything is checked before anything is
+//! read.
 
 use std::collections::HashSet;
 use std::fs::{self, Metadata};
@@ -22,7 +21,7 @@ pub struct Places {
     outputs: Vec<Output>,
 }
 
-/// A folder of which any file may be read.
+/// A folder in which any file may be read.
 #[derive(Clone, Debug)]
 struct Tree {
     folder: Place,
@@ -31,15 +30,15 @@ struct Tree {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Content {
-    /// A log: a file added to it would be part of the log.
+    /// A log: a file added to it would become part of the log.
     Log,
-    /// Meshes: only files that exist are read.
+    /// Meshes: only existing files are read.
     Meshes,
-    /// The tables of a fleet.
+    /// Fleet result tables.
     Results,
 }
 
-/// A file to write, or a folder in which files are written.
+/// A file to write, or a folder to write files into.
 #[derive(Clone, Debug)]
 struct Output {
     /// The option that names it.
@@ -51,41 +50,41 @@ struct Output {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     File,
-    /// A folder in which other files are left as they are.
+    /// A folder whose other files are kept.
     Folder,
-    /// A folder with nothing in it but what is written by this option.
+    /// A folder reserved for the files of this option.
     Own,
 }
 
-/// Where a file is, or will be.
+/// Location of a file that exists or will be created.
 #[derive(Clone, Debug)]
 struct Place {
-    /// As it was given.
+    /// The path as given.
     given: PathBuf,
-    /// Without links, `.` and `..`.
+    /// The path without links, `.` and `..`.
     path: PathBuf,
-    /// What is there.
+    /// Metadata of the existing file.
     metadata: Option<Metadata>,
 }
 
 impl Places {
-    /// `path` is read, which is `what`.
+    /// Registers the input `path`, described by `what`.
     pub fn reads(&mut self, what: &'static str, path: &Path) {
         self.inputs.push((what, Place::of(path)));
     }
 
-    /// Any file below `folder` may be read: it holds meshes.
+    /// Registers a folder of meshes, in which any file may be read.
     pub fn reads_below(&mut self, folder: &Path) {
         self.trees.push(Tree { folder: Place::of(folder), content: Content::Meshes });
     }
 
-    /// The results of a fleet in `folder` are read.
+    /// Registers a folder of fleet results as input.
     pub fn reads_results(&mut self, folder: &Path) {
         self.trees.push(Tree { folder: Place::of(folder), content: Content::Results });
     }
 
-    /// The log at `path` is read: a file with its sidecars, or a folder with all that is in it. An object in
-    /// a store has no place here. A `#episode` after the path is ignored.
+    /// Registers the log at `path`: a file with its sidecars, or a folder with its content. Objects in
+    /// remote stores are ignored, and so is a `#episode` suffix.
     pub fn reads_log(&mut self, path: &Path) {
         let Some(path) = log::local(path) else { return };
         let (path, _) = log::episode_of(&path);
@@ -96,7 +95,7 @@ impl Places {
                 .last()
                 .is_some_and(|tree| tree.content == Content::Log && tree.folder.given == *folder)
         };
-        // The episodes of a dataset follow each other.
+        // Consecutive episodes of a dataset share a folder.
         let folder = folder.filter(|folder| !is_last(folder));
         let content = Content::Log;
         self.trees.extend(folder.map(|folder| Tree { folder: Place::of(&folder), content }));
@@ -106,7 +105,7 @@ impl Places {
         self.reads("the log", &path);
     }
 
-    /// Whether stdout and stderr lead to none of `logs`, of a command that writes nothing else.
+    /// Checks that stdout and stderr do not lead to one of `logs`, for a command without other outputs.
     ///
     /// # Errors
     /// If one does.
@@ -116,12 +115,12 @@ impl Places {
         places.check()
     }
 
-    /// `option` has the file at `path` written.
+    /// Registers the output file `path` of `option`.
     pub fn writes(&mut self, option: &'static str, path: &Path) {
         self.outputs.push(Output { option, place: Place::of(path), kind: Kind::File });
     }
 
-    /// `option` has files of these `names` written into `folder`.
+    /// Registers output files with these `names` in `folder`.
     pub fn writes_into(
         &mut self,
         option: &'static str,
@@ -132,15 +131,15 @@ impl Places {
         names.into_iter().for_each(|name| self.writes(option, &folder.join(name)));
     }
 
-    /// `option` has `folder`, and nothing else may be written in it.
+    /// Registers `folder` as reserved for `option`.
     pub fn keeps(&mut self, option: &'static str, folder: &Path) {
         self.outputs.push(Output { option, place: Place::of(folder), kind: Kind::Own });
     }
 
-    /// Whether nothing that is written would take the place of what is read, or of something else that is.
+    /// Checks that no output overwrites an input or another output.
     ///
     /// # Errors
-    /// If something would, or where it cannot be written as what it is.
+    /// If one would, or if an output cannot be written as a file or folder.
     pub fn check(&self) -> Result<(), Trouble> {
         let standard = [standard(&io::stdout()), standard(&io::stderr())];
         for stream in standard.iter().flatten() {
@@ -170,7 +169,7 @@ impl Places {
             }
             if let Some(other) = self.outputs[..at].iter().find(|other| other.collides(output)) {
                 let (other, path) = (other.option, other.place.given.display());
-                return refuse(&format!("{other} {path} is to be written there"));
+                return refuse(&format!("{other} {path} is written there too"));
             }
             if let Some(why) = self.trees.iter().find_map(|tree| tree.refuses(output)) {
                 return refuse(&why);
@@ -188,7 +187,7 @@ impl Places {
 }
 
 impl Tree {
-    /// Why `output` may not be written; `None` if it may be.
+    /// Explains why `output` may not be written. `None` if it may.
     fn refuses(&self, output: &Output) -> Option<String> {
         let Output { place, kind, .. } = output;
         let exists = place.metadata.is_some();
@@ -196,7 +195,7 @@ impl Tree {
         let folder = self.folder.given.display();
         match self.content {
             _ if exists && *kind == Kind::File && self.loses(place).is_some() => self.loses(place),
-            // A config belongs next to the log, and is none of its files.
+            // A config belongs next to the log without being part of it.
             Content::Log if place.path.ends_with(FILE_NAME) && *kind == Kind::File => None,
             Content::Log if is_inside => {
                 Some(format!("it is inside the log {folder}, and would become part of it"))
@@ -205,7 +204,8 @@ impl Tree {
         }
     }
 
-    /// Why an existing file may not be replaced: it is inside the folder, or a link inside leads to it.
+    /// Explains why an existing file may not be replaced: it is inside the folder, or a link inside leads
+    /// to it.
     fn loses(&self, place: &Place) -> Option<String> {
         let own = place.metadata.as_ref().filter(|metadata| metadata.is_file())?;
         let folder = self.folder.given.display();
@@ -224,11 +224,11 @@ impl Tree {
     }
 }
 
-/// Whether `file` is below `folder`, or a link there leads to it.
+/// Whether `file` is inside `folder`, directly or through a link.
 fn holds(folder: &Path, file: &Metadata) -> bool {
     let (mut open, mut seen) = (vec![folder.to_owned()], HashSet::new());
     while let Some(folder) = open.pop() {
-        // A link may lead to a folder above.
+        // Links may form cycles.
         let Ok(own) = fs::canonicalize(&folder) else { continue };
         if !seen.insert(own) {
             continue;
@@ -266,23 +266,23 @@ impl Place {
         Self { given: given.to_owned(), path, metadata }
     }
 
-    /// Whether both are one file.
+    /// Whether both are the same file.
     fn is(&self, other: &Self) -> bool {
         let same = self.metadata.as_ref().zip(other.metadata.as_ref());
         self.path == other.path || same.is_some_and(|(a, b)| is_same(a, b))
     }
 
-    /// Whether it is neither file nor folder, such as a pipe: nothing there can be lost.
+    /// Whether it is neither file nor folder, such as a pipe: nothing is overwritten there.
     fn is_device(&self) -> bool {
         self.metadata.as_ref().is_some_and(|is| !is.is_file() && !is.is_dir())
     }
 
-    /// Whether an output of this kind may be there.
+    /// Checks that an output of this kind may be at this place.
     fn can_be(&self, kind: Kind) -> Result<(), String> {
         let is_folder = self.metadata.as_ref().map(Metadata::is_dir);
         match (kind, is_folder) {
             (Kind::File, Some(true)) => return Err("it is a folder".to_owned()),
-            (Kind::Folder | Kind::Own, Some(false)) => return Err("it is no folder".to_owned()),
+            (Kind::Folder | Kind::Own, Some(false)) => return Err("it is not a folder".to_owned()),
             (Kind::File, Some(false)) => {
                 replaceable(&self.given).map_err(|error| error.to_string())?;
             }
@@ -290,13 +290,13 @@ impl Place {
         }
         let mut above = self.path.ancestors().skip(1);
         match above.find(|above| above.exists()).filter(|above| !above.is_dir()) {
-            Some(above) => Err(format!("{} is no folder", above.display())),
+            Some(above) => Err(format!("{} is not a folder", above.display())),
             None => Ok(()),
         }
     }
 }
 
-/// `path` without links, `.` and `..`, also where its end is not there yet.
+/// `path` without links, `.` and `..`, even if its end does not exist yet.
 fn resolved(path: &Path) -> PathBuf {
     let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let known = path.ancestors().find_map(|above| Some((above, fs::canonicalize(above).ok()?)));
@@ -307,7 +307,7 @@ fn resolved(path: &Path) -> PathBuf {
             part => resolved.push(part),
         }
     }
-    // A folder that is yet to be made, and out of it again: what is there may be there already.
+    // `new/..` may resolve to an existing path.
     fs::canonicalize(&resolved).unwrap_or(resolved)
 }
 
@@ -322,7 +322,7 @@ fn is_same(_: &Metadata, _: &Metadata) -> bool {
     false
 }
 
-/// The file that a standard stream leads to.
+/// The file that a standard stream is redirected to.
 #[cfg(unix)]
 fn standard(stream: &impl std::os::fd::AsFd) -> Option<Place> {
     let file = fs::File::from(stream.as_fd().try_clone_to_owned().ok()?);

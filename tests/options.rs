@@ -77,8 +77,8 @@ fn a_config_is_looked_for_only_where_it_is_asked_for() {
     let two = [log.as_str(), &path(&folder, "other.mcap")].map(str::to_owned);
     fs::copy(CLEAN, &two[1]).expect("a log");
     for (call, part) in [
-        (["audit", &two[0], &two[1], "--config", "auto"], "the logs have several"),
-        (["audit", "s3://bucket/run.mcap", "-q", "--config", "auto"], "is in no folder"),
+        (["audit", &two[0], &two[1], "--config", "auto"], "the logs have different configs"),
+        (["audit", "s3://bucket/run.mcap", "-q", "--config", "auto"], "has no folder"),
     ] {
         let refused = poseaudit(&call);
         assert_eq!(status(&refused), 2, "{}", stderr(&refused));

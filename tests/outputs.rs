@@ -208,7 +208,7 @@ fn no_output_is_an_input() {
             // below their folder are read.
             let what = match call.args {
                 init if init.starts_with("init") => "",
-                _ if input.starts_with("results") => "is to be written there",
+                _ if input.starts_with("results") => "is written there too",
                 _ if input.starts_with("meshes") => "is one of the files in --mesh-root meshes",
                 _ => "which would be lost",
             };
@@ -373,7 +373,7 @@ fn no_two_outputs_are_one() {
         ("fleet run.mcap --out results --output OUT", "results/runs/new.parquet"),
     ] {
         let call = Call { args, inputs: &[], file: None };
-        refused(folder.path(), &call, part, "is to be written there");
+        refused(folder.path(), &call, part, "is written there too");
     }
 }
 
@@ -387,7 +387,7 @@ fn folders_files_of_others_and_what_is_read_only_are_left_alone() {
     fs::set_permissions(at("kept"), Permissions::from_mode(0o444)).expect("permissions");
     for (number, call) in CALLS.iter().enumerate() {
         let is_init = call.args.starts_with("init");
-        let or_there = |what| if is_init { "is there already" } else { what };
+        let or_there = |what| if is_init { "exists already" } else { what };
         if let Some(file) = call.file {
             refused(folder.path(), call, "file", "folder");
             let out = format!("out-{number}");
@@ -397,7 +397,7 @@ fn folders_files_of_others_and_what_is_read_only_are_left_alone() {
             continue;
         }
         refused(folder.path(), call, "folder", or_there("is a folder"));
-        refused(folder.path(), call, "file/new", "file is no folder");
+        refused(folder.path(), call, "file/new", "file is not a folder");
         refused(folder.path(), call, "kept", or_there("is read-only"));
         let link = format!("folder/link-{number}");
         symlink(at("file"), at(&link)).expect("a link");

@@ -38,7 +38,7 @@ fn every_form_is_read_back_as_what_was_written() {
     let folder = tempfile::tempdir().expect("a folder");
     let halves = ["csv", "json", "yaml"].map(|form| {
         let (path, said) = planned(folder.path(), &format!("motion.{form}"), "latency");
-        assert!(said.contains("THIS MOTION KNOWS NO OBSTACLE"), "{said}");
+        assert!(said.contains("NO COLLISION CHECKING"), "{said}");
         let (status, checked) = checked(&path, &["--for", "latency"]);
         assert_eq!(status, 0, "{checked}");
         assert_eq!(checked["beyond"], Value::Array(Vec::new()));
@@ -87,14 +87,14 @@ fn a_motion_beyond_its_limits_is_named_with_the_joint_and_fails() {
     // The model's own limit of speed stands whatever is allowed.
     assert_eq!(checked(&path, &["--acceleration", "25", "--speed", "3"]).0, 1);
     let fold = poseaudit(&["plan", "ur5e", "--check", &path, "--floor", "0.5"]);
-    assert!(status == 1 && stdout(&fold).contains("TOO NEAR"), "{}", stdout(&fold));
+    assert!(status == 1 && stdout(&fold).contains("TOO CLOSE"), "{}", stdout(&fold));
 }
 
 #[test]
 fn what_cannot_be_planned_ends_in_one_line_with_2() {
     for (call, part) in [
         (&["plan", "ur5e", "--around", "0,-1.57,3.5,-1.2,-1.57,0"][..], "elbow_joint is at 3.5000"),
-        (&["plan", "ur5e", "--around", "0,0,0"], "there are 6 joints"),
+        (&["plan", "ur5e", "--around", "0,0,0"], "given for 6 joints"),
         (&["plan", "ur5e", AROUND, "--floor", "0.4"], "below the floor"),
         (&["plan", "panda", "--around=0,0.4,0,-1.8,0,2.2,0.8", "--format", "urscript"], "URScript"),
         (&["plan", "no_such_arm", AROUND], "no_such_arm"),
@@ -116,9 +116,7 @@ fn a_program_for_their_arms_begins_only_where_the_arm_stands() {
     let folder = tempfile::tempdir().expect("a folder");
     let (path, _) = planned(folder.path(), "zeros.script", "zeros");
     let text = fs::read_to_string(path).expect("a program");
-    for part in
-        ["# THIS MOTION KNOWS NO OBSTACLE", "def poseaudit_plan():", "halt", "servoj(posture(t)"]
-    {
+    for part in ["# NO COLLISION CHECKING", "def poseaudit_plan():", "halt", "servoj(posture(t)"] {
         assert!(text.contains(part), "{part}");
     }
     let opened = ["def ", "while ", "if "]

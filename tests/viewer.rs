@@ -61,7 +61,7 @@ fn folders_of_meshes_must_be_there_and_be_of_use() {
     };
     let cases = [
         (vec!["--mesh-root", "no/such", "--rrd", &rrd], "no/such: no such folder"),
-        (vec!["--mesh-root", "src", "--mesh-root", FAULTY, "--rrd", &rrd], "no folder"),
+        (vec!["--mesh-root", "src", "--mesh-root", FAULTY, "--rrd", &rrd], "not a folder"),
         (vec!["--mesh-root", "src"], "--rrd FILE or --view"),
     ];
     for (arguments, said) in cases {
@@ -92,7 +92,7 @@ fn without_a_viewer_nothing_is_audited() {
     assert_eq!(output.status.code(), Some(2));
     assert!(output.stdout.is_empty());
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(said.contains("--view") && said.contains("not on the path"), "{said}");
+    assert!(said.contains("--view") && said.contains("not on the PATH"), "{said}");
 }
 
 #[cfg(unix)]

@@ -144,7 +144,7 @@ fn a_viewer_that_is_closed_is_said_once_and_ends_no_watch() {
     let (status, lines, said) = shown(&folder, "exit 0");
     assert_eq!(status, 1, "{lines:?}");
     assert_eq!(lines.last().map(|line| &line["event"]), Some(&"ended".into()));
-    assert!(said.contains("viewer at port 9911: takes no more recordings"), "{said}");
+    assert!(said.contains("viewer at port 9911: does not accept recordings"), "{said}");
     assert_eq!(said.lines().count(), 1, "{said}");
 }
 

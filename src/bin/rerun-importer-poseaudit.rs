@@ -1,9 +1,9 @@
-//! Shows the audit of a log that is opened in the Rerun viewer.
+//! Rerun importer: shows the audit of a log opened in the Rerun viewer.
 //!
-//! The viewer runs the programs `rerun-importer-*` on the path with each file that it does not read
-//! itself, as it does MCAP (0.36 to 0.41): the file, and options that say which recording it belongs to
-//! (<https://rerun.io/docs/concepts/logging-and-ingestion/importers/overview>). What the program
-//! writes to stdout is taken for a recording; exit status 66 says that the file is none of its kind.
+//! The viewer runs the programs `rerun-importer-*` on the PATH for each opened file, for MCAP in addition
+//! to its own reader (0.36 to 0.41). Arguments are the file and the recording that it belongs to
+//! (<https://rerun.io/docs/concepts/logging-and-ingestion/importers/overview>). The program writes a
+//! recording to stdout; exit status 66 means that it does not handle the file.
 
 use std::ffi::OsString;
 use std::fs::File;
@@ -18,28 +18,25 @@ use poseaudit::output::replay::Recording;
 #[global_allocator]
 static MEMORY: Memory = Memory;
 
-/// The file is not of this importer's kind, or an audit has nothing to add to it.
+/// Exit status for a file that is not a log, or whose audit adds nothing.
 const INCOMPATIBLE: u8 = 66;
 
 fn main() -> ExitCode {
     let Some(call) = Call::of(std::env::args_os().skip(1)) else {
-        eprintln!("error: no file: the Rerun viewer calls this program with one");
+        eprintln!("error: no file given; the Rerun viewer calls this program with one");
         return ExitCode::from(2);
     };
     match call.import() {
         Ok(true) => ExitCode::SUCCESS,
         Ok(false) => ExitCode::from(INCOMPATIBLE),
         Err(error) => {
-            eprintln!(
-                "error: {}: the recording cannot be handed over: {error}",
-                call.log.display()
-            );
+            eprintln!("error: {}: cannot send the recording: {error}", call.log.display());
             ExitCode::FAILURE
         }
     }
 }
 
-/// What the viewer asks for.
+/// The viewer's request.
 #[derive(Debug, PartialEq, Eq)]
 struct Call {
     log: PathBuf,
@@ -48,7 +45,7 @@ struct Call {
 }
 
 impl Call {
-    /// Options that say nothing to an audit, and those of later viewers, are passed over.
+    /// Parses the arguments. Ignores options without effect on an audit, and unknown ones of later viewers.
     fn of(arguments: impl Iterator<Item = OsString>) -> Option<Self> {
         let mut call = Self { log: PathBuf::new(), application: None, recording: None };
         let mut arguments = arguments.peekable();
@@ -76,14 +73,14 @@ impl Call {
                 _ => {}
             }
         }
-        // The layers belong beside the log, in the recording that is open already, where one is.
+        // The layers belong to the recording that is already open, if there is one.
         let Self { log, application, recording } = call;
         let call =
             Self { log, application: opened.0.or(application), recording: opened.1.or(recording) };
         (!call.log.as_os_str().is_empty()).then_some(call)
     }
 
-    /// Writes the recording of the log's audit to stdout; `false` where there is none.
+    /// Writes the recording of the log's audit to stdout. `false` if there is none.
     fn import(&self) -> io::Result<bool> {
         let folder = tempfile::tempdir()?;
         let path = folder.path().join("audit.rrd");

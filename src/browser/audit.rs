@@ -1,4 +1,4 @@
-//! An audit.
+//! Audits of files given by the page.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -13,13 +13,13 @@ use serde::Deserialize;
 
 use crate::{Answer, misuse};
 
-/// What is asked of the files.
+/// An audit request.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Asked {
-    /// What each of the files is, with its name.
+    /// Name and kind of each file.
     files: Vec<File>,
-    /// A robot of the catalogue.
+    /// Catalogue name of a robot.
     robot: Option<String>,
 }
 
@@ -68,7 +68,7 @@ fn written(report: &Report, format: &str) -> String {
     String::from_utf8_lossy(&bytes).into_owned()
 }
 
-/// As the program ends.
+/// The exit status of the same call on the command line.
 fn status(report: &Report) -> u8 {
     match (&report.error, report.verdict) {
         (Some(Trouble { kind: TroubleKind::Call, .. }), _) => 2,
@@ -80,7 +80,7 @@ fn status(report: &Report) -> u8 {
 }
 
 impl Asked {
-    /// The options of the audit, and the call of the program that asks the same.
+    /// The options of the audit, and the words of the equivalent command line.
     fn options(&self, files: Vec<Bytes>) -> Result<(Options, Vec<String>), Trouble> {
         let (mut logs, mut robots, mut configs) = (Vec::new(), Vec::new(), Vec::new());
         for (File { name, kind }, content) in self.files.iter().zip(files) {
@@ -107,7 +107,8 @@ impl Asked {
         });
         let given: Vec<RobotSource> = given.collect();
         let named = self.robot.as_deref().map(RobotSource::from);
-        // What the config names is read of the files given; what it does not name is the robot.
+        // Robots of the config are read from the given files. A given model that the config does not name
+        // is the robot.
         for source in &mut run.robots {
             let file = given.iter().find(|file| file.model == source.model);
             source.text = file.and_then(|file| file.text.clone());
@@ -125,12 +126,16 @@ impl Asked {
         options.read.given = logs.into_iter().collect();
         match options.logs.len() == options.read.given.len() {
             true => Ok((options, words)),
-            false => Err(misuse("the files", "two have one name", "give each a name of its own")),
+            false => Err(misuse(
+                "the files",
+                "two files have the same name",
+                "use a different name for each",
+            )),
         }
     }
 }
 
 fn text(name: &Path, content: &Bytes) -> Result<String, Trouble> {
     let text = String::from_utf8(content.to_vec());
-    text.map_err(|_| misuse(&name.display().to_string(), "it is no text", "save it as UTF-8"))
+    text.map_err(|_| misuse(&name.display().to_string(), "it is not text", "save it as UTF-8"))
 }

@@ -1,4 +1,4 @@
-//! The pose desk.
+//! Conversion and comparison of pasted poses.
 
 use std::io;
 
@@ -12,19 +12,19 @@ use serde::Deserialize;
 
 use crate::{Answer, misuse};
 
-/// The poses that were pasted.
+/// A request with pasted poses.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Asked {
     /// Pose A.
     pose: String,
-    /// How it is coded; what is not said is inferred.
+    /// Encoding of pose A; unset parts are inferred.
     coded: Option<String>,
-    /// Pose B, that should agree with it.
+    /// Pose B, which should agree with A.
     other: Option<String>,
-    /// How that is coded.
+    /// Encoding of pose B.
     other_coded: Option<String>,
-    /// An arm of the catalogue whose fixed frames may lie between the two.
+    /// Catalogue name of an arm whose fixed frames may lie between the two.
     robot: Option<String>,
 }
 

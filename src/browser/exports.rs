@@ -1,5 +1,6 @@
-//! What the worker of the page calls. An instance answers one question, and is thrown away with its memory.
-#![allow(unsafe_code, reason = "bytes go by their address")]
+//! Functions called by the page's worker. An instance answers one question and is discarded with its
+//! memory.
+#![allow(unsafe_code, reason = "bytes are passed by address")]
 
 use std::panic;
 use std::sync::{Mutex, PoisonError};
@@ -11,23 +12,24 @@ use crate::answer;
 
 #[link(wasm_import_module = "page")]
 unsafe extern "C" {
-    /// Takes what is being done, and how many bytes of how many were read.
+    /// Receives the current step and the number of bytes read and in total.
     fn step(doing: *const u8, length: usize, read: f64, total: f64);
-    /// Takes what the program said when it failed.
+    /// Receives the message of a panic.
     fn failed(said: *const u8, length: usize);
 }
 
 /// The files of the question, in its order.
 static FILES: Mutex<Vec<Bytes>> = Mutex::new(Vec::new());
 
-/// Room for so many bytes, which the caller fills and gives back to `file` or `ask`; null where there is none.
+/// Allocates `bytes` bytes, to be filled by the caller and returned to `file` or `ask`. Null if out of
+/// memory.
 #[unsafe(no_mangle)]
 pub extern "C" fn room(bytes: usize) -> *mut u8 {
     let mut room = Vec::<u8>::new();
     if room.try_reserve_exact(bytes).is_err() {
         return std::ptr::null_mut();
     }
-    // Without growing: the file has this many bytes, and nothing to spare.
+    // Exact capacity, as `Vec::from_raw_parts` in `filled` requires.
     room.resize(bytes, 0);
     room.leak().as_mut_ptr()
 }
@@ -35,18 +37,18 @@ pub extern "C" fn room(bytes: usize) -> *mut u8 {
 /// Takes the next file of the question.
 ///
 /// # Safety
-/// `at` is of `room(bytes)`, filled, and given back once.
+/// `at` must come from `room(bytes)`, be filled, and be passed only once.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn file(at: *mut u8, bytes: usize) {
-    // SAFETY: as the caller holds.
+    // SAFETY: guaranteed by the caller.
     let content = unsafe { filled(at, bytes) };
     FILES.lock().unwrap_or_else(PoisonError::into_inner).push(content.into());
 }
 
-/// Answers the question that is there as JSON: the answer's length, and behind it the answer as JSON.
+/// Answers the question given as JSON. Returns the length of the answer, followed by the answer as JSON.
 ///
 /// # Safety
-/// As of `file`.
+/// As for `file`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn ask(at: *mut u8, bytes: usize) -> *const u8 {
     panic::set_hook(Box::new(|info| {
@@ -54,12 +56,12 @@ pub unsafe extern "C" fn ask(at: *mut u8, bytes: usize) -> *const u8 {
         // SAFETY: the page copies the text before it returns.
         unsafe { failed(said.as_ptr(), said.len()) }
     }));
-    // SAFETY: as the caller holds.
+    // SAFETY: guaranteed by the caller.
     let question = unsafe { filled(at, bytes) };
     let files = std::mem::take(&mut *FILES.lock().unwrap_or_else(PoisonError::into_inner));
     let told = Mutex::new((0, ""));
     let progress = Progress::telling(move |progress| {
-        // No more often than it can be seen.
+        // Limited to 200 updates.
         let (read, total, doing) = (progress.read(), progress.total(), progress.doing());
         let now = (200 * read / total.max(1), doing);
         if std::mem::replace(&mut *told.lock().unwrap_or_else(PoisonError::into_inner), now) != now
@@ -74,11 +76,11 @@ pub unsafe extern "C" fn ask(at: *mut u8, bytes: usize) -> *const u8 {
     [length.to_le_bytes().as_slice(), &text].concat().leak().as_ptr()
 }
 
-/// Takes back what `room` gave.
+/// Reclaims the memory allocated by `room`.
 ///
 /// # Safety
-/// As of `file`.
+/// As for `file`.
 unsafe fn filled(at: *mut u8, bytes: usize) -> Vec<u8> {
-    // SAFETY: `room` gave this much, with nothing to spare.
+    // SAFETY: `room` allocated exactly this capacity.
     unsafe { Vec::from_raw_parts(at, bytes, bytes) }
 }

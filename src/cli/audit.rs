@@ -12,21 +12,21 @@ use super::how::{How, first};
 use super::progress::watched;
 use super::{Outcome, misuse, output, reports, say, statistics, view};
 
-/// The option that names the file for a baseline.
+/// The option for a baseline file.
 const BASELINE: &str = "--write-baseline";
 
-/// Audit one recorded run: what is wrong with its poses, by how much, and how sure that is
+/// Audit one recorded run: find wrong poses, timestamps and conventions, with size and uncertainty
 ///
-/// Exit status: 0 nothing at or above --fail-on; 1 a finding, a rule of --require that could not
-/// conclude, or, with --fail-on inconclusive, that verdict; 2 the call is wrong; 3 the log cannot be
-/// audited; 70 the program itself failed.
+/// Exit status: 0 nothing at or above --fail-on; 1 a finding, an inconclusive rule of --require, or, with
+/// --fail-on inconclusive, an inconclusive verdict; 2 invalid call; 3 the log cannot be audited; 70
+/// internal error.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   poseaudit audit run.mcap
   poseaudit audit run.mcap --robot my_arm.urdf --tip tool0 --fail-on error
   poseaudit audit run.mcap --format json --format sarif --format junit --output reports
-  poseaudit audit run.mcap --fix mend
+  poseaudit audit run.mcap --fix corrections
   poseaudit audit run.mcap --write-baseline baseline.json
   poseaudit audit run.mcap --config auto --statistics -q
   poseaudit audit run.mcap --rrd run.rrd --mesh-root ~/ws/install/ur_description/share
@@ -47,15 +47,15 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     rrd: Option<PathBuf>,
 
-    /// Write the findings as messages that Foxglove shows beside the log
+    /// Write the findings as messages for Foxglove, to open together with the log
     #[arg(long, value_name = "FILE")]
     mcap: Option<PathBuf>,
 
-    /// Open the recording in the Rerun viewer, which must be on the path
+    /// Open the recording in the Rerun viewer, which must be on the PATH
     #[arg(long)]
     view: bool,
 
-    /// Folder that the meshes of the robot's URDF are sought below, for the recording; repeatable
+    /// Folder with the meshes of the robot's URDF, for the recording; repeatable
     #[arg(long = "mesh-root", value_name = "DIR")]
     mesh_roots: Vec<PathBuf>,
 
@@ -66,15 +66,15 @@ pub struct Args {
     #[arg(long, value_name = "DIR")]
     fix: Option<PathBuf>,
 
-    /// Apply the corrections.toml that --fix wrote to the streams, then audit
+    /// Apply a corrections.toml written by --fix to the streams, then audit
     #[arg(long, value_name = "FILE", conflicts_with = "fix")]
     corrections: Option<PathBuf>,
 
-    /// Write the report as JSON into this file, too: what `compare` holds later logs against
+    /// Also write the report as JSON to this file: a baseline for `compare`
     #[arg(long, value_name = "FILE")]
     write_baseline: Option<PathBuf>,
 
-    /// Print how many findings each rule has, in the place of the report
+    /// Print the number of findings per rule instead of the report
     #[arg(long)]
     statistics: bool,
 
@@ -83,8 +83,7 @@ pub struct Args {
     require: Vec<Selector>,
 }
 
-/// What the command line says of an audit, and beside it `how`. No file that is written is one that is
-/// read.
+/// The options of the audit, after checking that no output overwrites an input.
 fn asked(args: &Args, how: Options) -> Result<Options, Trouble> {
     let options = Options { logs: args.logs.clone(), corrections: args.corrections.clone(), ..how };
     let mut places = options.places();
@@ -112,7 +111,7 @@ impl Args {
         Some(Recording { path, mesh_roots, ..Recording::default() })
     }
 
-    /// Writes what was asked for beside the report; what could not be.
+    /// Writes the outputs other than the report. Returns those that failed.
     fn write_outputs(&self, audited: &mut Audited) -> Vec<Trouble> {
         let recorded = self.rrd.as_deref().zip(self.recording());
         let recorded = recorded.map(|(path, recording)| (path, audited.record(&recording)));
@@ -124,7 +123,7 @@ impl Args {
         unwritten.collect()
     }
 
-    /// Writes the report, or the counts of what is found, and the baseline.
+    /// Writes the report or the statistics, and the baseline.
     fn emit(&self, report: &Report) -> Result<(), Trouble> {
         let written = match self.statistics {
             true => statistics::emit(report, &self.reports),
@@ -132,27 +131,27 @@ impl Args {
         };
         let kept = match (&self.write_baseline, Format::named("json")) {
             (Some(path), _) if report.error.is_some() => {
-                let what = "not written: a log that could not be audited is no baseline";
+                let what = "not written: a log that could not be audited cannot be a baseline";
                 Err(misuse(path.display().to_string(), what, "see the error of the audit"))
             }
             (Some(path), Some(format)) => reports::emit(format, report, Some(path)),
             _ => Ok(()),
         };
-        // One that cannot be written keeps no other from it.
+        // An error in one does not prevent the other.
         written.and(kept)
     }
 }
 
-/// Whether the folders of meshes are there, and there is a recording to draw them in.
+/// Checks that the mesh folders exist and that a recording is written.
 fn meshes_can_be_drawn(args: &Args) -> Result<(), Trouble> {
     if let Some(missing) = args.mesh_roots.iter().find(|root| !root.is_dir()) {
         let place = missing.display().to_string();
-        let what = if missing.exists() { "no folder" } else { "no such folder" };
+        let what = if missing.exists() { "not a folder" } else { "no such folder" };
         return Err(misuse(place, what, "name the folder of the robot's meshes with --mesh-root"));
     }
     if !args.mesh_roots.is_empty() && args.rrd.is_none() && !args.view {
-        let what = "only a recording shows meshes";
-        return Err(misuse("--mesh-root", what, "ask for one with --rrd FILE or --view"));
+        let what = "meshes are only used in a recording";
+        return Err(misuse("--mesh-root", what, "add --rrd FILE or --view"));
     }
     Ok(())
 }
@@ -164,7 +163,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     }
     args.how.find_config(&args.logs)?;
     meshes_can_be_drawn(&args)?;
-    // Before the config is read, so that no report on what is wrong with it takes the place of a file.
+    // Before the config is read, so that an error report about it cannot overwrite a file.
     asked(&args, args.how.named())?;
     let viewer = args.view.then(|| view::viewer(view::OPTION)).transpose()?;
     if viewer.is_some() && args.rrd.is_none() {
@@ -195,7 +194,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
         }
     };
     let report = report.called(&asked_alone());
-    // Whatever else could not be written, the report is not lost.
+    // The report is written even if another output failed.
     let emitted = args.emit(&report);
     report.error.iter().chain(&unwritten).for_each(output::error);
     emitted?;
@@ -208,13 +207,13 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     let outcome = Outcome::from(&report);
     let open = report.not_concluded(&required);
     if outcome == Outcome::Clean && !open.is_empty() {
-        output::error(format_args!("--require {}: could not conclude", open.join(",")));
+        output::error(format_args!("--require {}: inconclusive", open.join(",")));
         return Ok(Outcome::Findings);
     }
     Ok(outcome)
 }
 
-/// The words of the call without what it writes, where, and what is said meanwhile.
+/// The words of the call without output options and verbosity.
 fn asked_alone() -> Vec<String> {
     const WITH_VALUE: [&str; 9] = [
         "--format",
@@ -230,7 +229,7 @@ fn asked_alone() -> Vec<String> {
     const ALONE: [&str; 6] = ["--view", "--statistics", "-q", "--quiet", "-v", "--verbose"];
     let words = std::env::args_os().skip(1).map(|word| word.display().to_string());
     let words: Vec<String> = words.collect();
-    // What is written to it in the end is an option.
+    // Words after a final `--` are logs only if none is an option.
     let is_plain = |word: &String| word == "--" || !word.starts_with('-');
     let logs =
         words.iter().rposition(|word| word == "--").filter(|&at| words[at..].iter().all(is_plain));

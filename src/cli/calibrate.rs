@@ -10,14 +10,14 @@ use super::output::{self, Format};
 use super::progress::watched;
 use super::{Outcome, misuse, say};
 
-/// Estimate the links of an arm from logs of it, and write its model anew
+/// Estimate the link parameters of an arm from logs, and write a calibrated model
 ///
-/// Each LOG is a run of its own; all are of one arm. A table of postures without stamps (CSV with columns
-/// of joints and of the pose measured there) is taken, too, with --robot. Poses of the arm's own controller
-/// give the controller's kinematics, those of a tracker the arm itself.
+/// Each LOG is a separate run of the same arm. A table of static poses without stamps (CSV with columns for
+/// the joints and the measured pose) also works, with --robot. Poses of the arm's own controller calibrate
+/// the controller's kinematics, poses of a tracker the arm itself.
 ///
-/// Exit status: 0 the files are written; 1 the logs do not carry a calibration, and nothing is written;
-/// 2 the call is wrong; 3 a log cannot be used; 70 the program itself failed.
+/// Exit status: 0 the files are written; 1 the logs do not determine a calibration, and nothing is written;
+/// 2 invalid call; 3 a log cannot be used; 70 internal error.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -25,22 +25,22 @@ Examples:
   poseaudit calibrate monday.mcap tuesday.mcap --robot my_arm.urdf --out calibrated
   poseaudit calibrate postures.csv --robot ur10 --tip wrist_3_link --out calibrated --format json")]
 pub struct Args {
-    /// A log, or its URL (s3://, gs://, az://, https://), or a table of postures
+    /// A log, or its URL (s3://, gs://, az://, https://), or a table of static poses
     #[arg(value_name = "LOG", required = true)]
     logs: Vec<PathBuf>,
 
     #[command(flatten)]
     how: How,
 
-    /// Write robot.urdf, calibration.json and, of a UR, calibration.yaml into this folder
+    /// Write robot.urdf, calibration.json and, for a UR, calibration.yaml into this folder
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 
-    /// Calibrate by the poses on this topic alone
+    /// Calibrate only with the poses on this topic
     #[arg(long, value_name = "TOPIC")]
     topic: Option<String>,
 
-    /// How the report is printed
+    /// Format of the report
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
 }
@@ -49,12 +49,17 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
     let Args { logs, mut how, out, topic, format } = args;
     how.find_config(&logs)?;
     let with = |options: Options| Options { logs: logs.clone(), ..options };
-    // Before the config is read, so that nothing that is wrong with it comes before a file that would be lost.
+    // Before the config is read, so that an error in it is not reported before a file that would be
+    // overwritten.
     let mut places = with(how.named()).places();
     poseaudit::output::calibration::enter(&out, &mut places);
     places.check()?;
     if out.exists() && !out.is_dir() {
-        return Err(misuse(out.display().to_string(), "is no folder", "name a folder with --out"));
+        return Err(misuse(
+            out.display().to_string(),
+            "is not a folder",
+            "name a folder with --out",
+        ));
     }
     let options = how.options()?;
     let options = with(options);

@@ -16,10 +16,9 @@ use super::{Outcome, output};
 
 /// Compare two reports or logs, or a log with its baseline: new, fixed and worse findings
 ///
-/// A log is audited first, with the options of `audit`; a report is taken as it is. Exit status: 0 no
-/// regression; 1 a finding at or above --fail-on that is new or has grown, a pass that is none any more, a
-/// log that cannot be audited any more or, with --fail-on inconclusive, that verdict of the new one; 2 the
-/// call is wrong.
+/// A log is audited first, with the options of `audit`. Exit status: 0 no regression; 1 a new or larger
+/// finding at or above --fail-on, a pass that was lost, a log that can no longer be audited or, with
+/// --fail-on inconclusive, an inconclusive new verdict; 2 invalid call.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -28,22 +27,22 @@ Examples:
   poseaudit compare monday.mcap tuesday.mcap --robot my_arm.urdf --select ZER,LAT
   poseaudit compare baseline.json run.mcap --format markdown -o comment.md")]
 pub struct Args {
-    /// The baseline: a report that --write-baseline or --format json wrote, or a log
+    /// The baseline: a report written by --write-baseline or --format json, or a log
     #[arg(value_name = "OLD")]
     old: PathBuf,
 
-    /// What is held against it: a report, or a log
+    /// The report or log to compare with it
     #[arg(value_name = "NEW")]
     new: PathBuf,
 
     #[command(flatten)]
     how: How,
 
-    /// How it is printed
+    /// Output format
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
 
-    /// Write it to this file instead of stdout
+    /// Write to this file instead of stdout
     #[arg(short, long, value_name = "PATH")]
     output: Option<PathBuf>,
 }
@@ -81,15 +80,15 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     Ok(if comparison.regression || is_open { Outcome::Findings } else { Outcome::Clean })
 }
 
-/// Which of the two a file is.
+/// Side of the comparison.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Side {
     Old,
     New,
 }
 
-/// The report at `path`, or that on the log there. Of a new log that cannot be read it says so, which
-/// is worse than any baseline.
+/// The report at `path`, or of the log at `path`. For a new log that cannot be audited, a report of that
+/// error, which is worse than any baseline.
 fn kept(path: &Path, side: Side, how: &Options) -> Result<Report, Trouble> {
     if is_json(path) {
         return Report::from_file(path);
@@ -102,19 +101,20 @@ fn kept(path: &Path, side: Side, how: &Options) -> Result<Report, Trouble> {
         Err(trouble) if side == Side::New && trouble.kind == TroubleKind::Log && is_log(path) => {
             Ok(Report::of_trouble(trouble))
         }
-        // What is neither a log nor a report is a wrong call, and so is no baseline.
+        // A file that is neither a log nor a report is an invalid call, and an unreadable OLD cannot be a
+        // baseline.
         Err(trouble) => Err(Trouble { kind: TroubleKind::Call, ..trouble }),
         Ok(audited) => Ok(audited.into_report()),
     }
 }
 
-/// Whether a file that could not be audited is a log all the same, if a damaged one.
+/// Whether a file that could not be audited is a log, possibly damaged.
 fn is_log(path: &Path) -> bool {
     let opened = log::open(&[path.to_owned()], &ReadOptions::default());
     !matches!(opened, Err(LogError::NotALog { .. } | LogError::Unsupported { .. }))
 }
 
-/// Whether the first character of a file is that of a JSON object.
+/// Whether the first character of a file opens a JSON object.
 fn is_json(path: &Path) -> bool {
     let mut head = Vec::new();
     let read = File::open(path).and_then(|file| file.take(64).read_to_end(&mut head));

@@ -8,16 +8,16 @@ use poseaudit::report::{Format, Trouble};
 
 use super::{Outcome, output, reports};
 
-/// Write a small faulty log of a UR5e, audit it, and see whether every planted fault is found
+/// Write a small faulty log of a UR5e, audit it, and check that every planted fault is found
 ///
-/// Exit status 0 if and only if every one was, with its amount.
+/// Exits with 0 only if all faults are found at the right size.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   poseaudit demo
   poseaudit demo /tmp/demo --format json")]
 pub struct Args {
-    /// Folder for the log, which is made
+    /// Folder for the log; created if missing
     #[arg(value_name = "DIR", default_value = "poseaudit-demo")]
     dir: PathBuf,
 

@@ -23,7 +23,7 @@ pub struct Args {
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     let rule = checks::find(&args.code).map_err(|unknown| {
-        misuse("explain", format!("there is no rule `{}`", unknown.code), unknown.remedy())
+        misuse("explain", format!("unknown rule `{}`", unknown.code), unknown.remedy())
     })?;
     output::emit(None, |out| write(rule, out))?;
     Ok(Outcome::Clean)

@@ -22,11 +22,11 @@ Examples:
   poseaudit fk arm.urdf --base base_link --tip camera --deg 10 20 30 0 45 0
   poseaudit fk ur5e --file joints.csv --output poses.parquet")]
 pub struct Args {
-    /// A URDF or DH table, or a name of the catalogue
+    /// A URDF or DH table, or a catalogue name
     #[arg(value_name = "ROBOT")]
     robot: String,
 
-    /// Positions of the joints from base to tip, rad or m
+    /// Joint positions from base to tip, rad or m
     #[arg(
         value_name = "Q",
         allow_negative_numbers = true,
@@ -35,27 +35,27 @@ pub struct Args {
     )]
     q: Vec<f64>,
 
-    /// A CSV or Parquet file with a column for each joint
+    /// A CSV or Parquet file with one column per joint
     #[arg(long, value_name = "FILE", requires = "output")]
     file: Option<PathBuf>,
 
-    /// Where the poses go: a file that ends in .csv or .parquet
+    /// Output file for the poses (.csv or .parquet)
     #[arg(short, long, value_name = "FILE", requires = "file")]
     output: Option<PathBuf>,
 
-    /// The link that the pose is in
+    /// Base link: the reference frame of the pose
     #[arg(long, value_name = "LINK")]
     base: Option<String>,
 
-    /// The link whose pose it is
+    /// Tip link: the link whose pose is computed
     #[arg(long, value_name = "LINK")]
     tip: Option<String>,
 
-    /// Turning joints are in degrees, but for columns whose names say otherwise
+    /// Revolute joints are in degrees, unless the column name states the unit
     #[arg(long)]
     deg: bool,
 
-    /// How one pose is printed
+    /// Output format for a single pose
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
 }
@@ -81,7 +81,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     Ok(Outcome::Clean)
 }
 
-/// The chain between two links of a robot, its usual ones where none are named.
+/// The chain between two links of a robot. Defaults to the robot's usual base and tip.
 pub(super) fn chain(
     robot: &Robot,
     base: Option<&str>,
@@ -101,7 +101,7 @@ pub(super) fn chain(
     })
 }
 
-/// Positions in SI units.
+/// Converts positions to SI units.
 fn in_si(chain: &Chain, mut q: Vec<f64>, deg: bool) -> Vec<f64> {
     use poseaudit::robot::JointKind::Prismatic;
     for row in q.chunks_mut(chain.dof()) {
@@ -135,7 +135,7 @@ fn one(robot: &Robot, chain: &Chain, args: &Args) -> Result<(), Trouble> {
     let (found, wanted) = (args.q.len(), chain.dof());
     if found != wanted {
         let names = chain.joint_names().join(", ");
-        let what = format!("{found} joint positions were given, there are {wanted} joints");
+        let what = format!("{found} joint positions given for {wanted} joints");
         return Err(misuse("fk", what, format!("give one for each of {names}")));
     }
     let q = in_si(chain, args.q.clone(), args.deg);
@@ -170,11 +170,11 @@ fn text(robot: &Robot, chain: &Chain, pose: &Pose, out: &mut dyn Write) -> io::R
     write_pose(pose, out)
 }
 
-/// Position, quaternion, angles and matrix of a pose, a line each.
+/// Writes position, quaternion, angles and matrix of a pose, one per line.
 pub(super) fn write_pose(pose: &Pose, out: &mut dyn Write) -> io::Result<()> {
     let listed = |numbers: &[f64], digits: usize| {
         let number = |number: &f64| {
-            // What is added makes a plain zero of a negative one.
+            // Adding zero turns a negative zero into a positive one.
             let scale = 10_f64.powi(digits as i32);
             let rounded = (number * scale).round() / scale + 0.0;
             format!("{:>1$.2$}", rounded, digits + 5, digits)

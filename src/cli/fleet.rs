@@ -25,14 +25,14 @@ use super::output::Format;
 use super::progress::Logs;
 use super::{Outcome, fleet_report, misuse, output};
 
-/// No log is given less memory than this by default, bytes.
+/// Minimum default memory limit per log, bytes.
 const LEAST_MEMORY_BYTES: u64 = 512 << 20;
 
-/// Audit many logs, each in a process of its own, and keep the results as Parquet
+/// Audit many logs, each in its own process, and store the results as Parquet
 ///
-/// Logs that are done already (the same content, version and settings) are not done again, so that a
-/// call that was killed goes on where it was. Exit status: 0 nothing at or above --fail-on in any of the
-/// logs; 1 there is, or a log could not be audited; 2 the call is wrong; 3 none of them could be audited.
+/// Logs with existing results (same content, version and settings) are skipped, so an interrupted call can
+/// be repeated. Exit status: 0 nothing at or above --fail-on in any log; 1 a finding, or a log that could
+/// not be audited; 2 invalid call; 3 no log could be audited.
 #[derive(Debug, clap::Args)]
 #[command(
     args_conflicts_with_subcommands = true,
@@ -48,54 +48,54 @@ pub struct Args {
     #[command(subcommand)]
     command: Option<Command>,
 
-    /// Logs, folders of logs, patterns in quotes, or - for a list on stdin
+    /// Logs, folders of logs, quoted patterns, or - for a list on stdin
     #[arg(value_name = "SOURCE", required = true)]
     sources: Vec<String>,
 
-    /// Keep the results in this folder
+    /// Folder for the results
     #[arg(long, value_name = "DIR", required = true)]
     out: Option<PathBuf>,
 
     #[command(flatten)]
     how: How,
 
-    /// What all these logs are of: site=berlin, arm=cell3, or any other name
+    /// Label for all these logs: site=berlin, arm=cell3, or any other name
     #[arg(long = "label", value_name = "NAME=VALUE", value_parser = label)]
     labels: Vec<(String, String)>,
 
-    /// What the ends of their paths say they are of, as in {site}/{arm}/*
+    /// Template that reads labels from the ends of the paths, such as {site}/{arm}/*
     #[arg(long, value_name = "TEMPLATE")]
     labels_from: Option<Template>,
 
-    /// Logs at a time [default: one for each core]
+    /// Number of parallel audits [default: one per core]
     #[arg(long, value_name = "N")]
     jobs: Option<NonZero<usize>>,
 
-    /// The audit of one log may take so long, seconds
+    /// Time limit for the audit of one log, seconds
     #[arg(long, value_name = "S", default_value_t = 600.0, value_parser = super::how::positive_seconds)]
     timeout: f64,
 
-    /// The audit of one log may take so much memory, as in 2GiB [default: its share of the machine's]
+    /// Memory limit for the audit of one log, such as 2GiB [default: its share of the machine's]
     #[arg(long, value_name = "SIZE", value_parser = size_bytes)]
     memory: Option<u64>,
 
-    /// Try again what took too long or too much memory, or made the audit fail
+    /// Retry logs that exceeded a limit or crashed the audit
     #[arg(long)]
     retry: bool,
 
-    /// Keep the HTML report of each log that this call audits in DIR/pages; the fleet's page links them
+    /// Keep the HTML report of each log audited by this call in DIR/pages; the fleet page links to them
     #[arg(long)]
     pages: bool,
 
-    /// List the logs that have no row yet, one a line, and audit none: for engines that hand them out
+    /// List the logs without results, one per line, and audit none: for external schedulers
     #[arg(long)]
     pending: bool,
 
-    /// What tells that a log is done: its bytes, or its path, size and time, for which nothing is read
+    /// What identifies a log: its content, or its path, size and modification time, which needs no reading
     #[arg(long, value_enum, value_name = "HOW", default_value_t = By::Content)]
     identity: By,
 
-    /// How the summary is printed
+    /// Format of the summary
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
 
@@ -103,7 +103,7 @@ pub struct Args {
     #[arg(short, long, value_name = "PATH")]
     output: Option<PathBuf>,
 
-    /// Audit the logs that stdin names: what this program calls itself with
+    /// Audit the logs named on stdin (internal)
     #[arg(long, hide = true)]
     worker: bool,
 }
@@ -115,9 +115,9 @@ enum Command {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum By {
-    /// A hash of all bytes: a copy is the same log
+    /// A hash of the content: copies are the same log
     Content,
-    /// Path, size and time of the last change
+    /// Path, size and modification time
     File,
 }
 
@@ -133,11 +133,11 @@ impl From<By> for Identity {
 fn label(text: &str) -> Result<(String, String), String> {
     match text.split_once('=') {
         Some((name, value)) if !name.is_empty() => Ok((name.to_owned(), value.to_owned())),
-        _ => Err("expected NAME=VALUE, as in site=berlin".to_owned()),
+        _ => Err("expected NAME=VALUE, such as site=berlin".to_owned()),
     }
 }
 
-/// A size in bytes, of which the unit may be said as KiB, MiB or GiB, in short K, M or G.
+/// A size in bytes, with an optional unit KiB, MiB or GiB (K, M, G).
 fn size_bytes(text: &str) -> Result<u64, String> {
     let end = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
     let shift = match text[end..].trim().to_ascii_lowercase().as_str() {
@@ -186,7 +186,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     })
 }
 
-/// What the call reads and writes.
+/// The inputs and outputs of the call.
 fn places(args: &Args, options: &Options, out: &Path, sources: &[Source]) -> Places {
     let mut places = options.places();
     Store::folders(out).iter().for_each(|folder| places.keeps("--out", folder));
@@ -210,7 +210,7 @@ fn list_pending(
         for source in &left {
             match is_url(&source.path) {
                 true => write!(to, "{}", SourceName::of(&source.path))?,
-                // Whatever bytes it has.
+                // Unencoded, because paths may contain any bytes.
                 false => to.write_all(source.path.as_os_str().as_encoded_bytes())?,
             }
             writeln!(to)?;
@@ -252,10 +252,10 @@ fn audit(
     outcomes
 }
 
-/// This very call, for those logs that it is told.
+/// The command line of a worker: this call with `--worker`.
 fn worker() -> io::Result<process::Command> {
     let mut command = process::Command::new(std::env::current_exe()?);
-    // Before the name of the command only what all commands take may stand.
+    // Only global options may precede the name of the command.
     let args: Vec<OsString> = std::env::args_os().skip(1).collect();
     let name = args.iter().position(|word| word == "fleet").map_or(0, |at| at + 1);
     command.args(&args[..name]).arg("--worker").args(&args[name..]);
@@ -263,13 +263,12 @@ fn worker() -> io::Result<process::Command> {
 }
 
 fn work(options: &Options, store: &Store, paged: bool) -> Result<Outcome, Trouble> {
-    serve(options, store, paged).map_err(|error| {
-        misuse("--worker", error.to_string(), "leave this option to the program itself")
-    })?;
+    serve(options, store, paged)
+        .map_err(|error| misuse("--worker", error.to_string(), "this option is internal"))?;
     Ok(Outcome::Clean)
 }
 
-/// What a call says in the end.
+/// Summary of a call.
 #[derive(Serialize)]
 struct Summary<'a> {
     schema: &'static str,
@@ -280,7 +279,7 @@ struct Summary<'a> {
     outcomes: &'a Outcomes,
 }
 
-/// So many logs that could not be audited are named in a text.
+/// Maximum number of failed logs named in text.
 const MOST_NAMED: usize = 20;
 
 impl<'a> Summary<'a> {
@@ -296,7 +295,7 @@ impl<'a> Summary<'a> {
         } = self.outcomes;
         writeln!(to, "{logs} logs: {done_now} done now, {done_before} before")?;
         if *duplicates > 0 {
-            writeln!(to, "{duplicates} have the content of another")?;
+            writeln!(to, "{duplicates} are duplicates of another log")?;
         }
         writeln!(
             to,
@@ -307,8 +306,8 @@ impl<'a> Summary<'a> {
             (statuses.not_audited, "could not be audited"),
             (statuses.unreadable, "could not be read"),
             (statuses.timed_out, "took too long"),
-            (statuses.out_of_memory, "took too much memory"),
-            (statuses.crashed, "made the audit fail"),
+            (statuses.out_of_memory, "exceeded the memory limit"),
+            (statuses.crashed, "crashed the audit"),
         ];
         for (count, how) in unaudited.into_iter().filter(|(count, _)| *count > 0) {
             writeln!(to, "{count} {how}")?;

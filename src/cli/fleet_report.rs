@@ -15,10 +15,10 @@ use poseaudit::report::Trouble;
 
 use super::{Outcome, misuse, output};
 
-/// Say what the logs of a fleet tell together: which arms fail which rules, and what moves over time
+/// Summarise the results of a fleet: which arms fail which rules, and which quantities change over time
 ///
-/// Exit status: 0 nothing at or above --fail-on; 1 a finding that is, a log that could not be audited, or
-/// an amount that creeps or steps, which counts as a warning; 2 the call is wrong.
+/// Exit status: 0 nothing at or above --fail-on; 1 a finding, a log that could not be audited, or a
+/// quantity with a trend or a step (counts as a warning); 2 invalid call.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -26,35 +26,36 @@ Examples:
   poseaudit fleet report results --format html --output fleet.html
   poseaudit fleet report results --select ZER --since 2026-05-01 --fail-on error")]
 pub struct Args {
-    /// The folder that `poseaudit fleet --out` wrote
+    /// The folder written by `poseaudit fleet --out`
     #[arg(value_name = "DIR")]
     folder: PathBuf,
 
-    /// How it is printed
+    /// Format of the report
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
 
-    /// Write it to this file instead of stdout
+    /// Write to this file instead of stdout
     #[arg(short, long, value_name = "PATH")]
     output: Option<PathBuf>,
 
-    /// Exit with 1 from findings of this severity, or also where a verdict is open
+    /// Exit with 1 from this severity on; inconclusive: also for an inconclusive verdict
     #[arg(long, value_enum, value_name = "SEVERITY", default_value = "warning")]
     fail_on: FailOn,
 
-    /// Findings of logs from before this day, in UTC, do not count; trends see all logs
+    /// Ignore findings of logs before this day (UTC); trends use all logs
     #[arg(long, value_name = "YYYY-MM-DD")]
     since: Option<Day>,
 
-    /// Only these rules: codes, or the letters a family begins with
+    /// Only these rules: codes or prefixes
     #[arg(long, value_name = "CODES", value_delimiter = ',')]
     select: Vec<Selector>,
 
-    /// What the ends of paths say logs are of, as in {site}/{arm}/*, in place of their labels
+    /// Template that reads labels from the ends of the paths, such as {site}/{arm}/*, instead of stored
+    /// labels
     #[arg(long, value_name = "TEMPLATE")]
     labels_from: Option<Template>,
 
-    /// Hash of the settings whose results are wanted [default: the latest]
+    /// Settings hash of the results to use [default: the latest]
     #[arg(long, value_name = "HASH")]
     settings: Option<String>,
 }
@@ -65,9 +66,9 @@ enum Format {
     Text,
     /// For programs, in SI units
     Json,
-    /// For people: one page with its plots, which opens in any browser
+    /// For people: one page with plots, for any browser
     Html,
-    /// For the page of a dataset
+    /// For a dataset card
     Markdown,
 }
 
@@ -82,8 +83,8 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
     places.check()?;
     let Some(store) = Store::open(&args.folder) else {
         let place = args.folder.display().to_string();
-        let what = "there are no results of a fleet in it";
-        return Err(misuse(place, what, "name the folder that `poseaudit fleet --out` wrote"));
+        let what = "no fleet results in this folder";
+        return Err(misuse(place, what, "name the folder written by `poseaudit fleet --out`"));
     };
     let question = Question {
         fail_on: args.fail_on.into(),
@@ -94,7 +95,7 @@ pub fn run(args: Args) -> Result<Outcome, Trouble> {
         select: args.select,
     };
     let report = FleetReport::of(&store, &question)?;
-    // Of stdout nobody knows where it leads.
+    // Links need a base folder, which stdout does not have.
     let report = match args.output.as_deref().map(|path| path.parent()) {
         Some(Some(folder)) if !folder.as_os_str().is_empty() => report.linked_from(folder),
         Some(_) => report.linked_from(Path::new(".")),

@@ -1,4 +1,4 @@
-//! How a log is audited, as every command that audits with options takes it.
+//! Options of an audit, shared by every command that audits.
 
 use std::path::{Path, PathBuf};
 
@@ -10,39 +10,39 @@ use poseaudit::run::{CalibrationSource, Declaration, JointName, RobotSource, Run
 
 use super::{misuse, say};
 
-/// In the place of a config: it is looked for.
+/// Value of `--config` that searches for the config.
 const AUTO: &str = "auto";
 
-/// The options that say so.
+/// The audit options.
 #[derive(Clone, Debug, clap::Args)]
 pub struct How {
     /// The robot's URDF or DH table, or its name in the catalogue; PREFIX=FILE with several arms
     #[arg(long = "robot", value_name = "FILE|NAME")]
     robots: Vec<RobotSource>,
 
-    /// What `calibrate` wrote, or a UR's calibration as ur_calibration extracts it; PREFIX=FILE with
-    /// several arms
+    /// A calibration written by `calibrate`, or a UR calibration extracted by ur_calibration; PREFIX=FILE
+    /// with several arms
     #[arg(long = "calibration", value_name = "FILE")]
     calibrations: Vec<CalibrationSource>,
 
-    /// Joints that the log and the model name otherwise [default: matched by name, else by order]
+    /// Map log joint names to model joint names [default: matched by name, else by order]
     #[arg(long, value_name = "LOG=MODEL", value_delimiter = ',')]
     joint_map: Vec<JointName>,
 
-    /// Link that the chain begins at
+    /// Base link of the kinematic chain
     #[arg(long, value_name = "LINK")]
     base: Option<String>,
 
-    /// End link; the pose streams are assumed to be this link's pose
+    /// Tip link; pose streams are assumed to be poses of this link
     #[arg(long, value_name = "LINK")]
     tip: Option<String>,
 
-    /// Config file (TOML): robot, topics, thresholds, ignored findings; auto: the poseaudit.toml in the
-    /// folder of the log, or in the nearest above it
+    /// Config file (TOML): robot, topics, thresholds, ignored findings; auto: the nearest poseaudit.toml in
+    /// the folder of the log or above
     #[arg(long, value_name = "FILE|auto")]
     config: Option<PathBuf>,
 
-    /// Run only these rules: codes or prefixes, as in LAT,ZER001
+    /// Run only these rules: codes or prefixes, such as LAT,ZER001
     #[arg(long, value_name = "CODES", value_delimiter = ',')]
     select: Vec<Selector>,
 
@@ -50,16 +50,15 @@ pub struct How {
     #[arg(long, value_name = "CODES", value_delimiter = ',')]
     ignore: Vec<Selector>,
 
-    /// Exit with 1 from findings of this severity, or where the verdict is open, too [default: warning]
+    /// Exit with 1 from this severity on; inconclusive: also for an inconclusive verdict [default: warning]
     #[arg(long, value_enum, value_name = "SEVERITY")]
     fail_on: Option<config::FailOn>,
 
-    /// The time that places a sample; streams without header stamps fall back to log time [default:
-    /// header]
+    /// Clock of the samples; streams without header stamps fall back to log time [default: header]
     #[arg(long, value_enum, value_name = "CLOCK")]
     stamp: Option<ClockName>,
 
-    /// Largest latency in seconds; what is off by more is on another clock [default: 5]
+    /// Largest latency to search, in seconds; larger offsets are reported as clock errors [default: 5]
     #[arg(long, value_name = "S", value_parser = positive_seconds)]
     max_latency: Option<f64>,
 
@@ -67,11 +66,11 @@ pub struct How {
     #[arg(long)]
     verify: bool,
 
-    /// Unpack up to this much of a file; without it 16 GiB and 2000 times its size
+    /// Maximum unpacked size of a file; without it 16 GiB and 2000 times the file size
     #[arg(long, value_name = "GIB")]
     max_unpacked: Option<u32>,
 
-    /// How a stream is coded: rotvec, euler:SEQ, quat:xyzw, quat:wxyz, or a maker such as kuka
+    /// Encoding of a stream: rotvec, euler:SEQ, quat:xyzw, quat:wxyz, or a manufacturer such as kuka
     #[arg(long, value_name = "TOPIC=CONVENTION[,deg][,mm]")]
     declare: Vec<Declaration>,
 }
@@ -79,35 +78,34 @@ pub struct How {
 pub fn positive_seconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(seconds) if seconds > 0.0 && seconds.is_finite() => Ok(seconds),
-        _ => Err("expected a number of seconds above 0".to_owned()),
+        _ => Err("expected a positive number of seconds".to_owned()),
     }
 }
 
 impl How {
-    /// Takes the config that is nearest to the logs where the command line says `--config auto`.
+    /// For `--config auto`, finds the config nearest to the logs.
     ///
     /// # Errors
-    /// Where there is none, or not one for all logs.
+    /// If there is none, or the logs have different ones.
     pub fn find_config(&mut self, logs: &[impl AsRef<Path>]) -> Result<(), Trouble> {
         if self.config.as_deref() != Some(Path::new(AUTO)) {
             return Ok(());
         }
         let refused = |what: String| {
-            let remedy =
-                format!("name the file with --config {FILE_NAME}, or leave the option out");
+            let remedy = format!("name the file with --config {FILE_NAME}, or omit the option");
             Err(misuse("--config auto", what, remedy))
         };
         let mut found: Vec<PathBuf> = Vec::new();
         for log in logs.iter().map(AsRef::as_ref) {
             if is_url(log) || log == Path::new("-") {
-                return refused(format!("{} is in no folder", log.display()));
+                return refused(format!("{} has no folder", log.display()));
             }
             match Config::nearest_to(&before_wildcards(log)) {
                 Some(file) if found.contains(&file) => {}
                 Some(file) => found.push(file),
                 None => {
                     let place = log.display();
-                    return refused(format!("there is no {FILE_NAME} beside {place} or above it"));
+                    return refused(format!("no {FILE_NAME} in the folder of {place} or above"));
                 }
             }
         }
@@ -115,7 +113,7 @@ impl How {
             [file] => say::detail("config", || file.display().to_string()),
             [first, second, ..] => {
                 let (first, second) = (first.display(), second.display());
-                return refused(format!("the logs have several: {first} and {second}"));
+                return refused(format!("the logs have different configs: {first} and {second}"));
             }
             [] => {}
         }
@@ -123,7 +121,7 @@ impl How {
         Ok(())
     }
 
-    /// The files that the command line names, before the config is read.
+    /// The files named on the command line, before the config is read.
     pub fn named(&self) -> poseaudit::Options {
         poseaudit::Options {
             run: RunOptions {
@@ -139,7 +137,7 @@ impl How {
     /// The options of an audit: those of the config, overridden by the command line.
     ///
     /// # Errors
-    /// Where the config cannot be read.
+    /// If the config cannot be read.
     pub fn options(self) -> Result<poseaudit::Options, Trouble> {
         let config = self.config.as_deref().map(Config::from_file).transpose()?;
         let mut options = config.as_ref().map(Config::options).unwrap_or_default();
@@ -157,7 +155,7 @@ impl How {
         run.tip = self.tip.or(run.tip.take());
         run.stamp = self.stamp.map_or(run.stamp, Into::into);
         run.max_latency_s = self.max_latency.unwrap_or(run.max_latency_s);
-        // A declaration is of one topic: what the config says of others stands.
+        // A declaration on the command line replaces the config's only for the same topic.
         run.declared.retain(|of| !self.declare.iter().any(|said| said.is_of(&of.topic)));
         run.declared.splice(..0, self.declare);
         if !self.select.is_empty() {
@@ -174,7 +172,7 @@ impl How {
     }
 }
 
-/// The folders of a pattern that are named in full.
+/// The leading folders of a pattern that have no wildcards.
 fn before_wildcards(pattern: &Path) -> PathBuf {
     let is_plain = |part: &std::path::Component<'_>| {
         !part.as_os_str().to_string_lossy().contains(['*', '?', '[', '{'])
@@ -185,7 +183,7 @@ fn before_wildcards(pattern: &Path) -> PathBuf {
     }
 }
 
-/// What was given, else `other`.
+/// `given`, or `other` if it is empty.
 pub fn first<T>(given: Vec<T>, other: Vec<T>) -> Vec<T> {
     if given.is_empty() { other } else { given }
 }

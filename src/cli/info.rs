@@ -12,7 +12,7 @@ use poseaudit::time::seconds;
 use super::progress::watched;
 use super::{Outcome, output};
 
-/// List the topics of a log, and the role that each of them gets and why
+/// List the topics of a log, with the role of each and why
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -24,7 +24,7 @@ pub struct Args {
     #[arg(value_name = "LOG", required = true)]
     logs: Vec<PathBuf>,
 
-    /// Config file (TOML), as of an audit: what it says of the columns of a table, of topics and of the robot
+    /// Config file (TOML), as for an audit: table columns, topics and robot
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
 }

@@ -13,7 +13,7 @@ use super::{Outcome, misuse, output};
 
 /// Generate a commented config from a log
 ///
-/// `poseaudit audit LOG --config FILE` reads it.
+/// Use it with `poseaudit audit LOG --config FILE`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -24,11 +24,11 @@ pub struct Args {
     #[arg(value_name = "LOG", required_unless_present = "schema")]
     logs: Vec<PathBuf>,
 
-    /// Write to this file, which must not exist, instead of stdout
+    /// Write to this new file instead of stdout
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
 
-    /// Write the JSON schema of a config, for editors, instead
+    /// Write the JSON schema of the config instead, for editors
     #[arg(long, conflicts_with = "logs")]
     schema: bool,
 }
@@ -36,7 +36,7 @@ pub struct Args {
 pub fn run(args: Args) -> Result<Outcome, Trouble> {
     let Args { logs, output, schema } = args;
     if let Some(path) = output.as_ref().filter(|path| path.symlink_metadata().is_ok()) {
-        let what = "is there already, and is not overwritten";
+        let what = "exists already and is not overwritten";
         return Err(misuse(path.display().to_string(), what, "name another --output, or move it"));
     }
     let mut places = Places::default();

@@ -10,14 +10,14 @@ use poseaudit::report::Trouble;
 
 use super::{Cli, Outcome, output};
 
-/// Print the man page, or write those of all commands
+/// Print the man page, or write the pages of all commands
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   poseaudit man | man -l -
   poseaudit man --output ~/.local/share/man/man1")]
 pub struct Args {
-    /// Write a page for each command into this folder, which is made
+    /// Write a page for each command into this folder; created if missing
     #[arg(long, value_name = "DIR")]
     output: Option<PathBuf>,
 }
@@ -42,12 +42,12 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
 
 /// The man page of one command.
 struct Page {
-    /// Name of its file, as `poseaudit-audit.1`.
+    /// File name, such as `poseaudit-audit.1`.
     name: String,
     text: Vec<u8>,
 }
 
-/// The pages of a command and of those below it.
+/// The pages of a command and its subcommands.
 fn pages(command: &Command) -> Result<Vec<Page>, Trouble> {
     let man = Man::new(command.clone());
     let mut text = Vec::new();

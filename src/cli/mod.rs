@@ -1,4 +1,4 @@
-//! The command line: what is asked, and how that ended.
+//! The command line: parses the call, runs the command, and maps its outcome to an exit status.
 //!
 //! Reports go to stdout or to `--output`; messages go to stderr.
 
@@ -35,18 +35,18 @@ use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
 use poseaudit::report::{Report, Trouble, TroubleKind, Verdict};
 
-/// How a command ended, as its exit status tells.
+/// How a command ended; determines the exit status.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// Nothing at or above `--fail-on`.
+    /// No finding at or above `--fail-on`.
     Clean,
-    /// A finding, or a required rule that could not conclude.
+    /// A finding, or an inconclusive rule that is required.
     Findings,
-    /// The call cannot be followed.
+    /// Invalid call.
     Misuse,
     /// The log cannot be audited.
     Unusable,
-    /// This program failed.
+    /// Internal error.
     Fault,
 }
 
@@ -70,10 +70,10 @@ impl From<&Report> for Outcome {
     }
 }
 
-/// Finds wrong poses, timestamps and conventions in a robot arm's recordings.
+/// Finds wrong poses, timestamps and conventions in recordings of a robot arm.
 ///
-/// Reads one recorded run, recomputes where the arm must have been, and names the cause, by how
-/// much, and how sure it is.
+/// Reads one recorded run, recomputes the arm's poses by forward kinematics, and reports each cause with
+/// its size and uncertainty.
 #[derive(Debug, Parser)]
 #[command(
     version,
@@ -114,8 +114,8 @@ enum Command {
     Man(man::Args),
 }
 
-/// Follows the command line. What is wrong with the call itself is said by `clap`, which ends the
-/// process with status 2.
+/// Parses the command line and runs the command. For invalid options `clap` prints the error and exits with
+/// status 2.
 pub fn run() -> Outcome {
     let result = Cli::try_parse().map_err(refused).and_then(|cli| {
         cli.say.apply();
@@ -150,33 +150,32 @@ fn follow(command: Command) -> Result<Outcome, Trouble> {
     }
 }
 
-/// What is wrong where a log stands in the place of a command. All else is said by `clap`, which ends the
-/// process.
+/// The error for a log given in place of a command. `clap` reports every other error and ends the process.
 fn refused(error: clap::Error) -> Trouble {
     let first = std::env::args_os().nth(1).map(PathBuf::from);
     match first.filter(|path| error.kind() == ErrorKind::InvalidSubcommand && path.exists()) {
         Some(path) => {
             let path = path.display().to_string();
-            misuse(&path, "it is no command", format!("audit it with `poseaudit audit {path}`"))
+            misuse(&path, "unknown command", format!("audit it with `poseaudit audit {path}`"))
         }
         None => error.exit(),
     }
 }
 
-/// Has the process leave no file behind that is not whole where it is interrupted or terminated.
+/// Makes the process delete partially written files if it is interrupted or terminated.
 pub fn end_on_signals() {
     #[cfg(unix)]
     {
         use signal_hook::consts::{SIGINT, SIGTERM};
-        // A shell has what runs in the background pass over the key that interrupts.
+        // Shells make background jobs ignore SIGINT.
         let wanted = [SIGINT, SIGTERM].into_iter().filter(|&signal| !is_passed_over(signal));
-        // Where signals cannot be heard, they end the process as they always do.
+        // If no handler can be installed, signals keep their default action.
         let Ok(mut signals) = signal_hook::iterator::Signals::new(wanted) else { return };
         let handle = signals.handle();
         let heard = std::thread::Builder::new().spawn(move || {
             if let Some(signal) = signals.forever().next() {
                 poseaudit::boundary::forget_staged();
-                // What was asked for: the process dies of it.
+                // Ends the process with the default action of the signal.
                 let _ = signal_hook::low_level::emulate_default_handler(signal);
             }
         });
@@ -186,11 +185,11 @@ pub fn end_on_signals() {
     }
 }
 
-/// Whether who called this program has it pass over a signal.
+/// Whether the parent process made this one ignore a signal.
 #[cfg(unix)]
-#[allow(unsafe_code, reason = "a signal is asked for")]
+#[allow(unsafe_code, reason = "querying the action of a signal")]
 fn is_passed_over(signal: i32) -> bool {
-    // SAFETY: the call writes to the struct, which outlives it, and changes nothing.
+    // SAFETY: the call writes only to the struct, which outlives it, and changes no action.
     unsafe {
         let mut action: libc::sigaction = std::mem::zeroed();
         libc::sigaction(signal, std::ptr::null(), &mut action) == 0
@@ -198,12 +197,12 @@ fn is_passed_over(signal: i32) -> bool {
     }
 }
 
-/// Says in one line that this program failed, and what is to be done.
+/// Prints a one-line internal error and how to report it.
 pub fn fault(what: &str) -> Outcome {
-    // The libraries that start threads say no more than that where the system refuses one.
+    // Thread libraries report only this if the system refuses a thread.
     match what.contains("spawn") || what.contains("ThreadPoolBuildError") {
         true => output::error(
-            "out of memory: the system starts no more threads; allow more memory (ulimit -v) or more \
+            "out of memory: the system refuses to start more threads; allow more memory (ulimit -v) or more \
              processes (ulimit -u)",
         ),
         false => output::error(fault_line(what)),
@@ -213,13 +212,12 @@ pub fn fault(what: &str) -> Outcome {
 
 fn fault_line(what: &str) -> String {
     format!(
-        "poseaudit {} failed, which is a fault of its own: {what}; please report this line, with the \
-         log if you can",
+        "poseaudit {} failed (internal error): {what}; please report this line, with the log if possible",
         env!("CARGO_PKG_VERSION")
     )
 }
 
-/// A trouble with the option `place`.
+/// An error in the option `place`.
 fn misuse(place: impl Into<String>, what: impl Into<String>, remedy: impl Into<String>) -> Trouble {
     let kind = TroubleKind::Call;
     Trouble { kind, what: what.into(), place: place.into(), remedy: remedy.into() }
@@ -243,7 +241,7 @@ mod tests {
         assert!(line.contains("cli/mod.rs:") && !line.contains('\n'), "{line}");
     }
 
-    /// The calls of poseaudit among the examples of a command.
+    /// The calls of poseaudit in the examples of a command.
     fn examples(command: &clap::Command) -> Vec<Vec<String>> {
         let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
         let whole = help.replace("\\\n", " ");
@@ -251,7 +249,7 @@ mod tests {
         calls.map(|call| words(call.split(['|', '>']).next().unwrap_or_default())).collect()
     }
 
-    /// The words of a line as a shell splits it, as far as the examples need it.
+    /// Splits a line into words like a shell, as far as the examples need it.
     fn words(line: &str) -> Vec<String> {
         let parts = line.split('"').enumerate();
         let words = parts.flat_map(|(index, part)| match index % 2 {

@@ -1,4 +1,4 @@
-//! Where output goes: stdout with colours only where somebody sees them, files without.
+//! Output: stdout with colours on a terminal, files without.
 
 use std::fmt::Display;
 use std::fs::File;
@@ -13,7 +13,7 @@ use poseaudit::report::{Trouble, tame, upright, write_whole};
 
 use super::say;
 
-/// How an answer that is no report is printed.
+/// Output format of commands that do not print a report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Format {
     /// For people
@@ -22,18 +22,18 @@ pub enum Format {
     Json,
 }
 
-/// The option that names the file for an answer.
+/// The option for the output file.
 pub const OUTPUT: &str = "--output";
 
 const WARNING: Style = AnsiColor::Yellow.on_default().bold();
 const ERROR: Style = AnsiColor::Red.on_default().bold();
 
-/// One line on stderr that says what is wrong.
+/// Prints an error line on stderr.
 pub fn error(what: impl Display) {
     anstream::eprintln!("{ERROR}error:{ERROR:#} {}", tame(&what.to_string()));
 }
 
-/// One line on stderr that says what to heed.
+/// Prints a warning line on stderr.
 pub fn warning(what: impl Display) {
     if say::is_quiet() {
         return;
@@ -41,7 +41,7 @@ pub fn warning(what: impl Display) {
     anstream::eprintln!("{WARNING}warning:{WARNING:#} {}", tame(&what.to_string()));
 }
 
-/// A table without lines around its cells.
+/// A table without borders.
 pub fn table<'a>(header: impl IntoIterator<Item = &'a str>) -> Table {
     let mut table = Table::new();
     table.load_preset(presets::NOTHING).set_header(header);
@@ -51,10 +51,10 @@ pub fn table<'a>(header: impl IntoIterator<Item = &'a str>) -> Table {
     table
 }
 
-/// How wide the terminal is that stdout leads to, if it leads to one: as `COLUMNS` says, else as it says.
-/// A pipe and a file have no width: there each statement stays one line, which grep finds whole.
+/// Width of the terminal on stdout: `COLUMNS`, or the terminal's own width. `None` for a pipe or a file,
+/// where each statement stays on one line so that grep finds it.
 pub fn columns() -> Option<usize> {
-    /// Of a terminal that does not say.
+    /// Fallback for a terminal of unknown width.
     const USUAL: usize = 100;
     if !io::stdout().is_terminal() {
         return None;
@@ -64,10 +64,10 @@ pub fn columns() -> Option<usize> {
     set.filter(|&columns: &usize| columns > 0).or_else(own).or(Some(USUAL))
 }
 
-/// Hands what `write` writes to the file at `path`, whose parents are made, else to stdout. Characters that
-/// turn the direction of writing are escapes there.
+/// Writes the output of `write` to the file at `path`, creating its parents, or to stdout. Bidirectional
+/// control characters are escaped.
 ///
-/// A reader of stdout who has seen enough is no error.
+/// A closed pipe on stdout is not an error.
 pub fn emit(
     path: Option<&Path>,
     write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
@@ -82,7 +82,7 @@ pub fn emit(
     })
 }
 
-/// The same, with every byte as it is.
+/// The same without escaping.
 pub fn exactly(
     path: Option<&Path>,
     write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
@@ -91,7 +91,7 @@ pub fn exactly(
     match path {
         None => match write(&mut text).and_then(|()| to_stdout(&text)) {
             Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
-                let remedy = "see where stdout goes, or use --output PATH";
+                let remedy = "check where stdout leads, or use --output PATH";
                 Err(super::misuse("stdout", format!("cannot be written: {error}"), remedy))
             }
             _ => Ok(()),

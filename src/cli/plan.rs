@@ -19,10 +19,10 @@ use super::{Outcome, misuse, output};
 use arm::Planning;
 use setup::{Asked, asked};
 
-/// The motion to record so that an audit can tell what it could not, or what a given motion would show
+/// Plan a motion that makes an audit conclusive, or predict what a given motion would show
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
-It knows no obstacle: what stands around the arm is in no model of it. Run a motion slowly at first.
+There is no collision checking with the cell, the payload or cables. Run a motion slowly first.
 
 Examples:
   poseaudit plan ur5e --around 0,-1.57,1.57,-1.2,-1.57,0 --for zeros
@@ -30,11 +30,11 @@ Examples:
   poseaudit plan arm.urdf --around 0.1,0.4,0,-1.2,0,1.6,0.8 --for hand-eye --format yaml --output run.yaml
   poseaudit plan ur5e --check mine.csv --for calibration --outside")]
 pub struct Args {
-    /// A URDF or DH table, a name of the catalogue, or a log with its robot's description
+    /// A URDF or DH table, a catalogue name, or a log with its robot's description
     #[arg(value_name = "ROBOT")]
     robot: String,
 
-    /// A posture that is known to be free, around which the arm moves: rad or m, from base to tip
+    /// A collision-free configuration around which the arm moves: rad or m, from base to tip
     #[arg(
         long,
         value_name = "Q",
@@ -45,40 +45,40 @@ pub struct Args {
     )]
     around: Vec<f64>,
 
-    /// Turning joints of --around are in degrees
+    /// Revolute joints of --around are in degrees
     #[arg(long)]
     degrees: bool,
 
-    /// What the motion is to show
+    /// What the motion must show
     #[arg(long = "for", value_enum, default_value_t = For::Zeros)]
     purpose: For,
 
-    /// How long it lasts, s
+    /// Duration of the motion, s
     #[arg(long, value_name = "S", default_value_t = 60.0, value_parser = within::<2, 3600>)]
     seconds: f64,
 
-    /// How far each joint may go from --around, degrees; one that slides 3.5 mm for each
+    /// Maximum deviation of each joint from --around, degrees; 3.5 mm per degree for a prismatic joint
     #[arg(long, value_name = "DEG", default_value_t = 15.0, value_parser = within::<0, 180>)]
     amplitude: f64,
 
-    /// Highest speed of a joint, rad/s, of one that slides a fifth of it in m/s [default: the model's limit,
+    /// Maximum joint speed, rad/s; a fifth of it in m/s for a prismatic joint [default: the model's limit,
     /// else 1]
     #[arg(long, value_name = "RAD/S", value_parser = within::<0, 100>)]
     speed: Option<f64>,
 
-    /// Highest acceleration of a joint, rad/s², of one that slides a fifth of it in m/s²
+    /// Maximum joint acceleration, rad/s²; a fifth of it in m/s² for a prismatic joint
     #[arg(long, value_name = "RAD/S²", default_value_t = 1.0, value_parser = within::<0, 1000>)]
     acceleration: f64,
 
-    /// Height in the base that nothing of the arm may be below, m
+    /// Minimum height of all parts of the arm in the base frame, m
     #[arg(long, value_name = "Z", allow_negative_numbers = true, value_parser = finite)]
     floor: Option<f64>,
 
-    /// Least distance between parts of the arm, and over the floor, m
+    /// Minimum distance between parts of the arm, and to the floor, m
     #[arg(long, value_name = "M", default_value_t = 0.02, value_parser = within::<0, 10>)]
     clear: f64,
 
-    /// Poses are those of a tracker: neither its frame nor the point on the tool is known
+    /// Poses come from a tracker: neither its world frame nor the marker offset is known
     #[arg(long)]
     outside: bool,
 
@@ -90,60 +90,60 @@ pub struct Args {
     #[arg(long, value_name = "DEG", default_value_t = 0.02, value_parser = within::<0, 90>)]
     noise_deg: f64,
 
-    /// Poses a second
+    /// Pose rate, Hz
     #[arg(long, value_name = "HZ", default_value_t = 100.0, value_parser = within::<0, 10000>)]
     rate: f64,
 
-    /// By how much each link differs from the drawing, mm; 0 for an arm that is its drawing
+    /// Deviation of each link from the nominal model, mm; 0 for an exact model
     #[arg(long, value_name = "MM", default_value_t = 0.1, value_parser = at_least_nothing)]
     links_mm: f64,
 
-    /// How far in front of the tip the target of a camera is, m
+    /// Distance of the camera target in front of the tip, m
     #[arg(long, value_name = "M", default_value_t = 0.5, value_parser = within::<0, 100>)]
     target: f64,
 
-    /// How far off its axis, the tip's z, the camera sees the target, degrees
+    /// Maximum angle of the target from the camera axis (z of the tip), degrees
     #[arg(long, value_name = "DEG", default_value_t = 30.0, value_parser = within::<0, 180>)]
     view: f64,
 
-    /// The link that poses are in
+    /// Base link: the reference frame of the poses
     #[arg(long, value_name = "LINK")]
     base: Option<String>,
 
-    /// The link whose pose it is
+    /// Tip link: the link whose pose is measured
     #[arg(long, value_name = "LINK")]
     tip: Option<String>,
 
-    /// The arm of a log with several
+    /// Arm to use if the log has several
     #[arg(long, value_name = "NAME")]
     arm: Option<String>,
 
-    /// Of the random numbers that the search begins with
+    /// Seed of the random search
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
 
-    /// How it is written [default: by the name of --output, else text]
+    /// Output format [default: by the extension of --output, else text]
     #[arg(long, value_enum)]
     format: Option<Format>,
 
-    /// Where it is written
+    /// Write to this file instead of stdout
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
 
-    /// Look at the motion in this file instead: the joints' positions over time as CSV, as JSON or as a
-    /// JointTrajectory in YAML
+    /// Check the motion in this file instead: joint positions over time as CSV, JSON or a JointTrajectory
+    /// in YAML
     #[arg(long, value_name = "FILE")]
     check: Option<PathBuf>,
 }
 
-/// What a motion is to show, as the command line says it.
+/// What a motion must show, as given on the command line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum For {
-    /// The zero of each joint
+    /// The zero offset of each joint
     Zeros,
-    /// The deviations of all links from the drawing
+    /// The deviations of all links from the nominal model
     Calibration,
-    /// The latency of poses against joint states
+    /// The latency of poses relative to joint states
     Latency,
     /// The pose of a camera in the hand
     HandEye,
@@ -163,18 +163,18 @@ impl From<For> for Purpose {
     }
 }
 
-/// How a motion is written.
+/// Output format of a motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Format {
     /// What it shows, for people
     Text,
-    /// Time, positions and speeds, a row each
+    /// Time, positions and speeds, one row per sample
     Csv,
-    /// All of it, for programs
+    /// Everything, for programs
     Json,
     /// A trajectory_msgs/JointTrajectory
     Yaml,
-    /// A program of Universal Robots' arms
+    /// A URScript program for Universal Robots
     Urscript,
 }
 
@@ -204,7 +204,7 @@ fn at_least_nothing(text: &str) -> Result<f64, String> {
     }
 }
 
-/// A number above `LOW`, and no higher than `HIGH`.
+/// A number above `LOW` and at most `HIGH`.
 fn within<const LOW: u32, const HIGH: u32>(text: &str) -> Result<f64, String> {
     let number = finite(text)?;
     match number > f64::from(LOW) && number <= f64::from(HIGH) {
@@ -213,10 +213,9 @@ fn within<const LOW: u32, const HIGH: u32>(text: &str) -> Result<f64, String> {
     }
 }
 
-/// What is said wherever a motion is handed out.
-const OBSTACLES: &str = "THIS MOTION KNOWS NO OBSTACLE: what stands around the arm, what it carries and \
-                         its cables are in no model of it; run it at low speed first, with a hand on the \
-                         stop";
+/// The warning that accompanies every motion.
+const OBSTACLES: &str = "NO COLLISION CHECKING: the cell, the payload and cables are not modelled; run at \
+    low speed first, with a hand on the e-stop";
 
 pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     let mut places = Places::default();
@@ -255,7 +254,7 @@ fn planned(args: &Args, planning: &Planning) -> Result<Outcome, Trouble> {
         return Ok(Outcome::Clean);
     }
     match args.output {
-        // What goes to a file is told of beside it.
+        // A motion written to a file is described on stdout.
         Some(_) => emit(Format::Text, None)?,
         None => output::warning(OBSTACLES),
     }
@@ -272,8 +271,8 @@ fn check(args: &Args, planning: &Planning, file: &Path) -> Result<Outcome, Troub
     let sensing = &asked.sensing;
     let purpose = args.purpose.into();
     let promises = plan::shown(&planning.chain, &motion, purpose, sensing).ok_or_else(|| {
-        let what = "its points are more than 2 s apart, and between them the motion is not known";
-        misuse(file.display().to_string(), what, "give it at 10 points a second or more")
+        let what = "its points are more than 2 s apart; the motion between them is unknown";
+        misuse(file.display().to_string(), what, "provide at least 10 points per second")
     })?;
     let checked = setup::Checked::of(planning, &asked, &motion, promises);
     let format = args.format.or_else(|| Format::of(args.output.as_deref()?));
@@ -285,26 +284,26 @@ fn check(args: &Args, planning: &Planning, file: &Path) -> Result<Outcome, Troub
     Ok(if checked.is_within() { Outcome::Clean } else { Outcome::Findings })
 }
 
-/// Why no motion was found, and what would help.
+/// The error if no motion was found, and what would help.
 fn refusal(asked: &Asked, why: Infeasible) -> Trouble {
     match why {
         Infeasible::NoRoom => misuse(
             "--around",
-            "no joint can move: each is at a limit, or --amplitude leaves it no room",
-            "name a posture farther from the limits",
+            "no joint can move: each is at a limit, or --amplitude leaves no room",
+            "choose a configuration farther from the limits",
         ),
         Infeasible::TooNear(near) => {
             let near = near.map_or_else(String::new, |near| format!(": {}", asked.nearness(&near)));
             let remedy = match near_view(&why) {
-                true => "lessen --amplitude, or widen --view or --target",
-                false => "lessen --amplitude or --clear, or name a posture that is more open",
+                true => "reduce --amplitude, or increase --view or --target",
+                false => "reduce --amplitude or --clear, or choose a more open configuration",
             };
-            misuse("--around", format!("every motion that was tried comes too near{near}"), remedy)
+            misuse("--around", format!("every motion tried comes too close{near}"), remedy)
         }
         Infeasible::NothingShown => misuse(
             "--for",
-            "no motion of these joints shows it",
-            "ask for something else, or more --amplitude",
+            "no motion of these joints makes it observable",
+            "choose another purpose, or increase --amplitude",
         ),
     }
 }

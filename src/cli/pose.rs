@@ -15,13 +15,13 @@ use poseaudit::run::robot_of;
 use super::output::Format;
 use super::{Outcome, misuse, output};
 
-/// One pose in every convention, or what makes two poses agree
+/// Convert a pose to every convention, or find what makes two poses agree
 ///
-/// A pose is 6 numbers (position and three of a rotation), 7 (and a quaternion, or axis and angle), 9 (and
-/// two columns of the matrix), 12 or 16 (a matrix); a rotation alone is 3, 4 or 9. Or it is a UR's p[…], a
-/// KUKA's {X …, A …}, a robtarget of RAPID, a FANUC's X = … W = …, a URDF <origin …/>, a ROS message as
-/// YAML, what tf2_echo prints, or - for stdin. What is inferred is said; what cannot be is listed. With two
-/// poses, A and B, it says what makes them agree, and exits with 1 where nothing does.
+/// A pose has 6 numbers (position and three for the rotation), 7 (position and a quaternion, or axis and
+/// angle), 9 (position and two matrix columns), 12 or 16 (a matrix). A rotation alone has 3, 4 or 9. Other
+/// inputs: a UR p[…], a KUKA {X …, A …}, a RAPID robtarget, a FANUC X = … W = …, a URDF <origin …/>, a ROS
+/// message as YAML, tf2_echo output, or - for stdin. Inferred conventions are printed, ambiguous ones
+/// listed. For two poses, A and B, it finds what makes them agree, and exits with 1 if nothing does.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -37,36 +37,36 @@ pub struct Args {
     #[arg(value_name = "POSE", allow_hyphen_values = true)]
     pose: Option<String>,
 
-    /// A second pose, B, that should agree with it
+    /// A second pose, B, that should agree with the first
     #[arg(value_name = "OTHER", allow_hyphen_values = true)]
     other: Option<String>,
 
-    /// The rest of a pose whose numbers have no quotes around them
+    /// The remaining numbers of an unquoted pose
     #[arg(value_name = "NUMBERS", allow_negative_numbers = true, hide = true)]
     rest: Vec<String>,
 
-    /// Its convention: rotvec, euler:SEQ, quat:xyzw, quat:wxyz, matrix:rows, matrix:columns, or a
-    /// maker's as kuka, fanuc, ur; units may follow, as in euler:ZYX,deg,mm
+    /// Convention: rotvec, euler:SEQ, quat:xyzw, quat:wxyz, matrix:rows, matrix:columns, or a manufacturer
+    /// such as kuka, fanuc, ur; units may follow, as in euler:ZYX,deg,mm
     #[arg(long, value_name = "CONVENTION", requires = "pose")]
     from: Option<String>,
 
-    /// Its angles are in degrees
+    /// Angles are in degrees
     #[arg(long, requires = "pose", conflicts_with = "rad")]
     deg: bool,
 
-    /// Its angles are in radians
+    /// Angles are in radians
     #[arg(long, requires = "pose")]
     rad: bool,
 
-    /// Its lengths are in millimetres
+    /// Lengths are in millimetres
     #[arg(long, requires = "pose", conflicts_with = "m")]
     mm: bool,
 
-    /// Its lengths are in metres
+    /// Lengths are in metres
     #[arg(long, requires = "pose")]
     m: bool,
 
-    /// Pose A, which should agree with B, that of --but (repeatable, each with its --but)
+    /// Pose A, which should agree with pose B of --but (repeatable in pairs)
     #[arg(
         long,
         value_name = "POSE",
@@ -80,23 +80,23 @@ pub struct Args {
     #[arg(long, value_name = "POSE", allow_hyphen_values = true, requires = "is")]
     but: Vec<String>,
 
-    /// A CSV of such pairs: two columns with a pose each, or columns named is… and but…
+    /// A CSV of pose pairs: two columns with a pose each, or columns named is… and but…
     #[arg(long, value_name = "FILE", conflicts_with_all = ["pose", "is"])]
     pairs: Option<PathBuf>,
 
-    /// How A is coded, as --from; units alone will do
+    /// Encoding of A, as for --from; units alone suffice
     #[arg(long, value_name = "CONVENTION")]
     is_as: Option<String>,
 
-    /// How B is coded
+    /// Encoding of B
     #[arg(long, value_name = "CONVENTION")]
     but_as: Option<String>,
 
-    /// The frames of A, parent and child
+    /// Frames of A, parent and child
     #[arg(long, value_name = "PARENT,CHILD")]
     is_frames: Option<String>,
 
-    /// The frames of B
+    /// Frames of B, parent and child
     #[arg(long, value_name = "PARENT,CHILD")]
     but_frames: Option<String>,
 
@@ -104,7 +104,7 @@ pub struct Args {
     #[arg(long, value_name = "ROBOT")]
     robot: Option<String>,
 
-    /// How the answer is printed
+    /// Output format
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
 }
@@ -129,7 +129,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     }
 }
 
-/// The poses that were given: one or two texts, or the numbers of one without quotes around them.
+/// The poses given: one or two texts, or the numbers of one unquoted pose.
 fn poses(args: &Args) -> Vec<String> {
     let first: Vec<String> = [&args.pose, &args.other].into_iter().flatten().cloned().collect();
     match args.rest.is_empty() {
@@ -156,7 +156,7 @@ fn one(pose: &str, args: &Args) -> Result<Outcome, Trouble> {
         ("--robot", &args.robot),
     ];
     if let Some((option, _)) = options.iter().find(|(_, given)| given.is_some()) {
-        return Err(misuse(*option, "it says something of two poses", "give a second pose"));
+        return Err(misuse(*option, "it applies to two poses", "give a second pose"));
     }
     let mut text = pose.to_owned();
     if pose == "-" {
@@ -185,7 +185,7 @@ fn several(pairs: Vec<Pair>, place: &str, args: &Args) -> Result<Outcome, Troubl
     let but = frame_names(&but, "--but-frames", args.but_frames.as_deref())?;
     let robot = args.robot.as_deref().map(robot_of).transpose();
     let robot = robot.map_err(|error| Trouble::from(&error))?;
-    // What a message names may be a world or a camera; what the call names is a link.
+    // Frames in messages may be a world or a camera; frames on the command line must be links.
     for (option, given, names) in
         [("--is-frames", &args.is_frames, &is), ("--but-frames", &args.but_frames, &but)]
     {
@@ -209,7 +209,7 @@ fn several(pairs: Vec<Pair>, place: &str, args: &Args) -> Result<Outcome, Troubl
     Ok(if answer.verdict == Verdict::Open { Outcome::Findings } else { Outcome::Clean })
 }
 
-/// The frames that `option` gives, else those that the pasted texts name.
+/// The frames given by `option`, otherwise those in the pasted texts.
 fn frame_names(
     pasted: &[&Pasted],
     option: &str,
@@ -222,13 +222,17 @@ fn frame_names(
         });
         let first = named.next().unwrap_or_default();
         if named.any(|other| other != first) {
-            let remedy = "give the pairs of each frame apart, or name the frames";
+            let remedy = "separate the pairs by frame, or name the frames";
             return Err(misuse(option, "the messages name several frames", remedy));
         }
         return Ok(first);
     };
     let (parent, child) = given.split_once(',').ok_or_else(|| {
-        misuse(option, format!("`{given}` is not two frames"), "write PARENT,CHILD, as base,tool0")
+        misuse(
+            option,
+            format!("`{given}` is not two frames"),
+            "write PARENT,CHILD, such as base,tool0",
+        )
     })?;
     let name = |text: &str| Some(text.trim().to_owned()).filter(|name| !name.is_empty());
     Ok(FrameNames { parent: name(parent), child: name(child) })
@@ -239,14 +243,14 @@ fn pairs(args: &Args) -> Result<Vec<Pair>, Trouble> {
         Places::only_read([path])?;
         let place = path.display().to_string();
         let text = fs::read_to_string(path).map_err(|error| {
-            misuse(&place, format!("cannot be read: {error}"), "name a CSV with a pair in each row")
+            misuse(&place, format!("cannot be read: {error}"), "name a CSV with one pair per row")
         })?;
         return pairs_from_csv(&text).map_err(trouble(&place));
     }
     let (is, but) = (args.is.len(), args.but.len());
     if is != but {
-        let what = format!("{is} poses, and {but} of --but");
-        return Err(misuse("--is", what, "give a --but for each --is"));
+        let what = format!("{is} poses for {but} of --but");
+        return Err(misuse("--is", what, "give one --but for each --is"));
     }
     let pairs = args.is.iter().zip(&args.but).map(|(is, but)| {
         Ok(Pair {

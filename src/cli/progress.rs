@@ -1,4 +1,4 @@
-//! How far a log was read, and how far a fleet is.
+//! Progress of reading a log, and of a fleet.
 
 use std::io::{self, IsTerminal};
 use std::sync::mpsc::{self, RecvTimeoutError};
@@ -12,12 +12,11 @@ use poseaudit::log::Progress;
 
 use super::say;
 
-/// Nobody needs a bar for what is done sooner.
+/// Minimum duration before a bar is shown.
 const PATIENCE: Duration = Duration::from_secs(1);
 const REDRAW: Duration = Duration::from_millis(100);
 
-/// Does `work`, and shows on stderr how far it has come where that takes more than a second and
-/// somebody watches.
+/// Runs `work`. Shows a progress bar on stderr if it takes more than a second and stderr is a terminal.
 pub fn watched<T>(work: impl FnOnce(Arc<Progress>) -> T) -> T {
     let progress = Arc::new(Progress::default());
     if say::is_quiet() || !io::stderr().is_terminal() {
@@ -39,12 +38,12 @@ pub fn watched<T>(work: impl FnOnce(Arc<Progress>) -> T) -> T {
     });
     let result = timed(progress, work);
     drop(done);
-    // A watcher that failed, or that the system did not start, has nothing to say about the work.
+    // A failed or missing progress thread does not affect the work.
     let _ = watcher.map(thread::JoinHandle::join);
     result
 }
 
-/// Does `work` and says to who asked how long it took.
+/// Runs `work` and reports its duration in verbose mode.
 fn timed<T>(progress: Arc<Progress>, work: impl FnOnce(Arc<Progress>) -> T) -> T {
     let began = Instant::now();
     let result = work(Arc::clone(&progress));
@@ -68,10 +67,10 @@ fn show(bar: &ProgressBar, progress: &Progress) {
     bar.set_position(read);
 }
 
-/// Lines about a fleet come so often where nobody watches a bar.
+/// Interval between fleet progress lines without a terminal.
 const LINE_EVERY: Duration = Duration::from_secs(10);
 
-/// How far a fleet is: a bar on a terminal, else a line now and then.
+/// Fleet progress: a bar on a terminal, otherwise occasional lines.
 pub struct Logs {
     bar: Option<ProgressBar>,
     began: Instant,
@@ -79,7 +78,7 @@ pub struct Logs {
 }
 
 impl Logs {
-    /// Of so many logs.
+    /// Starts progress of `total` logs.
     pub fn new(total: usize) -> Self {
         let bar = (!say::is_quiet() && io::stderr().is_terminal()).then(|| {
             let template = "{bar:30} {pos} of {len} logs, {per_sec}, {eta} left";
@@ -92,7 +91,6 @@ impl Logs {
         Self { bar, began, told: Mutex::new(began) }
     }
 
-    /// Shows how far it is.
     pub fn show(&self, course: Course) {
         if let Some(bar) = &self.bar {
             bar.set_position(course.done as u64);
@@ -112,7 +110,7 @@ impl Logs {
         eprintln!("{done} of {total} logs, {rate:.2}/s{left}");
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub fn end(&self) {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();

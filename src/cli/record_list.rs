@@ -19,7 +19,7 @@ use super::output::Format;
 use super::progress::watched;
 use super::{Outcome, misuse, output};
 
-/// Which topics to record for which question: what a log lacks, or what the drivers of an arm publish
+/// List the topics to record for each question: what a log lacks, or what an arm's drivers publish
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -27,16 +27,16 @@ Examples:
   poseaudit record-list ur5e
   poseaudit record-list ur5e --format json")]
 pub struct Args {
-    /// A log, or its URL, or the name of an arm of the catalogue
+    /// A log, or its URL, or the catalogue name of an arm
     #[arg(value_name = "LOG|ROBOT")]
     of: PathBuf,
 
-    /// How it is printed
+    /// Output format
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
 }
 
-/// The topics that drivers publish, as `drivers.toml` has them.
+/// The topics published by drivers, from `drivers.toml`.
 #[derive(Debug, Deserialize)]
 struct Drivers {
     driver: Vec<Driver>,
@@ -44,14 +44,14 @@ struct Drivers {
 
 #[derive(Debug, Deserialize)]
 struct Driver {
-    /// The maker whose arms it drives; none for what every arm has.
+    /// Manufacturer of the arms. `None` for topics that every arm has.
     vendor: Option<String>,
     name: String,
     source: String,
     topics: Vec<Topic>,
 }
 
-/// One topic, with the role that an audit gives it.
+/// A topic, with its role in an audit.
 #[derive(Clone, Debug, Deserialize)]
 struct Topic {
     topic: String,
@@ -64,13 +64,13 @@ static DRIVERS: LazyLock<Drivers> = LazyLock::new(|| {
     toml::from_str(include_str!("record_list/drivers.toml")).expect("the embedded table is valid")
 });
 
-/// What can be recorded, or was.
+/// Source of the topics: a log, or the drivers of an arm.
 enum Source {
     Log(Box<Report>),
     Arm(&'static Robot),
 }
 
-/// A question, and of what it needs the topics that are there and the needs that none meets.
+/// A question, with the available topics for it and its unmet needs.
 struct Answer {
     question: &'static Question,
     topics: Vec<Topic>,
@@ -112,12 +112,12 @@ fn source(of: &Path) -> Result<Source, Trouble> {
             [] => "name a log, or an arm of `poseaudit robots`".to_owned(),
             near => format!("name a log, or an arm; is it {}?", near.join(", ")),
         };
-        misuse(name, "no such file, and the catalogue has no arm of this name", remedy)
+        misuse(name, "no such file, and no arm of this name in the catalogue", remedy)
     })
 }
 
 impl Source {
-    /// The drivers of the arm; without one, those of any.
+    /// The drivers of the arm, or the general ones for a log.
     fn drivers(&self) -> impl Iterator<Item = &'static Driver> {
         let vendor = match self {
             Source::Arm(robot) => robot.provenance.as_ref().map(|maker| maker.vendor.as_str()),
@@ -140,7 +140,7 @@ impl Source {
                     role: stream.role.to_owned(),
                 })
                 .collect(),
-            // No driver has an outside witness.
+            // Drivers publish no independent poses.
             Source::Arm(_) if need == Need::Outside => Vec::new(),
             Source::Arm(_) => {
                 let topics = self.drivers().flat_map(|driver| &driver.topics);
@@ -190,7 +190,7 @@ impl Source {
                 if self.drivers().all(|driver| driver.vendor.is_none()) {
                     writeln!(
                         out,
-                        "               the topics of this maker's own drivers are not known here"
+                        "               the topics of this manufacturer's drivers are unknown"
                     )?;
                 }
             }
@@ -203,7 +203,7 @@ impl Source {
                 writeln!(out, "  {:<13}{name} ({kind})", topic.role)?;
             }
             if answer.question.needs.is_empty() {
-                writeln!(out, "  any          every topic that is recorded")?;
+                writeln!(out, "  any          every recorded topic")?;
             }
             for need in &answer.missing {
                 writeln!(out, "  missing      {}", need.what())?;
@@ -244,7 +244,7 @@ impl Source {
     }
 }
 
-/// What records all topics that some question needs.
+/// The command that records all topics needed by any question.
 fn command(answers: &[Answer]) -> String {
     let mut topics: Vec<&str> = Vec::new();
     for topic in answers.iter().flat_map(|answer| &answer.topics) {
@@ -253,7 +253,7 @@ fn command(answers: &[Answer]) -> String {
         }
     }
     match topics.is_empty() {
-        true => "nothing here is known to be worth recording".to_owned(),
+        true => "no known topic is worth recording".to_owned(),
         false => format!("ros2 bag record -s mcap -o run {}", topics.join(" ")),
     }
 }

@@ -1,4 +1,4 @@
-//! In which formats a report is written, and where to.
+//! Report formats and where they are written.
 
 use std::path::{Path, PathBuf};
 
@@ -9,10 +9,10 @@ use poseaudit::report::{FORMATS, Format, Report, Trouble, text};
 use super::output::OUTPUT;
 use super::{misuse, output};
 
-/// The options that say so.
+/// Options for the format and the place of a report.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Reports {
-    /// Format of the report; repeatable, then --output names a folder
+    /// Format of the report; if repeated, --output names a folder
     #[arg(
         long = "format",
         value_name = "FORMAT",
@@ -21,18 +21,18 @@ pub struct Reports {
     )]
     formats: Vec<&'static Format>,
 
-    /// Write the report to this file instead of stdout; of several formats, into this folder
+    /// Write the report to this file instead of stdout; for several formats, into this folder
     #[arg(short, long, value_name = "PATH")]
     output: Option<PathBuf>,
 }
 
-/// Takes the name of a format.
+/// Parses the name of a format.
 pub fn format() -> impl TypedValueParser<Value = &'static Format> {
     let names = FORMATS.iter().map(|format| PossibleValue::new(format.name).help(format.about));
     PossibleValuesParser::new(names).try_map(|name| Format::named(&name).ok_or("no such format"))
 }
 
-/// Hands `report` in one format to the file at `path`, else to stdout.
+/// Writes `report` in one format to the file at `path`, or to stdout.
 ///
 /// # Errors
 /// If it cannot be written.
@@ -45,27 +45,27 @@ pub fn emit(format: &Format, report: &Report, path: Option<&Path>) -> Result<(),
 }
 
 impl Reports {
-    /// Whether there is a place for every format.
+    /// Checks that every format has a destination.
     ///
     /// # Errors
-    /// If several formats have no folder to go into.
+    /// If there are several formats and no folder.
     pub fn can_be_followed(&self) -> Result<(), Trouble> {
         match (&self.output, self.each().as_slice()) {
             (_, [_]) => Ok(()),
             (None, formats) => {
-                let what = format!("{} formats do not go to stdout together", formats.len());
-                Err(misuse("--format", what, "name a folder for them with --output DIR"))
+                let what = format!("{} formats cannot go to stdout together", formats.len());
+                Err(misuse("--format", what, "name a folder with --output DIR"))
             }
             (Some(path), _) if path.exists() && !path.is_dir() => {
                 let place = path.display().to_string();
-                let what = "several formats go into a folder, and this is a file";
+                let what = "several formats need a folder, and this is a file";
                 Err(misuse(place, what, "name a folder with --output, or one --format"))
             }
             (Some(_), _) => Ok(()),
         }
     }
 
-    /// Enters the files that the report goes to.
+    /// Adds the report files to `places`.
     pub fn enter(&self, places: &mut Places) {
         match (&self.output, self.each().as_slice()) {
             (Some(folder), formats @ [_, _, ..]) => {
@@ -76,23 +76,22 @@ impl Reports {
         }
     }
 
-    /// The place and the format of the only one.
+    /// Format and path if there is only one format.
     pub fn only(&self) -> Option<(&'static Format, Option<&Path>)> {
         <[_; 1]>::try_from(self.each()).ok().map(|[format]| (format, self.output.as_deref()))
     }
 
-    /// Whether the report is to tell what kept it from saying more; a text alone leaves that to
-    /// stderr.
+    /// Whether the report must contain a trouble. Text alone leaves it to stderr.
     pub fn tell_trouble(&self) -> bool {
         self.formats.iter().any(|format| !format.is_text())
     }
 
-    /// Whether one of the formats shows pictures.
+    /// Whether a format has pictures.
     pub fn are_pictured(&self) -> bool {
         self.formats.iter().any(|format| format.is_pictured())
     }
 
-    /// Writes `report` in every format to its place.
+    /// Writes `report` in every format.
     ///
     /// # Errors
     /// If a file cannot be written.
@@ -102,7 +101,7 @@ impl Reports {
                 let path = |format: &Format| folder.join(format.file_name);
                 let written =
                     formats.iter().map(|format| emit(format, report, Some(&path(format))));
-                // One that cannot be written keeps no other from it.
+                // An error in one does not prevent the others.
                 written.fold(Ok(()), Result::and)
             }
             (path, formats) => {
@@ -111,7 +110,7 @@ impl Reports {
         }
     }
 
-    /// The formats, each once.
+    /// The formats without duplicates.
     fn each(&self) -> Vec<&'static Format> {
         let wanted = |format: &&Format| self.formats.iter().any(|one| one.name == format.name);
         FORMATS.iter().filter(wanted).collect()

@@ -7,18 +7,18 @@ use serde_json::{Value, json};
 use super::output::Format;
 use super::{Outcome, misuse, output};
 
-/// List the arms whose kinematics come with the program, or one of them with its joints
+/// List the arms of the built-in catalogue, or one of them with its joints
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   poseaudit robots
   poseaudit robots ur5e")]
 pub struct Args {
-    /// One arm, by its name or another that it goes by
+    /// An arm, by its name or an alias
     #[arg(value_name = "NAME")]
     name: Option<String>,
 
-    /// How they are listed
+    /// Output format
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
 }
@@ -38,7 +38,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
         (Format::Text, true) => robots.iter().try_for_each(|robot| {
             writeln!(out, "{}\n", listed(&[robot]).trim_fmt())?;
             if let Some(provenance) = &robot.provenance {
-                writeln!(out, "numbers by {} ({})\n", provenance.source, provenance.licence)?;
+                writeln!(out, "parameters by {} ({})\n", provenance.source, provenance.licence)?;
             }
             writeln!(out, "{}", joints(robot).trim_fmt())
         }),
@@ -53,7 +53,7 @@ fn find(name: &str) -> Result<&'static Robot, Trouble> {
             [] => "see `poseaudit robots` for all of them".to_owned(),
             near => format!("is it {}?", near.join(", ")),
         };
-        misuse("robots", format!("the catalogue has no arm `{name}`"), remedy)
+        misuse("robots", format!("unknown arm `{name}`"), remedy)
     })
 }
 

@@ -14,7 +14,7 @@ Examples:
   poseaudit rules
   poseaudit rules --format json")]
 pub struct Args {
-    /// How they are listed
+    /// Output format
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
 }
@@ -38,7 +38,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
     Ok(Outcome::Clean)
 }
 
-/// A rule in SI units, its text in Markdown.
+/// A rule in SI units, with its text in Markdown.
 fn as_json(rule: &Rule) -> Value {
     let thresholds = rule.grade.thresholds().iter().map(|threshold| {
         json!({

@@ -1,4 +1,4 @@
-//! What is said on stderr beside errors, and in which colours anything is printed.
+//! Messages on stderr other than errors, and the colour mode.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicU8, Ordering};
@@ -8,18 +8,18 @@ use anstyle::Style;
 use clap::ValueEnum;
 use poseaudit::report::tame;
 
-/// The options of every command that say so.
+/// Options for verbosity and colour, shared by all commands.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub struct Say {
-    /// Only the result and errors: no progress, warnings or names of written files on stderr
+    /// Print only the result and errors: no progress, warnings or names of written files on stderr
     #[arg(short, long, global = true, conflicts_with = "verbose")]
     quiet: bool,
 
-    /// Say on stderr, too, which files are read, how much and how long that takes
+    /// Also print on stderr which files are read, how much data and how long it takes
     #[arg(short, long, global = true)]
     verbose: bool,
 
-    /// When to use colours; auto: on a terminal, unless NO_COLOR is set, or where CLICOLOR_FORCE is
+    /// When to use colours; auto: on a terminal unless NO_COLOR is set, or if CLICOLOR_FORCE is set
     #[arg(long, global = true, value_enum, value_name = "WHEN", default_value_t = Colour::Auto)]
     color: Colour,
 }
@@ -28,13 +28,13 @@ pub struct Say {
 enum Colour {
     /// On a terminal
     Auto,
-    /// Everywhere but in files
+    /// Everywhere except in files
     Always,
-    /// Nowhere
+    /// Never
     Never,
 }
 
-/// How much is said.
+/// Verbosity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u8)]
 enum Level {
@@ -48,7 +48,7 @@ static LEVEL: AtomicU8 = AtomicU8::new(Level::Usual as u8);
 const LABEL: Style = Style::new().dimmed();
 
 impl Say {
-    /// Holds for all that the process prints from now on.
+    /// Sets verbosity and colours for the process.
     pub fn apply(self) {
         let level = match (self.quiet, self.verbose) {
             (true, _) => Level::Quiet,
@@ -69,20 +69,20 @@ fn is_said(level: Level) -> bool {
     LEVEL.load(Ordering::Relaxed) >= level as u8
 }
 
-/// Whether nothing but errors goes to stderr.
+/// Whether only errors go to stderr.
 pub fn is_quiet() -> bool {
     !is_said(Level::Usual)
 }
 
-/// One line on stderr that says what was written where.
+/// Reports a written file on stderr.
 pub fn wrote(path: &Path) {
-    // A device or a pipe keeps nothing.
+    // Devices and pipes are not reported.
     if is_said(Level::Usual) && (path.is_file() || path.is_dir()) {
         line("wrote", &path.display().to_string());
     }
 }
 
-/// One line on stderr for who asked for more.
+/// Prints a line on stderr in verbose mode.
 pub fn detail(label: &str, what: impl FnOnce() -> String) {
     if is_said(Level::Verbose) {
         line(label, &what());

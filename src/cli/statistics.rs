@@ -1,4 +1,4 @@
-//! How many findings each rule has, in the place of a report.
+//! Number of findings per rule, printed instead of a report.
 
 use poseaudit::checks;
 use poseaudit::finding::{Finding, Severity};
@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::output;
 use super::reports::Reports;
 
-/// The option that asks for it.
+/// The option.
 const STATISTICS: &str = "--statistics";
 
 /// The findings of one rule.
@@ -16,26 +16,26 @@ const STATISTICS: &str = "--statistics";
 struct Row {
     code: &'static str,
     name: &'static str,
-    /// The gravest of them.
+    /// The highest severity.
     severity: Severity,
     count: usize,
 }
 
-/// Whether counts go out in the form that is asked for.
+/// Checks that the requested format supports statistics.
 ///
 /// # Errors
-/// Of a form that has no place for them.
+/// If it does not.
 pub fn can_be_followed(reports: &Reports) -> Result<(), Trouble> {
     match reports.only() {
         Some((format, _)) if matches!(format.name, "text" | "json") => Ok(()),
         _ => {
-            let what = "the counts are text or JSON";
-            Err(super::misuse(STATISTICS, what, "ask for one --format: text or json"))
+            let what = "statistics are text or JSON";
+            Err(super::misuse(STATISTICS, what, "use one --format: text or json"))
         }
     }
 }
 
-/// Writes the counts, most first.
+/// Writes the counts in descending order.
 ///
 /// # Errors
 /// If they cannot be written.

@@ -16,7 +16,7 @@ use super::output::Format;
 use super::progress::watched;
 use super::{Outcome, fk, misuse, output};
 
-/// The transform between two frames of a log, as tf2's lookup_transform gives it
+/// The transform between two frames of a log, like tf2's lookup_transform
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -27,33 +27,33 @@ pub struct Args {
     #[arg(value_name = "LOG")]
     log: PathBuf,
 
-    /// The frame that the pose is in
+    /// The reference frame of the pose
     #[arg(value_name = "TARGET")]
     target: String,
 
-    /// The frame whose pose it is
+    /// The frame whose pose is printed
     #[arg(value_name = "SOURCE")]
     source: String,
 
-    /// When: +S from the start of the log, or S since the epoch; without it the last time that all
-    /// transforms between the two are known
+    /// Time: +S from the start of the log, or S since the epoch [default: the last time at which all
+    /// transforms between the two are known]
     #[arg(long, value_name = "TIME")]
     at: Option<Time>,
 
-    /// Print the whole run at this many rows a second
+    /// Print the whole run at this rate, Hz
     #[arg(long, value_name = "HZ", value_parser = positive, conflicts_with = "at")]
     follow: Option<f64>,
 
-    /// The robot, for transforms that the log does not publish
+    /// The robot, for transforms that are missing in the log
     #[arg(long = "robot", value_name = "FILE|NAME")]
     robots: Vec<RobotSource>,
 
-    /// How it is printed
+    /// Output format
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
 }
 
-/// A time of a log.
+/// A time in a log.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Time {
     /// Seconds from its start.
@@ -74,7 +74,7 @@ impl FromStr for Time {
         if let Some(text) = text.strip_prefix('+') {
             return Ok(Self::FromStart(number(text)?));
         }
-        // Nanoseconds do not fit into the digits of an `f64`.
+        // An `f64` has too few digits for nanoseconds since the epoch.
         let (whole, part) = text.split_once('.').unwrap_or((text, ""));
         let nanos = format!("{part:0<9}");
         let digits = whole
@@ -105,7 +105,7 @@ pub fn run(args: &Args) -> Result<Outcome, Trouble> {
         misuse("tf", error.to_string(), "see `poseaudit info` for the frames of the log")
     })?;
     if path.span().is_some_and(|(first, last)| first > last) {
-        let what = "the transforms between the two are at no time all known";
+        let what = "the transforms between the two are never all known at the same time";
         let remedy = "see `poseaudit info` for when each topic begins and ends";
         return Err(misuse(format!("{} → {}", args.target, args.source), what, remedy));
     }
@@ -125,7 +125,7 @@ struct Rows<'a> {
     start: Stamp,
 }
 
-/// How the pose at a time came about.
+/// How the pose at a time was obtained.
 fn how(path: &TfPath<'_>, at: Stamp) -> &'static str {
     match path.span() {
         None => "static",
@@ -136,7 +136,7 @@ fn how(path: &TfPath<'_>, at: Stamp) -> &'static str {
 }
 
 impl Rows<'_> {
-    /// The pose at a time, beyond the samples that of the nearest time with all of them.
+    /// The pose at a time; outside the common time range of all transforms, the pose at its nearest end.
     fn pose_at(&self, at: Stamp) -> io::Result<Pose> {
         let held = self.path.span().map_or(at, |(first, last)| at.max(first).min(last));
         self.path.at(held).map_err(io::Error::other)
@@ -216,7 +216,7 @@ impl Rows<'_> {
     }
 }
 
-/// Seconds since the epoch with all nanoseconds.
+/// Seconds since the epoch with nanosecond digits.
 fn epoch(at: Stamp) -> String {
     let nanos = at.nanos();
     format!("{}.{:09}", nanos.div_euclid(1_000_000_000), nanos.rem_euclid(1_000_000_000))

@@ -1,4 +1,4 @@
-//! The Rerun viewer: whether it is there, and how it opens a recording, or one after the other.
+//! The Rerun viewer: finds it and opens recordings, one or a sequence.
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -12,72 +12,72 @@ use super::misuse;
 /// The option that opens the viewer.
 pub const OPTION: &str = "--view";
 
-/// What the viewer's program is called.
+/// Name of the viewer's program.
 const PROGRAM: &str = "rerun";
 
-/// The viewer's program, for an option of the call.
+/// Finds the viewer's program for an option of the call.
 ///
 /// # Errors
-/// If it is not on the path.
+/// If it is not on the PATH.
 pub fn viewer(option: &str) -> Result<PathBuf, Trouble> {
     let name = format!("{PROGRAM}{}", env::consts::EXE_SUFFIX);
     let folders = env::var_os("PATH").unwrap_or_default();
     let program = env::split_paths(&folders).map(|folder| folder.join(&name));
     program.into_iter().find(|program| program.is_file()).ok_or_else(|| {
         let remedy = "install it with `pip install rerun-sdk==0.36.*`, or write a file with --rrd";
-        misuse(option, format!("the viewer `{PROGRAM}` is not on the path"), remedy)
+        misuse(option, format!("the viewer `{PROGRAM}` is not on the PATH"), remedy)
     })
 }
 
-/// A place for a recording that nobody named, which the viewer can still read when this program has
-/// ended: a new file that is this user's alone.
+/// Creates a file for an unnamed recording. It is readable only by this user and outlives this program, so
+/// that the viewer can read it.
 ///
 /// # Errors
-/// If no file can be made there.
+/// If the file cannot be created.
 pub fn place() -> Result<PathBuf, Trouble> {
     draft(OPTION)?.keep().map_err(|error| no_room(OPTION, &error.error))
 }
 
-/// A new file for a recording, which goes with what is returned.
+/// Creates a file for a recording; it is deleted when the returned path is dropped.
 fn draft(option: &str) -> Result<TempPath, Trouble> {
     let made = tempfile::Builder::new().prefix("poseaudit-").suffix(".rrd").tempfile();
     made.map(tempfile::NamedTempFile::into_temp_path).map_err(|error| no_room(option, &error))
 }
 
 fn no_room(option: &str, error: &io::Error) -> Trouble {
-    let what = format!("no recording can be made in {}: {error}", env::temp_dir().display());
-    misuse(option, what, "make room, or let TMPDIR name another folder")
+    let what = format!("cannot create a recording in {}: {error}", env::temp_dir().display());
+    misuse(option, what, "free some space, or set TMPDIR to another folder")
 }
 
-/// Opens a recording in the viewer, and does not wait for it to be closed.
+/// Opens a recording in the viewer without waiting for it to close.
 ///
 /// # Errors
-/// If it cannot be started.
+/// If the viewer cannot be started.
 pub fn open(viewer: &Path, recording: &Path) -> Result<(), Trouble> {
     let mut command = Command::new(viewer);
     command.arg(recording).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
     let started = command.spawn().map(drop);
-    started
-        .map_err(|error| unstarted(viewer, &error, format!("open {} by hand", recording.display())))
+    started.map_err(|error| {
+        unstarted(viewer, &error, format!("open {} manually", recording.display()))
+    })
 }
 
 fn unstarted(viewer: &Path, error: &io::Error, remedy: impl Into<String>) -> Trouble {
     misuse(viewer.display().to_string(), format!("the viewer cannot be started: {error}"), remedy)
 }
 
-/// A viewer that is given one recording after the other: the one that listens at a port of this machine, or
-/// a new one.
+/// A viewer that receives a sequence of recordings: the one listening on a local port, or a new one.
 pub struct LiveViewer {
-    /// The viewer's program: it hands on what it reads to the one that listens, or opens it itself.
+    /// The viewer's program. It forwards its input to the listening viewer, or opens it itself.
     program: Child,
     port: u16,
-    /// The recording that is next.
+    /// Path of the next recording.
     next: TempPath,
 }
 
 impl LiveViewer {
     /// # Errors
-    /// If the viewer's program is not on the path or cannot be started, or no recording can be made.
+    /// If the viewer's program is not on the PATH or cannot be started, or no recording can be created.
     pub fn at(option: &str, port: u16) -> Result<Self, Trouble> {
         let (viewer, next) = (viewer(option)?, draft(option)?);
         let mut command = Command::new(&viewer);
@@ -88,21 +88,22 @@ impl LiveViewer {
         Ok(Self { program, port, next })
     }
 
-    /// Where the next recording is written.
+    /// Path for the next recording.
     pub fn next(&self) -> &Path {
         &self.next
     }
 
-    /// Shows the recording that was written there.
+    /// Shows the recording at that path.
     ///
     /// # Errors
-    /// If the viewer does not take it, as one does not that was closed.
+    /// If the viewer does not accept it, for instance because it was closed.
     pub fn show(&mut self) -> Result<(), Trouble> {
         let Some(pipe) = &mut self.program.stdin else { return Ok(()) };
         let given = fs::File::open(&self.next).and_then(|mut file| io::copy(&mut file, pipe));
         given.map(drop).map_err(|error| {
-            let what = format!("takes no more recordings: {error}");
-            let remedy = format!("`{PROGRAM} --port {}` says why, if it was not closed", self.port);
+            let what = format!("does not accept recordings: {error}");
+            let remedy =
+                format!("if it was not closed, run `{PROGRAM} --port {}` to see why", self.port);
             misuse(format!("viewer at port {}", self.port), what, remedy)
         })
     }

@@ -19,13 +19,14 @@ use super::how::{How, positive_seconds};
 use super::output::Format;
 use super::{Outcome, misuse};
 
-/// How often it is looked whether something was written.
+/// Interval between checks for new data.
 const LOOK: Duration = Duration::from_millis(200);
 
-/// Audit a log while it is recorded, and once more when it has ended; a line where the verdict changes
+/// Audit a log while it is recorded, and once more when it has ended; prints a line when the verdict
+/// changes
 ///
-/// Of an MCAP file every byte is read once while it is written, and the whole once more at its end. Other
-/// logs are read whole at each audit. Exit status: as that of `audit`, of the verdict said last.
+/// An MCAP file is read incrementally while it is written, and once as a whole at its end. Other logs are
+/// read as a whole for each audit. Exit status: as for `audit`, by the last verdict.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -34,39 +35,39 @@ Examples:
   poseaudit watch ~/bags --every 5 --format json
   poseaudit watch run.mcap --rrd-connect")]
 pub struct Args {
-    /// A log that is being written, or a folder: the log in it that was written to last
+    /// A log that is being written, or a folder: its most recently written log
     #[arg(value_name = "FOLDER|LOG")]
     path: PathBuf,
 
     #[command(flatten)]
     how: How,
 
-    /// Exit where the verdict is FAIL, or where the log has ended, as it does anyway of a LOG; repeatable
+    /// Exit at the verdict FAIL, or when the log has ended (always the case for a LOG); repeatable
     #[arg(long, value_enum, value_delimiter = ',')]
     until: Vec<Until>,
 
-    /// Seconds between two audits, at least
+    /// Minimum interval between two audits, seconds
     #[arg(long, value_name = "S", default_value = "2", value_parser = positive_seconds)]
     every: f64,
 
-    /// Seconds without anything written after which a log has ended, if it was not closed
+    /// Idle time after which an unclosed log has ended, seconds
     #[arg(long, value_name = "S", default_value = "10", value_parser = positive_seconds)]
     idle: f64,
 
-    /// Write a Rerun recording with each line that tells of an audit
+    /// Write a Rerun recording with each printed audit
     #[arg(long, value_name = "FILE")]
     rrd: Option<PathBuf>,
 
-    /// Show these recordings in the Rerun viewer that listens at a port of this machine, or in a new one
+    /// Show these recordings in the Rerun viewer that listens on this local port, or in a new one
     #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "9876", conflicts_with = "rrd")]
     rrd_connect: Option<u16>,
 
-    /// How a line is printed: for people, or as an object of JSON
+    /// Format of a line: text, or a JSON object
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
 }
 
-/// Where it exits.
+/// When to exit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Until {
     /// The verdict is FAIL
@@ -78,7 +79,7 @@ enum Until {
 pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     if !args.path.exists() {
         let place = args.path.display().to_string();
-        return Err(misuse(place, "no such file or folder", "name it when the recorder has begun"));
+        return Err(misuse(place, "no such file or folder", "start the watch after the recorder"));
     }
     let mut places = Places::default();
     places.reads_log(&args.path);
@@ -103,7 +104,7 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
         if let Some(newest) = newest(&args.path)
             && current.as_ref().is_none_or(|current| *current.path() != newest)
         {
-            // Another log is written to: the one before has ended.
+            // A newer log means that the previous one has ended.
             if let Some(before) = &mut current {
                 before.finish(&mut screen)?;
                 if is_over(before) {
@@ -122,9 +123,9 @@ pub fn run(mut args: Args) -> Result<Outcome, Trouble> {
     }
 }
 
-/// The log: the path itself, or the log in the folder that was written to last.
+/// The path itself, or the most recently written log in the folder.
 fn newest(path: &Path) -> Option<PathBuf> {
-    /// A recorder makes a folder for each run.
+    /// Recorders create one folder per run.
     const DEPTH: usize = 3;
     if !path.is_dir() {
         return Some(path.to_owned());

@@ -1,4 +1,4 @@
-//! The arm that a motion is of.
+//! The arm whose motion is planned.
 
 use std::path::Path;
 
@@ -10,11 +10,11 @@ use poseaudit::run::{Run, RunOptions, robot_of};
 use super::super::{fk, misuse};
 use super::Args;
 
-/// An arm, and the chain of it that moves.
+/// An arm and its moving chain.
 pub struct Planning {
     /// The model.
     pub robot: Robot,
-    /// From base to tip.
+    /// The chain from base to tip.
     pub chain: Chain,
 }
 
@@ -56,17 +56,17 @@ impl Planning {
         Ok(Self { robot: arm.robot.clone(), chain: arm.chain.clone() })
     }
 
-    /// Whether joint `at` of the chain slides.
+    /// Whether joint `at` of the chain is prismatic.
     pub fn slides(&self, at: usize) -> bool {
         self.chain.joint_kinds()[at] == JointKind::Prismatic
     }
 
-    /// A posture in SI units.
+    /// Converts a configuration to SI units.
     pub fn posture(&self, given: &[f64], degrees: bool) -> Result<Vec<f64>, Trouble> {
         let (found, wanted) = (given.len(), self.chain.dof());
         if found != wanted {
             let names = self.chain.joint_names().join(", ");
-            let what = format!("{found} joint positions were given, there are {wanted} joints");
+            let what = format!("{found} joint positions given for {wanted} joints");
             return Err(misuse("--around", what, format!("give one for each of {names}")));
         }
         let in_si = |(at, &q): (usize, &f64)| match degrees && !self.slides(at) {

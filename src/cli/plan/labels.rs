@@ -1,4 +1,4 @@
-//! The names of what a motion shows.
+//! Labels of the quantities that a motion shows.
 
 use poseaudit::diagnosis::plan::{Bound, Showable};
 use poseaudit::finding::Unit;
@@ -6,11 +6,11 @@ use poseaudit::finding::Unit;
 use super::arm::Planning;
 use super::setup::Asked;
 
-/// What an amount is called.
+/// Label of a quantity.
 pub struct Label {
-    /// In JSON.
+    /// Key in JSON.
     pub name: &'static str,
-    /// For people, beside the joint or the axis.
+    /// Text for people, without the joint or axis.
     pub said: String,
     /// The joint or the axis.
     pub of: Option<String>,
@@ -25,33 +25,33 @@ impl Label {
         let links = Unit::Metre.show(asked.sensing.link_m);
         let (name, said, of, unit) = match shown {
             Showable::Zero(at) => {
-                ("zero", "zero, the arm as drawn".to_owned(), joint(at), by_joint(at))
+                ("zero", "zero, exact nominal model".to_owned(), joint(at), by_joint(at))
             }
             Showable::ZeroBesideLinks(at) => {
-                let said = format!("zero, each link off by {links}");
+                let said = format!("zero, links deviate by {links}");
                 ("zero_beside_links", said, joint(at), by_joint(at))
             }
             Showable::FkPosition { everywhere: false } => (
                 "fk_position_here",
-                "tip's position where it moves, rms".to_owned(),
+                "tip position where it moves, rms".to_owned(),
                 None,
                 Unit::Metre,
             ),
             Showable::FkPosition { everywhere: true } => (
                 "fk_position_everywhere",
-                "tip's position everywhere, rms".to_owned(),
+                "tip position everywhere, rms".to_owned(),
                 None,
                 Unit::Metre,
             ),
             Showable::FkRotation { everywhere: false } => (
                 "fk_rotation_here",
-                "tip's rotation where it moves, rms".to_owned(),
+                "tip rotation where it moves, rms".to_owned(),
                 None,
                 Unit::Radian,
             ),
             Showable::FkRotation { everywhere: true } => (
                 "fk_rotation_everywhere",
-                "tip's rotation everywhere, rms".to_owned(),
+                "tip rotation everywhere, rms".to_owned(),
                 None,
                 Unit::Radian,
             ),
@@ -70,7 +70,7 @@ impl Label {
         Self { name, said, of, unit }
     }
 
-    /// As one text.
+    /// The whole label as one text.
     pub fn whole(&self) -> String {
         match &self.of {
             None => self.said.clone(),
@@ -80,7 +80,7 @@ impl Label {
     }
 }
 
-/// What is limited, in words and in JSON.
+/// The limited quantity, in text and JSON.
 pub fn bound(bound: Bound) -> &'static str {
     match bound {
         Bound::Lower | Bound::Upper => "position",

@@ -1,4 +1,4 @@
-//! Motions that somebody brings.
+//! Reads motions from files.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use serde::Deserialize;
 
 use super::super::{misuse, output};
 
-/// The joints of a motion and its points, in the file's order.
+/// The joints of a motion and its points, in file order.
 struct Listed {
     names: Vec<String>,
     t_s: Vec<f64>,
@@ -17,18 +17,18 @@ struct Listed {
     qd: Vec<Vec<f64>>,
 }
 
-/// The motion in a file: CSV with a column for the time and one for each joint, JSON as `plan` writes it, or a
-/// JointTrajectory in YAML. Its content tells which.
+/// Reads a motion from a file: CSV with columns for time and each joint, JSON of `plan`, or a
+/// JointTrajectory in YAML. The format is detected from the content.
 ///
 /// # Errors
-/// Where it cannot be read as any, or is not of the arm's joints.
+/// If it has none of these formats, or does not have the arm's joints.
 pub fn motion(path: &Path, chain: &Chain) -> Result<JointTrack, Trouble> {
-    /// More is no motion.
+    /// Maximum file size.
     const MOST_BYTES: u64 = 256 << 20;
     let place = || path.display().to_string();
     let bytes = std::fs::metadata(path).map(|it| it.len()).unwrap_or(0);
     if bytes > MOST_BYTES {
-        return Err(misuse(place(), "it is larger than any motion", "give a shorter one"));
+        return Err(misuse(place(), "too large for a motion", "use a shorter one"));
     }
     let text = std::fs::read_to_string(path)
         .map_err(|error| misuse(place(), error.to_string(), "name a file with a motion"))?;
@@ -36,7 +36,7 @@ pub fn motion(path: &Path, chain: &Chain) -> Result<JointTrack, Trouble> {
         misuse(
             place(),
             what,
-            "write it as CSV (t_s and a column for each joint), as JSON of poseaudit plan, or as a \
+            "write it as CSV (t_s and a column for each joint), as JSON of `poseaudit plan`, or as a \
              JointTrajectory in YAML",
         )
     };
@@ -53,19 +53,19 @@ pub fn motion(path: &Path, chain: &Chain) -> Result<JointTrack, Trouble> {
 }
 
 impl Listed {
-    /// In the order of the chain's joints, with speeds from the positions where there are none.
+    /// Orders the columns by the chain's joints. Missing speeds are computed from the positions.
     fn of(self, chain: &Chain) -> Result<JointTrack, String> {
         let places = chain.joint_names().iter().map(|name| {
             let at = self.names.iter().position(|own| own == name);
-            at.ok_or_else(|| format!("it has no joint {name}, but {}", self.names.join(", ")))
+            at.ok_or_else(|| format!("no joint {name}; it has {}", self.names.join(", ")))
         });
         let places = places.collect::<Result<Vec<usize>, String>>()?;
         let dof = places.len();
         if self.t_s.len() < 3 {
-            return Err(format!("it has {} points, and 3 are needed", self.t_s.len()));
+            return Err(format!("it has {} points; 3 are needed", self.t_s.len()));
         }
         if let Some(at) = self.t_s.windows(2).position(|pair| pair[1] <= pair[0]) {
-            return Err(format!("its times do not increase after {} s", self.t_s[at]));
+            return Err(format!("times do not increase after {} s", self.t_s[at]));
         }
         let mut track = JointTrack { dof, t_s: self.t_s, ..JointTrack::default() };
         let has_speeds = self.qd.iter().all(|row| row.len() == self.names.len());
@@ -79,12 +79,12 @@ impl Listed {
             }
         }
         if !track.t_s.iter().chain(&track.q).chain(&track.qd).all(|number| number.abs() < 1e9) {
-            return Err("a number of it is not finite, or beyond any arm's".to_owned());
+            return Err("it has a value that is not finite, or beyond any arm's range".to_owned());
         }
         let by_positions = differences(&track);
         if has_speeds && !is_near(&track.qd, &by_positions) {
             output::warning(
-                "the speeds in it are not the rates of its positions, which are taken instead",
+                "speeds in the file contradict the positions; using the derivative of the positions",
             );
             track.qd = by_positions;
         } else if !has_speeds {
@@ -94,16 +94,16 @@ impl Listed {
     }
 }
 
-/// Whether two lists of speeds are the same but for what differences make of curves.
+/// Whether given speeds agree with finite differences, within their discretisation error.
 fn is_near(given: &[f64], by_positions: &[f64]) -> bool {
-    /// As a share of the highest.
+    /// As a fraction of the highest speed.
     const NEAR: f64 = 0.1;
     let highest = by_positions.iter().fold(1e-3_f64, |highest, speed| highest.max(speed.abs()));
     let off = given.iter().zip(by_positions).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
     (off / given.len().max(1) as f64).sqrt() < NEAR * highest
 }
 
-/// Speeds by central differences, of the ends by the one on their side.
+/// Speeds by central differences, one-sided at the ends.
 fn differences(track: &JointTrack) -> Vec<f64> {
     let last = track.len() - 1;
     let at = |row: usize, joint: usize| {
@@ -126,12 +126,12 @@ fn of_csv(text: &str, chain: &Chain) -> Result<Listed, String> {
     let header = reader.headers().map_err(|error| error.to_string())?.clone();
     let place = |name: &str| header.iter().position(|own| own.eq_ignore_ascii_case(name));
     let time = TIMES.iter().find_map(|name| place(name));
-    let time = time.ok_or_else(|| format!("it has no column {}", TIMES.join(", ")))?;
+    let time = time.ok_or_else(|| format!("no column {}", TIMES.join(", ")))?;
     let names = chain.joint_names();
     let columns = names.iter().map(|name| {
         let named = header.iter().position(|own| own == name);
         let columns = header.iter().collect::<Vec<_>>().join(", ");
-        named.ok_or_else(|| format!("it has no column {name}, but {columns}"))
+        named.ok_or_else(|| format!("no column {name}; it has {columns}"))
     });
     let columns = columns.collect::<Result<Vec<usize>, String>>()?;
     let speeds: Option<Vec<usize>> =
@@ -142,7 +142,7 @@ fn of_csv(text: &str, chain: &Chain) -> Result<Listed, String> {
         let line = record.position().map_or(0, csv::Position::line);
         let number = |column: usize| {
             let text = record.get(column).unwrap_or_default();
-            text.parse::<f64>().map_err(|_| format!("line {line} has `{text}` for a number"))
+            text.parse::<f64>().map_err(|_| format!("line {line} has `{text}` instead of a number"))
         };
         t_s.push(number(time)?);
         q.push(columns.iter().map(|&column| number(column)).collect::<Result<_, _>>()?);
@@ -172,7 +172,7 @@ fn of_json(text: &str) -> Result<Listed, String> {
     let Plan { joints, trajectory: Trajectory { t_s, q, mut qd } } =
         serde_json::from_str(text).map_err(|error| error.to_string())?;
     if q.len() != t_s.len() || !(qd.is_empty() || qd.len() == q.len()) {
-        return Err("its trajectory has not as many q as t_s".to_owned());
+        return Err("q and t_s of its trajectory differ in length".to_owned());
     }
     qd.resize(q.len(), Vec::new());
     Ok(Listed { names: joints.into_iter().map(|joint| joint.name).collect(), t_s, q, qd })
@@ -198,7 +198,7 @@ fn of_yaml(text: &str) -> Result<Listed, String> {
         #[serde(default, alias = "nsecs")]
         nanosec: i64,
     }
-    // What echoes a message ends it with a line of its own.
+    // `ros2 topic echo` ends a message with a separator line.
     let document = text.trim_end().trim_end_matches("---").trim_end_matches("...");
     let Trajectory { joint_names, points } =
         serde_saphyr::from_str(document).map_err(|error| error.to_string())?;

@@ -1,4 +1,4 @@
-//! What is asked of a motion: its room, what it keeps off, and by what it is seen.
+//! The planning task: joint ranges, clearances and measurements.
 
 use poseaudit::diagnosis::plan::{
     Beyond, Body, Keep, Nearness, Planned, Promise, Purpose, Room, Sensing, Task, View, beyond,
@@ -13,16 +13,17 @@ use super::super::misuse;
 use super::Args;
 use super::arm::Planning;
 
-/// What a sliding joint does in m, or m/s, where a turning one does it in rad.
+/// Metres of a prismatic joint that correspond to one radian of a revolute joint.
 const SLIDE_M_PER_RAD: f64 = 0.2;
-/// The speed of a joint whose limit the model does not state, rad/s.
+/// Speed limit of a joint without a limit in the model, rad/s.
 const USUAL_SPEED: f64 = 1.0;
-/// The radius of a part of which the model says none, as a share of the reach: that of most arms.
+/// Radius of an arm segment without collision shapes in the model, as a fraction of the reach; typical of
+/// arms.
 const RADIUS: f64 = 0.06;
-/// Time between two rows that are written, s.
+/// Sample interval of written motions, s.
 const ROW_S: f64 = 0.02;
 
-/// What is asked.
+/// The planning task.
 pub struct Asked {
     pub around: Vec<f64>,
     pub rooms: Vec<Room>,
@@ -31,34 +32,33 @@ pub struct Asked {
     pub sensing: Sensing,
     pub keep: Keep,
     pub seed: u64,
-    /// The joints whose speed the model does not limit, by name.
+    /// Names of the joints without a speed limit in the model.
     pub unlimited: Vec<String>,
-    /// The names of the straights of the arm.
+    /// Names of the arm segments.
     parts: Vec<String>,
-    /// The straights whose radius is the model's.
+    /// Whether the radius of each segment comes from the model.
     pub told: Vec<bool>,
 }
 
-/// A motion that was given, held against what is asked.
+/// A given motion, checked against the task.
 pub struct Checked {
     pub promises: Vec<Promise>,
     pub beyond: Vec<Beyond>,
-    /// What it comes too near, and when, s.
+    /// The first violated clearance, and its time, s.
     pub near: Option<(f64, Nearness)>,
 }
 
-/// What is asked of a motion around a posture.
+/// The task of a motion around a configuration.
 ///
 /// # Errors
-/// Where the posture is beyond a limit, or below the floor.
+/// If the configuration is beyond a limit or below the floor.
 pub fn asked(args: &Args, planning: &Planning, around: Vec<f64>) -> Result<Asked, Trouble> {
     let names = planning.chain.joint_names();
     for ((name, limits), &q) in names.iter().zip(planning.chain.limits()).zip(&around) {
         let (low, high) = (limits.lower.unwrap_or(q), limits.upper.unwrap_or(q));
         if q < low || q > high {
-            let what =
-                format!("{name} is at {q:.4} there, and its limits are {low:.4} to {high:.4}");
-            return Err(misuse("--around", what, "name a posture within the limits"));
+            let what = format!("{name} is at {q:.4} there; its limits are {low:.4} to {high:.4}");
+            return Err(misuse("--around", what, "choose a configuration within the limits"));
         }
     }
     let asked = Asked::of_given(args, planning, around);
@@ -66,13 +66,13 @@ pub fn asked(args: &Args, planning: &Planning, around: Vec<f64>) -> Result<Asked
     let under =
         under.iter().find(|near| matches!(near, Nearness::Floor(_, height) if *height < 0.0));
     match under {
-        Some(near) => Err(misuse("--floor", asked.nearness(near), "name a lower --floor")),
+        Some(near) => Err(misuse("--floor", asked.nearness(near), "lower --floor")),
         None => Ok(asked),
     }
 }
 
 impl Asked {
-    /// What is asked around a posture that may be beyond a limit.
+    /// The task around a configuration that may be beyond a limit.
     pub fn of_given(args: &Args, planning: &Planning, around: Vec<f64>) -> Self {
         let Planning { robot, chain } = planning;
         let amplitude = args.amplitude.to_radians();
@@ -143,12 +143,12 @@ impl Asked {
         }
     }
 
-    /// The rows that are written of a motion that was found.
+    /// Samples a planned motion.
     pub fn motion(&self, planned: &Planned) -> JointTrack {
         planned.series.track((self.seconds / ROW_S).ceil() as usize + 1)
     }
 
-    /// In words.
+    /// Describes a violated clearance.
     pub fn nearness(&self, near: &Nearness) -> String {
         match *near {
             Nearness::Parts(i, j, apart) => format!(
@@ -164,7 +164,7 @@ impl Asked {
                 format!("{} comes within {} of the floor", self.parts[at], Unit::Metre.show(height))
             }
             Nearness::View(angle) => {
-                format!("the target is {} off the camera's axis", Unit::Radian.show(angle))
+                format!("the target is {} off the camera axis", Unit::Radian.show(angle))
             }
         }
     }
@@ -187,14 +187,14 @@ impl Checked {
         Self { promises, beyond, near }
     }
 
-    /// Whether it stays within all limits and off all that it should.
+    /// Whether the motion respects all limits and clearances.
     pub fn is_within(&self) -> bool {
         self.beyond.is_empty() && self.near.is_none()
     }
 }
 
-/// The radius of each straight of the arm, m, and whether it is the model's: that of the simple shapes that
-/// stand for a link in collisions, as far as they stand out of the straight; else a share of the reach.
+/// Radius of each arm segment, m, and whether it comes from the model: from the primitive collision shapes
+/// of a link, as far as they extend from the segment. Otherwise it is a fraction of the reach.
 fn radii(planning: &Planning, around: &[f64]) -> (Vec<f64>, Vec<bool>) {
     let Planning { robot, chain } = planning;
     let usual = RADIUS * chain.max_reach_m();

@@ -1,4 +1,4 @@
-//! What a motion shows, for people.
+//! Describes a motion and what it shows, for people.
 
 use std::io::{self, Write};
 
@@ -13,10 +13,10 @@ use super::labels::{self, Label};
 use super::setup::{Asked, Checked};
 use super::{OBSTACLES, write};
 
-/// A joint hardly moves of which one side has less than this share of the other's room.
+/// A joint barely moves if the room on one side is less than this fraction of the room on the other.
 const HARDLY: f64 = 0.2;
 
-/// A motion that was found.
+/// Describes a planned motion.
 pub fn planned(
     planning: &Planning,
     asked: &Asked,
@@ -33,7 +33,7 @@ pub fn planned(
     promises(planning, asked, &planned.promises, &others, out)?;
     for (name, other) in others {
         if let Some(times) = geometric_mean(other, &planned.promises) {
-            writeln!(out, "{name}: {times:.2} times this motion's")?;
+            writeln!(out, "{name}: {times:.2} times this motion's uncertainty")?;
         }
     }
     writeln!(out)?;
@@ -42,14 +42,14 @@ pub fn planned(
         let share = 100.0 * planned.share;
         writeln!(
             out,
-            "--amplitude would bring the arm too near itself, the floor or the edge of the view: \
-             {share:.0} % of it is used"
+            "the full --amplitude would bring the arm too close to itself, the floor or the edge of the \
+             view: using {share:.0} % of it"
         )?;
     }
     kept(planning, asked, out)
 }
 
-/// A motion that was given.
+/// Describes a given motion.
 pub fn checked(
     planning: &Planning,
     asked: &Asked,
@@ -58,7 +58,7 @@ pub fn checked(
     out: &mut dyn Write,
 ) -> io::Result<()> {
     heading(planning, asked, motion, out)?;
-    writeln!(out, "\nobstacles around the arm are not known and not looked at\n")?;
+    writeln!(out, "\nno collision checking with obstacles around the arm\n")?;
     for found in &checked.beyond {
         let unit = if planning.slides(found.joint) { "m" } else { "rad" };
         let unit = match found.bound {
@@ -69,12 +69,12 @@ pub fn checked(
         let (name, what) = (&planning.chain.joint_names()[found.joint], labels::bound(found.bound));
         writeln!(
             out,
-            "BEYOND THE LIMIT: {name} has a {what} of {:.4} {unit} at {:.2} s; the limit is {:.4} {unit}",
+            "LIMIT EXCEEDED: {name} has a {what} of {:.4} {unit} at {:.2} s; the limit is {:.4} {unit}",
             found.value, found.t_s, found.limit
         )?;
     }
     if let Some((t_s, near)) = &checked.near {
-        writeln!(out, "TOO NEAR: {} at {t_s:.2} s", asked.nearness(near))?;
+        writeln!(out, "TOO CLOSE: {} at {t_s:.2} s", asked.nearness(near))?;
     }
     if !checked.is_within() {
         writeln!(out)?;
@@ -99,7 +99,7 @@ fn heading(
     writeln!(out, "{name}: {base} → {tip}, {:.1} s, for {purpose}", last - first)
 }
 
-/// How well amounts would be known, beside what other motions show of them.
+/// Expected uncertainties, with those of other motions for comparison.
 fn promises(
     planning: &Planning,
     asked: &Asked,
@@ -116,7 +116,7 @@ fn promises(
             true => label.unit.show(half),
             false => {
                 is_hidden = true;
-                "not told".to_owned()
+                "undetermined".to_owned()
             }
         };
         let mut row = vec![label.whole(), shown(promise.half)];
@@ -131,23 +131,23 @@ fn promises(
     if is_hidden && asked.sensing.outside {
         writeln!(
             out,
-            "not told: as one with the unknown frame or point of the poses, in any motion"
+            "undetermined: indistinguishable from the unknown tracker frame or marker offset in any motion"
         )?;
     } else if is_hidden {
-        writeln!(out, "not told: not observable in this motion")?;
+        writeln!(out, "undetermined: not observable in this motion")?;
     }
     let sensing = &asked.sensing;
     let known = if sensing.outside { "unknown" } else { "known" };
     writeln!(
         out,
-        "by {:.0} poses a second with white noise of {} and {} on each axis, in a frame that is {known}",
+        "with poses at {:.0} Hz, white noise of {} and {} on each axis, and a {known} frame",
         sensing.rate_hz,
         Unit::Metre.show(sensing.noise_m),
         Unit::Radian.show(sensing.noise_rad)
     )
 }
 
-/// How each joint moves, and where the tip goes.
+/// The motion of each joint and the range of the tip.
 fn motions(
     planning: &Planning,
     asked: &Asked,
@@ -193,16 +193,16 @@ fn motions(
     )
 }
 
-/// What it keeps off, and by what limits.
+/// Clearances and limits that were applied.
 fn kept(planning: &Planning, asked: &Asked, out: &mut dyn Write) -> io::Result<()> {
     let keep = &asked.keep;
     let radii = &keep.body.radius_m;
     let (low, high) =
         radii.iter().fold((f64::INFINITY, 0.0_f64), |(low, high), r| (low.min(*r), high.max(*r)));
     let whence = match asked.told.iter().filter(|told| **told).count() {
-        0 => "6 % of the reach: the model says none",
-        told if told + 1 == radii.len() => "by the model's collision shapes",
-        _ => "by the model's collision shapes, else 6 % of the reach",
+        0 => "6 % of the reach; none in the model",
+        told if told + 1 == radii.len() => "from the model's collision shapes",
+        _ => "from the model's collision shapes, otherwise 6 % of the reach",
     };
     let radius = match Unit::Metre.show(low) == Unit::Metre.show(high) {
         true => Unit::Metre.show(low),
@@ -210,32 +210,32 @@ fn kept(planning: &Planning, asked: &Asked, out: &mut dyn Write) -> io::Result<(
     };
     writeln!(
         out,
-        "the arm: straights between its joints, of {radius} radius ({whence}); {} pairs are kept {} apart",
+        "arm model: straight segments between joints, {radius} radius ({whence}); {} pairs are kept {} apart",
         keep.pairs(),
         Unit::Metre.show(keep.clear_m)
     )?;
     match keep.floor_m {
         Some(floor_m) => {
-            writeln!(out, "floor: kept {} over {floor_m} m", Unit::Metre.show(keep.clear_m))?
+            writeln!(out, "floor: kept {} above {floor_m} m", Unit::Metre.show(keep.clear_m))?
         }
-        None => writeln!(out, "floor: none is known (--floor)")?,
+        None => writeln!(out, "floor: none given (--floor)")?,
     }
     for near in keep.near(&planning.chain, &asked.around) {
-        writeln!(out, "near by these radii where it begins: {}", asked.nearness(&near))?;
+        writeln!(out, "too close for these radii at the start: {}", asked.nearness(&near))?;
     }
     for (joint, room) in asked.rooms.iter().enumerate() {
         if room.below.min(room.above) < HARDLY * room.below.max(room.above) {
             let name = &planning.chain.joint_names()[joint];
             writeln!(
                 out,
-                "{name} hardly moves: it begins at a limit; a posture farther from it would show more"
+                "{name} barely moves: it starts at a limit; a configuration farther from it would show more"
             )?;
         }
     }
     if !asked.unlimited.is_empty() {
         writeln!(
             out,
-            "the model limits no speed of {}: 1 rad/s is taken",
+            "no speed limit in the model for {}: using 1 rad/s",
             asked.unlimited.join(", ")
         )?;
     }

@@ -1,4 +1,4 @@
-//! A motion as a program of Universal Robots' arms.
+//! A motion as a URScript program.
 
 use std::io::{self, Write};
 
@@ -12,7 +12,7 @@ use super::OBSTACLES;
 use super::arm::Planning;
 use super::setup::Asked;
 
-/// The joints of every arm of theirs, from base to tip.
+/// The joints of every UR arm, from base to tip.
 const JOINTS: [&str; 6] = [
     "shoulder_pan_joint",
     "shoulder_lift_joint",
@@ -21,25 +21,27 @@ const JOINTS: [&str; 6] = [
     "wrist_2_joint",
     "wrist_3_joint",
 ];
-/// Time between two commands, s: a multiple of every controller's period.
+/// Interval between two commands, s: a multiple of every controller's period.
 const STEP_S: f64 = 0.008;
 
+/// Checks that the arm has the joints of a UR.
+///
 /// # Errors
-/// Where the chain is of another maker's arm.
+/// If it does not.
 pub fn is_theirs(chain: &Chain) -> Result<(), Trouble> {
     let names = chain.joint_names();
     match names.len() == JOINTS.len() && names.iter().zip(JOINTS).all(|(a, b)| a.ends_with(b)) {
         true => Ok(()),
         false => Err(misuse(
             "--format",
-            "only arms of Universal Robots run URScript, and this one's joints are others",
-            "write csv, json or yaml",
+            "URScript runs only on Universal Robots, and this arm has different joints",
+            "use csv, json or yaml",
         )),
     }
 }
 
-/// The program: it computes the sines as it goes, and begins only where the arm stands in the posture that
-/// they begin in.
+/// Writes the program. It evaluates the sine series at run time, and starts only in the start
+/// configuration.
 pub fn program(
     planning: &Planning,
     asked: &Asked,
@@ -56,10 +58,7 @@ pub fn program(
         series.length_s()
     )?;
     writeln!(out, "# {OBSTACLES}.")?;
-    writeln!(
-        out,
-        "# It begins only where the arm stands in its first posture. Angles are in rad."
-    )?;
+    writeln!(out, "# Starts only if the arm is in the start configuration. Angles are in rad.")?;
     writeln!(out, "def poseaudit_plan():")?;
     writeln!(out, "  local first = [{}]", around.join(", "))?;
     writeln!(out, "  def posture(t):")?;
@@ -81,8 +80,8 @@ pub fn program(
     writeln!(out, "    if (norm(now[j] - first[j]) > 0.01):")?;
     writeln!(
         out,
-        "      popup(\"Move the arm to the first posture, by hand: this program knows no way \
-         there.\", \"poseaudit plan\", False, True, blocking=True)"
+        "      popup(\"Move the arm to the start configuration by hand: this program does not plan a path to \
+         it.\", \"poseaudit plan\", False, True, blocking=True)"
     )?;
     writeln!(out, "      halt")?;
     writeln!(out, "    end")?;

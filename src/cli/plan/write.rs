@@ -1,4 +1,4 @@
-//! Motions as CSV, JSON and a JointTrajectory.
+//! Writes motions as CSV, JSON or JointTrajectory.
 
 use std::io::{self, Write};
 
@@ -12,10 +12,10 @@ use super::arm::Planning;
 use super::labels::{self, Label};
 use super::setup::{Asked, Checked};
 
-/// Points of a JointTrajectory a second: controllers interpolate between them.
+/// Points per second of a JointTrajectory; controllers interpolate between them.
 const POINTS_HZ: f64 = 20.0;
 
-/// Time, positions and speeds, a row each.
+/// Writes time, positions and speeds, one row per sample.
 pub fn csv(planning: &Planning, motion: &JointTrack, out: &mut dyn Write) -> io::Result<()> {
     let names = planning.chain.joint_names();
     let mut writer = csv::Writer::from_writer(out);
@@ -31,7 +31,7 @@ pub fn csv(planning: &Planning, motion: &JointTrack, out: &mut dyn Write) -> io:
     writer.flush()
 }
 
-/// All of a motion that was found.
+/// Writes a planned motion with its predictions.
 pub fn json(
     planning: &Planning,
     asked: &Asked,
@@ -60,7 +60,7 @@ pub fn json(
     writeln!(out, "{said:#}")
 }
 
-/// All of a motion that was given.
+/// Writes a given motion with its predictions.
 pub fn checked_json(
     planning: &Planning,
     asked: &Asked,
@@ -128,7 +128,7 @@ fn trajectory(motion: &JointTrack) -> Value {
     json!({"t_s": motion.t_s, "q": rows(&motion.q), "qd": rows(&motion.qd)})
 }
 
-/// A `trajectory_msgs/JointTrajectory`.
+/// Writes a `trajectory_msgs/JointTrajectory`.
 pub fn yaml(planning: &Planning, series: &Series, out: &mut dyn Write) -> io::Result<()> {
     let listed = |numbers: &[f64]| {
         let numbers = numbers.iter().map(|number| format!("{:.9}", number + 0.0));
@@ -142,7 +142,7 @@ pub fn yaml(planning: &Planning, series: &Series, out: &mut dyn Write) -> io::Re
         foreign(&planning.robot.name)
     )?;
     writeln!(out, "# {OBSTACLES}")?;
-    writeln!(out, "# The arm must stand in the first posture when it begins.")?;
+    writeln!(out, "# The arm must be in the start configuration at the beginning.")?;
     writeln!(out, "header: {{stamp: {{sec: 0, nanosec: 0}}, frame_id: ''}}")?;
     writeln!(out, "joint_names: [{}]", names.join(", "))?;
     writeln!(out, "points:")?;
@@ -161,7 +161,7 @@ pub fn yaml(planning: &Planning, series: &Series, out: &mut dyn Write) -> io::Re
     Ok(())
 }
 
-/// The lowest and the highest coordinates of the tip, m.
+/// Lower and upper corner of the tip's bounding box, m.
 pub fn tip_box(planning: &Planning, motion: &JointTrack) -> [[f64; 3]; 2] {
     let tips =
         (0..motion.len()).map(|row| planning.chain.forward(motion.row(row)).translation.vector);

@@ -1,8 +1,8 @@
-//! Which questions there are, which rules answer them, and what these need in the log.
+//! Questions to a log, the rules that answer them, and the streams these need.
 
 use poseaudit::report::{Report, StreamRow};
 
-/// Something that a log must hold for a question to be answered.
+/// A stream or model that a log needs for a question to be answered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Need {
     Joints,
@@ -17,7 +17,7 @@ pub enum Need {
 }
 
 impl Need {
-    /// What it is, in words.
+    /// Description for people.
     pub fn what(self) -> &'static str {
         match self {
             Need::Joints => "joint states of the arm",
@@ -27,12 +27,12 @@ impl Need {
             Need::Tf => "/tf",
             Need::Imu => "an IMU on the arm, with its orientation",
             Need::Mount => "/tf_static, with the frame of the IMU",
-            Need::Target => "poses of a target that a camera sees",
+            Need::Target => "poses of a target seen by a camera",
             Need::Reference => "commanded or desired poses, or joints",
         }
     }
 
-    /// The roles of streams that are it.
+    /// Stream roles that meet the need.
     pub fn roles(self) -> &'static [&'static str] {
         match self {
             Need::Joints => &["joints"],
@@ -46,7 +46,7 @@ impl Need {
         }
     }
 
-    /// The streams of a log that are it.
+    /// Streams of a log that meet the need.
     pub fn streams(self, report: &Report) -> Vec<&StreamRow> {
         let is_it = |stream: &&StreamRow| {
             let is_outside = matches!(stream.witness, Some("external"));
@@ -57,13 +57,13 @@ impl Need {
         report.streams.iter().filter(is_it).collect()
     }
 
-    /// Whether a log has it. A model may come from the catalogue.
+    /// Whether a log meets the need. A model may come from the catalogue.
     pub fn is_met(self, report: &Report) -> bool {
         (self == Need::Model && !report.robots.is_empty()) || !self.streams(report).is_empty()
     }
 }
 
-/// A question that is asked of a log.
+/// A question to a log.
 #[derive(Debug)]
 pub struct Question {
     pub asks: &'static str,
@@ -71,10 +71,10 @@ pub struct Question {
     pub needs: &'static [Need],
 }
 
-/// All of them. Each rule is in one.
+/// All questions. Each rule belongs to exactly one.
 pub const QUESTIONS: &[Question] = &[
     Question {
-        asks: "Is the log whole, and are its stamps sound?",
+        asks: "Is the log complete, and are its stamps valid?",
         rules: &[
             "ING001", "ING002", "ING003", "TIM001", "TIM002", "TIM003", "TIM004", "TIM005",
             "TIM006", "TIM007", "TIM008", "META001", "META002", "FRM004", "FRM005", "FRM007",
@@ -87,7 +87,7 @@ pub const QUESTIONS: &[Question] = &[
         needs: &[Need::Joints, Need::Model],
     },
     Question {
-        asks: "Are poses coded, framed and timed as they say, and do they fit the joints?",
+        asks: "Do encoding, frames and timing of the poses match their metadata and the joints?",
         rules: &[
             "ORD001", "ORD002", "ORD003", "ORD004", "ORD005", "ORD006", "ORD007", "ORD008",
             "ORD009", "ORD010", "ORD011", "FRM002", "FRM003", "LAT001", "LAT002", "LAT003",
@@ -96,7 +96,7 @@ pub const QUESTIONS: &[Question] = &[
         needs: &[Need::Joints, Need::Model, Need::Pose],
     },
     Question {
-        asks: "Is the arm itself off, beyond what its own encoders see: lengths, sag, play?",
+        asks: "Does the arm deviate beyond what its own encoders see: link lengths, sag, backlash?",
         rules: &["ZER002", "ZER003", "MOT006"],
         needs: &[Need::Joints, Need::Model, Need::Outside],
     },
@@ -106,17 +106,17 @@ pub const QUESTIONS: &[Question] = &[
         needs: &[Need::Joints, Need::Model, Need::Tf],
     },
     Question {
-        asks: "Does an IMU drift, tilt or sit elsewhere?",
+        asks: "Does an IMU drift, tilt or have a wrong mount?",
         rules: &["YAW001", "YAW002", "YAW003", "YAW004"],
         needs: &[Need::Joints, Need::Model, Need::Imu, Need::Mount],
     },
     Question {
-        asks: "Does hand and eye close?",
+        asks: "Does the hand-eye chain close?",
         rules: &["HEC001", "HEC002", "HEC003"],
         needs: &[Need::Joints, Need::Model, Need::Target],
     },
     Question {
-        asks: "Does the arm do what it is told?",
+        asks: "Does the arm follow its commands?",
         rules: &["FRM006", "LAT004", "MOT004"],
         needs: &[Need::Joints, Need::Model, Need::Reference],
     },
@@ -137,11 +137,11 @@ mod tests {
         let listed: Vec<&str> =
             QUESTIONS.iter().flat_map(|question| question.rules).copied().collect();
         let known: BTreeSet<&str> = registry().iter().map(|rule| rule.code).collect();
-        assert_eq!(listed.len(), known.len(), "a rule is in two questions or in none");
+        assert_eq!(listed.len(), known.len(), "each rule must be in one question");
         assert_eq!(listed.into_iter().collect::<BTreeSet<_>>(), known);
     }
 
-    /// What a log lacks keeps rules from being asked, and what it has lets them be.
+    /// Missing streams make rules skipped; available streams make them run.
     #[test]
     fn a_question_whose_needs_are_met_is_asked_and_one_whose_stream_is_missing_is_skipped() {
         let fixtures = ["faulty", "slipped_target", "goal", "imu"];
@@ -166,6 +166,6 @@ mod tests {
                 }
             }
         }
-        assert!(held.len() >= 9, "hardly anything was held: {held:?}");
+        assert!(held.len() >= 9, "too few needs were tested: {held:?}");
     }
 }

@@ -1,4 +1,4 @@
-//! The log that is watched: what was said of it last, and when it is looked at again.
+//! The watched log: the last printed state, and when to read and audit it again.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -15,7 +15,7 @@ use super::super::output::Format;
 use super::super::{Outcome, output};
 use super::screen::Screen;
 
-/// How often a log is audited, when it has ended, and how that is said.
+/// Audit interval, idle time and output format.
 #[derive(Clone, Copy, Debug)]
 pub struct Pace {
     pub every: Duration,
@@ -23,42 +23,42 @@ pub struct Pace {
     pub format: Format,
 }
 
-/// The log.
+/// The watched log.
 pub struct Current {
     path: PathBuf,
     options: Options,
     pace: Pace,
     reading: Reading,
-    /// When something was written last.
+    /// Time of the last write.
     written: Instant,
-    /// When it was audited last, how long that took, and whether something was written since.
+    /// Time and duration of the last audit, and whether data was written since.
     audited: Option<(Instant, Duration)>,
     is_stale: bool,
     said: Said,
-    /// Bytes that were read as they came, …
+    /// Bytes read incrementally.
     came: u64,
-    /// … and those that were read again.
+    /// Bytes read again.
     again: u64,
     outcome: Outcome,
     has_ended: bool,
 }
 
-/// How what is new of it is had.
+/// How new data is read.
 enum Reading {
-    /// It is not known yet what it is.
+    /// File type not yet known.
     Unknown,
-    /// Piece by piece.
+    /// Incrementally.
     Grown(Box<Follow>),
-    /// Whole each time; its size when it was looked at last.
+    /// As a whole each time; the size at the last check.
     Whole(u64),
 }
 
-/// What was said last.
+/// The last printed state.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 struct Said {
     /// The verdict, or why there is none.
     verdict: String,
-    /// How grave what was found is, by rule and subject.
+    /// Severity of each finding, by rule and subject.
     findings: BTreeMap<String, Severity>,
 }
 
@@ -72,12 +72,12 @@ impl Said {
     }
 }
 
-/// The findings that are told.
+/// The findings to print.
 fn told(report: &Report) -> impl Iterator<Item = &Finding> {
     report.findings.iter().filter(|finding| finding.severity >= Severity::Warning)
 }
 
-/// The rule and subject of a finding.
+/// Rule and subject of a finding.
 fn name(finding: &Finding) -> String {
     let subject = &finding.subject;
     let whom = [&subject.topic, &subject.joint, &subject.frame].into_iter();
@@ -116,7 +116,7 @@ impl Current {
         self.has_ended
     }
 
-    /// Reads what was written since, and audits it if it is time to.
+    /// Reads new data, and audits the log if it is due.
     pub fn look(&mut self, screen: &mut Screen) -> Result<(), Trouble> {
         if matches!(self.reading, Reading::Unknown) && self.size() > 0 {
             self.reading = match Follow::can(&self.path) {
@@ -127,7 +127,7 @@ impl Current {
         let size = self.size();
         let growth = match &mut self.reading {
             Reading::Unknown => Growth::None,
-            // A file that is not there for a moment is being replaced.
+            // A file that briefly does not exist is being replaced.
             Reading::Grown(follow) => {
                 let growth = follow.advance().unwrap_or(Growth::None);
                 self.came = follow.read();
@@ -149,19 +149,19 @@ impl Current {
             Growth::BegunAgain => self.begin_again()?,
             Growth::Ended if self.has_ended => {}
             Growth::Ended if is_closed(&self.path) => return self.finish(screen),
-            // It is damaged, or its end is just being written.
+            // It is damaged, or its end is being written.
             Growth::Ended => self.reading = Reading::Whole(0),
         }
         if self.written.elapsed() >= self.pace.idle && !self.has_ended && self.size() > 0 {
             return self.finish(screen);
         }
-        // A long log is not audited all the time.
+        // Limits the share of time spent auditing a long log.
         let is_time =
             self.audited.is_none_or(|(at, took)| at.elapsed() >= self.pace.every.max(2 * took));
         if self.is_stale && is_time { self.audit(screen) } else { Ok(()) }
     }
 
-    /// Audits the whole of a log that has ended, as `poseaudit audit` does.
+    /// Audits the whole of a log that has ended, like `poseaudit audit`.
     pub fn finish(&mut self, screen: &mut Screen) -> Result<(), Trouble> {
         if self.has_ended || self.size() == 0 {
             return Ok(());
@@ -179,7 +179,7 @@ impl Current {
         let path = self.path.display().to_string();
         output::emit(None, |out| match self.pace.format {
             Format::Text => {
-                writeln!(out, "{}  begun again: what was read before is forgotten", tame(&path))
+                writeln!(out, "{}  restarted: earlier data discarded", tame(&path))
             }
             Format::Json => {
                 writeln!(
@@ -191,13 +191,13 @@ impl Current {
         })
     }
 
-    /// Audits what is there.
+    /// Audits the data available so far.
     fn audit(&mut self, screen: &mut Screen) -> Result<(), Trouble> {
         let began = Instant::now();
         let log = match &self.reading {
             Reading::Grown(follow) => match follow.log() {
                 Some(log) => Ok(log),
-                // Nothing to audit before the first message.
+                // No message yet.
                 None => return Ok(()),
             },
             _ => self.so_far(),
@@ -210,7 +210,7 @@ impl Current {
         self.tell(audited, screen)
     }
 
-    /// What can be read of the whole file. That it has no end yet is no damage.
+    /// Reads the whole file. A missing end is not damage while it is written.
     fn so_far(&mut self) -> Result<Log, Trouble> {
         self.again += self.size();
         let mut log = log::open(&self.options.logs, &self.options.read)?;
@@ -218,13 +218,13 @@ impl Current {
         Ok(log)
     }
 
-    /// The audit of the whole file.
+    /// Audits the whole file.
     fn whole(&mut self) -> Result<Audited, Trouble> {
         self.again += self.size();
         audit(&self.options)
     }
 
-    /// Says what an audit gives if that is new, and draws it.
+    /// Prints and draws the result of an audit if it is new.
     fn tell(
         &mut self,
         audited: Result<Audited, Trouble>,
@@ -243,7 +243,7 @@ impl Current {
         fs::metadata(&self.path).map_or(0, |metadata| metadata.len())
     }
 
-    /// Prints a line if the verdict or what is found changed, or where the log has ended; whether it did.
+    /// Prints a line if the verdict or the findings changed, or the log has ended. Returns whether it did.
     fn say(&mut self, report: &Report) -> Result<bool, Trouble> {
         self.outcome = Outcome::from(report);
         let said = Said::of(report);
@@ -260,7 +260,7 @@ impl Current {
     }
 }
 
-/// A trouble of the log is said and may go; one of the call ends the watch.
+/// A trouble with the log is printed and may pass; a trouble with the call ends the watch.
 fn called(trouble: Trouble) -> Result<Trouble, Trouble> {
     match trouble.kind {
         TroubleKind::Log => Ok(trouble),
@@ -268,7 +268,7 @@ fn called(trouble: Trouble) -> Result<Trouble, Trouble> {
     }
 }
 
-/// Whether an MCAP file has its end.
+/// Whether an MCAP file has its end magic.
 fn is_closed(path: &Path) -> bool {
     use mcap::MAGIC;
     use std::io::{Read, Seek, SeekFrom};
@@ -280,7 +280,7 @@ fn is_closed(path: &Path) -> bool {
     read.is_ok() && end == MAGIC
 }
 
-/// What became of the log since the line before.
+/// Changes since the previous line.
 struct Line<'a> {
     current: &'a Current,
     before: &'a Said,
@@ -292,7 +292,7 @@ impl Line<'_> {
         &self.current.said
     }
 
-    /// What is new, or graver or less grave than before: its name, and what it says.
+    /// New findings, and findings whose severity changed, by name.
     fn found(&self) -> impl Iterator<Item = (String, &Finding)> {
         let named = told(self.report).map(|finding| (name(finding), finding));
         named.filter(|(name, now)| self.before.findings.get(name) != Some(&now.severity))
@@ -302,7 +302,7 @@ impl Line<'_> {
         self.before.findings.keys().filter(|key| !self.now().findings.contains_key(*key))
     }
 
-    /// The rules that keep the verdict open.
+    /// The rules that make the verdict inconclusive.
     fn undecided(&self) -> Vec<&'static str> {
         let is_open = self.report.verdict == Verdict::Inconclusive;
         if is_open { self.report.undecided() } else { Vec::new() }
@@ -320,7 +320,7 @@ impl Line<'_> {
         line += &self.now().verdict;
         let undecided = self.undecided();
         if !undecided.is_empty() {
-            line += &format!(" (not decided: {})", undecided.join(", "));
+            line += &format!(" (undetermined: {})", undecided.join(", "));
         }
         for (name, Finding { severity, message, .. }) in self.found() {
             line += &format!("; new {} {name}: {message}", severity.name());
@@ -330,7 +330,7 @@ impl Line<'_> {
         }
         let Current { came, again, .. } = self.current;
         if self.current.has_ended {
-            line += &format!("; {came} bytes read as they came, {again} read again");
+            line += &format!("; {came} bytes read incrementally, {again} read again");
         }
         line
     }
