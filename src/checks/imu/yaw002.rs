@@ -56,7 +56,7 @@ fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Judged {
     let as_logged = imu.diagnosis.reading.as_ref().is_ok_and(|reading| reading.best.is_as_logged());
     let outcome = match as_logged {
         false => Outcome::Inconclusive(
-            "orientation encoding differs from the declared one; correct it first (ORD001 to ORD003)".to_owned(),
+            "the orientation encoding is wrong; correct it first (ORD001 to ORD003)".to_owned(),
         ),
         true => {
             decide_length(tilt, &case.thresholds.of(&YAW002, THRESHOLD), case.evidence.subjects())
