@@ -1,4 +1,4 @@
-//! `poseaudit calibrate`, from outside: logs and tables in, files out, and these read again.
+//! `poseaudit calibrate` end to end: logs and tables in, files out, and these files read again.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -14,7 +14,7 @@ use crate::program::poseaudit;
 
 const CLEAN: &str = "fixtures/clean.mcap";
 
-/// What `calibrate` says of a table of postures of that UR10.
+/// Runs `calibrate` on a table of configurations of that UR10.
 fn of_table(log: &str, out: &str) -> Output {
     const ARM: [&str; 6] = ["--robot", "ur10", "--base", "base", "--tip", "tool0"];
     poseaudit(&[&["calibrate", log, "--out", out, "--format", "json"], &ARM[..]].concat())
@@ -29,7 +29,7 @@ fn json(output: &Output) -> Value {
     serde_json::from_slice(&output.stdout).unwrap_or_else(|error| panic!("{error}: {stderr}"))
 }
 
-/// A number in ±1, the same for the same seed.
+/// A reproducible pseudo-random number in ±1.
 fn noise(seed: usize) -> f64 {
     let mut state = (seed as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     state = (state ^ (state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -37,14 +37,14 @@ fn noise(seed: usize) -> f64 {
     ((state ^ (state >> 31)) >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
 }
 
-/// A UR10 whose links are off by up to half a millimetre and 0.05°.
+/// A UR10 with link deviations of up to 0.5 mm and 0.05°.
 fn truth() -> Robot {
     let drawing = catalogue::find("ur10").expect("it is in the catalogue");
     let [base, tip] = ["base", "tool0"].map(|name| drawing.link(name).expect("a link"));
     let links = drawing.link_path(base, tip).expect("a path");
     let off = |link: usize| {
-        // A free base and a free tool take what is off before the first joint and beyond the last one,
-        // and with it what is along the last joint's axis.
+        // A free base and a free tool absorb deviations before the first and after the last joint, and
+        // along the last axis.
         let is_free = link == 0 || link == 6;
         let at = |axis: usize| match is_free || (link == 5 && axis % 3 == 1) {
             true => 0.0,
@@ -57,8 +57,8 @@ fn truth() -> Robot {
     drawing.deviated(&links, &deviations, &[])
 }
 
-/// A table of `rows` postures of that arm as a tracker sees a marker on its tool: in mm and in degrees of
-/// Euler angles about the moving z, y and x axes.
+/// A table of `rows` configurations with the poses of a marker on the tool from a tracker: in mm, and
+/// degrees of Euler angles about the moving z, y and x axes.
 fn table(rows: usize, moves: [bool; 6]) -> String {
     let robot = truth();
     let [base, tip] = ["base", "tool0"].map(|name| robot.link(name).expect("a link"));
@@ -82,8 +82,8 @@ fn table(rows: usize, moves: [bool; 6]) -> String {
     text
 }
 
-/// How far FK of two robots is apart at postures anywhere, wherever their bases are: the difference of
-/// distances between the tips of two postures, rms m.
+/// Rms difference between two robots' distances of tip pairs at random configurations, m. Independent of
+/// the bases.
 fn apart_m(a: &Robot, b: &Robot) -> f64 {
     let chain = |robot: &Robot| {
         let [base, tip] = ["base", "tool0"].map(|name| robot.link(name).expect("a link"));

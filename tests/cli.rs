@@ -1,4 +1,4 @@
-//! The process boundary: what the binary prints where, and how it exits.
+//! The process boundary: what the binary prints to which stream, and its exit status.
 
 use std::fs;
 use std::path::Path;
@@ -12,8 +12,7 @@ fn json(output: &Output) -> Value {
     serde_json::from_slice(&output.stdout).expect("stdout is JSON")
 }
 
-/// Asserts that the call ends with `expected`, says so in one line that holds `part`, and prints no
-/// report.
+/// Asserts that the call exits with `expected`, prints one line with `part`, and no report.
 #[track_caller]
 fn assert_refused(args: &[&str], expected: i32, part: &str) {
     let output = poseaudit(args);
@@ -165,7 +164,7 @@ fn the_json_has_the_keys_of_the_contract_in_their_order() {
             "streams",
             "checks",
             "findings",
-            // Beyond the contract, and behind all of it.
+            // Not part of the contract, so they come last.
             "observability",
             "workspace",
             "plans"
@@ -394,7 +393,7 @@ fn a_transform_of_the_log_is_looked_up_as_tf2_does() {
     assert!(there["age_s"].as_f64().is_some_and(|age_s| (0.0..0.04).contains(&age_s)), "{there}");
     let back = ["tf", CLEAN, "tool0", "base", "--at", "+3", "--format", "json"];
     let back = json(&poseaudit(&back));
-    // There and back again is nowhere: x' = −Rᵀ·x, so that both are as far.
+    // The inverse pose has the same distance: x' = −Rᵀ·x.
     let length = |row: &Value| numbers(row, "xyz_m").iter().map(|x| x * x).sum::<f64>().sqrt();
     assert!((length(&there) - length(&back)).abs() < 1e-12);
     assert_eq!(at("+99")["how"], "extrapolated");
@@ -414,7 +413,7 @@ fn the_page_shows_what_proves_each_finding() {
     let data = data.and_then(|rest| rest.split("</script>").next()).expect("the plots' data");
     let plots: Value = serde_json::from_str(data).expect("JSON");
     let plots: Vec<&Value> = plots.as_object().expect("plots").values().collect();
-    // What is left at each latency is least at the one found.
+    // The residual is smallest at the estimated latency.
     let valley = plots.iter().find(|plot| plot["x_label"] == "latency, ms").expect("a valley");
     let numbers = |values: &Value| -> Vec<f64> {
         values.as_array().into_iter().flatten().filter_map(Value::as_f64).collect()
@@ -424,7 +423,7 @@ fn the_page_shows_what_proves_each_finding() {
     let found = valley["mark"]["at"].as_f64().expect("a mark");
     assert!((x[least] - found).abs() < 0.5 && (found - 15.0).abs() < 0.1, "{} {found}", x[least]);
     assert!(left[0] > 20.0 * left[least], "{left:?}");
-    // The explanation takes the error off.
+    // The explanation reduces the error.
     let most = |plot: &Value, at: usize| {
         numbers(&plot["series"][at]["values"]).into_iter().fold(0.0, f64::max)
     };
@@ -435,7 +434,7 @@ fn the_page_shows_what_proves_each_finding() {
     for plot in over_time {
         assert!(most(plot, 1) < 0.1 * most(plot, 0), "{}", plot["y_label"]);
     }
-    // The joint that is off stands out among all.
+    // The faulty joint stands out.
     let offsets = page.split("Zero offsets of all joints").nth(1).expect("the offsets");
     let rows: Vec<&str> =
         offsets.split("</table>").next().unwrap_or_default().split("<tr").collect();

@@ -1,4 +1,4 @@
-//! Columns whose names say nothing: what they are is found by their numbers, or asked.
+//! Tables with unnamed columns: the columns are identified by their numbers, or a question is asked.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use poseaudit::{Options, audit};
 
 use crate::tables::{CLEAN, STEP_S, Table, amount, causes, report, ur5e};
 
-/// Writes columns called `t`, `c0`, `c1` and so on, or as `names` say.
+/// Writes columns called `t`, `c0`, `c1` and so on, or `names`.
 fn csv(folder: &Path, rows: &[Vec<f64>], names: Option<&[&str]>) -> PathBuf {
     let count = rows[0].len() - 1;
     let plain = || std::iter::once("t".to_owned()).chain((0..count).map(|at| format!("c{at}")));
@@ -45,7 +45,7 @@ fn numbered(range: std::ops::Range<usize>) -> Vec<String> {
     range.map(|at| format!("c{at}")).collect()
 }
 
-/// The rows of a table with further numbers behind each row's time, by a function of the row.
+/// The rows of a table with additional numbers, computed from row index and content.
 fn with(table: &Table, more: impl Fn(usize, &[f64]) -> Vec<f64>) -> Vec<Vec<f64>> {
     let rows = table.rows();
     let longer = |(at, row): (usize, &Vec<f64>)| {
@@ -59,7 +59,7 @@ fn with(table: &Table, more: impl Fn(usize, &[f64]) -> Vec<f64>) -> Vec<Vec<f64>
 
 #[test]
 fn joints_and_pose_are_found_among_others_in_any_unit() {
-    // A gripper, noise, and the rates of two joints stand before them.
+    // Preceded by a gripper, noise, and the rates of two joints.
     let others = |at: usize, row: &[f64]| {
         let noise = ((at * 7919) % 1009) as f64 / 1009.0;
         vec![f64::from(u8::from(at % 200 > 90)), noise, row[0].sin(), (0.7 * row[0]).cos()]
@@ -104,7 +104,7 @@ fn faults_are_named_as_with_names_and_the_config_of_init_finds_the_same() {
 fn commands_lead_and_copies_are_said() {
     let rows = CLEAN.rows();
     let lead = (0.1 / STEP_S) as usize;
-    // Commands are what the joints do five rows later.
+    // The commands lead the joints by five rows.
     let ahead = |at: usize, _: &[f64]| rows[(at + lead).min(rows.len() - 1)][1..7].to_vec();
     let found = told(&with(&CLEAN, ahead), Some("ur5e"));
     assert_eq!(columns(&found, "joint_commands"), numbered(0..6), "{:?}", found.error);
@@ -120,7 +120,7 @@ fn commands_lead_and_copies_are_said() {
 #[test]
 fn what_is_no_arm_is_silence_or_a_question() {
     let rows = CLEAN.rows();
-    // Velocities beside a pose, and joints beside an object that is not the tool.
+    // Velocities with a pose, and joints with an object that is not the tool.
     let rates = |at: usize| -> Vec<f64> {
         let next = &rows[(at + 1).min(rows.len() - 1)];
         let last = &rows[at.saturating_sub(1)];
@@ -142,7 +142,7 @@ fn what_is_no_arm_is_silence_or_a_question() {
             assert_ne!(found.verdict, Verdict::Pass);
         }
     }
-    // Joints and a gripper, and nothing to hold them against: the lines that would say it.
+    // Joints and a gripper without a pose: the report suggests config lines.
     let folder = tempfile::tempdir().expect("a folder");
     let alone: Vec<Vec<f64>> = rows.iter().map(|row| [&row[..7], &[0.0]].concat()).collect();
     let path = csv(folder.path(), &alone, None);
@@ -154,7 +154,7 @@ fn what_is_no_arm_is_silence_or_a_question() {
 #[test]
 fn two_arms_of_a_row_are_two_arms() {
     let (left, chain) = (CLEAN.rows(), ur5e());
-    // The right arm goes the way back, with each joint 0.1 rad further.
+    // The right arm moves in reverse, with each joint offset by 0.1 rad.
     let both = |(at, row): (usize, &Vec<f64>)| {
         let right: Vec<f64> = left[left.len() - 1 - at][1..7].iter().map(|q| q + 0.1).collect();
         let pose = chain.forward(&right);
@@ -187,7 +187,7 @@ fn names_that_the_numbers_contradict_are_a_finding() {
         CLEAN.rows().iter().map(|row| [&row[..1], &row[7..]].concat()).collect();
     let (found, message) = status(&poses, &["t", "q1", "q2", "q3", "q4", "q5", "q6", "q7"]);
     assert!(found == Status::Fail && message.contains("unit quaternion"), "{message}");
-    // Degrees in columns that say rad.
+    // Degrees in columns named as rad.
     let degrees = Table { unit: 1_f64.to_degrees(), poses: false, ..CLEAN }.rows();
     let names = ["t", "q1_rad", "q2_rad", "q3_rad", "q4_rad", "q5_rad", "q6_rad"];
     let (found, message) = status(&degrees, &names);
@@ -257,7 +257,7 @@ fn a_pose_that_the_config_names_is_one_where_the_motion_does_not_tell() {
     const NAMES: &str = "timestamp,shoulder_pan_joint,shoulder_lift_joint,elbow_joint,wrist_1_joint,wrist_2_joint,\
                          wrist_3_joint,x1,y1,z1,phix1,phiy1,phiz1";
     let folder = tempfile::tempdir().expect("a folder");
-    // Postures of a calibration, a second apart: no speed is to be seen.
+    // Configurations of a calibration, a second apart, so speeds are unknown.
     let all = Table { rpy: true, ..CLEAN }.rows();
     let posture = |at: usize| [&[0.9 * at as f64], &all[(at * 389) % all.len()][1..]].concat();
     let postures: Vec<Vec<f64>> = (0..25).map(posture).collect();

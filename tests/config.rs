@@ -1,4 +1,4 @@
-//! What a config does to an audit, and what `init` writes.
+//! Effects of a config on an audit, and the config that `init` writes.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -31,7 +31,7 @@ fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures").join(name)
 }
 
-/// The audit of a log by a config.
+/// Audits a log with a config.
 fn audited(log: &Path, config: &str) -> Report {
     let config = Config::from_text(config.to_owned(), Path::new("p.toml")).expect("a config");
     let options = Options { logs: vec![log.to_owned()], ..config.options() };
@@ -57,7 +57,7 @@ fn what_init_writes_audits_its_log_as_no_config_does() {
                 serde_json::to_value(report).expect("a report is JSON")[key].clone()
             };
             let (mut without, mut with) = (of(without), of(&with));
-            // The config is where the robot is from, then.
+            // The config is then the source of the robot.
             for robots in [&mut without, &mut with] {
                 let rows = robots.as_array_mut().into_iter().flatten();
                 rows.for_each(|row| drop(row.as_object_mut().map(|row| row.remove("source"))));
@@ -170,7 +170,7 @@ fn what_a_vendor_gives_is_held_against_the_log() {
         let codes = report.findings.iter().map(|one| one.code);
         codes.filter(|code| code.starts_with("ORD") && *code != "ORD006").collect::<Vec<_>>()
     };
-    // Its numbers are roll, pitch and yaw in radians, beside metres.
+    // Its numbers are roll, pitch and yaw in radians, and metres.
     assert_eq!(of("aubo", ""), [""; 0]);
     assert_eq!(of("jaka", ""), ["ORD008"]);
     assert_eq!(of("jaka", "units = [\"m\"]"), [""; 0]);
@@ -198,7 +198,7 @@ fn a_topic_that_cannot_be_what_is_said_is_refused_with_the_line() {
     assert!(said.contains("have no `link`"), "{said}");
 }
 
-/// The log at `path` with its pose topic called `name`.
+/// The log at `path` with its pose topic renamed to `name`.
 fn renamed(path: &Path, name: &str) -> Vec<u8> {
     let bytes = fs::read(path).expect("the fixture");
     let mut writer = mcap::Writer::new(Cursor::new(Vec::new())).expect("a writer");

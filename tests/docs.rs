@@ -1,10 +1,10 @@
-//! What the documents promise.
+//! Checks the documentation against the program.
 
 use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-/// The rows of all tables of a document that have so many columns, without their heads.
+/// Rows of all tables with this many columns in a document, without headers.
 fn rows<const N: usize>(document: &str) -> Vec<[String; N]> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs").join(document);
     let text = fs::read_to_string(path).expect("the document");
@@ -15,7 +15,7 @@ fn rows<const N: usize>(document: &str) -> Vec<[String; N]> {
     text.lines().filter_map(cells).filter(|cells| cells[0] != "symptom").collect()
 }
 
-/// What stands in backquotes, of a cell that is nothing else.
+/// The text in backquotes of a cell with nothing else.
 fn quoted(cell: &str) -> &str {
     let inner = cell.strip_prefix('`').and_then(|cell| cell.strip_suffix('`'));
     inner.unwrap_or_else(|| panic!("not in backquotes: {cell}"))
@@ -35,7 +35,7 @@ fn every_symptom_has_the_answer_that_is_promised() {
             .expect("the binary runs");
         let text = String::from_utf8_lossy(&output.stdout);
         let found = match quoted(&says) {
-            // Of a fault in a log a finding is promised, not that the rule was asked.
+            // For a fault, the document promises a finding, not only that the rule ran.
             code if call.contains(" audit ") && is_code(code) => {
                 text.lines().any(|line| is_finding(line, code)) || passes(&call, &text, code)
             }
@@ -60,7 +60,7 @@ fn is_finding(line: &str, code: &str) -> bool {
         .any(|severity| line.starts_with(&format!("{severity} {code}")))
 }
 
-/// Whether the call asks single rules, of which some are meant to pass.
+/// Whether the call selects single rules, some of which should pass.
 fn passes(call: &str, text: &str, code: &str) -> bool {
     call.contains("--select") && text.contains(code)
 }

@@ -1,4 +1,4 @@
-//! The logs in `fixtures/` are what the generator makes today.
+//! The logs in `fixtures/` match the current generator.
 
 use std::collections::BTreeMap;
 use std::io::Cursor;
@@ -7,8 +7,8 @@ use std::path::Path;
 #[path = "../fixtures/scenarios.rs"]
 mod scenarios;
 
-/// Of each topic the log times and sizes of its messages: the numbers in them may differ in their
-/// last digits between platforms, and with them the compressed bytes.
+/// Log times and sizes of the messages of each topic. Numbers may differ in their last digits between
+/// platforms, and so do compressed bytes.
 fn outline(log: &[u8]) -> BTreeMap<String, Vec<(u64, usize)>> {
     let mut topics: BTreeMap<String, Vec<(u64, usize)>> = BTreeMap::new();
     for message in mcap::MessageStream::new(log).unwrap().map(Result::unwrap) {
@@ -28,7 +28,7 @@ fn fixtures_are_small_and_current() {
         assert!(kept.len() < 300_000, "{name} has {} bytes", kept.len());
         assert!(
             outline(&kept) == outline(&made),
-            "{name} is not what the generator makes: run `cargo run --example fixtures`"
+            "{name} differs from the generator's output: run `cargo run --example fixtures`"
         );
     }
 }

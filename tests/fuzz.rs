@@ -1,5 +1,4 @@
-//! The seeds of the fuzz targets, whole and damaged: nothing panics, and what is read keeps the
-//! promises of every reader.
+//! The seeds of the fuzz targets, complete and damaged: nothing panics, and readers keep their invariants.
 
 use std::fs;
 use std::path::Path;
@@ -47,7 +46,7 @@ fn seeds_of_whole_audits_keep_what_every_report_promises() {
     for seed in seeds {
         answers.extend(audits::audit_of(&fs::read(seed).unwrap()));
     }
-    // They are of many kinds, or this shows nothing.
+    // The results must vary, or this test shows nothing.
     for code in ["0", "1", "ING003 Warning", "ING003 Pass"] {
         assert!(answers.iter().any(|answer| answer.starts_with(code)), "{code}: {answers:?}");
     }

@@ -1,4 +1,4 @@
-//! What the program and the library do, from outside: one binary, as each links all that there is.
+//! Tests of the program and the library from outside. One binary, because each would link everything.
 
 mod calibrate;
 mod checks;

@@ -1,4 +1,4 @@
-//! What the registry of rules promises of every rule.
+//! Invariants of every rule in the registry.
 
 use std::collections::BTreeSet;
 
@@ -38,7 +38,7 @@ fn every_rule_is_documented_in_all_sections() {
         assert_eq!(headings, SECTIONS, "{}", rule.code);
         for section in doc.split("## ").skip(1) {
             let (heading, text) = section.split_once('\n').unwrap_or_default();
-            assert!(text.trim().len() > 40, "{} says next to nothing of: {heading}", rule.code);
+            assert!(text.trim().len() > 40, "{}: too little text in section: {heading}", rule.code);
             assert!(text.trim().ends_with('.'), "{} breaks off in: {heading}", rule.code);
         }
     }

@@ -1,4 +1,4 @@
-//! Logs whose joints have other names than the model's.
+//! Logs with joint names that differ from the model.
 
 use std::fs::File;
 use std::path::PathBuf;
@@ -9,21 +9,20 @@ use poseaudit::synth::{Scenario, write_cell};
 use poseaudit::{Options, audit};
 use tempfile::TempDir;
 
-/// A UR5e whose joints are called `before` and their number; its log has no description, and a frame of its
-/// own.
+/// A UR5e with joints named `before` and a number; its log has no description, and a foreign frame.
 fn ur5e(before: &str) -> Scenario {
     let run = Scenario::ur5e();
     named(run, |joint| format!("{before}{}", joint + 1))
 }
 
-/// A run with its joints called otherwise.
+/// A run with renamed joints.
 fn named(run: Scenario, name: impl Fn(usize) -> String) -> Scenario {
     let own = ["shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"];
     let renamed = run.robot.with_joints_renamed(|joint| {
         let at = own.iter().position(|own| joint == format!("{own}_joint"));
         at.map_or(joint.to_owned(), &name)
     });
-    let mut run = Scenario { robot: renamed.expect("names of their own"), ..run };
+    let mut run = Scenario { robot: renamed.expect("distinct names"), ..run };
     (run.description, run.tf.timing.rate_hz, run.tf.with_static) = (false, 0.0, false);
     run.imu.timing.rate_hz = 0.0;
     run.pose.frame_id = "cell".to_owned();
@@ -42,7 +41,7 @@ fn as_robot(name: &str) -> RunOptions {
     RunOptions { robots: vec![name.into()], ..RunOptions::default() }
 }
 
-/// What the report says of how the arm was found; none where there is no arm.
+/// How the report describes the identification of the arm; empty without an arm.
 fn source(report: &Report) -> &str {
     report.robots.first().map_or("", |robot| robot.source.as_str())
 }
@@ -101,7 +100,7 @@ fn no_arm_is_guessed_without_poses() {
     run.pose.timing.rate_hz = 0.0;
     let report = audited(&[run.clone()], RunOptions::default()).expect("a report");
     assert!(refusal(&report).contains("no robot model matches the joints"), "{}", refusal(&report));
-    // A robot that is named has its numbers, and nothing that confirms them.
+    // A named robot is matched by numbers without confirmation.
     let report = audited(&[run], as_robot("ur5e")).expect("a report");
     assert!(source(&report).contains("not confirmed by a pose stream"), "{}", source(&report));
 }
@@ -122,7 +121,7 @@ fn two_arms_are_each_matched_by_their_own_numbers() {
 
 #[test]
 fn a_map_of_joints_is_followed_with_and_without_a_model() {
-    // An order that no name tells.
+    // No name determines this order.
     let names = ["alpha", "beta", "gamma", "delta", "epsilon", "zeta"];
     let run = named(Scenario::ur5e(), |joint| names[joint].to_owned());
     let own = ["shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"];
@@ -136,7 +135,7 @@ fn a_map_of_joints_is_followed_with_and_without_a_model() {
         assert_eq!(report.robots[0].name, "ur5e");
         assert!(report.findings.is_empty(), "{:?}", report.findings);
     }
-    // The caller's word stands, and what is wrong with it is found.
+    // The caller's mapping is used, and its fault is found.
     let swapped = ["shoulder_lift", "shoulder_pan", "elbow", "wrist_1", "wrist_2", "wrist_3"];
     let options = RunOptions { joint_map: map(&swapped), ..as_robot("ur5e") };
     let report = audited(std::slice::from_ref(&run), options).expect("a report");

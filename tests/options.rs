@@ -1,5 +1,4 @@
-//! Options that all commands, or several, have: what is said on stderr, colours, where a config is, counts,
-//! baselines.
+//! Options shared by commands: messages on stderr, colours, config search, counts, baselines.
 
 use std::fs;
 use std::path::Path;
@@ -71,7 +70,7 @@ fn a_config_is_looked_for_only_where_it_is_asked_for() {
     let found = poseaudit(&["audit", &log, "--config", "auto", "-v"]);
     assert_eq!(status(&found), 0, "{}", stderr(&found));
     assert!(stderr(&found).contains("config ") && stdout(&found).contains("poseaudit.toml"));
-    // The nearest counts.
+    // The nearest config applies.
     fs::write(below.join("poseaudit.toml"), "select = [\"ZER001\"]\n").expect("a config");
     assert_eq!(status(&poseaudit(&["audit", &log, "--config", "auto"])), 1);
     let two = [log.as_str(), &path(&folder, "other.mcap")].map(str::to_owned);

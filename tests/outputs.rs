@@ -1,5 +1,5 @@
-//! Every output of every command against every input: nothing that is read, and nothing that was there
-//! before and could not be replaced whole, is lost.
+//! Tests every output of every command with every input: no input is lost, and no existing file is lost
+//! unless it is replaced completely.
 #![allow(unsafe_code, reason = "limits and signals of a child")]
 #![cfg(unix)]
 
@@ -12,18 +12,18 @@ use std::process::{Command, Output, Stdio};
 
 use tempfile::TempDir;
 
-/// A command: what it reads, and its arguments, of which `OUT` is the output.
+/// A command: its inputs and its arguments, with `OUT` as the output.
 struct Call {
     args: &'static str,
     inputs: &'static [&'static str],
-    /// For an output that is a folder, a file that is written into it.
+    /// For an output folder, a file that is written into it.
     file: Option<&'static str>,
 }
 
 const OF_AUDIT: &[&str] =
     &["run.mcap", "bag/bag_0.mcap", "r.toml", "c.yaml", "poseaudit.toml", "corrections.toml"];
 
-/// What an audit reads in these tests.
+/// Inputs of an audit in these tests.
 const READS: &str = "run.mcap bag --robot r.toml --calibration c.yaml --config poseaudit.toml";
 
 const CALLS: &[Call] = &[
@@ -107,8 +107,8 @@ const CALLS: &[Call] = &[
     },
 ];
 
-/// A folder with an input of every kind. None is what its reader asks for, so that whatever reads before it
-/// looks at its outputs says something else.
+/// A folder with an input of every kind. Each has invalid content, so a reader that runs before the output
+/// check causes a different error.
 fn inputs() -> TempDir {
     let folder = tempfile::tempdir().expect("a folder");
     for name in OF_AUDIT.iter().chain(&[
@@ -119,7 +119,7 @@ fn inputs() -> TempDir {
     ]) {
         let path = folder.path().join(name);
         fs::create_dir_all(path.parent().expect("a folder")).expect("a folder");
-        // A config is read to know which robots it names.
+        // A config is read for the robots that it names.
         let text = if *name == "poseaudit.toml" { "# nothing\n" } else { name };
         fs::write(path, text).expect("a file");
     }
@@ -137,8 +137,7 @@ fn args(call: &str, out: &str) -> Vec<String> {
     call.split(' ').map(|arg| arg.replace("OUT", out)).collect()
 }
 
-/// A hash of what is in each file below a folder, and where its links lead. A fleet's lock is empty, and
-/// stays.
+/// A hash of each file below a folder, and the targets of its links. A fleet's lock is empty and remains.
 fn content(folder: &Path) -> BTreeMap<PathBuf, String> {
     let mut all = BTreeMap::new();
     for entry in fs::read_dir(folder).expect("a folder") {
@@ -156,14 +155,14 @@ fn content(folder: &Path) -> BTreeMap<PathBuf, String> {
     all
 }
 
-/// Asserts that a call ended with status 2 and one line that holds `part`, and printed nothing else.
+/// Asserts that a call exited with status 2 and one line that contains `part`, without other output.
 #[track_caller]
 fn assert_refused(output: &Output, part: &str, call: &[String]) {
     assert_unwritten(output, part, call);
     assert!(output.stdout.is_empty(), "{call:?}");
 }
 
-/// Asserts that a call ended with status 2 and one line that holds `part`.
+/// Asserts that a call exited with status 2 and one line that contains `part`.
 #[track_caller]
 fn assert_unwritten(output: &Output, part: &str, call: &[String]) {
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -173,7 +172,7 @@ fn assert_unwritten(output: &Output, part: &str, call: &[String]) {
     assert!(line.contains(part), "{call:?}: {line}");
 }
 
-/// Asserts the same of a call whose output could not be written: a report that goes to stdout is there.
+/// The same for a call whose output could not be written, with a report on stdout.
 #[track_caller]
 fn assert_only_unwritten(output: &Output, part: &str, call: &[String]) {
     let is_beside = ["--rrd", "--mcap", "--parquet", "--fix"]
@@ -187,7 +186,7 @@ fn assert_only_unwritten(output: &Output, part: &str, call: &[String]) {
     assert!(report.contains("base.mcap") && report.contains("ING001"), "{call:?}: {report}");
 }
 
-/// Runs `call` with its output at `out`, and asserts that it is refused and leaves all as it was.
+/// Runs `call` with its output at `out`, and asserts that it is refused without changes.
 #[track_caller]
 fn refused(folder: &Path, call: &Call, out: &str, part: &str) {
     let before = content(folder);
@@ -204,8 +203,8 @@ fn no_output_is_an_input() {
     for (number, call) in CALLS.iter().enumerate() {
         for input in call.inputs {
             let name = input.replace('/', "_");
-            // `init` overwrites nothing at all, whichever way that is said; a store has only its own files, and of meshes only those
-            // below their folder are read.
+            // `init` does not overwrite anything, however the path is written. A store has only its own
+            // files, and meshes are read only below their folder.
             let what = match call.args {
                 init if init.starts_with("init") => "",
                 _ if input.starts_with("results") => "is written there too",
@@ -228,7 +227,7 @@ fn no_output_is_an_input() {
             let link = format!("link-{number}-{name}");
             symlink(at(input), at(&link)).expect("a link");
             refused(folder.path(), call, &link, what);
-            // Where only names count, another name is another file, which is replaced.
+            // If only names count, a different name is a different file, which is replaced.
             if what == "which would be lost" || what.is_empty() {
                 let hard = format!("hard-{number}-{name}");
                 fs::hard_link(at(input), at(&hard)).expect("a link");
@@ -238,7 +237,8 @@ fn no_output_is_an_input() {
     }
 }
 
-/// Every output that a log is read for, of which `LOG` is the log; for a folder, a file that is written into it.
+/// Every output of a call that reads a log, with `LOG` as the log; for a folder, a file that is written
+/// into it.
 const OF_LOGS: &[(&str, Option<&str>)] = &[
     ("audit LOG --output OUT", None),
     ("audit LOG --format json --output OUT", None),
@@ -250,7 +250,7 @@ const OF_LOGS: &[(&str, Option<&str>)] = &[
     ("compare old.json LOG --output OUT", None),
 ];
 
-/// Logs that are folders, parts of a file or have files beside them, and the files that are read with each.
+/// Logs that are folders, parts of a file, or have companion files, and the files that are read with each.
 const LOGS: &[(&str, &[&str])] = &[
     ("a.lerobot", &["a.lerobot/meta/info.json", EPISODE]),
     ("a.lerobot#1", &["a.lerobot/meta/info.json", EPISODE]),
@@ -265,10 +265,10 @@ const LOGS: &[(&str, &[&str])] = &[
 
 const EPISODE: &str = "a.lerobot/data/chunk-000/episode_000000.parquet";
 
-/// A folder with these logs, as far as it is told what they are.
+/// A folder with these logs, valid as far as their type detection.
 fn logs() -> TempDir {
     let folder = inputs();
-    // The head of a record of no bytes.
+    // The header of an empty record.
     let record = [&[0; 8][..], &[41, 3, 152, 7]].concat();
     for file in LOGS.iter().flat_map(|(_, files)| files.iter()) {
         let content: &[u8] = match *file {
@@ -333,7 +333,7 @@ fn nothing_is_added_to_a_folder_that_is_a_log() {
             refused(folder.path(), &call, &out, "would become part of it");
         }
     }
-    // A config belongs there, and a report on results may take no table's place.
+    // A config is allowed there, but a report on results must not replace a table.
     let init = Call { args: "init bag --output OUT", inputs: &[], file: None };
     let args = args(init.args, "bag/poseaudit.toml");
     let output = poseaudit(folder.path(), &args).output().expect("the binary runs");
@@ -424,7 +424,7 @@ fn stdout_that_leads_to_an_input_is_refused() {
     }
 }
 
-/// The calls that write, with what is really read.
+/// Calls that write, with their actual inputs.
 const WRITERS: &[&str] = &[
     "audit LOG --select ING --output OUT/new",
     "audit LOG --select ING --format json --format html --output OUT",
@@ -469,10 +469,10 @@ fn a_disk_without_room_and_a_folder_that_takes_no_file_cost_nothing() {
         }
         let before = content(folder.path());
         let mut command = poseaudit(folder.path(), &call);
-        // As of a disk that is full: no file can have a byte.
+        // Simulates a full disk: no file can have a byte.
         let full = || {
             let none = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
-            // SAFETY: both calls are for this process alone, and may be made between fork and exec.
+            // SAFETY: both calls affect only this process, and are allowed between fork and exec.
             let set = unsafe {
                 libc::signal(libc::SIGXFSZ, libc::SIG_IGN);
                 libc::setrlimit(libc::RLIMIT_FSIZE, &none)
@@ -504,16 +504,16 @@ fn what_ends_a_call_leaves_no_file_that_is_not_whole() {
     };
     for signal in [libc::SIGINT, libc::SIGTERM] {
         let call = ["audit", &log.display().to_string(), "--rrd", "run.rrd"].map(str::to_owned);
-        // A call may be done before it is seen to write.
+        // A call may finish before it is observed to write.
         let interrupted = (0..20).find_map(|_| {
             let mut command = poseaudit(folder.path(), &call);
-            // Who runs the tests may have them pass over the signal, as a shell does in the background.
+            // The parent may have set this signal to be ignored, as a shell does for background jobs.
             let taken = move || {
-                // SAFETY: the call only sets what the signal does in the child.
+                // SAFETY: the call only resets the signal in the child.
                 unsafe { libc::signal(signal, libc::SIG_DFL) };
                 Ok(())
             };
-            // SAFETY: what runs between fork and exec is one call that is safe there.
+            // SAFETY: a single async-signal-safe call runs between fork and exec.
             let command = unsafe { command.pre_exec(taken) };
             let mut child = command.stdout(Stdio::null()).spawn().expect("the binary runs");
             let pid = i32::try_from(child.id()).expect("a process");
@@ -521,7 +521,7 @@ fn what_ends_a_call_leaves_no_file_that_is_not_whole() {
             while status.is_none() && names().len() < 2 {
                 status = child.try_wait().expect("a child");
             }
-            // SAFETY: the process is this one's child and not waited for yet.
+            // SAFETY: the process is a child of this one that has not been waited for.
             let sent = status.is_none() && unsafe { libc::kill(pid, signal) } == 0;
             let status = child.wait().expect("a child");
             (sent && status.signal().is_some()).then_some(status)

@@ -1,4 +1,4 @@
-//! `poseaudit plan`: the motion to record, from outside.
+//! `poseaudit plan`, the motion to record, end to end.
 
 use std::fs;
 use std::path::Path;
@@ -84,7 +84,7 @@ fn a_motion_beyond_its_limits_is_named_with_the_joint_and_fails() {
         beyond.iter().map(|it| (it["joint"].as_str(), it["what"].as_str())).collect();
     let pan = Some("shoulder_pan_joint");
     assert_eq!(found, [(pan, Some("speed")), (pan, Some("acceleration"))]);
-    // The model's own limit of speed stands whatever is allowed.
+    // The model's own speed limit applies in any case.
     assert_eq!(checked(&path, &["--acceleration", "25", "--speed", "3"]).0, 1);
     let fold = poseaudit(&["plan", "ur5e", "--check", &path, "--floor", "0.5"]);
     assert!(status == 1 && stdout(&fold).contains("TOO CLOSE"), "{}", stdout(&fold));
@@ -135,7 +135,7 @@ fn what_an_audit_could_not_tell_ends_in_a_call_that_runs() {
     let report: Value = serde_json::from_slice(&output.stdout).expect("a report");
     let plans = report["plans"].as_array().expect("a list");
     let commands: Vec<&str> = plans.iter().filter_map(|plan| plan["command"].as_str()).collect();
-    // The first is said whole, the others by what they are for.
+    // The first call is printed completely, the others by their purpose.
     assert_eq!(calls, [commands[0]], "{text}");
     for (at, call) in commands.iter().enumerate() {
         // Once for each arm and purpose.
@@ -147,7 +147,7 @@ fn what_an_audit_could_not_tell_ends_in_a_call_that_runs() {
         assert_eq!(status(&output), 0, "{call}: {}", stderr(&output));
         assert!(stdout(&output).contains("expected ± (95 %)"), "{call}");
     }
-    // What is named there is open, and nothing that is open and of the motion is left out.
+    // Every code in a plan is undetermined.
     for plan in plans {
         for code in plan["codes"].as_array().expect("codes") {
             let mut rows = report["checks"].as_array().expect("rows").iter();

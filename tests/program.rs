@@ -1,4 +1,4 @@
-//! The program, run as a user runs it.
+//! Runs the program like a user.
 
 use std::process::{Command, Output};
 

@@ -1,4 +1,4 @@
-//! Tables of joints and poses: what a table holds is found as well as in a log with messages.
+//! Tables of joints and poses: faults are found as in a log with messages.
 
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
@@ -20,15 +20,15 @@ pub(crate) const STEP_S: f64 = 0.02;
 /// A run of a UR5e as the rows of a table.
 #[derive(Clone, Copy)]
 pub(crate) struct Table {
-    /// How late the poses are, s.
+    /// Latency of the poses, s.
     pub late_s: f64,
-    /// What is added to the elbow as logged, rad.
+    /// Offset of the logged elbow, rad.
     pub elbow: f64,
-    /// What joint positions are multiplied with.
+    /// Factor of joint positions.
     pub unit: f64,
     /// Whether rotations are logged as roll, pitch, yaw.
     pub rpy: bool,
-    /// Whether there are poses at all.
+    /// Whether the table has poses.
     pub poses: bool,
 }
 
@@ -42,7 +42,7 @@ pub(crate) fn ur5e() -> Chain {
     robot.chain(link(&robot.controller_base), link(&robot.default_tip)).expect("a chain")
 }
 
-/// Joint positions at a time: each moves at a rate of its own, as no other does.
+/// Joint positions at a time; each joint moves at a different rate.
 fn q(t_s: f64) -> [f64; JOINTS] {
     const RATES: [f64; JOINTS] = [0.11, 0.17, 0.23, 0.31, 0.37, 0.43];
     std::array::from_fn(|joint| {
@@ -62,7 +62,7 @@ impl Table {
             numbers.extend(logged.map(|q| q * self.unit));
             let pose: Pose = chain.forward(&q(t_s - self.late_s));
             if self.poses {
-                // Half of what a controller's poses are rounded to.
+                // Half of the rounding of a controller's poses.
                 let noise = 1e-5 * ((row * 7919 % 13) as f64 - 6.0) / 6.0;
                 numbers.extend(pose.translation.vector.iter().map(|length| length + noise));
                 match self.rpy {
@@ -95,7 +95,7 @@ impl Table {
     }
 }
 
-/// A run of a UR5e whose elbow is logged with an offset, as a table.
+/// A run of a UR5e with a zero offset of the elbow, as a table.
 pub fn csv_of_ur5e(elbow: f64) -> String {
     Table { elbow, ..CLEAN }.text("q")
 }
@@ -160,7 +160,7 @@ fn planted_faults_are_named_with_their_amounts() {
     }
 }
 
-/// Positions alone violate no convention of a rotation and no unit, whatever format they come in.
+/// Positions alone violate no convention of rotations or units, in any format.
 #[test]
 fn positions_without_rotations_are_audited_as_such() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -211,13 +211,13 @@ fn names_in_another_order_than_a_pose_tells_are_named() {
     }
 }
 
-/// KUKA's RSI logs where the tool is and where it shall be, and no joints.
+/// KUKA's RSI logs measured and commanded tool poses, but no joints.
 #[test]
 fn a_tool_that_follows_its_command_is_said_without_an_arm() {
     const LATE: usize = 3;
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("run.csv");
-    // It moves for 10 s, rests and moves again; at rest it is 0.2 beside where it shall be.
+    // It moves for 10 s, rests and moves again; at rest it is 0.2 off its command.
     let at = |row: usize| {
         let row = row.min(500) + row.saturating_sub(700);
         let t_s = row as f64 * STEP_S;
@@ -277,7 +277,7 @@ fn a_unit_that_no_pose_shows_is_left_open() {
 
 #[test]
 fn a_table_that_fits_no_arm_is_a_question() {
-    // An arm whose poses are 1.3 times as far out is none of the catalogue.
+    // An arm with poses scaled by 1.3 matches no catalogue arm.
     let folder = tempfile::tempdir().expect("a folder");
     let mut text = "time,q1,q2,q3,q4,q5,q6,x,y,z,qx,qy,qz,qw\n".to_owned();
     for row in CLEAN.rows() {
@@ -308,14 +308,14 @@ fn metadata_that_the_stamps_contradict_are_a_finding() {
     let of = |file: &str| {
         report(&folder.join(file), Some("ur5e"), ColumnSettings::default()).expect("a report")
     };
-    // Its stamps step at the 25 rows a second that it declares.
+    // Its stamps match the declared 25 Hz.
     assert_eq!(status(&of("chunked_latest.h5")), Status::Pass);
     let wrong = of("wrong_rate.h5");
     assert_eq!(status(&wrong), Status::Fail);
     let finding = wrong.findings.iter().find(|finding| finding.code == "META001");
     let message = finding.map(|finding| finding.message.as_str()).unwrap_or_default();
     assert!(message.contains("declare 40 frames") && message.contains("25.0000"), "{message}");
-    // A table without metadata still has column names that its numbers may contradict.
+    // Even without metadata, numbers may contradict column names.
     assert_eq!(status(&audited(&CLEAN, None)), Status::Pass);
 }
 
@@ -344,12 +344,12 @@ fn columns_without_names_can_be_said() {
         "{:?}",
         found.findings
     );
-    // Its first number rises by even steps: the times.
+    // Its first number increases in even steps: the times.
     let told = report(&path, Some("ur5e"), ColumnSettings::default()).expect("a report");
     assert_eq!((told.verdict, causes(&told)), (Verdict::Pass, Vec::new()), "{:?}", told.findings);
 }
 
-/// The rows of a UR5e without faults, edited, as an audit of them says META002.
+/// Message of META002 for the edited rows of a sound UR5e.
 fn repeated(
     header: &str,
     edit: impl Fn(&[f64]) -> Vec<f64>,
@@ -384,7 +384,7 @@ fn columns_that_repeat_others_are_named() {
     let copied = repeated(&commands, |row| [row, &row[1..7]].concat());
     let [(_, None, said)] = copied.as_slice() else { panic!("{copied:?}") };
     assert!(said.starts_with("warning") && said.contains("in every row"), "{said}");
-    // Commands that lead by a row are none of the states.
+    // Commands that lead by a row are not repeats of the states.
     let ahead = repeated(&commands, |row| [row, &q(row[0] + STEP_S)].concat());
     assert_eq!(ahead, []);
     let tracker = format!(

@@ -1,4 +1,4 @@
-//! What the Rerun viewer is given: by `--view`, and by the importer that it runs with each file.
+//! Data for the Rerun viewer, from `--view` and from the importer that the viewer runs for each file.
 
 use std::fs;
 use std::path::Path;
@@ -42,7 +42,7 @@ fn what_is_no_log_with_an_arm_is_left_to_other_importers() {
     assert_eq!(import(&["--recording-id", "r"]).status.code(), Some(2));
 }
 
-/// An audit with `--view`, where `folder` is all that the path has.
+/// An audit with `--view` and only `folder` on the path.
 fn viewed(folder: &Path, more: &[&str]) -> Output {
     let mut audit = program(env!("CARGO_BIN_EXE_poseaudit"));
     audit.env("PATH", folder).args(["audit", FAULTY, "--view"]).args(more);
@@ -104,7 +104,7 @@ fn the_viewer_is_started_with_the_recording() {
     let folder = tempfile::tempdir().expect("a folder");
     let viewer = folder.path().join("rerun");
     let (seen, recording) = (folder.path().join("seen"), folder.path().join("run.rrd"));
-    // The name is in place when it is whole.
+    // The file is renamed when it is complete.
     let script =
         format!("#!/bin/sh\nprintf %s \"$1\" > {0}.part\n/bin/mv {0}.part {0}\n", seen.display());
     fs::write(&viewer, script).expect("a script");
@@ -112,7 +112,7 @@ fn the_viewer_is_started_with_the_recording() {
     let path = recording.display().to_string();
     let output = viewed(folder.path(), &["--rrd", &path]);
     assert_eq!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stderr));
-    // It is not waited for.
+    // The program does not wait for the viewer.
     let patience = (0..500).map(|_| std::thread::sleep(Duration::from_millis(20)));
     let told = patience.map(|()| fs::read_to_string(&seen)).find_map(Result::ok);
     assert_eq!(told.as_deref(), Some(path.as_str()));

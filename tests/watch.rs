@@ -11,7 +11,7 @@ use serde_json::Value;
 
 use crate::program::{CLEAN, FAULTY, poseaudit, status, stderr};
 
-/// A fixture in chunks as small as those of a recorder that writes at once.
+/// A fixture with small chunks, like those of a recorder that writes immediately.
 fn bytes(fixture: &str) -> Vec<u8> {
     let whole = fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join(fixture)).expect("the fixture");
     let mut written = Cursor::new(Vec::new());
@@ -25,7 +25,7 @@ fn bytes(fixture: &str) -> Vec<u8> {
     written.into_inner()
 }
 
-/// Begins to watch.
+/// Starts `watch`.
 fn watch(path: &Path, options: &[&str]) -> Child {
     call(path, options).spawn().expect("the binary runs")
 }
@@ -37,7 +37,7 @@ fn call(path: &Path, options: &[&str]) -> Command {
     call
 }
 
-/// Its exit status, and the lines that it printed.
+/// Its exit status, and its printed lines.
 fn ended(mut child: Child) -> (i32, Vec<Value>) {
     let mut text = String::new();
     child.stdout.take().expect("a pipe").read_to_string(&mut text).expect("UTF-8");
@@ -45,7 +45,7 @@ fn ended(mut child: Child) -> (i32, Vec<Value>) {
     (status, text.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect())
 }
 
-/// Writes these bytes in so many pieces, a moment apart.
+/// Writes the bytes in `pieces`, with short delays.
 fn write(path: &Path, bytes: &[u8], pieces: usize) {
     let mut file = OpenOptions::new().append(true).open(path).expect("a file");
     for piece in bytes.chunks(bytes.len().div_ceil(pieces)) {
@@ -73,7 +73,7 @@ fn a_log_that_is_being_written_is_audited_as_it_grows_and_once_more_at_its_end()
     let child = watch(&path, &["--rrd", seen]);
     write(&path, &bytes(FAULTY), 6);
     let (status, lines) = ended(child);
-    // What a viewer is given last is the recording of the whole log.
+    // The viewer finally gets the recording of the complete log.
     poseaudit(&["audit", path.to_str().expect("UTF-8"), "--rrd", whole]);
     assert!(fs::read(seen).expect("a recording") == fs::read(whole).expect("a recording"));
     assert_eq!(status, 1);
@@ -81,7 +81,8 @@ fn a_log_that_is_being_written_is_audited_as_it_grows_and_once_more_at_its_end()
     let last = lines.last().expect("a line");
     assert_eq!((&last["event"], &last["verdict"]), (&"ended".into(), &"fail".into()));
     assert!(lines[..lines.len() - 1].iter().any(|line| line["verdict"] == "fail"), "{lines:?}");
-    // Each byte once while it was written, but for the index at its end, and the whole again at the end.
+    // Each byte is read once while the log is written, except the index at its end, and then all bytes
+    // again.
     let (size, read) = (bytes(FAULTY).len() as u64, last["read_bytes"].as_u64());
     assert_eq!(last["read_again_bytes"].as_u64(), Some(size));
     assert!(read.is_some_and(|read| read <= size && read > size / 2), "{read:?} of {size}");
@@ -93,7 +94,7 @@ fn a_log_that_is_being_written_is_audited_as_it_grows_and_once_more_at_its_end()
     assert!(is_told("LAT001") && is_told("ZER001"), "{told:?}");
 }
 
-/// A watch to which this script is the viewer, of a log that is written in six pieces.
+/// Runs `watch` with this script as the viewer, on a log that is written in six pieces.
 #[cfg(unix)]
 fn shown(folder: &tempfile::TempDir, script: &str) -> (i32, Vec<Value>, String) {
     use std::os::unix::fs::PermissionsExt;
@@ -116,7 +117,7 @@ fn shown(folder: &tempfile::TempDir, script: &str) -> (i32, Vec<Value>, String) 
 #[test]
 fn a_viewer_is_given_the_recordings_as_they_are_made() {
     let folder = tempfile::tempdir().expect("a folder");
-    // The name is in place when it is whole.
+    // The file is renamed when it is complete.
     let seen = folder.path().join("seen");
     let script = format!(
         "/bin/cat > {0}.part; echo \"$*\" > {0}.call; /bin/mv {0}.part {0}",
@@ -128,7 +129,7 @@ fn a_viewer_is_given_the_recordings_as_they_are_made() {
     let given = patience.map(|()| fs::read(&seen)).find_map(Result::ok).expect("recordings");
     let call = fs::read_to_string(seen.with_extension("call")).expect("a call");
     assert_eq!(call.trim_end(), "--port 9911 -");
-    // One behind the other, the last of them that of the whole log.
+    // One after the other; the last is that of the complete log.
     let last = folder.path().join("last.rrd").display().to_string();
     let path = folder.path().join("run.mcap").display().to_string();
     poseaudit(&["audit", &path, "--rrd", &last]);
@@ -170,7 +171,7 @@ fn a_log_without_an_end_yet_is_no_damaged_one() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = log(&folder);
     let child = watch(&path, &[]);
-    // Its data are whole: it is not known as one that grows, but its end is not there.
+    // Its data are complete, but it has no footer and is not known to be growing.
     let clean = bytes(CLEAN);
     let (most, end) = clean.split_at(clean.len() - mcap::MAGIC.len());
     write(&path, most, 2);
@@ -189,7 +190,7 @@ fn until_fail_ends_before_the_log_does() {
     let path = log(&folder);
     let faulty = bytes(FAULTY);
     write(&path, &faulty[..faulty.len() * 3 / 4], 1);
-    // The folder: its newest log is the one that is written.
+    // For a folder, watches the newest log that is being written.
     let (status, lines) = ended(watch(folder.path(), &["--until", "fail"]));
     assert_eq!(status, 1);
     assert_eq!(verdicts(&lines).last(), Some(&"fail"));
@@ -205,7 +206,7 @@ fn a_log_whose_recorder_died_ends_when_nothing_comes() {
     let (_, lines) = ended(watch(&path, &["--idle", "1"]));
     let last = lines.last().expect("a line");
     assert_eq!(last["event"], "ended");
-    // What the audit of the whole file says of its end.
+    // Findings of the complete audit about the end of the file.
     let says = last["new"].as_array().expect("findings");
     assert!(
         says.iter().any(|new| new["finding"].as_str().is_some_and(|it| it.starts_with("ING001"))),
@@ -220,7 +221,7 @@ fn until_fail_ends_with_a_log_that_fails_when_another_takes_its_place() {
     write(&log(&folder), &clean[..clean.len() / 2], 1);
     let child = watch(folder.path(), &["--until", "fail"]);
     thread::sleep(Duration::from_secs(1));
-    // The recorder was killed, so the first has no end; it begins again with another name.
+    // The recorder was killed, so the first log has no footer; recording continues with another name.
     fs::write(folder.path().join("second.mcap"), bytes(FAULTY)).expect("a file");
     let (status, lines) = ended(child);
     assert_eq!(status, 1);

@@ -1,13 +1,14 @@
 #!/usr/bin/env python3
-"""Opens HTML reports in headless Chromium and looks at them as a reader would.
+"""Opens HTML reports in headless Chromium and checks them like a reader.
 
     python3 tests/browser/html.py target/debug/poseaudit                    # checks
-    python3 tests/browser/html.py target/debug/poseaudit docs/images        # and makes html-*.png there
-    python3 tests/browser/html.py --probe                                   # only whether a browser opens a page
+    python3 tests/browser/html.py target/debug/poseaudit docs/images        # and writes html-*.png there
+    python3 tests/browser/html.py --probe                                   # only checks that a browser opens a page
 
-Needs Playwright, and Chromium (CHROMIUM says which, empty Playwright's own; else the one on the path, else that);
-the pictures need Pillow, and `cargo build --example fleet_logs` for that of a fleet. A page must ask the network for nothing, raise no error, draw every plot, show
-a value under the pointer and to the keyboard, fit a phone, and print with its plots.
+Needs Playwright and Chromium: the one named by CHROMIUM (if empty, Playwright's), else the one on the path, else
+Playwright's. The pictures need Pillow, and that of a fleet needs `cargo build --example fleet_logs`. A page must make no
+network requests, raise no errors, draw every plot, show values for pointer and keyboard, fit a phone, and print its
+plots.
 """
 
 import io
@@ -25,7 +26,7 @@ FIXTURES = Path(__file__).parents[2] / "fixtures"
 
 
 def report(program: str, arguments: list[str], folder: Path) -> str:
-    """The report in a file, as an address."""
+    """Writes a report to a file and returns its URL."""
     page = folder / f"{len(list(folder.iterdir()))}.html"
     run = subprocess.run([program, *arguments, "--format", "html"], cwd=folder, stdout=subprocess.PIPE)
     assert run.returncode in (0, 1), f"{arguments}: exit status {run.returncode}"
@@ -34,7 +35,7 @@ def report(program: str, arguments: list[str], folder: Path) -> str:
 
 
 def opened(browser, address: str, viewport: dict, scheme: str = "light") -> Page:
-    """The page; whatever it complains of or asks for fails the check."""
+    """Opens the page. Console messages, errors and requests fail the check."""
     context = browser.new_context(viewport=viewport, color_scheme=scheme, device_scale_factor=1.5)
     page = context.new_page()
 
@@ -77,7 +78,7 @@ def check(browser, address: str) -> None:
     levels = [int(h.evaluate("h => h.tagName[1]")) for h in page.locator("h1, h2, h3, details[open] h4").all()]
     assert levels[0] == 1 and all(b - a <= 1 for a, b in zip(levels, levels[1:])), f"headings: {levels}"
     assert page.locator("main").count() == 1
-    # On paper every plot is there, on light ground.
+    # Printing includes every plot, on a light background.
     page.emulate_media(media="print")
     page.evaluate("dispatchEvent(new Event('beforeprint'))")
     assert page.locator(".plot canvas").count() == plots.count()
@@ -92,7 +93,7 @@ def check(browser, address: str) -> None:
 
 
 def shoot(browser, address: str, to: Path) -> None:
-    """Pictures of the top of the page, down to the end of a part of it."""
+    """Writes screenshots from the top of the page to the end of an element."""
     from PIL import Image
 
     looks = {
@@ -113,13 +114,13 @@ def shoot(browser, address: str, to: Path) -> None:
 
 
 def launched(playwright):
-    """The browser that CHROMIUM names, else the one on the path, else Playwright's own."""
+    """Starts the browser named by CHROMIUM, else the one on the path, else Playwright's."""
     found = os.environ.get("CHROMIUM", shutil.which("chromium") or shutil.which("google-chrome"))
     return playwright.chromium.launch(executable_path=found or None, args=["--no-sandbox"])
 
 
 def probe() -> None:
-    """Fails where no browser opens a page."""
+    """Fails if no browser opens a page."""
     with sync_playwright() as playwright:
         browser = launched(playwright)
         page = browser.new_page()
@@ -129,7 +130,7 @@ def probe() -> None:
 
 
 def fleet(program: str, folder: Path) -> str:
-    """The report on a fleet: of the example's logs where it is built beside the program, else of the fixtures."""
+    """Reports on a fleet: on the example's logs if the example is built, else on the fixtures."""
     example, logs = Path(program).parent / "examples" / "fleet_logs", FIXTURES
     if example.exists():
         logs = folder / "logs"
@@ -141,7 +142,7 @@ def fleet(program: str, folder: Path) -> str:
 
 
 def shoot_fleet(browser, address: str, to: Path) -> None:
-    """A picture of the fleet's page, down to the end of what moves."""
+    """Writes a screenshot of the fleet page, down to the end of the trends."""
     from PIL import Image
 
     page = opened(browser, address, WIDE)
@@ -160,13 +161,13 @@ def main() -> None:
         browser = launched(playwright)
         folder = Path(folder)
         demo = report(program, ["demo", "demo"], folder)
-        # With pictures of every kind.
+        # With plots of every kind.
         logs = ["clean.mcap", "faulty.mcap", "shake.mcap", "line.mcap", "goal.mcap", "slipped_target.mcap", "stop.mcap"]
         others = [report(program, ["audit", str(FIXTURES / log)], folder) for log in logs]
         many = fleet(program, folder)
         for address in [demo, *others, many]:
             check(browser, address)
-        print(f"html: {2 + len(logs)} reports looked at in Chromium {browser.version}")
+        print(f"html: {2 + len(logs)} reports checked in Chromium {browser.version}")
         if len(sys.argv) > 2:
             shoot(browser, demo, Path(sys.argv[2]))
             shoot_fleet(browser, many, Path(sys.argv[2]))

@@ -1,4 +1,4 @@
-//! A case: a log with something done to it, and what its audit must say.
+//! A test case: a modified log, and the expected result of its audit.
 
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -11,20 +11,20 @@ use poseaudit::{Options, audit};
 
 use crate::checks::recording::{self, Message};
 
-/// What came of a log, once it is audited.
+/// Cached result of an audit.
 type Audited = Arc<OnceLock<Result<Report, Trouble>>>;
 
 /// The log of a case, before it is written.
 pub struct Log {
-    /// What it is made of.
+    /// Scenario of the log.
     pub run: Scenario,
-    /// What becomes of its messages.
+    /// Modification of its messages.
     pub edit: Option<fn(&mut Vec<Message>)>,
-    /// What becomes of the file.
+    /// Modification of the file's bytes.
     pub damage: Option<fn(&mut Vec<u8>)>,
-    /// How it is audited.
+    /// Audit options.
     pub options: Options,
-    /// Where what mends it is written.
+    /// Output folder for corrections.
     pub fix: Option<PathBuf>,
 }
 
@@ -36,67 +36,68 @@ pub struct Case {
     pub expected: Expected,
 }
 
-/// What the audit must make of a case's log, for the rule of the case.
+/// Expected result for the rule of the case.
 pub enum Expected {
-    /// Planted fault: one finding of the rule, and none of any other.
+    /// Planted fault: exactly one finding, of this rule.
     Found(Severity, On, What),
-    /// Clean: the rule passes all its subjects, and nothing is found.
+    /// Sound log: the rule passes for all subjects, and there are no findings.
     Sound,
-    /// Neighbouring fault: the rule named here finds it and no other does. The rule of the case
-    /// passes, or says that no such log could tell.
+    /// Fault of another kind: only the rule named here finds it. The rule of the case passes, or explains
+    /// that no log could show it.
     BlamedOn(&'static str),
-    /// Neighbouring fault: the rule named here finds it, no other does, and it leaves the rule of the
-    /// case open of some subjects, which says why.
+    /// Fault of another kind: only the rule named here finds it. It leaves the rule of the case
+    /// undetermined for some subjects, with this reason.
     LeftOpenBy(&'static str, &'static str),
-    /// Missing input: the rule has nothing to look at, and says what.
+    /// Missing input: the rule is skipped with this reason.
     Skipped(&'static str),
-    /// Missing input: the rule cannot tell of any subject, and says why; nothing is found.
+    /// Missing input: the rule is undetermined for every subject, with this reason, and there are no
+    /// findings.
     Undecided(&'static str),
-    /// Missing input: there is no log, and no report.
+    /// Missing input: the log is refused, and there is no report.
     Refused(&'static str),
 }
 
-/// The subject of a finding.
+/// Subject of a finding.
 #[derive(Clone, Copy)]
 pub enum On {
     Topic(&'static str),
     Joint(&'static str),
-    /// Of a topic, a joint.
+    /// Topic and joint.
     JointOf(&'static str, &'static str),
-    /// Of a topic, a frame.
+    /// Topic and frame.
     Frame(&'static str, &'static str),
-    /// A robot as a whole.
+    /// A whole robot.
     Robot,
-    /// The file itself.
+    /// The file.
     File,
     /// The whole run.
     Run,
 }
 
-/// The estimate of a finding.
+/// Estimate of a finding.
 #[derive(Clone, Copy)]
 pub enum What {
-    /// Value and tolerance, SI.
+    /// Value and tolerance, SI, with an interval.
     Amount(f64, f64),
-    /// Value and tolerance, SI, of what has no interval.
+    /// Value and tolerance, SI, without an interval.
     About(f64, f64),
-    /// The same as an amount in degrees.
+    /// `Amount` in degrees.
     Degrees(f64, f64),
-    /// The same in degrees a minute.
+    /// `Amount` in degrees per minute.
     DegreesAMinute(f64, f64),
-    /// A length and its tolerance, m; an angle and its tolerance, degrees.
+    /// Length and its tolerance, m; angle and its tolerance, degrees.
     Frame([f64; 2], [f64; 2]),
-    /// The length of a residual is between these, m.
+    /// Bounds of the residual's length, m.
     ResidualBetween(f64, f64),
-    /// What it is, and what it was read as.
+    /// Actual encoding, and the misinterpretation.
     ReadAs(&'static str, &'static str),
-    /// The joints in the order that the numbers are in.
+    /// The joints in the order of the logged numbers.
     Order(&'static [&'static str]),
-    /// There is no estimate.
+    /// No estimate.
     None,
 }
 
-/// Makes a family's `CASES`, and a test of each case.
+/// Defines a family's `CASES`, and a test for each.
 macro_rules! cases {
     ($($code:ident $name:ident: $log:expr => $expected:expr;)*) => {
         pub(crate) const CASES: &[$crate::checks::case::Case] = &[$($crate::checks::case::Case {
@@ -130,7 +131,7 @@ pub const fn info(on: On, what: What) -> Expected {
 }
 
 impl Log {
-    /// 8 s of a UR5e, at rates that keep the audit short. No stamp is shared between streams.
+    /// 8 s of a UR5e, at low rates for a fast audit. Streams share no stamps.
     pub fn sound() -> Self {
         let mut run = Scenario { duration_s: 8.0, ..Scenario::ur5e() };
         (run.amplitude, run.speed) = (1.0, 2.0);
@@ -141,25 +142,24 @@ impl Log {
         Self { run, edit: None, damage: None, options: Options::default(), fix: None }
     }
 
-    /// A sound log with something done to it.
+    /// A modified sound log.
     pub fn with(change: impl FnOnce(&mut Self)) -> Self {
         let mut log = Self::sound();
         change(&mut log);
         log
     }
 
-    /// The report on it.
     #[track_caller]
     pub fn audited(&self) -> Report {
         self.audit().expect("the log is audited")
     }
 
-    /// The report on it, or why there is none.
+    /// The report, or the error.
     pub fn audit(&self) -> Result<Report, Trouble> {
         if self.edit.is_some() || self.damage.is_some() || self.fix.is_some() {
             return self.audit_anew();
         }
-        // Neighbours share their faults: what is the same log is audited once.
+        // Cases share logs, so each log is audited once.
         static AUDITED: LazyLock<Mutex<HashMap<String, Audited>>> = LazyLock::new(Mutex::default);
         let key = format!("{:?} {:?}", self.run, self.options);
         let audited = Arc::clone(AUDITED.lock().expect("no panic within").entry(key).or_default());
@@ -226,7 +226,7 @@ impl Case {
                 assert_eq!(found_by, [*code], "found:\n{found}");
                 let open = rows.iter().copied().filter(|row| row.status != Status::Pass);
                 let open: Vec<&CheckRow> = open.collect();
-                assert!(!open.is_empty(), "nothing is left open");
+                assert!(!open.is_empty(), "nothing is undetermined");
                 assert_all_say(&open, Status::Inconclusive, part);
             }
             Expected::Skipped(part) => {
@@ -247,11 +247,11 @@ fn assert_all_say(rows: &[&CheckRow], status: Status, part: &str) {
     for row in rows {
         assert_eq!(row.status, status, "{row:#?}");
         let reason = row.reason.as_deref().unwrap_or_default();
-        assert!(reason.contains(part), "`{part}` is not said in: {reason}");
+        assert!(reason.contains(part), "`{part}` is missing in: {reason}");
     }
 }
 
-/// One line a finding, for messages.
+/// One line per finding, for messages.
 pub fn summary(findings: &[Finding]) -> String {
     let line = |finding: &Finding| {
         let (severity, label) = (finding.severity.name(), finding.subject.label());
@@ -260,7 +260,7 @@ pub fn summary(findings: &[Finding]) -> String {
     findings.iter().map(line).collect()
 }
 
-/// The one finding of `code` on `label`.
+/// The only finding of `code` on `label`.
 #[track_caller]
 pub fn the<'a>(report: &'a Report, code: &str, label: &str) -> &'a Finding {
     let is_meant = |finding: &&Finding| finding.code == code && finding.subject.label() == label;
@@ -274,7 +274,7 @@ pub fn the<'a>(report: &'a Report, code: &str, label: &str) -> &'a Finding {
 impl Expected {
     pub const KINDS: [&str; 4] = ["planted fault", "clean", "neighbouring fault", "missing input"];
 
-    /// Which of [`Self::KINDS`] it is.
+    /// Its entry in [`Self::KINDS`].
     pub fn kind(&self) -> &'static str {
         let [planted, clean, neighbour, missing] = Self::KINDS;
         match self {
@@ -347,8 +347,7 @@ impl What {
     }
 }
 
-/// Asserts that the value is `expected` within `tolerance`, and that its interval is honest: the
-/// truth lies within twice its half-width.
+/// Asserts that the value is `expected` within `tolerance`, and that twice the interval contains it.
 #[track_caller]
 fn assert_near(found: &Estimate, expected: f64, tolerance: f64) {
     let (Estimate::Amount { value, ci95, .. } | Estimate::Frame { value, ci95, .. }) = found else {

@@ -1,4 +1,5 @@
-//! What changes in mid-run: the rule whose amount it is names it, with its amounts and its moment.
+//! Faults that change during a run: the rule of the fault reports the values before and after, and the
+//! time.
 
 use std::collections::BTreeSet;
 
@@ -13,7 +14,7 @@ use serde_json::Value;
 use crate::checks::case::{Log, summary, the};
 use crate::checks::recording::{Field, Message};
 
-/// When everything here changes, s from the start.
+/// Time of every change, s from the start.
 const FROM_S: f64 = 4.5;
 
 #[test]
@@ -167,7 +168,7 @@ fn what_stays_as_it_is_has_not_changed() {
     assert_eq!(codes(&report), BTreeSet::new(), "{}", summary(&report.findings));
 }
 
-/// The report on a log without /tf whose messages are edited.
+/// The report on a log without /tf, with edited messages.
 fn edited(edit: fn(&mut Vec<Message>)) -> Report {
     Log::with(|log| {
         log.run.tf.timing.rate_hz = 0.0;
@@ -213,7 +214,7 @@ fn codes(report: &Report) -> BTreeSet<&str> {
     report.findings.iter().map(|finding| finding.code).collect()
 }
 
-/// The one finding is `code` on `label`: its amount changes by `size` at [`FROM_S`].
+/// Asserts a single finding, `code` on `label`, with a change by `size` at [`FROM_S`].
 #[track_caller]
 fn assert_change(report: &Report, code: &str, label: &str, size: f64, tolerance: f64) {
     assert_eq!(codes(report), [code].into(), "{}", summary(&report.findings));
@@ -226,7 +227,7 @@ fn assert_change(report: &Report, code: &str, label: &str, size: f64, tolerance:
     assert_near_s(seconds(report, &Value::String(change.change_ns.to_string())), FROM_S);
 }
 
-/// How long after the start of the log a stamp is, s.
+/// Time of a stamp after the start of the log, s.
 fn seconds(report: &Report, stamp: &Value) -> f64 {
     let ns = |text: &str| text.parse::<i64>().expect("nanoseconds");
     let stamp = stamp.as_str().map(ns).expect("a stamp");

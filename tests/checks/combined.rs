@@ -1,4 +1,4 @@
-//! Faults together: each is found as if it were alone.
+//! Combined faults: each is found as if it were alone.
 
 use poseaudit::geometry::QuaternionSlip;
 use poseaudit::report::Report;
@@ -9,7 +9,7 @@ use crate::checks::case::What::{Amount, Degrees, DegreesAMinute, Frame, Order, R
 use crate::checks::case::{Log, What, summary, the};
 use crate::checks::zer::zero;
 
-/// Asserts that these are the findings: rule, subject and estimate.
+/// Asserts the findings: rule, subject and estimate.
 #[track_caller]
 fn assert_found(report: &Report, expected: &[(&str, &str, What)]) {
     assert_eq!(report.findings.len(), expected.len(), "found:\n{}", summary(&report.findings));
@@ -197,7 +197,7 @@ fn an_inverted_pose_with_a_joint_zero_and_late() {
     );
 }
 
-/// A log of an iiwa, whose links are of nearly the same lengths from either end.
+/// A log of an iiwa, whose link lengths are almost symmetric.
 fn iiwa(change: impl FnOnce(&mut Log)) -> Report {
     let robot = catalogue::find("kuka_lbr_iiwa14").expect("the catalogue has it").clone();
     Log::with(|log| {

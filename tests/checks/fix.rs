@@ -1,4 +1,4 @@
-//! What mends a log: the files that `--fix` writes, and the audit that takes them back.
+//! Corrections of a log: the files that `--fix` writes, and the audit that applies them.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -15,7 +15,7 @@ use crate::checks::case::{Log, summary, the};
 use crate::checks::ord::misread;
 use crate::checks::zer::zero;
 
-/// A log that was audited, what mends it, and its audit with that.
+/// An audited log, its corrections, and its audit with them.
 struct Loop {
     before: Report,
     folder: TempDir,
@@ -43,7 +43,7 @@ impl Loop {
         fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
     }
 
-    /// Asserts that these were found and are found no more, and that nothing else is but `left`.
+    /// Asserts that the corrections remove the findings `codes`, and that only `left` remain.
     #[track_caller]
     fn assert_mends(&self, codes: &[&str], left: &[&str]) {
         let names = |findings: &[Finding]| -> Vec<&str> {
@@ -157,7 +157,7 @@ fn latencies_are_mended_of_joint_states_and_their_copies_too() {
     Loop::of(|log| log.run.tf.timing.latency_s = 0.05).assert_mends(&["LAT001"], &[]);
     let joints = Loop::of(|log| {
         log.run.joints.timing.latency_s = 0.02;
-        // /tf at every fourth of the joint states' stamps.
+        // /tf at every fourth stamp of the joint states.
         log.run.tf.timing = log.run.joints.timing.clone();
         log.run.tf.timing.rate_hz = 12.5;
     });
@@ -196,7 +196,7 @@ fn joint_zeros_are_mended_by_offsets_and_by_the_model() {
     let off_m = (tip(&model, &q).inverse() * tip(&reported, &truth)).translation.vector.norm();
     assert!(off_m < 2e-5, "{off_m}");
 
-    // By the model: what /tf was published with is the model before.
+    // /tf was published with the model from before the correction.
     let file = looped.folder.path().join("made/for/it/robot_description.urdf");
     let by_model = Log::with(|log| {
         faulty(log);
@@ -327,7 +327,7 @@ fn corrections_of_what_is_not_in_the_log_are_refused() {
     let refused = |body: &str| {
         let text = format!("schema = \"poseaudit.corrections/1\"\n{body}");
         fs::write(&path, text).expect("a file");
-        // Logs of one scenario and the same options are audited once.
+        // Logs of one scenario with equal options are audited once.
         let name = path.with_file_name(format!("{}-c.toml", body.len()));
         fs::rename(&path, &name).expect("it is there");
         trouble(&name)
@@ -342,7 +342,7 @@ fn corrections_of_what_is_not_in_the_log_are_refused() {
     assert!(said.contains("length_unit cannot be applied to topic"), "{said}");
 }
 
-/// What is said of a sound log with these corrections.
+/// The error for a sound log with these corrections.
 fn trouble(corrections: &Path) -> String {
     let log = Log::with(|log| log.options.corrections = Some(corrections.to_owned()));
     log.audit().expect_err("it is refused").to_string()

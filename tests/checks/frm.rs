@@ -1,4 +1,4 @@
-//! FRM: frames that are not where they are said to be.
+//! FRM: wrong frames.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -130,7 +130,7 @@ cases! {
         log.edit = Some(|messages| publish(messages, TF_STATIC, |_| ("room", "cell", 0.3)));
     } => error(On::Frame(TF, "cell"), What::None);
     FRM004 what_is_picked_up_and_put_down_is_sound: |log| {
-        // Each of the two transforms has gaps while the other holds.
+        // Each of the two transforms has gaps while the other is published.
         log.options.policy.rules.ignore = vec!["TIM002".parse().expect("a rule")];
         log.edit = Some(|messages| publish(messages, TF, |row| {
             (if row / 25 % 2 == 0 { "cell" } else { "table" }, "fixture", 0.0)
@@ -242,7 +242,7 @@ cases! {
     FRM006 no_goals: |_| {} => Skipped("no goal");
 }
 
-/// The arm goes along lines and is told so; its last joint stays short by so many degrees.
+/// The arm follows commanded lines; its last joint stays short by `short_by_degrees`.
 fn told(log: &mut Log, commands: Commands, short_by_degrees: f64) {
     crate::checks::mot::along(log, Lines::default());
     log.run.reference.commands = commands;
@@ -264,11 +264,11 @@ fn an_elbow_that_stays_short_is_no_tool() {
         panic!("a length and an angle were expected")
     };
     assert!((rotation.value - 0.3_f64.to_radians()).abs() < 1e-4, "{rotation:?}");
-    // The tip is 0.4 to 0.6 m off the elbow's axis about this posture.
+    // In this configuration the tip is 0.4 to 0.6 m from the elbow's axis.
     assert!((0.4..0.6).contains(&(value / 0.3_f64.to_radians())), "{value}");
 }
 
-/// Moves the second goal to where the arm does not go.
+/// Moves the second goal to a pose that the arm does not reach.
 fn give_up_a_goal(messages: &mut [Message]) {
     let second = messages.iter_mut().filter(|message| message.topic == GOAL).nth(1);
     let goal = second.expect("several goals");
@@ -284,22 +284,22 @@ pub fn half_turn() -> Pose {
     pose([0.0; 3], rotation_from_rotvec(Vec3::z() * PI))
 }
 
-/// 60 mm aside, and tilted by 2° about x.
+/// 60 mm to the side, tilted by 2° about x.
 pub fn shifted() -> Pose {
     pose([0.02, -0.04, 0.04], rotation_from_rotvec(Vec3::x() * 2_f64.to_radians()))
 }
 
-/// A cell's corner as origin.
+/// Origin at a corner of the cell.
 pub fn far_off() -> Pose {
     pose([-4.0, 6.0, 0.5], rotation_from_rotvec(Vec3::new(0.3, 0.1, -1.2)))
 }
 
-/// A tool 140 mm long, turned by a quarter.
+/// A tool 140 mm long, rotated by 90°.
 pub fn tool() -> Pose {
     pose([0.0, 0.0, 0.14], rotation_from_rotvec(Vec3::z() * FRAC_PI_2))
 }
 
-/// Moves the frame `child` against its parent.
+/// Moves the frame `child` relative to its parent.
 fn move_frame(messages: &mut [Message], topic: &str, child: &str, by: [f64; 3]) {
     for message in messages.iter_mut().filter(|message| message.topic == topic) {
         for field in message.fields() {
@@ -313,7 +313,7 @@ fn move_frame(messages: &mut [Message], topic: &str, child: &str, by: [f64; 3]) 
     }
 }
 
-/// Adds to each message of `topic` one of a transform along x, which `of` makes of its number.
+/// Adds a transform along x to each message of `topic`; `of` maps the message index to its x.
 fn publish(
     messages: &mut Vec<Message>,
     topic: &str,
@@ -331,7 +331,7 @@ fn publish(
     messages.sort_by_key(|message| message.log_ns);
 }
 
-/// Multiplies the quaternions of `topic` by what `factor` says of each message.
+/// Scales the quaternions of `topic` by `factor` of the message index.
 fn stretch(messages: &mut [Message], topic: &str, factor: impl Fn(usize) -> f64) {
     let of_topic = messages.iter_mut().filter(|message| message.topic == topic);
     for (row, message) in of_topic.enumerate() {
@@ -344,7 +344,7 @@ fn stretch(messages: &mut [Message], topic: &str, factor: impl Fn(usize) -> f64)
     }
 }
 
-/// Asserts that the evidence holds `expected` as the finding's pose.
+/// Asserts that the evidence has `expected` as the finding's pose.
 #[track_caller]
 fn assert_pose(evidence: &Value, expected: &Pose) {
     let numbers = |key: &str| -> Vec<f64> {
@@ -382,6 +382,6 @@ fn a_world_of_its_own_is_estimated_and_not_judged() {
     .audited();
     assert!(report.findings.is_empty(), "{}", crate::checks::case::summary(&report.findings));
     let row = report.checks.iter().find(|row| row.code == "FRM002").expect("it was asked");
-    // `reference_from_stream` of a reference that is the base: nothing else is known of it.
+    // `reference_from_stream` relative to the base, as nothing else is known about the reference.
     assert_pose(&row.evidence["pose"], &far_off());
 }

@@ -1,4 +1,4 @@
-//! HEC: hand and eye.
+//! HEC: hand-eye calibration.
 
 use poseaudit::finding::{Finding, Status};
 use poseaudit::geometry::{Pose, QuaternionSlip, Vec3, pose, rotation_from_rotvec};
@@ -172,18 +172,18 @@ cases! {
     } => Skipped("camera axis convention unknown");
 }
 
-/// A camera, as the log moves.
+/// Adds a camera to the log.
 pub fn add_camera(log: &mut Log) {
     log.run.watch(Camera::InHand).expect("the arm has a tip");
 }
 
-/// A camera, and a motion that leaves the target in its view.
+/// Adds a camera, and a motion that keeps the target in its view.
 pub fn watched(log: &mut Log, camera: Camera) {
     log.run.watch(camera).expect("the arm has a tip");
     log.run.amplitude = 0.45;
 }
 
-/// Makes the depth of the target so many times as long.
+/// Scales the depth of the target.
 fn deepen(messages: &mut [Message], times: f64) {
     for message in messages.iter_mut().filter(|message| message.topic == TARGET) {
         for field in message.fields() {
@@ -195,7 +195,7 @@ fn deepen(messages: &mut [Message], times: f64) {
     }
 }
 
-/// Leaves hand and target.
+/// Removes the arm, and keeps hand and target.
 fn without_arm(log: &mut Log) {
     log.run.joints.timing.rate_hz = 0.0;
     log.run.tf.timing.rate_hz = 0.0;

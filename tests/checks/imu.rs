@@ -1,5 +1,5 @@
-//! IMUs as drivers write them and as they age: other units, ranges that end, axes of NED, compasses in
-//! steel, sensors that warm up, mounts that slip.
+//! Realistic IMU faults: other units, limited ranges, NED axes, compasses near steel, sensors that warm up,
+//! mounts that slip.
 
 use poseaudit::finding::{Estimate, Finding, Status};
 use poseaudit::geometry::{
@@ -84,19 +84,19 @@ cases! {
     } => BlamedOn("YAW003");
 }
 
-/// When what changes within a run does, s from the first sample.
+/// Time of changes within a run, s from the first sample.
 const CHANGE_S: f64 = 7.0;
 
-/// What a message of an IMU says.
+/// Content of an IMU message.
 struct Sample {
-    /// Since the first of them, s.
+    /// Time since the first sample, s.
     since_s: f64,
     world_from_imu: Rotation,
     gyro: Vec3,
     accel: Vec3,
 }
 
-/// Changes what each message of the IMU says.
+/// Edits the content of each IMU message.
 fn change(messages: &mut [Message], of: fn(&mut Sample)) {
     const GYRO: usize = 8 * (4 + 9);
     const ACCEL: usize = GYRO + 8 * (3 + 9);
@@ -147,7 +147,7 @@ fn into_ned(sample: &mut Sample) {
     sample.world_from_imu = half * sample.world_from_imu;
 }
 
-/// Over the headings of this motion that goes from its least to its most by 2.8°.
+/// A heading error of 2.8° peak to peak over this motion.
 fn soft_iron(sample: &mut Sample) {
     let points = sample.world_from_imu * Vec3::x();
     let heading = points.y.atan2(points.x);
@@ -183,7 +183,7 @@ fn changed(of: fn(&mut Log)) -> Report {
     .audited()
 }
 
-/// Whether a finding says that it changes from one amount to another, at [`CHANGE_S`].
+/// Asserts that a finding changes between two values at [`CHANGE_S`].
 fn assert_changes(found: &Finding, from: f64, to: f64, tolerance: f64) {
     let estimate = found.estimate.as_ref();
     let change = estimate.and_then(Estimate::change).expect("a change");

@@ -1,4 +1,4 @@
-//! ING: what cannot be read.
+//! ING: unreadable data.
 
 use poseaudit::synth::{IMU, JOINT_STATES, POSE};
 
@@ -96,16 +96,16 @@ cases! {
         => Refused("text");
 }
 
-/// Cuts off the footer, and what stands before it up to the end of the data.
+/// Removes the footer and the summary section.
 fn cut_summary(bytes: &mut Vec<u8>) {
-    // The footer record ends 8 bytes of magic before the end: its first field is where the summary
-    // begins.
+    // The footer ends 8 magic bytes before the end of the file. Its first field is the start of the
+    // summary.
     let footer = bytes.len() - 8 - 20;
     let summary = u64::from_le_bytes(bytes[footer..footer + 8].try_into().expect("eight bytes"));
     bytes.truncate(usize::try_from(summary).expect("it fits into memory"));
 }
 
-/// Flips bits at the end of the chunk in the middle of the log.
+/// Flips bits at the end of a chunk in the middle of the log.
 #[allow(clippy::ptr_arg, reason = "one of several edits of whole files")]
 fn flip_bits(bytes: &mut Vec<u8>) {
     const MAGIC: usize = 8;
@@ -130,7 +130,7 @@ fn every_second() -> Vec<usize> {
     (0..1000).step_by(2).collect()
 }
 
-/// Turns the second joint of one joint state.
+/// Rotates the second joint of one joint state.
 fn turn(messages: &mut [Message], by_rad: f64) {
     let mut states = messages.iter_mut().filter(|message| message.topic == JOINT_STATES);
     states.nth(200).expect("a joint state").turn_joint(1, by_rad);

@@ -1,5 +1,5 @@
-//! What must not change what is found: the epoch, a world's place, the order of names, the sign of a
-//! quaternion, the rate.
+//! Properties that must not change the findings: epoch, position of a world frame, order of names, sign of
+//! quaternions, rate.
 
 use poseaudit::finding::{Estimate, Finding};
 use poseaudit::report::Report;
@@ -10,7 +10,7 @@ use crate::checks::ord::{reorder, turn_signs};
 use crate::checks::recording::Message;
 use crate::checks::zer::zero;
 
-/// Three faults of three kinds, so that there is something to find again.
+/// A log with three faults of different kinds.
 fn faulty() -> Log {
     Log::with(|log| {
         log.run.pose.timing.latency_s = 0.015;
@@ -19,13 +19,13 @@ fn faulty() -> Log {
     })
 }
 
-/// Rule and subject of each finding, in their order.
+/// Rule and subject of each finding, in order.
 fn named(report: &Report) -> Vec<(&'static str, &str)> {
     report.findings.iter().map(|finding| (finding.code, finding.subject.label())).collect()
 }
 
-/// Asserts that the audits of both say the same: findings, what every rule made of every subject,
-/// and values within each other's intervals.
+/// Asserts that both audits agree: same findings, same status for every subject, and values within each
+/// other's intervals.
 #[track_caller]
 fn assert_same(before: &Report, after: &Report) {
     assert_eq!(named(before), named(after), "found:\n{}", summary(&after.findings));
@@ -51,17 +51,17 @@ fn assert_within(a: &Finding, b: &Finding) {
     for (estimate, other) in [(a_is, b_value), (b_is, a_value)] {
         let half = half_width(estimate).expect("an interval");
         let off = (other - estimate.value().expect("a value")).abs();
-        // Either may lie anywhere in its own interval.
+        // Both values may be anywhere in their own interval.
         assert!(off <= 2.0 * half, "{} moved by {off}, beyond ±{half}", a.code);
     }
 }
 
-/// What an estimate without a value says.
+/// An estimate without a value, as text.
 fn reading(estimate: &Estimate) -> Option<(&str, &str)> {
     estimate.convention()
 }
 
-/// The report on the faulty log, with its messages edited.
+/// The report on the faulty log, with edited messages.
 fn edited(edit: fn(&mut Vec<Message>)) -> Report {
     Log { edit: Some(edit), ..faulty() }.audited()
 }
@@ -108,7 +108,7 @@ fn the_other_sign_of_quaternions() {
 
 #[test]
 fn twice_the_rate() {
-    // Shake shows at more than 25 Hz only.
+    // Vibration is visible only above 25 Hz.
     let mut log = faulty();
     log.options.policy.rules.ignore = vec!["MOT001".parse().expect("a rule")];
     let before = log.audited();

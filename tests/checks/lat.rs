@@ -1,4 +1,4 @@
-//! LAT: streams that are late or early.
+//! LAT: late or early streams.
 
 use poseaudit::finding::{CheckRow, Status};
 use poseaudit::synth::{Camera, IMU, JOINT_STATES, Motion, POSE, TARGET, TF, Timing};
@@ -178,7 +178,7 @@ fn a_tf_with_the_joints_own_stamps_is_no_witness_against_them() {
         log.run.imu.timing.rate_hz = 0.0;
     })
     .audited();
-    // One stream, the pose, is early, and nothing else tells whose fault that is.
+    // The pose is the only early stream, and no third stream shows which side is at fault.
     let finding = the(&report, "LAT001", POSE);
     let value = finding.estimate.as_ref().and_then(|estimate| estimate.value());
     assert!(value.is_some_and(|value| (value + 0.012).abs() < 0.2e-3), "{finding:#?}");
@@ -205,6 +205,6 @@ fn coloured_noise_widens_the_interval_so_that_it_holds_the_truth() {
             half
         };
         let (white, coloured) = (half_of(0.0), half_of(0.95));
-        assert!(coloured > 1.1 * white, "seed {seed}: {coloured} beside {white}");
+        assert!(coloured > 1.1 * white, "seed {seed}: {coloured} against {white}");
     }
 }

@@ -1,4 +1,4 @@
-//! Runs so long that the estimators see excerpts of them.
+//! Runs so long that the estimators use excerpts.
 
 use poseaudit::finding::{CheckRow, Status};
 use poseaudit::synth::{IMU, JOINT_STATES, POSE, TF};
@@ -53,7 +53,7 @@ fn a_skew_shows_over_the_whole_of_a_long_run() {
 fn a_sound_long_run_passes_and_is_counted_whole() {
     let report = long(|_| {}).audited();
     assert!(report.findings.is_empty(), "{:#?}", report.findings);
-    // At this rate motion does not tell of stops and shake; there is no camera.
+    // At this rate the motion rules cannot detect stops and vibration; there is no camera.
     let is_asked = |row: &&CheckRow| {
         !["MOT", "HEC"].contains(&&row.code[..3])
             && !crate::checks::WITHOUT_INPUT.contains(&row.code)

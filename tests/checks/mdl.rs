@@ -1,4 +1,4 @@
-//! MDL: what no modelled cause explains.
+//! MDL: unexplained residuals.
 
 use std::collections::BTreeSet;
 use std::f64::consts::PI;
@@ -53,7 +53,7 @@ cases! {
     } => Undecided("samples");
 }
 
-/// Leaves nothing in the log that the joint states could be held against.
+/// Removes every stream that could be compared with the joint states.
 fn joint_states_alone(run: &mut Scenario) {
     for timing in [&mut run.pose.timing, &mut run.tf.timing, &mut run.imu.timing] {
         timing.rate_hz = 0.0;
@@ -66,14 +66,14 @@ fn joint_states_alone_are_no_pass() {
     assert_eq!(report.verdict, Verdict::Inconclusive);
 }
 
-/// Makes the forearm 60 mm longer and the upper arm as much shorter: no joint does that, and no frame.
+/// Makes the forearm 60 mm longer and the upper arm 60 mm shorter, which no zero offset or frame can
+/// explain.
 pub fn lengthen_forearm(run: &mut Scenario) {
     alter(run, "wrist_1_joint", [-0.06, 0.0, 0.0, 0.0, 0.0, 0.0]);
     alter(run, "elbow_joint", [0.06, 0.0, 0.0, 0.0, 0.0, 0.0]);
 }
 
-/// Makes the arm one of flesh: every link a little other than in the catalogue, by which it is
-/// audited.
+/// Makes the arm a real one: all links deviate slightly from the catalogue model of the audit.
 pub fn calibrate(run: &mut Scenario) {
     alter(run, "shoulder_pan_joint", [0.0, 0.0, 0.6e-3, 0.0, 0.0, 0.0]);
     alter(run, "shoulder_lift_joint", [0.3e-3, -0.4e-3, 0.0, 0.8e-3, 0.0, -0.5e-3]);
@@ -83,7 +83,7 @@ pub fn calibrate(run: &mut Scenario) {
     alter(run, "wrist_3_joint", [-0.3e-3, 0.6e-3, 0.2e-3, -0.8e-3, 0.3e-3, 0.0]);
 }
 
-/// Writes the calibration of a UR as `ur_calibration` does.
+/// Writes the calibration of a UR like `ur_calibration`.
 fn calibration_file(robot: &Robot) -> CalibrationSource {
     const BLOCKS: [(&str, &str); 6] = [
         ("shoulder", "shoulder_pan_joint"),
@@ -177,8 +177,8 @@ fn a_base_turned_by_half_in_a_cell_is_no_joint_turned_by_half() {
     Frame([0.6, 1e-3], [180.0, 0.1]).assert_is(the(&report, "FRM002", POSE).estimate.as_ref());
 }
 
-/// An arm that stands at `xyz` (m) in its cell and whose poses, told in the cell, are turned by half
-/// about its base's axis.
+/// An arm at `xyz` (m) in its cell, with poses relative to the cell that are rotated by 180° about the
+/// base's z axis.
 fn turned_in_its_cell(xyz: [f64; 3]) -> Log {
     Log::with(|log| {
         let Log { run, .. } = log;
@@ -198,7 +198,7 @@ fn turned_in_its_cell(xyz: [f64; 3]) -> Log {
     })
 }
 
-/// Moves the origin of a joint by x, y, z (m) and roll, pitch, yaw (rad). The log tells neither the
+/// Moves the origin of a joint by x, y, z (m) and roll, pitch, yaw (rad). The log contains neither the
 /// altered model nor its transforms.
 pub fn alter(run: &mut Scenario, joint: &str, by: [f64; 6]) {
     let text = urdf_text(&run.robot);

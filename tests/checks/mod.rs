@@ -1,9 +1,8 @@
-//! What every rule says of a log with its fault, without it, with another rule's, and without what
-//! it needs.
+//! Tests each rule on a log with its fault, without it, with another rule's fault, and without its input.
 //!
-//! A case is a line of a family's `cases!` table: the rule, a name, what is done to a sound log, and
-//! what is expected of the audit. [`Expected`] says which of the four kinds it is, and a rule of the
-//! registry without a case of every kind fails here.
+//! A case is a line of a family's `cases!` table: the rule, a name, the modification of a sound log, and
+//! the expected result. [`Expected`] defines the four kinds. A registered rule without a case of every kind
+//! fails here.
 
 mod case;
 mod changes;
@@ -66,15 +65,15 @@ fn every_rule_has_a_case_of_every_kind() {
     }
     let codes: BTreeSet<&str> = registry().iter().map(|rule| rule.code).collect();
     for case in cases() {
-        assert!(codes.contains(case.code), "{} is no rule: {}", case.code, case.name);
+        assert!(codes.contains(case.code), "{} is not a rule: {}", case.code, case.name);
     }
 }
 
-/// Rules about what is not in every log, nor in the sound one.
+/// Rules whose input is not in every log, and not in the sound one.
 const WITHOUT_INPUT: &[&str] =
     &["FRM006", "LAT004", "META001", "META002", "MOT004", "ORD006", "ORD007"];
 
-/// Rules about tables, whose cases are in `tests/tables.rs`.
+/// Rules about tables, with cases in `tests/tables.rs`.
 const OF_DATASETS: &[&str] = &["META001", "META002"];
 
 #[test]

@@ -1,4 +1,4 @@
-//! MOT: motion that an arm should not make, or cannot.
+//! MOT: undesired or impossible motion.
 
 use std::f64::consts::TAU;
 
@@ -15,7 +15,7 @@ use crate::checks::recording::throw;
 use Expected::{BlamedOn, LeftOpenBy, Skipped, Sound, Undecided};
 
 cases! {
-    // The tip is 0.5096 m off the first joint's axis: 3 mrad are 1.529 mm, 1.081 mm rms.
+    // The tip is 0.5096 m from the first joint's axis: 3 mrad are 1.529 mm, 1.081 mm rms.
     MOT001 a_servo_that_hunts: |log| shake(log, 3e-3, 12.0)
         => warning(On::Topic(JOINT_STATES), About(1.081e-3, 0.03e-3));
     MOT001 a_servo_that_hunts_a_little_is_sound: |log| {
@@ -145,7 +145,7 @@ fn steps_of_an_encoder_may_hide_shake() {
     assert!(row.reason.as_deref().is_some_and(|why| why.contains("hides vibration")), "{row:?}");
 }
 
-/// Encoders of 9 bits a turn, read a thousand times a second: a step from sample to sample is 350°/s.
+/// 9-bit encoders read at 1 kHz: a step between samples is 350°/s.
 fn coarse_encoders(log: &mut Log) {
     (log.run.motion, log.run.amplitude) = (Motion::Continuous, 0.9);
     log.run.joints.timing.rate_hz = 1000.0;
@@ -166,7 +166,7 @@ fn what_is_usual_is_not_told_from_fifteen_samples() {
     assert!(of(POSE).reason.as_deref().is_some_and(|why| why.contains("fewer than 20 samples")));
 }
 
-/// The arm goes along lines that are streamed to it, 40 ms ahead.
+/// The arm follows lines that are streamed to it 40 ms ahead.
 pub fn along(log: &mut Log, lines: Lines) {
     log.run.motion = Motion::Lines(lines);
     log.run.duration_s = 12.0;
@@ -189,7 +189,7 @@ fn an_orientation_that_is_interpolated_by_its_numbers_is_told() {
     assert!(!report.findings.iter().any(|found| found.subject.label() == POSE));
 }
 
-/// Some joints give: each its place from the base, how, and by how much, degrees.
+/// Joint compliance, as index, kind and magnitude in degrees.
 pub fn gives(log: &mut Log, gives: &[(usize, Giving, f64)]) {
     let of = |&(joint, how, degrees): &(usize, Giving, f64)| Gives {
         joint,
@@ -237,14 +237,14 @@ fn an_eccentric_gear_is_said_with_what_is_left() {
     assert!(!report.findings.iter().any(|found| joint_or_time(found.code)));
 }
 
-/// The arm rests, and its first joint shakes.
+/// The arm rests, and its first joint vibrates.
 fn shake(log: &mut Log, amplitude: f64, frequency_hz: f64) {
     log.run.motion = Motion::AtRest;
     log.run.joints.timing.rate_hz = 200.0;
     log.run.shake = Some(Shake { joint: 0, amplitude, frequency_hz });
 }
 
-/// One joint moves at up to 1 rad/s and is stopped so hard, rad/s².
+/// One joint moves at up to 1 rad/s and stops with this deceleration, rad/s².
 fn stop(log: &mut Log, deceleration: f64) {
     log.run.motion = Motion::OneJoint(1);
     log.run.speed = 1.0;
@@ -252,7 +252,7 @@ fn stop(log: &mut Log, deceleration: f64) {
     log.run.stop = Some(Stop { after_s: 3.0, deceleration });
 }
 
-/// The last joint rests at `past_rad` and counts a turn more, which moves nothing.
+/// The last joint rests at `past_rad`, one turn too far, which does not move the tool.
 fn turn_too_many(log: &mut Log, past_rad: f64) {
     log.run.home[5] = past_rad;
     log.run.motion = Motion::AtRest;

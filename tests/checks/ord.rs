@@ -1,4 +1,4 @@
-//! ORD: conventions, units and orders taken for others.
+//! ORD: misinterpreted conventions, units and orders.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 use std::fs;
@@ -17,7 +17,7 @@ use crate::checks::case::{Expected, Log, cases, error, summary, the, warning};
 use crate::checks::recording::{Field, Message, cut_out, stick};
 use Expected::{BlamedOn, LeftOpenBy, Skipped, Sound, Undecided};
 
-/// The topic of the poses as bare numbers.
+/// Topic of the poses as unnamed numbers.
 const NUMBERS: &str = "/arm/tool_vector";
 
 cases! {
@@ -39,7 +39,7 @@ cases! {
         => error(Topic(IMU), ReadAs("euler:ZYX", "euler:xyz"));
 
     ORD001 rotations_through_a_half_turn_are_sound: |log| {
-        // Without a turn the tool's orientation passes 180°, where quaternions change sign.
+        // The tool's orientation passes 180°, where quaternions change sign.
         log.run.home = vec![0.4, -1.2, 1.2, -1.6, -1.57, 3.0];
         log.run.motion = Motion::Continuous;
     } => Sound;
@@ -335,7 +335,7 @@ fn positions_are_audited_where_the_orientation_was_never_set() {
     }
 }
 
-/// The report on a log whose poses are bare numbers, beside what is said of their having no stamps.
+/// The report on a log with poses as unnamed numbers, without the finding about missing stamps.
 fn audited_as_numbers(edit: fn(&mut Vec<Message>)) -> Report {
     let mut report = Log::with(|log| log.edit = Some(edit)).audited();
     let stamps = the(&report, "TIM005", NUMBERS);
@@ -431,7 +431,7 @@ fn at_rest_a_reading_passes_only_where_no_frame_can_make_up_for_it() {
             let is_meant = |row: &&CheckRow| row.code == code && row.subject.label() == topic;
             report.checks.iter().find(is_meant).expect("it is asked")
         };
-        // The pose's frames are links of the arm; the IMU's world may be turned by anything.
+        // The pose's frames are links of the arm; the IMU's world frame may have any rotation.
         assert_eq!(on(POSE).status, Status::Pass, "{:#?}", on(POSE));
         assert_eq!(on(IMU).status, Status::Inconclusive, "{:#?}", on(IMU));
         assert!(on(IMU).reason.as_deref().is_some_and(|why| why.contains("turn the wrist")));
@@ -465,12 +465,12 @@ pub fn in_axes(messages: &mut [Message], positions: &str, rotations: &str) {
     });
 }
 
-/// Writes the positions of the poses in a unit of so many metres.
+/// Writes the positions of the poses in a unit of this many metres.
 pub fn in_unit(messages: &mut [Message], metres: f64) {
     edit_poses(messages, |xyz, xyzw| (xyz.map(|part| part / metres), xyzw));
 }
 
-/// Leaves one coordinate of the poses at zero.
+/// Sets one coordinate of the poses to zero.
 fn constant(messages: &mut [Message], axis: usize) {
     edit_poses(messages, |mut xyz, xyzw| {
         xyz[axis] = 0.0;
@@ -478,7 +478,7 @@ fn constant(messages: &mut [Message], axis: usize) {
     });
 }
 
-/// Gives all poses one orientation.
+/// Sets all poses to one orientation.
 fn orient(messages: &mut [Message], xyzw: [f64; 4]) {
     edit_poses(messages, |xyz, _| (xyz, xyzw));
 }
@@ -496,7 +496,7 @@ fn edit_poses(messages: &mut [Message], edit: impl Fn([f64; 3], [f64; 4]) -> ([f
     }
 }
 
-/// The rows of a UR5e, standard.
+/// DH rows of a UR5e, standard convention.
 const ROWS: &str = "\
 rows = [
   [0.0, 0.1625, 1.5707963267948966, 0.0],
@@ -508,8 +508,8 @@ rows = [
 ]
 ";
 
-/// Audits by a DH table that says it is of this convention, one text of it replaced by another. The
-/// frames of the log's /tf are no links of a table.
+/// Audits with a DH table that declares this convention, with one text replaced. The frames of the log's
+/// /tf are not links of a table.
 pub fn by_table(log: &mut Log, convention: &str, [from, to]: [&str; 2]) {
     let rows = if from.is_empty() { ROWS.to_owned() } else { ROWS.replacen(from, to, 1) };
     let names = ["shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"];
@@ -521,7 +521,7 @@ pub fn by_table(log: &mut Log, convention: &str, [from, to]: [&str; 2]) {
     let name = format!("ur5e-{convention}-{to}.toml");
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
     let file = folder.join(name);
-    // Tests that run side by side write the same file.
+    // Tests that run in parallel write the same file.
     let staged = tempfile::NamedTempFile::new_in(folder).expect("the tests may write there");
     fs::write(staged.path(), text).expect("a file");
     staged.persist(&file).expect("a file");
@@ -529,7 +529,8 @@ pub fn by_table(log: &mut Log, convention: &str, [from, to]: [&str; 2]) {
     log.run.tf.timing.rate_hz = 0.0;
 }
 
-/// Turns the poses into six bare numbers: position and rotation vector, this many to the radian.
+/// Turns the poses into six unnamed numbers: position, and rotation vector in units of 1 / `to_the_radian`
+/// rad.
 pub fn as_numbers(messages: &mut [Message], to_the_radian: f64) {
     for message in messages.iter_mut().filter(|message| message.topic == POSE) {
         let mut numbers = Vec::new();
@@ -548,7 +549,7 @@ pub fn as_numbers(messages: &mut [Message], to_the_radian: f64) {
     }
 }
 
-/// The same with three angles for the rotation.
+/// The same with three Euler angles.
 fn as_euler(messages: &mut [Message], convention: Convention) {
     for message in messages.iter_mut().filter(|message| message.topic == POSE) {
         let mut numbers = Vec::new();
@@ -566,7 +567,7 @@ fn as_euler(messages: &mut [Message], convention: Convention) {
     }
 }
 
-/// Declares the bare numbers. That they have no stamps is not asked.
+/// Declares the encoding of the unnamed numbers, and ignores their missing stamps.
 fn declare(log: &mut Log, edit: fn(&mut Vec<Message>), convention: &str) {
     let declaration = format!("{NUMBERS}={convention}");
     log.options.run.declared = vec![declaration.parse().expect("a declaration")];
@@ -574,11 +575,11 @@ fn declare(log: &mut Log, edit: fn(&mut Vec<Message>), convention: &str) {
     log.edit = Some(edit);
 }
 
-/// Lets the arm turn about its base alone, so that roll and pitch of the tool stay as they are: with
-/// the second wrist straight its x axis points up.
+/// Rotates only the first joint, so that roll and pitch of the tool stay constant; with a straight second
+/// wrist, the tool's x axis points up.
 fn turn_the_base_alone(log: &mut Log) {
     log.run.motion = Motion::OneJoint(0);
-    // One axis does not tell how rotations are coded: that is not asked.
+    // One axis does not determine the encoding of rotations, so other rules are disabled.
     log.options.policy.rules.select = vec!["ORD006".parse().expect("a rule")];
     log.run.home = vec![0.0, -FRAC_PI_2, FRAC_PI_2, -FRAC_PI_2, 0.0, 0.0];
 }
@@ -594,7 +595,7 @@ pub fn turn_signs(messages: &mut [Message]) {
     }
 }
 
-/// Puts the joints of all joint states into another order, names and numbers alike.
+/// Reorders the joints of all joint states, names and numbers alike.
 pub fn reorder(messages: &mut [Message], order: [usize; 6]) {
     for message in messages.iter_mut().filter(|message| message.topic == JOINT_STATES) {
         message.reorder_joints(&order);

@@ -1,4 +1,4 @@
-//! A log as its messages, and what can be done to them that the generator does not do.
+//! A log as messages, and edits that the generator does not offer.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -16,11 +16,11 @@ pub struct Message {
     pub type_name: String,
     pub definition: String,
     pub log_ns: i64,
-    /// Encoded, with the four bytes that say how.
+    /// Encoded message, with the four bytes of the encapsulation header.
     pub cdr: Vec<u8>,
 }
 
-/// The bytes of the log of `run`, its messages edited.
+/// The bytes of the log of `run`, with edited messages.
 pub fn write(run: &Scenario, edit: Option<fn(&mut Vec<Message>)>) -> Vec<u8> {
     let mut bytes = Vec::new();
     run.write_mcap(Cursor::new(&mut bytes), None).expect("the log is written");
@@ -46,7 +46,7 @@ pub fn read(bytes: &[u8]) -> Vec<Message> {
     messages.map(|read| message(read.expect("a message"))).collect()
 }
 
-/// The log of `messages`, in chunks of some 64 KiB.
+/// The log of `messages`, in chunks of about 64 KiB.
 fn encode(messages: &[Message]) -> Vec<u8> {
     let mut bytes = Vec::new();
     let options = mcap::WriteOptions::new()
@@ -88,18 +88,18 @@ fn encode(messages: &[Message]) -> Vec<u8> {
     bytes
 }
 
-/// A part of a message, by where its bytes are.
+/// A part of a message, by byte offset.
 pub enum Field {
     /// Seconds and nanoseconds.
     Stamp(usize),
-    /// Position or translation, of this child frame where it is a transform.
+    /// Position or translation; for a transform with its child frame.
     Xyz(usize, String),
     /// A quaternion.
     Xyzw(usize),
 }
 
 impl Message {
-    /// Its fields that tests change.
+    /// Fields that tests edit.
     pub fn fields(&self) -> Vec<Field> {
         let mut cdr = Reader { bytes: &self.cdr, at: 4 };
         let mut fields = Vec::new();
@@ -132,13 +132,13 @@ impl Message {
         }
     }
 
-    /// Moves its stamps and the time of receipt by `by_ns`.
+    /// Shifts its stamps and its receive time by `by_ns`.
     pub fn shift(&mut self, by_ns: i64) {
         self.log_ns += by_ns;
         self.restamp(by_ns);
     }
 
-    /// Moves its stamps by `by_ns`, not the time of receipt.
+    /// Shifts its stamps by `by_ns`, but not its receive time.
     pub fn restamp(&mut self, by_ns: i64) {
         const SECOND_NS: i64 = 1_000_000_000;
         for field in self.fields() {
@@ -152,7 +152,7 @@ impl Message {
         }
     }
 
-    /// Turns the joint numbered `joint` of a joint state by `by_rad`; NaN leaves it without a position.
+    /// Rotates joint `joint` of a joint state by `by_rad`; NaN removes its position.
     pub fn turn_joint(&mut self, joint: usize, by_rad: f64) {
         let mut cdr = Reader { bytes: &self.cdr, at: 4 };
         cdr.header();
@@ -163,7 +163,7 @@ impl Message {
         self.set_floats(at, &[q + by_rad]);
     }
 
-    /// Puts the joints of a joint state into the order `order`, names and numbers alike.
+    /// Reorders the joints of a joint state, names and numbers alike.
     pub fn reorder_joints(&mut self, order: &[usize]) {
         let mut cdr = Reader { bytes: &self.cdr, at: 4 };
         cdr.header();
@@ -189,7 +189,7 @@ impl Message {
         self.cdr = written;
     }
 
-    /// Makes a message of transforms hold just this one, which does not turn, with its own stamp.
+    /// Replaces the content by a single transform without rotation, with its own stamp.
     pub fn become_transform(&mut self, parent: &str, child: &str, xyz: [f64; 3]) {
         let header: [u8; 8] = self.cdr[8..16].try_into().expect("a stamp");
         self.cdr.truncate(4);
@@ -206,7 +206,7 @@ impl Message {
         self.cdr.extend(numbers.flat_map(f64::to_le_bytes));
     }
 
-    /// Turns it into a `std_msgs/Float64MultiArray` of `numbers`.
+    /// Replaces the message by a `std_msgs/Float64MultiArray` of `numbers`.
     pub fn become_array(&mut self, topic: &str, numbers: &[f64]) {
         self.topic = topic.to_owned();
         self.type_name = "std_msgs/msg/Float64MultiArray".to_owned();
@@ -224,7 +224,7 @@ impl Message {
     }
 }
 
-/// Fills up to where a value of `size` bytes may stand; the encapsulation does not count.
+/// Aligns the end to `size` bytes, relative to the end of the encapsulation header.
 fn align(cdr: &mut Vec<u8>, size: usize) {
     cdr.resize((cdr.len() - 4).next_multiple_of(size) + 4, 0);
 }
@@ -240,14 +240,14 @@ fn append_list(cdr: &mut Vec<u8>, numbers: &[f64]) {
     }
 }
 
-/// Walks along a message.
+/// Sequential access to a message.
 struct Reader<'a> {
     bytes: &'a [u8],
     at: usize,
 }
 
 impl Reader<'_> {
-    /// Where the next value of `size` bytes is, `count` of which are passed.
+    /// Offset of the next value of `size` bytes; skips `count` of them.
     fn pass(&mut self, size: usize, count: usize) -> usize {
         let at = (self.at - 4).next_multiple_of(size) + 4;
         self.at = at + size * count;
@@ -275,7 +275,7 @@ impl Reader<'_> {
         numbers.map(|number| f64::from_le_bytes(number.try_into().unwrap())).collect()
     }
 
-    /// The stamp; the frame is passed.
+    /// The stamp; skips the frame.
     fn header(&mut self) -> Field {
         let at = self.pass(4, 2);
         self.string();
@@ -291,8 +291,8 @@ impl Reader<'_> {
     }
 }
 
-/// Moves the stamps of the messages of `topic` (of all where it is empty) that are received from
-/// `from_s` to `to_s` after the first message by `by_s`, not when they are received.
+/// Shifts the stamps of `topic` (all topics if empty) by `by_s`, for messages received from `from_s` to
+/// `to_s` after the first. Receive times stay.
 pub fn restamp(messages: &mut [Message], topic: &str, from_s: f64, to_s: f64, by_s: f64) {
     let nanos = |seconds: f64| (seconds * 1e9) as i64;
     let start_ns = messages.iter().map(|message| message.log_ns).min().unwrap_or(0);
@@ -312,7 +312,7 @@ pub fn cut_out(messages: &mut Vec<Message>, topic: &str, from_s: f64, to_s: f64)
     messages.retain(|message| message.topic != topic || !within.contains(&message.log_ns));
 }
 
-/// Moves the positions of the samples numbered `rows` of `topic` by `by_m`.
+/// Moves the positions of samples `rows` of `topic` by `by_m`.
 pub fn throw(messages: &mut [Message], topic: &str, rows: &[usize], by_m: [f64; 3]) {
     let of_topic = messages.iter_mut().filter(|message| message.topic == topic);
     for (_, message) in of_topic.enumerate().filter(|(row, _)| rows.contains(row)) {
@@ -324,7 +324,7 @@ pub fn throw(messages: &mut [Message], topic: &str, rows: &[usize], by_m: [f64; 
     }
 }
 
-/// Writes `stamp`, seconds and nanoseconds, into the header of a message.
+/// Writes `stamp`, seconds and nanoseconds, into a message header.
 pub fn set_stamp(message: &mut Message, stamp: [u8; 8]) {
     for field in message.fields() {
         let Field::Stamp(at) = field else { continue };
@@ -332,19 +332,19 @@ pub fn set_stamp(message: &mut Message, stamp: [u8; 8]) {
     }
 }
 
-/// Has every `step`th message of `topic` say that it is in another frame.
+/// Changes the frame of every `step`th message of `topic`.
 pub fn rename_frame(messages: &mut [Message], topic: &str, step: usize) {
     let of_topic = messages.iter_mut().filter(|message| message.topic == topic);
     for message in of_topic.step_by(step) {
         for field in message.fields() {
             let Field::Stamp(at) = field else { continue };
-            // Behind the stamp and the length stands the name.
+            // The frame name follows the stamp and the length.
             message.cdr[at + 12] = b'x';
         }
     }
 }
 
-/// Has the samples of `topic` received from `from_s` to `to_s` say what the first of them says.
+/// Freezes the samples of `topic` received from `from_s` to `to_s` at the first of them.
 pub fn stick(messages: &mut [Message], topic: &str, from_s: f64, to_s: f64) {
     let nanos = |seconds: f64| (seconds * 1e9) as i64;
     let start_ns = messages.iter().map(|message| message.log_ns).min().unwrap_or(0);
@@ -361,7 +361,7 @@ pub fn stick(messages: &mut [Message], topic: &str, from_s: f64, to_s: f64) {
     }
 }
 
-/// Gives all messages of `topic` the stamp of the first.
+/// Sets all stamps of `topic` to the first.
 pub fn freeze(messages: &mut [Message], topic: &str) {
     let mut first: Option<[u8; 8]> = None;
     for message in messages.iter_mut().filter(|message| message.topic == topic) {
@@ -375,7 +375,7 @@ pub fn freeze(messages: &mut [Message], topic: &str) {
     }
 }
 
-/// Has only every so many-th sample of `topic` say something new, and those after it the same.
+/// Repeats every `every`th sample of `topic` until the next.
 pub fn repeat(messages: &mut [Message], topic: &str, every: usize) {
     let mut new: Vec<[f64; 7]> = Vec::new();
     let of_topic = messages.iter_mut().filter(|message| message.topic == topic);
@@ -394,9 +394,9 @@ pub fn repeat(messages: &mut [Message], topic: &str, every: usize) {
     }
 }
 
-/// Has the joint states received from `from_s` to `to_s` say what the first of them says.
+/// Freezes the joint states received from `from_s` to `to_s` at the first of them.
 pub fn stick_joints(messages: &mut [Message], from_s: f64, to_s: f64) {
-    /// Where a message's stamp ends.
+    /// End offset of a message's stamp.
     const STAMP_END: usize = 12;
     let nanos = |seconds: f64| (seconds * 1e9) as i64;
     let start_ns = messages.iter().map(|message| message.log_ns).min().unwrap_or(0);

@@ -1,7 +1,7 @@
-//! The reports on the fixture logs, as they stand in `snapshots/`.
+//! Reports on the fixture logs, compared with `snapshots/`.
 //!
-//! Numbers are cut to three digits, which the last bits of a platform's sine do not reach. After a
-//! change that is meant, run `INSTA_UPDATE=always cargo test --test main checks::reports` and read the diff.
+//! Numbers are rounded to three digits, to be independent of the platform. After an intended change, run
+//! `INSTA_UPDATE=always cargo test --test main checks::reports` and review the diff.
 
 use std::path::Path;
 
@@ -16,7 +16,7 @@ fn report(fixture: &str) -> Report {
     audited.with_figures().report
 }
 
-/// The report for people: as it is, but for the version.
+/// The text report, without the version.
 fn text_of(report: &Report) -> String {
     let mut out = Vec::new();
     text::write(report, &mut out).expect("a text");
@@ -24,7 +24,7 @@ fn text_of(report: &Report) -> String {
     without_version(&without_styles(&text)).replace('\\', "/")
 }
 
-/// The report for programs, its numbers rounded.
+/// The JSON report, with rounded numbers.
 fn json_of(report: &Report) -> String {
     let mut out = Vec::new();
     json::write(report, &mut out).expect("a text");
@@ -38,7 +38,7 @@ fn without_version(text: &str) -> String {
     text.replace(concat!("poseaudit ", env!("CARGO_PKG_VERSION")), "poseaudit [version]")
 }
 
-/// Leaves out the escape sequences of colours.
+/// Removes colour escape sequences.
 fn without_styles(text: &str) -> String {
     let mut plain = String::new();
     let mut parts = text.split("\u{1b}[");
@@ -49,7 +49,7 @@ fn without_styles(text: &str) -> String {
     plain
 }
 
-/// Cuts numbers that are no counts to three significant digits.
+/// Rounds numbers other than counts to three significant digits.
 fn round(value: &mut Value) {
     match value {
         Value::Number(number) if number.is_f64() => {

@@ -219,7 +219,7 @@ cases! {
     TIM005 no_stream_to_stamp: |log| without_streams(&mut log.run) => Skipped("no");
 }
 
-/// A topic whose name says nothing.
+/// A topic whose name does not indicate its role.
 const TRACKER: &str = "/tracker/rigid_body";
 
 fn rename(messages: &mut [Message], from: &str, to: &str) {
@@ -228,7 +228,7 @@ fn rename(messages: &mut [Message], from: &str, to: &str) {
     }
 }
 
-/// Puts all stamps on a clock that is this much ahead of the recorder's, s.
+/// Moves all stamps to a clock that is ahead of the recorder's by `offset_s`.
 fn on_clock(run: &mut Scenario, offset_s: f64) {
     let Scenario { joints, pose, tf, imu, .. } = run;
     for timing in [&mut joints.timing, &mut pose.timing, &mut tf.timing, &mut imu.timing] {
@@ -236,7 +236,7 @@ fn on_clock(run: &mut Scenario, offset_s: f64) {
     }
 }
 
-/// The number of every sample.
+/// All sample indices.
 fn every() -> Vec<usize> {
     (0..10_000).collect()
 }
@@ -266,12 +266,12 @@ fn an_arm_at_rest_may_be_silent_about_it() {
     assert_eq!([is_poses("TIM002"), is_poses("TIM006")], [[Status::Pass], [Status::Pass]]);
 }
 
-/// Sets the clock of all stamps back to the start, this long after it, as a simulator that is reset.
+/// Resets the clock of all streams to the start after `after_s`, like a simulator reset.
 fn reset(messages: &mut [Message], after_s: f64) {
     restamp(messages, "", after_s, f64::MAX, -after_s);
 }
 
-/// What is found beside the remark that the clock which began anew is not the recorder's.
+/// Findings other than the remark that the restarted clock is not the recorder's.
 fn faults(report: &Report) -> Vec<&Finding> {
     let faults = report.findings.iter().filter(|finding| finding.severity > Severity::Info);
     faults.collect()
@@ -293,7 +293,7 @@ fn a_clock_that_begins_anew_splits_the_run() {
     let counts = |report: &Report| -> Vec<u64> {
         report.streams.iter().map(|stream| stream.count).collect()
     };
-    // What holds at all times is in both.
+    // Static data are in both segments.
     for (count, of_whole) in counts(&split).into_iter().zip(counts(&whole)) {
         assert!(count == of_whole || count == 2 * of_whole, "{count} of {of_whole}");
     }
@@ -325,7 +325,7 @@ fn a_tail_too_short_to_judge_leaves_nothing_open() {
     .audited();
     assert!(faults(&report).is_empty(), "{}", summary(&report.findings));
     assert_eq!(report.verdict, Verdict::Pass);
-    // The poses are too slow to show shake, and there is no camera.
+    // The poses are too slow to show vibration, and there is no camera.
     let others =
         [&["TIM003", "MOT001", "HEC001", "HEC002", "HEC003"], crate::checks::WITHOUT_INPUT]
             .concat();

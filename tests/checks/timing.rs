@@ -1,5 +1,5 @@
-//! What clocks, queues and names do to streams: ticks of coarse clocks, latencies that ramp or go with the
-//! load, delays that scatter to one side, frames and topics with other names.
+//! Effects of clocks, queues and names: coarse clocks, latency ramps, load-dependent latency, one-sided
+//! jitter, renamed frames and topics.
 
 use std::collections::BTreeSet;
 
@@ -13,7 +13,7 @@ use crate::checks::recording::{Field, Message, read, write};
 
 const SECOND_NS: f64 = 1e9;
 
-/// The report on 20 s of joint states at 125 Hz and poses at 50 Hz whose messages are edited.
+/// The report on 20 s of joint states at 125 Hz and poses at 50 Hz, with edited messages.
 fn edited(edit: fn(&mut Vec<Message>)) -> Report {
     Log::with(|log| {
         rich(&mut log.run);
@@ -64,7 +64,7 @@ fn of_topic<'a>(
     messages.iter_mut().filter(move |message| message.topic == topic)
 }
 
-/// Stamps the poses late by what `late_s` says of each: its number and the time since the first, s.
+/// Delays the poses' stamps by `late_s` of the sample's index and its time since the first, s.
 fn delay(messages: &mut [Message], late_s: impl Fn(usize, f64) -> f64) {
     delay_topic(messages, POSE, late_s);
 }
@@ -78,7 +78,7 @@ fn delay_topic(messages: &mut [Message], topic: &'static str, late_s: impl Fn(us
     messages.sort_by_key(|message| message.log_ns);
 }
 
-/// Rounds the stamps of a topic to ticks, not the times of receipt.
+/// Rounds the stamps of a topic to ticks; receive times stay.
 fn tick(messages: &mut [Message], topic: &str, tick_ns: i64) {
     for message in messages.iter_mut().filter(|message| message.topic == topic) {
         let stamp_ns = stamp_ns(message);
@@ -86,7 +86,7 @@ fn tick(messages: &mut [Message], topic: &str, tick_ns: i64) {
     }
 }
 
-/// Numbers from 0 to 1 that look random.
+/// Pseudo-random numbers from 0 to 1.
 fn random(row: usize) -> f64 {
     let mixed = (row as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     let mixed = (mixed ^ (mixed >> 31)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -256,8 +256,7 @@ fn what_a_topic_is_called_does_not_make_a_target_of_a_tool() {
     assert_eq!(codes(&report), BTreeSet::new(), "{}", summary(&report.findings));
 }
 
-/// Under no load the shoulder sags by so much, degrees, and from [`LOADED_S`] on the poses are those of
-/// an arm that sags by the other.
+/// Sag of the shoulder in degrees, before and after the load changes at [`LOADED_S`].
 const SAGS: [f64; 2] = [0.15, 0.6];
 const LOADED_S: f64 = 9.0;
 
@@ -297,7 +296,7 @@ fn sag_under_a_load_that_is_taken_up_is_told_before_and_after() {
     assert!((at_s - LOADED_S).abs() < 1.5, "{at_s} s");
 }
 
-/// Joint states at 500 Hz, stamped up to so much early or late.
+/// Joint states at 500 Hz with uniform stamp jitter of up to `most_s`.
 fn jitter_500_hz(messages: &mut [Message], most_s: f64) {
     let joints = of_topic(messages, JOINT_STATES).enumerate();
     for (row, message) in joints {
@@ -311,7 +310,7 @@ fn times_and_amounts_of_gaps_are_those_of_the_stamps() {
     let edits: [(Edit, &[&str]); 5] = [
         (|messages| jitter_500_hz(messages, 3e-4), &[]),
         (|messages| jitter_500_hz(messages, 6e-4), &[]),
-        // Pairs, as of a bus that sends two at once.
+        // Pairs, as from a bus that sends two at once.
         (
             |messages| {
                 let joints = of_topic(messages, JOINT_STATES).enumerate();

@@ -1,4 +1,4 @@
-//! VEL and LAT004: velocities against positions, and states against commands.
+//! VEL and LAT004: velocities compared with positions, and states with commands.
 
 use std::f64::consts::TAU;
 
@@ -29,7 +29,7 @@ cases! {
         => BlamedOn("ZER001");
     VEL001 joints_in_degrees_have_velocities_in_degrees: |log| log.run.joints.in_degrees = true
         => BlamedOn("ORD004");
-    // Its velocities have the right sign, against positions that do not.
+    // Its velocities have the right sign, but its positions do not.
     VEL001 a_joint_that_counts_backwards: |log| {
         log.run.joints.scales = vec![1.0, 1.0, -1.0];
         scaled(log, &[1.0, 1.0, -1.0]);
@@ -53,12 +53,12 @@ cases! {
     LAT004 no_commands: |_| {} => Skipped("no commands");
 }
 
-/// The velocities alone are multiplied.
+/// Scales only the velocities.
 fn scaled(log: &mut Log, scales: &[f64]) {
     log.run.joints.velocity_scales = scales.to_vec();
 }
 
-/// The arm is told so long before what it does, s.
+/// Commands that lead the arm by `ahead_s`.
 fn led(log: &mut Log, commands: Commands, ahead_s: f64) {
     let timing = &mut log.run.reference.timing;
     (timing.rate_hz, timing.latency_s) = (50.0, -ahead_s);

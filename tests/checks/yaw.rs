@@ -1,4 +1,4 @@
-//! YAW: the heading of an IMU.
+//! YAW: heading of an IMU.
 
 use nalgebra::Matrix3;
 use poseaudit::finding::{CheckRow, Status};
@@ -162,18 +162,18 @@ pub fn bias() -> Vec3 {
     Vec3::new(0.01, -0.02, 0.02)
 }
 
-/// A gyro that reads 3 % too much about x, 2 % too little about z, and whose axes x and y lean
-/// towards each other by 0.01 rad each.
+/// A gyro with scale errors of +3 % about x and −2 % about z, whose x and y axes lean towards each other by
+/// 0.01 rad each.
 fn askew() -> Matrix3<f64> {
     Matrix3::new(1.03, 0.01, 0.0, 0.01, 1.0, 0.0, 0.0, 0.0, 0.98)
 }
 
-/// A mount turned about an axis of its own.
+/// A mount rotated about an oblique axis.
 pub fn turned(degrees: f64) -> Pose {
     pose([0.0; 3], rotation_from_rotvec(Vec3::new(0.6, 0.0, 0.8) * degrees.to_radians()))
 }
 
-/// Turns what the accelerometer feels by 1.5° about the world's x axis.
+/// Rotates the measured acceleration by 1.5° about the world's x axis.
 fn lean(messages: &mut [Message]) {
     const AFTER_QUATERNION: usize = 8 * (4 + 9 + 3 + 9);
     let lean = rotation_from_rotvec(Vec3::x() * 1.5_f64.to_radians());
@@ -185,7 +185,7 @@ fn lean(messages: &mut [Message]) {
     });
 }
 
-/// Turns the world of the orientations by 3° about its y axis.
+/// Rotates the world frame of the orientations by 3° about its y axis.
 fn tilt_world(messages: &mut [Message]) {
     let tilt = rotation_from_rotvec(Vec3::y() * 3_f64.to_radians());
     for_orientations(messages, |message, at, world_from_imu| {
@@ -193,7 +193,7 @@ fn tilt_world(messages: &mut [Message]) {
     });
 }
 
-/// Calls `change` with each message of the IMU, where its orientation is, and the orientation.
+/// Calls `change` with each IMU message, the offset of its orientation, and the orientation.
 fn for_orientations(messages: &mut [Message], change: impl Fn(&mut Message, usize, Rotation)) {
     for message in messages.iter_mut().filter(|message| message.topic == IMU) {
         for field in message.fields() {
@@ -205,7 +205,7 @@ fn for_orientations(messages: &mut [Message], change: impl Fn(&mut Message, usiz
     }
 }
 
-/// Gives the messages of `topic` their contents in the opposite order, and leaves their stamps.
+/// Reverses the contents of the messages of `topic`, but not their stamps.
 pub fn reverse(messages: &mut [Message], topic: &str) {
     const STAMP: std::ops::Range<usize> = 4..12;
     let mut all: Vec<&mut Message> =
@@ -221,8 +221,7 @@ pub fn reverse(messages: &mut [Message], topic: &str) {
 fn joint_states_that_nothing_follows_leave_the_imu_open() {
     let report =
         Log::with(|log| log.edit = Some(|messages| reverse(messages, JOINT_STATES))).audited();
-    // Its stamps, samples and norms are its own.
-    // What does not turn with the arm is not held against it.
+    // Only checks of its own data apply: an IMU that does not move with the arm is not compared with it.
     let is_own =
         |code: &str| code.starts_with("TIM") || ["FRM005", "ING003", "MDL001"].contains(&code);
     let of_imu = |row: &&CheckRow| row.subject.label() == IMU && !is_own(row.code);
@@ -244,7 +243,7 @@ fn a_drift_shows_while_the_arm_rests() {
         log.run.imu.yaw_drift_rad_s = degrees_a_minute(3.0);
     })
     .audited();
-    // At rest nothing tells the IMU's latency, but a yaw that turns does not need it.
+    // At rest the IMU's latency is not observable, but a rotating yaw does not need it.
     let found: Vec<&str> = report.findings.iter().map(|finding| finding.code).collect();
     assert_eq!(found, ["YAW001"]);
     DegreesAMinute(3.0, 0.1).assert_is(report.findings[0].estimate.as_ref());

@@ -1,4 +1,4 @@
-//! ZER: joint zeros.
+//! ZER: zero offsets.
 
 use poseaudit::robot::Robot;
 use poseaudit::synth::{Giving, Motion, POSE, Scenario, urdf_text};
@@ -90,16 +90,15 @@ cases! {
     ZER002 no_pose_to_grow: |log| log.run.pose.timing.rate_hz = 0.0 => Skipped("no pose stream");
 }
 
-/// An offset of one joint, in degrees.
+/// A zero offset of one joint, in degrees.
 pub fn zero(joint: usize, degrees: f64) -> Vec<f64> {
     let mut offsets = vec![0.0; joint];
     offsets.push(degrees.to_radians());
     offsets
 }
 
-/// Puts the arm on a rail along x.
-/// Makes of the arm one as they leave the factory: one link is turned by 0.37°, the others by little, and
-/// no joint's zero is off.
+/// Gives the arm realistic link deviations: one link is rotated by 0.37°, the others slightly, without zero
+/// offsets.
 fn crooked(run: &mut Scenario) {
     alter(run, "shoulder_lift_joint", [0.1e-3, 0.0, 0.0, -0.5e-3, 0.0, 0.0]);
     alter(run, "elbow_joint", [-0.15e-3, 0.0, 0.0, 0.3e-3, 0.7e-3, 0.0]);
@@ -124,7 +123,7 @@ pub fn on_a_rail(run: &mut Scenario) {
     run.home.insert(0, 0.0);
 }
 
-/// What a finding on this joint says it could be instead.
+/// The alternatives listed by a finding on this joint.
 fn indistinguishable(joint: usize, name: &str) -> Vec<(&'static str, f64)> {
     let report = Log::with(|log| log.run.joints.zero_offsets = zero(joint, 0.6)).audited();
     let others = the(&report, "ZER001", name).evidence.indistinguishable.iter();
@@ -166,7 +165,7 @@ fn what_the_state_publisher_inherits_is_said_with_the_joint() {
     let report = Log::with(|log| log.run.joints.zero_offsets = zero(2, 0.6)).audited();
     let finding = the(&report, "ZER001", "elbow_joint");
     assert_eq!(finding.evidence.more["inherited_by"], serde_json::json!(["/tf"]));
-    // 0.6° at the elbow swing what is beyond it: forearm and wrist, 0.49 m at most.
+    // 0.6° at the elbow move forearm and wrist, which extend up to 0.49 m.
     let effect_m = finding.evidence.effect_m.expect("an effect");
     assert!((0.003..0.006).contains(&effect_m), "{effect_m}");
 }

@@ -1,4 +1,4 @@
-"""Writes riddles.csv: poses in two codings, by NumPy and SciPy, and what must be said of each.
+"""Writes riddles.csv: pairs of poses in two conventions, from NumPy and SciPy, with the expected answers.
 
 Needs numpy and scipy: python tests/desk/make.py > tests/desk/riddles.csv
 
@@ -57,7 +57,7 @@ def ros(m):
 
 
 def basis(m, axes):
-    """The same pose with world and body written in other axes; a left-handed pair mirrors both."""
+    """The same pose with different axes of world and body; left-handed axes mirror both."""
     axes = np.array(axes, float)
     return transform(axes @ p(m), Rotation.from_matrix(axes @ m[:3, :3] @ axes.T))
 
@@ -81,7 +81,7 @@ RIDDLES = {}
 
 
 def riddle(name, first, second, how="", claim="", pairs=1):
-    """`how` B is read, what is claimed, and from how many pairs it is reconciled."""
+    """Adds a row: the interpretation of B, the expected claim, and the minimum number of pairs."""
     RIDDLES[name] = (first, second, how, claim, pairs)
 
 
@@ -148,7 +148,7 @@ riddle("KUKA with a tool of 150 mm", ros,
 riddle("a table of unknown place", ros, lambda m: ros(turned(0, 0, 30, (0.5, 0.2, 0)) @ m),
        "quat:xyzw, m", "offset of the base", 2)
 riddle("yaw, pitch, roll", ros, lambda m: (p(m), euler(m, "xyz", False)[::-1]), "euler:ZYX, rad, m")
-# Beyond what others asked.
+# Cases without a source on the web.
 riddle("a tracker's world and marker", ros,
        lambda m: ros(turned(20, -35, 100, (1.2, -0.4, 0.3)) @ m @ turned(10, 80, -30, (0.02, -0.05, 0.09))),
        "quat:xyzw, m", "offset of the base", 6)

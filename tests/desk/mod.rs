@@ -1,19 +1,19 @@
-//! Poses in two codings that other programs wrote: `riddles.csv`, by `make.py`.
+//! Pairs of poses in two conventions, computed by other programs: `riddles.csv`, from `make.py`.
 
 use poseaudit::desk::{
     Answer, Corrections, FrameNames, Pair, Question, Style, Verdict, paste, reconcile,
 };
 use serde::Deserialize;
 
-/// A pose in two codings, and what must be said of them.
+/// A pair of poses, and the expected answer.
 #[derive(Debug, Deserialize)]
 struct Row {
     riddle: String,
-    /// How B is read.
+    /// Interpretation of B.
     read: String,
-    /// What is claimed; nothing where it is empty.
+    /// Expected claim; empty if there is none.
     claim: String,
-    /// From how many pairs on it is reconciled.
+    /// Minimum number of pairs to reconcile them.
     pairs: usize,
     is: String,
     but: String,
@@ -32,7 +32,7 @@ fn answer(rows: &[Row]) -> Answer {
     reconcile(&question).expect("poses")
 }
 
-/// What is wrong with what is said of the first `count` pairs.
+/// Describes what is wrong with the answer for the first `count` pairs.
 fn wrong(rows: &[Row], count: usize) -> Option<String> {
     let row = &rows[0];
     let answer = answer(&rows[..count]);

@@ -1,11 +1,10 @@
-//! Episodes of one dataset: their columns are told once, and verified in each.
+//! Episodes of a dataset: columns are identified once, and verified in each episode.
 
 use poseaudit::geometry::xyzw_from_rotation;
 
 use super::*;
 
-/// Writes an episode of an arm under names that say nothing: joints, then the pose of the flange; the joints
-/// behind it where `turned`.
+/// Writes an episode with unnamed columns: joints, then the flange pose; joints last if `turned`.
 fn episode(path: &Path, seed: u64, turned: bool) -> Result<()> {
     let chain = crate::tables::ur5e();
     let mut text = "t,c0,c1,c2,c3,c4,c5,c6,c7,c8,c9,c10,c11,c12\n".to_owned();

@@ -1,4 +1,4 @@
-//! The logs.
+//! Logs for the fleet tests.
 
 use std::fs::{self, File};
 use std::io::{BufWriter, Write};
@@ -7,10 +7,10 @@ use std::path::Path;
 use anyhow::Result;
 use poseaudit::synth::{Motion, Scenario};
 
-/// A short run, and how it gets into a file.
+/// A short run that can be written to a file.
 pub struct Short(pub Scenario);
 
-/// The short run with this seed, without faults.
+/// A short run without faults.
 pub fn run_of(seed: u64) -> Short {
     let mut run = Scenario::ur5e();
     (run.seed, run.duration_s, run.motion) = (seed + 1, 6.0, Motion::Continuous);
@@ -22,7 +22,7 @@ pub fn run_of(seed: u64) -> Short {
 }
 
 impl Short {
-    /// Writes the log, and makes its folders.
+    /// Writes the log, and creates its folders.
     pub fn write(&self, path: &Path) -> Result<()> {
         if let Some(folder) = path.parent() {
             fs::create_dir_all(folder)?;
@@ -33,7 +33,7 @@ impl Short {
     }
 }
 
-/// What the chunk of [`bomb`] unpacks to, MiB.
+/// Unpacked size of the chunk of [`bomb`], MiB.
 pub const BOMB_MIB: usize = 384;
 
 /// Writes an MCAP file of a few kB with one chunk that unpacks to [`BOMB_MIB`].

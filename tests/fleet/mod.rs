@@ -1,5 +1,4 @@
-//! Many logs: a row each, whatever they are, however often the call dies; and what the report makes of
-//! them.
+//! Many logs: one row each, for any input and after crashes; and the report on them.
 
 mod dataset;
 mod logs;
@@ -20,7 +19,7 @@ use tempfile::TempDir;
 use logs::{BOMB_MIB, bomb, run_of};
 use rows::Rows;
 
-/// A call of `poseaudit fleet`.
+/// A `poseaudit fleet` command.
 fn fleet(args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_poseaudit"));
     command.arg("fleet").args(args).current_dir(env!("CARGO_MANIFEST_DIR"));
@@ -36,7 +35,7 @@ fn json(output: &Output) -> Result<Value> {
     serde_json::from_slice(&output.stdout).with_context(|| stderr.into_owned())
 }
 
-/// A folder with so many short logs in it, and one for results.
+/// A folder with `count` short logs, and one for results.
 fn short_logs(count: u64) -> Result<(TempDir, String, String)> {
     let folder = tempfile::tempdir()?;
     let (logs, out) = (folder.path().join("logs"), folder.path().join("out"));
@@ -55,7 +54,7 @@ fn every_log_is_a_row_whatever_it_is() -> Result<()> {
     fs::write(at("empty.mcap"), "")?;
     fs::write(at("text.bag"), "no bag")?;
     let whole = fs::read(at("001.mcap"))?;
-    // Of its only chunk a half, of which nothing can be read.
+    // Half of its only chunk, which cannot be read.
     fs::write(at("cut.mcap"), &whole[..whole.len() / 2])?;
     fs::write(at("notes.txt"), "no log")?;
     fs::copy("fixtures/faulty.mcap", at("faulty.mcap"))?;
@@ -73,13 +72,13 @@ fn every_log_is_a_row_whatever_it_is() -> Result<()> {
     assert_eq!(rows.distinct("errors"), 3);
     let named = rows.texts("runs", "path");
     assert!(named.iter().all(|path| Path::new(path).is_absolute()), "{named:?}");
-    // The rows are those of the audit itself.
+    // The rows are equal to those of the audit itself.
     let alone = Command::new(env!("CARGO_BIN_EXE_poseaudit"))
         .args(["audit", "fixtures/faulty.mcap", "--format", "json"])
         .current_dir(env!("CARGO_MANIFEST_DIR"))
         .output()?;
     let alone = json(&alone)?;
-    let faulty = rows.key_of("faulty.mcap").context("a row of it")?;
+    let faulty = rows.key_of("faulty.mcap").context("a row of the log")?;
     for (table, part) in [("findings", "findings"), ("checks", "checks"), ("streams", "streams")] {
         let count = rows.keys(table).iter().filter(|key| **key == faulty).count();
         assert_eq!(Some(count), alone[part].as_array().map(Vec::len), "{table}");
@@ -131,7 +130,7 @@ fn what_is_pending_is_what_has_no_row() -> Result<()> {
     Ok(())
 }
 
-/// Ends a process at once, with whatever it has begun.
+/// Kills a process and its children.
 fn kill(child: &mut Child) -> io::Result<()> {
     child.kill()?;
     child.wait().map(|_| ())
@@ -142,7 +141,7 @@ fn a_killed_call_is_gone_on_with_and_no_row_is_lost_or_doubled() -> Result<()> {
     const LOGS: u64 = 12;
     let (_folder, logs, out) = short_logs(LOGS)?;
     let runs = Path::new(&out).join("runs");
-    // What is not renamed yet begins with a dot.
+    // Names of unfinished parts start with a dot.
     let is_part = |part: &fs::DirEntry| !part.file_name().as_encoded_bytes().starts_with(b".");
     let done = || {
         let parts = fs::read_dir(&runs).into_iter().flatten().filter_map(Result::ok);
@@ -155,7 +154,7 @@ fn a_killed_call_is_gone_on_with_and_no_row_is_lost_or_doubled() -> Result<()> {
             .stdout(Stdio::null())
             .stderr(Stdio::null())
             .spawn()?;
-        // Amid the next log: some rows are there, and some are on their way.
+        // During the next log: some rows are written, others pending.
         while done() <= before && child.try_wait()?.is_none() {
             thread::sleep(Duration::from_millis(1));
         }
@@ -170,7 +169,7 @@ fn a_killed_call_is_gone_on_with_and_no_row_is_lost_or_doubled() -> Result<()> {
     }
     let before = Rows::of(Path::new(&out))?.distinct("runs") as u64;
     let summary = json(&fleet(&[&logs, "--out", &out, "--format", "json"]).output()?)?;
-    // What was killed may have ended its log after the rows were counted.
+    // A killed process may have finished its log after the rows were counted.
     let done_now = summary["done_now"].as_u64().context("a number")?;
     assert!(before > 0 && done_now <= LOGS - before, "{summary}");
     let rows = Rows::of(Path::new(&out))?;
@@ -188,12 +187,12 @@ fn a_hundred_parts_become_one_and_say_the_same() -> Result<()> {
     let folder = tempfile::tempdir()?;
     let (logs, out) = (folder.path().join("logs"), folder.path().join("out"));
     fs::create_dir(&logs)?;
-    // Refused after their first bytes, so that this is soon done.
+    // Refused after their first bytes, to be fast.
     for index in 0..LOGS {
         fs::write(logs.join(format!("{index}.mcap")), format!("no log {index}"))?;
     }
     let [logs, out] = [logs, out].map(|path| path.display().to_string());
-    // So many processes that each log is handed out alone and has parts of its own.
+    // So many processes that each gets one log at a time and writes its own parts.
     let output = fleet(&[&logs, "--out", &out, "--format", "json", "--jobs", "25"]).output()?;
     assert_eq!(status(&output), Some(3));
     let rows = Rows::of(Path::new(&out))?;

@@ -1,4 +1,4 @@
-//! What the report makes of many logs.
+//! The report on many logs.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use serde::Deserialize;
 use crate::fleet::logs::run_of;
 use crate::fleet::{fleet, status};
 
-/// The report, as a reader of its JSON declares it. Keys that it does not name are refused.
+/// JSON report as declared by a reader. Unknown keys are errors.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(dead_code, reason = "the test reads it as a tool would, whole")]
@@ -189,10 +189,10 @@ struct Failed {
 
 const DAY_S: f64 = 86_400.0;
 
-/// What a log is given: its zeros and the latency of its poses, by its day.
+/// Sets zero offsets and pose latency of a log, as a function of its day.
 type Planted = fn(&mut poseaudit::synth::Scenario, f64);
 
-/// Logs of two arms, ten days apart each, with what was planted in each by the day.
+/// Logs of two arms at intervals of ten days, with faults that depend on the day.
 fn planted(folder: &Path, arms: &[(&str, Planted)]) -> Result<()> {
     for (arm, (name, plant)) in arms.iter().enumerate() {
         for run in 0..10 {
@@ -253,7 +253,7 @@ fn a_zero_that_creeps_is_told_with_its_rate_and_a_constant_one_is_not() -> Resul
     let rate = creeping.rate_per_day.as_ref().context("a rate")?;
     assert!((rate.ci95[0]..=rate.ci95[1]).contains(&RATE_RAD), "{rate:?}");
     assert!(rate.ci95[0] > 0.0 && (rate.value - RATE_RAD).abs() < 0.1 * RATE_RAD, "{rate:?}");
-    // 0.1° from 5e-4 rad on.
+    // From 5e-4 rad to 0.1°.
     let day = (0.1_f64.to_radians() - 5e-4) / RATE_RAD;
     let reaches_ns: i64 = creeping.reaches_figure_ns.as_deref().context("a day")?.parse()?;
     let reached_day = (reaches_ns - START.nanos()) as f64 / 1e9 / DAY_S;
@@ -281,7 +281,7 @@ fn a_zero_that_creeps_is_told_with_its_rate_and_a_constant_one_is_not() -> Resul
     let found = found.context("its finding")?;
     assert_eq!((found.code.as_str(), found.logs, found.sound), ("ZER001", 10, 0));
 
-    // Findings of before do not count then, but what moves does.
+    // Earlier findings are ignored then, but trends are not.
     let (since, status) =
         reported(folder.path(), &["--since", "2027-06-01", "--fail-on", "error"])?;
     assert_eq!((since.findings.len(), since.logs.before, status), (0, 30, Some(0)));
@@ -290,7 +290,7 @@ fn a_zero_that_creeps_is_told_with_its_rate_and_a_constant_one_is_not() -> Resul
     html(folder.path(), &out)
 }
 
-/// The page has a plot for what moves, and asks for nothing.
+/// The page has a plot for each trend, and no external resources.
 fn html(folder: &Path, out: &str) -> Result<()> {
     let page = folder.join("fleet.html");
     let written = page.display().to_string();
@@ -318,7 +318,7 @@ fn pages_that_were_asked_for_are_linked_from_the_fleets() -> Result<()> {
     assert_eq!(status(&output), Some(1));
     let text = std::fs::read_to_string(&page)?;
     let links: Vec<&str> = text.split("href=\"results/pages/").skip(1).collect();
-    // The other was done before.
+    // The other log already had results.
     assert_eq!(links.len(), 1, "{text}");
     let name = links[0].split('"').next().context("a name")?;
     let of_log = std::fs::read_to_string(folder.path().join("results/pages").join(name))?;
@@ -332,9 +332,9 @@ fn pages_that_were_asked_for_are_linked_from_the_fleets() -> Result<()> {
 fn a_zero_that_moved_within_a_dataset_is_told_with_its_episodes() -> Result<()> {
     let folder = tempfile::tempdir()?;
     for episode in 0..12 {
-        // Their names are not in the order of their numbers.
+        // Their names are not in numerical order.
         let elbow = if episode < 9 { 0.0 } else { 0.01 };
-        // Of two that are the same only one counts.
+        // Duplicates count once.
         let table = crate::tables::csv_of_ur5e(elbow + 1e-8 * f64::from(episode));
         std::fs::write(folder.path().join(format!("episode_{episode}.csv")), table)?;
     }

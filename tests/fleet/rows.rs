@@ -1,4 +1,4 @@
-//! What is in the folder of results, as any reader of Parquet sees it.
+//! Reads the result folder like any Parquet reader.
 
 use std::collections::{BTreeMap, HashSet};
 use std::fs::{self, File};
@@ -11,7 +11,7 @@ use polars::prelude::{DataFrame, ParquetReader, SerReader};
 pub struct Rows(BTreeMap<String, DataFrame>);
 
 impl Rows {
-    /// Reads whatever has the name of a part; that must be whole.
+    /// Reads every file named as a part; each must be complete.
     pub fn of(folder: &Path) -> Result<Self> {
         let mut tables = BTreeMap::new();
         for table in ["runs", "streams", "checks", "findings", "errors"] {
@@ -35,23 +35,23 @@ impl Rows {
         Ok(Self(tables))
     }
 
-    /// A column of texts; what is null is left out.
+    /// A text column, without nulls.
     pub fn texts(&self, table: &str, column: &str) -> Vec<String> {
         let column = self.0[table].column(column).and_then(|column| column.str().cloned());
         column.map_or(Vec::new(), |texts| texts.iter().flatten().map(str::to_owned).collect())
     }
 
-    /// The keys of all rows.
+    /// Keys of all rows.
     pub fn keys(&self, table: &str) -> Vec<String> {
         self.texts(table, "key")
     }
 
-    /// How many logs have rows.
+    /// Number of logs with rows.
     pub fn distinct(&self, table: &str) -> usize {
         self.keys(table).into_iter().collect::<HashSet<_>>().len()
     }
 
-    /// Whether no row stands there twice.
+    /// Whether all rows are distinct.
     pub fn has_no_doubles(&self, table: &str) -> bool {
         let numbers = self.0[table].column("row").and_then(|column| column.u32().cloned());
         let Ok(numbers) = numbers else { return false };
@@ -59,7 +59,7 @@ impl Rows {
         self.keys(table).into_iter().zip(numbers.iter()).all(|row| seen.insert(row))
     }
 
-    /// The key of the log at a path that ends so.
+    /// Key of the log whose path ends with `ending`.
     pub fn key_of(&self, ending: &str) -> Option<String> {
         let at = self.texts("runs", "path").iter().position(|path| path.ends_with(ending))?;
         self.keys("runs").get(at).cloned()

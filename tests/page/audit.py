@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Audits every fixture in the page that `.ci/wasm` builds, in headless Chromium, and holds what it says against the
-program.
+"""Audits every fixture in the page built by `.ci/wasm`, in headless Chromium, and compares the reports with the
+program's.
 
     python3 tests/page/audit.py target/debug/poseaudit FOLDER                # checks
-    python3 tests/page/audit.py target/debug/poseaudit FOLDER --time LOG ... # how long each takes in both
-    python3 tests/page/audit.py target/debug/poseaudit FOLDER --picture FILE # and makes a picture of the page
+    python3 tests/page/audit.py target/debug/poseaudit FOLDER --time LOG ... # compares the run times
+    python3 tests/page/audit.py target/debug/poseaudit FOLDER --picture FILE # and writes a screenshot of the page
 
-Needs Playwright, and Chromium as tests/browser/html.py says. The page must ask the network for nothing once it is
-loaded, raise no error, and give the program's reports: every word, and numbers to rounding.
+Needs Playwright and Chromium, see tests/browser/html.py. After loading, the page must make no network requests and raise
+no errors. Its reports must equal the program's, with numbers equal up to rounding.
 """
 
 import base64
@@ -28,18 +28,18 @@ from tempfile import TemporaryDirectory
 from playwright.sync_api import Page, sync_playwright
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
-# What the module may be when it is packed.
+# Maximum size of the packed module.
 MOST_BYTES = 8_000_000
-# Rounding of the C library's functions and of the page's, through iterations that stop at a tolerance: 0.1 µm, 0.1 µrad.
+# Rounding of math functions differs between program and page; iterations that stop at a tolerance amplify it: 0.1 µm, 0.1 µrad.
 RELATIVE, ABSOLUTE = 1e-6, 1e-7
-# In deviations of the noise: the root of what large numbers leave when they cancel, far below the least that is seen.
+# In standard deviations of the noise: square root of the cancellation error, far below the observable minimum.
 SINGULAR = 1e-4
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 PATIENCE_MS = 300_000
 
 
 class Silent(SimpleHTTPRequestHandler):
-    """Hands out a folder without telling of it."""
+    """Serves a folder without logging."""
 
     def log_message(self, *_):
         pass
@@ -52,7 +52,7 @@ def served(folder: Path) -> str:
 
 
 def opened(browser, address: str) -> Page:
-    """The page; an error fails the check, and so does whatever it asks for that is no part of it."""
+    """Opens the page. Errors and requests for other resources fail the check."""
     page = browser.new_context(viewport={"width": 1100, "height": 1000}, accept_downloads=True).new_page()
     own, loaded = address.rsplit("/", 1)[0], []
 
@@ -60,7 +60,7 @@ def opened(browser, address: str) -> Page:
         raise AssertionError(f"{address}: {what}")
 
     def asked(url: str):
-        # What the page made itself, as a worker or a link to save.
+        # Created by the page, such as a worker or a download link.
         if url.startswith(("blob:", "data:", "about:")):
             return
         if loaded or not url.startswith(own):
@@ -81,7 +81,7 @@ def saved(page: Page, link: str) -> str:
 
 
 def audited(page: Page, *files: Path, robot: str = "") -> tuple[int, str, str]:
-    """The page's audit: the exit status, the line under the form, and the report as JSON."""
+    """Audits in the page: returns the exit status, the line below the form, and the report as JSON."""
     page.click("#clear")
     page.fill("#robot", robot)
     page.set_input_files("#files", [str(file) for file in files])
@@ -93,7 +93,7 @@ def audited(page: Page, *files: Path, robot: str = "") -> tuple[int, str, str]:
 
 
 def told(program: str, *arguments: str) -> tuple[int, str, str]:
-    """The program's, with one thread."""
+    """Runs the program with one thread."""
     run = subprocess.run(
         [program, *arguments, "--format", "json"],
         cwd=FIXTURES,
@@ -105,7 +105,7 @@ def told(program: str, *arguments: str) -> tuple[int, str, str]:
 
 
 def worst(a, b, place: str = "") -> float:
-    """The largest relative difference of two reports; fails where they differ by more than rounding."""
+    """Largest relative difference of two reports; fails if it exceeds rounding."""
     if isinstance(a, dict) and isinstance(b, dict):
         assert a.keys() == b.keys(), f"{place}: {a.keys() ^ b.keys()}"
         return max((worst(a[key], b[key], f"{place}.{key}") for key in a), default=0.0)
@@ -130,12 +130,12 @@ def fixtures(page: Page, program: str) -> None:
         assert status in (0, 1), f"{log.name}: {said}"
         own = worst(json.loads(native), json.loads(shown), log.name)
         difference = max(difference, own)
-        print(f"{log.name}: as the program, numbers to {own:.1e}; {line}")
+        print(f"{log.name}: equal to the program, numbers to {own:.1e}; {line}")
     print(f"largest relative difference of a number: {difference:.1e}")
 
 
 def damaged(page: Page, program: str, scratch: Path) -> None:
-    """Of what is no log, and of one without its end, the page says what the program says."""
+    """The page reports invalid and truncated logs like the program."""
     content = (FIXTURES / "clean.mcap").read_bytes()
     for name, part in (("noise.mcap", bytes(range(256)) * 9), ("cut.mcap", content[:40]), ("empty.mcap", b"")):
         file = scratch / name
@@ -157,7 +157,7 @@ def desk(page: Page, program: str) -> None:
         page.fill("#desk-robot", robot[1] if robot else "")
         page.click("#tell")
         page.locator("#tell:enabled").wait_for(timeout=PATIENCE_MS)
-        assert page.inner_text("#told").strip(), "the desk says nothing"
+        assert page.inner_text("#told").strip(), "the desk shows no answer"
         _, _, native = told(program, "pose", *poses, *robot)
         worst(json.loads(native), json.loads(saved(page, "#save-pose")), " and ".join(poses))
     page.fill("#pose-a", "1 2")
@@ -166,11 +166,11 @@ def desk(page: Page, program: str) -> None:
     line = page.inner_text("#desk-said")
     assert line.startswith("error: pose A: ") and "\n" not in line, line
     page.click("#tab-audit")
-    print("the desk answers as the program")
+    print("the desk gives the program's answers")
 
 
 def report_is_live(page: Page) -> None:
-    """The report in the page draws its plots."""
+    """The report in the page must draw its plots."""
     audited(page, FIXTURES / "faulty.mcap")
     frame = page.frame_locator("#report")
     frame.locator(".plot canvas").first.wait_for(timeout=PATIENCE_MS)
@@ -179,7 +179,7 @@ def report_is_live(page: Page) -> None:
 
 
 def dropped(page: Page) -> None:
-    """A log that is dropped is audited at once, its progress is shown, and Stop ends it."""
+    """A dropped log must be audited immediately, with progress, and Stop must cancel it."""
     page.click("#clear")
     page.evaluate(
         """() => {
@@ -209,12 +209,12 @@ def dropped(page: Page) -> None:
     page.evaluate('document.getElementById("ask").requestSubmit(); document.getElementById("stop").click()')
     page.locator("#said:not(:empty)").wait_for(timeout=PATIENCE_MS)
     assert page.inner_text("#said") == "Stopped." and page.locator("#result").is_hidden(), page.inner_text("#said")
-    assert page.locator("#start").is_enabled(), "nothing can be begun after Stop"
+    assert page.locator("#start").is_enabled(), "Start is disabled after Stop"
     print(f"a dropped log is audited ({', '.join(steps)}), and Stop ends it")
 
 
 def times(page: Page, program: str, logs: list[str]) -> None:
-    """The best of three in both, the program's on one core."""
+    """Best of three run times, of the program on one core."""
     for log in logs:
         log = Path(log).resolve()
         native, shown = [], []
@@ -244,11 +244,11 @@ def main() -> None:
         dropped(page)
         desk(page, program)
         fixtures(page, program)
-        # The same from a disk.
+        # The same from a local file.
         disk = opened(browser, (folder / "index.html").as_uri())
         status, line, _ = audited(disk, FIXTURES / "faulty.mcap")
         assert status == 1, line
-        print("the page works from a disk, too")
+        print("the page also works from a local file")
 
 
 if __name__ == "__main__":

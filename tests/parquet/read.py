@@ -1,11 +1,10 @@
 #!/usr/bin/env python3
-"""Reads the tables of `--parquet` with other implementations than the one that writes them.
+"""Reads the tables of `--parquet` with independent implementations.
 
     python3 tests/parquet/read.py target/debug/poseaudit
 
-Needs duckdb and pyarrow (which pandas reads Parquet with). What the tables say must be what the JSON
-report says, every column must be in docs/tables.md, and the errors in the aligned samples must follow
-from the poses beside them.
+Needs duckdb and pyarrow (which pandas uses for Parquet). The tables must match the JSON report, every column must be in
+docs/tables.md, and the errors in the aligned samples must match their poses.
 """
 
 import json
@@ -32,7 +31,7 @@ def audited(program: str, folder: str) -> dict:
 
 
 def check_schema(folder: Path) -> None:
-    """Both readers see the same columns, and the page of the tables describes them."""
+    """Both readers must see the same columns, and docs/tables.md must describe them."""
     page = re.sub(r"```.*?```", "", (ROOT / "docs" / "tables.md").read_text(), flags=re.DOTALL)
     documented = set(re.findall(r"`([^`]+)`", page))
     prefixed = [name[:-1] for name in documented if name.endswith("_*")]
@@ -48,11 +47,11 @@ def check_schema(folder: Path) -> None:
                 or any(name.startswith(prefix) for prefix in prefixed)
                 or file.stem == "reached_poses" and joints.fullmatch(name)
             )
-            assert is_known, f"{file.name}: docs/tables.md does not say what `{name}` is"
+            assert is_known, f"{file.name}: docs/tables.md does not describe `{name}`"
 
 
 def check_rows(folder: Path, report: dict) -> None:
-    """Findings and checks are those of the report, in its order."""
+    """Findings and checks must match the report, in its order."""
     def rows(table: str, columns: str) -> list[tuple]:
         return duckdb.sql(f"select {columns} from '{folder / table}.parquet'").fetchall()
 
@@ -70,7 +69,7 @@ def check_rows(folder: Path, report: dict) -> None:
 
 
 def check_aligned(folder: Path) -> None:
-    """The distance in a column is that between the poses beside it, and the explanation explains."""
+    """The distance column must match the poses, and the explanation must reduce it."""
     distance = "sqrt(pow(logged_x_m - fk_x_m, 2) + pow(logged_y_m - fk_y_m, 2) + pow(logged_z_m - fk_z_m, 2))"
     count, off, norm, before, after = duckdb.sql(
         f"""select count(*), max(abs({distance} - before_m)),

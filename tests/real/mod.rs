@@ -1,6 +1,6 @@
 //! Recordings of real arms: the table of expected answers, and one short excerpt.
 //!
-//! `ur3e.csv` holds the joints and the TCP pose of one run of a UR3e at 25 Hz, merged from five files of
+//! `ur3e.csv` contains the joints and the TCP pose of one run of a UR3e at 25 Hz, merged from five files of
 //! ubc-systopia/dsn-2022-rad-artifact at 7d954a99 (MIT, see `NOTICE.md`).
 
 use std::fs;
@@ -23,7 +23,7 @@ fn the_page_is_made_from_the_table() {
     assert!(page == table::markdown(&sources), "out of date, run: {command}");
 }
 
-/// The tool is 149.9 mm long, and the nominal model leaves 0.04 to 0.31 mm.
+/// The tool is 149.9 mm long, and the nominal model has a residual of 0.04 to 0.31 mm.
 #[test]
 fn a_real_ur3e_is_identified_and_healthy() {
     let log = project().join("tests/real/ur3e.csv");

@@ -1,4 +1,4 @@
-//! The table of expected answers on recordings of real arms, and the page made from it.
+//! The table of expected answers on recordings of real arms, and the page generated from it.
 
 use std::fmt::Write as _;
 
@@ -23,7 +23,8 @@ pub struct Source {
     pub audit: Vec<Expectation>,
 }
 
-/// One way to audit some logs of a source, and the right answer. `tests/real/expected.toml` describes the fields.
+/// An audit of some logs of a source, and the right answer. `tests/real/expected.toml` describes the
+/// fields.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Expectation {
@@ -69,7 +70,7 @@ pub fn call(expectation: &Expectation) -> String {
     if call.is_empty() { "as recorded".to_owned() } else { call.to_owned() }
 }
 
-/// `docs/real-logs.md`.
+/// Generates `docs/real-logs.md`.
 pub fn markdown(sources: &[Source]) -> String {
     let mut page = "# Real logs\n\n\
         For those who want to know how far the answers can be trusted on recordings that nobody simulated. \

@@ -1,12 +1,11 @@
 #!/usr/bin/env python3
-"""Audits logs in a bucket of moto, an S3 server that is nobody's but this script's.
+"""Audits logs in a bucket of moto, a local S3 server started by this script.
 
     python3 tests/remote/bucket.py target/debug/poseaudit
 
-Needs `moto[s3]` and `flask-cors`. What is said of a log in the bucket must be what is said of the local
-file, of a log of images little may be fetched, a listing must hold what is there, and each way to be
-wrong gets its line and its exit status. The plain tests (tests/remote/main.rs) hold the rest, without
-Python.
+Needs `moto[s3]` and `flask-cors`. The reports on a log in the bucket and on the local file must be equal. Only a small
+part of a log with images may be fetched. Each error must print one line and exit with its status.
+tests/remote/main.rs tests the rest without Python.
 """
 
 import json
@@ -38,7 +37,7 @@ def run(program: str, endpoint: str, *arguments: str) -> tuple[int, str, str]:
 
 
 def told(program: str, endpoint: str, log: str) -> tuple[int, dict, int | None]:
-    """The report but for the log's name, quoted in the calls it ends with, and how much of it was fetched."""
+    """Exit status, report without the log's name, and number of fetched bytes."""
     status, out, err = run(program, endpoint, "audit", log, "--format", "json")
     assert status in (0, 1), f"{log}: {err}"
     report = json.loads(out.replace(shlex.quote(log), "LOG").replace(log, "LOG"))
@@ -67,7 +66,7 @@ def main(program: str) -> None:
             told(program, endpoint, str(log)),
             told(program, endpoint, f"s3://{BUCKET}/cell 7/{log.name}"),
         )
-        assert here[2] is None and here[:2] == there[:2], f"{log}: the report on the object is another"
+        assert here[2] is None and here[:2] == there[:2], f"{log}: the reports on object and file differ"
         size = log.stat().st_size
         print(f"{log.name}: {there[2]} of {size} bytes fetched ({100 * there[2] / size:.1f} %)")
     for url, status, part in [

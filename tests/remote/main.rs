@@ -1,5 +1,4 @@
-//! Logs by URL, of a server on this machine: what is fetched, what is said of it, and what happens
-//! where the way to it breaks.
+//! Logs by URL from a local server: requests, reports, and interrupted connections.
 
 mod server;
 
@@ -18,7 +17,7 @@ use serde_json::Value;
 
 use server::{BUCKET, KEY_ID, Manners, Server};
 
-/// What is audited of the logs: enough that a difference would show, no more than is quick.
+/// Rules of the audit: enough to detect differences, and fast.
 const RULES: &str = "ING,TIM,LAT";
 
 const IMAGE: usize = 300_000;
@@ -59,7 +58,7 @@ fn camera(compression: Option<Compression>) -> Vec<u8> {
             let (log_time, publish_time) = (message.log_time, message.publish_time);
             let header =
                 MessageHeader { channel_id: camera, sequence: seen, log_time, publish_time };
-            // Noise, which packs no better than an image.
+            // Noise, which compresses no better than an image.
             let noise = |index: usize| (index as u32).wrapping_mul(0x9e37_79b9 ^ seen) >> 13;
             let image: Vec<u8> = (0..IMAGE).map(|index| noise(index) as u8).collect();
             writer.write_to_known_channel(&header, &image).expect("memory");
@@ -71,7 +70,7 @@ fn camera(compression: Option<Compression>) -> Vec<u8> {
 
 static OPEN: LazyLock<Vec<u8>> = LazyLock::new(|| camera(None));
 
-/// Runs the program with the server as its S3, by the key `key_id`.
+/// Runs the program with the server as its S3, with the key `key_id`.
 fn poseaudit(server: &Server, key_id: &str, args: &[&str]) -> Output {
     let mut command = command(server, args);
     command.env("AWS_ACCESS_KEY_ID", key_id).env("AWS_SECRET_ACCESS_KEY", "secret");
@@ -119,7 +118,7 @@ fn locally(server: &Server, bytes: &[u8], more: &[&str]) -> Value {
     audit(server, &path.display().to_string(), more).0
 }
 
-/// The report without what may differ: the log's name, and how much of it was fetched.
+/// The report without the parts that may differ: the log's name, and the number of fetched bytes.
 fn but_for_the_name(mut report: Value, name: &str) -> Value {
     let file = report["log"]["files"][0].as_object_mut().expect("a file");
     file.remove("fetched_bytes");
@@ -194,7 +193,7 @@ fn a_web_server_serves_too_also_one_that_knows_no_ranges() {
         let (report, _) = audit(&server, &format!("{plain}?signature=s3cret"), &[]);
         let bytes = fetched(&report);
         assert!(if wholes { bytes == OPEN.len() } else { bytes * 10 <= OPEN.len() }, "{bytes}");
-        // A signature is nobody else's business.
+        // A signature must not be printed.
         assert_eq!(report["log"]["files"][0]["path"], plain);
         assert!(!report.to_string().contains("s3cret"));
     }
@@ -321,8 +320,7 @@ fn connections_that_break_off_are_taken_up_again() {
     }
 }
 
-/// Asserts that the call ends with `expected`, and says so in one line that names the URL and holds
-/// `parts`.
+/// Asserts that the call exits with `expected` and prints one line with the URL and `parts`.
 #[track_caller]
 fn assert_refused(server: &Server, key_id: &str, url: &str, expected: i32, parts: &[&str]) {
     let output = poseaudit(server, key_id, &["audit", url]);
@@ -385,7 +383,7 @@ fn a_fleet_takes_what_a_prefix_holds_and_fetches_nothing_twice() {
         let summary: Value = serde_json::from_slice(&run.stdout).expect(&said);
         ["logs", "done_before", "done_now"].map(|key| summary[key].as_u64().expect(key))
     };
-    // An empty object is the mark of a folder.
+    // An empty object marks a folder.
     assert_eq!(fleet(&s3("a")), [2, 0, 2]);
     let before = server.counts().bytes.load(Ordering::Relaxed);
     assert_eq!(fleet(&s3("a")), [2, 2, 0]);

@@ -1,5 +1,4 @@
-//! A server of objects on this machine, which speaks as much of S3 as its reader asks for, and fails
-//! as it is told.
+//! A local object server with the subset of S3 that the reader uses, and configurable failures.
 
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Write};
@@ -10,42 +9,42 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::Duration;
 
-/// The one bucket that there is.
+/// The only bucket.
 pub const BUCKET: &str = "logs";
 
-/// The one key that is known.
+/// The only known key.
 pub const KEY_ID: &str = "AKIDTEST";
 
-/// How the server fails.
+/// Failures of the server.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Manners {
-    /// Every so many answers with a body break off amid it; 0: none.
+    /// Interval of answers whose body is truncated; 0: never.
     pub cuts: usize,
-    /// None after so many.
+    /// Number of truncated answers after which none is truncated.
     pub sound_after: Option<usize>,
-    /// So many requests are answered with 503 before the others.
+    /// Number of requests answered with 503 before the others.
     pub busy: usize,
-    /// Ranges are not known: whole objects are handed out.
+    /// Ignores range requests, and sends whole objects.
     pub wholes: bool,
     /// Requests need no signature.
     pub public: bool,
-    /// Requests need this user and password, as they stand in a header.
+    /// Requests need this user and password, as in the header.
     pub login: Option<&'static str>,
-    /// Answers come by a byte each so often, ms; 0: at once.
+    /// Interval between the bytes of an answer, ms; 0: all at once.
     pub trickle_ms: u64,
     /// No request is answered.
     pub silent: bool,
-    /// From so many requests on the objects are others than before; 0: never.
+    /// Number of requests after which the objects change; 0: never.
     pub changes: usize,
 }
 
-/// What was asked of the server.
+/// Statistics of the requests.
 #[derive(Debug, Default)]
 pub struct Counts {
     pub requests: AtomicUsize,
-    /// Answers with a body.
+    /// Number of answers with a body.
     bodies: AtomicUsize,
-    /// Bytes of objects that were sent.
+    /// Number of bytes of objects that were sent.
     pub bytes: AtomicUsize,
 }
 
@@ -59,7 +58,7 @@ struct Shared {
     objects: BTreeMap<String, Vec<u8>>,
     manners: Manners,
     counts: Arc<Counts>,
-    /// One answer at a time, so that which of them breaks off is no matter of chance.
+    /// One answer at a time, so that truncation is deterministic.
     turn: Mutex<()>,
 }
 
@@ -84,7 +83,7 @@ impl Server {
                     return;
                 }
                 let shared = Arc::clone(&shared);
-                // A client that goes away is its own affair.
+                // A client may disconnect.
                 thread::spawn(move || shared.answer(connection));
             }
         });
@@ -107,7 +106,7 @@ impl Drop for Server {
     }
 }
 
-/// A request, as far as it is looked at.
+/// The relevant parts of a request.
 struct Request {
     method: String,
     target: String,
@@ -217,7 +216,7 @@ impl Shared {
         connection.shutdown(Shutdown::Write).ok()
     }
 
-    /// The objects whose keys begin with the query's prefix.
+    /// Lists the objects whose keys start with the query's prefix.
     fn list(&self, query: &str, mut connection: TcpStream) -> Option<()> {
         let prefix = query.split('&').find_map(|pair| pair.strip_prefix("prefix="));
         let prefix = prefix.unwrap_or_default().replace("%2F", "/");

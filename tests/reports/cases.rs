@@ -1,4 +1,4 @@
-//! Reports to be written: one of a log, and one whose every name is out to break its format.
+//! Reports for the format tests: a real one, and one with hostile names.
 
 use std::path::PathBuf;
 use std::sync::LazyLock;
@@ -10,17 +10,17 @@ use poseaudit::{Options, audit};
 
 use super::FAULTY;
 
-/// The report on a log with two faults, one check that could not tell, and some that were skipped.
+/// A report with two faults, one undetermined check, and some skipped ones.
 pub static FAULTS: LazyLock<Report> = LazyLock::new(|| {
     audit(&Options { logs: vec![FAULTY.into()], ..Options::default() }).expect("a report").report
 });
 
-/// What a topic could be called.
+/// A hostile topic name.
 pub const HOSTILE: &str =
     "/a|b\\|c\\\\|`d`</td><script>*e*_f_[g](https://h.i)@j ]]>&amp;\"'%0A::error::,k=\nl\u{1b}[31m";
 
-/// A report in which every name and every sentence is [`HOSTILE`], at a severity that fails nothing
-/// where `fail_on` is above it.
+/// A report in which every name and sentence is [`HOSTILE`]. Its severity is below `fail_on`, if that is
+/// set.
 pub fn hostile(fail_on: Option<Severity>) -> Report {
     let subject = Subject { topic: Some(HOSTILE.to_owned()), ..Subject::default() };
     let row = |code, status, reason: Option<&str>| CheckRow {
@@ -74,7 +74,7 @@ pub fn hostile(fail_on: Option<Severity>) -> Report {
     Report::new(log, vec![], vec![], evaluation, fail_on)
 }
 
-/// `report` in the format of this name.
+/// `report` in the named format.
 pub fn written(format: &str, report: &Report) -> String {
     let mut out = Vec::new();
     Format::named(format).expect("a format").write(report, &mut out).expect("a report");

@@ -1,4 +1,4 @@
-//! The examples for CI: their commands, run as CI would run them, on the fixture logs.
+//! The CI examples: runs their commands on the fixture logs like CI.
 #![cfg(unix)]
 
 use std::collections::BTreeMap;
@@ -66,7 +66,7 @@ fn yaml<T: serde::de::DeserializeOwned>(name: &str) -> T {
     serde_saphyr::from_str(&text(name)).expect("YAML")
 }
 
-/// Runs a script with bash, as CI does, with this build of poseaudit on the PATH.
+/// Runs a script with bash, like CI, with this build of poseaudit on the PATH.
 fn bash(script: &str, folder: &str, variables: &[(String, String)]) -> Output {
     let built = PathBuf::from(env!("CARGO_BIN_EXE_poseaudit"));
     let programs = built.parent().expect("a folder").to_owned();
@@ -81,14 +81,14 @@ fn bash(script: &str, folder: &str, variables: &[(String, String)]) -> Output {
         .expect("bash runs")
 }
 
-/// What the action leaves of its logs.
+/// Output of the action.
 struct Left {
     output: Output,
     reports: PathBuf,
     summary: String,
 }
 
-/// Runs the step of the action that audits, with these inputs.
+/// Runs the action's audit step with these inputs.
 fn act(folder: &Path, given: &[(&str, &str)]) -> Left {
     let action: Action = yaml("action.yml");
     let reports = folder.join("reports");

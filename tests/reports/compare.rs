@@ -1,4 +1,4 @@
-//! `compare`: two reports of the same robot side by side.
+//! `compare`: two reports on the same robot.
 
 use std::fs;
 
@@ -25,7 +25,7 @@ fn sound() -> Report {
     report
 }
 
-/// The report on the faulty log, its latency's amount and half the interval changed.
+/// The report on the faulty log with another latency value and half interval.
 fn late_by(value: f64, half: f64) -> Report {
     let mut report = FAULTS.clone();
     let latency = of(&mut report, "LAT001").estimate.as_mut();
@@ -102,7 +102,7 @@ fn an_amount_grows_only_beyond_both_intervals_and_by_a_tenth() {
         assert_eq!(course(&comparison, "LAT001"), expected, "{value} ± {half}");
         assert_eq!(comparison.regression, expected < Course::Same, "{value} ± {half}");
     }
-    // Narrow intervals alone are no growth: runs differ by more.
+    // Narrow intervals alone are not an increase: runs differ by more.
     let narrow = late_by(15e-3, 1e-7);
     assert_eq!(course(&compare(&narrow, &late_by(15.2e-3, 1e-7), WARNING), "LAT001"), Course::Same);
 }
@@ -137,7 +137,7 @@ fn what_is_not_told_any_more_is_not_gone() {
     assert!(!comparison.lost.is_empty() && comparison.lost.iter().all(|it| it.code == "LAT001"));
     assert!(!comparison.regression);
     open.verdict = Verdict::Inconclusive;
-    assert!(compare(&sound(), &open, WARNING).regression, "a pass that is none any more");
+    assert!(compare(&sound(), &open, WARNING).regression, "a pass became undetermined");
     assert!(!compare(&sound(), &open, None).regression);
 }
 

@@ -1,11 +1,11 @@
-//! Text from files on a terminal: a name cannot begin a line, set colours or turn the direction of writing.
+//! Text from files on a terminal: a name cannot start a line, set colours or change the writing direction.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::{FAULTY, poseaudit, stderr, stdout};
 
-/// Begins a line that GitHub takes for a command, sets a colour and turns the direction of writing.
+/// Starts a line that GitHub interprets as a command, sets a colour and changes the writing direction.
 const NAME: &str = "x\n::error::evil\u{1b}[31m\u{202e}.mcap";
 
 #[cfg(unix)]
@@ -45,7 +45,7 @@ fn sources(folder: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// Paths and names in a statement that prints go through `foreign` or `tame`.
+/// Print statements pass paths and names through `foreign` or `tame`.
 #[test]
 fn statements_that_print_names_use_the_one_function() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");

@@ -1,4 +1,4 @@
-//! `--format` several times, and `--output`.
+//! Repeated `--format`, and `--output`.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use super::{CLEAN, FAULTY, poseaudit, status, stderr, stdout};
 
-/// `audit LOG` in every format, into `folder`.
+/// Runs `audit LOG` in every format, into `folder`.
 fn audit_into(log: &str, folder: &str) -> Vec<String> {
     let mut args = vec!["audit".to_owned(), log.to_owned()];
     args.extend(FORMATS.iter().flat_map(|format| ["--format".to_owned(), format.name.to_owned()]));

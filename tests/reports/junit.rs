@@ -1,5 +1,5 @@
-//! JUnit XML, as the schema that CI systems share has it: suites with counts, in them cases, of which
-//! each holds at most one outcome, and then what was printed.
+//! JUnit XML according to the schema shared by CI systems: suites with counts, cases with at most one
+//! outcome, and the printed output.
 
 use std::collections::BTreeSet;
 
@@ -17,7 +17,7 @@ fn count(node: Node, name: &str) -> usize {
     node.attribute(name).and_then(|text| text.parse().ok()).expect("a count")
 }
 
-/// What XML leaves of a text in an attribute: no controls, and blanks for the ends of lines.
+/// Whether an XML attribute preserves a text, except control characters and with blanks for line ends.
 fn is_kept(found: Option<&str>, text: &str) -> bool {
     let plain = |text: &str| text.split(['\n', '\u{1b}']).map(str::to_owned).collect::<Vec<_>>();
     let found = found.unwrap_or_default();

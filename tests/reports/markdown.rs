@@ -1,11 +1,11 @@
-//! Markdown, as a renderer of GitHub's dialect reads it.
+//! Markdown, as rendered by GitHub.
 
 use poseaudit::finding::Severity;
 use pulldown_cmark::{Event, Options, Parser, Tag, TagEnd};
 
 use super::cases::{FAULTS, HOSTILE, hostile, written};
 
-/// The cells of all tables, row by row, as they are read.
+/// The cells of all tables, row by row, as rendered.
 fn rows(markdown: &str) -> Vec<Vec<String>> {
     let mut rows: Vec<Vec<String>> = Vec::new();
     let mut is_cell = false;
@@ -46,7 +46,7 @@ fn the_table_holds_every_finding_with_its_amount_and_fix() {
 fn no_name_breaks_a_table_begins_html_or_names_somebody() {
     let markdown = written("markdown", &hostile(Some(Severity::Warning)));
     let rows = rows(&markdown);
-    // A character that ends a line, or that no terminal should see, is a blank; a mention is none.
+    // Line ends and control characters become blanks; mentions are disabled.
     let kept = HOSTILE.replace(['\n', '\u{1b}'], " ").replace('@', "@\u{200b}");
     assert_eq!(rows.len(), 2, "{markdown}");
     assert_eq!(rows[1].len(), 5, "{markdown}");

@@ -1,4 +1,4 @@
-//! The reports as other programs get them: which formats go where, and what each of them holds.
+//! Reports for other programs: destinations and content of each format.
 
 mod cases;
 mod ci;

@@ -1,4 +1,4 @@
-//! What stands where in a report, and the pictures and messages of findings.
+//! Order of a report, and the plots and messages of findings.
 
 use std::collections::BTreeMap;
 
@@ -14,11 +14,11 @@ fn audited(name: &str) -> Audited {
 fn written(format: &str, report: &Report) -> String {
     let mut out = Vec::new();
     Format::named(format).expect("a format").write(report, &mut out).expect("a report");
-    // Without the styles of a terminal.
+    // Without terminal styles.
     anstream::adapter::strip_str(&String::from_utf8(out).expect("UTF-8")).to_string()
 }
 
-/// The lines of a text under a label, without it.
+/// The lines below a label, without the label.
 fn block<'a>(text: &'a str, label: &str) -> Vec<&'a str> {
     let mut lines = text.lines().skip_while(|line| !line.starts_with(label));
     let first = lines.next().map(|line| line[label.len()..].trim_start());
@@ -35,7 +35,7 @@ fn an_arm_at_rest_asks_for_one_motion_in_a_few_lines() {
     let settle = block(&text, "to settle");
     assert_eq!(settle.len(), 2, "{settle:#?}");
     assert!(settle[0].starts_with("record 60 s with each joint by 30° or more"), "{settle:#?}");
-    // It can be pasted as it stands.
+    // It can be pasted unchanged.
     assert!(settle[1].starts_with("poseaudit plan ") && settle[1].contains(" --for "));
     let label = |name: &str| text.find(&format!("\n{name}")).expect(name);
     assert!(
@@ -53,10 +53,7 @@ fn a_pass_says_what_it_bounds() {
         assert!(amount.is_some_and(|amount| amount.contains(" ± ")), "{bound}: {passed}");
     }
     let page = written("html", &audited.report);
-    assert!(
-        page.contains("largest, ± 95 %") && page.contains("<td>2 ms</td>"),
-        "no limit beside it"
-    );
+    assert!(page.contains("largest, ± 95 %") && page.contains("<td>2 ms</td>"), "no limit given");
 }
 
 #[test]
@@ -134,7 +131,7 @@ fn foxglove_gets_every_finding_and_where_the_tool_is_off() {
         };
         ["x", "y", "z"].map(|axis| (at(1, axis) - at(0, axis)).powi(2)).iter().sum::<f64>().sqrt()
     };
-    // 15 ms at up to 0.66 m/s, and a zero that is off.
+    // 15 ms at up to 0.66 m/s, and a zero offset.
     let most_m = scenes.iter().map(|(_, scene)| error_m(scene)).fold(0.0, f64::max);
     assert!((5e-3..40e-3).contains(&most_m), "{most_m}");
     for (at, scene) in scenes {

@@ -1,4 +1,4 @@
-//! SARIF against its schema, and what code scanning relies on.
+//! SARIF against its schema, and the requirements of code scanning.
 
 use std::collections::BTreeSet;
 

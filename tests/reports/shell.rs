@@ -1,4 +1,4 @@
-//! What shells and `man` get from the definitions of the commands.
+//! Shell completions and man pages, generated from the command definitions.
 
 use std::fs;
 use std::process::Command;
@@ -17,7 +17,7 @@ fn every_shell_gets_a_script_with_the_commands() {
     assert_eq!(status(&poseaudit(&["completions", "tcsh"])), 2);
 }
 
-/// What bash offers where the last of `words` is begun.
+/// Completions that bash offers for the last of `words`.
 #[cfg(unix)]
 fn offered(words: &[&str]) -> Vec<String> {
     let script = poseaudit(&["completions", "bash"]);
@@ -60,7 +60,7 @@ fn every_command_has_a_man_page_with_its_options_and_examples() {
         commands.filter_map(|line| line.strip_prefix("  ")?.split(' ').next()).collect();
     let commands: Vec<&str> = commands.into_iter().filter(|name| !name.is_empty()).collect();
     assert!(commands.len() > 10, "{commands:?}");
-    // A command of a command, such as `fleet report`, has a page of its own beside them.
+    // A subcommand such as `fleet report` has a separate page.
     let names = fs::read_dir(&pages).expect("the folder").flatten().map(|page| page.file_name());
     let is_of_command =
         |name: &String| commands.iter().any(|command| *name == format!("poseaudit-{command}.1"));
@@ -70,7 +70,7 @@ fn every_command_has_a_man_page_with_its_options_and_examples() {
     for command in commands {
         let text = page(&format!("poseaudit-{command}.1"));
         assert!(text.starts_with(".ie") && text.contains("Examples:"), "{text}");
-        // A page writes a hyphen as `\-`, so that it is no soft one.
+        // A man page writes a hyphen as `\-`.
         let said = text.replace("\\-", "-");
         assert!(said.contains(&format!("poseaudit {command}")), "{text}");
     }

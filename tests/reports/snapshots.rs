@@ -1,5 +1,5 @@
-//! The formats as they are, for the eye. After a change that is meant, run `INSTA_UPDATE=always cargo
-//! test --test main reports` and read the diff.
+//! Snapshots of the formats. After an intended change, run `INSTA_UPDATE=always cargo test --test main
+//! reports` and review the diff.
 
 use serde_json::Value;
 
@@ -12,7 +12,7 @@ fn the_formats_for_eyes() {
     insta::assert_snapshot!("faulty.github", written("github", &FAULTS));
 }
 
-/// Without the texts of the rules, which stand in their files, and without numbers to their last bit.
+/// Without the texts of the rules, which have their own files, and with rounded numbers.
 #[test]
 fn sarif() {
     let mut log: Value = serde_json::from_str(&written("sarif", &FAULTS)).expect("JSON");

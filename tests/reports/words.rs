@@ -1,11 +1,11 @@
-//! Words that reports once used and robot engineers do not: they are not to come back.
+//! Words of earlier reports that robot engineers do not use and that must not return.
 
 use std::path::{Path, PathBuf};
 
 use poseaudit::report::Format;
 use poseaudit::{Options, audit};
 
-/// Phrases of no trade.
+/// Forbidden phrases.
 const NOT_SAID: [&str; 27] = [
     "differ from the controller's by",
     "cannot be told",
@@ -67,7 +67,7 @@ fn reports_on_the_fixtures_speak_the_language_of_the_trade() {
     assert!(found.is_empty(), "{}", found.join("\n"));
 }
 
-/// A page without what stands from `start` to `end`: its program and its data, the texts of the rules.
+/// A page without the parts from `start` to `end`: its program and data, the texts of the rules.
 fn without(start: &str, end: &str, page: &str) -> String {
     let mut parts = page.split(start);
     let first = parts.next().unwrap_or_default();

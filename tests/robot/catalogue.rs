@@ -1,4 +1,4 @@
-//! The arms that come with the program.
+//! The catalogue arms.
 
 use poseaudit::geometry::{Pose, angle_between, pose, rotation_from_rpy, rotation_from_xyzw};
 use poseaudit::robot::catalogue;
@@ -6,7 +6,7 @@ use serde::Deserialize;
 
 use super::{chain, default_chain, urdf};
 
-/// FK of other programs and files for the catalogue's arms; each group says whose, and how near.
+/// FK of the catalogue's arms by other programs and files; each group has its source and tolerance.
 #[derive(Deserialize)]
 struct CheckGroup {
     robot: String,
@@ -165,7 +165,7 @@ fn arms_are_found_by_their_models_where_only_one_has_it() {
         ("IRB120", Some("abb_irb120_3_58")),
         ("gen3", Some("kinova_gen3_7dof")),
         ("lrmate200id", Some("fanuc_lrmate200id")),
-        // Two arms each, or no model's name.
+        // Several arms, or not a model name.
         ("irb1200", None),
         ("tm5", None),
         ("700", None),

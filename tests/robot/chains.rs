@@ -7,7 +7,7 @@ use poseaudit::robot::{Chain, ChainError, JointKind, catalogue};
 
 use super::{assert_near, chain, default_chain, positions, urdf};
 
-/// A slide, a turn about a skew axis, a follower of the slide's coordinate and of the turn's.
+/// A prismatic joint, a revolute joint about a skew axis, and two joints that mimic them.
 const GANTRY: &str = "
     <link name='rail'/><link name='carriage'/><link name='arm'/><link name='hand'/>
     <link name='finger'/><link name='tool'/><link name='camera'/>
@@ -45,7 +45,7 @@ fn the_jacobian_is_the_derivative_of_the_pose() {
     }
 }
 
-/// The twist of the tip in base by a central difference of joint `joint`.
+/// Twist of the tip in the base by a central difference of joint `joint`.
 fn central_difference(chain: &Chain, q: &[f64], joint: usize) -> [f64; 6] {
     const STEP: f64 = 1e-6;
     let moved = |step: f64| {

@@ -1,4 +1,4 @@
-//! URDF and DH tables, good and bad.
+//! Valid and invalid URDF files and DH tables.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -25,7 +25,7 @@ fn a_dh_table_alone_is_a_robot() {
         pose([a, 0.0, 0.0], rotation_from_rpy([alpha, 0.0, 0.0]))
             * pose([0.0, 0.0, d], rotation_from_rpy([0.0, 0.0, theta]))
     };
-    // Rx and Dx commute, Rz and Dz too.
+    // Rx and Dx commute, and so do Rz and Dz.
     let expected = craig(0.1, 0.3, 0.4, 0.2 + 0.05)
         * craig(0.5, 0.7, 0.8 + 1.0, 0.6)
         * pose([0.0, 0.0, 0.9], Rotation::identity());

@@ -1,4 +1,4 @@
-//! The robot room: readers, catalogue, forward kinematics.
+//! Robot models: readers, catalogue, forward kinematics.
 
 mod catalogue;
 mod chains;
@@ -21,7 +21,7 @@ pub fn urdf(body: &str) -> Robot {
     Robot::from_urdf(&format!("<robot name=\"test\">\n{body}\n</robot>"), "test.urdf").unwrap()
 }
 
-/// Positions in ±2, from a linear congruential generator: the tests need no random crate.
+/// Positions in ±2 from a linear congruential generator, to avoid a dependency.
 pub fn positions(count: usize, seed: u64) -> Vec<f64> {
     let mut state = seed;
     let mut next = || {

@@ -1,14 +1,13 @@
 #!/usr/bin/env python3
-"""Opens recordings in the Rerun viewer and looks at them as a person would.
+"""Opens recordings in the Rerun viewer and checks its screenshots.
 
     python3 tests/viewer/recording.py target/debug/poseaudit                # checks
-    python3 tests/viewer/recording.py target/debug/poseaudit docs/images    # and makes recording.png there
-    python3 tests/viewer/recording.py --probe                               # only whether the viewer draws
+    python3 tests/viewer/recording.py target/debug/poseaudit docs/images    # and writes recording.png there
+    python3 tests/viewer/recording.py --probe                               # only checks that the viewer draws
 
-Needs the viewer of the crate's minor version and Pillow beside this Python (pip install rerun-sdk==0.36.*
-pillow), and Vulkan: a driver, or Mesa's lavapipe (apt install mesa-vulkan-drivers). The viewer runs
-without a window. It must open the demo's recording, and a log that the importer beside the program
-audits, without a warning, and must show a scene, plots, spans and text.
+Needs the viewer of the crate's minor version and Pillow (pip install rerun-sdk==0.36.* pillow), and Vulkan: a driver, or
+Mesa's lavapipe (apt install mesa-vulkan-drivers). The viewer runs headless. It must open the demo's recording, and a
+log through the importer, without warnings. It must show a scene, plots, spans and text.
 """
 
 import os
@@ -26,7 +25,7 @@ FIXTURES = Path(__file__).parents[2] / "fixtures"
 VIEWER = Path(sys.executable).with_name("rerun")
 SIZE = (1400, 900)
 PATIENCE_S = 150
-# What the viewer says of the machine that it runs on, not of what it opens.
+# Messages about the machine, not about the opened file.
 OF_THE_MACHINE = re.compile(
     "software rasterizer|docker|xsettings|xrandr|xdg_runtime_dir|parse locale|analytics", re.IGNORECASE
 )
@@ -41,20 +40,20 @@ def free_port() -> int:
 
 
 class Viewer:
-    """A viewer without a window, with a file opened."""
+    """A headless viewer with an open file."""
 
     def __init__(self, file: Path | None, folder: Path, programs: Path | None = None, log: str = "warn"):
         self.port, self.folder, self.said = free_port(), folder, folder / f"{time.monotonic_ns()}.log"
         path = os.pathsep.join([str(programs)] * bool(programs) + [os.environ["PATH"]])
-        # Its own place for settings: those of the person whose machine it is are not to be seen.
+        # Separate settings, to ignore those of the user.
         homes = {name: str(folder) for name in ("XDG_RUNTIME_DIR", "XDG_CONFIG_HOME", "XDG_DATA_HOME")}
         environment = {**os.environ, **homes, "PATH": path, "RUST_LOG": log, "NO_COLOR": "1"}
         command = [VIEWER, *[file] * bool(file), "--headless", "--hide-welcome-screen", "--renderer", "vulkan"]
         command += ["--port", str(self.port), "--window-size", "x".join(map(str, SIZE))]
-        # Nothing is told to anybody.
+        # No telemetry.
         subprocess.run([VIEWER, "analytics", "disable"], env=environment, capture_output=True, check=True)
         with self.said.open("wb") as said:
-            # A group of its own: the command is a script that starts the viewer.
+            # A separate process group: the command is a script that starts the viewer.
             self.process = subprocess.Popen(
                 command, env=environment, stdout=said, stderr=said, start_new_session=True
             )
@@ -78,7 +77,7 @@ class Viewer:
         return [line for line in grave if not OF_THE_MACHINE.search(line)]
 
     def picture(self, is_there) -> Image.Image:
-        """What it shows, once `is_there` has nothing to say against it."""
+        """Returns a screenshot when `is_there` accepts it (returns an empty string)."""
         from rerun.experimental import ViewerClient
 
         deadline, why = time.monotonic() + PATIENCE_S, "it shows nothing"
@@ -99,7 +98,7 @@ class Viewer:
 
 
 def whole(picture: Path, deadline: float) -> Image.Image | None:
-    """A picture, once all of it is written: the viewer does that after it has said that it will."""
+    """Returns a picture when it is completely written, which the viewer does asynchronously."""
     while time.monotonic() < deadline:
         try:
             return Image.open(picture).convert("RGB")
@@ -109,7 +108,7 @@ def whole(picture: Path, deadline: float) -> Image.Image | None:
 
 
 def lacking(image: Image.Image, parts: dict[str, tuple[float, float, float, float]]) -> str:
-    """Which part of the picture, given as shares of it, shows next to nothing; empty where none."""
+    """Names a blank part of the picture, each given by relative bounds. Empty if there is none."""
     width, height = image.size
     for name, (left, top, right, bottom) in parts.items():
         part = image.crop((int(left * width), int(top * height), int(right * width), int(bottom * height)))
@@ -124,7 +123,7 @@ LOGGED, EXPLAINED = (240, 80, 60), (60, 200, 110)
 
 
 def pixels(image: Image.Image, rgb: tuple[int, int, int], near: int = 40) -> int:
-    """How many of a quarter of the pixels have a colour, or one near to it."""
+    """Counts pixels near a colour, in the image at half resolution."""
     small = image.resize((image.width // 2, image.height // 2), Image.Resampling.NEAREST)
     return sum(
         count
@@ -175,7 +174,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
         check(recorded(program, folder), folder)
-        # What is drawn of a finding alone: bars and a trace.
+        # A finding without a scene: bars and a trace.
         shake = folder / "shake.rrd"
         subprocess.run([program, "audit", FIXTURES / "shake.mcap", "--rrd", shake], stdout=subprocess.DEVNULL)
         with Viewer(shake, folder) as viewer:
@@ -184,24 +183,24 @@ def main() -> None:
         importers = folder / "importers"
         importers.mkdir()
         importer = shutil.which("rerun-importer-poseaudit", path=program.parent)
-        assert importer, f"no importer beside {program}"
+        assert importer, f"no importer in the folder of {program}"
         (importers / Path(importer).name).symlink_to(importer)
-        # The viewer asks no other program about the kinds of files that it reads itself.
+        # The viewer does not call importers for file types that it reads itself.
         log = folder / "faulty.log"
         shutil.copy(FIXTURES / "faulty.mcap", log)
         check(log, folder, importers)
         print("recording: the demo and a log with the importer looked at in the viewer")
         if len(sys.argv) > 2:
-            # Messages of the viewer would lie over what it shows.
+            # Log messages would cover the picture.
             with Viewer(folder / "demo.rrd", folder, log="off") as viewer:
-                # It plays: of several moments the one that shows both tools best.
+                # The recording plays, so take several pictures and keep the one that shows both tools best.
                 images = [viewer.picture(audited) for _ in range(6)]
             image = max(images, key=lambda it: min(pixels(it, LOGGED), pixels(it, EXPLAINED)))
             shrunk(image, Path(sys.argv[2]) / "recording.png")
 
 
 def probe() -> None:
-    """Fails where the viewer draws nothing."""
+    """Fails if the viewer draws nothing."""
     with tempfile.TemporaryDirectory() as folder, Viewer(None, Path(folder)) as viewer:
         everywhere = {"the window": (0.0, 0.0, 1.0, 1.0)}
         try:
