@@ -1,9 +1,8 @@
-//! Chunks unpacked ahead of their reading, on all cores that an audit may use.
+//! Decompresses chunks in advance, on all cores an audit may use.
 //!
-//! What a chunk unpacks to depends on nothing but its own bytes, so that other threads unpack it. Where the
-//! format says how, the thread that unpacked a chunk also reads its records into columns of their own,
-//! while they are in its cache. What came of the chunks is taken by one thread in the order of the file, as
-//! if nothing had been done ahead.
+//! Decompression depends only on the bytes of the chunk, so other threads do it. If the format allows, the
+//! same thread also parses the chunk's records into separate columns while they are in its cache. One
+//! thread collects the results in file order, as if nothing had been done in advance.
 
 use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -13,35 +12,35 @@ use std::thread::{self, Scope};
 use super::part::{Part, Records};
 use super::unpack::{Packed, UnpackedChunk, Unpacker};
 
-/// Bytes of chunks that wait to be read, unpacked, beyond which no other is handed in; and the most
-/// that one of them has.
+/// Total size of decompressed waiting chunks, in bytes, above which no more are queued. Also the maximum
+/// for one of them.
 const MOST_BYTES: u64 = 24 << 20;
 
-/// How far beyond what is being read chunks are looked for, in bytes: a file may have none.
+/// Maximum distance of the search for chunks beyond the current position, in bytes: a file may have none.
 pub(super) const MOST_DISTANCE: usize = 64 << 20;
 
-/// Most threads that unpack. One thread takes what they made, and keeps up with no more.
+/// Maximum number of decompressing threads. The thread that collects the results cannot keep up with more.
 const MOST_THREADS: usize = 6;
 
-/// Chunks that wait for each thread.
+/// Queued chunks per thread.
 const WAITING: usize = 3;
 
-/// Chunks that are being unpacked, in the order of the file.
+/// Chunks being decompressed, in file order.
 pub(super) struct Ahead<'scope, 'env> {
     scope: &'scope Scope<'scope, 'env>,
-    /// Set when the threads run.
+    /// Set once the threads run.
     tasks: Option<SyncSender<Task<'env>>>,
     threads: usize,
     waiting: VecDeque<Waiting<'env>>,
-    /// Bytes that those waiting unpack to.
+    /// Decompressed size of the waiting chunks, in bytes.
     bytes: u64,
-    /// Buffers for the next ones.
+    /// Reusable buffers.
     buffers: Vec<Vec<u8>>,
 }
 
-/// A chunk that one of the threads unpacks.
+/// Chunk being decompressed by a thread.
 struct Waiting<'env> {
-    /// Where in the file its record is.
+    /// Offset of its record in the file.
     offset: usize,
     packed: Packed<'env>,
     done: Receiver<Done>,
@@ -50,22 +49,22 @@ struct Waiting<'env> {
 struct Task<'env> {
     offset: usize,
     packed: Packed<'env>,
-    /// How to read its records, where that may be done ahead, too.
+    /// Parser for its records, if they may be parsed in advance.
     records: Option<Arc<dyn Records>>,
     buffer: Vec<u8>,
     reply: SyncSender<Done>,
 }
 
-/// What became of a chunk.
+/// Result of a chunk.
 pub(super) enum Done {
-    /// It was unpacked, or cannot be.
+    /// Decompressed, or the error.
     Unpacked(UnpackedChunk),
-    /// It was unpacked and read.
+    /// Decompressed and parsed.
     Read(Part),
 }
 
 impl Done {
-    /// What it was unpacked to, where it was not read, too.
+    /// Decompressed content, unless it was also parsed.
     pub(super) fn unpacked(self) -> Option<UnpackedChunk> {
         match self {
             Self::Unpacked(unpacked) => Some(unpacked),
@@ -74,7 +73,7 @@ impl Done {
     }
 }
 
-/// Runs `read` with threads that unpack for it.
+/// Runs `read` with decompressing threads.
 pub(super) fn with<'env, R>(read: impl for<'scope> FnOnce(&mut Ahead<'scope, 'env>) -> R) -> R {
     let threads = rayon::current_num_threads().min(MOST_THREADS);
     thread::scope(|scope| {
@@ -90,14 +89,13 @@ pub(super) fn with<'env, R>(read: impl for<'scope> FnOnce(&mut Ahead<'scope, 'en
 }
 
 impl<'env> Ahead<'_, 'env> {
-    /// Whether another chunk may be handed in.
+    /// Whether another chunk may be queued.
     pub(super) fn has_room(&self) -> bool {
         self.threads > 1 && self.bytes < MOST_BYTES && self.waiting.len() < WAITING * self.threads
     }
 
-    /// Hands in the chunk whose record is at `offset`: behind all that were handed in before. One
-    /// that is larger than all that may wait is left to be unpacked when it is read.
-    /// Its records are read where `records` says how.
+    /// Queues the chunk whose record is at `offset`, after all earlier ones. Chunks above the size limit
+    /// are decompressed when they are read. Records are also parsed if `records` is given.
     pub(super) fn unpack(
         &mut self,
         offset: usize,
@@ -124,7 +122,7 @@ impl<'env> Ahead<'_, 'env> {
         }
     }
 
-    /// The chunk whose record is at `offset`, if it was handed in. Those before it are dropped.
+    /// Result of the chunk whose record is at `offset`, if it was queued. Drops earlier ones.
     pub(super) fn take(&mut self, offset: usize) -> Option<Done> {
         while self.waiting.front().is_some_and(|waiting| waiting.offset <= offset) {
             let waiting = self.waiting.pop_front()?;
@@ -136,19 +134,19 @@ impl<'env> Ahead<'_, 'env> {
         None
     }
 
-    /// Takes back what was read.
+    /// Returns a buffer for reuse.
     pub(super) fn give_back(&mut self, unpacked: UnpackedChunk) {
         self.buffers.push(unpacked.buffer);
     }
 }
 
-/// Unpacks what is in the queue, until nothing will come any more.
+/// Processes the queue until it is closed.
 fn work(queue: &Mutex<Receiver<Task<'_>>>) {
     let mut unpacker = Unpacker::default();
-    // What chunks are unpacked into that are read here.
+    // Buffer for chunks that are also parsed here.
     let mut own = Vec::new();
     loop {
-        // The lock is held while waiting: whoever has it is the next to get a chunk.
+        // The lock is held while waiting: its owner gets the next chunk.
         let task = queue.lock().unwrap_or_else(PoisonError::into_inner).recv();
         let Ok(Task { offset, packed, records, buffer, reply }) = task else { return };
         let buffer = if buffer.capacity() > 0 { buffer } else { std::mem::take(&mut own) };
@@ -163,7 +161,7 @@ fn work(queue: &Mutex<Receiver<Task<'_>>>) {
             }
             None => Done::Unpacked(unpacked),
         };
-        // Nobody waits for a chunk that was passed over.
+        // Nobody waits for a skipped chunk.
         let _passed_over = reply.send(done);
     }
 }

@@ -1,30 +1,31 @@
-//! Files of logs that are folders: links that lead out of the folder are not followed, so that a log that was
-//! downloaded cannot show what else is on the machine.
+//! Files of folder logs. Links out of the folder are not followed, so a downloaded log cannot expose other
+//! files of the machine.
 
 use std::collections::HashMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Why such a link is not read, after the name of the file.
-pub(super) const LEADS_OUT: &str = "is a link out of the folder of the log, which is not followed; copy what it leads to into the folder";
+/// Reason why such a link is not read; follows the file name.
+pub(super) const LEADS_OUT: &str = "is a link out of the log folder and is not followed; copy its target \
+    into the folder";
 
-/// The folder of a log.
+/// Folder of a log.
 #[derive(Debug)]
 pub(super) struct Contained {
     root: Option<PathBuf>,
-    /// Whether folders that were looked at are in it.
+    /// Cached results: whether a folder is inside.
     folders: HashMap<PathBuf, bool>,
 }
 
 impl Contained {
-    /// The folder of a log at `folder`.
+    /// Containment check for the log at `folder`.
     pub(super) fn of(folder: &Path) -> Self {
         let root = fs::canonicalize(folder).ok();
         let root = root.map(|root| hub(&root).unwrap_or(root));
         Self { root, folders: HashMap::new() }
     }
 
-    /// Whether the file at `path` is in the folder, or not there at all.
+    /// Whether the file at `path` is inside the folder or does not exist.
     pub(super) fn holds(&mut self, path: &Path) -> bool {
         let Some(root) = &self.root else { return true };
         let is_inside =
@@ -48,7 +49,7 @@ impl Contained {
     }
 }
 
-/// The folder of a repository in the cache of the Hugging Face hub, whose snapshots are links into `blobs`
+/// Repository folder in the Hugging Face hub cache, whose snapshots are links into `blobs`
 /// (huggingface_hub, "Understand caching").
 fn hub(snapshot: &Path) -> Option<PathBuf> {
     let snapshots = snapshot.parent().filter(|above| above.ends_with("snapshots"))?;

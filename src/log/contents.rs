@@ -1,41 +1,41 @@
-//! What was read from the files of one run.
+//! Content read from the files of one run.
 
 use std::path::PathBuf;
 
 use ground::stream::Columns;
 use ground::time::Stamp;
 
-/// All that was read from the files of one run.
+/// Everything read from the files of one run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Log {
-    /// The files, in the order given.
+    /// Files, in the order given.
     pub files: Vec<LogFile>,
-    /// The topics of all files, in the order of their names.
+    /// Topics of all files, sorted by name.
     pub topics: Vec<Topic>,
-    /// Robot descriptions and calibrations found beside the messages, in attachments and metadata.
+    /// Robot descriptions and calibrations from attachments and metadata.
     pub descriptions: Vec<Description>,
-    /// Messages read, of whatever type.
+    /// Number of messages read, of any type.
     pub messages: u64,
     /// First and last log time; `None` without messages.
     pub span: Option<(Stamp, Stamp)>,
-    /// What was damaged, in the order of the files and of the bytes in them.
+    /// Damage, in the order of files and offsets.
     pub losses: Vec<Loss>,
-    /// What a reader of a report should know of the files, and is no damage.
+    /// Remarks about the files that are not damage.
     pub notes: Vec<Note>,
-    /// What is declared of the files and their numbers are not; `None` where nothing is declared.
+    /// Contradictions between declarations and numbers. `None` if nothing is declared.
     pub contradictions: Option<Vec<Note>>,
-    /// What in tables repeats in every row; `None` where there are no tables.
+    /// Duplicate or constant table columns. `None` without tables.
     pub repeats: Option<Vec<Repeat>>,
-    /// The type of the robot, as metadata say it.
+    /// Robot type according to metadata.
     pub robot_type: Option<String>,
-    /// The column of a table that holds times, where its numbers told it.
+    /// Column of a table identified as times by its numbers.
     pub time_column: Option<String>,
-    /// What the columns of a table leave open, to be asked where no arm is found.
+    /// Question about undetermined table columns, asked if no arm is found.
     pub question: Option<String>,
 }
 
 impl Log {
-    /// Whether the log holds `/clock`, the mark of simulation time.
+    /// Whether the log contains `/clock`, which indicates simulation time.
     pub fn has_clock(&self) -> bool {
         self.topics.iter().any(|topic| topic.name.trim_start_matches('/') == "clock")
     }
@@ -44,51 +44,51 @@ impl Log {
 /// One file that was read.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LogFile {
-    /// Path as given; of a file in a folder, the folder's path and its name.
+    /// Path as given; for a file in a folder, the folder's path and its name.
     pub path: PathBuf,
-    /// What kind of file it is.
+    /// Kind of file.
     pub container: Container,
     /// Size of the file.
     pub bytes: u64,
-    /// How many bytes were fetched to read it; `None` for a file that was there.
+    /// Number of bytes fetched to read it. `None` for a local file.
     pub fetched: Option<u64>,
-    /// How many of its messages a checksum vouches for.
+    /// Checksum coverage of its messages.
     pub crc: Crc,
 }
 
-/// The kind of a log file.
+/// Kind of a log file.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Container {
     /// An MCAP file.
     Mcap,
-    /// A ROS 1 bag of version 2.0.
+    /// A ROS 1 bag, version 2.0.
     RosBag1,
-    /// A SQLite database of rosbag2.
+    /// A rosbag2 SQLite database.
     RosBag2Sqlite,
     /// An MCAP file of a rosbag2 folder.
     RosBag2Mcap,
-    /// What Universal Robots' RTDE client writes.
+    /// Output of Universal Robots' RTDE client.
     RtdeCsv,
-    /// Any other table as text.
+    /// Any other text table.
     Csv,
-    /// An array of NumPy.
+    /// A NumPy array.
     Npy,
-    /// An archive of such arrays.
+    /// An archive of NumPy arrays.
     Npz,
-    /// A Parquet file, of a LeRobot dataset or any other.
+    /// A Parquet file, from a LeRobot dataset or elsewhere.
     Parquet,
     /// An HDF5 file.
     Hdf5,
-    /// A Zarr store, as a folder or a zip archive.
+    /// A Zarr store, as a folder or zip archive.
     Zarr,
-    /// Records of TensorFlow examples.
+    /// TFRecord with TensorFlow examples.
     TfRecord,
     /// Packets of KUKA's Robot Sensor Interface.
     Rsi,
 }
 
 impl Container {
-    /// The name used in reports.
+    /// Name used in reports.
     pub const fn name(self) -> &'static str {
         match self {
             Container::Mcap => "mcap",
@@ -108,10 +108,10 @@ impl Container {
     }
 }
 
-/// How many of a file's messages are covered by a checksum that was checked and held.
+/// Share of a file's messages covered by a verified checksum.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Crc {
-    /// Every message that was read.
+    /// All messages read.
     All,
     /// Some of them.
     Partial,
@@ -120,7 +120,7 @@ pub enum Crc {
 }
 
 impl Crc {
-    /// What it is where a checksum holds for `covered` of `read` messages.
+    /// Coverage if checksums hold for `covered` of `read` messages.
     pub(super) fn of(covered: u64, read: u64) -> Self {
         match covered {
             0 => Crc::None,
@@ -129,7 +129,7 @@ impl Crc {
         }
     }
 
-    /// The name used in reports.
+    /// Name used in reports.
     pub const fn name(self) -> &'static str {
         match self {
             Crc::All => "all",
@@ -139,52 +139,52 @@ impl Crc {
     }
 }
 
-/// One topic, over all files.
+/// One topic over all files.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Topic {
     /// Topic name.
     pub name: String,
-    /// Type name as the log spells it, such as `sensor_msgs/msg/JointState`; empty without a schema.
+    /// Type name as in the log, such as `sensor_msgs/msg/JointState`; empty without a schema.
     pub type_name: String,
     /// Encoding of the messages, such as `cdr`.
     pub encoding: String,
-    /// Messages read, decoded or not.
+    /// Number of messages read, decoded or not.
     pub messages: u64,
-    /// What they held; `None` for types that an audit does not use, or where none could be decoded.
+    /// Decoded content. `None` for types that an audit does not use, or if no message could be decoded.
     pub columns: Option<Columns>,
-    /// Messages of a type that an audit uses, which could not be decoded.
+    /// Undecodable messages of a type that an audit uses.
     pub undecodable: Option<Undecodable>,
-    /// Why there are no columns, where its messages could be decoded and are of no use.
+    /// Reason why there are no columns although messages could be decoded.
     pub useless: Option<String>,
-    /// How its columns were told, where no schema says it: of a table.
+    /// Interpretation of its columns, for tables without a schema.
     pub read_as: Option<String>,
-    /// Which numbers of a table it is made of, in its order.
+    /// Table columns it consists of, in order.
     pub cells: Vec<TableCell>,
     /// First and last log time; `None` without messages.
     pub span: Option<(Stamp, Stamp)>,
 }
 
-/// One number of a table's rows.
+/// One number in the rows of a table.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct TableCell {
-    /// Its column among those of the table, and its place in a row of that.
+    /// Index of its column in the table and of the number within the column.
     pub at: (usize, usize),
-    /// What `[columns]` of a config calls it.
+    /// Name in `[columns]` of a config.
     pub name: String,
-    /// What the names of its rotation say that the numbers are, if it is one of a rotation's.
+    /// Encoding indicated by the names of its rotation, if it belongs to one.
     pub labels: Option<RotationLabels>,
-    /// Whether its name says nothing of it, and it is measured: fractions that change.
+    /// Whether its name is meaningless and it is measured, with changing fractional values.
     pub is_unidentified: bool,
 }
 
-/// Names of the numbers of a rotation that say how it is encoded.
+/// Names of rotation components that indicate the encoding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum RotationLabels {
-    /// qx, qy, qz, qw, in the order of their letters.
+    /// qx, qy, qz, qw, in any order.
     Quaternion,
     /// roll, pitch, yaw.
     RollPitchYaw,
-    /// A, B, C of KUKA, Doosan and others.
+    /// A, B, C as used by KUKA, Doosan and others.
     Abc,
     /// FANUC's W, P, R.
     Wpr,
@@ -197,67 +197,67 @@ pub enum RotationLabels {
 /// Messages of one topic that could not be decoded.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Undecodable {
-    /// How many.
+    /// Number of messages.
     pub messages: u64,
-    /// Why the first of them could not, in one line.
+    /// Error of the first one, in one line.
     pub first: String,
 }
 
-/// A robot description or a UR's calibration that travelled in the log, but not as a message.
+/// Robot description or UR calibration in the log outside messages.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Description {
-    /// Name of the attachment or the metadata entry.
+    /// Name of the attachment or metadata entry.
     pub name: String,
-    /// The text: XML of a URDF, or YAML of a calibration.
+    /// Text: URDF XML or calibration YAML.
     pub text: String,
 }
 
-/// A part of a file that could not be read.
+/// Part of a file that could not be read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Loss {
     /// The file.
     pub file: PathBuf,
-    /// Where in the file the damage begins, in bytes; `None` where it is not at one place.
+    /// Offset of the damage in the file, in bytes. `None` if it has no single position.
     pub offset: Option<u64>,
-    /// What is wrong there, in one line.
+    /// Description, in one line.
     pub what: String,
-    /// How many messages are lost; `None` where nothing in the file says.
+    /// Number of lost messages. `None` if unknown.
     pub messages: Option<u64>,
-    /// First and last log time of what was there; `None` where nothing in the file says.
+    /// First and last log time of the lost content. `None` if unknown.
     pub span: Option<(Stamp, Stamp)>,
-    /// What kind of content is gone.
+    /// Kind of content lost.
     pub extent: Extent,
 }
 
-/// What a reader of a report should know of a file, though nothing in it is damaged.
+/// Remark about a file that is not damage.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Note {
     /// The file.
     pub file: PathBuf,
-    /// What to know, in one line.
+    /// The remark, in one line.
     pub what: String,
 }
 
-/// Columns of a table that hold what others hold in every row, to the bit, or never change.
+/// Table columns that duplicate others bit by bit or never change.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Repeat {
-    /// The topic that the columns are.
+    /// Topic of the columns.
     pub topic: String,
-    /// The joint, where it is one number of several.
+    /// The joint, if it is one of several numbers.
     pub number: Option<String>,
-    /// The topic or the joint that it repeats; `None` where it is one value throughout.
+    /// Topic or joint that it duplicates. `None` if it is constant.
     pub of: Option<String>,
 }
 
-/// What a [`Loss`] took.
+/// Content affected by a [`Loss`].
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
 pub enum Extent {
-    /// Index, summary, footer or an attachment: every message is there.
+    /// Index, summary, footer or an attachment; no messages.
     Index,
-    /// The end of the file within its last record, as when a recorder is killed.
+    /// End of the file within its last record, for example because the recorder was killed.
     Tail,
-    /// Messages amid the file.
+    /// Messages within the file.
     Messages,
-    /// What this program does not read unasked, and is no damage.
+    /// Content that is skipped by default but not damaged.
     Unread,
 }

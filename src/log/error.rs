@@ -3,34 +3,34 @@ use std::path::{Path, PathBuf};
 
 use super::{Log, RemoteFault, SourceName};
 
-/// What can be read.
+/// Supported formats.
 const EXPECTED: &str = "an MCAP file, a ROS 1 bag, a rosbag2 bag, or a table: CSV, NPY, NPZ, Parquet, HDF5, \
      Zarr, TFRecord, LeRobot, KUKA RSI";
 
-/// Why nothing could be read from the files given.
+/// Reason why nothing could be read from the given files.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
-    /// There is no such file.
+    /// The file does not exist.
     #[error("{}: no such file", SourceName::of(path))]
     NotFound {
         /// The path as given.
         path: PathBuf,
     },
-    /// The file may not be read.
+    /// The file is not readable.
     #[error("{}: permission denied", path.display())]
     Permission {
         /// The path as given.
         path: PathBuf,
     },
-    /// The path is a directory, but not of one recording.
+    /// The path is a directory that does not contain exactly one recording.
     #[error("{}: is a directory {cause}; name the log files in it", path.display())]
     Directory {
         /// The path as given.
         path: PathBuf,
-        /// Why it is not read, after "is a directory".
+        /// Reason why it is not read; follows "is a directory".
         cause: &'static str,
     },
-    /// The same file is among the files more than once.
+    /// The same file is given more than once.
     #[error("{}: is given twice{}; name it once", path.display(), same_as(path, first))]
     Twice {
         /// The path as given the second time.
@@ -44,12 +44,12 @@ pub enum LogError {
         /// The path as given.
         path: PathBuf,
     },
-    /// The operating system refused.
+    /// The operating system reported an error.
     #[error("{}: cannot be read: {source}", path.display())]
     Io {
         /// The path as given.
         path: PathBuf,
-        /// What the operating system said.
+        /// Error of the operating system.
         source: io::Error,
     },
     /// The file has no bytes.
@@ -58,71 +58,71 @@ pub enum LogError {
         /// The path as given.
         path: PathBuf,
     },
-    /// The file is of a known kind that is not read here.
+    /// The file has a known but unsupported format.
     #[error("{}: is {looks}, which is not supported; {instead}", path.display())]
     Unsupported {
         /// The path as given.
         path: PathBuf,
-        /// What it is, with its article.
+        /// Format with its article.
         looks: &'static str,
-        /// What to do about it.
+        /// Suggested action.
         instead: &'static str,
     },
-    /// The file is no log.
+    /// The file is not a log.
     #[error("{}: not a robot log: it looks like {looks}; expected {EXPECTED}", path.display())]
     NotALog {
         /// The path as given.
         path: PathBuf,
-        /// What its first bytes look like.
+        /// Appearance of its first bytes.
         looks: &'static str,
     },
-    /// What is unpacked cannot be kept in a temporary file.
-    #[error("{}: cannot be kept in {}: {source}", path.display(), std::env::temp_dir().display())]
+    /// Unpacked content cannot be stored in a temporary file.
+    #[error("{}: cannot be stored in {}: {source}", path.display(), std::env::temp_dir().display())]
     Temporary {
         /// The path as given.
         path: PathBuf,
-        /// What the operating system said.
+        /// Error of the operating system.
         source: io::Error,
     },
     /// An object in a store cannot be read.
     #[error("{}: {}; {}", url.display(), fault, fault.remedy())]
     Remote {
-        /// Its address, without what may be secret in it.
+        /// Its address without secrets.
         url: PathBuf,
-        /// Why not.
+        /// The reason.
         fault: RemoteFault,
     },
-    /// A table of which nothing says what its columns are.
-    #[error("{}: {what}; say it in [columns] of the config", path.display())]
+    /// The columns of a table are not identified.
+    #[error("{}: {what}; declare it in [columns] of the config", path.display())]
     Columns {
         /// The path as given.
         path: PathBuf,
-        /// What is not known.
+        /// The unidentified content.
         what: String,
     },
-    /// A dataset of more episodes than one audit takes.
+    /// A dataset has more episodes than an audit accepts.
     #[error(
-        "{}: holds more than {most} episodes; name one as FILE#EPISODE, or audit each with `poseaudit fleet`",
+        "{}: has more than {most} episodes; select one as FILE#EPISODE, or audit each with `poseaudit fleet`",
         path.display()
     )]
     Episodes {
         /// The path as given.
         path: PathBuf,
-        /// How many an audit takes.
+        /// Maximum number of episodes.
         most: usize,
     },
-    /// The files are logs, but no message can be read from them.
+    /// The files are logs but contain no readable message.
     #[error("{}: no messages can be read: {cause}", path.display())]
     NoMessages {
         /// The first of the files.
         path: PathBuf,
-        /// The first damage, or that none were recorded.
+        /// The first damage, or that nothing was recorded.
         cause: String,
     },
 }
 
 impl LogError {
-    /// The error for what the operating system said about `path`.
+    /// Converts an operating system error for `path`.
     pub(super) fn io(path: &Path, source: io::Error) -> Self {
         let path = path.to_owned();
         match source.kind() {
@@ -132,7 +132,7 @@ impl LogError {
         }
     }
 
-    /// The error for a log of which no message could be read.
+    /// Error for a log without readable messages.
     pub(super) fn no_messages(log: &Log) -> Self {
         let path = log.files.first().map(|file| file.path.clone()).unwrap_or_default();
         match log.losses.first() {
@@ -148,7 +148,7 @@ impl LogError {
     }
 }
 
-/// Under which other path a file was given, if under another.
+/// Mentions the first path of a repeated file, if it differs.
 fn same_as(path: &Path, first: &Path) -> String {
     if path == first { String::new() } else { format!(", first as {}", first.display()) }
 }

@@ -1,4 +1,4 @@
-//! The files to read, each once.
+//! Input files without duplicates.
 
 use std::collections::HashMap;
 use std::fs;
@@ -13,32 +13,32 @@ use super::remote::Address;
 /// One file to read.
 #[derive(Clone, PartialEq, Eq, Debug)]
 pub(super) struct Input {
-    /// Where it is; of an object in a store, what it is called in reports.
+    /// Path; for an object in a store, its name in reports.
     pub(super) path: PathBuf,
-    /// The object's address, if it is one.
+    /// Address, for an object in a store.
     pub(super) address: Option<Address>,
-    /// Its content, if the caller has it.
+    /// Content, if supplied by the caller.
     pub(super) given: Option<Bytes>,
     /// Whether it is part of a rosbag2 folder.
     pub(super) in_bag: bool,
-    /// How many messages the folder's `metadata.yaml` says it has.
+    /// Number of messages according to the folder's `metadata.yaml`.
     pub(super) recorded: Option<u64>,
-    /// The only episode of it that is wanted, by its name.
+    /// Name of the only wanted episode.
     pub(super) episode: Option<String>,
 }
 
 impl Input {
-    /// A local file that stands alone.
+    /// A single local file.
     pub(super) fn local(path: PathBuf) -> Self {
         Self { path, address: None, given: None, in_bag: false, recorded: None, episode: None }
     }
 
-    /// A file of a rosbag2 folder that nothing is said of.
+    /// A file of a rosbag2 folder without further information.
     pub(super) fn of_bag(path: PathBuf) -> Self {
         Self { in_bag: true, ..Self::local(path) }
     }
 
-    /// Its size; 0 if that cannot be told, as of an object before it is asked for.
+    /// Size; 0 if unknown, as for an object that has not been requested.
     pub(super) fn bytes(&self) -> u64 {
         match &self.given {
             Some(content) => content.len() as u64,
@@ -55,7 +55,7 @@ impl Input {
     }
 }
 
-/// Refuses a file that is given twice, under the same or another path, and a copy of it.
+/// Rejects a file given twice, under the same path or a different one, and copies of it.
 pub(super) fn refuse_repeats(inputs: &[Input]) -> Result<(), LogError> {
     let mut by_size: HashMap<u64, Vec<&Input>> = HashMap::new();
     for input in inputs {
@@ -75,14 +75,14 @@ pub(super) fn refuse_repeats(inputs: &[Input]) -> Result<(), LogError> {
     Ok(())
 }
 
-/// Whether two files of one size are one file, or copies.
+/// Whether two files of equal size are the same file or copies.
 fn is_same(a: &Input, b: &Input) -> bool {
     if let (Ok(a), Ok(b)) = (fs::canonicalize(&a.path), fs::canonicalize(&b.path))
         && a == b
     {
         return true;
     }
-    // Why one cannot be opened is said when it is read.
+    // Errors in opening are reported when the file is read.
     match (a.open(), b.open()) {
         (Ok(a), Ok(b)) => a.bytes() == b.bytes(),
         _ => false,

@@ -1,4 +1,4 @@
-//! A log that is read while it is written, each byte once.
+//! Reads a log while it is being written, each byte once.
 
 use std::fs::{File, Metadata};
 use std::io::{Read, Seek, SeekFrom};
@@ -11,34 +11,35 @@ use super::losses::Losses;
 use super::mcap::Growing;
 use super::{Container, Crc, Log, LogError, LogFile, ReadOptions, mcap as container};
 
-/// Most bytes that are read at once.
+/// Maximum number of bytes read at once.
 const MOST_AT_ONCE: u64 = 64 << 20;
 
-/// How many bytes before what is to be read are looked at again: where they are others, the log was begun again.
+/// Number of bytes before the read position that are compared again: if they changed, the file was
+/// restarted.
 const WITNESSES: usize = 64;
 
-/// What became of a log since it was looked at last.
+/// Change of a log since the last call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Growth {
-    /// No whole record more.
+    /// No further complete record.
     None,
     /// More records were read.
     More,
-    /// The file is another, or shorter: what was read of the one before is forgotten.
+    /// The file was replaced or truncated; earlier content is discarded.
     BegunAgain,
-    /// It is closed, or damaged: nothing more of it can be read so.
+    /// The file is closed or damaged, so following it stops.
     Ended,
 }
 
-/// An MCAP file that is read while it is written. What it holds is kept as columns, and the part of a record that
-/// is there as bytes.
+/// MCAP file that is read while it is being written. Its content is kept as columns, plus the bytes of an
+/// incomplete record.
 pub struct Follow {
     path: PathBuf,
     options: ReadOptions,
     state: State,
 }
 
-/// What was read of one file.
+/// Content read from one file.
 #[derive(Default)]
 struct State {
     file: Option<u64>,
@@ -53,22 +54,22 @@ struct State {
 }
 
 impl Follow {
-    /// Nothing is read yet.
+    /// Follows the file at `path` from its start.
     pub fn of(path: &Path, options: &ReadOptions) -> Self {
         Self { path: path.to_owned(), options: options.clone(), state: State::default() }
     }
 
-    /// Whether the file at `path` begins as an MCAP file does; no other is read so.
+    /// Whether the file at `path` starts like an MCAP file, the only format that can be followed.
     pub fn can(path: &Path) -> bool {
         let mut head = [0; MAGIC.len()];
         let read = File::open(path).and_then(|mut file| file.read_exact(&mut head));
         read.is_ok() && head == MAGIC
     }
 
-    /// Reads what was written since.
+    /// Reads the bytes written since the last call.
     ///
     /// # Errors
-    /// Where the file cannot be read.
+    /// Returns an error if the file cannot be read.
     pub fn advance(&mut self) -> Result<Growth, LogError> {
         let failed = |path: &Path| {
             let path = path.to_owned();
@@ -79,7 +80,7 @@ impl Follow {
         let is_same = self.is_same(&mut file, &metadata).map_err(failed(&self.path))?;
         if !is_same {
             self.state = State::default();
-            // What stands there now is read at the next call: the one before is over first.
+            // The new content is read at the next call, after the previous one is finished.
             return Ok(Growth::BegunAgain);
         }
         if self.state.has_ended {
@@ -100,7 +101,7 @@ impl Follow {
         Ok(self.take(metadata.len()))
     }
 
-    /// Takes the whole records of what was read into columns.
+    /// Adds complete records to the columns.
     fn take(&mut self, bytes: u64) -> Growth {
         let Self { path, options, state } = self;
         if !state.has_begun {
@@ -118,12 +119,12 @@ impl Follow {
         let mut losses = Losses::of(path);
         let options = ReadOptions { progress: None, ..options.clone() };
         state.growing.read(&records, &options, &mut losses, &mut state.intake);
-        // Where it is damaged only reading the whole file tells.
+        // Damage can only be located by reading the whole file.
         state.has_ended = has_end || !losses.is_empty();
         if state.has_ended { Growth::Ended } else { Growth::More }
     }
 
-    /// What was read so far; `None` without a message.
+    /// Content so far. `None` without a message.
     pub fn log(&self) -> Option<Log> {
         let file = LogFile {
             path: self.path.clone(),
@@ -135,12 +136,12 @@ impl Follow {
         (self.state.intake.messages() > 0).then(|| self.state.intake.so_far(vec![file]))
     }
 
-    /// How many bytes were read, each once.
+    /// Number of bytes read, each once.
     pub fn read(&self) -> u64 {
         self.state.read
     }
 
-    /// Whether what was read before is still there.
+    /// Whether the content read before is unchanged.
     fn is_same(&self, file: &mut File, metadata: &Metadata) -> std::io::Result<bool> {
         let state = &self.state;
         if state.read == 0 {
@@ -156,7 +157,7 @@ impl Follow {
     }
 }
 
-/// What tells a file from another that took its place; nothing where the system does not say.
+/// Identity of a file, to detect replacement. `None` if the system does not provide one.
 #[cfg(unix)]
 fn identity(metadata: &Metadata) -> Option<u64> {
     use std::os::unix::fs::MetadataExt;
@@ -175,7 +176,7 @@ mod tests {
     use super::*;
     use crate::testing::{self, Cdr, LogWriter};
 
-    /// A log of so many poses, chunked.
+    /// Chunked log with `count` poses.
     fn poses(first: u64, count: u64) -> Vec<u8> {
         let mut log = LogWriter::default();
         let channel = log.channel("/pose", "geometry_msgs/msg/PoseStamped", testing::POSE_STAMPED);
@@ -214,7 +215,7 @@ mod tests {
                 crate::open(std::slice::from_ref(&path), &ReadOptions::default()).unwrap();
             let log = following.log().unwrap();
             assert_eq!((log.topics, log.messages), (whole_log.topics, whole_log.messages));
-            // The index behind the data is not needed.
+            // The index after the data is not needed.
             assert!(following.read() <= whole.len() as u64);
         }
     }
@@ -224,7 +225,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run.mcap");
         let (first, second) = (poses(100, 500), poses(9000, 700));
-        // Shorter, longer, and another file of the same name.
+        // Shorter, longer, and a different file of the same name.
         for (kept, is_new) in
             [(second.len() / 4, false), (second.len(), false), (second.len(), true)]
         {

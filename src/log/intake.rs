@@ -1,4 +1,4 @@
-//! What every container hands its content to.
+//! Collects the content of all containers.
 
 use std::collections::{HashMap, HashSet};
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -17,24 +17,24 @@ use super::{Description, Extent, Log, LogFile, Loss, Note, Repeat, TableCell, To
 use ground::stream::Columns;
 use ground::time::Stamp;
 
-/// Longest robot description taken from an attachment or metadata, in bytes.
+/// Maximum length of a robot description from an attachment or metadata, in bytes.
 const MAX_DESCRIPTION_BYTES: usize = 16 << 20;
 
-/// Most channels that are told apart. The largest recordings have a few thousand, and an MCAP file has
-/// numbers for half as many.
+/// Maximum number of distinct channels. The largest recordings have a few thousand, and an MCAP file
+/// supports half as many.
 const MAX_CHANNELS: usize = 1 << 17;
 
-/// Most bytes that the schemas of all channels with a use have. What is made of them takes several
-/// times as many.
+/// Maximum total size of the schemas of used channels, in bytes. Their compiled form takes several times as
+/// much.
 const MAX_SCHEMA_BYTES: usize = 32 << 20;
 
-/// Most robot descriptions kept.
+/// Maximum number of robot descriptions.
 const MAX_DESCRIPTIONS: usize = 64;
 
-/// Most notes kept.
+/// Maximum number of notes.
 const MAX_NOTES: usize = 100;
 
-/// Most messages of a batch.
+/// Maximum number of messages in a batch.
 pub(super) const MOST_AT_ONCE: usize = 1 << 14;
 
 /// Collects topics, messages and damage over all files of a run.
@@ -44,9 +44,9 @@ pub(super) struct Intake {
     by_name: HashMap<(String, String), usize>,
     channels: Vec<ChannelOf>,
     by_format: HashMap<FormatKey, ChannelId>,
-    /// Whether there were more channels than are told apart.
+    /// Whether the channel limit was exceeded.
     is_full: bool,
-    /// Bytes of the schemas of channels with a use.
+    /// Total size of the schemas of used channels, in bytes.
     schema_bytes: usize,
     messages: u64,
     descriptions: Vec<Description>,
@@ -56,21 +56,21 @@ pub(super) struct Intake {
     repeats: Option<Vec<Repeat>>,
     robot_type: Option<String>,
     time_column: Option<String>,
-    /// The files that were begun.
+    /// Files started so far.
     files: Vec<PathBuf>,
-    /// What the compressed parts of the file begun last may unpack to.
+    /// Decompression allowance of the current file.
     pub(super) allowance: Allowance,
     unpacker: Unpacker,
 }
 
-/// What makes two channels one: their topic, their encoding and type, and a hash of their schema.
+/// Identity of a channel: topic, encoding, type, and a hash of its schema.
 type FormatKey = (String, String, String, u64);
 
-/// A channel that an [`Intake`] knows.
+/// Channel known to an [`Intake`].
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) struct ChannelId(pub(super) usize);
 
-/// Where a channel is: its topic, and its place among those of the topic.
+/// Location of a channel: its topic, and its index among the topic's channels.
 #[derive(Clone, Copy)]
 pub(super) struct ChannelOf {
     pub(super) topic: usize,
@@ -78,14 +78,14 @@ pub(super) struct ChannelOf {
 }
 
 impl Intake {
-    /// Begins with the next file, of `bytes`.
+    /// Starts the next file, with its size in bytes.
     pub(super) fn begin_file(&mut self, path: &Path, bytes: u64) {
         self.files.push(path.to_owned());
         self.allowance = Allowance::of(bytes, None);
     }
 
-    /// Takes up a channel; one of the same topic and type goes on where the last one stopped.
-    /// `None` where there are more channels than any log has.
+    /// Adds a channel, or returns the existing one with the same topic and type. `None` if there are too
+    /// many.
     pub(super) fn channel(&mut self, topic: &str, format: Format<'_>) -> Option<ChannelId> {
         let key = format_key(topic, format);
         if let Some(&known) = self.by_format.get(&key) {
@@ -101,8 +101,7 @@ impl Intake {
         }
         let decoding = match recipe.map(|recipe| format.plan(recipe)) {
             Some(_) if self.schema_bytes > MAX_SCHEMA_BYTES => {
-                let cause =
-                    format!("the schemas before it have more than {MAX_SCHEMA_BYTES} bytes");
+                let cause = format!("preceding schemas exceed {MAX_SCHEMA_BYTES} bytes");
                 Decoding::Impossible { cause }
             }
             None => Decoding::Ignored,
@@ -121,15 +120,15 @@ impl Intake {
         Some(id)
     }
 
-    /// Why messages of a channel have none to go to: what to call that, and in words.
+    /// Reason why messages have no channel, as extent and text.
     pub(super) fn nowhere(&self) -> (Extent, String) {
         match self.is_full {
-            true => (Extent::Unread, format!("beyond the {MAX_CHANNELS} that are told apart")),
-            false => (Extent::Messages, "that no record describes".to_owned()),
+            true => (Extent::Unread, format!("beyond the limit of {MAX_CHANNELS}")),
+            false => (Extent::Messages, "without a describing record".to_owned()),
         }
     }
 
-    /// The index of the topic of this name and type.
+    /// Index of the topic with this name and type.
     fn topic(&mut self, topic: &str, format: Format<'_>) -> usize {
         let key = (topic.to_owned(), decode::canonical(format.type_name).into_owned());
         *self.by_name.entry(key).or_insert_with(|| {
@@ -147,7 +146,7 @@ impl Intake {
         })
     }
 
-    /// Counts a message, and appends its rows where the channel has columns.
+    /// Counts a message, and appends its rows if the channel has columns.
     pub(super) fn message(&mut self, channel: ChannelId, message: Message<'_>) {
         let ChannelOf { topic, place } = self.channels[channel.0];
         let topic = &mut self.topics[topic].taken;
@@ -166,16 +165,15 @@ impl Intake {
         topic.message(place, &message, self.files.len());
     }
 
-    /// Takes messages out of `batch` in their order, as [`Intake::message`] does; those of different
-    /// topics side by side.
+    /// Processes the messages in `batch` in order, like [`Intake::message`], with topics in parallel.
     pub(super) fn batch(&mut self, batch: &mut Vec<(ChannelId, Message<'_>)>) {
-        /// Fewer are sooner done by one thread.
+        /// Fewer messages are faster on one thread.
         const FEW: usize = 256;
         let is_packed = |(channel, message): &(ChannelId, Message<'_>)| {
             let ChannelOf { topic, place } = self.channels[channel.0];
             self.topics[topic].taken.channels[place].is_packed(message.data)
         };
-        // What packed messages may unpack to is counted in their order.
+        // The allowance for compressed messages is charged in their order.
         if batch.len() < FEW || batch.iter().any(is_packed) {
             return batch.drain(..).for_each(|(channel, message)| self.message(channel, message));
         }
@@ -195,10 +193,10 @@ impl Intake {
         batch.clear();
     }
 
-    /// What it takes to read messages of the channels that are known now beside others; `None` where there
-    /// are very many.
+    /// Data for reading messages of the known channels in another thread. `None` if there are very many
+    /// channels.
     pub(super) fn known(&self) -> Option<Known> {
-        /// Beyond so many channels it takes longer to say which they are than to read a small chunk.
+        /// Number of channels above which this copy takes longer than reading a small chunk.
         const MANY: usize = 1 << 9;
         (self.channels.len() <= MANY).then(|| {
             let topics = self.topics.iter().map(|topic| topic.taken.blank()).collect();
@@ -206,8 +204,8 @@ impl Intake {
         })
     }
 
-    /// Takes over the messages of a part that was read beside, as if they were read now; whether that can
-    /// be. If not, nothing is taken.
+    /// Adds the messages of a part read in another thread, as if they were read now. Returns false and adds
+    /// nothing if that is not possible.
     pub(super) fn join(&mut self, part: Part) -> bool {
         let fits = |(index, taken): &(usize, Taken)| self.topics[*index].taken.fits(taken);
         if !part.topics.iter().all(fits) {
@@ -236,19 +234,19 @@ impl Intake {
         }
     }
 
-    /// Gives a channel whose messages are only counted the columns that its reader made of them.
+    /// Sets the columns of a channel whose messages are only counted.
     pub(super) fn columns(&mut self, channel: ChannelId, columns: Columns) {
         let topic = self.channels[channel.0].topic;
         self.topics[topic].columns = Some(columns);
     }
 
-    /// Says how the columns of a channel were told, and which of a table they are.
+    /// Sets the interpretation and table cells of a channel's columns.
     pub(super) fn read_as(&mut self, channel: ChannelId, how: String, cells: Vec<TableCell>) {
         let topic = &mut self.topics[self.channels[channel.0].topic];
         (topic.read_as, topic.cells) = (Some(how), cells);
     }
 
-    /// Takes down what is declared of `file` and its numbers are not; once, of however many episodes.
+    /// Records a contradiction between a declaration of `file` and its numbers; once for all episodes.
     pub(super) fn contradiction(&mut self, file: &Path, what: String) {
         let known = self.contradictions.get_or_insert_default();
         if known.len() < MAX_NOTES && known.iter().all(|known| known.what != what) {
@@ -256,28 +254,28 @@ impl Intake {
         }
     }
 
-    /// Takes over what repeats in tables.
+    /// Adds duplicate or constant table columns.
     pub(super) fn repeats(&mut self, found: Vec<Repeat>) {
         self.repeats.get_or_insert_default().extend(found);
     }
 
-    /// Takes over that metadata were read, and the type of the robot that they name.
+    /// Records that metadata were read, with the robot type they declare.
     pub(super) fn declared(&mut self, robot: Option<&str>) {
         self.contradictions.get_or_insert_default();
         self.robot_type = self.robot_type.take().or_else(|| robot.map(str::to_owned));
     }
 
-    /// That a column of a table, if one is named, holds times though its name does not say so.
+    /// Records a table column identified as times despite its name, if any.
     pub fn timed_by(&mut self, column: Option<&str>) {
         self.time_column = self.time_column.take().or_else(|| column.map(str::to_owned));
     }
 
-    /// Messages taken so far.
+    /// Number of messages so far.
     pub(super) fn messages(&self) -> u64 {
         self.messages
     }
 
-    /// Keeps a text from beside the messages if it is a robot description, or a UR's calibration.
+    /// Keeps a text from outside messages if it is a robot description or UR calibration.
     pub(super) fn text(&mut self, name: &str, text: &[u8]) {
         if text.len() > MAX_DESCRIPTION_BYTES {
             return;
@@ -298,19 +296,19 @@ impl Intake {
         }
     }
 
-    /// Takes down what a reader of the report should know of `file`, and is no damage.
+    /// Adds a remark about `file` that is not damage.
     pub(super) fn note(&mut self, file: &Path, what: String) {
         if self.notes.len() < MAX_NOTES {
             self.notes.push(Note { file: file.to_owned(), what });
         }
     }
 
-    /// Takes down the damage to a file.
+    /// Adds the damage of a file.
     pub(super) fn losses(&mut self, losses: Losses) {
         self.losses.extend(losses.finish());
     }
 
-    /// The log of what was taken so far; more may be.
+    /// Log of the content so far.
     pub(super) fn so_far(&self, files: Vec<LogFile>) -> Log {
         let copy = Self {
             topics: self.topics.iter().map(TopicIntake::so_far).collect(),
@@ -324,7 +322,7 @@ impl Intake {
         copy.finish(files)
     }
 
-    /// The log of all that was taken from `files`.
+    /// Log of all content of `files`.
     pub(super) fn finish(mut self, files: Vec<LogFile>) -> Log {
         self.note_strangers();
         let mut topics: Vec<Topic> =
@@ -346,7 +344,7 @@ impl Intake {
         }
     }
 
-    /// Says which files do not look like parts of one run.
+    /// Adds notes about files that do not seem to belong to the same run.
     fn note_strangers(&mut self) {
         let mut notes: Vec<(usize, String)> = Vec::new();
         let mut told = HashSet::new();
@@ -357,8 +355,8 @@ impl Intake {
                     notes.push((
                         later,
                         format!(
-                            "{shared_s:.1} s of `{name}` are in {other}, too: \
-                             are they recordings of one run?"
+                            "{shared_s:.1} s of `{name}` are also in {other}: \
+                             are they recordings of the same run?"
                         ),
                     ));
                 }
@@ -366,7 +364,9 @@ impl Intake {
         }
         for (earlier, later, apart_s) in gaps(&self.file_spans()) {
             let (hours, other) = (apart_s / 3600.0, self.file(earlier).display());
-            let what = format!("it begins {hours:.1} h after {other} ends: is it of the same run?");
+            let what = format!(
+                "it begins {hours:.1} h after {other} ends: does it belong to the same run?"
+            );
             notes.push((later, what));
         }
         notes.sort_by_key(|(number, _)| *number);
@@ -376,12 +376,12 @@ impl Intake {
         }
     }
 
-    /// The path of file number `number`, counted from 1.
+    /// Path of file number `number`, counted from 1.
     fn file(&self, number: usize) -> &Path {
         number.checked_sub(1).and_then(|index| self.files.get(index)).map_or(Path::new(""), |p| p)
     }
 
-    /// The span of each file, by its number.
+    /// Span of each file, by number.
     fn file_spans(&self) -> Vec<(usize, Span)> {
         let mut spans: Vec<(usize, Span)> =
             self.topics.iter().flat_map(|topic| &topic.taken.spans).copied().collect();

@@ -3,22 +3,22 @@ use std::path::{Path, PathBuf};
 use super::{Extent, Loss};
 use ground::time::Stamp;
 
-/// Most losses listed of a file; those beyond are counted into the last.
+/// Maximum number of losses listed per file; further ones are merged into the last.
 const MAX_LOSSES: usize = 100;
 
-/// The damage to one file, as a container meets it.
+/// Damage to one file, as found by a container.
 #[derive(Debug)]
 pub(super) struct Losses {
     file: PathBuf,
     list: Vec<Loss>,
-    /// What the damage before took that was met last and is listed with it, where the list is full.
+    /// If the list is full: messages lost by the earlier damage merged with the last entry.
     before_last: Option<Option<u64>>,
-    /// What the damage met last took.
+    /// Messages lost by the latest damage.
     last: Option<u64>,
 }
 
 impl Losses {
-    /// No damage to `file` yet.
+    /// Empty list of damage to `file`.
     pub(super) fn of(file: &Path) -> Self {
         Self { file: file.to_owned(), list: Vec::new(), before_last: None, last: None }
     }
@@ -28,7 +28,7 @@ impl Losses {
         &self.file
     }
 
-    /// Takes down damage at `offset` that took `messages`, if that is known.
+    /// Adds damage at `offset`, with the number of lost `messages` if known.
     pub(super) fn add(
         &mut self,
         offset: usize,
@@ -39,7 +39,7 @@ impl Losses {
         self.add_at(Some(offset as u64), extent, messages, what);
     }
 
-    /// Takes down damage that is not at one place of the file.
+    /// Adds damage without a single position in the file.
     pub(super) fn add_unplaced(&mut self, extent: Extent, messages: Option<u64>, what: String) {
         self.add_at(None, extent, messages, what);
     }
@@ -47,14 +47,14 @@ impl Losses {
     fn add_at(&mut self, offset: Option<u64>, extent: Extent, messages: Option<u64>, what: String) {
         let file = self.file.clone();
         let loss = Loss { file, offset, what, messages, span: None, extent };
-        // What is not read is one thing, however many parts it has.
+        // All skipped content is one entry, regardless of its parts.
         let unread = loss.extent == Extent::Unread;
         let goes_on = unread && self.list.last().is_some_and(|last| last.extent == loss.extent);
         if self.list.len() < MAX_LOSSES && !goes_on {
             (self.last, self.before_last) = (loss.messages, None);
             self.list.push(loss);
         } else if let Some(last) = self.list.last_mut() {
-            const MORE: &str = ", and more damage after that";
+            const MORE: &str = ", and further damage after it";
             if !last.what.ends_with(MORE) && !goes_on {
                 last.what.push_str(MORE);
             }
@@ -65,7 +65,7 @@ impl Losses {
         }
     }
 
-    /// Says that the damage met last took `messages` more.
+    /// Increases the number of messages lost by the latest damage.
     pub(super) fn add_to_last(&mut self, messages: u64) {
         self.last = Some(self.last.unwrap_or(0).saturating_add(messages));
         if let Some(last) = self.list.last_mut() {
@@ -76,7 +76,7 @@ impl Losses {
         }
     }
 
-    /// Says of what time the damage at `offset` is, ns.
+    /// Sets the time span of the damage at `offset`, ns.
     pub(super) fn date(&mut self, offset: usize, first: u64, last: u64) {
         let at = |loss: &&mut Loss| loss.offset == Some(offset as u64);
         let (Ok(first), Ok(last)) = (first.try_into(), last.try_into()) else { return };
@@ -91,8 +91,7 @@ impl Losses {
         }
     }
 
-    /// Settles what is not known by what must be missing in all: `recorded` messages were written,
-    /// as `witness` says, `read` were read.
+    /// Infers unknown losses from the total: `witness` reports `recorded` messages, and `read` were read.
     pub(super) fn settle(&mut self, witness: &str, recorded: u64, read: u64) {
         let known: u64 = self.list.iter().filter_map(|loss| loss.messages).sum();
         let missing = recorded.saturating_sub(read).saturating_sub(known);
@@ -100,7 +99,7 @@ impl Losses {
             self.list.iter_mut().filter(|loss| loss.messages.is_none()).collect();
         match unknown.as_mut_slice() {
             [] if missing > 0 => {
-                let what = format!("{witness} counts {recorded} messages, {read} were found");
+                let what = format!("{witness} counts {recorded} messages, but {read} were found");
                 self.add_unplaced(Extent::Messages, Some(missing), what);
             }
             [only] if missing > 0 => only.messages = Some(missing),
@@ -119,14 +118,14 @@ impl Losses {
         self.list.is_empty()
     }
 
-    /// The damage in the order of bytes.
+    /// Damage in order of offsets.
     pub(super) fn finish(mut self) -> Vec<Loss> {
         self.list.sort_by_key(|loss| loss.offset);
         self.list
     }
 }
 
-/// Records of kinds that a format does not have, which a newer version of it may.
+/// Records of unknown kinds, possibly from a newer version of the format.
 #[derive(Debug, Default)]
 pub(super) struct Unknown {
     count: u64,
@@ -142,19 +141,19 @@ impl Unknown {
         self.count += 1;
     }
 
-    /// What to say of them, where there are any; `name` is what the format calls the kind.
+    /// Note about them, if any; `name` is the format's term for the kind.
     pub(super) fn said(&self, name: &str) -> Option<String> {
         let (count, first) = (self.count, self.first);
         (count > 0).then(|| match count {
-            1 => format!("a record of an unknown kind ({name} {first:#04x}) was passed over"),
-            _ => format!(
-                "{count} records of unknown kinds were passed over (the first: {name} {first:#04x})"
-            ),
+            1 => format!("skipped a record of unknown kind ({name} {first:#04x})"),
+            _ => {
+                format!("skipped {count} records of unknown kinds (the first: {name} {first:#04x})")
+            }
         })
     }
 }
 
-/// What two damages took together; unknown where that of one is.
+/// Sum of two losses; unknown if one is.
 fn sum(a: Option<u64>, b: Option<u64>) -> Option<u64> {
     Some(a?.saturating_add(b?))
 }
@@ -183,7 +182,7 @@ mod tests {
             }
             losses
         };
-        // A lost chunk, of which two indices count the messages.
+        // A lost chunk whose messages are counted by two indices.
         let with_chunk = |mut losses: Losses| {
             losses.add(1000, Extent::Messages, None, "broken".to_owned());
             losses.add_to_last(3);

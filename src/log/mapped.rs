@@ -27,10 +27,10 @@ impl AsRef<[u8]> for Mapped {
 }
 
 impl Mapped {
-    /// Maps a file into memory, or says in one line why it cannot be read.
+    /// Maps a file into memory, or returns the reason why it cannot be read.
     pub(super) fn open(path: &Path) -> Result<Self, LogError> {
         let io_error = |source: io::Error| LogError::io(path, source);
-        // Before it is opened: a pipe would wait for somebody to write to it.
+        // Check before opening: a pipe would block.
         let metadata = fs::metadata(path).map_err(io_error)?;
         if !metadata.is_file() {
             return Err(LogError::NotAFile { path: path.to_owned() });
@@ -42,7 +42,7 @@ impl Mapped {
         place::map(&file, metadata.len()).map(Self).map_err(io_error)
     }
 
-    /// The content of the file at `path`, which the caller has.
+    /// Content of the file at `path`, supplied by the caller.
     pub(super) fn given(path: &Path, content: &Bytes) -> Result<Self, LogError> {
         match content.is_empty() {
             true => Err(LogError::Empty { path: path.to_owned() }),
@@ -50,7 +50,7 @@ impl Mapped {
         }
     }
 
-    /// What was kept and nobody else knows.
+    /// Content of a temporary file.
     pub(super) fn of(kept: &Temporary) -> io::Result<Self> {
         let mapped = place::kept(kept).map(Self)?;
         if mapped.bytes().is_empty() {
@@ -66,11 +66,11 @@ impl Mapped {
     }
 }
 
-/// How parts of a file in memory will be looked at.
+/// Access pattern of a file in memory.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Looks {
-    /// At single places far from each other: what is between them shall not be read from the disk.
+    /// Single distant positions; the bytes between them should not be read from the disk.
     Scattered,
-    /// At all of it, soon.
+    /// The whole file, soon.
     Whole,
 }

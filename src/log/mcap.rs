@@ -1,8 +1,8 @@
-//! MCAP files, read from their first byte to their last, past what is damaged.
+//! MCAP files, read from the first byte to the last, skipping damage.
 //!
-//! The summary is looked at first, because it repeats the schemas and channels that a damaged chunk
-//! would take with it. The messages are then found by walking the records themselves, so that files
-//! with and without an index are read alike.
+//! The summary is read first, because it repeats schemas and channels that a damaged chunk may have lost.
+//! Messages are then found by walking the records, so files with and without an index are read the same
+//! way.
 
 mod advice;
 mod chunks;
@@ -37,15 +37,15 @@ pub(super) use self::growing::{Growing, whole_records};
 #[cfg(feature = "cloud")]
 pub(super) use self::survey::{Survey, survey};
 
-/// What would have to be read of a file stands at this byte, which is not there.
+/// Required byte offset of a file that has not been fetched.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) struct Absent(pub(super) usize);
 
-/// Reads the file `bytes`, which begin with [`MAGIC`], into `intake`. Nothing is looked at but what
-/// is `present` of it, which must be what [`survey`](survey::survey) asks for.
+/// Reads the file `bytes`, which start with [`MAGIC`], into `intake`. Accesses only the `present` bytes,
+/// which must cover those requested by [`survey`](survey::survey).
 ///
 /// # Errors
-/// Where it is not; what was read till then is of no use.
+/// Returns an error if they do not; the partial result must be discarded.
 pub(super) fn read(
     bytes: &[u8],
     present: &Present,
@@ -69,44 +69,45 @@ pub(super) fn read(
 
 struct Reader<'a, 'r, 'scope> {
     bytes: &'a [u8],
-    /// What of them is there.
+    /// Available bytes.
     present: &'r Present,
-    /// The first that was needed and is not there.
+    /// First required byte that is not available.
     absent: Option<Absent>,
     options: &'r ReadOptions,
     intake: &'r mut Intake,
     losses: &'r mut Losses,
     ahead: &'r mut Ahead<'scope, 'a>,
-    /// Up to where chunks were handed in to be unpacked; `None` where no record follows.
+    /// Offset up to which chunks have been queued for decompression. `None` if no record follows.
     scanned: Option<usize>,
     definitions: Definitions,
-    /// They as they are now, for those who read chunks ahead; `None` until they are asked for.
+    /// Snapshot of the definitions for parallel parsing. `None` until requested.
     table: Option<Arc<Table>>,
-    /// How often they were asked for anew.
+    /// Number of snapshots.
     tables: u32,
-    /// Whether most of a chunk was passed over: what is wanted of those after it is then asked for alone.
+    /// Whether most of a chunk was skipped; the wanted parts of the following ones are then fetched
+    /// separately.
     is_scattered: bool,
-    /// Messages under a checksum that held.
+    /// Number of messages with a verified checksum.
     covered: u64,
-    /// Messages of channels that no record describes: how many, and where the first is.
+    /// Messages of undescribed channels: their number and the offset of the first.
     orphans: Option<(u64, usize)>,
-    /// Records of kinds that the format does not have.
+    /// Records of unknown kinds.
     unknown: Unknown,
-    /// Whether the record before belongs to a chunk that was lost.
+    /// Whether the previous record belongs to a lost chunk.
     in_lost_chunk: bool,
-    /// Whether a chunk was met.
+    /// Whether a chunk was found.
     has_chunks: bool,
-    /// Where the zeros begin that the file ends in, once that was asked.
+    /// Start of trailing zeros, once computed.
     zeros_from: OnceCell<usize>,
 }
 
-/// The schemas and channels as they were read last; chunks repeat them.
+/// Latest schemas and channels; chunks repeat them.
 #[derive(Clone, Default)]
 struct Definitions {
     schemas: HashMap<u16, Arc<Schema>>,
     /// By channel id.
     channels: Vec<Option<Arc<Channel>>>,
-    /// How often one became another.
+    /// Number of redefinitions.
     changes: u64,
 }
 
@@ -115,19 +116,19 @@ impl Definitions {
         self.channels.get(usize::from(channel_id))?.as_ref()?.id
     }
 
-    /// Whether the schema that a record has is the one known.
+    /// Whether a record's schema equals the known one.
     fn has_schema(&self, schema: &record::Schema<'_>) -> bool {
         self.schemas.get(&schema.id).is_some_and(|known| known.is(schema))
     }
 
-    /// Whether the channel that a record has is the one known.
+    /// Whether a record's channel equals the known one.
     fn has_channel(&self, channel: &record::Channel<'_>) -> bool {
         let known = self.channels.get(usize::from(channel.id)).and_then(Option::as_ref);
         known.is_some_and(|known| known.is(channel))
     }
 }
 
-/// A schema as it was read last.
+/// Latest version of a schema.
 struct Schema {
     name: String,
     encoding: String,
@@ -135,16 +136,16 @@ struct Schema {
 }
 
 impl Schema {
-    /// Whether it is what a record says.
+    /// Whether it equals a record.
     fn is(&self, schema: &record::Schema<'_>) -> bool {
         (self.name.as_str(), self.encoding.as_str(), self.data.as_slice())
             == (schema.name, schema.encoding, schema.data)
     }
 }
 
-/// A channel as it was read last.
+/// Latest version of a channel.
 struct Channel {
-    /// `None` where there are too many channels to take it.
+    /// `None` if there are too many channels.
     id: Option<ChannelId>,
     schema_id: u16,
     topic: String,
@@ -152,41 +153,41 @@ struct Channel {
 }
 
 impl Channel {
-    /// Whether it is what a record says.
+    /// Whether it equals a record.
     fn is(&self, channel: &record::Channel<'_>) -> bool {
         (self.schema_id, self.topic.as_str(), self.encoding.as_str())
             == (channel.schema_id, channel.topic, channel.encoding)
     }
 }
 
-/// What the end of the file says of the rest.
+/// Information from the end of the file.
 enum Summary {
-    /// Nothing: the file was not closed.
+    /// None: the file was not closed.
     Unclosed,
     /// The file was closed; its messages may have been counted.
     Closed { messages: Option<u64> },
 }
 
-/// What of a chunk is of use.
+/// Usable content of a chunk.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum Use {
-    /// Most of it, or that cannot be told: it is unpacked and its checksum looked at.
+    /// Most of it, or unknown: it is decompressed and its checksum verified.
     All,
-    /// Some messages between larger ones. It is not packed, and the others are passed over.
+    /// Some messages between larger ones. The chunk is uncompressed, and the others are skipped.
     Some,
-    /// How many messages it has, which its index says.
+    /// Only the number of messages, from its index.
     Counts,
-    /// What is not there.
+    /// Not available.
     Absent,
 }
 
-/// How the walk over the data section ended.
+/// End of the data section.
 enum End<'a> {
     /// At the record that closes it.
     Closed(Frame<'a>),
-    /// After a whole record, at the end of the file.
+    /// After a complete record, at the end of the file.
     Open,
-    /// In damage, which was taken down.
+    /// In damage, which was recorded.
     Damaged,
 }
 
@@ -223,7 +224,7 @@ impl<'a, 'r, 'scope> Reader<'a, 'r, 'scope> {
 }
 
 impl<'a> Reader<'a, '_, '_> {
-    /// Takes schemas and channels from the summary, if the file has one.
+    /// Reads schemas and channels from the summary, if the file has one.
     fn summary(&mut self) -> Summary {
         let Some(content) = self.bytes.strip_suffix(MAGIC) else {
             let magic = self.bytes.len().saturating_sub(MAGIC.len());
@@ -239,7 +240,7 @@ impl<'a> Reader<'a, '_, '_> {
             _ => None,
         };
         let Some(footer) = footer else {
-            self.lose_summary(footer_start, "there is no footer before the end of the file");
+            self.lose_summary(footer_start, "no footer before the end of the file");
             return Summary::Closed { messages: None };
         };
         let start = usize::try_from(footer.summary_start).unwrap_or(usize::MAX);
@@ -254,14 +255,14 @@ impl<'a> Reader<'a, '_, '_> {
         if !self.is_there(start..footer_start) {
             return Summary::Unclosed;
         }
-        // The checksum covers the footer, too, up to itself.
+        // The checksum also covers the footer, up to itself.
         let covered = &content[start..content.len() - size_of::<u32>()];
         if footer.summary_crc != 0 && crc32fast::hash(covered) != footer.summary_crc {
             self.lose_summary(start, "the summary fails its checksum");
             return Summary::Closed { messages: None };
         }
         let mut messages = None;
-        // Schemas first: a channel may stand before its schema.
+        // Schemas first: a channel may precede its schema.
         for wanted in [op::SCHEMA, op::CHANNEL, op::STATISTICS] {
             let frames = record::frames(records, start).flatten();
             for frame in frames.filter(|frame| frame.opcode == wanted) {
@@ -285,8 +286,8 @@ impl<'a> Reader<'a, '_, '_> {
     fn walk(&mut self) -> End<'a> {
         let mut unpacker = Unpacker::default();
         let mut offset = MAGIC.len();
-        // Where to look for the next chunk should the records not go on at `offset`: it may be the
-        // record before that said a wrong length.
+        // Where to search for the next chunk if no record starts at `offset`: the previous record may have
+        // a wrong length.
         let mut sound = offset;
         while offset < self.bytes.len() {
             self.options.at(offset);
@@ -303,14 +304,15 @@ impl<'a> Reader<'a, '_, '_> {
                     sound = if intact { frame.end() } else { offset + 1 };
                     offset = frame.end();
                 }
-                // What comes after it must be searched.
+                // The rest must be searched.
                 Err(_) if !self.is_there(sound..self.bytes.len()) => return End::Damaged,
                 Err(broken) => {
                     let Some(next) = self.next_record(sound) else {
                         self.lose_rest(offset, broken, &mut unpacker);
                         return End::Damaged;
                     };
-                    let what = format!("expected a record, found {broken}; read on at byte {next}");
+                    let what =
+                        format!("expected a record, found {broken}; continued at byte {next}");
                     self.losses.add(offset, Extent::Messages, None, what);
                     (offset, sound) = (next, next + 1);
                     self.scanned = Some(next);
@@ -320,8 +322,8 @@ impl<'a> Reader<'a, '_, '_> {
         End::Open
     }
 
-    /// Where to read on after damage, at `from` or after it. Chunks hold pieces that look like
-    /// messages, so that these are sought only in a file without chunks.
+    /// Offset at which to continue after damage, from `from` on. Chunks contain bytes that look like
+    /// messages, so messages are searched only in files without chunks.
     fn next_record(&self, from: usize) -> Option<usize> {
         let channels = &self.definitions.channels;
         let is_known = |id: u16| matches!(channels.get(usize::from(id)), Some(Some(_)));
@@ -332,19 +334,19 @@ impl<'a> Reader<'a, '_, '_> {
         })
     }
 
-    /// Where the zeros begin that the file ends in: there may be gigabytes of them.
+    /// Start of the trailing zeros, of which there may be gigabytes.
     fn zeros_from(&self) -> usize {
         *self.zeros_from.get_or_init(|| record::trailing_zeros(self.bytes))
     }
 
-    /// Reads one record of the data section; whether its length is beyond doubt.
+    /// Reads one record of the data section. Returns whether its length is reliable.
     fn record(&mut self, frame: &Frame<'a>, unpacker: &mut Unpacker) -> bool {
         let in_lost_chunk = std::mem::take(&mut self.in_lost_chunk);
         match frame.opcode {
             op::CHUNK => return self.chunk(frame, unpacker),
             _ if !self.is_there(frame.offset..frame.end()) => {}
             op::MESSAGE_INDEX if in_lost_chunk => {
-                // The index of a lost chunk says how many messages were in it.
+                // The index of a lost chunk contains its number of messages.
                 let index = record::MessageIndex::parse(frame.body);
                 self.losses.add_to_last(index.map_or(0, |index| index.count()));
                 self.in_lost_chunk = true;
@@ -362,7 +364,7 @@ impl<'a> Reader<'a, '_, '_> {
         false
     }
 
-    /// Reads a schema, channel or message, which is put into `batch`; `None` if it is malformed.
+    /// Reads a schema or channel, or a message, which is added to `batch`. `None` if it is malformed.
     fn content<'m>(
         &mut self,
         frame: &Frame<'m>,
@@ -370,7 +372,7 @@ impl<'a> Reader<'a, '_, '_> {
         batch: &mut Vec<(ChannelId, Message<'m>)>,
     ) -> Option<()> {
         if frame.opcode != op::MESSAGE {
-            // From 0x80 on opcodes are for private use.
+            // Opcodes from 0x80 are for private use.
             if (op::DATA_END + 1..0x80).contains(&frame.opcode) {
                 self.unknown.see(frame.opcode);
             }
@@ -397,7 +399,7 @@ impl<'a> Reader<'a, '_, '_> {
         self.losses.add(offset, extent, messages, what);
     }
 
-    /// Takes down that no record can be read from `offset` on, and reads what is left of a chunk.
+    /// Records the damage at `offset` and salvages the rest of the chunk.
     fn lose_rest(&mut self, offset: usize, broken: Broken<'a>, unpacker: &mut Unpacker) {
         let closed = self.bytes.ends_with(MAGIC);
         let (extent, messages, what) = match broken {
@@ -409,7 +411,7 @@ impl<'a> Reader<'a, '_, '_> {
                 }
                 let saved = self.intake.messages() - before;
                 let what =
-                    format!("the file ends within a chunk; {saved} messages of it were read");
+                    format!("the file ends within a chunk; {saved} of its messages were read");
                 (Extent::Tail, None, what)
             }
             Broken::Cut { opcode: op::MESSAGE, .. } if !closed => {
@@ -422,14 +424,14 @@ impl<'a> Reader<'a, '_, '_> {
                 (Extent::Tail, None, "the file ends in zeros, as after a crash".to_owned())
             }
             _ => {
-                let what = format!("expected a record, found {broken}; nothing after it was read");
+                let what = format!("expected a record, found {broken}; the rest was not read");
                 (Extent::Messages, None, what)
             }
         };
         self.losses.add(offset, extent, messages, what);
     }
 
-    /// Holds what was read against what the end of the file says.
+    /// Compares the messages read with the count at the end of the file.
     fn close(&mut self, summary: &Summary, end: End<'_>, read: u64) {
         if let Some(what) = self.unknown.said("opcode") {
             self.intake.note(self.losses.file(), what);
@@ -454,7 +456,7 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// Checks the checksum over the whole data section, which the record `end` closes.
+    /// Verifies the checksum of the data section, which the record `end` closes.
     fn check_data(&mut self, end: &Frame<'_>, read: u64) {
         let crc = match end.opcode {
             op::DATA_END => record::data_crc(end.body).unwrap_or(0),
@@ -468,9 +470,9 @@ impl<'a> Reader<'a, '_, '_> {
         } else if self.losses.is_empty() {
             let what = "the data section fails its checksum";
             if self.covered == read {
-                self.lose_summary(end.offset, &format!("{what}, though every chunk holds"));
+                self.lose_summary(end.offset, &format!("{what}, although every chunk is intact"));
             } else {
-                let what = format!("{what}: messages outside of chunks may be altered");
+                let what = format!("{what}: messages outside chunks may be altered");
                 self.losses.add(end.offset, Extent::Messages, None, what);
             }
         }

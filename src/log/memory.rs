@@ -1,21 +1,21 @@
-//! How much memory the numbers of tables may take.
+//! Memory limit for numbers from tables.
 //!
-//! A few kilobytes of a table can declare gigabytes of numbers: by compression, by run lengths, by chunks that
-//! are not there. Every reader of tables counts its numbers here before it asks for their memory.
+//! A few kilobytes of a table can declare gigabytes of numbers by compression, run lengths or missing
+//! chunks. Every table reader counts its numbers here before allocating memory.
 
 use super::Extent;
 
-/// The memory that the numbers of all files of a run may take.
+/// Memory for the numbers of all files of a run.
 #[derive(Debug)]
 pub(super) struct Memory {
     limit: u64,
     used: u64,
 }
 
-/// Numbers that are not read, because they would take more than the limit.
+/// Numbers that are not read because they exceed the limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{} MiB of numbers are not read: with them the tables would take more than {} MiB; allow more with \
+    "{} MiB of numbers not read: the tables would need more than {} MiB; raise the limit with \
      --max-unpacked GIB",
     bytes.div_ceil(1 << 20),
     limit >> 20
@@ -30,24 +30,24 @@ impl OutOfMemory {
 }
 
 impl Memory {
-    /// What a run may take however small its files are: 4 million numbers. An audit takes up to seven times as
-    /// much in all.
+    /// Base limit of a run regardless of file sizes: 4 million numbers. An audit needs up to seven times as
+    /// much in total.
     const BASE: u64 = 32 << 20;
-    /// What each byte of a file may take beyond that: 4 numbers. Episodes of LeRobot (Parquet) and robomimic
-    /// (HDF5 with gzip) need 1 to 4 bytes for a number.
+    /// Additional limit per byte of a file: 4 numbers. Episodes of LeRobot (Parquet) and robomimic (HDF5
+    /// with gzip) need 1 to 4 bytes per number.
     const RATIO: u64 = 32;
 
-    /// The memory of a run, and as many GiB as were asked for.
+    /// Limit of a run, at least the requested GiB.
     pub(super) fn of(asked_gib: Option<u32>) -> Self {
         Self { limit: Self::BASE.max(u64::from(asked_gib.unwrap_or(0)) << 30), used: 0 }
     }
 
-    /// Adds what a file of `bytes` may take.
+    /// Increases the limit for a file of `bytes`.
     pub(super) fn add_file(&mut self, bytes: u64) {
         self.limit = self.limit.saturating_add(bytes.saturating_mul(Self::RATIO));
     }
 
-    /// Counts `numbers` that are to be kept.
+    /// Counts `numbers` to be kept.
     pub(super) fn take(&mut self, numbers: usize) -> Result<(), OutOfMemory> {
         self.take_bytes((numbers as u64).saturating_mul(8))
     }
@@ -62,7 +62,7 @@ impl Memory {
         Ok(())
     }
 
-    /// Whether `bytes` may be used for a moment.
+    /// Whether `bytes` may be used temporarily.
     pub(super) fn allows(&self, bytes: u64) -> Result<(), OutOfMemory> {
         match self.used.saturating_add(bytes) > self.limit {
             true => Err(OutOfMemory { bytes, limit: self.limit }),
@@ -70,12 +70,12 @@ impl Memory {
         }
     }
 
-    /// The bytes that are left.
+    /// Remaining bytes.
     pub(super) fn left(&self) -> u64 {
         self.limit.saturating_sub(self.used)
     }
 
-    /// Gives back what was taken for numbers that are not kept.
+    /// Releases memory counted for numbers that are not kept.
     pub(super) fn give_back(&mut self, numbers: usize) {
         self.used = self.used.saturating_sub((numbers as u64).saturating_mul(8));
     }
@@ -91,11 +91,11 @@ mod tests {
         memory.add_file(1000);
         assert_eq!(memory.take((4 << 20) + 4001).map_err(|it| it.limit), Err((32 << 20) + 32_000));
         memory.take(4 << 20).expect("within the base");
-        memory.take(4000).expect("within the file's own");
+        memory.take(4000).expect("within the limit of the file");
         let refusal = memory.take(1).expect_err("beyond").to_string();
         assert!(refusal.contains("--max-unpacked") && !refusal.contains('\n'), "{refusal}");
         memory.give_back(1);
-        memory.take(1).expect("as much as was given back");
+        memory.take(1).expect("as much as was released");
         assert!(memory.allows(u64::MAX).is_err());
         Memory::of(Some(1)).take(1 << 27).expect("as asked for");
     }

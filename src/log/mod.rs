@@ -1,14 +1,14 @@
-//! Log files in, columns out: containers, and the decoding of messages by the schema in the log.
+//! Reads log files into columns: containers, and decoding of messages by the schema in the log.
 //!
-//! [`open`] reads whole files. What a file is, is told from its bytes and never from its name. Each
-//! container walks its records and hands schemas and messages to one `Intake`, which knows from the
-//! registry in `decode` which types have columns; every other topic is counted and listed.
+//! [`open`] reads whole files. The format of a file is identified by its bytes, never by its name. Each
+//! container walks its records and passes schemas and messages to one `Intake`. The registry in `decode`
+//! lists the types with columns; all other topics are counted and listed.
 //!
-//! Nothing in a file may stop the reading of what is sound in it: damage becomes a [`Loss`], a topic
-//! that cannot be decoded becomes [`Undecodable`], and only a file of which nothing can be read is a
-//! [`LogError`]. What a stream means is decided further up.
+//! Damage must not prevent reading the intact parts. It becomes a [`Loss`], and an undecodable topic
+//! becomes [`Undecodable`]. Only a file from which nothing can be read is a [`LogError`]. The meaning of a
+//! stream is determined elsewhere.
 #![warn(missing_docs, clippy::unwrap_used)]
-#![cfg_attr(target_arch = "wasm32", allow(dead_code, reason = "the reader of databases uses it"))]
+#![cfg_attr(target_arch = "wasm32", allow(dead_code, reason = "used by the database reader"))]
 
 mod ahead;
 mod contained;
@@ -65,21 +65,21 @@ pub use self::tables::{
     is_store,
 };
 
-/// The local file that `path` names, itself or as a `file://` URL; `None` for an object in a store.
+/// Local file named by `path`, directly or as a `file://` URL. `None` for an object in a store.
 pub fn local(path: &Path) -> Option<PathBuf> {
     let is_url = is_url(path);
     (!is_url).then(|| remote::local(path).unwrap_or_else(|| path.to_owned()))
 }
 
-/// How much of a file's beginning [`looks_like_log`] wants to see, in bytes.
+/// Number of leading bytes that [`looks_like_log`] needs.
 pub const HEAD_BYTES: u64 = 4096;
 
-/// Whether the file at `path` holds a table, by its first bytes.
+/// Whether the file at `path` is a table, according to its first bytes.
 pub fn is_table(path: &Path) -> bool {
     is_store(path) || matches!(kind_of(path), Some(sniff::Kind::Table(_)))
 }
 
-/// The files beside the log file at `path` that are read with it, whether they exist or not.
+/// Files read together with the log file at `path`, whether they exist or not.
 pub fn sidecars(path: &Path) -> Vec<PathBuf> {
     match kind_of(path) {
         Some(sniff::Kind::Sqlite) => {
@@ -95,7 +95,7 @@ pub fn sidecars(path: &Path) -> Vec<PathBuf> {
     }
 }
 
-/// What the file at `path` is, by its first bytes; `None` if it cannot be read.
+/// Format of the file at `path` from its first bytes. `None` if it cannot be read.
 fn kind_of(path: &Path) -> Option<sniff::Kind> {
     let is_file = std::fs::metadata(path).is_ok_and(|metadata| metadata.is_file());
     let mut head = Vec::new();
@@ -104,11 +104,11 @@ fn kind_of(path: &Path) -> Option<sniff::Kind> {
     Some(sniff::kind(&head))
 }
 
-/// Whether a file that begins with `head` may be a log: of a zstd archive only reading it tells.
+/// Whether a file starting with `head` may be a log. A zstd archive must be read to know.
 pub fn looks_like_log(head: &[u8]) -> bool {
     match sniff::kind(head) {
         sniff::Kind::Known { .. } | sniff::Kind::Unknown { .. } => false,
-        // Without times it may be anything.
+        // A table without times may be anything.
         sniff::Kind::Table(tables::Kind::Csv) => tables::has_time(head),
         _ => true,
     }

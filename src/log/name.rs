@@ -1,4 +1,4 @@
-//! What a log is called wherever somebody may read it.
+//! Display name of a log, without secrets.
 
 use std::fmt;
 use std::fs;
@@ -6,14 +6,15 @@ use std::path::{Path, PathBuf};
 
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC};
 
-/// The name of a log in reports, tables and messages: its path, or its URL without what may be secret in it.
-/// That is a user and a password before the host, and what follows `?` or `#`. Of what looks like a URL and
-/// is none, such as one with a misspelt scheme, the same is left out.
+/// Name of a log in reports, tables and messages: its path, or its URL without secrets.
+///
+/// Secrets are user and password before the host, and everything after `?` or `#`. They are also removed
+/// from texts that only look like a URL, for example with a misspelt scheme.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Debug)]
 pub struct SourceName(String);
 
 impl SourceName {
-    /// The name of the log at `path`, or at the URL that it is.
+    /// Name of the log at `path`, which may be a URL.
     pub fn of(path: &Path) -> Self {
         let text = path.to_string_lossy();
         Self(match text.split_once("://") {
@@ -45,29 +46,29 @@ impl From<SourceName> for PathBuf {
     }
 }
 
-/// What is escaped in a path that becomes a part of a URI.
+/// Characters escaped in a path that becomes part of a URI.
 pub const ESCAPED: &AsciiSet =
     &NON_ALPHANUMERIC.remove(b'/').remove(b'.').remove(b'_').remove(b'-').remove(b'~');
 
-/// Whether `text` is what may stand before `://`.
+/// Whether `text` is a valid URL scheme.
 pub(super) fn is_scheme(text: &str) -> bool {
     text.len() > 1
         && text.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"+-.".contains(&byte))
 }
 
-/// What follows `://`, without what may be secret in it.
+/// Removes secrets from the text after `://`.
 fn without_secrets<'a>(scheme: &str, rest: &'a str) -> &'a str {
     let rest = match scheme {
-        // In a key `?` is a character as any other.
+        // `?` is an ordinary character in object keys.
         "s3" | "s3a" | "gs" | "az" | "abfs" | "abfss" => without_values(rest),
         _ => rest.split(['?', '#']).next().unwrap_or_default(),
     };
     let authority = rest.split('/').next().unwrap_or_default();
     match authority.rsplit_once('@') {
-        // In Azure's URLs a container stands there.
+        // In Azure URLs this is the container.
         Some((container, _)) if scheme.starts_with("abfs") && !container.contains(':') => rest,
         Some((secret, _)) => &rest[secret.len() + 1..],
-        // A password with a slash.
+        // A password containing a slash.
         None if !has_port_at_most(authority) => match rest.rsplit_once('@') {
             Some((_, rest)) => rest,
             None => "…",
@@ -76,14 +77,14 @@ fn without_secrets<'a>(scheme: &str, rest: &'a str) -> &'a str {
     }
 }
 
-/// Whether nothing follows a host but a port.
+/// Whether a host is followed by a port at most.
 fn has_port_at_most(authority: &str) -> bool {
     let host = authority.rsplit_once(']').map_or(authority, |(_, behind)| behind);
     let port = host.split_once(':').map_or("", |(_, port)| port);
     port.bytes().all(|byte| byte.is_ascii_digit())
 }
 
-/// What stands before the first `?` or `#` that is followed by a value.
+/// Text before the first `?` or `#` that is followed by a value.
 fn without_values(text: &str) -> &str {
     let is_followed = |at: &usize| text[*at..].contains('=');
     text.find(['?', '#']).filter(is_followed).map_or(text, |at| &text[..at])

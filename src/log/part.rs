@@ -1,24 +1,23 @@
-//! Parts of a file, each read by one thread into columns of its own, which are joined in the order of the
-//! file.
+//! Parts of a file, each read by one thread into separate columns and joined in file order.
 //!
-//! A thread knows the channels that were known when it was given its part. What it cannot do alone, because
-//! it depends on what stands before its part, it leaves to the reader.
+//! A thread knows the channels that were known when its part was assigned. Content that depends on earlier
+//! parts is left to the main reader.
 
 use super::intake::{ChannelId, ChannelOf};
 use super::topic::{Blank, Message, Taken};
 
 /// Reads the records of a part.
 pub(super) trait Records: Send + Sync {
-    /// What the `records` of the part at byte `offset` of the file hold; `None` where they must be read in
-    /// the order of the file.
+    /// Parses the `records` of the part at byte `offset` of the file. `None` if they must be read in file
+    /// order.
     fn part(&self, records: &[u8], offset: usize) -> Option<Part>;
 }
 
-/// The channels that were known at some time.
+/// Snapshot of the known channels.
 pub(super) struct Known {
     topics: Vec<Blank>,
     channels: Vec<ChannelOf>,
-    /// The number of the file.
+    /// Number of the file.
     file: usize,
 }
 
@@ -27,31 +26,31 @@ impl Known {
         Self { topics, channels, file }
     }
 
-    /// A part of which nothing is read yet.
+    /// Reader for an empty part.
     pub(super) fn part(&self) -> PartReader<'_> {
         PartReader { known: self, places: vec![None; self.topics.len()], part: Part::default() }
     }
 }
 
-/// What one thread read of a part: of each topic in it the rows.
+/// Rows read by one thread from a part, by topic.
 #[derive(Default)]
 pub(super) struct Part {
     pub(super) topics: Vec<(usize, Taken)>,
-    /// How often a definition had become another, of those by which it was read.
+    /// Number of redefinitions before the part was read.
     pub(super) changes: u64,
 }
 
-/// A part while it is read.
+/// Part being read.
 pub(super) struct PartReader<'a> {
     known: &'a Known,
-    /// Where each topic is among those of the part.
+    /// Index of each topic in the part.
     places: Vec<Option<usize>>,
     part: Part,
 }
 
 impl PartReader<'_> {
-    /// Counts a message, and appends its rows where the channel has columns; `None` where that must be
-    /// done in the order of the file.
+    /// Counts a message, and appends its rows if the channel has columns. `None` if it must be read in file
+    /// order.
     pub(super) fn message(&mut self, channel: ChannelId, message: &Message<'_>) -> Option<()> {
         let ChannelOf { topic, place } = *self.known.channels.get(channel.0)?;
         let topics = &mut self.part.topics;
@@ -60,7 +59,7 @@ impl PartReader<'_> {
             topics.len() - 1
         });
         let taken = &mut topics[at].1;
-        // What messages may unpack to is counted over the file, and so are those that are repeated.
+        // The decompression allowance and latched messages are tracked over the whole file.
         if message.latched || taken.channels[place].is_packed(message.data) {
             return None;
         }
@@ -68,7 +67,7 @@ impl PartReader<'_> {
         Some(())
     }
 
-    /// What was read, by definitions that had changed so often.
+    /// Finished part, with the number of redefinitions before it.
     pub(super) fn done(self, changes: u64) -> Part {
         Part { changes, ..self.part }
     }

@@ -1,5 +1,5 @@
-//! Tables of postures: rows of joint positions and of the pose that was measured there, without stamps,
-//! as calibration cells make them. The rows' order is all there is of time.
+//! Calibration tables: rows of joint positions and the pose measured there, without stamps. The order of
+//! the rows is the only information about time.
 
 use std::fs::File;
 use std::io::Read;
@@ -9,37 +9,37 @@ use csv::{ReaderBuilder, Trim};
 
 use super::{LogError, local};
 
-/// Larger tables are no calibration's, bytes and rows.
+/// Maximum size of a calibration table in bytes and rows.
 const MAX_BYTES: u64 = 1 << 26;
 const MAX_ROWS: usize = 100_000;
 
-/// A table with a name for each column and numbers in each row.
+/// Table with named columns and numeric rows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PostureTable {
-    /// The names of the columns.
+    /// Column names.
     pub names: Vec<String>,
-    /// The rows, as long as the names.
+    /// Rows, each with one number per name.
     pub rows: Vec<Vec<f64>>,
-    /// Rows that hold something else than finite numbers, by line.
+    /// Line numbers of rows with anything but finite numbers.
     pub dropped: Vec<usize>,
-    /// The columns of the position: x, y, z.
+    /// Columns of the position: x, y, z.
     pub position: [usize; 3],
-    /// The columns of the rotation, if it has any.
+    /// Columns of the rotation, if any.
     pub rotation: RotationColumns,
 }
 
-/// The columns of a rotation.
+/// Columns of a rotation.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum RotationColumns {
-    /// A quaternion's: x, y, z, w.
+    /// Quaternion: x, y, z, w.
     Quaternion([usize; 4]),
-    /// Three numbers, of whatever convention.
+    /// Three numbers in any convention.
     Numbers([usize; 3]),
-    /// None.
+    /// No rotation.
     None,
 }
 
-/// What stands before x, y and z in the names of a position, and after.
+/// Prefixes and suffixes of x, y and z in position column names.
 const POSITIONS: [&str; 13] = [
     "",
     "p",
@@ -63,10 +63,10 @@ const TRIPLES: [[&str; 3]; 4] =
     [["roll", "pitch", "yaw"], ["a", "b", "c"], ["w", "p", "r"], ["alpha", "beta", "gamma"]];
 const SUFFIXES: [&str; 5] = ["", "1", "_1", "_m", "_mm"];
 
-/// The table at `path`; `None` where it is none of postures: a log, or without a position's columns.
+/// Reads the table at `path`. `None` if it is not a calibration table: a log, or without position columns.
 ///
 /// # Errors
-/// Where the file cannot be opened.
+/// Returns an error if the file cannot be opened.
 pub fn posture_table(path: &Path) -> Result<Option<PostureTable>, LogError> {
     let Some(path) = local(path).filter(|path| path.is_file()) else { return Ok(None) };
     let mut bytes = Vec::new();
@@ -114,7 +114,7 @@ fn of_bytes(bytes: &[u8]) -> Option<PostureTable> {
     Some(PostureTable { names, rows, dropped, position, rotation })
 }
 
-/// The columns of position and rotation, by the usual names.
+/// Columns of position and rotation, identified by common names.
 fn columns(names: &[String]) -> Option<([usize; 3], RotationColumns)> {
     let lower: Vec<String> = names.iter().map(|name| name.to_lowercase()).collect();
     let at = |name: String| lower.iter().position(|own| *own == name);
@@ -152,8 +152,8 @@ fn columns(names: &[String]) -> Option<([usize; 3], RotationColumns)> {
 }
 
 impl PostureTable {
-    /// The columns of the joints of these names, else of joints by number: `q1`, `joint_1`, `J1` and so on,
-    /// from 0 or 1.
+    /// Columns of the joints by these names, otherwise by number: `q1`, `joint_1`, `J1` and so on, from 0
+    /// or 1.
     pub fn joints(&self, names: &[String]) -> Option<Vec<usize>> {
         const NUMBERED: [&str; 12] = [
             "q",

@@ -2,16 +2,16 @@ use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-/// Who is told of each step: where there are no threads, nobody else can look.
+/// Callback for each step, needed if there are no threads.
 type Told = Box<dyn Fn(&Progress) + Send + Sync>;
 
-/// How far an audit has come, for another thread to look at.
+/// Progress of an audit, readable from other threads.
 #[derive(Default)]
 pub struct Progress {
     total: AtomicU64,
-    /// Bytes of the files that are done.
+    /// Bytes of finished files.
     before: AtomicU64,
-    /// Bytes of the file that is being read.
+    /// Bytes read of the current file.
     here: AtomicU64,
     doing: Mutex<&'static str>,
     told: Option<Told>,
@@ -24,17 +24,17 @@ impl fmt::Debug for Progress {
 }
 
 impl Progress {
-    /// One of whose steps `told` is told.
+    /// Progress that calls `told` at each step.
     pub fn telling(told: impl Fn(&Self) + Send + Sync + 'static) -> Self {
         Self { told: Some(Box::new(told)), ..Self::default() }
     }
 
-    /// What is being done, in a word.
+    /// Current activity, one word.
     pub fn doing(&self) -> &'static str {
         *self.doing.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Says what is done from now on.
+    /// Sets the current activity.
     pub fn begins(&self, doing: &'static str) {
         *self.doing.lock().unwrap_or_else(PoisonError::into_inner) = doing;
         self.tell();
@@ -46,7 +46,7 @@ impl Progress {
         }
     }
 
-    /// Bytes of all files; 0 until they were looked at.
+    /// Total bytes of all files; 0 until known.
     pub fn total(&self) -> u64 {
         self.total.load(Ordering::Relaxed)
     }
@@ -57,25 +57,25 @@ impl Progress {
         read.min(self.total())
     }
 
-    /// Says how many bytes there are in all.
+    /// Sets the total number of bytes.
     pub(super) fn begin(&self, total: u64) {
         self.total.store(total, Ordering::Relaxed);
         self.begins("reading");
     }
 
-    /// Says that there are `bytes` more: those of an object, which has no size before it is asked for.
+    /// Adds `bytes` to the total, for an object whose size was unknown before.
     #[cfg_attr(not(feature = "cloud"), allow(dead_code, reason = "without it nothing is fetched"))]
     pub(super) fn grow(&self, bytes: u64) {
         self.total.fetch_add(bytes, Ordering::Relaxed);
     }
 
-    /// Says how far the file that is being read was read.
+    /// Sets the position in the current file.
     pub(super) fn at(&self, offset: u64) {
         self.here.store(offset, Ordering::Relaxed);
         self.tell();
     }
 
-    /// Says that a file of `bytes` is done.
+    /// Marks a file of `bytes` as finished.
     pub(super) fn file_done(&self, bytes: u64) {
         self.here.store(0, Ordering::Relaxed);
         self.before.fetch_add(bytes, Ordering::Relaxed);

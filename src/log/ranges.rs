@@ -1,17 +1,17 @@
-//! Which bytes of a file are there.
+//! Available byte ranges of a file.
 //!
-//! A local file is there whole. Of an object in a store only parts may have been fetched, and what
-//! stands between them in its file is zeros that nobody wrote: whoever reads such a file asks first.
+//! A local file is complete. An object in a store may have been fetched partially, and its temporary file
+//! has zeros between the fetched parts. Readers must check availability first.
 #![cfg_attr(not(feature = "cloud"), allow(dead_code, reason = "without it nothing is fetched"))]
 
 use std::ops::Range;
 
-/// Ranges of bytes, ascending, none of which touches another.
+/// Disjoint, non-adjacent byte ranges in ascending order.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Ranges(Vec<Range<usize>>);
 
 impl Ranges {
-    /// Those of `ranges`, where two with no more than `gap` bytes between them become one.
+    /// Normalises `ranges`; merges those separated by at most `gap` bytes.
     pub(super) fn of(mut ranges: Vec<Range<usize>>, gap: usize) -> Self {
         ranges.retain(|range| !range.is_empty());
         ranges.sort_by_key(|range| range.start);
@@ -25,27 +25,27 @@ impl Ranges {
         Self(ranges)
     }
 
-    /// The bytes before `end`, of which there may be none.
+    /// Bytes before `end`; possibly none.
     pub(super) fn up_to(end: usize) -> Self {
         let whole = 0..end;
         Self::of(vec![whole], 0)
     }
 
-    /// Whether all of `range` is in one of them.
+    /// Whether one of them contains all of `range`.
     pub(super) fn holds(&self, range: &Range<usize>) -> bool {
         let behind = self.0.partition_point(|kept| kept.start <= range.start);
         let last = behind.checked_sub(1).map(|index| &self.0[index]);
         range.is_empty() || last.is_some_and(|kept| range.end <= kept.end)
     }
 
-    /// Takes up further ones.
+    /// Adds further ranges.
     pub(super) fn extend(&mut self, further: Self) {
         let mut all = std::mem::take(&mut self.0);
         all.extend(further.0);
         *self = Self::of(all, 0);
     }
 
-    /// What of `wanted` is in none of them.
+    /// Parts of `wanted` that are not included.
     pub(super) fn missing(&self, wanted: &Self) -> Self {
         let mut missing = Vec::new();
         for want in &wanted.0 {
@@ -60,12 +60,12 @@ impl Ranges {
         Self::of(missing, 0)
     }
 
-    /// Bytes in all of them.
+    /// Total number of bytes.
     pub(super) fn bytes(&self) -> usize {
         self.0.iter().map(Range::len).sum()
     }
 
-    /// They, in pieces of at most `size` bytes.
+    /// Splits the ranges into pieces of at most `size` bytes.
     pub(super) fn pieces(&self, size: usize) -> impl Iterator<Item = Range<usize>> {
         self.0.iter().flat_map(move |range| {
             let end = range.end;
@@ -74,23 +74,23 @@ impl Ranges {
     }
 }
 
-/// How much of a file is there.
+/// Available part of a file.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) enum Present {
-    /// All of it.
+    /// Complete.
     #[default]
     Whole,
-    /// These parts, and nothing between them.
+    /// Only these parts.
     Parts(Ranges),
 }
 
 impl Present {
-    /// What `ranges` are of a file of `size` bytes.
+    /// Availability of `ranges` in a file of `size` bytes.
     pub(super) fn of(ranges: Ranges, size: usize) -> Self {
         if ranges.holds(&(0..size)) { Present::Whole } else { Present::Parts(ranges) }
     }
 
-    /// Whether all bytes of `range` are there.
+    /// Whether all bytes of `range` are available.
     pub(super) fn holds(&self, range: &Range<usize>) -> bool {
         match self {
             Present::Whole => true,
@@ -103,7 +103,7 @@ impl Present {
 mod tests {
     use super::*;
 
-    /// The bytes of `ranges`, one by one.
+    /// Individual bytes of `ranges`.
     fn bytes(ranges: &Ranges) -> Vec<usize> {
         ranges.0.iter().cloned().flatten().collect()
     }

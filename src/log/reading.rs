@@ -1,4 +1,4 @@
-//! From the paths given to what is in the files.
+//! Reads the given paths.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -20,14 +20,13 @@ use super::unpack::{Allowance, Unpacked};
 use super::{LogError, RemoteFault, mcap, remote, rosbag1, rosbag2, rtde, sniff, unpack};
 use ground::boundary::Staged;
 
-/// Reads the files, rosbag2 folders and objects in stores (by URL) of one run, of whatever kinds;
-/// rows of the same topic and type are appended in the order given.
+/// Reads the files, rosbag2 folders and store objects (by URL) of one run, in any mix of formats. Rows of
+/// the same topic and type are appended in the order given.
 ///
 /// # Errors
 ///
-/// If one of the files cannot be opened or is no log of a supported kind, if the same file is given
-/// twice, or if no message can be read from any of them. Damage to a part of a file is no error: see
-/// [`Log::losses`].
+/// Returns an error if a file cannot be opened or is not a supported log, if the same file is given twice,
+/// or if no message can be read. Partial damage is not an error: see [`Log::losses`].
 pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
     let mut intake = Intake::default();
     let mut rtde = rtde::Recording::default();
@@ -61,7 +60,7 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
                 bytes = file.bytes;
                 files.push(file);
             }
-            // One file of a recording does not take the others with it.
+            // One unreadable file of a recording does not prevent reading the others.
             Err(error) if input.in_bag && inputs.len() > 1 => {
                 losses.add_unplaced(Extent::Messages, input.recorded, error.to_string());
             }
@@ -81,7 +80,7 @@ pub fn open(paths: &[PathBuf], options: &ReadOptions) -> Result<Log, LogError> {
     Ok(log)
 }
 
-/// The files that `paths` stand for: a folder for those of the recording in it.
+/// Files for `paths`: a folder is replaced by the files of its recording.
 fn inputs(
     paths: &[PathBuf],
     options: &ReadOptions,
@@ -118,7 +117,7 @@ fn inputs(
     Ok(inputs)
 }
 
-/// The files of the recording in `folder` without those that are links out of it, which are losses.
+/// Files of the recording in `folder` except links out of it, which are recorded as losses.
 fn contained(
     folder: &Path,
     inputs: Vec<Input>,
@@ -128,8 +127,7 @@ fn contained(
     let (inside, outside): (Vec<Input>, Vec<Input>) =
         inputs.into_iter().partition(|input| within.holds(&input.path));
     if inside.is_empty() {
-        let cause =
-            "whose files are links out of it, which are not followed; copy what they lead to";
+        let cause = "whose files are links out of it and are not followed; copy their targets";
         return Err(LogError::Directory { path: folder.to_owned(), cause });
     }
     for Input { path, recorded, .. } in outside {
@@ -144,23 +142,23 @@ fn contained(
 struct Reading<'a> {
     path: &'a Path,
     in_bag: bool,
-    /// The only episode that is wanted.
+    /// The only wanted episode.
     episode: Option<&'a str>,
     options: ReadOptions,
     losses: Losses,
     intake: &'a mut Intake,
     rtde: &'a mut rtde::Recording,
     tables: &'a mut Tables,
-    /// What the numbers of all tables may take.
+    /// Memory limit for the numbers of all tables.
     memory: &'a mut Memory,
-    /// Bytes of the file as it is stored.
+    /// Stored size of the file in bytes.
     size: u64,
-    /// What of the file is there.
+    /// Available part of the file.
     present: Present,
 }
 
 impl Reading<'_> {
-    /// Reads the file, or fetches the object and reads that.
+    /// Reads the file; fetches it first if it is an object.
     fn file(&mut self, input: &Input) -> Result<LogFile, LogError> {
         let path = self.path;
         let Some(address) = &input.address else {
@@ -182,7 +180,7 @@ impl Reading<'_> {
             io::ErrorKind::UnexpectedEof => LogError::Empty { path: path.to_owned() },
             _ => LogError::io(path, source),
         })?;
-        // To fetch it is what takes time.
+        // Fetching dominates the time.
         self.options.progress = None;
         self.present = present;
         Ok(LogFile { fetched: Some(bytes), ..self.whole(mapped.bytes(), named)? })
@@ -200,7 +198,7 @@ impl Reading<'_> {
         Ok(LogFile { path: folder.to_owned(), container, bytes, fetched: None, crc })
     }
 
-    /// Reads the `bytes` of a file, which is a temporary one if it is `named`.
+    /// Reads the `bytes` of a file, a temporary one if `named`.
     fn whole(&mut self, bytes: &[u8], named: Option<Staged>) -> Result<LogFile, LogError> {
         let (path, size) = (self.path, bytes.len() as u64);
         self.size = size;
@@ -213,7 +211,7 @@ impl Reading<'_> {
         Ok(LogFile { path: path.to_owned(), container, bytes: size, fetched: None, crc })
     }
 
-    /// Reads the log that is packed in `archive`.
+    /// Reads the log compressed in `archive`.
     fn archive(&mut self, archive: &[u8]) -> Result<(Container, Crc), LogError> {
         let options = &self.options;
         let (Unpacked { file, path }, end) =
@@ -226,15 +224,15 @@ impl Reading<'_> {
             };
             self.losses.add_unplaced(extent, None, error.to_string());
         }
-        let looks = "a zstd archive of nothing";
+        let looks = "an empty zstd archive";
         let unpacked = Mapped::of(&file)
             .map_err(|_| LogError::NotALog { path: self.path.to_owned(), looks })?;
-        // The archive is what counts, and it was read.
+        // Progress refers to the archive, which has been read.
         self.options.progress = None;
         self.named(sniff::kind(unpacked.bytes()), unpacked.bytes(), path)
     }
 
-    /// Reads the `bytes` of a log, of a temporary file if it is `named`.
+    /// Reads the `bytes` of a log, a temporary file if `named`.
     fn named(
         &mut self,
         kind: Kind,
@@ -243,8 +241,8 @@ impl Reading<'_> {
     ) -> Result<(Container, Crc), LogError> {
         match named {
             None => self.content(kind, self.path, bytes, || ()),
-            // Once the file is open, its name is not needed any more. Where open files cannot lose
-            // theirs, it goes in the end.
+            // The name is removed once the file is open, or at the end on systems that cannot unlink open
+            // files.
             Some(path) => {
                 let place = path.to_path_buf();
                 let opened = || drop(std::fs::remove_file(&*path));
@@ -253,8 +251,8 @@ impl Reading<'_> {
         }
     }
 
-    /// Reads the `bytes` of a log, which are at `place`: its own path, or where it was unpacked to.
-    /// What needs the name of that place says when it is `opened`.
+    /// Reads the `bytes` of a log located at `place`: its own path, or its temporary file. Calls `opened`
+    /// once the name is no longer needed.
     fn content(
         &mut self,
         kind: Kind,
@@ -272,7 +270,8 @@ impl Reading<'_> {
         let no_database = || LogError::Unsupported {
             path: path(),
             looks: "a rosbag2 database",
-            instead: "in a browser SQLite has no files: convert it to MCAP, or use the program",
+            instead: "SQLite cannot open files in a browser: convert it to MCAP, or use the command-line \
+                program",
         };
         Ok(match kind {
             Kind::Mcap => {
@@ -291,7 +290,7 @@ impl Reading<'_> {
             #[cfg(not(target_arch = "wasm32"))]
             Kind::Sqlite => {
                 if !rosbag2::read_database(place, options, losses, intake, opened) {
-                    let looks = "a SQLite database without the tables of a rosbag2 bag";
+                    let looks = "a SQLite database without rosbag2 tables";
                     return Err(LogError::NotALog { path: path(), looks });
                 }
                 (Container::RosBag2Sqlite, Crc::None)
@@ -309,7 +308,7 @@ impl Reading<'_> {
                 (kind.container(), Crc::None)
             }
             Kind::Zstd => {
-                let (looks, instead) = ("a zstd archive within another", "unpack it first");
+                let (looks, instead) = ("a zstd archive within a zstd archive", "unpack it first");
                 return Err(LogError::Unsupported { path: path(), looks, instead });
             }
             Kind::Known { looks, instead } => {
@@ -351,7 +350,7 @@ mod tests {
         let sqlite = refusal("run.mcap", b"SQLite format 3\0\x10\0");
         assert!(sqlite.contains("the database cannot be opened: "), "{sqlite}");
         let bag = refusal("run.mcap", b"#ROSBAG V1.2\nabc");
-        assert!(bag.contains("ROS 1 bag of another version than 2.0"), "{bag}");
+        assert!(bag.contains("ROS 1 bag of a version other than 2.0"), "{bag}");
         let pointer =
             refusal("run.csv", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n");
         assert!(pointer.contains("git lfs pull"), "{pointer}");
@@ -360,7 +359,7 @@ mod tests {
         let bytes = refusal("run.mcap", &[0x80, 0xff, 0, 1, 2, 3]);
         assert!(bytes.contains("unknown binary data"), "{bytes}");
         let stub = refusal("run.mcap", b"\x89MCA");
-        assert!(stub.contains("MCAP file that was cut off"), "{stub}");
+        assert!(stub.contains("MCAP file truncated"), "{stub}");
     }
 
     #[test]
@@ -415,7 +414,7 @@ mod tests {
         assert_eq!(poses[0].times.header[19], 209);
     }
 
-    /// A file of ten poses at times from `first` on.
+    /// File with ten poses at times from `first`.
     fn ten_poses(path: &Path, first: u64) {
         let mut log = LogWriter::default();
         let channel = log.channel("/pose", "geometry_msgs/msg/PoseStamped", testing::POSE_STAMPED);
@@ -470,7 +469,7 @@ mod tests {
         let packed = zstd::bulk::compress(&bytes, 1).unwrap();
         let own = open_one(&path).unwrap();
         for content in [bytes.clone(), packed] {
-            // No such file is there.
+            // The file does not exist.
             let name = PathBuf::from("run");
             let given = [(name.clone(), content.into())].into();
             let options = ReadOptions { given, ..ReadOptions::default() };
@@ -488,7 +487,7 @@ mod tests {
         assert!(matches!(twice, LogError::Twice { .. }), "{twice}");
         assert!(matches!(refused([Vec::new(), bytes.clone()]), LogError::Empty { .. }));
         let database = refused([bytes, unpack::SQLITE_MAGIC.to_vec()]);
-        assert!(database.to_string().contains("SQLite has no files"), "{database}");
+        assert!(database.to_string().contains("SQLite cannot open files"), "{database}");
     }
 
     #[test]

@@ -1,8 +1,7 @@
 //! Logs in object storage, by URL.
 //!
-//! An object is given to the readers as a temporary file of its size, into which its bytes are
-//! fetched: of an indexed MCAP those that its reading looks at, of anything else all. What can be
-//! fetched is fetched side by side, and taken up where a connection broke off.
+//! An object is represented by a temporary file of its size, into which bytes are fetched: the required
+//! ones of an indexed MCAP, otherwise all. Downloads run in parallel and resume after a broken connection.
 
 #[cfg(feature = "cloud")]
 mod cause;
@@ -30,15 +29,15 @@ use super::{LogError, ReadOptions};
 
 pub use self::fault::RemoteFault;
 
-/// The URL of an object in a store, with its scheme in lower case.
+/// URL of an object in a store, with its scheme in lower case.
 #[derive(Clone, PartialEq, Eq)]
 pub(super) struct Address(String);
 
 impl Address {
-    /// The address that `path` is, if it is a URL of something else than a local file.
+    /// Address of `path` if it is a URL of anything but a local file.
     ///
     /// # Errors
-    /// If it is a URL of a kind that is not known.
+    /// Returns an error if the URL scheme is not supported.
     pub(super) fn of(path: &Path) -> Result<Option<Self>, LogError> {
         let Some((scheme, rest)) = scheme(path) else { return Ok(None) };
         if SCHEMES.contains(&scheme.as_str()) {
@@ -48,7 +47,7 @@ impl Address {
         Err(LogError::Remote { url, fault: RemoteFault::Scheme { scheme } })
     }
 
-    /// What it is called in reports.
+    /// Name in reports.
     pub(super) fn shown(&self) -> PathBuf {
         SourceName::of(Path::new(&self.0)).into()
     }
@@ -60,28 +59,28 @@ impl fmt::Debug for Address {
     }
 }
 
-/// What URLs of objects begin with.
+/// Supported URL schemes.
 const SCHEMES: &[&str] = &["s3", "s3a", "gs", "az", "abfs", "abfss", "http", "https"];
 
-/// What `path` begins with, in lower case, and what follows `://`, if it is a URL.
+/// Scheme of `path` in lower case and the text after `://`, if it is a URL.
 fn scheme(path: &Path) -> Option<(String, &str)> {
     let (scheme, rest) = path.to_str()?.split_once("://")?;
     is_scheme(scheme).then(|| (scheme.to_ascii_lowercase(), rest))
 }
 
-/// The local file that `path` is a URL of, if it is one of the scheme `file`.
+/// Local file for `path`, if it is a `file` URL.
 pub(super) fn local(path: &Path) -> Option<PathBuf> {
     let (_, rest) = scheme(path).filter(|(scheme, _)| scheme == "file")?;
     let rest = rest.strip_prefix("localhost").unwrap_or(rest);
     Some(percent_decode_str(rest).decode_utf8().ok()?.into_owned().into())
 }
 
-/// Whether `path` is a URL of an object, or of a prefix that [`list`] lists.
+/// Whether `path` is the URL of an object, or of a prefix for [`list`].
 pub fn is_url(path: &Path) -> bool {
     scheme(path).is_some_and(|(scheme, _)| SCHEMES.contains(&scheme.as_str()))
 }
 
-/// `path`, or the URL that it is with its scheme in lower case.
+/// `path`, with its scheme in lower case if it is a URL.
 pub fn normal(path: &Path) -> PathBuf {
     match Address::of(path) {
         Ok(Some(Address(url))) => url.into(),
@@ -89,22 +88,22 @@ pub fn normal(path: &Path) -> PathBuf {
     }
 }
 
-/// An object that [`list`] found.
+/// Object found by [`list`].
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Debug)]
 pub struct Listed {
-    /// Its URL, as [`open`](super::open) takes it.
+    /// URL, as accepted by [`open`](super::open).
     pub url: String,
     /// Its size.
     pub bytes: u64,
-    /// What changes whenever its content does: the store's entity tag, or else when it was written.
+    /// Version identifier of the content: the store's entity tag, otherwise the modification time.
     pub version: String,
 }
 
-/// The objects whose URLs begin with `url` and a `/`, in the order of their names; the object itself
-/// where it is one. Of a web server, which lists nothing, only that.
+/// Objects whose URLs start with `url` and a `/`, sorted by name, or the object itself. A web server cannot
+/// list, so only the object itself is returned.
 ///
 /// # Errors
-/// Where there are none, or the store refuses to say.
+/// Returns an error if there are none, or if the store does not list them.
 pub fn list(url: &Path) -> Result<Vec<Listed>, LogError> {
     let Some(address) = Address::of(url)? else {
         return Err(LogError::NotFound { path: url.to_owned() });
@@ -117,23 +116,23 @@ pub fn list(url: &Path) -> Result<Vec<Listed>, LogError> {
     listed.map_err(|fault| LogError::Remote { url: shown, fault })
 }
 
-/// An object, as far as it was fetched.
+/// Partially or completely fetched object.
 pub(super) struct Fetched {
-    /// The temporary file that stands for it.
+    /// Temporary file that represents it.
     pub(super) file: Unpacked,
-    /// What of it is there.
+    /// Available part.
     pub(super) present: Present,
-    /// How many bytes came over the network for that.
+    /// Number of bytes transferred.
     pub(super) bytes: u64,
 }
 
-/// Fetches what is read of the object at `address`; all of it where everything is to be verified.
+/// Fetches the required parts of the object at `address`; all of it if checksums are verified.
 #[cfg(feature = "cloud")]
 pub(super) fn fetch(address: &Address, options: &ReadOptions) -> Result<Fetched, RemoteFault> {
     fetch::fetch(address, options)
 }
 
-/// Refuses.
+/// Returns an error: the feature is not built.
 #[cfg(not(feature = "cloud"))]
 pub(super) fn fetch(_: &Address, _: &ReadOptions) -> Result<Fetched, RemoteFault> {
     Err(RemoteFault::NotBuilt)

@@ -1,8 +1,7 @@
-//! ROS 1 bags of version 2.0, read from their first byte to their last, past what is damaged.
+//! ROS 1 bags, version 2.0, read from the first byte to the last, skipping damage.
 //!
-//! The index is looked at first, because it repeats the connections that a damaged chunk would take
-//! with it. The messages are then found by walking the records themselves, so that bags with and
-//! without an index, as a crash leaves them, are read alike.
+//! The index is read first, because it repeats connections that a damaged chunk may have lost. Messages are
+//! then found by walking the records, so bags with an index and bags left by a crash are read the same way.
 
 mod chunks;
 mod record;
@@ -20,10 +19,10 @@ use super::topic::{Message, Place};
 use super::unpack::{Compression, Unpacker};
 use super::{Crc, Extent, ReadOptions};
 
-/// What a bag begins with.
+/// First bytes of a bag.
 pub(super) const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
 
-/// Reads the bag `bytes`, which begin with [`MAGIC`], into `intake`.
+/// Reads the bag `bytes`, which start with [`MAGIC`], into `intake`.
 pub(super) fn read(
     bytes: &[u8],
     options: &ReadOptions,
@@ -62,46 +61,46 @@ struct Reader<'a, 'r, 'scope> {
     losses: &'r mut Losses,
     intake: &'r mut Intake,
     ahead: &'r mut Ahead<'scope, 'a>,
-    /// Up to where chunks were handed in to be unpacked; `None` where no record follows.
+    /// Offset up to which chunks have been queued for decompression. `None` if no record follows.
     scanned: Option<usize>,
-    /// By their number in the bag; the first record of a number counts.
+    /// By number in the bag; the first record of a number counts.
     connections: HashMap<u32, Sender>,
     index: Index,
-    /// Chunk infos that were read, and the messages that they count.
+    /// Number of chunk infos read, and the messages they count.
     recorded: (u32, u64),
-    /// Messages under a checksum that held.
+    /// Number of messages with a verified checksum.
     covered: u64,
-    /// Messages of connections that no record describes: how many, and where the first is.
+    /// Messages of undescribed connections: their number and the offset of the first.
     orphans: Option<(u64, usize)>,
-    /// Records of kinds that the format does not have.
+    /// Records of unknown kinds.
     unknown: Unknown,
-    /// Whether the record before belongs to a chunk that was lost.
+    /// Whether the previous record belongs to a lost chunk.
     in_lost_chunk: bool,
-    /// Whether the chunk read last is compressed: its data hold pieces of the records inside.
+    /// Whether the last chunk is compressed: its data contain bytes that look like records.
     in_packed: bool,
 }
 
-/// A connection as the intake knows it.
+/// Connection registered with the intake.
 #[derive(Clone, Copy)]
 struct Sender {
-    /// `None` where there are too many channels to take it.
+    /// `None` if there are too many channels.
     channel: Option<ChannelId>,
     latching: bool,
-    /// Whether its messages begin with a header, and that with their number.
+    /// Whether its messages start with a header, which starts with a sequence number.
     numbers: bool,
 }
 
-/// What the bag's header says of its index.
+/// Index according to the bag's header.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Index {
-    /// It was not written: the recording was not closed.
+    /// Not written: the recording was not closed.
     Missing,
-    /// It is, or was, at this byte and lists so many chunks.
+    /// At this byte, with this number of chunks; possibly truncated.
     At { offset: usize, chunks: u32 },
 }
 
 impl<'a> Reader<'a, '_, '_> {
-    /// Takes the connections from the index, if the bag has one.
+    /// Reads the connections from the index, if the bag has one.
     fn index(&mut self) {
         let Ok(header) = record::record(self.bytes, MAGIC.len()) else {
             return;
@@ -119,7 +118,7 @@ impl<'a> Reader<'a, '_, '_> {
                     self.connection(&record);
                     offset = record.end;
                 }
-                // Damage is taken down by the walk, which comes here, too.
+                // Damage is recorded by the walk, which also reads these records.
                 _ => return,
             }
         }
@@ -129,10 +128,10 @@ impl<'a> Reader<'a, '_, '_> {
     fn walk(&mut self) {
         let mut unpacker = Unpacker::default();
         let mut offset = MAGIC.len();
-        // Where to look for the next record should they not go on at `offset`: it may be the
-        // record before that said a wrong length.
+        // Where to search for the next record if none starts at `offset`: the previous record may have a
+        // wrong length.
         let mut sound = offset;
-        // A chunk's lengths are written when it is full. The last of a crash says that it is empty.
+        // Chunk lengths are written when a chunk is full. After a crash the last one has length zero.
         let mut open: Option<Chunk<'a>> = None;
         while offset < self.bytes.len() {
             self.options.at(offset);
@@ -154,7 +153,8 @@ impl<'a> Reader<'a, '_, '_> {
                     let Some(next) = self.next_record(sound, broken) else {
                         return self.lose_rest(offset, broken, &mut unpacker);
                     };
-                    let what = format!("expected a record, found {broken}; read on at byte {next}");
+                    let what =
+                        format!("expected a record, found {broken}; continued at byte {next}");
                     self.losses.add(offset, Extent::Messages, None, what);
                     offset = next;
                     self.scanned = Some(next);
@@ -163,12 +163,12 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// Reads a record outside of chunks; whether its length is beyond doubt.
+    /// Reads a record outside chunks. Returns whether its length is reliable.
     fn top(&mut self, record: &Record<'a>) -> bool {
         let in_lost_chunk = std::mem::take(&mut self.in_lost_chunk);
         match record.op {
             op::INDEX if in_lost_chunk => {
-                // The index of a lost chunk says how many messages were in it.
+                // The index of a lost chunk contains its number of messages.
                 self.losses.add_to_last(record.header.u32("count").unwrap_or(0).into());
                 self.in_lost_chunk = true;
             }
@@ -180,7 +180,7 @@ impl<'a> Reader<'a, '_, '_> {
                 }
             }
             op::BAG if record.header.text("encryptor").is_some_and(|name| !name.is_empty()) => {
-                let what = "the bag is encrypted; write it anew without encryption".to_owned();
+                let what = "the bag is encrypted; rewrite it without encryption".to_owned();
                 self.losses.add(record.offset, Extent::Messages, None, what);
             }
             _ => {
@@ -192,8 +192,8 @@ impl<'a> Reader<'a, '_, '_> {
         false
     }
 
-    /// Reads a connection, or a message, which is put into `batch`, inside of the chunk at `place` or
-    /// outside of any.
+    /// Reads a connection, or a message, which is added to `batch`; inside the chunk at `place` or outside
+    /// chunks.
     fn content<'m>(
         &mut self,
         record: &Record<'m>,
@@ -204,7 +204,7 @@ impl<'a> Reader<'a, '_, '_> {
             op::MESSAGE => match record::Message::of(record) {
                 Some(header) => batch.extend(self.message(header, record.data, place)),
                 None => {
-                    let what = "message record without its connection or its time".to_owned();
+                    let what = "message record without a connection or time".to_owned();
                     self.losses.add(place, Extent::Messages, Some(1), what);
                 }
             },
@@ -232,7 +232,7 @@ impl<'a> Reader<'a, '_, '_> {
             return None;
         };
         let number = data.first_chunk().copied().map(u32::from_le_bytes);
-        // A bag keeps one time of a message: when the recorder received it.
+        // A bag has one time per message, the receive time of the recorder.
         let message = Message {
             log_time: header.time,
             publish_time: header.time,
@@ -244,7 +244,7 @@ impl<'a> Reader<'a, '_, '_> {
         Some((channel, message))
     }
 
-    /// Takes up a connection; whether it is well formed.
+    /// Adds a connection. Returns whether it is well formed.
     fn connection(&mut self, record: &Record<'_>) -> bool {
         let Some(connection) = Connection::of(record) else {
             return false;
@@ -267,19 +267,19 @@ impl<'a> Reader<'a, '_, '_> {
     }
 
     fn lose_tail(&mut self, offset: usize, place: &str, saved: u64) {
-        let what = format!("the file ends {place}; {saved} messages of it were read");
+        let what = format!("the file ends {place}; {saved} of its messages were read");
         self.losses.add(offset, Extent::Tail, None, what);
     }
 
-    /// Takes down that no record can be read from `offset` on, and reads what is left of a chunk.
+    /// Records the damage at `offset` and salvages the rest of the chunk.
     fn lose_rest(&mut self, offset: usize, broken: Broken<'a>, unpacker: &mut Unpacker) {
         match broken {
             _ if matches!(self.index, Index::At { offset: index, .. } if index <= offset) => {
-                let what = format!("expected a record of the index, found {broken}");
+                let what = format!("expected an index record, found {broken}");
                 self.losses.add(offset, Extent::Index, Some(0), what);
             }
             _ if self.is_whole() => {
-                let what = format!("expected a record, found {broken}; nothing after it was read");
+                let what = format!("expected a record, found {broken}; the rest was not read");
                 self.losses.add(offset, Extent::Messages, None, what);
             }
             Broken::Cut { op: op::CHUNK, header, data, .. } => {
@@ -300,13 +300,13 @@ impl<'a> Reader<'a, '_, '_> {
                 self.losses.add(offset, Extent::Tail, None, what);
             }
             Broken::NoHeader => {
-                let what = format!("expected a record, found {broken}; nothing after it was read");
+                let what = format!("expected a record, found {broken}; the rest was not read");
                 self.losses.add(offset, Extent::Messages, None, what);
             }
         }
     }
 
-    /// Where to read on after what is `broken`, at `from` or after it.
+    /// Offset at which to continue after the `broken` record, from `from` on.
     fn next_record(&self, from: usize, broken: Broken<'_>) -> Option<usize> {
         let chunk = match broken {
             Broken::Cut { op: op::CHUNK, header, length, data } => {
@@ -315,13 +315,13 @@ impl<'a> Reader<'a, '_, '_> {
             _ => None,
         };
         match chunk {
-            // Its two lengths agree: it is the end of the file that is missing.
+            // Its two lengths agree, so the end of the file is missing.
             Some((Chunk { compression: Some(Compression::None), size, .. }, length))
                 if size == length && !self.is_whole() =>
             {
                 None
             }
-            // Compressed data hold pieces of the records inside.
+            // Compressed data contain bytes that look like records.
             Some((Chunk { compression: Some(Compression::Lz4 | Compression::Bz2), .. }, _)) => {
                 record::find_record(self.bytes, from, Some(op::CHUNK))
             }
@@ -329,12 +329,12 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// Whether the file reaches as far as its index, so that nothing is cut off before it.
+    /// Whether the file extends to its index, so nothing before it is cut off.
     fn is_whole(&self) -> bool {
         matches!(self.index, Index::At { offset, .. } if offset < self.bytes.len())
     }
 
-    /// Holds what was read against what the index says.
+    /// Compares the messages read with the index.
     fn close(&mut self, read: u64) {
         if let Some(what) = self.unknown.said("op") {
             self.intake.note(self.losses.file(), what);
@@ -351,7 +351,7 @@ impl<'a> Reader<'a, '_, '_> {
             }
             Index::At { offset, .. } if offset >= self.bytes.len() => {
                 if self.losses.is_empty() {
-                    let what = format!("the file ends before its index, which is at byte {offset}");
+                    let what = format!("the file ends before its index at byte {offset}");
                     self.losses.add(self.bytes.len(), Extent::Tail, None, what);
                 }
             }

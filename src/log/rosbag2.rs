@@ -1,8 +1,8 @@
-//! rosbag2 recordings: folders of SQLite databases or MCAP files with a `metadata.yaml`, and such a
-//! database alone.
+//! rosbag2 recordings: folders of SQLite databases or MCAP files with a `metadata.yaml`, and single
+//! databases.
 //!
-//! Nothing is believed of `metadata.yaml` but which files there are and how many messages they had:
-//! what a file is and how it is compressed is told from its bytes.
+//! Only the list of files and their message counts are used from `metadata.yaml`. Format and compression of
+//! a file are identified by its bytes.
 
 #[cfg(not(target_arch = "wasm32"))]
 mod batch;
@@ -32,10 +32,10 @@ pub(super) use self::database::read as read_database;
 
 const METADATA: &str = "metadata.yaml";
 
-/// Largest `metadata.yaml` that is read.
+/// Maximum size of `metadata.yaml`, in bytes.
 const MAX_METADATA_BYTES: u64 = 16 << 20;
 
-/// What is used of `metadata.yaml`.
+/// Used parts of `metadata.yaml`.
 #[derive(Deserialize)]
 struct Document {
     rosbag2_bagfile_information: Information,
@@ -47,7 +47,7 @@ struct Information {
     relative_file_paths: Vec<String>,
     #[serde(default)]
     message_count: Option<u64>,
-    /// From version 5 on.
+    /// From version 5.
     #[serde(default)]
     files: Vec<FileInformation>,
 }
@@ -59,15 +59,15 @@ struct FileInformation {
     message_count: Option<u64>,
 }
 
-/// The files of the recording in `folder`. Files that are missing are losses.
+/// Files of the recording in `folder`. Missing files are recorded as losses.
 ///
 /// # Errors
-/// If there is no recording in the folder, or more than one.
+/// Returns an error if the folder contains no recording or more than one.
 pub(super) fn files_of(folder: &Path, intake: &mut Intake) -> Result<Vec<Input>, LogError> {
     let path = folder.join(METADATA);
     if !path.is_file() {
         let inputs = logs_in(folder)?;
-        let what = format!("it has no {METADATA}: the {} log files in it are read", inputs.len());
+        let what = format!("no {METADATA}: the {} log files in the folder are read", inputs.len());
         intake.note(folder, what);
         return Ok(inputs);
     }
@@ -77,36 +77,35 @@ pub(super) fn files_of(folder: &Path, intake: &mut Intake) -> Result<Vec<Input>,
             let mut inputs = listed(folder, &information, &mut losses);
             let further = further_splits(folder, &inputs);
             for path in &further {
-                let what = format!("does not list {}, which was read", path.display());
+                let what = format!("does not list {}, which was read as well", path.display());
                 losses.add_unplaced(Extent::Index, Some(0), what);
             }
             inputs.extend(further.into_iter().map(Input::of_bag));
             inputs
         }
         Err(cause) => {
-            let what = format!("cannot be read: {cause}; the log files beside it are");
+            let what =
+                format!("cannot be read: {cause}; the log files in its folder are read instead");
             losses.add_unplaced(Extent::Index, Some(0), what);
             logs_in(folder)?
         }
     };
     intake.losses(losses);
     for path in unlisted(folder, &inputs) {
-        intake.note(&path, format!("{METADATA} does not list it: it was not read"));
+        intake.note(&path, format!("not listed in {METADATA}, so it was not read"));
     }
     if inputs.is_empty() {
-        let cause = "none of whose files that metadata.yaml lists is there";
+        let cause = "that contains none of the files listed in metadata.yaml";
         return Err(LogError::Directory { path: folder.to_owned(), cause });
     }
     Ok(inputs)
 }
 
-/// Reads `metadata.yaml`, or says in one line why it cannot be.
+/// Reads `metadata.yaml`, or returns a one-line reason why not.
 fn information(path: &Path) -> Result<Information, String> {
     let bytes = fs::metadata(path).map_err(|error| error.to_string())?.len();
     if bytes > MAX_METADATA_BYTES {
-        return Err(format!(
-            "it has {bytes} bytes, more than the {MAX_METADATA_BYTES} that are read"
-        ));
+        return Err(format!("has {bytes} bytes; the limit is {MAX_METADATA_BYTES}"));
     }
     let text = fs::read_to_string(path).map_err(|error| error.to_string())?;
     let document: Document = serde_saphyr::from_str(&text)
@@ -114,12 +113,12 @@ fn information(path: &Path) -> Result<Information, String> {
     Ok(document.rosbag2_bagfile_information)
 }
 
-/// The files that `metadata.yaml` lists, as far as they are there.
+/// Files listed in `metadata.yaml` that exist.
 fn listed(folder: &Path, information: &Information, losses: &mut Losses) -> Vec<Input> {
     let by_file = information.files.iter().map(|file| file.path.as_str());
     let by_path = information.relative_file_paths.iter().map(String::as_str);
     let mut names: Vec<&OsStr> = Vec::new();
-    // Old versions give paths from the folder's parent; the files are in the folder all the same.
+    // Old versions list paths relative to the folder's parent, but the files are in the folder.
     for name in by_path.chain(by_file).filter_map(|path| Path::new(path).file_name()) {
         if !names.contains(&name) {
             names.push(name);
@@ -138,17 +137,19 @@ fn listed(folder: &Path, information: &Information, losses: &mut Losses) -> Vec<
         if path.is_file() {
             inputs.push(Input { recorded: recorded(name), ..Input::of_bag(path) });
         } else if is_packed && unpacked.is_file() {
-            // The recorder was ended before it had packed its last file, or somebody unpacked it.
+            // The recorder was stopped before it compressed its last file, or the file was decompressed
+            // later.
             inputs.push(Input { recorded: recorded(name), ..Input::of_bag(unpacked) });
         } else {
-            let what = format!("lists `{}`, which is not there", excerpt(&name.to_string_lossy()));
+            let what =
+                format!("lists `{}`, which does not exist", excerpt(&name.to_string_lossy()));
             losses.add_unplaced(Extent::Messages, recorded(name), what);
         }
     }
     inputs
 }
 
-/// The log files of a folder that nothing lists, which must look like those of one recording.
+/// Log files of a folder without a list. They must look like parts of one recording.
 fn logs_in(folder: &Path) -> Result<Vec<Input>, LogError> {
     let refuse = |cause| LogError::Directory { path: folder.to_owned(), cause };
     let paths = files_in(folder).map_err(|source| LogError::io(folder, source))?;
@@ -157,13 +158,13 @@ fn logs_in(folder: &Path) -> Result<Vec<Input>, LogError> {
         return Err(refuse("without log files"));
     };
     if paths.iter().any(|path| recording_name(path) != recording_name(first)) {
-        return Err(refuse("with the logs of several runs, or without the metadata.yaml of one"));
+        return Err(refuse("with logs of several runs, or without their metadata.yaml"));
     }
     Ok(paths.into_iter().map(Input::of_bag).collect())
 }
 
-/// Log files of a folder that are not among `inputs` and are named as one of them, but for the number
-/// of the split: the list may have been cut.
+/// Log files of a folder that are not in `inputs` but share a name with one of them except for the split
+/// number: the list may be truncated.
 fn further_splits(folder: &Path, inputs: &[Input]) -> Vec<PathBuf> {
     let family = |path: &Path| {
         let name = path.file_name().and_then(OsStr::to_str)?;
@@ -178,14 +179,14 @@ fn further_splits(folder: &Path, inputs: &[Input]) -> Vec<PathBuf> {
     paths
 }
 
-/// Log files of a folder that are not among `inputs`.
+/// Log files of a folder that are not in `inputs`.
 fn unlisted(folder: &Path, inputs: &[Input]) -> Vec<PathBuf> {
     let mut paths = files_in(folder).unwrap_or_default();
     paths.retain(|path| !inputs.iter().any(|input| input.path == *path) && is_log(path));
     paths
 }
 
-/// The regular files of a folder, in the order of their names.
+/// Regular files of a folder, sorted by name.
 fn files_in(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
     let mut paths = Vec::new();
     for entry in fs::read_dir(folder)? {
@@ -205,8 +206,7 @@ fn is_log(path: &Path) -> bool {
     })
 }
 
-/// What the files of one recording have in common: the name without its extensions and without the
-/// number of the split.
+/// Common part of the names of a recording's files, without extensions and split number.
 fn recording_name(path: &Path) -> &str {
     let name = path.file_name().and_then(OsStr::to_str).unwrap_or_default();
     let name = name.strip_suffix(".zstd").unwrap_or(name);

@@ -1,9 +1,9 @@
-//! Tables of Universal Robots' RTDE client: what its `record.py` writes.
+//! Tables of Universal Robots' RTDE client, written by its `record.py`.
 //!
-//! The first line names the columns, each line after it is a sample. A vector is as many columns, numbered
-//! from 0 (`actual_q_0` …). `timestamp` is the controller's time, s since it was started; nothing says when
-//! a sample was received, so that every time of a row is that stamp. Fields: Universal Robots, "Real-Time
-//! Data Exchange (RTDE) Guide", table of robot controller outputs; rad, and poses as m and rotation vector.
+//! The first line contains the column names, each further line a sample. A vector has several columns,
+//! numbered from 0 (`actual_q_0` …). `timestamp` is the controller's uptime, s. Receive times are not
+//! recorded, so every time of a row is that stamp. Fields: Universal Robots, "Real-Time Data Exchange
+//! (RTDE) Guide", table of robot controller outputs; rad, and poses as m and rotation vector.
 
 #[cfg(test)]
 mod tests;
@@ -23,7 +23,7 @@ use super::{Extent, ReadOptions};
 use ground::stream::{Columns, JointColumn, JointColumns, Times, usable};
 use ground::time;
 
-/// The joints of every UR arm, in the controller's order.
+/// Joints of every UR arm, in controller order.
 pub(super) const JOINTS: [&str; 6] = [
     "shoulder_pan_joint",
     "shoulder_lift_joint",
@@ -33,22 +33,22 @@ pub(super) const JOINTS: [&str; 6] = [
     "wrist_3_joint",
 ];
 
-/// The column of the controller's time, s.
+/// Column of the controller's time, s.
 const TIMESTAMP: &str = "timestamp";
 
-/// Longest first line that is looked at.
+/// Maximum length of the first line that is examined.
 const MAX_HEADER_BYTES: usize = 1 << 16;
 
-/// Longest line that is read. RTDE has some hundred fields.
+/// Maximum line length. RTDE has a few hundred fields.
 const MAX_LINE_BYTES: usize = 1 << 20;
 
-/// Most names that are listed of a table.
+/// Maximum number of names listed per table.
 const MAX_LISTED: usize = 1000;
 
-/// What a vector is read as.
+/// Meaning of a vector.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum Meaning {
-    /// Joint positions; with them, the velocities of the vector named.
+    /// Joint positions, with the name of their velocity vector.
     Positions { velocities: &'static str },
     /// Joint velocities.
     Velocities,
@@ -56,7 +56,7 @@ enum Meaning {
     Numbers,
 }
 
-/// A vector that is read.
+/// Vector that is read.
 #[derive(Debug)]
 struct Vector {
     name: &'static str,
@@ -79,30 +79,30 @@ static VECTORS: [Vector; 8] = [
     vector("actual_tool_accelerometer", 3, Meaning::Numbers),
 ];
 
-/// What the first line of a text holds.
+/// Content of the first line of a text.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum FirstLine {
-    /// Names of columns, RTDE's and that of the time among them.
+    /// Column names, including RTDE's and the time.
     Names,
     /// Anything else.
     Other,
 }
 
-/// What the first line of the text `bytes` holds.
+/// Classifies the first line of the text `bytes`.
 pub(super) fn first_line(bytes: &[u8]) -> FirstLine {
     let line = header_line(bytes);
     let cells: Vec<&[u8]> = cells(line, delimiter(line)).collect();
     let known = |cell: &&[u8]| {
         VECTORS.iter().any(|vector| part(cell).is_some_and(|(stem, _)| stem == vector.name))
     };
-    // Without stamps it is a table like others, whose rate the caller may give.
+    // Without stamps it is treated like other tables, whose rate the caller may declare.
     match cells.iter().any(known) && cells.contains(&TIMESTAMP.as_bytes()) {
         true => FirstLine::Names,
         false => FirstLine::Other,
     }
 }
 
-/// The first line, without a byte order mark.
+/// First line without a byte order mark.
 fn header_line(bytes: &[u8]) -> &[u8] {
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     let bytes = &bytes[..bytes.len().min(MAX_HEADER_BYTES)];
@@ -110,7 +110,7 @@ fn header_line(bytes: &[u8]) -> &[u8] {
     &bytes[..end]
 }
 
-/// What stands between the names; a space where nothing else does.
+/// Delimiter of the names; a space if there is no other.
 pub(super) fn delimiter(header: &[u8]) -> u8 {
     let mut usual = [b';', b',', b'\t'].into_iter();
     usual.find(|delimiter| header.contains(delimiter)).unwrap_or(b' ')
@@ -120,19 +120,19 @@ pub(super) fn cells(line: &[u8], delimiter: u8) -> impl Iterator<Item = &[u8]> {
     line.split(move |&byte| byte == delimiter).map(bare)
 }
 
-/// A cell without blanks and quotation marks around it.
+/// Cell without surrounding whitespace and quotes.
 fn bare(cell: &[u8]) -> &[u8] {
     let cell = cell.trim_ascii();
     cell.strip_prefix(b"\"").and_then(|cell| cell.strip_suffix(b"\"")).unwrap_or(cell)
 }
 
-/// A name that ends in `_` and a number: the name before it, and the number.
+/// Splits a name that ends in `_` and a number.
 fn part(name: &[u8]) -> Option<(&str, usize)> {
     let (stem, number) = std::str::from_utf8(name).ok()?.rsplit_once('_')?;
     number.parse().ok().map(|number| (stem, number))
 }
 
-/// The number in a cell; with `decimal_comma`, `1,5` is one and a half.
+/// Number in a cell. With `decimal_comma`, `1,5` is one and a half.
 pub(super) fn number(cell: &[u8], decimal_comma: bool) -> Option<f64> {
     let cell = std::str::from_utf8(bare(cell)).ok()?;
     if decimal_comma && cell.contains(',') {
@@ -141,11 +141,10 @@ pub(super) fn number(cell: &[u8], decimal_comma: bool) -> Option<f64> {
     cell.parse().ok()
 }
 
-/// The bytes of a table, up to a line without an end, for which a reader would take memory without
-/// bound.
+/// Bytes of a table up to an overlong line, which would take unlimited memory.
 struct Lines<'a> {
     rest: &'a [u8],
-    /// Bytes since the last end of a line.
+    /// Bytes since the last line end.
     line: usize,
 }
 
@@ -161,29 +160,29 @@ impl Read for Lines<'_> {
     }
 }
 
-/// The samples of all tables of a run: different columns of one run may be in different files.
+/// Samples of all tables of a run, whose columns may be in different files.
 #[derive(Default)]
 pub(super) struct Recording {
-    /// In the order of [`VECTORS`]; `None` where no file has it.
+    /// In the order of [`VECTORS`]. `None` if missing from all files.
     samples: [Option<Samples>; VECTORS.len()],
 }
 
-/// The samples of one vector.
+/// Samples of one vector.
 struct Samples {
     channel: ChannelId,
-    /// Nanoseconds since the controller was started.
+    /// Nanoseconds since the controller started.
     stamps: Vec<i64>,
-    /// Row-major, as many a row as the vector has.
+    /// Row-major, with the vector's width per row.
     values: Vec<f64>,
 }
 
-/// Where the columns of one table go.
+/// Destinations of a table's columns.
 struct Layout {
     columns: usize,
     timestamp: usize,
     /// Index into [`VECTORS`], and the column of each of its numbers.
     vectors: Vec<(usize, Vec<usize>)>,
-    /// What is only counted.
+    /// Columns that are only counted.
     others: Vec<ChannelId>,
 }
 
@@ -201,10 +200,10 @@ impl Recording {
         let delimiter = delimiter(header);
         let names: Vec<&[u8]> = cells(header, delimiter).collect();
         let Some(layout) = self.layout(path, &names, intake) else {
-            let what = format!("no column is named `{TIMESTAMP}`: record it with the others");
+            let what = format!("no column is named `{TIMESTAMP}`; record it as well");
             return losses.add(0, Extent::Messages, None, what);
         };
-        // Numbers are not quoted; an odd quotation mark must not swallow the lines after it.
+        // Numbers are not quoted; a stray quote must not swallow the following lines.
         let mut reader = ReaderBuilder::new()
             .delimiter(delimiter)
             .quoting(false)
@@ -230,7 +229,8 @@ impl Recording {
                         }
                         false => {
                             let what = format!(
-                                "line {line} has more than {MAX_LINE_BYTES} bytes: nothing from it on is read"
+                                "line {line} has more than {MAX_LINE_BYTES} bytes; it and the rest are not \
+                                 read"
                             );
                             (Extent::Messages, what)
                         }
@@ -258,7 +258,7 @@ impl Recording {
         }
     }
 
-    /// Finds the columns by their `names`; `None` without one for the time.
+    /// Identifies the columns by their `names`. `None` without a time column.
     fn layout(&mut self, path: &Path, names: &[&[u8]], intake: &mut Intake) -> Option<Layout> {
         let timestamp = names.iter().position(|name| *name == TIMESTAMP.as_bytes())?;
         let mut by_name: HashMap<&[u8], usize> = HashMap::new();
@@ -285,15 +285,15 @@ impl Recording {
                 layout.vectors.push((index, found));
             } else if !found.is_empty() {
                 let (name, there, width) = (vector.name, found.len(), vector.width);
-                let what = format!(
-                    "it has {there} of the {width} columns of `{name}`, which are not used"
-                );
+                let what =
+                    format!("has {there} of the {width} columns of `{name}`; they are not used");
                 intake.note(path, what);
             }
         }
         let others = others(names);
         if others.len() > MAX_LISTED {
-            let what = format!("of its {} other columns {MAX_LISTED} are listed", others.len());
+            let what =
+                format!("has {} further columns, of which {MAX_LISTED} are listed", others.len());
             intake.note(path, what);
         }
         let listed = others.iter().take(MAX_LISTED);
@@ -301,7 +301,7 @@ impl Recording {
         Some(layout)
     }
 
-    /// Appends the row that `table` parsed last.
+    /// Appends the row last parsed by `table`.
     fn take(&mut self, table: &Table, stamp: i64, offset: u64, intake: &mut Intake) {
         let time = u64::try_from(stamp).unwrap_or(0);
         let message = Message {
@@ -325,7 +325,7 @@ impl Recording {
         }
     }
 
-    /// Hands the columns of all tables to `intake`.
+    /// Passes the columns of all tables to `intake`.
     pub(super) fn hand_over(self, intake: &mut Intake) {
         for (vector, samples) in VECTORS.iter().zip(&self.samples) {
             let Some(samples) = samples else {
@@ -348,29 +348,30 @@ impl Recording {
     }
 }
 
-/// The scratch of one table.
+/// Buffers for one table.
 struct Table {
     layout: Layout,
     delimiter: u8,
-    /// The numbers of the row parsed last, in the order of [`VECTORS`]; none where all are missing.
+    /// Numbers of the last row, in the order of [`VECTORS`]; empty if all are missing.
     row: Vec<Vec<f64>>,
 }
 
-/// Why a row is dropped.
+/// Reason why a row is dropped.
 enum Malformed {
-    /// It is the last and its end is missing.
+    /// It is the last row and incomplete.
     Cut,
     Row(String),
 }
 
 impl Table {
-    /// Parses a row; its stamp in nanoseconds. `is_last` says that no line end follows it.
+    /// Parses a row and returns its stamp in nanoseconds. `is_last` means that it has no line end.
     fn parse(&mut self, record: &ByteRecord, is_last: bool) -> Result<i64, Malformed> {
         let Layout { columns, timestamp, ref vectors, .. } = self.layout;
         if record.len() != columns {
             let comma = self.delimiter == b',' && record.len() > columns;
             let hint = if comma { "; decimal commas need `;` between the columns" } else { "" };
-            let what = format!("{} columns, the first line names {columns}{hint}", record.len());
+            let what =
+                format!("{} columns, but the first line names {columns}{hint}", record.len());
             return Err(if is_last { Malformed::Cut } else { Malformed::Row(what) });
         }
         let decimal_comma = self.delimiter != b',';
@@ -379,22 +380,25 @@ impl Table {
             if bare(cell).is_empty() {
                 return Ok(f64::NAN);
             }
-            // The digits that the end of the file cut off may have been of use.
+            // Digits may be missing at the end of the file.
             let is_cut = is_last && column + 1 == columns;
             match number(cell, decimal_comma) {
                 Some(_) if is_cut => Err(Malformed::Cut),
                 Some(value) => Ok(value),
                 None => {
                     let shown = String::from_utf8_lossy(&cell[..cell.len().min(40)]).into_owned();
-                    let what =
-                        format!("column {}: `{}` is no number", column + 1, shown.escape_debug());
+                    let what = format!(
+                        "column {}: `{}` is not a number",
+                        column + 1,
+                        shown.escape_debug()
+                    );
                     Err(Malformed::Row(what))
                 }
             }
         };
         let seconds = value(timestamp)?;
         if !(0.0..=MAX_TIMESTAMP_S).contains(&seconds) {
-            return Err(Malformed::Row(format!("`{TIMESTAMP}` is no time: {seconds}")));
+            return Err(Malformed::Row(format!("`{TIMESTAMP}` is not a valid time: {seconds}")));
         }
         for (vector, columns) in vectors {
             let row = &mut self.row[*vector];
@@ -411,17 +415,17 @@ impl Table {
         Ok(time::nanos(seconds))
     }
 
-    /// How many topics a row is a message of.
+    /// Number of topics with a message in each row.
     fn topics(&self) -> u64 {
         (self.layout.vectors.len() + self.layout.others.len()) as u64
     }
 }
 
-/// Largest `timestamp` that nanoseconds can hold, s.
+/// Maximum `timestamp` that nanoseconds can represent, s.
 const MAX_TIMESTAMP_S: f64 = 9e9;
 
 impl Samples {
-    /// Joint positions, with the velocities of the same stamps.
+    /// Joint positions, with velocities of the same stamps.
     fn joints(&self, velocities: Option<&Samples>) -> JointColumns {
         let by_stamp: HashMap<i64, &[f64]> = velocities
             .into_iter()
@@ -457,12 +461,12 @@ impl Samples {
     }
 }
 
-/// `value`, or NaN in place of one that nothing has.
+/// `value`, or NaN if it is unusable.
 fn finite(value: f64) -> f64 {
     if usable(value) { value } else { f64::NAN }
 }
 
-/// The names of what is not read, in the order of the columns; the parts of a vector are one.
+/// Names of unused columns in order, with the parts of a vector combined.
 fn others(names: &[&[u8]]) -> Vec<String> {
     let all: HashSet<&[u8]> = names.iter().copied().collect();
     let mut by_name: BTreeMap<String, usize> = BTreeMap::new();

@@ -1,34 +1,34 @@
-//! What a file is, told from its first bytes.
+//! Identifies the format of a file from its first bytes.
 
 use super::rtde;
 use super::tables::{self, HDF5_MAGIC, NPY_MAGIC};
 use super::unpack::ZSTD_MAGIC;
 
-/// What the first bytes of a file say.
+/// Format of a file according to its first bytes.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Kind {
     /// An MCAP file.
     Mcap,
-    /// A ROS 1 bag of version 2.0.
+    /// A ROS 1 bag, version 2.0.
     RosBag1,
     /// A SQLite database.
     Sqlite,
-    /// A zstd archive of whatever.
+    /// A zstd archive with any content.
     Zstd,
     /// A table whose first line names RTDE fields.
     Rtde,
     /// A table of numbers.
     Table(tables::Kind),
-    /// A kind of file that is known, but not read here.
+    /// A known but unsupported format.
     Known {
-        /// What it is, with its article.
+        /// Format with its article.
         looks: &'static str,
-        /// What to do about it.
+        /// Suggested action.
         instead: &'static str,
     },
     /// Anything else.
     Unknown {
-        /// What it looks like.
+        /// Appearance.
         looks: &'static str,
     },
 }
@@ -36,12 +36,12 @@ pub(super) enum Kind {
 const TO_MCAP: &str = "convert it to MCAP first";
 const UNPACK: &str = "unpack it first";
 
-/// Magic bytes of the known kinds that are not read here.
+/// Magic bytes of known but unsupported formats.
 const KNOWN: &[(&[u8], &str, &str)] = &[
-    (b"#ROSBAG", "a ROS 1 bag of another version than 2.0", "convert it by `rosbag fix` first"),
-    (b"\x89MCAP", "an MCAP file of another version than 0", "write it as MCAP version 0"),
+    (b"#ROSBAG", "a ROS 1 bag of a version other than 2.0", "convert it with `rosbag fix` first"),
+    (b"\x89MCAP", "an MCAP file of a version other than 0", "write it as MCAP version 0"),
     (b"ULog\x01\x12\x35", "a PX4 ULog", TO_MCAP),
-    (b"RRF", "a Rerun recording", "give the log that it was made from"),
+    (b"RRF", "a Rerun recording", "audit the log that it was made from"),
     (b"\x04\x22\x4d\x18", "an lz4 archive", UNPACK),
     (b"\x1f\x8b", "a gzip archive", UNPACK),
     (
@@ -52,7 +52,7 @@ const KNOWN: &[(&[u8], &str, &str)] = &[
     (ZIP_MAGIC, "a zip archive", UNPACK),
 ];
 
-/// Magic bytes of the kinds that are read, besides MCAP.
+/// Magic bytes of the supported formats, besides MCAP.
 const READ: &[(&[u8], Kind)] = &[
     (b"#ROSBAG V2.0\n", Kind::RosBag1),
     (b"SQLite format 3\0", Kind::Sqlite),
@@ -63,13 +63,13 @@ const READ: &[(&[u8], Kind)] = &[
 ];
 
 const ZIP_MAGIC: &[u8] = b"PK\x03\x04";
-/// Where the name of the first member of a zip archive stands.
+/// Offset of the first member's name in a zip archive.
 const ZIP_NAME: usize = 30;
 
-/// How many bytes are looked at to tell text from binary data.
+/// Number of bytes examined to distinguish text from binary data.
 const GLANCE: usize = 4096;
 
-/// What `bytes` are.
+/// Format of `bytes`.
 pub(super) fn kind(bytes: &[u8]) -> Kind {
     if bytes.starts_with(mcap::MAGIC) {
         return Kind::Mcap;
@@ -78,7 +78,7 @@ pub(super) fn kind(bytes: &[u8]) -> Kind {
         return kind;
     }
     if mcap::MAGIC.starts_with(bytes) {
-        return Kind::Unknown { looks: "an MCAP file that was cut off within its first 8 bytes" };
+        return Kind::Unknown { looks: "an MCAP file truncated within its first 8 bytes" };
     }
     if is_npz(bytes) {
         return Kind::Table(tables::Kind::Npz);
@@ -111,14 +111,14 @@ pub(super) fn kind(bytes: &[u8]) -> Kind {
     Kind::Unknown { looks }
 }
 
-/// Whether a zip archive is one of NumPy's, by the name of its first member.
+/// Whether a zip archive is a NumPy archive, according to the name of its first member.
 fn is_npz(bytes: &[u8]) -> bool {
     let length = bytes.get(26..28).map(|two| usize::from(two[0]) | usize::from(two[1]) << 8);
     let name = length.and_then(|length| bytes.get(ZIP_NAME..ZIP_NAME + length));
     bytes.starts_with(ZIP_MAGIC) && name.is_some_and(|name| name.ends_with(b".npy"))
 }
 
-/// Whether `bytes` read as UTF-8 text, of which the last character may be cut.
+/// Whether `bytes` are UTF-8 text, possibly with a truncated last character.
 fn is_text(bytes: &[u8]) -> bool {
     let text = match std::str::from_utf8(bytes) {
         Ok(text) => text,

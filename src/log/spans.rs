@@ -1,12 +1,12 @@
-//! When each file holds messages, and how the files lie to each other.
+//! Time spans of the files and their relation.
 
 use ground::time::Stamp;
 
 /// First and last log time.
 pub(super) type Span = (Stamp, Stamp);
 
-/// Pairs of files (the one that begins first, the other) that share more of their time than the
-/// splits of one recording do, and how much, s: longer than a second, or than half of the shorter.
+/// Pairs of files (earlier start first) that overlap by more than the splits of one recording, with the
+/// overlap in s: more than a second, or more than half of the shorter one.
 pub(super) fn overlaps(spans: &[(usize, Span)]) -> Vec<(usize, usize, f64)> {
     const SPLIT_S: f64 = 1.0;
     let length_s = |(first, last): Span| last.seconds_since(first);
@@ -18,7 +18,7 @@ pub(super) fn overlaps(spans: &[(usize, Span)]) -> Vec<(usize, usize, f64)> {
         .collect()
 }
 
-/// Pairs of files between which nothing was recorded for longer than a day, and how long, s.
+/// Pairs of files with a gap of more than a day between them, in s.
 pub(super) fn gaps(spans: &[(usize, Span)]) -> Vec<(usize, usize, f64)> {
     const DAY_S: f64 = 86_400.0;
     neighbours(spans)
@@ -27,8 +27,7 @@ pub(super) fn gaps(spans: &[(usize, Span)]) -> Vec<(usize, usize, f64)> {
         .collect()
 }
 
-/// Each file but the first, in the order in which they begin, behind the one that ends last of
-/// those before it.
+/// Each file except the first, in order of start, paired with the latest-ending of the files before it.
 pub(super) fn neighbours(
     spans: &[(usize, Span)],
 ) -> impl Iterator<Item = ((usize, Span), (usize, Span))> {
@@ -45,7 +44,7 @@ pub(super) fn neighbours(
     })
 }
 
-/// The span that covers both.
+/// Span that covers both.
 pub(super) fn join(a: Span, b: Span) -> Span {
     (a.0.min(b.0), a.1.max(b.1))
 }

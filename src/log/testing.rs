@@ -1,4 +1,4 @@
-//! What the tests of this room write: CDR messages, MCAP files, ROS 1 bags and databases of rosbag2.
+//! Writers for tests: CDR messages, MCAP files, ROS 1 bags and rosbag2 databases.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Read, Write};
@@ -10,7 +10,7 @@ use mcap::{Compression, WriteOptions, Writer};
 const SEPARATOR: &str =
     "================================================================================";
 
-/// `std_msgs/Header` and what it contains, as they follow a definition.
+/// Appends `std_msgs/Header` and its nested types to a definition.
 macro_rules! with_header {
     ($definition:literal) => {
         concat!(
@@ -61,7 +61,7 @@ pub(super) const IMU: &str = with_header!(
     MSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n"
 );
 
-/// `definition` followed by those of `nested`, as rosbag2 concatenates them.
+/// `definition` followed by the `nested` ones, as concatenated by rosbag2.
 pub(super) fn schema(definition: &str, nested: &[(&str, &str)]) -> String {
     let mut schema = format!("{definition}\n");
     for (name, definition) in nested {
@@ -70,7 +70,7 @@ pub(super) fn schema(definition: &str, nested: &[(&str, &str)]) -> String {
     schema
 }
 
-/// A CDR message being written.
+/// CDR message being written.
 #[derive(Clone)]
 pub(super) struct Cdr {
     bytes: Vec<u8>,
@@ -159,7 +159,7 @@ impl Cdr {
     }
 }
 
-/// An MCAP file being written.
+/// MCAP file being written.
 pub(super) struct LogWriter(Writer<Cursor<Vec<u8>>>);
 
 impl Default for LogWriter {
@@ -169,7 +169,7 @@ impl Default for LogWriter {
 }
 
 impl LogWriter {
-    /// A file of small chunks.
+    /// File with small chunks.
     pub(super) fn new(compression: Option<Compression>) -> Self {
         Self::with(WriteOptions::new().compression(compression).chunk_size(Some(1024)))
     }
@@ -209,20 +209,20 @@ impl LogWriter {
     }
 }
 
-/// A ROS 1 bag being written.
+/// ROS 1 bag being written.
 pub(super) struct BagWriter {
     bytes: Vec<u8>,
     compression: &'static str,
-    /// Records of the chunk that is open.
+    /// Records of the open chunk.
     chunk: Vec<u8>,
     connections: Vec<Vec<u8>>,
-    /// Time and place of the messages of the open chunk, by connection.
+    /// Time and offset of the open chunk's messages, by connection.
     index: BTreeMap<u32, Vec<(u64, u32)>>,
     chunk_infos: Vec<Vec<u8>>,
 }
 
 impl BagWriter {
-    /// A bag whose chunks are compressed by `none`, `lz4` or `bz2`.
+    /// Bag with chunks compressed by `none`, `lz4` or `bz2`.
     pub(super) fn new(compression: &'static str) -> Self {
         let mut bytes = super::rosbag1::MAGIC.to_vec();
         bytes.extend(Self::bag_header(0, 0, 0));
@@ -263,7 +263,7 @@ impl BagWriter {
             ("conn_count", &connections.to_le_bytes()),
             ("chunk_count", &chunks.to_le_bytes()),
         ];
-        // Recorders leave 4096 bytes; less keeps the tests small.
+        // Recorders reserve 4096 bytes; fewer keep the tests small.
         Self::record(&fields, &[b' '; 16])
     }
 
@@ -329,7 +329,7 @@ impl BagWriter {
         ]
     }
 
-    /// Closes the chunk; returns where it begins.
+    /// Closes the chunk and returns its offset.
     pub(super) fn end_chunk(&mut self) -> usize {
         let place = self.bytes.len();
         let header = self.chunk_header(self.chunk.len() as u32);
@@ -379,7 +379,7 @@ impl BagWriter {
         self.bytes
     }
 
-    /// Leaves the bag as a crash does: the last chunk says that it is empty, and there is no index.
+    /// Leaves the bag as a crash does: the last chunk has length zero, and there is no index.
     pub(super) fn abandon(mut self) -> Vec<u8> {
         let header = self.chunk_header(0);
         let fields = header.each_ref().map(|(name, value)| (*name, value.as_slice()));
@@ -390,11 +390,11 @@ impl BagWriter {
     }
 }
 
-/// A database of rosbag2 being written.
+/// rosbag2 database being written.
 pub(super) struct DatabaseWriter(rusqlite::Connection);
 
 impl DatabaseWriter {
-    /// A database of schema version 4.
+    /// Database with schema version 4.
     pub(super) fn create(path: &Path) -> Self {
         let database = rusqlite::Connection::open(path).unwrap();
         let schema = "
@@ -416,7 +416,7 @@ impl DatabaseWriter {
         Self(database)
     }
 
-    /// A database of schema version 1.
+    /// Database with schema version 1.
     pub(super) fn create_old(path: &Path) -> Self {
         let database = rusqlite::Connection::open(path).unwrap();
         let schema = "
@@ -432,7 +432,7 @@ impl DatabaseWriter {
         &self.0
     }
 
-    /// Lists a topic of poses, with its definition where the schema's version has a place for it.
+    /// Adds a topic of poses, with its definition if the schema version supports it.
     pub(super) fn poses(&self, id: i64, topic: &str) {
         let type_name = "geometry_msgs/msg/PoseStamped";
         let columns = "id, name, type, serialization_format";

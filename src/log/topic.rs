@@ -1,4 +1,4 @@
-//! One topic while its messages are taken in.
+//! One topic while its messages are read.
 
 use std::collections::HashSet;
 use std::fmt;
@@ -12,33 +12,33 @@ use super::{TableCell, Topic, Undecodable};
 use ground::stream::Columns;
 use ground::time::Stamp;
 
-/// Most different messages of a latching channel that are known again.
+/// Maximum number of distinct messages remembered per latching channel.
 const MAX_LATCHED: usize = 1 << 12;
 
-/// One message as a container holds it.
+/// One message of a container.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Message<'a> {
-    /// When the recorder received it, in nanoseconds.
+    /// Receive time of the recorder, ns.
     pub(super) log_time: u64,
-    /// When the sender published it, in nanoseconds.
+    /// Publish time of the sender, ns.
     pub(super) publish_time: u64,
-    /// The number that its sender, or the recorder, gave it; 0 where none did.
+    /// Sequence number from the sender or recorder; 0 if there is none.
     pub(super) sequence: u32,
-    /// The encoded message.
+    /// Encoded message.
     pub(super) data: &'a [u8],
-    /// Where in the file it is, or the chunk that holds it.
+    /// Position of the message, or of its chunk, in the file.
     pub(super) place: Place,
-    /// Whether it is one that its sender repeats to whoever comes late, and a recorder at the
-    /// beginning of every file.
+    /// Whether it is latched: the sender repeats it for late subscribers, and a recorder at the start of
+    /// every file.
     pub(super) latched: bool,
 }
 
-/// Where in a file a message is.
+/// Position of a message in a file.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Place {
-    /// At this byte.
+    /// Byte offset.
     Byte(u64),
-    /// In this row of a table.
+    /// Row of a table.
     Row(i64),
 }
 
@@ -51,20 +51,20 @@ impl fmt::Display for Place {
     }
 }
 
-/// How messages of one channel are decoded.
+/// Decoder of one channel.
 pub(super) struct Channel {
     pub(super) decoding: Arc<Decoding>,
-    /// Of the channel's own, so that no slot holds what another type left there.
+    /// Separate per channel, so slots do not contain values of a different type.
     row: Option<Box<Row>>,
-    /// Whether each message may be a zstd frame: no CDR message begins like one.
+    /// Whether messages may be zstd frames: a CDR message never starts like one.
     may_be_packed: bool,
-    /// Hashes of the latched messages that were taken.
+    /// Hashes of the latched messages read so far.
     latched: HashSet<u64>,
 }
 
 #[derive(Debug)]
 pub(super) enum Decoding {
-    /// No audit uses the type.
+    /// An audit does not use the type.
     Ignored,
     By(Plan),
     Impossible {
@@ -79,33 +79,33 @@ pub(super) struct TopicIntake {
     pub(super) taken: Taken,
     /// Rows that were not decoded from messages.
     pub(super) columns: Option<Columns>,
-    /// How its columns were told.
+    /// Interpretation of its columns.
     pub(super) read_as: Option<String>,
-    /// Which numbers of a table it is made of.
+    /// Table cells it consists of.
     pub(super) cells: Vec<TableCell>,
-    /// Which messages of a batch are its own: the channel's place, and the message's.
+    /// Its messages in a batch: index of the channel and of the message.
     pub(super) waiting: Vec<(usize, usize)>,
 }
 
-/// What was taken of a topic's messages: of all that were read, or of those of one chunk.
+/// Content read from a topic's messages, over all files or one chunk.
 #[derive(Default)]
 pub(super) struct Taken {
     pub(super) channels: Vec<Channel>,
     pub(super) messages: u64,
     pub(super) builder: Option<Builder>,
     pub(super) undecodable: Option<Undecodable>,
-    /// The files that hold it, by their number, and the span in each.
+    /// Files that contain it, by number, with the span in each.
     pub(super) spans: Vec<(usize, Span)>,
 }
 
-/// What it takes to read messages of a topic into columns of their own.
+/// Template for reading messages of a topic into separate columns.
 pub(super) struct Blank {
     channels: Vec<(Arc<Decoding>, bool)>,
     builder: Option<Builder>,
 }
 
 impl Blank {
-    /// Nothing taken yet.
+    /// Empty content.
     pub(super) fn taken(&self) -> Taken {
         let channel = |(decoding, may_be_packed): &(Arc<Decoding>, bool)| {
             Channel::new(Arc::clone(decoding), *may_be_packed)
@@ -119,7 +119,7 @@ impl Blank {
 }
 
 impl Taken {
-    /// The same channels and columns, with nothing in them.
+    /// The same channels and columns without content.
     pub(super) fn blank(&self) -> Blank {
         let channel = |channel: &Channel| (Arc::clone(&channel.decoding), channel.may_be_packed);
         Blank {
@@ -128,7 +128,7 @@ impl Taken {
         }
     }
 
-    /// Whether [`Taken::join`] of `later` gives what reading its messages here would.
+    /// Whether [`Taken::join`] with `later` is equivalent to reading its messages here.
     pub(super) fn fits(&self, later: &Self) -> bool {
         match (&self.builder, &later.builder) {
             (Some(own), Some(later)) => own.fits(later),
@@ -137,7 +137,7 @@ impl Taken {
         }
     }
 
-    /// Takes over what `later` messages were read to.
+    /// Appends the content of `later` messages.
     pub(super) fn join(&mut self, later: Self) {
         self.messages += later.messages;
         if let (Some(builder), Some(later)) = (&mut self.builder, later.builder) {
@@ -152,7 +152,7 @@ impl Taken {
         }
     }
 
-    /// Counts a message of file number `file`, and appends its rows where its channel has columns.
+    /// Counts a message of file number `file`, and appends its rows if its channel has columns.
     pub(super) fn message(&mut self, place: usize, message: &Message<'_>, file: usize) {
         let times = RowTimes {
             log: saturating(message.log_time),
@@ -180,7 +180,7 @@ impl Taken {
         }
     }
 
-    /// Takes down that file number `file` holds a message of log time `at`.
+    /// Records that file number `file` contains a message with log time `at`.
     pub(super) fn seen(&mut self, file: usize, at: Stamp) {
         match self.spans.last_mut() {
             Some((last, (first_at, last_at))) if *last == file => {
@@ -193,7 +193,7 @@ impl Taken {
 }
 
 impl TopicIntake {
-    /// What was taken so far, without what it takes to take more.
+    /// Copy of the content so far, without the means to read more.
     pub(super) fn so_far(&self) -> Self {
         Self {
             name: self.name.clone(),
@@ -213,13 +213,13 @@ impl TopicIntake {
         }
     }
 
-    /// The topic, and one more for each further part of what its messages hold.
+    /// The topic, plus one per additional part of its messages.
     pub(super) fn finish(self) -> Vec<Topic> {
         let Taken { messages, builder, mut undecodable, spans, .. } = self.taken;
         let span = spans.into_iter().map(|(_, span)| span).reduce(join);
         let refused = builder.as_ref().map_or(0, Builder::refused);
         if refused > 0 {
-            let first = format!("it has more than {MAX_FRAMES} pairs of frames");
+            let first = format!("more than {MAX_FRAMES} pairs of frames");
             undecodable.get_or_insert(Undecodable { messages: 0, first }).messages += refused;
         }
         let useless = builder.as_ref().and_then(Builder::useless);
@@ -234,7 +234,7 @@ impl TopicIntake {
             encoding: self.encoding.clone(),
             messages,
             columns,
-            // Told once, for the whole of the messages.
+            // Reported once per message.
             undecodable: undecodable.clone().filter(|_| part.is_empty()),
             useless: useless.clone(),
             read_as: self.read_as.clone(),
@@ -250,13 +250,13 @@ impl Channel {
         Self { decoding, row: None, may_be_packed, latched: HashSet::new() }
     }
 
-    /// Whether a message is a zstd frame that must be unpacked before it is decoded.
+    /// Whether a message is a zstd frame to be decompressed before decoding.
     pub(super) fn is_packed(&self, data: &[u8]) -> bool {
         let is_decoded = matches!(*self.decoding, Decoding::By(_));
         is_decoded && self.may_be_packed && data.starts_with(ZSTD_MAGIC)
     }
 
-    /// Whether a latched message of this channel was taken before.
+    /// Whether a latched message of this channel was read before.
     pub(super) fn is_repeated(&mut self, data: &[u8]) -> bool {
         let mut hasher = DefaultHasher::new();
         data.hash(&mut hasher);
@@ -266,7 +266,7 @@ impl Channel {
     }
 }
 
-/// Takes down that the message at `place` cannot be decoded.
+/// Records that the message at `place` cannot be decoded.
 pub(super) fn take_down(
     undecodable: &mut Option<Undecodable>,
     place: Place,

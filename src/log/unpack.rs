@@ -1,7 +1,7 @@
-//! Compressed parts of files, unpacked within bounds.
+//! Decompresses parts of files within limits.
 //!
-//! A few kilobytes can unpack to terabytes. What the parts of a file unpack to is therefore counted
-//! against an [`Allowance`] for the whole file, and no part may be larger than a recorder writes.
+//! A few kilobytes can expand to terabytes. Decompressed sizes are therefore charged to an [`Allowance`]
+//! for the whole file, and no part may be larger than recorders write.
 
 use std::io::{self, Read, Seek, Write};
 
@@ -10,25 +10,25 @@ use ground::boundary::Staged;
 use super::Extent;
 use super::mapped::{Temporary, temporary};
 
-/// What a zstd frame begins with.
+/// First bytes of a zstd frame.
 pub(super) const ZSTD_MAGIC: &[u8] = b"\x28\xb5\x2f\xfd";
 
-/// What a SQLite database begins with.
+/// First bytes of a SQLite database.
 pub(super) const SQLITE_MAGIC: &[u8] = b"SQLite format 3\0";
 
-/// Largest chunk that is unpacked. Recorders write chunks of a few megabytes.
+/// Maximum decompressed size of a chunk. Recorders write chunks of a few megabytes.
 const MAX_CHUNK_BYTES: u64 = 1 << 30;
 
-/// Largest message that is unpacked.
+/// Maximum decompressed size of a message.
 const MAX_MESSAGE_BYTES: u64 = 64 << 20;
 
-/// What a byte takes off an [`Allowance`] that is slow to unpack, or is kept on the disk.
+/// Charge to an [`Allowance`] per byte that is slow to decompress or stored on disk.
 const SLOW_OR_KEPT: u64 = 16;
 
-/// How a part of a file is compressed.
+/// Compression of a part of a file.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Compression {
-    /// Not at all.
+    /// Uncompressed.
     None,
     /// A zstd frame.
     Zstd,
@@ -38,26 +38,26 @@ pub(super) enum Compression {
     Bz2,
 }
 
-/// Why a part of a file cannot be unpacked.
+/// Reason why a part of a file cannot be decompressed.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum UnpackError {
-    #[error("{part} of {size} bytes is larger than the {limit} that are unpacked")]
+    #[error("{part} of {size} bytes is larger than the limit of {limit}")]
     TooLarge { part: &'static str, size: u64, limit: u64 },
     #[error(
-        "{part} is not unpacked: with it the file would hold more than the {} GiB that are unpacked unasked",
+        "{part} not decompressed: the file would exceed the default limit of {} GiB",
         limit >> 30
     )]
     TooMuch { part: &'static str, limit: u64 },
-    #[error("{part} cannot be unpacked: {source}")]
+    #[error("{part} cannot be decompressed: {source}")]
     Broken { part: &'static str, source: io::Error },
-    #[error("chunk holds {found} bytes, its header says {expected}")]
+    #[error("chunk has {found} bytes, its header says {expected}")]
     Size { expected: u64, found: u64 },
-    #[error("chunk fails its checksum ({found:08x}, its header says {expected:08x})")]
+    #[error("chunk fails its checksum ({found:08x}, expected {expected:08x})")]
     Crc { expected: u32, found: u32 },
 }
 
 impl UnpackError {
-    /// What it takes from the audit: messages that are damaged, or that are not read unasked.
+    /// Consequence for the audit: damaged messages, or content skipped by default.
     pub(super) fn extent(&self) -> Extent {
         match self {
             Self::TooMuch { .. } => Extent::Unread,
@@ -68,21 +68,21 @@ impl UnpackError {
     }
 }
 
-/// A chunk as its file holds it.
+/// Chunk as stored in a file.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Packed<'a> {
-    /// How it is compressed.
+    /// Compression.
     pub(super) compression: Compression,
-    /// The compressed bytes.
+    /// Compressed bytes.
     pub(super) data: &'a [u8],
-    /// How many bytes it holds, by its header.
+    /// Decompressed size according to its header.
     pub(super) size: u64,
-    /// Their checksum; 0 where there is none.
+    /// Checksum of the decompressed bytes; 0 if there is none.
     pub(super) crc: u32,
 }
 
 impl<'a> Packed<'a> {
-    /// What it holds, which was unpacked into `buffer` if it was packed.
+    /// Decompressed content, which is in `buffer` if the chunk is compressed.
     fn content<'b>(&self, buffer: &'b [u8]) -> &'b [u8]
     where
         'a: 'b,
@@ -93,8 +93,7 @@ impl<'a> Packed<'a> {
         }
     }
 
-    /// What unpacking it takes off an [`Allowance`]: bytes, and of bzip2 for each as much as the others do
-    /// of several.
+    /// Charge to an [`Allowance`]: the decompressed size, multiplied for bzip2 because it is slow.
     fn cost(&self) -> u64 {
         match self.compression {
             Compression::None => 0,
@@ -103,7 +102,7 @@ impl<'a> Packed<'a> {
         }
     }
 
-    /// Whether `content` is what the header says.
+    /// Whether `content` matches the header.
     fn verify(&self, content: &[u8]) -> Result<(), UnpackError> {
         let found = content.len() as u64;
         if found != self.size {
@@ -118,7 +117,7 @@ impl<'a> Packed<'a> {
     }
 }
 
-/// How many bytes the compressed parts of one file may unpack to.
+/// Decompression limit of one file.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Allowance {
     limit: u64,
@@ -126,19 +125,19 @@ pub(super) struct Allowance {
 }
 
 impl Allowance {
-    /// What a file may unpack to however small it is.
+    /// Base limit regardless of file size.
     const BASE: u64 = 16 << 30;
-    /// What each of its bytes may unpack to beyond that. Black images reach 1400; no chunk stays in memory
-    /// when it was read, so that this bounds time alone.
+    /// Additional limit per byte of the file. Black images reach 1400. Chunks do not stay in memory, so
+    /// this only bounds time.
     const RATIO: u64 = 2000;
 
-    /// The allowance of a file of `bytes`, and of as many GiB as were asked for.
+    /// Allowance of a file of `bytes`, at least the requested GiB.
     pub(super) fn of(bytes: u64, asked_gib: Option<u32>) -> Self {
         let unasked = bytes.saturating_mul(Self::RATIO).saturating_add(Self::BASE);
         Self { limit: unasked.max(u64::from(asked_gib.unwrap_or(0)) << 30), used: 0 }
     }
 
-    /// One of so many bytes.
+    /// Allowance of exactly `limit` bytes.
     #[cfg(test)]
     pub(super) fn exactly(limit: u64) -> Self {
         Self { limit, used: 0 }
@@ -159,7 +158,7 @@ impl Allowance {
         self.used = self.used.saturating_add(bytes).min(self.limit);
     }
 
-    /// Whether `packed` may be unpacked.
+    /// Whether `packed` may be decompressed.
     pub(super) fn admit(&self, packed: &Packed<'_>) -> Result<(), UnpackError> {
         let (size, limit) = (packed.size, MAX_CHUNK_BYTES);
         match packed.compression {
@@ -169,23 +168,23 @@ impl Allowance {
         }
     }
 
-    /// Takes off what `packed` cost. What fails in the end has cost no less.
+    /// Charges the cost of `packed`, even if decompression fails.
     pub(super) fn settle(&mut self, packed: &Packed<'_>) {
         self.take(packed.cost());
     }
 }
 
-/// What a chunk is called in an error.
+/// Name of a chunk in errors.
 const CHUNK: &str = "chunk";
 
-/// A chunk that was unpacked into a buffer of its own, or cannot be.
+/// Chunk decompressed into a separate buffer, or the error.
 pub(super) struct UnpackedChunk {
     pub(super) buffer: Vec<u8>,
     outcome: Result<(), UnpackError>,
 }
 
 impl UnpackedChunk {
-    /// What `packed` holds, of which this was made.
+    /// Content of `packed`, from which this was made. Charges the allowance.
     pub(super) fn content<'a>(
         &'a mut self,
         packed: &Packed<'a>,
@@ -197,13 +196,13 @@ impl UnpackedChunk {
         Ok(packed.content(&self.buffer))
     }
 
-    /// The same, of which nothing is taken off yet; `None` where there is an error.
+    /// The same without charging. `None` if there is an error.
     pub(super) fn if_sound<'a>(&'a self, packed: &Packed<'a>) -> Option<&'a [u8]> {
         self.outcome.is_ok().then(|| packed.content(&self.buffer))
     }
 }
 
-/// Unpacks one part of a file after the other into one buffer.
+/// Decompresses parts of a file one after another into the same buffer.
 #[derive(Default)]
 pub(super) struct Unpacker {
     zstd: zstd::bulk::Decompressor<'static>,
@@ -211,7 +210,7 @@ pub(super) struct Unpacker {
 }
 
 impl Unpacker {
-    /// The content of a whole chunk, of the size and with the checksum that its header says.
+    /// Content of a whole chunk, verified against the size and checksum in its header.
     pub(super) fn chunk<'a>(
         &'a mut self,
         packed: &Packed<'a>,
@@ -223,14 +222,14 @@ impl Unpacker {
         Ok(packed.content(&self.buffer))
     }
 
-    /// The same in a buffer of its own. What it costs is taken off when it is read.
+    /// The same in a separate buffer. The cost is charged when it is read.
     pub(super) fn chunk_into(&mut self, buffer: Vec<u8>, packed: &Packed<'_>) -> UnpackedChunk {
         self.buffer = buffer;
         let outcome = self.fill(packed);
         UnpackedChunk { buffer: std::mem::take(&mut self.buffer), outcome }
     }
 
-    /// Unpacks a chunk into the buffer.
+    /// Decompresses a chunk into the buffer.
     fn fill(&mut self, packed: &Packed<'_>) -> Result<(), UnpackError> {
         let Packed { compression, data, size, .. } = *packed;
         if compression != Compression::None {
@@ -240,7 +239,7 @@ impl Unpacker {
         let buffer = &mut self.buffer;
         let unpacked = match compression {
             Compression::None => Ok(0),
-            // The capacity bounds what zstd may write, and only what it writes takes memory.
+            // The capacity limits zstd's output, and only written bytes take memory.
             Compression::Zstd => self.zstd.decompress_to_buffer(data, buffer),
             Compression::Lz4 => {
                 lz4::Decoder::new(data).and_then(|stream| stream.take(limit).read_to_end(buffer))
@@ -253,7 +252,7 @@ impl Unpacker {
         packed.verify(packed.content(&self.buffer))
     }
 
-    /// The beginning of a chunk whose end is missing, as far as it can be unpacked.
+    /// Start of a truncated chunk, as far as it can be decompressed.
     pub(super) fn cut_chunk<'a>(
         &'a mut self,
         compression: Compression,
@@ -263,7 +262,7 @@ impl Unpacker {
         let buffer = &mut self.buffer;
         buffer.clear();
         let limit = allowance.left().min(MAX_CHUNK_BYTES);
-        // That the stream breaks off is known: what came before stays in the buffer.
+        // The error is expected; earlier output stays in the buffer.
         let broken_off = match compression {
             Compression::None => return data,
             Compression::Zstd => zstd::stream::read::Decoder::with_buffer(data)
@@ -278,14 +277,14 @@ impl Unpacker {
         if compression == Compression::Bz2
             && broken_off.is_err_and(|error| error.kind() != io::ErrorKind::UnexpectedEof)
         {
-            // A block is given out before its checksum is read, and hardly a chunk has two.
+            // A block is output before its checksum is verified, and a chunk rarely has two.
             buffer.clear();
         }
         allowance.take(buffer.len() as u64);
         buffer
     }
 
-    /// The content of a message that is a zstd frame.
+    /// Content of a message that is a zstd frame.
     pub(super) fn message(
         &mut self,
         frame: &[u8],
@@ -302,7 +301,7 @@ impl Unpacker {
         Ok(&self.buffer)
     }
 
-    /// An empty buffer with the capacity for `size` bytes.
+    /// Empties the buffer and reserves `size` bytes.
     fn make_room(&mut self, part: &'static str, size: u64, limit: u64) -> Result<(), UnpackError> {
         let too_large = || UnpackError::TooLarge { part, size, limit };
         if size > limit {
@@ -313,18 +312,18 @@ impl Unpacker {
     }
 }
 
-/// What an archive unpacked to.
+/// Decompressed archive.
 pub(super) struct Unpacked {
     pub(super) file: Temporary,
-    /// Where it is, if it has a name: SQLite opens files by name only. Without one, nothing stays
-    /// behind however the process ends.
+    /// Path, if it has a name, because SQLite opens files by name only. An unnamed file disappears however
+    /// the process ends.
     pub(super) path: Option<Staged>,
 }
 
 impl Unpacked {
-    /// An empty file for what begins with `head`.
+    /// Empty file for content that starts with `head`.
     pub(super) fn of(head: &[u8]) -> io::Result<Self> {
-        // Nor can it open what is kept in memory.
+        // SQLite cannot open files in memory either.
         #[cfg(not(target_arch = "wasm32"))]
         if head.starts_with(SQLITE_MAGIC) {
             return Self::named();
@@ -333,7 +332,7 @@ impl Unpacked {
         Ok(Self { file: temporary()?, path: None })
     }
 
-    /// An empty file with a name.
+    /// Empty file with a name.
     #[cfg(not(target_arch = "wasm32"))]
     fn named() -> io::Result<Self> {
         let path = Staged::new(|| Ok(tempfile::NamedTempFile::new()?.into_temp_path()))?;
@@ -342,11 +341,11 @@ impl Unpacked {
     }
 }
 
-/// Unpacks a zstd file of any size into a temporary file, as far as it can be unpacked: the error
-/// says why not to the end. How many bytes of the archive were read is told to `at`.
+/// Decompresses a zstd file of any size into a temporary file as far as possible; the inner error is the
+/// reason why it is incomplete. Reports the number of archive bytes read to `at`.
 ///
 /// # Errors
-/// If the temporary file cannot be written.
+/// Returns an error if the temporary file cannot be written.
 pub(super) fn file(
     archive: &[u8],
     allowance: &mut Allowance,
@@ -361,9 +360,9 @@ pub(super) fn file(
     let mut buffer = vec![0; 1 << 16];
     let mut unpacked = None;
     let end = loop {
-        // A piece is as long as it can be, so that the first has the whole of the file's magic.
+        // Pieces are as long as possible, so the first contains the file's whole magic.
         let (length, end) = fill(&mut stream, &mut buffer);
-        // It goes to the disk, of which there is less than of time.
+        // It is written to disk, which is scarcer than time.
         let cost = length as u64 * SLOW_OR_KEPT;
         if let Err(error) = allowance.check(PART, cost) {
             break Err(error);
@@ -386,7 +385,7 @@ pub(super) fn file(
     Ok((unpacked, end))
 }
 
-/// Reads until `buffer` is full or nothing more comes: how much that was, and why no more came.
+/// Reads until `buffer` is full or the input ends. Returns the length and the reason for stopping early.
 fn fill(stream: &mut impl Read, buffer: &mut [u8]) -> (usize, io::Result<()>) {
     let mut length = 0;
     while length < buffer.len() {
@@ -403,7 +402,7 @@ fn write_all(file: &mut Temporary, bytes: &[u8]) -> io::Result<()> {
     file.write_all(bytes).map_err(|source| {
         io::Error::new(
             source.kind(),
-            format!("it cannot be unpacked to a temporary file: {source}"),
+            format!("cannot be decompressed to a temporary file: {source}"),
         )
     })
 }

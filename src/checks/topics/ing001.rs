@@ -106,7 +106,7 @@ mod tests {
 
     #[test]
     fn the_place_stands_first_and_what_is_lost_last() {
-        const WHAT: &str = "the file ends within a chunk; 813 messages of it were read";
+        const WHAT: &str = "the file ends within a chunk; 813 of its messages were read";
         let span = Some((Stamp::from_nanos(2_000_000_000), Stamp::from_nanos(2_512_000_000)));
         for (offset, messages, span, expected) in [
             (Some(38), None, None, format!("at byte 38: {WHAT}")),

@@ -110,11 +110,11 @@ fn files_that_are_not_of_one_run_are_said() {
     assert_eq!(notes(&[("b", hours[1]), ("a", hours[0])]), [""; 0]);
     assert_eq!(
         notes(&[("c", hours[2]), ("a", hours[0])]),
-        ["c: 1800.0 s of `/a` are in a, too: are they recordings of one run?"]
+        ["c: 1800.0 s of `/a` are also in a: are they recordings of the same run?"]
     );
     let days: &[u64] = &[49 * HOUR, 50 * HOUR];
     assert_eq!(
         notes(&[("a", hours[0]), ("b", days)]),
-        ["b: it begins 48.0 h after a ends: is it of the same run?"]
+        ["b: it begins 48.0 h after a ends: does it belong to the same run?"]
     );
 }

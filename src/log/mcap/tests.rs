@@ -204,7 +204,10 @@ fn the_messages_before_a_cut_within_a_chunk_are_saved() {
     assert_eq!(*offset, Some(second as u64));
     assert_eq!(
         *what,
-        format!("the file ends within a chunk; {} messages of it were read", log.messages - before)
+        format!(
+            "the file ends within a chunk; {} of its messages were read",
+            log.messages - before
+        )
     );
     assert_eq!(log.files[0].crc, Crc::Partial);
 }
@@ -257,7 +260,7 @@ fn a_wrong_length_costs_no_more_than_its_record() {
         let [loss] = log.losses.as_slice() else { panic!("{:?}", log.losses) };
         assert_eq!((loss.offset, loss.extent), (Some(chunk as u64), Extent::Messages));
         assert_eq!(loss.messages, Some(MESSAGES - log.messages));
-        assert!(loss.what.contains("read on at byte"), "{}", loss.what);
+        assert!(loss.what.contains("continued at byte"), "{}", loss.what);
         assert!(log.messages > MESSAGES / 2);
     }
 }
@@ -411,9 +414,8 @@ fn records_of_unknown_kinds_are_said_but_for_private_ones() {
         bytes.splice(MAGIC.len()..MAGIC.len(), [&record[..], &record].concat());
         let log = read_all(&bytes);
         assert_eq!(log.messages, MESSAGES);
-        let expected = format!(
-            "2 records of unknown kinds were passed over (the first: opcode {opcode:#04x})"
-        );
+        let expected =
+            format!("skipped 2 records of unknown kinds (the first: opcode {opcode:#04x})");
         let said: Vec<bool> = log.notes.iter().map(|note| note.what == expected).collect();
         assert_eq!(said, vec![true; usize::from(is_unknown)], "{:?}", log.notes);
     }

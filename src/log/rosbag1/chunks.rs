@@ -157,7 +157,7 @@ impl<'a> Reader<'a, '_, '_> {
             UnpackError::Size { expected, found } if found < expected => (Extent::Messages, None),
             _ => (Extent::Index, Some(0)),
         };
-        let what = format!("{error}; {read} messages of it were read");
+        let what = format!("{error}; {read} of its messages were read");
         self.losses.add(offset, extent, messages, what);
     }
 

@@ -110,7 +110,7 @@ fn a_cut_in_a_plain_chunk_costs_one_message() {
     let [loss] = log.losses.as_slice() else { panic!("{:?}", log.losses) };
     assert_eq!((loss.offset, loss.extent), (Some(chunks[1] as u64), Extent::Tail));
     let saved = log.messages - A_CHUNK;
-    assert!(loss.what.contains(&format!("{saved} messages of it were read")), "{}", loss.what);
+    assert!(loss.what.contains(&format!("{saved} of its messages were read")), "{}", loss.what);
 }
 
 #[test]
@@ -270,7 +270,7 @@ fn records_of_unknown_kinds_are_passed_and_said() {
     let log = read_bag(&bytes);
     assert_eq!((log.messages, log.losses.len()), (MESSAGES, 0));
     let [note] = log.notes.as_slice() else { panic!("{:?}", log.notes) };
-    let expected = format!("{} records of unknown kinds were passed over", found.len());
+    let expected = format!("skipped {} records of unknown kinds", found.len());
     assert!(note.what.contains(&expected) && note.what.contains("0x2a"), "{}", note.what);
 }
 

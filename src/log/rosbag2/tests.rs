@@ -328,7 +328,7 @@ fn splits_that_a_cut_list_does_not_name_are_read_and_said() {
     let said = |extent| log.losses.iter().filter(|loss| loss.extent == extent).count();
     assert_eq!((said(Extent::Index), said(Extent::Messages), log.losses.len()), (3, 1, 4));
     let notes: Vec<&str> = log.notes.iter().map(|note| note.what.as_str()).collect();
-    assert_eq!(notes, ["metadata.yaml does not list it: it was not read"; 2]);
+    assert_eq!(notes, ["not listed in metadata.yaml, so it was not read"; 2]);
 }
 
 #[test]
@@ -351,7 +351,7 @@ fn messages_that_metadata_counts_and_a_database_lacks_are_lost() {
     let log = read(folder.path());
     let [loss] = log.losses.as_slice() else { panic!("{:?}", log.losses) };
     assert_eq!((loss.extent, loss.messages), (Extent::Messages, Some(3)));
-    assert_eq!(loss.what, "metadata.yaml counts 13 messages, 10 were found");
+    assert_eq!(loss.what, "metadata.yaml counts 13 messages, but 10 were found");
 }
 
 #[test]
@@ -363,10 +363,10 @@ fn a_folder_without_metadata_is_read_if_it_is_one_recording() {
     let log = read(folder.path());
     assert_eq!((log.messages, log.files.len()), (20, 2));
     let [note] = log.notes.as_slice() else { panic!("{:?}", log.notes) };
-    assert_eq!(note.what, "it has no metadata.yaml: the 2 log files in it are read");
+    assert_eq!(note.what, "no metadata.yaml: the 2 log files in the folder are read");
     database(&folder.path().join("other.db3"), 0, 10);
     let error = try_read(folder.path()).unwrap_err().to_string();
-    assert!(error.contains("the logs of several runs"), "{error}");
+    assert!(error.contains("logs of several runs"), "{error}");
 }
 
 #[test]

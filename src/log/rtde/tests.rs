@@ -151,8 +151,10 @@ fn malformed_rows_are_said_with_their_line() {
     lines[7] = lines[7].replacen("100.2980", "nan", 1);
     let log = read(&(lines.join("\n") + "\n"));
     let whats: Vec<&str> = log.losses.iter().map(|loss| loss.what.as_str()).collect();
-    let expected =
-        ["line 4: column 1: `soon` is no number", "line 6: 12 columns, the first line names 13"];
+    let expected = [
+        "line 4: column 1: `soon` is not a number",
+        "line 6: 12 columns, but the first line names 13",
+    ];
     assert_eq!(whats, expected);
     assert!(log.losses.iter().all(|loss| loss.messages == Some(2)));
     assert_eq!(joints(&log, "actual_q").times.len(), 8);
