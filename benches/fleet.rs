@@ -1,9 +1,9 @@
-//! What a fleet costs: efficiency on two cores against one, a call when all is done, and memory.
+//! Cost of a fleet audit: parallel efficiency on two cores, a call with nothing left to do, and memory.
 //!
-//! `cargo bench --bench fleet` makes a thousand short logs of its own, audits them on one core and on two
-//! into folders of their own, and calls once more where all is done. `POSEAUDIT_FLEET_LOGS` says how many
-//! logs, `POSEAUDIT_FLEET_BIN` which program, `POSEAUDIT_FLEET_SECONDS` how long each log is,
-//! `POSEAUDIT_FLEET_KEEP` a folder to leave the logs in.
+//! `cargo bench --bench fleet` generates a thousand short logs and audits them on one core and on two, into
+//! separate folders. It then calls the program again when all are done. Environment variables:
+//! `POSEAUDIT_FLEET_LOGS` (number of logs), `POSEAUDIT_FLEET_BIN` (program), `POSEAUDIT_FLEET_SECONDS`
+//! (duration of each log), `POSEAUDIT_FLEET_KEEP` (folder in which to keep the logs).
 
 use std::env;
 use std::fs::{self, File};
@@ -32,7 +32,7 @@ fn main() -> Result<()> {
 
     let call =
         |jobs: usize, out: &str| measured(&binary, &logs_in, &folder.path().join(out), jobs, logs);
-    // Once through, so that files and program are in memory for all.
+    // A first call to load files and program into memory.
     let first = call(2, "two")?;
     let one = call(1, "one")?;
     let again = call(2, "two again")?;
@@ -54,7 +54,7 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// Writes the logs, no two alike, and returns their size.
+/// Writes distinct logs, and returns their size.
 fn write_logs(folder: &Path, count: u64, duration_s: f64) -> Result<u64> {
     fs::create_dir_all(folder)?;
     let mut bytes = 0;
@@ -62,7 +62,7 @@ fn write_logs(folder: &Path, count: u64, duration_s: f64) -> Result<u64> {
         let mut run = Scenario::ur5e();
         (run.seed, run.duration_s, run.motion) = (seed + 1, duration_s, Motion::Continuous);
         run.imu.timing.rate_hz = 0.0;
-        // One in ten has something to find.
+        // One log in ten has a fault.
         run.pose.timing.latency_s = if seed % 10 == 0 { 0.015 } else { 0.0 };
         let path = folder.join(format!("{seed:05}.mcap"));
         run.write_mcap(BufWriter::new(File::create(&path)?), Some(mcap::Compression::Zstd))?;
@@ -71,12 +71,12 @@ fn write_logs(folder: &Path, count: u64, duration_s: f64) -> Result<u64> {
     Ok(bytes)
 }
 
-/// What a call cost.
+/// Cost of a call.
 struct Cost {
     wall: Duration,
-    /// Largest memory of its own (anonymous pages) of the process that leads, …
+    /// Peak anonymous memory of the parent process.
     leader_kib: u64,
-    /// … and of it and the processes of the logs together.
+    /// Peak anonymous memory of the parent and all log processes.
     all_kib: u64,
 }
 
@@ -97,8 +97,8 @@ fn measured(binary: &Path, logs_in: &Path, out: &Path, jobs: usize, logs: u64) -
     Ok(Cost { wall, leader_kib, all_kib })
 }
 
-/// The largest memory of a process, and of it with its children, until it ends, KiB. What lives less
-/// than a few milliseconds may be missed.
+/// Peak memory of a process, and of it with its children, until it exits, KiB. May miss processes of a few
+/// milliseconds.
 fn peaks(child: &mut Child) -> Result<(u64, u64)> {
     let (mut leader, mut all) = (0, 0);
     let id = child.id();

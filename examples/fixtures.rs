@@ -1,4 +1,4 @@
-//! Writes the logs in `fixtures/` again: `cargo run --example fixtures`.
+//! Regenerates the logs in `fixtures/`: `cargo run --example fixtures`.
 
 use std::fs::File;
 use std::io::BufWriter;

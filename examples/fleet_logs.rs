@@ -1,8 +1,8 @@
 //! Writes the logs of a small fleet: `cargo run --example fleet_logs -- DIR`.
 //!
-//! Three arms of two sites, a log every fourth day of two months. In cell1 of Berlin the zero of the elbow
-//! creeps; in cell2 the poses are late from one day on; Oslo has nothing but a constant zero. One log is no
-//! log. The picture of `docs/fleet.md` is made of them.
+//! Three arms at two sites, with a log every fourth day for two months. In Berlin's cell1 the elbow's zero
+//! offset drifts; in cell2 the poses are late from one day on; Oslo has a constant zero offset. One file is
+//! not a log. The picture in `docs/fleet.md` shows them.
 
 use std::env;
 use std::fs::{self, File};

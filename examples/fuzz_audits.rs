@@ -1,7 +1,7 @@
-//! Audits logs that are drawn at random until some seconds are over, and keeps what one of them breaks:
-//! `cargo run --example fuzz_audits -- SECONDS [FOLDER]`; one that is kept again: `… -- FILE`.
+//! Audits random logs for some time, and keeps those that fail: `cargo run --example fuzz_audits -- SECONDS
+//! [FOLDER]`. Replays a kept one with `… -- FILE`.
 //!
-//! A string whose audit gives answers that none gave before is kept and drawn from again.
+//! Strings whose audits give new kinds of answers are kept and mutated.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ use rand::{Rng, RngExt, SeedableRng};
 #[path = "../fuzz/audits.rs"]
 mod audits;
 
-/// An audit that takes this much of a processor is kept, s.
+/// Minimum processor time of an audit to be kept as slow, s.
 const SLOW_S: f64 = 20.0;
 
 fn main() {
@@ -56,7 +56,7 @@ fn main() {
             }
         }
         runs += 1;
-        // What never ends is found here.
+        // Keeps the current string, in case the audit never ends.
         let _ = fs::create_dir_all(&folder).and_then(|()| fs::write(folder.join("last"), &bytes));
         let begun_s = audits::processor_s();
         match caught(|| audits::audit_of(&bytes)) {

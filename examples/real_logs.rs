@@ -1,13 +1,13 @@
 //! Audits public recordings of real arms and compares the answers with `tests/real/expected.toml`:
 //!
 //! ```sh
-//! cargo run --release --example real_logs -- FOLDER           # FOLDER/OWNER/NAME, as `git clone` makes them
+//! cargo run --release --example real_logs -- FOLDER           # FOLDER/OWNER/NAME, as cloned by git
 //! cargo run --example real_logs -- --markdown > docs/real-logs.md
 //! ```
 //!
-//! Options: `--bin PROGRAM` (else it is built), `--only TEXT` (of the repository's name), `--threads N`, `--limit
-//! SECONDS` for one audit, `--verbose` to print the open differences, too. Absent sources are skipped. The exit
-//! status is 1 if an answer differs that is not listed as open.
+//! Options: `--bin PROGRAM` (default: builds it), `--only TEXT` (part of the repository's name), `--threads
+//! N`, `--limit SECONDS` for one audit, `--verbose` to also print known differences. Absent sources are
+//! skipped. The exit status is 1 if there are differences that are not listed as open.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -23,7 +23,7 @@ mod table;
 
 use table::{Expectation, call, markdown};
 
-/// What the program answered.
+/// Answer of the program.
 struct Answer {
     verdict: String,
     arm: Option<String>,
@@ -102,7 +102,7 @@ fn main() -> Result<ExitCode> {
     Ok(if failed { ExitCode::FAILURE } else { ExitCode::SUCCESS })
 }
 
-/// Prints equal differences once, with the logs that have them.
+/// Prints equal differences once, with their logs.
 fn print_differing(differing: &[(&Job, &Vec<String>)]) {
     let mut logs: BTreeMap<String, Vec<String>> = BTreeMap::new();
     for (job, differences) in differing {
@@ -152,7 +152,7 @@ fn built() -> Result<PathBuf> {
     Ok(profile.join(format!("poseaudit{}", env::consts::EXE_SUFFIX)))
 }
 
-/// Files below `folder` that an expectation is about, sorted, without empty ones.
+/// Sorted non-empty files below `folder` that match an expectation.
 fn files(folder: &Path, expectation: &Expectation) -> Result<Vec<PathBuf>> {
     let mut found = BTreeSet::new();
     for pattern in &expectation.logs {
@@ -169,7 +169,7 @@ fn files(folder: &Path, expectation: &Expectation) -> Result<Vec<PathBuf>> {
     Ok(found.into_iter().collect())
 }
 
-/// Runs all jobs and returns the differences of each, in the order of the jobs.
+/// Runs all jobs and returns the differences of each, in order.
 fn run(jobs: &[Job], options: &Options) -> Result<Vec<Vec<String>>> {
     let next = AtomicUsize::new(0);
     let results = Mutex::new(Vec::new());
@@ -194,7 +194,7 @@ fn run(jobs: &[Job], options: &Options) -> Result<Vec<Vec<String>>> {
     Ok(results.into_iter().map(|(_, differences)| differences).collect())
 }
 
-/// Audits the logs of a job as a user would.
+/// Audits the logs of a job like a user.
 fn audit(job: &Job, options: &Options) -> Result<Answer> {
     let dir = tempfile::tempdir()?;
     let mut command = Command::new(&options.program);
@@ -215,7 +215,7 @@ fn audit(job: &Job, options: &Options) -> Result<Answer> {
         fs::write(&file, config)?;
         command.arg("--config").arg(file);
     }
-    // Files, as a full pipe would stop the program.
+    // Files, because a full pipe would block the program.
     let (out, err) = (dir.path().join("report.json"), dir.path().join("messages"));
     command.args(["--format", "json"]).stdin(Stdio::null());
     command.stdout(fs::File::create(&out)?).stderr(fs::File::create(&err)?);
@@ -259,7 +259,7 @@ fn audit(job: &Job, options: &Options) -> Result<Answer> {
     })
 }
 
-/// Differences between an answer and what is expected.
+/// Differences between an answer and the expectation.
 fn differences(expected: &Expectation, answer: &Answer) -> Vec<String> {
     let mut differences = Vec::new();
     if !expected.verdict.contains(&answer.verdict) {
@@ -291,6 +291,6 @@ fn differences(expected: &Expectation, answer: &Answer) -> Vec<String> {
         wrong.filter(|(code, _)| !expected.must.contains(code) && !expected.may.contains(code));
     differences.extend(wrong.map(|(code, message)| format!("false {code} '{message}'")));
     let missing = expected.says.iter().filter(|text| !answer.text.contains(text.as_str()));
-    differences.extend(missing.map(|text| format!("'{text}' is not said")));
+    differences.extend(missing.map(|text| format!("'{text}' is missing")));
     differences
 }

@@ -1,4 +1,4 @@
-//! Writes the pages in `docs/rules/` and the report's schema again: `cargo run --example rule_pages`.
+//! Regenerates the pages in `docs/rules/` and the report's schema: `cargo run --example rule_pages`.
 
 use std::fs;
 use std::path::Path;

@@ -1,8 +1,8 @@
-//! Whole audits of logs that are sound as files, and whose numbers, stamps, names, descriptions and
-//! joints may be anything: what is drawn from a string of bytes, and what every report promises.
+//! Audits of valid log files with arbitrary numbers, stamps, names, descriptions and joints, derived from a
+//! byte string, and the invariants of every report.
 //!
-//! A log of the generator is written anew, message by message, after some edits; byte for byte the string
-//! says which. `examples/fuzz_audits.rs` draws strings by the hour, and `tests/fuzz.rs` replays the seeds.
+//! A generated log is rewritten message by message with edits that the string selects.
+//! `examples/fuzz_audits.rs` generates strings for hours, and `tests/fuzz.rs` replays the seeds.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Cursor;
@@ -17,12 +17,12 @@ use poseaudit::run::{RobotSource, RunOptions};
 use poseaudit::synth::{Coding, Motion, ROBOT_DESCRIPTION, Scenario};
 use poseaudit::{Options, audit};
 
-/// What an audit of a log of a megabyte may take of a processor, in a build that is hardly optimised, s.
+/// Maximum processor time for an audit of a 1 MB log in an unoptimised build, s.
 const LONGEST_S: f64 = 60.0;
-/// What the process may take at its peak, kB.
+/// Maximum peak memory of the process, kB.
 const MOST_KB: u64 = 1_500_000;
 
-/// Numbers that a field of a message may have.
+/// Extreme numbers for message fields.
 const ODD: [f64; 18] = [
     f64::NAN,
     f64::INFINITY,
@@ -44,7 +44,7 @@ const ODD: [f64; 18] = [
     -1.0,
 ];
 
-/// Times, ns: at the ends of what fits, and near.
+/// Extreme times, ns: at the limits of the range, and near them.
 const ODD_NANOS: [i64; 10] = [
     0,
     1,
@@ -58,22 +58,22 @@ const ODD_NANOS: [i64; 10] = [
     2_000_000,
 ];
 
-/// Names that a text may be overwritten with, as far as it reaches.
+/// Hostile names that overwrite a text, up to its length.
 const ODD_TEXTS: [&str; 8] =
     ["/", "../../x", "\u{1b}[31m", "\u{202e}abc", "\"><script>", "%s%n", "\0\0\0\0", "tool0"];
 
-/// What is drawn: bytes in their order, and zeros when they are used up.
+/// Source of choices: bytes in order, then zeros.
 struct Draw<'a>(&'a [u8]);
 
 impl Draw<'_> {
-    /// One of `count`.
+    /// A choice below `count`.
     fn of(&mut self, count: usize) -> usize {
         let Some((first, rest)) = self.0.split_first() else { return 0 };
         self.0 = rest;
         usize::from(*first) * count.max(1) / 256
     }
 
-    /// One of `count`, where there may be many.
+    /// A choice below `count`, which may be large.
     fn place(&mut self, count: usize) -> usize {
         let fine = self.of(256);
         (self.of(256) * 256 + fine) * count.max(1) / 65536
@@ -88,7 +88,7 @@ impl Draw<'_> {
     }
 }
 
-/// One message, to be edited.
+/// A message to be edited.
 #[derive(Clone)]
 struct Message {
     topic: String,
@@ -99,8 +99,8 @@ struct Message {
     cdr: Vec<u8>,
 }
 
-/// Audits the log that `bytes` stand for, and holds the report to what every report promises. Returns
-/// what kinds of answers it holds, by which one log is told from another.
+/// Audits the log derived from `bytes`, and checks the invariants of its report. Returns the kinds of its
+/// answers, which distinguish logs.
 pub fn audit_of(bytes: &[u8]) -> BTreeSet<String> {
     let mut draw = Draw(bytes);
     let mut messages = messages(&scenario(&mut draw));
@@ -144,7 +144,7 @@ pub fn audit_of(bytes: &[u8]) -> BTreeSet<String> {
     }
 }
 
-/// A sound run, or one with a fault that the generator plants.
+/// A sound run, or one with a planted fault.
 fn scenario(draw: &mut Draw) -> Scenario {
     let mut run = Scenario { duration_s: 2.0 + 0.5 * draw.of(5) as f64, ..Scenario::ur5e() };
     run.joints.timing.rate_hz = draw.one_of(&[50.0, 25.0]);
@@ -185,7 +185,7 @@ fn messages(run: &Scenario) -> Vec<Message> {
     read.map(|read| message(read.expect("a message"))).collect()
 }
 
-/// Changes some messages of one topic.
+/// Edits some messages of one topic.
 fn edit(draw: &mut Draw, messages: &mut Vec<Message>) {
     let topics: Vec<String> = {
         let names: BTreeSet<&String> = messages.iter().map(|message| &message.topic).collect();
@@ -200,7 +200,7 @@ fn edit(draw: &mut Draw, messages: &mut Vec<Message>) {
     let rows = some(draw, &rows);
     let Some(length) = rows.iter().map(|&row| messages[row].cdr.len()).max() else { return };
     match draw.of(14) {
-        // Numbers are where eight bytes are, counted from behind the first four.
+        // Numbers are aligned to eight bytes after the encapsulation header.
         0..4 => {
             let (at, value) = (4 + 8 * draw.place((length - 4) / 8), draw.one_of(&ODD));
             let all = draw.of(4) == 3;
@@ -221,7 +221,7 @@ fn edit(draw: &mut Draw, messages: &mut Vec<Message>) {
                 }
             }
         }
-        // A header's stamp is what most messages begin with.
+        // Most messages start with a header's stamp.
         5 => {
             let nanos = draw.one_of(&ODD_NANOS);
             let (seconds, rest) =
@@ -281,7 +281,7 @@ fn edit(draw: &mut Draw, messages: &mut Vec<Message>) {
     }
 }
 
-/// Some of the rows: one, a stretch, every so many, or all.
+/// Selects rows: one, a span, every n-th, or all.
 fn some(draw: &mut Draw, rows: &[usize]) -> Vec<usize> {
     let at = draw.place(rows.len());
     match draw.of(4) {
@@ -292,7 +292,7 @@ fn some(draw: &mut Draw, rows: &[usize]) -> Vec<usize> {
     }
 }
 
-/// Changes a number of the arm's description, or takes a piece out of it.
+/// Changes a number of the arm's description, or removes a part of it.
 fn describe(draw: &mut Draw, messages: &mut [Message]) {
     let is_it = |message: &&mut Message| message.topic.ends_with(ROBOT_DESCRIPTION);
     let Some(message) = messages.iter_mut().find(is_it) else { return };
@@ -339,7 +339,7 @@ fn mcap(messages: &[Message], compression: Option<Compression>) -> Vec<u8> {
     bytes
 }
 
-/// A database of rosbag2 with the messages.
+/// A rosbag2 database with the messages.
 fn database(messages: &[Message], path: &Path) {
     let database = rusqlite::Connection::open(path).expect("a database");
     let schema = "
@@ -372,9 +372,9 @@ fn database(messages: &[Message], path: &Path) {
     database.execute_batch("COMMIT").expect("an end");
 }
 
-/// What every report promises; returns its answers.
+/// Checks the invariants of a report, and returns its answers.
 fn answers(report: &Report) -> BTreeSet<String> {
-    // The statuses of the contract: 0 and 1 by the verdict, 2 and 3 by the trouble.
+    // Exit statuses: 0 and 1 by the verdict, 2 and 3 by the error.
     let status = match (&report.error, report.verdict) {
         (Some(trouble), _) if trouble.kind == TroubleKind::Call => 2,
         (Some(_), _) => 3,
@@ -404,7 +404,7 @@ fn answers(report: &Report) -> BTreeSet<String> {
     for row in &report.checks {
         answers.insert(format!("{} {:?}", row.code, row.status));
     }
-    // What is left out is said.
+    // Omissions must be reported.
     if report.verdict == Verdict::Pass && report.error.is_none() {
         let is_audited = |role: &str| matches!(role, "joints" | "pose" | "tf" | "imu");
         for stream in report.streams.iter().filter(|stream| stream.dropped > 0) {
@@ -421,7 +421,7 @@ fn answers(report: &Report) -> BTreeSet<String> {
     answers
 }
 
-/// Holds that a line shows no amount that is none.
+/// Asserts that a line contains no invalid value.
 fn amounts(line: &str) {
     let mut words = line.split(|c: char| !c.is_alphanumeric());
     assert!(!words.any(|word| matches!(word, "NaN" | "inf")), "{line}");
@@ -429,7 +429,7 @@ fn amounts(line: &str) {
     assert!(longest.unwrap_or(0) <= 40, "{line}");
 }
 
-/// Holds that no number of a report is beyond what anything can be.
+/// Asserts that all numbers of a report are plausible.
 fn numbers(value: &serde_json::Value, place: &str) {
     match value {
         serde_json::Value::Number(number) => {
@@ -442,14 +442,14 @@ fn numbers(value: &serde_json::Value, place: &str) {
     }
 }
 
-/// The most memory that this process had, kB; 0 where the system does not say.
+/// Peak memory of this process, kB; 0 if the system does not provide it.
 fn peak_kb() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
     line.and_then(|line| line.split_whitespace().next()?.parse().ok()).unwrap_or(0)
 }
 
-/// Processor time of this process, s; 0 where the system does not say.
+/// Processor time of this process, s; 0 if the system does not provide it.
 pub fn processor_s() -> f64 {
     const TICKS_A_SECOND: f64 = 100.0;
     let status = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();

@@ -1,4 +1,4 @@
-//! What the fuzz targets do with bytes, for them and for the tests that replay their seeds.
+//! Implements the fuzz targets, for the fuzzer and for the tests that replay their seeds.
 
 use std::fs;
 use std::io::Cursor;
@@ -8,7 +8,7 @@ use mcap::records::MessageHeader;
 use poseaudit::log::{self, Log, LogError, ReadOptions};
 use poseaudit::time::Clock;
 
-/// A target: a folder of seeds, and what is done with each.
+/// A target: a folder of seeds, and the function that processes each.
 pub type Target = (&'static str, fn(&[u8]));
 
 /// Every target.
@@ -35,13 +35,13 @@ pub const TARGETS: [Target; 20] = [
     ("zarr", zarr),
 ];
 
-/// Does with `bytes` what the target of this name does.
+/// Runs the named target on `bytes`.
 pub fn feed(target: &str, bytes: &[u8]) {
     let (_, feed) = TARGETS.iter().find(|(name, _)| *name == target).expect("a target");
     feed(bytes);
 }
 
-/// Reads a log of these bytes, of whatever kind they are.
+/// Reads a log of any kind from these bytes.
 fn file(bytes: &[u8]) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("log");
@@ -49,7 +49,7 @@ fn file(bytes: &[u8]) {
     check(open(&path));
 }
 
-/// Reads a folder with this `metadata.yaml`, and a sound file beside it.
+/// Reads a folder with this `metadata.yaml` and a valid file.
 fn metadata(bytes: &[u8]) {
     let folder = tempfile::tempdir().expect("a folder");
     fs::write(folder.path().join("metadata.yaml"), bytes).expect("a file");
@@ -58,7 +58,7 @@ fn metadata(bytes: &[u8]) {
     check(open(folder.path()));
 }
 
-/// Reads a dataset with this `info.json`, and a sound episode.
+/// Reads a dataset with this `info.json` and a valid episode.
 fn lerobot(bytes: &[u8]) {
     let folder = tempfile::tempdir().expect("a folder");
     let chunk = folder.path().join("data/chunk-000");
@@ -71,7 +71,7 @@ fn lerobot(bytes: &[u8]) {
 
 const EPISODE: &[u8] = include_bytes!("seeds/lerobot.parquet");
 
-/// Reads a store with one array, whose metadata are behind two bytes of their length, and its first chunk.
+/// Reads a store with one array: two bytes of length, its metadata, and its first chunk.
 fn zarr(bytes: &[u8]) {
     let Some((metadata, chunk)) = delimited::<2>(bytes) else { return };
     let folder = tempfile::tempdir().expect("a folder");
@@ -87,13 +87,13 @@ fn zarr(bytes: &[u8]) {
     check(open(folder.path()));
 }
 
-/// Reads an archive of two arrays: the first is behind two bytes of its length.
+/// Reads an archive of two arrays; the first follows two bytes of its length.
 fn npz(bytes: &[u8]) {
     let Some((first, second)) = delimited::<2>(bytes) else { return };
     file(&zipped(&[("timestamp.npy", first), ("q.npy", second)]));
 }
 
-/// Reads a file of records, each behind two bytes of its length; their checksums hold.
+/// Reads a file of records with valid checksums, each after two bytes of its length.
 fn tfrecord(mut bytes: &[u8]) {
     let mut framed = Vec::new();
     while let Some((record, rest)) = delimited::<2>(bytes) {
@@ -108,13 +108,13 @@ fn tfrecord(mut bytes: &[u8]) {
     file(&framed);
 }
 
-/// The checksum of this reversed polynomial.
+/// Checksum with this reversed polynomial.
 fn crc(polynomial: u32, bytes: &[u8]) -> u32 {
     let step = |crc: u32| if crc & 1 == 1 { crc >> 1 ^ polynomial } else { crc >> 1 };
     !bytes.iter().fold(!0, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), |crc, _| step(crc)))
 }
 
-/// A zip archive of these files, stored (APPNOTE.TXT 6.3.10).
+/// A zip archive of uncompressed files (APPNOTE.TXT 6.3.10).
 fn zipped(files: &[(&str, &[u8])]) -> Vec<u8> {
     let (mut all, mut directory) = (Vec::new(), Vec::new());
     for (name, content) in files {
@@ -140,8 +140,7 @@ fn zipped(files: &[(&str, &[u8])]) -> Vec<u8> {
     all
 }
 
-/// Reads a log with one message, given with its type and schema before it: the type behind a byte of
-/// its length, the schema behind two.
+/// Reads a log with one message, after its type (one length byte) and its schema (two).
 fn message(encoding: &str, schema_encoding: &str, bytes: &[u8]) {
     let Some((type_name, rest)) = delimited::<1>(bytes) else { return };
     let Some((schema, data)) = delimited::<2>(rest) else { return };
@@ -149,7 +148,7 @@ fn message(encoding: &str, schema_encoding: &str, bytes: &[u8]) {
     file(&recorded(encoding, type_name, schema_encoding, schema, data));
 }
 
-/// What is behind a length of `WIDTH` bytes, and the rest.
+/// Splits after a length of `WIDTH` bytes and that much data.
 fn delimited<const WIDTH: usize>(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     let (length, rest) = bytes.split_first_chunk::<WIDTH>()?;
     let length = length.iter().rev().fold(0, |length, &byte| length << 8 | usize::from(byte));
@@ -181,7 +180,7 @@ fn open(path: &Path) -> Result<Log, LogError> {
     log::open(&[path.to_owned()], &ReadOptions { verify: true, ..ReadOptions::default() })
 }
 
-/// Holds what was read to what every reader promises.
+/// Checks the invariants of every reader.
 fn check(read: Result<Log, LogError>) {
     let log = match read {
         Ok(log) => log,

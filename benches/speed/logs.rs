@@ -1,4 +1,4 @@
-//! The logs that are timed. All are made here, from one arm.
+//! Generated logs for the benchmark, all of one arm.
 
 use std::collections::HashMap;
 use std::fs::{self, File};
@@ -24,14 +24,14 @@ pub struct Made {
 /// All logs.
 pub struct Logs {
     pub mcap: Vec<Made>,
-    /// The yardstick's arm in other containers.
+    /// The reference log in other containers.
     pub others: Vec<Made>,
-    /// The same arm for 1, 4 and 16 times as long.
+    /// The same arm for 1, 4 and 16 times the duration.
     pub lengths: Vec<Made>,
 }
 
 impl Logs {
-    /// Makes them in `folder`; the largest has about `messages` messages.
+    /// Generates the logs in `folder`; the largest has about `messages` messages.
     pub fn made(folder: &Path, messages: u64) -> Result<Self> {
         let arm = |name: &str, messages: u64, compression: Option<Compression>| {
             make(folder, &format!("{name}.mcap"), |path| {
@@ -65,7 +65,7 @@ impl Logs {
         Ok(Self { mcap, others, lengths: lengths.into_iter().collect::<Result<_>>()? })
     }
 
-    /// The log that stages and other containers are held against.
+    /// The reference log for stages and other containers.
     pub fn yardstick(&self) -> &Made {
         &self.mcap[0]
     }
@@ -86,7 +86,7 @@ fn rate_hz(scenario: &Scenario) -> f64 {
     timings.iter().map(|timing| timing.rate_hz).sum()
 }
 
-/// Makes a log where it is not there yet, and counts its messages.
+/// Generates a log if it does not exist, and counts its messages.
 fn make(folder: &Path, file: &str, write: impl FnOnce(&Path) -> Result<()>) -> Result<Made> {
     let path = folder.join(file);
     if !path.exists() {
@@ -101,7 +101,7 @@ fn make(folder: &Path, file: &str, write: impl FnOnce(&Path) -> Result<()>) -> R
     Ok(Made { name, messages: log.messages, bytes: fs::metadata(&path)?.len(), path })
 }
 
-/// The log at `from` with images between its messages, 19 times as many bytes as those.
+/// Adds images to the log at `from`, with 19 times the bytes of its messages.
 fn with_camera(from: &Path, to: &Path, compression: Option<Compression>) -> Result<()> {
     const IMAGE: usize = 300_000;
     const SHARE: usize = 19;
@@ -110,7 +110,7 @@ fn with_camera(from: &Path, to: &Path, compression: Option<Compression>) -> Resu
         WriteOptions::new().compression(compression).create(BufWriter::new(File::create(to)?))?;
     let schema = writer.add_schema("sensor_msgs/msg/Image", "ros2msg", b"uint8[] data")?;
     let camera = writer.add_channel(schema, "/camera/image_raw", "cdr", &Default::default())?;
-    // Half of it noise, as images are.
+    // Half of it is noise, as in images.
     let mut random = Pcg64::seed_from_u64(1);
     let mut image = vec![0; IMAGE];
     random.fill_bytes(&mut image);
@@ -156,7 +156,7 @@ fn with_camera(from: &Path, to: &Path, compression: Option<Compression>) -> Resu
     Ok(())
 }
 
-/// The messages of the log at `from` in a rosbag2 database.
+/// Converts the log at `from` to a rosbag2 database.
 fn database(from: &Path, to: &Path) -> Result<()> {
     let bytes = fs::read(from)?;
     let mut database = rusqlite::Connection::open(to)?;
@@ -200,7 +200,7 @@ struct Sample {
     q: Vec<f64>,
 }
 
-/// The joint positions of the log at `from`, in the order of the UR5e's chain.
+/// Joint positions of the log at `from`, in the order of the UR5e's chain.
 fn samples(from: &Path) -> Result<Vec<Sample>> {
     let log = poseaudit::log::open(&[from.to_owned()], &Default::default())?;
     let topic = log.topics.into_iter().find(|topic| topic.name == JOINT_STATES);
@@ -215,7 +215,7 @@ fn samples(from: &Path) -> Result<Vec<Sample>> {
     Ok((0..joints.times.len()).map(row).collect())
 }
 
-/// Joint positions and the pose by FK, as Universal Robots' client records them.
+/// Joint positions and FK poses, recorded as by Universal Robots' client.
 fn rtde(from: &Path, to: &Path) -> Result<()> {
     let scenario = scenario();
     let robot = &scenario.robot;
@@ -237,7 +237,7 @@ fn rtde(from: &Path, to: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Joint states and poses in a bag of ROS 1, in chunks compressed by lz4.
+/// Joint states and poses in a ROS 1 bag, with lz4-compressed chunks.
 fn ros1_bag(from: &Path, to: &Path) -> Result<()> {
     const CHUNK: usize = 768 << 10;
     const JOINTS: &str = "std_msgs/Header header\nstring[] name\nfloat64[] position\n\
@@ -366,7 +366,7 @@ fn text(out: &mut Vec<u8>, text: &str) {
     out.extend(text.as_bytes());
 }
 
-/// `name=value` fields, each behind its length.
+/// `name=value` fields, each after its length.
 fn fields(fields: &[(&str, &[u8])]) -> Vec<u8> {
     let field = |(name, value): &(&str, &[u8])| {
         let length = (name.len() + 1 + value.len()) as u32;
@@ -375,7 +375,7 @@ fn fields(fields: &[(&str, &[u8])]) -> Vec<u8> {
     fields.iter().flat_map(field).collect()
 }
 
-/// A record of a bag: header and data, each behind its length.
+/// A bag record: header and data, each after its length.
 fn record(header: &[u8], data: &[u8]) -> Vec<u8> {
     let [header_length, data_length] = [header, data].map(|part| (part.len() as u32).to_le_bytes());
     [&header_length, header, &data_length, data].concat()

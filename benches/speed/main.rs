@@ -1,15 +1,14 @@
-//! How fast logs are read and audited, as ratios to the least that reading them can cost.
+//! Speed of reading and auditing logs, relative to the minimum cost of reading.
 //!
-//! The floor is the `mcap` crate's own message stream over the same mapped file: every chunk is
-//! unpacked and its checksum looked at, and nothing decoded, on one thread. Floor and audit run in
-//! turn as whole processes, and ratios are taken pair by pair, so that they hold on a machine whose
-//! speed drifts.
+//! The floor is the `mcap` crate's message stream over the same mapped file: it unpacks every chunk and
+//! verifies its checksum on one thread, without decoding. Floor and audit run alternately as separate
+//! processes, and ratios are computed per pair, to be independent of slow changes of the machine's speed.
 //!
 //! ```sh
 //! cargo bench --bench speed                        # the whole table, with logs of 2.5 million messages
 //! cargo bench --bench speed -- --messages 250000   # the same with smaller logs
 //! cargo bench --bench speed -- --keep /tmp/logs    # and keeps them
-//! cargo bench --bench speed -- --python python3    # and scripts beside: rosbags with pin, small-mcap
+//! cargo bench --bench speed -- --python python3    # also times scripts: rosbags with pin, small-mcap
 //! ```
 
 mod logs;
@@ -28,9 +27,9 @@ use poseaudit::run::{Run, RunOptions};
 use logs::Logs;
 use process::{Cost, Pairs};
 
-/// Messages of the largest log unless told otherwise.
+/// Default number of messages of the largest log.
 const MESSAGES: u64 = 2_500_000;
-/// Pairs of runs a ratio is the median of.
+/// Number of pairs of runs; ratios are medians.
 const PAIRS: usize = 5;
 
 fn main() -> Result<()> {
@@ -117,7 +116,7 @@ fn main() -> Result<()> {
     forward_kinematics()
 }
 
-/// Growth of an audit with the size of a table: rows, and columns that nothing names.
+/// Growth of audit time with the size of a table: rows, and unnamed columns.
 fn tables(folder: &Path) -> Result<()> {
     println!(
         "\nGrowth with the size of a table, whole audit (exponents of at most 1.1 are linear):"
@@ -130,7 +129,7 @@ fn tables(folder: &Path) -> Result<()> {
             let path = folder.join(format!("{what}-{rows}-{columns}.csv"));
             std::fs::write(&path, table(rows, columns))?;
             let mut command = Command::new(env!("CARGO_BIN_EXE_poseaudit"));
-            // No arm is in it, which is no matter here.
+            // The table has no arm, which does not matter here.
             let (cost, _) = process::cost(command.args(["audit", "--robot", "ur5e"]).arg(&path))?;
             let size = rows * columns;
             let exponent = last.map(|(before, cost_before)| {
@@ -145,7 +144,7 @@ fn tables(folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// A table of evenly stamped rows of numbers that move.
+/// A table of evenly stamped rows of varying numbers.
 fn table(rows: usize, columns: usize) -> String {
     let mut text = "timestamp".to_owned();
     (1..=columns).for_each(|column| text += &format!(",q{column}"));
@@ -160,9 +159,9 @@ fn table(rows: usize, columns: usize) -> String {
     text + "\n"
 }
 
-/// What users would write instead, where its packages are installed.
+/// Times equivalent user scripts, if their packages are installed.
 fn beside(python: &str, log: &Path) -> Result<()> {
-    println!("\nScripts beside, against the same floor:");
+    println!("\nScripts, against the same floor:");
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/speed/users.py");
     for (mode, what) in [
         ("fk", "rosbags and Pinocchio, FK of two topics"),
@@ -177,7 +176,7 @@ fn beside(python: &str, log: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Reads a file as the floor does.
+/// Reads a file like the floor.
 #[allow(unsafe_code, reason = "the floor maps a file")]
 fn floor(path: &Path) -> Result<()> {
     let file = std::fs::File::open(path)?;
@@ -193,7 +192,7 @@ fn floor(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// What each stage takes of an audit within one process, wall time.
+/// Wall time of each stage of an audit in one process.
 fn stages(path: &Path) -> Result<()> {
     let paths = [path.to_owned()];
     let started = Instant::now();
@@ -217,7 +216,7 @@ fn stages(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Poses a second on one core.
+/// FK poses per second on one core.
 fn forward_kinematics() -> Result<()> {
     const POSES: usize = 1_000_000;
     let robot = catalogue::find("ur5e").context("the catalogue has a UR5e")?;

@@ -1,4 +1,4 @@
-//! Whole processes, and what they cost.
+//! Measures the cost of whole processes.
 
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -7,22 +7,22 @@ use std::{fmt, fs};
 
 use anyhow::{Context, Result, ensure};
 
-/// What one process cost.
+/// Cost of one process.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Cost {
-    /// From start to exit, s.
+    /// Time from start to exit, s.
     pub wall_s: f64,
     /// User and system time of all its threads, s.
     pub cpu_s: f64,
-    /// Largest memory that is its own and not a mapped file's, MiB; 0 where the system does not say.
+    /// Peak anonymous memory, without mapped files, MiB; 0 if the system does not provide it.
     pub anonymous_mib: f64,
 }
 
-/// What a command costs over what the floor does, over several pairs of runs.
+/// Ratio of the cost of a command to that of the floor, over several pairs of runs.
 #[derive(Clone, Copy, Debug)]
 pub struct Ratio {
     pub median: f64,
-    /// Half of the pairs are between these.
+    /// Lower and upper quartile of the pairs.
     pub quartiles: (f64, f64),
 }
 
@@ -42,23 +42,23 @@ impl fmt::Display for Ratio {
     }
 }
 
-/// A command beside the floor.
+/// A command compared with the floor.
 pub struct Pairs {
-    /// Wall time over the floor's.
+    /// Ratio of wall time.
     pub wall: Ratio,
-    /// Processor time over the floor's.
+    /// Ratio of processor time.
     pub cpu: Ratio,
-    /// What the command cost: medians.
+    /// Median cost of the command.
     pub own: Cost,
 }
 
 impl Pairs {
-    /// Runs `poseaudit COMMAND LOG` and the floor in turn.
+    /// Runs `poseaudit COMMAND LOG` and the floor alternately.
     pub fn measure(command: &[&str], log: &Path, pairs: usize) -> Result<Self> {
         Self::measure_against(command, log, log, pairs)
     }
 
-    /// The same with the floor over another file.
+    /// The same with the floor on another file.
     pub fn measure_against(
         command: &[&str],
         log: &Path,
@@ -69,7 +69,7 @@ impl Pairs {
         Self::of(own.args(command).arg(log), floor, pairs)
     }
 
-    /// Runs any command and the floor in turn.
+    /// Runs any command and the floor alternately.
     pub fn of(own: &mut Command, floor: &Path, pairs: usize) -> Result<Self> {
         let bench = std::env::current_exe()?;
         let mut costs = Vec::new();
@@ -77,7 +77,7 @@ impl Pairs {
             let mut floor_of = Command::new(&bench);
             costs.push((run(own)?, run(floor_of.arg("--floor").arg(floor))?));
         }
-        // The first pair finds the file not yet in memory.
+        // In the first pair, the file is not cached yet.
         costs.remove(0);
         let median = |of: &dyn Fn(&(Cost, Cost)) -> f64| {
             let mut values: Vec<f64> = costs.iter().map(of).collect();
@@ -99,14 +99,14 @@ impl Pairs {
     }
 }
 
-/// Runs a command to its end; a status other than 0 is an error.
+/// Runs a command; a status other than 0 is an error.
 fn run(command: &mut Command) -> Result<Cost> {
     let (cost, code) = cost(command)?;
     ensure!(code == Some(0), "{command:?} ended with {code:?}");
     Ok(cost)
 }
 
-/// Runs a command to its end: what it cost, and its status.
+/// Runs a command, and returns its cost and status.
 pub fn cost(command: &mut Command) -> Result<(Cost, Option<i32>)> {
     let before = children_s();
     let started = Instant::now();
@@ -128,13 +128,13 @@ fn anonymous(child: &Child) -> Result<f64> {
     let line = status.lines().find_map(|line| line.strip_prefix("RssAnon:"));
     let kilobytes: f64 = line
         .and_then(|line| line.split_whitespace().next())
-        .context("the system does not say")?
+        .context("not provided by the system")?
         .parse()?;
     Ok(kilobytes / 1024.0)
 }
 
-/// Processor time of all children that have ended, s.
-#[allow(unsafe_code, reason = "the kernel is asked what a process took")]
+/// Processor time of all finished children, s.
+#[allow(unsafe_code, reason = "reads the processor time of a process from the kernel")]
 fn children_s() -> f64 {
     // SAFETY: an all-zero `rusage` is a valid one, and the call writes nothing else.
     let usage = unsafe {

@@ -1,7 +1,7 @@
-"""What users would write instead, timed beside the audit: `users.py fk|count LOG`.
+"""Equivalent user scripts, timed for comparison with the audit: `users.py fk|count LOG`.
 
-fk: the joint states by Pinocchio's forward kinematics against the poses, both read by rosbags.
-count: the messages of a log, unpacked and nothing decoded, by small-mcap.
+fk: compares Pinocchio's forward kinematics of the joint states with the poses, both read by rosbags.
+count: counts the messages of a log with small-mcap, unpacked but not decoded.
 """
 
 import sys

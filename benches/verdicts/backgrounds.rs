@@ -1,4 +1,4 @@
-//! What real arms and sensors do that is no fault: beside every kind of fault, and alone.
+//! Normal imperfections of real arms and sensors, with and without faults.
 
 use std::f64::consts::{PI, TAU};
 
@@ -11,30 +11,30 @@ use rand_pcg::Pcg64;
 use crate::kinds::{DEGREE, Kind, chain, choose, unit_vector};
 use crate::scenes::Scene;
 
-/// What is not ideal in a log, below every threshold.
+/// Imperfection of a log, below every threshold.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Background {
-    /// Nothing beside noise.
+    /// Noise only.
     Ideal,
     /// Encoders of 10 to 12 bits.
     CoarseEncoders,
-    /// Play of up to 0.1° in a joint or two.
+    /// Backlash of up to 0.1° in one or two joints.
     Backlash,
-    /// Sag of up to 0.05° in a joint or two.
+    /// Sag of up to 0.05° in one or two joints.
     Sag,
-    /// Links that are 0.05 to 0.2 mm off their drawing, and a tenth of a degree to each millimetre.
+    /// Link deviations of 0.05 to 0.2 mm, and 0.1° per millimetre.
     Links,
-    /// Links that are 0.03 to 0.5 mm off, as those of arms are that nobody calibrated.
+    /// Link deviations of 0.03 to 0.5 mm, as for uncalibrated arms.
     Uncalibrated,
-    /// Links that are 1 mm off.
+    /// Link deviations of 1 mm.
     CoarseLinks,
-    /// A pose that walks at random, by a fifth of a millimetre in 20 s.
+    /// A pose with a random walk of 0.2 mm in 20 s.
     RandomWalk,
-    /// A camera that sees a target, with noise that grows with the distance.
+    /// A camera with a target, and noise that grows with distance.
     Camera,
-    /// An IMU whose yaw, bias and walk are below their thresholds.
+    /// An IMU with yaw drift, bias and random walk below their thresholds.
     Mems,
-    /// Long rests, and half a second in which nothing is recorded.
+    /// Long rests, and a recording gap of 0.5 s.
     Pauses,
 }
 
@@ -69,33 +69,33 @@ impl Background {
         }
     }
 
-    /// Whether the arm is not its drawing: what is estimated is held against a model that is a little wrong.
+    /// Whether the arm deviates from its nominal model, so that estimates use a slightly wrong model.
     pub fn is_model_error(self) -> bool {
         use Background::{Backlash, CoarseLinks, Links, Sag, Uncalibrated};
         matches!(self, Links | Uncalibrated | CoarseLinks | Backlash | Sag)
     }
 
-    /// Whether where the ends of the chain are is a matter of the drawing.
+    /// Whether link deviations move the ends of the chain.
     pub fn moves_frames(self) -> bool {
         matches!(self, Background::Links | Background::Uncalibrated | Background::CoarseLinks)
     }
 
-    /// Findings that are right in this background whatever is planted; `excited` says whether the arm reaches
-    /// postures that differ.
+    /// Findings that are right in this background whatever is planted. `excited` is whether the arm reaches
+    /// different configurations.
     pub fn allows(self, code: &str, run: &Scenario, excited: bool) -> bool {
         match (self, code) {
             (Background::Pauses, "TIM002") => true,
-            // A millimetre of each link is several at the ends of the chain, which is true of the frames.
+            // 1 mm per link adds up to several at the ends of the chain, so these findings are true.
             (Background::CoarseLinks, "FRM002" | "FRM003") => true,
-            // In one posture what links are off is what a frame is off, and no log tells the two apart.
+            // In a single configuration, link deviations are indistinguishable from a frame offset.
             (Background::Links, "FRM002" | "FRM003") => !excited,
-            // What no calibration changes is an error of the model.
+            // Deviations beyond any calibration are a model error.
             (Background::CoarseLinks, "MDL001") => is_beyond_calibration(run),
             _ => false,
         }
     }
 
-    /// Whether it makes sense in a scene: the arm stands upright, and what is logged is as it is measured.
+    /// Whether it is plausible in a scene: the arm is upright, and logged as measured.
     pub fn fits(self, scene: Scene) -> bool {
         use Scene::*;
         let one_arm =
@@ -107,10 +107,10 @@ impl Background {
         }
     }
 
-    /// Whether a fault of so many times its threshold stands out of it.
+    /// Whether a fault of `times` its threshold is detectable in it.
     pub fn shows(self, kind: Kind, times: f64) -> bool {
         use Kind::*;
-        /// A zero of 0.1° at such links is what the drawing leaves.
+        /// With such links, a zero offset of 0.1° is within the nominal model's error, in thresholds.
         const OF_COARSE_LINKS: f64 = 20.0;
         let of_links = matches!(kind, Zero | Growth | Reference | Tool | Play | Sag);
         match self {
@@ -121,7 +121,7 @@ impl Background {
         }
     }
 
-    /// Puts it into a run.
+    /// Applies it to a run.
     pub fn set(self, run: &mut Scenario, r: &mut Pcg64) {
         match self {
             Background::Ideal => {}
@@ -167,12 +167,12 @@ impl Background {
     }
 }
 
-/// Joints on which gravity pulls, of an upright arm: the second, and the next that turns about a level axis.
+/// Joints under gravity load in an upright arm: the second, and the next with a horizontal axis.
 pub fn loaded(run: &Scenario) -> [usize; 2] {
     if chain(run).dof() == 7 { [1, 3] } else { [1, 2] }
 }
 
-/// Lets a joint or two give; how, and by how many degrees, says `how`.
+/// Makes one or two joints compliant; `how` returns the kind and the magnitude in degrees.
 fn give(run: &mut Scenario, r: &mut Pcg64, how: impl Fn(&mut Pcg64) -> (Giving, f64)) {
     let [first, second] = loaded(run);
     for joint in [Some(first), Some(second).filter(|_| r.random_bool(0.5))].into_iter().flatten() {
@@ -181,9 +181,9 @@ fn give(run: &mut Scenario, r: &mut Pcg64, how: impl Fn(&mut Pcg64) -> (Giving, 
     }
 }
 
-/// Whether the arm as it was built is farther from its drawing than a calibration takes it, rms.
+/// Whether the rms deviation of the arm from its nominal model exceeds that of a calibration.
 fn is_beyond_calibration(run: &Scenario) -> bool {
-    /// The limits of nominal kinematics, m and rad.
+    /// Limits of nominal kinematics, m and rad.
     const MOST: (f64, f64) = (10e-3, 0.5 * DEGREE);
     const POSTURES: usize = 200;
     let Some(built) = &run.built else { return false };
@@ -201,8 +201,8 @@ fn is_beyond_calibration(run: &Scenario) -> bool {
     m.sqrt() > MOST.0 || rad.sqrt() > MOST.1
 }
 
-/// The arm as it was built: every joint moved by `link_m` along and a tenth of a degree for each millimetre of
-/// it about each axis, as standard deviations.
+/// A manufactured arm: every joint frame deviates by `link_m` along each axis, and by 0.1° per millimetre
+/// about each axis (standard deviations).
 fn built(run: &Scenario, link_m: f64, r: &mut Pcg64) -> Robot {
     let link_rad = link_m / 1e-3 * PI / 1800.0;
     let text = synth::urdf_text(&run.robot);

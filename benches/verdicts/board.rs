@@ -1,4 +1,4 @@
-//! The table: what was reached, by target, scene, kind, amount and rule.
+//! The result table, by target, scene, kind, magnitude and rule.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::{self, Write as _};
@@ -56,7 +56,7 @@ fn table(t: &mut String, options: &Options, outcomes: &Outcomes) -> fmt::Result 
     Ok(())
 }
 
-/// What counts most, the gravest first.
+/// The most important results, by severity.
 fn first_rows(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
     let all = || judged(outcomes);
     let clean = || all().filter(|(case, _)| case.planted.is_empty());
@@ -85,7 +85,7 @@ fn first_rows(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
     let steady = || all().filter(unchanging);
     writeln!(
         t,
-        "| logs in which nothing changes with a change named | {} | ≤ 0.5 % |",
+        "| logs without a change, but with a change named | {} | ≤ 0.5 % |",
         share(steady().filter(|(_, verdict)| verdict.is_falsely_changed).count(), steady().count())
     )?;
     let due = |case: &Case| case.planted.iter().any(|planted| case.must_find(planted));
@@ -98,7 +98,7 @@ fn first_rows(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
     let asked = || all().filter(|(case, _)| due(case));
     writeln!(
         t,
-        "| logs in which a fault that must be found is not named | {} | ≤ 2 % |",
+        "| logs with an unnamed fault that must be found | {} | ≤ 2 % |",
         share(asked().filter(silent).count(), asked().count())
     )?;
     let fates = || {
@@ -111,7 +111,7 @@ fn first_rows(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
     writeln!(t, "| faults that must be found: named | {} | ≥ 98 % |", share(named, fates().count()))
 }
 
-/// What became of every scene, every background and every kind of fault.
+/// Results by scene, background and kind of fault.
 fn by_group(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
     let row = |t: &mut String, name: &str, kind: Option<Kind>, of: &dyn Fn(&Case) -> bool| {
         let here: Vec<&(Case, Outcome)> = outcomes.iter().filter(|(case, _)| of(case)).collect();
@@ -179,7 +179,7 @@ fn by_group(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
     Ok(())
 }
 
-/// Those logs that were audited, with what came of it.
+/// The audited logs, with their verdicts.
 fn judged(outcomes: &Outcomes) -> impl Iterator<Item = (&Case, &Verdict)> {
     outcomes.iter().filter_map(|(case, outcome)| Some((case, outcome.as_ref().ok()?)))
 }
@@ -214,7 +214,7 @@ fn targets(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
         let logs = fates(least, most).count();
         writeln!(
             t,
-            "| {what}: logs with all of them named and nothing else | {} | |",
+            "| {what}: logs with exactly these named | {} | |",
             share(fates(least, most).filter(right).count(), logs)
         )?;
     }
@@ -276,7 +276,7 @@ fn targets(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
     on_links(t, outcomes)
 }
 
-/// Joint zeros of an arm that is not its drawing.
+/// Zero offsets on arms with link deviations.
 fn on_links(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
     let on = |background: Background| {
         judged(outcomes).filter(move |(case, _)| case.background == background)
@@ -297,7 +297,7 @@ fn on_links(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
         on(Background::CoarseLinks).filter(|(_, verdict)| verdict.strangers.contains(&"ZER001"));
     writeln!(
         t,
-        "| logs with a joint zero that nothing planted, links off by 1 mm | {} | ≤ 0.5 % |",
+        "| logs with a false joint zero, links off by 1 mm | {} | ≤ 0.5 % |",
         share(falsely.count(), on(Background::CoarseLinks).count())
     )?;
     let of_zeros: Vec<&Interval> = on(Background::Links)
@@ -312,14 +312,14 @@ fn on_links(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
     )
 }
 
-/// Each rule's detection rate by amount.
+/// Each rule's detection rate by magnitude.
 fn detection(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
     writeln!(
         t,
-        "\n## Detection by amount, in units of the first threshold\n\n\
-         The share that is named of those planted, one fault or more in the log; *other* is what has no amount, or \
-         one of its own. Motions of less than 0.2 rad \
-         stand apart. What is not named is undecided (`?`) or passed (`!`).\n"
+        "\n## Detection by amount, in units of the first threshold\n\nShare of planted faults that are \
+         named, in logs with one or more faults; *other* are faults without an amount or with a different \
+         one. Motions of less than 0.2 rad are listed separately. Unnamed faults are undecided (`?`) or \
+         passed (`!`).\n"
     )?;
     let slip = f64::INFINITY;
     let columns: Vec<f64> = TIMES.into_iter().chain([slip]).collect();
@@ -368,14 +368,13 @@ fn detection(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
     Ok(())
 }
 
-/// Findings that nothing planted, by rule.
+/// False findings, by rule.
 fn strangers(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
     let clean = judged(outcomes).filter(|(case, _)| case.planted.is_empty()).count();
     let faulty = judged(outcomes).count() - clean;
     writeln!(
         t,
-        "\n## Findings that nothing planted, in 1000 logs\n\n\
-         | rule | clean ({clean}) | faulty ({faulty}) |\n|---|---|---|"
+        "\n## False findings, in 1000 logs\n\n| rule | clean ({clean}) | faulty ({faulty}) |\n|---|---|---|"
     )?;
     let mut logs: BTreeMap<&str, [usize; 2]> = BTreeMap::new();
     for (case, verdict) in judged(outcomes) {
@@ -398,7 +397,7 @@ fn strangers(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
     Ok(())
 }
 
-/// Coverage and errors by rule; where all is wanted, by noise, motion, velocities and topic too.
+/// Coverage and errors by rule; if verbose, also by noise, motion, velocities and topic.
 fn intervals(t: &mut String, outcomes: &Outcomes, verbose: bool) -> fmt::Result {
     writeln!(
         t,
@@ -440,7 +439,7 @@ fn intervals(t: &mut String, outcomes: &Outcomes, verbose: bool) -> fmt::Result 
     Ok(())
 }
 
-/// Every outcome that is not as it should be, with what makes its log again.
+/// Every wrong outcome, with the arguments that reproduce its log.
 fn wrongs(t: &mut String, outcomes: &Outcomes) -> fmt::Result {
     let mut groups: BTreeMap<&str, Vec<(&Case, &str)>> = BTreeMap::new();
     for (case, outcome) in outcomes {

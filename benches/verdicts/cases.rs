@@ -1,4 +1,4 @@
-//! One log of the board: its arm, scene, motion, rates, noise, and what is wrong with it.
+//! One benchmark log: arm, scene, motion, rates, noise, and faults.
 
 use std::fmt;
 
@@ -17,14 +17,14 @@ use crate::kinds::{
 use crate::observability::is_observable;
 use crate::scenes::{ARMS, Arm, Scene, brother, robot};
 
-/// What the motion of a case is like.
+/// Kind of motion of a case.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum MotionKind {
     /// Wide or small random motion of all joints.
     Usual,
-    /// What cells do, see [`Task`]: most of it shows some directions only.
+    /// Motion of industrial cells, see [`Task`]: most of it excites only some directions.
     Industrial,
-    /// Demonstrations of 5 to 13 s by arms that nobody calibrated.
+    /// Demonstrations of 5 to 13 s by uncalibrated arms.
     Short,
 }
 
@@ -113,7 +113,7 @@ fn short_motion(run: &mut Scenario, r: &mut Pcg64) -> &'static str {
     name
 }
 
-/// A log and what is wrong with it.
+/// A log and its faults.
 pub struct Case {
     pub index: usize,
     pub arm: &'static str,
@@ -123,13 +123,13 @@ pub struct Case {
     pub motion_kind: MotionKind,
     pub noise: &'static str,
     pub scenario: Scenario,
-    /// The other arm in the log, healthy.
+    /// A second, healthy arm in the log.
     pub other: Option<Scenario>,
     /// Whether the call names the tip.
     pub names_tip: bool,
-    /// The robot that the call names.
+    /// The robot named by the call.
     pub named_robot: Option<String>,
-    /// Whether every joint moves enough for every rule to see its fault.
+    /// Whether every joint moves enough for all rules.
     pub excited: bool,
     pub planted: Vec<Planted>,
 }
@@ -151,14 +151,14 @@ impl Case {
             .collect();
         let fits = |scene: &&Scene| backgrounds.iter().any(|background| background.fits(**scene));
         let scenes: Vec<&Scene> = Scene::ALL.iter().filter(wanted).filter(fits).collect();
-        // Every other log is of one plain arm: readings and amounts are what most faults are about.
+        // Half of the logs have a plain arm, where most faults are encodings and offsets.
         let scene = match r.random_bool(0.4) && options.scenes.is_empty() {
             true => Scene::Plain,
             false => **choose(r, &scenes),
         };
         let backgrounds: Vec<Background> =
             backgrounds.into_iter().filter(|background| background.fits(scene)).collect();
-        // Half of the logs are of an ideal arm, where there may be such.
+        // Half of the logs have an ideal arm, if possible.
         let mut background = match r.random_bool(0.4) && options.backgrounds.is_empty() {
             true => Background::Ideal,
             false => *choose(r, &backgrounds),
@@ -206,7 +206,7 @@ impl Case {
             "hobby" => Noise { joints: 5e-4, pose_m: 5e-4, pose_rad: 1e-3, ..Noise::default() },
             _ => Noise { pose_m: 5e-4, pose_rad: 1e-3, ..Noise::default() },
         };
-        // At the targets' rates every other time.
+        // Half of the logs have the rates of the targets.
         let rates = [20.0, 50.0, 100.0, 125.0, 125.0, 125.0, 125.0, 125.0, 250.0, 500.0];
         let joints_hz = *choose(r, &rates);
         let pose_hz = if r.random_bool(0.7) { joints_hz } else { *choose(r, &rates) };
@@ -215,7 +215,7 @@ impl Case {
         run.pose.timing.rate_hz = pose_hz;
         run.pose.timing.phase_s = r.random_range(0.0..1.0 / pose_hz);
         if r.random_bool(0.3) {
-            // A state publisher: the stamps are the joints'.
+            // A state publisher copies the joints' stamps.
             (run.tf.timing.rate_hz, run.tf.timing.phase_s) = (joints_hz, 0.0);
         } else {
             run.tf.timing.phase_s = r.random_range(0.001..0.02);
@@ -273,8 +273,8 @@ impl Case {
             if chosen.len() == count || possible.is_empty() {
                 break;
             }
-            // By rule first, so that rules with many kinds are not all there is; on links that are off, zeros
-            // every other time.
+            // Chooses the rule first, so that rules with many kinds do not dominate. With link deviations,
+            // half of the faults are zero offsets.
             let mut codes: Vec<&str> = possible.iter().map(|of| of.codes[0]).collect();
             codes.dedup();
             let of_links = self.background.moves_frames() && r.random_bool(0.5);
@@ -291,7 +291,7 @@ impl Case {
             let joint = r.random_range(0..dof);
             if matches!(of.kind, Kind::Zero | Kind::Homed | Kind::ZeroChanges) {
                 slots.push(format!("joint {joint}"));
-                // The same by construction as a frame.
+                // Equivalent to a frame offset by construction.
                 if joint == 0 {
                     slots.push("reference".to_owned());
                 }
@@ -300,10 +300,10 @@ impl Case {
                 }
             }
             let is_known = |slot: &String| match self.scene {
-                // A change says what it was before.
+                // A change contains the value before it.
                 _ if of.kind.comes_later() => true,
                 Scene::TrackerWorld if slot == "reference" => false,
-                // What nobody named is most likely meant so.
+                // An unnamed link may be intended.
                 scene => scene.names_tip() || slot != "tool",
             };
             if slots.iter().any(|slot| taken.contains(slot) || !is_known(slot)) {
@@ -329,26 +329,26 @@ impl Case {
         }
     }
 
-    /// Whether a kind of fault makes no sense in this case.
+    /// Whether a kind of fault is not plausible in this case.
     fn is_senseless(&self, kind: Kind) -> bool {
         let copied = self.scenario.tf.timing.phase_s == 0.0;
         match kind {
             Kind::JointsLate => copied,
-            // The generator would write the rail's position in degrees, too.
+            // The generator would also write the rail's position in degrees.
             Kind::JointDegrees => self.arm == "rail",
             Kind::WrongArm => brother(self.arm).is_none(),
-            // The other arm would be named, too.
+            // The other arm would also be named.
             Kind::OwnFrame => self.other.is_some(),
             _ => false,
         }
     }
 
-    /// Whether a fault at twice the threshold or more must be found in this log.
+    /// Whether a fault of at least twice the threshold must be found in this log.
     pub fn must_find(&self, planted: &Planted) -> bool {
-        /// A rate needs a minute, or has moved the latency by this, s.
+        /// Minimum duration for a rate, s, unless the latency has changed by the threshold.
         const MINUTE_S: f64 = 60.0;
         const MOVED_S: f64 = 2e-3;
-        /// Poses of less show no shake, Hz.
+        /// Minimum pose rate that shows vibration, Hz.
         const SHOWN_HZ: f64 = 25.0;
         let is_long_enough = match (planted.kind, planted.truth) {
             (Kind::Skew, Truth::Amount(skew)) => {
@@ -357,7 +357,7 @@ impl Case {
             }
             _ => true,
         };
-        // Beside what no cause explains no other can be told for sure.
+        // With an unexplained residual, no other cause is certain.
         let has_no_cause = |kind: Kind| kind == Kind::WrongArm;
         let is_told = has_no_cause(planted.kind)
             || !self.planted.iter().any(|other| has_no_cause(other.kind));
@@ -372,16 +372,16 @@ impl Case {
         planted.times >= SURE && is_shown && is_long_enough && is_told && is_seen
     }
 
-    /// 125 Hz, the targets' rate.
+    /// 125 Hz, the rate of the targets.
     pub fn at_125_hz(&self) -> bool {
         let run = &self.scenario;
         run.joints.timing.rate_hz == 125.0 && run.pose.timing.rate_hz == 125.0
     }
 }
 
-/// What the poses of a run are late by because they are held.
+/// Latency of a run's poses due to repeated values.
 fn held_age(run: &Scenario) -> Planted {
-    /// The first threshold of LAT001, s.
+    /// First threshold of LAT001, s.
     const THRESHOLD_S: f64 = 2e-3;
     let age_s = held_age_s(run);
     Planted {
@@ -394,7 +394,7 @@ fn held_age(run: &Scenario) -> Planted {
     }
 }
 
-/// How old a pose is in the mean.
+/// Mean age of a pose, s.
 fn held_age_s(run: &Scenario) -> f64 {
     let Timing { rate_hz, new_hz, .. } = run.pose.timing;
     let rows = (run.duration_s * rate_hz) as u32;

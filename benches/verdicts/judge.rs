@@ -1,5 +1,5 @@
-//! What an audit made of a case: every planted fault's fate, every finding that nothing planted, every
-//! interval against the truth.
+//! Compares an audit with its case: the outcome of each planted fault, false findings, and coverage of
+//! intervals.
 
 use poseaudit::finding::{Cause, CheckRow, Estimate, Finding, Severity, Status, Subject};
 use poseaudit::geometry::{Misreading, misreading_classes};
@@ -9,34 +9,34 @@ use poseaudit::synth::{self, Giving};
 use crate::cases::Case;
 use crate::kinds::{Kind, Planted, SURE, Truth, chain};
 
-/// The rules whose amount is the norm of a vector, or an rms.
+/// Rules whose value is a norm or an rms.
 const NORMS: [&str; 6] = ["FRM", "HEC", "VEL", "YAW002", "YAW003", "YAW004"];
-/// The families in which a finding that nothing planted is a false alarm.
+/// Families in which a finding without a planted fault is a false alarm.
 pub const CORE: [&str; 9] = ["ORD", "LAT", "ZER", "FRM", "YAW", "MDL", "HEC", "MOT", "VEL"];
 
-/// What came of an audit.
+/// Result of an audit.
 pub type Outcome = Result<Verdict, Trouble>;
 
 /// Why there is no verdict.
 #[derive(Debug)]
 pub enum Trouble {
     Panic,
-    /// With what the audit said.
+    /// With the program's message.
     Refused(String),
 }
 
-/// How a planted fault fared.
+/// Outcome of a planted fault.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Fate {
     /// Named with its subject.
     Named,
-    /// Another cause is named, and this one listed as indistinguishable from it.
+    /// Another cause is named, with this one as indistinguishable.
     NamedAsTwin,
-    /// The rule said that the log does not tell.
+    /// Undetermined according to the rule.
     Undecided,
     /// The rule passed it.
     Passed,
-    /// Neither passed nor failed: no such row.
+    /// There is no row for it.
     Absent,
 }
 
@@ -48,31 +48,31 @@ impl Fate {
 
 pub struct Verdict {
     pub fates: Vec<Fate>,
-    /// Whether the report passes a log in which something that must be found is not even mentioned.
+    /// Whether the report passes a log without mentioning a fault that must be found.
     pub is_wrong_pass: bool,
-    /// What is wrong with the outcome: what kind of wrong, and the whole of it.
+    /// Wrong outcomes: short kind, and full description.
     pub wrongs: Vec<(String, String)>,
-    /// Findings of the core families that nothing planted, by code.
+    /// False findings of the core families, by code.
     pub strangers: Vec<&'static str>,
     /// Findings of the other families, by code.
     pub other: Vec<&'static str>,
     pub intervals: Vec<Interval>,
-    /// Whether something is said to change within the run where nothing does.
+    /// Whether a change within the run is reported although nothing changes.
     pub is_falsely_changed: bool,
-    /// Whether the convention was right, for each ORD001 planted with at least three dwells.
+    /// Whether the convention was right, for each planted ORD001 with at least three dwells.
     pub convention: Vec<bool>,
 }
 
 pub struct Interval {
-    /// Code of the rule, and the quantity where it has two.
+    /// Code of the rule, and the quantity if it has two.
     pub code: String,
     pub topic: String,
-    /// What is planted of it.
+    /// The planted fault.
     pub planted: Option<Kind>,
     pub error: f64,
     pub truth: f64,
     pub covers: bool,
-    /// Whether it is the norm of a vector, or an rms.
+    /// Whether it is a norm or an rms.
     pub is_norm: bool,
 }
 
@@ -163,7 +163,7 @@ pub fn judge(case: &Case, report: &Report) -> Verdict {
             verdict.convention.push(estimate.is_some_and(|estimate| is_named(&truth, estimate)));
         }
     }
-    // A hand that hardly turns shows no camera.
+    // A hand that rotates too little cannot be calibrated.
     let is_still = |code: &str| code == "HEC002" && !case.excited;
     let allowed = |code: &str| {
         case.scene.allows(code)
@@ -233,7 +233,7 @@ pub fn subject_name(subject: &Subject) -> Option<&str> {
     subject.joint.as_deref().or(subject.topic.as_deref())
 }
 
-/// Whether the finding lists the planted fault among those that the log cannot tell from it.
+/// Whether the finding lists the planted fault as indistinguishable.
 pub fn is_twin(planted: &Planted, finding: &Finding) -> bool {
     let mut twins = finding.evidence.indistinguishable.iter();
     twins.any(|twin| is_about(planted, twin.code, &twin.subject))
@@ -264,15 +264,15 @@ pub fn is_named(truth: &Misreading, estimate: &Estimate) -> bool {
     })
 }
 
-/// The name of the amount of FRM003 where the tool is one.
+/// Name of FRM003's value for a tool.
 const TOOL: &str = "tool frame";
 
-/// Whether the amount's sign is not asked for: of a ramp it is from least to most, or how much later it is.
+/// Whether the sign of the value is ignored: a ramp is measured from minimum to maximum, or as an increase.
 fn unsigned(kind: Option<Kind>) -> bool {
     matches!(kind, Some(Kind::LatencyRamp | Kind::VelocityScale | Kind::Sag | Kind::Play))
 }
 
-/// What is in the run of what a row is about though it is not planted: of its background.
+/// True value of a row's quantity that comes from the background rather than a fault.
 fn given(case: &Case, row: &CheckRow, is_jump: bool) -> f64 {
     let imu = &case.scenario.imu;
     match row.code {
@@ -282,7 +282,7 @@ fn given(case: &Case, row: &CheckRow, is_jump: bool) -> f64 {
     }
 }
 
-/// By how much the joint that a row is about gives, rad.
+/// Compliance of a row's joint, rad.
 fn given_rad(case: &Case, row: &CheckRow) -> Option<f64> {
     let is_its = |how: &Giving| {
         matches!((row.code, how), ("MOT006", Giving::Play) | ("ZER003", Giving::Sag))
@@ -294,13 +294,13 @@ fn given_rad(case: &Case, row: &CheckRow) -> Option<f64> {
     gives.find(|gives| gives.joint == at && is_its(&gives.how)).map(|gives| gives.by_rad)
 }
 
-/// The interval of a row against the truth, where there are both.
+/// Error and coverage of a row's interval, if both interval and truth are known.
 pub fn interval(case: &Case, row: &CheckRow) -> Vec<Interval> {
     let estimate = match &row.estimate {
         Some(estimate) if !row.indistinguishable => estimate,
         _ => return Vec::new(),
     };
-    // What an arm does, and what is left, is not planted.
+    // Motion and residuals are not planted.
     let is_of_motion = row.code.starts_with("MOT") && row.code != "MOT006";
     if is_of_motion
         || row.code.starts_with("MDL")
@@ -308,7 +308,7 @@ pub fn interval(case: &Case, row: &CheckRow) -> Vec<Interval> {
     {
         return Vec::new();
     }
-    // Where the ends of the chain are, and the mount, is then a matter of the drawing.
+    // Link deviations then also move the ends of the chain and the mount.
     let of_ends = matches!(row.code, "FRM002" | "FRM003" | "YAW003");
     if case.background.moves_frames() && of_ends {
         return Vec::new();
@@ -318,15 +318,15 @@ pub fn interval(case: &Case, row: &CheckRow) -> Vec<Interval> {
     {
         return Vec::new();
     }
-    // How far the arm is behind a hand that leads it is not planted, nor what each joint has of a fault that is
-    // told of all.
+    // The delay of an arm behind its leader is not planted. A fault reported for all joints has no values
+    // for each joint.
     let of_all = |one: &Planted| matches!(one.kind, Kind::VelocityScale | Kind::VelocityLate);
     let is_told_of_all = row.code == "VEL001" && case.planted.iter().any(of_all);
     if planted.is_none() && (row.code == "LAT004" || is_told_of_all) {
         return Vec::new();
     }
-    // With a skew, the latency is that at mid-run, which is known to milliseconds only; where it changes it is
-    // that of some part of the run.
+    // With a skew, the latency at mid-run is known only to milliseconds; with a change, it depends on the
+    // part of the run.
     let timing = &case.scenario.pose.timing;
     let skewed = timing.skew != 0.0 || timing.ages.is_some();
     if row.code == "LAT001" && skewed && row.subject.topic.as_deref() == Some(synth::POSE) {
@@ -347,7 +347,7 @@ pub fn interval(case: &Case, row: &CheckRow) -> Vec<Interval> {
     };
     match *estimate {
         Estimate::Amount { name, value, ci95, .. } => {
-            // A jump of yaw and a drift have a row each.
+            // A yaw jump and a yaw drift have one row each.
             let is_jump = name == "yaw jump";
             let planted = planted.filter(|one| (one.kind == Kind::YawJump) == is_jump);
             let mut truth = match planted.map(|planted| planted.truth) {
@@ -366,7 +366,7 @@ pub fn interval(case: &Case, row: &CheckRow) -> Vec<Interval> {
             make(code, value, ci95, truth).into_iter().collect()
         }
         Estimate::Frame { name, value, ci95, rotation, .. } => {
-            // The usual body has a row of its own.
+            // The main body has its own row.
             let planted = planted.filter(|one| one.kind != Kind::Alternates || name != TOOL);
             let (length_m, angle_rad) = match planted.map(|planted| planted.truth) {
                 Some(Truth::Frame { length_m, angle_rad }) => (length_m, angle_rad),

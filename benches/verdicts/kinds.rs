@@ -1,4 +1,4 @@
-//! The kinds of fault, what each does to a run, and which findings name it.
+//! Kinds of faults: their effect on a run, and the findings that name them.
 
 use std::f64::consts::PI;
 use std::fmt;
@@ -16,7 +16,7 @@ use rand_pcg::Pcg64;
 
 use crate::backgrounds::loaded;
 
-/// The chain that the joint states are of.
+/// Chain of the joint states.
 pub fn chain(run: &Scenario) -> Chain {
     let link = |name: &str| run.robot.link(name).expect("a link of the arm");
     let first = run.root.as_deref().unwrap_or(&run.base);
@@ -25,21 +25,21 @@ pub fn chain(run: &Scenario) -> Chain {
 
 pub const DEGREE: f64 = PI / 180.0;
 
-/// Amounts that are planted, in units of the rule's first threshold.
+/// Planted magnitudes, in units of the rule's first threshold.
 pub const TIMES: [f64; 8] = [0.1, 0.3, 0.6, 0.9, 1.25, 2.0, 5.0, 20.0];
-/// From here on a fault has to be found.
+/// Minimum magnitude of a fault that must be found.
 pub const SURE: f64 = 2.0;
 
 /// A fault in a log.
 pub struct Planted {
     pub kind: Kind,
-    /// The codes of which one must name it; the first is the usual one.
+    /// Codes of which one must name it; the first is the usual one.
     pub codes: &'static [&'static str],
-    /// What else may be found of it, by the beginning of the code.
+    /// Prefixes of codes of further correct findings.
     pub also: &'static [&'static str],
-    /// Topic or joint; none where any will do.
+    /// Topic or joint; `None` if any is correct.
     pub subject: Option<String>,
-    /// How many times the first threshold; infinite where the fault has no amount.
+    /// Magnitude in first thresholds; infinite if the fault has none.
     pub times: f64,
     pub truth: Truth,
 }
@@ -121,7 +121,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Whether something of it is another within the run though the run is one.
+    /// Whether it changes only a part of a continuous run.
     pub fn is_late(self) -> bool {
         use Kind::*;
         matches!(
@@ -130,8 +130,8 @@ impl Kind {
         )
     }
 
-    /// Whether it makes another run of it from some moment on: then it comes after all that is planted in the
-    /// whole of it.
+    /// Whether it replaces the run from some time on, so that it must be planted after faults of the whole
+    /// run.
     pub fn comes_later(self) -> bool {
         use Kind::*;
         matches!(
@@ -153,12 +153,12 @@ impl Kind {
 /// A kind of fault.
 pub struct KindOf {
     pub kind: Kind,
-    /// The codes of which one must name it.
+    /// Codes of which one must name it.
     pub codes: &'static [&'static str],
-    /// What else may be found of it, by the beginning of the code.
+    /// Prefixes of codes of further correct findings.
     pub also: &'static [&'static str],
-    /// All that it needs to itself: two faults that share a slot cannot be told apart, or cannot be
-    /// planted together.
+    /// Resources it uses exclusively: two faults that share a slot are indistinguishable or cannot be
+    /// combined.
     pub slots: &'static [&'static str],
 }
 
@@ -171,7 +171,7 @@ const fn kind(
     KindOf { kind, codes, also, slots }
 }
 
-/// All that concerns the stream of tool poses.
+/// Slots of the tool pose stream.
 const POSE: &[&str] = &[
     "pose time",
     "skew",
@@ -183,7 +183,7 @@ const POSE: &[&str] = &[
     "pose rows",
     "changes",
 ];
-/// All that hangs on the joint states.
+/// Slots that depend on the joint states.
 const ALL: &[&str] = &[
     "pose time",
     "skew",
@@ -296,7 +296,7 @@ impl fmt::Display for Planted {
     }
 }
 
-/// Plants one fault of `times` the first threshold, of either sign.
+/// Plants one fault of `times` the first threshold, with a random sign.
 pub fn plant(run: &mut Scenario, r: &mut Pcg64, of: &KindOf, joint: usize, times: f64) -> Planted {
     let kind = of.kind;
     let sign = if r.random_bool(0.5) { 1.0 } else { -1.0 };
@@ -309,7 +309,7 @@ pub fn plant(run: &mut Scenario, r: &mut Pcg64, of: &KindOf, joint: usize, times
     let mut subject = pose_topic;
     let mut truth = Truth::Amount(amount);
     let mut times = times;
-    // What has no amount, or another one than the rule's thresholds.
+    // Faults without a magnitude, or with a different one than the rule's thresholds.
     let mut is_there = thresholds.is_empty();
     match kind {
         Kind::PoseLate => run.pose.timing.latency_s += amount,
@@ -322,7 +322,7 @@ pub fn plant(run: &mut Scenario, r: &mut Pcg64, of: &KindOf, joint: usize, times
             subject = Some(synth::TF.to_owned());
         }
         Kind::JointsLate => {
-            // Joints that are early make all else late, which is told the other way round.
+            // If the joints are early, everything else is late, which has the opposite sign.
             run.joints.timing.latency_s += amount.abs();
             truth = Truth::Amount(amount.abs());
             subject = joints_topic;
@@ -344,7 +344,7 @@ pub fn plant(run: &mut Scenario, r: &mut Pcg64, of: &KindOf, joint: usize, times
             let amount = sign * *choose(r, &[5.0, 10.0, 30.0, 45.0, 90.0, 120.0, 180.0]) * DEGREE;
             run.joints.zero_offsets.resize(chain.dof(), 0.0);
             run.joints.zero_offsets[joint] = amount;
-            // The amount is held in the board's own table of homed joints: modulo a turn.
+            // The value is in the benchmark's own table of homed joints, modulo a turn.
             is_there = true;
             subject = Some(chain.joint_names()[joint].clone());
         }
@@ -403,7 +403,7 @@ pub fn plant(run: &mut Scenario, r: &mut Pcg64, of: &KindOf, joint: usize, times
         }
         Kind::Misread | Kind::ImuMisread => {
             let classes = misreading_classes();
-            // The usual ones more often.
+            // The usual ones are more frequent.
             let class = match r.random_bool(0.3) {
                 true => &classes[r.random_range(0..classes.len().min(12))],
                 false => choose(r, classes),
@@ -492,7 +492,7 @@ pub fn plant(run: &mut Scenario, r: &mut Pcg64, of: &KindOf, joint: usize, times
     Planted { kind, codes: of.codes, also: of.also, subject, times, truth }
 }
 
-/// Plants what begins within the run, what bends, and what is of other streams than poses.
+/// Plants changes within the run, compliance, and faults of streams other than poses.
 fn plant_lately(
     run: &mut Scenario,
     r: &mut Pcg64,
@@ -515,7 +515,7 @@ fn plant_lately(
     let (mut subject, mut times) = (pose_topic, times);
     let truth = match kind {
         Kind::ToolChanges | Kind::BaseChanges | Kind::Alternates => {
-            // Bodies on one tool are some way apart.
+            // Bodies on one tool are some distance apart.
             times = if kind == Kind::Alternates { times.max(20.0) } else { times };
             let (length_m, angle_rad) = match r.random_range(0..3) {
                 0 => (times * 1e-3, 0.0),
@@ -602,7 +602,7 @@ fn plant_lately(
         Kind::Shake => {
             let hz = r.random_range(5.0..0.4 * run.pose.timing.rate_hz.clamp(15.0, 50.0));
             let [joint, _] = loaded(run);
-            // The rms of a sine at the lever that the arm has at home.
+            // Rms of a sine at the lever arm of the home configuration.
             let mut home = run.home.clone();
             home.resize(chain.dof(), 0.0);
             let tip_at = |by_rad: f64| {
@@ -645,7 +645,7 @@ fn plant_lately(
             let timing = &mut run.reference.timing;
             (timing.rate_hz, timing.latency_s) = (50.0, -amount.abs());
             run.reference.commands = *choose(r, &[Commands::Joints, Commands::Poses]);
-            // Joints with one delay are one finding on their topic, else each is a finding.
+            // Joints with equal delay are one finding on their topic, otherwise each is a finding.
             subject = None;
             Truth::Amount(amount.abs())
         }
@@ -706,14 +706,14 @@ fn plant_lately(
     Planted { kind, codes: of.codes, also: of.also, subject, times, truth }
 }
 
-/// Lets the run go on from a moment as `other` makes it.
+/// Continues the run from `at_s` on with the modification `other`.
 fn change(run: &mut Scenario, at_s: f64, other: impl Fn(&mut Scenario)) {
     let mut later = run.clone();
     other(&mut later);
     run.later = vec![(at_s, later)];
 }
 
-/// The share of rows that repeat where each value is sent in so many, and how often that is the threshold.
+/// Share of repeated rows if each value is sent `rows` times, and its ratio to the threshold.
 fn repeated(rows: f64, thresholds: &[(Unit, f64)]) -> (Truth, f64) {
     let share = 1.0 - 1.0 / rows;
     (
@@ -722,7 +722,7 @@ fn repeated(rows: f64, thresholds: &[(Unit, f64)]) -> (Truth, f64) {
     )
 }
 
-/// An order of so many joints that is not theirs.
+/// A wrong order of `dof` joints.
 fn order(r: &mut Pcg64, dof: usize) -> Vec<usize> {
     let mut order: Vec<usize> = (0..dof).collect();
     match r.random_range(0..3) {
@@ -739,20 +739,20 @@ fn order(r: &mut Pcg64, dof: usize) -> Vec<usize> {
     order
 }
 
-/// Axes as game engines and cameras have them: y up, left-handed, mirrored.
+/// Axes of game engines and cameras: y up, left-handed, mirrored.
 fn axes(r: &mut Pcg64) -> Matrix3<f64> {
     let [x, y, z] = [Vec3::x(), Vec3::y(), Vec3::z()].map(|axis| axis.transpose());
     let rows = *choose(r, &[[x, z, -y], [-y, z, x], [x, z, y], [x, -y, z], [y, x, z], [-y, -z, x]]);
     Matrix3::from_rows(&rows)
 }
 
-/// A while in the middle of a run, s after the start.
+/// A span in the middle of a run, s after the start.
 fn a_while(run: &Scenario, r: &mut Pcg64) -> (f64, f64) {
     let from_s = run.duration_s * r.random_range(0.25..0.6);
     (from_s, from_s + *choose(r, &[1.0, 2.0, 3.0]))
 }
 
-/// Unit and first threshold of each amount that the rule judges.
+/// Unit and first threshold of each value that the rule checks.
 fn first_thresholds(code: &str) -> Vec<(Unit, f64)> {
     match checks::find(code).map(|rule| rule.grade) {
         Ok(Grade::From(thresholds)) => {

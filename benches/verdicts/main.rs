@@ -1,24 +1,24 @@
-//! The score board: how often the audit is right on logs that it has not seen.
+//! Monte Carlo benchmark: how often the audit is right on unseen logs.
 //!
-//! Seeded Monte Carlo over arms, motions, rates, noise and planted faults. Every case is made from
-//! the seed and its number alone, so that one case can be made again:
+//! Covers arms, motions, rates, noise and planted faults. Every case depends only on the seed and its
+//! number, so single cases can be reproduced:
 //!
 //! ```sh
 //! cargo bench --bench verdicts                                  # the table
 //! cargo bench --bench verdicts -- --logs 5000 --seed 7
 //! cargo bench --bench verdicts -- --verbose --keep /tmp/logs    # and what went wrong, with the logs
-//! cargo bench --bench verdicts -- --only 812 --keep /tmp/logs   # one log and all that is said of it
+//! cargo bench --bench verdicts -- --only 812 --keep /tmp/logs   # one log with its complete result
 //! ```
 //!
-//! Motion is usual (random and wide), industrial (what cells do, most of which shows some directions only) or short
-//! (demonstrations by arms that nobody calibrated). Under the latter two a fault must be found if the Fisher
-//! information suffices beside deviations of the links (`observability.rs`); otherwise *inconclusive* is right.
+//! Motion is usual (random and wide), industrial (most of it excites only some directions) or short
+//! (demonstrations by uncalibrated arms). For the latter two, a fault must be found if its Fisher
+//! information suffices despite link deviations (`observability.rs`); otherwise *inconclusive* is right.
 //!
-//! A case has a *scene* (how the cell's log is put together: rails, namespaces, folded joints, second
-//! publishers, hands that lead …; see `scenes.rs`), a *background* (what real arms and sensors do that is no
-//! fault; see `backgrounds.rs`) and *faults* (see `kinds.rs`). What is planted follows
-//! the registry: a rule with a kind of fault takes part as soon as it is there. A seed makes other logs
-//! when a rule or a scene is added. Lost samples are not simulated.
+//! A case has a *scene* (structure of the log: rails, namespaces, wrapped joints, second publishers,
+//! leaders …; see `scenes.rs`), a *background* (normal imperfections; see `backgrounds.rs`) and *faults*
+//! (see `kinds.rs`). Faults are selected from the registry: a rule with a kind of fault is included
+//! automatically. A seed gives different logs when a rule or a scene is added. Lost samples are not
+//! simulated.
 
 mod backgrounds;
 mod board;
@@ -57,29 +57,29 @@ pub struct Options {
     pub logs: usize,
     pub seed: u64,
     pub threads: usize,
-    /// Where to keep the logs whose outcome is wrong; with `only`, the one log.
+    /// Folder for logs with wrong outcomes; with `only`, for that log.
     pub keep: Option<PathBuf>,
     pub only: Option<usize>,
-    /// The numbers of faults to plant, taken in turn.
+    /// Numbers of faults to plant, used in turn.
     pub faults: Option<Vec<usize>>,
-    /// Kinds of fault to choose from, by the beginning of their rule's code.
+    /// Kinds of fault to choose from, as prefixes of rule codes.
     pub kinds: Vec<String>,
     pub arms: Vec<String>,
-    /// Scenes to choose from, by the beginning of their names.
+    /// Scenes to choose from, as prefixes of names.
     pub scenes: Vec<String>,
-    /// Backgrounds to choose from, by the beginning of their names.
+    /// Backgrounds to choose from, as prefixes of names.
     pub backgrounds: Vec<String>,
-    /// Kinds of motion to choose from, by the beginning of their names.
+    /// Kinds of motion to choose from, as prefixes of names.
     pub motions: Vec<String>,
-    /// After how long no further log is begun, s.
+    /// Time after which no further log is started, s.
     pub most_s: f64,
-    /// Whether to list every wrong outcome, as it comes and at the end.
+    /// Whether to list every wrong outcome, immediately and at the end.
     pub verbose: bool,
 }
 
 impl Options {
     fn from_args() -> Self {
-        // `cargo test --benches` runs this without `--bench`: a look at whether it works.
+        // `cargo test --benches` runs this without `--bench`, as a smoke test.
         let logs = if std::env::args().any(|arg| arg == "--bench") { 1000 } else { 12 };
         let mut options = Self {
             logs,

@@ -1,5 +1,5 @@
-//! Whether a motion shows a fault: its Fisher information beside frames that nobody knows, links that deviate
-//! from their drawing, and every other single cause.
+//! Observability of a fault in a motion: its Fisher information after marginalising unknown frames, link
+//! deviations, and every other single cause.
 
 use nalgebra::{DMatrix, DVector};
 use poseaudit::geometry::Vec3;
@@ -10,28 +10,28 @@ use crate::cases::Case;
 use crate::kinds::{DEGREE, Kind, Planted, Truth, chain};
 use crate::scenes::Scene;
 
-/// Samples of the pose stream that stand for all.
+/// Number of pose samples that represent the stream.
 const SAMPLES: usize = 120;
-/// Correlation leaves about this share of the samples independent.
+/// Share of independent samples, given correlated noise.
 const INDEPENDENT: f64 = 0.2;
-/// Deviation of a link, m and rad, one standard deviation: what an arm is off its drawing that nobody calibrated.
+/// Standard deviation of the link deviations of an uncalibrated arm, m and rad.
 const LINK: (f64, f64) = (3e-4, 0.05 * DEGREE);
-/// A marker's distance from the tip and any angle, as standard deviations, m and rad.
+/// Prior standard deviations of a marker's distance from the tip, m, and of its rotation, rad.
 const MARKER: (f64, f64) = (0.5, 3.0);
-/// A tracker may stand anywhere, m and rad.
+/// Prior standard deviations of a tracker's position, m, and rotation, rad.
 const WORLD: (f64, f64) = (10.0, 3.0);
-/// Standard deviation of another cause: a joint's zero, rad, and a latency, s.
+/// Prior standard deviation of another cause: zero offset, rad, and latency, s.
 const ZERO_RAD: f64 = 3.0;
 const LATENCY_S: f64 = 1.0;
-/// Five standard deviations, below which a fault or its cause need not be found.
+/// Minimum χ² (five standard deviations) of a fault that must be found.
 const SHOWN: f64 = 25.0;
 
-/// Whether the poses show a planted fault and tell it from every other single cause. Of kinds that are not
-/// modelled here nothing is asked.
+/// Whether the poses show a planted fault and distinguish it from every other single cause. False for kinds
+/// without a model here.
 pub fn is_observable(case: &Case, planted: &Planted) -> bool {
     let run = &case.scenario;
     let Truth::Amount(amount) = planted.truth else { return false };
-    // Of several faults each would have to be told from all sums of the others.
+    // With several faults, each would have to be distinguished from all combinations of the others.
     if case.planted.len() > 1 {
         return false;
     }
@@ -74,7 +74,7 @@ fn scaled(frame: &[DVector<f64>], (length_m, angle_rad): (f64, f64)) -> Vec<DVec
     frame.iter().enumerate().map(|(at, column)| column * sigma(at)).collect()
 }
 
-/// χ² of a signature that columns with unit priors leave.
+/// Residual χ² of a signature after projecting out columns with unit priors.
 fn left(signature: &DVector<f64>, columns: &[DVector<f64>]) -> f64 {
     let a = DMatrix::from_columns(columns);
     let normal = a.tr_mul(&a) + DMatrix::identity(columns.len(), columns.len());
@@ -83,13 +83,13 @@ fn left(signature: &DVector<f64>, columns: &[DVector<f64>]) -> f64 {
     signature.norm_squared() - explained
 }
 
-/// Derivatives of the pose stream in units of its noise, six rows a sample.
+/// Derivatives of the pose stream in units of its noise, six rows per sample.
 struct Columns {
     zeros: Vec<DVector<f64>>,
     latency: DVector<f64>,
     base: Vec<DVector<f64>>,
     tool: Vec<DVector<f64>>,
-    /// Of each link three shifts and three turns, for one standard deviation each.
+    /// Three translations and three rotations of each link, one standard deviation each.
     links: Vec<DVector<f64>>,
 }
 

@@ -1,4 +1,4 @@
-//! The scenes: how a cell's log is put together, all of it healthy. Faults are planted on top.
+//! Scenes: the structure of a cell's log without faults. Faults are planted on top.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -10,7 +10,7 @@ use rand_pcg::Pcg64;
 
 use crate::kinds::{Kind, choose, unit_vector};
 
-/// An arm, the links between which its poses are, and where it is parked.
+/// An arm, the links of its poses, and its park configuration.
 pub struct Arm {
     pub name: &'static str,
     pub base: &'static str,
@@ -18,44 +18,44 @@ pub struct Arm {
     pub home: &'static [f64],
 }
 
-/// How a cell's log is put together.
+/// Structure of a cell's log.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Scene {
-    /// One arm, all of its topics at the root.
+    /// One arm with all topics at the root.
     Plain,
     /// All topics in a namespace.
     Namespaced,
-    /// The names of joints and links begin with a prefix.
+    /// Names of joints and links with a prefix.
     Prefixed,
     /// Two arms with the same joint names in two namespaces, without /tf.
     TwoNamespaces,
     /// Two arms with prefixes on one /tf.
     TwoPrefixes,
-    /// A rail above the arm's base whose joint has a topic of its own; poses in the arm's base.
+    /// A rail that carries the arm's base, with its joint on a separate topic; poses in the arm's base.
     RailApart,
-    /// A waist above the arm's base, in the same joint states; poses in the arm's base.
+    /// A waist that carries the arm's base, in the same joint states; poses in the arm's base.
     Waist,
-    /// Endless joints are brought back into one turn, across which the arm moves.
+    /// Continuous joints wrapped to one turn, across the seam.
     Folded,
-    /// The base drives: poses in odom, and that edge in /tf.
+    /// A moving base: poses in odom, with that edge in /tf.
     Driven,
     /// Two programs publish the same transforms.
     TwoPublishers,
-    /// Encoders with steps.
+    /// Encoders with a finite resolution.
     Encoders,
-    /// Poses in the world of a tracker.
+    /// Poses in the world frame of a tracker.
     TrackerWorld,
-    /// Poses of a marker somewhere on the tool, in the world of a tracker.
+    /// Poses of a marker on the tool, in the world frame of a tracker.
     Marker,
     /// A hand leads the arm.
     Led,
-    /// Tool poses are bare numbers as a maker has them.
+    /// Tool poses as unnamed numbers in a vendor's encoding.
     BareNumbers,
-    /// No description: the catalogue must tell.
+    /// No description: the arm must be identified from the catalogue.
     Catalogue,
-    /// Neither description nor /tf nor IMU: the poses must tell.
+    /// Neither description nor /tf nor IMU: the arm must be identified from the poses.
     CatalogueByPoses,
-    /// An active TCP, and nobody named the tip.
+    /// An active TCP, without a named tip.
     ActiveTcp,
 }
 
@@ -104,13 +104,13 @@ impl Scene {
         }
     }
 
-    /// Findings that are right in this scene whatever is planted: that a stream is not audited, how long
-    /// the arm takes to follow the hand.
+    /// Findings that are right in this scene whatever is planted: an unaudited stream, or the delay of an
+    /// arm behind its leader.
     pub fn allows(self, code: &str) -> bool {
         matches!((self, code), (Scene::Led, "FRM007" | "LAT004"))
     }
 
-    /// Whether it holds one arm that stands on its base, so that any motion suits it.
+    /// Whether it has a single arm on its own base, so that any motion is plausible.
     pub fn is_of_one_arm(self) -> bool {
         use Scene::*;
         matches!(
@@ -126,25 +126,25 @@ impl Scene {
         )
     }
 
-    /// The arms that this scene is made with; empty where any will do.
+    /// Arms of this scene; empty if any is possible.
     pub fn arms(self) -> &'static [&'static str] {
         match self {
             Scene::RailApart => &["rail"],
             Scene::Waist => &["waist"],
             Scene::Folded => &["ur5e", "kinova_gen3_7dof"],
-            // Those whose names do not tell them.
+            // Arms that names do not distinguish.
             Scene::CatalogueByPoses => &["ur3", "ur3e", "ur5e", "ur10e", "kuka_lbr_iiwa14"],
             Scene::Catalogue => {
                 &["ur5e", "ur10e", "franka_fer", "kuka_lbr_iiwa14", "kinova_gen3_7dof"]
             }
-            // The catalogue's names carry a prefix that may be replaced.
+            // Catalogue names with a replaceable prefix.
             Scene::Prefixed | Scene::TwoPrefixes => &["ur5e", "ur3e"],
             _ => &["ur5e", "franka_fer", "kuka_lbr_iiwa14", "so101", "ur3e", "kinova_gen3_7dof"],
         }
     }
 
-    /// Whether a kind of fault may be planted in it: not where its stream is missing, where the scene
-    /// makes it no fault, or where it makes another one of it.
+    /// Whether a kind of fault can be planted: not if its stream is missing, or the scene hides it or turns
+    /// it into another fault.
     pub fn takes(self, kind: Kind) -> bool {
         use Kind::*;
         let of_imu = matches!(
@@ -167,7 +167,7 @@ impl Scene {
         );
         let of_tf = matches!(kind, TfLate | SecondTfDiffers | JointsLate);
         let of_frames = matches!(kind, Reference | BaseTurned | OwnFrame | Axes | BaseChanges);
-        // Of an upright arm at the root, whose commands and target are its own.
+        // Faults of an upright arm at the root, with its own commands and target.
         let of_arm = matches!(kind, Play | Sag | Shake | CommandLate | TagSize);
         match self {
             Scene::Plain | Scene::Namespaced | Scene::Prefixed | Scene::Encoders => true,
@@ -181,7 +181,7 @@ impl Scene {
                 !of_imu && !matches!(kind, JointsLate | JointOrder | JointDegrees | WrongArm)
             }
             Scene::Folded => !matches!(kind, JointDegrees | Geared | HeldJoints | ScaleChanges),
-            // A pose that is written otherwise in a frame that moves is another pose in the arm's.
+            // A different encoding in a moving frame is a different pose in the arm's frame.
             Scene::Driven => {
                 let of_poses = matches!(
                     kind,
@@ -201,19 +201,19 @@ impl Scene {
                 !of_imu && !of_frames && !of_poses && !matches!(kind, JointsLate | WrongArm)
             }
             Scene::TwoPublishers => !of_tf && kind != WrongArm,
-            // A constant tool is where the marker sits.
+            // A constant tool offset is part of the marker's position.
             Scene::Marker if matches!(kind, Tool | Transposed | Axes) => false,
-            // Where that world is, and how long the tool, nobody says.
+            // Position of the world frame and length of the tool are unknown.
             Scene::TrackerWorld | Scene::Marker => {
                 (!of_frames || kind == BaseChanges)
                     && !matches!(kind, Growth | GrowthChanges | WrongArm | Inverted)
             }
             Scene::Led => kind != WrongArm,
             Scene::BareNumbers => of_imu || matches!(kind, Zero | TfLate),
-            // Nothing but the arm's own words tells which it is.
+            // Only data from the arm itself identify it.
             Scene::Catalogue => !matches!(kind, WrongArm | JointDegrees),
             Scene::CatalogueByPoses => matches!(kind, PoseLate | Misread | Wxyz | Skew | StuckPose),
-            // Axes that are turned, and not mirrored, are frames that are turned.
+            // Rotated axes without mirroring are equivalent to rotated frames.
             Scene::ActiveTcp => !matches!(kind, Tool | WrongArm | Axes),
         }
     }
@@ -230,7 +230,7 @@ impl Scene {
         )
     }
 
-    /// Puts the run together; answers with the other arm's run where there are two.
+    /// Builds the run, and returns the other arm's run if there are two.
     pub fn set(self, run: &mut Scenario, r: &mut Pcg64) -> Option<Scenario> {
         match self {
             Scene::Plain => {}
@@ -331,7 +331,7 @@ impl Scene {
     }
 }
 
-/// Puts `prefix` before the names of joints and links.
+/// Adds `prefix` to the names of joints and links.
 fn prefix(run: &mut Scenario, prefix: &str) {
     run.robot = run.robot.with_prefix_replaced("", prefix).expect("names that were unique stay so");
     for name in [&mut run.base, &mut run.tip, &mut run.pose.frame_id] {
@@ -339,7 +339,7 @@ fn prefix(run: &mut Scenario, prefix: &str) {
     }
 }
 
-/// Lets the joint states begin at `root`, and the poses at the arm's own base.
+/// Starts the joint states at `root`, and the poses at the arm's own base.
 fn apart(run: &mut Scenario, root: &str) {
     run.root = Some(root.to_owned());
     run.base = "base_link".to_owned();
@@ -347,7 +347,7 @@ fn apart(run: &mut Scenario, root: &str) {
     run.imu.timing.rate_hz = 0.0;
 }
 
-/// The robot of an arm: of the catalogue, or a UR5e on a rail or a waist.
+/// Robot of an arm: from the catalogue, or a UR5e on a rail or a waist.
 pub fn robot(arm: &str) -> Robot {
     let above = |name: &str, kind: &str, axis: &str, limit: f64| {
         let ur5e = synth::urdf_text(catalogue::find("ur5e").expect("an arm of the catalogue"));
@@ -369,7 +369,7 @@ pub fn robot(arm: &str) -> Robot {
     }
 }
 
-/// The arms: name, base, tip, and the posture that they are parked in.
+/// Arms: name, base, tip, and park configuration.
 pub const ARMS: [Arm; 11] = {
     const UR: &[f64] = &[0.0, -FRAC_PI_2, FRAC_PI_2, -FRAC_PI_2, -FRAC_PI_2, 0.0];
     const ABOVE_UR: &[f64] = &[0.0, 0.0, -FRAC_PI_2, FRAC_PI_2, -FRAC_PI_2, -FRAC_PI_2, 0.0];
@@ -403,7 +403,7 @@ pub const ARMS: [Arm; 11] = {
     ]
 };
 
-/// An arm of the catalogue with the same joint names, which somebody may name in its place.
+/// A catalogue arm with the same joint names, which may be confused with it.
 pub fn brother(arm: &str) -> Option<&'static str> {
     Some(match arm {
         "ur3" => "ur3e",

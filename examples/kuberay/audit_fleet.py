@@ -1,4 +1,4 @@
-"""Audits the logs that are named over the Ray cluster that this runs on.
+"""Audits logs on the Ray cluster that runs this script.
 
 python audit_fleet.py OUT SOURCE...
 """
@@ -14,14 +14,14 @@ def main(out: str, *sources: str) -> int:
         out,
         engine="ray",
         progress=True,
-        # Logs of a gigabyte each are told by path, size and time, and not read for a hash.
+        # Identify large logs by path, size and time, without reading them for a hash.
         identity="file",
         memory="2GiB",
         timeout=600,
         labels_from="{site}/{arm}/*",
     )
     print(
-        f"{done.logs} logs: {done.done_now} done now, {done.done_before} before, {done.retried} begun again"
+        f"{done.logs} logs: {done.done_now} done now, {done.done_before} before, {done.retried} restarted"
     )
     for failure in done.errors[:20]:
         print(f"{failure.path}: {failure.status}: {failure.what}", file=sys.stderr)

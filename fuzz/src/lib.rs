@@ -1,4 +1,4 @@
-//! The rooms of poseaudit that read logs, as the fuzz targets need them.
+//! The modules of poseaudit that read logs, for the fuzz targets.
 
 pub use ground::{boundary, geometry, stats, stream, time};
 pub use poseaudit_log as log;

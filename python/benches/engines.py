@@ -1,10 +1,10 @@
-"""What Ray costs beside the local engine: the same logs through both, in turn, on one machine.
+"""Overhead of Ray relative to the local engine: both audit the same logs alternately, on one machine.
 
     python python/benches/engines.py LOGS [ROUNDS]
 
 `LOGS` is a folder of logs (`POSEAUDIT_FLEET_KEEP=LOGS cargo bench --bench fleet` writes some). The cluster
-is a head without cores and a worker for each core, all on loopback, so that Ray's own processes take
-their time from the same cores as the audits: on machines of their own they cost less.
+is a head without cores and a worker for each core, all on loopback. Ray's own processes therefore share the
+cores with the audits; on separate machines they cost less.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ def main(folder: Path, rounds: int) -> None:
     engines["ray"] = {"engine": "ray", "address": cluster.address}
     try:
         walls: dict[str, list[float]] = {name: [] for name in engines}
-        # Ray starts its processes for the first tasks.
+        # Warm up: Ray starts its processes with the first tasks.
         timed(logs[:20], engines["ray"])
         for _ in range(rounds):
             for name, how in engines.items():
                 walls[name].append(timed(logs, how))
     finally:
         cluster.close()
-    print(f"{len(logs)} logs on {cores} cores, medians of {rounds} rounds in turn")
+    print(f"{len(logs)} logs on {cores} cores, medians of {rounds} alternating rounds")
     for name, seconds in walls.items():
         wall = statistics.median(seconds)
         over = statistics.median(one / other - 1 for one, other in zip(seconds, walls["local"], strict=True))
@@ -46,7 +46,7 @@ def main(folder: Path, rounds: int) -> None:
 
 
 def timed(logs: list[Path], how: dict[str, object]) -> float:
-    """The wall time of a fleet into a folder of its own, s."""
+    """Wall time of a fleet into a new folder, s."""
     with tempfile.TemporaryDirectory() as out:
         began = time.monotonic()
         done = poseaudit.fleet(logs, Path(out) / "out", **how)  # type: ignore[arg-type]

@@ -1,5 +1,5 @@
-"""Audits recorded runs of robot arms: which pose, stamp or convention cannot be right, by how much,
-and how sure that is.
+"""Audits recorded runs of robot arms: finds wrong poses, stamps and conventions, with their magnitude and
+uncertainty.
 
     >>> import poseaudit
     >>> report = poseaudit.audit("run.mcap", robot="ur5e")
@@ -7,7 +7,7 @@ and how sure that is.
     'fail'
     >>> report.findings.to_polars()
 
-The work is done by the binary `poseaudit`, which comes with this package; `python -m poseaudit` is it.
+The package runs its binary `poseaudit`, which is also available as `python -m poseaudit`.
 """
 
 from ._audit import audit

@@ -1,4 +1,4 @@
-"""`audit`: one run, one report; and what is had of the same run again: its page, its samples."""
+"""`audit`: audits one run; its report can also return an HTML page and samples."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 _FINDINGS, _MISUSE, _UNUSABLE = 1, 2, 3
-#: Options that write files, or that decide how the call ends: not asked again.
+#: Options that write files or determine the exit status; omitted when a run is read again.
 _ONCE = ("fix", "rrd", "mesh_root", "parquet", "write_baseline", "require")
 
 
@@ -33,9 +33,9 @@ def audit(
     The options are those of `poseaudit audit`, with `_` for `-`: `audit("run.mcap", robot="ur5e",
     select=["LAT", "ZER001"], declare={"/tcp": "rotvec"})`.
 
-    Findings do not raise: they are in the report. Raises `TypeError` for an option that there is not,
-    `CallError` where the call or the config is wrong, `LogError` where the log cannot be audited, and
-    `ProgramError` where the binary is missing or died.
+    Findings do not raise: they are in the report. Raises `TypeError` for an unknown option, `CallError`
+    if the call or the config is invalid, `LogError` if the log cannot be audited, and `ProgramError` if
+    the binary is missing or was terminated.
     """
     paths = [path] if isinstance(path, (str, os.PathLike)) else list(path)
     if not paths:
@@ -54,7 +54,7 @@ def audit(
 
 
 def _called(options: Sequence[str], paths: Sequence[str | os.PathLike[str]]) -> tuple[int, str]:
-    """Audits; the exit status and what was said on stderr. Raises where that gives no report."""
+    """Runs an audit and returns exit status and stderr. Raises if there is no report."""
     done = _binary.run(["audit", "--quiet", *options, "--", *(os.fspath(one) for one in paths)])
     if done.returncode not in (0, _FINDINGS):
         error = {_MISUSE: CallError, _UNUSABLE: LogError}.get(done.returncode, ProgramError)
@@ -64,27 +64,27 @@ def _called(options: Sequence[str], paths: Sequence[str | os.PathLike[str]]) -> 
 
 @dataclass(frozen=True)
 class _Run:
-    """A run that was audited: its options and its logs."""
+    """An audited run: its options and its logs."""
 
     options: tuple[str, ...]
     logs: tuple[str, ...]
 
     def html(self) -> str:
-        """The report with its pictures as one page."""
+        """The report as one HTML page with its plots."""
         with tempfile.TemporaryDirectory(prefix="poseaudit-") as folder:
             page = Path(folder, "report.html")
             _called([*self.options, "--format=html", f"--output={page}"], self.logs)
             return page.read_text(encoding="utf-8")
 
     def samples(self, library: Literal["polars", "pandas"]) -> Any:
-        """The samples of the pose streams beside forward kinematics, as a frame."""
+        """The samples of the pose streams with forward kinematics, as a data frame."""
         with tempfile.TemporaryDirectory(prefix="poseaudit-") as folder:
             _called([*self.options, f"--parquet={folder}"], self.logs)
             return read_parquet(Path(folder, "aligned.parquet"), library)
 
 
 def in_frame(page: str, height_px: int = 720) -> str:
-    """A whole page inside of another one."""
+    """Embeds an HTML page in another."""
     return (
         f'<iframe srcdoc="{html.escape(page)}" style="width:100%;height:{height_px}px;border:0"'
         ' title="poseaudit report"></iframe>'

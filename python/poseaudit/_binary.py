@@ -1,4 +1,4 @@
-"""The binary that does the work: where it is, and how it is run."""
+"""Finds and runs the binary."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from pathlib import Path
 
 from ._errors import CallError, ProgramError
 
-#: Names another binary than the one in the wheel, for those who build it themselves.
+#: Path of a binary to use instead of the wheel's, for own builds.
 OVERRIDE = "POSEAUDIT_BIN"
 
 
 def find_binary() -> Path:
-    """The binary: the one that `POSEAUDIT_BIN` names, else the one that the wheel installed.
+    """Returns the binary named by `POSEAUDIT_BIN`, else the one installed by the wheel.
 
-    The path is not searched: another version there would answer in its place.
+    The PATH is not searched, because it may contain another version.
     """
     override = os.environ.get(OVERRIDE)
     if override:
@@ -36,7 +36,7 @@ def find_binary() -> Path:
 
 
 def _script_folders() -> list[Path]:
-    """Where installers put a package's programs: of this environment, of the user, of `--target`."""
+    """Folders in which installers place programs: of this environment, of the user, of `--target`."""
     schemes = [sysconfig.get_default_scheme(), sysconfig.get_preferred_scheme("user")]
     folders = [Path(sysconfig.get_path("scripts", scheme)) for scheme in schemes]
     folders.append(Path(__file__).parent.parent / "bin")
@@ -49,8 +49,10 @@ def run(
     stdin: str | None = None,
     shows_progress: bool = False,
 ) -> subprocess.CompletedProcess[str]:
-    """Runs the binary to its end and keeps what it says; what it says to stderr is shown instead where
-    progress is. A status is the caller's to judge; a death by a signal is a `ProgramError`."""
+    """Runs the binary and captures its output; with progress, stderr is shown instead.
+
+    Callers check the status. Termination by a signal is a `ProgramError`.
+    """
     binary = find_binary()
     try:
         done = subprocess.run(
@@ -73,7 +75,7 @@ def run(
 
 
 def answer(arguments: Sequence[str], *, may_find: bool = False) -> str:
-    """What the binary prints. Status 1 is an answer where it `may_find` something; any other is raised."""
+    """Returns the output of the binary. Status 1 is accepted if it `may_find` something; others raise."""
     done = run(arguments)
     if done.returncode == 0 or (may_find and done.returncode == 1):
         return done.stdout
@@ -89,23 +91,25 @@ def _signal_name(number: int) -> str:
 
 
 def sources(named: Sequence[str]) -> tuple[list[str], str | None]:
-    """The sources of a fleet as arguments, and as a list on stdin: paths are listed, of which there may be
-    more than a command line holds; patterns and addresses are arguments."""
+    """Splits the sources of a fleet into arguments and a list for stdin.
+
+    Paths are listed, because they may exceed the length of a command line; patterns and URLs are arguments.
+    """
     listed = [source for source in named if os.path.lexists(source)]
     others = [source for source in named if not os.path.lexists(source)]
     return (["-", *others], "\0".join([*listed, ""])) if listed else (others, None)
 
 
 def trouble_in(stderr: str | None) -> str:
-    """The line that says what went wrong, of what the binary wrote to stderr."""
+    """Extracts the error line from the stderr of the binary."""
     if stderr is None:
-        return "poseaudit could not do it; stderr says why"
+        return "poseaudit failed; see stderr for the reason"
     lines = [line for line in stderr.splitlines() if line.startswith("error: ")]
     return lines[0].removeprefix("error: ") if lines else stderr.strip().partition("\n")[0]
 
 
 def become(arguments: Sequence[str]) -> int:
-    """Runs the binary in place of this process; where a system has no such thing, beside it."""
+    """Replaces this process by the binary; on Windows, runs it as a child."""
     binary = str(find_binary())
     if sys.platform == "win32":
         return subprocess.run([binary, *arguments], check=False).returncode

@@ -1,4 +1,4 @@
-"""`compare`: two runs, or two reports."""
+"""`compare`: compares two runs or two reports."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Two reports side by side."""
+    """Comparison of two reports."""
 
     regression: bool
-    """Whether the new one is worse."""
+    """Whether the new report is worse."""
     verdicts: tuple[str, str]
     """Old and new."""
     causes: tuple[Mapping[str, Any], ...]
     """Every cause: its `course` (`appeared`, `grew`, `changed`, `same`, `shrank`, `untold`, `gone`),
-    `code`, `subject`, and the findings `old` and `new`; what makes it a regression first."""
+    `code`, `subject`, and the findings `old` and `new`; regressions first."""
     lost: tuple[Mapping[str, Any], ...]
-    """Checks that passed and are inconclusive now."""
+    """Checks that passed before and are inconclusive now."""
     text: str = field(repr=False)
-    """For a terminal, as `str()` gives it."""
+    """Text for a terminal, as returned by `str()`."""
 
     def __str__(self) -> str:
         return self.text
@@ -45,8 +45,8 @@ def compare(
 ) -> Comparison:
     """Compares two runs: reports, kept reports (JSON) or logs, which are audited with the options of `audit`.
 
-    Raises `CallError` where the call is wrong, `ProgramError` where the binary is missing or died. A new log
-    that cannot be audited is a regression.
+    Raises `CallError` if the call is invalid, `ProgramError` if the binary is missing or was terminated.
+    A new log that cannot be audited is a regression.
     """
     said = arguments("compare", options, How)
     with tempfile.TemporaryDirectory(prefix="poseaudit-") as folder:
@@ -66,7 +66,7 @@ def compare(
 
 
 def _kept(side: Report | str | os.PathLike[str], place: Path) -> str:
-    """The path of a log or report; of a report in memory `place`, where it is written."""
+    """Path of a log or report. A report in memory is written to `place`."""
     if not isinstance(side, Report):
         return os.fspath(side)
     place.write_text(json.dumps(side.json), encoding="utf-8")

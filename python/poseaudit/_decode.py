@@ -1,5 +1,5 @@
-"""JSON into dataclasses, as their annotations say. Keys that no field has are passed over: a later
-version may have added them."""
+"""Decodes JSON into dataclasses by their annotations. Ignores unknown keys, which a later version
+may have added."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 
 def decode(kind: type[T], value: object, place: str) -> T:
-    """`value` as a `kind`; `place` says where it stands, for the error."""
+    """Decodes `value` as a `kind`. `place` is its path for error messages."""
     return typing.cast(T, _decode(kind, value, place))
 
 
@@ -43,7 +43,7 @@ def _scalar(kind: Any, value: object, place: str) -> object:
     if kind is Any:
         return value
     if kind is int and isinstance(value, str) and value.removeprefix("-").isdecimal():
-        return int(value)  # nanoseconds, which JSON's numbers cannot hold
+        return int(value)  # nanoseconds, which exceed JSON numbers
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
     if isinstance(value, kind) and not (kind is int and isinstance(value, bool)):
@@ -63,7 +63,7 @@ def _object(kind: Any, value: object, place: str) -> object:
     types_of = _types(kind)
     given: dict[str, object] = {}
     for field in dataclasses.fields(kind):
-        key = field.name.removesuffix("_")  # `is` is a word of Python's
+        key = field.name.removesuffix("_")  # `is` is a Python keyword
         if key in value:
             given[field.name] = _decode(types_of[field.name], value[key], f"{place}.{key}")
         elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:

@@ -23,11 +23,11 @@ def pose(
     b_as: str | None = None,
     robot: str | os.PathLike[str] | None = None,
 ) -> Mapping[str, Any]:
-    """A pose in every convention; of two poses that should agree, what makes them agree.
+    """Converts a pose to every convention, or finds the difference that reconciles two poses.
 
-    A pose is numbers, or text as a controller prints it. `a_as` and `b_as` say how they are coded
-    (`"rotvec"`, `"euler:ZYX,deg,mm"`, `"kuka"`); `robot` is the arm whose fixed frames may lie between the
-    two. The answer is that of `poseaudit pose --format json`. Raises `CallError` for what is no pose.
+    A pose is numbers, or text as printed by a controller. `a_as` and `b_as` declare the encodings
+    (`"rotvec"`, `"euler:ZYX,deg,mm"`, `"kuka"`). `robot` is an arm whose fixed frames may explain the
+    difference. Returns the JSON of `poseaudit pose --format json`. Raises `CallError` for an invalid pose.
     """
     call = ["pose", "--format=json"]
     if b is None:
@@ -65,10 +65,10 @@ def fk(
     base: str | None = None,
     tip: str | None = None,
 ) -> Mapping[str, Any] | list[Mapping[str, Any]]:
-    """The pose of an arm's tip in its base, as `xyz_m` and `xyzw`; of several configurations one each.
+    """Pose of an arm's tip in its base, as `xyz_m` and `xyzw`; a list for several configurations.
 
-    `robot` is a URDF, a DH table or a name of the catalogue; `q` joint positions from base to tip, rad or m.
-    Raises `CallError` where the robot is unknown or has another number of joints.
+    `robot` is a URDF, a DH table or a catalogue name; `q` are joint positions from base to tip, rad or m.
+    Raises `CallError` if the robot is unknown or has a different number of joints.
     """
     links = [f"--base={base}"] if base else []
     links += [f"--tip={tip}"] if tip else []

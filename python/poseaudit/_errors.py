@@ -1,23 +1,23 @@
-"""What keeps an audit from being one. A finding is no error: it is in the report."""
+"""Errors of an audit. Findings are not errors; they are in the report."""
 
 from __future__ import annotations
 
 
 class PoseauditError(Exception):
-    """Every error of this package. Its text is one line: where, what, and what to do."""
+    """Base of all errors of this package. The text is one line: place, problem, remedy."""
 
 
 class CallError(PoseauditError):
-    """The call or the config is wrong: an option, a file that is not there (exit status 2)."""
+    """Invalid call or config, such as an unknown option or a missing file (exit status 2)."""
 
 
 class LogError(PoseauditError):
-    """The log cannot be audited: unreadable, no arm in it, no model of the arm (exit status 3)."""
+    """The log cannot be audited: unreadable, without an arm, or without its model (exit status 3)."""
 
 
 class ReportError(PoseauditError):
-    """What should be a report is none, or one of another schema."""
+    """Invalid report, or a different schema."""
 
 
 class ProgramError(PoseauditError):
-    """The binary is not there, or it died."""
+    """The binary is missing or was terminated."""

@@ -1,4 +1,4 @@
-"""`fleet`: many logs, into one folder of Parquet files (docs/fleet.md)."""
+"""`fleet`: audits many logs into one folder of Parquet files (docs/fleet.md)."""
 
 from __future__ import annotations
 
@@ -33,31 +33,31 @@ class Failure:
     path: str
     status: str
     what: str | None = None
-    """Why; the table `errors` knows more."""
+    """The reason; the table `errors` has details."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fleet:
-    """How a call went, and the tables that it and earlier ones filled."""
+    """Summary of a call, and the tables of this and earlier calls."""
 
     out: Path
     logs: int
-    """Logs that were named."""
+    """Number of given logs."""
     duplicates: int
-    """Those that have the content of another of them, whose row is theirs."""
+    """Logs with the same content as another one, whose row they share."""
     done_before: int
-    """Those that an earlier call had done."""
+    """Logs audited by earlier calls."""
     done_now: int
-    """Those that this call did."""
+    """Logs audited by this call."""
     retried: int = 0
-    """How often a log was begun again because the worker that had it died."""
+    """Number of restarts of logs because their worker was terminated."""
     failing: int
-    """Those with a finding at or above `fail_on`."""
+    """Logs with a finding at or above `fail_on`."""
     statuses: Mapping[str, int]
-    """How the audits ended, each content once."""
+    """Number of audits by status; duplicates count once."""
     verdicts: Mapping[str, int]
     errors: tuple[Failure, ...] = ()
-    """Those that could not be audited."""
+    """Logs that could not be audited."""
 
     def to_polars(self, table: Table = "findings") -> polars.DataFrame:
         """A table of the folder, with the rows of all calls."""
@@ -68,7 +68,7 @@ class Fleet:
         rows = polars.read_parquet(self._parts(table)).unique(subset=_key(table), maintain_order=True)
         if table == "runs":
             return rows
-        # Rows of a log that is not done are those of a process that died.
+        # Rows of an unfinished log come from a terminated process.
         return rows.join(self.to_polars("runs").select("key"), on="key", how="semi")
 
     def to_pandas(self, table: Table = "findings") -> pandas.DataFrame:
@@ -86,7 +86,7 @@ class Fleet:
 
 
 def _key(table: Table) -> list[str]:
-    """What names a row: after a crash it may stand in two parts."""
+    """Columns that identify a row, which may occur in two parts after a crash."""
     return ["key"] if table == "runs" else ["key", "row"]
 
 
@@ -102,19 +102,18 @@ def fleet(
     batch: int | None = None,
     **options: Unpack[FleetOptions],
 ) -> Fleet:
-    """Audits many logs, each in a process of its own, and keeps a row for each in `out`.
+    """Audits many logs, each in a separate process, and stores one row for each in `out`.
 
-    `sources` are logs, folders of logs, and patterns. What `out` has already is not done again. The
-    options are those of `poseaudit fleet`, with `_` for `-`.
+    `sources` are logs, folders of logs, and patterns. Logs with results in `out` are skipped. The options
+    are those of `poseaudit fleet`, with `_` for `-`.
 
-    `engine="local"` takes `jobs` logs at a time, by default one for each core. `engine="ray"` makes a
-    task of every `batch` logs (by default of as many as take some seconds), on the cluster at `address`
-    (else the one that Ray finds), and begins those again whose worker died, up to `retries` times; what
-    then is left this process does itself.
-    `progress` shows on stderr how far it is.
+    `engine="local"` audits `jobs` logs at a time, by default one for each core. `engine="ray"` runs tasks
+    of `batch` logs (by default as many as take some seconds) on the cluster at `address` (default: the one
+    that Ray finds). Logs whose worker was terminated are restarted up to `retries` times; this process then
+    audits the remaining ones. `progress` prints progress to stderr.
 
-    What is wrong with a log is its row, and does not raise. Raises `TypeError` for an option that there
-    is not, `CallError` where the call is wrong, `ProgramError` where the binary or Ray is missing.
+    Faults of a log are in its row, and do not raise. Raises `TypeError` for an unknown option, `CallError` if
+    the call is invalid, `ProgramError` if the binary or Ray is missing.
     """
     named = [sources] if isinstance(sources, (str, os.PathLike)) else list(sources)
     if not named:
@@ -138,8 +137,7 @@ def fleet(
         address=address,
         progress=progress,
     )
-    # Whatever became of the tasks: what has no row gets one here, and parts are merged. What was tried
-    # again there is not tried once more.
+    # Audits logs that still have no row, and merges the parts. The tasks have already retried failed logs.
     once = [option for option in said if option != "--retry"]
     whole = replace(call, options=once).audit()
     return replace(
@@ -161,16 +159,16 @@ class _Call:
     progress: bool
 
     def pending(self) -> list[str]:
-        """The logs that have no row yet, as far as that is known without reading them."""
+        """Logs without a row, as far as known without reading them."""
         return self._run("--pending").splitlines()
 
     def audit(self) -> Fleet:
-        """Audits here what has no row yet."""
+        """Audits logs without a row in this process."""
         jobs = [] if self.jobs is None else [f"--jobs={self.jobs}"]
         try:
             summary = json.loads(self._run("--format=json", *jobs))
         except ValueError as error:
-            raise ReportError(f"the summary: no JSON: {error}; install the package again") from error
+            raise ReportError(f"the summary: invalid JSON: {error}; install the package again") from error
         if summary.get("schema") != SCHEMA:
             raise ReportError(f"the summary: schema {summary.get('schema')!r}, not {SCHEMA!r}")
         return decode(Fleet, _summary(summary, self.out), "the summary")

@@ -29,8 +29,8 @@ _FINDING = {
     **dict.fromkeys(("fix", "evidence_json"), _TEXT),
     **dict.fromkeys(("start_ns", "end_ns"), _STAMP),
 }
-#: Columns of the rows that have a subject and an estimate, by the name of their class. Those of all
-#: other rows are the keys of the JSON report.
+#: Columns of the rows with a subject and an estimate, by class name. All other columns are the keys of the
+#: JSON report.
 _COLUMNS = {
     "Finding": _FINDING,
     "Ignored": {**_FINDING, **dict.fromkeys(("reason", "place"), _TEXT)},
@@ -51,7 +51,7 @@ _COLUMNS = {
 
 
 class Rows(tuple[Row, ...]):
-    """A tuple of rows of one kind, that is a data frame when asked: `to_polars()`, `to_pandas()`."""
+    """A tuple of rows of one kind, convertible to a data frame: `to_polars()`, `to_pandas()`."""
 
     _columns: dict[str, str]
     _cells: list[dict[str, object]]
@@ -67,15 +67,15 @@ class Rows(tuple[Row, ...]):
     @overload
     def frame(self, library: Literal["pandas"]) -> pandas.DataFrame: ...
     def frame(self, library: Literal["polars", "pandas"]) -> polars.DataFrame | pandas.DataFrame:
-        """The rows as a frame of that library, which must be installed."""
+        """The rows as a data frame of the library, which must be installed."""
         if library == "polars":
             return self.to_polars()
         if library == "pandas":
             return self.to_pandas()
-        raise ValueError(f"frame({library!r}): there are frames of 'polars' and 'pandas'")
+        raise ValueError(f"frame({library!r}): expected 'polars' or 'pandas'")
 
     def to_polars(self) -> polars.DataFrame:
-        """The rows as a Polars frame: a row each, with the columns of docs/tables.md."""
+        """The rows as a Polars data frame, with the columns of docs/tables.md."""
         import polars
 
         types = {_TEXT: polars.String, _NUMBER: polars.Float64, _STAMP: polars.Int64}
@@ -83,7 +83,7 @@ class Rows(tuple[Row, ...]):
         return polars.DataFrame(self._by_column(), schema=schema)
 
     def to_pandas(self) -> pandas.DataFrame:
-        """The rows as a pandas frame: a row each, with the columns of docs/tables.md."""
+        """The rows as a pandas data frame, with the columns of docs/tables.md."""
         import pandas
 
         types = {_TEXT: "string", _NUMBER: "float64", _STAMP: "Int64"}
@@ -97,21 +97,21 @@ class Rows(tuple[Row, ...]):
 
 
 def read_parquet(path: Path, library: Literal["polars", "pandas"]) -> Any:
-    """A table that the program wrote, as a frame of that library, which must be installed."""
+    """A table written by the program, as a data frame of the library, which must be installed."""
     if library == "polars":
         import polars
 
-        # Not mapped: the file may go.
+        # Not mapped, because the file may be deleted.
         return polars.read_parquet(path, memory_map=False)
     if library == "pandas":
         import pandas
 
         return pandas.read_parquet(path)
-    raise ValueError(f"{library!r}: there are frames of 'polars' and 'pandas'")
+    raise ValueError(f"{library!r}: expected 'polars' or 'pandas'")
 
 
 def _flat(row: Mapping[str, Any]) -> dict[str, object]:
-    """A row of the JSON report without objects in it."""
+    """Flattens a row of the JSON report."""
     estimate = row.get("estimate") or {}
     low, high = estimate.get("ci95") or (None, None)
     flat = {

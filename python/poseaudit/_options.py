@@ -1,4 +1,4 @@
-"""The options of an audit, as arguments of the binary."""
+"""Converts audit options to arguments of the binary."""
 
 from __future__ import annotations
 
@@ -12,94 +12,94 @@ if TYPE_CHECKING:
 
 Path: TypeAlias = "str | os.PathLike[str]"
 Texts: TypeAlias = "str | Sequence[str]"
-#: One, several, or by what they are of: a prefix of joint names, a topic.
+#: One value, several, or a mapping from a joint name prefix or a topic.
 Of: TypeAlias = "Path | Sequence[Path] | Mapping[str, Path]"
 
 
 class How(TypedDict, total=False):
-    """How a log is audited, by the names of the program's flags. None and False are as if not given."""
+    """Audit options with the names of the program's flags. None and False are ignored."""
 
     robot: Of | None
     """URDF, table or catalogue name; `{prefix: file}` with several arms."""
     calibration: Of | None
     """A UR's calibration; `{prefix: file}` with several arms."""
     joint_map: Texts | Mapping[str, str] | None
-    """Joints that the log and the model name otherwise: `{log: model}`."""
+    """Joint names that differ between log and model: `{log: model}`."""
     base: str | None
-    """Link that the chain begins at."""
+    """First link of the chain."""
     tip: str | None
-    """Link that the chain ends at."""
+    """Last link of the chain."""
     config: Path | None
     """A `poseaudit.toml`."""
     select: Texts | None
-    """Rules to ask: codes, or the letters that a family begins with."""
+    """Rules to run: codes, or prefixes of families."""
     ignore: Texts | None
-    """Rules not to ask."""
+    """Rules to skip."""
     fail_on: Literal["error", "warning", "inconclusive", "never"] | None
-    """From which severity on a finding fails the run."""
+    """Minimum severity of findings that fail the run."""
     stamp: Literal["header", "log", "publish"] | None
-    """The time that places a sample."""
+    """Clock of the samples."""
     max_latency: float | None
-    """Largest latency, s."""
+    """Maximum latency, s."""
     verify: bool | None
     """Check every checksum."""
     max_unpacked: int | None
-    """What a file may unpack to, GiB."""
+    """Maximum unpacked size of a file, GiB."""
     declare: Texts | Mapping[str, str] | None
-    """How streams are coded: `{topic: convention}`, or `topic=convention`."""
+    """Encoding of streams: `{topic: convention}`, or `topic=convention`."""
 
 
 class Options(How, total=False):
     """Options of `poseaudit audit`."""
 
     require: Texts | None
-    """Rules that must conclude."""
+    """Rules that must not be inconclusive."""
     corrections: Path | None
     """A `corrections.toml` to apply first."""
     fix: Path | None
-    """Folder for what would mend the findings."""
+    """Folder for corrections of the findings."""
     rrd: Path | None
     """File for a recording for the Rerun viewer."""
     mcap: Path | None
-    """File for the findings as messages that Foxglove shows."""
+    """File for the findings as messages for Foxglove."""
     mesh_root: Path | Sequence[Path] | None
-    """Folders that the meshes of the robot's URDF are sought below, for the recording."""
+    """Folders to search for meshes of the robot's URDF, for the recording."""
     parquet: Path | None
     """Folder for tables."""
     write_baseline: Path | None
-    """File for the report as JSON, to hold later logs against."""
+    """File for the JSON report, as a baseline for later logs."""
 
 
 class FleetOptions(How, total=False):
     """Options of `poseaudit fleet`."""
 
     label: Texts | Mapping[str, str] | None
-    """What all logs are of: `{"site": "berlin"}`."""
+    """Labels of all logs: `{"site": "berlin"}`."""
     labels_from: str | None
-    """What the ends of their paths say they are of: `{site}/{arm}/*`."""
+    """Pattern of the end of the paths that gives labels: `{site}/{arm}/*`."""
     timeout: float | None
-    """What the audit of one log may take, s."""
+    """Maximum time for one log, s."""
     memory: str | int | None
-    """What it may take of memory, as in `2GiB`."""
+    """Maximum memory for one log, as in `2GiB`."""
     retry: bool | None
-    """Try again what took too much, or made the audit fail."""
+    """Retry logs that exceeded a limit or failed."""
     pages: bool | None
     """Keep the HTML report of each log."""
     identity: Literal["content", "file"] | None
-    """What tells that a log is done."""
+    """How finished logs are recognised."""
 
 
-#: The options that take no value.
+#: Options without a value.
 _SWITCHES = ("pages", "retry", "verify")
 
 
 def names(kind: type[How]) -> list[str]:
-    """The names of the options in a dict of that kind."""
+    """Names of the options in a TypedDict."""
     return list(kind.__annotations__)
 
 
 def arguments(function: str, options: Mapping[str, object], kind: type[How]) -> list[str]:
-    """The options as arguments of the binary; one that there is not is a `TypeError` of `function`."""
+    """Converts options to arguments of the binary. Unknown options raise a `TypeError` of `function`."""
     known = names(kind)
     for name in options:
         if name not in known:
@@ -121,7 +121,7 @@ def _argument(function: str, name: str, value: object) -> list[str]:
 
 
 def _texts(function: str, name: str, value: object) -> list[str]:
-    """A value as the texts that its flag is given with, once for each."""
+    """Converts a value to texts; the flag is repeated for each."""
     if isinstance(value, (str, os.PathLike)):
         return [os.fspath(value)]
     if isinstance(value, (int, float)):

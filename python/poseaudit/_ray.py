@@ -1,9 +1,9 @@
-"""Ray as the engine of a fleet: a task a log, and one process that keeps the results.
+"""Ray as the engine of a fleet: tasks audit logs, and the driver stores the results.
 
-A task audits its logs into a folder of its own and hands back what the program wrote there: a few
-Parquet files of some kilobytes. Only the driver writes into the fleet's folder, under the names that the
-program gave. So workers need not share that folder, what a dying worker leaves behind is never seen, and
-a log that two workers did is still one row: its files bear its key.
+A task audits its logs into a temporary folder and returns the files written there: a few Parquet files
+of some kilobytes. Only the driver writes to the fleet's folder, with the program's file names. So workers
+need not share that folder, partial results of a terminated worker are never visible, and a log audited
+by two workers is still one row, because its file names contain its key.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ from ._errors import ProgramError
 
 _log = logging.getLogger("poseaudit")
 
-#: So many tasks are handed to Ray at a time: enough for its autoscaler to see what there is to do, and
-#: few enough for a driver's memory whatever the number of logs.
+#: Maximum number of tasks submitted to Ray at a time: enough for its autoscaler, and few enough for the
+#: driver's memory with any number of logs.
 IN_FLIGHT = 1000
 
-#: Unless the caller says how many, a task has as many logs as take about so long, by those that are done:
-#: to begin a task costs some tens of milliseconds, and what dies with a worker is begun again.
+#: Target duration of a task, unless the caller sets the number of logs. Starting a task costs some tens of
+#: milliseconds, and the logs of a terminated worker are restarted.
 TASK_S = 5.0
 
-#: … but no more than that every core has so many tasks of what is left.
+#: Minimum number of remaining tasks per core, which limits the size of a task.
 TASKS_A_CORE = 4
 
-#: Where progress is shown, so often.
+#: Interval of progress messages.
 SHOWN_EVERY_S = 10.0
 
-#: A log counts as done by its row in this table, which therefore takes its place last.
+#: A log is done when its row is in this table, which is therefore written last.
 LAST = "runs"
 
 
 @dataclass(frozen=True)
 class Batch:
-    """The logs of one task, and how often it was begun."""
+    """The logs of one task, and the number of its attempt."""
 
     logs: tuple[str, ...]
     attempt: int = 1
@@ -53,37 +53,37 @@ class Batch:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a task hands back."""
+    """The result of a task."""
 
     version: str
     files: tuple[tuple[str, bytes], ...]
     """Path below the fleet's folder, and content."""
     seconds: float = 0.0
-    """What the task took."""
+    """Duration of the task."""
 
 
 @dataclass
 class Course:
-    """How a run over the cluster went."""
+    """Statistics of a run on the cluster."""
 
     total: int
     began: float = field(default_factory=time.monotonic)
     done: int = 0
-    """Logs whose rows were handed back, …"""
+    """Logs with returned rows."""
     spent_s: float = 0.0
-    """… and what their tasks took."""
+    """Total duration of their tasks."""
     keys: set[str] = field(default_factory=set)
-    """The keys of these rows: logs of the same content have one."""
+    """Keys of these rows; logs with the same content share a key."""
     retried: int = 0
-    """Logs that were begun again because their task died, each time counted."""
+    """Number of restarts of logs because their task was terminated."""
     given_up: int = 0
-    """Logs whose task died as often as it may; the driver is left to do them."""
+    """Logs whose task was terminated too often; the driver audits them."""
 
     def show(self) -> None:
-        """A line on stderr about how far it is."""
+        """Prints a progress line to stderr."""
         rate = self.done / max(time.monotonic() - self.began, 1e-9)
         left = f", {(self.total - self.done) / rate:.0f} s left" if rate else ""
-        again = f", {self.retried} begun again" if self.retried else ""
+        again = f", {self.retried} restarted" if self.retried else ""
         print(f"{self.done} of {self.total} logs, {rate:.2f}/s{left}{again}", file=sys.stderr)
 
 
@@ -97,14 +97,14 @@ def spread(
     address: str | None,
     progress: bool,
 ) -> Course:
-    """Audits the logs over the cluster, and puts what the tasks hand back into `out`."""
+    """Audits the logs on the cluster, and stores the results of the tasks in `out`."""
     course = Course(len(logs))
     if not logs:
         return course
     ray = _ray()
     if not ray.is_initialized():
         ray.init(address=address, log_to_driver=False, logging_level=logging.WARNING)
-    # Retries are the driver's, not Ray's: so they are counted, and a task that is lost may be given up.
+    # The driver retries, not Ray, so that retries are counted and limited.
     task = ray.remote(num_cpus=1, max_retries=0)(_audited)
     left = deque(logs)
     again: deque[Batch] = deque()
@@ -112,7 +112,7 @@ def spread(
     shown = course.began
     while left or again or running:
         cores = max(1, int(ray.cluster_resources().get("CPU", 0)))
-        # How long a log takes, only one that is done tells.
+        # The duration of a log is unknown until one is done.
         most = IN_FLIGHT if batch or course.done else 2 * cores
         while (left or again) and len(running) < most:
             next_one = again.popleft() if again else _taken(left, batch or _size(course, len(left), cores))
@@ -149,7 +149,7 @@ def _taken(left: deque[str], size: int) -> Batch:
 
 
 def _size(course: Course, left: int, cores: int) -> int:
-    """How many logs the next task has."""
+    """Number of logs of the next task."""
     if not course.done:
         return 1
     in_time = TASK_S * course.done / max(course.spent_s, 1e-9)
@@ -157,20 +157,20 @@ def _size(course: Course, left: int, cores: int) -> int:
 
 
 def _again(batch: Batch, retries: int, error: Exception, course: Course) -> Iterator[Batch]:
-    """The logs of a task that died, each by itself: one of them may have been the cause."""
+    """Restarts the logs of a terminated task one by one, because one of them may be the cause."""
     first = str(error).strip().partition("\n")[0]
     if batch.attempt > retries:
         _log.warning("%s: given up after %d attempts: %s", batch.logs[0], batch.attempt, first)
         course.given_up += len(batch.logs)
         return
-    _log.info("%s and %d more: begun again: %s", batch.logs[0], len(batch.logs) - 1, first)
+    _log.info("%s and %d more: restarted: %s", batch.logs[0], len(batch.logs) - 1, first)
     course.retried += len(batch.logs)
     for log in batch.logs:
         yield Batch((log,), batch.attempt + 1)
 
 
 def _audited(logs: tuple[str, ...], arguments: tuple[str, ...]) -> Answer:
-    """Runs on a worker: audits the logs into a folder of its own, one at a time."""
+    """Runs on a worker: audits the logs into a temporary folder, one at a time."""
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="poseaudit-") as folder:
         named, listed = _binary.sources(logs)
@@ -183,15 +183,15 @@ def _audited(logs: tuple[str, ...], arguments: tuple[str, ...]) -> Answer:
 
 
 def _files(folder: Path) -> Iterator[tuple[str, bytes]]:
-    """What the program wrote, and no lock or file that is not whole."""
+    """The files written by the program, without locks and incomplete files."""
     for path in sorted(folder.rglob("*")):
         if path.is_file() and path.suffix in (".parquet", ".json") and not path.name.startswith("."):
             yield path.relative_to(folder).as_posix(), path.read_bytes()
 
 
 def _keep(answer: Answer, out: Path) -> set[str]:
-    """Puts the files of a task in their places, and says the keys of its logs: their files bear them, and
-    replace what an earlier attempt may have left."""
+    """Stores the files of a task, and returns the keys of its logs. File names contain the key, so they
+    replace files of an earlier attempt."""
     ours = version("poseaudit")
     if answer.version != ours:
         raise ProgramError(

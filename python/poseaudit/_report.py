@@ -1,6 +1,6 @@
 """The JSON report (`poseaudit.report/1`) as dataclasses.
 
-SI units: m, rad, s; stamps in integer nanoseconds; None where unknown. Keys that a later version adds
+SI units: m, rad, s; stamps in integer nanoseconds; None if unknown. Keys added by later versions
 are in `Report.json`.
 """
 
@@ -32,7 +32,7 @@ class Tool:
 
 @dataclass(frozen=True, kw_only=True)
 class Trouble:
-    """Why next to nothing could be evaluated."""
+    """Why the audit could not be done."""
 
     what: str
     where: str
@@ -47,12 +47,12 @@ class File:
     container: str
     bytes: int
     crc: str
-    """How much of it a checksum vouches for: `all`, `partial` or `none`."""
+    """How much of it is covered by checksums: `all`, `partial` or `none`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Note:
-    """What there is to know of a file, and is no damage."""
+    """A remark about a file, other than damage."""
 
     path: str
     note: str
@@ -60,7 +60,7 @@ class Note:
 
 @dataclass(frozen=True, kw_only=True)
 class Log:
-    """What was read."""
+    """The log that was read."""
 
     files: tuple[File, ...]
     messages: int
@@ -83,7 +83,7 @@ class Robot:
 
 @dataclass(frozen=True, kw_only=True)
 class Stream:
-    """One topic, or one pair of frames of it."""
+    """One topic, or one pair of frames on a topic."""
 
     topic: str
     type: str
@@ -93,11 +93,11 @@ class Stream:
     frame_id: str | None
     child_frame_id: str | None
     reference: str | None
-    """Link that its poses are taken to be in."""
+    """Reference link of its poses."""
     link: str | None
-    """Link whose poses they are taken to be."""
+    """Link whose poses they are."""
     witness: str | None = None
-    """Whose word its poses are: `controller`, `external` or `unknown`."""
+    """Source of its poses: `controller`, `external` or `unknown`."""
     count: int
     dropped: int
     rate_hz: float | None
@@ -107,7 +107,7 @@ class Stream:
 
 @dataclass(frozen=True, kw_only=True)
 class Subject:
-    """What a rule was asked about; None where it does not matter."""
+    """Subject of a rule; None for parts that do not apply."""
 
     robot: str | None = None
     topic: str | None = None
@@ -125,10 +125,10 @@ class Rotation:
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """By how much: `value` with its unit and 95 % interval; or what the numbers are (`is_`) and what
-    they were read as. Of an amount that changes within the run `value` is the size of the change, from
+    """Magnitude of a finding: `value` with its unit and 95 % interval; or the actual encoding (`is_`) and its
+    misinterpretation (`read_as`). If it changes within the run, `value` is the size of the change, from
     `from_` to `to` at `change_ns`. A coupled joint moves by `factor` per unit of the joint `with_`; a joint
-    that is off by turns has `turns`."""
+    that is off by whole turns has `turns`."""
 
     name: str
     value: float | None = None
@@ -151,7 +151,7 @@ class Estimate:
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """What came of asking a rule about a subject: `pass`, `fail`, `inconclusive` or `skipped`."""
+    """Result of a rule for a subject: `pass`, `fail`, `inconclusive` or `skipped`."""
 
     code: str
     name: str
@@ -164,7 +164,7 @@ class Check:
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """What is wrong with a subject, by how much, and what to do about it."""
+    """A fault of a subject, its magnitude, and its remedy."""
 
     code: str
     severity: str
@@ -180,7 +180,7 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class Ignored(Finding):
-    """A finding that the config says is known: why, and where that is said."""
+    """A finding that the config ignores, with the reason and its place in the config."""
 
     reason: str
     place: str
@@ -188,7 +188,7 @@ class Ignored(Finding):
 
 @dataclass(frozen=True, kw_only=True)
 class JointCoverage:
-    """Over which part of its range a joint moved."""
+    """The part of its range over which a joint moved."""
 
     joint: str
     unit: str
@@ -201,7 +201,7 @@ class JointCoverage:
 
 @dataclass(frozen=True, kw_only=True)
 class Workspace:
-    """Over which part of its ranges an arm moved."""
+    """The part of its workspace in which an arm moved."""
 
     robot: str
     joints: tuple[JointCoverage, ...]
@@ -212,7 +212,7 @@ class Workspace:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """A motion that would settle some of what was left open, and the call that writes it."""
+    """A motion that would resolve undetermined checks, and the command that writes it."""
 
     robot: str
     purpose: str
@@ -234,19 +234,19 @@ class Report:
     streams: Rows[Stream]
     checks: Rows[Check]
     findings: Rows[Finding]
-    """The gravest first; `findings.to_polars()` and `findings.to_pandas()` are frames of them."""
+    """Most severe first; `findings.to_polars()` and `findings.to_pandas()` return data frames."""
     ignored: Rows[Ignored] = field(default_factory=lambda: Rows(Ignored, (), ()))
     observability: tuple[Mapping[str, Any], ...] = ()
     workspace: tuple[Workspace, ...] = ()
     plans: tuple[Plan, ...] = ()
     open: str | None = None
-    """The rules of `require` that could not conclude, as the program says it; not in the JSON."""
+    """The program's message about rules of `require` that are inconclusive; not in the JSON."""
     json: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
-    """The whole report as it came."""
+    """The complete JSON report."""
     text: str = field(default="", repr=False, compare=False)
-    """The report for a terminal, as `str()` gives it; empty where it was read from JSON."""
+    """The report for a terminal, as returned by `str()`; empty if it was read from JSON."""
     run: Any = field(default=None, repr=False, compare=False)
-    """What `html()` and `samples()` are had of: the run that was audited."""
+    """The audited run, which `html()` and `samples()` read again."""
 
     def __repr__(self) -> str:
         codes = ", ".join(dict.fromkeys(finding.code for finding in self.findings))
@@ -260,14 +260,14 @@ class Report:
         )
 
     def html(self) -> str:
-        """The report as one page with its pictures, which opens in any browser.
+        """The report as one HTML page with its plots.
 
-        The log is read again. Raises `ReportError` for a report that was read from JSON.
+        Reads the log again. Raises `ReportError` if the report was read from JSON.
         """
         return str(self._again("html").html())
 
     def _repr_html_(self) -> str | None:
-        """The page, in a notebook; none of a report that was read from JSON."""
+        """The page, in a notebook; None if the report was read from JSON."""
         from ._audit import in_frame
 
         return None if self.run is None else in_frame(self.html())
@@ -277,10 +277,10 @@ class Report:
     @overload
     def samples(self, library: Literal["pandas"]) -> pandas.DataFrame: ...
     def samples(self, library: Literal["polars", "pandas"] = "polars") -> Any:
-        """The samples of the pose streams as logged, by forward kinematics and corrected, a row each, with
-        the columns of `aligned.parquet` (docs/tables.md). The log is read again.
+        """The samples of the pose streams as logged, by forward kinematics and corrected, one row each, with
+        the columns of `aligned.parquet` (docs/tables.md). Reads the log again.
 
-        Raises `ReportError` for a report that was read from JSON.
+        Raises `ReportError` if the report was read from JSON.
         """
         return self._again("samples").samples(library)
 
@@ -290,33 +290,33 @@ class Report:
         return self.run
 
     def of_run(self, *, text: str, run: object) -> Report:
-        """This report, with its text and the run that it is of."""
+        """This report with its text and its run."""
         return replace(self, text=text, run=run)
 
     @property
     def ok(self) -> bool:
-        """Whether the binary would end with status 0: no finding at or above `fail_on`, and no rule of
-        `require` left open."""
+        """Whether the binary would exit with status 0: no finding at or above `fail_on`, and no inconclusive
+        rule of `require`."""
         return self.error is None and self.verdict != "fail" and self.open is None
 
     def left_open(self, said: str) -> Report:
-        """This report, of a run in which rules of `require` could not conclude."""
+        """This report, with rules of `require` that are inconclusive."""
         return replace(self, open=said)
 
     @classmethod
     def from_json(cls, text: str | bytes) -> Report:
-        """The report in a text, as `poseaudit audit --format json` writes it.
+        """Parses a report written by `poseaudit audit --format json`.
 
-        Raises `ReportError` where it is none, or of another schema than `poseaudit.report/1`.
+        Raises `ReportError` if it is not a report, or its schema is not `poseaudit.report/1`.
         """
         try:
             value = json.loads(text)
         except ValueError as error:
-            raise ReportError(f"the report: no JSON: {error}; write it with --format json") from error
+            raise ReportError(f"the report: invalid JSON: {error}; write it with --format json") from error
         schema = value.get("schema") if isinstance(value, dict) else None
         if schema != SCHEMA:
             raise ReportError(
                 f"the report: schema {schema!r}, not {SCHEMA!r}; install the version that wrote it"
             )
-        # What is no key of the report is not read from it.
+        # These fields are not keys of the report.
         return decode(cls, {**value, "open": None, "json": value, "text": "", "run": None}, "the report")

@@ -1,4 +1,4 @@
-"""`ros2 poseaudit`: the program as a command of ros2cli, which finds it by its entry point."""
+"""`ros2 poseaudit`: the program as a ros2cli command, found by its entry point."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ class PoseauditCommand(CommandExtension):
     """Audit robot-arm pose logs."""
 
     def add_arguments(self, parser: argparse.ArgumentParser, cli_name: str, *, argv: Any = None) -> None:
-        """Everything behind the command is the program's own, options as well."""
-        parser.add_argument("command", help="A command of poseaudit, as audit or info; `help` lists them")
-        parser.add_argument("arguments", nargs=argparse.REMAINDER, help="What the command takes")
+        """Passes all arguments after the command to the program."""
+        parser.add_argument("command", help="A command of poseaudit, such as audit; `help` lists them")
+        parser.add_argument("arguments", nargs=argparse.REMAINDER, help="Arguments of the command")
 
     def main(self, *, parser: argparse.ArgumentParser, args: argparse.Namespace) -> int:
-        """Runs the program with the same terminal; its exit status."""
+        """Runs the program in the same terminal, and returns its exit status."""
         call = ["--help"] if args.command == "help" else [args.command, *args.arguments]
         try:
             return subprocess.run([str(find_binary()), *call], check=False).returncode

@@ -1,4 +1,4 @@
-"""A Ray cluster on loopback, whose nodes can be killed as machines die: at once, with all that they run."""
+"""A Ray cluster on loopback. Its nodes can be killed like failing machines, with all their processes."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ import time
 from pathlib import Path
 
 STARTS_WITHIN_S = 120
-#: Ray needs no more of it than a few rows of a table at a time.
+#: Ray only stores a few rows of a table at a time.
 STORE_BYTES = 80_000_000
 
 
 class Cluster:
-    """A head that runs no tasks, and workers of one core each."""
+    """A head that runs no tasks, and workers with one core each."""
 
     def __init__(self, workers: int) -> None:
-        # Sockets have their names in it, which must be short.
+        # The path is part of socket names, which must be short.
         self.folder = Path(tempfile.mkdtemp(prefix="pa-", dir="/tmp"))
         self.address = f"127.0.0.1:{free_port()}"
         port = self.address.rpartition(":")[2]
@@ -53,11 +53,11 @@ class Cluster:
         return node
 
     def kill_busy_worker(self) -> int:
-        """SIGKILL to a node that is at a log, and to whatever it runs; how many processes that were."""
+        """Kills a node that is auditing a log, with its processes. Returns their number."""
         while True:
             for node in self.workers:
                 found = descendants(node.pid)
-                # Nothing ends between the look and the blow.
+                # Stop it first, so that it cannot exit before it is killed.
                 send(signal.SIGSTOP, found)
                 if any(is_fleet(pid) for pid in found):
                     send(signal.SIGKILL, found)
@@ -82,7 +82,7 @@ def free_port() -> int:
 
 
 def descendants(pid: int) -> list[int]:
-    """The process and all that came of it and still have a parent there, as /proc tells."""
+    """The process and its descendants, from /proc."""
     parents: dict[int, int] = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):
@@ -94,7 +94,7 @@ def descendants(pid: int) -> list[int]:
 
 
 def is_fleet(pid: int) -> bool:
-    """Whether the process is a program that audits, and not one that has ended."""
+    """Whether the process is a running audit."""
     with contextlib.suppress(OSError):
         return b"\0fleet\0" in Path(f"/proc/{pid}/cmdline").read_bytes()
     return False
@@ -107,7 +107,7 @@ def send(what: signal.Signals, pids: list[int]) -> None:
 
 
 def kill_tree(pid: int) -> None:
-    """SIGKILL to the process and all that came of it, stopped first, so that none has time to clean up."""
+    """Stops and then kills the process and its descendants, so that none can clean up."""
     found = descendants(pid)
     send(signal.SIGSTOP, found)
     send(signal.SIGKILL, found)

@@ -1,4 +1,4 @@
-"""What the tests work on: the logs of this repository, and the binary of the wheel that is installed."""
+"""Fixtures: the logs of this repository, and the binary of the installed wheel."""
 
 from pathlib import Path
 
@@ -9,11 +9,11 @@ FIXTURES = Path(__file__).parents[2] / "fixtures"
 
 @pytest.fixture
 def faulty() -> Path:
-    """A UR5e whose controller pose is 15 ms late, and whose elbow is 0.6° off."""
+    """A UR5e with a controller pose that is 15 ms late, and a zero offset of 0.6° at the elbow."""
     return FIXTURES / "faulty.mcap"
 
 
 @pytest.fixture
 def clean() -> Path:
-    """The same arm with nothing wrong."""
+    """The same arm without faults."""
     return FIXTURES / "clean.mcap"

@@ -1,4 +1,5 @@
-"""Records a log again, at its pace: `recorder.py LOG OUT SPEED [STOP]`, dead after STOP seconds of it."""
+"""Records a log again in real time: `recorder.py LOG OUT SPEED [STOP]`. Terminates without closing the file
+after STOP seconds."""
 
 import os
 import sys

@@ -1,4 +1,4 @@
-"""`audit`: facts planted in logs are found, and what cannot be audited is said in one line."""
+"""`audit`: finds planted faults, and reports in one line if a log cannot be audited."""
 
 import json
 import re
@@ -67,7 +67,7 @@ def test_a_wrong_option_is_the_callers_error(clean: Path) -> None:
 def test_every_option_of_the_program_is_an_option_here() -> None:
     usage = subprocess.run([find_binary(), "audit", "--help"], stdout=subprocess.PIPE, text=True, check=True)
     flags = set(re.findall(r"^ +(?:-\w, )?--([a-z-]+)", usage.stdout, re.MULTILINE))
-    # How a report is written, and what opens a window, is not asked of a function.
+    # Output options and options that open a window are not parameters of the function.
     theirs = flags - {"help", "format", "output", "view", "statistics", "quiet", "verbose", "color"}
     assert theirs == {name.replace("_", "-") for name in names(Options)}
 
@@ -109,7 +109,7 @@ def test_a_report_is_read_back_and_what_later_versions_add_is_kept(faulty: Path)
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "no JSON"),
+        ("", "invalid JSON"),
         ("[]", "schema None"),
         ('{"schema": "poseaudit.report/2"}', "schema 'poseaudit.report/2'"),
         ('{"schema": "poseaudit.report/1"}', "it has no 'tool'"),

@@ -1,4 +1,4 @@
-"""Findings, checks and streams as frames: the same rows as the Parquet of the program."""
+"""Findings, checks and streams as data frames: the same rows as the program's Parquet tables."""
 
 import json
 from pathlib import Path

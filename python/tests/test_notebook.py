@@ -1,4 +1,4 @@
-"""The notebook of the docs runs from its first cell to its last, and its reports show as they should."""
+"""The notebook of the docs runs completely, and shows its reports."""
 
 import ast
 import json
@@ -13,7 +13,7 @@ NOTEBOOK = Path(__file__).parents[2] / "docs" / "notebook.ipynb"
 
 
 def shown(cell: str, names: dict[str, Any]) -> Any:
-    """Runs a cell; the value of its last line, which a notebook shows."""
+    """Runs a cell, and returns the value of its last line."""
     body = ast.parse(cell).body
     last = body[-1] if isinstance(body[-1], ast.Expr) else None
     body = body[:-1] if last else body

@@ -1,4 +1,4 @@
-"""The binary of the wheel, by every way in."""
+"""Every way to start the wheel's binary."""
 
 import subprocess
 import sys

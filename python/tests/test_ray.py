@@ -1,4 +1,4 @@
-"""Ray as the engine, on loopback: a head and two workers, of which one is killed in the middle."""
+"""Ray as the engine, on loopback: a head and two workers, one of which is killed during the run."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def cluster() -> Iterator[Cluster]:
 
 @pytest.fixture
 def logs(faulty: Path, tmp_path: Path) -> list[Path]:
-    """Logs of different bytes that say the same, one that is none, and a copy of the first."""
+    """Logs with equal content but different bytes, an invalid one, and a copy of the first."""
     folder = tmp_path / "logs"
     folder.mkdir()
     logs = [distinct(faulty, number, folder / f"{number:03}.mcap") for number in range(LOGS)]
@@ -47,7 +47,7 @@ def logs(faulty: Path, tmp_path: Path) -> list[Path]:
 
 
 def rows(out: Path, table: str) -> Any:
-    """All rows of a table as they lie in its files, also those that stand there twice."""
+    """All rows of a table in its files, including duplicates."""
     return polars.concat(polars.read_parquet(part) for part in sorted((out / table).glob("*.parquet")))
 
 
@@ -111,7 +111,7 @@ def test_a_task_has_as_many_logs_as_take_some_seconds() -> None:
     assert _ray._size(course, 1000, 2) == 1, "nothing is known yet"
     course.done, course.spent_s = 10, 2.0
     assert _ray._size(course, 1000, 2) == _ray.TASK_S / 0.2
-    # In the end every core has something to do.
+    # At the end, all cores are busy.
     assert _ray._size(course, 40, 2) == 5 and _ray._size(course, 1, 2) == 1
     course.spent_s = 600.0
     assert _ray._size(course, 1000, 2) == 1

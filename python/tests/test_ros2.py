@@ -1,4 +1,4 @@
-"""`ros2 poseaudit`, with a stub of ros2cli in the place of ROS, which no package index has."""
+"""`ros2 poseaudit`, with a stub of ros2cli, because ROS is not on a package index."""
 
 import argparse
 import sys
@@ -12,7 +12,7 @@ import pytest
 
 @pytest.fixture
 def command(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """The command, as ros2cli makes it: the class of the entry point, without arguments."""
+    """Creates the command like ros2cli: the class of the entry point, without arguments."""
     stub = types.ModuleType("ros2cli.command")
     stub.CommandExtension = type("CommandExtension", (), {"NAME": None})  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "ros2cli", types.ModuleType("ros2cli"))
@@ -23,7 +23,7 @@ def command(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def ran(command: Any, *words: str | Path) -> int:
-    """What ros2cli does with the words behind `ros2 poseaudit`."""
+    """Parses the arguments of `ros2 poseaudit` like ros2cli."""
     root = argparse.ArgumentParser(prog="ros2")
     parser = root.add_subparsers().add_parser("poseaudit")
     command.add_arguments(parser, "ros2")

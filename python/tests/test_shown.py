@@ -1,4 +1,4 @@
-"""A report shows itself, and gives what else is had of its run; poses, kinematics, comparisons."""
+"""Representations of a report, its page and samples; poses, kinematics, comparisons."""
 
 import math
 from pathlib import Path
@@ -38,7 +38,7 @@ def test_the_samples_are_those_of_the_tables(faulty: Path, tmp_path: Path) -> No
 def test_forward_kinematics_of_one_and_of_many() -> None:
     upright = [0.0, -math.pi / 2, 0.0, -math.pi / 2, 0.0, 0.0]
     one = poseaudit.fk("ur5e", upright)
-    # The sum of the lengths along z, from the maker's table: d1 + a2 + a3 + d5.
+    # Sum of the lengths along z, from the vendor's table: d1 + a2 + a3 + d5.
     assert one["xyz_m"][2] == pytest.approx(0.1625 + 0.425 + 0.3922 + 0.0997, abs=1e-4)
     many = poseaudit.fk("ur5e", [upright, [0.0] * 6])
     assert many[0]["xyz_m"] == pytest.approx(one["xyz_m"]) and len(many) == 2

@@ -1,4 +1,4 @@
-"""`poseaudit watch` on logs that another process writes by the MCAP library."""
+"""`poseaudit watch` on logs that another process writes with the MCAP library."""
 
 import json
 import subprocess
@@ -30,7 +30,7 @@ def test_a_recorder_that_is_killed_and_begins_again(tmp_path: Path, clean: Path,
     found = {new["finding"].split()[0] for line in lines[again:] for new in line.get("new", [])}
     assert {"LAT001", "ZER001"} <= found
     assert lines[-1]["event"] == "ended" and lines[-1]["verdict"] == "fail"
-    # It was seen before the recording ended, and each byte was read once till then.
+    # It was reported before the recording ended, and each byte was read once until then.
     assert any(line.get("verdict") == "fail" for line in lines[again:-1])
     assert lines[-1]["read_bytes"] <= out.stat().st_size == lines[-1]["read_again_bytes"]
     assert watching.returncode == 1
