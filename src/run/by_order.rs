@@ -231,7 +231,6 @@ fn label(model: &Model, logged: &[String]) -> String {
 
 /// Result of the choice between several matches.
 enum Settled {
-    /// This match, with the reason.
     One {
         way: Box<Match>,
         why: String,

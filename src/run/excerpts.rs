@@ -135,7 +135,6 @@ impl Activity {
         Self { start, step, rows: vec![0; steps], motion: vec![0.0; steps] }
     }
 
-    /// Adds a joint state topic.
     fn add(&mut self, joints: &JointColumns, rows: &Rows) {
         let step_of = |stamp: Stamp| {
             let since = stamp.nanos().checked_sub(self.start)?;

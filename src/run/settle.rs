@@ -17,7 +17,6 @@ use crate::stream::{Orientations, PoseTrack};
 
 use super::role::beside_arm;
 
-/// Resolves everything, in this order.
 pub(super) fn settle(run: &mut Run, most_lag_s: f64) {
     settle_alternations(run);
     settle_carried(run, most_lag_s);

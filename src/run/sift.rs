@@ -26,7 +26,6 @@ pub struct Sift {
 }
 
 impl Sift {
-    /// Checks all streams.
     pub(super) fn of(streams: &[Stream], clocks: &Clocks) -> Self {
         let mut series = series(streams, clocks);
         let publishers = publishers(&series);

@@ -35,7 +35,6 @@ pub(super) struct Stalled {
     pub rows: Vec<usize>,
 }
 
-/// Removes the frozen rows.
 pub(super) fn hide(stalled: &[Stalled], stream: usize, rows: &mut Rows) {
     for found in stalled.iter().filter(|found| found.frozen.stream == stream) {
         rows.retain(|(_, row)| found.rows.binary_search(row).is_err());
@@ -115,7 +114,6 @@ pub(super) fn stalled<'s>(series: &Series<'s>, rows: &Rows) -> Vec<Stalled> {
     found
 }
 
-/// The spans alone.
 pub(super) fn times(stalled: &[Stalled]) -> impl Iterator<Item = Frozen> + '_ {
     stalled.iter().map(|found| found.frozen)
 }

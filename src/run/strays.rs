@@ -128,7 +128,6 @@ pub(super) fn strays(
     streams.par_iter().enumerate().flat_map_iter(of).collect()
 }
 
-/// Stamp of a row.
 type At<'a> = &'a (dyn Fn(usize) -> Option<Stamp> + Sync);
 
 /// Outliers without their stamp.
@@ -232,7 +231,6 @@ fn told(leaps: &[(usize, f64)], samples: usize) -> impl Iterator<Item = usize> {
     leaps.iter().filter(move |_| are_few).map(|(sample, _)| *sample)
 }
 
-/// Distance between two samples.
 trait Distance {
     fn between(&self, a: usize, b: usize) -> f64;
 

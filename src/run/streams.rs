@@ -290,7 +290,6 @@ fn dropped_in(columns: &Columns) -> u64 {
     }
 }
 
-/// The clocks of all streams.
 pub(super) struct Clocks {
     pub all: Vec<StreamClock>,
     /// Clock index for each part of each stream.

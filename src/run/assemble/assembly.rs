@@ -12,7 +12,6 @@ use crate::run::timing::Timing;
 use crate::run::unaudited::Unaudited;
 use crate::time::Stamp;
 
-/// A run during assembly.
 pub(super) struct Assembly<'a> {
     pub(super) options: &'a RunOptions,
     pub(super) streams: Vec<Stream>,

@@ -72,11 +72,8 @@ impl Entry {
     }
 }
 
-/// A model with its score.
 struct Rank {
-    /// Index of the model.
     model: usize,
-    /// Sum of its scores.
     score: f64,
     /// The stream with the smallest residual, and how the model fits it best.
     decisive: (usize, Priced),

@@ -37,7 +37,6 @@ impl Bounds {
     }
 }
 
-/// Minimum and maximum.
 fn ends<T: Ord + Copy>(mut values: impl Iterator<Item = T>) -> Option<(T, T)> {
     let first = values.next()?;
     Some(

@@ -47,7 +47,6 @@ fn cadence(columns: &Columns) -> Cadence {
     parts[0].cadence(&parts[0].paced(&clock, &Motion { joints }))
 }
 
-/// Total number of missing rows.
 fn missing(cadence: &Cadence) -> usize {
     cadence.holes.iter().map(|hole| hole.missing).sum()
 }

@@ -123,7 +123,6 @@ fn kind(topic: &Topic, count: usize) -> String {
     if count == 1 { one.to_owned() } else { format!("{one}[{count}]") }
 }
 
-/// The topics of one arm.
 fn of_arm(log: &Log, search: &Search<'_>, arm: &Taken, prefix: &str) -> Vec<Topic> {
     let topic = |name: &str, columns: &[usize], why: &str, made: Columns| {
         let numbers = &search.cells.numbers;
