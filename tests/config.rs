@@ -123,7 +123,7 @@ fn what_is_ignored_is_said_and_does_not_count() {
     assert_eq!(row.status, Status::Skipped);
     assert_eq!(row.reason.as_deref(), Some("ignored: re-homed (p.toml:5)"));
     let notes: Vec<&str> = report.log.notes.iter().map(|note| note.note.as_str()).collect();
-    assert!(notes.contains(&"settings are taken from this file"), "{notes:?}");
+    assert!(notes.contains(&"settings are from this file"), "{notes:?}");
     assert!(notes.iter().any(|note| note.contains("YAW on /no_such_imu")), "{notes:?}");
     let json = serde_json::to_value(&report).expect("a report is JSON");
     assert_eq!(json["ignored"][0]["reason"], "known");

@@ -1,4 +1,4 @@
-//! No log, however odd its robot, its joints and its streams, makes the audit panic.
+//! Property test: no log makes the audit panic, however unusual its robot, joints and streams.
 
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -18,8 +18,7 @@ const START: i64 = 1_760_000_000_000_000_000;
 const PERIOD: i64 = 20_000_000;
 const ROWS: i64 = 120;
 
-/// A joint of a tree: which of the links before it is its parent, if not the last; what it is, and which
-/// joint it mimics.
+/// A joint of a tree: its parent (`None` for the previous link), its kind and the joint it mimics.
 #[derive(Clone, Debug)]
 struct Branch {
     parent: Option<Index>,
@@ -29,8 +28,8 @@ struct Branch {
     axis: [f64; 3],
 }
 
-/// A topic of joint states: its name, what is put before the joints' names, which joints it has in
-/// which order, and what one of its values is now and then.
+/// A topic of joint states: name, prefix of the joint names, order of the joints, and an occasional odd
+/// value.
 #[derive(Clone, Debug)]
 struct States {
     topic: &'static str,
@@ -41,7 +40,7 @@ struct States {
     rows: i64,
 }
 
-/// A stream of poses: its name, its frames, and whether FK of the robot is in it.
+/// A pose stream: name, frames, and whether it contains FK of the robot.
 #[derive(Clone, Debug)]
 struct Poses {
     topic: &'static str,
@@ -82,7 +81,7 @@ fn branch() -> impl Strategy<Value = Branch> {
         1 => Just("floating"),
         1 => Just("planar"),
     ];
-    // Arms are chains, most of them.
+    // Mostly chains.
     let parent = proptest::option::weighted(0.25, any::<Index>());
     let mimics = proptest::option::weighted(0.15, (any::<Index>(), -2.0..2.0));
     let length = prop_oneof![20 => -0.5..0.5, 1 => Just(1e300)];
@@ -178,7 +177,7 @@ fn any_log() -> impl Strategy<Value = AnyLog> {
     )
 }
 
-/// Where a joint is in a row.
+/// Position of a joint in a row.
 fn q_at(joint: usize, row: i64) -> f64 {
     let (t_s, joint) = (row as f64 * 1e-9 * PERIOD as f64, joint as f64);
     0.1 * joint - 0.3 + 0.5 * ((1.1 + 0.4 * joint) * t_s + joint).sin()
@@ -196,7 +195,7 @@ impl AnyLog {
         index.index(self.branches.len())
     }
 
-    /// The link above joint `at`.
+    /// Parent link of joint `at`.
     fn parent(&self, at: usize) -> usize {
         self.branches[at].parent.map_or(at, |index| index.index(at + 1))
     }

@@ -1,4 +1,4 @@
-//! A calibration: what logs tell of an arm's links.
+//! Calibration of an arm's links from logs.
 
 use std::path::{Path, PathBuf};
 
@@ -17,23 +17,23 @@ use crate::robot::Robot;
 use crate::run::{Arm, PoseSource, Run, Witness, robot_of};
 use crate::stream::JointTrack;
 
-/// Frames that are off by more than this are no link's deviation, m and rad.
+/// Frame offsets above this are not link deviations, m and rad.
 const MOST_M: f64 = 10e-3;
 const MOST_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
-/// A stream of one of the logs, as the calibration takes it.
+/// A stream of one of the logs, as input of the calibration.
 #[derive(Clone, Debug)]
 pub struct Taken {
     /// The file.
     pub log: PathBuf,
-    /// The topic, or what stands for it.
+    /// Topic, or its substitute for a table.
     pub topic: String,
-    /// Whose word the poses are.
+    /// Source of the poses.
     pub witness: Witness,
-    /// How the rotations are read, where that is not as the log says.
+    /// Encoding of the rotations, if it differs from the log's.
     pub reading: Option<String>,
-    /// The link that poses are in, where that is known.
+    /// Base link of the poses.
     pub base: String,
-    /// The link whose poses they are.
+    /// Tip link of the poses.
     pub tip: String,
     pub(super) joints: JointTrack,
     pub(super) columns: Vec<usize>,
@@ -46,43 +46,43 @@ pub struct Taken {
     pub(super) reference_is_free: bool,
     pub(super) tool: Pose,
     pub(super) tool_is_free: bool,
-    /// The joints whose zero stands out, by name.
+    /// Names of joints with a zero offset.
     pub(super) zeros: Vec<String>,
 }
 
-/// What logs tell of an arm's links.
+/// Result of a calibration.
 #[derive(Debug)]
 pub struct Calibrated {
-    /// The arm as its drawing has it.
+    /// Nominal model of the arm.
     pub drawing: Robot,
-    /// The names of the joints of the chain.
+    /// Names of the chain's joints.
     pub joints: Vec<String>,
-    /// The streams that it rests on, in the order of [`ArmCalibration::streams`].
+    /// Streams used, in the order of [`ArmCalibration::streams`].
     pub streams: Vec<Taken>,
-    /// What was left out, and why.
+    /// Data left out, with the reasons.
     pub left_out: Vec<String>,
-    /// What was found.
+    /// The estimated calibration.
     pub found: ArmCalibration,
-    /// The joints that moved little.
+    /// Joints that moved too little.
     pub still: Vec<Still>,
-    /// The call that writes a motion which would tell more.
+    /// Command line that plans a more informative motion.
     pub plan: Option<String>,
-    /// Why no file is written, where the logs do not carry one.
+    /// Reason for writing no file; `None` if the calibration is accepted.
     pub refused: Option<String>,
-    /// What was read.
+    /// Files that were read.
     pub(crate) read: Places,
 }
 
 impl Taken {
-    /// Whether its rotations say nothing.
+    /// Whether its rotations carry no information.
     pub fn rotation_is_blind(&self) -> bool {
         self.rotation_is_blind
     }
 }
 
 impl Calibrated {
-    /// Whether the poses are the word of the arm's own controller, so that it is the controller's
-    /// kinematics that were found, and not where the arm is.
+    /// Source of the poses. If it is the controller, the result is the controller's kinematics rather than
+    /// the arm's.
     pub fn witness(&self) -> Witness {
         let of = |witness| self.streams.iter().all(|stream| stream.witness == witness);
         match (of(Witness::External), of(Witness::Controller)) {
@@ -98,11 +98,11 @@ pub(super) fn trouble(place: &Path, what: impl Into<String>, remedy: &str) -> Tr
     Trouble { kind: TroubleKind::Log, what: what.into(), place, remedy: remedy.to_owned() }
 }
 
-/// Calibrates the arm of `options.logs`, each a run of its own, and writes nothing. With `topic` by the
-/// poses on it alone.
+/// Calibrates the arm of `options.logs`, each a separate run, without writing files. If `topic` is given,
+/// only its poses are used.
 ///
 /// # Errors
-/// Where a log cannot be read, or holds no arm, model or poses to calibrate by.
+/// If a log cannot be read, or has no arm, model or poses to calibrate with.
 pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<Calibrated, Trouble> {
     options.places().check()?;
     let (mut streams, mut left_out, mut arm) = (Vec::new(), Vec::new(), None);
@@ -113,7 +113,7 @@ pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<Calibrated, T
         };
         let (robot, taken, others) = match found {
             Ok(found) => found,
-            // Of several logs those that can be used are.
+            // Skip unusable logs if there are several.
             Err(trouble) if options.logs.len() > 1 && trouble.kind == TroubleKind::Log => {
                 left_out.push(format!("{}: {}", path.display(), trouble.what));
                 continue;
@@ -125,9 +125,11 @@ pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<Calibrated, T
             None => arm = Some(robot),
             Some(first) if is_same_arm(first, &robot) => {}
             Some(first) => {
-                let what =
-                    format!("its arm is {}, that of the first log {}", robot.name, first.name);
-                return Err(trouble(path, what, "give logs of one arm, with one --robot"));
+                let what = format!(
+                    "its arm is {}, but that of the first log is {}",
+                    robot.name, first.name
+                );
+                return Err(trouble(path, what, "use logs of one arm, with one --robot"));
             }
         }
         streams.extend(taken);
@@ -135,18 +137,18 @@ pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<Calibrated, T
     let place = options.logs.first().map(PathBuf::as_path).unwrap_or(Path::new("LOG"));
     let Some(drawing) = arm.filter(|_| !streams.is_empty()) else {
         let what = match left_out.first() {
-            Some(why) => format!("no stream of poses to calibrate by: {why}"),
-            None => "no stream of poses to calibrate by".to_owned(),
+            Some(why) => format!("no pose stream to calibrate with: {why}"),
+            None => "no pose stream to calibrate with".to_owned(),
         };
-        return Err(trouble(place, what, "see what `poseaudit audit` says of it"));
+        return Err(trouble(place, what, "run `poseaudit audit` on it for the reason"));
     };
-    // An outside witness sees the arm; the controller only knows what it was told.
+    // Prefer external trackers, which observe the arm itself; the controller only knows its encoders.
     if streams.iter().any(|stream: &Taken| stream.witness == Witness::External) {
         let (outside, others): (Vec<Taken>, Vec<Taken>) =
             streams.into_iter().partition(|stream| stream.witness == Witness::External);
         left_out.extend(others.iter().map(|other| {
             format!(
-                "{}: an outside witness sees the arm itself; --topic takes this one",
+                "{}: an external measurement of the arm is preferred; use --topic to select this one",
                 other.topic
             )
         }));
@@ -163,7 +165,7 @@ pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<Calibrated, T
     Ok(Calibrated { drawing, joints, streams, left_out, found, still, plan, refused, read })
 }
 
-/// The call of `plan` for a motion around where the arm of `stream` worked.
+/// Command line that plans a motion around the configurations of `stream`.
 fn plan(options: &Options, drawing: &Robot, stream: &Taken) -> Option<String> {
     let [base, tip] = [&stream.base, &stream.tip].map(|name| drawing.link(name));
     let chain = drawing.chain(base?, tip?).ok()?;
@@ -182,7 +184,7 @@ fn plan(options: &Options, drawing: &Robot, stream: &Taken) -> Option<String> {
     Some(format!("{call} --for calibration{outside}"))
 }
 
-/// Whether two models are of one arm: the same joints with the same origins.
+/// Whether two models have the same joints with the same origins.
 fn is_same_arm(a: &Robot, b: &Robot) -> bool {
     let origins = |robot: &Robot| -> Vec<(String, Pose)> {
         robot.joints().iter().map(|joint| (joint.name.clone(), joint.parent_from_joint)).collect()
@@ -193,25 +195,26 @@ fn is_same_arm(a: &Robot, b: &Robot) -> bool {
 fn words(why: NoCalibration) -> (&'static str, &'static str) {
     match why {
         NoCalibration::Chain => (
-            "its chain leads over a joint from child to parent, or over one that mimics another",
-            "name a --base and a --tip with the arm's own joints between them",
+            "its chain contains a joint from child to parent, or a mimic joint",
+            "choose --base and --tip with only the arm's own joints between them",
         ),
         NoCalibration::OtherJoints => {
-            ("its streams are of chains with different joints", "choose one with --topic")
+            ("its streams belong to chains with different joints", "choose one with --topic")
         }
         NoCalibration::TooFewSamples => (
             "too few poses have joint states at their stamps",
-            "give a log with joint states and poses at the same time",
+            "use a log with joint states and poses at the same time",
         ),
-        NoCalibration::Diverges => {
-            ("the links' deviations do not settle", "see what `poseaudit audit` says of the log")
-        }
+        NoCalibration::Diverges => (
+            "the estimation of the link deviations does not converge",
+            "run `poseaudit audit` on the log for the reason",
+        ),
     }
 }
 
-/// Fits the arm's links to the streams. A minority of streams that gain nothing by it is left out, with the
-/// reason: it may be of another state of the arm. If most gain nothing, all are kept, and the result is
-/// refused.
+/// Fits the link deviations to the streams. Drops a minority of streams that the calibration does not
+/// improve, because the arm may have been in a different state. If it does not improve most streams, all
+/// are kept and the result is rejected.
 fn fitted_to_most(
     robot: &Robot,
     streams: &mut Vec<Taken>,
@@ -272,7 +275,7 @@ fn fitted(
 
 pub(super) type FromLog = (Robot, Vec<Taken>, Vec<String>);
 
-/// The arm of a log, the streams of its poses, and what is left out.
+/// The arm of a log, its pose streams, and the data left out.
 fn of_log(path: &Path, options: &Options, topic: Option<&str>) -> Result<FromLog, Trouble> {
     let log = log::open(&[path.to_path_buf()], &options.read)?;
     let mut run = Run::complete(log, &options.run, |_| Ok::<_, Trouble>(()))?;
@@ -299,13 +302,13 @@ fn of_log(path: &Path, options: &Options, topic: Option<&str>) -> Result<FromLog
     match found.len() {
         0 => {
             let what = match left_out.first() {
-                Some(why) => format!("no stream of poses to calibrate by: {why}"),
-                None => "no stream of poses to calibrate by".to_owned(),
+                Some(why) => format!("no pose stream to calibrate with: {why}"),
+                None => "no pose stream to calibrate with".to_owned(),
             };
             Err(trouble(
                 path,
                 what,
-                "see what `poseaudit audit` says of it, or name one with --topic",
+                "run `poseaudit audit` on it for the reason, or select a stream with --topic",
             ))
         }
         1 => {
@@ -313,12 +316,15 @@ fn of_log(path: &Path, options: &Options, topic: Option<&str>) -> Result<FromLog
             Ok((robot, streams, left_out))
         }
         arms => {
-            Err(trouble(path, format!("poses of {arms} arms are in it"), "choose one with --topic"))
+            Err(trouble(path, format!("it has poses of {arms} arms"), "choose one with --topic"))
         }
     }
 }
 
-/// A stream as it is calibrated by, or why it is not.
+/// Converts a stream to calibration input.
+///
+/// # Errors
+/// The reason for leaving it out.
 fn taken(
     path: &Path,
     arm: &Arm,
@@ -329,25 +335,26 @@ fn taken(
 ) -> Result<Taken, String> {
     let diagnosis = &found.diagnosis;
     if of.diagnosis.reading.is_err() {
-        return Err("the joint states cannot be read so that they fit the poses".to_owned());
+        return Err("the encoding of the joint states is undetermined".to_owned());
     }
     if diagnosis.residual.is_err() || diagnosis.strays() {
         return Err("it does not follow the arm".to_owned());
     }
     if diagnosis.changes() {
-        return Err("something of it changes in mid-run; cut the log there".to_owned());
+        return Err("a parameter of it changes during the run; cut the log there".to_owned());
     }
     if let Some(part) = diagnosis.constant.first() {
         return Err(format!("its {} never changes", part.coordinate));
     }
     if let Some(growth) = diagnosis.growth.as_ref().ok().filter(|_| diagnosis.growth_chosen) {
         return Err(format!(
-            "its positions grow with reach by {:.2} mm/m, which no log tells from longer links; mend that first",
+            "its positions grow with reach by {:.2} mm/m, which is indistinguishable from longer links; \
+             correct that first",
             1e3 * growth.value
         ));
     }
     if source.carrier.is_some() {
-        return Err("it is in a frame that moves".to_owned());
+        return Err("its frame moves".to_owned());
     }
     let mut unzeroed = of.diagnosis.clone();
     let mut zeros = Vec::new();
@@ -391,7 +398,7 @@ fn taken(
     })
 }
 
-/// How rotations are read, where that is not as the log says.
+/// Encoding of the rotations, if it differs from the log's.
 pub(super) fn reading(found: &PoseDiagnosis) -> Option<String> {
     let reading = match found.reading.as_ref().ok()?.best {
         Reading::AsLogged => return None,
@@ -399,7 +406,7 @@ pub(super) fn reading(found: &PoseDiagnosis) -> Option<String> {
             let misreading = class.members.first()?;
             format!("{} read as {}", misreading.is, misreading.read_as)
         }
-        Reading::QuaternionOrder(_) => "components of the quaternion in another order".to_owned(),
+        Reading::QuaternionOrder(_) => "quaternion components in the other order".to_owned(),
         Reading::Transposed => "transposed".to_owned(),
         Reading::Inverted => "inverted".to_owned(),
         Reading::Numbers(convention) => convention.to_string(),

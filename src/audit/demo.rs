@@ -1,4 +1,4 @@
-//! The demo: a log with four faults planted together, audited, and held against what was planted.
+//! The demo: a log with four planted faults, audited and compared with them.
 
 use std::error::Error;
 use std::fs::File;
@@ -12,38 +12,38 @@ use crate::report::{Report, Trouble, TroubleKind, write_whole};
 use crate::stats::Measured;
 use crate::synth;
 
-/// The file that the log of the demo is written to.
+/// File name of the demo's log.
 pub const DEMO_LOG: &str = "demo.mcap";
 
-/// A demo run: what was planted, and what the audit made of it.
+/// A demo run: the planted faults and the report.
 #[derive(Clone, Debug)]
 pub struct Demo {
     /// The report on the log.
     pub report: Report,
-    /// The faults.
+    /// The planted faults.
     pub planted: Vec<Planted>,
 }
 
 /// A planted fault.
 #[derive(Clone, Debug)]
 pub struct Planted {
-    /// The fault, in words, with its amount.
+    /// The fault with its value, for messages.
     pub what: String,
-    /// Whether the audit named it with its amount.
+    /// Whether the audit found it at the right size.
     pub recovered: bool,
 }
 
-/// Writes a faulty log of a UR5e into `dir` as [`DEMO_LOG`], and audits it.
+/// Writes a faulty log of a UR5e to `dir` as [`DEMO_LOG`] and audits it.
 ///
 /// # Errors
-/// Where the log cannot be written, or the audit has trouble with it.
+/// If the log cannot be written, or the audit fails.
 pub fn demo(dir: &Path) -> Result<Demo, Trouble> {
     let log = dir.join(DEMO_LOG);
     write(&log).map_err(|error| Trouble {
         kind: TroubleKind::Call,
         what: cause(&*error).to_string(),
         place: log.display().to_string(),
-        remedy: "name a folder that can be written to".to_owned(),
+        remedy: "name a writable folder".to_owned(),
     })?;
     let audited = crate::audit(&Options { logs: vec![log], ..Options::default() })?;
     let report = audited.with_figures().into_report();
@@ -59,12 +59,12 @@ fn write(log: &Path) -> Result<(), Box<dyn Error>> {
     })
 }
 
-/// The innermost cause of an error: why the file cannot be written.
+/// Innermost cause of an error.
 fn cause<'a>(error: &'a (dyn Error + 'static)) -> &'a (dyn Error + 'static) {
     error.source().map_or(error, cause)
 }
 
-/// Each fault of [`synth::demo`], and whether a finding names it with its amount.
+/// The faults of [`synth::demo`], and whether a finding reports each at the right size.
 fn planted(findings: &[Finding]) -> Vec<Planted> {
     let has = |topic: Option<&str>, joint: Option<&str>, is_it: &dyn Fn(&Cause) -> bool| {
         findings.iter().any(|finding| {

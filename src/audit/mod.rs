@@ -1,4 +1,4 @@
-//! What joins the rooms: a log into runs, what is known of each into verdicts, and both into the report.
+//! The audit: reads a log into runs, evaluates the rules on each, and builds the report.
 
 #[cfg(test)]
 mod any_log;
@@ -22,21 +22,21 @@ pub use calibrate::{Calibrated, Taken, calibrate};
 pub use demo::{DEMO_LOG, Demo, Planted, demo};
 pub use options::{Options, Policy};
 
-/// What the report says of the files themselves.
+/// Report contents about the files themselves.
 pub(crate) struct Read {
     summary: LogSummary,
     lost: Lost,
 }
 
 impl Read {
-    /// Says what a file of corrections changes.
+    /// Notes the changes made by a corrections file.
     pub fn note_corrections(&mut self, given: &Given<'_>) {
         let path = given.file.to_owned();
         let notes = given.notes().into_iter().map(|note| NoteRow { path: path.clone(), note });
         self.summary.notes.extend(notes);
     }
 
-    /// Says something of the run, with its first file.
+    /// Adds a note about the run to its first file.
     fn note(&mut self, what: &str) {
         if let Some(file) = self.summary.files.first() {
             let path = file.path.clone();
@@ -85,27 +85,27 @@ impl Read {
     }
 }
 
-/// An audited run: the report, and what it rests on. Outputs are written of it.
+/// An audited run: the report with the data it is based on. Outputs are written from it.
 #[derive(Debug)]
 #[non_exhaustive]
 pub struct Audited {
-    /// What the audit says.
+    /// The report.
     pub report: Report,
-    /// The run; where its clock began anew, the longest segment.
+    /// The run; its longest segment if the clock restarted.
     pub run: Run,
-    /// What was estimated on it, as the rules read it.
+    /// Estimates on the run, as used by the rules.
     pub evidence: RunEvidence,
-    /// Which of the segments it is.
+    /// Index of that segment.
     pub(crate) segment: usize,
-    /// Whether there are others.
+    /// Whether there are several segments.
     is_part: bool,
-    /// What was read.
+    /// Files that were read.
     pub(crate) read: Places,
 }
 
 impl Audited {
-    /// Audits `log`, each of its segments as a run of its own. A segment that cannot be audited is left out,
-    /// unless it is the longest.
+    /// Audits each segment of `log` as a separate run. A segment that cannot be audited is dropped, unless
+    /// it is the longest.
     pub(crate) fn of(
         mut log: Log,
         options: &Options,
@@ -139,13 +139,13 @@ impl Audited {
         Ok(Self { report, run, evidence, segment: main, is_part, read: options.places() })
     }
 
-    /// With [`Report::figures`], what the pictures of the report show.
+    /// Adds [`Report::figures`].
     pub fn with_figures(mut self) -> Self {
         self.report.figures = Some(self.figures());
         self
     }
 
-    /// What the pictures of the report show.
+    /// Data for the report's pictures.
     pub(crate) fn figures(&self) -> Figures {
         let corrected =
             |arm: &Arm, of: &ArmEvidence| of.diagnosis.corrected_joints(&arm.joints, &arm.slides());
@@ -153,8 +153,8 @@ impl Audited {
         Figures { of_longest_segment: self.is_part, ..drawn }
     }
 
-    /// The report alone. To give back the columns of a long log takes as long as to write the report on it:
-    /// that is done beside.
+    /// The report alone. Columns of a long log take as long to free as the report takes to write, so they
+    /// are freed in the background.
     pub fn into_report(self) -> Report {
         let Self { report, run, evidence, .. } = self;
         rayon::spawn(|| drop((run, evidence)));
@@ -162,7 +162,7 @@ impl Audited {
     }
 }
 
-/// A segment of a run, audited.
+/// An audited segment of a run.
 struct Part {
     run: Run,
     evidence: RunEvidence,
@@ -170,15 +170,15 @@ struct Part {
     seconds: f64,
 }
 
-/// The report on all segments, of which `main` is the longest.
+/// Builds the report on all segments; `main` is the longest.
 fn report(parts: &[Part], main: usize, mut read: Read, options: &Options) -> Report {
-    /// A segment of less than this share of the longest is short.
+    /// Segments shorter than this fraction of the longest are short.
     const SHORT: f64 = 0.2;
     let (segment, main) = (main, &parts[main]);
     if let Some((count, seconds)) = main.run.excerpts.as_ref().map(Excerpts::extent) {
         read.note(&format!(
-            "a long run: causes are sought in {count} excerpts of {:.0} s where the joints move \
-             most; clocks, rates and gaps are of all of it",
+            "long run: causes are estimated from {count} excerpts of {:.0} s with the most joint motion; \
+             clocks, rates and gaps cover the whole run",
             seconds / count.max(1) as f64
         ));
     }
@@ -186,8 +186,8 @@ fn report(parts: &[Part], main: usize, mut read: Read, options: &Options) -> Rep
         for &stream in &main.run.undecided {
             let topic = &main.run.streams[stream].topic;
             read.note(&format!(
-                "'{topic}' may be the tool's pose, and the motion does not tell: [stream.\"{topic}\"] with role = \
-                 \"pose\" in poseaudit.toml says that it is"
+                "'{topic}' may be the tool's pose, but the motion does not confirm it; set role = \"pose\" \
+                 in [stream.\"{topic}\"] of poseaudit.toml if it is"
             ));
         }
     }
@@ -208,10 +208,10 @@ fn report(parts: &[Part], main: usize, mut read: Read, options: &Options) -> Rep
     };
     if let Some(config) = &options.config {
         let row = |note: String| NoteRow { path: config.clone(), note };
-        read.summary.notes.push(row("settings are taken from this file".to_owned()));
+        read.summary.notes.push(row("settings are from this file".to_owned()));
         let unused = options.policy.rules.unused(&evaluation.checks).into_iter();
         let unused = unused.map(|known| {
-            row(format!("nothing was asked that `ignore` names: {known} ({})", known.place))
+            row(format!("`ignore` entry matches no check: {known} ({})", known.place))
         });
         read.summary.notes.extend(unused);
     }
@@ -237,12 +237,12 @@ fn report(parts: &[Part], main: usize, mut read: Read, options: &Options) -> Rep
     }
 }
 
-/// What became of a run of several segments.
+/// Note on a run with several segments.
 fn note(parts: &[Part]) -> String {
     let lengths: Vec<String> =
         parts.iter().map(|segment| format!("{:.1} s", segment.seconds)).collect();
     let (count, lengths) = (lengths.len(), lengths.join(", "));
-    format!("all stamps step back: the clock began anew. Audited in {count} segments: {lengths}")
+    format!("all stamps step back: the clock restarted. Audited in {count} segments: {lengths}")
 }
 
 impl Part {
@@ -267,7 +267,7 @@ impl Part {
     }
 }
 
-/// The report on a run that was only looked at.
+/// Report on a run that was read but not audited.
 pub(crate) fn summary(run: &Run, read: Read) -> Report {
     Report::of_log(read.summary, robots(run), streams(run))
 }

@@ -1,4 +1,4 @@
-//! What to audit, and how.
+//! Input and settings of an audit.
 
 use std::path::PathBuf;
 
@@ -8,31 +8,31 @@ use crate::log::ReadOptions;
 use crate::places::Places;
 use crate::run::{RobotSource, RunOptions};
 
-/// What to audit, and how.
+/// Input and settings of an audit.
 #[derive(Clone, Debug, Default)]
 pub struct Options {
-    /// The files of one run.
+    /// Files of one run.
     pub logs: Vec<PathBuf>,
-    /// How they are read.
+    /// Read options.
     pub read: ReadOptions,
-    /// What is said of the run.
+    /// Settings for the run.
     pub run: RunOptions,
-    /// A file of corrections, which are applied to the streams before anything is judged.
+    /// Corrections file, applied to the streams before the rules are evaluated.
     pub corrections: Option<PathBuf>,
-    /// The config that settings were taken from, to be named in the report.
+    /// Config file that the settings come from, for the report.
     pub config: Option<PathBuf>,
-    /// What counts as wrong.
+    /// Criteria for failure.
     pub policy: Policy,
 }
 
-/// What counts as wrong.
+/// Criteria for failure.
 #[derive(Clone, Debug)]
 pub struct Policy {
-    /// Which rules are asked, and from where on they object.
+    /// Selection and thresholds of the rules.
     pub rules: Settings,
-    /// Findings of this severity or above fail the run; `None`: none does.
+    /// Lowest severity that fails the run; `None` if no finding does.
     pub fail_on: Option<Severity>,
-    /// Whether a verdict that is inconclusive fails the run, too.
+    /// Whether an inconclusive verdict also fails the run.
     pub fail_on_inconclusive: bool,
 }
 
@@ -44,11 +44,11 @@ impl Default for Policy {
 }
 
 impl Options {
-    /// The files that the audit reads.
+    /// Files that the audit reads.
     pub fn places(&self) -> Places {
         let mut places = Places::default();
         self.logs.iter().for_each(|log| places.reads_log(log));
-        // What is no file is a name of the catalogue.
+        // A robot that is not a file is a catalogue name.
         let robots = self.run.robots.iter().filter_map(RobotSource::file);
         robots.for_each(|robot| places.reads("the robot", robot));
         let calibrations = self.run.calibrations.iter();

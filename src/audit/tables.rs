@@ -1,4 +1,4 @@
-//! Tables of postures as a calibration takes them.
+//! Tables of configurations, as input of a calibration.
 
 use std::path::Path;
 
@@ -11,13 +11,13 @@ use crate::robot::{LinkId, Robot};
 use crate::run::{RunOptions, Witness};
 use crate::stream::{JointTrack, Orientations, PoseTrack};
 
-/// Rows are a second apart, and the arm rests for half of it: nothing but their order is known.
+/// Rows are placed 1 s apart, with the arm at rest for half of it, because tables have no times.
 const ROW_S: f64 = 1.0;
 const REST_S: f64 = 0.5;
-/// A table with fewer rows says nothing of an arm.
+/// Minimum number of rows for a calibration.
 const LEAST_ROWS: usize = 6;
 
-/// The table at `path`, if it is one.
+/// Reads the table at `path`; `None` if the file is not a table.
 pub(super) fn table(path: &Path) -> Result<Option<Table>, Trouble> {
     Ok(posture_table(path)?.map(Table))
 }
@@ -25,7 +25,7 @@ pub(super) fn table(path: &Path) -> Result<Option<Table>, Trouble> {
 pub(super) struct Table(PostureTable);
 
 impl Table {
-    /// Its poses, read by how they follow the arm that `options` name.
+    /// The poses as a calibration stream. Their encoding is resolved against the arm in `options`.
     pub fn taken(&self, path: &Path, options: &RunOptions) -> Result<FromLog, Trouble> {
         let Self(table) = self;
         let call = |what: String, remedy: &str| {
@@ -33,27 +33,27 @@ impl Table {
             Trouble { kind, ..trouble(path, what, remedy) }
         };
         let [named] = options.robots.as_slice() else {
-            let what = "a table of postures says nothing of the arm".to_owned();
+            let what = "a table of configurations does not identify the arm".to_owned();
             return Err(call(what, "name its model with --robot"));
         };
         let robot = named.robot()?;
         let (base, tip) =
             ends(&robot, options).map_err(|what| call(what, "name a link with --base or --tip"))?;
-        let chain = robot
-            .chain(base, tip)
-            .map_err(|error| call(error.to_string(), "name others with --base and --tip"))?;
+        let chain = robot.chain(base, tip).map_err(|error| {
+            call(error.to_string(), "name different links with --base and --tip")
+        })?;
         let Some(joints) = table.joints(chain.joint_names()) else {
             let what =
-                format!("it has no columns of the joints {}", chain.joint_names().join(", "));
+                format!("it has no columns for the joints {}", chain.joint_names().join(", "));
             return Err(trouble(
                 path,
                 what,
-                "name the columns as the model's joints, or q1, q2 and so on",
+                "name the columns like the model's joints, or q1, q2 and so on",
             ));
         };
         if table.rows.len() < LEAST_ROWS {
-            let what = format!("{} rows hold numbers in all columns", table.rows.len());
-            return Err(trouble(path, what, "give a table with more postures"));
+            let what = format!("only {} rows hold numbers in all columns", table.rows.len());
+            return Err(trouble(path, what, "use a table with more configurations"));
         }
         let (track, poses) = (joint_track(table, &joints), pose_track(table));
         let columns: Vec<usize> = (0..joints.len()).collect();
@@ -71,14 +71,14 @@ impl Table {
             return Err(trouble(
                 path,
                 "its poses do not follow the arm",
-                "see that --robot is the arm's model",
+                "check that --robot is the arm's model",
             ));
         };
         if diagnosis.strays() {
             return Err(trouble(
                 path,
-                "its poses do not lie on the arm",
-                "see that --robot is the arm's model",
+                "its positions do not match FK",
+                "check that --robot is the arm's model",
             ));
         }
         let mut unzeroed = found.joints.clone();
@@ -90,7 +90,10 @@ impl Table {
             .collect();
         let frames = &diagnosis.taken;
         let dropped = table.dropped.first().map(|line| {
-            format!("{} rows that are not all numbers, line {line} the first", table.dropped.len())
+            format!(
+                "{} rows with values that are not numbers, the first in line {line}",
+                table.dropped.len()
+            )
         });
         let taken = Taken {
             log: path.to_path_buf(),
@@ -116,7 +119,7 @@ impl Table {
     }
 }
 
-/// The links that the chain begins and ends at.
+/// Base and tip of the chain.
 fn ends(robot: &Robot, options: &RunOptions) -> Result<(LinkId, LinkId), String> {
     let link = |given: &Option<String>, usual: &Option<String>| {
         let name = given.as_ref().or(usual.as_ref());

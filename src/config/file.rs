@@ -1,4 +1,4 @@
-//! The layout of the file. The words on its keys are what editors show and `docs/config.md` says.
+//! Layout of the config file. Editors show the doc comments of the keys.
 
 use std::collections::BTreeMap;
 
@@ -17,70 +17,69 @@ use crate::robot::nearest;
 use crate::run::{SaidRole, Witness};
 use crate::time::Clock;
 
-/// The settings of an audit. Options of the command line stand before them; paths are relative to
-/// this file.
+/// Settings of an audit. Command-line options override them; paths are relative to this file.
 #[derive(Clone, Debug, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(title = "poseaudit.toml")]
 pub(super) struct File {
-    /// The robot: a URDF or DH table, or a name of the catalogue; with several arms a table of them by
-    /// the prefix of their joints' names. Default: the description in the log, else the catalogue's arm
-    /// that fits.
+    /// The robot: a URDF or DH table, or a catalogue name; for several arms, a table by the prefix of their
+    /// joint names. Default: the description in the log, else the best-matching catalogue arm.
     #[schemars(with = "Option<ByPrefix>")]
     pub robot: Option<Spanned<ByPrefix>>,
-    /// A calibration: the JSON that `calibrate` wrote, or of a UR the YAML that `ur_calibration` extracts;
-    /// with several arms a table by prefix. Default: what the log holds.
+    /// A calibration: the JSON written by `calibrate`, or for a UR the YAML extracted by `ur_calibration`;
+    /// for several arms, a table by prefix. Default: the calibration in the log.
     pub calibration: Option<ByPrefix>,
-    /// Joints that the log and the model name otherwise: the model's name by the log's. Default: names are
-    /// matched, and where they differ, the order of the joints.
+    /// Maps log joint names to model joint names. Default: joints are matched by name, or by order if the
+    /// names differ.
     #[serde(default)]
     pub joint_map: BTreeMap<String, String>,
-    /// Link that the chain begins at. Default: the controller's base, else the root.
+    /// First link of the chain. Default: the controller's base, else the root.
     pub base: Option<String>,
-    /// End link; the pose streams are assumed to be this link's pose. A tip that is named here is held
-    /// against them: an offset from it is a fault (FRM003), and not the active TCP.
+    /// End link; the pose streams are assumed to be this link's pose. If it is named here, an offset from
+    /// it is a fault (FRM003) and not the active TCP.
     pub tip: Option<String>,
-    /// The time that places a sample. Default: `header`.
+    /// Clock that gives the time of a sample. Default: `header`.
     pub stamp: Option<ClockName>,
-    /// Largest latency; what is off by more is on another clock. With a unit, or in seconds.
+    /// Largest latency to search; larger offsets are reported as clock errors. With a unit, or in seconds.
     /// Default: `5 s`.
     pub max_latency: Option<Duration>,
-    /// The severity from which on a finding fails the run. Default: `warning`.
+    /// Lowest severity that fails the run. Default: `warning`.
     pub fail_on: Option<FailOn>,
-    /// Rules that must conclude: codes, or the letters that a family begins with. Default: none.
+    /// Rules whose outcome must not be inconclusive: codes, or the leading letters of a family. Default:
+    /// none.
     #[serde(default)]
     pub require: Vec<Code>,
-    /// Ask only these rules. Default: all.
+    /// Rules to evaluate. Default: all.
     #[serde(default)]
     pub select: Vec<Code>,
-    /// What is known and shall not count. It stays in the report, as ignored and why.
+    /// Known findings that do not count. The report lists them as ignored, with the reason.
     #[serde(default)]
     #[schemars(with = "Vec<Ignore>")]
     pub ignore: Vec<Spanned<Ignore>>,
-    /// What the columns of a table hold, where their names do not say it.
+    /// Contents of a table's columns, if their names do not identify them.
     #[serde(default)]
     pub columns: Columns,
-    /// What is known of topics, by their names.
+    /// Settings of topics, by name.
     #[serde(default)]
     #[schemars(with = "BTreeMap<String, Stream>")]
     pub stream: BTreeMap<Spanned<String>, Stream>,
-    /// Thresholds, limits and severities of rules, by their codes.
+    /// Thresholds, limits and severities of rules, by code.
     #[serde(default)]
     pub rules: Rules,
 }
 
-/// One, or one for each prefix of joints' names.
+/// One value, or one for each prefix of joint names.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(untagged, expecting = "expected a text, or a table of texts by prefix")]
 pub(super) enum ByPrefix {
-    /// The only one.
+    /// A single value.
     One(String),
-    /// One for each prefix.
+    /// One value per prefix.
     Each(BTreeMap<String, String>),
 }
 
 impl ByPrefix {
-    /// Each with its prefix.
+    /// All values with their prefixes.
     pub fn all(&self) -> Vec<(Option<&str>, &str)> {
         match self {
             Self::One(one) => vec![(None, one)],
@@ -91,25 +90,25 @@ impl ByPrefix {
     }
 }
 
-/// What the columns of a table hold. A column is named as `poseaudit info` lists it; `NAME[FIRST:END]` is a
-/// part of one.
+/// Contents of a table's columns. Columns are named as listed by `poseaudit info`; `NAME[FIRST:END]`
+/// selects a part of one.
 #[derive(Clone, Debug, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Columns {
-    /// The column of the time.
+    /// Time column.
     pub time: Option<String>,
-    /// Rows a second, where no column holds times.
+    /// Rows per second, if there is no time column.
     pub rate_hz: Option<Rate>,
     /// Joint positions, in the order of the model's joints.
     #[serde(default)]
     pub joints: Selection,
-    /// Commanded joint positions, likewise.
+    /// Commanded joint positions, in the same order.
     #[serde(default)]
     pub joint_commands: Selection,
-    /// For each joint the rad of one unit of its numbers, where these are no rad: rad = factor * number + offset.
+    /// For each joint, rad per unit of its numbers, if they are not in rad: rad = factor * number + offset.
     #[serde(default)]
     pub joint_factors: Vec<f64>,
-    /// For each joint the rad where its number is 0. Default: 0.
+    /// For each joint, the angle in rad at number 0. Default: 0.
     #[serde(default)]
     pub joint_offsets: Vec<f64>,
     /// The measured pose of the tool: position, then rotation. 3, 6, 7, 12 or 16 numbers.
@@ -118,25 +117,25 @@ pub(super) struct Columns {
     /// The commanded pose of the tool.
     #[serde(default)]
     pub pose_commands: Selection,
-    /// The same of each arm by its name, where there are several.
+    /// The same keys for each arm, by name, if there are several.
     #[serde(default)]
     pub arm: BTreeMap<String, ArmColumns>,
 }
 
-/// What the columns hold of one of several arms.
+/// Contents of the columns of one of several arms.
 #[derive(Clone, Debug, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ArmColumns {
     /// Joint positions, in the order of the model's joints.
     #[serde(default)]
     pub joints: Selection,
-    /// Commanded joint positions, likewise.
+    /// Commanded joint positions, in the same order.
     #[serde(default)]
     pub joint_commands: Selection,
-    /// For each joint the rad of one unit of its numbers, where these are no rad: rad = factor * number + offset.
+    /// For each joint, rad per unit of its numbers, if they are not in rad: rad = factor * number + offset.
     #[serde(default)]
     pub joint_factors: Vec<f64>,
-    /// For each joint the rad where its number is 0. Default: 0.
+    /// For each joint, the angle in rad at number 0. Default: 0.
     #[serde(default)]
     pub joint_offsets: Vec<f64>,
     /// The measured pose of the tool: position, then rotation. 3, 6, 7, 12 or 16 numbers.
@@ -148,7 +147,7 @@ pub(super) struct ArmColumns {
 }
 
 impl Columns {
-    /// The topics that columns are said to be a pose of, with the key that says it.
+    /// Topics of the columns declared as poses, with the key that declares each.
     pub fn poses(&self) -> Vec<(String, String)> {
         let own = (!self.pose.0.is_empty()).then(|| ("pose".to_owned(), "columns.pose".to_owned()));
         let arms = self.arm.iter().filter(|(_, arm)| !arm.pose.0.is_empty());
@@ -183,15 +182,15 @@ impl Columns {
     }
 }
 
-/// One selector of columns, or several.
+/// One or several column selectors.
 #[derive(Clone, Debug, Default, Deserialize, JsonSchema)]
 #[serde(try_from = "OneOrMore")]
 #[schemars(with = "OneOrMore")]
 pub(super) struct Selection(pub Vec<ColumnSelector>);
 
-/// One text, or several.
+/// One or several texts.
 #[derive(Deserialize, JsonSchema)]
-#[serde(untagged, expecting = "expected the name of a column, or a list of such")]
+#[serde(untagged, expecting = "expected the name of a column, or a list of names")]
 pub(super) enum OneOrMore {
     /// One.
     One(String),
@@ -211,40 +210,40 @@ impl TryFrom<OneOrMore> for Selection {
     }
 }
 
-/// What is known of a topic.
+/// Settings of a topic.
 #[derive(Clone, Debug, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, try_from = "StreamTable")]
 #[schemars(with = "StreamTable")]
 pub(super) struct Stream {
     pub said: StreamTable,
-    /// How its numbers are coded.
+    /// Encoding of its numbers.
     pub coding: Option<(Coding, Units)>,
 }
 
-/// What is known of a topic.
+/// Settings of a topic.
 #[derive(Clone, Debug, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(rename = "Stream")]
 pub(super) struct StreamTable {
-    /// The part that it plays. Default: as its name, its type, its frames and its motion say.
+    /// Its role. Default: from its name, type, frames and motion.
     pub role: Option<SaidRole>,
-    /// How its rotations are coded: `rotvec`, `euler:SEQ`, `euler:SEQ@axes`, `quat:xyzw` or
-    /// `quat:wxyz`. What the log says against it is a finding (ORD001, ORD002).
+    /// Encoding of its rotations: `rotvec`, `euler:SEQ`, `euler:SEQ@axes`, `quat:xyzw` or `quat:wxyz`. If
+    /// the log contradicts it, that is a finding (ORD001, ORD002).
     pub convention: Option<CodingName>,
-    /// The units of its numbers: one of `m` and `mm`, one of `rad` and `deg`. Default: those of the
-    /// vendor, else `m` and `rad`. What the log says against them is a finding (ORD004, ORD008).
+    /// Units of its numbers: one of `m` and `mm`, one of `rad` and `deg`. Default: those of the vendor,
+    /// else `m` and `rad`. If the log contradicts them, that is a finding (ORD004, ORD008).
     #[serde(default)]
     pub units: UnitNames,
-    /// Whose numbers they are, as in `kuka`: sets convention and units as its controller gives them.
+    /// Vendor of the controller, as in `kuka`: sets its convention and units.
     pub vendor: Option<Vendor>,
-    /// Whose word its poses are. Default: as names and frames say.
+    /// Source of its poses. Default: from names and frames.
     pub witness: Option<Witness>,
-    /// How often it should come, Hz: it is expected, and slow below 0.9 of that (TIM006).
+    /// Expected rate, Hz: the topic is expected, and slow below 0.9 of the rate (TIM006).
     pub rate_hz: Option<Rate>,
-    /// The frame that its poses are in, instead of that in its messages; of an IMU its own frame.
+    /// Reference frame of its poses, instead of the one in its messages; for an IMU its own frame.
     pub frame: Option<String>,
-    /// The link whose poses they are, instead of the child frame in its messages; an offset from it is
-    /// then a fault (FRM003).
+    /// Link of its poses, instead of the child frame in its messages; an offset from it is then a fault
+    /// (FRM003).
     pub link: Option<String>,
 }
 
@@ -257,20 +256,20 @@ impl TryFrom<StreamTable> for Stream {
         let by_vendor = vendor.map(|vendor| vendor.coding).filter(|coding| !coding.is_matrix());
         let coding = said.convention.as_ref().map(|name| name.0).or(by_vendor);
         if coding.is_none() && units != Units::default() {
-            return Err("`units` need a `convention` or a `vendor`".to_owned());
+            return Err("`units` requires a `convention` or a `vendor`".to_owned());
         }
         let units = units.or(vendor.map_or_else(Units::default, |vendor| vendor.units));
         Ok(Self { coding: coding.map(|coding| (coding, units)), said })
     }
 }
 
-/// Something that is known and shall not count.
+/// A known finding that does not count.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Ignore {
-    /// The rule's code, or the letters that a family begins with.
+    /// The rule's code, or the leading letters of a family.
     pub code: Code,
-    /// Why it shall not count; the report says so.
+    /// Reason, shown in the report.
     pub reason: Reason,
     /// Only on this topic.
     pub topic: Option<String>,
@@ -282,7 +281,7 @@ pub(super) struct Ignore {
     pub robot: Option<String>,
 }
 
-/// A reason in words.
+/// A non-empty reason.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(try_from = "String")]
 #[schemars(with = "String", extend("minLength" = 1))]
@@ -294,13 +293,13 @@ impl TryFrom<String> for Reason {
     fn try_from(text: String) -> Result<Self, Self::Error> {
         let text = text.trim();
         match text.is_empty() {
-            true => Err("the `reason` is empty: say why this shall not count"),
+            true => Err("the `reason` is empty: say why this does not count"),
             false => Ok(Self(text.to_owned())),
         }
     }
 }
 
-/// A rule's code, or the letters that a family begins with.
+/// A rule's code, or the leading letters of a family.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(try_from = "String")]
 #[schemars(with = "String", extend("pattern" = "^[A-Za-z]{1,4}[0-9]{0,3}$"))]
@@ -314,7 +313,7 @@ impl TryFrom<String> for Code {
     }
 }
 
-/// The clock that places a sample.
+/// Clock that gives the time of a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema, ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum ClockName {
@@ -337,7 +336,7 @@ impl From<ClockName> for Clock {
     }
 }
 
-/// The severity from which on a finding fails the run.
+/// Lowest severity that fails the run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema, ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum FailOn {
@@ -345,7 +344,7 @@ pub enum FailOn {
     Error,
     /// Warnings and errors.
     Warning,
-    /// Warnings, errors, and a verdict that is inconclusive.
+    /// Warnings, errors, and an inconclusive verdict.
     Inconclusive,
     /// Nothing.
     Never,
@@ -379,7 +378,7 @@ impl TryFrom<Quantity> for Duration {
     }
 }
 
-/// An amount with its unit, as in `2 ms`, or a number.
+/// A value with its unit, as in `2 ms`, or a number.
 #[derive(JsonSchema)]
 #[schemars(untagged, inline)]
 #[expect(dead_code, reason = "it only describes")]
@@ -407,7 +406,7 @@ impl TryFrom<f64> for Rate {
     }
 }
 
-/// The name of a coding.
+/// Name of an encoding.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(try_from = "String")]
 #[schemars(with = "String")]
@@ -421,7 +420,7 @@ impl TryFrom<String> for CodingName {
     }
 }
 
-/// The name of somebody whose numbers are known.
+/// Name of a vendor with a known encoding.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(try_from = "String")]
 #[schemars(with = "String")]
@@ -434,8 +433,8 @@ impl TryFrom<String> for Vendor {
         let known: Vec<&str> = vendors::names().collect();
         let near = nearest(&name.trim().to_lowercase(), known.iter().copied());
         vendors::find(&name).map(Self).ok_or_else(|| match near.first() {
-            Some(near) => format!("no maker `{name}` is known: did you mean `{near}`?"),
-            None => format!("no maker `{name}` is known: there are {}", known.join(", ")),
+            Some(near) => format!("unknown vendor `{name}`: did you mean `{near}`?"),
+            None => format!("unknown vendor `{name}`: known are {}", known.join(", ")),
         })
     }
 }

@@ -1,8 +1,7 @@
-//! The config of an audit, `poseaudit.toml`: what is known of a robot and its topics, and from where
-//! on what is wrong counts.
+//! The config of an audit, `poseaudit.toml`: the robot, its topics and the thresholds of the rules.
 //!
-//! An audit reads the file that the caller names and looks for none, so that the same call gives the same
-//! report wherever it is made; with `--config auto` it takes the file of the usual name nearest to the log.
+//! An audit reads only the file that the caller names, so the same call gives the same report everywhere.
+//! With `--config auto` it uses the nearest `poseaudit.toml` in the log's folder or above.
 
 mod file;
 mod quantity;
@@ -31,10 +30,10 @@ pub use file::{ClockName, FailOn};
 pub use schema::schema;
 pub use template::template;
 
-/// The file's usual name.
+/// Default file name.
 pub const FILE_NAME: &str = "poseaudit.toml";
 
-/// A config that was read.
+/// A parsed config.
 #[derive(Clone, Debug)]
 pub struct Config {
     file: File,
@@ -46,13 +45,14 @@ impl Config {
     /// Reads the file at `path`.
     ///
     /// # Errors
-    /// Where it cannot be read, or is not of this layout; with the line.
+    /// If it cannot be read or parsed; with the line.
     pub fn from_file(path: &Path) -> Result<Self, Trouble> {
         let text = read::text_of(path)?;
         Self::from_text(text, path)
     }
 
-    /// The file of the usual name in the folder of `log`, or that is one, else in the nearest folder above.
+    /// The config in the folder of `log` (or in `log` itself, if it is a folder), else in the nearest
+    /// folder above.
     pub fn nearest_to(log: &Path) -> Option<PathBuf> {
         let parent = || log.parent().filter(|parent| *parent != Path::new(""));
         let folder = if log.is_dir() { log } else { parent().unwrap_or(Path::new(".")) };
@@ -60,10 +60,10 @@ impl Config {
         folder.ancestors().map(|folder| folder.join(FILE_NAME)).find(|file| file.is_file())
     }
 
-    /// Reads the text of the file at `path`.
+    /// Parses the text of the file at `path`.
     ///
     /// # Errors
-    /// Where it is not of this layout; with the line.
+    /// If it cannot be parsed; with the line.
     pub fn from_text(text: String, path: &Path) -> Result<Self, Trouble> {
         let file = read::parsed(&text, path)?;
         let config = Self { file, path: path.to_owned(), text };
@@ -71,7 +71,7 @@ impl Config {
         Ok(config)
     }
 
-    /// What it says of an audit; what it does not say is as without it.
+    /// Options for an audit; keys that are not set keep their defaults.
     pub fn options(&self) -> Options {
         let File { stamp, max_latency, fail_on, base, tip, .. } = &self.file;
         let mut run = RunOptions {
@@ -103,12 +103,12 @@ impl Config {
         Options { read, run, policy, config: Some(self.path.clone()), ..Options::default() }
     }
 
-    /// Where byte `at` of the text is: the file and the line.
+    /// File and line of byte `at`.
     fn place(&self, at: usize) -> String {
         read::place(&self.path, &self.text, at)
     }
 
-    /// A path that the file names, which is relative to it.
+    /// Resolves a path relative to the config file.
     fn beside(&self, path: &str) -> PathBuf {
         match self.path.parent() {
             Some(folder) if folder != Path::new("") => folder.join(path),
@@ -116,7 +116,7 @@ impl Config {
         }
     }
 
-    /// The path of a robot's file; `None` where it is no file but a name.
+    /// Path of a robot's file; `None` if `model` is a catalogue name.
     fn robot_file(&self, model: &str) -> Option<PathBuf> {
         let path = self.beside(model);
         let is_path =
@@ -134,8 +134,8 @@ impl Config {
             Some(name) => format!("; did you mean `{name}`?"),
             None => String::new(),
         };
-        let what = format!("`{model}` is neither a file nor an arm of the catalogue{nearest}");
-        let remedy = "name a URDF or TOML file, or an arm that `poseaudit robots` lists";
+        let what = format!("`{model}` is neither a file nor a catalogue arm{nearest}");
+        let remedy = "name a URDF or TOML file, or an arm listed by `poseaudit robots`";
         Err(read::refused(self.place(robot.span().start), what, remedy))
     }
 
@@ -201,7 +201,7 @@ impl Config {
                 of_columns: false,
             };
         let mut topics: Vec<TopicSettings> = streams.map(topic).collect();
-        // Columns that are said to be a pose are one, whether the arm is seen to follow them or not.
+        // Columns declared as a pose are audited as one, even if they do not follow the arm.
         for (topic, key) in self.file.columns.poses() {
             let columns = TopicSettings {
                 topic,

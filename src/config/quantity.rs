@@ -1,12 +1,12 @@
-//! Amounts as people write them: `2 ms`, `0.1°`, `50 ppm`.
+//! Quantities with units: `2 ms`, `0.1°`, `50 ppm`.
 
 use serde::Deserialize;
 
 use crate::finding::Unit;
 
-/// An amount with its unit, or a bare number; what it is an amount of is known to whoever reads it.
+/// A value with its unit, or a bare number; the reader knows the quantity.
 #[derive(Clone, Debug, Deserialize, PartialEq)]
-#[serde(untagged, expecting = "expected an amount with its unit, as in \"2 ms\"")]
+#[serde(untagged, expecting = "expected a value with its unit, as in \"2 ms\"")]
 pub(super) enum Quantity {
     /// A number without a unit.
     Number(f64),
@@ -14,7 +14,7 @@ pub(super) enum Quantity {
     Text(String),
 }
 
-/// How units are spelt, each with how many of the unit in SI it is.
+/// Spellings of units with their SI factors.
 fn spellings(unit: Unit) -> &'static [(&'static str, f64)] {
     use std::f64::consts::PI;
     const DEGREE: f64 = PI / 180.0;
@@ -40,7 +40,7 @@ fn spellings(unit: Unit) -> &'static [(&'static str, f64)] {
 }
 
 impl Quantity {
-    /// The amount in SI, where it can be one of `unit`, which is above zero.
+    /// The value in SI if its unit matches `unit` and it is above zero.
     ///
     /// # Errors
     /// What is wrong with it, and what to write.
@@ -63,10 +63,10 @@ impl Quantity {
                     text.find(|c: char| !matches!(c, '0'..='9' | '.' | '-' | '+' | 'e' | 'E'));
                 let (number, suffix) = text.split_at(end.unwrap_or(text.len()));
                 let suffix = suffix.trim();
-                let number: f64 = number.parse().map_err(|_| format!("`{text}` is no amount"))?;
+                let number: f64 = number.parse().map_err(|_| format!("`{text}` is not a value"))?;
                 let factor = known.iter().find(|(name, _)| *name == suffix);
                 let Some((_, factor)) = factor else {
-                    let what = if suffix.is_empty() { "no unit" } else { "another unit" };
+                    let what = if suffix.is_empty() { "no unit" } else { "the wrong unit" };
                     return Err(format!("`{text}` has {what}: write it in {}", either(&names)));
                 };
                 (number, *factor, text.to_owned())
@@ -79,7 +79,7 @@ impl Quantity {
         }
     }
 
-    /// The first of `units` that it can be an amount of, with the amount in SI.
+    /// The first of `units` that matches, with the value in SI.
     ///
     /// # Errors
     /// What is wrong with it, and what to write.
@@ -102,7 +102,7 @@ impl Quantity {
                 Err(format!("{number} has no unit: write {}", either(&names.collect::<Vec<_>>())))
             }
             (Self::Text(text), _) => Err(format!(
-                "`{}` has another unit: write it in {}",
+                "`{}` has the wrong unit: write it in {}",
                 text.trim(),
                 either(&names.collect::<Vec<_>>())
             )),
@@ -110,7 +110,7 @@ impl Quantity {
     }
 }
 
-/// `a, b or c`.
+/// Joins names: `a, b or c`.
 fn either(names: &[&str]) -> String {
     match names {
         [] => "no unit".to_owned(),
@@ -152,13 +152,13 @@ mod tests {
         assert_eq!(text("1e-3 m").amount(Unit::Metre), Ok(1e-3));
         assert_eq!(text("5 %").amount(Unit::One), Ok(0.05));
         for (quantity, unit, part) in [
-            (text("2 mm"), Unit::Second, "`2 mm` has another unit: write it in ms, s"),
+            (text("2 mm"), Unit::Second, "`2 mm` has the wrong unit: write it in ms, s"),
             (text("2"), Unit::Second, "has no unit"),
             (Quantity::Number(2.0), Unit::Second, "as in \"2 ms\""),
             (text("-2 ms"), Unit::Second, "above 0"),
             (text("0 ms"), Unit::Second, "above 0"),
-            (text("inf ms"), Unit::Second, "is no amount"),
-            (text("ms"), Unit::Second, "is no amount"),
+            (text("inf ms"), Unit::Second, "is not a value"),
+            (text("ms"), Unit::Second, "is not a value"),
         ] {
             let why = quantity.amount(unit).expect_err("no such amount");
             assert!(why.contains(part), "{why}");

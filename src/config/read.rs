@@ -1,4 +1,4 @@
-//! From the text of the file to its layout, with errors that name the line and what was meant.
+//! Parses the file. Errors name the line and suggest a correction.
 
 use std::fs::File as Opened;
 use std::io::Read;
@@ -8,29 +8,29 @@ use super::file::File;
 use crate::report::{Trouble, TroubleKind};
 use crate::robot::nearest;
 
-/// Largest config that is read, in bytes: the parser takes up to 2000 times as much memory.
+/// Maximum size of a config in bytes; the parser needs up to 2000 times as much memory.
 const MOST_BYTES: usize = 256 << 10;
-/// Characters of a config that a message repeats.
+/// Maximum number of config characters repeated in a message.
 const MOST_SHOWN: usize = 200;
 
-/// The text of the file at `path`.
+/// Reads the file at `path`.
 pub(super) fn text_of(path: &Path) -> Result<String, Trouble> {
     let place = path.display().to_string();
     let mut text = String::new();
     let read = Opened::open(path).and_then(|file| {
-        // One byte more shows that it is too large.
+        // One more byte, to detect a file that is too large.
         file.take(MOST_BYTES as u64 + 1).read_to_string(&mut text)
     });
     read.map(|_| text).map_err(|error| {
-        let remedy = "name a file that can be read; `poseaudit init LOG` writes one";
+        let remedy = "name a readable file; `poseaudit init LOG` writes one";
         refused(place, format!("cannot be read: {error}"), remedy)
     })
 }
 
-/// The layout of a text.
+/// Parses the text.
 pub(super) fn parsed(text: &str, path: &Path) -> Result<File, Trouble> {
     if text.len() > MOST_BYTES {
-        let what = format!("it has more than the {MOST_BYTES} bytes that are read");
+        let what = format!("larger than the maximum of {MOST_BYTES} bytes");
         return Err(refused(path.display().to_string(), what, "name the config of one audit"));
     }
     toml::from_str(text).map_err(|error| {
@@ -40,7 +40,7 @@ pub(super) fn parsed(text: &str, path: &Path) -> Result<File, Trouble> {
     })
 }
 
-/// A trouble with the config.
+/// Trouble with the config.
 pub(super) fn refused(place: String, what: String, remedy: &str) -> Trouble {
     Trouble { kind: TroubleKind::Call, what, place, remedy: remedy.to_owned() }
 }
@@ -52,16 +52,16 @@ pub(super) fn place(path: &Path, text: &str, at: usize) -> String {
     format!("{}:{line}", path.display())
 }
 
-/// What a parser's message says, in our words: of what is unknown the nearest that is known.
+/// Rewords the parser's message, with the nearest known key or value.
 fn worded(message: &str) -> (String, &'static str) {
     const KEYS: &str = "docs/config.md lists the keys";
-    const VALUES: &str = "docs/config.md says what can stand there";
+    const VALUES: &str = "docs/config.md lists the values";
     let message = message.lines().map(str::trim).collect::<Vec<_>>().join(", ");
     for (start, kind, remedy) in
         [("unknown field ", "key", KEYS), ("unknown variant ", "value", VALUES)]
     {
         let Some(rest) = message.strip_prefix(start) else { continue };
-        // `is`, expected one of `a`, `b`: every second piece stands between backquotes.
+        // `is`, expected one of `a`, `b`: every second piece is between backquotes.
         let mut quoted = rest.split('`').skip(1).step_by(2);
         let is = &brief(quoted.next().unwrap_or_default());
         let known: Vec<&str> = quoted.collect();
@@ -77,7 +77,7 @@ fn worded(message: &str) -> (String, &'static str) {
     }
 }
 
-/// The beginning of a text from the file.
+/// The first characters of a text from the file.
 fn brief(text: &str) -> String {
     match text.char_indices().nth(MOST_SHOWN) {
         Some((at, _)) => format!("{}…", &text[..at]),

@@ -1,4 +1,4 @@
-//! The tables of rules: thresholds, limits and severities, each known to the rule itself.
+//! Tables of rules: thresholds, limits and severities, as defined by each rule.
 
 use std::fmt;
 
@@ -11,11 +11,11 @@ use super::quantity::Quantity;
 use crate::checks::{self, Grade, Limit, Rule, Settings, Threshold};
 use crate::finding::{Severity, Unit};
 
-/// What is set of rules.
+/// Settings of all rules.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Rules(Vec<RuleTable>);
 
-/// What is set of one rule.
+/// Settings of one rule.
 #[derive(Clone, Debug)]
 struct RuleTable {
     rule: &'static Rule,
@@ -25,7 +25,7 @@ struct RuleTable {
 }
 
 impl Rules {
-    /// Writes it into the settings of an audit.
+    /// Applies them to the settings of an audit.
     pub fn apply(&self, settings: &mut Settings) {
         for table in &self.0 {
             for threshold in &table.thresholds {
@@ -46,7 +46,7 @@ impl<'de> Deserialize<'de> for Rules {
             type Value = Rules;
 
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("tables of rules by their codes")
+                f.write_str("tables of rules by code")
             }
 
             fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Rules, A::Error> {
@@ -87,7 +87,7 @@ enum Level {
     Error,
 }
 
-/// The keys that the table of a rule can have.
+/// Keys in the table of a rule.
 fn keys(rule: &Rule) -> Vec<&'static str> {
     let thresholds: &[&str] = match rule.grade {
         Grade::From(_) => &["warning", "error"],
@@ -136,7 +136,7 @@ impl<'de> Visitor<'de> for Table {
     type Value = RuleTable;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "a table of {}", self.0.code)
+        write!(f, "a table for {}", self.0.code)
     }
 
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<RuleTable, A::Error> {
@@ -187,14 +187,11 @@ impl RuleTable {
     }
 }
 
-/// The amount of a threshold, or of each of several.
+/// Values of the thresholds, one per unit.
 struct AmountsOf(&'static Rule);
 
 #[derive(Deserialize)]
-#[serde(
-    untagged,
-    expecting = "expected an amount with its unit, as in \"2 ms\", or a list of them"
-)]
+#[serde(untagged, expecting = "expected a value with its unit, as in \"2 ms\", or a list of them")]
 enum OneOrMore {
     One(Quantity),
     More(Vec<Quantity>),
@@ -215,7 +212,7 @@ impl<'de> DeserializeSeed<'de> for AmountsOf {
     }
 }
 
-/// The amount of a limit.
+/// Value of a limit.
 struct LimitOf(&'static Limit);
 
 impl<'de> DeserializeSeed<'de> for LimitOf {
@@ -262,7 +259,7 @@ impl JsonSchema for Rules {
         let table = |rule: &&'static Rule| {
             let mut keys = Map::new();
             let severity = json!({
-                "description": "Severity of all that the rule finds, but for what it calls info itself",
+                "description": "Severity of all findings of the rule, except those that are `info`",
                 "enum": ["info", "warning", "error"],
             });
             let thresholds = rule.grade.thresholds();
@@ -277,8 +274,12 @@ impl JsonSchema for Rules {
                 };
                 let one = json!({ "type": amount(first.unit) });
                 for (key, what, default) in [
-                    ("warning", "From here it warns", own(|threshold| threshold.warning)),
-                    ("error", "From here it is an error", own(|threshold| threshold.error)),
+                    (
+                        "warning",
+                        "Smallest value that is a warning",
+                        own(|threshold| threshold.warning),
+                    ),
+                    ("error", "Smallest value that is an error", own(|threshold| threshold.error)),
                 ] {
                     let several = json!({ "type": "array", "items": one });
                     let schema = json!({

@@ -1,10 +1,10 @@
-//! The JSON schema of the file, for editors.
+//! JSON schema of the config, for editors.
 
 use schemars::generate::SchemaSettings;
 
 use super::file::File;
 
-/// The schema as JSON, with a newline at its end.
+/// The schema as JSON, with a trailing newline.
 pub fn schema() -> String {
     let settings = SchemaSettings::draft07();
     let schema = settings.into_generator().into_root_schema_for::<File>();

@@ -1,5 +1,5 @@
-//! A config as `poseaudit init` writes it: what was found in a log, and all else as comments with its
-//! default.
+//! Config template written by `poseaudit init`: the settings found in a log, and all others as comments
+//! with their defaults.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -10,10 +10,10 @@ use crate::report::{Report, RobotRow, StreamRow, quoted, tame};
 use crate::robot::catalogue;
 use crate::run::SaidRole;
 
-/// The text of a config that audits the log of `report` as no config does.
+/// A config with which the log of `report` is audited as without a config.
 ///
-/// What stands in it changes nothing about that log and holds other logs to it. What would change
-/// something (a tip that is named is a claim) is a comment.
+/// Its active settings do not change the audit of this log, but later logs are checked against them.
+/// Settings that would change it (naming a tip is a claim) are comments.
 pub fn template(report: &Report) -> String {
     let mut out = Template::default();
     out.head(report);
@@ -26,20 +26,20 @@ pub fn template(report: &Report) -> String {
     out.0
 }
 
-/// What `[columns]` may say.
+/// Keys of `[columns]`.
 const COLUMN_KEYS: [&str; 4] = ["joints", "joint_commands", "pose", "pose_commands"];
 
 #[derive(Default)]
 struct Template(String);
 
 impl Template {
-    /// A line, or several.
+    /// Appends one or several lines.
     fn line(&mut self, text: &str) {
         self.0 += text;
         self.0.push('\n');
     }
 
-    /// `key = value`, and beside it what there is to say.
+    /// Appends `key = value` with a remark.
     fn set(&mut self, key: &str, value: &str, remark: &str) {
         let setting = format!("{key} = {value}");
         match remark.is_empty() {
@@ -51,7 +51,7 @@ impl Template {
         }
     }
 
-    /// The same as a comment.
+    /// Same, commented out.
     fn unset(&mut self, key: &str, value: &str, remark: &str) {
         self.set(&format!("# {key}"), value, remark);
     }
@@ -59,14 +59,14 @@ impl Template {
     fn head(&mut self, report: &Report) {
         let files = report.log.files.iter().map(|file| name_of(&file.path));
         let files = files.collect::<Vec<_>>().join(" ");
-        let _ = writeln!(self.0, "# What is known of the robot and its topics, from {files}.");
+        let _ = writeln!(self.0, "# Settings for the robot and its topics, from {files}.");
         self.line(
             "#\n\
-             # `poseaudit audit LOG --config poseaudit.toml` reads it; no command looks for it by itself.\n\
-             # Options of the command line stand before it, and paths are relative to this file. What is a\n\
-             # comment is a default, or a claim that nobody has made yet. docs/config.md explains each key.\n\
-             # `poseaudit init --schema --output poseaudit.schema.json` writes the schema by which an editor\n\
-             # completes and checks this file, with this as its first line:\n\
+             # Use it with `poseaudit audit LOG --config poseaudit.toml`; it is not loaded automatically.\n\
+             # Command-line options override it, and paths are relative to this file. Commented keys are\n\
+             # defaults, or claims that nobody has made yet. docs/config.md explains each key.\n\
+             # `poseaudit init --schema --output poseaudit.schema.json` writes the schema with which editors\n\
+             # complete and check this file, if this is its first line:\n\
              # #:schema ./poseaudit.schema.json\n",
         );
     }
@@ -79,18 +79,18 @@ impl Template {
                 for robot in several {
                     self.unset("robot", &quoted(&robot.name), &robot.source);
                 }
-                self.line("# With several arms a table: robot = { left_ = \"ur5e\", right_ = \"arm.urdf\" }");
+                self.line("# For several arms, a table: robot = { left_ = \"ur5e\", right_ = \"arm.urdf\" }");
             }
         }
         self.unset(
             "calibration",
             "\"calibration.yaml\"",
-            "as calibrate wrote it, or of a UR as ur_calibration extracts it",
+            "written by calibrate, or for a UR extracted by ur_calibration",
         );
         self.unset(
             "joint_map",
             "{ iiwa_joint_1 = \"lbr_A1\" }",
-            "joints that the log and the model name otherwise",
+            "log joint names to model joint names",
         );
     }
 
@@ -99,37 +99,39 @@ impl Template {
             true => self.set("robot", &quoted(name), source),
             false => self.unset("robot", &quoted(name), source),
         }
-        self.set("base", &quoted(base), "the chain begins here");
+        self.set("base", &quoted(base), "first link of the chain");
         self.unset(
             "tip",
             &quoted(tip),
-            "the chain ends here; if set, an offset from it is a fault",
+            "last link of the chain; if set, an offset from it is a fault",
         );
     }
 
     fn options(&mut self) {
         self.unset("stamp", "\"header\"", "or \"log\", \"publish\"");
-        self.unset("max_latency", "\"5 s\"", "what is off by more is on another clock");
+        self.unset("max_latency", "\"5 s\"", "larger offsets are reported as clock errors");
         self.unset("fail_on", "\"warning\"", "or \"error\", \"inconclusive\", \"never\"");
         self.unset(
             "require",
             "[\"LAT001\", \"ZER001\"]",
-            "rules that must conclude; default: none",
+            "rules that must not be inconclusive; default: none",
         );
-        self.unset("select", "[\"LAT\", \"ZER001\"]", "ask only these rules; default: all");
+        self.unset("select", "[\"LAT\", \"ZER001\"]", "evaluate only these rules; default: all");
     }
 
-    /// What the columns of a table may be said to be.
+    /// Appends the columns of a table.
     fn columns(&mut self, report: &Report) {
         let told = || report.streams.iter().filter(|stream| !stream.columns.is_empty());
         if told().next().is_none() {
             return;
         }
-        self.line("\n# What the columns hold. What names say is a comment.\n[columns]");
+        self.line(
+            "\n# Contents of the columns. Columns identified by name are comments.\n[columns]",
+        );
         match &report.log.time_column {
             Some(column) => self.set("time", &quoted(column), "by its numbers"),
             None => {
-                self.unset("time", "\"timestamp\"", "or rate_hz = 50, where no column holds times");
+                self.unset("time", "\"timestamp\"", "or rate_hz = 50, if there is no time column");
             }
         }
         let mut last = "";
@@ -203,7 +205,7 @@ impl Template {
         }
         let frame = stream.frame_id.as_ref().or(stream.reference.as_ref());
         if let Some(frame) = frame {
-            self.unset("frame", &quoted(frame), "the frame that it is in");
+            self.unset("frame", &quoted(frame), "reference frame of its poses");
         }
         if let Some(link) = &stream.link {
             self.unset("link", &quoted(link), "if set, an offset from it is a fault");
@@ -218,19 +220,19 @@ impl Template {
         };
         self.unset("convention", &quoted(coding), "if set, what contradicts it is a fault");
         self.unset("units", "[\"m\", \"rad\"]", "with a convention or a vendor");
-        self.unset("vendor", "\"ur\"", "or kuka, fanuc, abb, …: convention and units of a maker");
+        self.unset("vendor", "\"ur\"", "or kuka, fanuc, abb, …: convention and units of a vendor");
     }
 
     fn ignores(&mut self) {
-        self.line("\n# What is known and shall not count; it stays in the report with the reason.");
+        self.line("\n# Known findings that do not count; the report lists them with the reason.");
         self.line("# [[ignore]]");
-        self.unset("code", "\"LAT001\"", "a rule, or the letters that a family begins with");
-        self.unset("topic", "\"/tcp_pose\"", "or joint, frame, robot; without any of them all");
+        self.unset("code", "\"LAT001\"", "a rule, or the leading letters of a family");
+        self.unset("topic", "\"/tcp_pose\"", "or joint, frame, robot; without any of them, all");
         self.unset("reason", "\"the driver's delay, known since March\"", "");
     }
 
     fn rules(&mut self) {
-        self.line("\n# Thresholds of the rules, which `poseaudit explain CODE` explains.");
+        self.line("\n# Thresholds of the rules; `poseaudit explain CODE` describes them.");
         for rule in checks::registry() {
             let _ = writeln!(self.0, "\n# {}.\n# [rules.{}]", rule.summary(), rule.code);
             let thresholds = rule.grade.thresholds();
@@ -256,7 +258,7 @@ fn amounts(thresholds: &[Threshold], of: fn(&Threshold) -> f64) -> String {
     }
 }
 
-/// An amount as the file has it.
+/// Formats a value for the file.
 fn amount(unit: Unit, value: f64) -> String {
     match unit {
         Unit::One => format!("{value}"),
@@ -264,7 +266,7 @@ fn amount(unit: Unit, value: f64) -> String {
     }
 }
 
-/// Three digits are what a rate is known to.
+/// Rounds a rate to three digits.
 fn rounded(rate_hz: f64) -> String {
     let digits = 2 - rate_hz.log10().floor() as i32;
     let step = 10f64.powi(-digits);
@@ -272,7 +274,7 @@ fn rounded(rate_hz: f64) -> String {
     format!("{rounded:.*}", usize::try_from(digits.max(1)).unwrap_or(1))
 }
 
-/// What a comment may hold.
+/// Replaces line breaks and control characters.
 fn one_line(text: &str) -> String {
     tame(&text.split_whitespace().collect::<Vec<_>>().join(" ")).into_owned()
 }

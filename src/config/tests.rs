@@ -131,7 +131,7 @@ fn what_is_wrong_says_where_and_what_was_meant() {
     }
 }
 
-/// A template with every comment that is a setting made one.
+/// Uncomments the settings of a template.
 fn awake(template: &str) -> String {
     let is_setting = |line: &str| line.starts_with('[') || line.contains(" = ");
     let line = |line: &str| match line.strip_prefix("# ") {

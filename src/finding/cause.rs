@@ -1,142 +1,142 @@
-//! Causes: what is wrong, with the amounts that mend it.
+//! Causes of faults, with the values that correct them.
 
 use crate::geometry::{AngleUnit, Axes, Coding, LengthScale, Pose, Rotation, RotationSlip, Slip};
 use crate::robot::DhConvention;
 use crate::stats::Measured;
 
-/// The cause that a finding names. Corrections and pictures are made of it by exhaustive matches, so
-/// that a new cause does not compile until each says what it does with it.
+/// Cause named by a finding. Corrections and pictures match it exhaustively, so a new cause does not
+/// compile until each of them handles it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Cause {
-    /// The zero of a joint: `q_true = q_reported + offset`.
+    /// Joint zero offset: `q_true = q_reported + offset`.
     JointZero {
         /// The offset, rad or m.
         offset: Measured,
-        /// Whether the joint slides.
+        /// Whether the joint is prismatic.
         slides: bool,
     },
-    /// A joint gives: by how much hangs on its motion or on the arm's posture.
+    /// Joint compliance, whose size depends on the joint's motion or the arm's configuration.
     Bend,
-    /// The positions of a joint are in another unit: rad or m for each.
+    /// Joint positions in the wrong unit; rad or m per logged unit.
     JointUnit(f64),
-    /// Joints that have a scale of their own, in the order of the chain.
+    /// Joints with a wrong scale, in the order of the chain.
     JointScale(Vec<JointScaling>),
-    /// The positions of the joints stand under other joints' names.
+    /// Joint positions published under other joints' names.
     JointOrder {
-        /// Whose number stands at each place.
+        /// Joints in the order of the numbers.
         is: Vec<String>,
-        /// Whose name stands at each place.
+        /// Joints in the order of the names.
         read_as: Vec<String>,
     },
-    /// The rows of the DH table are of this convention, not of the other.
+    /// The DH table uses this convention, not the declared one.
     Dh(DhConvention),
-    /// Position errors grow with reach.
+    /// Radial scale: position errors that grow with reach.
     Growth,
-    /// The log is of another robot than the one named; of this one.
+    /// The log belongs to this robot, not to the given one.
     OtherRobot(String),
-    /// The model does not explain the log.
+    /// The kinematic model does not explain the log.
     Model,
-    /// Nothing makes poses and joint states those of one arm.
+    /// No known cause reconciles poses and joint states.
     Disagreement {
-        /// By how much they disagree, in a clause.
+        /// Size of the disagreement, as a clause.
         said: String,
     },
-    /// What is stamped *t* was true at *t − latency*, s.
+    /// Latency, s: a sample stamped *t* was true at *t − latency*.
     Latency(Measured),
-    /// By how much the latency grows with each second, s/s.
+    /// Rate of change of the latency, s/s.
     Skew(Measured),
-    /// Something of the arm or of its poses changes in mid-run.
+    /// A parameter of the arm or its poses changes during the run.
     Changes,
     /// The latency is not constant.
     UnsteadyLatency,
-    /// Rotations are misread, or poses are inverted.
+    /// Misinterpreted rotations or inverted poses.
     Rotation(RotationSlip),
-    /// The reading of bare numbers of which nothing is declared.
+    /// Encoding that was inferred for bare numbers without a declaration.
     Bare {
-        /// How the rotations are coded.
+        /// Encoding of the rotations.
         coding: Coding,
-        /// The unit of the positions.
+        /// Unit of the positions.
         length: LengthScale,
-        /// The unit of the angles.
+        /// Unit of the angles.
         angle: AngleUnit,
     },
-    /// Angles are in another unit than they were read as.
+    /// Angles in a different unit from the one assumed.
     AngleUnit(Slip<AngleUnit>),
-    /// Positions are in another unit than they were read as.
+    /// Positions in a different unit from the one assumed.
     LengthUnit(Slip<LengthScale>),
-    /// Positions or rotations are in other axes than x forward, y left, z up.
+    /// Positions or rotations whose axes are not x forward, y left, z up.
     Axes {
-        /// The axes of the positions.
+        /// Axes of the positions.
         positions: Axes,
-        /// The axes of the rotations.
+        /// Axes of the rotations.
         rotations: Axes,
     },
-    /// Poses are in a frame of their own: `reference_from_stream`.
+    /// Poses expressed in a different reference frame: `reference_from_stream`.
     Reference(Pose),
-    /// Poses are of a frame of their own: `tip_from_stream`.
+    /// Poses of a different tool frame: `tip_from_stream`.
     Tool(Pose),
     /// /tf disagrees with FK of the joint states.
     TfDisagrees,
-    /// The yaw of an IMU drifts against the arm, rad/s.
+    /// Yaw drift of an IMU against the arm, rad/s.
     YawDrift(Measured),
-    /// The yaw of an IMU jumps against the arm.
+    /// Yaw step of an IMU against the arm.
     YawJump,
-    /// The orientation of an IMU in its link: `link_from_imu`.
+    /// Orientation of an IMU in its link: `link_from_imu`.
     ImuMount(Rotation),
-    /// The pose of a camera in its parent, which the log's frames have elsewhere.
+    /// Pose of a camera in its parent, which differs from the log's frames.
     CameraMount {
-        /// Whether the hand carries the camera; `None` where the motion does not tell.
+        /// Whether the camera is in the hand; `None` if the motion does not show it.
         in_hand: Option<bool>,
-        /// The frame that the pose is in; `None` where the log does not name it.
+        /// Frame of the pose; `None` if the log does not name it.
         parent: Option<String>,
         /// `parent_from_camera`.
         pose: Pose,
     },
-    /// The frames are no tree.
+    /// The frames do not form a tree.
     Frames,
-    /// Stamps or rates are not what they should be.
+    /// Wrong stamps or rates.
     Stamps,
-    /// A fault that no file mends, by what shows it.
+    /// A fault without a correction, with the picture that shows it.
     Seen(Sight),
-    /// A fault that no file mends and that its amount shows.
+    /// A fault without a correction or a picture; the value suffices.
     #[default]
     Other,
 }
 
-/// What shows a fault.
+/// Data that shows a fault in a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sight {
-    /// The spectrum of a path, and the path where it shakes most.
+    /// Spectrum of a path, and the path at its strongest vibration.
     Shake,
-    /// What a camera sees against the hand.
+    /// Camera observations compared with the hand.
     HandEye,
-    /// The tip beside a commanded line.
+    /// The tip along a commanded line.
     Line,
-    /// Goals and where the arm came to rest.
+    /// Goals, and the poses at rest.
     Rest,
-    /// The norms of rotations.
+    /// Norms of rotations.
     Norm,
-    /// The axes of an IMU in its link.
+    /// Axes of an IMU in its link.
     ImuAxes,
-    /// A gyro while the arm rests.
+    /// Gyro signal at rest.
     Gyro,
-    /// Where an accelerometer feels up while the arm rests.
+    /// Up direction measured by an accelerometer at rest.
     Tilt,
-    /// A joint's positions and speeds.
+    /// Positions and speeds of a joint.
     Joint,
-    /// The errors of a stream, and when it was there.
+    /// Errors of a stream, and the times of its samples.
     Stream,
 }
 
-/// A joint whose positions must be scaled: `q_true = factor · q_reported + offset`.
+/// Correction of a joint's scale: `q_true = factor · q_reported + offset`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JointScaling {
     /// Name of the joint.
     pub joint: String,
     /// The factor.
     pub factor: Measured,
-    /// The offset, rad or m, where the scale has one.
+    /// The offset, rad or m, if the numbers have their own zero.
     pub offset: Option<f64>,
-    /// Whether the joint slides.
+    /// Whether the joint is prismatic.
     pub slides: bool,
 }

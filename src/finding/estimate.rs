@@ -1,4 +1,4 @@
-//! Estimates, as reports have them: an amount, or what numbers are and what they were read as.
+//! Estimates in reports: a value with its interval, or a misinterpretation.
 
 use std::borrow::Cow;
 
@@ -10,13 +10,13 @@ use super::unit::Unit;
 use crate::stats::{Length, Measured};
 use crate::time::Stamp;
 
-/// An amount, or a reading, as the contract's table of estimates has it.
+/// An estimated value or a misinterpretation, as specified by the contract's table of estimates.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged)]
 pub enum Estimate {
-    /// A length and an angle: the norms of a frame error, or two rms.
+    /// A length and an angle: the norms of a frame error, or two rms values.
     Frame {
-        /// What it is.
+        /// Name of the quantity.
         #[serde(deserialize_with = "word")]
         name: Word,
         /// Length, m.
@@ -28,18 +28,18 @@ pub enum Estimate {
         unit: Word,
         /// 95 % interval of `value`.
         ci95: Option<[f64; 2]>,
-        /// The angle, rad.
+        /// Angle, rad.
         rotation: Angle,
-        /// When it changes, where it is not one over the run.
+        /// The change, if the quantity is not constant over the run.
         #[serde(flatten, skip_serializing_if = "Option::is_none")]
         change: Option<Change>,
     },
-    /// One number.
+    /// A scalar.
     Amount {
-        /// What it is.
+        /// Name of the quantity.
         #[serde(deserialize_with = "word")]
         name: Word,
-        /// The number, in `unit`.
+        /// Value, in `unit`.
         #[serde(deserialize_with = "number")]
         #[schemars(with = "Option<f64>")]
         value: f64,
@@ -48,53 +48,53 @@ pub enum Estimate {
         unit: Word,
         /// 95 % interval.
         ci95: Option<[f64; 2]>,
-        /// When it changes, where it is not one over the run.
+        /// The change, if the quantity is not constant over the run.
         #[serde(flatten, skip_serializing_if = "Option::is_none")]
         change: Option<Change>,
-        /// How the joint's positions are wrong, for a joint that is coupled or off by turns.
+        /// Relation of the joint's error, for a joint that is coupled or off by turns.
         #[serde(flatten)]
         joint: JointRelation,
     },
-    /// Three numbers that are of one convention, and that somebody read as another.
+    /// Three rotation numbers interpreted in the wrong convention.
     Convention {
         /// Always `convention`.
         #[serde(deserialize_with = "word")]
         name: Word,
-        /// What the numbers are.
+        /// Convention of the numbers.
         is: String,
-        /// What they were read as.
+        /// Convention in which they were interpreted.
         read_as: String,
-        /// Readings that no log, or not this one, can tell from it.
+        /// Interpretations that are indistinguishable in any log or in this one.
         equivalent: Vec<ReadAs>,
-        /// The next best reading, and how many times more it leaves.
+        /// The next best interpretation, with the ratio of its residual to the best.
         runner_up: Option<RunnerUp>,
     },
-    /// One of two ways to write the same thing, taken for the other.
+    /// One of two alternatives mistaken for the other.
     Slip {
-        /// What was mixed up.
+        /// Name of the quantity.
         #[serde(deserialize_with = "word")]
         name: Word,
-        /// What it is.
+        /// Actual value.
         is: Cow<'static, str>,
-        /// What it was read as.
+        /// Value assumed by the reader.
         read_as: Cow<'static, str>,
     },
-    /// Numbers that stand under the wrong names.
+    /// Numbers published under the wrong names.
     Order {
-        /// What is out of order.
+        /// Name of the quantity.
         #[serde(deserialize_with = "word")]
         name: Word,
-        /// Whose number stands at each place.
+        /// Joints in the order of the numbers.
         is: Vec<String>,
-        /// Whose name stands at each place.
+        /// Joints in the order of the names.
         read_as: Vec<String>,
-        /// The same as `is`: the names in the order that the numbers are in.
+        /// Same as `is`: the names in the order of the numbers.
         permutation: Vec<String>,
     },
 }
 
 impl Estimate {
-    /// The number, in SI units, where it is one.
+    /// Value in SI units; `None` for misinterpretations.
     pub fn value(&self) -> Option<f64> {
         match self {
             Estimate::Amount { value, .. } | Estimate::Frame { value, .. } => Some(*value),
@@ -102,7 +102,7 @@ impl Estimate {
         }
     }
 
-    /// What the numbers are and what they were read as, where it is a convention.
+    /// Actual and assumed convention; `None` for other estimates.
     pub fn convention(&self) -> Option<(&str, &str)> {
         match self {
             Estimate::Convention { is, read_as, .. } => Some((is, read_as)),
@@ -110,7 +110,7 @@ impl Estimate {
         }
     }
 
-    /// The estimate of what was taken for something else.
+    /// An estimate of a misinterpretation.
     pub fn slip(
         name: &'static str,
         is: impl Into<Cow<'static, str>>,
@@ -119,7 +119,7 @@ impl Estimate {
         Estimate::Slip { name, is: is.into(), read_as: read_as.into() }
     }
 
-    /// The estimate of one number.
+    /// An estimate of a scalar.
     pub fn amount(name: &'static str, unit: Unit, measured: &Measured) -> Self {
         Estimate::Amount {
             name,
@@ -131,7 +131,7 @@ impl Estimate {
         }
     }
 
-    /// A number that was read off the log and not estimated, so that it has no interval.
+    /// A scalar that was counted rather than estimated, so it has no interval.
     pub fn counted(name: &'static str, unit: &'static str, value: f64) -> Self {
         Estimate::Amount {
             name,
@@ -151,7 +151,7 @@ impl Estimate {
         Estimate::Amount { name, value, unit, ci95, change: None, joint: JointRelation::default() }
     }
 
-    /// The estimate of a length in m and an angle in rad, neither of which can be negative.
+    /// An estimate of a length in m and an angle in rad; neither can be negative.
     pub fn frame(name: &'static str, length: &Measured, angle: &Measured) -> Self {
         let of_norm = |ends: [f64; 2]| ends.map(|end| end.max(0.0));
         Estimate::Frame {
@@ -167,8 +167,7 @@ impl Estimate {
         }
     }
 
-    /// The same estimate of an amount that changes within the run; `value` is then the size of the
-    /// change.
+    /// Marks the quantity as changing during the run; `value` is then the size of the change.
     pub fn changing(mut self, when: Change) -> Self {
         if let Estimate::Amount { change, .. } | Estimate::Frame { change, .. } = &mut self {
             *change = Some(when);
@@ -176,7 +175,7 @@ impl Estimate {
         self
     }
 
-    /// The same estimate of a joint that moves by `factor` per unit of the joint `with`.
+    /// Marks the joint as coupled: it moves by `factor` per unit of the joint `with`.
     pub fn coupled(mut self, with: &str, factor: f64) -> Self {
         if let Estimate::Amount { joint, .. } = &mut self {
             *joint = JointRelation {
@@ -188,7 +187,7 @@ impl Estimate {
         self
     }
 
-    /// The same estimate of a joint that is off by so many turns.
+    /// Marks the joint as off by this many turns.
     pub fn off_by_turns(mut self, turns: f64) -> Self {
         if let Estimate::Amount { joint, .. } = &mut self {
             joint.turns = Some(turns);
@@ -196,7 +195,7 @@ impl Estimate {
         self
     }
 
-    /// When the amount changes, from what and to what, where it is not one over the run.
+    /// The change during the run; `None` if the quantity is constant.
     pub fn change(&self) -> Option<&Change> {
         match self {
             Estimate::Amount { change, .. } | Estimate::Frame { change, .. } => change.as_ref(),
@@ -205,43 +204,43 @@ impl Estimate {
     }
 }
 
-/// How a joint's positions are wrong, beyond one number.
+/// Further properties of a joint's error.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct JointRelation {
-    /// The joint that drives this one, if the two are coupled.
+    /// Joint that drives this one, if they are coupled.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub with: Option<String>,
-    /// How far this joint moves per unit of `with`.
+    /// Motion of this joint per unit of `with`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub factor: Option<f64>,
-    /// The turns by which the positions are off: 1, 0.5 or 0.25, without a sign.
+    /// Turns by which the positions are off: 1, 0.5 or 0.25, unsigned.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub turns: Option<f64>,
 }
 
-/// An amount that is one until some moment and another from there on.
+/// A change of a quantity from one value to another.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Change {
-    /// What it is before, in the unit of the estimate's `value`.
+    /// Value before, in the unit of the estimate's `value`.
     #[serde(deserialize_with = "number")]
     #[schemars(with = "Option<f64>")]
     pub from: f64,
-    /// What it is from then on, in the same unit.
+    /// Value after, in the same unit.
     #[serde(deserialize_with = "number")]
     #[schemars(with = "Option<f64>")]
     pub to: f64,
-    /// When it changes.
+    /// Time of the change.
     #[schemars(with = "String")]
     pub change_ns: Stamp,
-    /// 95 % interval of that moment.
+    /// 95 % interval of the time.
     #[schemars(with = "Option<[String; 2]>")]
     pub change_ci95_ns: Option<[Stamp; 2]>,
 }
 
-/// The angle of a frame estimate.
+/// Angle of a frame estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Angle {
-    /// The angle, rad.
+    /// Angle, rad.
     #[serde(deserialize_with = "number")]
     #[schemars(with = "Option<f64>")]
     pub value: f64,
@@ -249,23 +248,23 @@ pub struct Angle {
     pub ci95: Option<[f64; 2]>,
 }
 
-/// What numbers are, and what they were read as.
+/// Actual and assumed interpretation of numbers.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct ReadAs {
-    /// What they are.
+    /// Actual interpretation.
     pub is: String,
-    /// What they were read as.
+    /// Assumed interpretation.
     pub read_as: String,
 }
 
-/// The reading that comes second.
+/// The second-best interpretation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RunnerUp {
-    /// What the numbers would be.
+    /// Actual interpretation according to it.
     pub is: String,
-    /// What they would have been read as.
+    /// Assumed interpretation according to it.
     pub read_as: String,
-    /// Its residual over that of the best reading.
+    /// Ratio of its residual to the best interpretation's.
     #[serde(deserialize_with = "number")]
     #[schemars(with = "Option<f64>")]
     pub ratio: f64,

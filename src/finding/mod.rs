@@ -1,4 +1,4 @@
-//! What an audit says: a finding, its estimate with the interval, and the outcome it comes from.
+//! Results of an audit: findings, their estimates and the outcomes of rules.
 
 mod cause;
 mod estimate;
@@ -17,22 +17,22 @@ pub use read::Word;
 pub(crate) use read::{maybe_word, number, word};
 pub use unit::{Unit, rounded};
 
-/// How grave a finding is.
+/// Severity of a finding.
 #[derive(
     Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema,
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Severity {
-    /// Worth knowing; nothing is wrong.
+    /// Information; nothing is wrong.
     Info,
-    /// Wrong, by more than the rule's first threshold.
+    /// A fault at or above the rule's warning threshold.
     Warning,
-    /// Wrong, by more than the rule's second threshold, or a fault that has no amount.
+    /// A fault at or above the rule's error threshold, or without a threshold.
     Error,
 }
 
 impl Severity {
-    /// The word used in reports.
+    /// Name in reports.
     pub const fn name(self) -> &'static str {
         match self {
             Severity::Info => "info",
@@ -42,7 +42,7 @@ impl Severity {
     }
 }
 
-/// What a rule was asked about.
+/// Subject of a rule.
 #[derive(
     Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema,
 )]
@@ -50,7 +50,7 @@ pub struct Subject {
     /// Name of the robot.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub robot: Option<String>,
-    /// Topic, or the file where a whole file is meant.
+    /// Topic, or the file for rules on whole files.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub topic: Option<String>,
     /// Joint name.
@@ -62,14 +62,14 @@ pub struct Subject {
 }
 
 impl Subject {
-    /// Joint, topic, or whatever says most shortly what is meant; empty for the whole run.
+    /// Short label of the subject (joint or topic); empty for the whole run.
     pub fn label(&self) -> &str {
         let first =
             [&self.joint, &self.topic, &self.frame, &self.robot].into_iter().flatten().next();
         first.map_or("", String::as_str)
     }
 
-    /// Its label, behind the name of its robot where there are several.
+    /// The label, with the robot's name if there are several robots.
     pub(crate) fn label_among(&self, several_robots: bool) -> String {
         match (&self.robot, self.label()) {
             (Some(robot), label) if several_robots && label != robot => format!("{robot} {label}"),
@@ -77,7 +77,7 @@ impl Subject {
         }
     }
 
-    /// Its parts with what each of them is, from the robot to the frame.
+    /// The parts with their kinds, from robot to frame.
     pub fn parts(&self) -> impl Iterator<Item = (&'static str, &str)> {
         let parts = [
             ("robot", &self.robot),
@@ -89,7 +89,7 @@ impl Subject {
     }
 }
 
-/// First and last stamp of what was looked at.
+/// First and last stamp of the examined data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Span {
     /// First stamp.
@@ -99,99 +99,100 @@ pub struct Span {
 }
 
 impl Span {
-    /// Length of the span, s.
+    /// Duration, s.
     pub fn seconds(&self) -> f64 {
         self.end.seconds_since(self.start)
     }
 }
 
-/// Another cause that does the same to this log.
+/// Another cause with the same effect on this log.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Alternative {
-    /// The rule that would name it.
+    /// Rule that would report it.
     #[serde(deserialize_with = "word")]
     pub code: Word,
-    /// Its subject.
+    /// Subject of that finding.
     pub subject: Subject,
-    /// How much of it would be needed.
+    /// The value it would need.
     pub estimate: Option<Estimate>,
 }
 
-/// What a finding rests on.
+/// Evidence for a finding.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Evidence {
-    /// Causes that this log cannot tell from the one named.
+    /// Causes that are indistinguishable from the reported one in this log.
     pub indistinguishable: Vec<Alternative>,
-    /// What the fault does, in words.
+    /// Effect of the fault, for messages.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub effect: Option<String>,
-    /// What the fault moves the tip by, m, where that can be said.
+    /// Displacement of the tip by the fault, m, if known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub effect_m: Option<f64>,
-    /// What the rule adds; its documentation names the keys.
+    /// Keys added by the rule, described in its documentation.
     #[serde(flatten)]
     pub more: Map<String, Value>,
 }
 
-/// What a rule found wrong with its subject.
+/// A fault found by a rule on its subject.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fault {
     /// How grave it is.
     pub severity: Severity,
-    /// What is wrong, with the amounts that mend it.
+    /// The cause, with the values that correct it.
     pub cause: Cause,
-    /// The fault in a few words, without amounts.
+    /// The fault in a few words, without values.
     pub title: &'static str,
-    /// The fault in one clause: lower-case start, no final period, the amount with its unit.
+    /// The fault in one clause: lower-case start, no final period, the value with its unit.
     pub message: String,
-    /// What it rests on.
+    /// Evidence for it.
     pub evidence: Evidence,
-    /// What to do about it.
+    /// Recommended action.
     pub fix: String,
 }
 
-/// What came of asking a rule about a subject.
+/// Outcome of a rule on a subject.
 ///
-/// "Not looked at" cannot be taken for "fine": only [`Outcome::Evaluated`] decides.
+/// Only [`Outcome::Evaluated`] is a decision, so a rule that was not evaluated cannot be mistaken for a
+/// pass.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outcome {
     /// The rule decided.
     Evaluated(Ruling),
-    /// The log does not tell; why, and what would.
+    /// Not observable in this log; the reason, and what would resolve it.
     Inconclusive(String),
-    /// No such log could tell it from another cause; from which.
+    /// Indistinguishable from another cause in any such log; the cause.
     Indistinguishable(String),
-    /// The input is not in the log; which.
+    /// The input is not in the log; the missing input.
     Skipped(String),
 }
 
-/// What a rule decided.
+/// Decision of a rule.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Ruling {
-    /// Nothing is wrong; a remark where that needs one.
+    /// No fault, with an optional remark.
     Sound(Option<String>),
-    /// Something is.
+    /// A fault.
     Faulty(Box<Fault>),
 }
 
 impl Outcome {
-    /// Nothing is wrong.
+    /// No fault.
     pub fn sound() -> Self {
         Outcome::Evaluated(Ruling::Sound(None))
     }
 
-    /// Nothing is wrong, and why that can be said.
+    /// No fault, with a remark.
     pub fn sound_because(remark: impl Into<String>) -> Self {
         Outcome::Evaluated(Ruling::Sound(Some(remark.into())))
     }
 
-    /// Something is wrong.
+    /// A fault.
     pub fn faulty(fault: Fault) -> Self {
         Outcome::Evaluated(Ruling::Faulty(Box::new(fault)))
     }
 }
 
-/// A finding, as reports list it.
+/// A finding in a report.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Finding {
     /// Code of the rule.
@@ -202,58 +203,58 @@ pub struct Finding {
     /// The fault in a few words.
     #[serde(deserialize_with = "word")]
     pub title: Word,
-    /// The fault in one clause, with its amount.
+    /// The fault in one clause, with its value.
     pub message: String,
-    /// What is at fault.
+    /// The faulty subject.
     pub subject: Subject,
-    /// What is wrong, with the amounts that mend it.
+    /// The cause, with the values that correct it.
     #[serde(skip)]
     pub cause: Cause,
-    /// Which segment of the run it is of, from 0, where there are several.
+    /// Index of the run's segment, from 0, if there are several.
     #[serde(skip)]
     pub segment: Option<usize>,
-    /// By how much.
+    /// The estimated value.
     pub estimate: Option<Estimate>,
-    /// What it rests on.
+    /// Evidence for it.
     pub evidence: Evidence,
-    /// What to do about it.
+    /// Recommended action.
     pub fix: String,
-    /// First stamp of what was looked at.
+    /// First stamp of the examined data.
     #[schemars(with = "Option<String>")]
     pub start_ns: Option<Stamp>,
-    /// Last stamp of what was looked at.
+    /// Last stamp of the examined data.
     #[schemars(with = "Option<String>")]
     pub end_ns: Option<Stamp>,
 }
 
-/// A finding that the caller knows of and does not want counted.
+/// A known finding that does not count.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Ignored {
-    /// What was found.
+    /// The finding.
     #[serde(flatten)]
     pub finding: Finding,
     /// Why it does not count.
     pub reason: String,
-    /// Where that is said.
+    /// File and line of the exemption.
     pub place: String,
 }
 
-/// How asking a rule about a subject ended.
+/// Status of a rule on a subject.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Status {
-    /// Decided: nothing wrong.
+    /// Decided: no fault.
     Pass,
-    /// Decided: there is a finding.
+    /// Decided: a finding.
     Fail,
-    /// The log does not tell.
+    /// Not observable in this log.
     Inconclusive,
     /// The input is not in the log.
     Skipped,
 }
 
 impl Status {
-    /// Its name in reports.
+    /// Name in reports.
     pub const fn name(self) -> &'static str {
         match self {
             Status::Pass => "pass",
@@ -269,7 +270,7 @@ impl Status {
     }
 }
 
-/// A rule and a subject it was asked about, as reports list them.
+/// Result of one rule on one subject.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CheckRow {
     /// Code of the rule.
@@ -278,21 +279,21 @@ pub struct CheckRow {
     /// Name of the rule.
     #[serde(deserialize_with = "word")]
     pub name: Word,
-    /// What it was asked about.
+    /// Subject of the rule.
     pub subject: Subject,
-    /// How that ended.
+    /// Status.
     pub status: Status,
-    /// Why, where the status alone does not say.
+    /// Reason for the status, if needed.
     pub reason: Option<String>,
-    /// What was estimated, whether or not it decided anything.
+    /// The estimate, whether or not it was decisive.
     pub estimate: Option<Estimate>,
-    /// What else was seen, where no finding says it.
+    /// Further evidence, if there is no finding to hold it.
     #[serde(default, skip_serializing_if = "Map::is_empty")]
     pub evidence: Map<String, Value>,
-    /// Whether no such log could decide it, so that it does not count against the verdict.
+    /// Whether no such log could decide it, so it does not affect the verdict.
     #[serde(skip)]
     pub indistinguishable: bool,
-    /// Whether it was evaluated, and is skipped because the caller said not to count it.
+    /// Whether it was evaluated but skipped because of an exemption.
     #[serde(skip)]
     pub exempt: bool,
 }

@@ -1,36 +1,36 @@
-//! Amounts in words: their units, and as many digits as they are known to.
+//! Formats quantities with their units and significant digits.
 
 use std::f64::consts::PI;
 
 use crate::stats::Measured;
 
-/// The unit of an amount: SI where it is stored, everyday units where it is shown.
+/// Unit of a quantity: SI when stored, everyday units when shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unit {
-    /// Metres; people read mm.
+    /// Metres; shown in mm.
     Metre,
-    /// Radians; people read degrees.
+    /// Radians; shown in degrees.
     Radian,
-    /// Seconds; people read ms.
+    /// Seconds; shown in ms.
     Second,
-    /// Radians a second of a drift; people read degrees a minute.
+    /// Radians per second of a drift; shown in degrees per minute.
     RadianPerSecond,
-    /// Radians a second of a gyro; people read degrees a second.
+    /// Radians per second of a gyro; shown in degrees per second.
     GyroRate,
-    /// Seconds a second; people read parts per million.
+    /// Seconds per second; shown in parts per million.
     SecondPerSecond,
-    /// Metres a metre; people read millimetres a metre.
+    /// Metres per metre; shown in millimetres per metre.
     MetrePerMetre,
-    /// Radians a second, a second.
+    /// Radians per second squared.
     RadianPerSecondSquared,
-    /// Metres a second, a second.
+    /// Metres per second squared.
     MetrePerSecondSquared,
-    /// A number without a unit.
+    /// Dimensionless.
     One,
 }
 
 impl Unit {
-    /// The unit's symbol in SI, as the JSON report has it.
+    /// SI symbol, as in the JSON report.
     pub const fn symbol(self) -> &'static str {
         match self {
             Unit::Metre => "m",
@@ -45,8 +45,7 @@ impl Unit {
         }
     }
 
-    /// The unit that the estimate `name` of a report is in, by its symbol; `None` for a symbol that no
-    /// unit has.
+    /// Unit of a report's estimate `name` with this symbol; `None` for an unknown symbol.
     pub fn of(symbol: &str, name: &str) -> Option<Self> {
         match (symbol, name) {
             ("m", _) => Some(Unit::Metre),
@@ -63,7 +62,7 @@ impl Unit {
         }
     }
 
-    /// Amounts smaller than this are zero, before any statistics.
+    /// Values smaller than this are treated as zero.
     pub const fn noise_floor(self) -> f64 {
         match self {
             Unit::Metre | Unit::Radian | Unit::Second => 1e-6,
@@ -73,23 +72,21 @@ impl Unit {
         }
     }
 
-    /// The 95 % interval of `measured`, never narrower than the noise floor; `None` where there is
-    /// none.
+    /// 95 % interval of `measured`, never narrower than the noise floor; `None` if it is unbounded.
     pub fn interval95(self, measured: &Measured) -> Option<[f64; 2]> {
         let half = self.half_width(measured, 0.95);
         let interval = [measured.value - half, measured.value + half];
         interval.iter().all(|end| end.is_finite()).then_some(interval)
     }
 
-    /// Half the width of the interval at `confidence`, never below the noise floor; infinite where the
-    /// amount is known so badly that a width would mean nothing.
+    /// Half-width of the interval at `confidence`, never below the noise floor. Infinite if it exceeds the
+    /// largest meaningful width.
     pub fn half_width(self, measured: &Measured, confidence: f64) -> f64 {
         let half = measured.half_width(confidence).max(self.noise_floor());
         if half <= self.most() { half } else { f64::INFINITY }
     }
 
-    /// What is known to no better than this is not known: half a turn, and more than any arm, run or
-    /// clock has.
+    /// Largest meaningful half-width: half a turn, or more than any arm, run or clock has.
     const fn most(self) -> f64 {
         match self {
             Unit::Radian => PI,
@@ -100,7 +97,7 @@ impl Unit {
         }
     }
 
-    /// `value` as a person says it: `22.03 ms`, `0.5°`.
+    /// Formats a value: `22.03 ms`, `0.5°`.
     pub fn show(self, value: f64) -> String {
         let (factor, suffix) = self.everyday(value.abs());
         let shown = value * factor;
@@ -110,17 +107,17 @@ impl Unit {
         format!("{}{suffix}", trimmed(shown, significant_decimals(shown.abs(), 3).min(4)))
     }
 
-    /// The amount with the half-width of its 95 % interval: `22.03 ± 0.02 ms`.
+    /// Formats a value with the half-width of its 95 % interval: `22.03 ± 0.02 ms`.
     pub fn show_measured(self, measured: &Measured) -> String {
         self.show_interval(measured.value, self.half_width(measured, 0.95), false)
     }
 
-    /// As [`Unit::show_measured`], with the sign always there: `+0.500 ± 0.001°`.
+    /// As [`Unit::show_measured`], always with a sign: `+0.500 ± 0.001°`.
     pub fn show_signed(self, measured: &Measured) -> String {
         self.show_interval(measured.value, self.half_width(measured, 0.95), true)
     }
 
-    /// A value of an [`Estimate`](super::Estimate) with the wider half of its interval, where it has one.
+    /// Formats the value of an [`Estimate`](super::Estimate) with the wider half of its interval, if any.
     pub fn show_within(self, value: f64, interval: Option<[f64; 2]>) -> String {
         match interval {
             Some([low, high]) => self.show_interval(value, (high - value).max(value - low), false),
@@ -128,7 +125,7 @@ impl Unit {
         }
     }
 
-    /// As [`Unit::show_within`], with the sign always there.
+    /// As [`Unit::show_within`], always with a sign.
     pub fn show_signed_within(self, value: f64, interval: Option<[f64; 2]>) -> String {
         match interval {
             Some([low, high]) => self.show_interval(value, (high - value).max(value - low), true),
@@ -137,7 +134,7 @@ impl Unit {
         }
     }
 
-    /// `value` with the half-width of its interval, both in the unit's symbol.
+    /// Formats a value with the half-width of its interval.
     pub fn show_interval(self, value: f64, half: f64, signed: bool) -> String {
         if !half.is_finite() {
             return format!("{} ± ?", self.show(value));
@@ -145,7 +142,7 @@ impl Unit {
         let (factor, suffix) = self.everyday(value.abs().max(half));
         let (value, half) = (value * factor, half * factor);
         let decimals = significant_decimals(half, 1).min(3);
-        // Rounded up, so that the interval shown covers the one meant.
+        // Round up so that the shown interval covers the actual one.
         let ulp = 10f64.powi(-(decimals as i32));
         let half = ((half / ulp - 1e-9).ceil() * ulp).max(ulp);
         match signed {
@@ -154,7 +151,7 @@ impl Unit {
         }
     }
 
-    /// Factor and suffix of the everyday unit that suits an amount of size `size`.
+    /// Factor and suffix of the everyday unit for a value of this size.
     fn everyday(self, size: f64) -> (f64, &'static str) {
         match self {
             Unit::Metre if size >= 1.0 => (1.0, " m"),
@@ -175,10 +172,10 @@ impl Unit {
     }
 }
 
-/// Larger numbers are said by their power of ten.
+/// Numbers from this on are shown in scientific notation.
 const MANY_DIGITS: f64 = 1e7;
 
-/// Decimals that show `digits` significant digits of `size`.
+/// Number of decimals that show `digits` significant digits of `size`.
 fn significant_decimals(size: f64, digits: i32) -> usize {
     if size <= 0.0 || !size.is_finite() {
         return 0;
@@ -187,7 +184,7 @@ fn significant_decimals(size: f64, digits: i32) -> usize {
     (digits - 1 - leading).clamp(0, 12) as usize
 }
 
-/// A text that begins with a number, which loses its minus where it was rounded to zero.
+/// Removes the minus sign of a number that was rounded to zero.
 fn unsigned_zero(text: String) -> String {
     let digits = |c: &char| c.is_ascii_digit() || *c == '.';
     match text.strip_prefix('-') {
@@ -196,12 +193,12 @@ fn unsigned_zero(text: String) -> String {
     }
 }
 
-/// A number to so many decimals, and no −0.
+/// Formats a number with this many decimals, without −0.
 pub fn rounded(number: f64, decimals: usize) -> String {
     unsigned_zero(format!("{number:.decimals$}"))
 }
 
-/// `value` with at most `decimals` decimals, without zeros at the end.
+/// Formats a number with at most `decimals` decimals, without trailing zeros.
 fn trimmed(value: f64, decimals: usize) -> String {
     let text = rounded(value, decimals);
     if !text.contains('.') {
