@@ -184,7 +184,7 @@ fn an_orientation_that_is_interpolated_by_its_numbers_is_told() {
     let found = the(&report, "MOT004", COMMANDED_POSE);
     assert_eq!(found.title, "orientation along the line is not a slerp");
     assert_eq!(found.evidence.more["interpolated"], "euler:xyz");
-    assert!(found.message.ends_with("as of euler:xyz interpolated"), "{}", found.message);
+    assert!(found.message.ends_with("as if euler:xyz were interpolated"), "{}", found.message);
     assert_eq!(report.findings.len(), 1, "{}", crate::checks::case::summary(&report.findings));
     assert!(!report.findings.iter().any(|found| found.subject.label() == POSE));
 }
