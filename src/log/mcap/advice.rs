@@ -1,5 +1,4 @@
-//! What of a file is read from the disk: of chunks that are not packed, between large messages that no audit
-//! uses, those with a use.
+//! Read-ahead advice: requests only the useful parts of uncompressed chunks with large unused messages.
 
 use super::Reader;
 use super::record::{self, Frame};
@@ -7,8 +6,8 @@ use crate::mapped::{Looks, advise};
 use crate::unpack::{Compression, Packed};
 
 impl<'a> Reader<'a, '_, '_> {
-    /// Tells the system what of a chunk will be looked at, before anything is, as the indexes behind it say.
-    /// Should they be wrong, it is read later.
+    /// Advises the system which parts of a chunk will be read, according to the message indexes after it.
+    /// If they are wrong, the parts are read on demand.
     pub(super) fn advise(&mut self, chunk: &Frame<'a>, packed: &Packed<'a>) {
         let wanted = match packed.compression {
             Compression::None => self.wanted(chunk, packed.data),
@@ -26,8 +25,8 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// The parts of the records of a chunk in which messages with a use are, where those without have most of
-    /// its bytes.
+    /// Parts of a chunk's records with useful messages; `None` unless unused messages make up most of its
+    /// bytes.
     fn wanted(&self, chunk: &Frame<'a>, records: &'a [u8]) -> Option<Vec<&'a [u8]>> {
         if self.options.verify || !self.has_ignored_channels() {
             return None;
@@ -50,7 +49,7 @@ impl<'a> Reader<'a, '_, '_> {
         let first = messages.first().map_or(0, |(at, _)| *at);
         let mut runs: Vec<_> = std::iter::once(0..first).collect();
         for ((at, is_ignored), end) in parts {
-            // Of those that are passed over it is read how long they are.
+            // Unused messages are skipped, but their heads are read.
             let end = if is_ignored { end.min(at + record::MESSAGE_HEAD) } else { end };
             match runs.last_mut().filter(|run| run.end == at) {
                 Some(run) => run.end = end,
@@ -76,7 +75,7 @@ mod tests {
     use crate::ranges::Present;
     use crate::testing::{self, Cdr, LogWriter};
 
-    /// 60 poses in one chunk, with an image of so many bytes after each tenth.
+    /// 60 poses in one chunk, with an image of `image` bytes after every tenth.
     fn log(image: usize) -> Vec<u8> {
         let mut log = LogWriter::with(WriteOptions::new().compression(None));
         let pose = log.channel("/pose", "geometry_msgs/msg/PoseStamped", testing::POSE_STAMPED);
@@ -90,7 +89,7 @@ mod tests {
         log.finish()
     }
 
-    /// Where in the only chunk what is wanted begins and ends, and how many bytes the chunk has.
+    /// Requested parts of the only chunk, and its size in bytes.
     fn wanted(bytes: &[u8]) -> (Option<Vec<(usize, usize)>>, usize) {
         let (mut losses, mut intake) = (Losses::of(Path::new("run.mcap")), Intake::default());
         let options = ReadOptions::default();
@@ -114,7 +113,7 @@ mod tests {
     #[test]
     fn between_images_what_has_a_use_is_asked_for_and_no_image() {
         let (runs, all) = wanted(&log(5000));
-        let runs = runs.expect("most of it is images");
+        let runs = runs.expect("images make up most of it");
         let asked: usize = runs.iter().map(|(from, to)| to - from).sum();
         assert_eq!(runs.len(), 6);
         assert!(runs.windows(2).all(|pair| pair[1].0 - pair[0].1 == 5000), "{runs:?}");
@@ -138,7 +137,7 @@ mod tests {
         let index = index.find(|frame| frame.opcode == op::MESSAGE_INDEX).unwrap();
         for value in [0, 0x41, 0xff] {
             let mut lying = sound.clone();
-            // Behind channel and length each entry is a time and a place.
+            // After channel and length, each entry is a time and an offset.
             let entries = index.end() - index.body.len() + 6;
             for place in (entries + 8..index.end()).step_by(16) {
                 lying[place..place + 8].fill(value);

@@ -1,4 +1,4 @@
-//! Chunks: which are unpacked, ahead of where the file is read, and what is in them.
+//! Chunks: parallel decompression and reading of records.
 
 use mcap::records::op;
 
@@ -9,7 +9,7 @@ use crate::ahead::{self, Done};
 use crate::unpack::{Compression, Packed, Unpacker};
 
 impl<'a> Reader<'a, '_, '_> {
-    /// Hands in chunks beyond those that were, as far as there is room and not far beyond `here`.
+    /// Submits further chunks for decompression, limited by memory and by the distance from `here`.
     pub(super) fn unpack_ahead(&mut self, here: usize) {
         let far = here.saturating_add(ahead::MOST_DISTANCE);
         while let Some(offset) = self.scanned.filter(|at| *at < far && self.ahead.has_room()) {
@@ -36,7 +36,7 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// What of a chunk is of use.
+    /// Determines which records of a chunk are needed.
     pub(super) fn use_of(&self, frame: &Frame<'a>, packed: &Packed<'a>) -> Use {
         if !self.present.holds(&self.place(packed.data)) {
             return self.use_of_parts(frame, packed);
@@ -52,14 +52,13 @@ impl<'a> Reader<'a, '_, '_> {
         if self.is_ignored_by_index(frame) { Use::Counts } else { Use::All }
     }
 
-    /// Whether a channel is known that is of no use.
+    /// Whether a known channel is unused.
     pub(super) fn has_ignored_channels(&self) -> bool {
         let mut known = self.definitions.channels.iter().flatten().filter_map(|channel| channel.id);
         known.any(|id| self.intake.ignores(id))
     }
 
-    /// What of the records of a chunk is of use, which are not packed: nothing needs to be looked
-    /// into of large messages that no audit uses.
+    /// Determines which records of an uncompressed chunk are needed; large unused messages can be skipped.
     pub(super) fn use_of_records(&self, records: &[u8]) -> Use {
         let (mut ignored, mut frames) = (0, record::frames(records, 0));
         for frame in &mut frames {
@@ -80,7 +79,7 @@ impl<'a> Reader<'a, '_, '_> {
         if ignored > records.len() / 2 { Use::Some } else { Use::All }
     }
 
-    /// The message indexes behind a chunk.
+    /// Message indexes after a chunk.
     pub(super) fn indexes_behind(
         &self,
         chunk: &Frame<'a>,
@@ -90,17 +89,19 @@ impl<'a> Reader<'a, '_, '_> {
             .filter_map(|frame| record::MessageIndex::parse(frame.body))
     }
 
-    /// Reads the records of a chunk; whether all of them could be.
+    /// Reads the records of a chunk. Returns whether all could be read.
     pub(super) fn chunk(&mut self, frame: &Frame<'a>, unpacker: &mut Unpacker) -> bool {
         let chunk = record::Chunk::parse(frame.body).filter(record::Chunk::is_whole);
         self.has_chunks = true;
         let Some(chunk) = chunk else {
-            self.lose_chunk(frame.offset, "chunk is shorter than it says".to_owned());
+            self.lose_chunk(frame.offset, "chunk is shorter than its declared length".to_owned());
             return false;
         };
         let Some(packed) = chunk.packed() else {
             let found = chunk.compression;
-            let what = format!("chunk is compressed by `{found}`, expected `zstd`, `lz4` or none");
+            let what = format!(
+                "chunk has unsupported compression `{found}`, expected `zstd`, `lz4` or none"
+            );
             self.lose_chunk(frame.offset, what);
             self.losses.date(frame.offset, chunk.first_time, chunk.last_time);
             return false;
@@ -155,7 +156,7 @@ impl<'a> Reader<'a, '_, '_> {
         is_sound
     }
 
-    /// Counts the messages of a chunk that is left packed.
+    /// Counts the messages of a chunk without decompressing it.
     pub(super) fn count(&mut self, chunk: &Frame<'a>) {
         for index in self.indexes_behind(chunk) {
             if let Some((id, span)) =
@@ -190,7 +191,7 @@ impl<'a> Reader<'a, '_, '_> {
         self.in_lost_chunk = true;
     }
 
-    /// Reads the whole records at the beginning of a chunk that is cut.
+    /// Reads the complete records of a truncated chunk.
     pub(super) fn cut_chunk(&mut self, records: &[u8], offset: usize) {
         let mut batch = Vec::new();
         for frame in record::frames(records, 0).flatten() {

@@ -1,4 +1,4 @@
-//! Schemas and channels, and what stands beside messages: attachments and metadata.
+//! Schemas, channels, attachments and metadata.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use super::{Channel, Reader, Schema};
 use crate::decode::{Format, excerpt};
 
 impl<'a> Reader<'a, '_, '_> {
-    /// Takes up a schema or a channel; `None` if it is malformed.
+    /// Stores a schema or a channel; `None` if it is malformed.
     pub(super) fn definition(&mut self, frame: &Frame<'_>) -> Option<()> {
         match frame.opcode {
             op::SCHEMA => self.schema(record::Schema::parse(frame.body)?),
@@ -57,17 +57,18 @@ impl<'a> Reader<'a, '_, '_> {
         self.defined(before.is_some());
     }
 
-    /// Takes down that there is a definition more, or another in the place of one.
+    /// Records a new or changed definition.
     fn defined(&mut self, changed: bool) {
         self.table = None;
         self.definitions.changes += u64::from(changed);
     }
 
     pub(super) fn attachment(&mut self, frame: &Frame<'_>) {
-        /// Largest attachment whose checksum is looked at unasked.
+        /// Maximum size of an attachment whose checksum is verified by default.
         const SMALL: usize = 16 << 20;
         let Some(attachment) = record::Attachment::parse(frame.body) else {
-            return self.lose_summary(frame.offset, "attachment is shorter than it says");
+            return self
+                .lose_summary(frame.offset, "attachment is shorter than its declared length");
         };
         let checked = self.options.verify || attachment.covered.len() <= SMALL;
         if checked && attachment.crc != 0 && crc32fast::hash(attachment.covered) != attachment.crc {
@@ -79,7 +80,7 @@ impl<'a> Reader<'a, '_, '_> {
 
     pub(super) fn metadata(&mut self, frame: &Frame<'_>) {
         let Some((name, pairs)) = record::metadata(frame.body) else {
-            return self.lose_summary(frame.offset, "metadata is shorter than it says");
+            return self.lose_summary(frame.offset, "metadata is shorter than its declared length");
         };
         for (key, value) in pairs {
             self.intake.text(&format!("{name}/{key}"), value.as_bytes());

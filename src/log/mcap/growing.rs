@@ -1,4 +1,4 @@
-//! A file that is read as it is written: whole records, as they come.
+//! Reads complete records of a file while it is written.
 
 use mcap::records::op;
 
@@ -10,8 +10,8 @@ use crate::intake::Intake;
 use crate::losses::Losses;
 use crate::ranges::Present;
 
-/// How long the whole records are that `bytes` begin with, up to the record that closes the data; and whether that is
-/// there, or something that is no record.
+/// Length of the complete records at the start of `bytes`, up to the end of the data, and whether that end
+/// or an invalid record was reached.
 pub(crate) fn whole_records(bytes: &[u8]) -> (usize, bool) {
     let mut end = 0;
     for frame in record::frames(bytes, 0) {
@@ -25,14 +25,15 @@ pub(crate) fn whole_records(bytes: &[u8]) -> (usize, bool) {
     (end, false)
 }
 
-/// What is known of a file that is read as it is written.
+/// Definitions of a file that is read while it is written.
 #[derive(Default)]
 pub(crate) struct Growing {
     definitions: Definitions,
 }
 
 impl Growing {
-    /// Reads more whole records of the file, behind the bytes that a file begins with; offsets of `losses` are those in `bytes`.
+    /// Reads further complete records of the file, without the leading magic. Offsets in `losses` refer to
+    /// `bytes`.
     pub(crate) fn read(
         &mut self,
         bytes: &[u8],

@@ -1,4 +1,4 @@
-//! Chunks that are read ahead, by the definitions that were known when they were handed in.
+//! Chunks that are read ahead with the definitions known at submission.
 
 use std::sync::Arc;
 
@@ -10,11 +10,11 @@ use crate::intake::Intake;
 use crate::part::{Known, Part, Records};
 use crate::unpack::Packed;
 
-/// How often the definitions are asked for anew: in sound files they stand in the summary, or in the first
-/// chunks.
+/// Maximum number of snapshots of the definitions. In valid files all definitions are in the summary or the
+/// first chunks.
 const MOST_TABLES: u32 = 1 << 8;
 
-/// The definitions and channels that were known at some time.
+/// Snapshot of the definitions and channels.
 pub(super) struct Table {
     definitions: Definitions,
     known: Known,
@@ -51,7 +51,7 @@ impl Records for Table {
 }
 
 impl Reader<'_, '_, '_> {
-    /// How to read a chunk ahead.
+    /// Returns the snapshot for reading a chunk ahead.
     pub(super) fn table(&mut self) -> Option<Arc<dyn Records>> {
         if self.table.is_none() && self.tables < MOST_TABLES {
             self.tables += 1;
@@ -61,7 +61,8 @@ impl Reader<'_, '_, '_> {
         Some(table)
     }
 
-    /// Takes over what was read of the chunk `packed`; whether that is what reading it now would give.
+    /// Merges the result of reading the chunk `packed` ahead. Returns false if reading it now would give
+    /// another result.
     pub(super) fn take_part(&mut self, part: Part, packed: &Packed<'_>) -> bool {
         let before = self.intake.messages();
         let is_current = part.changes == self.definitions.changes;
@@ -86,15 +87,15 @@ mod tests {
     use crate::ReadOptions;
     use crate::ranges::Present;
 
-    /// What is read of a file by so many threads, in words: not a number is not equal to itself.
+    /// Reads a file with this number of threads; formatted, because NaN differs from itself.
     fn read_by(threads: usize, bytes: &[u8]) -> String {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let read = || read_present(bytes, &Present::Whole, ReadOptions::default()).unwrap();
         format!("{:?}", pool.install(read))
     }
 
-    /// Messages on `topics` of which each depends on what was before it: joints and frames come and go,
-    /// lengths change, and some cannot be decoded.
+    /// Messages on `topics` that depend on previous ones: joints and frames appear and disappear, lengths
+    /// change, and some cannot be decoded.
     fn changing(options: WriteOptions, [joints, tf, array, text]: [&str; 4]) -> Vec<u8> {
         let mut log = LogWriter::with(options);
         let long = "x".repeat(300);

@@ -1,7 +1,7 @@
-//! MCAP records, borrowed from the bytes that hold them.
+//! MCAP records, borrowed from the bytes of the file.
 //!
-//! The `mcap` crate's own record types copy every string and trust attachments to be long enough;
-//! here a record that is too short is `None`.
+//! The record types of the `mcap` crate copy every string and assume that attachments are long enough;
+//! here, a record that is too short is `None`.
 
 use std::ops::Range;
 
@@ -10,42 +10,42 @@ use mcap::records::op;
 use crate::topic;
 use crate::unpack::{Allowance, Compression, Packed, Unpacker};
 
-/// Bytes before a record's body: its opcode and its length.
+/// Size of opcode and length, which precede a record's body.
 pub(super) const FRAME_HEADER: usize = 9;
 
-/// One record, not yet looked into.
+/// A record whose body is not parsed yet.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Frame<'a> {
-    /// Where it begins.
+    /// Offset of the record.
     pub(super) offset: usize,
-    /// What it is: one of [`op`].
+    /// One of [`op`].
     pub(super) opcode: u8,
-    /// What follows its length.
+    /// The bytes after its length.
     pub(super) body: &'a [u8],
 }
 
 impl Frame<'_> {
-    /// Where the next record begins.
+    /// Offset of the next record.
     pub(super) fn end(&self) -> usize {
         self.offset + FRAME_HEADER + self.body.len()
     }
 }
 
-/// What stands where a record should begin.
+/// Invalid data at the start of a record.
 #[derive(Clone, Copy, Debug, thiserror::Error)]
 pub(super) enum Broken<'a> {
-    /// Fewer bytes than a record's opcode and length take.
+    /// Too few bytes for opcode and length.
     #[error("{left} bytes, too few for a record")]
     Stub { left: usize },
-    /// An opcode that no record has.
-    #[error("opcode 0, which no record has")]
+    /// An invalid opcode.
+    #[error("opcode 0, which is invalid")]
     Zero,
-    /// A record that is longer than the rest.
-    #[error("a record (opcode {opcode:#04x}) of {length} bytes, of which {} are there", body.len())]
+    /// A record that is longer than the remaining bytes.
+    #[error("a record (opcode {opcode:#04x}) of {length} bytes, only {} of them in the file", body.len())]
     Cut { opcode: u8, length: u64, body: &'a [u8] },
 }
 
-/// The record at `offset`, which is at most the length of `bytes`.
+/// Parses the record at `offset`, which is at most the length of `bytes`.
 pub(super) fn frame(bytes: &[u8], offset: usize) -> Result<Frame<'_>, Broken<'_>> {
     let rest = &bytes[offset..];
     let mut fields = Fields(rest);
@@ -62,7 +62,7 @@ pub(super) fn frame(bytes: &[u8], offset: usize) -> Result<Frame<'_>, Broken<'_>
     }
 }
 
-/// The records of `bytes` from `offset` on, up to and with the first that is broken.
+/// Records of `bytes` from `offset` to the first invalid one, inclusive.
 pub(super) fn frames(
     bytes: &[u8],
     mut offset: usize,
@@ -77,10 +77,10 @@ pub(super) fn frames(
     })
 }
 
-/// Where the next whole chunk begins, `within` these bytes of all.
+/// Offset of the next complete chunk in the range `within`.
 ///
-/// A chunk states its length twice, in the record and with its compressed data; that both agree
-/// and that its compression is a known one does not happen by chance.
+/// A chunk states its length twice, in the record and with its compressed data. Random data does not match
+/// both and a known compression.
 pub(super) fn find_chunk(bytes: &[u8], within: Range<usize>) -> Option<usize> {
     starts(bytes, within, op::CHUNK).find(|&offset| {
         let Ok(frame) = frame(bytes, offset) else {
@@ -96,8 +96,8 @@ pub(super) fn find_chunk(bytes: &[u8], within: Range<usize>) -> Option<usize> {
     })
 }
 
-/// Where the next message outside of chunks begins, `within` these bytes of all: one of a channel that
-/// `is_known`, with a record behind it or the end of the bytes.
+/// Offset of the next message outside of chunks in the range `within`. Its channel must satisfy `is_known`,
+/// and a record or the end must follow.
 pub(super) fn find_message(
     bytes: &[u8],
     within: Range<usize>,
@@ -113,7 +113,7 @@ pub(super) fn find_message(
     })
 }
 
-/// Where a record of kind `opcode` may begin.
+/// Candidate offsets of records with this opcode.
 fn starts(bytes: &[u8], within: Range<usize>, opcode: u8) -> impl Iterator<Item = usize> {
     let from = within.start;
     let within = bytes.get(within).unwrap_or_default();
@@ -121,7 +121,7 @@ fn starts(bytes: &[u8], within: Range<usize>, opcode: u8) -> impl Iterator<Item 
     found.map(move |(offset, _)| from + offset)
 }
 
-/// Where the zeros begin that `bytes` end in.
+/// Offset of the trailing zeros of `bytes`.
 pub(super) fn trailing_zeros(bytes: &[u8]) -> usize {
     const BLOCK: usize = 1 << 12;
     let mut end = bytes.len();
@@ -131,17 +131,17 @@ pub(super) fn trailing_zeros(bytes: &[u8]) -> usize {
     bytes[..end].iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1)
 }
 
-/// Longest name of a compression that is believed.
+/// Maximum plausible length of a compression name.
 const MAX_COMPRESSION_NAME: u32 = 16;
 
-/// Bytes of a chunk's fields without its compression's name and its data.
+/// Size of a chunk's fields without compression name and data.
 const CHUNK_HEADER: usize = 8 + 8 + 8 + 4 + 4 + 8;
 
-/// Most bytes of a chunk's record before its data.
-#[cfg_attr(not(feature = "cloud"), allow(dead_code, reason = "a local file is there whole"))]
+/// Maximum size of a chunk's record before its data.
+#[cfg_attr(not(feature = "cloud"), allow(dead_code, reason = "local files are complete"))]
 pub(super) const CHUNK_HEAD: usize = FRAME_HEADER + CHUNK_HEADER + MAX_COMPRESSION_NAME as usize;
 
-/// Bytes of a message's record before its data.
+/// Size of a message's record before its data.
 pub(super) const MESSAGE_HEAD: usize = FRAME_HEADER + 2 + 4 + 8 + 8;
 
 #[derive(Clone, Copy, Debug)]
@@ -164,7 +164,7 @@ impl<'a> Schema<'a> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Channel<'a> {
     pub(super) id: u16,
-    /// 0 where the channel has no schema.
+    /// 0 if the channel has no schema.
     pub(super) schema_id: u16,
     pub(super) topic: &'a str,
     pub(super) encoding: &'a str,
@@ -199,7 +199,7 @@ impl<'a> Message<'a> {
         Some(Self { channel_id, sequence, log_time, publish_time, data: fields.0 })
     }
 
-    /// It as what is taken in, in the chunk at this byte of the file or there alone.
+    /// Converts the message; `offset` is the file offset of its chunk, or of the message outside of chunks.
     pub(super) fn at(self, offset: usize) -> topic::Message<'a> {
         topic::Message {
             log_time: self.log_time,
@@ -214,17 +214,17 @@ impl<'a> Message<'a> {
 
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Chunk<'a> {
-    /// Log times of the first and the last message inside, ns.
+    /// Log times of the first and the last message, ns.
     pub(super) first_time: u64,
     pub(super) last_time: u64,
-    /// Bytes of the records inside.
+    /// Uncompressed size of the records.
     pub(super) size: u64,
-    /// Checksum of the records inside; 0 where there is none.
+    /// Checksum of the uncompressed records; 0 if there is none.
     pub(super) crc: u32,
     pub(super) compression: &'a str,
-    /// Bytes that `data` should have.
+    /// Declared length of `data`.
     compressed_size: u64,
-    /// The compressed records, as far as they are there.
+    /// The compressed records, possibly truncated.
     pub(super) data: &'a [u8],
 }
 
@@ -253,13 +253,13 @@ impl<'a> Chunk<'a> {
         }
     }
 
-    /// The compressed records; `None` where their compression is unknown.
+    /// The compressed records; `None` if the compression is unknown.
     pub(super) fn packed(&self) -> Option<Packed<'a>> {
         let compression = self.compression()?;
         Some(Packed { compression, data: self.data, size: self.size, crc: self.crc })
     }
 
-    /// The records at the beginning of a chunk whose end is missing, as far as they can be unpacked.
+    /// Decompresses the leading records of a truncated chunk as far as possible.
     pub(super) fn cut_records<'b>(
         &'b self,
         unpacker: &'b mut Unpacker,
@@ -269,17 +269,17 @@ impl<'a> Chunk<'a> {
         compression.map_or(&[], |compression| unpacker.cut_chunk(compression, self.data, allowance))
     }
 
-    /// Whether all of the compressed records are there.
+    /// Whether the compressed records are complete.
     pub(super) fn is_whole(&self) -> bool {
         self.data.len() as u64 == self.compressed_size
     }
 }
 
-/// The messages of one channel in a chunk.
+/// Index of the messages of one channel in a chunk.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MessageIndex<'a> {
     pub(super) channel_id: u16,
-    /// Log time and place of each.
+    /// Log time and offset of each message.
     entries: &'a [[u8; 16]],
 }
 
@@ -291,17 +291,17 @@ impl<'a> MessageIndex<'a> {
         Some(Self { channel_id, entries })
     }
 
-    /// How many messages there are.
+    /// Number of messages.
     pub(super) fn count(&self) -> u64 {
         self.entries.len() as u64
     }
 
-    /// Where among the records of the chunk each of them begins.
+    /// Offset of each message in the records of the chunk.
     pub(super) fn offsets(&self) -> impl Iterator<Item = u64> + use<'a> {
         self.entries.iter().filter_map(|entry| Fields(&entry[8..]).u64())
     }
 
-    /// Their first and last log time, ns; `None` where there is no message.
+    /// First and last log time, ns; `None` if there are no messages.
     pub(super) fn span(&self) -> Option<(u64, u64)> {
         let time = |entry: &[u8; 16]| Fields(entry).u64();
         let times = || self.entries.iter().filter_map(time);
@@ -313,9 +313,9 @@ impl<'a> MessageIndex<'a> {
 pub(super) struct Attachment<'a> {
     pub(super) name: &'a str,
     pub(super) data: &'a [u8],
-    /// What the checksum covers.
+    /// The bytes covered by the checksum.
     pub(super) covered: &'a [u8],
-    /// The checksum; 0 where there is none.
+    /// Checksum; 0 if there is none.
     pub(super) crc: u32,
 }
 
@@ -332,7 +332,7 @@ impl<'a> Attachment<'a> {
     }
 }
 
-/// The name of a metadata record and its pairs of key and value.
+/// Parses the name and the key-value pairs of a metadata record.
 pub(super) fn metadata(body: &[u8]) -> Option<(&str, impl Iterator<Item = (&str, &str)>)> {
     let mut fields = Fields(body);
     let name = fields.text()?;
@@ -341,7 +341,7 @@ pub(super) fn metadata(body: &[u8]) -> Option<(&str, impl Iterator<Item = (&str,
     Some((name, std::iter::from_fn(move || pairs.text().zip(pairs.text()))))
 }
 
-/// Where a chunk is, by its index in the summary.
+/// Range of a chunk according to its index in the summary.
 #[cfg(feature = "cloud")]
 pub(super) fn chunk_place(body: &[u8]) -> Option<Range<usize>> {
     let mut fields = Fields(body);
@@ -351,26 +351,26 @@ pub(super) fn chunk_place(body: &[u8]) -> Option<Range<usize>> {
     Some(start..start.checked_add(length)?)
 }
 
-/// How many messages the statistics count.
+/// Number of messages in the statistics.
 pub(super) fn recorded_messages(body: &[u8]) -> Option<u64> {
     Fields(body).u64()
 }
 
-/// The checksum of a data end record; 0 where there is none.
+/// Checksum of a data end record; 0 if there is none.
 pub(super) fn data_crc(body: &[u8]) -> Option<u32> {
     Fields(body).u32()
 }
 
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Footer {
-    /// Where the summary begins; 0 where there is none.
+    /// Start of the summary; 0 if there is none.
     pub(super) summary_start: u64,
-    /// Checksum from there to itself; 0 where there is none.
+    /// Checksum of the summary and the preceding footer fields; 0 if there is none.
     pub(super) summary_crc: u32,
 }
 
 impl Footer {
-    /// Bytes of a footer record.
+    /// Size of a footer record.
     pub(super) const SIZE: usize = FRAME_HEADER + 20;
 
     pub(super) fn parse(body: &[u8]) -> Option<Self> {
@@ -381,7 +381,7 @@ impl Footer {
     }
 }
 
-/// The fields of a record that are left to read.
+/// The remaining fields of a record.
 #[derive(Clone, Copy)]
 struct Fields<'a>(&'a [u8]);
 

@@ -1,4 +1,4 @@
-//! Reading a file of which only parts are there, without a look at what is not.
+//! Reads partially fetched files without accessing missing ranges.
 
 use std::ops::Range;
 
@@ -9,7 +9,7 @@ use super::{Absent, Reader, Use};
 use crate::unpack::{Compression, Packed};
 
 impl<'a> Reader<'a, '_, '_> {
-    /// Whether all bytes of `range` are there; the first that is asked for and is not is kept.
+    /// Whether all bytes of `range` are present; stores the first missing one.
     pub(super) fn is_there(&mut self, range: Range<usize>) -> bool {
         let is_there = self.present.holds(&range);
         if !is_there {
@@ -18,7 +18,7 @@ impl<'a> Reader<'a, '_, '_> {
         is_there
     }
 
-    /// What is of use of a chunk that is not there whole.
+    /// Determines which records of a partially present chunk are needed.
     pub(super) fn use_of_parts(&self, frame: &Frame<'a>, packed: &Packed<'a>) -> Use {
         let is_open =
             packed.compression == Compression::None && packed.data.len() as u64 == packed.size;
@@ -31,13 +31,13 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// Where in the file `part` of it is.
+    /// Range of `part` in the file.
     pub(super) fn place(&self, part: &[u8]) -> Range<usize> {
         let start = part.as_ptr().addr() - self.bytes.as_ptr().addr();
         start..start + part.len()
     }
 
-    /// Whether the indexes behind a chunk name messages that are only counted, and no other.
+    /// Whether the indexes after a chunk name only messages that are counted.
     pub(super) fn is_ignored_by_index(&self, chunk: &Frame<'a>) -> bool {
         let mut indexes = self.indexes_behind(chunk).peekable();
         let is_ignored = |index: record::MessageIndex<'_>| {
@@ -46,9 +46,8 @@ impl<'a> Reader<'a, '_, '_> {
         indexes.peek().is_some() && indexes.all(is_ignored)
     }
 
-    /// Looks whether all is there that is read of the `records` of a chunk that is not packed: how
-    /// many bytes the messages have that are passed over, or the first range that is not there, if
-    /// that can be told.
+    /// Checks that all needed parts of an uncompressed chunk are present. Returns the number of skipped
+    /// message bytes, or the first missing range if it can be determined.
     pub(super) fn look_through(&self, records: &'a [u8]) -> Result<usize, Option<Range<usize>>> {
         let Range { start: base, end } = self.place(records);
         let (mut at, mut ignored) = (0, 0);
@@ -66,7 +65,7 @@ impl<'a> Reader<'a, '_, '_> {
             if passed_over == 0 && !self.present.holds(&whole) {
                 return Err(Some(whole));
             }
-            // A channel that becomes another amid the file may be of use.
+            // A channel redefined inside the file may be needed.
             if frame.opcode == op::CHANNEL {
                 let channel = record::Channel::parse(frame.body).ok_or(None)?;
                 if !self.definitions.has_channel(&channel) {
@@ -79,7 +78,7 @@ impl<'a> Reader<'a, '_, '_> {
         Ok(ignored)
     }
 
-    /// How many bytes of a message are passed over; `None` for one of a channel that is not known.
+    /// Number of skipped bytes of a message; `None` if its channel is unknown.
     fn passed_over(&self, body: &'a [u8]) -> Option<usize> {
         let message = record::Message::parse(body)?;
         let id = self.definitions.channel_of(message.channel_id)?;

@@ -1,9 +1,9 @@
-//! What of a file must be there to read it, when only parts of it are.
+//! Determines which ranges of a partially fetched file are needed.
 //!
-//! The summary at the end says where the chunks are, and the index behind each chunk which messages
-//! are in it. What the reader looks at is found by walking as it walks; where the walk comes to a
-//! byte that is not there, that is asked for, and the walk is made anew. A file whose records do not
-//! stand as its indexes say is asked for whole, so that the reader meets damage as in any other file.
+//! The summary at the end lists the chunks, and the index after each chunk lists its messages. The survey
+//! walks the file like the reader. At a missing byte it requests the range, and restarts after it is
+//! fetched. A file that does not match its indexes is requested completely, so the reader handles damage as
+//! in any other file.
 
 #[cfg(test)]
 mod tests;
@@ -22,18 +22,18 @@ use crate::losses::Losses;
 use crate::ranges::Present;
 use crate::unpack::Compression;
 
-/// What of a file is missing.
+/// Missing ranges of a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Survey {
-    /// Nothing that its reading looks at.
+    /// All needed ranges are present.
     Nothing,
     /// At least these ranges.
     Parts(Vec<Range<usize>>),
-    /// All of it that is not there: it has no index, or is not what the index says.
+    /// The rest of the file: it has no index, or does not match it.
     Rest,
 }
 
-/// What is missing of the file `bytes`, of which only `present` is there.
+/// Determines the missing ranges of the file `bytes`, given the ranges in `present`.
 pub(crate) fn survey(bytes: &[u8], present: &Present) -> Survey {
     let options = ReadOptions::default();
     let mut losses = Losses::of("".as_ref());
@@ -43,7 +43,7 @@ pub(crate) fn survey(bytes: &[u8], present: &Present) -> Survey {
     })
 }
 
-/// Why a walk does not go on: the file must be there whole.
+/// The file does not match its index and must be fetched completely.
 struct Unlike;
 
 impl<'a> Reader<'a, '_, '_> {
@@ -58,7 +58,7 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// What is missing of footer and summary.
+    /// Missing ranges of footer and summary.
     fn missing_summary(&self) -> Result<Vec<Range<usize>>, Unlike> {
         let size = self.bytes.len();
         let footer = size.checked_sub(MAGIC.len() + record::Footer::SIZE).ok_or(Unlike)?;
@@ -71,7 +71,7 @@ impl<'a> Reader<'a, '_, '_> {
         Ok(if self.present.holds(&summary) { Vec::new() } else { vec![summary] })
     }
 
-    /// Where the footer says that the summary begins, if there is a footer.
+    /// Start of the summary according to the footer, if there is one.
     fn summary_start(&self) -> Option<usize> {
         let content = self.bytes.strip_suffix(MAGIC)?;
         let frame = record::frame(content, content.len() - record::Footer::SIZE).ok()?;
@@ -79,7 +79,7 @@ impl<'a> Reader<'a, '_, '_> {
         usize::try_from(footer??.summary_start).ok()
     }
 
-    /// What is missing before the summary, which is there.
+    /// Missing ranges before the summary, which is present.
     fn missing(&mut self) -> Result<Vec<Range<usize>>, Unlike> {
         let start = self.summary_start().ok_or(Unlike)?;
         let Summary::Closed { messages: recorded } = self.summary() else { return Err(Unlike) };
@@ -98,7 +98,7 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// All but what the chunks before the summary at `end` hold, by the summary's index of them.
+    /// Ranges outside the chunks, up to the summary at `end`, according to the chunk indexes.
     fn outside_of_chunks(&self, end: usize) -> Result<Vec<Range<usize>>, Unlike> {
         let records = record::frames(self.bytes, end).map_while(Result::ok);
         let indexes = records.filter(|frame| frame.opcode == op::CHUNK_INDEX);
@@ -119,7 +119,7 @@ impl<'a> Reader<'a, '_, '_> {
         Ok(outside)
     }
 
-    /// What is missing of the chunks that are of use, and how many messages there are by the indexes.
+    /// Missing ranges of the needed chunks, and the number of messages in the indexes.
     fn missing_in_chunks(&mut self) -> Result<(Vec<Range<usize>>, u64), Unlike> {
         let (mut missing, mut messages) = (Vec::new(), 0);
         let mut offset = MAGIC.len();
@@ -140,7 +140,7 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// The record at `offset`, if its length is there.
+    /// The record at `offset`, if its length is present.
     fn frame_there(&self, offset: usize) -> Result<Frame<'a>, Unlike> {
         if !self.present.holds(&(offset..offset + FRAME_HEADER)) {
             return Err(Unlike);
@@ -148,7 +148,7 @@ impl<'a> Reader<'a, '_, '_> {
         record::frame(self.bytes, offset).map_err(|_| Unlike)
     }
 
-    /// What the reader looks at in the chunk `frame`.
+    /// Ranges of the chunk `frame` that the reader needs.
     fn missing_in_chunk(&self, frame: &Frame<'a>) -> Result<Vec<Range<usize>>, Unlike> {
         let head = frame.offset..frame.end().min(frame.offset + record::CHUNK_HEAD);
         if !self.present.holds(&head) {
@@ -177,10 +177,10 @@ impl<'a> Reader<'a, '_, '_> {
             return Ok(parts);
         }
         Ok(match self.look_through(packed.data) {
-            // What the reader would read whole, and check, it gets whole.
+            // A chunk that the reader would read and verify completely is fetched completely.
             Ok(ignored) if ignored > packed.data.len() / 2 => Vec::new(),
             Ok(_) => vec![data],
-            // A record that no index names: all up to the next that one does.
+            // A record that no index lists: requests everything up to the next listed one.
             Err(Some(missing)) => {
                 let next = parts.iter().map(|part| part.start).find(|next| *next > missing.start);
                 let up_to_next = missing.start..missing.end.max(next.unwrap_or(data.end));
@@ -205,9 +205,9 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// What is looked at of the messages of a chunk with `length` bytes of records, as the indexes
-    /// behind it tell: all of those with a use, and the head of the others. `None` where a channel is
-    /// not known, or an index points out of the chunk.
+    /// Needed ranges of the messages in a chunk with `length` bytes of records, according to the indexes
+    /// after it: needed messages completely, others only their heads. `None` if a channel is unknown or an
+    /// index points outside the chunk.
     fn messages_of(&self, chunk: &Frame<'a>, length: usize) -> Option<Vec<Range<usize>>> {
         let mut starts = Vec::new();
         for index in self.indexes_behind(chunk) {

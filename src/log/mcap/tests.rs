@@ -1,4 +1,4 @@
-//! Sound and damaged files.
+//! Valid and damaged files.
 
 use std::borrow::Cow;
 use std::io;
@@ -31,7 +31,7 @@ fn read_with(bytes: &[u8], options: ReadOptions) -> Log {
     read_present(bytes, &Present::Whole, options).unwrap()
 }
 
-/// Reads a file of which only `present` is there.
+/// Reads a partially present file.
 pub(super) fn read_present(
     bytes: &[u8],
     present: &Present,
@@ -63,7 +63,7 @@ fn lost(log: &Log) -> Vec<(Extent, Option<u64>)> {
     log.losses.iter().map(|loss| (loss.extent, loss.messages)).collect()
 }
 
-/// Offsets of the records of a sound file with this opcode.
+/// Offsets of the records with this opcode in a valid file.
 fn records(bytes: &[u8], opcode: u8) -> Vec<usize> {
     let frames = record::frames(bytes, MAGIC.len()).map_while(Result::ok);
     frames.filter(|frame| frame.opcode == opcode).map(|frame| frame.offset).collect()
@@ -89,7 +89,7 @@ fn every_compression_gives_the_same_rows() {
     }
 }
 
-/// Poses with an image between them after every tenth; images fill chunks of their own.
+/// Poses with two images after every tenth; images fill separate chunks.
 pub(super) fn with_images(compression: Option<Compression>) -> Vec<u8> {
     let mut log = LogWriter::new(compression);
     let pose = log.channel("/pose", "geometry_msgs/msg/PoseStamped", testing::POSE_STAMPED);
@@ -130,7 +130,7 @@ fn images_are_counted_and_passed_over() {
 fn a_damaged_image_is_found_where_all_is_checked() {
     for compression in [None, Some(Compression::Zstd)] {
         let mut bytes = with_images(compression);
-        // The chunk that an image of its own fills.
+        // A chunk that contains only one image.
         let images = chunks(&bytes).into_iter().find(|&chunk| {
             let behind = record::frame(&bytes, record::frame(&bytes, chunk).unwrap().end());
             let index = record::MessageIndex::parse(behind.unwrap().body);
@@ -217,7 +217,7 @@ fn a_corrupt_chunk_is_lost_alone_and_its_messages_are_counted() {
     for compression in [None, Some(Compression::Zstd), Some(Compression::Lz4)] {
         let mut bytes = poses(LogWriter::new(compression));
         let chunks = chunks(&bytes);
-        // The first chunk is the one that defines the channel.
+        // The first chunk defines the channel.
         for &chunk in [chunks[0], chunks[2]].iter() {
             let damaged = chunk + 120;
             bytes[damaged] ^= 0x10;
@@ -297,7 +297,7 @@ fn gigabytes_of_zeros_at_the_end_are_passed_at_once() {
     let whole = poses(LogWriter::default());
     let mut file = tempfile::NamedTempFile::new().unwrap();
     io::Write::write_all(&mut file, &whole[..chunks(&whole)[1]]).unwrap();
-    // A file that is sparse, so that this takes no room on the disk.
+    // A sparse file, which needs no disk space.
     file.as_file().set_len(4 << 30).unwrap();
     let start = Instant::now();
     let mapped = Mapped::open(file.path()).unwrap();
@@ -406,7 +406,7 @@ fn robot_descriptions_beside_the_messages_are_found() {
 #[test]
 fn records_of_unknown_kinds_are_said_but_for_private_ones() {
     let mut whole = poses(LogWriter::default());
-    // Without a summary, whose place would be another.
+    // Without a summary, whose offset would change.
     whole.truncate(records(&whole, op::DATA_END)[0]);
     for (opcode, is_unknown) in [(0x10, true), (0x7f, true), (0x80, false), (0xff, false)] {
         let mut bytes = whole.clone();
