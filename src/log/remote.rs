@@ -150,7 +150,7 @@ mod tests {
         assert!(!is_url("ftp://host/run.mcap"));
         let refused = Address::of(Path::new("ftp://host/run.mcap")).unwrap_err().to_string();
         assert!(
-            refused.starts_with("ftp://host/run.mcap: no store is reached by ftp"),
+            refused.starts_with("ftp://host/run.mcap: unsupported URL scheme ftp"),
             "{refused}"
         );
         assert!(!refused.contains('\n'));

@@ -222,10 +222,10 @@ fn a_user_and_a_password_are_used_and_shown_nowhere() {
         (&fleet, 0, "1 pass"),
         (&["fleet", &wrong, "--out", &out], 3, "401 Unauthorized"),
         (&["audit", &wrong], 3, "401 Unauthorized"),
-        (&["audit", &misspelt], 2, "no store is reached by htp://"),
+        (&["audit", &misspelt], 2, "unsupported URL scheme htp://"),
         (&["audit", &misspelt.replace("://", ":/")], 2, "no such file"),
         (&["fleet", &misspelt, "--out", &out], 2, "contains no log"),
-        (&["audit", s3], 2, "credentials are not taken from it"),
+        (&["audit", s3], 2, "credentials must come from the environment"),
         (&["compare", &misspelt, &wrong], 2, "htp://"),
         (&["tf", &wrong, "a", "b"], 3, "401 Unauthorized"),
         (&["init", &misspelt], 2, "htp://"),
@@ -289,7 +289,7 @@ fn a_server_that_sends_next_to_nothing_is_given_up() {
         let output = command.output().expect("the binary runs");
         let line = String::from_utf8_lossy(&output.stderr).into_owned();
         assert_eq!(output.status.code(), Some(3), "{manners:?}: {line}");
-        let said = " bytes came in 3 s, and 100 a second are asked for; try again, or set ";
+        let said = " bytes in 3 s, below the minimum of 100 per second; try again, or lower ";
         assert!(line.contains(said) && line.lines().count() == 1, "{manners:?}: {line}");
         assert!(begin.elapsed() < Duration::from_secs(20), "{manners:?}");
     }
@@ -298,7 +298,7 @@ fn a_server_that_sends_next_to_nothing_is_given_up() {
     let output = command.env("POSEAUDIT_LEAST_RATE", "1 kB").output().expect("the binary runs");
     let line = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(2), "{line}");
-    assert!(line.contains("POSEAUDIT_LEAST_RATE is `1 kB`, which is no whole number"), "{line}");
+    assert!(line.contains("POSEAUDIT_LEAST_RATE is `1 kB`, not a whole number"), "{line}");
 }
 
 #[test]
@@ -342,10 +342,10 @@ fn what_cannot_be_fetched_gets_one_line() {
     let refused = |key: &str, url: &str, expected, parts: &[&str]| {
         assert_refused(&server, key, url, expected, parts);
     };
-    refused(KEY_ID, &s3("none.mcap"), 2, &["no such object", "see whether the key"]);
+    refused(KEY_ID, &s3("none.mcap"), 2, &["no such object", "check the spelling of the key"]);
     refused(KEY_ID, "s3://other/run.mcap", 2, &["no such bucket"]);
-    refused(KEY_ID, "s3://", 2, &["nothing stands behind s3://"]);
-    refused(KEY_ID, "ftp://host/run.mcap", 2, &["no store is reached by ftp://"]);
+    refused(KEY_ID, "s3://", 2, &["no bucket or host after s3://"]);
+    refused(KEY_ID, "ftp://host/run.mcap", 2, &["unsupported URL scheme ftp://"]);
     refused(KEY_ID, &s3("empty.mcap"), 3, &["the file is empty"]);
     refused(KEY_ID, &s3("notes.txt"), 3, &["not a robot log: it looks like text"]);
     let denied = ["S3 refuses: 403 Forbidden, InvalidAccessKeyId", "check AWS_ACCESS_KEY_ID"];
@@ -359,7 +359,7 @@ fn what_cannot_be_fetched_gets_one_line() {
     let always = Server::of(&[("run.mcap", &OPEN)], Manners { cuts: 1, ..Manners::default() });
     assert_refused(&always, KEY_ID, &s3("run.mcap"), 3, &["the connection broke off at byte "]);
     let busy = Server::of(&[("run.mcap", &OPEN)], Manners { busy: 1000, ..Manners::default() });
-    assert_refused(&busy, KEY_ID, &s3("run.mcap"), 3, &["the server says: 503", "SlowDown"]);
+    assert_refused(&busy, KEY_ID, &s3("run.mcap"), 3, &["the server answered: 503", "SlowDown"]);
     let changes = Server::of(&[("run.mcap", &OPEN)], Manners { changes: 5, ..Manners::default() });
     assert_refused(&changes, KEY_ID, &s3("run.mcap"), 3, &["changed while it was read"]);
 }

@@ -1,4 +1,4 @@
-//! Files of a disk, mapped.
+//! Memory-mapped files.
 #![allow(unsafe_code, reason = "files are mapped")]
 
 use std::fs::File;
@@ -9,37 +9,37 @@ use memmap2::MmapOptions;
 
 use super::Looks;
 
-/// What is kept for a while, and goes with the process.
+/// A temporary file, deleted with the process.
 pub(crate) type Temporary = File;
 
-/// An empty one.
+/// Creates an empty temporary file.
 pub(crate) fn temporary() -> io::Result<Temporary> {
     tempfile::tempfile()
 }
 
-/// All of a temporary file that was written.
+/// Maps a temporary file.
 pub(super) fn kept(file: &Temporary) -> io::Result<Bytes> {
-    // SAFETY: the map is read-only, and nobody else writes to the file.
+    // SAFETY: the map is read-only, and no other process writes to the file.
     unsafe { MmapOptions::new().map(file) }.map(Bytes::from_owner)
 }
 
-/// A file of `bytes`.
+/// Maps a file with `bytes` bytes.
 pub(super) fn map(file: &File, bytes: u64) -> io::Result<Bytes> {
-    // SAFETY: the map is read-only and lives only while its file is decoded. Another process that
-    // shortens the file meanwhile ends this one with SIGBUS, as with any memory-mapped reader.
+    // SAFETY: the map is read-only and exists only while its file is decoded. If another process truncates
+    // the file, this process ends with SIGBUS, as with any memory-mapped reader.
     unsafe { MmapOptions::new().len(worth_reading(file, bytes)).map(file) }.map(Bytes::from_owner)
 }
 
-/// How much of a file of `bytes` is mapped: of a hole at its end, which reads as zeros and is of no
-/// length, not more than tells that there are zeros.
+/// Number of bytes to map. A sparse hole at the end may be very long and is shortened, but remains
+/// detectable as zeros.
 #[cfg(target_os = "linux")]
 fn worth_reading(file: &File, bytes: u64) -> usize {
     use std::os::fd::AsRawFd;
     const ZEROS: u64 = 1 << 20;
-    /// Holes beyond which a file is not searched.
+    /// Maximum number of holes to examine.
     const MOST: usize = 1000;
     let whole = usize::try_from(bytes).unwrap_or(usize::MAX);
-    // SAFETY: the call moves the offset of a file that is never read by it.
+    // SAFETY: the call only moves the offset of the file, which is not used for reading.
     let seek = |from: u64, to| unsafe {
         let found = libc::lseek64(file.as_raw_fd(), i64::try_from(from).unwrap_or(i64::MAX), to);
         u64::try_from(found).ok()
@@ -62,10 +62,10 @@ fn worth_reading(_: &File, bytes: u64) -> usize {
     usize::try_from(bytes).unwrap_or(usize::MAX)
 }
 
-/// Tells the system how `bytes` will be looked at. That is advice: whatever comes of it, they are the same.
+/// Advises the system how `bytes` will be accessed; does not change them.
 #[cfg(target_os = "linux")]
 pub(crate) fn advise(bytes: &[u8], looks: Looks) {
-    /// Where pages are larger the system refuses the advice.
+    /// The system rejects the advice if its pages are larger.
     const PAGE: usize = 1 << 12;
     let advice = match looks {
         Looks::Scattered => libc::MADV_RANDOM,
@@ -73,7 +73,7 @@ pub(crate) fn advise(bytes: &[u8], looks: Looks) {
     };
     let before = bytes.as_ptr().addr() % PAGE;
     let start = bytes.as_ptr().wrapping_sub(before).cast_mut().cast();
-    // SAFETY: neither advice changes what is in memory, and the call looks at no byte.
+    // SAFETY: neither advice changes memory, and the call does not access it.
     let _advice = unsafe { libc::madvise(start, before + bytes.len(), advice) };
 }
 

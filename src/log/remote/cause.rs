@@ -1,4 +1,4 @@
-//! What a store's client says, in one line and by its kind.
+//! Converts errors of a store's client to one-line faults.
 
 use std::error::Error;
 
@@ -6,10 +6,10 @@ use object_store::client::{HttpError, HttpErrorKind};
 
 use super::fault::{RemoteFault, Store};
 
-/// Longest answer of a server that is shown.
+/// Maximum length of a server's answer in a message, characters.
 const LONGEST: usize = 200;
 
-/// The fault that `error` of a client of `store` is.
+/// Converts an error of a client of `store`.
 pub(super) fn fault(error: &object_store::Error, store: Store) -> RemoteFault {
     let said = error.to_string();
     let cause = || answer(&said).unwrap_or_else(|| deepest(error));
@@ -20,7 +20,7 @@ pub(super) fn fault(error: &object_store::Error, store: Store) -> RemoteFault {
         | object_store::Error::Unauthenticated { .. } => {
             RemoteFault::Denied { store, cause: cause() }
         }
-        // The machine was asked for credentials.
+        // The request went to the metadata service, to obtain credentials.
         _ if is_of_metadata(&said) => {
             RemoteFault::NoCredentials { store, cause: format!("{} at {METADATA}", deepest(error)) }
         }
@@ -31,12 +31,12 @@ pub(super) fn fault(error: &object_store::Error, store: Store) -> RemoteFault {
     }
 }
 
-/// Whether a server of `error` says that the range begins behind the end: the object is empty.
+/// Whether the server reports that the range starts after the end, so the object is empty.
 pub(super) fn is_behind_end(error: &object_store::Error) -> bool {
     status(&error.to_string()).is_some_and(|status| status.starts_with("416"))
 }
 
-/// Where a machine in the cloud is told its credentials.
+/// Service that supplies credentials to a cloud machine.
 const METADATA: &str = "the machine's metadata service";
 
 fn is_of_metadata(said: &str) -> bool {
@@ -51,12 +51,12 @@ fn is_bucket(said: &str) -> bool {
         .any(|code| said.contains(code))
 }
 
-/// What kind of fault it was on the way, if on the way.
+/// Kind of the transport error, if it is one.
 fn transport(error: &object_store::Error) -> Option<HttpErrorKind> {
     causes(error).find_map(|cause| cause.downcast_ref::<HttpError>()).map(HttpError::kind)
 }
 
-/// What the server answered: its status, and the code of a store that names one.
+/// Status of the server's answer, with the error code of the store if there is one.
 fn answer(said: &str) -> Option<String> {
     let status = status(said)?;
     let between = |tag: &str| {
@@ -70,13 +70,13 @@ fn answer(said: &str) -> Option<String> {
     })
 }
 
-/// The status of an answer, such as `403 Forbidden`.
+/// Status of an answer, such as `403 Forbidden`.
 fn status(said: &str) -> Option<&str> {
     let (_, rest) = said.split_once("non-2xx status code: ")?;
     rest.split(':').next().map(str::trim)
 }
 
-/// The innermost cause, in one line: those around it repeat it and the URL.
+/// Innermost cause in one line. Outer errors repeat it with the URL.
 pub(super) fn deepest(error: &(dyn Error + 'static)) -> String {
     causes(error).last().map(|cause| line(&cause.to_string())).unwrap_or_default()
 }
@@ -85,7 +85,7 @@ fn causes<'a>(error: &'a (dyn Error + 'static)) -> impl Iterator<Item = &'a (dyn
     std::iter::successors(Some(error), |&error| error.source())
 }
 
-/// The beginning of a text, in one line.
+/// Start of a text, in one line.
 fn line(text: &str) -> String {
     let words: Vec<&str> = text.split_whitespace().collect();
     let text = words.join(" ");

@@ -1,106 +1,104 @@
-//! Why an object cannot be read, and what to do about it.
+//! Faults of reading an object, with their remedies.
 
 use std::io;
 
-/// Why an object in a store cannot be read.
+/// Fault of reading an object in a store.
 #[derive(Debug, thiserror::Error)]
 pub enum RemoteFault {
-    /// This program was built without the clients of stores.
-    #[error("this build reads no object storage")]
+    /// The program was built without clients for stores.
+    #[error("this build cannot read object storage")]
     NotBuilt,
-    /// No store is reached by URLs that begin so.
-    #[error("no store is reached by {scheme}://")]
+    /// Unsupported URL scheme.
+    #[error("unsupported URL scheme {scheme}://")]
     Scheme {
-        /// What stands before `://`.
+        /// The text before `://`.
         scheme: String,
     },
-    /// The URL, or a setting from the environment, cannot be followed.
-    #[error("the address cannot be followed: {cause}")]
+    /// Invalid URL or setting in the environment.
+    #[error("invalid address: {cause}")]
     Address {
-        /// Why not.
+        /// The reason.
         cause: String,
     },
-    /// There is no such object.
+    /// The object does not exist.
     #[error("no such object")]
     NoObject,
-    /// There is no such bucket or container.
+    /// The bucket or container does not exist.
     #[error("no such bucket")]
     NoBucket,
-    /// There are no credentials.
+    /// Missing credentials.
     #[error("no credentials for {store}: {cause}")]
     NoCredentials {
-        /// Which store.
+        /// The store.
         store: Store,
-        /// Where they were sought last, and what was said there.
+        /// The last source tried, and its answer.
         cause: String,
     },
-    /// The store does not accept the credentials, or they do not suffice.
+    /// The store rejects the credentials, or they lack permission.
     #[error("{store} refuses: {cause}")]
     Denied {
-        /// Which store.
+        /// The store.
         store: Store,
-        /// What it said.
+        /// Its answer.
         cause: String,
     },
-    /// Nobody is reached at the address.
+    /// The address cannot be reached.
     #[error("cannot be reached: {cause}")]
     Unreachable {
-        /// Why not.
+        /// The reason.
         cause: String,
     },
-    /// Nothing came for a time.
+    /// No data within a time limit.
     #[error("no answer within {seconds} s")]
     Silent {
-        /// How long was waited.
+        /// The limit, s.
         seconds: u64,
     },
-    /// Too little came for a time.
-    #[error("{bytes} bytes came in {seconds} s, and {rate} a second are asked for")]
+    /// Too little data within a time limit.
+    #[error("received {bytes} bytes in {seconds} s, below the minimum of {rate} per second")]
     Slow {
-        /// How much.
+        /// Bytes received.
         bytes: usize,
-        /// In how long.
+        /// Time, s.
         seconds: u64,
-        /// How much is asked for, bytes a second.
+        /// Minimum rate, bytes per second.
         rate: usize,
     },
-    /// The connection broke off whenever the rest was asked for.
-    #[error(
-        "the connection broke off at byte {byte}, and again when the rest was asked for: {cause}"
-    )]
+    /// The connection broke off, and again on every retry.
+    #[error("the connection broke off at byte {byte}, and again on every retry: {cause}")]
     BrokenOff {
-        /// The first byte that did not come.
+        /// First missing byte.
         byte: u64,
-        /// What was said last.
+        /// The last error.
         cause: String,
     },
-    /// The object was written anew meanwhile.
+    /// The object was rewritten during the download.
     #[error("the object changed while it was read")]
     Changed,
-    /// The store answers with something else.
-    #[error("the server says: {cause}")]
+    /// Any other answer of the store.
+    #[error("the server answered: {cause}")]
     Refused {
-        /// What.
+        /// The answer.
         cause: String,
     },
     /// The temporary file cannot be written.
-    #[error("cannot be kept in {}: {source}", std::env::temp_dir().display())]
+    #[error("cannot be stored in {}: {source}", std::env::temp_dir().display())]
     Disk {
-        /// What the operating system said.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// The file's index does not say what is in it, so that its reader came to what was not fetched.
-    #[error("its index leaves out what is needed at byte {byte}")]
+    /// The index of the file is incomplete, so the reader needs data that was not fetched.
+    #[error("its index omits data that is needed at byte {byte}")]
     Contradiction {
-        /// That byte.
+        /// Offset of the missing data.
         byte: u64,
     },
 }
 
-/// A kind of store.
+/// Kind of store.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Store {
-    /// Amazon S3, or another that speaks like it.
+    /// Amazon S3 or a compatible store.
     S3,
     /// Google Cloud Storage.
     Google,
@@ -122,58 +120,53 @@ impl std::fmt::Display for Store {
 }
 
 impl RemoteFault {
-    /// What the reader can do.
+    /// Advice for the user.
     pub fn remedy(&self) -> &'static str {
         match self {
             Self::NotBuilt => "build it with `--features full`, or download the log first",
-            Self::Scheme { .. } => "name s3://, gs://, az://, abfss:// or https://, or a file",
-            Self::Address { .. } => "name it as in s3://bucket/key, and see docs/remote.md",
-            Self::NoObject => "see whether the key is spelt right",
-            Self::NoBucket => "see whether the bucket is spelt right, and its region and endpoint",
+            Self::Scheme { .. } => "use s3://, gs://, az://, abfss:// or https://, or a file",
+            Self::Address { .. } => "write it as s3://bucket/key; see docs/remote.md",
+            Self::NoObject => "check the spelling of the key",
+            Self::NoBucket => "check the spelling of the bucket, and its region and endpoint",
             Self::NoCredentials { store, .. } => match store {
                 Store::S3 => {
-                    "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, AWS_SKIP_SIGNATURE=true for a \
-                     public bucket, or POSEAUDIT_METADATA_SERVICE=true to ask the machine"
+                    "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, AWS_SKIP_SIGNATURE=true for a public \
+                     bucket, or POSEAUDIT_METADATA_SERVICE=true to use the metadata service"
                 }
                 Store::Google => {
                     "set GOOGLE_SERVICE_ACCOUNT, GOOGLE_SKIP_SIGNATURE=true for a public bucket, or \
-                     POSEAUDIT_METADATA_SERVICE=true to ask the machine"
+                     POSEAUDIT_METADATA_SERVICE=true to use the metadata service"
                 }
                 Store::Azure => {
-                    "set AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY, \
-                     AZURE_SKIP_SIGNATURE=true for a public container, or \
-                     POSEAUDIT_METADATA_SERVICE=true to ask the machine"
+                    "set AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY, AZURE_SKIP_SIGNATURE=true \
+                     for a public container, or POSEAUDIT_METADATA_SERVICE=true to use the metadata service"
                 }
-                Store::Web => "name a URL that is signed",
+                Store::Web => "use a signed URL",
             },
             Self::Denied { store, .. } => match store {
                 Store::S3 => {
-                    "check AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_SESSION_TOKEN and what they \
-                     may read"
+                    "check AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_SESSION_TOKEN and their permissions"
                 }
-                Store::Google => "check GOOGLE_SERVICE_ACCOUNT and what it may read",
+                Store::Google => "check GOOGLE_SERVICE_ACCOUNT and its permissions",
                 Store::Azure => {
-                    "check AZURE_STORAGE_ACCOUNT_NAME, AZURE_STORAGE_ACCOUNT_KEY and what they may \
-                     read"
+                    "check AZURE_STORAGE_ACCOUNT_NAME, AZURE_STORAGE_ACCOUNT_KEY and their permissions"
                 }
-                Store::Web => "name a URL that is signed, or an object that all may read",
+                Store::Web => "use a signed URL or a public object",
             },
-            Self::Unreachable { .. } => {
-                "check the network, and AWS_ENDPOINT_URL or the host's name"
-            }
+            Self::Unreachable { .. } => "check the network, and AWS_ENDPOINT_URL or the host name",
             Self::Slow { .. } => {
-                "try again, or set POSEAUDIT_LEAST_RATE to fewer bytes a second, or POSEAUDIT_PATIENCE \
-                 to more seconds"
+                "try again, or lower POSEAUDIT_LEAST_RATE (bytes per second), or raise POSEAUDIT_PATIENCE \
+                 (seconds)"
             }
             Self::Silent { .. } | Self::BrokenOff { .. } => "try again, or download the log first",
-            Self::Changed => "try again when nobody writes it",
+            Self::Changed => "try again when the object is no longer being written",
             Self::Refused { .. } => "see docs/remote.md for the settings of stores",
-            Self::Disk { .. } => "make room, or let TMPDIR name another folder",
-            Self::Contradiction { .. } => "fetch all of it by --verify",
+            Self::Disk { .. } => "free disk space, or set TMPDIR to another folder",
+            Self::Contradiction { .. } => "fetch the whole file with --verify",
         }
     }
 
-    /// Whether it is the call that is wrong, and not the log or the way to it.
+    /// Whether the call is wrong, rather than the log or the connection.
     pub fn is_of_the_call(&self) -> bool {
         matches!(
             self,

@@ -1,4 +1,4 @@
-//! The bytes of an object, into a temporary file.
+//! Downloads an object to a temporary file.
 
 use std::cell::Cell;
 use std::io::{self, Seek, SeekFrom, Write};
@@ -23,42 +23,40 @@ use crate::sniff::{self, Kind};
 use crate::unpack::Unpacked;
 use crate::{Progress, ReadOptions};
 
-/// Bytes of the first request, which also says how many there are.
+/// Size of the first request, which also returns the size of the object.
 const HEAD: usize = 64 << 10;
 
-/// Bytes of the end of an MCAP that are fetched before it is looked into: its summary, or most of it.
+/// Size of the first request at the end of an MCAP file; contains all or most of the summary.
 const TAIL: usize = 64 << 10;
 
-/// Objects up to this size are fetched whole: to ask what is needed takes longer.
+/// Objects up to this size are downloaded completely, which is faster than requesting parts.
 const SMALL: usize = 1 << 20;
 
-/// What stands between two ranges is fetched with them where it is no longer than this: another
-/// request takes longer.
+/// Maximum gap that is downloaded with its neighbours, which is faster than another request.
 const GAP: usize = 16 << 10;
 
-/// Most bytes of one request.
+/// Maximum size of a request.
 const PIECE: usize = 8 << 20;
 
-/// Most requests at once.
+/// Maximum number of concurrent requests.
 const AT_ONCE: usize = 32;
 
-/// How often what a file needs may be asked for anew. Summary, indexes, messages and what stands
-/// between them take four rounds.
+/// Maximum number of survey rounds. Summary, indexes, messages and the gaps between them need four.
 const ROUNDS: usize = 64;
 
-/// How often the rest of a piece is asked for where the connection broke off.
+/// Maximum number of attempts for a request whose connection breaks off.
 const TRIES: u32 = 5;
 
-/// How long is waited before that first; then twice as long each time.
+/// Pause before the first retry; doubled for each further one.
 const PAUSE: Duration = Duration::from_millis(200);
 
-/// How long is waited for an answer, with all that the client repeats.
+/// Maximum time until an answer, including the client's retries.
 const ANSWER: Duration = Duration::from_secs(50);
 
-/// How long is waited for the next bytes of an answer before they are asked for anew.
+/// Maximum time between two parts of an answer before the rest is requested again.
 const STALL: Duration = Duration::from_secs(10);
 
-/// Fetches what is read of the object at `address`; all of it where everything is to be verified.
+/// Downloads the parts of the object at `address` that are needed, or all of it for verification.
 pub(super) fn fetch(address: &Address, options: &ReadOptions) -> Result<Fetched, RemoteFault> {
     let source = Source::of(address)?;
     let came = Rc::clone(&source.came);
@@ -81,7 +79,7 @@ pub(super) fn fetch(address: &Address, options: &ReadOptions) -> Result<Fetched,
     runtime()?.block_on(patience.watch(&came, work))
 }
 
-/// What the clients run in: this thread.
+/// Runtime of the clients, on the current thread.
 pub(super) fn runtime() -> Result<Runtime, RemoteFault> {
     Builder::new_current_thread().enable_all().build().map_err(disk)
 }
@@ -90,11 +88,11 @@ fn disk(source: io::Error) -> RemoteFault {
     RemoteFault::Disk { source }
 }
 
-/// What the first request brought.
+/// Result of the first request.
 enum Head {
     /// The first bytes.
     Part { meta: ObjectMeta, bytes: Vec<u8> },
-    /// That the server hands out whole objects only.
+    /// The server does not support ranges.
     Whole,
 }
 
@@ -103,7 +101,7 @@ async fn head(source: &Source) -> Result<Head, RemoteFault> {
         let (meta, answer) = match ask(source, Some(0..HEAD)).await? {
             Ok(answer) => (answer.meta.clone(), Some(answer)),
             Err(object_store::Error::NotSupported { .. }) => return Ok(Head::Whole),
-            // There is no first byte in an empty object.
+            // An empty object has no first byte.
             Err(error) if cause::is_behind_end(&error) => {
                 let options = GetOptions { head: true, ..GetOptions::default() };
                 let answer = patiently(source.client.get_opts(&source.key, options)).await?;
@@ -124,8 +122,8 @@ async fn head(source: &Source) -> Result<Head, RemoteFault> {
     .await
 }
 
-/// All of an object, of a server that hands out whole ones only. Once its size `is_told` to who
-/// watches.
+/// Downloads a complete object, for servers without ranges. `is_told` stores whether its size was reported
+/// as progress.
 async fn whole(
     source: &Source,
     options: &ReadOptions,
@@ -151,32 +149,33 @@ async fn whole(
     Ok(Fetched { file, present: Present::Whole, bytes: at.get() as u64 })
 }
 
-/// An object that is being fetched.
+/// An object during its download.
 struct Object {
     source: Source,
-    /// What it was when it was first asked for.
+    /// Entity tag in the first answer.
     e_tag: Option<String>,
     size: usize,
     kind: Kind,
     file: Unpacked,
-    /// What of it is in the file.
+    /// Ranges that are in the file.
     present: Ranges,
-    /// Bytes that came, also those that came twice.
+    /// Bytes received, including repeated ones.
     fetched: Cell<usize>,
-    /// Bytes that are to come in all, as far as is known.
+    /// Total number of bytes planned so far.
     planned: usize,
     progress: Option<Arc<Progress>>,
 }
 
 impl Object {
-    /// One that begins with `head`.
+    /// Creates the file from the first bytes, `head`.
     fn of(
         source: Source,
         meta: ObjectMeta,
         head: &[u8],
         options: &ReadOptions,
     ) -> Result<Self, RemoteFault> {
-        let too_large = |_| RemoteFault::Refused { cause: format!("it has {} bytes", meta.size) };
+        let too_large =
+            |_| RemoteFault::Refused { cause: format!("its size is {} bytes", meta.size) };
         let size = usize::try_from(meta.size).map_err(too_large)?;
         let mut file = Unpacked::of(head).map_err(disk)?;
         file.file.set_len(meta.size).and_then(|()| file.file.write_all(head)).map_err(disk)?;
@@ -201,7 +200,7 @@ impl Object {
         Fetched { file: self.file, present, bytes: self.fetched.get() as u64 }
     }
 
-    /// Fetches what the reader of an MCAP looks at: all of it where there is no index.
+    /// Downloads the ranges that the MCAP reader needs; all of it if there is no index.
     async fn fetch_what_is_read(&mut self) -> Result<(), RemoteFault> {
         let tail = self.size.saturating_sub(TAIL)..self.size;
         self.fetch(Ranges::of(vec![tail], GAP)).await?;
@@ -209,7 +208,7 @@ impl Object {
             let present = Present::of(self.present.clone(), self.size);
             let mapped = Mapped::of(&self.file.file).map_err(disk)?;
             let survey = mcap::survey(mapped.bytes(), &present);
-            // Nothing is written while it is mapped.
+            // The file must not change while it is mapped.
             drop(mapped);
             match survey {
                 Survey::Nothing => return Ok(()),
@@ -220,7 +219,7 @@ impl Object {
         self.fetch(Ranges::up_to(self.size)).await
     }
 
-    /// Fetches what of `wanted` is not there.
+    /// Downloads the missing parts of `wanted`.
     async fn fetch(&mut self, wanted: Ranges) -> Result<(), RemoteFault> {
         let missing = self.present.missing(&wanted);
         self.planned = self.fetched.get() + missing.bytes();
@@ -230,7 +229,7 @@ impl Object {
         Ok(())
     }
 
-    /// Fetches one piece: where the connection breaks off, what is left of it.
+    /// Downloads one piece; if the connection breaks off, continues with the rest.
     async fn piece(&self, piece: Range<usize>) -> Result<(), RemoteFault> {
         let at = Cell::new(piece.start);
         again(async || {
@@ -244,21 +243,21 @@ impl Object {
         .await
     }
 
-    /// Keeps what came for the bytes from `at` on.
+    /// Writes received bytes at offset `at`.
     fn keep(&self, at: usize, part: &[u8]) -> Result<(), RemoteFault> {
         let mut file = &self.file.file;
         file.seek(SeekFrom::Start(at as u64)).and_then(|_| file.write_all(part)).map_err(disk)?;
         self.fetched.update(|fetched| fetched + part.len());
         if let Some(progress) = &self.progress {
             let share = self.fetched.get() as f64 / self.planned as f64;
-            // It is whole when nothing more is asked for, and not before.
+            // The progress is only complete after the last request.
             progress.at((self.size as f64 * share.min(0.99)) as u64);
         }
         Ok(())
     }
 }
 
-/// Asks for a range of an object, or all of it.
+/// Requests a range of an object, or all of it.
 async fn ask(
     source: &Source,
     range: Option<Range<usize>>,
@@ -268,13 +267,13 @@ async fn ask(
     patiently(source.client.get_opts(&source.key, options)).await
 }
 
-/// An answer that takes no longer than it may.
+/// Waits for an answer, up to the time limit.
 pub(super) async fn patiently<T>(answer: impl Future<Output = T>) -> Result<T, RemoteFault> {
     let silent = |_| RemoteFault::Silent { seconds: ANSWER.as_secs() };
     timeout(ANSWER, answer).await.map_err(silent)
 }
 
-/// Hands on what comes of an answer, and counts it in `at`, which is where it begins.
+/// Passes the parts of an answer to `keep`; `at` is the current offset.
 async fn read(
     answer: GetResult,
     source: &Source,
@@ -293,15 +292,17 @@ async fn read(
                 source.came.update(|came| came + part.len());
                 at.set(at.get() + part.len());
             }
-            Some(Ok(_)) => return Err(broken("it sent more than it was asked for".to_owned())),
+            Some(Ok(_)) => return Err(broken("it sent more than was requested".to_owned())),
             Some(Err(error)) => return Err(broken(cause::deepest(&error))),
-            None if at.get() < end => return Err(broken("it sent less than it said".to_owned())),
+            None if at.get() < end => {
+                return Err(broken("it sent less than it announced".to_owned()));
+            }
             None => return Ok(()),
         }
     }
 }
 
-/// Does `attempt`, and again after a pause where the connection broke off or fell silent.
+/// Runs `attempt`, and retries after a pause if the connection broke off or stalled.
 async fn again<T>(
     mut attempt: impl AsyncFnMut() -> Result<T, RemoteFault>,
 ) -> Result<T, RemoteFault> {

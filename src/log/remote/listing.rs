@@ -1,4 +1,4 @@
-//! What objects there are.
+//! Lists the objects of a store.
 
 use futures_util::StreamExt;
 use object_store::{GetOptions, ObjectMeta};
@@ -7,7 +7,7 @@ use super::fault::{RemoteFault, Store};
 use super::store::Source;
 use super::{Address, Listed, cause, fetch};
 
-/// The objects below `address`, in the order of their names; itself where it is one.
+/// Objects below `address`, by name; the object itself if it is one.
 pub(super) fn list(address: &Address) -> Result<Vec<Listed>, RemoteFault> {
     let source = Source::of(address)?;
     let fault = |error| cause::fault(&error, source.store);
@@ -40,7 +40,7 @@ pub(super) fn list(address: &Address) -> Result<Vec<Listed>, RemoteFault> {
         bytes: meta.size,
         version: meta.e_tag.unwrap_or_else(|| meta.last_modified.to_rfc3339()),
     };
-    // What marks a folder has no bytes.
+    // Objects that represent a folder are empty.
     let mut listed: Vec<Listed> = metas.into_iter().filter(|meta| meta.size > 0).map(of).collect();
     listed.sort();
     Ok(listed)

@@ -1,5 +1,5 @@
-//! Whether the environment names credentials. Where it does not, a store's client would ask the machine's
-//! metadata service for them, which is done only where a setting says so.
+//! Detects credentials in the environment. Without them, a store's client would query the machine's
+//! metadata service; this requires a setting.
 
 use std::path::Path;
 
@@ -7,13 +7,13 @@ use object_store::aws::AmazonS3ConfigKey as S3;
 use object_store::azure::AzureConfigKey as Azure;
 use object_store::gcp::GoogleConfigKey as Google;
 
-/// The setting with which the machine is asked.
+/// Setting that permits the metadata service.
 const METADATA_SERVICE: &str = "POSEAUDIT_METADATA_SERVICE";
 
-/// What gcloud writes where somebody logs in with it, below the home folder.
+/// Credentials file of `gcloud auth`, relative to the home folder.
 const GCLOUD: &str = ".config/gcloud/application_default_credentials.json";
 
-/// Whether a client of S3 finds credentials by itself.
+/// Whether an S3 client finds credentials.
 pub(super) fn s3(value: impl Fn(S3) -> Option<String>) -> bool {
     use S3::{
         AccessKeyId, ContainerAuthorizationTokenFile, ContainerCredentialsFullUri,
@@ -30,7 +30,7 @@ pub(super) fn s3(value: impl Fn(S3) -> Option<String>) -> bool {
     are_named(&sets, &[SkipSignature], value)
 }
 
-/// The same of Google's.
+/// Whether a Google Cloud Storage client finds credentials.
 pub(super) fn google(value: impl Fn(Google) -> Option<String>) -> bool {
     use Google::{ApplicationCredentials, ServiceAccount, ServiceAccountKey, SkipSignature};
     let sets: [&[Google]; 3] = [&[ServiceAccount], &[ServiceAccountKey], &[ApplicationCredentials]];
@@ -39,7 +39,7 @@ pub(super) fn google(value: impl Fn(Google) -> Option<String>) -> bool {
     are_named(&sets, &[SkipSignature], value) || is_logged_in()
 }
 
-/// The same of Azure's.
+/// Whether an Azure client finds credentials.
 pub(super) fn azure(value: impl Fn(Azure) -> Option<String>) -> bool {
     use Azure::{
         AccessKey, AuthorityId, ClientId, ClientSecret, FabricClusterIdentifier,
@@ -57,7 +57,8 @@ pub(super) fn azure(value: impl Fn(Azure) -> Option<String>) -> bool {
     are_named(&sets, &[SkipSignature, UseAzureCli, UseEmulator], value)
 }
 
-/// Whether all of one of the `sets` have a value, one of the `switches` is on, or the machine may be asked.
+/// Whether all keys of one of the `sets` have a value, one of the `switches` is on, or the metadata service
+/// is permitted.
 fn are_named<K: Copy>(sets: &[&[K]], switches: &[K], value: impl Fn(K) -> Option<String>) -> bool {
     let is_on =
         |text: &str| ["1", "true", "on", "yes", "y"].contains(&text.to_ascii_lowercase().as_str());

@@ -1,4 +1,4 @@
-//! When a server is given up that sends nothing, or next to nothing.
+//! Minimum download rate.
 
 use std::cell::Cell;
 use std::env;
@@ -11,42 +11,42 @@ use tokio::time::sleep;
 
 use super::fault::RemoteFault;
 
-/// The setting that says how many bytes a second are asked for.
+/// Setting: minimum rate in bytes per second.
 const RATE: &str = "POSEAUDIT_LEAST_RATE";
 
-/// The setting that says over how many seconds.
+/// Setting: averaging time in seconds.
 const SECONDS: &str = "POSEAUDIT_PATIENCE";
 
-/// How much is to come of what is fetched, in all and with all that is asked for again.
+/// Minimum rate of a download, averaged over all its requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Patience {
-    /// Bytes a second; 0: it may take as long as it takes.
+    /// Minimum rate in bytes per second; 0 for no minimum.
     rate: usize,
-    /// Over so many seconds.
+    /// Averaging time, s.
     seconds: u64,
 }
 
 impl Default for Patience {
-    /// Twice the time is less than a minute, and after it a server is given up whenever it fell silent.
+    /// Two periods take less than a minute and end after all timeouts of a silent server.
     fn default() -> Self {
         Self { rate: 1000, seconds: 28 }
     }
 }
 
 impl Patience {
-    /// What the environment says.
+    /// Reads the settings from the environment.
     ///
     /// # Errors
-    /// If it says something else than whole numbers.
+    /// If a setting is not a whole number.
     pub fn of_environment() -> Result<Self, RemoteFault> {
         let usual = Self::default();
         Ok(Self { rate: setting(RATE, usual.rate)?, seconds: setting(SECONDS, usual.seconds)? })
     }
 
-    /// Does `work`, which counts in `came` the bytes that it gets, as long as enough of them come.
+    /// Runs `work`, which counts received bytes in `came`, while the rate is sufficient.
     ///
     /// # Errors
-    /// What `work` returns, or if too few come.
+    /// The error of `work`, or if the rate is too low.
     pub async fn watch<T>(
         self,
         came: &Cell<usize>,
@@ -58,12 +58,12 @@ impl Patience {
         }
     }
 
-    /// Waits until too few bytes have come.
+    /// Waits until the rate is too low.
     async fn tire(self, came: &Cell<usize>) -> RemoteFault {
         let Self { rate, seconds } = self;
         loop {
             let before = came.get();
-            // Second by second: what this thread does with the bytes does not count.
+            // In steps of one second, so the time this thread spends on the data does not count.
             for _ in 0..seconds.max(1) {
                 sleep(Duration::from_secs(1)).await;
             }
@@ -78,6 +78,6 @@ impl Patience {
 fn setting<T: FromStr>(name: &str, usual: T) -> Result<T, RemoteFault> {
     let Some(text) = env::var_os(name) else { return Ok(usual) };
     let number = text.to_str().and_then(|text| text.parse().ok());
-    let cause = || format!("{name} is `{}`, which is no whole number", text.to_string_lossy());
+    let cause = || format!("{name} is `{}`, not a whole number", text.to_string_lossy());
     number.ok_or_else(|| RemoteFault::Address { cause: cause() })
 }

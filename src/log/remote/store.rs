@@ -1,4 +1,4 @@
-//! From a URL to the client of its store. Credentials and endpoints come from the environment.
+//! Creates the client for a URL. Credentials and endpoints come from the environment.
 
 use std::cell::Cell;
 use std::iter;
@@ -20,28 +20,28 @@ use percent_encoding::percent_decode_str;
 use super::fault::{RemoteFault, Store};
 use super::{Address, cause, named};
 
-/// How long a connection may take to stand.
+/// Maximum time to establish a connection.
 const CONNECT: Duration = Duration::from_secs(5);
 
-/// How often a request is repeated that was not answered, or with a fault of the server.
+/// Maximum number of retries of a request after a server error or without an answer.
 const RETRIES: usize = 5;
 
-/// For how long.
+/// Maximum time for all retries of a request.
 const RETRIES_END: Duration = Duration::from_secs(30);
 
-/// An object, and the client that reaches it.
+/// An object and the client of its store.
 pub(super) struct Source {
     pub(super) client: Arc<dyn ObjectStore>,
     pub(super) key: Key,
     pub(super) store: Store,
     /// The URL up to the key.
     pub(super) root: String,
-    /// Bytes that came, for who watches whether any do.
+    /// Bytes received, for the minimum rate.
     pub(super) came: Rc<Cell<usize>>,
 }
 
 impl Source {
-    /// The object at `address`.
+    /// Creates the client for the object at `address`.
     pub(super) fn of(Address(url): &Address) -> Result<Self, RemoteFault> {
         let (scheme, rest) = url.split_once("://").unwrap_or_default();
         let (host, key) = rest.split_once('/').unwrap_or((rest, ""));
@@ -54,20 +54,20 @@ impl Source {
         };
         let invalid = |cause: String| RemoteFault::Address { cause };
         if host.is_empty() {
-            return Err(invalid(format!("nothing stands behind {scheme}://")));
+            return Err(invalid(format!("no bucket or host after {scheme}://")));
         }
         if store != Store::Web && !is_account && host.contains(['@', ':']) {
-            let cause = "credentials are not taken from it, but from the environment";
+            let cause = "credentials must come from the environment, not from the URL";
             return Err(invalid(cause.to_owned()));
         }
         let root = format!("{scheme}://{host}/");
         let key = match store {
-            // The whole URL is the client's root, so that nothing in it is written otherwise.
+            // The whole URL is the root of the client, so it is not re-encoded.
             Store::Web => Key::default(),
             _ => Key::parse(key).map_err(|error| invalid(error.to_string()))?,
         };
         let missing = || {
-            let cause = "the environment names none".to_owned();
+            let cause = "not set in the environment".to_owned();
             Err(RemoteFault::NoCredentials { store, cause })
         };
         let client: Result<Arc<dyn ObjectStore>, object_store::Error> = match store {
@@ -124,7 +124,7 @@ impl Source {
     }
 }
 
-/// A web address without the user and the password in it, and the header that says them.
+/// Splits a web address into the URL without user and password, and the header with them.
 fn login(url: &str) -> (String, HeaderMap) {
     let mut headers = HeaderMap::new();
     let (scheme, rest) = url.split_once("://").unwrap_or_default();
@@ -134,7 +134,7 @@ fn login(url: &str) -> (String, HeaderMap) {
     let colon = iter::once(b':');
     let both: Vec<u8> =
         percent_decode_str(user).chain(colon).chain(percent_decode_str(password)).collect();
-    // What base64 makes is always a header.
+    // Base64 is always a valid header value.
     if let Ok(mut value) = HeaderValue::try_from(format!("Basic {}", BASE64_STANDARD.encode(both)))
     {
         value.set_sensitive(true);
@@ -143,13 +143,12 @@ fn login(url: &str) -> (String, HeaderMap) {
     (format!("{scheme}://{host}{}", &rest[end..]), headers)
 }
 
-/// How a client connects. Bodies take as long as they take; whether anything comes is seen where they
-/// are read.
+/// Connection options. Bodies have no time limit here; the code that reads them detects stalls.
 fn plain_options() -> ClientOptions {
     ClientOptions::new().with_timeout_disabled().with_connect_timeout(CONNECT)
 }
 
-/// The same as the variables say that begin with `prefix`, such as `AWS_ALLOW_HTTP`.
+/// The same options with the variables that start with `prefix`, such as `AWS_ALLOW_HTTP`.
 fn options(prefix: &str) -> ClientOptions {
     std::env::vars_os().fold(plain_options(), |options, (name, value)| {
         let name = name.to_str().and_then(|name| name.strip_prefix(prefix));

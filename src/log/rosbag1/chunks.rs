@@ -1,4 +1,4 @@
-//! Chunks: which are unpacked, ahead of where the bag is read, and what is in them.
+//! Chunks: parallel decompression and reading of records.
 
 use super::Reader;
 use super::record::{self, Chunk, MessageIndex, Record, op};
@@ -8,7 +8,7 @@ use crate::decode::excerpt;
 use crate::unpack::{Compression, UnpackError, Unpacker};
 
 impl<'a> Reader<'a, '_, '_> {
-    /// Hands in chunks beyond those that were, as far as there is room and not far beyond `here`.
+    /// Submits further chunks for decompression, limited by memory and by the distance from `here`.
     pub(super) fn unpack_ahead(&mut self, here: usize) {
         let far = here.saturating_add(ahead::MOST_DISTANCE);
         while let Some(offset) = self.scanned.filter(|at| *at < far && self.ahead.has_room()) {
@@ -32,7 +32,7 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// The connections of the messages in a chunk, and how many each has, by the indexes behind it.
+    /// Connections in a chunk with their message indexes, according to the index records after it.
     pub(super) fn indexed(
         &self,
         chunk: &Record<'a>,
@@ -45,7 +45,7 @@ impl<'a> Reader<'a, '_, '_> {
         })
     }
 
-    /// Whether its indexes say that no audit uses the messages of a chunk.
+    /// Whether the index records of a chunk list only unused messages.
     pub(super) fn is_ignored(&self, chunk: &Record<'a>) -> bool {
         let is_ignored = |(id, _): (u32, MessageIndex<'_>)| {
             let channel = self.connections.get(&id).and_then(|sender| sender.channel);
@@ -56,7 +56,7 @@ impl<'a> Reader<'a, '_, '_> {
         !self.options.verify && has_index && indexed.all(is_ignored)
     }
 
-    /// Counts the messages of a chunk that is left packed.
+    /// Counts the messages of a chunk without decompressing it.
     pub(super) fn count(&mut self, chunk: &Record<'a>) {
         for (id, index) in self.indexed(chunk) {
             let channel = self.connections.get(&id).and_then(|sender| sender.channel);
@@ -66,7 +66,7 @@ impl<'a> Reader<'a, '_, '_> {
         }
     }
 
-    /// Reads the records of a chunk; whether its length is beyond doubt.
+    /// Reads the records of a chunk. Returns whether its length is certain.
     pub(super) fn chunk(
         &mut self,
         record: &Record<'a>,
@@ -85,7 +85,9 @@ impl<'a> Reader<'a, '_, '_> {
         }
         let Some(packed) = chunk.packed() else {
             let found = excerpt(record.header.text("compression").unwrap_or_default());
-            let what = format!("chunk is compressed by `{found}`, expected `lz4`, `bz2` or `none`");
+            let what = format!(
+                "chunk has unsupported compression `{found}`, expected `lz4`, `bz2` or `none`"
+            );
             self.lose_chunk(record.offset, what);
             return false;
         };
@@ -133,14 +135,14 @@ impl<'a> Reader<'a, '_, '_> {
         is_sound
     }
 
-    /// Reads a chunk that is not compressed and states two lengths that differ; whether its record's
-    /// is beyond doubt.
+    /// Reads an uncompressed chunk with two different lengths. Returns whether the length of its record is
+    /// certain.
     pub(super) fn ambiguous_chunk(&mut self, record: &Record<'a>, chunk: Chunk<'a>) -> bool {
         let goes_on =
             record.end == self.bytes.len() || record::record(self.bytes, record.end).is_ok();
         if !goes_on {
-            // Not to read its records twice, they are left to the search for the next record.
-            self.lose_chunk(record.offset, "chunk states two lengths that differ".to_owned());
+            // The search for the next record will find its records; reading them here would duplicate them.
+            self.lose_chunk(record.offset, "chunk has two different lengths".to_owned());
             return false;
         }
         let before = self.intake.messages();
@@ -151,7 +153,7 @@ impl<'a> Reader<'a, '_, '_> {
         true
     }
 
-    /// Takes down that a chunk of which `read` messages were read holds more than it says, or less.
+    /// Records a chunk with a wrong size, `read` of whose messages were read.
     pub(super) fn misstated_chunk(&mut self, offset: usize, error: &UnpackError, read: u64) {
         let (extent, messages) = match error {
             UnpackError::Size { expected, found } if found < expected => (Extent::Messages, None),
@@ -183,7 +185,7 @@ impl<'a> Reader<'a, '_, '_> {
         self.intake.batch(&mut batch);
     }
 
-    /// Reads what is left of a chunk whose end is missing; how many messages that were.
+    /// Reads the rest of a truncated chunk; returns the number of messages.
     pub(super) fn cut_chunk(
         &mut self,
         chunk: &Chunk<'_>,
@@ -207,7 +209,7 @@ impl<'a> Reader<'a, '_, '_> {
         self.intake.messages() - before
     }
 
-    /// Reads the last chunk of a bag that was not closed: its data go to the end of the file.
+    /// Reads the last chunk of an unclosed bag; its data extend to the end of the file.
     pub(super) fn open_chunk(&mut self, chunk: Chunk<'a>, offset: usize, unpacker: &mut Unpacker) {
         let saved = self.cut_chunk(&chunk, &self.bytes[offset..], offset, unpacker);
         self.lose_tail(offset, "within a chunk", saved);

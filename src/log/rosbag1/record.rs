@@ -1,11 +1,11 @@
-//! Records of a ROS 1 bag of version 2.0, borrowed from the bytes that hold them.
+//! Records of a ROS 1 bag of version 2.0, borrowed from the bytes of the file.
 //!
-//! Format: <http://wiki.ros.org/Bags/Format/2.0>. A record is a header, which is a list of named
-//! fields, and data, each behind its length. The field `op` says what the record is.
+//! Format: <http://wiki.ros.org/Bags/Format/2.0>. A record is a header, which is a list of named fields,
+//! and data, each preceded by its length. The field `op` is the kind of the record.
 
 use crate::unpack::{Compression, Packed};
 
-/// What a record is.
+/// Kinds of records.
 pub(super) mod op {
     pub(in super::super) const MESSAGE: u8 = 0x02;
     pub(in super::super) const BAG: u8 = 0x03;
@@ -15,37 +15,36 @@ pub(super) mod op {
     pub(in super::super) const CONNECTION: u8 = 0x07;
 }
 
-/// Longest header that is believed: it holds a topic name at most.
+/// Maximum plausible length of a header; its longest field is a topic name.
 const MAX_HEADER_BYTES: usize = 1 << 14;
 
-/// One record.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Record<'a> {
-    /// Where it begins.
+    /// Offset of the record.
     pub(super) offset: usize,
-    /// What it is: one of [`op`].
+    /// One of [`op`].
     pub(super) op: u8,
     pub(super) header: Header<'a>,
     pub(super) data: &'a [u8],
-    /// Where the next record begins.
+    /// Offset of the next record.
     pub(super) end: usize,
 }
 
-/// What stands where a record should begin.
+/// Invalid data at the start of a record.
 #[derive(Clone, Copy, Debug, thiserror::Error)]
 pub(super) enum Broken<'a> {
-    /// The rest is too short for a header.
+    /// Too few bytes for a header.
     #[error("{left} bytes, too few for a record")]
     Stub { left: usize },
-    /// No header of named fields with an `op`.
+    /// Not a header of named fields with an `op`.
     #[error("something else")]
     NoHeader,
-    /// A record that is longer than the rest.
-    #[error("a record (op {op:#04x}) of {length} bytes, of which {} are there", data.len())]
+    /// A record that is longer than the remaining bytes.
+    #[error("a record (op {op:#04x}) of {length} bytes, only {} of them in the file", data.len())]
     Cut { op: u8, header: Header<'a>, length: u32, data: &'a [u8] },
 }
 
-/// The record at `offset`, which is at most the length of `bytes`.
+/// Parses the record at `offset`, which is at most the length of `bytes`.
 pub(super) fn record(bytes: &[u8], offset: usize) -> Result<Record<'_>, Broken<'_>> {
     let rest = &bytes[offset..];
     let stub = Broken::Stub { left: rest.len() };
@@ -65,16 +64,16 @@ pub(super) fn record(bytes: &[u8], offset: usize) -> Result<Record<'_>, Broken<'
     }
 }
 
-/// Where the next record begins, at `from` or after it; with `only`, the next of that kind.
+/// Offset of the next record at or after `from`; with `only`, of the next record of that kind.
 ///
-/// That the bytes of a field `op` stand within a header whose fields fill it, and which has those
-/// that its kind of record must have, does not happen by chance.
+/// Random data does not form a header filled by valid fields that include `op` and all fields required for
+/// the kind.
 pub(super) fn find_record(bytes: &[u8], from: usize, only: Option<u8>) -> Option<usize> {
-    /// A field of four bytes that begins with `op=`.
+    /// A field of four bytes that starts with `op=`.
     const OP: &[u8] = b"\x04\0\0\0op=";
-    /// The fields before it in a header are shorter than this.
+    /// Maximum length of the fields before it.
     const BEFORE: usize = 256;
-    /// In data that hold so many of them and no record, there is none.
+    /// The search ends after this number of candidates.
     const MOST: usize = 10_000;
     let rest = bytes.get(from..)?;
     let fields = rest.windows(OP.len()).enumerate().filter(|(_, window)| *window == OP);
@@ -85,7 +84,8 @@ pub(super) fn find_record(bytes: &[u8], from: usize, only: Option<u8>) -> Option
     })
 }
 
-/// Whether a sound record of the kind `only` begins at `start`, whose header covers the byte `field`.
+/// Whether a valid record of the kind `only` starts at `start`, with a header that includes the byte
+/// `field`.
 fn is_record(bytes: &[u8], start: usize, field: usize, only: Option<u8>) -> bool {
     let Some((length, _)) = split(&bytes[start..]) else {
         return false;
@@ -104,12 +104,12 @@ fn is_record(bytes: &[u8], start: usize, field: usize, only: Option<u8>) -> bool
         })
 }
 
-/// The fields of a header, or of a connection's data: each a length, a name, `=` and a value.
+/// Fields of a header or of a connection's data: each a length, a name, `=` and a value.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Header<'a>(&'a [u8]);
 
 impl<'a> Header<'a> {
-    /// The fields as far as they are sound: a name and a value, or `None` where they are not.
+    /// Name and value of each field; ends with `None` at an invalid field.
     fn fields(self) -> impl Iterator<Item = Option<(&'a [u8], &'a [u8])>> {
         let mut rest = self.0;
         std::iter::from_fn(move || {
@@ -129,7 +129,7 @@ impl<'a> Header<'a> {
         })
     }
 
-    /// The field `op`, if every field is sound.
+    /// The field `op`, if all fields are valid.
     fn op(self) -> Option<u8> {
         let mut op = None;
         for field in self.fields() {
@@ -145,7 +145,7 @@ impl<'a> Header<'a> {
         fields.find(|(found, _)| *found == name.as_bytes()).map(|(_, value)| value)
     }
 
-    /// The text of a field, as far as it is UTF-8.
+    /// The text of a field, if it is UTF-8.
     pub(super) fn text(self, name: &str) -> Option<&'a str> {
         std::str::from_utf8(self.bytes(name)?).ok()
     }
@@ -158,7 +158,7 @@ impl<'a> Header<'a> {
         self.bytes(name)?.try_into().ok().map(u64::from_le_bytes)
     }
 
-    /// A time in nanoseconds.
+    /// A time, ns.
     fn time(self, name: &str) -> Option<u64> {
         self.bytes(name)?.try_into().ok().map(time)
     }
@@ -169,10 +169,10 @@ impl<'a> Header<'a> {
 pub(super) struct Connection<'a> {
     pub(super) id: u32,
     pub(super) topic: &'a str,
-    /// Such as `sensor_msgs/JointState`.
+    /// For example `sensor_msgs/JointState`.
     pub(super) type_name: &'a str,
     pub(super) definition: &'a [u8],
-    /// Whether the sender repeats its last message to whoever comes late.
+    /// Whether the sender repeats its last message to new subscribers.
     pub(super) latching: bool,
 }
 
@@ -190,7 +190,7 @@ impl<'a> Connection<'a> {
 }
 
 impl Connection<'_> {
-    /// Whether the first field of its messages is a `std_msgs/Header`, of which the first is `seq`.
+    /// Whether the first field of its messages is a `std_msgs/Header`, which starts with `seq`.
     pub(super) fn begins_with_header(&self) -> bool {
         let Ok(text) = std::str::from_utf8(self.definition) else {
             return false;
@@ -206,7 +206,7 @@ impl Connection<'_> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Message {
     pub(super) connection: u32,
-    /// When the recorder received it, in nanoseconds.
+    /// Receive time, ns.
     pub(super) time: u64,
 }
 
@@ -218,9 +218,9 @@ impl Message {
 
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Chunk<'a> {
-    /// `None` where it is one that is not known.
+    /// `None` if the compression is unknown.
     pub(super) compression: Option<Compression>,
-    /// Bytes of the records inside.
+    /// Uncompressed size of the records.
     pub(super) size: u32,
     pub(super) data: &'a [u8],
 }
@@ -236,16 +236,16 @@ impl<'a> Chunk<'a> {
         Some(Self { compression, size: header.u32("size")?, data })
     }
 
-    /// The records inside; `None` where their compression is unknown.
+    /// The compressed records; `None` if the compression is unknown.
     pub(super) fn packed(&self) -> Option<Packed<'a>> {
-        // What checksums there are the compressed data hold themselves.
+        // Checksums, if any, are part of the compressed data.
         let (compression, size) = (self.compression?, self.size.into());
         Some(Packed { compression, data: self.data, size, crc: 0 })
     }
 
-    /// Whether a checksum in the compressed data covers what is inside.
+    /// Whether the compressed data include a checksum of the content.
     pub(super) fn has_checksum(&self) -> bool {
-        /// The byte of an lz4 frame's flags, and that for a checksum of its content.
+        /// Index of the flags in an lz4 frame, and the flag of a content checksum.
         const LZ4_FLAGS: (usize, u8) = (4, 0x04);
         match self.compression {
             Some(Compression::Bz2) => true,
@@ -257,7 +257,7 @@ impl<'a> Chunk<'a> {
     }
 }
 
-/// How many messages a chunk info counts: its data has a connection and a count for each.
+/// Number of messages in a chunk info record: the sum of the counts of all connections.
 pub(super) fn chunk_info_messages(record: &Record<'_>) -> u64 {
     const ENTRY: usize = 8;
     record
@@ -268,33 +268,33 @@ pub(super) fn chunk_info_messages(record: &Record<'_>) -> u64 {
         .sum()
 }
 
-/// The messages of one connection in a chunk.
+/// Index of the messages of one connection in a chunk.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MessageIndex<'a> {
-    /// Time and place of each.
+    /// Time and offset of each message.
     entries: &'a [[u8; 12]],
 }
 
 impl<'a> MessageIndex<'a> {
-    /// With the number of the connection.
+    /// Parses the connection and its index.
     pub(super) fn of(record: &Record<'a>) -> Option<(u32, Self)> {
         let (entries, _) = record.data.as_chunks();
         Some((record.header.u32("conn")?, Self { entries }))
     }
 
-    /// How many messages there are.
+    /// Number of messages.
     pub(super) fn count(&self) -> u64 {
         self.entries.len() as u64
     }
 
-    /// Their first and last time, ns; `None` where there is no message.
+    /// First and last time, ns; `None` if there are no messages.
     pub(super) fn span(&self) -> Option<(u64, u64)> {
         let times = || self.entries.iter().filter_map(|entry| Some(time(entry.first_chunk()?)));
         times().min().zip(times().max())
     }
 }
 
-/// Seconds and nanoseconds as nanoseconds.
+/// Converts seconds and nanoseconds to nanoseconds.
 fn time(value: &[u8; 8]) -> u64 {
     let [seconds, nanoseconds] = [&value[..4], &value[4..]]
         .map(|part| part.try_into().map_or(0, u32::from_le_bytes))
@@ -302,13 +302,13 @@ fn time(value: &[u8; 8]) -> u64 {
     seconds * 1_000_000_000 + nanoseconds
 }
 
-/// Where the chunk of a chunk info begins, and the times of its first and last message, ns.
+/// Offset of the chunk of a chunk info record, and the times of its first and last message, ns.
 pub(super) fn chunk_info_times(record: &Record<'_>) -> Option<(usize, u64, u64)> {
     let chunk = record.header.u64("chunk_pos")?.try_into().ok()?;
     Some((chunk, record.header.time("start_time")?, record.header.time("end_time")?))
 }
 
-/// A length, and what follows it.
+/// Splits a length from the remaining bytes.
 fn split(bytes: &[u8]) -> Option<(u32, &[u8])> {
     let (&length, rest) = bytes.split_first_chunk()?;
     Some((u32::from_le_bytes(length), rest))

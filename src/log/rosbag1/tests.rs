@@ -1,4 +1,4 @@
-//! Sound and damaged bags.
+//! Valid and damaged bags.
 
 use std::path::Path;
 
@@ -12,12 +12,12 @@ const MESSAGES: u64 = 60;
 const A_CHUNK: u64 = 20;
 const COMPRESSIONS: [&str; 3] = ["none", "lz4", "bz2"];
 
-/// A message whose bytes are neither all alike nor a record.
+/// A message whose bytes vary and do not form a record.
 fn content(n: u64) -> Vec<u8> {
     (0..40).map(|i| (n * 37 + i * 11) as u8).collect()
 }
 
-/// A bag of messages at times 1, 2, 3, … ns, and where its chunks begin.
+/// A bag with messages at times 1, 2, 3, … ns, and the offsets of its chunks.
 fn bag(compression: &'static str) -> (Vec<u8>, Vec<usize>) {
     let (bag, chunks) = unfinished(compression, MESSAGES);
     (bag.finish(), chunks)
@@ -37,7 +37,7 @@ fn unfinished(compression: &'static str, messages: u64) -> (BagWriter, Vec<usize
     (bag, chunks)
 }
 
-/// Every chunk is unpacked, though no audit uses what most of these bags hold.
+/// Reads with verification, so chunks with unused messages are decompressed too.
 fn read_bag(bytes: &[u8]) -> Log {
     read_bag_with(bytes, &ReadOptions { verify: true, ..ReadOptions::default() })
 }
@@ -104,7 +104,7 @@ fn every_cut_keeps_the_messages_before_it() {
 fn a_cut_in_a_plain_chunk_costs_one_message() {
     let (whole, chunks) = bag("none");
     let log = read_bag(&whole[..chunks[1] + 1000]);
-    // A message takes 40 bytes of data, 38 of header, and 8 for their lengths.
+    // A message has 40 bytes of data, 38 of header, and 8 for their lengths.
     let expected = A_CHUNK + (1000 - 50) / 100;
     assert!(log.messages.abs_diff(expected) <= 2, "{}", log.messages);
     let [loss] = log.losses.as_slice() else { panic!("{:?}", log.losses) };
@@ -142,7 +142,7 @@ fn chunks_without_a_use_are_counted_and_left_packed() {
 fn a_corrupt_chunk_is_lost_alone_and_its_messages_are_counted() {
     for compression in ["lz4", "bz2"] {
         let (mut bytes, chunks) = bag(compression);
-        // The first chunk is the one that describes the connections.
+        // The first chunk contains the connections.
         for chunk in [chunks[0], chunks[2]] {
             bytes[chunk + 120] ^= 0x10;
             let log = read_bag(&bytes);
@@ -157,7 +157,7 @@ fn a_corrupt_chunk_is_lost_alone_and_its_messages_are_counted() {
 #[test]
 fn a_wrong_length_in_a_plain_chunk_costs_few_messages() {
     let (mut bytes, chunks) = bag("none");
-    // A length of a message in the second chunk: its data are the only 40 bytes in a row.
+    // The length of a message in the second chunk; no other field has the value 40.
     let length = 40u32.to_le_bytes();
     let at = bytes[chunks[1]..].windows(4).position(|window| window == length).unwrap();
     for wrong in [[200, 0, 0, 0], [0xff; 4]] {
@@ -173,7 +173,7 @@ fn a_wrong_length_in_a_plain_chunk_costs_few_messages() {
 fn a_wrong_chunk_length_is_passed_and_no_message_is_read_twice() {
     for compression in COMPRESSIONS {
         let (mut bytes, chunks) = bag(compression);
-        // Where the data's length stands: behind the header, behind the header's length.
+        // The length of the data follows the header's length and the header.
         let header = u32::from_le_bytes(bytes[chunks[1]..][..4].try_into().unwrap()) as usize;
         let length = chunks[1] + 4 + header;
         for wrong in [0xff, 0x7f, 0x00] {
@@ -192,7 +192,7 @@ fn a_wrong_chunk_length_is_passed_and_no_message_is_read_twice() {
 fn no_flipped_byte_stops_the_reading() {
     for compression in COMPRESSIONS {
         let (mut bytes, _) = bag(compression);
-        // Compressed bytes are all alike to the reader.
+        // All compressed bytes are equivalent to the reader.
         let step = if compression == "none" { 1 } else { 3 };
         for index in (MAGIC.len()..bytes.len()).step_by(step) {
             bytes[index] ^= 0xff;

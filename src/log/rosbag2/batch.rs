@@ -1,5 +1,5 @@
-//! Rows of a database, copied for a thread that decodes them while SQLite finds the next: what it hands out
-//! is gone with the next row.
+//! Batches of database rows, copied for a thread that decodes them. SQLite invalidates a row when it reads
+//! the next.
 
 use std::ops::Range;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -8,13 +8,13 @@ use std::thread;
 use crate::intake::{ChannelId, Intake, MOST_AT_ONCE};
 use crate::topic::{Message, Place};
 
-/// Bytes of a batch beyond which no row is added to it.
+/// Size at which a batch is full, bytes.
 const ENOUGH_BYTES: usize = 1 << 20;
 
-/// Batches that wait to be decoded.
+/// Maximum number of batches that wait for decoding.
 const WAITING: usize = 3;
 
-/// Some rows.
+/// Copied rows.
 #[derive(Default)]
 struct Batch {
     bytes: Vec<u8>,
@@ -47,17 +47,17 @@ impl Batch {
     }
 }
 
-/// Takes rows in their order.
+/// Collects rows in order.
 pub(super) struct Batches<'a> {
     filling: Batch,
     sink: Sink<'a>,
 }
 
-/// Where full batches go.
+/// Destination of full batches.
 enum Sink<'a> {
-    /// They are decoded at once.
+    /// Decoded immediately.
     Here(&'a mut Intake),
-    /// Another thread decodes them, and gives them back empty.
+    /// Decoded by another thread, which returns them empty.
     Beside { full: SyncSender<Batch>, empty: Receiver<Batch> },
 }
 
@@ -78,14 +78,15 @@ impl Batches<'_> {
             Sink::Here(intake) => self.filling.decode(intake),
             Sink::Beside { full, empty } => {
                 let next = empty.try_recv().unwrap_or_default();
-                // Only a panic ends the other thread before all was sent, and that goes on here.
+                // The other thread only ends early if it panics; the scope propagates the panic.
                 let _panics = full.send(std::mem::replace(&mut self.filling, next));
             }
         }
     }
 }
 
-/// Runs `read`; what it adds is decoded into `intake`, in its order, by another thread if there may be one.
+/// Runs `read` and decodes the rows it adds into `intake`, in order. Uses another thread if threads are
+/// available.
 pub(super) fn decoded<R>(intake: &mut Intake, read: impl FnOnce(&mut Batches<'_>) -> R) -> R {
     let through = |sink: Sink<'_>| {
         let mut batches = Batches { filling: Batch::default(), sink };
@@ -102,7 +103,7 @@ pub(super) fn decoded<R>(intake: &mut Intake, read: impl FnOnce(&mut Batches<'_>
         scope.spawn(move || {
             for mut batch in waiting {
                 batch.decode(intake);
-                // When nothing more is read, nobody wants it.
+                // After the last row, empty batches are not needed.
                 let _at_the_end = done.try_send(batch);
             }
         });

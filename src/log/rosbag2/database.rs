@@ -1,7 +1,7 @@
-//! The SQLite database of a rosbag2 recording, of schema versions 1 to 4.
+//! SQLite databases of rosbag2, schema versions 1 to 4.
 //!
-//! All versions have the tables `topics` and `messages`; from version 4 on, `message_definitions`
-//! holds the schemas. A database is opened to be read only, and leaves nothing beside it.
+//! All versions have the tables `topics` and `messages`; since version 4, `message_definitions` contains
+//! the schemas. Databases are opened read-only, and no file is created next to them.
 
 use std::collections::HashMap;
 use std::fs::{self, File};
@@ -21,17 +21,17 @@ use crate::intake::{ChannelId, Intake};
 use crate::losses::Losses;
 use crate::{ESCAPED, Extent, ReadOptions};
 
-/// Most places of a database that are passed over because they are damaged.
+/// Maximum number of damaged places that are skipped.
 const MAX_BREAKS: usize = 1000;
 
-/// Most topics and definitions that are looked at.
+/// Maximum number of topics and definitions.
 const MAX_TOPICS: usize = 1 << 20;
 
-/// Longest row that is read: SQLite takes the memory for all of it before anything is known of it.
+/// Maximum size of a row. SQLite allocates a whole row before its content is known.
 const MAX_ROW_BYTES: i32 = 256 << 20;
 
-/// Reads the database at `path` into `intake`; false if it is sound, but none of rosbag2's. Says when
-/// it is `opened`: from then on its name is not needed.
+/// Reads the database at `path` into `intake`. Returns false if it is valid but does not have rosbag2's
+/// tables. Calls `opened` when the file name is no longer needed.
 pub(crate) fn read(
     path: &Path,
     options: &ReadOptions,
@@ -70,7 +70,7 @@ pub(crate) fn read(
     let journal = beside(path, "-journal");
     if fs::metadata(&journal).is_ok_and(|journal| journal.len() > 0) {
         let what = format!(
-            "{} was left by a crash: what was written last may be half there",
+            "{} remains from a crash: the last writes may be incomplete",
             journal.display()
         );
         losses.add_unplaced(Extent::Tail, None, what);
@@ -93,15 +93,15 @@ pub(crate) fn read(
     true
 }
 
-/// What a database must be to be read.
+/// Requirements on a database.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Strictness {
     Sound,
-    /// Its end may be missing, and tables whose description is broken.
+    /// Its end may be missing, and table descriptions may be damaged.
     Damaged,
 }
 
-/// Where the file at `path` ends and what to say of it, if it is shorter than its header says.
+/// End of a truncated file with a description; `None` if it is as long as its header states.
 fn cut(path: &Path) -> Option<(usize, String)> {
     let mut head = [0; 32];
     File::open(path).ok()?.read_exact(&mut head).ok()?;
@@ -111,11 +111,11 @@ fn cut(path: &Path) -> Option<(usize, String)> {
     };
     let stated = page * u64::from(u32::from_be_bytes([head[28], head[29], head[30], head[31]]));
     let bytes = fs::metadata(path).ok()?.len();
-    let what = format!("the database is cut: {bytes} of its {stated} bytes are there");
+    let what = format!("the database is truncated: {bytes} of {stated} bytes");
     (bytes < stated).then_some((usize::try_from(bytes).ok()?, what))
 }
 
-/// Takes down what of the write-ahead log beside the database SQLite passes over in silence.
+/// Records damage to the write-ahead log, which SQLite does not report.
 fn write_ahead_log(path: &Path, losses: &mut Losses) {
     let wal = beside(&fs::canonicalize(path).unwrap_or_else(|_| path.to_owned()), "-wal");
     if !fs::metadata(&wal).is_ok_and(|wal| wal.len() > 0) {
@@ -129,21 +129,21 @@ fn write_ahead_log(path: &Path, losses: &mut Losses) {
     losses.add_unplaced(Extent::Messages, None, what);
 }
 
-/// Opens a database without a lock on it and without a file beside it.
+/// Opens a database read-only, without locking it or creating files.
 fn open(path: &Path, strictness: Strictness) -> rusqlite::Result<Connection> {
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY
         | OpenFlags::SQLITE_OPEN_URI
         | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     let path = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let has_wal = fs::metadata(beside(&path, "-wal")).is_ok_and(|wal| wal.len() > 0);
-    // An immutable database is read without its write-ahead log. With it, the index of that log is
-    // kept in memory if nobody else may use the database, which is so without locks.
+    // An immutable database is read without its write-ahead log. With the log, exclusive use without locks
+    // keeps its index in memory.
     let mode = if has_wal && cfg!(unix) { "vfs=unix-none" } else { "immutable=1" };
     let database = Connection::open_with_flags(uri(&path, mode), flags)?;
     database.set_limit(Limit::SQLITE_LIMIT_LENGTH, MAX_ROW_BYTES)?;
     database.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
-    // To read a damaged database is a right that comes with that to write its schema. The file is opened
-    // to be read only, and of a table nothing is read but rows.
+    // SQLite reads a damaged database only if its schema is writable. The file is still opened read-only,
+    // and only table rows are read.
     let is_sound = strictness == Strictness::Sound;
     database.set_db_config(DbConfig::SQLITE_DBCONFIG_DEFENSIVE, is_sound)?;
     database.set_db_config(DbConfig::SQLITE_DBCONFIG_WRITABLE_SCHEMA, !is_sound)?;
@@ -151,12 +151,12 @@ fn open(path: &Path, strictness: Strictness) -> rusqlite::Result<Connection> {
     if has_wal {
         database.query_row("PRAGMA locking_mode = EXCLUSIVE", [], |_| Ok(()))?;
     }
-    // As much as SQLite maps: its pages are then not copied.
+    // SQLite does not copy pages that it maps.
     database.pragma_update(None, "mmap_size", i64::from(i32::MAX))?;
     Ok(database)
 }
 
-/// The file that SQLite keeps beside the database at `path`.
+/// Path of SQLite's companion file with this suffix.
 fn beside(path: &Path, suffix: &str) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(suffix);
@@ -174,7 +174,7 @@ fn lose(losses: &mut Losses, messages: Option<u64>, what: &str, error: &rusqlite
     losses.add_unplaced(Extent::Messages, messages, format!("{what}: {cause}"));
 }
 
-/// Which of rosbag2's tables a database has.
+/// The tables of rosbag2 in a database.
 #[derive(Clone, Copy, Default)]
 struct Tables {
     topics: bool,
@@ -183,8 +183,8 @@ struct Tables {
 }
 
 impl Tables {
-    /// Views, virtual tables and computed columns do not count: reading them would run what a
-    /// stranger wrote.
+    /// Detects the tables. Excludes views, virtual tables and computed columns, because reading them would
+    /// execute untrusted SQL.
     fn of(database: &Connection) -> rusqlite::Result<Self> {
         let has = |name: &str| -> rusqlite::Result<bool> {
             database.query_row(
@@ -208,25 +208,25 @@ struct Reader<'a> {
     database: &'a Connection,
     options: &'a ReadOptions,
     losses: &'a mut Losses,
-    /// By the number that messages give; `None` where there are too many channels to take it.
+    /// Channel of each topic number in the database; `None` if there are too many channels.
     topics: HashMap<i64, Option<ChannelId>>,
-    /// Bytes of the messages read.
+    /// Size of the messages read, bytes.
     bytes: usize,
-    /// Messages of topics that the database does not list.
+    /// Number of messages of topics that the database does not list.
     orphans: u64,
-    /// Messages whose time is negative.
+    /// Number of messages with a negative time.
     before_1970: u64,
-    /// Rows whose number is not above that of the row before.
+    /// Number of rows that are not in ascending order.
     strays: usize,
-    /// Those of them since the last that was.
+    /// Number of them since the last row in order.
     strays_here: u64,
     /// The first of them, and the row before it.
     first_stray: (i64, i64),
-    /// Whether it was said that rows are lost at the end.
+    /// Whether lost rows at the end were already reported.
     is_cut: bool,
 }
 
-/// A schema and what it is written in.
+/// A schema with its encoding.
 struct Definition {
     encoding: String,
     text: Vec<u8>,
@@ -251,7 +251,7 @@ impl Reader<'_> {
         });
         for (id, name, type_name, encoding) in &listed {
             let definition = definitions.get(type_name);
-            // A definition that the recorder did not find is an empty text.
+            // The definition is empty if the recorder did not find it.
             let definition = definition.filter(|definition| !definition.text.is_empty());
             let format = Format {
                 encoding,
@@ -263,7 +263,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Hands each row of a short table to `take`; what cannot be read is taken down.
+    /// Passes each row of a short table to `take`; records read errors.
     fn rows(&mut self, query: &str, mut take: impl FnMut(&Row<'_>) -> rusqlite::Result<()>) {
         let read = self.database.prepare(query).and_then(|mut statement| {
             let mut rows = statement.query([])?;
@@ -280,7 +280,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Reads the messages in the order in which they were written, past what is damaged.
+    /// Reads the messages in the order of recording, and skips damaged parts.
     fn messages(&mut self, intake: &mut Intake) {
         let mut from = self.first_row();
         let mut breaks = 0;
@@ -290,12 +290,13 @@ impl Reader<'_> {
         {
             breaks += 1;
             if breaks > MAX_BREAKS {
-                let what = format!("rows from {from} on are not read, after so many damaged ones");
+                let what =
+                    format!("rows from {from} on were not read, because too many are damaged");
                 lose(self.losses, None, &what, &error);
                 break;
             }
             if self.strays > MAX_BREAKS {
-                let what = format!("rows from {from} on are not read");
+                let what = format!("rows from {from} on were not read");
                 lose(self.losses, None, &what, &error);
                 break;
             }
@@ -303,41 +304,41 @@ impl Reader<'_> {
                 if self.is_cut {
                     break;
                 }
-                let what = format!("no row from {from} on of the table `messages` is readable");
+                let what = format!("the table `messages` is unreadable from row {from} on");
                 lose(self.losses, None, &what, &error);
                 break;
             };
             let lost = u64::try_from(next.saturating_sub(from)).ok();
-            // Those of them that came under another number are counted already.
+            // Rows that appeared out of order are already counted.
             let lost = lost.map(|lost| lost.saturating_sub(self.strays_here));
             let last = next.saturating_sub(1);
-            let what = format!("rows {from} to {last} of the table `messages` are not readable");
+            let what = format!("rows {from} to {last} of the table `messages` are unreadable");
             lose(self.losses, lost, &what, &error);
             from = next;
         }
         if self.strays > 0 {
             let (count, (first, before)) = (self.strays, self.first_stray);
             let what = format!(
-                "{count} rows of the table `messages` do not ascend, the first of them row {first} \
-                 after row {before}"
+                "{count} rows of the table `messages` are out of order; the first is row {first} after row \
+                 {before}"
             );
             self.losses.add_unplaced(Extent::Messages, Some(count as u64), what);
         }
         if self.before_1970 > 0 {
             let what = format!(
-                "the time of receipt of {} messages is before 1970 and taken as its beginning",
+                "the receive time of {} messages is before 1970 and was set to 1970",
                 self.before_1970
             );
             intake.note(self.losses.file(), what);
         }
         if self.orphans > 0 {
             let (extent, why) = intake.nowhere();
-            let what = format!("{} messages are of topics {why}", self.orphans);
+            let what = format!("{} messages belong to topics {why}", self.orphans);
             self.losses.add_unplaced(extent, Some(self.orphans), what);
         }
     }
 
-    /// Where to begin: recorders count rows from 1, but other programs may not.
+    /// First row number. Recorders start at 1, other programs may not.
     fn first_row(&self) -> i64 {
         let first = self
             .database
@@ -345,7 +346,7 @@ impl Reader<'_> {
         first.ok().flatten().map_or(1, |first| first.min(1))
     }
 
-    /// Reads the messages from row `from` on, which is moved past what was read.
+    /// Reads the messages from row `from` on, and advances `from`.
     fn messages_from(
         &mut self,
         from: &mut i64,
@@ -359,8 +360,7 @@ impl Reader<'_> {
         let mut rows = statement.query([*from])?;
         while let Some(row) = rows.next()? {
             let id: i64 = row.get(0)?;
-            // A page that is reached twice, or a number that was overwritten. Rows that do not ascend
-            // may go on without end.
+            // A page that is referenced twice, or an overwritten number. Such rows could repeat forever.
             if id < *from {
                 self.stray(id, *from)?;
                 continue;
@@ -371,10 +371,10 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Counts row `id`, which comes after those below `from`.
+    /// Counts row `id`, which is out of order: the next row number is at least `from`.
     ///
     /// # Errors
-    /// Where there were too many of them.
+    /// If there are too many such rows.
     fn stray(&mut self, id: i64, from: i64) -> rusqlite::Result<()> {
         if self.strays == 0 {
             self.first_stray = (id, from.saturating_sub(1));
@@ -384,14 +384,14 @@ impl Reader<'_> {
             return Ok(());
         }
         let code = rusqlite::ffi::Error::new(rusqlite::ffi::SQLITE_CORRUPT);
-        let what = "too many do not ascend".to_owned();
+        let what = "too many are out of order".to_owned();
         Err(rusqlite::Error::SqliteFailure(code, Some(what)))
     }
 
-    /// What of a message's content is asked for: none where no audit uses it, so that the pages of
-    /// large ones are not read.
+    /// SQL expression for the content of messages: empty for unused topics, so the pages of large messages
+    /// are not read.
     fn content(&self, intake: &Intake) -> String {
-        /// Topics beyond which the list of them would be long.
+        /// Maximum number of topics in the list.
         const MANY: usize = 1000;
         let is_used =
             |channel: &Option<ChannelId>| channel.is_some_and(|channel| !intake.ignores(channel));
@@ -410,7 +410,7 @@ impl Reader<'_> {
         let (Ok(ValueRef::Integer(topic)), Ok(ValueRef::Integer(time)), Ok(ValueRef::Blob(data))) =
             content
         else {
-            let what = format!("row {id} of the table `messages` is no message");
+            let what = format!("row {id} of the table `messages` is not a message");
             return self.losses.add_unplaced(Extent::Messages, Some(1), what);
         };
         self.bytes = self.bytes.saturating_add(data.len());
@@ -419,14 +419,13 @@ impl Reader<'_> {
             self.orphans += 1;
             return;
         };
-        // A database keeps one time of a message: when the recorder received it.
+        // The database stores one time per message, the receive time.
         self.before_1970 += u64::from(time < 0);
         let time = u64::try_from(time).unwrap_or(0);
         batches.add(*channel, id, time, data);
     }
 
-    /// The next row after `lost` that can be read, found by ever longer leaps and then halving the
-    /// last of them.
+    /// Finds the next readable row after `lost` by exponential and binary search.
     fn next_sound(&self, mut lost: i64) -> Option<i64> {
         let mut step: i64 = 1;
         let mut sound = loop {
@@ -462,7 +461,7 @@ impl Reader<'_> {
     }
 }
 
-/// A text, or nothing where the column has none.
+/// A text; empty if the column has none.
 fn text(row: &Row<'_>, column: usize) -> rusqlite::Result<String> {
     Ok(match row.get_ref(column)? {
         ValueRef::Text(text) | ValueRef::Blob(text) => String::from_utf8_lossy(text).into_owned(),

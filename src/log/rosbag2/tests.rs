@@ -1,4 +1,4 @@
-//! Sound and damaged databases and folders.
+//! Valid and damaged databases and folders.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -25,14 +25,14 @@ fn rows(log: &Log) -> &PoseColumns {
     }
 }
 
-/// A database of `count` poses from `first` on.
+/// A database with `count` poses from `first` on.
 fn database(path: &Path, first: u32, count: u32) {
     let database = DatabaseWriter::create(path);
     database.poses(1, "/pose");
     database.count_poses(1, first, count);
 }
 
-/// An MCAP file of as many.
+/// An MCAP file with `count` poses from `first` on.
 fn mcap(path: &Path, first: u32, count: u32) {
     let mut log = LogWriter::default();
     let channel = log.channel("/pose", "geometry_msgs/msg/PoseStamped", POSE_STAMPED);
@@ -43,7 +43,7 @@ fn mcap(path: &Path, first: u32, count: u32) {
     fs::write(path, log.finish()).unwrap();
 }
 
-/// A `metadata.yaml` that lists files and how many messages each has.
+/// A `metadata.yaml` that lists files and their numbers of messages.
 fn metadata(folder: &Path, files: &[(&str, u64)]) {
     let mut text = "rosbag2_bagfile_information:\n  version: 9\n  storage_identifier: sqlite3\n  \
                     custom_data: ~\n  relative_file_paths:\n"
@@ -70,7 +70,7 @@ fn names_in(folder: &Path) -> Vec<PathBuf> {
 #[test]
 fn a_database_gives_its_rows() {
     let folder = folder();
-    // A name that a URI must escape, and that says nothing.
+    // A name that a URI must escape, with a misleading extension.
     let path = folder.path().join("a b?#%.mcap");
     database(&path, 5, 100);
     let log = read(&path);
@@ -113,7 +113,7 @@ fn rows_and_times_below_zero_are_read() {
     assert_eq!(log.losses, []);
     assert_eq!(rows(&log).times.log, [0, 10, 20]);
     let [note] = log.notes.as_slice() else { panic!("{:?}", log.notes) };
-    assert!(note.what.contains("of 1 messages is before 1970"), "{note:?}");
+    assert!(note.what.contains("receive time of 1 messages is before 1970"), "{note:?}");
 }
 
 #[test]
@@ -132,7 +132,7 @@ fn a_write_ahead_log_is_read_and_left_alone() {
     let after: Vec<Vec<u8>> = [&copy, &beside(&copy)].map(|path| fs::read(path).unwrap()).into();
     assert!(before == after);
 
-    // Each frame is of 1048 bytes, each transaction of several frames.
+    // Each frame has 1048 bytes; each transaction has several frames.
     let [whole, wal] = [&before[0], &before[1]];
     let mut leftover = wal.clone();
     let frame = leftover[32..32 + 1048].to_vec();
@@ -145,11 +145,11 @@ fn a_write_ahead_log_is_read_and_left_alone() {
     headless[20] ^= 1;
     let cases = [
         (leftover, None),
-        (flipped, Some("at byte 10512: its frames from 11 on cannot be read")),
-        (headless, Some("at byte 0: its header is damaged")),
-        (wal[..length - 7].to_vec(), Some("it is cut within frame")),
-        (wal[..20].to_vec(), Some("it is cut: 20 bytes are no header")),
-        (wal[..length - 1048].to_vec(), Some("of a transaction that was not ended")),
+        (flipped, Some("at byte 10512: frames from 11 on cannot be read")),
+        (headless, Some("at byte 0: header damaged")),
+        (wal[..length - 7].to_vec(), Some("truncated within frame")),
+        (wal[..20].to_vec(), Some("truncated: 20 bytes are too few for a header")),
+        (wal[..length - 1048].to_vec(), Some("belong to an incomplete transaction")),
     ];
     for (bytes, expected) in cases {
         fs::write(&copy, whole).unwrap();
@@ -161,7 +161,7 @@ fn a_write_ahead_log_is_read_and_left_alone() {
         assert!(log.losses.iter().all(|loss| loss.extent == Extent::Messages));
     }
 
-    /// Goes on with the database at `path`, so that 30 messages are in its write-ahead log only.
+    /// Continues the database at `path`, so 30 messages are only in its write-ahead log.
     #[expect(non_snake_case, reason = "they are named as ROS names them")]
     fn DatabaseWriter(path: &Path) -> rusqlite::Connection {
         let database = rusqlite::Connection::open(path).unwrap();
@@ -185,7 +185,7 @@ fn a_damaged_page_costs_its_own_messages() {
     let path = folder.path().join("run.db3");
     database(&path, 0, 400);
     let mut bytes = fs::read(&path).unwrap();
-    // A leaf of the table of messages (0x0d), amid the file, and its cells.
+    // A leaf page of the table of messages (0x0d) inside the file.
     let page = (30..).find(|page| bytes[page * 1024] == 0x0d).unwrap();
     bytes[page * 1024..(page + 1) * 1024].fill(0xaa);
     fs::write(&path, &bytes).unwrap();
@@ -206,14 +206,14 @@ fn a_cut_database_is_read_up_to_where_it_ends() {
     fs::write(&path, &whole[..whole.len() - 5000]).unwrap();
     let log = read(&path);
     assert!((340..400).contains(&log.messages), "{}", log.messages);
-    let expected = format!("{} of its {} bytes are there", whole.len() - 5000, whole.len());
-    let of_file = log.losses.iter().filter(|loss| !loss.what.contains("do not ascend"));
+    let expected = format!("truncated: {} of {} bytes", whole.len() - 5000, whole.len());
+    let of_file = log.losses.iter().filter(|loss| !loss.what.contains("are out of order"));
     let [cut] = of_file.collect::<Vec<_>>()[..] else { panic!("{:?}", log.losses) };
     assert!(cut.what.ends_with(&expected), "{}", cut.what);
     assert_eq!(cut.extent, Extent::Messages);
 }
 
-/// The cells of a page of a table, as offsets in the file.
+/// Offsets of the cells of a table page in the file.
 fn cells(bytes: &[u8], page: usize, header: usize) -> Vec<usize> {
     let two = |at: usize| usize::from(bytes[at]) << 8 | usize::from(bytes[at + 1]);
     let page = page * 1024;
@@ -227,7 +227,7 @@ fn rows_that_do_not_ascend_are_damage_and_have_an_end() {
     database(&path, 0, 4000);
     let whole = fs::read(&path).unwrap();
     let pages = |kind: u8| (30..whole.len() / 1024).filter(move |&page| whole[page * 1024] == kind);
-    // The number of a row, behind the length of its content, both as one byte or two.
+    // The row number follows the length of the content, each with one or two bytes.
     let whole = fs::read(&path).unwrap();
     let mut bytes = whole.clone();
     let cell = cells(&bytes, pages(0x0d).nth(20).unwrap(), 8)[1];
@@ -236,10 +236,14 @@ fn rows_that_do_not_ascend_are_damage_and_have_an_end() {
     fs::write(&path, &bytes).unwrap();
     let log = read(&path);
     let [loss] = log.losses.as_slice() else { panic!("{:?}", log.losses) };
-    assert!(loss.what.starts_with("1 rows of the table `messages` do not ascend"), "{}", loss.what);
+    assert!(
+        loss.what.starts_with("1 rows of the table `messages` are out of order"),
+        "{}",
+        loss.what
+    );
     assert_eq!((loss.messages, log.messages), (Some(1), 3999));
 
-    // Every way down leads to the same page.
+    // All child pointers refer to the same page.
     let mut bytes = whole.clone();
     let page = (2..).find(|&page| bytes[page * 1024] == 0x05).unwrap();
     let ways = cells(&bytes, page, 12);

@@ -1,5 +1,5 @@
-//! Whether the write-ahead log beside a database is whole. SQLite reads such a log up to the first frame
-//! whose checksum does not hold and says nothing of the rest.
+//! Integrity check of a database's write-ahead log. SQLite reads the log up to the first invalid checksum
+//! and does not report the rest.
 //!
 //! Format: <https://www.sqlite.org/fileformat2.html#walformat>.
 
@@ -11,13 +11,13 @@ const HEADER_BYTES: u64 = 32;
 const FRAME_HEADER_BYTES: u64 = 24;
 const LARGEST_PAGE: u32 = 1 << 16;
 
-/// What is wrong with the log at `path`, and where in it, bytes; `None` where every frame of it can be
-/// read and belongs to a transaction that was ended.
+/// Offset and description of damage to the log at `path`; `None` if all frames are readable and belong to
+/// completed transactions.
 pub(super) fn damage(path: &Path) -> io::Result<Option<(u64, String)>> {
     let file = File::open(path)?;
     let length = file.metadata()?.len();
     if length < HEADER_BYTES {
-        let what = format!("it is cut: {length} bytes are no header");
+        let what = format!("truncated: {length} bytes are too few for a header");
         return Ok(Some((0, what)));
     }
     let mut file = BufReader::new(file);
@@ -27,7 +27,7 @@ pub(super) fn damage(path: &Path) -> io::Result<Option<(u64, String)>> {
         bytes[at..at + 4].iter().fold(0_u32, |word, byte| word << 8 | u32::from(*byte))
     };
     let page_bytes = word(&header, 8);
-    // The lowest bit of the magic number says in which order the checksum reads bytes.
+    // The lowest bit of the magic number selects the byte order of the checksum.
     let sum = |mut sum: [u32; 2], bytes: &[u8]| {
         let is_big = header[3] & 1 == 1;
         for pair in bytes.chunks_exact(8) {
@@ -46,7 +46,7 @@ pub(super) fn damage(path: &Path) -> io::Result<Option<(u64, String)>> {
         || !is_page
         || so_far != [word(&header, 24), word(&header, 28)]
     {
-        return Ok(Some((0, "its header is damaged: none of it can be read".to_owned())));
+        return Ok(Some((0, "header damaged: nothing can be read".to_owned())));
     }
     let frame_bytes = FRAME_HEADER_BYTES + u64::from(page_bytes);
     let frames = (length - HEADER_BYTES) / frame_bytes;
@@ -54,14 +54,14 @@ pub(super) fn damage(path: &Path) -> io::Result<Option<(u64, String)>> {
     let (mut sound, mut ended) = (0, 0);
     for index in 0..frames {
         file.read_exact(&mut frame)?;
-        // Frames with other salts were left by transactions that are in the database.
+        // Frames with another salt remain from transactions that are already in the database.
         if frame[8..16] != header[16..24] {
             continue;
         }
         so_far = sum(sum(so_far, &frame[..8]), &frame[FRAME_HEADER_BYTES as usize..]);
         if index != sound || so_far != [word(&frame, 16), word(&frame, 20)] {
             let at = HEADER_BYTES + sound * frame_bytes;
-            return Ok(Some((at, format!("its frames from {} on cannot be read", sound + 1))));
+            return Ok(Some((at, format!("frames from {} on cannot be read", sound + 1))));
         }
         sound += 1;
         if word(&frame, 4) != 0 {
@@ -70,13 +70,13 @@ pub(super) fn damage(path: &Path) -> io::Result<Option<(u64, String)>> {
     }
     let end = HEADER_BYTES + sound * frame_bytes;
     if end < length && sound == frames {
-        return Ok(Some((end, format!("it is cut within frame {}", sound + 1))));
+        return Ok(Some((end, format!("truncated within frame {}", sound + 1))));
     }
     let open = sound - ended;
     Ok((open > 0).then(|| {
         (
             HEADER_BYTES + ended * frame_bytes,
-            format!("its last {open} frames are of a transaction that was not ended"),
+            format!("the last {open} frames belong to an incomplete transaction"),
         )
     }))
 }
