@@ -18,18 +18,15 @@ SHORT = 500  # words that a room counts as at least, so a short page may contain
 SKIPPED = {"target", "node_modules", "seeds", "corpus", "snapshots", "CHANGELOG.md"}
 # Rooms above LIMIT. Lower an entry when its room improves; never raise one.
 ALLOWED = {
-    "ARCHITECTURE.md": 47, "CONTRIBUTING.md": 24, "README.md": 30, "SECURITY.md": 40, "benches": 47, "docs": 32,
-    "docs/browser.md": 16, "docs/calibrate.md": 64, "docs/commands.md": 26, "docs/config.md": 51,
+    "ARCHITECTURE.md": 47, "CONTRIBUTING.md": 24, "README.md": 17, "SECURITY.md": 40, "docs": 32,
+    "docs/browser.md": 16, "docs/calibrate.md": 64, "docs/commands.md": 26, "docs/config.md": 49,
     "docs/crates.md": 20, "docs/datasets.md": 51, "docs/first-audit.md": 43, "docs/fleet-ray.md": 30,
-    "docs/fleet.md": 41, "docs/formats.md": 20, "docs/limits.md": 20, "docs/performance.md": 38,
+    "docs/fleet.md": 40, "docs/formats.md": 20, "docs/limits.md": 20, "docs/performance.md": 38,
     "docs/plan.md": 54, "docs/pose.md": 34, "docs/real-logs.md": 7, "docs/record.md": 18,
     "docs/recording.md": 46, "docs/remote.md": 46, "docs/reports.md": 25, "docs/rules": 48,
-    "docs/symptoms.md": 38, "docs/tables.md": 26, "docs/testing.md": 24, "docs/verdicts.md": 19,
-    "docs/watch.md": 32, "examples": 18, "examples/ci/README.md": 18, "fixtures": 8, "fixtures/README.md": 14,
-    "fuzz": 44, "python": 46, "python/README.md": 28, "src": 53, "src/audit": 66, "src/bin": 22,
-    "src/browser": 54, "src/checks": 31, "src/cli": 46, "src/config": 42, "src/corrections": 54, "src/desk": 53,
-    "src/evidence": 75, "src/finding": 71, "src/fleet": 66, "src/log": 46, "src/output": 53,
-    "src/report": 53, "src/run": 33, "src/synth": 47, "tests": 40,
+    "docs/symptoms.md": 38, "docs/tables.md": 26, "docs/testing.md": 24, "docs/verdicts.md": 14,
+    "docs/watch.md": 32, "fixtures": 8, "fixtures/README.md": 14, "src": 7, "src/log": 16, "src/output": 53,
+    "src/synth": 47,
 }
 
 PHRASES = r"""what (?:is|was|are|were|it|they|an?|the|no|all|has|had|comes|goes|remains|else)
