@@ -219,7 +219,7 @@ pub(super) struct Chunk<'a> {
     pub(super) last_time: u64,
     /// Uncompressed size of the records.
     pub(super) size: u64,
-    /// Checksum of the uncompressed records; 0 if there is none.
+    /// Checksum of the uncompressed records; 0 if absent.
     pub(super) crc: u32,
     pub(super) compression: &'a str,
     /// Declared length of `data`.
@@ -301,7 +301,7 @@ impl<'a> MessageIndex<'a> {
         self.entries.iter().filter_map(|entry| Fields(&entry[8..]).u64())
     }
 
-    /// First and last log time, ns; `None` if there are no messages.
+    /// First and last log time, ns; `None` if empty.
     pub(super) fn span(&self) -> Option<(u64, u64)> {
         let time = |entry: &[u8; 16]| Fields(entry).u64();
         let times = || self.entries.iter().filter_map(time);
@@ -315,7 +315,7 @@ pub(super) struct Attachment<'a> {
     pub(super) data: &'a [u8],
     /// The bytes covered by the checksum.
     pub(super) covered: &'a [u8],
-    /// Checksum; 0 if there is none.
+    /// Checksum; 0 if absent.
     pub(super) crc: u32,
 }
 
@@ -356,16 +356,16 @@ pub(super) fn recorded_messages(body: &[u8]) -> Option<u64> {
     Fields(body).u64()
 }
 
-/// Checksum of a data end record; 0 if there is none.
+/// Checksum of a data end record; 0 if absent.
 pub(super) fn data_crc(body: &[u8]) -> Option<u32> {
     Fields(body).u32()
 }
 
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Footer {
-    /// Start of the summary; 0 if there is none.
+    /// Start of the summary; 0 if absent.
     pub(super) summary_start: u64,
-    /// Checksum of the summary and the preceding footer fields; 0 if there is none.
+    /// Checksum of the summary and the preceding footer fields; 0 if absent.
     pub(super) summary_crc: u32,
 }
 

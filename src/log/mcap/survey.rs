@@ -218,7 +218,7 @@ impl<'a> Reader<'a, '_, '_> {
             }
         }
         starts.sort_unstable();
-        // What stands before the first is schemas and channels.
+        // Schemas and channels precede the first message.
         let before = 0..starts.first()?.0;
         let mut parts = vec![before];
         for (number, &(start, is_ignored)) in starts.iter().enumerate() {

@@ -287,7 +287,7 @@ impl<'a> MessageIndex<'a> {
         self.entries.len() as u64
     }
 
-    /// First and last time, ns; `None` if there are no messages.
+    /// First and last time, ns; `None` if empty.
     pub(super) fn span(&self) -> Option<(u64, u64)> {
         let times = || self.entries.iter().filter_map(|entry| Some(time(entry.first_chunk()?)));
         times().min().zip(times().max())
