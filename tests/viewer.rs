@@ -81,7 +81,7 @@ fn what_came_of_the_meshes_is_a_note_of_the_report() {
     let output = audit.output().expect("the program runs");
     assert_eq!(output.status.code(), Some(1), "{}", String::from_utf8_lossy(&output.stderr));
     let report = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert!(report.contains("names no mesh: it is drawn as capsules"), "{report}");
+    assert!(report.contains("has no mesh: it is drawn as capsules"), "{report}");
     assert!(rrd.is_file());
 }
 

@@ -1,4 +1,4 @@
-//! The files that mend what was found.
+//! Writes files that correct the findings.
 
 use std::fs;
 use std::path::Path;
@@ -9,7 +9,8 @@ use crate::places::Places;
 use crate::report::{Trouble, write_whole};
 use crate::run::RobotSource;
 
-/// Enters the files that may be written into `folder`: of the robots that are files, patched copies.
+/// Registers the files that may be written into `folder`. For robots given as files, these are patched
+/// copies.
 pub fn enter(folder: &Path, robots: &[RobotSource], places: &mut Places) {
     let patched = robots.iter().filter_map(RobotSource::file).flat_map(model_files);
     let names = FIX_FILES.iter().map(|&name| name.to_owned()).chain(patched);
@@ -17,21 +18,21 @@ pub fn enter(folder: &Path, robots: &[RobotSource], places: &mut Places) {
 }
 
 impl Audited {
-    /// Writes what mends the findings into `folder`, which is made; each file whole.
+    /// Writes the files that correct the findings into `folder`, creating it. Each file is replaced as a
+    /// whole.
     ///
     /// # Errors
-    /// Where one cannot be written, or would take the place of a file that was read; of several none is then
-    /// written.
+    /// If a file cannot be written or would replace an input file. In the latter case, nothing is written.
     pub fn write_fixes(&self, folder: &Path) -> Result<(), Trouble> {
         let Self { report, run, evidence, segment, .. } = self;
         let files = Mending::of(report, run, evidence, *segment).files();
         let mut places = self.read.clone();
-        // What a model is called that the log holds is not known before the log is read.
+        // The file name of a model in the log is not known before the log is read.
         places.writes_into("--fix", folder, files.iter().map(|(name, _)| name.clone()));
         places.check()?;
         let unwritable = |path: &Path, error: std::io::Error| {
             let what = format!("cannot be written: {error}");
-            Trouble::unwritable(path, what, "name a folder that can be written to with --fix")
+            Trouble::unwritable(path, what, "set --fix to a writable folder")
         };
         fs::create_dir_all(folder).map_err(|error| unwritable(folder, error))?;
         files.iter().try_for_each(|(name, text)| {

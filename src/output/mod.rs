@@ -1,8 +1,8 @@
-//! What is written of an audited run beside its report.
+//! Outputs of an audited run in addition to its report.
 //!
-//! Each output takes an [`Audited`](crate::Audited) run and computes nothing but where things are drawn. It
-//! first makes sure that no file which was read is lost. None of them touches what the report says is wrong,
-//! so that a report outlives an output that cannot be written.
+//! Each output takes an [`Audited`](crate::Audited) run and computes only the positions of drawn objects.
+//! It first checks that it does not overwrite an input file. Outputs do not change the findings, so the
+//! report is available even if an output cannot be written.
 
 pub mod calibration;
 #[cfg(feature = "fix")]

@@ -1,4 +1,4 @@
-//! A calibration for programs: SI units, `a_from_b` maps coordinates in b to coordinates in a.
+//! Calibration as JSON: SI units, `a_from_b` maps coordinates in b to coordinates in a.
 
 use serde_json::{Value, json};
 
@@ -9,7 +9,7 @@ use crate::robot::CALIBRATION_SCHEMA;
 use crate::stats::Measured;
 
 impl Calibrated {
-    /// The calibration, with everything that it rests on.
+    /// The calibration with all its inputs.
     pub fn json(&self) -> Value {
         let found = &self.found;
         let joints: Vec<Value> = self
@@ -92,7 +92,7 @@ impl Calibrated {
         })
     }
 
-    /// The names of the parameters, in their order.
+    /// Names of the parameters in order.
     pub(super) fn parameter_names(&self) -> Vec<String> {
         let found = &self.found;
         let links =
@@ -110,24 +110,26 @@ impl Calibrated {
         json!({"parts": parts, "variance_left": untold.share, "effect_m": untold.effect_m})
     }
 
-    /// What is fixed because no pose tells it.
+    /// Parameters that are fixed by convention because poses do not determine them.
     pub(super) fn conventions(&self) -> Vec<String> {
         let mut said = vec![
-            "what is about or along a joint's own axis stands in that joint's origin, not after it"
+            "a deviation about or along a joint's own axis is assigned to the origin of that joint, not to \
+             the one after it"
                 .to_owned(),
         ];
         let found = &self.found;
         let has = |link: usize| found.parameters.iter().any(|one| one.link == link);
         if !has(0) {
             said.push(format!(
-                "the base frame, and with it the zero of {}: they are what the poses' own frame is, which is \
-                 free",
+                "the base frame and the zero of {}: they cannot be separated from the frame of the poses, \
+                 which is free",
                 self.joints.first().map_or("the first joint", String::as_str)
             ));
         }
         if !has(found.links.len() - 1) {
             said.push(format!(
-                "the tool frame, and with it the zero of {}: what is measured on the tool is free",
+                "the tool frame and the zero of {}: they cannot be separated from the point measured on the \
+                 tool, which is free",
                 self.joints.last().map_or("the last joint", String::as_str)
             ));
         }
@@ -135,7 +137,7 @@ impl Calibrated {
     }
 }
 
-/// How a program calls the direction of a parameter.
+/// Machine-readable name of a parameter's direction.
 fn axis(parameter: &LinkParameter) -> String {
     let turn = if parameter.turns { "r" } else { "" };
     let along = parameter.direction.iter().position(|part| part.abs() > 1.0 - 1e-9);

@@ -1,5 +1,5 @@
-//! The files of a calibration: the model patched, its numbers with their covariance, and the forms that
-//! others read.
+//! Calibration files: the patched model, the parameters with their covariance, and formats for other
+//! programs.
 
 mod json;
 mod text;
@@ -12,26 +12,26 @@ use crate::places::Places;
 use crate::report::{Trouble, write_whole};
 use crate::robot::{Calibration, Robot, catalogue};
 
-/// The model with the deviations in it.
+/// Model with the deviations applied.
 const MODEL: &str = "robot.urdf";
-/// The numbers, as `--calibration` takes them.
+/// Parameters, as read by `--calibration`.
 const NUMBERS: &str = "calibration.json";
-/// The form of `ur_calibration`.
+/// File in the format of `ur_calibration`.
 const UR: &str = "calibration.yaml";
-/// A DH table in the form of `--robot`.
+/// DH table in the format of `--robot`.
 const DH: &str = "dh.toml";
 
-/// Enters the files that may be written into `folder`.
+/// Registers the files that may be written into `folder`.
 pub fn enter(folder: &Path, places: &mut Places) {
     places.writes_into("--out", folder, [MODEL, NUMBERS, UR, DH].map(str::to_owned));
 }
 
 impl Calibrated {
-    /// Writes the calibration into `folder`, which is made; each file whole. Nothing is written where the
-    /// logs do not carry a calibration. The names of the files.
+    /// Writes the calibration into `folder`, creating it, and returns the file names. Each file is replaced
+    /// as a whole. Nothing is written if the logs do not support a calibration.
     ///
     /// # Errors
-    /// Where one cannot be written, or would take the place of a file that was read.
+    /// If a file cannot be written or would replace an input file.
     pub fn write(&self, folder: &Path) -> Result<Vec<&'static str>, Trouble> {
         if self.refused.is_some() {
             return Ok(Vec::new());
@@ -41,7 +41,7 @@ impl Calibrated {
         places.check()?;
         let unwritable = |path: &Path, error: std::io::Error| {
             let what = format!("cannot be written: {error}");
-            Trouble::unwritable(path, what, "name a folder that can be written to with --out")
+            Trouble::unwritable(path, what, "set --out to a writable folder")
         };
         fs::create_dir_all(folder).map_err(|error| unwritable(folder, error))?;
         let files = self.files();
@@ -53,7 +53,7 @@ impl Calibrated {
         Ok(files.into_iter().map(|(name, _)| name).collect())
     }
 
-    /// The files, each with its text.
+    /// Files with their content.
     fn files(&self) -> Vec<(&'static str, String)> {
         let mut files = vec![(MODEL, self.urdf()), (NUMBERS, format!("{:#}\n", self.json()))];
         files.extend(self.ur_yaml().map(|text| (UR, text)));
@@ -61,13 +61,13 @@ impl Calibrated {
         files
     }
 
-    /// The model's own URDF patched, else one of its kinematics alone.
+    /// Patched URDF of the model, or a URDF of the kinematics only.
     fn urdf(&self) -> String {
         let robot = &self.found.robot;
         self.drawing.text_with_origins_of(robot).unwrap_or_else(|_| robot.to_urdf())
     }
 
-    /// The joints whose origins the calibration gives, in the robot's order.
+    /// Joints whose origins the calibration changes, in the robot's order.
     fn moved(&self) -> impl Iterator<Item = &crate::robot::Joint> {
         let before = self.drawing.joints().iter();
         let both = self.found.robot.joints().iter().zip(before);
@@ -75,8 +75,8 @@ impl Calibrated {
             .map(|(after, _)| after)
     }
 
-    /// The YAML of `ur_calibration`, of a UR whose model has the frames of `ur_description`: of others the
-    /// numbers are between other frames.
+    /// YAML of `ur_calibration`. Only for a UR whose model has the frames of `ur_description`, because the
+    /// numbers refer to these frames.
     fn ur_yaml(&self) -> Option<String> {
         let prefix = self.joints.first()?.strip_suffix("shoulder_pan_joint")?;
         let text = self.drawing.ur_calibration(prefix, "")?;
@@ -87,7 +87,7 @@ impl Calibrated {
         is_as_described.then(|| self.found.robot.ur_calibration(prefix, &self.hash()))?
     }
 
-    /// A name of the numbers, in the form of a UR controller's.
+    /// Hash of the numbers in the format of a UR controller.
     fn hash(&self) -> String {
         let numbers = self.found.robot.joints().iter().flat_map(|joint| {
             let origin = joint.parent_from_joint;
@@ -104,7 +104,7 @@ impl Calibrated {
         format!("poseaudit_{}", u64::from_le_bytes(head))
     }
 
-    /// A DH table, of a model that is one.
+    /// DH table, if the model is one.
     fn dh_table(&self) -> Option<String> {
         let convention = self.drawing.dh.as_ref()?.convention;
         let link = |name: &String| self.drawing.link(name);

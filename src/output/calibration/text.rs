@@ -1,4 +1,4 @@
-//! A calibration for people.
+//! Calibration report for people.
 
 use std::fmt::Write as _;
 use std::io;
@@ -9,31 +9,28 @@ use crate::finding::Unit;
 use crate::report::foreign;
 use crate::run::Witness;
 
-/// Directions that are not told are listed up to so many.
+/// Maximum number of listed directions that are not observable.
 const LISTED: usize = 6;
-/// What moves the tip by less over the whole workspace matters to nobody, m.
+/// Effect on the tip over the whole workspace below which a direction is irrelevant, m.
 const NOTHING_M: f64 = 1e-6;
 
 impl Calibrated {
-    /// Writes what was found, and the names of the `files` that were written of it.
-    ///
-    /// # Errors
-    /// If `out` cannot be written.
+    /// Writes the results and the names of the written `files`.
     pub fn write_text(&self, files: &[String], out: &mut dyn io::Write) -> io::Result<()> {
         out.write_all(self.text(files).as_bytes())
     }
 
-    /// Of what the calibration is.
+    /// What was calibrated, which depends on the source of the poses.
     pub(super) fn subject(&self) -> &'static str {
         match self.witness() {
             Witness::Controller => {
-                "the controller's own kinematics: its poses follow from the same encoders, and say nothing \
-                 of where the arm really is"
+                "the controller's own kinematics: its poses are computed from the same encoders and do not \
+                 show where the arm really is"
             }
-            Witness::External => "the arm itself, as an outside witness sees it",
+            Witness::External => "the arm itself, measured by an independent reference",
             Witness::Unknown => {
-                "whoever published the poses: the arm itself if that is an outside witness, the controller's \
-                 own kinematics if it is the controller"
+                "undetermined: the arm itself if the poses are an independent measurement, the controller's \
+                 own kinematics if they come from the controller"
             }
         }
     }
@@ -57,7 +54,7 @@ impl Calibrated {
                 taken.witness.name(),
                 stream.samples,
                 if stream.reference.is_some() {
-                    "a frame of its own".to_owned()
+                    "an unknown frame".to_owned()
                 } else {
                     foreign(&taken.base)
                 },
@@ -66,16 +63,16 @@ impl Calibrated {
                 true => format!("{:.4} mm", 1e3 * of.m),
                 false => format!("{:.4} mm, {:.5}°", 1e3 * of.m, of.rad.to_degrees()),
             };
-            let _ = writeln!(text, "  left by the drawing      {} rms", line(&stream.before));
-            let _ = writeln!(text, "  left by the calibration  {} rms", line(&stream.after));
+            let _ = writeln!(text, "  residual, nominal        {} rms", line(&stream.before));
+            let _ = writeln!(text, "  residual, calibrated     {} rms", line(&stream.after));
             let _ = writeln!(
                 text,
-                "  foretold of every fifth stretch by the others: {} by the drawing, {} by the calibration",
+                "  cross-validated residual: {} nominal, {} calibrated",
                 line(&stream.held_out_before),
                 line(&stream.held_out_after)
             );
             if stream.before.m <= 1.05 * stream.after.m {
-                text += "  the drawing leaves no more than the calibration: as far as this log tells, the arm is its drawing\n";
+                text += "  no significant deviation: the nominal model already fits this log\n";
             }
             if let Some(latency) = stream.latency_s {
                 let _ = writeln!(text, "  latency {}", shown(Unit::Second, latency));
@@ -87,20 +84,20 @@ impl Calibrated {
         if let Some(moved) = found.unsettled {
             let _ = writeln!(
                 text,
-                "\nnot converged: the last round of the fit still moved the numbers by {moved:.3} standard deviations \
-                 rms; see what `poseaudit audit` says of the logs"
+                "\nnot converged: the last iteration still changed the parameters by {moved:.3} standard \
+                 deviations rms; check the logs with `poseaudit audit`"
             );
         }
         let _ = writeln!(
             text,
-            "\nlinks differ from the drawing by {:.3} mm and {:.4}° each way (standard deviation)",
+            "\nlinks deviate from the nominal model by {:.3} mm and {:.4}° per axis (standard deviation)",
             1e3 * found.link_m,
             (0.1 / 1e-3) * found.link_m
         );
         let _ = writeln!(
             text,
-            "FK over the whole workspace is known to {:.4} mm and {:.5}° rms; the drawing's is off by {:.3} mm \
-             and {:.4}°",
+            "uncertainty of FK over the whole workspace: {:.4} mm and {:.5}° rms; error of the nominal \
+             model: {:.3} mm and {:.4}°",
             1e3 * found.expected.m,
             found.expected.rad.to_degrees(),
             1e3 * found.drawing.m,
@@ -124,7 +121,7 @@ impl Calibrated {
                 let [x, y, z, ..] = found.deviations[last];
                 let _ = writeln!(
                     text,
-                    "\ncalibration.yaml ends at {}: what lies beyond it ({:.3} mm) stands in robot.urdf alone",
+                    "\ncalibration.yaml ends at {}: the remaining offset ({:.3} mm) is only in robot.urdf",
                     found.links[last],
                     1e3 * (x * x + y * y + z * z).sqrt()
                 );
@@ -139,7 +136,7 @@ impl Calibrated {
         text
     }
 
-    /// The parameters that stand out most, the largest first.
+    /// Largest significant parameters, in descending order.
     fn largest(&self) -> Vec<(String, usize)> {
         const SHOWN: usize = 8;
         let found = &self.found;
@@ -161,7 +158,7 @@ impl Calibrated {
     fn not_told(&self, text: &mut String) {
         let found = &self.found;
         let names = self.parameter_names();
-        text.push_str("\nfixed by convention, as no pose tells it\n");
+        text.push_str("\nfixed by convention, because poses do not determine it\n");
         for said in self.conventions() {
             let _ = writeln!(text, "  {said}");
         }
@@ -183,25 +180,29 @@ impl Calibrated {
             }
         };
         if !harmless.is_empty() {
-            text.push_str("\nleft as drawn, as it moves no pose (part of a frame that is free, or along parallel axes)\n");
+            text.push_str(
+                "\nkept nominal, without effect on any pose (part of a free frame, or along \
+                parallel axes)\n",
+            );
             list(text, &harmless);
         }
         if !missing.is_empty() {
-            text.push_str("\nleft as drawn, as not observable in this motion\n");
+            text.push_str("\nkept nominal, not observable in this motion\n");
             list(text, &missing);
         }
         if !self.still.is_empty() {
-            text.push_str("\nmotion that would show more\n");
+            text.push_str("\nmotion that would make more observable\n");
             for one in &self.still {
                 let _ = match one.slides {
                     true => writeln!(
                         text,
-                        "  slide {} through 0.2 m or more; it moved {:.3} m",
+                        "  move {} through 0.2 m or more; it moved {:.3} m",
                         one.joint, one.moved
                     ),
                     false => writeln!(
                         text,
-                        "  turn {} through 90° or more, with the others in several postures; it moved {:.1}°",
+                        "  turn {} through 90° or more in several configurations of the other joints; it \
+                         moved {:.1}°",
                         one.joint,
                         one.moved.to_degrees()
                     ),

@@ -1,12 +1,12 @@
-//! The findings as an MCAP file that Foxglove opens beside the log: lines of a log, and what is off in the
-//! scene, both in JSON.
+//! Findings as an MCAP file for Foxglove, to open next to the log: log messages and scene updates, both in
+//! JSON.
 //!
-//! | topic | schema | what it is |
+//! | topic | schema | content |
 //! |---|---|---|
-//! | `/poseaudit/log` | `foxglove.Log` | the verdict, and each finding when it begins |
-//! | `/poseaudit/scene` | `foxglove.SceneUpdate` | where a stream's tool is logged and where FK has it, with the findings on that stream |
+//! | `/poseaudit/log` | `foxglove.Log` | the verdict, and each finding at its start |
+//! | `/poseaudit/scene` | `foxglove.SceneUpdate` | logged and FK pose of a stream's tool, with the findings on that stream |
 //!
-//! Frames are those that the log names, so that the scene lies in the log's own tree.
+//! Frame names are those of the log, so the scene is part of the log's frame tree.
 
 mod schema;
 
@@ -29,27 +29,27 @@ use crate::report::{Report, Trouble, write_whole};
 use crate::stats::thin;
 use crate::time::Stamp;
 
-/// Scenes of one stream.
+/// Maximum number of scenes per stream.
 const MOST_SCENES: usize = 2_000;
 
 const LOG_TOPIC: &str = "/poseaudit/log";
 const SCENE_TOPIC: &str = "/poseaudit/scene";
 
-/// Enters the file that is written.
+/// Registers the file that is written.
 pub fn enter(path: &Path, places: &mut Places) {
     places.writes("--mcap", path);
 }
 
 impl Audited {
-    /// Writes the findings as messages that Foxglove shows.
+    /// Writes the findings as Foxglove messages.
     ///
     /// # Errors
-    /// Where the file cannot be written, or would take the place of a file that was read.
+    /// If the file cannot be written or would replace an input file.
     pub fn write_foxglove(&self, path: &Path) -> Result<(), Trouble> {
         let mut places = self.read.clone();
         enter(path, &mut places);
         places.check()?;
-        let remedy = "name a file that can be written with --mcap";
+        let remedy = "set --mcap to a writable file";
         let unwritable = |what: String| Trouble::unwritable(path, what, remedy);
         let bytes = written(&messages(self)).map_err(|error| unwritable(error.to_string()))?;
         let write = |staged: &Path| fs::write(staged, &bytes);
@@ -57,7 +57,7 @@ impl Audited {
     }
 }
 
-/// A message and when it is.
+/// Message with its time.
 struct Message {
     topic: &'static str,
     at: Stamp,
@@ -80,7 +80,7 @@ fn messages(audited: &Audited) -> Vec<Message> {
     messages
 }
 
-/// A finding as a line of a log, at its first stamp.
+/// Finding as a log message at its first stamp.
 fn line(finding: &Finding, says: &Outline<'_>, start: Stamp) -> Message {
     let level = match finding.severity {
         Severity::Info => 2,
@@ -107,8 +107,7 @@ fn log(at: Stamp, level: u8, code: &str, text: &str) -> Message {
     Message { topic: LOG_TOPIC, at, content }
 }
 
-/// Where the tool of a stream is logged and where it should be, over time; nothing of a stream of which
-/// nothing is found.
+/// Logged and FK pose of a stream's tool over time. Empty for a stream without findings.
 fn scenes(stream: &Of<PoseEvidence>, report: &Report, origin: Stamp) -> Vec<Message> {
     let topic = stream.topic();
     let is_on = |finding: &&Finding| finding.subject.topic.as_deref() == Some(topic);
@@ -197,7 +196,7 @@ fn label(pose: &Pose, text: &str) -> Value {
     })
 }
 
-/// The messages as a file.
+/// Encodes the messages as a file.
 fn written(messages: &[Message]) -> Result<Vec<u8>, McapError> {
     let options = WriteOptions::new()
         .profile("")

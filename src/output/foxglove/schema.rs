@@ -1,9 +1,8 @@
-//! What the two kinds of messages are made of, as JSON schemas: the fields that Foxglove documents for
-//! `foxglove.Log` and `foxglove.SceneUpdate`.
+//! JSON schemas of `foxglove.Log` and `foxglove.SceneUpdate`, with the fields that Foxglove documents.
 
 use serde_json::{Map, Value, json};
 
-/// An object of these fields.
+/// Schema of an object with these fields.
 fn object<const N: usize>(fields: [(&str, Value); N]) -> Value {
     let fields: Map<String, Value> =
         fields.into_iter().map(|(name, field)| (name.to_owned(), field)).collect();
@@ -35,7 +34,7 @@ fn colour() -> Value {
     object(["r", "g", "b", "a"].map(|part| (part, of("number"))))
 }
 
-/// Of `foxglove.Log`.
+/// Schema of `foxglove.Log`.
 pub fn log() -> Value {
     object([
         ("timestamp", time()),
@@ -47,7 +46,7 @@ pub fn log() -> Value {
     ])
 }
 
-/// Of `foxglove.SceneUpdate`.
+/// Schema of `foxglove.SceneUpdate`.
 pub fn scene() -> Value {
     let deletion = object([("timestamp", time()), ("type", of("integer")), ("id", of("string"))]);
     let pair = object([("key", of("string")), ("value", of("string"))]);

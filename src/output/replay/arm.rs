@@ -1,4 +1,4 @@
-//! An arm as capsules: from joint to joint, and a stout one around each axis that it turns about.
+//! Draws an arm as capsules: between joints, and a thicker one on each revolute axis.
 
 use re_sdk_types::archetypes::{Capsules3D, LineStrips3D};
 use re_sdk_types::components::{Color, FillMode, Length, LineStrip3D, Radius, RotationQuat};
@@ -10,20 +10,20 @@ use crate::geometry::{Pose, Vec3, xyz_of};
 use crate::robot::{JointKind, turn_z_to};
 use crate::stream::JointTrack;
 
-/// Radius of a link, as a part of the arm's reach.
+/// Radius of a link as a fraction of the arm's reach.
 const LINK: f64 = 0.018;
-/// Radius of a joint, …
+/// Radius of a joint as a fraction of the arm's reach.
 const JOINT: f64 = 0.028;
-/// … and half the length of its capsule without the ends.
+/// Half length of a joint's capsule without its ends, as a fraction of the arm's reach.
 const HALF_JOINT: f64 = 0.022;
 
-/// A capsule from `start` along `along`, m, in the base.
+/// Capsule from `start` along `along`, m, in the base frame.
 struct Capsule {
     start: Vec3,
     along: Vec3,
 }
 
-/// Adds the entity `part` of an arm: its shape with `joints`.
+/// Adds the entity `part` of an arm: its shape at the positions in `joints`.
 pub(super) fn draw(
     tape: &Tape,
     arm: &ReplayArm<'_>,
@@ -84,7 +84,7 @@ pub(super) fn draw_thin(
     tape.columns(&path, &moments, strips.columns_of_unit_batches()?)
 }
 
-/// The base, the links that the joints move, and the tip, in the base.
+/// Poses of the base, the links moved by joints, and the tip, in the base frame.
 fn frames(arm: &ReplayArm<'_>, q: &[f64]) -> Vec<Pose> {
     let mut moved = Vec::new();
     arm.chain.joint_frames(q, &mut moved);
@@ -114,7 +114,7 @@ fn turning<'a>(
 }
 
 impl Capsule {
-    /// Turns z along it.
+    /// Rotation from z to the capsule's axis.
     fn rotation(&self) -> RotationQuat {
         let along = self.along.try_normalize(1e-9).unwrap_or(Vec3::z());
         rotation_of(&turn_z_to(&along))

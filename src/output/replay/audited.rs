@@ -1,4 +1,4 @@
-//! Joins a run, what was estimated on it and the report to what the recording shows.
+//! Assembles the content of a recording from a run, its estimates and the report.
 
 use super::{Receipts, Recording, Replay, ReplayArm, ReplayImu, ReplayStream, StreamKind, write};
 use crate::audit::Audited;
@@ -10,7 +10,7 @@ use crate::run::{Arm, PoseSource, Run};
 use crate::time::Stamp;
 
 impl Recording {
-    /// Enters the file that is written, and the meshes that may be read for it.
+    /// Registers the output file, and the meshes that may be read.
     pub fn enter(&self, places: &mut Places) {
         self.mesh_roots.iter().for_each(|root| places.reads_below(root));
         places.writes("--rrd", &self.path);
@@ -18,10 +18,10 @@ impl Recording {
 }
 
 impl Audited {
-    /// Writes the recording of the run; the report then notes which meshes were not found.
+    /// Writes the recording of the run. The report then notes which meshes were not found.
     ///
     /// # Errors
-    /// Where it cannot be written, or would take the place of a file that was read.
+    /// If it cannot be written or would replace an input file.
     pub fn record(&mut self, recording: &Recording) -> Result<(), Trouble> {
         let mut places = self.read.clone();
         recording.enter(&mut places);
@@ -44,7 +44,7 @@ impl Audited {
             report.figures = None;
         }
         let notes = written.map_err(|error| {
-            let remedy = "name a file that can be written with --rrd";
+            let remedy = "set --rrd to a writable file";
             Trouble::unwritable(path, error.cause.to_string(), remedy)
         })?;
         let notes = notes.into_iter().map(|note| NoteRow { path: path.clone(), note });
@@ -94,7 +94,7 @@ fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmEvidence) -> ReplayArm<
     }
 }
 
-/// When the recorder received the rows of a stream.
+/// Receive times of the rows of a stream.
 fn receipts(run: &Run, stream: usize) -> Receipts {
     let clock = run.clocks.iter().find(|clock| clock.stream == stream);
     let Some((clock, stream)) = clock.zip(run.streams.get(stream)) else {
@@ -106,7 +106,7 @@ fn receipts(run: &Run, stream: usize) -> Receipts {
     Receipts::of(rows.collect())
 }
 
-/// The pose of a still link in the base of an arm's chain; `None` where it is not still there.
+/// Pose of a fixed link in the base of an arm's chain. `None` if the link moves.
 fn base_from_link(arm: &Arm, link: &str) -> Option<Pose> {
     let base = arm.robot.link(arm.chain.base_name())?;
     arm.robot.fixed_transform(base, arm.robot.link(link)?)

@@ -1,7 +1,7 @@
-//! Writes a blueprint, Rerun's name for a layout of the viewer.
+//! Writes a blueprint, which is Rerun's layout of the viewer.
 //!
-//! The SDK's own writer (re_sdk 0.36) cannot set a view's properties, as its camera. This one logs the same
-//! archetypes.
+//! The SDK's writer (re_sdk 0.36) cannot set properties of a view, such as its camera. This one logs the
+//! same archetypes.
 
 use std::cell::Cell;
 
@@ -19,7 +19,7 @@ use re_sdk_types::{Archetype, AsComponents, View};
 use super::ReplayCause;
 use super::reel::Reel;
 
-/// A view or a container, which can be put into a container.
+/// View or container that can be part of a container.
 #[derive(Clone, Copy)]
 pub(super) struct Part {
     kind: &'static str,
@@ -32,10 +32,10 @@ impl Part {
     }
 }
 
-/// A blueprint in the making.
+/// Blueprint under construction.
 pub(super) struct Blueprint<'a> {
     reel: &'a Reel,
-    /// How many parts there are.
+    /// Number of parts.
     parts: Cell<usize>,
 }
 
@@ -45,19 +45,19 @@ impl<'a> Blueprint<'a> {
         Self { reel, parts: Cell::new(0) }
     }
 
-    /// A part that is not there yet.
+    /// Creates a part with a new id.
     fn part(&self, kind: &'static str) -> Part {
         let number = self.parts.replace(self.parts.get() + 1);
         Part { kind, id: Uuid::from_u128(self.reel.seed.id(&format!("{kind} {number}"))) }
     }
 
-    /// Logs at the one time that a blueprint has, on a timeline of its own, and at no time of a clock.
+    /// Logs at the single time of a blueprint, on its own timeline.
     fn log(&self, path: String, what: &impl AsComponents) -> Result<(), ReplayCause> {
         let time = TimePoint::default().with(Timeline::new_sequence("blueprint"), 0);
         self.reel.lay_out(path, time, what)
     }
 
-    /// A view of class `V` on `origin` and all below it.
+    /// Adds a view of class `V` on `origin` and everything below it.
     pub fn view<V: View>(&self, name: &str, origin: &EntityPath) -> Result<Part, ReplayCause> {
         let view = self.part("view");
         let contents = ViewContents::new(["$origin/**"]);
@@ -78,19 +78,19 @@ impl<'a> Blueprint<'a> {
         self.log(format!("{}/{}", view.path(), A::name().short_name()), property)
     }
 
-    /// Parts beside each other, with their shares of the width.
+    /// Arranges parts side by side with their shares of the width.
     pub fn row(&self, parts: &[Part], shares: &[f32]) -> Result<Part, ReplayCause> {
         let shares = shares.iter().map(|&share| ColumnShare(share.into()));
         self.container(ContainerKind::Horizontal, parts, |row| row.with_col_shares(shares))
     }
 
-    /// Parts below each other, with their shares of the height.
+    /// Arranges parts vertically with their shares of the height.
     pub fn column(&self, parts: &[Part], shares: &[f32]) -> Result<Part, ReplayCause> {
         let shares = shares.iter().map(|&share| RowShare(share.into()));
         self.container(ContainerKind::Vertical, parts, |column| column.with_row_shares(shares))
     }
 
-    /// Parts behind each other, the one with the index `first` before the others.
+    /// Arranges parts as tabs. The part with index `first` is active.
     pub fn tabs(&self, parts: &[Part], first: usize) -> Result<Part, ReplayCause> {
         let first = parts.get(first).map(|part| ActiveTab(part.path().into()));
         self.container(ContainerKind::Tabs, parts, |tabs| match first {
@@ -99,7 +99,7 @@ impl<'a> Blueprint<'a> {
         })
     }
 
-    /// Parts below each other under one name, with their shares of the height.
+    /// Arranges parts vertically under one name, with their shares of the height.
     pub fn page(&self, name: &str, parts: &[Part], shares: &[f32]) -> Result<Part, ReplayCause> {
         let shares = shares.iter().map(|&share| RowShare(share.into()));
         self.container(ContainerKind::Vertical, parts, |page| {
@@ -120,7 +120,7 @@ impl<'a> Blueprint<'a> {
         Ok(container)
     }
 
-    /// Ends the blueprint with the container `root`, the side panels collapsed, and the time panel as given.
+    /// Completes the blueprint with the container `root`, collapsed side panels, and the given time panel.
     pub fn finish(self, root: Part, time: &TimePanelBlueprint) -> Result<(), ReplayCause> {
         let viewport = ViewportBlueprint::new()
             .with_root_container(RootContainer(root.id.into()))

@@ -1,4 +1,4 @@
-//! The findings on the time line: as lines of a log, as spans, and each as a page.
+//! Findings on the time line: as log messages, time spans and pages.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -16,27 +16,27 @@ use crate::report::markdown::{code, prose};
 use crate::report::outline::Outline;
 use crate::time::Stamp;
 
-/// The entity of the lines of the log, above the pages.
+/// Entity of the log messages, parent of the pages.
 pub(super) fn log() -> EntityPath {
     entity(&["findings"])
 }
 
-/// The entity above the spans.
+/// Parent entity of the time spans.
 pub(super) fn spans() -> EntityPath {
     entity(&["spans"])
 }
 
-/// The entity of the span of the finding with this index; the number keeps them in their order.
+/// Entity of the time span of the finding with this index. The number keeps the order.
 pub(super) fn lane(index: usize, finding: &Finding) -> EntityPath {
     spans().join(&entity(&[&format!("{:02}-{}", index + 1, finding.code)]))
 }
 
-/// The entity of the page of the finding with this index.
+/// Entity of the page of the finding with this index.
 pub(super) fn page(index: usize) -> EntityPath {
     log().join(&entity(&[&format!("page_{}", index + 1)]))
 }
 
-/// Adds each finding at the first stamp of what it is about, its span, and its page.
+/// Adds each finding at its first stamp, with its time span and its page.
 pub(super) fn write(tape: &Tape, replay: &Replay<'_>) -> Result<(), ReplayCause> {
     let says = Outline::of(replay.report);
     let mut on: BTreeMap<EntityPath, (Vec<Text>, Vec<Text>)> = BTreeMap::new();
@@ -45,7 +45,7 @@ pub(super) fn write(tape: &Tape, replay: &Replay<'_>) -> Result<(), ReplayCause>
         let subject = says.subject(&finding.subject);
         let line = TextLog::new(format!("{}{}", heading(finding, &subject), finding.message))
             .with_level(level(finding.severity));
-        // Lines of different levels cannot be of one column.
+        // Lines of different levels cannot be in one column.
         tape.columns(&log(), &moments(tape, replay, finding, &[start]), line.columns([1])?)?;
         let links = links(replay, index);
         let text = format!("{}{}", markdown(finding, &says), linked(&links));
@@ -59,7 +59,7 @@ pub(super) fn write(tape: &Tape, replay: &Replay<'_>) -> Result<(), ReplayCause>
         }
         span(tape, replay, index, [start, end])?;
     }
-    // What is selected says which findings it shows.
+    // Attach the findings to the entities that they refer to, so that selecting one shows them.
     for (entity, (all, pages)) in on {
         let back = AnyValues::default()
             .with_component::<Text>("findings", all)
@@ -69,7 +69,7 @@ pub(super) fn write(tape: &Tape, replay: &Replay<'_>) -> Result<(), ReplayCause>
     Ok(())
 }
 
-/// What shows a finding, by what it is called: its span, its own pictures, and its stream or joint.
+/// Links of a finding with their titles: its time span, its plots, and its stream or joint.
 fn links(replay: &Replay<'_>, index: usize) -> Vec<(String, EntityPath)> {
     let finding = &replay.report.findings[index];
     let own = proofs::views(replay.report, index).into_iter();
@@ -79,14 +79,14 @@ fn links(replay: &Replay<'_>, index: usize) -> Vec<(String, EntityPath)> {
     std::iter::once(("when".to_owned(), lane(index, finding))).chain(own).chain(plots).collect()
 }
 
-/// A line of links that the viewer follows.
+/// Line of links that the viewer can follow.
 fn linked(links: &[(String, EntityPath)]) -> String {
     let links =
         links.iter().map(|(title, path)| format!("[{}]({})", prose(title), recording_url(path)));
     format!("\nSelect: {}\n", links.collect::<Vec<_>>().join(" · "))
 }
 
-/// An entity as the viewer's links name it.
+/// Link of the viewer to an entity.
 fn recording_url(path: &EntityPath) -> String {
     format!("recording://{}", path.to_string().trim_start_matches('/'))
 }
@@ -99,7 +99,7 @@ fn heading(finding: &Finding, subject: &str) -> String {
     }
 }
 
-/// When `stamps` of a finding are, by the joint states of its arm.
+/// Times of a finding's `stamps` on the timelines of its arm's joint states.
 pub(super) fn moments(
     tape: &Tape,
     replay: &Replay<'_>,
@@ -119,7 +119,7 @@ fn of_arm(tape: &Tape, arm: &ReplayArm<'_>, stamps: &[Stamp]) -> Moments {
     tape.moments(arm, &arm.received, stamps.iter().copied())
 }
 
-/// A lane with a bar from the first to the last stamp.
+/// Lane with a bar from the first to the last stamp.
 fn span(
     tape: &Tape,
     replay: &Replay<'_>,
@@ -153,7 +153,7 @@ const fn rgb(severity: Severity) -> [u8; 3] {
     }
 }
 
-/// A finding in Markdown: what is wrong, where, what it amounts to, and what to do.
+/// Finding in Markdown: message, subject, amount and fix.
 pub(super) fn markdown(finding: &Finding, says: &Outline<'_>) -> String {
     let Finding { code: rule, title, message, fix, .. } = finding;
     let mut text = format!("### {} {rule} {}\n\n", finding.severity.name(), prose(title));

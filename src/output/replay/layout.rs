@@ -1,5 +1,5 @@
-//! How the viewer opens a recording: the scene left, what proves the worst finding right, the spans of
-//! all findings below.
+//! Initial layout of the viewer: the scene on the left, evidence for the worst finding on the right, time
+//! spans of all findings below.
 
 use re_log_types::EntityPath;
 use re_sdk_types::blueprint::archetypes::{
@@ -24,12 +24,12 @@ use crate::finding::Finding;
 use crate::geometry::Vec3;
 use crate::time::Stamp;
 
-/// Findings that have a tab of their own.
+/// Maximum number of tabs for findings.
 const MOST_TABS: usize = 8;
 const GROUND_RGB: [u8; 3] = [20, 23, 28];
 const GRID_RGBA: [u8; 4] = [90, 100, 115, 90];
 
-/// Adds the layout of a recording, which the viewer then plays over and over.
+/// Adds the layout of a recording, which the viewer plays in a loop.
 pub(super) fn draw(replay: &Replay<'_>, reel: &Reel) -> Result<(), ReplayCause> {
     let blueprint = Blueprint::new(reel);
     let arms = replay.arms.iter().map(|arm| scene(arm, &blueprint));
@@ -39,7 +39,7 @@ pub(super) fn draw(replay: &Replay<'_>, reel: &Reel) -> Result<(), ReplayCause> 
         [] => proof,
         [arm] => blueprint.row(&[*arm, proof], &[5.0, 4.0])?,
         arms => {
-            // The arm of the worst finding stands before the others.
+            // Show the arm of the worst finding first.
             let first = replay.report.findings.first().and_then(|it| replay.arm_of(it));
             let is_first = |arm: &ReplayArm<'_>| Some(arm.name) == first.map(|arm| arm.name);
             let first = replay.arms.iter().position(is_first).unwrap_or(0);
@@ -48,18 +48,18 @@ pub(super) fn draw(replay: &Replay<'_>, reel: &Reel) -> Result<(), ReplayCause> 
     };
     let root = match replay.report.findings.len() {
         0 => above,
-        // A lane needs so much of the height.
+        // Height per lane.
         lanes => blueprint
             .column(&[above, below(&blueprint)?], &[10.0, (1.2 + 0.55 * lanes as f32).min(5.0)])?,
     };
     blueprint.finish(root, &time(replay))
 }
 
-/// Plays the run; where the worst finding is of a part of it, that part.
+/// Plays the run, or only the time span of the worst finding if it is shorter.
 fn time(replay: &Replay<'_>) -> TimePanelBlueprint {
-    /// What is longer than this part of the run is shown as all of it.
+    /// A span longer than this fraction of the run is replaced by the whole run.
     const MOST: f64 = 0.8;
-    /// Before and after what is shown, s.
+    /// Margin before and after the span, s.
     const AROUND_S: f64 = 0.5;
     let panel = TimePanelBlueprint::new()
         .with_state(PanelState::Collapsed)
@@ -87,9 +87,9 @@ fn time(replay: &Replay<'_>) -> TimePanelBlueprint {
 }
 
 fn scene(arm: &ReplayArm<'_>, blueprint: &Blueprint<'_>) -> Result<Part, ReplayCause> {
-    /// From where it is looked at, …
+    /// Viewing direction of the camera, …
     const FROM: Vec3 = Vec3::new(0.72, -0.88, 0.5);
-    /// … and from how far, as a part of the ball around what it does.
+    /// … and its distance as a multiple of the radius of the scene.
     const AWAY: f64 = 1.8;
     let times = tools::magnified(arm);
     let name = match times {
@@ -97,7 +97,7 @@ fn scene(arm: &ReplayArm<'_>, blueprint: &Blueprint<'_>) -> Result<Part, ReplayC
         times => format!("{}, errors × {times}", arm.name),
     };
     let view = blueprint.view::<Spatial3DView>(&name, &scene::root(arm.name))?;
-    // Not left to the viewer: a fault may have put what was logged a kilometre away.
+    // Set the camera explicitly, because a fault may place logged poses a kilometre away.
     let (middle, radius_m) = scene::ball(arm);
     let eye = middle + FROM.normalize() * AWAY * radius_m.max(0.1);
     let eye = EyeControls3D::new()
@@ -113,10 +113,10 @@ fn scene(arm: &ReplayArm<'_>, blueprint: &Blueprint<'_>) -> Result<Part, ReplayC
     Ok(view)
 }
 
-/// The verdict with what proves the worst finding, a tab for each finding, then one with all errors of each
+/// Verdict with the evidence for the worst finding, one tab per finding, then one with all errors of each
 /// arm.
 fn proof(replay: &Replay<'_>, blueprint: &Blueprint<'_>) -> Result<Part, ReplayCause> {
-    /// Pictures under the verdict.
+    /// Number of plots below the verdict.
     const UNDER_VERDICT: usize = 1;
     let mut parts = vec![blueprint.view::<TextDocumentView>("report", &page::report())?];
     parts.extend(pictures(replay, 0, UNDER_VERDICT, blueprint)?);
@@ -152,8 +152,8 @@ fn proof(replay: &Replay<'_>, blueprint: &Blueprint<'_>) -> Result<Part, ReplayC
     blueprint.tabs(&tabs, 0)
 }
 
-/// At most so many pictures of what proves the finding with this index: its own, else the errors of its
-/// stream. What is made must be shown.
+/// Up to the given number of plots for the finding with this index: its specific ones, else the errors of
+/// its stream.
 fn pictures(
     replay: &Replay<'_>,
     index: usize,
@@ -175,8 +175,8 @@ fn pictures(
     plots.map(|(title, series)| plot(&title, &series, blueprint)).collect()
 }
 
-/// What proves a finding, with its title: the errors of its stream, the rotation first where that is
-/// what is wrong; the yaw of its IMU; the joint and what its zero does to all streams.
+/// Plots of a finding with their titles. These are the errors of its stream (rotation first for rotation
+/// faults), the yaw of its IMU, or the joint and the effect of its zero on all streams.
 pub(super) fn plots_of(finding: &Finding, arm: &ReplayArm<'_>) -> Vec<(String, EntityPath)> {
     let topic = finding.subject.topic.as_deref().unwrap_or_default();
     let titled = |quantity: Quantity, path| (quantity.title().to_owned(), path);
@@ -205,7 +205,7 @@ fn plot(title: &str, series: &EntityPath, blueprint: &Blueprint<'_>) -> Result<P
     Ok(plot)
 }
 
-/// The spans of the findings beside their lines.
+/// Time spans of the findings, with their log messages.
 fn below(blueprint: &Blueprint<'_>) -> Result<Part, ReplayCause> {
     let spans = blueprint.view::<StateTimelineView>("when", &findings::spans())?;
     let lines = blueprint.view::<TextLogView>("findings", &findings::log())?;

@@ -1,36 +1,37 @@
-//! The files that a model's meshes are in: where they are sought, and which of them the viewer reads.
+//! Finds the mesh files of a model and checks whether the viewer supports them.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use re_sdk_types::components::MediaType;
 
-/// A larger file is not put into a recording, bytes.
+/// Maximum size of a mesh file in a recording, bytes.
 const MOST_BYTES: u64 = 64 << 20;
 
-/// A mesh that the viewer reads.
+/// Mesh that the viewer supports.
 #[derive(Debug)]
 pub(super) struct Mesh {
-    /// What is in the file.
+    /// Content of the file.
     pub bytes: Vec<u8>,
-    /// What kind of file it is.
+    /// Media type of the file.
     pub media_type: &'static str,
 }
 
 /// Why a mesh is not drawn.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum NoMesh {
-    /// No file of that name is below the folders.
+    /// No such file below the mesh folders.
     NotFound,
-    /// There is a file, but the viewer would not read it.
+    /// The file exists, but the viewer cannot read it.
     Unreadable(String),
 }
 
 impl Mesh {
-    /// The mesh that a model calls `uri`. Nothing outside of `roots` is read: a log may name any file.
+    /// Finds the mesh with the given `uri`. Only files below `roots` are read, because a log may name any
+    /// file.
     ///
     /// # Errors
-    /// Where it is not there, or the viewer reads no such file.
+    /// If it is not found, or if the viewer does not support it.
     pub fn find(uri: &str, roots: &[PathBuf]) -> Result<Self, NoMesh> {
         let place = places(uri, roots).into_iter().find(|place| place.is_file());
         let place = place.ok_or(NoMesh::NotFound)?;
@@ -43,14 +44,14 @@ impl Mesh {
         Ok(Self { bytes, media_type })
     }
 
-    /// Whether the file says what colours it has.
+    /// Returns whether the file contains colours.
     pub fn is_coloured(&self) -> bool {
         self.media_type != MediaType::STL
     }
 }
 
-/// Where a mesh may be, the likeliest first: below each folder by its whole path, then by ever less of
-/// its beginning, since a folder may be the package, hold packages, or be where they are installed.
+/// Candidate paths of a mesh, likeliest first. Below each folder, tries the whole path, then drops leading
+/// components. A folder may be the package, contain packages, or be an installation prefix.
 fn places(uri: &str, roots: &[PathBuf]) -> Vec<PathBuf> {
     let path = uri.split_once("://").map_or(uri, |(_, path)| path);
     let parts = path.split(['/', '\\']).filter(|part| !part.is_empty() && *part != ".");
@@ -65,7 +66,7 @@ fn places(uri: &str, roots: &[PathBuf]) -> Vec<PathBuf> {
     places.collect()
 }
 
-/// What kind of file it is, by its name, for most kinds have no mark, and by a glance at its content.
+/// Media type by extension, because most formats have no signature, with a short check of the content.
 fn media_type(place: &Path, bytes: &[u8]) -> Result<&'static str, NoMesh> {
     let kind = place.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     let begins_with = |mark: &str| {
@@ -73,14 +74,15 @@ fn media_type(place: &Path, bytes: &[u8]) -> Result<&'static str, NoMesh> {
         beginning.windows(mark.len()).any(|window| window == mark.as_bytes())
     };
     let (media_type, is_one) = match kind.as_str() {
-        // 80 bytes of anything, and the number of its triangles.
+        // 80 arbitrary bytes and the number of triangles.
         "stl" => (MediaType::STL, bytes.len() >= 84 || begins_with("solid")),
         "obj" => (MediaType::OBJ, bytes.starts_with(b"v ") || begins_with("\nv ")),
         "glb" => (MediaType::GLB, bytes.starts_with(b"glTF")),
         "dae" => (MediaType::DAE, begins_with("<COLLADA")),
         _ => return Err(NoMesh::Unreadable("the viewer reads STL, OBJ, GLB and DAE".to_owned())),
     };
-    let is_none = || NoMesh::Unreadable(format!("it is no {}", kind.to_ascii_uppercase()));
+    let is_none =
+        || NoMesh::Unreadable(format!("it is not a valid {} file", kind.to_ascii_uppercase()));
     is_one.then_some(media_type).ok_or_else(is_none)
 }
 
@@ -141,9 +143,9 @@ mod tests {
         let folder = tempfile::tempdir()?;
         for (name, content, why) in [
             ("a.3ds", OBJ, "the viewer reads STL, OBJ, GLB and DAE"),
-            ("a.dae", OBJ, "it is no DAE"),
-            ("a.glb", "", "it is no GLB"),
-            ("a.stl", "short", "it is no STL"),
+            ("a.dae", OBJ, "it is not a valid DAE file"),
+            ("a.glb", "", "it is not a valid GLB file"),
+            ("a.stl", "short", "it is not a valid STL file"),
         ] {
             fs::write(folder.path().join(name), content)?;
             let found = Mesh::find(name, &[folder.path().to_owned()]);

@@ -1,24 +1,24 @@
-//! The recording for the Rerun viewer: the arm, what was logged of it and what it should have said.
+//! Recording for the Rerun viewer: the arm, and its logged and corrected poses.
 //!
-//! Nothing is computed here but where things are drawn. Streams are decimated to about 4 000 rows
-//! each: evenly for what moves, by the lowest and highest value of each stretch for what is plotted.
+//! Only positions of drawn objects are computed here. Streams are decimated to about 4 000 rows each:
+//! evenly for moving objects, by minimum and maximum of each interval for plots.
 //!
-//! | entity | what it is |
+//! | entity | content |
 //! |---|---|
-//! | `/arms/NAME/arm` | capsules along the arm by FK, its joints as they should have been recorded |
-//! | `/arms/NAME/arm_as_recorded` | the same as recorded, where that differs |
+//! | `/arms/NAME/arm` | capsules along the arm by FK of the corrected joint states |
+//! | `/arms/NAME/arm_as_recorded` | the same for the recorded joint states, if different |
 //! | `/arms/NAME/links/LINK` | frame of a link by FK, with its name and its visuals |
 //! | `/arms/NAME/tip` | the tool by FK |
 //! | `/arms/NAME/TOPIC/…` | a stream's tool `as_logged` and `as_explained`, their trails, and the `error` from FK |
-//! | `/errors/NAME/{position_mm,rotation_deg}/TOPIC/…` | distance from FK, before and after, and the limit |
+//! | `/errors/NAME/{position_mm,rotation_deg}/TOPIC/…` | error against FK, before and after correction, and the limit |
 //! | `/errors/NAME/yaw_deg/TOPIC` | yaw of an IMU against FK |
-//! | `/joints/NAME/JOINT` | a joint's position, as it should have been recorded |
-//! | `/proof/NN/…` | what proves finding NN and no other picture shows: a spectrum, a target's views, axes |
-//! | `/findings/…`, `/spans/…` | the findings on the time line, as lines of a log, pages, and spans |
+//! | `/joints/NAME/JOINT` | a joint's corrected position |
+//! | `/proof/NN/…` | plots specific to finding NN: a spectrum, viewing directions, axes |
+//! | `/findings/…`, `/spans/…` | the findings on the time line: log messages, pages, and time spans |
 //! | `/report` | the report as a page |
 //!
-//! Timelines: `run`, the time since the run's origin; `stamp` and `log_time` as the log has them; and
-//! `sample`, the number of the last joint state at a stamp, so that all streams are of one moment.
+//! Timelines: `run`, the time since the run's origin; `stamp` and `log_time` as in the log; and `sample`,
+//! the index of the last joint state at a stamp, which shows all streams at the same moment.
 
 mod arm;
 mod audited;
@@ -57,26 +57,26 @@ pub use moments::Receipts;
 use reel::Reel;
 use tape::{Names, Tape};
 
-/// Whose recordings these are, in the viewer.
+/// Application id of the recordings.
 const APPLICATION: &str = env!("CARGO_PKG_NAME");
 
-/// No more rows than this of one stream are written.
+/// Maximum number of rows per stream.
 const MOST_ROWS: usize = 4_000;
 
-/// Where a recording goes, and which one it says that it is. The viewer shows together what is of one
-/// recording of one application.
+/// Output path and identity of a recording. The viewer combines data with the same application and
+/// recording id.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Recording {
     /// The file.
     pub path: PathBuf,
-    /// The application; poseaudit where there is none.
+    /// Application id. Default: poseaudit.
     pub application: Option<String>,
-    /// The recording's id; where there is none, one that follows from what it shows.
+    /// Recording id. Default: derived from the content.
     pub id: Option<String>,
-    /// Whether the viewer shows it beside the log that it reads itself. Its timelines then have the
-    /// viewer's names, `ros2_timestamp` and `message_log_time`, so that one cursor moves both.
+    /// Whether the viewer also shows the log itself. The timelines then have the viewer's names,
+    /// `ros2_timestamp` and `message_log_time`, so that one cursor moves both.
     pub beside_log: bool,
-    /// The folders that the models' meshes are sought below. No file outside of them is read.
+    /// Folders in which the models' meshes are searched. No file outside them is read.
     pub mesh_roots: Vec<PathBuf>,
 }
 
@@ -86,28 +86,28 @@ impl From<PathBuf> for Recording {
     }
 }
 
-/// What a recording shows.
+/// Content of a recording.
 #[derive(Clone, Debug)]
 pub struct Replay<'a> {
-    /// The run's origin, from which times in seconds count.
+    /// Origin of the run's times in seconds.
     pub origin: Stamp,
     /// First and last stamp of the run.
     pub span: (Stamp, Stamp),
-    /// The arms, each in its own space.
+    /// The arms, each in a separate space.
     pub arms: Vec<ReplayArm<'a>>,
-    /// What the audit says, the gravest finding first.
+    /// Result of the audit, most severe finding first.
     pub report: &'a Report,
 }
 
 impl<'a> Replay<'a> {
-    /// The arm that a finding is of: the one it names, else the first.
+    /// Arm of a finding: the named one, else the first.
     fn arm_of(&self, finding: &Finding) -> Option<&ReplayArm<'a>> {
         let named = finding.subject.robot.as_deref();
         let named = self.arms.iter().find(|arm| Some(arm.name) == named);
         named.or(self.arms.first())
     }
 
-    /// First and last stamp of what a finding is about; the run's where it is of all of it.
+    /// First and last stamp of a finding, or of the run if the finding concerns all of it.
     fn span_of(&self, finding: &Finding) -> (Stamp, Stamp) {
         let (start, end) = (finding.start_ns, finding.end_ns);
         (start.unwrap_or(self.span.0), end.unwrap_or(self.span.1))
@@ -117,29 +117,28 @@ impl<'a> Replay<'a> {
 /// One arm and its streams.
 #[derive(Clone, Debug)]
 pub struct ReplayArm<'a> {
-    /// Its name.
+    /// Name of the arm.
     pub name: &'a str,
-    /// The robot that it is a part of.
+    /// The robot that contains the arm.
     pub robot: &'a Robot,
-    /// The chain from base to tip.
+    /// Chain from base to tip.
     pub chain: &'a Chain,
-    /// For each joint of `chain`, its column in the joint tracks.
+    /// Column in the joint tracks of each joint of `chain`.
     pub columns: &'a [usize],
-    /// When the joint states were received.
+    /// Receive times of the joint states.
     pub received: Receipts,
     /// The joint states as recorded.
     pub recorded: &'a JointTrack,
-    /// The joint states as they should have been recorded.
+    /// Corrected joint states.
     pub corrected: JointTrack,
-    /// Its streams of poses, and /tf.
+    /// Pose streams and /tf.
     pub streams: Vec<ReplayStream<'a>>,
-    /// Its IMUs.
+    /// IMUs.
     pub imus: Vec<ReplayImu<'a>>,
 }
 
 impl ReplayArm<'_> {
-    /// What a drawing of `stream` is called: what is said of the tool, and the topic where that
-    /// alone does not tell.
+    /// Label of a drawing of `stream`: the state, with the topic if the arm has several streams.
     fn label(&self, stream: &ReplayStream<'_>, state: State) -> String {
         let measured = self.streams.iter().filter(|other| other.kind == StreamKind::Pose);
         match stream.kind {
@@ -153,52 +152,51 @@ impl ReplayArm<'_> {
 /// One stream of tool poses.
 #[derive(Clone, Debug)]
 pub struct ReplayStream<'a> {
-    /// Its topic.
+    /// Topic of the stream.
     pub topic: &'a str,
-    /// Where its poses come from.
+    /// Source of the poses.
     pub kind: StreamKind,
-    /// Its samples beside FK.
+    /// Samples aligned with FK.
     pub aligned: &'a Aligned,
-    /// When its messages were received.
+    /// Receive times of the messages.
     pub received: Receipts,
-    /// The frame of the samples in the base of the arm's chain.
+    /// Pose of the samples' frame in the base of the arm's chain.
     pub base_from_reference: Pose,
-    /// Whether the log ties that frame to the arm. If not, what was logged has no place in the
-    /// scene and no error against FK; what it says once the frame is estimated has both.
+    /// Whether the log connects that frame to the arm. If not, logged poses have no place in the scene and
+    /// no error against FK; corrected poses have both, with the estimated frame.
     pub reference_known: bool,
-    /// How much later than true its content is stamped, s; the explained pose is drawn at the time
-    /// when it was true.
+    /// Latency of the stamps, s. Corrected poses are drawn at the time of measurement.
     pub latency_s: f64,
 }
 
-/// Where a stream's poses come from.
+/// Source of a stream's poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StreamKind {
-    /// Measured, and logged as poses.
+    /// Measured and logged as poses.
     Pose,
     /// Derived from the joint states, in the log's transforms.
     Tf,
 }
 
-/// What is said of the tool.
+/// State of the tool's pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
-    /// What the log says.
+    /// As logged.
     Logged,
-    /// The same with everything found taken off.
+    /// After correcting all findings.
     Explained,
 }
 
 impl State {
-    /// Of what `stream` is drawn. Transforms derived from the joints are only as they are, and what
-    /// is logged in a frame that nothing ties to the arm has no place beside it.
+    /// States in which `stream` is drawn. Transforms derived from the joints have no corrected state. Poses
+    /// in a frame that is not connected to the arm have no logged state.
     fn drawn(stream: &ReplayStream<'_>) -> impl Iterator<Item = State> {
         let logged = stream.reference_known.then_some(State::Logged);
         let explained = (stream.kind == StreamKind::Pose).then_some(State::Explained);
         logged.into_iter().chain(explained)
     }
 
-    /// Last part of its entities.
+    /// Last component of its entity paths.
     const fn entity(self) -> &'static str {
         match self {
             State::Logged => "as_logged",
@@ -206,7 +204,7 @@ impl State {
         }
     }
 
-    /// Where the tool is, in the reference frame.
+    /// Poses of the tool in the reference frame.
     fn poses<'a>(self, stream: &ReplayStream<'a>) -> &'a [Pose] {
         match self {
             State::Logged => &stream.aligned.logged,
@@ -214,7 +212,7 @@ impl State {
         }
     }
 
-    /// How far the tool is from where it should be.
+    /// Errors of the tool against FK.
     fn residuals(self, stream: &ReplayStream<'_>) -> Residuals {
         match self {
             State::Logged => stream.aligned.before(),
@@ -229,7 +227,7 @@ impl State {
         }
     }
 
-    /// Red as logged, green as explained, violet in /tf.
+    /// Red as logged, green after correction, violet for /tf.
     const fn rgb(self, kind: StreamKind) -> [u8; 3] {
         match (kind, self) {
             (StreamKind::Tf, _) => [200, 150, 255],
@@ -242,51 +240,50 @@ impl State {
 /// One IMU.
 #[derive(Clone, Debug)]
 pub struct ReplayImu<'a> {
-    /// Its topic.
+    /// Topic of the IMU.
     pub topic: &'a str,
-    /// When its messages were received.
+    /// Receive times of the messages.
     pub received: Receipts,
     /// Stamp, s from the run's origin, and yaw against FK, rad.
     pub yaw_error: &'a [(f64, f64)],
 }
 
 impl ReplayImu<'_> {
-    /// Whether there is a yaw to plot; an IMU may have no orientation.
+    /// Returns whether there is a yaw to plot. An IMU may have no orientation.
     fn has_yaw(&self) -> bool {
         !self.yaw_error.is_empty()
     }
 }
 
-/// Why a recording could not be written.
+/// Error of writing a recording.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: the recording cannot be written: {cause}", path.display())]
 pub struct ReplayError {
-    /// The recording.
+    /// Path of the recording.
     pub path: PathBuf,
-    /// What went wrong.
+    /// Cause of the error.
     #[source]
     pub cause: ReplayCause,
 }
 
-/// What went wrong with a recording.
+/// Cause of an error of a recording.
 #[derive(Debug, thiserror::Error)]
 #[error(transparent)]
 pub enum ReplayCause {
-    /// No file can be made there.
+    /// The file cannot be created.
     Folder(#[from] std::io::Error),
-    /// Values have no form in a recording.
+    /// Values cannot be serialised.
     Values(#[from] SerializationError),
-    /// Nor have rows.
+    /// Rows cannot be serialised.
     Rows(#[from] ChunkError),
-    /// It has no form in a file.
+    /// The file cannot be encoded.
     Encoding(#[from] EncodeError),
 }
 
-/// Writes the recording to its file, whose folders are made; what is to be known of the meshes that
-/// were asked for.
+/// Writes the recording to its file, creating the folders. Returns notes on the requested meshes.
 ///
 /// # Errors
-/// Where the file cannot be written.
+/// If the file cannot be written.
 pub fn write(recording: &Recording, replay: &Replay<'_>) -> Result<Vec<String>, ReplayError> {
     let mut notes = Vec::new();
     write_whole(&recording.path, |staged| {
@@ -312,7 +309,7 @@ fn application(wanted: &Recording) -> ApplicationId {
     named.unwrap_or(APPLICATION.into())
 }
 
-/// All that the recording is made of; what is to be known of meshes.
+/// Messages of the recording. Adds notes on meshes.
 fn messages(
     wanted: &Recording,
     replay: &Replay<'_>,
@@ -333,7 +330,7 @@ fn messages(
     Ok((tape.finish().messages()?, notes))
 }
 
-/// Adds an arm and its streams; what is to be known of its meshes.
+/// Adds an arm and its streams. Adds notes on its meshes.
 fn draw_arm(
     tape: &Tape,
     arm: &ReplayArm<'_>,

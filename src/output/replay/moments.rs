@@ -1,20 +1,19 @@
-//! When things are, on every timeline.
+//! Times on all timelines.
 
 use crate::time::Stamp;
 
-/// When the recorder received what carried which stamp.
+/// Receive times of stamps.
 #[derive(Clone, Debug, Default)]
 pub struct Receipts {
-    /// Pairs of stamp and log time in the order of stamps, which differ.
+    /// Pairs of stamp and log time, in order of distinct stamps.
     rows: Vec<(Stamp, Stamp)>,
 }
 
 impl Receipts {
-    /// More rows than these are not kept; between rows that are, time is interpolated.
+    /// Maximum number of stored rows. Times in between are interpolated.
     const MOST_ROWS: usize = 100_000;
 
-    /// Those of rows with a stamp and a log time, in any order; of equal stamps the first received
-    /// counts.
+    /// Stores rows of stamp and log time, in any order. For equal stamps, the first received one counts.
     pub fn of(mut rows: Vec<(Stamp, Stamp)>) -> Self {
         rows.sort_unstable();
         rows.dedup_by_key(|(stamp, _)| *stamp);
@@ -22,8 +21,8 @@ impl Receipts {
         Self { rows: kept.into_iter().map(|row| rows[row]).collect() }
     }
 
-    /// When what carries `stamp` was received. Where nothing carries it, that is between what was
-    /// before and after it; beyond the ends as late as there; and at `stamp` where nothing is known.
+    /// Receive time of `stamp`. Interpolated between known stamps; with the delay of the first or last one
+    /// outside their range; `stamp` itself if there are none.
     pub fn log_time(&self, stamp: Stamp) -> Stamp {
         let after = self.rows.partition_point(|(known, _)| *known < stamp);
         let (before, after) = (after.checked_sub(1), self.rows.get(after));
@@ -42,14 +41,14 @@ impl Receipts {
     }
 }
 
-/// When the rows of an entity are, an entry a row in each column.
+/// Times of the rows of an entity, one entry per row in each column.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Moments {
     /// Stamps, ns.
     pub stamps_ns: Vec<i64>,
     /// Log times, ns.
     pub logs_ns: Vec<i64>,
-    /// Number of the last joint state at that stamp.
+    /// Index of the last joint state at that stamp.
     pub samples: Vec<i64>,
 }
 

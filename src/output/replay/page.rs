@@ -11,12 +11,12 @@ use super::{MOST_ROWS, Replay, ReplayCause, findings};
 use crate::report::markdown::prose;
 use crate::report::outline::Outline;
 
-/// The entity of the page.
+/// Entity of the page.
 pub(super) fn report() -> EntityPath {
     entity(&["report"])
 }
 
-/// Adds the page; `meshes` is what is to be known of them.
+/// Adds the page. `meshes` are notes on the meshes.
 pub(super) fn write(
     tape: &Tape,
     replay: &Replay<'_>,
@@ -58,7 +58,7 @@ fn list(page: &mut String, title: &str, lines: Vec<String>) {
     page.push('\n');
 }
 
-/// Of which streams not all samples are drawn.
+/// Lists the streams of which not all samples are drawn.
 fn decimated(replay: &Replay<'_>) -> Vec<String> {
     let joints = replay
         .arms
@@ -73,7 +73,9 @@ fn decimated(replay: &Replay<'_>) -> Vec<String> {
     let mut lines: Vec<String> =
         long.map(|(what, rows)| format!("{rows} {what}, thinned to about {MOST_ROWS}")).collect();
     if !lines.is_empty() {
-        lines.push("thinned evenly where things move; plots keep lowest and highest values".into());
+        lines.push(
+            "thinned evenly for moving objects; plots keep minimum and maximum values".into(),
+        );
     }
     lines
 }

@@ -1,4 +1,4 @@
-//! Errors over time, in the units that people read.
+//! Plots of errors over time, in everyday units.
 
 use re_log_types::EntityPath;
 
@@ -16,7 +16,7 @@ use crate::time::Stamp;
 const ERRORS: &str = "errors";
 const JOINT_RGB: [u8; 3] = [110, 170, 240];
 
-/// What is plotted; one view each.
+/// Plotted quantity; one view each.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Quantity {
     Position,
@@ -34,7 +34,7 @@ impl Quantity {
         }
     }
 
-    /// The entity above its series.
+    /// Parent entity of its series.
     pub fn root(self, arm: &str) -> EntityPath {
         entity(&[ERRORS, arm, self.name()])
     }
@@ -47,12 +47,12 @@ impl Quantity {
         }
     }
 
-    /// The entity above the series of one topic.
+    /// Parent entity of the series of one topic.
     pub fn of_topic(self, arm: &str, topic: &str) -> EntityPath {
         self.root(arm).join(&entity(&[topic]))
     }
 
-    /// From SI to the unit shown.
+    /// Factor from SI to the displayed unit.
     fn factor(self) -> f64 {
         match self {
             Quantity::Position => 1e3,
@@ -75,7 +75,7 @@ pub(super) fn draw(tape: &Tape, arm: &ReplayArm<'_>, report: &Report) -> Result<
     Ok(())
 }
 
-/// The entity of a joint's position, and the unit that it is plotted in.
+/// Entity of a joint's position, and its plotted unit.
 pub(super) fn joint(arm: &ReplayArm<'_>, name: &str) -> Option<(EntityPath, &'static str)> {
     let index = arm.chain.joint_names().iter().position(|known| known == name)?;
     let unit = if arm.chain.joint_kinds()[index] == JointKind::Prismatic { "mm" } else { "°" };
@@ -127,7 +127,7 @@ fn residuals(
     Ok(())
 }
 
-/// From where on a residual is one (MDL001), as a line over the time of a stream.
+/// Limit of a residual (MDL001) as a line over the time of a stream.
 fn limits(
     tape: &Tape,
     arm: &ReplayArm<'_>,
@@ -162,19 +162,19 @@ fn yaw(tape: &Tape, arm: &ReplayArm<'_>, imu: &ReplayImu<'_>) -> Result<(), Repl
     series.draw(tape, arm, &imu.received, &stamps, &yaw_rad)
 }
 
-/// One line of a plot.
+/// Line of a plot.
 struct Series {
     path: EntityPath,
     label: String,
     rgb: [u8; 3],
-    /// Width, UI points; what lies under another line is broader.
+    /// Width, UI points. A line below another one is wider.
     width: f32,
-    /// From SI to the unit shown.
+    /// Factor from SI to the displayed unit.
     factor: f64,
 }
 
 impl Series {
-    /// Adds the line through `values`, in SI.
+    /// Adds the line through `values`, in SI units.
     fn draw(
         &self,
         tape: &Tape,

@@ -1,4 +1,4 @@
-//! What proves single findings: spectra, traces, views of a target, axes, rests; and the limits.
+//! Plots specific to single findings: spectra, traces, views of a target, axes, rest positions; and limits.
 
 use re_log_types::EntityPath;
 use re_sdk_types::archetypes::{Arrows3D, BarChart, Points3D, Scalars, SeriesLines};
@@ -15,14 +15,14 @@ use crate::time::Stamp;
 const LIMIT_RGB: [u8; 3] = [230, 180, 80];
 const RGB: [[u8; 3]; 3] = [[240, 80, 60], [60, 200, 110], [110, 170, 240]];
 
-/// A view that proves a finding.
+/// View that supports a finding.
 pub(super) struct View {
     pub title: &'static str,
     pub path: EntityPath,
     pub kind: Kind,
 }
 
-/// What a view is.
+/// Kind of a view.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
     Series,
@@ -30,12 +30,12 @@ pub(super) enum Kind {
     Space,
 }
 
-/// The entity of a picture of the finding with this index.
+/// Entity of a plot of the finding with this index.
 fn path(index: usize, name: &str) -> EntityPath {
     entity(&["proof", &format!("{:02}", index + 1), name])
 }
 
-/// The views of the finding with this index that are its own.
+/// Views specific to the finding with this index.
 pub(super) fn views(report: &Report, index: usize) -> Vec<View> {
     let own = report.figures.iter().flat_map(|figures| &figures.own);
     let own = own.filter(|(of, _)| *of == index);
@@ -43,7 +43,7 @@ pub(super) fn views(report: &Report, index: usize) -> Vec<View> {
     let views = own.flat_map(|(_, own)| match own {
         Own::Shake { .. } => vec![
             view("spectrum", "spectrum, mm rms over Hz", Kind::Bars),
-            view("trace", "where it shakes most, mm", Kind::Series),
+            view("trace", "strongest vibration, mm", Kind::Series),
         ],
         Own::HandEye { .. } => vec![
             view("distance", "residual of each view, mm", Kind::Series),
@@ -59,7 +59,7 @@ pub(super) fn views(report: &Report, index: usize) -> Vec<View> {
     views.collect()
 }
 
-/// Adds what the views show.
+/// Adds the content of the views.
 pub(super) fn draw(tape: &Tape, replay: &Replay<'_>) -> Result<(), ReplayCause> {
     let Some(figures) = &replay.report.figures else { return Ok(()) };
     let start = figures.start.unwrap_or(replay.span.0);
@@ -71,7 +71,7 @@ pub(super) fn draw(tape: &Tape, replay: &Replay<'_>) -> Result<(), ReplayCause> 
     Ok(())
 }
 
-/// A finding whose picture is drawn.
+/// Finding with its plots.
 struct Shown<'a> {
     tape: &'a Tape,
     replay: &'a Replay<'a>,
@@ -191,7 +191,7 @@ impl Shown<'_> {
         line(self.tape, &path, (label, rgb, 1.5), &moments, &values)
     }
 
-    /// The limit of the finding's rule on amounts in this unit, over the time of `rows`.
+    /// Limit of the finding's rule in this unit, over the time of `rows`.
     fn limits(
         &self,
         view: &str,
@@ -215,7 +215,7 @@ impl Shown<'_> {
         Ok(())
     }
 
-    /// Three arrows from the origin.
+    /// Adds three arrows from the origin.
     fn axes(&self, path: &EntityPath, axes: &[[f64; 3]; 3], name: &str) -> Result<(), ReplayCause> {
         let arrows = Arrows3D::from_vectors(axes.map(|axis| axis.map(|part| part as f32)))
             .with_origins([[0.0f32; 3]])
@@ -243,7 +243,7 @@ pub(super) fn line(
     tape.columns(path, moments, Scalars::new(values.iter().copied()).columns_of_unit_batches()?)
 }
 
-/// Adds a limit to a plot, from the first to the last of two moments.
+/// Adds a limit to a plot, from the first to the last time.
 pub(super) fn limit(
     tape: &Tape,
     path: &EntityPath,

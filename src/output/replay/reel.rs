@@ -1,5 +1,5 @@
-//! A recording in the making: its chunks in the order in which they are made, with ids that follow from
-//! what it shows, so that the same recording is the same bytes.
+//! Recording under construction: its chunks in order of creation. Ids are derived from the content, so
+//! equal recordings have equal bytes.
 
 use std::cell::RefCell;
 
@@ -15,19 +15,19 @@ use re_sdk_types::{AsComponents, SerializedComponentColumn};
 use super::{Replay, ReplayCause};
 use crate::report::json;
 
-/// What ids follow from: a hash of the report, which names the log and says what was found in it.
+/// Seed of the ids: a hash of the report, which contains the name of the log and the findings.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Seed([u8; 32]);
 
 impl Seed {
     pub fn of(replay: &Replay<'_>) -> Self {
         let mut text = Vec::new();
-        // What is written to memory can be.
+        // Writing to memory cannot fail.
         let _ = json::write(replay.report, &mut text);
         Self(*blake3::hash(&text).as_bytes())
     }
 
-    /// An id of its own for `what`.
+    /// Unique id for `what`.
     pub fn id(self, what: &str) -> u128 {
         let hash = blake3::keyed_hash(&self.0, what.as_bytes());
         let first: [u8; 16] = std::array::from_fn(|at| hash.as_bytes()[at]);
@@ -35,7 +35,7 @@ impl Seed {
     }
 }
 
-/// A recording, and the layout in which the viewer shows it.
+/// Recording and layout of the viewer.
 pub(super) struct Reel {
     pub seed: Seed,
     recording: StoreId,
@@ -43,18 +43,18 @@ pub(super) struct Reel {
     rows: RefCell<Rows>,
 }
 
-/// The chunks that there are, and the ids of those to come.
+/// Existing chunks, and the next id.
 struct Rows {
-    /// When the run begins, ns since 1970.
+    /// Start of the run, ns since 1970.
     nanos: u64,
     next: u64,
     chunks: Vec<(StoreId, Chunk)>,
 }
 
 impl Reel {
-    /// An empty recording of `application`; without an `id` it has one that follows from what it shows.
+    /// Creates an empty recording of `application`. Without `id`, its id is derived from the content.
     pub fn new(replay: &Replay<'_>, application: &ApplicationId, id: Option<String>) -> Self {
-        /// Room above for all that follow, and below for all that there are.
+        /// First id. Leaves room for ids above and below.
         const MIDDLE: u64 = 0x3fff_ffff_0000_0000;
         let seed = Seed::of(replay);
         let own = |what: &str| format!("{:032x}", seed.id(what));
@@ -69,13 +69,13 @@ impl Reel {
         }
     }
 
-    /// Adds what holds all the time.
+    /// Adds timeless data.
     pub fn still(&self, path: &EntityPath, what: &impl AsComponents) -> Result<(), ReplayCause> {
         self.add(&self.recording, Self::row(path.clone(), TimePoint::default(), what)?);
         Ok(())
     }
 
-    /// Adds columns with a row for each of the `times`.
+    /// Adds columns with one row per entry of `times`.
     pub fn columns(
         &self,
         path: &EntityPath,
@@ -116,10 +116,10 @@ impl Reel {
         rows.chunks.push((store.clone(), chunk));
     }
 
-    /// The recording as the viewer reads it: the layout is used once it is all there.
+    /// Messages of the recording. The viewer activates the layout when it is complete.
     ///
     /// # Errors
-    /// If a chunk has no form in a file.
+    /// If a chunk cannot be encoded.
     pub fn messages(self) -> Result<Vec<LogMsg>, ReplayCause> {
         let mut rows = self.rows.into_inner();
         let mut info = |store: &StoreId| {
@@ -137,7 +137,7 @@ impl Reel {
 }
 
 impl Rows {
-    /// The first of so many ids, which ascend as those of a clock do.
+    /// Reserves `count` ids and returns the first. Ids ascend like those of a clock.
     fn take(&mut self, count: usize) -> Tuid {
         let first = self.next;
         self.next += count as u64;
@@ -145,13 +145,13 @@ impl Rows {
     }
 }
 
-/// The file of these messages.
+/// Encodes the messages as a file.
 ///
 /// # Errors
-/// If one has no form in a file.
+/// If a message cannot be encoded.
 pub(super) fn bytes(messages: &[LogMsg]) -> Result<Vec<u8>, ReplayCause> {
     let mut encoder = Encoder::local()?;
-    // The index in it stands in the order of a hash map.
+    // The index in it is in the order of a hash map, which varies.
     encoder.do_not_emit_footer();
     for message in messages {
         encoder.append(message)?;

@@ -1,4 +1,4 @@
-//! The recording as it is written: entity paths, and columns on all timelines.
+//! Writer of a recording: entity paths, and columns on all timelines.
 
 use re_chunk::TimeColumn;
 use re_log_types::{EntityPath, EntityPathPart};
@@ -9,24 +9,24 @@ use super::reel::Reel;
 use super::{Receipts, ReplayArm, ReplayCause};
 use crate::time::Stamp;
 
-/// The timeline since the run's origin.
+/// Name of the timeline of seconds since the run's origin.
 pub(super) const RUN: &str = "run";
-/// The timeline of joint states.
+/// Name of the timeline of joint states.
 pub(super) const SAMPLE: &str = "sample";
 
-/// What the timelines are called that a log has of its own.
+/// Names of the timelines that come from the log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Names {
-    /// Stamps as the log has them.
+    /// Timeline of stamps.
     pub stamp: &'static str,
-    /// When the recorder received the messages.
+    /// Timeline of receive times.
     pub log: &'static str,
 }
 
 impl Names {
-    /// In a recording that stands alone.
+    /// Names in a recording without the log.
     pub const OWN: Self = Self { stamp: "stamp", log: "log_time" };
-    /// As the viewer calls those of a log that it reads itself, so that one cursor moves both.
+    /// Names that the viewer uses for a log, so that one cursor moves both.
     pub const OF_VIEWER: Self = Self { stamp: "ros2_timestamp", log: "message_log_time" };
 }
 
@@ -42,19 +42,19 @@ impl Tape {
         Self { reel, origin, names }
     }
 
-    /// The stamp of a time in seconds from the origin.
+    /// Stamp of a time in seconds from the origin.
     pub fn stamp(&self, t_s: f64) -> Stamp {
         self.origin.shifted(t_s)
     }
 
-    /// When what is stamped so is, where it was `received` like that.
+    /// Times of `stamps` on all timelines, given the receive times in `received`.
     pub fn moments(
         &self,
         arm: &ReplayArm<'_>,
         received: &Receipts,
         stamps: impl Iterator<Item = Stamp>,
     ) -> Moments {
-        /// Half a microsecond: seconds are floats.
+        /// Tolerance of half a microsecond, because seconds are floats.
         const NOTHING_S: f64 = 5e-7;
         let mut moments = Moments::default();
         for stamp in stamps {
@@ -67,18 +67,18 @@ impl Tape {
         moments
     }
 
-    /// When the rows `kept` of an arm's joint states are.
+    /// Times of the rows `kept` of an arm's joint states.
     pub fn of_joints(&self, arm: &ReplayArm<'_>, kept: &[usize]) -> Moments {
         let stamps = kept.iter().map(|&row| self.stamp(arm.recorded.t_s[row]));
         self.moments(arm, &arm.received, stamps)
     }
 
-    /// Adds what holds all the time.
+    /// Adds timeless data.
     pub fn still(&self, path: &EntityPath, what: &impl AsComponents) -> Result<(), ReplayCause> {
         self.reel.still(path, what)
     }
 
-    /// Adds columns with a row for each moment.
+    /// Adds columns with one row per time.
     pub fn columns(
         &self,
         path: &EntityPath,
@@ -97,13 +97,13 @@ impl Tape {
         self.reel.columns(path, times, columns)
     }
 
-    /// All that was added.
+    /// Returns everything that was added.
     pub fn finish(self) -> Reel {
         self.reel
     }
 }
 
-/// The entity at the end of `parts`; a topic's slashes part it further.
+/// Entity path of `parts`. The slashes of a topic separate further parts.
 pub(super) fn entity(parts: &[&str]) -> EntityPath {
     let parts = parts.iter().flat_map(|part| part.split('/')).filter(|part| !part.is_empty());
     EntityPath::from(parts.map(EntityPathPart::new).collect::<Vec<_>>())

@@ -19,14 +19,14 @@ use crate::robot::catalogue;
 type Outcome = Result<(), Box<dyn std::error::Error>>;
 
 const ORIGIN: Stamp = Stamp::from_nanos(1_780_000_000_000_000_000);
-/// The recorder is so much later than the stamps.
+/// Delay of the recorder after the stamps.
 const TRANSPORT_S: f64 = 0.003;
 
 fn chain(robot: &Robot) -> Chain {
     robot.chain(robot.link("base").unwrap(), robot.link("tool0").unwrap()).unwrap()
 }
 
-/// The shoulder turning at 100 Hz, and poses that agree with it.
+/// The shoulder rotating, at 100 Hz, with consistent poses.
 fn motion(chain: &Chain, rows: usize) -> (JointTrack, Aligned) {
     let mut joints = JointTrack { dof: chain.dof(), ..JointTrack::default() };
     let mut aligned = Aligned::default();
@@ -94,7 +94,7 @@ fn stream(aligned: &Aligned, kind: StreamKind) -> ReplayStream<'_> {
     }
 }
 
-/// An arm without streams whose joints are as recorded.
+/// Arm without streams whose joints are as recorded.
 fn arm<'a>(robot: &'a Robot, chain: &'a Chain, recorded: &'a JointTrack) -> ReplayArm<'a> {
     ReplayArm {
         name: "ur5e",
@@ -113,7 +113,7 @@ fn replay<'a>(arms: Vec<ReplayArm<'a>>, report: &'a Report) -> Replay<'a> {
     Replay { origin: ORIGIN, span: (ORIGIN, ORIGIN.shifted(0.5)), arms, report }
 }
 
-/// A recording as it is encoded.
+/// Encoded recording.
 struct Seen {
     messages: Vec<LogMsg>,
     notes: Vec<String>,
@@ -125,7 +125,7 @@ impl Seen {
         Ok(Self { messages, notes })
     }
 
-    /// What is recorded of an entity, without the blueprint.
+    /// Chunks of an entity, without the blueprint.
     fn chunks(&self, path: &EntityPath) -> Vec<Chunk> {
         let recorded = self.messages.iter().filter_map(|message| match message {
             LogMsg::ArrowMsg(id, message) if id.kind() == StoreKind::Recording => {
@@ -136,7 +136,7 @@ impl Seen {
         recorded.filter(|chunk| chunk.entity_path() == path).collect()
     }
 
-    /// The chunk of an entity that has a component at rows in time, or for all time.
+    /// Chunk of an entity that has a component.
     fn with(&self, path: &[&str], component: &ComponentDescriptor) -> Option<Chunk> {
         let chunks = self.chunks(&entity(path)).into_iter();
         chunks.filter(|chunk| chunk.components().get(component.component).is_some()).last()
@@ -176,7 +176,7 @@ fn a_recording_is_written_with_its_folder() -> Outcome {
     second.streams = vec![stream(&aligned, StreamKind::Pose), stream(&aligned, StreamKind::Tf)];
     second.imus = vec![ReplayImu { topic: "/imu/data", received: Receipts::default(), yaw_error }];
     write(&Recording::from(again.clone()), &replay(vec![second], &report))?;
-    assert!(bytes == fs::read(&again)?, "the same recording has other bytes");
+    assert!(bytes == fs::read(&again)?, "the bytes of equal recordings differ");
     assert!(notes.is_empty(), "{notes:?}");
     Ok(())
 }
@@ -188,7 +188,7 @@ fn a_finding_has_its_own_proof_with_its_limit_and_links() -> Outcome {
     let (recorded, aligned) = motion(&chain, 50);
     let mut arm = arm(robot, &chain, &recorded);
     arm.streams = vec![stream(&aligned, StreamKind::Pose)];
-    // Of a sound stream nothing is magnified.
+    // Errors of a healthy stream are not magnified.
     assert_eq!(tools::magnified(&arm), 1.0);
     let shake = Finding { code: "MOT001", ..finding() };
     let mut report = report(Verdict::Fail, vec![shake]);
@@ -209,7 +209,7 @@ fn a_finding_has_its_own_proof_with_its_limit_and_links() -> Outcome {
         values.flatten().map(|value| value.0.0).collect()
     };
     assert_eq!(value("proof/01/trace/tip"), [1.0, -1.0]);
-    // In mm: of the shake its own limit, of the stream that of a residual.
+    // In mm: the limit of the vibration, and the limit of a residual.
     assert_eq!(value("proof/01/trace/limit_0"), [0.5, 0.5]);
     assert_eq!(value("errors/ur5e/position_mm/tcp/pose/limit"), [1.0, 1.0]);
     let page = seen.text(&["findings", "page_1"]);
@@ -301,7 +301,7 @@ fn what_is_explained_is_drawn_when_it_was_true() -> Outcome {
     let of = |state| seen.with(&["arms", "ur5e", "/tcp/pose", state], &translation).ok_or(state);
     let (logged, explained) = (of("as_logged")?, of("as_explained")?);
     assert_eq!(times(&logged, "run")[10] - times(&explained, "run")[10], 22_000_000);
-    // Stamps of 0.1 s and 0.078 s: the joint states since which are number 10 and number 7.
+    // Stamps of 0.1 s and 0.078 s: the last joint states are number 10 and number 7.
     assert_eq!((times(&logged, "sample")[10], times(&explained, "sample")[10]), (10, 7));
     Ok(())
 }
@@ -357,7 +357,7 @@ fn a_finding_has_its_span_its_line_and_its_page() -> Outcome {
     Ok(())
 }
 
-/// Two links, of which each has a mesh.
+/// Two links with one mesh each.
 const MESHED: &str = r#"<robot name="two">
   <link name="base"><visual><geometry><mesh filename="package://two/base.obj"/></geometry></visual></link>
   <joint name="turn" type="continuous"><parent link="base"/><child link="tool0"/><origin xyz="0 0 1"/></joint>
@@ -391,8 +391,8 @@ fn meshes_are_drawn_where_they_are_found_and_else_it_is_said() -> Outcome {
     fs::write(folder.path().join("tool.stl"), "short")?;
     let half = seen(root())?;
     assert!(capsules(&half) && mesh(&half, "base") && !mesh(&half, "tool0"));
-    let said = "1 of the 2 meshes of ur5e are not drawn, capsules stand for them: \
-                package://two/tool.stl cannot be shown: it is no STL";
+    let said = "1 of the 2 meshes of ur5e are not drawn, shown as capsules instead: package://two/tool.stl \
+        cannot be shown: it is not a valid STL file";
     assert_eq!(half.notes, [said]);
 
     fs::remove_file(folder.path().join("tool.stl"))?;
@@ -402,7 +402,7 @@ fn meshes_are_drawn_where_they_are_found_and_else_it_is_said() -> Outcome {
     fs::write(folder.path().join("tool.stl"), "solid tool\nendsolid tool\n")?;
     let whole = seen(root())?;
     assert!(!capsules(&whole) && mesh(&whole, "base") && mesh(&whole, "tool0"));
-    assert_eq!(whole.notes, ["ur5e is drawn by the 2 meshes of its model"]);
+    assert_eq!(whole.notes, ["ur5e is drawn with the 2 meshes of its model"]);
     Ok(())
 }
 

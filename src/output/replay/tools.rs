@@ -1,4 +1,4 @@
-//! The tool where FK and each stream say that it is, the paths it takes, and how far they are apart.
+//! Draws the tool by FK and by each stream, with trails and errors.
 
 use re_log_types::EntityPath;
 use re_sdk_types::archetypes::{Arrows3D, Boxes3D, LineStrips3D, Transform3D, TransformAxes3D};
@@ -13,7 +13,7 @@ use crate::stats::thin;
 
 const ERROR_RGB: [u8; 3] = [250, 190, 60];
 
-/// Adds the tool by FK, at the end of the arm.
+/// Adds the tool by FK at the tip of the arm.
 pub(super) fn draw_tip(tape: &Tape, arm: &ReplayArm<'_>, size_m: f64) -> Result<(), ReplayCause> {
     let kept = kept(&arm.corrected);
     let mut moved = Moved { moments: tape.of_joints(arm, &kept), ..Moved::default() };
@@ -28,7 +28,7 @@ pub(super) fn draw_tip(tape: &Tape, arm: &ReplayArm<'_>, size_m: f64) -> Result<
     tool.draw(tape, &entity(&["arms", arm.name, "tip"]), &moved, size_m)
 }
 
-/// Adds the tool as a stream says it is, the paths that it takes, and its error.
+/// Adds the tool by a stream, with its trail and its error.
 pub(super) fn draw(
     tape: &Tape,
     arm: &ReplayArm<'_>,
@@ -65,7 +65,7 @@ pub(super) fn draw(
     errors(tape, &reference.join(&entity(&["error"])), &by_fk, &logged, magnified(arm), size_m)
 }
 
-/// A frame that moves.
+/// Moving frame.
 #[derive(Default)]
 struct Moved {
     moments: Moments,
@@ -74,8 +74,8 @@ struct Moved {
 }
 
 impl Moved {
-    /// Poses of a stream's samples. What is logged is there when its stamp and its receipt say; what
-    /// is explained is there when it was true, among the joint states of that moment.
+    /// Poses of a stream's samples. A logged pose is at its stamp and receive time. A corrected pose is at
+    /// its time of measurement, with the joint states of that time.
     fn of(
         tape: &Tape,
         arm: &ReplayArm<'_>,
@@ -98,11 +98,11 @@ impl Moved {
     }
 }
 
-/// A box that stands for the tool: from the frame's origin along its z axis, broader along x than
-/// along y, so that no rotation hides.
+/// Box that represents the tool: from the frame's origin along z, wider along x than along y, so that every
+/// rotation is visible.
 struct Tool<'a> {
     label: &'a str,
-    /// Whether the label is always shown, not only under the pointer.
+    /// Whether the label is always shown, not only on hover.
     is_named: bool,
     rgb: [u8; 3],
     fill: FillMode,
@@ -131,7 +131,7 @@ impl Tool<'_> {
     }
 }
 
-/// The whole path of a tool, at all times.
+/// Whole path of a tool, timeless.
 fn trail(
     tape: &Tape,
     path: &EntityPath,
@@ -144,7 +144,7 @@ fn trail(
     tape.still(path, &strip)
 }
 
-/// Arrows from where FK has the tool to where it is logged, `times` as long as they are.
+/// Arrows from the FK position to the logged position, magnified by `times`.
 fn errors(
     tape: &Tape,
     path: &EntityPath,
@@ -167,24 +167,24 @@ fn errors(
     tape.columns(path, &logged.moments, arrows.columns_of_unit_batches()?)
 }
 
-/// How many times as long as they are the errors of an arm's streams are drawn, so that they are seen.
+/// Magnification of the errors of an arm's streams, to make them visible.
 pub(super) fn magnified(arm: &ReplayArm<'_>) -> f64 {
-    /// The longest arrow, as a part of the arm's reach.
+    /// Maximum length of an arrow as a fraction of the arm's reach.
     const LONGEST: f64 = 0.25;
-    /// Errors from which on they are.
+    /// Minimum error to magnify, m.
     const WORTH_M: f64 = 1e-3;
     let measured =
         arm.streams.iter().filter(|it| it.kind == StreamKind::Pose && it.reference_known);
     let errors = measured.flat_map(|stream| stream.aligned.before().m);
     let longest_m = errors.fold(0.0, f64::max);
-    // Of a sound run there is nothing to see.
+    // A healthy run has no visible errors.
     if longest_m < WORTH_M {
         return 1.0;
     }
     most_times(longest_m, LONGEST * arm.chain.max_reach_m())
 }
 
-/// The largest of 1, 10, 100 and 1000 that takes a length to no more than `most_m`, else 1.
+/// Largest of 1, 10, 100 and 1000 that scales a length to at most `most_m`, else 1.
 fn most_times(length_m: f64, most_m: f64) -> f64 {
     let fits = |times: &f64| times * length_m <= most_m;
     [1000.0, 100.0, 10.0].into_iter().find(fits).unwrap_or(1.0)

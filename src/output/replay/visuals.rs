@@ -1,4 +1,4 @@
-//! The links of an arm: their frames with their names, and what its model says that they look like.
+//! Links of an arm: their frames with names, and the visuals of the model.
 
 use std::path::PathBuf;
 
@@ -16,18 +16,18 @@ use super::{ReplayArm, ReplayCause};
 use crate::geometry::Pose;
 use crate::robot::{Chain, LinkId, Shape, Visual};
 
-/// Files that are named of those that are not drawn.
+/// Maximum number of missing files that are named.
 const NAMED: usize = 3;
 
-/// What came of a model's visuals.
+/// Result of drawing a model's visuals.
 pub(super) struct Drawn {
-    /// Whether the arm is there as its model shows it.
+    /// Whether all visuals are drawn.
     pub is_whole: bool,
-    /// What is to be known of it.
+    /// Notes for the report.
     pub notes: Vec<String>,
 }
 
-/// Adds the links of an arm, and of its robot all that moves with them.
+/// Adds the links of an arm, and the links of its robot that move with them.
 pub(super) fn draw(
     tape: &Tape,
     arm: &ReplayArm<'_>,
@@ -60,7 +60,7 @@ pub(super) fn draw(
     Ok(found.told(arm, !mesh_roots.is_empty()))
 }
 
-/// Whether a link is the base, the tip, or moved by a joint of the chain.
+/// Returns whether a link is the base, the tip, or moved by a joint of the chain.
 fn is_of_chain(arm: &ReplayArm<'_>, link: LinkId) -> bool {
     let name = arm.robot.link_name(link);
     let mut joints = arm.chain.joint_names().iter().filter_map(|joint| arm.robot.joint(joint));
@@ -69,16 +69,16 @@ fn is_of_chain(arm: &ReplayArm<'_>, link: LinkId) -> bool {
         || joints.any(|joint| joint.child == link)
 }
 
-/// How a link is where it is.
+/// Attachment of a link.
 enum Carried {
-    /// It stands still in the base.
+    /// Fixed in the base.
     Still(Pose),
-    /// It is at the end of a chain, whose joints are these of the arm's.
+    /// At the end of a chain with these joints of the arm.
     Moved(Box<Chain>, Vec<usize>),
 }
 
 impl Carried {
-    /// `None` for a link that moves by joints other than the arm's, such as a gripper's finger.
+    /// `None` for a link moved by joints outside the arm, such as a gripper's finger.
     fn of(arm: &ReplayArm<'_>, link: LinkId) -> Option<Self> {
         let base = arm.robot.link(arm.chain.base_name())?;
         if let Some(pose) = arm.robot.fixed_transform(base, link) {
@@ -107,7 +107,8 @@ impl Carried {
     }
 }
 
-/// Adds the axes of a link, and its name: at the ends of the chain always, else under the pointer.
+/// Adds the axes of a link and its name. The name is always visible at the ends of the chain, else on
+/// hover.
 fn frame(
     tape: &Tape,
     arm: &ReplayArm<'_>,
@@ -126,15 +127,15 @@ fn frame(
     tape.still(&path, &TransformAxes3D::new((0.09 * size_m) as f32))
 }
 
-/// What became of the visuals so far.
+/// Statistics of the visuals.
 #[derive(Default)]
 struct Found {
-    /// Visuals that are drawn, and how many of them are meshes.
+    /// Number of drawn visuals, and of meshes among them.
     drawn: usize,
     meshes: usize,
-    /// Meshes that are not drawn, with why.
+    /// Meshes that are not drawn, with the reason.
     missing: Vec<(String, NoMesh)>,
-    /// Visuals of links that no joint of the arm tells the place of.
+    /// Number of visuals on links whose position is unknown.
     adrift: usize,
 }
 
@@ -197,8 +198,8 @@ impl Found {
         let mut notes = Vec::new();
         if let Some((first, _)) = self.missing.first().filter(|_| !has_roots) {
             notes.push(format!(
-                "{} is drawn as capsules: --mesh-root names the folders that its {} are sought \
-                 below, such as {first}",
+                "{} is drawn as capsules: set --mesh-root to the folders that contain its {}, such as \
+                 {first}",
                 arm.name,
                 counted(all, "mesh", "meshes"),
             ));
@@ -209,7 +210,7 @@ impl Found {
                 names.push(format!("and {others} more"));
             }
             notes.push(format!(
-                "{} of the {} of {} are not drawn, capsules stand for them: {}",
+                "{} of the {} of {} are not drawn, shown as capsules instead: {}",
                 self.missing.len(),
                 counted(all, "mesh", "meshes"),
                 arm.name,
@@ -217,9 +218,9 @@ impl Found {
             ));
         } else if all > 0 {
             let them = counted(all, "mesh", "meshes");
-            notes.push(format!("{} is drawn by the {them} of its model", arm.name));
+            notes.push(format!("{} is drawn with the {them} of its model", arm.name));
         } else if has_roots {
-            notes.push(format!("the model of {} names no mesh: it is drawn as capsules", arm.name));
+            notes.push(format!("the model of {} has no mesh: it is drawn as capsules", arm.name));
         }
         if self.adrift > 0 {
             notes.push(format!(

@@ -10,25 +10,26 @@ use crate::places::Places;
 use crate::report::Trouble;
 use crate::report::reached;
 
-/// The tables, in the order in which they are written.
+/// Names of the tables in the order of writing.
 const NAMES: [&str; 6] = ["findings", "checks", "joints", "aligned", "reach_map", "reached_poses"];
 
-/// Enters the files that are written into `folder`.
+/// Registers the files that are written into `folder`.
 pub fn enter(folder: &Path, places: &mut Places) {
     places.writes_into("--parquet", folder, NAMES.map(|name| format!("{name}.parquet")));
 }
 
 impl Audited {
-    /// Writes the tables of the run into `folder`, which is made, as Parquet; each file whole.
+    /// Writes the tables of the run as Parquet into `folder`, creating it. Each file is replaced as a
+    /// whole.
     ///
     /// # Errors
-    /// Where one cannot be written, or would take the place of a file that was read.
+    /// If a table cannot be written or would replace an input file.
     pub fn write_tables(&self, folder: &Path) -> Result<(), Trouble> {
         let mut places = self.read.clone();
         enter(folder, &mut places);
         places.check()?;
         let Self { report, run, evidence, .. } = self;
-        let remedy = "name a folder that can be written with --parquet";
+        let remedy = "set --parquet to a writable folder";
         let trouble = |what| Trouble::unwritable(folder, what, remedy);
         let streams = evidence.robots.iter().flat_map(|arm| {
             let found = arm.poses_and_tf();

@@ -1,4 +1,4 @@
-//! Joint positions from a file, and the poses that they make.
+//! Joint positions from a file, and their FK poses.
 
 use std::fs::File;
 use std::path::Path;
@@ -12,24 +12,23 @@ use crate::robot::{Chain, JointKind};
 
 use super::{TableError, split};
 
-/// The numbers in a file of joint positions, one row a configuration.
+/// Joint positions from a file, one configuration per row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Configurations {
     /// Positions of the chain's joints, row-major, rad or m.
     pub q: Vec<f64>,
-    /// Rows.
+    /// Number of rows.
     pub rows: usize,
 }
 
 impl Configurations {
-    /// Reads the columns called like the joints of `chain`, with or without `_rad`, `_deg` or `_m`
-    /// behind their names, from a CSV or Parquet file; a CSV without such names is read by position
-    /// where it has as many columns as the chain has joints. What is a Parquet file is told by its
-    /// first bytes. Turning joints are in degrees where their column says so, or where `deg` is set and
-    /// it says nothing.
+    /// Reads the columns named after the joints of `chain`, optionally with the suffix `_rad`, `_deg` or
+    /// `_m`, from a CSV or Parquet file. Parquet is recognised by its first bytes. A CSV without such names
+    /// is read by position if its number of columns is the number of joints. Revolute joints are in degrees
+    /// if their column has the suffix `_deg`, or if it has no suffix and `deg` is set.
     ///
     /// # Errors
-    /// Where the file cannot be read, a joint is missing, or what stands there is no finite number.
+    /// If the file cannot be read, a joint is missing, or a value is not a finite number.
     pub fn read(path: &Path, chain: &Chain, deg: bool) -> Result<Self, TableError> {
         let fault = |cause: String| TableError { path: path.to_owned(), cause };
         let head = std::fs::read(path).map_err(|error| fault(error.to_string()))?;
@@ -40,14 +39,14 @@ impl Configurations {
     }
 }
 
-/// What takes the numbers of a column to rad or m.
+/// Factor that converts the numbers of a column to rad or m.
 fn unit(column: &str, kind: JointKind, deg: bool) -> f64 {
     let column = column.trim();
     let is_deg = column.ends_with("_deg") || (deg && !column.ends_with("_rad"));
     if is_deg && kind != JointKind::Prismatic { 1_f64.to_radians() } else { 1.0 }
 }
 
-/// Names that a joint's column may have.
+/// Returns whether `column` is a valid name for a joint's column.
 fn is_column_of(column: &str, joint: &str) -> bool {
     let rest = column.trim().strip_prefix(joint);
     rest.is_some_and(|rest| ["", "_rad", "_deg", "_m"].contains(&rest))
@@ -69,7 +68,7 @@ fn from_parquet(path: &Path, chain: &Chain, deg: bool) -> Result<Configurations,
         for (row, number) in (0..rows).map(|row| (row, numbers.get(row))) {
             let finite = number.filter(|number| number.is_finite());
             let number = finite
-                .ok_or_else(|| format!("row {} of `{}` is no number", row + 1, column.name()))?;
+                .ok_or_else(|| format!("row {} of `{}` is not a number", row + 1, column.name()))?;
             q[row * chain.dof() + joint] = unit * number;
         }
     }
@@ -123,10 +122,10 @@ fn missing(joint: &str) -> String {
     format!("it has no column `{joint}`")
 }
 
-/// Joint positions beside the poses that they make: `{joint}_rad` (`_m`), `x_m` … `qw`.
+/// Table of joint positions and their poses: `{joint}_rad` (`_m`), `x_m` … `qw`.
 ///
 /// # Errors
-/// Where there are not as many poses as rows.
+/// If the numbers of poses and rows differ.
 pub fn kinematics_frame(chain: &Chain, q: &[f64], poses: &[Pose]) -> PolarsResult<DataFrame> {
     let dof = chain.dof();
     let mut columns: Vec<Column> = super::workspace::joint_columns(chain)

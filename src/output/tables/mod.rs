@@ -1,7 +1,6 @@
-//! The one bridge to Polars: a stream's samples beside forward kinematics, and what else is stored as
-//! a table.
+//! Polars tables: aligned samples of a stream with forward kinematics, and other stored tables.
 //!
-//! Units stand last in a column's name. `docs/tables.md` lists the columns of the files.
+//! Column names end with the unit. `docs/tables.md` lists the columns of the files.
 
 mod audited;
 mod configurations;
@@ -26,10 +25,10 @@ const STAMP_NS: &str = "stamp_ns";
 /// Stamp of the sample, s from the run's origin.
 const T_S: &str = "t_s";
 
-/// The aligned samples of a stream and their residuals, one row a sample in the order of time.
+/// Aligned samples of a stream and their residuals, one row per sample in time order.
 ///
 /// # Errors
-/// Where the columns of `aligned` differ in length.
+/// If the columns of `aligned` differ in length.
 fn aligned_frame(aligned: &Aligned, origin: Stamp) -> PolarsResult<DataFrame> {
     let stamps_ns: Vec<i64> = aligned.t_s.iter().map(|&t_s| origin.shifted(t_s).nanos()).collect();
     let mut columns = vec![Column::new(STAMP_NS.into(), stamps_ns), column(T_S, &aligned.t_s)];
@@ -55,10 +54,10 @@ fn aligned_frame(aligned: &Aligned, origin: Stamp) -> PolarsResult<DataFrame> {
     DataFrame::new(aligned.t_s.len(), columns)
 }
 
-/// The aligned samples of several streams, with the robot and the topic of each before its columns.
+/// Aligned samples of several streams, preceded by the columns robot and topic.
 ///
 /// # Errors
-/// Where the columns of one differ in length.
+/// If the columns of a stream differ in length.
 fn aligned_frames<'a>(
     streams: impl Iterator<Item = (&'a str, &'a str, &'a Aligned)>,
     origin: Stamp,
@@ -88,7 +87,7 @@ fn column(name: &str, values: &[f64]) -> Column {
     Column::new(name.into(), values)
 }
 
-/// A column for each component of `rows`.
+/// One column per component of `rows`.
 fn split<const N: usize>(names: [String; N], rows: &[[f64; N]]) -> impl Iterator<Item = Column> {
     names.into_iter().enumerate().map(|(part, name)| {
         let values: Vec<f64> = rows.iter().map(|row| row[part]).collect();
@@ -118,7 +117,6 @@ mod tests {
         }
     }
 
-    /// A column of numbers.
     fn numbers(frame: &DataFrame, name: &str) -> PolarsResult<Vec<f64>> {
         Ok(frame.column(name)?.f64()?.into_no_null_iter().collect())
     }

@@ -1,4 +1,4 @@
-//! Frames as files.
+//! Writes data frames to files.
 
 use std::fs::File;
 use std::io::{self, BufWriter};
@@ -10,29 +10,29 @@ use polars::prelude::{
 
 use crate::report::write_whole;
 
-/// A file that could not be written.
+/// Error of a table file.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {cause}", path.display())]
 pub struct TableError {
-    /// Which.
+    /// Path of the file.
     pub path: PathBuf,
-    /// Why.
+    /// Cause of the error.
     pub cause: String,
 }
 
-/// Writes `frame` as `{name}.parquet` into `folder`, which is made. A file of that name is replaced
-/// once the new one is whole. Equal frames make equal bytes.
+/// Writes `frame` as `{name}.parquet` into `folder`, creating it. An existing file is replaced when the new
+/// one is complete. Equal frames have equal bytes.
 ///
 /// # Errors
-/// Where the file cannot be written.
+/// If the file cannot be written.
 pub fn write_table(folder: &Path, name: &str, frame: &mut DataFrame) -> Result<(), TableError> {
     write_frame(&folder.join(format!("{name}.parquet")), frame)
 }
 
-/// Writes `frame` to a file: as CSV where its name ends in `.csv`, as Parquet where in `.parquet`.
+/// Writes `frame` as CSV or Parquet, depending on the extension `.csv` or `.parquet`.
 ///
 /// # Errors
-/// Where the file cannot be written, or its name ends in something else.
+/// If the file cannot be written or has another extension.
 pub fn write_frame(path: &Path, frame: &mut DataFrame) -> Result<(), TableError> {
     let fault = |cause: String| TableError { path: path.to_owned(), cause };
     let write: fn(&Path, &mut DataFrame) -> Result<(), WriteError> =
@@ -55,7 +55,7 @@ fn write_csv(path: &Path, frame: &mut DataFrame) -> Result<(), WriteError> {
     writer.write_record(frame.columns().iter().map(|column| column.name().as_str()))?;
     for row in 0..frame.height() {
         let cell = |column: &Column| match column.get(row)? {
-            // All digits of it, which a table for people would not show.
+            // All digits, which Polars' display would omit.
             AnyValue::Float64(number) => Ok(number.to_string()),
             other => Ok(other.str_value().into_owned()),
         };

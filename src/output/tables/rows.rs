@@ -1,4 +1,4 @@
-//! What a report says, as frames: a row a finding, a check, a joint.
+//! Report content as data frames: one row per finding, check or joint.
 
 use polars::prelude::{Column, DataFrame, PolarsResult};
 use serde::Serialize;
@@ -7,10 +7,10 @@ use crate::finding::{CheckRow, Estimate, Finding, Subject};
 use crate::report::WorkspaceRow;
 use crate::time::Stamp;
 
-/// The findings, one a row in the order of the report.
+/// Findings, one per row in the order of the report.
 ///
 /// # Errors
-/// None that a report can cause.
+/// Does not fail for a valid report.
 pub fn findings_frame(findings: &[Finding]) -> PolarsResult<DataFrame> {
     let text = |name: &str, of: &dyn Fn(&Finding) -> String| {
         Column::new(name.into(), findings.iter().map(of).collect::<Vec<_>>())
@@ -34,10 +34,10 @@ pub fn findings_frame(findings: &[Finding]) -> PolarsResult<DataFrame> {
     DataFrame::new(findings.len(), columns)
 }
 
-/// The checks, one a row in the order of the report.
+/// Checks, one per row in the order of the report.
 ///
 /// # Errors
-/// None that a report can cause.
+/// Does not fail for a valid report.
 pub fn checks_frame(checks: &[CheckRow]) -> PolarsResult<DataFrame> {
     let text = |name: &str, of: &dyn Fn(&CheckRow) -> Option<String>| {
         Column::new(name.into(), checks.iter().map(of).collect::<Vec<_>>())
@@ -54,10 +54,10 @@ pub fn checks_frame(checks: &[CheckRow]) -> PolarsResult<DataFrame> {
     DataFrame::new(checks.len(), columns)
 }
 
-/// How far each joint of each arm moved, one a row from base to tip.
+/// Range of motion of each joint of each arm, one per row from base to tip.
 ///
 /// # Errors
-/// None that a report can cause.
+/// Does not fail for a valid report.
 pub fn joints_frame(arms: &[WorkspaceRow]) -> PolarsResult<DataFrame> {
     let rows: Vec<_> =
         arms.iter().flat_map(|arm| arm.joints.iter().map(move |joint| (arm, joint))).collect();
@@ -96,7 +96,7 @@ fn subjects<'a>(subjects: impl Iterator<Item = &'a Subject>) -> [Column; 4] {
     ]
 }
 
-/// The number of an estimate with its interval, where it has one, and all of it as JSON.
+/// Value of an estimate with its interval, if it has one, and the estimate as JSON.
 fn estimates<'a>(estimates: impl Iterator<Item = Option<&'a Estimate>>) -> [Column; 5] {
     let (mut values, mut units, mut lows, mut highs, mut whole) =
         (Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new());
@@ -124,7 +124,7 @@ fn estimates<'a>(estimates: impl Iterator<Item = Option<&'a Estimate>>) -> [Colu
     ]
 }
 
-/// What is written into reports has string keys and finite numbers only, which JSON always takes.
+/// Report values have string keys and finite numbers, so serialisation cannot fail.
 fn as_json(value: &impl Serialize) -> String {
     serde_json::to_string(value).unwrap_or_default()
 }

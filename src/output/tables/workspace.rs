@@ -1,4 +1,4 @@
-//! Where arms have been, as frames: the reach map and the poses that were reached.
+//! Workspace tables: the reach map and the reached poses.
 
 use std::collections::BTreeSet;
 
@@ -12,10 +12,10 @@ use crate::time::Stamp;
 
 use super::split;
 
-/// The reach map: a row for every cell of the base's frame that a tip was in.
+/// Reach map: one row per cell of the base frame that a tip reached.
 ///
 /// # Errors
-/// None that a workspace can cause.
+/// Does not fail for a valid workspace.
 pub(super) fn reach_map_frame(arms: &[ArmWorkspace<'_>]) -> PolarsResult<DataFrame> {
     let rows: Vec<_> = arms
         .iter()
@@ -39,11 +39,10 @@ pub(super) fn reach_map_frame(arms: &[ArmWorkspace<'_>]) -> PolarsResult<DataFra
     DataFrame::new(rows.len(), columns)
 }
 
-/// The poses that tips reached: a row for each, with the joint positions that reached it; those of
-/// other robots' joints are null.
+/// Poses that tips reached: one row each, with the joint positions. Joints of other robots are null.
 ///
 /// # Errors
-/// None that a workspace can cause.
+/// Does not fail for a valid workspace.
 pub(super) fn reached_poses_frame(
     arms: &[ArmWorkspace<'_>],
     origin: Stamp,
@@ -81,7 +80,7 @@ pub(super) fn reached_poses_frame(
     DataFrame::new(rows.len(), columns)
 }
 
-/// `{joint}_rad`, or `{joint}_m` of one that slides.
+/// `{joint}_rad`, or `{joint}_m` for a prismatic joint.
 pub(super) fn joint_columns(chain: &Chain) -> impl Iterator<Item = String> {
     chain.joint_names().iter().zip(chain.joint_kinds()).map(|(name, kind)| match kind {
         JointKind::Prismatic => format!("{name}_m"),
