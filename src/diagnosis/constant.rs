@@ -16,6 +16,7 @@ impl Truths {
         &self.rotations[start..self.ends[sample]]
     }
 
+    /// Removes all candidates.
     pub fn clear(&mut self) {
         self.ends.clear();
         self.rotations.clear();

@@ -15,6 +15,7 @@ pub struct Bars {
     pub bars: Vec<Bar>,
 }
 
+/// Bar of a [`Bars`] chart.
 #[derive(Clone, Debug)]
 pub struct Bar {
     /// Name of the bar.
