@@ -57,6 +57,8 @@ pub struct StreamClock {
     pub rows: u64,
     /// Number of rows with a header stamp of zero.
     pub zero: u64,
+    /// Whether the row that was received first has a header stamp of zero.
+    pub begins_at_zero: bool,
     /// Valid range of times, ns. Times outside are discarded.
     pub near: RangeInclusive<i64>,
     /// Number of rows with a time outside that range.
@@ -126,6 +128,12 @@ impl Source<'_> {
             HeaderStamps::Sound
         };
         (state, zero)
+    }
+
+    /// Whether the row that was received first has a header stamp of zero.
+    fn begins_at_zero(&self) -> bool {
+        let rows = self.times.iter().flat_map(|times| times.log.iter().zip(&times.header));
+        rows.min_by_key(|(received, _)| **received).is_some_and(|(_, stamp)| *stamp == 0)
     }
 
     /// Times on `clock`, without rows that have no stamp.
@@ -264,6 +272,7 @@ pub(super) fn settle(
             stamps,
             rows: source.rows() as u64,
             zero: zero as u64,
+            begins_at_zero: source.begins_at_zero(),
             far: source.beyond(clock, &near),
             near,
             log_minus_header_s: header.map(|delay| seconds(delay.median)),

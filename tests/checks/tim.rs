@@ -213,6 +213,24 @@ cases! {
             }
         });
     } => warning(Topic(POSE), What::None);
+    TIM005 one_stamp_that_is_zero: |log| {
+        log.edit = Some(|messages| {
+            let mut of_pose = messages.iter_mut().filter(|message| message.topic == POSE);
+            set_stamp(of_pose.nth(100).expect("a pose"), [0; 8]);
+        });
+    } => info(Topic(POSE), What::None);
+    TIM005 the_first_stamp_of_a_simulation: |log| {
+        log.edit = Some(|messages| {
+            let mut of_pose = messages.iter_mut().filter(|message| message.topic == POSE);
+            set_stamp(of_pose.next().expect("a pose"), [0; 8]);
+        });
+    } => Sound;
+    TIM005 two_stamps_that_are_zero: |log| {
+        log.edit = Some(|messages| {
+            let of_pose = messages.iter_mut().filter(|message| message.topic == POSE);
+            of_pose.skip(100).take(2).for_each(|message| set_stamp(message, [0; 8]));
+        });
+    } => warning(Topic(POSE), What::None);
     TIM005 stamps_that_advance_are_sound: |log| log.run.pose.timing.phase_s = 0.0 => Sound;
     TIM005 another_clock_is_no_missing_stamp: |log| log.run.imu.timing.clock_offset_s = -1.78e9
         => BlamedOn("TIM003");

@@ -34,8 +34,9 @@ rule! {
     /// ## When it misleads
     /// A type without a header cannot have a stamp; this is `info`, and only for audited streams. Commands
     /// are often sent without a stamp for immediate execution; this is also `info`. Up to three stamps
-    /// outside the run, or one in a thousand, are `info`. Static transforms may have stamp zero by design
-    /// and are not counted.
+    /// outside the run, or one in a thousand, are `info`, and so is a single zero stamp. A zero stamp of the
+    /// first sample is no finding: a simulation clock starts at zero. Static transforms may have stamp zero by
+    /// design and are not counted.
     TIM005 {
         name: "unusable-stamps",
         grade: Grade::Fixed(Severity::Warning),
@@ -75,13 +76,14 @@ fn judge(stream: &Of<StampEvidence>) -> Judged {
             BEYOND,
             format!("{far} of {rows} stamps are a day or more from all others"),
         ),
+        HeaderStamps::Sound if zero == 0 => return stream.judged(Outcome::sound()),
         // A simulation clock starts at zero.
-        HeaderStamps::Sound if zero <= 1 => {
-            let outcome = match zero {
-                0 => Outcome::sound(),
-                _ => Outcome::sound_because("one stamp is zero; its sample is excluded"),
-            };
-            return stream.judged(outcome);
+        HeaderStamps::Sound if zero == 1 && stream.clock.begins_at_zero => {
+            let why = "the first stamp is zero; its sample is excluded";
+            return stream.judged(Outcome::sound_because(why));
+        }
+        HeaderStamps::Sound if zero == 1 => {
+            (Severity::Info, "a stamp is zero", format!("one of {rows} stamps is zero or invalid"))
         }
         HeaderStamps::Sound | HeaderStamps::Zero => {
             (usual, "stamps are zero", format!("{zero} of {rows} stamps are zero or invalid"))

@@ -33,6 +33,7 @@ fn cadence(columns: &Columns) -> Cadence {
         stamps: HeaderStamps::Sound,
         rows: 0,
         zero: 0,
+        begins_at_zero: false,
         far: 0,
         near: i64::MIN..=i64::MAX,
         log_minus_header_s: Some(1e-3),
