@@ -10,7 +10,7 @@ mod tables;
 use crate::checks::{EvaluatedPart, Evaluation, evaluate, merged};
 use crate::corrections::Given;
 use crate::evidence::{ArmEvidence, Lost, RunEvidence, Undecodable, UndecodableTopic};
-use crate::log::Log;
+use crate::log::{Extent, Log, Loss};
 use crate::places::Places;
 use crate::report::{
     Figures, FileRow, LogSummary, NoteRow, Report, Trouble, coverage, figures, joined, plans,
@@ -104,8 +104,8 @@ pub struct Audited {
 }
 
 impl Audited {
-    /// Audits each segment of `log` as a separate run. A segment that cannot be audited is dropped, unless
-    /// it is the longest.
+    /// Audits each segment of `log` as a separate run. A segment that cannot be audited is reported as lost; if
+    /// it is the longest, its error is returned.
     pub(crate) fn of(
         mut log: Log,
         options: &Options,
@@ -119,8 +119,11 @@ impl Audited {
         let segments = segments(log);
         let longest = segments.iter().map(|segment| segment.seconds).fold(0.0, f64::max);
         let (mut parts, mut main) = (Vec::new(), None);
-        for segment in segments {
+        let (count, mut unaudited) = (segments.len(), Vec::new());
+        for (index, segment) in segments.into_iter().enumerate() {
             let is_main = main.is_none() && segment.seconds >= longest;
+            let file = segment.log.files.first().map(|file| file.path.clone());
+            let messages = segment.messages();
             match Part::of(segment, &read, options, given) {
                 Ok(part) => {
                     if is_main {
@@ -129,8 +132,24 @@ impl Audited {
                     parts.push(part);
                 }
                 Err(trouble) if is_main => return Err(trouble),
-                Err(_) => {}
+                Err(trouble) => unaudited.push(Loss {
+                    file: file.unwrap_or_default(),
+                    offset: None,
+                    what: format!(
+                        "segment {} of {count} cannot be audited: {}",
+                        index + 1,
+                        trouble.what
+                    ),
+                    messages: Some(messages),
+                    span: None,
+                    extent: Extent::Messages,
+                }),
             }
+        }
+        // What is of the files is reported with the first segment.
+        if let Some(first) = parts.first_mut().filter(|_| !unaudited.is_empty()) {
+            first.evidence.losses.extend(unaudited);
+            first.evaluation = evaluate(&first.evidence, &options.policy.rules);
         }
         let main = main.unwrap_or_default();
         let report = report(&parts, main, read, options);

@@ -22,6 +22,13 @@ pub struct Segment {
     pub seconds: f64,
 }
 
+impl Segment {
+    /// Number of messages, without topics that are valid at all times.
+    pub fn messages(&self) -> u64 {
+        self.log.topics.iter().filter(|topic| moves(topic)).map(|topic| topic.messages).sum()
+    }
+}
+
 /// Minimum median duration of segments, s. Shorter ones indicate jumping stamps, not restarts.
 const BRIEF_S: f64 = 1.0;
 
@@ -169,7 +176,7 @@ impl<'a> Piece<'a> {
         self.own(restart).is_some() || is_over || is_later
     }
 
-    /// Start of each segment but the first, as an index into `order`.
+    /// Start of each segment but the first, as ascending indices into `order`.
     fn cuts(&self, restarts: &[Restart]) -> Vec<usize> {
         let by_receipt = |restart: &Restart| {
             let is_later = |&row: &usize| self.times.log[row] >= restart.after;
@@ -177,13 +184,18 @@ impl<'a> Piece<'a> {
         };
         let cuts =
             restarts.iter().map(|restart| self.own(restart).unwrap_or_else(|| by_receipt(restart)));
-        cuts.collect()
+        // Each row is in one segment.
+        let mut from = 0;
+        cuts.map(|cut| {
+            from = cut.max(from);
+            from
+        })
+        .collect()
     }
 
     /// The rows of a segment, in file order.
-    fn rows(&self, restarts: &[Restart], segment: usize) -> Vec<usize> {
-        let cuts = self.cuts(restarts);
-        let (from, to) = self.bounds(&cuts, segment);
+    fn rows(&self, cuts: &[usize], segment: usize) -> Vec<usize> {
+        let (from, to) = self.bounds(cuts, segment);
         let mut rows = self.order.get(from..to).unwrap_or_default().to_vec();
         rows.sort_unstable();
         rows
@@ -206,23 +218,44 @@ impl<'a> Piece<'a> {
     }
 }
 
-/// The data of a topic in one segment, with the message count estimated from the share of rows.
+/// The data of a topic in one segment. The message count is estimated from the share of rows; the counts of all
+/// segments add up to that of the topic. Dropped samples count in the first segment with rows.
 fn part_of(topic: &Topic, restarts: &[Restart], segment: usize) -> Topic {
     if !moves(topic) {
         return topic.clone();
     }
     let pieces = Piece::all(topic);
-    let rows: Vec<Vec<usize>> = pieces.iter().map(|piece| piece.rows(restarts, segment)).collect();
+    let cuts: Vec<Vec<usize>> = pieces.iter().map(|piece| piece.cuts(restarts)).collect();
+    let rows: Vec<Vec<usize>> =
+        pieces.iter().zip(&cuts).map(|(piece, cuts)| piece.rows(cuts, segment)).collect();
     let received = || {
         let rows = pieces.iter().zip(&rows);
         rows.flat_map(|(piece, rows)| rows.iter().map(|&row| piece.times.log[row]))
     };
     let span = received().min().zip(received().max());
-    let (held, all): (usize, usize) =
-        (rows.iter().map(Vec::len).sum(), pieces.iter().map(|piece| piece.order.len()).sum());
-    let share = held as f64 / all.max(1) as f64;
+    let bounds: Vec<(usize, usize)> =
+        pieces.iter().zip(&cuts).map(|(piece, cuts)| piece.bounds(cuts, segment)).collect();
+    let all: usize = pieces.iter().map(|piece| piece.order.len()).sum();
+    let messages_until = |rows: usize| match all {
+        0 => topic.messages,
+        all => (topic.messages as f64 * rows as f64 / all as f64).round() as u64,
+    };
+    let messages = match all {
+        0 if segment > 0 => 0,
+        0 => topic.messages,
+        _ => {
+            let [from, to] =
+                [bounds.iter().map(|it| it.0).sum(), bounds.iter().map(|it| it.1).sum()];
+            messages_until(to) - messages_until(from)
+        }
+    };
     let mut columns = topic.columns.clone();
     if let Some(columns) = &mut columns {
+        let is_first = |part: usize| match (bounds.get(part), pieces.get(part)) {
+            (Some((0, to)), Some(piece)) => *to > 0 || (segment == 0 && piece.order.is_empty()),
+            _ => false,
+        };
+        columns.clear_dropped(is_first);
         columns.retain(&rows);
         if topic.read_as.is_some() {
             // Rows of a table were not received; their receive times are made up to put episodes one after
@@ -231,8 +264,12 @@ fn part_of(topic: &Topic, restarts: &[Restart], segment: usize) -> Topic {
         }
     }
     Topic {
-        // A topic with messages keeps at least one, even if a segment of it is empty.
-        messages: ((topic.messages as f64 * share).round() as u64).max(topic.messages.min(1)),
+        // Whether each episode of a table has a topic is decided by its reader.
+        messages: if topic.read_as.is_some() {
+            messages.max(topic.messages.min(1))
+        } else {
+            messages
+        },
         columns,
         undecodable: topic.undecodable.clone().filter(|_| segment == 0),
         span: span.map(|(first, last)| (Stamp::from_nanos(first), Stamp::from_nanos(last))),
@@ -321,6 +358,41 @@ mod tests {
         assert_eq!(held, [[200, 190, 200, 160, 1], [100, 80, 100, 0, 1]]);
         assert!((segments[0].seconds - 19.9).abs() < 1e-9);
         assert_eq!(segments[1].log.topics[0].messages, 100);
+    }
+
+    #[test]
+    fn messages_and_dropped_samples_of_all_segments_add_up() {
+        let dropping = |mut topic: Topic, count: u64| {
+            if let Some(Columns::Imu(imu)) = &mut topic.columns {
+                imu.not_finite = count;
+            }
+            topic.messages += count;
+            topic
+        };
+        let topics = vec![
+            dropping(imu("/a", 0, 30, restarted), 7),
+            dropping(imu("/late", 21, 30, restarted), 2),
+            imu("/unstamped", 3, 29, |_| 0),
+            dropping(topic("/never", Columns::Imu(ImuColumns::default())), 5),
+        ];
+        let before: Vec<u64> = topics.iter().map(|topic| topic.messages).collect();
+        let segments = segments(log(topics));
+        assert_eq!(segments.len(), 2);
+        let of_topic = |at: usize, count: &dyn Fn(&Topic) -> u64| -> Vec<u64> {
+            segments.iter().map(|segment| count(&segment.log.topics[at])).collect()
+        };
+        for (at, messages) in before.into_iter().enumerate() {
+            let own = of_topic(at, &|topic| topic.messages);
+            assert_eq!(own.iter().sum::<u64>(), messages, "{at}: {own:?}");
+        }
+        let dropped = |topic: &Topic| match &topic.columns {
+            Some(Columns::Imu(imu)) => imu.not_finite,
+            _ => 0,
+        };
+        let own: Vec<Vec<u64>> = (0..4).map(|at| of_topic(at, &dropped)).collect();
+        assert_eq!(own, [[7, 0], [0, 2], [0, 0], [5, 0]]);
+        // The segment without the topic has none of its messages.
+        assert_eq!(of_topic(1, &|topic| topic.messages), [0, 92]);
     }
 
     #[test]

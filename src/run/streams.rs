@@ -226,7 +226,10 @@ fn of_topic(topic: Topic) -> Vec<Stream> {
         cells: topic.cells.into_iter().map(|cell| cell.name).collect(),
         columns: None,
     };
-    if topic.messages == 0 && topic.columns.as_ref().is_some_and(|held| is_wanted(&stream, held)) {
+    let is_wanted_and_empty = |held: &Columns| {
+        held.times().iter().all(|times| times.is_empty()) && is_wanted(&stream, held)
+    };
+    if topic.messages == 0 && topic.columns.as_ref().is_some_and(is_wanted_and_empty) {
         stream.is_empty = true;
         stream.reason = "it has no messages".to_owned();
     }

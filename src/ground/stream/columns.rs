@@ -282,18 +282,37 @@ impl Columns {
 }
 
 impl Columns {
-    /// Keeps the given rows of each part, in the order of [`Columns::times`], and removes empty poses and
-    /// transforms.
+    /// Keeps the given rows of each part, in the order of [`Columns::times`], and removes poses and transforms
+    /// without rows and without dropped samples.
     pub fn retain(&mut self, rows: &[Vec<usize>]) {
         match self {
             Columns::Joints(joints) => rows.iter().for_each(|rows| joints.select(rows)),
             Columns::Poses(poses) | Columns::Transforms(poses) => {
                 poses.iter_mut().zip(rows).for_each(|(poses, rows)| poses.select(rows));
-                poses.retain(|poses| !poses.times.is_empty());
+                poses.retain(|poses| !poses.times.is_empty() || poses.not_finite > 0);
             }
             Columns::Imu(imu) => rows.iter().for_each(|rows| imu.select(rows)),
             Columns::Array(array) => rows.iter().for_each(|rows| array.select(rows)),
             Columns::Text(_) => {}
+        }
+    }
+
+    /// Sets the counts of dropped samples to zero, except those of the parts for which `is_kept` returns true.
+    pub fn clear_dropped(&mut self, is_kept: impl Fn(usize) -> bool) {
+        match self {
+            Columns::Joints(joints) if !is_kept(0) => {
+                joints.unusable.clear();
+                (joints.not_finite, joints.wrong_length, joints.contradictory) = (0, 0, 0);
+            }
+            Columns::Poses(poses) | Columns::Transforms(poses) => {
+                let others = poses.iter_mut().enumerate().filter(|(part, _)| !is_kept(*part));
+                others.for_each(|(_, poses)| poses.not_finite = 0);
+            }
+            Columns::Imu(imu) if !is_kept(0) => imu.not_finite = 0,
+            Columns::Array(array) if !is_kept(0) => {
+                (array.not_finite, array.wrong_length) = (0, 0);
+            }
+            Columns::Joints(_) | Columns::Imu(_) | Columns::Array(_) | Columns::Text(_) => {}
         }
     }
 }
