@@ -250,6 +250,14 @@ const OF_LOGS: &[(&str, Option<&str>)] = &[
     ("compare old.json LOG --output OUT", None),
 ];
 
+/// Fleets, and reports on the folder `FOLDER`, in which the log is.
+const OF_FLEETS: &[(&str, Option<&str>)] = &[
+    ("fleet LOG --out fleet --output OUT", None),
+    ("fleet LOG --out fleet --pending --output OUT", None),
+    ("fleet report FOLDER --output OUT", None),
+    ("fleet report FOLDER --format html --output OUT", None),
+];
+
 /// Logs that are folders, parts of a file, or have companion files, and the files that are read with each.
 const LOGS: &[(&str, &[&str])] = &[
     ("a.lerobot", &["a.lerobot/meta/info.json", EPISODE]),
@@ -289,11 +297,31 @@ fn logs() -> TempDir {
 fn no_output_is_a_file_of_a_log_at_any_depth() {
     let folder = logs();
     let at = |name: &str| folder.path().join(name);
-    for (number, (args, file)) in OF_LOGS.iter().enumerate() {
+    for (number, (args, file)) in OF_LOGS.iter().chain(OF_FLEETS).enumerate() {
         for (log, files) in LOGS {
-            let args = args.replace("LOG", log);
+            let path = Path::new(log);
+            let parent = path.parent().filter(|parent| *parent != Path::new(""));
+            let of_file = parent.unwrap_or(Path::new("."));
+            let results = if at(log).is_dir() { path } else { of_file };
+            // A fleet takes no single episode, and refuses folders without data before it looks at outputs.
+            let is_refused = log.contains('#') || at(log).is_dir();
+            if args.starts_with("fleet LOG") && is_refused {
+                continue;
+            }
+            // Nothing is written into a dataset or a store, not even the tables of the fleet.
+            let is_store = matches!(results.to_str(), Some("a.lerobot" | "a.zarr"));
+            let is_report = args.starts_with("fleet report");
+            let is_inside = is_report && is_store;
+            let why = if is_inside { "would become part of it" } else { "which would be lost" };
+            let args = args.replace("LOG", log).replace("FOLDER", &results.display().to_string());
             let call = Call { args: args.as_str().to_owned().leak(), inputs: &[], file: *file };
             for input in *files {
+                // A report reads only the folder.
+                let is_elsewhere =
+                    results != Path::new(".") && !Path::new(input).starts_with(results);
+                if is_report && is_elsewhere {
+                    continue;
+                }
                 let name =
                     format!("{number}-{}-{}", log.replace('/', "_"), input.replace('/', "_"));
                 let [hard, soft] = ["hard", "soft"].map(|kind| format!("{kind}-{name}"));
@@ -305,13 +333,13 @@ fn no_output_is_a_file_of_a_log_at_any_depth() {
                         symlink(at(input), at(&soft).join(file)).expect("a link");
                     }
                     None => {
-                        refused(folder.path(), &call, input, "which would be lost");
+                        refused(folder.path(), &call, input, why);
                         fs::hard_link(at(input), at(&hard)).expect("a link");
                         symlink(at(input), at(&soft)).expect("a link");
                     }
                 }
-                refused(folder.path(), &call, &hard, "which would be lost");
-                refused(folder.path(), &call, &soft, "which would be lost");
+                refused(folder.path(), &call, &hard, why);
+                refused(folder.path(), &call, &soft, why);
             }
         }
     }
