@@ -44,6 +44,9 @@ const OTHERS: &[&str] = &[
 /// Steps that go back are this many at most, of a hundred.
 const MOST_BACK: usize = 2;
 
+/// Latest time since the start of a table, ns.
+const MOST_NANOS: f64 = 9e18;
+
 /// The stamps of a table.
 pub(super) struct Clock {
     /// Of every row, ns; `None` where it has none.
@@ -319,7 +322,11 @@ fn cell_of(table: &Table, name: &str) -> Option<(usize, usize)> {
 /// Stamps made of a rate.
 fn made(table: &Table, rate_hz: f64, by: &str) -> Clock {
     let step_ns = NANOS_PER_SECOND as f64 / rate_hz;
-    let stamp = |row: usize| Some(NANOS_PER_SECOND + (row as f64 * step_ns).round() as i64);
+    // A low rate may put rows beyond the range of stamps.
+    let stamp = |row: usize| {
+        let nanos = (row as f64 * step_ns).round();
+        (nanos < MOST_NANOS).then_some(NANOS_PER_SECOND + nanos as i64)
+    };
     Clock {
         stamps: (0..table.rows).map(stamp).collect(),
         cell: None,

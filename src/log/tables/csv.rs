@@ -88,18 +88,27 @@ fn is_number(cell: &[u8], delimiter: u8) -> bool {
 
 /// The text of a comment; `None` if the line is none.
 fn comment(line: &[u8]) -> Option<&[u8]> {
+    let line = line.trim_ascii();
     COMMENTS.iter().find_map(|mark| line.strip_prefix(mark.as_bytes())).map(<[u8]>::trim_ascii)
 }
 
-/// Lines with their offsets, blank ones left out, from 1.
+/// Lines with their offsets and numbers from 1, without blank ones. Tabs stay: they may delimit empty cells.
 fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, usize, &[u8])> {
     let mut at = 0;
     let all = bytes.split_inclusive(|byte| *byte == b'\n').enumerate().map(move |(index, line)| {
         let offset = at;
         at += line.len();
-        (offset, index + 1, line.trim_ascii())
+        let is_space = |byte: &u8| matches!(byte, b' ' | b'\r' | b'\n');
+        let start = line.iter().position(|byte| !is_space(byte)).unwrap_or(line.len());
+        let end = line.iter().rposition(|byte| !is_space(byte)).map_or(start, |last| last + 1);
+        (offset, index + 1, &line[start..end])
     });
-    all.filter(|(_, _, line)| !line.is_empty())
+    all.filter(|(_, _, line)| !line.trim_ascii().is_empty())
+}
+
+/// How many cells at the end of a row are empty.
+fn open_cells(row: &[&[u8]]) -> usize {
+    row.iter().rev().take_while(|cell| cell.is_empty()).count()
 }
 
 fn layout(bytes: &[u8]) -> Option<Layout> {
@@ -117,7 +126,7 @@ fn layout(bytes: &[u8]) -> Option<Layout> {
             above.push(text);
             continue;
         }
-        let row = cells(text, delimiter);
+        let mut row = cells(text, delimiter);
         // The next row is as wide; what was cut off where only a beginning is read may be less.
         let is_table = match all.peek() {
             Some((_, _, next)) if next.len() > MOST_LINE => false,
@@ -138,11 +147,10 @@ fn layout(bytes: &[u8]) -> Option<Layout> {
             continue;
         }
         let names = names_above(&above, delimiter, &row);
-        let is_open = row.last().is_some_and(|cell| cell.is_empty());
-        let width = match &names {
-            Some(names) if is_open && names.len() + 1 == row.len() => names.len(),
-            _ => row.len(),
-        };
+        // Delimiters at the end of each row are no cells, unless names stand above them.
+        let open = all.peek().map_or(0, |(_, _, next)| open_cells(&cells(next, delimiter)));
+        row.truncate(row.len() - open.min(open_cells(&row)));
+        let width = names.as_ref().map_or(row.len(), Vec::len);
         if names.is_none() && width > MOST_WIDE {
             return None;
         }
@@ -156,11 +164,11 @@ fn names_above(above: &[&[u8]], delimiter: u8, row: &[&[u8]]) -> Option<Vec<Stri
     let texts = |line: &[u8]| -> Option<Vec<String>> {
         let own = comment(line).unwrap_or(line);
         let mut cells = cells(own, delimiter);
-        let is_open = row.last().is_some_and(|cell| cell.is_empty());
-        // Rows may end in a delimiter, or begin with a number that no name stands above.
+        let open = open_cells(row);
+        cells.truncate(cells.len() - open_cells(&cells).min(cells.len().saturating_sub(row.len())));
+        // Rows may end in delimiters, or begin with a number that no name stands above.
         let fits = match cells.len() {
-            count if count == row.len() => true,
-            count if count + 1 == row.len() && is_open => true,
+            count if count <= row.len() && count + open >= row.len() => true,
             count if count + 1 == row.len() && count >= LEAST_CELLS => {
                 cells.insert(0, b"");
                 true
@@ -196,6 +204,7 @@ pub(super) fn read(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refu
     let mut values: Vec<Vec<f64>> = vec![Vec::new(); width];
     // The one text of each column, as far as it is one.
     let mut texts: Vec<Option<&[u8]>> = vec![None; width];
+    let mut line_numbers = Vec::new();
     let ends_in_line = bytes.last() == Some(&b'\n');
     let mut malformed: Option<(u64, String)> = None;
     for (offset, line, text) in lines(&bytes[rows_at..]) {
@@ -204,11 +213,17 @@ pub(super) fn read(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refu
         }
         let line = first_line + line - 1;
         let mut row = if text.len() > MOST_LINE { Vec::new() } else { cells(text, delimiter) };
-        if row.len() == width + 1 && row.last().is_some_and(|cell| cell.is_empty()) {
-            row.pop();
+        row.truncate(row.len() - open_cells(&row).min(row.len().saturating_sub(width)));
+        let numbers: Vec<f64> = row.iter().map(|cell| number(cell, delimiter)).collect();
+        let texts_in_row =
+            row.iter().zip(&numbers).filter(|(cell, own)| is_text(cell, **own)).count();
+        let is_header = || names.as_ref().is_some_and(|names| are_names(&row, names));
+        if row.len() == width && 2 * texts_in_row > width && is_header() {
+            continue;
         }
-        if row.len() != width {
-            let is_last = !bytes[rows_at + offset..].contains(&b'\n') && !ends_in_line;
+        if row.len() != width || 2 * texts_in_row > width {
+            let is_last =
+                row.len() != width && !bytes[rows_at + offset..].contains(&b'\n') && !ends_in_line;
             if is_last {
                 losses.add_unplaced(
                     Extent::Tail,
@@ -216,24 +231,48 @@ pub(super) fn read(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refu
                     format!("the file ends within line {line}"),
                 );
             } else {
-                let what = match text.len() > MOST_LINE {
-                    true => format!("line {line} has {} bytes", text.len()),
-                    false => format!("line {line}: {} columns, not {width}", row.len()),
+                let what = match () {
+                    () if text.len() > MOST_LINE => format!("line {line} has {} bytes", text.len()),
+                    () if row.len() == width => {
+                        format!("line {line}: {texts_in_row} of {width} cells are not numbers")
+                    }
+                    () => format!("line {line}: {} columns, not {width}", row.len()),
                 };
                 malformed.get_or_insert((0, what)).0 += 1;
             }
             continue;
         }
-        context.memory.take(width)?;
-        for ((column, known), cell) in values.iter_mut().zip(&mut texts).zip(row) {
-            column.push(number(cell, delimiter));
+        context.memory.take(width + 1)?;
+        line_numbers.push(line);
+        for (((column, known), cell), own) in
+            values.iter_mut().zip(&mut texts).zip(row).zip(numbers)
+        {
+            column.push(own);
             known.get_or_insert(cell);
         }
     }
     if let Some((count, first)) = malformed {
         losses.add_unplaced(Extent::Messages, Some(count), first);
     }
-    Ok(vec![("0".to_owned(), table(names, values, &texts))])
+    let table = Table { lines: line_numbers, ..table(names, values, &texts) };
+    Ok(vec![("0".to_owned(), table)])
+}
+
+/// Whether a cell, read as `number`, holds text: neither a number nor a mark of a missing one.
+fn is_text(cell: &[u8], number: f64) -> bool {
+    const MISSING: [&[u8]; 9] =
+        [b"", b"-", b"nan", b"-nan", b"-nan(ind)", b"na", b"n/a", b"null", b"none"];
+    number.is_nan() && !MISSING.iter().any(|mark| cell.eq_ignore_ascii_case(mark))
+}
+
+/// Whether a row repeats the names of the columns, as joined files do.
+fn are_names(row: &[&[u8]], names: &[String]) -> bool {
+    let is_name = |(cell, name): (&&[u8], &String)| {
+        // Names carry the units of the line below them.
+        let name = name.rsplit_once(" [").map_or(name.as_str(), |(name, _)| name);
+        *cell == name.as_bytes()
+    };
+    row.iter().zip(names).all(is_name)
 }
 
 /// The table of columns of one number each; without names of one column of all numbers.
@@ -336,6 +375,11 @@ mod tests {
             ("q1,q2,q3\n0,1,2,3\n1,2,3,4\n", b',', of(&["", "q1", "q2", "q3"]), 4),
             ("0.5 1.5 2.5\n0.6 1.6 2.6\n", b' ', None, 3),
             ("0,1,2\n0.5,1.5,2.5\n0.6,1.6,2.6\n", b',', None, 3),
+            ("t\tq1\tq2\t\t\n0\t1\t2\n1\t2\t3\n", b'\t', of(&["t", "q1", "q2"]), 3),
+            ("t\tq1\tq2\n0\t1\t2\t\t\n1\t2\t3\t\t\n", b'\t', of(&["t", "q1", "q2"]), 3),
+            ("t\tq1\tq2\tx\n0\t1\t2\t\n1\t2\t3\t4\n", b'\t', of(&["t", "q1", "q2", "x"]), 4),
+            ("0.5,1.5,2.5,,\n0.6,1.6,2.6,,\n", b',', None, 3),
+            (" # a log\n\t% by hand\nt,q1,q2\n0,1,2\n", b',', of(&["t", "q1", "q2"]), 3),
         ] {
             assert_eq!(names(text), Some((delimiter, expected, width)), "{text:?}");
         }

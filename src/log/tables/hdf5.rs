@@ -13,7 +13,7 @@ use super::chunks::{Assembly, Grid};
 use super::npy;
 use super::{
     Candidate, Column, Context, Episodes, MOST_COLUMNS, MOST_EPISODES, MOST_METADATA, MOST_WIDE,
-    RATES, Refusal, RowLoss, Table, common_rows, lies_on_side, names, rate_in, usual,
+    RATES, Refusal, RowLoss, Table, common_rows, is_rate, lies_on_side, names, rate_in, usual,
 };
 use crate::memory::Memory;
 
@@ -377,7 +377,7 @@ fn rate_of(group: &Group) -> Option<f64> {
         rate_in(&serde_json::from_str(&text).ok()?)
     };
     let rate = attributes.iter().find_map(plain).or_else(|| attributes.iter().find_map(in_text))?;
-    (rate.is_finite() && rate > 0.0).then_some(rate)
+    is_rate(&rate).then_some(rate)
 }
 
 fn worded(error: &hdf5_reader::error::Error) -> Refusal {

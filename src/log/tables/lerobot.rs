@@ -129,7 +129,7 @@ fn dataset(text: &str) -> Result<Dataset, String> {
         (name, Feature { dtype, names: names_of(&names), ..Feature::of_width(width) })
     });
     Ok(Dataset {
-        rate_hz: fps.filter(|fps| fps.is_finite() && *fps > 0.0),
+        rate_hz: fps.filter(super::is_rate),
         robot: robot_type.filter(|robot| !robot.is_empty()),
         features: features.collect(),
     })

@@ -8,6 +8,7 @@ use std::ops::Range;
 use super::clock::Clock;
 use super::{Column, Extent, Losses, Table, names, usual};
 use crate::memory::{Memory, OutOfMemory};
+use ground::stream::usable;
 
 /// Why a file of tables cannot be read, or a part of it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -237,6 +238,50 @@ pub(super) fn report_unstamped(table: &Table, clock: &Clock, label: &str, losses
     }
 }
 
+/// Removes from `rows` those with damaged numbers, and returns how many and the first in words. `values` are the
+/// `width` numbers of a row.
+///
+/// A number is damaged if it is not [`usable`] although nearly all numbers of its column are. Rows before the first
+/// whole row and after the last stay: sensors send NaN until they are ready. So do columns with many holes, which
+/// were sampled less often than the table.
+pub(super) fn take_damaged<T: Copy>(
+    table: &Table,
+    rows: &mut Vec<(usize, T)>,
+    width: usize,
+    values: &dyn Fn(usize) -> Vec<f64>,
+) -> Option<(u64, String)> {
+    /// Numbers in a hundred that are usable in a column without holes.
+    const USABLE: usize = 90;
+    let mut counts = vec![0; width];
+    let unusable: Vec<Vec<usize>> = rows
+        .iter()
+        .map(|(row, _)| {
+            let own = values(*row);
+            let unusable = own.iter().enumerate().filter(|(_, value)| !usable(**value));
+            unusable.map(|(cell, _)| cell).inspect(|cell| counts[*cell] += 1).collect()
+        })
+        .collect();
+    let is_dense = |cell: &usize| 100 * (rows.len() - counts[*cell]) >= USABLE * rows.len();
+    let damaged: Vec<usize> =
+        unusable.iter().map(|own| own.iter().filter(|cell| is_dense(cell)).count()).collect();
+    let first = damaged.iter().position(|count| *count == 0)?;
+    let last = damaged.iter().rposition(|count| *count == 0)?;
+    let is_damaged = |at: usize| (first..last).contains(&at) && damaged[at] > 0;
+    let at = (first..last).find(|at| is_damaged(*at))?;
+    let place = table.place(rows[at].0);
+    let mut index = 0..;
+    let before = rows.len();
+    rows.retain(|_| !index.next().is_some_and(is_damaged));
+    let count = before - rows.len();
+    let which = match count {
+        1 => place,
+        _ => format!("{count} rows, the first of them {place}"),
+    };
+    let what =
+        format!("{} of {width} numbers unusable (NaN, infinite or beyond 1e12)", damaged[at]);
+    Some((count as u64, format!("{which}: {what}")))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -245,6 +290,32 @@ mod tests {
         let values = (0..2 * read).map(|n| n as f64).collect();
         let column = Column { name: name.to_owned(), width: 2, values, ..Column::default() };
         Candidate { column, rows, ..Candidate::default() }
+    }
+
+    #[test]
+    fn rows_with_damaged_numbers_are_lost_and_holes_are_not() {
+        let of = |damaged: &[(usize, usize)]| {
+            let table = Table { rows: 40, ..Table::default() };
+            let mut rows: Vec<(usize, ())> = (0..40).map(|row| (row, ())).collect();
+            let values = |row: usize| -> Vec<f64> {
+                let is_damaged = |cell: usize| damaged.contains(&(row, cell));
+                (0..3).map(|cell| if is_damaged(cell) { f64::NAN } else { 1.0 }).collect()
+            };
+            let taken = take_damaged(&table, &mut rows, 3, &values);
+            (taken.map(|(count, what)| format!("{count}: {what}")), rows.len())
+        };
+        assert_eq!(of(&[]), (None, 40));
+        let one = "1: row 9 of 40: 2 of 3 numbers unusable (NaN, infinite or beyond 1e12)";
+        assert_eq!(of(&[(9, 0), (9, 2)]), (Some(one.to_owned()), 39));
+        let two = "2: 2 rows, the first of them row 5 of 40: 1 of 3 numbers unusable (NaN, infinite or beyond 1e12)";
+        assert_eq!(of(&[(5, 1), (30, 2)]), (Some(two.to_owned()), 38));
+        // A sensor that starts late, and one that ends early.
+        assert_eq!(of(&[(0, 0), (1, 0), (39, 1)]), (None, 40));
+        // A column that is sampled in half of the rows, and one that is never filled.
+        let half: Vec<(usize, usize)> = (0..20).map(|row| (2 * row, 1)).collect();
+        assert_eq!(of(&half), (None, 40));
+        let never: Vec<(usize, usize)> = (0..40).map(|row| (row, 1)).collect();
+        assert_eq!(of(&never), (None, 40));
     }
 
     #[test]

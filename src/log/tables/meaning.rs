@@ -7,13 +7,15 @@ use std::collections::{BTreeMap, BTreeSet, HashSet};
 
 use super::clock::{self, Clock};
 use super::names::{self, Axis, Part};
-use super::{Column, ColumnSettings, Found, RowStamps, Table, array, positions};
+use super::{Column, ColumnSettings, Found, RowStamps, Table, array, lost, positions};
 use crate::TableCell;
 use crate::rtde::JOINTS as UR_JOINTS;
 use ground::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times, usable};
 
 /// Joints that an arm has, at least and at most, and its gripper with it.
 const JOINTS: std::ops::RangeInclusive<usize> = 4..=8;
+/// Bare numbers with fewer cells are no joint positions, no pose and no part of one.
+const LEAST_CELLS: usize = 3;
 /// Names that LeRobot gives to columns that are no measurement.
 const COUNTERS: &[&str] = &["frame_index", "episode_index", "index", "task_index"];
 
@@ -139,6 +141,7 @@ pub(super) fn of(
         columns: None,
         rows: table.rows as u64,
         unstamped: 0,
+        damaged: None,
     });
     Ok(found.chain(unread).collect())
 }
@@ -703,6 +706,13 @@ impl Group {
                 _ => {}
             }
         }
+        let damaged = match meaning {
+            Meaning::Nothing => None,
+            Meaning::Numbers if cells.len() < LEAST_CELLS => None,
+            _ => lost::take_damaged(table, &mut rows, cells.len(), &|row| {
+                cells.iter().map(|cell| at(row, cell)).collect()
+            }),
+        };
         let stamps: Vec<RowStamps> = rows.iter().map(|(_, stamp)| *stamp).collect();
         let values_of = |cells: &[Cell]| -> Vec<f64> {
             rows.iter().flat_map(|&(row, _)| cells.iter().map(move |cell| at(row, cell))).collect()
@@ -773,7 +783,7 @@ impl Group {
         };
         let cells = cells.iter().enumerate().map(cell).collect();
         let rows = stamps.len() as u64;
-        Found { topic, kind, why, cells, contradiction, columns, rows, unstamped }
+        Found { topic, kind, why, cells, contradiction, columns, rows, unstamped, damaged }
     }
 }
 

@@ -81,6 +81,8 @@ pub(super) struct Table {
     pub lost_rows: BTreeMap<usize, Vec<Range<usize>>>,
     /// Rows and columns that are in the file and not in the table.
     pub losses: Vec<RowLoss>,
+    /// The line of each row, from 1, if the file is text.
+    pub lines: Vec<usize>,
 }
 
 /// What the readers of tables report to.
@@ -90,6 +92,14 @@ pub(super) struct Context<'a> {
 }
 
 impl Table {
+    /// Names a row: its line if the file is text, else its number from 0.
+    fn place(&self, row: usize) -> String {
+        match self.lines.get(row) {
+            Some(line) => format!("line {line}"),
+            None => format!("row {row} of {}", self.rows),
+        }
+    }
+
     /// The place of the column of that name, with its unit or without.
     fn column(&self, name: &str) -> Option<usize> {
         let place = |is_it: &dyn Fn(&str) -> bool| {
@@ -200,6 +210,8 @@ pub(super) struct Found {
     pub rows: u64,
     /// Rows with numbers that are left out because their own clock says no time.
     pub unstamped: u64,
+    /// Rows that are left out because some of their numbers are damaged: how many, and the first in words.
+    pub damaged: Option<(u64, String)>,
 }
 
 /// Why an episode is not taken in.
@@ -321,7 +333,8 @@ impl Tables {
         }
         lost::report_unstamped(table, &clock, label, losses);
         let shift = self.shift(clock.first(), clock.last());
-        let span = [clock.first(), clock.last()].map(|stamp| (stamp + shift).max(0) as u64);
+        let span =
+            [clock.first(), clock.last()].map(|stamp| stamp.saturating_add(shift).max(0) as u64);
         if !std::mem::replace(&mut self.told, true) {
             intake.note(path, clock.said.clone());
         }
@@ -334,8 +347,9 @@ impl Tables {
             intake.contradiction(path, what);
         }
         let episode = self.episodes.len().saturating_sub(1);
-        for found in found {
-            let Found { topic, kind, why, cells, contradiction, columns, rows, unstamped } = found;
+        for mut found in found {
+            let (unstamped, damaged) = (found.unstamped, found.damaged.take());
+            let Found { topic, kind, why, cells, contradiction, columns, rows, .. } = found;
             if let Some(what) = contradiction {
                 intake.contradiction(path, what);
             }
@@ -345,6 +359,9 @@ impl Tables {
             };
             if unstamped > 0 {
                 lose(unstamped, &format!("{unstamped} rows without a time of their own"));
+            }
+            if let Some((damaged, first)) = &damaged {
+                lose(*damaged, first);
             }
             let format =
                 Format { encoding: "table", type_name: &kind, schema_encoding: "", schema: &[] };
@@ -356,7 +373,8 @@ impl Tables {
             intake.read_as(channel, why, cells);
             let Some(mut columns) = columns else { continue };
             for times in columns.times_mut() {
-                times.log.iter_mut().for_each(|received| *received += shift);
+                let all = times.log.iter_mut();
+                all.for_each(|received| *received = received.saturating_add(shift));
             }
             match self.streams.get_mut(&topic) {
                 Some(stream) => {
@@ -379,10 +397,10 @@ impl Tables {
     fn shift(&mut self, first: i64, last: i64) -> i64 {
         const APART: i64 = NANOS_PER_SECOND / 1000;
         let shift = match self.until {
-            Some(until) if first <= until => until + APART - first,
+            Some(until) if first <= until => until.saturating_add(APART).saturating_sub(first),
             _ => 0,
         };
-        self.until = Some(last + shift);
+        self.until = Some(last.saturating_add(shift));
         shift
     }
 
@@ -509,11 +527,16 @@ fn positions(stamps: &[RowStamps], values: &[f64]) -> PoseColumns {
     }
 }
 
+/// Whether a declared rate is one: from a row in 1000 s to a million rows a second.
+fn is_rate(rate_hz: &f64) -> bool {
+    (1e-3..=1e6).contains(rate_hz)
+}
+
 /// The rate that attributes name.
 fn rate_in(value: &Value) -> Option<f64> {
     let all = value.as_object()?;
     let own = RATES.iter().find_map(|name| all.get(*name)?.as_f64());
-    own.or_else(|| all.values().find_map(rate_in)).filter(|rate| rate.is_finite() && *rate > 0.0)
+    own.or_else(|| all.values().find_map(rate_in)).filter(is_rate)
 }
 
 /// The number of rows that arrays of these shapes have in common. Arrays of `k` by `N` numbers lie on their

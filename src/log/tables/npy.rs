@@ -124,7 +124,7 @@ pub(super) fn npz(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refus
         match unpacked(&mut archive, index, MOST_HEADER as u64 + 64) {
             Ok(head) => match header(&head) {
                 Ok((header, _)) if header.is_scalar() => {
-                    let rate = scalar(&head).filter(|rate| *rate > 0.0);
+                    let rate = scalar(&head).filter(super::is_rate);
                     rate_hz = rate.filter(|_| RATES.contains(&name.as_str())).or(rate_hz);
                 }
                 Ok((header, data)) => arrays.push((index, name, header, head.len() - data.len())),

@@ -8,7 +8,7 @@ use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use ::bytes::Bytes;
-use ::parquet::basic::Type;
+use ::parquet::basic::{Encoding, Type};
 use ::parquet::column::page::{Page, PageMetadata, PageReader};
 use ::parquet::column::reader::{ColumnReader, ColumnReaderImpl, get_column_reader};
 use ::parquet::data_type::DataType;
@@ -80,7 +80,8 @@ impl File {
         let pages = pages.map_err(|error| worded(&error))?;
         let declared = usize::try_from(column.num_values()).unwrap_or(0);
         let damaged = Arc::new(Mutex::new(Pages { declared, ..Pages::default() }));
-        let pages = Sound { pages, headers, found: Arc::clone(&damaged) };
+        let found = Arc::clone(&damaged);
+        let pages = Sound { pages, headers, found, has_dictionary: false };
         Ok((get_column_reader(column.column_descr_ptr(), Box::new(pages)), damaged))
     }
 
@@ -109,6 +110,8 @@ struct Sound {
     /// Headers of the pages that come.
     headers: VecDeque<PageHeader>,
     found: Damaged,
+    /// Whether the dictionary page was read.
+    has_dictionary: bool,
 }
 
 impl Sound {
@@ -123,6 +126,24 @@ impl Sound {
     }
 }
 
+impl Sound {
+    /// Refuses a page that needs a dictionary if there is none: the decoder of the crate panics on it.
+    fn decodable(&mut self, page: Option<Page>) -> ::parquet::errors::Result<Option<Page>> {
+        let is_coded = |page: &Page| {
+            matches!(page.encoding(), Encoding::PLAIN_DICTIONARY | Encoding::RLE_DICTIONARY)
+        };
+        match &page {
+            Some(Page::DictionaryPage { .. }) => self.has_dictionary = true,
+            Some(page) if is_coded(page) && !self.has_dictionary => {
+                let what = "a page needs a dictionary, and its column has none";
+                return Err(ParquetError::General(what.to_owned()));
+            }
+            _ => {}
+        }
+        Ok(page)
+    }
+}
+
 impl Iterator for Sound {
     type Item = ::parquet::errors::Result<Page>;
 
@@ -134,7 +155,7 @@ impl Iterator for Sound {
 impl PageReader for Sound {
     fn get_next_page(&mut self) -> ::parquet::errors::Result<Option<Page>> {
         loop {
-            let page = self.pages.get_next_page();
+            let page = self.pages.get_next_page().and_then(|page| self.decodable(page));
             let (before, header) = self.passed();
             match (page, header) {
                 (Ok(page), _) => return Ok(page),

@@ -1,5 +1,6 @@
 //! Tables as bytes: made by the writers of their formats, cut, and declared otherwise than they are.
 
+mod hdf5_writer;
 pub(crate) mod stores;
 
 use std::fs;
@@ -302,6 +303,17 @@ fn damaged_parquet_is_one_line() {
 }
 
 #[test]
+fn a_column_without_its_dictionary_is_lost() {
+    let mut bytes = parquet(50, 1, Compression::UNCOMPRESSED, |_| 7);
+    // The first page is the dictionary of the state: type 2 in zigzag; a page of an index is passed over.
+    assert_eq!(bytes[4..6], [0x15, 4]);
+    bytes[5] = 2;
+    // The state was the only column next to the times. The decoder of the crate panics on such a page.
+    let line = refusal(&bytes);
+    assert!(line.contains("no numbers beside its times"), "{line}");
+}
+
+#[test]
 fn chunked_hdf5_with_filters_is_read_and_images_are_not() {
     let log = plain(CHUNKED);
     let (names, rows) = joints(&log, "observation/joint_positions");
@@ -340,6 +352,56 @@ fn damaged_hdf5_is_one_line() {
             let mut bytes = whole.to_vec();
             bytes[at] ^= 0xff;
             let _ = read(&bytes, ColumnSettings::default());
+        }
+    }
+}
+
+/// A table of a time and six joints in text, with one line changed.
+fn text_with(delimiter: &str, line: usize, change: impl Fn(&str) -> String) -> Log {
+    let names = ["t", "q1", "q2", "q3", "q4", "q5", "q6"].join(delimiter);
+    let mut lines = vec![names];
+    lines.extend((0..40).map(|row| {
+        let cell = |at: usize| {
+            format!("{:.4}", 0.01 * row as f64 + if at > 0 { 0.3 * at as f64 } else { 0.0 })
+        };
+        (0..7).map(cell).collect::<Vec<_>>().join(delimiter)
+    }));
+    lines[line - 1] = change(&lines[line - 1]);
+    plain((lines.join("\n") + "\n").as_bytes())
+}
+
+#[test]
+fn rows_of_text_that_are_no_numbers_are_reported_with_their_line() {
+    for (change, rows, said) in [
+        ((&|line: &str| line.to_owned()) as &dyn Fn(&str) -> String, 40, None),
+        (&|line| format!("{line}\n # stopped by hand\n\t% twice"), 40, None),
+        (&|line| format!("{line}\t\t"), 40, None),
+        (&|line| format!("{line}\nt\tq1\tq2\tq3\tq4\tq5\tq6"), 40, None),
+        (
+            &|line| format!("{line}\nstop\tby\thand\tat\t1\t2\tnow"),
+            40,
+            Some("line 22: 5 of 7 cells are not numbers"),
+        ),
+        (&|line| line.replacen("\t0.7900", "\t", 1), 39, Some("line 21: 1 of 6 numbers unusable")),
+        (
+            &|line| line.rsplit_once('\t').map_or(String::new(), |it| format!("{}\t", it.0)),
+            39,
+            Some("line 21: 1 of 6 numbers unusable"),
+        ),
+        (
+            &|line| format!("\t{}", line.split_once('\t').map_or("", |it| it.1)),
+            39,
+            Some("1 of 40 rows have no time"),
+        ),
+    ] {
+        let log = text_with("\t", 21, change);
+        assert_eq!(topic(&log, "q").messages, rows, "{said:?}");
+        match said {
+            None => assert_eq!(log.losses, []),
+            Some(said) => {
+                assert_eq!((log.losses.len(), log.losses[0].messages), (1, Some(1)), "{said}");
+                assert!(log.losses[0].what.contains(said), "{:?}", log.losses);
+            }
         }
     }
 }

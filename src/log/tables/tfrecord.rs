@@ -151,7 +151,7 @@ impl Example {
     fn rate_hz(&self) -> Option<f64> {
         let is_rate = |name: &str| RATES.contains(&name.rsplit('/').next().unwrap_or(name));
         let rate = self.features.iter().find(|(name, own)| is_rate(name) && own.len() == 1);
-        rate.map(|(_, own)| own[0]).filter(|rate| rate.is_finite() && *rate > 0.0)
+        rate.map(|(_, own)| own[0]).filter(super::is_rate)
     }
 
     /// The steps of an episode.

@@ -8,6 +8,7 @@ use serde_json::json;
 use zip::write::SimpleFileOptions;
 use zip::{ZipArchive, ZipWriter};
 
+use super::hdf5_writer::{DataSet, hdf5};
 use super::{array, joints, plain, read, refusal, stamps, topic};
 use crate::{ColumnSettings, Log, ReadOptions, open};
 
@@ -347,69 +348,122 @@ pub(crate) fn example(features: &[(&str, Vec<f32>)]) -> Vec<u8> {
     field(1, &features.iter().flat_map(of).collect::<Vec<u8>>())
 }
 
+#[test]
+fn a_declared_rate_that_is_none_is_no_rate() {
+    let with_rate = |rate_hz: f32| {
+        let joints: Vec<f32> = (0..160).flat_map(joints_of).map(|value| value as f32).collect();
+        let reward = ("steps/reward", vec![0.5; 160]);
+        framed(&example(&[("steps/joint_positions", joints), reward, ("fps", vec![rate_hz])]))
+    };
+    assert_eq!(topic(&plain(&with_rate(0.5)), "joint_positions").messages, 160);
+    for rate_hz in [1e-38, 1e-9, 1e30, 0.0, -1.0, f32::NAN, f32::INFINITY] {
+        let line = refusal(&with_rate(rate_hz));
+        assert!(line.contains("no metadata the rate"), "{rate_hz}: {line}");
+    }
+}
+
 /// Rows of six joints that move, by their number.
 fn joints_of(row: usize) -> Vec<f64> {
     (0..6).map(|joint| (0.05 * row as f64 + f64::from(joint)).sin() + 0.001).collect()
 }
 
+/// A zip archive of these files.
+fn zipped(files: &[(String, Vec<u8>)]) -> Vec<u8> {
+    let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
+    for (name, content) in files {
+        archive.start_file(name, SimpleFileOptions::default()).expect("a member");
+        archive.write_all(content).expect("its bytes");
+    }
+    archive.finish().expect("an archive").into_inner()
+}
+
+/// An array of NumPy with `rows` rows of `width` numbers, of which `values` are there.
+fn array_of_numpy(rows: usize, width: usize, values: impl Iterator<Item = f64>) -> Vec<u8> {
+    let header =
+        format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({rows}, {width}), }}\n");
+    super::npy(&header, &values.flat_map(f64::to_le_bytes).collect::<Vec<u8>>())
+}
+
+/// A container, the name of the joints in it, and a file.
+type Made = (&'static str, &'static str, Vec<u8>);
+
 /// A table of `rows` rows in each container, of which those that `is_lost` are missing or damaged in the way of the
-/// container, and the name of its joints.
-fn with_lost_rows(rows: usize, is_lost: &[bool]) -> Vec<(&'static str, &'static str, Vec<u8>)> {
+/// container. `numbers` are the joint positions of a row.
+fn with_lost_rows(
+    rows: usize,
+    is_lost: &[bool],
+    numbers: impl Fn(usize) -> Vec<f64> + Copy,
+) -> Vec<Made> {
     let lost = |row: usize| is_lost.get(row).copied().unwrap_or(false);
+    let time = |row: usize| 0.01 * row as f64;
     let floats =
-        |row: usize| joints_of(row).into_iter().map(|value| value as f32).collect::<Vec<f32>>();
+        |row: usize| numbers(row).into_iter().map(|value| value as f32).collect::<Vec<f32>>();
     let csv: String = (0..rows)
         .map(|row| {
-            let time = if lost(row) { String::new() } else { format!("{:.3}", 0.01 * row as f64) };
+            let time = if lost(row) { String::new() } else { format!("{:.3}", time(row)) };
             let cells: Vec<String> =
-                joints_of(row).iter().map(|value| format!("{value:.6}")).collect();
+                numbers(row).iter().map(|value| format!("{value:.6}")).collect();
             format!("{time},{}\n", cells.join(","))
         })
         .collect();
     let csv = format!("t,q1,q2,q3,q4,q5,q6\n{csv}");
-    let rsi: String =
-        (0..rows as u32)
-            .map(|row| {
-                if lost(row as usize) {
-                    packet(row).replace("<RIst", "<RIst <")
-                } else {
-                    packet(row)
-                }
-            })
-            .collect();
+    let rsi: String = (0..rows)
+        .map(|row| {
+            let mut packet = packet(row as u32);
+            if numbers(row).iter().any(|value| value.is_nan()) {
+                packet = packet.replace(&format!("A1=\"{row}.5\""), "A1=\"nan\"");
+            }
+            if lost(row) { packet.replace("<RIst", "<RIst <") } else { packet }
+        })
+        .collect();
     let steps: Vec<u8> = (0..rows)
         .flat_map(|row| {
             let mut numbers = floats(row);
             numbers.truncate(if lost(row) { 5 } else { 6 });
-            framed(&example(&[
-                ("joint_positions", numbers),
-                ("timestamp", vec![0.01 * row as f32]),
-            ]))
+            framed(&example(&[("joint_positions", numbers), ("timestamp", vec![time(row) as f32])]))
         })
         .collect();
-    let metadata = |width: usize| {
-        json!({"zarr_format": 2, "shape": [rows, width], "chunks": [1, width], "dtype": "<f8", "compressor": null,
-            "filters": null, "fill_value": 0.0, "order": "C"}).to_string().into_bytes()
-    };
-    let mut store = ZipWriter::new(Cursor::new(Vec::new()));
-    let mut add = |name: &str, content: &[u8]| {
-        store.start_file(name, SimpleFileOptions::default()).expect("a member");
-        store.write_all(content).expect("its bytes");
-    };
-    add(".zgroup", br#"{"zarr_format": 2}"#);
-    add(".zattrs", br#"{"fps": 100}"#);
-    add("joint_positions/.zarray", &metadata(6));
-    for row in (0..rows).filter(|row| !lost(*row)) {
-        let bytes: Vec<u8> = joints_of(row).into_iter().flat_map(f64::to_le_bytes).collect();
-        add(&format!("joint_positions/{row}.0"), &bytes);
-    }
-    let store = store.finish().expect("an archive").into_inner();
+    let metadata = json!({"zarr_format": 2, "shape": [rows, 6], "chunks": [1, 6], "dtype": "<f8", "compressor": null,
+            "filters": null, "fill_value": 0.0, "order": "C"});
+    let mut store = vec![
+        (".zgroup".to_owned(), br#"{"zarr_format": 2}"#.to_vec()),
+        (".zattrs".to_owned(), br#"{"fps": 100}"#.to_vec()),
+        ("joint_positions/.zarray".to_owned(), metadata.to_string().into_bytes()),
+    ];
+    store.extend((0..rows).filter(|row| !lost(*row)).map(|row| {
+        let bytes: Vec<u8> = numbers(row).into_iter().flat_map(f64::to_le_bytes).collect();
+        (format!("joint_positions/{row}.0"), bytes)
+    }));
+    // An array of NumPy has no chunks: its last rows are missing.
+    let kept = rows - (0..rows).filter(|row| lost(*row)).count();
+    let archive = zipped(&[
+        ("timestamp.npy".to_owned(), array_of_numpy(rows, 1, (0..rows).map(time))),
+        ("joint_positions.npy".to_owned(), array_of_numpy(rows, 6, (0..kept).flat_map(numbers))),
+    ]);
+    let of_hdf5 = hdf5(&[
+        DataSet {
+            name: "timestamp",
+            width: 1,
+            values: (0..rows).map(time).collect(),
+            is_chunked: false,
+            missing: &[],
+        },
+        DataSet {
+            name: "joint_positions",
+            width: 6,
+            values: (0..rows).flat_map(numbers).collect(),
+            is_chunked: true,
+            missing: is_lost,
+        },
+    ]);
     vec![
         ("csv", "q", csv.into_bytes()),
         ("rsi", "AIPos", rsi.into_bytes()),
         ("tfrecord", "joint_positions", steps),
-        ("zarr", "joint_positions", store),
-        ("parquet", "joint_positions", super::lists_of_parquet(rows, joints_of, lost)),
+        ("zarr", "joint_positions", zipped(&store)),
+        ("parquet", "joint_positions", super::lists_of_parquet(rows, numbers, lost)),
+        ("npz", "joint_positions", archive),
+        ("hdf5", "joint_positions", of_hdf5),
     ]
 }
 
@@ -424,7 +478,29 @@ proptest::proptest! {
         // The first and the last row tell where times begin, and what is before a missing chunk.
         let lost: Vec<bool> = lost.into_iter().enumerate().map(|(row, lost)| lost && row > 1 && row + 2 < rows).collect();
         let count = lost.iter().filter(|lost| **lost).count() as u64;
-        for (container, name, bytes) in with_lost_rows(rows, &lost) {
+        for (container, name, bytes) in with_lost_rows(rows, &lost, joints_of) {
+            let log = plain(&bytes);
+            let reported: u64 = log.losses.iter().filter_map(|loss| loss.messages).sum();
+            proptest::prop_assert_eq!(topic(&log, name).messages, rows as u64 - count, "{}", container);
+            proptest::prop_assert_eq!(reported, count, "{}: {:?}", container, log.losses);
+        }
+    }
+
+    #[test]
+    fn rows_with_damaged_numbers_are_reported(
+        rows in 80_usize..120,
+        damaged in proptest::collection::vec(proptest::bool::weighted(0.03), 120),
+    ) {
+        let is_damaged = |row: usize| row > 1 && row + 2 < rows && damaged[row];
+        let count = (0..rows).filter(|row| is_damaged(*row)).count() as u64;
+        // A column with many holes was sampled less often.
+        proptest::prop_assume!(10 * count < rows as u64);
+        let numbers = |row: usize| {
+            let mut own = joints_of(row);
+            own[0] = if is_damaged(row) { f64::NAN } else { own[0] };
+            own
+        };
+        for (container, name, bytes) in with_lost_rows(rows, &[], numbers) {
             let log = plain(&bytes);
             let reported: u64 = log.losses.iter().filter_map(|loss| loss.messages).sum();
             proptest::prop_assert_eq!(topic(&log, name).messages, rows as u64 - count, "{}", container);

@@ -1,0 +1,119 @@
+//! A writer of small HDF5 files for tests: data sets of doubles in the root group, contiguous or in chunks of a row.
+//!
+//! Format: HDF5 File Format Specification 3.0, superblock 0 and object headers of version 1.
+
+/// No address.
+const UNDEFINED: [u8; 8] = [0xff; 8];
+
+/// A data set of doubles, row-major.
+pub(crate) struct DataSet<'a> {
+    pub name: &'a str,
+    pub width: usize,
+    pub values: Vec<f64>,
+    /// Whether each row is a chunk; the chunks of the rows in `missing` are not written.
+    pub is_chunked: bool,
+    pub missing: &'a [bool],
+}
+
+/// An HDF5 file with these data sets in its root group.
+pub(crate) fn hdf5(sets: &[DataSet<'_>]) -> Vec<u8> {
+    // The superblock is written last, as it holds the address of the root group and the length of the file.
+    const SUPERBLOCK: usize = 96;
+    let mut file = vec![0; SUPERBLOCK];
+    let mut links = vec![message(2, &[&[0, 0][..], &UNDEFINED, &UNDEFINED].concat())];
+    for set in sets {
+        let address = add_data_set(&mut file, set);
+        let name = set.name.as_bytes();
+        links.push(message(6, &[&[1, 0, name.len() as u8], name, &address.to_le_bytes()].concat()));
+    }
+    let root = add(&mut file, &header(&links));
+    let superblock = [
+        &b"\x89HDF\r\n\x1a\n"[..],
+        &[0, 0, 0, 0, 0, 8, 8, 0, 4, 0, 16, 0, 0, 0, 0, 0],
+        &[0; 8],
+        &UNDEFINED,
+        &(file.len() as u64).to_le_bytes(),
+        &UNDEFINED,
+        &[0; 8],
+        &root.to_le_bytes(),
+        &[0; 24],
+    ]
+    .concat();
+    file[..SUPERBLOCK].copy_from_slice(&superblock);
+    file
+}
+
+/// Appends `bytes` at a multiple of eight and returns their address.
+fn add(file: &mut Vec<u8>, bytes: &[u8]) -> u64 {
+    file.resize(file.len().next_multiple_of(8), 0);
+    let address = file.len() as u64;
+    file.extend(bytes);
+    address
+}
+
+/// A message of an object header.
+fn message(kind: u16, content: &[u8]) -> Vec<u8> {
+    let length = content.len().next_multiple_of(8);
+    let mut all = [kind.to_le_bytes(), (length as u16).to_le_bytes(), [0; 2], [0; 2]].concat();
+    all.extend(content);
+    all.resize(8 + length, 0);
+    all
+}
+
+/// An object header with these messages.
+fn header(messages: &[Vec<u8>]) -> Vec<u8> {
+    let length: usize = messages.iter().map(Vec::len).sum();
+    let mut all = vec![1, 0];
+    all.extend((messages.len() as u16).to_le_bytes());
+    all.extend([1, 0, 0, 0]);
+    all.extend((length as u32).to_le_bytes());
+    all.extend([0; 4]);
+    all.extend(messages.concat());
+    all
+}
+
+fn add_data_set(file: &mut Vec<u8>, set: &DataSet<'_>) -> u64 {
+    let rows = set.values.len() / set.width;
+    let bytes = |values: &[f64]| -> Vec<u8> {
+        values.iter().flat_map(|value| value.to_le_bytes()).collect()
+    };
+    let sides = [rows as u64, set.width as u64].map(u64::to_le_bytes).concat();
+    let space = message(1, &[&[1, 2, 0, 0, 0, 0, 0, 0][..], &sides].concat());
+    let double = [
+        &[0x11, 0x20, 0x3f, 0, 8, 0, 0, 0, 0, 0, 64, 0, 52, 11, 0, 52][..],
+        &1023_u32.to_le_bytes(),
+    ];
+    let double = message(3, &double.concat());
+    // Allocated by and by, zero.
+    let fill = message(5, &[2, 3, 0, 1, 0, 0, 0, 0]);
+    let layout = if set.is_chunked {
+        let is_missing = |row: &usize| set.missing.get(*row).copied().unwrap_or(false);
+        let chunks: Vec<(usize, u64)> = (0..rows)
+            .filter(|row| !is_missing(row))
+            .map(|row| {
+                let own = bytes(&set.values[row * set.width..(row + 1) * set.width]);
+                (row, add(file, &own))
+            })
+            .collect();
+        let size = (8 * set.width) as u32;
+        let key = |row: usize, size: u32| {
+            [&size.to_le_bytes()[..], &[0; 4], &(row as u64).to_le_bytes(), &[0; 16]].concat()
+        };
+        let mut tree = b"TREE\x01\x00".to_vec();
+        tree.extend((chunks.len() as u16).to_le_bytes());
+        tree.extend([UNDEFINED, UNDEFINED].concat());
+        for (row, address) in chunks {
+            tree.extend(key(row, size));
+            tree.extend(address.to_le_bytes());
+        }
+        tree.extend(key(rows, 0));
+        let tree = add(file, &tree);
+        let sides = [1, set.width as u32, 8].map(u32::to_le_bytes).concat();
+        [&[3, 2, 3][..], &tree.to_le_bytes(), &sides].concat()
+    } else {
+        let content = bytes(&set.values);
+        let address = add(file, &content);
+        [&[3, 1][..], &address.to_le_bytes(), &(content.len() as u64).to_le_bytes()].concat()
+    };
+    add(file, &header(&[space, double, fill, message(8, &layout)]))
+}
