@@ -1,6 +1,7 @@
 //! Tables as bytes: made by the writers of their formats, cut, and declared otherwise than they are.
 
 mod hdf5_writer;
+mod limits;
 pub(crate) mod stores;
 
 use std::fs;

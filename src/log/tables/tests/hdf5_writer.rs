@@ -15,17 +15,22 @@ pub(crate) struct DataSet<'a> {
     pub missing: &'a [bool],
 }
 
-/// An HDF5 file with these data sets in its root group.
-pub(crate) fn hdf5(sets: &[DataSet<'_>]) -> Vec<u8> {
+/// An HDF5 file with these data sets in its root group. A link of each name in `loops` leads to the root group.
+pub(crate) fn hdf5(sets: &[DataSet<'_>], loops: &[&str]) -> Vec<u8> {
     // The superblock is written last, as it holds the address of the root group and the length of the file.
     const SUPERBLOCK: usize = 96;
     let mut file = vec![0; SUPERBLOCK];
     let mut links = vec![message(2, &[&[0, 0][..], &UNDEFINED, &UNDEFINED].concat())];
+    let link = |name: &str, address: u64| {
+        let length = [1, 0, name.len() as u8];
+        message(6, &[&length, name.as_bytes(), &address.to_le_bytes()].concat())
+    };
     for set in sets {
         let address = add_data_set(&mut file, set);
-        let name = set.name.as_bytes();
-        links.push(message(6, &[&[1, 0, name.len() as u8], name, &address.to_le_bytes()].concat()));
+        links.push(link(set.name, address));
     }
+    let next = file.len().next_multiple_of(8) as u64;
+    links.extend(loops.iter().map(|name| link(name, next)));
     let root = add(&mut file, &header(&links));
     let superblock = [
         &b"\x89HDF\r\n\x1a\n"[..],

@@ -66,7 +66,7 @@ fn a_folder_is_read_as_its_archive() {
 }
 
 /// A store with one array `q` of 6 numbers a row, whose metadata are `change`d.
-fn store(change: impl Fn(&mut serde_json::Value)) -> Vec<u8> {
+pub(super) fn store(change: impl Fn(&mut serde_json::Value)) -> Vec<u8> {
     let mut metadata = json!({"zarr_format": 2, "shape": [20, 6], "chunks": [20, 6], "dtype": "<f8",
         "compressor": null, "filters": null, "fill_value": 0.0, "order": "C"});
     change(&mut metadata);
@@ -317,7 +317,7 @@ fn packets_that_are_damaged_are_counted() {
 }
 
 /// A record as TensorFlow frames it.
-fn framed(record: &[u8]) -> Vec<u8> {
+pub(super) fn framed(record: &[u8]) -> Vec<u8> {
     let masked = |bytes: &[u8]| {
         crc32c::crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes()
     };
@@ -363,12 +363,12 @@ fn a_declared_rate_that_is_none_is_no_rate() {
 }
 
 /// Rows of six joints that move, by their number.
-fn joints_of(row: usize) -> Vec<f64> {
+pub(super) fn joints_of(row: usize) -> Vec<f64> {
     (0..6).map(|joint| (0.05 * row as f64 + f64::from(joint)).sin() + 0.001).collect()
 }
 
 /// A zip archive of these files.
-fn zipped(files: &[(String, Vec<u8>)]) -> Vec<u8> {
+pub(super) fn zipped(files: &[(String, Vec<u8>)]) -> Vec<u8> {
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
     for (name, content) in files {
         archive.start_file(name, SimpleFileOptions::default()).expect("a member");
@@ -378,7 +378,11 @@ fn zipped(files: &[(String, Vec<u8>)]) -> Vec<u8> {
 }
 
 /// An array of NumPy with `rows` rows of `width` numbers, of which `values` are there.
-fn array_of_numpy(rows: usize, width: usize, values: impl Iterator<Item = f64>) -> Vec<u8> {
+pub(super) fn array_of_numpy(
+    rows: usize,
+    width: usize,
+    values: impl Iterator<Item = f64>,
+) -> Vec<u8> {
     let header =
         format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({rows}, {width}), }}\n");
     super::npy(&header, &values.flat_map(f64::to_le_bytes).collect::<Vec<u8>>())
@@ -440,22 +444,25 @@ fn with_lost_rows(
         ("timestamp.npy".to_owned(), array_of_numpy(rows, 1, (0..rows).map(time))),
         ("joint_positions.npy".to_owned(), array_of_numpy(rows, 6, (0..kept).flat_map(numbers))),
     ]);
-    let of_hdf5 = hdf5(&[
-        DataSet {
-            name: "timestamp",
-            width: 1,
-            values: (0..rows).map(time).collect(),
-            is_chunked: false,
-            missing: &[],
-        },
-        DataSet {
-            name: "joint_positions",
-            width: 6,
-            values: (0..rows).flat_map(numbers).collect(),
-            is_chunked: true,
-            missing: is_lost,
-        },
-    ]);
+    let of_hdf5 = hdf5(
+        &[
+            DataSet {
+                name: "timestamp",
+                width: 1,
+                values: (0..rows).map(time).collect(),
+                is_chunked: false,
+                missing: &[],
+            },
+            DataSet {
+                name: "joint_positions",
+                width: 6,
+                values: (0..rows).flat_map(numbers).collect(),
+                is_chunked: true,
+                missing: is_lost,
+            },
+        ],
+        &[],
+    );
     vec![
         ("csv", "q", csv.into_bytes()),
         ("rsi", "AIPos", rsi.into_bytes()),

@@ -116,6 +116,7 @@ impl<'a> Store<'a> {
         };
         paths.sort();
         paths.dedup();
+        let mut are_too_many = paths.len() > MOST_COLUMNS;
         paths.truncate(MOST_COLUMNS);
         let is_array = |metadata: &Value| is_metadata(metadata) && metadata.get("shape").is_some();
         let mut found = BTreeMap::new();
@@ -146,7 +147,10 @@ impl<'a> Store<'a> {
             let what = format!("'{path}' has chunks, and no metadata that say what they are");
             found.insert(path, Err(what.into()));
         }
-        found.into_iter().take(MOST_COLUMNS).collect()
+        are_too_many |= found.len() > MOST_COLUMNS;
+        let what = format!("it has more than {MOST_COLUMNS} arrays; the others are not read");
+        let others = are_too_many.then(|| (String::new(), Err(what.into())));
+        found.into_iter().take(MOST_COLUMNS).chain(others).collect()
     }
 
     /// What is said of the group at `path`, beside its arrays.

@@ -1,0 +1,42 @@
+//! Containers around content: zip archives and TFRecord frames.
+
+/// Checksum with this reversed polynomial.
+fn crc(polynomial: u32, bytes: &[u8]) -> u32 {
+    let step = |crc: u32| if crc & 1 == 1 { crc >> 1 ^ polynomial } else { crc >> 1 };
+    !bytes.iter().fold(!0, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), |crc, _| step(crc)))
+}
+
+/// A zip archive of uncompressed files (APPNOTE.TXT 6.3.10).
+pub fn zipped(files: &[(&str, &[u8])]) -> Vec<u8> {
+    let (mut all, mut directory) = (Vec::new(), Vec::new());
+    for (name, content) in files {
+        let offset = all.len() as u32;
+        let mut common = vec![20, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+        common.extend(crc(0xedb8_8320, content).to_le_bytes());
+        common.extend(
+            [content.len() as u32, content.len() as u32].iter().flat_map(|n| n.to_le_bytes()),
+        );
+        common.extend((name.len() as u16).to_le_bytes());
+        common.extend([0, 0]);
+        all.extend([b"PK\x03\x04", common.as_slice(), name.as_bytes(), content].concat());
+        directory.extend([b"PK\x01\x02\x14\x00", common.as_slice(), &[0; 10]].concat());
+        directory.extend(offset.to_le_bytes());
+        directory.extend(name.as_bytes());
+    }
+    let (start, size, count) = (all.len() as u32, directory.len() as u32, files.len() as u16);
+    all.extend(directory);
+    all.extend(b"PK\x05\x06\0\0\0\0");
+    all.extend([count, count].iter().flat_map(|n| n.to_le_bytes()));
+    all.extend([size, start].iter().flat_map(|n| n.to_le_bytes()));
+    all.extend([0, 0]);
+    all
+}
+
+/// A record in the frame of TFRecord, with masked CRC-32C checksums.
+pub fn framed_record(record: &[u8]) -> Vec<u8> {
+    let masked = |bytes: &[u8]| {
+        crc(0x82f6_3b78, bytes).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes()
+    };
+    let length = (record.len() as u64).to_le_bytes();
+    [&length, masked(&length).as_slice(), record, &masked(record)].concat()
+}
