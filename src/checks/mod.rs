@@ -35,13 +35,13 @@ use crate::finding::{
 pub use calibration::Still;
 pub(crate) use calibration::{gains_nothing, refusal, still};
 pub use decision::{Decision, FrameThresholds, Threshold, decide, decide_both, decide_frame};
-pub(crate) use joints::zer001::ZER001;
-pub(crate) use latency::lat001::LAT001;
+pub(crate) use joints::zer001_joint_zero::ZER001;
+pub(crate) use latency::lat001_latency::LAT001;
 pub use merge::{Part as EvaluatedPart, merged};
 pub(crate) use observability::hidden_zero;
 pub use observability::{Blind, Part, StreamObservability};
 pub(crate) use plan::{is_behind_residual, recipe, settled_by};
-pub(crate) use poses::mdl001::MDL001;
+pub(crate) use poses::mdl001_unexplained_residual::MDL001;
 pub(crate) use reading::read_as as reading_names;
 pub use settings::{Exemption, Selector, Settings, UnknownRule};
 pub use thresholds::{Limit, Thresholds};

@@ -1,6 +1,6 @@
 //! Chooses the motion that would resolve an inconclusive rule.
 
-use super::poses::mdl001::MDL001;
+use super::poses::mdl001_unexplained_residual::MDL001;
 use crate::diagnosis::plan::Purpose;
 use crate::finding::{CheckRow, Status};
 

@@ -383,9 +383,9 @@ pub fn words(convention: Convention) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::poses::ord001::ORD001;
-    use crate::checks::poses::ord002::ORD002;
-    use crate::checks::poses::ord003::ORD003;
+    use crate::checks::poses::ord001_rotation_convention::ORD001;
+    use crate::checks::poses::ord002_quaternion_order::ORD002;
+    use crate::checks::poses::ord003_inverted_pose::ORD003;
     use crate::checks::testing::{ask, clean_run};
     use crate::evidence::RunEvidence;
     use crate::finding::Status;

@@ -1,13 +1,17 @@
 //! Rules that compare commands with the motion of the arm.
 
-pub(super) mod frm006;
-pub(super) mod lat004;
-pub(super) mod mot004;
+pub(super) mod frm006_reference_at_rest;
+pub(super) mod lat004_command_delay;
+pub(super) mod mot004_line;
 mod witness;
 
 use super::Family;
 
 pub(super) static FAMILY: Family = Family {
     examines: "Commands compared with the motion of the arm",
-    rules: &[&frm006::FRM006, &lat004::LAT004, &mot004::MOT004],
+    rules: &[
+        &frm006_reference_at_rest::FRM006,
+        &lat004_command_delay::LAT004,
+        &mot004_line::MOT004,
+    ],
 };

@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use crate::checks::decision::unseen;
-use crate::checks::motion::mot003;
+use crate::checks::motion::mot003_limits_exceeded;
 use crate::diagnosis::{Following, JointOffset, ReferenceDiagnosis};
 use crate::evidence::ReferenceEvidence;
 use crate::evidence::{ArmEvidence, Of, WitnessKind};
@@ -19,7 +19,7 @@ pub fn found<'a>(
         Err(why) => return Err(Outcome::Skipped(why.clone())),
         Ok(found) => found.as_ref().map_err(|why| unseen(why, settle))?,
     };
-    match mot003::doubt(arm) {
+    match mot003_limits_exceeded::doubt(arm) {
         Some(why) => Err(Outcome::Inconclusive(why)),
         None => Ok(found),
     }

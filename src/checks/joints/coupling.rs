@@ -51,7 +51,7 @@ fn sign_word(factor: f64) -> &'static str {
 
 #[cfg(test)]
 mod tests {
-    use crate::checks::joints::ord009::ORD009;
+    use crate::checks::joints::ord009_joint_scale::ORD009;
     use crate::checks::testing::{ask, clean_run, sure};
     use crate::diagnosis::{JointCoupling, JointReading, UnitSlip};
     use crate::finding::Estimate;

@@ -2,7 +2,7 @@
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-use super::zer001::{self, ZER001};
+use super::zer001_joint_zero::{self, ZER001};
 use crate::checks::decision::{Decision, decide};
 use crate::checks::{Case, Judged, standing};
 use crate::diagnosis::Measured;
@@ -49,7 +49,7 @@ pub(super) fn part_of_turn(
     if unit != Unit::Radian || quarters == 0.0 || arm.scale(joint).is_some() {
         return None;
     }
-    let threshold = case.thresholds.of(&ZER001, zer001::threshold(unit));
+    let threshold = case.thresholds.of(&ZER001, zer001_joint_zero::threshold(unit));
     let rest = Measured { value: measured.value - quarters * FRAC_PI_2, ..measured };
     let is_round =
         !matches!(decide(&rest, &threshold, case.evidence.subjects()), Decision::Fail(_));
@@ -103,7 +103,7 @@ fn judged(arm: &ArmEvidence, joint: usize, turns: f64, offset: &Measured, seen: 
 mod tests {
     use std::f64::consts::{FRAC_PI_2, PI};
 
-    use crate::checks::joints::{ord009::ORD009, zer001::ZER001};
+    use crate::checks::joints::{ord009_joint_scale::ORD009, zer001_joint_zero::ZER001};
     use crate::checks::testing::{ask, clean_run, sure};
     use crate::finding::Estimate;
 

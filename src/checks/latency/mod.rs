@@ -1,12 +1,12 @@
 //! Latency of each stream relative to the joint states, and how it varies.
 
-pub(super) mod lat001;
-pub(super) mod lat002;
-pub(super) mod lat003;
+pub(super) mod lat001_latency;
+pub(super) mod lat002_clock_skew;
+pub(super) mod lat003_unsteady_latency;
 
 use super::Family;
 
 pub(super) static FAMILY: Family = Family {
     examines: "Latency of each stream relative to the joint states, and how it varies",
-    rules: &[&lat001::LAT001, &lat002::LAT002, &lat003::LAT003],
+    rules: &[&lat001_latency::LAT001, &lat002_clock_skew::LAT002, &lat003_unsteady_latency::LAT003],
 };

@@ -1,12 +1,12 @@
 //! Motion of the arm: vibration, abrupt stops, joint limits.
 
-pub(super) mod mot001;
-pub(super) mod mot002;
-pub(super) mod mot003;
+pub(super) mod mot001_shake;
+pub(super) mod mot002_abrupt_stops;
+pub(super) mod mot003_limits_exceeded;
 
 use super::Family;
 
 pub(super) static FAMILY: Family = Family {
     examines: "Motion of the arm: vibration, abrupt stops, joint limits",
-    rules: &[&mot001::MOT001, &mot002::MOT002, &mot003::MOT003],
+    rules: &[&mot001_shake::MOT001, &mot002_abrupt_stops::MOT002, &mot003_limits_exceeded::MOT003],
 };

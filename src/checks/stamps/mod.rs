@@ -1,14 +1,20 @@
 //! Stamps and rates: clocks, gaps and lost samples.
 
-pub(super) mod tim001;
-pub(super) mod tim002;
-pub(super) mod tim003;
-pub(super) mod tim004;
-pub(super) mod tim005;
+pub(super) mod tim001_backward_stamps;
+pub(super) mod tim002_gaps;
+pub(super) mod tim003_foreign_clock;
+pub(super) mod tim004_duplicate_stamps;
+pub(super) mod tim005_unusable_stamps;
 
 use super::Family;
 
 pub(super) static FAMILY: Family = Family {
     examines: "Stamps and rates: clocks, gaps and lost samples",
-    rules: &[&tim001::TIM001, &tim002::TIM002, &tim003::TIM003, &tim004::TIM004, &tim005::TIM005],
+    rules: &[
+        &tim001_backward_stamps::TIM001,
+        &tim002_gaps::TIM002,
+        &tim003_foreign_clock::TIM003,
+        &tim004_duplicate_stamps::TIM004,
+        &tim005_unusable_stamps::TIM005,
+    ],
 };

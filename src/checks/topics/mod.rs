@@ -1,24 +1,24 @@
 //! Files, topics and frames: damaged, missing or unaudited data.
 
-pub(super) mod frm004;
-pub(super) mod frm007;
-pub(super) mod ing001;
-pub(super) mod ing002;
-pub(super) mod meta001;
-pub(super) mod meta002;
-pub(super) mod tim006;
+pub(super) mod frm004_broken_frame_tree;
+pub(super) mod frm007_not_audited;
+pub(super) mod ing001_damaged_log;
+pub(super) mod ing002_undecodable_topic;
+pub(super) mod meta001_contradicted_metadata;
+pub(super) mod meta002_repeated_columns;
+pub(super) mod tim006_incomplete_stream;
 
 use super::Family;
 
 pub(super) static FAMILY: Family = Family {
     examines: "Files, topics and frames: damaged, missing or unaudited data",
     rules: &[
-        &ing001::ING001,
-        &ing002::ING002,
-        &frm004::FRM004,
-        &frm007::FRM007,
-        &tim006::TIM006,
-        &meta001::META001,
-        &meta002::META002,
+        &ing001_damaged_log::ING001,
+        &ing002_undecodable_topic::ING002,
+        &frm004_broken_frame_tree::FRM004,
+        &frm007_not_audited::FRM007,
+        &tim006_incomplete_stream::TIM006,
+        &meta001_contradicted_metadata::META001,
+        &meta002_repeated_columns::META002,
     ],
 };

@@ -3,7 +3,7 @@ use serde_json::{Value, json};
 use crate::checks::commands::witness::{self, following_json, witness_name, witnesses_differ};
 use crate::checks::decision::{Decision, decide_frame};
 use crate::checks::frames::{THRESHOLDS, pose_json, show};
-use crate::checks::motion::mot003::UNIT_IS_OPEN;
+use crate::checks::motion::mot003_limits_exceeded::UNIT_IS_OPEN;
 use crate::checks::{Case, FrameThresholds, Grade, Judged};
 use crate::diagnosis::{Constancy, FrameEstimate, Measured, ReferenceDiagnosis, RestGap};
 use crate::evidence::{ArmEvidence, Of, ReferenceEvidence, WitnessKind};

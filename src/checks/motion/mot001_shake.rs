@@ -1,5 +1,5 @@
 use crate::checks::decision::Threshold;
-use crate::checks::motion::mot003::motion_doubt;
+use crate::checks::motion::mot003_limits_exceeded::motion_doubt;
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{NoShake, Shake};
 use crate::evidence::{ArmEvidence, Of, ShakeEvidence};

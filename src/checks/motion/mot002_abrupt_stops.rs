@@ -1,4 +1,4 @@
-use crate::checks::motion::mot003::doubt_of_joint;
+use crate::checks::motion::mot003_limits_exceeded::doubt_of_joint;
 use crate::checks::{Case, Grade, Judged, Limit};
 use crate::diagnosis::Abruptness;
 use crate::evidence::{ArmEvidence, JointEvidence};

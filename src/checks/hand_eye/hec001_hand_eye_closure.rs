@@ -1,4 +1,4 @@
-use super::{hec002, hec003};
+use super::{hec002_hand_eye_rotation, hec003_camera_axes};
 use crate::checks::decision::{Decision, decide_both, decide_frame};
 use crate::checks::frames::{show, show_pose};
 use crate::checks::hand_eye::chain::{
@@ -77,7 +77,7 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
         Err(why) => return Judged::new(facts.subject(), unseen(why)),
     };
     let best = found.best().unwrap_or(as_logged);
-    let by_mount = match hec003::swap(facts) {
+    let by_mount = match hec003_camera_axes::swap(facts) {
         None => found.mount_error.as_ref(),
         Some(_) => None,
     };
@@ -92,7 +92,7 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
     let scale = decide(&scaled.scale.effect_m(), &thresholds.length, subjects);
     let span_rad = found.diversity.as_ref().map_or(0.0, |diversity| diversity.span_rad);
     let (outcome, estimate) = match (&found.reading, open) {
-        _ if span_rad < case.thresholds.limit(&hec002::HEC002, &LEAST_SPAN) => {
+        _ if span_rad < case.thresholds.limit(&hec002_hand_eye_rotation::HEC002, &LEAST_SPAN) => {
             let why = format!("too little rotation to solve it (HEC002); {SETTLE}");
             (Outcome::Inconclusive(why), closure(best))
         }
@@ -300,7 +300,7 @@ fn reading_words(reading: &TargetReading) -> String {
     match reading {
         TargetReading::AsLogged => "read as logged".to_owned(),
         TargetReading::Axes(axes) => {
-            format!("target positions are {}", hec003::axes_words(axes))
+            format!("target positions are {}", hec003_camera_axes::axes_words(axes))
         }
         TargetReading::Transposed => "target rotations are transposed".to_owned(),
         TargetReading::QuaternionOrder(_) => {

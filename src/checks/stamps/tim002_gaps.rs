@@ -1,6 +1,6 @@
 use serde_json::{Value, json};
 
-use crate::checks::topics::tim006::{Pace, slow};
+use crate::checks::topics::tim006_incomplete_stream::{Pace, slow};
 use crate::checks::{Case, Grade, Judged, Limit};
 use crate::evidence::{Due, Of, RhythmEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};

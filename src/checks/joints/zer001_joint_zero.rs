@@ -1,8 +1,8 @@
 use super::turns;
 use crate::checks::decision::{DEGREE, Decision, Threshold, decide, unseen};
 use crate::checks::frames::THRESHOLDS;
-use crate::checks::poses::frm001;
-use crate::checks::poses::mdl001::MDL001;
+use crate::checks::poses::frm001_tf_against_kinematics;
+use crate::checks::poses::mdl001_unexplained_residual::MDL001;
 use crate::checks::twins::{estimate, twin_cause};
 use crate::checks::{Case, Grade, Judged, UNKNOWN_WORLD, changes, standing};
 use crate::diagnosis::{FrameEstimate, JointOffset, Measured, Seen, Twin, Unseen};
@@ -244,7 +244,8 @@ fn fault(
         effect_m: Some(offset.effect_m),
         ..Evidence::default()
     };
-    let heirs = arm.tf.iter().filter(|tf| frm001::agrees(case, &tf.diagnosis));
+    let heirs =
+        arm.tf.iter().filter(|tf| frm001_tf_against_kinematics::agrees(case, &tf.diagnosis));
     let heirs: Vec<&str> = heirs.map(|tf| tf.topic()).collect();
     if !heirs.is_empty() {
         evidence.more.insert("inherited_by".to_owned(), heirs.into());
@@ -395,7 +396,7 @@ mod tests {
             Ok(FrameEstimate { chosen: true, ..frame(0.1) });
         let (rows, findings) = ask(&ZER001, &run);
         assert!(findings.is_empty() && rows[0].indistinguishable, "{rows:?}");
-        let (_, named) = ask(&crate::checks::poses::frm002::FRM002, &run);
+        let (_, named) = ask(&crate::checks::poses::frm002_reference_frame::FRM002, &run);
         assert_eq!(named[0].evidence.indistinguishable[0].code, "ZER001");
     }
 }

@@ -1,4 +1,4 @@
-use super::hec001;
+use super::hec001_hand_eye_closure;
 use crate::checks::decision::DEGREE;
 use crate::checks::hand_eye::chain::{
     LEAST_SPAN, LEAST_SPREAD, THRESHOLDS, does_not_follow, unseen,
@@ -97,7 +97,8 @@ fn judge(case: &Case, facts: &HandEyeEvidence) -> Judged {
 
 /// An unobservable camera pose is a warning only if that pose is required.
 fn severity(case: &Case) -> Severity {
-    let required = [&hec001::HEC001, &HEC002].into_iter().any(|rule| case.requires(rule));
+    let required =
+        [&hec001_hand_eye_closure::HEC001, &HEC002].into_iter().any(|rule| case.requires(rule));
     if required { Severity::Warning } else { Severity::Info }
 }
 
@@ -165,7 +166,8 @@ fn undetermined(case: &Case, camera: &CameraPose) -> Vec<String> {
         })
         .collect()
     };
-    let FrameThresholds { length, angle } = case.thresholds.of_frames(&hec001::HEC001, THRESHOLDS);
+    let FrameThresholds { length, angle } =
+        case.thresholds.of_frames(&hec001_hand_eye_closure::HEC001, THRESHOLDS);
     let mut all = said("along", Unit::Metre, camera.translation_error_m, length.warning);
     all.extend(said("about", Unit::Radian, camera.rotation_error_rad, angle.warning));
     all

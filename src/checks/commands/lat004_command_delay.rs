@@ -1,5 +1,5 @@
 use crate::checks::decision::{Decision, Threshold, decide, unseen};
-use crate::checks::motion::mot003;
+use crate::checks::motion::mot003_limits_exceeded;
 use crate::checks::together::alike;
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{CommandDelay, Measured, NoDelay, Response};
@@ -102,7 +102,7 @@ fn judge_stream(case: &Case, arm: &ArmEvidence, reference: &Of<ReferenceEvidence
     if let Err(why) = &reference.diagnosis {
         return whole(Outcome::Skipped(why.clone()));
     }
-    if let Some(why) = mot003::doubt(arm).filter(|_| reference.is_of_joints) {
+    if let Some(why) = mot003_limits_exceeded::doubt(arm).filter(|_| reference.is_of_joints) {
         return whole(Outcome::Inconclusive(why));
     }
     if let Some(why) = goals(&reference.delays) {
