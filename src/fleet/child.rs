@@ -37,8 +37,7 @@ pub struct Limits {
 pub enum Order {
     /// Audit these logs.
     Audit(Vec<Job>),
-    /// Determine what the log at this path (in the system's byte encoding) shows about all logs of its
-    /// dataset.
+    /// Infer dataset-wide properties from the log at this path (in the system's byte encoding).
     Learn(Vec<u8>),
 }
 
@@ -61,7 +60,7 @@ enum Told {
     Begun(usize),
     /// Results of the first logs of the order, with their rows stored.
     Answers(Vec<Ended>),
-    /// What a log shows about its dataset.
+    /// Dataset-wide properties inferred from a log.
     Learnt(Option<Shared>),
     /// Why the rows could not be written.
     Fault(String),
@@ -137,7 +136,7 @@ impl Worker {
         }
     }
 
-    /// What the log at `path` shows about all logs of its dataset.
+    /// Dataset-wide properties inferred from the log at `path`.
     ///
     /// # Errors
     /// If the process ends without an answer.

@@ -56,7 +56,7 @@ pub fn asked(members: &[usize]) -> Vec<usize> {
     asked
 }
 
-/// What one log shows about all logs of its dataset.
+/// Dataset-wide properties inferred from one log.
 pub fn learnt(path: &Path, options: &Options) -> Option<Shared> {
     let options = Options { logs: vec![path.to_owned()], ..options.clone() };
     let from = SourceName::of(path).to_string();

@@ -268,7 +268,7 @@ impl Engine<'_> {
         Ok(Looked::Open(Box::new(Job { path, task, shared })))
     }
 
-    /// What the logs of a dataset have in common: determined once from a few of them, and stored.
+    /// Properties shared by all logs of a dataset: inferred once from a sample, and stored.
     fn shared(&self, path: &Path, worker: &mut Option<Worker>) -> Result<Option<Shared>, Trouble> {
         let group = dataset::group_of(path);
         if group.as_os_str().is_empty() {

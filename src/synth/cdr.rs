@@ -1,9 +1,9 @@
-//! Writes messages as ROS 2 puts them on the wire.
+//! Encodes messages in the ROS 2 wire format.
 
 use crate::time::{NANOS_PER_SECOND, Stamp};
 
-/// One message in CDR, little endian: every number stands at a multiple of its own size, counted
-/// from after the four bytes that name the encoding.
+/// One message in little-endian CDR. Numbers are aligned to their size, relative to the end of the
+/// four-byte encapsulation header.
 pub(super) struct CdrWriter(Vec<u8>);
 
 impl CdrWriter {
@@ -25,7 +25,7 @@ impl CdrWriter {
         self.aligned(value.to_le_bytes());
     }
 
-    /// Numbers of a fixed count, or the fields of a message, one after the other.
+    /// Array of fixed length, or consecutive fields of a message.
     pub(super) fn f64_array<const N: usize>(&mut self, values: [f64; N]) {
         for value in values {
             self.f64(value);
@@ -45,7 +45,7 @@ impl CdrWriter {
         self.0.push(0);
     }
 
-    /// The count that goes before the elements of a sequence.
+    /// Length of a sequence.
     pub(super) fn count(&mut self, count: usize) {
         self.u32(u32::try_from(count).expect("a message has fewer than 2^32 elements"));
     }
@@ -54,7 +54,7 @@ impl CdrWriter {
     pub(super) fn header(&mut self, stamp: Stamp, frame_id: &str) {
         let seconds = stamp.nanos().div_euclid(NANOS_PER_SECOND);
         let nanos = stamp.nanos().rem_euclid(NANOS_PER_SECOND);
-        // An int32, which ends in 2038.
+        // Seconds are an int32, which overflows in 2038.
         self.u32(i32::try_from(seconds).expect("stamps end in 2038").cast_unsigned());
         self.u32(u32::try_from(nanos).expect("fewer nanoseconds than a second has"));
         self.string(frame_id);

@@ -1,44 +1,44 @@
-//! Joints whose links are not where their encoders say: play, sag, eccentric gears, vibration.
+//! Joint compliance: backlash, sag, eccentric gears, vibration.
 
 use std::f64::consts::TAU;
 
 use super::motion::Trajectory;
 use crate::robot::Chain;
 
-/// A joint that gives: `q_true = q_reported + bend`. The pose stream and the IMU know where its link is,
-/// /tf follows the joint states.
+/// Joint compliance: `q_true = q_reported + bend`. The pose stream and the IMU use the true position, /tf
+/// the reported one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gives {
-    /// The joint, counted from the base.
+    /// Index of the joint, from the base.
     pub joint: usize,
-    /// How.
+    /// Kind of compliance.
     pub how: Giving,
-    /// How much, rad: the full play, the largest sag, the amplitude of the eccentricity or the vibration.
+    /// Size, rad: full backlash, maximum sag, or amplitude of eccentricity or vibration.
     pub by_rad: f64,
 }
 
-/// How a joint gives.
+/// Kind of joint compliance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Giving {
-    /// The link follows its encoder only when that has moved by the play.
+    /// Backlash: the link follows its encoder after the gap is crossed.
     Play,
-    /// The link goes through its play at once as the joint turns back: it is pushed.
+    /// Backlash of a loaded link: it crosses the gap at once when the joint reverses.
     PushedPlay,
-    /// The link hangs lower by as much as gravity turns at the joint.
+    /// Sag in proportion to the gravity torque.
     Sag,
-    /// So many times a turn of the joint.
+    /// Eccentricity with this number of periods per turn.
     Eccentric(u32),
-    /// So many times a second: the link vibrates.
+    /// Vibration of the link at this frequency, Hz.
     Vibrates(f64),
 }
 
-/// What the joints of a run give, over its time.
+/// Compliance of the joints over the run.
 pub(super) struct Bends {
     joints: Vec<(usize, Vec<f64>)>,
 }
 
 impl Bends {
-    /// Times between which is interpolated, s, and how long before the run they begin.
+    /// Sampling period for interpolation, s, and lead before the run, s.
     const STEP_S: f64 = 1e-3;
     const BEFORE_S: f64 = 1.0;
 
@@ -67,7 +67,7 @@ impl Bends {
                         .collect()
                 }
                 Giving::PushedPlay => {
-                    /// How long the link takes.
+                    /// Time in which the link crosses the gap.
                     const CROSSING_S: f64 = 0.05;
                     let most = gives.by_rad * Self::STEP_S / CROSSING_S;
                     let mut before = positions.first().map_or(0.0, |q| q[gives.joint]);
@@ -102,7 +102,7 @@ impl Bends {
         Self { joints: gives.iter().map(bend).collect() }
     }
 
-    /// Adds them to positions and velocities of the encoders.
+    /// Adds the compliance to positions and velocities of the encoders.
     pub(super) fn add(&self, time_s: f64, positions: &mut [f64], velocities: &mut [f64]) {
         for (joint, bends) in &self.joints {
             let at = ((time_s + Self::BEFORE_S) / Self::STEP_S).max(0.0);
@@ -114,8 +114,8 @@ impl Bends {
     }
 }
 
-/// The torque of gravity about a joint, N·m per g, of links of 4, 3, 2, 2, 1, 1 and 1 kg in the middle between
-/// their joints and of a tool of 1 kg: how their height falls as the joint turns.
+/// Gravity torque about a joint, N·m per g, from the change of height with the joint angle. Links of 4, 3,
+/// 2, 2, 1, 1 and 1 kg have their mass midway between the joints; the tool has 1 kg.
 fn torque(chain: &Chain, q: &[f64], joint: usize) -> f64 {
     const KG: [f64; 7] = [4.0, 3.0, 2.0, 2.0, 1.0, 1.0, 1.0];
     const STEP_RAD: f64 = 1e-5;

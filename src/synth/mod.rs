@@ -1,12 +1,11 @@
-//! Makes the logs of the demo and the tests: an arm in motion, its streams, and planted faults.
+//! Generates the logs of the demo and the tests: an arm in motion, its streams, and injected faults.
 //!
-//! A [`Scenario`] says what moves, what is recorded and what is wrong; [`Scenario::write_mcap`]
-//! writes the log as a ROS 2 recorder would. Faults are planted in the signs and names in which the
-//! audit reports them, so a finding can be compared with the field that planted it. Nothing here
-//! estimates anything.
+//! A [`Scenario`] defines the motion, the recorded streams and the faults; [`Scenario::write_mcap`] writes
+//! the log as a ROS 2 recorder would. Faults use the signs and names of the audit's reports, so a finding
+//! can be compared with the field that injected it. This module contains no estimators.
 //!
-//! The same scenario gives the same bytes. Motion and streams draw from random numbers of their
-//! own: a fault planted in one stream leaves the rest of the log as it was.
+//! The output is deterministic. Motion and streams have separate random sequences, so a fault in one stream
+//! does not change the rest of the log.
 
 mod cdr;
 mod gives;
@@ -48,38 +47,38 @@ pub use task::Task;
 use truth::Truth;
 pub use urdf::urdf_text;
 
-/// When a run starts unless its scenario says otherwise, on the recorder's clock.
+/// Default start of a run, on the recorder's clock.
 pub const START: Stamp = Stamp::from_nanos(1_780_000_000_000_000_000);
 
-/// The topic of the joint states.
+/// Topic of the joint states.
 pub const JOINT_STATES: &str = "/joint_states";
-/// The topic of the pose stream.
+/// Topic of the pose stream.
 pub const POSE: &str = "/tcp_pose_broadcaster/pose";
-/// The topic of the transforms that move.
+/// Topic of the moving transforms.
 pub const TF: &str = "/tf";
-/// The topic of tool poses as bare numbers.
+/// Topic of tool poses as bare numbers.
 pub const NUMBERS: &str = "/tool_pose";
-/// The topic of the transforms that do not.
+/// Topic of the static transforms.
 pub const TF_STATIC: &str = "/tf_static";
-/// The topic of the IMU.
+/// Topic of the IMU.
 pub const IMU: &str = "/imu/data";
-/// The topic of the target that a camera sees.
+/// Topic of the target seen by a camera.
 pub const TARGET: &str = "/camera/tag_pose";
-/// The topic of commanded poses that the arm follows.
+/// Topic of commanded poses.
 pub const COMMANDED_POSE: &str = "/cartesian_controller/commanded_pose";
-/// The topic of commanded joints that the arm follows.
+/// Topic of commanded joints.
 pub const COMMANDED_JOINTS: &str = "/joint_commands";
-/// The topic of goals.
+/// Topic of goals.
 pub const GOAL: &str = "/goal_pose";
-/// The topic of the arm's URDF.
+/// Topic of the arm's URDF.
 pub const ROBOT_DESCRIPTION: &str = "/robot_description";
 
-/// The frame of the IMU.
+/// Frame of the IMU.
 const IMU_FRAME: &str = "imu_link";
 
-/// One recorded run: an arm, how it moves, what is logged, and what is wrong with it.
+/// One recorded run: arm, motion, logged streams, and faults.
 ///
-/// A new scenario has noise and no fault; each fault is a field of the stream that shows it.
+/// A new scenario has noise but no faults. Each fault is a field of the stream that shows it.
 ///
 /// ```
 /// # use poseaudit::synth::Scenario;
@@ -93,103 +92,102 @@ const IMU_FRAME: &str = "imu_link";
 pub struct Scenario {
     /// The arm.
     pub robot: Robot,
-    /// The link that poses are in; its z axis points up.
+    /// Reference link of the poses; its z axis points up.
     pub base: String,
-    /// The link whose pose is logged, and which carries the IMU.
+    /// Link whose pose is logged; it carries the IMU.
     pub tip: String,
-    /// When it starts, on the recorder's clock.
+    /// Start time on the recorder's clock.
     pub start: Stamp,
     /// Length of the run, s.
     pub duration_s: f64,
     /// Seed of all random numbers.
     pub seed: u64,
-    /// How the arm moves.
+    /// Motion of the arm.
     pub motion: Motion,
-    /// Where the motion stays near, rad or m, one a joint from base to tip; joints beyond its end
-    /// are in the middle of their range.
+    /// Centre of the motion, rad or m, one value per joint from base to tip. Joints beyond the end of the
+    /// list use the middle of their range.
     pub home: Vec<f64>,
-    /// The largest distance of a joint from home, rad; a quarter of it in m where the joint slides.
+    /// Maximum distance of a joint from home, rad; a quarter in m for a prismatic joint.
     pub amplitude: f64,
-    /// The largest speed of a joint, rad/s; a quarter of it in m/s where the joint slides.
+    /// Maximum speed of a joint, rad/s; a quarter in m/s for a prismatic joint.
     pub speed: f64,
-    /// How much longer than usual the arm rests at every fourth of its postures, s.
+    /// Additional rest at every fourth configuration, s.
     pub pause_s: f64,
-    /// When the arm is stopped on its way, not to move again, and how hard.
+    /// Final stop during a motion, if any.
     pub stop: Option<Stop>,
-    /// What shakes, and how.
+    /// Oscillation of a joint, if any.
     pub shake: Option<Shake>,
-    /// The joints whose links are not where their encoders say.
+    /// Joints with compliance.
     pub gives: Vec<Gives>,
-    /// The noise of the streams.
+    /// Noise of the streams.
     pub noise: Noise,
-    /// The joint states.
+    /// Joint states.
     pub joints: JointStream,
-    /// The stream of tool poses.
+    /// Stream of tool poses.
     pub pose: PoseStream,
-    /// The transforms that move.
+    /// Moving transforms.
     pub tf: TfStream,
-    /// The IMU at the tip.
+    /// IMU at the tip.
     pub imu: ImuStream,
-    /// The target that a camera sees; there is none unless [`Scenario::watch`] is called.
+    /// Target seen by a camera; disabled unless [`Scenario::watch`] is called.
     pub target: TargetStream,
-    /// What the arm is told; nothing unless its rate is set.
+    /// Commands; disabled unless the rate is set.
     pub reference: ReferenceStream,
-    /// The hand that the arm follows; none unless its rate is set.
+    /// Hand that leads the arm; disabled unless the rate is set.
     pub leader: LeaderStream,
-    /// What the names of all topics but those of transforms begin with, such as `/left`.
+    /// Prefix of all topics except transforms, such as `/left`.
     pub namespace: String,
-    /// The link that the joint states and the transforms begin at, where that is above `base`: a rail, a
-    /// lift or a waist moves the base. `home`, offsets and orders count joints from it. The IMU knows
-    /// nothing of it.
+    /// First link of the joint states and transforms, if it is above `base`: a rail, a lift or a waist then
+    /// moves the base. `home`, offsets and orders count joints from it. Not included in the IMU's motion.
     pub root: Option<String>,
-    /// How the robot's root drives about. The IMU knows nothing of it.
+    /// Motion of the robot's root. Not included in the IMU's motion.
     pub drive: Option<Drive>,
-    /// Whether the arm's URDF is in the log.
+    /// Whether the log contains the arm's URDF.
     pub description: bool,
-    /// The arm as it was built, where that is not `robot`, its drawing: the same links and joints. The pose
-    /// stream, the target and the IMU know it; /tf and the description are of the drawing.
+    /// Actual arm, if it differs from the nominal model `robot`; with the same links and joints. The pose
+    /// stream, the target and the IMU use it; /tf and the description use the nominal model.
     pub built: Option<Robot>,
-    /// What is other from some moments on, s after the start, in their order: what streams say is then as of
-    /// this run. Motion, noise and stamps stay those of the first.
+    /// Changes within the run: times, s after the start, in order, and the scenario of the stream contents
+    /// from then on. Motion, noise and stamps do not change.
     pub later: Vec<(f64, Scenario)>,
 }
 
-/// A stop amid the motion.
+/// Stop during the motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stop {
-    /// It comes when a joint is fastest within 3 s after this time, s after the start.
+    /// The stop occurs when a joint is fastest within 3 s after this time, s after the start.
     pub after_s: f64,
-    /// How fast that joint comes to rest, rad/s², or m/s² where it slides.
+    /// Deceleration of that joint, rad/s², or m/s² for a prismatic joint.
     pub deceleration: f64,
 }
 
-/// A joint that shakes beside its motion.
+/// Oscillation of a joint in addition to its motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shake {
-    /// The joint, counted from the base.
+    /// Index of the joint, from the base.
     pub joint: usize,
-    /// The amplitude, rad or m.
+    /// Amplitude, rad or m.
     pub amplitude: f64,
-    /// The frequency, Hz.
+    /// Frequency, Hz.
     pub frequency_hz: f64,
 }
 
-/// Why a log could not be made.
+/// Error in the generation of a log.
 #[derive(Debug, thiserror::Error)]
 pub enum SynthError {
-    /// There is no chain from the scenario's base to its tip.
+    /// There is no chain from base to tip.
     #[error(transparent)]
     Chain(#[from] ChainError),
-    /// The log could not be written.
+    /// The log cannot be written.
     #[error("cannot write the log")]
     Write(#[from] McapError),
 }
 
-/// Positions and velocities of all joints at one time, rad and rad/s (m and m/s if a joint slides).
+/// Positions and velocities of all joints at one time, rad and rad/s (m and m/s for prismatic joints).
 pub type JointRow = (Vec<f64>, Vec<f64>);
 
 impl Scenario {
-    /// A run of `robot` without faults: 20 s of pick and place, all streams on.
+    /// Run of `robot` without faults: 20 s of pick and place with all streams.
     pub fn new(robot: Robot, base: &str, tip: &str) -> Self {
         Self {
             robot,
@@ -281,7 +279,7 @@ impl Scenario {
         }
     }
 
-    /// A run of the catalogue's UR5e without faults, about the posture that it is parked in.
+    /// Run of the catalogue's UR5e without faults, about a typical configuration.
     pub fn ur5e() -> Self {
         use std::f64::consts::FRAC_PI_2;
         let robot = catalogue::find("ur5e").expect("the catalogue has the ur5e").clone();
@@ -289,15 +287,14 @@ impl Scenario {
         Self { home, ..Self::new(robot, "base", "tool0") }
     }
 
-    /// Writes the run as an MCAP file, its chunks compressed or not; `out` is flushed.
+    /// Writes the run as an MCAP file with optional chunk compression, and flushes `out`.
     ///
     /// # Errors
-    /// Where `base` and `tip` are no two links with a chain between them, or `out` cannot be
-    /// written.
+    /// If there is no chain between `base` and `tip`, or `out` cannot be written.
     ///
     /// # Panics
-    /// Where `motion` or `shake` names a joint that the chain does not have, or `number_order` is no order of
-    /// its joints.
+    /// If `motion` or `shake` refers to a joint that is not in the chain, or `number_order` is not a
+    /// permutation of its joints.
     pub fn write_mcap(
         &self,
         out: impl Write + Seek,
@@ -306,7 +303,7 @@ impl Scenario {
         write(std::slice::from_ref(self), out, compression)
     }
 
-    /// Positions and velocities of the joints, where their links are, at times after the start, s.
+    /// True positions and velocities of the joints at times after the start, s.
     ///
     /// # Errors
     /// If there is no chain from `base` to `tip`.
@@ -315,13 +312,13 @@ impl Scenario {
         Ok(times_s.iter().map(|&time_s| truth.joints(time_s)).collect())
     }
 
-    /// The run that says what streams are `time_s` after the start.
+    /// Scenario in effect `time_s` after the start.
     fn at(&self, time_s: f64) -> &Scenario {
         let begun = self.later.partition_point(|(from_s, _)| *from_s <= time_s);
         begun.checked_sub(1).map_or(self, |last| &self.later[last].1)
     }
 
-    /// The name of a topic in the log.
+    /// Name of a topic in the log.
     fn name_of(&self, topic: Topic) -> String {
         let own = match (topic, &self.joints.apart) {
             (Topic::Leader, _) => &self.leader.topic,
@@ -335,7 +332,7 @@ impl Scenario {
     }
 }
 
-/// Writes the runs of some arms as one file.
+/// Writes the runs of several arms as one file.
 fn write(
     arms: &[Scenario],
     out: impl Write + Seek,
@@ -354,9 +351,9 @@ fn write(
         let said = said.into_iter().flatten();
         messages.extend(said.map(|message| (arm.name_of(message.topic), message)));
     }
-    // Of several arms at one moment, the first one's come first.
+    // The sort is stable: for simultaneous messages, the first arm comes first.
     messages.sort_by_key(|(_, message)| (message.received, message.topic));
-    // Compressing on other threads would cut the data elsewhere on other machines.
+    // Multithreaded compression would split the data differently on other machines.
     let options = WriteOptions::new()
         .profile("ros2")
         .library("poseaudit")
@@ -390,9 +387,9 @@ fn add_channel<W: Write + Seek>(
     writer.add_channel(schema, name, "cdr", &BTreeMap::new())
 }
 
-/// The demo's run: 20 s of a UR5e with four faults at once.
+/// Run of the demo: 20 s of a UR5e with four faults.
 ///
-/// The tool pose's rotation vector was read as roll, pitch and yaw; the tool pose is 22 ms late; the
+/// The tool pose's rotation vector was interpreted as roll, pitch and yaw; the tool pose is 22 ms late; the
 /// zero of shoulder_lift_joint is off by 0.5°; the IMU's yaw drifts by 3 °/min.
 pub fn demo() -> Scenario {
     let mut run = Scenario::ur5e();

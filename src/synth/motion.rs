@@ -1,4 +1,4 @@
-//! Where the joints are at every moment: smooth, within limits, no faster than an arm.
+//! Joint trajectories: smooth, within limits, at realistic speeds.
 
 use std::f64::consts::{PI, TAU};
 
@@ -12,51 +12,51 @@ use super::task::Task;
 use crate::geometry::Pose;
 use crate::robot::{Chain, JointKind, Limits};
 
-/// How the arm moves.
+/// Motion of the arm.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Motion {
-    /// From one random posture to the next, with a rest of 0.15 to 0.5 s at each.
+    /// Between random configurations, with a rest of 0.15 to 0.5 s at each.
     PickAndPlace,
-    /// All joints at once and without rest, each to its own rhythm.
+    /// All joints move continuously, at different frequencies.
     Continuous,
-    /// As [`Motion::Continuous`], but the same over and over.
+    /// As [`Motion::Continuous`], but periodic.
     Periodic {
-        /// After how long the motion repeats, s.
+        /// Period, s.
         period_s: f64,
     },
-    /// As [`Motion::PickAndPlace`], but only of one joint, counted from the base.
+    /// As [`Motion::PickAndPlace`], but with a single moving joint, counted from the base.
     OneJoint(usize),
-    /// From one pose of the tip to the next along straight lines, with a rest of 0.6 to 0.9 s at each.
+    /// Straight tip lines between poses, with a rest of 0.6 to 0.9 s at each.
     Lines(Lines),
-    /// A task of the tip.
+    /// Task of the tip.
     Task(Task),
-    /// The elbow of an arm with seven joints swings while the tip stays.
+    /// Elbow swing of a seven-joint arm with the tip at rest.
     ElbowSwing,
-    /// Between three random postures, over and over, as in machine tending.
+    /// Cycles through three random configurations, as in machine tending.
     Tending,
-    /// One joint after the other, there and back.
+    /// Joints move one after the other, forth and back.
     OneByOne,
-    /// Not at all.
+    /// No motion.
     AtRest,
 }
 
-/// The part of a joint's range and speed limit that the motion keeps to.
+/// Share of a joint's range and speed limit used by the motion.
 const COMFORT: f64 = 0.9;
-/// How far a sliding joint goes where a turning one would turn by a radian, m.
+/// Travel of a prismatic joint equivalent to a radian of a revolute joint, m.
 const METRES_PER_RADIAN: f64 = 0.25;
 
 /// Joint positions over time, with two continuous derivatives.
 #[derive(Debug, Clone)]
 pub(super) enum Trajectory {
-    /// From knot to knot; at rest before the first and after the last.
+    /// Between knots; at rest before the first and after the last.
     Knots(Vec<Knot>),
-    /// About a home position, one sum of sines a joint.
+    /// Sum of sines per joint about a home position.
     Sines { home: Vec<f64>, sines: Vec<[Sine; 2]> },
     /// Along lines of the tip.
     Path(Path),
 }
 
-/// A posture in which the arm stands still for at least a moment.
+/// Configuration in a rest of the arm, possibly of zero duration.
 #[derive(Debug, Clone)]
 pub(super) struct Knot {
     time_s: f64,
@@ -71,7 +71,7 @@ pub(super) struct Sine {
     phase_rad: f64,
 }
 
-/// Where one joint may go, rad and rad/s or m and m/s.
+/// Motion range of one joint, rad and rad/s or m and m/s.
 #[derive(Debug, Clone, Copy)]
 struct Room {
     home: f64,
@@ -139,16 +139,16 @@ impl Trajectory {
         }
     }
 
-    /// From posture to posture, of which `next` makes one after the other from their count so far.
+    /// Motion between configurations from `next`, which receives the number of previous ones.
     fn knots(
         scenario: &Scenario,
         rooms: &[Room],
         mut next: impl FnMut(&mut Pcg64, &[Room], usize) -> Vec<f64>,
     ) -> Self {
-        /// Peak speed of a blend over its mean speed.
+        /// Ratio of peak to mean speed of a blend.
         const PEAK: f64 = 1.875;
-        /// Its peak acceleration over distance by time squared, and the most that is no abrupt stop,
-        /// rad/s².
+        /// Peak acceleration of a blend, relative to distance over time squared, and the maximum for normal
+        /// motion, rad/s².
         const BEND: f64 = 5.774;
         const GENTLE: f64 = 18.0;
         let mut random = random(scenario.seed, Purpose::Motion);
@@ -173,7 +173,7 @@ impl Trajectory {
         Self::Knots(knots)
     }
 
-    /// Sums of sines of which `rates_hz` gives each joint its two rates.
+    /// Sums of sines with two frequencies per joint from `rates_hz`.
     fn sines(
         scenario: &Scenario,
         rooms: &[Room],
@@ -205,7 +205,7 @@ impl Trajectory {
                 match (next.checked_sub(1).map(|last| &knots[last]), knots.get(next)) {
                     (Some(from), Some(to)) => between(from, to, time_s),
                     (Some(knot), None) | (None, Some(knot)) => at_rest(knot),
-                    (None, None) => unreachable!("a trajectory has a knot"),
+                    (None, None) => unreachable!("a trajectory has at least one knot"),
                 }
             }
             Self::Sines { home, sines } => home
@@ -223,7 +223,7 @@ impl Trajectory {
         }
     }
 
-    /// `base_from_tip` as it is commanded, where that is another thing than what the joints do.
+    /// Commanded `base_from_tip`, if it differs from the motion of the joints.
     pub(super) fn commanded(&self, time_s: f64) -> Option<Pose> {
         match self {
             Self::Path(path) => Some(path.commanded(time_s)),
@@ -231,7 +231,7 @@ impl Trajectory {
         }
     }
 
-    /// When the arm comes to rest, and when it leaves, s.
+    /// Arrival and departure times of the rests, s.
     pub(super) fn rests(&self) -> Vec<(f64, f64)> {
         match self {
             Self::Knots(knots) => {
@@ -244,7 +244,7 @@ impl Trajectory {
     }
 }
 
-/// A random posture.
+/// Random configuration.
 fn anywhere(random: &mut Pcg64, rooms: &[Room], _count: usize) -> Vec<f64> {
     let joint = |room: &Room| room.home + room.amplitude * random.random_range(-1.0..=1.0);
     rooms.iter().map(joint).collect()
@@ -254,7 +254,7 @@ fn at_rest(knot: &Knot) -> (Vec<f64>, Vec<f64>) {
     (knot.q.clone(), vec![0.0; knot.q.len()])
 }
 
-/// A quintic blend, which starts and ends without speed or acceleration.
+/// Quintic blend with zero velocity and acceleration at both ends.
 fn between(from: &Knot, to: &Knot, time_s: f64) -> (Vec<f64>, Vec<f64>) {
     let length_s = to.time_s - from.time_s;
     let u = (time_s - from.time_s) / length_s;

@@ -1,4 +1,4 @@
-//! Random numbers: one independent sequence for each use.
+//! Random numbers, with one independent sequence per use.
 
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -9,34 +9,33 @@ use crate::geometry::{Rotation, Vec3, rotation_from_rotvec};
 /// Standard deviations of the streams' noise.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Noise {
-    /// Of the joint positions in the joint states and behind /tf, rad or m.
+    /// Joint positions, in the joint states and for /tf, rad or m.
     pub joints: f64,
-    /// Of the tool's position in each direction, m.
+    /// Tool position per axis, m.
     pub pose_m: f64,
-    /// Of the tool's rotation about each axis, rad.
+    /// Tool rotation per axis, rad.
     pub pose_rad: f64,
-    /// Of the IMU's orientation about each axis, rad.
+    /// IMU orientation per axis, rad.
     pub imu_rad: f64,
-    /// Of the gyro, rad/s.
+    /// Gyro, rad/s.
     pub gyro_rad_s: f64,
-    /// Of the accelerometer, m/s².
+    /// Accelerometer, m/s².
     pub accel_m_s2: f64,
-    /// Of the target's position in the camera in each direction, m.
+    /// Target position in the camera per axis, m.
     pub target_m: f64,
-    /// Of its rotation about each axis, rad.
+    /// Target rotation per axis, rad.
     pub target_rad: f64,
-    /// Correlation of each sample with the one before, from 0 (white) to below 1.
+    /// Correlation of consecutive samples, from 0 (white) to below 1.
     pub correlation: f64,
-    /// Density of a random walk of the tool's position in each direction, m/√s, and of its rotation about each
-    /// axis, rad/√s.
+    /// Density of a random walk of the tool's position, m/√s, and rotation, rad/√s, per axis.
     pub pose_walk: (f64, f64),
-    /// From which distance on, m, the noise of the target and of the tool's pose grows, as that of a camera
-    /// does: with the square of the distance from the frame that they are in; 0 where it does not.
+    /// Distance, m, beyond which the noise of target and tool pose grows with the squared distance from
+    /// their frame, as for a camera; 0 for constant noise.
     pub far_m: f64,
 }
 
 impl Noise {
-    /// None at all.
+    /// No noise.
     pub const NONE: Self = Self {
         joints: 0.0,
         pose_m: 0.0,
@@ -51,14 +50,14 @@ impl Noise {
         far_m: 0.0,
     };
 
-    /// What noise is multiplied by at a distance from what sees it.
+    /// Noise factor at a distance from the sensor.
     pub(super) fn at_distance(&self, distance_m: f64) -> f64 {
         if self.far_m > 0.0 { (distance_m / self.far_m).powi(2).max(1.0) } else { 1.0 }
     }
 }
 
 impl Default for Noise {
-    /// White, of the size that encoders and a good IMU have.
+    /// White noise of typical encoders and a good IMU.
     fn default() -> Self {
         Self {
             joints: 2e-5,
@@ -76,7 +75,7 @@ impl Default for Noise {
     }
 }
 
-/// What random numbers are for; each has a sequence of its own.
+/// Uses of random numbers, each with a separate sequence.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Purpose {
     Motion,
@@ -99,12 +98,12 @@ pub(super) enum Purpose {
     PoseWalk,
 }
 
-/// The random numbers of `purpose`.
+/// Random numbers for `purpose`.
 pub(super) fn random(seed: u64, purpose: Purpose) -> Pcg64 {
     Pcg64::seed_from_u64(seed.rotate_left(8) ^ purpose as u64)
 }
 
-/// Noise of unit variance in some components, white or coloured over time (AR(1)).
+/// Unit-variance noise with several components, white or AR(1).
 pub(super) struct UnitNoise {
     random: Pcg64,
     correlation: f64,
@@ -117,7 +116,7 @@ impl UnitNoise {
         Self { random, correlation, last }
     }
 
-    /// The next sample, one number a component.
+    /// Next sample, one value per component.
     pub(super) fn next(&mut self) -> &[f64] {
         let fresh = (1.0 - self.correlation * self.correlation).sqrt();
         for value in &mut self.last {
@@ -128,14 +127,14 @@ impl UnitNoise {
     }
 }
 
-/// Adds noise of a standard deviation to values.
+/// Adds noise with standard deviation `sigma` to `values`.
 pub(super) fn add_noise(values: &mut [f64], unit_noise: &[f64], sigma: f64) {
     for (value, noise) in values.iter_mut().zip(unit_noise) {
         *value += sigma * noise;
     }
 }
 
-/// A rotation of a standard deviation about each axis, rad.
+/// Random rotation with standard deviation `sigma_rad` about each axis, rad.
 pub(super) fn small_rotation(unit_noise: &[f64], sigma_rad: f64) -> Rotation {
     rotation_from_rotvec(sigma_rad * Vec3::from_column_slice(unit_noise))
 }

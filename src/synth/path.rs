@@ -1,4 +1,4 @@
-//! Straight lines from pose to pose, and the joints that go along them.
+//! Straight tip paths and the corresponding joint motion.
 
 use std::f64::consts::TAU;
 
@@ -13,31 +13,30 @@ use crate::geometry::{
 };
 use crate::robot::Chain;
 
-/// How an arm goes along straight lines.
+/// Motion along straight lines.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Lines {
-    /// By how much the tip leaves each line in its middle, m; the command does not.
+    /// Deviation of the tip from each line at its middle, m; not included in the command.
     pub bow_m: f64,
-    /// What is interpolated component by component from end to end, where it is no slerp; the command
-    /// has it, and the arm follows.
+    /// Quantity interpolated instead of a slerp, in the command and in the motion.
     pub turned_by: Option<Convention>,
 }
 
-/// The shortest time from stop to stop, s.
+/// Minimum time between stops, s.
 const LEAST_S: f64 = 0.5;
-/// Time between samples of the joints, s.
+/// Sampling period of the joints, s.
 const STEP_S: f64 = 0.004;
 
-/// A path of straight lines, with a rest at each end.
+/// Path of straight lines with a rest at each end.
 #[derive(Debug, Clone)]
 pub(super) struct Path {
     lines: Lines,
     stops: Vec<Stop>,
-    /// Joint positions every [`STEP_S`] from one step before the start.
+    /// Joint positions every [`STEP_S`], starting one step before the run.
     q: Vec<Vec<f64>>,
 }
 
-/// A pose in which the arm stands still.
+/// Pose of the arm at a rest.
 #[derive(Debug, Clone)]
 struct Stop {
     arrive_s: f64,
@@ -46,9 +45,9 @@ struct Stop {
 }
 
 impl Path {
-    /// Random lines about the pose that the arm has at `home`.
+    /// Random lines about the pose at `home`.
     pub(super) fn new(scenario: &Scenario, lines: Lines, chain: &Chain, home: &[f64]) -> Self {
-        /// How far from home the ends are, m along each axis, and how far they are turned, rad.
+        /// Maximum offset of the ends from home, m along each axis, and maximum rotation, rad.
         const ROOM: (f64, f64) = (0.12, 0.45);
         const SPEED_M_S: f64 = 0.2;
         let mut random = random(scenario.seed, Purpose::Motion);
@@ -68,7 +67,7 @@ impl Path {
         Self::through(scenario, lines, stops, chain, home)
     }
 
-    /// The path of a task about the pose that the arm has at `home`, as slow as its joints need it.
+    /// Path of a task about the pose at `home`, slowed down to satisfy the joint limits.
     pub(super) fn of_task(scenario: &Scenario, task: Task, chain: &Chain, home: &[f64]) -> Self {
         const ROUNDS: usize = 3;
         let base_from_home = chain.forward(home);
@@ -96,10 +95,10 @@ impl Path {
         path
     }
 
-    /// The elbow of an arm with seven joints swings while the tip stays: a motion in the null space of the
-    /// Jacobian (Siciliano et al., *Robotics*, §3.5).
+    /// Elbow swing of a seven-joint arm with the tip at rest: motion in the null space of the Jacobian
+    /// (Siciliano et al., *Robotics*, §3.5).
     pub(super) fn elbow_swing(scenario: &Scenario, chain: &Chain, home: &[f64]) -> Self {
-        /// Largest speed in the null space, rad/s, and frequency of the swing, Hz.
+        /// Maximum speed in the null space, rad/s, and frequency, Hz.
         const SWING: (f64, f64) = (0.35, 0.12);
         let mut stops = Vec::new();
         stop(&mut stops, chain.forward(home), 1.0, scenario.duration_s);
@@ -140,9 +139,9 @@ impl Path {
         path
     }
 
-    /// By which factor the motion must be slower to keep to the joints' speeds and to gentle accelerations.
+    /// Slow-down factor required by joint speeds and moderate accelerations.
     fn haste(&self, scenario: &Scenario, chain: &Chain) -> f64 {
-        /// Part of the speed limits, and the largest acceleration, rad/s² or m/s².
+        /// Share of the speed limits used, and maximum acceleration, rad/s² or m/s².
         const COMFORT: f64 = 0.9;
         const GENTLE: f64 = 12.0;
         let mut haste = 0.0_f64;
@@ -159,7 +158,7 @@ impl Path {
         haste
     }
 
-    /// Number of samples of the joints.
+    /// Number of joint samples.
     fn count(scenario: &Scenario) -> usize {
         (scenario.duration_s / STEP_S).ceil() as usize + 4
     }
@@ -168,12 +167,12 @@ impl Path {
         (step as f64 - 1.0) * STEP_S
     }
 
-    /// When the arm comes to rest, and when it leaves.
+    /// Arrival and departure times of the rests.
     pub(super) fn rests(&self) -> Vec<(f64, f64)> {
         self.stops.iter().map(|stop| (stop.arrive_s, stop.leave_s)).collect()
     }
 
-    /// `base_from_tip` as commanded.
+    /// Commanded `base_from_tip`.
     pub(super) fn commanded(&self, time_s: f64) -> Pose {
         self.pose_at(time_s, 0.0)
     }
@@ -198,7 +197,7 @@ impl Path {
         match self.lines.turned_by {
             None => a * rotation_from_rotvec(rotvec_from_rotation(&(a.inverse() * b)) * part),
             Some(convention) => {
-                // The shorter way about each axis, as a planner takes that knows of whole turns.
+                // Uses the shorter way about each axis, as a planner that unwraps angles.
                 let by = |by: f64| by - TAU * (by / TAU).round();
                 let (a, b) = (convention.numbers(&a), convention.numbers(&b));
                 convention.rotation(std::array::from_fn(|at| a[at] + part * by(b[at] - a[at])))
@@ -229,9 +228,9 @@ impl Path {
     }
 }
 
-/// Adds a stop after the last and returns when the arm leaves it, s.
+/// Appends a stop and returns its departure time, s.
 fn stop(stops: &mut Vec<Stop>, pose: Pose, speed_m_s: f64, rest_s: f64) -> f64 {
-    /// Mean angular speed on the way, rad/s.
+    /// Mean angular speed between stops, rad/s.
     const SPEED_RAD_S: f64 = 0.8;
     let on_the_way_s = stops.last().map_or(0.0, |last| {
         let far_m = (pose.translation.vector - last.pose.translation.vector).norm();
@@ -244,8 +243,8 @@ fn stop(stops: &mut Vec<Stop>, pose: Pose, speed_m_s: f64, rest_s: f64) -> f64 {
     leave_s
 }
 
-/// Moves `q` to where the tip is at `pose`: damped least squares on the geometric Jacobian (Siciliano et
-/// al., *Robotics*, §3.7), from a start that is near.
+/// Inverse kinematics for `pose` from a nearby start `q`: damped least squares on the geometric Jacobian
+/// (Siciliano et al., *Robotics*, §3.7).
 fn follow(chain: &Chain, pose: &Pose, q: &mut [f64]) {
     const DAMPING: f64 = 1e-10;
     const ROUNDS: usize = 30;

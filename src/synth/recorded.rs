@@ -1,200 +1,198 @@
-//! What each stream of a run records, when, and what is wrong with it.
+//! Streams of a run: content, timing and faults.
 
 use nalgebra::Matrix3;
 
 use super::structure::{Fold, SecondPublisher, ToolSlip};
 use crate::geometry::{Convention, Misreading, Pose, QuaternionSlip, Vec3};
 
-/// When the messages of a stream are made, stamped and received.
+/// Timing of a stream's messages.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Timing {
-    /// Messages a second; 0 leaves the stream out.
+    /// Message rate, Hz; 0 disables the stream.
     pub rate_hz: f64,
-    /// When the content of the first message is true, s after the start.
+    /// Time at which the content of the first message is true, s after the start.
     pub phase_s: f64,
-    /// Latency, s: what is stamped *t* was true at *t − latency*. With a skew, the value at mid-run.
+    /// Latency, s: content stamped *t* was true at *t − latency*. With a skew, the value at mid-run.
     pub latency_s: f64,
-    /// By how much the latency grows with each second of stamp, s/s.
+    /// Growth of the latency with the stamp, s/s.
     pub skew: f64,
-    /// The clock of the stamps minus the recorder's, s, beyond latency and skew.
+    /// Offset of the stamps' clock from the recorder's, s, in addition to latency and skew.
     pub clock_offset_s: f64,
-    /// Whether header stamps are set; they are zero where not.
+    /// Whether header stamps are set; otherwise they are zero.
     pub stamped: bool,
-    /// How often the content is new; between these moments it is repeated under new stamps. 0: always.
+    /// Rate of new content, Hz; it is repeated in between under new stamps. 0: always new.
     pub new_hz: f64,
-    /// When the clock of the stamps steps, s after the start, and by how much, s.
+    /// Step of the stamps' clock: time, s after the start, and size, s.
     pub step: Option<(f64, f64)>,
-    /// From when to when what is sent becomes older, s after the start, and by how much, s: at once where both
-    /// are the same.
+    /// Latency ramp of the content: start and end, s after the start, and size, s. A step if both times are
+    /// equal.
     pub ages: Option<(f64, f64, f64)>,
-    /// From when to when nothing is recorded, s after the start.
+    /// Gap in the recording: start and end, s after the start.
     pub gap_s: Option<(f64, f64)>,
 }
 
-/// The joint states.
+/// Joint states.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JointStream {
-    /// Its times.
+    /// Timing.
     pub timing: Timing,
     /// Whether velocities are logged.
     pub with_velocity: bool,
-    /// How late the velocities are against the positions beside them, s.
+    /// Delay of the velocities relative to the positions, s.
     pub velocity_late_s: f64,
-    /// What each joint's velocities alone are multiplied by; those of joints beyond its end by 1.
+    /// Scale of each joint's velocities only; 1 beyond the end of the list.
     pub velocity_scales: Vec<f64>,
-    /// `q_true − q_reported`, rad or m, one a joint from base to tip; joints beyond its end have
-    /// none. The pose stream and the IMU know the truth, /tf follows the joint states.
+    /// `q_true − q_reported`, rad or m, one per joint from base to tip; zero beyond the end of the list.
+    /// The pose stream and the IMU use the true positions, /tf the reported ones.
     pub zero_offsets: Vec<f64>,
-    /// What each joint's positions and velocities are multiplied by before they are reported, after
-    /// their offset; joints beyond its end by 1. /tf believes them.
+    /// Scale of each joint's reported positions and velocities, applied after the offset; 1 beyond the end
+    /// of the list. /tf uses the scaled values.
     pub scales: Vec<f64>,
-    /// Whether the numbers are degrees. /tf takes them for radians, as a state publisher does.
+    /// Whether values are degrees. /tf interprets them as radians, as a state publisher does.
     pub in_degrees: bool,
-    /// The joints in the order that the numbers are in, each counted from the base, where that is
-    /// not the order of the names. /tf believes the names.
+    /// Order of the values as joint indices from the base, if it differs from the order of the names. /tf
+    /// uses the names.
     pub number_order: Option<Vec<usize>>,
-    /// Whether endless joints are brought back into one turn.
+    /// Wrapping of continuous joints into one turn.
     pub fold: Option<Fold>,
-    /// The step of the encoders, rad or m; 0 where they have none.
+    /// Resolution of the encoders, rad or m; 0 for none.
     pub quantum: f64,
-    /// The topic of these joints alone, counted from the root.
+    /// Joints, counted from the root, published on a separate topic.
     pub apart: Option<(Vec<usize>, String)>,
-    /// From when to when the stream goes on saying what it said first, s from the start.
+    /// Interval with frozen values, s from the start.
     pub stuck_s: Option<(f64, f64)>,
 }
 
-/// The stream of tool poses.
+/// Stream of tool poses.
 ///
-/// Its rows are `reference_from_stream⁻¹ · base_from_tip · tip_from_stream`, then grown, then coded.
+/// The content is `reference_from_stream⁻¹ · base_from_tip · tip_from_stream`, then scaled radially, then
+/// encoded.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PoseStream {
-    /// Its times.
+    /// Timing.
     pub timing: Timing,
-    /// The frame that the messages name.
+    /// Frame of the messages.
     pub frame_id: String,
-    /// Pose of the frame that the numbers are in, in the base.
+    /// Pose of the actual reference frame in the base.
     pub reference_from_stream: Pose,
-    /// Pose of the frame that the numbers are of, in the tip.
+    /// Pose of the actual tool frame in the tip.
     pub tip_from_stream: Pose,
-    /// Scale of the logged over the true position, minus 1.
+    /// Radial scale minus 1: logged over true position.
     pub growth: f64,
-    /// What became of the pose on its way into the log.
+    /// Encoding of the logged pose.
     pub coding: Coding,
-    /// Whether it was inverted as a whole before that.
+    /// Whether the whole pose is inverted before encoding.
     pub inverted: bool,
     /// Whether positions are in mm.
     pub in_millimetres: bool,
-    /// What positions are multiplied by beside that: 100 where they are cm.
+    /// Additional factor of the positions: 100 for cm.
     pub times: f64,
-    /// The axes that the numbers are in, seen from the right ones; mirrored where the determinant is −1.
+    /// Axes of the numbers relative to the right ones; mirrored if the determinant is −1.
     pub axes: Option<Matrix3<f64>>,
-    /// A coordinate that never changes, and what it says, m.
+    /// Constant coordinate: index and value, m.
     pub constant: Option<(usize, f64)>,
-    /// What stands where the quaternion should, where nobody sets it: x, y, z, w.
+    /// Placeholder for a quaternion that is never set: x, y, z, w.
     pub unset: Option<[f64; 4]>,
-    /// When the tool is elsewhere.
+    /// Temporary slip of the tool.
     pub slip: Option<ToolSlip>,
-    /// Scale of the quaternions: 1 where they are of unit norm.
+    /// Norm of the quaternions.
     pub quaternion_norm: f64,
-    /// Where this says how, the poses are on [`NUMBERS`](super::NUMBERS) instead: six bare numbers, position in m and
-    /// rotation in this convention, rad. Such a message has no stamp and no frame.
+    /// If set, the poses are published on [`NUMBERS`](super::NUMBERS) as six bare numbers: position in m
+    /// and rotation in this convention, rad. The message has neither stamp nor frame.
     pub as_numbers: Option<Convention>,
-    /// Whether the three numbers of such a rotation are degrees.
+    /// Whether the three rotation numbers are in degrees.
     pub numbers_in_degrees: bool,
-    /// Samples by their number from 0, and how far off each is, m.
+    /// Outliers: sample index and offset, m.
     pub strays: Vec<(usize, Vec3)>,
-    /// From when to when the stream goes on saying what it said first, s from the start.
+    /// Interval with frozen values, s from the start.
     pub stuck_s: Option<(f64, f64)>,
 }
 
-/// The transforms of the arm's joints, as a state publisher computes them from the joint states, and
-/// the fixed ones.
+/// Transforms of the arm's joints, as computed by a state publisher from the joint states, and static
+/// transforms.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TfStream {
-    /// Its times. Rate and phase of the joint states, or a fraction of that rate, give it stamps
-    /// that are copies of theirs.
+    /// Timing. With the rate (or a fraction of it) and phase of the joint states, the stamps are copies of
+    /// theirs.
     pub timing: Timing,
-    /// What became of the transforms on their way into the log.
+    /// Encoding of the logged transforms.
     pub coding: Coding,
-    /// Whether /tf_static is there.
+    /// Whether /tf_static is present.
     pub with_static: bool,
-    /// A second program that publishes them.
+    /// Second publisher of the same transforms.
     pub second: Option<SecondPublisher>,
-    /// Transforms in /tf_static beside the arm's own.
+    /// Additional transforms in /tf_static.
     pub others: Vec<OtherTransform>,
 }
 
-/// A transform that is none of the arm's own.
+/// Transform that does not belong to the arm.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OtherTransform {
-    /// The frame above.
+    /// Parent frame.
     pub parent: String,
-    /// The frame below.
+    /// Child frame.
     pub child: String,
     /// Pose of the child in the parent.
     pub parent_from_child: Pose,
 }
 
-/// The IMU at the tip: gyro, accelerometer and an orientation in a world of its own yaw.
+/// IMU at the tip: gyro, accelerometer, and orientation in a world frame with arbitrary yaw.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ImuStream {
-    /// Its times.
+    /// Timing.
     pub timing: Timing,
-    /// `tip_from_imu` as /tf_static has it.
+    /// `tip_from_imu` in /tf_static.
     pub tip_from_imu: Pose,
-    /// How the IMU is truly mounted: `imu_as_published_from_imu`.
+    /// True mount relative to the published one: `imu_as_published_from_imu`.
     pub mount_error: Pose,
-    /// Whether the orientation is logged; where not, its covariance says so (REP 145).
+    /// Whether the orientation is logged; otherwise its covariance marks it as absent (REP 145).
     pub with_orientation: bool,
-    /// Yaw of the base in the IMU's world at the start, rad. No fault.
+    /// Yaw of the base in the IMU's world at the start, rad. Not a fault.
     pub world_yaw_rad: f64,
-    /// By how much the logged yaw runs ahead of the true one, rad/s about the base's z axis.
+    /// Drift of the logged yaw, rad/s about the base's z axis.
     pub yaw_drift_rad_s: f64,
-    /// When the logged yaw jumps, s after the start, and by how much, rad.
+    /// Jumps of the logged yaw: time, s after the start, and size, rad.
     pub yaw_jumps: Vec<(f64, f64)>,
     /// Density of a random walk of the logged yaw, rad/√s.
     pub yaw_walk_rad_rt_s: f64,
-    /// Bias of the gyro in its own frame, rad/s.
+    /// Gyro bias in the sensor frame, rad/s.
     pub gyro_bias_rad_s: Vec3,
-    /// What the gyro makes of true rates before the bias: 1 on the diagonal where the scale is right,
-    /// 0 beside it where the axes are square.
+    /// Matrix from true rates to gyro rates before the bias: scale on the diagonal, misalignment off it.
     pub gyro_from_rate: Matrix3<f64>,
-    /// What the gyro reads beside that at the start, rad/s in its own frame, and the time constant with which it
-    /// settles, s.
+    /// Decaying part of the gyro bias: initial value, rad/s in the sensor frame, and time constant, s.
     pub gyro_warms_up: Option<(Vec3, f64)>,
-    /// By how much the logged yaw runs ahead of the true one in the end, rad, and the time constant with which
-    /// it gets there, s.
+    /// Decaying drift of the logged yaw: final error, rad, and time constant, s.
     pub yaw_warms_up: Option<(f64, f64)>,
-    /// By how much the logged yaw is ahead, rad, as a sine of the heading of the IMU's x axis and as one of
-    /// twice that, each with its phase, rad: hard and soft iron.
+    /// Heading-dependent error of the logged yaw (hard and soft iron): amplitude and phase, rad, of the
+    /// first and second harmonic of the heading of the IMU's x axis.
     pub yaw_by_heading: [(f64, f64); 2],
-    /// What rates are multiplied by before they are logged: 180/π where they are °/s.
+    /// Scale of the logged rates: 180/π for °/s.
     pub gyro_times: f64,
-    /// What specific forces are multiplied by before they are logged: 1/9.80665 where they are in g.
+    /// Scale of the logged specific force: 1/9.80665 for g.
     pub force_times: f64,
-    /// What became of the orientation on its way into the log.
+    /// Encoding of the logged orientation.
     pub coding: Coding,
 }
 
-/// What became of a pose on its way into the log.
+/// Encoding of a logged pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Coding {
-    /// Nothing.
+    /// Correct.
     #[default]
     Faithful,
-    /// The rotation was shown as three numbers and these were read otherwise.
+    /// The rotation was converted to three numbers, which were interpreted in another convention.
     Misread(Misreading),
-    /// The quaternion's components were taken in the wrong order.
+    /// The quaternion components were used in the wrong order.
     Slipped(QuaternionSlip),
-    /// The rotation was transposed, the position left.
+    /// The rotation is transposed, the position is not.
     Transposed,
-    /// The whole pose was inverted.
+    /// The whole pose is inverted.
     Inverted,
 }
 
 impl Timing {
-    /// `rate_hz` messages a second from `phase_s` after the start on, in time and on the recorder's
-    /// clock.
+    /// Regular messages at `rate_hz` from `phase_s` after the start, on the recorder's clock and without
+    /// latency.
     pub fn every(rate_hz: f64, phase_s: f64) -> Self {
         Self {
             rate_hz,

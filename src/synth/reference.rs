@@ -1,4 +1,4 @@
-//! What the arm is told: poses or joints as a stream, or a goal before each motion.
+//! Commands to the arm: streams of poses or joints, or a goal before each motion.
 
 use super::messages::{self, Topic};
 use super::noise::Purpose;
@@ -7,37 +7,34 @@ use super::truth::Truth;
 use super::{Coding, Scenario, Timing};
 use crate::geometry::Pose;
 
-/// How commands are given.
+/// Kind of commands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Commands {
-    /// Poses of the tip, as a stream that the arm follows.
+    /// Stream of tip poses.
     Poses,
-    /// The pose of the next rest, once, before the arm leaves for it.
+    /// Pose of the next rest, sent once before the motion starts.
     Goals,
-    /// Positions of the joints, as a stream that the arm follows.
+    /// Stream of joint positions.
     Joints,
 }
 
-/// The stream of commands.
-///
-/// Of a motion along lines it has the lines themselves, else what the arm does.
+/// Stream of commands: the exact lines for a motion along lines, otherwise the arm's motion.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReferenceStream {
-    /// Its times; any rate turns goals on. A negative latency is how far the commands are ahead.
+    /// Timing; any rate enables goals. A negative latency means that commands lead the arm.
     pub timing: Timing,
-    /// What is commanded.
+    /// Kind of commands.
     pub commands: Commands,
-    /// The frame that commanded poses name.
+    /// Frame of commanded poses.
     pub frame_id: String,
-    /// `q_commanded − q_true`, rad or m, one a joint from base to tip: by how much each joint stays
-    /// short of what it is told; those beyond its end do not.
+    /// `q_commanded − q_true`, rad or m, per joint from base to tip; zero beyond the end of the list.
     pub short_by: Vec<f64>,
-    /// Pose of the commanded point, in the tip.
+    /// Pose of the commanded point in the tip.
     pub tip_from_commanded: Pose,
 }
 
 impl ReferenceStream {
-    /// No commands.
+    /// Disabled commands.
     pub(super) fn none(base: &str) -> Self {
         Self {
             timing: Timing::every(0.0, 0.0029),
@@ -48,7 +45,7 @@ impl ReferenceStream {
         }
     }
 
-    /// True joint positions as they were commanded.
+    /// Commanded joint positions for the true motion.
     fn joints(&self, truth: &Truth, time_s: f64) -> Vec<f64> {
         let (mut q, _) = truth.encoders(time_s);
         q.iter_mut().zip(&self.short_by).for_each(|(q, short)| *q += short);
@@ -79,7 +76,7 @@ impl ReferenceStream {
     }
 }
 
-/// The commands.
+/// Messages with the commands.
 pub(super) fn commands(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let stream = &scenario.reference;
     if stream.timing.rate_hz <= 0.0 {
@@ -93,7 +90,7 @@ pub(super) fn commands(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
         };
         return ticks.map(message).collect();
     }
-    // Each goal comes a little before the arm leaves for it.
+    // Each goal is sent shortly before the motion starts.
     let goals = truth.rests();
     let ways = goals.windows(2).filter(|pair| pair[0].1 < scenario.duration_s);
     ways.map(|pair| {

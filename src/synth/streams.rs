@@ -1,4 +1,4 @@
-//! What each stream says of the truth, and when.
+//! Messages of each stream, computed from the true motion.
 
 use rand::RngExt;
 
@@ -18,12 +18,12 @@ use crate::time::Stamp;
 /// One message of the log.
 pub(super) struct Message {
     pub(super) topic: Topic,
-    /// When the recorder has it.
+    /// Receive time of the recorder.
     pub(super) received: Stamp,
     pub(super) cdr: Vec<u8>,
 }
 
-/// What is said of the arm itself.
+/// Messages about the arm itself.
 pub(super) fn messages(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let mut messages = latched(scenario);
     messages.extend(joint_states(scenario, truth));
@@ -33,7 +33,7 @@ pub(super) fn messages(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     messages
 }
 
-/// What is said once: the fixed transforms and the arm's description.
+/// Latched messages: static transforms and the description.
 fn latched(scenario: &Scenario) -> Vec<Message> {
     let robot = &scenario.robot;
     let fixed = robot.joints().iter().filter(|joint| joint.kind == JointKind::Fixed);
@@ -188,7 +188,7 @@ fn transforms(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     messages
 }
 
-/// The transforms of one program, of which that of one joint may be `moved`.
+/// Transforms of one publisher. One joint's transform may be offset by `moved`.
 fn published(
     scenario: &Scenario,
     truth: &Truth,
@@ -277,13 +277,13 @@ fn imu_samples(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
         .collect()
 }
 
-/// One moment of a stream.
+/// One sample of a stream.
 pub(super) struct Tick {
-    /// When its content is true, s after the start.
+    /// Time at which its content is true, s after the start.
     pub(super) time_s: f64,
-    /// Whether that content was not in the message before.
+    /// Whether the content is new.
     pub(super) is_new: bool,
-    /// What its header says.
+    /// Header stamp.
     pub(super) stamp: Stamp,
     received: Stamp,
 }
@@ -295,8 +295,7 @@ impl Tick {
 }
 
 impl Scenario {
-    /// The moments of a stream; messages are received 0.1 to 2 ms after their content was true, and
-    /// none before the one sent ahead of it.
+    /// Samples of a stream. Messages are received in order, 0.1 to 2 ms after their content was true.
     pub(super) fn ticks(&self, timing: &Timing, transport: Purpose) -> impl Iterator<Item = Tick> {
         const TRANSPORT_S: std::ops::Range<f64> = 0.1e-3..2e-3;
         let mut random = random(self.seed, transport);
@@ -313,7 +312,7 @@ impl Scenario {
             if new_hz <= 0.0 {
                 return (sent_s, Tick { time_s: sent_s - age_s, is_new: true, stamp, received });
             }
-            // A hair more than a rounding error, so that whole numbers of periods stay whole.
+            // The offset exceeds rounding errors, so integer multiples of the period stay exact.
             let number = ((sent_s - phase_s) * new_hz + 1e-9).floor();
             let is_new = held.replace(number) != Some(number);
             (sent_s, Tick { time_s: phase_s + number / new_hz - age_s, is_new, stamp, received })
@@ -323,7 +322,7 @@ impl Scenario {
         ticks.filter(move |(sent_s, _)| is_kept(sent_s)).map(|(_, tick)| tick)
     }
 
-    /// A single moment of a stream, received 1 ms later.
+    /// A single sample, received 1 ms later.
     pub(super) fn moment(&self, timing: &Timing, time_s: f64) -> Tick {
         const TRANSPORT_S: f64 = 1e-3;
         let stamp = timing.stamp(self.start, time_s, self.duration_s / 2.0);
@@ -337,7 +336,7 @@ impl Scenario {
 }
 
 impl Timing {
-    /// By how much older than at first is what is sent, s.
+    /// Increase of the content's age since the start, s.
     fn age_s(&self, sent_s: f64) -> f64 {
         let Some((from_s, to_s, by_s)) = self.ages else { return 0.0 };
         match sent_s {
@@ -347,8 +346,8 @@ impl Timing {
         }
     }
 
-    /// The stamp of what is true `time_s` after `start`: the solution of
-    /// `time = stamp − latency − skew · (stamp − middle)`.
+    /// Stamp of content that is true `time_s` after `start`: the solution of `time = stamp − latency − skew
+    /// · (stamp − middle)`.
     fn stamp(&self, start: Stamp, time_s: f64, middle_s: f64) -> Stamp {
         if !self.stamped {
             return Stamp::default();
@@ -361,7 +360,7 @@ impl Timing {
 }
 
 impl JointStream {
-    /// The numbers that are logged for true `positions` of joints of these `kinds`.
+    /// Logged values for true `positions` of joints of these `kinds`.
     fn reported_positions(&self, positions: &[f64], kinds: &[JointKind]) -> Vec<f64> {
         let offsets = self.zero_offsets.iter().copied().chain(std::iter::repeat(0.0));
         let said = positions.iter().zip(offsets).zip(kinds).enumerate();
@@ -378,7 +377,7 @@ impl JointStream {
         self.reported(&said)
     }
 
-    /// The numbers that are logged for true `velocities`; none where none are.
+    /// Logged values for true `velocities`; empty if velocities are not logged.
     fn reported_velocities(&self, velocities: &[f64]) -> Vec<f64> {
         if !self.with_velocity {
             return Vec::new();
@@ -393,13 +392,13 @@ impl JointStream {
         self.scales.get(joint).copied().unwrap_or(1.0)
     }
 
-    /// The same numbers in the order and unit of the log.
+    /// Values in the order and unit of the log.
     fn reported(&self, numbers: &[f64]) -> Vec<f64> {
         let unit = if self.in_degrees { 1_f64.to_degrees() } else { 1.0 };
         let in_unit = |at: usize| unit * numbers[at];
         match &self.number_order {
             Some(order) if !numbers.is_empty() => {
-                assert_eq!(order.len(), numbers.len(), "an order of all joints");
+                assert_eq!(order.len(), numbers.len(), "must be an order of all joints");
                 order.iter().map(|&at| in_unit(at)).collect()
             }
             _ => (0..numbers.len()).map(in_unit).collect(),
@@ -408,11 +407,11 @@ impl JointStream {
 }
 
 impl PoseStream {
-    /// `pose` in the axes that the numbers are in.
+    /// Converts `pose` to the axes of the stream.
     fn in_axes(&self, pose: &Pose) -> Pose {
         let Some(axes) = self.axes else { return *pose };
         let xyz = axes * pose.translation.vector;
-        // A mirror on both sides leaves a rotation one.
+        // Mirroring on both sides preserves rotations.
         let turned = axes * pose.rotation.to_rotation_matrix().matrix() * axes.transpose();
         let rows = [0, 1, 2].map(|row| [0, 1, 2].map(|column| turned[(row, column)]));
         let rotation = rotation_from_matrix_rows(rows).map_or(pose.rotation, |(turn, _)| turn);
@@ -421,7 +420,7 @@ impl PoseStream {
 }
 
 impl ImuStream {
-    /// Yaw of the base in the IMU's world as logged, without its random walk.
+    /// Logged yaw of the base in the IMU's world, without its random walk.
     fn yaw_rad(&self, time_s: f64) -> f64 {
         let jumped = self.yaw_jumps.iter().filter(|(at_s, _)| time_s > *at_s);
         self.world_yaw_rad
@@ -430,13 +429,13 @@ impl ImuStream {
             + jumped.map(|(_, size_rad)| size_rad).sum::<f64>()
     }
 
-    /// By how much the logged yaw is ahead at a heading.
+    /// Heading-dependent error of the logged yaw.
     fn yaw_off_rad(&self, heading_rad: f64) -> f64 {
         let [once, twice] = self.yaw_by_heading;
         once.0 * (heading_rad + once.1).sin() + twice.0 * (2.0 * heading_rad + twice.1).sin()
     }
 
-    /// What the gyro reads of no rate at all.
+    /// Gyro bias at a time.
     fn bias_rad_s(&self, time_s: f64) -> Vec3 {
         let settling = self.gyro_warms_up.map(|(by, tau_s)| by * (-time_s / tau_s).exp());
         self.gyro_bias_rad_s + settling.unwrap_or_default()
@@ -444,7 +443,7 @@ impl ImuStream {
 }
 
 impl Coding {
-    /// The numbers that are logged for `pose`.
+    /// Logged numbers for `pose`.
     pub(super) fn logged(self, pose: &Pose) -> LoggedPose {
         let (pose, xyzw) = match self {
             Self::Faithful => (*pose, xyzw_from_rotation(&pose.rotation)),
@@ -453,7 +452,7 @@ impl Coding {
                 (*pose, xyzw_from_rotation(&misread))
             }
             Self::Slipped(slip) => {
-                // What undoes one slip is what makes the other.
+                // The inverse of one slip is the other.
                 let other = match slip {
                     QuaternionSlip::WxyzReadAsXyzw => QuaternionSlip::XyzwReadAsWxyz,
                     QuaternionSlip::XyzwReadAsWxyz => QuaternionSlip::WxyzReadAsXyzw,
@@ -482,7 +481,7 @@ fn logged_transform<'a>(
     }
 }
 
-/// What a joint does at `position`, rad or m.
+/// Transform of a joint at `position`, rad or m.
 fn motion(joint: &Joint, position: f64) -> Pose {
     let along = joint.axis * position;
     match joint.kind {

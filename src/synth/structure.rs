@@ -1,5 +1,5 @@
-//! How a cell's log is put together beyond one arm with its streams: what moves the arm's base, second
-//! publishers, values that are held, hand trackers that lead, several arms in one log.
+//! Structure of a cell's log beyond one arm: moving bases, second publishers, wrapped joints, leading
+//! hands, several arms in one log.
 
 use std::f64::consts::{PI, TAU};
 use std::io::{Seek, Write};
@@ -14,21 +14,21 @@ use super::{Coding, Scenario, SynthError, Timing, write};
 use crate::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
 use crate::robot::JointKind;
 
-/// A base that drives about, and what /tf says of it.
+/// Moving base, and its transform on /tf.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Drive {
-    /// The frame that stands still; poses of a stream in it are those of the driven arm.
+    /// Fixed frame; a stream in this frame contains the poses of the moving arm.
     pub frame_id: String,
-    /// How far the base goes from where it starts, m.
+    /// Maximum distance of the base from its start, m.
     pub reach_m: f64,
-    /// How far it turns to either side, rad.
+    /// Maximum rotation to either side, rad.
     pub turn_rad: f64,
-    /// When the transform from that frame to the robot's root is published; a rate of 0 leaves it out.
+    /// Timing of the transform from that frame to the robot's root; a rate of 0 omits it.
     pub edge: Timing,
 }
 
 impl Drive {
-    /// Where the robot's root is, in the frame that stands still.
+    /// Pose of the robot's root in the fixed frame.
     pub(super) fn at(&self, time_s: f64) -> Pose {
         const PERIODS_S: [f64; 3] = [17.0, 23.0, 13.0];
         let [x, y, turn] = PERIODS_S.map(|period_s| (TAU * time_s / period_s).sin());
@@ -37,34 +37,34 @@ impl Drive {
     }
 }
 
-/// A second program that publishes the arm's transforms.
+/// Second publisher of the arm's transforms.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SecondPublisher {
-    /// Its times; those of the first give it the same stamps.
+    /// Timing; with that of the first publisher, the stamps are equal.
     pub timing: Timing,
-    /// By how much its transform of one joint, counted from the root, is another one.
+    /// Offset of its transform of one joint, counted from the root.
     pub moved: Option<(usize, Pose)>,
 }
 
-/// Poses that somebody gives by hand, and that the arm follows: no measurement of the arm.
+/// Poses of a hand that the arm follows; not a measurement of the arm.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LeaderStream {
-    /// Its times; a rate of 0 leaves it out.
+    /// Timing; a rate of 0 disables the stream.
     pub timing: Timing,
-    /// The topic that it is on.
+    /// Topic.
     pub topic: String,
-    /// The frame that it is in, which nothing ties to the arm.
+    /// Frame, not connected to the arm.
     pub frame_id: String,
-    /// By how much it is ahead of the arm, s.
+    /// Lead over the arm, s.
     pub lead_s: f64,
-    /// Where that frame's origin is seen from: `frame_from_base`.
+    /// Pose of the base in that frame: `frame_from_base`.
     pub frame_from_base: Pose,
-    /// The hand in the tip.
+    /// Pose of the hand in the tip.
     pub tip_from_hand: Pose,
 }
 
 impl LeaderStream {
-    /// None.
+    /// Disabled stream.
     pub(super) fn none() -> Self {
         Self {
             timing: Timing::every(0.0, 0.0053),
@@ -77,7 +77,7 @@ impl LeaderStream {
     }
 }
 
-/// How positions of joints without an end are brought back into one turn.
+/// Wrapping of continuous joints into one turn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fold {
     /// Into −π to π.
@@ -87,7 +87,7 @@ pub enum Fold {
 }
 
 impl Fold {
-    /// A position of a joint of that kind, in one turn where it has no end.
+    /// Wraps the position of a continuous joint; other joints are unchanged.
     pub(super) fn folded(self, q: f64, kind: JointKind) -> f64 {
         match (self, kind) {
             (Self::PlusMinusPi, JointKind::Continuous) => (q + PI).rem_euclid(TAU) - PI,
@@ -97,18 +97,18 @@ impl Fold {
     }
 }
 
-/// A tool that is elsewhere for a while.
+/// Temporary displacement of the tool.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ToolSlip {
-    /// From when, s after the start.
+    /// Start, s after the start of the run.
     pub from_s: f64,
-    /// Until when.
+    /// End, s after the start of the run.
     pub to_s: f64,
-    /// Where the tool is meanwhile, seen from where it was.
+    /// Displacement, relative to the original tool.
     pub tool_from_slipped: Pose,
 }
 
-/// What the leader's hand does.
+/// Messages of the leading hand.
 pub(super) fn hand(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let stream = &scenario.leader;
     let mut noise = scenario.unit_noise(Purpose::LeaderNoise, 6);
@@ -127,7 +127,7 @@ pub(super) fn hand(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
         .collect()
 }
 
-/// Where /tf says that the base drives.
+/// Messages with the base transform on /tf.
 pub(super) fn driving(scenario: &Scenario) -> Vec<Message> {
     let Some(drive) = &scenario.drive else { return Vec::new() };
     let root = scenario.robot.link_name(scenario.robot.root());
@@ -144,7 +144,7 @@ pub(super) fn driving(scenario: &Scenario) -> Vec<Message> {
         .collect()
 }
 
-/// Writes the runs of several arms as one MCAP file; each names its own topics and frames.
+/// Writes the runs of several arms as one MCAP file. Topics and frames must be distinct.
 ///
 /// # Errors
 /// As [`Scenario::write_mcap`].

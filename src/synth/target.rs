@@ -1,4 +1,4 @@
-//! A target that a camera sees: in the hand, looking at it, or fixed and looking at the hand.
+//! Target seen by a camera, in the hand or fixed.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -9,60 +9,60 @@ use super::truth::Truth;
 use super::{Coding, Scenario, SynthError, Timing};
 use crate::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotation_from_rpy};
 
-/// Where the camera is.
+/// Mounting of the camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Camera {
-    /// At the tip; the target is fixed in the base.
+    /// At the tip, with the target fixed in the base.
     InHand,
-    /// Fixed in the base; the target is at the tip.
+    /// Fixed in the base, with the target at the tip.
     InBase,
 }
 
-/// What of a target's poses is in body axes (x forward, z up) though the camera's are optical
-/// (z forward, x right).
+/// Part of a target's poses given in body axes (x forward, z up) although the camera's axes are optical (z
+/// forward, x right).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Swapped {
-    /// Nothing.
+    /// None.
     Nothing,
-    /// The whole pose.
+    /// Whole pose.
     Whole,
-    /// The position.
+    /// Position.
     Position,
 }
 
-/// The stream of a target's poses in a camera.
+/// Stream of target poses in a camera.
 ///
-/// Its rows are `camera_from_target`, then swapped, then coded.
+/// The content is `camera_from_target`, then swapped, then encoded.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TargetStream {
-    /// Its times.
+    /// Timing.
     pub timing: Timing,
-    /// The frame that the messages name.
+    /// Frame of the messages.
     pub frame_id: String,
-    /// Where the camera is.
+    /// Mounting of the camera.
     pub camera: Camera,
-    /// `tip_from_camera` or `base_from_camera`, as /tf_static has it.
+    /// `tip_from_camera` or `base_from_camera` in /tf_static.
     pub mount: Pose,
-    /// How the camera is truly mounted: `camera_as_published_from_camera`.
+    /// True mount relative to the published one: `camera_as_published_from_camera`.
     pub mount_error: Pose,
-    /// Whether /tf_static has the camera.
+    /// Whether /tf_static contains the camera.
     pub with_frame: bool,
     /// `base_from_target` or `tip_from_target`.
     pub target: Pose,
-    /// When the target slips, s after the start, and what moves it then: `target_from_slipped`.
+    /// Slip of the target: time, s after the start, and `target_from_slipped`.
     pub slip: Option<(f64, Pose)>,
-    /// Logged over true distances, as of a target of another size.
+    /// Ratio of logged to true distances, as with a wrong target size.
     pub scale: f64,
-    /// What is in other axes.
+    /// Part in other axes.
     pub swapped: Swapped,
-    /// What became of the pose on its way into the log.
+    /// Encoding of the logged pose.
     pub coding: Coding,
-    /// The frame of the target where it is a transform on /tf, and no topic of its own.
+    /// Frame of the target if it is published on /tf instead of a separate topic.
     pub in_tf: Option<String>,
 }
 
 impl TargetStream {
-    /// No target.
+    /// Disabled target.
     pub(super) fn none() -> Self {
         Self {
             timing: Timing::every(0.0, 0.0047),
@@ -101,7 +101,7 @@ impl TargetStream {
         }
     }
 
-    /// The link that carries the camera.
+    /// Link that carries the camera.
     fn carrier<'a>(&self, scenario: &'a Scenario) -> &'a str {
         match self.camera {
             Camera::InHand => &scenario.tip,
@@ -109,7 +109,7 @@ impl TargetStream {
         }
     }
 
-    /// The transform of the camera's frame, where /tf_static has it.
+    /// Transform of the camera frame, if /tf_static contains it.
     pub(super) fn frame<'a>(&'a self, scenario: &'a Scenario) -> Option<LoggedTransform<'a>> {
         (self.timing.rate_hz > 0.0 && self.with_frame).then(|| LoggedTransform {
             parent: self.carrier(scenario),
@@ -120,11 +120,10 @@ impl TargetStream {
 }
 
 impl Scenario {
-    /// Adds a camera and a target in the middle of its view while the arm is at home, seen 30 times
-    /// a second.
+    /// Adds a camera with a target at the centre of its view for an arm at home, at 30 Hz.
     ///
     /// # Errors
-    /// Where `base` and `tip` are no two links with a chain between them.
+    /// If there is no chain between `base` and `tip`.
     pub fn watch(&mut self, camera: Camera) -> Result<(), SynthError> {
         let truth = Truth::new(self)?;
         let mut home = self.home.clone();
@@ -150,7 +149,7 @@ impl Scenario {
     }
 }
 
-/// The target's poses.
+/// Messages with the target's poses.
 pub(super) fn sightings(scenario: &Scenario, truth: &Truth) -> Vec<Message> {
     let stream = &scenario.target;
     let mut noise = scenario.unit_noise(Purpose::TargetNoise, 6);

@@ -1,53 +1,53 @@
-//! Industrial motions: the poses that an arm goes through in a task.
+//! Industrial tasks as sequences of tip poses.
 
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
 use crate::geometry::{Pose, Vec3, rotation_from_rotvec};
 
-/// A task whose path is made of straight lines of the tip. Most of them keep the tool's z axis fixed or turn it
-/// about one axis only, as real cells do.
+/// Task with straight tip paths. As in real cells, most tasks keep the tool's z axis fixed or rotate it
+/// about one axis only.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Task {
-    /// Tool-down picking and placing, turned about the vertical.
+    /// Tool-down picking and placing with rotation about the vertical.
     Picking,
-    /// Picks at one place and fills a grid, without turning.
+    /// Picks at one place and fills a grid, without rotation.
     Palletising,
     /// Slow seams with a weave, at a constant tilt.
     Welding,
     /// Parallel strokes, tilted at their ends.
     Spraying,
-    /// Descends at the corners of a rectangle and turns about the tool's z axis there.
+    /// Descends at the corners of a rectangle and rotates about the tool's z axis there.
     Screwdriving,
-    /// Picks in tilted postures and places in one.
+    /// Picks in tilted configurations and places in one.
     BinPicking,
-    /// Small moves in all directions, as an operator makes them.
+    /// Small moves in all directions, as in manual teleoperation.
     Teleoperation,
-    /// Small corrections of position and angle, as a visual servo makes them.
+    /// Small corrections of position and angle, as in visual servoing.
     Servoing,
-    /// Follows a belt, picks on the way and places beside it.
+    /// Follows a belt, picks while moving, and places to the side.
     Conveyor,
     /// Pulls and pushes along one line.
     Drawer,
-    /// Tilts about a point and rests, as for a hand-eye calibration.
+    /// Tilts about a point and rests, as for hand-eye calibration.
     Calibration,
 }
 
-/// The way to one stop, relative to the pose at home.
+/// Motion to one stop, relative to the home pose.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Leg {
     /// Position in the base, m.
     shift_m: Vec3,
-    /// Rotation vector in the tool's frame, rad.
+    /// Rotation vector in the tool frame, rad.
     turn_rad: Vec3,
-    /// Mean speed on the way, m/s.
+    /// Mean speed, m/s.
     pub(super) speed_m_s: f64,
-    /// Rest at its end, s.
+    /// Rest at the end, s.
     pub(super) rest_s: f64,
 }
 
 impl Leg {
-    /// The stop of an arm whose tip is at `base_from_home` at home.
+    /// Pose of the stop, for a tip at `base_from_home` at home.
     pub(super) fn stop(&self, base_from_home: &Pose) -> Pose {
         let rotation = base_from_home.rotation * rotation_from_rotvec(self.turn_rad);
         Pose::from_parts((base_from_home.translation.vector + self.shift_m).into(), rotation)
@@ -61,7 +61,7 @@ fn go(legs: &mut Vec<Leg>, shift_m: Vec3, turn_rad: Vec3, speed_m_s: f64, rest_s
     legs.push(Leg { shift_m, turn_rad, speed_m_s, rest_s });
 }
 
-/// Descends to a place, rests there and goes up again.
+/// Descends to a place, rests there and retracts.
 fn visit(legs: &mut Vec<Leg>, speed_m_s: f64, at_m: Vec3, turn_rad: Vec3, rest_s: f64) {
     go(legs, at_m + LIFT, turn_rad, speed_m_s, 0.0);
     go(legs, at_m, turn_rad, 0.5 * speed_m_s, rest_s);
@@ -71,7 +71,7 @@ fn visit(legs: &mut Vec<Leg>, speed_m_s: f64, at_m: Vec3, turn_rad: Vec3, rest_s
 impl Task {
     /// At least `count` legs.
     pub(super) fn legs(self, random: &mut Pcg64, count: usize) -> Vec<Leg> {
-        /// Half of the width of the workspace, m.
+        /// Half the width of the workspace, m.
         const WIDTH_M: f64 = 0.1;
         let mut legs: Vec<Leg> = Vec::new();
         let level = |random: &mut Pcg64, size: f64| {
@@ -82,7 +82,7 @@ impl Task {
         let across = Vec3::new(-along.y, along.x, 0.0);
         let tilt = random.random_range(0.1..0.4) * Vec3::x();
         let speed_m_s = random.random_range(0.1..0.25);
-        // Half of the picking cells turn the part.
+        // Half of the picking cells rotate the part.
         let yaw_rad = if random.random_bool(0.5) { 0.6 } else { 1e-9 };
         let (start, level_turn) = (Vec3::zeros(), Vec3::zeros());
         go(&mut legs, start, if self == Task::Welding { tilt } else { level_turn }, 0.1, 0.4);

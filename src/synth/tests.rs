@@ -1,4 +1,4 @@
-//! What is in a log, against the truth that it was made of.
+//! Compares generated logs with the true motion.
 
 mod lately;
 mod motion;
@@ -14,7 +14,7 @@ use crate::geometry::{
 };
 use crate::time::seconds;
 
-/// Reads what [`cdr::CdrWriter`] writes.
+/// Decodes the output of [`cdr::CdrWriter`].
 struct CdrReader<'a> {
     body: &'a [u8],
     at: usize,
@@ -51,7 +51,7 @@ impl<'a> CdrReader<'a> {
         String::from_utf8(text.to_vec()).unwrap()
     }
 
-    /// The stamp, s after the start, and the frame.
+    /// Stamp, s after the start, and frame.
     fn header(&mut self) -> (f64, String) {
         let nanos = i64::from(self.u32()) * 1_000_000_000 + i64::from(self.u32());
         (seconds(nanos - START.nanos()), self.string())
@@ -142,7 +142,7 @@ impl Log {
     }
 }
 
-/// A run without noise, 4 s long and not too dense.
+/// A 4 s run without noise and with low rates.
 fn quiet_run() -> Scenario {
     let mut run = Scenario { duration_s: 4.0, noise: Noise::NONE, ..Scenario::ur5e() };
     run.joints.timing.rate_hz = 25.0;
@@ -303,7 +303,7 @@ fn what_is_reported_and_the_zero_offset_make_the_truth() {
     for (stamp_s, logged) in log.poses() {
         assert_same(&logged, &truth.base_from_tip(stamp_s));
     }
-    // /tf believes the joint states.
+    // /tf uses the joint states.
     for tf in log.transforms(TF).iter().filter(|tf| tf.child == "forearm_link") {
         let angle = rotvec_from_rotation(&tf.parent_from_child.rotation).z;
         let (q_true, _) = truth.joints(tf.stamp_s);

@@ -1,4 +1,4 @@
-//! What is really the case while the log is recorded.
+//! True motion during the recording.
 
 use std::f64::consts::TAU;
 
@@ -11,11 +11,11 @@ use crate::robot::Chain;
 /// Gravity, m/s².
 pub(super) const GRAVITY: f64 = 9.80665;
 
-/// The true motion of a scenario's arm; times are seconds after the start.
+/// True motion of a scenario's arm; times are seconds after the start.
 pub(super) struct Truth {
     /// From the root to the tip.
     pub(super) chain: Chain,
-    /// From the root to the base, where joints lie between them.
+    /// From the root to the base, if there are joints between them.
     above: Option<Chain>,
     /// From the robot's first link to the tip.
     whole: Chain,
@@ -25,16 +25,16 @@ pub(super) struct Truth {
     bends: Bends,
 }
 
-/// A stop on the way that the arm takes.
+/// Stop along the path.
 struct Brake {
-    /// When it begins, s.
+    /// Start, s.
     from_s: f64,
-    /// How long it takes, s.
+    /// Duration, s.
     length_s: f64,
 }
 
 impl Brake {
-    /// The stop of a motion at the moment of its greatest speed within 3 s after the time given.
+    /// Stop at the time of the highest speed within 3 s after the given time.
     fn new(stop: &Stop, trajectory: &Trajectory) -> Self {
         const STEPS: u32 = 3000;
         let speed = |time_s: f64| {
@@ -47,7 +47,7 @@ impl Brake {
         Self { from_s, length_s: speed / stop.deceleration }
     }
 
-    /// How far along its way the arm is at a time, s, and how fast it goes on there.
+    /// Path parameter (time along the original motion, s) and its rate at a time, s.
     fn along(&self, time_s: f64) -> (f64, f64) {
         let since_s = time_s - self.from_s;
         if since_s <= 0.0 {
@@ -77,14 +77,14 @@ impl Truth {
         Ok(Self { chain, above, whole, trajectory, brake, shake, bends })
     }
 
-    /// Positions and velocities of the joints, where their links are.
+    /// True positions and velocities of the joints, including compliance.
     pub(super) fn joints(&self, time_s: f64) -> (Vec<f64>, Vec<f64>) {
         let (mut positions, mut velocities) = self.encoders(time_s);
         self.bends.add(time_s, &mut positions, &mut velocities);
         (positions, velocities)
     }
 
-    /// Positions and velocities of the joints by their encoders.
+    /// Positions and velocities of the encoders.
     pub(super) fn encoders(&self, time_s: f64) -> (Vec<f64>, Vec<f64>) {
         let unbraked = || (time_s, 1.0);
         let (along_s, rate) =
@@ -99,12 +99,12 @@ impl Truth {
         (positions, velocities)
     }
 
-    /// `base_from_tip` as it is commanded, of a motion along lines.
+    /// Commanded `base_from_tip`, for motion along lines.
     pub(super) fn commanded(&self, time_s: f64) -> Option<Pose> {
         self.trajectory.commanded(time_s)
     }
 
-    /// When the arm comes to rest, and when it leaves, s.
+    /// Arrival and departure times of the rests, s.
     pub(super) fn rests(&self) -> Vec<(f64, f64)> {
         self.trajectory.rests()
     }
@@ -118,12 +118,12 @@ impl Truth {
         }
     }
 
-    /// The tip in the robot's first link, which is what a drive carries.
+    /// Tip pose in the robot's first link, which moves with the base.
     pub(super) fn first_from_tip(&self, time_s: f64) -> Pose {
         self.whole.forward(&self.joints(time_s).0)
     }
 
-    /// The angular velocity of the tip in the base, rad/s.
+    /// Angular velocity of the tip in the base, rad/s.
     pub(super) fn angular_velocity(&self, time_s: f64) -> Vec3 {
         let (q, q_dot) = self.joints(time_s);
         let mut jacobian = vec![[0.0; 6]; self.chain.dof()];
@@ -135,9 +135,9 @@ impl Truth {
             .sum()
     }
 
-    /// The acceleration in the base of the origin of a frame fixed to the tip, m/s².
+    /// Acceleration in the base of the origin of a frame fixed to the tip, m/s².
     pub(super) fn acceleration(&self, time_s: f64, tip_from_frame: &Pose) -> Vec3 {
-        // Good to some 1e-5 m/s², from the step's square and the rounding of positions.
+        // Accurate to about 1e-5 m/s², limited by the step size and rounding.
         const STEP_S: f64 = 1e-3;
         let [before, now, after] = [-STEP_S, 0.0, STEP_S].map(|step_s| {
             (self.base_from_tip(time_s + step_s) * tip_from_frame).translation.vector

@@ -16,12 +16,12 @@ const SINES: std::ops::RangeInclusive<usize> = 5..=18;
 /// Rest at either end, s, and its maximum share of the time. Some estimates need samples at rest.
 const REST_S: f64 = 2.0;
 const REST_SHARE: f64 = 0.05;
-/// Number of rows at which a motion is evaluated.
+/// Number of evaluation rows of a motion.
 const ROWS: usize = 160;
-/// Rate at which the clearance is checked: during the search, and for the result.
+/// Rate of the clearance checks, Hz: during the search, and for the result.
 const LOOKED_HZ: f64 = 10.0;
 const HELD_HZ: f64 = 50.0;
-/// Number of random initial motions. The median of them serves as a baseline.
+/// Number of random initial motions. Their median serves as a baseline.
 const DRAWS: usize = 15;
 /// Number of search steps.
 const STEPS: usize = 1500;

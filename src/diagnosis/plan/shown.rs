@@ -19,7 +19,7 @@ use std::f64::consts::PI;
 
 /// Half-width of a 95 % interval in standard deviations.
 const HALF: f64 = 1.959_963_985;
-/// Number of configurations over the workspace at which a calibrated model is evaluated.
+/// Number of configurations over the workspace for the evaluation of a calibrated model.
 const POSTURES: usize = 150;
 /// A parameter is observable if its standard deviation is below this share of the prior one.
 const LEARNT: f64 = 0.5;

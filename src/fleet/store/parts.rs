@@ -73,7 +73,7 @@ pub fn of(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
     Ok(parts)
 }
 
-/// Reads a part, or the given columns of it.
+/// Reads a part, or only the given columns.
 pub fn read(path: &Path, columns: Option<&[&str]>) -> Result<DataFrame, StoreError> {
     let file =
         File::open(path).map_err(|source| StoreError::File { path: path.to_owned(), source })?;

@@ -1,4 +1,4 @@
-//! What begins within a run, what is not its drawing, and what warms up.
+//! Changes within a run, arms that deviate from the nominal model, and warm-up.
 
 use super::*;
 
@@ -141,7 +141,7 @@ fn a_random_walk_grows_with_the_root_of_time_and_cameras_see_less_from_afar() {
         let squares: Vec<f64> = steps.map(|(a, b)| (b - a).norm_squared()).collect();
         (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
     };
-    // In 4 s, in three directions.
+    // Over 4 s, in three directions.
     let expected = 1e-4 * (3.0 * 4.0_f64).sqrt();
     assert!((walked(&run) / expected - 1.0).abs() < 0.2, "{}", walked(&run));
     let far = Noise { far_m: 0.5, ..Noise::NONE };
