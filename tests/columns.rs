@@ -191,7 +191,7 @@ fn names_that_the_numbers_contradict_are_a_finding() {
     let degrees = Table { unit: 1_f64.to_degrees(), poses: false, ..CLEAN }.rows();
     let names = ["t", "q1_rad", "q2_rad", "q3_rad", "q4_rad", "q5_rad", "q6_rad"];
     let (found, message) = status(&degrees, &names);
-    assert!(found == Status::Fail && message.contains("says rad"), "{message}");
+    assert!(found == Status::Fail && message.contains("indicates rad"), "{message}");
 }
 
 #[test]

@@ -1,24 +1,24 @@
-//! Arrays in chunks, as Zarr and HDF5 keep them: their numbers row by row, and the rows whose chunks are missing
-//! or damaged.
+//! Chunked arrays of Zarr and HDF5: assembles their numbers row by row and finds the rows whose chunks are
+//! missing or damaged.
 
 use std::ops::Range;
 
 use super::Refusal;
 use super::npy::Kind;
 
-/// Most chunks that are looked for and are not there.
+/// Maximum number of missing chunks before the search stops.
 const MOST_ABSENT: usize = 1 << 16;
 
-/// The shape of an array, and how it is cut.
+/// Shape of an array and of its chunks.
 #[derive(Clone, Debug)]
 pub(super) struct Grid {
     pub shape: Vec<usize>,
     /// Sides of a chunk, none of them 0.
     pub chunks: Vec<usize>,
     pub kind: Kind,
-    /// The number that stands where no chunk is.
+    /// Value of elements without a chunk.
     pub fill: f64,
-    /// Whether the first side goes fastest within a chunk.
+    /// Whether the first index varies fastest within a chunk.
     pub is_fortran: bool,
 }
 
@@ -29,11 +29,11 @@ enum State {
     Damaged,
 }
 
-/// Some rows of an array, put together from its chunks.
+/// Some rows of an array, assembled from its chunks.
 pub(super) struct Assembly<'a> {
     grid: &'a Grid,
     rows: Range<usize>,
-    /// Chunks beside each other, in each dimension but the first.
+    /// Number of chunks along each dimension except the first.
     inner: Vec<usize>,
     width: usize,
     values: Vec<f64>,
@@ -42,7 +42,7 @@ pub(super) struct Assembly<'a> {
     why: Option<Refusal>,
 }
 
-/// The numbers of an array, and what of it is lost.
+/// Numbers of an array, with its lost rows and the reason.
 #[derive(Debug)]
 pub(super) struct Assembled {
     pub values: Vec<f64>,
@@ -51,7 +51,7 @@ pub(super) struct Assembled {
 }
 
 impl Grid {
-    /// The bytes of a chunk; `None` if they cannot be counted.
+    /// Size of a chunk in bytes; `None` on overflow.
     pub fn chunk_bytes(&self) -> Option<usize> {
         let count = self.chunks.iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
         count?.checked_mul(self.kind.size())
@@ -59,7 +59,7 @@ impl Grid {
 }
 
 impl<'a> Assembly<'a> {
-    /// `rows` of the array, whose memory was counted before.
+    /// Prepares to assemble `rows` of the array. The caller accounts for the memory.
     pub fn of(grid: &'a Grid, rows: Range<usize>) -> Self {
         let width: usize = grid.shape[1..].iter().product();
         let sides = grid.shape[1..].iter().zip(&grid.chunks[1..]);
@@ -70,7 +70,7 @@ impl<'a> Assembly<'a> {
         Self { grid, rows, inner, width, values, states, absent: 0, why: None }
     }
 
-    /// The places of all chunks that have any of the rows.
+    /// Indices of all chunks that contain any of the rows.
     pub fn places(&self) -> impl Iterator<Item = Vec<usize>> + use<> {
         let (inner, first) = (self.inner.clone(), self.rows.start / self.grid.chunks[0]);
         let wide: usize = inner.iter().product();
@@ -81,7 +81,7 @@ impl<'a> Assembly<'a> {
         })
     }
 
-    /// Puts the numbers of a chunk where they belong; whether it makes sense to go on with further chunks.
+    /// Adds the numbers of a chunk. Returns false if too many chunks are missing to continue.
     pub fn put(&mut self, place: &[usize], chunk: Result<Option<Vec<u8>>, Refusal>) -> bool {
         let Some(state) = self.state_of(place) else { return true };
         self.states[state] = match chunk {
@@ -96,7 +96,7 @@ impl<'a> Assembly<'a> {
                 State::Absent
             }
             other => {
-                let why = other.err().unwrap_or_else(|| "a chunk is cut off".into());
+                let why = other.err().unwrap_or_else(|| "a chunk is truncated".into());
                 self.why.get_or_insert(why);
                 State::Damaged
             }
@@ -104,14 +104,14 @@ impl<'a> Assembly<'a> {
         self.absent < MOST_ABSENT
     }
 
-    /// Counts the chunks that were not put as damaged: some could not be read, and which is not known.
+    /// Marks missing chunks as damaged: some could not be read, and it is unknown which.
     pub fn damage_absent(&mut self, why: Refusal) {
         let absent = self.states.iter_mut().filter(|state| **state == State::Absent);
         absent.for_each(|state| *state = State::Damaged);
         self.why.get_or_insert(why);
     }
 
-    /// The number of the chunk at a place; `None` if it has none of the rows.
+    /// Index of the state of a chunk; `None` if the chunk has none of the rows.
     fn state_of(&self, place: &[usize]) -> Option<usize> {
         let (first, rest) = place.split_first()?;
         let band = first.checked_sub(self.rows.start / self.grid.chunks[0])?;
@@ -123,7 +123,7 @@ impl<'a> Assembly<'a> {
         (is_there && number < self.states.len()).then_some(number)
     }
 
-    /// The rows of the array that are in a band of chunks.
+    /// Rows of the array in a band of chunks.
     fn band(&self, first: usize) -> Range<usize> {
         let deep = self.grid.chunks[0];
         self.rows.start.max(first * deep)
@@ -143,7 +143,7 @@ impl<'a> Assembly<'a> {
                 .zip(own)
                 .map(|((at, chunk), own)| chunk * own + at)
                 .collect();
-            // The last chunks reach beyond the array.
+            // The last chunks extend beyond the array.
             if at.iter().zip(inner).any(|(at, side)| at >= side) {
                 continue;
             }
@@ -163,9 +163,9 @@ impl<'a> Assembly<'a> {
         }
     }
 
-    /// The numbers, and the rows that are lost. Writers leave out chunks that hold nothing but the fill value:
-    /// a missing chunk is a loss unless the numbers before and after it are the fill value, too. An array of which
-    /// all chunks are missing is a loss if it `must_vary`.
+    /// Returns the numbers and the lost rows. Writers omit chunks that hold only the fill value. A missing
+    /// chunk is therefore a loss only if the number before or after it differs from the fill value. An
+    /// array without any chunk is a loss if it `must_vary`.
     pub fn finish(mut self, must_vary: bool) -> Assembled {
         let wide: usize = self.inner.iter().product::<usize>().max(1);
         let bands = self.states.len() / wide;
@@ -215,7 +215,7 @@ impl<'a> Assembly<'a> {
         Assembled { values: self.values, lost, why }
     }
 
-    /// The numbers of a row that are in a chunk of a cell.
+    /// Columns of a row that are in the chunks of a cell.
     fn columns_of(&self, cell: usize) -> Vec<usize> {
         let (inner, own) = (&self.grid.shape[1..], &self.grid.chunks[1..]);
         let place = within(cell, &self.inner);
@@ -227,7 +227,7 @@ impl<'a> Assembly<'a> {
     }
 }
 
-/// The place in a box of these sides of its element of this number, the last going fastest.
+/// Index of element `number` in a box with these sides; the last index varies fastest.
 pub(super) fn within(number: usize, sides: &[usize]) -> Vec<usize> {
     let mut rest = number;
     let mut places: Vec<usize> = sides
@@ -247,7 +247,7 @@ pub(super) fn within(number: usize, sides: &[usize]) -> Vec<usize> {
 mod tests {
     use super::*;
 
-    /// An array of 20 rows of 4 in chunks of 5 by 2, of whose chunks some are `changed`.
+    /// A 20 by 4 array in chunks of 5 by 2, some of them `changed`.
     fn assembled(
         number: impl Fn(usize) -> f64,
         must_vary: bool,
@@ -291,7 +291,7 @@ mod tests {
         let absent = [(1, 0, false), (2, 0, false)];
         let zeros = |at: usize| if at % 4 < 2 { 0.0 } else { at as f64 + 1.0 };
         assert!(assembled(zeros, true, &absent).lost.is_empty());
-        // One number before them that is another.
+        // One number before them differs from the fill value.
         let one = |at: usize| if at == 4 * 4 { 1.0 } else { zeros(at) };
         assert_eq!(assembled(one, true, &absent).lost, [5..10, 10..15]);
         let none: Vec<(usize, usize, bool)> = (0..8).map(|at| (at / 2, at % 2, false)).collect();

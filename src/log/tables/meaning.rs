@@ -1,5 +1,5 @@
-//! What the columns of a table hold, by the caller's word, else by their names. What neither says is left
-//! as bare numbers.
+//! Identifies what the columns of a table hold: as configured, otherwise by their names. Unidentified
+//! columns are passed on as bare numbers.
 
 mod said;
 
@@ -12,11 +12,11 @@ use crate::TableCell;
 use crate::rtde::JOINTS as UR_JOINTS;
 use ground::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times, usable};
 
-/// Joints that an arm has, at least and at most, and its gripper with it.
+/// Number of joints of an arm, with its gripper.
 const JOINTS: std::ops::RangeInclusive<usize> = 4..=8;
-/// Bare numbers with fewer cells are no joint positions, no pose and no part of one.
+/// Minimum number of cells for joint positions, a pose or a part of a pose.
 const LEAST_CELLS: usize = 3;
-/// Names that LeRobot gives to columns that are no measurement.
+/// LeRobot columns that are not measurements.
 const COUNTERS: &[&str] = &["frame_index", "episode_index", "index", "task_index"];
 
 /// One number of a row.
@@ -26,23 +26,23 @@ struct Cell {
     part: usize,
 }
 
-/// What some cells are together.
+/// What a group of cells holds.
 enum Meaning {
-    /// Positions of joints of these names; whether nobody said the names.
+    /// Joint positions; `unnamed` if the joint names are generated.
     Joints {
         names: Vec<String>,
         unnamed: bool,
         lines: Vec<[f64; 2]>,
-        /// Their velocities, in the same order; empty if there are none.
+        /// Joint velocities in the same order; empty if there are none.
         velocities: Vec<Cell>,
     },
-    /// Position, and what is logged of the rotation.
+    /// Position and rotation in any encoding.
     Pose,
-    /// A position alone.
+    /// Position only.
     Position,
-    /// Bare numbers, or a single one.
+    /// Unidentified numbers.
     Numbers,
-    /// Of no use.
+    /// Not used in an audit.
     Nothing,
 }
 
@@ -51,18 +51,18 @@ struct Group {
     cells: Vec<Cell>,
     meaning: Meaning,
     why: String,
-    /// Which part of a pose it is, by the words that all its parts share.
+    /// Set if the group is one part of a pose.
     part: Option<PartOf>,
 }
 
-/// The column that parts of a pose are in, empty if each number is a column, the words that they share, and
-/// which part it is.
+/// Column that contains the parts (empty if each number is a column), words that the parts share, and the
+/// part.
 type PartOf = (String, Vec<String>, Part);
 
-/// The topics that the columns of `table` are.
+/// Identifies the topics in `table`.
 ///
 /// # Errors
-/// Where the caller names columns that it does not have.
+/// If the configuration selects columns that do not exist.
 pub(super) fn of(
     table: &Table,
     clock: &Clock,
@@ -102,7 +102,7 @@ pub(super) fn of(
             0 => {}
             _ if is_counter => {
                 let topic = table.columns[column].name.clone();
-                let why = "it counts rows or episodes, by its name".to_owned();
+                let why = "counts rows or episodes, by its name".to_owned();
                 groups.push(Group {
                     topic,
                     cells: free,
@@ -146,56 +146,54 @@ pub(super) fn of(
     Ok(found.chain(unread).collect())
 }
 
-/// Two turns: a joint whose positions go beyond these logs no rad.
+/// Two turns: joint positions beyond them are not in rad.
 const TWO_TURNS: f64 = 4.0 * std::f64::consts::PI;
 
-/// Words of names that say that numbers are rad.
+/// Words for rad in names.
 const RADIANS: &[&str] = &["rad", "rads", "radian", "radians"];
 
-/// Words of names that say that numbers are degrees.
+/// Words for degrees in names.
 const DEGREES: &[&str] = &["deg", "degs", "degree", "degrees"];
 
-/// Why joints whose numbers are too large for rad are no degrees either, where the numbers say so by
-/// themselves.
+/// Why joint positions too large for rad are not degrees either; `None` if they may be.
 fn no_degrees(table: &Table, cells: &[Cell], most: f64) -> Option<String> {
-    /// More than two turns in degrees, the ends of shares of a range, and joints that must reach one.
+    /// Maximum plausible angle in degrees (two turns), the end of a percentage range, and the minimum
+    /// number of joints that reach this end.
     const TURNS: f64 = 720.0;
     const END: f64 = 100.0;
     const REACH: usize = 2;
     if most > TURNS {
-        return Some(
-            "degrees do not go so far either: ticks of an encoder, or another unit".to_owned(),
-        );
+        return Some("too large for degrees as well: encoder ticks or another unit".to_owned());
     }
     let reaches = |cell: &&Cell| {
         let column = &table.columns[cell.column];
         column.values.iter().skip(cell.part).step_by(column.width).any(|value| value.abs() == END)
     };
     let is_share = most == END && cells.iter().filter(reaches).count() >= REACH;
-    is_share.then(|| "several end at exactly 100, as shares of a range do".to_owned())
+    is_share.then(|| "several end at exactly 100, like percentages of a range".to_owned())
 }
 
-/// The cells of a column whose numbers have names: of one number the column's.
+/// Cells of a column whose numbers have names; a single number has the name of its column.
 fn cells(table: &Table, column: usize) -> Vec<Cell> {
     let of = &table.columns[column];
     let is_named = of.width == 1 || of.parts.len() == of.width;
     (0..of.width).filter(|_| is_named).map(|part| Cell { column, part }).collect()
 }
 
-/// What a cell is called.
+/// Name of a cell.
 fn name(table: &Table, cell: Cell) -> &str {
     let column = &table.columns[cell.column];
     column.parts.get(cell.part).unwrap_or(&column.name)
 }
 
-/// The same as a config has it, which names columns and numbers of them.
+/// The cell in the notation of the configuration, `NAME[INDEX]`.
 fn table_cell(table: &Table, Cell { column, part }: Cell) -> TableCell {
     let Column { name, width, .. } = &table.columns[column];
     let name = if *width == 1 { name.clone() } else { format!("{name}[{part}]") };
     TableCell { at: (column, part), name, labels: None, is_unidentified: false }
 }
 
-/// Whether a number is measured, by its values: fractions that change.
+/// Whether the values of a cell look measured: they change and have fractions.
 fn is_measured(table: &Table, cell: Cell) -> bool {
     let column = &table.columns[cell.column];
     let values = || column.values.iter().skip(cell.part).step_by(column.width).copied();
@@ -204,13 +202,13 @@ fn is_measured(table: &Table, cell: Cell) -> bool {
         && values().any(|value| value.is_finite() && Some(value) != first)
 }
 
-/// The topic that a cell of a column with named numbers belongs to; empty where each number is a column.
+/// Column of a cell with named numbers; empty if each number is a column.
 fn home(table: &Table, cell: Cell) -> &str {
     let column = &table.columns[cell.column];
     if column.parts.is_empty() { "" } else { &column.name }
 }
 
-/// Poses and joints among cells that have names.
+/// Poses and joints among the named cells.
 fn named_groups(table: &Table, all: &[Cell]) -> Vec<Group> {
     let mut groups = Vec::new();
     let mut poses: BTreeMap<(&str, Vec<String>), BTreeMap<Axis, Cell>> = BTreeMap::new();
@@ -236,7 +234,8 @@ fn named_groups(table: &Table, all: &[Cell]) -> Vec<Group> {
             .or_else(with_w)
             .or_else(|| all_of(3, &Axis::Turn))
             .or_else(|| (0..names::labels()).find_map(label));
-        // A rotation beside numbered columns of a position; single letters mean none alone.
+        // A rotation whose position is in numbered columns. Single-letter labels are too ambiguous without
+        // a position.
         let turn_alone = || {
             let named =
                 all_of(4, &Axis::Quaternion).or_else(with_w).or_else(|| all_of(3, &Axis::Turn))?;
@@ -294,17 +293,23 @@ fn matrices(table: &Table, all: &[Cell]) -> Vec<Group> {
         let cells: Vec<Cell> = members.values().copied().collect();
         let topic = topic_of(home, &stem);
         let part = part.map(|part| (home.to_owned(), names::key_of(&stem), part));
-        Some(Group { topic, why: why(table, &cells, "by row and column"), cells, meaning, part })
+        Some(Group {
+            topic,
+            why: why(table, &cells, "matrix elements by name"),
+            cells,
+            meaning,
+            part,
+        })
     });
     made.collect()
 }
 
-/// The topic of numbers with a common stem.
+/// Topic name of numbers with a common stem.
 fn topic_of(home: &str, stem: &[String]) -> String {
     if home.is_empty() { stem.join("_") } else { format!("{home}/{}", stem.join("_")) }
 }
 
-/// Families of joints, poses and their parts by number.
+/// Joints, poses and pose parts whose names end in a number.
 fn numbered(table: &Table, all: &[Cell]) -> Vec<Group> {
     let mut families: BTreeMap<(&str, Vec<String>), BTreeMap<usize, Cell>> = BTreeMap::new();
     for &cell in all {
@@ -337,7 +342,7 @@ fn numbered(table: &Table, all: &[Cell]) -> Vec<Group> {
             groups.push(Group { topic, cells, meaning: Meaning::Pose, why: reason, part: None });
             continue;
         }
-        // ABB's q1 to q4 beside joints that are called otherwise.
+        // ABB logs a quaternion as q1 to q4; the joints then have other names.
         let is_quaternion = stem.last().is_some_and(|word| word == "q")
             && cells.len() == 4
             && has_other_joints(stem)
@@ -372,7 +377,7 @@ fn numbered(table: &Table, all: &[Cell]) -> Vec<Group> {
         let counted = || (1..=cells.len()).map(|number| format!("{side}q{number}")).collect();
         let names = own.unwrap_or_else(counted);
         let topic = match home.is_empty() {
-            // libfranka's `q_d` is what is desired.
+            // `q_d` of libfranka holds desired positions.
             true if stem.ends_with(&["q".to_owned(), "d".to_owned()]) => {
                 format!("{}_command", stem.join("_"))
             }
@@ -385,7 +390,7 @@ fn numbered(table: &Table, all: &[Cell]) -> Vec<Group> {
     groups
 }
 
-/// The names of joints that `rostopic echo -p` writes beside their positions.
+/// Joint names that `rostopic echo -p` writes next to the positions.
 fn logged_names(table: &Table, stem: &[String], first: usize, count: usize) -> Option<Vec<String>> {
     if !stem.ends_with(&["field".to_owned(), "position".to_owned()]) {
         return None;
@@ -393,9 +398,9 @@ fn logged_names(table: &Table, stem: &[String], first: usize, count: usize) -> O
     (first..first + count).map(|at| table.texts.get(&format!("field.name{at}")).cloned()).collect()
 }
 
-/// Whether some numbers are of unit norm in nearly every row.
+/// Whether the cells have unit norm in nearly every row.
 fn are_unit(table: &Table, cells: &[Cell]) -> bool {
-    /// Rows of a hundred, and the deviation that rounding to two digits makes.
+    /// Minimum percentage of such rows, and maximum deviation of the norm (rounding to two digits).
     const MOST: usize = 95;
     const OFF: f64 = 0.03;
     let value = |row: usize, cell: &Cell| {
@@ -407,7 +412,7 @@ fn are_unit(table: &Table, cells: &[Cell]) -> bool {
     100 * unit >= MOST * table.rows
 }
 
-/// Gives joints the velocities that are named as they are.
+/// Assigns velocity columns to the joints with matching names.
 fn take_velocities(table: &Table, clock: &Clock, groups: &mut Vec<Group>) {
     let words_of = |cell: &Cell| {
         let column = &table.columns[cell.column];
@@ -450,7 +455,7 @@ fn take_velocities(table: &Table, clock: &Clock, groups: &mut Vec<Group>) {
         let names: Vec<&str> = own.iter().map(|&cell| name(table, cell)).collect();
         let mut names = names;
         names.dedup();
-        *why += &format!("; their velocities in {}", names.join(", "));
+        *why += &format!("; velocities in {}", names.join(", "));
         velocities.clone_from(&own);
         taken.push(own);
     }
@@ -459,14 +464,15 @@ fn take_velocities(table: &Table, clock: &Clock, groups: &mut Vec<Group>) {
     groups.iter_mut().for_each(|group| group.cells.retain(|cell| !given.contains(cell)));
     groups.retain(|group| !group.cells.is_empty());
     for (cells, names, unnamed) in commands {
-        let why = "desired joint positions: as numbers they are near the joints', not their rates";
+        let why = "desired joint positions: their values follow the joint positions, not the joint \
+            velocities";
         let topic = format!("{}_command", velocity_topic(table, &cells));
         let meaning = Meaning::Joints { names, unnamed, lines: Vec::new(), velocities: Vec::new() };
         groups.push(Group { topic, cells, meaning, why: why.to_owned(), part: None });
     }
 }
 
-/// The name of a column of velocities, or the words that several share.
+/// Topic name of velocity columns: the column, or the words that several share.
 fn velocity_topic(table: &Table, cells: &[Cell]) -> String {
     let first = cells.first().map_or("", |&cell| name(table, cell));
     let is_one = cells.iter().all(|cell| cell.column == cells[0].column);
@@ -480,8 +486,8 @@ fn velocity_topic(table: &Table, cells: &[Cell]) -> String {
     }
 }
 
-/// Whether numbers that may be velocities are desired positions: they are much nearer to the positions than
-/// to the rates of these.
+/// Whether numbers that may be velocities are desired positions: they must be much closer to the positions
+/// than to the rates of the positions.
 fn are_desired(table: &Table, clock: &Clock, positions: &[Cell], others: &[Cell]) -> bool {
     const NEARER: f64 = 0.5;
     let value = |row: usize, cell: &Cell| {
@@ -505,14 +511,14 @@ fn are_desired(table: &Table, clock: &Clock, positions: &[Cell], others: &[Cell]
     to_positions < NEARER * NEARER * to_rates
 }
 
-/// Joints named after the parts of an arm, of one column or of all that are single numbers.
+/// Joints named after the parts of an arm, in one column or in single-number columns.
 fn limbs(table: &Table, all: &[Cell]) -> Vec<Group> {
     let mut homes: BTreeMap<String, Vec<(Cell, String)>> = BTreeMap::new();
     for &cell in all {
         let own = name(table, cell);
         let Some(joint) = names::joint_name(own) else { continue };
         let home = match home(table, cell) {
-            // The path before the name of a joint is what tells states from commands.
+            // The path before a joint name distinguishes states from commands.
             "" => own
                 .rsplit_once(['/', '.'])
                 .map_or("", |(before, _)| before)
@@ -532,7 +538,7 @@ fn limbs(table: &Table, all: &[Cell]) -> Vec<Group> {
         }
         let (cells, names): (Vec<Cell>, Vec<String>) = members.into_iter().unzip();
         let topic = if home.is_empty() { "joints".to_owned() } else { home };
-        let why = why(table, &cells, "by the names of joints");
+        let why = why(table, &cells, "by joint names");
         groups.push(Group {
             topic,
             cells,
@@ -549,7 +555,7 @@ fn limbs(table: &Table, all: &[Cell]) -> Vec<Group> {
     groups
 }
 
-/// A column of numbers without names.
+/// Identifies a column of unnamed numbers.
 fn whole(column: &Column, cells: Vec<Cell>) -> Group {
     let words = names::words(&column.name);
     let by_name = |what: &str| format!("{what}, by the name of the column");
@@ -583,11 +589,11 @@ fn whole(column: &Column, cells: Vec<Cell>) -> Group {
         3 if names::part(&column.name, 3).is_some_and(|(_, part)| part == Part::Position) => {
             (Meaning::Position, by_name("a position"))
         }
-        1 => (Meaning::Numbers, "its name does not say what it is".to_owned()),
+        1 => (Meaning::Numbers, "its name does not show what it holds".to_owned()),
         width => (
             Meaning::Numbers,
             format!(
-                "its name does not say what its {width} numbers are: say it in [columns] of the config"
+                "its name does not show what its {width} numbers are: declare it in [columns] of the config"
             ),
         ),
     };
@@ -597,13 +603,13 @@ fn whole(column: &Column, cells: Vec<Cell>) -> Group {
     Group { topic: column.name.clone(), cells, meaning, why, part }
 }
 
-/// What is left of a column of which some numbers are told.
+/// Group for the unidentified numbers of a column.
 fn rest(column: &Column, cells: Vec<Cell>) -> Group {
-    let why = format!("its name does not say what these {} numbers are", cells.len());
+    let why = format!("its name does not show what these {} numbers are", cells.len());
     Group { topic: column.name.clone(), cells, meaning: Meaning::Numbers, why, part: None }
 }
 
-/// Joins a position in some columns and the rotation of the same name in others.
+/// Joins a position with the rotation of the same name in other columns.
 fn join_parts(table: &Table, groups: &mut [Group]) {
     for at in 0..groups.len() {
         let Some((home, key, Part::Position)) = groups[at].part.clone() else { continue };
@@ -613,7 +619,7 @@ fn join_parts(table: &Table, groups: &mut [Group]) {
             })
         };
         let turns = (0..groups.len()).filter(|&other| is_turn(&groups[other]));
-        // Of a rotation that is there twice, the quaternion says more.
+        // If the rotation is logged twice, prefer the quaternion.
         let rank = |group: &Group| match group.part {
             Some((_, _, Part::Quaternion)) => 2,
             Some((_, _, Part::Matrix)) => 1,
@@ -642,7 +648,7 @@ fn join_parts(table: &Table, groups: &mut [Group]) {
     }
 }
 
-/// Gives topics of one name numbers.
+/// Numbers topics of the same name.
 fn distinct(groups: &mut [Group]) {
     let mut seen: BTreeMap<String, usize> = BTreeMap::new();
     for group in groups {
@@ -654,14 +660,14 @@ fn distinct(groups: &mut [Group]) {
     }
 }
 
-/// The names of some cells, and what they were told by.
+/// Names of the cells, and how they were identified.
 fn why(table: &Table, cells: &[Cell], by: &str) -> String {
     let names: Vec<&str> = cells.iter().map(|&cell| name(table, cell)).collect();
     format!("columns {}, {by}", names.join(", "))
 }
 
 impl Group {
-    /// The largest position of a joint that is no gripper's, whatever its unit; 0 of other groups.
+    /// Largest absolute position of a joint except the gripper, in the logged unit; 0 for other groups.
     fn most(&self, table: &Table) -> f64 {
         let Meaning::Joints { names, lines, .. } = &self.meaning else { return 0.0 };
         if !lines.is_empty() {
@@ -679,8 +685,8 @@ impl Group {
         sizes.filter(|size| usable(*size)).fold(0.0, f64::max)
     }
 
-    /// The topic; `most` is the largest position of any joint of the table. Where it is beyond two turns they
-    /// are taken for degrees, states and commands alike.
+    /// Converts the group to a topic. `most` is the largest joint position of the table; beyond two turns
+    /// all joint positions are taken for degrees, states and commands alike.
     fn found(self, table: &Table, (clock, own): (&Clock, &Clock), most: f64) -> Found {
         let Self { topic, cells, meaning, mut why, .. } = self;
         let mut contradiction = None;
@@ -694,7 +700,7 @@ impl Group {
         let columns: BTreeSet<usize> = cells.iter().map(|cell| cell.column).collect();
         let (mut rows, mut unstamped) = (Vec::new(), 0);
         for (row, (stamp, own)) in clock.stamps.iter().zip(&own.stamps).enumerate() {
-            // What was lost is reported as that, and is no gap and no number that is none.
+            // Lost rows are reported as losses, not as gaps or as NaN.
             if columns.iter().any(|column| table.is_lost(*column, row)) {
                 continue;
             }
@@ -732,7 +738,7 @@ impl Group {
                     joint.position.iter_mut().for_each(|q| *q = factor * *q + offset);
                     joint.velocity.iter_mut().for_each(|v| *v *= factor);
                 }
-                // Velocities without a unit of their own are in that of the positions.
+                // Velocities without a declared unit have the unit of the positions.
                 let in_words = |known: &[&str]| {
                     let mut words =
                         velocities.iter().flat_map(|&cell| names::words(name(table, cell)));
@@ -744,7 +750,9 @@ impl Group {
                     all.for_each(|velocity| *velocity = velocity.to_radians());
                 }
                 if most > TWO_TURNS && lines.is_empty() {
-                    why += &format!("; taken for degrees: rad do not go up to {most:.1}");
+                    why += &format!(
+                        "; taken for degrees: values up to {most:.1} are too large for rad"
+                    );
                     if let Some(what) = no_degrees(table, &cells, most) {
                         why += &format!(", but {what}");
                     }
@@ -756,7 +764,7 @@ impl Group {
                     contradiction = cells.iter().find(says_rad).map(|&cell| {
                         let name = name(table, cell);
                         format!(
-                            "the name '{name}' says rad, and joint positions go up to {most:.1}"
+                            "the name '{name}' indicates rad, but joint positions reach {most:.1}"
                         )
                     });
                     joints.taken_for_degrees = true;

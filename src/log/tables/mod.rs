@@ -1,8 +1,9 @@
-//! Tables: arrays with a row for each moment, without messages and without a schema of a robot. NPY and
-//! NPZ, Parquet, LeRobot datasets, HDF5, Zarr, TFRecord, CSV and KUKA's RSI packets.
+//! Tables: arrays with one row per instant, without messages and without a robot schema. Formats: NPY, NPZ,
+//! Parquet, LeRobot datasets, HDF5, Zarr, TFRecord, CSV and KUKA RSI packets.
 //!
-//! A reader makes a [`Table`] of each episode; `clock` finds its stamps, `meaning` what its columns hold.
-//! What is left open there is listed as bare numbers: whether they follow the arm is decided further up.
+//! A reader makes one [`Table`] per episode; `clock` finds its stamps and `meaning` identifies its columns.
+//! Columns that it cannot identify are passed on as bare numbers; `run` compares them with the motion of
+//! the arm.
 
 mod chunks;
 mod clock;
@@ -54,45 +55,45 @@ pub(super) use self::tfrecord::has_record;
 pub(super) use self::zarr::is_zip_store;
 pub use self::zarr::{files_of_store, is_store};
 
-/// Most episodes that are one audit.
+/// Maximum number of episodes in one audit.
 const MOST_EPISODES: usize = 100;
-/// Most columns of a table that are looked at.
+/// Maximum number of columns that are read from a table.
 const MOST_COLUMNS: usize = 2000;
-/// Most numbers a row of one column; more is an image.
+/// Maximum numbers per row in one column; larger arrays are images.
 const MOST_WIDE: usize = 256;
-/// Largest file of metadata. Real ones have up to some 100 kB, and what is made of JSON takes up to 60 times
-/// as much memory.
+/// Maximum size of a metadata file, bytes. Real ones have up to about 100 kB, and parsed JSON takes up to
+/// 60 times as much memory.
 const MOST_METADATA: u64 = 4 << 20;
-/// Names of rates, in attributes.
+/// Attributes that hold a rate.
 const RATES: &[&str] = &["fps", "control_freq", "control_frequency", "frequency", "rate_hz", "hz"];
 
-/// The rows of one episode.
+/// Rows of one episode.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Table {
     pub rows: usize,
     pub columns: Vec<Column>,
-    /// Rows a second, as the metadata say.
+    /// Rows per second according to the metadata.
     pub rate_hz: Option<f64>,
-    /// What is in the file and is no column: names, and why not.
+    /// Names of the arrays that were not read, with the reason.
     pub unread: Vec<(String, String)>,
-    /// First cells of columns of text, by their names.
+    /// First cell of each text column, by column name.
     pub texts: BTreeMap<String, String>,
-    /// Rows of columns, by their place, that could not be read; their numbers are NaN.
+    /// Unreadable rows by column index; their numbers are NaN.
     pub lost_rows: BTreeMap<usize, Vec<Range<usize>>>,
-    /// Rows and columns that are in the file and not in the table.
+    /// Rows and columns in the file that are missing from the table.
     pub losses: Vec<RowLoss>,
-    /// The line of each row, from 1, if the file is text.
+    /// Line number of each row, from 1, if the file is text.
     pub lines: Vec<usize>,
 }
 
-/// What the readers of tables report to.
+/// Where the readers report losses and account for memory.
 pub(super) struct Context<'a> {
     pub losses: &'a mut Losses,
     pub memory: &'a mut Memory,
 }
 
 impl Table {
-    /// Names a row: its line if the file is text, else its number from 0.
+    /// Names a row: its line if the file is text, otherwise its index from 0.
     fn place(&self, row: usize) -> String {
         match self.lines.get(row) {
             Some(line) => format!("line {line}"),
@@ -100,7 +101,7 @@ impl Table {
         }
     }
 
-    /// The place of the column of that name, with its unit or without.
+    /// Index of the column with that name, with or without its unit.
     fn column(&self, name: &str) -> Option<usize> {
         let place = |is_it: &dyn Fn(&str) -> bool| {
             self.columns.iter().position(|column| is_it(&column.name))
@@ -110,25 +111,24 @@ impl Table {
     }
 }
 
-/// A column: as many numbers a row as it is wide.
+/// A column with `width` numbers per row.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Column {
     pub name: String,
-    /// What the file calls the type of its numbers.
+    /// Number type as written in the file.
     pub kind: String,
     pub width: usize,
-    /// What each of its numbers is called, where the file says.
+    /// Names of the numbers in a row, if the file has them.
     pub parts: Vec<String>,
-    /// Row-major.
     pub values: Vec<f64>,
 }
 
-/// The times of one row, ns.
+/// Stamps of one row, ns.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RowStamps {
-    /// Of the numbers, if they have a clock of their own.
+    /// Stamp of the column's own clock, if it has one.
     own: i64,
-    /// Of the table's row.
+    /// Stamp of the table row.
     row: i64,
 }
 
@@ -138,10 +138,9 @@ impl From<i64> for RowStamps {
     }
 }
 
-/// Episodes by their names.
 type Episodes = Vec<(String, Table)>;
 
-/// A kind of file that holds tables.
+/// Format of a file with tables.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Kind {
     Npy,
@@ -169,13 +168,13 @@ impl Kind {
     }
 }
 
-/// What is read of all tables of a run.
+/// Everything read from the tables of a run.
 #[derive(Default)]
 pub(super) struct Tables {
     streams: BTreeMap<String, Stream>,
-    /// The episodes that were read, in order.
+    /// Episodes read, in order.
     episodes: Vec<Episode>,
-    /// The last time of receipt that was made up, ns.
+    /// Last receive time that was assigned, ns.
     until: Option<i64>,
     told: bool,
     repeats: repeats::Repeats,
@@ -183,47 +182,48 @@ pub(super) struct Tables {
 
 /// An episode that was read.
 struct Episode {
-    /// The file or dataset that it is part of: all its episodes have the same columns.
+    /// File or dataset that contains it; its episodes are expected to have the same columns.
     home: PathBuf,
     file: PathBuf,
     name: String,
     rows: usize,
 }
 
-/// A topic that is made of columns.
+/// A topic made of columns.
 struct Stream {
     channel: ChannelId,
     columns: Columns,
-    /// The episodes that have it, by their place.
+    /// Indices of the episodes that have it.
     episodes: BTreeSet<usize>,
 }
 
-/// Columns that belong together, and why.
+/// Columns that form one topic, with the reason.
 pub(super) struct Found {
     pub topic: String,
     pub kind: String,
     pub why: String,
     pub cells: Vec<TableCell>,
-    /// What its names say that its numbers are not.
+    /// Contradiction between the column names and the numbers.
     pub contradiction: Option<String>,
     pub columns: Option<Columns>,
     pub rows: u64,
-    /// Rows with numbers that are left out because their own clock says no time.
+    /// Rows with numbers that are omitted because their own clock has no valid stamp.
     pub unstamped: u64,
-    /// Rows that are left out because some of their numbers are damaged: how many, and the first in words.
+    /// Number of rows omitted for damaged numbers, and a description of the first one.
     pub damaged: Option<(u64, String)>,
 }
 
-/// Why an episode is not taken in.
+/// Why an episode is rejected.
 enum Refused {
-    /// Nothing says what its columns are.
+    /// Its columns or its stamps cannot be identified.
     Question(String),
-    /// Its rows are of no use.
+    /// Its rows are not usable.
     Rows(String),
 }
 
 impl Tables {
-    /// Reads the tables in `bytes`, which are at `path`. Damage and rows that are lost go to the losses.
+    /// Reads the tables in `bytes`, the content of the file at `path`. Damage and lost rows are added to
+    /// the losses.
     pub(super) fn read(
         &mut self,
         kind: Kind,
@@ -269,7 +269,7 @@ impl Tables {
             episodes.retain(|(name, _)| name == wanted);
             // Another file of the dataset may have it.
             if episodes.is_empty() && dataset.is_none() {
-                let what = format!("there is no episode '{wanted}' in it");
+                let what = format!("there is no episode '{wanted}'");
                 context.losses.add_unplaced(Extent::Messages, None, what);
                 return Ok(());
             }
@@ -294,7 +294,7 @@ impl Tables {
             for loss in &table.losses {
                 loss.report(&label, context.losses);
             }
-            // Why there are none is said by what was lost.
+            // The reported losses already explain why it is empty.
             if table.columns.is_empty() && !table.losses.is_empty() {
                 continue;
             }
@@ -314,7 +314,7 @@ impl Tables {
         Ok(())
     }
 
-    /// Takes one episode in.
+    /// Adds one episode.
     fn take(
         &mut self,
         path: &Path,
@@ -329,7 +329,7 @@ impl Tables {
         let clock = clock::of(table, settings).map_err(Refused::Question)?;
         let found = meaning::of(table, &clock, settings).map_err(Refused::Question)?;
         if found.iter().all(|found| found.columns.is_none()) {
-            return Err(Refused::Rows("it holds no numbers beside its times".to_owned()));
+            return Err(Refused::Rows("it holds no numbers besides its times".to_owned()));
         }
         lost::report_unstamped(table, &clock, label, losses);
         let shift = self.shift(clock.first(), clock.last());
@@ -358,7 +358,7 @@ impl Tables {
                 losses.add_unplaced(Extent::Messages, Some(rows), what);
             };
             if unstamped > 0 {
-                lose(unstamped, &format!("{unstamped} rows without a time of their own"));
+                lose(unstamped, &format!("{unstamped} rows without a stamp in their own clock"));
             }
             if let Some((damaged, first)) = &damaged {
                 lose(*damaged, first);
@@ -366,7 +366,7 @@ impl Tables {
             let format =
                 Format { encoding: "table", type_name: &kind, schema_encoding: "", schema: &[] };
             let Some(channel) = intake.channel(&topic, format) else {
-                lose(rows, "more columns than are told apart");
+                lose(rows, "exceeds the limit on columns");
                 continue;
             };
             intake.count(channel, rows, (span[0], span[1]));
@@ -380,7 +380,7 @@ impl Tables {
                 Some(stream) => {
                     stream.episodes.insert(episode);
                     if !append(&mut stream.columns, columns) {
-                        lose(rows, "its numbers are others than in the episodes before");
+                        lose(rows, "its type or width differs from that in earlier episodes");
                     }
                 }
                 None => {
@@ -392,8 +392,8 @@ impl Tables {
         Ok(())
     }
 
-    /// By how much the rows of an episode are received after their stamps, ns: episodes begin their clocks
-    /// anew, and are received one after another.
+    /// Offset from the stamps of an episode to its receive times, ns. Each episode restarts its clock, so
+    /// episodes are placed one after another.
     fn shift(&mut self, first: i64, last: i64) -> i64 {
         const APART: i64 = NANOS_PER_SECOND / 1000;
         let shift = match self.until {
@@ -404,7 +404,8 @@ impl Tables {
         shift
     }
 
-    /// Hands the columns of all tables to `intake`, with the episodes that lack one which the others have.
+    /// Passes the columns of all tables to `intake`, and reports the episodes that lack a column of the
+    /// others.
     pub(super) fn hand_over(self, intake: &mut Intake) {
         for (topic, stream) in &self.streams {
             self.report_missing(topic, stream, intake);
@@ -443,7 +444,8 @@ impl Tables {
     }
 }
 
-/// The bytes of a file as those that readers of a file want: the file's own where it is at `place`.
+/// The bytes as an owned buffer: a memory map of the file at `place` if it has the same content, otherwise
+/// a copy.
 fn owned(place: &Path, bytes: &[u8]) -> Bytes {
     const HEAD: usize = 64;
     let is_it = |mapped: &Mapped| {
@@ -457,7 +459,7 @@ fn owned(place: &Path, bytes: &[u8]) -> Bytes {
     }
 }
 
-/// Appends the rows of a further episode; whether its shape allows that.
+/// Appends the rows of another episode. Returns false if the shapes differ.
 fn append(to: &mut Columns, more: Columns) -> bool {
     match (to, more) {
         (Columns::Joints(to), Columns::Joints(more)) => {
@@ -501,7 +503,7 @@ fn extend(to: &mut Times, more: &Times) {
         .for_each(|(&stamp, &received)| to.push(stamp, received, received));
 }
 
-/// Bare numbers, `width` a row; rows with one that nothing can be are counted and left out.
+/// Bare numbers, `width` per row. Rows with an unusable number are counted and omitted.
 pub(super) fn array(stamps: &[RowStamps], width: usize, values: &[f64]) -> ArrayColumns {
     let mut array = ArrayColumns { width, ..ArrayColumns::default() };
     for (stamp, row) in stamps.iter().zip(values.chunks_exact(width)) {
@@ -527,22 +529,22 @@ fn positions(stamps: &[RowStamps], values: &[f64]) -> PoseColumns {
     }
 }
 
-/// Whether a declared rate is one: from a row in 1000 s to a million rows a second.
+/// Whether a declared rate is plausible: from one row per 1000 s to a million rows per second.
 fn is_rate(rate_hz: &f64) -> bool {
     (1e-3..=1e6).contains(rate_hz)
 }
 
-/// The rate that attributes name.
+/// Rate in the attributes.
 fn rate_in(value: &Value) -> Option<f64> {
     let all = value.as_object()?;
     let own = RATES.iter().find_map(|name| all.get(*name)?.as_f64());
     own.or_else(|| all.values().find_map(rate_in)).filter(is_rate)
 }
 
-/// The number of rows that arrays of these shapes have in common. Arrays of `k` by `N` numbers lie on their
-/// side if `N` is that number.
+/// Number of rows that arrays of these shapes share. A `k` by `N` array is transposed if `N` is that
+/// number.
 fn common_rows(shapes: &[Vec<usize>]) -> usize {
-    /// No table has so many times more columns than rows.
+    /// Minimum ratio of the second side to the first for an array to count as transposed.
     const WIDER: usize = 4;
     let mut votes: BTreeMap<usize, usize> = BTreeMap::new();
     for shape in shapes {
@@ -560,19 +562,20 @@ fn common_rows(shapes: &[Vec<usize>]) -> usize {
     most.map_or(0, |(rows, _)| rows)
 }
 
-/// Whether an array of that shape lies on its side in a table of so many rows.
+/// Whether an array of that shape is transposed in a table with so many rows.
 fn lies_on_side(shape: &[usize], rows: usize) -> bool {
     matches!(shape, &[columns, own] if own == rows && columns < rows)
 }
 
-/// The number of rows that most columns have.
+/// The most frequent number of rows.
 fn usual(rows: impl Iterator<Item = usize>) -> usize {
     let rows: Vec<usize> = rows.collect();
     let count = |of: usize| rows.iter().filter(|own| **own == of).count();
     rows.iter().copied().max_by_key(|&of| (count(of), of)).unwrap_or(0)
 }
 
-/// The names of the episodes in the file or store at `path`; none where it holds but one, or is no file of tables.
+/// Names of the episodes in the file or store at `path`. Empty if it has only one or is not a file of
+/// tables.
 pub fn episodes(path: &Path) -> Vec<String> {
     if is_store(path) {
         return several(zarr::episodes_in(zarr::At::Folder(path)));
@@ -591,7 +594,7 @@ fn several(names: Result<Vec<String>, Refusal>) -> Vec<String> {
     names.ok().filter(|names| names.len() > 1).unwrap_or_default()
 }
 
-/// A path, and the episode that is named behind a `#`, where the whole is no file.
+/// Splits a path from an episode name after `#`, unless the whole path exists as a file.
 pub fn episode_of(path: &Path) -> (PathBuf, Option<String>) {
     let split = || {
         let (file, episode) = path.to_str()?.rsplit_once('#')?;

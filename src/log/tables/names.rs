@@ -1,9 +1,9 @@
-//! What the names of columns say.
+//! Identification of columns by their names.
 
 use crate::RotationLabels;
 
-/// Whether a name is one of what is recorded between two states, of which a run has one fewer: actions, rewards
-/// and the ends of episodes, as Gymnasium's environments return them from `step`.
+/// Whether a name belongs to a transition between two states, of which a run has one fewer than states:
+/// actions, rewards and episode ends, as Gymnasium environments return from `step`.
 pub(super) fn is_of_steps(name: &str) -> bool {
     const STEPS: &[&str] = &[
         "action",
@@ -20,14 +20,14 @@ pub(super) fn is_of_steps(name: &str) -> bool {
     words(name).iter().any(|word| STEPS.contains(&word.as_str()))
 }
 
-/// Whether a name says joint positions or a pose.
+/// Whether a name indicates joint positions or a pose.
 pub(super) fn is_of_arm(name: &str) -> bool {
     let words = words(name);
     are_joints(&words) || is_pose(&words)
 }
 
-/// The words of a name, in lower case: cut at everything that is no letter or digit, where a capital follows
-/// a small letter, and between letters and digits.
+/// Lower-case words of a name. Splits at characters other than letters and digits, before a capital that
+/// follows a small letter, and between letters and digits.
 pub(super) fn words(name: &str) -> Vec<String> {
     let mut words: Vec<String> = Vec::new();
     let mut last = '/';
@@ -45,7 +45,7 @@ pub(super) fn words(name: &str) -> Vec<String> {
     words
 }
 
-/// Words of velocities.
+/// Words for velocities.
 const VELOCITIES: &[&str] = &[
     "vel",
     "vels",
@@ -60,7 +60,7 @@ const VELOCITIES: &[&str] = &[
     "jvel",
 ];
 
-/// Words of numbers that are neither positions of joints nor poses.
+/// Words for numbers that are neither joint positions nor poses.
 const OTHERS: &[&str] = &[
     "ddq",
     "qdd",
@@ -117,11 +117,11 @@ const OTHERS: &[&str] = &[
     "mode",
 ];
 
-/// Words of grippers.
+/// Words for grippers.
 pub(super) const GRIPPERS: &[&str] =
     &["gripper", "grippers", "finger", "fingers", "jaw", "claw", "hand"];
 
-/// Words of positions of joints.
+/// Words for joint positions.
 const JOINTS: &[&str] = &[
     "q",
     "qpos",
@@ -135,10 +135,10 @@ const JOINTS: &[&str] = &[
     "theta",
     "servo",
 ];
-/// Words of parts of arms, in names of joints.
+/// Parts of arms in joint names.
 const LIMBS: &[&str] =
     &["shoulder", "elbow", "wrist", "waist", "forearm", "upperarm", "joint", "arm"];
-/// Words that say nothing more of a joint whose name ends in a number.
+/// Words in the stem of a numbered joint name that do not name the joint.
 const PLAIN: &[&str] = &[
     "actual",
     "measured",
@@ -178,10 +178,10 @@ const PLAIN: &[&str] = &[
     "d",
     "aipos",
 ];
-/// Words of the position of a tool.
+/// Words for the position of a tool.
 const POSITIONS: &[&str] =
     &["pos", "position", "positions", "xyz", "translation", "translations", "trans", "p", "t"];
-/// Words of its rotation.
+/// Words for the rotation of a tool.
 const ROTATIONS: &[&str] = &[
     "quat",
     "quats",
@@ -205,12 +205,12 @@ const ROTATIONS: &[&str] = &[
     "angles",
     "angle",
 ];
-/// Words of quaternions among them.
+/// Rotation words that mean a quaternion.
 const QUATERNIONS: &[&str] = &["quat", "quats", "quaternion", "quaternions"];
-/// Words of poses, also of bare numbers.
+/// Words for poses, also for columns of bare numbers.
 const POSES: &[&str] =
     &["pose", "tcp", "ee", "eef", "end", "effector", "cartesian", "flange", "tool", "hand"];
-/// Words of units, which say nothing of what it is.
+/// Words for units.
 const UNITS: &[&str] = &[
     "m",
     "mm",
@@ -230,8 +230,8 @@ const UNITS: &[&str] = &[
     "millimeter",
     "millimeters",
 ];
-/// Three letters or words that makers and libraries give a rotation's numbers, in their order: FANUC's W P R,
-/// KUKA's A B C, Kawasaki's O A T, Epson's U V W and those of textbooks.
+/// Names of three rotation angles by vendors and libraries, in order: FANUC's W P R, KUKA's A B C,
+/// Kawasaki's O A T, Epson's U V W and textbook notations.
 const LABELS: &[[&str; 3]] = &[
     ["rx", "ry", "rz"],
     ["roll", "pitch", "yaw"],
@@ -249,12 +249,12 @@ fn has(words: &[String], known: &[&str]) -> bool {
     words.iter().any(|word| known.contains(&word.as_str()))
 }
 
-/// Whether numbers are velocities, of a gripper or of what no audit asks about.
+/// Whether a name indicates velocities or other quantities that are not audited.
 pub(super) fn is_other(words: &[String]) -> bool {
     has(words, OTHERS) || has(words, VELOCITIES) || is_motor_current(words)
 }
 
-/// Whether numbers are velocities of joints, as far as their name says.
+/// Whether a name indicates joint velocities.
 pub(super) fn are_velocities(words: &[String]) -> bool {
     let of_tool = |word: &String| POSES.contains(&word.as_str()) || word.as_str() == "linear";
     has(words, VELOCITIES)
@@ -264,7 +264,7 @@ pub(super) fn are_velocities(words: &[String]) -> bool {
         && !is_motor_current(words)
 }
 
-/// Whether `current` is a motor's, and not the measured one of a position, as in `current_pos_x`.
+/// Whether `current` means a motor current rather than a present position, as in `current_pos_x`.
 fn is_motor_current(words: &[String]) -> bool {
     let is_measured = |word: &String| {
         let word = word.as_str();
@@ -278,7 +278,7 @@ fn is_motor_current(words: &[String]) -> bool {
     at.is_some_and(|at| !words[at..].iter().any(is_measured))
 }
 
-/// The words that a joint's position and its velocity share, such as its number, a side or `target`.
+/// Words that a joint's position and velocity columns share, such as its number, side or `target`.
 pub(super) fn shared_words(words: &[String]) -> Vec<String> {
     const NEUTRAL: &[&str] = &[
         "state",
@@ -309,7 +309,7 @@ pub(super) fn shared_words(words: &[String]) -> Vec<String> {
     words.iter().filter(|word| !is_neutral(word)).cloned().collect()
 }
 
-/// Whether a name may mean desired positions as well as velocities: `qd`.
+/// Whether a name can mean desired positions as well as velocities: `qd`.
 pub(super) fn is_ambiguous_velocity(words: &[String]) -> bool {
     has(words, &["qd"])
 }
@@ -318,12 +318,12 @@ pub(super) fn is_gripper(words: &[String]) -> bool {
     has(words, GRIPPERS) && !has(words, &["wrist"])
 }
 
-/// Whether a column of bare numbers holds positions of joints, by its name.
+/// Whether the name of a column of bare numbers indicates joint positions.
 pub(super) fn are_joints(words: &[String]) -> bool {
     has(words, JOINTS) && !is_other(words) && !has(words, GRIPPERS) && !is_pose(words)
 }
 
-/// Whether a column of bare numbers holds poses, by its name.
+/// Whether the name of a column of bare numbers indicates poses.
 pub(super) fn is_pose(words: &[String]) -> bool {
     let is_both = has(words, POSITIONS) && has(words, ROTATIONS);
     (has(words, POSES) || is_both)
@@ -331,7 +331,8 @@ pub(super) fn is_pose(words: &[String]) -> bool {
         && !has(words, &["joint", "joints", "gripper"])
 }
 
-/// The row and column of a matrix that a name ends in, from 0, and the words before: `T_03`, `R[1][2]`.
+/// Row and column of the matrix element at the end of a name, from 0, and the words before it: `T_03`,
+/// `R[1][2]`.
 pub(super) fn matrix_cell(name: &str) -> Option<(Vec<String>, (usize, usize))> {
     let words = words(name);
     let digits = |word: &String| word.chars().all(|c| c.is_ascii_digit());
@@ -350,7 +351,7 @@ pub(super) fn matrix_cell(name: &str) -> Option<(Vec<String>, (usize, usize))> {
         .then(|| (stem.to_vec(), (number / 10, number % 10)))
 }
 
-/// The name of a joint that a name is of, as models have it.
+/// Joint name in a column name, as models write it.
 pub(super) fn joint_name(name: &str) -> Option<String> {
     let own = words(name);
     if is_other(&own) {
@@ -363,7 +364,7 @@ pub(super) fn joint_name(name: &str) -> Option<String> {
     (has(&own, LIMBS) || is_gripper(&own)).then(|| bare.to_owned())
 }
 
-/// A name that ends in a number, or has one behind its stem: the stem's words, and the number.
+/// Stem and number of a name that contains a number.
 pub(super) fn numbered(name: &str) -> Option<(Vec<String>, usize)> {
     let words = words(name);
     let at = words.iter().rposition(|word| word.chars().all(|c| c.is_ascii_digit()))?;
@@ -377,7 +378,7 @@ pub(super) fn numbered(name: &str) -> Option<(Vec<String>, usize)> {
     Some((stem, number))
 }
 
-/// Whether the stem of numbered names is one of joints. A single letter is, where the letter is usual.
+/// Whether the stem of numbered names indicates joints. A single letter does only if it is a common one.
 pub(super) fn is_stem_of_joints(stem: &[String]) -> bool {
     let letters = stem.last().is_some_and(|word| ["a", "j", "jt", "rax"].contains(&word.as_str()));
     // `rostopic echo -p` of a JointState.
@@ -389,7 +390,7 @@ pub(super) fn is_stem_of_joints(stem: &[String]) -> bool {
         && !has(stem, GRIPPERS)
 }
 
-/// What of a stem tells one arm from another: `left`, `right` and the like; empty for plain words.
+/// Prefix for the arm that a stem names, `left_` or `right_`; empty if it names neither.
 pub(super) fn side(stem: &[String]) -> String {
     let mut own = stem.iter().map(String::as_str);
     match own.find(|word| ["left", "right", "l", "r"].contains(word)) {
@@ -400,7 +401,7 @@ pub(super) fn side(stem: &[String]) -> String {
     }
 }
 
-/// Whether the words of a stem are those that everybody uses, beside a side.
+/// Whether a stem consists of generic words and a side.
 pub(super) fn is_plain(stem: &[String]) -> bool {
     stem.iter().all(|word| {
         let word = word.as_str();
@@ -411,23 +412,23 @@ pub(super) fn is_plain(stem: &[String]) -> bool {
     })
 }
 
-/// A number of a position or of a rotation.
+/// One component of a position or of a rotation.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Debug)]
 pub(super) enum Axis {
-    /// Of a position, or of either.
+    /// x, y, z of a position or of a rotation.
     Xyz(usize),
-    /// Of a position and nothing else.
+    /// x, y, z of a position only.
     Position(usize),
-    /// x, y, z of a rotation: of a quaternion if it has a w.
+    /// x, y, z of a rotation; of a quaternion if there is also a w.
     Turn(usize),
-    /// Of a quaternion: x, y, z, w.
+    /// x, y, z, w of a quaternion.
     Quaternion(usize),
-    /// One of [`LABELS`], by its place, and the number's place in it.
+    /// Index into [`LABELS`], and index within that triple.
     Label(usize, usize),
 }
 
-/// All that a name may say of a pose: which of its numbers it is, and the words that are left, which the
-/// numbers of one pose share.
+/// All pose components that a name may mean. Each comes with the remaining words, which the components of
+/// one pose share.
 pub(super) fn axes(name: &str) -> Vec<(Vec<String>, Axis)> {
     let words = words(name);
     if is_other(&words) || is_gripper(&words) {
@@ -466,7 +467,7 @@ pub(super) fn axes(name: &str) -> Vec<(Vec<String>, Axis)> {
     found
 }
 
-/// What the names of a rotation's numbers say of its encoding.
+/// Rotation encoding indicated by the names of its numbers.
 pub(super) fn rotation_labels(names: &[&str]) -> Option<RotationLabels> {
     let has_axis = |name: &&str, wanted: Axis| axes(name).iter().any(|(_, axis)| *axis == wanted);
     let is_all = |of: &dyn Fn(usize) -> Axis| {
@@ -493,12 +494,12 @@ pub(super) fn rotation_labels(names: &[&str]) -> Option<RotationLabels> {
     }
 }
 
-/// Number of triples that [`Axis::Label`] counts.
+/// Number of triples that [`Axis::Label`] indexes.
 pub(super) fn labels() -> usize {
     LABELS.len()
 }
 
-/// The words that name a pose, without those that say which part of it.
+/// Words that name a pose, without those for its parts and units.
 fn key<'a>(words: impl Iterator<Item = &'a String>) -> Vec<String> {
     let is_of_part = |word: &str| {
         POSITIONS.contains(&word)
@@ -510,12 +511,12 @@ fn key<'a>(words: impl Iterator<Item = &'a String>) -> Vec<String> {
     words.filter(|word| !is_of_part(word)).cloned().collect()
 }
 
-/// The words that name a pose in the stem of numbered names.
+/// Words that name a pose in the stem of numbered names.
 pub(super) fn key_of(stem: &[String]) -> Vec<String> {
     key(stem.iter())
 }
 
-/// Which part of a pose a column of several bare numbers is, and the words that name the pose.
+/// The pose part that a column of bare numbers holds, and the words that name the pose.
 pub(super) fn part(name: &str, width: usize) -> Option<(Vec<String>, Part)> {
     let words = words(name);
     if is_other(&words) || has(&words, &["joint", "joints"]) || is_gripper(&words) {
@@ -538,7 +539,7 @@ pub(super) enum Part {
     Position,
     Turn,
     Quaternion,
-    /// A matrix of nine numbers.
+    /// Nine numbers of a rotation matrix.
     Matrix,
 }
 

@@ -1,4 +1,4 @@
-//! Columns that hold what another one holds, or one value, in every row of every episode.
+//! Columns that repeat another column, or hold one value, in every row of every episode.
 
 use std::collections::BTreeMap;
 
@@ -6,13 +6,13 @@ use super::{Found, names};
 use crate::Repeat;
 use ground::stream::{Columns, JointColumns};
 
-/// Rows of an episode that tell, and rows in which what is repeated must be new.
+/// Minimum rows of an episode for this check, and minimum rows in which a repeated column must change.
 const LEAST_ROWS: usize = 20;
 const LEAST_CHANGES: usize = 10;
-/// Topics of an episode that are held against each other.
+/// Maximum number of topics of an episode that are compared with each other.
 const MOST_TOPICS: usize = 100;
 
-/// What repeats, and in how many episodes.
+/// Repetitions, each with the number of episodes that have it.
 #[derive(Default)]
 pub(super) struct Repeats {
     episodes: usize,
@@ -20,7 +20,7 @@ pub(super) struct Repeats {
 }
 
 impl Repeats {
-    /// Counts what repeats in an episode.
+    /// Counts the repetitions in an episode.
     pub fn count(&mut self, episode: &[Found]) {
         let told: Vec<(&str, &Columns)> = episode
             .iter()
@@ -63,14 +63,14 @@ impl Repeats {
         }
     }
 
-    /// What repeats in all episodes.
+    /// Repetitions that occur in all episodes.
     pub fn in_all(self) -> Vec<Repeat> {
         let all = self.found.into_iter().filter(|(_, count)| *count == self.episodes);
         all.map(|(repeat, _)| repeat).collect()
     }
 }
 
-/// The numbers of each row, or of each joint; none of what has no bare numbers.
+/// Numbers of each row, or of each joint; empty for other columns.
 fn rows(columns: &Columns) -> Vec<&[f64]> {
     match columns {
         Columns::Array(array) => array.values.chunks_exact(array.width.max(1)).collect(),
@@ -85,7 +85,7 @@ fn rows(columns: &Columns) -> Vec<&[f64]> {
     }
 }
 
-/// How often a row is other than the one before it.
+/// Number of rows that differ from the previous one.
 fn changes(rows: &[&[f64]]) -> usize {
     rows.windows(2).filter(|pair| !equal(pair[0], pair[1])).count()
 }
@@ -94,12 +94,12 @@ fn same(a: &[&[f64]], b: &[&[f64]]) -> bool {
     a.len() == b.len() && a.iter().zip(b).all(|(a, b)| equal(a, b))
 }
 
-/// To the last bit: what was measured twice differs.
+/// Bitwise equality: two measurements differ at least by noise.
 fn equal(a: &[f64], b: &[f64]) -> bool {
     a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits())
 }
 
-/// The joints that repeat one before them, or never move while others do. Fingers move as one.
+/// Joints that repeat an earlier joint, or never move. Fingers are excluded because they move together.
 fn within(joints: &JointColumns) -> Vec<(String, Option<String>)> {
     let is_finger = |name: &str| names::is_gripper(&names::words(name));
     let arm: Vec<_> = joints.joints.iter().filter(|joint| !is_finger(&joint.name)).collect();

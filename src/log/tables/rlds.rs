@@ -1,4 +1,4 @@
-//! What `features.json` says of an RLDS dataset, beside its TFRecord files.
+//! Features of an RLDS dataset as declared in `features.json` next to its TFRecord files.
 
 use std::path::{Path, PathBuf};
 
@@ -10,15 +10,16 @@ use super::tfrecord::STEPS;
 
 const FEATURES: &str = "features.json";
 const INFO: &str = "dataset_info.json";
-/// Features within features that are looked at.
+/// Maximum depth of nested features.
 const DEEP: usize = 8;
 
-/// The files beside a file of records that say what is in it.
+/// Metadata files next to a file of records.
 pub(crate) fn beside(path: &Path) -> Vec<PathBuf> {
     [FEATURES, INFO].map(|name| path.with_file_name(name)).into()
 }
 
-/// What is declared of the steps of the dataset that a file is of, or why that cannot be read.
+/// Features of the steps that the dataset of this file declares, or why they cannot be read. `None` if
+/// there is no `features.json`.
 pub(super) fn declared(path: &Path) -> Option<Result<Dataset, String>> {
     let json = |name: &str| -> Option<Result<Value, String>> {
         let file = path.with_file_name(name);
@@ -38,8 +39,7 @@ pub(super) fn declared(path: &Path) -> Option<Result<Dataset, String>> {
     }))
 }
 
-/// The numbers that a description counts, as in `[7x joint angles, 2x gripper position]`; none where it counts
-/// nothing.
+/// Counts in a description such as `[7x joint angles, 2x gripper position]`; empty if it has none.
 fn counts(description: &str) -> Vec<usize> {
     let inside = description.split_once('[').and_then(|(_, rest)| rest.split_once(']'));
     let parts = inside.map_or("", |(inside, _)| inside).split(',');
@@ -48,7 +48,7 @@ fn counts(description: &str) -> Vec<usize> {
     counts.unwrap_or_default()
 }
 
-/// Takes the tensors of a feature and of those in it.
+/// Adds the tensors of a feature and of its nested features.
 fn descend(feature: &Value, path: &str, deep: usize, dataset: &mut Dataset) {
     if let Some(shape) = feature.get("tensor").map(|tensor| tensor.get("shape")) {
         let sides = shape.and_then(|shape| shape.get("dimensions")).and_then(Value::as_array);

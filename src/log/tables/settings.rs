@@ -1,42 +1,42 @@
-//! What the caller says of the columns of tables.
+//! Column mapping of tables in the configuration.
 
-/// What the caller says of the columns of tables. What is not said is told from names.
+/// Column mapping given by the caller. Columns not listed are identified by name.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ColumnSettings {
-    /// The column of the time.
+    /// Column with the stamps.
     pub time: Option<String>,
-    /// Rows a second, where no column holds a time.
+    /// Rows per second, if no column holds times.
     pub rate_hz: Option<f64>,
     /// Joint positions, in the order of the model's joints.
     pub joints: Vec<ColumnSelector>,
-    /// Commanded joint positions, likewise.
+    /// Commanded joint positions, in the same order.
     pub joint_commands: Vec<ColumnSelector>,
-    /// Factors and offsets of the joints, where their numbers are no rad: rad = factor · number + offset.
+    /// Factors of the joints if their numbers are not in rad: rad = factor · number + offset.
     pub joint_factors: Vec<f64>,
-    /// See `joint_factors`.
+    /// Offsets of the joints, rad; see `joint_factors`.
     pub joint_offsets: Vec<f64>,
-    /// The measured pose of the tool: position, then rotation.
+    /// Measured pose of the tool: position, then rotation.
     pub pose: Vec<ColumnSelector>,
-    /// The commanded pose of the tool.
+    /// Commanded pose of the tool.
     pub pose_commands: Vec<ColumnSelector>,
-    /// The same of each arm by its name, where there are several. A time or rate is of the whole table.
+    /// Settings of each arm by name, if there are several. Time and rate apply to the whole table.
     pub arms: Vec<(String, ColumnSettings)>,
 }
 
 impl ColumnSettings {
-    /// Whether it says where joints and poses are, so that nothing is sought.
+    /// Whether joints and poses are both declared, so no other columns are searched.
     pub(super) fn says_all(&self) -> bool {
         let says = |of: &Self| !of.joints.is_empty() && !of.pose.is_empty();
         says(self) || (!self.arms.is_empty() && self.arms.iter().all(|(_, arm)| says(arm)))
     }
 }
 
-/// Some numbers of one column: all, or those from `first` up to `end`.
+/// A range of numbers of one column, or all.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ColumnSelector {
-    /// The column's name.
+    /// Name of the column.
     pub column: String,
-    /// The first number, and the one after the last.
+    /// First index and end (exclusive); `None` for all.
     pub range: Option<(usize, usize)>,
 }
 

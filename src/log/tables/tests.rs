@@ -262,7 +262,7 @@ fn lists_of_parquet_are_vectors_in_any_compression() {
         assert_eq!(values[3 * 7], 40.0);
     }
     let ragged = parquet(50, 1, Compression::SNAPPY, |row| 6 + row % 2);
-    assert!(refusal(&ragged).contains("no numbers beside its times"), "{}", refusal(&ragged));
+    assert!(refusal(&ragged).contains("no numbers besides its times"), "{}", refusal(&ragged));
 }
 
 #[test]
@@ -311,7 +311,7 @@ fn a_column_without_its_dictionary_is_lost() {
     bytes[5] = 2;
     // The state was the only column next to the times. The decoder of the crate panics on such a page.
     let line = refusal(&bytes);
-    assert!(line.contains("no numbers beside its times"), "{line}");
+    assert!(line.contains("no numbers besides its times"), "{line}");
 }
 
 #[test]

@@ -1,9 +1,9 @@
-//! The columns that the caller names.
+//! Columns selected in the configuration.
 
 use super::{Cell, Group, Meaning};
 use crate::tables::{ColumnSelector, ColumnSettings, Table};
 
-/// What the caller says, of the one arm or of each.
+/// Groups of columns selected in the configuration, for a single arm or for each of several.
 pub(super) fn said(table: &Table, settings: &ColumnSettings) -> Result<Vec<Group>, String> {
     let mut groups = said_of_arm(table, settings)?;
     for (arm, settings) in &settings.arms {
@@ -54,7 +54,7 @@ fn said_of_arm(table: &Table, settings: &ColumnSettings) -> Result<Vec<Group>, S
     Ok(groups)
 }
 
-/// Factor and offset of each of so many joints; none where none are said.
+/// Factor and offset of each joint; empty if none are declared.
 fn lines(settings: &ColumnSettings, count: usize) -> Result<Vec<[f64; 2]>, String> {
     let (factors, offsets) = (&settings.joint_factors, &settings.joint_offsets);
     for (key, said) in [("joint_factors", factors), ("joint_offsets", offsets)] {
@@ -72,13 +72,11 @@ fn lines(settings: &ColumnSettings, count: usize) -> Result<Vec<[f64; 2]>, Strin
 fn selected(table: &Table, selector: &ColumnSelector) -> Result<Vec<Cell>, String> {
     let ColumnSelector { column: name, range } = selector;
     let column = table.column(name);
-    let column = column.ok_or_else(|| format!("it has no column '{name}'"))?;
+    let column = column.ok_or_else(|| format!("there is no column '{name}'"))?;
     let width = table.columns[column].width;
     let (first, end) = range.unwrap_or((0, width));
     if end > width {
-        return Err(format!(
-            "'{name}' has {width} numbers a row, and [{first}:{end}] is asked for"
-        ));
+        return Err(format!("'{name}' has {width} numbers per row; [{first}:{end}] exceeds them"));
     }
     Ok((first..end).map(|part| Cell { column, part }).collect())
 }
