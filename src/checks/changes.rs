@@ -15,7 +15,7 @@ use crate::geometry::Pose;
 use crate::time::Stamp;
 
 /// Description of a change, common to all parameters.
-struct Told {
+struct ChangeReport {
     /// `at +14.00 s`.
     at: String,
     from: String,
@@ -29,7 +29,7 @@ struct Told {
     all: Vec<Value>,
 }
 
-impl Told {
+impl ChangeReport {
     fn fault(self, severity: Severity) -> Fault {
         let Self { at, from, to, by, name, title, effect_m, all } = self;
         let often = match all.len() {
@@ -53,21 +53,22 @@ impl Told {
 }
 
 /// Formats a value with the interval of its change; `None` if it is within the noise.
-fn beyond(unit: Unit, value: f64, by: &Measured) -> Option<String> {
+fn show_if_significant(unit: Unit, value: f64, by: &Measured) -> Option<String> {
     /// Minimum ratio of the value to the standard error of its change.
-    const NOISE: f64 = 4.0;
-    let is_there = value.abs() > (NOISE * by.std_error).max(2.0 * unit.noise_floor());
+    const MIN_VALUE_NOISE_RATIO: f64 = 4.0;
+    let is_there =
+        value.abs() > (MIN_VALUE_NOISE_RATIO * by.std_error).max(2.0 * unit.noise_floor());
     is_there.then(|| unit.show_measured(&Measured { value, ..*by }))
 }
 
-fn moments<V, S>(case: &Case, change: &Change<V, S>) -> (Stamp, [Stamp; 2]) {
+fn change_stamps<V, S>(case: &Case, change: &Change<V, S>) -> (Stamp, [Stamp; 2]) {
     let origin = case.evidence.origin;
     let at = |by_s: f64| origin.shifted(change.at_s + by_s);
     (at(0.0), [at(-change.within_s), at(change.within_s)])
 }
 
 /// Outcome for a frame of a stream that changes during the run; `None` if it is constant.
-pub fn frame(
+pub fn judge_frame_change(
     case: &Case,
     arm: &ArmEvidence,
     name: &'static str,
@@ -78,7 +79,7 @@ pub fn frame(
         change.by.translation_m.value + change.by.rotation_rad.value * arm.reach_m
     };
     let change = changes.iter().max_by(|a, b| effect_m(a).total_cmp(&effect_m(b)))?;
-    let (at, within) = moments(case, change);
+    let (at, within) = change_stamps(case, change);
     let estimate = Estimate::frame(name, &change.by.translation_m, &change.by.rotation_rad)
         .changing(Changes {
             from: change.from.translation.vector.norm(),
@@ -87,8 +88,13 @@ pub fn frame(
             change_ci95_ns: Some(within),
         });
     let size = |pose: &Pose| {
-        let length = beyond(Unit::Metre, pose.translation.vector.norm(), &change.by.translation_m);
-        let angle = beyond(Unit::Radian, pose.rotation.angle(), &change.by.rotation_rad);
+        let length = show_if_significant(
+            Unit::Metre,
+            pose.translation.vector.norm(),
+            &change.by.translation_m,
+        );
+        let angle =
+            show_if_significant(Unit::Radian, pose.rotation.angle(), &change.by.rotation_rad);
         match (length, angle) {
             (None, None) => "0".to_owned(),
             (Some(one), None) | (None, Some(one)) => one,
@@ -97,12 +103,12 @@ pub fn frame(
     };
     let listed = |change: &FrameChange| {
         json!({
-            "at_ns": moments(case, change).0.to_string(),
+            "at_ns": change_stamps(case, change).0.to_string(),
             "from": pose_json(&change.from),
             "to": pose_json(&change.to),
         })
     };
-    let told = Told {
+    let report = ChangeReport {
         at: format!("at {}", case.evidence.moment(at)),
         from: size(&change.from),
         to: size(&change.to),
@@ -116,11 +122,11 @@ pub fn frame(
         all: changes.iter().map(listed).collect(),
     };
     let decision = decide_frame(&change.by, thresholds, case.evidence.subjects());
-    Some((outcome(decision, told), estimate))
+    Some((outcome(decision, report), estimate))
 }
 
 /// Outcome for a scalar parameter that changes during the run.
-pub fn amount(
+pub fn judge_scalar_change(
     case: &Case,
     name: &'static str,
     title: &'static str,
@@ -128,7 +134,7 @@ pub fn amount(
     threshold: &Threshold,
     effect_m: f64,
 ) -> (Outcome, Estimate) {
-    let (at, within) = moments(case, change);
+    let (at, within) = change_stamps(case, change);
     let unit = threshold.unit;
     let estimate = Estimate::amount(name, unit, &change.by).changing(Changes {
         from: change.from,
@@ -136,32 +142,32 @@ pub fn amount(
         change_ns: at,
         change_ci95_ns: Some(within),
     });
-    let told = Told {
+    let report = ChangeReport {
         at: format!("at {}", case.evidence.moment(at)),
-        from: beyond(unit, change.from, &change.by).unwrap_or_else(|| "0".to_owned()),
-        to: beyond(unit, change.to, &change.by).unwrap_or_else(|| "0".to_owned()),
+        from: show_if_significant(unit, change.from, &change.by).unwrap_or_else(|| "0".to_owned()),
+        to: show_if_significant(unit, change.to, &change.by).unwrap_or_else(|| "0".to_owned()),
         by: unit.show_signed(&change.by),
         name,
         title,
         effect_m,
         all: vec![json!({ "at_ns": at.to_string(), "from": change.from, "to": change.to })],
     };
-    (outcome(decide(&change.by, threshold, case.evidence.subjects()), told), estimate)
+    (outcome(decide(&change.by, threshold, case.evidence.subjects()), report), estimate)
 }
 
-fn outcome(decision: Decision, told: Told) -> Outcome {
+fn outcome(decision: Decision, report: ChangeReport) -> Outcome {
     match decision {
-        Decision::Fail(severity) => Outcome::faulty(told.fault(severity)),
-        Decision::Pass => Outcome::sound_because(format!("changes by {} {}", told.by, told.at)),
+        Decision::Fail(severity) => Outcome::faulty(report.fault(severity)),
+        Decision::Pass => Outcome::sound_because(format!("changes by {} {}", report.by, report.at)),
         Decision::Undecided(why) => {
-            Outcome::Inconclusive(format!("changes by {} {}; {why}", told.by, told.at))
+            Outcome::Inconclusive(format!("changes by {} {}; {why}", report.by, report.at))
         }
     }
 }
 
 /// Limits a finding about a stream's encoding to the part of the run in which that encoding occurs.
-pub fn of_part(case: &Case, mut judged: Judged) -> Judged {
-    let coded_s = |subject: &Subject, cause: &Cause| {
+pub fn limit_to_segment(case: &Case, mut judged: Judged) -> Judged {
+    let segment_s = |subject: &Subject, cause: &Cause| {
         let mut streams = case.evidence.poses_and_tf();
         let topic = subject.topic.as_deref()?;
         let (_, stream) = streams.find(|(arm, stream)| {
@@ -177,7 +183,7 @@ pub fn of_part(case: &Case, mut judged: Judged) -> Judged {
         }
     };
     let Outcome::Evaluated(Ruling::Faulty(fault)) = &mut judged.outcome else { return judged };
-    let Some((from_s, to_s)) = coded_s(&judged.subject, &fault.cause) else { return judged };
+    let Some((from_s, to_s)) = segment_s(&judged.subject, &fault.cause) else { return judged };
     let at = |at_s: f64| Some(case.evidence.origin.shifted(at_s)).filter(|_| at_s.is_finite());
     let (from, to) = (at(from_s), at(to_s));
     let when = match (from, to) {

@@ -2,9 +2,9 @@
 
 use serde_json::{Value, json};
 
+use crate::checks::confounders::joint_zero_alternative;
 use crate::checks::decision::{DEGREE, Decision, FrameThresholds, Threshold, decide_frame, unseen};
-use crate::checks::twins::zero_cause;
-use crate::checks::{Case, Judged, Rule, changes, standing};
+use crate::checks::{Case, Judged, Rule, changes, residual_attribution};
 use crate::diagnosis::{FrameChange, FrameEstimate, JointOffset, PoseDiagnosis, Seen, Twin};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Alternative, Estimate, Fault, Outcome, Severity, Subject, Unit, rounded};
@@ -65,7 +65,9 @@ fn judge_stream(
         return Judged::new(subject, unseen(why, SETTLE));
     }
     let moved = (end.changes)(diagnosis);
-    if let Some((outcome, estimate)) = changes::frame(case, arm, end.name, moved, &thresholds) {
+    if let Some((outcome, estimate)) =
+        changes::judge_frame_change(case, arm, end.name, moved, &thresholds)
+    {
         return Judged::new(subject, outcome).estimated(estimate);
     }
     let not_judged = (end.not_judged)(stream);
@@ -84,14 +86,19 @@ fn judge_stream(
     let effect_m = frame.translation_m.value + frame.rotation_rad.value * arm.reach_m;
     let outcome = match (decide_frame(frame, &thresholds, case.evidence.subjects()), not_judged) {
         (_, Some(why)) => Outcome::sound_because(why),
-        (Decision::Fail(severity), None) if frame.chosen => match standing::doubt(arm, effect_m) {
-            Some(why) => Outcome::Inconclusive(why),
-            None => {
-                let mut fault = (end.fault)(arm, stream, frame, severity);
-                fault.evidence.indistinguishable.extend(twins.into_iter().map(|(_, cause)| cause));
-                Outcome::faulty(fault)
+        (Decision::Fail(severity), None) if frame.chosen => {
+            match residual_attribution::model_doubt(arm, effect_m) {
+                Some(why) => Outcome::Inconclusive(why),
+                None => {
+                    let mut fault = (end.fault)(arm, stream, frame, severity);
+                    fault
+                        .evidence
+                        .indistinguishable
+                        .extend(twins.into_iter().map(|(_, cause)| cause));
+                    Outcome::faulty(fault)
+                }
             }
-        },
+        }
         (Decision::Pass, None) => Outcome::sound(),
         (decision, None) => match twins.iter().find(|(offset, _)| offset.chosen && !frame.chosen) {
             Some((_, cause)) => named_instead(arm, cause),
@@ -104,7 +111,7 @@ fn judge_stream(
 }
 
 fn named_instead(arm: &ArmEvidence, cause: &Alternative) -> Outcome {
-    if let Some(why) = standing::doubt(arm, 0.0) {
+    if let Some(why) = residual_attribution::model_doubt(arm, 0.0) {
         return Outcome::Inconclusive(why);
     }
     let (code, joint) = (cause.code, cause.subject.label());
@@ -128,7 +135,7 @@ fn twins<'a>(arm: &'a ArmEvidence, end: &End, index: usize) -> Vec<(&'a JointOff
     let offsets = arm.diagnosis.offsets.iter().enumerate();
     let same =
         offsets.filter(|(_, offset)| offset.twins.iter().any(|twin| (end.is_twin)(twin, index)));
-    same.map(|(joint, offset)| (offset, zero_cause(arm, joint))).collect()
+    same.map(|(joint, offset)| (offset, joint_zero_alternative(arm, joint))).collect()
 }
 
 /// Formats both norms of a frame error with their intervals.

@@ -4,23 +4,23 @@
 //! thresholds and logic are in its file; everything that lists or explains rules reads the [`registry`].
 //! Nothing here estimates anything or reads files.
 
-mod amount;
 mod calibration;
 mod changes;
+mod confounders;
 mod decision;
 mod frames;
 mod merge;
 mod observability;
 mod plan;
-mod proof;
 mod reading;
+mod residual_attribution;
+mod scalar_rule;
 mod settings;
-mod standing;
 #[cfg(test)]
 mod testing;
 mod thresholds;
 mod together;
-mod twins;
+mod withdraw;
 
 use std::fmt;
 use std::sync::LazyLock;
@@ -312,12 +312,12 @@ pub fn evaluate(evidence: &RunEvidence, settings: &Settings) -> Evaluation {
             judged.push(Judged::new(Subject::default(), Outcome::Skipped(why)));
         }
         for judged in judged {
-            let judged = changes::of_part(case, judged);
+            let judged = changes::limit_to_segment(case, judged);
             evaluation.enter(rule, judged, settings);
         }
     }
-    proof::leave_open_beside_what_is_left(&mut evaluation);
-    proof::leave_open_beside_disagreement(case, &mut evaluation);
+    withdraw::withdraw_findings_within_residual(&mut evaluation);
+    withdraw::withdraw_findings_on_disagreement(case, &mut evaluation);
     evaluation.observability = observability::observability(case, &mut evaluation.checks);
     rank(&mut evaluation.findings);
     evaluation

@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use crate::checks::{Case, find, standing};
+use crate::checks::{Case, find, residual_attribution};
 use crate::diagnosis::{BlindDirection, Observability, Parameter};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{CheckRow, Status, Subject, Unit, number};
@@ -188,7 +188,7 @@ fn is_left_to_motion(row: &CheckRow, arm: &ArmEvidence, stream: &Of<PoseEvidence
         && robot.as_ref() == Some(&arm.name)
         && topic.as_ref().is_none_or(|topic| topic == stream.topic())
         && (row.code.starts_with("LAT")
-            || !stream.diagnosis.nominal && standing::doubt(arm, 0.0).is_none())
+            || !stream.diagnosis.nominal && residual_attribution::model_doubt(arm, 0.0).is_none())
 }
 
 /// Merges directions that share a cause, because only combinations of their causes are observable.

@@ -5,7 +5,7 @@ use crate::checks::hand_eye::chain::{
     LEAST_SPAN, SETTLE, THRESHOLDS, does_not_follow, is_mount_decided, unseen, where_is,
     with_solution,
 };
-use crate::checks::{Case, FrameThresholds, Grade, Judged, decide, standing};
+use crate::checks::{Case, FrameThresholds, Grade, Judged, decide, residual_attribution};
 use crate::diagnosis::{Measured, Mount, Solution, Stretch, TargetReading};
 use crate::evidence::{ArmEvidence, HandEyeEvidence, Of, PoseEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
@@ -184,7 +184,7 @@ fn wrong_model(arm: &ArmEvidence, open_m: f64) -> Option<String> {
              calibration"
         ));
     }
-    standing::doubt(arm, open_m)
+    residual_attribution::model_doubt(arm, open_m)
 }
 
 /// The outcome of a chain that closes.

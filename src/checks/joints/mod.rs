@@ -1,6 +1,6 @@
 //! Rules on joints and the kinematic model: order, scale, zeros, backlash, sag, velocities, DH convention.
 
-mod bends;
+mod compliance;
 mod coupling;
 pub(super) mod mot006_backlash;
 pub(super) mod ord005_joint_order;

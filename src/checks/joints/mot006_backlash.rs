@@ -1,4 +1,4 @@
-use super::bends::{Giving, effect};
+use super::compliance::{ComplianceRule, tip_effect};
 use crate::checks::decision::{DEGREE, Threshold};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{JointBend, Measured};
@@ -47,7 +47,7 @@ rule! {
 const THRESHOLD: Threshold =
     Threshold { unit: Unit::Radian, warning: 0.1 * DEGREE, error: 0.5 * DEGREE };
 
-const PLAY: Giving = Giving {
+const BACKLASH: ComplianceRule = ComplianceRule {
     name: "play",
     threshold: THRESHOLD,
     settle: "move the joints back and forth, one at a time",
@@ -56,13 +56,13 @@ const PLAY: Giving = Giving {
 };
 
 fn check(case: &Case) -> Vec<Judged> {
-    PLAY.check(&MOT006, case)
+    BACKLASH.check(&MOT006, case)
 }
 
 fn fault(arm: &ArmEvidence, bend: &JointBend, severity: Severity) -> Fault {
     let size = Measured { value: bend.amount.value.abs(), ..bend.amount };
     let leads = bend.amount.value < 0.0;
-    let (effect_m, moved) = effect(arm, bend.column, size.value);
+    let (effect_m, moved) = tip_effect(arm, bend.column, size.value);
     let how = match leads {
         true => "the poses lead the encoder",
         false => "the link follows the encoder only beyond it",

@@ -129,7 +129,7 @@ fn changing(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
         let effect_m = lever_m * change.by.value.abs();
         let title = "joint scale changes mid-run";
         let (outcome, estimate) =
-            changes::amount(case, "joint scale", title, change, &THRESHOLD, effect_m);
+            changes::judge_scalar_change(case, "joint scale", title, change, &THRESHOLD, effect_m);
         let subject = arm.joint_states(column);
         Some(Judged::new(subject, outcome).within(arm.span).estimated(estimate))
     });

@@ -4,7 +4,7 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 
 use super::zer001_joint_zero::{self, ZER001};
 use crate::checks::decision::{Decision, decide};
-use crate::checks::{Case, Judged, standing};
+use crate::checks::{Case, Judged, residual_attribution};
 use crate::diagnosis::Measured;
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
@@ -53,7 +53,7 @@ pub(super) fn part_of_turn(
     let rest = Measured { value: measured.value - quarters * FRAC_PI_2, ..measured };
     let is_round =
         !matches!(decide(&rest, &threshold, case.evidence.subjects()), Decision::Fail(_));
-    let is_sure = standing::doubt(arm, 0.0).is_none();
+    let is_sure = residual_attribution::model_doubt(arm, 0.0).is_none();
     (is_round && is_sure).then_some((quarters.abs() / 4.0, measured))
 }
 

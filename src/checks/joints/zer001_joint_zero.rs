@@ -1,10 +1,10 @@
 use super::turns;
+use crate::checks::confounders::{confounder_alternative, joint_zero_estimate};
 use crate::checks::decision::{DEGREE, Decision, Threshold, decide, unseen};
 use crate::checks::frames::THRESHOLDS;
 use crate::checks::poses::frm001_tf_against_kinematics;
 use crate::checks::poses::mdl001_unexplained_residual::MDL001;
-use crate::checks::twins::{estimate, twin_cause};
-use crate::checks::{Case, Grade, Judged, UNKNOWN_WORLD, changes, standing};
+use crate::checks::{Case, Grade, Judged, UNKNOWN_WORLD, changes, residual_attribution};
 use crate::diagnosis::{FrameEstimate, JointOffset, Measured, Seen, Twin, Unseen};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Ruling, Severity, Unit};
@@ -103,9 +103,10 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
         let effect_m = offset.lever_m * change.by.value.abs();
         let title = "joint zero changes mid-run";
         let (mut outcome, estimate) =
-            changes::amount(case, "joint offset", title, change, &threshold, effect_m);
+            changes::judge_scalar_change(case, "joint offset", title, change, &threshold, effect_m);
         if let Outcome::Evaluated(Ruling::Faulty(fault)) = &mut outcome {
-            let twins = offset.twins.iter().map(|twin| twin_cause(arm, twin, threshold.unit));
+            let twins =
+                offset.twins.iter().map(|twin| confounder_alternative(arm, twin, threshold.unit));
             fault.evidence.indistinguishable.extend(twins);
         }
         return Judged::new(subject, outcome).within(arm.span).estimated(estimate);
@@ -136,7 +137,7 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
             ))
         }
         (Decision::Fail(severity), _) if offset.chosen => {
-            match standing::doubt(arm, 0.0)
+            match residual_attribution::model_doubt(arm, 0.0)
                 .or_else(|| hidden_tool(arm))
                 .or_else(|| other_model(case, arm, offset))
             {
@@ -159,7 +160,9 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
         }
         (Decision::Undecided(why), _) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
     };
-    Judged::new(subject, outcome).within(arm.span).estimated(estimate(threshold.unit, measured))
+    Judged::new(subject, outcome)
+        .within(arm.span)
+        .estimated(joint_zero_estimate(threshold.unit, measured))
 }
 
 /// Reason why a zero offset may be the effect of an unknown tool frame: the motion does not locate an
@@ -210,7 +213,7 @@ fn other_model(case: &Case, arm: &ArmEvidence, offset: &JointOffset) -> Option<S
 }
 
 fn not_told_from(arm: &ArmEvidence, twin: &str) -> Outcome {
-    match standing::doubt(arm, 0.0) {
+    match residual_attribution::model_doubt(arm, 0.0) {
         Some(why) => Outcome::Inconclusive(why),
         None => Outcome::Indistinguishable(format!(
             "indistinguishable from {twin}, which is reported instead"
@@ -239,7 +242,11 @@ fn fault(
         .map_or(String::new(), |m| format!(", residual {} after correction", Unit::Metre.show(m)));
     let moved = Unit::Metre.show(offset.effect_m);
     let mut evidence = Evidence {
-        indistinguishable: offset.twins.iter().map(|twin| twin_cause(arm, twin, unit)).collect(),
+        indistinguishable: offset
+            .twins
+            .iter()
+            .map(|twin| confounder_alternative(arm, twin, unit))
+            .collect(),
         effect: Some(format!("{moved} at full reach{left}")),
         effect_m: Some(offset.effect_m),
         ..Evidence::default()
@@ -304,7 +311,7 @@ fn named_instead(arm: &ArmEvidence, offset: &JointOffset) -> Option<String> {
         }
         Twin::Sag(..) => false,
     })?;
-    let cause = twin_cause(arm, named, Unit::Radian);
+    let cause = confounder_alternative(arm, named, Unit::Radian);
     Some(format!("{} on {}", cause.code, cause.subject.label()))
 }
 

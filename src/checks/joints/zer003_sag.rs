@@ -1,4 +1,4 @@
-use super::bends::{Giving, effect};
+use super::compliance::{ComplianceRule, tip_effect};
 use crate::checks::decision::{DEGREE, Threshold};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::JointBend;
@@ -49,7 +49,7 @@ rule! {
 const THRESHOLD: Threshold =
     Threshold { unit: Unit::Radian, warning: 0.1 * DEGREE, error: 0.5 * DEGREE };
 
-const SAG: Giving = Giving {
+const SAG: ComplianceRule = ComplianceRule {
     name: "sag",
     threshold: THRESHOLD,
     settle: "stretch the arm out and fold it, with every joint moving",
@@ -62,7 +62,7 @@ fn check(case: &Case) -> Vec<Judged> {
 }
 
 fn fault(arm: &ArmEvidence, bend: &JointBend, severity: Severity) -> Fault {
-    let (effect_m, moved) = effect(arm, bend.column, bend.amount.value);
+    let (effect_m, moved) = tip_effect(arm, bend.column, bend.amount.value);
     Fault {
         severity,
         cause: Cause::Bend,

@@ -1,5 +1,5 @@
-use crate::checks::amount::{Amount, Estimated};
 use crate::checks::decision::Threshold;
+use crate::checks::scalar_rule::{ScalarRule, StreamEstimate};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Measured, Seen};
 use crate::evidence::{ArmEvidence, Of};
@@ -42,19 +42,20 @@ const THRESHOLD: Threshold =
 
 const SETTLE: &str = "record a minute or more with the arm moving from start to end";
 
-const SKEW: Amount = Amount { name: "clock skew", threshold: THRESHOLD, settle: SETTLE, fault };
+const SKEW: ScalarRule =
+    ScalarRule { name: "clock skew", threshold: THRESHOLD, settle: SETTLE, fault };
 
 fn check(case: &Case) -> Vec<Judged> {
     let poses = case.evidence.poses().map(|(arm, stream)| {
         let (estimate, is_chosen) = (&stream.diagnosis.skew, stream.diagnosis.skew_chosen);
         let doubt = doubt(estimate, stream.seconds());
-        let skew = stream.with(Estimated { estimate, is_chosen, doubt });
+        let skew = stream.with(StreamEstimate { estimate, is_chosen, doubt });
         judge(case, arm, stream.independent, &skew)
     });
     let imus = case.evidence.imus().map(|(arm, imu)| {
         let estimate = &imu.diagnosis.skew;
         let doubt = doubt(estimate, imu.seconds());
-        let skew = imu.with(Estimated { estimate, is_chosen: true, doubt });
+        let skew = imu.with(StreamEstimate { estimate, is_chosen: true, doubt });
         judge(case, arm, imu.independent, &skew)
     });
     poses.chain(imus).collect()
@@ -64,7 +65,7 @@ fn check(case: &Case) -> Vec<Judged> {
 const OWN_MINUTE_S: f64 = 60.0;
 const GROWS_S: f64 = 2e-3;
 
-fn judge(case: &Case, arm: &ArmEvidence, is_own: bool, skew: &Of<Estimated<'_>>) -> Judged {
+fn judge(case: &Case, arm: &ArmEvidence, is_own: bool, skew: &Of<StreamEstimate<'_>>) -> Judged {
     if is_own {
         return SKEW.judge(&LAT002, case, arm, skew);
     }
@@ -87,7 +88,7 @@ fn doubt(skew: &Seen<Measured>, seconds: f64) -> Option<String> {
 
 fn fault(
     arm: &ArmEvidence,
-    stream: &Of<Estimated<'_>>,
+    stream: &Of<StreamEstimate<'_>>,
     skew: &Measured,
     severity: Severity,
 ) -> Fault {

@@ -5,7 +5,9 @@ use serde_json::{Value, json};
 use crate::checks::decision::unseen;
 use crate::checks::frames::THRESHOLDS;
 use crate::checks::reading::{not_checked, read_as};
-use crate::checks::standing::{Left, Named, Standing, standing};
+use crate::checks::residual_attribution::{
+    Attribution, CauseOutcomes, ExceedingResidual, attribute_residual,
+};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Amount, Error, Measured, Part, Reading, Size};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
@@ -86,8 +88,8 @@ const RECORD: &str = "record the tool's pose (from the controller or a tracker),
     while every joint moves for 10 s";
 
 fn check(case: &Case) -> Vec<Judged> {
-    let named = Named::of(case);
-    let arms = case.evidence.robots.iter().flat_map(|arm| judge_arm(case, &named, arm));
+    let outcomes = CauseOutcomes::evaluate(case);
+    let arms = case.evidence.robots.iter().flat_map(|arm| judge_arm(case, &outcomes, arm));
     arms.chain(case.evidence.leaders.iter().map(judge_leader)).collect()
 }
 
@@ -105,25 +107,27 @@ fn judge_leader(stream: &Of<f64>) -> Judged {
 }
 
 /// A stream of an arm with the attribution of its error.
-struct Held<'a> {
+struct AttributedStream<'a> {
     stream: &'a Of<PoseEvidence>,
     subject: Subject,
-    standing: Option<Standing>,
+    attribution: Option<Attribution>,
     /// Joint angle with which the residual varies, if known: see [`eccentricity`].
-    goes_with: String,
+    varying_angle: String,
 }
 
-impl Held<'_> {
+impl AttributedStream<'_> {
     /// Its residual, if too large.
-    fn left(&self) -> Option<&Left> {
-        match self.standing.as_ref()? {
-            Standing::Left(left) | Standing::Open(left, _) => Some(left),
+    fn residual(&self) -> Option<&ExceedingResidual> {
+        match self.attribution.as_ref()? {
+            Attribution::Unexplained(residual) | Attribution::Undetermined(residual, _) => {
+                Some(residual)
+            }
             _ => None,
         }
     }
 
     /// Whether no combination of causes makes the poses match the arm.
-    fn is_astray(&self) -> bool {
+    fn is_mismatched(&self) -> bool {
         let reference_known = self.stream.reference_known;
         match &self.stream.diagnosis.residual {
             Ok(_) => self.stream.diagnosis.strays(),
@@ -132,19 +136,20 @@ impl Held<'_> {
     }
 }
 
-fn judge_arm(case: &Case, named: &Named, arm: &ArmEvidence) -> Vec<Judged> {
+fn judge_arm(case: &Case, outcomes: &CauseOutcomes, arm: &ArmEvidence) -> Vec<Judged> {
     let thresholds = case.thresholds.of_frames(&MDL001, THRESHOLDS);
-    let held = |subject: Subject, stream| {
-        let standing = standing(named, arm, stream, &thresholds, case.evidence.subjects());
-        Held { stream, subject, standing, goes_with: eccentricity(arm) }
+    let attributed = |subject: Subject, stream| {
+        let attribution =
+            attribute_residual(outcomes, arm, stream, &thresholds, case.evidence.subjects());
+        AttributedStream { stream, subject, attribution, varying_angle: eccentricity(arm) }
     };
-    let poses = arm.poses.iter().map(|stream| held(stream.subject.clone(), stream));
+    let poses = arm.poses.iter().map(|stream| attributed(stream.subject.clone(), stream));
     // A stream computed from the joint states does not contain their eccentricity.
-    let tf = arm
-        .tf
-        .iter()
-        .map(|tf| Held { goes_with: String::new(), ..held(arm.frame(tf.topic(), &tf.tip), tf) });
-    let streams: Vec<Held> = poses.chain(tf).collect();
+    let tf = arm.tf.iter().map(|tf| AttributedStream {
+        varying_angle: String::new(),
+        ..attributed(arm.frame(tf.topic(), &tf.tip), tf)
+    });
+    let streams: Vec<AttributedStream> = poses.chain(tf).collect();
     if streams.is_empty() && arm.imus.iter().all(|imu| imu.proof.is_none()) {
         if case.evidence.hand_eyes.iter().any(|eye| eye.robot.as_ref() == Some(&arm.name)) {
             let why = "compared only with camera observations (HEC001)".to_owned();
@@ -155,31 +160,33 @@ fn judge_arm(case: &Case, named: &Named, arm: &ArmEvidence) -> Vec<Judged> {
         return vec![Judged::new(arm.subject(), Outcome::Inconclusive(why)).within(arm.span)];
     }
     let imus = arm.imus.iter().flat_map(|imu| imu::judge(case, &thresholds, imu));
-    let judged = streams.iter().map(|held| {
-        let better = arm.better_model.as_ref().filter(|it| it.topic == held.stream.topic());
-        match better.filter(|_| held.subject.frame.is_none()) {
-            Some(better) => Judged::new(held.subject.clone(), wrong_model(case, arm, better))
-                .within(held.stream.span),
-            None => judge(case, held, &streams),
+    let judged = streams.iter().map(|attributed| {
+        let better = arm.better_model.as_ref().filter(|it| it.topic == attributed.stream.topic());
+        match better.filter(|_| attributed.subject.frame.is_none()) {
+            Some(better) => Judged::new(attributed.subject.clone(), wrong_model(case, arm, better))
+                .within(attributed.stream.span),
+            None => judge(case, attributed, &streams),
         }
     });
     judged.chain(imus).collect()
 }
 
-fn judge(case: &Case, held: &Held, all: &[Held]) -> Judged {
-    let Held { stream, subject, standing, .. } = held;
+fn judge(case: &Case, attributed: &AttributedStream, all: &[AttributedStream]) -> Judged {
+    let AttributedStream { stream, subject, attribution, .. } = attributed;
     let proof = match &stream.proof {
         Ok(proof) => proof,
         Err(why) => return Judged::new(subject.clone(), unseen(why, SETTLE)).within(stream.span),
     };
-    let error = match standing {
-        Some(Standing::Left(left) | Standing::Open(left, _)) => &left.error,
+    let error = match attribution {
+        Some(Attribution::Unexplained(residual) | Attribution::Undetermined(residual, _)) => {
+            &residual.error
+        }
         _ => proof.left.as_ref().unwrap_or(&proof.as_logged),
     };
-    let angle = error.angle.as_ref().map(|angle| beyond_noise(&angle.whole));
+    let angle = error.angle.as_ref().map(|angle| rms_beyond_noise(&angle.whole));
     let none = Measured { value: 0.0, std_error: 0.0, dof: f64::INFINITY };
-    let length = beyond_noise(&error.length.whole);
-    let outcome = match outcome(case, held, all) {
+    let length = rms_beyond_noise(&error.length.whole);
+    let outcome = match outcome(case, attributed, all) {
         Outcome::Evaluated(Ruling::Sound(_)) if !stream.rotation_unread.is_empty() => {
             not_checked(&stream.rotation_unread)
         }
@@ -191,7 +198,7 @@ fn judge(case: &Case, held: &Held, all: &[Held]) -> Judged {
         .with_evidence("as_logged", error_json(case, &proof.as_logged))
         .with_evidence("left", error_json(case, error));
     let judged = match &proof.calibrated {
-        Some(left) => judged.with_evidence("calibrated", error_json(case, left)),
+        Some(residual) => judged.with_evidence("calibrated", error_json(case, residual)),
         None => judged,
     };
     match &stream.diagnosis.residual {
@@ -206,7 +213,7 @@ fn judge(case: &Case, held: &Held, all: &[Held]) -> Judged {
 
 /// The rms error beyond the noise. The error repeats with the motion apart from the noise, so its interval
 /// is that of a mean of independent noise.
-fn beyond_noise(whole: &Amount) -> Measured {
+fn rms_beyond_noise(whole: &Amount) -> Measured {
     let noise = whole.noise.unwrap_or_default();
     let independent = (whole.samples as f64 / noise.over.max(1) as f64).max(3.0);
     Measured {
@@ -232,14 +239,14 @@ fn error_json(case: &Case, error: &Error) -> Value {
     })
 }
 
-fn outcome(case: &Case, held: &Held, all: &[Held]) -> Outcome {
-    let Some(standing) = &held.standing else { return Outcome::sound() };
-    let at_rest = held.stream.proof.as_ref().is_ok_and(|proof| proof.at_rest);
+fn outcome(case: &Case, attributed: &AttributedStream, all: &[AttributedStream]) -> Outcome {
+    let Some(attribution) = &attributed.attribution else { return Outcome::sound() };
+    let at_rest = attributed.stream.proof.as_ref().is_ok_and(|proof| proof.at_rest);
     let as_logged =
-        || held.stream.proof.as_ref().map_or(String::new(), |proof| sizes(&proof.as_logged));
-    match standing {
-        Standing::Left(left) | Standing::Open(left, _) if at_rest => {
-            let off = sizes(&left.error);
+        || attributed.stream.proof.as_ref().map_or(String::new(), |proof| sizes(&proof.as_logged));
+    match attribution {
+        Attribution::Unexplained(residual) | Attribution::Undetermined(residual, _) if at_rest => {
+            let off = sizes(&residual.error);
             Outcome::Inconclusive(format!(
                 "off by {off} at rest; one configuration cannot show why; {SETTLE}"
             ))
@@ -247,20 +254,30 @@ fn outcome(case: &Case, held: &Held, all: &[Held]) -> Outcome {
         _ if at_rest => Outcome::Inconclusive(format!(
             "the arm barely moves, and agreement in one configuration proves little; {SETTLE}"
         )),
-        Standing::Below | Standing::Accounted { is_named: true } => Outcome::sound(),
-        Standing::Noise => Outcome::sound_because(format!(
+        Attribution::BelowThresholds | Attribution::Explained { is_reported: true } => {
+            Outcome::sound()
+        }
+        Attribution::WithinNoise => Outcome::sound_because(format!(
             "{} off as logged, within the sample-to-sample noise",
             as_logged()
         )),
-        Standing::Accounted { is_named: false } => Outcome::sound_because(format!(
+        Attribution::Explained { is_reported: false } => Outcome::sound_because(format!(
             "{} off as logged, fully explained by the estimated corrections",
             as_logged()
         )),
-        Standing::Small(left) => Outcome::faulty(small(case, left)),
-        Standing::Nominal(error) => Outcome::faulty(nominal(error, held.stream.diagnosis.link_m)),
-        Standing::Left(left) if held.is_astray() => Outcome::faulty(disagreement(held, left)),
-        Standing::Left(left) => Outcome::faulty(unexplained(case, held, all, left)),
-        Standing::Open(left, open) => Outcome::Inconclusive(why_open(case, left, open)),
+        Attribution::SmallErrors(residual) => Outcome::faulty(small(case, residual)),
+        Attribution::NominalModel(error) => {
+            Outcome::faulty(nominal(error, attributed.stream.diagnosis.link_m))
+        }
+        Attribution::Unexplained(residual) if attributed.is_mismatched() => {
+            Outcome::faulty(disagreement(attributed, residual))
+        }
+        Attribution::Unexplained(residual) => {
+            Outcome::faulty(unexplained(case, attributed, all, residual))
+        }
+        Attribution::Undetermined(residual, open) => {
+            Outcome::Inconclusive(undetermined_reason(case, residual, open))
+        }
     }
 }
 
@@ -275,18 +292,18 @@ fn sizes(error: &Error) -> String {
 
 /// Formats time, size and place of the error: `in 5 of 10 parts of the run, from +10.02 s to +20.00 s, up
 /// to 70 mm and 0.2°, largest near (…) m`.
-fn where_left(case: &Case, left: &Left) -> String {
-    let Part { at, .. } = left.worst;
+fn describe_residual(case: &Case, residual: &ExceedingResidual) -> String {
+    let Part { at, .. } = residual.worst;
     let most = |size: &Size| size.worst().map_or(0.0, |part| part.amount.most);
-    let length = Unit::Metre.show(most(&left.error.length));
-    let angle = left.error.angle.as_ref().map(|angle| Unit::Radian.show(most(angle)));
+    let length = Unit::Metre.show(most(&residual.error.length));
+    let angle = residual.error.angle.as_ref().map(|angle| Unit::Radian.show(most(angle)));
     let most = angle.map_or(length.clone(), |angle| format!("{length} and {angle}"));
     let moment = |at_s: f64| case.evidence.moment(case.evidence.origin.shifted(at_s));
-    let (first, last) = (left.parts.first(), left.parts.last());
+    let (first, last) = (residual.parts.first(), residual.parts.last());
     let from = moment(first.map_or(0.0, |part| part.from_s));
     let to = moment(last.map_or(0.0, |part| part.to_s));
     let at = <[f64; 3]>::from(at).map(|part| rounded(part, 2)).join(", ");
-    let (count, all) = (left.parts.len(), left.error.length.parts.len());
+    let (count, all) = (residual.parts.len(), residual.error.length.parts.len());
     let parts = match count {
         _ if count == all => "throughout".to_owned(),
         count => format!("in {count} of {all} parts of the run, from {from} to {to}"),
@@ -295,10 +312,10 @@ fn where_left(case: &Case, left: &Left) -> String {
 }
 
 /// Reason why a residual is inconclusive.
-fn why_open(case: &Case, left: &Left, open: &[&str]) -> String {
-    let (off, most) = (sizes(&left.error), where_left(case, left));
-    let why = match (open, left.error.length.whole.noise) {
-        ([], Some(noise)) if !left.is_beyond_noise() => format!(
+fn undetermined_reason(case: &Case, residual: &ExceedingResidual, open: &[&str]) -> String {
+    let (off, most) = (sizes(&residual.error), describe_residual(case, residual));
+    let why = match (open, residual.error.length.whole.noise) {
+        ([], Some(noise)) if !residual.is_significant() => format!(
             "no finding explains it, and it is not significantly above the noise of {}",
             Unit::Metre.show(noise.rms)
         ),
@@ -312,18 +329,18 @@ fn why_open(case: &Case, left: &Left, open: &[&str]) -> String {
     format!("residual {off}, {most}; {why}; {SETTLE}")
 }
 
-fn small(case: &Case, left: &Left) -> Fault {
+fn small(case: &Case, residual: &ExceedingResidual) -> Fault {
     Fault {
         cause: Cause::Model,
         severity: Severity::Info,
         title: "small residual",
         message: format!(
             "residual {} rms, consistent with normal sag, backlash or encoder error below 0.1° per joint",
-            sizes(&left.error)
+            sizes(&residual.error)
         ),
         evidence: Evidence {
-            effect: Some(where_left(case, left)),
-            effect_m: Some(left.error.length.whole.rms),
+            effect: Some(describe_residual(case, residual)),
+            effect_m: Some(residual.error.length.whole.rms),
             ..Evidence::default()
         },
         fix: "no action needed if this is within the arm's rated accuracy".to_owned(),
@@ -360,13 +377,19 @@ fn nominal(error: &Error, link_m: Option<f64>) -> Fault {
 }
 
 /// Finding for the residual after correcting all other findings.
-fn unexplained(case: &Case, held: &Held, all: &[Held], left: &Left) -> Fault {
-    let sharing = all.iter().filter(|other| other.subject != held.subject);
-    let sharing = sharing.filter(|other| other.left().is_some_and(|other| left.shares(other)));
+fn unexplained(
+    case: &Case,
+    attributed: &AttributedStream,
+    all: &[AttributedStream],
+    residual: &ExceedingResidual,
+) -> Fault {
+    let sharing = all.iter().filter(|other| other.subject != attributed.subject);
+    let sharing =
+        sharing.filter(|other| other.residual().is_some_and(|other| residual.overlaps(other)));
     let sharing: Vec<&str> = sharing.map(|other| other.stream.topic()).collect();
     let mut evidence = Evidence {
-        effect_m: Some(left.error.length.whole.rms),
-        effect: Some(where_left(case, left)),
+        effect_m: Some(residual.error.length.whole.rms),
+        effect: Some(describe_residual(case, residual)),
         ..Evidence::default()
     };
     let shared = match sharing.as_slice() {
@@ -374,15 +397,15 @@ fn unexplained(case: &Case, held: &Held, all: &[Held], left: &Left) -> Fault {
         sharing => format!(", shared with {}", sharing.join(", ")),
     };
     evidence.more.insert("shared_by".to_owned(), sharing.into());
-    let said = format!("unexplained residual {} rms{shared}", sizes(&left.error));
-    let goes_with = &held.goes_with;
-    let message = format!("{said} after all other findings are corrected{goes_with}");
+    let said = format!("unexplained residual {} rms{shared}", sizes(&residual.error));
+    let varying_angle = &attributed.varying_angle;
+    let message = format!("{said} after all other findings are corrected{varying_angle}");
     let fix =
         "use the arm's calibrated description, or check that it belongs to this arm; if the error \
         starts at some time, check what happened to the tool, the frames or the joints then"
             .to_owned();
     Fault {
-        severity: left.severity,
+        severity: residual.severity,
         cause: Cause::Model,
         title: "unexplained residual",
         message,
@@ -392,11 +415,11 @@ fn unexplained(case: &Case, held: &Held, all: &[Held], left: &Left) -> Fault {
 }
 
 /// Finding for poses and joint states that no cause reconciles.
-fn disagreement(held: &Held, left: &Left) -> Fault {
-    let stream = held.stream;
+fn disagreement(attributed: &AttributedStream, residual: &ExceedingResidual) -> Fault {
+    let stream = attributed.stream;
     let as_logged = stream.proof.as_ref().ok().map(|proof| &proof.as_logged);
     // The error as logged is meaningless if the reference frame is not fixed to the robot.
-    let error = as_logged.filter(|_| stream.reference_known).unwrap_or(&left.error);
+    let error = as_logged.filter(|_| stream.reference_known).unwrap_or(&residual.error);
     let candidates = candidates(stream);
     let said = said(error);
     let nearest = match candidates.first() {
@@ -438,11 +461,12 @@ fn candidates(stream: &Of<PoseEvidence>) -> Vec<String> {
     let found = &stream.diagnosis;
     let proof = stream.proof.as_ref().ok();
     let rms = |error: &Error| error.length.whole.rms;
-    let left = proof.and_then(|proof| {
-        let nearer = |left: &&Error| rms(left) < 0.5 * rms(&proof.as_logged);
+    let residual = proof.and_then(|proof| {
+        let nearer = |residual: &&Error| rms(residual) < 0.5 * rms(&proof.as_logged);
         proof.left.as_ref().filter(nearer)
     });
-    let all = left.map(|left| format!("all findings together (residual {})", sizes(left)));
+    let all =
+        residual.map(|residual| format!("all findings together (residual {})", sizes(residual)));
     let ranked = found.reading.as_ref().map_or(&[] as &[_], |reading| &reading.ranked);
     let readings =
         ranked.iter().filter(|(reading, _)| !matches!(reading, Reading::AsLogged)).take(3);

@@ -1,6 +1,6 @@
-use crate::checks::amount::{Amount, Estimated};
 use crate::checks::decision::Threshold;
-use crate::checks::{Case, Grade, Judged, changes, standing};
+use crate::checks::scalar_rule::{ScalarRule, StreamEstimate};
+use crate::checks::{Case, Grade, Judged, changes, residual_attribution};
 use crate::diagnosis::{AmountChange, Measured, PoseDiagnosis};
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
@@ -40,7 +40,7 @@ rule! {
 
 const THRESHOLD: Threshold = Threshold { unit: Unit::MetrePerMetre, warning: 1e-3, error: 5e-3 };
 
-const GROWTH: Amount = Amount {
+const GROWTH: ScalarRule = ScalarRule {
     name: "growth with reach",
     threshold: THRESHOLD,
     settle: "reach far out and close in, with every joint moving",
@@ -53,11 +53,17 @@ fn check(case: &Case) -> Vec<Judged> {
             let threshold = case.thresholds.of(&ZER002, THRESHOLD);
             let title = "growth with reach changes mid-run";
             let effect_m = change.by.value.abs() * arm.reach_m;
-            let (outcome, estimate) =
-                changes::amount(case, GROWTH.name, title, change, &threshold, effect_m);
+            let (outcome, estimate) = changes::judge_scalar_change(
+                case,
+                GROWTH.name,
+                title,
+                change,
+                &threshold,
+                effect_m,
+            );
             return stream.judged(outcome).estimated(estimate);
         }
-        let growth = stream.with(Estimated {
+        let growth = stream.with(StreamEstimate {
             estimate: &stream.diagnosis.growth,
             is_chosen: stream.diagnosis.growth_chosen,
             doubt: doubt(arm, &stream.diagnosis),
@@ -73,7 +79,7 @@ fn doubt(arm: &ArmEvidence, diagnosis: &PoseDiagnosis) -> Option<String> {
         return Some(why.to_owned());
     }
     // The main difference between two arms is usually their size.
-    standing::doubt(arm, 0.0)
+    residual_attribution::model_doubt(arm, 0.0)
 }
 
 fn fault(arm: &ArmEvidence, growth: &Measured, severity: Severity) -> Fault {

@@ -4,7 +4,7 @@ use serde_json::json;
 
 use super::MDL001;
 use crate::checks::decision::{FrameThresholds, decide};
-use crate::checks::standing::Left;
+use crate::checks::residual_attribution::ExceedingResidual;
 use crate::checks::{Case, Judged, Threshold};
 use crate::diagnosis::{Clipped, Measured, Rates};
 use crate::evidence::{ImuEvidence, Of};
@@ -47,7 +47,11 @@ fn odd(thresholds: &FrameThresholds, imu: &Of<ImuEvidence>) -> Outcome {
     let mut odd = Vec::new();
     let angle = Threshold { warning: thresholds.angle.error, ..thresholds.angle };
     let coarse = FrameThresholds { angle, ..*thresholds };
-    if let Some(left) = proof.turning.as_ref().and_then(|error| Left::beyond(error, &coarse)) {
+    if let Some(left) = proof
+        .turning
+        .as_ref()
+        .and_then(|error| ExceedingResidual::from_error_above_noise(error, &coarse))
+    {
         let most = Unit::Radian.show(left.worst.amount.most);
         odd.push(format!("its orientation is off by up to {most} after correction"));
     }

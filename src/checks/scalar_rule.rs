@@ -8,7 +8,7 @@ use crate::evidence::{ArmEvidence, Of};
 use crate::finding::{Estimate, Fault, Outcome, Severity};
 
 /// A scalar parameter and how its rule reports it.
-pub struct Amount {
+pub struct ScalarRule {
     /// Name of the estimate.
     pub name: &'static str,
     /// Thresholds for a warning and an error.
@@ -16,11 +16,11 @@ pub struct Amount {
     /// The motion or topic that would make it observable.
     pub settle: &'static str,
     /// Builds the fault.
-    pub fault: fn(&ArmEvidence, &Of<Estimated<'_>>, &Measured, Severity) -> Fault,
+    pub fault: fn(&ArmEvidence, &Of<StreamEstimate<'_>>, &Measured, Severity) -> Fault,
 }
 
 /// The estimate of a parameter on one stream.
-pub struct Estimated<'a> {
+pub struct StreamEstimate<'a> {
     /// The estimate.
     pub estimate: &'a Seen<Measured>,
     /// Whether the selected model contains it.
@@ -29,14 +29,14 @@ pub struct Estimated<'a> {
     pub doubt: Option<String>,
 }
 
-impl Amount {
+impl ScalarRule {
     /// Judges the parameter on one stream of `arm` for `rule`.
     pub fn judge(
         &self,
         rule: &Rule,
         case: &Case,
         arm: &ArmEvidence,
-        on: &Of<Estimated<'_>>,
+        on: &Of<StreamEstimate<'_>>,
     ) -> Judged {
         let (threshold, subjects) =
             (case.thresholds.of(rule, self.threshold), case.evidence.subjects());

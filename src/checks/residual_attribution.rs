@@ -11,32 +11,32 @@ use crate::finding::{Outcome, Ruling, Severity, Unit};
 use crate::run::{Apart, FlawKind};
 
 /// An error up to this multiple of the sample-to-sample noise is consistent with noise.
-const NEAR: f64 = 2.0;
+const MAX_NOISE_RATIO: f64 = 2.0;
 /// An error from this multiple on is significant: F = 9 has a probability of 0.001 for seven independent
 /// samples.
-const BEYOND: f64 = 3.0;
+const MIN_SIGNIFICANT_NOISE_RATIO: f64 = 3.0;
 
 /// Sag, backlash and encoder errors, each below its threshold, add up to at most this multiple of the
 /// thresholds at any sample …
-const TOGETHER: f64 = 2.0;
+const MAX_SUMMED_PEAK_RATIO: f64 = 2.0;
 /// … and to this multiple, rms, over a tenth of the run.
-const LASTING: f64 = 1.5;
+const MAX_SUMMED_RMS_RATIO: f64 = 1.5;
 
 /// Tolerance on the distance between two publishers, because the samples of a run differ.
-const ROOM: f64 = 1.2;
+const PUBLISHER_DISTANCE_TOLERANCE: f64 = 1.2;
 /// Rotations below this are rounding, rad.
-const ROUNDING_RAD: f64 = 1e-3;
+const MAX_ROUNDING_RAD: f64 = 1e-3;
 
 /// Outcomes of the rules that report causes.
-pub(super) struct Named {
+pub(super) struct CauseOutcomes {
     judged: Vec<(&'static str, Judged)>,
     /// Topics with two conflicting publishers: distance between them, and number of transforms.
     doubled: Vec<(String, Apart, usize)>,
 }
 
-impl Named {
+impl CauseOutcomes {
     /// Evaluates these rules.
-    pub fn of(case: &Case) -> Self {
+    pub fn evaluate(case: &Case) -> Self {
         const CODES: [&str; 19] = [
             "FRM001", "FRM002", "FRM003", "LAT001", "LAT002", "LAT003", "ORD001", "ORD002",
             "ORD003", "ORD004", "ORD005", "ORD008", "ORD009", "ORD010", "ORD011", "ZER001",
@@ -73,16 +73,21 @@ impl Named {
 
     /// Whether `stream` is /tf and its residual is already reported: by FRM001, or by FRM004 as two
     /// publishers whose distance exceeds the residual.
-    fn says_of_tf(&self, arm: &ArmEvidence, stream: &Of<PoseEvidence>, left: &Left) -> bool {
+    fn reports_tf_residual(
+        &self,
+        arm: &ArmEvidence,
+        stream: &Of<PoseEvidence>,
+        residual: &ExceedingResidual,
+    ) -> bool {
         let is_doubled = || {
             self.doubled.iter().any(|(topic, by, edges)| {
-                let times = ROOM * *edges as f64;
+                let times = PUBLISHER_DISTANCE_TOLERANCE * *edges as f64;
                 let (length_m, angle_rad) =
                     (times * (by.length_m + arm.reach_m * by.angle_rad), times * by.angle_rad);
-                let angle = left.error.angle.as_ref();
+                let angle = residual.error.angle.as_ref();
                 topic == stream.topic()
-                    && left.error.length.whole.rms <= length_m
-                    && angle.is_none_or(|angle| angle.whole.rms <= angle_rad.max(ROUNDING_RAD))
+                    && residual.error.length.whole.rms <= length_m
+                    && angle.is_none_or(|angle| angle.whole.rms <= angle_rad.max(MAX_ROUNDING_RAD))
             })
         };
         is_tf(arm, stream)
@@ -101,28 +106,28 @@ fn is_faulty(outcome: &Outcome) -> bool {
 }
 
 /// Attribution of one stream's error.
-pub(super) enum Standing {
+pub(super) enum Attribution {
     /// Below the thresholds as logged.
-    Below,
+    BelowThresholds,
     /// Consistent with sample-to-sample noise.
-    Noise,
-    /// The residual after correction is below the thresholds or consistent with noise. `is_named` if a rule
+    WithinNoise,
+    /// The residual after correction is below the thresholds or consistent with noise. `is_reported` if a rule
     /// reports one of the corrected causes.
-    Accounted { is_named: bool },
+    Explained { is_reported: bool },
     /// The residual is below the thresholds in rms and slightly above them in places, as small errors of
     /// every joint add up.
-    Small(Left),
+    SmallErrors(ExceedingResidual),
     /// Small deviations of many kinematic parameters explain the residual.
-    Nominal(Error),
+    NominalModel(Error),
     /// A significant residual remains.
-    Left(Left),
+    Unexplained(ExceedingResidual),
     /// A residual above the thresholds that may be noise, or due to the rules with these codes, which are
     /// inconclusive.
-    Open(Left, Vec<&'static str>),
+    Undetermined(ExceedingResidual, Vec<&'static str>),
 }
 
 /// Residual that exceeds the thresholds.
-pub(super) struct Left {
+pub(super) struct ExceedingResidual {
     pub severity: Severity,
     pub error: Error,
     /// Part of the run with the largest error.
@@ -132,52 +137,58 @@ pub(super) struct Left {
 }
 
 /// Minimum residual of a nominal model that is reported, rms m.
-const DRAWN_M: f64 = 0.3e-3;
+const MIN_NOMINAL_RESIDUAL_M: f64 = 0.3e-3;
 
 /// Attributes the error of a stream, given `thresholds`; `None` if the stream has no error estimate.
-pub(super) fn standing(
-    named: &Named,
+pub(super) fn attribute_residual(
+    outcomes: &CauseOutcomes,
     arm: &ArmEvidence,
     stream: &Of<PoseEvidence>,
     thresholds: &FrameThresholds,
     subjects: usize,
-) -> Option<Standing> {
+) -> Option<Attribution> {
     let found = &stream.diagnosis;
     let proof = stream.proof.as_ref().ok()?;
     let explained = proof.left.as_ref().unwrap_or(&proof.as_logged);
     // A stream computed from the joint states has no noise of its own.
-    let near = if is_tf(arm, stream) { 0.0 } else { NEAR };
+    let noise_multiple = if is_tf(arm, stream) { 0.0 } else { MAX_NOISE_RATIO };
     let in_degrees = arm.diagnosis.reading.as_ref().is_ok_and(|read| read.degrees.is_some());
-    if is_tf(arm, stream) && in_degrees && races(explained, named, stream, thresholds) {
-        return Some(Standing::Noise);
+    if is_tf(arm, stream)
+        && in_degrees
+        && is_degrees_artifact(explained, outcomes, stream, thresholds)
+    {
+        return Some(Attribution::WithinNoise);
     }
     if let Some(calibrated) = proof.calibrated.as_ref().filter(|_| found.nominal)
-        && explained.length.whole.rms > DRAWN_M
-        && Left::of(calibrated, thresholds, near).is_none()
+        && explained.length.whole.rms > MIN_NOMINAL_RESIDUAL_M
+        && ExceedingResidual::from_error(calibrated, thresholds, noise_multiple).is_none()
     {
-        return Some(Standing::Nominal(explained.clone()));
+        return Some(Attribution::NominalModel(explained.clone()));
     }
-    if Left::of(&proof.as_logged, thresholds, 0.0).is_none() {
-        return Some(Standing::Below);
+    if ExceedingResidual::from_error(&proof.as_logged, thresholds, 0.0).is_none() {
+        return Some(Attribution::BelowThresholds);
     }
-    if Left::of(&proof.as_logged, thresholds, near).is_none() {
-        return Some(Standing::Noise);
+    if ExceedingResidual::from_error(&proof.as_logged, thresholds, noise_multiple).is_none() {
+        return Some(Attribution::WithinNoise);
     }
-    let left = match Left::of(explained, thresholds, near) {
+    let residual = match ExceedingResidual::from_error(explained, thresholds, noise_multiple) {
         // FRM001 already reports the whole residual of /tf.
-        Some(left) if named.says_of_tf(arm, stream, &left) => {
-            return Some(Standing::Accounted { is_named: true });
+        Some(residual) if outcomes.reports_tf_residual(arm, stream, &residual) => {
+            return Some(Attribution::Explained { is_reported: true });
         }
         // The error as logged is meaningless if the reference frame is unknown.
-        Some(left) if proof.left.is_none() && !stream.reference_known => {
-            return Some(Standing::Open(left, vec!["ORD001"]));
+        Some(residual) if proof.left.is_none() && !stream.reference_known => {
+            return Some(Attribution::Undetermined(residual, vec!["ORD001"]));
         }
-        Some(left) if left.is_sure(thresholds) || comes_again(found, thresholds, subjects) => {
-            return Some(Standing::Left(left));
+        Some(residual)
+            if residual.is_significant_over_run(thresholds)
+                || repeats_with_configuration(found, thresholds, subjects) =>
+        {
+            return Some(Attribution::Unexplained(residual));
         }
-        left => left,
+        residual => residual,
     };
-    let causes = Causes::of(named, arm, stream);
+    let causes = InconclusiveCauses::collect(outcomes, arm, stream);
     let as_logged = || Some(&proof.as_logged);
     let unexplained = match (causes.joints.is_empty(), causes.poses.is_empty()) {
         (true, true) => None,
@@ -185,61 +196,85 @@ pub(super) fn standing(
         (true, false) => proof.beside_poses.as_ref().or_else(as_logged),
         (false, false) => as_logged(),
     };
-    Some(match unexplained.map_or(left, |error| Left::of(error, thresholds, near)) {
-        Some(left) if near > 0.0 && unexplained.is_none() && left.is_small(thresholds) => {
-            Standing::Small(left)
-        }
-        Some(left) => Standing::Open(left, [causes.joints, causes.poses].concat()),
-        None => match hidden_in_poses(proof, thresholds).filter(|_| !causes.is_named) {
-            Some(left) => Standing::Open(left, Vec::new()),
-            None => Standing::Accounted { is_named: causes.is_named },
+    Some(
+        match unexplained.map_or(residual, |error| {
+            ExceedingResidual::from_error(error, thresholds, noise_multiple)
+        }) {
+            Some(residual)
+                if noise_multiple > 0.0
+                    && unexplained.is_none()
+                    && residual.is_sum_of_small_errors(thresholds) =>
+            {
+                Attribution::SmallErrors(residual)
+            }
+            Some(residual) => {
+                Attribution::Undetermined(residual, [causes.joints, causes.poses].concat())
+            }
+            None => match unreported_pose_correction(proof, thresholds)
+                .filter(|_| !causes.is_reported)
+            {
+                Some(residual) => Attribution::Undetermined(residual, Vec::new()),
+                None => Attribution::Explained { is_reported: causes.is_reported },
+            },
         },
-    })
+    )
 }
 
 /// Effect of the corrections to the poses alone, if larger than several causes below their thresholds could
 /// produce. A rule must report it.
-fn hidden_in_poses(proof: &Proof, thresholds: &FrameThresholds) -> Option<Left> {
-    let left = Left::of(proof.beside_poses.as_ref()?, thresholds, NEAR)?;
-    (left.severity == Severity::Error).then_some(left)
+fn unreported_pose_correction(
+    proof: &Proof,
+    thresholds: &FrameThresholds,
+) -> Option<ExceedingResidual> {
+    let residual =
+        ExceedingResidual::from_error(proof.beside_poses.as_ref()?, thresholds, MAX_NOISE_RATIO)?;
+    (residual.severity == Severity::Error).then_some(residual)
 }
 
 /// Whether the residual of /tf can come from degrees interpreted as radians, possibly together with two
 /// conflicting publishers. Such joints turn almost a full revolution between samples.
-fn races(
+fn is_degrees_artifact(
     error: &Error,
-    named: &Named,
+    outcomes: &CauseOutcomes,
     stream: &Of<PoseEvidence>,
     thresholds: &FrameThresholds,
 ) -> bool {
     /// Maximum residual, in thresholds.
-    const MOST: f64 = 5.0;
-    let apart = named.doubled.iter().filter(|(topic, ..)| topic == stream.topic());
+    const MAX_RESIDUAL_RATIO: f64 = 5.0;
+    let apart = outcomes.doubled.iter().filter(|(topic, ..)| topic == stream.topic());
     let (by_m, by_rad) = apart
         .map(|(_, by, edges)| (by.length_m * *edges as f64, by.angle_rad * *edges as f64))
         .fold((0.0, 0.0), |sum, by| (sum.0 + by.0, sum.1 + by.1));
-    sizes(error, thresholds)
-        .zip([by_m, by_rad])
-        .all(|((size, threshold), by)| size.whole.rms < MOST * threshold.warning + ROOM * by)
+    with_thresholds(error, thresholds).zip([by_m, by_rad]).all(|((size, threshold), by)| {
+        size.whole.rms < MAX_RESIDUAL_RATIO * threshold.warning + PUBLISHER_DISTANCE_TOLERANCE * by
+    })
 }
 
 /// Whether the residual repeats with the configuration, unlike noise, even if the noise is poorly known.
-fn comes_again(found: &PoseDiagnosis, thresholds: &FrameThresholds, subjects: usize) -> bool {
+fn repeats_with_configuration(
+    found: &PoseDiagnosis,
+    thresholds: &FrameThresholds,
+    subjects: usize,
+) -> bool {
     found.residual.as_ref().is_ok_and(|residual| {
         let Residual { excess_m, excess_rad, .. } = residual;
         matches!(decide_both(excess_m, excess_rad, thresholds, subjects), Decision::Fail(_))
     })
 }
 
-impl Left {
-    /// Parts of `error` that reach the thresholds and exceed `near` times the noise; `None` if there are
+impl ExceedingResidual {
+    /// Parts of `error` that reach the thresholds and exceed `noise_multiple` times the noise; `None` if there are
     /// none.
-    fn of(error: &Error, thresholds: &FrameThresholds, near: f64) -> Option<Self> {
+    fn from_error(
+        error: &Error,
+        thresholds: &FrameThresholds,
+        noise_multiple: f64,
+    ) -> Option<Self> {
         let mut parts: Vec<(f64, Severity, Part)> = Vec::new();
-        for (size, threshold) in sizes(error, thresholds) {
+        for (size, threshold) in with_thresholds(error, thresholds) {
             parts.extend(size.parts.iter().filter_map(|part| {
                 let Amount { most, noise, .. } = part.amount;
-                let is_more = most > near * noise.map_or(0.0, |noise| noise.most);
+                let is_more = most > noise_multiple * noise.map_or(0.0, |noise| noise.most);
                 let severity = threshold.severity(most).filter(|_| is_more)?;
                 Some((most / threshold.warning, severity, *part))
             }));
@@ -253,46 +288,50 @@ impl Left {
     }
 
     /// Parts of `error` that reach the thresholds and are clearly above the noise.
-    pub fn beyond(error: &Error, thresholds: &FrameThresholds) -> Option<Self> {
-        Self::of(error, thresholds, NEAR)
+    pub fn from_error_above_noise(error: &Error, thresholds: &FrameThresholds) -> Option<Self> {
+        Self::from_error(error, thresholds, MAX_NOISE_RATIO)
     }
 
     /// Whether small errors of every joint, each below its threshold, can add up to it.
-    fn is_small(&self, thresholds: &FrameThresholds) -> bool {
+    fn is_sum_of_small_errors(&self, thresholds: &FrameThresholds) -> bool {
         let small = |amount: &Amount, warning: f64| {
-            amount.rms < LASTING * warning && amount.most < TOGETHER * warning
+            amount.rms < MAX_SUMMED_RMS_RATIO * warning
+                && amount.most < MAX_SUMMED_PEAK_RATIO * warning
         };
-        sizes(&self.error, thresholds).all(|(size, threshold)| {
+        with_thresholds(&self.error, thresholds).all(|(size, threshold)| {
             let in_parts = size.parts.iter().all(|part| small(&part.amount, threshold.warning));
             size.whole.rms < threshold.warning && in_parts
         })
     }
 
     /// Whether the worst part is significantly above the noise.
-    pub fn is_beyond_noise(&self) -> bool {
-        self.worst.amount.noise.is_some_and(|noise| self.worst.amount.rms >= BEYOND * noise.rms)
+    pub fn is_significant(&self) -> bool {
+        self.worst
+            .amount
+            .noise
+            .is_some_and(|noise| self.worst.amount.rms >= MIN_SIGNIFICANT_NOISE_RATIO * noise.rms)
     }
 
     /// Whether the rms over the whole run reaches its threshold, with a part significantly above the
     /// measured noise.
-    fn is_sure(&self, thresholds: &FrameThresholds) -> bool {
+    fn is_significant_over_run(&self, thresholds: &FrameThresholds) -> bool {
         let sure = |part: &Part| {
             let Amount { rms, noise, .. } = part.amount;
-            noise.is_some_and(|noise| rms >= BEYOND * noise.rms)
+            noise.is_some_and(|noise| rms >= MIN_SIGNIFICANT_NOISE_RATIO * noise.rms)
         };
-        sizes(&self.error, thresholds).any(|(size, threshold)| {
+        with_thresholds(&self.error, thresholds).any(|(size, threshold)| {
             size.whole.rms >= threshold.warning && size.parts.iter().any(sure)
         })
     }
 
     /// Whether its worst part overlaps a part of `other` in time.
-    pub fn shares(&self, other: &Left) -> bool {
+    pub fn overlaps(&self, other: &ExceedingResidual) -> bool {
         let meets = |a: &Part, b: &Part| a.from_s < b.to_s && b.from_s < a.to_s;
         other.parts.iter().any(|part| meets(part, &self.worst))
     }
 }
 
-fn sizes<'a>(
+fn with_thresholds<'a>(
     error: &'a Error,
     thresholds: &'a FrameThresholds,
 ) -> impl Iterator<Item = (&'a Size, &'a super::Threshold)> {
@@ -301,14 +340,14 @@ fn sizes<'a>(
 }
 
 /// Rules on a stream's causes that are inconclusive, and whether any cause is reported.
-struct Causes {
+struct InconclusiveCauses {
     joints: Vec<&'static str>,
     poses: Vec<&'static str>,
-    is_named: bool,
+    is_reported: bool,
 }
 
-impl Causes {
-    fn of(named: &Named, arm: &ArmEvidence, stream: &Of<PoseEvidence>) -> Self {
+impl InconclusiveCauses {
+    fn collect(outcomes: &CauseOutcomes, arm: &ArmEvidence, stream: &Of<PoseEvidence>) -> Self {
         let found = &stream.diagnosis;
         let chosen = |is: bool, code: &'static str| is.then_some(code);
         let unsteady = found.course.as_ref().is_ok_and(|course| course.is_unsteady);
@@ -356,18 +395,20 @@ impl Causes {
         let bent = bends.filter_map(|bend| Some(&arm.joints.get(bend.column)?.name));
         let slips = arm.diagnosis.reading.iter().flat_map(|reading| &reading.slips);
         let read = slips.filter_map(|slip| Some(&arm.joints.get(slip.column)?.name));
-        let of_joints = named
+        let of_joints = outcomes
             .on(arm, stream.topic(), &times)
-            .chain(named.on(arm, &arm.joints_topic, &["LAT001", "ORD004", "ORD005", "ORD009"]))
-            .chain(zeros.flat_map(|joint| named.on(arm, joint, &["ZER001"])))
+            .chain(outcomes.on(arm, &arm.joints_topic, &["LAT001", "ORD004", "ORD005", "ORD009"]))
+            .chain(zeros.flat_map(|joint| outcomes.on(arm, joint, &["ZER001"])))
             .chain(
-                changed.into_iter().flat_map(|joint| named.on(arm, joint, &["ORD009", "ZER001"])),
+                changed
+                    .into_iter()
+                    .flat_map(|joint| outcomes.on(arm, joint, &["ORD009", "ZER001"])),
             )
-            .chain(bent.flat_map(|joint| named.on(arm, joint, &["MOT006", "ZER003"])))
-            .chain(read.flat_map(|joint| named.on(arm, joint, &["ORD004", "ORD008", "ORD009"])));
+            .chain(bent.flat_map(|joint| outcomes.on(arm, joint, &["MOT006", "ZER003"])))
+            .chain(read.flat_map(|joint| outcomes.on(arm, joint, &["ORD004", "ORD008", "ORD009"])));
         let of_joints: Vec<_> = of_joints.collect();
-        let of_poses: Vec<_> = named.on(arm, stream.topic(), &poses).collect();
-        let is_named = |(_, outcome): &(&str, &Outcome)| is_faulty(outcome);
+        let of_poses: Vec<_> = outcomes.on(arm, stream.topic(), &poses).collect();
+        let is_reported = |(_, outcome): &(&str, &Outcome)| is_faulty(outcome);
         let open = |of: &[(&'static str, &Outcome)]| -> Vec<&'static str> {
             let mut open: Vec<&str> = of
                 .iter()
@@ -378,9 +419,9 @@ impl Causes {
             open
         };
         Self {
-            is_named: !stream.reference_known
+            is_reported: !stream.reference_known
                 || stream.bare_numbers
-                || of_joints.iter().chain(&of_poses).any(is_named),
+                || of_joints.iter().chain(&of_poses).any(is_reported),
             joints: open(&of_joints),
             poses: open(&of_poses),
         }
@@ -388,17 +429,17 @@ impl Causes {
 }
 
 /// From this unexplained residual on, the model may be of a different arm, rms m.
-const UNEXPLAINED_M: f64 = 5e-3;
+const MIN_UNEXPLAINED_M: f64 = 5e-3;
 /// A cause whose effect is this multiple of the unexplained residual is reported despite it.
-const FAR_BEYOND: f64 = 10.0;
+const MIN_EFFECT_RATIO: f64 = 10.0;
 
 /// Reason why a cause with an effect of `effect_m` cannot be reported for `arm`: an unexplained residual of
 /// the model could produce it. `None` if it can.
-pub(super) fn doubt(arm: &ArmEvidence, effect_m: f64) -> Option<String> {
-    let left = arm.poses.iter().filter_map(|stream| stream.diagnosis.residual.as_ref().ok());
-    let left_m = left.map(|residual| residual.excess_m.value).fold(0.0, f64::max);
-    (left_m > UNEXPLAINED_M && effect_m < FAR_BEYOND * left_m).then(|| {
-        let left = Unit::Metre.show(left_m);
-        format!("unexplained residual of {left} (MDL001); check the model")
+pub(super) fn model_doubt(arm: &ArmEvidence, effect_m: f64) -> Option<String> {
+    let residual = arm.poses.iter().filter_map(|stream| stream.diagnosis.residual.as_ref().ok());
+    let residual_m = residual.map(|residual| residual.excess_m.value).fold(0.0, f64::max);
+    (residual_m > MIN_UNEXPLAINED_M && effect_m < MIN_EFFECT_RATIO * residual_m).then(|| {
+        let residual = Unit::Metre.show(residual_m);
+        format!("unexplained residual of {residual} (MDL001); check the model")
     })
 }

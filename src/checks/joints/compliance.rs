@@ -9,7 +9,7 @@ use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Estimate, Fault, Outcome, Ruling, Severity, Unit};
 
 /// A kind of joint compliance and how its rule reports it.
-pub(super) struct Giving {
+pub(super) struct ComplianceRule {
     /// Name of the estimate.
     pub name: &'static str,
     /// Thresholds for a warning and an error.
@@ -22,7 +22,7 @@ pub(super) struct Giving {
     pub fault: fn(&ArmEvidence, &JointBend, Severity) -> Fault,
 }
 
-impl Giving {
+impl ComplianceRule {
     /// Judges every joint with this kind of compliance, or the arm if there is none.
     pub fn check(&self, rule: &Rule, case: &Case) -> Vec<Judged> {
         let arms = case.evidence.robots.iter().filter(|arm| !arm.poses.is_empty());
@@ -33,8 +33,8 @@ impl Giving {
         let own: Vec<&JointBend> =
             arm.diagnosis.bends.iter().filter(|bend| (self.is_it)(bend)).collect();
         if own.is_empty() {
-            let outcome = match left(arm) {
-                _ if !moves(arm) => {
+            let outcome = match residual_reason(arm) {
+                _ if !has_moving_proof(arm) => {
                     let why = "the arm barely moves, or no pose can be compared with it";
                     Outcome::Inconclusive(format!("{why}; {}", self.settle))
                 }
@@ -50,10 +50,10 @@ impl Giving {
         let threshold = case.thresholds.of(rule, self.threshold);
         let subject = arm.joint(bend.column);
         if let Some(change) = &bend.change {
-            let (effect_m, _) = effect(arm, bend.column, change.by.value);
+            let (effect_m, _) = tip_effect(arm, bend.column, change.by.value);
             let title = "joint compliance changes mid-run";
             let (outcome, estimate) =
-                changes::amount(case, self.name, title, change, &threshold, effect_m);
+                changes::judge_scalar_change(case, self.name, title, change, &threshold, effect_m);
             if matches!(outcome, Outcome::Evaluated(Ruling::Faulty(_))) {
                 return Judged::new(subject, outcome).within(arm.span).estimated(estimate);
             }
@@ -70,7 +70,7 @@ impl Giving {
 }
 
 /// Whether a pose stream was compared with the arm in motion.
-fn moves(arm: &ArmEvidence) -> bool {
+fn has_moving_proof(arm: &ArmEvidence) -> bool {
     let moves = |stream: &Of<PoseEvidence>| {
         let is_told = stream.proof.as_ref().is_ok_and(|proof| !proof.at_rest);
         is_told && stream.diagnosis.residual.is_ok()
@@ -79,7 +79,7 @@ fn moves(arm: &ArmEvidence) -> bool {
 }
 
 /// Residual of the arm's poses that any joint may have caused; `None` if it is below the thresholds.
-fn left(arm: &ArmEvidence) -> Option<String> {
+fn residual_reason(arm: &ArmEvidence) -> Option<String> {
     let streams = arm.poses.iter().map(|stream| &stream.diagnosis);
     let left =
         streams.filter(|found| !found.nominal).filter_map(|found| found.residual.as_ref().ok());
@@ -94,7 +94,7 @@ fn left(arm: &ArmEvidence) -> Option<String> {
 }
 
 /// Displacement of the tip at full reach if joint `column` rotates, in metres and formatted.
-pub(super) fn effect(arm: &ArmEvidence, column: usize, turn_rad: f64) -> (f64, String) {
+pub(super) fn tip_effect(arm: &ArmEvidence, column: usize, turn_rad: f64) -> (f64, String) {
     let lever_m = arm.diagnosis.offsets.get(column).map_or(0.0, |offset| offset.lever_m);
     let effect_m = lever_m * turn_rad.abs();
     (effect_m, format!("{} at full reach", Unit::Metre.show(effect_m)))

@@ -8,7 +8,7 @@ use crate::finding::{Cause, CheckRow, Estimate, Finding, Severity, Status, Subje
 ///
 /// An unmodelled error resembles a bit of every cause. A latency follows the profile of the motion, so it
 /// only has to exceed the residual. However, backlash can resemble a few milliseconds of latency.
-fn believed(cause: &Cause) -> Option<f64> {
+fn min_effect_ratio(cause: &Cause) -> Option<f64> {
     match cause {
         Cause::Latency(_) | Cause::Skew(_) => Some(1.0),
         Cause::JointZero { .. } | Cause::Growth | Cause::Reference(_) => Some(10.0),
@@ -17,20 +17,20 @@ fn believed(cause: &Cause) -> Option<f64> {
 }
 
 /// Minimum ratio of a joint's zero offset to the unexplained angle.
-const BELIEVED_TURN: f64 = 5.0;
+const MIN_ZERO_ANGLE_RATIO: f64 = 5.0;
 
 /// Unexplained residual of a stream.
-struct Unexplained {
+struct UnexplainedResidual {
     subject: Subject,
     length_m: f64,
     angle_rad: f64,
 }
 
-impl Unexplained {
-    fn of(finding: &Finding) -> Option<Self> {
-        let is_left = matches!(finding.cause, Cause::Model | Cause::Disagreement { .. });
+impl UnexplainedResidual {
+    fn from_finding(finding: &Finding) -> Option<Self> {
+        let is_unexplained = matches!(finding.cause, Cause::Model | Cause::Disagreement { .. });
         let is_grave = finding.severity > Severity::Info;
-        match finding.estimate.as_ref().filter(|_| is_left && is_grave)? {
+        match finding.estimate.as_ref().filter(|_| is_unexplained && is_grave)? {
             Estimate::Frame { value, rotation, .. } => Some(Self {
                 subject: finding.subject.clone(),
                 length_m: *value,
@@ -41,11 +41,12 @@ impl Unexplained {
     }
 
     /// Whether the residual could produce this finding on the same stream or on a joint.
-    fn hides(&self, finding: &Finding) -> bool {
+    fn could_cause(&self, finding: &Finding) -> bool {
         let Subject { robot, topic, .. } = &finding.subject;
         let is_it =
             self.subject.robot == *robot && (topic.is_none() || self.subject.topic == *topic);
-        let (Some(times), Some(effect_m)) = (believed(&finding.cause), finding.evidence.effect_m)
+        let (Some(times), Some(effect_m)) =
+            (min_effect_ratio(&finding.cause), finding.evidence.effect_m)
         else {
             return false;
         };
@@ -53,17 +54,25 @@ impl Unexplained {
             Cause::JointZero { offset, slides: false } => offset.value.abs(),
             _ => f64::INFINITY,
         };
-        is_it && (effect_m < times * self.length_m || turn_rad < BELIEVED_TURN * self.angle_rad)
+        is_it
+            && (effect_m < times * self.length_m
+                || turn_rad < MIN_ZERO_ANGLE_RATIO * self.angle_rad)
     }
 }
 
 /// Makes findings inconclusive whose effect is small compared with an unexplained residual.
-pub(super) fn leave_open_beside_what_is_left(evaluation: &mut Evaluation) {
+pub(super) fn withdraw_findings_within_residual(evaluation: &mut Evaluation) {
     let Evaluation { checks, findings, .. } = evaluation;
-    let left: Vec<Unexplained> = findings.iter().filter_map(Unexplained::of).collect();
+    let unexplained: Vec<UnexplainedResidual> =
+        findings.iter().filter_map(UnexplainedResidual::from_finding).collect();
     findings.retain(|finding| {
-        let Some(left) = left.iter().find(|left| left.hides(finding)) else { return true };
-        let (length, angle) = (Unit::Metre.show(left.length_m), Unit::Radian.show(left.angle_rad));
+        let Some(unexplained) =
+            unexplained.iter().find(|unexplained| unexplained.could_cause(finding))
+        else {
+            return true;
+        };
+        let (length, angle) =
+            (Unit::Metre.show(unexplained.length_m), Unit::Radian.show(unexplained.angle_rad));
         let why = format!(
             "{}, but a residual of {length} and {angle} is unexplained (MDL001)",
             finding.message
@@ -78,11 +87,12 @@ pub(super) fn leave_open_beside_what_is_left(evaluation: &mut Evaluation) {
 }
 
 /// Families of rules that compare poses with joint states.
-const HELD: [&str; 7] = ["FRM001", "FRM002", "FRM003", "LAT", "ORD", "YAW", "ZER"];
+const RULES_ON_POSES_AND_JOINTS: [&str; 7] =
+    ["FRM001", "FRM002", "FRM003", "LAT", "ORD", "YAW", "ZER"];
 
 /// Makes those rules inconclusive if poses and joint states disagree for no known reason, or only because
 /// the robot model is wrong. Their findings are dropped.
-pub(super) fn leave_open_beside_disagreement(case: &Case, evaluation: &mut Evaluation) {
+pub(super) fn withdraw_findings_on_disagreement(case: &Case, evaluation: &mut Evaluation) {
     let Evaluation { checks, findings, .. } = evaluation;
     let disagreeing = findings.iter().filter_map(|finding| match &finding.cause {
         Cause::Disagreement { said } => Some((finding.subject.clone(), format!("{said} (MDL001)"))),
@@ -103,8 +113,12 @@ pub(super) fn leave_open_beside_disagreement(case: &Case, evaluation: &mut Evalu
             let own = subject.topic.as_deref().and_then(&on).map(|(_, why)| why);
             own.or(is_all.then_some(first))
         };
-        let rests = |code: &str| HELD.iter().any(|held| code.starts_with(held));
-        for row in checks.iter_mut().filter(|row| rests(row.code) && of_arm(&row.subject)) {
+        let compares_poses_and_joints =
+            |code: &str| RULES_ON_POSES_AND_JOINTS.iter().any(|held| code.starts_with(held));
+        for row in checks
+            .iter_mut()
+            .filter(|row| compares_poses_and_joints(row.code) && of_arm(&row.subject))
+        {
             if !matches!(row.status, Status::Inconclusive | Status::Fail) {
                 continue;
             }
@@ -113,7 +127,9 @@ pub(super) fn leave_open_beside_disagreement(case: &Case, evaluation: &mut Evalu
             (row.estimate, row.indistinguishable) = (None, false);
         }
         findings.retain(|finding| {
-            !(rests(finding.code) && of_arm(&finding.subject) && why(&finding.subject).is_some())
+            !(compares_poses_and_joints(finding.code)
+                && of_arm(&finding.subject)
+                && why(&finding.subject).is_some())
         });
     }
 }

@@ -5,19 +5,19 @@ use crate::evidence::ArmEvidence;
 use crate::finding::{Alternative, Estimate, Unit};
 
 /// Estimate of a joint's zero offset.
-pub fn estimate(unit: Unit, offset: &Measured) -> Estimate {
+pub fn joint_zero_estimate(unit: Unit, offset: &Measured) -> Estimate {
     Estimate::amount("joint zero offset", unit, offset)
 }
 
 /// Zero offset of joint `joint` as an alternative cause for another rule.
-pub fn zero_cause(arm: &ArmEvidence, joint: usize) -> Alternative {
+pub fn joint_zero_alternative(arm: &ArmEvidence, joint: usize) -> Alternative {
     let offset = arm.diagnosis.offsets.get(joint).and_then(|offset| offset.offset.as_ref().ok());
-    let estimate = offset.map(|offset| estimate(arm.joint_unit(joint), offset));
+    let estimate = offset.map(|offset| joint_zero_estimate(arm.joint_unit(joint), offset));
     Alternative { code: "ZER001", subject: arm.joint(joint), estimate }
 }
 
 /// A confounder of an offset in `unit`, as an alternative cause.
-pub fn twin_cause(arm: &ArmEvidence, twin: &Twin, unit: Unit) -> Alternative {
+pub fn confounder_alternative(arm: &ArmEvidence, twin: &Twin, unit: Unit) -> Alternative {
     let topic = |stream: usize| arm.poses.get(stream).map_or("", |stream| stream.topic());
     let (code, subject, name, value, unit) = match *twin {
         Twin::JointZero(joint, value) => {
