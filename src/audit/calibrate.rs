@@ -6,7 +6,8 @@ use super::Options;
 use super::tables::table;
 use crate::checks::{Still, gains_nothing, refusal, still};
 use crate::diagnosis::{
-    ArmCalibration, CalibrationStream, NoCalibration, PoseDiagnosis, Reading, calibrate_arm,
+    ArmCalibration, CalibrationFailure, CalibrationStream, PoseDiagnosis, PoseEncoding,
+    calibrate_arm,
 };
 use crate::evidence::{ArmEvidence, Lost, PoseEvidence, RunEvidence};
 use crate::geometry::Pose;
@@ -192,20 +193,20 @@ fn is_same_arm(a: &Robot, b: &Robot) -> bool {
     origins(a) == origins(b)
 }
 
-fn words(why: NoCalibration) -> (&'static str, &'static str) {
+fn words(why: CalibrationFailure) -> (&'static str, &'static str) {
     match why {
-        NoCalibration::Chain => (
+        CalibrationFailure::Chain => (
             "its chain contains a joint from child to parent, or a mimic joint",
             "choose --base and --tip with only the arm's own joints between them",
         ),
-        NoCalibration::OtherJoints => {
+        CalibrationFailure::OtherJoints => {
             ("its streams belong to chains with different joints", "choose one with --topic")
         }
-        NoCalibration::TooFewSamples => (
+        CalibrationFailure::TooFewSamples => (
             "too few poses have joint states at their stamps",
             "use a log with joint states and poses at the same time",
         ),
-        NoCalibration::Diverges => (
+        CalibrationFailure::Diverges => (
             "the estimation of the link deviations does not converge",
             "run `poseaudit audit` on the log for the reason",
         ),
@@ -219,7 +220,7 @@ fn fitted_to_most(
     robot: &Robot,
     streams: &mut Vec<Taken>,
     left_out: &mut Vec<String>,
-) -> Result<(Vec<String>, ArmCalibration), NoCalibration> {
+) -> Result<(Vec<String>, ArmCalibration), CalibrationFailure> {
     let given = streams.len();
     loop {
         let (joints, found) = fitted(robot, streams)?;
@@ -242,8 +243,8 @@ fn fitted_to_most(
 fn fitted(
     robot: &Robot,
     streams: &[Taken],
-) -> Result<(Vec<String>, ArmCalibration), NoCalibration> {
-    let link = |name: &str| robot.link(name).ok_or(NoCalibration::Chain);
+) -> Result<(Vec<String>, ArmCalibration), CalibrationFailure> {
+    let link = |name: &str| robot.link(name).ok_or(CalibrationFailure::Chain);
     let mut given = Vec::with_capacity(streams.len());
     for stream in streams {
         given.push(CalibrationStream {
@@ -264,8 +265,8 @@ fn fitted(
             tool_is_free: stream.tool_is_free,
         });
     }
-    let first = given.first().ok_or(NoCalibration::TooFewSamples)?;
-    let chain = robot.chain(first.base, first.tip).map_err(|_| NoCalibration::Chain)?;
+    let first = given.first().ok_or(CalibrationFailure::TooFewSamples)?;
+    let chain = robot.chain(first.base, first.tip).map_err(|_| CalibrationFailure::Chain)?;
     let joints = chain.joint_names().to_vec();
     let is_off = |joint: &String| streams.iter().any(|stream| stream.zeros.contains(joint));
     let zeros: Vec<usize> = (0..joints.len()).filter(|&at| is_off(&joints[at])).collect();
@@ -367,7 +368,7 @@ fn taken(
         frame.translation.vector.norm() <= MOST_M && frame.rotation.angle() <= MOST_RAD
     };
     let is_outside = found.witness == Witness::External;
-    let frames = &diagnosis.taken;
+    let frames = &diagnosis.frame_correction;
     let reference_is_free = !source.reference_known || !is_small(&frames.reference);
     let tool_is_free = (is_outside && !source.tip_named) || !is_small(&frames.tool);
     let kept = |frame: Pose, is_free: bool| if is_free { frame } else { Pose::identity() };
@@ -381,7 +382,7 @@ fn taken(
         joints: unzeroed.corrected_joints(&arm.joints, &arm.slides()),
         columns: source.columns.clone(),
         t_s: diagnosis.aligned.t_s.clone(),
-        poses: diagnosis.aligned.corrected.iter().map(|pose| frames.back(pose)).collect(),
+        poses: diagnosis.aligned.corrected.iter().map(|pose| frames.invert(pose)).collect(),
         rotation_is_blind: diagnosis.reading.is_err(),
         latency_s: diagnosis.latency_s.as_ref().ok().map(|latency| latency.value),
         skew: diagnosis
@@ -401,15 +402,15 @@ fn taken(
 /// Encoding of the rotations, if it differs from the log's.
 pub(super) fn reading(found: &PoseDiagnosis) -> Option<String> {
     let reading = match found.reading.as_ref().ok()?.best {
-        Reading::AsLogged => return None,
-        Reading::Misread(class) => {
+        PoseEncoding::AsLogged => return None,
+        PoseEncoding::Misinterpreted(class) => {
             let misreading = class.members.first()?;
             format!("{} read as {}", misreading.is, misreading.read_as)
         }
-        Reading::QuaternionOrder(_) => "quaternion components in the other order".to_owned(),
-        Reading::Transposed => "transposed".to_owned(),
-        Reading::Inverted => "inverted".to_owned(),
-        Reading::Numbers(convention) => convention.to_string(),
+        PoseEncoding::QuaternionOrder(_) => "quaternion components in the other order".to_owned(),
+        PoseEncoding::Transposed => "transposed".to_owned(),
+        PoseEncoding::Inverted => "inverted".to_owned(),
+        PoseEncoding::Numbers(convention) => convention.to_string(),
     };
     let unit = if found.degrees.is_some() { ", in degrees" } else { "" };
     Some(format!("{reading}{unit}"))

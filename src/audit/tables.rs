@@ -88,7 +88,7 @@ impl Table {
             .iter()
             .map(|kind| *kind == crate::robot::JointKind::Prismatic)
             .collect();
-        let frames = &diagnosis.taken;
+        let frames = &diagnosis.frame_correction;
         let dropped = table.dropped.first().map(|line| {
             format!(
                 "{} rows with values that are not numbers, the first in line {line}",
@@ -105,7 +105,7 @@ impl Table {
             joints: unzeroed.corrected_joints(&track, &slides),
             columns: columns.clone(),
             t_s: diagnosis.aligned.t_s.clone(),
-            poses: diagnosis.aligned.corrected.iter().map(|pose| frames.back(pose)).collect(),
+            poses: diagnosis.aligned.corrected.iter().map(|pose| frames.invert(pose)).collect(),
             rotation_is_blind: diagnosis.reading.is_err(),
             latency_s: None,
             skew: 0.0,

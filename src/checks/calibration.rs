@@ -83,7 +83,7 @@ pub(crate) fn gains_nothing(stream: &StreamCalibration) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnosis::LeftOver;
+    use crate::diagnosis::CalibrationResidual;
     use crate::robot::catalogue;
 
     /// A calibration with an expected FK error of `expected_m` (1 mm for the nominal model), and the
@@ -93,7 +93,7 @@ mod tests {
         [before, after]: [f64; 2],
         [unseen, foretold]: [f64; 2],
     ) -> ArmCalibration {
-        let left = |m: f64| LeftOver { m, rad: m };
+        let left = |m: f64| CalibrationResidual { m, rad: m };
         let stream = StreamCalibration {
             samples: 1000,
             latency_s: None,

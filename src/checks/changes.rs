@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use crate::checks::decision::{Decision, FrameThresholds, Threshold, decide, decide_frame};
 use crate::checks::frames::{pose_json, show};
 use crate::checks::{Case, Judged};
-use crate::diagnosis::{AmountChange, Change, CodedParts, FrameChange, Measured};
+use crate::diagnosis::{ChangePoint, EncodingSpans, FrameChange, Measured, ScalarChange};
 use crate::evidence::ArmEvidence;
 use crate::finding::{
     Cause, Change as Changes, Estimate, Evidence, Fault, Outcome, Ruling, Severity, Span, Subject,
@@ -61,7 +61,7 @@ fn show_if_significant(unit: Unit, value: f64, by: &Measured) -> Option<String> 
     is_there.then(|| unit.show_measured(&Measured { value, ..*by }))
 }
 
-fn change_stamps<V, S>(case: &Case, change: &Change<V, S>) -> (Stamp, [Stamp; 2]) {
+fn change_stamps<V, S>(case: &Case, change: &ChangePoint<V, S>) -> (Stamp, [Stamp; 2]) {
     let origin = case.evidence.origin;
     let at = |by_s: f64| origin.shifted(change.at_s + by_s);
     (at(0.0), [at(-change.within_s), at(change.within_s)])
@@ -130,7 +130,7 @@ pub fn judge_scalar_change(
     case: &Case,
     name: &'static str,
     title: &'static str,
-    change: &AmountChange,
+    change: &ScalarChange,
     threshold: &Threshold,
     effect_m: f64,
 ) -> (Outcome, Estimate) {
@@ -173,7 +173,7 @@ pub fn limit_to_segment(case: &Case, mut judged: Judged) -> Judged {
         let (_, stream) = streams.find(|(arm, stream)| {
             stream.topic() == topic && subject.robot.as_ref().is_none_or(|name| *name == arm.name)
         })?;
-        let CodedParts { rotation, degrees, length, axes } = stream.diagnosis.coded;
+        let EncodingSpans { rotation, degrees, length, axes } = stream.diagnosis.coded;
         match cause {
             Cause::Rotation(_) => rotation,
             Cause::AngleUnit(_) => degrees,

@@ -1,6 +1,6 @@
 //! Joint zero offsets and constant frames that have the same effect on a log.
 
-use crate::diagnosis::{Measured, Twin};
+use crate::diagnosis::{Confounder, Measured};
 use crate::evidence::ArmEvidence;
 use crate::finding::{Alternative, Estimate, Unit};
 
@@ -17,19 +17,19 @@ pub fn joint_zero_alternative(arm: &ArmEvidence, joint: usize) -> Alternative {
 }
 
 /// A confounder of an offset in `unit`, as an alternative cause.
-pub fn confounder_alternative(arm: &ArmEvidence, twin: &Twin, unit: Unit) -> Alternative {
+pub fn confounder_alternative(arm: &ArmEvidence, twin: &Confounder, unit: Unit) -> Alternative {
     let topic = |stream: usize| arm.poses.get(stream).map_or("", |stream| stream.topic());
     let (code, subject, name, value, unit) = match *twin {
-        Twin::JointZero(joint, value) => {
+        Confounder::JointZero(joint, value) => {
             ("ZER001", arm.joint(joint), "joint zero offset", value, arm.joint_unit(joint))
         }
-        Twin::Reference(stream, value) => {
+        Confounder::Reference(stream, value) => {
             ("FRM002", arm.topic(topic(stream)), "reference frame", value, unit)
         }
-        Twin::Tool(stream, value) => {
+        Confounder::Tool(stream, value) => {
             ("FRM003", arm.topic(topic(stream)), "tool frame", value, unit)
         }
-        Twin::Sag(joint, value) => ("ZER003", arm.joint(joint), "sag", value, unit),
+        Confounder::Sag(joint, value) => ("ZER003", arm.joint(joint), "sag", value, unit),
     };
     let estimate = Estimate::counted(name, unit.symbol(), value);
     Alternative { code, subject, estimate: Some(estimate) }

@@ -1,6 +1,6 @@
 //! Compares estimates with thresholds; no other module does.
 
-use crate::diagnosis::{FrameEstimate, Length, Measured, Unseen};
+use crate::diagnosis::{FrameEstimate, Length, Measured, NotObservable};
 use crate::finding::{Fault, Outcome, Severity, Unit, rounded};
 
 /// Confidence level of the interval that must exclude zero for a rule to fail.
@@ -148,45 +148,47 @@ fn unsettled(measured: &Measured, threshold: &Threshold) -> String {
 
 /// Outcome for a quantity that has no estimate. `settle` names the motion or topic that would make it
 /// observable.
-pub fn unseen(unseen: &Unseen, settle: &str) -> Outcome {
+pub fn unseen(unseen: &NotObservable, settle: &str) -> Outcome {
     let why = match unseen {
-        Unseen::TooFewSamples { have, need } => {
+        NotObservable::TooFewSamples { have, need } => {
             format!("only {have} samples overlap the joint states, {need} are needed")
         }
-        Unseen::NoOverlap => "no overlap in time with the joint states".to_owned(),
-        Unseen::AtRest => "the arm barely moves".to_owned(),
-        Unseen::NeverRests => "the arm never rests".to_owned(),
-        Unseen::Periodic(lags) => {
+        NotObservable::NoOverlap => "no overlap in time with the joint states".to_owned(),
+        NotObservable::AtRest => "the arm barely moves".to_owned(),
+        NotObservable::NeverRests => "the arm never rests".to_owned(),
+        NotObservable::Periodic(lags) => {
             let lags: Vec<String> = lags.iter().map(|&lag| Unit::Second.show(lag)).collect();
             format!("the motion is periodic, so several lags fit ({})", lags.join(", "))
         }
-        Unseen::DoesNotFollow(peak) => {
+        NotObservable::DoesNotFollow(peak) => {
             format!("does not follow the arm (peak correlation {})", rounded(*peak, 2))
         }
-        Unseen::LittleRotation(span) => {
+        NotObservable::LittleRotation(span) => {
             format!("its orientation spans only {}", Unit::Radian.show(*span))
         }
-        Unseen::NotExcited => "not observable in this motion".to_owned(),
-        Unseen::NoGyro => return Outcome::Skipped("it has no angular velocity".to_owned()),
-        Unseen::NoOrientation => return Outcome::Skipped("it has no orientation".to_owned()),
-        Unseen::OrientationNotSet => {
+        NotObservable::NotExcited => "not observable in this motion".to_owned(),
+        NotObservable::NoGyro => return Outcome::Skipped("it has no angular velocity".to_owned()),
+        NotObservable::NoOrientation => {
+            return Outcome::Skipped("it has no orientation".to_owned());
+        }
+        NotObservable::OrientationNotSet => {
             return Outcome::Inconclusive(
                 "its orientation was never set: it stays constant while the arm turns; set it where the pose \
                  is written"
                     .to_owned(),
             );
         }
-        Unseen::NoFrame => {
+        NotObservable::NoFrame => {
             return Outcome::Skipped("no transform from the arm to the IMU in the log".to_owned());
         }
-        Unseen::NominalKinematics => {
+        NotObservable::NominalKinematics => {
             return Outcome::Inconclusive(
                 "nominal model against a calibrated arm: causes this small are within manufacturing \
                  tolerance; use the arm's own calibration"
                     .to_owned(),
             );
         }
-        Unseen::RestsOn(what) => {
+        NotObservable::RestsOn(what) => {
             format!("blocked: {what} must be known first, and this log does not determine it")
         }
     };

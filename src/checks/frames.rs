@@ -5,7 +5,9 @@ use serde_json::{Value, json};
 use crate::checks::confounders::joint_zero_alternative;
 use crate::checks::decision::{DEGREE, Decision, FrameThresholds, Threshold, decide_frame, unseen};
 use crate::checks::{Case, Judged, Rule, changes, residual_attribution};
-use crate::diagnosis::{FrameChange, FrameEstimate, JointOffset, PoseDiagnosis, Seen, Twin};
+use crate::diagnosis::{
+    Confounder, EstimateResult, FrameChange, FrameEstimate, JointOffset, PoseDiagnosis,
+};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Alternative, Estimate, Fault, Outcome, Severity, Subject, Unit, rounded};
 use crate::geometry::{Pose, rotvec_from_rotation, xyz_of, xyzw_from_rotation};
@@ -26,7 +28,7 @@ pub struct End {
     /// Name of the estimate.
     pub name: &'static str,
     /// Its estimate in a diagnosis.
-    pub estimate: fn(&PoseDiagnosis) -> &Seen<FrameEstimate>,
+    pub estimate: fn(&PoseDiagnosis) -> &EstimateResult<FrameEstimate>,
     /// Name of the frame.
     pub frame: fn(&Of<PoseEvidence>) -> &str,
     /// Reason why the offset of this stream is not judged, if it is not.
@@ -34,7 +36,7 @@ pub struct End {
     /// Changes during the run.
     pub changes: fn(&PoseDiagnosis) -> &[FrameChange],
     /// Whether a joint offset's confounder is this end of the stream with this index.
-    pub is_twin: fn(&Twin, usize) -> bool,
+    pub is_twin: fn(&Confounder, usize) -> bool,
     /// Builds the fault.
     pub fault: fn(&ArmEvidence, &Of<PoseEvidence>, &FrameEstimate, Severity) -> Fault,
 }

@@ -112,9 +112,9 @@ mod tests {
     use super::*;
     use crate::checks::testing::{clean_run, sure};
     use crate::checks::{Settings, evaluate};
-    use crate::diagnosis::Unseen;
+    use crate::diagnosis::NotObservable;
 
-    fn part(latency: Result<f64, Unseen>, is_short: bool) -> Part {
+    fn part(latency: Result<f64, NotObservable>, is_short: bool) -> Part {
         let mut run = clean_run();
         run.robots[0].poses[0].diagnosis.latency_s = latency.map(sure);
         Part { evaluation: evaluate(&run, &Settings::default()), is_short }
@@ -129,7 +129,7 @@ mod tests {
 
     #[test]
     fn the_gravest_answer_stands_and_a_short_tail_leaves_nothing_open() {
-        let at_rest = || Err(Unseen::AtRest);
+        let at_rest = || Err(NotObservable::AtRest);
         assert_eq!(
             latency(vec![part(Ok(0.0), false), part(Ok(0.0), false)]),
             (vec![Status::Pass], 0)

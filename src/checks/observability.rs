@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use crate::checks::{Case, find, residual_attribution};
-use crate::diagnosis::{BlindDirection, Observability, Parameter};
+use crate::diagnosis::{Observability, StreamParameter, WeakDirection};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{CheckRow, Status, Subject, Unit, number};
 
@@ -192,12 +192,12 @@ fn is_left_to_motion(row: &CheckRow, arm: &ArmEvidence, stream: &Of<PoseEvidence
 }
 
 /// Merges directions that share a cause, because only combinations of their causes are observable.
-fn that_share_a_cause(directions: Vec<BlindDirection>) -> Vec<BlindDirection> {
-    let mut groups: Vec<BlindDirection> = Vec::new();
+fn that_share_a_cause(directions: Vec<WeakDirection>) -> Vec<WeakDirection> {
+    let mut groups: Vec<WeakDirection> = Vec::new();
     for direction in directions {
-        let shares = |group: &BlindDirection| {
+        let shares = |group: &WeakDirection| {
             let of =
-                |one: &BlindDirection| one.parameters.iter().map(|(p, _)| cause_of(*p)).collect();
+                |one: &WeakDirection| one.parameters.iter().map(|(p, _)| cause_of(*p)).collect();
             let (a, b): (Vec<_>, Vec<_>) = (of(group), of(&direction));
             a.iter().any(|cause| b.contains(cause))
         };
@@ -205,42 +205,46 @@ fn that_share_a_cause(directions: Vec<BlindDirection>) -> Vec<BlindDirection> {
         same.push(direction);
         let singular_value =
             same.iter().map(|one| one.singular_value).fold(f64::INFINITY, f64::min);
-        let mut parameters: Vec<(Parameter, f64)> = Vec::new();
+        let mut parameters: Vec<(StreamParameter, f64)> = Vec::new();
         for (parameter, weight) in same.into_iter().flat_map(|one| one.parameters) {
             if !parameters.iter().any(|(known, _)| *known == parameter) {
                 parameters.push((parameter, weight));
             }
         }
         parameters.sort_by_key(|(parameter, _)| match parameter {
-            Parameter::JointZero(joint) => *joint,
+            StreamParameter::JointZero(joint) => *joint,
             _ => usize::MAX,
         });
         groups = other;
-        groups.push(BlindDirection { parameters, singular_value });
+        groups.push(WeakDirection { parameters, singular_value });
     }
     groups
 }
 
 /// Maps the axes of a frame to one parameter.
-fn cause_of(parameter: Parameter) -> Parameter {
+fn cause_of(parameter: StreamParameter) -> StreamParameter {
     match parameter {
-        Parameter::ReferenceShift(_) | Parameter::ReferenceTurn(_) => Parameter::ReferenceShift(0),
-        Parameter::ToolShift(_) | Parameter::ToolTurn(_) => Parameter::ToolShift(0),
+        StreamParameter::ReferenceShift(_) | StreamParameter::ReferenceTurn(_) => {
+            StreamParameter::ReferenceShift(0)
+        }
+        StreamParameter::ToolShift(_) | StreamParameter::ToolTurn(_) => {
+            StreamParameter::ToolShift(0)
+        }
         other => other,
     }
 }
 
 /// First threshold of the rule that judges a parameter.
-fn threshold(case: &Case, arm: &ArmEvidence, parameter: Parameter) -> f64 {
+fn threshold(case: &Case, arm: &ArmEvidence, parameter: StreamParameter) -> f64 {
     let (code, unit) = match parameter {
-        Parameter::JointZero(joint) => ("ZER001", arm.joint_unit(joint)),
-        Parameter::Latency => ("LAT001", Unit::Second),
-        Parameter::Skew => ("LAT002", Unit::SecondPerSecond),
-        Parameter::Growth => ("ZER002", Unit::MetrePerMetre),
-        Parameter::ReferenceShift(_) => ("FRM002", Unit::Metre),
-        Parameter::ReferenceTurn(_) => ("FRM002", Unit::Radian),
-        Parameter::ToolShift(_) => ("FRM003", Unit::Metre),
-        Parameter::ToolTurn(_) => ("FRM003", Unit::Radian),
+        StreamParameter::JointZero(joint) => ("ZER001", arm.joint_unit(joint)),
+        StreamParameter::Latency => ("LAT001", Unit::Second),
+        StreamParameter::Skew => ("LAT002", Unit::SecondPerSecond),
+        StreamParameter::Growth => ("ZER002", Unit::MetrePerMetre),
+        StreamParameter::ReferenceShift(_) => ("FRM002", Unit::Metre),
+        StreamParameter::ReferenceTurn(_) => ("FRM002", Unit::Radian),
+        StreamParameter::ToolShift(_) => ("FRM003", Unit::Metre),
+        StreamParameter::ToolTurn(_) => ("FRM003", Unit::Radian),
     };
     let Ok(rule) = find(code) else { return 1.0 };
     let own = rule.grade.thresholds().iter().find(|threshold| threshold.unit == unit);
@@ -250,7 +254,7 @@ fn threshold(case: &Case, arm: &ArmEvidence, parameter: Parameter) -> f64 {
 fn blind(
     arm: &ArmEvidence,
     seen: &Observability,
-    direction: &BlindDirection,
+    direction: &WeakDirection,
     is_noise: bool,
 ) -> Blind {
     let parameters = direction.parameters.iter();
@@ -261,21 +265,23 @@ fn blind(
     }
 }
 
-fn part(arm: &ArmEvidence, parameter: Parameter, weight: f64) -> Part {
+fn part(arm: &ArmEvidence, parameter: StreamParameter, weight: f64) -> Part {
     let along = |what: &str, axis: usize| format!(" {what} {}", ["x", "y", "z"][axis % 3]);
     let (cause, axis, code) = match parameter {
-        Parameter::JointZero(joint) => {
+        StreamParameter::JointZero(joint) => {
             let name = arm.joints.get(joint).map(|joint| joint.name.clone());
             let cause = format!("zero of {}", name.as_deref().unwrap_or("a joint"));
             return Part { name: cause.clone(), weight, cause, code: "ZER001", joint: name };
         }
-        Parameter::Latency => ("latency", String::new(), "LAT001"),
-        Parameter::Skew => ("clock skew", String::new(), "LAT002"),
-        Parameter::Growth => ("growth with reach", String::new(), "ZER002"),
-        Parameter::ReferenceShift(axis) => ("reference frame", along("along", axis), "FRM002"),
-        Parameter::ReferenceTurn(axis) => ("reference frame", along("about", axis), "FRM002"),
-        Parameter::ToolShift(axis) => ("tool frame", along("along", axis), "FRM003"),
-        Parameter::ToolTurn(axis) => ("tool frame", along("about", axis), "FRM003"),
+        StreamParameter::Latency => ("latency", String::new(), "LAT001"),
+        StreamParameter::Skew => ("clock skew", String::new(), "LAT002"),
+        StreamParameter::Growth => ("growth with reach", String::new(), "ZER002"),
+        StreamParameter::ReferenceShift(axis) => {
+            ("reference frame", along("along", axis), "FRM002")
+        }
+        StreamParameter::ReferenceTurn(axis) => ("reference frame", along("about", axis), "FRM002"),
+        StreamParameter::ToolShift(axis) => ("tool frame", along("along", axis), "FRM003"),
+        StreamParameter::ToolTurn(axis) => ("tool frame", along("about", axis), "FRM003"),
     };
     Part { name: format!("{cause}{axis}"), weight, cause: cause.to_owned(), code, joint: None }
 }
@@ -290,10 +296,12 @@ fn is_noise(checks: &[CheckRow], stream: &Subject) -> bool {
 fn motion(
     arm: &ArmEvidence,
     seen: &Observability,
-    direction: &BlindDirection,
+    direction: &WeakDirection,
     is_noise: bool,
 ) -> String {
-    let is_timing = |one: &(Parameter, f64)| matches!(one.0, Parameter::Latency | Parameter::Skew);
+    let is_timing = |one: &(StreamParameter, f64)| {
+        matches!(one.0, StreamParameter::Latency | StreamParameter::Skew)
+    };
     let stays = |joint: usize| {
         let far = if arm.joint_unit(joint) == Unit::Metre { FAR_M } else { FAR_RAD };
         seen.travel.get(joint).is_some_and(|&travel| travel < far)
@@ -303,14 +311,14 @@ fn motion(
         return "move every joint by more than 30°, faster than 0.2 rad/s".to_owned();
     }
     if direction.parameters.iter().all(is_timing) {
-        let skew = direction.parameters.iter().any(|one| one.0 == Parameter::Skew);
+        let skew = direction.parameters.iter().any(|one| one.0 == StreamParameter::Skew);
         return match skew {
             true => "record at least a minute, with the arm moving from start to end".to_owned(),
             false => "move the arm faster than 0.2 rad/s".to_owned(),
         };
     }
     let takes_part = |&joint: &usize| {
-        direction.parameters.iter().any(|one| one.0 == Parameter::JointZero(joint))
+        direction.parameters.iter().any(|one| one.0 == StreamParameter::JointZero(joint))
     };
     let own: Vec<usize> = still.iter().copied().filter(takes_part).collect();
     let joints = if own.is_empty() { still } else { own };
@@ -335,12 +343,12 @@ mod tests {
     use super::*;
     use crate::checks::testing::clean_run;
 
-    fn direction(parameters: &[Parameter]) -> BlindDirection {
+    fn direction(parameters: &[StreamParameter]) -> WeakDirection {
         let parameters = parameters.iter().map(|&parameter| (parameter, 1.0)).collect();
-        BlindDirection { parameters, singular_value: 0.1 }
+        WeakDirection { parameters, singular_value: 0.1 }
     }
 
-    fn sentence(travel: [f64; 3], parameters: &[Parameter]) -> String {
+    fn sentence(travel: [f64; 3], parameters: &[StreamParameter]) -> String {
         let run = clean_run();
         let seen = Observability::of_travel(travel.to_vec());
         blind(&run.robots[0], &seen, &direction(parameters), true).sentence("/pose")
@@ -349,11 +357,11 @@ mod tests {
     #[test]
     fn a_joint_that_stays_is_asked_to_move() {
         assert_eq!(
-            sentence([1.0, 0.01, 1.0], &[Parameter::JointZero(1)]),
+            sentence([1.0, 0.01, 1.0], &[StreamParameter::JointZero(1)]),
             "zero of lift not observable in /pose; move lift by more than 30°, with the other joints in two \
              different configurations"
         );
-        let two = [Parameter::JointZero(0), Parameter::JointZero(1)];
+        let two = [StreamParameter::JointZero(0), StreamParameter::JointZero(1)];
         assert_eq!(
             sentence([0.02, 0.01, 1.0], &two),
             "this motion cannot separate zeros of pan and lift in /pose; move pan and lift by more than 30° each, at different times"
@@ -362,7 +370,11 @@ mod tests {
 
     #[test]
     fn axes_of_one_frame_are_one_cause() {
-        let parameters = [Parameter::ToolTurn(0), Parameter::ToolShift(2), Parameter::JointZero(2)];
+        let parameters = [
+            StreamParameter::ToolTurn(0),
+            StreamParameter::ToolShift(2),
+            StreamParameter::JointZero(2),
+        ];
         let said = sentence([1.0; 3], &parameters);
         assert!(
             said.starts_with("this motion cannot separate zero of elbow and tool frame in /pose"),
@@ -372,14 +384,14 @@ mod tests {
 
     #[test]
     fn rest_asks_for_motion_and_a_short_run_for_length() {
-        assert!(sentence([0.0; 3], &[Parameter::Latency]).contains("move every joint"));
-        let said = sentence([1.0; 3], &[Parameter::Skew]);
+        assert!(sentence([0.0; 3], &[StreamParameter::Latency]).contains("move every joint"));
+        let said = sentence([1.0; 3], &[StreamParameter::Skew]);
         assert!(said.ends_with("at least a minute, with the arm moving from start to end"));
     }
 
     #[test]
     fn directions_that_share_a_cause_are_said_at_once() {
-        use Parameter::{Growth, JointZero, ToolShift, ToolTurn};
+        use StreamParameter::{Growth, JointZero, ToolShift, ToolTurn};
         let groups = that_share_a_cause(vec![
             direction(&[JointZero(0), ToolTurn(1)]),
             direction(&[JointZero(1), JointZero(2)]),

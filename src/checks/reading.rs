@@ -2,7 +2,9 @@
 
 use crate::checks::decision::{DEGREE, unseen};
 use crate::checks::{Case, Judged};
-use crate::diagnosis::{LengthSlip, PoseDiagnosis, Reading, ReadingEstimate, Seen, Unseen};
+use crate::diagnosis::{
+    EncodingEstimate, EstimateResult, LengthUnitError, NotObservable, PoseDiagnosis, PoseEncoding,
+};
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, ReadAs, Ruling, Severity, Unit};
 use crate::geometry::{
@@ -31,12 +33,12 @@ pub enum Kind {
     Direction,
 }
 
-fn kind(reading: &Reading) -> Option<Kind> {
+fn kind(reading: &PoseEncoding) -> Option<Kind> {
     match reading {
-        Reading::AsLogged | Reading::Numbers(_) => None,
-        Reading::Misread(_) => Some(Kind::Convention),
-        Reading::QuaternionOrder(_) => Some(Kind::QuaternionOrder),
-        Reading::Transposed | Reading::Inverted => Some(Kind::Direction),
+        PoseEncoding::AsLogged | PoseEncoding::Numbers(_) => None,
+        PoseEncoding::Misinterpreted(_) => Some(Kind::Convention),
+        PoseEncoding::QuaternionOrder(_) => Some(Kind::QuaternionOrder),
+        PoseEncoding::Transposed | PoseEncoding::Inverted => Some(Kind::Direction),
     }
 }
 
@@ -60,7 +62,7 @@ pub struct Wording {
 pub fn judge(
     case: &Case,
     asked: Kind,
-    word: fn(&ReadingEstimate) -> Option<Wording>,
+    word: fn(&EncodingEstimate) -> Option<Wording>,
 ) -> Vec<Judged> {
     let mut judged = Vec::new();
     for arm in &case.evidence.robots {
@@ -101,9 +103,9 @@ pub fn judge(
 
 fn judge_stream(
     arm: &ArmEvidence,
-    reading: &Seen<ReadingEstimate>,
+    reading: &EstimateResult<EncodingEstimate>,
     asked: Kind,
-    word: fn(&ReadingEstimate) -> Option<Wording>,
+    word: fn(&EncodingEstimate) -> Option<Wording>,
 ) -> (Outcome, Option<Estimate>) {
     let reading = match reading {
         Ok(reading) => reading,
@@ -127,7 +129,9 @@ fn judge_stream(
     let is_inverted = asked == Kind::Direction && reading.inverted;
     if kind(&reading.best) != Some(asked) && !is_inverted {
         let remark = match reading.best {
-            Reading::Numbers(convention) => Outcome::sound_because(format!("read as {convention}")),
+            PoseEncoding::Numbers(convention) => {
+                Outcome::sound_because(format!("read as {convention}"))
+            }
             _ => Outcome::sound(),
         };
         return (remark, None);
@@ -160,8 +164,8 @@ fn of_bare_numbers(
 ) -> (Outcome, Option<Estimate>) {
     let is_read = matches!(outcome, Outcome::Evaluated(_));
     let form = found.reading.as_ref().ok().and_then(|reading| match reading.best {
-        Reading::Numbers(convention) => Some(Coding::Three(convention)),
-        Reading::QuaternionOrder(QuaternionSlip::WxyzReadAsXyzw) => Some(Coding::Wxyz),
+        PoseEncoding::Numbers(convention) => Some(Coding::Three(convention)),
+        PoseEncoding::QuaternionOrder(QuaternionSlip::WxyzReadAsXyzw) => Some(Coding::Wxyz),
         _ => None,
     });
     match (asked, form) {
@@ -187,7 +191,9 @@ fn of_bare_numbers(
         }
         // A quaternion in the default order, or no rotation.
         (Kind::Convention, None) => match &found.length {
-            Ok(Some(slip)) if is_read || matches!(found.reading, Err(Unseen::NoOrientation)) => {
+            Ok(Some(slip))
+                if is_read || matches!(found.reading, Err(NotObservable::NoOrientation)) =>
+            {
                 let (is, read_as) = (slip.is.to_string(), slip.read_as.to_string());
                 (bare_lengths(topic, slip), Some(Estimate::slip("length unit", is, read_as)))
             }
@@ -202,7 +208,7 @@ fn of_bare_numbers(
 }
 
 /// Outcome for bare positions that match FK in a unit other than metres.
-fn bare_lengths(topic: &str, slip: &LengthSlip) -> Outcome {
+fn bare_lengths(topic: &str, slip: &LengthUnitError) -> Outcome {
     let is = slip.is.words();
     Outcome::faulty(Fault {
         severity: Severity::Info,
@@ -266,7 +272,7 @@ fn declared(form: Coding, found: &PoseDiagnosis) -> String {
 
 fn fault(
     arm: &ArmEvidence,
-    reading: &ReadingEstimate,
+    reading: &EncodingEstimate,
     wording: Wording,
 ) -> (Outcome, Option<Estimate>) {
     let Wording { title, what, once, fix, slip, estimate } = wording;
@@ -293,12 +299,12 @@ fn fault(
 
 /// Whether every encoding fits equally well, because the orientation barely changes and a constant frame
 /// absorbs the difference.
-fn nothing_was_told_apart(reading: &ReadingEstimate) -> bool {
+fn nothing_was_told_apart(reading: &EncodingEstimate) -> bool {
     kind(&reading.best).is_none() && !reading.inverted && !reading.is_told
 }
 
 /// Whether the best encoding is clearly better than the stream as logged and the next best.
-fn is_clear(reading: &ReadingEstimate) -> bool {
+fn is_clear(reading: &EncodingEstimate) -> bool {
     let best = reading.best_rad.max(Unit::Radian.noise_floor());
     let clear_of = |rad: f64| rad >= CLEAR_RATIO * best;
     kind(&reading.best).is_none()
@@ -306,7 +312,7 @@ fn is_clear(reading: &ReadingEstimate) -> bool {
             && reading.runner_up.as_ref().is_none_or(|&(_, rad)| clear_of(rad))
 }
 
-fn unclear(reading: &ReadingEstimate) -> String {
+fn unclear(reading: &EncodingEstimate) -> String {
     let best = describe(&reading.best);
     let left = Unit::Radian.show(reading.best_rad);
     match &reading.runner_up {
@@ -318,9 +324,9 @@ fn unclear(reading: &ReadingEstimate) -> String {
     }
 }
 
-fn describe(reading: &Reading) -> String {
+fn describe(reading: &PoseEncoding) -> String {
     match reading {
-        Reading::AsLogged => "the stream as logged".to_owned(),
+        PoseEncoding::AsLogged => "the stream as logged".to_owned(),
         reading => {
             let ReadAs { is, read_as } = read_as(reading);
             format!("{is} read as {read_as}")
@@ -329,22 +335,22 @@ fn describe(reading: &Reading) -> String {
 }
 
 /// Contract names of an encoding: actual, and as interpreted in the log.
-pub fn read_as(reading: &Reading) -> ReadAs {
+pub fn read_as(reading: &PoseEncoding) -> ReadAs {
     let (is, read_as) = match reading {
-        Reading::AsLogged => ("pose".to_owned(), "pose"),
-        Reading::Numbers(convention) => {
+        PoseEncoding::AsLogged => ("pose".to_owned(), "pose"),
+        PoseEncoding::Numbers(convention) => {
             return ReadAs { is: convention.to_string(), read_as: convention.to_string() };
         }
-        Reading::Misread(class) => match class.members.first() {
+        PoseEncoding::Misinterpreted(class) => match class.members.first() {
             Some(misreading) => return read_as_misreading(misreading),
             None => ("pose".to_owned(), "pose"),
         },
-        Reading::QuaternionOrder(slip) => {
+        PoseEncoding::QuaternionOrder(slip) => {
             let (is, read_as) = quaternion_orders(*slip);
             (is.to_owned(), read_as)
         }
-        Reading::Transposed => ("transpose".to_owned(), "pose"),
-        Reading::Inverted => ("pose-inverse".to_owned(), "pose"),
+        PoseEncoding::Transposed => ("transpose".to_owned(), "pose"),
+        PoseEncoding::Inverted => ("pose-inverse".to_owned(), "pose"),
     };
     ReadAs { is, read_as: read_as.to_owned() }
 }
@@ -390,11 +396,15 @@ mod tests {
     use crate::evidence::RunEvidence;
     use crate::finding::Status;
 
-    fn read(best: Reading, best_rad: f64, runner_up: Option<(Reading, f64)>) -> RunEvidence {
+    fn read(
+        best: PoseEncoding,
+        best_rad: f64,
+        runner_up: Option<(PoseEncoding, f64)>,
+    ) -> RunEvidence {
         let mut run = clean_run();
         let as_logged_rad = Some(1.1);
-        run.robots[0].poses[0].diagnosis.reading = Ok(ReadingEstimate {
-            inverted: matches!(best, Reading::Inverted),
+        run.robots[0].poses[0].diagnosis.reading = Ok(EncodingEstimate {
+            inverted: matches!(best, PoseEncoding::Inverted),
             best,
             as_logged_rad,
             best_rad,
@@ -409,11 +419,11 @@ mod tests {
     #[test]
     fn each_fault_is_found_by_its_own_rule_alone() {
         for (reading, code) in [
-            (Reading::QuaternionOrder(QuaternionSlip::WxyzReadAsXyzw), "ORD002"),
-            (Reading::Inverted, "ORD003"),
-            (Reading::Transposed, "ORD003"),
+            (PoseEncoding::QuaternionOrder(QuaternionSlip::WxyzReadAsXyzw), "ORD002"),
+            (PoseEncoding::Inverted, "ORD003"),
+            (PoseEncoding::Transposed, "ORD003"),
         ] {
-            let run = read(reading, 1e-4, Some((Reading::AsLogged, 1.1)));
+            let run = read(reading, 1e-4, Some((PoseEncoding::AsLogged, 1.1)));
             for rule in [&ORD001, &ORD002, &ORD003] {
                 let (rows, findings) = ask(rule, &run);
                 assert_eq!(
@@ -428,7 +438,7 @@ mod tests {
 
     #[test]
     fn two_readings_that_fit_alike_leave_both_rules_open() {
-        let run = read(Reading::Inverted, 1e-3, Some((Reading::Transposed, 1.2e-3)));
+        let run = read(PoseEncoding::Inverted, 1e-3, Some((PoseEncoding::Transposed, 1.2e-3)));
         let (rows, findings) = ask(&ORD003, &run);
         assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
         assert_eq!(ask(&ORD002, &run).0[0].status, Status::Pass);
@@ -436,7 +446,7 @@ mod tests {
 
     #[test]
     fn no_reading_is_believed_that_does_not_follow_the_arm() {
-        let (rows, findings) = ask(&ORD003, &read(Reading::Inverted, 0.5, None));
+        let (rows, findings) = ask(&ORD003, &read(PoseEncoding::Inverted, 0.5, None));
         assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
     }
 

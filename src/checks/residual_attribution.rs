@@ -4,7 +4,8 @@
 use crate::checks::decision::{Decision, decide_both};
 use crate::checks::{Case, FrameThresholds, Judged, find};
 use crate::diagnosis::{
-    Amount, Error, FrameEstimate, Part, PoseDiagnosis, Proof, Residual, Seen, Size,
+    ErrorMagnitude, ErrorSize, EstimateResult, FkError, FrameEstimate, PartError, PoseDiagnosis,
+    ResidualCheck, StreamResidual,
 };
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Outcome, Ruling, Severity, Unit};
@@ -118,7 +119,7 @@ pub(super) enum Attribution {
     /// every joint add up.
     SmallErrors(ExceedingResidual),
     /// Small deviations of many kinematic parameters explain the residual.
-    NominalModel(Error),
+    NominalModel(FkError),
     /// A significant residual remains.
     Unexplained(ExceedingResidual),
     /// A residual above the thresholds that may be noise, or due to the rules with these codes, which are
@@ -129,11 +130,11 @@ pub(super) enum Attribution {
 /// Residual that exceeds the thresholds.
 pub(super) struct ExceedingResidual {
     pub severity: Severity,
-    pub error: Error,
+    pub error: FkError,
     /// Part of the run with the largest error.
-    pub worst: Part,
+    pub worst: PartError,
     /// Parts of the run above the thresholds, in order of time.
-    pub parts: Vec<Part>,
+    pub parts: Vec<PartError>,
 }
 
 /// Minimum residual of a nominal model that is reported, rms m.
@@ -223,7 +224,7 @@ pub(super) fn attribute_residual(
 /// Effect of the corrections to the poses alone, if larger than several causes below their thresholds could
 /// produce. A rule must report it.
 fn unreported_pose_correction(
-    proof: &Proof,
+    proof: &ResidualCheck,
     thresholds: &FrameThresholds,
 ) -> Option<ExceedingResidual> {
     let residual =
@@ -234,7 +235,7 @@ fn unreported_pose_correction(
 /// Whether the residual of /tf can come from degrees interpreted as radians, possibly together with two
 /// conflicting publishers. Such joints turn almost a full revolution between samples.
 fn is_degrees_artifact(
-    error: &Error,
+    error: &FkError,
     outcomes: &CauseOutcomes,
     stream: &Of<PoseEvidence>,
     thresholds: &FrameThresholds,
@@ -257,7 +258,7 @@ fn repeats_with_configuration(
     subjects: usize,
 ) -> bool {
     found.residual.as_ref().is_ok_and(|residual| {
-        let Residual { excess_m, excess_rad, .. } = residual;
+        let StreamResidual { excess_m, excess_rad, .. } = residual;
         matches!(decide_both(excess_m, excess_rad, thresholds, subjects), Decision::Fail(_))
     })
 }
@@ -266,14 +267,14 @@ impl ExceedingResidual {
     /// Parts of `error` that reach the thresholds and exceed `noise_multiple` times the noise; `None` if there are
     /// none.
     fn from_error(
-        error: &Error,
+        error: &FkError,
         thresholds: &FrameThresholds,
         noise_multiple: f64,
     ) -> Option<Self> {
-        let mut parts: Vec<(f64, Severity, Part)> = Vec::new();
+        let mut parts: Vec<(f64, Severity, PartError)> = Vec::new();
         for (size, threshold) in with_thresholds(error, thresholds) {
             parts.extend(size.parts.iter().filter_map(|part| {
-                let Amount { most, noise, .. } = part.amount;
+                let ErrorMagnitude { most, noise, .. } = part.amount;
                 let is_more = most > noise_multiple * noise.map_or(0.0, |noise| noise.most);
                 let severity = threshold.severity(most).filter(|_| is_more)?;
                 Some((most / threshold.warning, severity, *part))
@@ -281,20 +282,20 @@ impl ExceedingResidual {
         }
         let (_, _, worst) = *parts.iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
         let severity = parts.iter().map(|(_, severity, _)| *severity).max()?;
-        let mut parts: Vec<Part> = parts.into_iter().map(|(_, _, part)| part).collect();
+        let mut parts: Vec<PartError> = parts.into_iter().map(|(_, _, part)| part).collect();
         parts.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
         parts.dedup_by(|a, b| a.from_s == b.from_s);
         Some(Self { severity, error: error.clone(), worst, parts })
     }
 
     /// Parts of `error` that reach the thresholds and are clearly above the noise.
-    pub fn from_error_above_noise(error: &Error, thresholds: &FrameThresholds) -> Option<Self> {
+    pub fn from_error_above_noise(error: &FkError, thresholds: &FrameThresholds) -> Option<Self> {
         Self::from_error(error, thresholds, MAX_NOISE_RATIO)
     }
 
     /// Whether small errors of every joint, each below its threshold, can add up to it.
     fn is_sum_of_small_errors(&self, thresholds: &FrameThresholds) -> bool {
-        let small = |amount: &Amount, warning: f64| {
+        let small = |amount: &ErrorMagnitude, warning: f64| {
             amount.rms < MAX_SUMMED_RMS_RATIO * warning
                 && amount.most < MAX_SUMMED_PEAK_RATIO * warning
         };
@@ -315,8 +316,8 @@ impl ExceedingResidual {
     /// Whether the rms over the whole run reaches its threshold, with a part significantly above the
     /// measured noise.
     fn is_significant_over_run(&self, thresholds: &FrameThresholds) -> bool {
-        let sure = |part: &Part| {
-            let Amount { rms, noise, .. } = part.amount;
+        let sure = |part: &PartError| {
+            let ErrorMagnitude { rms, noise, .. } = part.amount;
             noise.is_some_and(|noise| rms >= MIN_SIGNIFICANT_NOISE_RATIO * noise.rms)
         };
         with_thresholds(&self.error, thresholds).any(|(size, threshold)| {
@@ -326,15 +327,15 @@ impl ExceedingResidual {
 
     /// Whether its worst part overlaps a part of `other` in time.
     pub fn overlaps(&self, other: &ExceedingResidual) -> bool {
-        let meets = |a: &Part, b: &Part| a.from_s < b.to_s && b.from_s < a.to_s;
+        let meets = |a: &PartError, b: &PartError| a.from_s < b.to_s && b.from_s < a.to_s;
         other.parts.iter().any(|part| meets(part, &self.worst))
     }
 }
 
 fn with_thresholds<'a>(
-    error: &'a Error,
+    error: &'a FkError,
     thresholds: &'a FrameThresholds,
-) -> impl Iterator<Item = (&'a Size, &'a super::Threshold)> {
+) -> impl Iterator<Item = (&'a ErrorSize, &'a super::Threshold)> {
     let angle = error.angle.as_ref().map(|angle| (angle, &thresholds.angle));
     std::iter::once((&error.length, &thresholds.length)).chain(angle)
 }
@@ -356,7 +357,8 @@ impl InconclusiveCauses {
                 .into_iter()
                 .flatten()
                 .collect();
-        let frame = |frame: &Seen<FrameEstimate>| frame.as_ref().is_ok_and(|frame| frame.chosen);
+        let frame =
+            |frame: &EstimateResult<FrameEstimate>| frame.as_ref().is_ok_and(|frame| frame.chosen);
         // An orientation whose encoding is undetermined is not accounted for.
         let has_angle = stream.proof.as_ref().is_ok_and(|proof| proof.as_logged.angle.is_some());
         let reading = match &found.reading {

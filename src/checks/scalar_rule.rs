@@ -3,7 +3,7 @@
 
 use crate::checks::decision::{Decision, Threshold, decide, unseen};
 use crate::checks::{Case, Judged, Rule};
-use crate::diagnosis::{Measured, Seen};
+use crate::diagnosis::{EstimateResult, Measured};
 use crate::evidence::{ArmEvidence, Of};
 use crate::finding::{Estimate, Fault, Outcome, Severity};
 
@@ -22,7 +22,7 @@ pub struct ScalarRule {
 /// The estimate of a parameter on one stream.
 pub struct StreamEstimate<'a> {
     /// The estimate.
-    pub estimate: &'a Seen<Measured>,
+    pub estimate: &'a EstimateResult<Measured>,
     /// Whether the selected model contains it.
     pub is_chosen: bool,
     /// Why the estimate is not reliable on this stream, if it is not.

@@ -4,11 +4,13 @@ use std::sync::LazyLock;
 
 use crate::checks::{Case, Rule, Thresholds, evaluate};
 use crate::diagnosis::{
-    Abruptness, Aligned, Amount, CodedParts, CommandDelay, DhEstimate, DhStream, Error,
-    FrameEstimate, GyroBias, ImuDiagnosis, ImuNumbers, ImuProof, JointDiagnosis, JointOffset,
-    JointReading, LatencyCourse, Left, Length, Line, LineWitness, Measured, Part, PoseDiagnosis,
-    Proof, Reading, ReadingEstimate, ReferenceDiagnosis, Residual, Response, RestGap, Shake, Short,
-    Size, Taken, VelocityDiagnosis, VelocityShape, YawCourse,
+    AlignedSamples, CommandDelay, CommandedLine, DhComparison, DhResidual, DhStreamResiduals,
+    EncodingEstimate, EncodingSpans, ErrorMagnitude, ErrorSize, FkError, FrameCorrection,
+    FrameEstimate, GyroBias, ImuConventions, ImuDiagnosis, ImuResidualCheck, JointDiagnosis,
+    JointEncoding, JointOffset, LatencyProfile, Length, LineDeviation, Measured, PartError,
+    PeakAcceleration, PoseDiagnosis, PoseEncoding, ReferenceDiagnosis, ResidualCheck, Response,
+    RestError, SampleNoise, StreamResidual, VelocityDiagnosis, VelocityShape, Vibration,
+    YawProfile,
 };
 use crate::evidence::{
     ArmEvidence, DhEvidence, EulerEvidence, ImuEvidence, JointEvidence, JointMotion, Of,
@@ -55,15 +57,16 @@ pub fn ask(rule: &Rule, run: &RunEvidence) -> (Vec<CheckRow>, Vec<Finding>) {
 }
 
 /// An error of this size over the whole run, before and after correction, far above the noise.
-pub fn left(most_m: f64, most_rad: f64) -> Proof {
+pub fn left(most_m: f64, most_rad: f64) -> ResidualCheck {
     let size = |most: f64| {
-        let noise = Some(Short { rms: 1e-8, most: 2e-8, over: 1 });
-        let whole = Amount { samples: 1000, rms: 0.8 * most, most, noise };
-        let part = Part { from_s: 0.0, to_s: 40.0, at: Vec3::new(0.4, 0.1, 0.3), amount: whole };
-        Size { whole, parts: vec![part] }
+        let noise = Some(SampleNoise { rms: 1e-8, most: 2e-8, over: 1 });
+        let whole = ErrorMagnitude { samples: 1000, rms: 0.8 * most, most, noise };
+        let part =
+            PartError { from_s: 0.0, to_s: 40.0, at: Vec3::new(0.4, 0.1, 0.3), amount: whole };
+        ErrorSize { whole, parts: vec![part] }
     };
-    let error = Error { length: size(most_m), angle: Some(size(most_rad)) };
-    Proof {
+    let error = FkError { length: size(most_m), angle: Some(size(most_rad)) };
+    ResidualCheck {
         at_rest: false,
         left: Some(error.clone()),
         beside_joints: Some(error.clone()),
@@ -75,7 +78,7 @@ pub fn left(most_m: f64, most_rad: f64) -> Proof {
 
 /// A fault-free arm with a pose stream, /tf, an IMU and three joints.
 pub fn clean_run() -> RunEvidence {
-    let still = Abruptness {
+    let still = PeakAcceleration {
         acceleration: 0.5,
         noise: 0.1,
         window_s: 0.1,
@@ -110,12 +113,12 @@ pub fn clean_run() -> RunEvidence {
         latency_course: Ok(steady()),
         skew: Ok(sure(0.0)),
         yaw_drift_rad_s: Ok(sure(0.0)),
-        yaw_course: YawCourse::default(),
+        yaw_course: YawProfile::default(),
         mount_rad: Ok(length(0.0)),
         link_from_imu: None,
         axes_turn: None,
         mount_change: None,
-        numbers: ImuNumbers::default(),
+        numbers: ImuConventions::default(),
         tilt_rad: Ok(length(0.0)),
         up: None,
         gyro_bias: Ok(GyroBias {
@@ -137,9 +140,9 @@ pub fn clean_run() -> RunEvidence {
         better_model: None,
         dh: Some(DhEvidence {
             declared: DhConvention::Standard,
-            estimate: DhEstimate {
-                streams: vec![DhStream {
-                    declared: Left { m: 0.0, rad: 0.0 },
+            estimate: DhComparison {
+                streams: vec![DhStreamResiduals {
+                    declared: DhResidual { m: 0.0, rad: 0.0 },
                     declared_positions_m: None,
                     other: None,
                 }],
@@ -148,7 +151,7 @@ pub fn clean_run() -> RunEvidence {
             },
         }),
         diagnosis: JointDiagnosis {
-            reading: Ok(JointReading::default()),
+            reading: Ok(JointEncoding::default()),
             offsets: vec![offset(), offset(), offset()],
             scales: Vec::new(),
             changes: Vec::new(),
@@ -159,7 +162,7 @@ pub fn clean_run() -> RunEvidence {
         tf: Some(of(TF, stream(false))),
         shakes: vec![of(
             JOINTS,
-            ShakeEvidence { in_other_units: false, shake: Ok(Shake::default()) },
+            ShakeEvidence { in_other_units: false, shake: Ok(Vibration::default()) },
         )],
         imus: vec![of(
             IMU,
@@ -167,7 +170,7 @@ pub fn clean_run() -> RunEvidence {
                 independent: true,
                 link: "tool0".to_owned(),
                 link_from_imu: None,
-                proof: Some(ImuProof::default()),
+                proof: Some(ImuResidualCheck::default()),
                 diagnosis: imu,
             },
         )],
@@ -193,8 +196,8 @@ fn of<T>(topic: &str, found: T) -> Of<T> {
 /// Commands that the arm follows, including a straight line, observed by FK and by a stream.
 fn commands() -> ReferenceEvidence {
     let witness = |name: &str, kind| ReferenceWitness { name: name.to_owned(), kind };
-    let kept = LineWitness { distance_m: length(0.0), angle_rad: length(0.0) };
-    let line = Line {
+    let kept = LineDeviation { distance_m: length(0.0), angle_rad: length(0.0) };
+    let line = CommandedLine {
         from_s: 1.0,
         to_s: 2.0,
         length_m: 0.2,
@@ -237,9 +240,9 @@ fn commands() -> ReferenceEvidence {
 
 /// A rest in which the command is off by `length_m` along the tool's x axis. The tool is turned by
 /// `turn_rad`.
-pub fn rest_gap(length_m: f64, turn_rad: f64) -> RestGap {
+pub fn rest_gap(length_m: f64, turn_rad: f64) -> RestError {
     let measured = pose([0.4, 0.1, 0.3], rotation_from_rotvec(Vec3::z() * turn_rad));
-    RestGap {
+    RestError {
         from_s: 1.0,
         to_s: 2.0,
         commanded: measured * Pose::translation(length_m, 0.0, 0.0),
@@ -261,9 +264,9 @@ pub fn frame(length_m: f64) -> FrameEstimate {
     }
 }
 
-fn as_logged() -> ReadingEstimate {
-    ReadingEstimate {
-        best: Reading::AsLogged,
+fn as_logged() -> EncodingEstimate {
+    EncodingEstimate {
+        best: PoseEncoding::AsLogged,
         inverted: false,
         as_logged_rad: Some(1e-4),
         best_rad: 1e-4,
@@ -290,7 +293,7 @@ fn clean_stream() -> PoseDiagnosis {
         growth_chosen: false,
         reference: Ok(frame(0.0)),
         tool: Ok(frame(0.0)),
-        residual: Ok(Residual {
+        residual: Ok(StreamResidual {
             excess_m: sure(0.0),
             excess_rad: sure(0.0),
             rms_m: 1e-5,
@@ -302,13 +305,13 @@ fn clean_stream() -> PoseDiagnosis {
         link_m: None,
         observability: None,
         top_speed_m_s: 0.8,
-        aligned: Aligned::default(),
+        aligned: AlignedSamples::default(),
         reference_changes: Vec::new(),
         tool_changes: Vec::new(),
         growth_changes: Vec::new(),
         delays: None,
-        coded: CodedParts::default(),
-        taken: Taken::default(),
+        coded: EncodingSpans::default(),
+        frame_correction: FrameCorrection::default(),
     }
 }
 
@@ -337,8 +340,8 @@ fn stream(independent: bool) -> PoseEvidence {
 }
 
 /// A constant latency.
-pub fn steady() -> LatencyCourse {
-    LatencyCourse {
+pub fn steady() -> LatencyProfile {
+    LatencyProfile {
         swing_s: sure(0.0),
         is_unsteady: false,
         shape: crate::diagnosis::LatencyShape::Steady,

@@ -11,7 +11,7 @@ mod write;
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
-use poseaudit::diagnosis::plan::{self, Infeasible, Nearness, Purpose};
+use poseaudit::diagnosis::plan::{self, ClearanceViolation, Infeasible, Purpose};
 use poseaudit::places::Places;
 use poseaudit::report::Trouble;
 
@@ -309,5 +309,5 @@ fn refusal(asked: &Asked, why: Infeasible) -> Trouble {
 }
 
 fn near_view(why: &Infeasible) -> bool {
-    matches!(why, Infeasible::TooNear(Some(Nearness::View(_))))
+    matches!(why, Infeasible::TooNear(Some(ClearanceViolation::View(_))))
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use super::file::{
     AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection, is_same, reading,
 };
-use crate::diagnosis::{AxesSlip, Meant, Reading, reread_imu, reread_poses};
+use crate::diagnosis::{AxesError, IntendedEncoding, PoseEncoding, reread_imu, reread_poses};
 use crate::finding::Unit;
 use crate::geometry::{LengthScale, Pose, Slip, rotation_from_xyzw};
 use crate::log::Log;
@@ -190,14 +190,18 @@ impl Given<'_> {
 
 impl TopicCorrection {
     /// Intended encoding of the poses, if it differs from the logged one.
-    fn meant(&self) -> Option<Meant> {
+    fn meant(&self) -> Option<IntendedEncoding> {
         let reading = self.rotation.and_then(reading);
         let inverted = self.inverse == Some(true);
-        let axes = self.axes.map_or(AxesSlip::NONE, |AxesCorrection { positions, rotations }| {
-            AxesSlip { positions, rotations }
+        let axes = self.axes.map_or(AxesError::NONE, |AxesCorrection { positions, rotations }| {
+            AxesError { positions, rotations }
         });
-        let is_any = reading.is_some() || inverted || axes != AxesSlip::NONE;
-        is_any.then_some(Meant { reading: reading.unwrap_or(Reading::AsLogged), axes, inverted })
+        let is_any = reading.is_some() || inverted || axes != AxesError::NONE;
+        is_any.then_some(IntendedEncoding {
+            reading: reading.unwrap_or(PoseEncoding::AsLogged),
+            axes,
+            inverted,
+        })
     }
 
     /// Lists the corrected parts as text.

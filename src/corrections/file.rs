@@ -7,7 +7,7 @@ use std::path::Path;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 
-use crate::diagnosis::Reading;
+use crate::diagnosis::PoseEncoding;
 use crate::geometry::{
     AngleUnit, Axes, Convention, LengthScale, Pose, RotationSlip, Slip, misreading_classes, pose,
     rotation_from_xyzw, xyz_of, xyzw_from_rotation,
@@ -180,15 +180,15 @@ impl FrameCorrection {
 }
 
 /// Encoding that decodes rotations with this slip.
-pub(super) fn reading(slip: RotationSlip) -> Option<Reading> {
+pub(super) fn reading(slip: RotationSlip) -> Option<PoseEncoding> {
     Some(match slip {
-        RotationSlip::Transposed => Reading::Transposed,
-        RotationSlip::Inverted => Reading::Inverted,
-        RotationSlip::Quaternion(slip) => Reading::QuaternionOrder(slip),
+        RotationSlip::Transposed => PoseEncoding::Transposed,
+        RotationSlip::Inverted => PoseEncoding::Inverted,
+        RotationSlip::Quaternion(slip) => PoseEncoding::QuaternionOrder(slip),
         RotationSlip::Misread(misreading) => {
             let classes = misreading_classes().iter();
             let mut classes = classes.filter(|class| class.members.contains(&misreading));
-            Reading::Misread(classes.next()?)
+            PoseEncoding::Misinterpreted(classes.next()?)
         }
     })
 }

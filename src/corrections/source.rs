@@ -1,7 +1,7 @@
 //! Context from which corrections are derived.
 
 use super::file::rounded;
-use crate::diagnosis::Reading;
+use crate::diagnosis::PoseEncoding;
 use crate::evidence::RunEvidence;
 use crate::finding::{Estimate, Finding, Unit};
 use crate::geometry::Convention;
@@ -48,7 +48,7 @@ impl Source<'_> {
     pub fn convention_of_numbers(&self, topic: &str) -> Option<Convention> {
         let (_, stream) = self.evidence.poses().find(|(_, stream)| stream.topic() == topic)?;
         match stream.diagnosis.reading.as_ref().ok()?.best {
-            Reading::Numbers(convention) if stream.bare_numbers => Some(convention),
+            PoseEncoding::Numbers(convention) if stream.bare_numbers => Some(convention),
             _ => None,
         }
     }

@@ -4,7 +4,7 @@ use ground::geometry::{Pose, angle_between};
 
 /// Samples of a stream and FK at the same stamps, one entry per sample in each column.
 #[derive(Clone, Debug, Default)]
-pub struct Aligned {
+pub struct AlignedSamples {
     /// Stamp of the sample, s from the run's origin.
     pub t_s: Vec<f64>,
     /// `reference_from_child` as logged.
@@ -19,22 +19,22 @@ pub struct Aligned {
 
 /// Distances between pairs of poses, one entry per pair in each column.
 #[derive(Clone, Debug, Default)]
-pub struct Residuals {
+pub struct PoseDistances {
     /// Distance between the positions, m.
     pub m: Vec<f64>,
     /// Angle between the orientations, rad.
     pub rad: Vec<f64>,
 }
 
-impl Aligned {
+impl AlignedSamples {
     /// Logged poses against FK of the recorded joint states.
-    pub fn before(&self) -> Residuals {
-        Residuals::between(&self.logged, &self.fk)
+    pub fn before(&self) -> PoseDistances {
+        PoseDistances::between(&self.logged, &self.fk)
     }
 
     /// Corrected poses against FK of the corrected joint states.
-    pub fn after(&self) -> Residuals {
-        Residuals::between(&self.corrected, &self.fk_at_truth)
+    pub fn after(&self) -> PoseDistances {
+        PoseDistances::between(&self.corrected, &self.fk_at_truth)
     }
 
     /// Middle of the stamps, s from the run's origin. 0 without samples.
@@ -48,7 +48,7 @@ impl Aligned {
     }
 }
 
-impl Residuals {
+impl PoseDistances {
     fn between(a: &[Pose], b: &[Pose]) -> Self {
         let pair = |(a, b): (&Pose, &Pose)| {
             let distance_m = (a.translation.vector - b.translation.vector).norm();

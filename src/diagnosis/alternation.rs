@@ -11,7 +11,7 @@ use super::bends::ways;
 use super::latency::median_period_s;
 use super::model::{pose_of_twist, twist_of};
 use super::sampling::as_rotations;
-use super::{LengthSlip, PoseDiagnosis, PoseStream};
+use super::{LengthUnitError, PoseDiagnosis, PoseStream};
 use ground::geometry::{Pose, Vec3, pose};
 use ground::stats::{Measured, quantile};
 use ground::stream::JointTrack;
@@ -25,16 +25,16 @@ const BODIES: usize = 4;
 
 /// Bodies between which a stream's poses alternate.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Alternation {
+pub struct ToolSwitching {
     /// Bodies other than the usual one. The usual body has most poses or comes first.
-    pub others: Vec<Other>,
+    pub others: Vec<SwitchedTool>,
     /// Total number of samples.
     pub samples: usize,
 }
 
 /// Body other than the usual one.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Other {
+pub struct SwitchedTool {
     /// `usual_from_other`: pose of the body in the usual body's frame.
     pub pose: Pose,
     /// Distance from the usual body, m.
@@ -47,7 +47,7 @@ pub struct Other {
     pub samples: usize,
 }
 
-impl Other {
+impl SwitchedTool {
     /// Returns whether the jumps to and from it are too inconsistent for a rigid body. Stamp jitter causes
     /// such jumps.
     fn is_vague(&self) -> bool {
@@ -58,11 +58,11 @@ impl Other {
     }
 }
 
-impl Alternation {
+impl ToolSwitching {
     /// Converts lengths to m if the positions of the stream have another unit.
     pub fn in_m(&self, found: &PoseDiagnosis) -> Self {
         let slip = found.length.as_ref().ok().and_then(Option::as_ref);
-        let factor = slip.map_or(1.0, LengthSlip::factor);
+        let factor = slip.map_or(1.0, LengthUnitError::factor);
         let mut scaled = self.clone();
         for other in &mut scaled.others {
             other.pose.translation.vector *= factor;
@@ -74,7 +74,7 @@ impl Alternation {
 
 /// Detects tool switching in `stream`. Returns the bodies, and all poses converted to the usual body.
 /// `None` if the poses do not alternate.
-pub fn alternation(joints: &JointTrack, stream: &PoseStream) -> Option<(Alternation, Vec<Pose>)> {
+pub fn alternation(joints: &JointTrack, stream: &PoseStream) -> Option<(ToolSwitching, Vec<Pose>)> {
     let track = stream.track;
     let rotations = as_rotations(&track.orientation)?;
     let both = track.xyz.iter().zip(rotations);
@@ -93,10 +93,10 @@ pub fn alternation(joints: &JointTrack, stream: &PoseStream) -> Option<(Alternat
     if is_play(joints, stream, &jumps_s) {
         return None;
     }
-    let bodies = Bodies::of(&jumps, poses.len(), limits)?;
+    let bodies = BodyAssignment::of(&jumps, poses.len(), limits)?;
     let usual = bodies.usual();
     let mut mended = poses;
-    let mut others: Vec<(usize, Other)> = Vec::new();
+    let mut others: Vec<(usize, SwitchedTool)> = Vec::new();
     for (from, to, body) in bodies.stretches.iter().copied().filter(|(.., body)| *body != usual) {
         if !others.iter().any(|(own, _)| *own == body) {
             others.push((body, bodies.other(body, usual)));
@@ -108,16 +108,16 @@ pub fn alternation(joints: &JointTrack, stream: &PoseStream) -> Option<(Alternat
         mended[from..to].iter_mut().for_each(|pose| *pose *= other_from_usual);
     }
     let samples = mended.len();
-    let others: Vec<Other> = others.into_iter().map(|(_, other)| other).collect();
-    if others.iter().any(Other::is_vague) {
+    let others: Vec<SwitchedTool> = others.into_iter().map(|(_, other)| other).collect();
+    if others.iter().any(SwitchedTool::is_vague) {
         return None;
     }
-    Some((Alternation { others, samples }, mended))
+    Some((ToolSwitching { others, samples }, mended))
 }
 
 /// Difference between consecutive poses, after extrapolating both to the middle of the interval.
 #[derive(Clone, Copy)]
-struct Step {
+struct PoseStep {
     /// Index of the later sample.
     row: usize,
     by: Pose,
@@ -130,14 +130,14 @@ struct Step {
 
 /// Upper limits of steps without a switch: length, m, and angle, rad.
 #[derive(Clone, Copy)]
-struct Limits {
+struct StepLimits {
     /// Noise contribution.
     noise: [f64; 2],
     /// Motion contribution.
     motion: [f64; 2],
 }
 
-impl Limits {
+impl StepLimits {
     /// Size relative to the limits of a step with interval ratio `times`.
     fn of(&self, sizes: [f64; 2], times: f64) -> f64 {
         let most = |kind: usize| (times * self.noise[kind]).max(times * times * self.motion[kind]);
@@ -145,7 +145,7 @@ impl Limits {
     }
 }
 
-fn steps(t_s: &[f64], period_s: f64, poses: &[Pose]) -> Vec<Step> {
+fn steps(t_s: &[f64], period_s: f64, poses: &[Pose]) -> Vec<PoseStep> {
     /// Maximum interval in periods. Poses further apart cannot be compared.
     const FAR: f64 = 15.0;
     let twist = |a: usize, b: usize| twist_of(&(poses[a].inverse() * poses[b]));
@@ -164,7 +164,7 @@ fn steps(t_s: &[f64], period_s: f64, poses: &[Pose]) -> Vec<Step> {
         let by = from.inverse() * to;
         let times = (between_s / before_s.min(after_s)).max(1.0);
         let sizes = [by.translation.vector.norm(), by.rotation.angle()];
-        Some(Step { row, by, sizes, times })
+        Some(PoseStep { row, by, sizes, times })
     };
     (2..poses.len().saturating_sub(1)).filter_map(of).collect()
 }
@@ -174,8 +174,8 @@ fn limits(
     joints: &JointTrack,
     stream: &PoseStream,
     period_s: f64,
-    steps: &[Step],
-) -> Option<Limits> {
+    steps: &[PoseStep],
+) -> Option<StepLimits> {
     /// Factor on the quantile of the stream's steps, that quantile, and factor on the largest FK step.
     const TIMES: f64 = 6.0;
     const NEARLY_ALL: f64 = 0.85;
@@ -200,7 +200,7 @@ fn limits(
         TIMES_FK * sizes.fold(0.0, f64::max)
     };
     let most_rad = most(1);
-    let mut limits = Limits { noise: LEAST, motion: [most(0) + LEVER_M * most_rad, most_rad] };
+    let mut limits = StepLimits { noise: LEAST, motion: [most(0) + LEVER_M * most_rad, most_rad] };
     for kind in 0..2 {
         let mut sizes: Vec<f64> = steps.iter().map(|step| step.sizes[kind] / step.times).collect();
         limits.noise[kind] = limits.noise[kind].max(TIMES * quantile(&mut sizes, NEARLY_ALL)?);
@@ -209,10 +209,10 @@ fn limits(
 }
 
 /// Steps that exceed the limits and are local maxima.
-fn jumps(steps: &[Step], limits: Limits) -> Vec<Step> {
+fn jumps(steps: &[PoseStep], limits: StepLimits) -> Vec<PoseStep> {
     /// A jump also shows, at half its size, in adjacent steps.
     const BESIDE: usize = 2;
-    let size = |step: &Step| limits.of(step.sizes, step.times);
+    let size = |step: &PoseStep| limits.of(step.sizes, step.times);
     let is_jump = |at: &usize| {
         let about = at.saturating_sub(BESIDE)..(at + BESIDE + 1).min(steps.len());
         let own = size(&steps[*at]);
@@ -239,19 +239,19 @@ fn is_play(joints: &JointTrack, stream: &PoseStream, jumps_s: &[f64]) -> bool {
 }
 
 /// Assignment of samples to bodies.
-struct Bodies {
+struct BodyAssignment {
     /// First sample, end (exclusive), and body.
     stretches: Vec<(usize, usize, usize)>,
     /// `first_from_body` according to the first jump to it, and the largest interval ratio of the jumps
     /// that determine it.
     poses: Vec<(Pose, f64)>,
     /// Every jump with the bodies before and after.
-    jumps: Vec<(usize, usize, Step)>,
+    jumps: Vec<(usize, usize, PoseStep)>,
 }
 
-impl Bodies {
+impl BodyAssignment {
     /// `None` if no body recurs.
-    fn of(jumps: &[Step], samples: usize, limits: Limits) -> Option<Self> {
+    fn of(jumps: &[PoseStep], samples: usize, limits: StepLimits) -> Option<Self> {
         /// Bodies within this many limits of each other are the same.
         const ALIKE: f64 = 1.0;
         let mut bodies =
@@ -302,9 +302,9 @@ impl Bodies {
 
     /// Pose of `body` relative to the usual one: mean of all jumps between the two, weighted by inverse
     /// variance.
-    fn other(&self, body: usize, usual: usize) -> Other {
+    fn other(&self, body: usize, usual: usize) -> SwitchedTool {
         let first = self.poses[usual].0.inverse() * self.poses[body].0;
-        let between = self.jumps.iter().filter_map(|&(from, to, Step { by, times, .. })| {
+        let between = self.jumps.iter().filter_map(|&(from, to, PoseStep { by, times, .. })| {
             let by = match (from, to) {
                 _ if (from, to) == (usual, body) => by,
                 _ if (from, to) == (body, usual) => by.inverse(),
@@ -338,7 +338,7 @@ impl Bodies {
             dof: (3.0 * (n - 1.0)).max(1.0),
         };
         let length: Vec3 = pose.translation.vector;
-        Other {
+        SwitchedTool {
             length_m: measured(length.norm(), 0),
             angle_rad: measured(pose.rotation.angle(), 3),
             pose,
@@ -359,7 +359,7 @@ mod tests {
     fn found(
         other: &dyn Fn(f64) -> Option<Pose>,
         world: &dyn Fn(f64) -> Pose,
-    ) -> Option<(Alternation, Vec<Pose>, Vec<Pose>)> {
+    ) -> Option<(ToolSwitching, Vec<Pose>, Vec<Pose>)> {
         let (joints, chain) = arm();
         let body = Pose::from_parts([0.03, 0.0, 0.06].into(), rotation_from_rpy([0.7, 0.3, -1.1]));
         let (mut t_s, mut usual, mut logged) = (Vec::new(), Vec::new(), Vec::new());

@@ -29,7 +29,7 @@ const NEARER: f64 = 0.5;
 
 /// Time at which to evaluate the transform of a moving frame for poses in it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CarrierLag {
+pub struct MovingBaseLag {
     /// Time before the poses' stamps, s.
     pub lag_s: f64,
     /// Whether this equals the latency of the poses, so the transforms are on time.
@@ -48,10 +48,10 @@ pub fn carrier_lag(
     logged: &PoseTrack,
     base_from_frame: &(dyn Fn(f64) -> Option<Pose> + Sync),
     most_lag_s: f64,
-) -> Option<CarrierLag> {
+) -> Option<MovingBaseLag> {
     let rows = some_of(logged.t_s.len());
     let cost = |lag_s: f64, latency_s: f64| -> f64 {
-        let mut fk = Forward::new(joints, stream);
+        let mut fk = FkSequence::new(joints, stream);
         let offsets = rows.iter().filter_map(|&row| {
             let t_s = logged.t_s[row];
             let at = base_from_frame(t_s - lag_s)? * nalgebra::Point3::from(logged.xyz[row]);
@@ -84,10 +84,10 @@ pub fn carrier_lag(
     let least = cost(lag_s, latency_s);
     if least > OFF_ARM * extent_m && least > NEARER * cost(0.0, 0.0) {
         // No lag makes the arm match FK, so the joints may be misinterpreted. Keep the stamps.
-        return Some(CarrierLag { lag_s: 0.0, is_on_time: true });
+        return Some(MovingBaseLag { lag_s: 0.0, is_on_time: true });
     }
     let is_on_time = (lag_s - latency_s).abs() < APART_S || cost(lag_s, latency_s) > SHARE * left;
-    Some(CarrierLag { lag_s: if is_on_time { together } else { lag_s }, is_on_time })
+    Some(MovingBaseLag { lag_s: if is_on_time { together } else { lag_s }, is_on_time })
 }
 
 /// Minimises a function near `start` by pattern search (Hooke and Jeeves 1961): steps along the axes and
@@ -117,7 +117,7 @@ fn descend(start: [f64; 2], cost: &dyn Fn([f64; 2]) -> f64) -> [f64; 2] {
 
 /// Motion of an arm's base in the frame of its poses.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct BaseTravel {
+pub struct BaseMotion {
     /// Largest distance from its mean position, m.
     pub travel_m: f64,
     /// Largest rotation from its first orientation, rad.
@@ -131,7 +131,7 @@ pub fn base_travel(
     joints: &JointTrack,
     stream: &PoseStream,
     most_lag_s: f64,
-) -> Option<BaseTravel> {
+) -> Option<BaseMotion> {
     /// Minimum travel of a moving base, m. An arm that differs from its model can deviate by less.
     const STANDS_M: f64 = 0.1;
     /// Minimum ratio of travel to deviation.
@@ -142,7 +142,7 @@ pub fn base_travel(
     let Orientations::Rotations(rotations) = &stream.track.orientation else { return None };
     let rows = some_of(stream.track.t_s.len());
     let bases = |latency_s: f64| -> Vec<Pose> {
-        let mut fk = Forward::new(joints, stream);
+        let mut fk = FkSequence::new(joints, stream);
         let of_row = |&row: &usize| {
             let logged = Pose::from_parts(stream.track.xyz[row].into(), rotations[row]);
             Some(logged * fk.at(stream.track.t_s[row] - latency_s)?.inverse())
@@ -153,7 +153,7 @@ pub fn base_travel(
         let bases = bases(latency_s);
         match 2 * bases.len() < rows.len() || bases.len() < ENOUGH {
             true => f64::INFINITY,
-            false => Course::of(&bases).strays_m,
+            false => PlanarTravel::of(&bases).strays_m,
         }
     };
     let arm = ArmSpeeds::of(joints, stream.chain, stream.columns);
@@ -167,7 +167,7 @@ pub fn base_travel(
     if bases.len() < ENOUGH {
         return None;
     }
-    let course = Course::of(&bases);
+    let course = PlanarTravel::of(&bases);
     let steps = bases.windows(2).map(|two| two[1].translation.vector - two[0].translation.vector);
     let largest_m = steps.map(|step| step.norm()).fold(0.0, f64::max);
     let middle =
@@ -183,7 +183,7 @@ pub fn base_travel(
             .any(|lag_s| stands(joints, stream, lag_s, course.along_m / FARTHER));
     moves.then(|| {
         let turned = bases.iter().map(|base| base.rotation.angle_to(&bases[0].rotation));
-        BaseTravel { travel_m, turn_rad: turned.fold(0.0, f64::max) }
+        BaseMotion { travel_m, turn_rad: turned.fold(0.0, f64::max) }
     })
 }
 
@@ -192,7 +192,7 @@ pub fn base_travel(
 /// constant orientation, or one that rotates about a single axis, would look like a moving base.
 fn stands(joints: &JointTrack, stream: &PoseStream, latency_s: f64, most_m: f64) -> bool {
     let Orientations::Rotations(rotations) = &stream.track.orientation else { return false };
-    let mut fk = Forward::new(joints, stream);
+    let mut fk = FkSequence::new(joints, stream);
     let both = some_of(stream.track.t_s.len()).into_iter().filter_map(|row| {
         let logged = Pose::from_parts(stream.track.xyz[row].into(), rotations[row]);
         Some((fk.at(stream.track.t_s[row] - latency_s)?, logged))
@@ -208,12 +208,12 @@ fn stands(joints: &JointTrack, stream: &PoseStream, latency_s: f64, most_m: f64)
 }
 
 /// Travel of poses in the plane normal to their rotation axis, and their deviation from it.
-struct Course {
+struct PlanarTravel {
     along_m: f64,
     strays_m: f64,
 }
 
-impl Course {
+impl PlanarTravel {
     /// Lever arm that converts rotations to lengths, m.
     const LEVER_M: f64 = 0.5;
     /// Below this value of `1 − σ_min` of the mean rotation, the orientation is constant (5 mrad rms).
@@ -254,7 +254,7 @@ impl Course {
 }
 
 /// FK of a stream's chain at mostly increasing times.
-struct Forward<'a> {
+struct FkSequence<'a> {
     joints: &'a JointTrack,
     stream: &'a PoseStream<'a>,
     cursor: usize,
@@ -263,7 +263,7 @@ struct Forward<'a> {
     q: Vec<f64>,
 }
 
-impl<'a> Forward<'a> {
+impl<'a> FkSequence<'a> {
     fn new(joints: &'a JointTrack, stream: &'a PoseStream<'a>) -> Self {
         let (row, rates) = (vec![0.0; joints.dof], vec![0.0; joints.dof]);
         Self { joints, stream, cursor: 0, row, rates, q: vec![0.0; stream.columns.len()] }

@@ -5,12 +5,12 @@ use nalgebra::{Matrix3, Matrix6, SMatrix, Vector6};
 
 /// Candidate true rotations of every sample under one encoding.
 #[derive(Default)]
-pub(super) struct Truths {
+pub(super) struct CandidateRotations {
     ends: Vec<usize>,
     rotations: Vec<Rotation>,
 }
 
-impl Truths {
+impl CandidateRotations {
     pub fn of(&self, sample: usize) -> &[Rotation] {
         let start = sample.checked_sub(1).map_or(0, |before| self.ends[before]);
         &self.rotations[start..self.ends[sample]]
@@ -47,7 +47,7 @@ pub(super) enum Side {
 ///
 /// Tries the candidates of several samples as anchors, because one of them may be on a wrong branch. Then
 /// averages over all samples.
-pub(super) fn one_frame(truths: &Truths, fk: &[Rotation], side: Side) -> Rotation {
+pub(super) fn one_frame(truths: &CandidateRotations, fk: &[Rotation], side: Side) -> Rotation {
     let frame_at = |truth: &Rotation, fk: &Rotation| match side {
         Side::Reference => truth * fk.inverse(),
         Side::Tool => fk.inverse() * truth,
@@ -94,7 +94,7 @@ pub(super) fn one_frame(truths: &Truths, fk: &[Rotation], side: Side) -> Rotatio
 /// Park and Martin, "Robot sensor calibration: solving AX = XB on the Euclidean group", 1994, with the
 /// singular value solution of Wahba's problem (Markley 1988). If the rotations share one axis, the rotation
 /// about it is determined by noise only. Gauss–Newton steps on all samples therefore follow.
-pub(super) fn both_frames(truths: &Truths, fk: &[Rotation]) -> (Rotation, Rotation) {
+pub(super) fn both_frames(truths: &CandidateRotations, fk: &[Rotation]) -> (Rotation, Rotation) {
     let first = (0..fk.len()).map(|sample| truths.of(sample).first().copied()).collect();
     let mut chosen: Vec<Option<Rotation>> = first;
     let (mut reference, mut tool) = (Rotation::identity(), Rotation::identity());

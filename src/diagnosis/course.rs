@@ -12,10 +12,12 @@ mod windows;
 
 use super::large::in_order;
 use super::steps::mean;
-use super::{Aligned, GradualLatency, Measured, Seen, Unseen};
+use super::{AlignedSamples, EstimateResult, LatencyRamp, Measured, NotObservable};
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use shapes::{BENT_PARAMETERS, bent_chi2, left_beside, levels_at, path, with_load};
-use windows::{Sample, Window, chi2_beside_line, levels, samples, splits, windows};
+use windows::{
+    LatencyWindow, NormalizedSample, chi2_beside_line, levels, samples, splits, windows,
+};
 
 /// Window length, s.
 const WINDOW_S: f64 = 1.0;
@@ -60,7 +62,7 @@ pub enum LatencyShape {
 
 /// Latency profile of a stream over the run.
 #[derive(Clone, Debug, PartialEq)]
-pub struct LatencyCourse {
+pub struct LatencyProfile {
     /// Size of the variation, s: largest step or ramp, signed; range from minimum to maximum if it wanders
     /// or depends on load; scatter beyond chance if it is steady.
     pub swing_s: Measured,
@@ -69,7 +71,7 @@ pub struct LatencyCourse {
     /// Kind of profile.
     pub shape: LatencyShape,
     /// Latency steps in time order. Empty for other kinds.
-    pub jumps: Vec<LatencyJump>,
+    pub jumps: Vec<LatencyStep>,
     /// Latency relative to the stream's estimated latency, s, at times in s from the run's origin. Constant
     /// from each time on if the profile has steps, else linear in between. If unsteady, the reference is
     /// the latency estimated after compensation.
@@ -81,21 +83,21 @@ pub struct LatencyCourse {
 
 /// Sudden, lasting change of latency.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LatencyJump {
+pub struct LatencyStep {
     /// Time, s from the run's origin.
     pub at_s: f64,
     /// Size, s. Positive if the latency increases.
     pub size_s: Measured,
 }
 
-impl LatencyCourse {
+impl LatencyProfile {
     /// Builds the profile of a latency with steps between `levels`. `None` without a step.
     pub(super) fn of_jumps(
-        jumps: Vec<LatencyJump>,
+        jumps: Vec<LatencyStep>,
         levels: Vec<(f64, f64)>,
         windows: Vec<(f64, Measured)>,
     ) -> Option<Self> {
-        let size = |jump: &LatencyJump| jump.size_s.value.abs();
+        let size = |jump: &LatencyStep| jump.size_s.value.abs();
         let swing_s = jumps.iter().max_by(|a, b| size(a).total_cmp(&size(b)))?.size_s;
         Some(Self {
             swing_s,
@@ -208,7 +210,7 @@ impl LatencyCourse {
 
 /// Residual of a late stream at one stamp after correcting everything found, and the true velocity. Up to
 /// two kinds of vectors, such as position and rotation; a missing kind is zero.
-pub(super) struct Lagging {
+pub(super) struct LatencySample {
     /// Stamp, s from the run's origin.
     pub t_s: f64,
     pub left: [Vec3; 2],
@@ -222,22 +224,22 @@ pub(super) struct Lagging {
 /// Latency profile of the `aligned` samples of a stream. They are already compensated for `skew` and for
 /// the gradual latency `taken`. `speed` is the joint speed at the time of measurement of a stamp, rad/s.
 pub(super) fn latency_course(
-    aligned: &Aligned,
+    aligned: &AlignedSamples,
     skew: f64,
-    taken: Option<&GradualLatency>,
+    taken: Option<&LatencyRamp>,
     speed: impl Fn(f64) -> f64,
-) -> Seen<LatencyCourse> {
+) -> EstimateResult<LatencyProfile> {
     course_of(&lagging(aligned, speed), 2, skew, taken)
 }
 
 /// Latency profile from the residuals `lagging` of this many kinds. They are already compensated for `skew`
 /// and `taken`.
 pub(super) fn course_of(
-    lagging: &[Lagging],
+    lagging: &[LatencySample],
     kinds: usize,
     skew: f64,
-    taken: Option<&GradualLatency>,
-) -> Seen<LatencyCourse> {
+    taken: Option<&LatencyRamp>,
+) -> EstimateResult<LatencyProfile> {
     let mut samples = samples(lagging);
     if let Some(gradual) = taken {
         samples.iter_mut().for_each(|sample| sample.t_s = gradual.logged_s(sample.t_s));
@@ -245,11 +247,11 @@ pub(super) fn course_of(
     let mut windows = windows(&samples, 3 * kinds);
     let mut errors: Vec<f64> = windows.iter().map(|window| window.std_error_s).collect();
     errors.sort_by(f64::total_cmp);
-    let Some(&typical_s) = errors.get(errors.len() / 2) else { return Err(Unseen::AtRest) };
+    let Some(&typical_s) = errors.get(errors.len() / 2) else { return Err(NotObservable::AtRest) };
     let vague_s = VAGUE[usize::from(taken.is_some())] * typical_s;
     windows.retain(|window| window.std_error_s < vague_s);
     if windows.len() < WINDOWS {
-        return Err(Unseen::NotExcited);
+        return Err(NotObservable::NotExcited);
     }
     let middle_s = 0.5 * (windows[0].t_s + windows[windows.len() - 1].t_s);
     let taken_s =
@@ -269,22 +271,22 @@ pub(super) fn course_of(
         steady - bent > SURE * (bent / left).max(1.0)
     });
     if steady <= UNSTEADY * free && !is_bent && loaded.is_none() {
-        return Ok(LatencyCourse { windows: seen, ..steady_course(&windows, typical_s) });
+        return Ok(LatencyProfile { windows: seen, ..steady_course(&windows, typical_s) });
     }
     let splits = splits(&windows);
     let jumps = || jumping_course(&samples, &windows, &splits, &taken_s);
     // Samples without the compensation.
-    let ungrown: Vec<Sample> = samples
+    let ungrown: Vec<NormalizedSample> = samples
         .iter()
         .map(|sample| {
             let taken_s = taken_s(sample.t_s);
             let residual =
                 std::array::from_fn(|i| sample.residual[i] - taken_s * sample.velocity[i]);
-            Sample { residual, ..*sample }
+            NormalizedSample { residual, ..*sample }
         })
         .collect();
     // A rise within one window is a step.
-    let is_ramp = |course: &LatencyCourse| match course.shape {
+    let is_ramp = |course: &LatencyProfile| match course.shape {
         LatencyShape::Ramp { from_s, to_s } => to_s - from_s >= WINDOW_S,
         _ => false,
     };
@@ -292,7 +294,7 @@ pub(super) fn course_of(
     let pieces = path(&windows, &ungrown).filter(|course| taken.is_some() || is_ramp(course));
     // Latency that remains in `samples`. Only the load-dependent profile was fitted to them directly; the
     // others include the compensated part.
-    let untold_s = |course: &LatencyCourse, t_s: f64| match course.shape {
+    let untold_s = |course: &LatencyProfile, t_s: f64| match course.shape {
         LatencyShape::WithLoad => course.beyond_s(t_s),
         _ => course.beyond_s(t_s) - taken_s(t_s),
     };
@@ -304,7 +306,7 @@ pub(super) fn course_of(
         (splits.len() > 1).then(jumps),
         Some(wandering_course(&windows)),
     ];
-    let tried: Vec<(f64, LatencyCourse)> = tried
+    let tried: Vec<(f64, LatencyProfile)> = tried
         .into_iter()
         .flatten()
         .map(|course| (left_beside(&samples, |row| untold_s(&course, samples[row].t_s)), course))
@@ -317,20 +319,20 @@ pub(super) fn course_of(
     let hardly_more = HARDLY_MORE[usize::from(taken.is_some())];
     let enough = least + hardly_more * (constant - least).max(0.0) + 0.02 * noise;
     let Some((_, course)) = tried.into_iter().find(|(left, _)| *left <= enough) else {
-        return Err(Unseen::NotExcited);
+        return Err(NotObservable::NotExcited);
     };
     // With many windows, noise alone has a range from minimum to maximum.
     let is_told = course.swing_s.value.abs() > TOLD * course.swing_s.std_error;
     let without_s = |t_s: f64| if taken.is_some() { level_s - taken_s(t_s) } else { 0.0 };
     let is_unsteady = is_told && explains(&samples, without_s, |t_s| untold_s(&course, t_s));
-    Ok(LatencyCourse { is_unsteady, windows: seen, ..course })
+    Ok(LatencyProfile { is_unsteady, windows: seen, ..course })
 }
 
 /// Returns whether replacing latency `without_s` by `with_s` explains most of the excess residual, without
 /// increasing the position or rotation residual. A model error can imitate a latency in one of these, but
 /// not in both.
 fn explains(
-    samples: &[Sample],
+    samples: &[NormalizedSample],
     without_s: impl Fn(f64) -> f64,
     with_s: impl Fn(f64) -> f64,
 ) -> bool {
@@ -355,7 +357,7 @@ fn explains(
 }
 
 /// Position and rotation residuals against FK.
-fn lagging(aligned: &Aligned, speed: impl Fn(f64) -> f64) -> Vec<Lagging> {
+fn lagging(aligned: &AlignedSamples, speed: impl Fn(f64) -> f64) -> Vec<LatencySample> {
     let t = &aligned.t_s;
     let rotation = |a: &Pose, b: &Pose| rotvec_from_rotation(&(a.rotation * b.rotation.inverse()));
     let position = |a: &Pose, b: &Pose| a.translation.vector - b.translation.vector;
@@ -365,7 +367,7 @@ fn lagging(aligned: &Aligned, speed: impl Fn(f64) -> f64) -> Vec<Lagging> {
         let (before, after) = (&aligned.fk_at_truth[k - 1], &aligned.fk_at_truth[k + 1]);
         let span_s = t[k + 1] - t[k - 1];
         let velocity = [position(after, before) / span_s, rotation(after, before) / span_s];
-        Lagging {
+        LatencySample {
             t_s: t[k],
             left: [position(is, should), rotation(is, should)],
             velocity,
@@ -376,14 +378,14 @@ fn lagging(aligned: &Aligned, speed: impl Fn(f64) -> f64) -> Vec<Lagging> {
     .collect()
 }
 
-fn steady_course(windows: &[Window], typical_s: f64) -> LatencyCourse {
-    let weight: f64 = windows.iter().map(Window::weight).sum();
+fn steady_course(windows: &[LatencyWindow], typical_s: f64) -> LatencyProfile {
+    let weight: f64 = windows.iter().map(LatencyWindow::weight).sum();
     let mean = windows.iter().map(|w| w.weight() * w.delta_s).sum::<f64>() / weight;
     let scatter = windows.iter().map(|w| (w.delta_s - mean).powi(2) - w.std_error_s.powi(2));
     let scatter = (scatter.sum::<f64>() / windows.len() as f64).max(0.0).sqrt();
     // Inflate the error if windows scatter by more than their standard errors (Birge 1932).
     let std_error = typical_s.hypot(scatter);
-    LatencyCourse {
+    LatencyProfile {
         swing_s: Measured { value: scatter, std_error, dof: windows.len() as f64 },
         is_unsteady: false,
         shape: LatencyShape::Steady,
@@ -393,13 +395,13 @@ fn steady_course(windows: &[Window], typical_s: f64) -> LatencyCourse {
     }
 }
 
-fn wandering_course(windows: &[Window]) -> LatencyCourse {
-    let by = |a: &&Window, b: &&Window| a.delta_s.total_cmp(&b.delta_s);
+fn wandering_course(windows: &[LatencyWindow]) -> LatencyProfile {
+    let by = |a: &&LatencyWindow, b: &&LatencyWindow| a.delta_s.total_cmp(&b.delta_s);
     let (low, high) = (windows.iter().min_by(by), windows.iter().max_by(by));
     let swing = low.zip(high).map_or((0.0, 0.0), |(low, high)| {
         (high.delta_s - low.delta_s, high.std_error_s.hypot(low.std_error_s))
     });
-    LatencyCourse {
+    LatencyProfile {
         swing_s: Measured { value: swing.0, std_error: swing.1, dof: windows.len() as f64 },
         is_unsteady: true,
         shape: LatencyShape::Wander,
@@ -410,20 +412,20 @@ fn wandering_course(windows: &[Window]) -> LatencyCourse {
 }
 
 fn jumping_course(
-    samples: &[Sample],
-    windows: &[Window],
+    samples: &[NormalizedSample],
+    windows: &[LatencyWindow],
     splits: &[usize],
     taken_s: &impl Fn(f64) -> f64,
-) -> LatencyCourse {
+) -> LatencyProfile {
     let (measured, _) = levels(windows, splits);
     let mut levels = vec![(f64::NEG_INFINITY, measured[0].value)];
     let mut jumps = Vec::new();
     for (&split, pair) in splits.iter().zip(measured.windows(2)) {
         let [before, after] = [pair[0], pair[1]];
         let around = (windows[split - 1].t_s - WINDOW_S, windows[split].t_s + WINDOW_S);
-        let inside: Vec<&Sample> =
+        let inside: Vec<&NormalizedSample> =
             samples.iter().filter(|sample| (around.0..around.1).contains(&sample.t_s)).collect();
-        let left = |sample: &Sample, level: f64| {
+        let left = |sample: &NormalizedSample, level: f64| {
             let delta_s = level - taken_s(sample.t_s);
             let parts = sample.residual.iter().zip(&sample.velocity);
             parts.map(|(left, velocity)| (left + delta_s * velocity).powi(2)).sum::<f64>()
@@ -443,12 +445,12 @@ fn jumping_course(
             std_error: before.std_error.hypot(after.std_error),
             dof: before.dof,
         };
-        jumps.push(LatencyJump { at_s, size_s });
+        jumps.push(LatencyStep { at_s, size_s });
     }
     levels.sort_by(|a, b| a.0.total_cmp(&b.0));
     let largest = jumps.iter().max_by(|a, b| a.size_s.value.abs().total_cmp(&b.size_s.value.abs()));
     let swing_s = largest.map_or(measured[0], |jump| jump.size_s);
-    LatencyCourse {
+    LatencyProfile {
         swing_s,
         is_unsteady: true,
         shape: LatencyShape::Steps,

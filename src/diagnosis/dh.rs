@@ -10,7 +10,7 @@ const SAME_M: f64 = 1e-4;
 
 /// Excess residual of a stream under one convention.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Left {
+pub struct DhResidual {
     /// Position residual, rms m. Infinite if the stream could not be decoded.
     pub m: f64,
     /// Rotation residual, rms rad. Infinite if the stream could not be decoded.
@@ -19,21 +19,21 @@ pub struct Left {
 
 /// Residuals of a stream under both conventions.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DhStream {
+pub struct DhStreamResiduals {
     /// Residual under the declared convention.
-    pub declared: Left,
+    pub declared: DhResidual,
     /// Position residual under the declared convention after fitting constant frames, rms m. `None` if not
     /// computed.
     pub declared_positions_m: Option<f64>,
     /// Residual under the other convention. `None` if not computed or if positions alone exclude it.
-    pub other: Option<Left>,
+    pub other: Option<DhResidual>,
 }
 
 /// Residuals of an arm's streams under both conventions.
 #[derive(Clone, Debug, PartialEq)]
-pub struct DhEstimate {
+pub struct DhComparison {
     /// Each pose stream.
-    pub streams: Vec<DhStream>,
+    pub streams: Vec<DhStreamResiduals>,
     /// Number of faults under the declared convention: misinterpretations, joint zeros, frames, radial
     /// scale.
     pub declared_faults: usize,
@@ -43,7 +43,7 @@ pub struct DhEstimate {
 
 /// Convention of a table, as determined from the streams.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum DhTold {
+pub enum DhConventionResult {
     /// The declared convention.
     AsDeclared,
     /// The other convention.
@@ -54,7 +54,7 @@ pub enum DhTold {
     Neither,
 }
 
-impl Left {
+impl DhResidual {
     /// Excess residual of each stream in a diagnosis.
     pub fn of(diagnosis: &ArmDiagnosis) -> Vec<Self> {
         let is_read = diagnosis.joints.reading.is_ok();
@@ -89,7 +89,7 @@ pub fn faults(diagnosis: &ArmDiagnosis) -> usize {
     of_joints + zeros + diagnosis.streams.iter().map(of_stream).sum::<usize>()
 }
 
-impl DhStream {
+impl DhStreamResiduals {
     /// Returns whether each convention explains the stream: declared, other.
     fn explained(&self) -> [bool; 2] {
         [self.declared.is_explained(), self.other.is_some_and(|other| other.is_explained())]
@@ -103,22 +103,25 @@ impl DhStream {
     }
 }
 
-impl DhEstimate {
+impl DhComparison {
     /// Determines the convention. Streams that neither convention explains are ignored; they may belong to
     /// another arm.
-    pub fn told(&self) -> DhTold {
-        let count =
-            |is: &dyn Fn(&DhStream) -> bool| self.streams.iter().filter(|one| is(one)).count();
+    pub fn told(&self) -> DhConventionResult {
+        let count = |is: &dyn Fn(&DhStreamResiduals) -> bool| {
+            self.streams.iter().filter(|one| is(one)).count()
+        };
         let for_declared = count(&|stream| stream.explained() == [true, false]);
-        let for_other = count(&DhStream::speaks_for_other);
+        let for_other = count(&DhStreamResiduals::speaks_for_other);
         let not_clear = count(&|stream| stream.explained() == [false, true]) - for_other;
         let by_both = count(&|stream| stream.explained() == [true, true]);
         match (for_declared, for_other, not_clear) {
-            (0, 1.., _) => DhTold::Other,
-            (1.., 0, 0) => DhTold::AsDeclared,
-            (0, 0, 0) if by_both == 0 => DhTold::Neither,
-            (0, 0, 0) if self.declared_faults <= self.other_faults => DhTold::AsDeclared,
-            _ => DhTold::Either,
+            (0, 1.., _) => DhConventionResult::Other,
+            (1.., 0, 0) => DhConventionResult::AsDeclared,
+            (0, 0, 0) if by_both == 0 => DhConventionResult::Neither,
+            (0, 0, 0) if self.declared_faults <= self.other_faults => {
+                DhConventionResult::AsDeclared
+            }
+            _ => DhConventionResult::Either,
         }
     }
 }
@@ -133,34 +136,37 @@ mod tests {
     const UNREAD: [f64; 2] = [f64::INFINITY, f64::INFINITY];
 
     /// Determines the convention from the residuals under both and the numbers of faults.
-    fn told(streams: &[([f64; 2], Option<[f64; 2]>)], faults: [usize; 2]) -> DhTold {
-        let left = |[m, rad]: [f64; 2]| Left { m, rad };
-        let streams = streams.iter().map(|&(declared, other)| DhStream {
+    fn told(streams: &[([f64; 2], Option<[f64; 2]>)], faults: [usize; 2]) -> DhConventionResult {
+        let left = |[m, rad]: [f64; 2]| DhResidual { m, rad };
+        let streams = streams.iter().map(|&(declared, other)| DhStreamResiduals {
             declared: left(declared),
             declared_positions_m: None,
             other: other.map(left),
         });
         let [declared_faults, other_faults] = faults;
-        DhEstimate { streams: streams.collect(), declared_faults, other_faults }.told()
+        DhComparison { streams: streams.collect(), declared_faults, other_faults }.told()
     }
 
     #[test]
     fn a_convention_is_told_where_only_the_other_explains() {
-        assert_eq!(told(&[(FAR, Some(NEAR))], [2, 0]), DhTold::Other);
-        assert_eq!(told(&[(UNREAD, Some(DRAWING))], [0, 1]), DhTold::Other);
-        assert_eq!(told(&[(NEAR, None)], [1, 0]), DhTold::AsDeclared);
-        assert_eq!(told(&[(NEAR, Some(NEAR))], [1, 1]), DhTold::AsDeclared);
-        assert_eq!(told(&[(NEAR, Some(NEAR))], [2, 0]), DhTold::Either);
-        assert_eq!(told(&[([0.02, 0.0], Some(DRAWING))], [0, 0]), DhTold::Either);
-        assert_eq!(told(&[(FAR, Some(FAR))], [0, 0]), DhTold::Neither);
-        assert_eq!(told(&[(FAR, None)], [0, 0]), DhTold::Neither);
+        assert_eq!(told(&[(FAR, Some(NEAR))], [2, 0]), DhConventionResult::Other);
+        assert_eq!(told(&[(UNREAD, Some(DRAWING))], [0, 1]), DhConventionResult::Other);
+        assert_eq!(told(&[(NEAR, None)], [1, 0]), DhConventionResult::AsDeclared);
+        assert_eq!(told(&[(NEAR, Some(NEAR))], [1, 1]), DhConventionResult::AsDeclared);
+        assert_eq!(told(&[(NEAR, Some(NEAR))], [2, 0]), DhConventionResult::Either);
+        assert_eq!(told(&[([0.02, 0.0], Some(DRAWING))], [0, 0]), DhConventionResult::Either);
+        assert_eq!(told(&[(FAR, Some(FAR))], [0, 0]), DhConventionResult::Neither);
+        assert_eq!(told(&[(FAR, None)], [0, 0]), DhConventionResult::Neither);
     }
 
     #[test]
     fn a_stream_that_neither_explains_says_nothing() {
         let stranger = (UNREAD, Some(UNREAD));
-        assert_eq!(told(&[stranger, (NEAR, None)], [0, 0]), DhTold::AsDeclared);
-        assert_eq!(told(&[(FAR, Some(NEAR)), stranger], [0, 0]), DhTold::Other);
-        assert_eq!(told(&[(FAR, Some(NEAR)), (NEAR, Some(FAR))], [0, 0]), DhTold::Either);
+        assert_eq!(told(&[stranger, (NEAR, None)], [0, 0]), DhConventionResult::AsDeclared);
+        assert_eq!(told(&[(FAR, Some(NEAR)), stranger], [0, 0]), DhConventionResult::Other);
+        assert_eq!(
+            told(&[(FAR, Some(NEAR)), (NEAR, Some(FAR))], [0, 0]),
+            DhConventionResult::Either
+        );
     }
 }

@@ -17,9 +17,9 @@
 
 use super::explain::{Cause, price};
 use super::linear::{Linear, Normal};
-use super::model::{StreamState, Witness};
-use super::nominal::{ANYTHING, USUAL_M, With, is_anything, link_frames};
-use super::{Measured, Twin};
+use super::model::{PoseObservations, StreamState};
+use super::nominal::{ANYTHING, FreeAlongside, USUAL_M, is_anything, link_frames};
+use super::{Confounder, Measured};
 use ground::geometry::{Rotation, Vec3};
 use ground::robot::{JointKind, turn_z_to};
 use nalgebra::{DMatrix, DVector};
@@ -55,9 +55,9 @@ const SETTLING: (usize, f64) = (40, 0.02);
 
 /// Zeros of an arm's joints, estimated together with its link deviations.
 #[derive(Clone, Debug)]
-pub(super) struct Drawing {
+pub(super) struct LinkDeviations {
     /// Columns of the joints with a zero offset. For each, the zeros of other joints that could replace it.
-    pub named: Vec<(usize, Vec<Twin>)>,
+    pub named: Vec<(usize, Vec<Confounder>)>,
     /// Zero of each joint of the track, rad or m. `None` if the joint is not in the chain or its zero is
     /// not observable.
     pub zeros: Vec<Option<Measured>>,
@@ -65,7 +65,7 @@ pub(super) struct Drawing {
     pub link_m: f64,
 }
 
-impl Drawing {
+impl LinkDeviations {
     /// Joint offsets including the reported zeros.
     pub fn with_zeros(&self, offsets: &[f64]) -> Vec<f64> {
         let mut with = offsets.to_vec();
@@ -76,19 +76,23 @@ impl Drawing {
     }
 
     /// Confounders of the zero of the joint in `column`. `None` if that zero is not reported.
-    pub fn twins(&self, column: usize) -> Option<&[Twin]> {
+    pub fn twins(&self, column: usize) -> Option<&[Confounder]> {
         self.named.iter().find(|named| named.0 == column).map(|named| named.1.as_slice())
     }
 }
 
 /// Estimates the likeliest zeros together with link deviations, linearised about `offsets`. `plain` is the
 /// stream's state without any cause that link deviations could imitate.
-pub(super) fn drawing(witness: &Witness, plain: &StreamState, offsets: &[f64]) -> Option<Drawing> {
+pub(super) fn drawing(
+    witness: &PoseObservations,
+    plain: &StreamState,
+    offsets: &[f64],
+) -> Option<LinkDeviations> {
     let stride = witness.len().div_ceil(SAMPLES).max(1);
     let mut offsets = offsets.to_vec();
-    let mut chosen: Option<Fit> = None;
+    let mut chosen: Option<DeviationFit> = None;
     for round in 1.. {
-        let model = Model::at(witness, plain, &offsets, stride)?;
+        let model = DeviationModel::at(witness, plain, &offsets, stride)?;
         let fit = model.likeliest(chosen)?;
         let mut next = offsets.clone();
         for &joint in &fit.zeros {
@@ -105,7 +109,7 @@ pub(super) fn drawing(witness: &Witness, plain: &StreamState, offsets: &[f64]) -
 
 /// Kind of a parameter.
 #[derive(Clone, Copy, PartialEq)]
-enum Of {
+enum DeviationParameter {
     /// Parameter that the nominal model does not constrain.
     Anything,
     /// Deviation in one group. `unit` is its standard deviation when the group's size is 1 m.
@@ -116,7 +120,7 @@ enum Of {
 
 /// Causes in addition to link deviations.
 #[derive(Clone, Debug, Default, PartialEq)]
-struct Beside {
+struct AdditionalCauses {
     /// Joints of the chain with a zero offset.
     zeros: Vec<usize>,
     reference: bool,
@@ -124,9 +128,9 @@ struct Beside {
     growth: bool,
 }
 
-impl Beside {
+impl AdditionalCauses {
     /// Selects the causes that affect `stream`.
-    fn of(causes: &[Cause], witness: &Witness, stream: usize) -> Self {
+    fn of(causes: &[Cause], witness: &PoseObservations, stream: usize) -> Self {
         let mut beside = Self::default();
         for cause in causes {
             match *cause {
@@ -151,15 +155,17 @@ impl Beside {
 ///
 /// The stream is linearised about `plain` and `offsets`, which exclude the causes.
 pub(super) fn standing_out(
-    (witness, stream): (&Witness, usize),
+    (witness, stream): (&PoseObservations, usize),
     plain: &StreamState,
     offsets: &[f64],
     causes: &[Cause],
 ) -> Vec<Cause> {
     let stride = witness.len().div_ceil(SAMPLES).max(1);
-    let Some(model) = Model::at(witness, plain, offsets, stride) else { return causes.to_vec() };
+    let Some(model) = DeviationModel::at(witness, plain, offsets, stride) else {
+        return causes.to_vec();
+    };
     let evidence = |causes: &[Cause]| {
-        let beside = Beside::of(causes, witness, stream);
+        let beside = AdditionalCauses::of(causes, witness, stream);
         let fits = sizes_m(USUAL_M).filter_map(|size_m| {
             model.fit_beside(&beside, &model.alike(size_m)).map(|fit| fit.evidence)
         });
@@ -192,10 +198,10 @@ fn sizes_m(most: f64) -> impl Iterator<Item = f64> {
 }
 
 /// Stream linearised in the link frames, the latency and the zeros.
-struct Model {
+struct DeviationModel {
     normal: Normal,
     /// Kind of each parameter. The zeros of the chain's joints precede the radial scale, which is last.
-    of: Vec<Of>,
+    of: Vec<DeviationParameter>,
     /// Number of joints of the chain.
     joints: usize,
     /// Degrees of freedom of the noise estimate.
@@ -203,7 +209,7 @@ struct Model {
 }
 
 /// Posterior of the parameters for one set of zeros.
-struct Fit {
+struct DeviationFit {
     /// Joints of the chain whose zeros are fixed effects.
     zeros: Vec<usize>,
     /// Size of each group's deviations, m.
@@ -214,17 +220,22 @@ struct Fit {
     covariance: DMatrix<f64>,
 }
 
-impl Fit {
+impl DeviationFit {
     /// The zeros except that of `joint`.
     fn without(&self, joint: usize) -> Vec<usize> {
         self.zeros.iter().copied().filter(|zero| *zero != joint).collect()
     }
 }
 
-impl Model {
-    fn at(witness: &Witness, plain: &StreamState, offsets: &[f64], stride: usize) -> Option<Self> {
+impl DeviationModel {
+    fn at(
+        witness: &PoseObservations,
+        plain: &StreamState,
+        offsets: &[f64],
+        stride: usize,
+    ) -> Option<Self> {
         let rows = (0..witness.len()).step_by(stride);
-        let linear = link_frames(witness, plain, offsets, rows, With::ZerosAndGrowth);
+        let linear = link_frames(witness, plain, offsets, rows, FreeAlongside::ZerosAndGrowth);
         let joints = witness.columns.len();
         let (columns, of) = parameters(witness, plain);
         (linear.len() > of.len()).then(|| Self::of(&linear, joints, &columns, of))
@@ -232,7 +243,12 @@ impl Model {
 
     /// Builds the normal equations. The weights come from the residual when all links may deviate by about
     /// 1 mm.
-    fn of(linear: &Linear, joints: usize, columns: &DMatrix<f64>, of: Vec<Of>) -> Self {
+    fn of(
+        linear: &Linear,
+        joints: usize,
+        columns: &DMatrix<f64>,
+        of: Vec<DeviationParameter>,
+    ) -> Self {
         let all: Vec<usize> = (0..linear.width).collect();
         let every: Vec<usize> = (0..joints).collect();
         let mut weights = linear.first_weights();
@@ -262,20 +278,20 @@ impl Model {
     /// Groups with deviations: links and zeros.
     fn groups(&self) -> impl Iterator<Item = usize> {
         let has = |group: usize| {
-            let is_its = |of: &Of| matches!(of, Of::Deviation { group: own, .. } if *own == group);
+            let is_its = |of: &DeviationParameter| matches!(of, DeviationParameter::Deviation { group: own, .. } if *own == group);
             self.of.iter().any(is_its)
         };
         (0..self.joints + 2).filter(move |group| has(*group))
     }
 
     /// Fits the parameters for these zeros and deviation sizes.
-    fn fit(&self, zeros: &[usize], sizes_m: &[f64]) -> Option<Fit> {
-        let beside = Beside { zeros: zeros.to_vec(), ..Beside::default() };
+    fn fit(&self, zeros: &[usize], sizes_m: &[f64]) -> Option<DeviationFit> {
+        let beside = AdditionalCauses { zeros: zeros.to_vec(), ..AdditionalCauses::default() };
         self.fit_beside(&beside, sizes_m)
     }
 
     /// Fits the parameters for these causes and deviation sizes.
-    fn fit_beside(&self, beside: &Beside, sizes_m: &[f64]) -> Option<Fit> {
+    fn fit_beside(&self, beside: &AdditionalCauses, sizes_m: &[f64]) -> Option<DeviationFit> {
         let is_of_frame = |group: usize| {
             (beside.reference && group == 0) || (beside.tool && group == self.joints)
         };
@@ -283,12 +299,14 @@ impl Model {
             .of
             .iter()
             .map(|of| match of {
-                Of::Anything => ANYTHING.powi(2),
-                Of::Deviation { group, unit } => {
+                DeviationParameter::Anything => ANYTHING.powi(2),
+                DeviationParameter::Deviation { group, unit } => {
                     let frame = if is_of_frame(*group) { ANYTHING } else { 0.0 };
                     (unit * sizes_m[*group]).powi(2) + frame.powi(2)
                 }
-                Of::Growth => if beside.growth { GROWTH } else { NO_GROWTH }.powi(2),
+                DeviationParameter::Growth => {
+                    if beside.growth { GROWTH } else { NO_GROWTH }.powi(2)
+                }
             })
             .collect();
         for &joint in &beside.zeros {
@@ -308,7 +326,7 @@ impl Model {
         let log_prior: f64 = variances.iter().map(|variance| variance.ln()).sum();
         let usual_m = self.usual(sizes_m);
         let unlike: f64 = self.groups().map(|group| (sizes_m[group] / usual_m).ln()).sum();
-        Some(Fit {
+        Some(DeviationFit {
             zeros: beside.zeros.clone(),
             sizes_m: sizes_m.to_vec(),
             evidence: self.normal.right.dot(&mean) - log_det - log_prior - 2.0 * ALIKE * unlike,
@@ -319,9 +337,9 @@ impl Model {
 
     /// Zero of a joint in `fit`. Its standard error includes the scatter of all zeros of the arm, which is
     /// estimated from the other joints only.
-    fn zero(&self, fit: &Fit, joint: usize) -> Option<Measured> {
+    fn zero(&self, fit: &DeviationFit, joint: usize) -> Option<Measured> {
         let at = self.zero_at(joint);
-        let Of::Deviation { group, unit } = self.of[at] else { return None };
+        let DeviationParameter::Deviation { group, unit } = self.of[at] else { return None };
         let variance = fit.covariance[(at, at)] + (unit * fit.sizes_m[group]).powi(2);
         let others = ALIKE + (self.joints - fit.zeros.len()) as f64;
         (variance > 0.0).then(|| Measured {
@@ -340,7 +358,7 @@ impl Model {
 
     /// Maximises the likelihood over the deviation sizes for these zeros, starting from `sizes_m`. A group
     /// with little information converges slowly, so the step grows while the likelihood increases.
-    fn settled(&self, zeros: &[usize], sizes_m: &[f64]) -> Option<Fit> {
+    fn settled(&self, zeros: &[usize], sizes_m: &[f64]) -> Option<DeviationFit> {
         let (most, little) = SETTLING;
         let mut fit = self.fit(zeros, sizes_m)?;
         let mut stride = 1.0;
@@ -365,12 +383,12 @@ impl Model {
     }
 
     /// Deviation sizes that maximise the likelihood given the posterior in `fit`.
-    fn likelier(&self, fit: &Fit) -> Vec<f64> {
+    fn likelier(&self, fit: &DeviationFit) -> Vec<f64> {
         let named: Vec<usize> = fit.zeros.iter().map(|joint| self.zero_at(*joint)).collect();
         let usual_m = self.usual(&fit.sizes_m);
         let mut sums = vec![(ALIKE * usual_m.powi(2), ALIKE); fit.sizes_m.len()];
         for (i, of) in self.of.iter().enumerate().filter(|(i, _)| !named.contains(i)) {
-            if let Of::Deviation { group, unit } = of {
+            if let DeviationParameter::Deviation { group, unit } = of {
                 let square = fit.mean[i].powi(2) + fit.covariance[(i, i)];
                 sums[*group].0 += square / unit.powi(2);
                 sums[*group].1 += 1.0;
@@ -380,7 +398,7 @@ impl Model {
     }
 
     /// Fit without zeros, started from the best common deviation size.
-    fn without_zeros(&self) -> Option<Fit> {
+    fn without_zeros(&self) -> Option<DeviationFit> {
         let (_, most, _) = LINKS_M;
         let fits = sizes_m(most).filter_map(|link_m| self.fit(&[], &self.alike(link_m)));
         let best = fits.max_by(|a, b| a.evidence.total_cmp(&b.evidence))?;
@@ -388,7 +406,12 @@ impl Model {
     }
 
     /// Fits `zeros` plus one more, for each joint not in `zeros` or `but`.
-    fn with_another(&self, zeros: &[usize], sizes_m: &[f64], but: &[usize]) -> Vec<(usize, Fit)> {
+    fn with_another(
+        &self,
+        zeros: &[usize],
+        sizes_m: &[f64],
+        but: &[usize],
+    ) -> Vec<(usize, DeviationFit)> {
         let others =
             (0..self.joints).filter(|joint| !zeros.contains(joint) && !but.contains(joint));
         let with = |joint| {
@@ -399,7 +422,7 @@ impl Model {
     }
 
     /// Selects the zeros that exceed the effect of link deviations, starting from those of `before`.
-    fn likeliest(&self, before: Option<Fit>) -> Option<Fit> {
+    fn likeliest(&self, before: Option<DeviationFit>) -> Option<DeviationFit> {
         let mut chosen = match before {
             Some(before) => self.settled(&before.zeros, &before.sizes_m)?,
             None => self.without_zeros()?,
@@ -416,7 +439,12 @@ impl Model {
     }
 
     /// Converts `fit` to columns of the joint track. The model is linearised about `offsets`.
-    fn told(&self, fit: &Fit, witness: &Witness, offsets: &[f64]) -> Drawing {
+    fn told(
+        &self,
+        fit: &DeviationFit,
+        witness: &PoseObservations,
+        offsets: &[f64],
+    ) -> LinkDeviations {
         let absolute = |joint: usize, zero: Measured| {
             let column = witness.columns[joint];
             (column, Measured { value: offsets[column] + zero.value, ..zero })
@@ -435,15 +463,15 @@ impl Model {
             let instead = self.with_another(&fit.without(joint), &fit.sizes_m, &fit.zeros);
             let as_likely =
                 instead.into_iter().filter(|(_, it)| it.evidence > fit.evidence - AS_LIKELY);
-            let twin = |(other, it): (usize, Fit)| {
+            let twin = |(other, it): (usize, DeviationFit)| {
                 let (column, zero) = absolute(other, self.zero(&it, other)?);
-                Some(Twin::JointZero(column, zero.value))
+                Some(Confounder::JointZero(column, zero.value))
             };
             (witness.columns[joint], as_likely.filter_map(twin).collect())
         };
         let links: Vec<usize> = self.groups().filter(|group| *group <= self.joints).collect();
         let squares: f64 = links.iter().map(|link| fit.sizes_m[*link].powi(2)).sum();
-        Drawing {
+        LinkDeviations {
             named: fit.zeros.iter().map(twins).collect(),
             zeros,
             link_m: (squares / links.len().max(1) as f64).sqrt(),
@@ -454,7 +482,10 @@ impl Model {
 /// Maps parameters to columns of [`link_frames`], and returns the kind of each. The parameters are the
 /// deviations of each link frame, the latency, the zeros (a separate group) and the radial scale. A link
 /// frame has six deviations, except the one equal to its joint's zero.
-fn parameters(witness: &Witness, plain: &StreamState) -> (DMatrix<f64>, Vec<Of>) {
+fn parameters(
+    witness: &PoseObservations,
+    plain: &StreamState,
+) -> (DMatrix<f64>, Vec<DeviationParameter>) {
     let joints = witness.columns.len();
     let latency = 6 * (joints + 1);
     let unit = |turns: bool| if turns { RAD_PER_M } else { 1.0 };
@@ -477,8 +508,8 @@ fn parameters(witness: &Witness, plain: &StreamState) -> (DMatrix<f64>, Vec<Of>)
             column.fixed_rows_mut::<3>(first).copy_from(&(basis * Vec3::ith(axis, 1.0)));
             columns.push(column);
             of.push(match is_free {
-                true => Of::Anything,
-                false => Of::Deviation { group: link, unit: unit(turns) },
+                true => DeviationParameter::Anything,
+                false => DeviationParameter::Deviation { group: link, unit: unit(turns) },
             });
         }
     }
@@ -487,16 +518,16 @@ fn parameters(witness: &Witness, plain: &StreamState) -> (DMatrix<f64>, Vec<Of>)
         column[own] = 1.0;
         columns.push(column);
         of.push(match own.checked_sub(latency + 1) {
-            None => Of::Anything,
+            None => DeviationParameter::Anything,
             Some(joint) => {
                 let turns = kinds[joint] != JointKind::Prismatic;
-                Of::Deviation { group: joints + 1, unit: unit(turns) }
+                DeviationParameter::Deviation { group: joints + 1, unit: unit(turns) }
             }
         });
     }
     let mut column = DVector::zeros(growth + 1);
     column[growth] = 1.0;
     columns.push(column);
-    of.push(Of::Growth);
+    of.push(DeviationParameter::Growth);
     (DMatrix::from_columns(&columns), of)
 }

@@ -6,7 +6,7 @@
 
 use super::Measured;
 use super::linear::{Linear, Normal, Weight};
-use super::model::{GROWTH, LATENCY, REFERENCE, SKEW, STREAM_WIDTH, State, TOOL, Witness};
+use super::model::{GROWTH, LATENCY, PoseObservations, REFERENCE, SKEW, STREAM_WIDTH, State, TOOL};
 use super::noise::Noise;
 use super::robust::{influence, sandwich};
 use nalgebra::{DMatrix, DVector};
@@ -72,11 +72,11 @@ pub(super) struct Linearized {
     pub normal: Normal,
     values: DVector<f64>,
     /// Result for the last requested parameters. They are queried several times in turn.
-    freed: Mutex<Option<Arc<Freed>>>,
+    freed: Mutex<Option<Arc<FreeFit>>>,
 }
 
 /// Estimates with only these parameters free.
-struct Freed {
+struct FreeFit {
     parameters: Vec<usize>,
     /// Influence of each score on each parameter.
     influence: DMatrix<f64>,
@@ -95,7 +95,7 @@ fn columns_of(state: &State, stream: usize) -> Vec<usize> {
 impl Linearized {
     /// Linearises all streams about `state`, with about `most` samples each. The weights come from the
     /// residual noise with all causes in `all` free.
-    pub fn at(witnesses: &[&Witness], state: &State, most: usize, all: &[Cause]) -> Self {
+    pub fn at(witnesses: &[&PoseObservations], state: &State, most: usize, all: &[Cause]) -> Self {
         let streams: Vec<Linear> = witnesses
             .iter()
             .zip(&state.streams)
@@ -142,7 +142,7 @@ impl Linearized {
         self.freed(parameters, state).covariance.clone()
     }
 
-    fn freed(&self, parameters: &[usize], state: &State) -> Arc<Freed> {
+    fn freed(&self, parameters: &[usize], state: &State) -> Arc<FreeFit> {
         let mut known = self.freed.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(freed) = known.as_ref().filter(|freed| freed.parameters == parameters) {
             return Arc::clone(freed);
@@ -153,7 +153,7 @@ impl Linearized {
             let columns = targets(parameters, state, s);
             linear.accumulate_covariance(&self.weights[s], &columns, &mut information, &mut scores);
         }
-        let freed = Arc::new(Freed {
+        let freed = Arc::new(FreeFit {
             parameters: parameters.to_vec(),
             influence: influence(&information),
             covariance: sandwich(&information, &scores),
@@ -222,14 +222,14 @@ fn normal_of(streams: &[Linear], weights: &[Vec<Weight>], state: &State) -> Norm
 
 /// Candidate causes of a search.
 #[derive(Clone)]
-pub(super) struct Menu {
+pub(super) struct CandidateCauses {
     /// Causes that are always free.
     pub always: Vec<Cause>,
     /// Causes that must justify their price.
     pub optional: Vec<Cause>,
 }
 
-impl Menu {
+impl CandidateCauses {
     /// All causes.
     pub fn all(&self) -> Vec<Cause> {
         self.always.iter().chain(&self.optional).copied().collect()
@@ -238,7 +238,7 @@ impl Menu {
 
 /// Set of causes with its score. Smaller is better.
 #[derive(Clone, Debug)]
-pub(super) struct Choice {
+pub(super) struct CauseSet {
     pub causes: Vec<Cause>,
     /// Weighted cost plus the price of the parameters.
     pub score: f64,
@@ -251,7 +251,7 @@ pub(super) fn price(independent: f64) -> f64 {
 }
 
 /// Selects the set of optional causes with the lowest score at a linearisation.
-fn choose(linear: &Linearized, menu: &Menu, state: &State) -> Choice {
+fn choose(linear: &Linearized, menu: &CandidateCauses, state: &State) -> CauseSet {
     let price = price(linear.normal.independent);
     let score_of = |set: &[Cause]| -> f64 {
         let causes: Vec<Cause> = menu.always.iter().chain(set).copied().collect();
@@ -262,7 +262,7 @@ fn choose(linear: &Linearized, menu: &Menu, state: &State) -> Choice {
         let optional: usize = set.iter().map(|cause| cause.parameters(state).len()).sum();
         linear.cost(&parameters) + price * optional as f64
     };
-    let mut best = Choice { score: score_of(&[]), causes: Vec::new() };
+    let mut best = CauseSet { score: score_of(&[]), causes: Vec::new() };
     // Lower bound on the cost of any set.
     let least = linear.cost(&parameters_of(&menu.all(), state));
     let mut set = Vec::new();
@@ -274,7 +274,7 @@ fn choose(linear: &Linearized, menu: &Menu, state: &State) -> Choice {
         }
         let score = score_of(set);
         if score < best.score {
-            best = Choice { score, causes: set.to_vec() };
+            best = CauseSet { score, causes: set.to_vec() };
         }
     });
     // Beyond the exhaustive depth, add causes and remove them again while the score improves.
@@ -285,7 +285,7 @@ fn choose(linear: &Linearized, menu: &Menu, state: &State) -> Choice {
             .filter(|cause| !best.causes.contains(cause))
             .map(|&cause| {
                 let causes: Vec<Cause> = best.causes.iter().copied().chain([cause]).collect();
-                Choice { score: score_of(&causes), causes }
+                CauseSet { score: score_of(&causes), causes }
             })
             .min_by(|a, b| a.score.total_cmp(&b.score));
         match grown {
@@ -302,7 +302,12 @@ fn choose(linear: &Linearized, menu: &Menu, state: &State) -> Choice {
 /// If both world frame and marker are free, weak motion leaves common directions of the two unobservable.
 /// The steps keep these directions fixed. Another cause that shares such a direction, such as a joint zero,
 /// has no unique value.
-fn is_entangled(linear: &Linearized, menu: &Menu, causes: &[Cause], state: &State) -> bool {
+fn is_entangled(
+    linear: &Linearized,
+    menu: &CandidateCauses,
+    causes: &[Cause],
+    state: &State,
+) -> bool {
     let is_anywhere = |cause: &&Cause| match **cause {
         Cause::Reference(s) | Cause::Tool(s) => menu.always.contains(&Cause::Reference(s)),
         _ => false,
@@ -315,13 +320,13 @@ fn is_entangled(linear: &Linearized, menu: &Menu, causes: &[Cause], state: &Stat
     linear.normal.separation_beside(&anywhere, &others) < ENTANGLED
 }
 
-fn prune(mut choice: Choice, score_of: &dyn Fn(&[Cause]) -> f64) -> Choice {
+fn prune(mut choice: CauseSet, score_of: &dyn Fn(&[Cause]) -> f64) -> CauseSet {
     loop {
         let shrunk = (0..choice.causes.len())
             .map(|drop| {
                 let mut causes = choice.causes.clone();
                 causes.remove(drop);
-                Choice { score: score_of(&causes), causes }
+                CauseSet { score: score_of(&causes), causes }
             })
             .min_by(|a, b| a.score.total_cmp(&b.score));
         match shrunk {
@@ -345,7 +350,7 @@ fn subsets(causes: &[Cause], depth: usize, set: &mut Vec<Cause>, visit: &mut dyn
 }
 
 /// Selected model: its state and causes, with the final linearisation.
-pub(super) struct Explanation {
+pub(super) struct SelectedModel {
     pub state: State,
     /// Selected optional causes, ascending.
     pub causes: Vec<Cause>,
@@ -364,12 +369,12 @@ pub(super) enum Approach {
 
 /// Selects the smallest model from a starting state, with about `most` samples per stream.
 pub(super) fn explain(
-    witnesses: &[&Witness],
+    witnesses: &[&PoseObservations],
     start: State,
-    menu: &Menu,
+    menu: &CandidateCauses,
     approach: Approach,
     most: usize,
-) -> Explanation {
+) -> SelectedModel {
     let all = menu.all();
     let mut state = start;
     let mut causes: Vec<Cause> = all.clone();
@@ -390,7 +395,7 @@ pub(super) fn explain(
     }
     let chosen: Vec<Cause> = menu.always.iter().chain(&causes).copied().collect();
     linear.weigh(&state, &chosen);
-    Explanation { state, causes, linear }
+    SelectedModel { state, causes, linear }
 }
 
 /// Returns whether a step is below the resolution of any estimate.
@@ -404,13 +409,13 @@ fn small(step: &DVector<f64>) -> bool {
 /// A model that has not converged has a larger residual and scores worse. The autocorrelation, which
 /// reduces `n`, is taken from the model with the smallest residual and applied to all. Otherwise small
 /// differences in autocorrelation would decide between equally good models.
-pub(super) fn best(explanations: Vec<Explanation>) -> Option<Explanation> {
-    let noises: Vec<Vec<Noise>> = explanations.iter().map(Explanation::noise).collect();
+pub(super) fn best(explanations: Vec<SelectedModel>) -> Option<SelectedModel> {
+    let noises: Vec<Vec<Noise>> = explanations.iter().map(SelectedModel::noise).collect();
     let log_sigmas = |noise: &[Noise]| noise.iter().map(|noise| noise.sigma.ln()).sum::<f64>();
     let quietest = noises.iter().min_by(|a, b| log_sigmas(a).total_cmp(&log_sigmas(b)))?.iter();
     // Capped, so that a smooth residual does not count as few samples.
     let memory: Vec<f64> = quietest.map(|noise| noise.inflation().min(20.0)).collect();
-    let score = |(explanation, noise): &(Explanation, Vec<Noise>)| -> f64 {
+    let score = |(explanation, noise): &(SelectedModel, Vec<Noise>)| -> f64 {
         let kinds = noise.len() / explanation.linear.streams.len().max(1);
         let samples = explanation.linear.streams.iter().flat_map(|stream| {
             // Three components per sample.
@@ -429,7 +434,7 @@ pub(super) fn best(explanations: Vec<Explanation>) -> Option<Explanation> {
         .map(|(explanation, _)| explanation)
 }
 
-impl Explanation {
+impl SelectedModel {
     /// Noise of each stream and kind of residual (positions, rotations) at the final state.
     pub fn noise(&self) -> Vec<Noise> {
         let streams = self.linear.streams.iter();

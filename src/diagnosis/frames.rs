@@ -1,10 +1,10 @@
 //! Constant frame errors: initial guesses for the fit, and the resulting estimates.
 
 use super::constant::{mean_rotation, wahba};
-use super::explain::{Cause, Explanation, Menu};
-use super::model::{StreamState, Sweep, Witness, pose_of_twist, twist_of};
-use super::placing::Expected;
-use super::{FrameEstimate, Measured, Seen, Unseen};
+use super::explain::{CandidateCauses, Cause, SelectedModel};
+use super::model::{PoseObservations, PredictionBuffers, StreamState, pose_of_twist, twist_of};
+use super::placing::FkColumns;
+use super::{EstimateResult, FrameEstimate, Measured, NotObservable};
 use ground::geometry::{
     Pose, Rotation, Vec3, angle_between, pose, rotation_from_matrix_rows, rotation_from_rotvec,
     rotvec_from_rotation,
@@ -23,7 +23,11 @@ const ROUND_RAD: f64 = 0.06;
 
 /// Starting states of a stream's fit, with joint offsets near `offsets`. The first has no frame error. If
 /// the stream is far from FK, adds closed-form solutions of simple frame errors, also as round errors.
-pub(super) fn starts(witness: &Witness, latency_s: f64, offsets: &[f64]) -> Vec<StreamState> {
+pub(super) fn starts(
+    witness: &PoseObservations,
+    latency_s: f64,
+    offsets: &[f64],
+) -> Vec<StreamState> {
     let tool_part = witness.tool_part;
     let plain = StreamState { tool_part, ..StreamState::at_latency(latency_s) };
     let (fk, logged) = pairs(witness, &plain, offsets);
@@ -75,8 +79,12 @@ pub(super) fn starts(witness: &Witness, latency_s: f64, offsets: &[f64]) -> Vec<
 }
 
 /// FK and logged poses at a subset of the samples.
-fn pairs(witness: &Witness, state: &StreamState, offsets: &[f64]) -> (Vec<Pose>, Vec<Pose>) {
-    let mut sweep = Sweep::new(witness);
+fn pairs(
+    witness: &PoseObservations,
+    state: &StreamState,
+    offsets: &[f64],
+) -> (Vec<Pose>, Vec<Pose>) {
+    let mut sweep = PredictionBuffers::new(witness);
     let step = witness.len().div_ceil(SAMPLES).max(1);
     (0..witness.len())
         .step_by(step)
@@ -103,7 +111,7 @@ fn reference_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
 
 /// Sets the reference and tool frames of `state` to those that positions determine at its latency.
 pub(super) fn placed_by_positions(
-    witness: &Witness,
+    witness: &PoseObservations,
     state: StreamState,
     offsets: &[f64],
 ) -> StreamState {
@@ -120,7 +128,7 @@ pub(super) fn placed_by_positions(
 /// Reference frame with the rotation that positions determine, and tool frame.
 fn by_positions(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
     let xyz: Vec<Vec3> = logged.iter().map(|pose| pose.translation.vector).collect();
-    let (reference, point) = Expected::of(fk).turned_anyhow(&xyz);
+    let (reference, point) = FkColumns::of(fk).turned_anyhow(&xyz);
     let turned: Vec<Pose> = fk.iter().map(|fk| reference * fk).collect();
     let turn = tool_frame(&turned, logged).rotation;
     (reference, pose(point.into(), turn))
@@ -135,7 +143,11 @@ pub(super) fn tool_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
 
 /// Tool frame that best maps FK to a stream's poses, without a reference error. `None` if there are too few
 /// samples.
-pub(super) fn tool_start(witness: &Witness, state: &StreamState, offsets: &[f64]) -> Option<Pose> {
+pub(super) fn tool_start(
+    witness: &PoseObservations,
+    state: &StreamState,
+    offsets: &[f64],
+) -> Option<Pose> {
     let plain = StreamState { tool: Pose::identity(), ..state.clone() };
     let (fk, logged) = pairs(witness, &plain, offsets);
     (fk.len() >= 3).then(|| tool_frame(&fk, &logged))
@@ -189,7 +201,7 @@ pub(super) fn misfit_of_frames(fk: &[Pose], logged: &[Pose]) -> [f64; 2] {
 
 /// Same for a stream with its latency and the given joint offsets.
 pub(super) fn left_by_constant_frames(
-    witness: &Witness,
+    witness: &PoseObservations,
     state: &StreamState,
     offsets: &[f64],
 ) -> [f64; 2] {
@@ -382,12 +394,12 @@ fn quarter_turns() -> Vec<Rotation> {
 
 /// Estimates one frame with `causes` and the always-free causes free.
 pub(super) fn frame_estimate(
-    explanation: &Explanation,
-    menu: &Menu,
+    explanation: &SelectedModel,
+    menu: &CandidateCauses,
     causes: &[Cause],
     cause: Cause,
     stream: usize,
-) -> Seen<FrameEstimate> {
+) -> EstimateResult<FrameEstimate> {
     let (state, linear) = (&explanation.state, &explanation.linear);
     let mut parameters: Vec<usize> =
         menu.always.iter().chain(causes).flat_map(|cause| cause.parameters(state)).collect();
@@ -395,11 +407,11 @@ pub(super) fn frame_estimate(
     parameters.dedup();
     let own = cause.parameters(state);
     let width = own.len();
-    let first = parameters.binary_search(&own.start).map_err(|_| Unseen::NotExcited)?;
+    let first = parameters.binary_search(&own.start).map_err(|_| NotObservable::NotExcited)?;
     let covariance = linear.covariance(&parameters, state);
     let block = covariance.view((first, first), (width, width)).into_owned();
     if !block.diagonal().iter().all(|variance| variance.is_finite()) {
-        return Err(Unseen::NotExcited);
+        return Err(NotObservable::NotExcited);
     }
     let mut moved = state.clone();
     moved.step(&linear.step(&parameters));

@@ -1,27 +1,31 @@
 //! Large piecewise linear latency of a stream.
 
-use super::LatencyCourse;
-use super::large::{Followed, in_order, left};
-use super::latency::Speed;
+use super::LatencyProfile;
+use super::large::{LagWindow, in_order, left};
+use super::latency::SpeedSeries;
 
 /// Piecewise linear latency, as compensated in a stream's stamps.
 #[derive(Clone, Debug, PartialEq)]
-pub struct GradualLatency {
+pub struct LatencyRamp {
     /// Stamps, s from the run's origin, and latency there, s. At least two.
     knots: Vec<(f64, f64)>,
 }
 
 /// Fitted latency, its squared speed residual, and that of a linear latency.
-pub(super) struct Fitted {
-    pub gradual: GradualLatency,
+pub(super) struct RampFit {
+    pub gradual: LatencyRamp,
     pub left: f64,
     pub of_line: f64,
 }
 
-impl GradualLatency {
+impl LatencyRamp {
     /// Fits the latency of a stream whose speed matches the arm's in `windows` at varying lags. Returns the
     /// speed residuals of this fit and of the best line. `None` if the lags vary little.
-    pub(super) fn of(arm: &Speed, stream: &Speed, windows: &[&Followed]) -> Option<Fitted> {
+    pub(super) fn of(
+        arm: &SpeedSeries,
+        stream: &SpeedSeries,
+        windows: &[&LagWindow],
+    ) -> Option<RampFit> {
         /// Minimum variation, s. A smaller one does not affect estimates over a second of motion.
         const LEAST_S: f64 = 0.035;
         /// Minimum deviation from a line, s. A smaller one is skew.
@@ -49,11 +53,11 @@ impl GradualLatency {
         let mut gradual = Self { knots: rough.halved() };
         let left = gradual.fit(arm, stream);
         let bends = gradual.knots.iter().any(|knot| (knot.1 - line.lag_s(knot.0)).abs() > BENT_S);
-        Some(Fitted { gradual, left: if bends { left } else { of_line }, of_line })
+        Some(RampFit { gradual, left: if bends { left } else { of_line }, of_line })
     }
 
     /// The latency of a piecewise linear profile. `None` for other profiles.
-    pub(super) fn along(course: &LatencyCourse) -> Option<Self> {
+    pub(super) fn along(course: &LatencyProfile) -> Option<Self> {
         let knots = &course.levels;
         (course.jumps.is_empty() && knots.len() > 1).then(|| Self { knots: knots.clone() })
     }
@@ -78,7 +82,7 @@ impl GradualLatency {
     }
 
     /// Minimises the speed residual over the lag at each knot, with decreasing steps. Returns the residual.
-    fn fit(&mut self, arm: &Speed, stream: &Speed) -> f64 {
+    fn fit(&mut self, arm: &SpeedSeries, stream: &SpeedSeries) -> f64 {
         const STEPS_S: [f64; 5] = [0.02, 0.008, 0.003, 0.001, 0.0003];
         let mut least = left(arm, stream, &|t_s| self.lag_s(t_s));
         for step_s in STEPS_S.into_iter().flat_map(|step_s| [step_s, step_s]) {

@@ -4,9 +4,9 @@
 //! is a normal controller setting, a displaced base is a fault. So the tool is selected if it fits about as
 //! well.
 
-use super::explain::{Approach, Cause, Explanation, Menu, explain};
+use super::explain::{Approach, CandidateCauses, Cause, SelectedModel, explain};
 use super::frames::tool_start;
-use super::model::{StreamState, Witness};
+use super::model::{PoseObservations, StreamState};
 use ground::geometry::Pose;
 
 /// The tool fits as well if its residual is at most this multiple of the base's, …
@@ -17,11 +17,11 @@ const AS_LITTLE_MORE: [f64; 2] = [0.3e-3, 0.3e-3];
 /// Replaces each tuned reference frame by a tool frame if that fits as well. Fits about `most` samples per
 /// stream.
 pub(super) fn tools_first(
-    witnesses: &[&Witness],
-    mut explanation: Explanation,
-    menu: &Menu,
+    witnesses: &[&PoseObservations],
+    mut explanation: SelectedModel,
+    menu: &CandidateCauses,
     most: usize,
-) -> Explanation {
+) -> SelectedModel {
     for s in 0..witnesses.len() {
         let found = &explanation.state.streams[s];
         let is_tuned = found.round_reference.is_none()
@@ -38,7 +38,7 @@ pub(super) fn tools_first(
         start.streams[s] = StreamState { tool, ..plain };
         let without = |cause: &&Cause| **cause != Cause::Reference(s);
         let optional = menu.optional.iter().filter(without).copied().collect();
-        let menu = Menu { optional, ..menu.clone() };
+        let menu = CandidateCauses { optional, ..menu.clone() };
         let other = explain(witnesses, start, &menu, Approach::Careful, most);
         if other.causes.len() <= explanation.causes.len() && leaves_as_little(&other, &explanation)
         {
@@ -48,7 +48,7 @@ pub(super) fn tools_first(
     explanation
 }
 
-fn leaves_as_little(one: &Explanation, other: &Explanation) -> bool {
+fn leaves_as_little(one: &SelectedModel, other: &SelectedModel) -> bool {
     let kinds = AS_LITTLE_MORE.iter().cycle();
     one.noise()
         .iter()

@@ -4,8 +4,8 @@
 //! In each window of several seconds, the stream's speed matches the arm's at some lag. Over the windows
 //! these lags form steps ([`super::steps`]) or a piecewise linear profile ([`super::gradual`]).
 
-use super::gradual::{Fitted, GradualLatency};
-use super::latency::{ArmSpeeds, Speed, angular_speed, linear_speed, norms, peaks};
+use super::gradual::{LatencyRamp, RampFit};
+use super::latency::{ArmSpeeds, SpeedSeries, angular_speed, linear_speed, norms, peaks};
 use super::steps::{LatencySteps, steps};
 use super::{ImuStream, PoseStream};
 use ground::stats::quantile;
@@ -22,14 +22,14 @@ pub(super) const MISFIT: f64 = 0.15;
 
 /// Large change of latency within the run.
 #[derive(Clone, Debug, PartialEq)]
-pub enum LargeChange {
+pub enum CoarseLatencyChange {
     /// Steps between constant levels.
     Steps(LatencySteps),
     /// Piecewise linear latency. Alternatively the steps, if the model fit rejects it.
-    Gradual(GradualLatency, Option<LatencySteps>),
+    Gradual(LatencyRamp, Option<LatencySteps>),
 }
 
-impl LargeChange {
+impl CoarseLatencyChange {
     /// Compensates the stamps `t_s`. Returns each with its row.
     pub fn straightened(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
         match self {
@@ -47,7 +47,7 @@ impl LargeChange {
     }
 
     /// The piecewise linear latency, if this is a gradual change.
-    pub fn gradual(&self) -> Option<&GradualLatency> {
+    pub fn gradual(&self) -> Option<&LatencyRamp> {
         match self {
             Self::Steps(_) => None,
             Self::Gradual(gradual, _) => Some(gradual),
@@ -60,7 +60,7 @@ pub fn pose_changes(
     joints: &JointTrack,
     stream: &PoseStream,
     most_lag_s: f64,
-) -> Option<LargeChange> {
+) -> Option<CoarseLatencyChange> {
     let ArmSpeeds { linear, angular, .. } = ArmSpeeds::of(joints, stream.chain, stream.columns);
     let track = stream.track;
     let mut pairs = vec![(linear, linear_speed(&track.t_s, &track.xyz))];
@@ -75,20 +75,20 @@ pub fn pose_changes(
 
 /// Removes spikes from a speed. They occur when stamps step back, so that distant positions have close
 /// stamps.
-fn without_spikes(arm: &Speed, speed: Speed) -> Speed {
+fn without_spikes(arm: &SpeedSeries, speed: SpeedSeries) -> SpeedSeries {
     /// Maximum ratio to the upper quantile.
     const TIMES: f64 = 4.0;
     const NEARLY_ALL: f64 = 0.95;
     /// Margin on the ratio of the arm's maximum speed to its upper quantile.
     const FARTHER: f64 = 1.3;
-    let nearly_all = |speed: &Speed| quantile(&mut speed.value.clone(), NEARLY_ALL);
+    let nearly_all = |speed: &SpeedSeries| quantile(&mut speed.value.clone(), NEARLY_ALL);
     let (Some(of_arm), Some(own)) = (nearly_all(arm), nearly_all(&speed)) else { return speed };
     let fastest = arm.value.iter().copied().fold(0.0, f64::max);
     let times = (FARTHER * fastest / of_arm).min(TIMES);
     let most = if times.is_finite() { times * own } else { TIMES * own };
     let kept = speed.t_s.iter().copied().zip(speed.value).filter(|(_, value)| *value <= most);
     let (t_s, value) = kept.unzip();
-    Speed { t_s, value }
+    SpeedSeries { t_s, value }
 }
 
 /// Detects large latency changes of an IMU from its angular speed.
@@ -96,13 +96,13 @@ pub fn imu_changes(
     joints: &JointTrack,
     stream: &ImuStream,
     most_lag_s: f64,
-) -> Option<LargeChange> {
+) -> Option<CoarseLatencyChange> {
     let arm = ArmSpeeds::of(joints, stream.chain, stream.columns);
     changes(&[(arm.angular, norms(&stream.track.t_s, &stream.track.gyro))], most_lag_s)
 }
 
 /// Time window with the lag at which the stream's speed correlates best.
-pub(super) struct Followed {
+pub(super) struct LagWindow {
     /// Middle of the window in the arm's time, s.
     pub middle_s: f64,
     /// Latency of the stream, s.
@@ -112,21 +112,21 @@ pub(super) struct Followed {
 }
 
 /// Detects latency changes from the pair of speeds (arm, stream) that correlates best.
-fn changes(pairs: &[(Speed, Speed)], most_lag_s: f64) -> Option<LargeChange> {
+fn changes(pairs: &[(SpeedSeries, SpeedSeries)], most_lag_s: f64) -> Option<CoarseLatencyChange> {
     let seen = pairs.iter().map(|(arm, stream)| (arm, stream, windows(arm, stream, most_lag_s)));
-    let typical = |windows: &[Followed]| {
+    let typical = |windows: &[LagWindow]| {
         let mut all: Vec<f64> = windows.iter().map(|window| window.correlation).collect();
         all.sort_by(f64::total_cmp);
         all.get(all.len() / 2).copied().unwrap_or(0.0)
     };
     let (arm, stream, windows) = seen.max_by(|a, b| typical(&a.2).total_cmp(&typical(&b.2)))?;
-    let followed: Vec<&Followed> =
+    let followed: Vec<&LagWindow> =
         windows.iter().filter(|window| window.correlation >= FOLLOWS).collect();
     let steps = steps(arm, stream, &followed);
-    let Some(Fitted { gradual, left: of_gradual, of_line }) =
-        GradualLatency::of(arm, stream, &followed)
+    let Some(RampFit { gradual, left: of_gradual, of_line }) =
+        LatencyRamp::of(arm, stream, &followed)
     else {
-        return steps.map(LargeChange::Steps);
+        return steps.map(CoarseLatencyChange::Steps);
     };
     let spread = spread(stream, &some_rows(stream));
     let of_steps =
@@ -134,8 +134,8 @@ fn changes(pairs: &[(Speed, Speed)], most_lag_s: f64) -> Option<LargeChange> {
     // Linear growth is skew, not steps.
     let otherwise = steps.filter(|_| of_steps < of_line);
     match of_gradual < (MISFIT * spread).min(SIMPLER * of_line.min(of_steps)) {
-        true => Some(LargeChange::Gradual(gradual, otherwise)),
-        false => otherwise.map(LargeChange::Steps),
+        true => Some(CoarseLatencyChange::Gradual(gradual, otherwise)),
+        false => otherwise.map(CoarseLatencyChange::Steps),
     }
 }
 
@@ -151,16 +151,16 @@ pub(super) fn in_order(straight_s: impl Iterator<Item = (usize, f64)>) -> Vec<(u
 }
 
 /// Sum of squared speed differences at a latency.
-pub(super) fn left(arm: &Speed, stream: &Speed, lag_s: &dyn Fn(f64) -> f64) -> f64 {
+pub(super) fn left(arm: &SpeedSeries, stream: &SpeedSeries, lag_s: &dyn Fn(f64) -> f64) -> f64 {
     differences(arm, stream, &some_rows(stream), lag_s).iter().sum()
 }
 
 /// Rows used to fit the profile.
-pub(super) fn some_rows(stream: &Speed) -> Vec<usize> {
+pub(super) fn some_rows(stream: &SpeedSeries) -> Vec<usize> {
     (0..stream.t_s.len()).step_by(stream.t_s.len().div_ceil(SAMPLES).max(1)).collect()
 }
 
-fn windows(arm: &Speed, stream: &Speed, most_lag_s: f64) -> Vec<Followed> {
+fn windows(arm: &SpeedSeries, stream: &SpeedSeries, most_lag_s: f64) -> Vec<LagWindow> {
     const LENGTHS_S: (f64, f64) = (5.0, 10.0);
     let (Some(&begin_s), Some(&end_s)) = (arm.t_s.first(), arm.t_s.last()) else {
         return Vec::new();
@@ -173,7 +173,7 @@ fn windows(arm: &Speed, stream: &Speed, most_lag_s: f64) -> Vec<Followed> {
         let own = between(arm, from_s, from_s + length_s);
         let best = peaks(&own, stream, most_lag_s).into_iter().next()?;
         let middle_s = from_s + 0.5 * length_s;
-        Some(Followed { middle_s, lag_s: best.lag_s, correlation: best.correlation })
+        Some(LagWindow { middle_s, lag_s: best.lag_s, correlation: best.correlation })
     };
     let (mut windows, mut index) = (Vec::new(), 0);
     while index < count {
@@ -188,13 +188,13 @@ fn windows(arm: &Speed, stream: &Speed, most_lag_s: f64) -> Vec<Followed> {
     windows
 }
 
-fn between(speed: &Speed, from_s: f64, to_s: f64) -> Speed {
+fn between(speed: &SpeedSeries, from_s: f64, to_s: f64) -> SpeedSeries {
     let [from, to] = [from_s, to_s].map(|at_s| speed.t_s.partition_point(|t_s| *t_s < at_s));
-    Speed { t_s: speed.t_s[from..to].to_vec(), value: speed.value[from..to].to_vec() }
+    SpeedSeries { t_s: speed.t_s[from..to].to_vec(), value: speed.value[from..to].to_vec() }
 }
 
 /// Sum of squared deviations of a speed from its mean.
-pub(super) fn spread(speed: &Speed, rows: &[usize]) -> f64 {
+pub(super) fn spread(speed: &SpeedSeries, rows: &[usize]) -> f64 {
     let values = || rows.iter().map(|&row| speed.value[row]);
     let mean = values().sum::<f64>() / rows.len().max(1) as f64;
     values().map(|value| (value - mean).powi(2)).sum()
@@ -202,8 +202,8 @@ pub(super) fn spread(speed: &Speed, rows: &[usize]) -> f64 {
 
 /// Squared differences of the stream's speed from the arm's at a lag. 0 if the arm's speed is unknown.
 pub(super) fn differences(
-    arm: &Speed,
-    stream: &Speed,
+    arm: &SpeedSeries,
+    stream: &SpeedSeries,
     rows: &[usize],
     lag_s: impl Fn(f64) -> f64,
 ) -> Vec<f64> {
@@ -248,14 +248,14 @@ pub(super) mod tests {
     }
 
     /// 40 s of an arm's speed, and that of a stream with latency `late` at its stamps.
-    pub fn pair(late: impl Fn(f64) -> f64) -> (Speed, Speed) {
+    pub fn pair(late: impl Fn(f64) -> f64) -> (SpeedSeries, SpeedSeries) {
         let t_s: Vec<f64> = (0..4000).map(|row| f64::from(row) * 0.01).collect();
         let value = t_s.iter().map(|t_s| shape(*t_s)).collect();
         let own = t_s.iter().map(|t_s| shape(t_s - late(*t_s))).collect();
-        (Speed { t_s: t_s.clone(), value }, Speed { t_s, value: own })
+        (SpeedSeries { t_s: t_s.clone(), value }, SpeedSeries { t_s, value: own })
     }
 
-    pub fn changed(late: impl Fn(f64) -> f64) -> Option<LargeChange> {
+    pub fn changed(late: impl Fn(f64) -> f64) -> Option<CoarseLatencyChange> {
         changes(&[pair(late)], 5.0)
     }
 
@@ -284,7 +284,7 @@ pub(super) mod tests {
             let late =
                 |t_s: f64| 0.02 + size_s * ((t_s - from_s) / (to_s - from_s)).clamp(0.0, 1.0);
             let found = changed(late);
-            let gradual = found.as_ref().and_then(LargeChange::gradual).expect("it ramps");
+            let gradual = found.as_ref().and_then(CoarseLatencyChange::gradual).expect("it ramps");
             for t_s in (1..39).map(f64::from) {
                 let off_s = gradual.lag_s(t_s) - late(t_s);
                 assert!(off_s.abs() < 0.1 * size_s.abs(), "{size_s} at {t_s} s: off by {off_s}");

@@ -14,7 +14,7 @@ use realfft::RealFftPlanner;
 
 /// Candidate lag with its correlation.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Peak {
+pub struct LagPeak {
     /// Latency of the stream, s. Positive if the stream is late.
     pub lag_s: f64,
     /// Pearson correlation of the two speeds over the common span, −1 to 1.
@@ -23,7 +23,7 @@ pub struct Peak {
 
 /// Speed as a time series with its own stamps.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Speed {
+pub(super) struct SpeedSeries {
     pub t_s: Vec<f64>,
     pub value: Vec<f64>,
 }
@@ -31,11 +31,11 @@ pub(super) struct Speed {
 /// Speeds of an arm by FK at the joint stamps, decimated to at most 30 000.
 pub(super) struct ArmSpeeds {
     /// Linear speed of the chain's tip, m/s.
-    pub linear: Speed,
+    pub linear: SpeedSeries,
     /// Angular speed of the chain's tip, rad/s.
-    pub angular: Speed,
+    pub angular: SpeedSeries,
     /// Linear speed of the base in the tip frame, m/s.
-    inverse: Speed,
+    inverse: SpeedSeries,
 }
 
 impl ArmSpeeds {
@@ -67,7 +67,8 @@ impl ArmSpeeds {
                 speed.push(vector.norm());
             }
         }
-        let [linear, angular, inverse] = speeds.map(|value| Speed { t_s: t_s.clone(), value });
+        let [linear, angular, inverse] =
+            speeds.map(|value| SpeedSeries { t_s: t_s.clone(), value });
         Self { linear, angular, inverse }
     }
 
@@ -83,7 +84,7 @@ impl ArmSpeeds {
         xyz: &[Vec3],
         rotation: Option<&[Rotation]>,
         most_s: f64,
-    ) -> Vec<Peak> {
+    ) -> Vec<LagPeak> {
         let linear = linear_speed(t_s, xyz);
         // Positions alone show whether poses are inverted, independent of the rotation encoding.
         let mut found =
@@ -93,20 +94,20 @@ impl ArmSpeeds {
             let inverse = inverse_linear_speed(t_s, xyz, rotation);
             found.push(peaks(&self.linear, &inverse, most_s));
         }
-        let best = |peaks: &Vec<Peak>| peaks.first().map_or(f64::MIN, |peak| peak.correlation);
+        let best = |peaks: &Vec<LagPeak>| peaks.first().map_or(f64::MIN, |peak| peak.correlation);
         found.into_iter().max_by(|a, b| best(a).total_cmp(&best(b))).unwrap_or_default()
     }
 }
 
 /// Combined speed of all joints (root of the sum of squares) at the joint stamps. It is invariant to
 /// permuted joint names.
-pub(super) fn joint_activity(joints: &JointTrack) -> Speed {
+pub(super) fn joint_activity(joints: &JointTrack) -> SpeedSeries {
     let value = joints
         .qd
         .chunks_exact(joints.dof.max(1))
         .map(|row| row.iter().map(|v| v * v).sum::<f64>().sqrt())
         .collect();
-    Speed { t_s: joints.t_s.clone(), value }
+    SpeedSeries { t_s: joints.t_s.clone(), value }
 }
 
 /// Speed of a stream between samples `window_s` apart. `distance` returns the distance of two samples.
@@ -114,8 +115,8 @@ pub(super) fn differenced(
     t_s: &[f64],
     window_s: f64,
     distance: impl Fn(usize, usize) -> f64,
-) -> Speed {
-    let mut speed = Speed::default();
+) -> SpeedSeries {
+    let mut speed = SpeedSeries::default();
     let mut first = 0;
     for last in 0..t_s.len() {
         while first + 1 < last && t_s[last] - t_s[first + 1] >= window_s {
@@ -145,30 +146,34 @@ pub(super) fn median_period_s(t_s: &[f64]) -> f64 {
 }
 
 /// Speed of logged positions, in their unit per second.
-pub(super) fn linear_speed(t_s: &[f64], xyz: &[Vec3]) -> Speed {
+pub(super) fn linear_speed(t_s: &[f64], xyz: &[Vec3]) -> SpeedSeries {
     differenced(t_s, window_s(t_s), |a, b| (xyz[b] - xyz[a]).norm())
 }
 
 /// Speed of the origin of the *inverse* of logged poses, m/s.
-pub(super) fn inverse_linear_speed(t_s: &[f64], xyz: &[Vec3], rotation: &[Rotation]) -> Speed {
+pub(super) fn inverse_linear_speed(
+    t_s: &[f64],
+    xyz: &[Vec3],
+    rotation: &[Rotation],
+) -> SpeedSeries {
     let inverse = |k: usize| rotation[k].inverse() * xyz[k];
     differenced(t_s, window_s(t_s), |a, b| (inverse(b) - inverse(a)).norm())
 }
 
 /// Speed of logged rotations, rad/s.
-pub(super) fn angular_speed(t_s: &[f64], rotation: &[Rotation]) -> Speed {
+pub(super) fn angular_speed(t_s: &[f64], rotation: &[Rotation]) -> SpeedSeries {
     differenced(t_s, window_s(t_s), |a, b| angle_between(&rotation[a], &rotation[b]))
 }
 
 /// Norms of a vector series, such as an IMU's angular rates.
-pub(super) fn norms(t_s: &[f64], vectors: &[Vec3]) -> Speed {
-    Speed { t_s: t_s.to_vec(), value: vectors.iter().map(Vec3::norm).collect() }
+pub(super) fn norms(t_s: &[f64], vectors: &[Vec3]) -> SpeedSeries {
+    SpeedSeries { t_s: t_s.to_vec(), value: vectors.iter().map(Vec3::norm).collect() }
 }
 
 /// Candidate lags within ±`most_s` at correlation peaks, best first. Empty without motion or a common span.
-pub(super) fn peaks(arm: &Speed, stream: &Speed, most_s: f64) -> Vec<Peak> {
+pub(super) fn peaks(arm: &SpeedSeries, stream: &SpeedSeries, most_s: f64) -> Vec<LagPeak> {
     let by_lag = by_lag(arm, stream, most_s);
-    let mut peaks: Vec<Peak> = by_lag
+    let mut peaks: Vec<LagPeak> = by_lag
         .windows(3)
         .filter_map(|around| {
             let [a, b, c] = [0, 1, 2].map(|at| around[at].correlation);
@@ -176,7 +181,7 @@ pub(super) fn peaks(arm: &Speed, stream: &Speed, most_s: f64) -> Vec<Peak> {
             let bend = a - 2.0 * b + c;
             let shift = if bend < 0.0 { 0.5 * (a - c) / bend } else { 0.0 };
             let step = around[2].lag_s - around[1].lag_s;
-            let peak = Peak { lag_s: around[1].lag_s + shift * step, correlation: b };
+            let peak = LagPeak { lag_s: around[1].lag_s + shift * step, correlation: b };
             is_peak.then_some(peak)
         })
         .collect();
@@ -188,7 +193,7 @@ pub(super) fn peaks(arm: &Speed, stream: &Speed, most_s: f64) -> Vec<Peak> {
 /// cannot be compared. Empty without a common span.
 ///
 /// Long gaps in the joint states split the arm's speed into pieces. Their sums are added.
-pub(super) fn by_lag(arm: &Speed, stream: &Speed, most_s: f64) -> Vec<Peak> {
+pub(super) fn by_lag(arm: &SpeedSeries, stream: &SpeedSeries, most_s: f64) -> Vec<LagPeak> {
     /// Maximum number of steps of all pieces.
     const STEPS: f64 = 30_000.0;
     let periods = [arm, stream].map(|speed| median_period_s(&speed.t_s));
@@ -200,19 +205,19 @@ pub(super) fn by_lag(arm: &Speed, stream: &Speed, most_s: f64) -> Vec<Peak> {
         return Vec::new();
     }
     let lags = (most_s.min(covered_s / 3.0) / step).floor() as usize;
-    let mut sums = Sums::none(2 * lags + 1);
+    let mut sums = CorrelationSums::none(2 * lags + 1);
     for (start, end) in pieces {
         let count = ((end - start) / step) as usize + 1;
         // A late stream describes the piece after its end.
         let before = start - lags as f64 * step;
         sums.add(
-            &Grid::of(arm, silences[0], start, step, count),
-            &Grid::of(stream, silences[1], before, step, count + 2 * lags),
+            &SpeedGrid::of(arm, silences[0], start, step, count),
+            &SpeedGrid::of(stream, silences[1], before, step, count + 2 * lags),
         );
     }
     let lag_s = |at: usize| (at as f64 - lags as f64) * step;
     let correlations = sums.correlations().into_iter().enumerate();
-    correlations.map(|(at, correlation)| Peak { lag_s: lag_s(at), correlation }).collect()
+    correlations.map(|(at, correlation)| LagPeak { lag_s: lag_s(at), correlation }).collect()
 }
 
 /// Longest gap to interpolate, s, for a speed sampled every `period_s`.
@@ -227,16 +232,16 @@ fn pieces(t_s: &[f64], longest_s: f64) -> Vec<(f64, f64)> {
 }
 
 /// Speed on an even grid, with a validity mask.
-struct Grid {
+struct SpeedGrid {
     /// 0 if invalid.
     value: Vec<f64>,
     /// 1 if valid, else 0.
     known: Vec<f64>,
 }
 
-impl Grid {
+impl SpeedGrid {
     /// Samples `speed` every `step` from `start`. Interpolates linearly across gaps of up to `longest_s`.
-    fn of(speed: &Speed, longest_s: f64, start: f64, step: f64, count: usize) -> Self {
+    fn of(speed: &SpeedSeries, longest_s: f64, start: f64, step: f64, count: usize) -> Self {
         let mut right = speed.t_s.partition_point(|&t| t < start);
         let mut grid = Self { value: vec![0.0; count], known: vec![0.0; count] };
         for i in 0..count {
@@ -270,14 +275,14 @@ thread_local! {
 }
 
 /// Sums for Pearson's correlation at every lag.
-struct Sums {
+struct CorrelationSums {
     /// Number of common times, and sums over them of x, x², y, y² and xy.
     sums: [Vec<f64>; 6],
     /// Number of valid times of each speed.
     known: [f64; 2],
 }
 
-impl Sums {
+impl CorrelationSums {
     fn none(lags: usize) -> Self {
         Self { sums: std::array::from_fn(|_| vec![0.0; lags]), known: [0.0; 2] }
     }
@@ -286,7 +291,7 @@ impl Sums {
     ///
     /// Sums of products at all lags are a product of Fourier transforms (Press et al., *Numerical Recipes*,
     /// 3rd ed., §13.2). Multiplying by the masks restricts them to valid times.
-    fn add(&mut self, arm: &Grid, stream: &Grid) {
+    fn add(&mut self, arm: &SpeedGrid, stream: &SpeedGrid) {
         let length = stream.value.len().next_power_of_two();
         let (forward, inverse) = PLANS.with_borrow_mut(|planner| {
             (planner.plan_fft_forward(length), planner.plan_fft_inverse(length))
@@ -343,12 +348,12 @@ impl Sums {
 mod tests {
     use super::*;
 
-    fn bumps(offset_s: f64, from: f64, to: f64, rate: f64) -> Speed {
+    fn bumps(offset_s: f64, from: f64, to: f64, rate: f64) -> SpeedSeries {
         let shape = |t: f64| (1.3 * t).sin().powi(2) + 0.5 * (0.37 * t * t).sin().powi(2);
         let t_s: Vec<f64> =
             (0..((to - from) * rate) as usize).map(|i| from + i as f64 / rate).collect();
         let value = t_s.iter().map(|t| shape(t - offset_s)).collect();
-        Speed { t_s, value }
+        SpeedSeries { t_s, value }
     }
 
     #[test]
@@ -361,13 +366,13 @@ mod tests {
 
     #[test]
     fn pieces_between_silences_add_up() {
-        let excerpts = |speed: Speed, around: f64| {
+        let excerpts = |speed: SpeedSeries, around: f64| {
             let kept = speed.t_s.iter().zip(&speed.value).filter(|(t, _)| {
                 let within = |from: f64| (from - around..from + 8.0 + around).contains(*t);
                 within(3.0) || within(30.0) || within(71.0)
             });
             let (t_s, value) = kept.map(|(t, v)| (*t, *v)).unzip();
-            Speed { t_s, value }
+            SpeedSeries { t_s, value }
         };
         let lag = 0.713;
         let arm = excerpts(bumps(0.0, 0.0, 90.0, 125.0), 0.0);
@@ -381,8 +386,10 @@ mod tests {
 
     #[test]
     fn a_constant_speed_has_no_peak() {
-        let still =
-            Speed { t_s: (0..1000).map(|i| i as f64 * 0.01).collect(), value: vec![0.3; 1000] };
+        let still = SpeedSeries {
+            t_s: (0..1000).map(|i| i as f64 * 0.01).collect(),
+            value: vec![0.3; 1000],
+        };
         assert!(peaks(&still, &bumps(0.0, 0.0, 10.0, 100.0), 1.0).is_empty());
     }
 }

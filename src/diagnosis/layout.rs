@@ -38,7 +38,7 @@ const FARTHEST_BASE_M: f64 = 20.0;
 
 /// Position encoding: unit, inversion and axes.
 #[derive(Clone, Debug)]
-pub(super) struct Layout {
+pub(super) struct PositionEncoding {
     /// Unit of the track's numbers, m.
     pub metres: f64,
     /// Whether the poses are inverted.
@@ -55,7 +55,7 @@ pub(super) struct Layout {
     rank: u32,
 }
 
-impl Layout {
+impl PositionEncoding {
     /// Returns whether the logged axes are left-handed.
     pub fn is_mirrored(&self) -> bool {
         self.turn.determinant() < 0.0
@@ -73,7 +73,7 @@ impl Layout {
 }
 
 /// Positions of a stream.
-pub(super) struct Written<'a> {
+pub(super) struct StreamPositions<'a> {
     pub xyz: &'a [Vec3],
     /// Index of a constant coordinate, if there is one. It is ignored.
     pub constant: Option<usize>,
@@ -89,7 +89,11 @@ pub(super) fn may_spread_so(extent: f64, by_fk: f64) -> bool {
 }
 
 /// Layouts whose residual is close to the smallest, simplest first. Empty if the tip moves too little.
-pub(super) fn layouts(fk: &[Pose], reach_m: f64, written: &Written) -> Vec<Layout> {
+pub(super) fn layouts(
+    fk: &[Pose],
+    reach_m: f64,
+    written: &StreamPositions,
+) -> Vec<PositionEncoding> {
     let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
     let extent_m = spread(&at);
     if fk.len() < 6 || extent_m < MOVES * reach_m {
@@ -97,10 +101,10 @@ pub(super) fn layouts(fk: &[Pose], reach_m: f64, written: &Written) -> Vec<Layou
     }
     let search = Search::of(fk, written, extent_m);
     let mut found = search.candidates(1.0, false);
-    let least = |found: &[Layout], is: fn(&Layout) -> bool| {
+    let least = |found: &[PositionEncoding], is: fn(&PositionEncoding) -> bool| {
         found.iter().filter(|one| is(one)).map(|one| one.left_m).fold(f64::INFINITY, f64::min)
     };
-    let sound_m = least(&found, Layout::is_sound);
+    let sound_m = least(&found, PositionEncoding::is_sound);
     if sound_m > FINE * extent_m {
         let inverse: Vec<Pose> = fk.iter().map(Pose::inverse).collect();
         let inverse = Search { inverted: true, ..Search::of(&inverse, written, extent_m) };
@@ -109,7 +113,7 @@ pub(super) fn layouts(fk: &[Pose], reach_m: f64, written: &Written) -> Vec<Layou
                 found.extend(search.candidates(metres, true));
             }
         }
-        let is_odd = |one: &Layout| {
+        let is_odd = |one: &PositionEncoding| {
             LengthScale::usual()
                 .all(|unit| (one.metres * written.read_as_m / unit.in_m() - 1.0).abs() > 1e-6)
         };
@@ -125,12 +129,12 @@ pub(super) fn layouts(fk: &[Pose], reach_m: f64, written: &Written) -> Vec<Layou
             one.is_sound() || explains
         });
     } else {
-        found.retain(Layout::is_sound);
+        found.retain(PositionEncoding::is_sound);
     }
     let near = (NEAR * least(&found, |_| true)).max(NEAR_SHARE * extent_m);
     found.retain(|one| one.left_m <= near);
     found.sort_by(|a, b| a.rank.cmp(&b.rank).then(a.left_m.total_cmp(&b.left_m)));
-    let mut kept: Vec<Layout> = Vec::new();
+    let mut kept: Vec<PositionEncoding> = Vec::new();
     for one in found {
         if !kept.iter().any(|known| known.is_same(&one)) {
             kept.push(one);
@@ -148,7 +152,7 @@ struct Sums {
 
 struct Search<'a> {
     fk: &'a [Pose],
-    written: &'a Written<'a>,
+    written: &'a StreamPositions<'a>,
     inverted: bool,
     /// Extent of FK's motion, m.
     extent_m: f64,
@@ -179,7 +183,7 @@ const FREE: [Free; 4] = [
 ];
 
 impl<'a> Search<'a> {
-    fn of(fk: &'a [Pose], written: &'a Written<'a>, extent_m: f64) -> Self {
+    fn of(fk: &'a [Pose], written: &'a StreamPositions<'a>, extent_m: f64) -> Self {
         let skipped = match written.constant {
             None => vec![None],
             Some(_) => vec![Some(0), Some(1), Some(2)],
@@ -189,7 +193,7 @@ impl<'a> Search<'a> {
     }
 
     /// Layouts with a given unit. Includes left-handed axes only if `any`.
-    fn candidates(&self, metres: f64, any: bool) -> Vec<Layout> {
+    fn candidates(&self, metres: f64, any: bool) -> Vec<PositionEncoding> {
         let known = self.written.reference_known;
         let mut found = Vec::new();
         let mut add = |axes: Option<Axes>, turn: Matrix3<f64>, solved: &Solved, free: Free| {
@@ -206,7 +210,15 @@ impl<'a> Search<'a> {
             let rank = rank.iter().filter(|(is, _)| *is).map(|(_, rank)| rank).sum();
             let (inverted, left_m) = (self.inverted, solved.left_m);
             let is_explained = left_m <= EXPLAINS * self.extent_m;
-            found.push(Layout { metres, inverted, axes, turn, left_m, is_explained, rank });
+            found.push(PositionEncoding {
+                metres,
+                inverted,
+                axes,
+                turn,
+                left_m,
+                is_explained,
+                rank,
+            });
         };
         let mut starts: [Vec<(f64, Matrix3<f64>)>; 2] = Default::default();
         for &axes in Axes::all().iter().filter(|axes| any || !axes.are_left_handed()) {

@@ -57,7 +57,7 @@
 //!
 //! # Output
 //! An [`ArmDiagnosis`]. Each estimate is a [`Measured`] (value, standard error, degrees of freedom) or the
-//! [`Unseen`] reason why it does not exist, and states whether its cause was selected.
+//! [`NotObservable`] reason why it does not exist, and states whether its cause was selected.
 //!
 //! The remaining modules are separate estimators: `columns` identifies table columns, `model_fit` the arm
 //! model, and `handeye`, `calibration`, `plan`, `reference`, `velocity`, `shake`, `workspace` and `trend`
@@ -128,65 +128,71 @@ use ground::geometry::{
 use ground::robot::Chain;
 use ground::stream::PoseTrack;
 
-pub use aligned::{Aligned, Residuals};
-pub use alternation::{Alternation, Other, alternation};
+pub use aligned::{AlignedSamples, PoseDistances};
+pub use alternation::{SwitchedTool, ToolSwitching, alternation};
 pub use arm::{diagnose_arm, diagnose_derived, follows, likely_lags};
-pub use bends::{BendShape, Crossing, JointBend, Sag};
+pub use bends::{BacklashCrossing, ComplianceShape, JointCompliance, JointSag};
 pub use calibration::{
-    ArmCalibration, CalibrationStream, LeftOver, LinkParameter, NoCalibration, StreamCalibration,
-    Uncertainty, Untold, calibrate_arm,
+    ArmCalibration, CalibrationFailure, CalibrationResidual, CalibrationStream, FkUncertainty,
+    LinkParameter, StreamCalibration, UndeterminedDirection, calibrate_arm,
 };
-pub use carried::{BaseTravel, CarrierLag, base_travel, carrier_lag};
-pub use changes::{AmountChange, Change, CodedParts, FrameChange, JointChange, JointPatch};
-pub use columns::{Block, Conduct, JointNumbers, Mapping, Sheet, Shift, Wanted};
-pub use course::{LatencyCourse, LatencyJump, LatencyShape};
-pub use dh::{DhEstimate, DhStream, DhTold, Left, faults};
-pub use gradual::GradualLatency;
+pub use carried::{BaseMotion, MovingBaseLag, base_travel, carrier_lag};
+pub use changes::{ChangePoint, EncodingSpans, FrameChange, JointChange, JointPatch, ScalarChange};
+pub use columns::{
+    ColumnContent, ColumnMapping, GroupShift, JointColumns, JointValueUnit, MappingConstraints,
+    NumericTable,
+};
+pub use course::{LatencyProfile, LatencyShape, LatencyStep};
+pub use dh::{DhComparison, DhConventionResult, DhResidual, DhStreamResiduals, faults};
+pub use gradual::LatencyRamp;
 pub use ground::stats::{Length, Measured};
 pub use handeye::{
-    CameraPose, Closure, Diversity, HandEyeDiagnosis, HandEyeStreams, Mount, PoseSeries, Solution,
-    Stretch, TargetReading, TargetScale, diagnose_hand_eye, turning_peaks,
+    CameraMount, CameraPose, ClosureError, HandEyeDiagnosis, HandEyeSolution, HandEyeStreams,
+    PoseSeries, RotationDiversity, TargetEncoding, TargetScale, TargetScaleError,
+    diagnose_hand_eye, turning_peaks,
 };
 pub use imu::{
-    AccelSlip, AccelUnit, AxesTurn, BiasChange, BiasCourse, Clipped, GyroBias, GyroShape, Heading,
-    HeadingError, ImuDiagnosis, ImuNumbers, ImuProof, ImuStream, MountChange, Rates, Up, YawCourse,
-    YawJump, YawWarmUp, diagnose_imu, proof_of_imu, reread_imu, turning_by_latency,
+    AccelUnit, AccelUnitError, GyroAxesRotation, GyroBias, GyroBiasChange, GyroBiasProfile,
+    GyroResidual, GyroSaturation, GyroScaleError, HeadingError, HeadingPair, ImuConventions,
+    ImuDiagnosis, ImuMountChange, ImuResidualCheck, ImuStream, UpDirections, YawJump, YawProfile,
+    YawWarmUp, diagnose_imu, proof_of_imu, reread_imu, turning_by_latency,
 };
 pub use joints::{
-    JointCoupling, JointOffset, JointReading, JointScale, JointSlip, JointUnit, Twin,
+    Confounder, JointCoupling, JointEncoding, JointOffset, JointScale, JointUnit, JointUnitError,
 };
 pub use lag::{LatencyResidual, residual_by_latency};
-use large::{LargeChange, imu_changes, pose_changes};
-pub use latency::Peak;
-pub use model_fit::{ModelFit, Needs, Priced, Tried, Way, model_fit};
+use large::{CoarseLatencyChange, imu_changes, pose_changes};
+pub use latency::LagPeak;
+pub use model_fit::{FitAssumption, FitHypotheses, HypothesisFit, ModelFit, ScoredFit, model_fit};
 pub use motion::{
-    Abruptness, Excess, Series, abruptness, beyond_positions, beyond_speed,
+    JointSampleKind, LimitViolation, PeakAcceleration, abruptness, beyond_positions, beyond_speed,
     beyond_speed_of_positions, rates,
 };
-pub use observability::{BlindDirection, Observability, Parameter};
-pub use proof::{Amount, Error, Part, Proof, Short, Size, proof};
+pub use observability::{Observability, StreamParameter, WeakDirection};
+pub use proof::{ErrorMagnitude, ErrorSize, FkError, PartError, ResidualCheck, SampleNoise, proof};
 pub use reference::{
-    CommandDelay, CommandedArm, Commands, Constancy, Following, Line, LineWitness, NoDelay,
-    ReferenceDiagnosis, RestGap, diagnose_reference, joint_delays, pose_delay, unnamed_order,
+    CommandDelay, CommandTracking, CommandedArm, CommandedLine, Commands, DelayFailure,
+    LineDeviation, ReferenceDiagnosis, RestError, RestErrorSpread, diagnose_reference,
+    joint_delays, pose_delay, unnamed_order,
 };
-pub use reread::{Meant, reread_poses};
+pub use reread::{IntendedEncoding, reread_poses};
 pub use response::Response;
 pub use rival::{is_seen_from_tool, position_misfit_m};
 pub use sampling::stretches;
-pub use shake::{NoShake, Shake, ShakeSeen, shake, shake_seen};
-pub use skewed::SkewedDelays;
+pub use shake::{Vibration, VibrationFailure, VibrationPath, shake, shake_seen};
+pub use skewed::DelayJitter;
 pub use steady::{diagnose_imu_steadied, diagnose_steadied, steadied};
-pub use trend::{LEAST_RUNS, Step, Told, Trend, trend};
+pub use trend::{LEAST_RUNS, RunEstimate, Trend, TrendStep, trend};
 pub use velocity::{
     VelocityDiagnosis, VelocitySamples, VelocityShape, diagnose_velocity, encoder_step,
 };
 pub use workspace::{
-    APART_RAD, CELL_M, JOINT_APART, JointSpan, Place, ReachedPose, Workspace, centre_m, reach_m,
+    APART_RAD, CELL_M, JOINT_APART, JointSpan, ReachCell, ReachedPose, Workspace, centre_m, reach_m,
 };
 
 /// Reason why an estimate does not exist, with the values that a message needs.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Unseen {
+pub enum NotObservable {
     /// Too few overlapping samples.
     TooFewSamples {
         /// Number of samples of both streams at common times.
@@ -224,7 +230,7 @@ pub enum Unseen {
 }
 
 /// Estimate, or the reason why it does not exist.
-pub type Seen<T> = Result<T, Unseen>;
+pub type EstimateResult<T> = Result<T, NotObservable>;
 
 /// Pose stream as input of the estimators.
 #[derive(Clone, Copy, Debug)]
@@ -243,16 +249,16 @@ pub struct PoseStream<'a> {
     pub stamps_copied: bool,
     /// Latency ramp already subtracted from the stamps; reported together with the remaining latency
     /// profile.
-    pub taken_off: Option<&'a GradualLatency>,
+    pub taken_off: Option<&'a LatencyRamp>,
 }
 
 /// Encoding of a stream's numbers under which it follows the arm.
 #[derive(Clone, Copy, Debug)]
-pub enum Reading {
+pub enum PoseEncoding {
     /// As logged.
     AsLogged,
     /// Misinterpretation: three numbers of one convention were read as another. All members are equivalent.
-    Misread(&'static MisreadingClass),
+    Misinterpreted(&'static MisreadingClass),
     /// Permuted quaternion components.
     QuaternionOrder(QuaternionSlip),
     /// The rotation is transposed, the position is not.
@@ -263,16 +269,16 @@ pub enum Reading {
     Numbers(Convention),
 }
 
-impl Reading {
+impl PoseEncoding {
     /// Whether the encoding is as logged, not a fault.
     pub fn is_as_logged(&self) -> bool {
-        matches!(self, Reading::AsLogged | Reading::Numbers(_))
+        matches!(self, PoseEncoding::AsLogged | PoseEncoding::Numbers(_))
     }
 
     /// Misinterpretation behind this encoding, if any.
-    pub fn misreading(&self) -> Option<Misreading> {
+    pub fn misinterpretation(&self) -> Option<Misreading> {
         match self {
-            Reading::Misread(class) => class.members.first().copied(),
+            PoseEncoding::Misinterpreted(class) => class.members.first().copied(),
             _ => None,
         }
     }
@@ -280,9 +286,9 @@ impl Reading {
 
 /// Rotation encoding that follows the arm, with its competitors.
 #[derive(Clone, Debug)]
-pub struct ReadingEstimate {
+pub struct EncodingEstimate {
     /// Selected encoding; `AsLogged` if that explains the stream.
-    pub best: Reading,
+    pub best: PoseEncoding,
     /// Whether the whole pose is also inverted.
     pub inverted: bool,
     /// Residual angle as logged, rms rad. `None` for bare numbers.
@@ -290,42 +296,42 @@ pub struct ReadingEstimate {
     /// Residual angle of the selected encoding, rms rad.
     pub best_rad: f64,
     /// Next best encoding that differs on this motion, with its residual, rms rad.
-    pub runner_up: Option<(Reading, f64)>,
+    pub runner_up: Option<(PoseEncoding, f64)>,
     /// Encodings that are equivalent to the selected one on this motion.
-    pub equivalent: Vec<Reading>,
+    pub equivalent: Vec<PoseEncoding>,
     /// Best encodings with the frames of the selected one, by increasing residual, rms rad. Includes the
     /// selected encoding and the stream as logged.
-    pub ranked: Vec<(Reading, f64)>,
+    pub ranked: Vec<(PoseEncoding, f64)>,
     /// Whether most encodings fit worse. At rest nearly all of them fit with a constant frame.
     pub is_told: bool,
 }
 
 /// Axes of a stream's numbers that differ from the axes of its frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct AxesSlip {
+pub struct AxesError {
     /// Axes of the positions.
     pub positions: Axes,
     /// Axes of the rotations.
     pub rotations: Axes,
 }
 
-impl AxesSlip {
+impl AxesError {
     /// Standard axes.
     pub const NONE: Self = Self { positions: Axes::STANDARD, rotations: Axes::STANDARD };
 }
 
 /// Wrong length unit of positions.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LengthSlip {
+pub struct LengthUnitError {
     /// Actual unit.
     pub is: LengthScale,
     /// Unit in which they were read.
     pub read_as: LengthScale,
     /// Residuals in both units.
-    pub residual: UnitSlip,
+    pub residual: UnitResiduals,
 }
 
-impl LengthSlip {
+impl LengthUnitError {
     /// Factor from positions as read to m.
     pub fn factor(&self) -> f64 {
         self.is.in_m() / self.read_as.in_m()
@@ -334,7 +340,7 @@ impl LengthSlip {
 
 /// Coordinate of a stream that is constant while the arm moves it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ConstantPart {
+pub struct ConstantCoordinate {
     /// Coordinate: x, y or z.
     pub coordinate: char,
     /// Its value, in the stream's unit.
@@ -345,7 +351,7 @@ pub struct ConstantPart {
 
 /// Residuals before and after correcting a unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct UnitSlip {
+pub struct UnitResiduals {
     /// Residual as logged, in SI units.
     pub as_logged: f64,
     /// Residual in the other unit, in SI units.
@@ -369,7 +375,7 @@ pub struct FrameEstimate {
 
 /// Residual of a stream after correcting every finding.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Residual {
+pub struct StreamResidual {
     /// Excess position residual over the noise between samples, rms m. Its interval excludes zero only if
     /// the residual repeats with the configuration.
     pub excess_m: Measured,
@@ -385,7 +391,7 @@ pub struct Residual {
     pub before_rad: f64,
 }
 
-impl Residual {
+impl StreamResidual {
     /// Position and rotation residual combined with a lever of 0.3 m, rms m.
     pub fn together_m(&self) -> f64 {
         self.rms_m.hypot(0.3 * self.rms_rad)
@@ -396,46 +402,46 @@ impl Residual {
 #[derive(Clone, Debug)]
 pub struct PoseDiagnosis {
     /// Encoding of the rotations.
-    pub reading: Seen<ReadingEstimate>,
+    pub reading: EstimateResult<EncodingEstimate>,
     /// Wrong position unit.
-    pub length: Seen<Option<LengthSlip>>,
+    pub length: EstimateResult<Option<LengthUnitError>>,
     /// Whether whole poses are inverted, according to their positions.
     pub inverted: bool,
     /// Exchanged or mirrored axes.
-    pub axes: Seen<Option<AxesSlip>>,
+    pub axes: EstimateResult<Option<AxesError>>,
     /// Constant coordinates.
-    pub constant: Vec<ConstantPart>,
+    pub constant: Vec<ConstantCoordinate>,
     /// Rotation numbers in degrees (streams of bare numbers).
-    pub degrees: Option<UnitSlip>,
+    pub degrees: Option<UnitResiduals>,
     /// Latency relative to the joint states, s; the median if its delays are skewed.
-    pub latency_s: Seen<Measured>,
+    pub latency_s: EstimateResult<Measured>,
     /// Delay distribution, if it is skewed.
-    pub delays: Option<SkewedDelays>,
+    pub delays: Option<DelayJitter>,
     /// Clock skew, s/s.
-    pub skew: Seen<Measured>,
+    pub skew: EstimateResult<Measured>,
     /// Whether the selected model contains the skew.
     pub skew_chosen: bool,
     /// Latency profile over the run.
-    pub course: Seen<LatencyCourse>,
+    pub course: EstimateResult<LatencyProfile>,
     /// Radial scale error of positions, m/m.
-    pub growth: Seen<Measured>,
+    pub growth: EstimateResult<Measured>,
     /// Whether the selected model contains the radial scale.
     pub growth_chosen: bool,
     /// Error of the reference frame, `reference_from_stream`. If the reference was unknown, its estimated
     /// pose.
-    pub reference: Seen<FrameEstimate>,
+    pub reference: EstimateResult<FrameEstimate>,
     /// Error of the tool frame, `tip_from_stream`.
-    pub tool: Seen<FrameEstimate>,
+    pub tool: EstimateResult<FrameEstimate>,
     /// Change points of the reference frame.
     pub reference_changes: Vec<FrameChange>,
     /// Change points of the tool frame.
     pub tool_changes: Vec<FrameChange>,
     /// Change points of the radial scale, m/m.
-    pub growth_changes: Vec<AmountChange>,
+    pub growth_changes: Vec<ScalarChange>,
     /// Parts of the run to which `reading`, `length`, `axes`, `inverted` and `degrees` apply.
-    pub coded: CodedParts,
+    pub coded: EncodingSpans,
     /// Residual after correcting every finding.
-    pub residual: Seen<Residual>,
+    pub residual: EstimateResult<StreamResidual>,
     /// Whether link deviations explain the residual: nominal kinematics of a calibrated arm, at most 10 mm
     /// and 0.5°.
     pub nominal: bool,
@@ -446,14 +452,14 @@ pub struct PoseDiagnosis {
     /// Maximum tip speed by FK, m/s.
     pub top_speed_m_s: f64,
     /// Aligned samples.
-    pub aligned: Aligned,
+    pub aligned: AlignedSamples,
     /// Corrections applied to them.
-    pub taken: Taken,
+    pub frame_correction: FrameCorrection,
 }
 
 /// Frame and radial scale corrections that align a stream's poses with FK.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Taken {
+pub struct FrameCorrection {
     /// `stream_from_reference`.
     pub reference: Pose,
     /// `tip_from_stream`.
@@ -462,16 +468,16 @@ pub struct Taken {
     pub growth: f64,
 }
 
-impl Taken {
+impl FrameCorrection {
     /// Corrects a decoded pose. Returns the pose of the tip in the reference frame.
-    pub fn off(&self, read: &Pose) -> Pose {
+    pub fn apply(&self, read: &Pose) -> Pose {
         let mut in_base = self.reference.inv_mul(read);
         in_base.translation.vector /= 1.0 + self.growth;
         in_base * self.tool.inverse()
     }
 
-    /// Inverse of [`Taken::off`]: the decoded pose for a corrected one.
-    pub fn back(&self, tip: &Pose) -> Pose {
+    /// Inverse of [`FrameCorrection::apply`]: the decoded pose for a corrected one.
+    pub fn invert(&self, tip: &Pose) -> Pose {
         let mut in_base = tip * self.tool;
         in_base.translation.vector *= 1.0 + self.growth;
         self.reference * in_base
@@ -483,11 +489,11 @@ impl PoseDiagnosis {
     pub fn changes(&self) -> bool {
         let Self { reference_changes, tool_changes, growth_changes, coded, .. } = self;
         let are_frames = !reference_changes.is_empty() || !tool_changes.is_empty();
-        are_frames || !growth_changes.is_empty() || *coded != CodedParts::default()
+        are_frames || !growth_changes.is_empty() || *coded != EncodingSpans::default()
     }
 
     /// Reason why the stream could not be used. Positions may be usable if orientations are not.
-    pub fn unread(&self) -> Option<&Unseen> {
+    pub fn unread(&self) -> Option<&NotObservable> {
         self.reading.as_ref().err().filter(|_| self.residual.is_err())
     }
 
@@ -504,7 +510,7 @@ impl PoseDiagnosis {
 
     /// Whether the motion is periodic, so that all other findings may belong to a wrong lag.
     pub fn repeats(&self) -> bool {
-        matches!(self.latency_s, Err(Unseen::Periodic(_)))
+        matches!(self.latency_s, Err(NotObservable::Periodic(_)))
     }
 }
 
@@ -521,7 +527,7 @@ pub struct ArmDiagnosis {
 #[derive(Clone, Debug)]
 pub struct JointDiagnosis {
     /// Joint names and units.
-    pub reading: Seen<JointReading>,
+    pub reading: EstimateResult<JointEncoding>,
     /// Zero offset of each joint of the chain, from all pose streams.
     pub offsets: Vec<JointOffset>,
     /// Joints with a wrong scale or direction.
@@ -531,5 +537,5 @@ pub struct JointDiagnosis {
     /// Corrections that undo these changes.
     pub patches: Vec<JointPatch>,
     /// Joints with compliance (backlash, sag or eccentricity).
-    pub bends: Vec<JointBend>,
+    pub bends: Vec<JointCompliance>,
 }

@@ -5,7 +5,7 @@
 //! perturbations of `tool` on the right. Residuals are in the stream's reference frame: position in m,
 //! rotation as the rotation vector of `logged · predicted⁻¹` in rad.
 
-use super::Taken;
+use super::FrameCorrection;
 use super::linear::{Linear, Rows};
 use ground::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use ground::robot::Chain;
@@ -31,14 +31,14 @@ pub(super) const FLOOR_RAD: f64 = 1e-6;
 
 /// Components of a stream's poses that carry no information. They are excluded from every residual.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Blind {
+pub(super) struct ExcludedComponents {
     /// Position coordinates, in the stream's frame.
     pub position: [bool; 3],
     /// All three rotation components.
     pub rotation: bool,
 }
 
-impl Blind {
+impl ExcludedComponents {
     /// Sets the excluded coordinates of a position vector to zero.
     pub fn position(&self, mut vector: [f64; 3]) -> [f64; 3] {
         for (part, blind) in vector.iter_mut().zip(self.position) {
@@ -65,7 +65,7 @@ impl Blind {
 
 /// Pose observations of one stream with resolved encoding and units, ready for the fit.
 #[derive(Clone)]
-pub(super) struct Witness<'a> {
+pub(super) struct PoseObservations<'a> {
     pub joints: &'a JointTrack,
     pub chain: &'a Chain,
     pub columns: &'a [usize],
@@ -79,7 +79,7 @@ pub(super) struct Witness<'a> {
     pub xyz: Vec<Vec3>,
     pub rotation: Vec<Rotation>,
     /// Components excluded from the residuals.
-    pub blind: Blind,
+    pub blind: ExcludedComponents,
     /// Components of the tool frame that can be estimated.
     pub tool_part: ToolPart,
     /// Stamp about which clock skew is defined, s.
@@ -136,8 +136,8 @@ impl StreamState {
     }
 
     /// Correction that these parameters define for poses.
-    pub fn taken(&self) -> Taken {
-        Taken { reference: self.reference, tool: self.tool, growth: self.growth }
+    pub fn frame_correction(&self) -> FrameCorrection {
+        FrameCorrection { reference: self.reference, tool: self.tool, growth: self.growth }
     }
 
     /// Values of the estimated parameters. Zero means that the cause is absent.
@@ -179,7 +179,7 @@ pub(super) fn pose_of_twist(twist: &[f64]) -> Pose {
 #[derive(Clone, Debug)]
 pub(super) struct State {
     /// Offset of each joint of the track, rad or m, followed by the share of each pair in
-    /// [`Witness::gained`].
+    /// [`PoseObservations::gained`].
     pub offsets: Vec<f64>,
     pub streams: Vec<StreamState>,
 }
@@ -232,7 +232,7 @@ struct Predicted {
 }
 
 /// Buffers for one pass over a stream.
-pub(super) struct Sweep {
+pub(super) struct PredictionBuffers {
     cursor: usize,
     track_q: Vec<f64>,
     track_qd: Vec<f64>,
@@ -241,8 +241,8 @@ pub(super) struct Sweep {
     jacobian: Vec<[f64; 6]>,
 }
 
-impl Sweep {
-    pub fn new(witness: &Witness) -> Self {
+impl PredictionBuffers {
+    pub fn new(witness: &PoseObservations) -> Self {
         let (dof, track) = (witness.columns.len(), witness.joints.dof);
         Self {
             cursor: 0,
@@ -255,7 +255,7 @@ impl Sweep {
     }
 }
 
-impl Sweep {
+impl PredictionBuffers {
     /// Joint positions of the last prediction, in chain order.
     pub fn q(&self) -> &[f64] {
         &self.q
@@ -280,7 +280,7 @@ impl Sweep {
     }
 }
 
-impl Witness<'_> {
+impl PoseObservations<'_> {
     /// Number of samples.
     pub fn len(&self) -> usize {
         self.t_s.len()
@@ -302,11 +302,11 @@ impl Witness<'_> {
         k: usize,
         stream: &StreamState,
         offsets: &[f64],
-        sweep: &mut Sweep,
+        sweep: &mut PredictionBuffers,
     ) -> Option<Predicted> {
         let stamp = self.t_s[k];
         let truth = stamp - stream.latency_s - stream.skew * (stamp - self.middle_s);
-        let Sweep { cursor, track_q, track_qd, q, qd, jacobian } = sweep;
+        let PredictionBuffers { cursor, track_q, track_qd, q, qd, jacobian } = sweep;
         if !self.joints.at(truth, cursor, track_q, track_qd) {
             return None;
         }
@@ -329,7 +329,7 @@ impl Witness<'_> {
     /// Number of samples, out of about `most`, at which some joint moves.
     pub fn moving(&self, latency_s: f64, most: usize) -> usize {
         let (state, offsets) = (StreamState::at_latency(latency_s), vec![0.0; self.joints.dof]);
-        let mut sweep = Sweep::new(self);
+        let mut sweep = PredictionBuffers::new(self);
         (0..self.len())
             .step_by(self.len().div_ceil(most).max(1))
             .filter_map(|k| self.predict(k, &state, &offsets, &mut sweep))
@@ -357,7 +357,7 @@ impl Witness<'_> {
         k: usize,
         stream: &StreamState,
         offsets: &[f64],
-        sweep: &mut Sweep,
+        sweep: &mut PredictionBuffers,
     ) -> Option<Pose> {
         self.predict(k, stream, offsets, sweep).map(|predicted| predicted.pose)
     }
@@ -372,7 +372,7 @@ impl Witness<'_> {
     /// Residuals and design rows of every `stride`-th sample that the joint states cover.
     pub fn linearize(&self, stream: &StreamState, offsets: &[f64], stride: usize) -> Linear {
         let (joints, width) = (offsets.len(), offsets.len() + STREAM_WIDTH);
-        let mut sweep = Sweep::new(self);
+        let mut sweep = PredictionBuffers::new(self);
         let mut linear = Linear::new(width, &[FLOOR_M, FLOOR_RAD]);
         for k in (0..self.len()).step_by(stride.max(1)) {
             let Some(predicted) = self.predict(k, stream, offsets, &mut sweep) else {
@@ -390,7 +390,7 @@ impl Witness<'_> {
         k: usize,
         stream: &StreamState,
         predicted: &Predicted,
-        sweep: &Sweep,
+        sweep: &PredictionBuffers,
         joints: usize,
         rows: &mut Rows,
     ) {

@@ -10,7 +10,7 @@ use super::PoseStream;
 use super::latency::{joint_activity, linear_speed, peaks};
 use super::model::pose_of_twist;
 use super::placement::metres_by_size;
-use super::placing::Expected;
+use super::placing::FkColumns;
 use super::sampling::slow_samples;
 use ground::geometry::{Pose, Vec3};
 use ground::robot::JointKind;
@@ -38,7 +38,7 @@ const COUNTED: f64 = 20.0;
 
 /// Assumption under which a model fits, the most harmless first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Needs {
+pub enum FitAssumption {
     /// No assumption.
     Nothing,
     /// A constant tool offset: an active TCP.
@@ -62,36 +62,41 @@ pub enum Needs {
     },
 }
 
-impl Needs {
+impl FitAssumption {
     /// Whether the assumption is not a fault: none, an active TCP, or the other usual base frame.
     pub fn is_harmless(self) -> bool {
-        matches!(self, Needs::Nothing | Needs::Tool | Needs::HalfTurn { .. })
+        matches!(
+            self,
+            FitAssumption::Nothing | FitAssumption::Tool | FitAssumption::HalfTurn { .. }
+        )
     }
 
     /// Whether a tool is fitted.
     pub fn has_tool(self) -> bool {
         match self {
-            Needs::Nothing => false,
-            Needs::Tool => true,
-            Needs::HalfTurn { tool } | Needs::Zero { tool, .. } | Needs::Reference { tool } => tool,
+            FitAssumption::Nothing => false,
+            FitAssumption::Tool => true,
+            FitAssumption::HalfTurn { tool }
+            | FitAssumption::Zero { tool, .. }
+            | FitAssumption::Reference { tool } => tool,
         }
     }
 
     /// Number of fitted parameters besides the latency and the tool.
     fn parameters(self) -> usize {
         match self {
-            Needs::Nothing | Needs::Tool => 0,
-            Needs::HalfTurn { .. } | Needs::Zero { .. } => 1,
-            Needs::Reference { .. } => 6,
+            FitAssumption::Nothing | FitAssumption::Tool => 0,
+            FitAssumption::HalfTurn { .. } | FitAssumption::Zero { .. } => 1,
+            FitAssumption::Reference { .. } => 6,
         }
     }
 }
 
 /// One fit of a model to a stream.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Way {
+pub struct HypothesisFit {
     /// Assumption of the fit.
-    pub needs: Needs,
+    pub needs: FitAssumption,
     /// Whether it also assumes inverted poses or joints in degrees.
     pub misread: bool,
     /// Position residual, rms m over the best 90 % of the samples.
@@ -112,14 +117,14 @@ pub struct ModelFit {
     /// Position residual with only the latency fitted, m.
     pub as_is_m: f64,
     /// All fits.
-    pub ways: Vec<Way>,
+    pub ways: Vec<HypothesisFit>,
 }
 
 /// One fit with its score; lower is better.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Priced {
+pub struct ScoredFit {
     /// The fit.
-    pub way: Way,
+    pub way: HypothesisFit,
     /// `n ln σ²` of the residual, plus the price of the parameters.
     pub score: f64,
 }
@@ -132,8 +137,8 @@ impl ModelFit {
     }
 
     /// Fit with the lowest score.
-    pub fn best(&self) -> Option<Priced> {
-        let ways = self.ways.iter().map(|way| Priced { way: *way, score: self.score(way) });
+    pub fn best(&self) -> Option<ScoredFit> {
+        let ways = self.ways.iter().map(|way| ScoredFit { way: *way, score: self.score(way) });
         ways.min_by(|a, b| a.score.total_cmp(&b.score))
     }
 
@@ -144,7 +149,7 @@ impl ModelFit {
         self.best().is_some_and(|best| best.score <= least)
     }
 
-    fn score(&self, way: &Way) -> f64 {
+    fn score(&self, way: &HypothesisFit) -> f64 {
         let misread = if way.misread { 3.0 } else { 0.0 };
         let parameters = way.needs.parameters() as f64 + misread;
         self.price(way.left_m, parameters) + self.tool_price(&way.tool_m)
@@ -173,7 +178,7 @@ impl ModelFit {
 
 /// Which hypotheses to fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Tried {
+pub enum FitHypotheses {
     /// Hypotheses without a fault.
     Harmless,
     /// Every hypothesis.
@@ -186,11 +191,11 @@ pub fn model_fit(
     joints: &JointTrack,
     stream: &PoseStream,
     most_lag_s: f64,
-    tried: Tried,
+    tried: FitHypotheses,
 ) -> Option<ModelFit> {
     let scale = metres_by_size(joints, stream);
     let lag_s = lags(joints, stream, most_lag_s);
-    let of = |lag_s| Sight::of(joints, stream, scale, (lag_s, most_lag_s));
+    let of = |lag_s| StreamWithFk::of(joints, stream, scale, (lag_s, most_lag_s));
     let sights = lag_s.into_iter().filter_map(of);
     let best = sights
         .map(|sight| {
@@ -199,7 +204,7 @@ pub fn model_fit(
         })
         .min_by(|a, b| a.0.total_cmp(&b.0));
     let (_, sight, mut fit) = best?;
-    if tried == Tried::Harmless {
+    if tried == FitHypotheses::Harmless {
         return Some(fit);
     }
     fit.ways.extend(sight.faulty_ways());
@@ -216,11 +221,12 @@ pub(super) fn tool_fit(
     stream: &PoseStream,
     most_lag_s: f64,
     with_zero: bool,
-) -> Option<Priced> {
+) -> Option<ScoredFit> {
     let scale = metres_by_size(joints, stream);
-    let zeros = (0..stream.chain.dof()).map(|joint| Needs::Zero { joint, tool: true });
+    let zeros = (0..stream.chain.dof()).map(|joint| FitAssumption::Zero { joint, tool: true });
     let sights = lags(joints, stream, most_lag_s).into_iter();
-    let sights = sights.filter_map(|lag_s| Sight::of(joints, stream, scale, (lag_s, most_lag_s)));
+    let sights =
+        sights.filter_map(|lag_s| StreamWithFk::of(joints, stream, scale, (lag_s, most_lag_s)));
     let best = sights.filter_map(|sight| {
         let mut fit = sight.fit();
         if with_zero {
@@ -233,7 +239,7 @@ pub(super) fn tool_fit(
 
 /// Price of a free frame for a stream with this many samples.
 pub(super) fn frame_price(samples: usize) -> f64 {
-    let free = Needs::Reference { tool: false }.parameters() as f64;
+    let free = FitAssumption::Reference { tool: false }.parameters() as f64;
     free * super::explain::price((samples as f64).min(COUNTED))
 }
 
@@ -247,7 +253,7 @@ fn lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<f64> {
 }
 
 /// Samples of a stream with the FK poses and joint states behind them.
-struct Sight<'a> {
+struct StreamWithFk<'a> {
     joints: &'a JointTrack,
     stream: PoseStream<'a>,
     lag_s: f64,
@@ -264,14 +270,14 @@ struct Sight<'a> {
 
 /// Fitted parameters.
 #[derive(Clone)]
-struct Guess {
+struct FittedParameters {
     lag_s: f64,
     zeros: Vec<f64>,
     reference: Pose,
     tool: Vec3,
 }
 
-impl<'a> Sight<'a> {
+impl<'a> StreamWithFk<'a> {
     fn of(
         joints: &'a JointTrack,
         stream: &PoseStream<'a>,
@@ -304,8 +310,8 @@ impl<'a> Sight<'a> {
 
     /// Fits without a fault.
     fn fit(&self) -> ModelFit {
-        let half_turns = [false, true].map(|tool| Needs::HalfTurn { tool });
-        let needs = [Needs::Nothing, Needs::Tool].into_iter().chain(half_turns);
+        let half_turns = [false, true].map(|tool| FitAssumption::HalfTurn { tool });
+        let needs = [FitAssumption::Nothing, FitAssumption::Tool].into_iter().chain(half_turns);
         let ways = needs.flat_map(|needs| self.ways(needs)).collect();
         let as_is = self.solve(self.plain(), &[0], ToolPrior::None);
         ModelFit {
@@ -317,22 +323,26 @@ impl<'a> Sight<'a> {
     }
 
     /// Fits with a fault, with poses and joints as logged.
-    fn faulty_ways(&self) -> Vec<Way> {
+    fn faulty_ways(&self) -> Vec<HypothesisFit> {
         let dof = self.stream.chain.dof();
-        let zeros =
-            (0..dof).flat_map(|joint| [false, true].map(|tool| Needs::Zero { joint, tool }));
-        let references = [false, true].map(|tool| Needs::Reference { tool });
+        let zeros = (0..dof)
+            .flat_map(|joint| [false, true].map(|tool| FitAssumption::Zero { joint, tool }));
+        let references = [false, true].map(|tool| FitAssumption::Reference { tool });
         references.into_iter().chain(zeros).flat_map(|needs| self.ways(needs)).collect()
     }
 
     /// Fits of inverted poses and of joints in degrees.
-    fn misread_ways(&self) -> Vec<Way> {
-        let of = |sight: Sight<'_>| {
-            let needs = [Needs::Nothing, Needs::Tool, Needs::Reference { tool: true }];
+    fn misread_ways(&self) -> Vec<HypothesisFit> {
+        let of = |sight: StreamWithFk<'_>| {
+            let needs = [
+                FitAssumption::Nothing,
+                FitAssumption::Tool,
+                FitAssumption::Reference { tool: true },
+            ];
             let ways = needs.into_iter().flat_map(|needs| sight.ways(needs));
-            ways.map(|way| Way { misread: true, ..way }).collect::<Vec<_>>()
+            ways.map(|way| HypothesisFit { misread: true, ..way }).collect::<Vec<_>>()
         };
-        let as_it_is = || Sight {
+        let as_it_is = || StreamWithFk {
             joints: self.joints,
             stream: self.stream,
             lag_s: self.lag_s,
@@ -343,8 +353,8 @@ impl<'a> Sight<'a> {
             fk: self.fk.clone(),
             in_degrees: self.in_degrees,
         };
-        let inverted = self.inverse_xyz.clone().map(|xyz| of(Sight { xyz, ..as_it_is() }));
-        let mut in_radians = Sight { in_degrees: true, ..as_it_is() };
+        let inverted = self.inverse_xyz.clone().map(|xyz| of(StreamWithFk { xyz, ..as_it_is() }));
+        let mut in_radians = StreamWithFk { in_degrees: true, ..as_it_is() };
         in_radians.fk = in_radians.poses();
         inverted.into_iter().flatten().chain(of(in_radians)).collect()
     }
@@ -352,7 +362,7 @@ impl<'a> Sight<'a> {
     /// FK at the samples.
     fn poses(&self) -> Vec<Pose> {
         let guess = self.plain();
-        let mut moment = Moment::new(self);
+        let mut moment = ChainState::new(self);
         let mut poses = Vec::with_capacity(self.t_s.len());
         for &t_s in &self.t_s {
             if moment.at(t_s, &guess) {
@@ -363,8 +373,8 @@ impl<'a> Sight<'a> {
         poses
     }
 
-    fn plain(&self) -> Guess {
-        Guess {
+    fn plain(&self) -> FittedParameters {
+        FittedParameters {
             lag_s: self.lag_s,
             zeros: vec![0.0; self.stream.chain.dof()],
             reference: Pose::identity(),
@@ -374,28 +384,30 @@ impl<'a> Sight<'a> {
 
     /// Fits the parameters of `needs`, and the reference frame if it is unknown. A tool is fitted twice, in
     /// any direction and along the flange axis. Without a tool, only a link deviation is fitted.
-    fn ways(&self, needs: Needs) -> Vec<Way> {
+    fn ways(&self, needs: FitAssumption) -> Vec<HypothesisFit> {
         let dof = self.stream.chain.dof();
         let is_free = !self.stream.reference_known;
         let reference = match needs {
-            Needs::Reference { .. } | Needs::HalfTurn { .. } if is_free => return Vec::new(),
-            Needs::Reference { .. } => true,
+            FitAssumption::Reference { .. } | FitAssumption::HalfTurn { .. } if is_free => {
+                return Vec::new();
+            }
+            FitAssumption::Reference { .. } => true,
             _ => is_free,
         };
         let mut free = vec![0];
-        if let Needs::Zero { joint, .. } = needs {
+        if let FitAssumption::Zero { joint, .. } = needs {
             free.push(1 + joint);
         }
         free.extend((0..6).filter(|_| reference).map(|at| 1 + dof + at));
         free.extend((0..3).map(|at| 7 + dof + at));
-        let from = |reference: Pose| Guess { reference, ..self.plain() };
+        let from = |reference: Pose| FittedParameters { reference, ..self.plain() };
         let half_turn = Pose::rotation(Vec3::z() * std::f64::consts::PI);
         let starts = match (needs, reference) {
-            (Needs::HalfTurn { .. }, _) => vec![from(half_turn)],
+            (FitAssumption::HalfTurn { .. }, _) => vec![from(half_turn)],
             (_, false) => vec![self.plain()],
             // Positions on a line do not determine the rotation about it, so each usual frame is a start.
             (_, true) => {
-                let (turned, _) = Expected::of(&self.fk).turned_anyhow(&self.xyz);
+                let (turned, _) = FkColumns::of(&self.fk).turned_anyhow(&self.xyz);
                 vec![self.plain(), from(half_turn), from(turned)]
             }
         };
@@ -406,7 +418,7 @@ impl<'a> Sight<'a> {
         let ways = priors.iter().filter_map(|&prior| {
             let found = starts.iter().map(|start| self.solve(start.clone(), &free, prior));
             let (left_m, guess) = found.min_by(|a, b| a.0.total_cmp(&b.0))?;
-            left_m.is_finite().then_some(Way {
+            left_m.is_finite().then_some(HypothesisFit {
                 needs,
                 misread: false,
                 left_m,
@@ -418,7 +430,12 @@ impl<'a> Sight<'a> {
     }
 
     /// Gauss–Newton on the parameters `free`, indexed as latency, joint zeros, reference frame, tool.
-    fn solve(&self, mut guess: Guess, free: &[usize], prior: ToolPrior) -> (f64, Guess) {
+    fn solve(
+        &self,
+        mut guess: FittedParameters,
+        free: &[usize],
+        prior: ToolPrior,
+    ) -> (f64, FittedParameters) {
         const ROUNDS: usize = 10;
         /// Relative change of the cost below which the fit has converged.
         const SETTLED: f64 = 1e-5;
@@ -457,13 +474,18 @@ impl<'a> Sight<'a> {
 
     /// Residual of a guess, rms m over the best 90 % of the samples, and the next step. Infinite and `None`
     /// if the joint states cover too few samples.
-    fn step(&self, guess: &Guess, free: &[usize], prior: ToolPrior) -> (f64, Option<DVector<f64>>) {
+    fn step(
+        &self,
+        guess: &FittedParameters,
+        free: &[usize],
+        prior: ToolPrior,
+    ) -> (f64, Option<DVector<f64>>) {
         /// Damping scale of the steps: unobservable parameters keep their value.
         const SCALE: f64 = 0.5;
         /// Minimum share of the samples that the joint states must cover at the fitted latency.
         const COVERED: f64 = 0.75;
         let (n, dof) = (free.len(), guess.zeros.len());
-        let mut moment = Moment::new(self);
+        let mut moment = ChainState::new(self);
         let (mut normal, mut right) = (DMatrix::zeros(n, n), DVector::zeros(n));
         let mut squares: Vec<f64> = Vec::with_capacity(self.t_s.len());
         let mut rows: Vec<Vec3> = Vec::with_capacity(n);
@@ -557,8 +579,8 @@ impl ToolPrior {
 }
 
 /// State of the chain at one time.
-struct Moment<'a> {
-    sight: &'a Sight<'a>,
+struct ChainState<'a> {
+    sight: &'a StreamWithFk<'a>,
     cursor: usize,
     track: (Vec<f64>, Vec<f64>),
     q: Vec<f64>,
@@ -567,8 +589,8 @@ struct Moment<'a> {
     pose: Pose,
 }
 
-impl<'a> Moment<'a> {
-    fn new(sight: &'a Sight<'a>) -> Self {
+impl<'a> ChainState<'a> {
+    fn new(sight: &'a StreamWithFk<'a>) -> Self {
         let (dof, track) = (sight.stream.chain.dof(), sight.joints.dof);
         Self {
             sight,
@@ -583,8 +605,8 @@ impl<'a> Moment<'a> {
 
     /// Sets the joints to the time at which the sample stamped `t_s` was taken. False if the joint states
     /// do not cover it.
-    fn at(&mut self, t_s: f64, guess: &Guess) -> bool {
-        let Sight { joints, stream, in_degrees, .. } = self.sight;
+    fn at(&mut self, t_s: f64, guess: &FittedParameters) -> bool {
+        let StreamWithFk { joints, stream, in_degrees, .. } = self.sight;
         let (q, qd) = &mut self.track;
         if !joints.at(t_s - guess.lag_s, &mut self.cursor, q, qd) {
             return false;
@@ -601,7 +623,7 @@ impl<'a> Moment<'a> {
     }
 
     /// Predicted tool point, in the stream's reference frame.
-    fn tip(&self, guess: &Guess) -> Vec3 {
+    fn tip(&self, guess: &FittedParameters) -> Vec3 {
         (guess.reference * (self.pose * Point3::from(guess.tool))).coords
     }
 

@@ -13,7 +13,7 @@ use ground::robot::Limits;
 
 /// Violation of a joint limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Excess {
+pub struct LimitViolation {
     /// The limit, in rad or m, or per second for speeds.
     pub limit: f64,
     /// Most extreme value.
@@ -24,7 +24,7 @@ pub struct Excess {
     pub seconds: f64,
 }
 
-impl Excess {
+impl LimitViolation {
     /// Excess over the limit.
     pub fn over(&self) -> f64 {
         (self.value - self.limit).abs()
@@ -33,18 +33,18 @@ impl Excess {
 
 /// Violation of a joint's position limits. Returns the limit, lower or upper, that is exceeded by more.
 /// Ignores values that are not finite.
-pub fn beyond_positions(t_s: &[f64], q: &[f64], limits: &Limits) -> Option<Excess> {
+pub fn beyond_positions(t_s: &[f64], q: &[f64], limits: &Limits) -> Option<LimitViolation> {
     let above = limits.upper.and_then(|upper| beyond(t_s, q.iter().copied(), upper));
     let below = limits.lower.and_then(|lower| {
         let found = beyond(t_s, q.iter().map(|q| -q), -lower)?;
-        Some(Excess { limit: lower, value: -found.value, ..found })
+        Some(LimitViolation { limit: lower, value: -found.value, ..found })
     });
     [above, below].into_iter().flatten().max_by(|a, b| a.over().total_cmp(&b.over()))
 }
 
 /// Violation of a joint's speed limit. Both of two consecutive samples must exceed it, and the smaller
 /// value counts: a single sample is an outlier.
-pub fn beyond_speed(t_s: &[f64], qd: &[f64], limits: &Limits) -> Option<Excess> {
+pub fn beyond_speed(t_s: &[f64], qd: &[f64], limits: &Limits) -> Option<LimitViolation> {
     let held = qd.windows(2).map(|pair| pair[0].abs().min(pair[1].abs()));
     beyond(t_s, held, limits.velocity?)
 }
@@ -60,7 +60,7 @@ pub fn beyond_speed_of_positions(
     q: &[f64],
     limits: &Limits,
     step: f64,
-) -> Option<Excess> {
+) -> Option<LimitViolation> {
     /// Share of the limit allowed for noise and quantisation.
     const SHARE: f64 = 0.02;
     /// Standard deviations that noise rarely exceeds.
@@ -80,7 +80,7 @@ pub fn beyond_speed_of_positions(
     let off = t_s.iter().zip(&even_s).map(|(stamped, even)| (stamped - even).abs());
     let jitter_s = quantile_of(off, ONE_SIGMA).unwrap_or(0.0);
     let by_stamps = LEFT * jitter_s * limit;
-    let noise = noise_of(q, Series::Positions).all.hypot(by_stamps);
+    let noise = noise_of(q, JointSampleKind::Positions).all.hypot(by_stamps);
     let noise = SIGMAS * std::f64::consts::SQRT_2 * noise;
     let by_noise_s = (noise / (SHARE * limit)).min(LONGEST_S);
     let window_s = by_noise_s.max(step / (SHARE * limit)).max(2.0 * period_s);
@@ -89,7 +89,7 @@ pub fn beyond_speed_of_positions(
     let lesser = stamped.iter().zip(even).map(|(a, b)| if b.abs() < a.abs() { b } else { *a });
     let lesser: Vec<f64> = lesser.collect();
     let sure = Limits { velocity: Some(limit + noise / window_s), ..*limits };
-    beyond_speed(t_s, &lesser, &sure).map(|excess| Excess { limit, ..excess })
+    beyond_speed(t_s, &lesser, &sure).map(|excess| LimitViolation { limit, ..excess })
 }
 
 /// Evenly spaced times of the rows: each is the median of the times that its neighbours predict at the
@@ -139,14 +139,14 @@ pub fn rates(t_s: &[f64], q: &[f64], window_s: f64) -> Vec<f64> {
 }
 
 /// Values above a limit. Each value lasts until the next sample, but at most one second.
-fn beyond(t_s: &[f64], values: impl Iterator<Item = f64>, limit: f64) -> Option<Excess> {
+fn beyond(t_s: &[f64], values: impl Iterator<Item = f64>, limit: f64) -> Option<LimitViolation> {
     const LONGEST_S: f64 = 1.0;
-    let mut found: Option<Excess> = None;
+    let mut found: Option<LimitViolation> = None;
     for (row, (&at_s, value)) in t_s.iter().zip(values).enumerate() {
         // NaN compares false.
         if value > limit {
             let seconds = t_s.get(row + 1).map_or(0.0, |next| (next - at_s).clamp(0.0, LONGEST_S));
-            let first = Excess { limit, value, at_s, seconds: 0.0 };
+            let first = LimitViolation { limit, value, at_s, seconds: 0.0 };
             let excess = found.get_or_insert(first);
             excess.seconds += seconds;
             if value > excess.value {
@@ -159,7 +159,7 @@ fn beyond(t_s: &[f64], values: impl Iterator<Item = f64>, limit: f64) -> Option<
 
 /// Kind of a joint's samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Series {
+pub enum JointSampleKind {
     /// Positions: acceleration is the second derivative.
     Positions,
     /// Velocities: acceleration is the first derivative.
@@ -168,7 +168,7 @@ pub enum Series {
 
 /// Largest acceleration of a joint, with its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Abruptness {
+pub struct PeakAcceleration {
     /// Acceleration with the greatest lower bound, rad/s².
     pub acceleration: f64,
     /// Bound on the contribution of noise, rad/s²: `SIGMAS` standard deviations.
@@ -208,7 +208,12 @@ const BLOCK: usize = 512;
 ///
 /// `step` is the quantisation step of the positions, 0 if there is none. Each position is off by up to half
 /// of it.
-pub fn abruptness(t_s: &[f64], values: &[f64], series: Series, step: f64) -> Option<Abruptness> {
+pub fn abruptness(
+    t_s: &[f64],
+    values: &[f64],
+    series: JointSampleKind,
+    step: f64,
+) -> Option<PeakAcceleration> {
     let (t_s, values) = without_repeats(t_s, values);
     let (t_s, values) = (t_s.as_ref(), values.as_ref());
     let rows = values.len();
@@ -224,7 +229,7 @@ pub fn abruptness(t_s: &[f64], values: &[f64], series: Series, step: f64) -> Opt
         uneven[row] = uneven[row - 1] + u32::from(!is_even);
     }
     let noise = noise_of(values, series);
-    let mut surest: Option<Abruptness> = None;
+    let mut surest: Option<PeakAcceleration> = None;
     let mut resolved = f64::INFINITY;
     for half in HALVES {
         let fit = Fit::new(half, period_s, series);
@@ -244,7 +249,7 @@ pub fn abruptness(t_s: &[f64], values: &[f64], series: Series, step: f64) -> Opt
             let largest = accelerations
                 .iter()
                 .fold(0.0, |most, a| if a.abs() > most { a.abs() } else { most });
-            let excess = |best: &Abruptness| best.acceleration - best.noise;
+            let excess = |best: &PeakAcceleration| best.acceleration - best.noise;
             if surest.as_ref().is_some_and(|best| largest - floor <= excess(best)) {
                 continue;
             }
@@ -252,7 +257,7 @@ pub fn abruptness(t_s: &[f64], values: &[f64], series: Series, step: f64) -> Opt
                 let is_even = uneven[row + half] == uneven[row - half];
                 let floor = floor_of(noise.at(row));
                 let is_surer = |acceleration: f64| {
-                    let surer = |best: &Abruptness| acceleration - floor > excess(best);
+                    let surer = |best: &PeakAcceleration| acceleration - floor > excess(best);
                     acceleration.is_finite() && surest.as_ref().is_none_or(surer)
                 };
                 if !is_even || !is_surer(acceleration) {
@@ -264,7 +269,7 @@ pub fn abruptness(t_s: &[f64], values: &[f64], series: Series, step: f64) -> Opt
                 let change = speed_change(t_s, values, series, (row - half, row + half));
                 let acceleration = acceleration.min(change / (LEAST_CHANGE * window_s));
                 if is_surer(acceleration) {
-                    surest = Some(Abruptness {
+                    surest = Some(PeakAcceleration {
                         acceleration,
                         noise: floor,
                         window_s,
@@ -276,12 +281,17 @@ pub fn abruptness(t_s: &[f64], values: &[f64], series: Series, step: f64) -> Opt
             }
         }
     }
-    surest.map(|surest| Abruptness { resolved, ..surest })
+    surest.map(|surest| PeakAcceleration { resolved, ..surest })
 }
 
 /// Difference of the mean speed before `from` and after `to`, from the neighbouring samples. 0 if there are
 /// too few.
-fn speed_change(t_s: &[f64], values: &[f64], series: Series, (from, to): (usize, usize)) -> f64 {
+fn speed_change(
+    t_s: &[f64],
+    values: &[f64],
+    series: JointSampleKind,
+    (from, to): (usize, usize),
+) -> f64 {
     const LEAST_ROWS: usize = 4;
     const MOST_ROWS: usize = 16;
     let near = |at: usize, other: usize| (t_s[other] - t_s[at]).abs() <= BRIEF_S;
@@ -295,8 +305,8 @@ fn speed_change(t_s: &[f64], values: &[f64], series: Series, (from, to): (usize,
         let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len() as f64;
         let (mean_s, mean_value) = (mean(t_s), mean(values));
         match series {
-            Series::Velocities => Some(mean_value),
-            Series::Positions => {
+            JointSampleKind::Velocities => Some(mean_value),
+            JointSampleKind::Positions => {
                 let along = t_s.iter().zip(values);
                 let along: f64 = along.map(|(t, q)| (t - mean_s) * (q - mean_value)).sum();
                 Some(along / t_s.iter().map(|t| (t - mean_s).powi(2)).sum::<f64>())
@@ -363,7 +373,7 @@ impl Noise {
     }
 }
 
-fn noise_of(values: &[f64], series: Series) -> Noise {
+fn noise_of(values: &[f64], series: JointSampleKind) -> Noise {
     /// Share of the samples kept, which excludes stops but not quantisation steps.
     const KEPT: f64 = 0.95;
     /// The same for a block, where stops take a larger share.
@@ -371,12 +381,14 @@ fn noise_of(values: &[f64], series: Series) -> Noise {
     /// Windows per block.
     const WINDOWS: usize = 128;
     let (difference, weight): (fn(&[f64]) -> f64, f64) = match series {
-        Series::Velocities => (|w| w[1] - 2.0 * w[2] + w[3], 6.0),
-        Series::Positions => (|w| w[0] - 4.0 * w[1] + 6.0 * w[2] - 4.0 * w[3] + w[4], 70.0),
+        JointSampleKind::Velocities => (|w| w[1] - 2.0 * w[2] + w[3], 6.0),
+        JointSampleKind::Positions => {
+            (|w| w[0] - 4.0 * w[1] + 6.0 * w[2] - 4.0 * w[3] + w[4], 70.0)
+        }
     };
     let speed = |w: &[f64]| match series {
-        Series::Velocities => w[2].abs(),
-        Series::Positions => (w[3] - w[1]).abs(),
+        JointSampleKind::Velocities => w[2].abs(),
+        JointSampleKind::Positions => (w[3] - w[1]).abs(),
     };
     let count = values.len().saturating_sub(4);
     let windows = || strided(count).map(|first| &values[first..first + 5]);
@@ -421,20 +433,20 @@ fn quantile_of(values: impl Iterator<Item = f64>, part: f64) -> Option<f64> {
 /// Least-squares acceleration over evenly spaced samples.
 struct Fit {
     half: usize,
-    series: Series,
+    series: JointSampleKind,
     /// Coefficient of each sample in the window.
     weights: Vec<f64>,
 }
 
 impl Fit {
-    fn new(half: usize, period_s: f64, series: Series) -> Self {
+    fn new(half: usize, period_s: f64, series: JointSampleKind) -> Self {
         let offsets = || (0..=2 * half).map(|at| at as f64 - half as f64);
         let weights: Vec<f64> = match series {
-            Series::Velocities => {
+            JointSampleKind::Velocities => {
                 let squares: f64 = offsets().map(|k| k * k).sum();
                 offsets().map(|k| k / (squares * period_s)).collect()
             }
-            Series::Positions => {
+            JointSampleKind::Positions => {
                 let mean = offsets().map(|k| k * k).sum::<f64>() / (2 * half + 1) as f64;
                 let squares: f64 = offsets().map(|k| (k * k - mean).powi(2)).sum();
                 let scale = 2.0 / (squares * period_s * period_s);
@@ -469,18 +481,18 @@ impl Fit {
         for (t, value) in t_s[window.clone()].iter().zip(&values[window]) {
             let x = (t - t_s[row]) / scale;
             // Velocities need a line only, and three samples cannot determine more.
-            let bend = if self.series == Series::Positions { x * x } else { 0.0 };
+            let bend = if self.series == JointSampleKind::Positions { x * x } else { 0.0 };
             let powers = Vector3::new(1.0, x, bend);
             normal += powers * powers.transpose();
             right += powers * (value - values[row]);
         }
-        if self.series == Series::Velocities {
+        if self.series == JointSampleKind::Velocities {
             normal[(2, 2)] = 1.0;
         }
         let fit = normal.lu().solve(&right);
         fit.map_or(f64::NAN, |fit| match self.series {
-            Series::Positions => 2.0 * fit[2] / (scale * scale),
-            Series::Velocities => fit[1] / scale,
+            JointSampleKind::Positions => 2.0 * fit[2] / (scale * scale),
+            JointSampleKind::Velocities => fit[1] / scale,
         })
     }
 

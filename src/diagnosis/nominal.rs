@@ -13,8 +13,8 @@
 
 use super::explain::price;
 use super::linear::{Linear, Normal, Weight};
-use super::model::{FLOOR_M, FLOOR_RAD, State, StreamState, Sweep, Witness};
-use super::{GradualLatency, LatencyCourse};
+use super::model::{FLOOR_M, FLOOR_RAD, PoseObservations, PredictionBuffers, State, StreamState};
+use super::{LatencyProfile, LatencyRamp};
 use ground::geometry::{Pose, Vec3};
 use nalgebra::{DMatrix, DVector};
 
@@ -44,7 +44,7 @@ const ROUNDS: usize = 4;
 /// `plain` is the stream's state without causes other than latency and large frames. `offsets` are the
 /// joint zeros too large to be link deviations.
 pub(super) fn is_nominal(
-    witness: &Witness,
+    witness: &PoseObservations,
     stream: usize,
     state: &State,
     plain: &StreamState,
@@ -56,7 +56,7 @@ pub(super) fn is_nominal(
     if rms_m > MOST_M || rms(&as_recorded.residual[1]) > MOST_RAD {
         return false;
     }
-    let calibration = Calibration::fit(witness, plain, offsets, stride);
+    let calibration = LinkFrameChanges::fit(witness, plain, offsets, stride);
     let noise_m = 3f64.sqrt() * calibration.weights[0].noise.sigma;
     let is_named = offsets.iter().any(|offset| *offset != 0.0);
     let least_m = if is_named { LEAST_BESIDE_M } else { LEAST_M };
@@ -75,15 +75,15 @@ pub(super) fn is_nominal(
 /// `fitted` is the stream's state with all its causes, `plain` the one without those that calibrations make.
 /// Both are of stamps from which `removed` was subtracted.
 pub(super) fn links_outdo_course(
-    witness: &Witness,
+    witness: &PoseObservations,
     [fitted, plain]: [&StreamState; 2],
     offsets: &[f64],
-    course: &LatencyCourse,
-    removed: Option<&GradualLatency>,
+    course: &LatencyProfile,
+    removed: Option<&LatencyRamp>,
 ) -> bool {
     let at_stamps = |stamp: &dyn Fn(f64) -> f64| {
         let t_s = witness.t_s.iter().map(|t_s| stamp(*t_s)).collect();
-        Witness { t_s, ..witness.clone() }
+        PoseObservations { t_s, ..witness.clone() }
     };
     let logged_s = |t_s: f64| removed.map_or(t_s, |gradual| gradual.logged_s(t_s));
     let logged = at_stamps(&logged_s);
@@ -93,7 +93,7 @@ pub(super) fn links_outdo_course(
     if rms(&as_logged.residual[0]) > MOST_M || rms(&as_logged.residual[1]) > MOST_RAD {
         return false;
     }
-    let calibration = Calibration::fit(&logged, plain, offsets, stride);
+    let calibration = LinkFrameChanges::fit(&logged, plain, offsets, stride);
     // The levels contain the skew; its pivot stamp is absorbed by the constant latency.
     let mut state = StreamState { skew: 0.0, ..fitted.clone() };
     for _ in 0..2 {
@@ -112,7 +112,7 @@ pub(super) fn rms(residual: &[[f64; 3]]) -> f64 {
 }
 
 /// Maximum a posteriori changes of the link frames.
-struct Calibration {
+struct LinkFrameChanges {
     samples: usize,
     /// Weights of the residuals after these changes.
     weights: Vec<Weight>,
@@ -125,21 +125,27 @@ struct Calibration {
 /// Residuals of `witness` after the most likely changes of the link frames: position in m and rotation in
 /// rad, for every `stride`-th sample that the joint states cover.
 pub(super) fn calibrated(
-    witness: &Witness,
+    witness: &PoseObservations,
     plain: &StreamState,
     stride: usize,
 ) -> Vec<Vec<[f64; 3]>> {
     let few = witness.len().div_ceil(SAMPLES).max(1);
     let none = vec![0.0; witness.joints.dof];
-    let calibration = Calibration::fit(witness, plain, &none, few);
+    let calibration = LinkFrameChanges::fit(witness, plain, &none, few);
     let rows = (0..witness.len()).step_by(stride.max(1));
-    link_frames(witness, plain, &none, rows, With::Nothing).after(calibration.step.as_slice())
+    link_frames(witness, plain, &none, rows, FreeAlongside::Nothing)
+        .after(calibration.step.as_slice())
 }
 
-impl Calibration {
-    fn fit(witness: &Witness, plain: &StreamState, offsets: &[f64], stride: usize) -> Self {
+impl LinkFrameChanges {
+    fn fit(
+        witness: &PoseObservations,
+        plain: &StreamState,
+        offsets: &[f64],
+        stride: usize,
+    ) -> Self {
         let rows = (0..witness.len()).step_by(stride);
-        let frames = link_frames(witness, plain, offsets, rows, With::Nothing);
+        let frames = link_frames(witness, plain, offsets, rows, FreeAlongside::Nothing);
         let all: Vec<usize> = (0..frames.width).collect();
         let usual: Vec<f64> = all.iter().map(|&i| usual_change(i, witness, plain)).collect();
         let none = DVector::zeros(frames.width);
@@ -172,7 +178,7 @@ impl Calibration {
 
 /// Prior standard deviation of parameter `i` of [`link_frames`]. Parameters that are free without a
 /// calibration, such as an undeclared tool, have a wide prior.
-fn usual_change(i: usize, witness: &Witness, plain: &StreamState) -> f64 {
+fn usual_change(i: usize, witness: &PoseObservations, plain: &StreamState) -> f64 {
     match i % 6 {
         _ if is_anything(i, witness, plain) => ANYTHING,
         0..3 => USUAL_M,
@@ -181,7 +187,7 @@ fn usual_change(i: usize, witness: &Witness, plain: &StreamState) -> f64 {
 }
 
 /// Whether parameter `i` of [`link_frames`] is free regardless of the nominal model.
-pub(super) fn is_anything(i: usize, witness: &Witness, plain: &StreamState) -> bool {
+pub(super) fn is_anything(i: usize, witness: &PoseObservations, plain: &StreamState) -> bool {
     let joints = witness.columns.len();
     match i / 6 {
         0 => !witness.reference_known || plain.reference != Pose::identity(),
@@ -209,7 +215,7 @@ fn price_of(step: &DVector<f64>, normal: &Normal, usual: &[f64]) -> f64 {
 
 /// Parameters of a linearisation in addition to link frames and latency.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum With {
+pub(super) enum FreeAlongside {
     Nothing,
     /// Zero of every joint of the chain.
     Zeros,
@@ -220,23 +226,23 @@ pub(super) enum With {
 /// Linearises samples of a stream about `plain` and `offsets`. Columns: six changes each for the reference
 /// frame and every joint's child link frame, then the latency, then the parameters selected by `with`.
 pub(super) fn link_frames(
-    witness: &Witness,
+    witness: &PoseObservations,
     plain: &StreamState,
     offsets: &[f64],
     rows: impl Iterator<Item = usize>,
-    with: With,
+    with: FreeAlongside,
 ) -> Linear {
     let (joints, blind) = (witness.columns.len(), witness.blind);
     let latency = 6 * (joints + 1);
     let width = latency
         + 1
         + match with {
-            With::Nothing => 0,
-            With::Zeros => joints,
-            With::ZerosAndGrowth => joints + 1,
+            FreeAlongside::Nothing => 0,
+            FreeAlongside::Zeros => joints,
+            FreeAlongside::ZerosAndGrowth => joints + 1,
         };
     let mut linear = Linear::new(width, &[FLOOR_M, FLOOR_RAD]);
-    let mut sweep = Sweep::new(witness);
+    let mut sweep = PredictionBuffers::new(witness);
     let mut links = Vec::new();
     for k in rows {
         let Some(predicted) = witness.pose_at(k, plain, offsets, &mut sweep) else { continue };
@@ -263,13 +269,13 @@ pub(super) fn link_frames(
         let base_from_link =
             reference.inverse() * predicted.rotation * plain.tool.rotation.inverse();
         let lever = base_from_link * plain.tool.translation.vector;
-        for joint in (0..joints).filter(|_| with != With::Nothing) {
+        for joint in (0..joints).filter(|_| with != FreeAlongside::Nothing) {
             let (linear, angular) = sweep.column(joint, &lever);
             let (linear, angular) = (reference * linear, reference * angular);
             rows.set(0, latency + 1 + joint, blind.position(linear.into()));
             rows.set(1, latency + 1 + joint, blind.rotation(angular.into()));
         }
-        if with == With::ZerosAndGrowth {
+        if with == FreeAlongside::ZerosAndGrowth {
             let from_base = tip - plain.reference.translation.vector;
             rows.set(0, latency + 1 + joints, blind.position(from_base.into()));
         }

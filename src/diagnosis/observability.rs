@@ -6,7 +6,9 @@
 //! log, such as the first joint's zero against a rotation of the base. They stay weak in a random motion
 //! through the whole joint space and are excluded.
 
-use super::model::{GROWTH, LATENCY, REFERENCE, SKEW, STREAM_WIDTH, StreamState, TOOL, Witness};
+use super::model::{
+    GROWTH, LATENCY, PoseObservations, REFERENCE, SKEW, STREAM_WIDTH, StreamState, TOOL,
+};
 use ground::geometry::{Rotation, Vec3};
 use ground::robot::JointKind;
 use ground::stream::JointTrack;
@@ -27,7 +29,7 @@ const TAKES_PART: f64 = 0.2;
 
 /// One parameter of a pose stream's model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Parameter {
+pub enum StreamParameter {
     /// Zero offset of a joint, by its column in the joint track, rad or m.
     JointZero(usize),
     /// Latency, s.
@@ -46,7 +48,7 @@ pub enum Parameter {
     ToolTurn(usize),
 }
 
-impl Parameter {
+impl StreamParameter {
     fn of_stream(column: usize) -> Self {
         match column {
             LATENCY => Self::Latency,
@@ -63,7 +65,7 @@ impl Parameter {
 /// Information of a stream's log about each parameter.
 #[derive(Clone, Debug)]
 pub struct Observability {
-    parameters: Vec<Parameter>,
+    parameters: Vec<StreamParameter>,
     /// Information of this log: `Aᵀ W A`.
     information: DMatrix<f64>,
     /// Unweighted information of a motion through the whole joint space.
@@ -74,10 +76,10 @@ pub struct Observability {
 
 /// Direction in parameter space that the log barely observes.
 #[derive(Clone, Debug, PartialEq)]
-pub struct BlindDirection {
+pub struct WeakDirection {
     /// Parameters with their weights in units of their thresholds. The first has the largest weight, 1 or
     /// −1.
-    pub parameters: Vec<(Parameter, f64)>,
+    pub parameters: Vec<(StreamParameter, f64)>,
     /// Change of the stream, in standard deviations, for parameter changes of weight times threshold,
     /// divided by the norm of the weights.
     pub singular_value: f64,
@@ -87,7 +89,7 @@ impl Observability {
     /// Observability of a stream whose model at `state` has `information`, over the joints of the track and
     /// then the stream's own parameters.
     pub(super) fn of(
-        witness: &Witness,
+        witness: &PoseObservations,
         state: &StreamState,
         offsets: &[f64],
         information: &DMatrix<f64>,
@@ -97,8 +99,8 @@ impl Observability {
         let own = offsets.len();
         let kept: Vec<usize> = joints.chain(own..own + STREAM_WIDTH).collect();
         let parameter = |&column: &usize| match column.checked_sub(own) {
-            None => Parameter::JointZero(column),
-            Some(own) => Parameter::of_stream(own),
+            None => StreamParameter::JointZero(column),
+            Some(own) => StreamParameter::of_stream(own),
         };
         let part = |matrix: &DMatrix<f64>| {
             DMatrix::from_fn(kept.len(), kept.len(), |i, j| matrix[(kept[i], kept[j])])
@@ -114,7 +116,7 @@ impl Observability {
     /// Joints with a parameter, by their columns in the joint track.
     pub fn joints(&self) -> impl Iterator<Item = usize> {
         self.parameters.iter().filter_map(|parameter| match parameter {
-            Parameter::JointZero(joint) => Some(*joint),
+            StreamParameter::JointZero(joint) => Some(*joint),
             _ => None,
         })
     }
@@ -123,7 +125,11 @@ impl Observability {
     /// deviations. Excludes the directions that no log observes.
     ///
     /// `threshold` returns the smallest relevant value of a parameter, in its unit.
-    pub fn blind(&self, threshold: impl Fn(Parameter) -> f64, least: f64) -> Vec<BlindDirection> {
+    pub fn blind(
+        &self,
+        threshold: impl Fn(StreamParameter) -> f64,
+        least: f64,
+    ) -> Vec<WeakDirection> {
         let thresholds: Vec<f64> = self.parameters.iter().map(|&one| threshold(one)).collect();
         let n = thresholds.len();
         let scaled = |matrix: &DMatrix<f64>| {
@@ -151,20 +157,20 @@ impl Observability {
 
     /// Observability with known joint ranges and nothing else.
     pub fn of_travel(travel: Vec<f64>) -> Self {
-        let parameters = (0..travel.len()).map(Parameter::JointZero).collect();
+        let parameters = (0..travel.len()).map(StreamParameter::JointZero).collect();
         let none = DMatrix::zeros(travel.len(), travel.len());
         Self { parameters, information: none.clone(), possible: none, travel }
     }
 
-    fn described(&self, direction: &DVector<f64>, information: &DMatrix<f64>) -> BlindDirection {
+    fn described(&self, direction: &DVector<f64>, information: &DMatrix<f64>) -> WeakDirection {
         let square = direction.dot(&(information * direction)) / direction.norm_squared();
         let weights = self.parameters.iter().copied().zip(direction.iter().copied());
-        let mut parameters: Vec<(Parameter, f64)> =
+        let mut parameters: Vec<(StreamParameter, f64)> =
             weights.filter(|(_, weight)| weight.abs() > TAKES_PART).collect();
         // Rounding keeps the order of equal weights independent of the platform.
         let digits = |weight: f64| (weight.abs() * 1e6).round();
         parameters.sort_by(|a, b| digits(b.1).total_cmp(&digits(a.1)));
-        BlindDirection { parameters, singular_value: square.max(0.0).sqrt() }
+        WeakDirection { parameters, singular_value: square.max(0.0).sqrt() }
     }
 }
 
@@ -197,7 +203,7 @@ pub(super) fn travel(joints: &JointTrack, joint: usize) -> f64 {
 }
 
 /// Information of a motion through random configurations over the joints' ranges, at speeds of both signs.
-fn possible(witness: &Witness, state: &StreamState, offsets: &[f64]) -> DMatrix<f64> {
+fn possible(witness: &PoseObservations, state: &StreamState, offsets: &[f64]) -> DMatrix<f64> {
     let dof = witness.joints.dof;
     let mut random = Pcg64::seed_from_u64(1);
     let kinds = witness.chain.joint_kinds();
@@ -213,7 +219,7 @@ fn possible(witness: &Witness, state: &StreamState, offsets: &[f64]) -> DMatrix<
     let t_s: Vec<f64> = (0..POSTURES).map(|row| row as f64 * STEP_S).collect();
     let (q, qd) = (drawn(PI), drawn(1.0));
     let joints = JointTrack { t_s: t_s.clone(), dof, q, qd, noise: Vec::new() };
-    let ideal = Witness {
+    let ideal = PoseObservations {
         joints: &joints,
         chain: witness.chain,
         columns: witness.columns,

@@ -2,30 +2,30 @@
 //! lags at which the stream follows the arm.
 
 use super::frames::misfit_of_frames;
-use super::latency::{ArmSpeeds, Peak};
-use super::layout::{Layout, Written, layouts, may_spread_so};
+use super::latency::{ArmSpeeds, LagPeak};
+use super::layout::{PositionEncoding, StreamPositions, layouts, may_spread_so};
 use super::placing::spread;
 use super::sampling::{FOLLOWS, as_rotations, slow_samples, stream_peaks};
 use super::turning::FITS_RAD;
-use super::{PoseStream, Seen, Unseen};
+use super::{EstimateResult, NotObservable, PoseStream};
 use ground::geometry::{LengthScale, Pose, Vec3, angle_between};
 use ground::stream::{JointTrack, PoseTrack};
 
 /// Encoding of a stream's positions, as far as positions alone determine it.
-pub(super) struct Placement {
+pub(super) struct PositionEncodingEstimate {
     /// Factor to metres, independent of any other fault.
-    pub metres: Seen<f64>,
+    pub metres: EstimateResult<f64>,
     /// Candidate axis layouts, most likely first. Empty if positions do not determine them.
-    pub layouts: Vec<Layout>,
+    pub layouts: Vec<PositionEncoding>,
     /// Coordinates that are constant although FK's change.
     pub constant: [bool; 3],
     /// Lags at which the stream follows the arm.
-    pub peaks: Vec<Peak>,
+    pub peaks: Vec<LagPeak>,
     /// Maximum tip speed, m/s.
     pub top_speed_m_s: f64,
 }
 
-impl Placement {
+impl PositionEncodingEstimate {
     /// Determines the encoding of `stream`'s positions against FK of `joints`.
     pub fn of(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Self {
         /// Residual, as a share of the motion's extent, below which no further lag is tried.
@@ -37,7 +37,7 @@ impl Placement {
         let read_as_m = in_metres_of(track);
         let reach_m = chain.max_reach_m();
         let mut placement = Self {
-            metres: Err(Unseen::NoOverlap),
+            metres: Err(NotObservable::NoOverlap),
             layouts: Vec::new(),
             constant: [false; 3],
             peaks,
@@ -81,7 +81,7 @@ impl Placement {
                 _ => None,
             };
             let mut layouts = left_out.map_or_else(Vec::new, |constant| {
-                let written = Written { xyz: &xyz, constant, read_as_m, reference_known };
+                let written = StreamPositions { xyz: &xyz, constant, read_as_m, reference_known };
                 layouts(&fk, reach_m, &written)
             });
             if by_poses.is_some() {
@@ -109,7 +109,7 @@ impl Placement {
     }
 
     /// Most likely layout, if it explains the positions.
-    fn told(&self) -> Option<&Layout> {
+    fn told(&self) -> Option<&PositionEncoding> {
         self.layouts.first().filter(|layout| layout.is_explained)
     }
 
@@ -169,7 +169,7 @@ pub(super) fn by_size(
     reach_m: f64,
     read_as_m: f64,
     reference_known: bool,
-) -> Seen<f64> {
+) -> EstimateResult<f64> {
     /// Maximum ratio to a unit's expected size.
     const ALIKE: f64 = 1.5;
     let (moved, extent) = (spread(fk), spread(xyz));
@@ -181,7 +181,7 @@ pub(super) fn by_size(
             |points: &[Vec3]| points.iter().map(Vec3::norm).sum::<f64>() / points.len() as f64;
         norm(xyz) / norm(fk).max(0.05 * reach_m)
     } else {
-        return Err(Unseen::AtRest);
+        return Err(NotObservable::AtRest);
     };
     let off = |factor: f64| (ratio * factor).ln().abs();
     let usual = LengthScale::usual().map(|unit| unit.in_m() / read_as_m);

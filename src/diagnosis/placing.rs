@@ -13,12 +13,12 @@ const SPREAD: f64 = 0.02;
 const SETTLED: f64 = 1e-8;
 
 /// FK poses at a stream's samples, as columns.
-pub(super) struct Expected {
+pub(super) struct FkColumns {
     pub xyz: Vec<Vec3>,
     pub rotation: Vec<Rotation>,
 }
 
-impl Expected {
+impl FkColumns {
     /// Columns of `poses`.
     pub fn of(poses: &[Pose]) -> Self {
         let (xyz, rotation) =
@@ -38,7 +38,7 @@ impl Expected {
         self.turned(xyz).map_or(plain, |(reference, _)| plain.min(self.misfit_at(xyz, &reference)))
     }
 
-    /// Like [`Expected::turned`], but also for collinear positions, whose rotation about their line is then
+    /// Like [`FkColumns::turned`], but also for collinear positions, whose rotation about their line is then
     /// arbitrary.
     pub fn turned_anyhow(&self, xyz: &[Vec3]) -> (Pose, Vec3) {
         self.turned(xyz).unwrap_or_else(|| {
@@ -84,7 +84,7 @@ impl Expected {
         self.turned_by(xyz, 30)
     }
 
-    /// [`Expected::turned`] with at most `turns` iterations.
+    /// [`FkColumns::turned`] with at most `turns` iterations.
     fn turned_by(&self, xyz: &[Vec3], turns: usize) -> Option<(Pose, Vec3)> {
         let mut tool = Vec3::zeros();
         let mut reference = Pose::identity();
@@ -154,7 +154,7 @@ mod tests {
     use super::*;
     use ground::geometry::{angle_between, rotation_from_rotvec};
 
-    fn arm() -> Expected {
+    fn arm() -> FkColumns {
         let poses: Vec<Pose> = (0..40)
             .map(|i| {
                 let t = f64::from(i) * 0.2;
@@ -162,7 +162,7 @@ mod tests {
                 pose([0.5 * t.cos(), 0.4 * (1.3 * t).sin(), 0.3 + 0.2 * (0.6 * t).sin()], turn)
             })
             .collect();
-        Expected::of(&poses)
+        FkColumns::of(&poses)
     }
 
     #[test]

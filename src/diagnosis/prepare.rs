@@ -3,14 +3,20 @@
 use std::borrow::Cow;
 
 use super::joints::Read;
-use super::latency::Peak;
-use super::model::{Blind, StreamState, Sweep, ToolPart, Witness};
-use super::placement::{Placement, lies_as_logged};
+use super::latency::LagPeak;
+use super::model::{
+    ExcludedComponents, PoseObservations, PredictionBuffers, StreamState, ToolPart,
+};
+use super::placement::{PositionEncodingEstimate, lies_as_logged};
 use super::placing::spread;
-use super::reading::{After, Fit, Logged, Samples, nearest_truth, read};
+use super::reading::{
+    EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, nearest_truth, read,
+};
 use super::sampling::{SEARCH_SAMPLES, slow_samples};
-use super::turning::{FITS_RAD, Turning, Way};
-use super::{AxesSlip, PoseStream, ReadingEstimate, Seen, UnitSlip, Unseen};
+use super::turning::{FITS_RAD, OrientationSamples, PositionInterpretation};
+use super::{
+    AxesError, EncodingEstimate, EstimateResult, NotObservable, PoseStream, UnitResiduals,
+};
 use ground::geometry::{Rotation, Vec3, angle_between};
 use ground::stream::{DeclaredUnits, Orientations, PoseTrack};
 
@@ -18,25 +24,25 @@ use ground::stream::{DeclaredUnits, Orientations, PoseTrack};
 const MOVING_SAMPLES: usize = 10;
 
 /// Decoded stream, with the evidence for its encoding.
-pub(super) struct Prepared<'a> {
-    pub witness: Witness<'a>,
+pub(super) struct DecodedStream<'a> {
+    pub witness: PoseObservations<'a>,
     /// Rotation encoding, if the stream has orientations.
-    pub reading: Seen<ReadingEstimate>,
-    pub degrees: Option<UnitSlip>,
+    pub reading: EstimateResult<EncodingEstimate>,
+    pub degrees: Option<UnitResiduals>,
     pub metres: f64,
     /// Axes of positions and rotations, if they are not standard.
-    pub axes: Option<AxesSlip>,
+    pub axes: Option<AxesError>,
     /// Whether whole poses are inverted.
     pub inverted: bool,
     /// Constant coordinates.
     pub constant: [bool; 3],
     /// Number of frames that must be rotated to match the rotations.
     frames: u8,
-    pub peaks: Vec<Peak>,
+    pub peaks: Vec<LagPeak>,
     pub moves: bool,
 }
 
-impl Prepared<'_> {
+impl DecodedStream<'_> {
     /// Whether rotations confirm the encoding fault, so that joint faults need not be considered. Without
     /// rotations, no joint fault resembles an inverse.
     pub fn is_confirmed(&self) -> bool {
@@ -56,8 +62,8 @@ impl Prepared<'_> {
 pub(super) fn prepare<'a>(
     read_as: &'a Read,
     stream: &PoseStream<'a>,
-    placement: &Placement,
-) -> Seen<Prepared<'a>> {
+    placement: &PositionEncodingEstimate,
+) -> EstimateResult<DecodedStream<'a>> {
     let joints = read_as.near();
     let PoseStream { track, chain, columns, reference_known, .. } = *stream;
     let peaks = placement.peaks.clone();
@@ -65,26 +71,39 @@ pub(super) fn prepare<'a>(
     let lag_s = if lies_as_logged(joints, stream) { 0.0 } else { peak_s };
     let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, lag_s);
     if rows.is_empty() {
-        return Err(Unseen::NoOverlap);
+        return Err(NotObservable::NoOverlap);
     }
     let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
     let turning: Vec<Rotation> = fk.iter().map(|pose| pose.rotation).collect();
     let metres = placement.metres();
-    let mut ways: Vec<Way> =
-        placement.layouts.iter().flat_map(|layout| Way::of(layout, spread(&at))).collect();
+    let mut ways: Vec<PositionInterpretation> = placement
+        .layouts
+        .iter()
+        .flat_map(|layout| PositionInterpretation::of(layout, spread(&at)))
+        .collect();
     if ways.is_empty() {
-        ways.push(Way { metres, axes: AxesSlip::NONE, inverted: false, reference: None });
+        ways.push(PositionInterpretation {
+            metres,
+            axes: AxesError::NONE,
+            inverted: false,
+            reference: None,
+        });
     }
-    let first = Way { ..ways[0] };
-    if first.axes != AxesSlip::NONE {
-        let axes = AxesSlip::NONE;
-        ways.push(Way { metres, axes, inverted: first.inverted, reference: None });
+    let first = PositionInterpretation { ..ways[0] };
+    if first.axes != AxesError::NONE {
+        let axes = AxesError::NONE;
+        ways.push(PositionInterpretation {
+            metres,
+            axes,
+            inverted: first.inverted,
+            reference: None,
+        });
     }
     let (orientation, degrees) =
         in_right_angles(track, &rows, &turning, reference_known, first.after());
     let there = at_rows(&orientation, &rows);
-    let turning = Turning {
-        logged: Logged::of(&there),
+    let turning = OrientationSamples {
+        logged: LoggedRotations::of(&there),
         fk: &turning,
         reference_known,
         are_quaternions: are_quaternions(track),
@@ -93,12 +112,12 @@ pub(super) fn prepare<'a>(
         true => match turning.best(ways) {
             Ok((way, reading, fit)) => (way, Ok(reading), Some(fit)),
             // Positions that match FK are used even without rotations.
-            Err(why) if first.axes == AxesSlip::NONE && placement.is_on_arm() => {
+            Err(why) if first.axes == AxesError::NONE && placement.is_on_arm() => {
                 (first, Err(why), None)
             }
             Err(why) => return Err(why),
         },
-        false => (first, Err(Unseen::OrientationNotSet), None),
+        false => (first, Err(NotObservable::OrientationNotSet), None),
     };
     let constant_axes = {
         let mut blind = [false; 3];
@@ -107,7 +126,7 @@ pub(super) fn prepare<'a>(
         }
         blind
     };
-    let mut witness = Witness {
+    let mut witness = PoseObservations {
         joints: &read_as.track,
         chain,
         columns,
@@ -117,24 +136,24 @@ pub(super) fn prepare<'a>(
         t_s: track.t_s.clone(),
         xyz: way.positions(&track.xyz),
         rotation: Vec::new(),
-        blind: Blind { position: constant_axes, rotation: fit.is_none() },
+        blind: ExcludedComponents { position: constant_axes, rotation: fit.is_none() },
         tool_part: match fit {
             None => ToolPart::Point,
             Some(_) => ToolPart::Whole,
         },
         middle_s: 0.5 * (track.t_s[0] + track.t_s[track.t_s.len() - 1]),
     };
-    let logged = Logged::of(&orientation);
+    let logged = LoggedRotations::of(&orientation);
     choose_branches(&mut witness, &logged, &way, fit.as_ref(), lag_s, &read_as.offsets);
     if witness.len() < 3 {
-        return Err(Unseen::TooFewSamples { have: witness.len(), need: 3 });
+        return Err(NotObservable::TooFewSamples { have: witness.len(), need: 3 });
     }
     let moves = witness.moving(lag_s, SEARCH_SAMPLES) >= MOVING_SAMPLES && !peaks.is_empty();
-    let axes = Some(way.axes).filter(|axes| *axes != AxesSlip::NONE);
-    let Way { metres, inverted, .. } = way;
+    let axes = Some(way.axes).filter(|axes| *axes != AxesError::NONE);
+    let PositionInterpretation { metres, inverted, .. } = way;
     let constant = placement.constant;
     let frames = fit.map_or(0, |fit| fit.frames.count());
-    Ok(Prepared {
+    Ok(DecodedStream {
         witness,
         reading,
         degrees,
@@ -179,8 +198,8 @@ fn in_right_angles<'a>(
     rows: &[usize],
     fk: &[Rotation],
     reference_known: bool,
-    after: After,
-) -> (Cow<'a, Orientations>, Option<UnitSlip>) {
+    after: RotationCorrections,
+) -> (Cow<'a, Orientations>, Option<UnitResiduals>) {
     let other = match (&track.orientation, &track.declared) {
         (Orientations::Numbers(numbers), _) => {
             Orientations::Numbers(numbers.iter().map(|n| n.map(f64::to_radians)).collect())
@@ -192,15 +211,21 @@ fn in_right_angles<'a>(
     };
     let residual = |orientation: &Orientations| {
         let there = at_rows(orientation, rows);
-        let logged = Logged::of(&there);
+        let logged = LoggedRotations::of(&there);
         let are_quaternions = are_quaternions(track);
-        let samples =
-            Samples { logged, fk, reference_free: true, reference_known, are_quaternions, after };
+        let samples = RotationSamples {
+            logged,
+            fk,
+            reference_free: true,
+            reference_known,
+            are_quaternions,
+            after,
+        };
         read(&samples).map_or(std::f64::consts::PI, |(_, fit)| fit.residual_rad)
     };
     let (as_logged, corrected) = (residual(&track.orientation), residual(&other));
     if corrected * 3.0 < as_logged {
-        (Cow::Owned(other), Some(UnitSlip { as_logged, corrected }))
+        (Cow::Owned(other), Some(UnitResiduals { as_logged, corrected }))
     } else {
         (Cow::Borrowed(&track.orientation), None)
     }
@@ -224,15 +249,15 @@ fn at_rows(orientation: &Orientations, rows: &[usize]) -> Orientations {
 /// Decodes every sample, choosing the branch nearest to FK. Drops samples that the joint states do not
 /// cover. Without an encoding, FK's rotations are used.
 fn choose_branches(
-    witness: &mut Witness,
-    logged: &Logged,
-    way: &Way,
-    fit: Option<&Fit>,
+    witness: &mut PoseObservations,
+    logged: &LoggedRotations,
+    way: &PositionInterpretation,
+    fit: Option<&EncodingFit>,
     lag_s: f64,
     offsets: &[f64],
 ) {
     let (mut kept_t, mut kept_xyz, mut kept_rotation) = (Vec::new(), Vec::new(), Vec::new());
-    let mut sweep = Sweep::new(witness);
+    let mut sweep = PredictionBuffers::new(witness);
     let mut buffer = Vec::new();
     let state = StreamState::at_latency(lag_s);
     let after = way.after();
@@ -241,7 +266,7 @@ fn choose_branches(
             continue;
         };
         let rotation = match fit {
-            Some(Fit { reading, reference, tool, .. }) => {
+            Some(EncodingFit { reading, reference, tool, .. }) => {
                 let expected = reference * fk.rotation * tool;
                 nearest_truth(reading, &after, logged, k, &expected, &mut buffer)
             }

@@ -8,11 +8,13 @@
 //! Hall, Kay and Titterington 1990).
 
 use super::latency::median_period_s;
-use super::model::{Blind, StreamState, Sweep, ToolPart, Witness};
+use super::model::{
+    ExcludedComponents, PoseObservations, PredictionBuffers, StreamState, ToolPart,
+};
 use super::nominal::calibrated;
 use super::observability::travel;
 use super::sampling::still_speeds;
-use super::{Aligned, PoseDiagnosis, PoseStream, Seen, Unseen};
+use super::{AlignedSamples, EstimateResult, NotObservable, PoseDiagnosis, PoseStream};
 use ground::geometry::{Pose, Vec3, pose, rotvec_from_rotation};
 use ground::stream::{JointTrack, Orientations};
 
@@ -41,44 +43,44 @@ const CALIBRATED_SAMPLES: usize = 5000;
 
 /// Error of one stream against FK, computed directly from both.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Proof {
+pub struct ResidualCheck {
     /// Whether the arm rests, so that the error covers only one or a few configurations.
     pub at_rest: bool,
     /// As logged, against FK of the recorded joint states at the same stamps.
-    pub as_logged: Error,
+    pub as_logged: FkError,
     /// After correcting all findings.
-    pub left: Option<Error>,
+    pub left: Option<FkError>,
     /// After correcting the findings on poses only, not those on joints and times: names, units, zeros,
     /// latency and skew.
-    pub beside_joints: Option<Error>,
+    pub beside_joints: Option<FkError>,
     /// After correcting the findings on joints and times only, not those on poses: encoding, units and
     /// frames.
-    pub beside_poses: Option<Error>,
+    pub beside_poses: Option<FkError>,
     /// After correcting all findings and small changes of every link frame, as in a calibration of the arm.
-    pub calibrated: Option<Error>,
+    pub calibrated: Option<FkError>,
 }
 
 /// Differences between poses and FK.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Error {
+pub struct FkError {
     /// Position error, m.
-    pub length: Size,
+    pub length: ErrorSize,
     /// Rotation error, rad. `None` if the stream's orientations are bare numbers.
-    pub angle: Option<Size>,
+    pub angle: Option<ErrorSize>,
 }
 
 /// Size of an error over the run.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Size {
+pub struct ErrorSize {
     /// Over the whole run.
-    pub whole: Amount,
+    pub whole: ErrorMagnitude,
     /// Per part, in order of time.
-    pub parts: Vec<Part>,
+    pub parts: Vec<PartError>,
 }
 
 /// Size of an error and its noise, in m or rad.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Amount {
+pub struct ErrorMagnitude {
     /// Number of samples.
     pub samples: usize,
     /// Root mean square, with outliers clipped to the quantile.
@@ -86,12 +88,12 @@ pub struct Amount {
     /// 95 % quantile.
     pub most: f64,
     /// Noise between samples. `None` if the sample interval is too long to separate noise from motion.
-    pub noise: Option<Short>,
+    pub noise: Option<SampleNoise>,
 }
 
 /// Noise between samples, in m or rad.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Short {
+pub struct SampleNoise {
     /// Root mean square.
     pub rms: f64,
     /// 95 % quantile.
@@ -102,7 +104,7 @@ pub struct Short {
 
 /// Part of the run.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Part {
+pub struct PartError {
     /// Start, s from the run's origin.
     pub from_s: f64,
     /// End, s.
@@ -110,12 +112,12 @@ pub struct Part {
     /// Tip position by FK where the error is largest, in the stream's reference frame, m.
     pub at: Vec3,
     /// Size of the error.
-    pub amount: Amount,
+    pub amount: ErrorMagnitude,
 }
 
-impl Size {
+impl ErrorSize {
     /// Part with the largest error. `None` if there are no samples.
-    pub fn worst(&self) -> Option<&Part> {
+    pub fn worst(&self) -> Option<&PartError> {
         self.parts.iter().max_by(|a, b| a.amount.most.total_cmp(&b.amount.most))
     }
 }
@@ -130,14 +132,14 @@ pub fn proof(
     mended: &JointTrack,
     stream: &PoseStream,
     found: &PoseDiagnosis,
-) -> Seen<Proof> {
+) -> EstimateResult<ResidualCheck> {
     let logged = beside_fk(joints, stream, 0.0);
     let have = logged.t_s.len();
     if have == 0 {
-        return Err(Unseen::NoOverlap);
+        return Err(NotObservable::NoOverlap);
     }
     if have < NEED {
-        return Err(Unseen::TooFewSamples { have, need: NEED });
+        return Err(NotObservable::TooFewSamples { have, need: NEED });
     }
     let moves = moving(joints, stream, &logged.t_s);
     let points = tip_points(&logged.fk);
@@ -146,15 +148,15 @@ pub fn proof(
         && stream.columns.iter().all(|&column| travel(joints, column) < TRAVEL_RAD);
     let at_rest = moves.iter().filter(|moves| **moves).count() < MOVING || is_in_one_posture;
     let has_rotation = matches!(stream.track.orientation, Orientations::Rotations(_));
-    let as_logged =
-        Series::of(&logged.t_s, &logged.logged, &logged.fk, has_rotation).error(&moves, at_rest);
+    let as_logged = ErrorSeries::of(&logged.t_s, &logged.logged, &logged.fk, has_rotation)
+        .error(&moves, at_rest);
     let aligned = &found.aligned;
     let moves = moving(joints, stream, &aligned.t_s);
     let error = |poses: &[Pose], fk: &[Pose], has_rotation: bool| {
-        let series = Series::of(&aligned.t_s, poses, fk, has_rotation);
+        let series = ErrorSeries::of(&aligned.t_s, poses, fk, has_rotation);
         (aligned.t_s.len() >= NEED).then(|| series.error(&moves, at_rest))
     };
-    Ok(Proof {
+    Ok(ResidualCheck {
         at_rest,
         as_logged,
         left: error(&aligned.corrected, &aligned.fk_at_truth, true),
@@ -170,14 +172,14 @@ fn by_calibration(
     stream: &PoseStream,
     found: &PoseDiagnosis,
     at_rest: bool,
-) -> Option<Error> {
-    let Aligned { t_s, corrected, fk_at_truth, .. } = &found.aligned;
+) -> Option<FkError> {
+    let AlignedSamples { t_s, corrected, fk_at_truth, .. } = &found.aligned;
     let (first, last) = (t_s.first()?, t_s.last()?);
     if at_rest || t_s.len() < NEED {
         return None;
     }
     let still = still_speeds(mended);
-    let witness = Witness {
+    let witness = PoseObservations {
         joints: mended,
         chain: stream.chain,
         columns: stream.columns,
@@ -187,7 +189,7 @@ fn by_calibration(
         t_s: t_s.clone(),
         xyz: corrected.iter().map(|pose| pose.translation.vector).collect(),
         rotation: corrected.iter().map(|pose| pose.rotation).collect(),
-        blind: Blind::default(),
+        blind: ExcludedComponents::default(),
         tool_part: ToolPart::Whole,
         middle_s: 0.5 * (first + last),
     };
@@ -197,7 +199,7 @@ fn by_calibration(
         ..StreamState::at_latency(found.latency_s.as_ref().map_or(0.0, |latency| latency.value))
     };
     let stride = t_s.len().div_ceil(CALIBRATED_SAMPLES);
-    let (mut sweep, none) = (Sweep::new(&witness), vec![0.0; mended.dof]);
+    let (mut sweep, none) = (PredictionBuffers::new(&witness), vec![0.0; mended.dof]);
     let rows: Vec<usize> = (0..t_s.len())
         .step_by(stride)
         .filter(|&row| witness.pose_at(row, &plain, &none, &mut sweep).is_some())
@@ -212,14 +214,14 @@ fn by_calibration(
     let t_s: Vec<f64> = rows.iter().map(|&row| t_s[row]).collect();
     let fk: Vec<Pose> = rows.iter().map(|&row| fk_at_truth[row]).collect();
     let moves = moving(mended, stream, &t_s);
-    Some(Series::new(&t_s, &fk, length, Some(angle)).error(&moves, false))
+    Some(ErrorSeries::new(&t_s, &fk, length, Some(angle)).error(&moves, false))
 }
 
 /// Samples of a stream with FK at their stamps minus `lag_s`. Fills only `t_s`, `logged` and `fk`.
-pub(super) fn beside_fk(joints: &JointTrack, stream: &PoseStream, lag_s: f64) -> Aligned {
+pub(super) fn beside_fk(joints: &JointTrack, stream: &PoseStream, lag_s: f64) -> AlignedSamples {
     let track = stream.track;
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
-    let mut aligned = Aligned::default();
+    let mut aligned = AlignedSamples::default();
     for (row, &t_s) in track.t_s.iter().enumerate() {
         if !joints.at(t_s - lag_s, &mut cursor, &mut q, &mut qd) {
             continue;
@@ -248,7 +250,7 @@ fn moving(joints: &JointTrack, stream: &PoseStream, t_s: &[f64]) -> Vec<bool> {
 }
 
 /// Errors of all samples.
-pub(super) struct Series<'a> {
+pub(super) struct ErrorSeries<'a> {
     t_s: &'a [f64],
     fk: &'a [Pose],
     length: Vec<Vec3>,
@@ -260,7 +262,7 @@ pub(super) struct Series<'a> {
     period_s: f64,
 }
 
-impl<'a> Series<'a> {
+impl<'a> ErrorSeries<'a> {
     pub fn of(t_s: &'a [f64], poses: &[Pose], fk: &'a [Pose], has_rotation: bool) -> Self {
         let both = || poses.iter().zip(fk);
         let length = both().map(|(a, b)| a.translation.vector - b.translation.vector).collect();
@@ -283,15 +285,15 @@ impl<'a> Series<'a> {
     }
 
     /// Size of the error over the samples in which the arm moves, or over all if it rests.
-    pub fn error(&self, moves: &[bool], at_rest: bool) -> Error {
+    pub fn error(&self, moves: &[bool], at_rest: bool) -> FkError {
         let rows: Vec<usize> = (0..self.t_s.len()).filter(|&row| at_rest || moves[row]).collect();
-        Error {
+        FkError {
             length: self.size(&self.length, &rows),
             angle: self.angle.as_ref().map(|angle| self.size(angle, &rows)),
         }
     }
 
-    fn size(&self, error: &[Vec3], rows: &[usize]) -> Size {
+    fn size(&self, error: &[Vec3], rows: &[usize]) -> ErrorSize {
         let parts = (rows.len() / PART_SAMPLES).clamp(1, PARTS);
         let parts = (0..parts)
             .map(|part| &rows[part * rows.len() / parts..(part + 1) * rows.len() / parts]);
@@ -299,9 +301,9 @@ impl<'a> Series<'a> {
             let amount = self.amount(error, rows);
             let (first, last) = (*rows.first()?, *rows.last()?);
             let at = self.where_largest(error, rows, amount.most);
-            Some(Part { from_s: self.t_s[first], to_s: self.t_s[last], at, amount })
+            Some(PartError { from_s: self.t_s[first], to_s: self.t_s[last], at, amount })
         };
-        Size { whole: self.amount(error, rows), parts: parts.filter_map(part).collect() }
+        ErrorSize { whole: self.amount(error, rows), parts: parts.filter_map(part).collect() }
     }
 
     /// Mean tip position over the samples whose error is at least `most`.
@@ -311,14 +313,14 @@ impl<'a> Series<'a> {
         places.iter().sum::<Vec3>() / places.len().max(1) as f64
     }
 
-    fn amount(&self, error: &[Vec3], rows: &[usize]) -> Amount {
+    fn amount(&self, error: &[Vec3], rows: &[usize]) -> ErrorMagnitude {
         let [rms, most] = sizes(rows.iter().map(|&row| error[row].norm()).collect());
-        Amount { samples: rows.len(), rms, most, noise: self.noise(error, rows) }
+        ErrorMagnitude { samples: rows.len(), rms, most, noise: self.noise(error, rows) }
     }
 
     /// Noise from differences over each lag at which the motion is negligible. Returns the largest, because
     /// correlated noise appears only at the longer lags.
-    fn noise(&self, error: &[Vec3], rows: &[usize]) -> Option<Short> {
+    fn noise(&self, error: &[Vec3], rows: &[usize]) -> Option<SampleNoise> {
         let distances = std::iter::successors(Some(1), |k| Some(2 * k));
         let noises = distances.take_while(|&k| k <= self.short).filter_map(|over| {
             let span_s = over as f64 * self.period_s;
@@ -335,7 +337,7 @@ impl<'a> Series<'a> {
             let differences: Vec<f64> = rows.iter().filter_map(difference).collect();
             let enough = differences.len() >= NEED;
             let [rms, most] = sizes(differences);
-            enough.then_some(Short { rms, most, over })
+            enough.then_some(SampleNoise { rms, most, over })
         });
         noises.max_by(|a, b| a.rms.total_cmp(&b.rms))
     }
@@ -353,9 +355,9 @@ fn sizes(mut sizes: Vec<f64>) -> [f64; 2] {
 }
 
 /// Points that represent the pose of the tip: its origin, and two levers from it, m.
-type Points = [Vec3; 3];
+type TipPoints = [Vec3; 3];
 
-fn tip_points(fk: &[Pose]) -> Vec<Points> {
+fn tip_points(fk: &[Pose]) -> Vec<TipPoints> {
     let points = |pose: &Pose| {
         let [x, y] = [Vec3::x(), Vec3::y()].map(|axis| pose.rotation * axis * ARM_M);
         [pose.translation.vector, x, y]
@@ -364,14 +366,14 @@ fn tip_points(fk: &[Pose]) -> Vec<Points> {
 }
 
 /// Squared distance between two sets of points, m².
-fn apart(a: &Points, b: &Points) -> f64 {
+fn apart(a: &TipPoints, b: &TipPoints) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).norm_squared()).sum()
 }
 
 /// Mean squared distance of points from their mean, m².
-fn variance(points: &[Points]) -> f64 {
+fn variance(points: &[TipPoints]) -> f64 {
     let n = points.len().max(1) as f64;
-    let mean: Points =
+    let mean: TipPoints =
         std::array::from_fn(|of| points.iter().map(|points| points[of]).sum::<Vec3>() / n);
     points.iter().map(|points| apart(points, &mean)).sum::<f64>() / n
 }
@@ -439,13 +441,13 @@ mod tests {
         (0..N).map(|_| next()).collect()
     }
 
-    fn size_of(error: Vec<Vec3>) -> Size {
+    fn size_of(error: Vec<Vec3>) -> ErrorSize {
         let (t_s, fk) = motion();
-        Series::new(&t_s, &fk, error, None).error(&[true; N], false).length
+        ErrorSeries::new(&t_s, &fk, error, None).error(&[true; N], false).length
     }
 
     /// Ratio of error to noise in the worst part.
-    fn beyond(size: &Size) -> f64 {
+    fn beyond(size: &ErrorSize) -> f64 {
         let amount = size.worst().expect("a part").amount;
         amount.rms / amount.noise.expect("its noise").rms
     }
@@ -495,7 +497,7 @@ mod tests {
         let (t_s, fk) = motion();
         let few: Vec<usize> = (0..N).step_by(125).collect();
         let (t_s, fk): (Vec<f64>, Vec<Pose>) = few.iter().map(|&row| (t_s[row], fk[row])).unzip();
-        let series = Series::new(&t_s, &fk, vec![Vec3::x(); few.len()], None);
+        let series = ErrorSeries::new(&t_s, &fk, vec![Vec3::x(); few.len()], None);
         assert_eq!(series.error(&vec![true; few.len()], false).length.whole.noise, None);
     }
 }

@@ -6,8 +6,8 @@
 //! not sufficient, because several encodings differ only by a constant frame.
 
 use super::arm::EXPLAINED_RAD;
-use super::constant::{Side, Truths, both_frames, nearest, one_frame};
-use super::{Reading, ReadingEstimate, Seen, Unseen};
+use super::constant::{CandidateRotations, Side, both_frames, nearest, one_frame};
+use super::{EncodingEstimate, EstimateResult, NotObservable, PoseEncoding};
 use ground::geometry::{
     Convention, QuaternionSlip, Rotation, Vec3, angle_between, misreading_classes,
     rotation_from_xyzw, xyzw_from_rotation,
@@ -36,8 +36,8 @@ const UPRIGHT: f64 = 0.985;
 const LEANS: u8 = 2;
 
 /// Samples to decode, with FK at the same times.
-pub(super) struct Samples<'a> {
-    pub logged: Logged<'a>,
+pub(super) struct RotationSamples<'a> {
+    pub logged: LoggedRotations<'a>,
     pub fk: &'a [Rotation],
     /// Whether the reference frame may have a constant error.
     pub reference_free: bool,
@@ -46,12 +46,12 @@ pub(super) struct Samples<'a> {
     /// Whether the log has quaternions, whose components may be permuted.
     pub are_quaternions: bool,
     /// Corrections found from positions, applied after decoding.
-    pub after: After,
+    pub after: RotationCorrections,
 }
 
 /// Corrections applied to decoded rotations.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct After {
+pub(super) struct RotationCorrections {
     /// Rotation between the stream's axes and the standard ones, applied by conjugation. `None` for
     /// standard axes.
     pub conjugator: Option<Rotation>,
@@ -59,7 +59,7 @@ pub(super) struct After {
     pub inverted: bool,
 }
 
-impl After {
+impl RotationCorrections {
     fn undo(&self, rotations: &mut [Rotation]) {
         for rotation in rotations {
             if let Some(conjugator) = self.conjugator {
@@ -72,10 +72,10 @@ impl After {
     }
 
     /// Encoding to report for a candidate, if whole poses are inverted.
-    fn named(&self, reading: Reading) -> Reading {
+    fn named(&self, reading: PoseEncoding) -> PoseEncoding {
         match reading {
-            Reading::AsLogged if self.inverted => Reading::Inverted,
-            Reading::Transposed if self.inverted => Reading::AsLogged,
+            PoseEncoding::AsLogged if self.inverted => PoseEncoding::Inverted,
+            PoseEncoding::Transposed if self.inverted => PoseEncoding::AsLogged,
             reading => reading,
         }
     }
@@ -83,12 +83,12 @@ impl After {
 
 /// Orientations as logged.
 #[derive(Clone, Copy)]
-pub(super) enum Logged<'a> {
+pub(super) enum LoggedRotations<'a> {
     Rotations(&'a [Rotation]),
     Numbers(&'a [[f64; 3]]),
 }
 
-impl<'a> Logged<'a> {
+impl<'a> LoggedRotations<'a> {
     /// Orientations of a stream; none if they are unset.
     pub fn of(orientation: &'a Orientations) -> Self {
         match orientation {
@@ -101,14 +101,14 @@ impl<'a> Logged<'a> {
 
 /// Constant frame errors allowed for a candidate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Frames {
+pub(super) enum FreeFrameErrors {
     None,
     Tool,
     Reference,
     Both,
 }
 
-impl Frames {
+impl FreeFrameErrors {
     /// Number of frames.
     pub fn count(self) -> u8 {
         match self {
@@ -121,9 +121,9 @@ impl Frames {
 
 /// Candidate encoding with fitted frame errors.
 #[derive(Clone, Copy)]
-pub(super) struct Fit {
-    pub reading: Reading,
-    pub frames: Frames,
+pub(super) struct EncodingFit {
+    pub reading: PoseEncoding,
+    pub frames: FreeFrameErrors,
     pub reference: Rotation,
     pub tool: Rotation,
     /// Rms residual angle over the best 90 % of the samples, rad.
@@ -131,12 +131,17 @@ pub(super) struct Fit {
 }
 
 /// Fills in the possible true rotations of every sample under `reading`.
-fn fill(truths_of: &mut Truths, reading: &Reading, samples: &Samples, buffer: &mut Vec<Rotation>) {
+fn fill(
+    truths_of: &mut CandidateRotations,
+    reading: &PoseEncoding,
+    samples: &RotationSamples,
+    buffer: &mut Vec<Rotation>,
+) {
     truths_of.clear();
     let logged = &samples.logged;
     let count = match logged {
-        Logged::Rotations(rotations) => rotations.len(),
-        Logged::Numbers(numbers) => numbers.len(),
+        LoggedRotations::Rotations(rotations) => rotations.len(),
+        LoggedRotations::Numbers(numbers) => numbers.len(),
     };
     for sample in 0..count {
         truths(reading, logged, sample, buffer);
@@ -146,24 +151,35 @@ fn fill(truths_of: &mut Truths, reading: &Reading, samples: &Samples, buffer: &m
 }
 
 /// Replaces `out` by the possible true rotations of one sample under `reading`.
-fn truths(reading: &Reading, logged: &Logged, sample: usize, out: &mut Vec<Rotation>) {
+fn truths(
+    reading: &PoseEncoding,
+    logged: &LoggedRotations,
+    sample: usize,
+    out: &mut Vec<Rotation>,
+) {
     out.clear();
     match (reading, logged) {
-        (Reading::Numbers(convention), Logged::Numbers(numbers)) => {
+        (PoseEncoding::Numbers(convention), LoggedRotations::Numbers(numbers)) => {
             out.push(convention.rotation(numbers[sample]));
         }
-        (_, Logged::Numbers(_)) => {}
-        (Reading::AsLogged | Reading::Numbers(_), Logged::Rotations(rotations)) => {
+        (_, LoggedRotations::Numbers(_)) => {}
+        (
+            PoseEncoding::AsLogged | PoseEncoding::Numbers(_),
+            LoggedRotations::Rotations(rotations),
+        ) => {
             out.push(rotations[sample]);
         }
-        (Reading::Transposed | Reading::Inverted, Logged::Rotations(rotations)) => {
+        (
+            PoseEncoding::Transposed | PoseEncoding::Inverted,
+            LoggedRotations::Rotations(rotations),
+        ) => {
             out.push(rotations[sample].inverse());
         }
-        (Reading::QuaternionOrder(slip), Logged::Rotations(rotations)) => {
+        (PoseEncoding::QuaternionOrder(slip), LoggedRotations::Rotations(rotations)) => {
             let q_xyzw = slip.truth(xyzw_from_rotation(&rotations[sample]));
             out.extend(rotation_from_xyzw(q_xyzw));
         }
-        (Reading::Misread(class), Logged::Rotations(rotations)) => {
+        (PoseEncoding::Misinterpreted(class), LoggedRotations::Rotations(rotations)) => {
             class.members[0].truths(&rotations[sample], out);
         }
     }
@@ -171,9 +187,9 @@ fn truths(reading: &Reading, logged: &Logged, sample: usize, out: &mut Vec<Rotat
 
 /// Decodes one sample under `reading` and `after`. Returns the branch nearest to `expected`.
 pub(super) fn nearest_truth(
-    reading: &Reading,
-    after: &After,
-    logged: &Logged,
+    reading: &PoseEncoding,
+    after: &RotationCorrections,
+    logged: &LoggedRotations,
     sample: usize,
     expected: &Rotation,
     buffer: &mut Vec<Rotation>,
@@ -187,27 +203,30 @@ pub(super) fn nearest_truth(
 ///
 /// # Errors
 /// Returns an error if there are too few samples or no candidate follows FK.
-pub(super) fn read(samples: &Samples) -> Seen<(ReadingEstimate, Fit)> {
+pub(super) fn read(samples: &RotationSamples) -> EstimateResult<(EncodingEstimate, EncodingFit)> {
     read_in_gravity(samples, &[])
 }
 
 /// Like [`read`], with the specific force in the sensor frame for each sample. A candidate must leave
 /// gravity upright on average, unless it is the logged encoding with only the world rotated. Otherwise it
 /// explains one fault by two.
-pub(super) fn read_in_gravity(samples: &Samples, forces: &[Vec3]) -> Seen<(ReadingEstimate, Fit)> {
+pub(super) fn read_in_gravity(
+    samples: &RotationSamples,
+    forces: &[Vec3],
+) -> EstimateResult<(EncodingEstimate, EncodingFit)> {
     let need = 3;
     if samples.fk.len() < need {
-        return Err(Unseen::TooFewSamples { have: samples.fk.len(), need });
+        return Err(NotObservable::TooFewSamples { have: samples.fk.len(), need });
     }
     let fits = all_fits(samples);
     let Some(least) = fits.iter().map(|fit| fit.residual_rad).min_by(f64::total_cmp) else {
-        return Err(Unseen::NoOrientation);
+        return Err(NotObservable::NoOrientation);
     };
     if least > HOPELESS_RAD {
-        return Err(Unseen::DoesNotFollow(least.cos()));
+        return Err(NotObservable::DoesNotFollow(least.cos()));
     }
     let accepted = (NEAR * least).max(least + NEAR_RAD).min(HOPELESS_RAD);
-    let ranked: Vec<(u8, &Fit)> = fits
+    let ranked: Vec<(u8, &EncodingFit)> = fits
         .iter()
         .map(|fit| {
             let leans = fit.residual_rad <= accepted && leans(fit, samples, forces);
@@ -215,7 +234,7 @@ pub(super) fn read_in_gravity(samples: &Samples, forces: &[Vec3]) -> Seen<(Readi
         })
         .collect();
     // A healthy arm with link deviations has residuals up to this as logged.
-    let is_accepted = |(rank, fit): &&(u8, &Fit)| {
+    let is_accepted = |(rank, fit): &&(u8, &EncodingFit)| {
         fit.residual_rad <= accepted || (*rank == 0 && fit.residual_rad <= EXPLAINED_RAD)
     };
     let accepted_ranks = ranked.iter().filter(is_accepted);
@@ -224,11 +243,11 @@ pub(super) fn read_in_gravity(samples: &Samples, forces: &[Vec3]) -> Seen<(Readi
     let least = simple().map(|fit| fit.residual_rad).min_by(f64::total_cmp).unwrap_or(least);
     let near = (NEAR * least).max(least + NEAR_RAD);
     // Among equivalent candidates, prefer an upright world, then the most common encoding.
-    let leaning = |fit: &&Fit| (fit.reference * Vec3::z()).z < UPRIGHT;
+    let leaning = |fit: &&EncodingFit| (fit.reference * Vec3::z()).z < UPRIGHT;
     let best =
         *simple().filter(|fit| fit.residual_rad <= near).min_by_key(leaning).unwrap_or(&fits[0]);
     let near_best = (NEAR * best.residual_rad).max(best.residual_rad + NEAR_RAD);
-    let (mut equivalent, mut runner_up): (Vec<Reading>, Option<(Reading, f64)>) =
+    let (mut equivalent, mut runner_up): (Vec<PoseEncoding>, Option<(PoseEncoding, f64)>) =
         (Vec::new(), None);
     let others = fits
         .iter()
@@ -245,12 +264,12 @@ pub(super) fn read_in_gravity(samples: &Samples, forces: &[Vec3]) -> Seen<(Readi
             runner_up = Some((named, fit.residual_rad));
         }
     }
-    let named = |fit: &Fit| samples.after.named(fit.reading);
+    let named = |fit: &EncodingFit| samples.after.named(fit.reading);
     let as_logged = fits
         .iter()
-        .find(|fit| matches!(named(fit), Reading::AsLogged) && fit.frames == best.frames);
+        .find(|fit| matches!(named(fit), PoseEncoding::AsLogged) && fit.frames == best.frames);
     let ranked = ranking(&fits, &best).into_iter();
-    let estimate = ReadingEstimate {
+    let estimate = EncodingEstimate {
         ranked: ranked.map(|(reading, rad)| (samples.after.named(reading), rad)).collect(),
         best: named(&best),
         inverted: samples.after.inverted,
@@ -265,15 +284,15 @@ pub(super) fn read_in_gravity(samples: &Samples, forces: &[Vec3]) -> Seen<(Readi
 
 /// Candidates with the smallest residuals, without duplicates, plus the best and the logged encoding. All
 /// use the frames of the best one.
-fn ranking(fits: &[Fit], best: &Fit) -> Vec<(Reading, f64)> {
+fn ranking(fits: &[EncodingFit], best: &EncodingFit) -> Vec<(PoseEncoding, f64)> {
     /// Number of candidates besides those two.
     const SHOWN: usize = 6;
     let alike = fits.iter().filter(|fit| fit.frames == best.frames);
-    let mut alike: Vec<&Fit> = alike.collect();
+    let mut alike: Vec<&EncodingFit> = alike.collect();
     alike.sort_by(|a, b| a.residual_rad.total_cmp(&b.residual_rad));
-    let is_kept = |(rank, fit): &(usize, &Fit)| {
+    let is_kept = |(rank, fit): &(usize, &EncodingFit)| {
         *rank < SHOWN
-            || matches!(fit.reading, Reading::AsLogged)
+            || matches!(fit.reading, PoseEncoding::AsLogged)
             || same_reading(&fit.reading, &best.reading)
     };
     let kept = alike.into_iter().enumerate().filter(is_kept);
@@ -281,9 +300,10 @@ fn ranking(fits: &[Fit], best: &Fit) -> Vec<(Reading, f64)> {
 }
 
 /// Whether a candidate other than a rotated world leaves gravity tilted.
-fn leans(fit: &Fit, samples: &Samples, forces: &[Vec3]) -> bool {
-    let turned_world_only = matches!(fit.frames, Frames::None | Frames::Reference);
-    if turned_world_only && matches!(fit.reading, Reading::AsLogged) {
+fn leans(fit: &EncodingFit, samples: &RotationSamples, forces: &[Vec3]) -> bool {
+    let turned_world_only =
+        matches!(fit.frames, FreeFrameErrors::None | FreeFrameErrors::Reference);
+    if turned_world_only && matches!(fit.reading, PoseEncoding::AsLogged) {
         return false;
     }
     let mut buffer = Vec::new();
@@ -308,38 +328,40 @@ fn leans(fit: &Fit, samples: &Samples, forces: &[Vec3]) -> bool {
     all > 0.0 && felt.z < UPRIGHT * felt.norm().max(0.5 * all)
 }
 
-fn same_reading(a: &Reading, b: &Reading) -> bool {
+fn same_reading(a: &PoseEncoding, b: &PoseEncoding) -> bool {
     match (a, b) {
-        (Reading::Misread(a), Reading::Misread(b)) => std::ptr::eq(*a, *b),
-        (Reading::QuaternionOrder(a), Reading::QuaternionOrder(b)) => a == b,
-        (Reading::Numbers(a), Reading::Numbers(b)) => a == b,
+        (PoseEncoding::Misinterpreted(a), PoseEncoding::Misinterpreted(b)) => std::ptr::eq(*a, *b),
+        (PoseEncoding::QuaternionOrder(a), PoseEncoding::QuaternionOrder(b)) => a == b,
+        (PoseEncoding::Numbers(a), PoseEncoding::Numbers(b)) => a == b,
         _ => std::mem::discriminant(a) == std::mem::discriminant(b),
     }
 }
 
 /// Rank of a candidate by its faults; lower is simpler. If the reference frame is unknown, its rotation is
 /// not a fault.
-fn simplicity(fit: &Fit, reference_known: bool) -> u8 {
-    let fault = u8::from(!matches!(fit.reading, Reading::AsLogged | Reading::Numbers(_)));
+fn simplicity(fit: &EncodingFit, reference_known: bool) -> u8 {
+    let fault = u8::from(!matches!(fit.reading, PoseEncoding::AsLogged | PoseEncoding::Numbers(_)));
     match (reference_known, fit.frames) {
-        (true, Frames::None) => fault,
-        (true, Frames::Tool | Frames::Reference) => 2 + fault,
-        (true, Frames::Both) => 4 + fault,
-        (false, Frames::None | Frames::Reference) => 2 * fault,
-        (false, Frames::Tool | Frames::Both) => 1 + 2 * fault,
+        (true, FreeFrameErrors::None) => fault,
+        (true, FreeFrameErrors::Tool | FreeFrameErrors::Reference) => 2 + fault,
+        (true, FreeFrameErrors::Both) => 4 + fault,
+        (false, FreeFrameErrors::None | FreeFrameErrors::Reference) => 2 * fault,
+        (false, FreeFrameErrors::Tool | FreeFrameErrors::Both) => 1 + 2 * fault,
     }
 }
 
-fn readings(samples: &Samples) -> Vec<Reading> {
-    let is_possible = |reading: &Reading| {
-        samples.are_quaternions || !matches!(reading, Reading::QuaternionOrder(_))
+fn readings(samples: &RotationSamples) -> Vec<PoseEncoding> {
+    let is_possible = |reading: &PoseEncoding| {
+        samples.are_quaternions || !matches!(reading, PoseEncoding::QuaternionOrder(_))
     };
     match samples.logged {
-        Logged::Numbers(_) => Convention::all().iter().map(|&c| Reading::Numbers(c)).collect(),
-        Logged::Rotations(_) => [Reading::AsLogged, Reading::Transposed]
+        LoggedRotations::Numbers(_) => {
+            Convention::all().iter().map(|&c| PoseEncoding::Numbers(c)).collect()
+        }
+        LoggedRotations::Rotations(_) => [PoseEncoding::AsLogged, PoseEncoding::Transposed]
             .into_iter()
-            .chain(QuaternionSlip::BOTH.map(Reading::QuaternionOrder))
-            .chain(misreading_classes().iter().map(Reading::Misread))
+            .chain(QuaternionSlip::BOTH.map(PoseEncoding::QuaternionOrder))
+            .chain(misreading_classes().iter().map(PoseEncoding::Misinterpreted))
             .filter(is_possible)
             .collect(),
     }
@@ -347,32 +369,38 @@ fn readings(samples: &Samples) -> Vec<Reading> {
 
 /// Fits of every candidate with the allowed frames. If the stream fits as logged without a fault, no other
 /// frames are tried, because none could be selected.
-fn all_fits(samples: &Samples) -> Vec<Fit> {
+fn all_fits(samples: &RotationSamples) -> Vec<EncodingFit> {
     let mut frames = allowed(samples);
-    if let Logged::Rotations(_) = samples.logged {
+    if let LoggedRotations::Rotations(_) = samples.logged {
         let plain = &frames[..1];
         let known = &mut Default::default();
-        let as_logged = fits_of(samples, plain, Reading::AsLogged, known, &mut Vec::new());
+        let as_logged = fits_of(samples, plain, PoseEncoding::AsLogged, known, &mut Vec::new());
         if as_logged.iter().all(|fit| fit.residual_rad <= NEAR_RAD) {
             frames = plain;
         }
     }
-    let each_of = |samples: &Samples, readings: Vec<Reading>| -> Vec<Vec<Fit>> {
-        let fits_of = |(truths, buffer): &mut (Truths, Vec<_>), reading: Reading| {
-            fits_of(samples, frames, reading, truths, buffer)
+    let each_of =
+        |samples: &RotationSamples, readings: Vec<PoseEncoding>| -> Vec<Vec<EncodingFit>> {
+            let fits_of = |(truths, buffer): &mut (CandidateRotations, Vec<_>),
+                           reading: PoseEncoding| {
+                fits_of(samples, frames, reading, truths, buffer)
+            };
+            readings.into_par_iter().map_init(Default::default, fits_of).collect()
         };
-        readings.into_par_iter().map_init(Default::default, fits_of).collect()
-    };
     let stride = samples.fk.len() / SCREENED_ON;
     let logged: Vec<Rotation> = match samples.logged {
-        Logged::Rotations(all) if stride > 1 => all.iter().step_by(stride).copied().collect(),
+        LoggedRotations::Rotations(all) if stride > 1 => {
+            all.iter().step_by(stride).copied().collect()
+        }
         _ => return each_of(samples, readings(samples)).concat(),
     };
     // Screen all candidates on a few samples, then fit the near ones on all samples.
     let fk: Vec<Rotation> = samples.fk.iter().step_by(stride).copied().collect();
-    let few = Samples { logged: Logged::Rotations(&logged), fk: &fk, ..*samples };
+    let few = RotationSamples { logged: LoggedRotations::Rotations(&logged), fk: &fk, ..*samples };
     let screened = each_of(&few, readings(samples));
-    let left = |fits: &[Fit]| fits.iter().map(|fit| fit.residual_rad).fold(f64::INFINITY, f64::min);
+    let left = |fits: &[EncodingFit]| {
+        fits.iter().map(|fit| fit.residual_rad).fold(f64::INFINITY, f64::min)
+    };
     let mut all: Vec<f64> = screened.iter().map(|fits| left(fits)).collect();
     all.sort_by(f64::total_cmp);
     let few_near = all[KEPT.min(all.len() - 1)];
@@ -380,9 +408,9 @@ fn all_fits(samples: &Samples) -> Vec<Fit> {
         true => few_near,
         false => few_near.max(FAR * (NEAR * all[0]).max(all[0] + NEAR_RAD)),
     };
-    let again = |few: Vec<Fit>| match few[0].reading {
-        reading if left(&few) <= near || matches!(reading, Reading::AsLogged) => {
-            fits_of(samples, frames, reading, &mut Truths::default(), &mut Vec::new())
+    let again = |few: Vec<EncodingFit>| match few[0].reading {
+        reading if left(&few) <= near || matches!(reading, PoseEncoding::AsLogged) => {
+            fits_of(samples, frames, reading, &mut CandidateRotations::default(), &mut Vec::new())
         }
         _ => few,
     };
@@ -390,41 +418,48 @@ fn all_fits(samples: &Samples) -> Vec<Fit> {
 }
 
 /// Frames allowed for a candidate; the first is not a fault.
-fn allowed(samples: &Samples) -> &'static [Frames] {
+fn allowed(samples: &RotationSamples) -> &'static [FreeFrameErrors] {
     match (samples.reference_known, samples.reference_free) {
-        (false, _) => &[Frames::Reference, Frames::Both],
-        (true, false) => &[Frames::None, Frames::Tool],
-        (true, true) => &[Frames::None, Frames::Tool, Frames::Reference, Frames::Both],
+        (false, _) => &[FreeFrameErrors::Reference, FreeFrameErrors::Both],
+        (true, false) => &[FreeFrameErrors::None, FreeFrameErrors::Tool],
+        (true, true) => &[
+            FreeFrameErrors::None,
+            FreeFrameErrors::Tool,
+            FreeFrameErrors::Reference,
+            FreeFrameErrors::Both,
+        ],
     }
 }
 
 /// Fits of one candidate, one per entry of `frames`.
 fn fits_of(
-    samples: &Samples,
-    frames: &[Frames],
-    reading: Reading,
-    truths: &mut Truths,
+    samples: &RotationSamples,
+    frames: &[FreeFrameErrors],
+    reading: PoseEncoding,
+    truths: &mut CandidateRotations,
     buffer: &mut Vec<Rotation>,
-) -> Vec<Fit> {
+) -> Vec<EncodingFit> {
     fill(truths, &reading, samples, buffer);
-    let fit = |&frames: &Frames| {
+    let fit = |&frames: &FreeFrameErrors| {
         let (reference, tool) = match frames {
-            Frames::None => (Rotation::identity(), Rotation::identity()),
-            Frames::Tool => (Rotation::identity(), one_frame(truths, samples.fk, Side::Tool)),
-            Frames::Reference => {
+            FreeFrameErrors::None => (Rotation::identity(), Rotation::identity()),
+            FreeFrameErrors::Tool => {
+                (Rotation::identity(), one_frame(truths, samples.fk, Side::Tool))
+            }
+            FreeFrameErrors::Reference => {
                 (one_frame(truths, samples.fk, Side::Reference), Rotation::identity())
             }
-            Frames::Both => both_frames(truths, samples.fk),
+            FreeFrameErrors::Both => both_frames(truths, samples.fk),
         };
         let residual_rad = residual(truths, samples.fk, &reference, &tool);
-        Fit { reading, frames, reference, tool, residual_rad }
+        EncodingFit { reading, frames, reference, tool, residual_rad }
     };
     frames.iter().map(fit).collect()
 }
 
 /// Simplest fit of a known encoding, among those close to its best fit.
-pub(super) fn fit_known(samples: &Samples, reading: Reading) -> Option<Fit> {
-    let known = &mut Truths::default();
+pub(super) fn fit_known(samples: &RotationSamples, reading: PoseEncoding) -> Option<EncodingFit> {
+    let known = &mut CandidateRotations::default();
     let fits = fits_of(samples, allowed(samples), reading, known, &mut Vec::new());
     let least = fits.iter().map(|fit| fit.residual_rad).min_by(f64::total_cmp)?;
     let near = (NEAR * least).max(least + NEAR_RAD);
@@ -434,7 +469,12 @@ pub(super) fn fit_known(samples: &Samples, reading: Reading) -> Option<Fit> {
 
 /// Rms angle between the nearest true rotations and `reference · fk · tool`, over the best 90 % of the
 /// samples.
-fn residual(truths: &Truths, fk: &[Rotation], reference: &Rotation, tool: &Rotation) -> f64 {
+fn residual(
+    truths: &CandidateRotations,
+    fk: &[Rotation],
+    reference: &Rotation,
+    tool: &Rotation,
+) -> f64 {
     let mut squares: Vec<f64> = fk
         .iter()
         .enumerate()

@@ -1,8 +1,10 @@
 //! Decodes a stream with a declared encoding, and resolves ambiguous rotations with FK.
 
-use super::reading::{After, Logged, Samples, fit_known, nearest_truth};
+use super::reading::{
+    LoggedRotations, RotationCorrections, RotationSamples, fit_known, nearest_truth,
+};
 use super::sampling::stream_lag_s;
-use super::{AxesSlip, PoseStream, Reading};
+use super::{AxesError, PoseEncoding, PoseStream};
 use ground::geometry::{Axes, Rotation};
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
@@ -11,11 +13,11 @@ const FIT_SAMPLES: usize = 150;
 
 /// Intended encoding of a stream's poses.
 #[derive(Clone, Copy, Debug)]
-pub struct Meant {
+pub struct IntendedEncoding {
     /// Encoding of the rotations.
-    pub reading: Reading,
+    pub reading: PoseEncoding,
     /// Axes of positions and rotations.
-    pub axes: AxesSlip,
+    pub axes: AxesError,
     /// Whether whole poses are also inverted.
     pub inverted: bool,
 }
@@ -27,7 +29,7 @@ pub struct Meant {
 pub fn reread_poses(
     joints: &JointTrack,
     stream: &PoseStream,
-    meant: Meant,
+    meant: IntendedEncoding,
     known: [Rotation; 2],
     most_lag_s: f64,
 ) -> Option<PoseTrack> {
@@ -46,7 +48,7 @@ pub fn reread_poses(
         })
         .collect();
     let truths = rotations(logged, &meant, &expected, &known[1], reference_known)?;
-    let is_inverted = meant.inverted || matches!(meant.reading, Reading::Inverted);
+    let is_inverted = meant.inverted || matches!(meant.reading, PoseEncoding::Inverted);
     let xyz = truths.iter().zip(&track.xyz).map(|(rotation, xyz)| {
         let xyz = meant.axes.positions.standard(*xyz);
         if is_inverted { -(rotation * xyz) } else { xyz }
@@ -59,7 +61,7 @@ pub fn reread_poses(
 /// `tool`. A sample without FK takes the branch nearest to the previous sample.
 pub(super) fn rotations(
     logged: &[Rotation],
-    meant: &Meant,
+    meant: &IntendedEncoding,
     expected: &[Option<Rotation>],
     tool: &Rotation,
     reference_known: bool,
@@ -74,9 +76,9 @@ pub(super) fn rotations(
     }
     let axes = meant.axes.rotations;
     let conjugator = (axes != Axes::STANDARD).then(|| axes.conjugator());
-    let after = After { conjugator, inverted: meant.inverted };
-    let samples = Samples {
-        logged: Logged::Rotations(&there),
+    let after = RotationCorrections { conjugator, inverted: meant.inverted };
+    let samples = RotationSamples {
+        logged: LoggedRotations::Rotations(&there),
         fk: &fk,
         reference_free: true,
         reference_known,
@@ -84,7 +86,7 @@ pub(super) fn rotations(
         after,
     };
     let fit = fit_known(&samples, meant.reading)?;
-    let all = Logged::Rotations(logged);
+    let all = LoggedRotations::Rotations(logged);
     let mut buffer = Vec::new();
     let mut last = fit.reference * fk[0] * fit.tool;
     let mut truths = Vec::with_capacity(logged.len());

@@ -6,10 +6,10 @@
 //! prediction is correlated with the residual of the rest.
 
 use super::linear::{Linear, Normal};
-use super::model::{StreamState, Witness};
+use super::model::{PoseObservations, StreamState};
 use super::noise::Noise;
-use super::nominal::{With, damped, link_frames};
-use super::{Aligned, Measured, Residual, Seen, Unseen};
+use super::nominal::{FreeAlongside, damped, link_frames};
+use super::{AlignedSamples, EstimateResult, Measured, NotObservable, StreamResidual};
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use nalgebra::DVector;
 
@@ -26,14 +26,14 @@ const CHANCE: f64 = 2.0;
 /// Excess residual of a stream: `aligned` after correcting every finding, beyond the noise between samples.
 /// `stream` and `offsets` are the parameters estimated on `witness`.
 pub(super) fn residual(
-    aligned: &Aligned,
-    witness: &Witness,
+    aligned: &AlignedSamples,
+    witness: &PoseObservations,
     stream: &StreamState,
     offsets: &[f64],
-) -> Seen<Residual> {
+) -> EstimateResult<StreamResidual> {
     let n = aligned.t_s.len();
     if n < 8 {
-        return Err(Unseen::TooFewSamples { have: n, need: 8 });
+        return Err(NotObservable::TooFewSamples { have: n, need: 8 });
     }
     let position = |a: &Pose, b: &Pose| a.translation.vector - b.translation.vector;
     let rotation = |a: &Pose, b: &Pose| rotvec_from_rotation(&(a.rotation * b.rotation.inverse()));
@@ -45,7 +45,7 @@ pub(super) fn residual(
     let before_m = rms(&pairs(&aligned.logged, &aligned.fk, &position));
     let before_rad = rms(&pairs(&aligned.logged, &aligned.fk, &rotation));
     let [common_m, common_rad] = in_common(witness, stream, offsets);
-    Ok(Residual {
+    Ok(StreamResidual {
         excess_m: excess(&left_m, &common_m),
         excess_rad: excess(&left_rad, &common_rad),
         rms_m: rms(&left_m),
@@ -94,12 +94,14 @@ fn mean_of(values: &[f64]) -> Measured {
 
 /// Correlation between the residual of each fold and the prediction of link frames fitted to the other
 /// folds, −1 to 1, for position and rotation.
-fn in_common(witness: &Witness, stream: &StreamState, offsets: &[f64]) -> [Measured; 2] {
+fn in_common(witness: &PoseObservations, stream: &StreamState, offsets: &[f64]) -> [Measured; 2] {
     let stride = witness.len().div_ceil(SAMPLES).max(1);
     let rows: Vec<usize> = (0..witness.len()).step_by(stride).collect();
     let parts: Vec<Linear> = rows
         .chunks(rows.len().div_ceil(PARTS).max(1))
-        .map(|rows| link_frames(witness, stream, offsets, rows.iter().copied(), With::Nothing))
+        .map(|rows| {
+            link_frames(witness, stream, offsets, rows.iter().copied(), FreeAlongside::Nothing)
+        })
         .collect();
     let normals: Vec<Normal> = parts.iter().map(normal_of).collect();
     let foretold = |part: usize| {

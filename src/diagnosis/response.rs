@@ -5,7 +5,7 @@
 //! change of the reference over the same window, `delay` earlier (Ljung, *System Identification*, 2nd ed.,
 //! §4.2, with at most two poles).
 
-use super::Unseen;
+use super::NotObservable;
 use ground::stats::{Measured, median};
 use nalgebra::DMatrix;
 
@@ -16,7 +16,7 @@ const WIDTH: usize = 6;
 ///
 /// Times are in seconds from the run's origin, strictly increasing.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Curve {
+pub(super) struct TimeSeries {
     t_s: Vec<f64>,
     /// Values per column.
     columns: Vec<Vec<f64>>,
@@ -28,7 +28,7 @@ pub(super) struct Curve {
 
 /// Changes of a response over time windows.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Changes {
+pub(super) struct ResponseChanges {
     /// Start and end of each window, s.
     pub windows: Vec<(f64, f64)>,
     /// Change of each column.
@@ -64,7 +64,7 @@ impl Response {
     }
 }
 
-impl Curve {
+impl TimeSeries {
     /// Creates a curve from columns with common times. Intervals longer than both 0.2 s and five median
     /// intervals are gaps.
     pub fn new(t_s: Vec<f64>, columns: Vec<Vec<f64>>) -> Self {
@@ -164,7 +164,7 @@ pub(super) fn slopes(t_s: &[f64], values: &[f64]) -> Vec<f64> {
 }
 
 /// Least-squares gains at one delay.
-struct Fit {
+struct DelayFit {
     /// For each group of columns: response = gains · reference.
     gains: Vec<DMatrix<f64>>,
     /// Residual and total sums of squares over the windows used.
@@ -174,13 +174,13 @@ struct Fit {
     used: usize,
 }
 
-impl Fit {
+impl DelayFit {
     fn share_left(&self) -> f64 {
         if self.total > 0.0 { self.left / self.total } else { 1.0 }
     }
 }
 
-impl Changes {
+impl ResponseChanges {
     /// Changes over windows of `window_s` within `span`, s, without gaps. Windows overlap by half, or are
     /// thinned out in very long series.
     pub fn of(t_s: &[f64], columns: &[Vec<f64>], span: (f64, f64), window_s: f64) -> Self {
@@ -212,7 +212,7 @@ impl Changes {
     }
 
     /// Changes of the reference over each window, shifted earlier by `delay_s`.
-    pub fn references(&self, reference: &Curve, delay_s: f64) -> Vec<Option<[f64; WIDTH]>> {
+    pub fn references(&self, reference: &TimeSeries, delay_s: f64) -> Vec<Option<[f64; WIDTH]>> {
         let mut cursors = [0; 2];
         let of = |&(from_s, to_s): &(f64, f64)| {
             reference.change((from_s - delay_s, to_s - delay_s), &mut cursors)
@@ -220,9 +220,9 @@ impl Changes {
         self.windows.iter().map(of).collect()
     }
 
-    fn fit(&self, references: &[Option<[f64; WIDTH]>]) -> Fit {
+    fn fit(&self, references: &[Option<[f64; WIDTH]>]) -> DelayFit {
         let size = self.group();
-        let mut fit = Fit { gains: Vec::new(), left: 0.0, total: 0.0, used: 0 };
+        let mut fit = DelayFit { gains: Vec::new(), left: 0.0, total: 0.0, used: 0 };
         fit.used = references.iter().flatten().count();
         for first in (0..self.width).step_by(size) {
             let mut normal = DMatrix::<f64>::zeros(size, size);
@@ -253,12 +253,12 @@ impl Changes {
         fit
     }
 
-    fn fit_at(&self, reference: &Curve, delay_s: f64) -> Fit {
+    fn fit_at(&self, reference: &TimeSeries, delay_s: f64) -> DelayFit {
         self.fit(&self.references(reference, delay_s))
     }
 
     /// Unexplained share at a delay. 1 if the reference covers too few windows.
-    fn left_at(&self, reference: &Curve, delay_s: f64) -> f64 {
+    fn left_at(&self, reference: &TimeSeries, delay_s: f64) -> f64 {
         let fit = self.fit_at(reference, delay_s);
         if 2 * fit.used < self.windows.len() { 1.0 } else { fit.share_left() }
     }
@@ -266,7 +266,7 @@ impl Changes {
     /// Delay between `low` and `high`, s, with the smallest unexplained share (golden section search).
     fn refined(
         &self,
-        reference: &Curve,
+        reference: &TimeSeries,
         (mut low, mut high): (f64, f64),
         fine_s: f64,
     ) -> (f64, f64) {
@@ -291,7 +291,7 @@ impl Changes {
 
     /// Standard error of the delay and its degrees of freedom, from residuals summed over time blocks.
     /// Allows any correlation within a block (Liang and Zeger 1986).
-    fn uncertainty(&self, reference: &Curve, delay_s: f64) -> (f64, f64) {
+    fn uncertainty(&self, reference: &TimeSeries, delay_s: f64) -> (f64, f64) {
         /// Maximum number of blocks and minimum length of a block, s.
         const BLOCKS: f64 = 40.0;
         const SHORTEST_S: f64 = 0.5;
@@ -305,7 +305,7 @@ impl Changes {
             Some(std::array::from_fn(|at| (after[at] - before[at]) / (2.0 * STEP_S)))
         };
         // Project the slopes onto the complement of the gains.
-        let sloped = Changes {
+        let sloped = ResponseChanges {
             by: (0..self.by.len())
                 .map(|row| slope(row).map_or([0.0; WIDTH], |slope| self.predicted(&fit, &slope)))
                 .collect(),
@@ -337,7 +337,7 @@ impl Changes {
     }
 
     /// Applies the gains to a change of the reference.
-    fn predicted(&self, fit: &Fit, reference: &[f64; WIDTH]) -> [f64; WIDTH] {
+    fn predicted(&self, fit: &DelayFit, reference: &[f64; WIDTH]) -> [f64; WIDTH] {
         let size = self.group();
         std::array::from_fn(|at| {
             let Some(gains) = fit.gains.get(at / size) else { return 0.0 };
@@ -346,7 +346,7 @@ impl Changes {
     }
 
     /// Gain at zero delay, and the unexplained share of the response's energy.
-    pub fn gain(&self, reference: &Curve) -> (f64, f64) {
+    pub fn gain(&self, reference: &TimeSeries) -> (f64, f64) {
         let fit = self.fit_at(reference, 0.0);
         (mean_gain(&fit), fit.share_left())
     }
@@ -355,7 +355,7 @@ impl Changes {
     ///
     /// # Errors
     /// Returns an error if too little is explained, or if several delays explain it equally well.
-    pub fn follow(&self, reference: &Curve, most_s: f64) -> Result<Response, Unseen> {
+    pub fn follow(&self, reference: &TimeSeries, most_s: f64) -> Result<Response, NotObservable> {
         /// Minimum explained share of the energy.
         const FOLLOWS: f64 = 0.8;
         /// Resolution of the delay, s.
@@ -382,16 +382,16 @@ impl Changes {
             })
             .collect();
         let Some(&(delay_s, least)) = lows.iter().min_by(|a, b| a.1.total_cmp(&b.1)) else {
-            return Err(Unseen::DoesNotFollow(0.0));
+            return Err(NotObservable::DoesNotFollow(0.0));
         };
         let (low_pass_s, delay_s, left) = self.low_pass(reference, (delay_s, least), most_s);
         if 1.0 - left < FOLLOWS {
-            return Err(Unseen::DoesNotFollow((1.0 - left).max(0.0).sqrt()));
+            return Err(NotObservable::DoesNotFollow((1.0 - left).max(0.0).sqrt()));
         }
         let is_rival = |low: &&(f64, f64)| low.1 < RIVAL.0 * least + RIVAL.1;
         let rivals: Vec<f64> = lows.iter().filter(is_rival).map(|low| low.0).collect();
         if rivals.len() > 1 {
-            return Err(Unseen::Periodic(rivals));
+            return Err(NotObservable::Periodic(rivals));
         }
         let filtered = (low_pass_s > 0.0).then(|| reference.filtered(low_pass_s));
         let reference = filtered.as_ref().unwrap_or(reference);
@@ -407,7 +407,7 @@ impl Changes {
 
     /// Time constant of the low-pass, s, remaining delay, s, and unexplained share. The constant is 0
     /// unless it improves clearly on `pure`, the best pure delay and its unexplained share.
-    fn low_pass(&self, reference: &Curve, pure: (f64, f64), most_s: f64) -> (f64, f64, f64) {
+    fn low_pass(&self, reference: &TimeSeries, pure: (f64, f64), most_s: f64) -> (f64, f64, f64) {
         /// Maximum unexplained share of a low-pass, relative to a pure delay.
         const MUCH: f64 = 0.75;
         /// Minimum decrease of the unexplained share.
@@ -446,7 +446,7 @@ impl Changes {
 }
 
 /// Mean of the diagonal gains over all columns.
-fn mean_gain(fit: &Fit) -> f64 {
+fn mean_gain(fit: &DelayFit) -> f64 {
     let columns: usize = fit.gains.iter().map(DMatrix::nrows).sum();
     fit.gains.iter().map(DMatrix::trace).sum::<f64>() / columns.max(1) as f64
 }

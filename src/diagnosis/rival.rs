@@ -1,7 +1,7 @@
 //! Fit of a competing model to the positions of a stream, without a search over causes.
 
 use super::PoseStream;
-use super::placing::Expected;
+use super::placing::FkColumns;
 use super::sampling::slow_samples;
 use ground::geometry::Vec3;
 use ground::stream::{JointTrack, Orientations};
@@ -42,7 +42,7 @@ fn misfits_m(
     if rows.len() < ENOUGH {
         return None;
     }
-    let expected = Expected::of(&fk);
+    let expected = FkColumns::of(&fk);
     let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row] * scale).collect();
     let as_logged = expected.misfit(&xyz);
     let Orientations::Rotations(rotations) = &track.orientation else {

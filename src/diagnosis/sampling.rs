@@ -1,7 +1,7 @@
 //! Selects samples of a stream, and finds the lags at which it follows the arm.
 
 use super::PoseStream;
-use super::latency::{ArmSpeeds, Peak};
+use super::latency::{ArmSpeeds, LagPeak};
 use ground::geometry::{Pose, Rotation};
 use ground::robot::Chain;
 use ground::stats::{NORMAL, median};
@@ -33,7 +33,7 @@ pub(super) fn as_rotations(orientation: &Orientations) -> Option<&[Rotation]> {
 }
 
 /// Candidate lags of a stream from its speeds, most likely first.
-pub(super) fn stream_peaks(arm: &ArmSpeeds, stream: &PoseStream, most_lag_s: f64) -> Vec<Peak> {
+pub(super) fn stream_peaks(arm: &ArmSpeeds, stream: &PoseStream, most_lag_s: f64) -> Vec<LagPeak> {
     let PoseTrack { t_s, xyz, orientation, .. } = stream.track;
     arm.peaks_of(t_s, xyz, as_rotations(orientation), most_lag_s)
 }

@@ -9,7 +9,7 @@ use ground::geometry::Vec3;
 
 /// Vibration of a path over the 1.5 s in which it is strongest.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Shake {
+pub struct Vibration {
     /// Rms above `from_hz` after subtracting the noise floor, m.
     pub rms_m: f64,
     /// Lower end of the analysed band, Hz: above the commanded motion.
@@ -26,7 +26,7 @@ pub struct Shake {
 
 /// Reason why vibration cannot be estimated.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum NoShake {
+pub enum VibrationFailure {
     /// The sample rate, Hz, is too low for the band above `FROM_HZ`.
     Slow(f64),
     /// No 1.5 s of evenly spaced samples.
@@ -68,11 +68,11 @@ pub fn shake(
     t_s: &[f64],
     mut position_m: impl FnMut(usize) -> Vec3,
     work_m: Option<&dyn Fn(usize) -> Vec3>,
-) -> Result<Shake, NoShake> {
-    let period_s = period(t_s).ok_or(NoShake::Uneven)?;
+) -> Result<Vibration, VibrationFailure> {
+    let period_s = period(t_s).ok_or(VibrationFailure::Uneven)?;
     let rate_hz = 1.0 / period_s;
     if rate_hz <= SLOWEST_HZ {
-        return Err(NoShake::Slow(rate_hz));
+        return Err(VibrationFailure::Slow(rate_hz));
     }
     let length = (WINDOW_S * rate_hz).round() as usize;
     let hop = length / 2;
@@ -86,10 +86,10 @@ pub fn shake(
     };
     // Stamps a nanosecond apart would otherwise allocate a huge FFT plan.
     if t_s.len() < block {
-        return Err(NoShake::Uneven);
+        return Err(VibrationFailure::Uneven);
     }
     let mut spectrum = Spectrum::new(length, rate_hz);
-    let mut strongest: Option<Shake> = None;
+    let mut strongest: Option<Vibration> = None;
     for start in starts().step_by(stride).filter(|&start| is_even(start)) {
         let mut path: Vec<Vec3> = (start..start + block).map(&mut position_m).collect();
         take_step_off(&mut path);
@@ -116,7 +116,7 @@ pub fn shake(
             strongest = Some(least);
         }
     }
-    strongest.ok_or(NoShake::Uneven)
+    strongest.ok_or(VibrationFailure::Uneven)
 }
 
 /// Resamples a path at evenly spaced times, with the cubic through the four nearest samples.
@@ -140,7 +140,7 @@ fn at_even_times(t_s: &[f64], path: &[Vec3]) -> Vec<Vec3> {
 
 /// Path around the time of its strongest vibration.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct ShakeSeen {
+pub struct VibrationPath {
     /// Frequency in Hz and rms over all axes at it, m.
     pub spectrum: Vec<[f64; 2]>,
     /// Time in s and position along the axis that moves most, m, after removing the best-fit parabola.
@@ -153,7 +153,7 @@ pub fn shake_seen(
     t_s: &[f64],
     mut position_m: impl FnMut(usize) -> Vec3,
     at_s: f64,
-) -> Option<ShakeSeen> {
+) -> Option<VibrationPath> {
     let period_s = period(t_s)?;
     let length = (WINDOW_S / period_s).round() as usize;
     let middle = t_s.partition_point(|t_s| *t_s < at_s);
@@ -175,7 +175,7 @@ pub fn shake_seen(
     let size = |values: &Vec<f64>| values.iter().map(|value| value * value).sum::<f64>();
     let most = axes.into_iter().max_by(|a, b| size(a).total_cmp(&size(b)))?;
     let trace = times.iter().zip(most).map(|(&t_s, value)| [t_s, value]);
-    Some(ShakeSeen { spectrum: spectrum.collect(), trace: trace.collect() })
+    Some(VibrationPath { spectrum: spectrum.collect(), trace: trace.collect() })
 }
 
 /// Median sample interval, s.
@@ -206,7 +206,7 @@ impl Spectrum {
     }
 
     /// Vibration in one window of a path centred at `at_s`. `work` is the commanded path.
-    fn shake(&mut self, path: &[Vec3], work: Option<&[Vec3]>, at_s: f64) -> Shake {
+    fn shake(&mut self, path: &[Vec3], work: Option<&[Vec3]>, at_s: f64) -> Vibration {
         let power = self.power(path);
         let from = (FROM_HZ / self.bin_hz(path.len())).ceil() as usize;
         let fast = self.band(&power, from, path.len(), at_s);
@@ -260,14 +260,14 @@ impl Spectrum {
     }
 
     /// Vibration of a window from bin `from` upwards.
-    fn band(&self, power: &[f64], from: usize, length: usize, at_s: f64) -> Shake {
+    fn band(&self, power: &[f64], from: usize, length: usize, at_s: f64) -> Vibration {
         /// Standard deviations of the noise power that chance does not exceed.
         const SIGMAS: f64 = 6.0;
         let bin_hz = self.bin_hz(length);
         // Exclude the Nyquist bin, whose power counts only once.
         let band = power.get(from..length.div_ceil(2)).unwrap_or_default();
         let Some((strongest, _)) = band.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)) else {
-            return Shake::default();
+            return Vibration::default();
         };
         let count = band.len() as f64;
         let mut sorted = band.to_vec();
@@ -277,7 +277,7 @@ impl Spectrum {
         // bins are correlated.
         let by_chance = SIGMAS * floor * count.sqrt();
         let is_shake = excess > by_chance && excess.is_finite();
-        Shake {
+        Vibration {
             rms_m: if is_shake { excess.sqrt() } else { 0.0 },
             from_hz: from as f64 * bin_hz,
             noise_m: (count * floor).sqrt(),
@@ -335,7 +335,10 @@ mod tests {
     use super::*;
 
     /// 10 s of motion over half a metre, plus `beside` as a function of time and row.
-    fn shaken(rate_hz: f64, beside: impl Fn(f64, usize) -> f64) -> Result<Shake, NoShake> {
+    fn shaken(
+        rate_hz: f64,
+        beside: impl Fn(f64, usize) -> f64,
+    ) -> Result<Vibration, VibrationFailure> {
         let t_s: Vec<f64> =
             (0..(10.0 * rate_hz) as usize).map(|row| row as f64 / rate_hz).collect();
         let work = |t: f64| 0.5 * (0.8 * t).sin();
@@ -355,7 +358,7 @@ mod tests {
     #[test]
     fn stamps_a_nanosecond_apart_plan_nothing() {
         let t_s: Vec<f64> = (0..100).map(|k| f64::from(k) * 1e-9).collect();
-        assert_eq!(shake(&t_s, |_| Vec3::zeros(), None), Err(NoShake::Uneven));
+        assert_eq!(shake(&t_s, |_| Vec3::zeros(), None), Err(VibrationFailure::Uneven));
     }
 
     #[test]
@@ -436,11 +439,14 @@ mod tests {
     fn slow_or_uneven_samples_do_not_tell() {
         let slow = shaken(20.0, |_, _| 0.0);
         let is_told = |rate_hz: f64| (rate_hz - 20.0).abs() < 1e-9;
-        assert!(matches!(slow, Err(NoShake::Slow(rate_hz)) if is_told(rate_hz)), "{slow:?}");
-        assert_eq!(shake(&[], |_| Vec3::zeros(), None), Err(NoShake::Uneven));
+        assert!(
+            matches!(slow, Err(VibrationFailure::Slow(rate_hz)) if is_told(rate_hz)),
+            "{slow:?}"
+        );
+        assert_eq!(shake(&[], |_| Vec3::zeros(), None), Err(VibrationFailure::Uneven));
         let ragged: Vec<f64> = (0..1000)
             .map(|row| f64::from(row) * 0.01 + if row % 50 < 25 { 0.0 } else { 0.3 })
             .collect();
-        assert_eq!(shake(&ragged, |_| Vec3::zeros(), None), Err(NoShake::Uneven));
+        assert_eq!(shake(&ragged, |_| Vec3::zeros(), None), Err(VibrationFailure::Uneven));
     }
 }

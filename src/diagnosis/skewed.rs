@@ -4,13 +4,13 @@
 //! without estimating either. The delay of each sample is its error along the motion divided by the speed,
 //! if the speed is high enough.
 
-use super::{Aligned, Measured};
+use super::{AlignedSamples, Measured};
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use ground::stats::median;
 
 /// Skewed delays of a stream's samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SkewedDelays {
+pub struct DelayJitter {
     /// Median, s.
     pub median_s: Measured,
     /// Mean, s.
@@ -24,7 +24,7 @@ const BLOCKS: usize = 20;
 
 /// Delay distribution of the `aligned` samples, whose fitted latency is `latency_s`. `None` if the delays
 /// do not scatter or are not skewed.
-pub(super) fn skewed_delays(aligned: &Aligned, latency_s: f64) -> Option<SkewedDelays> {
+pub(super) fn skewed_delays(aligned: &AlignedSamples, latency_s: f64) -> Option<DelayJitter> {
     /// Minimum ratio of the error along the motion to the error across it.
     const ALONG: f64 = 3.0;
     /// Minimum difference between mean and median, in standard errors and in s.
@@ -34,7 +34,7 @@ pub(super) fn skewed_delays(aligned: &Aligned, latency_s: f64) -> Option<SkewedD
     if all.len() < 10 * BLOCKS {
         return None;
     }
-    let values = |part: &[Delay]| part.iter().map(|delay| delay.by_s).collect::<Vec<f64>>();
+    let values = |part: &[SampleDelay]| part.iter().map(|delay| delay.by_s).collect::<Vec<f64>>();
     let middle_s = median(&mut values(&all))?;
     let along: f64 = all.iter().map(|delay| ((delay.by_s - middle_s) * delay.speed).powi(2)).sum();
     let across: f64 = all.iter().map(|delay| delay.across.powi(2)).sum();
@@ -45,16 +45,16 @@ pub(super) fn skewed_delays(aligned: &Aligned, latency_s: f64) -> Option<SkewedD
     if along < ALONG * ALONG * across / 5.0 || !is_scatter {
         return None;
     }
-    let mean = |part: &[Delay]| values(part).iter().sum::<f64>() / part.len() as f64;
+    let mean = |part: &[SampleDelay]| values(part).iter().sum::<f64>() / part.len() as f64;
     let blocks = || all.chunks(all.len().div_ceil(BLOCKS));
-    let of_blocks = |of: &dyn Fn(&[Delay]) -> f64| {
+    let of_blocks = |of: &dyn Fn(&[SampleDelay]) -> f64| {
         let values: Vec<f64> = blocks().map(of).collect();
         let n = values.len() as f64;
         let mean = values.iter().sum::<f64>() / n;
         let spread: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
         ((spread / (n - 1.0)) / n).sqrt()
     };
-    let middle = |part: &[Delay]| median(&mut values(part)).unwrap_or(middle_s);
+    let middle = |part: &[SampleDelay]| median(&mut values(part)).unwrap_or(middle_s);
     let apart_s = mean(&all) - middle_s;
     let is_skewed =
         apart_s.abs() > APART_S.max(CERTAIN * of_blocks(&|part| mean(part) - middle(part)));
@@ -63,14 +63,14 @@ pub(super) fn skewed_delays(aligned: &Aligned, latency_s: f64) -> Option<SkewedD
         std_error,
         dof: BLOCKS as f64 - 1.0,
     };
-    is_skewed.then(|| SkewedDelays {
+    is_skewed.then(|| DelayJitter {
         median_s: measured(middle_s, of_blocks(&middle)),
         mean_s: measured(mean(&all), of_blocks(&mean)),
     })
 }
 
 /// Delay of one sample relative to the fitted latency.
-struct Delay {
+struct SampleDelay {
     by_s: f64,
     /// Speed, m/s.
     speed: f64,
@@ -79,7 +79,7 @@ struct Delay {
 }
 
 /// Delays of the samples with fast motion.
-fn delays(aligned: &Aligned) -> Vec<Delay> {
+fn delays(aligned: &AlignedSamples) -> Vec<SampleDelay> {
     let t = &aligned.t_s;
     let apart = |a: &Pose, b: &Pose| -> [Vec3; 2] {
         let turn = rotvec_from_rotation(&(a.rotation * b.rotation.inverse()));
@@ -94,9 +94,9 @@ fn delays(aligned: &Aligned) -> Vec<Delay> {
         let square = dot(&velocity, &velocity);
         let by_s = -dot(&left, &velocity) / square.max(f64::MIN_POSITIVE);
         let across = [0, 1].map(|kind| left[kind] + by_s * velocity[kind]);
-        Delay { by_s, speed: square.sqrt(), across: dot(&across, &across).sqrt() }
+        SampleDelay { by_s, speed: square.sqrt(), across: dot(&across, &across).sqrt() }
     };
-    let mut all: Vec<Delay> = (1..t.len().saturating_sub(1)).map(of).collect();
+    let mut all: Vec<SampleDelay> = (1..t.len().saturating_sub(1)).map(of).collect();
     let square: f64 = all.iter().map(|delay| delay.speed.powi(2)).sum();
     let usual = (square / all.len().max(1) as f64).sqrt();
     all.retain(|delay| delay.speed > 0.5 * usual && delay.by_s.is_finite());
@@ -115,10 +115,10 @@ mod tests {
         pose([0.4 * swing(1.7, 0.0), 0.3 * swing(2.3, 1.0), 0.0], Default::default())
     }
 
-    fn aligned(delay_s: impl Fn(&mut rand_pcg::Pcg64) -> f64) -> Aligned {
+    fn aligned(delay_s: impl Fn(&mut rand_pcg::Pcg64) -> f64) -> AlignedSamples {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(11);
         let noise = Normal::new(0.0, 2e-5).expect("a spread");
-        let mut aligned = Aligned::default();
+        let mut aligned = AlignedSamples::default();
         for row in 0..4000 {
             let t_s = f64::from(row) * 0.01;
             let mut logged = truth(t_s - delay_s(&mut rng));

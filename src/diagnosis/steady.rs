@@ -4,8 +4,9 @@ use super::bends::{gives, without_bends};
 use super::changes::{constant_frames_suffice, jumps_in_time, leaves_slowly, without_changes};
 use super::imu::diagnose_mended;
 use super::{
-    ArmDiagnosis, GradualLatency, ImuDiagnosis, ImuNumbers, ImuStream, JointReading, LargeChange,
-    LatencyCourse, PoseStream, Seen, diagnose_arm, imu_changes, pose_changes,
+    ArmDiagnosis, CoarseLatencyChange, EstimateResult, ImuConventions, ImuDiagnosis, ImuStream,
+    JointEncoding, LatencyProfile, LatencyRamp, PoseStream, diagnose_arm, imu_changes,
+    pose_changes,
 };
 use ground::stream::{DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack};
 use rayon::prelude::*;
@@ -21,12 +22,12 @@ pub fn diagnose_steadied(
     slides: &[bool],
     most_lag_s: f64,
 ) -> ArmDiagnosis {
-    let changes_by = |joints: &JointTrack| -> Vec<Option<LargeChange>> {
+    let changes_by = |joints: &JointTrack| -> Vec<Option<CoarseLatencyChange>> {
         streams.par_iter().map(|stream| pose_changes(joints, stream, most_lag_s)).collect()
     };
     let mut changes = changes_by(joints);
     let mut found = diagnose_unchanged(joints, streams, &changes, most_lag_s);
-    let is_misread = !found.joints.reading.as_ref().is_ok_and(JointReading::is_as_logged);
+    let is_misread = !found.joints.reading.as_ref().is_ok_and(JointEncoding::is_as_logged);
     if is_misread && changes.iter().all(Option::is_none) {
         // Misread joints and latency changes hide each other.
         let mended = match &found.joints.reading {
@@ -50,7 +51,7 @@ pub fn diagnose_steadied(
         found = diagnose_unchanged(joints, streams, &changes, most_lag_s);
     }
     let steps: Vec<_> =
-        changes.iter().map(|change| change.as_ref().and_then(LargeChange::steps)).collect();
+        changes.iter().map(|change| change.as_ref().and_then(CoarseLatencyChange::steps)).collect();
     // Ramps are part of the estimated latency profile; only steps are removed.
     let unstepped: Vec<Option<PoseTrack>> = streams
         .iter()
@@ -64,7 +65,7 @@ pub fn diagnose_steadied(
     let mut courses = Vec::new();
     for ((stream, found), change) in streams.iter().zip(&found.streams).zip(&changes) {
         tracks.push(steadied(stream, &found.course));
-        courses.push(match change.as_ref().and_then(LargeChange::steps) {
+        courses.push(match change.as_ref().and_then(CoarseLatencyChange::steps) {
             Some(steps) => Ok(steps.course(&found.course)),
             None => found.course.clone(),
         });
@@ -134,11 +135,14 @@ pub fn diagnose_steadied(
 
 /// Refines a latency ramp with the profile of the compensated stream. If that has no variation, the speeds
 /// differ for another reason. `None` if nothing changes.
-fn refined(change: &mut Option<LargeChange>, course: &Seen<LatencyCourse>) -> Option<()> {
-    let Some(LargeChange::Gradual(gradual, otherwise)) = change else { return None };
+fn refined(
+    change: &mut Option<CoarseLatencyChange>,
+    course: &EstimateResult<LatencyProfile>,
+) -> Option<()> {
+    let Some(CoarseLatencyChange::Gradual(gradual, otherwise)) = change else { return None };
     match course.as_ref().ok().filter(|course| course.is_unsteady) {
-        Some(course) => *gradual = GradualLatency::along(course)?,
-        None => *change = otherwise.take().map(LargeChange::Steps),
+        Some(course) => *gradual = LatencyRamp::along(course)?,
+        None => *change = otherwise.take().map(CoarseLatencyChange::Steps),
     }
     Some(())
 }
@@ -147,17 +151,17 @@ fn refined(change: &mut Option<LargeChange>, course: &Seen<LatencyCourse>) -> Op
 fn diagnose_unchanged(
     joints: &JointTrack,
     streams: &[PoseStream],
-    changes: &[Option<LargeChange>],
+    changes: &[Option<CoarseLatencyChange>],
     most_lag_s: f64,
 ) -> ArmDiagnosis {
-    let of_stream = |(stream, change): (&PoseStream, &Option<LargeChange>)| {
+    let of_stream = |(stream, change): (&PoseStream, &Option<CoarseLatencyChange>)| {
         let rows = change.as_ref()?.straightened(&stream.track.t_s);
         Some(straightened(stream.track, &rows))
     };
     let tracks: Vec<Option<PoseTrack>> = streams.iter().zip(changes).map(of_stream).collect();
     let mut streams = with_tracks(streams, &tracks);
     for (stream, change) in streams.iter_mut().zip(changes) {
-        stream.taken_off = change.as_ref().and_then(LargeChange::gradual);
+        stream.taken_off = change.as_ref().and_then(CoarseLatencyChange::gradual);
     }
     diagnose_arm(joints, &streams, most_lag_s)
 }
@@ -180,7 +184,7 @@ pub fn diagnose_imu_steadied(
     stream: ImuStream,
     most_lag_s: f64,
 ) -> ImuDiagnosis {
-    let numbers = ImuNumbers::of(joints, &stream, most_lag_s);
+    let numbers = ImuConventions::of(joints, &stream, most_lag_s);
     let mended = numbers.mended(stream.track);
     let stream = ImuStream { track: &mended, ..stream };
     let of_rows = |rows: &[(usize, f64)]| ImuTrack {
@@ -192,12 +196,12 @@ pub fn diagnose_imu_steadied(
         gyro: rows.iter().map(|&(row, _)| stream.track.gyro[row]).collect(),
         accel: rows.iter().map(|&(row, _)| stream.track.accel[row]).collect(),
     };
-    let diagnosed = |track: &ImuTrack, taken_off: Option<&GradualLatency>| {
+    let diagnosed = |track: &ImuTrack, taken_off: Option<&LatencyRamp>| {
         let stream = ImuStream { track, taken_off, ..stream };
         diagnose_mended(joints, &stream, &numbers, most_lag_s)
     };
     let t_s = &stream.track.t_s;
-    let unchanged = |change: &Option<LargeChange>| match change {
+    let unchanged = |change: &Option<CoarseLatencyChange>| match change {
         Some(change) => diagnosed(&of_rows(&change.straightened(t_s)), change.gradual()),
         None => diagnosed(stream.track, None),
     };
@@ -205,7 +209,7 @@ pub fn diagnose_imu_steadied(
     let mut found = unchanged(&change);
     // Small ramps are refined like large ones.
     let small = found.latency_course.as_ref().ok().filter(|course| course.is_unsteady);
-    let small = small.and_then(GradualLatency::along).map(|it| LargeChange::Gradual(it, None));
+    let small = small.and_then(LatencyRamp::along).map(|it| CoarseLatencyChange::Gradual(it, None));
     change = change.or(small);
     for _ in 0..FINER {
         if refined(&mut change, &found.latency_course).is_none() {
@@ -214,7 +218,7 @@ pub fn diagnose_imu_steadied(
         found = unchanged(&change);
     }
     // Ramps are part of the estimated latency profile; only steps are removed.
-    let steps = change.as_ref().and_then(LargeChange::steps);
+    let steps = change.as_ref().and_then(CoarseLatencyChange::steps);
     let stepping = steps.map(|steps| steps.course(&found.latency_course));
     let unsteady = found.latency_course.as_ref().ok().filter(|course| course.is_unsteady);
     let Some(course) = unsteady else {
@@ -240,7 +244,7 @@ pub fn diagnose_imu_steadied(
 }
 
 /// Poses of a stream with stamps corrected to a constant latency. `None` if the latency is constant.
-pub fn steadied(stream: &PoseStream, course: &Seen<LatencyCourse>) -> Option<PoseTrack> {
+pub fn steadied(stream: &PoseStream, course: &EstimateResult<LatencyProfile>) -> Option<PoseTrack> {
     let course = course.as_ref().ok().filter(|course| course.is_unsteady)?;
     Some(straightened(stream.track, &course.straightened(&stream.track.t_s)))
 }

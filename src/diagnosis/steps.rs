@@ -1,10 +1,10 @@
 //! Large latency steps: assigns one of the candidate lags to each time, minimising the speed difference
 //! plus a price per step (Viterbi 1967).
 
-use super::course::{LatencyCourse, LatencyJump, LatencyShape};
-use super::large::{Followed, MISFIT, SAMPLES, differences, in_order, some_rows, spread};
-use super::latency::Speed;
-use super::{Measured, Seen};
+use super::course::{LatencyProfile, LatencyShape, LatencyStep};
+use super::large::{LagWindow, MISFIT, SAMPLES, differences, in_order, some_rows, spread};
+use super::latency::SpeedSeries;
+use super::{EstimateResult, Measured};
 
 /// Minimum separation of two candidate lags, s.
 const APART_S: f64 = 0.015;
@@ -26,7 +26,11 @@ pub struct LatencySteps {
 }
 
 /// Latency steps of a stream that follows the arm in these windows.
-pub(super) fn steps(arm: &Speed, stream: &Speed, followed: &[&Followed]) -> Option<LatencySteps> {
+pub(super) fn steps(
+    arm: &SpeedSeries,
+    stream: &SpeedSeries,
+    followed: &[&LagWindow],
+) -> Option<LatencySteps> {
     let lags = lags(followed);
     let rough = (lags.len() > 1).then(|| path(arm, stream, &lags)).flatten()?;
     let finer = path(arm, stream, &rough.finer_lags(arm, stream));
@@ -34,19 +38,19 @@ pub(super) fn steps(arm: &Speed, stream: &Speed, followed: &[&Followed]) -> Opti
 }
 
 /// Candidate lags from the windows. Close lags are merged to the best correlated one.
-fn lags(windows: &[&Followed]) -> Vec<f64> {
+fn lags(windows: &[&LagWindow]) -> Vec<f64> {
     let mut all = windows.to_vec();
     all.sort_by(|a, b| a.lag_s.total_cmp(&b.lag_s));
-    let mut groups: Vec<&[&Followed]> = all.chunk_by(|a, b| b.lag_s - a.lag_s < APART_S).collect();
+    let mut groups: Vec<&[&LagWindow]> = all.chunk_by(|a, b| b.lag_s - a.lag_s < APART_S).collect();
     groups.sort_by_key(|group| std::cmp::Reverse(group.len()));
-    let best = |group: &[&Followed]| {
+    let best = |group: &[&LagWindow]| {
         group.iter().max_by(|a, b| a.correlation.total_cmp(&b.correlation)).map(|best| best.lag_s)
     };
     groups.into_iter().take(LAGS).filter_map(best).collect()
 }
 
 /// Assigns one of `lags` to each time.
-fn path(arm: &Speed, stream: &Speed, lags: &[f64]) -> Option<LatencySteps> {
+fn path(arm: &SpeedSeries, stream: &SpeedSeries, lags: &[f64]) -> Option<LatencySteps> {
     /// Price of a step, as the duration over which the smallest speed difference accumulates to it, s.
     const PRICE_S: f64 = 10.0;
     let rows = some_rows(stream);
@@ -113,7 +117,7 @@ fn path(arm: &Speed, stream: &Speed, lags: &[f64]) -> Option<LatencySteps> {
 
 impl LatencySteps {
     /// Refined lag of each level: the one with the smallest speed difference over its duration, s.
-    fn finer_lags(&self, arm: &Speed, stream: &Speed) -> Vec<f64> {
+    fn finer_lags(&self, arm: &SpeedSeries, stream: &SpeedSeries) -> Vec<f64> {
         /// Search range and step around the coarse lag, s.
         const WITHIN_S: f64 = 0.03;
         const STEP_S: f64 = 1e-3;
@@ -172,7 +176,7 @@ impl LatencySteps {
 
     /// Latency profile of these steps, refined with the profile `found` on the stream without them, plus
     /// its additional jumps.
-    pub fn course(&self, found: &Seen<LatencyCourse>) -> LatencyCourse {
+    pub fn course(&self, found: &EstimateResult<LatencyProfile>) -> LatencyProfile {
         /// Maximum distance at which a jump of the remaining profile is merged with a step, s.
         const NEAR_S: f64 = 2.0;
         let fine = found.as_ref().ok();
@@ -183,7 +187,7 @@ impl LatencySteps {
             let windows = fine.map_or(&[][..], |fine| fine.windows.as_slice());
             mean(windows.iter().filter(|(t_s, _)| (begins[index]..until_s).contains(t_s)))
         };
-        let mut jumps: Vec<LatencyJump> = (1..self.levels.len())
+        let mut jumps: Vec<LatencyStep> = (1..self.levels.len())
             .map(|index| {
                 let [(_, before_s), (at_s, after_s)] = [self.levels[index - 1], self.levels[index]];
                 let coarse_s = after_s - before_s;
@@ -195,18 +199,18 @@ impl LatencySteps {
                     },
                     _ => Measured { value: coarse_s, std_error: COARSE_S, dof: f64::INFINITY },
                 };
-                LatencyJump { at_s, size_s }
+                LatencyStep { at_s, size_s }
             })
             .collect();
         let is_beside =
-            |jump: &&LatencyJump| begins.iter().all(|begin_s| (jump.at_s - begin_s).abs() > NEAR_S);
+            |jump: &&LatencyStep| begins.iter().all(|begin_s| (jump.at_s - begin_s).abs() > NEAR_S);
         let own = fine.filter(|fine| fine.is_unsteady).map_or(&[][..], |fine| &fine.jumps);
         jumps.extend(own.iter().filter(is_beside));
         jumps.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
-        let size = |jump: &LatencyJump| jump.size_s.value.abs();
+        let size = |jump: &LatencyStep| jump.size_s.value.abs();
         let largest = jumps.iter().max_by(|a, b| size(a).total_cmp(&size(b)));
         let none = Measured { value: 0.0, std_error: COARSE_S, dof: f64::INFINITY };
-        LatencyCourse {
+        LatencyProfile {
             swing_s: largest.map_or(none, |jump| jump.size_s),
             is_unsteady: true,
             shape: LatencyShape::Steps,
@@ -235,7 +239,7 @@ pub(super) fn mean<'a>(windows: impl Iterator<Item = &'a (f64, Measured)>) -> Op
 
 #[cfg(test)]
 mod tests {
-    use crate::large::LargeChange;
+    use crate::large::CoarseLatencyChange;
     use crate::large::tests::changed;
 
     #[test]
@@ -247,8 +251,8 @@ mod tests {
                 _ => sizes_s[1],
             };
             let found = changed(late);
-            let found = found.as_ref().and_then(LargeChange::steps).expect("it steps");
-            let course = found.course(&Err(super::super::Unseen::AtRest));
+            let found = found.as_ref().and_then(CoarseLatencyChange::steps).expect("it steps");
+            let course = found.course(&Err(super::super::NotObservable::AtRest));
             let first = course.jumps[0];
             assert!((first.at_s - 14.0).abs() < 0.3, "{sizes_s:?}: {found:?}");
             assert!((first.size_s.value - sizes_s[0]).abs() < 0.01, "{sizes_s:?}: {found:?}");

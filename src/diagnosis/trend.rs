@@ -11,7 +11,7 @@ use ground::stats::median;
 
 /// Estimate of a quantity from one run.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Told {
+pub struct RunEstimate {
     /// Time of the run, s from any origin.
     pub time_s: f64,
     /// Value.
@@ -32,12 +32,12 @@ pub struct Trend {
     /// Standard deviation between runs in excess of their own errors.
     pub spread: f64,
     /// Step, if it explains the runs better than the line does.
-    pub step: Option<Step>,
+    pub step: Option<TrendStep>,
 }
 
 /// Step between two runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Step {
+pub struct TrendStep {
     /// Times of the last run before the step and the first one after it, s.
     pub between_s: [f64; 2],
     /// Height of the step.
@@ -53,8 +53,8 @@ const STEP_LIKELIER: f64 = 5.0;
 const MOST_FITS: usize = 128;
 
 /// Estimates the trend. `None` if there are fewer than [`LEAST_RUNS`] runs, or if all have the same time.
-pub fn trend(told: &[Told]) -> Option<Trend> {
-    let mut told: Vec<Told> = told.iter().copied().filter(is_usable).collect();
+pub fn trend(told: &[RunEstimate]) -> Option<Trend> {
+    let mut told: Vec<RunEstimate> = told.iter().copied().filter(is_usable).collect();
     told.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
     if told.len() < LEAST_RUNS {
         return None;
@@ -62,7 +62,7 @@ pub fn trend(told: &[Told]) -> Option<Trend> {
     // Centre the times to preserve precision.
     let origin_s = told.iter().map(|one| one.time_s).sum::<f64>() / told.len() as f64;
     let times_s: Vec<f64> = told.iter().map(|one| one.time_s - origin_s).collect();
-    let line = Fit::of(&told, &times_s)?;
+    let line = LineFit::of(&told, &times_s)?;
     let step = step(&told)
         .filter(|(_, fit)| fit.log_likelihood > line.log_likelihood + STEP_LIKELIER)
         .filter(|(between_s, fit)| rests_on_no_run(&told, between_s[1], fit.slope.value));
@@ -71,19 +71,19 @@ pub fn trend(told: &[Told]) -> Option<Trend> {
         level: line.level,
         middle_s: origin_s + line.middle,
         spread: line.spread,
-        step: step.map(|(between_s, fit)| Step { between_s, by: fit.slope }),
+        step: step.map(|(between_s, fit)| TrendStep { between_s, by: fit.slope }),
     })
 }
 
-fn is_usable(told: &Told) -> bool {
-    let Told { time_s, value, std_error } = told;
+fn is_usable(told: &RunEstimate) -> bool {
+    let RunEstimate { time_s, value, std_error } = told;
     time_s.is_finite() && value.is_finite() && std_error.is_finite() && *std_error > 0.0
 }
 
 /// Most likely step with at least two runs on each side. With many runs the search goes from coarse to
 /// fine.
-fn step(told: &[Told]) -> Option<([f64; 2], Fit)> {
-    let (mut places, mut best) = (2..told.len() - 1, None::<(usize, Fit)>);
+fn step(told: &[RunEstimate]) -> Option<([f64; 2], LineFit)> {
+    let (mut places, mut best) = (2..told.len() - 1, None::<(usize, LineFit)>);
     loop {
         let stride = places.len().div_ceil(MOST_FITS).max(1);
         for first_after in places.clone().step_by(stride) {
@@ -91,7 +91,7 @@ fn step(told: &[Told]) -> Option<([f64; 2], Fit)> {
                 continue;
             }
             let side: Vec<f64> = (0..told.len()).map(|run| f64::from(run >= first_after)).collect();
-            let Some(fit) = Fit::of(told, &side) else { continue };
+            let Some(fit) = LineFit::of(told, &side) else { continue };
             if best.as_ref().is_none_or(|(_, other)| fit.log_likelihood > other.log_likelihood) {
                 best = Some((first_after, fit));
             }
@@ -107,7 +107,7 @@ fn step(told: &[Told]) -> Option<([f64; 2], Fit)> {
 
 /// Whether the step `by` at `after_s` persists without any single run: one outlier is not a step. With many
 /// runs, only those furthest from the median are left out.
-fn rests_on_no_run(told: &[Told], after_s: f64, by: f64) -> bool {
+fn rests_on_no_run(told: &[RunEstimate], after_s: f64, by: f64) -> bool {
     /// Minimum share of the step that must persist.
     const LEFT: f64 = 0.5;
     let mut values: Vec<f64> = told.iter().map(|one| one.value).collect();
@@ -116,16 +116,16 @@ fn rests_on_no_run(told: &[Told], after_s: f64, by: f64) -> bool {
     let mut runs: Vec<usize> = (0..told.len()).collect();
     runs.sort_by(|a, b| off(*b).total_cmp(&off(*a)));
     runs.into_iter().take(MOST_FITS).all(|out| {
-        let rest: Vec<Told> = [&told[..out], &told[out + 1..]].concat();
+        let rest: Vec<RunEstimate> = [&told[..out], &told[out + 1..]].concat();
         let side: Vec<f64> =
             rest.iter().map(|one| f64::from(u8::from(one.time_s >= after_s))).collect();
-        Fit::of(&rest, &side).is_some_and(|fit| fit.slope.value / by >= LEFT)
+        LineFit::of(&rest, &side).is_some_and(|fit| fit.slope.value / by >= LEFT)
     })
 }
 
 /// `value = level + slope · (x − middle)`.
 #[derive(Clone, Copy, Debug)]
-struct Fit {
+struct LineFit {
     slope: Measured,
     level: Measured,
     middle: f64,
@@ -133,11 +133,11 @@ struct Fit {
     log_likelihood: f64,
 }
 
-impl Fit {
+impl LineFit {
     /// Fits over `x`. `None` if all its values are equal.
-    fn of(told: &[Told], x: &[f64]) -> Option<Self> {
+    fn of(told: &[RunEstimate], x: &[f64]) -> Option<Self> {
         let dof = told.len() as f64 - 2.0;
-        let squares = |variance: f64| Weighed::of(told, x, variance).map(|fit| fit.squares);
+        let squares = |variance: f64| WeightedFit::of(told, x, variance).map(|fit| fit.squares);
         let mut high = told.iter().map(|one| one.value.powi(2)).fold(f64::MIN_POSITIVE, f64::max);
         let mut low = 0.0;
         // The spread is zero if the squares allow it. Otherwise bisect: the squares decrease with the
@@ -153,7 +153,7 @@ impl Fit {
         } else {
             high = 0.0;
         }
-        let fit = Weighed::of(told, x, high)?;
+        let fit = WeightedFit::of(told, x, high)?;
         let logs: f64 = told.iter().map(|one| (one.std_error.powi(2) + high).ln()).sum();
         let measured = |value, variance: f64| Measured { value, std_error: variance.sqrt(), dof };
         Some(Self {
@@ -167,7 +167,7 @@ impl Fit {
 }
 
 /// Weighted least squares with a known spread.
-struct Weighed {
+struct WeightedFit {
     slope: f64,
     slope_variance: f64,
     level: f64,
@@ -176,8 +176,8 @@ struct Weighed {
     squares: f64,
 }
 
-impl Weighed {
-    fn of(told: &[Told], x: &[f64], variance: f64) -> Option<Self> {
+impl WeightedFit {
+    fn of(told: &[RunEstimate], x: &[f64], variance: f64) -> Option<Self> {
         let rows = || {
             told.iter()
                 .zip(x)
@@ -208,14 +208,14 @@ mod tests {
     const DAY_S: f64 = 86_400.0;
 
     /// Daily runs of a known course and spread.
-    fn runs(count: usize, spread: f64, seed: u64, course: impl Fn(f64) -> f64) -> Vec<Told> {
+    fn runs(count: usize, spread: f64, seed: u64, course: impl Fn(f64) -> f64) -> Vec<RunEstimate> {
         let mut random = Pcg64::seed_from_u64(seed);
         let noise = Normal::new(0.0, 1.0).expect("a distribution");
         let told = (0..count).map(|day| {
             let std_error = if day % 3 == 0 { 0.5 } else { 0.1 };
             let error = std_error * noise.sample(&mut random);
             let value = course(day as f64) + spread * noise.sample(&mut random) + error;
-            Told { time_s: 1.78e9 + day as f64 * DAY_S, value, std_error }
+            RunEstimate { time_s: 1.78e9 + day as f64 * DAY_S, value, std_error }
         });
         told.collect()
     }

@@ -1,11 +1,11 @@
 //! Rotation encoding of a stream, given the candidate position layouts.
 
-use super::Reading;
-use super::layout::{Layout, matrix_of};
+use super::PoseEncoding;
+use super::layout::{PositionEncoding, matrix_of};
 use super::placing::ON_ARM;
 use super::reading::fit_known;
-use super::reading::{After, Fit, Logged, Samples, read};
-use super::{AxesSlip, ReadingEstimate, Seen, Unseen};
+use super::reading::{EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, read};
+use super::{AxesError, EncodingEstimate, EstimateResult, NotObservable};
 use ground::geometry::{Axes, Rotation, Vec3, angle_between};
 use ground::geometry::{Convention, QuaternionSlip};
 use nalgebra::Matrix3;
@@ -14,28 +14,33 @@ use nalgebra::Matrix3;
 pub(super) const FITS_RAD: f64 = 0.05;
 
 /// Interpretation of a stream's positions and axes, before rotations are decoded.
-pub(super) struct Way {
+pub(super) struct PositionInterpretation {
     pub metres: f64,
-    pub axes: AxesSlip,
+    pub axes: AxesError,
     pub inverted: bool,
     /// Rotation of the reference frame, if positions determine it.
     pub reference: Option<Rotation>,
 }
 
-impl Way {
+impl PositionInterpretation {
     /// Interpretations of a layout, whose residual should be small compared with the motion's `extent_m`.
-    pub fn of(layout: &Layout, extent_m: f64) -> Vec<Self> {
-        let standard = AxesSlip { positions: Axes::STANDARD, rotations: Axes::STANDARD };
+    pub fn of(layout: &PositionEncoding, extent_m: f64) -> Vec<Self> {
+        let standard = AxesError { positions: Axes::STANDARD, rotations: Axes::STANDARD };
         let way = |axes, reference| {
-            let Layout { metres, inverted, .. } = *layout;
+            let PositionEncoding { metres, inverted, .. } = *layout;
             // Positions of inverse poses are in the tool frame and do not determine the base's rotation.
-            Way { metres, axes, inverted, reference: if inverted { None } else { reference } }
+            PositionInterpretation {
+                metres,
+                axes,
+                inverted,
+                reference: if inverted { None } else { reference },
+            }
         };
         if layout.left_m > ON_ARM * extent_m {
             return vec![way(standard, None)];
         }
-        let both = |axes| AxesSlip { positions: axes, rotations: axes };
-        let positions = |axes| AxesSlip { positions: axes, ..standard };
+        let both = |axes| AxesError { positions: axes, rotations: axes };
+        let positions = |axes| AxesError { positions: axes, ..standard };
         match (layout.axes, layout.is_mirrored()) {
             (Some(axes), true) => {
                 vec![
@@ -60,13 +65,13 @@ impl Way {
 
     /// Copy with different axes for rotations only.
     pub fn with_rotations_in(&self, rotations: Axes) -> Self {
-        Way { axes: AxesSlip { rotations, ..self.axes }, ..*self }
+        PositionInterpretation { axes: AxesError { rotations, ..self.axes }, ..*self }
     }
 
-    pub fn after(&self) -> After {
+    pub fn after(&self) -> RotationCorrections {
         let axes = self.axes.rotations;
         let conjugator = (axes != Axes::STANDARD).then(|| axes.conjugator());
-        After { conjugator, inverted: self.inverted }
+        RotationCorrections { conjugator, inverted: self.inverted }
     }
 
     /// Positions in m, before any inversion.
@@ -80,48 +85,55 @@ fn rotation_of(matrix: &Matrix3<f64>) -> Rotation {
 }
 
 /// Orientations at some samples, with FK at the same times.
-pub(super) struct Turning<'a> {
-    pub logged: Logged<'a>,
+pub(super) struct OrientationSamples<'a> {
+    pub logged: LoggedRotations<'a>,
     pub fk: &'a [Rotation],
     pub reference_known: bool,
     pub are_quaternions: bool,
 }
 
-impl Turning<'_> {
+impl OrientationSamples<'_> {
     /// Estimates the rotation encoding under one interpretation. The fit includes the rotated reference.
-    pub fn read(&self, way: &Way) -> Seen<(ReadingEstimate, Fit)> {
+    pub fn read(
+        &self,
+        way: &PositionInterpretation,
+    ) -> EstimateResult<(EncodingEstimate, EncodingFit)> {
         let turned = self.turned(way);
         let (mut reading, mut fit) = read(&self.samples(way, &turned))?;
         fit.reference *= way.reference.unwrap_or_default();
-        if way.axes != AxesSlip::NONE {
+        if way.axes != AxesError::NONE {
             reading.as_logged_rad = self.as_logged_rad();
         }
         Ok((reading, fit))
     }
 
     /// Smallest residual of the simplest encodings under one interpretation, rad.
-    pub fn plain_rad(&self, way: &Way) -> f64 {
+    pub fn plain_rad(&self, way: &PositionInterpretation) -> f64 {
         let turned = self.turned(way);
         let samples = self.samples(way, &turned);
-        let simple = [Reading::AsLogged, Reading::Transposed]
+        let simple = [PoseEncoding::AsLogged, PoseEncoding::Transposed]
             .into_iter()
-            .chain(QuaternionSlip::BOTH.map(Reading::QuaternionOrder));
-        let numbers = || Convention::all().iter().map(|&one| Reading::Numbers(one));
-        let readings: Vec<Reading> = match self.logged {
-            Logged::Rotations(_) => simple.collect(),
-            Logged::Numbers(_) => numbers().collect(),
+            .chain(QuaternionSlip::BOTH.map(PoseEncoding::QuaternionOrder));
+        let numbers = || Convention::all().iter().map(|&one| PoseEncoding::Numbers(one));
+        let readings: Vec<PoseEncoding> = match self.logged {
+            LoggedRotations::Rotations(_) => simple.collect(),
+            LoggedRotations::Numbers(_) => numbers().collect(),
         };
         let fits = readings.into_iter().filter_map(|reading| fit_known(&samples, reading));
         fits.map(|fit| fit.residual_rad).fold(f64::INFINITY, f64::min)
     }
 
-    pub fn turned(&self, way: &Way) -> Vec<Rotation> {
+    pub fn turned(&self, way: &PositionInterpretation) -> Vec<Rotation> {
         let reference = way.reference.unwrap_or_default();
         self.fk.iter().map(|fk| reference * fk).collect()
     }
 
-    pub fn samples<'s>(&'s self, way: &Way, turned: &'s [Rotation]) -> Samples<'s> {
-        Samples {
+    pub fn samples<'s>(
+        &'s self,
+        way: &PositionInterpretation,
+        turned: &'s [Rotation],
+    ) -> RotationSamples<'s> {
+        RotationSamples {
             logged: self.logged,
             fk: turned,
             reference_free: way.reference.is_none(),
@@ -133,20 +145,24 @@ impl Turning<'_> {
 
     /// Rms angle between rotations as logged and FK, rad.
     pub fn as_logged_rad(&self) -> Option<f64> {
-        let Logged::Rotations(logged) = self.logged else { return None };
+        let LoggedRotations::Rotations(logged) = self.logged else { return None };
         let squares = logged.iter().zip(self.fk).map(|(a, b)| angle_between(a, b).powi(2));
         Some((squares.sum::<f64>() / logged.len().max(1) as f64).sqrt())
     }
 
     /// Selects the interpretation under which rotations fit best, with their encoding.
-    pub fn best(&self, ways: Vec<Way>) -> Seen<(Way, ReadingEstimate, Fit)> {
+    pub fn best(
+        &self,
+        ways: Vec<PositionInterpretation>,
+    ) -> EstimateResult<(PositionInterpretation, EncodingEstimate, EncodingFit)> {
         /// Minimum improvement factor for different axes of rotations only.
         const BETTER: f64 = 5.0;
-        let mut best: Option<(Way, ReadingEstimate, Fit)> = None;
-        let mut why = Unseen::NoOrientation;
+        let mut best: Option<(PositionInterpretation, EncodingEstimate, EncodingFit)> = None;
+        let mut why = NotObservable::NoOrientation;
         // If positions determine the frame and have standard axes, rotations may still have different ones.
-        let is_told = |way: &&Way| way.reference.is_some() && way.axes == AxesSlip::NONE;
-        let told = ways.iter().find(is_told).map(|way| Way { ..*way });
+        let is_told =
+            |way: &&PositionInterpretation| way.reference.is_some() && way.axes == AxesError::NONE;
+        let told = ways.iter().find(is_told).map(|way| PositionInterpretation { ..*way });
         for way in ways {
             let (reading, fit) = match self.read(&way) {
                 Ok(found) => found,
@@ -156,10 +172,10 @@ impl Turning<'_> {
                 }
             };
             // Reversed joints may mirror positions, but then rotations do not fit.
-            if way.axes != AxesSlip::NONE && fit.residual_rad > FITS_RAD {
+            if way.axes != AxesError::NONE && fit.residual_rad > FITS_RAD {
                 continue;
             }
-            let order = |fit: &Fit| match fit.residual_rad <= FITS_RAD {
+            let order = |fit: &EncodingFit| match fit.residual_rad <= FITS_RAD {
                 true => (0, f64::from(fit.frames.count())),
                 false => (1, fit.residual_rad),
             };

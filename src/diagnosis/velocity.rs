@@ -5,9 +5,9 @@
 //! differentiated, so encoder noise enters only twice per window and velocity noise averages out.
 
 use super::latency::median_period_s;
-use super::response::{Changes, Curve, slopes};
+use super::response::{ResponseChanges, TimeSeries, slopes};
 use super::sampling::stretches;
-use super::{Response, Unseen};
+use super::{NotObservable, Response};
 use ground::stats::Measured;
 use ground::stream::sample_noise;
 
@@ -75,10 +75,10 @@ const MOST_LAG_S: f64 = 0.5;
 pub fn diagnose_velocity(
     joints: &[VelocitySamples<'_>],
     index: usize,
-) -> Result<VelocityDiagnosis, Unseen> {
-    let own = joints.get(index).ok_or(Unseen::AtRest)?;
-    let windows = Windows::of(own)?;
-    let Windows { noise, ref changes, ref moved, .. } = windows;
+) -> Result<VelocityDiagnosis, NotObservable> {
+    let own = joints.get(index).ok_or(NotObservable::AtRest)?;
+    let windows = VelocityWindows::of(own)?;
+    let VelocityWindows { noise, ref changes, ref moved, .. } = windows;
     let (compared, rate_square) = (moved.len() as f64, mean_square(moved) - 2.0 * noise.position);
     let by_noise = noise.of_window(windows.window_s, mean_square(moved)) / rate_square;
     let error_of = |moved: &[f64]| {
@@ -87,7 +87,7 @@ pub fn diagnose_velocity(
     };
     let as_recorded = error_of(moved);
     let half_s = 0.5 * median_period_s(own.t_s);
-    let curve = Curve::new(own.t_s.to_vec(), vec![own.position.to_vec()]);
+    let curve = TimeSeries::new(own.t_s.to_vec(), vec![own.position.to_vec()]);
     // A difference of two samples is the rate midway between them.
     let of_difference = [-half_s, half_s]
         .map(|delay_s| changes.references(&curve, delay_s))
@@ -149,17 +149,17 @@ impl Noise {
 
 /// Compared quantities of a joint.
 #[derive(Debug)]
-struct Windows {
+struct VelocityWindows {
     window_s: f64,
     /// Integrals of the velocity.
-    changes: Changes,
+    changes: ResponseChanges,
     /// Changes of position over the same windows, rad or m.
     moved: Vec<f64>,
     noise: Noise,
 }
 
-impl Windows {
-    fn of(joint: &VelocitySamples<'_>) -> Result<Self, Unseen> {
+impl VelocityWindows {
+    fn of(joint: &VelocitySamples<'_>) -> Result<Self, NotObservable> {
         /// Minimum travel of a moving joint, rad or m.
         const MOVES: f64 = 5e-3;
         /// Minimum number of windows.
@@ -173,7 +173,7 @@ impl Windows {
             .filter(|&row| joint.velocity[row].is_finite() && joint.position[row].is_finite())
             .collect();
         if known.len() < NEED {
-            return Err(Unseen::TooFewSamples { have: known.len(), need: NEED });
+            return Err(NotObservable::TooFewSamples { have: known.len(), need: NEED });
         }
         let of = |values: &[f64]| known.iter().map(|&row| values[row]).collect::<Vec<f64>>();
         let (t_s, q, v) = (of(joint.t_s), of(joint.position), of(joint.velocity));
@@ -182,7 +182,7 @@ impl Windows {
         let integral = Integral::of(&t_s, &v);
         let mut noise = noise(&t_s, &q, &v);
         if most - least < MOVES.max(8.0 * noise.position.sqrt()) {
-            return Err(Unseen::AtRest);
+            return Err(NotObservable::AtRest);
         }
         let mut window_s = LENGTHS_S.0.max(4.0 * median_period_s(&t_s));
         loop {
@@ -193,7 +193,7 @@ impl Windows {
             if is_clear || window_s >= LENGTHS_S.1 {
                 let is_enough = moved.len() >= NEED && square > 4.0 * noise.position;
                 let found = Self { window_s, changes, moved, noise };
-                return if is_enough { Ok(found) } else { Err(Unseen::AtRest) };
+                return if is_enough { Ok(found) } else { Err(NotObservable::AtRest) };
             }
             window_s = (LONGER * window_s).min(LENGTHS_S.1.max(window_s));
         }
@@ -279,11 +279,11 @@ impl Integral {
         q: &[f64],
         breaks: &[f64],
         window_s: f64,
-    ) -> (Changes, Vec<f64>, f64) {
+    ) -> (ResponseChanges, Vec<f64>, f64) {
         let [cubic, straight] =
             [0, 1].map(|kind| self.at.iter().map(|at| at[kind]).collect::<Vec<f64>>());
         let span = (t_s.first().copied().unwrap_or(0.0), t_s.last().copied().unwrap_or(0.0));
-        let all = Changes::of(t_s, &[cubic, straight, q.to_vec()], span, window_s);
+        let all = ResponseChanges::of(t_s, &[cubic, straight, q.to_vec()], span, window_s);
         let gap_s = GAP * median_period_s(t_s);
         // Velocity in a gap and position across a break are unknown.
         let is_gap = |pair: &&[f64]| {
@@ -294,7 +294,7 @@ impl Integral {
             let next = gaps.partition_point(|gap_s| *gap_s < window.0);
             gaps.get(next).is_none_or(|gap_s| *gap_s >= window.1)
         };
-        let mut changes = Changes { width: 1, ..Changes::default() };
+        let mut changes = ResponseChanges { width: 1, ..ResponseChanges::default() };
         let (mut moved, mut square) = (Vec::new(), 0.0);
         for (&window, by) in all.windows.iter().zip(&all.by).filter(|(window, _)| is_whole(window))
         {
@@ -312,15 +312,15 @@ impl Integral {
 fn shape(
     joints: &[VelocitySamples<'_>],
     index: usize,
-    windows: &Windows,
-    curve: &Curve,
+    windows: &VelocityWindows,
+    curve: &TimeSeries,
     by_noise: f64,
 ) -> VelocityShape {
     /// Maximum rms relative to the derivatives for zero velocities.
     const NONE: f64 = 0.02;
     /// Maximum share of the squared error that remains after a cause.
     const LEFT: f64 = 0.2;
-    let Windows { changes, moved, .. } = windows;
+    let VelocityWindows { changes, moved, .. } = windows;
     let by: Vec<f64> = changes.by.iter().map(|by| by[0]).collect();
     let (own, rates) = (mean_square(&by), mean_square(moved));
     if own <= NONE * NONE * rates {
@@ -331,11 +331,11 @@ fn shape(
     let allowed = (LEFT * mean_square(&errors) + by_noise).min(0.5 * own) / own;
     let signed = |sign: f64| {
         let by = changes.by.iter().map(|by| by.map(|by| sign * by)).collect();
-        Changes { by, ..changes.clone() }
+        ResponseChanges { by, ..changes.clone() }
     };
     let along: f64 = by.iter().zip(moved).map(|(by, moved)| by * moved).sum();
     let sign = if along < 0.0 { -1.0 } else { 1.0 };
-    let gain_of = |curve: &Curve| {
+    let gain_of = |curve: &TimeSeries| {
         let fits = [1.0, -1.0].map(|sign| (sign, signed(sign).gain(curve)));
         let [(sign, (gain, left)), _] = match fits[0].1.1 <= fits[1].1.1 {
             true => fits,
@@ -349,7 +349,8 @@ fn shape(
     }
     let of_others = joints.iter().enumerate().filter(|(other, _)| *other != index);
     let of_others = of_others.filter(|(_, joint)| joint.t_s.len() > 1).map(|(other, joint)| {
-        let (gain, left) = gain_of(&Curve::new(joint.t_s.to_vec(), vec![joint.position.to_vec()]));
+        let (gain, left) =
+            gain_of(&TimeSeries::new(joint.t_s.to_vec(), vec![joint.position.to_vec()]));
         (left, other, gain)
     });
     let other = of_others.min_by(|a, b| a.0.total_cmp(&b.0));

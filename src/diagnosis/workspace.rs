@@ -70,7 +70,7 @@ impl JointSpan {
 
 /// Cell of the reach map.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Place {
+pub struct ReachCell {
     /// Number of samples.
     pub samples: usize,
     /// Dwell time of the tip, s.
@@ -99,7 +99,7 @@ pub struct ReachedPose {
 pub struct Workspace {
     /// Reached cells by their indices along x, y and z of the base. Cell `i` extends from `i · CELL_M` to
     /// `(i + 1) · CELL_M`.
-    pub places: BTreeMap<[i32; 3], Place>,
+    pub places: BTreeMap<[i32; 3], ReachCell>,
     /// Distinct poses and configurations in order of time. Within a cell they differ by [`APART_RAD`] in
     /// orientation or by [`JOINT_APART`] in a joint.
     pub poses: Vec<ReachedPose>,

@@ -11,7 +11,7 @@ use super::poses::{Declared, ImuEvidence, PoseEvidence, euler, rotation_unread};
 use super::shake::{ShakeEvidence, shake_of_joints, shake_of_poses};
 use super::{Of, of_arm, span_in};
 use crate::diagnosis::{
-    ArmDiagnosis, JointDiagnosis, JointScale, PoseDiagnosis, Unseen, proof, proof_of_imu,
+    ArmDiagnosis, JointDiagnosis, JointScale, NotObservable, PoseDiagnosis, proof, proof_of_imu,
 };
 use crate::finding::{Span, Subject, Unit};
 use crate::run::{BetterModel, PoseSource, Run, RunOptions, Witness};
@@ -138,7 +138,7 @@ pub(super) fn arm_evidence(
     let joints_stream = arm.joint_facts.first().map_or(0, |facts| facts.stream);
     let ArmDiagnosis { joints: found, streams } = diagnosis.arm;
     let mended = found.as_named().corrected_joints(&arm.joints, &arm.slides());
-    let is_read = !matches!(found.reading, Err(Unseen::NotExcited));
+    let is_read = !matches!(found.reading, Err(NotObservable::NotExcited));
     let most_lag_s = options.max_latency_s;
     let of_poses = |source: &PoseSource, found: PoseDiagnosis, euler| PoseEvidence {
         proof: proof(&arm.joints, &mended, &run.pose_stream(source), &found),
@@ -206,7 +206,7 @@ pub(super) fn arm_evidence(
     };
     let of_stream = |(source, mut found): (&PoseSource, PoseDiagnosis)| {
         if run.streams[source.stream].holds_no_rotation() {
-            found.reading = Err(Unseen::NoOrientation);
+            found.reading = Err(NotObservable::NoOrientation);
         }
         let in_other_units = matches!(found.length, Ok(Some(_)));
         let shake = shake_of_poses(&source.track, &found, &arm.joints);

@@ -3,8 +3,8 @@
 use super::poses::PoseEvidence;
 use super::{Of, of_arm, span_of};
 use crate::diagnosis::{
-    Aligned, CommandDelay, CommandedArm, Commands, PoseDiagnosis, PoseSeries, ReferenceDiagnosis,
-    Seen, diagnose_reference, joint_delays, pose_delay, unnamed_order,
+    AlignedSamples, CommandDelay, CommandedArm, Commands, EstimateResult, PoseDiagnosis,
+    PoseSeries, ReferenceDiagnosis, diagnose_reference, joint_delays, pose_delay, unnamed_order,
 };
 use crate::finding::Subject;
 use crate::geometry::Pose;
@@ -23,7 +23,7 @@ pub struct ReferenceEvidence {
     /// Sources of the actual tip pose, one per entry of the gaps and of a line's observations.
     pub witnesses: Vec<ReferenceWitness>,
     /// Diagnosis, or the reason why the commands cannot be compared with the arm.
-    pub diagnosis: Result<Seen<ReferenceDiagnosis>, String>,
+    pub diagnosis: Result<EstimateResult<ReferenceDiagnosis>, String>,
     /// Delay from command to state, per commanded joint or for the tip. Empty if the commands cannot be
     /// compared with the arm.
     pub delays: Vec<CommandDelay>,
@@ -180,7 +180,7 @@ fn diagnose(
     content: &ReferenceContent,
     witnesses: &[PoseSeries],
     most_lag_s: f64,
-) -> Result<(Seen<ReferenceDiagnosis>, Vec<CommandDelay>), String> {
+) -> Result<(EstimateResult<ReferenceDiagnosis>, Vec<CommandDelay>), String> {
     let (commands, delays) = match content {
         ReferenceContent::Poses { track, .. } => {
             let series = PoseSeries::of_track(track).ok_or("its rotations are bare numbers")?;
@@ -229,7 +229,7 @@ fn of_stream(
         return Vec::new();
     }
     let latency_s = found.latency_s.as_ref().map_or(0.0, |latency| latency.value);
-    let series = |poses: fn(&Aligned) -> &Vec<Pose>| PoseSeries {
+    let series = |poses: fn(&AlignedSamples) -> &Vec<Pose>| PoseSeries {
         t_s: found.aligned.t_s.iter().map(|t_s| t_s - latency_s).collect(),
         poses: poses(&found.aligned)
             .iter()

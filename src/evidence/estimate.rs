@@ -3,9 +3,9 @@
 use rayon::prelude::*;
 
 use crate::diagnosis::{
-    ArmDiagnosis, DhEstimate, DhStream, DhTold, ImuDiagnosis, Left, PoseDiagnosis, PoseStream,
-    Residual, Unseen, diagnose_derived, diagnose_imu_steadied, diagnose_steadied, faults, follows,
-    position_misfit_m, steadied,
+    ArmDiagnosis, DhComparison, DhConventionResult, DhResidual, DhStreamResiduals, ImuDiagnosis,
+    NotObservable, PoseDiagnosis, PoseStream, StreamResidual, diagnose_derived,
+    diagnose_imu_steadied, diagnose_steadied, faults, follows, position_misfit_m, steadied,
 };
 use crate::robot::DhConvention;
 use crate::run::{Arm, ImuSource, Run, retake_carried, together};
@@ -17,7 +17,7 @@ pub struct DhEvidence {
     /// Declared convention.
     pub declared: DhConvention,
     /// Residuals of the streams under either convention.
-    pub estimate: DhEstimate,
+    pub estimate: DhComparison,
 }
 
 /// Diagnosis of one arm.
@@ -41,7 +41,7 @@ pub(super) fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<Diagnosis> {
         let Some(dh) = &run.arms[index].robot.dh else { return found };
         let declared = dh.convention;
         let (estimate, other) = by_other_convention(run, &run.arms[index], &found.arm, most_lag_s);
-        let is_other = estimate.told() == DhTold::Other;
+        let is_other = estimate.told() == DhConventionResult::Other;
         let dh = Some(DhEvidence { declared, estimate });
         match other.filter(|_| is_other) {
             Some((mut arm, other)) => {
@@ -63,21 +63,25 @@ fn by_other_convention(
     arm: &Arm,
     found: &ArmDiagnosis,
     most_lag_s: f64,
-) -> (DhEstimate, Option<(Arm, Diagnosis)>) {
+) -> (DhComparison, Option<(Arm, Diagnosis)>) {
     /// Maximum position misfit of a possible convention, m, …
     const NEAR_M: f64 = 0.02;
     /// … or relative to the declared one.
     const NEARER: f64 = 0.5;
-    let declared = Left::of(found);
-    let mut estimate = DhEstimate {
+    let declared = DhResidual::of(found);
+    let mut estimate = DhComparison {
         streams: declared
             .iter()
-            .map(|&declared| DhStream { declared, declared_positions_m: None, other: None })
+            .map(|&declared| DhStreamResiduals {
+                declared,
+                declared_positions_m: None,
+                other: None,
+            })
             .collect(),
         declared_faults: faults(found),
         other_faults: 0,
     };
-    if estimate.declared_faults == 0 && declared.iter().any(Left::is_explained) {
+    if estimate.declared_faults == 0 && declared.iter().any(DhResidual::is_explained) {
         return (estimate, None);
     }
     let misfits_m = |arm: &Arm| -> Vec<Option<f64>> {
@@ -101,12 +105,12 @@ fn by_other_convention(
         both.is_some_and(|(declared_m, other_m)| other_m > NEAR_M && other_m > NEARER * declared_m)
     });
     let ruled_out: Vec<bool> = ruled_out.collect();
-    let contradicts = |(left, ruled_out): (&Left, &bool)| left.is_explained() && *ruled_out;
+    let contradicts = |(left, ruled_out): (&DhResidual, &bool)| left.is_explained() && *ruled_out;
     if declared.iter().zip(&ruled_out).any(contradicts) || ruled_out.iter().all(|is| *is) {
         return (estimate, None);
     }
     let diagnosis = diagnose_one(run, &other, most_lag_s);
-    for (stream, left) in estimate.streams.iter_mut().zip(Left::of(&diagnosis.arm)) {
+    for (stream, left) in estimate.streams.iter_mut().zip(DhResidual::of(&diagnosis.arm)) {
         stream.other = Some(left);
     }
     estimate.other_faults = faults(&diagnosis.arm);
@@ -136,7 +140,7 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
     let reading = diagnosis.joints.reading.as_ref().ok();
     let derived = |stream: &PoseStream| {
         let left = |found: &PoseDiagnosis| {
-            found.residual.as_ref().map_or(f64::INFINITY, Residual::together_m)
+            found.residual.as_ref().map_or(f64::INFINITY, StreamResidual::together_m)
         };
         let found = diagnose_derived(&arm.joints, reading, stream, most_lag_s);
         // The publisher of the log's transforms does not apply corrections.
@@ -163,9 +167,9 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
     };
     let imu = |source: &ImuSource| match &diagnosis.joints.reading {
         // Without a valid interpretation of the joint states, FK is meaningless.
-        Err(Unseen::NotExcited) => {
-            ImuDiagnosis::unseen(&Unseen::RestsOn("the order and the unit of the joint positions"))
-        }
+        Err(NotObservable::NotExcited) => ImuDiagnosis::unseen(&NotObservable::RestsOn(
+            "the order and the unit of the joint positions",
+        )),
         _ => diagnose_imu_steadied(&corrected, source.as_stream(), most_lag_s),
     };
     let (tf, imus) = rayon::join(tf, || arm.imus.iter().map(imu).collect());
@@ -174,6 +178,6 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
 
 /// Corrected joint states of an arm. `None` if no interpretation of them fits its poses.
 pub(super) fn readable_joints(arm: &Arm, found: &ArmDiagnosis) -> Option<JointTrack> {
-    let is_unread = matches!(found.joints.reading, Err(Unseen::NotExcited));
+    let is_unread = matches!(found.joints.reading, Err(NotObservable::NotExcited));
     (!is_unread).then(|| found.joints.corrected_joints(&arm.joints, &arm.slides()))
 }

@@ -1,7 +1,7 @@
 //! Hand-eye evidence: each target seen by a camera, compared with a hand.
 
 use crate::diagnosis::{
-    HandEyeDiagnosis, HandEyeStreams, Mount, PoseSeries, diagnose_hand_eye, turning_peaks,
+    CameraMount, HandEyeDiagnosis, HandEyeStreams, PoseSeries, diagnose_hand_eye, turning_peaks,
 };
 use crate::finding::{Span, Subject};
 use crate::run::{CameraAxes, HandKind, HandSource, Run, TargetSource};
@@ -31,17 +31,17 @@ pub struct HandEyeEvidence {
     /// Expected axes of the camera, if the log's frames determine them.
     pub axes: Option<CameraAxes>,
     /// Mount of the camera according to the log's frames.
-    pub logged: Option<Mount>,
+    pub logged: Option<CameraMount>,
     /// Diagnosis.
     pub diagnosis: HandEyeDiagnosis,
 }
 
 impl HandEyeEvidence {
     /// Parent frame of a camera on this mount, if declared.
-    pub fn parent_of(&self, mount: Mount) -> Option<String> {
+    pub fn parent_of(&self, mount: CameraMount) -> Option<String> {
         let frame = match mount {
-            Mount::InHand => &self.hand_frame,
-            Mount::InBase => &self.base,
+            CameraMount::InHand => &self.hand_frame,
+            CameraMount::InBase => &self.base,
         };
         Some(frame.clone()).filter(|frame| !frame.is_empty())
     }
@@ -67,8 +67,8 @@ pub(super) fn hand_eyes(
     let facts = run.targets.iter().filter_map(|target| {
         let series = PoseSeries::of_track(&target.track)?;
         let (source, hand) = best_hand(target, &series, &joints, most_lag_s)?;
-        let in_hand = source.hand_from_camera.map(|pose| (Mount::InHand, pose));
-        let in_base = source.base_from_camera.map(|pose| (Mount::InBase, pose));
+        let in_hand = source.hand_from_camera.map(|pose| (CameraMount::InHand, pose));
+        let in_base = source.base_from_camera.map(|pose| (CameraMount::InBase, pose));
         let streams = HandEyeStreams {
             hand: &hand,
             target: &series,

@@ -5,9 +5,9 @@ use std::f64::consts::TAU;
 use rayon::prelude::*;
 
 use crate::diagnosis::{
-    Abruptness, Excess, JointDiagnosis, Seen, Series, VelocityDiagnosis, VelocitySamples,
-    abruptness, beyond_positions, beyond_speed, beyond_speed_of_positions, diagnose_velocity,
-    encoder_step, stretches,
+    EstimateResult, JointDiagnosis, JointSampleKind, LimitViolation, PeakAcceleration,
+    VelocityDiagnosis, VelocitySamples, abruptness, beyond_positions, beyond_speed,
+    beyond_speed_of_positions, diagnose_velocity, encoder_step, stretches,
 };
 use crate::robot::{JointKind, Limits};
 use crate::run::{Arm, JointMending, JointSamples, Run, Velocities};
@@ -24,7 +24,7 @@ pub struct JointEvidence {
     /// Motion over all samples.
     pub motion: JointMotion,
     /// Recorded velocities compared with recorded positions. `None` without velocities.
-    pub velocity: Option<Seen<VelocityDiagnosis>>,
+    pub velocity: Option<EstimateResult<VelocityDiagnosis>>,
     /// Actual content of its positions, if the pose streams show it: index of the joint that they belong
     /// to, and a factor.
     pub really: Option<(usize, f64)>,
@@ -34,14 +34,14 @@ pub struct JointEvidence {
 #[derive(Clone, Debug, Default)]
 pub struct JointMotion {
     /// Violation of its position limits.
-    pub positions: Option<Excess>,
+    pub positions: Option<LimitViolation>,
     /// Number of full turns by which it is beyond its limits throughout the run; positive beyond the upper
     /// limit.
     pub turns_beyond: Option<f64>,
     /// Violation of its speed limit.
-    pub speeds: Option<Excess>,
+    pub speeds: Option<LimitViolation>,
     /// Largest acceleration. `None` if its samples do not allow an estimate.
-    pub abruptness: Option<Abruptness>,
+    pub abruptness: Option<PeakAcceleration>,
     /// Whether it rotates without limits, according to the model or the log.
     pub is_endless: bool,
 }
@@ -99,12 +99,12 @@ pub(super) fn joint_evidence(
         (motion.speeds, motion.abruptness) = match source.velocities {
             Velocities::Logged | Velocities::Near => (
                 beyond_speed(t_s, velocity, &limits),
-                abruptness(t_s, velocity, Series::Velocities, 0.0),
+                abruptness(t_s, velocity, JointSampleKind::Velocities, 0.0),
             ),
             Velocities::Derived => {
                 let step = encoder_step(position);
                 let beyond = beyond_speed_of_positions(t_s, position, &limits, step);
-                (beyond, abruptness(t_s, position, Series::Positions, step))
+                (beyond, abruptness(t_s, position, JointSampleKind::Positions, step))
             }
         };
     }
@@ -151,7 +151,7 @@ pub(super) fn breaks(found: &JointDiagnosis, joints: usize) -> Vec<Vec<f64>> {
 pub(super) fn velocities(
     recorded: &[JointSamples<'_>],
     breaks: &[Vec<f64>],
-) -> Vec<Option<Seen<VelocityDiagnosis>>> {
+) -> Vec<Option<EstimateResult<VelocityDiagnosis>>> {
     /// Maximum number of samples used.
     const ENOUGH: usize = 24_000;
     let some = |of: &[f64]| -> Vec<f64> {

@@ -1,6 +1,9 @@
 //! Pose streams and IMUs of an arm.
 
-use crate::diagnosis::{Alternation, ImuDiagnosis, ImuProof, PoseDiagnosis, Proof, Reading, Seen};
+use crate::diagnosis::{
+    EstimateResult, ImuDiagnosis, ImuResidualCheck, PoseDiagnosis, PoseEncoding, ResidualCheck,
+    ToolSwitching,
+};
 use crate::geometry::{AngleUnit, Coding, Convention, LengthScale, Rotation};
 use crate::log::RotationLabels;
 use crate::run::{Declaration, PoseSource, Role, Run, Stream, Witness};
@@ -22,7 +25,7 @@ pub struct PoseEvidence {
     /// Source of the poses.
     pub witness: Witness,
     /// Direct comparison with FK.
-    pub proof: Seen<Proof>,
+    pub proof: EstimateResult<ResidualCheck>,
     /// Whether its stamps are independent rather than copies of the joints' stamps.
     pub independent: bool,
     /// Whether its rotations are bare numbers, which may be degrees.
@@ -41,7 +44,7 @@ pub struct PoseEvidence {
     pub rotation_unread: Vec<String>,
     /// Rigid bodies on the tool between which its poses alternate, if any. All other estimates refer to the
     /// most frequent one.
-    pub alternation: Option<Alternation>,
+    pub alternation: Option<ToolSwitching>,
     /// Diagnosis.
     pub diagnosis: PoseDiagnosis,
 }
@@ -75,7 +78,7 @@ pub struct ImuEvidence {
     /// Its orientation in that link according to the log's frames, if given.
     pub link_from_imu: Option<Rotation>,
     /// Direct comparison with FK. `None` if it does not rotate with the arm.
-    pub proof: Option<ImuProof>,
+    pub proof: Option<ImuResidualCheck>,
     /// Diagnosis.
     pub diagnosis: ImuDiagnosis,
 }
@@ -98,8 +101,8 @@ pub(super) fn euler(
     let declared = declared.iter().find(names);
     let reading = found.reading.as_ref().ok().filter(|reading| reading.is_told);
     let told = reading.and_then(|reading| match reading.best {
-        Reading::Numbers(convention) => Some(convention),
-        _ => Some(reading.best.misreading()?.is),
+        PoseEncoding::Numbers(convention) => Some(convention),
+        _ => Some(reading.best.misinterpretation()?.is),
     });
     let said = declared.and_then(|declared| match declared.coding {
         Coding::Three(convention) => Some(convention),

@@ -1,6 +1,8 @@
 //! Vibration of the tip.
 
-use crate::diagnosis::{Aligned, NoShake, PoseDiagnosis, Shake, encoder_step, shake};
+use crate::diagnosis::{
+    AlignedSamples, PoseDiagnosis, Vibration, VibrationFailure, encoder_step, shake,
+};
 use crate::geometry::Pose;
 use crate::run::{Arm, JointSamples};
 use crate::stream::{JointTrack, PoseTrack};
@@ -11,7 +13,7 @@ pub struct ShakeEvidence {
     /// Whether its positions are in a wrong unit.
     pub in_other_units: bool,
     /// Vibration, or the reason why it cannot be estimated.
-    pub shake: Result<Shake, NoShake>,
+    pub shake: Result<Vibration, VibrationFailure>,
 }
 
 /// Vibration of the tip according to a pose stream, excluding the surroundings of latency steps, which also
@@ -20,15 +22,17 @@ pub(super) fn shake_of_poses(
     track: &PoseTrack,
     found: &PoseDiagnosis,
     joints: &JointTrack,
-) -> Result<Shake, NoShake> {
+) -> Result<Vibration, VibrationFailure> {
     /// Maximum interval of joint states that resolve the commanded motion, s.
     const APART_S: f64 = 0.04;
     /// Rows closer to a latency step are excluded, s.
     const BESIDE_S: f64 = 0.1;
-    let Aligned { t_s: known_s, corrected, fk_at_truth, .. } = &found.aligned;
+    let AlignedSamples { t_s: known_s, corrected, fk_at_truth, .. } = &found.aligned;
     if found.inverted {
         // In an inverted pose, rotations of the tool also move the position.
-        let at = |poses: &[Pose], row: usize| found.taken.back(&poses[row]).translation.vector;
+        let at = |poses: &[Pose], row: usize| {
+            found.frame_correction.invert(&poses[row]).translation.vector
+        };
         let going = |row: usize| at(fk_at_truth, row);
         return shake(known_s, |row| at(corrected, row), Some(&going));
     }
@@ -40,7 +44,7 @@ pub(super) fn shake_of_poses(
     let going = |row: usize| {
         let after = known_s.partition_point(|known_s| *known_s < t_s[row]);
         let nearest = after.min(known_s.len() - 1);
-        found.taken.back(&fk_at_truth[nearest]).translation.vector
+        found.frame_correction.invert(&fk_at_truth[nearest]).translation.vector
     };
     // Too few aligned samples do not determine the commanded motion.
     let span_s = joints.span().map_or(f64::INFINITY, |(first, last)| last - first);
@@ -55,7 +59,7 @@ pub(super) fn shake_of_joints(
     arm: &Arm,
     samples: &[JointSamples<'_>],
     track: &JointTrack,
-) -> Result<Shake, NoShake> {
+) -> Result<Vibration, VibrationFailure> {
     /// Maximum ratio of local to overall rms of quantisation noise.
     const BEYOND: f64 = 1.5;
     let mut q = vec![0.0; arm.columns.len()];
@@ -72,7 +76,7 @@ pub(super) fn shake_of_joints(
     // Encoder quantisation is not white: uniform motion turns it into tones.
     let hidden_m = BEYOND * by_encoders(arm, samples, track);
     let rms_m = if found.rms_m < hidden_m { 0.0 } else { found.rms_m };
-    Ok(Shake { rms_m, resolved_m: found.resolved_m.max(hidden_m), ..found })
+    Ok(Vibration { rms_m, resolved_m: found.resolved_m.max(hidden_m), ..found })
 }
 
 /// Rms effect of the joint encoders' quantisation on the tip, m.

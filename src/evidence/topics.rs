@@ -1,7 +1,7 @@
 //! Topics and frames that are missing, unreadable or not audited, with reasons.
 
 use super::{Of, of};
-use crate::diagnosis::{ArmDiagnosis, Unseen};
+use crate::diagnosis::{ArmDiagnosis, NotObservable};
 use crate::finding::Subject;
 use crate::log::Repeat;
 use crate::robot::RobotError;
@@ -99,7 +99,7 @@ pub(super) fn frames(run: &Run) -> FrameEvidence {
 pub(super) fn unset(run: &Run, arm: &Arm, found: &ArmDiagnosis) -> Vec<Unaudited> {
     let streams = arm.poses.iter().zip(&found.streams);
     let unset = streams.filter(|(source, found)| {
-        matches!(found.reading, Err(Unseen::OrientationNotSet))
+        matches!(found.reading, Err(NotObservable::OrientationNotSet))
             && !run.streams[source.stream].holds_no_rotation()
     });
     let why = WhyNot::NoOrientation;

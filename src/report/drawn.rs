@@ -10,8 +10,8 @@ use super::figures::{
 };
 use crate::checks::reading_names;
 use crate::diagnosis::{
-    LatencyCourse, Measured, Reading, ReadingEstimate, Residuals, Seen, residual_by_latency,
-    turning_by_latency,
+    EncodingEstimate, EstimateResult, LatencyProfile, Measured, PoseDistances, PoseEncoding,
+    residual_by_latency, turning_by_latency,
 };
 use crate::evidence::{ArmEvidence, ImuEvidence, Of, PoseEvidence, RunEvidence, frame_of_several};
 use crate::finding::Finding;
@@ -81,7 +81,7 @@ impl Clock<'_> {
         t_s + self.run.origin.seconds_since(self.start)
     }
 
-    fn course(&self, course: &Seen<LatencyCourse>) -> Vec<CoursePoint> {
+    fn course(&self, course: &EstimateResult<LatencyProfile>) -> Vec<CoursePoint> {
         let windows = course.as_ref().map_or(&[][..], |course| &course.windows);
         let point = |&(t_s, latency): &(f64, Measured)| CoursePoint {
             t_s: self.of_origin_s(t_s),
@@ -101,7 +101,7 @@ fn pose(
 ) -> PoseFigure {
     let found = &facts.diagnosis;
     let aligned = &found.aligned;
-    let before = if facts.reference_known { aligned.before() } else { Residuals::default() };
+    let before = if facts.reference_known { aligned.before() } else { PoseDistances::default() };
     let after = aligned.after();
     let stream = clock.run.pose_stream(source);
     let valley = residual_by_latency(joints, &stream, found).into_iter();
@@ -122,14 +122,14 @@ fn pose(
     }
 }
 
-fn scores(reading: &Seen<ReadingEstimate>) -> Vec<ReadingScore> {
+fn scores(reading: &EstimateResult<EncodingEstimate>) -> Vec<ReadingScore> {
     let Ok(reading) = reading else { return Vec::new() };
     let best = reading_names(&reading.best);
-    let score = |(one, rms_rad): &(Reading, f64)| {
+    let score = |(one, rms_rad): &(PoseEncoding, f64)| {
         let names = reading_names(one);
         let is_best = names == best;
         ReadingScore {
-            is_as_logged: matches!(one, Reading::AsLogged),
+            is_as_logged: matches!(one, PoseEncoding::AsLogged),
             is_best,
             is: names.is,
             read_as: names.read_as,

@@ -1,6 +1,6 @@
 //! Selects the catalogue arm of a log if several have its joint names.
 
-use crate::diagnosis::{Needs, Way};
+use crate::diagnosis::{FitAssumption, HypothesisFit};
 use crate::finding::Unit;
 use crate::robot::{Robot, catalogue};
 
@@ -32,7 +32,7 @@ pub(super) struct Standing {
     /// Score of its residual and assumptions; lower is better.
     pub score: f64,
     /// Its best fit.
-    pub way: Way,
+    pub way: HypothesisFit,
     /// Rms distance of the positions from their mean, m.
     pub spread_m: f64,
     /// Residual of the positions as logged, m.
@@ -61,13 +61,13 @@ impl Standing {
         let left = Unit::Metre.show(self.way.left_m);
         match self.way.needs {
             _ if self.way.misread => format!("{left} with inverted poses or joints in degrees"),
-            Needs::Nothing => left,
-            Needs::Tool => {
+            FitAssumption::Nothing => left,
+            FitAssumption::Tool => {
                 format!("{left} with a TCP of {}", Unit::Metre.show(self.way.tool_m.norm()))
             }
-            Needs::HalfTurn { .. } => format!("{left} in a base turned by 180°"),
-            Needs::Zero { .. } => format!("{left} with a joint zero offset"),
-            Needs::Reference { .. } => format!("{left} in another frame"),
+            FitAssumption::HalfTurn { .. } => format!("{left} in a base turned by 180°"),
+            FitAssumption::Zero { .. } => format!("{left} with a joint zero offset"),
+            FitAssumption::Reference { .. } => format!("{left} in another frame"),
         }
     }
 }
@@ -299,9 +299,9 @@ mod tests {
         UR.map(str::to_owned).to_vec()
     }
 
-    fn standing(model: usize, needs: Needs, left_m: f64, score: f64) -> Standing {
+    fn standing(model: usize, needs: FitAssumption, left_m: f64, score: f64) -> Standing {
         let tool_m = Vec3::new(0.0, 0.0, 0.15);
-        let way = Way { needs, misread: false, left_m, tool_m, lag_s: 0.0 };
+        let way = HypothesisFit { needs, misread: false, left_m, tool_m, lag_s: 0.0 };
         let topic = "actual_TCP_pose".to_owned();
         let (fits, fits_without_fault) = (left_m < 3e-3, left_m < 3e-3 && needs.is_harmless());
         Standing {
@@ -330,8 +330,8 @@ mod tests {
     fn poses_tell_the_one_that_needs_least_and_the_next_is_said() {
         let by_poses = |models: &[&Model]| {
             let at = |name: &str| models.iter().position(|model| model.robot.name == name);
-            let best = standing(at("ur3")?, Needs::Nothing, 2e-5, -700.0);
-            let next = standing(at("ur3e")?, Needs::Tool, 0.0081, -300.0);
+            let best = standing(at("ur3")?, FitAssumption::Nothing, 2e-5, -700.0);
+            let next = standing(at("ur3e")?, FitAssumption::Tool, 0.0081, -300.0);
             Some(Ranking { standings: vec![best, next], apart: 20.0 })
         };
         let judges = Judges { by_transforms: &|_| None, by_poses: &by_poses };
@@ -346,8 +346,8 @@ mod tests {
     fn those_that_this_motion_cannot_tell_apart_are_listed() {
         let by_poses = |models: &[&Model]| {
             let at = |name: &str| models.iter().position(|model| model.robot.name == name);
-            let best = standing(at("ur5e")?, Needs::Tool, 1e-5, -700.0);
-            let next = standing(at("ur16e")?, Needs::Tool, 1e-5, -701.0);
+            let best = standing(at("ur5e")?, FitAssumption::Tool, 1e-5, -700.0);
+            let next = standing(at("ur16e")?, FitAssumption::Tool, 1e-5, -701.0);
             Some(Ranking { standings: vec![best, next], apart: 20.0 })
         };
         let judges = Judges { by_transforms: &|_| None, by_poses: &by_poses };
@@ -369,8 +369,8 @@ mod tests {
     #[test]
     fn names_that_are_anybodys_are_not_enough() {
         let off = |models: &[&Model]| {
-            let standings =
-                (0..models.len()).map(|at| standing(at, Needs::Reference { tool: true }, 0.2, 0.0));
+            let standings = (0..models.len())
+                .map(|at| standing(at, FitAssumption::Reference { tool: true }, 0.2, 0.0));
             Some(Ranking { standings: standings.collect(), apart: 20.0 })
         };
         let judges = Judges { by_transforms: &|_| Some(0.2), by_poses: &off };

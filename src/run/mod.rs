@@ -60,7 +60,7 @@ mod witness;
 
 use std::sync::Arc;
 
-use crate::diagnosis::{Alternation, PoseStream};
+use crate::diagnosis::{PoseStream, ToolSwitching};
 use crate::finding::rounded;
 use crate::robot::RobotError;
 use crate::time::{Clock, Stamp};
@@ -198,7 +198,7 @@ pub struct Run {
     pub watched: Vec<usize>,
     /// Streams whose poses alternate between several rigid bodies on the tool; their poses are converted to
     /// those of the main body.
-    pub alternations: Vec<(usize, Alternation)>,
+    pub alternations: Vec<(usize, ToolSwitching)>,
     /// Excerpts used for estimation; `None` if the whole run is used.
     pub excerpts: Option<Excerpts>,
     /// Whether the log contains `/clock`, which indicates simulated time.

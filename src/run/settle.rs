@@ -7,8 +7,9 @@ use std::collections::BTreeMap;
 use rayon::prelude::*;
 
 use crate::diagnosis::{
-    ArmDiagnosis, BaseTravel, Peak, PoseSeries, PoseStream, alternation, base_travel, carrier_lag,
-    diagnose_imu, follows, is_seen_from_tool, likely_lags, position_misfit_m, turning_peaks,
+    ArmDiagnosis, BaseMotion, LagPeak, PoseSeries, PoseStream, alternation, base_travel,
+    carrier_lag, diagnose_imu, follows, is_seen_from_tool, likely_lags, position_misfit_m,
+    turning_peaks,
 };
 use crate::run::{
     Arm, HandKind, HandSource, ImuSource, PoseSource, Role, Run, Stream, Unaudited, WhyNot,
@@ -239,7 +240,13 @@ fn settle_candidates(run: &mut Run, most_lag_s: f64) {
 ///
 /// A measurement cannot be received before the arm moves. If only the stamps are ahead, the messages still
 /// arrive with the others. If the joint states are late, all other streams appear early.
-fn lead_s(run: &Run, arm: &Arm, source: &PoseSource, peak: Peak, lags: &mut Lags) -> Option<f64> {
+fn lead_s(
+    run: &Run,
+    arm: &Arm,
+    source: &PoseSource,
+    peak: LagPeak,
+    lags: &mut Lags,
+) -> Option<f64> {
     let joints = arm.joint_facts.first()?.stream;
     let delay_s = |stream: usize| {
         let clock = run.clocks.iter().find(|clock| clock.stream == stream);
@@ -251,7 +258,7 @@ fn lead_s(run: &Run, arm: &Arm, source: &PoseSource, peak: Peak, lags: &mut Lags
     }
     // Periodic motion also matches at a lag near zero.
     let peaks = likely_lags(&arm.joints, &run.pose_stream(source), lags.most_lag_s);
-    let is_now = |other: &Peak| {
+    let is_now = |other: &LagPeak| {
         other.correlation > LEADS.max(REPEATS * peak.correlation) && other.lag_s > -LEAST_S
     };
     if peaks.iter().any(is_now) {
@@ -270,13 +277,13 @@ fn lead_s(run: &Run, arm: &Arm, source: &PoseSource, peak: Peak, lags: &mut Lags
 struct Lags {
     most_lag_s: f64,
     /// Peaks by stream index.
-    poses: BTreeMap<usize, Option<Peak>>,
+    poses: BTreeMap<usize, Option<LagPeak>>,
     /// Lags by stream index, s.
     imus: BTreeMap<usize, Option<f64>>,
 }
 
 impl Lags {
-    fn of_pose(&mut self, run: &Run, arm: &Arm, source: &PoseSource) -> Option<Peak> {
+    fn of_pose(&mut self, run: &Run, arm: &Arm, source: &PoseSource) -> Option<LagPeak> {
         let lag = || follows(&arm.joints, &run.pose_stream(source), self.most_lag_s);
         *self.poses.entry(source.stream).or_insert_with(lag)
     }
@@ -425,7 +432,7 @@ fn leave_moving_bases(run: &mut Run, most_lag_s: f64) {
         let is_pose = run.streams.get(source.stream).is_some_and(|one| one.role == Role::Pose);
         is_pose && !source.reference_known && source.carrier.is_none()
     };
-    let mut moving: Vec<(usize, String, BaseTravel)> = Vec::new();
+    let mut moving: Vec<(usize, String, BaseMotion)> = Vec::new();
     for arm in &run.arms {
         for source in arm.poses.iter().filter(is_of_unknown_frame) {
             let travel = base_travel(&arm.joints, &run.pose_stream(source), most_lag_s);
@@ -433,7 +440,7 @@ fn leave_moving_bases(run: &mut Run, most_lag_s: f64) {
             moving.extend(travel.map(|travel| (source.stream, base, travel)));
         }
     }
-    for (stream, base, BaseTravel { travel_m, turn_rad }) in moving {
+    for (stream, base, BaseMotion { travel_m, turn_rad }) in moving {
         let frame = run.streams.get(stream).map_or_else(String::new, |one| one.frame_id.clone());
         let reason =
             format!("'{base}' moves in its frame '{frame}', and the log has no transforms for it");

@@ -5,7 +5,7 @@ use crate::checks::decision::{Decision, decide_frame};
 use crate::checks::frames::{THRESHOLDS, pose_json, show};
 use crate::checks::motion::mot003_limits_exceeded::UNIT_IS_OPEN;
 use crate::checks::{Case, FrameThresholds, Grade, Judged};
-use crate::diagnosis::{Constancy, FrameEstimate, Measured, ReferenceDiagnosis, RestGap};
+use crate::diagnosis::{FrameEstimate, Measured, ReferenceDiagnosis, RestError, RestErrorSpread};
 use crate::evidence::{ArmEvidence, Of, ReferenceEvidence, WitnessKind};
 use crate::finding::{
     Alternative, Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit,
@@ -77,7 +77,7 @@ struct Seen<'a> {
     /// Index of the source.
     witness: usize,
     /// The rest to judge.
-    gap: &'a RestGap,
+    gap: &'a RestError,
     estimate: FrameEstimate,
     decision: Decision,
     /// Number of rests above the thresholds.
@@ -87,8 +87,8 @@ struct Seen<'a> {
 impl<'a> Seen<'a> {
     fn of(case: &Case, found: &'a ReferenceDiagnosis, witness: usize) -> Option<Self> {
         let thresholds = case.thresholds.of_frames(&FRM006, THRESHOLDS);
-        let size = |gap: &RestGap| size(gap, &thresholds);
-        let mut gaps: Vec<&RestGap> = found.gaps.get(witness)?.iter().collect();
+        let size = |gap: &RestError| size(gap, &thresholds);
+        let mut gaps: Vec<&RestError> = found.gaps.get(witness)?.iter().collect();
         gaps.sort_by(|a, b| size(a).total_cmp(&size(b)));
         let leads = found.following.is_some();
         // The median, because the arm may have been stopped close to a single goal.
@@ -111,14 +111,14 @@ impl<'a> Seen<'a> {
 }
 
 /// Error at a rest in units of the warning thresholds.
-fn size(gap: &RestGap, thresholds: &FrameThresholds) -> f64 {
+fn size(gap: &RestError, thresholds: &FrameThresholds) -> f64 {
     let length = gap.distance_m.norm.value / thresholds.length.warning;
     length.max(gap.angle_rad.norm.value / thresholds.angle.warning)
 }
 
 fn judge(case: &Case, arm: &ArmEvidence, reference: &Of<ReferenceEvidence>) -> Judged {
     let thresholds = case.thresholds.of_frames(&FRM006, THRESHOLDS);
-    let size = |gap: &RestGap| size(gap, &thresholds);
+    let size = |gap: &RestError| size(gap, &thresholds);
     let judged = |outcome| Judged::new(reference.subject.clone(), outcome).within(reference.span);
     let found = match witness::found(arm, reference, SETTLE) {
         Ok(found) => found,
@@ -236,7 +236,7 @@ fn fault(
     let off = show(&nearest.estimate);
     let thresholds = &case.thresholds.of_frames(&FRM006, THRESHOLDS);
     let may_be_a_frame = !reference.is_of_joints;
-    let (in_tool, in_base) = match Constancy::of(gaps) {
+    let (in_tool, in_base) = match RestErrorSpread::of(gaps) {
         Some(constancy) => (
             is_one(nearest.gap, constancy.in_tool, thresholds),
             is_one(nearest.gap, constancy.in_base, thresholds),
@@ -314,7 +314,11 @@ fn fault(
 }
 
 /// Whether the error is the same at all rests, within a tolerance relative to its size.
-fn is_one(gap: &RestGap, (spread_m, spread_rad): (f64, f64), thresholds: &FrameThresholds) -> bool {
+fn is_one(
+    gap: &RestError,
+    (spread_m, spread_rad): (f64, f64),
+    thresholds: &FrameThresholds,
+) -> bool {
     const SHARE: f64 = 0.2;
     /// In units of the warning thresholds.
     const LITTLE: f64 = 0.3;
@@ -324,7 +328,7 @@ fn is_one(gap: &RestGap, (spread_m, spread_rad): (f64, f64), thresholds: &FrameT
 }
 
 /// The commanded joint with the largest error, for messages.
-fn worst_joint(arm: &ArmEvidence, gap: &RestGap) -> Option<String> {
+fn worst_joint(arm: &ArmEvidence, gap: &RestError) -> Option<String> {
     let (joint, off) =
         gap.joints.iter().max_by(|a, b| a.1.value.abs().total_cmp(&b.1.value.abs()))?;
     let name = &arm.joints.get(*joint)?.name;
@@ -332,7 +336,7 @@ fn worst_joint(arm: &ArmEvidence, gap: &RestGap) -> Option<String> {
 }
 
 /// The largest joint error in the log's numbers, which were interpreted as degrees.
-fn joint_gaps(arm: &ArmEvidence, gap: &RestGap) -> String {
+fn joint_gaps(arm: &ArmEvidence, gap: &RestError) -> String {
     let worst = gap.joints.iter().max_by(|a, b| a.1.value.abs().total_cmp(&b.1.value.abs()));
     let joint =
         worst.and_then(|(joint, off)| Some((arm.joints.get(*joint)?, off.value.to_degrees())));
@@ -390,7 +394,7 @@ mod tests {
 
     #[test]
     fn the_same_seen_from_a_turned_tool_is_probably_another_tcp() {
-        let gaps: Vec<RestGap> = [0.0, 1.0, 2.0].map(|turn| rest_gap(0.14, turn)).to_vec();
+        let gaps: Vec<RestError> = [0.0, 1.0, 2.0].map(|turn| rest_gap(0.14, turn)).to_vec();
         let run = planted(|reference, found| {
             reference.tip_named = false;
             found.gaps = vec![gaps.clone(), gaps.clone()];
@@ -416,7 +420,7 @@ mod tests {
             let gaps = [0.0, 1.0, 2.0].map(|turn| {
                 let gap = rest_gap(0.3, turn);
                 let commanded = crate::geometry::Pose::translation(0.3, 0.0, 0.0) * gap.measured;
-                RestGap { commanded, ..gap }
+                RestError { commanded, ..gap }
             });
             let run = planted(|reference, found| {
                 reference.frame_named = frame_named;

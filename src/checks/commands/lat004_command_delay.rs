@@ -2,7 +2,7 @@ use crate::checks::decision::{Decision, Threshold, decide, unseen};
 use crate::checks::motion::mot003_limits_exceeded;
 use crate::checks::together::alike;
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{CommandDelay, Measured, NoDelay, Response};
+use crate::diagnosis::{CommandDelay, DelayFailure, Measured, Response};
 use crate::evidence::{ArmEvidence, Of, ReferenceEvidence};
 use crate::finding::{
     Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Span, Subject, Unit,
@@ -146,24 +146,24 @@ fn judge_delays(case: &Case, commands: &Commands, delays: &[CommandDelay]) -> Ve
 
 /// Reason why commands that are goals do not show a delay; `None` if they are streamed.
 fn goals(delays: &[CommandDelay]) -> Option<String> {
-    let are = |why: &NoDelay| {
+    let are = |why: &DelayFailure| {
         let is = |of: &CommandDelay| of.response.as_ref().err() == Some(why);
         !delays.is_empty() && delays.iter().all(is)
     };
     let what = match () {
-        () if are(&NoDelay::Goals) => "its commands are goals, not streamed",
-        () if are(&NoDelay::Steps) => "its commands change in steps, like repeated goals",
+        () if are(&DelayFailure::Goals) => "its commands are goals, not streamed",
+        () if are(&DelayFailure::Steps) => "its commands change in steps, like repeated goals",
         () => return None,
     };
     Some(format!("{what}, and the arm plans the path itself; log the drives' set-points"))
 }
 
-fn untold(why: &NoDelay) -> Outcome {
+fn untold(why: &DelayFailure) -> Outcome {
     match why {
-        NoDelay::Goals | NoDelay::Steps => {
+        DelayFailure::Goals | DelayFailure::Steps => {
             Outcome::Inconclusive(format!("it receives goals and plans the path itself; {SETTLE}"))
         }
-        NoDelay::Unseen(why) => unseen(why, SETTLE),
+        DelayFailure::Unseen(why) => unseen(why, SETTLE),
     }
 }
 
@@ -297,7 +297,7 @@ mod tests {
     #[test]
     fn goals_are_open_and_a_state_that_leads_is_told() {
         let mut run = planted(&[(Some(0), 0.1, 0.0)]);
-        run.robots[0].references[0].delays[0].response = Err(NoDelay::Goals);
+        run.robots[0].references[0].delays[0].response = Err(DelayFailure::Goals);
         let (rows, findings) = ask(&LAT004, &run);
         assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
         let (_, findings) = ask(&LAT004, &planted(&[(None, -0.1, 0.0)]));

@@ -3,7 +3,7 @@ use serde_json::{Value, json};
 use crate::checks::commands::witness::{self, witness_name};
 use crate::checks::decision::{DEGREE, Decision, FrameThresholds, Threshold, decide_length};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{Line, LineWitness, Measured};
+use crate::diagnosis::{CommandedLine, LineDeviation, Measured};
 use crate::evidence::{ArmEvidence, Of, ReferenceEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
@@ -67,7 +67,7 @@ fn check(case: &Case) -> Vec<Judged> {
 
 /// Deviation from a line in units of the warning thresholds. The angle is ignored if the command itself
 /// deviates.
-fn size(line: &Line, witness: &LineWitness, thresholds: &FrameThresholds) -> f64 {
+fn size(line: &CommandedLine, witness: &LineDeviation, thresholds: &FrameThresholds) -> f64 {
     let length = witness.distance_m.norm.value / thresholds.length.warning;
     match is_off(line, thresholds) {
         true => length,
@@ -75,16 +75,16 @@ fn size(line: &Line, witness: &LineWitness, thresholds: &FrameThresholds) -> f64
     }
 }
 
-fn is_off(line: &Line, thresholds: &FrameThresholds) -> bool {
+fn is_off(line: &CommandedLine, thresholds: &FrameThresholds) -> bool {
     thresholds.angle.severity(line.command_rad).is_some()
 }
 
 /// The line with the largest deviation according to one source of poses.
 fn worst<'a>(
-    lines: &'a [Line],
+    lines: &'a [CommandedLine],
     witness: usize,
     thresholds: &FrameThresholds,
-) -> Option<(&'a Line, &'a LineWitness)> {
+) -> Option<(&'a CommandedLine, &'a LineDeviation)> {
     let kept = lines.iter().filter_map(|line| Some((line, line.witnesses.get(witness)?.as_ref()?)));
     kept.max_by(|a, b| size(a.0, a.1, thresholds).total_cmp(&size(b.0, b.1, thresholds)))
 }
@@ -151,7 +151,7 @@ fn judge(case: &Case, arm: &ArmEvidence, reference: &Of<ReferenceEvidence>) -> J
 }
 
 /// Decides on the worst line.
-fn decide(case: &Case, line: &Line, measured: &LineWitness, lines: usize) -> Decision {
+fn decide(case: &Case, line: &CommandedLine, measured: &LineDeviation, lines: usize) -> Decision {
     let (thresholds, subjects) =
         (case.thresholds.of_frames(&MOT004, THRESHOLDS), case.evidence.subjects() * lines);
     let by_length = decide_length(&measured.distance_m, &thresholds.length, subjects);
@@ -167,7 +167,7 @@ fn decide(case: &Case, line: &Line, measured: &LineWitness, lines: usize) -> Dec
 }
 
 /// Outcome if the command is a slerp.
-fn leaves(case: &Case, line: &Line, measured: &LineWitness, lines: usize) -> Outcome {
+fn leaves(case: &Case, line: &CommandedLine, measured: &LineDeviation, lines: usize) -> Outcome {
     let distance = Unit::Metre.show_measured(&measured.distance_m.norm);
     let angle = Unit::Radian.show_measured(&measured.angle_rad.norm);
     match decide(case, line, measured, lines) {
@@ -197,7 +197,7 @@ fn leaves(case: &Case, line: &Line, measured: &LineWitness, lines: usize) -> Out
 }
 
 /// Outcome if the command itself is not a slerp.
-fn swings(line: &Line, thresholds: &FrameThresholds) -> Outcome {
+fn swings(line: &CommandedLine, thresholds: &FrameThresholds) -> Outcome {
     let (off, turn) = (Unit::Radian.show(line.command_rad), Unit::Radian.show(line.turn_rad));
     let across = Unit::Radian.show(line.command_off_axis_rad);
     let is_pace = thresholds.angle.severity(line.command_off_axis_rad).is_none();
@@ -227,12 +227,12 @@ fn swings(line: &Line, thresholds: &FrameThresholds) -> Outcome {
 /// two.
 fn with_distance(
     case: &Case,
-    commanded: &Line,
-    line: &Line,
-    measured: &LineWitness,
+    commanded: &CommandedLine,
+    line: &CommandedLine,
+    measured: &LineDeviation,
     lines: usize,
 ) -> Outcome {
-    let off_line = Line { command_rad: f64::INFINITY, ..line.clone() };
+    let off_line = CommandedLine { command_rad: f64::INFINITY, ..line.clone() };
     let distance = Unit::Metre.show_measured(&measured.distance_m.norm);
     let swinging = swings(commanded, &case.thresholds.of_frames(&MOT004, THRESHOLDS));
     let Outcome::Evaluated(crate::finding::Ruling::Faulty(fault)) = swinging else {
@@ -256,7 +256,7 @@ mod tests {
     use crate::evidence::RunEvidence;
     use crate::finding::Status;
 
-    fn planted(change: impl Fn(&mut Line)) -> RunEvidence {
+    fn planted(change: impl Fn(&mut CommandedLine)) -> RunEvidence {
         let mut run = clean_run();
         if let Ok(Ok(found)) = &mut run.robots[0].references[0].diagnosis {
             change(&mut found.lines[0]);
@@ -266,7 +266,7 @@ mod tests {
 
     #[test]
     fn a_line_must_be_left_by_all_witnesses() {
-        let bowed = LineWitness { distance_m: length(0.003), angle_rad: length(0.0) };
+        let bowed = LineDeviation { distance_m: length(0.003), angle_rad: length(0.0) };
         let by_one = planted(|line| line.witnesses[0] = Some(bowed));
         assert_eq!(ask(&MOT004, &by_one).0[0].status, Status::Pass);
         let by_all = planted(|line| line.witnesses = vec![Some(bowed); 2]);

@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use crate::checks::decision::unseen;
 use crate::checks::motion::mot003_limits_exceeded;
-use crate::diagnosis::{Following, JointOffset, ReferenceDiagnosis};
+use crate::diagnosis::{CommandTracking, JointOffset, ReferenceDiagnosis};
 use crate::evidence::ReferenceEvidence;
 use crate::evidence::{ArmEvidence, Of, WitnessKind};
 use crate::finding::Outcome;
@@ -45,7 +45,7 @@ pub fn witness_name(reference: &Of<ReferenceEvidence>, index: usize) -> String {
 }
 
 /// How the arm follows a streamed command, as JSON; null for single goals.
-pub fn following_json(following: Option<&Following>) -> Value {
+pub fn following_json(following: Option<&CommandTracking>) -> Value {
     let Some(following) = following else { return Value::Null };
     json!({
         "delay_s": following.delay_s,

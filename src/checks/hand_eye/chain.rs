@@ -5,7 +5,7 @@ use serde_json::{Map, Value, json};
 use crate::checks::decision::{DEGREE, FrameThresholds, Threshold};
 use crate::checks::frames::pose_json;
 use crate::checks::{Judged, Limit};
-use crate::diagnosis::{HandEyeDiagnosis, Mount, Solution, Unseen};
+use crate::diagnosis::{CameraMount, HandEyeDiagnosis, HandEyeSolution, NotObservable};
 use crate::evidence::HandEyeEvidence;
 use crate::finding::{Outcome, Unit};
 use crate::run::CameraAxes;
@@ -42,10 +42,10 @@ const FOLLOWS: f64 = 0.5;
 const DECIDED: f64 = 1.5;
 
 /// Describes the camera mount.
-pub fn where_is(mount: Mount) -> &'static str {
+pub fn where_is(mount: CameraMount) -> &'static str {
     match mount {
-        Mount::InHand => "in the hand",
-        Mount::InBase => "fixed to the base",
+        CameraMount::InHand => "in the hand",
+        CameraMount::InBase => "fixed to the base",
     }
 }
 
@@ -60,7 +60,7 @@ impl CameraAxes {
 }
 
 /// Whether the data determine if the camera is in the hand or fixed.
-pub fn is_mount_decided(solution: &Solution) -> bool {
+pub fn is_mount_decided(solution: &HandEyeSolution) -> bool {
     solution.ratio >= DECIDED
 }
 
@@ -80,24 +80,28 @@ pub fn does_not_follow(found: &HandEyeDiagnosis) -> Option<String> {
 }
 
 /// The outcome if there is no estimate.
-pub fn unseen(why: &Unseen) -> Outcome {
+pub fn unseen(why: &NotObservable) -> Outcome {
     Outcome::Inconclusive(match why {
-        Unseen::TooFewSamples { have, need } => {
+        NotObservable::TooFewSamples { have, need } => {
             format!("only {have} target poses overlap with hand poses; {need} are needed")
         }
-        Unseen::NoOverlap => "target and hand poses do not overlap in time".to_owned(),
+        NotObservable::NoOverlap => "target and hand poses do not overlap in time".to_owned(),
         _ => format!("the hand does not rotate while the target is visible; {SETTLE}"),
     })
 }
 
 /// Adds the evidence on a solution that the hand-eye rules share.
-pub fn with_solution(judged: Judged, facts: &HandEyeEvidence, solution: &Solution) -> Judged {
+pub fn with_solution(
+    judged: Judged,
+    facts: &HandEyeEvidence,
+    solution: &HandEyeSolution,
+) -> Judged {
     let mut all = Map::new();
     let closure = &solution.closure;
     let mount = match (is_mount_decided(solution), solution.mount) {
         (false, _) => "undecided",
-        (true, Mount::InHand) => "camera in hand",
-        (true, Mount::InBase) => "camera fixed",
+        (true, CameraMount::InHand) => "camera in hand",
+        (true, CameraMount::InBase) => "camera fixed",
     };
     let camera = &solution.camera;
     let half_widths = |errors: [f64; 3]| -> Vec<Option<f64>> {
@@ -108,8 +112,8 @@ pub fn with_solution(judged: Judged, facts: &HandEyeEvidence, solution: &Solutio
         errors.map(half).to_vec()
     };
     let equivalent = match solution.mount {
-        Mount::InHand => "camera fixed, target poses inverted (parent and child swapped)",
-        Mount::InBase => "camera in hand, target poses inverted (parent and child swapped)",
+        CameraMount::InHand => "camera fixed, target poses inverted (parent and child swapped)",
+        CameraMount::InBase => "camera in hand, target poses inverted (parent and child swapped)",
     };
     let ratio = Some(solution.ratio).filter(|ratio| ratio.is_finite());
     let offset = &solution.offset_s;
@@ -124,8 +128,8 @@ pub fn with_solution(judged: Judged, facts: &HandEyeEvidence, solution: &Solutio
         json!({ "value": offset.value, "ci95": Unit::Second.interval95(offset) }),
     );
     let pose_in = match solution.mount {
-        Mount::InHand => &facts.hand,
-        Mount::InBase => &facts.base,
+        CameraMount::InHand => &facts.hand,
+        CameraMount::InBase => &facts.base,
     };
     all.insert("pose_in".to_owned(), pose_in.clone().into());
     all.insert("pose".to_owned(), pose_json(&camera.pose));
@@ -143,7 +147,7 @@ pub fn with_solution(judged: Judged, facts: &HandEyeEvidence, solution: &Solutio
 }
 
 /// The residuals of at most `MOST` evenly spaced poses.
-fn each(solution: &Solution) -> Value {
+fn each(solution: &HandEyeSolution) -> Value {
     const MOST: usize = 200;
     let all = &solution.closure.each;
     let step = all.len().div_ceil(MOST).max(1);

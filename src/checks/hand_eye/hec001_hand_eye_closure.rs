@@ -6,7 +6,7 @@ use crate::checks::hand_eye::chain::{
     with_solution,
 };
 use crate::checks::{Case, FrameThresholds, Grade, Judged, decide, residual_attribution};
-use crate::diagnosis::{Measured, Mount, Solution, Stretch, TargetReading};
+use crate::diagnosis::{CameraMount, HandEyeSolution, Measured, TargetEncoding, TargetScaleError};
 use crate::evidence::{ArmEvidence, HandEyeEvidence, Of, PoseEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
@@ -81,12 +81,12 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
         None => found.mount_error.as_ref(),
         Some(_) => None,
     };
-    let closure = |solution: &Solution| {
+    let closure = |solution: &HandEyeSolution| {
         Estimate::frame("closure", &solution.closure.excess_m, &solution.closure.excess_rad)
     };
     let open = decide_both(&best.closure.excess_m, &best.closure.excess_rad, &thresholds, subjects);
     let scaled = match &found.reading {
-        Some((TargetReading::Stretched(_), _)) => as_logged,
+        Some((TargetEncoding::Stretched(_), _)) => as_logged,
         _ => best,
     };
     let scale = decide(&scaled.scale.effect_m(), &thresholds.length, subjects);
@@ -131,7 +131,8 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
                     Decision::Fail(severity) => Outcome::faulty(Fault {
                         severity,
                         cause: Cause::CameraMount {
-                            in_hand: is_mount_decided(best).then_some(best.mount == Mount::InHand),
+                            in_hand: is_mount_decided(best)
+                                .then_some(best.mount == CameraMount::InHand),
                             parent: facts.parent_of(best.mount),
                             pose: best.camera.pose,
                         },
@@ -158,7 +159,7 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
         Some((reading, _)) => judged.with_evidence("reading", reading_words(reading)),
         None => judged,
     };
-    let Some((TargetReading::Stretched(stretch), _)) = &found.reading else { return judged };
+    let Some((TargetEncoding::Stretched(stretch), _)) = &found.reading else { return judged };
     let factors = [("scale", &stretch.size), ("depth_scale", &stretch.depth)];
     factors.into_iter().fold(judged, |judged, (key, factor)| match factor {
         Some(one) => {
@@ -188,7 +189,7 @@ fn wrong_model(arm: &ArmEvidence, open_m: f64) -> Option<String> {
 }
 
 /// The outcome of a chain that closes.
-fn sound(facts: &HandEyeEvidence, solution: &Solution) -> Outcome {
+fn sound(facts: &HandEyeEvidence, solution: &HandEyeSolution) -> Outcome {
     let closure = &solution.closure;
     let (m, rad) = (Unit::Metre.show(closure.rms_m), Unit::Radian.show(closure.rms_rad));
     let camera = camera(facts, solution);
@@ -196,11 +197,11 @@ fn sound(facts: &HandEyeEvidence, solution: &Solution) -> Outcome {
 }
 
 /// The camera pose with its 95 % interval.
-fn camera(facts: &HandEyeEvidence, solution: &Solution) -> String {
+fn camera(facts: &HandEyeEvidence, solution: &HandEyeSolution) -> String {
     let camera = &solution.camera;
     let parent = facts.parent_of(solution.mount).unwrap_or_else(|| match solution.mount {
-        Mount::InHand => "hand".to_owned(),
-        Mount::InBase => "base".to_owned(),
+        CameraMount::InHand => "hand".to_owned(),
+        CameraMount::InBase => "base".to_owned(),
     });
     let half = |unit: Unit, amount: &Measured, errors: [f64; 3]| {
         let std_error = errors.into_iter().fold(0.0, f64::max);
@@ -215,11 +216,11 @@ fn camera(facts: &HandEyeEvidence, solution: &Solution) -> String {
 }
 
 /// Camera mount and latency of the target.
-fn setting(solution: &Solution) -> String {
+fn setting(solution: &HandEyeSolution) -> String {
     let mount = match is_mount_decided(solution) {
         true => match solution.mount {
-            Mount::InHand => "eye-in-hand".to_owned(),
-            Mount::InBase => "eye-to-hand".to_owned(),
+            CameraMount::InHand => "eye-in-hand".to_owned(),
+            CameraMount::InBase => "eye-to-hand".to_owned(),
         },
         false => "eye-in-hand or eye-to-hand, not observable in this motion".to_owned(),
     };
@@ -231,7 +232,7 @@ fn setting(solution: &Solution) -> String {
     format!("{mount}, time offset < {}", Unit::Second.show(most.max(-least)))
 }
 
-fn open_chain(facts: &HandEyeEvidence, solution: &Solution, severity: Severity) -> Fault {
+fn open_chain(facts: &HandEyeEvidence, solution: &HandEyeSolution, severity: Severity) -> Fault {
     let closure = &solution.closure;
     let m = Unit::Metre.show_measured(&closure.excess_m);
     let rad = Unit::Radian.show_measured(&closure.excess_rad);
@@ -252,7 +253,11 @@ fn open_chain(facts: &HandEyeEvidence, solution: &Solution, severity: Severity) 
     }
 }
 
-fn misread(reading: &TargetReading, as_logged: &Solution, thresholds: &FrameThresholds) -> Fault {
+fn misread(
+    reading: &TargetEncoding,
+    as_logged: &HandEyeSolution,
+    thresholds: &FrameThresholds,
+) -> Fault {
     let closure = &as_logged.closure;
     let (m, rad) = (Unit::Metre.show(closure.rms_m), Unit::Radian.show(closure.rms_rad));
     let words = reading_words(reading);
@@ -267,16 +272,16 @@ fn misread(reading: &TargetReading, as_logged: &Solution, thresholds: &FrameThre
         message: format!("hand-eye residual {m} and {rad} rms as logged; it closes if {words}"),
         evidence: Evidence { effect_m: Some(closure.rms_m), ..Evidence::default() },
         fix: match reading {
-            TargetReading::Stretched(stretch) => stretch_fix(stretch),
+            TargetEncoding::Stretched(stretch) => stretch_fix(stretch),
             _ => "correct the rotation encoding of the detector".to_owned(),
         },
     }
 }
 
-fn other_mount(logged: Mount) -> Fault {
+fn other_mount(logged: CameraMount) -> Fault {
     let other = match logged {
-        Mount::InHand => Mount::InBase,
-        Mount::InBase => Mount::InHand,
+        CameraMount::InHand => CameraMount::InBase,
+        CameraMount::InBase => CameraMount::InHand,
     };
     Fault {
         severity: Severity::Error,
@@ -296,32 +301,36 @@ fn other_mount(logged: Mount) -> Fault {
 }
 
 /// How the target poses must be read.
-fn reading_words(reading: &TargetReading) -> String {
+fn reading_words(reading: &TargetEncoding) -> String {
     match reading {
-        TargetReading::AsLogged => "read as logged".to_owned(),
-        TargetReading::Axes(axes) => {
+        TargetEncoding::AsLogged => "read as logged".to_owned(),
+        TargetEncoding::Axes(axes) => {
             format!("target positions are {}", hec003_camera_axes::axes_words(axes))
         }
-        TargetReading::Transposed => "target rotations are transposed".to_owned(),
-        TargetReading::QuaternionOrder(_) => {
+        TargetEncoding::Transposed => "target rotations are transposed".to_owned(),
+        TargetEncoding::QuaternionOrder(_) => {
             "target quaternion components are reordered".to_owned()
         }
-        TargetReading::Misread(class) => match class.members.first() {
+        TargetEncoding::Misread(class) => match class.members.first() {
             Some(one) => {
                 format!("target rotations are {}, not {}", one.is, one.read_as)
             }
             None => "target rotations follow a different convention".to_owned(),
         },
-        TargetReading::Stretched(stretch) => stretch_words(stretch),
+        TargetEncoding::Stretched(stretch) => stretch_words(stretch),
     }
 }
 
 /// Whether this rule reports the misinterpretation. HEC003 reports wrong axes; a wrong scale counts from
 /// the thresholds on.
-fn is_fault(reading: &TargetReading, as_logged: &Solution, thresholds: &FrameThresholds) -> bool {
+fn is_fault(
+    reading: &TargetEncoding,
+    as_logged: &HandEyeSolution,
+    thresholds: &FrameThresholds,
+) -> bool {
     match reading {
-        TargetReading::Axes(_) => false,
-        TargetReading::Stretched(_) => {
+        TargetEncoding::Axes(_) => false,
+        TargetEncoding::Stretched(_) => {
             thresholds.length.severity(as_logged.closure.excess_m.value).is_some()
         }
         _ => true,
@@ -334,14 +343,14 @@ const SETTLE_SCALE: &str = "the scale of the target positions (lens, target size
 
 /// Target positions that are too long or too short, in a chain that closes because the camera pose absorbs
 /// the factor.
-fn stretched(solution: &Solution, severity: Severity) -> Fault {
+fn stretched(solution: &HandEyeSolution, severity: Severity) -> Fault {
     /// Minimum ratio of the two factors' significances for them to be interchangeable.
     const AS_SURE: f64 = 0.7;
     let scale = &solution.scale;
     let surely = |of: &Measured| ((of.value - 1.0) / of.std_error).abs();
     let [size, depth] = [&scale.size, &scale.depth].map(surely);
     let is_size = size > depth;
-    let stretch = Stretch {
+    let stretch = TargetScaleError {
         size: Some(scale.size).filter(|_| is_size),
         depth: Some(scale.depth).filter(|_| !is_size),
         along: scale.along,
@@ -366,7 +375,7 @@ fn stretched(solution: &Solution, severity: Severity) -> Fault {
 const TOLD_MM: f64 = 40.0;
 
 /// Describes the scale factors.
-fn stretch_words(Stretch { size, depth, .. }: &Stretch) -> String {
+fn stretch_words(TargetScaleError { size, depth, .. }: &TargetScaleError) -> String {
     let factor = |of: &Measured| format!("{:.4} ± {:.4}", of.value, of.half_width(0.95));
     let size =
         size.as_ref().map(|size| format!("target positions are divided by {}", factor(size)));
@@ -376,7 +385,7 @@ fn stretch_words(Stretch { size, depth, .. }: &Stretch) -> String {
 }
 
 /// The setting of the detector or lens to correct.
-fn stretch_fix(Stretch { size, depth, is_either, .. }: &Stretch) -> String {
+fn stretch_fix(TargetScaleError { size, depth, is_either, .. }: &TargetScaleError) -> String {
     let size_fix = size.as_ref().map(|size| match size.value {
         value if (value / 1e3 - 1.0).abs() < 0.02 => "publish positions in metres, not millimetres".to_owned(),
         value => format!(

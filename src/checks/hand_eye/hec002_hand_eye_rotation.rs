@@ -4,7 +4,7 @@ use crate::checks::hand_eye::chain::{
     LEAST_SPAN, LEAST_SPREAD, THRESHOLDS, does_not_follow, unseen,
 };
 use crate::checks::{Case, FrameThresholds, Grade, Judged};
-use crate::diagnosis::{CameraPose, Diversity, Measured};
+use crate::diagnosis::{CameraPose, Measured, RotationDiversity};
 use crate::evidence::HandEyeEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
@@ -103,7 +103,7 @@ fn severity(case: &Case) -> Severity {
 }
 
 fn fault(
-    diversity: &Diversity,
+    diversity: &RotationDiversity,
     needed: [f64; 2],
     undetermined: &[String],
     severity: Severity,
@@ -131,7 +131,7 @@ fn fault(
 }
 
 /// The motion to add.
-fn motion(diversity: &Diversity, [least_span, least_spread]: [f64; 2]) -> String {
+fn motion(diversity: &RotationDiversity, [least_span, least_spread]: [f64; 2]) -> String {
     /// Rotation for a good hand-eye calibration, rad; recommended even if the limits are lower.
     const GOOD: f64 = 30.0 * DEGREE;
     let turn = Unit::Radian.show(least_span.max(least_spread).max(GOOD));

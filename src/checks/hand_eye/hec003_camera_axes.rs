@@ -1,7 +1,7 @@
 use crate::checks::decision::DEGREE;
 use crate::checks::hand_eye::chain::{does_not_follow, unseen};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::TargetReading;
+use crate::diagnosis::TargetEncoding;
 use crate::evidence::HandEyeEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, rounded};
 use crate::geometry::{Rotation, Vec3, angle_between, rotation_from_rpy};
@@ -59,7 +59,7 @@ pub(super) enum Swap {
 /// The swap that the target poses show. `None` if they show none.
 pub(super) fn swap(facts: &HandEyeEvidence) -> Option<Swap> {
     let found = &facts.diagnosis;
-    if let Some((TargetReading::Axes(axes), _)) = found.reading {
+    if let Some((TargetEncoding::Axes(axes), _)) = found.reading {
         return Some(Swap::Within(axes));
     }
     let known = found.mount_error.as_ref().filter(|error| {

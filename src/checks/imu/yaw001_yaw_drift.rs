@@ -2,7 +2,7 @@ use serde_json::{Map, Value, json};
 
 use crate::checks::decision::{DEGREE, Threshold, decide, unseen};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{HeadingError, Measured, YawCourse, YawJump, YawWarmUp};
+use crate::diagnosis::{HeadingError, Measured, YawJump, YawProfile, YawWarmUp};
 use crate::evidence::{ImuEvidence, Of};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Severity, Unit};
 
@@ -158,7 +158,7 @@ fn settles(warm_up: &YawWarmUp, severity: Severity) -> Fault {
 }
 
 /// The action for an undetermined drift, with the random walk if there is one.
-fn settle(course: &YawCourse) -> String {
+fn settle(course: &YawProfile) -> String {
     match course.walk_rad_rt_s {
         Some(density) => {
             format!("the yaw wanders by {}/√s; {SETTLE}", Unit::Radian.show(density))
@@ -168,7 +168,7 @@ fn settle(course: &YawCourse) -> String {
 }
 
 /// Adds the evidence on the yaw error model.
-fn with_course(judged: Judged, course: &YawCourse, kind: &str) -> Judged {
+fn with_course(judged: Judged, course: &YawProfile, kind: &str) -> Judged {
     let mut judged = judged.with_evidence("kind", kind);
     if let Some(density) = course.walk_rad_rt_s {
         judged = judged.with_evidence("walk_rad_rt_s", density);

@@ -1,6 +1,6 @@
 use crate::checks::decision::{DEGREE, Threshold, decide_length, unseen};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{Length, Up};
+use crate::diagnosis::{Length, UpDirections};
 use crate::evidence::{ImuEvidence, Of};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
@@ -75,7 +75,7 @@ fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Judged {
 
 /// Title, message and fix if another axis than z of the orientation's world points up. `None` if it is only
 /// tilted.
-fn world(up: &Up) -> Option<(&'static str, String, String)> {
+fn world(up: &UpDirections) -> Option<(&'static str, String, String)> {
     /// Maximum angle between an axis and the vertical for the axis to point up, rad.
     const UP: f64 = 10.0 * DEGREE;
     let axis = up.in_world.iamax();
@@ -110,7 +110,7 @@ fn world(up: &Up) -> Option<(&'static str, String, String)> {
     ))
 }
 
-fn fault(tilt: &Length, up: Option<&Up>, severity: Severity) -> Fault {
+fn fault(tilt: &Length, up: Option<&UpDirections>, severity: Severity) -> Fault {
     let shown = THRESHOLD.unit.show_measured(&tilt.norm);
     if let Some((title, message, fix)) = up.and_then(world) {
         return Fault {
@@ -143,7 +143,10 @@ mod tests {
             let mut run = clean_run();
             let imu = &mut run.robots[0].imus[0].diagnosis;
             imu.tilt_rad = Ok(length(3.0));
-            imu.up = Some(Up { in_world: in_world.into(), in_base: [0.0, 0.0, base_z].into() });
+            imu.up = Some(UpDirections {
+                in_world: in_world.into(),
+                in_base: [0.0, 0.0, base_z].into(),
+            });
             let (_, findings) = ask(&YAW002, &run);
             findings[0].title.to_owned()
         };

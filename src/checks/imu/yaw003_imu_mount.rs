@@ -1,6 +1,6 @@
 use crate::checks::decision::{DEGREE, Decision, Threshold, decide_length, unseen};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{Length, MountChange};
+use crate::diagnosis::{ImuMountChange, Length};
 use crate::evidence::{ImuEvidence, Of};
 use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 use crate::geometry::{Rotation, Vec3, angle_between, xyzw_from_rotation};
@@ -239,7 +239,7 @@ fn permuted(error: &Rotation) -> Option<String> {
 fn slipped(
     case: &Case,
     imu: &Of<ImuEvidence>,
-    change: &MountChange,
+    change: &ImuMountChange,
     when: &Change,
     severity: Severity,
 ) -> Fault {
@@ -293,7 +293,7 @@ fn fault(
 mod tests {
     use super::*;
     use crate::checks::testing::{ask, clean_run, length};
-    use crate::diagnosis::Unseen;
+    use crate::diagnosis::NotObservable;
     use crate::finding::Status;
     use crate::geometry::rotation_from_rpy;
 
@@ -338,7 +338,7 @@ mod tests {
         assert_eq!(findings[0].severity, Severity::Error);
         let said = &findings[0].message;
         assert!(said.ends_with("imu x points along tool0 y; y along tool0 -x; z along tool0 z"));
-        run.robots[0].imus[0].diagnosis.mount_rad = Err(Unseen::NoFrame);
+        run.robots[0].imus[0].diagnosis.mount_rad = Err(NotObservable::NoFrame);
         let (rows, _) = ask(&YAW003, &run);
         assert_eq!(rows[0].status, Status::Skipped);
     }

@@ -2,7 +2,7 @@ use serde_json::{Value, json};
 
 use crate::checks::decision::{DEGREE, Decision, Threshold, decide_length, unseen};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{BiasChange, BiasCourse, GyroBias, GyroShape, Measured};
+use crate::diagnosis::{GyroBias, GyroBiasChange, GyroBiasProfile, GyroScaleError, Measured};
 use crate::evidence::{ImuEvidence, Of};
 use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Severity, Sight, Unit};
 
@@ -83,7 +83,7 @@ fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Judged {
         None => judged,
     };
     match &bias.shape {
-        Some(GyroShape { scale, misalignment_rad }) => judged
+        Some(GyroScaleError { scale, misalignment_rad }) => judged
             .with_evidence("scale", scale.map(shown).to_vec())
             .with_evidence("misalignment_rad", misalignment_rad.map(shown).to_vec()),
         None => judged,
@@ -91,47 +91,47 @@ fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Judged {
 }
 
 /// Whether the bias always exceeds its change. The fault is then the bias, and the change is evidence.
-fn is_mostly_constant(change: &BiasChange) -> bool {
+fn is_mostly_constant(change: &GyroBiasChange) -> bool {
     let least = change.before_rad_s.norm().min(change.after_rad_s.norm());
     least > change.size_rad_s.norm.value
 }
 
 /// Size of a change; for a step also the values before and after, and the time.
-fn estimate(case: &Case, change: &BiasChange) -> Estimate {
+fn estimate(case: &Case, change: &GyroBiasChange) -> Estimate {
     let size = Estimate::length("gyro bias", THRESHOLD.unit, &change.size_rad_s);
     match change.course {
-        BiasCourse::Step { at_s, interval_s } => size.changing(Change {
+        GyroBiasProfile::Step { at_s, interval_s } => size.changing(Change {
             from: change.before_rad_s.norm(),
             to: change.after_rad_s.norm(),
             change_ns: case.evidence.origin.shifted(at_s),
             change_ci95_ns: Some(interval_s.map(|end_s| case.evidence.origin.shifted(end_s))),
         }),
-        BiasCourse::WarmUp { .. } => size,
+        GyroBiasProfile::WarmUp { .. } => size,
     }
 }
 
-fn with_change(judged: Judged, change: &BiasChange) -> Judged {
+fn with_change(judged: Judged, change: &GyroBiasChange) -> Judged {
     let [before, after] = [change.before_rad_s, change.after_rad_s].map(<[f64; 3]>::from);
     let judged = judged
         .with_evidence("from_vector_rad_s", before.to_vec())
         .with_evidence("to_vector_rad_s", after.to_vec());
     match change.course {
-        BiasCourse::Step { .. } => judged.with_evidence("kind", "step"),
-        BiasCourse::WarmUp { time_constant_s } => judged
+        GyroBiasProfile::Step { .. } => judged.with_evidence("kind", "step"),
+        GyroBiasProfile::WarmUp { time_constant_s } => judged
             .with_evidence("kind", "warm-up")
             .with_evidence("time_constant_s", time_constant_s),
     }
 }
 
 /// The fault of a bias that changes over the run.
-fn changed(case: &Case, change: &BiasChange, severity: Severity) -> Fault {
+fn changed(case: &Case, change: &GyroBiasChange, severity: Severity) -> Fault {
     let [from, to] =
         [change.before_rad_s, change.after_rad_s].map(|bias| Unit::GyroRate.show(bias.norm()));
     let size = THRESHOLD.unit.show_measured(&change.size_rad_s.norm);
     let after: [f64; 3] = change.after_rad_s.into();
     let [x, y, z] = after.map(|rate| format!("{rate:+.4}"));
     let (title, message, fix) = match change.course {
-        BiasCourse::Step { at_s, .. } => {
+        GyroBiasProfile::Step { at_s, .. } => {
             let when = case.evidence.moment(case.evidence.origin.shifted(at_s));
             (
                 "gyro bias changes",
@@ -141,7 +141,7 @@ fn changed(case: &Case, change: &BiasChange, severity: Severity) -> Fault {
                 ),
             )
         }
-        BiasCourse::WarmUp { time_constant_s } => (
+        GyroBiasProfile::WarmUp { time_constant_s } => (
             "gyro bias settles",
             format!(
                 "gyro bias settles by {size} with a time constant of {time_constant_s:.1} s, from \
@@ -206,10 +206,10 @@ mod tests {
         let mut run = clean_run();
         run.start = Some(run.origin);
         let bias = run.robots[0].imus[0].diagnosis.gyro_bias.as_mut().unwrap();
-        let course = BiasCourse::Step { at_s: 15.0, interval_s: [14.9, 15.1] };
+        let course = GyroBiasProfile::Step { at_s: 15.0, interval_s: [14.9, 15.1] };
         let (before_rad_s, after_rad_s) = (Vec3::zeros(), Vec3::new(0.0, 2.0 * DEGREE, 0.0));
         let size_rad_s = length(2.0 * DEGREE);
-        bias.change = Some(BiasChange { course, before_rad_s, after_rad_s, size_rad_s });
+        bias.change = Some(GyroBiasChange { course, before_rad_s, after_rad_s, size_rad_s });
         let (_, findings) = ask(&YAW004, &run);
         assert_eq!(
             findings[0].message,
@@ -218,7 +218,7 @@ mod tests {
         let change = findings[0].estimate.as_ref().and_then(Estimate::change).unwrap();
         assert_eq!((change.from, change.change_ns.nanos()), (0.0, 15_000_000_000));
         bias_of(&mut run).change.as_mut().unwrap().course =
-            BiasCourse::WarmUp { time_constant_s: 8.0 };
+            GyroBiasProfile::WarmUp { time_constant_s: 8.0 };
         let (_, findings) = ask(&YAW004, &run);
         assert_eq!(findings[0].title, "gyro bias settles");
         assert_eq!(findings[0].evidence.more["kind"], "warm-up");
@@ -228,11 +228,11 @@ mod tests {
     fn a_small_step_of_a_large_bias_is_a_bias() {
         let mut run = clean_run();
         let bias = bias_of(&mut run);
-        let course = BiasCourse::Step { at_s: 15.0, interval_s: [14.9, 15.1] };
+        let course = GyroBiasProfile::Step { at_s: 15.0, interval_s: [14.9, 15.1] };
         let before_rad_s = Vec3::new(0.0, 2.4 * DEGREE, 0.0);
         let after_rad_s = Vec3::new(0.0, 2.65 * DEGREE, 0.0);
         let size_rad_s = length(0.25 * DEGREE);
-        bias.change = Some(BiasChange { course, before_rad_s, after_rad_s, size_rad_s });
+        bias.change = Some(GyroBiasChange { course, before_rad_s, after_rad_s, size_rad_s });
         (bias.vector_rad_s, bias.length_rad_s) = (after_rad_s, length(2.65 * DEGREE));
         let (_, findings) = ask(&YAW004, &run);
         assert_eq!(findings[0].title, "gyro bias");

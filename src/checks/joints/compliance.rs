@@ -4,7 +4,7 @@
 use crate::checks::decision::{Threshold, decide};
 use crate::checks::frames::THRESHOLDS;
 use crate::checks::{Case, Judged, Rule, changes};
-use crate::diagnosis::{JointBend, Measured};
+use crate::diagnosis::{JointCompliance, Measured};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Estimate, Fault, Outcome, Ruling, Severity, Unit};
 
@@ -17,9 +17,9 @@ pub(super) struct ComplianceRule {
     /// Motion that makes it observable.
     pub settle: &'static str,
     /// Whether a joint's compliance is of this kind.
-    pub is_it: fn(&JointBend) -> bool,
+    pub is_it: fn(&JointCompliance) -> bool,
     /// Builds the fault.
-    pub fault: fn(&ArmEvidence, &JointBend, Severity) -> Fault,
+    pub fault: fn(&ArmEvidence, &JointCompliance, Severity) -> Fault,
 }
 
 impl ComplianceRule {
@@ -30,7 +30,7 @@ impl ComplianceRule {
     }
 
     fn judge_arm(&self, rule: &Rule, case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
-        let own: Vec<&JointBend> =
+        let own: Vec<&JointCompliance> =
             arm.diagnosis.bends.iter().filter(|bend| (self.is_it)(bend)).collect();
         if own.is_empty() {
             let outcome = match residual_reason(arm) {
@@ -46,7 +46,7 @@ impl ComplianceRule {
         own.into_iter().map(|bend| self.judge(rule, case, arm, bend)).collect()
     }
 
-    fn judge(&self, rule: &Rule, case: &Case, arm: &ArmEvidence, bend: &JointBend) -> Judged {
+    fn judge(&self, rule: &Rule, case: &Case, arm: &ArmEvidence, bend: &JointCompliance) -> Judged {
         let threshold = case.thresholds.of(rule, self.threshold);
         let subject = arm.joint(bend.column);
         if let Some(change) = &bend.change {

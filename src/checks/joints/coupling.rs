@@ -53,7 +53,7 @@ fn sign_word(factor: f64) -> &'static str {
 mod tests {
     use crate::checks::joints::ord009_joint_scale::ORD009;
     use crate::checks::testing::{ask, clean_run, sure};
-    use crate::diagnosis::{JointCoupling, JointReading, UnitSlip};
+    use crate::diagnosis::{JointCoupling, JointEncoding, UnitResiduals};
     use crate::finding::Estimate;
 
     #[test]
@@ -62,10 +62,10 @@ mod tests {
             [(1.0, "lift_true = lift + pan"), (-0.03, "lift_true = lift - 0.03000 · pan")]
         {
             let mut run = clean_run();
-            run.robots[0].diagnosis.reading = Ok(JointReading {
+            run.robots[0].diagnosis.reading = Ok(JointEncoding {
                 couplings: vec![JointCoupling { column: 1, by: 0, factor: sure(factor) }],
-                left: Some(UnitSlip { as_logged: 0.6, corrected: 1e-5 }),
-                ..JointReading::default()
+                left: Some(UnitResiduals { as_logged: 0.6, corrected: 1e-5 }),
+                ..JointEncoding::default()
             });
             let (_, findings) = ask(&ORD009, &run);
             let [finding] = findings.as_slice() else { panic!("{findings:?}") };

@@ -1,7 +1,7 @@
 use super::compliance::{ComplianceRule, tip_effect};
 use crate::checks::decision::{DEGREE, Threshold};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{JointBend, Measured};
+use crate::diagnosis::{JointCompliance, Measured};
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
 
@@ -51,7 +51,7 @@ const BACKLASH: ComplianceRule = ComplianceRule {
     name: "play",
     threshold: THRESHOLD,
     settle: "move the joints back and forth, one at a time",
-    is_it: JointBend::is_play,
+    is_it: JointCompliance::is_play,
     fault,
 };
 
@@ -59,7 +59,7 @@ fn check(case: &Case) -> Vec<Judged> {
     BACKLASH.check(&MOT006, case)
 }
 
-fn fault(arm: &ArmEvidence, bend: &JointBend, severity: Severity) -> Fault {
+fn fault(arm: &ArmEvidence, bend: &JointCompliance, severity: Severity) -> Fault {
     let size = Measured { value: bend.amount.value.abs(), ..bend.amount };
     let leads = bend.amount.value < 0.0;
     let (effect_m, moved) = tip_effect(arm, bend.column, size.value);
@@ -86,7 +86,7 @@ fn fault(arm: &ArmEvidence, bend: &JointBend, severity: Severity) -> Fault {
 mod tests {
     use super::*;
     use crate::checks::testing::{ask, clean_run, sure};
-    use crate::diagnosis::{BendShape, Crossing};
+    use crate::diagnosis::{BacklashCrossing, ComplianceShape};
     use crate::finding::Status;
 
     #[test]
@@ -95,10 +95,10 @@ mod tests {
             [(0.02, Status::Fail), (-0.003, Status::Fail), (0.0012, Status::Pass)]
         {
             let mut run = clean_run();
-            let play = JointBend {
+            let play = JointCompliance {
                 column: 1,
                 amount: sure(amount),
-                shape: BendShape::Play(Crossing::Gradual),
+                shape: ComplianceShape::Play(BacklashCrossing::Gradual),
                 change: None,
             };
             run.robots[0].diagnosis.bends.push(play);

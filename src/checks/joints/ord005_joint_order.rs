@@ -1,6 +1,6 @@
 use crate::checks::decision::unseen;
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::JointReading;
+use crate::diagnosis::JointEncoding;
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
@@ -45,8 +45,8 @@ fn judge(arm: &ArmEvidence) -> Judged {
     let subject = arm.topic(&arm.joints_topic);
     match &arm.diagnosis.reading {
         Err(why) => Judged::new(subject, unseen(why, "also log a pose that does not come from /tf")),
-        Ok(JointReading { permutation: None, .. }) => Judged::new(subject, Outcome::sound()),
-        Ok(JointReading { permutation: Some((order, slip)), runner_up_m, .. }) => {
+        Ok(JointEncoding { permutation: None, .. }) => Judged::new(subject, Outcome::sound()),
+        Ok(JointEncoding { permutation: Some((order, slip)), runner_up_m, .. }) => {
             let names: Vec<String> = arm.joints.iter().map(|joint| joint.name.clone()).collect();
             let is: Vec<String> =
                 order.iter().filter_map(|&joint| names.get(joint).cloned()).collect();

@@ -1,7 +1,7 @@
 use serde_json::json;
 
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{DhEstimate, DhStream, DhTold};
+use crate::diagnosis::{DhComparison, DhConventionResult, DhStreamResiduals};
 use crate::evidence::{ArmEvidence, DhEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::robot::DhConvention;
@@ -60,19 +60,20 @@ fn judge(arm: &ArmEvidence, facts: &DhEvidence) -> Judged {
         _ if arm.poses.is_empty() => {
             Outcome::Skipped("no pose stream to compare with the DH table".to_owned())
         }
-        DhTold::AsDeclared => Outcome::sound(),
-        DhTold::Other => Outcome::faulty(fault(convention.other(), estimate)),
-        DhTold::Either => Outcome::Inconclusive(format!(
+        DhConventionResult::AsDeclared => Outcome::sound(),
+        DhConventionResult::Other => Outcome::faulty(fault(convention.other(), estimate)),
+        DhConventionResult::Either => Outcome::Inconclusive(format!(
             "the table fits the streams both as {read_as} (with {}) and as {is} (with {}); check the source \
              of the table",
             faults(estimate.declared_faults),
             faults(estimate.other_faults),
         )),
-        DhTold::Neither => Outcome::Inconclusive(format!(
+        DhConventionResult::Neither => Outcome::Inconclusive(format!(
             "the table fits the streams under neither convention; {SETTLE}"
         )),
     };
-    let slip = (told == DhTold::Other).then_some(Estimate::slip("DH convention", is, read_as));
+    let slip =
+        (told == DhConventionResult::Other).then_some(Estimate::slip("DH convention", is, read_as));
     let finite = |value: f64| Some(value).filter(|value| value.is_finite());
     let streams = arm.poses.iter().zip(&estimate.streams).map(|(facts, stream)| {
         json!({
@@ -103,10 +104,10 @@ fn faults(count: usize) -> String {
     }
 }
 
-fn fault(convention: DhConvention, estimate: &DhEstimate) -> Fault {
+fn fault(convention: DhConvention, estimate: &DhComparison) -> Fault {
     let (is, read_as) = (convention.name(), convention.other().name());
     let speaking = || estimate.streams.iter().filter(|stream| stream.speaks_for_other());
-    let off = |stream: &DhStream| match stream.declared.m.is_finite() {
+    let off = |stream: &DhStreamResiduals| match stream.declared.m.is_finite() {
         true => Some(stream.declared.m),
         false => stream.declared_positions_m,
     };
@@ -140,14 +141,14 @@ fn fault(convention: DhConvention, estimate: &DhEstimate) -> Fault {
 mod tests {
     use super::*;
     use crate::checks::testing::{ask, clean_run};
-    use crate::diagnosis::Left;
+    use crate::diagnosis::DhResidual;
     use crate::finding::Status;
 
     fn judged(declared_m: f64, other_m: Option<f64>) -> (Status, String) {
         let mut run = clean_run();
-        let left = |m: f64| Left { m, rad: 0.0 };
+        let left = |m: f64| DhResidual { m, rad: 0.0 };
         let dh = run.robots[0].dh.as_mut().unwrap();
-        dh.estimate.streams[0] = DhStream {
+        dh.estimate.streams[0] = DhStreamResiduals {
             declared: left(declared_m),
             declared_positions_m: Some(0.25),
             other: other_m.map(left),

@@ -1,7 +1,7 @@
 use super::{coupling, turns};
 use crate::checks::decision::unseen;
 use crate::checks::{Case, Grade, Judged, Threshold, changes};
-use crate::diagnosis::{JointScale, Measured, UnitSlip};
+use crate::diagnosis::{JointScale, Measured, UnitResiduals};
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, JointScaling, Outcome, Severity, Unit};
 use serde_json::json;
@@ -88,7 +88,7 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
             return vec![Judged::new(topic, outcome).within(arm.span)];
         }
     };
-    let left = reading.left.unwrap_or(UnitSlip { as_logged: 0.0, corrected: 0.0 });
+    let left = reading.left.unwrap_or(UnitResiduals { as_logged: 0.0, corrected: 0.0 });
     let judged = |scale: &JointScale, joints: &[JointScale]| {
         let is_all = joints.len() > 1;
         let subject = match is_all {
@@ -151,7 +151,12 @@ fn is_same(a: &JointScale, b: &JointScale) -> bool {
     apart < (SAME * a.factor.value.abs()).max(4.0 * known)
 }
 
-fn fault(arm: &ArmEvidence, scale: &JointScale, joints: &[JointScale], left: &UnitSlip) -> Fault {
+fn fault(
+    arm: &ArmEvidence,
+    scale: &JointScale,
+    joints: &[JointScale],
+    left: &UnitResiduals,
+) -> Fault {
     let factor = as_logged(arm, scale.factor).value;
     let (title, what) = if near(factor, -1.0) {
         ("joint is reversed", "the positions have the wrong sign".to_owned())
@@ -234,7 +239,7 @@ fn shown(factor: f64) -> String {
 mod tests {
     use super::*;
     use crate::checks::testing::{JOINTS, ask, clean_run, sure};
-    use crate::diagnosis::{JointReading, JointSlip, JointUnit};
+    use crate::diagnosis::{JointEncoding, JointUnit, JointUnitError};
     use crate::evidence::RunEvidence;
 
     fn scaled(scales: &[(usize, f64)]) -> RunEvidence {
@@ -246,15 +251,15 @@ mod tests {
             offset: 0.25,
         };
         arm.diagnosis.scales = scales.iter().map(scale).collect();
-        let slip = |scale: &JointScale| JointSlip {
+        let slip = |scale: &JointScale| JointUnitError {
             column: scale.column,
             unit: JointUnit::Scaled,
             factor: scale.factor.value,
         };
-        arm.diagnosis.reading = Ok(JointReading {
+        arm.diagnosis.reading = Ok(JointEncoding {
             slips: arm.diagnosis.scales.iter().map(slip).collect(),
-            left: Some(UnitSlip { as_logged: 0.4, corrected: 2e-4 }),
-            ..JointReading::default()
+            left: Some(UnitResiduals { as_logged: 0.4, corrected: 2e-4 }),
+            ..JointEncoding::default()
         });
         run
     }

@@ -1,7 +1,7 @@
 use crate::checks::decision::{Decision, Threshold, decide};
 use crate::checks::together::{alike, listed, prefix, subject};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{Response, Unseen, VelocityDiagnosis, VelocityShape};
+use crate::diagnosis::{NotObservable, Response, VelocityDiagnosis, VelocityShape};
 use crate::evidence::{ArmEvidence, JointEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
@@ -100,9 +100,9 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     rows
 }
 
-fn unseen(why: &Unseen) -> String {
+fn unseen(why: &NotObservable) -> String {
     match why {
-        Unseen::TooFewSamples { have, need } => {
+        NotObservable::TooFewSamples { have, need } => {
             format!("it has {have} samples with a velocity, {need} are needed")
         }
         _ => "the joint barely moves".to_owned(),
@@ -356,7 +356,7 @@ mod tests {
     #[test]
     fn a_joint_at_rest_is_open_and_none_with_velocities_is_skipped() {
         let mut run = clean_run();
-        run.robots[0].joints[0].velocity = Some(Err(Unseen::AtRest));
+        run.robots[0].joints[0].velocity = Some(Err(NotObservable::AtRest));
         assert_eq!(ask(&VEL001, &run).0[0].status, Status::Inconclusive);
         run.robots[0].joints.iter_mut().for_each(|joint| joint.velocity = None);
         let (rows, _) = ask(&VEL001, &run);

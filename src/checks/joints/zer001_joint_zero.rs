@@ -5,7 +5,9 @@ use crate::checks::frames::THRESHOLDS;
 use crate::checks::poses::frm001_tf_against_kinematics;
 use crate::checks::poses::mdl001_unexplained_residual::MDL001;
 use crate::checks::{Case, Grade, Judged, UNKNOWN_WORLD, changes, residual_attribution};
-use crate::diagnosis::{FrameEstimate, JointOffset, Measured, Seen, Twin, Unseen};
+use crate::diagnosis::{
+    Confounder, EstimateResult, FrameEstimate, JointOffset, Measured, NotObservable,
+};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Ruling, Severity, Unit};
 use crate::run::Witness;
@@ -148,7 +150,7 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
         (Decision::Pass, _) => Outcome::sound(),
         (_, Some(twin)) if !offset.chosen => not_told_from(arm, &twin),
         (Decision::Fail(_), _) if arm.poses.iter().any(|s| s.diagnosis.nominal) => {
-            unseen(&Unseen::NominalKinematics, SETTLE)
+            unseen(&NotObservable::NominalKinematics, SETTLE)
         }
         (Decision::Fail(_), _) => {
             let shown = threshold.unit.show_signed(measured);
@@ -156,7 +158,7 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
             Outcome::Inconclusive(format!("{why}; {SETTLE}"))
         }
         (Decision::Undecided(_), _) if arm.poses.iter().any(|s| s.diagnosis.nominal) => {
-            unseen(&Unseen::NominalKinematics, SETTLE)
+            unseen(&NotObservable::NominalKinematics, SETTLE)
         }
         (Decision::Undecided(why), _) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
     };
@@ -297,19 +299,20 @@ fn meaning(witness: Witness) -> &'static str {
 
 /// The confounder of `offset` that is in the selected model, for messages.
 fn named_instead(arm: &ArmEvidence, offset: &JointOffset) -> Option<String> {
-    let chosen = |frame: &Seen<FrameEstimate>| frame.as_ref().is_ok_and(|frame| frame.chosen);
+    let chosen =
+        |frame: &EstimateResult<FrameEstimate>| frame.as_ref().is_ok_and(|frame| frame.chosen);
     let named = offset.twins.iter().find(|twin| match **twin {
-        Twin::JointZero(joint, _) => {
+        Confounder::JointZero(joint, _) => {
             arm.diagnosis.offsets.get(joint).is_some_and(|other| other.chosen)
         }
-        Twin::Reference(stream, _) => arm
+        Confounder::Reference(stream, _) => arm
             .poses
             .get(stream)
             .is_some_and(|stream| !stream.reference_known || chosen(&stream.diagnosis.reference)),
-        Twin::Tool(stream, _) => {
+        Confounder::Tool(stream, _) => {
             arm.poses.get(stream).is_some_and(|stream| chosen(&stream.diagnosis.tool))
         }
-        Twin::Sag(..) => false,
+        Confounder::Sag(..) => false,
     })?;
     let cause = confounder_alternative(arm, named, Unit::Radian);
     Some(format!("{} on {}", cause.code, cause.subject.label()))
@@ -326,7 +329,7 @@ mod tests {
         let mut run = clean_run();
         let pan = &mut run.robots[0].diagnosis.offsets[0];
         (pan.offset, pan.chosen) = (Ok(sure(-0.01)), true);
-        pan.twins = vec![Twin::Reference(0, -0.01)];
+        pan.twins = vec![Confounder::Reference(0, -0.01)];
         let (_, findings) = ask(&ZER001, &run);
         let [finding] = findings.as_slice() else { panic!("{findings:?}") };
         assert_eq!(finding.subject.joint.as_deref(), Some("pan"));
@@ -398,7 +401,7 @@ mod tests {
         let mut run = clean_run();
         let diagnosis = &mut run.robots[0].diagnosis;
         diagnosis.offsets[0].offset = Ok(sure(-0.01));
-        diagnosis.offsets[0].twins = vec![Twin::Reference(0, -0.01)];
+        diagnosis.offsets[0].twins = vec![Confounder::Reference(0, -0.01)];
         run.robots[0].poses[0].diagnosis.reference =
             Ok(FrameEstimate { chosen: true, ..frame(0.1) });
         let (rows, findings) = ask(&ZER001, &run);

@@ -1,7 +1,7 @@
 use super::compliance::{ComplianceRule, tip_effect};
 use crate::checks::decision::{DEGREE, Threshold};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::JointBend;
+use crate::diagnosis::JointCompliance;
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
 
@@ -53,7 +53,7 @@ const SAG: ComplianceRule = ComplianceRule {
     name: "sag",
     threshold: THRESHOLD,
     settle: "stretch the arm out and fold it, with every joint moving",
-    is_it: JointBend::is_sag,
+    is_it: JointCompliance::is_sag,
     fault,
 };
 
@@ -61,7 +61,7 @@ fn check(case: &Case) -> Vec<Judged> {
     SAG.check(&ZER003, case)
 }
 
-fn fault(arm: &ArmEvidence, bend: &JointBend, severity: Severity) -> Fault {
+fn fault(arm: &ArmEvidence, bend: &JointCompliance, severity: Severity) -> Fault {
     let (effect_m, moved) = tip_effect(arm, bend.column, bend.amount.value);
     Fault {
         severity,

@@ -4,7 +4,7 @@ use serde_json::json;
 
 use crate::checks::decision::{Decision, Threshold, decide, unseen};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{Measured, Seen, SkewedDelays};
+use crate::diagnosis::{DelayJitter, EstimateResult, Measured};
 use crate::evidence::{ArmEvidence, HandEyeEvidence, Of};
 use crate::finding::{
     Alternative, Cause, Estimate, Evidence, Fault, Outcome, Ruling, Severity, Subject, Unit,
@@ -65,9 +65,9 @@ const SETTLE: &str = "record 10 s of motion that starts, stops and does not repe
 struct Late<'a> {
     /// Whether its stamps are independent of the joint states'.
     independent: bool,
-    latency: &'a Seen<Measured>,
+    latency: &'a EstimateResult<Measured>,
     /// Its delays if they are skewed; the latency is then their median.
-    delays: Option<&'a SkewedDelays>,
+    delays: Option<&'a DelayJitter>,
 }
 
 fn check(case: &Case) -> Vec<Judged> {
@@ -300,7 +300,7 @@ fn message(arm: &ArmEvidence, latency: &Measured) -> String {
 
 /// Suffix for a latency that is the median of skewed delays.
 fn in_the_mean(stream: &Of<Late>) -> String {
-    let mean = |delays: &SkewedDelays| {
+    let mean = |delays: &DelayJitter| {
         let mean = Measured { value: delays.mean_s.value.abs(), ..delays.mean_s };
         let side = if delays.mean_s.value > 0.0 { "late" } else { "early" };
         format!(" (median; delays are skewed, mean {} {side})", THRESHOLD.unit.show_measured(&mean))
@@ -353,18 +353,22 @@ fn alternative(subject: Subject, latency: &Measured) -> Alternative {
 mod tests {
     use super::*;
     use crate::checks::testing::{as_case, clean_run};
-    use crate::diagnosis::Unseen;
+    use crate::diagnosis::NotObservable;
 
-    fn latency(value: f64) -> Seen<Measured> {
+    fn latency(value: f64) -> EstimateResult<Measured> {
         Ok(Measured { value, std_error: 1e-5, dof: 1e3 })
     }
 
-    fn stream<'a>(topic: &str, independent: bool, latency: &'a Seen<Measured>) -> Of<Late<'a>> {
+    fn stream<'a>(
+        topic: &str,
+        independent: bool,
+        latency: &'a EstimateResult<Measured>,
+    ) -> Of<Late<'a>> {
         let subject = clean_run().robots[0].topic(topic);
         Of { subject, span: None, found: Late { independent, latency, delays: None } }
     }
 
-    fn lateness(latencies: &[(bool, Seen<Measured>)]) -> Option<f64> {
+    fn lateness(latencies: &[(bool, EstimateResult<Measured>)]) -> Option<f64> {
         let topics = ["/pose", "/tracker", "/imu"];
         let streams = topics.iter().zip(latencies);
         let streams =
@@ -388,7 +392,7 @@ mod tests {
         );
         assert_eq!(lateness(&[(true, latency(-0.02)), (true, latency(-0.05))]), None);
         assert_eq!(lateness(&[(true, latency(0.02)), (true, latency(0.02))]), None);
-        assert_eq!(lateness(&[(true, latency(-0.02)), (true, Err(Unseen::AtRest))]), None);
+        assert_eq!(lateness(&[(true, latency(-0.02)), (true, Err(NotObservable::AtRest))]), None);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 use crate::checks::decision::Threshold;
 use crate::checks::scalar_rule::{ScalarRule, StreamEstimate};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{Measured, Seen};
+use crate::diagnosis::{EstimateResult, Measured};
 use crate::evidence::{ArmEvidence, Of};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Unit};
 
@@ -74,7 +74,7 @@ fn judge(case: &Case, arm: &ArmEvidence, is_own: bool, skew: &Of<StreamEstimate<
 }
 
 /// Explains why a rate from a short run is not reliable. `None` if it is.
-fn doubt(skew: &Seen<Measured>, seconds: f64) -> Option<String> {
+fn doubt(skew: &EstimateResult<Measured>, seconds: f64) -> Option<String> {
     let skew = skew.as_ref().ok()?;
     let moved_s = skew.value.abs() * seconds;
     (seconds < OWN_MINUTE_S && moved_s < GROWS_S).then(|| {

@@ -2,7 +2,7 @@ use serde_json::{Value, json};
 
 use crate::checks::decision::{Decision, Threshold, decide, unseen};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{LatencyCourse, LatencyJump, LatencyShape, Measured, Seen};
+use crate::diagnosis::{EstimateResult, LatencyProfile, LatencyShape, LatencyStep, Measured};
 use crate::evidence::{ArmEvidence, Of};
 use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
@@ -62,7 +62,7 @@ const SETTLE: &str = "record 10 s or more of motion that starts and stops";
 struct Course<'a> {
     /// Whether its stamps are independent of the joint states'.
     independent: bool,
-    course: &'a Seen<LatencyCourse>,
+    course: &'a EstimateResult<LatencyProfile>,
     /// The latency after removing the profile.
     latency: Option<&'a Measured>,
 }
@@ -100,10 +100,10 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
 
 /// The latency profile of the joint states, if two or more independent streams step together and none is
 /// constant.
-fn joints_course(case: &Case, streams: &[Of<Course>]) -> Option<LatencyCourse> {
+fn joints_course(case: &Case, streams: &[Of<Course>]) -> Option<LatencyProfile> {
     /// Maximum time between steps that count as one, s: each is dated to a window or to the next motion.
     const TOGETHER_S: f64 = 1.5;
-    let mut witnesses: Vec<&LatencyCourse> = Vec::new();
+    let mut witnesses: Vec<&LatencyProfile> = Vec::new();
     for course in
         streams.iter().filter(|one| one.independent).filter_map(|one| one.course.as_ref().ok())
     {
@@ -117,12 +117,12 @@ fn joints_course(case: &Case, streams: &[Of<Course>]) -> Option<LatencyCourse> {
             Decision::Fail(_) | Decision::Pass => return None,
         }
     }
-    let by_error = |a: &&&LatencyCourse, b: &&&LatencyCourse| {
+    let by_error = |a: &&&LatencyProfile, b: &&&LatencyProfile| {
         a.swing_s.std_error.total_cmp(&b.swing_s.std_error)
     };
     let surest = *witnesses.iter().min_by(by_error).filter(|_| witnesses.len() >= 2)?;
-    let is_shared = |jump: &LatencyJump| {
-        let is_same = |other: &LatencyJump| {
+    let is_shared = |jump: &LatencyStep| {
+        let is_same = |other: &LatencyStep| {
             let by_s = case.thresholds.of(&LAT003, THRESHOLD).warning
                 + 2.0 * jump.size_s.std_error.hypot(other.size_s.std_error);
             (other.at_s - jump.at_s).abs() < TOGETHER_S
@@ -130,10 +130,10 @@ fn joints_course(case: &Case, streams: &[Of<Course>]) -> Option<LatencyCourse> {
         };
         witnesses.iter().all(|course| course.jumps.iter().any(is_same))
     };
-    let is_one = |course: &LatencyCourse| course.jumps.len() == surest.jumps.len();
+    let is_one = |course: &LatencyProfile| course.jumps.len() == surest.jumps.len();
     let shared = surest.jumps.iter().all(is_shared) && witnesses.iter().all(|one| is_one(one));
-    let turned = |jump: &LatencyJump| LatencyJump { size_s: jump.size_s.scaled(-1.0), ..*jump };
-    shared.then(|| LatencyCourse {
+    let turned = |jump: &LatencyStep| LatencyStep { size_s: jump.size_s.scaled(-1.0), ..*jump };
+    shared.then(|| LatencyProfile {
         swing_s: surest.swing_s.scaled(-1.0),
         is_unsteady: true,
         shape: LatencyShape::Steps,
@@ -143,7 +143,7 @@ fn joints_course(case: &Case, streams: &[Of<Course>]) -> Option<LatencyCourse> {
     })
 }
 
-fn estimate(case: &Case, course: &LatencyCourse, latency: Option<&Measured>) -> Estimate {
+fn estimate(case: &Case, course: &LatencyProfile, latency: Option<&Measured>) -> Estimate {
     let name = match course.shape {
         LatencyShape::Steps => "latency jump",
         LatencyShape::Ramp { .. } => "latency ramp",
@@ -163,7 +163,7 @@ fn estimate(case: &Case, course: &LatencyCourse, latency: Option<&Measured>) -> 
 
 /// The latency before and after its single step or ramp, s, and the start and end of that change, s from
 /// the run's origin.
-fn ends(course: &LatencyCourse, latency: Option<&Measured>) -> Option<(f64, f64, [f64; 2])> {
+fn ends(course: &LatencyProfile, latency: Option<&Measured>) -> Option<(f64, f64, [f64; 2])> {
     let latency_s = latency?.value;
     let level = |level: Option<&(f64, f64)>| Some(latency_s + level?.1);
     match (course.shape, course.jumps.as_slice()) {
@@ -205,7 +205,7 @@ fn judge(case: &Case, arm: &ArmEvidence, stream: &Of<Course>) -> Judged {
 fn fault(
     case: &Case,
     arm: &ArmEvidence,
-    course: &LatencyCourse,
+    course: &LatencyProfile,
     latency: Option<&Measured>,
     severity: Severity,
 ) -> Fault {
@@ -305,12 +305,12 @@ mod tests {
     fn scatter_that_noise_may_be_is_no_finding() {
         let mut run = clean_run();
         let course = |swing_s, is_unsteady, jumps| {
-            Ok(LatencyCourse { swing_s, is_unsteady, jumps, ..steady() })
+            Ok(LatencyProfile { swing_s, is_unsteady, jumps, ..steady() })
         };
         run.robots[0].poses[0].diagnosis.course = course(sure(0.012), false, vec![]);
         let (rows, findings) = ask(&LAT003, &run);
         assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
-        let jump = LatencyJump { at_s: 4.0, size_s: sure(0.012) };
+        let jump = LatencyStep { at_s: 4.0, size_s: sure(0.012) };
         run.robots[0].poses[0].diagnosis.course = course(sure(0.012), true, vec![jump]);
         let (_, findings) = ask(&LAT003, &run);
         assert!(findings[0].message.starts_with("latency jumps by +12.000"), "{findings:?}");
@@ -319,22 +319,22 @@ mod tests {
     #[test]
     fn streams_that_jump_together_make_it_the_joints() {
         let jumps = |at_s: f64, size_s: f64| {
-            let jump = LatencyJump { at_s, size_s: sure(size_s) };
-            Ok(LatencyCourse {
+            let jump = LatencyStep { at_s, size_s: sure(size_s) };
+            Ok(LatencyProfile {
                 swing_s: sure(size_s),
                 is_unsteady: true,
                 jumps: vec![jump],
                 ..steady()
             })
         };
-        let with = |pose: Seen<LatencyCourse>, imu: Seen<LatencyCourse>| {
+        let with = |pose: EstimateResult<LatencyProfile>, imu: EstimateResult<LatencyProfile>| {
             let mut run = clean_run();
             let arm = &mut run.robots[0];
             arm.poses[0].diagnosis.course = pose;
             arm.imus[0].diagnosis.latency_course = imu;
             if let Some(tf) = &mut arm.tf {
                 tf.independent = false;
-                tf.diagnosis.course = Err(crate::diagnosis::Unseen::AtRest);
+                tf.diagnosis.course = Err(crate::diagnosis::NotObservable::AtRest);
             }
             let found = ask(&LAT003, &run).1.into_iter();
             found.map(|finding| finding.subject.label().to_owned()).collect::<Vec<_>>()

@@ -1,7 +1,7 @@
 use crate::checks::decision::Threshold;
 use crate::checks::motion::mot003_limits_exceeded::motion_doubt;
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{NoShake, Shake};
+use crate::diagnosis::{Vibration, VibrationFailure};
 use crate::evidence::{ArmEvidence, Of, ShakeEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
@@ -72,11 +72,11 @@ fn judge(case: &Case, arm: &ArmEvidence, stream: &Of<ShakeEvidence>) -> Judged {
     }
     let found = match &stream.shake {
         Ok(found) => found,
-        Err(NoShake::Slow(rate_hz)) => {
+        Err(VibrationFailure::Slow(rate_hz)) => {
             let why = format!("a rate of {rate_hz:.0} Hz cannot show vibration above 10 Hz");
             return judged(Outcome::Skipped(why));
         }
-        Err(NoShake::Uneven) => {
+        Err(VibrationFailure::Uneven) => {
             let why = "needs 1.5 s of evenly spaced samples";
             return judged(Outcome::Inconclusive(format!("{why}; {SETTLE}")));
         }
@@ -102,7 +102,7 @@ fn judge(case: &Case, arm: &ArmEvidence, stream: &Of<ShakeEvidence>) -> Judged {
         .with_evidence("resolved_m", found.resolved_m)
 }
 
-fn fault(case: &Case, stream: &Of<ShakeEvidence>, found: &Shake, severity: Severity) -> Fault {
+fn fault(case: &Case, stream: &Of<ShakeEvidence>, found: &Vibration, severity: Severity) -> Fault {
     Fault {
         cause: Cause::Seen(Sight::Shake),
         severity,
@@ -133,7 +133,7 @@ mod tests {
             (1e-4, 1e-5, Status::Pass),
         ] {
             let mut run = clean_run();
-            let shake = Shake { rms_m, resolved_m, frequency_hz: 12.0, ..Shake::default() };
+            let shake = Vibration { rms_m, resolved_m, frequency_hz: 12.0, ..Vibration::default() };
             run.robots[0].shakes[0].shake = Ok(shake);
             let (rows, _) = ask(&MOT001, &run);
             assert_eq!(rows[0].status, status, "{:?}", rows[0]);

@@ -1,6 +1,6 @@
 use crate::checks::motion::mot003_limits_exceeded::doubt_of_joint;
 use crate::checks::{Case, Grade, Judged, Limit};
-use crate::diagnosis::Abruptness;
+use crate::diagnosis::PeakAcceleration;
 use crate::evidence::{ArmEvidence, JointEvidence};
 use crate::finding::{
     Cause, Estimate, Evidence, Fault, JointRelation, Outcome, Severity, Sight, Unit,
@@ -82,7 +82,7 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
     };
     let limit = if joint.prismatic { SLIDING } else { TURNING };
     let (unit, limit) = (limit.unit.symbol(), case.thresholds.limit(&MOT002, &limit));
-    let Abruptness { acceleration, noise, resolved, .. } = *found;
+    let PeakAcceleration { acceleration, noise, resolved, .. } = *found;
     let outcome = if acceleration - noise >= limit {
         Outcome::faulty(fault(case, found, limit, unit))
     } else if acceleration >= limit {
@@ -111,7 +111,7 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
 
 /// The acceleration with its interval: two of the six standard deviations in `noise`, and at least 1 %, the
 /// error of a fit over a few samples.
-fn estimate(found: &Abruptness, unit: &'static str) -> Estimate {
+fn estimate(found: &PeakAcceleration, unit: &'static str) -> Estimate {
     let half = (found.noise / 3.0).max(0.01 * found.acceleration);
     let ci95 = Some([found.acceleration - half, found.acceleration + half]);
     Estimate::Amount {
@@ -127,7 +127,7 @@ fn estimate(found: &Abruptness, unit: &'static str) -> Estimate {
 /// Larger accelerations are impossible for an arm, rad/s² or m/s².
 const BEYOND_ARMS: f64 = 1e4;
 
-fn fault(case: &Case, found: &Abruptness, limit: f64, unit: &str) -> Fault {
+fn fault(case: &Case, found: &PeakAcceleration, limit: f64, unit: &str) -> Fault {
     if found.acceleration >= BEYOND_ARMS {
         return Fault {
             cause: Cause::Seen(Sight::Joint),
@@ -177,8 +177,14 @@ mod tests {
             (8.0, 2.0, f64::INFINITY, Status::Inconclusive),
         ] {
             let mut run = clean_run();
-            let stop =
-                Abruptness { acceleration, noise, window_s: 0.05, at_s: 1.0, jerk: 9.0, resolved };
+            let stop = PeakAcceleration {
+                acceleration,
+                noise,
+                window_s: 0.05,
+                at_s: 1.0,
+                jerk: 9.0,
+                resolved,
+            };
             run.robots[0].joints[0].motion.abruptness = Some(stop);
             let (rows, _) = ask(&MOT002, &run);
             assert_eq!(rows[0].status, status, "{:?}", rows[0]);

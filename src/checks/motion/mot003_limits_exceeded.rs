@@ -1,7 +1,7 @@
 use serde_json::{Value, json};
 
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{Excess, Unseen};
+use crate::diagnosis::{LimitViolation, NotObservable};
 use crate::evidence::{ArmEvidence, JointEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
@@ -92,7 +92,7 @@ fn doubt_of(arm: &ArmEvidence) -> Option<&'static str> {
         Ok(reading) if reading.degrees.is_some() || reading.permutation.is_some() => {
             "joint names or units are wrong; correct them first (ORD004, ORD005)"
         }
-        Err(Unseen::NotExcited) => {
+        Err(NotObservable::NotExcited) => {
             "poses and joint states disagree for every joint order and unit (MDL001), so order and unit are \
              undetermined"
         }
@@ -104,13 +104,13 @@ fn doubt_of(arm: &ArmEvidence) -> Option<&'static str> {
 /// An exceeded limit.
 struct Broken<'a> {
     what: &'static str,
-    excess: &'a Excess,
+    excess: &'a LimitViolation,
     severity: Severity,
 }
 
 impl<'a> Broken<'a> {
     /// `None` if the excess is within noise. `range` scales the `info` fraction.
-    fn of(what: &'static str, excess: Option<&'a Excess>, range: f64) -> Option<Self> {
+    fn of(what: &'static str, excess: Option<&'a LimitViolation>, range: f64) -> Option<Self> {
         let excess = excess.filter(|excess| excess.over() > NOISE)?;
         let is_slight = excess.over() <= SLIGHT * range;
         let severity = if is_slight { Severity::Info } else { Severity::Warning };
@@ -184,7 +184,7 @@ fn zero_is_off(arm: &ArmEvidence, joint: usize) -> bool {
 }
 
 fn tell(case: &Case, broken: &Broken<'_>, unit: Unit) -> String {
-    let Excess { limit, value, at_s, seconds } = *broken.excess;
+    let LimitViolation { limit, value, at_s, seconds } = *broken.excess;
     let per = if broken.what == "speed" { "/s" } else { "" };
     let shown = |amount: f64| match unit {
         // Not in mm, for comparison with the model's value.
@@ -202,7 +202,7 @@ fn tell(case: &Case, broken: &Broken<'_>, unit: Unit) -> String {
     )
 }
 
-fn evidence(case: &Case, excess: &Excess) -> Value {
+fn evidence(case: &Case, excess: &LimitViolation) -> Value {
     json!({
         "limit": excess.limit,
         "value": excess.value,
@@ -221,7 +221,7 @@ mod tests {
         let mut run = clean_run();
         let arm = &mut run.robots[0];
         arm.joints[1].motion.positions =
-            Some(Excess { limit: 3.0, value: 3.5, at_s: 1.0, seconds: 0.25 });
+            Some(LimitViolation { limit: 3.0, value: 3.5, at_s: 1.0, seconds: 0.25 });
         let lift = &mut arm.diagnosis.offsets[1];
         (lift.offset, lift.chosen) = (Ok(crate::checks::testing::sure(-1.2)), true);
         assert!(ask(&MOT003, &run).1.is_empty());
@@ -235,7 +235,7 @@ mod tests {
             let mut run = clean_run();
             let motion = &mut run.robots[0].joints[1].motion;
             motion.positions =
-                Some(Excess { limit: 3.0, value: 3.0 + over, at_s: 1.0, seconds: 0.25 });
+                Some(LimitViolation { limit: 3.0, value: 3.0 + over, at_s: 1.0, seconds: 0.25 });
             let (_, findings) = ask(&MOT003, &run);
             assert_eq!(findings.first().map(|found| found.severity), severity, "{findings:?}");
         }

@@ -1,7 +1,7 @@
 use crate::checks::decision::{Decision, decide_both, decide_frame, unseen};
 use crate::checks::frames::THRESHOLDS;
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{Measured, PoseDiagnosis, Unseen};
+use crate::diagnosis::{Measured, NotObservable, PoseDiagnosis};
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Unit};
 
@@ -52,7 +52,7 @@ struct Disagreement {
 
 impl Disagreement {
     /// The constant offset, if one explains the disagreement; otherwise the residual beyond the noise.
-    fn of<'a>(case: &Case, tf: &'a PoseDiagnosis) -> Result<Self, &'a Unseen> {
+    fn of<'a>(case: &Case, tf: &'a PoseDiagnosis) -> Result<Self, &'a NotObservable> {
         let (thresholds, subjects) =
             (case.thresholds.of_frames(&FRM001, THRESHOLDS), case.evidence.subjects());
         let offset = [&tf.reference, &tf.tool].into_iter().flatten().find(|frame| frame.chosen);

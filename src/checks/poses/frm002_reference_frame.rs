@@ -1,7 +1,7 @@
 use crate::checks::decision::DEGREE;
 use crate::checks::frames::{self, End, THRESHOLDS, show, show_pose};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{FrameEstimate, Twin};
+use crate::diagnosis::{Confounder, FrameEstimate};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Cause, Change, Evidence, Fault, Outcome, Ruling, Severity};
 use crate::geometry::{Pose, rotvec_from_rotation};
@@ -59,7 +59,7 @@ fn check(case: &Case) -> Vec<Judged> {
             (!stream.reference_known).then(why)
         },
         changes: |diagnosis| &diagnosis.reference_changes,
-        is_twin: |twin, index| matches!(twin, Twin::Reference(stream, _) if *stream == index),
+        is_twin: |twin, index| matches!(twin, Confounder::Reference(stream, _) if *stream == index),
         fault,
     };
     frames::judge(case, &reference).into_iter().map(|judged| since_label(case, judged)).collect()

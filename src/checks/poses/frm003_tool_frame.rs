@@ -1,6 +1,6 @@
 use crate::checks::frames::{self, End, THRESHOLDS, show, show_pose};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{FrameEstimate, Other, Twin};
+use crate::diagnosis::{Confounder, FrameEstimate, SwitchedTool};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 use crate::run::Witness;
@@ -54,7 +54,7 @@ fn check(case: &Case) -> Vec<Judged> {
         frame: |stream| &stream.tip,
         not_judged: |_| None,
         changes: |diagnosis| &diagnosis.tool_changes,
-        is_twin: |twin, index| matches!(twin, Twin::Tool(stream, _) if *stream == index),
+        is_twin: |twin, index| matches!(twin, Confounder::Tool(stream, _) if *stream == index),
         fault,
     };
     let mut judged = frames::judge(case, &tool);
@@ -68,7 +68,12 @@ fn check(case: &Case) -> Vec<Judged> {
 }
 
 /// Finding for a second body on the tool, described by part of the poses.
-fn alternates(case: &Case, arm: &ArmEvidence, stream: &Of<PoseEvidence>, other: &Other) -> Judged {
+fn alternates(
+    case: &Case,
+    arm: &ArmEvidence,
+    stream: &Of<PoseEvidence>,
+    other: &SwitchedTool,
+) -> Judged {
     /// Maximum number of time spans in the message.
     const NAMED: usize = 3;
     let thresholds = case.thresholds.of_frames(&FRM003, THRESHOLDS);

@@ -9,7 +9,7 @@ use crate::checks::residual_attribution::{
     Attribution, CauseOutcomes, ExceedingResidual, attribute_residual,
 };
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{Amount, Error, Measured, Part, Reading, Size};
+use crate::diagnosis::{ErrorMagnitude, ErrorSize, FkError, Measured, PartError, PoseEncoding};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{
     Cause, Estimate, Evidence, Fault, Outcome, ReadAs, Ruling, Severity, Subject, Unit, rounded,
@@ -213,7 +213,7 @@ fn judge(case: &Case, attributed: &AttributedStream, all: &[AttributedStream]) -
 
 /// The rms error beyond the noise. The error repeats with the motion apart from the noise, so its interval
 /// is that of a mean of independent noise.
-fn rms_beyond_noise(whole: &Amount) -> Measured {
+fn rms_beyond_noise(whole: &ErrorMagnitude) -> Measured {
     let noise = whole.noise.unwrap_or_default();
     let independent = (whole.samples as f64 / noise.over.max(1) as f64).max(3.0);
     Measured {
@@ -224,8 +224,8 @@ fn rms_beyond_noise(whole: &Amount) -> Measured {
 }
 
 /// An error over the whole run, and its largest part, as JSON.
-fn error_json(case: &Case, error: &Error) -> Value {
-    let most = |size: &Size| size.worst().map(|part| part.amount.most);
+fn error_json(case: &Case, error: &FkError) -> Value {
+    let most = |size: &ErrorSize| size.worst().map(|part| part.amount.most);
     let worst = error.length.worst();
     let ns = |at_s: f64| case.evidence.origin.shifted(at_s).to_string();
     json!({
@@ -282,7 +282,7 @@ fn outcome(case: &Case, attributed: &AttributedStream, all: &[AttributedStream])
 }
 
 /// Formats the rms errors: `12 mm and 0.3°`.
-fn sizes(error: &Error) -> String {
+fn sizes(error: &FkError) -> String {
     let length = Unit::Metre.show(error.length.whole.rms);
     match &error.angle {
         Some(angle) => format!("{length} and {}", Unit::Radian.show(angle.whole.rms)),
@@ -293,8 +293,8 @@ fn sizes(error: &Error) -> String {
 /// Formats time, size and place of the error: `in 5 of 10 parts of the run, from +10.02 s to +20.00 s, up
 /// to 70 mm and 0.2°, largest near (…) m`.
 fn describe_residual(case: &Case, residual: &ExceedingResidual) -> String {
-    let Part { at, .. } = residual.worst;
-    let most = |size: &Size| size.worst().map_or(0.0, |part| part.amount.most);
+    let PartError { at, .. } = residual.worst;
+    let most = |size: &ErrorSize| size.worst().map_or(0.0, |part| part.amount.most);
     let length = Unit::Metre.show(most(&residual.error.length));
     let angle = residual.error.angle.as_ref().map(|angle| Unit::Radian.show(most(angle)));
     let most = angle.map_or(length.clone(), |angle| format!("{length} and {angle}"));
@@ -353,7 +353,7 @@ fn round_to_one(value: f64) -> f64 {
     (value / unit).round() * unit
 }
 
-fn nominal(error: &Error, link_m: Option<f64>) -> Fault {
+fn nominal(error: &FkError, link_m: Option<f64>) -> Fault {
     let by = link_m.map_or(String::new(), |link_m| {
         format!(": about {} per link", Unit::Metre.show(round_to_one(link_m)))
     });
@@ -449,7 +449,7 @@ const DISAGREE: &str = "poses and joint states disagree";
 const TELLS: &str = "record 10 s in which the joints move by 30° one at a time";
 
 /// Formats the disagreement between poses and joint states.
-fn said(error: &Error) -> String {
+fn said(error: &FkError) -> String {
     let length = Unit::Metre.show(error.length.whole.rms);
     let angle = error.angle.as_ref().map(|angle| Unit::Radian.show(angle.whole.rms));
     let angle = angle.map_or(String::new(), |angle| format!(", {angle}"));
@@ -460,16 +460,16 @@ fn said(error: &Error) -> String {
 fn candidates(stream: &Of<PoseEvidence>) -> Vec<String> {
     let found = &stream.diagnosis;
     let proof = stream.proof.as_ref().ok();
-    let rms = |error: &Error| error.length.whole.rms;
+    let rms = |error: &FkError| error.length.whole.rms;
     let residual = proof.and_then(|proof| {
-        let nearer = |residual: &&Error| rms(residual) < 0.5 * rms(&proof.as_logged);
+        let nearer = |residual: &&FkError| rms(residual) < 0.5 * rms(&proof.as_logged);
         proof.left.as_ref().filter(nearer)
     });
     let all =
         residual.map(|residual| format!("all findings together (residual {})", sizes(residual)));
     let ranked = found.reading.as_ref().map_or(&[] as &[_], |reading| &reading.ranked);
     let readings =
-        ranked.iter().filter(|(reading, _)| !matches!(reading, Reading::AsLogged)).take(3);
+        ranked.iter().filter(|(reading, _)| !matches!(reading, PoseEncoding::AsLogged)).take(3);
     let readings = readings.map(|(reading, left_rad)| {
         let ReadAs { is, read_as: was } = read_as(reading);
         format!("{is} read as {was} (residual {})", Unit::Radian.show(*left_rad))

@@ -1,6 +1,6 @@
 use crate::checks::reading::{self, Kind, Wording, read_as, read_as_misreading, words};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{Reading, ReadingEstimate};
+use crate::diagnosis::{EncodingEstimate, PoseEncoding};
 use crate::finding::{Estimate, RunnerUp, Severity, Unit};
 use crate::geometry::{Convention, Misreading, RotationSlip};
 
@@ -51,8 +51,8 @@ fn check(case: &Case) -> Vec<Judged> {
     reading::judge(case, Kind::Convention, word)
 }
 
-fn word(estimate: &ReadingEstimate) -> Option<Wording> {
-    let Reading::Misread(class) = estimate.best else { return None };
+fn word(estimate: &EncodingEstimate) -> Option<Wording> {
+    let PoseEncoding::Misinterpreted(class) = estimate.best else { return None };
     let (named, same) = class.members.split_first()?;
     let same = same.iter().map(read_as_misreading);
     let others = estimate.equivalent.iter().map(read_as);

@@ -1,6 +1,6 @@
 use crate::checks::reading::{self, Kind, Wording, quaternion_orders};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{Reading, ReadingEstimate};
+use crate::diagnosis::{EncodingEstimate, PoseEncoding};
 use crate::finding::{Estimate, Severity};
 use crate::geometry::{QuaternionSlip, RotationSlip};
 
@@ -41,8 +41,8 @@ fn check(case: &Case) -> Vec<Judged> {
     reading::judge(case, Kind::QuaternionOrder, word)
 }
 
-fn word(estimate: &ReadingEstimate) -> Option<Wording> {
-    let Reading::QuaternionOrder(slip) = estimate.best else { return None };
+fn word(estimate: &EncodingEstimate) -> Option<Wording> {
+    let PoseEncoding::QuaternionOrder(slip) = estimate.best else { return None };
     let (is, read_as) = quaternion_orders(slip);
     let (right, wrong, fix) = match slip {
         QuaternionSlip::WxyzReadAsXyzw => (

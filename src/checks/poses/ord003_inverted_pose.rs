@@ -1,6 +1,6 @@
 use crate::checks::reading::{self, Kind, Wording};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{PoseDiagnosis, Reading, ReadingEstimate};
+use crate::diagnosis::{EncodingEstimate, PoseDiagnosis, PoseEncoding};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::geometry::{RotationSlip, Slip};
 
@@ -86,7 +86,7 @@ fn by_positions(found: &PoseDiagnosis) -> Fault {
 const EXCHANGE: &str =
     "swap parent and child: publish base_from_tip, as returned by lookup_transform(base, tip)";
 
-fn word(estimate: &ReadingEstimate) -> Option<Wording> {
+fn word(estimate: &EncodingEstimate) -> Option<Wording> {
     let (title, what, fix, slip) = match estimate.best {
         _ if estimate.inverted => (
             "pose is inverted",
@@ -94,7 +94,7 @@ fn word(estimate: &ReadingEstimate) -> Option<Wording> {
             EXCHANGE,
             RotationSlip::Inverted,
         ),
-        Reading::Transposed => (
+        PoseEncoding::Transposed => (
             "rotation is transposed",
             "the rotation is transposed relative to its frame names",
             "invert the rotation where it is written; read a column-major matrix by columns",

@@ -1,6 +1,6 @@
 use crate::checks::decision::unseen;
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{JointUnit, UnitSlip};
+use crate::diagnosis::{JointUnit, UnitResiduals};
 use crate::evidence::{ArmEvidence, ImuEvidence, Of};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Subject, Unit};
 use crate::geometry::{AngleUnit, Slip};
@@ -81,7 +81,7 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
 
 /// Judges the unit of a gyro; `None` if the IMU does not rotate with the arm.
 fn judge_gyro(imu: &Of<ImuEvidence>) -> Option<Judged> {
-    let Some(UnitSlip { as_logged, corrected }) = imu.diagnosis.numbers.degrees else {
+    let Some(UnitResiduals { as_logged, corrected }) = imu.diagnosis.numbers.degrees else {
         let turns = imu.proof.as_ref()?.rates.is_some();
         return turns.then(|| imu.judged(Outcome::sound()).within(imu.span));
     };
@@ -130,7 +130,7 @@ impl Taken {
 fn judge(
     arm: &ArmEvidence,
     subject: Subject,
-    slip: Option<UnitSlip>,
+    slip: Option<UnitResiduals>,
     residual: Unit,
     taken: Taken,
 ) -> Judged {

@@ -1,6 +1,6 @@
 use crate::checks::decision::unseen;
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{AccelSlip, JointUnit, LengthSlip};
+use crate::diagnosis::{AccelUnitError, JointUnit, LengthUnitError};
 use crate::evidence::{ArmEvidence, ImuEvidence, Of, PoseEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit, rounded};
 use crate::geometry::{LengthScale, Slip};
@@ -61,7 +61,7 @@ fn check(case: &Case) -> Vec<Judged> {
                 Unit::Metre.show(slip.residual.corrected)
             )),
             Ok(Some(slip)) => {
-                let LengthSlip { is, read_as, residual } = slip;
+                let LengthUnitError { is, read_as, residual } = slip;
                 return stream
                     .judged(Outcome::faulty(fault(stream, slip)))
                     .estimated(Estimate::slip("length unit", is.to_string(), read_as.to_string()))
@@ -77,7 +77,7 @@ fn check(case: &Case) -> Vec<Judged> {
 
 /// Judges the unit of an accelerometer; `None` if it measures neither gravity nor a wrong unit.
 fn judge_accelerometer(imu: &Of<ImuEvidence>) -> Option<Judged> {
-    let Some(AccelSlip { unit, felt }) = imu.diagnosis.numbers.accel else {
+    let Some(AccelUnitError { unit, felt }) = imu.diagnosis.numbers.accel else {
         let feels = imu.proof.as_ref()?.gravity_m_s2.is_some();
         return feels.then(|| imu.judged(Outcome::sound()).within(imu.span));
     };
@@ -135,7 +135,7 @@ fn judge_joints(arm: &ArmEvidence) -> Vec<Judged> {
 }
 
 /// Fault for positions in a different unit from the one assumed.
-fn fault(stream: &Of<PoseEvidence>, slip: &LengthSlip) -> Fault {
+fn fault(stream: &Of<PoseEvidence>, slip: &LengthUnitError) -> Fault {
     let topic = stream.topic();
     let (is, read_as) = (slip.is.words(), slip.read_as.words());
     let is_metres = slip.is == LengthScale::METRE;

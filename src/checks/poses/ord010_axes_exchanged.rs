@@ -1,6 +1,6 @@
 use crate::checks::decision::unseen;
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::AxesSlip;
+use crate::diagnosis::AxesError;
 use crate::evidence::{Of, PoseEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::geometry::Axes;
@@ -67,13 +67,13 @@ fn check(case: &Case) -> Vec<Judged> {
 
 /// Whether rotations use the axes of the positions. A left-handed frame and its opposite encode rotations
 /// identically.
-fn are_alike(slip: AxesSlip) -> bool {
+fn are_alike(slip: AxesError) -> bool {
     slip.positions.conjugator() == slip.rotations.conjugator()
 }
 
 /// Name of the axes.
-fn named(slip: AxesSlip) -> String {
-    let AxesSlip { positions, rotations } = slip;
+fn named(slip: AxesError) -> String {
+    let AxesError { positions, rotations } = slip;
     match (positions == Axes::STANDARD, rotations == Axes::STANDARD) {
         _ if are_alike(slip) => positions.to_string(),
         (false, true) => format!("positions {positions}"),
@@ -82,8 +82,8 @@ fn named(slip: AxesSlip) -> String {
     }
 }
 
-fn fault(stream: &Of<PoseEvidence>, slip: AxesSlip) -> Fault {
-    let AxesSlip { positions, rotations } = slip;
+fn fault(stream: &Of<PoseEvidence>, slip: AxesError) -> Fault {
+    let AxesError { positions, rotations } = slip;
     let title = match (positions == Axes::STANDARD, rotations == Axes::STANDARD) {
         (true, _) => "axes of the rotations are exchanged",
         _ if positions.are_left_handed() => "axes are left-handed",
@@ -139,7 +139,7 @@ mod tests {
     #[test]
     fn the_fix_names_each_component() {
         let mut run = clean_run();
-        let slip = AxesSlip { positions: Axes::UNITY, rotations: Axes::UNITY };
+        let slip = AxesError { positions: Axes::UNITY, rotations: Axes::UNITY };
         run.robots[0].poses[0].diagnosis.axes = Ok(Some(slip));
         let (rows, findings) = ask(&ORD010, &run);
         assert_eq!(rows[0].status, Status::Fail);
@@ -150,7 +150,7 @@ mod tests {
     #[test]
     fn rotations_alone_are_said_to_be_alone() {
         let rotations = "x left, y forward, z down".parse().unwrap();
-        let slip = AxesSlip { positions: Axes::STANDARD, rotations };
+        let slip = AxesError { positions: Axes::STANDARD, rotations };
         assert_eq!(named(slip), "rotations x left, y forward, z down");
     }
 }

@@ -1,6 +1,6 @@
 use crate::checks::decision::unseen;
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::ConstantPart;
+use crate::diagnosis::ConstantCoordinate;
 use crate::evidence::{Of, PoseEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit, rounded};
 
@@ -61,10 +61,10 @@ fn check(case: &Case) -> Vec<Judged> {
     judged.collect()
 }
 
-fn fault(stream: &Of<PoseEvidence>, parts: &[ConstantPart], most_m: f64) -> Fault {
+fn fault(stream: &Of<PoseEvidence>, parts: &[ConstantCoordinate], most_m: f64) -> Fault {
     let said: Vec<String> = parts
         .iter()
-        .map(|ConstantPart { coordinate, value, moved_m }| {
+        .map(|ConstantCoordinate { coordinate, value, moved_m }| {
             let (value, moved) = (rounded(*value, 4), Unit::Metre.show(*moved_m));
             format!("{coordinate} is {value} throughout while FK moves it by {moved}")
         })
@@ -90,7 +90,7 @@ mod tests {
         let mut run = clean_run();
         assert!(ask(&ORD011, &run).1.is_empty());
         run.robots[0].poses[0].diagnosis.constant =
-            vec![ConstantPart { coordinate: 'z', value: 0.0, moved_m: 0.43 }];
+            vec![ConstantCoordinate { coordinate: 'z', value: 0.0, moved_m: 0.43 }];
         let findings = ask(&ORD011, &run).1;
         let expected = "z is 0.0000 throughout while FK moves it by 430 mm";
         assert_eq!(findings[0].message, expected);

@@ -1,7 +1,7 @@
 use crate::checks::decision::Threshold;
 use crate::checks::scalar_rule::{ScalarRule, StreamEstimate};
 use crate::checks::{Case, Grade, Judged, changes, residual_attribution};
-use crate::diagnosis::{AmountChange, Measured, PoseDiagnosis};
+use crate::diagnosis::{Measured, PoseDiagnosis, ScalarChange};
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
 
@@ -49,7 +49,7 @@ const GROWTH: ScalarRule = ScalarRule {
 
 fn check(case: &Case) -> Vec<Judged> {
     let judged = case.evidence.poses().map(|(arm, stream)| {
-        if let Some(change) = AmountChange::largest(&stream.diagnosis.growth_changes) {
+        if let Some(change) = ScalarChange::largest(&stream.diagnosis.growth_changes) {
             let threshold = case.thresholds.of(&ZER002, THRESHOLD);
             let title = "growth with reach changes mid-run";
             let effect_m = change.by.value.abs() * arm.reach_m;

@@ -1,5 +1,5 @@
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::Reading;
+use crate::diagnosis::PoseEncoding;
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::geometry::{Coding, Convention, QuaternionSlip, vendors};
@@ -86,16 +86,16 @@ fn judge_labels(arm: &ArmEvidence, pose: &Of<PoseEvidence>) -> Option<Judged> {
         return None;
     }
     let named = codings(labels, &arm.name);
-    let coding = |reading: &Reading| match reading {
-        Reading::Numbers(convention) => Some(Coding::Three(*convention)),
-        Reading::QuaternionOrder(QuaternionSlip::WxyzReadAsXyzw) => Some(Coding::Wxyz),
-        Reading::AsLogged => Some(Coding::Xyzw),
+    let coding = |reading: &PoseEncoding| match reading {
+        PoseEncoding::Numbers(convention) => Some(Coding::Three(*convention)),
+        PoseEncoding::QuaternionOrder(QuaternionSlip::WxyzReadAsXyzw) => Some(Coding::Wxyz),
+        PoseEncoding::AsLogged => Some(Coding::Xyzw),
         _ => None,
     };
     let best = coding(&reading.best)?;
-    let is_named = |reading: &Reading| coding(reading).is_some_and(|own| named.contains(&own));
+    let is_named = |reading: &PoseEncoding| coding(reading).is_some_and(|own| named.contains(&own));
     let limit_rad = CLEAR_RATIO * reading.best_rad.max(Unit::Radian.noise_floor());
-    let is_near = |(reading, rad): &(Reading, f64)| is_named(reading) && *rad <= limit_rad;
+    let is_near = |(reading, rad): &(PoseEncoding, f64)| is_named(reading) && *rad <= limit_rad;
     let fits = named.contains(&best)
         || reading.equivalent.iter().any(is_named)
         || reading.ranked.iter().any(is_near);

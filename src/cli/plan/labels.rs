@@ -1,6 +1,6 @@
 //! Labels of the quantities that a motion shows.
 
-use poseaudit::diagnosis::plan::{Bound, Showable};
+use poseaudit::diagnosis::plan::{LimitKind, PlannedQuantity};
 use poseaudit::finding::Unit;
 
 use super::arm::Planning;
@@ -18,54 +18,54 @@ pub struct Label {
 }
 
 impl Label {
-    pub fn of(planning: &Planning, asked: &Asked, shown: Showable) -> Self {
+    pub fn of(planning: &Planning, asked: &Asked, shown: PlannedQuantity) -> Self {
         let joint = |joint: usize| Some(planning.chain.joint_names()[joint].clone());
         let axis = |axis: usize| Some(["x", "y", "z"][axis % 3].to_owned());
         let by_joint = |at: usize| if planning.slides(at) { Unit::Metre } else { Unit::Radian };
         let links = Unit::Metre.show(asked.sensing.link_m);
         let (name, said, of, unit) = match shown {
-            Showable::Zero(at) => {
+            PlannedQuantity::Zero(at) => {
                 ("zero", "zero, exact nominal model".to_owned(), joint(at), by_joint(at))
             }
-            Showable::ZeroBesideLinks(at) => {
+            PlannedQuantity::ZeroBesideLinks(at) => {
                 let said = format!("zero, links deviate by {links}");
                 ("zero_beside_links", said, joint(at), by_joint(at))
             }
-            Showable::FkPosition { everywhere: false } => (
+            PlannedQuantity::FkPosition { everywhere: false } => (
                 "fk_position_here",
                 "tip position where it moves, rms".to_owned(),
                 None,
                 Unit::Metre,
             ),
-            Showable::FkPosition { everywhere: true } => (
+            PlannedQuantity::FkPosition { everywhere: true } => (
                 "fk_position_everywhere",
                 "tip position everywhere, rms".to_owned(),
                 None,
                 Unit::Metre,
             ),
-            Showable::FkRotation { everywhere: false } => (
+            PlannedQuantity::FkRotation { everywhere: false } => (
                 "fk_rotation_here",
                 "tip rotation where it moves, rms".to_owned(),
                 None,
                 Unit::Radian,
             ),
-            Showable::FkRotation { everywhere: true } => (
+            PlannedQuantity::FkRotation { everywhere: true } => (
                 "fk_rotation_everywhere",
                 "tip rotation everywhere, rms".to_owned(),
                 None,
                 Unit::Radian,
             ),
-            Showable::Latency => ("latency", "latency".to_owned(), None, Unit::Second),
-            Showable::CameraShift(at) => {
+            PlannedQuantity::Latency => ("latency", "latency".to_owned(), None, Unit::Second),
+            PlannedQuantity::CameraShift(at) => {
                 ("camera_position", "camera's position along".to_owned(), axis(at), Unit::Metre)
             }
-            Showable::CameraTurn(at) => {
+            PlannedQuantity::CameraTurn(at) => {
                 ("camera_rotation", "camera's rotation about".to_owned(), axis(at), Unit::Radian)
             }
-            Showable::YawDrift => {
+            PlannedQuantity::YawDrift => {
                 ("yaw_drift", "yaw drift".to_owned(), None, Unit::RadianPerSecond)
             }
-            Showable::Tilt(at) => ("tilt", "tilt about".to_owned(), axis(at), Unit::Radian),
+            PlannedQuantity::Tilt(at) => ("tilt", "tilt about".to_owned(), axis(at), Unit::Radian),
         };
         Self { name, said, of, unit }
     }
@@ -81,10 +81,10 @@ impl Label {
 }
 
 /// The limited quantity, in text and JSON.
-pub fn bound(bound: Bound) -> &'static str {
+pub fn bound(bound: LimitKind) -> &'static str {
     match bound {
-        Bound::Lower | Bound::Upper => "position",
-        Bound::Speed => "speed",
-        Bound::Acceleration => "acceleration",
+        LimitKind::Lower | LimitKind::Upper => "position",
+        LimitKind::Speed => "speed",
+        LimitKind::Acceleration => "acceleration",
     }
 }

@@ -1,7 +1,8 @@
 //! The planning task: joint ranges, clearances and measurements.
 
 use poseaudit::diagnosis::plan::{
-    Beyond, Body, Keep, Nearness, Planned, Promise, Purpose, Room, Sensing, Task, View, beyond,
+    ArmCapsules, ClearanceViolation, Clearances, ExpectedPrecision, JointMargins, LimitViolation,
+    MotionPlan, PlanRequirements, Purpose, Sensing, TargetVisibility, beyond,
 };
 use poseaudit::finding::Unit;
 use poseaudit::geometry::{Pose, Vec3};
@@ -26,11 +27,11 @@ const ROW_S: f64 = 0.02;
 /// The planning task.
 pub struct Asked {
     pub around: Vec<f64>,
-    pub rooms: Vec<Room>,
+    pub rooms: Vec<JointMargins>,
     pub seconds: f64,
     pub purpose: Purpose,
     pub sensing: Sensing,
-    pub keep: Keep,
+    pub keep: Clearances,
     pub seed: u64,
     /// Names of the joints without a speed limit in the model.
     pub unlimited: Vec<String>,
@@ -42,10 +43,10 @@ pub struct Asked {
 
 /// A given motion, checked against the task.
 pub struct Checked {
-    pub promises: Vec<Promise>,
-    pub beyond: Vec<Beyond>,
+    pub promises: Vec<ExpectedPrecision>,
+    pub beyond: Vec<LimitViolation>,
     /// The first violated clearance, and its time, s.
-    pub near: Option<(f64, Nearness)>,
+    pub near: Option<(f64, ClearanceViolation)>,
 }
 
 /// The task of a motion around a configuration.
@@ -63,8 +64,9 @@ pub fn asked(args: &Args, planning: &Planning, around: Vec<f64>) -> Result<Asked
     }
     let asked = Asked::of_given(args, planning, around);
     let under = asked.keep.near(&planning.chain, &asked.around);
-    let under =
-        under.iter().find(|near| matches!(near, Nearness::Floor(_, height) if *height < 0.0));
+    let under = under
+        .iter()
+        .find(|near| matches!(near, ClearanceViolation::Floor(_, height) if *height < 0.0));
     match under {
         Some(near) => Err(misuse("--floor", asked.nearness(near), "lower --floor")),
         None => Ok(asked),
@@ -82,7 +84,7 @@ impl Asked {
             let most = amplitude * unit;
             let room = |to: Option<f64>| to.map_or(most, |to| to.clamp(0.0, most));
             let stated = limits.velocity.unwrap_or(USUAL_SPEED * unit);
-            Room {
+            JointMargins {
                 below: room(limits.lower.map(|lower| q - lower)),
                 above: room(limits.upper.map(|upper| upper - q)),
                 velocity: args.speed.map_or(stated, |speed| stated.min(speed * unit)),
@@ -97,12 +99,19 @@ impl Asked {
         let camera = Pose::identity();
         let target = chain.forward(&around) * nalgebra::Point3::new(0.0, 0.0, args.target);
         let purpose = args.purpose.into();
-        let view = (purpose == Purpose::HandEye).then(|| View {
+        let view = (purpose == Purpose::HandEye).then(|| TargetVisibility {
             hand_from_camera: camera,
             target: Vec3::from(target.coords),
             half_rad: args.view.to_radians(),
         });
-        let keep = Keep::around(chain, &around, Body { radius_m }, args.clear, args.floor, view);
+        let keep = Clearances::around(
+            chain,
+            &around,
+            ArmCapsules { radius_m },
+            args.clear,
+            args.floor,
+            view,
+        );
         let joints = chain.joint_names().iter();
         let link = |name: &String| {
             robot.joint(name).map_or(name.clone(), |joint| robot.link_name(joint.child).to_owned())
@@ -130,8 +139,8 @@ impl Asked {
         }
     }
 
-    pub fn task<'a>(&'a self, chain: &'a poseaudit::robot::Chain) -> Task<'a> {
-        Task {
+    pub fn task<'a>(&'a self, chain: &'a poseaudit::robot::Chain) -> PlanRequirements<'a> {
+        PlanRequirements {
             chain,
             around: &self.around,
             rooms: &self.rooms,
@@ -144,26 +153,26 @@ impl Asked {
     }
 
     /// Samples a planned motion.
-    pub fn motion(&self, planned: &Planned) -> JointTrack {
+    pub fn motion(&self, planned: &MotionPlan) -> JointTrack {
         planned.series.track((self.seconds / ROW_S).ceil() as usize + 1)
     }
 
     /// Describes a violated clearance.
-    pub fn nearness(&self, near: &Nearness) -> String {
+    pub fn nearness(&self, near: &ClearanceViolation) -> String {
         match *near {
-            Nearness::Parts(i, j, apart) => format!(
+            ClearanceViolation::Parts(i, j, apart) => format!(
                 "{} and {} come within {} of each other",
                 self.parts[i],
                 self.parts[j],
                 Unit::Metre.show(apart.max(0.0))
             ),
-            Nearness::Floor(at, height) if height < 0.0 => {
+            ClearanceViolation::Floor(at, height) if height < 0.0 => {
                 format!("{} is {} below the floor", self.parts[at], Unit::Metre.show(-height))
             }
-            Nearness::Floor(at, height) => {
+            ClearanceViolation::Floor(at, height) => {
                 format!("{} comes within {} of the floor", self.parts[at], Unit::Metre.show(height))
             }
-            Nearness::View(angle) => {
+            ClearanceViolation::View(angle) => {
                 format!("the target is {} off the camera axis", Unit::Radian.show(angle))
             }
         }
@@ -175,7 +184,7 @@ impl Checked {
         planning: &Planning,
         asked: &Asked,
         motion: &JointTrack,
-        promises: Vec<Promise>,
+        promises: Vec<ExpectedPrecision>,
     ) -> Self {
         let speed: Vec<f64> = asked.rooms.iter().map(|room| room.velocity).collect();
         let acceleration: Vec<f64> = asked.rooms.iter().map(|room| room.acceleration).collect();

@@ -2,7 +2,9 @@
 
 use std::io::{self, Write};
 
-use poseaudit::diagnosis::plan::{Bound, Extent, Planned, Promise, extents, geometric_mean};
+use poseaudit::diagnosis::plan::{
+    ExpectedPrecision, JointRange, LimitKind, MotionPlan, extents, geometric_mean,
+};
 use poseaudit::finding::Unit;
 use poseaudit::report::foreign;
 use poseaudit::stream::JointTrack;
@@ -20,7 +22,7 @@ const HARDLY: f64 = 0.2;
 pub fn planned(
     planning: &Planning,
     asked: &Asked,
-    planned: &Planned,
+    planned: &MotionPlan,
     motion: &JointTrack,
     out: &mut dyn Write,
 ) -> io::Result<()> {
@@ -62,9 +64,9 @@ pub fn checked(
     for found in &checked.beyond {
         let unit = if planning.slides(found.joint) { "m" } else { "rad" };
         let unit = match found.bound {
-            Bound::Lower | Bound::Upper => unit.to_owned(),
-            Bound::Speed => format!("{unit}/s"),
-            Bound::Acceleration => format!("{unit}/s²"),
+            LimitKind::Lower | LimitKind::Upper => unit.to_owned(),
+            LimitKind::Speed => format!("{unit}/s"),
+            LimitKind::Acceleration => format!("{unit}/s²"),
         };
         let (name, what) = (&planning.chain.joint_names()[found.joint], labels::bound(found.bound));
         writeln!(
@@ -103,8 +105,8 @@ fn heading(
 fn promises(
     planning: &Planning,
     asked: &Asked,
-    own: &[Promise],
-    others: &[(&str, &[Promise])],
+    own: &[ExpectedPrecision],
+    others: &[(&str, &[ExpectedPrecision])],
     out: &mut dyn Write,
 ) -> io::Result<()> {
     let header = ["expected ± (95 %)", "this motion"].into_iter();
@@ -166,7 +168,7 @@ fn motions(
         "position limits",
     ]);
     for (joint, extent) in extents(motion).into_iter().enumerate() {
-        let Extent { low, high, speed, acceleration } = extent;
+        let JointRange { low, high, speed, acceleration } = extent;
         let unit = if planning.slides(joint) { "m" } else { "rad" };
         let (room, limits) = (asked.rooms[joint], chain.limits()[joint]);
         let limit = |limit: Option<f64>| limit.map_or("none".to_owned(), |it| format!("{it:.2}"));

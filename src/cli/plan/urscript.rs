@@ -2,7 +2,7 @@
 
 use std::io::{self, Write};
 
-use poseaudit::diagnosis::plan::Series;
+use poseaudit::diagnosis::plan::FourierMotion;
 use poseaudit::report::Trouble;
 use poseaudit::report::foreign;
 use poseaudit::robot::Chain;
@@ -45,7 +45,7 @@ pub fn is_theirs(chain: &Chain) -> Result<(), Trouble> {
 pub fn program(
     planning: &Planning,
     asked: &Asked,
-    series: &Series,
+    series: &FourierMotion,
     out: &mut dyn Write,
 ) -> io::Result<()> {
     let rate = std::f64::consts::TAU / series.seconds;

@@ -2,7 +2,9 @@
 
 use std::io::{self, Write};
 
-use poseaudit::diagnosis::plan::{Planned, Promise, Series, extents, geometric_mean};
+use poseaudit::diagnosis::plan::{
+    ExpectedPrecision, FourierMotion, MotionPlan, extents, geometric_mean,
+};
 use poseaudit::report::foreign;
 use poseaudit::stream::JointTrack;
 use serde_json::{Value, json};
@@ -35,11 +37,11 @@ pub fn csv(planning: &Planning, motion: &JointTrack, out: &mut dyn Write) -> io:
 pub fn json(
     planning: &Planning,
     asked: &Asked,
-    planned: &Planned,
+    planned: &MotionPlan,
     motion: &JointTrack,
     out: &mut dyn Write,
 ) -> io::Result<()> {
-    let Planned { series, share, promises, random, one_by_one } = planned;
+    let MotionPlan { series, share, promises, random, one_by_one } = planned;
     let mut said = head(planning, asked, motion);
     said["amplitude_share"] = json!(share);
     said["expected"] = expected(planning, asked, promises);
@@ -112,7 +114,7 @@ fn head(planning: &Planning, asked: &Asked, motion: &JointTrack) -> Value {
     })
 }
 
-fn expected(planning: &Planning, asked: &Asked, promises: &[Promise]) -> Value {
+fn expected(planning: &Planning, asked: &Asked, promises: &[ExpectedPrecision]) -> Value {
     let rows = promises.iter().map(|promise| {
         let label = Label::of(planning, asked, promise.of);
         let half = promise.half.is_finite().then_some(promise.half);
@@ -129,7 +131,7 @@ fn trajectory(motion: &JointTrack) -> Value {
 }
 
 /// Writes a `trajectory_msgs/JointTrajectory`.
-pub fn yaml(planning: &Planning, series: &Series, out: &mut dyn Write) -> io::Result<()> {
+pub fn yaml(planning: &Planning, series: &FourierMotion, out: &mut dyn Write) -> io::Result<()> {
     let listed = |numbers: &[f64]| {
         let numbers = numbers.iter().map(|number| format!("{:.9}", number + 0.0));
         numbers.collect::<Vec<_>>().join(", ")

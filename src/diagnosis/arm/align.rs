@@ -1,9 +1,9 @@
 //! Aligns a stream's samples with FK, before and after correction.
 
-use crate::explain::Explanation;
-use crate::model::{Blind, StreamState, Sweep, Witness};
-use crate::prepare::Prepared;
-use crate::{Aligned, PoseStream};
+use crate::explain::SelectedModel;
+use crate::model::{ExcludedComponents, PoseObservations, PredictionBuffers, StreamState};
+use crate::prepare::DecodedStream;
+use crate::{AlignedSamples, PoseStream};
 use ground::geometry::pose;
 use ground::stream::{JointTrack, Orientations};
 
@@ -11,15 +11,15 @@ use ground::stream::{JointTrack, Orientations};
 pub(super) fn align(
     recorded: &JointTrack,
     stream: &PoseStream,
-    prepared: &Prepared,
-    explanation: &Explanation,
+    prepared: &DecodedStream,
+    explanation: &SelectedModel,
     index: usize,
-) -> Aligned {
+) -> AlignedSamples {
     let witness = &prepared.witness;
     let found = &explanation.state.streams[index];
-    let taken = found.taken();
+    let taken = found.frame_correction();
     let plain = StreamState::at_latency(0.0);
-    let as_recorded = Witness {
+    let as_recorded = PoseObservations {
         joints: recorded,
         chain: witness.chain,
         columns: witness.columns,
@@ -34,13 +34,14 @@ pub(super) fn align(
         middle_s: witness.middle_s,
     };
     let zero = vec![0.0; recorded.dof];
-    let (mut sweep, mut truth_sweep) = (Sweep::new(&as_recorded), Sweep::new(witness));
+    let (mut sweep, mut truth_sweep) =
+        (PredictionBuffers::new(&as_recorded), PredictionBuffers::new(witness));
     let truth_state = StreamState {
         latency_s: found.latency_s,
         skew: found.skew,
         ..StreamState::at_latency(0.0)
     };
-    let mut aligned = Aligned::default();
+    let mut aligned = AlignedSamples::default();
     let mut source = 0;
     for k in 0..witness.len() {
         let truth = witness.pose_at(k, &truth_state, &explanation.state.offsets, &mut truth_sweep);
@@ -56,13 +57,13 @@ pub(super) fn align(
             Orientations::Numbers(_) | Orientations::Unset(_) => witness.rotation[k],
         };
         let mut read = pose(witness.xyz[k].into(), witness.rotation[k]);
-        if witness.blind != Blind::default() {
-            witness.blind.fill(&mut read, &taken.back(&truth));
+        if witness.blind != ExcludedComponents::default() {
+            witness.blind.fill(&mut read, &taken.invert(&truth));
         }
         aligned.t_s.push(witness.t_s[k]);
         aligned.logged.push(pose(stream.track.xyz[source].into(), rotation));
         aligned.fk.push(fk);
-        aligned.corrected.push(taken.off(&read));
+        aligned.corrected.push(taken.apply(&read));
         aligned.fk_at_truth.push(truth);
     }
     aligned

@@ -1,15 +1,15 @@
 //! Fits all streams of an arm together, from the best starting state of each.
 
 use super::{EXPLAINED_M, EXPLAINED_RAD};
-use crate::drawing::{Drawing, ZERO, drawing, standing_out};
-use crate::explain::{Approach, Cause, Explanation, Menu, best, explain};
+use crate::drawing::{LinkDeviations, ZERO, drawing, standing_out};
+use crate::explain::{Approach, CandidateCauses, Cause, SelectedModel, best, explain};
 use crate::frames::{left_by_constant_frames, starts};
 use crate::harmless::tools_first;
 use crate::joints::{Read, is_quarter_turn, lone_zeros};
-use crate::latency::Peak;
-use crate::model::{State, StreamState, Witness};
+use crate::latency::LagPeak;
+use crate::model::{PoseObservations, State, StreamState};
 use crate::nominal::{MOST_M, MOST_RAD, is_nominal, rms};
-use crate::prepare::Prepared;
+use crate::prepare::DecodedStream;
 use crate::sampling::SEARCH_SAMPLES;
 use ground::geometry::Pose;
 use ground::robot::JointKind;
@@ -20,17 +20,17 @@ use std::f64::consts::FRAC_PI_2;
 pub(crate) const FIT_SAMPLES: usize = 4000;
 
 /// Joint fit of all streams.
-pub(super) struct Fitted {
-    pub(super) explanation: Explanation,
-    pub(super) menu: Menu,
+pub(super) struct ArmFit {
+    pub(super) explanation: SelectedModel,
+    pub(super) menu: CandidateCauses,
     /// Joint zeros with link deviations, if a nominal model is compared with a calibrated arm. Causes that
     /// deviations of all links can imitate are then not reported.
-    pub(super) nominal: Option<Drawing>,
+    pub(super) nominal: Option<LinkDeviations>,
 }
 
 /// Whether the arm's links may deviate from the model.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Links {
+pub(super) enum LinkModel {
     /// They may deviate as usual.
     Deviate,
     /// They are already corrected by the result of another segment.
@@ -38,17 +38,18 @@ pub(super) enum Links {
 }
 
 pub(super) fn fit(
-    prepared: &[&Prepared],
+    prepared: &[&DecodedStream],
     read: &Read,
     with_offsets: bool,
-    links: Links,
-) -> Option<Fitted> {
+    links: LinkModel,
+) -> Option<ArmFit> {
     if prepared.is_empty() {
         return None;
     }
     let alone: Vec<State> =
         prepared.iter().map(|prepared| best_start(prepared, read, with_offsets)).collect();
-    let witnesses: Vec<&Witness> = prepared.iter().map(|prepared| &prepared.witness).collect();
+    let witnesses: Vec<&PoseObservations> =
+        prepared.iter().map(|prepared| &prepared.witness).collect();
     let menu = menu(prepared, read, with_offsets);
     // The streams share the joints, so start from the offsets of the stream with the most samples.
     let most = (0..prepared.len()).max_by_key(|&s| prepared[s].witness.len()).unwrap_or(0);
@@ -69,8 +70,8 @@ pub(super) fn fit(
     let is_of_calibrated =
         |s: usize| is_nominal(witnesses[s], s, &explanation.state, &plain[s], &offsets);
     if !is_open || !(0..witnesses.len()).any(is_of_calibrated) {
-        let fitted = Fitted { explanation, menu, nominal: None };
-        return Some(match with_offsets && links == Links::Deviate {
+        let fitted = ArmFit { explanation, menu, nominal: None };
+        return Some(match with_offsets && links == LinkModel::Deviate {
             true => without_feigned(fitted, &witnesses, most),
             false => fitted,
         });
@@ -90,16 +91,16 @@ pub(super) fn fit(
     };
     let (named, optional): (Vec<Cause>, Vec<Cause>) =
         menu.optional.into_iter().filter(kept).partition(is_named);
-    let menu = Menu { always: [menu.always, named].concat(), optional };
+    let menu = CandidateCauses { always: [menu.always, named].concat(), optional };
     let start = State { offsets: large, streams: plain };
     let explanation = explain(&witnesses, start, &menu, Approach::Careful, FIT_SAMPLES);
-    Some(Fitted { explanation, menu, nominal: drawing })
+    Some(ArmFit { explanation, menu, nominal: drawing })
 }
 
 /// Drops causes that usual link deviations can imitate, if constant frames have a small residual without
 /// them. Uses stream `s`.
-fn without_feigned(fitted: Fitted, witnesses: &[&Witness], s: usize) -> Fitted {
-    let Fitted { explanation, menu, .. } = &fitted;
+fn without_feigned(fitted: ArmFit, witnesses: &[&PoseObservations], s: usize) -> ArmFit {
+    let ArmFit { explanation, menu, .. } = &fitted;
     let small = small_causes(explanation, s);
     if small.is_empty() || !explains_all(explanation) {
         return fitted;
@@ -140,7 +141,7 @@ fn without_feigned(fitted: Fitted, witnesses: &[&Witness], s: usize) -> Fitted {
             || (explanation.causes.contains(cause) && !feigned.contains(cause))
     };
     let optional = menu.optional.iter().copied().filter(kept).collect();
-    let menu = Menu { always: menu.always.clone(), optional };
+    let menu = CandidateCauses { always: menu.always.clone(), optional };
     let start = undone(&feigned);
     let nominal = drawing(witnesses[s], &start.streams[s], &start.offsets);
     let explanation = explain(witnesses, start, &menu, Approach::Careful, FIT_SAMPLES);
@@ -151,13 +152,13 @@ fn without_feigned(fitted: Fitted, witnesses: &[&Witness], s: usize) -> Fitted {
         witnesses[s].reference_known && m < EXPLAINED_M && rad < EXPLAINED_RAD
     };
     match explains_all(&explanation) || is_constant() {
-        true => Fitted { explanation, menu, nominal },
+        true => ArmFit { explanation, menu, nominal },
         false => fitted,
     }
 }
 
 /// Returns whether the residual of every stream is below MDL001's thresholds.
-fn explains_all(explanation: &Explanation) -> bool {
+fn explains_all(explanation: &SelectedModel) -> bool {
     explanation.linear.streams.iter().all(|stream| {
         rms(&stream.residual[0]) < EXPLAINED_M && rms(&stream.residual[1]) < EXPLAINED_RAD
     })
@@ -165,7 +166,7 @@ fn explains_all(explanation: &Explanation) -> bool {
 
 /// Selected causes of stream `s` that link deviations can imitate: zeros below [`ZERO`], small frames, and
 /// radial scale. Causes below MDL001's thresholds are not faults and are ignored.
-fn small_causes(explanation: &Explanation, s: usize) -> Vec<Cause> {
+fn small_causes(explanation: &SelectedModel, s: usize) -> Vec<Cause> {
     let found = &explanation.state.streams[s];
     let is_near = |frame: &Pose| {
         let (m, rad) = (frame.translation.vector.norm(), frame.rotation.angle());
@@ -185,7 +186,7 @@ fn small_causes(explanation: &Explanation, s: usize) -> Vec<Cause> {
 
 /// Returns whether link deviations could explain the selected causes. This requires several causes, or one
 /// with a remaining residual.
-fn leaves_room(explanation: &Explanation) -> bool {
+fn leaves_room(explanation: &SelectedModel) -> bool {
     /// Maximum variance inflation of white noise. A larger one indicates a wrong model.
     const MEMORY: f64 = 1.5;
     let is_small = |cause: &&Cause| !matches!(cause, Cause::Skew(_) | Cause::Gain(_));
@@ -203,7 +204,7 @@ fn large_zeros(state: &State, read: &Read, most: f64) -> Vec<f64> {
 
 /// State of a stream without the causes that a calibration can imitate. Keeps frames that are unknown,
 /// round, or too large for a calibration.
-pub(super) fn without_small_causes(explanation: &Explanation, stream: usize) -> StreamState {
+pub(super) fn without_small_causes(explanation: &SelectedModel, stream: usize) -> StreamState {
     let found = &explanation.state.streams[stream];
     let is_large = |frame: &Pose| {
         frame.translation.vector.norm() > MOST_M || frame.rotation.angle() > MOST_RAD
@@ -217,7 +218,7 @@ pub(super) fn without_small_causes(explanation: &Explanation, stream: usize) -> 
     }
 }
 
-fn menu(prepared: &[&Prepared], read: &Read, with_offsets: bool) -> Menu {
+fn menu(prepared: &[&DecodedStream], read: &Read, with_offsets: bool) -> CandidateCauses {
     let (mut always, mut optional) = (Vec::new(), Vec::new());
     if with_offsets {
         let dof = read.track.dof;
@@ -244,15 +245,15 @@ fn menu(prepared: &[&Prepared], read: &Read, with_offsets: bool) -> Menu {
             optional.extend([Cause::Tool(s), Cause::Growth(s)]);
         }
     }
-    Menu { always, optional }
+    CandidateCauses { always, optional }
 }
 
 /// Starting state from which a single stream fits best.
-fn best_start(prepared: &Prepared, read: &Read, with_offsets: bool) -> State {
+fn best_start(prepared: &DecodedStream, read: &Read, with_offsets: bool) -> State {
     let menu = menu(&[prepared], read, with_offsets);
     let best_lag = prepared.peaks.first().map_or(0.0, |peak| peak.correlation);
     let lags: Vec<f64> = if prepared.moves {
-        let near = |peak: &&Peak| peak.correlation > best_lag - 0.1;
+        let near = |peak: &&LagPeak| peak.correlation > best_lag - 0.1;
         // Streams that copy the joints' stamps have exactly zero latency, a narrow minimum.
         prepared.peaks.iter().filter(near).take(3).map(|peak| peak.lag_s).chain([0.0]).collect()
     } else {
@@ -293,7 +294,7 @@ fn best_start(prepared: &Prepared, read: &Read, with_offsets: bool) -> State {
 
 /// Converts quarter turns of the first joint's zero to a base rotation. The two are equivalent, and base
 /// frames of different makers differ by such turns.
-fn with_base_turned(mut state: State, witness: &Witness) -> State {
+fn with_base_turned(mut state: State, witness: &PoseObservations) -> State {
     let Some(&first) = witness.columns.first() else { return state };
     let is_turning = witness.chain.joint_kinds().first() != Some(&JointKind::Prismatic);
     let turn = (state.offsets[first] / FRAC_PI_2).round() * FRAC_PI_2;

@@ -13,18 +13,19 @@ use super::bends::bend;
 use super::joints::{
     Left, Read, corrected, lies_on_arm, likely_readings, other_reading, read_joints,
 };
-use super::latency::{ArmSpeeds, Peak};
+use super::latency::{ArmSpeeds, LagPeak};
 use super::nominal::{MOST_M, MOST_RAD};
-use super::placement::{Placement, metres_by_reach};
+use super::placement::{PositionEncodingEstimate, metres_by_reach};
 use super::placing::spread;
-use super::prepare::{Prepared, prepare};
+use super::prepare::{DecodedStream, prepare};
 use super::sampling::{as_rotations, stream_lag_s, stream_peaks};
 use super::{
-    AmountChange, ArmDiagnosis, JointChange, JointCoupling, JointDiagnosis, JointOffset,
-    JointReading, JointScale, JointUnit, PoseDiagnosis, PoseStream, Residual, Seen, Taken, Unseen,
+    ArmDiagnosis, EstimateResult, FrameCorrection, JointChange, JointCoupling, JointDiagnosis,
+    JointEncoding, JointOffset, JointScale, JointUnit, NotObservable, PoseDiagnosis, PoseStream,
+    ScalarChange, StreamResidual,
 };
 pub(super) use fit::FIT_SAMPLES;
-use fit::{Links, fit};
+use fit::{LinkModel, fit};
 use ground::geometry::Vec3;
 use ground::robot::JointKind;
 use ground::stream::JointTrack;
@@ -35,7 +36,7 @@ use zeros::{joint_couplings, joint_offsets, joint_scales, unseen_offsets};
 ///
 /// `most_lag_s` is the largest latency to search, s.
 pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64) -> ArmDiagnosis {
-    diagnose_with(joints, streams, most_lag_s, Links::Deviate)
+    diagnose_with(joints, streams, most_lag_s, LinkModel::Deviate)
 }
 
 /// Same for a segment that is already corrected by the result of another one. The links are the same in
@@ -45,27 +46,30 @@ pub(super) fn diagnose_beyond(
     streams: &[PoseStream],
     most_lag_s: f64,
 ) -> ArmDiagnosis {
-    diagnose_with(joints, streams, most_lag_s, Links::AreKnown)
+    diagnose_with(joints, streams, most_lag_s, LinkModel::AreKnown)
 }
 
 fn diagnose_with(
     joints: &JointTrack,
     streams: &[PoseStream],
     most_lag_s: f64,
-    links: Links,
+    links: LinkModel,
 ) -> ArmDiagnosis {
     let slides = prismatic(joints.dof, streams);
-    let placed = |joints: &JointTrack| -> Vec<Placement> {
-        streams.iter().map(|stream| Placement::of(joints, stream, most_lag_s)).collect()
+    let placed = |joints: &JointTrack| -> Vec<PositionEncodingEstimate> {
+        streams
+            .iter()
+            .map(|stream| PositionEncodingEstimate::of(joints, stream, most_lag_s))
+            .collect()
     };
     let placements = placed(joints);
-    let by = |reading: &JointReading| {
+    let by = |reading: &JointEncoding| {
         let read = Read::by(joints, reading, &slides);
-        let anew = (*reading != JointReading::default()).then(|| placed(read.near()));
+        let anew = (*reading != JointEncoding::default()).then(|| placed(read.near()));
         diagnose(joints, &read, streams, anew.as_ref().unwrap_or(&placements), true, links)
     };
-    let as_logged = JointReading::default();
-    let mut metres: Vec<f64> = placements.iter().map(Placement::metres).collect();
+    let as_logged = JointEncoding::default();
+    let mut metres: Vec<f64> = placements.iter().map(PositionEncodingEstimate::metres).collect();
     let is_confirmed = |read: &Read| {
         let mut both = streams.iter().zip(&placements);
         both.any(|(stream, placement)| {
@@ -75,7 +79,7 @@ fn diagnose_with(
     };
     let mut reading = match is_confirmed(&Read::by(joints, &as_logged, &slides)) {
         // If the positions as logged match FK, the joint states need no other encoding.
-        true => Ok(JointReading::default()),
+        true => Ok(JointEncoding::default()),
         false => read_joints(joints, streams, &metres, most_lag_s),
     };
     if reading.is_err() {
@@ -92,13 +96,14 @@ fn diagnose_with(
     let mut found = by(reading.as_ref().unwrap_or(&as_logged));
     if reading.as_ref().is_ok_and(|reading| *reading != as_logged) && !found.holds() {
         // Reject an encoding with a large residual.
-        (reading, found) = (Err(Unseen::NotExcited), by(&as_logged));
+        (reading, found) = (Err(NotObservable::NotExcited), by(&as_logged));
     }
     // With weak motion, a fault can look like mirrored axes or an inverse. Reject these if the poses as
     // logged are explained with no more joint zeros.
     let is_rewritten = found.streams.iter().any(|it| it.inverted || matches!(it.axes, Ok(Some(_))));
-    if is_rewritten && reading.as_ref().is_ok_and(JointReading::is_as_logged) {
-        let sound: Vec<Placement> = placements.iter().map(Placement::sound).collect();
+    if is_rewritten && reading.as_ref().is_ok_and(JointEncoding::is_as_logged) {
+        let sound: Vec<PositionEncodingEstimate> =
+            placements.iter().map(PositionEncodingEstimate::sound).collect();
         let read = Read::by(joints, &as_logged, &slides);
         let as_written = diagnose(joints, &read, streams, &sound, true, links);
         if as_written.unexplained().is_none()
@@ -108,15 +113,15 @@ fn diagnose_with(
             found = as_written;
         }
     }
-    let astray = |found: &Found| {
+    let astray = |found: &EncodingResult| {
         !found.streams.is_empty() && found.streams.iter().all(PoseDiagnosis::strays)
     };
     // An encoding must not break a stream that agrees with the joint states as logged.
     let is_alone = streams.len() < 2;
     let plain = LazyCell::new(|| by(&as_logged));
-    let spoils = |found: &Found| !is_alone && !found.keeps(&plain);
+    let spoils = |found: &EncodingResult| !is_alone && !found.keeps(&plain);
     if reading.as_ref().is_ok_and(|reading| !reading.is_as_logged()) && spoils(&found) {
-        (reading, found) = (Ok(JointReading::default()), by(&as_logged));
+        (reading, found) = (Ok(JointEncoding::default()), by(&as_logged));
     }
     if reading.is_err() || astray(&found) {
         // Other faults may hide the joint names and units.
@@ -148,8 +153,8 @@ fn diagnose_with(
         }
     }
     // The encoding is undetermined if no stream follows FK, even if some positions are close.
-    if astray(&found) && reading.as_ref().is_ok_and(JointReading::is_as_logged) {
-        reading = Err(Unseen::NotExcited);
+    if astray(&found) && reading.as_ref().is_ok_and(JointEncoding::is_as_logged) {
+        reading = Err(NotObservable::NotExcited);
     }
     if let Ok(reading) = &mut reading {
         for slip in &mut reading.slips {
@@ -157,7 +162,7 @@ fn diagnose_with(
             slip.factor = own.map_or(slip.factor, |scale| scale.factor.value);
         }
     }
-    let Found { offsets, mut scales, mut couplings, streams } = found;
+    let EncodingResult { offsets, mut scales, mut couplings, streams } = found;
     // Remove scales that turned out to be 1.
     if let Ok(reading) = &mut reading {
         let is_one = |factor: f64| (factor - 1.0).abs() < SAME_FACTOR;
@@ -185,14 +190,14 @@ const NEAR: f64 = 0.02;
 const NEAR_M: f64 = 5e-3;
 
 /// Result for one encoding of the joints.
-struct Found {
+struct EncodingResult {
     offsets: Vec<JointOffset>,
     scales: Vec<JointScale>,
     couplings: Vec<JointCoupling>,
     streams: Vec<PoseDiagnosis>,
 }
 
-impl Found {
+impl EncodingResult {
     /// Number of joint zeros in the selected model.
     fn zeros(&self) -> usize {
         self.offsets.iter().filter(|offset| offset.chosen).count()
@@ -208,12 +213,12 @@ impl Found {
     }
 
     /// Returns whether each stream that agrees with FK without frame errors in `other` also does so here.
-    fn keeps(&self, other: &Found) -> bool {
+    fn keeps(&self, other: &EncodingResult) -> bool {
         let agrees = |found: &PoseDiagnosis| {
             let is_explained = found.residual.as_ref().is_ok_and(|left| {
                 left.rms_m < EXPLAINED_M && left.rms_rad < EXPLAINED_RAD && found.reading.is_ok()
             });
-            let Taken { reference, .. } = &found.taken;
+            let FrameCorrection { reference, .. } = &found.frame_correction;
             is_explained
                 && reference.translation.vector.norm() < MOST_M
                 && reference.rotation.angle() < MOST_RAD
@@ -252,11 +257,11 @@ fn left(found: &PoseDiagnosis) -> Left {
             Left { m: residual.excess_m.value, rad: Some(residual.excess_rad.value) }
         }
         // Its positions are still valid. For example, the last joint may have the wrong sign.
-        (Ok(residual), Err(Unseen::DoesNotFollow(_))) => {
+        (Ok(residual), Err(NotObservable::DoesNotFollow(_))) => {
             Left { m: residual.excess_m.value, rad: Some(1.0) }
         }
         (Ok(residual), Err(_)) => Left { m: residual.excess_m.value, rad: None },
-        (Err(_), Err(Unseen::DoesNotFollow(_))) => Left { m: 1.0, rad: Some(1.0) },
+        (Err(_), Err(NotObservable::DoesNotFollow(_))) => Left { m: 1.0, rad: Some(1.0) },
         (Err(_), _) => Left { m: 0.0, rad: None },
     }
 }
@@ -278,21 +283,21 @@ fn extent_m(found: &PoseDiagnosis) -> f64 {
 /// It is compared with the joint states as recorded and as corrected by `reading`; the better match counts.
 pub fn diagnose_derived(
     joints: &JointTrack,
-    reading: Option<&JointReading>,
+    reading: Option<&JointEncoding>,
     stream: &PoseStream,
     most_lag_s: f64,
 ) -> PoseDiagnosis {
     let streams = std::slice::from_ref(stream);
     let slides = prismatic(joints.dof, streams);
-    let by = |reading: &JointReading| {
+    let by = |reading: &JointEncoding| {
         let read = Read::by(joints, reading, &slides).for_derived();
-        let placements = [Placement::of(&read.track, stream, most_lag_s)];
-        diagnose(joints, &read, streams, &placements, false, Links::AreKnown).streams.remove(0)
+        let placements = [PositionEncodingEstimate::of(&read.track, stream, most_lag_s)];
+        diagnose(joints, &read, streams, &placements, false, LinkModel::AreKnown).streams.remove(0)
     };
     let left = |diagnosis: &PoseDiagnosis| {
-        diagnosis.residual.as_ref().map_or(f64::INFINITY, Residual::together_m)
+        diagnosis.residual.as_ref().map_or(f64::INFINITY, StreamResidual::together_m)
     };
-    let as_recorded = by(&JointReading::default());
+    let as_recorded = by(&JointEncoding::default());
     match reading {
         Some(reading) if !reading.is_as_logged() => {
             let mended = by(reading);
@@ -304,22 +309,22 @@ pub fn diagnose_derived(
 
 impl JointDiagnosis {
     /// Returns the largest change of a joint's zero during the run. `None` if it is constant.
-    pub fn zero_change(&self, column: usize) -> Option<&AmountChange> {
+    pub fn zero_change(&self, column: usize) -> Option<&ScalarChange> {
         self.largest_change(column, |change| change.zero.as_ref())
     }
 
     /// Returns the largest change of a joint's scale during the run. `None` if it is constant.
-    pub fn factor_change(&self, column: usize) -> Option<&AmountChange> {
+    pub fn factor_change(&self, column: usize) -> Option<&ScalarChange> {
         self.largest_change(column, |change| change.factor.as_ref())
     }
 
     fn largest_change(
         &self,
         column: usize,
-        of: impl Fn(&JointChange) -> Option<&AmountChange>,
-    ) -> Option<&AmountChange> {
+        of: impl Fn(&JointChange) -> Option<&ScalarChange>,
+    ) -> Option<&ScalarChange> {
         let own = self.changes.iter().filter(|change| change.column == column);
-        AmountChange::largest(own.filter_map(of))
+        ScalarChange::largest(own.filter_map(of))
     }
 
     /// Removes eccentricity above the usual level of gears, which no rule reports.
@@ -366,17 +371,17 @@ impl JointDiagnosis {
 ///
 /// An array of bare numbers must also be positioned where the arm is, because joint angles in an array
 /// correlate with the motion as well.
-pub fn follows(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Option<Peak> {
+pub fn follows(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Option<LagPeak> {
     let peak = likely_lags(joints, stream, most_lag_s).first().copied()?;
     let placed = as_rotations(&stream.track.orientation).is_some() || {
-        let placement = Placement::of(joints, stream, most_lag_s);
+        let placement = PositionEncodingEstimate::of(joints, stream, most_lag_s);
         placement.explains() || lies_on_arm(joints, stream, placement.metres(), peak.lag_s)
     };
-    Some(if placed { peak } else { Peak { correlation: 0.0, ..peak } })
+    Some(if placed { peak } else { LagPeak { correlation: 0.0, ..peak } })
 }
 
 /// Candidate lags of a pose stream from its speeds, best first.
-pub fn likely_lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<Peak> {
+pub fn likely_lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<LagPeak> {
     stream_peaks(&ArmSpeeds::of(joints, stream.chain, stream.columns), stream, most_lag_s)
 }
 
@@ -395,17 +400,17 @@ fn diagnose(
     recorded: &JointTrack,
     read: &Read,
     streams: &[PoseStream],
-    placements: &[Placement],
+    placements: &[PositionEncodingEstimate],
     with_offsets: bool,
-    links: Links,
-) -> Found {
+    links: LinkModel,
+) -> EncodingResult {
     let joints = &read.track;
-    let prepared: Vec<Seen<Prepared>> = streams
+    let prepared: Vec<EstimateResult<DecodedStream>> = streams
         .iter()
         .zip(placements)
         .map(|(stream, placement)| prepare(read, stream, placement))
         .collect();
-    let usable: Vec<&Prepared> = prepared.iter().flatten().collect();
+    let usable: Vec<&DecodedStream> = prepared.iter().flatten().collect();
     let fitted = fit(&usable, read, with_offsets, links);
     let (offsets, scales, couplings) = match &fitted {
         Some(_) if !with_offsets => (Vec::new(), Vec::new(), Vec::new()),
@@ -416,7 +421,11 @@ fn diagnose(
         ),
         None => {
             let why = prepared.iter().find_map(|prepared| prepared.as_ref().err());
-            (unseen_offsets(joints.dof, why.unwrap_or(&Unseen::NoOverlap)), Vec::new(), Vec::new())
+            (
+                unseen_offsets(joints.dof, why.unwrap_or(&NotObservable::NoOverlap)),
+                Vec::new(),
+                Vec::new(),
+            )
         }
     };
     let mut used = 0;
@@ -428,9 +437,9 @@ fn diagnose(
                 used += 1;
                 stream_diagnosis(recorded, stream, placement, prepared, fitted, used - 1)
             }
-            (Ok(_), None) => no_diagnosis(Unseen::NoOverlap),
+            (Ok(_), None) => no_diagnosis(NotObservable::NoOverlap),
             (Err(why), _) => no_diagnosis(why.clone()),
         })
         .collect();
-    Found { offsets, scales, couplings, streams: diagnoses }
+    EncodingResult { offsets, scales, couplings, streams: diagnoses }
 }

@@ -1,23 +1,24 @@
 //! Diagnosis of one stream from a fit.
 
 use super::align::align;
-use super::fit::{Fitted, without_small_causes};
+use super::fit::{ArmFit, without_small_causes};
 use super::twins::measured;
 use crate::course::latency_course;
-use crate::explain::{Cause, ENTANGLED, Explanation};
+use crate::explain::{Cause, ENTANGLED, SelectedModel};
 use crate::frames::{frame_estimate, placed_by_positions};
 use crate::latency::median_period_s;
 use crate::model::StreamState;
 use crate::nominal::links_outdo_course;
 use crate::observability::Observability;
-use crate::placement::Placement;
-use crate::prepare::Prepared;
+use crate::placement::PositionEncodingEstimate;
+use crate::prepare::DecodedStream;
 use crate::residual::residual;
 use crate::sampling::SEARCH_SAMPLES;
-use crate::skewed::{SkewedDelays, skewed_delays};
+use crate::skewed::{DelayJitter, skewed_delays};
 use crate::{
-    Aligned, AxesSlip, CodedParts, ConstantPart, LatencyCourse, LengthSlip, Measured,
-    PoseDiagnosis, PoseStream, Residual, Seen, Taken, UnitSlip, Unseen,
+    AlignedSamples, AxesError, ConstantCoordinate, EncodingSpans, EstimateResult, FrameCorrection,
+    LatencyProfile, LengthUnitError, Measured, NotObservable, PoseDiagnosis, PoseStream,
+    StreamResidual, UnitResiduals,
 };
 use ground::geometry::LengthScale;
 use ground::stream::JointTrack;
@@ -25,8 +26,8 @@ use ground::stream::JointTrack;
 /// Residual below which two latencies cannot be distinguished, rms rad, or m at an arm length of 1 m.
 const ALIAS_FLOOR: f64 = 2e-5;
 
-pub(super) fn no_diagnosis(why: Unseen) -> PoseDiagnosis {
-    let rests = || Unseen::RestsOn("the rotation encoding");
+pub(super) fn no_diagnosis(why: NotObservable) -> PoseDiagnosis {
+    let rests = || NotObservable::RestsOn("the rotation encoding");
     PoseDiagnosis {
         length: Err(why.clone()),
         axes: Err(why.clone()),
@@ -46,25 +47,25 @@ pub(super) fn no_diagnosis(why: Unseen) -> PoseDiagnosis {
         reference_changes: Vec::new(),
         tool_changes: Vec::new(),
         growth_changes: Vec::new(),
-        coded: CodedParts::default(),
-        taken: Taken::default(),
+        coded: EncodingSpans::default(),
+        frame_correction: FrameCorrection::default(),
         residual: Err(rests()),
         nominal: false,
         link_m: None,
         observability: None,
         top_speed_m_s: 0.0,
-        aligned: Aligned::default(),
+        aligned: AlignedSamples::default(),
     }
 }
 
 /// Detected unit of positions, if it differs from the assumed one.
 fn length_slip(
     stream: &PoseStream,
-    placement: &Placement,
-    prepared: &Prepared,
-    residual: &Seen<Residual>,
-) -> Seen<Option<LengthSlip>> {
-    placement.metres.as_ref().map_err(Unseen::clone)?;
+    placement: &PositionEncodingEstimate,
+    prepared: &DecodedStream,
+    residual: &EstimateResult<StreamResidual>,
+) -> EstimateResult<Option<LengthUnitError>> {
+    placement.metres.as_ref().map_err(NotObservable::clone)?;
     if prepared.metres == 1.0 {
         return Ok(None);
     }
@@ -74,16 +75,16 @@ fn length_slip(
     let residual = residual.as_ref().ok();
     let corrected = residual.map_or(0.0, |residual| residual.rms_m);
     let as_logged = residual.map_or(0.0, |residual| residual.before_m);
-    Ok(Some(LengthSlip { is, read_as, residual: UnitSlip { as_logged, corrected } }))
+    Ok(Some(LengthUnitError { is, read_as, residual: UnitResiduals { as_logged, corrected } }))
 }
 
 /// Constant coordinates, with their range according to FK.
 fn constant_parts(
     stream: &PoseStream,
-    prepared: &Prepared,
-    aligned: &Aligned,
-) -> Vec<ConstantPart> {
-    let axes = prepared.axes.unwrap_or(AxesSlip::NONE).positions;
+    prepared: &DecodedStream,
+    aligned: &AlignedSamples,
+) -> Vec<ConstantCoordinate> {
+    let axes = prepared.axes.unwrap_or(AxesError::NONE).positions;
     let coordinates = ['x', 'y', 'z'].into_iter().enumerate();
     let constant = coordinates.filter(|&(axis, _)| prepared.constant[axis]);
     let part = |(axis, coordinate): (usize, char)| {
@@ -94,7 +95,7 @@ fn constant_parts(
             });
         let all = stream.track.xyz.iter().map(|xyz| xyz[axis]);
         let value = all.sum::<f64>() / stream.track.xyz.len().max(1) as f64;
-        ConstantPart { coordinate, value, moved_m: (high - low).max(0.0) }
+        ConstantCoordinate { coordinate, value, moved_m: (high - low).max(0.0) }
     };
     constant.map(part).collect()
 }
@@ -102,12 +103,12 @@ fn constant_parts(
 pub(super) fn stream_diagnosis(
     recorded: &JointTrack,
     stream: &PoseStream,
-    placement: &Placement,
-    prepared: &Prepared,
-    fitted: &Fitted,
+    placement: &PositionEncodingEstimate,
+    prepared: &DecodedStream,
+    fitted: &ArmFit,
     index: usize,
 ) -> PoseDiagnosis {
-    let Fitted { explanation, menu, .. } = fitted;
+    let ArmFit { explanation, menu, .. } = fitted;
     let causes = &explanation.causes;
     let with = |cause: Cause| -> Vec<Cause> {
         let mut with = causes.clone();
@@ -118,13 +119,13 @@ pub(super) fn stream_diagnosis(
     };
     let one = |cause: Cause| {
         if fitted.nominal.is_some() && matches!(cause, Cause::Growth(_)) {
-            Err(Unseen::NominalKinematics)
+            Err(NotObservable::NominalKinematics)
         } else if is_hidden(fitted, cause, index) {
-            Err(Unseen::NotExcited)
+            Err(NotObservable::NotExcited)
         } else if menu.all().contains(&cause) {
             measured(fitted, &with(cause), cause, 0)
         } else {
-            Err(Unseen::AtRest)
+            Err(NotObservable::AtRest)
         }
     };
     let latency_s = one(Cause::Latency(index)).map(|latency| Measured {
@@ -132,15 +133,15 @@ pub(super) fn stream_diagnosis(
         ..latency
     });
     let latency_s = match aliases(prepared, explanation, index) {
-        Some(lags) => Err(Unseen::Periodic(lags)),
+        Some(lags) => Err(NotObservable::Periodic(lags)),
         None => latency_s,
     };
     let frame = |cause: Cause| {
         if fitted.nominal.is_some() && !menu.all().contains(&cause) {
-            return Err(Unseen::NominalKinematics);
+            return Err(NotObservable::NominalKinematics);
         }
         if is_hidden(fitted, cause, index) {
-            return Err(Unseen::NotExcited);
+            return Err(NotObservable::NotExcited);
         }
         frame_estimate(explanation, menu, &with(cause), cause, index)
     };
@@ -149,7 +150,7 @@ pub(super) fn stream_diagnosis(
     let residual = residual(&aligned, &prepared.witness, found, zeros);
     let delays = latency_s.as_ref().ok().and_then(|_| skewed_delays(&aligned, found.latency_s));
     let latency_s = latency_s.map(|latency| match &delays {
-        Some(SkewedDelays { median_s, .. }) => {
+        Some(DelayJitter { median_s, .. }) => {
             Measured { std_error: median_s.std_error.hypot(stream.stamp_error_s), ..*median_s }
         }
         None => latency,
@@ -161,13 +162,13 @@ pub(super) fn stream_diagnosis(
             let speed = |t_s: f64| joint_speed(recorded, t_s - found.latency_s);
             let course = latency_course(&aligned, found.skew, stream.taken_off, speed);
             let states = [found, &without_small_causes(explanation, index)];
-            let is_feigned = |course: &LatencyCourse| {
+            let is_feigned = |course: &LatencyProfile| {
                 let removed = stream.taken_off;
                 course.is_unsteady
                     && links_outdo_course(&prepared.witness, states, zeros, course, removed)
             };
             match course {
-                Ok(course) if is_feigned(&course) => Err(Unseen::NotExcited),
+                Ok(course) if is_feigned(&course) => Err(NotObservable::NotExcited),
                 course => course,
             }
         }
@@ -203,8 +204,8 @@ pub(super) fn stream_diagnosis(
         reference_changes: Vec::new(),
         tool_changes: Vec::new(),
         growth_changes: Vec::new(),
-        coded: CodedParts::default(),
-        taken: found.taken(),
+        coded: EncodingSpans::default(),
+        frame_correction: found.frame_correction(),
         residual,
         nominal: fitted.nominal.is_some(),
         link_m: fitted.nominal.as_ref().map(|drawing| drawing.link_m),
@@ -223,8 +224,8 @@ fn joint_speed(joints: &JointTrack, t_s: f64) -> f64 {
 
 /// Returns whether a frame or scale error of stream `index` would be compensated by another one. At rest,
 /// only their sum is observable.
-fn is_hidden(fitted: &Fitted, cause: Cause, index: usize) -> bool {
-    let Fitted { explanation, menu, .. } = fitted;
+fn is_hidden(fitted: &ArmFit, cause: Cause, index: usize) -> bool {
+    let ArmFit { explanation, menu, .. } = fitted;
     let (state, found) = (&explanation.state, &explanation.state.streams[index]);
     let is_round = match cause {
         Cause::Reference(_) => found.round_reference.is_some(),
@@ -248,7 +249,11 @@ fn is_hidden(fitted: &Fitted, cause: Cause, index: usize) -> bool {
 
 /// Other lags at which the stream matches FK equally well, because the motion repeats. `None` if there are
 /// none.
-fn aliases(prepared: &Prepared, explanation: &Explanation, index: usize) -> Option<Vec<f64>> {
+fn aliases(
+    prepared: &DecodedStream,
+    explanation: &SelectedModel,
+    index: usize,
+) -> Option<Vec<f64>> {
     let found = &explanation.state.streams[index];
     let witness = &prepared.witness;
     let offsets = &explanation.state.offsets;

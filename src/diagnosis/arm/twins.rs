@@ -1,30 +1,30 @@
 //! Estimates of single values of a fit, and their confounders.
 
-use super::fit::Fitted;
+use super::fit::ArmFit;
 use crate::explain::{Cause, ENTANGLED};
-use crate::{Measured, Seen, Twin, Unseen};
+use crate::{Confounder, EstimateResult, Measured, NotObservable};
 
 /// Estimates parameter `which` of `cause` when `causes` and the always-free causes are free.
 pub(super) fn measured(
-    fitted: &Fitted,
+    fitted: &ArmFit,
     causes: &[Cause],
     cause: Cause,
     which: usize,
-) -> Seen<Measured> {
-    let Fitted { explanation, menu, .. } = fitted;
+) -> EstimateResult<Measured> {
+    let ArmFit { explanation, menu, .. } = fitted;
     let state = &explanation.state;
     let mut parameters: Vec<usize> =
         menu.always.iter().chain(causes).flat_map(|cause| cause.parameters(state)).collect();
     parameters.sort_unstable();
     parameters.dedup();
     let wanted = cause.parameters(state).start + which;
-    let at = parameters.binary_search(&wanted).map_err(|_| Unseen::NotExcited)?;
-    explanation.linear.measured(&parameters, at, state).ok_or(Unseen::NotExcited)
+    let at = parameters.binary_search(&wanted).map_err(|_| NotObservable::NotExcited)?;
+    explanation.linear.measured(&parameters, at, state).ok_or(NotObservable::NotExcited)
 }
 
 /// Confounders of `cause`: causes that explain the log as well in its place.
-pub(super) fn twins(fitted: &Fitted, cause: Cause) -> Vec<Twin> {
-    let Fitted { explanation, menu, .. } = fitted;
+pub(super) fn twins(fitted: &ArmFit, cause: Cause) -> Vec<Confounder> {
+    let ArmFit { explanation, menu, .. } = fitted;
     let (state, linear) = (&explanation.state, &explanation.linear);
     let parameters = |causes: &[Cause]| -> Vec<usize> {
         let mut list: Vec<usize> =
@@ -46,9 +46,9 @@ pub(super) fn twins(fitted: &Fitted, cause: Cause) -> Vec<Twin> {
             let values = state.values() + linear.step(&parameters);
             let own: Vec<f64> = other.parameters(state).map(|p| values[p]).collect();
             match other {
-                Cause::Zero(joint) => Some(Twin::JointZero(joint, own[0])),
-                Cause::Reference(s) => Some(Twin::Reference(s, frame_amount(&own))),
-                Cause::Tool(s) => Some(Twin::Tool(s, frame_amount(&own))),
+                Cause::Zero(joint) => Some(Confounder::JointZero(joint, own[0])),
+                Cause::Reference(s) => Some(Confounder::Reference(s, frame_amount(&own))),
+                Cause::Tool(s) => Some(Confounder::Tool(s, frame_amount(&own))),
                 Cause::Gain(_) | Cause::Latency(_) | Cause::Skew(_) | Cause::Growth(_) => None,
             }
         })
@@ -56,8 +56,8 @@ pub(super) fn twins(fitted: &Fitted, cause: Cause) -> Vec<Twin> {
 }
 
 /// Frames in the selected model that are collinear with the joint offset `cause`.
-pub(super) fn frame_twins(fitted: &Fitted, cause: Cause) -> Vec<Twin> {
-    let Fitted { explanation, menu, .. } = fitted;
+pub(super) fn frame_twins(fitted: &ArmFit, cause: Cause) -> Vec<Confounder> {
+    let ArmFit { explanation, menu, .. } = fitted;
     let (state, linear) = (&explanation.state, &explanation.linear);
     let values = state.values();
     let frames = menu.always.iter().chain(&explanation.causes);
@@ -76,8 +76,8 @@ pub(super) fn frame_twins(fitted: &Fitted, cause: Cause) -> Vec<Twin> {
             parameters.sort_unstable();
             let same = linear.normal.separation(&parameters) < ENTANGLED;
             match frame {
-                Cause::Reference(s) if same => Some(Twin::Reference(s, frame_amount(&own))),
-                Cause::Tool(s) if same => Some(Twin::Tool(s, frame_amount(&own))),
+                Cause::Reference(s) if same => Some(Confounder::Reference(s, frame_amount(&own))),
+                Cause::Tool(s) if same => Some(Confounder::Tool(s, frame_amount(&own))),
                 _ => None,
             }
         })

@@ -1,17 +1,17 @@
 //! Joint estimates of a fit: offsets, scales and couplings.
 
-use super::fit::Fitted;
+use super::fit::ArmFit;
 use super::twins::{frame_twins, measured, twins};
 use crate::explain::Cause;
 use crate::joints::{Read, half_turns};
-use crate::prepare::Prepared;
-use crate::{JointCoupling, JointOffset, JointScale, Measured, Unseen};
+use crate::prepare::DecodedStream;
+use crate::{JointCoupling, JointOffset, JointScale, Measured, NotObservable};
 use ground::geometry::Vec3;
 use ground::robot::JointKind;
 use ground::stream::JointTrack;
 use std::f64::consts::TAU;
 
-pub(super) fn unseen_offsets(dof: usize, why: &Unseen) -> Vec<JointOffset> {
+pub(super) fn unseen_offsets(dof: usize, why: &NotObservable) -> Vec<JointOffset> {
     let offset = || JointOffset {
         offset: Err(why.clone()),
         chosen: false,
@@ -25,11 +25,11 @@ pub(super) fn unseen_offsets(dof: usize, why: &Unseen) -> Vec<JointOffset> {
 /// Offset of every joint. Selected ones are estimated with only the selected causes free, the others with
 /// all joints free.
 pub(super) fn joint_offsets(
-    fitted: &Fitted,
-    prepared: &[&Prepared],
+    fitted: &ArmFit,
+    prepared: &[&DecodedStream],
     joints: &JointTrack,
 ) -> Vec<JointOffset> {
-    let Fitted { explanation, menu, .. } = fitted;
+    let ArmFit { explanation, menu, .. } = fitted;
     let moved = moved_joints(joints);
     let zeros: Vec<Cause> =
         menu.optional.iter().copied().filter(|cause| matches!(cause, Cause::Zero(_))).collect();
@@ -43,13 +43,13 @@ pub(super) fn joint_offsets(
             let chosen = explanation.causes.contains(&cause) || instead.is_some();
             let beside = drawing.map(|drawing| drawing.zeros[joint]);
             let offset = if let Some(zero) = beside {
-                zero.ok_or(Unseen::NominalKinematics)
+                zero.ok_or(NotObservable::NominalKinematics)
             } else if !zeros.contains(&cause) {
-                Err(Unseen::NotExcited)
+                Err(NotObservable::NotExcited)
             } else if chosen {
                 measured(fitted, &explanation.causes, cause, 0)
             } else if !moved[joint] || moved.iter().filter(|m| **m).count() < 2 {
-                Err(Unseen::NotExcited)
+                Err(NotObservable::NotExcited)
             } else {
                 measured(fitted, &everyone, cause, 0)
             };
@@ -71,15 +71,15 @@ pub(super) fn joint_offsets(
         .collect()
 }
 
-fn slides(prepared: &[&Prepared], joint: usize) -> bool {
-    prepared.iter().any(|Prepared { witness, .. }| {
+fn slides(prepared: &[&DecodedStream], joint: usize) -> bool {
+    prepared.iter().any(|DecodedStream { witness, .. }| {
         let own = witness.columns.iter().position(|&column| column == joint);
         own.is_some_and(|own| witness.chain.joint_kinds()[own] == JointKind::Prismatic)
     })
 }
 
 /// Scales of the joints that have one.
-pub(super) fn joint_scales(fitted: &Fitted, read: &Read) -> Vec<JointScale> {
+pub(super) fn joint_scales(fitted: &ArmFit, read: &Read) -> Vec<JointScale> {
     let explanation = &fitted.explanation;
     let scale = |(at, &(column, by)): (usize, &(usize, usize))| {
         if by != column {
@@ -101,7 +101,7 @@ pub(super) fn joint_scales(fitted: &Fitted, read: &Read) -> Vec<JointScale> {
 }
 
 /// Joint couplings with fitted factors.
-pub(super) fn joint_couplings(fitted: &Fitted, read: &Read) -> Vec<JointCoupling> {
+pub(super) fn joint_couplings(fitted: &ArmFit, read: &Read) -> Vec<JointCoupling> {
     let coupling = |(at, &(column, by)): (usize, &(usize, usize))| {
         let about = read.couplings.iter().find(|own| (own.column, own.by) == (column, by))?;
         let gain = gain(fitted, read, at)?;
@@ -112,7 +112,7 @@ pub(super) fn joint_couplings(fitted: &Fitted, read: &Read) -> Vec<JointCoupling
 }
 
 /// Estimate of entry `at` of [`Read::gained`], relative to the encoding.
-fn gain(fitted: &Fitted, read: &Read, at: usize) -> Option<Measured> {
+fn gain(fitted: &ArmFit, read: &Read, at: usize) -> Option<Measured> {
     measured(fitted, &fitted.explanation.causes, Cause::Gain(read.track.dof + at), 0).ok()
 }
 
@@ -130,10 +130,10 @@ fn moved_joints(joints: &JointTrack) -> Vec<bool> {
 
 /// Largest distance from a joint's axis to the tip, m/rad (1 for a prismatic joint). The maximum is over
 /// evenly spread joint positions (Halton 1960).
-fn lever_m(prepared: &[&Prepared], joint: usize) -> f64 {
+fn lever_m(prepared: &[&DecodedStream], joint: usize) -> f64 {
     const TRIED: u32 = 500;
     const BASES: [u32; 10] = [2, 3, 5, 7, 11, 13, 17, 19, 23, 29];
-    let lever = |prepared: &&Prepared| {
+    let lever = |prepared: &&DecodedStream| {
         let own = prepared.witness.columns.iter().position(|&column| column == joint)?;
         let chain = prepared.witness.chain;
         let kinds = chain.joint_kinds();

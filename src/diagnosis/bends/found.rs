@@ -1,7 +1,7 @@
 //! Joint compliance: backlash, sag or eccentricity of one joint.
 
-use super::gravity::{Gravity, Postures};
-use crate::AmountChange;
+use super::gravity::{GravityTorques, TorqueBuffers};
+use crate::ScalarChange;
 use ground::stats::Measured;
 use ground::stream::JointTrack;
 use std::sync::Arc;
@@ -12,26 +12,26 @@ pub(super) const USUAL_RAD: f64 = 2.1e-3;
 /// Deviation of a link from its encoder that depends on configuration or direction of motion: `q_true =
 /// q_reported + bend`.
 #[derive(Clone, Debug)]
-pub struct JointBend {
+pub struct JointCompliance {
     /// Column of the joint.
     pub column: usize,
     /// Value, rad: full backlash, negative if the link leads its encoder; or largest sag over the run; or
     /// amplitude of the eccentricity.
     pub amount: Measured,
     /// Profile over the motion.
-    pub shape: BendShape,
+    pub shape: ComplianceShape,
     /// Change point of the value, rad, such as sag after a load change. Times are on the joint states'
     /// clock.
-    pub change: Option<AmountChange>,
+    pub change: Option<ScalarChange>,
 }
 
 /// Profile of a joint's compliance.
 #[derive(Clone, Debug)]
-pub enum BendShape {
+pub enum ComplianceShape {
     /// Backlash: the link lags by half of it (hysteresis).
-    Play(Crossing),
+    Play(BacklashCrossing),
     /// Sag, proportional to the gravity torque.
-    Sag(Sag),
+    Sag(JointSag),
     /// Eccentricity, `sin(order · q + phase)`.
     Eccentric {
         /// Cycles per turn of the joint.
@@ -43,14 +43,14 @@ pub enum BendShape {
 
 /// How a joint crosses its backlash after a reversal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Crossing {
+pub enum BacklashCrossing {
     /// Friction holds the link until the encoder has moved by the backlash.
     Gradual,
     /// The link jumps across at the reversal, pushed by another gear or a load.
     Sudden,
 }
 
-impl Crossing {
+impl BacklashCrossing {
     /// Offset of the link from its encoder, from −½ to ½ of the backlash, at each of `rows` encoder
     /// positions. Starts in the middle.
     pub(super) fn behind(self, rows: usize, q: impl Fn(usize) -> f64, play_rad: f64) -> Vec<f64> {
@@ -63,36 +63,36 @@ impl Crossing {
 
 /// Sag of a joint under its gravity torque.
 #[derive(Clone, Debug)]
-pub struct Sag {
-    pub(super) gravity: Arc<Gravity>,
+pub struct JointSag {
+    pub(super) gravity: Arc<GravityTorques>,
     /// Torque that causes the full sag, in the unit of `gravity`.
     pub(super) most_torque: f64,
 }
 
-impl JointBend {
+impl JointCompliance {
     /// Returns whether this is backlash.
     pub fn is_play(&self) -> bool {
-        matches!(self.shape, BendShape::Play(_))
+        matches!(self.shape, ComplianceShape::Play(_))
     }
 
     /// Returns whether this is sag.
     pub fn is_sag(&self) -> bool {
-        matches!(self.shape, BendShape::Sag(_))
+        matches!(self.shape, ComplianceShape::Sag(_))
     }
 
     /// Returns whether this is eccentricity above the usual level of gears and encoders.
     pub fn is_eccentric(&self) -> bool {
-        matches!(self.shape, BendShape::Eccentric { .. }) && self.amount.value > USUAL_RAD
+        matches!(self.shape, ComplianceShape::Eccentric { .. }) && self.amount.value > USUAL_RAD
     }
 }
 
 /// Adds the compliance in `bends` to the joint positions, rad, and its derivative to the velocities. All
 /// terms are computed from the reported positions.
-pub(crate) fn bend(joints: &mut JointTrack, bends: &[JointBend]) {
+pub(crate) fn bend(joints: &mut JointTrack, bends: &[JointCompliance]) {
     let dof = joints.dof.max(1);
     let reported = joints.q.clone();
-    let (mut torques, mut buffer) = (vec![0.0; dof], Postures::default());
-    for JointBend { column, amount, shape, change } in bends {
+    let (mut torques, mut buffer) = (vec![0.0; dof], TorqueBuffers::default());
+    for JointCompliance { column, amount, shape, change } in bends {
         let (column, amount) = (*column, amount.value);
         let amount_at = |t_s: f64| match change {
             Some(change) if t_s < change.at_s => change.from,
@@ -101,25 +101,28 @@ pub(crate) fn bend(joints: &mut JointTrack, bends: &[JointBend]) {
         };
         let q = |row: usize| reported[row * dof + column];
         match shape {
-            BendShape::Play(crossing) => {
+            ComplianceShape::Play(crossing) => {
                 let behind = crossing.behind(joints.len(), q, amount);
                 for (row, behind) in behind.into_iter().enumerate() {
                     let at = row * dof + column;
                     joints.q[at] += behind * amount;
                     // The link is at rest while the joint crosses its backlash.
-                    if behind.abs() < 0.499 && amount > 0.0 && *crossing == Crossing::Gradual {
+                    if behind.abs() < 0.499
+                        && amount > 0.0
+                        && *crossing == BacklashCrossing::Gradual
+                    {
                         joints.qd[at] = 0.0;
                     }
                 }
             }
-            BendShape::Sag(Sag { gravity, most_torque }) => {
+            ComplianceShape::Sag(JointSag { gravity, most_torque }) => {
                 for (row, positions) in reported.chunks_exact(dof).enumerate() {
                     gravity.torques(positions, &mut buffer, &mut torques);
                     let amount = amount_at(joints.t_s[row]);
                     joints.q[row * dof + column] += amount * torques[column] / most_torque;
                 }
             }
-            BendShape::Eccentric { order, phase_rad } => {
+            ComplianceShape::Eccentric { order, phase_rad } => {
                 let order = f64::from(*order);
                 for row in 0..joints.len() {
                     let at = row * dof + column;

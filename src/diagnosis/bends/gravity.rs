@@ -6,16 +6,16 @@ use ground::robot::{Chain, JointKind};
 /// Relative mass distribution, assumed if the model has no masses. `taper` is the ratio of each link's mass
 /// to the previous link's, `tool` the ratio of the tool's mass to the last link's.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Masses {
+pub(super) struct MassModel {
     pub taper: f64,
     pub tool: f64,
 }
 
-impl Masses {
+impl MassModel {
     /// Distributions that are tested: equal or tapered links, with and without a tool.
     pub const TRIED: [Self; 9] = {
-        const fn of(taper: f64, tool: f64) -> Masses {
-            Masses { taper, tool }
+        const fn of(taper: f64, tool: f64) -> MassModel {
+            MassModel { taper, tool }
         }
         [
             of(0.8, 0.5),
@@ -34,30 +34,30 @@ impl Masses {
 /// Gravity torques about the joints of a chain with an upright base, up to a common factor. Each link is a
 /// point mass midway between its joints.
 #[derive(Clone, Debug)]
-pub(super) struct Gravity {
+pub(super) struct GravityTorques {
     chain: Chain,
     /// Column in the joint track of each joint of the chain.
     columns: Vec<usize>,
-    masses: Masses,
+    masses: MassModel,
 }
 
 /// Buffers for the torques of one configuration.
 #[derive(Default)]
-pub(super) struct Postures {
+pub(super) struct TorqueBuffers {
     q: Vec<f64>,
     jacobian: Vec<[f64; 6]>,
     frames: Vec<Pose>,
 }
 
-impl Gravity {
-    pub fn of(chain: &Chain, columns: &[usize], masses: Masses) -> Self {
+impl GravityTorques {
+    pub fn of(chain: &Chain, columns: &[usize], masses: MassModel) -> Self {
         Self { chain: chain.clone(), columns: columns.to_vec(), masses }
     }
 
     /// Computes the torque about each joint at the positions in `row`, positive along the joint's motion.
     /// It is 0 for prismatic joints. `out` is indexed by column of the joint track.
-    pub fn torques(&self, row: &[f64], buffer: &mut Postures, out: &mut [f64]) {
-        let Postures { q, jacobian, frames } = buffer;
+    pub fn torques(&self, row: &[f64], buffer: &mut TorqueBuffers, out: &mut [f64]) {
+        let TorqueBuffers { q, jacobian, frames } = buffer;
         q.clear();
         q.extend(self.columns.iter().map(|&column| row[column]));
         jacobian.resize(q.len(), [0.0; 6]);

@@ -22,18 +22,19 @@ use super::changes::{as_recorded, gain, leaves_much};
 use super::joints::corrected;
 use super::sampling::stream_lag_s;
 use super::{
-    Aligned, ArmDiagnosis, JointReading, JointScale, PoseDiagnosis, PoseStream, Residuals, Twin,
+    AlignedSamples, ArmDiagnosis, Confounder, JointEncoding, JointScale, PoseDiagnosis,
+    PoseDistances, PoseStream,
 };
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use ground::stats::median;
 use ground::stream::JointTrack;
 
 use found::USUAL_RAD;
-pub use found::{BendShape, Crossing, JointBend, Sag};
+pub use found::{BacklashCrossing, ComplianceShape, JointCompliance, JointSag};
 pub(super) use found::{bend, ways};
-use gravity::Masses;
+use gravity::MassModel;
 pub(super) use rival::gives;
-use search::{Free, Kind, MASSES, Search, Term};
+use search::{ComplianceKind, ComplianceSearch, ComplianceTerm, FreeParameters, MASSES};
 
 /// Maximum number of samples used per stream.
 const SAMPLES: usize = 2000;
@@ -51,7 +52,7 @@ const LEAST_ZERO_RAD: f64 = 1e-3;
 const ROUNDS: usize = 3;
 
 /// Run whose joints are tested for compliance.
-struct Run<'a> {
+struct ComplianceRun<'a> {
     joints: &'a JointTrack,
     streams: &'a [PoseStream<'a>],
     slides: &'a [bool],
@@ -60,7 +61,7 @@ struct Run<'a> {
 
 /// Samples of one stream with their residuals under a diagnosis, expressed in the base frame at the tip.
 #[derive(Default)]
-struct Samples {
+struct ResidualSamples {
     /// Reported positions of all joints of the track.
     q: Vec<Vec<f64>>,
     /// Velocities of all joints.
@@ -93,20 +94,20 @@ pub(super) fn without_bends(
         return None;
     }
     let is_much = found.streams.iter().any(leaves_much);
-    let without = |run: Run, found: &ArmDiagnosis| match is_much {
+    let without = |run: ComplianceRun, found: &ArmDiagnosis| match is_much {
         true => run.unbent(found),
         false => run.sags_like_zeros(found),
     };
     let reading = match &found.joints.reading {
         Ok(reading) if !reading.is_as_logged() => reading,
         // Without a valid encoding, use the joints as logged.
-        _ => return without(Run { joints, streams, slides, most_lag_s }, found),
+        _ => return without(ComplianceRun { joints, streams, slides, most_lag_s }, found),
     };
     if !is_much && !found.joints.offsets.iter().any(|offset| offset.chosen) {
         return None;
     }
     let read = corrected(joints, reading, slides);
-    let run = Run { joints: &read, streams, slides, most_lag_s };
+    let run = ComplianceRun { joints: &read, streams, slides, most_lag_s };
     let mut after = without(run, &diagnose_arm(&read, streams, most_lag_s))?;
     after.joints.reading.clone_from(&found.joints.reading);
     after.joints.scales.clone_from(&found.joints.scales);
@@ -121,21 +122,21 @@ pub(super) fn without_bends(
 
 /// Residual of all pose streams of an arm, m. Angles are weighted by 0.3 m.
 #[derive(Clone, Copy, Debug)]
-struct Left {
+struct ArmResidual {
     /// Root mean square of the excess residual.
     rms_m: f64,
     /// Median, including noise.
     median_m: f64,
 }
 
-impl Left {
+impl ArmResidual {
     fn of(found: &ArmDiagnosis) -> Self {
         let rms = |found: &PoseDiagnosis| match &found.residual {
             Ok(residual) => residual.excess_m.value.hypot(0.3 * residual.excess_rad.value),
             Err(_) => 1.0,
         };
         let half = |found: &PoseDiagnosis| {
-            let Residuals { m, rad } = found.aligned.after();
+            let PoseDistances { m, rad } = found.aligned.after();
             let mut all: Vec<f64> = m.iter().zip(&rad).map(|(m, rad)| m.hypot(0.3 * rad)).collect();
             median(&mut all).unwrap_or(1.0)
         };
@@ -151,37 +152,38 @@ impl Left {
     }
 }
 
-impl Run<'_> {
+impl ComplianceRun<'_> {
     /// Diagnoses the run with joint compliance corrected. `found` is the diagnosis without compliance.
     /// `None` if no compliance is found or if it does not explain enough.
     fn unbent(&self, found: &ArmDiagnosis) -> Option<ArmDiagnosis> {
         let samples = self.samples(self.joints, found);
-        let before = Left::of(found);
-        let mut best: Option<(Left, ArmDiagnosis)> = None;
+        let before = ArmResidual::of(found);
+        let mut best: Option<(ArmResidual, ArmDiagnosis)> = None;
         let found_sets = self.search(&samples);
         for (search, terms) in found_sets
             .iter()
             .flat_map(|(search, sets)| sets.iter().map(move |terms| (search, terms.clone())))
         {
-            let is_eccentric = terms.iter().any(|term| matches!(term.kind, Kind::Eccentric(_)));
+            let is_eccentric =
+                terms.iter().any(|term| matches!(term.kind, ComplianceKind::Eccentric(_)));
             // Eccentricity is a flexible model, so backlash and sag take precedence.
-            let enough = |(left, _): &(Left, ArmDiagnosis)| left.is_within(ENOUGH, &before);
+            let enough = |(left, _): &(ArmResidual, ArmDiagnosis)| left.is_within(ENOUGH, &before);
             if is_eccentric && best.as_ref().is_some_and(enough) {
                 break;
             }
             let Some(after) = self.without(search, terms) else { continue };
-            let left = Left::of(&after);
+            let left = ArmResidual::of(&after);
             if best.as_ref().is_none_or(|(best, _)| left.is_within(LEFT, best)) {
                 best = Some((left, after));
             }
         }
-        let enough = |(left, _): &(Left, ArmDiagnosis)| left.is_within(ENOUGH, &before);
+        let enough = |(left, _): &(ArmResidual, ArmDiagnosis)| left.is_within(ENOUGH, &before);
         if !best.as_ref().is_some_and(enough) {
             // A load change gives one joint two sag values.
             let loaded = found_sets.as_ref().map(|(search, _)| (search, search.loaded()));
             let loaded = loaded.filter(|(_, terms)| !terms.is_empty());
             if let Some(after) = loaded.and_then(|(search, terms)| self.without(search, terms)) {
-                let left = Left::of(&after);
+                let left = ArmResidual::of(&after);
                 if best.as_ref().is_none_or(|(best, _)| left.is_within(LEFT, best)) {
                     best = Some((left, after));
                 }
@@ -192,11 +194,11 @@ impl Run<'_> {
         let is_nominal = found.streams.iter().any(|found| found.nominal);
         let most = if is_nominal { LEFT_OF_NOMINAL } else { LEFT };
         let (left, mut after) = best?;
-        let is_read = after.joints.reading.as_ref().is_ok_and(JointReading::is_as_logged);
+        let is_read = after.joints.reading.as_ref().is_ok_and(JointEncoding::is_as_logged);
         if !is_read || !left.is_within(most, &before) {
             return None;
         }
-        if after.joints.bends.iter().any(JointBend::is_eccentric) {
+        if after.joints.bends.iter().any(JointCompliance::is_eccentric) {
             self.leave_unnamed(&mut after);
         }
         // The link masses are assumed. An error in them looks like a zero offset, so widen that interval.
@@ -217,7 +219,7 @@ impl Run<'_> {
         /// confounder.
         const SURE: f64 = 16.0;
         const CLOSE: f64 = 12.0;
-        let is_plain = found.joints.reading.as_ref().is_ok_and(JointReading::is_as_logged);
+        let is_plain = found.joints.reading.as_ref().is_ok_and(JointEncoding::is_as_logged);
         let is_nominal = found.streams.iter().any(|found| found.nominal);
         let offsets = found.joints.offsets.iter().enumerate();
         let zeros: Vec<(usize, f64)> = offsets
@@ -229,7 +231,7 @@ impl Run<'_> {
             return None;
         }
         let samples = self.samples(self.joints, found);
-        let search = Search::new(self, &samples, Masses::TRIED[0])?;
+        let search = ComplianceSearch::new(self, &samples, MassModel::TRIED[0])?;
         let mut beside: Option<ArmDiagnosis> = None;
         for (column, zero) in zeros {
             let term = search.sag_like(column, zero);
@@ -244,7 +246,7 @@ impl Run<'_> {
             }
             if !is_other && gain > -CLOSE {
                 let found = beside.get_or_insert_with(|| found.clone());
-                found.joints.offsets[column].twins.push(Twin::Sag(column, sag));
+                found.joints.offsets[column].twins.push(Confounder::Sag(column, sag));
             }
         }
         beside
@@ -252,13 +254,17 @@ impl Run<'_> {
 
     /// Finds sets of compliance terms that explain most with few joints. If a joint sags, uses the mass
     /// distribution that fits best.
-    fn search<'a>(&'a self, samples: &'a [Samples]) -> Option<(Search<'a>, Vec<Vec<Term>>)> {
-        let search = Search::new(self, samples, Masses::TRIED[0])?;
+    fn search<'a>(
+        &'a self,
+        samples: &'a [ResidualSamples],
+    ) -> Option<(ComplianceSearch<'a>, Vec<Vec<ComplianceTerm>>)> {
+        let search = ComplianceSearch::new(self, samples, MassModel::TRIED[0])?;
         let sets = search.terms();
-        let sags = |set: &&Vec<Term>| set.iter().any(|term| term.kind == Kind::Sag);
+        let sags =
+            |set: &&Vec<ComplianceTerm>| set.iter().any(|term| term.kind == ComplianceKind::Sag);
         let Some(first) = sets.iter().find(sags) else { return Some((search, sets)) };
-        let searches = Masses::TRIED.into_iter().filter_map(|masses| {
-            let search = Search::new(self, samples, masses)?;
+        let searches = MassModel::TRIED.into_iter().filter_map(|masses| {
+            let search = ComplianceSearch::new(self, samples, masses)?;
             Some((search.left(first), search))
         });
         let search = searches.min_by(|a, b| a.0.total_cmp(&b.0))?.1;
@@ -267,8 +273,12 @@ impl Run<'_> {
     }
 
     /// Diagnoses the run after correcting the compliance in `terms`. `None` if no term remains.
-    fn without(&self, search: &Search, mut terms: Vec<Term>) -> Option<ArmDiagnosis> {
-        let free = Free::all(self);
+    fn without(
+        &self,
+        search: &ComplianceSearch,
+        mut terms: Vec<ComplianceTerm>,
+    ) -> Option<ArmDiagnosis> {
+        let free = FreeParameters::all(self);
         for _ in 0..ROUNDS {
             search.refine(&mut terms, &free, false);
         }
@@ -276,14 +286,18 @@ impl Run<'_> {
     }
 
     /// Same as [`Self::without`], starting from the values in `terms`.
-    fn settled(&self, search: &Search, mut terms: Vec<Term>) -> Option<ArmDiagnosis> {
+    fn settled(
+        &self,
+        search: &ComplianceSearch,
+        mut terms: Vec<ComplianceTerm>,
+    ) -> Option<ArmDiagnosis> {
         let mut after = self.bent(&search.bends(&terms))?;
         for _ in 0..ROUNDS {
             // Causes that the corrected model no longer contains are not free parameters.
-            let before: Vec<f64> = terms.iter().map(Term::size).collect();
+            let before: Vec<f64> = terms.iter().map(ComplianceTerm::size).collect();
             let samples = self.samples(&after.0, &after.1);
-            search.on(&samples).refine(&mut terms, &Free::chosen(self, &after.1), true);
-            let mut moved = terms.iter().map(Term::size).zip(&before);
+            search.on(&samples).refine(&mut terms, &FreeParameters::chosen(self, &after.1), true);
+            let mut moved = terms.iter().map(ComplianceTerm::size).zip(&before);
             let is_settled = terms.len() == before.len()
                 && moved.all(|(size, before)| (size - before).abs() < SETTLED_RAD);
             if is_settled {
@@ -298,7 +312,7 @@ impl Run<'_> {
     }
 
     /// Joint states corrected for `bends`, and the diagnosis on them. `None` if `bends` is empty.
-    fn bent(&self, bends: &[JointBend]) -> Option<(JointTrack, ArmDiagnosis)> {
+    fn bent(&self, bends: &[JointCompliance]) -> Option<(JointTrack, ArmDiagnosis)> {
         if bends.is_empty() {
             return None;
         }
@@ -309,7 +323,7 @@ impl Run<'_> {
     }
 
     /// Samples of every stream with their residuals. `found` is the diagnosis of `joints`.
-    fn samples(&self, joints: &JointTrack, found: &ArmDiagnosis) -> Vec<Samples> {
+    fn samples(&self, joints: &JointTrack, found: &ArmDiagnosis) -> Vec<ResidualSamples> {
         let corrected = found.joints.corrected_joints(joints, self.slides);
         let both = self.streams.iter().zip(&found.streams);
         both.map(|(stream, found)| self.of_stream(&corrected, stream, found)).collect()
@@ -333,7 +347,7 @@ impl Run<'_> {
         let (mut q, mut qd) = (vec![0.0; named.dof], vec![0.0; named.dof]);
         for (stream, found) in self.streams.iter().zip(&mut after.streams) {
             let truth_s = self.truth_s(stream, found);
-            let Aligned { t_s, fk_at_truth, .. } = &mut found.aligned;
+            let AlignedSamples { t_s, fk_at_truth, .. } = &mut found.aligned;
             let mut cursor = 0;
             for (t_s, fk) in t_s.iter().zip(fk_at_truth) {
                 if named.at(truth_s(*t_s), &mut cursor, &mut q, &mut qd) {
@@ -349,11 +363,12 @@ impl Run<'_> {
         corrected: &JointTrack,
         stream: &PoseStream,
         found: &PoseDiagnosis,
-    ) -> Samples {
+    ) -> ResidualSamples {
         let truth_s = self.truth_s(stream, found);
-        let Aligned { t_s, corrected: poses, fk_at_truth, .. } = &found.aligned;
+        let AlignedSamples { t_s, corrected: poses, fk_at_truth, .. } = &found.aligned;
         let dof = self.joints.dof;
-        let mut samples = Samples { has_rotation: found.reading.is_ok(), ..Samples::default() };
+        let mut samples =
+            ResidualSamples { has_rotation: found.reading.is_ok(), ..ResidualSamples::default() };
         let (mut cursor, mut cursor_corrected) = (0, 0);
         let mut chain_q = vec![0.0; stream.columns.len()];
         let mut own = vec![[0.0; 6]; stream.columns.len()];

@@ -3,8 +3,8 @@
 
 use crate::changes::left_m;
 use crate::{
-    AmountChange, ArmDiagnosis, FrameChange, FrameEstimate, JointChange, JointDiagnosis,
-    PoseDiagnosis, Residuals, Seen,
+    ArmDiagnosis, EstimateResult, FrameChange, FrameEstimate, JointChange, JointDiagnosis,
+    PoseDiagnosis, PoseDistances, ScalarChange,
 };
 use std::cmp::Ordering;
 
@@ -37,7 +37,7 @@ pub(crate) fn gives(bend: &ArmDiagnosis, change: &ArmDiagnosis) -> bool {
 fn mostly_left_m(found: &ArmDiagnosis) -> f64 {
     const MOSTLY: f64 = 0.9;
     let of_stream = |found: &PoseDiagnosis| {
-        let Residuals { m, rad } = found.aligned.after();
+        let PoseDistances { m, rad } = found.aligned.after();
         let mut all: Vec<f64> = m.iter().zip(&rad).map(|(m, rad)| m.hypot(0.3 * rad)).collect();
         all.sort_by(f64::total_cmp);
         all.truncate((MOSTLY * all.len() as f64) as usize);
@@ -52,7 +52,7 @@ fn causes(found: &ArmDiagnosis) -> usize {
     /// A value below this fraction of the step counts as zero.
     const LITTLE: f64 = 0.2;
     let JointDiagnosis { offsets, changes, bends, .. } = &found.joints;
-    let of_zero = |zero: &AmountChange| {
+    let of_zero = |zero: &ScalarChange| {
         let ends = [zero.from, zero.to].into_iter();
         ends.filter(|end| end.abs() > LITTLE * zero.by.value.abs()).count().max(1)
     };
@@ -63,7 +63,7 @@ fn causes(found: &ArmDiagnosis) -> usize {
         |column| changes.iter().any(|change| change.column == column && change.zero.is_some());
     let zeros = offsets.iter().enumerate();
     let zeros = zeros.filter(|(column, offset)| offset.chosen && !changes_zero(*column)).count();
-    let of_frame = |frame: &Seen<FrameEstimate>, changes: &[FrameChange]| {
+    let of_frame = |frame: &EstimateResult<FrameEstimate>, changes: &[FrameChange]| {
         changes.len().max(usize::from(frame.as_ref().is_ok_and(|frame| frame.chosen)))
     };
     let of_stream = |found: &PoseDiagnosis| {

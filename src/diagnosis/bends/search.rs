@@ -1,13 +1,13 @@
 //! Selects the joints with compliance and estimates its values. Uses linear least squares on the residual
 //! of one diagnosis, with all causes of its model as free parameters.
 
-use super::found::{BendShape, Crossing, JointBend, Sag};
-use super::gravity::{Gravity, Masses, Postures};
-use super::system::{STREAM, System, linear};
-use super::{Run, Samples};
+use super::found::{BacklashCrossing, ComplianceShape, JointCompliance, JointSag};
+use super::gravity::{GravityTorques, MassModel, TorqueBuffers};
+use super::system::{ComplianceSystem, STREAM, linear};
+use super::{ComplianceRun, ResidualSamples};
 use crate::explain::price;
 use crate::linear::{Linear, Normal};
-use crate::{ArmDiagnosis, Change, FrameEstimate, Seen};
+use crate::{ArmDiagnosis, ChangePoint, EstimateResult, FrameEstimate};
 use ground::stats::Measured;
 use std::sync::Arc;
 
@@ -34,8 +34,8 @@ const FINER: i32 = 4;
 
 /// Kind of joint compliance.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Kind {
-    Play(Crossing),
+pub(super) enum ComplianceKind {
+    Play(BacklashCrossing),
     Sag,
     /// Sag whose value changes at this time (a load change), s.
     LoadedSag(f64),
@@ -44,53 +44,59 @@ pub(super) enum Kind {
 
 /// Compliance term of one joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Term {
+pub(super) struct ComplianceTerm {
     pub column: usize,
-    pub kind: Kind,
+    pub kind: ComplianceKind,
     /// Coefficients. Eccentricity: sine and cosine. Sag with a load change: before and after.
     pub amount: [f64; 2],
     pub std_error: f64,
     pub dof: f64,
 }
 
-impl Term {
-    fn new(column: usize, kind: Kind) -> Self {
+impl ComplianceTerm {
+    fn new(column: usize, kind: ComplianceKind) -> Self {
         Self { column, kind, amount: [0.0; 2], std_error: 0.0, dof: 3.0 }
     }
 
     /// Number of coefficients.
     pub fn width(&self) -> usize {
-        if matches!(self.kind, Kind::Eccentric(_) | Kind::LoadedSag(_)) { 2 } else { 1 }
+        if matches!(self.kind, ComplianceKind::Eccentric(_) | ComplianceKind::LoadedSag(_)) {
+            2
+        } else {
+            1
+        }
     }
 
     /// Magnitude, rad, signed except for eccentricity.
     pub fn size(&self) -> f64 {
         match self.kind {
-            Kind::Play(_) | Kind::Sag => self.amount[0],
-            Kind::LoadedSag(_) if self.amount[1].abs() > self.amount[0].abs() => self.amount[1],
-            Kind::LoadedSag(_) => self.amount[0],
-            Kind::Eccentric(_) => self.amount[0].hypot(self.amount[1]),
+            ComplianceKind::Play(_) | ComplianceKind::Sag => self.amount[0],
+            ComplianceKind::LoadedSag(_) if self.amount[1].abs() > self.amount[0].abs() => {
+                self.amount[1]
+            }
+            ComplianceKind::LoadedSag(_) => self.amount[0],
+            ComplianceKind::Eccentric(_) => self.amount[0].hypot(self.amount[1]),
         }
     }
 
     /// Returns whether the value is physical and significant.
     fn holds(&self) -> bool {
         let size = self.size();
-        let is_way = size > 0.0 || matches!(self.kind, Kind::Play(_));
+        let is_way = size > 0.0 || matches!(self.kind, ComplianceKind::Play(_));
         is_way && size.abs() > TOLD * self.std_error && size.abs() < MOST_RAD
     }
 }
 
 /// Free parameters in addition to the compliance terms.
-pub(super) struct Free {
+pub(super) struct FreeParameters {
     pub zeros: Vec<bool>,
     /// Latency, radial scale, reference and tool of each stream.
     pub streams: Vec<[bool; 4]>,
 }
 
-impl Free {
+impl FreeParameters {
     /// Frees all zeros, latencies and frames.
-    pub fn all(run: &Run) -> Self {
+    pub fn all(run: &ComplianceRun) -> Self {
         Self {
             zeros: vec![true; run.joints.dof],
             streams: vec![[true, false, true, true]; run.streams.len()],
@@ -98,10 +104,11 @@ impl Free {
     }
 
     /// Frees only the causes that the selected model contains.
-    pub fn chosen(run: &Run, found: &ArmDiagnosis) -> Self {
+    pub fn chosen(run: &ComplianceRun, found: &ArmDiagnosis) -> Self {
         let streams = run.streams.iter().zip(&found.streams).map(|(stream, found)| {
-            let frame =
-                |frame: &Seen<FrameEstimate>| frame.as_ref().is_ok_and(|frame| frame.chosen);
+            let frame = |frame: &EstimateResult<FrameEstimate>| {
+                frame.as_ref().is_ok_and(|frame| frame.chosen)
+            };
             let is_free = !stream.reference_known || frame(&found.reference);
             [found.latency_s.is_ok(), found.growth_chosen, is_free, frame(&found.tool)]
         });
@@ -113,20 +120,24 @@ impl Free {
 }
 
 /// Search for compliance on one linearisation.
-pub(super) struct Search<'a> {
-    run: &'a Run<'a>,
-    samples: &'a [Samples],
-    gravity: Arc<Gravity>,
+pub(super) struct ComplianceSearch<'a> {
+    run: &'a ComplianceRun<'a>,
+    samples: &'a [ResidualSamples],
+    gravity: Arc<GravityTorques>,
     /// Largest torque about each joint over the run.
     most_torque: Vec<f64>,
     /// Gravity torques, indexed by stream, sample and joint.
     torques: Vec<Vec<Vec<f64>>>,
 }
 
-impl<'a> Search<'a> {
-    pub fn new(run: &'a Run, samples: &'a [Samples], masses: Masses) -> Option<Self> {
+impl<'a> ComplianceSearch<'a> {
+    pub fn new(
+        run: &'a ComplianceRun,
+        samples: &'a [ResidualSamples],
+        masses: MassModel,
+    ) -> Option<Self> {
         let stream = run.streams.iter().max_by_key(|stream| stream.columns.len())?;
-        let gravity = Arc::new(Gravity::of(stream.chain, stream.columns, masses));
+        let gravity = Arc::new(GravityTorques::of(stream.chain, stream.columns, masses));
         let torques = torques(&gravity, samples, run.joints.dof);
         let mut most_torque = vec![0.0_f64; run.joints.dof];
         for own in torques.iter().flatten() {
@@ -136,30 +147,31 @@ impl<'a> Search<'a> {
     }
 
     /// Same search on other samples of the run.
-    pub fn on<'b>(&self, samples: &'b [Samples]) -> Search<'b>
+    pub fn on<'b>(&self, samples: &'b [ResidualSamples]) -> ComplianceSearch<'b>
     where
         'a: 'b,
     {
         let gravity = Arc::clone(&self.gravity);
         let torques = torques(&gravity, samples, self.run.joints.dof);
         let most_torque = self.most_torque.clone();
-        Search { run: self.run, samples, gravity, most_torque, torques }
+        ComplianceSearch { run: self.run, samples, gravity, most_torque, torques }
     }
 
     /// Sag whose mean over the samples equals a zero of `offset_rad`. `None` if the sign contradicts
     /// gravity or the sag is too large.
-    pub fn sag_like(&self, column: usize, offset_rad: f64) -> Option<Term> {
-        let term = |term: &Term| term.column == column && term.kind == Kind::Sag;
+    pub fn sag_like(&self, column: usize, offset_rad: f64) -> Option<ComplianceTerm> {
+        let term =
+            |term: &ComplianceTerm| term.column == column && term.kind == ComplianceKind::Sag;
         let term = self.candidates().into_iter().find(term)?;
         let torques = || self.torques.iter().flatten().map(|torques| torques[column]);
         let count = torques().count().max(1) as f64;
         let mean = torques().sum::<f64>() / count / self.most_torque[column];
         let amount = [offset_rad / mean, 0.0];
-        (amount[0] > 0.0 && amount[0] < MOST_RAD).then_some(Term { amount, ..term })
+        (amount[0] > 0.0 && amount[0] < MOST_RAD).then_some(ComplianceTerm { amount, ..term })
     }
 
     /// All compliance terms that the motion can show.
-    fn candidates(&self) -> Vec<Term> {
+    fn candidates(&self) -> Vec<ComplianceTerm> {
         let dof = self.run.joints.dof;
         let largest = self.most_torque.iter().copied().fold(0.0, f64::max);
         let of_joint = |column: usize| {
@@ -170,15 +182,15 @@ impl<'a> Search<'a> {
             let sags = self.most_torque[column] > LEAST_TORQUE * largest;
             let turns = high - low > LEAST_RANGE_RAD;
             let moves = high - low > 0.05;
-            let orders = ORDERS.iter().map(|&order| Kind::Eccentric(order));
-            let kinds = [Crossing::Gradual, Crossing::Sudden]
+            let orders = ORDERS.iter().map(|&order| ComplianceKind::Eccentric(order));
+            let kinds = [BacklashCrossing::Gradual, BacklashCrossing::Sudden]
                 .into_iter()
-                .map(Kind::Play)
-                .chain(sags.then_some(Kind::Sag))
+                .map(ComplianceKind::Play)
+                .chain(sags.then_some(ComplianceKind::Sag))
                 .chain(orders.filter(move |_| turns));
             kinds
                 .filter(move |_| moves)
-                .map(move |kind| Term::new(column, kind))
+                .map(move |kind| ComplianceTerm::new(column, kind))
                 .collect::<Vec<_>>()
         };
         let used = |column: &usize| {
@@ -189,12 +201,12 @@ impl<'a> Search<'a> {
     }
 
     /// Profiles of `terms`, indexed by stream, sample and coefficient.
-    fn shapes(&self, terms: &[Term]) -> Vec<Vec<Vec<f64>>> {
+    fn shapes(&self, terms: &[ComplianceTerm]) -> Vec<Vec<Vec<f64>>> {
         let joints = self.run.joints;
         let behind: Vec<Vec<f64>> = terms
             .iter()
             .map(|term| match term.kind {
-                Kind::Play(crossing) => {
+                ComplianceKind::Play(crossing) => {
                     let width = match term.amount[0].abs() {
                         0.0 => FIRST_PLAY_RAD,
                         width => width,
@@ -202,30 +214,32 @@ impl<'a> Search<'a> {
                     let q = |row: usize| joints.q[row * joints.dof + term.column];
                     crossing.behind(joints.len(), q, width)
                 }
-                Kind::Sag | Kind::LoadedSag(_) | Kind::Eccentric(_) => Vec::new(),
+                ComplianceKind::Sag
+                | ComplianceKind::LoadedSag(_)
+                | ComplianceKind::Eccentric(_) => Vec::new(),
             })
             .collect();
-        let of_stream = |(samples, torques): (&Samples, &Vec<Vec<f64>>)| {
+        let of_stream = |(samples, torques): (&ResidualSamples, &Vec<Vec<f64>>)| {
             let of_sample = |k: usize| {
                 let mut values = Vec::new();
                 for (term, behind) in terms.iter().zip(&behind) {
                     let q = samples.q[k][term.column];
                     match term.kind {
-                        Kind::Play(_) => {
+                        ComplianceKind::Play(_) => {
                             let (row, part) = samples.at[k];
                             let next = (row + 1).min(behind.len() - 1);
                             values.push(behind[row] * (1.0 - part) + behind[next] * part);
                         }
-                        Kind::Sag => {
+                        ComplianceKind::Sag => {
                             let most = self.most_torque[term.column];
                             values.push(torques[k][term.column] / most);
                         }
-                        Kind::LoadedSag(from_s) => {
+                        ComplianceKind::LoadedSag(from_s) => {
                             let share = torques[k][term.column] / self.most_torque[term.column];
                             let is_before = joints.t_s[samples.at[k].0] < from_s;
                             values.extend(if is_before { [share, 0.0] } else { [0.0, share] });
                         }
-                        Kind::Eccentric(order) => {
+                        ComplianceKind::Eccentric(order) => {
                             let (sin, cos) = (f64::from(order) * q).sin_cos();
                             values.extend([sin, cos]);
                         }
@@ -238,7 +252,7 @@ impl<'a> Search<'a> {
         self.samples.iter().zip(&self.torques).map(of_stream).collect()
     }
 
-    fn system(&self, terms: &[Term], free: &Free) -> System {
+    fn system(&self, terms: &[ComplianceTerm], free: &FreeParameters) -> ComplianceSystem {
         let dof = self.run.joints.dof;
         let starts: Vec<usize> = terms
             .iter()
@@ -248,7 +262,7 @@ impl<'a> Search<'a> {
                 Some(start)
             })
             .collect();
-        let own = dof + terms.iter().map(Term::width).sum::<usize>();
+        let own = dof + terms.iter().map(ComplianceTerm::width).sum::<usize>();
         let shapes = self.shapes(terms);
         let linears: Vec<Linear> = self
             .samples
@@ -261,7 +275,7 @@ impl<'a> Search<'a> {
             .collect();
         let weights = linears.iter().map(Linear::first_weights).collect();
         let normal = Normal::zeros(0);
-        let mut system = System { linears, weights, normal, columns, starts };
+        let mut system = ComplianceSystem { linears, weights, normal, columns, starts };
         system.sum();
         let every: Vec<usize> = (0..terms.len()).collect();
         for _ in 0..2 {
@@ -273,8 +287,8 @@ impl<'a> Search<'a> {
 
     /// Selects small sets of terms with all zeros, latencies and frames free. The first set contains only
     /// backlash and sag. A second set follows if adding eccentricity selects it.
-    pub fn terms(&self) -> Vec<Vec<Term>> {
-        let (terms, free) = (self.candidates(), Free::all(self.run));
+    pub fn terms(&self) -> Vec<Vec<ComplianceTerm>> {
+        let (terms, free) = (self.candidates(), FreeParameters::all(self.run));
         let system = self.system(&terms, &free);
         let cost = |set: &[usize]| system.cost(&system.parameters(&terms, set, &free));
         let every: Vec<usize> = (0..terms.len()).collect();
@@ -282,7 +296,8 @@ impl<'a> Search<'a> {
         let price = price(system.normal.independent);
         let worth =
             |index: usize| (price * terms[index].width() as f64).max(SHARE * (plain - least));
-        let is_eccentric = |index: &usize| matches!(terms[*index].kind, Kind::Eccentric(_));
+        let is_eccentric =
+            |index: &usize| matches!(terms[*index].kind, ComplianceKind::Eccentric(_));
         let simple: Vec<usize> = every.iter().copied().filter(|i| !is_eccentric(i)).collect();
         let simple = fewest(&simple, plain, &cost, &worth);
         let mixed = fewest(&every, plain, &cost, &worth);
@@ -294,18 +309,18 @@ impl<'a> Search<'a> {
 
     /// Selects joints whose sag changes at one time (a load change), in addition to backlash, with
     /// everything else free. Empty if constant sag fits about as well.
-    pub fn loaded(&self) -> Vec<Term> {
-        let free = Free::all(self.run);
-        let with = |kind: fn(f64) -> Kind, at_s: f64| -> Vec<Term> {
+    pub fn loaded(&self) -> Vec<ComplianceTerm> {
+        let free = FreeParameters::all(self.run);
+        let with = |kind: fn(f64) -> ComplianceKind, at_s: f64| -> Vec<ComplianceTerm> {
             let plain = self.candidates().into_iter();
-            let sags = plain.filter(|term| term.kind == Kind::Sag);
-            sags.map(|term| Term { kind: kind(at_s), ..term }).collect()
+            let sags = plain.filter(|term| term.kind == ComplianceKind::Sag);
+            sags.map(|term| ComplianceTerm { kind: kind(at_s), ..term }).collect()
         };
         let (Some(first), Some(last)) = (self.run.joints.t_s.first(), self.run.joints.t_s.last())
         else {
             return Vec::new();
         };
-        let cost_at = |at_s: f64| self.left(&with(Kind::LoadedSag, at_s));
+        let cost_at = |at_s: f64| self.left(&with(ComplianceKind::LoadedSag, at_s));
         let length_s = last - first;
         let rough = (1..MOMENTS).map(|at| first + length_s * at as f64 / MOMENTS as f64);
         let best = |tried: &mut dyn Iterator<Item = f64>| {
@@ -315,9 +330,11 @@ impl<'a> Search<'a> {
         let Some((_, rough_s)) = best(&mut rough.into_iter()) else { return Vec::new() };
         let near = (-FINER..=FINER).map(|step| rough_s + self.step_s() * f64::from(step));
         let Some((_, at_s)) = best(&mut near.into_iter()) else { return Vec::new() };
-        let mut terms = with(Kind::LoadedSag, at_s);
+        let mut terms = with(ComplianceKind::LoadedSag, at_s);
         terms.extend(
-            self.candidates().into_iter().filter(|term| matches!(term.kind, Kind::Play(_))),
+            self.candidates()
+                .into_iter()
+                .filter(|term| matches!(term.kind, ComplianceKind::Play(_))),
         );
         let system = self.system(&terms, &free);
         let cost = |set: &[usize]| system.cost(&system.parameters(&terms, set, &free));
@@ -327,8 +344,8 @@ impl<'a> Search<'a> {
         let worth =
             |index: usize| (price * terms[index].width() as f64).max(SHARE * (plain - least));
         let set = fewest(&every, plain, &cost, &worth);
-        let set: Vec<Term> = set.into_iter().map(|index| terms[index]).collect();
-        let is_loaded = set.iter().any(|term| matches!(term.kind, Kind::LoadedSag(_)));
+        let set: Vec<ComplianceTerm> = set.into_iter().map(|index| terms[index]).collect();
+        let is_loaded = set.iter().any(|term| matches!(term.kind, ComplianceKind::LoadedSag(_)));
         if is_loaded { set } else { Vec::new() }
     }
 
@@ -339,13 +356,13 @@ impl<'a> Search<'a> {
     }
 
     /// Residual noise `Σ n·ln σ` with `terms` and everything else free.
-    pub fn left(&self, terms: &[Term]) -> f64 {
-        self.system(terms, &Free::all(self.run)).noise()
+    pub fn left(&self, terms: &[ComplianceTerm]) -> f64 {
+        self.system(terms, &FreeParameters::all(self.run)).noise()
     }
 
     /// Refines the values of `terms`. If `is_taken`, the residuals are already corrected for the current
     /// values, and terms that are not significant are removed.
-    pub fn refine(&self, terms: &mut Vec<Term>, free: &Free, is_taken: bool) {
+    pub fn refine(&self, terms: &mut Vec<ComplianceTerm>, free: &FreeParameters, is_taken: bool) {
         let system = self.system(terms, free);
         let every: Vec<usize> = (0..terms.len()).collect();
         let parameters = system.parameters(terms, &every, free);
@@ -362,33 +379,35 @@ impl<'a> Search<'a> {
             term.dof = (system.normal.independent - parameters.len() as f64).max(3.0);
         }
         if is_taken {
-            terms.retain(Term::holds);
+            terms.retain(ComplianceTerm::holds);
         }
     }
 
     /// Converts `terms` to joint compliance.
-    pub fn bends(&self, terms: &[Term]) -> Vec<JointBend> {
-        let bend = |term: &Term| {
-            let Term { column, amount, std_error, dof, .. } = *term;
+    pub fn bends(&self, terms: &[ComplianceTerm]) -> Vec<JointCompliance> {
+        let bend = |term: &ComplianceTerm| {
+            let ComplianceTerm { column, amount, std_error, dof, .. } = *term;
             let shape = match term.kind {
-                Kind::Play(crossing) => BendShape::Play(crossing),
-                Kind::Sag | Kind::LoadedSag(_) => BendShape::Sag(Sag {
-                    gravity: Arc::clone(&self.gravity),
-                    most_torque: self.most_torque[column],
-                }),
-                Kind::Eccentric(order) => {
-                    BendShape::Eccentric { order, phase_rad: amount[1].atan2(amount[0]) }
+                ComplianceKind::Play(crossing) => ComplianceShape::Play(crossing),
+                ComplianceKind::Sag | ComplianceKind::LoadedSag(_) => {
+                    ComplianceShape::Sag(JointSag {
+                        gravity: Arc::clone(&self.gravity),
+                        most_torque: self.most_torque[column],
+                    })
+                }
+                ComplianceKind::Eccentric(order) => {
+                    ComplianceShape::Eccentric { order, phase_rad: amount[1].atan2(amount[0]) }
                 }
             };
             let value = term.size();
-            let is_sag = matches!(term.kind, Kind::Sag | Kind::LoadedSag(_));
+            let is_sag = matches!(term.kind, ComplianceKind::Sag | ComplianceKind::LoadedSag(_));
             let measured = |value: f64, share: f64| Measured {
                 value,
                 std_error: share * std_error.hypot(if is_sag { MASSES * value } else { 0.0 }),
                 dof,
             };
             let change = match term.kind {
-                Kind::LoadedSag(at_s) => Some(Change {
+                ComplianceKind::LoadedSag(at_s) => Some(ChangePoint {
                     at_s,
                     within_s: self.step_s(),
                     from: amount[0],
@@ -397,7 +416,7 @@ impl<'a> Search<'a> {
                 }),
                 _ => None,
             };
-            JointBend { column, amount: measured(value, 1.0), shape, change }
+            JointCompliance { column, amount: measured(value, 1.0), shape, change }
         };
         terms.iter().map(bend).collect()
     }
@@ -439,8 +458,12 @@ fn fewest(
 }
 
 /// Gravity torques, indexed by stream, sample and joint.
-fn torques(gravity: &Gravity, samples: &[Samples], dof: usize) -> Vec<Vec<Vec<f64>>> {
-    let mut buffer = Postures::default();
+fn torques(
+    gravity: &GravityTorques,
+    samples: &[ResidualSamples],
+    dof: usize,
+) -> Vec<Vec<Vec<f64>>> {
+    let mut buffer = TorqueBuffers::default();
     let mut of_sample = |q: &Vec<f64>| {
         let mut torques = vec![0.0; dof];
         gravity.torques(q, &mut buffer, &mut torques);

@@ -1,7 +1,7 @@
 //! Normal equations of the compliance terms together with all other causes of the model.
 
-use super::Samples;
-use super::search::{Free, Term};
+use super::ResidualSamples;
+use super::search::{ComplianceTerm, FreeParameters};
 use crate::linear::{Linear, Normal, Weight};
 use crate::model::{FLOOR_M, FLOOR_RAD};
 use crate::robust::sandwich;
@@ -13,7 +13,7 @@ pub(super) const STREAM: usize = 14;
 const PARTS: [std::ops::Range<usize>; 4] = [0..1, 1..2, 2..8, 8..14];
 
 /// Least-squares system of compliance terms and stream parameters.
-pub(super) struct System {
+pub(super) struct ComplianceSystem {
     pub linears: Vec<Linear>,
     pub weights: Vec<Vec<Weight>>,
     pub normal: Normal,
@@ -23,7 +23,7 @@ pub(super) struct System {
     pub starts: Vec<usize>,
 }
 
-impl System {
+impl ComplianceSystem {
     pub fn sum(&mut self) {
         let width = self.columns.iter().flatten().max().map_or(0, |last| last + 1);
         /// Prior standard deviation that damps the steps, as in the fit of the model.
@@ -52,9 +52,14 @@ impl System {
     }
 
     /// Parameter indices of the terms in `set` and of the `free` parameters, ascending.
-    pub fn parameters(&self, terms: &[Term], set: &[usize], free: &Free) -> Vec<usize> {
+    pub fn parameters(
+        &self,
+        terms: &[ComplianceTerm],
+        set: &[usize],
+        free: &FreeParameters,
+    ) -> Vec<usize> {
         let dof = free.zeros.len();
-        let own = dof + terms.iter().map(Term::width).sum::<usize>();
+        let own = dof + terms.iter().map(ComplianceTerm::width).sum::<usize>();
         let zeros =
             free.zeros.iter().enumerate().filter(|(_, free)| **free).map(|(joint, _)| joint);
         let mut parameters: Vec<usize> = zeros.collect();
@@ -104,9 +109,9 @@ impl System {
 
 /// Linearises a stream: residuals of its samples and their derivatives, in the base frame at the tip.
 pub(super) fn linear(
-    samples: &Samples,
+    samples: &ResidualSamples,
     shapes: &[Vec<f64>],
-    terms: &[Term],
+    terms: &[ComplianceTerm],
     starts: &[usize],
     own: usize,
 ) -> Linear {

@@ -1,14 +1,16 @@
 //! Gauss–Newton from the nominal model to the maximum of the posterior.
 
 use super::observed::untold;
-use super::parameters::Parameters;
-use super::workspace::Workspace;
-use super::{ArmCalibration, CalibrationStream, LeftOver, NoCalibration, StreamCalibration};
+use super::parameters::CalibrationParameters;
+use super::workspace::TipSensitivity;
+use super::{
+    ArmCalibration, CalibrationFailure, CalibrationResidual, CalibrationStream, StreamCalibration,
+};
 use crate::Measured;
 use crate::drawing::LINKS_M;
 use crate::linear::{Linear, Normal, Weight};
-use crate::model::{Blind, StreamState, ToolPart, Witness, pose_of_twist};
-use crate::nominal::{With, link_frames};
+use crate::model::{ExcludedComponents, PoseObservations, StreamState, ToolPart, pose_of_twist};
+use crate::nominal::{FreeAlongside, link_frames};
 use ground::geometry::{Pose, Vec3};
 use ground::robot::{Chain, LinkPath, Robot};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
@@ -24,7 +26,7 @@ const SETTLED: f64 = 1e-3;
 
 /// Current estimate.
 #[derive(Clone)]
-pub(super) struct State {
+pub(super) struct CalibrationState {
     /// All parameters. Those of streams are relative to their initial values.
     pub values: DVector<f64>,
     /// Latency, reference and tool of each stream.
@@ -32,12 +34,12 @@ pub(super) struct State {
 }
 
 /// Linearised stream, with weights from its residuals.
-struct Piece {
+struct LinearizedStream {
     linear: Linear,
     weights: Vec<Weight>,
 }
 
-impl Piece {
+impl LinearizedStream {
     /// Samples of a fold: every fifth block, starting at block `fold`.
     fn fold(&self, fold: usize) -> Vec<usize> {
         let stretch = self.linear.len().div_ceil(STRETCHES).max(1);
@@ -58,7 +60,7 @@ impl Piece {
 }
 
 /// Stream with the data that are constant over the iterations.
-struct Source<'a> {
+struct StreamSource<'a> {
     stream: &'a CalibrationStream<'a>,
     xyz: Vec<Vec3>,
     stride: usize,
@@ -70,26 +72,26 @@ pub(super) fn fit(
     robot: &Robot,
     streams: &[CalibrationStream],
     zeros: &[usize],
-) -> Result<ArmCalibration, NoCalibration> {
+) -> Result<ArmCalibration, CalibrationFailure> {
     let paths: Option<Vec<LinkPath>> =
         streams.iter().map(|stream| robot.link_path(stream.base, stream.tip)).collect();
-    let paths = paths.ok_or(NoCalibration::Chain)?;
-    let path = paths.first().ok_or(NoCalibration::TooFewSamples)?;
+    let paths = paths.ok_or(CalibrationFailure::Chain)?;
+    let path = paths.first().ok_or(CalibrationFailure::TooFewSamples)?;
     if paths.iter().any(|other| other.links != path.links) {
-        return Err(NoCalibration::OtherJoints);
+        return Err(CalibrationFailure::OtherJoints);
     }
-    let parameters = Parameters::of(path, streams, &paths, zeros.to_vec());
-    let sources: Vec<Source> = streams
+    let parameters = CalibrationParameters::of(path, streams, &paths, zeros.to_vec());
+    let sources: Vec<StreamSource> = streams
         .iter()
         .enumerate()
-        .map(|(s, stream)| Source::of(stream, parameters.columns_of(s)))
+        .map(|(s, stream)| StreamSource::of(stream, parameters.columns_of(s)))
         .collect();
-    let system = System { robot, path, parameters: &parameters, sources: &sources };
-    let mut state = State {
+    let system = CalibrationSystem { robot, path, parameters: &parameters, sources: &sources };
+    let mut state = CalibrationState {
         values: DVector::zeros(parameters.width()),
         streams: streams.iter().map(|one| (one.latency_s, one.reference, one.tool)).collect(),
     };
-    let drawing = system.at(&state, false).ok_or(NoCalibration::TooFewSamples)?;
+    let drawing = system.at(&state, false).ok_or(CalibrationFailure::TooFewSamples)?;
     let before = system.with_drawing(&drawing);
     let mut pieces = drawing;
     let (mut link_m, mut unsettled) = (LINKS_M.0, None);
@@ -97,22 +99,22 @@ pub(super) fn fit(
         let whole = system.normal(&pieces);
         link_m = system.best_link(&whole, &state);
         let (step, cholesky) =
-            system.step(&whole, &state, link_m).ok_or(NoCalibration::Diverges)?;
+            system.step(&whole, &state, link_m).ok_or(CalibrationFailure::Diverges)?;
         let moved = (step.dot(&(cholesky.l() * cholesky.l().transpose() * &step))
             / parameters.width() as f64)
             .sqrt();
         if !step.iter().all(|value| value.is_finite()) {
-            return Err(NoCalibration::Diverges);
+            return Err(CalibrationFailure::Diverges);
         }
         system.advance(&mut state, &step);
-        pieces = system.at(&state, true).ok_or(NoCalibration::Diverges)?;
+        pieces = system.at(&state, true).ok_or(CalibrationFailure::Diverges)?;
         unsettled = (moved >= SETTLED).then_some(moved);
         if unsettled.is_none() && round > 1 {
             break;
         }
     }
     let whole = system.normal(&pieces);
-    let (_, cholesky) = system.step(&whole, &state, link_m).ok_or(NoCalibration::Diverges)?;
+    let (_, cholesky) = system.step(&whole, &state, link_m).ok_or(CalibrationFailure::Diverges)?;
     let prior = parameters.prior(link_m);
     let inverse = cholesky.inverse();
     // A fit absorbs part of each sample's noise. Residuals shrink by the share of fitted degrees of
@@ -125,7 +127,7 @@ pub(super) fn fit(
     let held_out = system.held_out(&pieces, &state, link_m);
     let dof = (whole.independent - fitted).max(3.0);
     let calibrated = system.robot_at(&state);
-    let workspace = Workspace::of(&system, &state);
+    let workspace = TipSensitivity::of(&system, &state);
     let shared = parameters.shared();
     let reports = (0..sources.len()).map(|s| {
         let own = parameters.own(s);
@@ -171,16 +173,16 @@ pub(super) fn fit(
 }
 
 /// Root mean square residual over some pieces of a stream, by kind.
-fn left(pieces: &[Vec<Vec<[f64; 3]>>]) -> LeftOver {
+fn left(pieces: &[Vec<Vec<[f64; 3]>>]) -> CalibrationResidual {
     let rms = |kind: usize| {
         let all = || pieces.iter().flat_map(|piece| &piece[kind]);
         let squares: f64 = all().flatten().map(|c| c * c).sum();
         (squares / all().count().max(1) as f64).sqrt()
     };
-    LeftOver { m: rms(0), rad: rms(1) }
+    CalibrationResidual { m: rms(0), rad: rms(1) }
 }
 
-impl<'a> Source<'a> {
+impl<'a> StreamSource<'a> {
     fn of(stream: &'a CalibrationStream<'a>, columns: DMatrix<f64>) -> Self {
         let stride = stream.t_s.len().div_ceil(SAMPLES).max(1);
         let xyz = stream.poses.iter().map(|pose| pose.translation.vector).collect();
@@ -203,10 +205,10 @@ impl<'a> Source<'a> {
         self.stream.columns.iter().map(span).collect()
     }
 
-    pub(super) fn witness<'b>(&'b self, chain: &'b Chain) -> Witness<'b> {
+    pub(super) fn witness<'b>(&'b self, chain: &'b Chain) -> PoseObservations<'b> {
         let stream = self.stream;
         let ends = stream.t_s.first().zip(stream.t_s.last());
-        Witness {
+        PoseObservations {
             joints: stream.joints,
             chain,
             columns: &stream.columns,
@@ -216,7 +218,10 @@ impl<'a> Source<'a> {
             t_s: stream.t_s.clone(),
             xyz: self.xyz.clone(),
             rotation: stream.poses.iter().map(|pose| pose.rotation).collect(),
-            blind: Blind { position: stream.blind, rotation: stream.rotation_is_blind },
+            blind: ExcludedComponents {
+                position: stream.blind,
+                rotation: stream.rotation_is_blind,
+            },
             tool_part: ToolPart::Whole,
             middle_s: ends.map_or(0.0, |(first, last)| 0.5 * (first + last)),
         }
@@ -224,30 +229,30 @@ impl<'a> Source<'a> {
 }
 
 /// Equations of all streams of an arm.
-pub(super) struct System<'a> {
+pub(super) struct CalibrationSystem<'a> {
     pub robot: &'a Robot,
     pub path: &'a LinkPath,
-    pub parameters: &'a Parameters,
-    sources: &'a [Source<'a>],
+    pub parameters: &'a CalibrationParameters,
+    sources: &'a [StreamSource<'a>],
 }
 
-impl System<'_> {
+impl CalibrationSystem<'_> {
     /// Robot with the link deviations of `state`, without zeros.
-    fn links_at(&self, state: &State) -> Robot {
+    fn links_at(&self, state: &CalibrationState) -> Robot {
         let deviations = self.parameters.deviations(state.values.as_slice());
         let deviations: Vec<Pose> = deviations.iter().map(|twist| pose_of_twist(twist)).collect();
         self.robot.deviated(self.path, &deviations, &[])
     }
 
     /// Robot with the link deviations and zeros of `state`.
-    fn robot_at(&self, state: &State) -> Robot {
+    fn robot_at(&self, state: &CalibrationState) -> Robot {
         let deviations = self.parameters.deviations(state.values.as_slice());
         let deviations: Vec<Pose> = deviations.iter().map(|twist| pose_of_twist(twist)).collect();
         self.robot.deviated(self.path, &deviations, &self.zeros(state))
     }
 
     /// Zero of each joint of the chain.
-    fn zeros(&self, state: &State) -> Vec<f64> {
+    fn zeros(&self, state: &CalibrationState) -> Vec<f64> {
         let mut zeros = vec![0.0; self.path.axes.len()];
         for (at, &joint) in self.parameters.zeros.iter().enumerate() {
             zeros[joint] = state.values[self.parameters.links.len() + at];
@@ -256,16 +261,16 @@ impl System<'_> {
     }
 
     /// Chain of stream `s` with the link deviations of `state`.
-    pub fn chain(&self, s: usize, state: &State) -> Option<Chain> {
+    pub fn chain(&self, s: usize, state: &CalibrationState) -> Option<Chain> {
         let stream = self.sources[s].stream;
         self.links_at(state).chain(stream.base, stream.tip).ok()
     }
 
     /// Linearises all streams about `state`, with weights from the residuals there.
-    fn at(&self, state: &State, is_near: bool) -> Option<Vec<Piece>> {
+    fn at(&self, state: &CalibrationState, is_near: bool) -> Option<Vec<LinearizedStream>> {
         let robot = self.links_at(state);
         let zeros = self.zeros(state);
-        let of_stream = |(s, source): (usize, &Source)| {
+        let of_stream = |(s, source): (usize, &StreamSource)| {
             let stream = source.stream;
             let chain = robot.chain(stream.base, stream.tip).ok()?;
             let witness = source.witness(&chain);
@@ -275,7 +280,7 @@ impl System<'_> {
                 offsets[column] = *zero;
             }
             let rows = (0..witness.len()).step_by(source.stride);
-            let linear = link_frames(&witness, &plain, &offsets, rows, With::Zeros);
+            let linear = link_frames(&witness, &plain, &offsets, rows, FreeAlongside::Zeros);
             if linear.len() < FOLDS {
                 return None;
             }
@@ -283,19 +288,19 @@ impl System<'_> {
                 true => linear.weights_after(&vec![0.0; linear.width]),
                 false => linear.first_weights(),
             };
-            Some(Piece { linear, weights })
+            Some(LinearizedStream { linear, weights })
         };
         self.sources.iter().enumerate().map(of_stream).collect()
     }
 
-    fn plain(&self, s: usize, state: &State) -> StreamState {
+    fn plain(&self, s: usize, state: &CalibrationState) -> StreamState {
         let (latency_s, reference, tool) = state.streams[s];
         let skew = self.sources[s].stream.skew;
         StreamState { reference, tool, skew, ..StreamState::at_latency(latency_s) }
     }
 
     /// Normal equations of all streams.
-    fn normal(&self, pieces: &[Piece]) -> Normal {
+    fn normal(&self, pieces: &[LinearizedStream]) -> Normal {
         let mut normal = Normal::zeros(self.parameters.width());
         for (source, piece) in self.sources.iter().zip(pieces) {
             let all: Vec<usize> = (0..piece.linear.width).collect();
@@ -310,9 +315,9 @@ impl System<'_> {
     }
 
     /// Covariance of the scores, for the sandwich estimator.
-    fn scores(&self, pieces: &[Piece]) -> DMatrix<f64> {
+    fn scores(&self, pieces: &[LinearizedStream]) -> DMatrix<f64> {
         let mut all = DMatrix::zeros(self.parameters.width(), self.parameters.width());
-        for (source, Piece { linear, weights }) in self.sources.iter().zip(pieces) {
+        for (source, LinearizedStream { linear, weights }) in self.sources.iter().zip(pieces) {
             let columns: Vec<Option<usize>> = (0..linear.width).map(Some).collect();
             let mut information = DMatrix::zeros(linear.width, linear.width);
             let mut scores = DMatrix::zeros(linear.width, linear.width);
@@ -323,7 +328,7 @@ impl System<'_> {
     }
 
     /// Deviation of the parameters from their prior means.
-    fn beside_prior(&self, state: &State) -> DVector<f64> {
+    fn beside_prior(&self, state: &CalibrationState) -> DVector<f64> {
         let mut values = state.values.clone();
         // Frames, latencies and zeros have a flat prior, centred on the current value.
         values
@@ -336,7 +341,7 @@ impl System<'_> {
     fn step(
         &self,
         normal: &Normal,
-        state: &State,
+        state: &CalibrationState,
         link_m: f64,
     ) -> Option<(DVector<f64>, Cholesky<f64, Dyn>)> {
         let prior = DVector::from_vec(self.parameters.prior(link_m));
@@ -347,7 +352,7 @@ impl System<'_> {
     }
 
     /// Size of the link deviations that maximises the marginal likelihood.
-    fn best_link(&self, normal: &Normal, state: &State) -> f64 {
+    fn best_link(&self, normal: &Normal, state: &CalibrationState) -> f64 {
         let (least, most, times) = LINKS_M;
         let total = &normal.right + &normal.matrix * self.beside_prior(state);
         let evidence = |link_m: f64| {
@@ -365,7 +370,7 @@ impl System<'_> {
         tried.max_by(|a, b| a.1.total_cmp(&b.1)).map_or(least, |best| best.0)
     }
 
-    fn advance(&self, state: &mut State, step: &DVector<f64>) {
+    fn advance(&self, state: &mut CalibrationState, step: &DVector<f64>) {
         // Adding two frame errors neglects their product; the next iteration corrects it.
         state.values += step;
         for (s, (latency_s, reference, tool)) in state.streams.iter_mut().enumerate() {
@@ -399,31 +404,45 @@ impl System<'_> {
 
     /// Residual with nominal links, after fitting frames and latencies: of all samples, and
     /// cross-validated.
-    fn with_drawing(&self, pieces: &[Piece]) -> Vec<(LeftOver, LeftOver)> {
+    fn with_drawing(
+        &self,
+        pieces: &[LinearizedStream],
+    ) -> Vec<(CalibrationResidual, CalibrationResidual)> {
         let own: Vec<usize> = (self.parameters.shared()..self.parameters.width()).collect();
         let none = DVector::zeros(self.parameters.width());
         let fitted = |normal: &Normal| normal.step(&none, &own);
         let whole = fitted(&self.normal(pieces));
         let folds = self.of_folds(pieces, fitted);
-        let of = |((source, piece), held_out): ((&Source, &Piece), LeftOver)| {
-            (left(&[piece.after(&(&source.columns * &whole))]), held_out)
-        };
+        let of = |((source, piece), held_out): (
+            (&StreamSource, &LinearizedStream),
+            CalibrationResidual,
+        )| { (left(&[piece.after(&(&source.columns * &whole))]), held_out) };
         self.sources.iter().zip(pieces).zip(folds).map(of).collect()
     }
 
     /// Cross-validated residual, with all parameters fitted to the other folds.
-    fn held_out(&self, pieces: &[Piece], state: &State, link_m: f64) -> Vec<LeftOver> {
+    fn held_out(
+        &self,
+        pieces: &[LinearizedStream],
+        state: &CalibrationState,
+        link_m: f64,
+    ) -> Vec<CalibrationResidual> {
         let none = || DVector::zeros(self.parameters.width());
         let of = |kept: &Normal| self.step(kept, state, link_m).map_or_else(none, |(step, _)| step);
         self.of_folds(pieces, of)
     }
 
     /// Residual of each stream, with each fold predicted by a step from the equations of the other folds.
-    fn of_folds(&self, pieces: &[Piece], step: impl Fn(&Normal) -> DVector<f64>) -> Vec<LeftOver> {
+    fn of_folds(
+        &self,
+        pieces: &[LinearizedStream],
+        step: impl Fn(&Normal) -> DVector<f64>,
+    ) -> Vec<CalibrationResidual> {
         let whole = self.normal(pieces);
         let mut all: Vec<Vec<_>> = pieces.iter().map(|_| Vec::new()).collect();
         for fold in 0..FOLDS {
-            let parts: Vec<Piece> = pieces.iter().map(|piece| piece.part(fold)).collect();
+            let parts: Vec<LinearizedStream> =
+                pieces.iter().map(|piece| piece.part(fold)).collect();
             let mut kept = self.normal(&parts);
             kept.matrix = &whole.matrix - kept.matrix;
             kept.right = &whole.right - kept.right;

@@ -67,7 +67,7 @@ pub struct LinkParameter {
 
 /// Rms residual of poses.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct LeftOver {
+pub struct CalibrationResidual {
     /// Positions, m.
     pub m: f64,
     /// Rotations, rad.
@@ -86,13 +86,13 @@ pub struct StreamCalibration {
     /// `tip_from_tool`, if estimated.
     pub tool: Option<Pose>,
     /// Residual with nominal links, after fitting all other parameters.
-    pub before: LeftOver,
+    pub before: CalibrationResidual,
     /// Residual with calibrated links.
-    pub after: LeftOver,
+    pub after: CalibrationResidual,
     /// Cross-validated residual with nominal links, over five folds of contiguous blocks.
-    pub held_out_before: LeftOver,
+    pub held_out_before: CalibrationResidual,
     /// Cross-validated residual with calibrated links, over the same folds.
-    pub held_out_after: LeftOver,
+    pub held_out_after: CalibrationResidual,
     /// Noise per component of positions, m, and rotations, rad.
     pub noise: [f64; 2],
     /// Factor by which autocorrelation inflates the variance of a mean.
@@ -103,7 +103,7 @@ pub struct StreamCalibration {
 
 /// Direction of the link parameters that the logs do not determine.
 #[derive(Clone, Debug)]
-pub struct Untold {
+pub struct UndeterminedDirection {
     /// Parameters with their components of the direction (a unit vector, scaled by the prior), largest
     /// first.
     pub parts: Vec<(usize, f64)>,
@@ -114,7 +114,7 @@ pub struct Untold {
 }
 
 /// Rms error of FK over the whole workspace, up to free constant frames.
-pub type Uncertainty = LeftOver;
+pub type FkUncertainty = CalibrationResidual;
 
 /// Calibrated arm.
 #[derive(Clone, Debug)]
@@ -140,18 +140,18 @@ pub struct ArmCalibration {
     /// Results for each stream.
     pub streams: Vec<StreamCalibration>,
     /// Directions that the logs do not determine.
-    pub untold: Vec<Untold>,
+    pub untold: Vec<UndeterminedDirection>,
     /// Last step of the iteration, rms in standard deviations. `None` if it converged.
     pub unsettled: Option<f64>,
     /// Uncertainty of the calibrated FK over the whole workspace.
-    pub expected: Uncertainty,
+    pub expected: FkUncertainty,
     /// Uncertainty of the nominal FK, from the size of the deviations.
-    pub drawing: Uncertainty,
+    pub drawing: FkUncertainty,
 }
 
 /// Reason why a calibration is not possible.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum NoCalibration {
+pub enum CalibrationFailure {
     /// The chain passes a joint from child to parent, or a mimic joint.
     Chain,
     /// The streams have chains with different joints.
@@ -195,6 +195,6 @@ pub fn calibrate_arm(
     robot: &Robot,
     streams: &[CalibrationStream],
     zeros: &[usize],
-) -> Result<ArmCalibration, NoCalibration> {
+) -> Result<ArmCalibration, CalibrationFailure> {
     fit::fit(robot, streams, zeros)
 }

@@ -1,8 +1,8 @@
 //! Directions of the link parameters that the logs do not determine.
 
-use super::Untold;
-use super::parameters::Parameters;
-use super::workspace::Workspace;
+use super::UndeterminedDirection;
+use super::parameters::CalibrationParameters;
+use super::workspace::TipSensitivity;
 use nalgebra::{DMatrix, DVector};
 
 /// A direction is determined if its variance is below this share of its prior variance.
@@ -13,10 +13,10 @@ const PART: f64 = 0.3;
 /// Directions not determined by `information`, the least determined first.
 pub(super) fn untold(
     information: &DMatrix<f64>,
-    parameters: &Parameters,
+    parameters: &CalibrationParameters,
     link_m: f64,
-    workspace: &Workspace,
-) -> Vec<Untold> {
+    workspace: &TipSensitivity,
+) -> Vec<UndeterminedDirection> {
     let (links, all) = (parameters.links.len(), parameters.width());
     let prior = parameters.prior(link_m);
     let mut of_links = information.view((0, 0), (links, links)).into_owned();
@@ -32,7 +32,7 @@ pub(super) fn untold(
     let scale = DVector::from_fn(links, |i, _| prior[i].sqrt().recip());
     let scaled = DMatrix::from_fn(links, links, |i, j| of_links[(i, j)] * scale[i] * scale[j]);
     let eigen = scaled.symmetric_eigen();
-    let mut found: Vec<Untold> = (0..links)
+    let mut found: Vec<UndeterminedDirection> = (0..links)
         .filter_map(|at| {
             let share = (1.0 + eigen.eigenvalues[at].max(0.0)).recip();
             let direction = eigen.eigenvectors.column(at);
@@ -41,7 +41,11 @@ pub(super) fn untold(
             parts.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
             let mut along = DVector::zeros(parameters.shared());
             (0..links).for_each(|i| along[i] = direction[i] * scale[i] * share.sqrt());
-            (share > TOLD).then(|| Untold { parts, share, effect_m: workspace.effect_m(&along) })
+            (share > TOLD).then(|| UndeterminedDirection {
+                parts,
+                share,
+                effect_m: workspace.effect_m(&along),
+            })
         })
         .collect();
     found.sort_by(|a, b| b.share.total_cmp(&a.share));

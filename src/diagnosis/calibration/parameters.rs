@@ -16,7 +16,7 @@ pub(super) use crate::drawing::RAD_PER_M;
 use crate::nominal::ANYTHING;
 
 /// Parameters of all streams of one arm. Links and zeros, which are shared, come first.
-pub(super) struct Parameters {
+pub(super) struct CalibrationParameters {
     /// Link parameters.
     pub links: Vec<LinkParameter>,
     /// Joints of the chain with a free zero.
@@ -24,25 +24,25 @@ pub(super) struct Parameters {
     /// Index of the first parameter of each stream, followed by the total number.
     starts: Vec<usize>,
     joints: usize,
-    own: Vec<Own>,
+    own: Vec<FreeStreamParameters>,
     base_from_first: Vec<Pose>,
 }
 
 /// Free parameters of a stream.
 #[derive(Clone, Copy)]
-pub(super) struct Own {
+pub(super) struct FreeStreamParameters {
     pub latency: bool,
     pub reference: bool,
     pub tool: bool,
 }
 
-impl Own {
+impl FreeStreamParameters {
     fn width(self) -> usize {
         usize::from(self.latency) + 6 * (usize::from(self.reference) + usize::from(self.tool))
     }
 }
 
-impl Parameters {
+impl CalibrationParameters {
     pub fn of(
         path: &LinkPath,
         streams: &[CalibrationStream],
@@ -50,9 +50,9 @@ impl Parameters {
         zeros: Vec<usize>,
     ) -> Self {
         let joints = path.axes.len();
-        let own: Vec<Own> = streams
+        let own: Vec<FreeStreamParameters> = streams
             .iter()
-            .map(|stream| Own {
+            .map(|stream| FreeStreamParameters {
                 latency: stream.latency_is_free,
                 reference: stream.reference_is_free,
                 tool: stream.tool_is_free || !path.carries(joints),
@@ -92,7 +92,7 @@ impl Parameters {
         self.starts[0]
     }
 
-    pub fn own(&self, stream: usize) -> Own {
+    pub fn own(&self, stream: usize) -> FreeStreamParameters {
         self.own[stream]
     }
 
@@ -139,10 +139,13 @@ impl Parameters {
 
     /// The same mapping for the shared parameters only, with known frames.
     pub fn shared_columns(&self, stream: usize) -> DMatrix<f64> {
-        self.shared_columns_where(stream, Own { latency: false, reference: false, tool: false })
+        self.shared_columns_where(
+            stream,
+            FreeStreamParameters { latency: false, reference: false, tool: false },
+        )
     }
 
-    fn shared_columns_where(&self, stream: usize, own: Own) -> DMatrix<f64> {
+    fn shared_columns_where(&self, stream: usize, own: FreeStreamParameters) -> DMatrix<f64> {
         let latency = 6 * (self.joints + 1);
         let mut columns = DMatrix::zeros(latency + 1 + self.joints, self.shared());
         for (at, one) in self.links.iter().enumerate() {

@@ -1,9 +1,9 @@
 //! Effect of link deviations on the tip over the whole workspace, independent of the logged motion.
 
-use super::Uncertainty;
-use super::fit::{State, System};
-use crate::model::{Blind, StreamState, ToolPart, Witness};
-use crate::nominal::{With, link_frames};
+use super::FkUncertainty;
+use super::fit::{CalibrationState, CalibrationSystem};
+use crate::model::{ExcludedComponents, PoseObservations, StreamState, ToolPart};
+use crate::nominal::{FreeAlongside, link_frames};
 use ground::geometry::{Rotation, Vec3};
 use ground::robot::{Chain, JointKind, Limits};
 use ground::stream::JointTrack;
@@ -15,13 +15,13 @@ const POSTURES: usize = 300;
 
 /// Sensitivity of the tip to the shared parameters at configurations within the joint limits, after
 /// projecting out free constant frames.
-pub(super) struct Workspace {
+pub(super) struct TipSensitivity {
     /// Six rows per configuration: position in m, rotation in rad.
     effects: DMatrix<f64>,
 }
 
-impl Workspace {
-    pub fn of(system: &System, state: &State) -> Self {
+impl TipSensitivity {
+    pub fn of(system: &CalibrationSystem, state: &CalibrationState) -> Self {
         let parameters = system.parameters;
         let shared = parameters.shared();
         let Some(chain) = system.chain(0, state) else {
@@ -29,7 +29,7 @@ impl Workspace {
         };
         let joints = postures(&chain);
         let columns: Vec<usize> = (0..chain.dof()).collect();
-        let witness = Witness {
+        let witness = PoseObservations {
             joints: &joints,
             chain: &chain,
             columns: &columns,
@@ -39,13 +39,18 @@ impl Workspace {
             t_s: joints.t_s.clone(),
             xyz: vec![Vec3::zeros(); joints.len()],
             rotation: vec![Rotation::identity(); joints.len()],
-            blind: Blind::default(),
+            blind: ExcludedComponents::default(),
             tool_part: ToolPart::Whole,
             middle_s: 0.0,
         };
         let plain = StreamState::at_latency(0.0);
-        let linear =
-            link_frames(&witness, &plain, &vec![0.0; chain.dof()], 0..joints.len(), With::Zeros);
+        let linear = link_frames(
+            &witness,
+            &plain,
+            &vec![0.0; chain.dof()],
+            0..joints.len(),
+            FreeAlongside::Zeros,
+        );
         let rows = 6 * linear.len();
         let design = DMatrix::from_fn(rows, linear.width, |row, column| {
             linear.row(row / 6, row % 6)[column]
@@ -70,7 +75,7 @@ impl Workspace {
     }
 
     /// Uncertainty of the tip for a given covariance of the shared parameters.
-    pub fn uncertainty(&self, covariance: &DMatrix<f64>) -> Uncertainty {
+    pub fn uncertainty(&self, covariance: &DMatrix<f64>) -> FkUncertainty {
         let spread = &self.effects * covariance;
         let (mut m, mut rad) = (0.0, 0.0);
         for row in 0..self.effects.nrows() {
@@ -78,7 +83,7 @@ impl Workspace {
             *(if row % 6 < 3 { &mut m } else { &mut rad }) += variance;
         }
         let postures = (self.effects.nrows() / 6).max(1) as f64;
-        Uncertainty { m: (m / postures).sqrt(), rad: (rad / postures).sqrt() }
+        FkUncertainty { m: (m / postures).sqrt(), rad: (rad / postures).sqrt() }
     }
 
     /// Displacement of the tip by a change of the shared parameters, rms m.

@@ -1,16 +1,16 @@
 //! Encodings that differ between segments of a run.
 
 use super::cut::Span;
-use super::{CodedParts, Kept, Other};
-use crate::{PoseDiagnosis, Reading};
+use super::{BaselineSegment, EncodingSpans, OtherSegment};
+use crate::{PoseDiagnosis, PoseEncoding};
 
-impl Kept {
+impl BaselineSegment {
     /// Reports the encoding of stream `s` in its diagnosis `after`. If an encoding differs between
     /// segments, reports the one that is not as logged, with the time span in which it applies.
-    pub(super) fn read_as(&self, s: usize, others: &[Other], after: &mut PoseDiagnosis) {
+    pub(super) fn read_as(&self, s: usize, others: &[OtherSegment], after: &mut PoseDiagnosis) {
         let own = &self.found.streams[s];
         let first = others.iter().find(|other| self.is_reread(s, other));
-        let part = |is_same: Same, is_as_logged: fn(&PoseDiagnosis) -> bool| {
+        let part = |is_same: EncodingComparison, is_as_logged: fn(&PoseDiagnosis) -> bool| {
             let its =
                 &first.filter(|first| !is_same(own, &first.alone.streams[s]))?.alone.streams[s];
             if !is_as_logged(own) {
@@ -33,17 +33,17 @@ impl Kept {
         after.constant.clone_from(&own.constant);
         let [rotation, degrees, length, axes] =
             [rotation, degrees, length, axes].map(|part| part.map(|(_, span)| span));
-        after.coded = CodedParts { rotation, degrees, length, axes };
+        after.coded = EncodingSpans { rotation, degrees, length, axes };
     }
 }
 
 /// Compares one aspect of the encoding of two streams.
-type Same = fn(&PoseDiagnosis, &PoseDiagnosis) -> bool;
+type EncodingComparison = fn(&PoseDiagnosis, &PoseDiagnosis) -> bool;
 
 fn same_rotation(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
     let of = |found: &PoseDiagnosis| {
         let best = found.reading.as_ref().ok().map(|reading| reading.best);
-        let other = best.filter(|best| !matches!(best, Reading::AsLogged));
+        let other = best.filter(|best| !matches!(best, PoseEncoding::AsLogged));
         (other.map(|best| format!("{best:?}")), found.inverted)
     };
     of(a) == of(b)
@@ -65,7 +65,7 @@ fn same_axes(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
 
 /// Returns whether two streams use the same encoding.
 pub(super) fn same_coding(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
-    let all: [Same; 4] = [same_rotation, same_degrees, same_length, same_axes];
+    let all: [EncodingComparison; 4] = [same_rotation, same_degrees, same_length, same_axes];
     all.into_iter().all(|same| same(a, b))
 }
 

@@ -1,7 +1,7 @@
 //! Residual of a run after fitting a constant tool frame and a constant reference frame.
 
 use super::PART_SAMPLES;
-use crate::{Aligned, ArmDiagnosis};
+use crate::{AlignedSamples, ArmDiagnosis};
 use ground::geometry::{Vec3, rotvec_from_rotation};
 use nalgebra::{Matrix3, SMatrix, SVector};
 
@@ -16,7 +16,7 @@ const PARTS: usize = 20;
 /// Returns whether constant tool and reference frames explain the run. The residual of every stream must be
 /// below 1 mm and 0.1° rms in every segment.
 pub(crate) fn constant_frames_suffice(found: &ArmDiagnosis) -> bool {
-    let is_small = |aligned: &Aligned, has_rotation: bool| {
+    let is_small = |aligned: &AlignedSamples, has_rotation: bool| {
         let left = left_by_constant_frames(aligned, has_rotation);
         let size = left.len().div_ceil(PARTS).max(PART_SAMPLES);
         !left.is_empty()
@@ -35,7 +35,7 @@ pub(crate) fn constant_frames_suffice(found: &ArmDiagnosis) -> bool {
 
 /// Position (m) and rotation (rad) residual of each sample after a least-squares fit of small changes of
 /// tool and reference.
-fn left_by_constant_frames(aligned: &Aligned, has_rotation: bool) -> Vec<[Vec3; 2]> {
+fn left_by_constant_frames(aligned: &AlignedSamples, has_rotation: bool) -> Vec<[Vec3; 2]> {
     let pairs = || aligned.corrected.iter().zip(&aligned.fk_at_truth);
     let mut residuals: Vec<[Vec3; 2]> = pairs()
         .map(|(is, fk)| {
@@ -84,7 +84,7 @@ mod tests {
     use ground::geometry::{Pose, pose, rotation_from_rotvec};
 
     /// Samples of a moving tip whose poses differ from FK by `off`.
-    fn aligned(off: impl Fn(usize, &Pose) -> Pose) -> Aligned {
+    fn aligned(off: impl Fn(usize, &Pose) -> Pose) -> AlignedSamples {
         let at = |k: usize| {
             let s = k as f64 * 0.05;
             let turn =
@@ -93,7 +93,7 @@ mod tests {
         };
         let fk_at_truth: Vec<Pose> = (0..400).map(at).collect();
         let corrected = fk_at_truth.iter().enumerate().map(|(k, fk)| off(k, fk)).collect();
-        Aligned { corrected, fk_at_truth, ..Aligned::default() }
+        AlignedSamples { corrected, fk_at_truth, ..AlignedSamples::default() }
     }
 
     fn largest(left: &[[Vec3; 2]]) -> f64 {

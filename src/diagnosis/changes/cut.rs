@@ -12,7 +12,7 @@ use ground::stream::{JointTrack, PoseTrack};
 pub(super) const PART_SAMPLES: usize = 20;
 
 /// Run that may be split. Change points are on the joint states' clock.
-pub(super) struct Cut<'a> {
+pub(super) struct SplitRun<'a> {
     pub joints: &'a JointTrack,
     pub streams: &'a [PoseStream<'a>],
     pub slides: &'a [bool],
@@ -24,7 +24,7 @@ pub(super) struct Cut<'a> {
 /// Segment of a run: start (inclusive) and end (exclusive), s.
 pub(super) type Span = (f64, f64);
 
-impl Cut<'_> {
+impl SplitRun<'_> {
     /// Change points of streams and joint states, on the joint states' clock.
     pub fn moments(&self, found: &ArmDiagnosis, of_joints: Vec<Jump>) -> Vec<Jump> {
         let of_stream = |s: usize| {

@@ -6,7 +6,7 @@ use ground::stats::Measured;
 
 /// Change point of a value.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Change<Value, Size> {
+pub struct ChangePoint<Value, Size> {
     /// Time, s from the run's origin, by the stamps of the affected stream.
     pub at_s: f64,
     /// Half-width of the interval that contains the change, s.
@@ -20,11 +20,11 @@ pub struct Change<Value, Size> {
 }
 
 /// Change point of a frame: `reference_from_stream` or `tip_from_stream` before and after.
-pub type FrameChange = Change<Pose, FrameEstimate>;
+pub type FrameChange = ChangePoint<Pose, FrameEstimate>;
 /// Change point of a number.
-pub type AmountChange = Change<f64, Measured>;
+pub type ScalarChange = ChangePoint<f64, Measured>;
 
-impl AmountChange {
+impl ScalarChange {
     /// Returns the largest of several changes. `None` if there are none.
     pub fn largest<'a>(changes: impl IntoIterator<Item = &'a Self>) -> Option<&'a Self> {
         let size = |change: &Self| change.by.value.abs();
@@ -38,9 +38,9 @@ pub struct JointChange {
     /// Column of the joint.
     pub column: usize,
     /// Offset in `q_true = factor · q_reported + offset`, rad or m.
-    pub zero: Option<AmountChange>,
+    pub zero: Option<ScalarChange>,
     /// Factor in the same equation.
-    pub factor: Option<AmountChange>,
+    pub factor: Option<ScalarChange>,
 }
 
 /// Correction that makes a joint's positions in one segment consistent with the baseline segment.
@@ -61,7 +61,7 @@ pub struct JointPatch {
 /// Part of the run that uses the reported encoding of a stream, s from the run's origin on the joints'
 /// clock. `None` if it is the whole run.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct CodedParts {
+pub struct EncodingSpans {
     /// Rotations: convention, order of components, inverse.
     pub rotation: Option<(f64, f64)>,
     /// Unit of angles.

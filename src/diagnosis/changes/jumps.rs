@@ -3,7 +3,7 @@
 
 use crate::latency::median_period_s;
 use crate::proof::beside_fk;
-use crate::{Aligned, PoseStream};
+use crate::{AlignedSamples, PoseStream};
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use ground::stats::{median, quantile};
 use ground::stream::JointTrack;
@@ -42,7 +42,7 @@ pub(super) struct Jump {
 pub(super) fn jumps(
     joints: &JointTrack,
     stream: &PoseStream,
-    aligned: &Aligned,
+    aligned: &AlignedSamples,
     lag_s: f64,
 ) -> Vec<Jump> {
     let left = aligned.corrected.iter().zip(&aligned.fk_at_truth);

@@ -19,15 +19,17 @@ use super::arm::{diagnose_arm, diagnose_beyond};
 use super::bends::without_bends;
 use super::proof::beside_fk;
 use super::sampling::stream_lag_s;
-use super::{ArmDiagnosis, FrameEstimate, JointDiagnosis, PoseDiagnosis, PoseStream, Seen};
+use super::{
+    ArmDiagnosis, EstimateResult, FrameEstimate, JointDiagnosis, PoseDiagnosis, PoseStream,
+};
 use ground::geometry::Pose;
 use ground::stats::Measured;
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
 use coding::same_coding;
 pub(super) use constant::constant_frames_suffice;
-use cut::{Cut, PART_SAMPLES, Span};
-pub use found::{AmountChange, Change, CodedParts, FrameChange, JointChange, JointPatch};
+use cut::{PART_SAMPLES, Span, SplitRun};
+pub use found::{ChangePoint, EncodingSpans, FrameChange, JointChange, JointPatch, ScalarChange};
 use jumps::{Jump, of_joints};
 use weigh::is_worth;
 pub(super) use weigh::{gain, jumps_in_time, leaves_much, leaves_slowly, left_m};
@@ -64,7 +66,7 @@ pub(super) fn without_changes(
             Err(_) => stream_lag_s(joints, stream, most_lag_s),
         })
         .collect();
-    let run = Cut { joints, streams, slides, lags: &lags, most_lag_s };
+    let run = SplitRun { joints, streams, slides, lags: &lags, most_lag_s };
     let mut all = run.moments(found, jumps);
     if all.len() > most {
         all.retain(|jump| jump.over_s == 0.0);
@@ -86,11 +88,11 @@ pub(super) fn without_changes(
 }
 
 /// Diagnoses a run with change points at some of `moments`, as if nothing had changed.
-fn without_jumps(run: &Cut, moments: &[Jump], found: &ArmDiagnosis) -> Option<ArmDiagnosis> {
-    let Cut { joints, streams, slides, most_lag_s, .. } = *run;
+fn without_jumps(run: &SplitRun, moments: &[Jump], found: &ArmDiagnosis) -> Option<ArmDiagnosis> {
+    let SplitRun { joints, streams, slides, most_lag_s, .. } = *run;
     let parts = run.parts(moments);
     let kept = (0..parts.len()).max_by_key(|&part| run.samples(parts[part]))?;
-    let kept = (parts.len() > 1).then(|| Kept::of(run, parts[kept]))?;
+    let kept = (parts.len() > 1).then(|| BaselineSegment::of(run, parts[kept]))?;
     let left = left_m(&kept.found);
     if left > NEARLY_ALL * left_m(found) {
         // The baseline segment has the same residual, so it is not due to a change.
@@ -137,7 +139,7 @@ fn parameters(after: &ArmDiagnosis, parts: usize) -> usize {
     let of_stream = |found: &PoseDiagnosis| {
         let frames = found.tool_changes.len() + found.reference_changes.len();
         let times = found.course.as_ref().map_or(0, |course| course.jumps.len());
-        let CodedParts { rotation, degrees, length, axes } = found.coded;
+        let EncodingSpans { rotation, degrees, length, axes } = found.coded;
         let coded = [rotation, degrees, length, axes].into_iter().flatten().count();
         6 * frames + found.growth_changes.len() + times + coded
     };
@@ -169,25 +171,30 @@ pub(super) fn as_recorded(joints: &JointTrack, stream: &PoseStream, after: &mut 
 }
 
 /// Returns whether the last of `others` and `after`, merged, fit as well as each on its own.
-fn is_as_good(run: &Cut, both: &Other, others: &[Other], after: &Other) -> bool {
+fn is_as_good(
+    run: &SplitRun,
+    both: &OtherSegment,
+    others: &[OtherSegment],
+    after: &OtherSegment,
+) -> bool {
     /// Tolerance: a factor, and a length in m.
     const NEARLY: f64 = 1.03;
     const ARITHMETIC_M: f64 = 1e-5;
     let apart = || others.last().into_iter().chain([after]);
-    let samples = |other: &Other| run.samples(other.span) as f64;
+    let samples = |other: &OtherSegment| run.samples(other.span) as f64;
     let all: f64 = apart().map(samples).sum();
     let squares: f64 = apart().map(|other| samples(other) * left_m(&other.beyond).powi(2)).sum();
     left_m(&both.beyond) <= NEARLY * (squares / all.max(1.0)).sqrt() + ARITHMETIC_M
 }
 
 /// Baseline segment.
-struct Kept {
+struct BaselineSegment {
     span: Span,
     found: ArmDiagnosis,
 }
 
 /// Segment other than the baseline.
-struct Other {
+struct OtherSegment {
     span: Span,
     /// Diagnosis of the segment on its own.
     alone: ArmDiagnosis,
@@ -196,17 +203,17 @@ struct Other {
     beyond: ArmDiagnosis,
 }
 
-impl Kept {
-    fn of(run: &Cut, span: Span) -> Self {
+impl BaselineSegment {
+    fn of(run: &SplitRun, span: Span) -> Self {
         Self { span, found: run.diagnose(span).1 }
     }
 
     /// Diagnoses the other segments. A segment whose residual exceeds `most_m` is merged with the previous
     /// one. `None` if the residual is then still too large.
-    fn others(&self, run: &Cut, parts: &[Span], most_m: f64) -> Option<Vec<Other>> {
+    fn others(&self, run: &SplitRun, parts: &[Span], most_m: f64) -> Option<Vec<OtherSegment>> {
         let leaves_little =
-            |other: &Other| left_m(&other.beyond) <= most_m && self.is_believed(other);
-        let mut others: Vec<Other> = Vec::new();
+            |other: &OtherSegment| left_m(&other.beyond) <= most_m && self.is_believed(other);
+        let mut others: Vec<OtherSegment> = Vec::new();
         for &part in parts.iter().filter(|part| **part != self.span) {
             let mut other = self.other(run, part);
             if !leaves_little(&other) {
@@ -218,7 +225,7 @@ impl Kept {
             let before = others.last().filter(|before| before.span.1 == part.0);
             let both = before.map(|before| self.other(run, (before.span.0, part.1)));
             let is_one =
-                |both: &Other| leaves_little(both) && is_as_good(run, both, &others, &other);
+                |both: &OtherSegment| leaves_little(both) && is_as_good(run, both, &others, &other);
             match both.filter(is_one) {
                 Some(both) => {
                     others.pop();
@@ -231,14 +238,14 @@ impl Kept {
     }
 
     /// Diagnoses another segment.
-    fn other(&self, run: &Cut, span: Span) -> Other {
+    fn other(&self, run: &SplitRun, span: Span) -> OtherSegment {
         let (joints, alone) = run.diagnose(span);
         let joints = self.found.joints.corrected_joints(&joints, run.slides);
         let tracks: Vec<PoseTrack> = (0..run.streams.len())
             .map(|s| {
                 let read = as_read(&alone.streams[s]);
-                let taken = &self.found.streams[s].taken;
-                with_poses(&alone.streams[s], read.map(|pose| taken.off(&pose)))
+                let taken = &self.found.streams[s].frame_correction;
+                with_poses(&alone.streams[s], read.map(|pose| taken.apply(&pose)))
             })
             .collect();
         let known: Vec<PoseStream> = run
@@ -247,19 +254,19 @@ impl Kept {
             .map(|stream| PoseStream { reference_known: true, ..stream })
             .collect();
         let beyond = diagnose_beyond(&joints, &known, run.most_lag_s);
-        Other { span, alone, beyond }
+        OtherSegment { span, alone, beyond }
     }
 
     /// Returns whether the diagnosis of another segment is reliable. If its encoding is undetermined, it
     /// must match the baseline's, and no frame may rotate by much.
-    fn is_believed(&self, other: &Other) -> bool {
+    fn is_believed(&self, other: &OtherSegment) -> bool {
         /// Frame rotation that a misread rotation can imitate in a few configurations, rad.
         const MUCH_RAD: f64 = 0.1;
         let streams =
             self.found.streams.iter().zip(&other.alone.streams).zip(&other.beyond.streams);
         streams.into_iter().all(|((own, alone), beyond)| {
             let is_told = alone.reading.as_ref().is_ok_and(|reading| reading.is_told);
-            let is_little = |frame: &Seen<FrameEstimate>| {
+            let is_little = |frame: &EstimateResult<FrameEstimate>| {
                 !is_chosen(frame)
                     || frame.as_ref().is_ok_and(|frame| frame.rotation_rad.value < MUCH_RAD)
             };
@@ -269,7 +276,7 @@ impl Kept {
     }
 
     /// Returns whether the encoding of stream `s` differs in another segment.
-    fn is_reread(&self, s: usize, other: &Other) -> bool {
+    fn is_reread(&self, s: usize, other: &OtherSegment) -> bool {
         let (own, its) = (&self.found.streams[s], &other.alone.streams[s]);
         let told = own.reading.is_ok() && its.reading.as_ref().is_ok_and(|its| its.is_told);
         told && !same_coding(own, its)
@@ -277,7 +284,7 @@ impl Kept {
 
     /// Increase of the stream's latency in another segment over the baseline's, extrapolated with its skew,
     /// s. `None` if it is not significant.
-    fn later_by(&self, s: usize, other: &Other) -> Option<Measured> {
+    fn later_by(&self, s: usize, other: &OtherSegment) -> Option<Measured> {
         /// Smaller steps are left to the latency profile, s.
         const LEAST_S: f64 = 1e-3;
         const SURE: f64 = 6.0;
@@ -291,7 +298,7 @@ impl Kept {
     }
 
     /// Corrects all changes. `None` if nothing changed.
-    fn undone(&self, run: &Cut, others: &[Other]) -> Option<Undone> {
+    fn undone(&self, run: &SplitRun, others: &[OtherSegment]) -> Option<CorrectedRun> {
         let mut joints = run.joints.clone();
         let mut patches = Vec::new();
         for other in others {
@@ -309,7 +316,7 @@ impl Kept {
         patches.iter().for_each(|patch: &JointPatch| patch.apply(&mut joints));
         let tracks: Vec<Option<PoseTrack>> = (0..run.streams.len())
             .map(|s| {
-                let moves = |other: &&Other| {
+                let moves = |other: &&OtherSegment| {
                     let beyond = &other.beyond.streams[s];
                     self.is_reread(s, other)
                         || self.later_by(s, other).is_some()
@@ -321,16 +328,17 @@ impl Kept {
             })
             .collect();
         let is_changed = !patches.is_empty() || tracks.iter().any(Option::is_some);
-        is_changed.then_some(Undone { joints, patches, tracks })
+        is_changed.then_some(CorrectedRun { joints, patches, tracks })
     }
 
     /// Decoded poses of a stream, with the differences of the other segments corrected.
-    fn track(&self, s: usize, others: &[Other]) -> PoseTrack {
+    fn track(&self, s: usize, others: &[OtherSegment]) -> PoseTrack {
         let own = &self.found.streams[s];
         let mut parts = vec![(self.span, with_poses(own, as_read(own)))];
         for other in others {
             let beyond = &other.beyond.streams[s];
-            let poses = as_read(beyond).map(|pose| own.taken.back(&beyond.taken.off(&pose)));
+            let poses = as_read(beyond)
+                .map(|pose| own.frame_correction.invert(&beyond.frame_correction.apply(&pose)));
             let mut track = with_poses(beyond, poses);
             let late_s = self.later_by(s, other).map_or(0.0, |by| by.value);
             track.t_s.iter_mut().for_each(|t_s| *t_s -= late_s);
@@ -361,7 +369,7 @@ impl Kept {
 }
 
 /// Run with its changes corrected.
-struct Undone {
+struct CorrectedRun {
     joints: JointTrack,
     patches: Vec<JointPatch>,
     /// Corrected poses, for the streams that changed.
@@ -384,7 +392,11 @@ impl JointPatch {
 
 /// Corrections that map joint positions of another segment to the baseline: column, factor and offset of
 /// each joint that differs. Empty if joint names or units are wrong as well.
-fn joint_map(kept: &JointDiagnosis, beyond: &JointDiagnosis, run: &Cut) -> Vec<(usize, f64, f64)> {
+fn joint_map(
+    kept: &JointDiagnosis,
+    beyond: &JointDiagnosis,
+    run: &SplitRun,
+) -> Vec<(usize, f64, f64)> {
     let is_plain = |found: &JointDiagnosis| {
         found.reading.as_ref().is_ok_and(|reading| reading.permutation.is_none())
     };
@@ -420,13 +432,13 @@ fn joint_map(kept: &JointDiagnosis, beyond: &JointDiagnosis, run: &Cut) -> Vec<(
     (0..dof).map(map).filter(is_other).collect()
 }
 
-fn is_chosen(frame: &Seen<FrameEstimate>) -> bool {
+fn is_chosen(frame: &EstimateResult<FrameEstimate>) -> bool {
     frame.as_ref().is_ok_and(|frame| frame.chosen)
 }
 
 /// Decoded poses of a stream, in its reference frame, without any other correction.
 fn as_read(found: &PoseDiagnosis) -> impl Iterator<Item = Pose> {
-    found.aligned.corrected.iter().map(|pose| found.taken.back(pose))
+    found.aligned.corrected.iter().map(|pose| found.frame_correction.invert(pose))
 }
 
 /// Track with the given poses at the stamps of a stream's samples.

@@ -1,32 +1,36 @@
 //! Reports the corrected changes: value before, value after, and time.
 
-use super::cut::{Cut, Span};
+use super::cut::{Span, SplitRun};
 use super::jumps::Jump;
-use super::{AmountChange, Change, FrameChange, JointChange, Kept, Other};
-use crate::{ArmDiagnosis, FrameEstimate, LatencyCourse, LatencyJump, PoseDiagnosis, Seen, Twin};
+use super::{BaselineSegment, ChangePoint, FrameChange, JointChange, OtherSegment, ScalarChange};
+use crate::{
+    ArmDiagnosis, Confounder, EstimateResult, FrameEstimate, LatencyProfile, LatencyStep,
+    PoseDiagnosis,
+};
 use ground::geometry::Pose;
 use ground::stats::Measured;
 
-impl Kept {
+impl BaselineSegment {
     /// Adds the changes and their times to `after`, the diagnosis of the corrected run.
     pub(super) fn tell<'a>(
         &self,
-        run: &Cut,
+        run: &SplitRun,
         parts: &[Span],
-        others: &[Other],
+        others: &[OtherSegment],
         moment: impl Fn(f64) -> Option<&'a Jump>,
         after: &mut ArmDiagnosis,
     ) {
         let beyond = |span: &Span| others.iter().find(|other| other.span == *span);
-        let mut latency_jumps: Vec<Vec<LatencyJump>> = vec![Vec::new(); after.streams.len()];
+        let mut latency_jumps: Vec<Vec<LatencyStep>> = vec![Vec::new(); after.streams.len()];
         for pair in parts.windows(2) {
             let (before, next) = (beyond(&pair[0]), beyond(&pair[1]));
             let Some(jump) = moment(pair[1].0) else { continue };
             for (s, after) in after.streams.iter_mut().enumerate() {
                 let own = &self.found.streams[s];
                 let at = (jump.at_s + run.lags[s], jump.within_s);
-                let frame = |of: fn(&PoseDiagnosis) -> &Seen<FrameEstimate>, is_free: bool| {
-                    let of_part = |part: Option<&Other>| {
+                let frame = |of: fn(&PoseDiagnosis) -> &EstimateResult<FrameEstimate>,
+                             is_free: bool| {
+                    let of_part = |part: Option<&OtherSegment>| {
                         let found = part.and_then(|part| of(&part.beyond.streams[s]).as_ref().ok());
                         found.filter(|frame| frame.chosen).cloned()
                     };
@@ -39,26 +43,27 @@ impl Kept {
                 let growth = |found: &PoseDiagnosis| {
                     found.growth.as_ref().ok().filter(|_| found.growth_chosen).copied()
                 };
-                let of_part = |part: Option<&Other>| growth(&part?.beyond.streams[s]);
+                let of_part = |part: Option<&OtherSegment>| growth(&part?.beyond.streams[s]);
                 let kept = growth(own);
                 let change = amount_change(at, kept.as_ref(), of_part(before), of_part(next), 0.0);
                 after.growth_changes.extend(change);
             }
             let at = (jump.at_s, jump.within_s);
             for (s, jumps) in latency_jumps.iter_mut().enumerate() {
-                let later = |part: Option<&Other>| part.and_then(|part| self.later_by(s, part));
+                let later =
+                    |part: Option<&OtherSegment>| part.and_then(|part| self.later_by(s, part));
                 let change = amount_change(at, None, later(before), later(next), 0.0);
-                jumps.extend(change.map(|change| LatencyJump {
+                jumps.extend(change.map(|change| LatencyStep {
                     at_s: change.at_s + run.lags[s],
                     size_s: change.by,
                 }));
             }
             for column in 0..run.joints.dof {
-                let zero = |part: Option<&Other>| {
+                let zero = |part: Option<&OtherSegment>| {
                     let offset = part?.beyond.joints.offsets.get(column)?;
                     offset.offset.as_ref().ok().filter(|_| offset.chosen).copied()
                 };
-                let factor = |part: Option<&Other>| {
+                let factor = |part: Option<&OtherSegment>| {
                     let scales = &part?.beyond.joints.scales;
                     Some(scales.iter().find(|scale| scale.column == column)?.factor)
                 };
@@ -82,8 +87,8 @@ impl Kept {
                 let is_at = |end: Option<&usize>| end == Some(&change.column);
                 // With a single stream, the first joint's zero is equivalent to a base rotation and the
                 // last joint's to a tool rotation.
-                let base = is_at(stream.columns.first()).then_some(Twin::Reference(0, by));
-                let tool = is_at(stream.columns.last()).then_some(Twin::Tool(0, by));
+                let base = is_at(stream.columns.first()).then_some(Confounder::Reference(0, by));
+                let tool = is_at(stream.columns.last()).then_some(Confounder::Tool(0, by));
                 if let Some(offset) = joints.offsets.get_mut(change.column) {
                     offset.twins = base.into_iter().chain(tool).collect();
                 }
@@ -96,7 +101,7 @@ impl Kept {
             };
             let levels = parts.iter().map(level).collect();
             let windows = after.streams[s].course.as_ref().map(|course| course.windows.clone());
-            let course = LatencyCourse::of_jumps(jumps, levels, windows.unwrap_or_default());
+            let course = LatencyProfile::of_jumps(jumps, levels, windows.unwrap_or_default());
             if let Some(course) = course {
                 after.streams[s].course = Ok(course);
             }
@@ -133,7 +138,7 @@ fn frame_change(
     // Two segments that differ from the baseline in the same way do not differ from each other.
     let is_same = both && length_m < 4.0 * length + 1e-4 && angle_rad < 4.0 * angle + 1e-4;
     let base = kept.map_or_else(Pose::identity, |kept| kept.pose);
-    (!is_same).then(|| Change {
+    (!is_same).then(|| ChangePoint {
         at_s,
         within_s,
         from: pose_of(&from) * base,
@@ -149,7 +154,7 @@ fn amount_change(
     from: Option<Measured>,
     to: Option<Measured>,
     none: f64,
-) -> Option<AmountChange> {
+) -> Option<ScalarChange> {
     let surest = to.or(from)?;
     let value = |one: Option<Measured>| one.map_or(none, |one| one.value);
     let std_error = [kept.copied(), from, to]
@@ -159,7 +164,7 @@ fn amount_change(
     let by = Measured { value: value(to) - value(from), std_error, ..surest };
     let base = kept.map_or(0.0, |kept| kept.value);
     let is_same = from.is_some() && to.is_some() && by.value.abs() < 4.0 * by.std_error + 1e-5;
-    (!is_same).then(|| Change {
+    (!is_same).then(|| ChangePoint {
         at_s,
         within_s,
         from: base + value(from),

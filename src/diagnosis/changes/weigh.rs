@@ -4,8 +4,8 @@ use super::PART_SAMPLES;
 use crate::explain::price;
 use crate::model::{FLOOR_M, FLOOR_RAD};
 use crate::noise::Noise;
-use crate::proof::{Part, Series, Size};
-use crate::{Aligned, ArmDiagnosis, PoseDiagnosis, Residual, Unseen};
+use crate::proof::{ErrorSeries, ErrorSize, PartError};
+use crate::{AlignedSamples, ArmDiagnosis, NotObservable, PoseDiagnosis, StreamResidual};
 use ground::geometry::{Vec3, rotvec_from_rotation};
 
 /// Change points are accepted if they reduce the residual to this fraction.
@@ -20,17 +20,18 @@ pub(crate) fn leaves_much(found: &PoseDiagnosis) -> bool {
     /// Minimum ratio of residual to noise.
     const TIMES: f64 = 2.0;
     let aligned = &found.aligned;
-    let does_not_follow = matches!(found.reading, Err(Unseen::DoesNotFollow(_)));
+    let does_not_follow = matches!(found.reading, Err(NotObservable::DoesNotFollow(_)));
     if does_not_follow || aligned.t_s.len() < PART_SAMPLES {
         return does_not_follow
-            || found.unread().is_some_and(|why| matches!(why, Unseen::DoesNotFollow(_)));
+            || found.unread().is_some_and(|why| matches!(why, NotObservable::DoesNotFollow(_)));
     }
     let moves = vec![true; aligned.t_s.len()];
     let has_rotation = found.reading.is_ok();
-    let series = Series::of(&aligned.t_s, &aligned.corrected, &aligned.fk_at_truth, has_rotation);
+    let series =
+        ErrorSeries::of(&aligned.t_s, &aligned.corrected, &aligned.fk_at_truth, has_rotation);
     let error = series.error(&moves, true);
-    let is_much = |(size, least): (&Size, f64)| {
-        size.parts.iter().any(|Part { amount, .. }| {
+    let is_much = |(size, least): (&ErrorSize, f64)| {
+        size.parts.iter().any(|PartError { amount, .. }| {
             let noise = amount.noise.map_or(0.0, |noise| noise.rms);
             amount.rms > least.max(TIMES * noise)
         })
@@ -46,7 +47,7 @@ pub(crate) fn jumps_in_time(found: &PoseDiagnosis) -> bool {
 /// Residual of all streams of an arm. Angles are weighted by 0.3 m. A stream that was not decoded counts as
 /// 1 m.
 pub(crate) fn left_m(found: &ArmDiagnosis) -> f64 {
-    of_streams(found, Residual::together_m)
+    of_streams(found, StreamResidual::together_m)
 }
 
 /// Excess residual of all streams of an arm, weighted as in [`left_m`].
@@ -54,9 +55,9 @@ fn excess_m(found: &ArmDiagnosis) -> f64 {
     of_streams(found, |left| left.excess_m.value.hypot(0.3 * left.excess_rad.value))
 }
 
-fn of_streams(found: &ArmDiagnosis, of: impl Fn(&Residual) -> f64) -> f64 {
+fn of_streams(found: &ArmDiagnosis, of: impl Fn(&StreamResidual) -> f64) -> f64 {
     let of_stream = |found: &PoseDiagnosis| match (&found.residual, &found.reading) {
-        (Err(_), _) | (_, Err(Unseen::DoesNotFollow(_))) => 1.0,
+        (Err(_), _) | (_, Err(NotObservable::DoesNotFollow(_))) => 1.0,
         (Ok(residual), _) => of(residual),
     };
     found.streams.iter().map(of_stream).sum()
@@ -95,7 +96,7 @@ fn mean(vectors: &[[f64; 3]]) -> Vec3 {
 }
 
 /// Residuals of a stream's samples: position, m, and rotation, rad.
-fn left(aligned: &Aligned) -> [Vec<[f64; 3]>; 2] {
+fn left(aligned: &AlignedSamples) -> [Vec<[f64; 3]>; 2] {
     let both = || aligned.corrected.iter().zip(&aligned.fk_at_truth);
     let length = both().map(|(is, fk)| (is.translation.vector - fk.translation.vector).into());
     let turn =

@@ -1,7 +1,7 @@
 //! Search for tool positions in the arm's base frame. Only the tool offset is free, so absolute positions
 //! constrain the fit and motion of one or two joints is enough.
 
-use super::{Block, LONGEST_TOOL_M, Near, Sheet, Wanted};
+use super::{ColumnCandidate, JointColumns, LONGEST_TOOL_M, MappingConstraints, NumericTable};
 use ground::geometry::{Pose, Vec3};
 use ground::robot::Chain;
 use rayon::prelude::*;
@@ -14,44 +14,48 @@ const MOST_ARMS: usize = 4;
 /// Positions beyond this are in millimetres: no arm reaches 10 m.
 const FARTHEST_M: f64 = 10.0;
 
-impl Sheet {
+impl NumericTable {
     /// Candidates whose positions fit in the base frame with only a tool offset, best first.
-    pub(super) fn near_at_base(&self, wanted: &Wanted, lags_s: &[f64]) -> Vec<Near> {
+    pub(super) fn near_at_base(
+        &self,
+        wanted: &MappingConstraints,
+        lags_s: &[f64],
+    ) -> Vec<ColumnCandidate> {
         let rows = self.few_rows();
         if rows.len() < super::FEW_ROWS / 3 || self.columns.len() > super::MOST_COLUMNS {
             return Vec::new();
         }
-        let logged: Vec<Logged> = match wanted.position {
+        let logged: Vec<PositionColumns> = match wanted.position {
             Some(position) => vec![position],
             None => self.positions(wanted.taken),
         }
         .into_iter()
-        .filter_map(|position| Logged::of(self, position, &rows))
+        .filter_map(|position| PositionColumns::of(self, position, &rows))
         .collect();
         let blocks = self.wanted_blocks(wanted, 1);
-        let of = |block: &Block| -> Vec<Near> {
+        let of = |block: &JointColumns| -> Vec<ColumnCandidate> {
             let chain = wanted.chains[block.arm];
-            let is_free = |logged: &&Logged| {
+            let is_free = |logged: &&PositionColumns| {
                 !logged.position.iter().any(|column| block.joints.contains(column))
             };
-            let mut best: Vec<Near> = Vec::new();
+            let mut best: Vec<ColumnCandidate> = Vec::new();
             for &lag_s in lags_s {
                 let fk = self.poses_at(block, chain, &rows, lag_s);
                 for logged in logged.iter().filter(is_free) {
                     if let Some(share) = logged.share(&fk) {
                         let (block, position) = (block.clone(), logged.position);
-                        best.push(Near { block, position, share });
+                        best.push(ColumnCandidate { block, position, share });
                     }
                 }
             }
             best
         };
-        let mut near: Vec<Near> = blocks.par_iter().flat_map_iter(of).collect();
+        let mut near: Vec<ColumnCandidate> = blocks.par_iter().flat_map_iter(of).collect();
         near.sort_by(|a, b| a.share.total_cmp(&b.share));
-        let mut kept: Vec<Near> = Vec::new();
+        let mut kept: Vec<ColumnCandidate> = Vec::new();
         let mut ways = 0;
         for near in near {
-            let is_its = |other: &&Near| {
+            let is_its = |other: &&ColumnCandidate| {
                 other.block.joints == near.block.joints && other.position == near.position
             };
             let arms: Vec<usize> = kept.iter().filter(is_its).map(|it| it.block.arm).collect();
@@ -68,7 +72,7 @@ impl Sheet {
     /// table and at all speeds.
     pub(super) fn agrees_at_base(
         &self,
-        block: &Block,
+        block: &JointColumns,
         chain: &Chain,
         position: [usize; 3],
         lag_s: f64,
@@ -77,28 +81,34 @@ impl Sheet {
         /// less precise than the residual at slow rows.
         const MOST: f64 = 0.1;
         let rows = self.few_rows();
-        let logged = Logged::of(self, position, &rows);
+        let logged = PositionColumns::of(self, position, &rows);
         let fk = self.poses_at(block, chain, &rows, lag_s);
         logged.and_then(|logged| logged.share(&fk)).is_some_and(|share| share < MOST)
     }
 
-    fn poses_at(&self, block: &Block, chain: &Chain, rows: &[usize], lag_s: f64) -> Vec<Pose> {
+    fn poses_at(
+        &self,
+        block: &JointColumns,
+        chain: &Chain,
+        rows: &[usize],
+        lag_s: f64,
+    ) -> Vec<Pose> {
         let at = |&row: &usize| chain.forward(&self.joints_at(block, chain, self.t_s[row] - lag_s));
         rows.iter().map(at).collect()
     }
 }
 
 /// Position in metres, read from three columns.
-struct Logged {
+struct PositionColumns {
     position: [usize; 3],
     xyz: Vec<Vec3>,
     /// Sum of squared distances from the mean, m².
     extent: f64,
 }
 
-impl Logged {
+impl PositionColumns {
     /// `None` if fewer than two coordinates move, or if the position is out of any arm's reach.
-    fn of(sheet: &Sheet, position: [usize; 3], rows: &[usize]) -> Option<Self> {
+    fn of(sheet: &NumericTable, position: [usize; 3], rows: &[usize]) -> Option<Self> {
         let at = |&row: &usize| Vec3::from(position.map(|column| sheet.columns[column][row]));
         let mut xyz: Vec<Vec3> = rows.iter().map(at).collect();
         let farthest = xyz.iter().map(|xyz| xyz.norm()).fold(0.0, f64::max);

@@ -1,6 +1,6 @@
 //! Relations between columns: time-shifted copies and rates.
 
-use super::{MOVING, Sheet};
+use super::{MOVING, NumericTable};
 use ground::stats::median;
 
 /// Minimum correlation between a column and the rate of another.
@@ -8,7 +8,7 @@ const RATE: f64 = 0.95;
 
 /// Time shift between two groups of columns with the same content.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Shift {
+pub struct GroupShift {
     /// Delay of the second group, s.
     pub later_s: f64,
     /// Residual after the shift, as a share of the spread.
@@ -17,22 +17,22 @@ pub struct Shift {
 
 /// Content of a column that is neither a joint nor a pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Conduct {
+pub enum ColumnContent {
     /// Never changes.
     Constant,
     /// Takes two values.
     TwoLevels,
     /// Copy of that column with a time shift.
-    As(usize, Shift),
+    As(usize, GroupShift),
     /// Rate of that column.
     RateOf(usize),
     /// Unrelated to the other columns.
     Own,
 }
 
-impl Sheet {
+impl NumericTable {
     /// Time shift of `others` relative to `columns`. `None` if their content differs.
-    pub fn shift(&self, columns: &[usize], others: &[usize]) -> Option<Shift> {
+    pub fn shift(&self, columns: &[usize], others: &[usize]) -> Option<GroupShift> {
         let series = |columns: &[usize]| -> Vec<Vec<f64>> {
             columns.iter().map(|&column| self.less(column, self.mean(column))).collect()
         };
@@ -41,7 +41,7 @@ impl Sheet {
 
     /// Time shift between two columns that differ by `apart` at rest. On motion along a line, an offset
     /// would otherwise pass as a delay.
-    pub fn shift_beside(&self, column: usize, other: usize, apart: f64) -> Option<Shift> {
+    pub fn shift_beside(&self, column: usize, other: usize, apart: f64) -> Option<GroupShift> {
         let mean = self.mean(column);
         self.shift_of(&[self.less(column, mean)], &[self.less(other, mean - apart)])
     }
@@ -54,7 +54,7 @@ impl Sheet {
         self.columns[column].iter().map(|value| value - by).collect()
     }
 
-    fn shift_of(&self, these: &[Vec<f64>], those: &[Vec<f64>]) -> Option<Shift> {
+    fn shift_of(&self, these: &[Vec<f64>], those: &[Vec<f64>]) -> Option<GroupShift> {
         /// Longest shift, s, and maximum residual as a share of the spread.
         const LONGEST_S: f64 = 1.0;
         const SAME: f64 = 0.2;
@@ -82,7 +82,7 @@ impl Sheet {
         let bend = before - 2.0 * least + after;
         let between = if bend > 0.0 { 0.5 * (before - after) / bend } else { 0.0 };
         let between = if least == 0.0 { 0.0 } else { between.clamp(-0.5, 0.5) };
-        Some(Shift { later_s: (by as f64 + between) * step_s, left: least.sqrt() })
+        Some(GroupShift { later_s: (by as f64 + between) * step_s, left: least.sqrt() })
     }
 
     /// Median offset of `column` from `other` at rest, and the number of rows at rest. `None` if the
@@ -115,25 +115,25 @@ impl Sheet {
     }
 
     /// Classifies a column by its relation to the columns `beside`.
-    pub fn conduct(&self, column: usize, beside: &[usize]) -> Conduct {
+    pub fn conduct(&self, column: usize, beside: &[usize]) -> ColumnContent {
         let values = &self.columns[column];
         let [low, high] = self.range(column);
         if low == high {
-            return Conduct::Constant;
+            return ColumnContent::Constant;
         }
         let near = 0.02 * (high - low);
         if values.iter().all(|value| value - low < near || high - value < near) {
-            return Conduct::TwoLevels;
+            return ColumnContent::TwoLevels;
         }
         let same =
             beside.iter().filter_map(|&other| Some((other, self.shift(&[other], &[column])?)));
         if let Some((other, shift)) = same.min_by(|a, b| a.1.left.total_cmp(&b.1.left)) {
-            return Conduct::As(other, shift);
+            return ColumnContent::As(other, shift);
         }
         let best = beside.iter().map(|&other| (self.rate_correlation(column, other), other));
         match best.max_by(|a, b| a.0.total_cmp(&b.0)) {
-            Some((correlation, other)) if correlation > RATE => Conduct::RateOf(other),
-            _ => Conduct::Own,
+            Some((correlation, other)) if correlation > RATE => ColumnContent::RateOf(other),
+            _ => ColumnContent::Own,
         }
     }
 

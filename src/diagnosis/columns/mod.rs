@@ -14,8 +14,8 @@ mod numbers;
 mod tracks;
 mod turning;
 
-pub use likeness::{Conduct, Shift};
-pub use numbers::JointNumbers;
+pub use likeness::{ColumnContent, GroupShift};
+pub use numbers::JointValueUnit;
 
 use linear::{centred, left_of, liveliest};
 use nalgebra::DMatrix;
@@ -23,7 +23,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::PoseStream;
-use super::model_fit::{Priced, extent, frame_price, tool_fit};
+use super::model_fit::{ScoredFit, extent, frame_price, tool_fit};
 use super::placement::metres_by_size;
 use ground::robot::Chain;
 use ground::stream::sample_noise;
@@ -81,7 +81,7 @@ const MOST_SHARE: f64 = 0.05;
 const LONGEST_TOOL_M: f64 = 0.5;
 
 /// Numeric columns of a table.
-pub struct Sheet {
+pub struct NumericTable {
     t_s: Vec<f64>,
     columns: Vec<Vec<f64>>,
     /// Source array of each column. Blocks do not span arrays.
@@ -91,7 +91,7 @@ pub struct Sheet {
 }
 
 /// Constraints of the search.
-pub struct Wanted<'a> {
+pub struct MappingConstraints<'a> {
     /// Candidate arms.
     pub chains: &'a [&'a Chain],
     /// Joint columns for each arm, in rad, if known.
@@ -106,13 +106,13 @@ pub struct Wanted<'a> {
 
 /// Assignment of columns to joints and position.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Mapping {
+pub struct ColumnMapping {
     /// Index of the arm.
     pub arm: usize,
     /// Joint columns, from base to tip.
     pub joints: Vec<usize>,
     /// Unit of the joint values.
-    pub unit: JointNumbers,
+    pub unit: JointValueUnit,
     /// Position columns.
     pub position: [usize; 3],
     /// Residual of the position against FK, rms m.
@@ -137,14 +137,14 @@ fn limit_m(spread_m: f64) -> f64 {
     FITS_M.max(FITS_SHARE * spread_m)
 }
 
-impl Mapping {
+impl ColumnMapping {
     /// Whether FK and the position agree.
     pub fn fits(&self) -> bool {
         self.left_m <= limit_m(self.spread_m).min(MOST_SHARE * self.spread_m)
     }
 
-    fn block(&self) -> Block {
-        Block { joints: self.joints.clone(), unit: self.unit, arm: self.arm }
+    fn block(&self) -> JointColumns {
+        JointColumns { joints: self.joints.clone(), unit: self.unit, arm: self.arm }
     }
 
     /// Whether both assign the same columns with the same unit.
@@ -155,8 +155,8 @@ impl Mapping {
 }
 
 /// Candidate joint and position columns, with the residual of the linear fit as a share of the extent.
-struct Near {
-    block: Block,
+struct ColumnCandidate {
+    block: JointColumns,
     position: [usize; 3],
     share: f64,
 }
@@ -179,16 +179,16 @@ fn usual_orders(chain: &Chain) -> Vec<Vec<usize>> {
 
 /// Columns that may be the joints of an arm.
 #[derive(Clone)]
-pub struct Block {
+pub struct JointColumns {
     /// Column indices.
     pub joints: Vec<usize>,
     /// Unit of the joint values.
-    pub unit: JointNumbers,
+    pub unit: JointValueUnit,
     /// Index of the arm.
     pub arm: usize,
 }
 
-impl Sheet {
+impl NumericTable {
     /// Builds the sheet from rows at increasing times. Long tables are downsampled and cut to the window
     /// with the most motion.
     pub fn new(t_s: Vec<f64>, columns: Vec<Vec<f64>>, homes: Vec<usize>) -> Self {
@@ -249,7 +249,7 @@ impl Sheet {
 
     /// Assignments of columns to an arm's joints and its tool position, best score first. Empty if none
     /// fits.
-    pub fn mappings(&self, wanted: &Wanted) -> Vec<Mapping> {
+    pub fn mappings(&self, wanted: &MappingConstraints) -> Vec<ColumnMapping> {
         /// Assignments refitted with a free joint zero if no assignment fits without one.
         const WITH_ZERO: usize = 4;
         for lags_s in &LAGS_S[..if wanted.chains.len() > FEW_ARMS { 1 } else { 2 }] {
@@ -260,20 +260,20 @@ impl Sheet {
             if let Some(lag_s) = best.filter(|best| !best.fits()).map(|best| best.lag_s) {
                 all.extend(self.fits_near(wanted, &[lag_s]));
             }
-            if !all.iter().any(Mapping::fits) {
+            if !all.iter().any(ColumnMapping::fits) {
                 all.sort_by(|a, b| a.left_m.total_cmp(&b.left_m));
                 all.truncate(WITH_ZERO);
-                let anew = |it: &Mapping| self.fit(wanted, &it.block(), it.position, true);
+                let anew = |it: &ColumnMapping| self.fit(wanted, &it.block(), it.position, true);
                 all = all.par_iter().filter_map(anew).collect();
             }
             all.sort_by(|a, b| a.score.total_cmp(&b.score));
-            let mut mappings: Vec<Mapping> = Vec::new();
+            let mut mappings: Vec<ColumnMapping> = Vec::new();
             for mapping in all {
                 if !mappings.iter().any(|other| other.is_same(&mapping)) {
                     mappings.push(mapping);
                 }
             }
-            if mappings.iter().any(Mapping::fits) {
+            if mappings.iter().any(ColumnMapping::fits) {
                 return mappings;
             }
         }
@@ -281,12 +281,12 @@ impl Sheet {
     }
 
     /// Fits the best candidates of the linear search at the given latencies.
-    fn fits_near(&self, wanted: &Wanted, lags_s: &[f64]) -> Vec<Mapping> {
-        let of = |near: &Near| self.fit(wanted, &near.block, near.position, false);
+    fn fits_near(&self, wanted: &MappingConstraints, lags_s: &[f64]) -> Vec<ColumnMapping> {
+        let of = |near: &ColumnCandidate| self.fit(wanted, &near.block, near.position, false);
         let mut near = self.near_at_base(wanted, lags_s);
         near.extend(self.near(wanted, lags_s));
         let (first, others) = near.split_at(near.len().min(FIRST_FITS));
-        let mut all: Vec<Mapping> = first.par_iter().filter_map(of).collect();
+        let mut all: Vec<ColumnMapping> = first.par_iter().filter_map(of).collect();
         let is_clear = all.iter().any(|it| it.left_m < CLEAR * it.spread_m);
         let others = others.par_iter().filter(|near| !is_clear || near.share < RIVAL);
         all.extend(others.filter_map(of).collect::<Vec<_>>());
@@ -295,7 +295,7 @@ impl Sheet {
     }
 
     /// Whether some columns of a mapping are the rates of others: a joint or position column is then wrong.
-    fn holds_own_rate(&self, mapping: &Mapping) -> bool {
+    fn holds_own_rate(&self, mapping: &ColumnMapping) -> bool {
         let all: Vec<usize> = mapping.joints.iter().chain(&mapping.position).copied().collect();
         let moving: Vec<usize> = all.into_iter().filter(|&at| self.moves(at)).collect();
         moving.iter().any(|&at| moving.iter().any(|&of| of != at && self.is_rate(at, of)))
@@ -303,22 +303,37 @@ impl Sheet {
 
     /// Refits a mapping found on another table for the arm `chain`. Frees a joint zero if the mapping does
     /// not fit without one.
-    pub fn again(&self, mapping: &Mapping, chain: &Chain, most_lag_s: f64) -> Option<Mapping> {
-        let wanted =
-            Wanted { chains: &[chain], joints: None, position: None, taken: &[], most_lag_s };
-        let block = Block { arm: 0, ..mapping.block() };
+    pub fn again(
+        &self,
+        mapping: &ColumnMapping,
+        chain: &Chain,
+        most_lag_s: f64,
+    ) -> Option<ColumnMapping> {
+        let wanted = MappingConstraints {
+            chains: &[chain],
+            joints: None,
+            position: None,
+            taken: &[],
+            most_lag_s,
+        };
+        let block = JointColumns { arm: 0, ..mapping.block() };
         let fit = |with_zero| self.fit(&wanted, &block, mapping.position, with_zero);
         let found = fit(false)?;
         let found = if found.fits() { found } else { fit(true)? };
-        Some(Mapping { arm: mapping.arm, ..found })
+        Some(ColumnMapping { arm: mapping.arm, ..found })
     }
 
     /// Blocks of columns that may be an arm's joints: smooth and within its limits.
-    pub fn blocks(&self, wanted: &Wanted, arm: usize) -> Vec<Block> {
+    pub fn blocks(&self, wanted: &MappingConstraints, arm: usize) -> Vec<JointColumns> {
         self.blocks_that_move(wanted, arm, MOVING)
     }
 
-    fn blocks_that_move(&self, wanted: &Wanted, arm: usize, fewest: usize) -> Vec<Block> {
+    fn blocks_that_move(
+        &self,
+        wanted: &MappingConstraints,
+        arm: usize,
+        fewest: usize,
+    ) -> Vec<JointColumns> {
         let chain = wanted.chains[arm];
         let dof = chain.dof();
         let orders = usual_orders(chain);
@@ -341,10 +356,10 @@ impl Sheet {
                         continue;
                     }
                     let most = self.most(&joints);
-                    let units = JointNumbers::of_size(most, wanted.chains.len() <= FEW_ARMS);
-                    let may_be = |unit: &JointNumbers| self.may_be(&joints, *unit, chain, fewest);
+                    let units = JointValueUnit::of_size(most, wanted.chains.len() <= FEW_ARMS);
+                    let may_be = |unit: &JointValueUnit| self.may_be(&joints, *unit, chain, fewest);
                     let units = units.into_iter().filter(may_be);
-                    let of = |unit| Block { joints: joints.clone(), unit, arm };
+                    let of = |unit| JointColumns { joints: joints.clone(), unit, arm };
                     blocks.extend(units.map(of));
                 }
             }
@@ -359,7 +374,7 @@ impl Sheet {
     }
 
     /// Whether the columns may be an arm's joints in this unit, with at least `fewest` of them moving.
-    fn may_be(&self, joints: &[usize], unit: JointNumbers, chain: &Chain, fewest: usize) -> bool {
+    fn may_be(&self, joints: &[usize], unit: JointValueUnit, chain: &Chain, fewest: usize) -> bool {
         let mut moving = 0;
         for (at, &column) in joints.iter().enumerate() {
             let (factor, zero) = unit.read(chain, at);
@@ -404,7 +419,7 @@ impl Sheet {
     }
 
     /// Joint and position candidates with a small residual in the linear fit, best first.
-    fn near(&self, wanted: &Wanted, lags_s: &[f64]) -> Vec<Near> {
+    fn near(&self, wanted: &MappingConstraints, lags_s: &[f64]) -> Vec<ColumnCandidate> {
         let rows = self.few_rows();
         if rows.len() < FEW_ROWS / 3 || self.columns.len() > MOST_COLUMNS {
             return Vec::new();
@@ -428,11 +443,11 @@ impl Sheet {
             position.iter().map(|&c| plain[c]).sum::<f64>() > PLAIN.powi(2) * own
         });
         let blocks = self.wanted_blocks(wanted, MOVING);
-        let tried: Vec<(&Block, f64)> = blocks
+        let tried: Vec<(&JointColumns, f64)> = blocks
             .iter()
             .flat_map(|block| lags_s.iter().map(move |&lag_s| (block, lag_s)))
             .collect();
-        let of = |(at, &(block, lag_s)): (usize, &(&Block, f64))| {
+        let of = |(at, &(block, lag_s)): (usize, &(&JointColumns, f64))| {
             let chain = wanted.chains[block.arm];
             let is_free = |position: &&[usize; 3]| {
                 !position.iter().any(|column| block.joints.contains(column))
@@ -458,28 +473,29 @@ impl Sheet {
         let mut near: Vec<(f64, usize, [usize; 3])> =
             tried.par_iter().enumerate().flat_map_iter(of).collect();
         near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        let mut kept: Vec<Near> = Vec::new();
+        let mut kept: Vec<ColumnCandidate> = Vec::new();
         let mut ways = 0;
         for (share, at, position) in near {
             let block = tried[at].0;
-            let is_its =
-                |near: &&Near| near.block.joints == block.joints && near.position == position;
+            let is_its = |near: &&ColumnCandidate| {
+                near.block.joints == block.joints && near.position == position
+            };
             let arms: Vec<usize> = kept.iter().filter(is_its).map(|near| near.block.arm).collect();
             let is_room = if arms.is_empty() { ways < MOST_FITS } else { arms.len() < MOST_ARMS };
             if is_room && !arms.contains(&block.arm) {
                 ways += usize::from(arms.is_empty());
-                kept.push(Near { block: block.clone(), position, share });
+                kept.push(ColumnCandidate { block: block.clone(), position, share });
             }
         }
         kept
     }
 
     /// Blocks for all arms, or the known joints.
-    fn wanted_blocks(&self, wanted: &Wanted, fewest: usize) -> Vec<Block> {
+    fn wanted_blocks(&self, wanted: &MappingConstraints, fewest: usize) -> Vec<JointColumns> {
         let of = |(arm, chain): (usize, &&Chain)| match wanted.joints {
             Some(joints) if joints[arm].len() == chain.dof() => {
-                let (joints, unit) = (joints[arm].clone(), JointNumbers::Radians);
-                vec![Block { joints, unit, arm }]
+                let (joints, unit) = (joints[arm].clone(), JointValueUnit::Radians);
+                vec![JointColumns { joints, unit, arm }]
             }
             Some(_) => Vec::new(),
             None => self.blocks_that_move(wanted, arm, fewest),
@@ -509,7 +525,13 @@ impl Sheet {
     }
 
     /// FK position and rotation at the given rows, centred.
-    fn design(&self, block: &Block, chain: &Chain, rows: &[usize], lag_s: f64) -> DMatrix<f64> {
+    fn design(
+        &self,
+        block: &JointColumns,
+        chain: &Chain,
+        rows: &[usize],
+        lag_s: f64,
+    ) -> DMatrix<f64> {
         const NUMBERS: usize = 12;
         let mut design = DMatrix::zeros(rows.len(), NUMBERS);
         for (at, &row) in rows.iter().enumerate() {
@@ -522,7 +544,7 @@ impl Sheet {
     }
 
     /// Joint positions at a time, interpolated linearly.
-    fn joints_at(&self, block: &Block, chain: &Chain, t_s: f64) -> Vec<f64> {
+    fn joints_at(&self, block: &JointColumns, chain: &Chain, t_s: f64) -> Vec<f64> {
         let after = self.t_s.partition_point(|t| *t < t_s).clamp(1, self.t_s.len() - 1);
         let (before_s, after_s) = (self.t_s[after - 1], self.t_s[after]);
         let share = ((t_s - before_s) / (after_s - before_s)).clamp(0.0, 1.0);
@@ -538,11 +560,11 @@ impl Sheet {
     /// Fits latency, tool and (if needed) frame for a block and a position.
     fn fit(
         &self,
-        wanted: &Wanted,
-        block: &Block,
+        wanted: &MappingConstraints,
+        block: &JointColumns,
         position: [usize; 3],
         with_zero: bool,
-    ) -> Option<Mapping> {
+    ) -> Option<ColumnMapping> {
         let chain = wanted.chains[block.arm];
         let joints = self.track(block, chain);
         let track = self.position(position);
@@ -565,14 +587,14 @@ impl Sheet {
                 && it.way.tool_m.norm() < LONGEST_TOOL_M
                 && (with_zero || self.agrees_at_base(block, chain, position, it.way.lag_s))
         });
-        let (is_at_base, Priced { way, score }) = match at_base {
+        let (is_at_base, ScoredFit { way, score }) = match at_base {
             Some(fit) => (true, fit),
             None => {
                 let found = fit(&stream)?;
-                (false, Priced { score: found.score + frame_price(track.xyz.len()), ..found })
+                (false, ScoredFit { score: found.score + frame_price(track.xyz.len()), ..found })
             }
         };
-        Some(Mapping {
+        Some(ColumnMapping {
             arm: block.arm,
             joints: block.joints.clone(),
             unit: block.unit,

@@ -9,7 +9,7 @@ use ground::robot::{Chain, JointKind};
 
 /// Unit of the values of revolute joints.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum JointNumbers {
+pub enum JointValueUnit {
     /// Radians.
     Radians,
     /// Degrees.
@@ -25,7 +25,7 @@ pub enum JointNumbers {
     Shares,
 }
 
-impl JointNumbers {
+impl JointValueUnit {
     /// Factor and offset from the logged number to the joint position.
     pub fn read(self, chain: &Chain, joint: usize) -> (f64, f64) {
         let limits = chain.limits()[joint];

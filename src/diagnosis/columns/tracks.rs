@@ -1,11 +1,11 @@
 //! Converts columns to joint tracks and position tracks.
 
-use super::{Block, Sheet};
+use super::{JointColumns, NumericTable};
 use ground::geometry::Vec3;
 use ground::robot::Chain;
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
-impl Sheet {
+impl NumericTable {
     pub(super) fn position(&self, columns: [usize; 3]) -> PoseTrack {
         let xyz = |row: usize| Vec3::from(columns.map(|column| self.columns[column][row]));
         PoseTrack {
@@ -16,7 +16,7 @@ impl Sheet {
         }
     }
 
-    pub(super) fn track(&self, block: &Block, chain: &Chain) -> JointTrack {
+    pub(super) fn track(&self, block: &JointColumns, chain: &Chain) -> JointTrack {
         let rows = self.t_s.len();
         let dof = block.joints.len();
         let (mut q, mut qd) = (vec![0.0; rows * dof], vec![0.0; rows * dof]);

@@ -1,14 +1,19 @@
 //! Identifies columns that contain the rotation of the tool.
 
-use super::{MOVING, Mapping, Sheet};
+use super::{ColumnMapping, MOVING, NumericTable};
 use ground::geometry::{Convention, Rotation, angle_between, rotation_from_xyzw};
 use ground::robot::Chain;
 
-impl Sheet {
+impl NumericTable {
     /// Whether the columns are the tool's rotation: 3 numbers in some convention, a quaternion in any
     /// order, or a 3×3 matrix. `None` if the tool rotates too little. Compares angles between poses, which
     /// do not depend on the frame, the tool or the order of components.
-    pub fn turns_with(&self, mapping: &Mapping, chain: &Chain, columns: &[usize]) -> Option<bool> {
+    pub fn turns_with(
+        &self,
+        mapping: &ColumnMapping,
+        chain: &Chain,
+        columns: &[usize],
+    ) -> Option<bool> {
         /// Number of rows compared, maximum difference, rad, and minimum rms rotation of the tool, rad.
         const ROWS: usize = 60;
         const APART_RAD: f64 = 0.05;

@@ -1,12 +1,15 @@
 //! Latency profiles without steps: load-dependent and piecewise linear.
 
-use super::{LatencyCourse, LatencyShape, SURE, Sample, WINDOW_S, Window};
+use super::{LatencyProfile, LatencyShape, LatencyWindow, NormalizedSample, SURE, WINDOW_S};
 use ground::stats::Measured;
 use nalgebra::{DMatrix, DVector};
 
 /// Squared residual of `samples`, in units of the noise, after compensating the latency `beyond_s`.
 /// Subtracts a constant in each window, because model error depends on the configuration.
-pub(super) fn left_beside(samples: &[Sample], mut beyond_s: impl FnMut(usize) -> f64) -> f64 {
+pub(super) fn left_beside(
+    samples: &[NormalizedSample],
+    mut beyond_s: impl FnMut(usize) -> f64,
+) -> f64 {
     let mut row = 0;
     of_windows(samples)
         .map(|own| {
@@ -26,7 +29,7 @@ pub(super) fn left_beside(samples: &[Sample], mut beyond_s: impl FnMut(usize) ->
         .sum()
 }
 
-fn of_windows(samples: &[Sample]) -> impl Iterator<Item = &[Sample]> {
+fn of_windows(samples: &[NormalizedSample]) -> impl Iterator<Item = &[NormalizedSample]> {
     let mut rest = samples;
     std::iter::from_fn(move || {
         let first = rest.first()?;
@@ -41,16 +44,16 @@ fn of_windows(samples: &[Sample]) -> impl Iterator<Item = &[Sample]> {
 /// `matrix` has the products of velocity and velocity times load; `right` has their products with the
 /// residual.
 #[derive(Clone, Copy, Default)]
-struct Sums {
+struct LoadSums {
     matrix: [f64; 3],
     right: [f64; 2],
 }
 
-impl Sums {
-    fn of(window: &[Sample], load: &[f64]) -> Self {
+impl LoadSums {
+    fn of(window: &[NormalizedSample], load: &[f64]) -> Self {
         let n = window.len() as f64;
         let mut mean = [[0.0; 6]; 3];
-        let row = |sample: &Sample, load: f64| -> [[f64; 6]; 3] {
+        let row = |sample: &NormalizedSample, load: f64| -> [[f64; 6]; 3] {
             [sample.velocity, sample.velocity.map(|v| v * load), sample.residual]
         };
         for (sample, load) in window.iter().zip(load) {
@@ -90,22 +93,23 @@ impl Sums {
 
 /// Fits a latency that depends on load, which is the joint or tool speed, unfiltered or low-pass filtered.
 /// `None` if it does not.
-pub(super) fn with_load(samples: &[Sample]) -> Option<LatencyCourse> {
+pub(super) fn with_load(samples: &[NormalizedSample]) -> Option<LatencyProfile> {
     /// Time constants of the filter, s.
     const SLOW_S: [f64; 5] = [0.0, 0.05, 0.1, 0.2, 0.4];
     /// The load model must reduce the excess residual of a constant latency to at most this fraction.
     const LEFT: f64 = 0.5;
     let constant = left_beside(samples, {
         let zero = vec![0.0; samples.len()];
-        let sums = windows_of(samples, &zero).fold(Sums::default(), |sum, own| sum.with(&own, 1.0));
+        let sums =
+            windows_of(samples, &zero).fold(LoadSums::default(), |sum, own| sum.with(&own, 1.0));
         let level_s = sums.right[0] / sums.matrix[0].max(f64::MIN_POSITIVE);
         move |_| level_s
     });
     let noise = 3.0 * samples.len() as f64;
     let fit = |kind: usize, slow_s: f64| {
         let load = filtered(samples, kind, slow_s);
-        let windows: Vec<Sums> = windows_of(samples, &load).collect();
-        let all = windows.iter().fold(Sums::default(), |sum, own| sum.with(own, 1.0));
+        let windows: Vec<LoadSums> = windows_of(samples, &load).collect();
+        let all = windows.iter().fold(LoadSums::default(), |sum, own| sum.with(own, 1.0));
         let [level_s, slope] = all.solved()?;
         let left = left_beside(samples, |row| level_s + slope * load[row]);
         Some((left, load, windows, all, [level_s, slope]))
@@ -131,7 +135,7 @@ pub(super) fn with_load(samples: &[Sample]) -> Option<LatencyCourse> {
     let range = most - least;
     let swing_s = Measured { value: slope * range, std_error: std_error * range, dof: parts };
     let is_certain = parts >= 4.0 && slope.abs() > CERTAIN * std_error;
-    is_certain.then(|| LatencyCourse {
+    is_certain.then(|| LatencyProfile {
         swing_s,
         is_unsteady: true,
         shape: LatencyShape::WithLoad,
@@ -145,18 +149,21 @@ pub(super) fn with_load(samples: &[Sample]) -> Option<LatencyCourse> {
     })
 }
 
-fn windows_of<'a>(samples: &'a [Sample], load: &'a [f64]) -> impl Iterator<Item = Sums> + 'a {
+fn windows_of<'a>(
+    samples: &'a [NormalizedSample],
+    load: &'a [f64],
+) -> impl Iterator<Item = LoadSums> + 'a {
     let mut from = 0;
     of_windows(samples).map(move |own| {
         let to = from + own.len();
-        let sums = Sums::of(own, &load[from..to]);
+        let sums = LoadSums::of(own, &load[from..to]);
         from = to;
         sums
     })
 }
 
 /// Load at each sample, filtered by a first-order low-pass.
-fn filtered(samples: &[Sample], kind: usize, slow_s: f64) -> Vec<f64> {
+fn filtered(samples: &[NormalizedSample], kind: usize, slow_s: f64) -> Vec<f64> {
     let mut state = samples.first().map_or(0.0, |sample| sample.loads[kind]);
     let mut before_s = samples.first().map_or(0.0, |sample| sample.t_s);
     samples
@@ -173,7 +180,10 @@ fn filtered(samples: &[Sample], kind: usize, slow_s: f64) -> Vec<f64> {
 
 /// Fits a piecewise linear latency. It is a ramp if it is level before and after one segment. Selects the
 /// knots on `windows` and fits the levels to `samples`. `None` if no fit with few segments is significant.
-pub(super) fn path(windows: &[Window], samples: &[Sample]) -> Option<LatencyCourse> {
+pub(super) fn path(
+    windows: &[LatencyWindow],
+    samples: &[NormalizedSample],
+) -> Option<LatencyProfile> {
     /// Maximum number of inner knots.
     const MOST: usize = 16;
     /// Maximum number of samples for the fit of the levels.
@@ -205,7 +215,7 @@ pub(super) fn path(windows: &[Window], samples: &[Sample]) -> Option<LatencyCour
         (least, knots) = (better, with);
     }
     let stride = samples.len().div_ceil(SAMPLES).max(1);
-    let thinned: Vec<Sample> = samples.iter().step_by(stride).copied().collect();
+    let thinned: Vec<NormalizedSample> = samples.iter().step_by(stride).copied().collect();
     let of_samples = |knots: &[f64]| Some(solved(knots, total(&sample_sums(&thinned, knots)))?.1);
     let mut least = shifted(&mut knots, &[0.5, 0.25, 0.1], &of_samples)?;
     // A later knot can make an earlier one redundant.
@@ -248,7 +258,7 @@ pub(super) fn path(windows: &[Window], samples: &[Sample]) -> Option<LatencyCour
         false => (LatencyShape::Wander, swing),
     };
     let swing_s = Measured { value, std_error, dof: PARTS as f64 };
-    (value.abs() > 0.5 * CERTAIN * std_error).then(|| LatencyCourse {
+    (value.abs() > 0.5 * CERTAIN * std_error).then(|| LatencyProfile {
         swing_s,
         is_unsteady: true,
         shape,
@@ -262,7 +272,7 @@ pub(super) fn path(windows: &[Window], samples: &[Sample]) -> Option<LatencyCour
 pub(super) const BENT_PARAMETERS: f64 = 6.0;
 
 /// χ² of the windows for the best path with three segments.
-pub(super) fn bent_chi2(windows: &[Window]) -> Option<f64> {
+pub(super) fn bent_chi2(windows: &[LatencyWindow]) -> Option<f64> {
     let ends = [windows.first()?.t_s, windows.last()?.t_s];
     let left = |knots: &[f64]| Some(solved(knots, window_sums(windows, knots))?.1);
     Some(two_knots(windows, &ends, &left)?.0)
@@ -270,7 +280,7 @@ pub(super) fn bent_chi2(windows: &[Window]) -> Option<f64> {
 
 /// Finds the two inner knots between `ends` that minimise the residual. Returns the residual and all knots.
 fn two_knots(
-    windows: &[Window],
+    windows: &[LatencyWindow],
     ends: &[f64],
     left: &impl Fn(&[f64]) -> Option<f64>,
 ) -> Option<(f64, Vec<f64>)> {
@@ -290,9 +300,9 @@ fn two_knots(
 
 /// Levels at `knots`, fitted to `windows`. `None` if they are not all determined.
 pub(super) fn levels_at(knots: &[f64], windows: &[(f64, Measured)]) -> Option<Vec<f64>> {
-    let windows: Vec<Window> = windows
+    let windows: Vec<LatencyWindow> = windows
         .iter()
-        .map(|(t_s, found)| Window {
+        .map(|(t_s, found)| LatencyWindow {
             t_s: *t_s,
             delta_s: found.value,
             std_error_s: found.std_error,
@@ -313,13 +323,13 @@ const CERTAIN: f64 = 8.0;
 
 /// Normal equations for the levels at knots, and the sum of squares.
 #[derive(Clone)]
-struct Normal {
+struct KnotEquations {
     matrix: DMatrix<f64>,
     right: DVector<f64>,
     square: f64,
 }
 
-impl Normal {
+impl KnotEquations {
     fn zeros(n: usize) -> Self {
         Self { matrix: DMatrix::zeros(n, n), right: DVector::zeros(n), square: 0.0 }
     }
@@ -340,10 +350,10 @@ fn hats(knots: &[f64], t_s: f64) -> [(usize, f64); 2] {
 
 /// Solves for the levels. Returns them with the residual. A level without data, as while the arm rests, is
 /// close to its neighbours'.
-fn solved(knots: &[f64], sums: Normal) -> Option<(Vec<f64>, f64)> {
+fn solved(knots: &[f64], sums: KnotEquations) -> Option<(Vec<f64>, f64)> {
     /// Weight that ties adjacent levels, as a fraction of the mean information about a level.
     const TIED: f64 = 1e-5;
-    let Normal { mut matrix, right, square } = sums;
+    let KnotEquations { mut matrix, right, square } = sums;
     debug_assert_eq!(right.len(), knots.len());
     let plain = matrix.clone();
     let tie = TIED * matrix.trace() / knots.len() as f64;
@@ -358,8 +368,8 @@ fn solved(knots: &[f64], sums: Normal) -> Option<(Vec<f64>, f64)> {
     Some((level.iter().copied().collect(), left))
 }
 
-fn window_sums(windows: &[Window], knots: &[f64]) -> Normal {
-    let mut sums = Normal::zeros(knots.len());
+fn window_sums(windows: &[LatencyWindow], knots: &[f64]) -> KnotEquations {
+    let mut sums = KnotEquations::zeros(knots.len());
     for window in windows {
         sums.square += window.weight() * window.delta_s.powi(2);
         for (row, a) in hats(knots, window.t_s) {
@@ -373,10 +383,10 @@ fn window_sums(windows: &[Window], knots: &[f64]) -> Normal {
 }
 
 /// Least-squares sums for `residual = c − level·velocity` with a constant c in each window.
-fn sample_sums(samples: &[Sample], knots: &[f64]) -> Vec<Normal> {
+fn sample_sums(samples: &[NormalizedSample], knots: &[f64]) -> Vec<KnotEquations> {
     let n = knots.len();
-    let of_window = |own: &[Sample]| {
-        let mut sums = Normal::zeros(n);
+    let of_window = |own: &[NormalizedSample]| {
+        let mut sums = KnotEquations::zeros(n);
         let (mut moved, mut left) = (vec![[0.0; 6]; n], [0.0; 6]);
         let mut touched: Vec<usize> = Vec::new();
         for sample in own {
@@ -412,14 +422,14 @@ fn sample_sums(samples: &[Sample], knots: &[f64]) -> Vec<Normal> {
     of_windows(samples).map(of_window).collect()
 }
 
-fn total(sums: &[Normal]) -> Normal {
-    let mut all = Normal::zeros(sums.first().map_or(0, |sums| sums.right.len()));
+fn total(sums: &[KnotEquations]) -> KnotEquations {
+    let mut all = KnotEquations::zeros(sums.first().map_or(0, |sums| sums.right.len()));
     sums.iter().for_each(|own| all.add(own, 1.0));
     all
 }
 
 /// Jackknife standard error of a value computed from the windows' sums.
-fn jackknife(sums: &[Normal], of: impl Fn(Normal) -> Option<f64>) -> f64 {
+fn jackknife(sums: &[KnotEquations], of: impl Fn(KnotEquations) -> Option<f64>) -> f64 {
     let all = total(sums);
     let parts = sums.chunks(sums.len().div_ceil(PARTS).max(1));
     let without: Vec<f64> = parts

@@ -9,7 +9,7 @@ fn truth(t_s: f64) -> Pose {
     )
 }
 
-fn course_at(aligned: &Aligned, skew: f64) -> Seen<LatencyCourse> {
+fn course_at(aligned: &AlignedSamples, skew: f64) -> EstimateResult<LatencyProfile> {
     latency_course(aligned, skew, None, |_| 0.0)
 }
 
@@ -20,9 +20,9 @@ fn speed(t_s: f64) -> f64 {
 }
 
 /// 20 s at 50 Hz with an additional latency `beyond_s`, noise, and a model error of `bent_m`.
-fn aligned(beyond_s: impl Fn(f64) -> f64, noise_m: f64, bent_m: f64) -> Aligned {
+fn aligned(beyond_s: impl Fn(f64) -> f64, noise_m: f64, bent_m: f64) -> AlignedSamples {
     let mut random = crate::test_random::Lcg::new();
-    let mut aligned = Aligned::default();
+    let mut aligned = AlignedSamples::default();
     for row in 0..1000 {
         let t_s = f64::from(row) * 0.02;
         let mut logged = truth(t_s - beyond_s(t_s));
@@ -78,7 +78,7 @@ fn an_arm_at_rest_tells_nothing() {
     let mut still = aligned(|_| 0.0, 0.0, 0.0);
     still.fk_at_truth.fill(truth(0.0));
     assert!(course_at(&still, 0.0).is_err());
-    assert!(course_at(&Aligned::default(), 0.0).is_err());
+    assert!(course_at(&AlignedSamples::default(), 0.0).is_err());
 }
 
 #[test]
@@ -105,7 +105,7 @@ fn stop_and_go(t_s: f64) -> Pose {
 #[test]
 fn a_ramp_is_told_of_an_arm_that_stops_and_goes() {
     let mut random = crate::test_random::Lcg::new();
-    let mut found = Aligned::default();
+    let mut found = AlignedSamples::default();
     for row in 0..3200 {
         let t_s = f64::from(row) * 0.01;
         let late = -0.015 + 0.025 * ((t_s - 12.0) / 8.0).clamp(0.0, 1.0);

@@ -1,17 +1,17 @@
 //! Latency in windows of about a second.
 
-use super::{JUMPS, Lagging, SAMPLES, SURE, WINDOW_S};
+use super::{JUMPS, LatencySample, SAMPLES, SURE, WINDOW_S};
 use ground::geometry::Vec3;
 use ground::stats::Measured;
 
 #[derive(Clone, Copy)]
-pub(super) struct Window {
+pub(super) struct LatencyWindow {
     pub(super) t_s: f64,
     pub(super) delta_s: f64,
     pub(super) std_error_s: f64,
 }
 
-impl Window {
+impl LatencyWindow {
     pub(super) fn weight(&self) -> f64 {
         self.std_error_s.powi(-2)
     }
@@ -23,7 +23,7 @@ impl Window {
 
 /// Sample in units of the noise of each kind.
 #[derive(Clone, Copy)]
-pub(super) struct Sample {
+pub(super) struct NormalizedSample {
     pub(super) t_s: f64,
     pub(super) residual: [f64; 6],
     pub(super) velocity: [f64; 6],
@@ -31,7 +31,7 @@ pub(super) struct Sample {
     pub(super) joint_noise: f64,
 }
 
-pub(super) fn samples(lagging: &[Lagging]) -> Vec<Sample> {
+pub(super) fn samples(lagging: &[LatencySample]) -> Vec<NormalizedSample> {
     let noise = [0, 1].map(|kind| {
         let steps = lagging.windows(2).map(|pair| pair[1].left[kind] - pair[0].left[kind]);
         let square: f64 = steps.map(|step| step.norm_squared()).sum();
@@ -40,7 +40,7 @@ pub(super) fn samples(lagging: &[Lagging]) -> Vec<Sample> {
     });
     let scaled =
         |parts: &[Vec3; 2]| std::array::from_fn(|at| parts[at / 3][at % 3] / noise[at / 3]);
-    let sample = |of: &Lagging| Sample {
+    let sample = |of: &LatencySample| NormalizedSample {
         t_s: of.t_s,
         residual: scaled(&of.left),
         velocity: scaled(&of.velocity),
@@ -51,7 +51,7 @@ pub(super) fn samples(lagging: &[Lagging]) -> Vec<Sample> {
 }
 
 /// Estimates the latency in each window with enough variation of velocity.
-pub(super) fn windows(samples: &[Sample], components: usize) -> Vec<Window> {
+pub(super) fn windows(samples: &[NormalizedSample], components: usize) -> Vec<LatencyWindow> {
     let mut windows = Vec::new();
     let mut rest = samples;
     while let Some(first) = rest.first() {
@@ -65,13 +65,13 @@ pub(super) fn windows(samples: &[Sample], components: usize) -> Vec<Window> {
 
 /// Least-squares slope of residual over velocity. The variance is inflated by (1 + ρ)/(1 − ρ) for the
 /// autocorrelation ρ of the residuals.
-pub(super) fn window(samples: &[Sample], components: usize) -> Option<Window> {
+pub(super) fn window(samples: &[NormalizedSample], components: usize) -> Option<LatencyWindow> {
     const REMEMBERED: f64 = 0.98;
     let n = samples.len();
     if n < SAMPLES {
         return None;
     }
-    let mean = |of: &dyn Fn(&Sample) -> [f64; 6]| {
+    let mean = |of: &dyn Fn(&NormalizedSample) -> [f64; 6]| {
         let mut sum = [0.0; 6];
         for sample in samples {
             sum.iter_mut().zip(of(sample)).for_each(|(sum, value)| *sum += value / n as f64);
@@ -79,7 +79,7 @@ pub(super) fn window(samples: &[Sample], components: usize) -> Option<Window> {
         sum
     };
     let (mean_left, mean_v) = (mean(&|sample| sample.residual), mean(&|sample| sample.velocity));
-    let centred = |sample: &Sample| {
+    let centred = |sample: &NormalizedSample| {
         let left: [f64; 6] = std::array::from_fn(|i| sample.residual[i] - mean_left[i]);
         let velocity: [f64; 6] = std::array::from_fn(|i| sample.velocity[i] - mean_v[i]);
         (left, velocity)
@@ -115,31 +115,31 @@ pub(super) fn window(samples: &[Sample], components: usize) -> Option<Window> {
     let joint_noise = samples.iter().map(|sample| sample.joint_noise).sum::<f64>() / n as f64;
     let std_error_s = std_error_s.hypot(joint_noise / (information / rows).sqrt());
     let t_s = samples.iter().map(|sample| sample.t_s).sum::<f64>() / n as f64;
-    std_error_s.is_finite().then_some(Window { t_s, delta_s, std_error_s })
+    std_error_s.is_finite().then_some(LatencyWindow { t_s, delta_s, std_error_s })
 }
 
 /// χ² of the windows relative to their best line.
-pub(super) fn chi2_beside_line(windows: &[Window]) -> f64 {
-    let weight: f64 = windows.iter().map(Window::weight).sum();
-    let mean = |of: &dyn Fn(&Window) -> f64| {
+pub(super) fn chi2_beside_line(windows: &[LatencyWindow]) -> f64 {
+    let weight: f64 = windows.iter().map(LatencyWindow::weight).sum();
+    let mean = |of: &dyn Fn(&LatencyWindow) -> f64| {
         windows.iter().map(|window| window.weight() * of(window)).sum::<f64>() / weight
     };
     let (t, delta) = (mean(&|window| window.t_s), mean(&|window| window.delta_s));
     let spread = mean(&|window| (window.t_s - t).powi(2));
     let slope =
         mean(&|window| (window.t_s - t) * (window.delta_s - delta)) / spread.max(f64::MIN_POSITIVE);
-    let beside = |window: &Window| window.delta_s - delta - slope * (window.t_s - t);
+    let beside = |window: &LatencyWindow| window.delta_s - delta - slope * (window.t_s - t);
     windows.iter().map(|window| window.weight() * beside(window).powi(2)).sum()
 }
 
 /// Level of each segment between `splits`, with its standard error, and the total χ².
-pub(super) fn levels(windows: &[Window], splits: &[usize]) -> (Vec<Measured>, f64) {
+pub(super) fn levels(windows: &[LatencyWindow], splits: &[usize]) -> (Vec<Measured>, f64) {
     let ends = splits.iter().copied().chain([windows.len()]);
     let starts = std::iter::once(0).chain(splits.iter().copied());
     let mut chi2 = 0.0;
     let levels = starts.zip(ends).map(|(start, end)| {
         let part = &windows[start..end];
-        let weight: f64 = part.iter().map(Window::weight).sum();
+        let weight: f64 = part.iter().map(LatencyWindow::weight).sum();
         let level = part.iter().map(|w| w.weight() * w.delta_s).sum::<f64>() / weight;
         let own: f64 = part.iter().map(|w| w.weight() * (w.delta_s - level).powi(2)).sum();
         chi2 += own;
@@ -153,7 +153,7 @@ pub(super) fn levels(windows: &[Window], splits: &[usize]) -> (Vec<Measured>, f6
 
 /// Indices of windows at which the latency steps. The window that contains the step lies on neither level
 /// and increases the χ² of both.
-pub(super) fn splits(windows: &[Window]) -> Vec<usize> {
+pub(super) fn splits(windows: &[LatencyWindow]) -> Vec<usize> {
     let mut splits: Vec<usize> = Vec::new();
     while splits.len() < JUMPS {
         let before = levels(windows, &splits).1;

@@ -1,8 +1,8 @@
 //! Closure error of each pose, and its excess over the noise.
 
-use super::fit::Fit;
-use super::series::Setting;
-use super::{Closure, FEWEST};
+use super::fit::HandEyeFit;
+use super::series::HandEyeSetting;
+use super::{ClosureError, FEWEST};
 use ground::geometry::Vec3;
 use ground::stats::Measured;
 use ground::stats::median;
@@ -11,7 +11,7 @@ use ground::stats::median;
 const BLOCKS: usize = 12;
 
 /// Closure errors of all poses of `setting`. `None` for fewer than [`FEWEST`] poses.
-pub(super) fn closure(setting: &Setting, fit: &Fit) -> Option<Closure> {
+pub(super) fn closure(setting: &HandEyeSetting, fit: &HandEyeFit) -> Option<ClosureError> {
     let left: Vec<(f64, [Vec3; 2])> = setting
         .targets
         .iter()
@@ -31,7 +31,7 @@ pub(super) fn closure(setting: &Setting, fit: &Fit) -> Option<Closure> {
         let mut norms: Vec<f64> = left.iter().map(|(_, left)| left[kind].norm()).collect();
         median(&mut norms).unwrap_or(0.0)
     });
-    Some(Closure {
+    Some(ClosureError {
         poses: all,
         outliers,
         rms_m: rms(&of(0)),

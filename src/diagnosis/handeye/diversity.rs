@@ -1,7 +1,7 @@
 //! Rotation of the hand and the diversity of its rotation axes.
 
-use super::Diversity;
-use super::series::Setting;
+use super::RotationDiversity;
+use super::series::HandEyeSetting;
 use ground::geometry::{Rotation, Vec3, rotvec_from_rotation};
 use nalgebra::Matrix3;
 
@@ -12,7 +12,7 @@ const CLEAR_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
 
 /// Diversity of the hand's rotations while the target is visible. Expects a `setting` with the camera in
 /// the hand.
-pub(super) fn diversity(setting: &Setting, lag_s: f64) -> Diversity {
+pub(super) fn diversity(setting: &HandEyeSetting, lag_s: f64) -> RotationDiversity {
     let pairs = setting.pairs_at(lag_s, POSES);
     let hands: Vec<Rotation> = pairs.iter().map(|pair| pair.carrier.rotation).collect();
     let turns: Vec<Vec3> = hands
@@ -37,5 +37,5 @@ pub(super) fn diversity(setting: &Setting, lag_s: f64) -> Diversity {
     // The mean squared difference of two orientations is twice their variance.
     let squares: f64 = turns.iter().map(Vec3::norm_squared).sum();
     let turning_rad = (0.5 * squares / turns.len().max(1) as f64).sqrt();
-    Diversity { span_rad, turning_rad, spread_rad, axis_in_hand: axis.into() }
+    RotationDiversity { span_rad, turning_rad, spread_rad, axis_in_hand: axis.into() }
 }

@@ -5,9 +5,9 @@
 
 use super::super::linear::{Linear, Normal, Weight};
 use super::super::robust::sandwich;
-use super::series::{PoseSeries, Setting};
-use super::start::{Start, together};
-use super::{CameraPose, FEWEST, Mount};
+use super::series::{HandEyeSetting, PoseSeries};
+use super::start::{HandEyeStart, together};
+use super::{CameraMount, CameraPose, FEWEST};
 use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::Measured;
 use ground::stats::median;
@@ -25,7 +25,7 @@ const FAR: f64 = 6.0;
 const MOST_OUTLIERS: f64 = 0.35;
 
 /// Result of the fit.
-pub(super) struct Fit {
+pub(super) struct HandEyeFit {
     pub camera: Pose,
     pub constant: Pose,
     pub offset_s: Measured,
@@ -49,11 +49,11 @@ pub struct TargetScale {
     pub distance_m: f64,
 }
 
-impl Fit {
+impl HandEyeFit {
     /// Scale of the target's positions in `setting`, to first order, with depth along the axis `along`.
-    pub fn scale(&self, setting: &Setting, along: usize) -> TargetScale {
+    pub fn scale(&self, setting: &HandEyeSetting, along: usize) -> TargetScale {
         let Self { camera, constant, offset_s, .. } = *self;
-        let state = State { camera, constant, offset_s: offset_s.value };
+        let state = HandEyeState { camera, constant, offset_s: offset_s.value };
         let linear = state.linear(setting, &self.keep);
         let foretold: Vec<Vec3> = setting
             .targets
@@ -179,13 +179,13 @@ fn off(seen: &Pose, foretold: &Pose) -> [Vec3; 2] {
 
 /// Parameters of the fit.
 #[derive(Clone, Copy)]
-struct State {
+struct HandEyeState {
     camera: Pose,
     constant: Pose,
     offset_s: f64,
 }
 
-impl State {
+impl HandEyeState {
     fn foretold(&self, carrier: &Pose) -> Pose {
         (carrier * self.camera).inverse() * self.constant
     }
@@ -202,7 +202,7 @@ impl State {
     }
 
     /// Residuals and derivatives at the poses of `setting` selected by `keep`.
-    fn linear(&self, setting: &Setting, keep: &[bool]) -> Linear {
+    fn linear(&self, setting: &HandEyeSetting, keep: &[bool]) -> Linear {
         /// Half-width of the finite difference for the hand's velocity, s.
         const STEP_S: f64 = 0.01;
         let mut linear = Linear::new(WIDTH, &FLOOR);
@@ -239,14 +239,14 @@ pub(in super::super) fn design(t_s: &[f64], hands: Vec<Pose>, camera: Pose, ahea
     let series = PoseSeries { t_s: t_s.to_vec(), poses: hands };
     // The observed poses affect only the residuals, not the derivatives.
     let targets = t_s.iter().map(|&t_s| (t_s, target));
-    let setting = Setting::new(&series, targets, Mount::InHand);
-    let state = State { camera, constant, offset_s: 0.0 };
+    let setting = HandEyeSetting::new(&series, targets, CameraMount::InHand);
+    let state = HandEyeState { camera, constant, offset_s: 0.0 };
     state.linear(&setting, &vec![true; t_s.len()])
 }
 
 /// Refines `start`. `None` if fewer than [`FEWEST`] poses remain.
-pub(super) fn fit(setting: &Setting, start: Start, lag_s: f64) -> Option<Fit> {
-    let state = State { camera: start.camera, constant: start.constant, offset_s: lag_s };
+pub(super) fn fit(setting: &HandEyeSetting, start: HandEyeStart, lag_s: f64) -> Option<HandEyeFit> {
+    let state = HandEyeState { camera: start.camera, constant: start.constant, offset_s: lag_s };
     let all = vec![true; setting.targets.len()];
     let state = converged(state, setting, &all)?;
     let found = finished(state, setting, &all)?;
@@ -268,7 +268,11 @@ pub(super) fn fit(setting: &Setting, start: Start, lag_s: f64) -> Option<Fit> {
 }
 
 /// Gauss–Newton from `state`; halves each step until the cost decreases under the previous weights.
-fn converged(mut state: State, setting: &Setting, keep: &[bool]) -> Option<State> {
+fn converged(
+    mut state: HandEyeState,
+    setting: &HandEyeSetting,
+    keep: &[bool],
+) -> Option<HandEyeState> {
     const HALVINGS: usize = 6;
     let mut linear = state.linear(setting, keep);
     let mut weights = linear.first_weights();
@@ -312,7 +316,7 @@ fn normal_of(linear: &Linear, weights: &[Weight]) -> Normal {
 }
 
 /// Fit at `state`, with its covariance.
-fn finished(state: State, setting: &Setting, keep: &[bool]) -> Option<Fit> {
+fn finished(state: HandEyeState, setting: &HandEyeSetting, keep: &[bool]) -> Option<HandEyeFit> {
     let linear = state.linear(setting, keep);
     if linear.len() < FEWEST {
         return None;
@@ -338,6 +342,6 @@ fn finished(state: State, setting: &Setting, keep: &[bool]) -> Option<Fit> {
         std_error: covariance[(OFFSET, OFFSET)].max(0.0).sqrt(),
         dof,
     };
-    let State { camera, constant, .. } = state;
-    Some(Fit { camera, constant, offset_s, sigma, covariance, keep: keep.to_vec() })
+    let HandEyeState { camera, constant, .. } = state;
+    Some(HandEyeFit { camera, constant, offset_s, sigma, covariance, keep: keep.to_vec() })
 }

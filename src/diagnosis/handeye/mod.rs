@@ -22,21 +22,21 @@ mod series;
 mod start;
 mod stretch;
 
-use super::latency::{self, Peak, Speed};
-use super::{FrameEstimate, Seen, Unseen};
+use super::latency::{self, LagPeak, SpeedSeries};
+use super::{EstimateResult, FrameEstimate, NotObservable};
 use ground::geometry::{Pose, Vec3, angle_between, rotvec_from_rotation};
 use ground::stats::{Length, Measured};
 
 use closure::closure;
 use diversity::diversity;
 pub use fit::TargetScale;
-use fit::{Fit, fit};
+use fit::{HandEyeFit, fit};
 pub(super) use fit::{WIDTH, design};
-pub use reading::TargetReading;
-use reading::{ReadTarget, better_reading};
+pub use reading::TargetEncoding;
+use reading::{DecodedTarget, better_reading};
+use series::HandEyeSetting;
 pub use series::PoseSeries;
-use series::Setting;
-pub use stretch::Stretch;
+pub use stretch::TargetScaleError;
 
 /// Maximum number of poses in the fit; longer streams are thinned evenly.
 pub(super) const FIT_POSES: usize = 500;
@@ -45,16 +45,16 @@ const FEWEST: usize = 12;
 
 /// Mounting of the camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Mount {
+pub enum CameraMount {
     /// Camera in the hand, target fixed in the base (eye-in-hand).
     InHand,
     /// Camera fixed in the base, target in the hand (eye-to-hand).
     InBase,
 }
 
-impl Mount {
+impl CameraMount {
     /// Both mountings.
-    pub const ALL: [Mount; 2] = [Mount::InHand, Mount::InBase];
+    pub const ALL: [CameraMount; 2] = [CameraMount::InHand, CameraMount::InBase];
 }
 
 /// Input streams of the hand-eye calibration.
@@ -67,12 +67,12 @@ pub struct HandEyeStreams<'a> {
     /// Standard error of the clock alignment between the two, s; 0 on a shared clock.
     pub stamp_error_s: f64,
     /// Logged mounting, with `hand_from_camera` or `base_from_camera`, if any.
-    pub logged: Option<(Mount, Pose)>,
+    pub logged: Option<(CameraMount, Pose)>,
 }
 
 /// Rotation of the hand and the diversity of its axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Diversity {
+pub struct RotationDiversity {
     /// Largest angle between two orientations, rad.
     pub span_rad: f64,
     /// Rms angle between the orientations and their mean, rad.
@@ -85,7 +85,7 @@ pub struct Diversity {
 
 /// Closure error of the hand-eye chain.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Closure {
+pub struct ClosureError {
     /// Number of target poses compared with the chain, including outliers.
     pub poses: usize,
     /// Number of outliers: errors beyond six standard deviations of the rest.
@@ -123,9 +123,9 @@ pub struct CameraPose {
 
 /// Hand-eye solution for one mounting.
 #[derive(Clone, Debug)]
-pub struct Solution {
+pub struct HandEyeSolution {
     /// Mounting of the camera.
-    pub mount: Mount,
+    pub mount: CameraMount,
     /// Residual of the other mounting relative to this one; infinite if that has no solution.
     pub ratio: f64,
     /// Delay of the target's stamps relative to the hand's, s: a sample stamped *t* was measured at *t −
@@ -138,7 +138,7 @@ pub struct Solution {
     /// Combined residual of position and rotation in the fit, rad.
     pub misfit_rad: f64,
     /// Closure error.
-    pub closure: Closure,
+    pub closure: ClosureError,
     /// Scale of the target's positions.
     pub scale: TargetScale,
 }
@@ -147,17 +147,17 @@ pub struct Solution {
 #[derive(Clone, Debug)]
 pub struct HandEyeDiagnosis {
     /// Best correlation between the angular speeds of target and hand.
-    pub follows: Option<Peak>,
+    pub follows: Option<LagPeak>,
     /// Rotation of the hand while the target is visible.
-    pub diversity: Seen<Diversity>,
+    pub diversity: EstimateResult<RotationDiversity>,
     /// Solution for the poses as logged.
-    pub solution: Seen<Solution>,
+    pub solution: EstimateResult<HandEyeSolution>,
     /// Alternative encoding of the target's poses with a much smaller closure error, if any, and its
     /// solution.
-    pub reading: Option<(TargetReading, Solution)>,
+    pub reading: Option<(TargetEncoding, HandEyeSolution)>,
     /// Delay of the target's stamps relative to the hand's, s, by the best solution, or why it is not
     /// observable.
-    pub latency_s: Seen<Measured>,
+    pub latency_s: EstimateResult<Measured>,
     /// Deviation of the estimated camera pose from the logged one, `logged_from_solved`.
     pub mount_error: Option<FrameEstimate>,
     /// Mean direction from the camera to the target, in camera axes.
@@ -165,7 +165,7 @@ pub struct HandEyeDiagnosis {
 }
 
 impl HandEyeDiagnosis {
-    fn unseen(why: &Unseen) -> Self {
+    fn unseen(why: &NotObservable) -> Self {
         Self {
             follows: None,
             diversity: Err(why.clone()),
@@ -178,16 +178,16 @@ impl HandEyeDiagnosis {
     }
 
     /// Solution with the alternative encoding if there is one, otherwise as logged.
-    pub fn best(&self) -> Option<&Solution> {
+    pub fn best(&self) -> Option<&HandEyeSolution> {
         let read = self.reading.as_ref().map(|(_, solution)| solution);
         read.or(self.solution.as_ref().ok())
     }
 }
 
 /// Correlation peaks between the angular speeds of hand and target, with the target's lag, best first.
-pub fn turning_peaks(hand: &PoseSeries, target: &PoseSeries, most_lag_s: f64) -> Vec<Peak> {
+pub fn turning_peaks(hand: &PoseSeries, target: &PoseSeries, most_lag_s: f64) -> Vec<LagPeak> {
     let window_s = (2.5 * latency::median_period_s(&target.t_s)).clamp(0.25, 0.6);
-    let speed = |series: &PoseSeries| -> Speed {
+    let speed = |series: &PoseSeries| -> SpeedSeries {
         latency::differenced(&series.t_s, window_s, |a, b| {
             angle_between(&series.poses[a].rotation, &series.poses[b].rotation)
         })
@@ -199,18 +199,18 @@ pub fn turning_peaks(hand: &PoseSeries, target: &PoseSeries, most_lag_s: f64) ->
 pub fn diagnose_hand_eye(streams: &HandEyeStreams, most_lag_s: f64) -> HandEyeDiagnosis {
     let HandEyeStreams { hand, target, .. } = *streams;
     if hand.overlap_s(target) <= 0.0 {
-        return HandEyeDiagnosis::unseen(&Unseen::NoOverlap);
+        return HandEyeDiagnosis::unseen(&NotObservable::NoOverlap);
     }
     let peaks = turning_peaks(hand, target, most_lag_s);
     let lags = candidate_lags(&peaks);
-    let as_logged = ReadTarget::as_logged(target, FIT_POSES);
+    let as_logged = DecodedTarget::as_logged(target, FIT_POSES);
     let lag_s = best_lag_s(hand, &as_logged, &lags);
-    let seen = Setting::new(hand, as_logged.poses(), Mount::InHand);
+    let seen = HandEyeSetting::new(hand, as_logged.poses(), CameraMount::InHand);
     let have = seen.count_at(lag_s);
     let diversity = diversity(&seen, lag_s);
     let solution = match have {
-        FEWEST.. => solve(streams, &as_logged, lag_s).ok_or(Unseen::NotExcited),
-        _ => Err(Unseen::TooFewSamples { have, need: FEWEST }),
+        FEWEST.. => solve(streams, &as_logged, lag_s).ok_or(NotObservable::NotExcited),
+        _ => Err(NotObservable::TooFewSamples { have, need: FEWEST }),
     };
     let reading = match &solution {
         Ok(solution) => better_reading(streams, solution, lag_s),
@@ -220,11 +220,11 @@ pub fn diagnose_hand_eye(streams: &HandEyeStreams, most_lag_s: f64) -> HandEyeDi
         follows: peaks.first().copied(),
         diversity: match have {
             FEWEST.. => Ok(diversity),
-            _ => Err(Unseen::TooFewSamples { have, need: FEWEST }),
+            _ => Err(NotObservable::TooFewSamples { have, need: FEWEST }),
         },
         solution,
         reading,
-        latency_s: Err(Unseen::NotExcited),
+        latency_s: Err(NotObservable::NotExcited),
         mount_error: None,
         view: series::mean_direction(target),
     };
@@ -235,7 +235,11 @@ pub fn diagnose_hand_eye(streams: &HandEyeStreams, most_lag_s: f64) -> HandEyeDi
 
 /// Delay of the target by the best solution. An error if the target does not follow the hand, if nothing
 /// moves while it is visible, or if several of `lags` fit equally well.
-fn latency(streams: &HandEyeStreams, found: &HandEyeDiagnosis, lags: &[f64]) -> Seen<Measured> {
+fn latency(
+    streams: &HandEyeStreams,
+    found: &HandEyeDiagnosis,
+    lags: &[f64],
+) -> EstimateResult<Measured> {
     /// Maximum rotation residual as a share of the hand's rotation, for a target that follows the hand.
     const FOLLOWS: f64 = 0.5;
     /// Another lag fits equally well if its residual is below this multiple of the best.
@@ -243,18 +247,18 @@ fn latency(streams: &HandEyeStreams, found: &HandEyeDiagnosis, lags: &[f64]) -> 
     let best = match (found.best(), &found.solution) {
         (Some(best), _) => best,
         (None, Err(why)) => return Err(why.clone()),
-        (None, Ok(_)) => return Err(Unseen::NotExcited),
+        (None, Ok(_)) => return Err(NotObservable::NotExcited),
     };
     let turning_rad = found.diversity.as_ref().map_or(0.0, |diversity| diversity.turning_rad);
     if best.closure.rms_rad > FOLLOWS * turning_rad {
         let correlation = found.follows.map_or(0.0, |peak| peak.correlation);
-        return Err(Unseen::DoesNotFollow(correlation));
+        return Err(NotObservable::DoesNotFollow(correlation));
     }
     if !best.offset_s.std_error.is_finite() {
-        return Err(Unseen::AtRest);
+        return Err(NotObservable::AtRest);
     }
-    let reading = found.reading.as_ref().map_or(TargetReading::AsLogged, |(reading, _)| *reading);
-    let target = ReadTarget { reading, ..ReadTarget::as_logged(streams.target, FIT_POSES) };
+    let reading = found.reading.as_ref().map_or(TargetEncoding::AsLogged, |(reading, _)| *reading);
+    let target = DecodedTarget { reading, ..DecodedTarget::as_logged(streams.target, FIT_POSES) };
     let apart_s = (4.0 * latency::median_period_s(&streams.target.t_s)).max(0.1);
     let is_other = |lag_s: &f64| (lag_s - best.offset_s.value).abs() > apart_s;
     let others = lags.iter().copied().chain([0.0]).filter(is_other).filter_map(|lag_s| {
@@ -269,11 +273,11 @@ fn latency(streams: &HandEyeStreams, found: &HandEyeDiagnosis, lags: &[f64]) -> 
     fitting.push(best.offset_s.value);
     fitting.sort_by(f64::total_cmp);
     fitting.dedup_by(|a, b| (*a - *b).abs() < apart_s);
-    Err(Unseen::Periodic(fitting))
+    Err(NotObservable::Periodic(fitting))
 }
 
 /// Lags of the best correlation peak and of those close to it.
-fn candidate_lags(peaks: &[Peak]) -> Vec<f64> {
+fn candidate_lags(peaks: &[LagPeak]) -> Vec<f64> {
     /// Maximum deficit of a peak relative to the best.
     const NEAR: f64 = 0.1;
     const MOST: usize = 3;
@@ -287,10 +291,10 @@ fn candidate_lags(peaks: &[Peak]) -> Vec<f64> {
 }
 
 /// Lag with the smallest closure error of the closed-form solution.
-fn best_lag_s(hand: &PoseSeries, target: &ReadTarget, lags: &[f64]) -> f64 {
+fn best_lag_s(hand: &PoseSeries, target: &DecodedTarget, lags: &[f64]) -> f64 {
     let misfit = |lag_s: f64| {
-        let misfits = Mount::ALL.map(|mount| {
-            let setting = Setting::new(hand, target.poses(), mount);
+        let misfits = CameraMount::ALL.map(|mount| {
+            let setting = HandEyeSetting::new(hand, target.poses(), mount);
             start::start(&setting.pairs_at(lag_s, start::POSES)).map_or(f64::MAX, |s| s.misfit)
         });
         misfits[0].min(misfits[1])
@@ -306,24 +310,24 @@ fn best_lag_s(hand: &PoseSeries, target: &ReadTarget, lags: &[f64]) -> f64 {
 }
 
 /// Solves for both mountings and returns the solution with the smaller residual.
-fn solve(streams: &HandEyeStreams, target: &ReadTarget, lag_s: f64) -> Option<Solution> {
-    let fits = Mount::ALL.map(|mount| {
-        let setting = Setting::new(streams.hand, target.poses(), mount);
+fn solve(streams: &HandEyeStreams, target: &DecodedTarget, lag_s: f64) -> Option<HandEyeSolution> {
+    let fits = CameraMount::ALL.map(|mount| {
+        let setting = HandEyeSetting::new(streams.hand, target.poses(), mount);
         let start = start::start(&setting.pairs_at(lag_s, start::POSES))?;
         let fit = fit(&setting, start, lag_s)?;
         Some((mount, fit.misfit(), fit))
     });
-    let mut fits: Vec<(Mount, f64, Fit)> = fits.into_iter().flatten().collect();
+    let mut fits: Vec<(CameraMount, f64, HandEyeFit)> = fits.into_iter().flatten().collect();
     fits.sort_by(|a, b| a.1.total_cmp(&b.1));
     let other = fits.get(1).map_or(f64::INFINITY, |other| other.1);
     let (mount, misfit, fit) = fits.into_iter().next()?;
-    let full = ReadTarget { series: streams.target, reading: target.reading, stride: 1 };
-    let closure = closure(&Setting::new(streams.hand, full.poses(), mount), &fit)?;
+    let full = DecodedTarget { series: streams.target, reading: target.reading, stride: 1 };
+    let closure = closure(&HandEyeSetting::new(streams.hand, full.poses(), mount), &fit)?;
     let along = Vec3::from(series::mean_direction(streams.target)).iamax();
-    let scale = fit.scale(&Setting::new(streams.hand, target.poses(), mount), along);
+    let scale = fit.scale(&HandEyeSetting::new(streams.hand, target.poses(), mount), along);
     let offset_s =
         Measured { std_error: fit.offset_s.std_error.hypot(streams.stamp_error_s), ..fit.offset_s };
-    Some(Solution {
+    Some(HandEyeSolution {
         mount,
         ratio: other / misfit.max(1e-9),
         offset_s,
@@ -336,7 +340,7 @@ fn solve(streams: &HandEyeStreams, target: &ReadTarget, lag_s: f64) -> Option<So
 }
 
 /// Deviation of the estimated from the logged camera pose, if both have the same mounting.
-fn mount_error(streams: &HandEyeStreams, solution: &Solution) -> Option<FrameEstimate> {
+fn mount_error(streams: &HandEyeStreams, solution: &HandEyeSolution) -> Option<FrameEstimate> {
     let (mount, logged) = streams.logged?;
     if mount != solution.mount {
         return None;

@@ -4,10 +4,10 @@
 //! positions in other axes than rotations, transposed rotations, rotations in another convention, and
 //! scaled positions.
 
-use super::series::{PoseSeries, Setting};
+use super::series::{HandEyeSetting, PoseSeries};
 use super::start::{angle_gap, quick_start};
-use super::stretch::{Stretch, stretch};
-use super::{FIT_POSES, HandEyeStreams, Mount, Solution, solve};
+use super::stretch::{TargetScaleError, stretch};
+use super::{CameraMount, FIT_POSES, HandEyeSolution, HandEyeStreams, solve};
 use ground::geometry::{
     MisreadingClass, Pose, QuaternionSlip, Rotation, misreading_classes, pose, rotation_from_xyzw,
     xyzw_from_rotation,
@@ -15,7 +15,7 @@ use ground::geometry::{
 
 /// Encoding of a target's poses with which the chain closes.
 #[derive(Clone, Copy, Debug)]
-pub enum TargetReading {
+pub enum TargetEncoding {
     /// As logged.
     AsLogged,
     /// Positions and rotations use different axes. For each rotation axis: index and sign of the position
@@ -28,22 +28,22 @@ pub enum TargetReading {
     /// Rotation numbers of one convention were interpreted in another.
     Misread(&'static MisreadingClass),
     /// Positions are scaled.
-    Stretched(Stretch),
+    Stretched(TargetScaleError),
 }
 
 /// Target series with an encoding.
 #[derive(Clone, Copy)]
-pub(super) struct ReadTarget<'a> {
+pub(super) struct DecodedTarget<'a> {
     pub series: &'a PoseSeries,
-    pub reading: TargetReading,
+    pub reading: TargetEncoding,
     pub stride: usize,
 }
 
-impl<'a> ReadTarget<'a> {
+impl<'a> DecodedTarget<'a> {
     /// Target as logged, thinned to about `most` poses.
     pub fn as_logged(series: &'a PoseSeries, most: usize) -> Self {
         let stride = series.t_s.len().div_ceil(most).max(1);
-        Self { series, reading: TargetReading::AsLogged, stride }
+        Self { series, reading: TargetEncoding::AsLogged, stride }
     }
 
     /// Decoded poses with their stamps.
@@ -54,7 +54,7 @@ impl<'a> ReadTarget<'a> {
     }
 }
 
-impl TargetReading {
+impl TargetEncoding {
     /// Decodes `logged`; `truths` is a scratch buffer.
     fn read(&self, logged: &Pose, truths: &mut Vec<Rotation>) -> Pose {
         let (xyz, rotation) = (logged.translation.vector, logged.rotation);
@@ -88,32 +88,32 @@ const CLOSES: (f64, f64) = (1.5e-3, 0.15 * std::f64::consts::PI / 180.0);
 /// closes as logged.
 pub(super) fn better_reading(
     streams: &HandEyeStreams,
-    as_logged: &Solution,
+    as_logged: &HandEyeSolution,
     lag_s: f64,
-) -> Option<(TargetReading, Solution)> {
+) -> Option<(TargetEncoding, HandEyeSolution)> {
     let left = &as_logged.closure;
     if left.excess_m.value < CLOSES.0 && left.excess_rad.value < CLOSES.1 {
         return None;
     }
     let found = [stretched(streams, as_logged, lag_s), otherwise(streams, as_logged, lag_s)];
-    let misfit = |one: &(TargetReading, Solution)| one.1.misfit_rad;
+    let misfit = |one: &(TargetEncoding, HandEyeSolution)| one.1.misfit_rad;
     found.into_iter().flatten().min_by(|a, b| misfit(a).total_cmp(&misfit(b)))
 }
 
 /// Scale of the positions with a much smaller closure error than `as_logged`.
 fn stretched(
     streams: &HandEyeStreams,
-    as_logged: &Solution,
+    as_logged: &HandEyeSolution,
     lag_s: f64,
-) -> Option<(TargetReading, Solution)> {
+) -> Option<(TargetEncoding, HandEyeSolution)> {
     /// Maximum excess error, relative to the one as logged and to the total error after correction.
     const LESS: f64 = 0.5;
-    let with = |stretch: Stretch| {
-        let reading = TargetReading::Stretched(stretch);
-        let read = ReadTarget { reading, ..ReadTarget::as_logged(streams.target, FIT_POSES) };
+    let with = |stretch: TargetScaleError| {
+        let reading = TargetEncoding::Stretched(stretch);
+        let read = DecodedTarget { reading, ..DecodedTarget::as_logged(streams.target, FIT_POSES) };
         Some((reading, solve(streams, &read, lag_s)?))
     };
-    let at = |one: &Solution| stretch(streams, one.mount, one.offset_s.value);
+    let at = |one: &HandEyeSolution| stretch(streams, one.mount, one.offset_s.value);
     // The time offset estimated with a large scale error is unreliable, so repeat at the corrected one.
     let (_, first) = with(at(as_logged)?)?;
     let (reading, solution) = with(at(&first)?)?;
@@ -125,11 +125,11 @@ fn stretched(
 /// Alternative encoding other than a scale.
 fn otherwise(
     streams: &HandEyeStreams,
-    as_logged: &Solution,
+    as_logged: &HandEyeSolution,
     lag_s: f64,
-) -> Option<(TargetReading, Solution)> {
-    let plain = closing(streams, TargetReading::AsLogged, lag_s)?;
-    let mut tried: Vec<(f64, TargetReading)> = candidates(streams, lag_s)
+) -> Option<(TargetEncoding, HandEyeSolution)> {
+    let plain = closing(streams, TargetEncoding::AsLogged, lag_s)?;
+    let mut tried: Vec<(f64, TargetEncoding)> = candidates(streams, lag_s)
         .into_iter()
         .filter_map(|reading| Some((closing(streams, reading, lag_s)?, reading)))
         .collect();
@@ -139,9 +139,9 @@ fn otherwise(
         return None;
     }
     let stride = streams.target.t_s.len().div_ceil(FIT_POSES).max(1);
-    let read = ReadTarget { series: streams.target, reading, stride };
+    let read = DecodedTarget { series: streams.target, reading, stride };
     let solution = solve(streams, &read, lag_s)?;
-    let closes = |a: &Solution, b: &Solution| {
+    let closes = |a: &HandEyeSolution, b: &HandEyeSolution| {
         let m = a.closure.rms_m <= 1.1 * b.closure.rms_m;
         let rad = a.closure.rms_rad <= 1.1 * b.closure.rms_rad;
         let far_better = a.closure.rms_m < BETTER * b.closure.rms_m
@@ -152,25 +152,27 @@ fn otherwise(
 }
 
 /// Closure error with an encoding, for the better mounting.
-fn closing(streams: &HandEyeStreams, reading: TargetReading, lag_s: f64) -> Option<f64> {
+fn closing(streams: &HandEyeStreams, reading: TargetEncoding, lag_s: f64) -> Option<f64> {
     let read = read_with(streams, reading);
-    let misfits = Mount::ALL.into_iter().filter_map(|mount| {
+    let misfits = CameraMount::ALL.into_iter().filter_map(|mount| {
         Some(
-            quick_start(&Setting::new(streams.hand, read.poses(), mount).pairs_at(lag_s, POSES))?
-                .misfit,
+            quick_start(
+                &HandEyeSetting::new(streams.hand, read.poses(), mount).pairs_at(lag_s, POSES),
+            )?
+            .misfit,
         )
     });
     misfits.min_by(f64::total_cmp)
 }
 
-fn read_with<'a>(streams: &HandEyeStreams<'a>, reading: TargetReading) -> ReadTarget<'a> {
+fn read_with<'a>(streams: &HandEyeStreams<'a>, reading: TargetEncoding) -> DecodedTarget<'a> {
     let stride = streams.target.t_s.len().div_ceil(POSES).max(1);
-    ReadTarget { series: streams.target, reading, stride }
+    DecodedTarget { series: streams.target, reading, stride }
 }
 
 /// Candidate encodings. If the rotation angles already match the hand's, only encodings that preserve
 /// angles; otherwise only those that make them match.
-fn candidates(streams: &HandEyeStreams, lag_s: f64) -> Vec<TargetReading> {
+fn candidates(streams: &HandEyeStreams, lag_s: f64) -> Vec<TargetEncoding> {
     /// Maximum median difference of matching angles, rad.
     const ALIKE: f64 = 0.03;
     /// Maximum number of encodings that improve the angles to be tried.
@@ -178,22 +180,23 @@ fn candidates(streams: &HandEyeStreams, lag_s: f64) -> Vec<TargetReading> {
     let gap = |reading| {
         let read = read_with(streams, reading);
         angle_gap(
-            &Setting::new(streams.hand, read.poses(), Mount::InHand).pairs_at(lag_s, POSES / 2),
+            &HandEyeSetting::new(streams.hand, read.poses(), CameraMount::InHand)
+                .pairs_at(lag_s, POSES / 2),
         )
     };
-    let as_logged = gap(TargetReading::AsLogged);
+    let as_logged = gap(TargetEncoding::AsLogged);
     if as_logged < ALIKE {
         let mut same_angles = vec![
-            TargetReading::Transposed,
-            TargetReading::QuaternionOrder(QuaternionSlip::WxyzReadAsXyzw),
-            TargetReading::QuaternionOrder(QuaternionSlip::XyzwReadAsWxyz),
+            TargetEncoding::Transposed,
+            TargetEncoding::QuaternionOrder(QuaternionSlip::WxyzReadAsXyzw),
+            TargetEncoding::QuaternionOrder(QuaternionSlip::XyzwReadAsWxyz),
         ];
-        same_angles.extend(axes().map(TargetReading::Axes));
+        same_angles.extend(axes().map(TargetEncoding::Axes));
         return same_angles;
     }
-    let mut gaps: Vec<(f64, TargetReading)> = misreading_classes()
+    let mut gaps: Vec<(f64, TargetEncoding)> = misreading_classes()
         .iter()
-        .map(TargetReading::Misread)
+        .map(TargetEncoding::Misread)
         .map(|reading| (gap(reading), reading))
         .filter(|(gap, _)| *gap < BETTER * as_logged)
         .collect();

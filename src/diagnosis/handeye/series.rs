@@ -1,7 +1,7 @@
 //! Pose series, and the two streams of a hand-eye calibration in parallel.
 
 use super::super::latency::median_period_s;
-use super::Mount;
+use super::CameraMount;
 use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotvec_from_rotation};
 use ground::robot::Chain;
 use ground::stream::{JointTrack, Orientations, PoseTrack};
@@ -87,7 +87,7 @@ pub(super) fn mean_direction(series: &PoseSeries) -> [f64; 3] {
 
 /// One target pose with the simultaneous carrier pose.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Pair {
+pub(super) struct PosePair {
     /// `base_from_hand` for a camera in the hand, `hand_from_base` for one in the base.
     pub carrier: Pose,
     /// `camera_from_target`.
@@ -95,19 +95,19 @@ pub(super) struct Pair {
 }
 
 /// Streams of hand and target for one mounting of the camera.
-pub(super) struct Setting<'a> {
+pub(super) struct HandEyeSetting<'a> {
     hand: &'a PoseSeries,
     period_s: f64,
-    mount: Mount,
+    mount: CameraMount,
     /// Decoded target poses.
     pub targets: Vec<(f64, Pose)>,
 }
 
-impl<'a> Setting<'a> {
+impl<'a> HandEyeSetting<'a> {
     pub fn new(
         hand: &'a PoseSeries,
         target: impl Iterator<Item = (f64, Pose)>,
-        mount: Mount,
+        mount: CameraMount,
     ) -> Self {
         let period_s = median_period_s(&hand.t_s);
         Self { hand, period_s, mount, targets: target.collect() }
@@ -117,8 +117,8 @@ impl<'a> Setting<'a> {
     pub fn carrier_at(&self, t_s: f64) -> Option<Pose> {
         let hand = self.hand.at(t_s, self.period_s)?;
         Some(match self.mount {
-            Mount::InHand => hand,
-            Mount::InBase => hand.inverse(),
+            CameraMount::InHand => hand,
+            CameraMount::InBase => hand.inverse(),
         })
     }
 
@@ -128,10 +128,10 @@ impl<'a> Setting<'a> {
     }
 
     /// At most `most` pairs, evenly spaced, for a target delay of `lag_s`.
-    pub fn pairs_at(&self, lag_s: f64, most: usize) -> Vec<Pair> {
+    pub fn pairs_at(&self, lag_s: f64, most: usize) -> Vec<PosePair> {
         let step = self.targets.len().div_ceil(most).max(1);
         let pairs = self.targets.iter().step_by(step).filter_map(|&(t_s, target)| {
-            Some(Pair { carrier: self.carrier_at(t_s - lag_s)?, target })
+            Some(PosePair { carrier: self.carrier_at(t_s - lag_s)?, target })
         });
         pairs.collect()
     }

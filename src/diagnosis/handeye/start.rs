@@ -1,7 +1,7 @@
 //! Initial camera pose in closed form.
 
 use super::super::constant::wahba;
-use super::series::Pair;
+use super::series::PosePair;
 use ground::geometry::{
     Pose, Rotation, Vec3, angle_between, pose, rotation_from_rotvec, rotvec_from_rotation,
 };
@@ -15,7 +15,7 @@ const M_PER_RAD: f64 = 2e-3 / (0.2 * std::f64::consts::PI / 180.0);
 
 /// Camera pose on its mount, and the constant of the chain.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Start {
+pub(super) struct HandEyeStart {
     pub camera: Pose,
     pub constant: Pose,
     /// Median closure error, position and rotation combined, rad.
@@ -31,18 +31,18 @@ pub(super) fn together(length_m: f64, angle_rad: f64) -> f64 {
 ///
 /// Rotations about a single axis do not determine the camera's rotation about it. Several candidates are
 /// then compared by their positions.
-pub(super) fn start(pairs: &[Pair]) -> Option<Start> {
+pub(super) fn start(pairs: &[PosePair]) -> Option<HandEyeStart> {
     let rotations = camera_rotations(pairs)?;
     let starts = rotations.iter().filter_map(|rotation| with_rotation(pairs, rotation));
     starts.min_by(|a, b| a.misfit.total_cmp(&b.misfit))
 }
 
 /// As [`start`], but with a single candidate if there is only one axis.
-pub(super) fn quick_start(pairs: &[Pair]) -> Option<Start> {
+pub(super) fn quick_start(pairs: &[PosePair]) -> Option<HandEyeStart> {
     with_rotation(pairs, camera_rotations(pairs)?.first()?)
 }
 
-fn with_rotation(pairs: &[Pair], rotation: &Rotation) -> Option<Start> {
+fn with_rotation(pairs: &[PosePair], rotation: &Rotation) -> Option<HandEyeStart> {
     let rotation = *rotation;
     let constants: Vec<Rotation> =
         pairs.iter().map(|pair| pair.carrier.rotation * rotation * pair.target.rotation).collect();
@@ -51,21 +51,21 @@ fn with_rotation(pairs: &[Pair], rotation: &Rotation) -> Option<Start> {
     let camera = pose(camera_xyz.into(), rotation);
     let constant = pose(constant_xyz.into(), constant_rotation);
     let mut misfits: Vec<f64> = pairs.iter().map(|pair| misfit(pair, &camera, &constant)).collect();
-    Some(Start { camera, constant, misfit: median(&mut misfits).unwrap_or(0.0) })
+    Some(HandEyeStart { camera, constant, misfit: median(&mut misfits).unwrap_or(0.0) })
 }
 
 /// Closure error of one pair.
-fn misfit(pair: &Pair, camera: &Pose, constant: &Pose) -> f64 {
+fn misfit(pair: &PosePair, camera: &Pose, constant: &Pose) -> f64 {
     let closed = pair.carrier * camera * pair.target;
     let off_m = (closed.translation.vector - constant.translation.vector).norm();
     together(off_m, angle_between(&closed.rotation, &constant.rotation))
 }
 
 /// Relative rotations of carrier and camera between poses at several time distances.
-fn turns(pairs: &[Pair]) -> Vec<(Vec3, Vec3)> {
+fn turns(pairs: &[PosePair]) -> Vec<(Vec3, Vec3)> {
     let n = pairs.len();
     let strides = [n / 2, n / 3, n / 7].map(|stride| stride.max(1));
-    let between = |a: &Pair, b: &Pair| {
+    let between = |a: &PosePair, b: &PosePair| {
         let carrier = a.carrier.rotation.inverse() * b.carrier.rotation;
         let camera = a.target.rotation * b.target.rotation.inverse();
         (rotvec_from_rotation(&carrier), rotvec_from_rotation(&camera))
@@ -78,14 +78,14 @@ fn turns(pairs: &[Pair]) -> Vec<(Vec3, Vec3)> {
 
 /// Median difference between the rotation angles of carrier and camera, rad. It does not depend on the
 /// mount.
-pub(super) fn angle_gap(pairs: &[Pair]) -> f64 {
+pub(super) fn angle_gap(pairs: &[PosePair]) -> f64 {
     let mut gaps: Vec<f64> =
         turns(pairs).iter().map(|(a, b)| (a.norm() - b.norm()).abs()).collect();
     median(&mut gaps).unwrap_or(0.0)
 }
 
 /// Rotation that maps camera rotations to carrier rotations. Several candidates if there is only one axis.
-fn camera_rotations(pairs: &[Pair]) -> Option<Vec<Rotation>> {
+fn camera_rotations(pairs: &[PosePair]) -> Option<Vec<Rotation>> {
     /// There is only one axis if the second eigenvalue is below this share of the first.
     const ONE_AXIS: f64 = 0.01;
     const TRIED: usize = 12;
@@ -142,11 +142,11 @@ fn central(rotations: &[Rotation]) -> Option<Rotation> {
 
 /// Translations of camera and constant: linear in `R_c·t_x − t_y = −(R_c·R_x·t + t_c)`, with Cauchy
 /// weights.
-fn translations(pairs: &[Pair], rotation: &Rotation) -> Option<(Vec3, Vec3)> {
+fn translations(pairs: &[PosePair], rotation: &Rotation) -> Option<(Vec3, Vec3)> {
     const ROUNDS: usize = 4;
     let rows: Vec<(Matrix3<f64>, Vec3)> = pairs
         .iter()
-        .map(|Pair { carrier, target }| {
+        .map(|PosePair { carrier, target }| {
             let seen = carrier.rotation * (rotation * target.translation.vector);
             let turned = carrier.rotation.to_rotation_matrix();
             (*turned.matrix(), -(seen + carrier.translation.vector))

@@ -4,17 +4,17 @@
 //! For a known camera rotation the model is linear in camera, constant and both factors: `R_c·t_x − t_y +
 //! a·R_c·R_x·t + d·R_c·R_x·t_z·z = −t_c`.
 
-use super::reading::ReadTarget;
-use super::series::{Pair, Setting, mean_direction};
+use super::reading::DecodedTarget;
+use super::series::{HandEyeSetting, PosePair, mean_direction};
 use super::start::quick_start;
-use super::{FIT_POSES, HandEyeStreams, Mount};
+use super::{CameraMount, FIT_POSES, HandEyeStreams};
 use ground::geometry::{Rotation, Vec3};
 use ground::stats::{Measured, median};
 use nalgebra::{DMatrix, DVector, Matrix3};
 
 /// Scale errors of a target's positions.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Stretch {
+pub struct TargetScaleError {
     /// Factor by which all positions are too long; 1 if the target size is right.
     pub size: Option<Measured>,
     /// Additional factor by which the depth is too long; 1 if the focal length is right.
@@ -25,7 +25,7 @@ pub struct Stretch {
     pub is_either: bool,
 }
 
-impl Stretch {
+impl TargetScaleError {
     /// Corrects a logged position.
     pub fn mended(&self, xyz: Vec3) -> Vec3 {
         let factor = |of: &Option<Measured>| of.map_or(1.0, |of| of.value);
@@ -41,7 +41,7 @@ const SIZE: usize = 6;
 const DEPTH: usize = 7;
 
 /// Fit with some factors free.
-struct Tried {
+struct ScaleFit {
     /// Common factor, and additional depth factor.
     factors: [f64; 2],
     /// Standard errors of the factors.
@@ -53,7 +53,11 @@ struct Tried {
 
 /// Scale of the positions of a target with delay `offset_s`. Prefers one factor if it fits as well as two.
 /// `None` if no factor reduces the closure error substantially.
-pub(super) fn stretch(streams: &HandEyeStreams, mount: Mount, offset_s: f64) -> Option<Stretch> {
+pub(super) fn stretch(
+    streams: &HandEyeStreams,
+    mount: CameraMount,
+    offset_s: f64,
+) -> Option<TargetScaleError> {
     /// Minimum residual without a factor, relative to the selected model.
     const WORSE: f64 = 1.4;
     /// Maximum residual with one factor, relative to that with two.
@@ -62,15 +66,15 @@ pub(super) fn stretch(streams: &HandEyeStreams, mount: Mount, offset_s: f64) -> 
     /// latter.
     const SURE: f64 = 5.0;
     const LEAST: f64 = 2e-3;
-    let target = ReadTarget::as_logged(streams.target, FIT_POSES);
-    let setting = Setting::new(streams.hand, target.poses(), mount);
+    let target = DecodedTarget::as_logged(streams.target, FIT_POSES);
+    let setting = HandEyeSetting::new(streams.hand, target.poses(), mount);
     let pairs = setting.pairs_at(offset_s, FIT_POSES);
     let rotation = quick_start(&pairs)?.camera.rotation;
     let along = Vec3::from(mean_direction(streams.target)).iamax();
     let tried = |free: &[usize]| solved(&pairs, &rotation, along, free);
     let neither = tried(&[])?;
     let (of_size, of_depth, of_both) = (tried(&[SIZE])?, tried(&[DEPTH])?, tried(&[SIZE, DEPTH])?);
-    let does = |one: &Tried| one.left_m <= AS_LITTLE * of_both.left_m.max(f64::MIN_POSITIVE);
+    let does = |one: &ScaleFit| one.left_m <= AS_LITTLE * of_both.left_m.max(f64::MIN_POSITIVE);
     let is_either = does(&of_size) && does(&of_depth);
     let is_size = does(&of_size) && (!does(&of_depth) || of_size.left_m <= of_depth.left_m);
     let (chosen, has_size, has_depth) = match (is_size, does(&of_depth)) {
@@ -90,7 +94,7 @@ pub(super) fn stretch(streams: &HandEyeStreams, mount: Mount, offset_s: f64) -> 
             && one.value > 0.0
             && (one.value - 1.0).abs() > (SURE * one.std_error).max(LEAST)
     };
-    let found = Stretch {
+    let found = TargetScaleError {
         size: Some(size).filter(|one| has_size && is_sure(one)),
         depth: Some(depth).filter(|one| has_depth && is_sure(one)),
         along,
@@ -100,12 +104,17 @@ pub(super) fn stretch(streams: &HandEyeStreams, mount: Mount, offset_s: f64) -> 
 }
 
 /// Least squares of the chain's positions with the factors in `free`, with Cauchy weights.
-fn solved(pairs: &[Pair], rotation: &Rotation, along: usize, free: &[usize]) -> Option<Tried> {
+fn solved(
+    pairs: &[PosePair],
+    rotation: &Rotation,
+    along: usize,
+    free: &[usize],
+) -> Option<ScaleFit> {
     const ROUNDS: usize = 4;
     let columns: Vec<usize> = (0..SIZE).chain(free.iter().copied()).collect();
     let rows: Vec<(DMatrix<f64>, Vec3)> = pairs
         .iter()
-        .map(|Pair { carrier, target }| {
+        .map(|PosePair { carrier, target }| {
             let turned = carrier.rotation.to_rotation_matrix();
             let seen = target.translation.vector;
             let deep = Vec3::ith(along, seen[along]);
@@ -150,5 +159,5 @@ fn solved(pairs: &[Pair], rotation: &Rotation, along: usize, free: &[usize]) -> 
     };
     let ((all, all_error), (more, more_error)) = (of(SIZE, 1.0), of(DEPTH, 0.0));
     let dof = (3 * rows.len()).saturating_sub(width).max(3) as f64;
-    Some(Tried { factors: [all, more], errors: [all_error, more_error], left_m, dof })
+    Some(ScaleFit { factors: [all, more], errors: [all_error, more_error], left_m, dof })
 }

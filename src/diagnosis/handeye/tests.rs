@@ -20,7 +20,7 @@ fn hand_at(t_s: f64, axes: usize) -> Pose {
 /// True parameters of a synthetic setup.
 #[derive(Clone, Copy)]
 struct Planted {
-    mount: Mount,
+    mount: CameraMount,
     camera: Pose,
     constant: Pose,
     offset_s: f64,
@@ -31,7 +31,7 @@ struct Planted {
 }
 
 impl Planted {
-    fn new(mount: Mount) -> Self {
+    fn new(mount: CameraMount) -> Self {
         let camera = pose([0.05, -0.02, 0.07], rotation_from_rotvec(Vec3::new(0.2, -0.3, 1.4)));
         let constant = pose([0.3, 0.1, 0.02], rotation_from_rotvec(Vec3::new(2.9, 0.3, 0.1)));
         let (sigma, outliers) = ([5e-4, 1e-3], 0.0);
@@ -41,8 +41,8 @@ impl Planted {
     fn seen_at(&self, t_s: f64) -> Pose {
         let hand = hand_at(t_s, self.axes);
         let carrier = match self.mount {
-            Mount::InHand => hand,
-            Mount::InBase => hand.inverse(),
+            CameraMount::InHand => hand,
+            CameraMount::InBase => hand.inverse(),
         };
         (carrier * self.camera).inverse() * self.constant
     }
@@ -90,7 +90,7 @@ fn assert_near(found: &Pose, planted: &Pose, m: f64, rad: f64) {
 
 #[test]
 fn camera_target_mount_and_offset_are_recovered() {
-    for mount in Mount::ALL {
+    for mount in CameraMount::ALL {
         for offset_s in [-0.4, 0.0, 0.03] {
             let planted = Planted { offset_s, ..Planted::new(mount) };
             let solution = diagnosis(&planted).solution.expect("it can be solved");
@@ -111,7 +111,7 @@ fn camera_target_mount_and_offset_are_recovered() {
 
 #[test]
 fn without_noise_nothing_is_left() {
-    let planted = Planted { sigma: [0.0; 2], ..Planted::new(Mount::InHand) };
+    let planted = Planted { sigma: [0.0; 2], ..Planted::new(CameraMount::InHand) };
     let solution = diagnosis(&planted).solution.expect("it can be solved");
     // The remaining error is the hand's interpolation between samples.
     assert!(solution.closure.rms_m < 3e-5 && solution.closure.rms_rad < 3e-5);
@@ -123,7 +123,7 @@ fn the_errors_of_the_camera_are_honest() {
     let runs = 16;
     let mut covered = 0;
     for seed in 0..runs {
-        let planted = Planted { seed, ..Planted::new(Mount::InHand) };
+        let planted = Planted { seed, ..Planted::new(CameraMount::InHand) };
         let camera = diagnosis(&planted).solution.expect("it can be solved").camera;
         let off = planted.camera.inverse() * camera.pose;
         let shift = off.translation.vector;
@@ -135,7 +135,7 @@ fn the_errors_of_the_camera_are_honest() {
 
 #[test]
 fn a_fifth_of_false_detections_does_no_harm() {
-    for mount in Mount::ALL {
+    for mount in CameraMount::ALL {
         let planted = Planted { outliers: 0.2, ..Planted::new(mount) };
         let found = diagnosis(&planted);
         let solution = found.solution.expect("it can be solved");
@@ -147,7 +147,7 @@ fn a_fifth_of_false_detections_does_no_harm() {
 
 #[test]
 fn another_base_and_another_target_frame_leave_the_camera_where_it_is() {
-    let planted = Planted::new(Mount::InHand);
+    let planted = Planted::new(CameraMount::InHand);
     let (mut hand, mut target) = planted.streams();
     let plain = diagnosed(&hand, &target).solution.expect("it can be solved").camera.pose;
     let world_from_base = pose([3.0, -2.0, 0.4], rotation_from_rotvec(Vec3::new(0.0, 0.4, 2.0)));
@@ -160,7 +160,7 @@ fn another_base_and_another_target_frame_leave_the_camera_where_it_is() {
 
 #[test]
 fn one_axis_leaves_the_camera_open_along_it() {
-    let planted = Planted { axes: 1, ..Planted::new(Mount::InHand) };
+    let planted = Planted { axes: 1, ..Planted::new(CameraMount::InHand) };
     let found = diagnosis(&planted);
     let diversity = found.diversity.as_ref().expect("the hand turns");
     assert!(diversity.span_rad > 1.0 && diversity.spread_rad < 0.05, "{diversity:?}");
@@ -175,7 +175,7 @@ fn one_axis_leaves_the_camera_open_along_it() {
 
 #[test]
 fn other_readings_are_told() {
-    let read = |mount: Mount, write: &dyn Fn(&Pose) -> Pose| {
+    let read = |mount: CameraMount, write: &dyn Fn(&Pose) -> Pose| {
         let (hand, mut target) = Planted::new(mount).streams();
         target.poses.iter_mut().for_each(|pose| *pose = write(pose));
         let found = diagnosed(&hand, &target);
@@ -184,25 +184,28 @@ fn other_readings_are_told() {
         assert_eq!(solution.mount, mount);
         reading
     };
-    for mount in Mount::ALL {
+    for mount in CameraMount::ALL {
         let turned = read(mount, &|seen| {
             pose([seen.translation.z, -seen.translation.x, -seen.translation.y], seen.rotation)
         });
-        let TargetReading::Axes(axes) = turned else { panic!("{turned:?}") };
+        let TargetEncoding::Axes(axes) = turned else { panic!("{turned:?}") };
         assert_eq!(axes, [(1, -1.0), (2, -1.0), (0, 1.0)]);
         let transposed =
             read(mount, &|seen| Pose::from_parts(seen.translation, seen.rotation.inverse()));
-        assert!(matches!(transposed, TargetReading::Transposed), "{transposed:?}");
+        assert!(matches!(transposed, TargetEncoding::Transposed), "{transposed:?}");
         let small =
             read(mount, &|seen| pose((seen.translation.vector * 0.9).into(), seen.rotation));
-        let TargetReading::Stretched(Stretch { size: Some(size), depth: None, .. }) = small else {
+        let TargetEncoding::Stretched(TargetScaleError { size: Some(size), depth: None, .. }) =
+            small
+        else {
             panic!("{small:?}")
         };
         assert!((size.value - 0.9).abs() < 0.01, "{size:?}");
         let shallow = read(mount, &|seen| {
             pose([seen.translation.x, seen.translation.y, 0.9 * seen.translation.z], seen.rotation)
         });
-        let TargetReading::Stretched(Stretch { size: None, depth: Some(depth), .. }) = shallow
+        let TargetEncoding::Stretched(TargetScaleError { size: None, depth: Some(depth), .. }) =
+            shallow
         else {
             panic!("{shallow:?}")
         };
@@ -212,8 +215,8 @@ fn other_readings_are_told() {
 
 #[test]
 fn a_target_that_moves_by_itself_leaves_the_chain_open() {
-    let (hand, _) = Planted::new(Mount::InHand).streams();
-    let (_, mut target) = Planted { seed: 5, ..Planted::new(Mount::InBase) }.streams();
+    let (hand, _) = Planted::new(CameraMount::InHand).streams();
+    let (_, mut target) = Planted { seed: 5, ..Planted::new(CameraMount::InBase) }.streams();
     target.poses.reverse();
     let found = diagnosed(&hand, &target);
     assert!(found.reading.is_none());
@@ -230,34 +233,34 @@ fn nothing_to_see_is_said_and_never_a_number() {
     let few = PoseSeries { t_s: vec![0.1, 0.2, 0.3], poses: vec![Pose::identity(); 3] };
     let later = PoseSeries { t_s: vec![90.0, 91.0], poses: vec![Pose::identity(); 2] };
     let nothing = PoseSeries::default();
-    assert_eq!(diagnosed(&still, &still).solution.err(), Some(Unseen::NotExcited));
+    assert_eq!(diagnosed(&still, &still).solution.err(), Some(NotObservable::NotExcited));
     let short = diagnosed(&still, &few).solution.err();
-    assert_eq!(short, Some(Unseen::TooFewSamples { have: 3, need: FEWEST }));
+    assert_eq!(short, Some(NotObservable::TooFewSamples { have: 3, need: FEWEST }));
     for other in [&later, &nothing] {
-        assert_eq!(diagnosed(&still, other).solution.err(), Some(Unseen::NoOverlap));
-        assert_eq!(diagnosed(other, &still).solution.err(), Some(Unseen::NoOverlap));
+        assert_eq!(diagnosed(&still, other).solution.err(), Some(NotObservable::NoOverlap));
+        assert_eq!(diagnosed(other, &still).solution.err(), Some(NotObservable::NoOverlap));
     }
 }
 
 #[test]
 fn a_mount_that_is_off_is_measured() {
-    let planted = Planted::new(Mount::InBase);
+    let planted = Planted::new(CameraMount::InBase);
     let (hand, target) = planted.streams();
     let off = pose([0.0, 0.006, 0.0], rotation_from_rotvec(Vec3::new(0.0, 0.0, 0.02)));
-    let logged = Some((Mount::InBase, planted.camera * off.inverse()));
+    let logged = Some((CameraMount::InBase, planted.camera * off.inverse()));
     let streams = HandEyeStreams { hand: &hand, target: &target, stamp_error_s: 0.0, logged };
     let error = diagnose_hand_eye(&streams, 2.0).mount_error.expect("a logged camera pose");
     assert!((error.translation_m.value - 0.006).abs() < 5e-4, "{error:?}");
     assert!((error.rotation_rad.value - 0.02).abs() < 1e-3, "{error:?}");
     assert!(error.p_value < 1e-6);
-    let other = HandEyeStreams { logged: Some((Mount::InHand, off)), ..streams };
+    let other = HandEyeStreams { logged: Some((CameraMount::InHand, off)), ..streams };
     assert!(diagnose_hand_eye(&other, 2.0).mount_error.is_none());
 }
 
 #[test]
 fn a_wrong_focal_length_is_in_the_scale_of_depth() {
     for factor in [1.0, 1.03, 0.97] {
-        let (hand, mut target) = Planted::new(Mount::InHand).streams();
+        let (hand, mut target) = Planted::new(CameraMount::InHand).streams();
         // Depth is the axis with the largest mean component.
         let along = Vec3::from(series::mean_direction(&target)).iamax();
         target.poses.iter_mut().for_each(|seen| seen.translation.vector[along] *= factor);

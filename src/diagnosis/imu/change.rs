@@ -22,7 +22,7 @@ const SURE: f64 = 45.0;
 const STRAY: f64 = 8.0;
 
 /// Tests on a linearised model.
-pub(super) struct Asked<'a> {
+pub(super) struct ExtensionTests<'a> {
     linear: &'a Linear,
     /// Time of each sample, s.
     t_s: Vec<f64>,
@@ -37,7 +37,7 @@ pub(super) struct Asked<'a> {
 
 /// Extension that explains more of the residual.
 #[derive(Clone, Debug)]
-pub(super) struct Better {
+pub(super) struct ModelExtension {
     /// Change point or time constant, s; 0 if neither applies.
     pub at_s: f64,
     /// 95 % interval, s.
@@ -48,14 +48,14 @@ pub(super) struct Better {
     gain: f64,
 }
 
-impl Better {
+impl ModelExtension {
     /// Whether the reduction is significant.
     pub fn is_sure(&self) -> bool {
         self.gain > SURE
     }
 }
 
-impl<'a> Asked<'a> {
+impl<'a> ExtensionTests<'a> {
     /// Prepares the tests on `linear` with samples at `t_s` and free parameters `base`. Residuals below
     /// `floor` are treated as noise.
     pub fn of(linear: &'a Linear, t_s: Vec<f64>, base: &[usize], floor: f64) -> Self {
@@ -79,10 +79,10 @@ impl<'a> Asked<'a> {
     }
 
     /// Tests for a step of the parameters `columns`, and estimates the change point.
-    pub fn step(&self, columns: &[usize]) -> Option<Better> {
+    pub fn step(&self, columns: &[usize]) -> Option<ModelExtension> {
         let (first, last) = self.span()?;
         let side_s = SIDE * (last - first);
-        let course = Course::of(self, columns);
+        let course = PrefixSums::of(self, columns);
         let at = |at_s: f64| course.left_by_step(self.t_s.partition_point(|t_s| *t_s <= at_s));
         let (from_s, to_s) = (first + side_s, last - side_s);
         let moment = |k: usize, from_s: f64, to_s: f64| {
@@ -119,10 +119,10 @@ impl<'a> Asked<'a> {
 
     /// Tests for an exponential decay of the parameters `columns` from the start of the run. `at_s` is the
     /// time constant.
-    pub fn decay(&self, columns: &[usize]) -> Option<Better> {
+    pub fn decay(&self, columns: &[usize]) -> Option<ModelExtension> {
         let (first, last) = self.span()?;
         let span_s = last - first;
-        let course = Course::of(self, columns);
+        let course = PrefixSums::of(self, columns);
         let left = |tau_s: f64, pieces: usize| {
             course.left_by(pieces, |t_s| (-(t_s - first) / tau_s).exp())
         };
@@ -132,14 +132,14 @@ impl<'a> Asked<'a> {
         let tau_s = least(finer, |tau_s| left(tau_s, self.len()))?;
         let weight = self.t_s.iter().map(|t_s| (-(t_s - first) / tau_s).exp()).collect();
         let better = self.better(columns, &[weight])?;
-        Some(Better { at_s: tau_s, interval_s: [tau_s; 2], ..better })
+        Some(ModelExtension { at_s: tau_s, interval_s: [tau_s; 2], ..better })
     }
 
     /// Tests the model extended by the parameters `columns`, once for each of `weights` (one weight per
     /// sample).
-    pub fn better(&self, columns: &[usize], weights: &[Vec<f64>]) -> Option<Better> {
+    pub fn better(&self, columns: &[usize], weights: &[Vec<f64>]) -> Option<ModelExtension> {
         let (squares, parameters) = self.left(columns, weights);
-        let mut better = Better { at_s: 0.0, interval_s: [0.0; 2], squares, gain: 0.0 };
+        let mut better = ModelExtension { at_s: 0.0, interval_s: [0.0; 2], squares, gain: 0.0 };
         let residual = self.residual(columns, weights, &parameters);
         let noise = Noise::of(&residual, &self.counts, self.floor);
         let dof = (3 * self.len()) as f64 - parameters.len() as f64;
@@ -150,7 +150,7 @@ impl<'a> Asked<'a> {
     }
 
     /// Variance of independent noise, the unit of the gain.
-    fn variance(&self, better: &Better) -> f64 {
+    fn variance(&self, better: &ModelExtension) -> f64 {
         (self.squares - better.squares) / better.gain.max(f64::MIN_POSITIVE)
     }
 
@@ -206,15 +206,15 @@ impl<'a> Asked<'a> {
 
 /// Prefix sums over the samples of all products of two derivatives, or of a derivative and the residual.
 /// They give the residual for any weight function without another pass over the data.
-struct Course<'a> {
-    asked: &'a Asked<'a>,
+struct PrefixSums<'a> {
+    asked: &'a ExtensionTests<'a>,
     /// Number of parameters beyond the base.
     others: usize,
     before: Vec<Triangle>,
 }
 
-impl<'a> Course<'a> {
-    fn of(asked: &'a Asked<'a>, columns: &[usize]) -> Self {
+impl<'a> PrefixSums<'a> {
+    fn of(asked: &'a ExtensionTests<'a>, columns: &[usize]) -> Self {
         let width = asked.base.len() + columns.len();
         let always = [vec![1.0; asked.len()]];
         let mut rows = [0, 1, 2].map(|_| vec![0.0; width + 1]);

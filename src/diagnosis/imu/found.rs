@@ -1,7 +1,7 @@
 //! Estimates for an IMU.
 
-use super::ImuNumbers;
-use crate::{GradualLatency, LatencyCourse, ReadingEstimate, Seen, Unseen};
+use super::ImuConventions;
+use crate::{EncodingEstimate, EstimateResult, LatencyProfile, LatencyRamp, NotObservable};
 use ground::geometry::{Pose, Rotation, Vec3};
 use ground::robot::Chain;
 use ground::stats::{Length, Measured};
@@ -21,7 +21,7 @@ pub struct ImuStream<'a> {
     /// `link_from_imu` in the log's frames, if present.
     pub link_from_imu: Option<Pose>,
     /// Latency already compensated in the stamps, to be reported together with the rest.
-    pub taken_off: Option<&'a GradualLatency>,
+    pub taken_off: Option<&'a LatencyRamp>,
 }
 
 /// Constant part of (gyro − FK rate).
@@ -34,16 +34,16 @@ pub struct GyroBias {
     /// Drift of yaw integrated from this gyro, about the base's z, rad/s.
     pub yaw_rate_rad_s: f64,
     /// Scale and misalignment, if significant. They are not included in the bias.
-    pub shape: Option<GyroShape>,
+    pub shape: Option<GyroScaleError>,
     /// Change within the run, if significant. `vector_rad_s` is then the larger of the two values.
-    pub change: Option<BiasChange>,
+    pub change: Option<GyroBiasChange>,
 }
 
 /// Gyro bias that varies within the run.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct BiasChange {
+pub struct GyroBiasChange {
     /// Time profile of the change.
-    pub course: BiasCourse,
+    pub course: GyroBiasProfile,
     /// Bias at the start, in the sensor's frame, rad/s.
     pub before_rad_s: Vec3,
     /// Final bias, in the sensor's frame, rad/s.
@@ -54,7 +54,7 @@ pub struct BiasChange {
 
 /// Time profile of a gyro bias.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum BiasCourse {
+pub enum GyroBiasProfile {
     /// Step.
     Step {
         /// Time of the step, s from the run's origin.
@@ -71,7 +71,7 @@ pub enum BiasCourse {
 
 /// Gyro whose axes are rotated against those of the orientation.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AxesTurn {
+pub struct GyroAxesRotation {
     /// Rotation from the gyro's axes to those of the orientation.
     pub imu_from_gyro: Rotation,
     /// Its angle, rad.
@@ -82,7 +82,7 @@ pub struct AxesTurn {
 
 /// Direction opposite to gravity by the accelerometer, as unit vectors.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Up {
+pub struct UpDirections {
     /// In the world frame of the orientation.
     pub in_world: Vec3,
     /// In the arm's base frame, by FK and the estimated mount.
@@ -91,7 +91,7 @@ pub struct Up {
 
 /// Rotation of an IMU in its mount within the run.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MountChange {
+pub struct ImuMountChange {
     /// Time of the change, s from the run's origin.
     pub at_s: f64,
     /// 95 % interval of the time, s.
@@ -124,7 +124,7 @@ pub struct YawWarmUp {
 
 /// Scale and misalignment of a gyro: `gyro = (1 + S)·ω + bias` with S symmetric.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct GyroShape {
+pub struct GyroScaleError {
     /// Scale errors along x, y and z; positive if the gyro measures too much.
     pub scale: [Measured; 3],
     /// Misalignment of y and z, x and z, x and y towards each other, rad per axis.
@@ -133,7 +133,7 @@ pub struct GyroShape {
 
 /// Yaw error of an IMU apart from constant drift.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct YawCourse {
+pub struct YawProfile {
     /// Jumps in time order.
     pub jumps: Vec<YawJump>,
     /// Density of the random walk, rad/√s, if there is one.
@@ -157,43 +157,43 @@ pub struct YawJump {
 #[derive(Clone, Debug)]
 pub struct ImuDiagnosis {
     /// Convention and direction of the orientation.
-    pub reading: Seen<ReadingEstimate>,
+    pub reading: EstimateResult<EncodingEstimate>,
     /// Latency against the joint states, s; at mid-run if the clock has a significant skew.
-    pub latency_s: Seen<Measured>,
+    pub latency_s: EstimateResult<Measured>,
     /// Latency profile over the run.
-    pub latency_course: Seen<LatencyCourse>,
+    pub latency_course: EstimateResult<LatencyProfile>,
     /// Clock skew, s/s.
-    pub skew: Seen<Measured>,
+    pub skew: EstimateResult<Measured>,
     /// Drift of the IMU's yaw about gravity against FK, rad/s.
-    pub yaw_drift_rad_s: Seen<Measured>,
+    pub yaw_drift_rad_s: EstimateResult<Measured>,
     /// Yaw error apart from the drift.
-    pub yaw_course: YawCourse,
+    pub yaw_course: YawProfile,
     /// Rotation error of the logged `link_from_imu`, rad.
-    pub mount_rad: Seen<Length>,
+    pub mount_rad: EstimateResult<Length>,
     /// Estimated `link_from_imu`; the initial one if it changes.
     pub link_from_imu: Option<Rotation>,
     /// Rotation between the axes of the gyro and of the orientation, if both follow the arm and it is
     /// significant.
-    pub axes_turn: Option<AxesTurn>,
+    pub axes_turn: Option<GyroAxesRotation>,
     /// Change of the mount within the run, if significant.
-    pub mount_change: Option<MountChange>,
+    pub mount_change: Option<ImuMountChange>,
     /// Units, saturation and handedness. All other estimates use the corrected measurements.
-    pub numbers: ImuNumbers,
+    pub numbers: ImuConventions,
     /// Angle between gravity by the accelerometer and the vertical of the orientation, rad.
-    pub tilt_rad: Seen<Length>,
+    pub tilt_rad: EstimateResult<Length>,
     /// Direction opposite to gravity while the arm rests.
-    pub up: Option<Up>,
+    pub up: Option<UpDirections>,
     /// Constant part of (gyro − FK rate).
-    pub gyro_bias: Seen<GyroBias>,
+    pub gyro_bias: EstimateResult<GyroBias>,
     /// Stamp (s from the origin) and yaw error against FK (rad), for plots.
     pub yaw_error: Vec<(f64, f64)>,
     /// The two headings whose difference is `yaw_error`, for plots.
-    pub headings: Vec<Heading>,
+    pub headings: Vec<HeadingPair>,
 }
 
 /// Direction of one IMU axis about gravity.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Heading {
+pub struct HeadingPair {
     /// Stamp, s from the run's origin.
     pub t_s: f64,
     /// By the IMU's orientation, rad, unwrapped.
@@ -204,19 +204,19 @@ pub struct Heading {
 
 impl ImuDiagnosis {
     /// Diagnosis without any estimate.
-    pub fn unseen(why: &Unseen) -> Self {
+    pub fn unseen(why: &NotObservable) -> Self {
         Self {
             reading: Err(why.clone()),
             latency_s: Err(why.clone()),
             latency_course: Err(why.clone()),
             skew: Err(why.clone()),
             yaw_drift_rad_s: Err(why.clone()),
-            yaw_course: YawCourse::default(),
+            yaw_course: YawProfile::default(),
             mount_rad: Err(why.clone()),
             link_from_imu: None,
             axes_turn: None,
             mount_change: None,
-            numbers: ImuNumbers::default(),
+            numbers: ImuConventions::default(),
             tilt_rad: Err(why.clone()),
             up: None,
             gyro_bias: Err(why.clone()),

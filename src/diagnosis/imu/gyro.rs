@@ -8,11 +8,13 @@
 
 mod changes;
 
-use super::super::course::{Lagging, course_of};
+use super::super::course::{LatencySample, course_of};
 use super::super::latency::median_period_s;
 use super::super::linear::Linear;
-use super::super::{GyroBias, GyroShape, LatencyCourse, Measured, Seen, Unseen};
-use super::found::{AxesTurn, BiasChange, BiasCourse, MountChange};
+use super::super::{
+    EstimateResult, GyroBias, GyroScaleError, LatencyProfile, Measured, NotObservable,
+};
+use super::found::{GyroAxesRotation, GyroBiasChange, GyroBiasProfile, ImuMountChange};
 use super::solve::{DesignNoise, Model, Solved, lengths, solve};
 use super::{
     Clock, Delay, Link, NEED, SKEW_CHANCE, TURNS_RAD, add_block, explains, mount_of, rms,
@@ -45,31 +47,31 @@ const SHAPE: f64 = 1e-3;
 pub(super) struct GyroFit {
     pub clock: Clock,
     pub delay: Delay,
-    pub bias: Seen<GyroBias>,
-    pub latency_course: Seen<LatencyCourse>,
-    pub mount_rad: Seen<Length>,
+    pub bias: EstimateResult<GyroBias>,
+    pub latency_course: EstimateResult<LatencyProfile>,
+    pub mount_rad: EstimateResult<Length>,
     pub link_from_imu: Rotation,
-    pub mount_change: Option<MountChange>,
+    pub mount_change: Option<ImuMountChange>,
     solved: Solved,
 }
 
 impl GyroFit {
     /// Rotation of the gyro's axes against an orientation with mount `link_from_imu`. `None` if it is not
     /// observable.
-    pub fn turned_against(&self, link_from_imu: &Rotation) -> Option<AxesTurn> {
+    pub fn turned_against(&self, link_from_imu: &Rotation) -> Option<GyroAxesRotation> {
         let imu_from_gyro = link_from_imu.inverse() * self.link_from_imu;
         let mount: Vec<usize> = GyroModel::MOUNT.collect();
         let turned = rotvec_from_rotation(&imu_from_gyro);
         let size_rad = self.solved.least_length(&mount, turned.as_slice()).ok()?;
-        Some(AxesTurn { imu_from_gyro, size_rad, with_accel: false })
+        Some(GyroAxesRotation { imu_from_gyro, size_rad, with_accel: false })
     }
 }
 
 impl Link<'_> {
-    pub(super) fn fit_gyro(&self, lag_s: f64, moves: bool) -> Seen<GyroFit> {
+    pub(super) fn fit_gyro(&self, lag_s: f64, moves: bool) -> EstimateResult<GyroFit> {
         let is_zero = self.stream.track.gyro.iter().all(|gyro| *gyro == Vec3::zeros());
         if is_zero && self.turning_rad(&self.delay(lag_s)) > TURNS_RAD {
-            return Err(Unseen::NoGyro);
+            return Err(NotObservable::NoGyro);
         }
         let period_s = median_period_s(&self.stream.track.t_s);
         let mut window_s = WINDOW_S.max(WINDOW_PERIODS * period_s);
@@ -86,10 +88,10 @@ impl Link<'_> {
             slip: None,
         };
         if model.windows.len() < NEED {
-            return Err(Unseen::TooFewSamples { have: model.windows.len(), need: NEED });
+            return Err(NotObservable::TooFewSamples { have: model.windows.len(), need: NEED });
         }
         let mut free: Vec<usize> = GyroModel::BIAS.collect();
-        let mut clock = Clock::unseen(&Unseen::AtRest);
+        let mut clock = Clock::unseen(&NotObservable::AtRest);
         if moves {
             free.extend(GyroModel::MOUNT);
             clock = model.settle_delay(&free);
@@ -137,7 +139,7 @@ impl Link<'_> {
             bias: model.bias(&solved, shape),
             latency_course: match moves {
                 true => course_of(&model.lagging(), 1, model.delay.skew, self.stream.taken_off),
-                false => Err(Unseen::AtRest),
+                false => Err(NotObservable::AtRest),
             },
             mount_rad: model.mount(&solved),
             link_from_imu: model.link_from_imu,
@@ -208,7 +210,7 @@ struct GyroModel<'a> {
     /// Whether the shape is, or was, fitted.
     is_shaped: bool,
     /// Time profile of the bias change, if any.
-    course: Option<BiasCourse>,
+    course: Option<GyroBiasProfile>,
     /// Bias change, rad/s: after a step, or at the start of a decay.
     changed_rad_s: Vec3,
     /// Slip of the IMU: time, 95 % interval, and rotation with `link_from_imu after = link_from_imu ·
@@ -217,7 +219,7 @@ struct GyroModel<'a> {
 }
 
 /// Gyro integrated over one window.
-struct Turn {
+struct IntegratedRotation {
     /// Rotation from the frame at the last sample to the frame at the first.
     first_from_last: Rotation,
     /// Derivative of the rotation, about axes at the last sample, with respect to a constant rate change.
@@ -242,7 +244,7 @@ impl<'a> GyroModel<'a> {
     const ENTRIES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)];
 
     /// Residual of each rate in the link frame, and the angular acceleration by FK.
-    fn lagging(&self) -> Vec<Lagging> {
+    fn lagging(&self) -> Vec<LatencySample> {
         /// Half-width of the finite difference, s: long enough to average joint velocity noise, short
         /// relative to the motion.
         const AROUND_S: f64 = 0.025;
@@ -263,7 +265,7 @@ impl<'a> GyroModel<'a> {
             let change = (after - before) / (2.0 * AROUND_S);
             let at_s = track.t_s[k];
             let is = self.mount_at(at_s) * (undo * (track.gyro[k] - self.bias_at(at_s)));
-            Some(Lagging {
+            Some(LatencySample {
                 t_s: track.t_s[k],
                 left: [Vec3::zeros(), is - rate],
                 velocity: [Vec3::zeros(), change],
@@ -275,12 +277,12 @@ impl<'a> GyroModel<'a> {
     }
 
     /// Integrates the gyro over a window by the midpoint rule.
-    fn turn(&self, window: &RangeInclusive<usize>) -> Turn {
+    fn turn(&self, window: &RangeInclusive<usize>) -> IntegratedRotation {
         let track = self.link.stream.track;
         let undo = (Matrix3::identity() + self.shape).try_inverse().unwrap_or_default();
         let rate = |k: usize| undo * (track.gyro[k] - self.bias_at(track.t_s[k]));
         let (first, last) = (*window.start(), *window.end());
-        let mut turn = Turn {
+        let mut turn = IntegratedRotation {
             first_from_last: Rotation::identity(),
             by_rate: Matrix3::zeros(),
             by_shape: [Vec3::zeros(); 6],
@@ -355,27 +357,27 @@ impl<'a> GyroModel<'a> {
             && solved.is_sure(&all, &entries, SHAPE_CHANCE)
     }
 
-    fn shape(&self, solved: &Solved) -> Option<GyroShape> {
+    fn shape(&self, solved: &Solved) -> Option<GyroScaleError> {
         let entries: Vec<Measured> = Self::SHAPE
             .zip(self.shape_entries())
             .map(|(parameter, value)| solved.one(parameter, value))
-            .collect::<Seen<_>>()
+            .collect::<EstimateResult<_>>()
             .ok()?;
         let [x, y, z, yz, xz, xy] = entries.try_into().ok()?;
-        Some(GyroShape { scale: [x, y, z], misalignment_rad: [yz, xz, xy] })
+        Some(GyroScaleError { scale: [x, y, z], misalignment_rad: [yz, xz, xy] })
     }
 
-    fn bias(&self, solved: &Solved, shape: Option<GyroShape>) -> Seen<GyroBias> {
+    fn bias(&self, solved: &Solved, shape: Option<GyroScaleError>) -> EstimateResult<GyroBias> {
         let bias: Vec<usize> = Self::BIAS.collect();
-        let change: Option<Seen<BiasChange>> = self.course.map(|course| {
+        let change: Option<EstimateResult<GyroBiasChange>> = self.course.map(|course| {
             let all = self.bias_rad_s + self.changed_rad_s;
             let (before_rad_s, after_rad_s) = match course {
-                BiasCourse::Step { .. } => (self.bias_rad_s, all),
-                BiasCourse::WarmUp { .. } => (all, self.bias_rad_s),
+                GyroBiasProfile::Step { .. } => (self.bias_rad_s, all),
+                GyroBiasProfile::WarmUp { .. } => (all, self.bias_rad_s),
             };
             let columns: Vec<usize> = Self::CHANGE.collect();
             let size_rad_s = solved.length(&columns, self.changed_rad_s.as_slice())?;
-            Ok(BiasChange { course, before_rad_s, after_rad_s, size_rad_s })
+            Ok(GyroBiasChange { course, before_rad_s, after_rad_s, size_rad_s })
         });
         let change = change.transpose()?;
         // Report the larger of the two biases.
@@ -392,9 +394,9 @@ impl<'a> GyroModel<'a> {
         Ok(GyroBias { vector_rad_s, length_rad_s, yaw_rate_rad_s, shape, change })
     }
 
-    fn mount(&self, solved: &Solved) -> Seen<Length> {
+    fn mount(&self, solved: &Solved) -> EstimateResult<Length> {
         let known = self.link.stream.link_from_imu;
-        let known = known.ok_or(Unseen::NoFrame)?;
+        let known = known.ok_or(NotObservable::NoFrame)?;
         let error = rotvec_from_rotation(&(known.rotation.inverse() * self.link_from_imu));
         let mount: Vec<usize> = Self::MOUNT.collect();
         solved.mount_error(&mount, error.as_slice())

@@ -1,7 +1,7 @@
 //! Residual of an IMU against FK, computed independently of the fits. A pass requires it to be small.
 
 use super::super::constant::{mean_rotation, wahba};
-use super::super::proof::{Error, Series};
+use super::super::proof::{ErrorSeries, FkError};
 use super::{FIT_SAMPLES, FOLLOWS, ImuDiagnosis, ImuStream, Link, rms};
 use ground::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stream::{JointTrack, sample_noise};
@@ -12,19 +12,19 @@ const NEED: usize = 50;
 
 /// Residual of an IMU that rotates with the arm.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct ImuProof {
+pub struct ImuResidualCheck {
     /// Residual of its orientation, rad, after correcting latency, mount, world frame and yaw error.
     /// `length` is zero.
-    pub turning: Option<Error>,
+    pub turning: Option<FkError>,
     /// Residual of its gyro.
-    pub rates: Option<Rates>,
+    pub rates: Option<GyroResidual>,
     /// Median norm of its specific force, m/s². `None` if it is zero.
     pub gravity_m_s2: Option<f64>,
 }
 
 /// Residual of a gyro against the arm's angular rate, after correcting the mount and the mean.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Rates {
+pub struct GyroResidual {
     /// Ratio of the gyro's rate to the arm's.
     pub scale: f64,
     /// Residual, rms rad/s.
@@ -42,7 +42,7 @@ pub fn proof_of_imu(
     stream: &ImuStream,
     found: &ImuDiagnosis,
     most_lag_s: f64,
-) -> Option<ImuProof> {
+) -> Option<ImuResidualCheck> {
     let track = found.numbers.mended(stream.track);
     let stream = &ImuStream { track: &track, ..*stream };
     let link = Link::new(joints, stream, &found.numbers);
@@ -64,7 +64,7 @@ pub fn proof_of_imu(
             moments.push((row, moment.rotation, moment.rotation.inverse() * moment.rate));
         }
     }
-    (moments.len() >= NEED).then(|| ImuProof {
+    (moments.len() >= NEED).then(|| ImuResidualCheck {
         turning: turning(stream, found, &moments),
         rates: rates(&link, &moments),
         gravity_m_s2: gravity(&stream.track.accel),
@@ -76,7 +76,7 @@ fn turning(
     stream: &ImuStream,
     found: &ImuDiagnosis,
     moments: &[(usize, Rotation, Vec3)],
-) -> Option<Error> {
+) -> Option<FkError> {
     let reading = found.reading.as_ref().ok()?;
     let (track, link_from_imu) = (stream.track, found.link_from_imu?);
     if track.orientation.is_empty() || !reading.best.is_as_logged() {
@@ -109,11 +109,11 @@ fn turning(
         .collect();
     let nothing = vec![Vec3::zeros(); angle.len()];
     let moves = vec![true; angle.len()];
-    Some(Series::new(&t_s, &fk, nothing, Some(angle)).error(&moves, false))
+    Some(ErrorSeries::new(&t_s, &fk, nothing, Some(angle)).error(&moves, false))
 }
 
 /// Residual of the gyro with its best-fitting mount. `None` if the gyro is always zero.
-fn rates(link: &Link, moments: &[(usize, Rotation, Vec3)]) -> Option<Rates> {
+fn rates(link: &Link, moments: &[(usize, Rotation, Vec3)]) -> Option<GyroResidual> {
     let gyro = &link.stream.track.gyro;
     let in_range = |moment: &&(usize, Rotation, Vec3)| !link.numbers.saturates(&gyro[moment.0]);
     let moments: Vec<_> = moments.iter().filter(in_range).collect();
@@ -133,7 +133,7 @@ fn rates(link: &Link, moments: &[(usize, Rotation, Vec3)]) -> Option<Rates> {
         sample_noise(&column)
     };
     let says_something = gyro.iter().any(|gyro| gyro.norm() > 0.0);
-    (says_something && square > 0.0).then(|| Rates {
+    (says_something && square > 0.0).then(|| GyroResidual {
         scale: along / square,
         left: rms(pairs().map(|(gyro, rate)| (link_from_imu * gyro - rate).norm())),
         by_fk: (square / n).sqrt(),

@@ -20,16 +20,17 @@ mod tilt;
 mod yaw;
 
 use super::constant::{mean_rotation, wahba};
-use super::latency::{ArmSpeeds, Peak, angular_speed, by_lag, norms, peaks};
+use super::latency::{ArmSpeeds, LagPeak, angular_speed, by_lag, norms, peaks};
 use super::reread::rotations;
 use super::sampling::{STILL_SIGMAS, still_speeds};
-use super::{AxesSlip, Meant, Measured, Reading, Seen, Unseen};
+use super::{AxesError, EstimateResult, IntendedEncoding, Measured, NotObservable, PoseEncoding};
 pub use found::{
-    AxesTurn, BiasChange, BiasCourse, GyroBias, GyroShape, Heading, HeadingError, ImuDiagnosis,
-    ImuStream, MountChange, Up, YawCourse, YawJump, YawWarmUp,
+    GyroAxesRotation, GyroBias, GyroBiasChange, GyroBiasProfile, GyroScaleError, HeadingError,
+    HeadingPair, ImuDiagnosis, ImuMountChange, ImuStream, UpDirections, YawJump, YawProfile,
+    YawWarmUp,
 };
-pub use held::{ImuProof, Rates, proof_of_imu};
-pub use numbers::{AccelSlip, AccelUnit, Clipped, ImuNumbers};
+pub use held::{GyroResidual, ImuResidualCheck, proof_of_imu};
+pub use numbers::{AccelUnit, AccelUnitError, GyroSaturation, ImuConventions};
 
 use ground::geometry::{Rotation, Vec3, angle_between};
 use ground::stream::{ImuTrack, JointTrack, sample_noise};
@@ -55,7 +56,7 @@ const TURNING_SAMPLES: usize = 300;
 /// Diagnoses one IMU against the joint states, which should be corrected by
 /// [`JointDiagnosis::corrected_joints`](super::JointDiagnosis::corrected_joints).
 pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) -> ImuDiagnosis {
-    let numbers = ImuNumbers::of(joints, stream, most_lag_s);
+    let numbers = ImuConventions::of(joints, stream, most_lag_s);
     let track = numbers.mended(stream.track);
     diagnose_mended(joints, &ImuStream { track: &track, ..*stream }, &numbers, most_lag_s)
 }
@@ -64,7 +65,7 @@ pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) ->
 pub(super) fn diagnose_mended(
     joints: &JointTrack,
     stream: &ImuStream,
-    numbers: &ImuNumbers,
+    numbers: &ImuConventions,
     most_lag_s: f64,
 ) -> ImuDiagnosis {
     let link = Link::new(joints, stream, numbers);
@@ -73,7 +74,7 @@ pub(super) fn diagnose_mended(
     let lag_s = peaks.first().filter(|_| moves).map_or(0.0, |peak| peak.lag_s);
     let gyro = link.fit_gyro(lag_s, moves);
     let orientation = if stream.track.orientation.is_empty() {
-        Err(Unseen::NoOrientation)
+        Err(NotObservable::NoOrientation)
     } else {
         // The gyro's delay does not depend on a convention and is more precise than the speed correlation.
         let start = gyro.as_ref().map_or(link.delay(lag_s), |fit| fit.delay);
@@ -85,20 +86,20 @@ pub(super) fn diagnose_mended(
             Clock { skew: gyro.clock.skew.clone(), ..fit.clock.clone() }
         }
         (Ok(fit), _) => fit.clock.clone(),
-        (Err(Unseen::NoOrientation), Ok(gyro)) => gyro.clock.clone(),
-        (Err(Unseen::NoOrientation), Err(why)) | (Err(why), _) => Clock::unseen(why),
+        (Err(NotObservable::NoOrientation), Ok(gyro)) => gyro.clock.clone(),
+        (Err(NotObservable::NoOrientation), Err(why)) | (Err(why), _) => Clock::unseen(why),
     };
     let latency_course = match (&orientation, &gyro) {
         (Ok(fit), _) => fit.latency_course.clone(),
-        (Err(Unseen::NoOrientation), Ok(fit)) => fit.latency_course.clone(),
-        (Err(Unseen::NoOrientation), Err(why)) | (Err(why), _) => Err(why.clone()),
+        (Err(NotObservable::NoOrientation), Ok(fit)) => fit.latency_course.clone(),
+        (Err(NotObservable::NoOrientation), Err(why)) | (Err(why), _) => Err(why.clone()),
     };
     let latency_course = match repeats(&peaks) {
-        Some(lags) => Err(Unseen::Periodic(lags)),
+        Some(lags) => Err(NotObservable::Periodic(lags)),
         None => latency_course,
     };
     let Clock { latency_s, skew } = match repeats(&peaks) {
-        Some(lags) => Clock::unseen(&Unseen::Periodic(lags)),
+        Some(lags) => Clock::unseen(&NotObservable::Periodic(lags)),
         None => clock.aligned_to(stream),
     };
     let turned = gyro.as_ref().ok().filter(|_| moves).map(|fit| fit.link_from_imu);
@@ -142,9 +143,9 @@ pub(super) fn diagnose_mended(
             latency_course,
             skew,
             yaw_drift_rad_s: Err(why.clone()),
-            yaw_course: YawCourse::default(),
+            yaw_course: YawProfile::default(),
             mount_rad: match why {
-                Unseen::NoOrientation => mount_by_gyro,
+                NotObservable::NoOrientation => mount_by_gyro,
                 _ => Err(why),
             },
             link_from_imu: turned,
@@ -166,19 +167,23 @@ fn axes_turn(
     lag_s: f64,
     link_from_imu: &Rotation,
     gyro: &gyro::GyroFit,
-) -> Option<AxesTurn> {
+) -> Option<GyroAxesRotation> {
     /// Minimum gain in constancy of the specific force for the accelerometer to share the gyro's axes.
     const STEADIER: f64 = 0.05;
     let turn = gyro.turned_against(link_from_imu)?;
     let turn = Some(turn).filter(|turn| turn.size_rad.p_value < MOUNT_CHANCE)?;
     let [by_gyro, by_imu] =
         [gyro.link_from_imu, *link_from_imu].map(|mount| link.steadiness(lag_s, &mount));
-    Some(AxesTurn { with_accel: by_gyro > by_imu + STEADIER, ..turn })
+    Some(GyroAxesRotation { with_accel: by_gyro > by_imu + STEADIER, ..turn })
 }
 
 /// Correlation of the IMU's angular speed with that of its link for each lag within ±`most_lag_s`, for
 /// plots. Uses the gyro or the orientation, whichever correlates better.
-pub fn turning_by_latency(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) -> Vec<Peak> {
+pub fn turning_by_latency(
+    joints: &JointTrack,
+    stream: &ImuStream,
+    most_lag_s: f64,
+) -> Vec<LagPeak> {
     let track = stream.track;
     let turning = ArmSpeeds::of(joints, stream.chain, stream.columns).angular;
     let curve = |speed| {
@@ -186,7 +191,7 @@ pub fn turning_by_latency(joints: &JointTrack, stream: &ImuStream, most_lag_s: f
         curve.retain(|at| at.correlation.is_finite());
         curve
     };
-    let best = |curve: &[Peak]| curve.iter().map(|at| at.correlation).fold(f64::MIN, f64::max);
+    let best = |curve: &[LagPeak]| curve.iter().map(|at| at.correlation).fold(f64::MIN, f64::max);
     let gyro = curve(norms(&track.t_s, &track.gyro));
     let oriented = match track.orientation.is_empty() {
         true => Vec::new(),
@@ -201,10 +206,10 @@ pub fn turning_by_latency(joints: &JointTrack, stream: &ImuStream, most_lag_s: f
 pub fn reread_imu(
     joints: &JointTrack,
     stream: &ImuStream,
-    reading: Reading,
+    reading: PoseEncoding,
     most_lag_s: f64,
 ) -> Option<Vec<Rotation>> {
-    let numbers = ImuNumbers::default();
+    let numbers = ImuConventions::default();
     let link = Link::new(joints, stream, &numbers);
     let lag_s = link.peaks(most_lag_s).first().map_or(0.0, |peak| peak.lag_s);
     let mut sweep = link.sweep();
@@ -215,7 +220,7 @@ pub fn reread_imu(
         .map(|stamp| link.at(stamp - lag_s, &mut sweep).map(|moment| moment.rotation))
         .collect();
     let mount = stream.link_from_imu.map(|pose| pose.rotation).unwrap_or_default();
-    let meant = Meant { reading, axes: AxesSlip::NONE, inverted: false };
+    let meant = IntendedEncoding { reading, axes: AxesError::NONE, inverted: false };
     rotations(&stream.track.orientation, &meant, &expected, &mount, false)
 }
 
@@ -237,12 +242,12 @@ impl Delay {
 /// Delay estimated by a fit.
 #[derive(Clone, Debug)]
 struct Clock {
-    latency_s: Seen<Measured>,
-    skew: Seen<Measured>,
+    latency_s: EstimateResult<Measured>,
+    skew: EstimateResult<Measured>,
 }
 
 impl Clock {
-    fn unseen(why: &Unseen) -> Self {
+    fn unseen(why: &NotObservable) -> Self {
         Self { latency_s: Err(why.clone()), skew: Err(why.clone()) }
     }
 
@@ -252,7 +257,7 @@ impl Clock {
             [first, .., last] => last - first,
             _ => 0.0,
         };
-        let widened = |seen: Seen<Measured>, by: f64| {
+        let widened = |seen: EstimateResult<Measured>, by: f64| {
             seen.map(|one| Measured { std_error: one.std_error.hypot(by), ..one })
         };
         // Stamp errors of this size at both ends simulate a skew.
@@ -265,7 +270,7 @@ impl Clock {
 }
 
 /// Lags with nearly equal correlations, caused by repetitive motion.
-fn repeats(peaks: &[Peak]) -> Option<Vec<f64>> {
+fn repeats(peaks: &[LagPeak]) -> Option<Vec<f64>> {
     let best = peaks.first()?;
     let equal: Vec<f64> = peaks
         .iter()
@@ -279,7 +284,7 @@ fn repeats(peaks: &[Peak]) -> Option<Vec<f64>> {
 struct Link<'a> {
     joints: &'a JointTrack,
     stream: &'a ImuStream<'a>,
-    numbers: &'a ImuNumbers,
+    numbers: &'a ImuConventions,
     still: Vec<f64>,
     /// Noise variances of position and velocity for each joint of the chain.
     joint_noise: Vec<[f64; 2]>,
@@ -333,9 +338,9 @@ struct Moment {
 ///
 /// # Errors
 /// If the correlation is too low for the fit to be meaningful.
-fn explains(turning: f64, left: f64) -> Seen<()> {
+fn explains(turning: f64, left: f64) -> EstimateResult<()> {
     let correlation = (1.0 - (left / turning).powi(2)).max(0.0).sqrt();
-    if correlation < EXPLAINS { Err(Unseen::DoesNotFollow(correlation)) } else { Ok(()) }
+    if correlation < EXPLAINS { Err(NotObservable::DoesNotFollow(correlation)) } else { Ok(()) }
 }
 
 fn rms(values: impl Iterator<Item = f64>) -> f64 {
@@ -352,7 +357,7 @@ struct Sweep {
 }
 
 impl<'a> Link<'a> {
-    fn new(joints: &'a JointTrack, stream: &'a ImuStream<'a>, numbers: &'a ImuNumbers) -> Self {
+    fn new(joints: &'a JointTrack, stream: &'a ImuStream<'a>, numbers: &'a ImuConventions) -> Self {
         let t_s = &stream.track.t_s;
         let middle_s = match (t_s.first(), t_s.last()) {
             (Some(first), Some(last)) => 0.5 * (first + last),
@@ -407,7 +412,7 @@ impl<'a> Link<'a> {
     }
 
     /// Lags at which the speed of the IMU correlates with that of the link.
-    fn peaks(&self, most_lag_s: f64) -> Vec<Peak> {
+    fn peaks(&self, most_lag_s: f64) -> Vec<LagPeak> {
         let track = self.stream.track;
         let ImuStream { chain, columns, .. } = *self.stream;
         let turning = ArmSpeeds::of(self.joints, chain, columns).angular;
@@ -416,7 +421,7 @@ impl<'a> Link<'a> {
             return gyro;
         }
         let oriented = peaks(&turning, &angular_speed(&track.t_s, &track.orientation), most_lag_s);
-        let best = |peaks: &[Peak]| peaks.first().map_or(f64::MIN, |peak| peak.correlation);
+        let best = |peaks: &[LagPeak]| peaks.first().map_or(f64::MIN, |peak| peak.correlation);
         if best(&oriented) > best(&gyro) { oriented } else { gyro }
     }
 

@@ -3,7 +3,7 @@
 //! The gyro is compared with FK's angular rate by the median ratio of their norms. Mount, axis order and
 //! signs do not affect that ratio; bias and lag affect it little.
 
-use super::super::UnitSlip;
+use super::super::UnitResiduals;
 use super::super::constant::wahba;
 use super::{FOLLOWS, ImuStream, Link, NEED, rms};
 use ground::geometry::{Rotation, Vec3, angle_between};
@@ -19,13 +19,13 @@ const NEAR: f64 = 0.2;
 
 /// Deviations of an IMU's measurements from REP 145.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct ImuNumbers {
+pub struct ImuConventions {
     /// Gyro residual in rad/s and in °/s, rms rad/s, if the gyro is in °/s.
-    pub degrees: Option<UnitSlip>,
+    pub degrees: Option<UnitResiduals>,
     /// Unit of the accelerometer, if it is not m/s².
-    pub accel: Option<AccelSlip>,
+    pub accel: Option<AccelUnitError>,
     /// Saturation of the gyro.
-    pub clipped: Option<Clipped>,
+    pub clipped: Option<GyroSaturation>,
     /// Gyro axis (0 is x) with reversed sign, which makes the axes left-handed. Only a known mount
     /// identifies which axis it is.
     pub mirrored: Option<usize>,
@@ -33,7 +33,7 @@ pub struct ImuNumbers {
 
 /// Accelerometer in a unit other than m/s².
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AccelSlip {
+pub struct AccelUnitError {
     /// The unit.
     pub unit: AccelUnit,
     /// Median norm of the specific force as logged, at rest if the arm rests.
@@ -75,7 +75,7 @@ impl AccelUnit {
 
 /// Gyro limited to a range that the arm's rate exceeds.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Clipped {
+pub struct GyroSaturation {
     /// Largest value measured, rad/s.
     pub limit_rad_s: f64,
     /// Axes that reach the limit: 0 is x.
@@ -86,7 +86,7 @@ pub struct Clipped {
     pub by_fk_rad_s: f64,
 }
 
-impl ImuNumbers {
+impl ImuConventions {
     /// Determines the units, saturation and handedness of `stream` by comparison with FK.
     pub fn of(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) -> Self {
         let none = Self::default();
@@ -95,7 +95,7 @@ impl ImuNumbers {
         let follows = peak.filter(|peak| peak.correlation > FOLLOWS);
         let lag_s = follows.map_or(0.0, |peak| peak.lag_s);
         let pairs = follows.map(|_| link.rate_pairs(lag_s)).unwrap_or_default();
-        let plateaus = Plateau::all(&stream.track.gyro);
+        let plateaus = SaturationLevel::all(&stream.track.gyro);
         let is_free = |pair: &&RatePair| plateaus.iter().all(|plateau| !plateau.at[pair.0]);
         let free: Vec<RatePair> = pairs.iter().filter(is_free).copied().collect();
         // A value read all the time is not a range limit.
@@ -167,7 +167,7 @@ impl Link<'_> {
 }
 
 /// Gyro residual in both units, if its rate matches the arm's only in °/s.
-fn degrees(pairs: &[RatePair]) -> Option<UnitSlip> {
+fn degrees(pairs: &[RatePair]) -> Option<UnitResiduals> {
     /// Minimum rate for the ratio, as a share of the rms.
     const FAST: f64 = 0.5;
     /// Maximum residual in °/s, as a share of the arm's rate, for the stream to be a gyro at all.
@@ -186,7 +186,7 @@ fn degrees(pairs: &[RatePair]) -> Option<UnitSlip> {
         let mount = Alignment::of(pairs, factor);
         rms(pairs.iter().map(|(_, gyro, rate)| mount.left(&(gyro * factor), rate).norm()))
     };
-    let slip = UnitSlip { as_logged: left(1.0), corrected: left(1f64.to_radians()) };
+    let slip = UnitResiduals { as_logged: left(1.0), corrected: left(1f64.to_radians()) };
     (slip.corrected < LEFT * by_fk).then_some(slip)
 }
 
@@ -253,7 +253,7 @@ fn mirrored(pairs: &[RatePair], factor: f64, known_mount: Option<Rotation>) -> O
 }
 
 /// Gyro axis that repeatedly measures its extreme value.
-struct Plateau {
+struct SaturationLevel {
     axis: usize,
     /// Extreme value, as logged.
     most: f64,
@@ -261,7 +261,7 @@ struct Plateau {
     at: Vec<bool>,
 }
 
-impl Plateau {
+impl SaturationLevel {
     fn all(gyro: &[Vec3]) -> Vec<Self> {
         /// Minimum number of samples at the extreme, in total and consecutively.
         const SAMPLES: usize = 8;
@@ -283,12 +283,12 @@ impl Plateau {
 /// Detects saturation: the gyro stays at an extreme while the arm turns faster. The mount is estimated from
 /// the pairs `free` of extremes; `factor` converts to rad/s.
 fn clipped(
-    plateaus: &[Plateau],
+    plateaus: &[SaturationLevel],
     pairs: &[RatePair],
     free: &[RatePair],
     factor: f64,
     rows: usize,
-) -> Option<Clipped> {
+) -> Option<GyroSaturation> {
     /// Minimum ratio of the expected rate to the extreme, by the median over those samples.
     const FASTER: f64 = 1.03;
     if plateaus.is_empty() || free.len() < NEED {
@@ -296,8 +296,8 @@ fn clipped(
     }
     let mount = Alignment::of(free, factor);
     let mut by_fk_rad_s = 0.0_f64;
-    let mut is_passed = |plateau: &&Plateau| {
-        let Plateau { axis, most, at } = plateau;
+    let mut is_passed = |plateau: &&SaturationLevel| {
+        let SaturationLevel { axis, most, at } = plateau;
         let rates = pairs.iter().filter(|(row, ..)| at[*row]);
         let expected =
             |(_, gyro, rate): &RatePair| mount.expected(rate)[*axis] * gyro[*axis].signum();
@@ -309,10 +309,11 @@ fn clipped(
         }
         is_passed
     };
-    let passed: Vec<&Plateau> = plateaus.iter().filter(|plateau| is_passed(plateau)).collect();
+    let passed: Vec<&SaturationLevel> =
+        plateaus.iter().filter(|plateau| is_passed(plateau)).collect();
     let limit = passed.iter().map(|plateau| plateau.most).reduce(f64::min)?;
     let any = (0..rows).filter(|&row| passed.iter().any(|plateau| plateau.at[row])).count();
-    Some(Clipped {
+    Some(GyroSaturation {
         limit_rad_s: limit * factor,
         axes: passed.iter().map(|plateau| plateau.axis).collect(),
         share: any as f64 / rows as f64,
@@ -322,7 +323,7 @@ fn clipped(
 
 /// Unit of the accelerometer, if it is not m/s². Uses the samples at rest if there are enough, else the
 /// whole run if the norm is nearly constant.
-fn accel(track: &ImuTrack, rests: &[usize]) -> Option<AccelSlip> {
+fn accel(track: &ImuTrack, rests: &[usize]) -> Option<AccelUnitError> {
     /// Maximum interquartile range as a share of the median. A larger spread is motion, not gravity.
     const STEADY: f64 = 0.2;
     let sizes = |rows: &mut dyn Iterator<Item = usize>| -> Vec<f64> {
@@ -339,7 +340,7 @@ fn accel(track: &ImuTrack, rests: &[usize]) -> Option<AccelSlip> {
     }
     let off = |unit: &AccelUnit| (felt * unit.in_m_s2() / GRAVITY_M_S2 - 1.0).abs();
     let nearest = AccelUnit::ALL.into_iter().min_by(|a, b| off(a).total_cmp(&off(b)))?;
-    (off(&nearest) < NEAR).then_some(AccelSlip { unit: nearest, felt })
+    (off(&nearest) < NEAR).then_some(AccelUnitError { unit: nearest, felt })
 }
 
 #[cfg(test)]
@@ -376,8 +377,8 @@ mod tests {
         assert!(found.by_fk_rad_s > 1.0, "{found:?}");
     }
 
-    fn saturation(gyro: &[Vec3], pairs: &[RatePair]) -> Option<Clipped> {
-        let plateaus = Plateau::all(gyro);
+    fn saturation(gyro: &[Vec3], pairs: &[RatePair]) -> Option<GyroSaturation> {
+        let plateaus = SaturationLevel::all(gyro);
         let is_free = |pair: &&RatePair| plateaus.iter().all(|plateau| !plateau.at[pair.0]);
         let free: Vec<RatePair> = pairs.iter().filter(is_free).copied().collect();
         clipped(&plateaus, pairs, &free, 1.0, gyro.len())

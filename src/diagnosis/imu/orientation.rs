@@ -5,19 +5,25 @@
 mod forms;
 
 use super::super::constant::mean_rotation;
-use super::super::course::{Lagging, course_of};
+use super::super::course::{LatencySample, course_of};
 use super::super::linear::Linear;
 use super::super::model::FLOOR_RAD;
-use super::super::reading::{After, Fit, Logged, Samples, nearest_truth, read_in_gravity};
-use super::super::{Heading, LatencyCourse, Measured, ReadingEstimate, Seen, Unseen, YawCourse};
-use super::found::MountChange;
+use super::super::reading::{
+    EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, nearest_truth,
+    read_in_gravity,
+};
+use super::super::{
+    EncodingEstimate, EstimateResult, HeadingPair, LatencyProfile, Measured, NotObservable,
+    YawProfile,
+};
+use super::found::ImuMountChange;
 use super::solve::{DesignNoise, Model, Solved, lengths, solve};
-use super::yaw::{self, Course};
+use super::yaw::{self, YawDecomposition};
 use super::{
     Clock, Delay, Link, MOUNT_CHANCE, NEED, SKEW_CHANCE, TURNS_RAD, add_block, explains, mount_of,
     rms, turned_noise,
 };
-use forms::Form;
+use forms::YawTerm;
 use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::Length;
 use nalgebra::{DMatrix, DVector, Matrix3};
@@ -36,20 +42,24 @@ const JUMPS_FIRST: usize = 2;
 
 /// Results of an orientation fit.
 pub(super) struct OrientationFit {
-    pub reading: ReadingEstimate,
+    pub reading: EncodingEstimate,
     pub clock: Clock,
-    pub drift_rad_s: Seen<Measured>,
-    pub course: YawCourse,
-    pub latency_course: Seen<LatencyCourse>,
-    pub mount_rad: Seen<Length>,
+    pub drift_rad_s: EstimateResult<Measured>,
+    pub course: YawProfile,
+    pub latency_course: EstimateResult<LatencyProfile>,
+    pub mount_rad: EstimateResult<Length>,
     pub link_from_imu: Rotation,
-    pub mount_change: Option<MountChange>,
+    pub mount_change: Option<ImuMountChange>,
     pub yaw_error: Vec<(f64, f64)>,
-    pub headings: Vec<Heading>,
+    pub headings: Vec<HeadingPair>,
 }
 
 impl Link<'_> {
-    pub(super) fn fit_orientation(&self, start: Delay, moves: bool) -> Seen<OrientationFit> {
+    pub(super) fn fit_orientation(
+        &self,
+        start: Delay,
+        moves: bool,
+    ) -> EstimateResult<OrientationFit> {
         let (mut reading, mut model) = self.orientation_model(start)?;
         let mut settled = model.settle(moves);
         if let Some(slipped) = settled.model.slipped(moves) {
@@ -64,7 +74,7 @@ impl Link<'_> {
         if let Some((shaped, of_it)) = settled.model.shaped(moves) {
             (model, settled) = (shaped, of_it);
         }
-        let mut course = Course::default();
+        let mut course = YawDecomposition::default();
         for pass in 0..PASSES {
             let last =
                 std::mem::replace(&mut course, yaw::explain(&settled.model.yaw_beside_forms()));
@@ -87,7 +97,7 @@ impl Link<'_> {
                 let latency_s = solved.one(OrientationModel::LATENCY, model.delay.latency_s);
                 Clock { latency_s, skew }
             }
-            false => Clock::unseen(&Unseen::AtRest),
+            false => Clock::unseen(&NotObservable::AtRest),
         };
         // Only the bins account for the random drift of a walk.
         let walks = course.parts.walk_rad_rt_s.is_some();
@@ -108,7 +118,7 @@ impl Link<'_> {
             course: course.parts,
             latency_course: match moves {
                 true => course_of(&model.lagging(), 1, model.delay.skew, self.stream.taken_off),
-                false => Err(Unseen::AtRest),
+                false => Err(NotObservable::AtRest),
             },
             mount_rad,
             link_from_imu: model.link_from_imu,
@@ -119,7 +129,10 @@ impl Link<'_> {
     }
 
     /// Initial model, with the branch chosen for every sample.
-    fn orientation_model(&self, start: Delay) -> Seen<(ReadingEstimate, OrientationModel<'_>)> {
+    fn orientation_model(
+        &self,
+        start: Delay,
+    ) -> EstimateResult<(EncodingEstimate, OrientationModel<'_>)> {
         let track = self.stream.track;
         let known_mount = self.known_mount();
         let (estimate, fit) = match self.read(&start, known_mount, EVER) {
@@ -133,7 +146,7 @@ impl Link<'_> {
         };
         let mut sweep = self.sweep();
         let mut buffer = Vec::new();
-        let logged = Logged::Rotations(&track.orientation);
+        let logged = LoggedRotations::Rotations(&track.orientation);
         let mut model = OrientationModel {
             link: self,
             rows: Vec::new(),
@@ -151,15 +164,20 @@ impl Link<'_> {
             let truth_s = start.truth_s(track.t_s[k]);
             let Some(moment) = self.at(truth_s, &mut sweep) else { continue };
             let expected = model.world_from_base * moment.rotation * model.link_from_imu;
-            if let Some(truth) =
-                nearest_truth(&fit.reading, &After::default(), &logged, k, &expected, &mut buffer)
-            {
+            if let Some(truth) = nearest_truth(
+                &fit.reading,
+                &RotationCorrections::default(),
+                &logged,
+                k,
+                &expected,
+                &mut buffer,
+            ) {
                 model.rows.push(k);
                 model.truth.push(truth);
             }
         }
         if model.rows.len() < NEED {
-            return Err(Unseen::TooFewSamples { have: model.rows.len(), need: NEED });
+            return Err(NotObservable::TooFewSamples { have: model.rows.len(), need: NEED });
         }
         model.start_mount(known_mount.unwrap_or_default());
         Ok((estimate, model))
@@ -176,7 +194,7 @@ impl Link<'_> {
         start: &Delay,
         known_mount: Option<Rotation>,
         when_s: Range<f64>,
-    ) -> Seen<(ReadingEstimate, Fit)> {
+    ) -> EstimateResult<(EncodingEstimate, EncodingFit)> {
         let track = self.stream.track;
         let from = track.t_s.partition_point(|t_s| *t_s < when_s.start);
         let to = track.t_s.partition_point(|t_s| *t_s < when_s.end).max(from);
@@ -190,13 +208,13 @@ impl Link<'_> {
                 forces.push(track.accel[k]);
             }
         }
-        let samples = Samples {
-            logged: Logged::Rotations(&logged),
+        let samples = RotationSamples {
+            logged: LoggedRotations::Rotations(&logged),
             fk: &fk,
             reference_free: true,
             reference_known: false,
             are_quaternions: true,
-            after: After::default(),
+            after: RotationCorrections::default(),
         };
         read_in_gravity(&samples, &forces)
     }
@@ -217,7 +235,7 @@ struct OrientationModel<'a> {
     /// Random walk of the yaw, one value per row; empty if there is none.
     path_rad: Vec<f64>,
     /// Further parts of the yaw error.
-    forms: Vec<Form>,
+    forms: Vec<YawTerm>,
     /// Slip of the IMU: time, 95 % interval, and rotation with `link_from_imu after = link_from_imu ·
     /// slip`.
     slip: Option<(f64, [f64; 2], Rotation)>,
@@ -238,8 +256,8 @@ struct Jump {
 struct Settled<'a> {
     model: OrientationModel<'a>,
     solved: Solved,
-    mount_rad: Seen<Length>,
-    skew: Seen<Measured>,
+    mount_rad: EstimateResult<Length>,
+    skew: EstimateResult<Measured>,
 }
 
 impl<'a> OrientationModel<'a> {
@@ -295,15 +313,15 @@ impl<'a> OrientationModel<'a> {
     }
 
     /// Error of the logged mount.
-    fn mount(&self, solved: &Solved) -> Seen<Length> {
-        let known = self.link.stream.link_from_imu.ok_or(Unseen::NoFrame)?;
+    fn mount(&self, solved: &Solved) -> EstimateResult<Length> {
+        let known = self.link.stream.link_from_imu.ok_or(NotObservable::NoFrame)?;
         let error = rotvec_from_rotation(&(known.rotation.inverse() * self.link_from_imu));
         let mount: Vec<usize> = Self::MOUNT.collect();
         solved.mount_error(&mount, error.as_slice())
     }
 
     /// Adds the jumps and the random walk of `course` to the model.
-    fn take_up(&mut self, course: &Course) {
+    fn take_up(&mut self, course: &YawDecomposition) {
         let t_s = &self.link.stream.track.t_s;
         let jumps = course.parts.jumps.iter();
         self.jumps =
@@ -367,7 +385,7 @@ impl<'a> OrientationModel<'a> {
     }
 
     /// Residual of each rotation, and the angular velocity by FK.
-    fn lagging(&self) -> Vec<Lagging> {
+    fn lagging(&self) -> Vec<LatencySample> {
         let linear = self.linearize();
         let mut sweep = self.link.sweep();
         let t_s = self.rows.iter().map(|&k| self.link.stream.track.t_s[k]);
@@ -377,7 +395,7 @@ impl<'a> OrientationModel<'a> {
             Some((t_s, self.world_from_base * moment.rate, joint_noise))
         });
         let left = linear.residual[0].iter().map(|&residual| Vec3::from(residual));
-        let lagging = |((t_s, rate, joint_noise), left)| Lagging {
+        let lagging = |((t_s, rate, joint_noise), left)| LatencySample {
             t_s,
             left: [Vec3::zeros(), left],
             velocity: [Vec3::zeros(), rate],
@@ -409,7 +427,7 @@ impl<'a> OrientationModel<'a> {
 
     /// Heading of the IMU axis that stays furthest from the vertical, by the IMU and by FK, with the total
     /// yaw error. Empty if every axis comes too close to the vertical.
-    fn headings(&self) -> Vec<Heading> {
+    fn headings(&self) -> Vec<HeadingPair> {
         /// Cosine of the smallest angle to the vertical for a usable heading.
         const UPRIGHT: f64 = 0.97;
         let mut sweep = self.link.sweep();
@@ -449,7 +467,7 @@ impl<'a> OrientationModel<'a> {
         });
         let pairs = by_fk.into_iter().zip(ahead);
         pairs
-            .map(|((t_s, fk_rad), (_, ahead))| Heading { t_s, imu_rad: fk_rad + ahead, fk_rad })
+            .map(|((t_s, fk_rad), (_, ahead))| HeadingPair { t_s, imu_rad: fk_rad + ahead, fk_rad })
             .collect()
     }
 }

@@ -2,7 +2,7 @@
 
 use super::super::linear::{Linear, Normal, Weight};
 use super::super::robust::{pseudo_inverse, sandwich};
-use super::super::{Measured, Seen, Unseen};
+use super::super::{EstimateResult, Measured, NotObservable};
 use super::MOUNT_CHANCE;
 use ground::geometry::Vec3;
 use ground::stats::{Length, joint_p_value};
@@ -183,25 +183,35 @@ pub(super) fn lengths(linear: &Linear) -> impl Iterator<Item = f64> {
 
 impl Solved {
     /// Estimate of one parameter with fitted `value`.
-    pub fn one(&self, parameter: usize, value: f64) -> Seen<Measured> {
+    pub fn one(&self, parameter: usize, value: f64) -> EstimateResult<Measured> {
         let variance = self.block(&[parameter])?[(0, 0)];
         Ok(Measured { value, std_error: variance.max(0.0).sqrt(), dof: self.dof })
     }
 
     /// Estimate of a linear combination of parameters with coefficients `along` and fitted `value`.
-    pub fn along(&self, parameters: &[usize], along: &[f64], value: f64) -> Seen<Measured> {
+    pub fn along(
+        &self,
+        parameters: &[usize],
+        along: &[f64],
+        value: f64,
+    ) -> EstimateResult<Measured> {
         let along = DVector::from_column_slice(along);
         let variance = along.dot(&(self.block(parameters)? * &along));
         Ok(Measured { value, std_error: variance.max(0.0).sqrt(), dof: self.dof })
     }
 
     /// Length of a vector of parameters.
-    pub fn length(&self, parameters: &[usize], vector: &[f64]) -> Seen<Length> {
+    pub fn length(&self, parameters: &[usize], vector: &[f64]) -> EstimateResult<Length> {
         Ok(Length::of(vector, &self.block(parameters)?, self.dof))
     }
 
     /// Length of the sum of two vectors of parameters, `sum`.
-    pub fn length_of_sum(&self, one: &[usize], other: &[usize], sum: &[f64]) -> Seen<Length> {
+    pub fn length_of_sum(
+        &self,
+        one: &[usize],
+        other: &[usize],
+        sum: &[f64],
+    ) -> EstimateResult<Length> {
         let n = one.len();
         let both = self.block(&[one, other].concat())?;
         let covariance = DMatrix::from_fn(n, n, |i, j| {
@@ -218,7 +228,7 @@ impl Solved {
     }
 
     /// Length of the observable component of a vector of parameters: a lower bound on the vector's length.
-    pub fn least_length(&self, parameters: &[usize], vector: &[f64]) -> Seen<Length> {
+    pub fn least_length(&self, parameters: &[usize], vector: &[f64]) -> EstimateResult<Length> {
         let n = parameters.len();
         let mut held = DMatrix::zeros(n, n);
         for direction in &self.held {
@@ -228,7 +238,7 @@ impl Solved {
         let eigen = held.symmetric_eigen();
         let excited = (0..n).filter(|&at| eigen.eigenvalues[at] < SHARE_HELD).collect::<Vec<_>>();
         if excited.is_empty() {
-            return Err(Unseen::NotExcited);
+            return Err(NotObservable::NotExcited);
         }
         let basis = eigen.eigenvectors.select_columns(&excited);
         let covariance = basis.tr_mul(&self.covariance_of(parameters)?) * &basis;
@@ -238,32 +248,34 @@ impl Solved {
 
     /// Length of a mount's error. If the motion shows only a part of it, that part is returned if it is
     /// significant; to pass, the whole error must be observable.
-    pub fn mount_error(&self, parameters: &[usize], error: &[f64]) -> Seen<Length> {
+    pub fn mount_error(&self, parameters: &[usize], error: &[f64]) -> EstimateResult<Length> {
         let least = || self.least_length(parameters, error).ok();
         self.length(parameters, error)
             .or_else(|why| least().filter(|length| length.p_value < MOUNT_CHANCE).ok_or(why))
     }
 
-    fn block(&self, parameters: &[usize]) -> Seen<DMatrix<f64>> {
+    fn block(&self, parameters: &[usize]) -> EstimateResult<DMatrix<f64>> {
         let is_held = |parameter: &usize| {
             self.held.iter().any(|direction| direction[*parameter].powi(2) > SHARE_HELD)
         };
         if parameters.iter().any(is_held) {
-            return Err(Unseen::NotExcited);
+            return Err(NotObservable::NotExcited);
         }
         self.covariance_of(parameters)
     }
 
-    fn covariance_of(&self, parameters: &[usize]) -> Seen<DMatrix<f64>> {
+    fn covariance_of(&self, parameters: &[usize]) -> EstimateResult<DMatrix<f64>> {
         let at: Vec<usize> = parameters
             .iter()
-            .map(|parameter| self.free.binary_search(parameter).map_err(|_| Unseen::NotExcited))
-            .collect::<Seen<_>>()?;
+            .map(|parameter| {
+                self.free.binary_search(parameter).map_err(|_| NotObservable::NotExcited)
+            })
+            .collect::<EstimateResult<_>>()?;
         let block = DMatrix::from_fn(at.len(), at.len(), |i, j| self.covariance[(at[i], at[j])]);
         if block.iter().all(|value| value.is_finite()) {
             Ok(block)
         } else {
-            Err(Unseen::NotExcited)
+            Err(NotObservable::NotExcited)
         }
     }
 }

@@ -1,8 +1,8 @@
 //! Tilt of an IMU's orientation against gravity.
 
-use super::super::{Seen, Unseen};
+use super::super::{EstimateResult, NotObservable};
 use super::Link;
-use super::found::Up;
+use super::found::UpDirections;
 use ground::geometry::{Rotation, Vec3};
 use ground::stats::Length;
 use nalgebra::DMatrix;
@@ -32,7 +32,7 @@ impl Link<'_> {
     }
 
     /// Direction opposite to gravity while the arm rests, for the mount `link_from_imu`.
-    pub(super) fn up(&self, lag_s: f64, link_from_imu: &Rotation) -> Option<Up> {
+    pub(super) fn up(&self, lag_s: f64, link_from_imu: &Rotation) -> Option<UpDirections> {
         let track = self.stream.track;
         let mut sweep = self.sweep();
         let (mut world, mut base, mut count) = (Vec3::zeros(), Vec3::zeros(), 0);
@@ -48,14 +48,14 @@ impl Link<'_> {
         }
         let in_world = world.try_normalize(f64::MIN_POSITIVE)?;
         let in_base = base.try_normalize(f64::MIN_POSITIVE)?;
-        (count >= NEED).then_some(Up { in_world, in_base })
+        (count >= NEED).then_some(UpDirections { in_world, in_base })
     }
 
     /// Tilt of the IMU against gravity, from samples at rest.
-    pub(super) fn tilt(&self, lag_s: f64) -> Seen<Length> {
+    pub(super) fn tilt(&self, lag_s: f64) -> EstimateResult<Length> {
         let track = self.stream.track;
         if track.orientation.is_empty() {
-            return Err(Unseen::NoOrientation);
+            return Err(NotObservable::NoOrientation);
         }
         let mut sweep = self.sweep();
         let mut rests = |t_s: f64| self.at(t_s, &mut sweep).is_some_and(|moment| !moment.moving);
@@ -70,15 +70,15 @@ impl Link<'_> {
 
 /// Angle between the vertical and the mean specific force at rest, rotated to the world by the logged
 /// orientation. The standard error comes from the spread over blocks.
-fn tilt(forces: &[Vec3]) -> Seen<Length> {
+fn tilt(forces: &[Vec3]) -> EstimateResult<Length> {
     let n = forces.len();
     if n < NEED {
-        return Err(Unseen::NeverRests);
+        return Err(NotObservable::NeverRests);
     }
     let mean = forces.iter().sum::<Vec3>() / n as f64;
     let gravity = mean.norm();
     if gravity < 1.0 {
-        return Err(Unseen::RestsOn("the direction of gravity"));
+        return Err(NotObservable::RestsOn("the direction of gravity"));
     }
     let blocks = forces.chunks_exact(n / BLOCKS).take(BLOCKS);
     let blocks = blocks.map(|block| block.iter().sum::<Vec3>());
@@ -107,7 +107,7 @@ mod tests {
 
     #[test]
     fn without_gravity_there_is_no_lean() {
-        assert!(matches!(tilt(&[Vec3::zeros(); 100]), Err(Unseen::RestsOn(_))));
-        assert!(matches!(tilt(&[Vec3::z() * 9.81; 10]), Err(Unseen::NeverRests)));
+        assert!(matches!(tilt(&[Vec3::zeros(); 100]), Err(NotObservable::RestsOn(_))));
+        assert!(matches!(tilt(&[Vec3::z() * 9.81; 10]), Err(NotObservable::NeverRests)));
     }
 }

@@ -6,7 +6,7 @@
 //! `q²Δ(i + 1/3)` for i = j.
 
 use super::super::noise::Noise;
-use super::super::{Measured, YawCourse, YawJump};
+use super::super::{Measured, YawJump, YawProfile};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use std::f64::consts::{PI, TAU};
 
@@ -28,15 +28,15 @@ const FLOOR_RAD: f64 = 1e-6;
 
 /// Decomposition of a yaw error.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Course {
+pub(super) struct YawDecomposition {
     /// Drift, if jumps or a walk change its estimate, rad/s.
     pub drift_rad_s: Option<Measured>,
-    pub parts: YawCourse,
+    pub parts: YawProfile,
     /// Random walk, rad, at the bin times; constant beyond them.
     path: Vec<(f64, f64)>,
 }
 
-impl Course {
+impl YawDecomposition {
     /// Whether the error contains neither jumps nor a walk.
     pub fn is_steady(&self) -> bool {
         self.path.is_empty() && self.parts.jumps.is_empty()
@@ -44,7 +44,7 @@ impl Course {
 
     /// Keeps only the jumps.
     pub fn without_walk(self) -> Self {
-        let parts = YawCourse { walk_rad_rt_s: None, ..self.parts };
+        let parts = YawProfile { walk_rad_rt_s: None, ..self.parts };
         Self { parts, drift_rad_s: None, path: Vec::new() }
     }
 
@@ -62,9 +62,9 @@ impl Course {
 }
 
 /// Decomposes the yaw error `series` of ascending times, s, and angles, rad.
-pub(super) fn explain(series: &[(f64, f64)]) -> Course {
+pub(super) fn explain(series: &[(f64, f64)]) -> YawDecomposition {
     let Some(bins) = Bins::of(&unwrapped(series)) else {
-        return Course::default();
+        return YawDecomposition::default();
     };
     let steady = bins.fit(&[], 0.0);
     let jumpy = bins.with_walk(bins.with_jumps(steady.clone()));
@@ -297,7 +297,7 @@ impl Bins {
         finer.into_iter().map(|factor| ratio * factor).fold(found, better)
     }
 
-    fn course(&self, fit: &BinFit) -> Course {
+    fn course(&self, fit: &BinFit) -> YawDecomposition {
         let mut jumps: Vec<YawJump> = fit
             .jumps_s
             .iter()
@@ -319,9 +319,9 @@ impl Bins {
                 .collect(),
             false => Vec::new(),
         };
-        Course {
+        YawDecomposition {
             drift_rad_s,
-            parts: YawCourse { jumps, walk_rad_rt_s, ..YawCourse::default() },
+            parts: YawProfile { jumps, walk_rad_rt_s, ..YawProfile::default() },
             path,
         }
     }

@@ -1,13 +1,13 @@
 //! Estimates for the joint states.
 
-use crate::{Seen, UnitSlip};
+use crate::{EstimateResult, UnitResiduals};
 use ground::stats::Measured;
 
 /// Zero offset of one joint: `q_true = q_reported + offset`.
 #[derive(Clone, Debug)]
 pub struct JointOffset {
     /// Offset, rad or m.
-    pub offset: Seen<Measured>,
+    pub offset: EstimateResult<Measured>,
     /// Whether the selected model contains it.
     pub chosen: bool,
     /// Displacement of the tip by the offset at full reach, m.
@@ -15,30 +15,30 @@ pub struct JointOffset {
     /// Distance from the joint's axis to the tip at full reach, m/rad; 1 for a prismatic joint.
     pub lever_m: f64,
     /// Confounders: causes that this log cannot distinguish from it.
-    pub twins: Vec<Twin>,
+    pub twins: Vec<Confounder>,
 }
 
 /// Encoding of the joint states; as logged by default.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct JointReading {
+pub struct JointEncoding {
     /// Set if the positions of all revolute joints are in degrees.
-    pub degrees: Option<UnitSlip>,
+    pub degrees: Option<UnitResiduals>,
     /// Actual order of the positions: entry `i` is the index of the joint whose position is logged under
     /// the name of joint `i`.
-    pub permutation: Option<(Vec<usize>, UnitSlip)>,
+    pub permutation: Option<(Vec<usize>, UnitResiduals)>,
     /// Joints with an individual unit or scale.
-    pub slips: Vec<JointSlip>,
+    pub slips: Vec<JointUnitError>,
     /// Couplings, applied after the slips.
     pub couplings: Vec<JointCoupling>,
     /// Approximate zero to add to each joint's positions, rad or m; empty if there is none.
     pub zeros: Vec<f64>,
     /// Position residual as logged and as corrected, m, if the encoding differs from the logged one.
-    pub left: Option<UnitSlip>,
+    pub left: Option<UnitResiduals>,
     /// Residual of the next best encoding, m.
     pub runner_up_m: Option<f64>,
 }
 
-impl JointReading {
+impl JointEncoding {
     /// Whether the encoding is as logged, apart from zeros.
     pub fn is_as_logged(&self) -> bool {
         self.degrees.is_none()
@@ -48,7 +48,10 @@ impl JointReading {
     }
 
     /// Joints with this individual unit, with the residual as logged and as corrected.
-    pub fn slips_of(&self, unit: JointUnit) -> impl Iterator<Item = (&JointSlip, UnitSlip)> {
+    pub fn slips_of(
+        &self,
+        unit: JointUnit,
+    ) -> impl Iterator<Item = (&JointUnitError, UnitResiduals)> {
         let left = self.left.into_iter();
         left.flat_map(move |left| {
             let own = self.slips.iter().filter(move |slip| slip.unit == unit);
@@ -77,7 +80,7 @@ impl JointCoupling {
 
 /// Joint whose values need a scale factor.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct JointSlip {
+pub struct JointUnitError {
     /// Column of the joint.
     pub column: usize,
     /// Unit of its values.
@@ -140,7 +143,7 @@ pub(super) fn is_coded(factor: f64) -> bool {
 
 /// Confounder: a cause with the same effect on this log.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Twin {
+pub enum Confounder {
     /// Zero offset of a joint (index in the chain), rad or m.
     JointZero(usize, f64),
     /// Rotation or shift of the reference frame of pose stream `usize`, rad or m.

@@ -7,13 +7,13 @@
 //! therefore covers every scale, sign and zero.
 
 use super::map::JointMap;
-use super::view::{Frames, View};
+use super::view::{ConstantFrames, InterpretedPoses};
 use ground::geometry::Pose;
 use ground::robot::JointKind;
 use std::f64::consts::{PI, TAU};
 
 /// Logged values and required positions of one joint.
-pub(super) struct Lone {
+pub(super) struct SingleJoint {
     /// Logged values of the joint.
     values: Vec<f64>,
     /// Real and imaginary part of `zₖ` for a revolute joint; required position, m, for a prismatic one.
@@ -42,9 +42,14 @@ fn dot(a: &[f64; 12], b: &[f64; 12]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-impl Lone {
+impl SingleJoint {
     /// Requirements on `joint`, with the other joints read by `map`, in `frames`.
-    pub fn of(view: &View, map: &JointMap, frames: &Frames, joint: usize) -> Self {
+    pub fn of(
+        view: &InterpretedPoses,
+        map: &JointMap,
+        frames: &ConstantFrames,
+        joint: usize,
+    ) -> Self {
         let dof = view.chain.dof();
         let slides = view.chain.joint_kinds()[joint] == JointKind::Prismatic;
         let lever_m = view.rotation.as_ref().map(|_| view.lever_m);

@@ -124,7 +124,7 @@ pub(in super::super) fn half_turns(angle: f64) -> f64 {
 }
 
 /// Interpretation of all joints of an arm.
-pub(super) struct Whole {
+pub(super) struct ArmInterpretation {
     pub map: JointMap,
     /// Whether it only changes revolute joints to degrees and prismatic ones to millimetres.
     pub is_unit: bool,
@@ -132,7 +132,7 @@ pub(super) struct Whole {
 
 /// Common interpretations of all joints: degrees, millimetres, other angle units, encoder ticks, all
 /// reversed, and shares of the range.
-pub(super) fn wholes(chain: &Chain) -> Vec<Whole> {
+pub(super) fn wholes(chain: &Chain) -> Vec<ArmInterpretation> {
     let kinds = chain.joint_kinds();
     let none = JointMap::as_logged(kinds.len());
     let slides = |kind: &JointKind| *kind == JointKind::Prismatic;
@@ -141,10 +141,13 @@ pub(super) fn wholes(chain: &Chain) -> Vec<Whole> {
         JointMap { factor: factor.collect(), ..none.clone() }
     };
     let degree = 1f64.to_radians();
-    let mut wholes: Vec<Whole> = [(degree, 1.0), (degree, 1e-3), (1.0, 1e-3)]
-        .map(|(turning, sliding)| Whole { map: scaled(turning, sliding), is_unit: true })
+    let mut wholes: Vec<ArmInterpretation> = [(degree, 1.0), (degree, 1e-3), (1.0, 1e-3)]
+        .map(|(turning, sliding)| ArmInterpretation {
+            map: scaled(turning, sliding),
+            is_unit: true,
+        })
         .into();
-    let mut add = |map: JointMap| wholes.push(Whole { map, is_unit: false });
+    let mut add = |map: JointMap| wholes.push(ArmInterpretation { map, is_unit: false });
     let angles = [TAU, PI, 1e-3, 1e-6, 0.1 * degree, 0.01 * degree, 1e-3 * degree, TAU / 400.0];
     for turning in angles.into_iter().chain([2.0, 0.5]) {
         for sign in [1.0, -1.0] {
@@ -180,7 +183,7 @@ pub(super) fn wholes(chain: &Chain) -> Vec<Whole> {
         add(map);
     }
     wholes.retain(|whole| whole.map != none);
-    let mut distinct: Vec<Whole> = Vec::new();
+    let mut distinct: Vec<ArmInterpretation> = Vec::new();
     for whole in wholes {
         if !distinct.iter().any(|other| other.map == whole.map) {
             distinct.push(whole);

@@ -13,21 +13,23 @@ mod read;
 mod search;
 mod view;
 
-use self::moments::{Moments, SAMPLES, evened, in_radians, slow_moments};
+use self::moments::{SAMPLES, SimultaneousSamples, evened, in_radians, slow_moments};
 use super::latency::{joint_activity, linear_speed, peaks};
-use super::model::Witness;
-use super::placing::{Expected, spread};
-use super::{PoseStream, Seen, UnitSlip, Unseen};
-pub use found::{JointCoupling, JointOffset, JointReading, JointScale, JointSlip, JointUnit, Twin};
+use super::model::PoseObservations;
+use super::placing::{FkColumns, spread};
+use super::{EstimateResult, NotObservable, PoseStream, UnitResiduals};
+pub use found::{
+    Confounder, JointCoupling, JointEncoding, JointOffset, JointScale, JointUnit, JointUnitError,
+};
 use ground::geometry::{Pose, Rotation, Vec3};
 use ground::robot::{Chain, JointKind};
 use ground::stats::Measured;
 use ground::stream::JointTrack;
-use lone::Lone;
+use lone::SingleJoint;
 use map::{Coupling, JointMap};
-use search::{Found, Kind, Search, search};
+use search::{InterpretationKind, JointInterpretation, SearchOutcome, search};
 use std::borrow::Cow;
-use view::{Frames, Freedom, TURNS, View};
+use view::{ConstantFrames, FreeFrames, InterpretedPoses, TURNS};
 
 pub(super) use map::{half_turns, is_quarter_turn};
 pub(super) use read::Read;
@@ -61,12 +63,12 @@ pub(super) fn read_joints(
     streams: &[PoseStream],
     scales: &[f64],
     most_lag_s: f64,
-) -> Seen<JointReading> {
+) -> EstimateResult<JointEncoding> {
     let (stream, scale) = streams
         .iter()
         .zip(scales)
         .max_by_key(|(stream, _)| (stream.columns.len(), stream.track.t_s.len()))
-        .ok_or(Unseen::NoOverlap)?;
+        .ok_or(NotObservable::NoOverlap)?;
     let chain = stream.chain;
     let (mut as_logged, mut extent) = (f64::INFINITY, f64::INFINITY);
     let mut at_lags = Vec::new();
@@ -74,34 +76,34 @@ pub(super) fn read_joints(
         let moments = slow_moments(joints, stream, *scale, lag_s);
         let have = moments.xyz.len();
         if have < 6 {
-            return Err(Unseen::TooFewSamples { have, need: 6 });
+            return Err(NotObservable::TooFewSamples { have, need: 6 });
         }
         if rests(chain, &moments) {
             return read_at_rest(chain, &moments, stream.reference_known);
         }
         if spread(&moments.xyz) < AT_REST_M {
             // The joints move but the stream does not, so it cannot check their names and units.
-            return Err(Unseen::NotExcited);
+            return Err(NotObservable::NotExcited);
         }
         extent = spread(&moments.xyz).max(0.01).min(extent);
         let left = misfit(chain, &moments);
         if left <= FINE_TURNED * extent || unturned_misfit(chain, &moments) <= FINE * extent {
-            return Ok(JointReading::default());
+            return Ok(JointEncoding::default());
         }
         as_logged = left.min(as_logged);
         at_lags.push(moments);
     }
     let most = Left { m: (FITS * extent).min(as_logged / BETTER), rad: Some(FITS_RAD) };
-    let views: Vec<Vec<View>> =
+    let views: Vec<Vec<InterpretedPoses>> =
         at_lags.iter().map(|moments| views(joints, stream, moments)).collect();
-    if let Some(found) = look(stream, &views, most, &Kind::ALL) {
+    if let Some(found) = look(stream, &views, most, &InterpretationKind::ALL) {
         return Ok(reading(joints.dof, stream, &found, as_logged));
     }
     if as_logged > ON_ARM * extent {
         // The logged encoding does not fit, and no other is clearly best.
-        return Err(Unseen::NotExcited);
+        return Err(NotObservable::NotExcited);
     }
-    Ok(JointReading::default())
+    Ok(JointEncoding::default())
 }
 
 /// Encoding of the joint states whose residual against `stream` at latency `lag_s` is far below
@@ -114,7 +116,7 @@ pub(super) fn other_reading(
     scale: f64,
     lag_s: f64,
     as_logged: Left,
-) -> Option<JointReading> {
+) -> Option<JointEncoding> {
     /// Minimum angle of a large rotation residual, rad.
     const FAR_RAD: f64 = 0.05;
     /// Maximum length of a small position residual, m.
@@ -133,7 +135,8 @@ pub(super) fn other_reading(
     };
     let is_far =
         as_logged.m > FINE * spread(&moments.xyz) || as_logged.rad.is_some_and(|rad| rad > FAR_RAD);
-    let kinds = if is_far { &Kind::ALL[..] } else { &Kind::OF_NEAR[..] };
+    let kinds =
+        if is_far { &InterpretationKind::ALL[..] } else { &InterpretationKind::OF_NEAR[..] };
     let mut views = views(joints, stream, &moments);
     views.retain(|view| !turns_only || view.rotation.is_some());
     let found = look(stream, &[views], most, kinds)?;
@@ -142,27 +145,35 @@ pub(super) fn other_reading(
 
 /// The simplest interpretation with a residual of at most `most`, if one is clearly best. Tries the views
 /// of each lag in turn.
-fn look(stream: &PoseStream, views: &[Vec<View>], most: Left, kinds: &[Kind]) -> Option<Found> {
+fn look(
+    stream: &PoseStream,
+    views: &[Vec<InterpretedPoses>],
+    most: Left,
+    kinds: &[InterpretationKind],
+) -> Option<JointInterpretation> {
     /// Number of lags for all kinds; the other lags are tried only for the simplest kind.
     const LAGS: usize = 2;
-    let both: &[Freedom] = match stream.reference_known {
-        true => &[Freedom::Tool, Freedom::Both],
-        false => &[Freedom::Both],
+    let both: &[FreeFrames] = match stream.reference_known {
+        true => &[FreeFrames::Tool, FreeFrames::Both],
+        false => &[FreeFrames::Both],
     };
     for &freedom in both {
         for &kind in kinds {
-            let is_late = freedom != both[0] && kind > Kind::UnitAndOne;
-            if is_late || (freedom == Freedom::Both && kind == Kind::OrderAndOne) {
+            let is_late = freedom != both[0] && kind > InterpretationKind::UnitAndOne;
+            if is_late || (freedom == FreeFrames::Both && kind == InterpretationKind::OrderAndOne) {
                 continue;
             }
-            let lags = if kind == Kind::One { views.len() } else { LAGS };
+            let lags = if kind == InterpretationKind::One { views.len() } else { LAGS };
             for view in views.iter().take(lags).flatten() {
                 match search(view, kind, freedom, most) {
-                    Search::Found(found) => {
-                        return Some(Found { map: found.map.with_base_turned(), ..found });
+                    SearchOutcome::Found(found) => {
+                        return Some(JointInterpretation {
+                            map: found.map.with_base_turned(),
+                            ..found
+                        });
                     }
-                    Search::Ambiguous => return None,
-                    Search::Nothing => {}
+                    SearchOutcome::Ambiguous => return None,
+                    SearchOutcome::Nothing => {}
                 }
             }
         }
@@ -171,8 +182,8 @@ fn look(stream: &PoseStream, views: &[Vec<View>], most: Left, kinds: &[Kind]) ->
 }
 
 /// Likely encoding of the joint states with a large remaining residual.
-pub(super) struct Likely {
-    pub reading: JointReading,
+pub(super) struct LikelyEncoding {
+    pub reading: JointEncoding,
     /// Whether the values exceed the joint limits as radians and respect them as degrees.
     pub by_range: bool,
 }
@@ -184,7 +195,7 @@ pub(super) fn likely_readings(
     streams: &[PoseStream],
     scales: &[f64],
     most_lag_s: f64,
-) -> Vec<Likely> {
+) -> Vec<LikelyEncoding> {
     let both = streams.iter().zip(scales);
     let Some((stream, scale)) = both.max_by_key(|(stream, _)| stream.track.t_s.len()) else {
         return Vec::new();
@@ -193,18 +204,18 @@ pub(super) fn likely_readings(
     let moments = slow_moments(joints, stream, *scale, lag_s);
     let mut likely = Vec::new();
     let mut views = views(joints, stream, &moments);
-    views.extend(views.last().map(View::mirrored));
+    views.extend(views.last().map(InterpretedPoses::mirrored));
     for view in views.iter().filter(|view| view.len() > 5) {
         for (map, by_range) in search::likely(view) {
             let fk = view.fk(&map);
-            let left = view.left(&fk, &view.frames(&fk, Freedom::Both));
-            let found = Found { map, left, runner_up_m: None };
+            let left = view.left(&fk, &view.frames(&fk, FreeFrames::Both));
+            let found = JointInterpretation { map, left, runner_up_m: None };
             let reading = reading(joints.dof, stream, &found, misfit(stream.chain, &moments));
-            likely.push(Likely { reading, by_range });
+            likely.push(LikelyEncoding { reading, by_range });
         }
     }
     likely.sort_by_key(|one| !one.by_range);
-    let said = |one: &Likely| {
+    let said = |one: &LikelyEncoding| {
         let order = one.reading.permutation.as_ref().map(|(order, _)| order.clone());
         (one.reading.degrees.is_some(), order, one.reading.slips.clone())
     };
@@ -214,13 +225,17 @@ pub(super) fn likely_readings(
 
 /// Joints whose zero offset alone would greatly reduce the residual of `witness` at latency `lag_s`,
 /// relative to `offsets`. Returns the best two with their offsets.
-pub(super) fn lone_zeros(witness: &Witness, lag_s: f64, offsets: &[f64]) -> Vec<(usize, f64)> {
+pub(super) fn lone_zeros(
+    witness: &PoseObservations,
+    lag_s: f64,
+    offsets: &[f64],
+) -> Vec<(usize, f64)> {
     /// Minimum change of the zero, rad (Gauss–Newton finds smaller ones), and maximum share of the
     /// residual.
     const CLOSE: f64 = 0.1;
     const SHARE: f64 = 0.3;
     let chain = witness.chain;
-    let Witness { joints, columns, .. } = *witness;
+    let PoseObservations { joints, columns, .. } = *witness;
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
     let (mut xyz, mut rotation, mut rows) = (Vec::new(), Vec::new(), Vec::new());
     for k in (0..witness.len()).step_by(witness.len().div_ceil(SAMPLES).max(1)) {
@@ -230,7 +245,7 @@ pub(super) fn lone_zeros(witness: &Witness, lag_s: f64, offsets: &[f64]) -> Vec<
             rows.extend(columns.iter().map(|&column| q[column]));
         }
     }
-    let view = View {
+    let view = InterpretedPoses {
         chain,
         xyz,
         rotation: Some(rotation),
@@ -241,13 +256,13 @@ pub(super) fn lone_zeros(witness: &Witness, lag_s: f64, offsets: &[f64]) -> Vec<
     };
     let mut near = JointMap::as_logged(columns.len());
     near.zero = columns.iter().map(|&column| offsets[column]).collect();
-    let named = Frames::default();
+    let named = ConstantFrames::default();
     let left = |map: &JointMap| view.left(&view.fk(map), &named).together(view.lever_m);
     let most = SHARE * left(&near);
     let turning = (0..columns.len()).filter(|&j| chain.joint_kinds()[j] != JointKind::Prismatic);
     let mut zeros: Vec<(f64, usize, f64)> = turning
         .filter_map(|joint| {
-            let zero = Lone::of(&view, &near, &named, joint).zero(1.0).0;
+            let zero = SingleJoint::of(&view, &near, &named, joint).zero(1.0).0;
             let left = left(&near.with(joint, 1.0, zero));
             let is_off = (zero - near.zero[joint]).abs() > CLOSE;
             (is_off && left < most).then_some((left, columns[joint], zero))
@@ -258,14 +273,18 @@ pub(super) fn lone_zeros(witness: &Witness, lag_s: f64, offsets: &[f64]) -> Vec<
 }
 
 /// Interpretations of the poses: as logged, inverted, and positions only.
-fn views<'a>(joints: &JointTrack, stream: &PoseStream<'a>, moments: &Moments) -> Vec<View<'a>> {
+fn views<'a>(
+    joints: &JointTrack,
+    stream: &PoseStream<'a>,
+    moments: &SimultaneousSamples,
+) -> Vec<InterpretedPoses<'a>> {
     let chain = stream.chain;
     let span = |&column: &usize| {
         let numbers = joints.q.iter().skip(column).step_by(joints.dof);
         numbers
             .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], &q| [low.min(q), high.max(q)])
     };
-    let positions = View {
+    let positions = InterpretedPoses {
         chain,
         xyz: moments.xyz.clone(),
         rotation: None,
@@ -276,18 +295,27 @@ fn views<'a>(joints: &JointTrack, stream: &PoseStream<'a>, moments: &Moments) ->
     };
     let mut views = Vec::new();
     if let (Some(rotation), Some(inverse)) = (&moments.rotation, &moments.inverse_xyz) {
-        views.push(View { rotation: Some(rotation.clone()), ..positions.clone() });
+        views.push(InterpretedPoses { rotation: Some(rotation.clone()), ..positions.clone() });
         let turned = rotation.iter().map(Rotation::inverse).collect();
-        views.push(View { xyz: inverse.clone(), rotation: Some(turned), ..positions.clone() });
+        views.push(InterpretedPoses {
+            xyz: inverse.clone(),
+            rotation: Some(turned),
+            ..positions.clone()
+        });
     }
     views.push(positions);
     views
 }
 
 /// Converts a map to columns of the joint track.
-fn reading(dof: usize, stream: &PoseStream, found: &Found, as_logged: f64) -> JointReading {
+fn reading(
+    dof: usize,
+    stream: &PoseStream,
+    found: &JointInterpretation,
+    as_logged: f64,
+) -> JointEncoding {
     let (map, kinds, columns) = (&found.map, stream.chain.joint_kinds(), stream.columns);
-    let slip = UnitSlip { as_logged, corrected: found.left.m };
+    let slip = UnitResiduals { as_logged, corrected: found.left.m };
     let degree = 1f64.to_radians();
     let slides = |joint: usize| kinds[joint] == JointKind::Prismatic;
     /// Relative precision of an estimated scale.
@@ -305,7 +333,7 @@ fn reading(dof: usize, stream: &PoseStream, found: &Found, as_logged: f64) -> Jo
             _ => JointUnit::Scaled,
         };
         let factor = if unit == JointUnit::Degrees { degree } else { map.factor[joint] };
-        Some(JointSlip { column: columns[joint], unit, factor })
+        Some(JointUnitError { column: columns[joint], unit, factor })
     });
     let mut zeros = vec![0.0; dof];
     for (&column, zero) in columns.iter().zip(&map.zero) {
@@ -321,7 +349,7 @@ fn reading(dof: usize, stream: &PoseStream, found: &Found, as_logged: f64) -> Jo
     for (joint, &from) in map.from.iter().enumerate() {
         permutation[columns[from]] = columns[joint];
     }
-    JointReading {
+    JointEncoding {
         degrees: all_in_degrees.then_some(slip),
         permutation: (!is_in_order).then_some((permutation, slip)),
         slips: slips.collect(),
@@ -333,9 +361,9 @@ fn reading(dof: usize, stream: &PoseStream, found: &Found, as_logged: f64) -> Jo
 }
 
 /// Whether neither the stream nor FK moves the tip, in radians or degrees.
-fn rests(chain: &Chain, moments: &Moments) -> bool {
+fn rests(chain: &Chain, moments: &SimultaneousSamples) -> bool {
     let radians = in_radians(chain, moments);
-    let fk = |moments: &Moments| -> Vec<Vec3> {
+    let fk = |moments: &SimultaneousSamples| -> Vec<Vec3> {
         let rows = moments.q.chunks_exact(chain.dof());
         rows.map(|q| chain.forward(q).translation.vector).collect()
     };
@@ -344,8 +372,12 @@ fn rests(chain: &Chain, moments: &Moments) -> bool {
 
 /// Determines the unit at rest. A tip at the position given by FK confirms names and unit without any free
 /// frame; a tip elsewhere is inconclusive.
-fn read_at_rest(chain: &Chain, moments: &Moments, reference_known: bool) -> Seen<JointReading> {
-    let off = |moments: &Moments| -> f64 {
+fn read_at_rest(
+    chain: &Chain,
+    moments: &SimultaneousSamples,
+    reference_known: bool,
+) -> EstimateResult<JointEncoding> {
+    let off = |moments: &SimultaneousSamples| -> f64 {
         let rows = moments.q.chunks_exact(chain.dof()).zip(&moments.xyz);
         let squares =
             rows.map(|(q, xyz)| (chain.forward(q).translation.vector - xyz).norm_squared());
@@ -355,16 +387,16 @@ fn read_at_rest(chain: &Chain, moments: &Moments, reference_known: bool) -> Seen
     let is_there = |off: f64, other: f64| off < THERE * chain.max_reach_m() && off * BETTER < other;
     let degrees = match reference_known {
         true if is_there(as_logged, corrected) => None,
-        true if is_there(corrected, as_logged) => Some(UnitSlip { as_logged, corrected }),
-        _ => return Err(Unseen::AtRest),
+        true if is_there(corrected, as_logged) => Some(UnitResiduals { as_logged, corrected }),
+        _ => return Err(NotObservable::AtRest),
     };
-    Ok(JointReading { degrees, ..JointReading::default() })
+    Ok(JointEncoding { degrees, ..JointEncoding::default() })
 }
 
 /// Corrects names, units and couplings of the joint track, but not the zeros.
 pub(super) fn corrected(
     joints: &JointTrack,
-    reading: &JointReading,
+    reading: &JointEncoding,
     prismatic: &[bool],
 ) -> JointTrack {
     let mut track = joints.clone();
@@ -437,17 +469,17 @@ fn lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<f64> {
 }
 
 /// Position residual with a constant tool offset, rms m.
-fn unturned_misfit(chain: &Chain, moments: &Moments) -> f64 {
+fn unturned_misfit(chain: &Chain, moments: &SimultaneousSamples) -> f64 {
     let poses: Vec<Pose> = moments.q.chunks_exact(chain.dof()).map(|q| chain.forward(q)).collect();
-    let expected = Expected::of(&poses);
+    let expected = FkColumns::of(&poses);
     let plain = expected.tool_misfit(&moments.xyz);
     moments.inverse_xyz.as_ref().map_or(plain, |xyz| plain.min(expected.tool_misfit(xyz)))
 }
 
 /// Position residual with constant frames, rms m.
-fn misfit(chain: &Chain, moments: &Moments) -> f64 {
+fn misfit(chain: &Chain, moments: &SimultaneousSamples) -> f64 {
     let poses: Vec<Pose> = moments.q.chunks_exact(chain.dof()).map(|q| chain.forward(q)).collect();
-    let expected = Expected::of(&poses);
+    let expected = FkColumns::of(&poses);
     let plain = expected.misfit(&moments.xyz);
     // Inverted streams fit after inversion.
     moments.inverse_xyz.as_ref().map_or(plain, |inverse| plain.min(expected.misfit(inverse)))

@@ -10,7 +10,7 @@ pub(super) const SAMPLES: usize = 60;
 
 /// Positions of a stream and simultaneous joint positions.
 #[derive(Clone)]
-pub(super) struct Moments {
+pub(super) struct SimultaneousSamples {
     pub xyz: Vec<Vec3>,
     /// Rotations, if the stream has them decoded.
     pub rotation: Option<Vec<Rotation>>,
@@ -45,7 +45,7 @@ pub(super) fn slow_moments(
     stream: &PoseStream,
     scale: f64,
     lag_s: f64,
-) -> Moments {
+) -> SimultaneousSamples {
     let track = stream.track;
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
     let rms = rms_speeds(joints);
@@ -65,7 +65,7 @@ pub(super) fn slow_moments(
         Orientations::Rotations(rotations) => Some(rotations),
         Orientations::Numbers(_) | Orientations::Unset(_) => None,
     };
-    let mut moments = Moments {
+    let mut moments = SimultaneousSamples {
         xyz: Vec::new(),
         rotation: rotations.map(|_| Vec::new()),
         inverse_xyz: rotations.map(|_| Vec::new()),
@@ -86,10 +86,13 @@ pub(super) fn slow_moments(
     moments
 }
 
-pub(super) fn in_radians(chain: &Chain, moments: &Moments) -> Moments {
+pub(super) fn in_radians(chain: &Chain, moments: &SimultaneousSamples) -> SimultaneousSamples {
     let kinds = chain.joint_kinds();
     let convert = |(i, q): (usize, &f64)| {
         if kinds[i % kinds.len()] == JointKind::Prismatic { *q } else { q.to_radians() }
     };
-    Moments { q: moments.q.iter().enumerate().map(convert).collect(), ..moments.clone() }
+    SimultaneousSamples {
+        q: moments.q.iter().enumerate().map(convert).collect(),
+        ..moments.clone()
+    }
 }

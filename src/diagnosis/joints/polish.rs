@@ -1,14 +1,14 @@
 //! Levenberg–Marquardt refinement of a map and frames (Levenberg 1944).
 
 use super::map::{Coupling, JointMap};
-use super::view::{Frames, Freedom, Left, View};
+use super::view::{ConstantFrames, FreeFrames, InterpretedPoses, Left};
 use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
 use ground::robot::JointKind;
 use nalgebra::{DMatrix, DVector};
 
 /// Interpretation of the joint states to refine.
 #[derive(Clone, Debug)]
-pub(super) struct Proposal {
+pub(super) struct JointProposal {
     pub map: JointMap,
     /// Joints with a free zero.
     pub zeros: Vec<usize>,
@@ -22,7 +22,7 @@ pub(super) struct Proposal {
 
 /// Refined proposal.
 #[derive(Clone, Debug)]
-pub(super) struct Polished {
+pub(super) struct RefinedProposal {
     pub map: JointMap,
     pub left: Left,
     /// Penalty: number of causes, including a rotated tool.
@@ -33,12 +33,17 @@ pub(super) struct Polished {
 const TURNED: f64 = 0.1;
 const TOOL: f64 = 1.0;
 
-impl Proposal {
+impl JointProposal {
     /// Minimises the residual in at most `steps` steps.
-    pub fn polished(&self, view: &View, freedom: Freedom, steps: usize) -> Polished {
+    pub fn polished(
+        &self,
+        view: &InterpretedPoses,
+        freedom: FreeFrames,
+        steps: usize,
+    ) -> RefinedProposal {
         let mut map = self.map.clone();
         let mut frames = view.frames(&view.fk(&map), freedom);
-        let cost = |map: &JointMap, frames: &Frames| {
+        let cost = |map: &JointMap, frames: &ConstantFrames| {
             view.left(&view.fk(map), frames).together(view.lever_m)
         };
         let mut best = cost(&map, &frames);
@@ -73,23 +78,23 @@ impl Proposal {
         let left = view.left(&view.fk(&map), &frames);
         let is_turned = view.rotation.is_some() && frames.tool.rotation.angle() > TURNED;
         let price = self.price + if is_turned { TOOL } else { 0.0 };
-        Polished { map, left, price }
+        RefinedProposal { map, left, price }
     }
 
     /// Number of parameters: zeros, relative factors, coupling factor, tool, reference.
-    fn width(&self, freedom: Freedom, view: &View) -> usize {
+    fn width(&self, freedom: FreeFrames, view: &InterpretedPoses) -> usize {
         let tool = if view.rotation.is_some() { 6 } else { 3 };
-        let reference = if freedom == Freedom::Both { 6 } else { 0 };
+        let reference = if freedom == FreeFrames::Both { 6 } else { 0 };
         let coupling = usize::from(self.fits_coupling);
         self.zeros.len() + self.factors.len() + coupling + tool + reference
     }
 
     fn normal(
         &self,
-        view: &View,
-        freedom: Freedom,
+        view: &InterpretedPoses,
+        freedom: FreeFrames,
         map: &JointMap,
-        frames: &Frames,
+        frames: &ConstantFrames,
     ) -> (DMatrix<f64>, DVector<f64>) {
         let (dof, width) = (view.chain.dof(), self.width(freedom, view));
         let with_rotation = view.rotation.is_some();
@@ -144,7 +149,7 @@ impl Proposal {
                 }
             }
             column += if with_rotation { 6 } else { 3 };
-            if freedom == Freedom::Both {
+            if freedom == FreeFrames::Both {
                 for axis in 0..3 {
                     let unit = Vec3::ith(axis, 1.0);
                     set(column + axis, unit, Vec3::zeros());
@@ -163,12 +168,12 @@ impl Proposal {
 
     fn moved(
         &self,
-        freedom: Freedom,
-        view: &View,
+        freedom: FreeFrames,
+        view: &InterpretedPoses,
         map: &JointMap,
-        frames: &Frames,
+        frames: &ConstantFrames,
         step: &DVector<f64>,
-    ) -> (JointMap, Frames) {
+    ) -> (JointMap, ConstantFrames) {
         /// Maximum rotation in one step, rad; the linearisation is not valid beyond it.
         const MOST: f64 = 0.5;
         let (mut map, mut frames, mut at) = (map.clone(), *frames, 0);
@@ -195,7 +200,7 @@ impl Proposal {
         let with_rotation = view.rotation.is_some();
         frames.tool *= shift(at, with_rotation);
         at += if with_rotation { 6 } else { 3 };
-        if freedom == Freedom::Both {
+        if freedom == FreeFrames::Both {
             frames.reference = shift(at, true) * frames.reference;
         }
         (map, frames)

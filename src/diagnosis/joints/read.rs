@@ -1,7 +1,7 @@
 //! Joint states decoded with one encoding.
 
 use super::super::sampling::still_speeds;
-use super::found::{JointCoupling, JointReading, JointUnit, is_coded};
+use super::found::{JointCoupling, JointEncoding, JointUnit, is_coded};
 use super::{corrected, moved};
 use ground::stream::JointTrack;
 
@@ -25,7 +25,7 @@ pub(in super::super) struct Read {
 }
 
 impl Read {
-    pub fn by(joints: &JointTrack, reading: &JointReading, prismatic: &[bool]) -> Self {
+    pub fn by(joints: &JointTrack, reading: &JointEncoding, prismatic: &[bool]) -> Self {
         let track = corrected(joints, reading, prismatic);
         let is_off = reading.zeros.iter().any(|zero| *zero != 0.0);
         let near = is_off.then(|| moved(&track, &reading.zeros));

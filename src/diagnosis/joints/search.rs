@@ -6,10 +6,10 @@
 //! are refined. If one fits, the search stops.
 
 use super::super::placing::spread;
-use super::lone::Lone;
+use super::lone::SingleJoint;
 use super::map::{ALL_ORDERS, Coupling, JointMap, orders, wholes};
-use super::polish::{Polished, Proposal};
-use super::view::{Frames, Freedom, Left, View};
+use super::polish::{JointProposal, RefinedProposal};
+use super::view::{ConstantFrames, FreeFrames, InterpretedPoses, Left};
 use ground::robot::JointKind;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
@@ -45,7 +45,7 @@ const ODD: f64 = 0.5;
 const BEYOND: f64 = 0.25;
 
 /// Interpretation of the joint states that fits.
-pub(super) struct Found {
+pub(super) struct JointInterpretation {
     pub map: JointMap,
     pub left: Left,
     /// Residual of the next best interpretation at no higher price, m.
@@ -53,9 +53,9 @@ pub(super) struct Found {
 }
 
 /// Outcome of a search.
-pub(super) enum Search {
+pub(super) enum SearchOutcome {
     /// One interpretation is clearly best.
-    Found(Found),
+    Found(JointInterpretation),
     /// Several interpretations fit equally well.
     Ambiguous,
     /// No interpretation fits.
@@ -64,7 +64,7 @@ pub(super) enum Search {
 
 /// Kinds of interpretations, the simplest first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Kind {
+pub(super) enum InterpretationKind {
     /// All joints in another unit, some joints reversed, or one joint misinterpreted.
     One,
     /// Positions in another order.
@@ -79,32 +79,44 @@ pub(super) enum Kind {
     OrderAndOne,
 }
 
-impl Kind {
+impl InterpretationKind {
     /// All kinds.
-    pub const ALL: [Kind; 6] =
-        [Kind::One, Kind::Order, Kind::Coupled, Kind::UnitAndOne, Kind::Two, Kind::OrderAndOne];
+    pub const ALL: [InterpretationKind; 6] = [
+        InterpretationKind::One,
+        InterpretationKind::Order,
+        InterpretationKind::Coupled,
+        InterpretationKind::UnitAndOne,
+        InterpretationKind::Two,
+        InterpretationKind::OrderAndOne,
+    ];
     /// Kinds that may explain a stream already close to FK as logged.
-    pub const OF_NEAR: [Kind; 2] = [Kind::One, Kind::Coupled];
+    pub const OF_NEAR: [InterpretationKind; 2] =
+        [InterpretationKind::One, InterpretationKind::Coupled];
 }
 
 /// Searches for an interpretation of one kind with a residual of at most `most`.
-pub(super) fn search(view: &View, kind: Kind, freedom: Freedom, most: Left) -> Search {
+pub(super) fn search(
+    view: &InterpretedPoses,
+    kind: InterpretationKind,
+    freedom: FreeFrames,
+    most: Left,
+) -> SearchOutcome {
     let none = JointMap::as_logged(view.chain.dof());
     let fk = view.fk(&none);
     if fits(&view.left(&fk, &view.frames(&fk, freedom)), most) {
         // The poses already fit the joint states as logged.
-        return Search::Nothing;
+        return SearchOutcome::Nothing;
     }
-    if let (Kind::One, Some(found)) = (kind, mirrored_in_unit(view)) {
-        return Search::Found(found);
+    if let (InterpretationKind::One, Some(found)) = (kind, mirrored_in_unit(view)) {
+        return SearchOutcome::Found(found);
     }
     let proposals = match kind {
-        Kind::One => one(view, freedom),
-        Kind::Order => ordered(view, freedom),
-        Kind::Coupled => coupled(view),
-        Kind::UnitAndOne => unit_and_one(view, freedom),
-        Kind::Two => two(view, freedom),
-        Kind::OrderAndOne => order_and_one(view, freedom),
+        InterpretationKind::One => one(view, freedom),
+        InterpretationKind::Order => ordered(view, freedom),
+        InterpretationKind::Coupled => coupled(view),
+        InterpretationKind::UnitAndOne => unit_and_one(view, freedom),
+        InterpretationKind::Two => two(view, freedom),
+        InterpretationKind::OrderAndOne => order_and_one(view, freedom),
     };
     judge(view, proposals, freedom, most)
 }
@@ -113,22 +125,27 @@ fn fits(left: &Left, most: Left) -> bool {
     left.m <= most.m && left.rad.zip(most.rad).is_none_or(|(left, most)| left <= most)
 }
 
-fn judge(view: &View, proposals: Vec<Proposal>, freedom: Freedom, most: Left) -> Search {
-    let together = |polished: &Polished| polished.left.together(view.lever_m);
-    let price = |polished: &Polished| {
+fn judge(
+    view: &InterpretedPoses,
+    proposals: Vec<JointProposal>,
+    freedom: FreeFrames,
+    most: Left,
+) -> SearchOutcome {
+    let together = |polished: &RefinedProposal| polished.left.together(view.lever_m);
+    let price = |polished: &RefinedProposal| {
         polished.price + BEYOND * polished.map.beyond_limits(view.chain, &view.spans) as f64
     };
     let thin = view.thinned(ROUGH_SAMPLES);
-    let mut rough: Vec<(f64, Proposal)> = proposals
+    let mut rough: Vec<(f64, JointProposal)> = proposals
         .into_par_iter()
         .map(|proposal| {
-            let Polished { map, left, .. } = proposal.polished(&thin, freedom, ROUGH_STEPS);
-            (left.together(view.lever_m), Proposal { map, ..proposal })
+            let RefinedProposal { map, left, .. } = proposal.polished(&thin, freedom, ROUGH_STEPS);
+            (left.together(view.lever_m), JointProposal { map, ..proposal })
         })
         .collect();
     rough.sort_by(|a, b| a.0.total_cmp(&b.0));
     rough.truncate(POLISHED);
-    let polished: Vec<(f64, Polished)> = rough
+    let polished: Vec<(f64, RefinedProposal)> = rough
         .into_par_iter()
         .map(|(_, proposal)| proposal.polished(view, freedom, STEPS))
         .map(|polished| (price(&polished), polished))
@@ -139,21 +156,25 @@ fn judge(view: &View, proposals: Vec<Proposal>, freedom: Freedom, most: Left) ->
     let Some((paid, best)) =
         good.min_by(|a, b| a.0.total_cmp(&b.0).then(together(&a.1).total_cmp(&together(&b.1))))
     else {
-        return Search::Nothing;
+        return SearchOutcome::Nothing;
     };
     let others = polished
         .iter()
         .filter(|(price, other)| *price <= *paid && !same(view, &other.map, &best.map));
     let runner_up = others.min_by(|a, b| together(&a.1).total_cmp(&together(&b.1)));
     if runner_up.is_some_and(|(_, other)| together(other) < TOLD * together(best).max(FLOOR_M)) {
-        return Search::Ambiguous;
+        return SearchOutcome::Ambiguous;
     }
     let runner_up_m = runner_up.map(|(_, other)| other.left.m);
-    Search::Found(Found { map: best.map.clone(), left: best.left, runner_up_m })
+    SearchOutcome::Found(JointInterpretation {
+        map: best.map.clone(),
+        left: best.left,
+        runner_up_m,
+    })
 }
 
 /// Whether two maps give the same joint positions at all samples.
-fn same(view: &View, a: &JointMap, b: &JointMap) -> bool {
+fn same(view: &InterpretedPoses, a: &JointMap, b: &JointMap) -> bool {
     /// Tolerance, rad or m.
     const NEAR: f64 = 0.02;
     let dof = view.chain.dof();
@@ -171,14 +192,20 @@ fn same(view: &View, a: &JointMap, b: &JointMap) -> bool {
 }
 
 /// The proposals with the smallest residual before refinement.
-fn best_of(view: &View, proposals: Vec<Proposal>, freedom: Freedom, most: usize) -> Vec<Proposal> {
+fn best_of(
+    view: &InterpretedPoses,
+    proposals: Vec<JointProposal>,
+    freedom: FreeFrames,
+    most: usize,
+) -> Vec<JointProposal> {
     let thin = view.thinned(STRAINED);
-    let by = |proposals: Vec<Proposal>, most: usize, score: &(dyn Fn(&JointMap) -> f64 + Sync)| {
-        let mut scored: Vec<(f64, Proposal)> =
-            proposals.into_par_iter().map(|one| (score(&one.map), one)).collect();
-        scored.sort_by(|a, b| a.0.total_cmp(&b.0));
-        scored.into_iter().take(most).map(|(_, one)| one).collect::<Vec<_>>()
-    };
+    let by =
+        |proposals: Vec<JointProposal>, most: usize, score: &(dyn Fn(&JointMap) -> f64 + Sync)| {
+            let mut scored: Vec<(f64, JointProposal)> =
+                proposals.into_par_iter().map(|one| (score(&one.map), one)).collect();
+            scored.sort_by(|a, b| a.0.total_cmp(&b.0));
+            scored.into_iter().take(most).map(|(_, one)| one).collect::<Vec<_>>()
+        };
     let few = match proposals.len() > CLOSELY {
         true => by(proposals, CLOSELY, &|map| thin.strain(map)),
         false => proposals,
@@ -187,7 +214,7 @@ fn best_of(view: &View, proposals: Vec<Proposal>, freedom: Freedom, most: usize)
 }
 
 /// Maps likely to be part of the fault, and whether the joint ranges support them.
-pub(super) fn likely(view: &View) -> Vec<(JointMap, bool)> {
+pub(super) fn likely(view: &InterpretedPoses) -> Vec<(JointMap, bool)> {
     let none = JointMap::as_logged(view.chain.dof());
     let units: Vec<JointMap> =
         wholes(view.chain).into_iter().filter(|whole| whole.is_unit).map(|w| w.map).collect();
@@ -196,29 +223,29 @@ pub(super) fn likely(view: &View) -> Vec<(JointMap, bool)> {
         units.iter().filter(|unit| is_out && unit.beyond_limits(view.chain, &view.spans) == 0);
     let in_range: Vec<(JointMap, bool)> =
         in_range.take(1).map(|unit| (unit.clone(), true)).collect();
-    let ordered = ordered(view, Freedom::Both);
-    let nearest = best_of(view, ordered, Freedom::Both, 1);
+    let ordered = ordered(view, FreeFrames::Both);
+    let nearest = best_of(view, ordered, FreeFrames::Both, 1);
     in_range.into_iter().chain(nearest.into_iter().map(|one| (one.map, false))).collect()
 }
 
-fn as_it_is(map: JointMap, price: f64) -> Proposal {
-    Proposal { map, zeros: Vec::new(), factors: Vec::new(), fits_coupling: false, price }
+fn as_it_is(map: JointMap, price: f64) -> JointProposal {
+    JointProposal { map, zeros: Vec::new(), factors: Vec::new(), fits_coupling: false, price }
 }
 
 /// Whether a joint moves enough under `map` with this factor.
-fn moves(view: &View, map: &JointMap, joint: usize, factor: f64) -> bool {
+fn moves(view: &InterpretedPoses, map: &JointMap, joint: usize, factor: f64) -> bool {
     let [low, high] = view.spans[map.from[joint]];
     let slides = view.chain.joint_kinds()[joint] == JointKind::Prismatic;
     factor.abs() * (high - low) > if slides { SLIDES } else { TURNS }
 }
 
 /// Joints that move under `map`.
-fn moving(view: &View, map: &JointMap) -> Vec<usize> {
+fn moving(view: &InterpretedPoses, map: &JointMap) -> Vec<usize> {
     (0..view.chain.dof()).filter(|&joint| moves(view, map, joint, map.factor[joint])).collect()
 }
 
 /// All joints in another unit, some of them reversed, or one joint misinterpreted.
-fn one(view: &View, freedom: Freedom) -> Vec<Proposal> {
+fn one(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
     let none = JointMap::as_logged(view.chain.dof());
     let whole = wholes(view.chain)
         .into_iter()
@@ -238,21 +265,21 @@ fn one(view: &View, freedom: Freedom) -> Vec<Proposal> {
 }
 
 /// Whether the mirrored positions fit FK under `map`.
-fn is_mirrored(view: &View, map: &JointMap) -> bool {
-    view.mirrored().misfit(map, Freedom::Both) < MIRRORED * spread(&view.xyz)
+fn is_mirrored(view: &InterpretedPoses, map: &JointMap) -> bool {
+    view.mirrored().misfit(map, FreeFrames::Both) < MIRRORED * spread(&view.xyz)
 }
 
 /// Unit in which the mirrored positions fit FK. Reversing all joints in that unit would also fit, but with
 /// rotated frames.
-fn mirrored_in_unit(view: &View) -> Option<Found> {
+fn mirrored_in_unit(view: &InterpretedPoses) -> Option<JointInterpretation> {
     let units = wholes(view.chain).into_iter().filter(|whole| whole.is_unit);
     let map = units.map(|whole| whole.map).find(|unit| is_mirrored(view, unit))?;
     let left = Left { m: MIRRORED * spread(&view.xyz), rad: None };
-    Some(Found { map, left, runner_up_m: None })
+    Some(JointInterpretation { map, left, runner_up_m: None })
 }
 
 /// Reversed subsets of the joints. Reversing all of them is one cause.
-fn reversed(view: &View, base: &JointMap) -> Vec<Proposal> {
+fn reversed(view: &InterpretedPoses, base: &JointMap) -> Vec<JointProposal> {
     /// Maximum number of joints for an exhaustive search over signs.
     const MOST: usize = 10;
     let moving = moving(view, base);
@@ -273,7 +300,7 @@ fn reversed(view: &View, base: &JointMap) -> Vec<Proposal> {
 }
 
 /// One common factor for all revolute joints that is not a round number.
-fn geared(view: &View, base: &JointMap, freedom: Freedom) -> Option<Proposal> {
+fn geared(view: &InterpretedPoses, base: &JointMap, freedom: FreeFrames) -> Option<JointProposal> {
     /// Maximum range of any joint, rad, the minimum as a share of it, and the ratio of successive factors.
     const MOST: f64 = 2.0 * TAU;
     const LEAST: f64 = 0.01;
@@ -304,11 +331,11 @@ fn geared(view: &View, base: &JointMap, freedom: Freedom) -> Option<Proposal> {
         [factor, -factor].map(|factor| as_it_is(scaled(factor), 1.25 + ODD))
     });
     let best = best_of(&view.thinned(ROUGH_SAMPLES), tried.collect(), freedom, 1).pop()?;
-    Some(Proposal { factors: turning, ..best })
+    Some(JointProposal { factors: turning, ..best })
 }
 
 /// Positions in another order.
-fn ordered(view: &View, freedom: Freedom) -> Vec<Proposal> {
+fn ordered(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
     let thin = view.thinned(20);
     let none = JointMap::as_logged(view.chain.dof());
     let orders = orders(view.chain.joint_names(), ALL_ORDERS);
@@ -326,7 +353,7 @@ fn ordered(view: &View, freedom: Freedom) -> Vec<Proposal> {
 
 /// Pairs of coupled revolute joints. The factor is ±1 (a controller that reports one joint's angle from the
 /// horizon, as FANUC's J3) or is estimated (wrists with concentric gear trains).
-fn coupled(view: &View) -> Vec<Proposal> {
+fn coupled(view: &InterpretedPoses) -> Vec<JointProposal> {
     let none = JointMap::as_logged(view.chain.dof());
     let kinds = view.chain.joint_kinds();
     let turning: Vec<usize> =
@@ -339,7 +366,7 @@ fn coupled(view: &View) -> Vec<Proposal> {
     let proposal = |(joint, by): (usize, usize), factor: f64, fits_coupling: bool| {
         let map = JointMap { coupling: Some(Coupling { joint, by, factor }), ..none.clone() };
         let price = if fits_coupling { 1.0 + ODD } else { 1.0 };
-        Proposal { fits_coupling, ..as_it_is(map, price) }
+        JointProposal { fits_coupling, ..as_it_is(map, price) }
     };
     pairs
         .flat_map(|pair| {
@@ -350,7 +377,7 @@ fn coupled(view: &View) -> Vec<Proposal> {
 }
 
 /// All joints in another unit, and one joint misinterpreted.
-fn unit_and_one(view: &View, freedom: Freedom) -> Vec<Proposal> {
+fn unit_and_one(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
     let units = wholes(view.chain).into_iter().filter(|whole| whole.is_unit);
     let joints = 0..view.chain.dof();
     let pairs: Vec<(JointMap, usize)> =
@@ -362,7 +389,13 @@ fn unit_and_one(view: &View, freedom: Freedom) -> Vec<Proposal> {
 }
 
 /// One joint interpreted differently from `base`: its zero, direction, unit or scale.
-fn lone(view: &View, base: &JointMap, price: f64, freedom: Freedom, joint: usize) -> Vec<Proposal> {
+fn lone(
+    view: &InterpretedPoses,
+    base: &JointMap,
+    price: f64,
+    freedom: FreeFrames,
+    joint: usize,
+) -> Vec<JointProposal> {
     let slides = view.chain.joint_kinds()[joint] == JointKind::Prismatic;
     let own = base.factor[joint];
     let moves = |factor: f64| moves(view, base, joint, factor);
@@ -370,7 +403,7 @@ fn lone(view: &View, base: &JointMap, price: f64, freedom: Freedom, joint: usize
         let settled = settled(view, base, freedom, joint, |lone| (factor, lone.zero(factor).0));
         settled.1
     };
-    let proposal = |factor: f64, zero: Option<f64>, is_free: bool, more: f64| Proposal {
+    let proposal = |factor: f64, zero: Option<f64>, is_free: bool, more: f64| JointProposal {
         map: base.with(joint, factor, zero.unwrap_or(0.0)),
         zeros: zero.map(|_| joint).into_iter().collect(),
         factors: is_free.then_some(joint).into_iter().collect(),
@@ -389,7 +422,7 @@ fn lone(view: &View, base: &JointMap, price: f64, freedom: Freedom, joint: usize
     }
     for with_zero in [true, false] {
         let at = usize::from(!with_zero);
-        let pick = |lone: &Lone| lone.factors().get(at).copied().unwrap_or((own, 0.0));
+        let pick = |lone: &SingleJoint| lone.factors().get(at).copied().unwrap_or((own, 0.0));
         let (factor, zero) = settled(view, base, freedom, joint, pick);
         if moves(factor) {
             let zero = with_zero.then_some(zero);
@@ -406,28 +439,28 @@ fn lone(view: &View, base: &JointMap, price: f64, freedom: Freedom, joint: usize
 
 /// Factor and zero of one joint from `pick`, alternating with the constant frames.
 fn settled(
-    view: &View,
+    view: &InterpretedPoses,
     base: &JointMap,
-    freedom: Freedom,
+    freedom: FreeFrames,
     joint: usize,
-    pick: impl Fn(&Lone) -> (f64, f64),
+    pick: impl Fn(&SingleJoint) -> (f64, f64),
 ) -> (f64, f64) {
     /// Number of alternations.
     const TIMES: usize = 3;
     let mut frames = match freedom {
-        Freedom::Tool => Frames::default(),
-        Freedom::Both => view.frames(&view.fk(base), freedom),
+        FreeFrames::Tool => ConstantFrames::default(),
+        FreeFrames::Both => view.frames(&view.fk(base), freedom),
     };
     let mut found = (base.factor[joint], base.zero[joint]);
     for _ in 0..TIMES {
-        found = pick(&Lone::of(view, base, &frames, joint));
+        found = pick(&SingleJoint::of(view, base, &frames, joint));
         frames = view.frames(&view.fk(&base.with(joint, found.0, found.1)), freedom);
     }
     found
 }
 
 /// Two joints, the first with a zero on a grid, forward or reversed.
-fn two(view: &View, freedom: Freedom) -> Vec<Proposal> {
+fn two(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
     /// Number of grid points for the zero of the first joint.
     const ZEROS: u32 = 24;
     let thin = view.thinned(16);
@@ -453,19 +486,19 @@ fn two(view: &View, freedom: Freedom) -> Vec<Proposal> {
             }
         }
     }
-    let proposals: Vec<Proposal> = firsts
+    let proposals: Vec<JointProposal> = firsts
         .into_par_iter()
         .flat_map_iter(|(first, factor, zero, price)| {
             let base = none.with(first, factor, zero);
             let frames = match freedom {
-                Freedom::Tool => Frames::default(),
-                Freedom::Both => thin.frames(&thin.fk(&base), freedom),
+                FreeFrames::Tool => ConstantFrames::default(),
+                FreeFrames::Both => thin.frames(&thin.fk(&base), freedom),
             };
             let seconds = (0..dof).filter(move |&second| second != first);
             let firsts = if zero == 0.0 { Vec::new() } else { vec![first] };
             let (thin, can_move) = (&thin, &can_move);
             seconds.flat_map(move |second| {
-                let lone = Lone::of(thin, &base, &frames, second);
+                let lone = SingleJoint::of(thin, &base, &frames, second);
                 let mut ways = vec![(1.0, Some(lone.zero(1.0).0), 1.0)];
                 if can_move.contains(&second) {
                     ways.push((-1.0, None, 1.0));
@@ -473,7 +506,7 @@ fn two(view: &View, freedom: Freedom) -> Vec<Proposal> {
                 }
                 let proposal = |(factor, zero, more): (f64, Option<f64>, f64)| {
                     let second_zero = zero.map(|_| second);
-                    Proposal {
+                    JointProposal {
                         map: base.with(second, factor, zero.unwrap_or(0.0)),
                         zeros: firsts.iter().copied().chain(second_zero).collect(),
                         factors: Vec::new(),
@@ -489,7 +522,7 @@ fn two(view: &View, freedom: Freedom) -> Vec<Proposal> {
 }
 
 /// Positions in another order, and one joint misinterpreted.
-fn order_and_one(view: &View, freedom: Freedom) -> Vec<Proposal> {
+fn order_and_one(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
     let thin = view.thinned(10);
     let dof = view.chain.dof();
     let none = JointMap::as_logged(dof);
@@ -503,8 +536,9 @@ fn order_and_one(view: &View, freedom: Freedom) -> Vec<Proposal> {
             let can_move = moving(&thin, &base);
             let thin = &thin;
             (0..dof).flat_map(move |joint| {
-                let zero = Lone::of(thin, &base, &Frames::default(), joint).zero(1.0).0;
-                let turned = Proposal {
+                let zero =
+                    SingleJoint::of(thin, &base, &ConstantFrames::default(), joint).zero(1.0).0;
+                let turned = JointProposal {
                     map: base.with(joint, 1.0, zero),
                     zeros: vec![joint],
                     factors: Vec::new(),

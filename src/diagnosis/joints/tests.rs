@@ -1,6 +1,6 @@
 use super::map::{JointMap, half_turns, orders};
-use super::search::{Kind, Search, search};
-use super::view::{Freedom, Left, TURNS, View};
+use super::search::{InterpretationKind, SearchOutcome, search};
+use super::view::{FreeFrames, InterpretedPoses, Left, TURNS};
 use crate::test_random::Lcg;
 use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
 use ground::robot::{Chain, catalogue};
@@ -16,7 +16,11 @@ fn ur5e() -> Chain {
 }
 
 /// Poses of an arm over its range, with a tool, paired with joint values transformed by `logged`.
-fn view<'a>(chain: &'a Chain, tool: Pose, logged: impl Fn(&[f64]) -> Vec<f64>) -> View<'a> {
+fn view<'a>(
+    chain: &'a Chain,
+    tool: Pose,
+    logged: impl Fn(&[f64]) -> Vec<f64>,
+) -> InterpretedPoses<'a> {
     let mut random = Lcg::new();
     let mut of = |most: f64| random.number(2.0 * most) - most;
     let rows: Vec<Vec<f64>> =
@@ -29,7 +33,7 @@ fn view<'a>(chain: &'a Chain, tool: Pose, logged: impl Fn(&[f64]) -> Vec<f64>) -
         let column = q.iter().skip(joint).step_by(chain.dof());
         column.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], &q| [a.min(q), b.max(q)])
     };
-    View {
+    InterpretedPoses {
         chain,
         xyz,
         rotation: Some(poses.iter().map(|pose| pose.rotation).collect()),
@@ -40,11 +44,11 @@ fn view<'a>(chain: &'a Chain, tool: Pose, logged: impl Fn(&[f64]) -> Vec<f64>) -
     }
 }
 
-fn found(view: &View, kind: Kind, freedom: Freedom) -> JointMap {
+fn found(view: &InterpretedPoses, kind: InterpretationKind, freedom: FreeFrames) -> JointMap {
     match search(view, kind, freedom, MOST) {
-        Search::Found(found) => found.map,
-        Search::Ambiguous => panic!("several ways fit"),
-        Search::Nothing => panic!("nothing fits"),
+        SearchOutcome::Found(found) => found.map,
+        SearchOutcome::Ambiguous => panic!("several ways fit"),
+        SearchOutcome::Nothing => panic!("nothing fits"),
     }
 }
 
@@ -73,7 +77,7 @@ fn one_joint_is_found_whatever_its_numbers_mean() {
             logged[joint] = (q[joint] - zero) / factor;
             logged
         });
-        let map = found(&view, Kind::One, Freedom::Tool);
+        let map = found(&view, InterpretationKind::One, FreeFrames::Tool);
         let expected = JointMap::as_logged(6).with(joint, factor, zero);
         for (own, truth) in map.factor.iter().zip(&expected.factor) {
             assert!((own / truth - 1.0).abs() < 1e-2, "{map:?}, not {expected:?}");
@@ -87,7 +91,7 @@ fn all_joints_in_another_unit_are_one_cause() {
     let chain = ur5e();
     for factor in [1f64.to_radians(), TAU / 65536.0, -1.0, 1.0 / 101.0] {
         let view = view(&chain, tcp(), |q| q.iter().map(|q| q / factor).collect());
-        let map = found(&view, Kind::One, Freedom::Tool);
+        let map = found(&view, InterpretationKind::One, FreeFrames::Tool);
         assert_near(&map.factor.iter().map(|f| f / factor).collect::<Vec<_>>(), &[1.0; 6], 1e-2);
     }
 }
@@ -96,12 +100,12 @@ fn all_joints_in_another_unit_are_one_cause() {
 fn two_joints_and_an_order_beside_one_are_found() {
     let chain = ur5e();
     let two = view(&chain, tcp(), |q| vec![q[0], q[1] - 1.9, -q[2], q[3], q[4], q[5]]);
-    let map = found(&two, Kind::Two, Freedom::Tool);
+    let map = found(&two, InterpretationKind::Two, FreeFrames::Tool);
     assert_near(&map.zero, &[0.0, 1.9, 0.0, 0.0, 0.0, 0.0], 0.02);
     assert_near(&map.factor, &[1.0, 1.0, -1.0, 1.0, 1.0, 1.0], 1e-6);
 
     let order = view(&chain, Pose::identity(), |q| vec![q[2], q[1], q[0], -q[3], q[4], q[5]]);
-    let map = found(&order, Kind::OrderAndOne, Freedom::Tool);
+    let map = found(&order, InterpretationKind::OrderAndOne, FreeFrames::Tool);
     assert_eq!(map.from, [2, 1, 0, 3, 4, 5]);
     assert_near(&map.factor, &[1.0, 1.0, 1.0, -1.0, 1.0, 1.0], 1e-6);
 }
@@ -115,7 +119,7 @@ fn in_a_world_of_its_own_joints_are_read_too() {
         let moved = world * Pose::from_parts((*xyz).into(), *rotation);
         (*xyz, *rotation) = (moved.translation.vector, moved.rotation);
     }
-    let map = found(&view, Kind::One, Freedom::Both);
+    let map = found(&view, InterpretationKind::One, FreeFrames::Both);
     assert_near(&map.factor, &[1.0, -1.0, 1.0, 1.0, 1.0, 1.0], 1e-6);
 }
 
@@ -127,8 +131,8 @@ fn where_the_joints_are_right_or_nothing_fits_nothing_is_found() {
         vec![q[0], q[1], q[2], q[3], q[4] + 0.6 * q[3], q[5] - 0.5 * q[0]]
     });
     for view in [right, coupled] {
-        for kind in Kind::ALL {
-            assert!(matches!(search(&view, kind, Freedom::Tool, MOST), Search::Nothing));
+        for kind in InterpretationKind::ALL {
+            assert!(matches!(search(&view, kind, FreeFrames::Tool, MOST), SearchOutcome::Nothing));
         }
     }
 }
@@ -158,7 +162,9 @@ fn a_coupled_pair_is_found_with_its_factor() {
             logged
         });
         let most = Left { m: 5e-4, rad: Some(1e-3) };
-        let Search::Found(found) = search(&view, Kind::Coupled, Freedom::Tool, most) else {
+        let SearchOutcome::Found(found) =
+            search(&view, InterpretationKind::Coupled, FreeFrames::Tool, most)
+        else {
             panic!("{factor} of joint {by} in joint {joint} is not found")
         };
         let coupling = found.map.coupling.expect("a coupling");

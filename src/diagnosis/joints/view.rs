@@ -1,7 +1,7 @@
 //! Residual of a pose stream at slow samples for a mapping of the joint states.
 
 use super::super::frames::{both_frames, tool_frame};
-use super::super::placing::Expected;
+use super::super::placing::FkColumns;
 use super::map::JointMap;
 use ground::geometry::{Pose, Rotation, Vec3, angle_between, pose, rotvec_from_rotation};
 use ground::robot::Chain;
@@ -12,7 +12,7 @@ pub(super) const TURNS: usize = 30;
 
 /// Constant frames that are free.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Freedom {
+pub(super) enum FreeFrames {
     /// Tool frame only: an active TCP.
     Tool,
     /// Tool and reference frame.
@@ -21,7 +21,7 @@ pub(super) enum Freedom {
 
 /// Constant frames: `logged = reference · FK · tool`.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Frames {
+pub(super) struct ConstantFrames {
     pub reference: Pose,
     pub tool: Pose,
 }
@@ -42,7 +42,7 @@ impl Left {
 
 /// Interpreted poses of a stream, with the simultaneous joint values.
 #[derive(Clone)]
-pub(super) struct View<'a> {
+pub(super) struct InterpretedPoses<'a> {
     pub chain: &'a Chain,
     pub xyz: Vec<Vec3>,
     /// Rotations, if they are used.
@@ -57,7 +57,7 @@ pub(super) struct View<'a> {
     pub turns: usize,
 }
 
-impl View<'_> {
+impl InterpretedPoses<'_> {
     pub fn len(&self) -> usize {
         self.xyz.len()
     }
@@ -100,30 +100,30 @@ impl View<'_> {
     }
 
     /// Constant frames with the smallest residual.
-    pub fn frames(&self, fk: &[Pose], freedom: Freedom) -> Frames {
-        let expected = Expected::of(fk);
+    pub fn frames(&self, fk: &[Pose], freedom: FreeFrames) -> ConstantFrames {
+        let expected = FkColumns::of(fk);
         let by_positions = |turns: usize| {
             let (reference, tool) = expected.frames(&self.xyz, turns);
-            Frames { reference, tool: pose(tool.into(), Rotation::identity()) }
+            ConstantFrames { reference, tool: pose(tool.into(), Rotation::identity()) }
         };
         let Some(logged) = self.logged() else {
-            return by_positions(if freedom == Freedom::Both { self.turns } else { 0 });
+            return by_positions(if freedom == FreeFrames::Both { self.turns } else { 0 });
         };
-        let tool = Frames { reference: Pose::identity(), tool: tool_frame(fk, &logged) };
-        if freedom == Freedom::Tool {
+        let tool = ConstantFrames { reference: Pose::identity(), tool: tool_frame(fk, &logged) };
+        if freedom == FreeFrames::Tool {
             return tool;
         }
         let (reference, turned_tool) = both_frames(fk, &logged);
         let placed = by_positions(self.turns).reference;
         let seen: Vec<Pose> = logged.iter().map(|pose| placed.inverse() * pose).collect();
-        let placed = Frames { reference: placed, tool: tool_frame(fk, &seen) };
-        let both = [Frames { reference, tool: turned_tool }, placed, tool];
-        let left = |frames: &Frames| self.left(fk, frames).together(self.lever_m);
+        let placed = ConstantFrames { reference: placed, tool: tool_frame(fk, &seen) };
+        let both = [ConstantFrames { reference, tool: turned_tool }, placed, tool];
+        let left = |frames: &ConstantFrames| self.left(fk, frames).together(self.lever_m);
         both.into_iter().min_by(|a, b| left(a).total_cmp(&left(b))).unwrap_or(tool)
     }
 
     /// Residual of the poses against `fk` in `frames`.
-    pub fn left(&self, fk: &[Pose], frames: &Frames) -> Left {
+    pub fn left(&self, fk: &[Pose], frames: &ConstantFrames) -> Left {
         let (mut metres, mut radians) = (0.0, 0.0);
         for (k, fk) in fk.iter().enumerate() {
             let [position, rotation] = self.residual(k, &(frames.reference * fk * frames.tool));
@@ -164,7 +164,7 @@ impl View<'_> {
     }
 
     /// Residual of a map with the best frames, as one length.
-    pub fn misfit(&self, map: &JointMap, freedom: Freedom) -> f64 {
+    pub fn misfit(&self, map: &JointMap, freedom: FreeFrames) -> f64 {
         let fk = self.fk(map);
         self.left(&fk, &self.frames(&fk, freedom)).together(self.lever_m)
     }

@@ -11,8 +11,13 @@ fn arm() -> Vec<Pose> {
     (0..60).map(at).collect()
 }
 
-fn first(fk: &[Pose], xyz: &[Vec3], reference_known: bool, constant: Option<usize>) -> Layout {
-    let written = Written { xyz, constant, read_as_m: 1.0, reference_known };
+fn first(
+    fk: &[Pose],
+    xyz: &[Vec3],
+    reference_known: bool,
+    constant: Option<usize>,
+) -> PositionEncoding {
+    let written = StreamPositions { xyz, constant, read_as_m: 1.0, reference_known };
     layouts(fk, 1.0, &written).into_iter().next().expect("the tip moves")
 }
 

@@ -5,14 +5,14 @@ use ground::robot::Chain;
 
 /// Arm as capsules: segments between consecutive joint origins, from base to tip, each with a radius.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Body {
+pub struct ArmCapsules {
     /// Radius of each segment, m; one more than the number of joints.
     pub radius_m: Vec<f64>,
 }
 
 /// Visibility constraint of a camera in the hand.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct View {
+pub struct TargetVisibility {
     /// Pose of the camera.
     pub hand_from_camera: Pose,
     /// Target in the base, m.
@@ -23,15 +23,15 @@ pub struct View {
 
 /// Clearances that a motion must keep.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Keep {
+pub struct Clearances {
     /// The arm.
-    pub body: Body,
+    pub body: ArmCapsules,
     /// Minimum distance between surfaces, m.
     pub clear_m: f64,
     /// Height of the floor in the base, m.
     pub floor_m: Option<f64>,
     /// Visibility constraint, if any.
-    pub view: Option<View>,
+    pub view: Option<TargetVisibility>,
     /// Segment pairs to check, with the minimum distance between their surfaces, m.
     pairs: Vec<(usize, usize, f64)>,
     /// Minimum height of each segment above the floor, m.
@@ -40,7 +40,7 @@ pub struct Keep {
 
 /// Violation of a clearance.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Nearness {
+pub enum ClearanceViolation {
     /// Two segments of the arm, counted from the base, and the distance between their surfaces, m.
     Parts(usize, usize, f64),
     /// Segment and its height above the floor, m.
@@ -52,17 +52,17 @@ pub enum Nearness {
 /// Tolerance for segments already too close in the known free configuration, m.
 const YIELD_M: f64 = 5e-3;
 
-impl Keep {
+impl Clearances {
     /// Derives the clearances for an arm whose configuration `free` is collision-free. Segments connected
     /// by a path shorter than twice their radii are neighbours and are not checked. Segments already closer
     /// than `clear_m` must keep about that distance.
     pub fn around(
         chain: &Chain,
         free: &[f64],
-        body: Body,
+        body: ArmCapsules,
         clear_m: f64,
         floor_m: Option<f64>,
-        view: Option<View>,
+        view: Option<TargetVisibility>,
     ) -> Self {
         let points = points(chain, free);
         let lengths: Vec<f64> = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).collect();
@@ -95,39 +95,39 @@ impl Keep {
     }
 
     /// First violation in configuration `q`.
-    pub fn offence(&self, chain: &Chain, q: &[f64]) -> Option<Nearness> {
+    pub fn offence(&self, chain: &Chain, q: &[f64]) -> Option<ClearanceViolation> {
         let points = points(chain, q);
         let parts = self.pairs.iter().find_map(|&(i, j, least)| {
             let thick = self.body.radius_m[i] + self.body.radius_m[j];
             let apart = between(&points[i..i + 2], &points[j..j + 2]) - thick;
-            (apart < least).then_some(Nearness::Parts(i, j, apart))
+            (apart < least).then_some(ClearanceViolation::Parts(i, j, apart))
         });
         let floor = || {
             let floor_m = self.floor_m?;
             self.heights.iter().enumerate().find_map(|(at, &least)| {
                 let height = self.height(&points, at) - floor_m;
-                (height < least).then_some(Nearness::Floor(at, height))
+                (height < least).then_some(ClearanceViolation::Floor(at, height))
             })
         };
         let view = || {
             let view = self.view?;
             let angle = view.angle(&chain.forward(q));
-            (angle > view.half_rad).then_some(Nearness::View(angle))
+            (angle > view.half_rad).then_some(ClearanceViolation::View(angle))
         };
         parts.or_else(floor).or_else(view)
     }
 
     /// Segment pairs, and segments above the floor, closer than `clear_m` in configuration `q`.
-    pub fn near(&self, chain: &Chain, q: &[f64]) -> Vec<Nearness> {
+    pub fn near(&self, chain: &Chain, q: &[f64]) -> Vec<ClearanceViolation> {
         let points = points(chain, q);
         let pairs = self.pairs.iter().filter_map(|&(i, j, _)| {
             let thick = self.body.radius_m[i] + self.body.radius_m[j];
             let apart = between(&points[i..i + 2], &points[j..j + 2]) - thick;
-            (apart < self.clear_m).then_some(Nearness::Parts(i, j, apart))
+            (apart < self.clear_m).then_some(ClearanceViolation::Parts(i, j, apart))
         });
         let floor = (0..self.heights.len()).filter_map(|at| {
             let height = self.height(&points, at) - self.floor_m?;
-            (height < self.clear_m).then_some(Nearness::Floor(at, height))
+            (height < self.clear_m).then_some(ClearanceViolation::Floor(at, height))
         });
         pairs.chain(floor).collect()
     }
@@ -138,7 +138,7 @@ impl Keep {
     }
 }
 
-impl View {
+impl TargetVisibility {
     /// Angle between the camera's z axis and the direction to the target, rad.
     fn angle(&self, base_from_hand: &Pose) -> f64 {
         let camera = base_from_hand * self.hand_from_camera;

@@ -1,6 +1,6 @@
 //! Finite Fourier series motions that start and end at rest.
 
-use super::Room;
+use super::JointMargins;
 use ground::stream::JointTrack;
 use std::f64::consts::{PI, TAU};
 
@@ -11,7 +11,7 @@ const SAMPLES: usize = 16;
 /// both ends the position is `around_j` with zero velocity and acceleration; the arm rests before and
 /// after.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Series {
+pub struct FourierMotion {
     /// Configuration at both ends, rad or m.
     pub around: Vec<f64>,
     /// Duration of the motion, s.
@@ -26,7 +26,7 @@ pub struct Series {
     pub cos: Vec<f64>,
 }
 
-impl Series {
+impl FourierMotion {
     /// Motion with all amplitudes zero.
     pub(super) fn at_rest(around: &[f64], seconds: f64, rest_s: f64, harmonics: usize) -> Self {
         let (around, none) = (around.to_vec(), vec![0.0; around.len() * harmonics]);
@@ -85,7 +85,7 @@ impl Series {
     /// A sum of K sines bounded by m at N equidistant points is bounded by `m / cos(πK/N)` everywhere
     /// (Ehlich and Zeller, "Schwankung von Polynomen zwischen Gitterpunkten", Mathematische Zeitschrift 86,
     /// 1964). Limits therefore also hold between samples.
-    pub(super) fn fill(&mut self, joint: usize, room: &Room, share: f64) {
+    pub(super) fn fill(&mut self, joint: usize, room: &JointMargins, share: f64) {
         let own = joint * self.harmonics..(joint + 1) * self.harmonics;
         // At the ends, velocity is Σ k·sin_k, position Σ cos_k, acceleration Σ k²·cos_k.
         take_off(&mut self.sin[own.clone()], &[|k| (k + 1) as f64]);

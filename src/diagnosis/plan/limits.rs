@@ -5,7 +5,7 @@ use ground::stream::JointTrack;
 
 /// Limited quantity of a joint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Bound {
+pub enum LimitKind {
     /// Lowest position.
     Lower,
     /// Highest position.
@@ -18,11 +18,11 @@ pub enum Bound {
 
 /// Violation of one limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Beyond {
+pub struct LimitViolation {
     /// Index of the joint in the chain.
     pub joint: usize,
     /// Limited quantity.
-    pub bound: Bound,
+    pub bound: LimitKind,
     /// Time of the largest violation, s.
     pub t_s: f64,
     /// Value at that time, SI units.
@@ -33,7 +33,7 @@ pub struct Beyond {
 
 /// Range of one joint's motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Extent {
+pub struct JointRange {
     /// Lowest position, rad or m.
     pub low: f64,
     /// Highest position, rad or m.
@@ -56,7 +56,7 @@ fn rates(motion: &JointTrack, joint: usize) -> impl Iterator<Item = (f64, f64, f
 }
 
 /// Range of each joint's motion.
-pub fn extents(motion: &JointTrack) -> Vec<Extent> {
+pub fn extents(motion: &JointTrack) -> Vec<JointRange> {
     let column = |values: &'_ [f64], joint: usize| -> Vec<f64> {
         values.iter().skip(joint).step_by(motion.dof).copied().collect()
     };
@@ -64,7 +64,7 @@ pub fn extents(motion: &JointTrack) -> Vec<Extent> {
     let extent = |joint: usize| {
         let q = column(&motion.q, joint);
         let speeds = rates(motion, joint).map(|rate| rate.1);
-        Extent {
+        JointRange {
             low: q.iter().copied().fold(f64::INFINITY, f64::min),
             high: q.iter().copied().fold(f64::NEG_INFINITY, f64::max),
             speed: most(&mut column(&motion.qd, joint).into_iter().chain(speeds)),
@@ -81,19 +81,19 @@ pub fn beyond(
     motion: &JointTrack,
     speed: &[f64],
     acceleration: &[f64],
-) -> Vec<Beyond> {
+) -> Vec<LimitViolation> {
     /// Tolerance for rounding in a file.
     const SLACK: f64 = 1e-6;
     /// Tolerance for finite differences of rounded values.
     const DIFFERENCED: f64 = 1e-2;
     let mut found = Vec::new();
     for (joint, limits) in chain.limits().iter().enumerate() {
-        let mut hold = |bound: Bound,
+        let mut hold = |bound: LimitKind,
                         limit: f64,
                         over: &mut dyn Iterator<Item = (f64, f64, f64)>| {
             let worst = over.max_by(|a, b| a.2.total_cmp(&b.2));
             if let Some((t_s, value, _)) = worst.filter(|worst| worst.2 > 0.0 || worst.2.is_nan()) {
-                found.push(Beyond { joint, bound, t_s, value, limit });
+                found.push(LimitViolation { joint, bound, t_s, value, limit });
             }
         };
         let positions = || {
@@ -102,11 +102,11 @@ pub fn beyond(
         };
         if let Some(lower) = limits.lower {
             let over = |(t_s, q): (f64, f64)| (t_s, q, lower - q - SLACK);
-            hold(Bound::Lower, lower, &mut positions().map(over));
+            hold(LimitKind::Lower, lower, &mut positions().map(over));
         }
         if let Some(upper) = limits.upper {
             let over = |(t_s, q): (f64, f64)| (t_s, q, q - upper - SLACK);
-            hold(Bound::Upper, upper, &mut positions().map(over));
+            hold(LimitKind::Upper, upper, &mut positions().map(over));
         }
         let most = speed[joint];
         let logged = (0..motion.len()).map(|row| {
@@ -115,11 +115,11 @@ pub fn beyond(
         });
         let between = rates(motion, joint)
             .map(|(t_s, speed, _)| (t_s, speed, speed.abs() - most * (1.0 + DIFFERENCED)));
-        hold(Bound::Speed, most, &mut logged.chain(between));
+        hold(LimitKind::Speed, most, &mut logged.chain(between));
         let most = acceleration[joint];
         let mut over = rates(motion, joint)
             .map(|(t_s, _, rate)| (t_s, rate, rate.abs() - most * (1.0 + DIFFERENCED)));
-        hold(Bound::Acceleration, most, &mut over);
+        hold(LimitKind::Acceleration, most, &mut over);
     }
     found
 }

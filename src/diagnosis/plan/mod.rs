@@ -19,11 +19,11 @@ use ground::geometry::Pose;
 use ground::robot::Chain;
 use ground::stream::JointTrack;
 
-pub use distance::{Body, Keep, Nearness, View};
-pub use fourier::Series;
-pub use limits::{Beyond, Bound, Extent, beyond, extents};
-pub use search::{Infeasible, Planned, plan, sampled};
-pub use shown::{Promise, Showable, geometric_mean, promises};
+pub use distance::{ArmCapsules, ClearanceViolation, Clearances, TargetVisibility};
+pub use fourier::FourierMotion;
+pub use limits::{JointRange, LimitKind, LimitViolation, beyond, extents};
+pub use search::{Infeasible, MotionPlan, plan, sampled};
+pub use shown::{ExpectedPrecision, PlannedQuantity, geometric_mean, promises};
 
 /// Quantity to estimate from a motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -83,7 +83,7 @@ pub struct Sensing {
 
 /// Limits of one joint's motion relative to its start.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Room {
+pub struct JointMargins {
     /// Downwards, rad or m, not negative.
     pub below: f64,
     /// Upwards, rad or m, not negative.
@@ -96,13 +96,13 @@ pub struct Room {
 
 /// Requirements on a motion.
 #[derive(Clone, Debug)]
-pub struct Task<'a> {
+pub struct PlanRequirements<'a> {
     /// The arm.
     pub chain: &'a Chain,
     /// Start and end configuration, in the chain's order, rad or m.
     pub around: &'a [f64],
     /// Limits of each joint.
-    pub rooms: &'a [Room],
+    pub rooms: &'a [JointMargins],
     /// Total duration including rests, s.
     pub seconds: f64,
     /// Quantity to estimate.
@@ -110,7 +110,7 @@ pub struct Task<'a> {
     /// Measurement used for it.
     pub sensing: Sensing,
     /// Clearances.
-    pub keep: &'a Keep,
+    pub keep: &'a Clearances,
     /// Random seed.
     pub seed: u64,
 }
@@ -121,6 +121,6 @@ pub fn shown(
     motion: &JointTrack,
     purpose: Purpose,
     sensing: &Sensing,
-) -> Option<Vec<Promise>> {
+) -> Option<Vec<ExpectedPrecision>> {
     promises(chain, &sampled(motion, chain)?, purpose, sensing)
 }

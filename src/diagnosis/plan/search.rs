@@ -1,8 +1,8 @@
 //! Search for the motion with the largest information on the requested parameters.
 
-use super::fourier::Series;
-use super::shown::{Promise, Sight};
-use super::{Nearness, Task};
+use super::fourier::FourierMotion;
+use super::shown::{ExpectedPrecision, LinearizedMotion};
+use super::{ClearanceViolation, PlanRequirements};
 use ground::robot::Chain;
 use ground::stream::JointTrack;
 use rand::{RngExt, SeedableRng};
@@ -30,17 +30,17 @@ const SHARES: [f64; 8] = [1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05];
 
 /// Result of the search.
 #[derive(Clone, Debug)]
-pub struct Planned {
+pub struct MotionPlan {
     /// The motion.
-    pub series: Series,
+    pub series: FourierMotion,
     /// Fraction of the room that it uses.
     pub share: f64,
     /// Expected precision of the motion.
-    pub promises: Vec<Promise>,
+    pub promises: Vec<ExpectedPrecision>,
     /// Expected precision of the median random motion within the same limits.
-    pub random: Vec<Promise>,
+    pub random: Vec<ExpectedPrecision>,
     /// Expected precision if the joints move one after the other for the same total time.
-    pub one_by_one: Vec<Promise>,
+    pub one_by_one: Vec<ExpectedPrecision>,
 }
 
 /// Reason why no motion was found.
@@ -49,7 +49,7 @@ pub enum Infeasible {
     /// No joint can move.
     NoRoom,
     /// All attempts violated a clearance; the violation at the smallest fraction of the room.
-    TooNear(Option<Nearness>),
+    TooNear(Option<ClearanceViolation>),
     /// No motion makes the requested parameters observable.
     NothingShown,
 }
@@ -76,8 +76,8 @@ pub fn sampled(motion: &JointTrack, chain: &Chain) -> Option<JointTrack> {
 ///
 /// # Errors
 /// If no motion satisfies the limits.
-pub fn plan(task: &Task) -> Result<Planned, Infeasible> {
-    let room = |room: &super::Room| room.above.min(room.below);
+pub fn plan(task: &PlanRequirements) -> Result<MotionPlan, Infeasible> {
+    let room = |room: &super::JointMargins| room.above.min(room.below);
     if !task.rooms.iter().any(|it| room(it) > 0.0 && it.velocity > 0.0 && it.acceleration > 0.0) {
         return Err(Infeasible::NoRoom);
     }
@@ -85,12 +85,12 @@ pub fn plan(task: &Task) -> Result<Planned, Infeasible> {
     let seconds = task.seconds - 2.0 * rest_s;
     let harmonics = (FASTEST_HZ * seconds).round() as usize;
     let harmonics = harmonics.clamp(*SINES.start(), *SINES.end());
-    let search = Search { task, seconds, rest_s, harmonics };
+    let search = MotionSearch { task, seconds, rest_s, harmonics };
     let mut last = None;
     for share in SHARES {
         let mut random = Pcg64::seed_from_u64(task.seed);
         let drawn = (0..DRAWS).map(|_| search.drawn(&mut random, share));
-        let mut draws: Vec<(f64, Series)> = Vec::new();
+        let mut draws: Vec<(f64, FourierMotion)> = Vec::new();
         for series in drawn {
             match search.offence(&series, LOOKED_HZ) {
                 None => draws.push((search.score(&series), series)),
@@ -107,10 +107,10 @@ pub fn plan(task: &Task) -> Result<Planned, Infeasible> {
             continue;
         }
         let promises = |motion: &JointTrack| {
-            let sight = Sight::of(task.chain, motion, task.purpose, &task.sensing);
+            let sight = LinearizedMotion::of(task.chain, motion, task.purpose, &task.sensing);
             sight.map_or_else(Vec::new, |sight| sight.promises(task.chain))
         };
-        return Ok(Planned {
+        return Ok(MotionPlan {
             promises: promises(&series.track(2 * ROWS)),
             random: promises(&middle.1.track(2 * ROWS)),
             one_by_one: promises(&search.one_by_one(share, 2 * ROWS)),
@@ -124,19 +124,19 @@ pub fn plan(task: &Task) -> Result<Planned, Infeasible> {
     }
 }
 
-struct Search<'a> {
-    task: &'a Task<'a>,
+struct MotionSearch<'a> {
+    task: &'a PlanRequirements<'a>,
     /// Duration of the motion without rests, s.
     seconds: f64,
     rest_s: f64,
     harmonics: usize,
 }
 
-impl Search<'_> {
+impl MotionSearch<'_> {
     /// Random motion within the limits.
-    fn drawn(&self, random: &mut Pcg64, share: f64) -> Series {
+    fn drawn(&self, random: &mut Pcg64, share: f64) -> FourierMotion {
         let Self { task, seconds, rest_s, harmonics } = *self;
-        let mut series = Series::at_rest(task.around, seconds, rest_s, harmonics);
+        let mut series = FourierMotion::at_rest(task.around, seconds, rest_s, harmonics);
         for joint in 0..series.dof() {
             let falls = random.random_range(0.3..1.5);
             for k in 0..self.harmonics {
@@ -151,20 +151,26 @@ impl Search<'_> {
     }
 
     /// First clearance violation, checked at `rate_hz`.
-    fn offence(&self, series: &Series, rate_hz: f64) -> Option<Nearness> {
+    fn offence(&self, series: &FourierMotion, rate_hz: f64) -> Option<ClearanceViolation> {
         let track = series.track((series.length_s() * rate_hz).ceil() as usize + 1);
         (0..track.len()).find_map(|row| self.task.keep.offence(self.task.chain, track.row(row)))
     }
 
-    fn score(&self, series: &Series) -> f64 {
+    fn score(&self, series: &FourierMotion) -> f64 {
         let track = series.track(ROWS);
-        let sight = Sight::of(self.task.chain, &track, self.task.purpose, &self.task.sensing);
+        let sight =
+            LinearizedMotion::of(self.task.chain, &track, self.task.purpose, &self.task.sensing);
         sight.map_or(f64::INFINITY, |sight| sight.score())
     }
 
     /// (1+1) evolution strategy: random changes of one joint at a time, kept if better. The step size
     /// adapts to the success rate (Rechenberg, *Evolutionsstrategie*, 1973).
-    fn climbed(&self, start: (f64, Series), share: f64, random: &mut Pcg64) -> (f64, Series) {
+    fn climbed(
+        &self,
+        start: (f64, FourierMotion),
+        share: f64,
+        random: &mut Pcg64,
+    ) -> (f64, FourierMotion) {
         let (mut best, mut size) = (start, 0.5);
         for _ in 0..STEPS {
             let mut next = best.1.clone();
@@ -193,9 +199,9 @@ impl Search<'_> {
     fn one_by_one(&self, share: f64, rows: usize) -> JointTrack {
         let dof = self.task.around.len();
         let (seconds, whole_s) = (self.seconds / dof as f64, self.seconds + 2.0 * self.rest_s);
-        let series: Vec<Series> = (0..dof)
+        let series: Vec<FourierMotion> = (0..dof)
             .map(|joint| {
-                let mut series = Series::at_rest(self.task.around, seconds, 0.0, 2);
+                let mut series = FourierMotion::at_rest(self.task.around, seconds, 0.0, 2);
                 // sin x − sin 2x / 2 starts and ends at rest.
                 (series.sin[2 * joint], series.sin[2 * joint + 1]) = (1.0, -0.5);
                 series.fill(joint, &self.task.rooms[joint], share);

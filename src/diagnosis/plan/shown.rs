@@ -6,8 +6,8 @@ use crate::drawing::{self, RAD_PER_M, ZERO};
 use crate::handeye;
 use crate::imu;
 use crate::linear::Linear;
-use crate::model::{StreamState, ToolPart, Witness};
-use crate::nominal::{ANYTHING, USUAL_M, USUAL_RAD, With, link_frames};
+use crate::model::{PoseObservations, StreamState, ToolPart};
+use crate::nominal::{ANYTHING, FreeAlongside, USUAL_M, USUAL_RAD, link_frames};
 use crate::robust::pseudo_inverse;
 use ground::geometry::{Rotation, Vec3};
 use ground::robot::{Chain, JointKind};
@@ -29,7 +29,7 @@ const NOT_KNOWN: f64 = 1.0;
 
 /// Quantity that a motion may determine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Showable {
+pub enum PlannedQuantity {
     /// Zero of a joint, in the chain's order, with all zeros free, rad or m.
     Zero(usize),
     /// Zero of a joint with link deviations free, rad or m.
@@ -58,9 +58,9 @@ pub enum Showable {
 
 /// Expected precision of a quantity.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Promise {
+pub struct ExpectedPrecision {
     /// The quantity.
-    pub of: Showable,
+    pub of: PlannedQuantity,
     /// Half-width of its 95 % interval, or the rms of the tip's errors. Infinite if the motion does not
     /// determine it.
     pub half: f64,
@@ -68,13 +68,13 @@ pub struct Promise {
 
 /// Free parameters, their prior standard deviations (infinite for a flat prior), and which of them are
 /// requested.
-struct Question {
+struct PrecisionQuery {
     parameters: Vec<usize>,
     before: Vec<f64>,
     asked: Vec<usize>,
 }
 
-impl Question {
+impl PrecisionQuery {
     /// Covariance of the requested parameters, infinite for unobservable ones.
     fn covariance(&self, information: &DMatrix<f64>) -> DMatrix<f64> {
         let n = self.parameters.len();
@@ -111,7 +111,7 @@ impl Question {
 }
 
 /// Linearised motion, sample by sample, as in the estimator.
-pub(super) struct Sight<'a> {
+pub(super) struct LinearizedMotion<'a> {
     sensing: &'a Sensing,
     purpose: Purpose,
     seconds: f64,
@@ -120,7 +120,7 @@ pub(super) struct Sight<'a> {
     linear: Linear,
 }
 
-impl<'a> Sight<'a> {
+impl<'a> LinearizedMotion<'a> {
     /// `None` if joint positions between the rows of `motion` are unknown.
     pub fn of(
         chain: &Chain,
@@ -203,7 +203,7 @@ impl<'a> Sight<'a> {
     }
 
     /// Question about the zeros of some joints, with link deviations (prior `link`) and latency free.
-    fn beside_links(&self, zeros: &[usize], link: (f64, f64)) -> Question {
+    fn beside_links(&self, zeros: &[usize], link: (f64, f64)) -> PrecisionQuery {
         let frames = self.frames();
         let before = |i: usize| match i % 6 {
             _ if frames.contains(&i) => ANYTHING,
@@ -214,13 +214,13 @@ impl<'a> Sight<'a> {
         let zeros = zeros.iter().map(|&joint| (self.zero(joint), ZERO));
         let all = links.chain([(self.latency(), ANYTHING)]).chain(zeros);
         let (parameters, before): (Vec<usize>, Vec<f64>) = all.unzip();
-        Question { asked: (self.links() + 1..parameters.len()).collect(), parameters, before }
+        PrecisionQuery { asked: (self.links() + 1..parameters.len()).collect(), parameters, before }
     }
 
     /// Question with flat priors, about the first `asked` of the parameters.
-    fn freely(parameters: Vec<usize>, asked: usize) -> Question {
+    fn freely(parameters: Vec<usize>, asked: usize) -> PrecisionQuery {
         let before = vec![f64::INFINITY; parameters.len()];
-        Question { parameters, before, asked: (0..asked).collect() }
+        PrecisionQuery { parameters, before, asked: (0..asked).collect() }
     }
 
     fn link(&self) -> (f64, f64) {
@@ -228,30 +228,30 @@ impl<'a> Sight<'a> {
     }
 
     /// All zeros, with latency and frames free.
-    fn zeros(&self) -> Question {
+    fn zeros(&self) -> PrecisionQuery {
         let zeros = (0..self.joints).map(|joint| self.zero(joint));
         let parameters = zeros.chain([self.latency()]).chain(self.frames()).collect();
         Self::freely(parameters, self.joints)
     }
 
-    fn calibration(&self) -> Question {
+    fn calibration(&self) -> PrecisionQuery {
         let links = self.beside_links(&[], (USUAL_M, USUAL_RAD));
-        Question { asked: (0..self.links()).collect(), ..links }
+        PrecisionQuery { asked: (0..self.links()).collect(), ..links }
     }
 
-    fn late(&self) -> Question {
+    fn late(&self) -> PrecisionQuery {
         let latency = std::iter::once(self.latency());
         Self::freely(latency.chain(self.frames()).collect(), 1)
     }
 
     /// Drift and tilt, with yaw, mount and latency free.
-    fn yaw(&self) -> Question {
+    fn yaw(&self) -> PrecisionQuery {
         let (drift, mount) = (self.linear.width, self.links() - 3);
         let beside = [YAW, self.latency(), mount, mount + 1, mount + 2];
         Self::freely([drift, TILT, TILT + 1].into_iter().chain(beside).collect(), 3)
     }
 
-    fn camera() -> Question {
+    fn camera() -> PrecisionQuery {
         Self::freely((0..handeye::WIDTH).collect(), 6)
     }
 
@@ -272,43 +272,49 @@ impl<'a> Sight<'a> {
     }
 
     /// Expected precision of the requested quantities.
-    pub fn promises(&self, chain: &Chain) -> Vec<Promise> {
-        let each = |question: &Question, most: usize, of: &dyn Fn(usize) -> Showable| {
-            let covariance = question.covariance(&self.information(most));
-            let half = |at: usize| match covariance[(at, at)].max(0.0).sqrt() {
-                error if error < LEARNT * question.before[question.asked[at]] => HALF * error,
-                _ => f64::INFINITY,
+    pub fn promises(&self, chain: &Chain) -> Vec<ExpectedPrecision> {
+        let each =
+            |question: &PrecisionQuery, most: usize, of: &dyn Fn(usize) -> PlannedQuantity| {
+                let covariance = question.covariance(&self.information(most));
+                let half = |at: usize| match covariance[(at, at)].max(0.0).sqrt() {
+                    error if error < LEARNT * question.before[question.asked[at]] => HALF * error,
+                    _ => f64::INFINITY,
+                };
+                (0..question.asked.len())
+                    .map(|at| ExpectedPrecision { of: of(at), half: half(at) })
+                    .collect()
             };
-            (0..question.asked.len()).map(|at| Promise { of: of(at), half: half(at) }).collect()
-        };
         match self.purpose {
             Purpose::Zeros => {
-                let mut all: Vec<Promise> = each(&self.zeros(), FIT_SAMPLES, &Showable::Zero);
+                let mut all: Vec<ExpectedPrecision> =
+                    each(&self.zeros(), FIT_SAMPLES, &PlannedQuantity::Zero);
                 let beside = (0..self.joints).filter(|_| self.sensing.link_m > 0.0);
-                let alone: Vec<Promise> = beside
-                    .flat_map(|joint| -> Vec<Promise> {
+                let alone: Vec<ExpectedPrecision> = beside
+                    .flat_map(|joint| -> Vec<ExpectedPrecision> {
                         let question = self.beside_links(&[joint], self.link());
-                        each(&question, drawing::SAMPLES, &|_| Showable::ZeroBesideLinks(joint))
+                        each(&question, drawing::SAMPLES, &|_| {
+                            PlannedQuantity::ZeroBesideLinks(joint)
+                        })
                     })
                     .collect();
                 all.extend(alone);
                 all
             }
             Purpose::Calibration => self.calibrated(chain),
-            Purpose::Latency => each(&self.late(), FIT_SAMPLES, &|_| Showable::Latency),
+            Purpose::Latency => each(&self.late(), FIT_SAMPLES, &|_| PlannedQuantity::Latency),
             Purpose::HandEye => each(&Self::camera(), handeye::FIT_POSES, &|at| match at {
-                0..3 => Showable::CameraShift(at),
-                _ => Showable::CameraTurn(at - 3),
+                0..3 => PlannedQuantity::CameraShift(at),
+                _ => PlannedQuantity::CameraTurn(at - 3),
             }),
             Purpose::Yaw => each(&self.yaw(), imu::FIT_SAMPLES, &|at| match at {
-                0 => Showable::YawDrift,
-                _ => Showable::Tilt(at - 1),
+                0 => PlannedQuantity::YawDrift,
+                _ => PlannedQuantity::Tilt(at - 1),
             }),
         }
     }
 
     /// Expected tip error of a calibrated model, along the motion and over the workspace.
-    fn calibrated(&self, chain: &Chain) -> Vec<Promise> {
+    fn calibrated(&self, chain: &Chain) -> Vec<ExpectedPrecision> {
         let covariance = self.calibration().covariance(&self.information(FIT_SAMPLES));
         let everywhere = all_over(chain);
         let far = linearised(chain, &everywhere);
@@ -324,8 +330,14 @@ impl<'a> Sight<'a> {
         };
         let of = |everywhere: bool, linear: &Linear| {
             [
-                Promise { of: Showable::FkPosition { everywhere }, half: rms(linear, 0) },
-                Promise { of: Showable::FkRotation { everywhere }, half: rms(linear, 1) },
+                ExpectedPrecision {
+                    of: PlannedQuantity::FkPosition { everywhere },
+                    half: rms(linear, 0),
+                },
+                ExpectedPrecision {
+                    of: PlannedQuantity::FkRotation { everywhere },
+                    half: rms(linear, 1),
+                },
             ]
         };
         of(false, &self.linear).into_iter().chain(of(true, &far)).collect()
@@ -342,12 +354,12 @@ pub fn promises(
     motion: &JointTrack,
     purpose: Purpose,
     sensing: &Sensing,
-) -> Option<Vec<Promise>> {
-    Some(Sight::of(chain, motion, purpose, sensing)?.promises(chain))
+) -> Option<Vec<ExpectedPrecision>> {
+    Some(LinearizedMotion::of(chain, motion, purpose, sensing)?.promises(chain))
 }
 
 /// Geometric mean of the ratio `one / other`, over the quantities that both motions determine.
-pub fn geometric_mean(one: &[Promise], other: &[Promise]) -> Option<f64> {
+pub fn geometric_mean(one: &[ExpectedPrecision], other: &[ExpectedPrecision]) -> Option<f64> {
     let both = one.iter().zip(other).map(|(one, other)| (one.half / other.half).ln());
     let logs: Vec<f64> = both.filter(|log| log.is_finite()).collect();
     (!logs.is_empty()).then(|| (logs.iter().sum::<f64>() / logs.len() as f64).exp())
@@ -357,7 +369,7 @@ pub fn geometric_mean(one: &[Promise], other: &[Promise]) -> Option<f64> {
 fn linearised(chain: &Chain, motion: &JointTrack) -> Linear {
     let columns: Vec<usize> = (0..chain.dof()).collect();
     let still = vec![0.0; chain.dof()];
-    let witness = Witness {
+    let witness = PoseObservations {
         joints: motion,
         chain,
         columns: &columns,
@@ -371,7 +383,13 @@ fn linearised(chain: &Chain, motion: &JointTrack) -> Linear {
         middle_s: 0.0,
         t_s: motion.t_s.clone(),
     };
-    link_frames(&witness, &StreamState::at_latency(0.0), &still, 0..motion.len(), With::Zeros)
+    link_frames(
+        &witness,
+        &StreamState::at_latency(0.0),
+        &still,
+        0..motion.len(),
+        FreeAlongside::Zeros,
+    )
 }
 
 /// Random configurations over the workspace, 0.1 s apart.

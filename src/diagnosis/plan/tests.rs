@@ -1,4 +1,4 @@
-use super::fourier::Series;
+use super::fourier::FourierMotion;
 use super::*;
 use crate::{PoseStream, diagnose_arm};
 use ground::geometry::{Vec3, rotation_from_rotvec};
@@ -32,29 +32,30 @@ fn sensing() -> Sensing {
     }
 }
 
-const ROOM: Room = Room { below: 0.26, above: 0.26, velocity: 1.0, acceleration: 1.0 };
+const ROOM: JointMargins =
+    JointMargins { below: 0.26, above: 0.26, velocity: 1.0, acceleration: 1.0 };
 const UR: [f64; 6] = [0.0, -1.57, 1.57, -1.2, -1.57, 0.3];
 
-fn free(chain: &Chain, q: &[f64]) -> Keep {
+fn free(chain: &Chain, q: &[f64]) -> Clearances {
     let radius_m = vec![0.01; chain.dof() + 1];
-    Keep::around(chain, q, Body { radius_m }, 0.01, None, None)
+    Clearances::around(chain, q, ArmCapsules { radius_m }, 0.01, None, None)
 }
 
 /// A 20 s task around [`UR`], with room in all directions.
-fn task<'a>(chain: &'a Chain, keep: &'a Keep, purpose: Purpose) -> Task<'a> {
+fn task<'a>(chain: &'a Chain, keep: &'a Clearances, purpose: Purpose) -> PlanRequirements<'a> {
     let (around, rooms, sensing) = (&UR, &[ROOM; 6], sensing());
-    Task { chain, around, rooms, seconds: 20.0, purpose, sensing, keep, seed: 1 }
+    PlanRequirements { chain, around, rooms, seconds: 20.0, purpose, sensing, keep, seed: 1 }
 }
 
-fn planned(chain: &Chain, purpose: Purpose, outside: bool) -> Planned {
+fn planned(chain: &Chain, purpose: Purpose, outside: bool) -> MotionPlan {
     let keep = free(chain, &UR);
     let sensing = Sensing { outside, ..sensing() };
-    plan(&Task { seconds: 30.0, sensing, ..task(chain, &keep, purpose) }).unwrap()
+    plan(&PlanRequirements { seconds: 30.0, sensing, ..task(chain, &keep, purpose) }).unwrap()
 }
 
 /// Room of up to 0.4 rad within the limits.
-fn rooms(chain: &Chain, q: &[f64]) -> Vec<Room> {
-    let room = |(limits, q): (&ground::robot::Limits, &f64)| Room {
+fn rooms(chain: &Chain, q: &[f64]) -> Vec<JointMargins> {
+    let room = |(limits, q): (&ground::robot::Limits, &f64)| JointMargins {
         below: limits.lower.map_or(0.4, |lower| (q - lower).min(0.4)),
         above: limits.upper.map_or(0.4, |upper| (upper - q).min(0.4)),
         velocity: limits.velocity.unwrap_or(1.0),
@@ -75,7 +76,7 @@ fn posture(chain: &Chain, parts: &[f64]) -> Vec<f64> {
     kinds.zip(chain.limits()).zip(parts).map(at).collect()
 }
 
-fn assert_within(series: &Series, rooms: &[Room]) {
+fn assert_within(series: &FourierMotion, rooms: &[JointMargins]) {
     const ROWS: usize = 4001;
     for (joint, room) in rooms.iter().enumerate() {
         for row in 0..ROWS {
@@ -110,8 +111,8 @@ proptest! {
         room in [0.0..1.0_f64, 0.0..1.0, 0.01..3.0, 0.01..10.0],
     ) {
         let [below, above, velocity, acceleration] = room;
-        let room = Room { below, above, velocity, acceleration };
-        let mut series = Series::at_rest(&[0.4], seconds, rest_s, 12);
+        let room = JointMargins { below, above, velocity, acceleration };
+        let mut series = FourierMotion::at_rest(&[0.4], seconds, rest_s, 12);
         (series.sin, series.cos) = (sin, cos);
         series.fill(0, &room, 1.0);
         assert_within(&series, &[room]);
@@ -134,7 +135,7 @@ proptest! {
         let q = posture(&chain, &parts);
         let (rooms, keep) = (rooms(&chain, &q), free(&chain, &q));
         let purpose = Purpose::ALL[purpose];
-        let task = Task {
+        let task = PlanRequirements {
             chain: &chain, around: &q, rooms: &rooms, seconds, purpose, sensing: sensing(), keep: &keep, seed,
         };
         match plan(&task) {
@@ -158,7 +159,7 @@ fn it_is_the_same_for_the_same_seed_and_another_for_another() {
     let chain = ur5e();
     let of = |seed: u64| {
         let keep = free(&chain, &UR);
-        plan(&Task { seed, ..task(&chain, &keep, Purpose::Latency) }).unwrap().series
+        plan(&PlanRequirements { seed, ..task(&chain, &keep, Purpose::Latency) }).unwrap().series
     };
     assert_eq!(of(3), of(3));
     assert_ne!(of(3), of(4));
@@ -197,22 +198,25 @@ fn what_no_motion_shows_is_promised_to_nobody() {
 #[test]
 fn a_posture_at_its_limits_has_no_room_and_one_that_folds_is_too_near() {
     let chain = ur5e();
-    let none = Room { below: 0.0, above: 0.0, velocity: 1.0, acceleration: 1.0 };
+    let none = JointMargins { below: 0.0, above: 0.0, velocity: 1.0, acceleration: 1.0 };
     let keep = free(&chain, &UR);
-    let none = Task { rooms: &[none; 6], ..task(&chain, &keep, Purpose::Zeros) };
+    let none = PlanRequirements { rooms: &[none; 6], ..task(&chain, &keep, Purpose::Zeros) };
     assert_eq!(plan(&none).unwrap_err(), Infeasible::NoRoom);
     // Stretched out just above the floor, every motion violates the clearance.
     let flat = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
-    let keep = Keep::around(
+    let keep = Clearances::around(
         &chain,
         &flat,
-        Body { radius_m: vec![0.02; 7] },
+        ArmCapsules { radius_m: vec![0.02; 7] },
         0.1,
         Some(chain.forward(&flat).translation.vector.z - 0.021),
         None,
     );
-    let dipping = Task { around: &flat, ..task(&chain, &keep, Purpose::Zeros) };
-    assert!(matches!(plan(&dipping), Err(Infeasible::TooNear(Some(Nearness::Floor(..))))));
+    let dipping = PlanRequirements { around: &flat, ..task(&chain, &keep, Purpose::Zeros) };
+    assert!(matches!(
+        plan(&dipping),
+        Err(Infeasible::TooNear(Some(ClearanceViolation::Floor(..))))
+    ));
 }
 
 /// Poses of a motion, with noise.
@@ -253,7 +257,7 @@ fn promises_are_kept() {
     let chain = ur5e();
     let keep = free(&chain, &UR);
     let sensing = Sensing { rate_hz: 50.0, ..sensing() };
-    let task = Task { sensing, ..task(&chain, &keep, Purpose::Zeros) };
+    let task = PlanRequirements { sensing, ..task(&chain, &keep, Purpose::Zeros) };
     let zeros = plan(&task).unwrap();
     let motion = zeros.series.track(1001);
     let late = shown(&chain, &motion, Purpose::Latency, &task.sensing).unwrap()[0].half;

@@ -2,8 +2,8 @@
 
 use super::is_streamed;
 use crate::latency::median_period_s;
-use crate::response::{Changes, Curve};
-use crate::{PoseSeries, Response, Unseen};
+use crate::response::{ResponseChanges, TimeSeries};
+use crate::{NotObservable, PoseSeries, Response};
 use ground::geometry::{Vec3, rotvec_from_rotation};
 use ground::stream::{JointTrack, sample_noise};
 
@@ -15,22 +15,22 @@ pub struct CommandDelay {
     /// Median period of the commands, s.
     pub period_s: f64,
     /// Response, or why it cannot be determined.
-    pub response: Result<Response, NoDelay>,
+    pub response: Result<Response, DelayFailure>,
 }
 
 /// Why a delay cannot be determined.
 #[derive(Clone, Debug, PartialEq)]
-pub enum NoDelay {
+pub enum DelayFailure {
     /// The commands are single goals, not a stream.
     Goals,
     /// The commands are a stream of steps: repeated goals.
     Steps,
     /// Reason shared with other estimates.
-    Unseen(Unseen),
+    Unseen(NotObservable),
 }
 
-impl From<Unseen> for NoDelay {
-    fn from(why: Unseen) -> Self {
+impl From<NotObservable> for DelayFailure {
+    fn from(why: NotObservable) -> Self {
         Self::Unseen(why)
     }
 }
@@ -60,10 +60,10 @@ pub fn joint_delays(
         let (t_s, told): (Vec<f64>, Vec<f64>) =
             told.filter(|(_, q)| q.is_finite()).map(|(t, q)| (*t, *q)).unzip();
         let done: Vec<f64> = joints.q.iter().skip(column).step_by(joints.dof).copied().collect();
-        let command = (Curve::new(t_s.clone(), vec![told.clone()]), t_s.as_slice());
+        let command = (TimeSeries::new(t_s.clone(), vec![told.clone()]), t_s.as_slice());
         let response = match is_streamed(&t_s) {
-            false => Err(NoDelay::Goals),
-            true if in_steps(&t_s, &told, &joints.t_s, &done) => Err(NoDelay::Steps),
+            false => Err(DelayFailure::Goals),
+            true if in_steps(&t_s, &told, &joints.t_s, &done) => Err(DelayFailure::Steps),
             true => follow(command, (&joints.t_s, vec![done]), &[told], most_lag_s),
         };
         CommandDelay { joint: Some(column), period_s: median_period_s(&t_s), response }
@@ -87,12 +87,13 @@ pub fn pose_delay(told: &PoseSeries, done: &PoseSeries, most_lag_s: f64) -> Comm
         std::iter::once(0.0).take(rows.min(1)).chain(lengths).collect()
     };
     let response = match is_streamed(&told.t_s) {
-        false => Err(NoDelay::Goals),
+        false => Err(DelayFailure::Goals),
         true if in_steps(&told.t_s, &path(&told_columns), &done.t_s, &path(&done_columns)) => {
-            Err(NoDelay::Steps)
+            Err(DelayFailure::Steps)
         }
         true => {
-            let command = (Curve::new(told.t_s.clone(), told_columns.clone()), told.t_s.as_slice());
+            let command =
+                (TimeSeries::new(told.t_s.clone(), told_columns.clone()), told.t_s.as_slice());
             follow(command, (&done.t_s, done_columns), &told_columns, most_lag_s)
         }
     };
@@ -146,13 +147,13 @@ fn columns(series: &PoseSeries) -> Vec<Vec<f64>> {
 }
 
 fn follow(
-    (command, told_t_s): (Curve, &[f64]),
+    (command, told_t_s): (TimeSeries, &[f64]),
     (done_t_s, done): (&[f64], Vec<Vec<f64>>),
     told: &[Vec<f64>],
     most_lag_s: f64,
-) -> Result<Response, NoDelay> {
+) -> Result<Response, DelayFailure> {
     let (Some(first), Some(last)) = (told_t_s.first(), told_t_s.last()) else {
-        return Err(Unseen::NoOverlap.into());
+        return Err(NotObservable::NoOverlap.into());
     };
     let way = |columns: &[Vec<f64>]| -> f64 {
         let of = |column: &Vec<f64>| {
@@ -164,17 +165,17 @@ fn follow(
         columns.iter().map(of).fold(0.0, f64::max)
     };
     if way(told) < MOVES {
-        return Err(Unseen::AtRest.into());
+        return Err(NotObservable::AtRest.into());
     }
     let window_s = (OF_COMMANDS * median_period_s(told_t_s))
         .max(OF_STATE * median_period_s(done_t_s))
         .max(WINDOW_S);
-    let changes = Changes::of(done_t_s, &done, (*first, *last), window_s);
+    let changes = ResponseChanges::of(done_t_s, &done, (*first, *last), window_s);
     if changes.windows.is_empty() {
-        return Err(Unseen::NoOverlap.into());
+        return Err(NotObservable::NoOverlap.into());
     }
     if way(&done) < MOVES {
-        return Err(Unseen::DoesNotFollow(0.0).into());
+        return Err(NotObservable::DoesNotFollow(0.0).into());
     }
     Ok(changes.follow(&command, most_lag_s.min(MOST_LAG_S))?)
 }

@@ -1,12 +1,12 @@
 //! Results of the comparison of commands with motion.
 
-use super::line::Line;
+use super::line::CommandedLine;
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use ground::stats::{Length, Measured};
 
 /// Difference between a command and the pose in which the arm came to rest.
 #[derive(Clone, Debug)]
-pub struct RestGap {
+pub struct RestError {
     /// Start of the interval in which both are constant, s from the run's origin.
     pub from_s: f64,
     /// End of the interval, s.
@@ -23,7 +23,7 @@ pub struct RestGap {
     pub joints: Vec<(usize, Measured)>,
 }
 
-impl RestGap {
+impl RestError {
     /// `tip_from_commanded`: commanded pose in the measured tip frame.
     pub fn tip_from_commanded(&self) -> Pose {
         self.measured.inverse() * self.commanded
@@ -32,7 +32,7 @@ impl RestGap {
 
 /// Spread of the pose error over several rests.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Constancy {
+pub struct RestErrorSpread {
     /// Maximum deviation of `tip_from_commanded` from its mean, m and rad. Zero if the commands refer to
     /// another point on the tool.
     pub in_tool: (f64, f64),
@@ -41,13 +41,13 @@ pub struct Constancy {
     pub in_base: (f64, f64),
 }
 
-impl Constancy {
+impl RestErrorSpread {
     /// `None` for fewer than two rests.
-    pub fn of(gaps: &[RestGap]) -> Option<Self> {
+    pub fn of(gaps: &[RestError]) -> Option<Self> {
         if gaps.len() < 2 {
             return None;
         }
-        let spread = |of: &dyn Fn(&RestGap) -> Pose| {
+        let spread = |of: &dyn Fn(&RestError) -> Pose| {
             let parts: Vec<(Vec3, Vec3)> = gaps
                 .iter()
                 .map(of)
@@ -62,7 +62,7 @@ impl Constancy {
             parts.iter().map(far).fold((0.0, 0.0), |a: (f64, f64), b| (a.0.max(b.0), a.1.max(b.1)))
         };
         Some(Self {
-            in_tool: spread(&RestGap::tip_from_commanded),
+            in_tool: spread(&RestError::tip_from_commanded),
             in_base: spread(&|gap| gap.commanded * gap.measured.inverse()),
         })
     }
@@ -70,7 +70,7 @@ impl Constancy {
 
 /// How the arm follows a stream of commands, by FK of its joint states during motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Following {
+pub struct CommandTracking {
     /// Delay of the arm, s.
     pub delay_s: f64,
     /// Correlation of the two speeds at that delay.
@@ -87,7 +87,7 @@ pub struct ReferenceDiagnosis {
     /// Whether the commands are a stream that the arm follows, and not single goals.
     pub is_streamed: bool,
     /// How the arm follows. `None` if there are too few commands or it does not follow.
-    pub following: Option<Following>,
+    pub following: Option<CommandTracking>,
     /// Number of constant commands.
     pub goals: usize,
     /// Goals near which the arm never came to rest afterwards. Zero for a stream that the arm follows.
@@ -95,7 +95,7 @@ pub struct ReferenceDiagnosis {
     /// Smallest distance (m) and angle (rad) between such a goal and a rest.
     pub nearest_miss: Option<(f64, f64)>,
     /// For each observation, the pose error at each rest near its command, in time order.
-    pub gaps: Vec<Vec<RestGap>>,
+    pub gaps: Vec<Vec<RestError>>,
     /// Straight lines commanded by a stream of poses.
-    pub lines: Vec<Line>,
+    pub lines: Vec<CommandedLine>,
 }

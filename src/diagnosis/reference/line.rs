@@ -9,7 +9,7 @@
 use std::f64::consts::{PI, TAU};
 
 use super::rest::{Hold, LEAST_S, Rest, mean_pose};
-use super::{Length, WitnessSeries, length_of, of_mean};
+use super::{Length, MeasuredPoses, length_of, of_mean};
 use crate::PoseSeries;
 use ground::geometry::{
     Convention, Pose, Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation,
@@ -22,7 +22,7 @@ const LARGEST_TURN: f64 = 170.0 * PI / 180.0;
 
 /// Commanded straight line.
 #[derive(Clone, Debug)]
-pub struct Line {
+pub struct CommandedLine {
     /// When the command leaves its start, s from the run's origin.
     pub from_s: f64,
     /// When the command reaches its end, s.
@@ -38,12 +38,12 @@ pub struct Line {
     /// Name of the quantity interpolated instead, if it is clear.
     pub interpolated: Option<String>,
     /// For each observation, how the tip followed the line; `None` if it cannot be determined.
-    pub witnesses: Vec<Option<LineWitness>>,
+    pub witnesses: Vec<Option<LineDeviation>>,
 }
 
 /// Deviation of the tip from a commanded line.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LineWitness {
+pub struct LineDeviation {
     /// Largest distance, beyond noise, from the line through its own end points, m.
     pub distance_m: Length,
     /// Largest angle, beyond noise, from the slerp between its own ends at the same fraction of the path,
@@ -52,7 +52,7 @@ pub struct LineWitness {
 }
 
 /// Motion from one pose to another.
-struct Way {
+struct PoseMotion {
     from: Pose,
     along: Vec3,
     length_m: f64,
@@ -60,7 +60,7 @@ struct Way {
     turn: Vec3,
 }
 
-impl Way {
+impl PoseMotion {
     fn new(from: &Pose, to: &Pose) -> Self {
         let chord = to.translation.vector - from.translation.vector;
         let length_m = chord.norm();
@@ -100,8 +100,8 @@ pub(super) fn lines(
     series: &PoseSeries,
     holds: &[Hold],
     rests: &[Rest],
-    witnesses: &[WitnessSeries<'_>],
-) -> Vec<Line> {
+    witnesses: &[MeasuredPoses<'_>],
+) -> Vec<CommandedLine> {
     let stops: Vec<&Hold> = holds
         .iter()
         .filter(|hold| series.t_s[hold.last] - series.t_s[hold.first] >= LEAST_S)
@@ -118,14 +118,17 @@ pub(super) fn lines(
 }
 
 /// Line through the commands in `rows`, from first to last. `None` if they are not on a line.
-fn commanded(series: &PoseSeries, rows: std::ops::Range<usize>) -> Option<(Line, Way)> {
+fn commanded(
+    series: &PoseSeries,
+    rows: std::ops::Range<usize>,
+) -> Option<(CommandedLine, PoseMotion)> {
     const FEWEST: usize = 8;
     /// Maximum deviation from straightness: rounding of the numbers, m, plus a share of the length.
     const STRAIGHT: (f64, f64) = (2e-5, 1e-4);
     let poses = series.poses.get(rows.clone())?;
     let times = series.t_s.get(rows)?;
     let (first, last) = (poses.first()?, poses.last()?);
-    let way = Way::new(first, last);
+    let way = PoseMotion::new(first, last);
     let turn_rad = way.turn.norm();
     if poses.len() < FEWEST || way.length_m < SHORTEST_M || turn_rad > LARGEST_TURN {
         return None;
@@ -148,7 +151,7 @@ fn commanded(series: &PoseSeries, rows: std::ops::Range<usize>) -> Option<(Line,
     let off = |(part, rotation): &(f64, Rotation)| angle_between(rotation, &way.slerp(*part));
     let command_rad = placed.iter().map(off).fold(0.0, f64::max);
     let off_axis = placed.iter().map(|(_, rotation)| way.off_axis_rad(rotation));
-    let line = Line {
+    let line = CommandedLine {
         from_s: times[0],
         to_s: times[times.len() - 1],
         length_m: way.length_m,
@@ -163,7 +166,7 @@ fn commanded(series: &PoseSeries, rows: std::ops::Range<usize>) -> Option<(Line,
 
 /// Identifies the interpolation used instead of a slerp: linear in Euler angles, rotation vector,
 /// quaternion components or matrix elements. `None` for a slerp, or if no candidate fits well.
-fn interpolated(way: &Way, last: &Pose, placed: &[(f64, Rotation)]) -> Option<String> {
+fn interpolated(way: &PoseMotion, last: &Pose, placed: &[(f64, Rotation)]) -> Option<String> {
     /// Smaller deviations, rms rad, are a slerp with rounded numbers.
     const LEAST_RAD: f64 = 5e-4;
     /// Maximum residual of a candidate as a share of the slerp's.
@@ -206,12 +209,12 @@ fn interpolated(way: &Way, last: &Pose, placed: &[(f64, Rotation)]) -> Option<St
 /// Deviation of an observation from the line and slerp between its rests before and after. Delay and
 /// constant pose errors therefore have no effect.
 fn kept(
-    line: &Line,
-    way: &Way,
+    line: &CommandedLine,
+    way: &PoseMotion,
     rests: &[Rest],
     stop: &Hold,
-    witness: &WitnessSeries<'_>,
-) -> Option<LineWitness> {
+    witness: &MeasuredPoses<'_>,
+) -> Option<LineDeviation> {
     /// Duration of the rests averaged to locate the ends, s.
     const END_S: f64 = 0.3;
     /// Maximum difference in path length, m, plus a share of the length.
@@ -234,7 +237,7 @@ fn kept(
     let [first, last] =
         [mean_pose(series, ends[0].0, ends[0].1)?, mean_pose(series, ends[1].0, ends[1].1)?];
     let tip_from_point = commanded_point(way, line, &first, &last)?;
-    let done = Way::new(&(first * tip_from_point), &(last * tip_from_point));
+    let done = PoseMotion::new(&(first * tip_from_point), &(last * tip_from_point));
     let is_alike = (done.length_m - way.length_m).abs() <= ALIKE.0 + ALIKE.1 * way.length_m
         && (done.turn.norm() - line.turn_rad).abs() <= TURNS_ALIKE;
     if !is_alike {
@@ -273,12 +276,17 @@ fn kept(
         // Bonferroni correction for the maximum over the bins.
         Some(Length { p_value: (longest.p_value * bins as f64).min(1.0), ..longest })
     };
-    Some(LineWitness { distance_m: farthest(0)?, angle_rad: farthest(1)? })
+    Some(LineDeviation { distance_m: farthest(0)?, angle_rad: farthest(1)? })
 }
 
 /// Commanded point on the tool, `tip_from_point`. `None` if it cannot be located and its path may differ
 /// from the tip's.
-fn commanded_point(way: &Way, line: &Line, first: &Pose, last: &Pose) -> Option<Pose> {
+fn commanded_point(
+    way: &PoseMotion,
+    line: &CommandedLine,
+    first: &Pose,
+    last: &Pose,
+) -> Option<Pose> {
     /// Maximum distance at which the tip counts as the commanded point, m.
     const NEAR_M: f64 = 5e-3;
     /// With less rotation than this, all points follow the same path, rad.

@@ -10,17 +10,17 @@ mod found;
 mod line;
 mod rest;
 
-pub use self::delay::{CommandDelay, NoDelay, joint_delays, pose_delay};
-pub use self::found::{Constancy, Following, ReferenceDiagnosis, RestGap};
-use super::latency::{ArmSpeeds, Peak, median_period_s};
+pub use self::delay::{CommandDelay, DelayFailure, joint_delays, pose_delay};
+pub use self::found::{CommandTracking, ReferenceDiagnosis, RestError, RestErrorSpread};
+use super::latency::{ArmSpeeds, LagPeak, median_period_s};
 use super::noise::Noise;
-use super::{PoseSeries, Seen, Unseen};
+use super::{EstimateResult, NotObservable, PoseSeries};
 use ground::geometry::{Rotation, Vec3, angle_between, rotvec_from_rotation};
 use ground::robot::Chain;
 use ground::stats::{Length, Measured};
 use ground::stream::JointTrack;
 
-pub use line::{Line, LineWitness};
+pub use line::{CommandedLine, LineDeviation};
 use rest::{Hold, Rest, holds, mean_pose, rests};
 
 /// Time series of commanded poses.
@@ -121,7 +121,7 @@ pub struct CommandedArm<'a> {
 }
 
 /// Measured poses of the tip, with their noise.
-struct WitnessSeries<'a> {
+struct MeasuredPoses<'a> {
     series: &'a PoseSeries,
     /// Noise per component of position, m, and rotation, rad.
     noise: [Noise; 2],
@@ -139,25 +139,25 @@ pub fn diagnose_reference(
     arm: &CommandedArm<'_>,
     witnesses: &[PoseSeries],
     most_lag_s: f64,
-) -> Seen<ReferenceDiagnosis> {
+) -> EstimateResult<ReferenceDiagnosis> {
     let series = &commands.series;
     let Some(end_s) = arm.joints.span().map(|(_, end_s)| end_s) else {
-        return Err(Unseen::NoOverlap);
+        return Err(NotObservable::NoOverlap);
     };
     if series.t_s.first().is_none_or(|&first_s| first_s > end_s) {
-        return Err(Unseen::NoOverlap);
+        return Err(NotObservable::NoOverlap);
     }
     let is_streamed = is_streamed(&series.t_s);
     let following = if is_streamed { following(series, arm, most_lag_s) } else { None };
     let rests = rests(arm.joints);
     if rests.is_empty() {
-        return Err(Unseen::NeverRests);
+        return Err(NotObservable::NeverRests);
     }
     let holds = holds(series, is_streamed, end_s);
     let delay_s = following.map_or(0.0, |following| following.delay_s.max(0.0));
     let noises =
-        witnesses.iter().map(|series| WitnessSeries { series, noise: noise_of(series, &rests) });
-    let witnesses: Vec<WitnessSeries<'_>> = noises.collect();
+        witnesses.iter().map(|series| MeasuredPoses { series, noise: noise_of(series, &rests) });
+    let witnesses: Vec<MeasuredPoses<'_>> = noises.collect();
     let pairs: Vec<Vec<(f64, f64)>> = holds
         .iter()
         .map(|hold| windows(hold, &rests, is_streamed, following.is_some(), delay_s))
@@ -171,12 +171,12 @@ pub fn diagnose_reference(
         gaps: vec![Vec::new(); witnesses.len()],
         lines: Vec::new(),
     };
-    let gaps_of = |hold: &Hold, &(from_s, to_s): &(f64, f64)| -> Vec<Option<RestGap>> {
+    let gaps_of = |hold: &Hold, &(from_s, to_s): &(f64, f64)| -> Vec<Option<RestError>> {
         witnesses.iter().map(|one| gap(commands, arm, hold, (from_s, to_s), one)).collect()
     };
     // Goals that the arm did not approach.
-    let mut far: Vec<Vec<Option<RestGap>>> = Vec::new();
-    let mut near: Vec<Vec<Option<RestGap>>> = Vec::new();
+    let mut far: Vec<Vec<Option<RestError>>> = Vec::new();
+    let mut near: Vec<Vec<Option<RestError>>> = Vec::new();
     for (hold, windows) in holds.iter().zip(&pairs) {
         let at_rests = windows.iter().map(|window| gaps_of(hold, window));
         let mut at_rests: Vec<_> =
@@ -192,7 +192,7 @@ pub fn diagnose_reference(
             None => {}
         }
     }
-    let missed = |gaps: &Vec<Option<RestGap>>| {
+    let missed = |gaps: &Vec<Option<RestError>>| {
         let least = gaps.iter().flatten().min_by(|a, b| size(a).total_cmp(&size(b)))?;
         Some((least.distance_m.norm.value, least.angle_rad.norm.value))
     };
@@ -254,31 +254,31 @@ const NEAR_M: f64 = 0.02;
 const NEAR_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 
 /// Distance of a rest from its command, relative to the thresholds for near.
-fn size(gap: &RestGap) -> f64 {
+fn size(gap: &RestError) -> f64 {
     (gap.distance_m.norm.value / NEAR_M).max(gap.angle_rad.norm.value / NEAR_RAD)
 }
 
 /// The smallest such distance among the observations.
-fn apart(gaps: &[Option<RestGap>]) -> f64 {
+fn apart(gaps: &[Option<RestError>]) -> f64 {
     gaps.iter().flatten().map(size).fold(f64::INFINITY, f64::min)
 }
 
-fn is_near(gaps: &[Option<RestGap>]) -> bool {
+fn is_near(gaps: &[Option<RestError>]) -> bool {
     apart(gaps) <= 1.0
 }
 
-fn start_of(gaps: &[Option<RestGap>]) -> f64 {
+fn start_of(gaps: &[Option<RestError>]) -> f64 {
     gaps.iter().flatten().map(|gap| gap.from_s).fold(f64::INFINITY, f64::min)
 }
 
 /// Whether one rigid transform explains all distant goals (three or more) of an observation. They were then
 /// reached in another frame or with another tool.
-fn is_one_transform(far: &[Vec<Option<RestGap>>], witness: usize) -> bool {
+fn is_one_transform(far: &[Vec<Option<RestError>>], witness: usize) -> bool {
     const FEWEST: usize = 3;
     const ALIKE: (f64, f64) = (0.25 * NEAR_M, 0.1 * NEAR_RAD);
-    let gaps: Vec<RestGap> = far.iter().filter_map(|gaps| gaps[witness].clone()).collect();
+    let gaps: Vec<RestError> = far.iter().filter_map(|gaps| gaps[witness].clone()).collect();
     let is_alike = |spread: (f64, f64)| spread.0 <= ALIKE.0 && spread.1 <= ALIKE.1;
-    let constancy = Constancy::of(&gaps).filter(|_| gaps.len() >= FEWEST);
+    let constancy = RestErrorSpread::of(&gaps).filter(|_| gaps.len() >= FEWEST);
     constancy.is_some_and(|found| is_alike(found.in_tool) || is_alike(found.in_base))
 }
 
@@ -319,8 +319,8 @@ fn gap(
     arm: &CommandedArm<'_>,
     hold: &Hold,
     (from_s, to_s): (f64, f64),
-    witness: &WitnessSeries<'_>,
-) -> Option<RestGap> {
+    witness: &MeasuredPoses<'_>,
+) -> Option<RestError> {
     const FEWEST: usize = 4;
     /// Maximum motion between the two halves of a rest, m and rad.
     const CREEPS: (f64, f64) = (2e-4, 3e-4);
@@ -344,7 +344,7 @@ fn gap(
     let commanded = commands.series.poses[hold.last];
     let shift = commanded.translation.vector - measured.translation.vector;
     let turn = rotvec_from_rotation(&(commanded.rotation * measured.rotation.inverse()));
-    Some(RestGap {
+    Some(RestError {
         from_s,
         to_s,
         commanded,
@@ -380,7 +380,11 @@ fn joint_gaps(
 }
 
 /// Delay and following error of the arm. `None` if its speed does not correlate with that of the commands.
-fn following(series: &PoseSeries, arm: &CommandedArm<'_>, most_lag_s: f64) -> Option<Following> {
+fn following(
+    series: &PoseSeries,
+    arm: &CommandedArm<'_>,
+    most_lag_s: f64,
+) -> Option<CommandTracking> {
     /// Minimum correlation between the two speeds.
     const FOLLOWS: f64 = 0.7;
     /// Peaks within this of the highest count as equal. The one with the smallest lag is selected.
@@ -397,9 +401,9 @@ fn following(series: &PoseSeries, arm: &CommandedArm<'_>, most_lag_s: f64) -> Op
         return None;
     }
     // The lag of the commands is negative: they lead the arm.
-    let Peak { lag_s, correlation } = *peak;
+    let LagPeak { lag_s, correlation } = *peak;
     let delay_s = -lag_s;
-    Some(Following {
+    Some(CommandTracking {
         delay_s,
         correlation,
         rms: following_error(series, arm, 0.0),

@@ -109,7 +109,7 @@ fn a_joint_that_stays_off_is_told() {
 
 #[test]
 fn a_turn_of_the_tool_is_told_from_a_shift_of_the_base() {
-    let gap = |commanded: Pose, measured: Pose| RestGap {
+    let gap = |commanded: Pose, measured: Pose| RestError {
         from_s: 0.0,
         to_s: 1.0,
         commanded,
@@ -120,16 +120,16 @@ fn a_turn_of_the_tool_is_told_from_a_shift_of_the_base() {
     };
     let places =
         [0.0, 0.7, 1.4].map(|yaw| pose([0.3, 0.1, 0.2], rotation_from_rpy([0.2, 0.1, yaw])));
-    let by_tool = Constancy::of(&places.map(|place| gap(place * aside(0.1), place)));
+    let by_tool = RestErrorSpread::of(&places.map(|place| gap(place * aside(0.1), place)));
     let by_tool = by_tool.expect("three rests");
     assert!(by_tool.in_tool.0 < 1e-12 && by_tool.in_base.0 > 0.03, "{by_tool:?}");
-    let by_base = Constancy::of(&places.map(|place| gap(aside(0.1) * place, place)));
+    let by_base = RestErrorSpread::of(&places.map(|place| gap(aside(0.1) * place, place)));
     let by_base = by_base.expect("three rests");
     assert!(by_base.in_base.0 < 1e-12 && by_base.in_tool.0 > 0.03, "{by_base:?}");
 }
 
 /// Line detected in commands between two poses, with orientation `turned` at each fraction of the path.
-fn line_of(from: Pose, to: Pose, turned: impl Fn(f64) -> Rotation) -> Line {
+fn line_of(from: Pose, to: Pose, turned: impl Fn(f64) -> Rotation) -> CommandedLine {
     let t_s = times(50.0);
     let at = |t_s: f64| {
         let part = blend(t_s, 2.0);

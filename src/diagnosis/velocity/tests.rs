@@ -70,7 +70,7 @@ fn what_is_in_a_gap_is_not_compared() {
     let q: Vec<f64> = t_s.iter().map(|&t| (at(t) / 5e-4).round() * 5e-4).collect();
     let v: Vec<f64> = t_s.iter().map(|&t| 0.18 * (9.0 * t).cos()).collect();
     let joint = VelocitySamples { t_s: &t_s, position: &q, velocity: &v, breaks: &[] };
-    let windows = Windows::of(&joint).expect("it moves");
+    let windows = VelocityWindows::of(&joint).expect("it moves");
     assert!(windows.changes.windows.iter().all(|(from, to)| *to < 9.95 || *from > 10.3));
     let found = diagnose_velocity(&[joint], 0).expect("it moves");
     assert_eq!(found.shape, VelocityShape::Rates, "{found:?}");

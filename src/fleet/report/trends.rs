@@ -5,7 +5,7 @@ use serde::Serialize;
 use super::calendar::DAY_NS;
 use super::{Whose, calendar};
 use crate::checks;
-use crate::diagnosis::{LEAST_RUNS, Measured, Told, Trend, trend};
+use crate::diagnosis::{LEAST_RUNS, Measured, RunEstimate, Trend, trend};
 use crate::finding::Unit;
 use crate::time::seconds;
 
@@ -170,7 +170,8 @@ fn row(series: Series, asked: usize) -> TrendRow {
         At::Time(first_ns) => Some(first_ns),
         At::Episode(_) => None,
     };
-    let told: Vec<Told> = points.iter().map(|point| told(point, point.at.since(first))).collect();
+    let told: Vec<RunEstimate> =
+        points.iter().map(|point| told(point, point.at.since(first))).collect();
     let last_s = told.last().map_or(0.0, |last| last.time_s);
     let figure = figure(&code, &unit);
     let found = trend(&told);
@@ -219,9 +220,9 @@ fn row(series: Series, asked: usize) -> TrendRow {
 }
 
 /// Converts a point for the estimator; half a 95 % interval is 1.96 standard errors.
-fn told(point: &Point, time_s: f64) -> Told {
+fn told(point: &Point, time_s: f64) -> RunEstimate {
     let [low, high] = point.ci95;
-    Told { time_s, value: point.value, std_error: 0.5 * (high - low) / 1.959_964 }
+    RunEstimate { time_s, value: point.value, std_error: 0.5 * (high - low) / 1.959_964 }
 }
 
 fn moved(measured: &Measured) -> Moved {

@@ -3,7 +3,9 @@
 use serde_json::{Value, json};
 
 use crate::audit::{Calibrated, Taken};
-use crate::diagnosis::{LeftOver, LinkParameter, StreamCalibration, Untold};
+use crate::diagnosis::{
+    CalibrationResidual, LinkParameter, StreamCalibration, UndeterminedDirection,
+};
 use crate::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
 use crate::robot::CALIBRATION_SCHEMA;
 use crate::stats::Measured;
@@ -101,7 +103,7 @@ impl Calibrated {
         links.chain(zeros).collect()
     }
 
-    fn of_untold(&self, untold: &Untold, names: &[String]) -> Value {
+    fn of_untold(&self, untold: &UndeterminedDirection, names: &[String]) -> Value {
         let parts: Vec<Value> = untold
             .parts
             .iter()
@@ -150,7 +152,7 @@ fn axis(parameter: &LinkParameter) -> String {
     }
 }
 
-fn left(of: &LeftOver) -> Value {
+fn left(of: &CalibrationResidual) -> Value {
     json!({"m": finite(of.m), "rad": finite(of.rad)})
 }
 

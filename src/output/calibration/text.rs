@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::io;
 
 use crate::audit::Calibrated;
-use crate::diagnosis::LeftOver;
+use crate::diagnosis::CalibrationResidual;
 use crate::finding::Unit;
 use crate::report::foreign;
 use crate::run::Witness;
@@ -59,7 +59,7 @@ impl Calibrated {
                     foreign(&taken.base)
                 },
             );
-            let line = |of: &LeftOver| match taken.rotation_is_blind() {
+            let line = |of: &CalibrationResidual| match taken.rotation_is_blind() {
                 true => format!("{:.4} mm", 1e3 * of.m),
                 false => format!("{:.4} mm, {:.5}°", 1e3 * of.m, of.rad.to_degrees()),
             };
@@ -164,7 +164,7 @@ impl Calibrated {
         }
         let (harmless, missing): (Vec<_>, Vec<_>) =
             found.untold.iter().partition(|one| one.effect_m < NOTHING_M);
-        let list = |text: &mut String, of: &[&crate::diagnosis::Untold]| {
+        let list = |text: &mut String, of: &[&crate::diagnosis::UndeterminedDirection]| {
             for one in of.iter().take(LISTED) {
                 let parts: Vec<&str> =
                     one.parts.iter().take(4).map(|(at, _)| names[*at].as_str()).collect();

@@ -45,7 +45,7 @@ use re_log_types::{ApplicationId, LogMsg};
 use re_sdk_types::SerializationError;
 use re_sdk_types::archetypes::ViewCoordinates;
 
-use crate::diagnosis::{Aligned, Residuals};
+use crate::diagnosis::{AlignedSamples, PoseDistances};
 use crate::finding::Finding;
 use crate::geometry::Pose;
 use crate::report::{Report, write_whole};
@@ -157,7 +157,7 @@ pub struct ReplayStream<'a> {
     /// Source of the poses.
     pub kind: StreamKind,
     /// Samples aligned with FK.
-    pub aligned: &'a Aligned,
+    pub aligned: &'a AlignedSamples,
     /// Receive times of the messages.
     pub received: Receipts,
     /// Pose of the samples' frame in the base of the arm's chain.
@@ -213,7 +213,7 @@ impl State {
     }
 
     /// Errors of the tool against FK.
-    fn residuals(self, stream: &ReplayStream<'_>) -> Residuals {
+    fn residuals(self, stream: &ReplayStream<'_>) -> PoseDistances {
         match self {
             State::Logged => stream.aligned.before(),
             State::Explained => stream.aligned.after(),

@@ -10,7 +10,7 @@ use re_sdk_types::components::{Scalar, Text};
 
 use super::tape::entity;
 use super::*;
-use crate::diagnosis::Aligned;
+use crate::diagnosis::AlignedSamples;
 use crate::finding::{Cause, Evidence, Severity, Subject};
 use crate::report::figures::{Figures, Own};
 use crate::report::{Trouble, TroubleKind, Verdict};
@@ -27,9 +27,9 @@ fn chain(robot: &Robot) -> Chain {
 }
 
 /// The shoulder rotating, at 100 Hz, with consistent poses.
-fn motion(chain: &Chain, rows: usize) -> (JointTrack, Aligned) {
+fn motion(chain: &Chain, rows: usize) -> (JointTrack, AlignedSamples) {
     let mut joints = JointTrack { dof: chain.dof(), ..JointTrack::default() };
-    let mut aligned = Aligned::default();
+    let mut aligned = AlignedSamples::default();
     for row in 0..rows {
         let t_s = row as f64 * 0.01;
         let mut q = vec![0.5; chain.dof()];
@@ -82,7 +82,7 @@ fn report(verdict: Verdict, findings: Vec<Finding>) -> Report {
     report
 }
 
-fn stream(aligned: &Aligned, kind: StreamKind) -> ReplayStream<'_> {
+fn stream(aligned: &AlignedSamples, kind: StreamKind) -> ReplayStream<'_> {
     ReplayStream {
         topic: if kind == StreamKind::Tf { "/tf" } else { "/tcp/pose" },
         kind,

@@ -16,7 +16,7 @@ pub use rows::{checks_frame, findings_frame};
 
 use polars::prelude::{Column, DataFrame, PolarsResult};
 
-use crate::diagnosis::Aligned;
+use crate::diagnosis::AlignedSamples;
 use crate::geometry::{xyz_of, xyzw_from_rotation};
 use crate::time::Stamp;
 
@@ -29,7 +29,7 @@ const T_S: &str = "t_s";
 ///
 /// # Errors
 /// If the columns of `aligned` differ in length.
-fn aligned_frame(aligned: &Aligned, origin: Stamp) -> PolarsResult<DataFrame> {
+fn aligned_frame(aligned: &AlignedSamples, origin: Stamp) -> PolarsResult<DataFrame> {
     let stamps_ns: Vec<i64> = aligned.t_s.iter().map(|&t_s| origin.shifted(t_s).nanos()).collect();
     let mut columns = vec![Column::new(STAMP_NS.into(), stamps_ns), column(T_S, &aligned.t_s)];
     for (name, poses) in [
@@ -59,7 +59,7 @@ fn aligned_frame(aligned: &Aligned, origin: Stamp) -> PolarsResult<DataFrame> {
 /// # Errors
 /// If the columns of a stream differ in length.
 fn aligned_frames<'a>(
-    streams: impl Iterator<Item = (&'a str, &'a str, &'a Aligned)>,
+    streams: impl Iterator<Item = (&'a str, &'a str, &'a AlignedSamples)>,
     origin: Stamp,
 ) -> PolarsResult<DataFrame> {
     let mut frames: Option<DataFrame> = None;
@@ -79,7 +79,7 @@ fn aligned_frames<'a>(
             frames.rechunk_mut();
             Ok(frames)
         }
-        None => aligned_frames([("", "", &Aligned::default())].into_iter(), origin),
+        None => aligned_frames([("", "", &AlignedSamples::default())].into_iter(), origin),
     }
 }
 
@@ -107,8 +107,8 @@ mod tests {
         pose(xyz, rotation_from_rotvec(Vec3::new(0.0, 0.0, angle_rad)))
     }
 
-    fn aligned() -> Aligned {
-        Aligned {
+    fn aligned() -> AlignedSamples {
+        AlignedSamples {
             t_s: vec![0.0, 0.5],
             logged: vec![turned_about_z([3.0, 4.0, 0.0], 0.3), turned_about_z([0.0; 3], -0.2)],
             fk: vec![turned_about_z([0.0; 3], 0.1), turned_about_z([1.0, 2.0, 2.0], 0.2)],
@@ -177,7 +177,7 @@ mod tests {
 
     #[test]
     fn no_samples_make_an_empty_frame() -> PolarsResult<()> {
-        let frame = aligned_frame(&Aligned::default(), ORIGIN)?;
+        let frame = aligned_frame(&AlignedSamples::default(), ORIGIN)?;
         assert_eq!(frame.height(), 0);
         assert!(numbers(&frame, "corrected_x_m")?.is_empty());
         Ok(())

@@ -125,7 +125,7 @@ impl<'a> Found<'a> {
         const LATER_S: f64 = 0.5;
         let (arm, _) = self.arm()?;
         let (content, found) = self.commands()?;
-        let size = |line: &crate::diagnosis::Line| {
+        let size = |line: &crate::diagnosis::CommandedLine| {
             let witnesses = line.witnesses.iter().flatten();
             let off_m = witnesses.map(|by| by.distance_m.norm.value).fold(0.0, f64::max);
             off_m.max(0.1 * line.command_rad)

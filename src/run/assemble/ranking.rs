@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::assembly::{Assembly, is_topic};
 use super::groups::Group;
-use crate::diagnosis::{ModelFit, Needs, PoseStream, Priced, Tried, model_fit};
+use crate::diagnosis::{FitAssumption, FitHypotheses, ModelFit, PoseStream, ScoredFit, model_fit};
 use crate::robot::catalogue;
 use crate::run::arm::{Arm, Ends};
 use crate::run::by_order;
@@ -76,7 +76,7 @@ struct Rank {
     model: usize,
     score: f64,
     /// The stream with the smallest residual, and how the model fits it best.
-    decisive: (usize, Priced),
+    decisive: (usize, ScoredFit),
 }
 
 /// Ranks models of one group of joint states by the pose streams.
@@ -107,13 +107,13 @@ impl ByPoses<'_> {
             let Some(arm) = arm.as_ref().filter(|_| is_near) else { return };
             let open = fits.iter_mut().filter(|it| !it.fit.is_settled());
             open.for_each(|it| {
-                let all = self.fit_of(arm, &it.source, it.knows_frame, Tried::All);
+                let all = self.fit_of(arm, &it.source, it.knows_frame, FitHypotheses::All);
                 it.fit = all.unwrap_or_else(|| it.fit.clone());
             });
         });
         let ranks = ranks(&entries);
         let standings = ranks.into_iter().map(|rank| {
-            let (stream, Priced { way, .. }) = rank.decisive;
+            let (stream, ScoredFit { way, .. }) = rank.decisive;
             let fit = entries[rank.model].of(stream);
             let spread_m = fit.map_or(0.0, |fit| fit.spread_m);
             Standing {
@@ -137,7 +137,7 @@ impl ByPoses<'_> {
         let path = self.only_path(model)?;
         let own = self.ranking(&[model])?;
         let own = own.standings.first()?;
-        if own.fits && own.way.needs == Needs::Nothing && !own.way.misread {
+        if own.fits && own.way.needs == FitAssumption::Nothing && !own.way.misread {
             return None;
         }
         // A model that fits with the other DH convention of its own table is not another arm (ORD007).
@@ -241,7 +241,7 @@ impl ByPoses<'_> {
                 continue;
             }
             let knows_frame = source.reference_known && !free.contains(&stream);
-            match self.fit_of(&arm, &source, knows_frame, Tried::Harmless) {
+            match self.fit_of(&arm, &source, knows_frame, FitHypotheses::Harmless) {
                 Some(fit) => fits.push(Fitted { stream, source, knows_frame, fit }),
                 None => untold.entry(key).or_default().push(source),
             }
@@ -277,7 +277,7 @@ impl ByPoses<'_> {
         arm: &Arm,
         source: &PoseSource,
         knows_frame: bool,
-        tried: Tried,
+        tried: FitHypotheses,
     ) -> Option<ModelFit> {
         let stream = PoseStream {
             track: &source.track,
@@ -332,7 +332,7 @@ fn ranks(entries: &[Entry]) -> Vec<Rank> {
             let best = entry.of(stream)?.best()?;
             Some((stream, best))
         });
-        let each: Vec<(usize, Priced)> = each.collect::<Option<_>>()?;
+        let each: Vec<(usize, ScoredFit)> = each.collect::<Option<_>>()?;
         let score = each.iter().map(|(_, best)| best.score).sum();
         let decisive = *each.iter().min_by(|a, b| a.1.way.left_m.total_cmp(&b.1.way.left_m))?;
         Some(Rank { model, score, decisive })
@@ -345,7 +345,8 @@ fn ranks(entries: &[Entry]) -> Vec<Rank> {
     let near = ranks.iter().take_while(|rank| rank.score <= least + APART).count();
     let harm = |rank: &Rank| {
         let way = &rank.decisive.1.way;
-        let aside_m = if way.needs == Needs::Nothing { 0.0 } else { way.tool_m.xy().norm() };
+        let aside_m =
+            if way.needs == FitAssumption::Nothing { 0.0 } else { way.tool_m.xy().norm() };
         (way.misread, way.needs, aside_m)
     };
     ranks[..near].sort_by(|a, b| {

@@ -1,8 +1,8 @@
-//! The unidentified numbers of a table, together with those identified by name, as one [`Sheet`].
+//! The unidentified numbers of a table, together with those identified by name, as one [`NumericTable`].
 
 use std::collections::HashMap;
 
-use crate::diagnosis::Sheet;
+use crate::diagnosis::NumericTable;
 use crate::log::{TableCell, Topic};
 use crate::run::by_order::TABLE;
 use crate::run::role::{Role, beside_arm, plain_role};
@@ -33,7 +33,7 @@ pub(super) struct Cells {
     /// Maps a number's topic and index to its column in `sheet`.
     places: HashMap<(usize, usize), usize>,
     pub numbers: Vec<Number>,
-    pub sheet: Sheet,
+    pub sheet: NumericTable,
 }
 
 /// Whether the numbers of a topic are unidentified.
@@ -113,7 +113,7 @@ impl Cells {
 
 /// All numbers of some topics in one sheet, each multiplied by its factor, for the rows that all topics
 /// have. `None` if the topics are from different tables.
-pub(super) fn side_by_side(topics: &[(&Topic, f64)]) -> Option<Sheet> {
+pub(super) fn side_by_side(topics: &[(&Topic, f64)]) -> Option<NumericTable> {
     let rows = times_of(topics.first()?.0)?.log.clone();
     let (mut columns, mut homes) = (Vec::new(), Vec::new());
     for (home, (topic, factor)) in topics.iter().enumerate() {
@@ -129,7 +129,7 @@ pub(super) fn side_by_side(topics: &[(&Topic, f64)]) -> Option<Sheet> {
 }
 
 /// Keeps rows if every column is finite and time increases.
-fn whole(rows: &[i64], mut columns: Vec<Vec<f64>>, homes: Vec<usize>) -> Sheet {
+fn whole(rows: &[i64], mut columns: Vec<Vec<f64>>, homes: Vec<usize>) -> NumericTable {
     let mut whole: Vec<usize> = Vec::new();
     let mut last = i64::MIN;
     for (row, stamp) in rows.iter().enumerate() {
@@ -144,7 +144,7 @@ fn whole(rows: &[i64], mut columns: Vec<Vec<f64>>, homes: Vec<usize>) -> Sheet {
     for values in &mut columns {
         *values = whole.iter().map(|&row| values[row]).collect();
     }
-    Sheet::new(t_s, columns, homes)
+    NumericTable::new(t_s, columns, homes)
 }
 
 fn times_of(topic: &Topic) -> Option<&Times> {

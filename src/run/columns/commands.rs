@@ -3,7 +3,7 @@
 //! Unnamed numbers are commands if they lead the joints. Named commands whose order contradicts their
 //! motion are excluded.
 
-use crate::diagnosis::{Sheet, Shift};
+use crate::diagnosis::{GroupShift, NumericTable};
 use crate::log::{Log, Note, Topic};
 use crate::run::by_order::TABLE;
 use crate::run::role::{Role, beside_arm, plain_role};
@@ -118,12 +118,12 @@ impl Way {
         if arms.len() < MOVING {
             return None;
         }
-        let shift = |joint: usize, other: usize| -> Option<Shift> {
+        let shift = |joint: usize, other: usize| -> Option<GroupShift> {
             sheet.shift(&[joint], &[count + of_state[other]])
         };
-        let own: Vec<Option<Shift>> = arms.iter().map(|&joint| shift(joint, joint)).collect();
+        let own: Vec<Option<GroupShift>> = arms.iter().map(|&joint| shift(joint, joint)).collect();
         if is_bare {
-            let own: Vec<Shift> = own.into_iter().collect::<Option<_>>()?;
+            let own: Vec<GroupShift> = own.into_iter().collect::<Option<_>>()?;
             let lead_s = own.iter().map(|shift| -shift.later_s).sum::<f64>() / own.len() as f64;
             return (lead_s > -sheet.step_s()).then_some(Self::Commands(lead_s));
         }
@@ -137,9 +137,9 @@ impl Way {
 /// Pairs of joints whose commands move like another joint's. `None` unless they form a unique permutation.
 fn swapped(
     arms: &[usize],
-    own: &[Option<Shift>],
-    shift: impl Fn(usize, usize) -> Option<Shift>,
-    sheet: &Sheet,
+    own: &[Option<GroupShift>],
+    shift: impl Fn(usize, usize) -> Option<GroupShift>,
+    sheet: &NumericTable,
 ) -> Option<Vec<(usize, usize)>> {
     let mut pairs = Vec::new();
     for (&joint, own) in arms.iter().zip(own) {
@@ -148,7 +148,7 @@ fn swapped(
         }
         let others = arms.iter().filter(|&&other| other != joint);
         let found = others.filter_map(|&other| Some((other, shift(joint, other)?)));
-        let mut found: Vec<(usize, Shift)> = found.collect();
+        let mut found: Vec<(usize, GroupShift)> = found.collect();
         found.sort_by(|a, b| a.1.left.total_cmp(&b.1.left));
         let (other, best) = *found.first()?;
         let is_only = found.get(1).is_none_or(|(_, next)| next.left > OTHER * best.left);

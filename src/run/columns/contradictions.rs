@@ -1,6 +1,6 @@
 //! Table columns whose names contradict their numbers.
 
-use crate::diagnosis::Sheet;
+use crate::diagnosis::NumericTable;
 use crate::log::{Log, Note};
 use crate::run::by_order::TABLE;
 use crate::stream::{ArrayColumns, Columns, JointColumns};
@@ -36,7 +36,7 @@ fn quaternion_in(joints: &JointColumns) -> Option<usize> {
     }
     let columns: Vec<Vec<f64>> = joints.joints.iter().map(|joint| joint.position.clone()).collect();
     let rows = (0..joints.times.len()).map(|row| row as f64).collect();
-    let sheet = Sheet::new(rows, columns, vec![0; count]);
+    let sheet = NumericTable::new(rows, columns, vec![0; count]);
     [3, 0].into_iter().find(|&at| sheet.is_quaternion([at, at + 1, at + 2, at + 3]))
 }
 

@@ -12,7 +12,7 @@ mod shared;
 mod tools;
 mod topics;
 
-use crate::diagnosis::{Block, Mapping, Wanted};
+use crate::diagnosis::{ColumnMapping, JointColumns, MappingConstraints};
 use crate::log::{Log, Note};
 use crate::robot::{Chain, Robot, catalogue};
 
@@ -121,7 +121,7 @@ impl<'a> Search<'a> {
             if are_joints_known { self.cells.of_kind(Known::Joint) } else { Vec::new() };
         while told.arms.len() < MOST_ARMS {
             let chains = self.chains();
-            let wanted = Wanted {
+            let wanted = MappingConstraints {
                 chains: &chains,
                 joints: joints.as_deref(),
                 position,
@@ -146,7 +146,7 @@ impl<'a> Search<'a> {
             };
             // If several points on the tool fit, prefer the one nearest to the tip.
             const NEARER_M: f64 = 0.01;
-            let is_point = |other: &&Mapping| {
+            let is_point = |other: &&ColumnMapping| {
                 other.fits() && other.joints == best.joints && other.tool_m + NEARER_M < best.tool_m
             };
             let points = mappings.iter().filter(is_point);
@@ -179,7 +179,7 @@ impl<'a> Search<'a> {
 
     /// Rejects mappings that use only part of an array such as `position0` … `position6`. Accepts the whole
     /// array, all but a gripper, one of two arms, or an array that also contains the whole position.
-    fn takes_whole_arrays(&self, mapping: &Mapping) -> bool {
+    fn takes_whole_arrays(&self, mapping: &ColumnMapping) -> bool {
         let stem = |at: usize| -> &str {
             let name = self.cells.numbers[at].cell.name.as_str();
             name.trim_end_matches(']').trim_end_matches(|c: char| c.is_ascii_digit())
@@ -221,17 +221,17 @@ impl<'a> Search<'a> {
 
     /// Whether two mappings exclude each other: they share columns, and differ in more than the tool point
     /// or commanded versus measured joints.
-    fn conflict(&self, one: &Mapping, other: &Mapping) -> bool {
+    fn conflict(&self, one: &ColumnMapping, other: &ColumnMapping) -> bool {
         let share = |a: &[usize], b: &[usize]| a.iter().any(|at| b.contains(at));
         let is_one_arm = one.joints == other.joints || self.are_commands(one, other);
         let is_one_point = one.position == other.position;
-        let all = |it: &Mapping| [it.joints.as_slice(), &it.position].concat();
+        let all = |it: &ColumnMapping| [it.joints.as_slice(), &it.position].concat();
         share(&all(one), &all(other))
             && !(is_one_arm && (is_one_point || !share(&one.position, &other.position)))
     }
 
     /// Whether the joints of one mapping are a delayed copy of the other's.
-    fn are_commands(&self, one: &Mapping, other: &Mapping) -> bool {
+    fn are_commands(&self, one: &ColumnMapping, other: &ColumnMapping) -> bool {
         let apart = one.joints.iter().all(|at| !other.joints.contains(at));
         apart
             && one.unit == other.unit
@@ -264,15 +264,15 @@ impl<'a> Search<'a> {
         }
     }
 
-    fn lines(&self, mapping: &Mapping) -> String {
+    fn lines(&self, mapping: &ColumnMapping) -> String {
         let (joints, pose) =
             (self.line("joints", &mapping.joints), self.line("pose", &mapping.position));
         format!("{joints}; {pose}")
     }
 
     /// Question that asks which of two mappings is right.
-    fn either(&self, best: &Mapping, rival: &Mapping) -> String {
-        let way = |it: &Mapping| {
+    fn either(&self, best: &ColumnMapping, rival: &ColumnMapping) -> String {
+        let way = |it: &ColumnMapping| {
             format!(
                 "{} as joints of {}, residual {} in {} ([columns] {})",
                 self.said(&it.joints),
@@ -292,7 +292,7 @@ impl<'a> Search<'a> {
     fn by_width(&self, log: &Log) -> Option<String> {
         let sheet = &self.cells.sheet;
         let chains = self.chains();
-        let wanted = Wanted {
+        let wanted = MappingConstraints {
             chains: &chains,
             joints: None,
             position: None,
@@ -309,8 +309,8 @@ impl<'a> Search<'a> {
             let is_command = array_role(&topic.name, width, false).0 == Role::Reference;
             for (arm, chain) in chains.iter().enumerate().filter(|_| !is_command) {
                 let dof = chain.dof();
-                let blocks = || -> Vec<Block> { sheet.blocks(&wanted, arm) };
-                let is_block = |blocks: &[Block], from: usize| {
+                let blocks = || -> Vec<JointColumns> { sheet.blocks(&wanted, arm) };
+                let is_block = |blocks: &[JointColumns], from: usize| {
                     blocks.iter().any(|block| block.joints.iter().copied().eq(from..from + dof))
                 };
                 let each = match width {

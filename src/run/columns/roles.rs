@@ -2,7 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::diagnosis::{Block, JointNumbers, Mapping, Shift, Wanted};
+use crate::diagnosis::{
+    ColumnMapping, GroupShift, JointColumns, JointValueUnit, MappingConstraints,
+};
 use crate::finding::Unit;
 
 use super::Search;
@@ -13,7 +15,7 @@ pub(super) struct Taken {
     /// Name of the arm.
     pub arm: String,
     /// Columns of its joints and of the tool position.
-    pub mapping: Mapping,
+    pub mapping: ColumnMapping,
     pub joints_why: String,
     /// Position, then rotation.
     pub pose: Vec<usize>,
@@ -47,11 +49,11 @@ impl Taken {
 /// Columns that match others after a time shift.
 struct Same {
     columns: Vec<usize>,
-    shift: Shift,
+    shift: GroupShift,
 }
 
 /// A position that matches another after a time shift.
-type Later = ([usize; 3], Shift);
+type Later = ([usize; 3], GroupShift);
 
 impl Same {
     fn is_copy(&self) -> bool {
@@ -70,16 +72,16 @@ impl Search<'_> {
     /// A question if it cannot be determined which of several columns are measured.
     pub(super) fn taken(
         &self,
-        best: &Mapping,
-        rival: Option<&Mapping>,
-        mappings: &[Mapping],
-        wanted: &Wanted,
+        best: &ColumnMapping,
+        rival: Option<&ColumnMapping>,
+        mappings: &[ColumnMapping],
+        wanted: &MappingConstraints,
     ) -> Result<Taken, String> {
         let sheet = &self.cells.sheet;
         let mut others = Vec::new();
         let mut family: Vec<Same> = Vec::new();
         if wanted.joints.is_none() {
-            for Block { joints: columns, unit, .. } in sheet.blocks(wanted, best.arm) {
+            for JointColumns { joints: columns, unit, .. } in sheet.blocks(wanted, best.arm) {
                 let is_apart = |joints: &[usize]| columns.iter().all(|at| !joints.contains(at));
                 if !is_apart(&best.joints) || !family.iter().all(|same| is_apart(&same.columns)) {
                     continue;
@@ -174,7 +176,8 @@ impl Search<'_> {
             && (lag_s + lead_s).abs() < 0.25 * lead_s;
         let (pose, rotation) = self.with_rotation(&mapping, wanted);
         let pose_commands = pose_commands.map(|(position, lead_s)| {
-            let command = Mapping { position, lag_s: mapping.lag_s - lead_s, ..mapping.clone() };
+            let command =
+                ColumnMapping { position, lag_s: mapping.lag_s - lead_s, ..mapping.clone() };
             let why = format!(
                 "pose commands: they match {}, {:.0} ms earlier",
                 name(&mapping.position),
@@ -222,9 +225,9 @@ impl Search<'_> {
     /// other points on the same tool.
     fn further_positions(
         &self,
-        (best, mapping): (&Mapping, &Mapping),
-        mappings: &[Mapping],
-        wanted: &Wanted,
+        (best, mapping): (&ColumnMapping, &ColumnMapping),
+        mappings: &[ColumnMapping],
+        wanted: &MappingConstraints,
     ) -> (Vec<Later>, Vec<[usize; 3]>) {
         let sheet = &self.cells.sheet;
         let mut known: Vec<usize> = [mapping.joints.as_slice(), &mapping.position].concat();
@@ -249,12 +252,17 @@ impl Search<'_> {
     }
 
     /// Refits the mapping with other joint columns for the same arm and position.
-    fn refitted(&self, joints: &[usize], best: &Mapping, wanted: &Wanted) -> Option<Mapping> {
-        if best.unit != JointNumbers::Radians {
+    fn refitted(
+        &self,
+        joints: &[usize],
+        best: &ColumnMapping,
+        wanted: &MappingConstraints,
+    ) -> Option<ColumnMapping> {
+        if best.unit != JointValueUnit::Radians {
             return None;
         }
         let joints = [joints.to_vec()];
-        let wanted = Wanted {
+        let wanted = MappingConstraints {
             chains: &wanted.chains[best.arm..=best.arm],
             joints: Some(&joints),
             position: Some(best.position),
@@ -262,11 +270,15 @@ impl Search<'_> {
             most_lag_s: wanted.most_lag_s,
         };
         let found = self.cells.sheet.mappings(&wanted).into_iter().next()?;
-        Some(Mapping { arm: best.arm, ..found })
+        Some(ColumnMapping { arm: best.arm, ..found })
     }
 
     /// Adds the rotation columns to a position, with the reason.
-    fn with_rotation(&self, mapping: &Mapping, wanted: &Wanted) -> (Vec<usize>, String) {
+    fn with_rotation(
+        &self,
+        mapping: &ColumnMapping,
+        wanted: &MappingConstraints,
+    ) -> (Vec<usize>, String) {
         let numbers = &self.cells.numbers;
         let [x, y, z] = mapping.position;
         let home = self.cells.sheet.home(x);

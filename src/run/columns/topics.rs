@@ -1,6 +1,6 @@
 //! Rewrites the topics of a table after its columns are identified.
 
-use crate::diagnosis::{Conduct, JointNumbers};
+use crate::diagnosis::{ColumnContent, JointValueUnit};
 use crate::log::{Log, TableCell, Topic};
 use crate::robot::Chain;
 use crate::stream::{ArrayColumns, Columns, JointColumn, JointColumns, PoseColumns};
@@ -199,10 +199,15 @@ fn array(log: &Log, search: &Search<'_>, columns: &[usize]) -> ArrayColumns {
 }
 
 /// Converts rows of joint positions, optionally followed by velocities.
-fn joints(array: ArrayColumns, count: usize, unit: JointNumbers, chain: Option<&Chain>) -> Columns {
-    let degrees = unit == JointNumbers::Degrees;
+fn joints(
+    array: ArrayColumns,
+    count: usize,
+    unit: JointValueUnit,
+    chain: Option<&Chain>,
+) -> Columns {
+    let degrees = unit == JointValueUnit::Degrees;
     let lines: Vec<[f64; 2]> = match (unit, chain) {
-        (JointNumbers::Ticks { .. } | JointNumbers::Shares, Some(chain)) => {
+        (JointValueUnit::Ticks { .. } | JointValueUnit::Shares, Some(chain)) => {
             (0..count).map(|joint| <[f64; 2]>::from(unit.read(chain, joint))).collect()
         }
         _ => Vec::new(),
@@ -257,18 +262,20 @@ impl Search<'_> {
         }
         let name = |at: usize| selectors(&[self.cells.numbers[at].cell.name.clone()]).concat();
         match self.cells.sheet.conduct(at, used) {
-            Conduct::Constant => "it never changes".to_owned(),
-            Conduct::TwoLevels => "it takes two values, like a gripper or a switch".to_owned(),
-            Conduct::As(other, shift) if shift.later_s == 0.0 => {
+            ColumnContent::Constant => "it never changes".to_owned(),
+            ColumnContent::TwoLevels => {
+                "it takes two values, like a gripper or a switch".to_owned()
+            }
+            ColumnContent::As(other, shift) if shift.later_s == 0.0 => {
                 format!("a copy of {}", name(other))
             }
-            Conduct::As(other, shift) => {
+            ColumnContent::As(other, shift) => {
                 let when = if shift.later_s > 0.0 { "later" } else { "earlier" };
                 format!("a copy of {}, {:.0} ms {when}", name(other), 1e3 * shift.later_s.abs())
             }
-            Conduct::RateOf(other) => format!("the rate of {}", name(other)),
-            Conduct::Own if used.is_empty() => UNNAMED.to_owned(),
-            Conduct::Own => FOLLOWS_NONE.to_owned(),
+            ColumnContent::RateOf(other) => format!("the rate of {}", name(other)),
+            ColumnContent::Own if used.is_empty() => UNNAMED.to_owned(),
+            ColumnContent::Own => FOLLOWS_NONE.to_owned(),
         }
     }
 }

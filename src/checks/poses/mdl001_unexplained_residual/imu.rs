@@ -6,7 +6,7 @@ use super::MDL001;
 use crate::checks::decision::{FrameThresholds, decide};
 use crate::checks::residual_attribution::ExceedingResidual;
 use crate::checks::{Case, Judged, Threshold};
-use crate::diagnosis::{Clipped, Measured, Rates};
+use crate::diagnosis::{GyroResidual, GyroSaturation, Measured};
 use crate::evidence::{ImuEvidence, Of};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
@@ -55,7 +55,7 @@ fn odd(thresholds: &FrameThresholds, imu: &Of<ImuEvidence>) -> Outcome {
         let most = Unit::Radian.show(left.worst.amount.most);
         odd.push(format!("its orientation is off by up to {most} after correction"));
     }
-    if let Some(Rates { scale, left, by_fk, noise }) = proof.rates
+    if let Some(GyroResidual { scale, left, by_fk, noise }) = proof.rates
         && left > SHARE * by_fk
         && left > 2.0 * noise
     {
@@ -78,8 +78,8 @@ fn odd(thresholds: &FrameThresholds, imu: &Of<ImuEvidence>) -> Outcome {
     ))
 }
 
-fn saturates(imu: &Of<ImuEvidence>, clipped: &Clipped, threshold: &Threshold) -> Judged {
-    let Clipped { limit_rad_s, axes, share, by_fk_rad_s } = clipped;
+fn saturates(imu: &Of<ImuEvidence>, clipped: &GyroSaturation, threshold: &Threshold) -> Judged {
+    let GyroSaturation { limit_rad_s, axes, share, by_fk_rad_s } = clipped;
     let [limit, by_fk] = [*limit_rad_s, *by_fk_rad_s].map(|rate| Unit::GyroRate.show(rate));
     let names: Vec<&str> = axes.iter().map(|&axis| AXES[axis]).collect();
     let on = names.join(", ");

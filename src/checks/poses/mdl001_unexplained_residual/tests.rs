@@ -1,14 +1,14 @@
 use super::*;
 use crate::checks::evaluate;
 use crate::checks::testing::{POSE, ask, clean_run, frame, left, sure};
-use crate::diagnosis::{FrameEstimate, Proof, Short, Unseen};
+use crate::diagnosis::{FrameEstimate, NotObservable, ResidualCheck, SampleNoise};
 use crate::finding::{CheckRow, Finding, Status};
 
 /// Row and findings for a pose stream with errors of `as_logged_m` as logged and `left_m` after correction.
 fn judged(as_logged_m: f64, left_m: f64, change: fn(&mut ArmEvidence)) -> (CheckRow, Vec<Finding>) {
     let mut run = clean_run();
     run.robots[0].poses[0].proof =
-        Ok(Proof { as_logged: left(as_logged_m, 0.0).as_logged, ..left(left_m, 0.0) });
+        Ok(ResidualCheck { as_logged: left(as_logged_m, 0.0).as_logged, ..left(left_m, 0.0) });
     change(&mut run.robots[0]);
     let (rows, findings) = ask(&MDL001, &run);
     let row = rows.into_iter().find(|row| row.subject.label() == POSE);
@@ -38,7 +38,7 @@ fn what_is_found_accounts_for_its_amount_and_what_is_open_does_not() {
     let late = |arm: &mut ArmEvidence| arm.poses[0].diagnosis.latency_s = Ok(sure(0.02));
     assert_eq!(judged(0.03, 1e-4, late).0.status, Status::Pass);
     let (row, _) = judged(0.03, 1e-4, |arm| {
-        arm.poses[0].diagnosis.latency_s = Err(Unseen::Periodic(vec![0.0, 0.3]));
+        arm.poses[0].diagnosis.latency_s = Err(NotObservable::Periodic(vec![0.0, 0.3]));
         let proof = arm.poses[0].proof.as_mut().expect("a proof");
         proof.beside_joints = Some(proof.as_logged.clone());
     });
@@ -60,7 +60,7 @@ fn an_error_as_large_as_the_noise_from_sample_to_sample_is_noise() {
     let (row, findings) = judged(0.004, 0.004, |arm| {
         let proof = arm.poses[0].proof.as_mut().expect("a proof");
         for error in [&mut proof.as_logged].into_iter().chain(&mut proof.left) {
-            let noise = Some(Short { rms: 0.002, most: 0.003, over: 1 });
+            let noise = Some(SampleNoise { rms: 0.002, most: 0.003, over: 1 });
             error.length.whole.noise = noise;
             error.length.parts[0].amount.noise = noise;
         }
@@ -85,7 +85,7 @@ fn where_poses_and_joints_disagree_no_cause_is_named_and_all_say_why() {
     let arm = &mut run.robots[0];
     arm.poses[0].proof = Ok(left(0.7, 0.7));
     let stream = &mut arm.poses[0].diagnosis;
-    stream.residual = Err(Unseen::NotExcited);
+    stream.residual = Err(NotObservable::NotExcited);
     stream.latency_s = Ok(sure(0.05));
     let evaluation = evaluate(&run, &Default::default());
     let [finding] = evaluation.findings.as_slice() else { panic!("{evaluation:?}") };

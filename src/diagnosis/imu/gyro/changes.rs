@@ -1,7 +1,7 @@
 //! Changes of a gyro's bias and mount within the run.
 
-use super::super::change::{Asked, Better};
-use super::super::found::{BiasCourse, MountChange};
+use super::super::change::{ExtensionTests, ModelExtension};
+use super::super::found::{GyroBiasProfile, ImuMountChange};
 use super::super::solve::Solved;
 use super::{FLOOR_RAD_S, GyroModel};
 use ground::geometry::{Rotation, Vec3, rotvec_from_rotation};
@@ -10,8 +10,8 @@ impl GyroModel<'_> {
     /// Fraction of the bias change in effect at a time, 0 to 1.
     pub(super) fn change_at(&self, t_s: f64) -> f64 {
         match self.course {
-            Some(BiasCourse::Step { at_s, .. }) => f64::from(u8::from(t_s > at_s)),
-            Some(BiasCourse::WarmUp { time_constant_s }) => {
+            Some(GyroBiasProfile::Step { at_s, .. }) => f64::from(u8::from(t_s > at_s)),
+            Some(GyroBiasProfile::WarmUp { time_constant_s }) => {
                 let first_s = self.link.stream.track.t_s.first().copied().unwrap_or(t_s);
                 (-(t_s - first_s) / time_constant_s).exp()
             }
@@ -43,10 +43,11 @@ impl GyroModel<'_> {
         if moves {
             base.extend(Self::MOUNT.chain(Self::SHAPE).chain([Self::LATENCY]));
         }
-        let asked = Asked::of(&linear, t_s, &base, FLOOR_RAD_S);
-        let sure = |better: Option<Better>| better.filter(Better::is_sure);
+        let asked = ExtensionTests::of(&linear, t_s, &base, FLOOR_RAD_S);
+        let sure = |better: Option<ModelExtension>| better.filter(ModelExtension::is_sure);
         let bias: Vec<usize> = Self::BIAS.collect();
-        let of_bias = |course: fn(&Better) -> BiasCourse, better: Option<Better>| {
+        let of_bias = |course: fn(&ModelExtension) -> GyroBiasProfile,
+                       better: Option<ModelExtension>| {
             let better = sure(better)?;
             Some((better.squares, Self { course: Some(course(&better)), ..self.clone() }))
         };
@@ -78,19 +79,19 @@ impl GyroModel<'_> {
         of_bias.into_iter().chain(of_mount).flatten()
     }
 
-    pub(super) fn mount_change(&self, solved: &Solved) -> Option<MountChange> {
+    pub(super) fn mount_change(&self, solved: &Solved) -> Option<ImuMountChange> {
         let (at_s, interval_s, slip) = self.slip?;
         let columns: Vec<usize> = Self::SLIP.collect();
         let size_rad = solved.length(&columns, rotvec_from_rotation(&slip).as_slice()).ok()?;
         let link_from_imu = self.link_from_imu * slip;
-        Some(MountChange { at_s, interval_s, link_from_imu, size_rad })
+        Some(ImuMountChange { at_s, interval_s, link_from_imu, size_rad })
     }
 }
 
-fn stepped(better: &Better) -> BiasCourse {
-    BiasCourse::Step { at_s: better.at_s, interval_s: better.interval_s }
+fn stepped(better: &ModelExtension) -> GyroBiasProfile {
+    GyroBiasProfile::Step { at_s: better.at_s, interval_s: better.interval_s }
 }
 
-fn warming(better: &Better) -> BiasCourse {
-    BiasCourse::WarmUp { time_constant_s: better.at_s }
+fn warming(better: &ModelExtension) -> GyroBiasProfile {
+    GyroBiasProfile::WarmUp { time_constant_s: better.at_s }
 }

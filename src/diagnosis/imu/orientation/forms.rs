@@ -6,8 +6,8 @@
 
 use super::super::super::Measured;
 use super::super::super::model::FLOOR_RAD;
-use super::super::change::{Asked, Better};
-use super::super::found::{HeadingError, MountChange, YawWarmUp};
+use super::super::change::{ExtensionTests, ModelExtension};
+use super::super::found::{HeadingError, ImuMountChange, YawWarmUp};
 use super::super::solve::Solved;
 use super::super::yaw;
 use super::{OrientationModel, Settled};
@@ -15,23 +15,23 @@ use ground::geometry::{Rotation, Vec3, rotvec_from_rotation};
 
 /// Part of the yaw error: a linear combination of given functions.
 #[derive(Clone)]
-pub(super) struct Form {
-    kind: Kind,
+pub(super) struct YawTerm {
+    kind: YawTermKind,
     /// Values of each function, one per row.
     pub weights: Vec<Vec<f64>>,
     pub sizes_rad: Vec<f64>,
 }
 
 #[derive(Clone, Copy, PartialEq)]
-enum Kind {
+enum YawTermKind {
     /// Harmonics of the heading of this axis of the IMU.
     Heading(usize),
     /// Exponential with this time constant, s.
     WarmUp(f64),
 }
 
-impl Form {
-    fn of(kind: Kind, weights: Vec<Vec<f64>>) -> Self {
+impl YawTerm {
+    fn of(kind: YawTermKind, weights: Vec<Vec<f64>>) -> Self {
         Self { kind, sizes_rad: vec![0.0; weights.len()], weights }
     }
 
@@ -72,9 +72,10 @@ impl<'a> OrientationModel<'a> {
         /// … and relative to those with a jump of the world frame.
         const CLEARLY: f64 = 0.8;
         let (linear, rows) = self.linearized();
-        let asked = Asked::of(&linear, self.stamps(&rows), &Self::constant(moves), FLOOR_RAD);
+        let asked =
+            ExtensionTests::of(&linear, self.stamps(&rows), &Self::constant(moves), FLOOR_RAD);
         let mount: Vec<usize> = Self::MOUNT.collect();
-        let slip = asked.step(&mount).filter(Better::is_sure)?;
+        let slip = asked.step(&mount).filter(ModelExtension::is_sure)?;
         if slip.squares > LEFT * asked.squares {
             return None;
         }
@@ -98,12 +99,12 @@ impl<'a> OrientationModel<'a> {
         }
     }
 
-    pub(super) fn mount_change(&self, solved: &Solved) -> Option<MountChange> {
+    pub(super) fn mount_change(&self, solved: &Solved) -> Option<ImuMountChange> {
         let (at_s, interval_s, slip) = self.slip?;
         let columns: Vec<usize> = Self::SLIP.collect();
         let size_rad = solved.length(&columns, rotvec_from_rotation(&slip).as_slice()).ok()?;
         let link_from_imu = self.link_from_imu * slip;
-        Some(MountChange { at_s, interval_s, link_from_imu, size_rad })
+        Some(ImuMountChange { at_s, interval_s, link_from_imu, size_rad })
     }
 
     /// Column of a world rotation about the vertical.
@@ -119,14 +120,15 @@ impl<'a> OrientationModel<'a> {
         /// … and maximum share of the remaining walk.
         const WALK_LEFT: f64 = 0.3;
         let (linear, rows) = self.linearized();
-        let asked = Asked::of(&linear, self.stamps(&rows), &Self::constant(moves), FLOOR_RAD);
-        let sure = |better: Option<Better>| better.filter(Better::is_sure);
+        let asked =
+            ExtensionTests::of(&linear, self.stamps(&rows), &Self::constant(moves), FLOOR_RAD);
+        let sure = |better: Option<ModelExtension>| better.filter(ModelExtension::is_sure);
         let headings = self.headings_by_axis(&rows).into_iter().filter_map(|(axis, weights)| {
             let better = sure(asked.better(&Self::YAW, &weights))?;
-            Some((better.squares, Kind::Heading(axis)))
+            Some((better.squares, YawTermKind::Heading(axis)))
         });
         let decay = sure(asked.decay(&Self::YAW));
-        let decay = decay.map(|decay| (decay.squares, Kind::WarmUp(decay.at_s)));
+        let decay = decay.map(|decay| (decay.squares, YawTermKind::WarmUp(decay.at_s)));
         let all = headings.chain(decay).min_by(|a, b| a.0.total_cmp(&b.0));
         let (squares, kind) = all.filter(|(squares, _)| *squares < LEFT * asked.squares)?;
         let jump = asked.step(&Self::YAW).map_or(f64::INFINITY, |jump| jump.squares);
@@ -136,7 +138,7 @@ impl<'a> OrientationModel<'a> {
         let before = yaw::explain(&self.yaw_beside_forms()).parts;
         let mut model = self.with_form(kind);
         let mut settled = model.settle(moves);
-        if matches!(kind, Kind::Heading(_)) {
+        if matches!(kind, YawTermKind::Heading(_)) {
             // Recompute the headings with the error corrected.
             model = Self { forms: Vec::new(), ..settled.model }.with_form(kind);
             settled = model.settle(moves);
@@ -147,22 +149,22 @@ impl<'a> OrientationModel<'a> {
         (is_steady && after.jumps.len() <= before.jumps.len()).then_some((model, settled))
     }
 
-    fn with_form(&self, kind: Kind) -> Self {
+    fn with_form(&self, kind: YawTermKind) -> Self {
         let rows: Vec<usize> = (0..self.rows.len()).collect();
         let weights = match kind {
-            Kind::Heading(axis) => self
+            YawTermKind::Heading(axis) => self
                 .headings_by_axis(&rows)
                 .into_iter()
                 .find(|(own, _)| *own == axis)
                 .map(|(_, weights)| weights)
                 .unwrap_or_default(),
-            Kind::WarmUp(tau_s) => {
+            YawTermKind::WarmUp(tau_s) => {
                 let t_s = self.stamps(&rows);
                 let first_s = t_s.first().copied().unwrap_or_default();
                 vec![t_s.iter().map(|t_s| (-(t_s - first_s) / tau_s).exp()).collect()]
             }
         };
-        let forms = self.forms.iter().cloned().chain([Form::of(kind, weights)]).collect();
+        let forms = self.forms.iter().cloned().chain([YawTerm::of(kind, weights)]).collect();
         Self { forms, ..self.clone() }
     }
 
@@ -203,7 +205,7 @@ impl<'a> OrientationModel<'a> {
             let columns: Vec<usize> = (column..column + form.sizes_rad.len()).collect();
             column += columns.len();
             match form.kind {
-                Kind::Heading(axis) => {
+                YawTermKind::Heading(axis) => {
                     let turned = (0..self.rows.len()).map(|row| (row, form.at(row)));
                     let least = turned.clone().min_by(|a, b| a.1.total_cmp(&b.1));
                     let most = turned.max_by(|a, b| a.1.total_cmp(&b.1));
@@ -215,7 +217,7 @@ impl<'a> OrientationModel<'a> {
                         Some(HeadingError { amplitude_rad, axis })
                     });
                 }
-                Kind::WarmUp(time_constant_s) => {
+                YawTermKind::WarmUp(time_constant_s) => {
                     let size = solved.one(columns[0], form.sizes_rad[0]);
                     warm_up = size.ok().map(|size| {
                         let times = |by: f64| Measured {
