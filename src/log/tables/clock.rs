@@ -1,4 +1,5 @@
-//! When the rows of a table were: by a column of times, else by the rate that metadata or the caller give.
+//! Stamps of table rows: from a column of times, otherwise from the rate in the metadata or the
+//! configuration.
 
 use std::collections::BTreeMap;
 
@@ -6,10 +7,10 @@ use super::{Column, ColumnSettings, Table, names};
 use ground::stats::median;
 use ground::time::NANOS_PER_SECOND;
 
-/// Names of columns of times, by the words that they end in.
+/// Last words of the names of time columns.
 const TIMES: &[&str] =
     &["timestamp", "timestamps", "time", "times", "t", "stamp", "stamps", "ts", "ipoc", "elapsed"];
-/// Words that say the unit, and it in seconds.
+/// Words for units, with the unit in seconds.
 const UNITS: &[(&str, f64)] = &[
     ("ns", 1e-9),
     ("nsec", 1e-9),
@@ -27,7 +28,7 @@ const UNITS: &[(&str, f64)] = &[
     ("secs", 1.0),
     ("seconds", 1.0),
 ];
-/// Words of times that are no row's.
+/// Words for times that are not the stamp of a row.
 const OTHERS: &[&str] = &[
     "delta",
     "dt",
@@ -41,69 +42,69 @@ const OTHERS: &[&str] = &[
     "sleep",
 ];
 
-/// Steps that go back are this many at most, of a hundred.
+/// Maximum percentage of steps that go backwards.
 const MOST_BACK: usize = 2;
 
 /// Latest time since the start of a table, ns.
 const MOST_NANOS: f64 = 9e18;
 
-/// The stamps of a table.
+/// Stamps of a table.
 pub(super) struct Clock {
-    /// Of every row, ns; `None` where it has none.
+    /// Stamp of each row, ns; `None` if it has none.
     pub stamps: Vec<Option<i64>>,
-    /// The column that they were read from, and the number of its rows.
+    /// Column and index within its rows that hold the stamps.
     pub cell: Option<(usize, usize)>,
-    /// That of their nanoseconds, where the other holds whole seconds.
+    /// Column and index of the nanoseconds, if `cell` holds whole seconds.
     pub nanos: Option<(usize, usize)>,
-    /// How they came about, in one line.
+    /// One-line description of the origin of the stamps.
     pub said: String,
-    /// The column, where its numbers told that it holds times and its name does not.
+    /// Name of the column, if it was identified by its numbers rather than its name.
     pub told: Option<String>,
-    /// The median of their steps, s.
+    /// Median step, s.
     step_s: f64,
 }
 
-/// Whether a name is one of a column of times.
+/// Whether a name indicates a column of times.
 pub(super) fn is_time(name: &str) -> bool {
     let words = names::words(name);
     let is_unit = |word: &&String| UNITS.iter().any(|(unit, _)| unit == word);
     let is_general = |word: &&String| ["data", "info", "value", "values"].contains(&word.as_str());
     let mut named = words.iter().rev().filter(|word| !is_general(word));
     let last = named.find(|word| !is_unit(word) || *word == "t");
-    // DROID keeps its stamps below a group of that name.
+    // DROID keeps its stamps in a group of that name.
     let is_below = name.contains('/') && words.contains(&"timestamp".to_owned());
     (is_below || last.is_some_and(|word| TIMES.contains(&word.as_str())))
         && !words.iter().any(|word| OTHERS.contains(&word.as_str()))
 }
 
-/// The stamps of `table`.
+/// Determines the stamps of `table`.
 ///
 /// # Errors
-/// Where nothing says when its rows were, or several columns say it differently.
+/// If the row times are unknown or ambiguous, or if the configured column does not hold times.
 pub(super) fn of(table: &Table, settings: &ColumnSettings) -> Result<Clock, String> {
     if let Some(name) = &settings.time {
         let cell = cell_of(table, name)
-            .ok_or_else(|| format!("`columns.time` names '{name}', which is no column of it"))?;
+            .ok_or_else(|| format!("`columns.time` names '{name}', but there is no such column"))?;
         let column = &table.columns[cell.0];
         let values = column.values.iter().skip(cell.1).step_by(column.width).copied().collect();
         let kind = column.kind.clone();
         let own = Column { name: name.clone(), kind, width: 1, values, ..Column::default() };
         return timed(cell.0, &own).map(|clock| Clock { cell: Some(cell), ..clock }).ok_or_else(
-            || format!("`columns.time` names '{name}', whose numbers are no times: they must rise"),
+            || format!("`columns.time` names '{name}', but its numbers are not times: they must increase"),
         );
     }
     if let Some(rate_hz) = settings.rate_hz {
-        return Ok(made(table, rate_hz, "as `columns.rate_hz` says"));
+        return Ok(made(table, rate_hz, "from `columns.rate_hz`"));
     }
     let best = best_of(named(table), table);
     match (best, table.rate_hz) {
         (Some(clock), _) => Ok(clock),
-        (None, Some(rate_hz)) => Ok(made(table, rate_hz, "as the metadata say")),
+        (None, Some(rate_hz)) => Ok(made(table, rate_hz, "from the metadata")),
         (None, None) => by_numbers(table),
     }
 }
 
-/// The clocks of groups of columns that have one of their own, by the path of the group.
+/// Clocks of column groups that have their own, by the path of the group.
 pub(super) fn of_groups(table: &Table) -> BTreeMap<String, Clock> {
     let mut groups: BTreeMap<String, Vec<Clock>> = BTreeMap::new();
     for clock in named(table) {
@@ -116,15 +117,15 @@ pub(super) fn of_groups(table: &Table) -> BTreeMap<String, Clock> {
     groups.into_iter().filter_map(best).collect()
 }
 
-/// The path of the group that a column is in.
+/// Path of the group that contains a column.
 pub(super) fn group_of(name: &str) -> Option<&str> {
     name.rsplit_once('/').map(|(group, _)| group)
 }
 
-/// The clocks that names say.
+/// Clocks in columns whose names indicate times.
 fn named(table: &Table) -> Vec<Clock> {
     let columns = || table.columns.iter().enumerate();
-    // Kawasaki's third angle is no time.
+    // Kawasaki's third angle is also named T.
     let has = |name: &str| table.columns.iter().any(|column| column.name == name);
     let is_angle = |name: &str| name == "T" && has("O") && has("A");
     let times = columns().filter(|(_, column)| is_time(&column.name) && !is_angle(&column.name));
@@ -149,17 +150,17 @@ fn named(table: &Table) -> Vec<Clock> {
     clocks
 }
 
-/// The words of a name that ends in one of `units`, without it.
+/// Words of a name that ends in one of `units`, without the unit.
 fn stem_of(name: &str, units: &[&str]) -> Option<Vec<String>> {
     let mut words = names::words(name);
     let unit = words.pop()?;
     units.contains(&unit.as_str()).then_some(words)
 }
 
-/// Of several clocks the finest: a stamp in whole seconds repeats. That of a message's header is before
-/// that of its receipt.
+/// Selects the finest clock, because a stamp in whole seconds repeats. The stamp of a message header takes
+/// precedence over the receive time.
 fn best_of(clocks: Vec<Clock>, table: &Table) -> Option<Clock> {
-    /// Rows of a hundred that may repeat a stamp.
+    /// Maximum percentage of rows that repeat a stamp in a fine clock.
     const REPEATS: usize = 5;
     let is_header = |clock: &Clock| {
         let name = clock.cell.map(|(at, _)| names::words(&table.columns[at].name));
@@ -172,7 +173,7 @@ fn best_of(clocks: Vec<Clock>, table: &Table) -> Option<Clock> {
     })
 }
 
-/// The stamps in two numbers of each row: whole seconds, and the nanoseconds beyond them.
+/// Stamps from two numbers per row: whole seconds and nanoseconds.
 fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock> {
     let [seconds, nanos] = cells.map(|(at, part)| {
         let column = &table.columns[at];
@@ -200,32 +201,32 @@ fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock>
     let name = |at: usize| &table.columns[at].name;
     let said = match cells {
         [(one, _), (other, _)] if one == other => {
-            format!("its stamps are column '{}', s and ns", name(one))
+            format!("stamps: column '{}', s and ns", name(one))
         }
         [(one, _), (other, _)] => {
-            format!("its stamps are columns '{}', s, and '{}', ns", name(one), name(other))
+            format!("stamps: columns '{}', s, and '{}', ns", name(one), name(other))
         }
     };
     let [cell, nanos] = cells;
     Some(Clock { stamps, cell: Some(cell), nanos: Some(nanos), said, told: None, step_s })
 }
 
-/// The stamps in the one column whose numbers are times though its name does not say so: they rise by even
-/// steps. Copies of them in another unit or from another zero are the same.
+/// Stamps from the only column whose numbers increase evenly, although its name does not indicate times.
+/// Copies in another unit or with another zero count as the same column.
 fn by_numbers(table: &Table) -> Result<Clock, String> {
-    /// More columns that rise alike are ramps, not clocks.
+    /// Maximum number of such columns, copies included; more of them are ramps rather than clocks.
     const MOST_ALIKE: usize = 2;
     let none = || {
         let mut named = table.columns.iter().filter(|column| is_time(&column.name));
         let why = match named.next() {
             Some(column) => {
-                format!("column '{}' is named as a time, and {}", column.name, no_time(column))
+                format!("column '{}' is named as a time, but {}", column.name, no_time(column))
             }
-            None => "no column holds times, and no metadata the rate".to_owned(),
+            None => "no column holds times, and the metadata has no rate".to_owned(),
         };
         format!(
-            "{why}: add `[columns]` with `rate_hz = 30` (the true rows a second) or `time = \"COLUMN\"` to \
-             poseaudit.toml; rows that are postures, not a run, are `poseaudit calibrate`'s"
+            "{why}: add `[columns]` with `rate_hz = 30` (the true rows per second) or `time = \"COLUMN\"` to \
+             poseaudit.toml; for separate configurations rather than a run, use `poseaudit calibrate`"
         )
     };
     let mut found: Vec<(String, Clock, Column)> = Vec::new();
@@ -262,7 +263,7 @@ fn by_numbers(table: &Table) -> Result<Clock, String> {
             let names: Vec<String> =
                 several.iter().map(|(name, ..)| format!("time = \"{name}\"")).collect();
             Err(format!(
-                "{} columns rise as times do, and no name says which is one: {}",
+                "{} columns increase like times, and no name shows which one to use: {}",
                 names.len(),
                 names.join(", or ")
             ))
@@ -270,23 +271,23 @@ fn by_numbers(table: &Table) -> Result<Clock, String> {
     }
 }
 
-/// Why the numbers of a column are no times.
+/// Why the numbers of a column are not times.
 fn no_time(column: &Column) -> String {
     let steps = || column.values.windows(2).map(|pair| pair[1] - pair[0]);
     let back = steps().filter(|step| *step < 0.0).count();
     let mut ahead: Vec<f64> = steps().filter(|step| *step > 0.0).collect();
     match median(&mut ahead) {
-        None => "its numbers never rise".to_owned(),
+        None => "its numbers never increase".to_owned(),
         Some(_) if 100 * back > MOST_BACK * column.values.len().max(100) => {
             format!("its numbers fall in {back} rows")
         }
-        Some(step) => format!("its numbers rise by {step} a row, in a unit that nothing says"),
+        Some(step) => format!("its numbers increase by {step} per row, in an unknown unit"),
     }
 }
 
-/// Whether numbers rise at each step, and nearly always by about as much.
+/// Whether numbers always increase, nearly always by a similar step.
 fn rises_evenly(values: &[f64]) -> bool {
-    /// Steps in a hundred that are of the usual size, and what that is.
+    /// Minimum percentage of steps of the usual size, and the range of that size relative to the median.
     const USUAL: usize = 90;
     const SIZE: std::ops::RangeInclusive<f64> = 0.5..=2.0;
     let steps: Vec<f64> = values.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -295,7 +296,7 @@ fn rises_evenly(values: &[f64]) -> bool {
     steps.iter().all(|own| *own > 0.0) && 100 * usual >= USUAL * steps.len()
 }
 
-/// Whether one column is a line in another, as two clocks are that do not drift.
+/// Whether one column is a linear function of another, as for two clocks without drift.
 fn is_line(one: &[f64], other: &[f64]) -> bool {
     const LEFT: f64 = 1e-4;
     let (Some(first), Some(last)) = (one.first().zip(other.first()), one.last().zip(other.last()))
@@ -308,7 +309,7 @@ fn is_line(one: &[f64], other: &[f64]) -> bool {
     pairs.all(|(a, b)| (first.1 + slope * (a - first.0) - b).abs() <= LEFT * span)
 }
 
-/// The column of a name, or the one number of its rows that `NAME[AT]` is.
+/// Column with a name, or one number of its rows in the notation `NAME[INDEX]`.
 fn cell_of(table: &Table, name: &str) -> Option<(usize, usize)> {
     let column = |name: &str| table.column(name);
     if let Some(at) = column(name) {
@@ -319,10 +320,10 @@ fn cell_of(table: &Table, name: &str) -> Option<(usize, usize)> {
     (part < table.columns[at].width).then_some((at, part))
 }
 
-/// Stamps made of a rate.
+/// Stamps generated from a rate.
 fn made(table: &Table, rate_hz: f64, by: &str) -> Clock {
     let step_ns = NANOS_PER_SECOND as f64 / rate_hz;
-    // A low rate may put rows beyond the range of stamps.
+    // A low rate may place rows beyond the range of stamps.
     let stamp = |row: usize| {
         let nanos = (row as f64 * step_ns).round();
         (nanos < MOST_NANOS).then_some(NANOS_PER_SECOND + nanos as i64)
@@ -332,14 +333,15 @@ fn made(table: &Table, rate_hz: f64, by: &str) -> Clock {
         cell: None,
         nanos: None,
         said: format!(
-            "its stamps are made: {rate_hz} rows a second, {by}; latencies are those between its columns"
+            "stamps: generated at {rate_hz} rows per second, {by}; latencies are only relative to other \
+             columns"
         ),
         told: None,
         step_s: 1.0 / rate_hz,
     }
 }
 
-/// The stamps in a column, if it is one of times.
+/// Stamps in a column, if it holds times.
 fn timed(at: usize, column: &Column) -> Option<Clock> {
     let values = &column.values;
     let finite: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
@@ -361,11 +363,11 @@ fn timed(at: usize, column: &Column) -> Option<Clock> {
         .filter(|unit| (1e-5..=1e3).contains(&(unit * step)))
         .or_else(|| unit_of(first, step, rise, is_whole))?;
     let step_s = step * unit;
-    // A stamp of 0 is none: those that begin there begin at 1 s.
+    // A stamp of 0 means unset, so clocks that start there are shifted to 1 s.
     let from = if first * unit < 1.0 && first >= 0.0 { NANOS_PER_SECOND } else { 0 };
     let nanos = |value: f64| -> Option<i64> {
         let exact = value.is_finite() && (value * unit).abs() < 9e9;
-        // Whole numbers of nanoseconds and the like are kept whole.
+        // Integer stamps are converted without rounding.
         let whole = (unit * NANOS_PER_SECOND as f64).round() as i64;
         let nanos = match is_whole {
             true => (value as i64).checked_mul(whole)?,
@@ -381,10 +383,10 @@ fn timed(at: usize, column: &Column) -> Option<Clock> {
         1e-6 => "µs",
         _ => "ns",
     };
-    let mut said = format!("its stamps are column '{}', {unit_name}", column.name);
+    let mut said = format!("stamps: column '{}', {unit_name}", column.name);
     if is_grid {
         said += &format!(
-            ", a made grid of {:.4} rows a second; latencies are those between its columns",
+            ", an even grid of {:.4} rows per second; latencies are only relative to other columns",
             1.0 / step_s
         );
     }
@@ -398,7 +400,7 @@ fn timed(at: usize, column: &Column) -> Option<Clock> {
     })
 }
 
-/// How far rounding may move a step, in the column's unit.
+/// Maximum rounding error of a step, in the column's unit.
 fn grain(column: &Column) -> f64 {
     let largest = column.values.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
     let bits = if column.kind.contains("32") || column.kind.contains("f4") {
@@ -409,10 +411,11 @@ fn grain(column: &Column) -> f64 {
     2.0 * largest * bits
 }
 
-/// The unit of times that begin at `first`, step by `step` where they rise, and rise by `rise` a row, s; `None` if it
-/// may be several.
+/// Unit of times, in seconds, that start at `first`, with median increase `step` and mean increase `rise`
+/// per row. `None` if it is ambiguous.
 fn unit_of(first: f64, step: f64, rise: f64, is_whole: bool) -> Option<f64> {
-    /// Whole numbers that most rows repeat are seconds: in ms there would be 2000 rows a second and more.
+    /// Maximum mean increase of integers in seconds. Integers that most rows repeat cannot be ms: that
+    /// would be 2000 rows per second or more.
     const REPEATED: f64 = 0.5;
     // Since 1970, from 2001 to 2128.
     let epoch =
@@ -441,13 +444,16 @@ impl Clock {
         self.stamps.windows(2).filter(|pair| pair[0] == pair[1]).count()
     }
 
-    /// What of the metadata its steps are not.
+    /// Contradiction between the stamps and the rate in the metadata.
     pub fn contradiction(&self, table: &Table) -> Option<String> {
-        /// Of the rate that is declared.
+        /// Maximum relative deviation from the declared rate.
         const OFF: f64 = 0.02;
         let (rate_hz, own_hz) = (table.rate_hz?, 1.0 / self.step_s);
         ((own_hz / rate_hz - 1.0).abs() > OFF && self.cell.is_some()).then(|| {
-            format!("the metadata declare {rate_hz} frames a second; the stamps step at {own_hz:.4} a second")
+            format!(
+                "the metadata declares {rate_hz} frames per second, but the stamps advance at \
+                {own_hz:.4} per second"
+            )
         })
     }
 }

@@ -1,7 +1,7 @@
-//! Tables as text: comments, names of columns, perhaps a row of units, then a row in each line.
+//! Tables as text: comments, column names, optionally a row of units, then one row per line.
 //!
-//! Delimiter and decimal mark are found from the first row of numbers. A table without names is one
-//! column of many numbers, as an array of NumPy is.
+//! The delimiter and the decimal mark are detected from the first row of numbers. A table without names
+//! becomes one column with many numbers per row, like a NumPy array.
 
 use jiff::civil::{DateTime, Time};
 
@@ -9,47 +9,47 @@ use super::{Column, Context, Episodes, MOST_COLUMNS, MOST_WIDE, Refusal, Table, 
 use crate::Extent;
 use crate::rtde;
 
-/// A column is text if less than this share of its cells are numbers.
+/// Minimum share of numeric cells in a column; other columns are text.
 const NUMERIC: f64 = 0.5;
-/// Lines that may stand before the first row.
+/// Maximum number of lines before the first row.
 const MOST_HEADER_LINES: usize = 200;
-/// Longest line that is read, as of RTDE's tables.
+/// Maximum length of a line, as for RTDE tables.
 const MOST_LINE: usize = 1 << 20;
-/// Marks of comments.
+/// Comment markers.
 const COMMENTS: [&str; 3] = ["#", "%", "//"];
-/// Fewer cells are no row of a robot's log.
+/// Minimum number of cells in a row of a robot log.
 const LEAST_CELLS: usize = 3;
-/// Units as a row below the names gives them.
+/// Units in a row below the names.
 const UNITS: &[&str] = &[
     "-", "1", "s", "sec", "ms", "us", "ns", "m", "mm", "cm", "rad", "deg", "°", "degree",
     "degrees", "rad/s", "deg/s", "°/s", "m/s", "mm/s", "m/s2", "m/s^2", "n", "nm", "n.m", "a",
     "ma", "v", "hz", "rpm", "count", "counts", "bool", "int", "float", "%", "c", "°c",
 ];
 
-/// Where the rows of a table in text begin, and what stands above them.
+/// Position of the rows of a text table, with its column names.
 struct Layout {
     delimiter: u8,
-    /// Names of the columns; `None` if no line has them.
+    /// Column names; `None` if no line has them.
     names: Option<Vec<String>>,
-    /// Cells of a row.
+    /// Cells per row.
     width: usize,
     /// Offset of the first row, and its line from 1.
     rows_at: usize,
     line: usize,
 }
 
-/// Whether the text `bytes` is a table: rows of numbers, below the names of their columns or alone.
+/// Whether the text `bytes` is a table: rows of numbers, with or without column names above.
 pub(crate) fn is_table(bytes: &[u8]) -> bool {
     layout(bytes).is_some()
 }
 
-/// Whether a table in text names a column of times, so that it is a log and no table of postures.
+/// Whether a text table has a column of times. It is then a log rather than a calibration table.
 pub(crate) fn has_time(bytes: &[u8]) -> bool {
     let names = layout(bytes).and_then(|layout| layout.names);
     names.is_some_and(|names| names.iter().any(|name| clock::is_time(name)))
 }
 
-/// The cells of a line; delimiters within quotation marks are text.
+/// Cells of a line; delimiters within quotation marks are text.
 fn cells(line: &[u8], delimiter: u8) -> Vec<&[u8]> {
     if delimiter == b' ' {
         let words = line.split(u8::is_ascii_whitespace).filter(|cell| !cell.is_empty());
@@ -61,7 +61,7 @@ fn cells(line: &[u8], delimiter: u8) -> Vec<&[u8]> {
         *byte == delimiter && !quoted
     });
     let cells = split.map(bare).collect();
-    // An odd quotation mark quotes nothing.
+    // An unmatched quotation mark does not quote.
     if quoted { rtde::cells(line, delimiter).collect() } else { cells }
 }
 
@@ -70,7 +70,7 @@ fn bare(cell: &[u8]) -> &[u8] {
     cell.strip_prefix(b"\"").and_then(|cell| cell.strip_suffix(b"\"")).unwrap_or(cell)
 }
 
-/// The delimiter that makes most numbers of a line, and their count.
+/// The delimiter that yields the most numbers in a line, and their count.
 fn delimiter_of(row: &[u8]) -> (u8, usize) {
     let count = |delimiter: u8| {
         let cells = cells(row, delimiter);
@@ -78,7 +78,7 @@ fn delimiter_of(row: &[u8]) -> (u8, usize) {
         if cells.len() < LEAST_CELLS || 2 * numbers <= cells.len() { 0 } else { numbers }
     };
     let all = [b';', b'\t', b',', b' '].map(|delimiter| (delimiter, count(delimiter)));
-    // The first of equals stands.
+    // On a tie, the first one wins.
     all.into_iter().rev().max_by_key(|(_, count)| *count).unwrap_or((b',', 0))
 }
 
@@ -86,13 +86,14 @@ fn is_number(cell: &[u8], delimiter: u8) -> bool {
     rtde::number(cell, delimiter != b',').is_some()
 }
 
-/// The text of a comment; `None` if the line is none.
+/// Text of a comment; `None` if the line is not one.
 fn comment(line: &[u8]) -> Option<&[u8]> {
     let line = line.trim_ascii();
     COMMENTS.iter().find_map(|mark| line.strip_prefix(mark.as_bytes())).map(<[u8]>::trim_ascii)
 }
 
-/// Lines with their offsets and numbers from 1, without blank ones. Tabs stay: they may delimit empty cells.
+/// Lines with their offsets and numbers from 1, without blank ones. Tabs are kept because they may delimit
+/// empty cells.
 fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, usize, &[u8])> {
     let mut at = 0;
     let all = bytes.split_inclusive(|byte| *byte == b'\n').enumerate().map(move |(index, line)| {
@@ -106,7 +107,7 @@ fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, usize, &[u8])> {
     all.filter(|(_, _, line)| !line.trim_ascii().is_empty())
 }
 
-/// How many cells at the end of a row are empty.
+/// Number of empty cells at the end of a row.
 fn open_cells(row: &[&[u8]]) -> usize {
     row.iter().rev().take_while(|cell| cell.is_empty()).count()
 }
@@ -127,7 +128,7 @@ fn layout(bytes: &[u8]) -> Option<Layout> {
             continue;
         }
         let mut row = cells(text, delimiter);
-        // The next row is as wide; what was cut off where only a beginning is read may be less.
+        // The next row has the same width. It may be shorter if only the head of the file is read.
         let is_table = match all.peek() {
             Some((_, _, next)) if next.len() > MOST_LINE => false,
             Some((_, _, next)) => {
@@ -139,7 +140,7 @@ fn layout(bytes: &[u8]) -> Option<Layout> {
         if !is_table || row.len() > MOST_COLUMNS {
             return None;
         }
-        // The header that data frames write of arrays counts the columns.
+        // Data frames write arrays with a header of column indices.
         let counts = |first: usize| {
             row.iter().enumerate().all(|(at, cell)| *cell == (at + first).to_string().as_bytes())
         };
@@ -147,7 +148,7 @@ fn layout(bytes: &[u8]) -> Option<Layout> {
             continue;
         }
         let names = names_above(&above, delimiter, &row);
-        // Delimiters at the end of each row are no cells, unless names stand above them.
+        // Delimiters at the end of each row are not cells, unless there are names above them.
         let open = all.peek().map_or(0, |(_, _, next)| open_cells(&cells(next, delimiter)));
         row.truncate(row.len() - open.min(open_cells(&row)));
         let width = names.as_ref().map_or(row.len(), Vec::len);
@@ -159,14 +160,14 @@ fn layout(bytes: &[u8]) -> Option<Layout> {
     None
 }
 
-/// The names of the columns of `row` in the lines above it, with the units of a line below them.
+/// Column names in the lines above `row`, with units from a line below them.
 fn names_above(above: &[&[u8]], delimiter: u8, row: &[&[u8]]) -> Option<Vec<String>> {
     let texts = |line: &[u8]| -> Option<Vec<String>> {
         let own = comment(line).unwrap_or(line);
         let mut cells = cells(own, delimiter);
         let open = open_cells(row);
         cells.truncate(cells.len() - open_cells(&cells).min(cells.len().saturating_sub(row.len())));
-        // Rows may end in delimiters, or begin with a number that no name stands above.
+        // Rows may end in delimiters, or begin with an index that has no name.
         let fits = match cells.len() {
             count if count <= row.len() && count + open >= row.len() => true,
             count if count + 1 == row.len() && count >= LEAST_CELLS => {
@@ -199,10 +200,10 @@ fn names_above(above: &[&[u8]], delimiter: u8, row: &[&[u8]]) -> Option<Vec<Stri
 pub(super) fn read(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refusal> {
     let losses = &mut *context.losses;
     let Some(Layout { delimiter, names, width, rows_at, line: first_line }) = layout(bytes) else {
-        return Err("it has no rows of numbers".into());
+        return Err("it contains no rows of numbers".into());
     };
     let mut values: Vec<Vec<f64>> = vec![Vec::new(); width];
-    // The one text of each column, as far as it is one.
+    // First text of each column.
     let mut texts: Vec<Option<&[u8]>> = vec![None; width];
     let mut line_numbers = Vec::new();
     let ends_in_line = bytes.last() == Some(&b'\n');
@@ -258,24 +259,24 @@ pub(super) fn read(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refu
     Ok(vec![("0".to_owned(), table)])
 }
 
-/// Whether a cell, read as `number`, holds text: neither a number nor a mark of a missing one.
+/// Whether a cell, read as `number`, is text: neither a number nor a marker for a missing one.
 fn is_text(cell: &[u8], number: f64) -> bool {
     const MISSING: [&[u8]; 9] =
         [b"", b"-", b"nan", b"-nan", b"-nan(ind)", b"na", b"n/a", b"null", b"none"];
     number.is_nan() && !MISSING.iter().any(|mark| cell.eq_ignore_ascii_case(mark))
 }
 
-/// Whether a row repeats the names of the columns, as joined files do.
+/// Whether a row repeats the column names, as in concatenated files.
 fn are_names(row: &[&[u8]], names: &[String]) -> bool {
     let is_name = |(cell, name): (&&[u8], &String)| {
-        // Names carry the units of the line below them.
+        // Names include the units of the line below them.
         let name = name.rsplit_once(" [").map_or(name.as_str(), |(name, _)| name);
         *cell == name.as_bytes()
     };
     row.iter().zip(names).all(is_name)
 }
 
-/// The table of columns of one number each; without names of one column of all numbers.
+/// Table with one column per name, or with a single column of all numbers if there are no names.
 fn table(names: Option<Vec<String>>, values: Vec<Vec<f64>>, texts: &[Option<&[u8]>]) -> Table {
     let rows = values.first().map_or(0, Vec::len);
     let is_numeric = |values: &[f64]| {
@@ -311,8 +312,8 @@ fn table(names: Option<Vec<String>>, values: Vec<Vec<f64>>, texts: &[Option<&[u8
     made
 }
 
-/// The number in a cell; of a date and time of day the seconds since 1970, of a time of day since
-/// midnight; NaN if there is neither.
+/// Number in a cell. Dates with time convert to seconds since 1970, times of day to seconds since midnight;
+/// NaN for other text.
 fn number(cell: &[u8], delimiter: u8) -> f64 {
     let text = || std::str::from_utf8(bare(cell)).ok().and_then(seconds);
     rtde::number(cell, delimiter != b',').or_else(text).unwrap_or(f64::NAN)
@@ -334,7 +335,7 @@ fn seconds(cell: &str) -> Option<f64> {
         (4, Some(b'/' | b'.')) => {
             format!("{}-{}-{}", cell.get(..4)?, cell.get(5..7)?, cell.get(8..)?)
         }
-        // Day first, as a point says.
+        // With dots, the day comes first.
         (2, Some(b'.')) => {
             let (day, month, year) = (cell.get(..2)?, cell.get(3..5)?, cell.get(6..10)?);
             format!("{year}-{month}-{day}{}", cell.get(10..)?)

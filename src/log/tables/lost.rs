@@ -1,7 +1,7 @@
-//! Rows and columns that are in a file and not in the audit.
+//! Rows and columns that are in a file but not in the audit.
 //!
-//! Every reader hands its columns to [`Table::of`] with the rows that they should have and those that could not
-//! be read. What does not reach the table is a [`RowLoss`]: which column, how many rows, why.
+//! Every reader passes its columns to [`Table::of`], with the expected rows and the unreadable ones.
+//! Whatever does not reach the table is a [`RowLoss`]: which column, how many rows, and why.
 
 use std::ops::Range;
 
@@ -10,19 +10,19 @@ use super::{Column, Extent, Losses, Table, names, usual};
 use crate::memory::{Memory, OutOfMemory};
 use ground::stream::usable;
 
-/// Why a file of tables cannot be read, or a part of it.
+/// Why a table file, or part of it, cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Refusal {
-    /// It is damaged, or not what this program reads.
+    /// Damaged or unsupported.
     Damage(String),
-    /// It would take too much memory.
+    /// Exceeds the memory limit.
     Memory(OutOfMemory),
-    /// It has more episodes than one audit takes.
+    /// Too many episodes for one audit.
     Episodes,
 }
 
 impl Refusal {
-    /// Adds it to `losses`, as what took `rows`.
+    /// Adds it to `losses` as the cause of the loss of `rows`.
     pub fn report(&self, rows: Option<u64>, losses: &mut Losses) {
         losses.add_unplaced(self.extent(), rows, self.to_string());
     }
@@ -34,7 +34,7 @@ impl Refusal {
         }
     }
 
-    /// The same of the part called `name`.
+    /// Prefixes the message with the part called `name`.
     pub fn of(self, name: &str) -> Self {
         match self {
             Self::Damage(what) => Self::Damage(format!("'{name}': {what}")),
@@ -48,7 +48,7 @@ impl std::fmt::Display for Refusal {
         match self {
             Self::Damage(what) => f.write_str(what),
             Self::Memory(what) => what.fmt(f),
-            Self::Episodes => f.write_str("it has too many episodes"),
+            Self::Episodes => f.write_str("too many episodes"),
         }
     }
 }
@@ -71,7 +71,7 @@ impl From<OutOfMemory> for Refusal {
     }
 }
 
-/// Rows of a column, or a whole column, that are in the file and not in the table.
+/// Rows of a column, or a whole column, that are in the file but not in the table.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct RowLoss {
     pub rows: usize,
@@ -86,27 +86,27 @@ impl RowLoss {
     }
 }
 
-/// A column as it was read.
+/// A column as read.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Candidate {
-    /// Its numbers; those behind the last that was read may be absent.
+    /// Numbers read; rows after the last one read may be absent.
     pub column: Column,
-    /// The rows that the file declares.
+    /// Rows declared by the file.
     pub rows: usize,
     /// Rows that could not be read.
     pub lost: Vec<Range<usize>>,
-    /// Why the first of them could not.
+    /// Why the first of these could not be read.
     pub why: Option<Refusal>,
 }
 
 impl Candidate {
-    /// A column of which all rows were read.
+    /// A column with all rows read.
     pub fn whole(column: Column) -> Self {
         let rows = column.values.len() / column.width.max(1);
         Self { column, rows, ..Self::default() }
     }
 
-    /// A column of which nothing could be read.
+    /// A column without readable rows.
     pub fn refused(name: &str, rows: usize, why: Refusal) -> Self {
         let column = Column { name: name.to_owned(), width: 1, ..Column::default() };
         Self { column, rows, lost: std::iter::once(0..rows).collect(), why: Some(why) }
@@ -114,7 +114,7 @@ impl Candidate {
 }
 
 impl Table {
-    /// The table of these columns: of `rows` rows, or of as many as most of them declare.
+    /// Builds the table from columns. It has `rows` rows, or the most frequent declared number.
     pub fn of(candidates: Vec<Candidate>, rows: Option<usize>, memory: &mut Memory) -> Self {
         let rows = rows.unwrap_or_else(|| usual(candidates.iter().map(|column| column.rows)));
         let mut table = Self { rows, ..Self::default() };
@@ -130,7 +130,7 @@ impl Table {
         if own != rows {
             let why = format!("{own} rows, not {rows}");
             if is_of_same_rows(own, rows) && !(own + 1 == rows && names::is_of_steps(&name)) {
-                let what = format!("'{name}' has {why}: which are missing is not known");
+                let what = format!("'{name}' has {why}: it is unknown which are missing");
                 self.losses.push(RowLoss { rows: own, what: what.into() });
             }
             self.unread.push((name, why));
@@ -156,7 +156,7 @@ impl Table {
                 },
             );
         }
-        // What is missing takes memory, too.
+        // Missing rows use memory as well.
         let missing = rows.saturating_sub(read).saturating_mul(width);
         if count == rows {
             self.unread.push((name, "none of its rows can be read".to_owned()));
@@ -183,13 +183,13 @@ impl Table {
     }
 }
 
-/// Whether columns of so many rows are of the same moments, so that some are missing: a slower stream of the
-/// same run has half as many, or fewer.
+/// Whether columns with these row counts cover the same instants, so that rows are missing. A slower stream
+/// of the same run has at most half as many.
 fn is_of_same_rows(own: usize, rows: usize) -> bool {
     own > rows / 2 && own < rows.saturating_mul(2)
 }
 
-/// Ranges in order, without overlaps, within the rows.
+/// Ranges sorted, merged and limited to the rows.
 fn joined(mut ranges: Vec<Range<usize>>, rows: usize) -> Vec<Range<usize>> {
     ranges.sort_by_key(|range| range.start);
     let mut all: Vec<Range<usize>> = Vec::new();
@@ -204,7 +204,7 @@ fn joined(mut ranges: Vec<Range<usize>>, rows: usize) -> Vec<Range<usize>> {
     all
 }
 
-/// Which rows are lost, in words.
+/// Describes the lost rows.
 fn which(lost: &[Range<usize>], rows: usize) -> String {
     let count: usize = lost.iter().map(Range::len).sum();
     match lost {
@@ -216,7 +216,7 @@ fn which(lost: &[Range<usize>], rows: usize) -> String {
     }
 }
 
-/// Reports the rows with numbers that have no time.
+/// Reports rows that have numbers but no stamp.
 pub(super) fn report_unstamped(table: &Table, clock: &Clock, label: &str, losses: &mut Losses) {
     let clocks: Vec<usize> =
         [clock.cell, clock.nanos].into_iter().flatten().map(|(at, _)| at).collect();
@@ -233,24 +233,24 @@ pub(super) fn report_unstamped(table: &Table, clock: &Clock, label: &str, losses
     if lost > 0 {
         let column = clock.cell.and_then(|(at, _)| table.columns.get(at));
         let column = column.map_or(String::new(), |column| format!(" in '{}'", column.name));
-        let what = format!("{label}{lost} of {} rows have no time{column}", table.rows);
+        let what = format!("{label}{lost} of {} rows have no stamp{column}", table.rows);
         losses.add_unplaced(Extent::Messages, Some(lost as u64), what);
     }
 }
 
-/// Removes from `rows` those with damaged numbers, and returns how many and the first in words. `values` are the
-/// `width` numbers of a row.
+/// Removes rows with damaged numbers. Returns their number and a description of the first one. `values`
+/// returns the `width` numbers of a row.
 ///
-/// A number is damaged if it is not [`usable`] although nearly all numbers of its column are. Rows before the first
-/// whole row and after the last stay: sensors send NaN until they are ready. So do columns with many holes, which
-/// were sampled less often than the table.
+/// A number is damaged if it is not [`usable`] although nearly all numbers of its column are. Rows before
+/// the first whole row and after the last are kept, because sensors send NaN until they are ready. Columns
+/// with many gaps are ignored, because they are sampled less often than the table.
 pub(super) fn take_damaged<T: Copy>(
     table: &Table,
     rows: &mut Vec<(usize, T)>,
     width: usize,
     values: &dyn Fn(usize) -> Vec<f64>,
 ) -> Option<(u64, String)> {
-    /// Numbers in a hundred that are usable in a column without holes.
+    /// Minimum percentage of usable numbers in a column without gaps.
     const USABLE: usize = 90;
     let mut counts = vec![0; width];
     let unusable: Vec<Vec<usize>> = rows
@@ -275,7 +275,7 @@ pub(super) fn take_damaged<T: Copy>(
     let count = before - rows.len();
     let which = match count {
         1 => place,
-        _ => format!("{count} rows, the first of them {place}"),
+        _ => format!("{count} rows, first {place}"),
     };
     let what =
         format!("{} of {width} numbers unusable (NaN, infinite or beyond 1e12)", damaged[at]);
@@ -307,11 +307,12 @@ mod tests {
         assert_eq!(of(&[]), (None, 40));
         let one = "1: row 9 of 40: 2 of 3 numbers unusable (NaN, infinite or beyond 1e12)";
         assert_eq!(of(&[(9, 0), (9, 2)]), (Some(one.to_owned()), 39));
-        let two = "2: 2 rows, the first of them row 5 of 40: 1 of 3 numbers unusable (NaN, infinite or beyond 1e12)";
+        let two =
+            "2: 2 rows, first row 5 of 40: 1 of 3 numbers unusable (NaN, infinite or beyond 1e12)";
         assert_eq!(of(&[(5, 1), (30, 2)]), (Some(two.to_owned()), 38));
         // A sensor that starts late, and one that ends early.
         assert_eq!(of(&[(0, 0), (1, 0), (39, 1)]), (None, 40));
-        // A column that is sampled in half of the rows, and one that is never filled.
+        // A column sampled in half of the rows, and one that is never filled.
         let half: Vec<(usize, usize)> = (0..20).map(|row| (2 * row, 1)).collect();
         assert_eq!(of(&half), (None, 40));
         let never: Vec<(usize, usize)> = (0..40).map(|row| (row, 1)).collect();

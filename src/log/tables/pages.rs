@@ -1,20 +1,20 @@
-//! The headers of the pages of a Parquet column, read before the pages are: how many values each declares, and how
-//! many bytes it unpacks to.
+//! Page headers of a Parquet column, read in advance: declared number of values and unpacked size of each
+//! page.
 //!
 //! Format: `PageHeader` of parquet.thrift, in Thrift's compact protocol.
 
 use parquet::column::page::PageMetadata;
 
-/// Structures in structures that are skipped.
+/// Maximum depth of nested structures that are skipped.
 const DEEP: usize = 16;
 
-/// What a page declares.
+/// Header of a page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct PageHeader {
     pub is_dictionary: bool,
-    /// Values with their nulls.
+    /// Number of values, including nulls.
     pub values: usize,
-    /// Of a page of the second version.
+    /// Rows; version 2 pages only.
     rows: Option<usize>,
     pub unpacked_bytes: usize,
 }
@@ -26,7 +26,7 @@ impl PageHeader {
     }
 }
 
-/// The headers of the pages in a column's bytes, as far as they are sound. Pages of an index are left out.
+/// Valid page headers in the bytes of a column, up to the first damaged one. Index pages are omitted.
 pub(super) fn headers(mut column: &[u8]) -> Vec<PageHeader> {
     let mut found = Vec::new();
     while !column.is_empty() {
@@ -53,7 +53,7 @@ const LIST: u8 = 9;
 const SET: u8 = 10;
 const STRUCT: u8 = 12;
 
-/// Kinds of pages.
+/// Page types.
 const DATA: i64 = 0;
 const INDEX: i64 = 1;
 const DICTIONARY: i64 = 2;
@@ -83,7 +83,8 @@ impl Reader<'_> {
         Some((raw >> 1).cast_signed() ^ -(raw & 1).cast_signed())
     }
 
-    /// The next field of a structure, after one of number `last`: its number and type; `None` at its end.
+    /// Number and type of the next field of a structure, after field `last`. The inner `None` marks the
+    /// end.
     fn field(&mut self, last: &mut i64) -> Option<Option<(i64, u8)>> {
         let byte = self.byte()?;
         let kind = byte & 0x0f;
@@ -112,7 +113,7 @@ impl Reader<'_> {
                 let head = self.byte()?;
                 let count = if head >> 4 == 15 { self.varint()? } else { (head >> 4).into() };
                 for _ in 0..count {
-                    // A truth value in a list is a byte.
+                    // A boolean in a list takes one byte.
                     self.skip(if matches!(head & 15, TRUE | FALSE) { 3 } else { head & 15 }, deep)?;
                 }
             }
@@ -127,7 +128,7 @@ impl Reader<'_> {
         Some(())
     }
 
-    /// A page's header, `None` within of one of an index, and the bytes of the page behind it.
+    /// A page header (`None` for an index page) and the packed size of the page.
     fn page(&mut self) -> Option<(Option<PageHeader>, usize)> {
         let (mut kind, mut unpacked, mut packed, mut data, mut data_v2) =
             (None, None, None, None, None);
@@ -158,7 +159,7 @@ impl Reader<'_> {
         Some((header, packed_bytes))
     }
 
-    /// The first and the third number of a data page's header: its values, and its rows.
+    /// Fields 1 and 3 of a data page header: number of values and of rows.
     fn counts(&mut self) -> Option<(i64, Option<i64>)> {
         let (mut values, mut rows, mut last) = (None, None, 0);
         while let Some((number, kind)) = self.field(&mut last)? {
@@ -178,7 +179,7 @@ mod tests {
 
     #[test]
     fn headers_are_read_up_to_the_first_that_is_damaged() {
-        // Type 0, 30 bytes from 4 packed ones, 7 values in encoding 0, 3 and 3; then the page.
+        // Type 0, 30 bytes unpacked, 4 packed, 7 values in encodings 0, 3 and 3; then the page.
         let page = [
             0x15, 0, 0x15, 60, 0x15, 8, 0x2c, 0x15, 14, 0x15, 0, 0x15, 6, 0x15, 6, 0, 0, 1, 2, 3, 4,
         ];
@@ -193,7 +194,7 @@ mod tests {
                 assert!(headers(&other).len() <= 2);
             }
         }
-        // Lists of truth values that take no bytes cannot go on for ever, and structures have an end.
+        // Lists of booleans without content must not loop forever; nesting is limited.
         assert_eq!(headers(&[0x19, 0xf1, 0xff, 0xff, 0xff, 0xff, 0x0f]), []);
         assert_eq!(headers(&[0x1c; 1000]), []);
     }

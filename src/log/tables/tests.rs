@@ -392,7 +392,7 @@ fn rows_of_text_that_are_no_numbers_are_reported_with_their_line() {
         (
             &|line| format!("\t{}", line.split_once('\t').map_or("", |it| it.1)),
             39,
-            Some("1 of 40 rows have no time"),
+            Some("1 of 40 rows have no stamp"),
         ),
     ] {
         let log = text_with("\t", 21, change);
@@ -426,7 +426,7 @@ fn csv_finds_poses_joints_and_the_finest_time() {
     let stamps = stamps(&log, "rist");
     assert_eq!(stamps[1] - stamps[0], 12_000_000);
     assert!(
-        log.notes.iter().any(|note| note.what.contains("IPOC") && note.what.contains("made grid"))
+        log.notes.iter().any(|note| note.what.contains("IPOC") && note.what.contains("even grid"))
     );
 }
 

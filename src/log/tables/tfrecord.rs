@@ -1,5 +1,6 @@
-//! TFRecord files of `tf.train.Example` and `SequenceExample`, as RLDS keeps episodes: a record each, its steps
-//! one after another in every feature. `features.json` beside them says how many numbers a step has.
+//! TFRecord files of `tf.train.Example` and `SequenceExample`, as RLDS stores episodes: one record per
+//! episode. Each feature contains its steps in sequence; `features.json` next to the file declares the
+//! numbers per step.
 //!
 //! Framing: `tensorflow/core/lib/io/record_writer.h`. A record without `steps/…` is a single step.
 
@@ -13,31 +14,31 @@ use crate::Extent;
 use crate::decode::{Reader, Value, WireError};
 use crate::memory::Memory;
 
-/// What the names of a step's features begin with.
+/// Prefix of the names of step features.
 pub(super) const STEPS: &str = "steps/";
-/// Features that each step has one number of.
+/// Features with one number per step.
 const SINGLE: &[&str] = &["is_first", "is_last", "is_terminal", "reward", "discount"];
-/// A record's length and its checksum, and the checksum behind it.
+/// Bytes before a record (length and its checksum) and after it (checksum of the record).
 const HEAD: usize = 12;
 const FOOT: usize = 4;
 
-/// Whether `bytes` begin with a record: its length, and a checksum that holds for it.
+/// Whether `bytes` begin with a record: a length with a valid checksum.
 pub(crate) fn has_record(bytes: &[u8]) -> bool {
     length(bytes).is_some()
 }
 
-/// The length of the record that `bytes` begin with; `None` where its checksum does not hold.
+/// Length of the record at the start of `bytes`; `None` if its checksum is wrong.
 fn length(bytes: &[u8]) -> Option<u64> {
     let (length, rest) = bytes.split_first_chunk::<8>()?;
     (masked(length) == *rest.first_chunk()?).then_some(u64::from_le_bytes(*length))
 }
 
-/// The checksum of some bytes as it stands in the file.
+/// Masked checksum as stored in the file.
 fn masked(bytes: &[u8]) -> [u8; 4] {
     crc32c::crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes()
 }
 
-/// The records of a file with their places, up to the first that is cut off.
+/// Records of a file with their offsets, up to the first truncated one.
 struct Records<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -57,7 +58,7 @@ impl<'a> Iterator for Records<'a> {
     }
 }
 
-/// The names of the episodes of a file.
+/// Names of the episodes of a file.
 pub(super) fn episodes_in(bytes: &[u8]) -> Result<Vec<String>, Refusal> {
     let mut records = Records { bytes, at: 0 };
     let is_episode = records.next().is_some_and(|(_, first)| {
@@ -68,7 +69,7 @@ pub(super) fn episodes_in(bytes: &[u8]) -> Result<Vec<String>, Refusal> {
     Ok((0..count).map(|number| number.to_string()).collect())
 }
 
-/// The episodes of a file; the only one that is `wanted`, if one is. `width` is that of a feature as declared.
+/// Episodes of a file, or only the `wanted` one. `width` returns the declared width of a feature.
 pub(super) fn read(
     bytes: &[u8],
     wanted: Option<&str>,
@@ -86,14 +87,14 @@ pub(super) fn read(
         }
         let crc = &bytes[start + HEAD + record.len()..][..FOOT];
         if masked(record) != *crc {
-            let what = format!("record {number}: its checksum does not hold");
+            let what = format!("record {number}: wrong checksum");
             losses.add(start, Extent::Messages, Some(1), what);
             continue;
         }
         let mut lost = |what: &dyn std::fmt::Display| {
             losses.add(start, Extent::Messages, Some(1), format!("record {number}: {what}"));
         };
-        // Its numbers take 4 bytes in the file and 8 in memory, or 1 if they are small.
+        // Numbers take 4 bytes in the file (1 if they are small) and 8 in memory.
         if !is_other || number == 0 {
             memory.take(record.len())?;
         }
@@ -121,7 +122,7 @@ pub(super) fn read(
     Ok(found)
 }
 
-/// What an example holds: numbers by the names of its features, and those of a sequence row by row.
+/// Numbers of an example by feature; those of sequences row by row.
 #[derive(Default)]
 struct Example {
     features: BTreeMap<String, Vec<f64>>,
@@ -147,14 +148,14 @@ impl Example {
         !self.sequences.is_empty() || self.features.keys().any(|name| name.starts_with(STEPS))
     }
 
-    /// The rate that a feature of the whole says.
+    /// Rate in a feature of the episode.
     fn rate_hz(&self) -> Option<f64> {
         let is_rate = |name: &str| RATES.contains(&name.rsplit('/').next().unwrap_or(name));
         let rate = self.features.iter().find(|(name, own)| is_rate(name) && own.len() == 1);
         rate.map(|(_, own)| own[0]).filter(super::is_rate)
     }
 
-    /// The steps of an episode.
+    /// Table of the steps of an episode.
     fn table(
         self,
         width: &impl Fn(&str) -> Option<usize>,
@@ -188,7 +189,7 @@ impl Example {
             None => columns.iter().map(|(_, _, values)| values.len()).min().unwrap_or(0),
         };
         if rows == 0 {
-            return Err("it holds no steps with numbers".into());
+            return Err("it contains no steps with numbers".into());
         }
         let mut losses = Vec::new();
         for (name, width, values) in columns {
@@ -198,16 +199,16 @@ impl Example {
             } else if !count.is_multiple_of(rows) {
                 let whole = width.map_or(rows, |width| count / width);
                 let what = format!(
-                    "'{name}' has {count} numbers for {rows} steps: which are missing is not known"
+                    "'{name}' has {count} numbers for {rows} steps: it is unknown which are missing"
                 );
                 losses.push(RowLoss { rows: whole, what: what.into() });
-                unread.push((name, format!("{count} numbers, no multiple of {rows} steps")));
+                unread.push((name, format!("{count} numbers, not a multiple of {rows} steps")));
             } else {
                 candidates.push(Candidate::whole(column(name, count / rows, values)));
             }
         }
         if candidates.len() > MOST_COLUMNS {
-            let what = format!("it has {} features; {MOST_COLUMNS} are read", candidates.len());
+            let what = format!("{} features; only {MOST_COLUMNS} are read", candidates.len());
             losses.push(RowLoss { rows: 0, what: what.into() });
             candidates.truncate(MOST_COLUMNS);
         }
@@ -219,8 +220,8 @@ impl Example {
     }
 }
 
-/// The column of a feature with its numbers in each step; `None` if these are images, or of as many lengths as
-/// steps. Steps that have another number of them are lost.
+/// Column of a feature with its numbers per step. `None` for images and for lists of varying length. Steps
+/// with a different number of values are lost.
 fn steps_of<'a>(
     name: &str,
     steps: impl ExactSizeIterator<Item = Option<&'a [f64]>> + Clone,
@@ -248,12 +249,12 @@ fn steps_of<'a>(
     Some(Candidate { column: column(name.to_owned(), width, values), rows, lost, why })
 }
 
-/// Records of a step each, as one table.
+/// Table of records with one step each.
 fn single_steps(steps: &[Example], memory: &mut Memory) -> Result<Table, Refusal> {
     let names: BTreeSet<&String> = steps.iter().flat_map(|step| step.features.keys()).collect();
     let (mut unread, mut candidates) = (Vec::new(), Vec::new());
     if names.len() > MOST_COLUMNS {
-        return Err(format!("it has {} features, more than {MOST_COLUMNS}", names.len()).into());
+        return Err(format!("{} features, more than {MOST_COLUMNS}", names.len()).into());
     }
     for name in names {
         let own = steps.iter().map(|step| step.features.get(name).map(Vec::as_slice));
@@ -273,7 +274,7 @@ fn column(name: String, width: usize, values: Vec<f64>) -> Column {
     Column { name, kind: "number".to_owned(), width, parts: Vec::new(), values }
 }
 
-/// The entries of a map of features: names, and what `read` makes of each; without those that hold no numbers.
+/// Names and values of a feature map; `read` parses a value. Features without numbers are omitted.
 fn entries<T>(
     bytes: &[u8],
     read: impl Fn(&[u8]) -> Result<Option<T>, WireError>,
@@ -294,7 +295,7 @@ fn entries<T>(
     Ok(found)
 }
 
-/// The numbers of a feature; `None` of one of bytes.
+/// Numbers of a feature; `None` if it holds bytes.
 fn numbers(feature: &[u8]) -> Result<Option<Vec<f64>>, WireError> {
     let mut reader = Reader::new(feature);
     while let Some((kind, list)) = reader.field()? {
@@ -323,7 +324,7 @@ fn numbers(feature: &[u8]) -> Result<Option<Vec<f64>>, WireError> {
     Ok(None)
 }
 
-/// The rows of a list of features.
+/// Rows of a feature list.
 fn rows(list: &[u8]) -> Result<Option<Vec<Vec<f64>>>, WireError> {
     let (mut reader, mut rows) = (Reader::new(list), Vec::new());
     while let Some((_, feature)) = reader.field()? {

@@ -263,7 +263,7 @@ fn a_record_that_is_damaged_does_not_take_the_others_with_it() {
     bytes[600] ^= 1;
     let log = plain(&bytes);
     assert_eq!(topic(&log, "observation/tcp_pose").messages, 30);
-    assert!(log.losses[0].what.contains("record 0: its checksum does not hold"));
+    assert!(log.losses[0].what.contains("record 0: wrong checksum"));
     let cut = plain(&RECORDS[..RECORDS.len() - 1]);
     assert_eq!(topic(&cut, "observation/tcp_pose").messages, 20);
     assert!(cut.losses[0].what.contains("ends within a record"));
