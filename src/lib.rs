@@ -49,7 +49,7 @@ pub use audit::{
 };
 pub use report::compare;
 
-use corrections::{Corrections, Given};
+use corrections::{Corrections, GivenCorrections};
 use report::{Report, Trouble};
 use run::Run;
 
@@ -62,10 +62,10 @@ pub fn audit(options: &Options) -> Result<Audited, Trouble> {
     options.places().check()?;
     let corrections = options.corrections.as_deref().map(Corrections::from_file).transpose()?;
     let given = corrections.as_ref().zip(options.corrections.as_deref());
-    let given = given.map(|(corrections, file)| Given { corrections, file });
+    let given = given.map(|(corrections, file)| GivenCorrections { corrections, file });
     let mut log = log::open(&options.logs, &options.read)?;
     if let Some(given) = &given {
-        given.shift(&mut log)?;
+        given.correct_stamps(&mut log)?;
     }
     Audited::of(log, options, given)
 }

@@ -8,7 +8,7 @@ mod options;
 mod tables;
 
 use crate::checks::{EvaluatedPart, Evaluation, evaluate, merged};
-use crate::corrections::Given;
+use crate::corrections::GivenCorrections;
 use crate::evidence::{ArmEvidence, Lost, RunEvidence, Undecodable, UndecodableTopic};
 use crate::log::{Extent, Log, Loss};
 use crate::places::Places;
@@ -30,7 +30,7 @@ pub(crate) struct Read {
 
 impl Read {
     /// Notes the changes made by a corrections file.
-    pub fn note_corrections(&mut self, given: &Given<'_>) {
+    pub fn note_corrections(&mut self, given: &GivenCorrections<'_>) {
         let path = given.file.to_owned();
         let notes = given.notes().into_iter().map(|note| NoteRow { path: path.clone(), note });
         self.summary.notes.extend(notes);
@@ -109,7 +109,7 @@ impl Audited {
     pub(crate) fn of(
         mut log: Log,
         options: &Options,
-        given: Option<Given<'_>>,
+        given: Option<GivenCorrections<'_>>,
     ) -> Result<Self, Trouble> {
         tell_columns(&mut log, &options.run);
         let mut read = Read::of(&log);
@@ -269,7 +269,7 @@ impl Part {
         segment: Segment,
         read: &Read,
         options: &Options,
-        given: Option<Given<'_>>,
+        given: Option<GivenCorrections<'_>>,
     ) -> Result<Self, Trouble> {
         let Segment { log, seconds } = segment;
         let run = &options.run;

@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
-use super::file::{
-    AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection, is_same, reading,
+use super::corrections_file::{
+    AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection, encoding_of_slip,
+    is_same_topic,
 };
 use crate::diagnosis::{AxesError, IntendedEncoding, PoseEncoding, reread_imu, reread_poses};
 use crate::finding::Unit;
@@ -17,13 +18,13 @@ use crate::time::{nanos, seconds};
 
 /// Corrections with the file they come from.
 #[derive(Clone, Copy)]
-pub(crate) struct Given<'a> {
+pub(crate) struct GivenCorrections<'a> {
     pub corrections: &'a Corrections,
     pub file: &'a Path,
 }
 
-impl Given<'_> {
-    fn refuse(&self, what: String) -> Trouble {
+impl GivenCorrections<'_> {
+    fn error(&self, what: String) -> Trouble {
         Trouble {
             kind: TroubleKind::Call,
             what,
@@ -37,12 +38,12 @@ impl Given<'_> {
     ///
     /// # Errors
     /// Returns an error if a topic is not in the log.
-    pub fn shift(&self, log: &mut Log) -> Result<(), Trouble> {
+    pub fn correct_stamps(&self, log: &mut Log) -> Result<(), Trouble> {
         for correction in &self.corrections.topics {
             let name = &correction.name;
-            let topic = log.topics.iter_mut().find(|topic| is_same(&topic.name, name));
+            let topic = log.topics.iter_mut().find(|topic| is_same_topic(&topic.name, name));
             let Some(topic) = topic else {
-                return Err(self.refuse(format!("the log has no topic '{name}'")));
+                return Err(self.error(format!("the log has no topic '{name}'")));
             };
             let (latency_s, skew) = (correction.latency_s, correction.skew);
             if latency_s.is_none() && skew.is_none() {
@@ -64,38 +65,38 @@ impl Given<'_> {
     /// # Errors
     /// Returns an error if no arm has a joint, or if a correction does not apply to its topic.
     pub fn apply(&self, run: &mut Run, most_lag_s: f64) -> Result<(), Trouble> {
-        self.mend_joints(run)?;
+        self.correct_joints(run)?;
         for correction in &self.corrections.topics {
             let name = &correction.name;
-            let streams = || run.streams.iter().filter(|stream| is_same(&stream.topic, name));
+            let streams = || run.streams.iter().filter(|stream| is_same_topic(&stream.topic, name));
             if streams().next().is_none() {
                 continue;
             }
-            if self.is_of_pose(correction) && streams().count() > 1 {
+            if self.corrects_poses(correction) && streams().count() > 1 {
                 return Err(
-                    self.refuse(format!("topic '{name}' contains the poses of several frames"))
+                    self.error(format!("topic '{name}' contains the poses of several frames"))
                 );
             }
-            let mut open = Open::of(correction);
+            let mut unapplied = UnappliedParts::from_correction(correction);
             for arm in 0..run.arms.len() {
-                mend_poses(run, arm, correction, most_lag_s, &mut open);
-                mend_imus(run, arm, correction, most_lag_s, &mut open);
+                correct_poses(run, arm, correction, most_lag_s, &mut unapplied);
+                correct_imus(run, arm, correction, most_lag_s, &mut unapplied);
             }
-            mend_targets(run, correction, &mut open);
-            if let Some(what) = open.first() {
-                return Err(self.refuse(format!("{what} cannot be applied to topic '{name}'")));
+            correct_targets(run, correction, &mut unapplied);
+            if let Some(what) = unapplied.first() {
+                return Err(self.error(format!("{what} cannot be applied to topic '{name}'")));
             }
         }
         Ok(())
     }
 
-    fn is_of_pose(&self, correction: &TopicCorrection) -> bool {
+    fn corrects_poses(&self, correction: &TopicCorrection) -> bool {
         let TopicCorrection { rotation, reference_from_stream, tip_from_stream, .. } = correction;
-        let is_read = rotation.is_some() || correction.meant().is_some();
+        let is_read = rotation.is_some() || correction.intended_encoding().is_some();
         is_read || reference_from_stream.is_some() || tip_from_stream.is_some()
     }
 
-    fn mend_joints(&self, run: &mut Run) -> Result<(), Trouble> {
+    fn correct_joints(&self, run: &mut Run) -> Result<(), Trouble> {
         if run.arms.is_empty() {
             return Ok(());
         }
@@ -105,36 +106,36 @@ impl Given<'_> {
                 is_robot && arm.joint_names.contains(&joint.name)
             };
             if !run.arms.iter().any(is_meant) {
-                return Err(self.refuse(format!("no arm of the log has a joint '{}'", joint.name)));
+                return Err(self.error(format!("no arm of the log has a joint '{}'", joint.name)));
             }
         }
         let topics: Vec<String> = run.streams.iter().map(|stream| stream.topic.clone()).collect();
         for arm in &mut run.arms {
-            let mending = self.joint_mending(arm, &topics)?;
-            if !mending.is_nothing() {
-                arm.mend_joints(mending);
+            let joint_correction = self.joint_correction(arm, &topics)?;
+            if !joint_correction.is_nothing() {
+                arm.mend_joints(joint_correction);
             }
         }
         Ok(())
     }
 
     /// Collects the joint corrections of an arm.
-    fn joint_mending(&self, arm: &Arm, topics: &[String]) -> Result<JointMending, Trouble> {
-        let mut mending = JointMending::none(arm.joint_names.len());
+    fn joint_correction(&self, arm: &Arm, topics: &[String]) -> Result<JointMending, Trouble> {
+        let mut joint_correction = JointMending::none(arm.joint_names.len());
         let column = |name: &String| arm.joint_names.iter().position(|joint| joint == name);
         for correction in &self.corrections.topics {
             let is_of_topic = |column: usize| {
                 let facts = arm.joint_facts.get(column);
-                facts.is_some_and(|facts| is_same(&topics[facts.stream], &correction.name))
+                facts.is_some_and(|facts| is_same_topic(&topics[facts.stream], &correction.name))
             };
             if let Some(JointOrder { is, read_as }) = &correction.joint_order {
                 for (is, read_as) in is.iter().zip(read_as) {
                     match (column(is), column(read_as)) {
-                        (Some(is), Some(read_as)) => mending.from[is] = read_as,
+                        (Some(is), Some(read_as)) => joint_correction.from[is] = read_as,
                         (None, None) => {}
                         (is_known, _) => {
                             let other = if is_known.is_some() { read_as } else { is };
-                            return Err(self.refuse(format!(
+                            return Err(self.error(format!(
                                 "joint_order of '{}': no arm of the log has a joint '{other}'",
                                 correction.name
                             )));
@@ -147,7 +148,7 @@ impl Given<'_> {
                     let joint = arm.robot.joint(name);
                     let slides = joint.is_some_and(|joint| joint.kind == JointKind::Prismatic);
                     if is_of_topic(index) && !slides {
-                        mending.factor[index] = slip.factor();
+                        joint_correction.factor[index] = slip.factor();
                     }
                 }
             }
@@ -162,13 +163,14 @@ impl Given<'_> {
                     let (does, key) =
                         if slides { ("slides", "offset_m") } else { ("turns", "offset_rad") };
                     let name = &joint.name;
-                    return Err(self.refuse(format!("joint '{name}' {does}: its key is {key}")));
+                    return Err(self.error(format!("joint '{name}' {does}: its key is {key}")));
                 }
-                mending.offset[column] = joint.offset_rad.or(joint.offset_m).unwrap_or(0.0);
-                mending.factor[column] *= joint.factor.unwrap_or(1.0);
+                joint_correction.offset[column] =
+                    joint.offset_rad.or(joint.offset_m).unwrap_or(0.0);
+                joint_correction.factor[column] *= joint.factor.unwrap_or(1.0);
             }
         }
-        Ok(mending)
+        Ok(joint_correction)
     }
 
     /// Describes the corrections, for the report.
@@ -190,8 +192,8 @@ impl Given<'_> {
 
 impl TopicCorrection {
     /// Intended encoding of the poses, if it differs from the logged one.
-    fn meant(&self) -> Option<IntendedEncoding> {
-        let reading = self.rotation.and_then(reading);
+    fn intended_encoding(&self) -> Option<IntendedEncoding> {
+        let reading = self.rotation.and_then(encoding_of_slip);
         let inverted = self.inverse == Some(true);
         let axes = self.axes.map_or(AxesError::NONE, |AxesCorrection { positions, rotations }| {
             AxesError { positions, rotations }
@@ -232,10 +234,10 @@ impl TopicCorrection {
 }
 
 /// Parts of a topic's correction that have not been applied yet.
-struct Open(Vec<&'static str>);
+struct UnappliedParts(Vec<&'static str>);
 
-impl Open {
-    fn of(correction: &TopicCorrection) -> Self {
+impl UnappliedParts {
+    fn from_correction(correction: &TopicCorrection) -> Self {
         let parts = [
             ("length_unit", correction.length_unit.is_some()),
             ("angle_unit", correction.angle_unit.is_some()),
@@ -252,8 +254,8 @@ impl Open {
         Self(parts.into_iter().filter(|(_, is_there)| *is_there).map(|(name, _)| name).collect())
     }
 
-    fn take(&mut self, part: &str) {
-        self.0.retain(|open| *open != part);
+    fn mark_applied(&mut self, part: &str) {
+        self.0.retain(|unapplied| *unapplied != part);
     }
 
     fn first(&self) -> Option<&'static str> {
@@ -261,47 +263,53 @@ impl Open {
     }
 }
 
-fn mend_poses(
+fn correct_poses(
     run: &mut Run,
     arm: usize,
     correction: &TopicCorrection,
     most_lag_s: f64,
-    open: &mut Open,
+    unapplied: &mut UnappliedParts,
 ) {
     let is_joints = |facts: &crate::run::JointFacts| {
-        is_same(&run.streams[facts.stream].topic, &correction.name)
+        is_same_topic(&run.streams[facts.stream].topic, &correction.name)
     };
     if run.arms[arm].joint_facts.iter().any(is_joints) {
-        open.take("angle_unit");
+        unapplied.mark_applied("angle_unit");
     }
     for index in 0..run.arms[arm].poses.len() {
         let source = &run.arms[arm].poses[index];
-        if !is_same(&run.streams[source.stream].topic, &correction.name) {
+        if !is_same_topic(&run.streams[source.stream].topic, &correction.name) {
             continue;
         }
-        let mut mended = source.clone();
-        mend_units(&mut mended, correction, open);
-        if let Some(meant) = correction.meant() {
-            let (joints, stream) = (&run.arms[arm].joints, run.pose_stream(&mended));
-            let turned = |frame: Option<FrameCorrection>| {
+        let mut corrected = source.clone();
+        correct_units(&mut corrected, correction, unapplied);
+        if let Some(intended) = correction.intended_encoding() {
+            let (joints, stream) = (&run.arms[arm].joints, run.pose_stream(&corrected));
+            let rotation_of = |frame: Option<FrameCorrection>| {
                 frame.map(|frame| frame.pose().rotation).unwrap_or_default()
             };
-            let reference = turned(correction.reference_from_stream).inverse();
-            let known = [reference, turned(correction.tip_from_stream)];
-            if let Some(track) = reread_poses(joints, &stream, meant, known, most_lag_s) {
-                ["rotation", "inverse", "axes"].into_iter().for_each(|part| open.take(part));
-                mended.track = track;
+            let reference = rotation_of(correction.reference_from_stream).inverse();
+            let known = [reference, rotation_of(correction.tip_from_stream)];
+            if let Some(track) = reread_poses(joints, &stream, intended, known, most_lag_s) {
+                ["rotation", "inverse", "axes"]
+                    .into_iter()
+                    .for_each(|part| unapplied.mark_applied(part));
+                corrected.track = track;
             }
         }
-        mend_frames(&mut mended, correction, open);
-        run.arms[arm].poses[index] = mended;
+        correct_frames(&mut corrected, correction, unapplied);
+        run.arms[arm].poses[index] = corrected;
     }
 }
 
-fn mend_units(source: &mut PoseSource, correction: &TopicCorrection, open: &mut Open) {
+fn correct_units(
+    source: &mut PoseSource,
+    correction: &TopicCorrection,
+    unapplied: &mut UnappliedParts,
+) {
     let track = &mut source.track;
     if let Some(slip) = correction.length_unit {
-        open.take("length_unit");
+        unapplied.mark_applied("length_unit");
         track.xyz.iter_mut().for_each(|xyz| *xyz *= slip.factor());
         if let Some(declared) = &mut track.declared {
             let millimetres = Some(LengthScale::MILLIMETRE).filter(|unit| slip.is == *unit);
@@ -311,13 +319,13 @@ fn mend_units(source: &mut PoseSource, correction: &TopicCorrection, open: &mut 
     if let Some(slip) = correction.angle_unit {
         match (&mut track.orientation, &mut track.declared) {
             (Orientations::Numbers(numbers), _) => {
-                open.take("angle_unit");
+                unapplied.mark_applied("angle_unit");
                 let factor = slip.factor();
                 numbers.iter_mut().for_each(|numbers| *numbers = numbers.map(|n| n * factor));
             }
             (Orientations::Rotations(rotations), Some(declared)) => {
                 if let Some(other) = &mut declared.in_other_angles {
-                    open.take("angle_unit");
+                    unapplied.mark_applied("angle_unit");
                     std::mem::swap(rotations, other);
                     declared.angle = slip.is;
                 }
@@ -328,67 +336,71 @@ fn mend_units(source: &mut PoseSource, correction: &TopicCorrection, open: &mut 
     if let (Some(convention), Orientations::Numbers(numbers)) =
         (correction.convention, &track.orientation)
     {
-        open.take("convention");
+        unapplied.mark_applied("convention");
         let rotations = numbers.iter().map(|&numbers| convention.rotation(numbers)).collect();
         track.orientation = Orientations::Rotations(rotations);
     }
 }
 
-fn mend_frames(source: &mut PoseSource, correction: &TopicCorrection, open: &mut Open) {
+fn correct_frames(
+    source: &mut PoseSource,
+    correction: &TopicCorrection,
+    unapplied: &mut UnappliedParts,
+) {
     let Orientations::Rotations(rotations) = &mut source.track.orientation else { return };
-    open.take("reference_from_stream");
-    open.take("tip_from_stream");
+    unapplied.mark_applied("reference_from_stream");
+    unapplied.mark_applied("tip_from_stream");
     let before = correction.reference_from_stream.map(|frame| frame.pose()).unwrap_or_default();
     let after = correction.tip_from_stream.map(|frame| frame.pose().inverse()).unwrap_or_default();
     if before == Pose::identity() && after == Pose::identity() {
         return;
     }
     for (xyz, rotation) in source.track.xyz.iter_mut().zip(rotations) {
-        let mended = before * Pose::from_parts((*xyz).into(), *rotation) * after;
-        (*xyz, *rotation) = (mended.translation.vector, mended.rotation);
+        let corrected = before * Pose::from_parts((*xyz).into(), *rotation) * after;
+        (*xyz, *rotation) = (corrected.translation.vector, corrected.rotation);
     }
 }
 
-fn mend_imus(
+fn correct_imus(
     run: &mut Run,
     arm: usize,
     correction: &TopicCorrection,
     most_lag_s: f64,
-    open: &mut Open,
+    unapplied: &mut UnappliedParts,
 ) {
     for index in 0..run.arms[arm].imus.len() {
         let source = &run.arms[arm].imus[index];
-        if !is_same(&run.streams[source.stream].topic, &correction.name) {
+        if !is_same_topic(&run.streams[source.stream].topic, &correction.name) {
             continue;
         }
-        let mut mended = source.clone();
+        let mut corrected = source.clone();
         if let Some(rotation) = correction.link_from_imu_xyzw.and_then(rotation_from_xyzw) {
-            open.take("link_from_imu_xyzw");
-            let logged = mended.link_from_imu.unwrap_or_default();
-            mended.link_from_imu = Some(Pose::from_parts(logged.translation, rotation));
+            unapplied.mark_applied("link_from_imu_xyzw");
+            let logged = corrected.link_from_imu.unwrap_or_default();
+            corrected.link_from_imu = Some(Pose::from_parts(logged.translation, rotation));
         }
-        if let Some(reading) = correction.rotation.and_then(reading) {
-            let stream = mended.as_stream();
+        if let Some(reading) = correction.rotation.and_then(encoding_of_slip) {
+            let stream = corrected.as_stream();
             let truths = reread_imu(&run.arms[arm].joints, &stream, reading, most_lag_s);
             if let Some(truths) = truths {
-                open.take("rotation");
-                mended.track.orientation = truths;
+                unapplied.mark_applied("rotation");
+                corrected.track.orientation = truths;
             }
         }
-        run.arms[arm].imus[index] = mended;
+        run.arms[arm].imus[index] = corrected;
     }
 }
 
-fn mend_targets(run: &mut Run, correction: &TopicCorrection, open: &mut Open) {
+fn correct_targets(run: &mut Run, correction: &TopicCorrection, unapplied: &mut UnappliedParts) {
     let [in_hand, in_base] = [correction.hand_from_camera, correction.base_from_camera]
         .map(|frame| frame.map(|frame| frame.pose()));
     if in_hand.is_none() && in_base.is_none() {
         return;
     }
     for target in &mut run.targets {
-        if is_same(&run.streams[target.stream].topic, &correction.name) {
-            open.take("hand_from_camera");
-            open.take("base_from_camera");
+        if is_same_topic(&run.streams[target.stream].topic, &correction.name) {
+            unapplied.mark_applied("hand_from_camera");
+            unapplied.mark_applied("base_from_camera");
             for hand in &mut target.hands {
                 (hand.hand_from_camera, hand.base_from_camera) = (in_hand, in_base);
             }

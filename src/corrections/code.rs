@@ -8,13 +8,13 @@ pub(super) type Lines = Vec<CodeLine>;
 /// Libraries with a line for every correction.
 const LIBRARIES: [&str; 4] = ["SciPy", "tf2 (C++)", "Eigen", "nalgebra"];
 
-fn lines(of_each: [&str; 4]) -> Lines {
+fn lines(by_library: [&str; 4]) -> Lines {
     let line = |(library, line): (_, &str)| CodeLine { library, line: line.to_owned() };
-    LIBRARIES.into_iter().zip(of_each).map(line).collect()
+    LIBRARIES.into_iter().zip(by_library).map(line).collect()
 }
 
 /// Variable names for three numbers of a convention, in logged order.
-pub(super) fn labels(convention: Convention) -> [&'static str; 3] {
+pub(super) fn variable_names(convention: Convention) -> [&'static str; 3] {
     match convention.is_by_axis() {
         true => ["rx", "ry", "rz"],
         false => ["a", "b", "c"],
@@ -22,26 +22,26 @@ pub(super) fn labels(convention: Convention) -> [&'static str; 3] {
 }
 
 /// Decodes three numbers of `convention`, named by [`labels`].
-pub(super) fn of_numbers(convention: Convention) -> Lines {
-    everywhere(code_of_numbers(convention, labels(convention)))
+pub(super) fn decode_numbers(convention: Convention) -> Lines {
+    retain_libraries(code_of_numbers(convention, variable_names(convention)))
 }
 
 /// Decodes a quaternion from four numbers `n` in logged order.
-pub(super) fn of_quaternion(slip: QuaternionSlip) -> Lines {
+pub(super) fn decode_quaternion(slip: QuaternionSlip) -> Lines {
     let xyzw = match slip {
         QuaternionSlip::WxyzReadAsXyzw => [1, 2, 3, 0],
         QuaternionSlip::XyzwReadAsWxyz => [0, 1, 2, 3],
     };
-    everywhere(code_of_quaternion(xyzw.map(|at| format!("n[{at}]"))))
+    retain_libraries(code_of_quaternion(xyzw.map(|at| format!("n[{at}]"))))
 }
 
-fn everywhere(mut lines: Lines) -> Lines {
+fn retain_libraries(mut lines: Lines) -> Lines {
     lines.retain(|line| LIBRARIES.contains(&line.library));
     lines
 }
 
 /// Inverts a `rotation` but not the position.
-pub(super) fn inverse_rotation() -> Lines {
+pub(super) fn invert_rotation() -> Lines {
     lines([
         "rotation.inv()",
         "rotation.inverse()  // tf2::Quaternion",
@@ -51,7 +51,7 @@ pub(super) fn inverse_rotation() -> Lines {
 }
 
 /// Inverts a whole `pose`.
-pub(super) fn inverse_pose() -> Lines {
+pub(super) fn invert_pose() -> Lines {
     lines([
         "RigidTransform.from_components(xyz, rotation).inv()  # or rotation.inv(), -rotation.inv().apply(xyz)",
         "pose.inverse()  // tf2::Transform",
@@ -61,7 +61,7 @@ pub(super) fn inverse_pose() -> Lines {
 }
 
 /// Scales angles by π/180 or its inverse.
-pub(super) fn angles(to_radians: bool) -> Lines {
+pub(super) fn convert_angles(to_radians: bool) -> Lines {
     match to_radians {
         true => lines([
             "numpy.deg2rad(angles)",
@@ -79,7 +79,7 @@ pub(super) fn angles(to_radians: bool) -> Lines {
 }
 
 /// Scales positions.
-pub(super) fn lengths(factor: f64) -> Lines {
+pub(super) fn scale_lengths(factor: f64) -> Lines {
     let times = format!("xyz * {factor:?}");
     lines([&times; 4])
 }
@@ -90,7 +90,8 @@ mod tests {
 
     #[test]
     fn the_scalar_part_is_where_each_library_wants_it() {
-        let of = |slip| of_quaternion(slip).into_iter().map(|line| line.line).collect::<Vec<_>>();
+        let of =
+            |slip| decode_quaternion(slip).into_iter().map(|line| line.line).collect::<Vec<_>>();
         let [scipy, _, eigen, _] = &of(QuaternionSlip::WxyzReadAsXyzw)[..] else { panic!() };
         assert!(scipy.contains("[n[1], n[2], n[3], n[0]]"), "{scipy}");
         assert!(eigen.contains("(n[0], n[1], n[2], n[3])"), "{eigen}");
@@ -101,7 +102,7 @@ mod tests {
 
     #[test]
     fn numbers_have_names_by_turn_or_by_axis() {
-        let scipy = |name: &str| of_numbers(name.parse().unwrap())[0].line.clone();
+        let scipy = |name: &str| decode_numbers(name.parse().unwrap())[0].line.clone();
         assert_eq!(scipy("euler:ZYZ"), "Rotation.from_euler(\"ZYZ\", [a, b, c])");
         assert_eq!(scipy("euler:xzy@axes"), "Rotation.from_euler(\"xzy\", [rx, rz, ry])");
         assert_eq!(scipy("rotvec"), "Rotation.from_rotvec([rx, ry, rz])");

@@ -1,10 +1,12 @@
 //! Derives corrections from the findings of an audit.
 
 use super::code::{self, Lines};
+use super::context::{CorrectionContext, finding_label, no_value, slip_text, value_with_interval};
+use super::corrections_file::{
+    AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection,
+};
 use super::dataset;
-use super::file::{AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection};
 use super::frames::{FixedFrame, model_stem, slug};
-use super::source::{Source, amount, label, nothing, slip_words};
 use crate::evidence::RunEvidence;
 use crate::finding::{Cause, Finding, JointScaling, Unit};
 use crate::geometry::{
@@ -16,22 +18,22 @@ use crate::run::{Arm, Run};
 use crate::stats::Measured;
 
 /// Corrections for the findings of an audit, and the findings that remain uncorrected.
-pub(crate) struct Mending {
+pub(crate) struct CorrectionPlan {
     /// Corrections that an audit can apply.
     pub corrections: Corrections,
-    pub(super) codes: Vec<Coded>,
+    pub(super) decodings: Vec<DecodingCode>,
     pub(super) frames: Vec<FixedFrame>,
-    pub(super) models: Vec<Patched>,
+    pub(super) models: Vec<PatchedModel>,
     /// Python module that corrects the columns of a dataset.
     pub(super) module: Option<String>,
     /// Reasons why models with joint offsets are not patched.
     pub(super) unpatched: Vec<String>,
-    pub(super) mended: Vec<Mended>,
-    pub(super) open: Vec<Left>,
+    pub(super) corrected: Vec<CorrectedFinding>,
+    pub(super) uncorrected: Vec<UncorrectedFinding>,
 }
 
 /// Code that decodes a topic correctly.
-pub(super) struct Coded {
+pub(super) struct DecodingCode {
     pub finding: String,
     /// Description of the fault.
     pub what: String,
@@ -41,21 +43,21 @@ pub(super) struct Coded {
 }
 
 /// Text of a model before and after the patch.
-pub(super) struct Patched {
+pub(super) struct PatchedModel {
     pub file: String,
     pub before: String,
     pub after: String,
 }
 
 /// Finding corrected by files.
-pub(super) struct Mended {
+pub(super) struct CorrectedFinding {
     pub finding: String,
     pub what: String,
     pub files: Vec<&'static str>,
 }
 
 /// Finding that no file corrects.
-pub(super) struct Left {
+pub(super) struct UncorrectedFinding {
     pub finding: String,
     pub why: String,
 }
@@ -75,58 +77,66 @@ pub(super) const MODEL: &str = "the patched model";
 const WHERE_PUBLISHED: &str = " (in the publisher of the transforms)";
 
 /// Description of a correction and its files, or the reason why there is none.
-type Taken = Result<(String, Vec<&'static str>), String>;
+type CorrectionResult = Result<(String, Vec<&'static str>), String>;
 
-impl Mending {
+impl CorrectionPlan {
     /// Derives corrections from `report`, which covers `run` or has it as segment `main`.
-    pub fn of(report: &Report, run: &Run, evidence: &RunEvidence, main: usize) -> Self {
-        let mut mending = Self {
+    pub fn from_findings(report: &Report, run: &Run, evidence: &RunEvidence, main: usize) -> Self {
+        let mut plan = Self {
             corrections: Corrections::default(),
-            codes: Vec::new(),
+            decodings: Vec::new(),
             frames: Vec::new(),
             models: Vec::new(),
             module: None,
             unpatched: Vec::new(),
-            mended: Vec::new(),
-            open: Vec::new(),
+            corrected: Vec::new(),
+            uncorrected: Vec::new(),
         };
-        let source = Source { report, run, evidence };
+        let context = CorrectionContext { report, run, evidence };
         for finding in &report.findings {
-            let label = label(finding);
-            let taken = match finding.segment {
+            let label = finding_label(finding);
+            let result = match finding.segment {
                 Some(other) if other != main => {
                     Err("it belongs to a segment of the run other than the longest".to_owned())
                 }
-                _ => mending.take(&source, finding),
+                _ => plan.add_correction(&context, finding),
             };
-            match taken {
-                Ok((what, files)) => mending.mended.push(Mended { finding: label, what, files }),
-                Err(why) => mending.open.push(Left { finding: label, why }),
+            match result {
+                Ok((what, files)) => {
+                    plan.corrected.push(CorrectedFinding { finding: label, what, files })
+                }
+                Err(why) => plan.uncorrected.push(UncorrectedFinding { finding: label, why }),
             }
         }
-        mending.patch_models(run);
-        mending.module = dataset::module(report, run, &mending.corrections);
-        mending
+        plan.patch_models(run);
+        plan.module = dataset::python_module(report, run, &plan.corrections);
+        plan
     }
 
     /// Adds the correction for the cause of a finding.
-    fn take(&mut self, source: &Source<'_>, finding: &Finding) -> Taken {
+    fn add_correction(
+        &mut self,
+        context: &CorrectionContext<'_>,
+        finding: &Finding,
+    ) -> CorrectionResult {
         match &finding.cause {
-            Cause::JointZero { offset, slides } => self.take_zero(source, finding, offset, *slides),
-            Cause::JointUnit(factor) => {
-                let name = finding.subject.joint.clone().ok_or_else(nothing)?;
-                let robot = source.robot_of(finding, &name);
-                self.corrections.joint(&name, robot).factor = Some(*factor);
-                Ok((slip_words(finding)?, vec![OFFSETS, CORRECTIONS]))
+            Cause::JointZero { offset, slides } => {
+                self.add_zero_offset(context, finding, offset, *slides)
             }
-            Cause::JointScale(joints) => self.take_scale(source, finding, joints),
+            Cause::JointUnit(factor) => {
+                let name = finding.subject.joint.clone().ok_or_else(no_value)?;
+                let robot = context.robot_of(finding, &name);
+                self.corrections.joint(&name, robot).factor = Some(*factor);
+                Ok((slip_text(finding)?, vec![OFFSETS, CORRECTIONS]))
+            }
+            Cause::JointScale(joints) => self.add_joint_scale(context, finding, joints),
             Cause::JointOrder { is, read_as } => {
-                let topic = finding.subject.topic.clone().ok_or_else(nothing)?;
+                let topic = finding.subject.topic.clone().ok_or_else(no_value)?;
                 let order = JointOrder { is: is.clone(), read_as: read_as.clone() };
                 self.corrections.topic(&topic).joint_order = Some(order);
                 let what = "the positions are in a different order than the names".to_owned();
                 let names = format!("names in the order of the numbers: {}", is.join(", "));
-                self.code(finding, &what, names, None);
+                self.add_code(finding, &what, names, None);
                 Ok((what, vec![CONVENTIONS, CORRECTIONS]))
             }
             Cause::Dh(is) => {
@@ -134,39 +144,39 @@ impl Mending {
                 Ok((what, vec![MODEL]))
             }
             Cause::OtherRobot(robot) => Ok((format!("audit with `--robot {robot}`"), Vec::new())),
-            Cause::Latency(latency) => self.take_latency(source, finding, latency),
+            Cause::Latency(latency) => self.add_latency(context, finding, latency),
             // The clock rate of one segment does not apply to the next.
             Cause::Skew(_) if finding.segment.is_some() => Err(finding.fix.clone()),
             Cause::Skew(skew) => {
-                let (value, ci95) = amount(Unit::SecondPerSecond, skew)?;
-                let topic = source.lone_topic(finding)?;
-                let (start, end) = finding.start_ns.zip(finding.end_ns).ok_or_else(nothing)?;
+                let (value, ci95) = value_with_interval(Unit::SecondPerSecond, skew)?;
+                let topic = context.single_topic(finding)?;
+                let (start, end) = finding.start_ns.zip(finding.end_ns).ok_or_else(no_value)?;
                 let own = self.corrections.topic(&topic);
                 (own.skew, own.skew_ci95) = (Some(value), ci95);
                 own.skew_about_s = Some(0.5 * end.seconds_since(start));
                 let what = format!("clock skew of {}", Unit::SecondPerSecond.show(value));
                 Ok((what, vec![LATENCIES, CORRECTIONS]))
             }
-            Cause::Rotation(slip) => self.take_rotation(source, finding, *slip),
+            Cause::Rotation(slip) => self.add_rotation(context, finding, *slip),
             Cause::Bare { coding, length, angle } => {
-                self.take_numbers(source, finding, *coding, *length, *angle)
+                self.add_encoding(context, finding, *coding, *length, *angle)
             }
             Cause::AngleUnit(unit) => {
-                let lines = code::angles(unit.is == AngleUnit::Degree);
+                let lines = code::convert_angles(unit.is == AngleUnit::Degree);
                 let names = "angles: the numbers as logged";
                 let is_of = |topic: &mut TopicCorrection| topic.angle_unit = Some(*unit);
-                self.take_unit(source, finding, (names, lines), is_of)
+                self.add_unit(context, finding, (names, lines), is_of)
             }
             Cause::LengthUnit(unit) => {
-                let lines = code::lengths(unit.factor());
+                let lines = code::scale_lengths(unit.factor());
                 let names = "xyz: the position as currently decoded";
                 let is_of = |topic: &mut TopicCorrection| topic.length_unit = Some(*unit);
-                self.take_unit(source, finding, (names, lines), is_of)
+                self.add_unit(context, finding, (names, lines), is_of)
             }
             Cause::Axes { positions, rotations } => {
                 let (positions, rotations) = (*positions, *rotations);
-                let topic = source.lone_topic(finding)?;
-                if source.is_tf(&topic) {
+                let topic = context.single_topic(finding)?;
+                if context.is_tf(&topic) {
                     return Err(finding.fix.clone());
                 }
                 let axes = AxesCorrection { positions, rotations };
@@ -174,11 +184,11 @@ impl Mending {
                 let what = format!("positions are in {positions}, rotations in {rotations}");
                 Ok((what, vec![CORRECTIONS]))
             }
-            Cause::Reference(pose) => self.take_frame(source, finding, pose, true),
-            Cause::Tool(pose) => self.take_frame(source, finding, pose, false),
-            Cause::ImuMount(rotation) => self.take_mount(source, finding, rotation),
+            Cause::Reference(pose) => self.add_frame(context, finding, pose, true),
+            Cause::Tool(pose) => self.add_frame(context, finding, pose, false),
+            Cause::ImuMount(rotation) => self.add_imu_mount(context, finding, rotation),
             Cause::CameraMount { in_hand, parent, pose } => {
-                self.take_camera(source, finding, *in_hand, parent.as_ref(), pose)
+                self.add_camera_mount(context, finding, *in_hand, parent.as_ref(), pose)
             }
             Cause::Growth
             | Cause::Bend
@@ -196,31 +206,31 @@ impl Mending {
         }
     }
 
-    fn take_zero(
+    fn add_zero_offset(
         &mut self,
-        source: &Source<'_>,
+        context: &CorrectionContext<'_>,
         finding: &Finding,
         offset: &Measured,
         slides: bool,
-    ) -> Taken {
+    ) -> CorrectionResult {
         let unit = if slides { Unit::Metre } else { Unit::Radian };
-        let (value, ci95) = amount(unit, offset)?;
-        let name = finding.subject.joint.clone().ok_or_else(nothing)?;
-        let robot = source.robot_of(finding, &name);
+        let (value, ci95) = value_with_interval(unit, offset)?;
+        let name = finding.subject.joint.clone().ok_or_else(no_value)?;
+        let robot = context.robot_of(finding, &name);
         let joint = self.corrections.joint(&name, robot);
         joint.set_offset(value, slides);
         joint.ci95 = ci95;
         Ok((format!("offset of {}", unit.show(value)), vec![OFFSETS, MODEL, CORRECTIONS]))
     }
 
-    fn take_scale(
+    fn add_joint_scale(
         &mut self,
-        source: &Source<'_>,
+        context: &CorrectionContext<'_>,
         finding: &Finding,
         joints: &[JointScaling],
-    ) -> Taken {
+    ) -> CorrectionResult {
         for scaling in joints {
-            let robot = source.robot_of(finding, &scaling.joint);
+            let robot = context.robot_of(finding, &scaling.joint);
             let own = self.corrections.joint(&scaling.joint, robot);
             own.factor = Some(scaling.factor.value);
             own.factor_ci95 = Unit::One.interval95(&scaling.factor);
@@ -228,20 +238,20 @@ impl Mending {
                 own.set_offset(offset, scaling.slides);
             }
         }
-        let factor = joints.first().ok_or_else(nothing)?.factor.value;
+        let factor = joints.first().ok_or_else(no_value)?.factor.value;
         Ok((format!("factor of {factor:.5}"), vec![OFFSETS, CORRECTIONS]))
     }
 
-    fn take_latency(
+    fn add_latency(
         &mut self,
-        source: &Source<'_>,
+        context: &CorrectionContext<'_>,
         finding: &Finding,
         latency: &Measured,
-    ) -> Taken {
-        let (value, ci95) = amount(Unit::Second, latency)?;
-        let topic = source.lone_topic(finding)?;
+    ) -> CorrectionResult {
+        let (value, ci95) = value_with_interval(Unit::Second, latency)?;
+        let topic = context.single_topic(finding)?;
         let mut copies = Vec::new();
-        if let Some(arm) = source.evidence.robots.iter().find(|arm| arm.joints_topic == topic) {
+        if let Some(arm) = context.evidence.robots.iter().find(|arm| arm.joints_topic == topic) {
             // Streams that copy the joints' stamps share their latency.
             let poses = arm.poses_and_tf().filter(|stream| !stream.independent);
             copies.extend(poses.map(|stream| stream.topic().to_owned()));
@@ -264,15 +274,15 @@ impl Mending {
     }
 
     /// Adds the encoding of bare numbers, needed to apply frames to them.
-    fn take_numbers(
+    fn add_encoding(
         &mut self,
-        source: &Source<'_>,
+        context: &CorrectionContext<'_>,
         finding: &Finding,
         coding: Coding,
         length: LengthScale,
         angle: AngleUnit,
-    ) -> Taken {
-        let topic = source.lone_topic(finding)?;
+    ) -> CorrectionResult {
+        let topic = context.single_topic(finding)?;
         let correction = self.corrections.topic(&topic);
         if length != LengthScale::METRE {
             correction.length_unit = Some(Slip { is: length, read_as: LengthScale::METRE });
@@ -294,35 +304,35 @@ impl Mending {
         Ok((what, vec![CORRECTIONS]))
     }
 
-    fn take_rotation(
+    fn add_rotation(
         &mut self,
-        source: &Source<'_>,
+        context: &CorrectionContext<'_>,
         finding: &Finding,
         slip: RotationSlip,
-    ) -> Taken {
-        let topic = source.lone_topic(finding)?;
+    ) -> CorrectionResult {
+        let topic = context.single_topic(finding)?;
         let (names, lines) = match slip {
             RotationSlip::Misread(misreading) => {
-                let labels = code::labels(misreading.is).join(", ");
+                let labels = code::variable_names(misreading.is).join(", ");
                 (
                     format!("{labels}: the numbers in logged order, rad"),
-                    code::of_numbers(misreading.is),
+                    code::decode_numbers(misreading.is),
                 )
             }
             RotationSlip::Quaternion(slip) => {
-                ("n: the four numbers in logged order".to_owned(), code::of_quaternion(slip))
+                ("n: the four numbers in logged order".to_owned(), code::decode_quaternion(slip))
             }
             RotationSlip::Transposed => {
-                ("rotation: as currently decoded".to_owned(), code::inverse_rotation())
+                ("rotation: as currently decoded".to_owned(), code::invert_rotation())
             }
             RotationSlip::Inverted => {
-                ("pose: as currently decoded".to_owned(), code::inverse_pose())
+                ("pose: as currently decoded".to_owned(), code::invert_pose())
             }
         };
         let Slip { is, read_as } = Slip::<String>::from(slip);
         let what = format!("{is} read as {read_as}");
-        self.code(finding, &what, names, Some(lines));
-        if source.is_tf(&topic) {
+        self.add_code(finding, &what, names, Some(lines));
+        if context.is_tf(&topic) {
             return Ok((what + WHERE_PUBLISHED, vec![CONVENTIONS]));
         }
         let correction = self.corrections.topic(&topic);
@@ -338,17 +348,17 @@ impl Mending {
     }
 
     /// Adds a unit correction. The lines use the given names; `set` corrects the topic.
-    fn take_unit(
+    fn add_unit(
         &mut self,
-        source: &Source<'_>,
+        context: &CorrectionContext<'_>,
         finding: &Finding,
         (names, lines): (&str, Lines),
         set: impl Fn(&mut TopicCorrection),
-    ) -> Taken {
-        let topic = source.lone_topic(finding)?;
-        let what = slip_words(finding)?;
-        self.code(finding, &what, names.to_owned(), Some(lines));
-        if source.is_tf(&topic) {
+    ) -> CorrectionResult {
+        let topic = context.single_topic(finding)?;
+        let what = slip_text(finding)?;
+        self.add_code(finding, &what, names.to_owned(), Some(lines));
+        if context.is_tf(&topic) {
             return Ok((what + WHERE_PUBLISHED, vec![CONVENTIONS]));
         }
         set(self.corrections.topic(&topic));
@@ -356,17 +366,17 @@ impl Mending {
     }
 
     /// Adds a correction of the reference frame (`is_reference`) or the tool frame.
-    fn take_frame(
+    fn add_frame(
         &mut self,
-        source: &Source<'_>,
+        context: &CorrectionContext<'_>,
         finding: &Finding,
         found: &Pose,
         is_reference: bool,
-    ) -> Taken {
-        let topic = source.lone_topic(finding)?;
-        let parent = finding.subject.frame.clone().ok_or_else(nothing)?;
+    ) -> CorrectionResult {
+        let topic = context.single_topic(finding)?;
+        let parent = finding.subject.frame.clone().ok_or_else(no_value)?;
         let child = format!("{parent}_of_{}", slug(&topic));
-        let convention = source.convention_of_numbers(&topic);
+        let convention = context.convention_of_numbers(&topic);
         let correction = self.corrections.topic(&topic);
         let frame = Some(FrameCorrection::from(found));
         let (what, comment) = if is_reference {
@@ -380,16 +390,21 @@ impl Mending {
             (format!("{topic} has a different tool frame, {child}"), comment)
         };
         correction.convention = correction.convention.or(convention);
-        self.fix_frame(finding, comment, [parent, child], *found);
+        self.add_fixed_frame(finding, comment, [parent, child], *found);
         Ok((what, vec![TRANSFORMS, JOINTS, CORRECTIONS]))
     }
 
-    fn take_mount(&mut self, source: &Source<'_>, finding: &Finding, rotation: &Rotation) -> Taken {
-        let topic = source.lone_topic(finding)?;
-        let row = source.row(&topic).ok_or_else(nothing)?;
-        let (parent, child) = row.link.clone().zip(row.frame_id.clone()).ok_or_else(nothing)?;
-        let logged = source.run.arms.iter().flat_map(|arm| &arm.imus);
-        let mut logged = logged.filter(|imu| source.run.streams[imu.stream].topic == topic);
+    fn add_imu_mount(
+        &mut self,
+        context: &CorrectionContext<'_>,
+        finding: &Finding,
+        rotation: &Rotation,
+    ) -> CorrectionResult {
+        let topic = context.single_topic(finding)?;
+        let row = context.stream_row(&topic).ok_or_else(no_value)?;
+        let (parent, child) = row.link.clone().zip(row.frame_id.clone()).ok_or_else(no_value)?;
+        let logged = context.run.arms.iter().flat_map(|arm| &arm.imus);
+        let mut logged = logged.filter(|imu| context.run.streams[imu.stream].topic == topic);
         let logged = logged.next().and_then(|imu| imu.link_from_imu).unwrap_or_default();
         let pose = Pose::from_parts(logged.translation, *rotation);
         let correction = self.corrections.topic(&topic);
@@ -397,21 +412,22 @@ impl Mending {
         let what = format!("{child} has a different orientation in {parent}");
         let comment =
             format!("replaces the static transform to {child}; the position is the log's");
-        self.fix_frame(finding, comment, [parent, child], pose);
+        self.add_fixed_frame(finding, comment, [parent, child], pose);
         Ok((what, vec![TRANSFORMS, JOINTS, CORRECTIONS]))
     }
 
-    fn take_camera(
+    fn add_camera_mount(
         &mut self,
-        source: &Source<'_>,
+        context: &CorrectionContext<'_>,
         finding: &Finding,
         in_hand: Option<bool>,
         parent: Option<&String>,
         pose: &Pose,
-    ) -> Taken {
-        let topic = source.lone_topic(finding)?;
-        let child = source.row(&topic).and_then(|row| row.frame_id.clone()).ok_or_else(nothing)?;
-        let parent = parent.cloned().ok_or_else(nothing)?;
+    ) -> CorrectionResult {
+        let topic = context.single_topic(finding)?;
+        let child =
+            context.stream_row(&topic).and_then(|row| row.frame_id.clone()).ok_or_else(no_value)?;
+        let parent = parent.cloned().ok_or_else(no_value)?;
         let correction = self.corrections.topic(&topic);
         let frame = Some(FrameCorrection::from(pose));
         match in_hand {
@@ -426,24 +442,24 @@ impl Mending {
         }
         let what = format!("{child} has a different pose in {parent}");
         let comment = format!("replaces the static transform to {child}");
-        self.fix_frame(finding, comment, [parent, child], *pose);
+        self.add_fixed_frame(finding, comment, [parent, child], *pose);
         Ok((what, vec![TRANSFORMS, JOINTS, CORRECTIONS]))
     }
 
-    fn fix_frame(
+    fn add_fixed_frame(
         &mut self,
         finding: &Finding,
         comment: String,
         [parent, child]: [String; 2],
         pose: Pose,
     ) {
-        let finding = label(finding);
+        let finding = finding_label(finding);
         self.frames.push(FixedFrame { finding, comment, parent, child, pose });
     }
 
-    fn code(&mut self, finding: &Finding, what: &str, names: String, lines: Option<Lines>) {
-        let (finding, what) = (label(finding), what.to_owned());
-        self.codes.push(Coded { finding, what, names, lines });
+    fn add_code(&mut self, finding: &Finding, what: &str, names: String, lines: Option<Lines>) {
+        let (finding, what) = (finding_label(finding), what.to_owned());
+        self.decodings.push(DecodingCode { finding, what, names, lines });
     }
 
     /// Applies the joint offsets to the models.
@@ -474,7 +490,7 @@ impl Mending {
             match (arm.robot.text_with_offsets(&offsets), arm.robot.text()) {
                 (Ok(after), Some(before)) if after != before => {
                     let file = self.model_name(arm, before);
-                    self.models.push(Patched { file, before: before.to_owned(), after });
+                    self.models.push(PatchedModel { file, before: before.to_owned(), after });
                 }
                 (Err(why), _) if !offsets.is_empty() => {
                     self.unpatched.push(format!("{}: {why}", arm.name));

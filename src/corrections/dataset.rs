@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-use super::file::Corrections;
+use super::corrections_file::Corrections;
 use crate::report::{Report, quoted};
 use crate::run::{Role, Run};
 use crate::stream::Columns;
@@ -13,21 +13,25 @@ const WHOLE_COLUMNS: [&str; 6] = ["npy", "npz", "parquet", "hdf5", "zarr", "tfre
 
 /// Corrections by column.
 #[derive(Default)]
-struct Columnwise {
+struct ColumnCorrections {
     /// Factor and offset per number, in the logged unit.
     numbers: BTreeMap<String, BTreeMap<usize, [f64; 2]>>,
     /// Latency of columns, s.
-    late_s: BTreeMap<String, f64>,
+    latency_s: BTreeMap<String, f64>,
 }
 
 /// Module that corrects the columns of the files in `report`. `None` if they are not a dataset, or if a
 /// loader cannot correct any finding.
-pub(super) fn module(report: &Report, run: &Run, corrections: &Corrections) -> Option<String> {
+pub(super) fn python_module(
+    report: &Report,
+    run: &Run,
+    corrections: &Corrections,
+) -> Option<String> {
     let is_dataset = |container: &str| WHOLE_COLUMNS.contains(&container);
     if !report.log.files.iter().all(|file| is_dataset(file.container)) {
         return None;
     }
-    let mut found = Columnwise::default();
+    let mut columns = ColumnCorrections::default();
     for stream in run.streams.iter().filter(|stream| stream.role == Role::Joints) {
         let Some(Columns::Joints(joints)) = &stream.columns else { continue };
         let degrees = if joints.taken_for_degrees { 1_f64.to_radians() } else { 1.0 };
@@ -41,30 +45,30 @@ pub(super) fn module(report: &Report, run: &Run, corrections: &Corrections) -> O
                 Some(offset) => (factor * from + offset - from) / scale,
                 None => own.offset_m.unwrap_or(0.0),
             };
-            let (column, at) = match stream.cells.get(number).and_then(|cell| part_of(cell)) {
+            let (column, at) = match stream.cells.get(number).and_then(|cell| split_index(cell)) {
                 Some(place) => place,
                 None => (stream.topic.clone(), number),
             };
-            found.numbers.entry(column).or_default().insert(at, [factor, offset]);
+            columns.numbers.entry(column).or_default().insert(at, [factor, offset]);
         }
     }
     let late = corrections.topics.iter().filter(|topic| topic.skew.is_none());
-    found.late_s = late.filter_map(|own| Some((own.name.clone(), own.latency_s?))).collect();
-    found.text()
+    columns.latency_s = late.filter_map(|own| Some((own.name.clone(), own.latency_s?))).collect();
+    columns.text()
 }
 
 /// Splits `NAME[AT]` into the column and the index in its rows.
-fn part_of(cell: &str) -> Option<(String, usize)> {
+fn split_index(cell: &str) -> Option<(String, usize)> {
     let (column, at) = cell.strip_suffix(']')?.rsplit_once('[')?;
     Some((column.to_owned(), at.parse().ok()?))
 }
 
-impl Columnwise {
+impl ColumnCorrections {
     fn text(&self) -> Option<String> {
-        if self.numbers.is_empty() && self.late_s.is_empty() {
+        if self.numbers.is_empty() && self.latency_s.is_empty() {
             return None;
         }
-        let mut text = HEAD.to_owned();
+        let mut text = MODULE_HEADER.to_owned();
         text += "\n# Column: {number: (factor, offset)}; true = factor * logged + offset, in the unit of the column.\n";
         text += "NUMBERS = {\n";
         for (column, numbers) in &self.numbers {
@@ -75,14 +79,14 @@ impl Columnwise {
             let _ = writeln!(text, "    {}: {{{}}},", quoted(column), all.join(", "));
         }
         text += "}\n\n# Column: latency in s.\nLATE_S = {\n";
-        for (column, late_s) in &self.late_s {
-            let _ = writeln!(text, "    {}: {late_s:?},", quoted(column));
+        for (column, latency_s) in &self.latency_s {
+            let _ = writeln!(text, "    {}: {latency_s:?},", quoted(column));
         }
-        Some(text + "}\n" + FUNCTIONS)
+        Some(text + "}\n" + MODULE_FUNCTIONS)
     }
 }
 
-const HEAD: &str = r#""""Corrections of a dataset's columns by poseaudit. The data are not modified.
+const MODULE_HEADER: &str = r#""""Corrections of a dataset's columns by poseaudit. The data are not modified.
 
     from dataset_step import correct, delta_timestamps, shifted
 
@@ -95,7 +99,7 @@ const HEAD: &str = r#""""Corrections of a dataset's columns by poseaudit. The da
 import numpy
 "#;
 
-const FUNCTIONS: &str = r#"
+const MODULE_FUNCTIONS: &str = r#"
 
 def correct(frame):
     """Return a copy of the frame, or frames, with the numbers in NUMBERS corrected."""
@@ -146,17 +150,17 @@ mod tests {
 
     #[test]
     fn what_is_wrong_with_columns_is_python() {
-        assert_eq!(Columnwise::default().text(), None);
-        let mut found = Columnwise::default();
+        assert_eq!(ColumnCorrections::default().text(), None);
+        let mut columns = ColumnCorrections::default();
         let numbers = BTreeMap::from([(2, [1.0, 0.5]), (4, [-1.0, 0.0])]);
-        found.numbers.insert("observation.state".to_owned(), numbers);
-        found.late_s.insert("observation.\"pose".to_owned(), 0.06);
-        let text = found.text().expect("a module");
+        columns.numbers.insert("observation.state".to_owned(), numbers);
+        columns.latency_s.insert("observation.\"pose".to_owned(), 0.06);
+        let text = columns.text().expect("a module");
         assert!(text.contains("\n    \"observation.state\": {2: (1.0, 0.5), 4: (-1.0, 0.0)},\n"));
         assert!(text.contains("\n    \"observation.\\\"pose\": 0.06,\n"));
         // Python does not have `\u{…}` escapes.
-        found.late_s.insert("a\u{202e}\u{1}b".to_owned(), 0.5);
-        let text = found.text().expect("a module");
+        columns.latency_s.insert("a\u{202e}\u{1}b".to_owned(), 0.5);
+        let text = columns.text().expect("a module");
         assert!(text.contains("\n    \"a\\u202e\\u0001b\": 0.5,\n"), "{text}");
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::file::rounded;
+use super::corrections_file::rounded;
 use crate::geometry::{Convention, Pose, xyz_of, xyzw_from_rotation};
 
 /// Frame fixed in another frame.
@@ -29,8 +29,8 @@ impl FixedFrame {
         format!(
             "ros2 run tf2_ros static_transform_publisher --x {x} --y {y} --z {z} --qx {qx} --qy {qy} \
              --qz {qz} --qw {qw} --frame-id {} --child-frame-id {}",
-            in_shell(parent),
-            in_shell(child)
+            shell_quoted(parent),
+            shell_quoted(child)
         )
     }
 
@@ -38,8 +38,8 @@ impl FixedFrame {
     pub fn joint(&self) -> String {
         let [x, y, z] = xyz_of(&self.pose).map(number);
         let [roll, pitch, yaw] = Convention::RPY.numbers(&self.pose.rotation).map(number);
-        let [name, parent, child] =
-            [&format!("{}_joint", self.child), &self.parent, &self.child].map(|name| in_xml(name));
+        let [name, parent, child] = [&format!("{}_joint", self.child), &self.parent, &self.child]
+            .map(|name| escape_xml(name));
         format!(
             "<joint name=\"{name}\" type=\"fixed\">\n  <parent link=\"{parent}\"/>\n  \
              <child link=\"{child}\"/>\n  <origin xyz=\"{x} {y} {z}\" rpy=\"{roll} {pitch} {yaw}\"/>\n\
@@ -54,7 +54,7 @@ fn number(value: f64) -> String {
 }
 
 /// Quotes a name for the shell if necessary.
-fn in_shell(name: &str) -> String {
+fn shell_quoted(name: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);
     match !name.is_empty() && name.chars().all(is_plain) {
         true => name.to_owned(),
@@ -63,7 +63,7 @@ fn in_shell(name: &str) -> String {
 }
 
 /// Escapes a text for an XML attribute or comment.
-pub(super) fn in_xml(text: &str) -> String {
+pub(super) fn escape_xml(text: &str) -> String {
     let escaped = text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
     escaped.replace('"', "&quot;").replace("--", "- -")
 }

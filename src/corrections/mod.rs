@@ -9,18 +9,20 @@ mod apply;
 mod code;
 #[cfg(feature = "fix")]
 mod collect;
+mod context;
+mod corrections_file;
 #[cfg(feature = "fix")]
 mod dataset;
-mod file;
 #[cfg(feature = "fix")]
-mod files;
+mod fix_files;
 #[cfg(feature = "fix")]
 mod frames;
-mod source;
 
-pub(crate) use apply::Given;
+pub(crate) use apply::GivenCorrections;
 #[cfg(feature = "fix")]
-pub(crate) use collect::Mending;
-pub use file::{Corrections, FrameCorrection, JointCorrection, JointOrder, TopicCorrection};
+pub(crate) use collect::CorrectionPlan;
+pub use corrections_file::{
+    Corrections, FrameCorrection, JointCorrection, JointOrder, TopicCorrection,
+};
 #[cfg(feature = "fix")]
-pub(crate) use files::{FIX_FILES, model_files};
+pub(crate) use fix_files::{FIX_FILES, model_files};

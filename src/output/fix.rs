@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use crate::audit::Audited;
-use crate::corrections::{FIX_FILES, Mending, model_files};
+use crate::corrections::{CorrectionPlan, FIX_FILES, model_files};
 use crate::places::Places;
 use crate::report::{Trouble, write_whole};
 use crate::run::RobotSource;
@@ -25,7 +25,7 @@ impl Audited {
     /// If a file cannot be written or would replace an input file. In the latter case, nothing is written.
     pub fn write_fixes(&self, folder: &Path) -> Result<(), Trouble> {
         let Self { report, run, evidence, segment, .. } = self;
-        let files = Mending::of(report, run, evidence, *segment).files();
+        let files = CorrectionPlan::from_findings(report, run, evidence, *segment).files();
         let mut places = self.read.clone();
         // The file name of a model in the log is not known before the log is read.
         places.writes_into("--fix", folder, files.iter().map(|(name, _)| name.clone()));

@@ -6,11 +6,11 @@ use std::path::Path;
 use similar::TextDiff;
 
 use super::collect::{
-    CONVENTIONS, CORRECTIONS, JOINTS, LATENCIES, MODEL, MODULE, Mended, Mending, OFFSETS,
-    TRANSFORMS,
+    CONVENTIONS, CORRECTIONS, CorrectedFinding, CorrectionPlan, JOINTS, LATENCIES, MODEL, MODULE,
+    OFFSETS, TRANSFORMS,
 };
-use super::file::JointCorrection;
-use super::frames::{in_xml, model_stem};
+use super::corrections_file::JointCorrection;
+use super::frames::{escape_xml, model_stem};
 use crate::geometry::CodeLine;
 use crate::report::markdown::prose;
 use crate::report::{quoted, tame};
@@ -28,7 +28,7 @@ pub(crate) fn model_files(source: &Path) -> [String; 4] {
     ["urdf", "toml", "urdf.patch", "toml.patch"].map(|ending| format!("{stem}.{ending}"))
 }
 
-impl Mending {
+impl CorrectionPlan {
     /// File names and contents.
     pub fn files(&self) -> Vec<(String, String)> {
         let mut files = vec![
@@ -56,21 +56,24 @@ impl Mending {
 
     fn index(&self) -> String {
         let mut text = "# Corrections\n\n".to_owned();
-        if self.mended.is_empty() {
+        if self.corrected.is_empty() {
             text += "No finding can be corrected by a file.\n";
         } else {
             text += "| finding | correction | in |\n|---|---|---|\n";
-            for mended in &self.mended {
-                let Mended { finding, what, .. } = mended;
+            for corrected in &self.corrected {
+                let CorrectedFinding { finding, what, .. } = corrected;
                 let (finding, what) = (prose(finding), prose(what));
-                let _ =
-                    writeln!(text, "| {finding} | {what} | {} |", self.names(mended).join(", "));
+                let _ = writeln!(
+                    text,
+                    "| {finding} | {what} | {} |",
+                    self.file_names(corrected).join(", ")
+                );
             }
         }
-        if !self.open.is_empty() {
+        if !self.uncorrected.is_empty() {
             text += "\n## Not in these files\n\n";
-            for left in &self.open {
-                let _ = writeln!(text, "- {}: {}", prose(&left.finding), prose(&left.why));
+            for finding in &self.uncorrected {
+                let _ = writeln!(text, "- {}: {}", prose(&finding.finding), prose(&finding.why));
             }
         }
         text += "\n## The files\n\n";
@@ -94,8 +97,8 @@ impl Mending {
     }
 
     /// Files that correct a finding.
-    fn names(&self, mended: &Mended) -> Vec<String> {
-        let names = mended.files.iter().flat_map(|&file| match file {
+    fn file_names(&self, corrected: &CorrectedFinding) -> Vec<String> {
+        let names = corrected.files.iter().flat_map(|&file| match file {
             MODEL => self.models.iter().map(|model| model.file.clone()).collect(),
             file => vec![file.to_owned()],
         });
@@ -113,7 +116,7 @@ impl Mending {
             !self.corrections.joints.is_empty(),
         );
         add(LATENCIES, "latency of each topic", self.latencies().is_some());
-        add(CONVENTIONS, "lines of code that decode a topic correctly", !self.codes.is_empty());
+        add(CONVENTIONS, "lines of code that decode a topic correctly", !self.decodings.is_empty());
         add(TRANSFORMS, "frames as tf2_ros commands", !self.frames.is_empty());
         add(JOINTS, "the same frames as URDF joints", !self.frames.is_empty());
         let module =
@@ -191,12 +194,12 @@ topics:
     }
 
     fn conventions(&self) -> Option<String> {
-        if self.codes.is_empty() {
+        if self.decodings.is_empty() {
             return None;
         }
         let mut text =
             "# Conventions\n\nChange only the line that converts numbers to poses.\n".to_owned();
-        for coded in &self.codes {
+        for coded in &self.decodings {
             let [finding, what] = [&coded.finding, &coded.what].map(|text| prose(text));
             let _ = writeln!(text, "\n## {finding}\n\n{what}; {}\n", coded.names);
             for CodeLine { library, line } in coded.lines.iter().flatten() {
@@ -228,7 +231,7 @@ topics:
                         <link name=\"...\"/>. -->\n"
             .to_owned();
         for frame in &self.frames {
-            let (finding, comment) = (in_xml(&frame.finding), in_xml(&frame.comment));
+            let (finding, comment) = (escape_xml(&frame.finding), escape_xml(&frame.comment));
             let _ = write!(text, "\n<!-- {finding}: {comment} -->\n{}\n", frame.joint());
         }
         Some(text)

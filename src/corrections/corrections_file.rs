@@ -180,7 +180,7 @@ impl FrameCorrection {
 }
 
 /// Encoding that decodes rotations with this slip.
-pub(super) fn reading(slip: RotationSlip) -> Option<PoseEncoding> {
+pub(super) fn encoding_of_slip(slip: RotationSlip) -> Option<PoseEncoding> {
     Some(match slip {
         RotationSlip::Transposed => PoseEncoding::Transposed,
         RotationSlip::Inverted => PoseEncoding::Inverted,
@@ -236,7 +236,7 @@ fn finite<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
 }
 
 /// Parses a number with absolute value at most `most`.
-fn within<'de, D: Deserializer<'de>>(
+fn deserialize_within<'de, D: Deserializer<'de>>(
     from: D,
     most: f64,
     unit: &str,
@@ -251,19 +251,19 @@ fn within<'de, D: Deserializer<'de>>(
 }
 
 fn angle<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
-    within(from, TAU, "rad")
+    deserialize_within(from, TAU, "rad")
 }
 
 fn length<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
-    within(from, 10.0, "m")
+    deserialize_within(from, 10.0, "m")
 }
 
 fn latency<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
-    within(from, 3600.0, "s")
+    deserialize_within(from, 3600.0, "s")
 }
 
 fn skew<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
-    within(from, 0.1, "s/s")
+    deserialize_within(from, 0.1, "s/s")
 }
 
 fn quaternion<'de, D: Deserializer<'de>>(from: D) -> Result<Option<[f64; 4]>, D::Error> {
@@ -324,14 +324,14 @@ impl Corrections {
             let what = error.message().lines().collect::<Vec<_>>().join(", ");
             refuse(format!("{source}:{line}"), format!("invalid corrections: {what}"))
         })?;
-        match corrections.flaw() {
+        match corrections.inconsistency() {
             Some(what) => Err(refuse(source.to_owned(), what)),
             None => Ok(corrections),
         }
     }
 
     /// First inconsistency beyond the layout.
-    fn flaw(&self) -> Option<String> {
+    fn inconsistency(&self) -> Option<String> {
         for (index, joint) in self.joints.iter().enumerate() {
             let name = &joint.name;
             let offsets = [joint.offset_rad, joint.offset_m].iter().flatten().count();
@@ -348,7 +348,7 @@ impl Corrections {
         }
         for (index, topic) in self.topics.iter().enumerate() {
             let name = &topic.name;
-            let same = |other: &TopicCorrection| is_same(&other.name, name);
+            let same = |other: &TopicCorrection| is_same_topic(&other.name, name);
             if self.topics[..index].iter().any(same) {
                 return Some(format!("topic '{name}' is listed twice"));
             }
@@ -411,7 +411,7 @@ impl Corrections {
     }
 }
 
-pub(super) fn is_same(topic: &str, name: &str) -> bool {
+pub(super) fn is_same_topic(topic: &str, name: &str) -> bool {
     topic.trim_start_matches('/') == name.trim_start_matches('/')
 }
 

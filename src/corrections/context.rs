@@ -1,6 +1,6 @@
 //! Context from which corrections are derived.
 
-use super::file::rounded;
+use super::corrections_file::rounded;
 use crate::diagnosis::PoseEncoding;
 use crate::evidence::RunEvidence;
 use crate::finding::{Estimate, Finding, Unit};
@@ -10,20 +10,20 @@ use crate::run::Run;
 use crate::stats::Measured;
 
 /// Report, run and evidence behind the findings.
-pub(super) struct Source<'a> {
+pub(super) struct CorrectionContext<'a> {
     pub report: &'a Report,
     pub run: &'a Run,
     pub evidence: &'a RunEvidence,
 }
 
-impl Source<'_> {
-    pub fn row(&self, topic: &str) -> Option<&StreamRow> {
+impl CorrectionContext<'_> {
+    pub fn stream_row(&self, topic: &str) -> Option<&StreamRow> {
         self.report.streams.iter().find(|row| row.topic == topic)
     }
 
     /// Topic of a finding, if it holds a single stream.
-    pub fn lone_topic(&self, finding: &Finding) -> Result<String, String> {
-        let topic = finding.subject.topic.clone().ok_or_else(nothing)?;
+    pub fn single_topic(&self, finding: &Finding) -> Result<String, String> {
+        let topic = finding.subject.topic.clone().ok_or_else(no_value)?;
         let streams = self.report.streams.iter().filter(|row| row.topic == topic).count();
         match streams {
             0 | 1 => Ok(topic),
@@ -41,7 +41,7 @@ impl Source<'_> {
     }
 
     pub fn is_tf(&self, topic: &str) -> bool {
-        self.row(topic).is_some_and(|row| row.role == "tf")
+        self.stream_row(topic).is_some_and(|row| row.role == "tf")
     }
 
     /// Estimated convention of a topic's bare numbers.
@@ -55,29 +55,32 @@ impl Source<'_> {
 }
 
 /// Code and subject of a finding.
-pub(super) fn label(finding: &Finding) -> String {
+pub(super) fn finding_label(finding: &Finding) -> String {
     match finding.subject.label() {
         "" => finding.code.to_owned(),
         on => format!("{} on {on}", finding.code),
     }
 }
 
-pub(super) fn nothing() -> String {
+pub(super) fn no_value() -> String {
     "the finding has no value that can be applied".to_owned()
 }
 
 /// Value in `unit` and its interval.
-pub(super) fn amount(unit: Unit, found: &Measured) -> Result<(f64, Option<[f64; 2]>), String> {
+pub(super) fn value_with_interval(
+    unit: Unit,
+    found: &Measured,
+) -> Result<(f64, Option<[f64; 2]>), String> {
     match found.value.is_finite() {
         true => Ok((rounded(found.value), unit.interval95(found).map(|ends| ends.map(rounded)))),
-        false => Err(nothing()),
+        false => Err(no_value()),
     }
 }
 
 /// Slip of a finding as text.
-pub(super) fn slip_words(finding: &Finding) -> Result<String, String> {
+pub(super) fn slip_text(finding: &Finding) -> Result<String, String> {
     match &finding.estimate {
         Some(Estimate::Slip { is, read_as, .. }) => Ok(format!("{is} read as {read_as}")),
-        _ => Err(nothing()),
+        _ => Err(no_value()),
     }
 }
