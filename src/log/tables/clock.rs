@@ -201,10 +201,10 @@ fn seconds_and_nanos(table: &Table, cells: [(usize, usize); 2]) -> Option<Clock>
     let name = |at: usize| &table.columns[at].name;
     let said = match cells {
         [(one, _), (other, _)] if one == other => {
-            format!("stamps: column '{}', s and ns", name(one))
+            format!("stamps from column '{}', s and ns", name(one))
         }
         [(one, _), (other, _)] => {
-            format!("stamps: columns '{}', s, and '{}', ns", name(one), name(other))
+            format!("stamps from columns '{}', s, and '{}', ns", name(one), name(other))
         }
     };
     let [cell, nanos] = cells;
@@ -333,7 +333,7 @@ fn made(table: &Table, rate_hz: f64, by: &str) -> Clock {
         cell: None,
         nanos: None,
         said: format!(
-            "stamps: generated at {rate_hz} rows per second, {by}; latencies are only relative to other \
+            "stamps generated at {rate_hz} rows per second, {by}; latencies are only relative to other \
              columns"
         ),
         told: None,
@@ -383,7 +383,7 @@ fn timed(at: usize, column: &Column) -> Option<Clock> {
         1e-6 => "µs",
         _ => "ns",
     };
-    let mut said = format!("stamps: column '{}', {unit_name}", column.name);
+    let mut said = format!("stamps from column '{}', {unit_name}", column.name);
     if is_grid {
         said += &format!(
             ", an even grid of {:.4} rows per second; latencies are only relative to other columns",

@@ -1,5 +1,5 @@
-//! HDF5, as h5py writes it: data sets of numbers, by their paths. The groups of an episode each
-//! (`data/demo_0` of robomimic and LIBERO) are tables of their own.
+//! HDF5 as written by h5py: numeric data sets, named by path. Groups that contain one episode each
+//! (`data/demo_0` of robomimic and LIBERO) become separate tables.
 
 use std::collections::HashSet;
 
@@ -18,17 +18,17 @@ use super::{
 use crate::memory::Memory;
 
 pub(crate) const MAGIC: &[u8] = b"\x89HDF\r\n\x1a\n";
-/// Groups within groups that are looked at, and all groups of an episode.
+/// Maximum depth of nested groups, and maximum number of groups in an episode.
 const DEEP: usize = 8;
 const MOST_GROUPS: usize = 10_000;
-/// Parts of a data set without chunks that are read one by one if it cannot be read whole.
+/// Number of parts that an unchunked data set is read in if reading it whole fails.
 const PARTS: usize = 64;
-/// Largest header of a group or a data set, in bytes.
+/// Maximum header size of a group or data set, bytes.
 const MOST_HEADER: usize = 4 << 20;
-/// Names of groups of episodes, before their number.
+/// Prefixes of numbered episode groups.
 const EPISODES: &[&str] = &["demo", "episode", "ep", "traj", "trajectory"];
 
-/// The episodes of a file; the only one that is `wanted`, if one is.
+/// Episodes of a file, or only the `wanted` one.
 pub(super) fn read(
     bytes: Bytes,
     wanted: Option<&str>,
@@ -70,13 +70,13 @@ pub(super) fn read(
     Ok(found)
 }
 
-/// The names of the episodes of a file.
+/// Names of the episodes of a file.
 pub(super) fn episodes_in(bytes: Bytes) -> Result<Vec<String>, Refusal> {
     opened(bytes, MOST_METADATA).map(|(_, episodes, _)| episodes)
 }
 
-/// The group that holds the episodes, their names, and the rate that the file declares. No data set of more than
-/// `most` bytes is read.
+/// Opens a file. Returns the group that contains the episodes, their names, and the declared rate. Data
+/// sets of more than `most` bytes are not read.
 fn opened(bytes: Bytes, most: u64) -> Result<(Group, Vec<String>, Option<f64>), Refusal> {
     let most = usize::try_from(most).unwrap_or(usize::MAX);
     let options = OpenOptions::default()
@@ -97,7 +97,7 @@ fn opened(bytes: Bytes, most: u64) -> Result<(Group, Vec<String>, Option<f64>), 
     Ok((root, episodes, rate_hz))
 }
 
-/// The groups of episodes in a group, in the order of their numbers.
+/// Episode groups in a group, sorted by number.
 fn episode_groups(group: &Group) -> Vec<String> {
     let Ok((groups, _)) = group.member_names() else { return Vec::new() };
     let numbered = groups.into_iter().filter_map(|name| {
@@ -111,12 +111,12 @@ fn episode_groups(group: &Group) -> Vec<String> {
     numbered.into_iter().map(|(_, name)| name).collect()
 }
 
-/// A walk over the groups of an episode.
+/// Traversal of the groups of an episode.
 #[derive(Default)]
 struct Walk {
     /// Data sets with their paths.
     found: Vec<(String, Dataset)>,
-    /// Groups that were visited, by their address: links may form cycles.
+    /// Addresses of visited groups, because links may form cycles.
     visited: HashSet<u64>,
     /// Why groups cannot be read.
     losses: Vec<RowLoss>,
@@ -141,8 +141,7 @@ impl Walk {
         };
         for dataset in datasets {
             if self.found.len() == MOST_COLUMNS {
-                let what =
-                    format!("it has more than {MOST_COLUMNS} data sets; the others are not read");
+                let what = format!("more than {MOST_COLUMNS} data sets; the others are not read");
                 self.losses.push(RowLoss { rows: 0, what: what.into() });
                 return;
             }
@@ -156,7 +155,7 @@ impl Walk {
         }
     }
 
-    /// The table of the data sets that were found.
+    /// Builds the table from the data sets.
     fn table(self, memory: &mut Memory) -> Table {
         let sides = |dataset: &Dataset| -> Vec<usize> {
             dataset
@@ -178,7 +177,7 @@ impl Walk {
             .collect();
         let rows = usual(arrays.iter().map(|array| array.rows));
         let mut read = |array: Array| {
-            // What is of another number of rows is no column.
+            // Data sets with a different number of rows are not columns.
             if array.rows == rows { array.read(memory) } else { array.unread() }
         };
         let candidates = arrays.into_iter().map(&mut read).collect();
@@ -188,7 +187,7 @@ impl Walk {
     }
 }
 
-/// A data set of numbers: a row each, of one number or of a few; a column each if it lies on its side.
+/// Numeric data set with one row per instant, or one column per instant if it is transposed.
 struct Array<'a> {
     dataset: &'a Dataset,
     column: Column,
@@ -198,7 +197,7 @@ struct Array<'a> {
 }
 
 impl<'a> Array<'a> {
-    /// `None` of what holds no numbers, and of images.
+    /// `None` for images and data sets without numbers.
     fn of(name: &str, dataset: &'a Dataset, shape: Vec<usize>, is_on_side: bool) -> Option<Self> {
         let kind = kind_of(dataset.dtype())?;
         let mut sides = shape.clone();
@@ -206,7 +205,7 @@ impl<'a> Array<'a> {
             sides.reverse();
         }
         let [rows, inner @ ..] = sides.as_slice() else { return None };
-        // Whole numbers in more than two dimensions are images.
+        // Integers in more than two dimensions are images.
         if inner.len() > 1 && !kind.starts_with("float") {
             return None;
         }
@@ -245,7 +244,7 @@ impl<'a> Array<'a> {
         }
     }
 
-    /// How it is cut into chunks, if it is.
+    /// Its chunk layout, if it is chunked.
     fn grid(&self) -> Option<Grid> {
         let chunks = self.dataset.chunks()?;
         let chunks: Vec<usize> = chunks.iter().map(|side| *side as usize).collect();
@@ -258,7 +257,7 @@ impl<'a> Array<'a> {
         is_sound.then_some(Grid { shape, chunks, kind, fill, is_fortran: false })
     }
 
-    /// Its numbers from the chunks that can be read.
+    /// Reads the numbers from the readable chunks.
     fn chunked(self, grid: &Grid) -> Candidate {
         let rows = self.rows;
         let chunks = match self.dataset.iter_chunks() {
@@ -285,7 +284,7 @@ impl<'a> Array<'a> {
         Candidate { column, rows, lost: read.lost, why: read.why }
     }
 
-    /// Its numbers from the parts that can be read, where the whole cannot be, because of `why`.
+    /// Reads the numbers from the readable parts, after reading the whole failed because of `why`.
     fn by_parts(self, why: Refusal) -> Candidate {
         let (rows, width) = (self.rows, self.column.width);
         let mut values = vec![f64::NAN; rows * width];
@@ -309,14 +308,14 @@ impl<'a> Array<'a> {
     }
 }
 
-/// The numbers of a data set, whatever their type.
+/// All numbers of a data set as `f64`.
 fn values(dataset: &Dataset) -> Result<Vec<f64>, hdf5_reader::error::Error> {
     let all = dataset.shape().iter();
     let whole = |side: &u64| SliceInfoElem::Slice { start: 0, end: *side, step: 1 };
     slice(dataset, &SliceInfo { selections: all.map(whole).collect() })
 }
 
-/// Some of them.
+/// Numbers of a part of a data set as `f64`.
 fn slice(dataset: &Dataset, part: &SliceInfo) -> Result<Vec<f64>, hdf5_reader::error::Error> {
     macro_rules! read {
         ($kind:ty) => {
@@ -339,7 +338,7 @@ fn slice(dataset: &Dataset, part: &SliceInfo) -> Result<Vec<f64>, hdf5_reader::e
     }
 }
 
-/// How the numbers of chunks are read; `None` of what is no number.
+/// Element type of a chunk; `None` if it is not numeric.
 fn kind_of_elements(datatype: &Datatype) -> Option<npy::Kind> {
     let (letter, size, order) = match datatype {
         Datatype::FloatingPoint { size, byte_order, .. } => ('f', size, byte_order),
@@ -362,7 +361,7 @@ fn kind_of(datatype: &Datatype) -> Option<String> {
     }
 }
 
-/// The rate in the attributes of a group: a number, or one in robomimic's `env_args`.
+/// Rate in the attributes of a group, or in the `env_args` of robomimic.
 fn rate_of(group: &Group) -> Option<f64> {
     let attributes = group.attributes().ok()?;
     let plain = |attribute: &Attribute| {
@@ -383,7 +382,7 @@ fn rate_of(group: &Group) -> Option<f64> {
 fn worded(error: &hdf5_reader::error::Error) -> Refusal {
     let text = error.to_string();
     let line = text.lines().next().unwrap_or_default();
-    // h5py's own LZF, and what plugins bring.
+    // LZF of h5py, and filters from plugins.
     let advice = if line.contains("unsupported filter") { "; write it with gzip" } else { "" };
     format!("the HDF5 file cannot be read: {line}{advice}").into()
 }

@@ -1,7 +1,7 @@
 //! LeRobot datasets, v2 and v3: a folder with `meta/info.json` and `data/*/*.parquet`.
 //!
-//! Of the metadata are used the rate, the names of the features' numbers and the robot's type. What is in
-//! `data` is read as it is there; videos are not.
+//! The metadata provides the rate, the names of the features' numbers and the robot type. All of `data` is
+//! read; videos are not.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -16,12 +16,12 @@ use crate::contained::{Contained, LEADS_OUT};
 use crate::files::Input;
 
 const INFO: &str = "meta/info.json";
-/// Folders above `data/chunk-000/file-000.parquet` that are looked at.
+/// Maximum number of parent folders searched, from `data/chunk-000/file-000.parquet` upwards.
 const DEEP: usize = 4;
-/// Most data files of a dataset that are one audit.
+/// Maximum number of data files in one audit.
 const MOST_FILES: usize = 100;
 
-/// What a dataset says of itself.
+/// Metadata of a dataset.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Dataset {
     pub rate_hz: Option<f64>,
@@ -32,10 +32,10 @@ pub(super) struct Dataset {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Feature {
     dtype: String,
-    /// The numbers of a row, as declared.
+    /// Declared numbers per row.
     width: Option<usize>,
     names: Vec<String>,
-    /// The numbers of each kind that a description counts.
+    /// Numbers per kind, as counted in a description.
     pub counted: Vec<usize>,
 }
 
@@ -59,20 +59,20 @@ struct RawFeature {
     names: Value,
 }
 
-/// Whether a folder is such a dataset.
+/// Whether a folder is a LeRobot dataset.
 pub fn is_dataset(folder: &Path) -> bool {
     folder.join(INFO).is_file()
 }
 
-/// The folder of such a dataset that a file is one of.
+/// The LeRobot dataset that contains a file.
 pub fn dataset_of(file: &Path) -> Option<PathBuf> {
     file.ancestors().skip(1).take(DEEP).find(|folder| is_dataset(folder)).map(Path::to_owned)
 }
 
-/// The data files of the dataset in `folder`.
+/// Data files of the dataset in `folder`.
 ///
 /// # Errors
-/// Where it has none, or more than one audit takes.
+/// If it has none, or more than one audit can take.
 pub(crate) fn files_of(folder: &Path) -> Result<Vec<Input>, LogError> {
     let refused = |cause| LogError::Directory { path: folder.to_owned(), cause };
     let mut files = Vec::new();
@@ -96,24 +96,22 @@ pub(crate) fn files_of(folder: &Path) -> Result<Vec<Input>, LogError> {
     }
 }
 
-/// The dataset that a file is of: that of the nearest folder above with `meta/info.json`; or why that cannot be
-/// read.
+/// Metadata of the dataset in the nearest parent folder with `meta/info.json`, or why it cannot be read.
 pub(super) fn above(path: &Path) -> Option<Result<Dataset, String>> {
     let folder = dataset_of(path)?;
     Some(text_in(&folder, &folder.join(INFO)).and_then(|text| dataset(&text)))
 }
 
-/// The text of a file of metadata in a folder.
+/// Text of a metadata file inside a folder.
 pub(super) fn text_in(folder: &Path, path: &Path) -> Result<String, String> {
     let refused = |what: &dyn std::fmt::Display| Err(format!("{}: {what}", path.display()));
     if !Contained::of(folder).holds(path) {
         return refused(&LEADS_OUT);
     }
     match fs::metadata(path) {
-        Ok(metadata) if metadata.len() > MOST_METADATA => refused(&format!(
-            "it has {} bytes, more than the {MOST_METADATA} that are read",
-            metadata.len()
-        )),
+        Ok(metadata) if metadata.len() > MOST_METADATA => {
+            refused(&format!("it has {} bytes; the limit is {MOST_METADATA}", metadata.len()))
+        }
         Ok(_) => fs::read_to_string(path).or_else(|error| refused(&error)),
         Err(error) => refused(&error),
     }
@@ -135,7 +133,7 @@ fn dataset(text: &str) -> Result<Dataset, String> {
     })
 }
 
-/// The names in a list, or in the lists of a table such as `{"motors": […]}`.
+/// Names in a list, or in the lists of a table such as `{"motors": […]}`.
 fn names_of(value: &Value) -> Vec<String> {
     match value {
         Value::String(name) => vec![name.clone()],
@@ -146,26 +144,26 @@ fn names_of(value: &Value) -> Vec<String> {
 }
 
 impl Feature {
-    /// Of numbers, of which no more is said.
+    /// A feature with only a declared width.
     pub fn of_width(width: Option<usize>) -> Self {
         Self { width, ..Self::default() }
     }
 }
 
 impl Dataset {
-    /// Whether a column holds numbers, as declared: no image.
+    /// Whether a column is declared as numeric rather than as images or text.
     pub fn is_numeric(&self, column: &str) -> bool {
         let of =
             |feature: &Feature| !["image", "video", "string"].contains(&feature.dtype.as_str());
         self.features.get(column).is_none_or(of)
     }
 
-    /// The numbers of a row of a column, as declared.
+    /// Declared numbers per row of a column.
     pub fn width(&self, column: &str) -> Option<usize> {
         self.features.get(column)?.width
     }
 
-    /// Takes over what is declared of a table.
+    /// Applies the declarations to a table.
     pub fn describe(&self, table: &mut Table) {
         table.rate_hz = self.rate_hz.or(table.rate_hz);
         for column in &mut table.columns {
@@ -176,7 +174,7 @@ impl Dataset {
         }
     }
 
-    /// What is declared and the numbers are not.
+    /// Contradictions between the declarations and the numbers.
     pub fn contradictions(&self, episodes: &[(String, Table)]) -> Vec<String> {
         let Some((_, table)) = episodes.first() else { return Vec::new() };
         let mut found = Vec::new();
@@ -185,7 +183,7 @@ impl Dataset {
             let Some(column) = column else { continue };
             if let Some(width) = feature.width.filter(|width| *width != column.width) {
                 found.push(format!(
-                    "`{name}` is declared with {width} numbers a row and has {}",
+                    "`{name}` is declared with {width} numbers per row but has {}",
                     column.width
                 ));
             }
@@ -194,7 +192,7 @@ impl Dataset {
             if counted > 0 && counted != column.width {
                 let counts: Vec<String> = feature.counted.iter().map(usize::to_string).collect();
                 found.push(format!(
-                    "`{name}` is described as {} = {counted} numbers a row and has {}",
+                    "`{name}` is described as {} = {counted} numbers per row but has {}",
                     counts.join(" + "),
                     column.width
                 ));
@@ -202,7 +200,7 @@ impl Dataset {
             let named = feature.names.len();
             if named > 1 && named != column.width {
                 found.push(format!(
-                    "`{name}` has {} numbers a row, and {named} names are declared",
+                    "`{name}` has {} numbers per row, but {named} names are declared",
                     column.width
                 ));
             }

@@ -12,10 +12,10 @@ use super::{
 use crate::memory::Memory;
 
 pub(crate) const MAGIC: &[u8] = b"\x93NUMPY";
-/// Longest header that is read.
+/// Maximum header length, bytes.
 const MOST_HEADER: usize = 1 << 16;
 
-/// One element: how its bytes are read.
+/// Type of one element.
 #[derive(Clone, Copy, PartialEq, Debug)]
 pub(super) struct Kind {
     letter: u8,
@@ -24,7 +24,7 @@ pub(super) struct Kind {
 }
 
 impl Kind {
-    /// Of a text such as `<f8`; `None` for what holds no numbers.
+    /// Parses a type such as `<f8`; `None` if it is not numeric.
     pub fn of(text: &str) -> Option<Self> {
         let bare = text.trim_start_matches(['<', '>', '|', '=']);
         let (letter, size) = bare.split_at_checked(1)?;
@@ -74,7 +74,7 @@ impl Kind {
     }
 }
 
-/// A float of 16 bits: a sign, 5 bits of exponent, 10 of fraction.
+/// 16-bit float: sign, 5 bits of exponent, 10 of fraction.
 fn half(bits: u16) -> f64 {
     let (exponent, fraction) = (i32::from(bits >> 10 & 31), f64::from(bits & 1023));
     let size = match exponent {
@@ -86,7 +86,8 @@ fn half(bits: u16) -> f64 {
     if bits >> 15 == 1 { -size } else { size }
 }
 
-/// What the header says: fields with their places in a row, the shape, and whether columns come first.
+/// Header content: fields (name, type, offset in a row, width), row size, shape, and whether the order is
+/// column-major.
 #[derive(Clone)]
 struct Header {
     fields: Vec<(String, Kind, usize, usize)>,
@@ -95,7 +96,7 @@ struct Header {
     is_fortran: bool,
 }
 
-/// An array alone.
+/// Reads a single array.
 pub(super) fn npy(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refusal> {
     let (header, data) = header(bytes)?;
     let rows = common_rows(std::slice::from_ref(&header.shape));
@@ -104,8 +105,8 @@ pub(super) fn npy(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refus
     Ok(vec![("0".to_owned(), Table::of(candidates, None, context.memory))])
 }
 
-/// An archive: its arrays of as many rows are one table; a scalar called `fps` or the like is its rate. Members
-/// are unpacked one by one, as far as their headers say that there are numbers.
+/// Reads an archive. Its arrays with the same number of rows form one table; a scalar called `fps` or
+/// similar is the rate. Members are unpacked one by one, only if their headers declare numbers.
 pub(super) fn npz(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refusal> {
     let mut archive = zip::ZipArchive::new(Cursor::new(bytes))
         .map_err(|error| format!("the zip archive cannot be read: {error}"))?;
@@ -113,7 +114,7 @@ pub(super) fn npz(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refus
     let (mut unread, mut candidates) = (Vec::new(), Vec::new());
     let count = archive.len();
     if count > MOST_COLUMNS {
-        let what = format!("it has {count} arrays; {MOST_COLUMNS} are read");
+        let what = format!("{count} arrays; only {MOST_COLUMNS} are read");
         Refusal::from(what).report(None, context.losses);
     }
     for index in 0..count.min(MOST_COLUMNS) {
@@ -146,10 +147,10 @@ pub(super) fn npz(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refus
             }
         };
         let rows = array.rows;
-        // What is unpacked is there beside its numbers for a moment.
+        // The unpacked bytes and the numbers are in memory at the same time.
         let most = needed.unwrap_or(usize::MAX) as u64;
         let read = context.memory.allows(most).map_err(Refusal::from);
-        // One byte more, so that its end is seen and its checksum verified.
+        // Read one extra byte to reach the end, which verifies the checksum.
         let read = read.and_then(|()| unpacked(&mut archive, index, most.saturating_add(1)));
         let read = read.and_then(|content| {
             array.columns(content.get(begin..).unwrap_or_default(), context.memory)
@@ -160,7 +161,7 @@ pub(super) fn npz(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refus
         }
     }
     if candidates.is_empty() {
-        return Err("it holds no array of numbers".into());
+        return Err("it contains no array of numbers".into());
     }
     let mut table = Table::of(candidates, None, context.memory);
     table.rate_hz = rate_hz;
@@ -168,12 +169,12 @@ pub(super) fn npz(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refus
     Ok(vec![("0".to_owned(), table)])
 }
 
-/// Names of arrays of one number that is a rate.
+/// Names of scalar arrays that hold a rate.
 const RATES: [&str; 6] = ["fps", "rate", "hz", "rate_hz", "frequency", "control_freq"];
 
 type Archive<'a> = zip::ZipArchive<Cursor<&'a [u8]>>;
 
-/// The first `most` bytes of a member of an archive.
+/// First `most` bytes of an archive member.
 fn unpacked(archive: &mut Archive, index: usize, most: u64) -> Result<Vec<u8>, Refusal> {
     let member = archive.by_index(index).map_err(|error| format!("it cannot be read: {error}"))?;
     let mut content = Vec::new();
@@ -185,13 +186,13 @@ fn unpacked(archive: &mut Archive, index: usize, most: u64) -> Result<Vec<u8>, R
 }
 
 impl Header {
-    /// The bytes of all its elements.
+    /// Size of all elements in bytes.
     fn bytes(&self) -> Option<usize> {
         let count = self.shape.iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
         count?.checked_mul(self.row_bytes)
     }
 
-    /// Whether it is of one number without dimensions.
+    /// Whether it is a single number.
     fn is_scalar(&self) -> bool {
         matches!(self.fields.as_slice(), [(_, _, 0, 1)])
             && self.shape.len() < 2
@@ -199,25 +200,26 @@ impl Header {
     }
 }
 
-/// The number of an array without dimensions.
+/// Number of a scalar array.
 fn scalar(bytes: &[u8]) -> Option<f64> {
     let (header, data) = header(bytes).ok()?;
     let [(_, kind, 0, 1)] = header.fields.as_slice() else { return None };
     (header.is_scalar() && data.len() >= kind.size).then(|| kind.read(data))
 }
 
-/// An array whose header is a table's.
+/// An array that fits a table.
 struct Array<'a> {
     name: &'a str,
     header: Header,
     rows: usize,
-    /// Elements of a row.
+    /// Elements per row.
     inner: usize,
     is_record: bool,
 }
 
 impl<'a> Array<'a> {
-    /// The array of that header; on its side, of `rows` columns, it is transposed. At most `bytes` are there.
+    /// Checks the header of an array with `bytes` bytes of data. An array with `rows` columns is
+    /// transposed.
     fn of(name: &'a str, header: Header, bytes: usize, rows: usize) -> Result<Self, Refusal> {
         let mut header = header;
         if lies_on_side(&header.shape, rows) {
@@ -229,25 +231,25 @@ impl<'a> Array<'a> {
         let inner = inner
             .filter(|inner| (1..=MOST_WIDE).contains(inner))
             .ok_or("its rows are images or empty")?;
-        // A header alone may declare anything.
+        // Without data, the declared size is not credible.
         if header.bytes().is_none() || (rows > 0 && bytes == 0) {
-            return Err(format!("it declares {rows} rows of {inner} numbers").into());
+            return Err(format!("it declares {rows} rows of {inner} numbers without data").into());
         }
         let is_record = header.fields.len() > 1 || !header.fields[0].0.is_empty();
         if is_record && inner > 1 {
-            return Err("its records are in more than one dimension".into());
+            return Err("its records have more than one dimension".into());
         }
         Ok(Self { name, header, rows, inner, is_record })
     }
 
-    /// Its columns from the bytes that are there.
+    /// Columns from the bytes available.
     fn columns(&self, data: &[u8], memory: &mut Memory) -> Result<Vec<Candidate>, Refusal> {
         let Self { name, header, rows, inner, is_record } = self;
         let Header { fields, row_bytes, shape, is_fortran } = header;
         let (rows, inner) = (*rows, *inner);
         let elements = data.len() / (*row_bytes).max(1);
         let by_columns = *is_fortran && inner > 1;
-        // By columns, a row is there only with its last number.
+        // In column-major order a row is complete only with its last number.
         let there = match by_columns {
             true => elements.saturating_sub(rows * (inner - 1)).min(rows),
             false => (elements / inner).min(rows),
@@ -256,8 +258,7 @@ impl<'a> Array<'a> {
         memory.take(there.saturating_mul(wide))?;
         let why = (there < rows).then(|| {
             let needed = rows.saturating_mul(inner).saturating_mul(*row_bytes);
-            format!("it is cut off: {needed} bytes are declared and {} are there", data.len())
-                .into()
+            format!("truncated: {needed} bytes declared, {} present", data.len()).into()
         });
         let columns = fields.iter().map(|(field, kind, at, wide)| {
             let element = |number: usize| kind.read(&data[number * row_bytes + at..]);
@@ -267,7 +268,7 @@ impl<'a> Array<'a> {
                     .map(|(row, part)| kind.read(&data[row * row_bytes + at + part * kind.size..]))
                     .collect(),
                 (false, false) => (0..there * inner).map(element).collect(),
-                // The first side goes fastest; the others are taken in their own order.
+                // The first index varies fastest; the other dimensions are reordered to row-major.
                 (false, true) => (0..there)
                     .flat_map(|row| (0..inner).map(move |part| (row, part)))
                     .map(|(row, part)| element(row + rows * transposed(part, &shape[1..])))
@@ -282,7 +283,7 @@ impl<'a> Array<'a> {
     }
 }
 
-/// The place by columns of what is number `part` by rows.
+/// Column-major index of the element with row-major index `part`.
 fn transposed(part: usize, sides: &[usize]) -> usize {
     let mut step = 1;
     within(part, sides)
@@ -296,21 +297,21 @@ fn transposed(part: usize, sides: &[usize]) -> usize {
         .sum()
 }
 
-/// The header, and the bytes behind it.
+/// Parses the header. Returns it with the bytes after it.
 fn header(bytes: &[u8]) -> Result<(Header, &[u8]), Refusal> {
-    let cut = || Refusal::from("it is cut off within its header");
-    let rest = bytes.strip_prefix(MAGIC).ok_or("it is no NPY array")?;
+    let cut = || Refusal::from("truncated within its header");
+    let rest = bytes.strip_prefix(MAGIC).ok_or("not an NPY array")?;
     let (version, rest) = rest.split_at_checked(2).ok_or_else(cut)?;
     let wide = if version[0] >= 2 { 4 } else { 2 };
     let (length, rest) = rest.split_at_checked(wide).ok_or_else(cut)?;
     let length = length.iter().rev().fold(0, |all, byte| all << 8 | usize::from(*byte));
     if length > MOST_HEADER {
-        return Err(format!("its header has {length} bytes").into());
+        return Err(format!("its header has {length} bytes, too many").into());
     }
     let (text, data) = rest.split_at_checked(length).ok_or_else(cut)?;
-    let text = std::str::from_utf8(text).map_err(|_| "its header is no text")?;
+    let text = std::str::from_utf8(text).map_err(|_| "its header is not text")?;
     let header = parsed(text).ok_or(match text.contains("O'") {
-        true => "it holds Python objects, which are not read; save plain arrays",
+        true => "it contains Python objects, which cannot be read; save plain arrays",
         false => "its header does not describe numbers",
     })?;
     Ok((header, data))
@@ -338,7 +339,7 @@ fn parsed(text: &str) -> Option<Header> {
             at = kind.size;
         }
         Some(mut rest) => {
-            // ('name', '<f8'), ('name', '<f8', (6,)): one after another.
+            // A sequence of ('name', '<f8') and ('name', '<f8', (6,)).
             while let Some((_, field)) =
                 rest.split_once('(').filter(|(before, _)| !before.contains(']'))
             {
@@ -371,7 +372,7 @@ fn parsed(text: &str) -> Option<Header> {
 mod tests {
     use super::Kind;
 
-    /// What `numpy.float16` makes of these bits.
+    /// Reference values from `numpy.float16`.
     #[test]
     fn half_floats_are_read() {
         let cases = [

@@ -1,7 +1,7 @@
-//! Parquet: columns of numbers, and lists of as many numbers in every row.
+//! Parquet: columns of numbers, and lists with the same length in every row.
 //!
-//! Values are read leaf by leaf with their levels, so that what wrote the file does not matter: pyarrow's
-//! fixed lists and Hugging Face's sequences are the same there.
+//! Values are read leaf by leaf with their levels, so the writer does not matter: the fixed-size lists of
+//! pyarrow and the sequences of Hugging Face are identical there.
 
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -25,20 +25,20 @@ use super::{
 };
 use crate::memory::Memory;
 
-/// The column that tells the episodes of a dataset apart.
+/// Column with the episode index of a dataset.
 const EPISODE: &str = "episode_index";
-/// Records that are decoded at once.
+/// Records decoded per call.
 const BATCH: usize = 1 << 14;
 
-/// A file, and where in it what is.
+/// A file and its metadata.
 struct File {
     bytes: Arc<Bytes>,
     metadata: Arc<ParquetMetaData>,
 }
 
 impl File {
-    /// Parses the metadata, which takes as long as to read an episode of a dataset, only where those of the
-    /// last file were others.
+    /// Parses the metadata, unless it equals that of the previous file. Parsing takes as long as reading
+    /// one episode of a dataset.
     fn open(bytes: Bytes) -> Result<Self, Refusal> {
         static LAST: Mutex<Option<(Vec<u8>, Arc<ParquetMetaData>)>> = Mutex::new(None);
         let mut last = LAST.lock().unwrap_or_else(PoisonError::into_inner);
@@ -56,7 +56,7 @@ impl File {
         Ok(Self { bytes: Arc::new(bytes), metadata })
     }
 
-    /// The reader of a column in a row group, and the pages of it that could not be read.
+    /// Reader of a column in a row group, with the list of its unreadable pages.
     fn column(
         &self,
         group: usize,
@@ -70,10 +70,10 @@ impl File {
         let range = usize::try_from(start).ok().zip(usize::try_from(column.compressed_size()).ok());
         let range = range.and_then(|(start, length)| Some(start..start.checked_add(length)?));
         let content =
-            range.and_then(|range| self.bytes.get(range)).ok_or("its pages are not there")?;
+            range.and_then(|range| self.bytes.get(range)).ok_or("its pages are missing")?;
         let headers: VecDeque<PageHeader> = pages::headers(content).into();
         for page in &headers {
-            // A page, what it is unpacked to and its numbers are there for a moment.
+            // A page, its unpacked bytes and its numbers are in memory at the same time.
             memory.allows((page.unpacked_bytes.max(page.values.saturating_mul(8))) as u64)?;
         }
         let pages = SerializedPageReader::new(Arc::clone(&self.bytes), column, rows, None);
@@ -85,29 +85,29 @@ impl File {
         Ok((get_column_reader(column.column_descr_ptr(), Box::new(pages)), damaged))
     }
 
-    /// The rows of each row group.
+    /// Number of rows in each row group.
     fn groups(&self) -> impl Iterator<Item = usize> {
         self.metadata.row_groups().iter().map(|of| usize::try_from(of.num_rows()).unwrap_or(0))
     }
 }
 
-/// What the pages of a column in a row group hold, and which could not be read.
+/// Values in the pages of a column in a row group, and the unreadable pages.
 #[derive(Debug, Default)]
 struct Pages {
     /// Values in all pages so far.
     values: usize,
-    /// Damaged pages: the values before each, its own, and why.
+    /// Damaged pages: number of values before the page and in it, and the reason.
     damaged: Vec<(usize, usize, String)>,
-    /// Values that the column declares.
+    /// Number of values declared for the column.
     declared: usize,
 }
 
 type Damaged = Arc<Mutex<Pages>>;
 
-/// The pages of a column that can be read. One that is damaged is passed over and counted.
+/// Page reader that skips and records damaged pages.
 struct Sound {
     pages: SerializedPageReader<Bytes>,
-    /// Headers of the pages that come.
+    /// Headers of the pages not yet read.
     headers: VecDeque<PageHeader>,
     found: Damaged,
     /// Whether the dictionary page was read.
@@ -115,7 +115,7 @@ struct Sound {
 }
 
 impl Sound {
-    /// Counts the next page, and returns the values before it.
+    /// Counts the next page. Returns the number of values before it.
     fn passed(&mut self) -> (usize, Option<PageHeader>) {
         let header = self.headers.pop_front();
         let mut found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
@@ -127,7 +127,7 @@ impl Sound {
 }
 
 impl Sound {
-    /// Refuses a page that needs a dictionary if there is none: the decoder of the crate panics on it.
+    /// Rejects a page that needs a missing dictionary, because the decoder of the crate panics on it.
     fn decodable(&mut self, page: Option<Page>) -> ::parquet::errors::Result<Option<Page>> {
         let is_coded = |page: &Page| {
             matches!(page.encoding(), Encoding::PLAIN_DICTIONARY | Encoding::RLE_DICTIONARY)
@@ -135,7 +135,7 @@ impl Sound {
         match &page {
             Some(Page::DictionaryPage { .. }) => self.has_dictionary = true,
             Some(page) if is_coded(page) && !self.has_dictionary => {
-                let what = "a page needs a dictionary, and its column has none";
+                let what = "a page needs a dictionary, but its column has none";
                 return Err(ParquetError::General(what.to_owned()));
             }
             _ => {}
@@ -184,7 +184,7 @@ impl PageReader for Sound {
     }
 }
 
-/// The metadata behind a file's rows, as they stand there.
+/// Raw bytes of the metadata at the end of a file.
 fn footer(bytes: &[u8]) -> Option<&[u8]> {
     let (rest, end) = bytes.split_last_chunk::<8>()?;
     let [a, b, c, d, ..] = *end;
@@ -192,7 +192,7 @@ fn footer(bytes: &[u8]) -> Option<&[u8]> {
     rest.get(rest.len().checked_sub(length)?..)
 }
 
-/// The episodes of a file: by `episode_index`, where it has that column. Of one that is `wanted` only its rows
+/// Episodes of a file, split by `episode_index` if it has that column. If one is `wanted`, only its rows
 /// are decoded.
 pub(super) fn read(
     bytes: Bytes,
@@ -214,11 +214,11 @@ pub(super) fn read(
     };
     let declared = usize::try_from(reader.metadata.file_metadata().num_rows()).unwrap_or(0);
     if wanted.is_none() && declared > all {
-        let what = format!("its footer declares {declared} rows, and its row groups {all}");
+        let what = format!("the footer declares {declared} rows, the row groups {all}");
         Refusal::from(what).report(Some((declared - all) as u64), context.losses);
     }
     if schema.num_columns() > MOST_COLUMNS {
-        let what = format!("it has {} columns; {MOST_COLUMNS} are read", schema.num_columns());
+        let what = format!("{} columns; only {MOST_COLUMNS} are read", schema.num_columns());
         Refusal::from(what).report(None, context.losses);
     }
     let (mut candidates, mut unread) = (Vec::new(), Vec::new());
@@ -232,7 +232,7 @@ pub(super) fn read(
             Type::DOUBLE => "float64",
             _ => continue,
         };
-        // The parts of a list's path that the format adds are no name.
+        // Omit the levels that the format adds to the path of a list.
         let path = column.path();
         let parts = path.parts();
         let is_list = column.max_rep_level() == 1;
@@ -254,18 +254,20 @@ pub(super) fn read(
         }
     }
     if candidates.is_empty() || rows.is_empty() {
-        return Err("it holds no column of numbers".into());
+        return Err("it contains no column of numbers".into());
     }
     let mut whole = Table::of(candidates, Some(rows.len()), context.memory);
     whole.unread.extend(unread);
     if whole.columns.is_empty() {
         let first = whole.losses.into_iter().next();
-        return Err(first.map_or_else(|| "it holds no column of numbers".into(), |loss| loss.what));
+        return Err(
+            first.map_or_else(|| "it contains no column of numbers".into(), |loss| loss.what)
+        );
     }
     episodes(whole, wanted)
 }
 
-/// The names of the episodes of a file.
+/// Names of the episodes of a file.
 pub(super) fn episodes_in(bytes: Bytes) -> Result<Vec<String>, Refusal> {
     let mut memory = Memory::of(None);
     memory.add_file(bytes.len() as u64);
@@ -274,7 +276,7 @@ pub(super) fn episodes_in(bytes: Bytes) -> Result<Vec<String>, Refusal> {
     Ok(index.iter().map(f64::to_string).collect())
 }
 
-/// The episode of each row; empty where no column says it.
+/// Episode of each row; empty if there is no such column.
 fn index(reader: &File, memory: &mut Memory) -> Result<Vec<f64>, Refusal> {
     let Some(at) = index_column(reader) else { return Ok(Vec::new()) };
     let mut of = Numbers::of(reader, at, 0..reader.groups().fold(0, usize::saturating_add));
@@ -287,7 +289,7 @@ fn index_column(reader: &File) -> Option<usize> {
     (0..schema.num_columns()).find(|at| schema.column(*at).path().string() == EPISODE)
 }
 
-/// The rows of one episode. Row groups whose statistics say that it is not in them are passed over.
+/// Rows of one episode. Skips row groups whose statistics exclude it.
 fn rows_of(
     reader: &File,
     wanted: &str,
@@ -327,7 +329,7 @@ fn rows_of(
     Ok(found)
 }
 
-/// The tables of the episodes; the whole if no column says them, or one is `wanted`.
+/// Splits the table by episode. Returns it whole if it has no episode column.
 fn episodes(whole: Table, wanted: Option<&str>) -> Result<Episodes, Refusal> {
     let index = whole.columns.iter().position(|column| column.name == EPISODE && column.width == 1);
     let Some(index) = index else { return Ok(vec![("0".to_owned(), whole)]) };
@@ -366,23 +368,23 @@ fn episodes(whole: Table, wanted: Option<&str>) -> Result<Episodes, Refusal> {
         };
         (number.to_string(), table)
     };
-    // What is lost of the file is said once.
+    // Losses of the file are reported once, with the first episode.
     let mut losses = Some(whole.losses.clone());
     Ok(spans.into_iter().map(|span| of(span, losses.take().unwrap_or_default())).collect())
 }
 
-/// The numbers of a leaf in some rows; NaN where there is none.
+/// Numbers of a leaf in some rows; NaN if missing.
 struct Numbers {
     is_list: bool,
-    /// The definition level of a number, and the least of an element of a list.
+    /// Definition levels of a number and of an element of a list.
     defined: i16,
     element: i16,
-    /// The rows of the file that are read.
+    /// Rows of the file to read.
     rows: Range<usize>,
     values: Vec<f64>,
-    /// Of a list, the numbers of each row.
+    /// For lists: number of values per row.
     lengths: Vec<u32>,
-    /// Rows that could not be read, from the first of `rows` on.
+    /// Unreadable rows, relative to the start of `rows`.
     lost: Vec<Range<usize>>,
     why: Option<Refusal>,
 }
@@ -397,12 +399,12 @@ impl Numbers {
         Self { is_list, defined, element, rows, values, lengths, lost, why: None }
     }
 
-    /// The rows that were read or given up.
+    /// Number of rows read or given up.
     fn count(&self) -> usize {
         if self.is_list { self.lengths.len() } else { self.values.len() }
     }
 
-    /// Reads column `at` of all row groups that have any of the rows.
+    /// Reads column `at` of all row groups that overlap the rows.
     fn read(&mut self, reader: &File, at: usize, memory: &mut Memory) -> Result<(), Refusal> {
         let mut first = 0_usize;
         for (group, count) in reader.groups().enumerate() {
@@ -415,7 +417,7 @@ impl Numbers {
                     self.column(column, rows.clone(), &damaged, memory)
                 });
                 match read {
-                    // Beyond the memory no other group is read either.
+                    // After exceeding the memory limit, no further group is read.
                     Err(refusal @ Refusal::Memory(_)) => return Err(refusal),
                     read => self.settle(begin, rows.len(), read.err(), memory)?,
                 }
@@ -425,7 +427,7 @@ impl Numbers {
         Ok(())
     }
 
-    /// Counts what is missing of a row group as lost.
+    /// Marks the missing rows of a row group as lost.
     fn settle(
         &mut self,
         begin: usize,
@@ -468,7 +470,7 @@ impl Numbers {
             }
             ColumnReader::FloatColumnReader(column) => self.append(column, rest, f64::from),
             ColumnReader::DoubleColumnReader(column) => self.append(column, rest, |value| value),
-            _ => Err("it holds no numbers".into()),
+            _ => Err("its type is not numeric".into()),
         }
     }
 
@@ -511,7 +513,7 @@ impl Numbers {
                 if self.is_list && repetitions.get(level).is_none_or(|level| *level == 0) {
                     self.lengths.push(0);
                 }
-                // An empty list, or none.
+                // An empty or null list.
                 if self.is_list && !is_all && defined < self.element {
                     continue;
                 }
@@ -527,8 +529,8 @@ impl Numbers {
         read
     }
 
-    /// Puts rows without numbers where the pages were that could not be read: `begin` are the rows and values before
-    /// this row group, of which `skipped` rows were passed over.
+    /// Inserts NaN rows in place of the unreadable pages. `begin` counts the rows and values before this
+    /// row group, `skipped` the rows skipped at its start.
     fn insert_damaged(
         &mut self,
         begin: (usize, usize),
@@ -539,8 +541,8 @@ impl Numbers {
         let Pages { values, declared, damaged } = found;
         let Some((_, _, what)) = damaged.first() else { return Ok(()) };
         self.why.get_or_insert_with(|| what.clone().into());
-        // If rows were skipped, if pages do not hold whole rows, or if there are other pages than declared, it is
-        // not known which rows are left.
+        // The position of the lost rows is unknown if rows were skipped, if pages do not contain whole
+        // rows, or if the number of values differs from the declared one.
         let width = match self.is_list {
             true => usual(self.lengths[begin.0..].iter().map(|length| *length as usize)),
             false => 1,
@@ -569,7 +571,7 @@ impl Numbers {
         Ok(())
     }
 
-    /// The column; its name if its lists are no vectors of as many numbers each.
+    /// Returns the column, or its name if its lists differ in length.
     fn candidate(self, column: Column) -> Result<Candidate, String> {
         let Self { is_list, rows, values, lengths, mut lost, mut why, .. } = self;
         if !is_list {
@@ -579,14 +581,14 @@ impl Numbers {
         let there = lengths.iter().filter(|length| **length > 0).map(|length| *length as usize);
         let width = usual(there);
         let others = |length: &&u32| **length as usize != width && **length > 0;
-        // Lists of as many lengths as rows, such as clouds of points.
+        // Lists of varying length, such as point clouds.
         if width == 0
             || width > MOST_WIDE
             || 2 * lengths.iter().filter(others).count() >= lengths.len()
         {
             return Err(column.name);
         }
-        // Lists in half of the rows or fewer are those of a slower stream; nothing is lost of it.
+        // If at least half of the lists are empty, the stream is slower than the table; nothing is lost.
         let empty = lengths.iter().filter(|length| **length == 0).count();
         let is_sparse = 2 * empty >= lengths.len();
         let mut whole = Vec::with_capacity(width * lengths.len());

@@ -1,7 +1,7 @@
-//! KUKA's Robot Sensor Interface: the packets that the controller sends, as text, one after another.
+//! KUKA Robot Sensor Interface: dumps of the text packets that the controller sends.
 //!
-//! A `<Rob>` packet is a row: measured and commanded poses (`RIst`, `RSol`), axes (`AIPos`, `ASPos`) and the
-//! controller's clock (`IPOC`, ms). What answers it (`<Sen>`) and what stands between packets is passed over.
+//! A `<Rob>` packet is a row: measured and commanded poses (`RIst`, `RSol`), axes (`AIPos`, `ASPos`) and
+//! the controller's clock (`IPOC`, ms). Replies (`<Sen>`) and any text between packets are skipped.
 
 use std::ops::Range;
 
@@ -11,7 +11,7 @@ use roxmltree::Node;
 use super::{Candidate, Column, Context, Episodes, Refusal, Table};
 use crate::Extent;
 
-/// Elements of a packet that are read, and the attributes that hold their numbers.
+/// Elements of a packet that are read, with the attributes of their numbers.
 const ELEMENTS: &[(&str, &[&str])] = &[
     ("RIst", &["X", "Y", "Z", "A", "B", "C"]),
     ("RSol", &["X", "Y", "Z", "A", "B", "C"]),
@@ -21,10 +21,10 @@ const ELEMENTS: &[(&str, &[&str])] = &[
 const CLOCK: &str = "IPOC";
 const OPEN: &[u8] = b"<Rob";
 const CLOSE: &[u8] = b"</Rob>";
-/// Longest packet: of a datagram.
+/// Maximum length of a packet, that of a datagram.
 const MOST_BYTES: usize = 1 << 16;
 
-/// Whether the text `bytes` begins with packets.
+/// Whether the text `bytes` contains packets.
 pub(crate) fn has_packet(bytes: &[u8]) -> bool {
     let Some(at) = opening(bytes, 0) else { return false };
     let rest = &bytes[at..];
@@ -54,20 +54,25 @@ pub(super) fn read(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refu
                     rest = behind;
                 }
             }
-            // The last packet of a dump is cut, as a rule.
+            // The last packet of a dump is usually truncated.
             Err(_) if opening(bytes, at).is_none() && !bytes[packet.clone()].ends_with(CLOSE) => {
                 losses.add(
                     packet.start,
                     Extent::Tail,
                     Some(1),
-                    "the last packet is cut off".into(),
+                    "the last packet is truncated".into(),
                 );
             }
             Err(what) => malformed.get_or_insert((packet.start, 0, what)).1 += 1,
         }
     }
     if let Some((offset, count, what)) = malformed {
-        losses.add(offset, Extent::Messages, Some(count), format!("a packet is no XML: {what}"));
+        losses.add(
+            offset,
+            Extent::Messages,
+            Some(count),
+            format!("a packet is not valid XML: {what}"),
+        );
     }
     let column = |name: &str, parts: &[&str], values: Vec<f64>| Column {
         name: name.to_owned(),
@@ -88,7 +93,7 @@ pub(super) fn read(bytes: &[u8], context: &mut Context) -> Result<Episodes, Refu
     Ok(vec![("0".to_owned(), Table::of(columns.collect(), Some(rows), context.memory))])
 }
 
-/// The bytes of the first packet from `at` on: up to its end, or to where the next begins.
+/// Byte range of the first packet from `at` on, up to its end or the start of the next one.
 fn next(bytes: &[u8], at: usize) -> Option<Range<usize>> {
     let start = opening(bytes, at)?;
     let reach = bytes.len().min(start + MOST_BYTES);
@@ -97,7 +102,7 @@ fn next(bytes: &[u8], at: usize) -> Option<Range<usize>> {
     Some(start..close.map_or(reach, |close| close + CLOSE.len()))
 }
 
-/// Where the next packet begins.
+/// Start of the next packet.
 fn opening(bytes: &[u8], mut at: usize) -> Option<usize> {
     loop {
         let start = find(bytes, OPEN, at)?;
@@ -112,7 +117,7 @@ fn find(bytes: &[u8], what: &[u8], at: usize) -> Option<usize> {
     memchr::memmem::find(bytes.get(at..)?, what).map(|found| at + found)
 }
 
-/// Fills `row` with the numbers of a packet; those that it does not have are left as they are.
+/// Writes the numbers of a packet to `row`; missing ones are NaN.
 fn numbers(packet: &[u8], row: &mut [f64]) -> Result<(), String> {
     let text = std::str::from_utf8(packet).map_err(|error| error.to_string())?;
     let packet = xml_document(text).map_err(|(_, problem)| problem.to_string())?;

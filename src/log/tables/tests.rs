@@ -1,4 +1,4 @@
-//! Tables as bytes: made by the writers of their formats, cut, and declared otherwise than they are.
+//! Tables as bytes, made by the writers of their formats: valid, truncated, and with wrong declarations.
 
 mod hdf5_writer;
 mod limits;
@@ -23,7 +23,7 @@ use ground::time::NANOS_PER_SECOND;
 pub(crate) const CHUNKED: &[u8] = include_bytes!("fixtures/chunked_latest.h5");
 const EPISODES: &[u8] = include_bytes!("fixtures/episodes_earliest.h5");
 
-/// Reads `bytes`, of whatever name.
+/// Reads `bytes` from a file with a neutral name.
 fn read(bytes: &[u8], columns: ColumnSettings) -> Result<Log, LogError> {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("table");
@@ -49,7 +49,7 @@ fn topic<'a>(log: &'a Log, name: &str) -> &'a Topic {
         .unwrap_or_else(|| panic!("{name} of {names:?}"))
 }
 
-/// Names of the joints, and each row's positions.
+/// Joint names and the positions of each row.
 fn joints(log: &Log, name: &str) -> (Vec<String>, Vec<Vec<f64>>) {
     let Some(Columns::Joints(joints)) = &topic(log, name).columns else {
         panic!("no joints: {name}")
@@ -70,7 +70,7 @@ fn stamps(log: &Log, name: &str) -> Vec<i64> {
     topic(log, name).columns.as_ref().expect("columns").times()[0].header.clone()
 }
 
-/// An NPY array: its kind and shape as NumPy writes them, and its bytes.
+/// An NPY array with this header and data.
 pub(crate) fn npy(header: &str, data: &[u8]) -> Vec<u8> {
     let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
     bytes.extend((header.len() as u16).to_le_bytes());
@@ -79,7 +79,7 @@ pub(crate) fn npy(header: &str, data: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// Rows of a time and six joints, as records of NumPy.
+/// NumPy records with a time and six joints.
 pub(crate) fn records(rows: usize) -> Vec<u8> {
     let header = format!(
         "{{'descr': [('t', '<f8'), ('q', '>f4', (6,))], 'fortran_order': False, 'shape': ({rows},), }}\n"
@@ -98,7 +98,7 @@ fn records_of_numpy_are_joints_and_times() {
     let (names, rows) = joints(&log, "q");
     assert_eq!(names, ["q1", "q2", "q3", "q4", "q5", "q6"]);
     assert_eq!(rows[4], [0, 4, 8, 12, 16, 20].map(|q| f64::from(0.01 * q as f32)));
-    // A stamp of 0 is none.
+    // A stamp of 0 means unset.
     assert_eq!(stamps(&log, "q")[..2], [NANOS_PER_SECOND, NANOS_PER_SECOND + 10_000_000]);
     assert!(topic(&log, "q").read_as.as_ref().is_some_and(|why| why.contains("by the name")));
 }
@@ -138,7 +138,7 @@ fn what_a_header_declares_and_is_not_there_is_one_line() {
     refusal(&npy(empty, &[]));
 }
 
-/// A Parquet file with a list of seven numbers, a time and an episode in each row; `widths` are those of the
+/// A Parquet file with a list of numbers, a time and an episode per row; `widths` are the lengths of the
 /// lists.
 pub(crate) fn parquet(
     rows: usize,
@@ -195,7 +195,7 @@ pub(crate) fn parquet(
     bytes
 }
 
-/// A Parquet file with a time and a list `joint_positions` in each row, null in those that are lost.
+/// A Parquet file with a time and a list `joint_positions` per row, null if the row is lost.
 fn lists_of_parquet(
     rows: usize,
     numbers: impl Fn(usize) -> Vec<f64>,
@@ -256,7 +256,7 @@ fn lists_of_parquet_are_vectors_in_any_compression() {
     {
         let bytes = parquet(50, 1, compression, |_| 7);
         let (width, values) = array(&plain(&bytes), "observation.state");
-        // The row without one of its numbers is left out.
+        // The row with a missing number is omitted.
         assert_eq!((width, values.len()), (7, 49 * 7));
         assert_eq!(values[7..9], [10.0, 11.0]);
         assert_eq!(values[3 * 7], 40.0);
@@ -295,7 +295,6 @@ fn damaged_parquet_is_one_line() {
     for end in [4, 12, 100, whole.len() / 2, whole.len() - 1] {
         refusal(&whole[..end]);
     }
-    // Whatever byte is wrong, nothing panics.
     for at in (0..whole.len()).step_by(7) {
         let mut bytes = whole.clone();
         bytes[at] ^= 0x5a;
@@ -306,10 +305,10 @@ fn damaged_parquet_is_one_line() {
 #[test]
 fn a_column_without_its_dictionary_is_lost() {
     let mut bytes = parquet(50, 1, Compression::UNCOMPRESSED, |_| 7);
-    // The first page is the dictionary of the state: type 2 in zigzag; a page of an index is passed over.
+    // The first page is the dictionary of the state (type 2, zigzag); an index page is skipped.
     assert_eq!(bytes[4..6], [0x15, 4]);
     bytes[5] = 2;
-    // The state was the only column next to the times. The decoder of the crate panics on such a page.
+    // The state was the only column besides the times. The decoder of the crate panics on such a page.
     let line = refusal(&bytes);
     assert!(line.contains("no numbers besides its times"), "{line}");
 }
@@ -357,7 +356,7 @@ fn damaged_hdf5_is_one_line() {
     }
 }
 
-/// A table of a time and six joints in text, with one line changed.
+/// A text table with a time and six joints, with one line changed.
 fn text_with(delimiter: &str, line: usize, change: impl Fn(&str) -> String) -> Log {
     let names = ["t", "q1", "q2", "q3", "q4", "q5", "q6"].join(delimiter);
     let mut lines = vec![names];
@@ -466,7 +465,7 @@ fn what_names_do_not_say_is_asked_and_can_be_said() {
         ..ColumnSettings::default()
     };
     let refused = read(&bytes, wrong).expect_err("too far").to_string();
-    assert!(refused.contains("has 13 numbers a row"), "{refused}");
+    assert!(refused.contains("has 13 numbers per row"), "{refused}");
 }
 
 #[test]
@@ -503,10 +502,13 @@ fn metadata_of_lerobot_name_the_numbers_and_are_held_to_them() {
     let found: Vec<String> =
         of().contradictions.into_iter().flatten().map(|note| note.what).collect();
     assert_eq!(found.len(), 2, "{found:?}");
-    assert!(found[0].contains("6 numbers") && found[1].contains("50 frames a second"), "{found:?}");
+    assert!(
+        found[0].contains("6 numbers") && found[1].contains("50 frames per second"),
+        "{found:?}"
+    );
 }
 
-/// A CSV of so many rows, of which `cell` says each number.
+/// CSV with `rows` rows; `cell` computes each number.
 fn csv(names: &[&str], rows: usize, cell: impl Fn(usize, usize) -> f64) -> String {
     let line = |row: usize| {
         let cells: Vec<String> = (0..names.len()).map(|at| cell(row, at).to_string()).collect();
@@ -562,7 +564,7 @@ fn velocities_go_to_their_joints() {
     let Some(Columns::Joints(joints)) = &topic(&log, "q").columns else { panic!("no joints") };
     let first: Vec<f64> = joints.joints.iter().map(|joint| joint.velocity[0]).collect();
     assert_eq!(first, [5.0, 6.0, 7.0, 8.0]);
-    // `qd` as desired positions is near the positions, not their rates.
+    // `qd` means desired positions if its values follow the positions rather than their rates.
     let names = ["t", "q1", "q2", "q3", "q4", "qd1", "qd2", "qd3", "qd4"];
     let log = plain(
         csv(&names, 30, |row, at| match at {

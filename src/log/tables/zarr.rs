@@ -1,5 +1,5 @@
-//! Zarr stores, of the second version and of the third: folders, and zip archives of them. Arrays of as many
-//! rows are one table; `meta/episode_ends` of diffusion policy's replay buffers says where its episodes end.
+//! Zarr stores, versions 2 and 3: folders and zip archives. Arrays with the same number of rows form one
+//! table. `meta/episode_ends`, from the replay buffers of diffusion policy, marks the end of each episode.
 
 mod array;
 mod blosc;
@@ -21,30 +21,30 @@ pub(crate) use self::blosc::unpacked as unpacked_blosc;
 pub use self::store::is_store;
 pub(crate) use self::store::is_zip_store;
 
-/// The array of where each episode ends.
+/// Array with the end row of each episode.
 const ENDS: &str = "episode_ends";
-/// The group of the arrays, which is no part of their names.
+/// Group prefix that is omitted from array names.
 const DATA: &str = "data/";
 
-/// A store, in a folder or in the bytes of an archive.
+/// Location of a store: a folder, or the bytes of an archive.
 #[derive(Clone, Copy)]
 pub(super) enum At<'a> {
     Folder(&'a Path),
     Bytes(&'a [u8]),
 }
 
-/// The arrays of a store that are read, and its episodes.
+/// Readable arrays of a store, and its episodes.
 struct Contents<'a> {
     store: Store<'a>,
     arrays: Vec<Array>,
-    /// Arrays that cannot be read, and why.
+    /// Why some arrays cannot be read.
     refused: Vec<Refusal>,
-    /// Whether the store says where episodes end.
+    /// Whether the store declares episode ends.
     has_ends: bool,
     episodes: Vec<Range<usize>>,
 }
 
-/// The episodes of a store; the only one that is `wanted`, if one is.
+/// Episodes of a store, or only the `wanted` one.
 pub(super) fn read(
     at: At,
     wanted: Option<&str>,
@@ -77,7 +77,7 @@ pub(super) fn read(
                 width: array.width().unwrap_or(1),
                 ..Column::default()
             };
-            // Where episodes follow each other an array that is short lacks the last rows.
+            // If the store has several episodes, a short array lacks the last rows.
             let declared = if has_ends { span.len() } else { array.rows() };
             if declared != span.len() {
                 candidates.push(Candidate { column, rows: declared, ..Candidate::default() });
@@ -100,7 +100,7 @@ pub(super) fn read(
     Ok(found)
 }
 
-/// The files in a folder that its tables are read from.
+/// Files in a folder store that belong to its table.
 pub fn files_of_store(folder: &Path) -> Vec<PathBuf> {
     let arrays = opened(At::Folder(folder)).map(|contents| contents.arrays).unwrap_or_default();
     let mut open: Vec<PathBuf> = arrays.iter().map(|array| folder.join(&array.path)).collect();
@@ -117,7 +117,7 @@ pub fn files_of_store(folder: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// The names of the episodes of a store.
+/// Names of the episodes of a store.
 pub(super) fn episodes_in(at: At) -> Result<Vec<String>, Refusal> {
     Ok((0..opened(at)?.episodes.len()).map(|number| number.to_string()).collect())
 }
@@ -140,23 +140,23 @@ fn opened(at: At) -> Result<Contents, Refusal> {
     let ends = ends.map(|ends| ends.read(&mut store, 0..ends.rows(), &mut memory)).transpose()?;
     if let Some(ends) = ends.as_ref().filter(|ends| !ends.lost.is_empty()) {
         let why = ends.why.clone();
-        return Err(why.unwrap_or_else(|| "chunks of it are missing".into()).of(ENDS));
+        return Err(why.unwrap_or_else(|| "some chunks are missing".into()).of(ENDS));
     }
     let rows = match ends.as_ref().and_then(|ends| ends.values.last()) {
         Some(last) => *last as usize,
         None => usual(arrays.iter().map(Array::rows)),
     };
-    // Of other arrays beside episodes nobody knows which rows they have.
+    // With episodes, the rows of shorter arrays cannot be aligned.
     arrays.retain(|array| ends.is_none() || array.rows() > rows / 2);
     if arrays.is_empty() || rows == 0 {
-        let none = || "it holds no arrays of numbers, as many rows each".into();
+        let none = || "it contains no arrays of numbers with a common number of rows".into();
         return Err(refused.into_iter().next().unwrap_or_else(none));
     }
     let episodes = episodes(ends.as_ref().map(|ends| ends.values.as_slice()), rows)?;
     Ok(Contents { store, arrays, refused, has_ends: ends.is_some(), episodes })
 }
 
-/// The rows of each episode.
+/// Row range of each episode.
 fn episodes(ends: Option<&[f64]>, rows: usize) -> Result<Vec<Range<usize>>, Refusal> {
     let whole = [rows as f64];
     let mut first = 0;
@@ -164,7 +164,7 @@ fn episodes(ends: Option<&[f64]>, rows: usize) -> Result<Vec<Range<usize>>, Refu
         let span = first..*end as usize;
         first = span.end;
         let is_sound = span.start < span.end && span.end <= rows;
-        is_sound.then_some(span).ok_or_else(|| format!("'{ENDS}' does not rise").into())
+        is_sound.then_some(span).ok_or_else(|| format!("'{ENDS}' does not increase").into())
     };
     ends.unwrap_or(&whole).iter().map(&mut span).collect()
 }

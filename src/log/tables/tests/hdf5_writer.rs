@@ -2,7 +2,7 @@
 //!
 //! Format: HDF5 File Format Specification 3.0, superblock 0 and object headers of version 1.
 
-/// No address.
+/// Undefined address.
 const UNDEFINED: [u8; 8] = [0xff; 8];
 
 /// A data set of doubles, row-major.
@@ -15,9 +15,9 @@ pub(crate) struct DataSet<'a> {
     pub missing: &'a [bool],
 }
 
-/// An HDF5 file with these data sets in its root group. A link of each name in `loops` leads to the root group.
+/// An HDF5 file with these data sets in its root group. Each name in `loops` is a link to the root group.
 pub(crate) fn hdf5(sets: &[DataSet<'_>], loops: &[&str]) -> Vec<u8> {
-    // The superblock is written last, as it holds the address of the root group and the length of the file.
+    // The superblock is written last because it contains the address of the root group and the file length.
     const SUPERBLOCK: usize = 96;
     let mut file = vec![0; SUPERBLOCK];
     let mut links = vec![message(2, &[&[0, 0][..], &UNDEFINED, &UNDEFINED].concat())];
@@ -56,7 +56,6 @@ fn add(file: &mut Vec<u8>, bytes: &[u8]) -> u64 {
     address
 }
 
-/// A message of an object header.
 fn message(kind: u16, content: &[u8]) -> Vec<u8> {
     let length = content.len().next_multiple_of(8);
     let mut all = [kind.to_le_bytes(), (length as u16).to_le_bytes(), [0; 2], [0; 2]].concat();
@@ -65,7 +64,6 @@ fn message(kind: u16, content: &[u8]) -> Vec<u8> {
     all
 }
 
-/// An object header with these messages.
 fn header(messages: &[Vec<u8>]) -> Vec<u8> {
     let length: usize = messages.iter().map(Vec::len).sum();
     let mut all = vec![1, 0];
@@ -89,7 +87,7 @@ fn add_data_set(file: &mut Vec<u8>, set: &DataSet<'_>) -> u64 {
         &1023_u32.to_le_bytes(),
     ];
     let double = message(3, &double.concat());
-    // Allocated by and by, zero.
+    // Incremental allocation, fill value zero.
     let fill = message(5, &[2, 3, 0, 1, 0, 0, 0, 0]);
     let layout = if set.is_chunked {
         let is_missing = |row: &usize| set.missing.get(*row).copied().unwrap_or(false);

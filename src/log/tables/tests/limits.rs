@@ -1,4 +1,4 @@
-//! Limits of tables, as SECURITY.md lists them.
+//! Limits of tables as listed in SECURITY.md.
 
 use std::time::{Duration, Instant};
 
@@ -9,7 +9,7 @@ use super::stores::{array_of_numpy, example, framed, joints_of, packet, store, z
 use super::{plain, read, refusal, topic};
 use crate::{ColumnSettings, Log, LogError};
 
-/// What was lost of a log, a line each.
+/// Losses of a log, one per line.
 fn lost(log: &Log) -> String {
     log.losses.iter().map(|loss| format!("{}\n", loss.what)).collect()
 }
@@ -22,7 +22,7 @@ fn more_than_2000_columns_are_a_loss() {
     files.extend(
         (1..2001).map(|number| (format!("z{number}.npy"), array_of_numpy(3, 1, numbers()))),
     );
-    assert!(lost(&plain(&zipped(&files))).contains("2001 arrays; 2000 are read"));
+    assert!(lost(&plain(&zipped(&files))).contains("2001 arrays; only 2000 are read"));
     let metadata = json!({"zarr_format": 2, "shape": [3, 1], "chunks": [3, 1], "dtype": "<f8",
         "compressor": null, "filters": null, "fill_value": 0.0, "order": "C"});
     let mut files = vec![
@@ -90,7 +90,7 @@ fn metadata_of_more_than_4_mib_are_refused() {
     };
     assert_eq!(topic(&plain(&with_padding(1000)), "q").messages, 2);
     let line = refusal(&with_padding(5 << 20));
-    assert!(line.contains("bytes that it may have"), "{line}");
+    assert!(line.contains("exceeds its limit"), "{line}");
 }
 
 #[test]
@@ -142,7 +142,7 @@ fn groups_of_hdf5_that_contain_themselves_are_visited_once() {
     let log = plain(&hdf5(&sets, &names));
     assert_eq!(topic(&log, "joint_positions").messages, 20);
     assert_eq!(log.topics.len(), 1);
-    // Without a set of visited groups these are 30⁸ visits.
+    // Without a set of visited groups this takes 30⁸ visits.
     assert!(begin.elapsed() < Duration::from_secs(10));
 }
 

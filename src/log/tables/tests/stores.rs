@@ -1,4 +1,5 @@
-//! Stores of arrays, records and packets: what other people's writers write, cut, and declared otherwise.
+//! Array stores, records and packets: files of third-party writers, valid, truncated, and with wrong
+//! declarations.
 
 use std::fs;
 use std::io::{Cursor, Write};
@@ -12,10 +13,11 @@ use super::hdf5_writer::{DataSet, hdf5};
 use super::{array, joints, plain, read, refusal, stamps, topic};
 use crate::{ColumnSettings, Log, ReadOptions, open};
 
-/// By zarr-python 3.1: the same 200 rows of 6 numbers in many packings, two episodes, 50 rows a second.
+/// Written by zarr-python 3.1: the same 200 rows of 6 numbers with various codecs, two episodes, 50 rows
+/// per second.
 const SECOND: &[u8] = include_bytes!("../fixtures/codecs_v2.zarr.zip");
 const THIRD: &[u8] = include_bytes!("../fixtures/codecs_v3.zarr.zip");
-/// Read as TensorFlow's by the package `tfrecord`: episodes of 20 and of 30 steps.
+/// Verified with the package `tfrecord` for TensorFlow: episodes of 20 and 30 steps.
 const RECORDS: &[u8] = include_bytes!("../fixtures/steps.tfrecord");
 
 fn of_folder(folder: &Path) -> Result<Log, String> {
@@ -41,7 +43,7 @@ fn every_packing_of_a_store_holds_the_same_numbers() {
     assert_eq!((stamps[1] - stamps[0], stamps[80]), (20_000_000, stamps[0]));
     let third = plain(THIRD);
     assert_same_rows(&third, 5);
-    // No chunk was written of what is all zeros.
+    // No chunk was written for the all-zero array.
     assert_eq!(array(&third, "zeros"), (6, vec![0.0; 1200]));
 }
 
@@ -65,7 +67,7 @@ fn a_folder_is_read_as_its_archive() {
     }
 }
 
-/// A store with one array `q` of 6 numbers a row, whose metadata are `change`d.
+/// A store with one array `q` of 6 numbers per row; `change` edits its metadata.
 pub(super) fn store(change: impl Fn(&mut serde_json::Value)) -> Vec<u8> {
     let mut metadata = json!({"zarr_format": 2, "shape": [20, 6], "chunks": [20, 6], "dtype": "<f8",
         "compressor": null, "filters": null, "fill_value": 0.0, "order": "C"});
@@ -94,12 +96,12 @@ fn what_a_store_declares_and_does_not_hold_is_one_line() {
     for (name, value, said) in [
         ("shape", json!([1_000_000_000, 6]), "--max-unpacked GIB"),
         ("shape", json!([10_000_000, 6]), "--max-unpacked GIB"),
-        ("shape", json!([u64::MAX, 6]), "no chunks that can be"),
+        ("shape", json!([u64::MAX, 6]), "invalid chunks"),
         ("chunks", json!([200_000_000, 6]), "--max-unpacked GIB"),
-        ("chunks", json!([0, 6]), "no chunks that can be"),
-        ("chunks", json!([20]), "no chunks that can be"),
+        ("chunks", json!([0, 6]), "invalid chunks"),
+        ("chunks", json!([20]), "invalid chunks"),
         ("chunks", json!([30, 6]), "a chunk has 960 bytes"),
-        ("compressor", json!({"id": "lzma"}), "codec 'lzma' is not read"),
+        ("compressor", json!({"id": "lzma"}), "codec 'lzma' is not supported"),
         ("compressor", json!({"id": "blosc"}), "a chunk"),
         ("compressor", json!({"id": "zstd"}), "a chunk cannot be unpacked"),
         ("compressor", json!({"id": "lz4"}), "a chunk"),
@@ -110,7 +112,7 @@ fn what_a_store_declares_and_does_not_hold_is_one_line() {
     }
 }
 
-/// A store in a folder: `q` of 6 numbers and `pose` of 7, 50 rows in chunks of 10.
+/// A folder store: `q` with 6 numbers and `pose` with 7, 50 rows in chunks of 10.
 fn folder_store() -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a folder");
     let write = |name: &str, content: &[u8]| {
@@ -200,7 +202,7 @@ fn damaged_stores_and_records_are_one_line() {
 
 #[test]
 fn blosc_that_is_damaged_is_refused() {
-    // A header of version 2 with one block, and lengths that reach beyond the chunk.
+    // A version 2 header with one block, and lengths that exceed the chunk.
     let mut chunk = vec![2, 1, 0x21, 8, 0, 4, 0, 0, 0, 4, 0, 0, 30, 0, 0, 0, 20, 0, 0, 0];
     chunk.extend([0xff; 10]);
     for at in 0..chunk.len() {
@@ -220,7 +222,7 @@ fn records_are_episodes_of_steps() {
     assert_eq!((rows.len(), rows[20][0]), (50, f64::from(0.01_f32)));
     let (width, poses) = array(&log, "observation/tcp_pose");
     assert_eq!((width, poses[7 * 20]), (7, 100.0));
-    // The rate is in the episode's metadata.
+    // The rate is in the metadata of the episode.
     let stamps = stamps(&log, "observation/tcp_pose");
     assert_eq!(stamps[1] - stamps[0], 100_000_000);
     assert!(log.topics.iter().all(|topic| !topic.name.contains("image")));
@@ -243,17 +245,17 @@ fn what_features_declare_is_held_against_the_records() {
     };
     assert_eq!(declared("6", "Robot [state]"), Vec::<String>::new());
     let found = declared("7", "");
-    assert!(found.len() == 1 && found[0].contains("with 7 numbers a row and has 6"), "{found:?}");
-    // As the template of RLDS datasets has it.
+    assert!(found.len() == 1 && found[0].contains("with 7 numbers per row but has 6"), "{found:?}");
+    // As in the template of RLDS datasets.
     let found =
         declared("6", "Robot state, consists of [7x robot joint angles, 2x gripper position].");
     assert!(
-        found.len() == 2 && found[0].contains("7 + 2 = 9 numbers a row and has 6"),
+        found.len() == 2 && found[0].contains("7 + 2 = 9 numbers per row but has 6"),
         "{found:?}"
     );
     let named = Path::new(&format!("{}#1", path.display())).to_owned();
     assert_eq!(of_folder(&named).expect("an episode").messages % 30, 0);
-    // A width of nothing is none.
+    // An empty description declares no width.
     assert_eq!(declared("0", "").len(), 1);
 }
 
@@ -269,7 +271,7 @@ fn a_record_that_is_damaged_does_not_take_the_others_with_it() {
     assert!(cut.losses[0].what.contains("ends within a record"));
 }
 
-/// A packet of KUKA's: pose and axes by its number.
+/// A KUKA packet with pose and axes computed from its number.
 pub(crate) fn packet(number: u32) -> String {
     let cells = |names: &[&str]| -> String {
         let of = |(at, name): (usize, &&str)| format!(" {name}=\"{}.5\"", number as usize + at);
@@ -308,7 +310,7 @@ fn packets_that_are_damaged_are_counted() {
     let mut text = whole.join("\n");
     let cut = plain(&text.as_bytes()[..text.len() - 20]);
     assert_eq!(topic(&cut, "RIst").messages, 39);
-    assert!(cut.losses[0].what.contains("last packet is cut off"), "{:?}", cut.losses);
+    assert!(cut.losses[0].what.contains("last packet is truncated"), "{:?}", cut.losses);
     text = text.replacen("<RSol", "<RSol <", 1).replacen("</Rob>", "", 1);
     let log = plain(text.as_bytes());
     assert_eq!((topic(&log, "RIst").messages, log.losses[0].messages), (39, Some(1)));
@@ -316,7 +318,7 @@ fn packets_that_are_damaged_are_counted() {
     let _ = read(hostile.as_bytes(), ColumnSettings::default());
 }
 
-/// A record as TensorFlow frames it.
+/// A record with TensorFlow's framing.
 pub(super) fn framed(record: &[u8]) -> Vec<u8> {
     let masked = |bytes: &[u8]| {
         crc32c::crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes()
@@ -325,7 +327,7 @@ pub(super) fn framed(record: &[u8]) -> Vec<u8> {
     [&length, masked(&length).as_slice(), record, &masked(record)].concat()
 }
 
-/// A field of bytes in Protobuf's wire format.
+/// A bytes field in Protobuf wire format.
 fn field(number: u8, content: &[u8]) -> Vec<u8> {
     let mut all = vec![number << 3 | 2];
     let mut length = content.len();
@@ -338,7 +340,7 @@ fn field(number: u8, content: &[u8]) -> Vec<u8> {
     all
 }
 
-/// An example with these features of floats.
+/// An example with these float features.
 pub(crate) fn example(features: &[(&str, Vec<f32>)]) -> Vec<u8> {
     let of = |(name, numbers): &(&str, Vec<f32>)| {
         let packed: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
@@ -358,11 +360,11 @@ fn a_declared_rate_that_is_none_is_no_rate() {
     assert_eq!(topic(&plain(&with_rate(0.5)), "joint_positions").messages, 160);
     for rate_hz in [1e-38, 1e-9, 1e30, 0.0, -1.0, f32::NAN, f32::INFINITY] {
         let line = refusal(&with_rate(rate_hz));
-        assert!(line.contains("no metadata the rate"), "{rate_hz}: {line}");
+        assert!(line.contains("the metadata has no rate"), "{rate_hz}: {line}");
     }
 }
 
-/// Rows of six joints that move, by their number.
+/// Positions of six moving joints in row `row`.
 pub(super) fn joints_of(row: usize) -> Vec<f64> {
     (0..6).map(|joint| (0.05 * row as f64 + f64::from(joint)).sin() + 0.001).collect()
 }
@@ -377,7 +379,7 @@ pub(super) fn zipped(files: &[(String, Vec<u8>)]) -> Vec<u8> {
     archive.finish().expect("an archive").into_inner()
 }
 
-/// An array of NumPy with `rows` rows of `width` numbers, of which `values` are there.
+/// A NumPy array declared with `rows` rows of `width` numbers, containing `values`.
 pub(super) fn array_of_numpy(
     rows: usize,
     width: usize,
@@ -388,11 +390,11 @@ pub(super) fn array_of_numpy(
     super::npy(&header, &values.flat_map(f64::to_le_bytes).collect::<Vec<u8>>())
 }
 
-/// A container, the name of the joints in it, and a file.
+/// Container, name of the joints in it, and the file.
 type Made = (&'static str, &'static str, Vec<u8>);
 
-/// A table of `rows` rows in each container, of which those that `is_lost` are missing or damaged in the way of the
-/// container. `numbers` are the joint positions of a row.
+/// A table of `rows` rows in each container. The rows with `is_lost` are missing or damaged in the way
+/// typical of the container. `numbers` are the joint positions of a row.
 fn with_lost_rows(
     rows: usize,
     is_lost: &[bool],
@@ -438,7 +440,7 @@ fn with_lost_rows(
         let bytes: Vec<u8> = numbers(row).into_iter().flat_map(f64::to_le_bytes).collect();
         (format!("joint_positions/{row}.0"), bytes)
     }));
-    // An array of NumPy has no chunks: its last rows are missing.
+    // A NumPy array has no chunks, so its last rows are missing.
     let kept = rows - (0..rows).filter(|row| lost(*row)).count();
     let archive = zipped(&[
         ("timestamp.npy".to_owned(), array_of_numpy(rows, 1, (0..rows).map(time))),
@@ -482,7 +484,7 @@ proptest::proptest! {
         rows in 40_usize..90,
         lost in proptest::collection::vec(proptest::bool::weighted(0.1), 90),
     ) {
-        // The first and the last row tell where times begin, and what is before a missing chunk.
+        // The first and last rows determine the start of the times and the value before a missing chunk.
         let lost: Vec<bool> = lost.into_iter().enumerate().map(|(row, lost)| lost && row > 1 && row + 2 < rows).collect();
         let count = lost.iter().filter(|lost| **lost).count() as u64;
         for (container, name, bytes) in with_lost_rows(rows, &lost, joints_of) {
@@ -500,7 +502,7 @@ proptest::proptest! {
     ) {
         let is_damaged = |row: usize| row > 1 && row + 2 < rows && damaged[row];
         let count = (0..rows).filter(|row| is_damaged(*row)).count() as u64;
-        // A column with many holes was sampled less often.
+        // A column with many gaps is treated as sampled less often.
         proptest::prop_assume!(10 * count < rows as u64);
         let numbers = |row: usize| {
             let mut own = joints_of(row);

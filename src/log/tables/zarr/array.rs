@@ -1,4 +1,4 @@
-//! One array of a store: what its metadata say, in the second version of Zarr and in the third, and its rows.
+//! One array of a store, Zarr versions 2 and 3: its metadata and its rows.
 
 use std::ops::Range;
 
@@ -11,26 +11,26 @@ use crate::tables::chunks::{Assembled, Assembly, Grid};
 use crate::tables::npy::Kind;
 use crate::tables::{MOST_WIDE, Refusal, names};
 
-/// The longest side of an array: what is beyond is no size.
+/// Maximum side of an array; larger values are not credible.
 const LONGEST: usize = 1 << 30;
-/// Most steps of packing. Writers use up to four: filters, a shuffle, a compressor and a checksum.
+/// Maximum number of codecs. Writers use up to four: filters, a shuffle, a compressor and a checksum.
 const MOST_CODECS: usize = 16;
 
-/// What an array is, and how its chunks are found and packed.
+/// Layout of an array, with the names and codecs of its chunks.
 #[derive(Clone, Debug)]
 pub(super) struct Array {
-    /// Where it is in the store.
+    /// Path within the store.
     pub path: String,
     grid: Grid,
-    /// In the order of the packing.
+    /// In encoding order.
     codecs: Vec<Codec>,
-    /// What stands before the numbers of a chunk's name, and between them.
+    /// Prefix and separator of the indices in the name of a chunk.
     before: &'static str,
     between: &'static str,
 }
 
 impl Array {
-    /// The array that the metadata at `path` describe; `None` of one that holds no numbers.
+    /// Parses the metadata of the array at `path`; `None` if it is not numeric.
     pub fn of(path: &str, metadata: &Value) -> Option<Result<Self, Refusal>> {
         let is_third = metadata.get("zarr_format")?.as_u64()? == 3;
         let read = if is_third { third(metadata) } else { second(metadata) };
@@ -44,23 +44,17 @@ impl Array {
             && chunks.iter().all(|side| (1..=LONGEST).contains(side))
             && shape.iter().all(|side| *side <= LONGEST);
         if array.codecs.len() > MOST_CODECS {
-            return Some(Err(
-                format!("'{path}': it declares more than {MOST_CODECS} codecs").into()
-            ));
+            return Some(Err(format!("'{path}': more than {MOST_CODECS} codecs").into()));
         }
         let array = Self { path: path.to_owned(), ..array };
-        Some(if is_sound {
-            Ok(array)
-        } else {
-            Err(format!("'{path}': it declares no chunks that can be").into())
-        })
+        Some(if is_sound { Ok(array) } else { Err(format!("'{path}': invalid chunks").into()) })
     }
 
     pub fn rows(&self) -> usize {
         self.grid.shape[0]
     }
 
-    /// The numbers of a row; `None` of images.
+    /// Numbers per row; `None` for images.
     pub fn width(&self) -> Option<usize> {
         let inner = &self.grid.shape[1..];
         let width = inner.iter().try_fold(1_usize, |all, side| all.checked_mul(*side));
@@ -72,7 +66,7 @@ impl Array {
         self.grid.kind.name()
     }
 
-    /// The numbers of some rows, row by row, and which of these are lost.
+    /// Reads some rows; also returns which of them are lost.
     pub fn read(
         &self,
         store: &mut Store,
@@ -83,9 +77,10 @@ impl Array {
             return Ok(Assembled { values: Vec::new(), lost: Vec::new(), why: None });
         }
         let whole = self.grid.chunk_bytes();
-        let whole = whole.ok_or_else(|| format!("its chunks declare {:?}", self.grid.chunks))?;
+        let whole =
+            whole.ok_or_else(|| format!("its chunk size is invalid: {:?}", self.grid.chunks))?;
         memory.take(rows.len().saturating_mul(self.width().unwrap_or(0)))?;
-        // Packed, unpacked and unshuffled.
+        // Packed, unpacked and unshuffled copies.
         memory.allows((whole as u64).saturating_mul(3))?;
         let mut all = Assembly::of(&self.grid, rows);
         for place in all.places() {
@@ -101,16 +96,14 @@ impl Array {
         Ok(all.finish(names::is_of_arm(&self.path)))
     }
 
-    /// The bytes of a chunk, `whole` of them.
+    /// Decodes a chunk of `whole` bytes.
     fn unpacked(&self, mut bytes: Vec<u8>, whole: usize) -> Result<Vec<u8>, Refusal> {
         for codec in self.codecs.iter().rev() {
-            // A checksum is 4 bytes more.
+            // A checksum adds 4 bytes.
             bytes = codec.undo(&bytes, whole + 4)?;
         }
         match bytes.len() {
-            own if own < whole => {
-                Err(format!("a chunk has {own} bytes, {whole} are declared").into())
-            }
+            own if own < whole => Err(format!("a chunk has {own} bytes instead of {whole}").into()),
             _ => Ok(bytes),
         }
     }
@@ -121,7 +114,7 @@ fn sides(value: Option<&Value>) -> Option<Vec<usize>> {
     value?.as_array()?.iter().map(side).collect()
 }
 
-/// What stands where no chunk is: a number, or a word for one.
+/// Fill value for missing chunks: a number, or a name of one.
 fn fill(value: Option<&Value>) -> f64 {
     match value {
         Some(Value::Number(number)) => number.as_f64().unwrap_or(f64::NAN),

@@ -1,4 +1,4 @@
-//! Chunks of Blosc 1, as numcodecs writes them: blocks of LZ4, zlib or Zstandard, their bytes or bits shuffled.
+//! Blosc 1 chunks as written by numcodecs: blocks of LZ4, zlib or Zstandard with shuffled bytes or bits.
 //!
 //! Format: `README_CHUNK_FORMAT.rst` of c-blosc 1.21.
 
@@ -6,37 +6,38 @@ use super::codec::{all, lz4, worded};
 use crate::tables::Refusal;
 
 const HEADER: usize = 16;
-/// The last version of the format; Blosc 2 has others.
+/// Last version of the format; Blosc 2 uses higher ones.
 const VERSION: u8 = 2;
-/// A block is split by the bytes of its elements up to this size, where each part has so many bytes.
+/// Blocks are split by byte of the element if elements have at most `MOST_SPLITS` bytes and each part at
+/// least `LEAST_PART`.
 const MOST_SPLITS: usize = 16;
 const LEAST_PART: usize = 128;
 
-/// What the packer of a chunk is called.
+/// Names of the compressors by their code.
 const PACKERS: [&str; 8] = ["BloscLZ", "LZ4", "Snappy", "zlib", "Zstandard", "5", "6", "7"];
 
 struct Header {
     flags: u8,
-    /// Bytes of an element.
+    /// Bytes per element.
     size: usize,
-    /// Bytes of all, and of each block.
+    /// Size in bytes of the whole, and of each block.
     bytes: usize,
     block: usize,
 }
 
-/// The bytes of a chunk, `most` at most.
+/// Unpacks a chunk to at most `most` bytes.
 pub(crate) fn unpacked(chunk: &[u8], most: usize) -> Result<Vec<u8>, Refusal> {
-    let cut = || Refusal::from("a chunk is cut off");
+    let cut = || Refusal::from("a chunk is truncated");
     let (header, rest) = chunk.split_first_chunk::<HEADER>().ok_or_else(cut)?;
     if header[0] > VERSION {
-        return Err("a chunk is none of Blosc 1".into());
+        return Err("a chunk is not in Blosc 1 format".into());
     }
     let word = |at: usize| read_u32(header, at).unwrap_or(0);
     let header =
         Header { flags: header[2], size: header[3].max(1).into(), bytes: word(4), block: word(8) };
     let Header { flags, bytes, block, .. } = header;
     if bytes > most {
-        return Err(format!("a chunk declares {bytes} bytes, and its array {most}").into());
+        return Err(format!("a chunk declares {bytes} bytes, its array {most}").into());
     }
     if flags & 2 != 0 {
         return rest.get(..bytes).map(<[u8]>::to_vec).ok_or_else(cut);
@@ -60,8 +61,8 @@ fn read_u32(bytes: &[u8], at: usize) -> Option<usize> {
 }
 
 impl Header {
-    /// The block of `length` bytes that `packed` begins with, its bytes shuffled as they are; `None` where it
-    /// is cut off.
+    /// Decompresses the block of `length` bytes at the start of `packed`, without unshuffling. `None` if it
+    /// is truncated.
     fn block(&self, packed: &[u8], length: usize) -> Option<Result<Vec<u8>, Refusal>> {
         let is_split = self.flags & 0x10 == 0
             && self.size <= MOST_SPLITS
@@ -88,7 +89,7 @@ impl Header {
             3 => all(flate2::read::ZlibDecoder::new(packed), length),
             4 => all(zstd::Decoder::with_buffer(packed).map_err(worded)?, length),
             other => Err(format!(
-                "its chunks are packed with {}, which is not read; write it with lz4 or zstd",
+                "its chunks are compressed with {}, which is not supported; write it with lz4 or zstd",
                 PACKERS[usize::from(other)]
             )
             .into()),
@@ -106,7 +107,7 @@ impl Header {
     }
 }
 
-/// Elements of `size` bytes, of which all first bytes stood together, then all second, and so on.
+/// Undoes a byte shuffle of elements of `size` bytes: all first bytes, then all second bytes, and so on.
 pub(super) fn unshuffled(bytes: &[u8], size: usize) -> Vec<u8> {
     let count = bytes.len() / size;
     let mut whole = bytes.to_vec();
@@ -116,7 +117,7 @@ pub(super) fn unshuffled(bytes: &[u8], size: usize) -> Vec<u8> {
     whole
 }
 
-/// The same of single bits, the lowest first.
+/// Undoes a bit shuffle, lowest bit first.
 fn bits_unshuffled(bytes: &[u8], size: usize) -> Vec<u8> {
     let row = bytes.len() / size / 8;
     let mut whole = bytes.to_vec();

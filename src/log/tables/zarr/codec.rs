@@ -1,4 +1,4 @@
-//! How the chunks of an array are packed: what zarr's own codecs are called, and how each is undone.
+//! Codecs of chunks: their names in Zarr and how each is undone.
 
 use std::io::Read;
 
@@ -7,27 +7,27 @@ use serde_json::Value;
 use super::blosc;
 use crate::tables::Refusal;
 
-/// One step of the packing.
+/// One encoding step.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(super) enum Codec {
     Zlib,
     Gzip,
     Zstd,
     Bzip2,
-    /// numcodecs' own: the length, then a block.
+    /// Format of numcodecs: the length, then a block.
     Lz4,
     Blosc,
-    /// A checksum behind the bytes, which is not looked at.
+    /// Checksum after the bytes; not verified.
     Crc32c,
-    /// Bytes of elements of this size, the first of each together.
+    /// Byte shuffle with elements of this size.
     Shuffle(usize),
 }
 
 impl Codec {
-    /// The codec that metadata call so.
+    /// Codec with this name in the metadata.
     pub fn of(name: &str, settings: &Value) -> Result<Self, Refusal> {
         let size = || settings.get("elementsize").and_then(Value::as_u64).unwrap_or(4);
-        // Zarr's third version calls what numcodecs has by its name with that before it.
+        // Zarr 3 adds this prefix to the codecs of numcodecs.
         Ok(match name.strip_prefix("numcodecs.").unwrap_or(name) {
             "zlib" => Self::Zlib,
             "gzip" => Self::Gzip,
@@ -39,14 +39,14 @@ impl Codec {
             "shuffle" => Self::Shuffle(usize::try_from(size()).unwrap_or(1).max(1)),
             _ => {
                 return Err(format!(
-                    "its codec '{name}' is not read; write it with blosc, zstd, gzip or none"
+                    "codec '{name}' is not supported; write it with blosc, zstd, gzip or none"
                 )
                 .into());
             }
         })
     }
 
-    /// The bytes that `packed` was made of, `most` at most.
+    /// Decodes `packed` to at most `most` bytes.
     pub fn undo(self, packed: &[u8], most: usize) -> Result<Vec<u8>, Refusal> {
         match self {
             Self::Zlib => all(flate2::read::ZlibDecoder::new(packed), most),
@@ -54,7 +54,7 @@ impl Codec {
             Self::Zstd => all(zstd::Decoder::with_buffer(packed).map_err(worded)?, most),
             Self::Bzip2 => all(bzip2::read::BzDecoder::new(packed), most),
             Self::Lz4 => {
-                let (length, block) = packed.split_first_chunk().ok_or("a chunk is cut off")?;
+                let (length, block) = packed.split_first_chunk().ok_or("a chunk is truncated")?;
                 let length = u32::from_le_bytes(*length) as usize;
                 match length <= most {
                     true => lz4(block, length),
@@ -68,21 +68,21 @@ impl Codec {
     }
 }
 
-/// What a decoder gives, `most` bytes at most.
+/// Output of a decoder, at most `most` bytes.
 pub(super) fn all(decoder: impl Read, most: usize) -> Result<Vec<u8>, Refusal> {
     let mut bytes = Vec::new();
     decoder.take(most as u64 + 1).read_to_end(&mut bytes).map_err(worded)?;
     if bytes.len() > most { Err(too_long(bytes.len(), most)) } else { Ok(bytes) }
 }
 
-/// A block of LZ4 of this length. What is to be allocated was held against the file before.
+/// Unpacks an LZ4 block to `length` bytes. The caller has limited `length`.
 pub(super) fn lz4(block: &[u8], length: usize) -> Result<Vec<u8>, Refusal> {
     let length = i32::try_from(length).map_err(|_| "a chunk is too long")?;
     lz4::block::decompress(block, Some(length)).map_err(worded)
 }
 
 fn too_long(length: usize, most: usize) -> Refusal {
-    format!("a chunk unpacks to {length} bytes or more, and {most} are declared").into()
+    format!("a chunk unpacks to {length} bytes or more instead of {most}").into()
 }
 
 #[expect(clippy::needless_pass_by_value, reason = "it is handed to map_err")]

@@ -1,4 +1,4 @@
-//! Where the metadata and the chunks of a store are: a folder, or a zip archive.
+//! Access to the metadata and chunks of a store in a folder or zip archive.
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::fs;
@@ -12,12 +12,12 @@ use zip::result::ZipError;
 use crate::contained::{Contained, LEADS_OUT};
 use crate::tables::{MOST_COLUMNS, MOST_METADATA, Refusal};
 
-/// Files with the metadata of an array or a group, in the second version and in the third.
+/// Metadata files of an array or a group, in Zarr 2 and 3.
 const METADATA: [&str; 3] = [".zarray", ".zgroup", "zarr.json"];
 const ATTRIBUTES: &str = ".zattrs";
-/// Groups within groups that are looked at.
+/// Maximum depth of nested groups.
 const DEEP: usize = 8;
-/// Bytes that packing may add to a chunk: headers, and blocks that cannot be compressed.
+/// Maximum overhead of packing, bytes: headers and incompressible blocks.
 const PACKING: u64 = 1 << 16;
 
 pub(super) enum Store<'a> {
@@ -26,7 +26,7 @@ pub(super) enum Store<'a> {
     Zip(ZipArchive<Cursor<&'a [u8]>>, String),
 }
 
-/// Whether a folder is such a store.
+/// Whether a folder is a Zarr store.
 pub fn is_store(folder: &Path) -> bool {
     let is_metadata = |name: &&str| {
         let metadata = Store::folder(folder).json(name);
@@ -35,9 +35,9 @@ pub fn is_store(folder: &Path) -> bool {
     METADATA.iter().any(|name| folder.join(name).is_file()) && METADATA.iter().any(is_metadata)
 }
 
-/// Whether a zip archive is one, by the names of its first members or of its last.
+/// Whether a zip archive is a Zarr store, according to the names at its start and end.
 pub(crate) fn is_zip_store(bytes: &[u8]) -> bool {
-    /// Where names are looked for, from the beginning and from the end.
+    /// Number of bytes searched for names at each end.
     const GLANCE: usize = 1 << 16;
     let (head, tail) =
         (&bytes[..bytes.len().min(GLANCE)], &bytes[bytes.len().saturating_sub(GLANCE)..]);
@@ -57,7 +57,7 @@ impl<'a> Store<'a> {
             .map_err(|error| format!("the zip archive cannot be read: {error}"))?;
         let home = folders(&archive, "").into_iter().min_by_key(String::len);
         let home = home.ok_or("the zip archive holds no Zarr store")?;
-        // Where the whole has no metadata of its own, it is the folder above its parts.
+        // Without metadata at the top, the store is the folder above its parts.
         let is_part = |home: &str| home == "data" || home == "meta";
         let home = match home.rsplit_once('/') {
             Some((above, part)) if is_part(part) => format!("{above}/"),
@@ -71,7 +71,7 @@ impl<'a> Store<'a> {
         Self::Folder(path.to_owned(), Contained::of(path))
     }
 
-    /// The bytes at a key, `most` and what packing adds; `None` if nothing is there.
+    /// Bytes at a key, limited to `most` plus packing overhead; `None` if the key does not exist.
     pub fn get(&mut self, key: &str, most: u64) -> Result<Option<Vec<u8>>, Refusal> {
         let most = most.saturating_add(most / 8).saturating_add(PACKING);
         let mut bytes = Vec::new();
@@ -81,7 +81,7 @@ impl<'a> Store<'a> {
                 if !contained.holds(&path) {
                     return Err(format!("'{key}' {LEADS_OUT}").into());
                 }
-                // A pipe would wait for somebody to write to it.
+                // Opening a pipe would block.
                 if !path.is_file() {
                     return Ok(None);
                 }
@@ -95,20 +95,20 @@ impl<'a> Store<'a> {
         };
         read.map_err(|error| format!("'{key}' cannot be read: {error}"))?;
         if bytes.len() as u64 > most {
-            return Err(format!("'{key}' has more than the {most} bytes that it may have").into());
+            return Err(format!("'{key}' exceeds its limit of {most} bytes").into());
         }
         Ok(Some(bytes))
     }
 
-    /// The JSON at a key; `None` if nothing is there.
+    /// JSON at a key; `None` if the key does not exist.
     pub fn json(&mut self, key: &str) -> Result<Option<Value>, Refusal> {
         let Some(bytes) = self.get(key, MOST_METADATA)? else { return Ok(None) };
         let read = serde_json::from_slice(&bytes);
         read.map(Some).map_err(|error| format!("'{key}' cannot be read: {error}").into())
     }
 
-    /// The metadata of all arrays by their paths, in the order of these, or why they cannot be read. Chunks
-    /// without metadata are an array that cannot be read.
+    /// Metadata of all arrays, sorted by path, or why it cannot be read. Chunks without metadata are listed
+    /// as an unreadable array.
     pub fn arrays(&mut self) -> Vec<(String, Result<Value, Refusal>)> {
         let (mut paths, chunks) = match self {
             Self::Folder(folder, contained) => in_folder(folder, contained),
@@ -128,7 +128,7 @@ impl<'a> Store<'a> {
                         break;
                     }
                     Ok(Some(_)) if name == METADATA[0] => {
-                        let what = format!("'{}' describes no array", joined(&path, name));
+                        let what = format!("'{}' does not describe an array", joined(&path, name));
                         found.entry(path.clone()).or_insert(Err(what.into()));
                     }
                     Ok(_) => {}
@@ -144,16 +144,16 @@ impl<'a> Store<'a> {
         };
         let orphans: Vec<String> = chunks.into_iter().filter(|path| !is_part(path)).collect();
         for path in orphans {
-            let what = format!("'{path}' has chunks, and no metadata that say what they are");
+            let what = format!("'{path}' has chunks but no metadata");
             found.insert(path, Err(what.into()));
         }
         are_too_many |= found.len() > MOST_COLUMNS;
-        let what = format!("it has more than {MOST_COLUMNS} arrays; the others are not read");
+        let what = format!("more than {MOST_COLUMNS} arrays; the others are not read");
         let others = are_too_many.then(|| (String::new(), Err(what.into())));
         found.into_iter().take(MOST_COLUMNS).chain(others).collect()
     }
 
-    /// What is said of the group at `path`, beside its arrays.
+    /// Attributes of the group at `path`.
     pub fn attributes(&mut self, path: &str) -> Option<Value> {
         let third = self.json(&joined(path, "zarr.json")).ok().flatten();
         let third = third.and_then(|value| value.get("attributes").cloned());
@@ -161,7 +161,8 @@ impl<'a> Store<'a> {
     }
 }
 
-/// The path of the array that a chunk is of, by its name: numbers with points between them, or folders of numbers.
+/// Path of the array that contains a chunk. Chunk names are numbers separated by dots, or nested folders of
+/// numbers.
 fn array_of_chunk(key: &str) -> Option<&str> {
     let is_chunk = |name: &str| {
         let name = name.strip_prefix("c.").unwrap_or(name);
@@ -183,14 +184,14 @@ fn array_of_chunk(key: &str) -> Option<&str> {
     (!is_chunk(path) && !path.split('/').any(|part| part == "..")).then_some(path)
 }
 
-/// The arrays that the chunks in an archive, below one of its folders, are of.
+/// Arrays with chunks in an archive, below `home`.
 fn chunks_of(archive: &ZipArchive<Cursor<&[u8]>>, home: &str) -> BTreeSet<String> {
     let names = archive.file_names().filter_map(Result::ok);
     let of = |name: &str| array_of_chunk(name.strip_prefix(home)?).map(str::to_owned);
     names.filter_map(|name| of(&name)).collect()
 }
 
-/// The folders in an archive, below one of them, that have metadata.
+/// Folders with metadata in an archive, below `home`.
 fn folders(archive: &ZipArchive<Cursor<&[u8]>>, home: &str) -> Vec<String> {
     let of = |name: &str| {
         let name = name.strip_prefix(home)?;
@@ -204,13 +205,14 @@ fn joined(path: &str, name: &str) -> String {
     if path.is_empty() { name.to_owned() } else { format!("{path}/{name}") }
 }
 
-/// The paths of what may have metadata in a folder, and those of chunks without. What is in an array is not looked at.
+/// Paths in a folder that may have metadata, and arrays with chunks but possibly no metadata. Folders of
+/// arrays are not searched.
 fn in_folder(folder: &Path, contained: &mut Contained) -> (Vec<String>, BTreeSet<String>) {
     let (mut found, mut chunks, mut seen) = (Vec::new(), BTreeSet::new(), HashSet::new());
     let mut open = vec![(String::new(), 0)];
     while let Some((path, depth)) = open.pop() {
         let own = folder.join(&path);
-        // A link may lead to a folder above.
+        // A link may lead to a parent folder.
         let is_inside = path.is_empty() || contained.holds(&own);
         let Some(place) = fs::canonicalize(&own).ok().filter(|_| is_inside) else {
             continue;
