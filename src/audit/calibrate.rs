@@ -15,7 +15,7 @@ use crate::log;
 use crate::places::Places;
 use crate::report::{PlanOf, Trouble, TroubleKind, plan_around};
 use crate::robot::Robot;
-use crate::run::{Arm, PoseSource, Run, Witness, robot_of};
+use crate::run::{Arm, PoseSource, PoseSourceKind, Run, robot_of};
 use crate::stream::JointTrack;
 
 /// Frame offsets above this are not link deviations, m and rad.
@@ -29,7 +29,7 @@ pub struct Taken {
     /// Topic, or its substitute for a table.
     pub topic: String,
     /// Source of the poses.
-    pub witness: Witness,
+    pub witness: PoseSourceKind,
     /// Encoding of the rotations, if it differs from the log's.
     pub reading: Option<String>,
     /// Base link of the poses.
@@ -84,12 +84,12 @@ impl Taken {
 impl Calibrated {
     /// Source of the poses. If it is the controller, the result is the controller's kinematics rather than
     /// the arm's.
-    pub fn witness(&self) -> Witness {
+    pub fn witness(&self) -> PoseSourceKind {
         let of = |witness| self.streams.iter().all(|stream| stream.witness == witness);
-        match (of(Witness::External), of(Witness::Controller)) {
-            (true, _) => Witness::External,
-            (_, true) => Witness::Controller,
-            _ => Witness::Unknown,
+        match (of(PoseSourceKind::External), of(PoseSourceKind::Controller)) {
+            (true, _) => PoseSourceKind::External,
+            (_, true) => PoseSourceKind::Controller,
+            _ => PoseSourceKind::Unknown,
         }
     }
 }
@@ -144,9 +144,9 @@ pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<Calibrated, T
         return Err(trouble(place, what, "run `poseaudit audit` on it for the reason"));
     };
     // Prefer external trackers, which observe the arm itself; the controller only knows its encoders.
-    if streams.iter().any(|stream: &Taken| stream.witness == Witness::External) {
+    if streams.iter().any(|stream: &Taken| stream.witness == PoseSourceKind::External) {
         let (outside, others): (Vec<Taken>, Vec<Taken>) =
-            streams.into_iter().partition(|stream| stream.witness == Witness::External);
+            streams.into_iter().partition(|stream| stream.witness == PoseSourceKind::External);
         left_out.extend(others.iter().map(|other| {
             format!(
                 "{}: an external measurement of the arm is preferred; use --topic to select this one",
@@ -181,7 +181,7 @@ fn plan(options: &Options, drawing: &Robot, stream: &Taken) -> Option<String> {
         log: &stream.log,
         in_log: String::new(),
     })?;
-    let outside = if stream.witness == Witness::External { " --outside" } else { "" };
+    let outside = if stream.witness == PoseSourceKind::External { " --outside" } else { "" };
     Some(format!("{call} --for calibration{outside}"))
 }
 
@@ -354,7 +354,7 @@ fn taken(
             1e3 * growth.value
         ));
     }
-    if source.carrier.is_some() {
+    if source.moving_base.is_some() {
         return Err("its frame moves".to_owned());
     }
     let mut unzeroed = of.diagnosis.clone();
@@ -367,7 +367,7 @@ fn taken(
     let is_small = |frame: &Pose| {
         frame.translation.vector.norm() <= MOST_M && frame.rotation.angle() <= MOST_RAD
     };
-    let is_outside = found.witness == Witness::External;
+    let is_outside = found.witness == PoseSourceKind::External;
     let frames = &diagnosis.frame_correction;
     let reference_is_free = !source.reference_known || !is_small(&frames.reference);
     let tool_is_free = (is_outside && !source.tip_named) || !is_small(&frames.tool);

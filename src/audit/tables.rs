@@ -8,7 +8,7 @@ use crate::geometry::{Vec3, rotation_from_xyzw};
 use crate::log::{PostureTable, RotationColumns, posture_table};
 use crate::report::{Trouble, TroubleKind};
 use crate::robot::{LinkId, Robot};
-use crate::run::{RunOptions, Witness};
+use crate::run::{PoseSourceKind, RunOptions};
 use crate::stream::{JointTrack, Orientations, PoseTrack};
 
 /// Rows are placed 1 s apart, with the arm at rest for half of it, because tables have no times.
@@ -98,7 +98,7 @@ impl Table {
         let taken = Taken {
             log: path.to_path_buf(),
             topic: "rows".to_owned(),
-            witness: Witness::External,
+            witness: PoseSourceKind::External,
             reading: reading(diagnosis),
             base: chain.base_name().to_owned(),
             tip: chain.tip_name().to_owned(),

@@ -9,7 +9,7 @@ use crate::diagnosis::{
 };
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Outcome, Ruling, Severity, Unit};
-use crate::run::{Apart, FlawKind};
+use crate::run::{PoseDistance, TfProblemKind};
 
 /// An error up to this multiple of the sample-to-sample noise is consistent with noise.
 const MAX_NOISE_RATIO: f64 = 2.0;
@@ -32,7 +32,7 @@ const MAX_ROUNDING_RAD: f64 = 1e-3;
 pub(super) struct CauseOutcomes {
     judged: Vec<(&'static str, Judged)>,
     /// Topics with two conflicting publishers: distance between them, and number of transforms.
-    doubled: Vec<(String, Apart, usize)>,
+    doubled: Vec<(String, PoseDistance, usize)>,
 }
 
 impl CauseOutcomes {
@@ -49,7 +49,7 @@ impl CauseOutcomes {
             judged.map(|judged| (rule.code, judged))
         });
         let doubled = case.evidence.frames.flaws.iter().filter_map(|flaw| match &flaw.kind {
-            FlawKind::Publishers { by: Some(by), edges, .. } => {
+            TfProblemKind::Publishers { by: Some(by), edges, .. } => {
                 Some((flaw.topics.first()?.clone(), *by, *edges))
             }
             _ => None,

@@ -19,7 +19,7 @@ use crate::evidence::{
 use crate::finding::{CheckRow, Finding, Span, Subject};
 use crate::geometry::{Convention, Pose, Vec3, pose, rotation_from_rotvec};
 use crate::robot::{DhConvention, Limits};
-use crate::run::Witness;
+use crate::run::PoseSourceKind;
 use crate::time::Stamp;
 
 const ARM: &str = "arm";
@@ -322,7 +322,7 @@ fn stream(independent: bool) -> PoseEvidence {
         reference_known: true,
         tip: "tool0".to_owned(),
         tip_named: true,
-        witness: Witness::Unknown,
+        witness: PoseSourceKind::Unknown,
         proof: Ok(left(1e-5, 1e-5)),
         independent,
         bare_numbers: false,

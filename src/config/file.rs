@@ -14,7 +14,7 @@ use crate::finding::{Severity, Unit};
 use crate::geometry::{Coding, Units, vendors};
 use crate::log::{ColumnSelector, ColumnSettings};
 use crate::robot::nearest;
-use crate::run::{SaidRole, Witness};
+use crate::run::{PoseSourceKind, SaidRole};
 use crate::time::Clock;
 
 /// Settings of an audit. Command-line options override them; paths are relative to this file.
@@ -237,7 +237,7 @@ pub(super) struct StreamTable {
     /// Vendor of the controller, as in `kuka`: sets its convention and units.
     pub vendor: Option<Vendor>,
     /// Source of its poses. Default: from names and frames.
-    pub witness: Option<Witness>,
+    pub witness: Option<PoseSourceKind>,
     /// Expected rate, Hz: the topic is expected, and slow below 0.9 of the rate (TIM006).
     pub rate_hz: Option<Rate>,
     /// Reference frame of its poses, instead of the one in its messages; for an IMU its own frame.

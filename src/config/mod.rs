@@ -193,7 +193,7 @@ impl Config {
                 topic: topic.as_ref().clone(),
                 place: self.place(topic.span().start),
                 role: said.role,
-                witness: said.witness,
+                source_kind: said.witness,
                 frame: said.frame.clone(),
                 link: said.link.clone(),
                 rate_hz: said.rate_hz.map(|rate| rate.0),

@@ -14,7 +14,7 @@ use crate::diagnosis::{
     ArmDiagnosis, JointDiagnosis, JointScale, NotObservable, PoseDiagnosis, proof, proof_of_imu,
 };
 use crate::finding::{Span, Subject, Unit};
-use crate::run::{BetterModel, PoseSource, Run, RunOptions, Witness};
+use crate::run::{BetterModel, PoseSource, PoseSourceKind, Run, RunOptions};
 use crate::stream::{Columns, Orientations};
 
 /// Robot with its streams.
@@ -68,12 +68,14 @@ impl ArmEvidence {
     }
 
     /// Combined source of the pose streams: external if any is, controller if all are.
-    pub fn witness(&self) -> Witness {
-        let of = |witness: Witness| self.poses.iter().filter(move |s| s.witness == witness).count();
-        match (of(Witness::External), of(Witness::Controller)) {
-            (1.., _) => Witness::External,
-            (0, controllers) if controllers == self.poses.len() => Witness::Controller,
-            _ => Witness::Unknown,
+    pub fn witness(&self) -> PoseSourceKind {
+        let of = |witness: PoseSourceKind| {
+            self.poses.iter().filter(move |s| s.witness == witness).count()
+        };
+        match (of(PoseSourceKind::External), of(PoseSourceKind::Controller)) {
+            (1.., _) => PoseSourceKind::External,
+            (0, controllers) if controllers == self.poses.len() => PoseSourceKind::Controller,
+            _ => PoseSourceKind::Unknown,
         }
     }
 
@@ -150,7 +152,7 @@ pub(super) fn arm_evidence(
         reference_known: source.reference_known,
         tip: source.chain.tip_name().to_owned(),
         tip_named: source.tip_named,
-        witness: run.streams[source.stream].witness.unwrap_or(Witness::Unknown),
+        witness: run.streams[source.stream].source_kind.unwrap_or(PoseSourceKind::Unknown),
         euler,
         labels: run.streams[source.stream].labels.filter(|_| source.track.declared.is_none()),
         is_of_table: !run.streams[source.stream].cells.is_empty(),

@@ -85,7 +85,7 @@ pub(super) fn joint_evidence(
     if let Some(source) = arm.joint_facts.get(joint) {
         let JointSamples { t_s, position, velocity } = samples;
         let is_folded = run
-            .folded
+            .wrapped
             .iter()
             .any(|folded| folded.stream == source.stream && folded.joint == source.name);
         motion.is_endless =

@@ -6,7 +6,7 @@ use crate::diagnosis::{
 };
 use crate::geometry::{AngleUnit, Coding, Convention, LengthScale, Rotation};
 use crate::log::RotationLabels;
-use crate::run::{Declaration, PoseSource, Role, Run, Stream, Witness};
+use crate::run::{Declaration, PoseSource, PoseSourceKind, Role, Run, Stream};
 use crate::stream::Columns;
 use crate::time::Stamp;
 
@@ -23,7 +23,7 @@ pub struct PoseEvidence {
     /// rather than the active TCP.
     pub tip_named: bool,
     /// Source of the poses.
-    pub witness: Witness,
+    pub witness: PoseSourceKind,
     /// Direct comparison with FK.
     pub proof: EstimateResult<ResidualCheck>,
     /// Whether its stamps are independent rather than copies of the joints' stamps.

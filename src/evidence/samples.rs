@@ -2,7 +2,7 @@
 
 use super::{Of, of};
 use crate::robot::JointKind;
-use crate::run::{Frozen, Held, Norms, PoseSource, Role, Run, Strays, Stream};
+use crate::run::{Frozen, Norms, Outliers, PoseSource, RepeatedValues, Role, Run, Stream};
 use crate::stream::Columns;
 
 /// Unusable samples of a stream.
@@ -26,7 +26,7 @@ pub struct StrayEvidence {
     /// Number of samples; if the stream has several poses, of the most frequent one.
     pub samples: usize,
     /// Joints or transforms with outliers.
-    pub parts: Vec<Strays>,
+    pub parts: Vec<Outliers>,
     /// Prismatic joints.
     pub sliding: Vec<String>,
 }
@@ -35,7 +35,7 @@ pub struct StrayEvidence {
 #[derive(Clone, Debug)]
 pub struct HeldEvidence {
     /// Repeated values of each transform, or of the whole stream.
-    pub parts: Vec<Held>,
+    pub parts: Vec<RepeatedValues>,
     /// Whether the topic name indicates deliberate repetition.
     pub is_latched: bool,
     /// Whether it is computed from repeated joint states and has their stamps.
@@ -133,7 +133,7 @@ pub(super) fn strays(run: &Run) -> Vec<Of<StrayEvidence>> {
         .collect();
     let streams = run.streams.iter().enumerate().filter(|(_, stream)| is_asked(stream));
     let strays = |(index, stream): (usize, &Stream)| {
-        let parts = run.sift.strays.iter().filter(|strays| strays.stream == index);
+        let parts = run.sample_filter.outliers.iter().filter(|strays| strays.stream == index);
         let found = StrayEvidence {
             samples: stream.times().iter().map(|times| times.len()).max().unwrap_or(0),
             sliding: sliding.clone(),
@@ -170,8 +170,9 @@ pub(super) fn held(run: &Run) -> Vec<Of<HeldEvidence>> {
         Role::Pose => !is_tf(&stream.topic),
         _ => false,
     };
-    let of_stream = |index: usize| run.sift.held.iter().filter(move |held| held.stream == index);
-    let repeats = |index: usize| of_stream(index).any(|held| held.is_taken_once());
+    let of_stream =
+        |index: usize| run.sample_filter.repeated.iter().filter(move |held| held.stream == index);
+    let repeats = |index: usize| of_stream(index).any(|held| held.is_deduplicated());
     let is_of_joints = |index: usize| {
         run.arms.iter().any(|arm| {
             let follows = |tf: &PoseSource| tf.stream == index && tf.stamps_copied;

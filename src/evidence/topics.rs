@@ -6,7 +6,9 @@ use crate::finding::Subject;
 use crate::log::Repeat;
 use crate::robot::RobotError;
 
-use crate::run::{Arm, Flaw, Role, Run, Stream, TopicSettings, Unaudited, WhyNot, Witness};
+use crate::run::{
+    Arm, PoseSourceKind, Role, Run, Stream, TfProblem, TopicSettings, Unaudited, WhyNot,
+};
 use crate::stream::{Columns, JointColumn};
 
 /// Frames of a log.
@@ -15,7 +17,7 @@ pub struct FrameEvidence {
     /// Topics with transforms, including static ones.
     pub topics: Vec<String>,
     /// Problems of their tree.
-    pub flaws: Vec<Flaw>,
+    pub flaws: Vec<TfProblem>,
 }
 
 /// Topic without usable content.
@@ -91,7 +93,7 @@ pub(super) fn frames(run: &Run) -> FrameEvidence {
     let is_tf = |stream: &&Stream| matches!(stream.columns, Some(Columns::Transforms(_)));
     FrameEvidence {
         topics: run.streams.iter().filter(is_tf).map(|stream| stream.topic.clone()).collect(),
-        flaws: run.flaws.iter().cloned().chain(run.pieces()).collect(),
+        flaws: run.tf_problems.iter().cloned().chain(run.pieces()).collect(),
     }
 }
 
@@ -157,7 +159,7 @@ pub(super) fn unaudited(run: &Run, unset: &[Unaudited]) -> Vec<Of<Vec<WhyNot>>> 
 pub(super) fn repeats(run: &Run, found: Option<&[Repeat]>) -> Option<Vec<RepeatEvidence>> {
     let stream = |topic: &str| run.streams.iter().find(|stream| stream.topic == topic);
     let is_command = |stream: &Stream| stream.role == Role::Reference;
-    let is_outside = |stream: &Stream| stream.witness == Some(Witness::External);
+    let is_outside = |stream: &Stream| stream.source_kind == Some(PoseSourceKind::External);
     let of = |repeat: &Repeat| {
         let own = stream(&repeat.topic)?;
         let kind = match (&repeat.number, &repeat.of) {

@@ -12,7 +12,7 @@ use crate::diagnosis::plan::Purpose;
 use crate::evidence::{ArmEvidence, RunEvidence};
 use crate::finding::{CheckRow, Finding, Word, word};
 use crate::robot::{Chain, JointKind, Robot};
-use crate::run::{Arm, Run, RunOptions, Witness, robot_of};
+use crate::run::{Arm, PoseSourceKind, Run, RunOptions, robot_of};
 use crate::stream::JointTrack;
 
 /// Motion that would resolve inconclusive checks.
@@ -62,7 +62,8 @@ pub(crate) fn plans(
             if !codes.is_empty() {
                 let (robot, name) = (arm.name.clone(), purpose.name());
                 // The frame of an independent reference and its measured point are unknown.
-                let is_outside = own_witness == Some(Witness::External) && purpose.is_of_poses();
+                let is_outside =
+                    own_witness == Some(PoseSourceKind::External) && purpose.is_of_poses();
                 let outside = if is_outside { " --outside" } else { "" };
                 let command = format!("{call} --for {name}{outside}");
                 plans.push(PlanRow { robot, purpose: name, codes, command });

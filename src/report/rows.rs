@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::finding::{Word, maybe_word, word};
-use crate::run::{Arm, Run, Witness, selectors};
+use crate::run::{Arm, PoseSourceKind, Run, selectors};
 use crate::stream::Columns;
 use crate::time::Stamp;
 
@@ -116,7 +116,7 @@ pub(crate) fn streams(run: &Run) -> Vec<StreamRow> {
         child_frame_id: named(&stream.child_frame_id),
         reference: stream.reference.clone(),
         link: stream.link.clone(),
-        witness: stream.witness.map(Witness::name),
+        witness: stream.source_kind.map(PoseSourceKind::name),
         count: stream.count,
         dropped: stream.dropped,
         rate_hz: stream.rate_hz,

@@ -21,16 +21,16 @@ use super::by_order;
 use super::cadence::rhythms;
 use super::declaration::Declaration;
 use super::error::RunError;
-use super::flaws::flaws;
 use super::norms::{norms, release};
 use super::role::Role;
 use super::settle::settle;
 use super::space::Space;
-use super::stalled;
+use super::stale;
 use super::streams::{Stream, split};
+use super::tf_problems::detect_tf_problems;
 use super::timing::Timing;
 use super::topics;
-use super::unfold::{self, unfold};
+use super::unwrap::{self, unwrap_joints};
 use super::{Run, RunOptions};
 use super::{calibrations, models};
 
@@ -80,8 +80,8 @@ impl Run {
             }
         }
         topics::apply(&options.topics, &mut streams)?;
-        let folded = unfold(&mut streams);
-        let timing = Timing::of(&mut streams, options.stamp, options.max_latency_s);
+        let wrapped = unwrap_joints(&mut streams);
+        let timing = Timing::new(&mut streams, options.stamp, options.max_latency_s);
         let origin = origin(&streams);
         let tf = Arc::new(tf_tree(&streams, &timing, &Space::default()));
         let (attached, logged_calibrations): (Vec<_>, Vec<_>) =
@@ -102,7 +102,7 @@ impl Run {
             arms: Vec::new(),
             strangers: Vec::new(),
             unaudited: Vec::new(),
-            contests: Vec::new(),
+            shared_streams: Vec::new(),
             frozen: Vec::new(),
             watched: Vec::new(),
         };
@@ -126,18 +126,28 @@ impl Run {
             assembly.assign(stream)?;
         }
         assembly.name_joints();
-        unfold::say(&mut assembly.streams, &folded);
+        unwrap::add_remarks(&mut assembly.streams, &wrapped);
         say_columns(&mut assembly.streams);
         let (targets, references) = (assembly.targets(), assembly.references());
         let Assembly {
-            mut streams, timing, tf, arms, unaudited, contests, frozen, watched, ..
+            mut streams,
+            timing,
+            tf,
+            arms,
+            unaudited,
+            shared_streams,
+            frozen,
+            watched,
+            ..
         } = assembly;
         let span = span(streams.iter().filter(|stream| stream.rate_hz.is_some()));
-        let (flaws, norms) =
-            (flaws(&streams, &timing.sift.publishers), norms(&streams, &timing.clocks));
+        let (tf_problems, norms) = (
+            detect_tf_problems(&streams, &timing.sample_filter.publishers),
+            norms(&streams, &timing.clocks),
+        );
         release(&mut streams, &norms);
         let rhythms = rhythms(&streams, &timing, &joint_topics(&streams, &timing), &arms);
-        let Timing { clocks, excerpts, sift } = timing;
+        let Timing { clocks, excerpts, sample_filter } = timing;
         Ok(Run {
             origin,
             span,
@@ -149,16 +159,16 @@ impl Run {
             clocks: clocks.all,
             rounded: clocks.rounded,
             rhythms,
-            flaws,
-            folded,
+            tf_problems,
+            wrapped,
             norms,
-            contests,
+            shared_streams,
             unaudited,
             leaders: Vec::new(),
             undecided: Vec::new(),
-            frozen: stalled::times(&sift.stalled).chain(frozen).collect(),
+            frozen: stale::times(&sample_filter.stale).chain(frozen).collect(),
             alternations: Vec::new(),
-            sift,
+            sample_filter,
             watched,
             excerpts,
             has_clock_topic,

@@ -12,7 +12,7 @@ use crate::time::{NANOS_PER_SECOND, Stamp, nanos};
 
 use super::role::Role;
 use super::rows::Rows;
-use super::sift::Sift;
+use super::sample_filter::SampleFilter;
 use super::streams::{Clocks, Stream};
 
 /// Maximum duration of a run that is used completely, s.
@@ -33,8 +33,12 @@ pub struct Excerpts {
 
 impl Excerpts {
     /// The excerpts of a run. `None` if it is used completely, or has no joint states.
-    pub(super) fn of(streams: &[Stream], clocks: &Clocks, sift: &Sift) -> Option<Self> {
-        let topics = joints(streams, clocks, sift);
+    pub(super) fn select(
+        streams: &[Stream],
+        clocks: &Clocks,
+        sample_filter: &SampleFilter,
+    ) -> Option<Self> {
+        let topics = joints(streams, clocks, sample_filter);
         let (start, end) = bulk(&topics.iter().max_by_key(|(_, rows)| rows.len())?.1)?;
         let span = end.saturating_sub(start);
         // About 2 % is margin.
@@ -90,14 +94,14 @@ impl Excerpts {
 fn joints<'a>(
     streams: &'a [Stream],
     clocks: &Clocks,
-    sift: &Sift,
+    sample_filter: &SampleFilter,
 ) -> Vec<(&'a JointColumns, Rows)> {
     let is_joints = |(_, stream): &(usize, &Stream)| stream.role == Role::Joints;
     let joints = streams.iter().enumerate().filter(is_joints);
     let with_rows = joints.filter_map(|(index, stream)| match &stream.columns {
         Some(Columns::Joints(joints)) => {
             let mut rows = clocks.rows(streams, index, 0);
-            sift.sift(index, 0, &mut rows);
+            sample_filter.apply(index, 0, &mut rows);
             Some((joints, rows))
         }
         _ => None,
@@ -224,7 +228,7 @@ mod tests {
             span: None,
         }]);
         let clocks = Clocks::settle(&streams, crate::time::Clock::Header, 5.0);
-        Excerpts::of(&streams, &clocks, &Sift::default())
+        Excerpts::select(&streams, &clocks, &SampleFilter::default())
     }
 
     #[test]

@@ -196,7 +196,7 @@ impl Run {
         };
         let clock = self.clocks.iter().find(|clock| clock.stream == stream)?;
         let mut rows: Rows = clock.rows_of(&columns.times).collect();
-        self.sift.sift(stream, 0, &mut rows);
+        self.sample_filter.apply(stream, 0, &mut rows);
         let topic = JointTopic { stream, columns, rows };
         let seconds = |(stamp, _): &(Stamp, usize)| stamp.seconds_since(self.origin);
         let t_s = topic.is_in_order().then(|| topic.rows.iter().map(seconds).collect());

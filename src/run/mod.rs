@@ -8,55 +8,55 @@
 //! A log without an arm or without its model is not an error: its streams, clocks and transforms are still
 //! audited, and [`Run::no_arm`] gives the reason.
 
-mod apart;
 mod arm;
 mod assemble;
 mod by_order;
 mod cadence;
 mod calibrations;
-mod carrier;
 mod catalogued;
 mod clock;
 mod columns;
-mod contest;
 mod declaration;
 mod error;
 mod excerpts;
-mod flaws;
 mod frozen;
 mod grid;
-mod held;
 mod joints;
 mod model;
 mod models;
+mod moving_base;
 mod norms;
+mod outliers;
+mod periodic;
+mod pose_distance;
 mod poses;
 mod publishers;
+mod repeated;
 mod role;
 mod rounded;
 mod rows;
+mod sample_filter;
 mod segments;
 mod series;
 mod settle;
-mod sift;
+mod shared_stream;
 mod skeleton;
+mod source_kind;
 mod sources;
 mod space;
-mod stalled;
-mod strays;
+mod stale;
 mod streams;
 mod targets;
 #[cfg(test)]
 mod tests;
 mod tf_error;
+mod tf_problems;
 mod tf_tree;
 mod timing;
 mod topics;
-mod trains;
 mod unaudited;
-mod unfold;
+mod unwrap;
 mod velocities;
-mod witness;
 
 use std::sync::Arc;
 
@@ -65,41 +65,41 @@ use crate::finding::rounded;
 use crate::robot::RobotError;
 use crate::time::{Clock, Stamp};
 
-pub use apart::Apart;
 pub use arm::{Arm, JointMending, NoTf};
 pub use assemble::{ReferenceContent, ReferenceSource};
 pub use cadence::{Cadence, Extent, Hole, Rhythm, Stretch};
 pub use clock::{Alignment, Epoch, HeaderStamps, StreamClock};
 pub use columns::{Shared, SharedColumns, SharedRow, selectors, tell_columns};
-pub use contest::{Claimant, Contest};
 pub use declaration::{CalibrationSource, Declaration, DeclarationError, JointName, RobotSource};
 pub use error::RunError;
 pub use excerpts::Excerpts;
-pub use flaws::{Between, Flaw, FlawKind};
 pub use frozen::Frozen;
-pub use held::Held;
 pub use joints::{JointFacts, JointSamples};
 pub use model::BetterModel;
 pub use models::robot_of;
 pub use norms::{Norms, Written};
+pub use outliers::{FEWEST_SAMPLES, Outliers};
+pub use pose_distance::PoseDistance;
 pub use publishers::Publishers;
+pub use repeated::RepeatedValues;
 pub use role::Role;
 pub use rounded::RoundedStamps;
+pub use sample_filter::SampleFilter;
 pub use segments::{Segment, segments};
 pub(crate) use settle::{retake_carried, together};
-pub use sift::Sift;
-pub use sources::Carrier;
+pub use shared_stream::{CandidateArm, SharedStream};
+pub use source_kind::PoseSourceKind;
+pub use sources::MovingBase;
 pub use sources::{ImuSource, PoseSource};
-pub use strays::{FEWEST_SAMPLES, Strays};
 pub use streams::Stream;
 pub use targets::{CameraAxes, HandKind, HandSource, TargetSource};
 pub use tf_error::TfError;
+pub use tf_problems::{FramePair, TfProblem, TfProblemKind};
 pub use tf_tree::{Edge, EdgeKind, TfPath, TfTree};
 pub use topics::{SaidRole, TopicSettings};
 pub use unaudited::{Unaudited, WhyNot};
-pub use unfold::Folded;
+pub use unwrap::WrappedJoint;
 pub use velocities::Velocities;
-pub use witness::Witness;
 
 /// Minimum correlation of speeds for a stream that follows the arm.
 const FOLLOWS: f64 = 0.7;
@@ -175,13 +175,13 @@ pub struct Run {
     /// Regularity of every stream with a role.
     pub rhythms: Vec<Rhythm>,
     /// TF problems.
-    pub flaws: Vec<Flaw>,
+    pub tf_problems: Vec<TfProblem>,
     /// Joints that are logged modulo one turn; their positions are unwrapped.
-    pub folded: Vec<Folded>,
+    pub wrapped: Vec<WrappedJoint>,
     /// Norm defects of all streams with quaternions or matrices.
     pub norms: Vec<Norms>,
     /// Streams that may belong to several arms.
-    pub contests: Vec<Contest>,
+    pub shared_streams: Vec<SharedStream>,
     /// Streams that are not audited, or only in part.
     pub unaudited: Vec<Unaudited>,
     /// Streams that lead the arm, with their lead in seconds: commands, or tool poses with late joint
@@ -190,7 +190,7 @@ pub struct Run {
     /// Candidate tool poses that the motion neither confirms nor rejects.
     pub undecided: Vec<usize>,
     /// Samples excluded from estimation: outliers, second publishers, repeats.
-    pub sift: Sift,
+    pub sample_filter: SampleFilter,
     /// Spans of frozen poses while the arm moved, and of frozen joint states in motion; also excluded from
     /// estimation.
     pub frozen: Vec<Frozen>,

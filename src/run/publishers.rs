@@ -10,11 +10,11 @@ use rayon::prelude::*;
 
 use crate::time::seconds;
 
-use super::apart::Apart;
 use super::grid::Grid;
+use super::periodic::{FEWEST, NEARLY, SMOOTH, Split, are_two, is_one, roughness, split, split_by};
+use super::pose_distance::PoseDistance;
 use super::rows::Rows;
 use super::series::{Series, Values};
-use super::trains::{FEWEST, NEARLY, SMOOTH, Split, are_two, is_one, roughness, split, split_by};
 
 /// Two publishers of one part of a stream.
 #[derive(Clone, Debug, PartialEq)]
@@ -29,7 +29,7 @@ pub struct Publishers {
     pub rates_hz: [f64; 2],
     /// Distance between their values; `None` if they agree. For joints, the largest difference in the
     /// joint's unit, as `angle_rad`.
-    pub apart: Option<Apart>,
+    pub apart: Option<PoseDistance>,
     /// Index of the stream's part.
     pub(super) piece: usize,
     /// Rows of the second publisher.
@@ -99,7 +99,7 @@ fn of(series: &Series<'_>) -> Option<Publishers> {
     let off = |before: usize, from: usize, to: usize| {
         let [before_s, from_s, to_s] = [before, from, to].map(|at| t_s[at]);
         let part = if from_s > before_s { (to_s - before_s) / (from_s - before_s) } else { 1.0 };
-        gap(&series.values, [before, to, from].map(|at| series.rows[at].1), part).size()
+        gap(&series.values, [before, to, from].map(|at| series.rows[at].1), part).size_m()
     };
     let rough = roughness(&(0..looked_at.len()).collect::<Vec<_>>(), &off);
     let again =
@@ -146,7 +146,7 @@ fn is_read_evenly(series: &Series<'_>, rows: usize) -> bool {
         let part = three[1].0.seconds_since(three[0].0) / span_s.max(f64::MIN_POSITIVE);
         let at = [0, 1, 2].map(|row| three[row].1);
         for (off, part) in off.iter_mut().zip([0.5, part]) {
-            *off += gap(&series.values, at, part).size();
+            *off += gap(&series.values, at, part).size_m();
         }
     }
     off[0] < BETTER * off[1]
@@ -193,7 +193,7 @@ fn told(
 
 /// Distance between the values of two publishers.
 struct Gap {
-    by: Apart,
+    by: PoseDistance,
     is_there: bool,
     /// Whether it is nearly constant.
     is_steady: bool,
@@ -217,7 +217,7 @@ fn apart(series: &Series<'_>, t_s: &[f64], [first, second]: [&[usize]; 2]) -> Op
         gap(&series.values, [row(left), row(at), row(right)], part)
     };
     let period_s = (t_s[first[first.len() - 1]] - t_s[first[0]]) / (first.len() - 1) as f64;
-    let gaps: Vec<Apart> = second
+    let gaps: Vec<PoseDistance> = second
         .iter()
         .filter_map(|&at| {
             let after = first.partition_point(|&other| t_s[other] < t_s[at]);
@@ -225,12 +225,12 @@ fn apart(series: &Series<'_>, t_s: &[f64], [first, second]: [&[usize]; 2]) -> Op
             (t_s[right] - t_s[left] < 2.5 * period_s).then(|| gap(left, at, right))
         })
         .collect();
-    let own: Vec<Apart> =
+    let own: Vec<PoseDistance> =
         first.windows(3).map(|window| gap(window[0], window[1], window[2])).collect();
     if gaps.len() < FEWEST || own.is_empty() {
         return None;
     }
-    let told = |of: fn(&Apart) -> f64| {
+    let told = |of: fn(&PoseDistance) -> f64| {
         let [usual, far] = [0.5, 0.9].map(|part| quantile(gaps.iter().map(of), part));
         // Rows that coincide may be attributed to the wrong publisher.
         let uncertain = quantile(own.iter().map(of), 0.8);
@@ -239,8 +239,8 @@ fn apart(series: &Series<'_>, t_s: &[f64], [first, second]: [&[usize]; 2]) -> Op
     };
     let (length, angle) = (told(|gap| gap.length_m), told(|gap| gap.angle_rad));
     let part = |(by, is_there): (f64, bool)| if is_there { by } else { 0.0 };
-    let by = Apart { length_m: part(length), angle_rad: part(angle) };
-    let [least, most] = [0.1, 0.9].map(|part| quantile(gaps.iter().map(|gap| gap.size()), part));
+    let by = PoseDistance { length_m: part(length), angle_rad: part(angle) };
+    let [least, most] = [0.1, 0.9].map(|part| quantile(gaps.iter().map(|gap| gap.size_m()), part));
     Some(Gap { by, is_there: length.1 || angle.1, is_steady: least > STEADY * most })
 }
 
@@ -251,7 +251,7 @@ fn quantile(values: impl Iterator<Item = f64>, part: f64) -> f64 {
 }
 
 /// Distance of the middle row from the interpolation between the others at `part`.
-fn gap(values: &Values<'_>, [left, at, right]: [usize; 3], part: f64) -> Apart {
+fn gap(values: &Values<'_>, [left, at, right]: [usize; 3], part: f64) -> PoseDistance {
     match values {
         Values::Poses(poses) => {
             let mix = |a: f64, b: f64| a + part * (b - a);
@@ -261,7 +261,7 @@ fn gap(values: &Values<'_>, [left, at, right]: [usize; 3], part: f64) -> Apart {
             let q_xyzw = std::array::from_fn(|i| mix(a[i], sign * b[i]));
             let (a, b) = (poses.xyz[left], poses.xyz[right]);
             let xyz = std::array::from_fn(|i| mix(a[i], b[i]));
-            Apart::of((xyz, q_xyzw), (poses.xyz[at], poses.q_xyzw[at]))
+            PoseDistance::new((xyz, q_xyzw), (poses.xyz[at], poses.q_xyzw[at]))
         }
         _ => {
             let off = |number: usize| {
@@ -269,7 +269,7 @@ fn gap(values: &Values<'_>, [left, at, right]: [usize; 3], part: f64) -> Apart {
                 (q - a - part * (b - a)).abs()
             };
             let angle_rad = (0..values.width()).map(off).fold(0.0, f64::max);
-            Apart { length_m: 0.0, angle_rad }
+            PoseDistance { length_m: 0.0, angle_rad }
         }
     }
 }

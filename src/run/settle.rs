@@ -42,7 +42,7 @@ fn settle_alternations(run: &mut Run) {
         .collect();
     let of = |&(arm, source): &(usize, usize)| {
         let of = &run.arms[arm];
-        let found = of.poses.get(source).filter(|found| found.carrier.is_none())?;
+        let found = of.poses.get(source).filter(|found| found.moving_base.is_none())?;
         Some(((arm, source), alternation(&of.joints, &run.pose_stream(found))?))
     };
     let found: Vec<_> = all.par_iter().filter_map(of).collect();
@@ -99,7 +99,7 @@ fn settle_frozen(run: &mut Run, most_lag_s: f64) {
         for source in 0..run.arms[arm].poses.len() {
             let of = &run.arms[arm];
             let found = &of.poses[source];
-            if found.carrier.is_some() || !found.stands_still() {
+            if found.moving_base.is_some() || !found.stands_still() {
                 continue;
             }
             let peaks = likely_lags(&of.joints, &run.pose_stream(found), most_lag_s);
@@ -125,7 +125,7 @@ fn settle_transforms(run: &mut Run) {
     };
     for first in 0..run.arms.len() {
         let Some(own) = frames(&run.arms[first]) else { continue };
-        let claimants: Vec<usize> = (0..run.arms.len())
+        let candidates: Vec<usize> = (0..run.arms.len())
             .filter(|&arm| frames(&run.arms[arm]).as_ref() == Some(&own))
             .collect();
         let misfit_m = |&index: &usize| {
@@ -133,12 +133,12 @@ fn settle_transforms(run: &mut Run) {
             let stream = run.pose_stream(arm.tf.as_ref().ok()?);
             Some((position_misfit_m(&arm.joints, &stream, 1.0, 0.0)?, index))
         };
-        let mut misfits: Vec<(f64, usize)> = claimants.iter().filter_map(misfit_m).collect();
+        let mut misfits: Vec<(f64, usize)> = candidates.iter().filter_map(misfit_m).collect();
         misfits.sort_by(|a, b| a.0.total_cmp(&b.0));
         if let [(near_m, winner), (next_m, _), ..] = misfits.as_slice()
             && *near_m < NEARER * next_m
         {
-            run.award_transforms(&claimants, *winner);
+            run.assign_shared_transforms(&candidates, *winner);
         }
     }
 }
@@ -155,7 +155,7 @@ fn settle_leading_arms(run: &mut Run, most_lag_s: f64) {
             Some((other.name.clone(), lead_s))
         });
         if let (true, Some((of, lead_s))) = (nothing_beside(arm), led) {
-            run.settle_leading_arm(index, &of, lead_s);
+            run.resolve_leading_arm(index, &of, lead_s);
         }
     }
 }
@@ -307,7 +307,7 @@ fn settle_carried(run: &mut Run, most_lag_s: f64) {
     for arm in 0..run.arms.len() {
         for source in 0..run.arms[arm].poses.len() {
             let of = &run.arms[arm];
-            let Some(carrier) = &of.poses[source].carrier else { continue };
+            let Some(carrier) = &of.poses[source].moving_base else { continue };
             let stream = run.pose_stream(&of.poses[source]);
             let at = |t_s: f64| carrier.at(t_s);
             let Some(lag) = carrier_lag(&of.joints, &stream, &carrier.logged, &at, most_lag_s)
@@ -316,7 +316,7 @@ fn settle_carried(run: &mut Run, most_lag_s: f64) {
             };
             let frame = carrier.frame.clone();
             let source = &mut run.arms[arm].poses[source];
-            source.take(lag.lag_s, lag.is_on_time);
+            source.retransform(lag.lag_s, lag.is_on_time);
             let index = source.stream;
             if let (false, Some(stream)) = (lag.is_on_time, run.streams.get_mut(index)) {
                 stream.reason += &format!(
@@ -335,12 +335,12 @@ pub(crate) fn retake_carried(run: &mut Run, arm: usize, found: &ArmDiagnosis) ->
     const NEAR_S: f64 = 3e-4;
     let mut are_other = false;
     for (source, found) in run.arms[arm].poses.iter_mut().zip(&found.streams) {
-        let Some(carrier) = source.carrier.as_ref().filter(|carrier| carrier.is_on_time) else {
+        let Some(carrier) = source.moving_base.as_ref().filter(|carrier| carrier.is_on_time) else {
             continue;
         };
         let Ok(latency) = &found.latency_s else { continue };
         if (latency.value - carrier.lag_s).abs() > NEAR_S {
-            source.take(latency.value, true);
+            source.retransform(latency.value, true);
             are_other = true;
         }
     }
@@ -352,11 +352,11 @@ pub(crate) fn retake_carried(run: &mut Run, arm: usize, found: &ArmDiagnosis) ->
 fn settle_contests(run: &mut Run, most_lag_s: f64) {
     /// Minimum margin of the correlation over the next arm.
     const MORE: f64 = 0.1;
-    for contest in std::mem::take(&mut run.contests) {
+    for shared in std::mem::take(&mut run.shared_streams) {
         let mut scores: Vec<(usize, f64, f64)> = Vec::new();
-        for claim in &contest.claims {
-            let Some(arm) = run.arms.get(claim.arm) else { continue };
-            let Some(source) = arm.poses.iter().find(|one| one.stream == contest.stream) else {
+        for candidate in &shared.candidates {
+            let Some(arm) = run.arms.get(candidate.arm) else { continue };
+            let Some(source) = arm.poses.iter().find(|one| one.stream == shared.stream) else {
                 continue;
             };
             let stream = run.pose_stream(source);
@@ -365,7 +365,7 @@ fn settle_contests(run: &mut Run, most_lag_s: f64) {
             let misfits_m =
                 [1.0, 1e-3].map(|scale| position_misfit_m(&arm.joints, &stream, scale, lag_s));
             let misfit_m = misfits_m.into_iter().flatten().fold(f64::INFINITY, f64::min);
-            scores.push((claim.arm, misfit_m, peak.map_or(0.0, |peak| peak.correlation)));
+            scores.push((candidate.arm, misfit_m, peak.map_or(0.0, |peak| peak.correlation)));
         }
         scores.sort_by(|a, b| a.1.total_cmp(&b.1));
         let nearest = match scores.as_slice() {
@@ -378,7 +378,7 @@ fn settle_contests(run: &mut Run, most_lag_s: f64) {
             [(arm, _, most), (_, _, next), ..] if most - next > MORE => Some(*arm),
             _ => None,
         };
-        run.award(&contest, nearest.or(follower));
+        run.assign_shared_stream(&shared, nearest.or(follower));
     }
 }
 
@@ -421,7 +421,7 @@ fn leave_unmoved(run: &mut Run) {
     }
     for (stream, samples, moved_m) in unmoved {
         let reason = "all its poses are the same while the joints move the tool".to_owned();
-        run.leave_out(stream, WhyNot::NeverChanges { samples, moved_m }, reason);
+        run.exclude(stream, WhyNot::NeverChanges { samples, moved_m }, reason);
     }
 }
 
@@ -430,7 +430,7 @@ fn leave_unmoved(run: &mut Run) {
 fn leave_moving_bases(run: &mut Run, most_lag_s: f64) {
     let is_of_unknown_frame = |source: &&PoseSource| {
         let is_pose = run.streams.get(source.stream).is_some_and(|one| one.role == Role::Pose);
-        is_pose && !source.reference_known && source.carrier.is_none()
+        is_pose && !source.reference_known && source.moving_base.is_none()
     };
     let mut moving: Vec<(usize, String, BaseMotion)> = Vec::new();
     for arm in &run.arms {
@@ -444,7 +444,7 @@ fn leave_moving_bases(run: &mut Run, most_lag_s: f64) {
         let frame = run.streams.get(stream).map_or_else(String::new, |one| one.frame_id.clone());
         let reason =
             format!("'{base}' moves in its frame '{frame}', and the log has no transforms for it");
-        run.leave_out(stream, WhyNot::BaseMoves { frame, base, travel_m, turn_rad }, reason);
+        run.exclude(stream, WhyNot::BaseMoves { frame, base, travel_m, turn_rad }, reason);
     }
 }
 

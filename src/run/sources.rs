@@ -25,7 +25,7 @@ pub struct PoseSource {
     /// Whether the link is named, by the caller or as the stream's child frame.
     pub tip_named: bool,
     /// Frame of the logged poses, if it moves relative to the chain's base.
-    pub carrier: Option<Carrier>,
+    pub moving_base: Option<MovingBase>,
 }
 
 impl PoseSource {
@@ -44,7 +44,7 @@ impl PoseSource {
             && self.chain.base_name() == other.chain.base_name()
             && self.chain.tip_name() == other.chain.tip_name()
             && self.reference_known == other.reference_known
-            && self.carrier.is_some() == other.carrier.is_some()
+            && self.moving_base.is_some() == other.moving_base.is_some()
             && self.columns == other.columns
             && own.xyz == theirs.xyz
             && own.orientation == theirs.orientation
@@ -53,7 +53,7 @@ impl PoseSource {
 
 /// A moving base: a frame that moves relative to an arm's base, and poses in it.
 #[derive(Clone, Debug)]
-pub struct Carrier {
+pub struct MovingBase {
     /// The frame.
     pub frame: String,
     /// Times of the transforms, s from the run's origin, strictly increasing.

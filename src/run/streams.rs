@@ -10,8 +10,8 @@ use super::clock::{self, Source, StreamClock};
 use super::role::{Role, named_role, plain_role, words};
 use super::rounded::RoundedStamps;
 use super::rows::Rows;
+use super::source_kind::PoseSourceKind;
 use super::tf_tree::without_slash;
-use super::witness::Witness;
 
 /// A stream, its role, and the reason.
 #[derive(Clone, Debug)]
@@ -35,7 +35,7 @@ pub struct Stream {
     /// Link whose pose it is, or that carries the IMU.
     pub link: Option<String>,
     /// Source of its poses or measurements; `None` if the audit uses none.
-    pub witness: Option<Witness>,
+    pub source_kind: Option<PoseSourceKind>,
     /// Number of messages; for a topic with several poses, the rows of this one.
     pub count: u64,
     /// Number of dropped ones: undecodable, of wrong length, not finite, or without a stamp.
@@ -207,7 +207,7 @@ fn of_topic(topic: Topic) -> Vec<Stream> {
         child_frame_id: String::new(),
         reference: None,
         link: None,
-        witness: None,
+        source_kind: None,
         count: topic.messages,
         dropped: undecodable,
         rate_hz: None,

@@ -3,7 +3,7 @@
 use super::excerpts::Excerpts;
 use super::rounded;
 use super::rows::Rows;
-use super::sift::Sift;
+use super::sample_filter::SampleFilter;
 use super::streams::{Clocks, Stream};
 use crate::time::Clock;
 
@@ -13,24 +13,24 @@ pub(super) struct Timing {
     /// Excerpts of a long run.
     pub excerpts: Option<Excerpts>,
     /// Excluded samples.
-    pub sift: Sift,
+    pub sample_filter: SampleFilter,
 }
 
 impl Timing {
     /// Selects the clock of every stream, measures rates, and checks the rows.
-    pub fn of(streams: &mut [Stream], wanted: Clock, max_latency_s: f64) -> Self {
+    pub fn new(streams: &mut [Stream], wanted: Clock, max_latency_s: f64) -> Self {
         let rounded = rounded::restore(streams, wanted);
         let mut clocks = Clocks::settle(streams, wanted, max_latency_s);
         clocks.rounded = rounded;
         clocks.measure(streams);
-        let sift = Sift::of(streams, &clocks);
-        let excerpts = Excerpts::of(streams, &clocks, &sift);
-        Self { clocks, excerpts, sift }
+        let sample_filter = SampleFilter::new(streams, &clocks);
+        let excerpts = Excerpts::select(streams, &clocks, &sample_filter);
+        Self { clocks, excerpts, sample_filter }
     }
 
     /// Rows of a part of a stream for estimation: in the run's excerpts, or less than `around_s` away, and
     /// not excluded.
-    pub fn seen_rows(
+    pub fn filtered_rows(
         &self,
         streams: &[Stream],
         stream: usize,
@@ -46,13 +46,13 @@ impl Timing {
         if let Some(times) = streams[stream].times().get(piece) {
             leave_out_overlaps(&mut rows, &times.log);
         }
-        self.sift.sift(stream, piece, &mut rows);
+        self.sample_filter.apply(stream, piece, &mut rows);
         rows
     }
 
     /// Shares the clock and the results of one part with a new stream, which is appended.
     pub fn share(&mut self, stream: usize, piece: usize) {
-        self.sift.share((stream, piece), self.clocks.streams());
+        self.sample_filter.share((stream, piece), self.clocks.streams());
         self.clocks.share(stream, piece);
     }
 }

@@ -9,9 +9,9 @@ use crate::stream::Columns;
 use super::arm::Arm;
 use super::error::RunError;
 use super::role::{Place, Role};
+use super::source_kind::PoseSourceKind;
 use super::streams::Stream;
 use super::tf_tree::{TfTree, without_slash};
-use super::witness::Witness;
 
 /// The caller's settings for one topic, except its encoding.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -23,7 +23,7 @@ pub struct TopicSettings {
     /// Its role.
     pub role: Option<SaidRole>,
     /// Source of its poses.
-    pub witness: Option<Witness>,
+    pub source_kind: Option<PoseSourceKind>,
     /// Reference frame of its poses, or an IMU's own frame.
     pub frame: Option<String>,
     /// Link whose poses they are.

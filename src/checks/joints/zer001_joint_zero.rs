@@ -10,7 +10,7 @@ use crate::diagnosis::{
 };
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Ruling, Severity, Unit};
-use crate::run::Witness;
+use crate::run::PoseSourceKind;
 
 rule! {
     /// A joint's zero is off.
@@ -180,7 +180,7 @@ fn hidden_tool(arm: &ArmEvidence) -> Option<String> {
             diagnosis.tool.as_ref().is_ok_and(|tool| tool.translation_m.std_error > UNKNOWN_M);
         let left = diagnosis.residual.as_ref().ok().map(|residual| &residual.excess_m);
         let is_much = left.is_some_and(|left| left.value - left.half_width(0.95) > LEFT_M);
-        stream.witness != Witness::Controller && is_anywhere && is_much
+        stream.witness != PoseSourceKind::Controller && is_anywhere && is_much
     };
     let stream = arm.poses.iter().find(is_hidden)?;
     let left = stream.diagnosis.residual.as_ref().ok()?.excess_m.value;
@@ -266,14 +266,14 @@ fn fault(
     let (size, symbol, shown) = (measured.value.abs(), unit.symbol(), unit.show_signed(measured));
     let factor = arm.scale(joint).map_or(String::new(), |s| format!("{:.5} · ", s.factor.value));
     let (message, fix) = match witness {
-        Witness::Controller => (
+        PoseSourceKind::Controller => (
             format!("zero offset {shown} (controller's poses against FK of the joint states)"),
             format!(
                 "first audit with the robot's own calibration (--calibration FILE); if it stays, \
                  q = {factor}q_reported {sign} {size:.5} {symbol}"
             ),
         ),
-        Witness::External | Witness::Unknown => (
+        PoseSourceKind::External | PoseSourceKind::Unknown => (
             format!("zero offset {shown}"),
             format!("q_true = {factor}q_reported {sign} {size:.5} {symbol}, or re-home the joint"),
         ),
@@ -283,14 +283,14 @@ fn fault(
 }
 
 /// What an offset implies for the arm, given the source of the poses.
-fn meaning(witness: Witness) -> &'static str {
+fn meaning(witness: PoseSourceKind) -> &'static str {
     match witness {
-        Witness::Controller => {
+        PoseSourceKind::Controller => {
             "the controller's poses use the same encoders, so a mechanical zero error is invisible here: \
              check with a tracker, a camera or an IMU"
         }
-        Witness::External => "measured independently: the joint itself is off, or the model",
-        Witness::Unknown => {
+        PoseSourceKind::External => "measured independently: the joint itself is off, or the model",
+        PoseSourceKind::Unknown => {
             "if the poses are the controller's own, the model or the joint states differ from the \
              controller's; if they are from a tracker or camera, the joint itself is off"
         }
@@ -342,7 +342,7 @@ mod tests {
 
     #[test]
     fn what_an_offset_means_follows_whose_word_the_poses_are() {
-        let said = |witness: Witness| {
+        let said = |witness: PoseSourceKind| {
             let mut run = clean_run();
             let arm = &mut run.robots[0];
             let pan = &mut arm.diagnosis.offsets[0];
@@ -352,15 +352,15 @@ mod tests {
             assert_eq!(finding.evidence.more["witness"], witness.name());
             (finding.message, finding.evidence.more["meaning"].as_str().unwrap().to_owned())
         };
-        let (message, meaning) = said(Witness::Controller);
+        let (message, meaning) = said(PoseSourceKind::Controller);
         assert!(message.contains("zero offset -0.573"), "{message}");
         assert!(meaning.contains("mechanical zero error is invisible"), "{meaning}");
-        let (message, meaning) = said(Witness::External);
+        let (message, meaning) = said(PoseSourceKind::External);
         assert!(
             message.starts_with("zero offset") && meaning.contains("joint itself"),
             "{meaning}"
         );
-        let (_, meaning) = said(Witness::Unknown);
+        let (_, meaning) = said(PoseSourceKind::Unknown);
         assert!(meaning.contains("controller's own") && meaning.contains("tracker"), "{meaning}");
     }
 
@@ -379,7 +379,7 @@ mod tests {
             let arm = &mut run.robots[0];
             let pan = &mut arm.diagnosis.offsets[0];
             (pan.offset, pan.chosen, pan.effect_m) = (Ok(sure(-0.01)), true, effect_m);
-            arm.poses[0].witness = Witness::External;
+            arm.poses[0].witness = PoseSourceKind::External;
             let stream = &mut arm.poses[0].diagnosis;
             let mut tool = frame(0.0);
             tool.translation_m.std_error = tool_error_m;

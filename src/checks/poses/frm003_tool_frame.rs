@@ -3,7 +3,7 @@ use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Confounder, FrameEstimate, SwitchedTool};
 use crate::evidence::{ArmEvidence, Of, PoseEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
-use crate::run::Witness;
+use crate::run::PoseSourceKind;
 
 rule! {
     /// The tool frame of a stream is off by a constant.
@@ -97,7 +97,7 @@ fn alternates(
         more => format!(" and {more} more times"),
     };
     let (what, fix) = match stream.witness {
-        Witness::External => (
+        PoseSourceKind::External => (
             "the tracker confuses the body with another marker or a rotated constellation",
             "use an asymmetric marker constellation and keep bodies apart; exclude the poses at these times",
         ),
@@ -145,7 +145,7 @@ fn fault(
 ) -> Fault {
     let tip = &stream.tip;
     let (severity, guess) = match (stream.witness, stream.tip_named) {
-        (Witness::External, _) => (Severity::Info, ", the position of its marker"),
+        (PoseSourceKind::External, _) => (Severity::Info, ", the position of its marker"),
         (_, true) => (severity, ""),
         (_, false) => (Severity::Info, ", probably the active TCP"),
     };

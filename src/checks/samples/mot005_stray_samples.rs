@@ -3,7 +3,7 @@ use serde_json::{Value, json};
 use crate::checks::{Case, Grade, Judged};
 use crate::evidence::{Of, StrayEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Subject, Unit};
-use crate::run::{FEWEST_SAMPLES, Strays};
+use crate::run::{FEWEST_SAMPLES, Outliers};
 
 rule! {
     /// Samples jump away and back (outliers).
@@ -55,7 +55,7 @@ fn check(case: &Case) -> Vec<Judged> {
 
 fn judge(case: &Case, stream: &Of<StrayEvidence>) -> Judged {
     let judged = |subject, outcome| Judged::new(subject, outcome).within(stream.span);
-    let are_untold = |part: &Strays| part.count() == 0;
+    let are_untold = |part: &Outliers| part.count() == 0;
     if !stream.parts.is_empty() && stream.parts.iter().all(are_untold) {
         let why = "more than 5 % of the samples jump, so outliers cannot be identified; check the stream \
             itself";
@@ -78,7 +78,7 @@ fn judge(case: &Case, stream: &Of<StrayEvidence>) -> Judged {
         },
         _ => stream.subject.clone(),
     };
-    let count: usize = stream.parts.iter().map(Strays::count).sum();
+    let count: usize = stream.parts.iter().map(Outliers::count).sum();
     let parts = told().take(LISTED).map(|part| {
         json!({
             "joint": part.joint,
@@ -101,7 +101,7 @@ fn judge(case: &Case, stream: &Of<StrayEvidence>) -> Judged {
 
 impl StrayEvidence {
     /// The jump of a part, with its unit.
-    fn amount(&self, part: &Strays) -> (Unit, f64) {
+    fn amount(&self, part: &Outliers) -> (Unit, f64) {
         let turns = part.joint.as_ref().is_some_and(|joint| !self.sliding.contains(joint));
         match (turns, part.farthest.length_m) {
             (true, by) => (Unit::Radian, by),
@@ -114,7 +114,7 @@ impl StrayEvidence {
 fn fault(
     case: &Case,
     stream: &Of<StrayEvidence>,
-    worst: &Strays,
+    worst: &Outliers,
     count: usize,
     shown: &str,
 ) -> Fault {

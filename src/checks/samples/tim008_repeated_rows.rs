@@ -2,7 +2,7 @@ use crate::checks::decision::Threshold;
 use crate::checks::{Case, Grade, Judged};
 use crate::evidence::{HeldEvidence, Of};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
-use crate::run::Held;
+use crate::run::RepeatedValues;
 
 rule! {
     /// Rows repeat values with new stamps while the arm moves.
@@ -62,7 +62,7 @@ fn judge(case: &Case, stream: &Of<HeldEvidence>) -> Judged {
         }
         Some(severity) => Outcome::faulty(fault(stream, worst, severity)),
     };
-    let Held { rows, repeated, rows_hz, values_hz, mean_age_s, .. } = *worst;
+    let RepeatedValues { rows, repeated, rows_hz, values_hz, mean_age_s, .. } = *worst;
     stream
         .judged(outcome)
         .estimated(Estimate::counted("repeated rows", "1", worst.share()))
@@ -73,7 +73,7 @@ fn judge(case: &Case, stream: &Of<HeldEvidence>) -> Judged {
         .with_evidence("mean_age_s", mean_age_s)
 }
 
-fn fault(stream: &Of<HeldEvidence>, held: &Held, severity: Severity) -> Fault {
+fn fault(stream: &Of<HeldEvidence>, held: &RepeatedValues, severity: Severity) -> Fault {
     let frame = match (&held.frame, stream.parts.len()) {
         (Some(frame), 2..) => format!(" (worst: '{frame}')"),
         _ => String::new(),
@@ -112,7 +112,7 @@ mod tests {
     }
 
     fn stream(repeated: usize) -> HeldEvidence {
-        let mut held = Held::default();
+        let mut held = RepeatedValues::default();
         (held.rows, held.repeated) = (1000, repeated);
         (held.rows_hz, held.values_hz, held.mean_age_s) = (125.0, 25.0, 0.016);
         HeldEvidence { parts: vec![held], is_latched: false, is_of_joints: false }

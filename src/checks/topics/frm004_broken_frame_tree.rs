@@ -2,7 +2,7 @@ use serde_json::{Value, json};
 
 use crate::checks::{Case, Grade, Judged};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
-use crate::run::{Apart, Flaw, FlawKind};
+use crate::run::{PoseDistance, TfProblem, TfProblemKind};
 
 rule! {
     /// The TF frames do not form a tree.
@@ -60,7 +60,7 @@ fn check(case: &Case) -> Vec<Judged> {
     sound.chain(frames.flaws.iter().map(judge)).collect()
 }
 
-fn judge(flaw: &Flaw) -> Judged {
+fn judge(flaw: &TfProblem) -> Judged {
     let said = Said::of(flaw);
     let subject = Subject {
         topic: flaw.topics.first().cloned(),
@@ -97,17 +97,17 @@ struct Said {
     title: &'static str,
     /// The frames, the affected one first.
     frames: Vec<String>,
-    by: Option<Apart>,
+    by: Option<PoseDistance>,
     numbers: Vec<(&'static str, Value)>,
     message: String,
     fix: String,
 }
 
 impl Said {
-    fn of(flaw: &Flaw) -> Self {
+    fn of(flaw: &TfProblem) -> Self {
         let on = flaw.topics.join(" and ");
         match &flaw.kind {
-            FlawKind::SeveralParents { child, parents } => Self {
+            TfProblemKind::SeveralParents { child, parents } => Self {
                 severity: Severity::Error,
                 what: "several-parents",
                 title: "a frame has several parents",
@@ -122,7 +122,7 @@ impl Said {
                     "keep one of these transforms of '{child}'; invert or remove the others"
                 ),
             },
-            FlawKind::Cycle { frames } => Self {
+            TfProblemKind::Cycle { frames } => Self {
                 severity: Severity::Error,
                 what: "cycle",
                 title: "frames form a cycle",
@@ -137,7 +137,7 @@ impl Said {
                 },
                 fix: "invert or remove one of these transforms".to_owned(),
             },
-            FlawKind::StaticMoves { edge, by } => Self {
+            TfProblemKind::StaticMoves { edge, by } => Self {
                 severity: Severity::Error,
                 what: "static-moves",
                 title: "a static frame moves",
@@ -152,7 +152,7 @@ impl Said {
                 ),
                 fix: format!("publish '{}' on /tf, or only once", edge.child),
             },
-            FlawKind::Conflict { edge, by, jumps, rows } => Self {
+            TfProblemKind::Conflict { edge, by, jumps, rows } => Self {
                 severity: Severity::Error,
                 what: "conflict",
                 title: "two publishers of one transform",
@@ -168,7 +168,7 @@ impl Said {
                 ),
                 fix: format!("find the two nodes that publish '{}', and stop one", edge.child),
             },
-            FlawKind::Publishers { edge, edges, by, rates_hz, rows, are_joints } => {
+            TfProblemKind::Publishers { edge, edges, by, rates_hz, rows, are_joints } => {
                 let what = match (edge, edges) {
                     (Some(edge), 0 | 1) => format!("'{}' to '{}' on {on}", edge.parent, edge.child),
                     (Some(edge), edges) => format!(
@@ -178,7 +178,7 @@ impl Said {
                     (None, _) => on.clone(),
                 };
                 let [a, b] = rates_hz.map(|rate_hz| format!("{rate_hz:.1} Hz"));
-                let amount = |by: &Apart| match are_joints {
+                let amount = |by: &PoseDistance| match are_joints {
                     true => format!("{} in a joint", Unit::Radian.show(by.angle_rad)),
                     false => shown(by),
                 };
@@ -209,7 +209,7 @@ impl Said {
                     fix: format!("find the two nodes that publish {on}, and stop one"),
                 }
             }
-            FlawKind::Pieces { needed_by, frame, base } => Self {
+            TfProblemKind::Pieces { needed_by, frame, base } => Self {
                 severity: Severity::Error,
                 what: "pieces",
                 title: "the frame tree is disconnected",
@@ -225,10 +225,10 @@ impl Said {
     }
 }
 
-fn numbers(by: &Apart) -> [(&'static str, Value); 2] {
+fn numbers(by: &PoseDistance) -> [(&'static str, Value); 2] {
     [("length_m", json!(by.length_m)), ("angle_rad", json!(by.angle_rad))]
 }
 
-fn shown(by: &Apart) -> String {
+fn shown(by: &PoseDistance) -> String {
     format!("{} and {}", Unit::Metre.show(by.length_m), Unit::Radian.show(by.angle_rad))
 }

@@ -7,7 +7,7 @@ use crate::audit::Calibrated;
 use crate::diagnosis::CalibrationResidual;
 use crate::finding::Unit;
 use crate::report::foreign;
-use crate::run::Witness;
+use crate::run::PoseSourceKind;
 
 /// Maximum number of listed directions that are not observable.
 const LISTED: usize = 6;
@@ -23,12 +23,12 @@ impl Calibrated {
     /// What was calibrated, which depends on the source of the poses.
     pub(super) fn subject(&self) -> &'static str {
         match self.witness() {
-            Witness::Controller => {
+            PoseSourceKind::Controller => {
                 "the controller's own kinematics: its poses are computed from the same encoders and do not \
                  show where the arm really is"
             }
-            Witness::External => "the arm itself, measured by an independent reference",
-            Witness::Unknown => {
+            PoseSourceKind::External => "the arm itself, measured by an independent reference",
+            PoseSourceKind::Unknown => {
                 "undetermined: the arm itself if the poses are an independent measurement, the controller's \
                  own kinematics if they come from the controller"
             }

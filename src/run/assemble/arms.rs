@@ -294,7 +294,7 @@ fn seen_joint_topics<'a>(
 ) -> Vec<JointTopic<'a>> {
     let mut topics = joint_topics(streams, timing);
     for topic in &mut topics {
-        topic.rows = timing.seen_rows(streams, topic.stream, 0, most_lag_s);
+        topic.rows = timing.filtered_rows(streams, topic.stream, 0, most_lag_s);
     }
     topics
 }

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use crate::run::RunOptions;
 use crate::run::arm::Arm;
-use crate::run::contest::Contest;
 use crate::run::frozen::Frozen;
+use crate::run::shared_stream::SharedStream;
 use crate::run::streams::Stream;
 use crate::run::tf_tree::TfTree;
 use crate::run::timing::Timing;
@@ -22,7 +22,7 @@ pub(super) struct Assembly<'a> {
     /// Joint state streams without an arm.
     pub(super) strangers: Vec<usize>,
     pub(super) unaudited: Vec<Unaudited>,
-    pub(super) contests: Vec<Contest>,
+    pub(super) shared_streams: Vec<SharedStream>,
     pub(super) frozen: Vec<Frozen>,
     /// Streams that were searched for frozen samples.
     pub(super) watched: Vec<usize>,

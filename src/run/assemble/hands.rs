@@ -43,7 +43,7 @@ impl Assembly<'_> {
         let Some(Columns::Poses(poses)) = &self.streams[index].columns else { return None };
         let [poses] = poses.as_slice() else { return None };
         let mut rows = self.timing.clocks.rows(&self.streams, index, 0);
-        self.timing.sift.sift(index, 0, &mut rows);
+        self.timing.sample_filter.apply(index, 0, &mut rows);
         let track = poses::from_poses(poses, &rows, None, self.origin).ok()?.track;
         (track.t_s.len() > 1).then_some(track)
     }

@@ -109,7 +109,7 @@ impl Assembly<'_> {
         let mut rows = self.timing.clocks.rows(&self.streams, index, 0);
         if rows.len() > MANY {
             let around_s = self.options.max_latency_s;
-            rows = self.timing.seen_rows(&self.streams, index, 0, around_s);
+            rows = self.timing.filtered_rows(&self.streams, index, 0, around_s);
             poses::thinned(&mut rows);
         }
         rows

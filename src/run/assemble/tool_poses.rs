@@ -6,39 +6,39 @@ use crate::stream::Columns;
 use crate::time::Stamp;
 
 use super::super::arm::{Anchor, Arm};
-use super::super::contest::{Claimant, Contest};
 use super::super::declaration::Declaration;
 use super::super::error::RunError;
 use super::super::frozen::{Frozen, take_frozen};
 use super::super::poses::{self, Stamped};
 use super::super::role::{Place, PoseTopic, Role, Verdict, array_role, beside_arm, pose_role};
-use super::super::sources::Carrier;
+use super::super::shared_stream::{CandidateArm, SharedStream};
+use super::super::source_kind::{PoseNames, PoseSourceKind, source_kind_of};
+use super::super::sources::MovingBase;
 use super::super::sources::{ImuSource, PoseSource};
 use super::super::space::Claim;
 use super::super::streams::Stream;
 use super::super::tf_tree::{Edge, EdgeKind};
 use super::super::topics::{SaidRole, TopicSettings};
 use super::super::unaudited::{Unaudited, WhyNot};
-use super::super::witness::{PoseNames, Witness, witness_of};
 use super::assembly::{Assembly, is_topic};
 use super::not_so;
 
 /// The links of an arm between which a stream's poses are measured.
-pub(super) struct Site {
+pub(super) struct StreamFrames {
     pub frame: Place,
     pub child: Place,
     pub base: Anchor,
     pub tip: Anchor,
     pub tip_named: bool,
     /// Poses of the frame in the base, if the frame moves there.
-    pub carrier: Option<Vec<(Stamp, Pose)>>,
+    pub moving_frame: Option<Vec<(Stamp, Pose)>>,
     /// Remarks for the stream's reason.
-    pub said: String,
+    pub remarks: String,
 }
 
 /// A stream as a pose source of an arm.
-struct Held {
-    claim: Claimant,
+struct ArmPoseSource {
+    candidate: CandidateArm,
     source: PoseSource,
 }
 
@@ -92,9 +92,9 @@ impl Assembly<'_> {
             let known = role == Role::Pose;
             match self.pose_source(index, &self.arms[arm], site, declared, (known, &mut frozen)) {
                 Ok(found) => {
-                    reason += &site.said;
+                    reason += &site.remarks;
                     let by_names = || {
-                        witness_of(&PoseNames {
+                        source_kind_of(&PoseNames {
                             topic: &stream.topic,
                             type_name: &stream.type_name,
                             frame_id: &stream.frame_id,
@@ -103,9 +103,9 @@ impl Assembly<'_> {
                             stamps_copied: found.stamps_copied,
                         })
                     };
-                    let set = said.and_then(|said| Some((said.witness?, said.place.clone())));
-                    let witness = set.unwrap_or_else(by_names);
-                    source = Some((self.held(arm, site, found), witness));
+                    let set = said.and_then(|said| Some((said.source_kind?, said.place.clone())));
+                    let source_kind = set.unwrap_or_else(by_names);
+                    source = Some((self.arm_pose_source(arm, site, found), source_kind));
                 }
                 Err(what)
                     if let Some(declared) = declared
@@ -128,8 +128,12 @@ impl Assembly<'_> {
             role = beside_arm(&stream.topic);
             reason += ", and there is no arm for it to follow";
         }
-        let rivals: Vec<Held> = match &source {
-            Some(_) => claimants.iter().skip(1).filter_map(|&arm| self.rival(index, arm)).collect(),
+        let rivals: Vec<ArmPoseSource> = match &source {
+            Some(_) => claimants
+                .iter()
+                .skip(1)
+                .filter_map(|&arm| self.pose_source_of_other_arm(index, arm))
+                .collect(),
             None => Vec::new(),
         };
         let is_own_frame = site.as_ref().is_some_and(|site| site.frame == Place::Tool);
@@ -140,15 +144,16 @@ impl Assembly<'_> {
         self.unaudited.extend(unaudited.map(why));
         let stream = &mut self.streams[index];
         (stream.role, stream.reason) = (role, reason);
-        if let Some((held, (witness, why))) = source {
-            stream.reason += &format!("; witness: {}, by {why}", witness.name());
-            stream.witness = Some(witness);
-            held.claim.give(stream);
-            let claims = std::iter::once(&held).chain(&rivals).map(|held| held.claim.clone());
+        if let Some((own, (source_kind, why))) = source {
+            stream.reason += &format!("; witness: {}, by {why}", source_kind.name());
+            stream.source_kind = Some(source_kind);
+            own.candidate.assign(stream);
+            let claims = std::iter::once(&own).chain(&rivals).map(|own| own.candidate.clone());
             if !rivals.is_empty() {
-                self.contests.push(Contest { stream: index, claims: claims.collect() });
+                self.shared_streams
+                    .push(SharedStream { stream: index, candidates: claims.collect() });
             }
-            for Held { claim, source } in std::iter::once(held).chain(rivals) {
+            for ArmPoseSource { candidate: claim, source } in std::iter::once(own).chain(rivals) {
                 self.arms[claim.arm].poses.push(source);
             }
         }
@@ -156,7 +161,7 @@ impl Assembly<'_> {
     }
 
     /// The stream as a pose source of another arm, if it may belong to that arm.
-    fn rival(&self, index: usize, arm: usize) -> Option<Held> {
+    fn pose_source_of_other_arm(&self, index: usize, arm: usize) -> Option<ArmPoseSource> {
         let stream = &self.streams[index];
         let site = self.site(&self.arms[arm], stream);
         let is_wanted = matches!(
@@ -164,16 +169,24 @@ impl Assembly<'_> {
             Role::Pose | Role::Candidate { .. }
         );
         let found = self.pose_source(index, &self.arms[arm], &site, None, (true, &mut Vec::new()));
-        found.ok().filter(|_| is_wanted).map(|source| self.held(arm, &site, source))
+        found.ok().filter(|_| is_wanted).map(|source| self.arm_pose_source(arm, &site, source))
     }
 
-    fn held(&self, arm: usize, site: &Site, source: PoseSource) -> Held {
+    fn arm_pose_source(
+        &self,
+        arm: usize,
+        site: &StreamFrames,
+        source: PoseSource,
+    ) -> ArmPoseSource {
         let of = &self.arms[arm];
         let reference = match source.reference_known {
             true => of.frame_of(site.base.link),
             false => self.streams[source.stream].frame_id.clone(),
         };
-        Held { claim: Claimant { arm, reference, link: of.frame_of(site.tip.link) }, source }
+        ArmPoseSource {
+            candidate: CandidateArm { arm, reference, link: of.frame_of(site.tip.link) },
+            source,
+        }
     }
 
     /// The caller's settings for the topic of a stream.
@@ -184,7 +197,7 @@ impl Assembly<'_> {
     pub(super) fn role_of(
         &self,
         stream: &Stream,
-        site: Option<&Site>,
+        site: Option<&StreamFrames>,
         is_declared: bool,
     ) -> Verdict {
         let said = self.said_of(stream).and_then(|said| Some((said.role?, &said.place)));
@@ -259,7 +272,7 @@ impl Assembly<'_> {
     }
 
     /// Determines the links of `arm` between which a stream's poses are measured.
-    pub(super) fn site(&self, arm: &Arm, stream: &Stream) -> Site {
+    pub(super) fn site(&self, arm: &Arm, stream: &Stream) -> StreamFrames {
         let (mut frame, mut frame_anchor) = arm.place(&stream.frame_id);
         let (child, child_anchor) = arm.place(&stream.child_frame_id);
         let still = |link: LinkId| Anchor { link, link_from_frame: Pose::identity() };
@@ -270,7 +283,7 @@ impl Assembly<'_> {
         let is_reached = |base: Anchor| arm.chain_between(base.link, tip.link).is_some();
         let mut carrier = None;
         if frame == Place::Unknown || frame_anchor.is_some_and(|base| !is_reached(base)) {
-            carrier = self.carrier(arm, &stream.frame_id);
+            carrier = self.moving_frame(arm, &stream.frame_id);
         }
         let stands = carrier.as_ref().and_then(|samples| samples.first()).map(|(_, first)| *first);
         let stands =
@@ -315,7 +328,7 @@ impl Assembly<'_> {
             said += &format!("; audited as '{}', as set by the caller", arm.chain.tip_name());
         }
         let tip_named = arm.tip_named || child == Place::MovingLink;
-        Site { frame, child, base, tip, tip_named, carrier, said }
+        StreamFrames { frame, child, base, tip, tip_named, moving_frame: carrier, remarks: said }
     }
 
     /// The poses of a stream and the chain that predicts them.
@@ -323,7 +336,7 @@ impl Assembly<'_> {
         &self,
         index: usize,
         arm: &Arm,
-        site: &Site,
+        site: &StreamFrames,
         declared: Option<&Declaration>,
         (known, frozen): (bool, &mut Vec<Frozen>),
     ) -> Result<PoseSource, NoSource> {
@@ -334,7 +347,7 @@ impl Assembly<'_> {
                     "no joint in the joint states moves '{tip}' relative to '{base}'"
                 ))
             })?;
-        let mut rows = self.timing.seen_rows(&self.streams, index, 0, 0.0);
+        let mut rows = self.timing.filtered_rows(&self.streams, index, 0, 0.0);
         poses::thinned(&mut rows);
         let mut logged = match &self.streams[index].columns {
             Some(Columns::Poses(poses)) => {
@@ -361,7 +374,7 @@ impl Assembly<'_> {
         let (before, after) = (site.base.link_from_frame, site.tip.link_from_frame.inverse());
         let track = poses::reframed(track, &before, &after);
         let seconds = |stamp: &Stamp| stamp.seconds_since(self.origin);
-        let carrier = site.carrier.as_ref().map(|samples| Carrier {
+        let carrier = site.moving_frame.as_ref().map(|samples| MovingBase {
             frame: self.streams[index].frame_id.clone(),
             t_s: samples.iter().map(|(stamp, _)| seconds(stamp)).collect(),
             base_from_frame: samples.iter().map(|(_, pose)| *pose).collect(),
@@ -369,7 +382,7 @@ impl Assembly<'_> {
             lag_s: 0.0,
             is_on_time: true,
         });
-        let track = carrier.as_ref().map_or(track, |carrier| carrier.taken(0.0));
+        let track = carrier.as_ref().map_or(track, |carrier| carrier.in_base(0.0));
         if track.t_s.len() < 2 {
             let what = "the transforms of its frame do not cover its time range".to_owned();
             return Err(NoSource::Kinematics(what));
@@ -379,7 +392,7 @@ impl Assembly<'_> {
             chain,
             columns,
             track,
-            carrier,
+            moving_base: carrier,
             reference_known: !matches!(site.frame, Place::Unknown | Place::Tool),
             stamps_copied: poses::are_copies(&stamps, &arm.joint_stamps),
             stamp_error_s: self.stamp_error_s(arm, index, 0),
@@ -389,7 +402,7 @@ impl Assembly<'_> {
 
     /// Poses of a moving frame in the arm's base, from transforms that do not depend on known joints and of
     /// which at least one is dynamic.
-    fn carrier(&self, arm: &Arm, frame: &str) -> Option<Vec<(Stamp, Pose)>> {
+    fn moving_frame(&self, arm: &Arm, frame: &str) -> Option<Vec<(Stamp, Pose)>> {
         let is_free = |edge: &Edge| {
             let (parent, child) = arm.tree.names(edge);
             edge.kind != EdgeKind::Dynamic || !arm.knows_between(parent, child)
@@ -408,7 +421,7 @@ impl Assembly<'_> {
         /// Maximum rotation of a stationary base, rad.
         const STANDS_RAD: f64 = 0.02;
         let root = arm.tree.root_of(&arm.frame_of(arm.base));
-        let samples = self.carrier(arm, root)?;
+        let samples = self.moving_frame(arm, root)?;
         let first = samples.first()?.1.rotation;
         let turns = samples.iter().any(|(_, pose)| pose.rotation.angle_to(&first) > STANDS_RAD);
         turns.then_some(root)
@@ -451,7 +464,7 @@ impl Assembly<'_> {
         let base =
             if rides && arm.chain_between(root, carrier).is_some() { root } else { arm.base };
         let Some((chain, columns)) = arm.chain_between(base, carrier) else { return };
-        let rows = self.timing.seen_rows(&self.streams, index, 0, 0.0);
+        let rows = self.timing.filtered_rows(&self.streams, index, 0, 0.0);
         let Stamped { track, stamps } = poses::from_imu(imu, &rows, self.origin);
         let source = ImuSource {
             stream: index,
@@ -466,7 +479,7 @@ impl Assembly<'_> {
         let [reference, link] = [base, carrier].map(|link| arm.frame_of(link));
         let stream = &mut self.streams[index];
         (stream.arm, stream.reason) = (Some(owner), reason);
-        stream.witness = Some(Witness::External);
+        stream.source_kind = Some(PoseSourceKind::External);
         (stream.reference, stream.link) = (Some(reference), Some(link));
         if source.track.t_s.len() > 1 {
             self.arms[owner].imus.push(source);

@@ -9,13 +9,13 @@ use super::super::arm::{Arm, NoTf};
 use super::super::model::FrameNames;
 use super::super::poses::{self, Stamped};
 use super::super::role::{Place, Role};
+use super::super::source_kind::PoseSourceKind;
 use super::super::sources::PoseSource;
 use super::super::space::{Claim, Space};
 use super::super::streams::Stream;
 use super::super::targets;
 use super::super::tf_tree::{Edge, EdgeKind, TfTree, without_slash};
 use super::super::timing::Timing;
-use super::super::witness::Witness;
 use super::assembly::Assembly;
 
 /// Builds the tree of the log's TF topics, without topics of arms outside `space`.
@@ -49,7 +49,7 @@ fn samples_of(
     (index, piece): (usize, usize),
     poses: &PoseColumns,
 ) -> (Vec<Stamp>, Vec<Pose>) {
-    let rows = timing.seen_rows(streams, index, piece, 0.0).into_iter();
+    let rows = timing.filtered_rows(streams, index, piece, 0.0).into_iter();
     let mut samples: Vec<(Stamp, Pose)> =
         rows.filter_map(|(stamp, row)| Some((stamp, pose_at(poses, row)?))).collect();
     samples.sort_by_key(|(stamp, _)| *stamp);
@@ -163,7 +163,7 @@ impl Assembly<'_> {
             stamps_copied: poses::are_copies(&stamps, &arm.joint_stamps),
             stamp_error_s: self.stamp_error_s(arm, stream, piece),
             tip_named: arm.tip_named,
-            carrier: None,
+            moving_base: None,
         };
         Ok((source, from_model.collect()))
     }
@@ -248,7 +248,7 @@ impl Assembly<'_> {
             stream.link = Some(arm.frame_of(arm.tip));
             // Transforms of the model's joints come from the controller; measured ones are already separate
             // streams.
-            stream.witness = Some(Witness::Controller);
+            stream.source_kind = Some(PoseSourceKind::Controller);
         } else if let Some(Err(reason)) = self.arms.first().map(|arm| &arm.tf) {
             stream.reason = format!("{}; {reason}", stream.reason);
         }

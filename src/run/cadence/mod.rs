@@ -121,7 +121,7 @@ pub(super) fn rhythms(
         let mut parts: Vec<Part<'_>> = parts(columns, arms)
             .into_iter()
             .flat_map(|part| {
-                let two = timing.sift.publishers.iter();
+                let two = timing.sample_filter.publishers.iter();
                 let mut two = two.filter(|two| (two.stream, two.piece) == (index, part.piece));
                 match two.next() {
                     Some(two) => Vec::from(part.by_publisher(&two.second)),

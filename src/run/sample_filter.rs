@@ -3,30 +3,30 @@
 
 use std::borrow::Cow;
 
-use super::held::{self, Held, held};
+use super::outliers::{self, Outliers, detect_outliers};
 use super::publishers::{self, Publishers, publishers};
+use super::repeated::{self, RepeatedValues, detect_repeated_values};
 use super::role::Role;
 use super::rows::Rows;
 use super::series::{Values, series};
-use super::stalled::{self, Stalled, stalled};
-use super::strays::{self, Strays, strays};
+use super::stale::{self, StaleJoints, detect_stale_joints};
 use super::streams::{Clocks, Stream};
 
 /// Samples excluded from estimation.
 #[derive(Debug, Default)]
-pub struct Sift {
+pub struct SampleFilter {
     /// Outliers.
-    pub strays: Vec<Strays>,
+    pub outliers: Vec<Outliers>,
     /// Topics and transforms with two publishers.
     pub publishers: Vec<Publishers>,
     /// Repeated values with new stamps.
-    pub held: Vec<Held>,
+    pub repeated: Vec<RepeatedValues>,
     /// Frozen joint states.
-    pub(super) stalled: Vec<Stalled>,
+    pub(super) stale: Vec<StaleJoints>,
 }
 
-impl Sift {
-    pub(super) fn of(streams: &[Stream], clocks: &Clocks) -> Self {
+impl SampleFilter {
+    pub(super) fn new(streams: &[Stream], clocks: &Clocks) -> Self {
         let mut series = series(streams, clocks);
         let publishers = publishers(&series);
         for series in &mut series {
@@ -34,29 +34,29 @@ impl Sift {
             // A message resent with its stamp is the same row.
             series.rows.dedup_by_key(|(stamp, _)| *stamp);
         }
-        let held = held(&series);
+        let repeated = detect_repeated_values(&series);
         let joints = series.iter().filter(|series| {
             matches!(series.values, Values::Joints(_))
                 && streams[series.stream].role == Role::Joints
         });
-        let stalled = joints.flat_map(|series| {
+        let stale = joints.flat_map(|series| {
             let mut rows = Cow::Borrowed(&series.rows);
-            if held::is_taken_once(&held, series.stream, series.piece) {
-                held::take_once(&held, series.stream, series.piece, rows.to_mut());
+            if repeated::is_deduplicated(&repeated, series.stream, series.piece) {
+                repeated::deduplicate(&repeated, series.stream, series.piece, rows.to_mut());
             }
-            stalled(series, &rows)
+            detect_stale_joints(series, &rows)
         });
-        let stalled = stalled.collect();
-        let strays = strays(streams, clocks, &publishers);
-        Self { strays, publishers, held, stalled }
+        let stale = stale.collect();
+        let outliers = detect_outliers(streams, clocks, &publishers);
+        Self { outliers, publishers, repeated, stale }
     }
 
     /// Removes the filtered rows of a part.
-    pub(super) fn sift(&self, stream: usize, piece: usize, rows: &mut Rows) {
+    pub(super) fn apply(&self, stream: usize, piece: usize, rows: &mut Rows) {
         publishers::hide(&self.publishers, stream, piece, rows);
-        strays::hide(&self.strays, stream, piece, rows);
-        stalled::hide(&self.stalled, stream, rows);
-        held::take_once(&self.held, stream, piece, rows);
+        outliers::hide(&self.outliers, stream, piece, rows);
+        stale::hide(&self.stale, stream, rows);
+        repeated::deduplicate(&self.repeated, stream, piece, rows);
     }
 
     /// Copies the results of one part to another stream.
@@ -71,9 +71,9 @@ impl Sift {
         }
         let of_it = |own: (usize, usize)| own == (stream, piece);
         shared(
-            &mut self.strays,
+            &mut self.outliers,
             |one| of_it((one.stream, one.piece)),
-            |one| Strays { stream: to, piece: 0, ..one },
+            |one| Outliers { stream: to, piece: 0, ..one },
         );
         shared(
             &mut self.publishers,
@@ -81,9 +81,9 @@ impl Sift {
             |one| Publishers { stream: to, piece: 0, ..one },
         );
         shared(
-            &mut self.held,
+            &mut self.repeated,
             |one| of_it((one.stream, one.piece)),
-            |one| Held { stream: to, piece: 0, ..one },
+            |one| RepeatedValues { stream: to, piece: 0, ..one },
         );
     }
 }

@@ -10,13 +10,13 @@ use rayon::prelude::*;
 
 use crate::time::Stamp;
 
-use super::apart::Apart;
+use super::pose_distance::PoseDistance;
 use super::rows::Rows;
 use super::series::{Series, Values};
 
 /// Stale samples of one part of a stream.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Held {
+pub struct RepeatedValues {
     /// Index of the stream.
     pub stream: usize,
     /// Child frame of the transform.
@@ -37,9 +37,9 @@ pub struct Held {
     pub(super) new: Vec<(usize, Stamp)>,
 }
 
-impl Held {
+impl RepeatedValues {
     /// Whether repeated values are removed.
-    pub fn is_taken_once(&self) -> bool {
+    pub fn is_deduplicated(&self) -> bool {
         !self.new.is_empty()
     }
 
@@ -58,17 +58,26 @@ const MOVED: f64 = 5e-3;
 const ENOUGH: usize = 40;
 
 /// Whether repeated values are removed from a part of a stream.
-pub(super) fn is_taken_once(held: &[Held], stream: usize, piece: usize) -> bool {
-    held.iter().any(|held| (held.stream, held.piece) == (stream, piece) && held.is_taken_once())
+pub(super) fn is_deduplicated(repeats: &[RepeatedValues], stream: usize, piece: usize) -> bool {
+    repeats.iter().any(|repeats| {
+        (repeats.stream, repeats.piece) == (stream, piece) && repeats.is_deduplicated()
+    })
 }
 
 /// Removes repeated values from the rows of a part, and corrects the times of the others.
-pub(super) fn take_once(held: &[Held], stream: usize, piece: usize, rows: &mut Rows) {
-    let of_it = |held: &&Held| (held.stream, held.piece) == (stream, piece) && !held.new.is_empty();
-    let Some(held) = held.iter().find(of_it) else { return };
-    rows.retain_mut(|(stamp, row)| match held.new.binary_search_by_key(row, |(row, _)| *row) {
+pub(super) fn deduplicate(
+    repeats: &[RepeatedValues],
+    stream: usize,
+    piece: usize,
+    rows: &mut Rows,
+) {
+    let of_it = |repeats: &&RepeatedValues| {
+        (repeats.stream, repeats.piece) == (stream, piece) && !repeats.new.is_empty()
+    };
+    let Some(repeats) = repeats.iter().find(of_it) else { return };
+    rows.retain_mut(|(stamp, row)| match repeats.new.binary_search_by_key(row, |(row, _)| *row) {
         Ok(at) => {
-            *stamp = held.new[at].1;
+            *stamp = repeats.new[at].1;
             true
         }
         Err(_) => false,
@@ -76,25 +85,28 @@ pub(super) fn take_once(held: &[Held], stream: usize, piece: usize, rows: &mut R
 }
 
 /// Detects repeated values in each series.
-pub(super) fn held(series: &[Series<'_>]) -> Vec<Held> {
+pub(super) fn detect_repeated_values(series: &[Series<'_>]) -> Vec<RepeatedValues> {
     let motion: Motion<'_> = LazyLock::new(Box::new(|| {
         let joints = series.iter().filter(|series| matches!(series.values, Values::Joints(_)));
         joints.map(paces).collect()
     }));
     let is_of_joints = |series: &&Series<'_>| matches!(series.values, Values::Joints(_));
-    let of_joints: Vec<Option<Held>> = series
+    let of_joints: Vec<Option<RepeatedValues>> = series
         .par_iter()
-        .map(|series| Some(series).filter(is_of_joints).and_then(|own| of(own, &motion, &[])))
+        .map(|series| {
+            Some(series).filter(is_of_joints).and_then(|own| detect_in_series(own, &motion, &[]))
+        })
         .collect();
     // Poses computed from stale joint states share their stamps.
-    let held = series.iter().zip(&of_joints);
-    let held = held.filter(|(_, found)| found.as_ref().is_some_and(Held::is_taken_once));
+    let repeats = series.iter().zip(&of_joints);
+    let repeats =
+        repeats.filter(|(_, found)| found.as_ref().is_some_and(RepeatedValues::is_deduplicated));
     let mut stamps: Vec<Stamp> =
-        held.flat_map(|(series, _)| series.rows.iter().map(|(stamp, _)| *stamp)).collect();
+        repeats.flat_map(|(series, _)| series.rows.iter().map(|(stamp, _)| *stamp)).collect();
     stamps.sort_unstable();
-    let found = |(series, own): (&Series<'_>, Option<Held>)| match series.values {
+    let found = |(series, own): (&Series<'_>, Option<RepeatedValues>)| match series.values {
         Values::Joints(_) => own,
-        _ => of(series, &motion, &stamps),
+        _ => detect_in_series(series, &motion, &stamps),
     };
     series.par_iter().zip(of_joints).filter_map(found).collect()
 }
@@ -138,7 +150,7 @@ fn quanta(series: &Series<'_>, groups: &[Group]) -> Vec<f64> {
 fn steps(series: &Series<'_>, pair: [&Group; 2]) -> Vec<f64> {
     let [a, b] = pair.map(|group| series.rows[group.first].1);
     if let (Values::Poses(poses), Some(_)) = (&series.values, series.frame) {
-        let apart = Apart::between((poses, a), (poses, b));
+        let apart = PoseDistance::between((poses, a), (poses, b));
         return vec![apart.length_m, apart.angle_rad];
     }
     let number = |number: usize| (series.values.at(b, number) - series.values.at(a, number)).abs();
@@ -204,7 +216,11 @@ fn travels(series: &Series<'_>, groups: &[Group], at: usize) -> bool {
     moved(ends) > MOVED
 }
 
-fn of(series: &Series<'_>, motion: &Motion<'_>, joint_stamps: &[Stamp]) -> Option<Held> {
+fn detect_in_series(
+    series: &Series<'_>,
+    motion: &Motion<'_>,
+    joint_stamps: &[Stamp],
+) -> Option<RepeatedValues> {
     /// Minimum step to the next value per repeated row, in least increments.
     const STEPS: f64 = 2.0;
     /// Maximum repeat count, as a multiple of the usual one; the arm rests if it is longer.
@@ -257,7 +273,7 @@ fn of(series: &Series<'_>, motion: &Motion<'_>, joint_stamps: &[Stamp]) -> Optio
     if count < ENOUGH || span_s <= 0.0 {
         return None;
     }
-    let mut held = Held {
+    let mut repeats = RepeatedValues {
         stream: series.stream,
         frame: series.frame.map(str::to_owned),
         rows: count,
@@ -268,7 +284,7 @@ fn of(series: &Series<'_>, motion: &Motion<'_>, joint_stamps: &[Stamp]) -> Optio
         piece: series.piece,
         new: Vec::new(),
     };
-    if held.share() >= TAKEN_ONCE {
+    if repeats.share() >= TAKEN_ONCE {
         // Splits a rest at the usual rate, so that it is not a gap.
         let most = (count as f64 / moving.len() as f64).ceil() as usize;
         let pieces = groups.iter().flat_map(|group| {
@@ -278,10 +294,10 @@ fn of(series: &Series<'_>, motion: &Motion<'_>, joint_stamps: &[Stamp]) -> Optio
         });
         let is_own = !is_of_joints && !has_frame && !is_of(rows, joint_stamps);
         let new = pieces.map(|rows| (series.rows[rows.start].1, taken_at(series, rows, is_own)));
-        held.new = new.collect();
-        held.new.sort_unstable();
+        repeats.new = new.collect();
+        repeats.new.sort_unstable();
     }
-    (held.repeated > 0).then_some(held)
+    (repeats.repeated > 0).then_some(repeats)
 }
 
 /// Whether at least 90 % of the rows have stamps in a given set.
@@ -330,11 +346,19 @@ mod tests {
         columns
     }
 
-    fn found(columns: &JointColumns) -> Option<Held> {
+    fn found(columns: &JointColumns) -> Option<RepeatedValues> {
         let rows = columns.times.header.iter().map(|&t| Stamp::from_nanos(t)).zip(0..).collect();
         let (times, values) = (&columns.times, Values::Joints(columns));
-        held(&[Series { stream: 0, piece: 0, frame: None, is_table: false, rows, times, values }])
-            .pop()
+        detect_repeated_values(&[Series {
+            stream: 0,
+            piece: 0,
+            frame: None,
+            is_table: false,
+            rows,
+            times,
+            values,
+        }])
+        .pop()
     }
 
     #[test]
@@ -347,7 +371,7 @@ mod tests {
             let mut rows: Rows = (0..columns.times.len())
                 .map(|row| (Stamp::from_nanos(columns.times.header[row]), row))
                 .collect();
-            take_once(&[found], 0, 0, &mut rows);
+            deduplicate(&[found], 0, 0, &mut rows);
             let expected = 20_000 / read_ms;
             assert!((rows.len() as i64 - expected).abs() < expected / 10, "{}", rows.len());
             assert!(rows.windows(2).all(|pair| pair[0] < pair[1]));

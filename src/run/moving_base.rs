@@ -3,23 +3,23 @@
 use crate::geometry::Pose;
 use crate::stream::{Orientations, PoseTrack};
 
-use super::sources::{Carrier, PoseSource};
+use super::sources::{MovingBase, PoseSource};
 use super::tf_tree::between;
 
 impl PoseSource {
     /// Transforms the poses of a moving base again, with transforms `lag_s` before the poses' stamps.
     /// `is_on_time` if that is the poses' own latency.
-    pub(crate) fn take(&mut self, lag_s: f64, is_on_time: bool) {
-        let Some(carrier) = &mut self.carrier else { return };
-        let taken = carrier.taken(lag_s);
-        if taken.t_s.len() > 1 {
-            (carrier.lag_s, carrier.is_on_time) = (lag_s, is_on_time);
-            self.track = taken;
+    pub(crate) fn retransform(&mut self, lag_s: f64, is_on_time: bool) {
+        let Some(base) = &mut self.moving_base else { return };
+        let transformed = base.in_base(lag_s);
+        if transformed.t_s.len() > 1 {
+            (base.lag_s, base.is_on_time) = (lag_s, is_on_time);
+            self.track = transformed;
         }
     }
 }
 
-impl Carrier {
+impl MovingBase {
     /// Pose of the frame in the base at a time, interpolated. `None` outside the time range of the
     /// transforms.
     pub fn at(&self, t_s: f64) -> Option<Pose> {
@@ -34,13 +34,13 @@ impl Carrier {
     }
 
     /// The poses in the base, with transforms `lag_s` before the poses' stamps.
-    pub fn taken(&self, lag_s: f64) -> PoseTrack {
+    pub fn in_base(&self, lag_s: f64) -> PoseTrack {
         let logged = &self.logged;
         let rotations = match &logged.orientation {
             Orientations::Rotations(rotations) => Some(rotations),
             _ => None,
         };
-        let mut taken = PoseTrack {
+        let mut transformed = PoseTrack {
             t_s: Vec::new(),
             xyz: Vec::new(),
             orientation: Orientations::Rotations(Vec::new()),
@@ -51,14 +51,14 @@ impl Carrier {
             let rotation = rotations.map(|rotations| rotations[row]).unwrap_or_default();
             let Some(base_from_frame) = self.at(t_s - lag_s) else { continue };
             let pose = base_from_frame * Pose::from_parts(logged.xyz[row].into(), rotation);
-            taken.t_s.push(t_s);
-            taken.xyz.push(pose.translation.vector);
+            transformed.t_s.push(t_s);
+            transformed.xyz.push(pose.translation.vector);
             turned.push(pose.rotation);
         }
-        taken.orientation = match rotations {
+        transformed.orientation = match rotations {
             Some(_) => Orientations::Rotations(turned),
-            None => Orientations::Unset(taken.t_s.len()),
+            None => Orientations::Unset(transformed.t_s.len()),
         };
-        taken
+        transformed
     }
 }

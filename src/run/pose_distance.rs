@@ -4,23 +4,23 @@ use crate::stream::PoseColumns;
 
 /// Distance between two poses.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Apart {
+pub struct PoseDistance {
     /// Distance between the origins, m.
     pub length_m: f64,
     /// Angle between the orientations, rad.
     pub angle_rad: f64,
 }
 
-impl Apart {
+impl PoseDistance {
     /// Distance between row `b` of some poses and row `a` of others. Ignores norms and signs of the
     /// quaternions; the angle is zero if one is unset.
     pub(super) fn between(a: (&PoseColumns, usize), b: (&PoseColumns, usize)) -> Self {
         let of = |(poses, row): (&PoseColumns, usize)| (poses.xyz[row], poses.q_xyzw[row]);
-        Self::of(of(a), of(b))
+        Self::new(of(a), of(b))
     }
 
     /// Distance between two poses, given as positions, m, and quaternions.
-    pub(super) fn of(a: ([f64; 3], [f64; 4]), b: ([f64; 3], [f64; 4])) -> Self {
+    pub(super) fn new(a: ([f64; 3], [f64; 4]), b: ([f64; 3], [f64; 4])) -> Self {
         let (xyz, p, q) = ([a.0, b.0], a.1, b.1);
         let dot = |p: [f64; 4], q: [f64; 4]| p.iter().zip(q).map(|(a, b)| a * b).sum::<f64>();
         let sign = if dot(p, q) < 0.0 { -1.0 } else { 1.0 };
@@ -37,7 +37,7 @@ impl Apart {
 
     /// Whether two rotations are certainly less than `limit_rad` apart. Avoids square roots; may return
     /// false for some that are.
-    pub(super) fn is_surely_turned_less(p: [f64; 4], q: [f64; 4], limit_rad: f64) -> bool {
+    pub(super) fn is_certainly_rotated_less(p: [f64; 4], q: [f64; 4], limit_rad: f64) -> bool {
         let dot = |p: [f64; 4], q: [f64; 4]| p.iter().zip(q).map(|(a, b)| a * b).sum::<f64>();
         let sign = if dot(p, q) < 0.0 { -1.0 } else { 1.0 };
         let square: f64 = (0..4).map(|i| (p[i] - sign * q[i]).powi(2)).sum();
@@ -46,7 +46,7 @@ impl Apart {
     }
 
     /// Combined size for comparisons: displacement at the end of a 1 m lever, m.
-    pub(super) fn size(self) -> f64 {
+    pub(super) fn size_m(self) -> f64 {
         self.length_m + self.angle_rad
     }
 }

@@ -30,19 +30,19 @@ const BESIDE: usize = 4;
 
 /// A span of frozen joint states, and its rows from the second on.
 #[derive(Debug)]
-pub(super) struct Stalled {
+pub(super) struct StaleJoints {
     pub frozen: Frozen,
     pub rows: Vec<usize>,
 }
 
-pub(super) fn hide(stalled: &[Stalled], stream: usize, rows: &mut Rows) {
-    for found in stalled.iter().filter(|found| found.frozen.stream == stream) {
+pub(super) fn hide(stale: &[StaleJoints], stream: usize, rows: &mut Rows) {
+    for found in stale.iter().filter(|found| found.frozen.stream == stream) {
         rows.retain(|(_, row)| found.rows.binary_search(row).is_err());
     }
 }
 
 /// Finds spans of frozen joint states in `series`, in the given `rows`.
-pub(super) fn stalled<'s>(series: &Series<'s>, rows: &Rows) -> Vec<Stalled> {
+pub(super) fn detect_stale_joints<'s>(series: &Series<'s>, rows: &Rows) -> Vec<StaleJoints> {
     let Values::Joints(joints) = series.values else { return Vec::new() };
     let is_all = rows.len() == joints.times.len() && (0..).zip(rows).all(|(at, row)| row.1 == at);
     let of_rows = |joint: &'s JointColumn| -> Cow<'s, [f64]> {
@@ -109,13 +109,13 @@ pub(super) fn stalled<'s>(series: &Series<'s>, rows: &Rows) -> Vec<Stalled> {
         let mut old: Vec<usize> = (first + 1..=at).map(|at| rows[at].1).collect();
         old.sort_unstable();
         let frozen = Frozen { stream, start, end, samples, whole: false, moved };
-        found.push(Stalled { frozen, rows: old });
+        found.push(StaleJoints { frozen, rows: old });
     }
     found
 }
 
-pub(super) fn times(stalled: &[Stalled]) -> impl Iterator<Item = Frozen> + '_ {
-    stalled.iter().map(|found| found.frozen)
+pub(super) fn times(stale: &[StaleJoints]) -> impl Iterator<Item = Frozen> + '_ {
+    stale.iter().map(|found| found.frozen)
 }
 
 #[cfg(test)]
@@ -139,14 +139,14 @@ mod tests {
         columns
     }
 
-    fn found(columns: &JointColumns) -> Vec<Stalled> {
+    fn found(columns: &JointColumns) -> Vec<StaleJoints> {
         let rows: Rows =
             columns.times.header.iter().map(|&t| Stamp::from_nanos(t)).zip(0..).collect();
         let (times, values) = (&columns.times, Values::Joints(columns));
         let (frame, is_table) = (None, false);
         let series =
             Series { stream: 0, piece: 0, frame, is_table, rows: rows.clone(), times, values };
-        stalled(&series, &rows)
+        detect_stale_joints(&series, &rows)
     }
 
     #[test]
@@ -189,9 +189,9 @@ mod tests {
                 0.0,
             )
         });
-        let stray = swings(5e-5, |t| (t, if (t - 5.0).abs() < 1e-3 { 0.4 } else { 0.0 }));
+        let outlier = swings(5e-5, |t| (t, if (t - 5.0).abs() < 1e-3 { 0.4 } else { 0.0 }));
         let anew = swings(5e-5, |t| (1.43, if t > 8.0 { 0.1 } else { 0.0 }));
-        for columns in [rests, stray, anew] {
+        for columns in [rests, outlier, anew] {
             assert!(found(&columns).is_empty());
         }
     }

@@ -13,12 +13,12 @@ use rayon::prelude::*;
 use crate::stream::{ArrayColumns, Columns, JointColumn, JointColumns, PoseColumns};
 use crate::time::Stamp;
 
-use super::apart::Apart;
+use super::pose_distance::PoseDistance;
 use super::poses::Layout;
 use super::publishers::Publishers;
 use super::role::Role;
 use super::rows::Rows;
-use super::stalled::HARDEST;
+use super::stale::HARDEST;
 use super::streams::{Clocks, Stream};
 
 /// Maximum number of consecutive outliers; more are a motion.
@@ -42,7 +42,7 @@ pub const FEWEST_SAMPLES: usize = 20;
 
 /// Outliers of a stream, of one transform or of one joint.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Strays {
+pub struct Outliers {
     /// Index of the stream.
     pub stream: usize,
     /// Child frame of the transform.
@@ -50,7 +50,7 @@ pub struct Strays {
     /// The joint.
     pub joint: Option<String>,
     /// The largest jump: for a pose in m and rad, for a joint in its unit, as `length_m`.
-    pub farthest: Apart,
+    pub farthest: PoseDistance,
     /// Stamp of that sample, if it has one.
     pub at: Option<Stamp>,
     /// Index of the stream's part.
@@ -59,7 +59,7 @@ pub struct Strays {
     pub(super) rows: Vec<usize>,
 }
 
-impl Strays {
+impl Outliers {
     /// Number of outliers; 0 if more than one in twenty samples jumps, so that outliers cannot be
     /// identified.
     pub fn count(&self) -> usize {
@@ -68,21 +68,21 @@ impl Strays {
 }
 
 /// Removes the outliers from the rows of a part.
-pub(super) fn hide(strays: &[Strays], stream: usize, piece: usize, rows: &mut Rows) {
-    let of_it = strays.iter().filter(|found| (found.stream, found.piece) == (stream, piece));
-    let stray: HashSet<usize> = of_it.flat_map(|found| &found.rows).copied().collect();
-    if !stray.is_empty() {
-        rows.retain(|(_, row)| !stray.contains(row));
+pub(super) fn hide(outliers: &[Outliers], stream: usize, piece: usize, rows: &mut Rows) {
+    let of_it = outliers.iter().filter(|found| (found.stream, found.piece) == (stream, piece));
+    let outlier: HashSet<usize> = of_it.flat_map(|found| &found.rows).copied().collect();
+    if !outlier.is_empty() {
+        rows.retain(|(_, row)| !outlier.contains(row));
     }
 }
 
 /// Outliers of joint states, poses and transforms. Skips parts with two publishers, whose rows differ from
 /// each other.
-pub(super) fn strays(
+pub(super) fn detect_outliers(
     streams: &[Stream],
     clocks: &Clocks,
     publishers: &[Publishers],
-) -> Vec<Strays> {
+) -> Vec<Outliers> {
     let is_of_two = |stream: usize, piece: usize| {
         publishers.iter().any(|two| (two.stream, two.piece) == (stream, piece))
     };
@@ -120,8 +120,8 @@ pub(super) fn strays(
         };
         let stamped = found.into_iter().map(|found| {
             let at = at(found.piece, found.farthest_row);
-            let Found { piece, frame, joint, rows, farthest, .. } = found;
-            Strays { stream: index, frame, joint, farthest, at, piece, rows }
+            let PartOutliers { piece, frame, joint, rows, farthest, .. } = found;
+            Outliers { stream: index, frame, joint, farthest, at, piece, rows }
         });
         stamped.collect::<Vec<_>>()
     };
@@ -131,16 +131,16 @@ pub(super) fn strays(
 type At<'a> = &'a (dyn Fn(usize) -> Option<Stamp> + Sync);
 
 /// Outliers without their stamp.
-struct Found {
+struct PartOutliers {
     piece: usize,
     frame: Option<String>,
     joint: Option<String>,
     rows: Vec<usize>,
-    farthest: Apart,
+    farthest: PoseDistance,
     farthest_row: usize,
 }
 
-fn of_joints(joints: &JointColumns, at: At) -> Vec<Found> {
+fn of_joints(joints: &JointColumns, at: At) -> Vec<PartOutliers> {
     let of = |column: &JointColumn| {
         let q = &column.position;
         let known: Option<Vec<usize>> = q
@@ -150,14 +150,14 @@ fn of_joints(joints: &JointColumns, at: At) -> Vec<Found> {
         let row = |sample: usize| known.as_ref().map_or(sample, |known| known[sample]);
         let samples = known.as_ref().map_or(q.len(), Vec::len);
         let distance = |a: usize, b: usize| turned(q[row(b)] - q[row(a)]);
-        let leaps = leaps(samples, &|sample| at(row(sample)), distance)?;
-        let (farthest, length_m) = farthest(&leaps)?;
-        Some(Found {
+        let jumps = find_jumps(samples, &|sample| at(row(sample)), distance)?;
+        let (farthest, length_m) = farthest(&jumps)?;
+        Some(PartOutliers {
             piece: 0,
             frame: None,
             joint: Some(column.name.clone()),
-            rows: told(&leaps, samples).map(row).collect(),
-            farthest: Apart { length_m, angle_rad: 0.0 },
+            rows: identifiable(&jumps, samples).map(row).collect(),
+            farthest: PoseDistance { length_m, angle_rad: 0.0 },
             farthest_row: row(farthest),
         })
     };
@@ -180,23 +180,27 @@ fn turned(by: f64) -> f64 {
 
 /// Outliers of poses. Orientations are checked only for a `transform`; those of a misinterpreted pose jump
 /// without an outlier.
-fn of_poses(piece: usize, poses: &PoseColumns, transform: bool, at: At) -> Option<Found> {
+fn of_poses(piece: usize, poses: &PoseColumns, transform: bool, at: At) -> Option<PartOutliers> {
     let frame = (!poses.child_frame_id.is_empty()).then(|| poses.child_frame_id.clone());
     let samples = poses.times.len();
-    let moved = leaps(samples, at, |a, b| length(poses.xyz[a], poses.xyz[b])).unwrap_or_default();
-    let turned = transform.then(|| leaps(samples, at, Turned(poses))).flatten().unwrap_or_default();
+    let moved =
+        find_jumps(samples, at, |a, b| length(poses.xyz[a], poses.xyz[b])).unwrap_or_default();
+    let turned = transform
+        .then(|| find_jumps(samples, at, OrientationDistance(poses)))
+        .flatten()
+        .unwrap_or_default();
     of_leaps(piece, frame, samples, &moved, &turned)
 }
 
 /// Outliers of unnamed numbers. Only positions are checked, because angles may jump by a turn.
-fn of_array(array: &ArrayColumns, at: At) -> Option<Found> {
+fn of_array(array: &ArrayColumns, at: At) -> Option<PartOutliers> {
     let layout = [12, 16].contains(&array.width).then(|| Layout::of(array)).flatten();
     let xyz = |row: usize| match layout {
         Some(layout) => layout.split(array.row(row)).0,
         None => [0, 1, 2].map(|axis| array.row(row)[axis]),
     };
     let samples = array.times.len();
-    let moved = leaps(samples, at, |a, b| length(xyz(a), xyz(b)))?;
+    let moved = find_jumps(samples, at, |a, b| length(xyz(a), xyz(b)))?;
     of_leaps(0, None, samples, &moved, &[])
 }
 
@@ -210,32 +214,33 @@ fn of_leaps(
     samples: usize,
     moved: &[(usize, f64)],
     turned: &[(usize, f64)],
-) -> Option<Found> {
+) -> Option<PartOutliers> {
     let [by_length, by_angle] = [moved, turned].map(farthest);
     let farthest_row = by_length.or(by_angle)?.0;
     let amount = |farthest: Option<(usize, f64)>| farthest.map_or(0.0, |(_, amount)| amount);
-    let farthest = Apart { length_m: amount(by_length), angle_rad: amount(by_angle) };
-    let mut rows: Vec<usize> = told(moved, samples).chain(told(turned, samples)).collect();
+    let farthest = PoseDistance { length_m: amount(by_length), angle_rad: amount(by_angle) };
+    let mut rows: Vec<usize> =
+        identifiable(moved, samples).chain(identifiable(turned, samples)).collect();
     rows.sort_unstable();
     rows.dedup();
-    Some(Found { piece, frame, joint: None, rows, farthest, farthest_row })
+    Some(PartOutliers { piece, frame, joint: None, rows, farthest, farthest_row })
 }
 
-fn farthest(leaps: &[(usize, f64)]) -> Option<(usize, f64)> {
-    leaps.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1))
+fn farthest(jumps: &[(usize, f64)]) -> Option<(usize, f64)> {
+    jumps.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1))
 }
 
 /// The samples of `leaps`, unless they are too large a share of all `samples`.
-fn told(leaps: &[(usize, f64)], samples: usize) -> impl Iterator<Item = usize> {
-    let are_few = leaps.len() as f64 <= MOST * samples as f64;
-    leaps.iter().filter(move |_| are_few).map(|(sample, _)| *sample)
+fn identifiable(jumps: &[(usize, f64)], samples: usize) -> impl Iterator<Item = usize> {
+    let are_few = jumps.len() as f64 <= MOST * samples as f64;
+    jumps.iter().filter(move |_| are_few).map(|(sample, _)| *sample)
 }
 
 trait Distance {
     fn between(&self, a: usize, b: usize) -> f64;
 
     /// Whether the distance is certainly at most `limit`. Fast; may return false for some that are.
-    fn is_surely_within(&self, a: usize, b: usize, limit: f64) -> bool;
+    fn is_certainly_within(&self, a: usize, b: usize, limit: f64) -> bool;
 }
 
 impl<F: Fn(usize, usize) -> f64> Distance for F {
@@ -243,27 +248,27 @@ impl<F: Fn(usize, usize) -> f64> Distance for F {
         self(a, b)
     }
 
-    fn is_surely_within(&self, a: usize, b: usize, limit: f64) -> bool {
+    fn is_certainly_within(&self, a: usize, b: usize, limit: f64) -> bool {
         self(a, b) <= limit
     }
 }
 
 /// Angle between orientations.
-struct Turned<'a>(&'a PoseColumns);
+struct OrientationDistance<'a>(&'a PoseColumns);
 
-impl Distance for Turned<'_> {
+impl Distance for OrientationDistance<'_> {
     fn between(&self, a: usize, b: usize) -> f64 {
-        Apart::between((self.0, a), (self.0, b)).angle_rad
+        PoseDistance::between((self.0, a), (self.0, b)).angle_rad
     }
 
-    fn is_surely_within(&self, a: usize, b: usize, limit: f64) -> bool {
-        Apart::is_surely_turned_less(self.0.q_xyzw[a], self.0.q_xyzw[b], limit)
+    fn is_certainly_within(&self, a: usize, b: usize, limit: f64) -> bool {
+        PoseDistance::is_certainly_rotated_less(self.0.q_xyzw[a], self.0.q_xyzw[b], limit)
     }
 }
 
 /// Finds outliers, each with its distance, from the distance and the time of samples. `None` if there are
 /// too few samples.
-fn leaps(samples: usize, at: At, measure: impl Distance) -> Option<Vec<(usize, f64)>> {
+fn find_jumps(samples: usize, at: At, measure: impl Distance) -> Option<Vec<(usize, f64)>> {
     let mut found = Vec::new();
     let distance = |a: usize, b: usize| measure.between(a, b);
     let usual = usual_step(samples, &distance)?;
@@ -285,7 +290,7 @@ fn leaps(samples: usize, at: At, measure: impl Distance) -> Option<Vec<(usize, f
     };
     let mut sample = 0;
     while sample + 1 < samples {
-        if measure.is_surely_within(sample, sample + 1, least) {
+        if measure.is_certainly_within(sample, sample + 1, least) {
             sample += 1;
             continue;
         }
@@ -327,7 +332,7 @@ fn leaps(samples: usize, at: At, measure: impl Distance) -> Option<Vec<(usize, f
         };
         let other = if astray.start == 0 { astray.end } else { astray.start - 1 };
         sample = astray.end;
-        found.extend(astray.map(|stray| (stray, distance(stray, other))));
+        found.extend(astray.map(|outlier| (outlier, distance(outlier, other))));
     }
     Some(found)
 }
@@ -378,11 +383,11 @@ mod tests {
     #[test]
     fn samples_that_are_far_off_stand_out_however_near_each_other() {
         let mut q = smooth(400);
-        let stray: Vec<usize> = (60..120).step_by(4).collect();
-        stray.iter().for_each(|&sample| q[sample] = 1e6);
-        let found =
-            leaps(q.len(), &|_| None, |a: usize, b: usize| (q[b] - q[a]).abs()).expect("samples");
-        assert_eq!(found.iter().map(|(sample, _)| *sample).collect::<Vec<_>>(), stray);
+        let outlier: Vec<usize> = (60..120).step_by(4).collect();
+        outlier.iter().for_each(|&sample| q[sample] = 1e6);
+        let found = find_jumps(q.len(), &|_| None, |a: usize, b: usize| (q[b] - q[a]).abs())
+            .expect("samples");
+        assert_eq!(found.iter().map(|(sample, _)| *sample).collect::<Vec<_>>(), outlier);
     }
 
     /// Positions of a smooth motion, with a rest in the middle.
@@ -397,9 +402,9 @@ mod tests {
 
     fn astray(q: &[f64]) -> Vec<usize> {
         let at = |row: usize| Some(Stamp::from_nanos(row as i64 * 20_000_000));
-        let leaps =
-            leaps(q.len(), &at, |a: usize, b: usize| turned(q[b] - q[a])).expect("enough samples");
-        leaps.iter().map(|(row, _)| *row).collect()
+        let jumps = find_jumps(q.len(), &at, |a: usize, b: usize| turned(q[b] - q[a]))
+            .expect("enough samples");
+        jumps.iter().map(|(row, _)| *row).collect()
     }
 
     #[test]
@@ -460,7 +465,7 @@ mod tests {
         q[40..42].fill(0.8);
         let each = |seconds: i64| move |row: usize| Some(Stamp::from_nanos(row as i64 * seconds));
         let found = |at: At| {
-            leaps(100, at, |a: usize, b: usize| (q[a] - q[b]).abs()).expect("enough").len()
+            find_jumps(100, at, |a: usize, b: usize| (q[a] - q[b]).abs()).expect("enough").len()
         };
         assert_eq!((found(&each(1_000_000_000)), found(&each(20_000_000))), (0, 2));
     }
@@ -470,7 +475,9 @@ mod tests {
         let mut q = smooth(500);
         q.iter_mut().skip(5).step_by(12).for_each(|q| *q = 0.0);
         let found = astray(&q);
-        assert!(found.len() > 25 && told(&vec![(0, 1.0); found.len()], 500).next().is_none());
+        assert!(
+            found.len() > 25 && identifiable(&vec![(0, 1.0); found.len()], 500).next().is_none()
+        );
     }
 
     #[test]

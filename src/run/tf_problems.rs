@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use crate::stream::{Columns, PoseColumns};
 
 use super::Run;
-use super::apart::Apart;
+use super::pose_distance::PoseDistance;
 use super::publishers::Publishers;
 use super::role::{Place, Role};
 use super::streams::Stream;
@@ -14,16 +14,16 @@ use super::tf_tree::{Edge, EdgeKind, without_slash};
 
 /// A TF problem, and its topics.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Flaw {
+pub struct TfProblem {
     /// Kind of problem.
-    pub kind: FlawKind,
+    pub kind: TfProblemKind,
     /// The topics, each once.
     pub topics: Vec<String>,
 }
 
 /// Kinds of TF problems.
 #[derive(Clone, Debug, PartialEq)]
-pub enum FlawKind {
+pub enum TfProblemKind {
     /// A frame has several parents at the same time.
     SeveralParents {
         /// The frame.
@@ -39,16 +39,16 @@ pub enum FlawKind {
     /// A transform on a static topic changes.
     StaticMoves {
         /// The transform.
-        edge: Between,
+        edge: FramePair,
         /// Largest change.
-        by: Apart,
+        by: PoseDistance,
     },
     /// Several publishers send different values of a transform.
     Conflict {
         /// The transform.
-        edge: Between,
+        edge: FramePair,
         /// Distance between the values.
-        by: Apart,
+        by: PoseDistance,
         /// Number of samples from a different publisher than the adjacent samples.
         jumps: usize,
         /// Number of samples.
@@ -58,11 +58,11 @@ pub enum FlawKind {
     Publishers {
         /// Parent and child of the transform with the largest disagreement, or the first. `None` for poses
         /// and joint states.
-        edge: Option<Between>,
+        edge: Option<FramePair>,
         /// Number of transforms that they disagree on.
         edges: usize,
         /// Distance between their values; `None` if they agree.
-        by: Option<Apart>,
+        by: Option<PoseDistance>,
         /// Rate of each publisher, Hz.
         rates_hz: [f64; 2],
         /// Number of rows of each publisher.
@@ -83,7 +83,7 @@ pub enum FlawKind {
 
 /// A parent and a child frame.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Between {
+pub struct FramePair {
     /// The frame that the transform is expressed in.
     pub parent: String,
     /// The frame whose pose it is.
@@ -103,8 +103,8 @@ struct Piece<'a> {
 }
 
 impl Piece<'_> {
-    fn between(&self) -> Between {
-        Between { parent: self.parent().to_owned(), child: self.child().to_owned() }
+    fn between(&self) -> FramePair {
+        FramePair { parent: self.parent().to_owned(), child: self.child().to_owned() }
     }
 
     fn parent(&self) -> &str {
@@ -118,7 +118,7 @@ impl Piece<'_> {
 
 /// Finds problems of the transforms, separately for each namespace: robots with their own TF topics may use
 /// the same frame names.
-pub(super) fn flaws(streams: &[Stream], publishers: &[Publishers]) -> Vec<Flaw> {
+pub(super) fn detect_tf_problems(streams: &[Stream], publishers: &[Publishers]) -> Vec<TfProblem> {
     let mut spaces: BTreeMap<&str, Vec<Piece<'_>>> = BTreeMap::new();
     for (index, stream) in streams.iter().enumerate() {
         let Some(Columns::Transforms(transforms)) = &stream.columns else { continue };
@@ -135,23 +135,24 @@ pub(super) fn flaws(streams: &[Stream], publishers: &[Publishers]) -> Vec<Flaw> 
         });
         spaces.entry(space).or_default().extend(pieces);
     }
-    let mut flaws: Vec<Flaw> = spaces.values().flat_map(|pieces| flaws_of(pieces)).collect();
-    flaws.extend(streams.iter().enumerate().filter_map(|(index, stream)| {
+    let mut problems: Vec<TfProblem> =
+        spaces.values().flat_map(|pieces| problems_of(pieces)).collect();
+    problems.extend(streams.iter().enumerate().filter_map(|(index, stream)| {
         let of_it = publishers.iter().filter(|two| two.stream == index);
         several_publishers(stream, &of_it.collect::<Vec<_>>())
     }));
-    flaws
+    problems
 }
 
 /// The problem of a topic with two publishers.
-fn several_publishers(stream: &Stream, found: &[&Publishers]) -> Option<Flaw> {
-    let size = |two: &Publishers| two.apart.map_or(0.0, Apart::size);
+fn several_publishers(stream: &Stream, found: &[&Publishers]) -> Option<TfProblem> {
+    let size = |two: &Publishers| two.apart.map_or(0.0, PoseDistance::size_m);
     let worst = found.iter().rev().max_by(|a, b| size(a).total_cmp(&size(b)))?;
-    let between = |(parent, child): &(String, String)| Between {
+    let between = |(parent, child): &(String, String)| FramePair {
         parent: without_slash(parent).to_owned(),
         child: without_slash(child).to_owned(),
     };
-    let kind = FlawKind::Publishers {
+    let kind = TfProblemKind::Publishers {
         edge: worst.frames.as_ref().map(between),
         edges: found.iter().filter(|two| two.apart.is_some()).count(),
         by: worst.apart,
@@ -159,15 +160,15 @@ fn several_publishers(stream: &Stream, found: &[&Publishers]) -> Option<Flaw> {
         rows: worst.rows,
         are_joints: matches!(stream.columns, Some(Columns::Joints(_))),
     };
-    Some(Flaw { kind, topics: vec![stream.topic.clone()] })
+    Some(TfProblem { kind, topics: vec![stream.topic.clone()] })
 }
 
-fn flaws_of(pieces: &[Piece<'_>]) -> Vec<Flaw> {
-    let mut flaws = several_parents(pieces);
-    flaws.extend(cycles(pieces));
-    flaws.extend(pieces.iter().filter(|piece| piece.is_static).filter_map(moving));
-    flaws.extend(conflicts(pieces));
-    flaws
+fn problems_of(pieces: &[Piece<'_>]) -> Vec<TfProblem> {
+    let mut problems = several_parents(pieces);
+    problems.extend(cycles(pieces));
+    problems.extend(pieces.iter().filter(|piece| piece.is_static).filter_map(moving));
+    problems.extend(conflicts(pieces));
+    problems
 }
 
 fn topics<'a, 'b: 'a>(pieces: impl Iterator<Item = &'a Piece<'b>>) -> Vec<String> {
@@ -179,27 +180,27 @@ fn topics<'a, 'b: 'a>(pieces: impl Iterator<Item = &'a Piece<'b>>) -> Vec<String
         .collect()
 }
 
-fn several_parents(pieces: &[Piece<'_>]) -> Vec<Flaw> {
+fn several_parents(pieces: &[Piece<'_>]) -> Vec<TfProblem> {
     let mut by_child: BTreeMap<&str, Vec<&Piece<'_>>> = BTreeMap::new();
     for piece in pieces {
         by_child.entry(piece.child()).or_default().push(piece);
     }
-    let flaw = |(child, pieces): (&str, Vec<&Piece<'_>>)| {
+    let problem = |(child, pieces): (&str, Vec<&Piece<'_>>)| {
         let rivals: Vec<&Piece<'_>> = pieces
             .iter()
             .filter(|a| pieces.iter().any(|b| a.parent() != b.parent() && are_at_once(a, b)))
             .copied()
             .collect();
         let parents: BTreeSet<&str> = rivals.iter().map(|piece| piece.parent()).collect();
-        (!rivals.is_empty()).then(|| Flaw {
-            kind: FlawKind::SeveralParents {
+        (!rivals.is_empty()).then(|| TfProblem {
+            kind: TfProblemKind::SeveralParents {
                 child: child.to_owned(),
                 parents: parents.into_iter().map(str::to_owned).collect(),
             },
             topics: topics(rivals.into_iter()),
         })
     };
-    by_child.into_iter().filter_map(flaw).collect()
+    by_child.into_iter().filter_map(problem).collect()
 }
 
 /// Whether two transforms are published during the same time, rather than one after the other, as for an
@@ -223,7 +224,7 @@ fn are_at_once(a: &Piece<'_>, b: &Piece<'_>) -> bool {
 }
 
 /// Finds each cycle once, starting with the frame that was named first.
-fn cycles(pieces: &[Piece<'_>]) -> Vec<Flaw> {
+fn cycles(pieces: &[Piece<'_>]) -> Vec<TfProblem> {
     let mut parent_of: BTreeMap<&str, &Piece<'_>> = BTreeMap::new();
     for piece in pieces {
         parent_of.entry(piece.child()).or_insert(piece);
@@ -243,7 +244,8 @@ fn cycles(pieces: &[Piece<'_>]) -> Vec<Flaw> {
         {
             let of_ring = ring.iter().filter_map(|frame| parent_of.get(frame).copied());
             let frames = ring.iter().map(|&frame| frame.to_owned()).collect();
-            found.push(Flaw { kind: FlawKind::Cycle { frames }, topics: topics(of_ring) });
+            found
+                .push(TfProblem { kind: TfProblemKind::Cycle { frames }, topics: topics(of_ring) });
         }
         done.extend(trail);
     }
@@ -251,18 +253,18 @@ fn cycles(pieces: &[Piece<'_>]) -> Vec<Flaw> {
 }
 
 /// Detects a static transform that changes.
-fn moving(piece: &Piece<'_>) -> Option<Flaw> {
+fn moving(piece: &Piece<'_>) -> Option<TfProblem> {
     let poses = piece.poses;
-    let apart = (1..poses.times.len()).map(|row| Apart::between((poses, 0), (poses, row)));
-    let by = apart.max_by(|a, b| a.size().total_cmp(&b.size()))?;
-    (by.size() > ROUNDING).then(|| Flaw {
-        kind: FlawKind::StaticMoves { edge: piece.between(), by },
+    let apart = (1..poses.times.len()).map(|row| PoseDistance::between((poses, 0), (poses, row)));
+    let by = apart.max_by(|a, b| a.size_m().total_cmp(&b.size_m()))?;
+    (by.size_m() > ROUNDING).then(|| TfProblem {
+        kind: TfProblemKind::StaticMoves { edge: piece.between(), by },
         topics: vec![piece.topic.to_owned()],
     })
 }
 
 /// Transforms for which several publishers send different values.
-fn conflicts(pieces: &[Piece<'_>]) -> Vec<Flaw> {
+fn conflicts(pieces: &[Piece<'_>]) -> Vec<TfProblem> {
     let mut found = Vec::new();
     for piece in pieces.iter().filter(|piece| !piece.is_static) {
         found.extend((!piece.is_of_two).then(|| alternates(piece)).flatten());
@@ -274,19 +276,19 @@ fn conflicts(pieces: &[Piece<'_>]) -> Vec<Flaw> {
 }
 
 /// Compares a dynamic transform with the static one of the same frames.
-fn overrules(fixed: &Piece<'_>, piece: &Piece<'_>) -> Option<Flaw> {
+fn overrules(fixed: &Piece<'_>, piece: &Piece<'_>) -> Option<TfProblem> {
     let rows = piece.poses.times.len();
-    let apart = (0..rows).map(|row| Apart::between((fixed.poses, 0), (piece.poses, row)));
-    let by = apart.max_by(|a, b| a.size().total_cmp(&b.size()))?;
-    (by.size() > ROUNDING).then(|| Flaw {
-        kind: FlawKind::Conflict { edge: piece.between(), by, jumps: rows, rows },
+    let apart = (0..rows).map(|row| PoseDistance::between((fixed.poses, 0), (piece.poses, row)));
+    let by = apart.max_by(|a, b| a.size_m().total_cmp(&b.size_m()))?;
+    (by.size_m() > ROUNDING).then(|| TfProblem {
+        kind: TfProblemKind::Conflict { edge: piece.between(), by, jumps: rows, rows },
         topics: topics([fixed, piece].into_iter()),
     })
 }
 
 /// Detects alternating publishers: each sample of one is far from its neighbours, which agree with each
 /// other.
-fn alternates(piece: &Piece<'_>) -> Option<Flaw> {
+fn alternates(piece: &Piece<'_>) -> Option<TfProblem> {
     /// Minimum size of a jump, m on a 1 m lever.
     const JUMP: f64 = 1e-3;
     /// Maximum distance between the neighbours of a sample, as a share of the jump.
@@ -303,8 +305,8 @@ fn alternates(piece: &Piece<'_>) -> Option<Flaw> {
     const ENOUGH: usize = 20_000;
     const STRETCH: usize = 500;
     let poses = piece.poses;
-    let apart = |a: usize, b: usize| Apart::between((poses, a), (poses, b));
-    let (mut rows, mut jumps, mut largest) = (0, 0, Apart::default());
+    let apart = |a: usize, b: usize| PoseDistance::between((poses, a), (poses, b));
+    let (mut rows, mut jumps, mut largest) = (0, 0, PoseDistance::default());
     let inner = 2..poses.times.len().saturating_sub(2);
     // Consecutive samples rather than every n-th, because publishers may alternate regularly.
     let parts = inner.len().div_ceil(ENOUGH).max(1);
@@ -312,17 +314,18 @@ fn alternates(piece: &Piece<'_>) -> Option<Flaw> {
     for row in inner.filter(is_looked_at) {
         rows += 1;
         let (before, after) = (apart(row - 1, row), apart(row, row + 1));
-        let (least, most) = (before.size().min(after.size()), before.size().max(after.size()));
+        let (least, most) =
+            (before.size_m().min(after.size_m()), before.size_m().max(after.size_m()));
         if least > JUMP
-            && apart(row - 1, row + 1).size() < AGREE * least
-            && [row - 2, row + 2].iter().all(|&other| apart(row, other).size() < ON * most)
+            && apart(row - 1, row + 1).size_m() < AGREE * least
+            && [row - 2, row + 2].iter().all(|&other| apart(row, other).size_m() < ON * most)
         {
             jumps += 1;
-            largest = if before.size() > largest.size() { before } else { largest };
+            largest = if before.size_m() > largest.size_m() { before } else { largest };
         }
     }
-    (jumps >= FEW && jumps as f64 > SHARE * rows as f64).then(|| Flaw {
-        kind: FlawKind::Conflict { edge: piece.between(), by: largest, jumps, rows },
+    (jumps >= FEW && jumps as f64 > SHARE * rows as f64).then(|| TfProblem {
+        kind: TfProblemKind::Conflict { edge: piece.between(), by: largest, jumps, rows },
         topics: vec![piece.topic.to_owned()],
     })
 }
@@ -332,7 +335,7 @@ impl Run {
     ///
     /// The stream's frame and the arm's base both occur in the log's transforms, the frame is neither part
     /// of the robot nor tied to it, and no path connects them.
-    pub fn pieces(&self) -> Vec<Flaw> {
+    pub fn pieces(&self) -> Vec<TfProblem> {
         let of_streams = self.streams.iter().filter_map(|stream| {
             let is_audited = matches!(stream.role, Role::Pose | Role::Imu);
             let arm = self.arms.get(stream.arm.filter(|_| is_audited)?)?;
@@ -344,7 +347,7 @@ impl Run {
         of_streams.collect()
     }
 
-    fn apart(&self, needed_by: &str, frame: &str, base: &str) -> Option<Flaw> {
+    fn apart(&self, needed_by: &str, frame: &str, base: &str) -> Option<TfProblem> {
         let is_logged = |frame: &str| {
             let mut logged = self.tf.edges().iter().filter(|edge| !self.is_stream(edge));
             logged.any(|edge| <[&str; 2]>::from(self.tf.names(edge)).contains(&frame))
@@ -355,8 +358,8 @@ impl Run {
         };
         let are_apart = is_logged(frame) && is_logged(base) && has_no_way();
         let is_tf = |stream: &&Stream| matches!(stream.role, Role::Tf | Role::TfStatic);
-        are_apart.then(|| Flaw {
-            kind: FlawKind::Pieces {
+        are_apart.then(|| TfProblem {
+            kind: TfProblemKind::Pieces {
                 needed_by: needed_by.to_owned(),
                 frame: frame.to_owned(),
                 base: base.to_owned(),
@@ -407,38 +410,40 @@ mod tests {
     #[test]
     fn a_frame_below_two_at_once_has_two_parents() {
         let (a, b) = (poses("a", "c", 0, |_| 0.0), poses("b", "c", 0, |_| 0.0));
-        let found = flaws_of(&[dynamic(&a), dynamic(&b)]);
-        let [Flaw { kind: FlawKind::SeveralParents { child, parents }, .. }] = found.as_slice()
+        let found = problems_of(&[dynamic(&a), dynamic(&b)]);
+        let [TfProblem { kind: TfProblemKind::SeveralParents { child, parents }, .. }] =
+            found.as_slice()
         else {
             panic!("{found:?}")
         };
         assert_eq!((child.as_str(), parents.as_slice()), ("c", &["a".into(), "b".into()][..]));
         // A frame that is placed here and picked there has one parent at a time.
         let later = poses("b", "c", 5, |_| 0.0);
-        assert_eq!(flaws_of(&[dynamic(&a), dynamic(&later)]), []);
+        assert_eq!(problems_of(&[dynamic(&a), dynamic(&later)]), []);
     }
 
     #[test]
     fn a_ring_is_found_once_and_with_what_hangs_below_it_left_out() {
         let edges = [["b", "a"], ["c", "b"], ["a", "c"], ["a", "d"]];
         let all = edges.map(|[parent, child]| poses(parent, child, 0, |_| 0.0));
-        let found = flaws_of(&all.each_ref().map(dynamic));
-        let [Flaw { kind: FlawKind::Cycle { frames }, .. }] = found.as_slice() else {
+        let found = problems_of(&all.each_ref().map(dynamic));
+        let [TfProblem { kind: TfProblemKind::Cycle { frames }, .. }] = found.as_slice() else {
             panic!("{found:?}")
         };
         assert_eq!(frames, &["a", "b", "c"]);
         let itself = poses("a", "a", 0, |_| 0.0);
-        assert_eq!(flaws_of(&[dynamic(&itself)]).len(), 1);
-        assert_eq!(flaws_of(&[dynamic(&all[0]), dynamic(&all[1])]), []);
+        assert_eq!(problems_of(&[dynamic(&itself)]).len(), 1);
+        assert_eq!(problems_of(&[dynamic(&all[0]), dynamic(&all[1])]), []);
     }
 
     #[test]
     fn a_static_transform_that_says_two_things_moves() {
         let still = poses("a", "b", 0, |_| 0.3);
-        assert_eq!(flaws_of(&[fixed(&still)]), []);
+        assert_eq!(problems_of(&[fixed(&still)]), []);
         let moved = poses("a", "b", 0, |row| if row < 20 { 0.3 } else { 0.31 });
-        let found = flaws_of(&[fixed(&moved)]);
-        let [Flaw { kind: FlawKind::StaticMoves { by, .. }, .. }] = found.as_slice() else {
+        let found = problems_of(&[fixed(&moved)]);
+        let [TfProblem { kind: TfProblemKind::StaticMoves { by, .. }, .. }] = found.as_slice()
+        else {
             panic!("{found:?}")
         };
         assert!((by.length_m - 0.01).abs() < 1e-12 && by.angle_rad < 1e-12, "{by:?}");
@@ -447,11 +452,12 @@ mod tests {
     #[test]
     fn two_publishers_of_unlike_rates_alternate_and_one_that_moves_does_not() {
         let moves = poses("a", "b", 0, |row| 0.1 * (row as f64 * 0.3).sin());
-        assert_eq!(flaws_of(&[dynamic(&moves)]), []);
+        assert_eq!(problems_of(&[dynamic(&moves)]), []);
         for every in [2, 5] {
             let two = poses("a", "b", 0, |row| if row % every == 1 { 0.05 } else { 0.0 });
-            let found = flaws_of(&[dynamic(&two)]);
-            let [Flaw { kind: FlawKind::Conflict { by, .. }, .. }] = found.as_slice() else {
+            let found = problems_of(&[dynamic(&two)]);
+            let [TfProblem { kind: TfProblemKind::Conflict { by, .. }, .. }] = found.as_slice()
+            else {
                 panic!("{found:?}")
             };
             assert!((by.length_m - 0.05).abs() < 1e-12);
@@ -461,9 +467,9 @@ mod tests {
     #[test]
     fn a_transform_on_both_topics_must_be_the_same_on_both() {
         let (here, there) = (poses("a", "b", 0, |_| 0.3), poses("a", "b", 0, |_| 0.4));
-        assert_eq!(flaws_of(&[fixed(&here), dynamic(&here)]), []);
+        assert_eq!(problems_of(&[fixed(&here), dynamic(&here)]), []);
         for pieces in [[fixed(&here), dynamic(&there)], [dynamic(&there), fixed(&here)]] {
-            assert_eq!(flaws_of(&pieces).len(), 1);
+            assert_eq!(problems_of(&pieces).len(), 1);
         }
     }
 
@@ -473,7 +479,7 @@ mod tests {
         poses.q_xyzw[1] = [0.0, 0.0, 0.0, -1.0];
         poses.q_xyzw[2] = [0.0, 0.0, (0.5e-3_f64).sin(), (0.5e-3_f64).cos()];
         poses.q_xyzw[3] = [0.0; 4];
-        let angle = |row| Apart::between((&poses, 0), (&poses, row)).angle_rad;
+        let angle = |row| PoseDistance::between((&poses, 0), (&poses, row)).angle_rad;
         assert!(angle(1) < 1e-12 && (angle(2) - 1e-3).abs() < 1e-9 && angle(3) == 0.0);
     }
 }

@@ -26,7 +26,7 @@ const WITHIN: f64 = 0.99;
 
 /// A joint that is logged modulo one turn.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Folded {
+pub struct WrappedJoint {
     /// Index of the stream.
     pub stream: usize,
     /// Joint name in the log.
@@ -34,16 +34,16 @@ pub struct Folded {
     /// One turn in the unit of its values.
     pub turn: f64,
     /// Number of wraps.
-    pub times: usize,
+    pub wraps: usize,
 }
 
 /// Unwraps the joints of all streams, states and commands, and returns them.
-pub(super) fn unfold(streams: &mut [Stream]) -> Vec<Folded> {
+pub(super) fn unwrap_joints(streams: &mut [Stream]) -> Vec<WrappedJoint> {
     let of = |(index, stream): (usize, &mut Stream)| {
         let Some(Columns::Joints(joints)) = &mut stream.columns else { return Vec::new() };
         let unfolded = |joint: &mut JointColumn| {
-            let (turn, times) = unfold_column(&mut joint.position)?;
-            Some(Folded { stream: index, joint: joint.name.clone(), turn, times })
+            let (turn, times) = unwrap_column(&mut joint.position)?;
+            Some(WrappedJoint { stream: index, joint: joint.name.clone(), turn, wraps: times })
         };
         joints.joints.iter_mut().filter_map(unfolded).collect()
     };
@@ -51,12 +51,12 @@ pub(super) fn unfold(streams: &mut [Stream]) -> Vec<Folded> {
 }
 
 /// Adds a remark to the affected joint state streams.
-pub(super) fn say(streams: &mut [Stream], folded: &[Folded]) {
+pub(super) fn add_remarks(streams: &mut [Stream], wrapped: &[WrappedJoint]) {
     for (index, stream) in streams.iter_mut().enumerate() {
-        let names: Vec<&str> = folded
+        let names: Vec<&str> = wrapped
             .iter()
-            .filter(|folded| folded.stream == index)
-            .map(|folded| folded.joint.as_str())
+            .filter(|wrapped| wrapped.stream == index)
+            .map(|wrapped| wrapped.joint.as_str())
             .collect();
         if stream.role == Role::Joints && !names.is_empty() {
             stream.reason += &format!("; logged modulo one turn, unwrapped: {}", names.join(", "));
@@ -65,11 +65,11 @@ pub(super) fn say(streams: &mut [Stream], folded: &[Folded]) {
 }
 
 /// Removes jumps of a whole turn, and returns their number. `None`, without changes, if there are none.
-fn unfold_column(q: &mut [f64]) -> Option<(f64, usize)> {
-    TURNS.into_iter().find_map(|turn| Some((turn, take_off(q, turn)?)))
+fn unwrap_column(q: &mut [f64]) -> Option<(f64, usize)> {
+    TURNS.into_iter().find_map(|turn| Some((turn, remove_turns(q, turn)?)))
 }
 
-fn take_off(q: &mut [f64], turn: f64) -> Option<usize> {
+fn remove_turns(q: &mut [f64], turn: f64) -> Option<usize> {
     // Fast path: most joints do not jump.
     if q.windows(2).all(|pair| (pair[1] - pair[0]).abs() < 0.5 * turn) {
         return None;
@@ -141,14 +141,14 @@ mod tests {
             let truth: Vec<f64> = turning().into_iter().map(|q| q * unit).collect();
             let turn = TAU * unit;
             let fold = |q: f64| seam * unit - (seam * unit - q).rem_euclid(turn);
-            let mut folded: Vec<f64> = truth.iter().map(|q| fold(*q)).collect();
-            folded[100] = f64::NAN;
-            let found = unfold_column(&mut folded);
-            let offset = folded[0] - truth[0];
+            let mut wrapped: Vec<f64> = truth.iter().map(|q| fold(*q)).collect();
+            wrapped[100] = f64::NAN;
+            let found = unwrap_column(&mut wrapped);
+            let offset = wrapped[0] - truth[0];
             assert!(found.is_some_and(|(_, times)| times > 5), "{found:?}");
             let is_near =
                 |(row, q): (usize, &f64)| row == 100 || (q - truth[row] - offset).abs() < 1e-9;
-            assert!(folded.iter().enumerate().all(is_near), "{seam} {unit}");
+            assert!(wrapped.iter().enumerate().all(is_near), "{seam} {unit}");
         }
     }
 
@@ -158,7 +158,7 @@ mod tests {
             .map(|row| PI + 1e-3 * f64::from(row % 3 - 1))
             .map(|q| if q > PI { q - TAU } else { q })
             .collect();
-        assert!(unfold_column(&mut q).is_some());
+        assert!(unwrap_column(&mut q).is_some());
         assert!(q.windows(2).all(|pair| (pair[1] - pair[0]).abs() < 0.01));
     }
 
@@ -169,7 +169,7 @@ mod tests {
         let degrees: Vec<f64> = turning().into_iter().map(|q| 20.0 * q).collect();
         for q in [turning(), stray, degrees, vec![f64::NAN; 9], Vec::new()] {
             let mut same = q.clone();
-            assert_eq!(unfold_column(&mut same), None);
+            assert_eq!(unwrap_column(&mut same), None);
             assert!(same.iter().zip(&q).all(|(a, b)| a == b || a.is_nan()));
         }
     }

@@ -9,16 +9,16 @@ use super::unaudited::{Unaudited, WhyNot};
 
 /// A stream that may belong to several arms.
 #[derive(Clone, Debug)]
-pub struct Contest {
+pub struct SharedStream {
     /// Index of the stream.
     pub stream: usize,
     /// Its frames, for each candidate arm.
-    pub claims: Vec<Claimant>,
+    pub candidates: Vec<CandidateArm>,
 }
 
 /// A candidate arm of a stream, and the stream's frames for that arm.
 #[derive(Clone, Debug)]
-pub struct Claimant {
+pub struct CandidateArm {
     /// Index of the arm.
     pub arm: usize,
     /// Reference frame of the poses.
@@ -27,9 +27,9 @@ pub struct Claimant {
     pub(super) link: String,
 }
 
-impl Claimant {
+impl CandidateArm {
     /// Assigns a stream to this arm.
-    pub(super) fn give(&self, stream: &mut Stream) {
+    pub(super) fn assign(&self, stream: &mut Stream) {
         stream.arm = Some(self.arm);
         (stream.reference, stream.link) = (Some(self.reference.clone()), Some(self.link.clone()));
     }
@@ -38,12 +38,14 @@ impl Claimant {
 impl Run {
     /// Assigns a contested stream to the arm that it follows, or to none if the motion does not determine
     /// it.
-    pub fn award(&mut self, contest: &Contest, winner: Option<usize>) {
-        let Contest { stream, claims } = contest;
-        let names = claims.iter().filter_map(|claim| Some(self.arms.get(claim.arm)?.name.clone()));
+    pub fn assign_shared_stream(&mut self, shared: &SharedStream, winner: Option<usize>) {
+        let SharedStream { stream, candidates } = shared;
+        let names = candidates
+            .iter()
+            .filter_map(|candidate| Some(self.arms.get(candidate.arm)?.name.clone()));
         let names: Vec<String> = names.collect();
-        let claim = claims.iter().find(|claim| Some(claim.arm) == winner);
-        let Some(claim) = claim else {
+        let candidate = candidates.iter().find(|candidate| Some(candidate.arm) == winner);
+        let Some(candidate) = candidate else {
             let reason = format!(
                 "it may belong to {}, and the motion does not distinguish them",
                 names.join(" or ")
@@ -54,29 +56,29 @@ impl Run {
             return;
         };
         for (index, arm) in
-            self.arms.iter_mut().enumerate().filter(|(index, _)| *index != claim.arm)
+            self.arms.iter_mut().enumerate().filter(|(index, _)| *index != candidate.arm)
         {
-            if claims.iter().any(|claim| claim.arm == index) {
+            if candidates.iter().any(|candidate| candidate.arm == index) {
                 arm.poses.retain(|source| source.stream != *stream);
             }
         }
         let Some(awarded) = self.streams.get_mut(*stream) else { return };
-        claim.give(awarded);
-        if let Some(arm) = self.arms.get(claim.arm) {
+        candidate.assign(awarded);
+        if let Some(arm) = self.arms.get(candidate.arm) {
             awarded.reason += &format!("; belongs to {}, by its motion", arm.name);
         }
     }
 
     /// Assigns transforms that fit several arms to the one that they follow.
-    pub fn award_transforms(&mut self, claimants: &[usize], winner: usize) {
+    pub fn assign_shared_transforms(&mut self, candidates: &[usize], winner: usize) {
         let arm = self.arms[winner].name.clone();
-        for &loser in claimants.iter().filter(|&&index| index != winner) {
+        for &loser in candidates.iter().filter(|&&index| index != winner) {
             self.arms[loser].tf = Err(NoTf::OfAnotherArm { arm: arm.clone() });
         }
     }
 
     /// Turns the joint states of arm `index` into commands: they lead `of` by `lead_s`.
-    pub fn settle_leading_arm(&mut self, index: usize, of: &str, lead_s: f64) {
+    pub fn resolve_leading_arm(&mut self, index: usize, of: &str, lead_s: f64) {
         self.arms.remove(index);
         for stream in self.streams.iter_mut().filter(|stream| stream.arm == Some(index)) {
             stream.reason += &format!("; they lead {of} by {:.0} ms: a leader arm", 1e3 * lead_s);
@@ -107,11 +109,11 @@ impl Run {
         self.unaudited.retain(|unaudited| unaudited.stream != stream);
         let Some(stream) = self.streams.get_mut(stream) else { return };
         (stream.role, stream.reason) = (Role::Unassigned, reason);
-        (stream.arm, stream.reference, stream.link, stream.witness) = (None, None, None, None);
+        (stream.arm, stream.reference, stream.link, stream.source_kind) = (None, None, None, None);
     }
 
     /// Unassigns a stream, and records why it is not audited.
-    pub fn leave_out(&mut self, stream: usize, why: WhyNot, reason: String) {
+    pub fn exclude(&mut self, stream: usize, why: WhyNot, reason: String) {
         self.unassign(stream, reason);
         self.unaudited.push(Unaudited { stream, why });
     }

@@ -14,7 +14,7 @@ use super::role::{Place, driver_of, shared, words};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 #[schemars(rename = "WitnessName")]
-pub enum Witness {
+pub enum PoseSourceKind {
     /// The controller, or a program that computes poses from joint states.
     Controller,
     /// A tracker or a camera.
@@ -23,19 +23,19 @@ pub enum Witness {
     Unknown,
 }
 
-impl Witness {
+impl PoseSourceKind {
     /// Name in reports.
     pub const fn name(self) -> &'static str {
         match self {
-            Witness::Controller => "controller",
-            Witness::External => "external",
-            Witness::Unknown => "unknown",
+            PoseSourceKind::Controller => "controller",
+            PoseSourceKind::External => "external",
+            PoseSourceKind::Unknown => "unknown",
         }
     }
 }
 
 /// Words in names of topics and frames of independent measurements.
-const OUTSIDE: &[&str] = &[
+const EXTERNAL_WORDS: &[&str] = &[
     "vicon",
     "optitrack",
     "natnet",
@@ -78,41 +78,41 @@ pub(super) struct PoseNames<'a> {
 }
 
 /// Determines the source of a pose stream, with the reason.
-pub(super) fn witness_of(names: &PoseNames<'_>) -> (Witness, String) {
+pub(super) fn source_kind_of(names: &PoseNames<'_>) -> (PoseSourceKind, String) {
     let PoseNames { topic, type_name, frame_id, child_frame_id, .. } = *names;
     let package = type_name.split('/').next().unwrap_or_default();
     let of_package = |known: &[&str]| known.iter().any(|start| package.starts_with(start));
     let topic_words = words(topic);
     let outside = [topic, frame_id, child_frame_id]
         .into_iter()
-        .find_map(|name| shared(&words(name), OUTSIDE));
+        .find_map(|name| shared(&words(name), EXTERNAL_WORDS));
     if let Some(word) = outside {
-        return (Witness::External, format!("the word '{word}' in its names"));
+        return (PoseSourceKind::External, format!("the word '{word}' in its names"));
     }
     if of_package(TRACKERS) {
-        return (Witness::External, format!("messages of {package}"));
+        return (PoseSourceKind::External, format!("messages of {package}"));
     }
     if let Some(driver) = driver_of(&topic_words) {
         return (
-            Witness::Controller,
+            PoseSourceKind::Controller,
             format!("the topic name that {driver} use for the tool pose"),
         );
     }
     if of_package(CONTROLLERS) {
-        return (Witness::Controller, format!("messages of {package}"));
+        return (PoseSourceKind::Controller, format!("messages of {package}"));
     }
     if shared(&words(child_frame_id), &["controller"]).is_some() {
-        return (Witness::Controller, format!("its child frame '{child_frame_id}'"));
+        return (PoseSourceKind::Controller, format!("its child frame '{child_frame_id}'"));
     }
     if names.stamps_copied {
-        return (Witness::Controller, "its stamps, copied from the joint states".to_owned());
+        return (PoseSourceKind::Controller, "its stamps, copied from the joint states".to_owned());
     }
     match names.frame {
         Place::Unknown => {
             let why = format!("its frame '{frame_id}', which is not tied to the robot");
-            (Witness::External, why)
+            (PoseSourceKind::External, why)
         }
-        _ => (Witness::Unknown, "lack of a known name or frame".to_owned()),
+        _ => (PoseSourceKind::Unknown, "lack of a known name or frame".to_owned()),
     }
 }
 
@@ -121,15 +121,15 @@ mod tests {
     use super::*;
     use Place::{StillLink, Tied, Unknown, Unnamed};
 
-    fn witness(topic: &str, type_name: &str, (frame_id, frame): (&str, Place)) -> Witness {
+    fn witness(topic: &str, type_name: &str, (frame_id, frame): (&str, Place)) -> PoseSourceKind {
         let (child_frame_id, stamps_copied) = ("", false);
         let names = PoseNames { topic, type_name, frame_id, child_frame_id, frame, stamps_copied };
-        witness_of(&names).0
+        source_kind_of(&names).0
     }
 
     #[test]
     fn the_witness_table() {
-        use Witness::{Controller, External, Unknown as Nobody};
+        use PoseSourceKind::{Controller, External, Unknown as Nobody};
         const POSE: &str = "geometry_msgs/msg/PoseStamped";
         for (topic, type_name, frame, expected) in [
             ("/tcp_pose_broadcaster/pose", POSE, ("base", StillLink), Controller),
@@ -158,8 +158,8 @@ mod tests {
             frame: StillLink,
             stamps_copied: true,
         };
-        assert_eq!(witness_of(&names).0, Witness::Controller);
+        assert_eq!(source_kind_of(&names).0, PoseSourceKind::Controller);
         let tool = PoseNames { stamps_copied: false, child_frame_id: "tool0_controller", ..names };
-        assert_eq!(witness_of(&tool).0, Witness::Controller);
+        assert_eq!(source_kind_of(&tool).0, PoseSourceKind::Controller);
     }
 }
