@@ -280,7 +280,7 @@ pub(super) type FromLog = (Robot, Vec<Taken>, Vec<String>);
 fn of_log(path: &Path, options: &Options, topic: Option<&str>) -> Result<FromLog, Trouble> {
     let log = log::open(&[path.to_path_buf()], &options.read)?;
     let mut run = Run::complete(log, &options.run, |_| Ok::<_, Trouble>(()))?;
-    let evidence = RunEvidence::of(&mut run, &Lost::default(), &options.run);
+    let evidence = RunEvidence::collect(&mut run, &Lost::default(), &options.run);
     if let Some(error) = &run.no_arm {
         return Err(error.into());
     }
@@ -291,7 +291,7 @@ fn of_log(path: &Path, options: &Options, topic: Option<&str>) -> Result<FromLog
             if topic.is_some_and(|topic| topic != stream.topic()) {
                 continue;
             }
-            match taken(path, arm, of, source, stream.topic(), &stream.found) {
+            match taken(path, arm, of, source, stream.topic(), &stream.value) {
                 Ok(taken) => streams.push(taken),
                 Err(why) => left_out.push(format!("{}: {why}", stream.topic())),
             }

@@ -279,7 +279,7 @@ impl Part {
             None => Ok(()),
         })?;
         options.read.begins("estimating");
-        let evidence = RunEvidence::of(&mut run, &read.lost, &options.run);
+        let evidence = RunEvidence::collect(&mut run, &read.lost, &options.run);
         options.read.begins("judging");
         let evaluation = evaluate(&evidence, &options.policy.rules);
         Ok(Self { run, evidence, evaluation, seconds })

@@ -8,7 +8,7 @@ use crate::checks::{Case, Judged, Rule, changes, residual_attribution};
 use crate::diagnosis::{
     Confounder, EstimateResult, FrameChange, FrameEstimate, JointOffset, PoseDiagnosis,
 };
-use crate::evidence::{ArmEvidence, Of, PoseEvidence};
+use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Alternative, Estimate, Fault, Outcome, Severity, Subject, Unit, rounded};
 use crate::geometry::{Pose, rotvec_from_rotation, xyz_of, xyzw_from_rotation};
 
@@ -30,15 +30,15 @@ pub struct End {
     /// Its estimate in a diagnosis.
     pub estimate: fn(&PoseDiagnosis) -> &EstimateResult<FrameEstimate>,
     /// Name of the frame.
-    pub frame: fn(&Of<PoseEvidence>) -> &str,
+    pub frame: fn(&StreamEvidence<PoseEvidence>) -> &str,
     /// Reason why the offset of this stream is not judged, if it is not.
-    pub not_judged: fn(&Of<PoseEvidence>) -> Option<String>,
+    pub not_judged: fn(&StreamEvidence<PoseEvidence>) -> Option<String>,
     /// Changes during the run.
     pub changes: fn(&PoseDiagnosis) -> &[FrameChange],
     /// Whether a joint offset's confounder is this end of the stream with this index.
     pub is_twin: fn(&Confounder, usize) -> bool,
     /// Builds the fault.
-    pub fault: fn(&ArmEvidence, &Of<PoseEvidence>, &FrameEstimate, Severity) -> Fault,
+    pub fault: fn(&ArmEvidence, &StreamEvidence<PoseEvidence>, &FrameEstimate, Severity) -> Fault,
 }
 
 /// Judges one end of every pose stream.

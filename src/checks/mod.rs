@@ -27,7 +27,7 @@ use std::sync::LazyLock;
 
 use serde_json::{Map, Value};
 
-use crate::evidence::{Of, RunEvidence};
+use crate::evidence::{RunEvidence, StreamEvidence};
 use crate::finding::{
     Cause, CheckRow, Estimate, Finding, Ignored, Outcome, Ruling, Severity, Span, Status, Subject,
 };
@@ -228,7 +228,7 @@ pub struct Judged {
     outcome: Outcome,
 }
 
-impl<T> Of<T> {
+impl<T> StreamEvidence<T> {
     /// Result of a rule on this subject and span.
     fn judged(&self, outcome: Outcome) -> Judged {
         Judged::new(self.subject.clone(), outcome).within(self.span)

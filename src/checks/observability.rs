@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use crate::checks::{Case, find, residual_attribution};
 use crate::diagnosis::{Observability, StreamParameter, WeakDirection};
-use crate::evidence::{ArmEvidence, Of, PoseEvidence};
+use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{CheckRow, Status, Subject, Unit, number};
 
 /// A cause at its rule's first threshold is observable if it changes the log by at least this many standard
@@ -181,7 +181,11 @@ pub(super) fn observability(case: &Case, checks: &mut [CheckRow]) -> Vec<StreamO
 
 /// Whether a check on `stream` is inconclusive for lack of motion. A nominal or wrong model cannot be
 /// resolved by motion.
-fn is_left_to_motion(row: &CheckRow, arm: &ArmEvidence, stream: &Of<PoseEvidence>) -> bool {
+fn is_left_to_motion(
+    row: &CheckRow,
+    arm: &ArmEvidence,
+    stream: &StreamEvidence<PoseEvidence>,
+) -> bool {
     let Subject { robot, topic, .. } = &row.subject;
     row.status == Status::Inconclusive
         && !row.indistinguishable

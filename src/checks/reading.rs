@@ -69,16 +69,17 @@ pub fn judge(
         let streams = arm.poses_and_tf().map(|stream| {
             let found = &stream.diagnosis;
             let doubt = found.strays().then_some("its positions do not match FK");
-            let bare = stream.bare.then_some(found);
-            let unread = stream.rotation_unread.as_slice();
-            stream.with((&found.reading, doubt, bare, unread, arm.is_derived(stream)))
+            let bare = stream.is_undeclared.then_some(found);
+            let unread = stream.unidentified_columns.as_slice();
+            stream.with_value((&found.reading, doubt, bare, unread, arm.is_derived(stream)))
         });
         let unread = arm.diagnosis.reading.is_err() && !arm.poses.is_empty();
         let doubt = unread.then_some("the encoding of the joint states is itself undetermined");
         let imus = arm.imus.iter();
-        let imus = imus.map(|imu| imu.with((&imu.diagnosis.reading, doubt, None, &[][..], false)));
+        let imus =
+            imus.map(|imu| imu.with_value((&imu.diagnosis.reading, doubt, None, &[][..], false)));
         judged.extend(streams.chain(imus).map(|stream| {
-            let (reading, doubt, bare, unread, is_derived) = stream.found;
+            let (reading, doubt, bare, unread, is_derived) = stream.value;
             let judged = judge_stream(arm, reading, asked, word);
             let judged = match bare {
                 Some(found) => of_bare_numbers(arm, stream.topic(), asked, found, judged),

@@ -7,7 +7,7 @@ use crate::diagnosis::{
     ErrorMagnitude, ErrorSize, EstimateResult, FkError, FrameEstimate, PartError, PoseDiagnosis,
     ResidualCheck, StreamResidual,
 };
-use crate::evidence::{ArmEvidence, Of, PoseEvidence};
+use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Outcome, Ruling, Severity, Unit};
 use crate::run::{PoseDistance, TfProblemKind};
 
@@ -48,7 +48,7 @@ impl CauseOutcomes {
             let judged = (rule.check)(case).into_iter();
             judged.map(|judged| (rule.code, judged))
         });
-        let doubled = case.evidence.frames.flaws.iter().filter_map(|flaw| match &flaw.kind {
+        let doubled = case.evidence.tf.problems.iter().filter_map(|flaw| match &flaw.kind {
             TfProblemKind::Publishers { by: Some(by), edges, .. } => {
                 Some((flaw.topics.first()?.clone(), *by, *edges))
             }
@@ -77,7 +77,7 @@ impl CauseOutcomes {
     fn reports_tf_residual(
         &self,
         arm: &ArmEvidence,
-        stream: &Of<PoseEvidence>,
+        stream: &StreamEvidence<PoseEvidence>,
         residual: &ExceedingResidual,
     ) -> bool {
         let is_doubled = || {
@@ -98,7 +98,7 @@ impl CauseOutcomes {
 }
 
 /// Whether a stream is the tip pose of `arm` from /tf.
-fn is_tf(arm: &ArmEvidence, stream: &Of<PoseEvidence>) -> bool {
+fn is_tf(arm: &ArmEvidence, stream: &StreamEvidence<PoseEvidence>) -> bool {
     arm.tf.as_ref().is_some_and(|tf| std::ptr::eq(tf, stream))
 }
 
@@ -144,7 +144,7 @@ const MIN_NOMINAL_RESIDUAL_M: f64 = 0.3e-3;
 pub(super) fn attribute_residual(
     outcomes: &CauseOutcomes,
     arm: &ArmEvidence,
-    stream: &Of<PoseEvidence>,
+    stream: &StreamEvidence<PoseEvidence>,
     thresholds: &FrameThresholds,
     subjects: usize,
 ) -> Option<Attribution> {
@@ -237,7 +237,7 @@ fn unreported_pose_correction(
 fn is_degrees_artifact(
     error: &FkError,
     outcomes: &CauseOutcomes,
-    stream: &Of<PoseEvidence>,
+    stream: &StreamEvidence<PoseEvidence>,
     thresholds: &FrameThresholds,
 ) -> bool {
     /// Maximum residual, in thresholds.
@@ -348,7 +348,11 @@ struct InconclusiveCauses {
 }
 
 impl InconclusiveCauses {
-    fn collect(outcomes: &CauseOutcomes, arm: &ArmEvidence, stream: &Of<PoseEvidence>) -> Self {
+    fn collect(
+        outcomes: &CauseOutcomes,
+        arm: &ArmEvidence,
+        stream: &StreamEvidence<PoseEvidence>,
+    ) -> Self {
         let found = &stream.diagnosis;
         let chosen = |is: bool, code: &'static str| is.then_some(code);
         let unsteady = found.course.as_ref().is_ok_and(|course| course.is_unsteady);
@@ -376,7 +380,7 @@ impl InconclusiveCauses {
             chosen(found.degrees.is_some(), "ORD004"),
             chosen(
                 matches!(found.length, Ok(Some(_))),
-                if stream.bare { "ORD001" } else { "ORD008" },
+                if stream.is_undeclared { "ORD001" } else { "ORD008" },
             ),
             chosen(matches!(found.axes, Ok(Some(_))), "ORD010"),
             chosen(!found.constant.is_empty(), "ORD011"),
@@ -422,7 +426,7 @@ impl InconclusiveCauses {
         };
         Self {
             is_reported: !stream.reference_known
-                || stream.bare_numbers
+                || stream.has_bare_numbers
                 || of_joints.iter().chain(&of_poses).any(is_reported),
             joints: open(&of_joints),
             poses: open(&of_poses),

@@ -4,7 +4,7 @@
 use crate::checks::decision::{Decision, Threshold, decide, unseen};
 use crate::checks::{Case, Judged, Rule};
 use crate::diagnosis::{EstimateResult, Measured};
-use crate::evidence::{ArmEvidence, Of};
+use crate::evidence::{ArmEvidence, StreamEvidence};
 use crate::finding::{Estimate, Fault, Outcome, Severity};
 
 /// A scalar parameter and how its rule reports it.
@@ -16,7 +16,7 @@ pub struct ScalarRule {
     /// The motion or topic that would make it observable.
     pub settle: &'static str,
     /// Builds the fault.
-    pub fault: fn(&ArmEvidence, &Of<StreamEstimate<'_>>, &Measured, Severity) -> Fault,
+    pub fault: fn(&ArmEvidence, &StreamEvidence<StreamEstimate<'_>>, &Measured, Severity) -> Fault,
 }
 
 /// The estimate of a parameter on one stream.
@@ -36,7 +36,7 @@ impl ScalarRule {
         rule: &Rule,
         case: &Case,
         arm: &ArmEvidence,
-        on: &Of<StreamEstimate<'_>>,
+        on: &StreamEvidence<StreamEstimate<'_>>,
     ) -> Judged {
         let (threshold, subjects) =
             (case.thresholds.of(rule, self.threshold), case.evidence.subjects());

@@ -13,8 +13,8 @@ use crate::diagnosis::{
     YawProfile,
 };
 use crate::evidence::{
-    ArmEvidence, DhEvidence, EulerEvidence, ImuEvidence, JointEvidence, JointMotion, Of,
-    PoseEvidence, ReferenceEvidence, ReferenceWitness, RunEvidence, ShakeEvidence, WitnessKind,
+    ArmEvidence, DhEvidence, EulerEvidence, ImuEvidence, JointEvidence, JointMotion, PoseEvidence,
+    ReferenceEvidence, RunEvidence, ShakeEvidence, StreamEvidence, TipPoseKind, TipPoseSource,
 };
 use crate::finding::{CheckRow, Finding, Span, Subject};
 use crate::geometry::{Convention, Pose, Vec3, pose, rotation_from_rotvec};
@@ -88,7 +88,7 @@ pub fn clean_run() -> RunEvidence {
     };
     let joint = |name: &str| JointEvidence {
         name: name.to_owned(),
-        prismatic: false,
+        is_prismatic: false,
         limits: Limits { lower: Some(-3.0), upper: Some(3.0), velocity: Some(2.0) },
         motion: JointMotion { abruptness: Some(still), ..JointMotion::default() },
         velocity: Some(Ok(VelocityDiagnosis {
@@ -98,7 +98,7 @@ pub fn clean_run() -> RunEvidence {
             window_s: 0.1,
             shape: VelocityShape::Rates,
         })),
-        really: None,
+        actual: None,
     };
     let offset = || JointOffset {
         offset: Ok(sure(0.0)),
@@ -158,13 +158,13 @@ pub fn clean_run() -> RunEvidence {
             patches: Vec::new(),
             bends: Vec::new(),
         },
-        poses: vec![of(POSE, stream(true))],
-        tf: Some(of(TF, stream(false))),
-        shakes: vec![of(
+        poses: vec![stream_evidence(POSE, stream(true))],
+        tf: Some(stream_evidence(TF, stream(false))),
+        shakes: vec![stream_evidence(
             JOINTS,
             ShakeEvidence { in_other_units: false, shake: Ok(Vibration::default()) },
         )],
-        imus: vec![of(
+        imus: vec![stream_evidence(
             IMU,
             ImuEvidence {
                 independent: true,
@@ -175,27 +175,31 @@ pub fn clean_run() -> RunEvidence {
             },
         )],
         taken_for_degrees: false,
-        references: vec![of(COMMANDS, commands())],
+        references: vec![stream_evidence(COMMANDS, commands())],
     };
-    let frozen = of(POSE, Vec::new());
-    let audited = of(POSE, Vec::new());
+    let frozen = stream_evidence(POSE, Vec::new());
+    let audited = stream_evidence(POSE, Vec::new());
     RunEvidence {
         robots: vec![arm],
-        frozen: vec![frozen],
-        unaudited: vec![audited],
+        frozen_intervals: vec![frozen],
+        not_audited: vec![audited],
         ..RunEvidence::default()
     }
 }
 
 /// A result on a topic of the arm.
-fn of<T>(topic: &str, found: T) -> Of<T> {
+fn stream_evidence<T>(topic: &str, value: T) -> StreamEvidence<T> {
     let (robot, topic) = (Some(ARM.to_owned()), Some(topic.to_owned()));
-    Of { subject: Subject { robot, topic, ..Subject::default() }, span: Some(SPAN), found }
+    StreamEvidence {
+        subject: Subject { robot, topic, ..Subject::default() },
+        span: Some(SPAN),
+        value,
+    }
 }
 
 /// Commands that the arm follows, including a straight line, observed by FK and by a stream.
 fn commands() -> ReferenceEvidence {
-    let witness = |name: &str, kind| ReferenceWitness { name: name.to_owned(), kind };
+    let witness = |name: &str, kind| TipPoseSource { name: name.to_owned(), kind };
     let kept = LineDeviation { distance_m: length(0.0), angle_rad: length(0.0) };
     let line = CommandedLine {
         from_s: 1.0,
@@ -209,11 +213,11 @@ fn commands() -> ReferenceEvidence {
     };
     ReferenceEvidence {
         is_of_joints: false,
-        tip_named: true,
-        frame_named: true,
-        witnesses: vec![
-            witness("FK of the joint states", WitnessKind::Kinematics),
-            witness(POSE, WitnessKind::Corrected),
+        is_tip_declared: true,
+        is_frame_declared: true,
+        tip_poses: vec![
+            witness("FK of the joint states", TipPoseKind::Kinematics),
+            witness(POSE, TipPoseKind::Corrected),
         ],
         diagnosis: Ok(Ok(ReferenceDiagnosis {
             is_streamed: true,
@@ -321,17 +325,17 @@ fn stream(independent: bool) -> PoseEvidence {
         reference: "base".to_owned(),
         reference_known: true,
         tip: "tool0".to_owned(),
-        tip_named: true,
+        is_tip_declared: true,
         witness: PoseSourceKind::Unknown,
         proof: Ok(left(1e-5, 1e-5)),
         independent,
-        bare_numbers: false,
+        has_bare_numbers: false,
         alternation: None,
-        bare: false,
+        is_undeclared: false,
         declared: None,
         labels: None,
         is_of_table: false,
-        rotation_unread: Vec::new(),
+        unidentified_columns: Vec::new(),
         euler: Some(EulerEvidence {
             convention: Some(Convention::RPY),
             margins_rad: vec![(SPAN.start, 0.5), (SPAN.end, 0.6)],

@@ -48,7 +48,7 @@ impl CorrectionContext<'_> {
     pub fn convention_of_numbers(&self, topic: &str) -> Option<Convention> {
         let (_, stream) = self.evidence.poses().find(|(_, stream)| stream.topic() == topic)?;
         match stream.diagnosis.reading.as_ref().ok()?.best {
-            PoseEncoding::Numbers(convention) if stream.bare_numbers => Some(convention),
+            PoseEncoding::Numbers(convention) if stream.has_bare_numbers => Some(convention),
             _ => None,
         }
     }

@@ -7,9 +7,9 @@ use rayon::prelude::*;
 use super::commands::{ReferenceEvidence, references};
 use super::estimate::{DhEvidence, Diagnosis};
 use super::joints::{JointEvidence, breaks, joint_evidence, mending, velocities};
-use super::poses::{Declared, ImuEvidence, PoseEvidence, euler, rotation_unread};
+use super::poses::{Declared, ImuEvidence, PoseEvidence, euler, unidentified_columns};
 use super::shake::{ShakeEvidence, shake_of_joints, shake_of_poses};
-use super::{Of, of_arm, span_in};
+use super::{StreamEvidence, arm_stream_evidence, span_or_run};
 use crate::diagnosis::{
     ArmDiagnosis, JointDiagnosis, JointScale, NotObservable, PoseDiagnosis, proof, proof_of_imu,
 };
@@ -37,17 +37,17 @@ pub struct ArmEvidence {
     /// Diagnosis of its joint states.
     pub diagnosis: JointDiagnosis,
     /// Pose streams, indexed as in the confounders of a joint offset.
-    pub poses: Vec<Of<PoseEvidence>>,
+    pub poses: Vec<StreamEvidence<PoseEvidence>>,
     /// Tip pose from /tf, against FK of the recorded joint states.
-    pub tf: Option<Of<PoseEvidence>>,
+    pub tf: Option<StreamEvidence<PoseEvidence>>,
     /// Vibration of the tip, from the joint states and from each pose stream.
-    pub shakes: Vec<Of<ShakeEvidence>>,
+    pub shakes: Vec<StreamEvidence<ShakeEvidence>>,
     /// IMUs on the arm.
-    pub imus: Vec<Of<ImuEvidence>>,
+    pub imus: Vec<StreamEvidence<ImuEvidence>>,
     /// Whether joint positions were identified as degrees by their magnitude.
     pub taken_for_degrees: bool,
     /// Command streams.
-    pub references: Vec<Of<ReferenceEvidence>>,
+    pub references: Vec<StreamEvidence<ReferenceEvidence>>,
 }
 
 impl ArmEvidence {
@@ -58,17 +58,17 @@ impl ArmEvidence {
     }
 
     /// Pose streams followed by /tf.
-    pub fn poses_and_tf(&self) -> impl Iterator<Item = &Of<PoseEvidence>> {
+    pub fn poses_and_tf(&self) -> impl Iterator<Item = &StreamEvidence<PoseEvidence>> {
         self.poses.iter().chain(&self.tf)
     }
 
     /// Whether a pose stream is computed from the joint states, as /tf is.
-    pub fn is_derived(&self, stream: &Of<PoseEvidence>) -> bool {
+    pub fn is_derived(&self, stream: &StreamEvidence<PoseEvidence>) -> bool {
         self.tf.iter().any(|tf| tf.topic() == stream.topic())
     }
 
     /// Combined source of the pose streams: external if any is, controller if all are.
-    pub fn witness(&self) -> PoseSourceKind {
+    pub fn pose_source_kind(&self) -> PoseSourceKind {
         let of = |witness: PoseSourceKind| {
             self.poses.iter().filter(move |s| s.witness == witness).count()
         };
@@ -123,7 +123,7 @@ impl ArmEvidence {
     /// Unit of a joint's positions.
     pub fn joint_unit(&self, index: usize) -> Unit {
         match self.joints.get(index) {
-            Some(joint) if joint.prismatic => Unit::Metre,
+            Some(joint) if joint.is_prismatic => Unit::Metre,
             _ => Unit::Radian,
         }
     }
@@ -151,15 +151,15 @@ pub(super) fn arm_evidence(
         },
         reference_known: source.reference_known,
         tip: source.chain.tip_name().to_owned(),
-        tip_named: source.tip_named,
+        is_tip_declared: source.tip_named,
         witness: run.streams[source.stream].source_kind.unwrap_or(PoseSourceKind::Unknown),
         euler,
         labels: run.streams[source.stream].labels.filter(|_| source.track.declared.is_none()),
         is_of_table: !run.streams[source.stream].cells.is_empty(),
-        rotation_unread: rotation_unread(run, source),
+        unidentified_columns: unidentified_columns(run, source),
         independent: !source.stamps_copied,
-        bare_numbers: matches!(source.track.orientation, Orientations::Numbers(_)),
-        bare: source.track.declared.is_none() && run.streams[source.stream].is_bare(),
+        has_bare_numbers: matches!(source.track.orientation, Orientations::Numbers(_)),
+        is_undeclared: source.track.declared.is_none() && run.streams[source.stream].is_bare(),
         declared: source.track.declared.as_ref().map(|units| Declared {
             angles: units.in_other_angles.is_some().then_some(units.angle),
             lengths: units.length,
@@ -181,7 +181,7 @@ pub(super) fn arm_evidence(
                 .flatten(),
             diagnosis,
         };
-        of_arm(run, arm, source.stream, found)
+        arm_stream_evidence(run, arm, source.stream, found)
     });
     let samples = run.joint_samples(&arm.joint_facts);
     let breaks = breaks(&found, arm.joint_names.len());
@@ -204,7 +204,7 @@ pub(super) fn arm_evidence(
     };
     let of_joints = || {
         let shake = shake_of_joints(arm, &samples, &track);
-        of_arm(run, arm, joints_stream, ShakeEvidence { in_other_units: false, shake })
+        arm_stream_evidence(run, arm, joints_stream, ShakeEvidence { in_other_units: false, shake })
     };
     let of_stream = |(source, mut found): (&PoseSource, PoseDiagnosis)| {
         if run.streams[source.stream].holds_no_rotation() {
@@ -212,15 +212,16 @@ pub(super) fn arm_evidence(
         }
         let in_other_units = matches!(found.length, Ok(Some(_)));
         let shake = shake_of_poses(&source.track, &found, &arm.joints);
-        let shake = of_arm(run, arm, source.stream, ShakeEvidence { in_other_units, shake });
+        let shake =
+            arm_stream_evidence(run, arm, source.stream, ShakeEvidence { in_other_units, shake });
         let euler = euler(run, source, &found, &options.declared);
-        (of_arm(run, arm, source.stream, of_poses(source, found, euler)), shake)
+        (arm_stream_evidence(run, arm, source.stream, of_poses(source, found, euler)), shake)
     };
     let of_streams =
         || -> (Vec<_>, Vec<_>) { arm.poses.par_iter().zip(streams).map(of_stream).unzip() };
     let of_tf = || {
         let (source, found) = arm.tf.as_ref().ok().zip(diagnosis.tf)?;
-        Some(of_arm(run, arm, source.stream, of_poses(source, found, None)))
+        Some(arm_stream_evidence(run, arm, source.stream, of_poses(source, found, None)))
     };
     let of_imus = || imus.collect::<Vec<_>>();
     let ((mut joints, shake), ((poses, shakes), (tf, imus))) = rayon::join(
@@ -229,7 +230,7 @@ pub(super) fn arm_evidence(
     );
     for (index, (joint, velocity)) in joints.iter_mut().zip(velocities).enumerate() {
         joint.velocity = velocity;
-        joint.really = really.as_ref().map(|really| (really.from[index], really.factor[index]));
+        joint.actual = really.as_ref().map(|really| (really.from[index], really.factor[index]));
     }
     let taken_for_degrees = matches!(
         run.streams.get(joints_stream).and_then(|stream| stream.columns.as_ref()),
@@ -238,7 +239,7 @@ pub(super) fn arm_evidence(
     ArmEvidence {
         name: arm.name.clone(),
         joints_topic: run.streams[joints_stream].topic.clone(),
-        span: span_in(run, joints_stream),
+        span: span_or_run(run, joints_stream),
         joints,
         reach_m: arm.chain.max_reach_m(),
         better_model: arm.better.clone(),

@@ -1,7 +1,7 @@
 //! Comparison of commands with the motion of the arm.
 
 use super::poses::PoseEvidence;
-use super::{Of, of_arm, span_of};
+use super::{StreamEvidence, arm_stream_evidence, stream_span};
 use crate::diagnosis::{
     AlignedSamples, CommandDelay, CommandedArm, Commands, EstimateResult, PoseDiagnosis,
     PoseSeries, ReferenceDiagnosis, diagnose_reference, joint_delays, pose_delay, unnamed_order,
@@ -17,11 +17,11 @@ pub struct ReferenceEvidence {
     /// Whether it commands joints rather than poses.
     pub is_of_joints: bool,
     /// Whether the commanded link is declared; if not, it may be an active TCP.
-    pub tip_named: bool,
+    pub is_tip_declared: bool,
     /// Whether the frame of the commanded poses is declared.
-    pub frame_named: bool,
+    pub is_frame_declared: bool,
     /// Sources of the actual tip pose, one per entry of the gaps and of a line's observations.
-    pub witnesses: Vec<ReferenceWitness>,
+    pub tip_poses: Vec<TipPoseSource>,
     /// Diagnosis, or the reason why the commands cannot be compared with the arm.
     pub diagnosis: Result<EstimateResult<ReferenceDiagnosis>, String>,
     /// Delay from command to state, per commanded joint or for the tip. Empty if the commands cannot be
@@ -31,16 +31,16 @@ pub struct ReferenceEvidence {
 
 /// Source of the actual tip pose.
 #[derive(Clone, Debug)]
-pub struct ReferenceWitness {
+pub struct TipPoseSource {
     /// Display name: the topic of a stream.
     pub name: String,
     /// Kind of its poses.
-    pub kind: WitnessKind,
+    pub kind: TipPoseKind,
 }
 
 /// Kind of a source's poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum WitnessKind {
+pub enum TipPoseKind {
     /// Forward kinematics of the recorded joint states.
     Kinematics,
     /// Pose stream after correcting its findings.
@@ -59,7 +59,10 @@ pub struct UnmodelledCommands {
 }
 
 /// Delays from joint commands to joint states in a run without an arm model.
-pub(super) fn without_model(run: &Run, most_lag_s: f64) -> Vec<Of<UnmodelledCommands>> {
+pub(super) fn unmodelled_commands(
+    run: &Run,
+    most_lag_s: f64,
+) -> Vec<StreamEvidence<UnmodelledCommands>> {
     if run.no_arm.is_none() {
         return Vec::new();
     }
@@ -88,13 +91,13 @@ pub(super) fn without_model(run: &Run, most_lag_s: f64) -> Vec<Of<UnmodelledComm
         let joints = JointTrack { t_s: state_t_s, dof, q: state_q, qd, noise: Vec::new() };
         let order: Vec<usize> = (0..dof).collect();
         let names = state_places.iter().map(|&at| states.joints[at].name.clone());
-        let found = UnmodelledCommands {
+        let value = UnmodelledCommands {
             joints: names.collect(),
             delays: joint_delays(&t_s, &order, &q, &joints, most_lag_s),
         };
         let topic = Some(run.streams[index].topic.clone());
         let subject = Subject { topic, ..Subject::default() };
-        Some(Of { subject, span: span_of(run, index), found })
+        Some(StreamEvidence { subject, span: stream_span(run, index), value })
     };
     of_role(Role::Reference).filter_map(of).collect()
 }
@@ -125,9 +128,9 @@ fn rows_of(
 pub(super) fn references(
     run: &Run,
     index: usize,
-    poses: &[Of<PoseEvidence>],
+    poses: &[StreamEvidence<PoseEvidence>],
     most_lag_s: f64,
-) -> Vec<Of<ReferenceEvidence>> {
+) -> Vec<StreamEvidence<ReferenceEvidence>> {
     let Some(arm) = run.arms.get(index) else { return Vec::new() };
     let sources: Vec<&ReferenceSource> =
         run.references.iter().filter(|source| source.arm == index).collect();
@@ -135,14 +138,13 @@ pub(super) fn references(
         return Vec::new();
     }
     let by_kinematics = PoseSeries::by_kinematics(&arm.joints, &arm.chain, &arm.columns);
-    let kinematics = ReferenceWitness {
-        name: "FK of the joint states".to_owned(),
-        kind: WitnessKind::Kinematics,
-    };
+    let kinematics =
+        TipPoseSource { name: "FK of the joint states".to_owned(), kind: TipPoseKind::Kinematics };
     let of_joints = [(kinematics, by_kinematics)];
     let streams = arm.poses.iter().zip(poses);
-    let of_streams: Vec<(ReferenceWitness, PoseSeries)> =
-        streams.flat_map(|(source, of)| of_stream(run, arm, source, &of.diagnosis)).collect();
+    let of_streams: Vec<(TipPoseSource, PoseSeries)> = streams
+        .flat_map(|(source, of)| tip_poses_of_stream(run, arm, source, &of.diagnosis))
+        .collect();
     let found = sources.into_iter().map(|source| {
         let (is_of_joints, tip_named, frame_named) = match &source.content {
             Ok(ReferenceContent::Poses { tip_named, frame_named, .. }) => {
@@ -153,7 +155,7 @@ pub(super) fn references(
         };
         // Joint commands are compared with the joint states only, because both have the same zeros.
         let others = if is_of_joints { [].as_slice() } else { of_streams.as_slice() };
-        let (witnesses, series): (Vec<ReferenceWitness>, Vec<PoseSeries>) =
+        let (witnesses, series): (Vec<TipPoseSource>, Vec<PoseSeries>) =
             of_joints.iter().chain(others).cloned().unzip();
         let (diagnosis, delays) = match &source.content {
             Ok(content) => diagnose(arm, content, &series, most_lag_s)
@@ -162,13 +164,16 @@ pub(super) fn references(
         };
         let found = ReferenceEvidence {
             is_of_joints,
-            tip_named,
-            frame_named,
-            witnesses,
+            is_tip_declared: tip_named,
+            is_frame_declared: frame_named,
+            tip_poses: witnesses,
             diagnosis,
             delays,
         };
-        Of { span: span_of(run, source.stream), ..of_arm(run, arm, source.stream, found) }
+        StreamEvidence {
+            span: stream_span(run, source.stream),
+            ..arm_stream_evidence(run, arm, source.stream, found)
+        }
     });
     found.collect()
 }
@@ -214,12 +219,12 @@ fn diagnose(
 
 /// Poses of the arm's tip in its base according to a stream, after correcting its findings and as logged.
 /// Both are corrected for latency.
-fn of_stream(
+fn tip_poses_of_stream(
     run: &Run,
     arm: &Arm,
     source: &PoseSource,
     found: &PoseDiagnosis,
-) -> Vec<(ReferenceWitness, PoseSeries)> {
+) -> Vec<(TipPoseSource, PoseSeries)> {
     let link = |name: &str| arm.robot.link(name);
     let fixed = |a: &str, b: &str| arm.robot.fixed_transform(link(a)?, link(b)?);
     let base = fixed(arm.chain.base_name(), source.chain.base_name());
@@ -236,9 +241,9 @@ fn of_stream(
             .map(|pose| base_from_reference * pose * link_from_tip)
             .collect(),
     };
-    let witness = |kind| ReferenceWitness { name: run.streams[source.stream].topic.clone(), kind };
-    let corrected = (witness(WitnessKind::Corrected), series(|aligned| &aligned.corrected));
-    let as_logged = (witness(WitnessKind::AsLogged), series(|aligned| &aligned.logged));
+    let witness = |kind| TipPoseSource { name: run.streams[source.stream].topic.clone(), kind };
+    let corrected = (witness(TipPoseKind::Corrected), series(|aligned| &aligned.corrected));
+    let as_logged = (witness(TipPoseKind::AsLogged), series(|aligned| &aligned.logged));
     match source.reference_known {
         true => vec![corrected, as_logged],
         false => vec![corrected],

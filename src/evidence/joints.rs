@@ -18,7 +18,7 @@ pub struct JointEvidence {
     /// Name, as in the log.
     pub name: String,
     /// Whether it is prismatic.
-    pub prismatic: bool,
+    pub is_prismatic: bool,
     /// Limits in the model.
     pub limits: Limits,
     /// Motion over all samples.
@@ -27,7 +27,7 @@ pub struct JointEvidence {
     pub velocity: Option<EstimateResult<VelocityDiagnosis>>,
     /// Actual content of its positions, if the pose streams show it: index of the joint that they belong
     /// to, and a factor.
-    pub really: Option<(usize, f64)>,
+    pub actual: Option<(usize, f64)>,
 }
 
 /// Motion of a joint over the run.
@@ -108,8 +108,8 @@ pub(super) fn joint_evidence(
             }
         };
     }
-    let prismatic = model.is_some_and(|joint| joint.kind == JointKind::Prismatic);
-    JointEvidence { name, prismatic, limits, motion, velocity: None, really: None }
+    let is_prismatic = model.is_some_and(|joint| joint.kind == JointKind::Prismatic);
+    JointEvidence { name, is_prismatic, limits, motion, velocity: None, actual: None }
 }
 
 /// Number of full turns by which positions, rad, are beyond `limits` throughout, if subtracting them brings

@@ -20,17 +20,18 @@ use crate::run::{Arm, Frozen, Norms, Run, RunOptions, Unaudited, WhyNot};
 use crate::time::Stamp;
 
 pub use arm::ArmEvidence;
-pub use commands::{ReferenceEvidence, ReferenceWitness, UnmodelledCommands, WitnessKind};
+pub use commands::{ReferenceEvidence, TipPoseKind, TipPoseSource, UnmodelledCommands};
 pub use estimate::DhEvidence;
 pub use hand_eye::HandEyeEvidence;
 pub use joints::{JointEvidence, JointMotion};
 pub use poses::{Declared, EulerEvidence, ImuEvidence, PoseEvidence};
-pub use samples::{HeldEvidence, StrayEvidence, UnusableEvidence};
+pub use samples::{OutlierEvidence, RepeatedValueEvidence, UnusableSampleEvidence};
 pub use shake::ShakeEvidence;
 pub(crate) use streams::frame_of_several;
 pub use streams::{Due, RhythmEvidence, StampEvidence};
 pub use topics::{
-    EmptyEvidence, FrameEvidence, RepeatEvidence, RepeatKind, Undecodable, UndecodableTopic,
+    EmptyStreamEvidence, RepeatedColumnEvidence, RepeatedColumnKind, TfEvidence, Undecodable,
+    UndecodableTopic,
 };
 
 /// All evidence about one run.
@@ -41,34 +42,34 @@ pub struct RunEvidence {
     /// Reason why there is no robot, if so.
     pub no_robot: Option<String>,
     /// Joint commands, if there is no robot.
-    pub unmodelled_commands: Vec<Of<UnmodelledCommands>>,
+    pub unmodelled_commands: Vec<StreamEvidence<UnmodelledCommands>>,
     /// Targets seen by cameras, each compared with a hand.
     pub hand_eyes: Vec<HandEyeEvidence>,
     /// Stamps of every stream with a role.
-    pub stamps: Vec<Of<StampEvidence>>,
+    pub stamps: Vec<StreamEvidence<StampEvidence>>,
     /// Unusable samples of every audited stream.
-    pub unusable: Vec<Of<UnusableEvidence>>,
+    pub unusable: Vec<StreamEvidence<UnusableSampleEvidence>>,
     /// Sample timing of every stream with a role.
-    pub rhythms: Vec<Of<RhythmEvidence>>,
+    pub rhythms: Vec<StreamEvidence<RhythmEvidence>>,
     /// TF topics and the problems of their tree.
-    pub frames: FrameEvidence,
+    pub tf: TfEvidence,
     /// Deviation from rotations, for every stream whose rotations have more than three numbers.
-    pub norms: Vec<Of<Vec<Norms>>>,
+    pub norms: Vec<StreamEvidence<Vec<Norms>>>,
     /// Outliers of every stream of joint states, tool poses or transforms.
-    pub strays: Vec<Of<StrayEvidence>>,
+    pub outliers: Vec<StreamEvidence<OutlierEvidence>>,
     /// Frozen intervals of every pose stream compared with the arm.
-    pub frozen: Vec<Of<Vec<Frozen>>>,
+    pub frozen_intervals: Vec<StreamEvidence<Vec<Frozen>>>,
     /// Streams that repeat values with new stamps.
-    pub held: Vec<Of<HeldEvidence>>,
+    pub repeated_values: Vec<StreamEvidence<RepeatedValueEvidence>>,
     /// Streams of joint states or tool poses, and streams declared as such, with the reasons why they are
     /// not audited.
-    pub unaudited: Vec<Of<Vec<WhyNot>>>,
+    pub not_audited: Vec<StreamEvidence<Vec<WhyNot>>>,
     /// Pose streams that lead the arm, with the lead in seconds.
-    pub leaders: Vec<Of<f64>>,
+    pub leading_streams: Vec<StreamEvidence<f64>>,
     /// Relevant topics without messages or without finite numbers.
-    pub empty: Vec<EmptyEvidence>,
+    pub empty_streams: Vec<EmptyStreamEvidence>,
     /// Expected topics that are missing, with the place where they are declared.
-    pub missing: Vec<(Subject, String)>,
+    pub missing_topics: Vec<(Subject, String)>,
     /// First stamp of the run.
     pub start: Option<Stamp>,
     /// Origin of all times in seconds.
@@ -82,13 +83,13 @@ pub struct RunEvidence {
     /// Contradictions between metadata and numbers. `None` if nothing is declared.
     pub contradictions: Option<Vec<Note>>,
     /// Duplicate or constant columns. `None` without tables.
-    pub repeats: Option<Vec<RepeatEvidence>>,
+    pub repeated_columns: Option<Vec<RepeatedColumnEvidence>>,
 }
 
 impl RunEvidence {
     /// Collects the evidence for `run`. If a DH table turns out to use the undeclared convention, its arm
     /// is replaced.
-    pub fn of(run: &mut Run, lost: &Lost, options: &RunOptions) -> Self {
+    pub fn collect(run: &mut Run, lost: &Lost, options: &RunOptions) -> Self {
         let most_lag_s = options.max_latency_s;
         let diagnoses = estimate::diagnose(run, most_lag_s);
         let run = &*run;
@@ -106,27 +107,31 @@ impl RunEvidence {
         Self {
             robots: robots.collect(),
             no_robot: run.no_arm.as_ref().map(|error| error.what()),
-            unmodelled_commands: commands::without_model(run, most_lag_s),
+            unmodelled_commands: commands::unmodelled_commands(run, most_lag_s),
             hand_eyes,
             stamps: streams::stamps(run),
             unusable: samples::unusable(run),
             rhythms: streams::rhythms(run, &unset),
-            frames: topics::frames(run),
+            tf: topics::tf(run),
             norms: samples::norms(run),
-            strays: samples::strays(run),
-            frozen: samples::frozen(run),
-            held: samples::held(run),
-            unaudited: topics::unaudited(run, &unset),
-            leaders: run.leaders.iter().map(|&(stream, lead_s)| of(run, stream, lead_s)).collect(),
-            empty: topics::empty(run),
-            missing: topics::missing(run, &options.topics),
+            outliers: samples::outliers(run),
+            frozen_intervals: samples::frozen_intervals(run),
+            repeated_values: samples::repeated_values(run),
+            not_audited: topics::not_audited(run, &unset),
+            leading_streams: run
+                .leaders
+                .iter()
+                .map(|&(stream, lead_s)| stream_evidence(run, stream, lead_s))
+                .collect(),
+            empty_streams: topics::empty_streams(run),
+            missing_topics: topics::missing(run, &options.topics),
             start: run.span.map(|(start, _)| start),
             origin: run.origin,
             simulated: run.has_clock_topic,
             losses: lost.losses.clone(),
             undecodable: topics::undecodable(run, &lost.undecodable),
             contradictions: lost.contradictions.clone(),
-            repeats: topics::repeats(run, lost.repeats.as_deref()),
+            repeated_columns: topics::repeated_columns(run, lost.repeats.as_deref()),
         }
     }
 
@@ -147,33 +152,35 @@ impl RunEvidence {
     }
 
     /// Every pose stream with its robot.
-    pub fn poses(&self) -> impl Iterator<Item = (&ArmEvidence, &Of<PoseEvidence>)> {
+    pub fn poses(&self) -> impl Iterator<Item = (&ArmEvidence, &StreamEvidence<PoseEvidence>)> {
         self.robots.iter().flat_map(|arm| arm.poses.iter().map(move |stream| (arm, stream)))
     }
 
     /// Every pose stream and /tf with its robot.
-    pub fn poses_and_tf(&self) -> impl Iterator<Item = (&ArmEvidence, &Of<PoseEvidence>)> {
+    pub fn poses_and_tf(
+        &self,
+    ) -> impl Iterator<Item = (&ArmEvidence, &StreamEvidence<PoseEvidence>)> {
         self.robots.iter().flat_map(|arm| arm.poses_and_tf().map(move |stream| (arm, stream)))
     }
 
     /// Every IMU with its robot.
-    pub fn imus(&self) -> impl Iterator<Item = (&ArmEvidence, &Of<ImuEvidence>)> {
+    pub fn imus(&self) -> impl Iterator<Item = (&ArmEvidence, &StreamEvidence<ImuEvidence>)> {
         self.robots.iter().flat_map(|arm| arm.imus.iter().map(move |imu| (arm, imu)))
     }
 }
 
 /// Evidence about a stream.
 #[derive(Clone, Debug)]
-pub struct Of<T> {
+pub struct StreamEvidence<T> {
     /// The stream.
     pub subject: Subject,
     /// First and last stamp used.
     pub span: Option<Span>,
     /// The evidence.
-    pub found: T,
+    pub value: T,
 }
 
-impl<T> Of<T> {
+impl<T> StreamEvidence<T> {
     /// Topic of the stream.
     pub fn topic(&self) -> &str {
         self.subject.topic.as_deref().unwrap_or_default()
@@ -185,22 +192,22 @@ impl<T> Of<T> {
     }
 
     /// Different evidence about the same stream.
-    pub(crate) fn with<U>(&self, found: U) -> Of<U> {
-        Of { subject: self.subject.clone(), span: self.span, found }
+    pub(crate) fn with_value<U>(&self, value: U) -> StreamEvidence<U> {
+        StreamEvidence { subject: self.subject.clone(), span: self.span, value }
     }
 }
 
-impl<T> Deref for Of<T> {
+impl<T> Deref for StreamEvidence<T> {
     type Target = T;
 
     fn deref(&self) -> &T {
-        &self.found
+        &self.value
     }
 }
 
-impl<T> DerefMut for Of<T> {
+impl<T> DerefMut for StreamEvidence<T> {
     fn deref_mut(&mut self) -> &mut T {
-        &mut self.found
+        &mut self.value
     }
 }
 
@@ -218,7 +225,7 @@ pub struct Lost {
 }
 
 /// Evidence about the stream `index`.
-fn of<T>(run: &Run, index: usize, found: T) -> Of<T> {
+fn stream_evidence<T>(run: &Run, index: usize, value: T) -> StreamEvidence<T> {
     let stream = &run.streams[index];
     let subject = Subject {
         robot: stream.arm.and_then(|arm| run.arms.get(arm)).map(|arm| arm.name.clone()),
@@ -226,25 +233,25 @@ fn of<T>(run: &Run, index: usize, found: T) -> Of<T> {
         frame: frame_of_several(run, stream),
         ..Subject::default()
     };
-    Of { subject, span: span_of(run, index), found }
+    StreamEvidence { subject, span: stream_span(run, index), value }
 }
 
 /// Evidence about a stream of an arm, whose subject has no frame.
-fn of_arm<T>(run: &Run, arm: &Arm, stream: usize, found: T) -> Of<T> {
+fn arm_stream_evidence<T>(run: &Run, arm: &Arm, stream: usize, value: T) -> StreamEvidence<T> {
     let (robot, topic) = (Some(arm.name.clone()), Some(run.streams[stream].topic.clone()));
     let subject = Subject { robot, topic, ..Subject::default() };
-    Of { subject, span: Some(span_in(run, stream)), found }
+    StreamEvidence { subject, span: Some(span_or_run(run, stream)), value }
 }
 
 /// First and last stamp of a stream.
-fn span_of(run: &Run, stream: usize) -> Option<Span> {
+fn stream_span(run: &Run, stream: usize) -> Option<Span> {
     let stream = run.streams.get(stream)?;
     Some(Span { start: stream.start?, end: stream.end? })
 }
 
 /// First and last stamp of a stream; otherwise of the run.
-fn span_in(run: &Run, stream: usize) -> Span {
-    span_of(run, stream).unwrap_or_else(|| {
+fn span_or_run(run: &Run, stream: usize) -> Span {
+    stream_span(run, stream).unwrap_or_else(|| {
         let (start, end) = run.span.unwrap_or((run.origin, run.origin));
         Span { start, end }
     })

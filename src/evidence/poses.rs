@@ -21,7 +21,7 @@ pub struct PoseEvidence {
     pub tip: String,
     /// Whether the tip is declared (`--tip`, the stream's child frame). If so, an offset from it is a fault
     /// rather than the active TCP.
-    pub tip_named: bool,
+    pub is_tip_declared: bool,
     /// Source of the poses.
     pub witness: PoseSourceKind,
     /// Direct comparison with FK.
@@ -29,9 +29,9 @@ pub struct PoseEvidence {
     /// Whether its stamps are independent rather than copies of the joints' stamps.
     pub independent: bool,
     /// Whether its rotations are bare numbers, which may be degrees.
-    pub bare_numbers: bool,
+    pub has_bare_numbers: bool,
     /// Whether it contains bare numbers without a declaration, which cannot violate a convention.
-    pub bare: bool,
+    pub is_undeclared: bool,
     /// Units declared by the caller.
     pub declared: Option<Declared>,
     /// Encoding of its rotations, if they are three bare numbers.
@@ -41,7 +41,7 @@ pub struct PoseEvidence {
     /// Whether it comes from table columns, which have no frame.
     pub is_of_table: bool,
     /// Unidentified table columns next to positions, which may be their rotation.
-    pub rotation_unread: Vec<String>,
+    pub unidentified_columns: Vec<String>,
     /// Rigid bodies on the tool between which its poses alternate, if any. All other estimates refer to the
     /// most frequent one.
     pub alternation: Option<ToolSwitching>,
@@ -124,7 +124,7 @@ pub(super) fn euler(
 }
 
 /// Unidentified table columns that may be the rotation of positions without one.
-pub(super) fn rotation_unread(run: &Run, source: &PoseSource) -> Vec<String> {
+pub(super) fn unidentified_columns(run: &Run, source: &PoseSource) -> Vec<String> {
     if !run.streams[source.stream].holds_no_rotation() {
         return Vec::new();
     }

@@ -1,13 +1,13 @@
 //! Sample defects: unusable numbers, outliers, repeated values and invalid rotations.
 
-use super::{Of, of};
+use super::{StreamEvidence, stream_evidence};
 use crate::robot::JointKind;
 use crate::run::{Frozen, Norms, Outliers, PoseSource, RepeatedValues, Role, Run, Stream};
 use crate::stream::Columns;
 
 /// Unusable samples of a stream.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct UnusableEvidence {
+pub struct UnusableSampleEvidence {
     /// Samples that are NaN, infinite or absurdly large.
     pub unusable: u64,
     /// Samples without an orientation, if others have one.
@@ -22,7 +22,7 @@ pub struct UnusableEvidence {
 
 /// Outliers of a stream.
 #[derive(Clone, Debug)]
-pub struct StrayEvidence {
+pub struct OutlierEvidence {
     /// Number of samples; if the stream has several poses, of the most frequent one.
     pub samples: usize,
     /// Joints or transforms with outliers.
@@ -33,7 +33,7 @@ pub struct StrayEvidence {
 
 /// Values that a stream repeats with new stamps while the arm moves.
 #[derive(Clone, Debug)]
-pub struct HeldEvidence {
+pub struct RepeatedValueEvidence {
     /// Repeated values of each transform, or of the whole stream.
     pub parts: Vec<RepeatedValues>,
     /// Whether the topic name indicates deliberate repetition.
@@ -43,11 +43,11 @@ pub struct HeldEvidence {
 }
 
 /// Norms of all streams with rotations, grouped by stream.
-pub(super) fn norms(run: &Run) -> Vec<Of<Vec<Norms>>> {
+pub(super) fn norms(run: &Run) -> Vec<StreamEvidence<Vec<Norms>>> {
     let is_tf = |topic: &str| {
         run.streams.iter().any(|stream| stream.role == Role::Tf && stream.topic == topic)
     };
-    let mut streams: Vec<Of<Vec<Norms>>> = Vec::new();
+    let mut streams: Vec<StreamEvidence<Vec<Norms>>> = Vec::new();
     let mut last = None;
     for norms in &run.norms {
         let Some(stream) = run.streams.get(norms.stream) else { continue };
@@ -62,8 +62,8 @@ pub(super) fn norms(run: &Run) -> Vec<Of<Vec<Norms>>> {
             continue;
         }
         match streams.last_mut().filter(|_| last == Some(norms.stream)) {
-            Some(known) => known.found.push(norms.clone()),
-            None => streams.push(of(run, norms.stream, vec![norms.clone()])),
+            Some(known) => known.value.push(norms.clone()),
+            None => streams.push(stream_evidence(run, norms.stream, vec![norms.clone()])),
         }
         last = Some(norms.stream);
     }
@@ -71,13 +71,15 @@ pub(super) fn norms(run: &Run) -> Vec<Of<Vec<Norms>>> {
 }
 
 /// Unusable samples of the audited streams.
-pub(super) fn unusable(run: &Run) -> Vec<Of<UnusableEvidence>> {
+pub(super) fn unusable(run: &Run) -> Vec<StreamEvidence<UnusableSampleEvidence>> {
     let is_asked =
         |stream: &Stream| matches!(stream.role, Role::Joints | Role::Pose | Role::Tf | Role::Imu);
     let streams = run.streams.iter().enumerate().filter(|(_, stream)| is_asked(stream));
     let unusable = |(index, stream): (usize, &Stream)| {
-        let mut facts =
-            UnusableEvidence { unusable: stream.unusable(), ..UnusableEvidence::default() };
+        let mut facts = UnusableSampleEvidence {
+            unusable: stream.unusable(),
+            ..UnusableSampleEvidence::default()
+        };
         let mut joint = None;
         let kept: usize = stream.times().iter().map(|times| times.len()).sum();
         facts.samples = kept as u64 + facts.unusable;
@@ -106,7 +108,7 @@ pub(super) fn unusable(run: &Run) -> Vec<Of<UnusableEvidence>> {
             }
             _ => {}
         }
-        let mut of = of(run, index, facts);
+        let mut of = stream_evidence(run, index, facts);
         of.subject.joint = joint;
         of
     };
@@ -114,7 +116,7 @@ pub(super) fn unusable(run: &Run) -> Vec<Of<UnusableEvidence>> {
 }
 
 /// Outliers of the streams of joint states, tool poses and transforms.
-pub(super) fn strays(run: &Run) -> Vec<Of<StrayEvidence>> {
+pub(super) fn outliers(run: &Run) -> Vec<StreamEvidence<OutlierEvidence>> {
     let is_tf = |topic: &str| {
         run.streams.iter().any(|stream| stream.role == Role::Tf && stream.topic == topic)
     };
@@ -134,18 +136,18 @@ pub(super) fn strays(run: &Run) -> Vec<Of<StrayEvidence>> {
     let streams = run.streams.iter().enumerate().filter(|(_, stream)| is_asked(stream));
     let strays = |(index, stream): (usize, &Stream)| {
         let parts = run.sample_filter.outliers.iter().filter(|strays| strays.stream == index);
-        let found = StrayEvidence {
+        let found = OutlierEvidence {
             samples: stream.times().iter().map(|times| times.len()).max().unwrap_or(0),
             sliding: sliding.clone(),
             parts: parts.cloned().collect(),
         };
-        of(run, index, found)
+        stream_evidence(run, index, found)
     };
     streams.map(strays).collect()
 }
 
 /// Frozen intervals of the pose and joint streams compared with an arm.
-pub(super) fn frozen(run: &Run) -> Vec<Of<Vec<Frozen>>> {
+pub(super) fn frozen_intervals(run: &Run) -> Vec<StreamEvidence<Vec<Frozen>>> {
     let frozen = |index: usize| {
         let stream = run.streams.get(index)?;
         let times = run.frozen.iter().filter(|found| found.stream == index);
@@ -153,14 +155,14 @@ pub(super) fn frozen(run: &Run) -> Vec<Of<Vec<Frozen>>> {
         if !is_asked && !times.clone().any(|found| found.whole) {
             return None;
         }
-        Some(of(run, index, times.copied().collect()))
+        Some(stream_evidence(run, index, times.copied().collect()))
     };
     let joints = (0..run.streams.len()).filter(|&index| run.streams[index].role == Role::Joints);
     joints.chain(run.watched.iter().copied()).filter_map(frozen).collect()
 }
 
 /// Repeated values of the streams that could have any.
-pub(super) fn held(run: &Run) -> Vec<Of<HeldEvidence>> {
+pub(super) fn repeated_values(run: &Run) -> Vec<StreamEvidence<RepeatedValueEvidence>> {
     let is_tf = |topic: &str| {
         run.streams.iter().any(|stream| stream.role == Role::Tf && stream.topic == topic)
     };
@@ -182,12 +184,12 @@ pub(super) fn held(run: &Run) -> Vec<Of<HeldEvidence>> {
     };
     let streams = run.streams.iter().enumerate().filter(|(_, stream)| is_asked(stream));
     let held = |(index, stream): (usize, &Stream)| {
-        let found = HeldEvidence {
+        let found = RepeatedValueEvidence {
             parts: of_stream(index).cloned().collect(),
             is_latched: stream.topic.to_lowercase().contains("latched"),
             is_of_joints: is_of_joints(index),
         };
-        of(run, index, found)
+        stream_evidence(run, index, found)
     };
     streams.map(held).collect()
 }

@@ -1,6 +1,6 @@
 //! Timing of a run's streams: stamps and regularity.
 
-use super::{Of, of};
+use super::{StreamEvidence, stream_evidence};
 use crate::finding::Subject;
 use crate::run::{
     Cadence, Extent, Role, RoundedStamps, Run, Stream, StreamClock, Unaudited, WhyNot,
@@ -59,7 +59,7 @@ pub struct RhythmEvidence {
     pub extent: Option<Extent>,
 }
 
-impl Of<RhythmEvidence> {
+impl StreamEvidence<RhythmEvidence> {
     /// The stream as a subject, narrowed to one transform of a TF topic if only that is concerned.
     pub fn subject_of(&self, concerned: &[&Cadence]) -> Subject {
         match concerned {
@@ -96,7 +96,7 @@ pub(crate) fn frame_of_several(run: &Run, stream: &Stream) -> Option<String> {
     is_one_of_several.then(|| stream.child_frame_id.clone())
 }
 
-pub(super) fn rhythms(run: &Run, others: &[Unaudited]) -> Vec<Of<RhythmEvidence>> {
+pub(super) fn rhythms(run: &Run, others: &[Unaudited]) -> Vec<StreamEvidence<RhythmEvidence>> {
     let rhythms = run.rhythms.iter().filter_map(|rhythm| {
         let stream = run.streams.get(rhythm.stream)?;
         let found = RhythmEvidence {
@@ -122,19 +122,19 @@ pub(super) fn rhythms(run: &Run, others: &[Unaudited]) -> Vec<Of<RhythmEvidence>
             parts: rhythm.parts.clone(),
             extent: rhythm.extent,
         };
-        Some(of(run, rhythm.stream, found))
+        Some(stream_evidence(run, rhythm.stream, found))
     });
     rhythms.filter(|rhythm| !rhythm.parts.is_empty()).collect()
 }
 
 /// Stamps of every stream with a role.
-pub(super) fn stamps(run: &Run) -> Vec<Of<StampEvidence>> {
+pub(super) fn stamps(run: &Run) -> Vec<StreamEvidence<StampEvidence>> {
     let stamps = run.clocks.iter().filter_map(|clock| {
         let stream = run.streams.get(clock.stream)?;
         let own = run.rounded.iter().filter(|own| own.stream == clock.stream);
         let rounded = own.max_by(|a, b| a.resolution_s.total_cmp(&b.resolution_s)).cloned();
         let found = StampEvidence { due: due(run, stream)?, clock: clock.clone(), rounded };
-        let mut of = of(run, clock.stream, found);
+        let mut of = stream_evidence(run, clock.stream, found);
         of.subject.frame = clock.frame.clone().or(of.subject.frame);
         Some(of)
     });

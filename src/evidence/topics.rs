@@ -1,6 +1,6 @@
 //! Topics and frames that are missing, unreadable or not audited, with reasons.
 
-use super::{Of, of};
+use super::{StreamEvidence, stream_evidence};
 use crate::diagnosis::{ArmDiagnosis, NotObservable};
 use crate::finding::Subject;
 use crate::log::Repeat;
@@ -13,16 +13,16 @@ use crate::stream::{Columns, JointColumn};
 
 /// Frames of a log.
 #[derive(Clone, Debug, Default)]
-pub struct FrameEvidence {
+pub struct TfEvidence {
     /// Topics with transforms, including static ones.
     pub topics: Vec<String>,
     /// Problems of their tree.
-    pub flaws: Vec<TfProblem>,
+    pub problems: Vec<TfProblem>,
 }
 
 /// Topic without usable content.
 #[derive(Clone, Debug)]
-pub struct EmptyEvidence {
+pub struct EmptyStreamEvidence {
     /// The topic.
     pub subject: Subject,
     /// Number of messages, none with finite numbers.
@@ -31,16 +31,16 @@ pub struct EmptyEvidence {
 
 /// Duplicate or constant columns of a table.
 #[derive(Clone, Debug)]
-pub struct RepeatEvidence {
+pub struct RepeatedColumnEvidence {
     /// The columns.
     pub repeat: Repeat,
     /// Consequence for the audit.
-    pub kind: RepeatKind,
+    pub kind: RepeatedColumnKind,
 }
 
 /// Consequence of duplicate or constant columns for the audit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RepeatKind {
+pub enum RepeatedColumnKind {
     /// Commands duplicate states, or vice versa.
     CommandIsState,
     /// An external reference duplicates data of the robot.
@@ -89,11 +89,11 @@ pub(super) fn undecodable(run: &Run, messages: &[UndecodableTopic]) -> Vec<Undec
 }
 
 /// Topics with transforms, and the problems of their frames.
-pub(super) fn frames(run: &Run) -> FrameEvidence {
+pub(super) fn tf(run: &Run) -> TfEvidence {
     let is_tf = |stream: &&Stream| matches!(stream.columns, Some(Columns::Transforms(_)));
-    FrameEvidence {
+    TfEvidence {
         topics: run.streams.iter().filter(is_tf).map(|stream| stream.topic.clone()).collect(),
-        flaws: run.tf_problems.iter().cloned().chain(run.pieces()).collect(),
+        problems: run.tf_problems.iter().cloned().chain(run.pieces()).collect(),
     }
 }
 
@@ -109,7 +109,10 @@ pub(super) fn unset(run: &Run, arm: &Arm, found: &ArmDiagnosis) -> Vec<Unaudited
 }
 
 /// Pose streams with the same topic and child frame, in any reference frame, with their indices.
-fn beside<'a>(run: &'a Run, own: &'a Stream) -> impl Iterator<Item = (usize, &'a Stream)> {
+fn same_pose_streams<'a>(
+    run: &'a Run,
+    own: &'a Stream,
+) -> impl Iterator<Item = (usize, &'a Stream)> {
     run.streams.iter().enumerate().filter(|(_, other)| {
         other.topic == own.topic
             && other.child_frame_id == own.child_frame_id
@@ -123,7 +126,7 @@ pub(super) fn in_other_frames(run: &Run) -> Vec<Unaudited> {
     let tied: Vec<usize> =
         sources.filter(|source| source.reference_known).map(|source| source.stream).collect();
     let of = |index: usize| {
-        let all = || beside(run, &run.streams[index]);
+        let all = || same_pose_streams(run, &run.streams[index]);
         let others: Vec<&Stream> =
             all().filter(|(index, _)| !tied.contains(index)).map(|(_, other)| other).collect();
         let is_first =
@@ -142,7 +145,7 @@ pub(super) fn in_other_frames(run: &Run) -> Vec<Unaudited> {
 }
 
 /// Audited or relevant streams, with the reasons why they are not audited or not used as declared.
-pub(super) fn unaudited(run: &Run, unset: &[Unaudited]) -> Vec<Of<Vec<WhyNot>>> {
+pub(super) fn not_audited(run: &Run, unset: &[Unaudited]) -> Vec<StreamEvidence<Vec<WhyNot>>> {
     if run.arms.is_empty() {
         return Vec::new();
     }
@@ -150,41 +153,48 @@ pub(super) fn unaudited(run: &Run, unset: &[Unaudited]) -> Vec<Of<Vec<WhyNot>>> 
         let known = run.unaudited.iter().chain(unset).filter(|found| found.stream == index);
         let why: Vec<WhyNot> = known.map(|found| found.why.clone()).collect();
         let is_asked = matches!(stream.role, Role::Joints | Role::Pose) || !why.is_empty();
-        is_asked.then(|| of(run, index, why))
+        is_asked.then(|| stream_evidence(run, index, why))
     };
     run.streams.iter().enumerate().filter_map(why_not).collect()
 }
 
 /// Duplicate or constant columns that no other rule covers.
-pub(super) fn repeats(run: &Run, found: Option<&[Repeat]>) -> Option<Vec<RepeatEvidence>> {
+pub(super) fn repeated_columns(
+    run: &Run,
+    found: Option<&[Repeat]>,
+) -> Option<Vec<RepeatedColumnEvidence>> {
     let stream = |topic: &str| run.streams.iter().find(|stream| stream.topic == topic);
     let is_command = |stream: &Stream| stream.role == Role::Reference;
     let is_outside = |stream: &Stream| stream.source_kind == Some(PoseSourceKind::External);
     let of = |repeat: &Repeat| {
         let own = stream(&repeat.topic)?;
         let kind = match (&repeat.number, &repeat.of) {
-            (Some(_), Some(_)) => RepeatKind::JointIsJoint,
+            (Some(_), Some(_)) => RepeatedColumnKind::JointIsJoint,
             (Some(_), None) if is_command(own) => return None,
-            (Some(_), None) => RepeatKind::JointRests,
+            (Some(_), None) => RepeatedColumnKind::JointRests,
             // A constant pose is FRM007, and a goal may be constant.
             (None, None) if own.role != Role::Unassigned => return None,
-            (None, None) => RepeatKind::Still,
+            (None, None) => RepeatedColumnKind::Still,
             (None, Some(of)) => {
                 let other = stream(of)?;
                 match () {
-                    () if is_command(own) != is_command(other) => RepeatKind::CommandIsState,
-                    () if is_outside(own) != is_outside(other) => RepeatKind::WitnessIsOther,
-                    () => RepeatKind::Same,
+                    () if is_command(own) != is_command(other) => {
+                        RepeatedColumnKind::CommandIsState
+                    }
+                    () if is_outside(own) != is_outside(other) => {
+                        RepeatedColumnKind::WitnessIsOther
+                    }
+                    () => RepeatedColumnKind::Same,
                 }
             }
         };
-        Some(RepeatEvidence { repeat: repeat.clone(), kind })
+        Some(RepeatedColumnEvidence { repeat: repeat.clone(), kind })
     };
     found.map(|found| found.iter().filter_map(of).collect())
 }
 
 /// Relevant topics without content. Joint states and transforms are listed only if no other topic has them.
-pub(super) fn empty(run: &Run) -> Vec<EmptyEvidence> {
+pub(super) fn empty_streams(run: &Run) -> Vec<EmptyStreamEvidence> {
     let holds =
         |role: Role| run.streams.iter().any(|stream| stream.role == role && !stream.is_empty);
     let is_missed = |stream: &&Stream| match &stream.columns {
@@ -193,7 +203,7 @@ pub(super) fn empty(run: &Run) -> Vec<EmptyEvidence> {
         Some(_) => true,
         None => !stream.type_name.contains("TFMessage") || !holds(Role::Tf),
     };
-    let of = |stream: &Stream, joint: Option<String>| EmptyEvidence {
+    let of = |stream: &Stream, joint: Option<String>| EmptyStreamEvidence {
         subject: Subject { topic: Some(stream.topic.clone()), joint, ..Subject::default() },
         messages: stream.count,
     };

@@ -13,7 +13,9 @@ use crate::diagnosis::{
     EncodingEstimate, EstimateResult, LatencyProfile, Measured, PoseDistances, PoseEncoding,
     residual_by_latency, turning_by_latency,
 };
-use crate::evidence::{ArmEvidence, ImuEvidence, Of, PoseEvidence, RunEvidence, frame_of_several};
+use crate::evidence::{
+    ArmEvidence, ImuEvidence, PoseEvidence, RunEvidence, StreamEvidence, frame_of_several,
+};
 use crate::finding::Finding;
 use crate::run::{Arm, Edge, EdgeKind, ImuSource, PoseSource, Rhythm, Run, Stream};
 use crate::stream::JointTrack;
@@ -97,7 +99,7 @@ fn pose(
     joints: &JointTrack,
     source: &PoseSource,
     arm: &ArmEvidence,
-    facts: &Of<PoseEvidence>,
+    facts: &StreamEvidence<PoseEvidence>,
 ) -> PoseFigure {
     let found = &facts.diagnosis;
     let aligned = &found.aligned;
@@ -143,7 +145,7 @@ fn scores(reading: &EstimateResult<EncodingEstimate>) -> Vec<ReadingScore> {
 fn imus(clock: &Clock, joints: &JointTrack, arm: &Arm, facts: &ArmEvidence) -> Vec<ImuFigure> {
     /// Range of correlations beyond twice the latency, s.
     const BESIDE_S: f64 = 0.08;
-    let figure = |(source, imu): (&ImuSource, &Of<ImuEvidence>)| {
+    let figure = |(source, imu): (&ImuSource, &StreamEvidence<ImuEvidence>)| {
         let found = &imu.diagnosis;
         let most_s = found.latency_s.as_ref().map(|latency| 2.0 * latency.value.abs() + BESIDE_S);
         let curve = most_s.map(|most_s| turning_by_latency(joints, &source.as_stream(), most_s));

@@ -1,12 +1,12 @@
 use serde_json::{Value, json};
 
-use crate::checks::commands::witness::{self, following_json, witness_name, witnesses_differ};
+use crate::checks::commands::sources::{self, following_json, is_fk_different, source_name};
 use crate::checks::decision::{Decision, decide_frame};
 use crate::checks::frames::{THRESHOLDS, pose_json, show};
 use crate::checks::motion::mot003_limits_exceeded::UNIT_IS_OPEN;
 use crate::checks::{Case, FrameThresholds, Grade, Judged};
 use crate::diagnosis::{FrameEstimate, Measured, ReferenceDiagnosis, RestError, RestErrorSpread};
-use crate::evidence::{ArmEvidence, Of, ReferenceEvidence, WitnessKind};
+use crate::evidence::{ArmEvidence, ReferenceEvidence, StreamEvidence, TipPoseKind};
 use crate::finding::{
     Alternative, Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit,
 };
@@ -116,11 +116,11 @@ fn size(gap: &RestError, thresholds: &FrameThresholds) -> f64 {
     length.max(gap.angle_rad.norm.value / thresholds.angle.warning)
 }
 
-fn judge(case: &Case, arm: &ArmEvidence, reference: &Of<ReferenceEvidence>) -> Judged {
+fn judge(case: &Case, arm: &ArmEvidence, reference: &StreamEvidence<ReferenceEvidence>) -> Judged {
     let thresholds = case.thresholds.of_frames(&FRM006, THRESHOLDS);
     let size = |gap: &RestError| size(gap, &thresholds);
     let judged = |outcome| Judged::new(reference.subject.clone(), outcome).within(reference.span);
-    let found = match witness::found(arm, reference, SETTLE) {
+    let found = match sources::reference_diagnosis(arm, reference, SETTLE) {
         Ok(found) => found,
         Err(outcome) => return judged(outcome),
     };
@@ -130,7 +130,7 @@ fn judge(case: &Case, arm: &ArmEvidence, reference: &Of<ReferenceEvidence>) -> J
             .with_evidence("not_reached", found.not_reached)
             .with_evidence("following", following_json(found.following.as_ref()))
     };
-    let all: Vec<Seen<'_>> = (0..reference.witnesses.len())
+    let all: Vec<Seen<'_>> = (0..reference.tip_poses.len())
         .filter_map(|witness| Seen::of(case, found, witness))
         .collect();
     let Some(nearest) = all.iter().min_by(|a, b| size(a.gap).total_cmp(&size(b.gap))) else {
@@ -143,7 +143,7 @@ fn judge(case: &Case, arm: &ArmEvidence, reference: &Of<ReferenceEvidence>) -> J
         ))));
     }
     let gaps = &found.gaps[nearest.witness];
-    let name = witness_name(reference, nearest.witness);
+    let name = source_name(reference, nearest.witness);
     let outcome = match &nearest.decision {
         Decision::Fail(severity) => fault(case, arm, reference, found, nearest, *severity),
         Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
@@ -154,7 +154,7 @@ fn judge(case: &Case, arm: &ArmEvidence, reference: &Of<ReferenceEvidence>) -> J
         .filter(|one| one.witness != nearest.witness)
         .map(|one| {
             json!({
-                "measured_by": witness_name(reference, one.witness),
+                "measured_by": source_name(reference, one.witness),
                 "m": one.estimate.translation_m.value,
                 "rad": one.estimate.rotation_rad.value,
             })
@@ -182,20 +182,20 @@ fn judge(case: &Case, arm: &ArmEvidence, reference: &Of<ReferenceEvidence>) -> J
 
 fn sound(
     arm: &ArmEvidence,
-    reference: &Of<ReferenceEvidence>,
+    reference: &StreamEvidence<ReferenceEvidence>,
     nearest: &Seen<'_>,
     all: &[Seen<'_>],
     name: &str,
 ) -> Outcome {
-    let kind_of = |one: &Seen<'_>| reference.witnesses[one.witness].kind;
+    let kind_of = |one: &Seen<'_>| reference.tip_poses[one.witness].kind;
     let is_disputed = |one: &&Seen<'_>| {
-        kind_of(one) == WitnessKind::Corrected && matches!(one.decision, Decision::Fail(_))
+        kind_of(one) == TipPoseKind::Corrected && matches!(one.decision, Decision::Fail(_))
     };
     let disputed = all.iter().find(is_disputed);
-    if let (WitnessKind::Kinematics, Some(other), false) =
-        (kind_of(nearest), disputed, witnesses_differ(arm))
+    if let (TipPoseKind::Kinematics, Some(other), false) =
+        (kind_of(nearest), disputed, is_fk_different(arm))
     {
-        let (topic, off) = (&reference.witnesses[other.witness].name, show(&other.estimate));
+        let (topic, off) = (&reference.tip_poses[other.witness].name, show(&other.estimate));
         return Outcome::Inconclusive(format!(
             "it agrees with {name} but differs from {topic} by {off}; record a motion that makes FRM002 and \
              FRM003 observable to show which of the two is right"
@@ -227,7 +227,7 @@ fn not_reached(found: &ReferenceDiagnosis) -> String {
 fn fault(
     case: &Case,
     arm: &ArmEvidence,
-    reference: &Of<ReferenceEvidence>,
+    reference: &StreamEvidence<ReferenceEvidence>,
     found: &ReferenceDiagnosis,
     nearest: &Seen<'_>,
     severity: Severity,
@@ -245,10 +245,13 @@ fn fault(
     };
     let is_beyond = |m: f64| may_be_a_frame && nearest.estimate.translation_m.value > m;
     let open = match (in_tool, in_base) {
-        (true, true) if is_beyond(LITTLE_M) && !(reference.tip_named && reference.frame_named) => {
+        (true, true)
+            if is_beyond(LITTLE_M)
+                && !(reference.is_tip_declared && reference.is_frame_declared) =>
+        {
             "may be a different TCP or base frame; rest at two goals with different tool orientations"
         }
-        (_, true) if is_beyond(LITTLE_M) && !reference.frame_named => {
+        (_, true) if is_beyond(LITTLE_M) && !reference.is_frame_declared => {
             "is constant in the base frame, and the command names no frame; name it"
         }
         (false, false) if is_beyond(MUCH_M) => {
@@ -259,12 +262,12 @@ fn fault(
     if !open.is_empty() {
         return Outcome::Inconclusive(format!("off by {off}, which {open}"));
     }
-    let by_fk_alone = reference.witnesses.len() == 1;
+    let by_fk_alone = reference.tip_poses.len() == 1;
     let is_as_of_a_drawing = may_be_a_frame
         && by_fk_alone
         && nearest.estimate.translation_m.value <= NOMINAL.0
         && nearest.estimate.rotation_rad.value <= NOMINAL.1;
-    let is_a_tool = may_be_a_frame && in_tool && !in_base && !reference.tip_named;
+    let is_a_tool = may_be_a_frame && in_tool && !in_base && !reference.is_tip_declared;
     let mut indistinguishable = Vec::new();
     let estimate = |name| {
         let FrameEstimate { translation_m, rotation_rad, .. } = &nearest.estimate;
@@ -396,7 +399,7 @@ mod tests {
     fn the_same_seen_from_a_turned_tool_is_probably_another_tcp() {
         let gaps: Vec<RestError> = [0.0, 1.0, 2.0].map(|turn| rest_gap(0.14, turn)).to_vec();
         let run = planted(|reference, found| {
-            reference.tip_named = false;
+            reference.is_tip_declared = false;
             found.gaps = vec![gaps.clone(), gaps.clone()];
         });
         let (_, findings) = ask(&FRM006, &run);
@@ -407,7 +410,7 @@ mod tests {
     #[test]
     fn a_large_offset_at_one_rest_is_left_open() {
         let run = planted(|reference, found| {
-            reference.tip_named = false;
+            reference.is_tip_declared = false;
             found.gaps = vec![vec![rest_gap(0.14, 0.0)]; 2];
         });
         let (rows, findings) = ask(&FRM006, &run);
@@ -423,7 +426,7 @@ mod tests {
                 RestError { commanded, ..gap }
             });
             let run = planted(|reference, found| {
-                reference.frame_named = frame_named;
+                reference.is_frame_declared = frame_named;
                 found.gaps = vec![gaps.to_vec(), gaps.to_vec()];
             });
             let row = &ask(&FRM006, &run).0[0];

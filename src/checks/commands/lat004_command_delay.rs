@@ -3,7 +3,7 @@ use crate::checks::motion::mot003_limits_exceeded;
 use crate::checks::together::alike;
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{CommandDelay, DelayFailure, Measured, Response};
-use crate::evidence::{ArmEvidence, Of, ReferenceEvidence};
+use crate::evidence::{ArmEvidence, ReferenceEvidence, StreamEvidence};
 use crate::finding::{
     Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Span, Subject, Unit,
 };
@@ -61,12 +61,12 @@ fn check(case: &Case) -> Vec<Judged> {
         arm.references.iter().flat_map(|one| judge_stream(case, arm, one)).collect()
     };
     let unmodelled = case.evidence.unmodelled_commands.iter().flat_map(|of| {
-        let joints = of.found.joints.iter().map(String::as_str).collect();
+        let joints = of.value.joints.iter().map(String::as_str).collect();
         let commands = Commands { subject: &of.subject, span: of.span, joints };
-        let goals = goals(&of.found.delays).map(|why| {
+        let goals = goals(&of.value.delays).map(|why| {
             vec![Judged::new(of.subject.clone(), Outcome::Inconclusive(why)).within(of.span)]
         });
-        goals.unwrap_or_else(|| judge_delays(case, &commands, &of.found.delays))
+        goals.unwrap_or_else(|| judge_delays(case, &commands, &of.value.delays))
     });
     case.evidence.robots.iter().flat_map(of_arm).chain(unmodelled).collect()
 }
@@ -97,7 +97,11 @@ struct Long<'a> {
     severity: Severity,
 }
 
-fn judge_stream(case: &Case, arm: &ArmEvidence, reference: &Of<ReferenceEvidence>) -> Vec<Judged> {
+fn judge_stream(
+    case: &Case,
+    arm: &ArmEvidence,
+    reference: &StreamEvidence<ReferenceEvidence>,
+) -> Vec<Judged> {
     let whole = |outcome| vec![reference.judged(outcome)];
     if let Err(why) = &reference.diagnosis {
         return whole(Outcome::Skipped(why.clone()));

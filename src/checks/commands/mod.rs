@@ -3,7 +3,7 @@
 pub(super) mod frm006_reference_at_rest;
 pub(super) mod lat004_command_delay;
 pub(super) mod mot004_line;
-mod witness;
+mod sources;
 
 use super::Family;
 

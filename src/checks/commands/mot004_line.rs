@@ -1,10 +1,10 @@
 use serde_json::{Value, json};
 
-use crate::checks::commands::witness::{self, witness_name};
+use crate::checks::commands::sources::{self, source_name};
 use crate::checks::decision::{DEGREE, Decision, FrameThresholds, Threshold, decide_length};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{CommandedLine, LineDeviation, Measured};
-use crate::evidence::{ArmEvidence, Of, ReferenceEvidence};
+use crate::evidence::{ArmEvidence, ReferenceEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
 rule! {
@@ -89,10 +89,10 @@ fn worst<'a>(
     kept.max_by(|a, b| size(a.0, a.1, thresholds).total_cmp(&size(b.0, b.1, thresholds)))
 }
 
-fn judge(case: &Case, arm: &ArmEvidence, reference: &Of<ReferenceEvidence>) -> Judged {
+fn judge(case: &Case, arm: &ArmEvidence, reference: &StreamEvidence<ReferenceEvidence>) -> Judged {
     let thresholds = &case.thresholds.of_frames(&MOT004, THRESHOLDS);
     let judged = |outcome| Judged::new(reference.subject.clone(), outcome).within(reference.span);
-    let found = match witness::found(arm, reference, SETTLE) {
+    let found = match sources::reference_diagnosis(arm, reference, SETTLE) {
         Ok(found) => found,
         Err(outcome) => return judged(outcome),
     };
@@ -105,7 +105,7 @@ fn judge(case: &Case, arm: &ArmEvidence, reference: &Of<ReferenceEvidence>) -> J
         };
         return judged(Outcome::Skipped(why.to_owned()));
     };
-    let of_witnesses = (0..reference.witnesses.len())
+    let of_witnesses = (0..reference.tip_poses.len())
         .filter_map(|witness| Some((witness, worst(lines, witness, thresholds)?)));
     let kept = of_witnesses
         .min_by(|(_, a), (_, b)| size(a.0, a.1, thresholds).total_cmp(&size(b.0, b.1, thresholds)));
@@ -137,7 +137,7 @@ fn judge(case: &Case, arm: &ArmEvidence, reference: &Of<ReferenceEvidence>) -> J
         Some(measured) => measured.angle_rad.norm,
         None => unknown,
     };
-    let measured_by: Value = kept.map(|(witness, _)| witness_name(reference, witness)).into();
+    let measured_by: Value = kept.map(|(witness, _)| source_name(reference, witness)).into();
     judged(outcome)
         .estimated(Estimate::frame("line deviation", &distance, &angle))
         .with_evidence("lines", lines.len())

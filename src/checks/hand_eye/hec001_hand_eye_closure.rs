@@ -7,7 +7,7 @@ use crate::checks::hand_eye::chain::{
 };
 use crate::checks::{Case, FrameThresholds, Grade, Judged, decide, residual_attribution};
 use crate::diagnosis::{CameraMount, HandEyeSolution, Measured, TargetEncoding, TargetScaleError};
-use crate::evidence::{ArmEvidence, HandEyeEvidence, Of, PoseEvidence};
+use crate::evidence::{ArmEvidence, HandEyeEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
 rule! {
@@ -173,7 +173,7 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
 /// Explains why an open chain does not indicate a hand-eye error. `None` if the arm's model, whose FK is
 /// the hand pose, is accurate enough.
 fn wrong_model(arm: &ArmEvidence, open_m: f64) -> Option<String> {
-    let left = |stream: &Of<PoseEvidence>| {
+    let left = |stream: &StreamEvidence<PoseEvidence>| {
         stream.diagnosis.residual.as_ref().ok().map(|residual| residual.excess_m.value)
     };
     let nominal_m = arm.poses.iter().filter(|stream| stream.diagnosis.nominal).filter_map(left);

@@ -3,7 +3,7 @@ use serde_json::{Map, Value, json};
 use crate::checks::decision::{DEGREE, Threshold, decide, unseen};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{HeadingError, Measured, YawJump, YawProfile, YawWarmUp};
-use crate::evidence::{ImuEvidence, Of};
+use crate::evidence::{ImuEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Severity, Unit};
 
 rule! {
@@ -70,7 +70,7 @@ fn check(case: &Case) -> Vec<Judged> {
 }
 
 /// Judges the drift, and the largest jump, heading error and warm-up if significant.
-fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Vec<Judged> {
+fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Vec<Judged> {
     let subjects = case.evidence.subjects();
     let [drift_threshold, jump_threshold] =
         [THRESHOLD, JUMP].map(|own| case.thresholds.of(&YAW001, own));
@@ -187,7 +187,7 @@ fn shown(jump: &YawJump) -> Value {
     Value::Object(shown)
 }
 
-fn drifts(imu: &Of<ImuEvidence>, drift: &Measured, severity: Severity) -> Fault {
+fn drifts(imu: &StreamEvidence<ImuEvidence>, drift: &Measured, severity: Severity) -> Fault {
     let seconds = imu.seconds();
     let turned = Unit::Radian.show(drift.value.abs() * seconds);
     Fault {

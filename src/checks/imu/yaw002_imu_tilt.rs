@@ -1,7 +1,7 @@
 use crate::checks::decision::{DEGREE, Threshold, decide_length, unseen};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Length, UpDirections};
-use crate::evidence::{ImuEvidence, Of};
+use crate::evidence::{ImuEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
 rule! {
@@ -48,7 +48,7 @@ fn check(case: &Case) -> Vec<Judged> {
     case.evidence.imus().map(|(_, imu)| judge(case, imu)).collect()
 }
 
-fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Judged {
+fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Judged {
     let tilt = match &imu.diagnosis.tilt_rad {
         Ok(tilt) => tilt,
         Err(why) => return imu.judged(unseen(why, SETTLE)),

@@ -1,7 +1,7 @@
 use crate::checks::decision::{DEGREE, Decision, Threshold, decide_length, unseen};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{ImuMountChange, Length};
-use crate::evidence::{ImuEvidence, Of};
+use crate::evidence::{ImuEvidence, StreamEvidence};
 use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 use crate::geometry::{Rotation, Vec3, angle_between, xyzw_from_rotation};
 use serde_json::{Value, json};
@@ -60,7 +60,7 @@ fn check(case: &Case) -> Vec<Judged> {
 }
 
 /// Checks that the gyro axes are right-handed and match the orientation's. `None` if no deviation is found.
-fn judge_axes(case: &Case, imu: &Of<ImuEvidence>) -> Option<Judged> {
+fn judge_axes(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Option<Judged> {
     let fault = |severity, message: String, fix: String| Fault {
         severity,
         cause: Cause::Seen(Sight::ImuAxes),
@@ -102,7 +102,7 @@ fn judge_axes(case: &Case, imu: &Of<ImuEvidence>) -> Option<Judged> {
     Some(judged.estimated(estimate))
 }
 
-fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Judged {
+fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Judged {
     let threshold = case.thresholds.of(&YAW003, THRESHOLD);
     let slips = imu.diagnosis.mount_change.as_ref().and_then(|change| {
         let decision = decide_length(&change.size_rad, &threshold, case.evidence.subjects());
@@ -202,7 +202,7 @@ fn direction(mount: &Rotation, axis: usize, link: &str) -> String {
 }
 
 /// Angle between a mount and the logged one, rad; to the mount at the start if the log has none.
-fn mount_off(imu: &Of<ImuEvidence>, mount: Option<Rotation>) -> f64 {
+fn mount_off(imu: &StreamEvidence<ImuEvidence>, mount: Option<Rotation>) -> f64 {
     let of = imu.link_from_imu.or(imu.diagnosis.link_from_imu);
     of.zip(mount).map_or(0.0, |(of, mount)| angle_between(&of, &mount))
 }
@@ -238,7 +238,7 @@ fn permuted(error: &Rotation) -> Option<String> {
 /// The fault of an IMU that rotates in its mount within the run.
 fn slipped(
     case: &Case,
-    imu: &Of<ImuEvidence>,
+    imu: &StreamEvidence<ImuEvidence>,
     change: &ImuMountChange,
     when: &Change,
     severity: Severity,
@@ -264,7 +264,7 @@ fn slipped(
 
 fn fault(
     mount: &Length,
-    imu: &Of<ImuEvidence>,
+    imu: &StreamEvidence<ImuEvidence>,
     found: Option<Rotation>,
     severity: Severity,
 ) -> Fault {

@@ -3,7 +3,7 @@ use serde_json::{Value, json};
 use crate::checks::decision::{DEGREE, Decision, Threshold, decide_length, unseen};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{GyroBias, GyroBiasChange, GyroBiasProfile, GyroScaleError, Measured};
-use crate::evidence::{ImuEvidence, Of};
+use crate::evidence::{ImuEvidence, StreamEvidence};
 use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Severity, Sight, Unit};
 
 rule! {
@@ -55,7 +55,7 @@ fn check(case: &Case) -> Vec<Judged> {
     case.evidence.imus().map(|(_, imu)| judge(case, imu)).collect()
 }
 
-fn judge(case: &Case, imu: &Of<ImuEvidence>) -> Judged {
+fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Judged {
     let bias = match &imu.diagnosis.gyro_bias {
         Ok(bias) => bias,
         Err(why) => return imu.judged(unseen(why, SETTLE)),

@@ -5,7 +5,7 @@ use crate::checks::decision::{Threshold, decide};
 use crate::checks::frames::THRESHOLDS;
 use crate::checks::{Case, Judged, Rule, changes};
 use crate::diagnosis::{JointCompliance, Measured};
-use crate::evidence::{ArmEvidence, Of, PoseEvidence};
+use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Estimate, Fault, Outcome, Ruling, Severity, Unit};
 
 /// A kind of joint compliance and how its rule reports it.
@@ -71,7 +71,7 @@ impl ComplianceRule {
 
 /// Whether a pose stream was compared with the arm in motion.
 fn has_moving_proof(arm: &ArmEvidence) -> bool {
-    let moves = |stream: &Of<PoseEvidence>| {
+    let moves = |stream: &StreamEvidence<PoseEvidence>| {
         let is_told = stream.proof.as_ref().is_ok_and(|proof| !proof.at_rest);
         is_told && stream.diagnosis.residual.is_ok()
     };

@@ -191,7 +191,7 @@ fn scaling(arm: &ArmEvidence, scale: &JointScale) -> Option<JointScaling> {
         joint: joint.name.clone(),
         factor: scale.factor,
         offset: Some(scale.offset).filter(|offset| scale.is_coded() && *offset != 0.0),
-        slides: joint.prismatic,
+        slides: joint.is_prismatic,
     })
 }
 

@@ -112,7 +112,7 @@ fn unseen(why: &NotObservable) -> String {
 /// Reason why velocities that contradict the recorded positions are right: they match the positions
 /// corrected by means of the pose streams.
 fn meant(joint: &JointEvidence, index: usize, shape: &VelocityShape) -> Option<&'static str> {
-    let (from, factor) = joint.really?;
+    let (from, factor) = joint.actual?;
     let (of, gain) = match *shape {
         VelocityShape::Scaled(gain) => (index, gain),
         VelocityShape::OfJoint(other, gain) => (other, gain),
@@ -348,7 +348,7 @@ mod tests {
     fn velocities_are_right_where_the_positions_are_found_wrong() {
         let mut run = planted(&[(1, VelocityShape::Scaled(-1.0))]);
         assert!(ask(&VEL001, &run).1[0].message.starts_with("velocities have the wrong sign"));
-        run.robots[0].joints[1].really = Some((1, -1.0));
+        run.robots[0].joints[1].actual = Some((1, -1.0));
         let (rows, findings) = ask(&VEL001, &run);
         assert!(findings.is_empty() && rows.iter().all(|row| row.status == Status::Pass));
     }

@@ -8,7 +8,7 @@ use crate::checks::{Case, Grade, Judged, UNKNOWN_WORLD, changes, residual_attrib
 use crate::diagnosis::{
     Confounder, EstimateResult, FrameEstimate, JointOffset, Measured, NotObservable,
 };
-use crate::evidence::{ArmEvidence, Of, PoseEvidence};
+use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Ruling, Severity, Unit};
 use crate::run::PoseSourceKind;
 
@@ -174,7 +174,7 @@ fn hidden_tool(arm: &ArmEvidence) -> Option<String> {
     const UNKNOWN_M: f64 = 0.01;
     /// Maximum residual of a healthy stream, m.
     const LEFT_M: f64 = 0.3e-3;
-    let is_hidden = |stream: &&Of<PoseEvidence>| {
+    let is_hidden = |stream: &&StreamEvidence<PoseEvidence>| {
         let diagnosis = &stream.diagnosis;
         let is_anywhere =
             diagnosis.tool.as_ref().is_ok_and(|tool| tool.translation_m.std_error > UNKNOWN_M);
@@ -259,7 +259,7 @@ fn fault(
     if !heirs.is_empty() {
         evidence.more.insert("inherited_by".to_owned(), heirs.into());
     }
-    let witness = arm.witness();
+    let witness = arm.pose_source_kind();
     evidence.more.insert("witness".to_owned(), witness.name().into());
     evidence.more.insert("meaning".to_owned(), meaning(witness).into());
     let sign = if measured.value < 0.0 { "-" } else { "+" };

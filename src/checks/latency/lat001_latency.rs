@@ -5,7 +5,7 @@ use serde_json::json;
 use crate::checks::decision::{Decision, Threshold, decide, unseen};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{DelayJitter, EstimateResult, Measured};
-use crate::evidence::{ArmEvidence, HandEyeEvidence, Of};
+use crate::evidence::{ArmEvidence, HandEyeEvidence, StreamEvidence};
 use crate::finding::{
     Alternative, Cause, Estimate, Evidence, Fault, Outcome, Ruling, Severity, Subject, Unit,
 };
@@ -102,21 +102,21 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     let poses = arm.poses_and_tf().map(|stream| {
         let latency = &stream.diagnosis.latency_s;
         let delays = stream.diagnosis.delays.as_ref();
-        stream.with(Late { independent: stream.independent, latency, delays })
+        stream.with_value(Late { independent: stream.independent, latency, delays })
     });
     let imus = arm.imus.iter().map(|imu| {
         let latency = &imu.diagnosis.latency_s;
-        imu.with(Late { independent: imu.independent, latency, delays: None })
+        imu.with_value(Late { independent: imu.independent, latency, delays: None })
     });
     let is_of_arm = |target: &&HandEyeEvidence| {
         target.hand_is_of_joints && target.robot.as_ref() == Some(&arm.name)
     };
-    let targets = case.evidence.hand_eyes.iter().filter(is_of_arm).map(|target| Of {
+    let targets = case.evidence.hand_eyes.iter().filter(is_of_arm).map(|target| StreamEvidence {
         subject: target.subject(),
         span: target.span,
-        found: Late { independent: true, latency: &target.diagnosis.latency_s, delays: None },
+        value: Late { independent: true, latency: &target.diagnosis.latency_s, delays: None },
     });
-    let streams: Vec<Of<Late>> = poses.chain(imus).chain(targets).collect();
+    let streams: Vec<StreamEvidence<Late>> = poses.chain(imus).chain(targets).collect();
     match joints_lateness(case, &streams) {
         Some(lateness) => {
             let joints = joints_late(case, arm, &streams, &lateness);
@@ -152,7 +152,7 @@ fn judge_without_joints(case: &Case, target: &HandEyeEvidence) -> Option<Judged>
 }
 
 /// Latency of the joint states, if two or more independent streams agree on it and none disagrees.
-fn joints_lateness(case: &Case, streams: &[Of<Late>]) -> Option<Measured> {
+fn joints_lateness(case: &Case, streams: &[StreamEvidence<Late>]) -> Option<Measured> {
     let threshold = case.thresholds.of(&LAT001, THRESHOLD);
     let (mut witnesses, mut topics) = (Vec::new(), BTreeSet::new());
     for stream in streams.iter().filter(|stream| stream.independent) {
@@ -172,7 +172,7 @@ fn joints_lateness(case: &Case, streams: &[Of<Late>]) -> Option<Measured> {
     agree.then(|| early.scaled(-1.0))
 }
 
-fn estimate<'a>(stream: &Of<Late<'a>>) -> Option<&'a Measured> {
+fn estimate<'a>(stream: &StreamEvidence<Late<'a>>) -> Option<&'a Measured> {
     stream.latency.as_ref().ok()
 }
 
@@ -193,10 +193,11 @@ fn common(parts: &[Measured]) -> Option<Measured> {
 fn joints_late(
     case: &Case,
     arm: &ArmEvidence,
-    streams: &[Of<Late>],
+    streams: &[StreamEvidence<Late>],
     lateness: &Measured,
 ) -> Judged {
-    let witnesses: Vec<&Of<Late>> = streams.iter().filter(|stream| stream.independent).collect();
+    let witnesses: Vec<&StreamEvidence<Late>> =
+        streams.iter().filter(|stream| stream.independent).collect();
     let topics: Vec<&str> = witnesses.iter().map(|stream| stream.topic()).collect();
     let topics = topics.join(" and ");
     let alternatives = witnesses
@@ -231,7 +232,7 @@ fn joints_late(
 
 /// Judges a stream of an arm whose joint states are late. They explain the latency of an independent
 /// stream.
-fn beside_late_joints(case: &Case, arm: &ArmEvidence, stream: &Of<Late>) -> Judged {
+fn beside_late_joints(case: &Case, arm: &ArmEvidence, stream: &StreamEvidence<Late>) -> Judged {
     let remark = format!("its apparent latency is explained by {}", arm.joints_topic);
     let outcome = match stream.latency {
         Ok(_) if stream.independent => Outcome::sound_because(remark),
@@ -241,7 +242,12 @@ fn beside_late_joints(case: &Case, arm: &ArmEvidence, stream: &Of<Late>) -> Judg
     stream.judged(outcome).estimated(estimate(stream).map(amount))
 }
 
-fn judge_stream(case: &Case, arm: &ArmEvidence, stream: &Of<Late>, streams: &[Of<Late>]) -> Judged {
+fn judge_stream(
+    case: &Case,
+    arm: &ArmEvidence,
+    stream: &StreamEvidence<Late>,
+    streams: &[StreamEvidence<Late>],
+) -> Judged {
     let latency = match stream.latency {
         Ok(latency) => latency,
         Err(why) => return stream.judged(unseen(why, SETTLE)),
@@ -299,7 +305,7 @@ fn message(arm: &ArmEvidence, latency: &Measured) -> String {
 }
 
 /// Suffix for a latency that is the median of skewed delays.
-fn in_the_mean(stream: &Of<Late>) -> String {
+fn in_the_mean(stream: &StreamEvidence<Late>) -> String {
     let mean = |delays: &DelayJitter| {
         let mean = Measured { value: delays.mean_s.value.abs(), ..delays.mean_s };
         let side = if delays.mean_s.value > 0.0 { "late" } else { "early" };
@@ -310,7 +316,12 @@ fn in_the_mean(stream: &Of<Late>) -> String {
 
 /// Suffix for a latency of half the tick of a coarse clock to which stamps are truncated: those of the
 /// stream, which is then early, or those of the joint states.
-fn of_tick(case: &Case, arm: &ArmEvidence, stream: &Of<Late>, latency: &Measured) -> String {
+fn of_tick(
+    case: &Case,
+    arm: &ArmEvidence,
+    stream: &StreamEvidence<Late>,
+    latency: &Measured,
+) -> String {
     /// Tolerance of the comparison, in ticks.
     const NEAR: f64 = 0.1;
     let tick_s = |topic: &str| {
@@ -363,9 +374,9 @@ mod tests {
         topic: &str,
         independent: bool,
         latency: &'a EstimateResult<Measured>,
-    ) -> Of<Late<'a>> {
+    ) -> StreamEvidence<Late<'a>> {
         let subject = clean_run().robots[0].topic(topic);
-        Of { subject, span: None, found: Late { independent, latency, delays: None } }
+        StreamEvidence { subject, span: None, value: Late { independent, latency, delays: None } }
     }
 
     fn lateness(latencies: &[(bool, EstimateResult<Measured>)]) -> Option<f64> {
@@ -398,7 +409,8 @@ mod tests {
     #[test]
     fn transforms_of_one_topic_are_one_witness_and_one_finding() {
         let late = latency(-0.03);
-        let streams: Vec<Of<Late>> = (0..5).map(|_| stream("/tf", true, &late)).collect();
+        let streams: Vec<StreamEvidence<Late>> =
+            (0..5).map(|_| stream("/tf", true, &late)).collect();
         let run = clean_run();
         assert_eq!(joints_lateness(&as_case(&run), &streams), None);
         let arm = &run.robots[0];

@@ -2,7 +2,7 @@ use crate::checks::decision::Threshold;
 use crate::checks::scalar_rule::{ScalarRule, StreamEstimate};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{EstimateResult, Measured};
-use crate::evidence::{ArmEvidence, Of};
+use crate::evidence::{ArmEvidence, StreamEvidence};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
@@ -49,13 +49,13 @@ fn check(case: &Case) -> Vec<Judged> {
     let poses = case.evidence.poses().map(|(arm, stream)| {
         let (estimate, is_chosen) = (&stream.diagnosis.skew, stream.diagnosis.skew_chosen);
         let doubt = doubt(estimate, stream.seconds());
-        let skew = stream.with(StreamEstimate { estimate, is_chosen, doubt });
+        let skew = stream.with_value(StreamEstimate { estimate, is_chosen, doubt });
         judge(case, arm, stream.independent, &skew)
     });
     let imus = case.evidence.imus().map(|(arm, imu)| {
         let estimate = &imu.diagnosis.skew;
         let doubt = doubt(estimate, imu.seconds());
-        let skew = imu.with(StreamEstimate { estimate, is_chosen: true, doubt });
+        let skew = imu.with_value(StreamEstimate { estimate, is_chosen: true, doubt });
         judge(case, arm, imu.independent, &skew)
     });
     poses.chain(imus).collect()
@@ -65,7 +65,12 @@ fn check(case: &Case) -> Vec<Judged> {
 const OWN_MINUTE_S: f64 = 60.0;
 const GROWS_S: f64 = 2e-3;
 
-fn judge(case: &Case, arm: &ArmEvidence, is_own: bool, skew: &Of<StreamEstimate<'_>>) -> Judged {
+fn judge(
+    case: &Case,
+    arm: &ArmEvidence,
+    is_own: bool,
+    skew: &StreamEvidence<StreamEstimate<'_>>,
+) -> Judged {
     if is_own {
         return SKEW.judge(&LAT002, case, arm, skew);
     }
@@ -88,7 +93,7 @@ fn doubt(skew: &EstimateResult<Measured>, seconds: f64) -> Option<String> {
 
 fn fault(
     arm: &ArmEvidence,
-    stream: &Of<StreamEstimate<'_>>,
+    stream: &StreamEvidence<StreamEstimate<'_>>,
     skew: &Measured,
     severity: Severity,
 ) -> Fault {

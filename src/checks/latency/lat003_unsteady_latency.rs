@@ -3,7 +3,7 @@ use serde_json::{Value, json};
 use crate::checks::decision::{Decision, Threshold, decide, unseen};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{EstimateResult, LatencyProfile, LatencyShape, LatencyStep, Measured};
-use crate::evidence::{ArmEvidence, Of};
+use crate::evidence::{ArmEvidence, StreamEvidence};
 use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 rule! {
@@ -75,32 +75,33 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     let poses = arm.poses_and_tf().map(|stream| {
         let course = &stream.diagnosis.course;
         let latency = stream.diagnosis.latency_s.as_ref().ok();
-        stream.with(Course { independent: stream.independent, course, latency })
+        stream.with_value(Course { independent: stream.independent, course, latency })
     });
     let imus = arm.imus.iter().map(|imu| {
         let course = &imu.diagnosis.latency_course;
         let latency = imu.diagnosis.latency_s.as_ref().ok();
-        imu.with(Course { independent: imu.independent, course, latency })
+        imu.with_value(Course { independent: imu.independent, course, latency })
     });
-    let streams: Vec<Of<Course>> = poses.chain(imus).collect();
+    let streams: Vec<StreamEvidence<Course>> = poses.chain(imus).collect();
     let Some(course) = joints_course(case, &streams) else {
         return streams.iter().map(|stream| judge(case, arm, stream)).collect();
     };
-    let beside = |stream: &Of<Course>| match stream.course {
+    let beside = |stream: &StreamEvidence<Course>| match stream.course {
         Ok(course) if stream.independent => {
             let remark = format!("its latency steps are those of {}", arm.joints_topic);
             stream.judged(Outcome::sound_because(remark)).estimated(estimate(case, course, None))
         }
         _ => judge(case, arm, stream),
     };
-    let found = Course { independent: true, course: &Ok(course), latency: None };
-    let joints = Of { subject: arm.topic(&arm.joints_topic), span: Some(arm.span), found };
+    let value = Course { independent: true, course: &Ok(course), latency: None };
+    let joints =
+        StreamEvidence { subject: arm.topic(&arm.joints_topic), span: Some(arm.span), value };
     std::iter::once(judge(case, arm, &joints)).chain(streams.iter().map(beside)).collect()
 }
 
 /// The latency profile of the joint states, if two or more independent streams step together and none is
 /// constant.
-fn joints_course(case: &Case, streams: &[Of<Course>]) -> Option<LatencyProfile> {
+fn joints_course(case: &Case, streams: &[StreamEvidence<Course>]) -> Option<LatencyProfile> {
     /// Maximum time between steps that count as one, s: each is dated to a window or to the next motion.
     const TOGETHER_S: f64 = 1.5;
     let mut witnesses: Vec<&LatencyProfile> = Vec::new();
@@ -179,7 +180,7 @@ fn ends(course: &LatencyProfile, latency: Option<&Measured>) -> Option<(f64, f64
     }
 }
 
-fn judge(case: &Case, arm: &ArmEvidence, stream: &Of<Course>) -> Judged {
+fn judge(case: &Case, arm: &ArmEvidence, stream: &StreamEvidence<Course>) -> Judged {
     let course = match stream.course {
         Ok(course) => course,
         Err(why) => return stream.judged(unseen(why, SETTLE)),

@@ -2,7 +2,7 @@ use crate::checks::decision::Threshold;
 use crate::checks::motion::mot003_limits_exceeded::motion_doubt;
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Vibration, VibrationFailure};
-use crate::evidence::{ArmEvidence, Of, ShakeEvidence};
+use crate::evidence::{ArmEvidence, ShakeEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
 rule! {
@@ -59,7 +59,7 @@ fn check(case: &Case) -> Vec<Judged> {
     case.evidence.robots.iter().flat_map(of_arm).collect()
 }
 
-fn judge(case: &Case, arm: &ArmEvidence, stream: &Of<ShakeEvidence>) -> Judged {
+fn judge(case: &Case, arm: &ArmEvidence, stream: &StreamEvidence<ShakeEvidence>) -> Judged {
     let judged = |outcome| stream.judged(outcome);
     let why = match stream.topic() == arm.joints_topic {
         true => motion_doubt(arm),
@@ -102,7 +102,12 @@ fn judge(case: &Case, arm: &ArmEvidence, stream: &Of<ShakeEvidence>) -> Judged {
         .with_evidence("resolved_m", found.resolved_m)
 }
 
-fn fault(case: &Case, stream: &Of<ShakeEvidence>, found: &Vibration, severity: Severity) -> Fault {
+fn fault(
+    case: &Case,
+    stream: &StreamEvidence<ShakeEvidence>,
+    found: &Vibration,
+    severity: Severity,
+) -> Fault {
     Fault {
         cause: Cause::Seen(Sight::Shake),
         severity,

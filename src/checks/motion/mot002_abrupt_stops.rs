@@ -80,7 +80,7 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
         let why = "too few or unevenly spaced samples";
         return judged(Outcome::Inconclusive(format!("{why}; {SETTLE}")));
     };
-    let limit = if joint.prismatic { SLIDING } else { TURNING };
+    let limit = if joint.is_prismatic { SLIDING } else { TURNING };
     let (unit, limit) = (limit.unit.symbol(), case.thresholds.limit(&MOT002, &limit));
     let PeakAcceleration { acceleration, noise, resolved, .. } = *found;
     let outcome = if acceleration - noise >= limit {
@@ -101,7 +101,7 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
         Outcome::sound()
     };
     judged(outcome)
-        .estimated(estimate(found, if joint.prismatic { "m/s^2" } else { "rad/s^2" }))
+        .estimated(estimate(found, if joint.is_prismatic { "m/s^2" } else { "rad/s^2" }))
         .with_evidence("at_ns", case.evidence.origin.shifted(found.at_s).to_string())
         .with_evidence("window_s", found.window_s)
         .with_evidence("jerk", found.jerk)

@@ -2,7 +2,7 @@ use crate::checks::decision::DEGREE;
 use crate::checks::frames::{self, End, THRESHOLDS, show, show_pose};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Confounder, FrameEstimate};
-use crate::evidence::{ArmEvidence, Of, PoseEvidence};
+use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Change, Evidence, Fault, Outcome, Ruling, Severity};
 use crate::geometry::{Pose, rotvec_from_rotation};
 
@@ -75,7 +75,7 @@ fn since_label(case: &Case, mut judged: Judged) -> Judged {
         let poses = arm.into_iter().flat_map(|arm| &arm.poses);
         poses.filter(|stream| subject.topic.as_deref() == Some(stream.topic()))
     };
-    let is_right = |stream: &Of<PoseEvidence>| {
+    let is_right = |stream: &StreamEvidence<PoseEvidence>| {
         let reference = &stream.diagnosis.reference;
         stream.reference_known && reference.as_ref().is_ok_and(|frame| !frame.chosen)
     };
@@ -104,14 +104,15 @@ fn since_label(case: &Case, mut judged: Judged) -> Judged {
 
 fn fault(
     arm: &ArmEvidence,
-    stream: &Of<PoseEvidence>,
+    stream: &StreamEvidence<PoseEvidence>,
     frame: &FrameEstimate,
     severity: Severity,
 ) -> Fault {
     let reference = &stream.reference;
     // Table columns may be in the base frame or the controller's base frame; neither contradicts a
     // declaration.
-    let is_either_base = stream.is_of_table && stream.bare && is_half_turn_about_z(&frame.pose);
+    let is_either_base =
+        stream.is_of_table && stream.is_undeclared && is_half_turn_about_z(&frame.pose);
     let severity = if is_either_base { Severity::Info } else { severity };
     let fix = if is_half_turn_about_z(&frame.pose) {
         format!(

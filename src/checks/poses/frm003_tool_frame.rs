@@ -1,7 +1,7 @@
 use crate::checks::frames::{self, End, THRESHOLDS, show, show_pose};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Confounder, FrameEstimate, SwitchedTool};
-use crate::evidence::{ArmEvidence, Of, PoseEvidence};
+use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 use crate::run::PoseSourceKind;
 
@@ -71,7 +71,7 @@ fn check(case: &Case) -> Vec<Judged> {
 fn alternates(
     case: &Case,
     arm: &ArmEvidence,
-    stream: &Of<PoseEvidence>,
+    stream: &StreamEvidence<PoseEvidence>,
     other: &SwitchedTool,
 ) -> Judged {
     /// Maximum number of time spans in the message.
@@ -139,12 +139,12 @@ fn alternates(
 
 fn fault(
     _: &ArmEvidence,
-    stream: &Of<PoseEvidence>,
+    stream: &StreamEvidence<PoseEvidence>,
     frame: &FrameEstimate,
     severity: Severity,
 ) -> Fault {
     let tip = &stream.tip;
-    let (severity, guess) = match (stream.witness, stream.tip_named) {
+    let (severity, guess) = match (stream.witness, stream.is_tip_declared) {
         (PoseSourceKind::External, _) => (Severity::Info, ", the position of its marker"),
         (_, true) => (severity, ""),
         (_, false) => (Severity::Info, ", probably the active TCP"),
@@ -175,7 +175,7 @@ mod tests {
     fn severity_of(tip_named: bool) -> Option<Severity> {
         let mut run = clean_run();
         let arm = &mut run.robots[0];
-        arm.poses[0].tip_named = tip_named;
+        arm.poses[0].is_tip_declared = tip_named;
         arm.poses[0].diagnosis.tool = Ok(FrameEstimate { chosen: true, ..frame(0.14) });
         ask(&FRM003, &run).1.first().map(|finding| finding.severity)
     }

@@ -10,7 +10,7 @@ use crate::checks::residual_attribution::{
 };
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{ErrorMagnitude, ErrorSize, FkError, Measured, PartError, PoseEncoding};
-use crate::evidence::{ArmEvidence, Of, PoseEvidence};
+use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{
     Cause, Estimate, Evidence, Fault, Outcome, ReadAs, Ruling, Severity, Subject, Unit, rounded,
 };
@@ -90,12 +90,12 @@ const RECORD: &str = "record the tool's pose (from the controller or a tracker),
 fn check(case: &Case) -> Vec<Judged> {
     let outcomes = CauseOutcomes::evaluate(case);
     let arms = case.evidence.robots.iter().flat_map(|arm| judge_arm(case, &outcomes, arm));
-    arms.chain(case.evidence.leaders.iter().map(judge_leader)).collect()
+    arms.chain(case.evidence.leading_streams.iter().map(judge_leader)).collect()
 }
 
 /// A stream that leads the arm is a command, or a tool pose with late joint states. The log does not show
 /// which, and the second case could hide a fault, so the outcome is inconclusive.
-fn judge_leader(stream: &Of<f64>) -> Judged {
+fn judge_leader(stream: &StreamEvidence<f64>) -> Judged {
     let why = format!(
         "not compared: it leads the arm by {:.0} ms, as a command, hand tracker or leader arm does, or a \
          tool pose if the joint states are late; set role = \"reference\" or role = \"pose\" in \
@@ -108,7 +108,7 @@ fn judge_leader(stream: &Of<f64>) -> Judged {
 
 /// A stream of an arm with the attribution of its error.
 struct AttributedStream<'a> {
-    stream: &'a Of<PoseEvidence>,
+    stream: &'a StreamEvidence<PoseEvidence>,
     subject: Subject,
     attribution: Option<Attribution>,
     /// Joint angle with which the residual varies, if known: see [`eccentricity`].
@@ -187,8 +187,8 @@ fn judge(case: &Case, attributed: &AttributedStream, all: &[AttributedStream]) -
     let none = Measured { value: 0.0, std_error: 0.0, dof: f64::INFINITY };
     let length = rms_beyond_noise(&error.length.whole);
     let outcome = match outcome(case, attributed, all) {
-        Outcome::Evaluated(Ruling::Sound(_)) if !stream.rotation_unread.is_empty() => {
-            not_checked(&stream.rotation_unread)
+        Outcome::Evaluated(Ruling::Sound(_)) if !stream.unidentified_columns.is_empty() => {
+            not_checked(&stream.unidentified_columns)
         }
         outcome => outcome,
     };
@@ -457,7 +457,7 @@ fn said(error: &FkError) -> String {
 }
 
 /// Closest explanations with their residuals, best first.
-fn candidates(stream: &Of<PoseEvidence>) -> Vec<String> {
+fn candidates(stream: &StreamEvidence<PoseEvidence>) -> Vec<String> {
     let found = &stream.diagnosis;
     let proof = stream.proof.as_ref().ok();
     let rms = |error: &FkError| error.length.whole.rms;

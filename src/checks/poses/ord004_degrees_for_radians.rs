@@ -1,7 +1,7 @@
 use crate::checks::decision::unseen;
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{JointUnit, UnitResiduals};
-use crate::evidence::{ArmEvidence, ImuEvidence, Of};
+use crate::evidence::{ArmEvidence, ImuEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Subject, Unit};
 use crate::geometry::{AngleUnit, Slip};
 
@@ -65,12 +65,13 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
     };
     let numbers = arm.poses.iter().filter_map(|stream| {
         let declared = stream.declared.and_then(|declared| declared.angles);
-        if stream.bare {
+        if stream.is_undeclared {
             let why = "no unit is declared for these numbers, so none is violated";
-            return (stream.bare_numbers && stream.diagnosis.degrees.is_some())
+            return (stream.has_bare_numbers && stream.diagnosis.degrees.is_some())
                 .then(|| stream.judged(Outcome::sound_because(why.to_owned())));
         }
-        let taken = if stream.bare_numbers { Taken::Logged } else { Taken::Declared(declared?) };
+        let taken =
+            if stream.has_bare_numbers { Taken::Logged } else { Taken::Declared(declared?) };
         let subject = stream.subject.clone();
         let judged = judge(arm, subject, stream.diagnosis.degrees, Unit::Radian, taken);
         Some(judged.within(stream.span))
@@ -80,7 +81,7 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
 }
 
 /// Judges the unit of a gyro; `None` if the IMU does not rotate with the arm.
-fn judge_gyro(imu: &Of<ImuEvidence>) -> Option<Judged> {
+fn judge_gyro(imu: &StreamEvidence<ImuEvidence>) -> Option<Judged> {
     let Some(UnitResiduals { as_logged, corrected }) = imu.diagnosis.numbers.degrees else {
         let turns = imu.proof.as_ref()?.rates.is_some();
         return turns.then(|| imu.judged(Outcome::sound()).within(imu.span));

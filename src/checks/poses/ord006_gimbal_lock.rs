@@ -57,7 +57,7 @@ fn check(case: &Case) -> Vec<Judged> {
     let of_arm = |arm: &ArmEvidence| -> Vec<Judged> {
         let numbers = arm.poses.iter().filter_map(|stream| {
             let coded = stream.euler.as_ref()?;
-            let judged = match stream.bare {
+            let judged = match stream.is_undeclared {
                 true => Judged::new(
                     stream.subject.clone(),
                     Outcome::sound_because("its convention is not declared".to_owned()),

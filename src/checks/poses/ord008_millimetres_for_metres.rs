@@ -1,7 +1,7 @@
 use crate::checks::decision::unseen;
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{AccelUnitError, JointUnit, LengthUnitError};
-use crate::evidence::{ArmEvidence, ImuEvidence, Of, PoseEvidence};
+use crate::evidence::{ArmEvidence, ImuEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit, rounded};
 use crate::geometry::{LengthScale, Slip};
 
@@ -51,7 +51,7 @@ fn check(case: &Case) -> Vec<Judged> {
         let outcome = match &stream.diagnosis.length {
             Err(why) => unseen(why, "move the tip by 10 cm or more"),
             Ok(None) => Outcome::sound(),
-            Ok(Some(slip)) if stream.bare => Outcome::sound_because(format!(
+            Ok(Some(slip)) if stream.is_undeclared => Outcome::sound_because(format!(
                 "read as {}: no unit is declared for these numbers, so none is violated",
                 slip.is.words()
             )),
@@ -76,7 +76,7 @@ fn check(case: &Case) -> Vec<Judged> {
 }
 
 /// Judges the unit of an accelerometer; `None` if it measures neither gravity nor a wrong unit.
-fn judge_accelerometer(imu: &Of<ImuEvidence>) -> Option<Judged> {
+fn judge_accelerometer(imu: &StreamEvidence<ImuEvidence>) -> Option<Judged> {
     let Some(AccelUnitError { unit, felt }) = imu.diagnosis.numbers.accel else {
         let feels = imu.proof.as_ref()?.gravity_m_s2.is_some();
         return feels.then(|| imu.judged(Outcome::sound()).within(imu.span));
@@ -135,7 +135,7 @@ fn judge_joints(arm: &ArmEvidence) -> Vec<Judged> {
 }
 
 /// Fault for positions in a different unit from the one assumed.
-fn fault(stream: &Of<PoseEvidence>, slip: &LengthUnitError) -> Fault {
+fn fault(stream: &StreamEvidence<PoseEvidence>, slip: &LengthUnitError) -> Fault {
     let topic = stream.topic();
     let (is, read_as) = (slip.is.words(), slip.read_as.words());
     let is_metres = slip.is == LengthScale::METRE;

@@ -1,7 +1,7 @@
 use crate::checks::decision::unseen;
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::AxesError;
-use crate::evidence::{Of, PoseEvidence};
+use crate::evidence::{PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::geometry::Axes;
 
@@ -82,7 +82,7 @@ fn named(slip: AxesError) -> String {
     }
 }
 
-fn fault(stream: &Of<PoseEvidence>, slip: AxesError) -> Fault {
+fn fault(stream: &StreamEvidence<PoseEvidence>, slip: AxesError) -> Fault {
     let AxesError { positions, rotations } = slip;
     let title = match (positions == Axes::STANDARD, rotations == Axes::STANDARD) {
         (true, _) => "axes of the rotations are exchanged",

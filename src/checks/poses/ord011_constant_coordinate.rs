@@ -1,7 +1,7 @@
 use crate::checks::decision::unseen;
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::ConstantCoordinate;
-use crate::evidence::{Of, PoseEvidence};
+use crate::evidence::{PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit, rounded};
 
 rule! {
@@ -61,7 +61,11 @@ fn check(case: &Case) -> Vec<Judged> {
     judged.collect()
 }
 
-fn fault(stream: &Of<PoseEvidence>, parts: &[ConstantCoordinate], most_m: f64) -> Fault {
+fn fault(
+    stream: &StreamEvidence<PoseEvidence>,
+    parts: &[ConstantCoordinate],
+    most_m: f64,
+) -> Fault {
     let said: Vec<String> = parts
         .iter()
         .map(|ConstantCoordinate { coordinate, value, moved_m }| {

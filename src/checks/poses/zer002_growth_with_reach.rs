@@ -63,7 +63,7 @@ fn check(case: &Case) -> Vec<Judged> {
             );
             return stream.judged(outcome).estimated(estimate);
         }
-        let growth = stream.with(StreamEstimate {
+        let growth = stream.with_value(StreamEstimate {
             estimate: &stream.diagnosis.growth,
             is_chosen: stream.diagnosis.growth_chosen,
             doubt: doubt(arm, &stream.diagnosis),

@@ -2,7 +2,7 @@ use serde_json::{Value, json};
 
 use crate::checks::decision::Threshold;
 use crate::checks::{Case, Grade, Judged};
-use crate::evidence::Of;
+use crate::evidence::StreamEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Subject, Unit};
 use crate::run::{Norms, Written};
 
@@ -51,7 +51,7 @@ fn check(case: &Case) -> Vec<Judged> {
     case.evidence.norms.iter().map(|norms| judge(case, norms)).collect()
 }
 
-fn judge(case: &Case, stream: &Of<Vec<Norms>>) -> Judged {
+fn judge(case: &Case, stream: &StreamEvidence<Vec<Norms>>) -> Judged {
     let threshold = case.thresholds.of(&FRM005, THRESHOLD);
     let worst = stream.iter().max_by(|a, b| a.largest.total_cmp(&b.largest));
     let Some(worst) = worst.filter(|worst| worst.rows > 0) else {

@@ -1,5 +1,5 @@
 use crate::checks::{Case, Grade, Judged};
-use crate::evidence::{Of, UnusableEvidence};
+use crate::evidence::{StreamEvidence, UnusableSampleEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight};
 
 rule! {
@@ -47,8 +47,8 @@ fn check(case: &Case) -> Vec<Judged> {
     case.evidence.unusable.iter().map(judge).collect()
 }
 
-fn judge(stream: &Of<UnusableEvidence>) -> Judged {
-    let UnusableEvidence { unusable, unset, misfits, contradictory, samples } = stream.found;
+fn judge(stream: &StreamEvidence<UnusableSampleEvidence>) -> Judged {
+    let UnusableSampleEvidence { unusable, unset, misfits, contradictory, samples } = stream.value;
     let count = unusable.max(unset).max(misfits).max(contradictory);
     if count == 0 {
         return stream.judged(Outcome::sound());

@@ -1,7 +1,7 @@
 use serde_json::{Value, json};
 
 use crate::checks::{Case, Grade, Judged};
-use crate::evidence::{Of, StrayEvidence};
+use crate::evidence::{OutlierEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Subject, Unit};
 use crate::run::{FEWEST_SAMPLES, Outliers};
 
@@ -50,10 +50,10 @@ rule! {
 const LISTED: usize = 10;
 
 fn check(case: &Case) -> Vec<Judged> {
-    case.evidence.strays.iter().map(|stream| judge(case, stream)).collect()
+    case.evidence.outliers.iter().map(|stream| judge(case, stream)).collect()
 }
 
-fn judge(case: &Case, stream: &Of<StrayEvidence>) -> Judged {
+fn judge(case: &Case, stream: &StreamEvidence<OutlierEvidence>) -> Judged {
     let judged = |subject, outcome| Judged::new(subject, outcome).within(stream.span);
     let are_untold = |part: &Outliers| part.count() == 0;
     if !stream.parts.is_empty() && stream.parts.iter().all(are_untold) {
@@ -99,7 +99,7 @@ fn judge(case: &Case, stream: &Of<StrayEvidence>) -> Judged {
         .with_evidence("parts", parts)
 }
 
-impl StrayEvidence {
+impl OutlierEvidence {
     /// The jump of a part, with its unit.
     fn amount(&self, part: &Outliers) -> (Unit, f64) {
         let turns = part.joint.as_ref().is_some_and(|joint| !self.sliding.contains(joint));
@@ -113,7 +113,7 @@ impl StrayEvidence {
 
 fn fault(
     case: &Case,
-    stream: &Of<StrayEvidence>,
+    stream: &StreamEvidence<OutlierEvidence>,
     worst: &Outliers,
     count: usize,
     shown: &str,

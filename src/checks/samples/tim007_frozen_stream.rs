@@ -1,7 +1,7 @@
 use serde_json::{Value, json};
 
 use crate::checks::{Case, Grade, Judged};
-use crate::evidence::Of;
+use crate::evidence::StreamEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 use crate::run::Frozen;
 
@@ -49,14 +49,14 @@ rule! {
 const LISTED: usize = 10;
 
 fn check(case: &Case) -> Vec<Judged> {
-    case.evidence.frozen.iter().map(|stream| judge(case, stream)).collect()
+    case.evidence.frozen_intervals.iter().map(|stream| judge(case, stream)).collect()
 }
 
 fn seconds(time: &Frozen) -> f64 {
     time.end.seconds_since(time.start)
 }
 
-fn judge(case: &Case, stream: &Of<Vec<Frozen>>) -> Judged {
+fn judge(case: &Case, stream: &StreamEvidence<Vec<Frozen>>) -> Judged {
     let longest = stream.iter().max_by(|a, b| seconds(a).total_cmp(&seconds(b)));
     let Some(longest) = longest else {
         return stream.judged(Outcome::sound());

@@ -1,6 +1,6 @@
 use crate::checks::decision::Threshold;
 use crate::checks::{Case, Grade, Judged};
-use crate::evidence::{HeldEvidence, Of};
+use crate::evidence::{RepeatedValueEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 use crate::run::RepeatedValues;
 
@@ -49,10 +49,10 @@ rule! {
 const THRESHOLD: Threshold = Threshold { unit: Unit::One, warning: 0.05, error: 0.5 };
 
 fn check(case: &Case) -> Vec<Judged> {
-    case.evidence.held.iter().map(|stream| judge(case, stream)).collect()
+    case.evidence.repeated_values.iter().map(|stream| judge(case, stream)).collect()
 }
 
-fn judge(case: &Case, stream: &Of<HeldEvidence>) -> Judged {
+fn judge(case: &Case, stream: &StreamEvidence<RepeatedValueEvidence>) -> Judged {
     let worst = stream.parts.iter().max_by(|a, b| a.share().total_cmp(&b.share()));
     let Some(worst) = worst else { return stream.judged(Outcome::sound()) };
     let outcome = match case.thresholds.of(&TIM008, THRESHOLD).severity(worst.share()) {
@@ -73,7 +73,11 @@ fn judge(case: &Case, stream: &Of<HeldEvidence>) -> Judged {
         .with_evidence("mean_age_s", mean_age_s)
 }
 
-fn fault(stream: &Of<HeldEvidence>, held: &RepeatedValues, severity: Severity) -> Fault {
+fn fault(
+    stream: &StreamEvidence<RepeatedValueEvidence>,
+    held: &RepeatedValues,
+    severity: Severity,
+) -> Fault {
     let frame = match (&held.frame, stream.parts.len()) {
         (Some(frame), 2..) => format!(" (worst: '{frame}')"),
         _ => String::new(),
@@ -105,17 +109,17 @@ mod tests {
     use crate::evidence::RunEvidence;
     use crate::finding::{Finding, Subject};
 
-    fn asked(found: HeldEvidence) -> Vec<Finding> {
+    fn asked(value: RepeatedValueEvidence) -> Vec<Finding> {
         let subject = Subject { topic: Some("/pose".to_owned()), ..Subject::default() };
-        let held = vec![Of { subject, span: None, found }];
-        ask(&TIM008, &RunEvidence { held, ..clean_run() }).1
+        let held = vec![StreamEvidence { subject, span: None, value }];
+        ask(&TIM008, &RunEvidence { repeated_values: held, ..clean_run() }).1
     }
 
-    fn stream(repeated: usize) -> HeldEvidence {
+    fn stream(repeated: usize) -> RepeatedValueEvidence {
         let mut held = RepeatedValues::default();
         (held.rows, held.repeated) = (1000, repeated);
         (held.rows_hz, held.values_hz, held.mean_age_s) = (125.0, 25.0, 0.016);
-        HeldEvidence { parts: vec![held], is_latched: false, is_of_joints: false }
+        RepeatedValueEvidence { parts: vec![held], is_latched: false, is_of_joints: false }
     }
 
     #[test]
@@ -126,9 +130,9 @@ mod tests {
             let findings = asked(stream(repeated));
             assert_eq!(findings.first().map(|found| found.severity), severity, "{findings:?}");
         }
-        let latched = HeldEvidence { is_latched: true, ..stream(800) };
+        let latched = RepeatedValueEvidence { is_latched: true, ..stream(800) };
         assert_eq!(asked(latched)[0].severity, Severity::Info);
-        let inherited = HeldEvidence { is_of_joints: true, ..stream(800) };
+        let inherited = RepeatedValueEvidence { is_of_joints: true, ..stream(800) };
         assert!(asked(inherited).is_empty());
     }
 }

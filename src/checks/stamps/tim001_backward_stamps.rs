@@ -1,7 +1,7 @@
 use serde_json::{Value, json};
 
 use crate::checks::{Case, Grade, Judged};
-use crate::evidence::{Of, RhythmEvidence};
+use crate::evidence::{RhythmEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Cadence;
 use crate::time::Stamp;
@@ -54,7 +54,7 @@ fn steps_back(part: &Cadence) -> impl Iterator<Item = &(Stamp, f64)> {
     part.steps_back.iter().filter(move |(_, by_s)| *by_s > least_s)
 }
 
-fn judge(case: &Case, rhythm: &Of<RhythmEvidence>) -> Judged {
+fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
     let concerned: Vec<&Cadence> =
         rhythm.parts.iter().filter(|part| steps_back(part).next().is_some()).collect();
     let subject = rhythm.subject_of(&concerned);

@@ -2,7 +2,7 @@ use serde_json::{Value, json};
 
 use crate::checks::topics::tim006_incomplete_stream::{Pace, slow};
 use crate::checks::{Case, Grade, Judged, Limit};
-use crate::evidence::{Due, Of, RhythmEvidence};
+use crate::evidence::{Due, RhythmEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::{Cadence, Hole, Stretch};
 use crate::time::Stamp;
@@ -92,7 +92,7 @@ struct Limits {
 }
 
 impl Limits {
-    fn of(case: &Case, rhythm: &Of<RhythmEvidence>) -> Self {
+    fn of(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Self {
         let [gap_periods, gap_s, lost] =
             [&GAP_PERIODS, &GAP, &LOST].map(|limit| case.thresholds.limit(&TIM002, limit));
         let said_period_s = rhythm.said_hz.map(|rate_hz| 1.0 / rate_hz);
@@ -102,7 +102,7 @@ impl Limits {
 
 fn check(case: &Case) -> Vec<Judged> {
     let steady = case.evidence.rhythms.iter().filter(|rhythm| rhythm.due != Due::OnOccasion);
-    let mut told: Vec<&Of<RhythmEvidence>> = Vec::new();
+    let mut told: Vec<&StreamEvidence<RhythmEvidence>> = Vec::new();
     let judge_once = |rhythm| {
         if let Some(first) = told.iter().find(|first| has_rows_of(first, rhythm)) {
             let why = format!("same stamps as {}, whose gaps are reported", first.topic());
@@ -116,8 +116,11 @@ fn check(case: &Case) -> Vec<Judged> {
 }
 
 /// Whether two streams have gaps at the same stamps, to the nanosecond, like columns of one table.
-fn has_rows_of(one: &Of<RhythmEvidence>, other: &Of<RhythmEvidence>) -> bool {
-    let holes = |of: &Of<RhythmEvidence>| -> Vec<(Stamp, Stamp)> {
+fn has_rows_of(
+    one: &StreamEvidence<RhythmEvidence>,
+    other: &StreamEvidence<RhythmEvidence>,
+) -> bool {
+    let holes = |of: &StreamEvidence<RhythmEvidence>| -> Vec<(Stamp, Stamp)> {
         let holes = of.wanted().flat_map(|part| &part.holes);
         holes.map(|hole| (hole.stretch.start, hole.stretch.end)).collect()
     };
@@ -127,12 +130,12 @@ fn has_rows_of(one: &Of<RhythmEvidence>, other: &Of<RhythmEvidence>) -> bool {
 
 /// The parts of a stream to judge: those expected to be periodic. For a stream without a role, those that
 /// are periodic.
-fn judged(rhythm: &Of<RhythmEvidence>) -> impl Iterator<Item = &Cadence> {
+fn judged(rhythm: &StreamEvidence<RhythmEvidence>) -> impl Iterator<Item = &Cadence> {
     let is_known = rhythm.due.is_expected();
     rhythm.wanted().filter(move |part| is_known || part.is_regular)
 }
 
-fn judge(case: &Case, rhythm: &Of<RhythmEvidence>) -> Judged {
+fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
     let by = &Limits::of(case, rhythm);
     let silent = |moving: Option<bool>| {
         let gaps = judged(rhythm).flat_map(|part| gaps(by, part));
@@ -246,7 +249,12 @@ fn loses(by: &Limits, part: &Cadence) -> bool {
     lost(by, part).is_some_and(|lost| lost >= COUNTS) && lost_share(by, part) > by.lost
 }
 
-fn fault(case: &Case, by: &Limits, rhythm: &Of<RhythmEvidence>, concerned: &[&Cadence]) -> Judged {
+fn fault(
+    case: &Case,
+    by: &Limits,
+    rhythm: &StreamEvidence<RhythmEvidence>,
+    concerned: &[&Cadence],
+) -> Judged {
     let gaps = || concerned.iter().flat_map(|part| moving(by, part));
     let worst =
         concerned.iter().copied().max_by(|a, b| lost_share(by, a).total_cmp(&lost_share(by, b)));
@@ -304,7 +312,7 @@ struct Maker {
 /// are skipped. Otherwise the publisher may have stopped or its messages were lost.
 fn cause(
     case: &Case,
-    rhythm: &Of<RhythmEvidence>,
+    rhythm: &StreamEvidence<RhythmEvidence>,
     gap: Option<&Stretch>,
     skipped: Option<usize>,
 ) -> Maker {
@@ -316,7 +324,7 @@ fn cause(
             .filter(|other| other.subject.topic != rhythm.subject.topic);
         others.filter(|other| other.due.is_expected())
     };
-    let stops = |other: &Of<RhythmEvidence>, gap: &Stretch| {
+    let stops = |other: &StreamEvidence<RhythmEvidence>, gap: &Stretch| {
         let holes = other.wanted().flat_map(|part| &part.holes).filter(|hole| hole.is_silent);
         let shared_s = |hole: &Hole| {
             hole.stretch.end.min(gap.end).seconds_since(hole.stretch.start.max(gap.start))

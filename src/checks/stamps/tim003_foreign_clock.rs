@@ -1,6 +1,6 @@
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::Measured;
-use crate::evidence::{Of, StampEvidence};
+use crate::evidence::{StampEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::run::Epoch;
 use crate::time::seconds;
@@ -69,7 +69,7 @@ fn shared_clock(case: &Case) -> Option<Judged> {
     Some(Judged::new(Subject::default(), outcome).estimated(estimate(offset_s, f64::INFINITY)))
 }
 
-fn judge(stream: &Of<StampEvidence>, simulated: bool) -> Judged {
+fn judge(stream: &StreamEvidence<StampEvidence>, simulated: bool) -> Judged {
     let clock = &stream.clock;
     if clock.epoch != Epoch::Foreign {
         let early_s =

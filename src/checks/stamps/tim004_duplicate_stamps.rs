@@ -1,5 +1,5 @@
 use crate::checks::{Case, Grade, Judged, Limit};
-use crate::evidence::{Of, RhythmEvidence};
+use crate::evidence::{RhythmEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Cadence;
 
@@ -53,7 +53,7 @@ fn share(part: &Cadence) -> f64 {
     part.conflicts as f64 / part.rows.max(1) as f64
 }
 
-fn judge(case: &Case, rhythm: &Of<RhythmEvidence>) -> Judged {
+fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
     let most = case.thresholds.limit(&TIM004, &DUPLICATES);
     let concerned: Vec<&Cadence> = rhythm.parts.iter().filter(|part| share(part) > most).collect();
     let subject = rhythm.subject_of(&concerned);

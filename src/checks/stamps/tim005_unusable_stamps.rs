@@ -1,5 +1,5 @@
 use crate::checks::{Case, Grade, Judged};
-use crate::evidence::{Due, Of, StampEvidence};
+use crate::evidence::{Due, StampEvidence, StreamEvidence};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::{HeaderStamps, RoundedStamps};
 use crate::time::Clock;
@@ -54,11 +54,11 @@ fn check(case: &Case) -> Vec<Judged> {
 }
 
 /// Whether the rule applies to a stream: it is audited, or its type has a stamp.
-fn is_asked(stream: &Of<StampEvidence>) -> bool {
+fn is_asked(stream: &StreamEvidence<StampEvidence>) -> bool {
     stream.due.is_expected() || stream.clock.stamps != HeaderStamps::Absent
 }
 
-fn judge(stream: &Of<StampEvidence>) -> Judged {
+fn judge(stream: &StreamEvidence<StampEvidence>) -> Judged {
     let (rows, zero) = (stream.clock.rows, stream.clock.zero);
     if let Some(rounded) = &stream.rounded {
         return judge_rounded(stream, rounded);
@@ -127,7 +127,7 @@ fn judge(stream: &Of<StampEvidence>) -> Judged {
         .with_evidence("far", far)
 }
 
-fn judge_rounded(stream: &Of<StampEvidence>, rounded: &RoundedStamps) -> Judged {
+fn judge_rounded(stream: &StreamEvidence<StampEvidence>, rounded: &RoundedStamps) -> Judged {
     let RoundedStamps { tick_s, shared, resolution_s, .. } = *rounded;
     let [tick, resolution] = [tick_s, resolution_s].map(|s| Unit::Second.show(s));
     let sharing = match shared {

@@ -51,13 +51,14 @@ rule! {
 }
 
 fn check(case: &Case) -> Vec<Judged> {
-    let frames = &case.evidence.frames;
-    let is_sound = |topic: &&String| !frames.flaws.iter().any(|flaw| flaw.topics.contains(topic));
+    let frames = &case.evidence.tf;
+    let is_sound =
+        |topic: &&String| !frames.problems.iter().any(|flaw| flaw.topics.contains(topic));
     let sound = frames.topics.iter().filter(is_sound).map(|topic| {
         let subject = Subject { topic: Some(topic.clone()), ..Subject::default() };
         Judged::new(subject, Outcome::sound())
     });
-    sound.chain(frames.flaws.iter().map(judge)).collect()
+    sound.chain(frames.problems.iter().map(judge)).collect()
 }
 
 fn judge(flaw: &TfProblem) -> Judged {

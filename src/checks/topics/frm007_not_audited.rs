@@ -1,7 +1,7 @@
 use serde_json::{Value, json};
 
 use crate::checks::{Case, Grade, Judged};
-use crate::evidence::Of;
+use crate::evidence::StreamEvidence;
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Sight, Unit};
 use crate::run::WhyNot;
 
@@ -54,10 +54,10 @@ rule! {
 }
 
 fn check(case: &Case) -> Vec<Judged> {
-    case.evidence.unaudited.iter().flat_map(judge).collect()
+    case.evidence.not_audited.iter().flat_map(judge).collect()
 }
 
-fn judge(stream: &Of<Vec<WhyNot>>) -> Vec<Judged> {
+fn judge(stream: &StreamEvidence<Vec<WhyNot>>) -> Vec<Judged> {
     if stream.is_empty() {
         return vec![stream.judged(Outcome::sound())];
     }

@@ -1,6 +1,6 @@
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::PoseEncoding;
-use crate::evidence::{ArmEvidence, Of, PoseEvidence};
+use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::geometry::{Coding, Convention, QuaternionSlip, vendors};
 use crate::log::{Note, RotationLabels};
@@ -75,7 +75,7 @@ fn contradicted(message: String, fix: String) -> Outcome {
 
 /// Whether the rotation encoding of a stream matches its column names. `None` if the names or the motion do
 /// not determine it.
-fn judge_labels(arm: &ArmEvidence, pose: &Of<PoseEvidence>) -> Option<Judged> {
+fn judge_labels(arm: &ArmEvidence, pose: &StreamEvidence<PoseEvidence>) -> Option<Judged> {
     /// Maximum residual of a credible encoding, rad, and maximum ratio of the named encoding's residual to
     /// the best.
     const FOLLOWS_RAD: f64 = 0.17;

@@ -1,7 +1,7 @@
 use serde_json::json;
 
 use crate::checks::{Case, Grade, Judged};
-use crate::evidence::{RepeatEvidence, RepeatKind};
+use crate::evidence::{RepeatedColumnEvidence, RepeatedColumnKind};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Subject};
 
 rule! {
@@ -41,43 +41,43 @@ rule! {
 }
 
 fn check(case: &Case) -> Vec<Judged> {
-    match case.evidence.repeats.as_deref() {
+    match case.evidence.repeated_columns.as_deref() {
         None => Vec::new(),
         Some([]) => vec![Judged::new(Subject::default(), Outcome::sound())],
         Some(found) => found.iter().map(judge).collect(),
     }
 }
 
-fn judge(found: &RepeatEvidence) -> Judged {
-    let RepeatEvidence { repeat, kind } = found;
+fn judge(found: &RepeatedColumnEvidence) -> Judged {
+    let RepeatedColumnEvidence { repeat, kind } = found;
     let of = repeat.of.as_deref().unwrap_or_default();
     let (severity, title, message) = match kind {
-        RepeatKind::CommandIsState => (
+        RepeatedColumnKind::CommandIsState => (
             Severity::Warning,
             "commands equal the states",
             format!("identical to {of} in every row: one of the two is a copy"),
         ),
-        RepeatKind::WitnessIsOther => (
+        RepeatedColumnKind::WitnessIsOther => (
             Severity::Warning,
             "independent pose is a copy",
             format!("identical to {of} in every row: not an independent measurement"),
         ),
-        RepeatKind::JointIsJoint => (
+        RepeatedColumnKind::JointIsJoint => (
             Severity::Warning,
             "a joint is a copy of another",
             format!("identical to {of} in every row of {}", repeat.topic),
         ),
-        RepeatKind::JointRests => (
+        RepeatedColumnKind::JointRests => (
             Severity::Info,
             "a joint never moves",
             format!("constant in every row of {} while other joints move", repeat.topic),
         ),
-        RepeatKind::Still => (
+        RepeatedColumnKind::Still => (
             Severity::Info,
             "columns never change",
             "constant in every row while the arm moves; not compared with anything".to_owned(),
         ),
-        RepeatKind::Same => (
+        RepeatedColumnKind::Same => (
             Severity::Info,
             "columns are copies",
             format!("identical to {of} in every row: it adds no evidence to {of}"),

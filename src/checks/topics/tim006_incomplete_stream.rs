@@ -1,5 +1,5 @@
 use crate::checks::{Case, Grade, Judged, Limit};
-use crate::evidence::{Due, EmptyEvidence, Of, RhythmEvidence};
+use crate::evidence::{Due, EmptyStreamEvidence, RhythmEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::run::{Cadence, Stretch};
 
@@ -88,13 +88,13 @@ impl Pace {
 
 fn check(case: &Case) -> Vec<Judged> {
     let missing =
-        case.evidence.missing.iter().map(|(subject, place)| missing(subject.clone(), place));
-    let empty = missing.chain(case.evidence.empty.iter().map(nothing));
+        case.evidence.missing_topics.iter().map(|(subject, place)| missing(subject.clone(), place));
+    let empty = missing.chain(case.evidence.empty_streams.iter().map(nothing));
     let expected = case.evidence.rhythms.iter().filter(|rhythm| rhythm.due.is_expected());
     empty.chain(expected.map(|rhythm| judge(case, rhythm))).collect()
 }
 
-fn nothing(empty: &EmptyEvidence) -> Judged {
+fn nothing(empty: &EmptyStreamEvidence) -> Judged {
     let topic = empty.subject.label();
     let (message, fix) = match empty.messages {
         0 => (
@@ -135,12 +135,12 @@ fn missing(subject: Subject, place: &str) -> Judged {
 }
 
 /// Measured and declared rate, Hz, if the stream is notably slower than declared.
-fn below_said(case: &Case, rhythm: &Of<RhythmEvidence>) -> Option<(f64, f64)> {
+fn below_said(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Option<(f64, f64)> {
     let (said_hz, rate_hz) = (rhythm.said_hz?, rhythm.rate_hz?);
     (rate_hz < case.thresholds.limit(&TIM006, &BELOW) * said_hz).then_some((rate_hz, said_hz))
 }
 
-fn judge(case: &Case, rhythm: &Of<RhythmEvidence>) -> Judged {
+fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
     let (pace, together_s) = (Pace::of(case), case.thresholds.limit(&TIM006, &TOGETHER));
     let slowest = |part| slowest(pace, rhythm, part);
     let (late_s, early_s) = missed(rhythm);
@@ -193,7 +193,7 @@ fn judge(case: &Case, rhythm: &Of<RhythmEvidence>) -> Judged {
 }
 
 /// Time missed at start and end, s. Zero if the stream may be silent because the arm rests.
-fn missed(rhythm: &Of<RhythmEvidence>) -> (f64, f64) {
+fn missed(rhythm: &StreamEvidence<RhythmEvidence>) -> (f64, f64) {
     let Some(extent) = rhythm.extent else { return (0.0, 0.0) };
     // The next sample is due one period after the last.
     let period_s = rhythm.wanted().filter_map(|part| part.period_s).fold(0.0, f64::max);
@@ -213,7 +213,11 @@ pub(in crate::checks) fn slow(pace: Pace, part: &Cadence) -> impl Iterator<Item 
 }
 
 /// The slowest stretch of a part, except at rest if the stream may be slow then.
-fn slowest<'a>(pace: Pace, rhythm: &Of<RhythmEvidence>, part: &'a Cadence) -> Option<&'a Stretch> {
+fn slowest<'a>(
+    pace: Pace,
+    rhythm: &StreamEvidence<RhythmEvidence>,
+    part: &'a Cadence,
+) -> Option<&'a Stretch> {
     let is_due = |lull: &&Stretch| lull.moving == Some(true) || rhythm.due != Due::InMotion;
     let stretches = slow(pace, part).filter(is_due);
     stretches.min_by(|a, b| a.rate_hz.total_cmp(&b.rate_hz))

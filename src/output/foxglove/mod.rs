@@ -20,7 +20,7 @@ use mcap::{Compression, McapError, WriteOptions};
 use serde_json::{Value, json};
 
 use crate::audit::Audited;
-use crate::evidence::{Of, PoseEvidence};
+use crate::evidence::{PoseEvidence, StreamEvidence};
 use crate::finding::{Finding, Severity};
 use crate::geometry::Pose;
 use crate::places::Places;
@@ -108,7 +108,7 @@ fn log(at: Stamp, level: u8, code: &str, text: &str) -> Message {
 }
 
 /// Logged and FK pose of a stream's tool over time. Empty for a stream without findings.
-fn scenes(stream: &Of<PoseEvidence>, report: &Report, origin: Stamp) -> Vec<Message> {
+fn scenes(stream: &StreamEvidence<PoseEvidence>, report: &Report, origin: Stamp) -> Vec<Message> {
     let topic = stream.topic();
     let is_on = |finding: &&Finding| finding.subject.topic.as_deref() == Some(topic);
     let found: Vec<&Finding> = report.findings.iter().filter(is_on).collect();

@@ -2,7 +2,7 @@
 
 use super::{Receipts, Recording, Replay, ReplayArm, ReplayImu, ReplayStream, StreamKind, write};
 use crate::audit::Audited;
-use crate::evidence::{ArmEvidence, Of, PoseEvidence};
+use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::geometry::Pose;
 use crate::places::Places;
 use crate::report::{NoteRow, Trouble};
@@ -54,7 +54,7 @@ impl Audited {
 }
 
 fn replay_arm<'a>(run: &Run, arm: &'a Arm, facts: &'a ArmEvidence) -> ReplayArm<'a> {
-    let stream = |kind, source: &PoseSource, facts: &'a Of<PoseEvidence>| {
+    let stream = |kind, source: &PoseSource, facts: &'a StreamEvidence<PoseEvidence>| {
         let found = &facts.diagnosis;
         let base_from_reference = base_from_link(arm, source.chain.base_name());
         ReplayStream {

@@ -2,7 +2,7 @@
 
 use super::Clock;
 use crate::diagnosis::{PoseSeries, ReferenceDiagnosis, rates, shake_seen};
-use crate::evidence::{ArmEvidence, HandEyeEvidence, ImuEvidence, Of, RunEvidence};
+use crate::evidence::{ArmEvidence, HandEyeEvidence, ImuEvidence, RunEvidence, StreamEvidence};
 use crate::finding::{Cause, Finding, Sight, Subject};
 use crate::geometry::{
     Pose, Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation,
@@ -158,7 +158,7 @@ impl<'a> Found<'a> {
         Some(Own::Norms(rows.map(|(at, off)| [self.clock.of_stamp_s(at), off]).collect()))
     }
 
-    fn imu(&self) -> Option<(&'a Arm, &'a ImuSource, &'a Of<ImuEvidence>)> {
+    fn imu(&self) -> Option<(&'a Arm, &'a ImuSource, &'a StreamEvidence<ImuEvidence>)> {
         let (arm, facts) = self.arm()?;
         let mut imus = arm.imus.iter().zip(&facts.imus);
         imus.find(|(_, of)| of.topic() == self.topic()).map(|(source, of)| (arm, source, of))
@@ -221,7 +221,7 @@ impl<'a> Found<'a> {
         let has_velocity = own.velocity.iter().any(|velocity| velocity.is_finite());
         Some(JointFigure {
             joint: joint.name.clone(),
-            slides: joint.prismatic,
+            slides: joint.is_prismatic,
             t_s: own.t_s.iter().map(|&t_s| self.clock.of_origin_s(t_s)).collect(),
             position: own.position.to_vec(),
             velocity: if has_velocity { own.velocity.to_vec() } else { Vec::new() },

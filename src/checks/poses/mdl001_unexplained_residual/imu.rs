@@ -7,7 +7,7 @@ use crate::checks::decision::{FrameThresholds, decide};
 use crate::checks::residual_attribution::ExceedingResidual;
 use crate::checks::{Case, Judged, Threshold};
 use crate::diagnosis::{GyroResidual, GyroSaturation, Measured};
-use crate::evidence::{ImuEvidence, Of};
+use crate::evidence::{ImuEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
 /// Thresholds of the gyro gain minus 1, and of the fraction of saturated samples. Data sheets of MEMS gyros
@@ -21,7 +21,11 @@ const SETTLE: &str = "turn the IMU through 60° about three axes";
 const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// Findings on the gyro itself, or whether the IMU rotates with the arm if there are none.
-pub fn judge(case: &Case, thresholds: &FrameThresholds, imu: &Of<ImuEvidence>) -> Vec<Judged> {
+pub fn judge(
+    case: &Case,
+    thresholds: &FrameThresholds,
+    imu: &StreamEvidence<ImuEvidence>,
+) -> Vec<Judged> {
     let threshold = case.thresholds.of(&MDL001, GAIN);
     let clipped = imu.diagnosis.numbers.clipped.as_ref();
     let clipped = clipped.map(|clipped| saturates(imu, clipped, &threshold));
@@ -35,7 +39,7 @@ pub fn judge(case: &Case, thresholds: &FrameThresholds, imu: &Of<ImuEvidence>) -
 
 /// Checks whether the IMU rotates with the arm, by orientation, gyro and measured gravity. The orientation
 /// is filtered, so only the error threshold applies to it.
-fn odd(thresholds: &FrameThresholds, imu: &Of<ImuEvidence>) -> Outcome {
+fn odd(thresholds: &FrameThresholds, imu: &StreamEvidence<ImuEvidence>) -> Outcome {
     /// Maximum ratio of the gyro's residual to the arm's rate.
     const SHARE: f64 = 0.3;
     /// Standard gravity, m/s², and the maximum relative error of a healthy accelerometer's median on a
@@ -78,7 +82,11 @@ fn odd(thresholds: &FrameThresholds, imu: &Of<ImuEvidence>) -> Outcome {
     ))
 }
 
-fn saturates(imu: &Of<ImuEvidence>, clipped: &GyroSaturation, threshold: &Threshold) -> Judged {
+fn saturates(
+    imu: &StreamEvidence<ImuEvidence>,
+    clipped: &GyroSaturation,
+    threshold: &Threshold,
+) -> Judged {
     let GyroSaturation { limit_rad_s, axes, share, by_fk_rad_s } = clipped;
     let [limit, by_fk] = [*limit_rad_s, *by_fk_rad_s].map(|rate| Unit::GyroRate.show(rate));
     let names: Vec<&str> = axes.iter().map(|&axis| AXES[axis]).collect();
@@ -108,7 +116,7 @@ fn saturates(imu: &Of<ImuEvidence>, clipped: &GyroSaturation, threshold: &Thresh
 }
 
 /// Gain of the axis with the largest deviation from 1; `None` if it is below the warning threshold.
-fn gain(case: &Case, imu: &Of<ImuEvidence>, threshold: &Threshold) -> Option<Judged> {
+fn gain(case: &Case, imu: &StreamEvidence<ImuEvidence>, threshold: &Threshold) -> Option<Judged> {
     let scale = imu.diagnosis.gyro_bias.as_ref().ok()?.shape?.scale;
     let worst = scale.iter().max_by(|a, b| a.value.abs().total_cmp(&b.value.abs()))?;
     let subjects = scale.len() * case.evidence.subjects();
@@ -125,7 +133,7 @@ fn gain(case: &Case, imu: &Of<ImuEvidence>, threshold: &Threshold) -> Option<Jud
 
 /// Finding for a gyro with a wrong gain.
 fn reads(
-    imu: &Of<ImuEvidence>,
+    imu: &StreamEvidence<ImuEvidence>,
     scale: &[Measured; 3],
     worst: &Measured,
     severity: Severity,

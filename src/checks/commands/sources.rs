@@ -6,13 +6,13 @@ use crate::checks::decision::unseen;
 use crate::checks::motion::mot003_limits_exceeded;
 use crate::diagnosis::{CommandTracking, JointOffset, ReferenceDiagnosis};
 use crate::evidence::ReferenceEvidence;
-use crate::evidence::{ArmEvidence, Of, WitnessKind};
+use crate::evidence::{ArmEvidence, StreamEvidence, TipPoseKind};
 use crate::finding::Outcome;
 
 /// Diagnosis of a command stream; the rule's outcome if there is none.
-pub fn found<'a>(
+pub fn reference_diagnosis<'a>(
     arm: &ArmEvidence,
-    reference: &'a Of<ReferenceEvidence>,
+    reference: &'a StreamEvidence<ReferenceEvidence>,
     settle: &str,
 ) -> Result<&'a ReferenceDiagnosis, Outcome> {
     let found = match &reference.diagnosis {
@@ -26,7 +26,7 @@ pub fn found<'a>(
 }
 
 /// Whether a finding makes the pose streams and FK of the joint states differ.
-pub fn witnesses_differ(arm: &ArmEvidence) -> bool {
+pub fn is_fk_different(arm: &ArmEvidence) -> bool {
     let is_chosen = |offset: &JointOffset| offset.chosen;
     let differs =
         arm.poses.iter().any(|stream| stream.diagnosis.nominal || stream.diagnosis.growth_chosen);
@@ -34,9 +34,9 @@ pub fn witnesses_differ(arm: &ArmEvidence) -> bool {
 }
 
 /// Name of a source of tool poses, for messages.
-pub fn witness_name(reference: &Of<ReferenceEvidence>, index: usize) -> String {
-    match reference.witnesses.get(index) {
-        Some(witness) if witness.kind == WitnessKind::Corrected => {
+pub fn source_name(reference: &StreamEvidence<ReferenceEvidence>, index: usize) -> String {
+    match reference.tip_poses.get(index) {
+        Some(witness) if witness.kind == TipPoseKind::Corrected => {
             format!("{} as corrected", witness.name)
         }
         Some(witness) => witness.name.clone(),
