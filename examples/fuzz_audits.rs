@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use std::{env, fs, process};
 
-use poseaudit::boundary::caught;
+use poseaudit::boundary::catch_panic;
 use rand::{Rng, RngExt, SeedableRng};
 
 #[path = "../fuzz/audits.rs"]
@@ -59,7 +59,7 @@ fn main() {
         // Keeps the current string, in case the audit never ends.
         let _ = fs::create_dir_all(&folder).and_then(|()| fs::write(folder.join("last"), &bytes));
         let begun_s = audits::processor_s();
-        match caught(|| audits::audit_of(&bytes)) {
+        match catch_panic(|| audits::audit_of(&bytes)) {
             Ok(answers) => {
                 let before = known.len();
                 known.extend(answers);

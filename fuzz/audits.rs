@@ -10,8 +10,8 @@ use std::path::Path;
 
 use mcap::records::MessageHeader;
 use mcap::{Compression, WriteOptions};
-use poseaudit::boundary::caught;
-use poseaudit::geometry::{Convention, Misreading};
+use poseaudit::boundary::catch_panic;
+use poseaudit::geometry::{Convention, Misinterpretation};
 use poseaudit::report::{Format, Report, Trouble, TroubleKind, Verdict};
 use poseaudit::run::{RobotSource, RunOptions};
 use poseaudit::synth::{Coding, Motion, ROBOT_DESCRIPTION, Scenario};
@@ -136,7 +136,7 @@ pub fn audit_of(bytes: &[u8]) -> BTreeSet<String> {
         Ok(if are_pictured { audited.with_figures().report } else { audited.report })
     };
     let start_s = processor_s();
-    let report = caught(audited).unwrap_or_else(|panic| panic!("a panic: {panic}"));
+    let report = catch_panic(audited).unwrap_or_else(|panic| panic!("a panic: {panic}"));
     let took_s = processor_s() - start_s;
     assert!(took_s < LONGEST_S, "it took {took_s} s");
     let peak_kb = peak_kb();
@@ -181,7 +181,7 @@ fn scenario(draw: &mut Draw) -> Scenario {
     run.pose.timing.latency_s = draw.one_of(&[0.0, 0.02]);
     run.joints.zero_offsets = vec![0.0, draw.one_of(&[0.0, 0.02])];
     if draw.is() {
-        let misreading = Misreading { is: Convention::RotVec, read_as: Convention::RPY };
+        let misreading = Misinterpretation { is: Convention::RotVec, read_as: Convention::RPY };
         run.pose.coding = Coding::Misread(misreading);
     }
     run.joints.in_degrees = draw.of(8) == 1;

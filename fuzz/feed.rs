@@ -156,7 +156,8 @@ fn check(read: Result<Log, LogError>) {
     assert!(log.messages > 0);
     for columns in log.topics.iter().filter_map(|topic| topic.columns.as_ref()) {
         for times in columns.times() {
-            let lengths = [times.log.len(), times.on(Clock::Publish).len(), times.header.len()];
+            let lengths =
+                [times.log.len(), times.nanos_on(Clock::Publish).len(), times.header.len()];
             assert_eq!(lengths, [times.log.len(); 3]);
         }
     }

@@ -5,14 +5,14 @@ mod cli;
 use std::process::ExitCode;
 
 use cli::Outcome;
-use poseaudit::boundary::{Memory, caught};
+use poseaudit::boundary::{ReportingAllocator, catch_panic};
 
 #[global_allocator]
-static MEMORY: Memory = Memory;
+static MEMORY: ReportingAllocator = ReportingAllocator;
 
 fn main() -> ExitCode {
     cli::end_on_signals();
-    let outcome = caught(cli::run).unwrap_or_else(|what| cli::fault(&what));
+    let outcome = catch_panic(cli::run).unwrap_or_else(|what| cli::fault(&what));
     ExitCode::from(match outcome {
         Outcome::Clean => 0,
         Outcome::Findings => 1,

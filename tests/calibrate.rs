@@ -54,7 +54,7 @@ fn truth() -> Robot {
         pose([0, 1, 2].map(|axis| 5e-4 * at(axis)), rotation_from_rotvec(turn.into()))
     };
     let deviations: Vec<Pose> = (0..links.links.len()).map(off).collect();
-    drawing.deviated(&links, &deviations, &[])
+    drawing.with_deviations(&links, &deviations, &[])
 }
 
 /// A table of `rows` configurations with the poses of a marker on the tool from a tracker: in mm, and

@@ -2,7 +2,7 @@
 //! intervals.
 
 use poseaudit::finding::{Cause, CheckRow, Estimate, Finding, Severity, Status, Subject};
-use poseaudit::geometry::{Misreading, misreading_classes};
+use poseaudit::geometry::{Misinterpretation, misinterpretation_classes};
 use poseaudit::report::{self, Report};
 use poseaudit::synth::{self, Giving};
 
@@ -253,9 +253,9 @@ pub fn fate(planted: &Planted, findings: &[&Finding], rows: &[CheckRow]) -> Fate
     }
 }
 
-pub fn is_named(truth: &Misreading, estimate: &Estimate) -> bool {
+pub fn is_named(truth: &Misinterpretation, estimate: &Estimate) -> bool {
     let Some((is, read_as)) = estimate.convention() else { return false };
-    let class = misreading_classes().iter().find(|class| class.members.contains(truth));
+    let class = misinterpretation_classes().iter().find(|class| class.members.contains(truth));
     class.is_some_and(|class| {
         class
             .members

@@ -7,7 +7,8 @@ use nalgebra::Matrix3;
 use poseaudit::checks::{self, Grade};
 use poseaudit::finding::Unit;
 use poseaudit::geometry::{
-    Misreading, Pose, QuaternionSlip, Vec3, misreading_classes, pose, rotation_from_rotvec,
+    Misinterpretation, Pose, QuaternionOrderError, Vec3, misinterpretation_classes, pose,
+    rotation_from_rotvec,
 };
 use poseaudit::robot::{Chain, JointKind};
 use poseaudit::synth::{self, Camera, Coding, Commands, Gives, Giving, Scenario, SecondPublisher};
@@ -48,7 +49,7 @@ pub struct Planted {
 pub enum Truth {
     Amount(f64),
     Frame { length_m: f64, angle_rad: f64 },
-    Convention(Misreading),
+    Convention(Misinterpretation),
     There,
 }
 
@@ -290,7 +291,7 @@ impl fmt::Display for Planted {
             Truth::Frame { length_m, angle_rad } => {
                 write!(f, " {:.3} mm {:.3}° (×{})", length_m * 1e3, angle_rad / DEGREE, self.times)
             }
-            Truth::Convention(Misreading { is, read_as }) => write!(f, " {is} as {read_as}"),
+            Truth::Convention(Misinterpretation { is, read_as }) => write!(f, " {is} as {read_as}"),
             Truth::There => Ok(()),
         }
     }
@@ -402,7 +403,7 @@ pub fn plant(run: &mut Scenario, r: &mut Pcg64, of: &KindOf, joint: usize, times
             subject = imu_topic;
         }
         Kind::Misread | Kind::ImuMisread => {
-            let classes = misreading_classes();
+            let classes = misinterpretation_classes();
             // The usual ones are more frequent.
             let class = match r.random_bool(0.3) {
                 true => &classes[r.random_range(0..classes.len().min(12))],
@@ -762,8 +763,8 @@ fn first_thresholds(code: &str) -> Vec<(Unit, f64)> {
     }
 }
 
-fn slip(r: &mut Pcg64) -> QuaternionSlip {
-    *choose(r, &[QuaternionSlip::WxyzReadAsXyzw, QuaternionSlip::XyzwReadAsWxyz])
+fn slip(r: &mut Pcg64) -> QuaternionOrderError {
+    *choose(r, &[QuaternionOrderError::WxyzReadAsXyzw, QuaternionOrderError::XyzwReadAsWxyz])
 }
 
 pub fn choose<'a, T>(r: &mut Pcg64, from: &'a [T]) -> &'a T {

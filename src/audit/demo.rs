@@ -7,7 +7,7 @@ use std::path::Path;
 
 use super::Options;
 use crate::finding::{Cause, Finding};
-use crate::geometry::{Convention, Misreading, RotationSlip};
+use crate::geometry::{Convention, Misinterpretation, RotationError};
 use crate::report::{Report, Trouble, TroubleKind, write_whole};
 use crate::stats::Measured;
 use crate::synth;
@@ -80,8 +80,8 @@ fn planted(findings: &[Finding]) -> Vec<Planted> {
     let (lift, zero_rad) = ("shoulder_lift_joint", run.joints.zero_offsets[1]);
     let drift_rad_s = run.imu.yaw_drift_rad_s;
     let degrees_a_minute = |rad_s: f64| rad_s.to_degrees() * 60.0;
-    let misreading = Misreading { is: Convention::RotVec, read_as: Convention::RPY };
-    let misread = Cause::Rotation(RotationSlip::Misread(misreading));
+    let misreading = Misinterpretation { is: Convention::RotVec, read_as: Convention::RPY };
+    let misread = Cause::Rotation(RotationError::Misread(misreading));
     let pose = synth::POSE;
     vec![
         Planted {

@@ -12,11 +12,11 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use poseaudit::Options;
-use poseaudit::boundary::Memory;
+use poseaudit::boundary::ReportingAllocator;
 use poseaudit::output::replay::Recording;
 
 #[global_allocator]
-static MEMORY: Memory = Memory;
+static MEMORY: ReportingAllocator = ReportingAllocator;
 
 /// Exit status for a file that is not a log, or whose audit adds nothing.
 const INCOMPATIBLE: u8 = 66;

@@ -1,6 +1,6 @@
 //! Compares estimates with thresholds; no other module does.
 
-use crate::diagnosis::{FrameEstimate, Length, Measured, NotObservable};
+use crate::diagnosis::{FrameEstimate, Measured, MeasuredLength, NotObservable};
 use crate::finding::{Fault, Outcome, Severity, Unit, rounded};
 
 /// Confidence level of the interval that must exclude zero for a rule to fail.
@@ -67,7 +67,7 @@ pub fn decide(measured: &Measured, threshold: &Threshold, subjects: usize) -> De
 
 /// Decides on the length of a vector. Fails if the components are jointly significant and the 95 % interval
 /// of the length excludes zero.
-pub fn decide_length(length: &Length, threshold: &Threshold, subjects: usize) -> Decision {
+pub fn decide_length(length: &MeasuredLength, threshold: &Threshold, subjects: usize) -> Decision {
     let norm = &length.norm;
     let chance = (1.0 - FAIL_CONFIDENCE) / subjects.max(1) as f64;
     let is_sure =
@@ -232,8 +232,10 @@ mod tests {
 
     #[test]
     fn a_length_needs_its_vector_to_be_surely_there() {
-        let length =
-            |value, std_error, p_value| Length { norm: measured(value, std_error), p_value };
+        let length = |value, std_error, p_value| MeasuredLength {
+            norm: measured(value, std_error),
+            p_value,
+        };
         let decide = |length| decide_length(&length, &THRESHOLD, 1);
         assert_eq!(decide(length(0.022, 8e-3, 1e-5)), Decision::Fail(Severity::Error));
         assert!(matches!(decide(length(0.022, 8e-3, 1e-2)), Decision::Undecided(_)));

@@ -8,8 +8,8 @@ use crate::diagnosis::{
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, ReadAs, Ruling, Severity, Unit};
 use crate::geometry::{
-    AngleUnit, Coding, Convention, LengthScale, Misreading, QuaternionSlip, RotationSlip, Slip,
-    vendors,
+    AngleUnit, Convention, LengthScale, Misinterpretation, Misread, QuaternionOrderError,
+    RotationEncoding, RotationError, vendors,
 };
 
 /// Minimum ratio of the residuals as logged and of the next best encoding to the residual of a reported
@@ -53,7 +53,7 @@ pub struct Wording {
     /// As in [`Fault::fix`].
     pub fix: String,
     /// The misinterpretation as a cause.
-    pub slip: RotationSlip,
+    pub slip: RotationError,
     /// The estimate.
     pub estimate: Estimate,
 }
@@ -165,8 +165,10 @@ fn of_bare_numbers(
 ) -> (Outcome, Option<Estimate>) {
     let is_read = matches!(outcome, Outcome::Evaluated(_));
     let form = found.reading.as_ref().ok().and_then(|reading| match reading.best {
-        PoseEncoding::Numbers(convention) => Some(Coding::Three(convention)),
-        PoseEncoding::QuaternionOrder(QuaternionSlip::WxyzReadAsXyzw) => Some(Coding::Wxyz),
+        PoseEncoding::Numbers(convention) => Some(RotationEncoding::Three(convention)),
+        PoseEncoding::QuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw) => {
+            Some(RotationEncoding::Wxyz)
+        }
         _ => None,
     });
     match (asked, form) {
@@ -200,7 +202,7 @@ fn of_bare_numbers(
             }
             _ => (outcome, estimate),
         },
-        (Kind::QuaternionOrder, Some(Coding::Wxyz)) if is_read => {
+        (Kind::QuaternionOrder, Some(RotationEncoding::Wxyz)) if is_read => {
             let why = "no component order is declared for these numbers, so none is violated";
             (Outcome::sound_because(why.to_owned()), None)
         }
@@ -213,7 +215,7 @@ fn bare_lengths(topic: &str, slip: &LengthUnitError) -> Outcome {
     let is = slip.is.words();
     Outcome::faulty(Fault {
         severity: Severity::Info,
-        cause: Cause::LengthUnit(Slip { is: slip.is, read_as: slip.read_as }),
+        cause: Cause::LengthUnit(Misread { is: slip.is, read_as: slip.read_as }),
         title: "encoding of undeclared numbers was inferred",
         message: format!("assumed {is}: positions match the arm's motion in this unit"),
         evidence: Evidence::default(),
@@ -229,12 +231,17 @@ fn bare_units(found: &PoseDiagnosis) -> (LengthScale, AngleUnit) {
 }
 
 /// Describes the inferred encoding, with vendors that use it: `mm, euler:ZYX in deg (as KUKA does)`.
-fn bare_reading(arm: &ArmEvidence, topic: &str, form: Coding, found: &PoseDiagnosis) -> String {
+fn bare_reading(
+    arm: &ArmEvidence,
+    topic: &str,
+    form: RotationEncoding,
+    found: &PoseDiagnosis,
+) -> String {
     /// Maximum number of vendors listed.
     const NAMED: usize = 3;
     let (length, angle) = bare_units(found);
-    let is_three = matches!(form, Coding::Three(_));
-    let is_alike = |entry: &&'static vendors::Use| {
+    let is_three = matches!(form, RotationEncoding::Three(_));
+    let is_alike = |entry: &&'static vendors::VendorUse| {
         let angles = !is_three || entry.units.angle.unwrap_or_default() == angle;
         entry.is_vendor() && entry.units.length.unwrap_or_default() == length && angles
     };
@@ -263,9 +270,9 @@ fn bare_reading(arm: &ArmEvidence, topic: &str, form: Coding, found: &PoseDiagno
 }
 
 /// The `--declare` value for the inferred encoding.
-fn declared(form: Coding, found: &PoseDiagnosis) -> String {
+fn declared(form: RotationEncoding, found: &PoseDiagnosis) -> String {
     let (length, angle) = bare_units(found);
-    let is_degrees = matches!(form, Coding::Three(_)) && angle == AngleUnit::Degree;
+    let is_degrees = matches!(form, RotationEncoding::Three(_)) && angle == AngleUnit::Degree;
     let angle = if is_degrees { ",deg" } else { "" };
     let length = if length == LengthScale::MILLIMETRE { ",mm" } else { "" };
     format!("{form}{angle}{length}")
@@ -357,15 +364,15 @@ pub fn read_as(reading: &PoseEncoding) -> ReadAs {
 }
 
 /// Contract names of a misinterpretation.
-pub fn read_as_misreading(misreading: &Misreading) -> ReadAs {
+pub fn read_as_misreading(misreading: &Misinterpretation) -> ReadAs {
     ReadAs { is: misreading.is.to_string(), read_as: misreading.read_as.to_string() }
 }
 
 /// Actual order of quaternion components, and the order assumed by the reader.
-pub fn quaternion_orders(slip: QuaternionSlip) -> (&'static str, &'static str) {
+pub fn quaternion_orders(slip: QuaternionOrderError) -> (&'static str, &'static str) {
     match slip {
-        QuaternionSlip::WxyzReadAsXyzw => ("quat:wxyz", "quat:xyzw"),
-        QuaternionSlip::XyzwReadAsWxyz => ("quat:xyzw", "quat:wxyz"),
+        QuaternionOrderError::WxyzReadAsXyzw => ("quat:wxyz", "quat:xyzw"),
+        QuaternionOrderError::XyzwReadAsWxyz => ("quat:xyzw", "quat:wxyz"),
     }
 }
 
@@ -420,7 +427,7 @@ mod tests {
     #[test]
     fn each_fault_is_found_by_its_own_rule_alone() {
         for (reading, code) in [
-            (PoseEncoding::QuaternionOrder(QuaternionSlip::WxyzReadAsXyzw), "ORD002"),
+            (PoseEncoding::QuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw), "ORD002"),
             (PoseEncoding::Inverted, "ORD003"),
             (PoseEncoding::Transposed, "ORD003"),
         ] {

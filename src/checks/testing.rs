@@ -7,7 +7,7 @@ use crate::diagnosis::{
     AlignedSamples, CommandDelay, CommandedLine, DhComparison, DhResidual, DhStreamResiduals,
     EncodingEstimate, EncodingSpans, ErrorMagnitude, ErrorSize, FkError, FrameCorrection,
     FrameEstimate, GyroBias, ImuConventions, ImuDiagnosis, ImuResidualCheck, JointDiagnosis,
-    JointEncoding, JointOffset, LatencyProfile, Length, LineDeviation, Measured, PartError,
+    JointEncoding, JointOffset, LatencyProfile, LineDeviation, Measured, MeasuredLength, PartError,
     PeakAcceleration, PoseDiagnosis, PoseEncoding, ReferenceDiagnosis, ResidualCheck, Response,
     RestError, SampleNoise, StreamResidual, VelocityDiagnosis, VelocityShape, Vibration,
     YawProfile,
@@ -37,8 +37,8 @@ pub fn sure(value: f64) -> Measured {
 }
 
 /// Norm of a vector: significant, unless `value` is zero.
-pub fn length(value: f64) -> Length {
-    Length { norm: sure(value), p_value: if value > 0.0 { 0.0 } else { 0.5 } }
+pub fn length(value: f64) -> MeasuredLength {
+    MeasuredLength { norm: sure(value), p_value: if value > 0.0 { 0.0 } else { 0.5 } }
 }
 
 /// The rules' input with default thresholds.

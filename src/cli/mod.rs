@@ -174,7 +174,7 @@ pub fn end_on_signals() {
         let handle = signals.handle();
         let heard = std::thread::Builder::new().spawn(move || {
             if let Some(signal) = signals.forever().next() {
-                poseaudit::boundary::forget_staged();
+                poseaudit::boundary::delete_staged_files();
                 // Ends the process with the default action of the signal.
                 let _ = signal_hook::low_level::emulate_default_handler(signal);
             }
@@ -235,7 +235,8 @@ mod tests {
 
     #[test]
     fn a_panic_ends_in_one_line_that_asks_for_a_report() {
-        let told = poseaudit::boundary::caught(|| -> Outcome { panic!("no such column\nmore") });
+        let told =
+            poseaudit::boundary::catch_panic(|| -> Outcome { panic!("no such column\nmore") });
         let line = fault_line(&told.expect_err("a panic"));
         assert!(line.contains(": no such column (") && line.contains("please report"), "{line}");
         assert!(line.contains("cli/mod.rs:") && !line.contains('\n'), "{line}");

@@ -11,7 +11,7 @@ use super::quantity::Quantity;
 use super::rules::Rules;
 use crate::checks::Selector;
 use crate::finding::{Severity, Unit};
-use crate::geometry::{Coding, Units, vendors};
+use crate::geometry::{RotationEncoding, Units, vendors};
 use crate::log::{ColumnSelector, ColumnSettings};
 use crate::robot::nearest;
 use crate::run::{PoseSourceKind, SaidRole};
@@ -217,7 +217,7 @@ impl TryFrom<OneOrMore> for Selection {
 pub(super) struct Stream {
     pub said: StreamTable,
     /// Encoding of its numbers.
-    pub coding: Option<(Coding, Units)>,
+    pub coding: Option<(RotationEncoding, Units)>,
 }
 
 /// Settings of a topic.
@@ -410,13 +410,13 @@ impl TryFrom<f64> for Rate {
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(try_from = "String")]
 #[schemars(with = "String")]
-pub(super) struct CodingName(pub Coding);
+pub(super) struct CodingName(pub RotationEncoding);
 
 impl TryFrom<String> for CodingName {
     type Error = String;
 
     fn try_from(name: String) -> Result<Self, String> {
-        Coding::declared(&name).map(Self).map_err(|error| error.to_string())
+        RotationEncoding::from_declared_name(&name).map(Self).map_err(|error| error.to_string())
     }
 }
 
@@ -424,7 +424,7 @@ impl TryFrom<String> for CodingName {
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(try_from = "String")]
 #[schemars(with = "String")]
-pub(super) struct Vendor(pub &'static vendors::Use);
+pub(super) struct Vendor(pub &'static vendors::VendorUse);
 
 impl TryFrom<String> for Vendor {
     type Error = String;
@@ -475,7 +475,7 @@ impl TryFrom<Vec<UnitName>> for UnitNames {
 
     fn try_from(names: Vec<UnitName>) -> Result<Self, Self::Error> {
         let mut units = Units::default();
-        match names.iter().try_for_each(|name| units.take(name.symbol())) {
+        match names.iter().try_for_each(|name| units.set_symbol(name.symbol())) {
             Ok(()) => Ok(Self(units)),
             Err(_) => Err("the units contradict each other: one of m and mm, one of rad and deg"),
         }

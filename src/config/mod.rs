@@ -197,7 +197,7 @@ impl Config {
                 frame: said.frame.clone(),
                 link: said.link.clone(),
                 rate_hz: said.rate_hz.map(|rate| rate.0),
-                vendor: said.vendor.as_ref().map(|vendor| vendor.0.said()),
+                vendor: said.vendor.as_ref().map(|vendor| vendor.0.description()),
                 of_columns: false,
             };
         let mut topics: Vec<TopicSettings> = streams.map(topic).collect();

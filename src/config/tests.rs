@@ -1,7 +1,7 @@
 use super::*;
 use crate::checks::{Threshold, find, registry};
 use crate::finding::{Severity, Unit};
-use crate::geometry::{AngleUnit, Coding, LengthScale};
+use crate::geometry::{AngleUnit, LengthScale, RotationEncoding};
 use crate::run::{PoseSourceKind, SaidRole};
 
 fn config(text: &str) -> Result<Config, Trouble> {
@@ -79,7 +79,7 @@ turning = "30 rad/s²"
         let declared = declared.expect("a declaration");
         (declared.coding, declared.angle, declared.length, declared.is_of_vendor)
     };
-    let kuka = Coding::Three("euler:ZYX".parse().expect("a convention"));
+    let kuka = RotationEncoding::Three("euler:ZYX".parse().expect("a convention"));
     assert_eq!(coded("/tcp"), (kuka, AngleUnit::Degree, LengthScale::MILLIMETRE, false));
     assert_eq!(coded("/pendant"), (kuka, AngleUnit::Degree, LengthScale::METRE, true));
     let threshold = |code: &str, unit: Unit| {

@@ -8,7 +8,7 @@ use super::corrections_file::{
 };
 use crate::diagnosis::{AxesError, IntendedEncoding, PoseEncoding, reread_imu, reread_poses};
 use crate::finding::Unit;
-use crate::geometry::{LengthScale, Pose, Slip, rotation_from_xyzw};
+use crate::geometry::{LengthScale, Misread, Pose, rotation_from_xyzw};
 use crate::log::Log;
 use crate::report::{Trouble, TroubleKind};
 use crate::robot::JointKind;
@@ -224,7 +224,7 @@ impl TopicCorrection {
         let skew =
             self.skew.map(|skew| format!("clock skew of {}", Unit::SecondPerSecond.show(skew)));
         let rotation = self.rotation.map(|slip| {
-            let Slip { is, read_as } = Slip::<String>::from(slip);
+            let Misread { is, read_as } = Misread::<String>::from(slip);
             format!("rotation ({is} read as {read_as})")
         });
         let frames = frames.into_iter().filter(|(is_there, _)| *is_there);

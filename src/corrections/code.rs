@@ -1,6 +1,8 @@
 //! Lines of code that decode numbers correctly.
 
-use crate::geometry::{CodeLine, Convention, QuaternionSlip, code_of_numbers, code_of_quaternion};
+use crate::geometry::{
+    CodeLine, Convention, QuaternionOrderError, code_of_numbers, code_of_quaternion,
+};
 
 /// One line per entry of [`LIBRARIES`].
 pub(super) type Lines = Vec<CodeLine>;
@@ -27,10 +29,10 @@ pub(super) fn decode_numbers(convention: Convention) -> Lines {
 }
 
 /// Decodes a quaternion from four numbers `n` in logged order.
-pub(super) fn decode_quaternion(slip: QuaternionSlip) -> Lines {
+pub(super) fn decode_quaternion(slip: QuaternionOrderError) -> Lines {
     let xyzw = match slip {
-        QuaternionSlip::WxyzReadAsXyzw => [1, 2, 3, 0],
-        QuaternionSlip::XyzwReadAsWxyz => [0, 1, 2, 3],
+        QuaternionOrderError::WxyzReadAsXyzw => [1, 2, 3, 0],
+        QuaternionOrderError::XyzwReadAsWxyz => [0, 1, 2, 3],
     };
     retain_libraries(code_of_quaternion(xyzw.map(|at| format!("n[{at}]"))))
 }
@@ -92,10 +94,10 @@ mod tests {
     fn the_scalar_part_is_where_each_library_wants_it() {
         let of =
             |slip| decode_quaternion(slip).into_iter().map(|line| line.line).collect::<Vec<_>>();
-        let [scipy, _, eigen, _] = &of(QuaternionSlip::WxyzReadAsXyzw)[..] else { panic!() };
+        let [scipy, _, eigen, _] = &of(QuaternionOrderError::WxyzReadAsXyzw)[..] else { panic!() };
         assert!(scipy.contains("[n[1], n[2], n[3], n[0]]"), "{scipy}");
         assert!(eigen.contains("(n[0], n[1], n[2], n[3])"), "{eigen}");
-        let [_, tf2, _, nalgebra] = &of(QuaternionSlip::XyzwReadAsWxyz)[..] else { panic!() };
+        let [_, tf2, _, nalgebra] = &of(QuaternionOrderError::XyzwReadAsWxyz)[..] else { panic!() };
         assert!(tf2.contains("(n[0], n[1], n[2], n[3])"), "{tf2}");
         assert!(nalgebra.contains("(n[3], n[0], n[1], n[2])"), "{nalgebra}");
     }

@@ -10,8 +10,8 @@ use super::frames::{FixedFrame, model_stem, slug};
 use crate::evidence::RunEvidence;
 use crate::finding::{Cause, Finding, JointScaling, Unit};
 use crate::geometry::{
-    AngleUnit, Coding, LengthScale, Pose, QuaternionSlip, Rotation, RotationSlip, Slip,
-    xyzw_from_rotation,
+    AngleUnit, LengthScale, Misread, Pose, QuaternionOrderError, Rotation, RotationEncoding,
+    RotationError, xyzw_from_rotation,
 };
 use crate::report::Report;
 use crate::run::{Arm, Run};
@@ -278,26 +278,26 @@ impl CorrectionPlan {
         &mut self,
         context: &CorrectionContext<'_>,
         finding: &Finding,
-        coding: Coding,
+        coding: RotationEncoding,
         length: LengthScale,
         angle: AngleUnit,
     ) -> CorrectionResult {
         let topic = context.single_topic(finding)?;
         let correction = self.corrections.topic(&topic);
         if length != LengthScale::METRE {
-            correction.length_unit = Some(Slip { is: length, read_as: LengthScale::METRE });
+            correction.length_unit = Some(Misread { is: length, read_as: LengthScale::METRE });
         }
         match coding {
-            Coding::Three(convention) => {
+            RotationEncoding::Three(convention) => {
                 correction.convention = Some(convention);
                 if angle == AngleUnit::Degree {
-                    let slip = Slip { is: angle, read_as: AngleUnit::Radian };
+                    let slip = Misread { is: angle, read_as: AngleUnit::Radian };
                     correction.angle_unit = Some(slip);
                 }
             }
             _ => {
-                let slip = QuaternionSlip::WxyzReadAsXyzw;
-                correction.rotation = Some(RotationSlip::Quaternion(slip));
+                let slip = QuaternionOrderError::WxyzReadAsXyzw;
+                correction.rotation = Some(RotationError::Quaternion(slip));
             }
         }
         let what = format!("bare numbers are {coding}, {length}, {}", angle.symbol());
@@ -308,28 +308,28 @@ impl CorrectionPlan {
         &mut self,
         context: &CorrectionContext<'_>,
         finding: &Finding,
-        slip: RotationSlip,
+        slip: RotationError,
     ) -> CorrectionResult {
         let topic = context.single_topic(finding)?;
         let (names, lines) = match slip {
-            RotationSlip::Misread(misreading) => {
+            RotationError::Misread(misreading) => {
                 let labels = code::variable_names(misreading.is).join(", ");
                 (
                     format!("{labels}: the numbers in logged order, rad"),
                     code::decode_numbers(misreading.is),
                 )
             }
-            RotationSlip::Quaternion(slip) => {
+            RotationError::Quaternion(slip) => {
                 ("n: the four numbers in logged order".to_owned(), code::decode_quaternion(slip))
             }
-            RotationSlip::Transposed => {
+            RotationError::Transposed => {
                 ("rotation: as currently decoded".to_owned(), code::invert_rotation())
             }
-            RotationSlip::Inverted => {
+            RotationError::Inverted => {
                 ("pose: as currently decoded".to_owned(), code::invert_pose())
             }
         };
-        let Slip { is, read_as } = Slip::<String>::from(slip);
+        let Misread { is, read_as } = Misread::<String>::from(slip);
         let what = format!("{is} read as {read_as}");
         self.add_code(finding, &what, names, Some(lines));
         if context.is_tf(&topic) {
@@ -338,8 +338,8 @@ impl CorrectionPlan {
         let correction = self.corrections.topic(&topic);
         match (slip, correction.rotation) {
             // A pose that is also inverted is inverted after decoding.
-            (RotationSlip::Inverted, Some(_)) => correction.inverse = Some(true),
-            (slip, Some(RotationSlip::Inverted)) => {
+            (RotationError::Inverted, Some(_)) => correction.inverse = Some(true),
+            (slip, Some(RotationError::Inverted)) => {
                 (correction.rotation, correction.inverse) = (Some(slip), Some(true));
             }
             (slip, _) => correction.rotation = Some(slip),

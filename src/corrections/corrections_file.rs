@@ -9,8 +9,8 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::diagnosis::PoseEncoding;
 use crate::geometry::{
-    AngleUnit, Axes, Convention, LengthScale, Pose, RotationSlip, Slip, misreading_classes, pose,
-    rotation_from_xyzw, xyz_of, xyzw_from_rotation,
+    AngleUnit, Axes, Convention, LengthScale, Misread, Pose, RotationError,
+    misinterpretation_classes, pose, rotation_from_xyzw, xyz_of, xyzw_from_rotation,
 };
 use crate::report::{Trouble, TroubleKind};
 
@@ -102,16 +102,16 @@ pub struct TopicCorrection {
     pub link_from_imu_xyzw: Option<[f64; 4]>,
     /// Actual length unit of positions, and the one they were read in.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub length_unit: Option<Slip<LengthScale>>,
+    pub length_unit: Option<Misread<LengthScale>>,
     /// The same for angles, or positions of revolute joints.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub angle_unit: Option<Slip<AngleUnit>>,
+    pub angle_unit: Option<Misread<AngleUnit>>,
     /// Joints whose positions are under different names.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub joint_order: Option<JointOrder>,
     /// Actual rotation encoding, and the one it was read as.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub rotation: Option<RotationSlip>,
+    pub rotation: Option<RotationError>,
     /// Whether whole poses are inverted after decoding.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub inverse: Option<bool>,
@@ -180,13 +180,13 @@ impl FrameCorrection {
 }
 
 /// Encoding that decodes rotations with this slip.
-pub(super) fn encoding_of_slip(slip: RotationSlip) -> Option<PoseEncoding> {
+pub(super) fn encoding_of_slip(slip: RotationError) -> Option<PoseEncoding> {
     Some(match slip {
-        RotationSlip::Transposed => PoseEncoding::Transposed,
-        RotationSlip::Inverted => PoseEncoding::Inverted,
-        RotationSlip::Quaternion(slip) => PoseEncoding::QuaternionOrder(slip),
-        RotationSlip::Misread(misreading) => {
-            let classes = misreading_classes().iter();
+        RotationError::Transposed => PoseEncoding::Transposed,
+        RotationError::Inverted => PoseEncoding::Inverted,
+        RotationError::Quaternion(slip) => PoseEncoding::QuaternionOrder(slip),
+        RotationError::Misread(misreading) => {
+            let classes = misinterpretation_classes().iter();
             let mut classes = classes.filter(|class| class.members.contains(&misreading));
             PoseEncoding::Misinterpreted(classes.next()?)
         }
@@ -418,7 +418,7 @@ pub(super) fn is_same_topic(topic: &str, name: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Misreading;
+    use crate::geometry::Misinterpretation;
 
     #[test]
     fn what_is_written_is_read_back() {
@@ -436,8 +436,9 @@ mod tests {
         (topic.latency_s, topic.skew) = (Some(0.022), Some(2e-4));
         topic.skew_about_s = Some(10.25);
         topic.convention = Some(Convention::RPY);
-        topic.length_unit = Some(Slip { is: LengthScale::MILLIMETRE, read_as: LengthScale::METRE });
-        topic.rotation = Some(RotationSlip::Misread(Misreading {
+        topic.length_unit =
+            Some(Misread { is: LengthScale::MILLIMETRE, read_as: LengthScale::METRE });
+        topic.rotation = Some(RotationError::Misread(Misinterpretation {
             is: Convention::RotVec,
             read_as: Convention::RPY,
         }));
@@ -492,9 +493,9 @@ mod tests {
     fn units_have_factors() {
         use AngleUnit::{Degree, Radian};
         let (m, mm) = (LengthScale::METRE, LengthScale::MILLIMETRE);
-        assert_eq!(Slip { is: mm, read_as: m }.factor(), 1e-3);
-        assert_eq!(Slip { is: m, read_as: mm }.factor(), 1e3);
-        let half_turn = 180.0 * Slip { is: Degree, read_as: Radian }.factor();
+        assert_eq!(Misread { is: mm, read_as: m }.factor(), 1e-3);
+        assert_eq!(Misread { is: m, read_as: mm }.factor(), 1e3);
+        let half_turn = 180.0 * Misread { is: Degree, read_as: Radian }.factor();
         assert!((half_turn - std::f64::consts::PI).abs() < 1e-15);
     }
 }

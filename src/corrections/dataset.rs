@@ -34,12 +34,12 @@ pub(super) fn python_module(
     let mut columns = ColumnCorrections::default();
     for stream in run.streams.iter().filter(|stream| stream.role == Role::Joints) {
         let Some(Columns::Joints(joints)) = &stream.columns else { continue };
-        let degrees = if joints.taken_for_degrees { 1_f64.to_radians() } else { 1.0 };
+        let degrees = if joints.converted_from_degrees { 1_f64.to_radians() } else { 1.0 };
         for (number, joint) in joints.joints.iter().enumerate() {
             let own = corrections.joints.iter().find(|own| own.name == joint.name);
             let Some(own) = own else { continue };
             // Position = scale * number + from.
-            let [scale, from] = joints.lines.get(number).copied().unwrap_or([degrees, 0.0]);
+            let [scale, from] = joints.conversions.get(number).copied().unwrap_or([degrees, 0.0]);
             let factor = own.factor.unwrap_or(1.0);
             let offset = match own.offset_rad {
                 Some(offset) => (factor * from + offset - from) / scale,

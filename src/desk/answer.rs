@@ -2,7 +2,7 @@
 
 use super::form::Reading;
 use super::frames::{FixedFrame, worlds};
-use crate::geometry::{Axes, Convention, Misreading, Pose, Vec3, angle_between};
+use crate::geometry::{Axes, Convention, Misinterpretation, Pose, Vec3, angle_between};
 
 /// Residual below which poses agree, from rounding and a nominal model: rad and m.
 pub(super) const AGREES_RAD: f64 = 1.0 * std::f64::consts::PI / 180.0;
@@ -189,7 +189,7 @@ pub struct Hypothesis {
     /// Frames at the tip.
     pub tip: End,
     /// Different interpretations of the same three numbers on the two sides.
-    pub misreading: Option<Misreading>,
+    pub misreading: Option<Misinterpretation>,
     /// Residual.
     pub residual: Residual,
     /// Residual plus penalties on a logarithmic scale, base 2; lower is better.
@@ -204,7 +204,7 @@ impl Hypothesis {
     /// Assertions of the explanation, one per entry.
     pub fn claims(&self) -> Vec<String> {
         let mut claims = Vec::new();
-        if let Some(Misreading { is, read_as }) = self.misreading {
+        if let Some(Misinterpretation { is, read_as }) = self.misreading {
             claims.push(format!(
                 "A interprets three numbers as {}, B interprets the same numbers as {}",
                 spelt(is),
@@ -235,7 +235,7 @@ impl Hypothesis {
 
     /// Predicted pose of B for `is` as A.
     pub(super) fn expected(&self, is: &Pose) -> Pose {
-        let axes = self.axes.of_pose(&self.inversion.of(is));
+        let axes = self.axes.pose_from_standard(&self.inversion.of(is));
         self.base.transform() * axes * self.tip.transform()
     }
 }

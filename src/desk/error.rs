@@ -1,6 +1,6 @@
 //! Why the desk cannot take what it was given.
 
-use crate::geometry::{Coding, ConventionError};
+use crate::geometry::{ConventionError, RotationEncoding};
 
 /// Reason why a text is not a pose, or not in the given form.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -17,7 +17,7 @@ pub enum DeskError {
     #[error("{count} numbers are not a pose")]
     Count { count: usize },
     #[error("{count} numbers do not fit the form {form}")]
-    CountOfForm { form: Coding, count: usize },
+    CountOfForm { form: RotationEncoding, count: usize },
     #[error("{number:e} is too large for a pose")]
     Beyond { number: f64 },
     #[error("the poses have different lengths: {first} and {other} numbers")]

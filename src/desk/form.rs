@@ -5,8 +5,8 @@ use std::fmt;
 use std::str::FromStr;
 
 use crate::geometry::{
-    AngleUnit, Coding, Convention, LengthScale, Pose, Rotation, UnitError, Units, Vec3, pose,
-    rotation_from_matrix_rows, rotation_from_rotvec, rotation_from_xyzw, vendors, xyz_of,
+    AngleUnit, Convention, LengthScale, Pose, Rotation, RotationEncoding, UnitError, Units, Vec3,
+    pose, rotation_from_matrix_rows, rotation_from_rotvec, rotation_from_xyzw, vendors, xyz_of,
     xyzw_from_rotation,
 };
 
@@ -31,22 +31,24 @@ const WIDEST_RAD: f64 = 1.1 * TAU;
 const WIDEST_DEG: f64 = 1e3;
 
 /// Whether the form can have this many numbers, with or without a position.
-fn takes(form: Coding, count: usize) -> bool {
+fn takes(form: RotationEncoding, count: usize) -> bool {
     match form {
-        Coding::Three(_) => matches!(count, 3 | 6),
-        Coding::Xyzw | Coding::Wxyz | Coding::AxisAngle => matches!(count, 4 | 7),
-        Coding::Rows | Coding::Columns => matches!(count, 9 | 12 | 16),
-        Coding::TwoColumns | Coding::TwoRows => matches!(count, 6 | 9),
+        RotationEncoding::Three(_) => matches!(count, 3 | 6),
+        RotationEncoding::Xyzw | RotationEncoding::Wxyz | RotationEncoding::AxisAngle => {
+            matches!(count, 4 | 7)
+        }
+        RotationEncoding::Rows | RotationEncoding::Columns => matches!(count, 9 | 12 | 16),
+        RotationEncoding::TwoColumns | RotationEncoding::TwoRows => matches!(count, 6 | 9),
     }
 }
 
 /// Whether this many numbers in `form` include a position.
-fn has_position(form: Coding, count: usize) -> bool {
+fn has_position(form: RotationEncoding, count: usize) -> bool {
     match form {
-        Coding::Three(_) => count == 6,
-        Coding::Xyzw | Coding::Wxyz | Coding::AxisAngle => count == 7,
-        Coding::Rows | Coding::Columns => count > 9,
-        Coding::TwoColumns | Coding::TwoRows => count == 9,
+        RotationEncoding::Three(_) => count == 6,
+        RotationEncoding::Xyzw | RotationEncoding::Wxyz | RotationEncoding::AxisAngle => count == 7,
+        RotationEncoding::Rows | RotationEncoding::Columns => count > 9,
+        RotationEncoding::TwoColumns | RotationEncoding::TwoRows => count == 9,
     }
 }
 
@@ -54,7 +56,7 @@ fn has_position(form: Coding, count: usize) -> bool {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Style {
     /// Form of the rotation.
-    pub form: Option<Coding>,
+    pub form: Option<RotationEncoding>,
     /// Units.
     pub units: Units,
 }
@@ -75,7 +77,7 @@ impl FromStr for Style {
         let mut style = Self::default();
         let mut of_vendor = Self::default();
         for part in text.split(',').map(str::trim) {
-            match (style.units.take(part), vendors::find(part)) {
+            match (style.units.set_symbol(part), vendors::find(part)) {
                 (Ok(()), _) => {}
                 (Err(UnitError::Contradiction), _) => {
                     return Err(DeskError::Contradiction { unit: part.to_owned() });
@@ -97,7 +99,7 @@ impl FromStr for Style {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading {
     /// Form of the rotation.
-    pub form: Coding,
+    pub form: RotationEncoding,
     /// Unit of the position.
     pub length: LengthScale,
     /// Unit of the angles; ignored if the form has none.
@@ -133,17 +135,17 @@ impl Reading {
             return Err(DeskError::Beyond { number });
         }
         let (xyz, rotation) = match form {
-            Coding::Three(convention) => {
+            RotationEncoding::Three(convention) => {
                 let (xyz, three) = before_last::<3>(numbers);
                 (xyz, convention.rotation(three.map(|angle| angle * self.angle.in_rad())))
             }
-            Coding::Xyzw | Coding::Wxyz => {
+            RotationEncoding::Xyzw | RotationEncoding::Wxyz => {
                 let (xyz, four) = before_last::<4>(numbers);
                 let [a, b, c, d] = four;
-                let q_xyzw = if form == Coding::Wxyz { [b, c, d, a] } else { four };
+                let q_xyzw = if form == RotationEncoding::Wxyz { [b, c, d, a] } else { four };
                 (xyz, unit_quaternion(q_xyzw)?)
             }
-            Coding::AxisAngle => {
+            RotationEncoding::AxisAngle => {
                 let (xyz, [x, y, z, angle]) = before_last::<4>(numbers);
                 (xyz, about([x, y, z], angle * self.angle.in_rad())?)
             }
@@ -194,14 +196,14 @@ fn about(axis: [f64; 3], angle: f64) -> Result<Rotation, DeskError> {
 }
 
 /// Position and rotation rows of a matrix, or of two of its columns or rows.
-fn matrix(form: Coding, numbers: &[f64]) -> Result<([f64; 3], [[f64; 3]; 3]), DeskError> {
-    if matches!(form, Coding::TwoColumns | Coding::TwoRows) {
+fn matrix(form: RotationEncoding, numbers: &[f64]) -> Result<([f64; 3], [[f64; 3]; 3]), DeskError> {
+    if matches!(form, RotationEncoding::TwoColumns | RotationEncoding::TwoRows) {
         let (xyz, [a, b, c, d, e, f]) = before_last::<6>(numbers);
         let (first, second) = (Vec3::new(a, b, c), Vec3::new(d, e, f));
         let rows = [first, second, first.cross(&second)].map(Into::into);
-        return Ok((xyz, if form == Coding::TwoRows { rows } else { transposed(rows) }));
+        return Ok((xyz, if form == RotationEncoding::TwoRows { rows } else { transposed(rows) }));
     }
-    let by_column = form == Coding::Columns;
+    let by_column = form == RotationEncoding::Columns;
     let (width, height) = match numbers.len() {
         9 => (3, 3),
         12 => (4, 3),
@@ -227,7 +229,8 @@ fn matrix(form: Coding, numbers: &[f64]) -> Result<([f64; 3], [[f64; 3]; 3]), De
 
 /// Whether nine numbers are an orthonormal matrix with determinant −1.
 fn is_mirrored(numbers: &[f64]) -> bool {
-    let matrix = |numbers: &[f64]| matrix(Coding::Rows, numbers).ok().map(|(_, rows)| rows);
+    let matrix =
+        |numbers: &[f64]| matrix(RotationEncoding::Rows, numbers).ok().map(|(_, rows)| rows);
     let mirrored = (numbers.len() == 9).then(|| numbers.iter().map(|c| -c).collect::<Vec<f64>>());
     let rows = mirrored.and_then(|numbers| matrix(&numbers));
     rows.is_some_and(|rows| orthonormal(rows).is_ok())
@@ -265,10 +268,12 @@ fn norm_of(q: [f64; 4]) -> f64 {
 
 /// Deviation from a rotation: `max |RᵀR − I|` of a matrix, or the norm minus 1 of a quaternion; zero for
 /// other forms.
-pub(super) fn defect(form: Coding, numbers: &[f64]) -> f64 {
+pub(super) fn defect(form: RotationEncoding, numbers: &[f64]) -> f64 {
     match form {
-        Coding::Three(_) | Coding::AxisAngle => 0.0,
-        Coding::Xyzw | Coding::Wxyz => (norm_of(before_last::<4>(numbers).1) - 1.0).abs(),
+        RotationEncoding::Three(_) | RotationEncoding::AxisAngle => 0.0,
+        RotationEncoding::Xyzw | RotationEncoding::Wxyz => {
+            (norm_of(before_last::<4>(numbers).1) - 1.0).abs()
+        }
         _ => matrix(form, numbers)
             .ok()
             .and_then(|(_, rows)| rotation_from_matrix_rows(rows))
@@ -279,7 +284,7 @@ pub(super) fn defect(form: Coding, numbers: &[f64]) -> f64 {
 /// Distance of the angles from gimbal lock, rad; `None` if the form has none.
 pub(super) fn gimbal_margin(reading: &Reading, numbers: &[f64]) -> Option<f64> {
     match reading.form {
-        Coding::Three(convention) if numbers.len() >= 3 => {
+        RotationEncoding::Three(convention) if numbers.len() >= 3 => {
             let (_, three) = before_last::<3>(numbers);
             convention.gimbal_margin(three.map(|angle| angle * reading.angle.in_rad()))
         }
@@ -297,20 +302,30 @@ pub(super) fn gimbal_margin(reading: &Reading, numbers: &[f64]) -> Option<f64> {
 /// If there is no encoding; contains the reason for the most likely one.
 pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>, DeskError> {
     let count = samples.first().map_or(0, |numbers| numbers.len());
-    let forms: Vec<Coding> = match (style.form, count) {
+    let forms: Vec<RotationEncoding> = match (style.form, count) {
         (Some(form), _) => vec![form],
-        (None, 3 | 6) => Convention::all().iter().map(|&three| Coding::Three(three)).collect(),
-        (None, 4 | 7) => vec![Coding::Xyzw, Coding::Wxyz, Coding::AxisAngle],
-        (None, 9) => vec![Coding::Rows, Coding::TwoColumns, Coding::TwoRows],
-        (None, 12 | 16) => vec![Coding::Rows, Coding::Columns],
+        (None, 3 | 6) => {
+            Convention::all().iter().map(|&three| RotationEncoding::Three(three)).collect()
+        }
+        (None, 4 | 7) => {
+            vec![RotationEncoding::Xyzw, RotationEncoding::Wxyz, RotationEncoding::AxisAngle]
+        }
+        (None, 9) => {
+            vec![RotationEncoding::Rows, RotationEncoding::TwoColumns, RotationEncoding::TwoRows]
+        }
+        (None, 12 | 16) => vec![RotationEncoding::Rows, RotationEncoding::Columns],
         _ => return Err(DeskError::Count { count }),
     };
     let mut found: Vec<Reading> = Vec::new();
     let mut refusal = None;
     for form in forms {
         // Numbers that are a complete rotation are not interpreted as a partial one.
-        let is_partial = matches!(form, Coding::AxisAngle | Coding::TwoColumns | Coding::TwoRows);
-        let is_whole = |known: &Reading| matches!(known.form, Coding::Xyzw | Coding::Rows);
+        let is_partial = matches!(
+            form,
+            RotationEncoding::AxisAngle | RotationEncoding::TwoColumns | RotationEncoding::TwoRows
+        );
+        let is_whole =
+            |known: &Reading| matches!(known.form, RotationEncoding::Xyzw | RotationEncoding::Rows);
         if is_partial && (found.iter().any(is_whole) || samples.iter().all(|n| is_mirrored(n))) {
             continue;
         }
@@ -337,7 +352,7 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
         };
         // A symmetric matrix is the same pose in row-major and column-major order.
         let is_known = |known: &Reading| {
-            matches!((known.form, form), (Coding::Rows, Coding::Columns))
+            matches!((known.form, form), (RotationEncoding::Rows, RotationEncoding::Columns))
                 && samples.iter().zip(&poses).all(|(numbers, pose)| {
                     known.pose(numbers).is_ok_and(|known| {
                         (known.to_homogeneous() - pose.to_homogeneous()).amax() < 1e-9
@@ -354,8 +369,8 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
             last.fold(0.0, |widest: f64, angle| widest.max(angle.abs()))
         };
         let widest = match form {
-            Coding::Three(_) => widest(3),
-            Coding::AxisAngle => widest(1),
+            RotationEncoding::Three(_) => widest(3),
+            RotationEncoding::AxisAngle => widest(1),
             _ => 0.0,
         };
         let lengths =
@@ -380,7 +395,7 @@ pub(super) fn readings(samples: &[&[f64]], style: Style) -> Result<Vec<Reading>,
 /// Possible units of lengths, and whether each is unusual for numbers of that size.
 fn lengths(longest: f64) -> Vec<(LengthScale, bool)> {
     let [metre, millimetre] = [LengthScale::METRE, LengthScale::MILLIMETRE];
-    let [centimetre, micrometre] = [1e-2, 1e-6].map(LengthScale::of);
+    let [centimetre, micrometre] = [1e-2, 1e-6].map(LengthScale::from_m);
     match longest {
         0.0 => vec![(metre, false)],
         longest if longest > LONGEST_MM => vec![(micrometre, false), (millimetre, true)],

@@ -1,7 +1,7 @@
 //! Pose desk results as JSON.
 
 use super::{Answer, End, Hypothesis, Inversion, Reading, Sheets, Verdict};
-use crate::geometry::vendors::Use;
+use crate::geometry::vendors::VendorUse;
 use crate::geometry::{Axes, Pose, xyz_of, xyzw_from_rotation};
 use serde_json::{Value, json};
 
@@ -25,8 +25,8 @@ fn reading_as_json(reading: &Reading) -> Value {
     })
 }
 
-fn uses_as_json(uses: &[&'static Use]) -> Vec<Value> {
-    let entry = |entry: &&'static Use| {
+fn uses_as_json(uses: &[&'static VendorUse]) -> Vec<Value> {
+    let entry = |entry: &&'static VendorUse| {
         json!({
             "who": entry.who,
             "what": entry.what,

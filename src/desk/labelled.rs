@@ -3,7 +3,7 @@
 use super::error::DeskError;
 use super::form::Style;
 use super::paste::Pasted;
-use crate::geometry::{AngleUnit, Coding, Convention, LengthScale, Units, vendors};
+use crate::geometry::{AngleUnit, Convention, LengthScale, RotationEncoding, Units, vendors};
 
 /// Token of a text.
 enum Token<'a> {
@@ -15,18 +15,18 @@ enum Token<'a> {
 /// Names of a rotation's numbers.
 struct Names {
     names: &'static [&'static str],
-    coding: Option<Coding>,
+    coding: Option<RotationEncoding>,
     /// Maker in the table of conventions, for coding and units.
     maker: Option<&'static str>,
     kind: &'static str,
 }
 
 const NAMES: [Names; 8] = [
-    named(&["qx", "qy", "qz", "qw"], Some(Coding::Xyzw), None, "numbers with names"),
+    named(&["qx", "qy", "qz", "qw"], Some(RotationEncoding::Xyzw), None, "numbers with names"),
     named(&["q1", "q2", "q3", "q4"], None, Some("abb"), "ABB's numbers with names"),
     named(
         &["roll", "pitch", "yaw"],
-        Some(Coding::Three(Convention::RPY)),
+        Some(RotationEncoding::Three(Convention::RPY)),
         None,
         "roll, pitch, yaw",
     ),
@@ -39,7 +39,7 @@ const NAMES: [Names; 8] = [
 
 const fn named(
     names: &'static [&'static str],
-    coding: Option<Coding>,
+    coding: Option<RotationEncoding>,
     maker: Option<&'static str>,
     kind: &'static str,
 ) -> Names {
@@ -116,9 +116,9 @@ fn unit(token: &Token) -> Option<Units> {
     Some(match *word {
         "m" => length(LengthScale::METRE),
         "mm" => length(LengthScale::MILLIMETRE),
-        "cm" => length(LengthScale::of(1e-2)),
-        "µm" | "um" => length(LengthScale::of(1e-6)),
-        "in" | "inch" => length(LengthScale::of(0.0254)),
+        "cm" => length(LengthScale::from_m(1e-2)),
+        "µm" | "um" => length(LengthScale::from_m(1e-6)),
+        "in" | "inch" => length(LengthScale::from_m(0.0254)),
         "rad" => angle(AngleUnit::Radian),
         "deg" | "°" | "degree" | "degrees" => angle(AngleUnit::Degree),
         _ => return None,

@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use crate::geometry::{AngleUnit, Coding, Convention, LengthScale, Units, vendors};
+use crate::geometry::{AngleUnit, Convention, LengthScale, RotationEncoding, Units, vendors};
 
 use super::error::DeskError;
 use super::form::Style;
@@ -69,7 +69,7 @@ fn ur_literal(text: &str) -> Result<Option<Pasted>, DeskError> {
     };
     let inner = text[from..].split(']').next().unwrap_or_default();
     let numbers = bare(inner)?;
-    let form = Coding::Three(Convention::RotVec);
+    let form = RotationEncoding::Three(Convention::RotVec);
     match numbers.len() {
         6 => Ok(Some(Pasted::new(numbers, si(form), "UR pose p[…]"))),
         count => Err(DeskError::CountOfForm { form, count }),
@@ -97,7 +97,7 @@ fn nested(text: &str) -> Option<Pasted> {
     }
 }
 
-fn si(form: Coding) -> Style {
+fn si(form: RotationEncoding) -> Style {
     let units = Units { length: Some(LengthScale::METRE), angle: Some(AngleUnit::Radian) };
     Style { form: Some(form), units }
 }
@@ -143,7 +143,7 @@ fn urdf(text: &str) -> Result<Pasted, DeskError> {
         }
         numbers.extend(found);
     }
-    Ok(Pasted::new(numbers, si(Coding::Three(Convention::RPY)), "URDF origin"))
+    Ok(Pasted::new(numbers, si(RotationEncoding::Three(Convention::RPY)), "URDF origin"))
 }
 
 /// Output of `tf2_echo`.
@@ -161,7 +161,7 @@ fn tf2_echo(text: &str) -> Result<Pasted, DeskError> {
         }
     };
     let numbers = [listed("Translation:", 3)?, listed("Quaternion", 4)?].concat();
-    Ok(Pasted::new(numbers, si(Coding::Xyzw), "tf2_echo"))
+    Ok(Pasted::new(numbers, si(RotationEncoding::Xyzw), "tf2_echo"))
 }
 
 /// ROS message as printed by `ros2 topic echo`, or as JSON.
@@ -211,7 +211,7 @@ fn of_message(holder: &Value, message: &Value) -> Result<Pasted, DeskError> {
         &["x", "y", "z", "w"],
         "x, y, z, w of an orientation",
     )?);
-    let mut pasted = Pasted::new(numbers, si(Coding::Xyzw), "ROS message");
+    let mut pasted = Pasted::new(numbers, si(RotationEncoding::Xyzw), "ROS message");
     pasted.parent = name(message, "frame_id");
     pasted.child = name(message, "child_frame_id");
     Ok(pasted)
@@ -239,7 +239,7 @@ mod tests {
     fn a_ur_literal_is_a_rotation_vector_in_metres() {
         let pasted = paste("p[0.1, -0.2, 0.3, 1.2, -1.7, 0.6]").unwrap();
         assert_eq!(pasted.numbers, [0.1, -0.2, 0.3, 1.2, -1.7, 0.6]);
-        assert_eq!(pasted.style, si(Coding::Three(Convention::RotVec)));
+        assert_eq!(pasted.style, si(RotationEncoding::Three(Convention::RotVec)));
     }
 
     #[test]
@@ -324,7 +324,7 @@ transforms:
         let rapid = "CONST robtarget p10:=[[600,-10.5,200],[0.5,0.5,-0.5,0.5],[0,0,-1,0],[9E9,9E9,9E9,9E9,9E9,9E9]];";
         let pasted = paste(rapid).unwrap();
         assert_eq!(pasted.numbers, [600.0, -10.5, 200.0, 0.5, 0.5, -0.5, 0.5]);
-        assert_eq!(pasted.style.form, Some(Coding::Wxyz));
+        assert_eq!(pasted.style.form, Some(RotationEncoding::Wxyz));
         // Python lists are not RAPID.
         assert_eq!(paste("[[0.6, 0, 0.2], [0, 0, 0, 1]]").unwrap().style, Style::default());
         let script = paste("movel(p[0.1, -0.2, 0.3, 1.2, -1.7, 0.6], a=1.2, v=0.25)").unwrap();
@@ -345,7 +345,7 @@ transforms:
             assert_eq!(units.angle, Some(AngleUnit::Degree), "{text}");
         }
         let named = paste("x: 0.1 y: 0.2 z: 1e-3 qx: 0 qy: 0 qz: 0 qw: 1").unwrap();
-        assert_eq!((named.numbers[2], named.style.form), (1e-3, Some(Coding::Xyzw)));
+        assert_eq!((named.numbers[2], named.style.form), (1e-3, Some(RotationEncoding::Xyzw)));
     }
 
     #[test]

@@ -8,8 +8,8 @@ use super::form::{Reading, Style, readings};
 use super::frames::{Corrections, FixedFrame, worlds};
 use super::paste::Pasted;
 use crate::geometry::{
-    Axes, Coding, Misreading, Pose, Rotation, angle_between, misreading_classes, pose,
-    rotation_from_rotvec,
+    Axes, Misinterpretation, Pose, Rotation, RotationEncoding, angle_between,
+    misinterpretation_classes, pose, rotation_from_rotvec,
 };
 
 // Penalties for each assumption, in halvings of the residual.
@@ -126,7 +126,7 @@ impl Steps {
     };
 
     fn of(&self, is: &Pose, frames: &Corrections) -> Pose {
-        let axes = self.axes.of_pose(&self.inversion.of(is));
+        let axes = self.axes.pose_from_standard(&self.inversion.of(is));
         self.base.transform(&frames.base) * axes * self.tip.transform(&frames.tip)
     }
 
@@ -161,7 +161,7 @@ pub(super) struct Candidate {
     pub(super) is: usize,
     pub(super) but: usize,
     pub(super) steps: Steps,
-    pub(super) misreading: Option<Misreading>,
+    pub(super) misreading: Option<Misinterpretation>,
     pub(super) residual: Residual,
     pub(super) score: f64,
 }
@@ -288,14 +288,14 @@ impl Search<'_> {
         };
         let mut truths: Vec<Rotation> = Vec::new();
         for but in 0..self.but.len() {
-            for class in misreading_classes() {
+            for class in misinterpretation_classes() {
                 let Some(&misreading) = class.members.first() else { continue };
                 let ranks = misreading.is.usual_rank() + misreading.read_as.usual_rank();
                 let candidates: Vec<Vec<Rotation>> = self
                     .seen
                     .iter()
                     .map(|&at| {
-                        misreading.truths(&self.but[but].poses[at].rotation, &mut truths);
+                        misreading.true_rotations(&self.but[but].poses[at].rotation, &mut truths);
                         truths.clone()
                     })
                     .collect();
@@ -390,5 +390,5 @@ impl Search<'_> {
 fn is_settled(side: &[Group]) -> bool {
     let mut forms = side.iter().flat_map(|group| &group.readings).map(|reading| reading.form);
     let first = forms.next();
-    !matches!(first, Some(Coding::Three(_))) || forms.all(|form| Some(form) == first)
+    !matches!(first, Some(RotationEncoding::Three(_))) || forms.all(|form| Some(form) == first)
 }

@@ -1,33 +1,33 @@
 //! Converts one pose to every convention.
 
 use crate::geometry::{
-    AngleUnit, CodeLine, Coding, Convention, LengthScale, Pose, Rotation, Vec3, code_of_numbers,
-    code_of_quaternion, xyzw_from_rotation,
+    AngleUnit, CodeLine, Convention, LengthScale, Pose, Rotation, RotationEncoding, Vec3,
+    code_of_numbers, code_of_quaternion, xyzw_from_rotation,
 };
 
 use super::error::DeskError;
 use super::form::{LOCK_RAD, Reading, SAID_DEFECT, Style, defect, readings};
 use super::frames::worlds;
 use super::paste::Pasted;
-use crate::geometry::vendors::{LibraryName, Use, library_names, uses_of};
+use crate::geometry::vendors::{LibraryName, VendorUse, library_names, uses_of};
 
 /// Pose in one convention.
 #[derive(Clone, Debug)]
 pub struct Row {
     /// The convention.
-    pub form: Coding,
+    pub form: RotationEncoding,
     /// Numbers of the rotation, with angles in rad; nine for a matrix.
     pub numbers: Vec<f64>,
     /// Distance to gimbal lock, rad; `None` if the convention has none.
     pub gimbal_margin_rad: Option<f64>,
     /// Users of the convention.
-    pub uses: Vec<&'static Use>,
+    pub uses: Vec<&'static VendorUse>,
     /// Names of the convention in libraries.
     pub names: Vec<LibraryName>,
 }
 
 impl Row {
-    fn of(form: Coding, numbers: Vec<f64>) -> Self {
+    fn of(form: RotationEncoding, numbers: Vec<f64>) -> Self {
         Self {
             gimbal_margin_rad: None,
             uses: uses_of(form).collect(),
@@ -72,7 +72,7 @@ pub struct Candidate {
     /// The resulting pose.
     pub pose: Pose,
     /// Users of the convention.
-    pub uses: Vec<&'static Use>,
+    pub uses: Vec<&'static VendorUse>,
 }
 
 /// Result for one text.
@@ -109,7 +109,7 @@ pub fn sheet(pasted: &Pasted, style: Style) -> Result<Sheets, DeskError> {
         notes.extend(unit_notes(first, known));
     }
     if count == 9
-        && usual.first().is_some_and(|first| first.form == Coding::Rows)
+        && usual.first().is_some_and(|first| first.form == RotationEncoding::Rows)
         && known.form.is_none()
     {
         notes.push("row-major assumed; for column-major use --from matrix:columns".to_owned());
@@ -180,17 +180,17 @@ fn one(reading: Reading, pasted: &Pasted, mut notes: Vec<String>) -> Result<Shee
     let by_rows: Vec<f64> = matrix.matrix().transpose().iter().map(|c| c + 0.0).collect();
     let by_columns: Vec<f64> = matrix.matrix().iter().map(|c| c + 0.0).collect();
     let mut rows = vec![
-        Row::of(Coding::Xyzw, vec![x, y, z, w]),
-        Row::of(Coding::Wxyz, vec![w, x, y, z]),
-        Row::of(Coding::Rows, by_rows.clone()),
-        Row::of(Coding::TwoColumns, by_columns[..6].to_vec()),
-        Row::of(Coding::TwoRows, by_rows[..6].to_vec()),
-        Row::of(Coding::Columns, by_columns),
-        Row::of(Coding::AxisAngle, axis_angle(rotation)),
+        Row::of(RotationEncoding::Xyzw, vec![x, y, z, w]),
+        Row::of(RotationEncoding::Wxyz, vec![w, x, y, z]),
+        Row::of(RotationEncoding::Rows, by_rows.clone()),
+        Row::of(RotationEncoding::TwoColumns, by_columns[..6].to_vec()),
+        Row::of(RotationEncoding::TwoRows, by_rows[..6].to_vec()),
+        Row::of(RotationEncoding::Columns, by_columns),
+        Row::of(RotationEncoding::AxisAngle, axis_angle(rotation)),
     ];
     rows.extend(Convention::all().iter().map(|&convention| {
         let numbers = convention.numbers(rotation);
-        let mut row = Row::of(Coding::Three(convention), numbers.to_vec());
+        let mut row = Row::of(RotationEncoding::Three(convention), numbers.to_vec());
         row.gimbal_margin_rad = convention.gimbal_margin(numbers);
         row
     }));
@@ -205,7 +205,7 @@ fn one(reading: Reading, pasted: &Pasted, mut notes: Vec<String>) -> Result<Shee
         ));
     }
     let code_of_numbers = match reading.form {
-        Coding::Three(convention) => {
+        RotationEncoding::Three(convention) => {
             let given = &pasted.numbers[pasted.numbers.len() - 3..];
             let numbers = [0, 1, 2].map(|at| literal(given[at] * reading.angle.in_rad()));
             code_of_numbers(convention, numbers)
@@ -216,7 +216,7 @@ fn one(reading: Reading, pasted: &Pasted, mut notes: Vec<String>) -> Result<Shee
         has_position: reading.has_position,
         worlds: worlds()
             .iter()
-            .map(|world| (world.who.as_str(), world.axes.of_pose(&pose)))
+            .map(|world| (world.who.as_str(), world.axes.pose_from_standard(&pose)))
             .collect(),
         code_of_numbers,
         code_of_quaternion: code_of_quaternion(xyzw_from_rotation(rotation).map(literal)),
@@ -253,7 +253,7 @@ mod tests {
     }
 
     fn numbers(sheet: &Sheet, form: &str) -> Vec<f64> {
-        let form: Coding = form.parse().unwrap();
+        let form: RotationEncoding = form.parse().unwrap();
         sheet.rows.iter().find(|row| row.form == form).unwrap().numbers.clone()
     }
 
@@ -302,14 +302,14 @@ mod tests {
         // Rz(90°), position 0.3, 0.1, 0.5.
         let columns = one("0 1 0 0  -1 0 0 0  0 0 1 0  0.3 0.1 0.5 1", "");
         let rows = one("0 -1 0 0.3  1 0 0 0.1  0 0 1 0.5  0 0 0 1", "");
-        assert_eq!(columns.reading.form, Coding::Columns);
-        assert_eq!(rows.reading.form, Coding::Rows);
+        assert_eq!(columns.reading.form, RotationEncoding::Columns);
+        assert_eq!(rows.reading.form, RotationEncoding::Rows);
         assert_eq!(columns.pose, rows.pose);
         // Without the last row.
         let columns = one("0 1 0  -1 0 0  0 0 1  0.3 0.1 0.5", "");
-        assert_eq!((columns.reading.form, columns.pose), (Coding::Columns, rows.pose));
+        assert_eq!((columns.reading.form, columns.pose), (RotationEncoding::Columns, rows.pose));
         let short = one("0 -1 0 0.3  1 0 0 0.1  0 0 1 0.5", "");
-        assert_eq!((short.reading.form, short.pose), (Coding::Rows, rows.pose));
+        assert_eq!((short.reading.form, short.pose), (RotationEncoding::Rows, rows.pose));
     }
 
     #[test]

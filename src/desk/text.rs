@@ -7,8 +7,8 @@ use super::{
     WouldDo,
 };
 use crate::finding::rounded;
-use crate::geometry::vendors::{self, Use};
-use crate::geometry::{Coding, Convention, Pose, xyz_of, xyzw_from_rotation};
+use crate::geometry::vendors::{self, VendorUse};
+use crate::geometry::{Convention, Pose, RotationEncoding, xyz_of, xyzw_from_rotation};
 
 /// Width of the column of users.
 const USERS_WIDTH: usize = 56;
@@ -24,7 +24,7 @@ fn degrees(numbers: &[f64]) -> Vec<f64> {
 }
 
 /// Names of users, without duplicates; unconfirmed ones are marked with `(?)`.
-fn users(uses: &[&'static Use]) -> Vec<String> {
+fn users(uses: &[&'static VendorUse]) -> Vec<String> {
     let mut names: Vec<String> = Vec::new();
     for entry in uses {
         let name = format!("{}{}", entry.who, if entry.is_confirmed { "" } else { " (?)" });
@@ -128,18 +128,22 @@ fn write_row(row: &Row, out: &mut dyn Write) -> io::Result<()> {
         return Ok(());
     }
     let mut left = match row.form {
-        Coding::Three(_) => vec![
+        RotationEncoding::Three(_) => vec![
             format!("deg{}", listed(&degrees(&row.numbers), 4)),
             format!("rad{}", listed(&row.numbers, 6)),
         ],
-        Coding::Xyzw | Coding::Wxyz => vec![format!("   {}", listed(&row.numbers, 6))],
-        Coding::Rows => {
+        RotationEncoding::Xyzw | RotationEncoding::Wxyz => {
+            vec![format!("   {}", listed(&row.numbers, 6))]
+        }
+        RotationEncoding::Rows => {
             row.numbers.chunks(3).map(|line| format!("   {}", listed(line, 6))).collect()
         }
         // Same values as the rows, transposed.
-        Coding::Columns => vec!["   the same, column by column".to_owned()],
-        Coding::TwoColumns | Coding::TwoRows => vec![format!("   {}", listed(&row.numbers, 6))],
-        Coding::AxisAngle => {
+        RotationEncoding::Columns => vec!["   the same, column by column".to_owned()],
+        RotationEncoding::TwoColumns | RotationEncoding::TwoRows => {
+            vec![format!("   {}", listed(&row.numbers, 6))]
+        }
+        RotationEncoding::AxisAngle => {
             let angle = row.numbers[3].to_degrees();
             vec![format!("   {}{}°", listed(&row.numbers[..3], 6), rounded(angle, 4))]
         }
@@ -352,8 +356,8 @@ fn write_cautions(answer: &Answer, out: &mut dyn Write) -> io::Result<()> {
 }
 
 /// Users of the form of `reading` with its units.
-fn uses_with_units(reading: &Reading) -> Vec<&'static Use> {
-    let in_units = |entry: &&'static Use| {
+fn uses_with_units(reading: &Reading) -> Vec<&'static VendorUse> {
+    let in_units = |entry: &&'static VendorUse| {
         (!reading.has_position || entry.units.length == Some(reading.length))
             && (!reading.form.has_angles() || entry.units.angle == Some(reading.angle))
     };

@@ -9,7 +9,7 @@ use ground::geometry::{
     Pose, Rotation, Vec3, angle_between, pose, rotation_from_matrix_rows, rotation_from_rotvec,
     rotvec_from_rotation,
 };
-use ground::stats::{Length, joint_p_value};
+use ground::stats::{MeasuredLength, joint_p_value};
 use nalgebra::{Matrix3, SMatrix, SVector};
 use std::sync::LazyLock;
 
@@ -432,7 +432,7 @@ pub(super) fn frame_estimate(
             return Measured { value: 0.0, std_error: std::f64::consts::PI, dof };
         };
         let own = block.view((at, at), (3, 3)).into_owned();
-        Length::of(&twist[first..first + 3], &own, dof).norm
+        MeasuredLength::estimate(&twist[first..first + 3], &own, dof).norm
     };
     let chosen = round.is_some() || explanation.causes.contains(&cause);
     // The model maps base coordinates to the stream's; the reported error is the inverse.

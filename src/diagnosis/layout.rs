@@ -114,7 +114,7 @@ pub(super) fn layouts(
             }
         }
         let is_odd = |one: &PositionEncoding| {
-            LengthScale::usual()
+            LengthScale::common()
                 .all(|unit| (one.metres * written.read_as_m / unit.in_m() - 1.0).abs() > 1e-6)
         };
         let usual = found.iter().filter(|one| !is_odd(one)).map(|one| one.left_m);
@@ -257,7 +257,7 @@ impl<'a> Search<'a> {
         let ratio = spread(self.written.xyz) / self.extent_m;
         let may_be =
             |metres: &f64| !may_spread_so(ratio, 1.0) && may_spread_so(ratio * metres, 1.0);
-        let usual = LengthScale::usual().map(|unit| unit.in_m() / self.written.read_as_m);
+        let usual = LengthScale::common().map(|unit| unit.in_m() / self.written.read_as_m);
         let mut units: Vec<f64> = usual.filter(|metres| *metres != 1.0).filter(may_be).collect();
         for sign in [1.0, -1.0] {
             let of_sign = |axes: &&Axes| axes.are_left_handed() == (sign < 0.0);
@@ -293,7 +293,7 @@ impl<'a> Search<'a> {
             let metres = best.scale.recip() * self.written.read_as_m;
             let tolerance = (2.0 * best.left_m / self.extent_m).clamp(SNAPS, 0.1);
             let off = |unit: &LengthScale| (metres / unit.in_m() - 1.0).abs();
-            let usual = LengthScale::usual()
+            let usual = LengthScale::common()
                 .filter(|unit| off(unit) <= tolerance)
                 .min_by(|a, b| off(a).total_cmp(&off(b)));
             let factor = match usual {
@@ -311,7 +311,7 @@ impl<'a> Search<'a> {
     /// Normal matrix that ignores the constant coordinate if positions are in `axes`.
     fn sums_of(&self, axes: Axes) -> &Sums {
         let constant = self.written.constant.and_then(|axis| {
-            let along = axes.standard(Vec3::ith(axis, 1.0));
+            let along = axes.to_standard(Vec3::ith(axis, 1.0));
             self.sums.get(along.iamax())
         });
         constant.unwrap_or(&self.sums[0])
@@ -449,7 +449,7 @@ impl Sums {
 
 /// Matrix that maps directions in the base to directions in `axes`.
 pub(super) fn matrix_of(axes: Axes) -> Matrix3<f64> {
-    let columns = [Vec3::x(), Vec3::y(), Vec3::z()].map(|unit| axes.of(unit));
+    let columns = [Vec3::x(), Vec3::y(), Vec3::z()].map(|unit| axes.convert_from_standard(unit));
     Matrix3::from_columns(&columns)
 }
 

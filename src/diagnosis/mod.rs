@@ -123,7 +123,8 @@ mod velocity;
 mod workspace;
 
 use ground::geometry::{
-    Axes, Convention, LengthScale, Misreading, MisreadingClass, Pose, QuaternionSlip, Vec3,
+    Axes, Convention, LengthScale, Misinterpretation, MisinterpretationClass, Pose,
+    QuaternionOrderError, Vec3,
 };
 use ground::robot::Chain;
 use ground::stream::PoseTrack;
@@ -145,7 +146,7 @@ pub use columns::{
 pub use course::{LatencyProfile, LatencyShape, LatencyStep};
 pub use dh::{DhComparison, DhConventionResult, DhResidual, DhStreamResiduals, faults};
 pub use gradual::LatencyRamp;
-pub use ground::stats::{Length, Measured};
+pub use ground::stats::{Measured, MeasuredLength};
 pub use handeye::{
     CameraMount, CameraPose, ClosureError, HandEyeDiagnosis, HandEyeSolution, HandEyeStreams,
     PoseSeries, RotationDiversity, TargetEncoding, TargetScale, TargetScaleError,
@@ -258,9 +259,9 @@ pub enum PoseEncoding {
     /// As logged.
     AsLogged,
     /// Misinterpretation: three numbers of one convention were read as another. All members are equivalent.
-    Misinterpreted(&'static MisreadingClass),
+    Misinterpreted(&'static MisinterpretationClass),
     /// Permuted quaternion components.
-    QuaternionOrder(QuaternionSlip),
+    QuaternionOrder(QuaternionOrderError),
     /// The rotation is transposed, the position is not.
     Transposed,
     /// The whole pose is inverted (parent and child exchanged).
@@ -276,7 +277,7 @@ impl PoseEncoding {
     }
 
     /// Misinterpretation behind this encoding, if any.
-    pub fn misinterpretation(&self) -> Option<Misreading> {
+    pub fn misinterpretation(&self) -> Option<Misinterpretation> {
         match self {
             PoseEncoding::Misinterpreted(class) => class.members.first().copied(),
             _ => None,

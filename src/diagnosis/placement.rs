@@ -184,7 +184,7 @@ pub(super) fn by_size(
         return Err(NotObservable::AtRest);
     };
     let off = |factor: f64| (ratio * factor).ln().abs();
-    let usual = LengthScale::usual().map(|unit| unit.in_m() / read_as_m);
+    let usual = LengthScale::common().map(|unit| unit.in_m() / read_as_m);
     let near = usual.filter(|factor| off(*factor) < ALIKE.ln());
     let nearest = near.min_by(|a, b| off(*a).total_cmp(&off(*b)));
     // Ratios within an arm's reach do not determine a unit.
@@ -212,7 +212,7 @@ pub(super) fn metres_by_reach(stream: &PoseStream) -> f64 {
     let track = stream.track;
     let extent = spread(&track.xyz).max(f64::MIN_POSITIVE);
     let off = |factor: f64| (extent * factor / (SHARE * stream.chain.max_reach_m())).ln().abs();
-    let usual = LengthScale::usual().map(|unit| unit.in_m() / in_metres_of(track));
+    let usual = LengthScale::common().map(|unit| unit.in_m() / in_metres_of(track));
     usual.chain([1.0]).min_by(|a, b| off(*a).total_cmp(&off(*b))).unwrap_or(1.0)
 }
 
@@ -240,7 +240,7 @@ fn unit_by_poses(track: &PoseTrack, rows: &[usize], fk: &[Pose]) -> Option<f64> 
     if may_spread_so(extent, spread(&at)) {
         return None;
     }
-    let usual = LengthScale::usual().map(|unit| unit.in_m() / in_metres_of(track));
+    let usual = LengthScale::common().map(|unit| unit.in_m() / in_metres_of(track));
     let shares = usual.map(|metres| (share_left(metres), metres));
     let (least, metres) = shares.min_by(|a, b| a.0.total_cmp(&b.0))?;
     (metres != 1.0 && least <= EXPLAINS && BETTER * least <= in_metres).then_some(metres)

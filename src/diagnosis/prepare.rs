@@ -122,7 +122,7 @@ pub(super) fn prepare<'a>(
     let constant_axes = {
         let mut blind = [false; 3];
         for axis in (0..3).filter(|&axis| placement.constant[axis]) {
-            blind[way.axes.positions.standard(Vec3::ith(axis, 1.0)).iamax()] = true;
+            blind[way.axes.positions.to_standard(Vec3::ith(axis, 1.0)).iamax()] = true;
         }
         blind
     };

@@ -9,7 +9,7 @@ use super::arm::EXPLAINED_RAD;
 use super::constant::{CandidateRotations, Side, both_frames, nearest, one_frame};
 use super::{EncodingEstimate, EstimateResult, NotObservable, PoseEncoding};
 use ground::geometry::{
-    Convention, QuaternionSlip, Rotation, Vec3, angle_between, misreading_classes,
+    Convention, QuaternionOrderError, Rotation, Vec3, angle_between, misinterpretation_classes,
     rotation_from_xyzw, xyzw_from_rotation,
 };
 use ground::stream::Orientations;
@@ -176,11 +176,11 @@ fn truths(
             out.push(rotations[sample].inverse());
         }
         (PoseEncoding::QuaternionOrder(slip), LoggedRotations::Rotations(rotations)) => {
-            let q_xyzw = slip.truth(xyzw_from_rotation(&rotations[sample]));
+            let q_xyzw = slip.true_xyzw(xyzw_from_rotation(&rotations[sample]));
             out.extend(rotation_from_xyzw(q_xyzw));
         }
         (PoseEncoding::Misinterpreted(class), LoggedRotations::Rotations(rotations)) => {
-            class.members[0].truths(&rotations[sample], out);
+            class.members[0].true_rotations(&rotations[sample], out);
         }
     }
 }
@@ -360,8 +360,8 @@ fn readings(samples: &RotationSamples) -> Vec<PoseEncoding> {
         }
         LoggedRotations::Rotations(_) => [PoseEncoding::AsLogged, PoseEncoding::Transposed]
             .into_iter()
-            .chain(QuaternionSlip::BOTH.map(PoseEncoding::QuaternionOrder))
-            .chain(misreading_classes().iter().map(PoseEncoding::Misinterpreted))
+            .chain(QuaternionOrderError::BOTH.map(PoseEncoding::QuaternionOrder))
+            .chain(misinterpretation_classes().iter().map(PoseEncoding::Misinterpreted))
             .filter(is_possible)
             .collect(),
     }

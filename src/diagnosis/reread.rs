@@ -50,7 +50,7 @@ pub fn reread_poses(
     let truths = rotations(logged, &meant, &expected, &known[1], reference_known)?;
     let is_inverted = meant.inverted || matches!(meant.reading, PoseEncoding::Inverted);
     let xyz = truths.iter().zip(&track.xyz).map(|(rotation, xyz)| {
-        let xyz = meant.axes.positions.standard(*xyz);
+        let xyz = meant.axes.positions.to_standard(*xyz);
         if is_inverted { -(rotation * xyz) } else { xyz }
     });
     let xyz = xyz.collect();

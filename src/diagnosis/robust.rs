@@ -1,6 +1,6 @@
 //! Robust weights of residuals, and covariances valid under correlated noise.
 
-use ground::stats::{NORMAL, median};
+use ground::stats::{STD_DEV_PER_MEDIAN, median};
 use nalgebra::{DMatrix, DVector};
 
 /// Eigenvalues of the scaled normal matrix below this belong to unobservable directions.
@@ -41,7 +41,7 @@ pub(super) fn huber(residual: &[[f64; 3]], floor: f64) -> Vec<f64> {
 /// Standard deviation of one component, from the median magnitude of all.
 pub(super) fn robust_sigma(residual: &[[f64; 3]]) -> f64 {
     let mut magnitudes: Vec<f64> = residual.iter().flatten().map(|c| c.abs()).collect();
-    NORMAL * median(&mut magnitudes).unwrap_or(0.0)
+    STD_DEV_PER_MEDIAN * median(&mut magnitudes).unwrap_or(0.0)
 }
 
 /// Inverse over the observable directions, and for each parameter its share (0 to 1) in unobservable ones.

@@ -4,7 +4,7 @@ use super::PoseStream;
 use super::latency::{ArmSpeeds, LagPeak};
 use ground::geometry::{Pose, Rotation};
 use ground::robot::Chain;
-use ground::stats::{NORMAL, median};
+use ground::stats::{STD_DEV_PER_MEDIAN, median};
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 use std::ops::Range;
 
@@ -102,7 +102,7 @@ pub(super) fn still_speeds(joints: &JointTrack) -> Vec<f64> {
                 .map(|k| (speed(k - 1, j) - 2.0 * speed(k, j) + speed(k + 1, j)).abs())
                 .collect();
             let Some(median) = median(&mut bends) else { return f64::INFINITY };
-            (STILL_SIGMAS * NORMAL * median / 6f64.sqrt()).max(2e-4)
+            (STILL_SIGMAS * STD_DEV_PER_MEDIAN * median / 6f64.sqrt()).max(2e-4)
         })
         .collect()
 }

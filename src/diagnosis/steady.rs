@@ -34,7 +34,7 @@ pub fn diagnose_steadied(
             Ok(_) => found.joints.corrected_joints(joints, slides),
             Err(_) => {
                 let mut radians = joints.clone();
-                radians.take_for_degrees(slides);
+                radians.convert_from_degrees(slides);
                 radians
             }
         };

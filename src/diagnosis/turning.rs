@@ -7,7 +7,7 @@ use super::reading::fit_known;
 use super::reading::{EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, read};
 use super::{AxesError, EncodingEstimate, EstimateResult, NotObservable};
 use ground::geometry::{Axes, Rotation, Vec3, angle_between};
-use ground::geometry::{Convention, QuaternionSlip};
+use ground::geometry::{Convention, QuaternionOrderError};
 use nalgebra::Matrix3;
 
 /// Maximum residual of a correct encoding, rad: joints may be off by some degrees.
@@ -76,7 +76,7 @@ impl PositionInterpretation {
 
     /// Positions in m, before any inversion.
     pub fn positions(&self, xyz: &[Vec3]) -> Vec<Vec3> {
-        xyz.iter().map(|p| self.axes.positions.standard(*p) * self.metres).collect()
+        xyz.iter().map(|p| self.axes.positions.to_standard(*p) * self.metres).collect()
     }
 }
 
@@ -113,7 +113,7 @@ impl OrientationSamples<'_> {
         let samples = self.samples(way, &turned);
         let simple = [PoseEncoding::AsLogged, PoseEncoding::Transposed]
             .into_iter()
-            .chain(QuaternionSlip::BOTH.map(PoseEncoding::QuaternionOrder));
+            .chain(QuaternionOrderError::BOTH.map(PoseEncoding::QuaternionOrder));
         let numbers = || Convention::all().iter().map(|&one| PoseEncoding::Numbers(one));
         let readings: Vec<PoseEncoding> = match self.logged {
             LoggedRotations::Rotations(_) => simple.collect(),

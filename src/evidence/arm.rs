@@ -234,7 +234,7 @@ pub(super) fn arm_evidence(
     }
     let taken_for_degrees = matches!(
         run.streams.get(joints_stream).and_then(|stream| stream.columns.as_ref()),
-        Some(Columns::Joints(joints)) if joints.taken_for_degrees
+        Some(Columns::Joints(joints)) if joints.converted_from_degrees
     );
     ArmEvidence {
         name: arm.name.clone(),

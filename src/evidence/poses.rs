@@ -4,7 +4,7 @@ use crate::diagnosis::{
     EstimateResult, ImuDiagnosis, ImuResidualCheck, PoseDiagnosis, PoseEncoding, ResidualCheck,
     ToolSwitching,
 };
-use crate::geometry::{AngleUnit, Coding, Convention, LengthScale, Rotation};
+use crate::geometry::{AngleUnit, Convention, LengthScale, Rotation, RotationEncoding};
 use crate::log::RotationLabels;
 use crate::run::{Declaration, PoseSource, PoseSourceKind, Role, Run, Stream};
 use crate::stream::Columns;
@@ -105,7 +105,7 @@ pub(super) fn euler(
         _ => Some(reading.best.misinterpretation()?.is),
     });
     let said = declared.and_then(|declared| match declared.coding {
-        Coding::Three(convention) => Some(convention),
+        RotationEncoding::Three(convention) => Some(convention),
         _ => None,
     });
     let convention = told.or(said);

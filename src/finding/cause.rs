@@ -1,6 +1,8 @@
 //! Causes of faults, with the values that correct them.
 
-use crate::geometry::{AngleUnit, Axes, Coding, LengthScale, Pose, Rotation, RotationSlip, Slip};
+use crate::geometry::{
+    AngleUnit, Axes, LengthScale, Misread, Pose, Rotation, RotationEncoding, RotationError,
+};
 use crate::robot::DhConvention;
 use crate::stats::Measured;
 
@@ -50,20 +52,20 @@ pub enum Cause {
     /// The latency is not constant.
     UnsteadyLatency,
     /// Misinterpreted rotations or inverted poses.
-    Rotation(RotationSlip),
+    Rotation(RotationError),
     /// Encoding that was inferred for bare numbers without a declaration.
     Bare {
         /// Encoding of the rotations.
-        coding: Coding,
+        coding: RotationEncoding,
         /// Unit of the positions.
         length: LengthScale,
         /// Unit of the angles.
         angle: AngleUnit,
     },
     /// Angles in a different unit from the one assumed.
-    AngleUnit(Slip<AngleUnit>),
+    AngleUnit(Misread<AngleUnit>),
     /// Positions in a different unit from the one assumed.
-    LengthUnit(Slip<LengthScale>),
+    LengthUnit(Misread<LengthScale>),
     /// Positions or rotations whose axes are not x forward, y left, z up.
     Axes {
         /// Axes of the positions.

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::read::{Word, number, word};
 use super::unit::Unit;
-use crate::stats::{Length, Measured};
+use crate::stats::{Measured, MeasuredLength};
 use crate::time::Stamp;
 
 /// An estimated value or a misinterpretation, as specified by the contract's table of estimates.
@@ -144,8 +144,8 @@ impl Estimate {
     }
 
     /// An estimate of a length, which cannot be negative.
-    pub fn length(name: &'static str, unit: Unit, length: &Length) -> Self {
-        let Length { norm, .. } = length;
+    pub fn length(name: &'static str, unit: Unit, length: &MeasuredLength) -> Self {
+        let MeasuredLength { norm, .. } = length;
         let ci95 = unit.interval95(norm).map(|ends| ends.map(|end| end.max(0.0)));
         let (value, unit) = (norm.value, unit.symbol());
         Estimate::Amount { name, value, unit, ci95, change: None, joint: JointRelation::default() }

@@ -20,7 +20,7 @@ use super::sources::path_of;
 use super::store::Store;
 use super::task::{Answer, Task};
 use crate::Options;
-use crate::boundary::forget_staged;
+use crate::boundary::delete_staged_files;
 
 /// Resource limits per log.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -246,7 +246,7 @@ pub fn serve(options: &Options, store: &Store, paged: bool) -> io::Result<()> {
     let (sender, orders) = channel();
     thread::spawn(move || {
         lines.map_while(Result::ok).map_while(|line| sender.send(line).ok()).for_each(drop);
-        forget_staged();
+        delete_staged_files();
         std::process::exit(1);
     });
     for order in orders {

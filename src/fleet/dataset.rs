@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::sources::Source;
 use crate::Options;
-use crate::boundary::caught;
+use crate::boundary::catch_panic;
 use crate::log::{self, SourceName, dataset_of, episode_of, is_store, is_table, is_url};
 use crate::report::Trouble;
 use crate::robot::catalogue;
@@ -75,7 +75,7 @@ pub fn learnt(path: &Path, options: &Options) -> Option<Shared> {
         let robot = robot.filter(|name| catalogue::find(name).is_some());
         Ok(Shared { from: vec![from], robot, columns })
     };
-    caught(learn).ok()?.ok()
+    catch_panic(learn).ok()?.ok()
 }
 
 /// Combines the results of several logs: the arm if all agree, and the columns if all conclusive ones

@@ -8,7 +8,7 @@ use polars::prelude::PolarsError;
 
 use super::store::{LogRows, Row, Status, Store, StoreError, Tables, found};
 use super::task::{Answer, Task};
-use crate::boundary::caught;
+use crate::boundary::catch_panic;
 use crate::finding::Severity;
 use crate::report::{Report, Trouble, TroubleKind, html, write_whole};
 use crate::{Audited, Options, audit};
@@ -27,7 +27,7 @@ pub fn settle(
     let mut options = options.clone();
     options.policy.fail_on = Some(Severity::Warning);
     let pictured = |it: Audited| if paged { it.with_figures() } else { it };
-    let audited = caught(|| audit(&options).map(|audited| pictured(audited).into_report()));
+    let audited = catch_panic(|| audit(&options).map(|audited| pictured(audited).into_report()));
     let ((answer, tables), trouble) = match audited {
         Ok(Ok(report)) => {
             if paged {

@@ -16,7 +16,7 @@ use tempfile::TempPath;
 ///
 /// # Errors
 /// If it panics: the first line of the panic message with its source location.
-pub fn caught<T>(work: impl FnOnce() -> T) -> Result<T, String> {
+pub fn catch_panic<T>(work: impl FnOnce() -> T) -> Result<T, String> {
     let said = Arc::new(Mutex::new(None));
     let before = panic::take_hook();
     let hears = Arc::clone(&said);
@@ -44,9 +44,9 @@ static STAGED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
 /// Temporary file, deleted when dropped or when the process is interrupted, unless it was renamed.
 #[derive(Debug)]
-pub struct Staged(TempPath);
+pub struct StagedFile(TempPath);
 
-impl Staged {
+impl StagedFile {
     /// Creates the file with `make`.
     ///
     /// # Errors
@@ -60,7 +60,7 @@ impl Staged {
     }
 }
 
-impl Deref for Staged {
+impl Deref for StagedFile {
     type Target = Path;
 
     fn deref(&self) -> &Path {
@@ -68,7 +68,7 @@ impl Deref for Staged {
     }
 }
 
-impl Drop for Staged {
+impl Drop for StagedFile {
     fn drop(&mut self) {
         let mut all = STAGED.lock().unwrap_or_else(PoisonError::into_inner);
         all.retain(|path| *path != *self.0);
@@ -76,7 +76,7 @@ impl Drop for Staged {
 }
 
 /// Deletes the temporary files before the process exits. The lock is kept, so no more can be created.
-pub fn forget_staged() {
+pub fn delete_staged_files() {
     let all = STAGED.lock().unwrap_or_else(PoisonError::into_inner);
     // Files that were renamed are complete and stay.
     all.iter().for_each(|path| drop(fs::remove_file(path)));
@@ -86,10 +86,10 @@ pub fn forget_staged() {
 /// Global allocator that uses the system's. If an allocation fails, it prints one line and exits with
 /// status 70; the standard library would abort with a trace.
 #[derive(Debug)]
-pub struct Memory;
+pub struct ReportingAllocator;
 
 // SAFETY: forwards every call to the system allocator; only null results are intercepted.
-unsafe impl GlobalAlloc for Memory {
+unsafe impl GlobalAlloc for ReportingAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         // SAFETY: the caller upholds the contract of `alloc`.
         given(unsafe { System.alloc(layout) }, layout.size())
@@ -147,18 +147,18 @@ mod tests {
     #[test]
     fn a_panic_is_told_in_one_line_with_its_place() {
         let _alone = HOOK.lock().unwrap_or_else(PoisonError::into_inner);
-        let told = caught(|| -> u32 { panic!("index {} is out of bounds\nmore", 7) });
+        let told = catch_panic(|| -> u32 { panic!("index {} is out of bounds\nmore", 7) });
         let told = told.expect_err("a panic");
         assert!(told.starts_with("index 7 is out of bounds ("), "{told}");
         assert!(told.contains("boundary.rs:") && !told.contains('\n'), "{told}");
-        assert_eq!(caught(|| 3), Ok(3));
+        assert_eq!(catch_panic(|| 3), Ok(3));
     }
 
     #[test]
     fn a_panic_of_another_thread_that_work_waits_for_is_told_as_the_first_one_said() {
         let _alone = HOOK.lock().unwrap_or_else(PoisonError::into_inner);
         let work = || rayon::join(|| panic!("of a worker"), || 1);
-        let told = caught(work).expect_err("a panic");
+        let told = catch_panic(work).expect_err("a panic");
         assert!(told.starts_with("of a worker (") && told.contains("boundary.rs:"), "{told}");
     }
 }

@@ -18,7 +18,7 @@ use super::sniff::Kind;
 use super::tables::{self, Tables};
 use super::unpack::{Allowance, Unpacked};
 use super::{LogError, RemoteFault, mcap, remote, rosbag1, rosbag2, rtde, sniff, unpack};
-use ground::boundary::Staged;
+use ground::boundary::StagedFile;
 
 /// Reads the files, rosbag2 folders and store objects (by URL) of one run, in any mix of formats. Rows of
 /// the same topic and type are appended in the order given.
@@ -199,7 +199,7 @@ impl Reading<'_> {
     }
 
     /// Reads the `bytes` of a file, a temporary one if `named`.
-    fn whole(&mut self, bytes: &[u8], named: Option<Staged>) -> Result<LogFile, LogError> {
+    fn whole(&mut self, bytes: &[u8], named: Option<StagedFile>) -> Result<LogFile, LogError> {
         let (path, size) = (self.path, bytes.len() as u64);
         self.size = size;
         self.intake.begin_file(path, size);
@@ -237,7 +237,7 @@ impl Reading<'_> {
         &mut self,
         kind: Kind,
         bytes: &[u8],
-        named: Option<Staged>,
+        named: Option<StagedFile>,
     ) -> Result<(Container, Crc), LogError> {
         match named {
             None => self.content(kind, self.path, bytes, || ()),

@@ -20,7 +20,7 @@ use super::losses::Losses;
 use super::tables;
 use super::topic::{Message, Place};
 use super::{Extent, ReadOptions};
-use ground::stream::{Columns, JointColumn, JointColumns, Times, usable};
+use ground::stream::{Columns, JointColumn, JointColumns, Times, is_usable};
 use ground::time;
 
 /// Joints of every UR arm, in controller order.
@@ -444,7 +444,7 @@ impl Samples {
             })
             .collect();
         for row in self.rows(JOINTS.len()) {
-            let unusable = (0..JOINTS.len()).filter(|&joint| !usable(row[joint]));
+            let unusable = (0..JOINTS.len()).filter(|&joint| !is_usable(row[joint]));
             unusable.for_each(|joint| joints.drop_value(joint));
         }
         joints
@@ -463,7 +463,7 @@ impl Samples {
 
 /// `value`, or NaN if it is unusable.
 fn finite(value: f64) -> f64 {
-    if usable(value) { value } else { f64::NAN }
+    if is_usable(value) { value } else { f64::NAN }
 }
 
 /// Names of unused columns in order, with the parts of a vector combined.

@@ -5,7 +5,7 @@
 
 use std::io::{self, Read, Seek, Write};
 
-use ground::boundary::Staged;
+use ground::boundary::StagedFile;
 
 use super::Extent;
 use super::mapped::{Temporary, temporary};
@@ -317,7 +317,7 @@ pub(super) struct Unpacked {
     pub(super) file: Temporary,
     /// Path, if it has a name, because SQLite opens files by name only. An unnamed file disappears however
     /// the process ends.
-    pub(super) path: Option<Staged>,
+    pub(super) path: Option<StagedFile>,
 }
 
 impl Unpacked {
@@ -335,7 +335,7 @@ impl Unpacked {
     /// Empty file with a name.
     #[cfg(not(target_arch = "wasm32"))]
     fn named() -> io::Result<Self> {
-        let path = Staged::new(|| Ok(tempfile::NamedTempFile::new()?.into_temp_path()))?;
+        let path = StagedFile::new(|| Ok(tempfile::NamedTempFile::new()?.into_temp_path()))?;
         let file = Temporary::options().read(true).write(true).open(&*path)?;
         Ok(Self { file, path: Some(path) })
     }

@@ -2,7 +2,7 @@ use std::fs::{self, Permissions};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use crate::boundary::Staged;
+use crate::boundary::StagedFile;
 
 /// Calls `write` with a temporary file and moves it to `path` when it is complete, so an interruption keeps
 /// the old file. Creates the parent folders. Writes directly to a path that is not a regular file, such as
@@ -31,7 +31,7 @@ pub fn write_whole<E: From<io::Error>>(
     if let Some(permissions) = of_old.or_else(permissions) {
         beside.permissions(permissions);
     }
-    let staged = Staged::new(|| Ok(beside.tempfile_in(folder)?.into_temp_path()))?;
+    let staged = StagedFile::new(|| Ok(beside.tempfile_in(folder)?.into_temp_path()))?;
     write(&staged)?;
     fs::rename(&*staged, &path)?;
     Ok(())

@@ -124,7 +124,7 @@ pub(crate) fn streams(run: &Run) -> Vec<StreamRow> {
         end_ns: stream.end,
         columns: selectors(&stream.cells),
         joint_lines: match &stream.columns {
-            Some(Columns::Joints(joints)) => joints.lines.clone(),
+            Some(Columns::Joints(joints)) => joints.conversions.clone(),
             _ => Vec::new(),
         },
     });

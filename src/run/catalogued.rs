@@ -146,14 +146,14 @@ pub(super) fn from_catalogue(
             .filter(|other| {
                 other.names.is_complete() && other.names.joints == found[0].names.joints
             })
-            .filter(|other| other.names.strangeness == found[0].names.strangeness)
+            .filter(|other| other.names.unknown_prefix_chars == found[0].names.unknown_prefix_chars)
             .filter_map(|candidate| Some((candidate.renamed()?, &candidate.names.to_prefix)))
             .map(|(robot, prefix)| Model::new(robot, String::new(), prefix, clues))
             .collect();
         if equals.is_empty() {
             return Ok(models);
         }
-        let is_stranger = found[0].names.strangeness > 0;
+        let is_stranger = found[0].names.unknown_prefix_chars > 0;
         match the_one_of(equals, is_stranger, judges)
             .or_else(|error| by_type(&found, clues).ok_or(error))
         {

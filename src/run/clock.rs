@@ -78,7 +78,7 @@ impl StreamClock {
     pub fn rows_of(&self, times: &Times) -> impl Iterator<Item = (Stamp, usize)> {
         let offset = self.alignment.map_or(0, |alignment| alignment.offset_nanos);
         let may_be_unset = self.clock == Clock::Header;
-        let rows = times.on(self.clock).iter().zip(0..);
+        let rows = times.nanos_on(self.clock).iter().zip(0..);
         rows.filter(move |(nanos, _)| !may_be_unset || **nanos != 0)
             .filter(|(nanos, _)| self.near.contains(*nanos))
             .map(move |(nanos, row)| (Stamp::from_nanos(nanos.saturating_add(offset)), row))
@@ -87,7 +87,7 @@ impl StreamClock {
     /// Stamp of one row. `None` if it has no stamp on the stream's clock, or the row does not exist.
     pub fn stamp_of(&self, times: &Times, row: usize) -> Option<Stamp> {
         let offset = self.alignment.map_or(0, |alignment| alignment.offset_nanos);
-        let nanos = *times.on(self.clock).get(row)?;
+        let nanos = *times.nanos_on(self.clock).get(row)?;
         let set = self.clock != Clock::Header || nanos != 0;
         let set = set && self.near.contains(&nanos);
         set.then(|| Stamp::from_nanos(nanos.saturating_add(offset)))
@@ -138,7 +138,7 @@ impl Source<'_> {
 
     /// Times on `clock`, without rows that have no stamp.
     fn nanos(&self, clock: Clock) -> impl Iterator<Item = i64> {
-        let nanos = self.times.iter().flat_map(move |times| times.on(clock)).copied();
+        let nanos = self.times.iter().flat_map(move |times| times.nanos_on(clock)).copied();
         nanos.filter(move |nanos| clock != Clock::Header || *nanos != 0)
     }
 
@@ -168,7 +168,7 @@ impl Source<'_> {
     fn delay(&self, clock: Clock) -> Option<Delay> {
         /// Maximum number of rows for the estimate.
         const ENOUGH: usize = 100_000;
-        let rows = self.times.iter().flat_map(|times| times.log.iter().zip(times.on(clock)));
+        let rows = self.times.iter().flat_map(|times| times.log.iter().zip(times.nanos_on(clock)));
         let rows = rows.step_by(self.rows().div_ceil(ENOUGH).max(1));
         let stamped = rows.filter(|(_, stamp)| clock != Clock::Header || **stamp != 0);
         Delay::of(stamped.map(|(log, stamp)| log.saturating_sub(*stamp)).collect())

@@ -3,7 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use crate::geometry::{AngleUnit, Coding, ConventionError, LengthScale, UnitError, Units, vendors};
+use crate::geometry::{
+    AngleUnit, ConventionError, LengthScale, RotationEncoding, UnitError, Units, vendors,
+};
 use crate::robot::Robot;
 use crate::stream::Columns;
 
@@ -100,7 +102,7 @@ pub struct Declaration {
     /// Source of the declaration, for error messages.
     pub place: String,
     /// Encoding of rotations.
-    pub coding: Coding,
+    pub coding: RotationEncoding,
     /// Unit of positions: metres or millimetres.
     pub length: LengthScale,
     /// Unit of angles.
@@ -166,11 +168,11 @@ impl FromStr for Declaration {
                 return Err(DeclarationError::Matrix(name.to_owned()));
             }
             Some(vendor) => vendor.coding,
-            None => Coding::declared(name)?,
+            None => RotationEncoding::from_declared_name(name)?,
         };
         let mut units = Units::default();
         for word in words {
-            units.take(word).map_err(|error| match error {
+            units.set_symbol(word).map_err(|error| match error {
                 UnitError::Unknown => DeclarationError::Unit(word.to_owned()),
                 UnitError::Contradiction => DeclarationError::Contradiction(word.to_owned()),
             })?;
@@ -195,7 +197,7 @@ mod tests {
     fn a_declaration_names_topic_convention_and_units() {
         let declared: Declaration = "/tcp=euler:ZYX,deg,mm".parse().unwrap();
         assert_eq!(declared.topic, "/tcp");
-        assert_eq!(declared.coding, Coding::Three("euler:ZYX".parse().unwrap()));
+        assert_eq!(declared.coding, RotationEncoding::Three("euler:ZYX".parse().unwrap()));
         let (mm, degrees) = (LengthScale::MILLIMETRE, AngleUnit::Degree);
         assert_eq!((declared.length, declared.angle), (mm, degrees));
         let kuka: Declaration = "/tcp=kuka".parse().unwrap();
@@ -203,7 +205,7 @@ mod tests {
         let in_metres: Declaration = "/tcp=kuka,m".parse().unwrap();
         assert_eq!((in_metres.length, in_metres.angle), (LengthScale::METRE, degrees));
         let quaternion: Declaration = "/tcp=quat:wxyz".parse().unwrap();
-        assert_eq!(quaternion.coding, Coding::Wxyz);
+        assert_eq!(quaternion.coding, RotationEncoding::Wxyz);
     }
 
     #[test]

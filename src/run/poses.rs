@@ -1,7 +1,8 @@
 //! Converts columns of poses, arrays and IMU data to tracks.
 
 use crate::geometry::{
-    AngleUnit, Coding, Pose, Rotation, Vec3, rotation_from_matrix_rows, rotation_from_xyzw,
+    AngleUnit, Pose, Rotation, RotationEncoding, Vec3, rotation_from_matrix_rows,
+    rotation_from_xyzw,
 };
 use crate::stream::{
     ArrayColumns, DeclaredUnits, ImuColumns, ImuTrack, Orientations, PoseColumns, PoseTrack,
@@ -71,7 +72,7 @@ pub(super) fn from_poses(
     declared: Option<&Declaration>,
     origin: Stamp,
 ) -> Result<Stamped<PoseTrack>, String> {
-    if declared.is_some_and(|declared| matches!(declared.coding, Coding::Three(_))) {
+    if declared.is_some_and(|declared| matches!(declared.coding, RotationEncoding::Three(_))) {
         return Err("the topic contains quaternions, not three rotation numbers".to_owned());
     }
     let scale = unit_m(declared);
@@ -125,7 +126,9 @@ fn read_array(
                 [row[3], row[4], row[5]]
             });
             let (orientation, declared) = match declared {
-                Some(&Declaration { coding: Coding::Three(convention), angle, .. }) => {
+                Some(&Declaration {
+                    coding: RotationEncoding::Three(convention), angle, ..
+                }) => {
                     let in_unit = |unit: AngleUnit| -> Vec<Rotation> {
                         let radians = |n: [f64; 3]| n.map(|n| n * unit.in_rad());
                         numbers.clone().map(|n| convention.rotation(radians(n))).collect()
@@ -175,7 +178,7 @@ fn with_units(mut track: Stamped<PoseTrack>, declared: Option<&Declaration>) -> 
 
 fn as_xyzw(logged: [f64; 4], declared: Option<&Declaration>) -> [f64; 4] {
     match declared.map(|declared| declared.coding) {
-        Some(Coding::Wxyz) => [logged[1], logged[2], logged[3], logged[0]],
+        Some(RotationEncoding::Wxyz) => [logged[1], logged[2], logged[3], logged[0]],
         _ => logged,
     }
 }

@@ -52,7 +52,7 @@ pub(super) fn restore(streams: &mut [Stream], clock: Clock) -> Vec<RoundedStamps
         for piece in 0..columns.times().len() {
             let times = columns.times()[piece];
             let column = stamped_by(times, clock);
-            let raw = times.on(column);
+            let raw = times.nanos_on(column);
             let restored = match known.iter().position(|(of, _)| of == raw) {
                 Some(group) => (group, known[group].1.clone()),
                 None => {

@@ -30,7 +30,7 @@ use mcap::records::MessageHeader;
 use mcap::{Compression, McapError, WriteOptions};
 use nalgebra::Matrix3;
 
-use crate::geometry::{Convention, Misreading, Pose, Vec3, pose, rotation_from_rotvec};
+use crate::geometry::{Convention, Misinterpretation, Pose, Vec3, pose, rotation_from_rotvec};
 use crate::robot::{ChainError, Robot, catalogue};
 use crate::time::Stamp;
 
@@ -394,7 +394,7 @@ fn add_channel<W: Write + Seek>(
 pub fn demo() -> Scenario {
     let mut run = Scenario::ur5e();
     run.pose.coding =
-        Coding::Misread(Misreading { is: Convention::RotVec, read_as: Convention::RPY });
+        Coding::Misread(Misinterpretation { is: Convention::RotVec, read_as: Convention::RPY });
     run.pose.timing.latency_s = 0.022;
     run.joints.zero_offsets = vec![0.0, 0.5_f64.to_radians()];
     run.imu.yaw_drift_rad_s = 3.0_f64.to_radians() / 60.0;

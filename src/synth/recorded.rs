@@ -3,7 +3,7 @@
 use nalgebra::Matrix3;
 
 use super::structure::{Fold, SecondPublisher, ToolSlip};
-use crate::geometry::{Convention, Misreading, Pose, QuaternionSlip, Vec3};
+use crate::geometry::{Convention, Misinterpretation, Pose, QuaternionOrderError, Vec3};
 
 /// Timing of a stream's messages.
 #[derive(Debug, Clone, PartialEq)]
@@ -181,9 +181,9 @@ pub enum Coding {
     #[default]
     Faithful,
     /// The rotation was converted to three numbers, which were interpreted in another convention.
-    Misread(Misreading),
+    Misread(Misinterpretation),
     /// The quaternion components were used in the wrong order.
-    Slipped(QuaternionSlip),
+    Slipped(QuaternionOrderError),
     /// The rotation is transposed, the position is not.
     Transposed,
     /// The whole pose is inverted.

@@ -9,8 +9,8 @@ use super::{
     Coding, IMU_FRAME, ImuStream, JointStream, PoseStream, Scenario, Timing, ToolSlip, urdf_text,
 };
 use crate::geometry::{
-    Pose, QuaternionSlip, Rotation, Vec3, pose, rotation_from_matrix_rows, rotation_from_rotvec,
-    xyz_of, xyzw_from_rotation,
+    Pose, QuaternionOrderError, Rotation, Vec3, pose, rotation_from_matrix_rows,
+    rotation_from_rotvec, xyz_of, xyzw_from_rotation,
 };
 use crate::robot::{Joint, JointKind, Robot};
 use crate::time::Stamp;
@@ -454,10 +454,10 @@ impl Coding {
             Self::Slipped(slip) => {
                 // The inverse of one slip is the other.
                 let other = match slip {
-                    QuaternionSlip::WxyzReadAsXyzw => QuaternionSlip::XyzwReadAsWxyz,
-                    QuaternionSlip::XyzwReadAsWxyz => QuaternionSlip::WxyzReadAsXyzw,
+                    QuaternionOrderError::WxyzReadAsXyzw => QuaternionOrderError::XyzwReadAsWxyz,
+                    QuaternionOrderError::XyzwReadAsWxyz => QuaternionOrderError::WxyzReadAsXyzw,
                 };
-                (*pose, other.truth(xyzw_from_rotation(&pose.rotation)))
+                (*pose, other.true_xyzw(xyzw_from_rotation(&pose.rotation)))
             }
             Self::Transposed => (*pose, xyzw_from_rotation(&pose.rotation.inverse())),
             Self::Inverted => {

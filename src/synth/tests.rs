@@ -9,7 +9,7 @@ use std::io::Cursor;
 
 use super::*;
 use crate::geometry::{
-    QuaternionSlip, Rotation, angle_between, pose, rotation_from_rpy, rotation_from_xyzw,
+    QuaternionOrderError, Rotation, angle_between, pose, rotation_from_rpy, rotation_from_xyzw,
     rotvec_from_rotation,
 };
 use crate::time::seconds;
@@ -371,14 +371,14 @@ fn what_was_coded_can_be_undone() {
     let truth_xyzw = |coding: Coding| coding.logged(&base_from_tip).xyzw;
     let rotation_of = |xyzw| rotation_from_xyzw(xyzw).unwrap();
 
-    let reading = Misreading { is: Convention::RotVec, read_as: Convention::RPY };
+    let reading = Misinterpretation { is: Convention::RotVec, read_as: Convention::RPY };
     let numbers = Convention::RPY.numbers(&rotation_of(truth_xyzw(Coding::Misread(reading))));
     let mut shown = Vec::new();
-    reading.truths(&Convention::RPY.rotation(numbers), &mut shown);
+    reading.true_rotations(&Convention::RPY.rotation(numbers), &mut shown);
     assert!(shown.iter().any(|found| angle_between(found, &base_from_tip.rotation) < 1e-9));
 
-    for slip in [QuaternionSlip::WxyzReadAsXyzw, QuaternionSlip::XyzwReadAsWxyz] {
-        let undone = rotation_of(slip.truth(truth_xyzw(Coding::Slipped(slip))));
+    for slip in [QuaternionOrderError::WxyzReadAsXyzw, QuaternionOrderError::XyzwReadAsWxyz] {
+        let undone = rotation_of(slip.true_xyzw(truth_xyzw(Coding::Slipped(slip))));
         assert!(angle_between(&undone, &base_from_tip.rotation) < 1e-12);
     }
 

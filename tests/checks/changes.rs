@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 
 use poseaudit::finding::{Estimate, Finding};
 use poseaudit::geometry::{
-    Pose, QuaternionSlip, Vec3, pose, rotation_from_rotvec, rotation_from_xyzw,
+    Pose, QuaternionOrderError, Vec3, pose, rotation_from_rotvec, rotation_from_xyzw,
 };
 use poseaudit::report::{Report, Verdict};
 use poseaudit::synth::{Coding, JOINT_STATES, POSE, ToolSlip};
@@ -143,7 +143,7 @@ fn a_clock_that_runs_fast_does_so_beside_a_unit_that_changes() {
 fn a_unit_that_changes_does_so_beside_components_that_are_in_the_wrong_order() {
     let report = Log::with(|log| {
         log.run.tf.timing.rate_hz = 0.0;
-        log.run.pose.coding = Coding::Slipped(QuaternionSlip::WxyzReadAsXyzw);
+        log.run.pose.coding = Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw);
         log.edit = Some(|messages| in_millimetres_later(messages));
     })
     .audited();

@@ -1,6 +1,6 @@
 //! Combined faults: each is found as if it were alone.
 
-use poseaudit::geometry::QuaternionSlip;
+use poseaudit::geometry::QuaternionOrderError;
 use poseaudit::report::Report;
 use poseaudit::robot::catalogue;
 use poseaudit::synth::{self, Coding, IMU, JOINT_STATES, POSE, Scenario};
@@ -106,7 +106,7 @@ fn neighbouring_joint_zeros() {
 #[test]
 fn a_quaternion_slip_and_a_latency() {
     let report = Log::with(|log| {
-        log.run.pose.coding = Coding::Slipped(QuaternionSlip::WxyzReadAsXyzw);
+        log.run.pose.coding = Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw);
         log.run.pose.timing.latency_s = 0.015;
     })
     .audited();

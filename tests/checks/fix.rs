@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 
 use poseaudit::finding::Finding;
-use poseaudit::geometry::{Pose, QuaternionSlip};
+use poseaudit::geometry::{Pose, QuaternionOrderError};
 use poseaudit::report::Report;
 use poseaudit::robot::Robot;
 use poseaudit::synth::{self, Camera, Coding, IMU, JOINT_STATES, POSE, TF, urdf_text};
@@ -107,15 +107,15 @@ fn misread_rotations_are_mended() {
 #[test]
 fn quaternions_and_inverses_are_mended() {
     for (code, coding) in [
-        ("ORD002", Coding::Slipped(QuaternionSlip::WxyzReadAsXyzw)),
-        ("ORD002", Coding::Slipped(QuaternionSlip::XyzwReadAsWxyz)),
+        ("ORD002", Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw)),
+        ("ORD002", Coding::Slipped(QuaternionOrderError::XyzwReadAsWxyz)),
         ("ORD003", Coding::Inverted),
         ("ORD003", Coding::Transposed),
     ] {
         Loop::of(|log| log.run.pose.coding = coding).assert_mends(&[code], &[]);
     }
     let both = Loop::of(|log| {
-        log.run.pose.coding = Coding::Slipped(QuaternionSlip::WxyzReadAsXyzw);
+        log.run.pose.coding = Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw);
         log.run.pose.inverted = true;
     });
     both.assert_mends(&["ORD002", "ORD003"], &[]);

@@ -1,7 +1,7 @@
 //! HEC: hand-eye calibration.
 
 use poseaudit::finding::{Finding, Status};
-use poseaudit::geometry::{Pose, QuaternionSlip, Vec3, pose, rotation_from_rotvec};
+use poseaudit::geometry::{Pose, QuaternionOrderError, Vec3, pose, rotation_from_rotvec};
 use poseaudit::report::Report;
 use poseaudit::synth::{Camera, Coding, Motion, Swapped, TARGET, TF};
 
@@ -41,7 +41,7 @@ cases! {
     } => error(Topic(TARGET), ResidualBetween(0.002, 0.5));
     HEC001 a_target_with_its_scalar_first: |log| {
         watched(log, Camera::InBase);
-        log.run.target.coding = Coding::Slipped(QuaternionSlip::WxyzReadAsXyzw);
+        log.run.target.coding = Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw);
     } => error(Topic(TARGET), ResidualBetween(0.002, 1.0));
     HEC001 a_misread_target: |log| {
         watched(log, Camera::InHand);

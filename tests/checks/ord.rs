@@ -6,7 +6,8 @@ use std::path::Path;
 
 use poseaudit::finding::{CheckRow, Severity, Status};
 use poseaudit::geometry::{
-    Axes, Convention, Misreading, QuaternionSlip, rotation_from_xyzw, xyzw_from_rotation,
+    Axes, Convention, Misinterpretation, QuaternionOrderError, rotation_from_xyzw,
+    xyzw_from_rotation,
 };
 use poseaudit::report::Report;
 use poseaudit::synth::{Coding, IMU, JOINT_STATES, Motion, POSE};
@@ -45,7 +46,7 @@ cases! {
     } => Sound;
 
     ORD001 a_quaternion_slip_is_no_convention: |log| {
-        log.run.pose.coding = Coding::Slipped(QuaternionSlip::WxyzReadAsXyzw);
+        log.run.pose.coding = Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw);
     } => BlamedOn("ORD002");
     ORD001 a_transpose_is_no_convention: |log| log.run.pose.coding = Coding::Transposed
         => BlamedOn("ORD003");
@@ -62,13 +63,13 @@ cases! {
     } => Skipped("no");
 
     ORD002 w_first_read_as_w_last: |log| {
-        log.run.pose.coding = Coding::Slipped(QuaternionSlip::WxyzReadAsXyzw);
+        log.run.pose.coding = Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw);
     } => error(Topic(POSE), ReadAs("quat:wxyz", "quat:xyzw"));
     ORD002 w_last_read_as_w_first: |log| {
-        log.run.pose.coding = Coding::Slipped(QuaternionSlip::XyzwReadAsWxyz);
+        log.run.pose.coding = Coding::Slipped(QuaternionOrderError::XyzwReadAsWxyz);
     } => error(Topic(POSE), ReadAs("quat:xyzw", "quat:wxyz"));
     ORD002 an_imu_with_w_first: |log| {
-        log.run.imu.coding = Coding::Slipped(QuaternionSlip::WxyzReadAsXyzw);
+        log.run.imu.coding = Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw);
     } => error(Topic(IMU), ReadAs("quat:wxyz", "quat:xyzw"));
     ORD002 quaternions_of_either_sign_are_sound: |log| log.edit = Some(|messages| turn_signs(messages)) => Sound;
     ORD002 a_misread_rotation_is_no_slip: |log| log.run.pose.coding = misread_as_rpy()
@@ -92,7 +93,7 @@ cases! {
         log.run.pose.coding = misread("euler:ZYX", "euler:xyz");
     } => BlamedOn("ORD001");
     ORD003 a_quaternion_slip_is_no_inverse: |log| {
-        log.run.pose.coding = Coding::Slipped(QuaternionSlip::XyzwReadAsWxyz);
+        log.run.pose.coding = Coding::Slipped(QuaternionOrderError::XyzwReadAsWxyz);
     } => BlamedOn("ORD002");
     ORD003 a_tool_is_no_inverse: |log| log.run.pose.tip_from_stream = crate::checks::frm::tool()
         => BlamedOn("FRM003");
@@ -299,7 +300,7 @@ cases! {
 #[test]
 fn an_inverse_pose_is_found_together_with_a_reading() {
     for (coding, code, is, read_as) in [
-        (Coding::Slipped(QuaternionSlip::WxyzReadAsXyzw), "ORD002", "quat:wxyz", "quat:xyzw"),
+        (Coding::Slipped(QuaternionOrderError::WxyzReadAsXyzw), "ORD002", "quat:wxyz", "quat:xyzw"),
         (misread_as_rpy(), "ORD001", "rotvec", "euler:xyz"),
     ] {
         let report = Log::with(|log| {
@@ -440,11 +441,11 @@ fn at_rest_a_reading_passes_only_where_no_frame_can_make_up_for_it() {
 
 pub fn misread(is: &str, read_as: &str) -> Coding {
     let convention = |name: &str| name.parse().expect("a convention's name");
-    Coding::Misread(Misreading { is: convention(is), read_as: convention(read_as) })
+    Coding::Misread(Misinterpretation { is: convention(is), read_as: convention(read_as) })
 }
 
 pub fn misread_as_rpy() -> Coding {
-    Coding::Misread(Misreading { is: Convention::RotVec, read_as: Convention::RPY })
+    Coding::Misread(Misinterpretation { is: Convention::RotVec, read_as: Convention::RPY })
 }
 
 /// Axes by name.
@@ -461,7 +462,7 @@ pub fn in_axes(messages: &mut [Message], positions: &str, rotations: &str) {
     edit_poses(messages, |xyz, xyzw| {
         let rotation = rotation_from_xyzw(xyzw).expect("a rotation");
         let own = xyzw_from_rotation(&(turn * rotation * turn.inverse()));
-        (positions.of(xyz.into()).into(), own)
+        (positions.convert_from_standard(xyz.into()).into(), own)
     });
 }
 

@@ -1,6 +1,6 @@
 use crate::checks::decision::{DEGREE, Threshold, decide_length, unseen};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{Length, UpDirections};
+use crate::diagnosis::{MeasuredLength, UpDirections};
 use crate::evidence::{ImuEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 
@@ -110,7 +110,7 @@ fn world(up: &UpDirections) -> Option<(&'static str, String, String)> {
     ))
 }
 
-fn fault(tilt: &Length, up: Option<&UpDirections>, severity: Severity) -> Fault {
+fn fault(tilt: &MeasuredLength, up: Option<&UpDirections>, severity: Severity) -> Fault {
     let shown = THRESHOLD.unit.show_measured(&tilt.norm);
     if let Some((title, message, fix)) = up.and_then(world) {
         return Fault {

@@ -1,6 +1,6 @@
 use crate::checks::decision::{DEGREE, Decision, Threshold, decide_length, unseen};
 use crate::checks::{Case, Grade, Judged};
-use crate::diagnosis::{ImuMountChange, Length};
+use crate::diagnosis::{ImuMountChange, MeasuredLength};
 use crate::evidence::{ImuEvidence, StreamEvidence};
 use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
 use crate::geometry::{Rotation, Vec3, angle_between, xyzw_from_rotation};
@@ -263,7 +263,7 @@ fn slipped(
 }
 
 fn fault(
-    mount: &Length,
+    mount: &MeasuredLength,
     imu: &StreamEvidence<ImuEvidence>,
     found: Option<Rotation>,
     severity: Severity,

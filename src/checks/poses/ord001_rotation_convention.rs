@@ -2,7 +2,7 @@ use crate::checks::reading::{self, Kind, Wording, read_as, read_as_misreading, w
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{EncodingEstimate, PoseEncoding};
 use crate::finding::{Estimate, RunnerUp, Severity, Unit};
-use crate::geometry::{Convention, Misreading, RotationSlip};
+use crate::geometry::{Convention, Misinterpretation, RotationError};
 
 rule! {
     /// Rotation numbers of one convention are read as another.
@@ -66,7 +66,7 @@ fn word(estimate: &EncodingEstimate) -> Option<Wording> {
         what: format!("{} read as {}", words(named.is), words(named.read_as)),
         once: format!("read as {}", words(named.is)),
         fix: fix(named),
-        slip: RotationSlip::Misread(*named),
+        slip: RotationError::Misread(*named),
         estimate: Estimate::Convention {
             name: "convention",
             is: named.is.to_string(),
@@ -78,7 +78,7 @@ fn word(estimate: &EncodingEstimate) -> Option<Wording> {
 }
 
 /// The SciPy call to write and the one to replace.
-fn fix(Misreading { is, read_as }: &Misreading) -> String {
+fn fix(Misinterpretation { is, read_as }: &Misinterpretation) -> String {
     let by_axis = |convention: &Convention| {
         *convention == Convention::RotVec || convention.to_string().ends_with("@axes")
     };
@@ -105,7 +105,7 @@ mod tests {
     use crate::geometry::ConventionError;
 
     fn fix_of(is: &str, read_as: &str) -> Result<String, ConventionError> {
-        Ok(fix(&Misreading { is: is.parse()?, read_as: read_as.parse()? }))
+        Ok(fix(&Misinterpretation { is: is.parse()?, read_as: read_as.parse()? }))
     }
 
     #[test]

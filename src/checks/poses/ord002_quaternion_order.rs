@@ -2,7 +2,7 @@ use crate::checks::reading::{self, Kind, Wording, quaternion_orders};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{EncodingEstimate, PoseEncoding};
 use crate::finding::{Estimate, Severity};
-use crate::geometry::{QuaternionSlip, RotationSlip};
+use crate::geometry::{QuaternionOrderError, RotationError};
 
 rule! {
     /// Quaternion components are in the wrong order.
@@ -45,12 +45,12 @@ fn word(estimate: &EncodingEstimate) -> Option<Wording> {
     let PoseEncoding::QuaternionOrder(slip) = estimate.best else { return None };
     let (is, read_as) = quaternion_orders(slip);
     let (right, wrong, fix) = match slip {
-        QuaternionSlip::WxyzReadAsXyzw => (
+        QuaternionOrderError::WxyzReadAsXyzw => (
             "w, x, y, z",
             "x, y, z, w",
             "fill the fields by name: x = q[1], y = q[2], z = q[3], w = q[0]",
         ),
-        QuaternionSlip::XyzwReadAsWxyz => (
+        QuaternionOrderError::XyzwReadAsWxyz => (
             "x, y, z, w",
             "w, x, y, z",
             "fill the fields by name: x = q[0], y = q[1], z = q[2], w = q[3]",
@@ -61,7 +61,7 @@ fn word(estimate: &EncodingEstimate) -> Option<Wording> {
         what: format!("quaternion {right} read as {wrong}"),
         once: format!("read as {right}"),
         fix: fix.to_owned(),
-        slip: RotationSlip::Quaternion(slip),
+        slip: RotationError::Quaternion(slip),
         estimate: Estimate::slip("quaternion order", is, read_as),
     })
 }

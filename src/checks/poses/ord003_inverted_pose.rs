@@ -2,7 +2,7 @@ use crate::checks::reading::{self, Kind, Wording};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{EncodingEstimate, PoseDiagnosis, PoseEncoding};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
-use crate::geometry::{RotationSlip, Slip};
+use crate::geometry::{Misread, RotationError};
 
 rule! {
     /// A rotation or a whole pose is inverted.
@@ -49,15 +49,15 @@ fn check(case: &Case) -> Vec<Judged> {
         if let Some(row) = judged.iter_mut().find(|row| row.subject == stream.subject) {
             *row = stream
                 .judged(Outcome::faulty(by_positions(&stream.diagnosis)))
-                .estimated(direction(RotationSlip::Inverted));
+                .estimated(direction(RotationError::Inverted));
         }
     }
     judged
 }
 
 /// Estimate for a transposed rotation or an inverted pose.
-fn direction(slip: RotationSlip) -> Estimate {
-    let Slip { is, read_as } = slip.into();
+fn direction(slip: RotationError) -> Estimate {
+    let Misread { is, read_as } = slip.into();
     Estimate::slip("direction", is, read_as)
 }
 
@@ -67,7 +67,7 @@ fn by_positions(found: &PoseDiagnosis) -> Fault {
         .map(|left| left.unwrap_or_default());
     Fault {
         severity: Severity::Error,
-        cause: Cause::Rotation(RotationSlip::Inverted),
+        cause: Cause::Rotation(RotationError::Inverted),
         title: "pose is inverted",
         message: format!(
             "positions are those of the inverse pose, {} off as logged",
@@ -92,13 +92,13 @@ fn word(estimate: &EncodingEstimate) -> Option<Wording> {
             "pose is inverted",
             "the pose is inverted relative to its frame names",
             EXCHANGE,
-            RotationSlip::Inverted,
+            RotationError::Inverted,
         ),
         PoseEncoding::Transposed => (
             "rotation is transposed",
             "the rotation is transposed relative to its frame names",
             "invert the rotation where it is written; read a column-major matrix by columns",
-            RotationSlip::Transposed,
+            RotationError::Transposed,
         ),
         _ => return None,
     };

@@ -3,7 +3,7 @@ use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{JointUnit, UnitResiduals};
 use crate::evidence::{ArmEvidence, ImuEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Subject, Unit};
-use crate::geometry::{AngleUnit, Slip};
+use crate::geometry::{AngleUnit, Misread};
 
 rule! {
     /// Degrees published as radians, or vice versa.
@@ -119,11 +119,11 @@ enum Taken {
 
 impl Taken {
     /// The actual and the assumed unit, if they differ.
-    fn slip(self) -> Slip<AngleUnit> {
+    fn slip(self) -> Misread<AngleUnit> {
         let (degrees, radians) = (AngleUnit::Degree, AngleUnit::Radian);
         match self {
-            Self::Declared(AngleUnit::Degree) => Slip { is: radians, read_as: degrees },
-            Self::Logged | Self::Declared(_) => Slip { is: degrees, read_as: radians },
+            Self::Declared(AngleUnit::Degree) => Misread { is: radians, read_as: degrees },
+            Self::Logged | Self::Declared(_) => Misread { is: degrees, read_as: radians },
         }
     }
 }

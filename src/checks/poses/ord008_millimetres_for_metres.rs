@@ -3,7 +3,7 @@ use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{AccelUnitError, JointUnit, LengthUnitError};
 use crate::evidence::{ArmEvidence, ImuEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit, rounded};
-use crate::geometry::{LengthScale, Slip};
+use crate::geometry::{LengthScale, Misread};
 
 rule! {
     /// Millimetres, or another unit, published as metres, or vice versa.
@@ -167,7 +167,7 @@ fn fault(stream: &StreamEvidence<PoseEvidence>, slip: &LengthUnitError) -> Fault
         [slip.residual.as_logged, slip.residual.corrected].map(|left| Unit::Metre.show(left));
     Fault {
         severity: Severity::Error,
-        cause: Cause::LengthUnit(Slip { is: slip.is, read_as: slip.read_as }),
+        cause: Cause::LengthUnit(Misread { is: slip.is, read_as: slip.read_as }),
         title,
         message: format!("{what}, {before} off as logged"),
         evidence: Evidence {

@@ -2,7 +2,7 @@ use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::PoseEncoding;
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Subject, Unit};
-use crate::geometry::{Coding, Convention, QuaternionSlip, vendors};
+use crate::geometry::{Convention, QuaternionOrderError, RotationEncoding, vendors};
 use crate::log::{Note, RotationLabels};
 
 rule! {
@@ -87,9 +87,11 @@ fn judge_labels(arm: &ArmEvidence, pose: &StreamEvidence<PoseEvidence>) -> Optio
     }
     let named = codings(labels, &arm.name);
     let coding = |reading: &PoseEncoding| match reading {
-        PoseEncoding::Numbers(convention) => Some(Coding::Three(*convention)),
-        PoseEncoding::QuaternionOrder(QuaternionSlip::WxyzReadAsXyzw) => Some(Coding::Wxyz),
-        PoseEncoding::AsLogged => Some(Coding::Xyzw),
+        PoseEncoding::Numbers(convention) => Some(RotationEncoding::Three(*convention)),
+        PoseEncoding::QuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw) => {
+            Some(RotationEncoding::Wxyz)
+        }
+        PoseEncoding::AsLogged => Some(RotationEncoding::Xyzw),
         _ => None,
     };
     let best = coding(&reading.best)?;
@@ -102,7 +104,7 @@ fn judge_labels(arm: &ArmEvidence, pose: &StreamEvidence<PoseEvidence>) -> Optio
     let outcome = match fits {
         true => Outcome::sound(),
         false => {
-            let said = named.first().map_or_else(String::new, Coding::to_string);
+            let said = named.first().map_or_else(String::new, RotationEncoding::to_string);
             let message = format!(
                 "rotation columns are named {} ({said}), but they follow the arm only as {best}",
                 words(labels)
@@ -114,12 +116,12 @@ fn judge_labels(arm: &ArmEvidence, pose: &StreamEvidence<PoseEvidence>) -> Optio
 }
 
 /// The encodings that the names may denote, the most common first.
-fn codings(labels: RotationLabels, arm: &str) -> Vec<Coding> {
+fn codings(labels: RotationLabels, arm: &str) -> Vec<RotationEncoding> {
     let is_of = |maker: &str| arm.to_lowercase().contains(maker);
     // `vendors.toml`: manufacturers whose A, B, C differ from KUKA's.
     let makers: &[&str] = match labels {
-        RotationLabels::Quaternion => return vec![Coding::Xyzw],
-        RotationLabels::RotationVector => return vec![Coding::Three(Convention::RotVec)],
+        RotationLabels::Quaternion => return vec![RotationEncoding::Xyzw],
+        RotationLabels::RotationVector => return vec![RotationEncoding::Three(Convention::RotVec)],
         RotationLabels::RollPitchYaw => &["xarm"],
         RotationLabels::Wpr => &["fanuc"],
         RotationLabels::Oat => &["kawasaki"],

@@ -71,7 +71,7 @@ fn length_slip(
     }
     let declared = stream.track.declared.as_ref();
     let read_as = declared.map_or(LengthScale::METRE, |declared| declared.length);
-    let is = LengthScale::of(prepared.metres * read_as.in_m());
+    let is = LengthScale::from_m(prepared.metres * read_as.in_m());
     let residual = residual.as_ref().ok();
     let corrected = residual.map_or(0.0, |residual| residual.rms_m);
     let as_logged = residual.map_or(0.0, |residual| residual.before_m);
@@ -88,7 +88,8 @@ fn constant_parts(
     let coordinates = ['x', 'y', 'z'].into_iter().enumerate();
     let constant = coordinates.filter(|&(axis, _)| prepared.constant[axis]);
     let part = |(axis, coordinate): (usize, char)| {
-        let along = aligned.fk.iter().map(|fk| axes.of(fk.translation.vector)[axis]);
+        let along =
+            aligned.fk.iter().map(|fk| axes.convert_from_standard(fk.translation.vector)[axis]);
         let (low, high) = along
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high): (f64, f64), value| {
                 (value.min(low), value.max(high))

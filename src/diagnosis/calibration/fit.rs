@@ -241,14 +241,14 @@ impl CalibrationSystem<'_> {
     fn links_at(&self, state: &CalibrationState) -> Robot {
         let deviations = self.parameters.deviations(state.values.as_slice());
         let deviations: Vec<Pose> = deviations.iter().map(|twist| pose_of_twist(twist)).collect();
-        self.robot.deviated(self.path, &deviations, &[])
+        self.robot.with_deviations(self.path, &deviations, &[])
     }
 
     /// Robot with the link deviations and zeros of `state`.
     fn robot_at(&self, state: &CalibrationState) -> Robot {
         let deviations = self.parameters.deviations(state.values.as_slice());
         let deviations: Vec<Pose> = deviations.iter().map(|twist| pose_of_twist(twist)).collect();
-        self.robot.deviated(self.path, &deviations, &self.zeros(state))
+        self.robot.with_deviations(self.path, &deviations, &self.zeros(state))
     }
 
     /// Zero of each joint of the chain.

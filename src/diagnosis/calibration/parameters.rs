@@ -55,7 +55,7 @@ impl CalibrationParameters {
             .map(|stream| FreeStreamParameters {
                 latency: stream.latency_is_free,
                 reference: stream.reference_is_free,
-                tool: stream.tool_is_free || !path.carries(joints),
+                tool: stream.tool_is_free || !path.can_deviate(joints),
             })
             .collect();
         let mut links = Vec::new();
@@ -65,7 +65,7 @@ impl CalibrationParameters {
                 _ if link == joints => own.iter().any(|own| !own.tool),
                 _ => true,
             };
-            if !is_seen || !path.carries(link) {
+            if !is_seen || !path.can_deviate(link) {
                 continue;
             }
             for turns in [false, true] {

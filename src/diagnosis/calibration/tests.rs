@@ -60,7 +60,7 @@ impl Case {
                 pose_of_twist(&twist)
             })
             .collect();
-        let truth = drawing.deviated(&path, &deviations, &[]);
+        let truth = drawing.with_deviations(&path, &deviations, &[]);
         let mut joints = JointTrack { dof: 6, ..Default::default() };
         let at = |joint: usize, t_s: f64| {
             let (rate, phase) = (0.37 + 0.171 * joint as f64, 1.3 * joint as f64);
@@ -213,7 +213,7 @@ fn spread_at(case: &Case, found: &ArmCalibration, q: &[f64]) -> [f64; 3] {
             (0..3).for_each(|axis| all[one.link][first + axis] += one.direction[axis] * value);
         }
         let deviations: Vec<Pose> = all.iter().map(|twist| pose_of_twist(twist)).collect();
-        let robot = case.drawing.deviated(&path, &deviations, &[]);
+        let robot = case.drawing.with_deviations(&path, &deviations, &[]);
         robot.chain(case.base, case.tip).expect("a chain").forward(q).translation.vector
     };
     let middle = at(&found.values);

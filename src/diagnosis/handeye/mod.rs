@@ -25,7 +25,7 @@ mod stretch;
 use super::latency::{self, LagPeak, SpeedSeries};
 use super::{EstimateResult, FrameEstimate, NotObservable};
 use ground::geometry::{Pose, Vec3, angle_between, rotvec_from_rotation};
-use ground::stats::{Length, Measured};
+use ground::stats::{Measured, MeasuredLength};
 
 use closure::closure;
 use diversity::diversity;
@@ -360,7 +360,7 @@ fn mount_error(streams: &HandEyeStreams, solution: &HandEyeSolution) -> Option<F
         errors
             .iter()
             .all(|error| error.is_finite())
-            .then(|| Length::of(&vector, &covariance, camera.distance_m.dof))
+            .then(|| MeasuredLength::estimate(&vector, &covariance, camera.distance_m.dof))
     };
     // The errors are given in the axes of the estimated camera. The difference from the logged axes is
     // small for any deviation of interest.

@@ -9,8 +9,8 @@ use super::start::{angle_gap, quick_start};
 use super::stretch::{TargetScaleError, stretch};
 use super::{CameraMount, FIT_POSES, HandEyeSolution, HandEyeStreams, solve};
 use ground::geometry::{
-    MisreadingClass, Pose, QuaternionSlip, Rotation, misreading_classes, pose, rotation_from_xyzw,
-    xyzw_from_rotation,
+    MisinterpretationClass, Pose, QuaternionOrderError, Rotation, misinterpretation_classes, pose,
+    rotation_from_xyzw, xyzw_from_rotation,
 };
 
 /// Encoding of a target's poses with which the chain closes.
@@ -24,9 +24,9 @@ pub enum TargetEncoding {
     /// Rotations are transposed, positions are not.
     Transposed,
     /// Quaternion components are in another order.
-    QuaternionOrder(QuaternionSlip),
+    QuaternionOrder(QuaternionOrderError),
     /// Rotation numbers of one convention were interpreted in another.
-    Misread(&'static MisreadingClass),
+    Misread(&'static MisinterpretationClass),
     /// Positions are scaled.
     Stretched(TargetScaleError),
 }
@@ -63,12 +63,12 @@ impl TargetEncoding {
             Self::Axes(axes) => pose(axes.map(|(from, sign)| sign * xyz[from]), rotation),
             Self::Transposed => pose(xyz.into(), rotation.inverse()),
             Self::QuaternionOrder(slip) => {
-                let meant = rotation_from_xyzw(slip.truth(xyzw_from_rotation(&rotation)));
+                let meant = rotation_from_xyzw(slip.true_xyzw(xyzw_from_rotation(&rotation)));
                 pose(xyz.into(), meant.unwrap_or(rotation))
             }
             Self::Misread(class) => {
                 if let Some(misreading) = class.members.first() {
-                    misreading.truths(&rotation, truths);
+                    misreading.true_rotations(&rotation, truths);
                 }
                 pose(xyz.into(), truths.first().copied().unwrap_or(rotation))
             }
@@ -188,13 +188,13 @@ fn candidates(streams: &HandEyeStreams, lag_s: f64) -> Vec<TargetEncoding> {
     if as_logged < ALIKE {
         let mut same_angles = vec![
             TargetEncoding::Transposed,
-            TargetEncoding::QuaternionOrder(QuaternionSlip::WxyzReadAsXyzw),
-            TargetEncoding::QuaternionOrder(QuaternionSlip::XyzwReadAsWxyz),
+            TargetEncoding::QuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw),
+            TargetEncoding::QuaternionOrder(QuaternionOrderError::XyzwReadAsWxyz),
         ];
         same_angles.extend(axes().map(TargetEncoding::Axes));
         return same_angles;
     }
-    let mut gaps: Vec<(f64, TargetEncoding)> = misreading_classes()
+    let mut gaps: Vec<(f64, TargetEncoding)> = misinterpretation_classes()
         .iter()
         .map(TargetEncoding::Misread)
         .map(|reading| (gap(reading), reading))

@@ -4,7 +4,7 @@ use super::ImuConventions;
 use crate::{EncodingEstimate, EstimateResult, LatencyProfile, LatencyRamp, NotObservable};
 use ground::geometry::{Pose, Rotation, Vec3};
 use ground::robot::Chain;
-use ground::stats::{Length, Measured};
+use ground::stats::{Measured, MeasuredLength};
 use ground::stream::ImuTrack;
 
 /// Input of the IMU estimators.
@@ -30,7 +30,7 @@ pub struct GyroBias {
     /// In the sensor's frame, rad/s.
     pub vector_rad_s: Vec3,
     /// Its length, rad/s.
-    pub length_rad_s: Length,
+    pub length_rad_s: MeasuredLength,
     /// Drift of yaw integrated from this gyro, about the base's z, rad/s.
     pub yaw_rate_rad_s: f64,
     /// Scale and misalignment, if significant. They are not included in the bias.
@@ -49,7 +49,7 @@ pub struct GyroBiasChange {
     /// Final bias, in the sensor's frame, rad/s.
     pub after_rad_s: Vec3,
     /// Length of their difference, rad/s.
-    pub size_rad_s: Length,
+    pub size_rad_s: MeasuredLength,
 }
 
 /// Time profile of a gyro bias.
@@ -75,7 +75,7 @@ pub struct GyroAxesRotation {
     /// Rotation from the gyro's axes to those of the orientation.
     pub imu_from_gyro: Rotation,
     /// Its angle, rad.
-    pub size_rad: Length,
+    pub size_rad: MeasuredLength,
     /// Whether the accelerometer shares the gyro's axes and not the orientation's.
     pub with_accel: bool,
 }
@@ -99,7 +99,7 @@ pub struct ImuMountChange {
     /// `link_from_imu` after the change.
     pub link_from_imu: Rotation,
     /// Angle of the change, rad.
-    pub size_rad: Length,
+    pub size_rad: MeasuredLength,
 }
 
 /// Yaw error that depends on the heading: hard and soft iron.
@@ -169,7 +169,7 @@ pub struct ImuDiagnosis {
     /// Yaw error apart from the drift.
     pub yaw_course: YawProfile,
     /// Rotation error of the logged `link_from_imu`, rad.
-    pub mount_rad: EstimateResult<Length>,
+    pub mount_rad: EstimateResult<MeasuredLength>,
     /// Estimated `link_from_imu`; the initial one if it changes.
     pub link_from_imu: Option<Rotation>,
     /// Rotation between the axes of the gyro and of the orientation, if both follow the arm and it is
@@ -180,7 +180,7 @@ pub struct ImuDiagnosis {
     /// Units, saturation and handedness. All other estimates use the corrected measurements.
     pub numbers: ImuConventions,
     /// Angle between gravity by the accelerometer and the vertical of the orientation, rad.
-    pub tilt_rad: EstimateResult<Length>,
+    pub tilt_rad: EstimateResult<MeasuredLength>,
     /// Direction opposite to gravity while the arm rests.
     pub up: Option<UpDirections>,
     /// Constant part of (gyro − FK rate).

@@ -21,7 +21,7 @@ use super::{
     turned_noise,
 };
 use ground::geometry::{Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
-use ground::stats::Length;
+use ground::stats::MeasuredLength;
 use ground::stream::sample_noise;
 use nalgebra::{DMatrix, DVector, Matrix3};
 use std::ops::RangeInclusive;
@@ -49,7 +49,7 @@ pub(super) struct GyroFit {
     pub delay: Delay,
     pub bias: EstimateResult<GyroBias>,
     pub latency_course: EstimateResult<LatencyProfile>,
-    pub mount_rad: EstimateResult<Length>,
+    pub mount_rad: EstimateResult<MeasuredLength>,
     pub link_from_imu: Rotation,
     pub mount_change: Option<ImuMountChange>,
     solved: Solved,
@@ -394,7 +394,7 @@ impl<'a> GyroModel<'a> {
         Ok(GyroBias { vector_rad_s, length_rad_s, yaw_rate_rad_s, shape, change })
     }
 
-    fn mount(&self, solved: &Solved) -> EstimateResult<Length> {
+    fn mount(&self, solved: &Solved) -> EstimateResult<MeasuredLength> {
         let known = self.link.stream.link_from_imu;
         let known = known.ok_or(NotObservable::NoFrame)?;
         let error = rotvec_from_rotation(&(known.rotation.inverse() * self.link_from_imu));

@@ -25,7 +25,7 @@ use super::{
 };
 use forms::YawTerm;
 use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
-use ground::stats::Length;
+use ground::stats::MeasuredLength;
 use nalgebra::{DMatrix, DVector, Matrix3};
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -47,7 +47,7 @@ pub(super) struct OrientationFit {
     pub drift_rad_s: EstimateResult<Measured>,
     pub course: YawProfile,
     pub latency_course: EstimateResult<LatencyProfile>,
-    pub mount_rad: EstimateResult<Length>,
+    pub mount_rad: EstimateResult<MeasuredLength>,
     pub link_from_imu: Rotation,
     pub mount_change: Option<ImuMountChange>,
     pub yaw_error: Vec<(f64, f64)>,
@@ -256,7 +256,7 @@ struct Jump {
 struct Settled<'a> {
     model: OrientationModel<'a>,
     solved: Solved,
-    mount_rad: EstimateResult<Length>,
+    mount_rad: EstimateResult<MeasuredLength>,
     skew: EstimateResult<Measured>,
 }
 
@@ -313,7 +313,7 @@ impl<'a> OrientationModel<'a> {
     }
 
     /// Error of the logged mount.
-    fn mount(&self, solved: &Solved) -> EstimateResult<Length> {
+    fn mount(&self, solved: &Solved) -> EstimateResult<MeasuredLength> {
         let known = self.link.stream.link_from_imu.ok_or(NotObservable::NoFrame)?;
         let error = rotvec_from_rotation(&(known.rotation.inverse() * self.link_from_imu));
         let mount: Vec<usize> = Self::MOUNT.collect();

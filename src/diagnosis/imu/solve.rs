@@ -5,7 +5,7 @@ use super::super::robust::{pseudo_inverse, sandwich};
 use super::super::{EstimateResult, Measured, NotObservable};
 use super::MOUNT_CHANCE;
 use ground::geometry::Vec3;
-use ground::stats::{Length, joint_p_value};
+use ground::stats::{MeasuredLength, joint_p_value};
 use nalgebra::{DMatrix, DVector};
 
 /// Parametric model.
@@ -201,8 +201,8 @@ impl Solved {
     }
 
     /// Length of a vector of parameters.
-    pub fn length(&self, parameters: &[usize], vector: &[f64]) -> EstimateResult<Length> {
-        Ok(Length::of(vector, &self.block(parameters)?, self.dof))
+    pub fn length(&self, parameters: &[usize], vector: &[f64]) -> EstimateResult<MeasuredLength> {
+        Ok(MeasuredLength::estimate(vector, &self.block(parameters)?, self.dof))
     }
 
     /// Length of the sum of two vectors of parameters, `sum`.
@@ -211,13 +211,13 @@ impl Solved {
         one: &[usize],
         other: &[usize],
         sum: &[f64],
-    ) -> EstimateResult<Length> {
+    ) -> EstimateResult<MeasuredLength> {
         let n = one.len();
         let both = self.block(&[one, other].concat())?;
         let covariance = DMatrix::from_fn(n, n, |i, j| {
             both[(i, j)] + both[(i, n + j)] + both[(n + i, j)] + both[(n + i, n + j)]
         });
-        Ok(Length::of(sum, &covariance, self.dof))
+        Ok(MeasuredLength::estimate(sum, &covariance, self.dof))
     }
 
     /// Tests whether the parameters `vector` differ from zero at the significance level `chance`.
@@ -228,7 +228,11 @@ impl Solved {
     }
 
     /// Length of the observable component of a vector of parameters: a lower bound on the vector's length.
-    pub fn least_length(&self, parameters: &[usize], vector: &[f64]) -> EstimateResult<Length> {
+    pub fn least_length(
+        &self,
+        parameters: &[usize],
+        vector: &[f64],
+    ) -> EstimateResult<MeasuredLength> {
         let n = parameters.len();
         let mut held = DMatrix::zeros(n, n);
         for direction in &self.held {
@@ -243,12 +247,16 @@ impl Solved {
         let basis = eigen.eigenvectors.select_columns(&excited);
         let covariance = basis.tr_mul(&self.covariance_of(parameters)?) * &basis;
         let part = basis.tr_mul(&DVector::from_column_slice(vector));
-        Ok(Length::of(part.as_slice(), &covariance, self.dof))
+        Ok(MeasuredLength::estimate(part.as_slice(), &covariance, self.dof))
     }
 
     /// Length of a mount's error. If the motion shows only a part of it, that part is returned if it is
     /// significant; to pass, the whole error must be observable.
-    pub fn mount_error(&self, parameters: &[usize], error: &[f64]) -> EstimateResult<Length> {
+    pub fn mount_error(
+        &self,
+        parameters: &[usize],
+        error: &[f64],
+    ) -> EstimateResult<MeasuredLength> {
         let least = || self.least_length(parameters, error).ok();
         self.length(parameters, error)
             .or_else(|why| least().filter(|length| length.p_value < MOUNT_CHANCE).ok_or(why))

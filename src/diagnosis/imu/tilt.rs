@@ -4,7 +4,7 @@ use super::super::{EstimateResult, NotObservable};
 use super::Link;
 use super::found::UpDirections;
 use ground::geometry::{Rotation, Vec3};
-use ground::stats::Length;
+use ground::stats::MeasuredLength;
 use nalgebra::DMatrix;
 
 /// Margin before and after a sample at rest, s.
@@ -52,7 +52,7 @@ impl Link<'_> {
     }
 
     /// Tilt of the IMU against gravity, from samples at rest.
-    pub(super) fn tilt(&self, lag_s: f64) -> EstimateResult<Length> {
+    pub(super) fn tilt(&self, lag_s: f64) -> EstimateResult<MeasuredLength> {
         let track = self.stream.track;
         if track.orientation.is_empty() {
             return Err(NotObservable::NoOrientation);
@@ -70,7 +70,7 @@ impl Link<'_> {
 
 /// Angle between the vertical and the mean specific force at rest, rotated to the world by the logged
 /// orientation. The standard error comes from the spread over blocks.
-fn tilt(forces: &[Vec3]) -> EstimateResult<Length> {
+fn tilt(forces: &[Vec3]) -> EstimateResult<MeasuredLength> {
     let n = forces.len();
     if n < NEED {
         return Err(NotObservable::NeverRests);
@@ -89,7 +89,7 @@ fn tilt(forces: &[Vec3]) -> EstimateResult<Length> {
     let per_sine = if sideways > 0.0 { sideways.atan2(mean.z) / sideways } else { 0.0 };
     let lean = [mean.x * per_sine, mean.y * per_sine];
     let covariance = DMatrix::from_diagonal_element(2, 2, variance);
-    Ok(Length::of(&lean, &covariance, degrees))
+    Ok(MeasuredLength::estimate(&lean, &covariance, degrees))
 }
 
 #[cfg(test)]

@@ -401,7 +401,7 @@ pub(super) fn corrected(
 ) -> JointTrack {
     let mut track = joints.clone();
     if reading.degrees.is_some() {
-        track.take_for_degrees(prismatic);
+        track.convert_from_degrees(prismatic);
     }
     if let Some((permutation, _)) = &reading.permutation {
         let named = track.clone();

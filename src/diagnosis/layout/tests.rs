@@ -40,7 +40,8 @@ fn any_unit_is_found_in_any_axes_and_inverted() {
             if inverted && k > 0 {
                 continue;
             }
-            let logged: Vec<Vec3> = xyz(logged).iter().map(|p| axes.of(*p) / unit).collect();
+            let logged: Vec<Vec3> =
+                xyz(logged).iter().map(|p| axes.convert_from_standard(*p) / unit).collect();
             let found = first(&fk, &logged, true, None);
             assert!((found.metres / unit - 1.0).abs() < 1e-9, "{axes} {unit}: {found:?}");
             assert_eq!(found.inverted, inverted, "{axes} {unit}");
@@ -57,7 +58,8 @@ fn a_world_that_nobody_knows_may_be_mirrored_or_scaled_but_not_turned() {
     let turned = xyz(fk.iter().map(|fk| world * fk));
     let found = first(&fk, &turned, false, None);
     assert!(found.is_sound() && found.left_m < 1e-4, "{found:?}");
-    let mirrored: Vec<Vec3> = turned.iter().map(|p| Axes::UNITY.of(*p) * 100.0).collect();
+    let mirrored: Vec<Vec3> =
+        turned.iter().map(|p| Axes::UNITY.convert_from_standard(*p) * 100.0).collect();
     let found = first(&fk, &mirrored, false, None);
     assert!(found.is_mirrored() && !found.inverted, "{found:?}");
     assert!((found.metres - 0.01).abs() < 1e-12, "{found:?}");

@@ -2,7 +2,7 @@
 
 use super::line::CommandedLine;
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
-use ground::stats::{Length, Measured};
+use ground::stats::{Measured, MeasuredLength};
 
 /// Difference between a command and the pose in which the arm came to rest.
 #[derive(Clone, Debug)]
@@ -16,9 +16,9 @@ pub struct RestError {
     /// Mean of the measured `base_from_tip`.
     pub measured: Pose,
     /// Distance between the two, m.
-    pub distance_m: Length,
+    pub distance_m: MeasuredLength,
     /// Angle between the two, rad.
-    pub angle_rad: Length,
+    pub angle_rad: MeasuredLength,
     /// For each commanded joint, its column and its error `q_measured − q_commanded`, rad or m.
     pub joints: Vec<(usize, Measured)>,
 }

@@ -9,7 +9,7 @@
 use std::f64::consts::{PI, TAU};
 
 use super::rest::{Hold, LEAST_S, Rest, mean_pose};
-use super::{Length, MeasuredPoses, length_of, of_mean};
+use super::{MeasuredLength, MeasuredPoses, length_of, of_mean};
 use crate::PoseSeries;
 use ground::geometry::{
     Convention, Pose, Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation,
@@ -45,10 +45,10 @@ pub struct CommandedLine {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LineDeviation {
     /// Largest distance, beyond noise, from the line through its own end points, m.
-    pub distance_m: Length,
+    pub distance_m: MeasuredLength,
     /// Largest angle, beyond noise, from the slerp between its own ends at the same fraction of the path,
     /// rad.
-    pub angle_rad: Length,
+    pub angle_rad: MeasuredLength,
 }
 
 /// Motion from one pose to another.
@@ -274,7 +274,7 @@ fn kept(
         });
         let longest = lengths.max_by(|a, b| a.norm.value.total_cmp(&b.norm.value))?;
         // Bonferroni correction for the maximum over the bins.
-        Some(Length { p_value: (longest.p_value * bins as f64).min(1.0), ..longest })
+        Some(MeasuredLength { p_value: (longest.p_value * bins as f64).min(1.0), ..longest })
     };
     Some(LineDeviation { distance_m: farthest(0)?, angle_rad: farthest(1)? })
 }

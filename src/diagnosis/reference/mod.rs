@@ -17,7 +17,7 @@ use super::noise::Noise;
 use super::{EstimateResult, NotObservable, PoseSeries};
 use ground::geometry::{Rotation, Vec3, angle_between, rotvec_from_rotation};
 use ground::robot::Chain;
-use ground::stats::{Length, Measured};
+use ground::stats::{Measured, MeasuredLength};
 use ground::stream::JointTrack;
 
 pub use line::{CommandedLine, LineDeviation};
@@ -305,11 +305,11 @@ fn of_mean(noise: &Noise, count: usize) -> f64 {
 }
 
 /// Length of `vector`, whose components all have this variance.
-fn length_of(vector: Vec3, variance: f64) -> Length {
+fn length_of(vector: Vec3, variance: f64) -> MeasuredLength {
     /// Squared noise floors: 1 µm and 1 µrad.
     const FLOOR: f64 = 1e-12;
     let covariance = nalgebra::DMatrix::identity(3, 3) * (variance + FLOOR);
-    Length::of(vector.as_slice(), &covariance, f64::INFINITY)
+    MeasuredLength::estimate(vector.as_slice(), &covariance, f64::INFINITY)
 }
 
 /// Difference between command and measured pose at rest. `None` if there are too few samples or the pose

@@ -59,7 +59,7 @@ impl Axes {
     }
 
     /// Converts a vector from standard components to these axes.
-    pub fn of(self, standard: Vec3) -> Vec3 {
+    pub fn convert_from_standard(self, standard: Vec3) -> Vec3 {
         Vec3::from_fn(|axis, _| {
             let part = standard[self.along[axis]];
             if self.reversed[axis] { -part } else { part }
@@ -67,7 +67,7 @@ impl Axes {
     }
 
     /// Converts a vector from these axes to standard components.
-    pub fn standard(self, own: Vec3) -> Vec3 {
+    pub fn to_standard(self, own: Vec3) -> Vec3 {
         let mut standard = Vec3::zeros();
         for axis in 0..3 {
             standard[self.along[axis]] = if self.reversed[axis] { -own[axis] } else { own[axis] };
@@ -79,7 +79,8 @@ impl Axes {
     /// axes, because reversing all axes does not change a rotation.
     pub fn conjugator(self) -> Rotation {
         let sign = if self.are_left_handed() { -1.0 } else { 1.0 };
-        let columns = [Vec3::x(), Vec3::y(), Vec3::z()].map(|unit| self.of(unit) * sign);
+        let columns =
+            [Vec3::x(), Vec3::y(), Vec3::z()].map(|unit| self.convert_from_standard(unit) * sign);
         let rows = [0, 1, 2].map(|row| columns.map(|column| column[row]));
         rotation_from_matrix_rows(rows).map_or_else(Rotation::identity, |(rotation, _)| rotation)
     }
@@ -95,9 +96,9 @@ impl Axes {
     }
 
     /// Converts a pose from standard axes; world and body both use these axes.
-    pub fn of_pose(self, standard: &Pose) -> Pose {
+    pub fn pose_from_standard(self, standard: &Pose) -> Pose {
         let turn = self.conjugator();
-        let xyz = self.of(standard.translation.vector);
+        let xyz = self.convert_from_standard(standard.translation.vector);
         Pose::from_parts(xyz.into(), turn * standard.rotation * turn.inverse())
     }
 
@@ -146,8 +147,8 @@ mod tests {
         assert_eq!(all.iter().filter(|axes| axes.are_left_handed()).count(), 24);
         let v = Vec3::new(1.0, -2.0, 3.0);
         for axes in all {
-            assert_eq!(axes.standard(axes.of(v)), v);
-            assert_eq!(axes.inverse().of(axes.of(v)), v);
+            assert_eq!(axes.to_standard(axes.convert_from_standard(v)), v);
+            assert_eq!(axes.inverse().convert_from_standard(axes.convert_from_standard(v)), v);
             assert_eq!(axes.to_string().parse(), Ok(*axes));
         }
     }
@@ -155,7 +156,10 @@ mod tests {
     #[test]
     fn unity_has_x_right_y_up_and_z_forward() {
         assert_eq!(Axes::UNITY.to_string(), "x right, y up, z forward (left-handed)");
-        assert_eq!(Axes::UNITY.of(Vec3::new(1.0, 2.0, 3.0)), Vec3::new(-2.0, 3.0, 1.0));
+        assert_eq!(
+            Axes::UNITY.convert_from_standard(Vec3::new(1.0, 2.0, 3.0)),
+            Vec3::new(-2.0, 3.0, 1.0)
+        );
         assert_eq!(Axes::UNITY.standard_names(false), ["z", "-x", "y"]);
         assert_eq!(Axes::UNITY.standard_names(true), ["-z", "x", "-y"]);
     }
@@ -167,7 +171,12 @@ mod tests {
         for axes in Axes::all() {
             let conjugator = axes.conjugator();
             let own = conjugator * rotation * conjugator.inverse();
-            assert!((own * axes.of(v) - axes.of(rotation * v)).norm() < 1e-12, "{axes}");
+            assert!(
+                (own * axes.convert_from_standard(v) - axes.convert_from_standard(rotation * v))
+                    .norm()
+                    < 1e-12,
+                "{axes}"
+            );
             // The names undo the conversion component by component.
             let names = axes.standard_names(true);
             let rotvec = rotvec_from_rotation(&own);

@@ -10,11 +10,11 @@
 
 mod axes;
 mod code;
-mod coding;
 mod convention;
 mod euler;
-mod reading;
+mod misinterpretation;
 mod rotation;
+mod rotation_encoding;
 mod units;
 pub mod vendors;
 
@@ -22,15 +22,18 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 
 pub use axes::Axes;
 pub use code::{CodeLine, code_of_numbers, code_of_quaternion};
-pub use coding::Coding;
 pub use convention::{Convention, ConventionError};
 pub use euler::EulerOrder;
-pub use reading::{Misreading, MisreadingClass, QuaternionSlip, RotationSlip, misreading_classes};
+pub use misinterpretation::{
+    Misinterpretation, MisinterpretationClass, QuaternionOrderError, RotationError,
+    misinterpretation_classes,
+};
 pub use rotation::{
     angle_between, rotation_from_matrix_rows, rotation_from_rotvec, rotation_from_rpy,
     rotation_from_xyzw, rotvec_from_rotation, xyzw_from_rotation,
 };
-pub use units::{AngleUnit, LengthScale, Slip, UnitError, Units};
+pub use rotation_encoding::RotationEncoding;
+pub use units::{AngleUnit, LengthScale, Misread, UnitError, Units};
 
 /// A rigid transform `a_from_b`; translation in metres.
 pub type Pose = Isometry3<f64>;

@@ -9,7 +9,7 @@ use std::str::FromStr;
 pub struct LengthScale(f64);
 
 /// Units of positions: metres per unit, symbol and name.
-const USUAL: [(f64, &str, &str); 10] = [
+const COMMON_LENGTH_UNITS: [(f64, &str, &str); 10] = [
     (1.0, "m", "metres"),
     (1e-3, "mm", "millimetres"),
     (1e-2, "cm", "centimetres"),
@@ -29,7 +29,7 @@ impl LengthScale {
     pub const MILLIMETRE: Self = Self(1e-3);
 
     /// Creates a unit from its length in metres.
-    pub fn of(metres: f64) -> Self {
+    pub fn from_m(metres: f64) -> Self {
         Self(metres)
     }
 
@@ -39,12 +39,12 @@ impl LengthScale {
     }
 
     /// The units of positions in common use.
-    pub fn usual() -> impl Iterator<Item = Self> {
-        USUAL.iter().map(|(metres, ..)| Self(*metres))
+    pub fn common() -> impl Iterator<Item = Self> {
+        COMMON_LENGTH_UNITS.iter().map(|(metres, ..)| Self(*metres))
     }
 
     fn entry(self) -> Option<&'static (f64, &'static str, &'static str)> {
-        USUAL.iter().find(|(metres, ..)| (self.0 / metres - 1.0).abs() < 1e-9)
+        COMMON_LENGTH_UNITS.iter().find(|(metres, ..)| (self.0 / metres - 1.0).abs() < 1e-9)
     }
 
     /// Name of the unit, such as `centimetres`; for an unnamed unit its length in metres.
@@ -77,11 +77,15 @@ impl FromStr for LengthScale {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let usual = USUAL.iter().find(|(_, symbol, _)| *symbol == text).map(|(metres, ..)| *metres);
+        let usual = COMMON_LENGTH_UNITS
+            .iter()
+            .find(|(_, symbol, _)| *symbol == text)
+            .map(|(metres, ..)| *metres);
         let metres = || text.strip_suffix(" m")?.parse().ok();
         let found: Option<f64> = usual.or_else(metres);
         found.filter(|metres| metres.is_finite() && *metres > 0.0).map(Self).ok_or_else(|| {
-            let symbols: Vec<&str> = USUAL.iter().map(|(_, symbol, _)| *symbol).collect();
+            let symbols: Vec<&str> =
+                COMMON_LENGTH_UNITS.iter().map(|(_, symbol, _)| *symbol).collect();
             format!("`{text}` is not a unit of length: use {}, or `0.0043 m`", symbols.join(", "))
         })
     }
@@ -162,21 +166,21 @@ impl AngleUnit {
 /// A value and the interpretation that was wrongly used for it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Slip<T> {
+pub struct Misread<T> {
     /// True interpretation.
     pub is: T,
     /// Interpretation that was used.
     pub read_as: T,
 }
 
-impl Slip<AngleUnit> {
+impl Misread<AngleUnit> {
     /// Factor that corrects the angles.
     pub fn factor(self) -> f64 {
         self.is.in_rad() / self.read_as.in_rad()
     }
 }
 
-impl Slip<LengthScale> {
+impl Misread<LengthScale> {
     /// Factor that corrects the lengths.
     pub fn factor(self) -> f64 {
         self.is.in_m() / self.read_as.in_m()
@@ -207,7 +211,7 @@ impl Units {
     ///
     /// # Errors
     /// If the symbol is not a unit, or contradicts an earlier one.
-    pub fn take(&mut self, symbol: &str) -> Result<(), UnitError> {
+    pub fn set_symbol(&mut self, symbol: &str) -> Result<(), UnitError> {
         let angle = AngleUnit::ALL.into_iter().find(|unit| unit.symbol() == symbol);
         let is_known = match (angle, symbol.parse()) {
             (Some(angle), _) => is_or_becomes(&mut self.angle, angle),
@@ -233,7 +237,7 @@ impl TryFrom<String> for Units {
     fn try_from(text: String) -> Result<Self, String> {
         let mut units = Self::default();
         for symbol in text.split(", ") {
-            units.take(symbol).map_err(|error| format!("unit `{symbol}`: {error:?}"))?;
+            units.set_symbol(symbol).map_err(|error| format!("unit `{symbol}`: {error:?}"))?;
         }
         Ok(units)
     }
@@ -262,7 +266,7 @@ mod tests {
             (0.004_321, "0.004321 m", "numbers of 0.004321 m each"),
             (12.5, "12.50 m", "numbers of 12.50 m each"),
         ] {
-            let scale = LengthScale::of(metres);
+            let scale = LengthScale::from_m(metres);
             assert_eq!((scale.to_string().as_str(), scale.words().as_str()), (symbol, words));
             assert_eq!(symbol.parse(), Ok(scale));
         }

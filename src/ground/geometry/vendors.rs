@@ -4,19 +4,19 @@ use std::sync::LazyLock;
 
 use serde::{Deserialize, Deserializer};
 
-use super::{Coding, Convention, Units};
+use super::{Convention, RotationEncoding, Units};
 
 /// A vendor, library or format, with its rotation encoding.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Use {
+pub struct VendorUse {
     /// The vendor or library.
     pub who: String,
     /// The display, function or type.
     pub what: String,
     /// Encoding of the rotation.
     #[serde(rename = "convention")]
-    pub coding: Coding,
+    pub coding: RotationEncoding,
     /// Units, if determined.
     #[serde(default)]
     pub units: Units,
@@ -37,7 +37,7 @@ fn is_confirmed<'de, D: Deserializer<'de>>(from: D) -> Result<bool, D::Error> {
     String::deserialize(from).map(|grade| grade != "?")
 }
 
-impl Use {
+impl VendorUse {
     /// Whether a confirmed arm controller reports it.
     pub fn is_vendor(&self) -> bool {
         /// First library in the table; arm vendors precede it.
@@ -48,7 +48,7 @@ impl Use {
     }
 
     /// Describes the entry in a clause, for the reason of a stream's role.
-    pub fn said(&self) -> String {
+    pub fn description(&self) -> String {
         let Self { who, what, coding, units, .. } = self;
         let pose = self.pose.as_ref().map_or(String::new(), |pose| format!(": {pose}"));
         format!("of {who} ({what}, {coding}, {units}){pose}")
@@ -80,7 +80,7 @@ struct Naming {
 #[serde(deny_unknown_fields)]
 struct Facts {
     #[serde(rename = "use")]
-    uses: Vec<Use>,
+    uses: Vec<VendorUse>,
     naming: Vec<Naming>,
 }
 
@@ -89,7 +89,7 @@ static FACTS: LazyLock<Facts> = LazyLock::new(|| {
 });
 
 /// All entries, arm vendors first.
-pub fn uses() -> &'static [Use] {
+pub fn uses() -> &'static [VendorUse] {
     &FACTS.uses
 }
 
@@ -99,19 +99,19 @@ pub fn names() -> impl Iterator<Item = &'static str> {
 }
 
 /// Returns the vendor or format with this name, ignoring case.
-pub fn find(name: &str) -> Option<&'static Use> {
+pub fn find(name: &str) -> Option<&'static VendorUse> {
     let wanted = name.trim().to_lowercase();
     uses().iter().find(|entry| entry.id.as_ref() == Some(&wanted))
 }
 
 /// Returns the entries with this encoding.
-pub fn uses_of(coding: Coding) -> impl Iterator<Item = &'static Use> {
+pub fn uses_of(coding: RotationEncoding) -> impl Iterator<Item = &'static VendorUse> {
     uses().iter().filter(move |entry| entry.coding == coding)
 }
 
 /// Names of `coding` in libraries, if it is an Euler order with numbers in the order of the turns.
-pub fn library_names(coding: Coding) -> Vec<LibraryName> {
-    let Coding::Three(Convention::Euler(order)) = coding else { return Vec::new() };
+pub fn library_names(coding: RotationEncoding) -> Vec<LibraryName> {
+    let RotationEncoding::Three(Convention::Euler(order)) = coding else { return Vec::new() };
     if order.is_labelled_by_axis() {
         return Vec::new();
     }

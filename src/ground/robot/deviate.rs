@@ -19,15 +19,15 @@ pub struct LinkPath {
     pub slides: Vec<bool>,
     /// For each link, the index of the joint whose origin contains its deviation; `None` for a last link
     /// that is the tip.
-    carriers: Vec<Option<usize>>,
+    deviation_joints: Vec<Option<usize>>,
     /// Index of each moving joint.
     joints: Vec<usize>,
 }
 
 impl LinkPath {
     /// Whether the model can represent a deviation of link `index`.
-    pub fn carries(&self, index: usize) -> bool {
-        self.carriers.get(index).is_some_and(Option::is_some)
+    pub fn can_deviate(&self, index: usize) -> bool {
+        self.deviation_joints.get(index).is_some_and(Option::is_some)
     }
 }
 
@@ -46,7 +46,7 @@ impl Robot {
             links: vec![self.link_name(path[first].joint.parent).to_owned()],
             axes: Vec::new(),
             slides: Vec::new(),
-            carriers: vec![index_of(&path[first].joint.name)],
+            deviation_joints: vec![index_of(&path[first].joint.name)],
             joints: Vec::new(),
         };
         for (at, step) in path.iter().enumerate().filter(|(_, step)| moves(step.joint.kind)) {
@@ -59,7 +59,7 @@ impl Robot {
             links.slides.push(joint.kind == JointKind::Prismatic);
             links.joints.push(index_of(&joint.name)?);
             let next = path.get(at + 1).filter(|next| !next.upwards);
-            links.carriers.push(next.and_then(|next| index_of(&next.joint.name)));
+            links.deviation_joints.push(next.and_then(|next| index_of(&next.joint.name)));
         }
         Some(links)
     }
@@ -67,10 +67,10 @@ impl Robot {
     /// Returns a copy in which each link along `path` deviates by a pose in its own frame (m, rad), and in
     /// which the joint zeros are added to the model (`q_true = q_reported + zero`; rad or m). Deviations
     /// that the model cannot represent are ignored.
-    pub fn deviated(&self, path: &LinkPath, deviations: &[Pose], zeros: &[f64]) -> Robot {
+    pub fn with_deviations(&self, path: &LinkPath, deviations: &[Pose], zeros: &[f64]) -> Robot {
         let mut origins: Vec<Pose> =
             self.joints().iter().map(|joint| joint.parent_from_joint).collect();
-        for (carrier, deviation) in path.carriers.iter().zip(deviations) {
+        for (carrier, deviation) in path.deviation_joints.iter().zip(deviations) {
             if let Some(joint) = *carrier {
                 origins[joint] = deviation * origins[joint];
             }

@@ -33,7 +33,7 @@ pub use joint::{JointKind, Limits, Mimic};
 pub use model::{Joint, LinkId, Provenance, Robot};
 pub use names::NameMatch;
 pub use nearest::nearest;
-pub use patch::NoPatch;
+pub use patch::PatchError;
 pub use visuals::{Shape, Visual};
 pub use xml::document as xml_document;
 

@@ -17,7 +17,7 @@ pub struct NameMatch {
     /// Number of independently movable joints of the robot.
     pub joints: usize,
     /// Number of characters in the two prefixes that this robot does not use.
-    pub strangeness: usize,
+    pub unknown_prefix_chars: usize,
 }
 
 impl NameMatch {
@@ -49,13 +49,18 @@ impl Robot {
                 matches.push(NameMatch {
                     matched: stems.iter().filter(present).count(),
                     joints: own.len(),
-                    strangeness: strangeness(from, &to, &own_prefixes, &self.joint_prefixes),
+                    unknown_prefix_chars: unknown_prefix_chars(
+                        from,
+                        &to,
+                        &own_prefixes,
+                        &self.joint_prefixes,
+                    ),
                     from_prefix: (*from).to_owned(),
                     to_prefix: to,
                 });
             }
         }
-        matches.sort_by_key(|m| (Reverse(m.matched), m.strangeness));
+        matches.sort_by_key(|m| (Reverse(m.matched), m.unknown_prefix_chars));
         let mut seen = HashSet::new();
         matches.retain(|m| seen.insert(own.first().map(|name| m.logged_name(name))));
         matches
@@ -108,7 +113,7 @@ fn logged_prefixes(stems: &[&str], logged: &HashSet<&str>) -> BTreeSet<String> {
 
 /// Number of characters of `to` that precede a known prefix of the robot; without one, the length of both
 /// prefixes.
-fn strangeness(from: &str, to: &str, own: &BTreeSet<&str>, declared: &[String]) -> usize {
+fn unknown_prefix_chars(from: &str, to: &str, own: &BTreeSet<&str>, declared: &[String]) -> usize {
     if from.is_empty() {
         return to.len();
     }

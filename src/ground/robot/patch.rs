@@ -20,7 +20,7 @@ const WRITTEN: f64 = 1e-9;
 
 /// Error of editing a model's text.
 #[derive(Debug, thiserror::Error)]
-pub enum NoPatch {
+pub enum PatchError {
     /// The robot is from the catalogue or was not read from text.
     #[error("the model is not from a file or a description")]
     NoText,
@@ -51,7 +51,7 @@ impl Robot {
     ///
     /// # Errors
     /// If there is no text, or it cannot be edited.
-    pub fn text_with_offsets(&self, offsets: &[(&str, f64)]) -> Result<String, NoPatch> {
+    pub fn text_with_offsets(&self, offsets: &[(&str, f64)]) -> Result<String, PatchError> {
         let (text, own) = self.own_text()?;
         let text = text.as_str();
         let offset_of = |index: usize| {
@@ -67,7 +67,7 @@ impl Robot {
                 let joint = &own.joints()[index];
                 Some(joint.parent_from_joint * motion(joint.kind, &joint.axis, offset_of(index)?))
             })?,
-            (false, false) => return Err(NoPatch::Layout),
+            (false, false) => return Err(PatchError::Layout),
         };
         let patched = edited(text, edits);
         let read = Robot::from_text(&patched, &self.source)?;
@@ -75,7 +75,7 @@ impl Robot {
         for (index, (joint, read)) in joints.filter(|_| own.dh.is_none()) {
             let motion = motion(joint.kind, &joint.axis, offset_of(index).unwrap_or(0.0));
             if !is_same(&read.parent_from_joint, &(joint.parent_from_joint * motion)) {
-                return Err(NoPatch::NotPatched(joint.name.clone()));
+                return Err(PatchError::NotPatched(joint.name.clone()));
             }
         }
         Ok(patched)
@@ -86,10 +86,10 @@ impl Robot {
     ///
     /// # Errors
     /// If the text is missing, is not a URDF, or cannot be edited.
-    pub fn text_with_origins_of(&self, to: &Robot) -> Result<String, NoPatch> {
-        let text = self.text().ok_or(NoPatch::NoText)?;
+    pub fn text_with_origins_of(&self, to: &Robot) -> Result<String, PatchError> {
+        let text = self.text().ok_or(PatchError::NoText)?;
         if !is_xml(text) {
-            return Err(NoPatch::Layout);
+            return Err(PatchError::Layout);
         }
         let own = Robot::from_text(text, &self.source)?;
         let after = |index: usize| to.joints().get(index).map(|joint| joint.parent_from_joint);
@@ -97,17 +97,17 @@ impl Robot {
         let read = Robot::from_text(&patched, &self.source)?;
         for (joint, read) in to.joints().iter().zip(read.joints()) {
             if !is_same(&read.parent_from_joint, &joint.parent_from_joint) {
-                return Err(NoPatch::NotPatched(joint.name.clone()));
+                return Err(PatchError::NotPatched(joint.name.clone()));
             }
         }
         Ok(patched)
     }
 
     /// Returns the text, with the DH convention that this robot uses, and the robot parsed from it.
-    fn own_text(&self) -> Result<(String, Robot), NoPatch> {
-        let text = self.text().ok_or(NoPatch::NoText)?;
+    fn own_text(&self) -> Result<(String, Robot), PatchError> {
+        let text = self.text().ok_or(PatchError::NoText)?;
         let text = match &self.dh {
-            Some(dh) => of_convention(text, dh.convention).ok_or(NoPatch::Layout)?,
+            Some(dh) => of_convention(text, dh.convention).ok_or(PatchError::Layout)?,
             None => text.to_owned(),
         };
         let own = Robot::from_text(&text, &self.source)?;
@@ -116,7 +116,7 @@ impl Robot {
             same.map(|(own, joint)| is_same(&own.parent_from_joint, &joint.parent_from_joint));
         match same.all(|is_same| is_same) {
             true => Ok((text, own)),
-            false => Err(NoPatch::Overlaid),
+            false => Err(PatchError::Overlaid),
         }
     }
 }
@@ -185,10 +185,10 @@ fn dh_edits(
     text: &str,
     own: &Robot,
     offset_of: impl Fn(usize) -> Option<f64>,
-) -> Result<Vec<Edit>, NoPatch> {
+) -> Result<Vec<Edit>, PatchError> {
     const D: usize = 1;
     const THETA: usize = 3;
-    let table: DhText = toml::from_str(text).map_err(|_| NoPatch::Layout)?;
+    let table: DhText = toml::from_str(text).map_err(|_| PatchError::Layout)?;
     let edits = table.dh.rows.iter().zip(own.joints()).enumerate().filter_map(|(index, row)| {
         let (row, joint) = row;
         let column = if joint.kind == JointKind::Prismatic { D } else { THETA };
@@ -209,8 +209,8 @@ fn urdf_edits(
     text: &str,
     own: &Robot,
     after: impl Fn(usize) -> Option<Pose>,
-) -> Result<Vec<Edit>, NoPatch> {
-    let document = document(text).map_err(|_| NoPatch::Layout)?;
+) -> Result<Vec<Edit>, PatchError> {
+    let document = document(text).map_err(|_| PatchError::Layout)?;
     let nodes = document.root_element().children().filter(|node| node.has_tag_name("joint"));
     let mut edits = Vec::new();
     for (index, (joint, node)) in own.joints().iter().zip(nodes).enumerate() {
@@ -218,7 +218,7 @@ fn urdf_edits(
         let before = joint.parent_from_joint;
         let is_element = |child: &Node| child.is_element() && child.tag_name().name() == "origin";
         let origin = node.children().find(is_element);
-        let refuse = || NoPatch::NotPatched(joint.name.clone());
+        let refuse = || PatchError::NotPatched(joint.name.clone());
         if before.rotation != after.rotation {
             let quaternion = origin.and_then(|origin| origin.attribute_node("quat_xyzw"));
             let (name, value) = match quaternion {
@@ -349,10 +349,10 @@ joint_types = ["revolute", "revolute", "prismatic"]
     fn what_has_no_text_or_not_its_own_origins_is_refused() {
         let catalogued = crate::robot::catalogue::find("ur5e").unwrap();
         let why = catalogued.text_with_offsets(&[("elbow_joint", 0.1)]).unwrap_err();
-        assert!(matches!(why, NoPatch::NoText), "{why}");
+        assert!(matches!(why, PatchError::NoText), "{why}");
         let mut robot = Robot::from_urdf(URDF, "two.urdf").unwrap();
         robot.move_joint("twist", Pose::translation(0.0, 0.0, 0.4));
         let why = robot.text_with_offsets(&[("turn", 0.1)]).unwrap_err();
-        assert!(matches!(why, NoPatch::Overlaid), "{why}");
+        assert!(matches!(why, PatchError::Overlaid), "{why}");
     }
 }

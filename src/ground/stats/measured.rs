@@ -35,14 +35,14 @@ impl Measured {
 
 /// Length of a measured vector, with the significance of its difference from zero.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Length {
+pub struct MeasuredLength {
     /// The length. Its interval includes zero unless zero is rejected.
     pub norm: Measured,
     /// p-value of the joint test that all components are zero.
     pub p_value: f64,
 }
 
-impl Length {
+impl MeasuredLength {
     /// Estimates the length of `vector` from the `covariance` of its errors, which has `dof` degrees of
     /// freedom.
     ///
@@ -51,7 +51,7 @@ impl Length {
     /// Random Variables*, 1992, §3.2). On average, `4 v̂ᵀCv̂` exceeds that by `2 tr C²`, which compensates
     /// for its low values if noise shortens the vector. The bounds of the interval are computed from the
     /// squared length.
-    pub fn of(vector: &[f64], covariance: &DMatrix<f64>, dof: f64) -> Self {
+    pub fn estimate(vector: &[f64], covariance: &DMatrix<f64>, dof: f64) -> Self {
         /// Standard deviations in half of a 95 % interval; rounded down, so a bound at zero stays at zero.
         const HALF: f64 = 1.9599;
         /// The interval includes zero if the p-value exceeds this.
@@ -134,7 +134,7 @@ mod tests {
     }
 
     /// Lengths of noisy copies of `true_vector` with standard errors `sigma`.
-    fn lengths(true_vector: [f64; 3], sigma: [f64; 3]) -> Vec<Length> {
+    fn lengths(true_vector: [f64; 3], sigma: [f64; 3]) -> Vec<MeasuredLength> {
         let mut rng = rand_pcg::Pcg64::seed_from_u64(3);
         let covariance = DMatrix::from_diagonal(&DVector::from_iterator(3, sigma.map(|s| s * s)));
         (0..4000)
@@ -143,7 +143,7 @@ mod tests {
                     let error: f64 = StandardNormal.sample(&mut rng);
                     true_vector[i] + sigma[i] * error
                 });
-                Length::of(&noisy, &covariance, f64::INFINITY)
+                MeasuredLength::estimate(&noisy, &covariance, f64::INFINITY)
             })
             .collect()
     }
@@ -154,7 +154,7 @@ mod tests {
             for direction in [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.6, 0.0, 0.8]] {
                 for size in [0.0, 0.5, 1.0, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, 30.0] {
                     let all = lengths(direction.map(|part| size * part), sigma);
-                    let covers = |length: &&Length| {
+                    let covers = |length: &&MeasuredLength| {
                         let [low, high] = length.norm.interval(0.95);
                         (low..=high).contains(&size)
                     };

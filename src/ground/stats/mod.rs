@@ -4,10 +4,10 @@ mod measured;
 pub mod thin;
 
 pub use measured::joint_p_value;
-pub use measured::{Length, Measured};
+pub use measured::{Measured, MeasuredLength};
 
 /// Ratio of the standard deviation to the median magnitude for normal noise: 1/Φ⁻¹(3/4).
-pub const NORMAL: f64 = 1.4826;
+pub const STD_DEV_PER_MEDIAN: f64 = 1.4826;
 
 /// Quantile of `values` at `part` (0 to 1); `None` if there are no values. Reorders `values`.
 pub fn quantile(values: &mut [f64], part: f64) -> Option<f64> {

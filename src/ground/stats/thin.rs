@@ -1,7 +1,7 @@
 //! Selection of rows for plots of long streams.
 
 /// Every k-th row and the last one, with the smallest k that keeps at most `most` rows.
-pub fn evenly(rows: usize, most: usize) -> Vec<usize> {
+pub fn even_rows(rows: usize, most: usize) -> Vec<usize> {
     let step = rows.div_ceil(most.max(1)).max(1);
     let last = rows.checked_sub(1).filter(|last| last % step != 0);
     (0..rows).step_by(step).chain(last).collect()
@@ -9,7 +9,7 @@ pub fn evenly(rows: usize, most: usize) -> Vec<usize> {
 
 /// Rows with the minimum and maximum of each series in equal intervals, in order, so no peak is lost. Keeps
 /// about `most` rows; keeps all if there are at most `most`.
-pub fn extremes(series: &[&[f64]], most: usize) -> Vec<usize> {
+pub fn extreme_rows(series: &[&[f64]], most: usize) -> Vec<usize> {
     let rows = series.first().map_or(0, |values| values.len());
     if rows <= most {
         return (0..rows).collect();
@@ -38,16 +38,16 @@ mod tests {
 
     #[test]
     fn short_streams_are_kept_whole() {
-        assert_eq!(evenly(5, MOST), [0, 1, 2, 3, 4]);
-        assert_eq!(extremes(&[&[3.0, 1.0, 2.0]], MOST), [0, 1, 2]);
-        assert!(evenly(0, MOST).is_empty() && extremes(&[&[]], MOST).is_empty());
-        assert!(extremes(&[], MOST).is_empty());
+        assert_eq!(even_rows(5, MOST), [0, 1, 2, 3, 4]);
+        assert_eq!(extreme_rows(&[&[3.0, 1.0, 2.0]], MOST), [0, 1, 2]);
+        assert!(even_rows(0, MOST).is_empty() && extreme_rows(&[&[]], MOST).is_empty());
+        assert!(extreme_rows(&[], MOST).is_empty());
     }
 
     #[test]
     fn a_long_stream_keeps_its_ends_and_its_bound() {
         for rows in [MOST + 1, 10_001, 123_457] {
-            let kept = evenly(rows, MOST);
+            let kept = even_rows(rows, MOST);
             assert!(kept.len() <= MOST + 1 && kept.is_sorted());
             assert_eq!((kept.first(), kept.last()), (Some(&0), Some(&(rows - 1))));
         }
@@ -58,7 +58,7 @@ mod tests {
         let mut up: Vec<f64> = (0..100_000).map(|row| f64::from(row % 7)).collect();
         let mut down: Vec<f64> = (0..100_000).map(|row| f64::from(row % 11)).collect();
         (up[51_234], down[70_001]) = (99.0, -99.0);
-        let kept = extremes(&[&up, &down], MOST);
+        let kept = extreme_rows(&[&up, &down], MOST);
         assert!(kept.len() <= MOST && kept.is_sorted());
         assert!(kept.contains(&51_234) && kept.contains(&70_001));
     }

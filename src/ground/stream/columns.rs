@@ -33,7 +33,7 @@ impl Times {
     pub fn append(&mut self, later: &Self) {
         if !(self.publish.is_empty() && later.publish.is_empty()) {
             self.publish.extend_from_slice(&self.log[self.publish.len()..]);
-            self.publish.extend_from_slice(later.on(Clock::Publish));
+            self.publish.extend_from_slice(later.nanos_on(Clock::Publish));
         }
         self.header.extend_from_slice(&later.header);
         self.log.extend_from_slice(&later.log);
@@ -42,7 +42,7 @@ impl Times {
 
     /// Appends the times of one row of `later`.
     pub fn append_row(&mut self, later: &Self, row: usize) {
-        self.push(later.header[row], later.log[row], later.on(Clock::Publish)[row]);
+        self.push(later.header[row], later.log[row], later.nanos_on(Clock::Publish)[row]);
         self.sequence.extend(later.sequence.get(row));
     }
 
@@ -57,7 +57,7 @@ impl Times {
     }
 
     /// The column of `clock`, in nanoseconds.
-    pub fn on(&self, clock: Clock) -> &[i64] {
+    pub fn nanos_on(&self, clock: Clock) -> &[i64] {
         match clock {
             Clock::Header => &self.header,
             Clock::Log => &self.log,
@@ -68,7 +68,7 @@ impl Times {
 
     /// Stable sort order of the rows by `clock`; `None` if they are already sorted.
     pub fn sort_permutation(&self, clock: Clock) -> Option<Vec<usize>> {
-        let column = self.on(clock);
+        let column = self.nanos_on(clock);
         if column.is_sorted() {
             return None;
         }
@@ -144,7 +144,7 @@ pub struct JointColumn {
 const MOST: f64 = 1e12;
 
 /// Whether a value is plausible: finite and at most 1e12 in magnitude.
-pub fn usable(value: f64) -> bool {
+pub fn is_usable(value: f64) -> bool {
     value.abs() <= MOST
 }
 
@@ -161,17 +161,17 @@ pub struct JointColumns {
     pub wrong_length: u64,
     /// Messages that name a joint twice with different positions; the last position is used.
     pub contradictory: u64,
-    /// Positions dropped because they are not [`usable`], in messages that were otherwise kept.
+    /// Positions dropped because they are not [`is_usable`], in messages that were otherwise kept.
     pub not_finite: u64,
     /// The same count per joint, up to the last joint with any.
     pub unusable: Vec<u64>,
     /// Whether the type carries no names; the names here are then the driver's defaults.
     pub unnamed: bool,
     /// Whether the positions were assumed to be degrees because of their magnitude. They are rad here.
-    pub taken_for_degrees: bool,
+    pub converted_from_degrees: bool,
     /// Factor and offset that converted each logged position, if it was in neither rad nor degrees;
     /// otherwise empty.
-    pub lines: Vec<[f64; 2]>,
+    pub conversions: Vec<[f64; 2]>,
 }
 
 /// Poses with quaternions: PoseStamped, Odometry, TransformStamped, one (parent, child) of /tf.
@@ -187,7 +187,7 @@ pub struct PoseColumns {
     pub xyz: Vec<[f64; 3]>,
     /// Quaternion as logged, in the order of the message's fields x, y, z, w.
     pub q_xyzw: Vec<[f64; 4]>,
-    /// Rows dropped because a value is not [`usable`].
+    /// Rows dropped because a value is not [`is_usable`].
     pub not_finite: u64,
 }
 
@@ -206,7 +206,7 @@ pub struct ImuColumns {
     pub accel: Vec<[f64; 3]>,
     /// Whether any message declares an orientation (`orientation_covariance[0] != -1`).
     pub has_orientation: bool,
-    /// Rows dropped because a value is not [`usable`].
+    /// Rows dropped because a value is not [`is_usable`].
     pub not_finite: u64,
 }
 
@@ -223,7 +223,7 @@ pub struct ArrayColumns {
     pub unnamed: bool,
     /// Messages dropped because their length differs from `width`, the length of the first message.
     pub wrong_length: u64,
-    /// Rows dropped because a value is not [`usable`].
+    /// Rows dropped because a value is not [`is_usable`].
     pub not_finite: u64,
 }
 
@@ -337,7 +337,7 @@ impl Columns {
 }
 
 impl JointColumns {
-    /// Counts a position of joint `joint` that is not [`usable`].
+    /// Counts a position of joint `joint` that is not [`is_usable`].
     pub fn drop_value(&mut self, joint: usize) {
         self.not_finite += 1;
         self.count_unusable(joint, 1);
@@ -433,12 +433,12 @@ mod tests {
         for (log, publish) in [(10, 10), (20, 20), (30, 29), (40, 40)] {
             times.push(0, log, publish);
         }
-        assert_eq!(times.on(Clock::Publish), [10, 20, 29, 40]);
+        assert_eq!(times.nanos_on(Clock::Publish), [10, 20, 29, 40]);
         times.permute(&[3, 2]);
-        assert_eq!(times.on(Clock::Publish), [40, 29]);
+        assert_eq!(times.nanos_on(Clock::Publish), [40, 29]);
         let mut same = Times::default();
         same.push(0, 10, 10);
-        assert_eq!(same.on(Clock::Publish), [10]);
+        assert_eq!(same.nanos_on(Clock::Publish), [10]);
     }
 
     #[test]
@@ -450,7 +450,7 @@ mod tests {
         times.shift_back(|since_first| 10 + since_first / 100);
         assert_eq!(times.header, [0, 990, 2_970]);
         assert_eq!(times.log, [40, 50, 70]);
-        assert_eq!(times.on(Clock::Publish), [41, 51, 71]);
+        assert_eq!(times.nanos_on(Clock::Publish), [41, 51, 71]);
     }
 
     #[test]

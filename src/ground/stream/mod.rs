@@ -9,6 +9,6 @@ mod tracks;
 
 pub use columns::{
     ArrayColumns, Columns, ImuColumns, JointColumn, JointColumns, PoseColumns, TextColumns, Times,
-    usable,
+    is_usable,
 };
 pub use tracks::{DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack, sample_noise};

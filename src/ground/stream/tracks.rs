@@ -1,5 +1,5 @@
 use crate::geometry::{AngleUnit, LengthScale, Rotation, Vec3};
-use crate::stats::{NORMAL, median};
+use crate::stats::{STD_DEV_PER_MEDIAN, median};
 
 /// Positions of the joints of a chain over time, on a common time grid.
 ///
@@ -22,7 +22,7 @@ pub struct JointTrack {
 
 impl JointTrack {
     /// Converts the values of all revolute joints from degrees to radians.
-    pub fn take_for_degrees(&mut self, slides: &[bool]) {
+    pub fn convert_from_degrees(&mut self, slides: &[bool]) {
         for values in [&mut self.q, &mut self.qd] {
             for row in values.chunks_exact_mut(self.dof.max(1)) {
                 let turning = row.iter_mut().zip(slides).filter(|(_, slides)| !**slides);
@@ -131,7 +131,7 @@ pub fn sample_noise(q: &[f64]) -> f64 {
     const ENOUGH: usize = 25_000;
     let some = q.windows(3).step_by(q.len().div_ceil(ENOUGH).max(1));
     let mut bends: Vec<f64> = some.map(|w| (w[0] - 2.0 * w[1] + w[2]).abs()).collect();
-    NORMAL * median(&mut bends).unwrap_or(0.0) / 6f64.sqrt()
+    STD_DEV_PER_MEDIAN * median(&mut bends).unwrap_or(0.0) / 6f64.sqrt()
 }
 
 /// Orientations of a pose stream.

@@ -101,7 +101,7 @@ fn joints_go_to_the_column_of_their_name() {
     assert_same(&joints.joints[0].velocity, &[0.1, NAN, NAN, 0.6]);
     assert_eq!(joints.times.header, [1_000_000_002; 4]);
     assert_eq!(joints.times.log, [1000, 1001, 1002, 1003]);
-    assert_eq!(joints.times.on(Clock::Publish), [2000, 2001, 2002, 2003]);
+    assert_eq!(joints.times.nanos_on(Clock::Publish), [2000, 2001, 2002, 2003]);
     assert_eq!(joints.frame_id, "base_link");
 }
 

@@ -84,7 +84,10 @@ fn every_compression_gives_the_same_rows() {
         assert_eq!((topic.name.as_str(), topic.encoding.as_str()), ("/pose", "cdr"));
         assert_eq!(topic.type_name, "geometry_msgs/msg/PoseStamped");
         assert_eq!(topic.messages, MESSAGES);
-        assert_eq!(rows(&log).times.on(Clock::Publish), (1..=MESSAGES as i64).collect::<Vec<_>>());
+        assert_eq!(
+            rows(&log).times.nanos_on(Clock::Publish),
+            (1..=MESSAGES as i64).collect::<Vec<_>>()
+        );
         assert_eq!(rows(&log).xyz[99], [99.0, 0.5, 0.25]);
     }
 }

@@ -8,7 +8,7 @@ use std::ops::Range;
 use super::clock::Clock;
 use super::{Column, Extent, Losses, Table, names, usual};
 use crate::memory::{Memory, OutOfMemory};
-use ground::stream::usable;
+use ground::stream::is_usable;
 
 /// Why a table file, or part of it, cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -241,7 +241,7 @@ pub(super) fn report_unstamped(table: &Table, clock: &Clock, label: &str, losses
 /// Removes rows with damaged numbers. Returns their number and a description of the first one. `values`
 /// returns the `width` numbers of a row.
 ///
-/// A number is damaged if it is not [`usable`] although nearly all numbers of its column are. Rows before
+/// A number is damaged if it is not [`is_usable`] although nearly all numbers of its column are. Rows before
 /// the first whole row and after the last are kept, because sensors send NaN until they are ready. Columns
 /// with many gaps are ignored, because they are sampled less often than the table.
 pub(super) fn take_damaged<T: Copy>(
@@ -257,7 +257,7 @@ pub(super) fn take_damaged<T: Copy>(
         .iter()
         .map(|(row, _)| {
             let own = values(*row);
-            let unusable = own.iter().enumerate().filter(|(_, value)| !usable(**value));
+            let unusable = own.iter().enumerate().filter(|(_, value)| !is_usable(**value));
             unusable.map(|(cell, _)| cell).inspect(|cell| counts[*cell] += 1).collect()
         })
         .collect();

@@ -10,7 +10,7 @@ use super::names::{self, Axis, Part};
 use super::{Column, ColumnSettings, Found, RowStamps, Table, array, lost, positions};
 use crate::TableCell;
 use crate::rtde::JOINTS as UR_JOINTS;
-use ground::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times, usable};
+use ground::stream::{ArrayColumns, Columns, JointColumn, JointColumns, Times, is_usable};
 
 /// Number of joints of an arm, with its gripper.
 const JOINTS: std::ops::RangeInclusive<usize> = 4..=8;
@@ -682,7 +682,7 @@ impl Group {
             let column = &table.columns[cell.column];
             column.values.iter().skip(cell.part).step_by(column.width).map(|value| value.abs())
         });
-        sizes.filter(|size| usable(*size)).fold(0.0, f64::max)
+        sizes.filter(|size| is_usable(*size)).fold(0.0, f64::max)
     }
 
     /// Converts the group to a topic. `most` is the largest joint position of the table; beyond two turns
@@ -732,7 +732,7 @@ impl Group {
                 let speeds = values_of(&velocities);
                 for (at, joint) in joints.joints.iter_mut().enumerate().take(velocities.len()) {
                     let own = speeds.iter().skip(at).step_by(velocities.len()).copied();
-                    joint.velocity = own.map(|v| if usable(v) { v } else { f64::NAN }).collect();
+                    joint.velocity = own.map(|v| if is_usable(v) { v } else { f64::NAN }).collect();
                 }
                 for (joint, [factor, offset]) in joints.joints.iter_mut().zip(&lines) {
                     joint.position.iter_mut().for_each(|q| *q = factor * *q + offset);
@@ -767,11 +767,11 @@ impl Group {
                             "the name '{name}' indicates rad, but joint positions reach {most:.1}"
                         )
                     });
-                    joints.taken_for_degrees = true;
+                    joints.converted_from_degrees = true;
                     let all = joints.joints.iter_mut().flat_map(|joint| &mut joint.position);
                     all.for_each(|position| *position = position.to_radians());
                 }
-                joints.lines = lines;
+                joints.conversions = lines;
                 Some(Columns::Joints(joints))
             }
             Meaning::Pose => Some(Columns::Array(array(&stamps, cells.len(), &values()))),
@@ -802,7 +802,7 @@ fn joints(stamps: &[RowStamps], names: &[String], values: &[f64], unnamed: bool)
     for (at, name) in names.iter().enumerate() {
         let logged = values.iter().skip(at).step_by(names.len()).copied();
         let position: Vec<f64> =
-            logged.map(|value| if usable(value) { value } else { f64::NAN }).collect();
+            logged.map(|value| if is_usable(value) { value } else { f64::NAN }).collect();
         let unusable = position.iter().filter(|value| value.is_nan()).count();
         (0..unusable).for_each(|_| joints.drop_value(at));
         joints.joints.push(JointColumn {

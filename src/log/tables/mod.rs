@@ -38,7 +38,7 @@ use super::losses::Losses;
 use super::mapped::Mapped;
 use super::memory::Memory;
 use super::{Container, Extent, LogError, TableCell};
-use ground::stream::{ArrayColumns, Columns, JointColumns, PoseColumns, Times, usable};
+use ground::stream::{ArrayColumns, Columns, JointColumns, PoseColumns, Times, is_usable};
 use ground::time::NANOS_PER_SECOND;
 
 pub use self::settings::{ColumnSelector, ColumnSettings};
@@ -507,7 +507,7 @@ fn extend(to: &mut Times, more: &Times) {
 pub(super) fn array(stamps: &[RowStamps], width: usize, values: &[f64]) -> ArrayColumns {
     let mut array = ArrayColumns { width, ..ArrayColumns::default() };
     for (stamp, row) in stamps.iter().zip(values.chunks_exact(width)) {
-        if row.iter().all(|value| usable(*value)) {
+        if row.iter().all(|value| is_usable(*value)) {
             array.times.push(stamp.own, stamp.row, stamp.row);
             array.values.extend_from_slice(row);
         } else {

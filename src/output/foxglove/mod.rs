@@ -138,7 +138,7 @@ fn scenes(stream: &StreamEvidence<PoseEvidence>, report: &Report, origin: Stamp)
         let content = json!({ "deletions": [], "entities": [entity] });
         Message { topic: SCENE_TOPIC, at, content }
     };
-    thin::evenly(aligned.t_s.len(), MOST_SCENES).into_iter().map(scene).collect()
+    thin::even_rows(aligned.t_s.len(), MOST_SCENES).into_iter().map(scene).collect()
 }
 
 const FK_RGB: [f64; 3] = [0.24, 0.78, 0.43];

@@ -17,7 +17,7 @@ impl Receipts {
     pub fn of(mut rows: Vec<(Stamp, Stamp)>) -> Self {
         rows.sort_unstable();
         rows.dedup_by_key(|(stamp, _)| *stamp);
-        let kept = crate::stats::thin::evenly(rows.len(), Self::MOST_ROWS);
+        let kept = crate::stats::thin::even_rows(rows.len(), Self::MOST_ROWS);
         Self { rows: kept.into_iter().map(|row| rows[row]).collect() }
     }
 

@@ -183,7 +183,7 @@ impl Series {
         stamps: &[Stamp],
         values: &[f64],
     ) -> Result<(), ReplayCause> {
-        let rows = thin::extremes(&[values], MOST_ROWS);
+        let rows = thin::extreme_rows(&[values], MOST_ROWS);
         let moments = tape.moments(arm, received, rows.iter().map(|&row| stamps[row]));
         let shown = rows.iter().map(|&row| values[row] * self.factor);
         let shown: Vec<f64> = shown.collect();

@@ -22,7 +22,7 @@ pub(super) fn root(arm: &str) -> EntityPath {
 
 /// Rows of an arm's joint states that are drawn.
 pub(super) fn kept(joints: &JointTrack) -> Vec<usize> {
-    thin::evenly(joints.len(), MOST_ROWS)
+    thin::even_rows(joints.len(), MOST_ROWS)
 }
 
 /// Positions of the chain's joints in a row.
@@ -37,7 +37,7 @@ pub(super) fn ball(arm: &ReplayArm<'_>) -> (Vec3, f64) {
     const ENOUGH: usize = 200;
     let (mut low, mut high) = (Vec3::zeros(), Vec3::zeros());
     let mut frames = Vec::new();
-    for row in thin::evenly(arm.corrected.len(), ENOUGH) {
+    for row in thin::even_rows(arm.corrected.len(), ENOUGH) {
         let q = positions(arm, &arm.corrected, row);
         arm.chain.joint_frames(&q, &mut frames);
         frames.push(arm.chain.forward(&q));

@@ -87,7 +87,7 @@ impl Moved {
             State::Explained => (stream.latency_s, &arm.received),
             State::Logged => (0.0, &stream.received),
         };
-        let kept = thin::evenly(poses.len(), MOST_ROWS);
+        let kept = thin::even_rows(poses.len(), MOST_ROWS);
         let stamps = kept.iter().map(|&row| tape.stamp(stream.aligned.t_s[row]).shifted(-late_s));
         let drawn = kept.iter().map(|&row| &poses[row]);
         Self {

@@ -199,7 +199,7 @@ impl Plot {
     /// Indices of the rows to draw.
     fn kept(&self, most_rows: usize) -> Vec<usize> {
         let series: Vec<&[f64]> = self.series.iter().map(|one| one.values.as_slice()).collect();
-        thin::extremes(&series, most_rows)
+        thin::extreme_rows(&series, most_rows)
     }
 
     /// Returns whether there is a gap longer than `longest` between two consecutive drawn rows.

@@ -10,7 +10,7 @@ use super::plane::Plane;
 use super::plot::{Limit, Mark, Plot, Role, Series, Style};
 use crate::checks::{self, LAT001, Rule, ZER001};
 use crate::finding::{Cause, CheckRow, Estimate, Finding, Sight, Status, Unit};
-use crate::geometry::RotationSlip;
+use crate::geometry::RotationError;
 use crate::report::Report;
 use crate::report::figures::{Figures, ImuFigure, PoseFigure, ReadingScore};
 
@@ -89,7 +89,7 @@ impl Case<'_> {
             Cause::Rotation(_) | Cause::Bare { .. } => {
                 proof.plots.extend(self.poses().map(|pose| self.rotation_over_time(pose)));
                 let is_whole =
-                    |slip| matches!(slip, RotationSlip::Transposed | RotationSlip::Inverted);
+                    |slip| matches!(slip, RotationError::Transposed | RotationError::Inverted);
                 if matches!(self.finding.cause, Cause::Rotation(slip) if is_whole(slip)) {
                     proof.plots.extend(self.poses().map(|pose| self.position_over_time(pose)));
                 }

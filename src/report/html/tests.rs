@@ -4,7 +4,7 @@ use super::plot::{Plot, Role, Series};
 use super::*;
 use crate::checks::{self, Evaluation};
 use crate::finding::{Cause, Evidence, Finding, Severity, Subject};
-use crate::geometry::{Convention, Misreading, Pose, RotationSlip};
+use crate::geometry::{Convention, Misinterpretation, Pose, RotationError};
 use crate::report::figures::{
     Figures, FrameEdge, FrameEdgeKind, ImuFigure, PoseFigure, ReadingScore, Silence, TimelineRow,
 };
@@ -22,8 +22,8 @@ fn finding(code: &'static str, topic: &str) -> Finding {
     let measured = Measured { value: 1e-2, std_error: 1e-4, dof: 1e3 };
     let cause = match code {
         "ORD001" => {
-            let misreading = Misreading { is: Convention::RotVec, read_as: Convention::RPY };
-            Cause::Rotation(RotationSlip::Misread(misreading))
+            let misreading = Misinterpretation { is: Convention::RotVec, read_as: Convention::RPY };
+            Cause::Rotation(RotationError::Misread(misreading))
         }
         "ZER001" => Cause::JointZero { offset: measured, slides: false },
         "LAT001" => Cause::Latency(measured),

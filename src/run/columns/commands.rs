@@ -103,10 +103,10 @@ impl Way {
         if names.len() != count || count > MOST_JOINTS {
             return None;
         }
-        if !joints.lines.is_empty() {
+        if !joints.conversions.is_empty() {
             return None;
         }
-        let factor = if joints.taken_for_degrees { 1_f64.to_radians() } else { 1.0 };
+        let factor = if joints.converted_from_degrees { 1_f64.to_radians() } else { 1.0 };
         let is_bare = matches!(command.columns, Some(Columns::Array(_)));
         let sheet = side_by_side(&[(state, 1.0), (command, if is_bare { factor } else { 1.0 })])?;
         let arms: Vec<usize> = (0..count)
@@ -168,7 +168,7 @@ fn swapped(
 /// Converts unnamed numbers to positions of the given joints, in the same unit.
 fn commanded(numbers: Columns, joints: &JointColumns) -> Columns {
     let Columns::Array(array) = numbers else { return numbers };
-    let factor = if joints.taken_for_degrees { 1_f64.to_radians() } else { 1.0 };
+    let factor = if joints.converted_from_degrees { 1_f64.to_radians() } else { 1.0 };
     let rows = array.times.len();
     let column = |(at, joint): (usize, &JointColumn)| JointColumn {
         name: joint.name.clone(),
@@ -179,7 +179,7 @@ fn commanded(numbers: Columns, joints: &JointColumns) -> Columns {
         joints: joints.joints.iter().enumerate().map(column).collect(),
         not_finite: array.not_finite,
         unnamed: joints.unnamed,
-        taken_for_degrees: joints.taken_for_degrees,
+        converted_from_degrees: joints.converted_from_degrees,
         times: array.times,
         ..JointColumns::default()
     })

@@ -31,7 +31,7 @@ pub(super) fn find(log: &mut Log) {
 /// Index of the quaternion in a pose that is named as joints.
 fn quaternion_in(joints: &JointColumns) -> Option<usize> {
     let count = joints.joints.len();
-    if count < 7 || joints.taken_for_degrees {
+    if count < 7 || joints.converted_from_degrees {
         return None;
     }
     let columns: Vec<Vec<f64>> = joints.joints.iter().map(|joint| joint.position.clone()).collect();

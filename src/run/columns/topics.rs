@@ -230,8 +230,8 @@ fn joints(
         times: array.times.clone(),
         not_finite: array.not_finite,
         unnamed: true,
-        taken_for_degrees: degrees,
-        lines,
+        converted_from_degrees: degrees,
+        conversions: lines,
         ..JointColumns::default()
     })
 }

@@ -127,7 +127,9 @@ pub fn candidates_for<S: AsRef<str>>(logged: &[S]) -> Vec<Candidate> {
     candidates.sort_by(|a, b| {
         let (a, b) = (&a.names, &b.names);
         let by_part = (b.matched * a.joints).cmp(&(a.matched * b.joints));
-        by_part.then(b.matched.cmp(&a.matched)).then(a.strangeness.cmp(&b.strangeness))
+        by_part
+            .then(b.matched.cmp(&a.matched))
+            .then(a.unknown_prefix_chars.cmp(&b.unknown_prefix_chars))
     });
     candidates
 }

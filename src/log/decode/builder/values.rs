@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::super::row::{self, Row, RowTimes};
 use super::super::schema::bounded;
-use ground::stream::{ArrayColumns, ImuColumns, TextColumns, Times, usable};
+use ground::stream::{ArrayColumns, ImuColumns, TextColumns, Times, is_usable};
 
 /// Maximum number of distinct texts kept per topic.
 const MAX_TEXTS: usize = 64;
@@ -135,7 +135,7 @@ pub(super) fn keep_first(kept: &mut String, text: &str) {
 }
 
 pub(super) fn all_usable(values: &[f64]) -> bool {
-    values.iter().all(|value| usable(*value))
+    values.iter().all(|value| is_usable(*value))
 }
 
 /// Quaternion of a row. Four NaNs mean the same as zeros: not set.

@@ -10,7 +10,7 @@ use super::{Convention, ConventionError};
 /// Encoding of a rotation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(try_from = "String")]
-pub enum Coding {
+pub enum RotationEncoding {
     /// Three numbers in this convention.
     Three(Convention),
     /// Quaternion x, y, z, w.
@@ -30,13 +30,13 @@ pub enum Coding {
     AxisAngle,
 }
 
-impl Coding {
+impl RotationEncoding {
     /// Parses an encoding that can be declared: three numbers or a quaternion. The layout of all others is
     /// identified from the numbers.
     ///
     /// # Errors
     /// If the name is unknown or cannot be declared.
-    pub fn declared(name: &str) -> Result<Self, ConventionError> {
+    pub fn from_declared_name(name: &str) -> Result<Self, ConventionError> {
         match name.parse()? {
             coding @ (Self::Three(_) | Self::Xyzw | Self::Wxyz) => Ok(coding),
             _ => Err(ConventionError::Unknown(name.to_owned())),
@@ -63,7 +63,7 @@ impl Coding {
     }
 }
 
-impl fmt::Display for Coding {
+impl fmt::Display for RotationEncoding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Three(convention) => convention.fmt(f),
@@ -78,7 +78,7 @@ impl fmt::Display for Coding {
     }
 }
 
-impl FromStr for Coding {
+impl FromStr for RotationEncoding {
     type Err = ConventionError;
 
     fn from_str(name: &str) -> Result<Self, ConventionError> {
@@ -95,7 +95,7 @@ impl FromStr for Coding {
     }
 }
 
-impl TryFrom<String> for Coding {
+impl TryFrom<String> for RotationEncoding {
     type Error = ConventionError;
 
     fn try_from(name: String) -> Result<Self, ConventionError> {

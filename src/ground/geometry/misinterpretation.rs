@@ -1,7 +1,7 @@
 //! Misinterpretations: numbers of one rotation convention converted as another.
 
 use super::convention::{Convention, rotvec_branches};
-use super::{Rotation, Slip, Vec3, rotation_from_rotvec};
+use super::{Misread, Rotation, Vec3, rotation_from_rotvec};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 use std::sync::LazyLock;
@@ -14,14 +14,14 @@ const PROBES: [[f64; 3]; 3] = [[0.5, -0.9, 1.3], [-1.9, 0.4, 0.8], [0.3, 2.2, -1
 
 /// Three numbers in the convention `is` that were converted as `read_as`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct Misreading {
+pub struct Misinterpretation {
     /// True convention of the numbers.
     pub is: Convention,
     /// Convention used for the conversion.
     pub read_as: Convention,
 }
 
-impl Misreading {
+impl Misinterpretation {
     /// Replaces `out` by every rotation that this misinterpretation can turn into `logged`, without
     /// duplicates. The rotation of the principal numbers is first.
     ///
@@ -32,7 +32,7 @@ impl Misreading {
     /// points on it.
     ///
     /// Does not allocate if `out` has capacity for twelve.
-    pub fn truths(&self, logged: &Rotation, out: &mut Vec<Rotation>) {
+    pub fn true_rotations(&self, logged: &Rotation, out: &mut Vec<Rotation>) {
         out.clear();
         match (self.is, self.read_as) {
             (Convention::Euler(is), Convention::Euler(read_as)) => {
@@ -84,50 +84,50 @@ fn is_same(a: &Rotation, b: &Rotation) -> bool {
 
 /// Misinterpretations that are the same map on every rotation; no log can distinguish them.
 #[derive(Clone, Debug)]
-pub struct MisreadingClass {
+pub struct MisinterpretationClass {
     /// Most common first: by the ranks of both conventions ([`Convention::usual_rank`]), then those read as
     /// `euler:xyz`. Never empty.
-    pub members: Vec<Misreading>,
+    pub members: Vec<Misinterpretation>,
 }
 
 /// All misinterpretations between two different conventions of [`Convention::all`], grouped by map. The
 /// class with the most common member is first.
 ///
 /// None is the identity or the transpose of a rotation.
-pub fn misreading_classes() -> &'static [MisreadingClass] {
-    static CLASSES: LazyLock<Vec<MisreadingClass>> =
+pub fn misinterpretation_classes() -> &'static [MisinterpretationClass] {
+    static CLASSES: LazyLock<Vec<MisinterpretationClass>> =
         LazyLock::new(|| classes_of(Convention::all()));
     &CLASSES
 }
 
-fn classes_of(conventions: &[Convention]) -> Vec<MisreadingClass> {
-    let mut misreadings: Vec<Misreading> = conventions
+fn classes_of(conventions: &[Convention]) -> Vec<MisinterpretationClass> {
+    let mut misinterpretations: Vec<Misinterpretation> = conventions
         .iter()
-        .flat_map(|&is| conventions.iter().map(move |&read_as| Misreading { is, read_as }))
-        .filter(|misreading| misreading.is != misreading.read_as)
+        .flat_map(|&is| conventions.iter().map(move |&read_as| Misinterpretation { is, read_as }))
+        .filter(|misinterpretation| misinterpretation.is != misinterpretation.read_as)
         .collect();
     // The sort is stable: ties keep the order of `conventions`.
-    misreadings.sort_by_key(|Misreading { is, read_as }| {
+    misinterpretations.sort_by_key(|Misinterpretation { is, read_as }| {
         (is.usual_rank() + read_as.usual_rank(), *read_as != Convention::RPY)
     });
 
     let probes = PROBES.map(|rotvec| rotation_from_rotvec(Vec3::from(rotvec)));
     let mut images: Vec<[Vec<Rotation>; PROBES.len()]> = Vec::new();
-    let mut classes: Vec<MisreadingClass> = Vec::new();
-    for misreading in misreadings {
+    let mut classes: Vec<MisinterpretationClass> = Vec::new();
+    for misinterpretation in misinterpretations {
         let image = probes.map(|probe| {
-            let mut truths = Vec::new();
-            misreading.truths(&probe, &mut truths);
-            truths
+            let mut rotations = Vec::new();
+            misinterpretation.true_rotations(&probe, &mut rotations);
+            rotations
         });
         let same_map = |known: &[Vec<Rotation>; PROBES.len()]| {
             known.iter().zip(&image).all(|(a, b)| is_same_set(a, b))
         };
         match images.iter().position(same_map) {
-            Some(at) => classes[at].members.push(misreading),
+            Some(at) => classes[at].members.push(misinterpretation),
             None => {
                 images.push(image);
-                classes.push(MisreadingClass { members: vec![misreading] });
+                classes.push(MisinterpretationClass { members: vec![misinterpretation] });
             }
         }
     }
@@ -140,19 +140,19 @@ fn is_same_set(a: &[Rotation], b: &[Rotation]) -> bool {
 
 /// Quaternion components in the wrong order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum QuaternionSlip {
+pub enum QuaternionOrderError {
     /// The four numbers are `quat:wxyz` and were read as `quat:xyzw`.
     WxyzReadAsXyzw,
     /// The four numbers are `quat:xyzw` and were read as `quat:wxyz`.
     XyzwReadAsWxyz,
 }
 
-impl QuaternionSlip {
+impl QuaternionOrderError {
     /// Both orders.
     pub const BOTH: [Self; 2] = [Self::WxyzReadAsXyzw, Self::XyzwReadAsWxyz];
 
     /// Returns the true components x, y, z, w for the logged ones.
-    pub fn truth(self, logged_xyzw: [f64; 4]) -> [f64; 4] {
+    pub fn true_xyzw(self, logged_xyzw: [f64; 4]) -> [f64; 4] {
         let [x, y, z, w] = logged_xyzw;
         match self {
             Self::WxyzReadAsXyzw => [y, z, w, x],
@@ -163,54 +163,56 @@ impl QuaternionSlip {
 
 /// Misinterpretation of the rotations or poses of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(try_from = "Slip<String>", into = "Slip<String>")]
-pub enum RotationSlip {
+#[serde(try_from = "Misread<String>", into = "Misread<String>")]
+pub enum RotationError {
     /// Three numbers of one convention were converted as another.
-    Misread(Misreading),
+    Misread(Misinterpretation),
     /// The quaternion components are in the other order.
-    Quaternion(QuaternionSlip),
+    Quaternion(QuaternionOrderError),
     /// The rotation is inverted, but not the position.
     Transposed,
     /// The whole pose is inverted.
     Inverted,
 }
 
-impl TryFrom<Slip<String>> for RotationSlip {
+impl TryFrom<Misread<String>> for RotationError {
     type Error = String;
 
-    fn try_from(slip: Slip<String>) -> Result<Self, String> {
-        let Slip { is, read_as } = &slip;
+    fn try_from(error: Misread<String>) -> Result<Self, String> {
+        let Misread { is, read_as } = &error;
         Ok(match (is.as_str(), read_as.as_str()) {
             ("transpose", "pose") => Self::Transposed,
             ("pose-inverse", "pose") => Self::Inverted,
-            ("quat:wxyz", "quat:xyzw") => Self::Quaternion(QuaternionSlip::WxyzReadAsXyzw),
-            ("quat:xyzw", "quat:wxyz") => Self::Quaternion(QuaternionSlip::XyzwReadAsWxyz),
+            ("quat:wxyz", "quat:xyzw") => Self::Quaternion(QuaternionOrderError::WxyzReadAsXyzw),
+            ("quat:xyzw", "quat:wxyz") => Self::Quaternion(QuaternionOrderError::XyzwReadAsWxyz),
             _ => {
                 let convention =
                     |name: &str| name.parse::<Convention>().map_err(|error| error.to_string());
-                let misreading = Misreading { is: convention(is)?, read_as: convention(read_as)? };
-                if misreading.is == misreading.read_as {
+                let misinterpretation =
+                    Misinterpretation { is: convention(is)?, read_as: convention(read_as)? };
+                if misinterpretation.is == misinterpretation.read_as {
                     return Err(format!("`{is}` read as `{read_as}` is not a misinterpretation"));
                 }
-                Self::Misread(misreading)
+                Self::Misread(misinterpretation)
             }
         })
     }
 }
 
-impl From<RotationSlip> for Slip<String> {
-    fn from(slip: RotationSlip) -> Self {
-        let of = |is: &str, read_as: &str| Slip { is: is.to_owned(), read_as: read_as.to_owned() };
-        match slip {
-            RotationSlip::Transposed => of("transpose", "pose"),
-            RotationSlip::Inverted => of("pose-inverse", "pose"),
-            RotationSlip::Quaternion(QuaternionSlip::WxyzReadAsXyzw) => {
+impl From<RotationError> for Misread<String> {
+    fn from(error: RotationError) -> Self {
+        let of =
+            |is: &str, read_as: &str| Misread { is: is.to_owned(), read_as: read_as.to_owned() };
+        match error {
+            RotationError::Transposed => of("transpose", "pose"),
+            RotationError::Inverted => of("pose-inverse", "pose"),
+            RotationError::Quaternion(QuaternionOrderError::WxyzReadAsXyzw) => {
                 of("quat:wxyz", "quat:xyzw")
             }
-            RotationSlip::Quaternion(QuaternionSlip::XyzwReadAsWxyz) => {
+            RotationError::Quaternion(QuaternionOrderError::XyzwReadAsWxyz) => {
                 of("quat:xyzw", "quat:wxyz")
             }
-            RotationSlip::Misread(Misreading { is, read_as }) => {
+            RotationError::Misread(Misinterpretation { is, read_as }) => {
                 of(&is.to_string(), &read_as.to_string())
             }
         }
@@ -223,31 +225,31 @@ mod tests {
     use crate::geometry::angle_between;
     use crate::geometry::test_random::Lcg;
 
-    fn misreading(is: &str, read_as: &str) -> Misreading {
-        Misreading { is: is.parse().unwrap(), read_as: read_as.parse().unwrap() }
+    fn misinterpretation(is: &str, read_as: &str) -> Misinterpretation {
+        Misinterpretation { is: is.parse().unwrap(), read_as: read_as.parse().unwrap() }
     }
 
-    fn class_of(is: &str, read_as: &str) -> &'static MisreadingClass {
-        let wanted = misreading(is, read_as);
-        misreading_classes().iter().find(|class| class.members.contains(&wanted)).unwrap()
+    fn class_of(is: &str, read_as: &str) -> &'static MisinterpretationClass {
+        let wanted = misinterpretation(is, read_as);
+        misinterpretation_classes().iter().find(|class| class.members.contains(&wanted)).unwrap()
     }
 
     #[test]
     fn the_truth_is_among_the_truths() {
         let mut random = Lcg::new();
-        let mut truths = Vec::new();
+        let mut rotations = Vec::new();
         let mut shown = Vec::new();
-        for class in misreading_classes() {
-            for &Misreading { is, read_as } in &class.members {
+        for class in misinterpretation_classes() {
+            for &Misinterpretation { is, read_as } in &class.members {
                 for _ in 0..20 {
                     let truth = rotation_from_rotvec(Vec3::from(random.triple(PI)));
                     is.branches(&truth, &mut shown);
                     // A pendant shows a rotation vector up to a whole turn, and Euler angles on any branch.
                     for numbers in &shown[..2] {
                         let logged = read_as.rotation(*numbers);
-                        class.members[0].truths(&logged, &mut truths);
+                        class.members[0].true_rotations(&logged, &mut rotations);
                         assert!(
-                            truths.iter().any(|found| angle_between(found, &truth) < 1e-7),
+                            rotations.iter().any(|found| angle_between(found, &truth) < 1e-7),
                             "{is} read as {read_as}: {numbers:?}"
                         );
                     }
@@ -259,24 +261,24 @@ mod tests {
     #[test]
     fn a_display_from_0_to_360_degrees_is_understood() {
         let numbers = [5.5, 3.5, 6.0];
-        let reading = misreading("euler:ZYX", "rotvec");
-        let mut truths = Vec::new();
-        reading.truths(&reading.read_as.rotation(numbers), &mut truths);
+        let reading = misinterpretation("euler:ZYX", "rotvec");
+        let mut rotations = Vec::new();
+        reading.true_rotations(&reading.read_as.rotation(numbers), &mut rotations);
         let truth = reading.is.rotation(numbers);
-        assert!(truths.iter().any(|found| angle_between(found, &truth) < 1e-9));
+        assert!(rotations.iter().any(|found| angle_between(found, &truth) < 1e-9));
     }
 
     #[test]
     fn no_truth_is_listed_twice_and_gimbal_lock_is_finite() {
-        let mut truths = Vec::new();
+        let mut rotations = Vec::new();
         for rotvec in PROBES.into_iter().chain([[0.0; 3], [0.0, PI / 2.0, 0.0], [PI, 0.0, 0.0]]) {
             let logged = rotation_from_rotvec(Vec3::from(rotvec));
-            for reading in misreading_classes().iter().flat_map(|class| &class.members) {
-                reading.truths(&logged, &mut truths);
-                assert!((1..=16).contains(&truths.len()));
-                for (i, a) in truths.iter().enumerate() {
+            for reading in misinterpretation_classes().iter().flat_map(|class| &class.members) {
+                reading.true_rotations(&logged, &mut rotations);
+                assert!((1..=16).contains(&rotations.len()));
+                for (i, a) in rotations.iter().enumerate() {
                     assert!((a.norm() - 1.0).abs() < 1e-12);
-                    assert!(truths[..i].iter().all(|b| angle_between(a, b) >= 0.9 * SAME_RAD));
+                    assert!(rotations[..i].iter().all(|b| angle_between(a, b) >= 0.9 * SAME_RAD));
                 }
             }
         }
@@ -286,39 +288,40 @@ mod tests {
     fn equal_maps_are_one_class_named_by_its_most_usual_pair() {
         let reversed = class_of("euler:ZYX", "euler:xyz");
         assert_eq!(reversed.members.len(), 24);
-        assert_eq!(reversed.members[0], misreading("euler:ZYX", "euler:xyz"));
-        assert!(reversed.members.contains(&misreading("euler:xyz", "euler:ZYX")));
-        assert!(reversed.members.contains(&misreading("euler:xyx", "euler:ZYZ")));
-        assert!(reversed.members.contains(&misreading("euler:XYZ", "euler:zyx")));
+        assert_eq!(reversed.members[0], misinterpretation("euler:ZYX", "euler:xyz"));
+        assert!(reversed.members.contains(&misinterpretation("euler:xyz", "euler:ZYX")));
+        assert!(reversed.members.contains(&misinterpretation("euler:xyx", "euler:ZYZ")));
+        assert!(reversed.members.contains(&misinterpretation("euler:XYZ", "euler:zyx")));
 
         let other_frame = class_of("euler:xyz", "euler:XYZ");
-        assert_eq!(other_frame.members[0], misreading("euler:xyz", "euler:XYZ"));
-        assert!(other_frame.members.contains(&misreading("euler:ZYX", "euler:zyx")));
+        assert_eq!(other_frame.members[0], misinterpretation("euler:xyz", "euler:XYZ"));
+        assert!(other_frame.members.contains(&misinterpretation("euler:ZYX", "euler:zyx")));
 
         let kawasaki = class_of("euler:ZYZ", "euler:xyz");
-        assert_eq!(kawasaki.members[0], misreading("euler:ZYZ", "euler:xyz"));
-        assert!(kawasaki.members.contains(&misreading("euler:zyz", "euler:ZYX")));
+        assert_eq!(kawasaki.members[0], misinterpretation("euler:ZYZ", "euler:xyz"));
+        assert!(kawasaki.members.contains(&misinterpretation("euler:zyz", "euler:ZYX")));
     }
 
     #[test]
     fn every_misreading_is_in_one_class() {
-        let members: usize = misreading_classes().iter().map(|class| class.members.len()).sum();
+        let members: usize =
+            misinterpretation_classes().iter().map(|class| class.members.len()).sum();
         assert_eq!(members, 29 * 28);
         // Checked with SciPy on random rotations. The 251 maps, the identity, the transpose and a
         // quaternion order are the 254 different maps of 603 hypotheses.
-        assert_eq!(misreading_classes().len(), 443);
+        assert_eq!(misinterpretation_classes().len(), 443);
         assert_eq!(classes_of(&Convention::all()[..25]).len(), 251);
     }
 
     #[test]
     fn no_misreading_is_harmless_or_a_transpose() {
-        let mut truths = Vec::new();
-        for class in misreading_classes() {
+        let mut rotations = Vec::new();
+        for class in misinterpretation_classes() {
             for map in [|r: &Rotation| *r, |r: &Rotation| r.inverse()] {
                 let same = PROBES.iter().all(|&probe| {
                     let logged = rotation_from_rotvec(Vec3::from(probe));
-                    class.members[0].truths(&logged, &mut truths);
-                    is_same_set(&truths, &[map(&logged)])
+                    class.members[0].true_rotations(&logged, &mut rotations);
+                    is_same_set(&rotations, &[map(&logged)])
                 });
                 assert!(!same, "{:?}", class.members[0]);
             }
@@ -329,7 +332,7 @@ mod tests {
     fn a_quaternion_slip_is_undone() {
         let (w, x, y, z) = (0.9, 0.1, -0.2, 0.3);
         // (w, x, y, z) read as (x, y, z, w), and the reverse.
-        assert_eq!(QuaternionSlip::WxyzReadAsXyzw.truth([w, x, y, z]), [x, y, z, w]);
-        assert_eq!(QuaternionSlip::XyzwReadAsWxyz.truth([y, z, w, x]), [x, y, z, w]);
+        assert_eq!(QuaternionOrderError::WxyzReadAsXyzw.true_xyzw([w, x, y, z]), [x, y, z, w]);
+        assert_eq!(QuaternionOrderError::XyzwReadAsWxyz.true_xyzw([y, z, w, x]), [x, y, z, w]);
     }
 }
