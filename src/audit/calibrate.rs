@@ -254,8 +254,8 @@ fn fitted(
             tip: link(&stream.tip)?,
             t_s: stream.t_s.clone(),
             poses: stream.poses.clone(),
-            blind: [false; 3],
-            rotation_is_blind: stream.rotation_is_blind,
+            excluded: [false; 3],
+            is_rotation_excluded: stream.rotation_is_blind,
             latency_s: stream.latency_s.unwrap_or(0.0),
             latency_is_free: stream.latency_s.is_some(),
             skew: stream.skew,
@@ -335,19 +335,21 @@ fn taken(
     found: &PoseEvidence,
 ) -> Result<Taken, String> {
     let diagnosis = &found.diagnosis;
-    if of.diagnosis.reading.is_err() {
+    if of.diagnosis.encoding.is_err() {
         return Err("the encoding of the joint states is undetermined".to_owned());
     }
-    if diagnosis.residual.is_err() || diagnosis.strays() {
+    if diagnosis.residual.is_err() || diagnosis.is_far_from_fk() {
         return Err("it does not follow the arm".to_owned());
     }
-    if diagnosis.changes() {
+    if diagnosis.has_changes() {
         return Err("a parameter of it changes during the run; cut the log there".to_owned());
     }
-    if let Some(part) = diagnosis.constant.first() {
+    if let Some(part) = diagnosis.constant_coordinates.first() {
         return Err(format!("its {} never changes", part.coordinate));
     }
-    if let Some(growth) = diagnosis.growth.as_ref().ok().filter(|_| diagnosis.growth_chosen) {
+    if let Some(growth) =
+        diagnosis.radial_scale.as_ref().ok().filter(|_| diagnosis.is_radial_scale_chosen)
+    {
         return Err(format!(
             "its positions grow with reach by {:.2} mm/m, which is indistinguishable from longer links; \
              correct that first",
@@ -360,7 +362,7 @@ fn taken(
     let mut unzeroed = of.diagnosis.clone();
     let mut zeros = Vec::new();
     for (column, offset) in unzeroed.offsets.iter_mut().enumerate() {
-        if std::mem::take(&mut offset.chosen) {
+        if std::mem::take(&mut offset.is_chosen) {
             zeros.push(arm.joint_names[column].clone());
         }
     }
@@ -383,13 +385,13 @@ fn taken(
         columns: source.columns.clone(),
         t_s: diagnosis.aligned.t_s.clone(),
         poses: diagnosis.aligned.corrected.iter().map(|pose| frames.invert(pose)).collect(),
-        rotation_is_blind: diagnosis.reading.is_err(),
+        rotation_is_blind: diagnosis.encoding.is_err(),
         latency_s: diagnosis.latency_s.as_ref().ok().map(|latency| latency.value),
         skew: diagnosis
             .skew
             .as_ref()
             .ok()
-            .filter(|_| diagnosis.skew_chosen)
+            .filter(|_| diagnosis.is_skew_chosen)
             .map_or(0.0, |skew| skew.value),
         reference: kept(frames.reference, reference_is_free),
         reference_is_free,
@@ -401,7 +403,7 @@ fn taken(
 
 /// Encoding of the rotations, if it differs from the log's.
 pub(super) fn reading(found: &PoseDiagnosis) -> Option<String> {
-    let reading = match found.reading.as_ref().ok()?.best {
+    let reading = match found.encoding.as_ref().ok()?.best {
         PoseEncoding::AsLogged => return None,
         PoseEncoding::Misinterpreted(class) => {
             let misreading = class.members.first()?;

@@ -64,7 +64,7 @@ impl Table {
             reference_known: false,
             stamp_error_s: 0.0,
             stamps_copied: true,
-            taken_off: None,
+            removed_ramp: None,
         };
         let found = diagnose_arm(&track, &[stream], ROW_S);
         let Some(diagnosis) = found.streams.first().filter(|one| one.residual.is_ok()) else {
@@ -74,7 +74,7 @@ impl Table {
                 "check that --robot is the arm's model",
             ));
         };
-        if diagnosis.strays() {
+        if diagnosis.is_far_from_fk() {
             return Err(trouble(
                 path,
                 "its positions do not match FK",
@@ -82,7 +82,7 @@ impl Table {
             ));
         }
         let mut unzeroed = found.joints.clone();
-        unzeroed.offsets.iter_mut().for_each(|offset| offset.chosen = false);
+        unzeroed.offsets.iter_mut().for_each(|offset| offset.is_chosen = false);
         let slides: Vec<bool> = chain
             .joint_kinds()
             .iter()
@@ -106,7 +106,7 @@ impl Table {
             columns: columns.clone(),
             t_s: diagnosis.aligned.t_s.clone(),
             poses: diagnosis.aligned.corrected.iter().map(|pose| frames.invert(pose)).collect(),
-            rotation_is_blind: diagnosis.reading.is_err(),
+            rotation_is_blind: diagnosis.encoding.is_err(),
             latency_s: None,
             skew: 0.0,
             reference: frames.reference,

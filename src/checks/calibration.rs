@@ -41,7 +41,7 @@ pub(crate) fn still(robot: &Robot, joints: &[String], found: &ArmCalibration) ->
 
 /// Reason for rejecting the calibration; `None` if it is accepted.
 pub(crate) fn refusal(found: &ArmCalibration, still: &[Still]) -> Option<String> {
-    let (known, drawing) = (found.expected.m, found.drawing.m);
+    let (known, drawing) = (found.calibrated_uncertainty.m, found.nominal_uncertainty.m);
     if known.is_nan() || drawing == 0.0 || known * WORTH > drawing {
         let moved = match still {
             [] => String::new(),
@@ -112,16 +112,16 @@ mod tests {
             links: Vec::new(),
             deviations: Vec::new(),
             link_m: 3e-4,
-            unsettled: None,
+            remaining_step: None,
             parameters: Vec::new(),
             zeros: Vec::new(),
             values: Vec::new(),
             covariance: Default::default(),
             dof: 1000.0,
             streams: vec![stream],
-            untold: Vec::new(),
-            expected: left(expected_m),
-            drawing: left(1e-3),
+            undetermined: Vec::new(),
+            calibrated_uncertainty: left(expected_m),
+            nominal_uncertainty: left(1e-3),
         }
     }
 

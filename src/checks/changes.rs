@@ -76,11 +76,11 @@ pub fn judge_frame_change(
     thresholds: &FrameThresholds,
 ) -> Option<(Outcome, Estimate)> {
     let effect_m = |change: &FrameChange| {
-        change.by.translation_m.value + change.by.rotation_rad.value * arm.reach_m
+        change.size.translation_m.value + change.size.rotation_rad.value * arm.reach_m
     };
     let change = changes.iter().max_by(|a, b| effect_m(a).total_cmp(&effect_m(b)))?;
     let (at, within) = change_stamps(case, change);
-    let estimate = Estimate::frame(name, &change.by.translation_m, &change.by.rotation_rad)
+    let estimate = Estimate::frame(name, &change.size.translation_m, &change.size.rotation_rad)
         .changing(Changes {
             from: change.from.translation.vector.norm(),
             to: change.to.translation.vector.norm(),
@@ -91,10 +91,10 @@ pub fn judge_frame_change(
         let length = show_if_significant(
             Unit::Metre,
             pose.translation.vector.norm(),
-            &change.by.translation_m,
+            &change.size.translation_m,
         );
         let angle =
-            show_if_significant(Unit::Radian, pose.rotation.angle(), &change.by.rotation_rad);
+            show_if_significant(Unit::Radian, pose.rotation.angle(), &change.size.rotation_rad);
         match (length, angle) {
             (None, None) => "0".to_owned(),
             (Some(one), None) | (None, Some(one)) => one,
@@ -112,7 +112,7 @@ pub fn judge_frame_change(
         at: format!("at {}", case.evidence.moment(at)),
         from: size(&change.from),
         to: size(&change.to),
-        by: show(&change.by),
+        by: show(&change.size),
         name,
         title: match name {
             "tool frame" => "tool frame changes mid-run",
@@ -121,7 +121,7 @@ pub fn judge_frame_change(
         effect_m: effect_m(change),
         all: changes.iter().map(listed).collect(),
     };
-    let decision = decide_frame(&change.by, thresholds, case.evidence.subjects());
+    let decision = decide_frame(&change.size, thresholds, case.evidence.subjects());
     Some((outcome(decision, report), estimate))
 }
 
@@ -136,7 +136,7 @@ pub fn judge_scalar_change(
 ) -> (Outcome, Estimate) {
     let (at, within) = change_stamps(case, change);
     let unit = threshold.unit;
-    let estimate = Estimate::amount(name, unit, &change.by).changing(Changes {
+    let estimate = Estimate::amount(name, unit, &change.size).changing(Changes {
         from: change.from,
         to: change.to,
         change_ns: at,
@@ -144,15 +144,16 @@ pub fn judge_scalar_change(
     });
     let report = ChangeReport {
         at: format!("at {}", case.evidence.moment(at)),
-        from: show_if_significant(unit, change.from, &change.by).unwrap_or_else(|| "0".to_owned()),
-        to: show_if_significant(unit, change.to, &change.by).unwrap_or_else(|| "0".to_owned()),
-        by: unit.show_signed(&change.by),
+        from: show_if_significant(unit, change.from, &change.size)
+            .unwrap_or_else(|| "0".to_owned()),
+        to: show_if_significant(unit, change.to, &change.size).unwrap_or_else(|| "0".to_owned()),
+        by: unit.show_signed(&change.size),
         name,
         title,
         effect_m,
         all: vec![json!({ "at_ns": at.to_string(), "from": change.from, "to": change.to })],
     };
-    (outcome(decide(&change.by, threshold, case.evidence.subjects()), report), estimate)
+    (outcome(decide(&change.size, threshold, case.evidence.subjects()), report), estimate)
 }
 
 fn outcome(decision: Decision, report: ChangeReport) -> Outcome {
@@ -173,7 +174,7 @@ pub fn limit_to_segment(case: &Case, mut judged: Judged) -> Judged {
         let (_, stream) = streams.find(|(arm, stream)| {
             stream.topic() == topic && subject.robot.as_ref().is_none_or(|name| *name == arm.name)
         })?;
-        let EncodingSpans { rotation, degrees, length, axes } = stream.diagnosis.coded;
+        let EncodingSpans { rotation, degrees, length, axes } = stream.diagnosis.encoding_spans;
         match cause {
             Cause::Rotation(_) => rotation,
             Cause::AngleUnit(_) => degrees,

@@ -63,7 +63,7 @@ fn judge_stream(
     let stream = &arm.poses[index];
     let diagnosis = &stream.diagnosis;
     let thresholds = case.thresholds.of_frames(end.rule, THRESHOLDS);
-    if let Some(why) = diagnosis.unread() {
+    if let Some(why) = diagnosis.unusable_reason() {
         return Judged::new(subject, unseen(why, SETTLE));
     }
     let moved = (end.changes)(diagnosis);
@@ -78,7 +78,7 @@ fn judge_stream(
         (Ok(frame), _) => frame,
         (Err(_), Some(why)) => return Judged::new(subject, Outcome::Skipped(why.clone())),
         (Err(why), None) => {
-            let outcome = match twins.iter().find(|(offset, _)| offset.chosen) {
+            let outcome = match twins.iter().find(|(offset, _)| offset.is_chosen) {
                 Some((_, cause)) => named_instead(arm, cause),
                 None => unseen(why, SETTLE),
             };
@@ -88,7 +88,7 @@ fn judge_stream(
     let effect_m = frame.translation_m.value + frame.rotation_rad.value * arm.reach_m;
     let outcome = match (decide_frame(frame, &thresholds, case.evidence.subjects()), not_judged) {
         (_, Some(why)) => Outcome::sound_because(why),
-        (Decision::Fail(severity), None) if frame.chosen => {
+        (Decision::Fail(severity), None) if frame.is_chosen => {
             match residual_attribution::model_doubt(arm, effect_m) {
                 Some(why) => Outcome::Inconclusive(why),
                 None => {
@@ -102,10 +102,12 @@ fn judge_stream(
             }
         }
         (Decision::Pass, None) => Outcome::sound(),
-        (decision, None) => match twins.iter().find(|(offset, _)| offset.chosen && !frame.chosen) {
-            Some((_, cause)) => named_instead(arm, cause),
-            None => Outcome::Inconclusive(undecided(&decision, frame)),
-        },
+        (decision, None) => {
+            match twins.iter().find(|(offset, _)| offset.is_chosen && !frame.is_chosen) {
+                Some((_, cause)) => named_instead(arm, cause),
+                None => Outcome::Inconclusive(undecided(&decision, frame)),
+            }
+        }
     };
     Judged::new(subject, outcome)
         .estimated(Estimate::frame(end.name, &frame.translation_m, &frame.rotation_rad))
@@ -135,8 +137,8 @@ fn undecided(decision: &Decision, frame: &FrameEstimate) -> String {
 /// Joint offsets that are confounded with this end of stream `index`.
 fn twins<'a>(arm: &'a ArmEvidence, end: &End, index: usize) -> Vec<(&'a JointOffset, Alternative)> {
     let offsets = arm.diagnosis.offsets.iter().enumerate();
-    let same =
-        offsets.filter(|(_, offset)| offset.twins.iter().any(|twin| (end.is_twin)(twin, index)));
+    let same = offsets
+        .filter(|(_, offset)| offset.confounders.iter().any(|twin| (end.is_twin)(twin, index)));
     same.map(|(joint, offset)| (offset, joint_zero_alternative(arm, joint))).collect()
 }
 

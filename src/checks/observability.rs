@@ -144,7 +144,7 @@ pub(super) fn observability(case: &Case, checks: &mut [CheckRow]) -> Vec<StreamO
         for stream in &arm.poses {
             let Some(seen) = &stream.diagnosis.observability else { continue };
             let is_noise = is_noise(checks, &stream.subject);
-            let found = seen.blind(|parameter| threshold(case, arm, parameter), SEEN);
+            let found = seen.weak_directions(|parameter| threshold(case, arm, parameter), SEEN);
             let directions: Vec<Blind> =
                 found.iter().map(|one| blind(arm, seen, one, is_noise)).collect();
             let mut leaves_open = vec![false; directions.len()];
@@ -192,7 +192,8 @@ fn is_left_to_motion(
         && robot.as_ref() == Some(&arm.name)
         && topic.as_ref().is_none_or(|topic| topic == stream.topic())
         && (row.code.starts_with("LAT")
-            || !stream.diagnosis.nominal && residual_attribution::model_doubt(arm, 0.0).is_none())
+            || !stream.diagnosis.is_nominal
+                && residual_attribution::model_doubt(arm, 0.0).is_none())
 }
 
 /// Merges directions that share a cause, because only combinations of their causes are observable.
@@ -244,7 +245,7 @@ fn threshold(case: &Case, arm: &ArmEvidence, parameter: StreamParameter) -> f64 
         StreamParameter::JointZero(joint) => ("ZER001", arm.joint_unit(joint)),
         StreamParameter::Latency => ("LAT001", Unit::Second),
         StreamParameter::Skew => ("LAT002", Unit::SecondPerSecond),
-        StreamParameter::Growth => ("ZER002", Unit::MetrePerMetre),
+        StreamParameter::RadialScale => ("ZER002", Unit::MetrePerMetre),
         StreamParameter::ReferenceShift(_) => ("FRM002", Unit::Metre),
         StreamParameter::ReferenceTurn(_) => ("FRM002", Unit::Radian),
         StreamParameter::ToolShift(_) => ("FRM003", Unit::Metre),
@@ -279,7 +280,7 @@ fn part(arm: &ArmEvidence, parameter: StreamParameter, weight: f64) -> Part {
         }
         StreamParameter::Latency => ("latency", String::new(), "LAT001"),
         StreamParameter::Skew => ("clock skew", String::new(), "LAT002"),
-        StreamParameter::Growth => ("growth with reach", String::new(), "ZER002"),
+        StreamParameter::RadialScale => ("growth with reach", String::new(), "ZER002"),
         StreamParameter::ReferenceShift(axis) => {
             ("reference frame", along("along", axis), "FRM002")
         }
@@ -354,7 +355,7 @@ mod tests {
 
     fn sentence(travel: [f64; 3], parameters: &[StreamParameter]) -> String {
         let run = clean_run();
-        let seen = Observability::of_travel(travel.to_vec());
+        let seen = Observability::from_travel(travel.to_vec());
         blind(&run.robots[0], &seen, &direction(parameters), true).sentence("/pose")
     }
 
@@ -395,11 +396,11 @@ mod tests {
 
     #[test]
     fn directions_that_share_a_cause_are_said_at_once() {
-        use StreamParameter::{Growth, JointZero, ToolShift, ToolTurn};
+        use StreamParameter::{JointZero, RadialScale, ToolShift, ToolTurn};
         let groups = that_share_a_cause(vec![
             direction(&[JointZero(0), ToolTurn(1)]),
             direction(&[JointZero(1), JointZero(2)]),
-            direction(&[ToolShift(0), Growth]),
+            direction(&[ToolShift(0), RadialScale]),
         ]);
         let said: Vec<usize> = groups.iter().map(|group| group.parameters.len()).collect();
         assert_eq!(said, [2, 4]);

@@ -68,16 +68,16 @@ pub fn judge(
     for arm in &case.evidence.robots {
         let streams = arm.poses_and_tf().map(|stream| {
             let found = &stream.diagnosis;
-            let doubt = found.strays().then_some("its positions do not match FK");
+            let doubt = found.is_far_from_fk().then_some("its positions do not match FK");
             let bare = stream.is_undeclared.then_some(found);
             let unread = stream.unidentified_columns.as_slice();
-            stream.with_value((&found.reading, doubt, bare, unread, arm.is_derived(stream)))
+            stream.with_value((&found.encoding, doubt, bare, unread, arm.is_derived(stream)))
         });
-        let unread = arm.diagnosis.reading.is_err() && !arm.poses.is_empty();
+        let unread = arm.diagnosis.encoding.is_err() && !arm.poses.is_empty();
         let doubt = unread.then_some("the encoding of the joint states is itself undetermined");
         let imus = arm.imus.iter();
         let imus =
-            imus.map(|imu| imu.with_value((&imu.diagnosis.reading, doubt, None, &[][..], false)));
+            imus.map(|imu| imu.with_value((&imu.diagnosis.encoding, doubt, None, &[][..], false)));
         judged.extend(streams.chain(imus).map(|stream| {
             let (reading, doubt, bare, unread, is_derived) = stream.value;
             let judged = judge_stream(arm, reading, asked, word);
@@ -127,7 +127,7 @@ fn judge_stream(
     if nothing_was_told_apart(reading) {
         return (Outcome::Inconclusive(format!("most encodings fit this motion; {SETTLE}")), None);
     }
-    let is_inverted = asked == Kind::Direction && reading.inverted;
+    let is_inverted = asked == Kind::Direction && reading.is_inverted;
     if kind(&reading.best) != Some(asked) && !is_inverted {
         let remark = match reading.best {
             PoseEncoding::Numbers(convention) => {
@@ -164,7 +164,7 @@ fn of_bare_numbers(
     (outcome, estimate): (Outcome, Option<Estimate>),
 ) -> (Outcome, Option<Estimate>) {
     let is_read = matches!(outcome, Outcome::Evaluated(_));
-    let form = found.reading.as_ref().ok().and_then(|reading| match reading.best {
+    let form = found.encoding.as_ref().ok().and_then(|reading| match reading.best {
         PoseEncoding::Numbers(convention) => Some(RotationEncoding::Three(convention)),
         PoseEncoding::QuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw) => {
             Some(RotationEncoding::Wxyz)
@@ -193,9 +193,9 @@ fn of_bare_numbers(
             (Outcome::faulty(fault), Some(Estimate::slip("reading", is, read_as)))
         }
         // A quaternion in the default order, or no rotation.
-        (Kind::Convention, None) => match &found.length {
+        (Kind::Convention, None) => match &found.length_unit {
             Ok(Some(slip))
-                if is_read || matches!(found.reading, Err(NotObservable::NoOrientation)) =>
+                if is_read || matches!(found.encoding, Err(NotObservable::NoOrientation)) =>
             {
                 let (is, read_as) = (slip.is.to_string(), slip.read_as.to_string());
                 (bare_lengths(topic, slip), Some(Estimate::slip("length unit", is, read_as)))
@@ -225,7 +225,7 @@ fn bare_lengths(topic: &str, slip: &LengthUnitError) -> Outcome {
 
 /// Inferred units of lengths and angles in bare numbers.
 fn bare_units(found: &PoseDiagnosis) -> (LengthScale, AngleUnit) {
-    let length = found.length.as_ref().ok().copied().flatten().map(|slip| slip.is);
+    let length = found.length_unit.as_ref().ok().copied().flatten().map(|slip| slip.is);
     let angle = if found.degrees.is_some() { AngleUnit::Degree } else { AngleUnit::Radian };
     (length.unwrap_or(LengthScale::METRE), angle)
 }
@@ -308,7 +308,7 @@ fn fault(
 /// Whether every encoding fits equally well, because the orientation barely changes and a constant frame
 /// absorbs the difference.
 fn nothing_was_told_apart(reading: &EncodingEstimate) -> bool {
-    kind(&reading.best).is_none() && !reading.inverted && !reading.is_told
+    kind(&reading.best).is_none() && !reading.is_inverted && !reading.is_determined
 }
 
 /// Whether the best encoding is clearly better than the stream as logged and the next best.
@@ -411,15 +411,15 @@ mod tests {
     ) -> RunEvidence {
         let mut run = clean_run();
         let as_logged_rad = Some(1.1);
-        run.robots[0].poses[0].diagnosis.reading = Ok(EncodingEstimate {
-            inverted: matches!(best, PoseEncoding::Inverted),
+        run.robots[0].poses[0].diagnosis.encoding = Ok(EncodingEstimate {
+            is_inverted: matches!(best, PoseEncoding::Inverted),
             best,
             as_logged_rad,
             best_rad,
             runner_up,
             equivalent: Vec::new(),
             ranked: Vec::new(),
-            is_told: true,
+            is_determined: true,
         });
         run
     }

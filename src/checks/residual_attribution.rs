@@ -150,17 +150,17 @@ pub(super) fn attribute_residual(
 ) -> Option<Attribution> {
     let found = &stream.diagnosis;
     let proof = stream.proof.as_ref().ok()?;
-    let explained = proof.left.as_ref().unwrap_or(&proof.as_logged);
+    let explained = proof.corrected.as_ref().unwrap_or(&proof.as_logged);
     // A stream computed from the joint states has no noise of its own.
     let noise_multiple = if is_tf(arm, stream) { 0.0 } else { MAX_NOISE_RATIO };
-    let in_degrees = arm.diagnosis.reading.as_ref().is_ok_and(|read| read.degrees.is_some());
+    let in_degrees = arm.diagnosis.encoding.as_ref().is_ok_and(|read| read.degrees.is_some());
     if is_tf(arm, stream)
         && in_degrees
         && is_degrees_artifact(explained, outcomes, stream, thresholds)
     {
         return Some(Attribution::WithinNoise);
     }
-    if let Some(calibrated) = proof.calibrated.as_ref().filter(|_| found.nominal)
+    if let Some(calibrated) = proof.calibrated.as_ref().filter(|_| found.is_nominal)
         && explained.length.whole.rms > MIN_NOMINAL_RESIDUAL_M
         && ExceedingResidual::from_error(calibrated, thresholds, noise_multiple).is_none()
     {
@@ -178,7 +178,7 @@ pub(super) fn attribute_residual(
             return Some(Attribution::Explained { is_reported: true });
         }
         // The error as logged is meaningless if the reference frame is unknown.
-        Some(residual) if proof.left.is_none() && !stream.reference_known => {
+        Some(residual) if proof.corrected.is_none() && !stream.reference_known => {
             return Some(Attribution::Undetermined(residual, vec!["ORD001"]));
         }
         Some(residual)
@@ -193,8 +193,8 @@ pub(super) fn attribute_residual(
     let as_logged = || Some(&proof.as_logged);
     let unexplained = match (causes.joints.is_empty(), causes.poses.is_empty()) {
         (true, true) => None,
-        (false, true) => proof.beside_joints.as_ref().or_else(as_logged),
-        (true, false) => proof.beside_poses.as_ref().or_else(as_logged),
+        (false, true) => proof.poses_corrected.as_ref().or_else(as_logged),
+        (true, false) => proof.joints_corrected.as_ref().or_else(as_logged),
         (false, false) => as_logged(),
     };
     Some(
@@ -227,8 +227,11 @@ fn unreported_pose_correction(
     proof: &ResidualCheck,
     thresholds: &FrameThresholds,
 ) -> Option<ExceedingResidual> {
-    let residual =
-        ExceedingResidual::from_error(proof.beside_poses.as_ref()?, thresholds, MAX_NOISE_RATIO)?;
+    let residual = ExceedingResidual::from_error(
+        proof.joints_corrected.as_ref()?,
+        thresholds,
+        MAX_NOISE_RATIO,
+    )?;
     (residual.severity == Severity::Error).then_some(residual)
 }
 
@@ -274,8 +277,8 @@ impl ExceedingResidual {
         let mut parts: Vec<(f64, Severity, PartError)> = Vec::new();
         for (size, threshold) in with_thresholds(error, thresholds) {
             parts.extend(size.parts.iter().filter_map(|part| {
-                let ErrorMagnitude { most, noise, .. } = part.amount;
-                let is_more = most > noise_multiple * noise.map_or(0.0, |noise| noise.most);
+                let ErrorMagnitude { quantile_95: most, noise, .. } = part.magnitude;
+                let is_more = most > noise_multiple * noise.map_or(0.0, |noise| noise.quantile_95);
                 let severity = threshold.severity(most).filter(|_| is_more)?;
                 Some((most / threshold.warning, severity, *part))
             }));
@@ -297,27 +300,26 @@ impl ExceedingResidual {
     fn is_sum_of_small_errors(&self, thresholds: &FrameThresholds) -> bool {
         let small = |amount: &ErrorMagnitude, warning: f64| {
             amount.rms < MAX_SUMMED_RMS_RATIO * warning
-                && amount.most < MAX_SUMMED_PEAK_RATIO * warning
+                && amount.quantile_95 < MAX_SUMMED_PEAK_RATIO * warning
         };
         with_thresholds(&self.error, thresholds).all(|(size, threshold)| {
-            let in_parts = size.parts.iter().all(|part| small(&part.amount, threshold.warning));
+            let in_parts = size.parts.iter().all(|part| small(&part.magnitude, threshold.warning));
             size.whole.rms < threshold.warning && in_parts
         })
     }
 
     /// Whether the worst part is significantly above the noise.
     pub fn is_significant(&self) -> bool {
-        self.worst
-            .amount
-            .noise
-            .is_some_and(|noise| self.worst.amount.rms >= MIN_SIGNIFICANT_NOISE_RATIO * noise.rms)
+        self.worst.magnitude.noise.is_some_and(|noise| {
+            self.worst.magnitude.rms >= MIN_SIGNIFICANT_NOISE_RATIO * noise.rms
+        })
     }
 
     /// Whether the rms over the whole run reaches its threshold, with a part significantly above the
     /// measured noise.
     fn is_significant_over_run(&self, thresholds: &FrameThresholds) -> bool {
         let sure = |part: &PartError| {
-            let ErrorMagnitude { rms, noise, .. } = part.amount;
+            let ErrorMagnitude { rms, noise, .. } = part.magnitude;
             noise.is_some_and(|noise| rms >= MIN_SIGNIFICANT_NOISE_RATIO * noise.rms)
         };
         with_thresholds(&self.error, thresholds).any(|(size, threshold)| {
@@ -355,18 +357,19 @@ impl InconclusiveCauses {
     ) -> Self {
         let found = &stream.diagnosis;
         let chosen = |is: bool, code: &'static str| is.then_some(code);
-        let unsteady = found.course.as_ref().is_ok_and(|course| course.is_unsteady);
+        let unsteady = found.latency_profile.as_ref().is_ok_and(|course| course.is_unsteady);
         let times: Vec<&str> =
-            [Some("LAT001"), chosen(found.skew_chosen, "LAT002"), chosen(unsteady, "LAT003")]
+            [Some("LAT001"), chosen(found.is_skew_chosen, "LAT002"), chosen(unsteady, "LAT003")]
                 .into_iter()
                 .flatten()
                 .collect();
-        let frame =
-            |frame: &EstimateResult<FrameEstimate>| frame.as_ref().is_ok_and(|frame| frame.chosen);
+        let frame = |frame: &EstimateResult<FrameEstimate>| {
+            frame.as_ref().is_ok_and(|frame| frame.is_chosen)
+        };
         // An orientation whose encoding is undetermined is not accounted for.
         let has_angle = stream.proof.as_ref().is_ok_and(|proof| proof.as_logged.angle.is_some());
-        let reading = match &found.reading {
-            Ok(reading) => reading.inverted || !reading.best.is_as_logged(),
+        let reading = match &found.encoding {
+            Ok(reading) => reading.is_inverted || !reading.best.is_as_logged(),
             Err(_) => has_angle,
         };
         let poses: Vec<&str> = [
@@ -379,27 +382,30 @@ impl InconclusiveCauses {
             chosen(reading, "ORD003"),
             chosen(found.degrees.is_some(), "ORD004"),
             chosen(
-                matches!(found.length, Ok(Some(_))),
+                matches!(found.length_unit, Ok(Some(_))),
                 if stream.is_undeclared { "ORD001" } else { "ORD008" },
             ),
             chosen(matches!(found.axes, Ok(Some(_))), "ORD010"),
-            chosen(!found.constant.is_empty(), "ORD011"),
-            chosen(found.growth_chosen || !found.growth_changes.is_empty(), "ZER002"),
+            chosen(!found.constant_coordinates.is_empty(), "ORD011"),
+            chosen(
+                found.is_radial_scale_chosen || !found.radial_scale_changes.is_empty(),
+                "ZER002",
+            ),
         ]
         .into_iter()
         .flatten()
         .collect();
         let offsets = arm.joints.iter().zip(&arm.diagnosis.offsets);
-        let zeros = offsets.filter(|(_, offset)| offset.chosen).map(|(joint, _)| &joint.name);
+        let zeros = offsets.filter(|(_, offset)| offset.is_chosen).map(|(joint, _)| &joint.name);
         let changed: Vec<&String> = arm
             .diagnosis
             .changes
             .iter()
             .filter_map(|change| Some(&arm.joints.get(change.column)?.name))
             .collect();
-        let bends = arm.diagnosis.bends.iter();
+        let bends = arm.diagnosis.compliance.iter();
         let bent = bends.filter_map(|bend| Some(&arm.joints.get(bend.column)?.name));
-        let slips = arm.diagnosis.reading.iter().flat_map(|reading| &reading.slips);
+        let slips = arm.diagnosis.encoding.iter().flat_map(|reading| &reading.unit_errors);
         let read = slips.filter_map(|slip| Some(&arm.joints.get(slip.column)?.name));
         let of_joints = outcomes
             .on(arm, stream.topic(), &times)

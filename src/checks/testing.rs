@@ -59,18 +59,18 @@ pub fn ask(rule: &Rule, run: &RunEvidence) -> (Vec<CheckRow>, Vec<Finding>) {
 /// An error of this size over the whole run, before and after correction, far above the noise.
 pub fn left(most_m: f64, most_rad: f64) -> ResidualCheck {
     let size = |most: f64| {
-        let noise = Some(SampleNoise { rms: 1e-8, most: 2e-8, over: 1 });
-        let whole = ErrorMagnitude { samples: 1000, rms: 0.8 * most, most, noise };
+        let noise = Some(SampleNoise { rms: 1e-8, quantile_95: 2e-8, lag_samples: 1 });
+        let whole = ErrorMagnitude { samples: 1000, rms: 0.8 * most, quantile_95: most, noise };
         let part =
-            PartError { from_s: 0.0, to_s: 40.0, at: Vec3::new(0.4, 0.1, 0.3), amount: whole };
+            PartError { from_s: 0.0, to_s: 40.0, at: Vec3::new(0.4, 0.1, 0.3), magnitude: whole };
         ErrorSize { whole, parts: vec![part] }
     };
     let error = FkError { length: size(most_m), angle: Some(size(most_rad)) };
     ResidualCheck {
-        at_rest: false,
-        left: Some(error.clone()),
-        beside_joints: Some(error.clone()),
-        beside_poses: Some(error.clone()),
+        is_at_rest: false,
+        corrected: Some(error.clone()),
+        poses_corrected: Some(error.clone()),
+        joints_corrected: Some(error.clone()),
         calibrated: None,
         as_logged: error,
     }
@@ -102,23 +102,23 @@ pub fn clean_run() -> RunEvidence {
     };
     let offset = || JointOffset {
         offset: Ok(sure(0.0)),
-        chosen: false,
+        is_chosen: false,
         effect_m: 0.0,
         lever_m: 1.0,
-        twins: vec![],
+        confounders: vec![],
     };
     let imu = ImuDiagnosis {
-        reading: Ok(as_logged()),
+        encoding: Ok(as_logged()),
         latency_s: Ok(sure(0.0)),
-        latency_course: Ok(steady()),
+        latency_profile: Ok(steady()),
         skew: Ok(sure(0.0)),
         yaw_drift_rad_s: Ok(sure(0.0)),
-        yaw_course: YawProfile::default(),
+        yaw_profile: YawProfile::default(),
         mount_rad: Ok(length(0.0)),
         link_from_imu: None,
-        axes_turn: None,
+        axes_rotation: None,
         mount_change: None,
-        numbers: ImuConventions::default(),
+        conventions: ImuConventions::default(),
         tilt_rad: Ok(length(0.0)),
         up: None,
         gyro_bias: Ok(GyroBias {
@@ -151,12 +151,12 @@ pub fn clean_run() -> RunEvidence {
             },
         }),
         diagnosis: JointDiagnosis {
-            reading: Ok(JointEncoding::default()),
+            encoding: Ok(JointEncoding::default()),
             offsets: vec![offset(), offset(), offset()],
             scales: Vec::new(),
             changes: Vec::new(),
             patches: Vec::new(),
-            bends: Vec::new(),
+            compliance: Vec::new(),
         },
         poses: vec![stream_evidence(POSE, stream(true))],
         tf: Some(stream_evidence(TF, stream(false))),
@@ -209,7 +209,7 @@ fn commands() -> ReferenceEvidence {
         command_rad: 0.0,
         command_off_axis_rad: 0.0,
         interpolated: None,
-        witnesses: vec![Some(kept); 2],
+        deviations: vec![Some(kept); 2],
     };
     ReferenceEvidence {
         is_of_joints: false,
@@ -221,11 +221,11 @@ fn commands() -> ReferenceEvidence {
         ],
         diagnosis: Ok(Ok(ReferenceDiagnosis {
             is_streamed: true,
-            following: None,
+            tracking: None,
             goals: 2,
             not_reached: 0,
             nearest_miss: None,
-            gaps: vec![vec![rest_gap(0.0, 0.0)]; 2],
+            rest_errors: vec![vec![rest_gap(0.0, 0.0)]; 2],
             lines: vec![line],
         })),
         delays: vec![CommandDelay {
@@ -264,37 +264,37 @@ pub fn frame(length_m: f64) -> FrameEstimate {
         translation_m: sure(length_m),
         rotation_rad: sure(0.0),
         p_value: if length_m > 0.0 { 0.0 } else { 0.5 },
-        chosen: false,
+        is_chosen: false,
     }
 }
 
 fn as_logged() -> EncodingEstimate {
     EncodingEstimate {
         best: PoseEncoding::AsLogged,
-        inverted: false,
+        is_inverted: false,
         as_logged_rad: Some(1e-4),
         best_rad: 1e-4,
         runner_up: None,
         equivalent: Vec::new(),
         ranked: Vec::new(),
-        is_told: true,
+        is_determined: true,
     }
 }
 
 fn clean_stream() -> PoseDiagnosis {
     PoseDiagnosis {
-        reading: Ok(as_logged()),
-        length: Ok(None),
+        encoding: Ok(as_logged()),
+        length_unit: Ok(None),
         axes: Ok(None),
-        inverted: false,
-        constant: Vec::new(),
+        is_inverted: false,
+        constant_coordinates: Vec::new(),
         degrees: None,
         latency_s: Ok(sure(0.0)),
         skew: Ok(sure(0.0)),
-        skew_chosen: false,
-        course: Ok(steady()),
-        growth: Ok(sure(0.0)),
-        growth_chosen: false,
+        is_skew_chosen: false,
+        latency_profile: Ok(steady()),
+        radial_scale: Ok(sure(0.0)),
+        is_radial_scale_chosen: false,
         reference: Ok(frame(0.0)),
         tool: Ok(frame(0.0)),
         residual: Ok(StreamResidual {
@@ -305,16 +305,16 @@ fn clean_stream() -> PoseDiagnosis {
             before_m: 1e-5,
             before_rad: 1e-5,
         }),
-        nominal: false,
+        is_nominal: false,
         link_m: None,
         observability: None,
         top_speed_m_s: 0.8,
         aligned: AlignedSamples::default(),
         reference_changes: Vec::new(),
         tool_changes: Vec::new(),
-        growth_changes: Vec::new(),
-        delays: None,
-        coded: EncodingSpans::default(),
+        radial_scale_changes: Vec::new(),
+        delay_jitter: None,
+        encoding_spans: EncodingSpans::default(),
         frame_correction: FrameCorrection::default(),
     }
 }
@@ -349,7 +349,7 @@ pub fn steady() -> LatencyProfile {
         swing_s: sure(0.0),
         is_unsteady: false,
         shape: crate::diagnosis::LatencyShape::Steady,
-        jumps: Vec::new(),
+        steps: Vec::new(),
         levels: Vec::new(),
         windows: Vec::new(),
     }

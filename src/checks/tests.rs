@@ -117,7 +117,7 @@ fn findings_stand_by_gravity_and_then_by_effect() {
     for (joint, degrees) in [(1, 0.6), (2, 2.0)] {
         let radians = f64::to_radians(degrees);
         let offset = &mut run.robots[0].diagnosis.offsets[joint];
-        (offset.offset, offset.chosen) = (Ok(testing::sure(radians)), true);
+        (offset.offset, offset.is_chosen) = (Ok(testing::sure(radians)), true);
         offset.effect_m = radians;
     }
     let findings = evaluate(&run, &Settings::default()).findings;

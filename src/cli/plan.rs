@@ -270,10 +270,11 @@ fn check(args: &Args, planning: &Planning, file: &Path) -> Result<Outcome, Troub
     let asked = Asked::of_given(args, planning, around);
     let sensing = &asked.sensing;
     let purpose = args.purpose.into();
-    let promises = plan::shown(&planning.chain, &motion, purpose, sensing).ok_or_else(|| {
-        let what = "its points are more than 2 s apart; the motion between them is unknown";
-        misuse(file.display().to_string(), what, "provide at least 10 points per second")
-    })?;
+    let promises = plan::expected_precision(&planning.chain, &motion, purpose, sensing)
+        .ok_or_else(|| {
+            let what = "its points are more than 2 s apart; the motion between them is unknown";
+            misuse(file.display().to_string(), what, "provide at least 10 points per second")
+        })?;
     let checked = setup::Checked::of(planning, &asked, &motion, promises);
     let format = args.format.or_else(|| Format::of(args.output.as_deref()?));
     output::emit(args.output.as_deref(), |out| match format {
@@ -287,12 +288,12 @@ fn check(args: &Args, planning: &Planning, file: &Path) -> Result<Outcome, Troub
 /// The error if no motion was found, and what would help.
 fn refusal(asked: &Asked, why: Infeasible) -> Trouble {
     match why {
-        Infeasible::NoRoom => misuse(
+        Infeasible::NoMargin => misuse(
             "--around",
             "no joint can move: each is at a limit, or --amplitude leaves no room",
             "choose a configuration farther from the limits",
         ),
-        Infeasible::TooNear(near) => {
+        Infeasible::ClearanceViolated(near) => {
             let near = near.map_or_else(String::new, |near| format!(": {}", asked.nearness(&near)));
             let remedy = match near_view(&why) {
                 true => "reduce --amplitude, or increase --view or --target",
@@ -300,7 +301,7 @@ fn refusal(asked: &Asked, why: Infeasible) -> Trouble {
             };
             misuse("--around", format!("every motion tried comes too close{near}"), remedy)
         }
-        Infeasible::NothingShown => misuse(
+        Infeasible::NothingObservable => misuse(
             "--for",
             "no motion of these joints makes it observable",
             "choose another purpose, or increase --amplitude",
@@ -309,5 +310,5 @@ fn refusal(asked: &Asked, why: Infeasible) -> Trouble {
 }
 
 fn near_view(why: &Infeasible) -> bool {
-    matches!(why, Infeasible::TooNear(Some(ClearanceViolation::View(_))))
+    matches!(why, Infeasible::ClearanceViolated(Some(ClearanceViolation::View(_))))
 }

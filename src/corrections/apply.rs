@@ -6,7 +6,7 @@ use super::corrections_file::{
     AxesCorrection, Corrections, FrameCorrection, JointOrder, TopicCorrection, encoding_of_slip,
     is_same_topic,
 };
-use crate::diagnosis::{AxesError, IntendedEncoding, PoseEncoding, reread_imu, reread_poses};
+use crate::diagnosis::{AxesError, IntendedEncoding, PoseEncoding, reinterpret_poses, reread_imu};
 use crate::finding::Unit;
 use crate::geometry::{LengthScale, Misread, Pose, rotation_from_xyzw};
 use crate::log::Log;
@@ -200,9 +200,9 @@ impl TopicCorrection {
         });
         let is_any = reading.is_some() || inverted || axes != AxesError::NONE;
         is_any.then_some(IntendedEncoding {
-            reading: reading.unwrap_or(PoseEncoding::AsLogged),
+            encoding: reading.unwrap_or(PoseEncoding::AsLogged),
             axes,
-            inverted,
+            is_inverted: inverted,
         })
     }
 
@@ -290,7 +290,7 @@ fn correct_poses(
             };
             let reference = rotation_of(correction.reference_from_stream).inverse();
             let known = [reference, rotation_of(correction.tip_from_stream)];
-            if let Some(track) = reread_poses(joints, &stream, intended, known, most_lag_s) {
+            if let Some(track) = reinterpret_poses(joints, &stream, intended, known, most_lag_s) {
                 ["rotation", "inverse", "axes"]
                     .into_iter()
                     .for_each(|part| unapplied.mark_applied(part));

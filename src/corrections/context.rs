@@ -47,7 +47,7 @@ impl CorrectionContext<'_> {
     /// Estimated convention of a topic's bare numbers.
     pub fn convention_of_numbers(&self, topic: &str) -> Option<Convention> {
         let (_, stream) = self.evidence.poses().find(|(_, stream)| stream.topic() == topic)?;
-        match stream.diagnosis.reading.as_ref().ok()?.best {
+        match stream.diagnosis.encoding.as_ref().ok()?.best {
             PoseEncoding::Numbers(convention) if stream.has_bare_numbers => Some(convention),
             _ => None,
         }

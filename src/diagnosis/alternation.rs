@@ -2,12 +2,12 @@
 //! markers, or a program may switch the tool centre point.
 //!
 //! `logged = world · FK · body`, with one of a few values of `body`. A switch multiplies the pose on the
-//! right by `body⁻¹ · other`, independent of the arm's motion, and switching back applies the inverse. To
+//! right by `body⁻¹ · switched_tool`, independent of the arm's motion, and switching back applies the inverse. To
 //! detect it, the poses before and after each interval are extrapolated to its middle, which removes smooth
 //! motion. A difference that exceeds those elsewhere and those of FK is a switch. The accumulated jumps
 //! identify the body.
 
-use super::bends::ways;
+use super::bends::motion_directions;
 use super::latency::median_period_s;
 use super::model::{pose_of_twist, twist_of};
 use super::sampling::as_rotations;
@@ -17,11 +17,11 @@ use ground::stats::{Measured, quantile};
 use ground::stream::JointTrack;
 
 /// Minimum number of samples.
-const ENOUGH: usize = 60;
+const MIN_SAMPLES: usize = 60;
 /// Minimum number of samples between two switches. Shorter segments are outliers.
-const LEAST: usize = 4;
+const MIN_SEGMENT_SAMPLES: usize = 4;
 /// Maximum number of bodies.
-const BODIES: usize = 4;
+const MAX_BODIES: usize = 4;
 
 /// Bodies between which a stream's poses alternate.
 #[derive(Clone, Debug, PartialEq)]
@@ -50,18 +50,20 @@ pub struct SwitchedTool {
 impl SwitchedTool {
     /// Returns whether the jumps to and from it are too inconsistent for a rigid body. Stamp jitter causes
     /// such jumps.
-    fn is_vague(&self) -> bool {
+    fn is_inconsistent(&self) -> bool {
         /// Maximum relative standard error.
-        const VAGUE: f64 = 0.1;
-        let is_vague = |of: &Measured| of.std_error.is_finite() && of.std_error > VAGUE * of.value;
+        const MAX_RELATIVE_STD_ERROR: f64 = 0.1;
+        let is_vague = |of: &Measured| {
+            of.std_error.is_finite() && of.std_error > MAX_RELATIVE_STD_ERROR * of.value
+        };
         is_vague(&self.length_m) && is_vague(&self.angle_rad)
     }
 }
 
 impl ToolSwitching {
     /// Converts lengths to m if the positions of the stream have another unit.
-    pub fn in_m(&self, found: &PoseDiagnosis) -> Self {
-        let slip = found.length.as_ref().ok().and_then(Option::as_ref);
+    pub fn converted_to_m(&self, found: &PoseDiagnosis) -> Self {
+        let slip = found.length_unit.as_ref().ok().and_then(Option::as_ref);
         let factor = slip.map_or(1.0, LengthUnitError::factor);
         let mut scaled = self.clone();
         for other in &mut scaled.others {
@@ -74,32 +76,35 @@ impl ToolSwitching {
 
 /// Detects tool switching in `stream`. Returns the bodies, and all poses converted to the usual body.
 /// `None` if the poses do not alternate.
-pub fn alternation(joints: &JointTrack, stream: &PoseStream) -> Option<(ToolSwitching, Vec<Pose>)> {
+pub fn detect_tool_switching(
+    joints: &JointTrack,
+    stream: &PoseStream,
+) -> Option<(ToolSwitching, Vec<Pose>)> {
     let track = stream.track;
     let rotations = as_rotations(&track.orientation)?;
     let both = track.xyz.iter().zip(rotations);
     let poses: Vec<Pose> = both.map(|(xyz, rotation)| pose((*xyz).into(), *rotation)).collect();
     let period_s = median_period_s(&track.t_s);
-    if poses.len() < ENOUGH || period_s <= 0.0 {
+    if poses.len() < MIN_SAMPLES || period_s <= 0.0 {
         return None;
     }
-    let steps = steps(&track.t_s, period_s, &poses);
-    let limits = limits(joints, stream, period_s, &steps)?;
-    let jumps = jumps(&steps, limits);
-    if jumps.len() < 2 || jumps.len() * LEAST > poses.len() {
+    let steps = pose_steps(&track.t_s, period_s, &poses);
+    let limits = step_limits(joints, stream, period_s, &steps)?;
+    let jumps = detect_jumps(&steps, limits);
+    if jumps.len() < 2 || jumps.len() * MIN_SEGMENT_SAMPLES > poses.len() {
         return None;
     }
     let jumps_s: Vec<f64> = jumps.iter().map(|jump| track.t_s[jump.row]).collect();
-    if is_play(joints, stream, &jumps_s) {
+    if is_backlash(joints, stream, &jumps_s) {
         return None;
     }
-    let bodies = BodyAssignment::of(&jumps, poses.len(), limits)?;
-    let usual = bodies.usual();
+    let bodies = BodyAssignment::from_jumps(&jumps, poses.len(), limits)?;
+    let usual = bodies.most_frequent();
     let mut mended = poses;
     let mut others: Vec<(usize, SwitchedTool)> = Vec::new();
-    for (from, to, body) in bodies.stretches.iter().copied().filter(|(.., body)| *body != usual) {
+    for (from, to, body) in bodies.segments.iter().copied().filter(|(.., body)| *body != usual) {
         if !others.iter().any(|(own, _)| *own == body) {
-            others.push((body, bodies.other(body, usual)));
+            others.push((body, bodies.switched_tool(body, usual)));
         }
         let (_, other) = others.iter_mut().find(|(own, _)| *own == body)?;
         other.spans_s.push([track.t_s[from], track.t_s[to - 1]]);
@@ -109,7 +114,7 @@ pub fn alternation(joints: &JointTrack, stream: &PoseStream) -> Option<(ToolSwit
     }
     let samples = mended.len();
     let others: Vec<SwitchedTool> = others.into_iter().map(|(_, other)| other).collect();
-    if others.iter().any(SwitchedTool::is_vague) {
+    if others.iter().any(SwitchedTool::is_inconsistent) {
         return None;
     }
     Some((ToolSwitching { others, samples }, mended))
@@ -120,7 +125,7 @@ pub fn alternation(joints: &JointTrack, stream: &PoseStream) -> Option<(ToolSwit
 struct PoseStep {
     /// Index of the later sample.
     row: usize,
-    by: Pose,
+    displacement: Pose,
     /// Length, m, and angle, rad.
     sizes: [f64; 2],
     /// Ratio of the interval to the shorter adjacent one. The noise contribution grows linearly with it,
@@ -139,20 +144,20 @@ struct StepLimits {
 
 impl StepLimits {
     /// Size relative to the limits of a step with interval ratio `times`.
-    fn of(&self, sizes: [f64; 2], times: f64) -> f64 {
+    fn relative_size(&self, sizes: [f64; 2], times: f64) -> f64 {
         let most = |kind: usize| (times * self.noise[kind]).max(times * times * self.motion[kind]);
         (0..2).map(|kind| sizes[kind] / most(kind)).fold(0.0, f64::max)
     }
 }
 
-fn steps(t_s: &[f64], period_s: f64, poses: &[Pose]) -> Vec<PoseStep> {
+fn pose_steps(t_s: &[f64], period_s: f64, poses: &[Pose]) -> Vec<PoseStep> {
     /// Maximum interval in periods. Poses further apart cannot be compared.
-    const FAR: f64 = 15.0;
+    const MAX_INTERVAL_PERIODS: f64 = 15.0;
     let twist = |a: usize, b: usize| twist_of(&(poses[a].inverse() * poses[b]));
     let of = |row: usize| {
         let before_s = t_s[row - 1] - t_s[row - 2];
         let (between_s, after_s) = (t_s[row] - t_s[row - 1], t_s[row + 1] - t_s[row]);
-        let most_s = FAR * period_s;
+        let most_s = MAX_INTERVAL_PERIODS * period_s;
         if before_s > most_s || between_s > most_s || after_s > most_s {
             return None;
         }
@@ -164,26 +169,26 @@ fn steps(t_s: &[f64], period_s: f64, poses: &[Pose]) -> Vec<PoseStep> {
         let by = from.inverse() * to;
         let times = (between_s / before_s.min(after_s)).max(1.0);
         let sizes = [by.translation.vector.norm(), by.rotation.angle()];
-        Some(PoseStep { row, by, sizes, times })
+        Some(PoseStep { row, displacement: by, sizes, times })
     };
     (2..poses.len().saturating_sub(1)).filter_map(of).collect()
 }
 
 /// Limits above which neither motion nor noise explains a step.
-fn limits(
+fn step_limits(
     joints: &JointTrack,
     stream: &PoseStream,
     period_s: f64,
     steps: &[PoseStep],
 ) -> Option<StepLimits> {
     /// Factor on the quantile of the stream's steps, that quantile, and factor on the largest FK step.
-    const TIMES: f64 = 6.0;
-    const NEARLY_ALL: f64 = 0.85;
-    const TIMES_FK: f64 = 3.0;
+    const QUANTILE_FACTOR: f64 = 6.0;
+    const STEP_QUANTILE: f64 = 0.85;
+    const FK_STEP_FACTOR: f64 = 3.0;
     /// Maximum distance of a body's origin from the tip, m.
-    const LEVER_M: f64 = 0.2;
+    const MAX_BODY_DISTANCE_M: f64 = 0.2;
     /// Smallest jump, m and rad.
-    const LEAST: [f64; 2] = [5e-4, 3e-3];
+    const MIN_JUMP_M_RAD: [f64; 2] = [5e-4, 3e-3];
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
     let mut fk = |t_s: f64| {
         joints.at(t_s, &mut cursor, &mut q, &mut qd).then(|| {
@@ -194,27 +199,31 @@ fn limits(
     // At the stamps of the stream.
     let covered = stream.track.t_s.iter().filter_map(|&t_s| Some((t_s, fk(t_s)?)));
     let (t_s, fk): (Vec<f64>, Vec<Pose>) = covered.unzip();
-    let by_fk = self::steps(&t_s, period_s, &fk);
+    let by_fk = pose_steps(&t_s, period_s, &fk);
     let most = |kind: usize| {
         let sizes = by_fk.iter().map(|step| step.sizes[kind] / step.times.powi(2));
-        TIMES_FK * sizes.fold(0.0, f64::max)
+        FK_STEP_FACTOR * sizes.fold(0.0, f64::max)
     };
     let most_rad = most(1);
-    let mut limits = StepLimits { noise: LEAST, motion: [most(0) + LEVER_M * most_rad, most_rad] };
+    let mut limits = StepLimits {
+        noise: MIN_JUMP_M_RAD,
+        motion: [most(0) + MAX_BODY_DISTANCE_M * most_rad, most_rad],
+    };
     for kind in 0..2 {
         let mut sizes: Vec<f64> = steps.iter().map(|step| step.sizes[kind] / step.times).collect();
-        limits.noise[kind] = limits.noise[kind].max(TIMES * quantile(&mut sizes, NEARLY_ALL)?);
+        limits.noise[kind] =
+            limits.noise[kind].max(QUANTILE_FACTOR * quantile(&mut sizes, STEP_QUANTILE)?);
     }
     Some(limits)
 }
 
 /// Steps that exceed the limits and are local maxima.
-fn jumps(steps: &[PoseStep], limits: StepLimits) -> Vec<PoseStep> {
+fn detect_jumps(steps: &[PoseStep], limits: StepLimits) -> Vec<PoseStep> {
     /// A jump also shows, at half its size, in adjacent steps.
-    const BESIDE: usize = 2;
-    let size = |step: &PoseStep| limits.of(step.sizes, step.times);
+    const SPREAD_STEPS: usize = 2;
+    let size = |step: &PoseStep| limits.relative_size(step.sizes, step.times);
     let is_jump = |at: &usize| {
-        let about = at.saturating_sub(BESIDE)..(at + BESIDE + 1).min(steps.len());
+        let about = at.saturating_sub(SPREAD_STEPS)..(at + SPREAD_STEPS + 1).min(steps.len());
         let own = size(&steps[*at]);
         own > 1.0 && about.filter(|other| other != at).all(|other| size(&steps[other]) < own)
     };
@@ -222,14 +231,14 @@ fn jumps(steps: &[PoseStep], limits: StepLimits) -> Vec<PoseStep> {
 }
 
 /// Returns whether the poses jump at every reversal of one joint and at no other time. That is backlash.
-fn is_play(joints: &JointTrack, stream: &PoseStream, jumps_s: &[f64]) -> bool {
+fn is_backlash(joints: &JointTrack, stream: &PoseStream, jumps_s: &[f64]) -> bool {
     /// Maximum time between jump and reversal, s. The joint moves little then.
-    const NEAR_S: f64 = 0.3;
+    const MAX_REVERSAL_DISTANCE_S: f64 = 0.3;
     let is_of = |&column: &usize| {
-        let ways = ways(joints.len(), |row| joints.row(row)[column]);
+        let ways = motion_directions(joints.len(), |row| joints.row(row)[column]);
         let turns = (1..ways.len()).filter(|&row| ways[row - 1] * ways[row] < 0.0);
         let turns_s: Vec<f64> = turns.map(|row| joints.t_s[row]).collect();
-        let near = |a: &[f64], b: f64| a.iter().any(|a| (a - b).abs() < NEAR_S);
+        let near = |a: &[f64], b: f64| a.iter().any(|a| (a - b).abs() < MAX_REVERSAL_DISTANCE_S);
         // The initial position within the backlash is unknown, so one jump may be unmatched.
         let missed = jumps_s.iter().filter(|at_s| !near(&turns_s, **at_s)).count();
         let meet = turns_s.iter().all(|at_s| near(jumps_s, *at_s));
@@ -241,7 +250,7 @@ fn is_play(joints: &JointTrack, stream: &PoseStream, jumps_s: &[f64]) -> bool {
 /// Assignment of samples to bodies.
 struct BodyAssignment {
     /// First sample, end (exclusive), and body.
-    stretches: Vec<(usize, usize, usize)>,
+    segments: Vec<(usize, usize, usize)>,
     /// `first_from_body` according to the first jump to it, and the largest interval ratio of the jumps
     /// that determine it.
     poses: Vec<(Pose, f64)>,
@@ -251,26 +260,28 @@ struct BodyAssignment {
 
 impl BodyAssignment {
     /// `None` if no body recurs.
-    fn of(jumps: &[PoseStep], samples: usize, limits: StepLimits) -> Option<Self> {
+    fn from_jumps(jumps: &[PoseStep], samples: usize, limits: StepLimits) -> Option<Self> {
         /// Bodies within this many limits of each other are the same.
-        const ALIKE: f64 = 1.0;
+        const MAX_SAME_BODY_DISTANCE: f64 = 1.0;
         let mut bodies =
-            Self { stretches: Vec::new(), poses: vec![(Pose::identity(), 1.0)], jumps: Vec::new() };
+            Self { segments: Vec::new(), poses: vec![(Pose::identity(), 1.0)], jumps: Vec::new() };
         let (mut from, mut body) = (0, 0);
         for jump in jumps {
-            if jump.row < from + LEAST {
+            if jump.row < from + MIN_SEGMENT_SAMPLES {
                 return None;
             }
-            bodies.stretches.push((from, jump.row, body));
+            bodies.segments.push((from, jump.row, body));
             let (here, times) = bodies.poses[body];
-            let (there, times) = (here * jump.by, times.max(jump.times));
+            let (there, times) = (here * jump.displacement, times.max(jump.times));
             let apart = |(own, own_times): &(Pose, f64)| {
                 let off = own.inverse() * there;
                 let sizes = [off.translation.vector.norm(), off.rotation.angle()];
-                limits.of(sizes, times.max(*own_times))
+                limits.relative_size(sizes, times.max(*own_times))
             };
             let near = bodies.poses.iter().map(apart).enumerate();
-            let nearest = near.min_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, far)| *far < ALIKE);
+            let nearest = near
+                .min_by(|a, b| a.1.total_cmp(&b.1))
+                .filter(|(_, far)| *far < MAX_SAME_BODY_DISTANCE);
             let next = match nearest {
                 Some((known, _)) => known,
                 None => {
@@ -281,37 +292,40 @@ impl BodyAssignment {
             bodies.jumps.push((body, next, *jump));
             (from, body) = (jump.row, next);
         }
-        bodies.stretches.push((from, samples, body));
+        bodies.segments.push((from, samples, body));
         // Without recurrence it is not switching. Many bodies indicate another problem.
-        let comes_again = bodies.stretches.len() > bodies.poses.len();
-        let is_short = samples - from < LEAST;
-        (comes_again && !is_short && (2..=BODIES).contains(&bodies.poses.len())).then_some(bodies)
+        let comes_again = bodies.segments.len() > bodies.poses.len();
+        let is_short = samples - from < MIN_SEGMENT_SAMPLES;
+        (comes_again && !is_short && (2..=MAX_BODIES).contains(&bodies.poses.len()))
+            .then_some(bodies)
     }
 
     /// Body with the most samples. The first one if it has nearly as many.
-    fn usual(&self) -> usize {
-        const HARDLY_FEWER: f64 = 0.8;
+    fn most_frequent(&self) -> usize {
+        const MIN_FIRST_BODY_SHARE: f64 = 0.8;
         let samples = |body: usize| {
-            let own = self.stretches.iter().filter(|(.., of)| *of == body);
+            let own = self.segments.iter().filter(|(.., of)| *of == body);
             own.map(|(from, to, _)| to - from).sum::<usize>()
         };
         let most = (0..self.poses.len()).max_by_key(|&body| samples(body)).unwrap_or(0);
-        let is_first = samples(0) as f64 >= HARDLY_FEWER * samples(most) as f64;
+        let is_first = samples(0) as f64 >= MIN_FIRST_BODY_SHARE * samples(most) as f64;
         if is_first { 0 } else { most }
     }
 
     /// Pose of `body` relative to the usual one: mean of all jumps between the two, weighted by inverse
     /// variance.
-    fn other(&self, body: usize, usual: usize) -> SwitchedTool {
+    fn switched_tool(&self, body: usize, usual: usize) -> SwitchedTool {
         let first = self.poses[usual].0.inverse() * self.poses[body].0;
-        let between = self.jumps.iter().filter_map(|&(from, to, PoseStep { by, times, .. })| {
-            let by = match (from, to) {
-                _ if (from, to) == (usual, body) => by,
-                _ if (from, to) == (body, usual) => by.inverse(),
-                _ => return None,
-            };
-            Some((twist_of(&(first.inverse() * by)), times.powi(-2)))
-        });
+        let between = self.jumps.iter().filter_map(
+            |&(from, to, PoseStep { displacement: by, times, .. })| {
+                let by = match (from, to) {
+                    _ if (from, to) == (usual, body) => by,
+                    _ if (from, to) == (body, usual) => by.inverse(),
+                    _ => return None,
+                };
+                Some((twist_of(&(first.inverse() * by)), times.powi(-2)))
+            },
+        );
         let mut about: Vec<([f64; 6], f64)> = between.collect();
         if about.is_empty() {
             // No direct jump between the two.
@@ -355,7 +369,7 @@ mod tests {
     use ground::geometry::{angle_between, rotation_from_rpy};
     use ground::stream::{Orientations, PoseTrack};
 
-    /// Tracker poses of a body that is replaced by `other` at some times, in a possibly moving world.
+    /// Tracker poses of a body that is replaced by `switched_tool` at some times, in a possibly moving world.
     fn found(
         other: &dyn Fn(f64) -> Option<Pose>,
         world: &dyn Fn(f64) -> Pose,
@@ -385,9 +399,9 @@ mod tests {
             reference_known: false,
             stamp_error_s: 0.0,
             stamps_copied: false,
-            taken_off: None,
+            removed_ramp: None,
         };
-        let (alternation, mended) = alternation(&joints, &stream)?;
+        let (alternation, mended) = detect_tool_switching(&joints, &stream)?;
         Some((alternation, mended, usual))
     }
 

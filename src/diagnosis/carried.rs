@@ -9,23 +9,23 @@ use ground::geometry::{Pose, Vec3};
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
 /// Maximum number of samples used.
-const SAMPLES: usize = 300;
+const MAX_SAMPLES: usize = 300;
 /// Minimum number of samples.
-const ENOUGH: usize = 20;
+const MIN_SAMPLES: usize = 20;
 /// Largest latency or lag to search, s.
-const MOST_S: f64 = 0.5;
+const MAX_LAG_S: f64 = 0.5;
 /// Initial and final step of the search, s.
-const STEP_S: f64 = 0.02;
-const FINEST_S: f64 = 2e-5;
+const INITIAL_STEP_S: f64 = 0.02;
+const FINAL_STEP_S: f64 = 2e-5;
 /// The transforms have a latency different from the poses' only if that reduces the residual below this
 /// fraction, …
-const SHARE: f64 = 0.7;
+const MAX_RESIDUAL_RATIO: f64 = 0.7;
 /// … and if the two differ by more than this, s.
-const APART_S: f64 = 2e-3;
+const MIN_LAG_DIFFERENCE_S: f64 = 2e-3;
 /// If the position residual exceeds the first fraction of the extent, the joints may be misinterpreted. A
 /// lag is then accepted only if it reduces the residual below the second fraction.
-const OFF_ARM: f64 = 0.1;
-const NEARER: f64 = 0.5;
+const MAX_RESIDUAL_SHARE: f64 = 0.1;
+const MAX_RESIDUAL_RATIO_OFF_ARM: f64 = 0.5;
 
 /// Time at which to evaluate the transform of a moving frame for poses in it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,14 +42,14 @@ pub struct MovingBaseLag {
 /// have a transform.
 ///
 /// `stream` provides the chain and its columns. `base_from_frame` is defined at some times only.
-pub fn carrier_lag(
+pub fn estimate_moving_base_lag(
     joints: &JointTrack,
     stream: &PoseStream,
     logged: &PoseTrack,
     base_from_frame: &(dyn Fn(f64) -> Option<Pose> + Sync),
     most_lag_s: f64,
 ) -> Option<MovingBaseLag> {
-    let rows = some_of(logged.t_s.len());
+    let rows = sample_rows(logged.t_s.len());
     let cost = |lag_s: f64, latency_s: f64| -> f64 {
         let mut fk = FkSequence::new(joints, stream);
         let offsets = rows.iter().filter_map(|&row| {
@@ -59,7 +59,7 @@ pub fn carrier_lag(
             Some(arm.rotation.inverse() * (at.coords - arm.translation.vector))
         });
         let offsets: Vec<Vec3> = offsets.collect();
-        if 2 * offsets.len() < rows.len() || offsets.len() < ENOUGH {
+        if 2 * offsets.len() < rows.len() || offsets.len() < MIN_SAMPLES {
             return f64::INFINITY;
         }
         // Residual about a constant tool offset.
@@ -67,8 +67,8 @@ pub fn carrier_lag(
         let squares = offsets.iter().map(|offset| (offset - tool).norm_squared());
         (squares.sum::<f64>() / offsets.len() as f64).sqrt()
     };
-    let tried = (most_lag_s.min(MOST_S) / STEP_S) as i32;
-    let lags = (-tried..=tried).map(|step| f64::from(step) * STEP_S);
+    let tried = (most_lag_s.min(MAX_LAG_S) / INITIAL_STEP_S) as i32;
+    let lags = (-tried..=tried).map(|step| f64::from(step) * INITIAL_STEP_S);
     let best = lags.min_by(|&a, &b| cost(a, a).total_cmp(&cost(b, b)))?;
     let together = descend([best, 0.0], &|[both, _]| cost(both, both))[0];
     let left = cost(together, together);
@@ -82,18 +82,20 @@ pub fn carrier_lag(
     });
     let extent_m = spread(&in_base.collect::<Vec<Vec3>>());
     let least = cost(lag_s, latency_s);
-    if least > OFF_ARM * extent_m && least > NEARER * cost(0.0, 0.0) {
+    if least > MAX_RESIDUAL_SHARE * extent_m && least > MAX_RESIDUAL_RATIO_OFF_ARM * cost(0.0, 0.0)
+    {
         // No lag makes the arm match FK, so the joints may be misinterpreted. Keep the stamps.
         return Some(MovingBaseLag { lag_s: 0.0, is_on_time: true });
     }
-    let is_on_time = (lag_s - latency_s).abs() < APART_S || cost(lag_s, latency_s) > SHARE * left;
+    let is_on_time = (lag_s - latency_s).abs() < MIN_LAG_DIFFERENCE_S
+        || cost(lag_s, latency_s) > MAX_RESIDUAL_RATIO * left;
     Some(MovingBaseLag { lag_s: if is_on_time { together } else { lag_s }, is_on_time })
 }
 
 /// Minimises a function near `start` by pattern search (Hooke and Jeeves 1961): steps along the axes and
 /// diagonals, halved when none improves.
 fn descend(start: [f64; 2], cost: &dyn Fn([f64; 2]) -> f64) -> [f64; 2] {
-    const WAYS: [[f64; 2]; 8] = [
+    const SEARCH_DIRECTIONS: [[f64; 2]; 8] = [
         [1.0, 0.0],
         [-1.0, 0.0],
         [0.0, 1.0],
@@ -103,9 +105,10 @@ fn descend(start: [f64; 2], cost: &dyn Fn([f64; 2]) -> f64) -> [f64; 2] {
         [1.0, -1.0],
         [-1.0, 1.0],
     ];
-    let (mut at, mut least, mut step) = (start, cost(start), STEP_S);
-    while step > FINEST_S {
-        let ways = WAYS.iter().map(|way| [at[0] + step * way[0], at[1] + step * way[1]]);
+    let (mut at, mut least, mut step) = (start, cost(start), INITIAL_STEP_S);
+    while step > FINAL_STEP_S {
+        let ways =
+            SEARCH_DIRECTIONS.iter().map(|way| [at[0] + step * way[0], at[1] + step * way[1]]);
         let best = ways.map(|to| (cost(to), to)).min_by(|a, b| a.0.total_cmp(&b.0));
         match best {
             Some((less, to)) if less < least => (at, least) = (to, less),
@@ -127,20 +130,20 @@ pub struct BaseMotion {
 /// Detects a base that moves in the frame of a stream's poses, as on a vehicle, a lift or a rail. At some
 /// latency, the base pose computed from FK must move in a plane or along a line and rotate about one axis
 /// only. It must travel several times as far as it deviates from that.
-pub fn base_travel(
+pub fn detect_base_motion(
     joints: &JointTrack,
     stream: &PoseStream,
     most_lag_s: f64,
 ) -> Option<BaseMotion> {
     /// Minimum travel of a moving base, m. An arm that differs from its model can deviate by less.
-    const STANDS_M: f64 = 0.1;
+    const MIN_TRAVEL_M: f64 = 0.1;
     /// Minimum ratio of travel to deviation.
-    const FARTHER: f64 = 10.0;
+    const MIN_TRAVEL_RATIO: f64 = 10.0;
     /// Maximum step between samples as a fraction of the travel. A larger step means a base that was pushed
     /// once.
-    const AT_ONCE: f64 = 0.5;
+    const MAX_STEP_SHARE: f64 = 0.5;
     let Orientations::Rotations(rotations) = &stream.track.orientation else { return None };
-    let rows = some_of(stream.track.t_s.len());
+    let rows = sample_rows(stream.track.t_s.len());
     let bases = |latency_s: f64| -> Vec<Pose> {
         let mut fk = FkSequence::new(joints, stream);
         let of_row = |&row: &usize| {
@@ -151,36 +154,36 @@ pub fn base_travel(
     };
     let strays = |latency_s: f64| -> f64 {
         let bases = bases(latency_s);
-        match 2 * bases.len() < rows.len() || bases.len() < ENOUGH {
+        match 2 * bases.len() < rows.len() || bases.len() < MIN_SAMPLES {
             true => f64::INFINITY,
-            false => PlanarTravel::of(&bases).strays_m,
+            false => PlanarTravel::fit(&bases).deviation_m,
         }
     };
-    let arm = ArmSpeeds::of(joints, stream.chain, stream.columns);
-    let peaks = arm.peaks_of(&stream.track.t_s, &stream.track.xyz, Some(rotations), most_lag_s);
-    let tried = (most_lag_s.min(MOST_S) / STEP_S) as i32;
-    let lags = (-tried..=tried).map(|step| f64::from(step) * STEP_S);
+    let arm = ArmSpeeds::from_joints(joints, stream.chain, stream.columns);
+    let peaks = arm.lag_peaks(&stream.track.t_s, &stream.track.xyz, Some(rotations), most_lag_s);
+    let tried = (most_lag_s.min(MAX_LAG_S) / INITIAL_STEP_S) as i32;
+    let lags = (-tried..=tried).map(|step| f64::from(step) * INITIAL_STEP_S);
     let near: Vec<f64> = peaks.iter().take(3).map(|peak| peak.lag_s).collect();
     let best = lags.chain(near.iter().copied()).min_by(|&a, &b| strays(a).total_cmp(&strays(b)))?;
     let latency_s = descend([best, 0.0], &|[latency_s, _]| strays(latency_s))[0];
     let bases = bases(latency_s);
-    if bases.len() < ENOUGH {
+    if bases.len() < MIN_SAMPLES {
         return None;
     }
-    let course = PlanarTravel::of(&bases);
+    let course = PlanarTravel::fit(&bases);
     let steps = bases.windows(2).map(|two| two[1].translation.vector - two[0].translation.vector);
     let largest_m = steps.map(|step| step.norm()).fold(0.0, f64::max);
     let middle =
         bases.iter().map(|base| base.translation.vector).sum::<Vec3>() / bases.len() as f64;
     let far = bases.iter().map(|base| (base.translation.vector - middle).norm());
     let travel_m = far.fold(0.0, f64::max);
-    let moves = travel_m > STANDS_M
-        && course.along_m > FARTHER * course.strays_m
-        && largest_m < AT_ONCE * course.along_m
+    let moves = travel_m > MIN_TRAVEL_M
+        && course.along_m > MIN_TRAVEL_RATIO * course.deviation_m
+        && largest_m < MAX_STEP_SHARE * course.along_m
         && !near
             .into_iter()
             .chain([latency_s])
-            .any(|lag_s| stands(joints, stream, lag_s, course.along_m / FARTHER));
+            .any(|lag_s| is_base_fixed(joints, stream, lag_s, course.along_m / MIN_TRAVEL_RATIO));
     moves.then(|| {
         let turned = bases.iter().map(|base| base.rotation.angle_to(&bases[0].rotation));
         BaseMotion { travel_m, turn_rad: turned.fold(0.0, f64::max) }
@@ -190,10 +193,10 @@ pub fn base_travel(
 /// Returns whether a fixed base, with a constant world frame and marker, has a position residual below
 /// `most_m` rms. Tests metres and the unit in which positions spread as FK does. Otherwise a tool with
 /// constant orientation, or one that rotates about a single axis, would look like a moving base.
-fn stands(joints: &JointTrack, stream: &PoseStream, latency_s: f64, most_m: f64) -> bool {
+fn is_base_fixed(joints: &JointTrack, stream: &PoseStream, latency_s: f64, most_m: f64) -> bool {
     let Orientations::Rotations(rotations) = &stream.track.orientation else { return false };
     let mut fk = FkSequence::new(joints, stream);
-    let both = some_of(stream.track.t_s.len()).into_iter().filter_map(|row| {
+    let both = sample_rows(stream.track.t_s.len()).into_iter().filter_map(|row| {
         let logged = Pose::from_parts(stream.track.xyz[row].into(), rotations[row]);
         Some((fk.at(stream.track.t_s[row] - latency_s)?, logged))
     });
@@ -210,16 +213,16 @@ fn stands(joints: &JointTrack, stream: &PoseStream, latency_s: f64, most_m: f64)
 /// Travel of poses in the plane normal to their rotation axis, and their deviation from it.
 struct PlanarTravel {
     along_m: f64,
-    strays_m: f64,
+    deviation_m: f64,
 }
 
 impl PlanarTravel {
     /// Lever arm that converts rotations to lengths, m.
     const LEVER_M: f64 = 0.5;
     /// Below this value of `1 − σ_min` of the mean rotation, the orientation is constant (5 mrad rms).
-    const HARDLY: f64 = 1e-5;
+    const MIN_ROTATION_SPREAD: f64 = 1e-5;
 
-    fn of(poses: &[Pose]) -> Self {
+    fn fit(poses: &[Pose]) -> Self {
         let n = poses.len().max(1) as f64;
         let mut mean = nalgebra::Matrix3::zeros();
         for pose in poses {
@@ -232,10 +235,10 @@ impl PlanarTravel {
         let squares = scatter.symmetric_eigenvalues();
         let svd = mean.svd(true, true);
         let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
-            return Self { along_m: 0.0, strays_m: f64::INFINITY };
+            return Self { along_m: 0.0, deviation_m: f64::INFINITY };
         };
         let turns = 1.0 - svd.singular_values.min();
-        let (across, leans_rad) = if turns < Self::HARDLY {
+        let (across, leans_rad) = if turns < Self::MIN_ROTATION_SPREAD {
             // The orientation is constant, so only positions define the plane.
             (squares.min(), (2.0 * turns).max(0.0).sqrt())
         } else {
@@ -248,7 +251,7 @@ impl PlanarTravel {
         };
         Self {
             along_m: (squares.sum() - across).max(0.0).sqrt(),
-            strays_m: across.max(0.0).sqrt().hypot(Self::LEVER_M * leans_rad),
+            deviation_m: across.max(0.0).sqrt().hypot(Self::LEVER_M * leans_rad),
         }
     }
 }
@@ -280,9 +283,9 @@ impl<'a> FkSequence<'a> {
     }
 }
 
-/// Evenly spaced rows, at most [`SAMPLES`].
-fn some_of(rows: usize) -> Vec<usize> {
-    (0..rows).step_by(rows.div_ceil(SAMPLES).max(1)).collect()
+/// Evenly spaced rows, at most [`MAX_SAMPLES`].
+fn sample_rows(rows: usize) -> Vec<usize> {
+    (0..rows).step_by(rows.div_ceil(MAX_SAMPLES).max(1)).collect()
 }
 
 #[cfg(test)]
@@ -325,7 +328,7 @@ mod tests {
             reference_known: false,
             stamp_error_s: 0.0,
             stamps_copied: false,
-            taken_off: None,
+            removed_ramp: None,
         }
     }
 
@@ -335,7 +338,7 @@ mod tests {
         let logged = track(&joints, &chain, 0.03, odometry);
         let lag = |edge_s: f64| {
             let at = move |t_s: f64| Some(odometry(t_s - edge_s).inverse());
-            carrier_lag(&joints, &stream(&logged, &chain), &logged, &at, 5.0).unwrap()
+            estimate_moving_base_lag(&joints, &stream(&logged, &chain), &logged, &at, 5.0).unwrap()
         };
         let (on_time, late) = (lag(0.0), lag(0.05));
         assert!(on_time.is_on_time && (on_time.lag_s - 0.03).abs() < 2e-4, "{on_time:?}");
@@ -386,13 +389,13 @@ mod tests {
         }
         track.orientation = Orientations::Rotations(rotations);
         let stream = PoseStream { columns: &[0, 1, 2], ..stream(&track, &chain) };
-        assert_eq!(base_travel(&joints, &stream, 5.0), None);
+        assert_eq!(detect_base_motion(&joints, &stream, 5.0), None);
     }
 
     #[test]
     fn a_base_that_drives_is_told_from_one_that_stands_and_from_an_arm_that_is_another() {
         let (joints, chain) = arm();
-        let travel = |track: PoseTrack| base_travel(&joints, &stream(&track, &chain), 5.0);
+        let travel = |track: PoseTrack| detect_base_motion(&joints, &stream(&track, &chain), 5.0);
         let driven = travel(track(&joints, &chain, 0.03, odometry)).unwrap();
         assert!(driven.travel_m > 1.0 && (driven.turn_rad - 0.8).abs() < 0.4, "{driven:?}");
         assert_eq!(travel(track(&joints, &chain, 0.0, |_| odometry(3.0))), None);

@@ -11,7 +11,7 @@ pub(super) struct CandidateRotations {
 }
 
 impl CandidateRotations {
-    pub fn of(&self, sample: usize) -> &[Rotation] {
+    pub fn of_sample(&self, sample: usize) -> &[Rotation] {
         let start = sample.checked_sub(1).map_or(0, |before| self.ends[before]);
         &self.rotations[start..self.ends[sample]]
     }
@@ -47,7 +47,7 @@ pub(super) enum Side {
 ///
 /// Tries the candidates of several samples as anchors, because one of them may be on a wrong branch. Then
 /// averages over all samples.
-pub(super) fn one_frame(truths: &CandidateRotations, fk: &[Rotation], side: Side) -> Rotation {
+pub(super) fn fit_one_frame(truths: &CandidateRotations, fk: &[Rotation], side: Side) -> Rotation {
     let frame_at = |truth: &Rotation, fk: &Rotation| match side {
         Side::Reference => truth * fk.inverse(),
         Side::Tool => fk.inverse() * truth,
@@ -59,10 +59,10 @@ pub(super) fn one_frame(truths: &CandidateRotations, fk: &[Rotation], side: Side
     let step = fk.len().div_ceil(4);
     let anchors = (0..fk.len())
         .step_by(step)
-        .flat_map(|sample| truths.of(sample).iter().map(move |truth| (sample, truth)));
+        .flat_map(|sample| truths.of_sample(sample).iter().map(move |truth| (sample, truth)));
     let closeness = |frame: &Rotation| -> f64 {
         let cosine = |(sample, fk): (usize, &Rotation)| {
-            nearest(truths.of(sample), &apply(frame, fk)).map_or(0.0, |(_, cosine)| cosine)
+            nearest(truths.of_sample(sample), &apply(frame, fk)).map_or(0.0, |(_, cosine)| cosine)
         };
         fk.iter().enumerate().map(cosine).sum()
     };
@@ -78,7 +78,7 @@ pub(super) fn one_frame(truths: &CandidateRotations, fk: &[Rotation], side: Side
             .iter()
             .enumerate()
             .filter_map(|(sample, fk)| {
-                let (truth, _) = nearest(truths.of(sample), &apply(&frame, fk))?;
+                let (truth, _) = nearest(truths.of_sample(sample), &apply(&frame, fk))?;
                 Some(rotvec_from_rotation(&(frame.inverse() * frame_at(&truth, fk))))
             })
             .sum::<Vec3>()
@@ -94,14 +94,17 @@ pub(super) fn one_frame(truths: &CandidateRotations, fk: &[Rotation], side: Side
 /// Park and Martin, "Robot sensor calibration: solving AX = XB on the Euclidean group", 1994, with the
 /// singular value solution of Wahba's problem (Markley 1988). If the rotations share one axis, the rotation
 /// about it is determined by noise only. Gauss–Newton steps on all samples therefore follow.
-pub(super) fn both_frames(truths: &CandidateRotations, fk: &[Rotation]) -> (Rotation, Rotation) {
-    let first = (0..fk.len()).map(|sample| truths.of(sample).first().copied()).collect();
+pub(super) fn fit_both_frames(
+    truths: &CandidateRotations,
+    fk: &[Rotation],
+) -> (Rotation, Rotation) {
+    let first = (0..fk.len()).map(|sample| truths.of_sample(sample).first().copied()).collect();
     let mut chosen: Vec<Option<Rotation>> = first;
     let (mut reference, mut tool) = (Rotation::identity(), Rotation::identity());
     for round in 0..3 {
         if round > 0 {
             let nearest = |(sample, fk): (usize, &Rotation)| {
-                nearest(truths.of(sample), &(reference * fk * tool)).map(|n| n.0)
+                nearest(truths.of_sample(sample), &(reference * fk * tool)).map(|n| n.0)
             };
             chosen = fk.iter().enumerate().map(nearest).collect();
         }
@@ -122,11 +125,11 @@ pub(super) fn both_frames(truths: &CandidateRotations, fk: &[Rotation]) -> (Rota
             .collect();
         tool = mean_rotation(&offsets);
     }
-    polished(&chosen, fk, reference, tool)
+    refine_frames(&chosen, fk, reference, tool)
 }
 
 /// Refines both rotations by damped Gauss–Newton steps on the residuals of all samples.
-fn polished(
+fn refine_frames(
     truths: &[Option<Rotation>],
     fk: &[Rotation],
     mut reference: Rotation,
@@ -134,11 +137,11 @@ fn polished(
 ) -> (Rotation, Rotation) {
     /// Number of steps, and relative damping of the diagonal (Levenberg 1944). Rotations about one common
     /// axis leave one direction unobservable.
-    const STEPS: usize = 6;
+    const MAX_STEPS: usize = 6;
     const DAMPING: f64 = 1e-6;
     /// Convergence tolerance, rad.
-    const SETTLED: f64 = 1e-7;
-    for _ in 0..STEPS {
+    const CONVERGED_RAD: f64 = 1e-7;
+    for _ in 0..MAX_STEPS {
         let (mut normal, mut right) = (Matrix6::zeros(), Vector6::zeros());
         for (truth, fk) in truths.iter().zip(fk) {
             let Some(truth) = truth else { continue };
@@ -158,7 +161,7 @@ fn polished(
         let step: Vector6<f64> = cholesky.solve(&right);
         reference = rotation_from_rotvec(step.fixed_rows::<3>(0).into()) * reference;
         tool *= rotation_from_rotvec(step.fixed_rows::<3>(3).into());
-        if step.amax() < SETTLED {
+        if step.amax() < CONVERGED_RAD {
             break;
         }
     }

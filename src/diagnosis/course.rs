@@ -10,11 +10,14 @@ mod shapes;
 mod tests;
 mod windows;
 
-use super::large::in_order;
+use super::large::monotonic_rows;
 use super::steps::mean;
 use super::{AlignedSamples, EstimateResult, LatencyRamp, Measured, NotObservable};
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
-use shapes::{BENT_PARAMETERS, bent_chi2, left_beside, levels_at, path, with_load};
+use shapes::{
+    THREE_SEGMENT_PARAMETERS, fit_load_dependence, fit_piecewise_linear, levels_at, piecewise_chi2,
+    residual_after,
+};
 use windows::{
     LatencyWindow, NormalizedSample, chi2_beside_line, levels, samples, splits, windows,
 };
@@ -22,23 +25,23 @@ use windows::{
 /// Window length, s.
 const WINDOW_S: f64 = 1.0;
 /// Minimum number of samples in a window.
-const SAMPLES: usize = 10;
+const MIN_WINDOW_SAMPLES: usize = 10;
 /// Minimum number of windows.
-const WINDOWS: usize = 4;
+const MIN_WINDOWS: usize = 4;
 /// A window is ignored if its standard error exceeds this multiple of the typical one. The second value
 /// applies if a gradual latency, estimated from speeds alone, is already compensated.
-const VAGUE: [f64; 2] = [5.0, 100.0];
+const MAX_STD_ERROR_RATIO: [f64; 2] = [5.0, 100.0];
 /// Maximum number of latency steps.
-const JUMPS: usize = 4;
+const MAX_STEPS: usize = 4;
 /// Minimum decrease of χ² per latency step, in units of the remaining χ² per window.
-const SURE: f64 = 40.0;
+const MIN_CHI2_GAIN: f64 = 40.0;
 /// A swing is significant if it exceeds this many standard errors.
-const TOLD: f64 = 6.0;
+const MIN_STD_ERRORS: f64 = 6.0;
 /// A simpler profile is preferred if it explains all but this fraction of what the best profile explains.
 /// The second value applies if a gradual latency is already compensated.
-const HARDLY_MORE: [f64; 2] = [0.03, 0.002];
+const MAX_EXTRA_RESIDUAL: [f64; 2] = [0.03, 0.002];
 /// χ² per window above which a latency is not steady.
-const UNSTEADY: f64 = 9.0;
+const MIN_UNSTEADY_CHI2: f64 = 9.0;
 
 /// Kind of latency profile.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -71,7 +74,7 @@ pub struct LatencyProfile {
     /// Kind of profile.
     pub shape: LatencyShape,
     /// Latency steps in time order. Empty for other kinds.
-    pub jumps: Vec<LatencyStep>,
+    pub steps: Vec<LatencyStep>,
     /// Latency relative to the stream's estimated latency, s, at times in s from the run's origin. Constant
     /// from each time on if the profile has steps, else linear in between. If unsteady, the reference is
     /// the latency estimated after compensation.
@@ -92,7 +95,7 @@ pub struct LatencyStep {
 
 impl LatencyProfile {
     /// Builds the profile of a latency with steps between `levels`. `None` without a step.
-    pub(super) fn of_jumps(
+    pub(super) fn from_steps(
         jumps: Vec<LatencyStep>,
         levels: Vec<(f64, f64)>,
         windows: Vec<(f64, Measured)>,
@@ -103,7 +106,7 @@ impl LatencyProfile {
             swing_s,
             is_unsteady: true,
             shape: LatencyShape::Steps,
-            jumps,
+            steps: jumps,
             levels,
             windows,
         })
@@ -111,32 +114,32 @@ impl LatencyProfile {
 
     /// Compensates the stamps `t_s` for the deviation from the median level. Returns each with its row, and
     /// drops rows that would precede an earlier one.
-    pub fn straightened(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
-        let usual = self.usual_s(t_s);
-        let straight = |t_s: &f64| t_s - (self.beyond_s(*t_s) - usual);
-        in_order(t_s.iter().map(straight).enumerate())
+    pub fn compensated(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
+        let usual = self.typical_s(t_s);
+        let straight = |t_s: &f64| t_s - (self.relative_s(*t_s) - usual);
+        monotonic_rows(t_s.iter().map(straight).enumerate())
     }
 
     /// Median level at the stamps `t_s`, s.
-    pub fn usual_s(&self, t_s: &[f64]) -> f64 {
-        let mut beyond: Vec<f64> = t_s.iter().map(|&t_s| self.beyond_s(t_s)).collect();
+    pub fn typical_s(&self, t_s: &[f64]) -> f64 {
+        let mut beyond: Vec<f64> = t_s.iter().map(|&t_s| self.relative_s(t_s)).collect();
         beyond.sort_by(f64::total_cmp);
         beyond.get(beyond.len() / 2).copied().unwrap_or(0.0)
     }
 
     /// Same profile with its levels relative to the median level at the stamps `t_s`.
-    pub(super) fn beside_usual(mut self, t_s: &[f64]) -> Self {
-        let usual_s = self.usual_s(t_s);
+    pub(super) fn relative_to_typical(mut self, t_s: &[f64]) -> Self {
+        let usual_s = self.typical_s(t_s);
         self.levels.iter_mut().for_each(|(_, level_s)| *level_s -= usual_s);
         self
     }
 
     /// Adds `rest`, the profile that remains after compensating this one. Applies to ramps, wandering and
     /// load-dependent profiles.
-    pub(super) fn with(mut self, rest: &Self) -> Self {
+    pub(super) fn combined_with(mut self, rest: &Self) -> Self {
         let added: Option<Vec<f64>> = match self.shape {
             LatencyShape::WithLoad if rest.shape == self.shape && rest.is_unsteady => {
-                Some(self.levels.iter().map(|(t_s, _)| rest.beyond_s(*t_s)).collect())
+                Some(self.levels.iter().map(|(t_s, _)| rest.relative_s(*t_s)).collect())
             }
             LatencyShape::Ramp { .. } | LatencyShape::Wander => {
                 let knots: Vec<f64> = self.levels.iter().map(|(t_s, _)| *t_s).collect();
@@ -165,7 +168,7 @@ impl LatencyProfile {
             let windows = rest.windows.iter().filter(|(t_s, _)| is_part(*t_s));
             let whole: Vec<(f64, Measured)> = windows
                 .map(|(t_s, rest)| {
-                    (*t_s, Measured { value: rest.value + self.beyond_s(*t_s), ..*rest })
+                    (*t_s, Measured { value: rest.value + self.relative_s(*t_s), ..*rest })
                 })
                 .collect();
             mean(whole.iter())
@@ -184,7 +187,7 @@ impl LatencyProfile {
         match self.shape {
             LatencyShape::Steady => 0,
             // Time and size of each step.
-            LatencyShape::Steps => 2 * self.jumps.len(),
+            LatencyShape::Steps => 2 * self.steps.len(),
             // Start, end and size.
             LatencyShape::Ramp { .. } => 3,
             LatencyShape::Wander => self.levels.len(),
@@ -194,11 +197,11 @@ impl LatencyProfile {
     }
 
     /// Latency relative to the stream's estimated latency at the stamp `t_s`, s.
-    pub(super) fn beyond_s(&self, t_s: f64) -> f64 {
+    pub(super) fn relative_s(&self, t_s: f64) -> f64 {
         let after = self.levels.partition_point(|(from_s, _)| *from_s <= t_s);
         let level = |index: usize| self.levels.get(index).copied();
         match (after.checked_sub(1).and_then(level), level(after)) {
-            (Some((a_s, a)), Some((b_s, b))) if self.jumps.is_empty() => {
+            (Some((a_s, a)), Some((b_s, b))) if self.steps.is_empty() => {
                 a + (b - a) * (t_s - a_s) / (b_s - a_s)
             }
             (Some((_, before)), _) => before,
@@ -213,28 +216,28 @@ impl LatencyProfile {
 pub(super) struct LatencySample {
     /// Stamp, s from the run's origin.
     pub t_s: f64,
-    pub left: [Vec3; 2],
+    pub residual: [Vec3; 2],
     pub velocity: [Vec3; 2],
     /// Loads on which the latency may depend: joint speed, rad/s, and tool speed, m/s. 0 disables the test.
     pub loads: [f64; 2],
-    /// Standard deviation of a component of the last kind of `left` caused by joint noise. 0 if unknown.
+    /// Standard deviation of a component of the last kind of `residual` caused by joint noise. 0 if unknown.
     pub joint_noise: f64,
 }
 
 /// Latency profile of the `aligned` samples of a stream. They are already compensated for `skew` and for
 /// the gradual latency `taken`. `speed` is the joint speed at the time of measurement of a stamp, rad/s.
-pub(super) fn latency_course(
+pub(super) fn latency_profile(
     aligned: &AlignedSamples,
     skew: f64,
     taken: Option<&LatencyRamp>,
     speed: impl Fn(f64) -> f64,
 ) -> EstimateResult<LatencyProfile> {
-    course_of(&lagging(aligned, speed), 2, skew, taken)
+    fit_profile(&latency_samples(aligned, speed), 2, skew, taken)
 }
 
-/// Latency profile from the residuals `lagging` of this many kinds. They are already compensated for `skew`
+/// Latency profile from the residuals `latency_samples` of this many kinds. They are already compensated for `skew`
 /// and `taken`.
-pub(super) fn course_of(
+pub(super) fn fit_profile(
     lagging: &[LatencySample],
     kinds: usize,
     skew: f64,
@@ -248,9 +251,9 @@ pub(super) fn course_of(
     let mut errors: Vec<f64> = windows.iter().map(|window| window.std_error_s).collect();
     errors.sort_by(f64::total_cmp);
     let Some(&typical_s) = errors.get(errors.len() / 2) else { return Err(NotObservable::AtRest) };
-    let vague_s = VAGUE[usize::from(taken.is_some())] * typical_s;
+    let vague_s = MAX_STD_ERROR_RATIO[usize::from(taken.is_some())] * typical_s;
     windows.retain(|window| window.std_error_s < vague_s);
-    if windows.len() < WINDOWS {
+    if windows.len() < MIN_WINDOWS {
         return Err(NotObservable::NotExcited);
     }
     let middle_s = 0.5 * (windows[0].t_s + windows[windows.len() - 1].t_s);
@@ -263,18 +266,18 @@ pub(super) fn course_of(
     let steady = chi2_beside_line(&windows);
     let free = (windows.len() - 2) as f64;
     let seen: Vec<(f64, Measured)> = windows.iter().map(|w| (w.t_s, w.measured())).collect();
-    let loaded = if taken.is_none() { with_load(&samples) } else { None };
+    let loaded = if taken.is_none() { fit_load_dependence(&samples) } else { None };
     // A ramp within the run resembles a line, and its deviation is small relative to the window errors.
     // Test for it explicitly.
-    let is_bent = bent_chi2(&windows).is_some_and(|bent| {
-        let left = (windows.len() as f64 - BENT_PARAMETERS).max(1.0);
-        steady - bent > SURE * (bent / left).max(1.0)
+    let is_bent = piecewise_chi2(&windows).is_some_and(|bent| {
+        let left = (windows.len() as f64 - THREE_SEGMENT_PARAMETERS).max(1.0);
+        steady - bent > MIN_CHI2_GAIN * (bent / left).max(1.0)
     });
-    if steady <= UNSTEADY * free && !is_bent && loaded.is_none() {
-        return Ok(LatencyProfile { windows: seen, ..steady_course(&windows, typical_s) });
+    if steady <= MIN_UNSTEADY_CHI2 * free && !is_bent && loaded.is_none() {
+        return Ok(LatencyProfile { windows: seen, ..constant_profile(&windows, typical_s) });
     }
     let splits = splits(&windows);
-    let jumps = || jumping_course(&samples, &windows, &splits, &taken_s);
+    let jumps = || stepped_profile(&samples, &windows, &splits, &taken_s);
     // Samples without the compensation.
     let ungrown: Vec<NormalizedSample> = samples
         .iter()
@@ -291,12 +294,13 @@ pub(super) fn course_of(
         _ => false,
     };
     // A piecewise linear fit exaggerates the swing of a small variation.
-    let pieces = path(&windows, &ungrown).filter(|course| taken.is_some() || is_ramp(course));
+    let pieces = fit_piecewise_linear(&windows, &ungrown)
+        .filter(|course| taken.is_some() || is_ramp(course));
     // Latency that remains in `samples`. Only the load-dependent profile was fitted to them directly; the
     // others include the compensated part.
     let untold_s = |course: &LatencyProfile, t_s: f64| match course.shape {
-        LatencyShape::WithLoad => course.beyond_s(t_s),
-        _ => course.beyond_s(t_s) - taken_s(t_s),
+        LatencyShape::WithLoad => course.relative_s(t_s),
+        _ => course.relative_s(t_s) - taken_s(t_s),
     };
     // In order of complexity.
     let tried = [
@@ -304,25 +308,25 @@ pub(super) fn course_of(
         (splits.len() == 1).then(jumps),
         pieces,
         (splits.len() > 1).then(jumps),
-        Some(wandering_course(&windows)),
+        Some(wandering_profile(&windows)),
     ];
     let tried: Vec<(f64, LatencyProfile)> = tried
         .into_iter()
         .flatten()
-        .map(|course| (left_beside(&samples, |row| untold_s(&course, samples[row].t_s)), course))
+        .map(|course| (residual_after(&samples, |row| untold_s(&course, samples[row].t_s)), course))
         .collect();
     let noise = 3.0 * samples.len() as f64;
     let least = tried.iter().map(|(left, _)| *left).fold(f64::INFINITY, f64::min);
     let level_s = levels(&windows, &[]).0[0].value;
-    let constant = left_beside(&samples, |row| level_s - taken_s(samples[row].t_s));
+    let constant = residual_after(&samples, |row| level_s - taken_s(samples[row].t_s));
     // The linearisation leaves a second-order residual that no simple profile explains.
-    let hardly_more = HARDLY_MORE[usize::from(taken.is_some())];
+    let hardly_more = MAX_EXTRA_RESIDUAL[usize::from(taken.is_some())];
     let enough = least + hardly_more * (constant - least).max(0.0) + 0.02 * noise;
     let Some((_, course)) = tried.into_iter().find(|(left, _)| *left <= enough) else {
         return Err(NotObservable::NotExcited);
     };
     // With many windows, noise alone has a range from minimum to maximum.
-    let is_told = course.swing_s.value.abs() > TOLD * course.swing_s.std_error;
+    let is_told = course.swing_s.value.abs() > MIN_STD_ERRORS * course.swing_s.std_error;
     let without_s = |t_s: f64| if taken.is_some() { level_s - taken_s(t_s) } else { 0.0 };
     let is_unsteady = is_told && explains(&samples, without_s, |t_s| untold_s(&course, t_s));
     Ok(LatencyProfile { is_unsteady, windows: seen, ..course })
@@ -337,9 +341,9 @@ fn explains(
     with_s: impl Fn(f64) -> f64,
 ) -> bool {
     /// Maximum remaining fraction of the excess residual.
-    const LEFT: f64 = 0.5;
+    const MAX_RESIDUAL_RATIO: f64 = 0.5;
     /// Minimum excess residual relative to the noise.
-    const BEYOND: f64 = 0.1;
+    const MAX_REMAINING_SHARE: f64 = 0.1;
     // The residuals are scaled by the noise, so noise contributes 1 per component.
     let noise = 3.0 * samples.len() as f64;
     let square = |kind: usize, late: bool| {
@@ -352,12 +356,14 @@ fn explains(
     };
     let [before, after] = [false, true].map(|late| [0, 1].map(|kind| square(kind, late)));
     let is_no_worse = (0..2).all(|kind| after[kind] <= before[kind] + 0.1 * noise);
-    let is_more_than_scatter = before[0] + before[1] > BEYOND * noise;
-    is_no_worse && is_more_than_scatter && after[0] + after[1] < LEFT * (before[0] + before[1])
+    let is_more_than_scatter = before[0] + before[1] > MAX_REMAINING_SHARE * noise;
+    is_no_worse
+        && is_more_than_scatter
+        && after[0] + after[1] < MAX_RESIDUAL_RATIO * (before[0] + before[1])
 }
 
 /// Position and rotation residuals against FK.
-fn lagging(aligned: &AlignedSamples, speed: impl Fn(f64) -> f64) -> Vec<LatencySample> {
+fn latency_samples(aligned: &AlignedSamples, speed: impl Fn(f64) -> f64) -> Vec<LatencySample> {
     let t = &aligned.t_s;
     let rotation = |a: &Pose, b: &Pose| rotvec_from_rotation(&(a.rotation * b.rotation.inverse()));
     let position = |a: &Pose, b: &Pose| a.translation.vector - b.translation.vector;
@@ -369,7 +375,7 @@ fn lagging(aligned: &AlignedSamples, speed: impl Fn(f64) -> f64) -> Vec<LatencyS
         let velocity = [position(after, before) / span_s, rotation(after, before) / span_s];
         LatencySample {
             t_s: t[k],
-            left: [position(is, should), rotation(is, should)],
+            residual: [position(is, should), rotation(is, should)],
             velocity,
             loads: [speed(t[k]), velocity[0].norm()],
             joint_noise: 0.0,
@@ -378,7 +384,7 @@ fn lagging(aligned: &AlignedSamples, speed: impl Fn(f64) -> f64) -> Vec<LatencyS
     .collect()
 }
 
-fn steady_course(windows: &[LatencyWindow], typical_s: f64) -> LatencyProfile {
+fn constant_profile(windows: &[LatencyWindow], typical_s: f64) -> LatencyProfile {
     let weight: f64 = windows.iter().map(LatencyWindow::weight).sum();
     let mean = windows.iter().map(|w| w.weight() * w.delta_s).sum::<f64>() / weight;
     let scatter = windows.iter().map(|w| (w.delta_s - mean).powi(2) - w.std_error_s.powi(2));
@@ -389,13 +395,13 @@ fn steady_course(windows: &[LatencyWindow], typical_s: f64) -> LatencyProfile {
         swing_s: Measured { value: scatter, std_error, dof: windows.len() as f64 },
         is_unsteady: false,
         shape: LatencyShape::Steady,
-        jumps: Vec::new(),
+        steps: Vec::new(),
         levels: Vec::new(),
         windows: Vec::new(),
     }
 }
 
-fn wandering_course(windows: &[LatencyWindow]) -> LatencyProfile {
+fn wandering_profile(windows: &[LatencyWindow]) -> LatencyProfile {
     let by = |a: &&LatencyWindow, b: &&LatencyWindow| a.delta_s.total_cmp(&b.delta_s);
     let (low, high) = (windows.iter().min_by(by), windows.iter().max_by(by));
     let swing = low.zip(high).map_or((0.0, 0.0), |(low, high)| {
@@ -405,13 +411,13 @@ fn wandering_course(windows: &[LatencyWindow]) -> LatencyProfile {
         swing_s: Measured { value: swing.0, std_error: swing.1, dof: windows.len() as f64 },
         is_unsteady: true,
         shape: LatencyShape::Wander,
-        jumps: Vec::new(),
+        steps: Vec::new(),
         levels: windows.iter().map(|window| (window.t_s, window.delta_s)).collect(),
         windows: Vec::new(),
     }
 }
 
-fn jumping_course(
+fn stepped_profile(
     samples: &[NormalizedSample],
     windows: &[LatencyWindow],
     splits: &[usize],
@@ -454,7 +460,7 @@ fn jumping_course(
         swing_s,
         is_unsteady: true,
         shape: LatencyShape::Steps,
-        jumps,
+        steps: jumps,
         levels,
         windows: Vec::new(),
     }

@@ -1,12 +1,12 @@
 //! Checks the declared convention of a DH table by the residual of the arm's streams under each convention.
 
-use super::nominal::{MOST_M, MOST_RAD};
+use super::nominal::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD};
 use super::{ArmDiagnosis, PoseDiagnosis};
 
 /// Minimum ratio of the residuals under the two conventions.
-const CLEARLY: f64 = 10.0;
+const MIN_RESIDUAL_RATIO: f64 = 10.0;
 /// Residuals below this do not distinguish the conventions, rms m.
-const SAME_M: f64 = 1e-4;
+const MIN_DISTINGUISHABLE_M: f64 = 1e-4;
 
 /// Excess residual of a stream under one convention.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -56,13 +56,13 @@ pub enum DhConventionResult {
 
 impl DhResidual {
     /// Excess residual of each stream in a diagnosis.
-    pub fn of(diagnosis: &ArmDiagnosis) -> Vec<Self> {
-        let is_read = diagnosis.joints.reading.is_ok();
-        diagnosis.streams.iter().map(|stream| Self::of_stream(stream, is_read)).collect()
+    pub fn from_diagnosis(diagnosis: &ArmDiagnosis) -> Vec<Self> {
+        let is_read = diagnosis.joints.encoding.is_ok();
+        diagnosis.streams.iter().map(|stream| Self::from_stream(stream, is_read)).collect()
     }
 
-    fn of_stream(stream: &PoseDiagnosis, is_read: bool) -> Self {
-        match stream.reading.as_ref().and(stream.residual.as_ref()) {
+    fn from_stream(stream: &PoseDiagnosis, is_read: bool) -> Self {
+        match stream.encoding.as_ref().and(stream.residual.as_ref()) {
             Ok(left) if is_read => Self { m: left.excess_m.value, rad: left.excess_rad.value },
             _ => Self { m: f64::INFINITY, rad: f64::INFINITY },
         }
@@ -70,50 +70,51 @@ impl DhResidual {
 
     /// Returns whether the residual is within what a nominal model of a calibrated arm has.
     pub fn is_explained(&self) -> bool {
-        self.m <= MOST_M && self.rad <= MOST_RAD
+        self.m <= MAX_TIP_CHANGE_M && self.rad <= MAX_TIP_CHANGE_RAD
     }
 }
 
 /// Number of faults in a diagnosis.
-pub fn faults(diagnosis: &ArmDiagnosis) -> usize {
-    let of_joints = diagnosis.joints.reading.as_ref().map_or(0, |reading| {
+pub fn fault_count(diagnosis: &ArmDiagnosis) -> usize {
+    let of_joints = diagnosis.joints.encoding.as_ref().map_or(0, |reading| {
         usize::from(reading.degrees.is_some()) + usize::from(reading.permutation.is_some())
     });
-    let zeros = diagnosis.joints.offsets.iter().filter(|offset| offset.chosen).count();
+    let zeros = diagnosis.joints.offsets.iter().filter(|offset| offset.is_chosen).count();
     let of_stream = |stream: &PoseDiagnosis| {
         let frames = [&stream.reference, &stream.tool];
-        let chosen = frames.iter().filter(|frame| frame.as_ref().is_ok_and(|one| one.chosen));
-        let misread = stream.reading.as_ref().is_ok_and(|one| !one.best.is_as_logged());
-        chosen.count() + usize::from(misread) + usize::from(stream.growth_chosen)
+        let chosen = frames.iter().filter(|frame| frame.as_ref().is_ok_and(|one| one.is_chosen));
+        let misread = stream.encoding.as_ref().is_ok_and(|one| !one.best.is_as_logged());
+        chosen.count() + usize::from(misread) + usize::from(stream.is_radial_scale_chosen)
     };
     of_joints + zeros + diagnosis.streams.iter().map(of_stream).sum::<usize>()
 }
 
 impl DhStreamResiduals {
     /// Returns whether each convention explains the stream: declared, other.
-    fn explained(&self) -> [bool; 2] {
+    fn explained_by(&self) -> [bool; 2] {
         [self.declared.is_explained(), self.other.is_some_and(|other| other.is_explained())]
     }
 
     /// Returns whether only the other convention explains the stream, and clearly better.
-    pub fn speaks_for_other(&self) -> bool {
-        let is_clear =
-            self.other.is_some_and(|other| self.declared.m > CLEARLY * other.m.max(SAME_M));
-        self.explained() == [false, true] && is_clear
+    pub fn supports_other(&self) -> bool {
+        let is_clear = self.other.is_some_and(|other| {
+            self.declared.m > MIN_RESIDUAL_RATIO * other.m.max(MIN_DISTINGUISHABLE_M)
+        });
+        self.explained_by() == [false, true] && is_clear
     }
 }
 
 impl DhComparison {
     /// Determines the convention. Streams that neither convention explains are ignored; they may belong to
     /// another arm.
-    pub fn told(&self) -> DhConventionResult {
+    pub fn convention(&self) -> DhConventionResult {
         let count = |is: &dyn Fn(&DhStreamResiduals) -> bool| {
             self.streams.iter().filter(|one| is(one)).count()
         };
-        let for_declared = count(&|stream| stream.explained() == [true, false]);
-        let for_other = count(&DhStreamResiduals::speaks_for_other);
-        let not_clear = count(&|stream| stream.explained() == [false, true]) - for_other;
-        let by_both = count(&|stream| stream.explained() == [true, true]);
+        let for_declared = count(&|stream| stream.explained_by() == [true, false]);
+        let for_other = count(&DhStreamResiduals::supports_other);
+        let not_clear = count(&|stream| stream.explained_by() == [false, true]) - for_other;
+        let by_both = count(&|stream| stream.explained_by() == [true, true]);
         match (for_declared, for_other, not_clear) {
             (0, 1.., _) => DhConventionResult::Other,
             (1.., 0, 0) => DhConventionResult::AsDeclared,
@@ -144,7 +145,7 @@ mod tests {
             other: other.map(left),
         });
         let [declared_faults, other_faults] = faults;
-        DhComparison { streams: streams.collect(), declared_faults, other_faults }.told()
+        DhComparison { streams: streams.collect(), declared_faults, other_faults }.convention()
     }
 
     #[test]

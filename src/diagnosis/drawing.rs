@@ -11,14 +11,14 @@
 //!
 //! Deviations differ in size between links. On one factory-new UR5, one link was rotated by 0.37°, the next
 //! worst by 0.1°, and no joint zero was off by 0.01°. So each link has its own s, and the zeros share one.
-//! These sizes scatter about the arm's s such that deviations follow Student's t with [`ALIKE`] degrees of
+//! These sizes scatter about the arm's s such that deviations follow Student's t with [`SIZE_PRIOR_DOF`] degrees of
 //! freedom. The sizes maximise a variational bound on the marginal likelihood (Bishop, *Pattern Recognition
 //! and Machine Learning*, 2006, ch. 10.1 and 10.3).
 
 use super::explain::{Cause, price};
 use super::linear::{Linear, Normal};
 use super::model::{PoseObservations, StreamState};
-use super::nominal::{ANYTHING, FreeAlongside, USUAL_M, is_anything, link_frames};
+use super::nominal::{FREE_PRIOR, FreeAlongside, LINK_PRIOR_M, is_free_parameter, link_frames};
 use super::{Confounder, Measured};
 use ground::geometry::{Rotation, Vec3};
 use ground::robot::{JointKind, turn_z_to};
@@ -27,37 +27,37 @@ use nalgebra::{DMatrix, DVector};
 /// Ratio of angular to linear link deviations, rad/m: 0.1° per 1 mm.
 pub(super) const RAD_PER_M: f64 = 1.745;
 /// Grid of link deviations, m: minimum, maximum, ratio.
-pub(super) const LINKS_M: (f64, f64, f64) = (1e-5, 3e-3, 1.6);
+pub(super) const DEVIATION_GRID_M: (f64, f64, f64) = (1e-5, 3e-3, 1.6);
 /// Prior standard deviation of a joint zero that is present, rad or m.
-pub(super) const ZERO: f64 = 0.02;
+pub(super) const ZERO_PRIOR: f64 = 0.02;
 /// Prior standard deviation of a radial scale error that is present (millimetres per metre), and of an
 /// absent one.
-const GROWTH: f64 = 0.01;
-const NO_GROWTH: f64 = 1e-9;
+const RADIAL_SCALE_PRIOR: f64 = 0.01;
+const ABSENT_RADIAL_SCALE_PRIOR: f64 = 1e-9;
 /// Threshold on twice the log-likelihood ratio to report a zero (a ratio of about fifty).
-const SURE: f64 = 8.0;
+const MIN_LOG_RATIO: f64 = 8.0;
 /// Another joint's zero is a confounder if twice its log-likelihood ratio is within this (a ratio of about
 /// twenty).
-const AS_LIKELY: f64 = 6.0;
-/// A zero is not observable if its standard error exceeds this fraction of [`ZERO`].
-const LEARNT: f64 = 0.5;
+const MAX_LOG_RATIO_CONFOUNDER: f64 = 6.0;
+/// A zero is not observable if its standard error exceeds this fraction of [`ZERO_PRIOR`].
+const MAX_STD_ERROR_SHARE: f64 = 0.5;
 /// Maximum number of reported zeros.
-const MOST: usize = 4;
+const MAX_ZEROS: usize = 4;
 /// Maximum number of fitted samples.
-pub(super) const SAMPLES: usize = 1000;
+pub(super) const MAX_DEVIATION_SAMPLES: usize = 1000;
 /// Linearisation rounds. Zeros of several degrees are nonlinear.
-const ROUNDS: usize = 4;
+const LINEARIZATION_ROUNDS: usize = 4;
 /// Degrees of freedom of the Student's t prior: how similar the sizes of link deviations and zeros are.
-const ALIKE: f64 = 8.0;
+const SIZE_PRIOR_DOF: f64 = 8.0;
 /// Maximum number of rounds to estimate the sizes, and the change of twice the log-likelihood at which they
 /// have converged.
-const SETTLING: (usize, f64) = (40, 0.02);
+const SIZE_ITERATION_LIMITS: (usize, f64) = (40, 0.02);
 
 /// Zeros of an arm's joints, estimated together with its link deviations.
 #[derive(Clone, Debug)]
 pub(super) struct LinkDeviations {
     /// Columns of the joints with a zero offset. For each, the zeros of other joints that could replace it.
-    pub named: Vec<(usize, Vec<Confounder>)>,
+    pub reported: Vec<(usize, Vec<Confounder>)>,
     /// Zero of each joint of the track, rad or m. `None` if the joint is not in the chain or its zero is
     /// not observable.
     pub zeros: Vec<Option<Measured>>,
@@ -69,38 +69,38 @@ impl LinkDeviations {
     /// Joint offsets including the reported zeros.
     pub fn with_zeros(&self, offsets: &[f64]) -> Vec<f64> {
         let mut with = offsets.to_vec();
-        for &(column, _) in &self.named {
+        for &(column, _) in &self.reported {
             with[column] = self.zeros[column].map_or(with[column], |zero| zero.value);
         }
         with
     }
 
     /// Confounders of the zero of the joint in `column`. `None` if that zero is not reported.
-    pub fn twins(&self, column: usize) -> Option<&[Confounder]> {
-        self.named.iter().find(|named| named.0 == column).map(|named| named.1.as_slice())
+    pub fn confounders(&self, column: usize) -> Option<&[Confounder]> {
+        self.reported.iter().find(|named| named.0 == column).map(|named| named.1.as_slice())
     }
 }
 
 /// Estimates the likeliest zeros together with link deviations, linearised about `offsets`. `plain` is the
 /// stream's state without any cause that link deviations could imitate.
-pub(super) fn drawing(
+pub(super) fn estimate_link_deviations(
     witness: &PoseObservations,
     plain: &StreamState,
     offsets: &[f64],
 ) -> Option<LinkDeviations> {
-    let stride = witness.len().div_ceil(SAMPLES).max(1);
+    let stride = witness.len().div_ceil(MAX_DEVIATION_SAMPLES).max(1);
     let mut offsets = offsets.to_vec();
     let mut chosen: Option<DeviationFit> = None;
     for round in 1.. {
-        let model = DeviationModel::at(witness, plain, &offsets, stride)?;
-        let fit = model.likeliest(chosen)?;
+        let model = DeviationModel::linearize(witness, plain, &offsets, stride)?;
+        let fit = model.select_zeros(chosen)?;
         let mut next = offsets.clone();
         for &joint in &fit.zeros {
-            next[witness.columns[joint]] += model.zero(&fit, joint)?.value;
+            next[witness.columns[joint]] += model.measured_zero(&fit, joint)?.value;
         }
         let moved = next.iter().zip(&offsets).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-        if moved < 1e-6 || round == ROUNDS {
-            return Some(model.told(&fit, witness, &offsets));
+        if moved < 1e-6 || round == LINEARIZATION_ROUNDS {
+            return Some(model.to_link_deviations(&fit, witness, &offsets));
         }
         (offsets, chosen) = (next, Some(fit));
     }
@@ -111,11 +111,11 @@ pub(super) fn drawing(
 #[derive(Clone, Copy, PartialEq)]
 enum DeviationParameter {
     /// Parameter that the nominal model does not constrain.
-    Anything,
+    Unconstrained,
     /// Deviation in one group. `unit` is its standard deviation when the group's size is 1 m.
     Deviation { group: usize, unit: f64 },
     /// Radial scale, which no link deviation can imitate.
-    Growth,
+    RadialScale,
 }
 
 /// Causes in addition to link deviations.
@@ -125,12 +125,12 @@ struct AdditionalCauses {
     zeros: Vec<usize>,
     reference: bool,
     tool: bool,
-    growth: bool,
+    radial_scale: bool,
 }
 
 impl AdditionalCauses {
     /// Selects the causes that affect `stream`.
-    fn of(causes: &[Cause], witness: &PoseObservations, stream: usize) -> Self {
+    fn for_stream(causes: &[Cause], witness: &PoseObservations, stream: usize) -> Self {
         let mut beside = Self::default();
         for cause in causes {
             match *cause {
@@ -140,8 +140,8 @@ impl AdditionalCauses {
                 }
                 Cause::Reference(s) => beside.reference |= s == stream,
                 Cause::Tool(s) => beside.tool |= s == stream,
-                Cause::Growth(s) => beside.growth |= s == stream,
-                Cause::Gain(_) | Cause::Latency(_) | Cause::Skew(_) => {}
+                Cause::RadialScale(s) => beside.radial_scale |= s == stream,
+                Cause::JointScale(_) | Cause::Latency(_) | Cause::Skew(_) => {}
             }
         }
         beside
@@ -154,20 +154,20 @@ impl AdditionalCauses {
 /// no arm is exact.
 ///
 /// The stream is linearised about `plain` and `offsets`, which exclude the causes.
-pub(super) fn standing_out(
+pub(super) fn causes_beyond_link_deviations(
     (witness, stream): (&PoseObservations, usize),
     plain: &StreamState,
     offsets: &[f64],
     causes: &[Cause],
 ) -> Vec<Cause> {
-    let stride = witness.len().div_ceil(SAMPLES).max(1);
-    let Some(model) = DeviationModel::at(witness, plain, offsets, stride) else {
+    let stride = witness.len().div_ceil(MAX_DEVIATION_SAMPLES).max(1);
+    let Some(model) = DeviationModel::linearize(witness, plain, offsets, stride) else {
         return causes.to_vec();
     };
     let evidence = |causes: &[Cause]| {
-        let beside = AdditionalCauses::of(causes, witness, stream);
-        let fits = sizes_m(USUAL_M).filter_map(|size_m| {
-            model.fit_beside(&beside, &model.alike(size_m)).map(|fit| fit.evidence)
+        let beside = AdditionalCauses::for_stream(causes, witness, stream);
+        let fits = sizes_m(LINK_PRIOR_M).filter_map(|size_m| {
+            model.fit_with(&beside, &model.uniform_sizes(size_m)).map(|fit| fit.evidence)
         });
         fits.fold(f64::NEG_INFINITY, f64::max)
     };
@@ -192,7 +192,7 @@ pub(super) fn standing_out(
 
 /// Grid of deviation sizes up to `most`, m, ascending.
 fn sizes_m(most: f64) -> impl Iterator<Item = f64> {
-    let (least, _, times) = LINKS_M;
+    let (least, _, times) = DEVIATION_GRID_M;
     let tried = std::iter::successors(Some(least), move |size_m| Some(size_m * times));
     tried.take_while(move |size_m| *size_m < most).chain([most])
 }
@@ -201,7 +201,7 @@ fn sizes_m(most: f64) -> impl Iterator<Item = f64> {
 struct DeviationModel {
     normal: Normal,
     /// Kind of each parameter. The zeros of the chain's joints precede the radial scale, which is last.
-    of: Vec<DeviationParameter>,
+    kinds: Vec<DeviationParameter>,
     /// Number of joints of the chain.
     joints: usize,
     /// Degrees of freedom of the noise estimate.
@@ -222,28 +222,28 @@ struct DeviationFit {
 
 impl DeviationFit {
     /// The zeros except that of `joint`.
-    fn without(&self, joint: usize) -> Vec<usize> {
+    fn zeros_except(&self, joint: usize) -> Vec<usize> {
         self.zeros.iter().copied().filter(|zero| *zero != joint).collect()
     }
 }
 
 impl DeviationModel {
-    fn at(
+    fn linearize(
         witness: &PoseObservations,
         plain: &StreamState,
         offsets: &[f64],
         stride: usize,
     ) -> Option<Self> {
         let rows = (0..witness.len()).step_by(stride);
-        let linear = link_frames(witness, plain, offsets, rows, FreeAlongside::ZerosAndGrowth);
+        let linear = link_frames(witness, plain, offsets, rows, FreeAlongside::ZerosAndRadialScale);
         let joints = witness.columns.len();
         let (columns, of) = parameters(witness, plain);
-        (linear.len() > of.len()).then(|| Self::of(&linear, joints, &columns, of))
+        (linear.len() > of.len()).then(|| Self::from_linear(&linear, joints, &columns, of))
     }
 
     /// Builds the normal equations. The weights come from the residual when all links may deviate by about
     /// 1 mm.
-    fn of(
+    fn from_linear(
         linear: &Linear,
         joints: usize,
         columns: &DMatrix<f64>,
@@ -252,34 +252,34 @@ impl DeviationModel {
         let all: Vec<usize> = (0..linear.width).collect();
         let every: Vec<usize> = (0..joints).collect();
         let mut weights = linear.first_weights();
-        let mut model = Self { normal: Normal::zeros(of.len()), of, joints, dof: 3.0 };
+        let mut model = Self { normal: Normal::zeros(of.len()), kinds: of, joints, dof: 3.0 };
         for _ in 0..4 {
             let mut normal = Normal::zeros(linear.width);
             linear.accumulate(&weights, &all, &mut normal);
-            model.dof = (normal.independent - model.of.len() as f64).max(3.0);
+            model.dof = (normal.independent - model.kinds.len() as f64).max(3.0);
             model.normal.matrix = columns.tr_mul(&normal.matrix) * columns;
             model.normal.right = columns.tr_mul(&normal.right);
-            let Some(fit) = model.fit(&every, &model.alike(1e-3)) else { break };
+            let Some(fit) = model.fit(&every, &model.uniform_sizes(1e-3)) else { break };
             weights = linear.weights_after((columns * &fit.mean).as_slice());
         }
         model
     }
 
     /// The same size for all groups, m.
-    fn alike(&self, size_m: f64) -> Vec<f64> {
+    fn uniform_sizes(&self, size_m: f64) -> Vec<f64> {
         vec![size_m; self.joints + 2]
     }
 
     /// Parameter index of a joint's zero.
     fn zero_at(&self, joint: usize) -> usize {
-        self.of.len() - 1 - self.joints + joint
+        self.kinds.len() - 1 - self.joints + joint
     }
 
     /// Groups with deviations: links and zeros.
     fn groups(&self) -> impl Iterator<Item = usize> {
         let has = |group: usize| {
             let is_its = |of: &DeviationParameter| matches!(of, DeviationParameter::Deviation { group: own, .. } if *own == group);
-            self.of.iter().any(is_its)
+            self.kinds.iter().any(is_its)
         };
         (0..self.joints + 2).filter(move |group| has(*group))
     }
@@ -287,34 +287,35 @@ impl DeviationModel {
     /// Fits the parameters for these zeros and deviation sizes.
     fn fit(&self, zeros: &[usize], sizes_m: &[f64]) -> Option<DeviationFit> {
         let beside = AdditionalCauses { zeros: zeros.to_vec(), ..AdditionalCauses::default() };
-        self.fit_beside(&beside, sizes_m)
+        self.fit_with(&beside, sizes_m)
     }
 
     /// Fits the parameters for these causes and deviation sizes.
-    fn fit_beside(&self, beside: &AdditionalCauses, sizes_m: &[f64]) -> Option<DeviationFit> {
+    fn fit_with(&self, beside: &AdditionalCauses, sizes_m: &[f64]) -> Option<DeviationFit> {
         let is_of_frame = |group: usize| {
             (beside.reference && group == 0) || (beside.tool && group == self.joints)
         };
         let mut variances: Vec<f64> = self
-            .of
+            .kinds
             .iter()
             .map(|of| match of {
-                DeviationParameter::Anything => ANYTHING.powi(2),
+                DeviationParameter::Unconstrained => FREE_PRIOR.powi(2),
                 DeviationParameter::Deviation { group, unit } => {
-                    let frame = if is_of_frame(*group) { ANYTHING } else { 0.0 };
+                    let frame = if is_of_frame(*group) { FREE_PRIOR } else { 0.0 };
                     (unit * sizes_m[*group]).powi(2) + frame.powi(2)
                 }
-                DeviationParameter::Growth => {
-                    if beside.growth { GROWTH } else { NO_GROWTH }.powi(2)
+                DeviationParameter::RadialScale => {
+                    if beside.radial_scale { RADIAL_SCALE_PRIOR } else { ABSENT_RADIAL_SCALE_PRIOR }
+                        .powi(2)
                 }
             })
             .collect();
         for &joint in &beside.zeros {
-            variances[self.zero_at(joint)] += ZERO.powi(2);
+            variances[self.zero_at(joint)] += ZERO_PRIOR.powi(2);
         }
         if let Some(last) = self.joints.checked_sub(1).filter(|_| beside.tool) {
             // Tool rotation about the last axis is equivalent to a zero of the last joint.
-            variances[self.zero_at(last)] += ANYTHING.powi(2);
+            variances[self.zero_at(last)] += FREE_PRIOR.powi(2);
         }
         let mut precision = self.normal.matrix.clone();
         for (i, variance) in variances.iter().enumerate() {
@@ -324,12 +325,15 @@ impl DeviationModel {
         let mean = cholesky.solve(&self.normal.right);
         let log_det: f64 = cholesky.l_dirty().diagonal().iter().map(|x| 2.0 * x.ln()).sum();
         let log_prior: f64 = variances.iter().map(|variance| variance.ln()).sum();
-        let usual_m = self.usual(sizes_m);
+        let usual_m = self.typical_size_m(sizes_m);
         let unlike: f64 = self.groups().map(|group| (sizes_m[group] / usual_m).ln()).sum();
         Some(DeviationFit {
             zeros: beside.zeros.clone(),
             sizes_m: sizes_m.to_vec(),
-            evidence: self.normal.right.dot(&mean) - log_det - log_prior - 2.0 * ALIKE * unlike,
+            evidence: self.normal.right.dot(&mean)
+                - log_det
+                - log_prior
+                - 2.0 * SIZE_PRIOR_DOF * unlike,
             mean,
             covariance: cholesky.inverse(),
         })
@@ -337,11 +341,13 @@ impl DeviationModel {
 
     /// Zero of a joint in `fit`. Its standard error includes the scatter of all zeros of the arm, which is
     /// estimated from the other joints only.
-    fn zero(&self, fit: &DeviationFit, joint: usize) -> Option<Measured> {
+    fn measured_zero(&self, fit: &DeviationFit, joint: usize) -> Option<Measured> {
         let at = self.zero_at(joint);
-        let DeviationParameter::Deviation { group, unit } = self.of[at] else { return None };
+        let DeviationParameter::Deviation { group, unit } = self.kinds[at] else {
+            return None;
+        };
         let variance = fit.covariance[(at, at)] + (unit * fit.sizes_m[group]).powi(2);
-        let others = ALIKE + (self.joints - fit.zeros.len()) as f64;
+        let others = SIZE_PRIOR_DOF + (self.joints - fit.zeros.len()) as f64;
         (variance > 0.0).then(|| Measured {
             value: fit.mean[at],
             std_error: variance.sqrt(),
@@ -350,20 +356,20 @@ impl DeviationModel {
     }
 
     /// Typical size of the groups' deviations, m.
-    fn usual(&self, sizes_m: &[f64]) -> f64 {
-        let (least, most, _) = LINKS_M;
+    fn typical_size_m(&self, sizes_m: &[f64]) -> f64 {
+        let (least, most, _) = DEVIATION_GRID_M;
         let precisions: f64 = self.groups().map(|group| sizes_m[group].powi(-2)).sum();
         (self.groups().count() as f64 / precisions).sqrt().clamp(least, most)
     }
 
     /// Maximises the likelihood over the deviation sizes for these zeros, starting from `sizes_m`. A group
     /// with little information converges slowly, so the step grows while the likelihood increases.
-    fn settled(&self, zeros: &[usize], sizes_m: &[f64]) -> Option<DeviationFit> {
-        let (most, little) = SETTLING;
+    fn maximize_likelihood(&self, zeros: &[usize], sizes_m: &[f64]) -> Option<DeviationFit> {
+        let (most, little) = SIZE_ITERATION_LIMITS;
         let mut fit = self.fit(zeros, sizes_m)?;
         let mut stride = 1.0;
         for _ in 0..most {
-            let likelier = self.likelier(&fit);
+            let likelier = self.updated_sizes(&fit);
             let step = |(&size, &next): (&f64, &f64)| size * (next / size).powf(stride);
             let next: Vec<f64> = fit.sizes_m.iter().zip(&likelier).map(step).collect();
             // Too large a step may make the system singular.
@@ -383,11 +389,11 @@ impl DeviationModel {
     }
 
     /// Deviation sizes that maximise the likelihood given the posterior in `fit`.
-    fn likelier(&self, fit: &DeviationFit) -> Vec<f64> {
+    fn updated_sizes(&self, fit: &DeviationFit) -> Vec<f64> {
         let named: Vec<usize> = fit.zeros.iter().map(|joint| self.zero_at(*joint)).collect();
-        let usual_m = self.usual(&fit.sizes_m);
-        let mut sums = vec![(ALIKE * usual_m.powi(2), ALIKE); fit.sizes_m.len()];
-        for (i, of) in self.of.iter().enumerate().filter(|(i, _)| !named.contains(i)) {
+        let usual_m = self.typical_size_m(&fit.sizes_m);
+        let mut sums = vec![(SIZE_PRIOR_DOF * usual_m.powi(2), SIZE_PRIOR_DOF); fit.sizes_m.len()];
+        for (i, of) in self.kinds.iter().enumerate().filter(|(i, _)| !named.contains(i)) {
             if let DeviationParameter::Deviation { group, unit } = of {
                 let square = fit.mean[i].powi(2) + fit.covariance[(i, i)];
                 sums[*group].0 += square / unit.powi(2);
@@ -399,14 +405,14 @@ impl DeviationModel {
 
     /// Fit without zeros, started from the best common deviation size.
     fn without_zeros(&self) -> Option<DeviationFit> {
-        let (_, most, _) = LINKS_M;
-        let fits = sizes_m(most).filter_map(|link_m| self.fit(&[], &self.alike(link_m)));
+        let (_, most, _) = DEVIATION_GRID_M;
+        let fits = sizes_m(most).filter_map(|link_m| self.fit(&[], &self.uniform_sizes(link_m)));
         let best = fits.max_by(|a, b| a.evidence.total_cmp(&b.evidence))?;
-        self.settled(&[], &best.sizes_m)
+        self.maximize_likelihood(&[], &best.sizes_m)
     }
 
     /// Fits `zeros` plus one more, for each joint not in `zeros` or `but`.
-    fn with_another(
+    fn with_one_more_zero(
         &self,
         zeros: &[usize],
         sizes_m: &[f64],
@@ -416,22 +422,22 @@ impl DeviationModel {
             (0..self.joints).filter(|joint| !zeros.contains(joint) && !but.contains(joint));
         let with = |joint| {
             let with: Vec<usize> = zeros.iter().copied().chain([joint]).collect();
-            Some((joint, self.settled(&with, sizes_m)?))
+            Some((joint, self.maximize_likelihood(&with, sizes_m)?))
         };
         others.filter_map(with).collect()
     }
 
     /// Selects the zeros that exceed the effect of link deviations, starting from those of `before`.
-    fn likeliest(&self, before: Option<DeviationFit>) -> Option<DeviationFit> {
+    fn select_zeros(&self, before: Option<DeviationFit>) -> Option<DeviationFit> {
         let mut chosen = match before {
-            Some(before) => self.settled(&before.zeros, &before.sizes_m)?,
+            Some(before) => self.maximize_likelihood(&before.zeros, &before.sizes_m)?,
             None => self.without_zeros()?,
         };
-        while chosen.zeros.len() < MOST {
-            let with = self.with_another(&chosen.zeros, &chosen.sizes_m, &[]);
+        while chosen.zeros.len() < MAX_ZEROS {
+            let with = self.with_one_more_zero(&chosen.zeros, &chosen.sizes_m, &[]);
             let best = with.into_iter().max_by(|a, b| a.1.evidence.total_cmp(&b.1.evidence));
             match best {
-                Some((_, best)) if best.evidence > chosen.evidence + SURE => chosen = best,
+                Some((_, best)) if best.evidence > chosen.evidence + MIN_LOG_RATIO => chosen = best,
                 _ => break,
             }
         }
@@ -439,7 +445,7 @@ impl DeviationModel {
     }
 
     /// Converts `fit` to columns of the joint track. The model is linearised about `offsets`.
-    fn told(
+    fn to_link_deviations(
         &self,
         fit: &DeviationFit,
         witness: &PoseObservations,
@@ -450,21 +456,25 @@ impl DeviationModel {
             (column, Measured { value: offsets[column] + zero.value, ..zero })
         };
         let mut zeros = vec![None; witness.joints.dof];
-        let others = self.with_another(&fit.zeros, &fit.sizes_m, &[]);
-        let named = fit.zeros.iter().filter_map(|&joint| Some((joint, self.zero(fit, joint)?)));
-        let beside =
-            others.iter().filter_map(|(joint, with)| Some((*joint, self.zero(with, *joint)?)));
-        let told = beside.filter(|(_, zero)| zero.std_error < LEARNT * ZERO);
+        let others = self.with_one_more_zero(&fit.zeros, &fit.sizes_m, &[]);
+        let named =
+            fit.zeros.iter().filter_map(|&joint| Some((joint, self.measured_zero(fit, joint)?)));
+        let beside = others
+            .iter()
+            .filter_map(|(joint, with)| Some((*joint, self.measured_zero(with, *joint)?)));
+        let told = beside.filter(|(_, zero)| zero.std_error < MAX_STD_ERROR_SHARE * ZERO_PRIOR);
         for (joint, zero) in named.chain(told) {
             let (column, zero) = absolute(joint, zero);
             zeros[column] = Some(zero);
         }
         let twins = |&joint: &usize| {
-            let instead = self.with_another(&fit.without(joint), &fit.sizes_m, &fit.zeros);
-            let as_likely =
-                instead.into_iter().filter(|(_, it)| it.evidence > fit.evidence - AS_LIKELY);
+            let instead =
+                self.with_one_more_zero(&fit.zeros_except(joint), &fit.sizes_m, &fit.zeros);
+            let as_likely = instead
+                .into_iter()
+                .filter(|(_, it)| it.evidence > fit.evidence - MAX_LOG_RATIO_CONFOUNDER);
             let twin = |(other, it): (usize, DeviationFit)| {
-                let (column, zero) = absolute(other, self.zero(&it, other)?);
+                let (column, zero) = absolute(other, self.measured_zero(&it, other)?);
                 Some(Confounder::JointZero(column, zero.value))
             };
             (witness.columns[joint], as_likely.filter_map(twin).collect())
@@ -472,7 +482,7 @@ impl DeviationModel {
         let links: Vec<usize> = self.groups().filter(|group| *group <= self.joints).collect();
         let squares: f64 = links.iter().map(|link| fit.sizes_m[*link].powi(2)).sum();
         LinkDeviations {
-            named: fit.zeros.iter().map(twins).collect(),
+            reported: fit.zeros.iter().map(twins).collect(),
             zeros,
             link_m: (squares / links.len().max(1) as f64).sqrt(),
         }
@@ -495,7 +505,7 @@ fn parameters(
     let axes = witness.chain.joint_axes();
     let kinds = witness.chain.joint_kinds();
     for link in 0..=joints {
-        let is_free = is_anything(6 * link, witness, plain);
+        let is_free = is_free_parameter(6 * link, witness, plain);
         let joint = link.checked_sub(1).filter(|_| !is_free);
         let basis = joint.map_or_else(Rotation::identity, |joint| turn_z_to(&axes[joint]));
         for (axis, turns) in (0..6).map(|i| (i % 3, i >= 3)) {
@@ -508,7 +518,7 @@ fn parameters(
             column.fixed_rows_mut::<3>(first).copy_from(&(basis * Vec3::ith(axis, 1.0)));
             columns.push(column);
             of.push(match is_free {
-                true => DeviationParameter::Anything,
+                true => DeviationParameter::Unconstrained,
                 false => DeviationParameter::Deviation { group: link, unit: unit(turns) },
             });
         }
@@ -518,7 +528,7 @@ fn parameters(
         column[own] = 1.0;
         columns.push(column);
         of.push(match own.checked_sub(latency + 1) {
-            None => DeviationParameter::Anything,
+            None => DeviationParameter::Unconstrained,
             Some(joint) => {
                 let turns = kinds[joint] != JointKind::Prismatic;
                 DeviationParameter::Deviation { group: joints + 1, unit: unit(turns) }
@@ -528,6 +538,6 @@ fn parameters(
     let mut column = DVector::zeros(growth + 1);
     column[growth] = 1.0;
     columns.push(column);
-    of.push(DeviationParameter::Growth);
+    of.push(DeviationParameter::RadialScale);
     (DMatrix::from_columns(&columns), of)
 }

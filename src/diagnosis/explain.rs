@@ -6,7 +6,10 @@
 
 use super::Measured;
 use super::linear::{Linear, Normal, Weight};
-use super::model::{GROWTH, LATENCY, PoseObservations, REFERENCE, SKEW, STREAM_WIDTH, State, TOOL};
+use super::model::{
+    LATENCY_COLUMN, PoseObservations, RADIAL_SCALE_COLUMN, REFERENCE_COLUMNS_START, SKEW_COLUMN,
+    STREAM_WIDTH, State, TOOL_COLUMNS_START,
+};
 use super::noise::Noise;
 use super::robust::{influence, sandwich};
 use nalgebra::{DMatrix, DVector};
@@ -14,10 +17,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 /// Minimum unexplained share of a cause's effect given the other causes. Below it the causes are collinear
 /// and the set is rejected.
-pub(super) const ENTANGLED: f64 = 1e-4;
+pub(super) const MIN_CAUSE_SEPARATION: f64 = 1e-4;
 
 /// Maximum set size for exhaustive search.
-const EXHAUSTIVE: usize = 4;
+const MAX_EXHAUSTIVE_CAUSES: usize = 4;
 
 /// Possible cause of a residual: a group of parameters that are freed together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -25,13 +28,13 @@ pub(super) enum Cause {
     /// Zero offset of a joint of the track.
     Zero(usize),
     /// Scale of a joint, given by its parameter index among the joint offsets.
-    Gain(usize),
+    JointScale(usize),
     /// Latency of a stream.
     Latency(usize),
     /// Clock skew of a stream.
     Skew(usize),
     /// Radial scale of a stream's positions.
-    Growth(usize),
+    RadialScale(usize),
     /// Reference frame of a stream.
     Reference(usize),
     /// Tool frame of a stream.
@@ -42,14 +45,14 @@ impl Cause {
     /// Column indices of this cause's parameters.
     pub fn parameters(self, state: &State) -> std::ops::Range<usize> {
         let (stream, first, count) = match self {
-            Cause::Zero(joint) | Cause::Gain(joint) => return joint..joint + 1,
-            Cause::Latency(stream) => (stream, LATENCY, 1),
-            Cause::Skew(stream) => (stream, SKEW, 1),
-            Cause::Growth(stream) => (stream, GROWTH, 1),
-            Cause::Reference(stream) => (stream, REFERENCE, 6),
+            Cause::Zero(joint) | Cause::JointScale(joint) => return joint..joint + 1,
+            Cause::Latency(stream) => (stream, LATENCY_COLUMN, 1),
+            Cause::Skew(stream) => (stream, SKEW_COLUMN, 1),
+            Cause::RadialScale(stream) => (stream, RADIAL_SCALE_COLUMN, 1),
+            Cause::Reference(stream) => (stream, REFERENCE_COLUMNS_START, 6),
             Cause::Tool(stream) => {
                 let part = state.streams[stream].tool_part.range();
-                (stream, TOOL + part.start, part.len())
+                (stream, TOOL_COLUMNS_START + part.start, part.len())
             }
         };
         let start = state.index(stream, first);
@@ -72,7 +75,7 @@ pub(super) struct Linearized {
     pub normal: Normal,
     values: DVector<f64>,
     /// Result for the last requested parameters. They are queried several times in turn.
-    freed: Mutex<Option<Arc<FreeFit>>>,
+    free_fit: Mutex<Option<Arc<FreeFit>>>,
 }
 
 /// Estimates with only these parameters free.
@@ -95,7 +98,7 @@ fn columns_of(state: &State, stream: usize) -> Vec<usize> {
 impl Linearized {
     /// Linearises all streams about `state`, with about `most` samples each. The weights come from the
     /// residual noise with all causes in `all` free.
-    pub fn at(witnesses: &[&PoseObservations], state: &State, most: usize, all: &[Cause]) -> Self {
+    pub fn new(witnesses: &[&PoseObservations], state: &State, most: usize, all: &[Cause]) -> Self {
         let streams: Vec<Linear> = witnesses
             .iter()
             .zip(&state.streams)
@@ -106,9 +109,9 @@ impl Linearized {
         let values = state.values();
         let weights: Vec<Vec<Weight>> = streams.iter().map(Linear::first_weights).collect();
         let normal = normal_of(&streams, &weights, state);
-        let mut linearized = Self { streams, weights, normal, values, freed: Mutex::new(None) };
-        linearized.weigh(state, all);
-        linearized.weigh(state, all);
+        let mut linearized = Self { streams, weights, normal, values, free_fit: Mutex::new(None) };
+        linearized.update_weights(state, all);
+        linearized.update_weights(state, all);
         linearized
     }
 
@@ -117,13 +120,13 @@ impl Linearized {
     /// During the search these are all causes, so no fault counts as noise. For the intervals they are the
     /// selected causes, because unneeded ones would absorb the slow part of coloured noise and hide its
     /// autocorrelation.
-    fn weigh(&mut self, state: &State, causes: &[Cause]) {
+    fn update_weights(&mut self, state: &State, causes: &[Cause]) {
         let step = self.normal.step(&self.values, &parameters_of(causes, state));
         self.weights = (0..self.streams.len())
             .map(|s| self.streams[s].weights_after(&own_part(&step, state, s)))
             .collect();
         self.normal = normal_of(&self.streams, &self.weights, state);
-        self.freed = Mutex::new(None);
+        self.free_fit = Mutex::new(None);
     }
 
     /// Step with `parameters` free and all others reset to zero.
@@ -139,11 +142,11 @@ impl Linearized {
     /// Covariance of `parameters` when only they are free, under correlated noise (`H⁻¹ S H⁻¹`, White
     /// 1980). Variances of parameters that are not observable are infinite.
     pub fn covariance(&self, parameters: &[usize], state: &State) -> DMatrix<f64> {
-        self.freed(parameters, state).covariance.clone()
+        self.fit_free(parameters, state).covariance.clone()
     }
 
-    fn freed(&self, parameters: &[usize], state: &State) -> Arc<FreeFit> {
-        let mut known = self.freed.lock().unwrap_or_else(PoisonError::into_inner);
+    fn fit_free(&self, parameters: &[usize], state: &State) -> Arc<FreeFit> {
+        let mut known = self.free_fit.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(freed) = known.as_ref().filter(|freed| freed.parameters == parameters) {
             return Arc::clone(freed);
         }
@@ -187,7 +190,7 @@ impl Linearized {
 
     /// Estimate of `parameters[which]` when all of `parameters` are free. `None` if it is not observable.
     pub fn measured(&self, parameters: &[usize], which: usize, state: &State) -> Option<Measured> {
-        let freed = self.freed(parameters, state);
+        let freed = self.fit_free(parameters, state);
         let variance = freed.covariance[(which, which)];
         let along = freed.influence.column(which).into_owned();
         let value = self.values[parameters[which]] + freed.step[parameters[which]];
@@ -251,12 +254,12 @@ pub(super) fn price(independent: f64) -> f64 {
 }
 
 /// Selects the set of optional causes with the lowest score at a linearisation.
-fn choose(linear: &Linearized, menu: &CandidateCauses, state: &State) -> CauseSet {
+fn select_causes(linear: &Linearized, menu: &CandidateCauses, state: &State) -> CauseSet {
     let price = price(linear.normal.independent);
     let score_of = |set: &[Cause]| -> f64 {
         let causes: Vec<Cause> = menu.always.iter().chain(set).copied().collect();
         let parameters = parameters_of(&causes, state);
-        if !set.is_empty() && is_entangled(linear, menu, &causes, state) {
+        if !set.is_empty() && is_collinear(linear, menu, &causes, state) {
             return f64::INFINITY;
         }
         let optional: usize = set.iter().map(|cause| cause.parameters(state).len()).sum();
@@ -266,7 +269,8 @@ fn choose(linear: &Linearized, menu: &CandidateCauses, state: &State) -> CauseSe
     // Lower bound on the cost of any set.
     let least = linear.cost(&parameters_of(&menu.all(), state));
     let mut set = Vec::new();
-    let depth = if menu.optional.len() > 16 { EXHAUSTIVE - 1 } else { EXHAUSTIVE };
+    let depth =
+        if menu.optional.len() > 16 { MAX_EXHAUSTIVE_CAUSES - 1 } else { MAX_EXHAUSTIVE_CAUSES };
     subsets(&menu.optional, depth, &mut set, &mut |set| {
         let parameters: usize = set.iter().map(|cause| cause.parameters(state).len()).sum();
         if least + price * parameters as f64 >= best.score {
@@ -302,7 +306,7 @@ fn choose(linear: &Linearized, menu: &CandidateCauses, state: &State) -> CauseSe
 /// If both world frame and marker are free, weak motion leaves common directions of the two unobservable.
 /// The steps keep these directions fixed. Another cause that shares such a direction, such as a joint zero,
 /// has no unique value.
-fn is_entangled(
+fn is_collinear(
     linear: &Linearized,
     menu: &CandidateCauses,
     causes: &[Cause],
@@ -317,7 +321,7 @@ fn is_entangled(
         causes.into_iter().flat_map(|cause| cause.parameters(state)).collect()
     };
     let (anywhere, others) = (parameters(anywhere), parameters(others));
-    linear.normal.separation_beside(&anywhere, &others) < ENTANGLED
+    linear.normal.separation_beside(&anywhere, &others) < MIN_CAUSE_SEPARATION
 }
 
 fn prune(mut choice: CauseSet, score_of: &dyn Fn(&[Cause]) -> f64) -> CauseSet {
@@ -368,7 +372,7 @@ pub(super) enum Approach {
 }
 
 /// Selects the smallest model from a starting state, with about `most` samples per stream.
-pub(super) fn explain(
+pub(super) fn select_model(
     witnesses: &[&PoseObservations],
     start: State,
     menu: &CandidateCauses,
@@ -378,28 +382,29 @@ pub(super) fn explain(
     let all = menu.all();
     let mut state = start;
     let mut causes: Vec<Cause> = all.clone();
-    let mut linear = Linearized::at(witnesses, &state, most, &all);
+    let mut linear = Linearized::new(witnesses, &state, most, &all);
     let bold_rounds = if approach == Approach::Bold { 3 } else { 0 };
     for round in 0..12 {
         let full = round < bold_rounds;
-        let next = if full { menu.optional.clone() } else { choose(&linear, menu, &state).causes };
+        let next =
+            if full { menu.optional.clone() } else { select_causes(&linear, menu, &state).causes };
         let free: Vec<Cause> = menu.always.iter().chain(&next).copied().collect();
         let step = linear.step(&parameters_of(&free, &state));
-        let settled = !full && next == causes && small(&step);
+        let settled = !full && next == causes && is_negligible(&step);
         state.step(&step);
         causes = next;
-        linear = Linearized::at(witnesses, &state, most, &all);
+        linear = Linearized::new(witnesses, &state, most, &all);
         if settled {
             break;
         }
     }
     let chosen: Vec<Cause> = menu.always.iter().chain(&causes).copied().collect();
-    linear.weigh(&state, &chosen);
+    linear.update_weights(&state, &chosen);
     SelectedModel { state, causes, linear }
 }
 
 /// Returns whether a step is below the resolution of any estimate.
-fn small(step: &DVector<f64>) -> bool {
+fn is_negligible(step: &DVector<f64>) -> bool {
     step.amax() < 1e-7
 }
 
@@ -409,7 +414,7 @@ fn small(step: &DVector<f64>) -> bool {
 /// A model that has not converged has a larger residual and scores worse. The autocorrelation, which
 /// reduces `n`, is taken from the model with the smallest residual and applied to all. Otherwise small
 /// differences in autocorrelation would decide between equally good models.
-pub(super) fn best(explanations: Vec<SelectedModel>) -> Option<SelectedModel> {
+pub(super) fn best_model(explanations: Vec<SelectedModel>) -> Option<SelectedModel> {
     let noises: Vec<Vec<Noise>> = explanations.iter().map(SelectedModel::noise).collect();
     let log_sigmas = |noise: &[Noise]| noise.iter().map(|noise| noise.sigma.ln()).sum::<f64>();
     let quietest = noises.iter().min_by(|a, b| log_sigmas(a).total_cmp(&log_sigmas(b)))?.iter();

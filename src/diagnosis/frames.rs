@@ -14,29 +14,29 @@ use nalgebra::{Matrix3, SMatrix, SVector};
 use std::sync::LazyLock;
 
 /// Number of samples for initial guesses.
-const SAMPLES: usize = 120;
+const INITIAL_GUESS_SAMPLES: usize = 120;
 /// If most deviations are below these, the fit needs no initial guess, rad and m.
-const NEAR_RAD: f64 = 0.06;
-const NEAR_M: f64 = 0.03;
+const MAX_UNGUESSED_RAD: f64 = 0.06;
+const MAX_UNGUESSED_M: f64 = 0.03;
 /// Tolerance within which a rotation counts as a round one, rad.
-const ROUND_RAD: f64 = 0.06;
+const ROUND_TOLERANCE_RAD: f64 = 0.06;
 
 /// Starting states of a stream's fit, with joint offsets near `offsets`. The first has no frame error. If
 /// the stream is far from FK, adds closed-form solutions of simple frame errors, also as round errors.
-pub(super) fn starts(
+pub(super) fn starting_states(
     witness: &PoseObservations,
     latency_s: f64,
     offsets: &[f64],
 ) -> Vec<StreamState> {
     let tool_part = witness.tool_part;
     let plain = StreamState { tool_part, ..StreamState::at_latency(latency_s) };
-    let (fk, logged) = pairs(witness, &plain, offsets);
+    let (fk, logged) = pose_pairs(witness, &plain, offsets);
     if fk.len() < 3 {
         return vec![plain];
     }
     let with = |reference: Pose, tool: Pose| StreamState { reference, tool, ..plain.clone() };
     let identity = Pose::identity();
-    let (reference, tool) = fitted_frames(&fk, &logged);
+    let (reference, tool) = fit_frames(&fk, &logged);
     let mut starts = Vec::new();
     if !witness.reference_known {
         starts.push(with(reference_frame(&fk, &logged), identity));
@@ -45,8 +45,8 @@ pub(super) fn starts(
     }
     starts.push(plain.clone());
     let far = fk.iter().zip(&logged).filter(|(fk, logged)| {
-        angle_between(&fk.rotation, &logged.rotation) > NEAR_RAD
-            || (fk.translation.vector - logged.translation.vector).norm() > NEAR_M
+        angle_between(&fk.rotation, &logged.rotation) > MAX_UNGUESSED_RAD
+            || (fk.translation.vector - logged.translation.vector).norm() > MAX_UNGUESSED_M
     });
     if far.count() * 4 < fk.len() {
         return starts;
@@ -57,20 +57,20 @@ pub(super) fn starts(
     starts.push(with(identity, tool_only));
     starts.push(with(reference_only, identity));
     starts.push(with(reference, tool));
-    if let Some(round) = round_about(&reference_only, &first_joint) {
+    if let Some(round) = round_frame_error(&reference_only, &first_joint) {
         let turned: Vec<Pose> = fk.iter().map(|fk| round * fk).collect();
         let start = StreamState { round_reference: Some(round), ..with(round, identity) };
         starts.push(StreamState { tool: tool_frame(&turned, &logged), ..start.clone() });
         starts.push(start);
     }
-    if let Some(round) = round_about(&reference, &first_joint) {
+    if let Some(round) = round_frame_error(&reference, &first_joint) {
         let turned: Vec<Pose> = fk.iter().map(|fk| round * fk).collect();
         starts.push(StreamState {
             round_reference: Some(round),
             ..with(round, tool_frame(&turned, &logged))
         });
     }
-    if let Some(round) = round(&tool_only.rotation) {
+    if let Some(round) = round_rotation(&tool_only.rotation) {
         let shifted = pose(tool_only.translation.vector.into(), round.rotation);
         starts.push(StreamState { round_tool: Some(round), ..with(identity, round) });
         starts.push(StreamState { round_tool: Some(round), ..with(identity, shifted) });
@@ -79,13 +79,13 @@ pub(super) fn starts(
 }
 
 /// FK and logged poses at a subset of the samples.
-fn pairs(
+fn pose_pairs(
     witness: &PoseObservations,
     state: &StreamState,
     offsets: &[f64],
 ) -> (Vec<Pose>, Vec<Pose>) {
     let mut sweep = PredictionBuffers::new(witness);
-    let step = witness.len().div_ceil(SAMPLES).max(1);
+    let step = witness.len().div_ceil(INITIAL_GUESS_SAMPLES).max(1);
     (0..witness.len())
         .step_by(step)
         .filter_map(|k| {
@@ -110,25 +110,25 @@ fn reference_frame(fk: &[Pose], logged: &[Pose]) -> Pose {
 }
 
 /// Sets the reference and tool frames of `state` to those that positions determine at its latency.
-pub(super) fn placed_by_positions(
+pub(super) fn with_frames_from_positions(
     witness: &PoseObservations,
     state: StreamState,
     offsets: &[f64],
 ) -> StreamState {
     let identity = Pose::identity();
     let plain = StreamState { reference: identity, tool: identity, ..state.clone() };
-    let (fk, logged) = pairs(witness, &plain, offsets);
+    let (fk, logged) = pose_pairs(witness, &plain, offsets);
     if fk.len() < 3 {
         return state;
     }
-    let (reference, tool) = by_positions(&fk, &logged);
+    let (reference, tool) = frames_from_positions(&fk, &logged);
     StreamState { reference, tool, ..state }
 }
 
 /// Reference frame with the rotation that positions determine, and tool frame.
-fn by_positions(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
+fn frames_from_positions(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
     let xyz: Vec<Vec3> = logged.iter().map(|pose| pose.translation.vector).collect();
-    let (reference, point) = FkColumns::of(fk).turned_anyhow(&xyz);
+    let (reference, point) = FkColumns::from_poses(fk).fit_rigid_or_collinear(&xyz);
     let turned: Vec<Pose> = fk.iter().map(|fk| reference * fk).collect();
     let turn = tool_frame(&turned, logged).rotation;
     (reference, pose(point.into(), turn))
@@ -149,7 +149,7 @@ pub(super) fn tool_start(
     offsets: &[f64],
 ) -> Option<Pose> {
     let plain = StreamState { tool: Pose::identity(), ..state.clone() };
-    let (fk, logged) = pairs(witness, &plain, offsets);
+    let (fk, logged) = pose_pairs(witness, &plain, offsets);
     (fk.len() >= 3).then(|| tool_frame(&fk, &logged))
 }
 
@@ -159,15 +159,15 @@ const START_NOISE_M: f64 = 1e-3;
 const START_LEVER_M: f64 = 0.3;
 /// Standard deviation of the prior on the marker's distance from the tip, m. The size of a hand with its
 /// tool. It keeps the marker near the tip in directions that the motion does not observe.
-const MARKER_M: f64 = 0.5;
+const MARKER_PRIOR_M: f64 = 0.5;
 /// Maximum number of Levenberg–Marquardt iterations per start.
-const ITERATIONS: usize = 25;
+const MAX_ITERATIONS: usize = 25;
 /// Relative decrease of the cost at which the iteration has converged.
-const CONVERGED: f64 = 1e-6;
+const CONVERGED_COST_DECREASE: f64 = 1e-6;
 
 /// Closed-form initial guess of reference and tool frame (`A X = X B`; Park and Martin 1994).
-pub(super) fn both_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
-    frames_given(wahba(&relative_rotations(fk, logged)), fk, logged)
+pub(super) fn initial_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
+    frames_for_rotation(wahba(&relative_rotations(fk, logged)), fk, logged)
 }
 
 /// Fits reference and tool frame together.
@@ -176,20 +176,21 @@ pub(super) fn both_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
 /// from several rotations of the reference. One is from relative rotations (Park and Martin 1994), one from
 /// positions (Kabsch 1976), and four align the common axis of the relative rotations. Returns the pair with
 /// the lowest cost.
-fn fitted_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
+fn fit_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
     let correlation = relative_rotations(fk, logged);
-    let by_positions = by_positions(fk, logged);
-    let turns = common_axis_turns(&correlation, &by_positions.0.rotation);
-    let starts = turns.into_iter().map(|turn| frames_given(turn, fk, logged)).chain([by_positions]);
+    let by_positions = frames_from_positions(fk, logged);
+    let turns = candidate_reference_rotations(&correlation, &by_positions.0.rotation);
+    let starts =
+        turns.into_iter().map(|turn| frames_for_rotation(turn, fk, logged)).chain([by_positions]);
     starts
-        .map(|(reference, tool)| refined(fk, logged, reference, tool))
+        .map(|(reference, tool)| refine_frames(fk, logged, reference, tool))
         .min_by(|a, b| a.0.total_cmp(&b.0))
         .map_or_else(Default::default, |(_, reference, tool)| (reference, tool))
 }
 
 /// Position and rotation residual after fitting constant reference and tool frames, rms m and rad.
 pub(super) fn misfit_of_frames(fk: &[Pose], logged: &[Pose]) -> [f64; 2] {
-    let (reference, tool) = fitted_frames(fk, logged);
+    let (reference, tool) = fit_frames(fk, logged);
     let (mut squares_m, mut squares_rad) = (0.0, 0.0);
     for (fk, logged) in fk.iter().zip(logged) {
         let left = (reference * fk * tool).inverse() * logged;
@@ -200,14 +201,14 @@ pub(super) fn misfit_of_frames(fk: &[Pose], logged: &[Pose]) -> [f64; 2] {
 }
 
 /// Same for a stream with its latency and the given joint offsets.
-pub(super) fn left_by_constant_frames(
+pub(super) fn constant_frame_residual(
     witness: &PoseObservations,
     state: &StreamState,
     offsets: &[f64],
 ) -> [f64; 2] {
     let identity = Pose::identity();
     let plain = StreamState { reference: identity, tool: identity, ..state.clone() };
-    let (fk, logged) = pairs(witness, &plain, offsets);
+    let (fk, logged) = pose_pairs(witness, &plain, offsets);
     misfit_of_frames(&fk, &logged)
 }
 
@@ -226,7 +227,7 @@ fn relative_rotations(fk: &[Pose], logged: &[Pose]) -> Matrix3<f64> {
 
 /// Reference rotations consistent with the relative rotations: the least-squares solution, and four that
 /// align the common axis. The four are a quarter turn apart about the axis, starting nearest to `about`.
-fn common_axis_turns(correlation: &Matrix3<f64>, about: &Rotation) -> Vec<Rotation> {
+fn candidate_reference_rotations(correlation: &Matrix3<f64>, about: &Rotation) -> Vec<Rotation> {
     let mut turns = vec![wahba(correlation)];
     let svd = correlation.svd(true, true);
     if let (Some(u), Some(v_t)) = (svd.u, svd.v_t) {
@@ -243,7 +244,7 @@ fn common_axis_turns(correlation: &Matrix3<f64>, about: &Rotation) -> Vec<Rotati
 }
 
 /// Reference and tool frame for a given rotation of the reference.
-fn frames_given(turn: Rotation, fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
+fn frames_for_rotation(turn: Rotation, fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
     let tools: Vec<Rotation> =
         fk.iter().zip(logged).map(|(fk, l)| (turn * fk.rotation).inverse() * l.rotation).collect();
     let tool_turn = mean_rotation(&tools);
@@ -260,7 +261,7 @@ fn frames_given(turn: Rotation, fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
         right += rows.transpose() * target;
     }
     for i in 3..6 {
-        normal[(i, i)] += (START_NOISE_M / MARKER_M).powi(2);
+        normal[(i, i)] += (START_NOISE_M / MARKER_PRIOR_M).powi(2);
     }
     let solution = normal.cholesky().map_or_else(SVector::zeros, |c| c.solve(&right));
     let xyz = |first: usize| [solution[first], solution[first + 1], solution[first + 2]];
@@ -284,7 +285,7 @@ fn cost_of(fk: &[Pose], logged: &[Pose], reference: &Pose, tool: &Pose) -> f64 {
         let (_, position, rotation) = residuals(fk, l, reference, tool);
         position.norm_squared() + rotation.norm_squared()
     };
-    let prior = tool.translation.vector.norm_squared() / MARKER_M.powi(2);
+    let prior = tool.translation.vector.norm_squared() / MARKER_PRIOR_M.powi(2);
     fk.iter().zip(logged).map(square).sum::<f64>() + prior
 }
 
@@ -309,7 +310,7 @@ fn normal_equations(fk: &[Pose], logged: &[Pose], reference: &Pose, tool: &Pose)
         normal += rows.transpose() * rows;
         right += rows.transpose() * residual;
     }
-    let prior = MARKER_M.powi(-2);
+    let prior = MARKER_PRIOR_M.powi(-2);
     let pull = tool.rotation.inverse() * tool.translation.vector * prior;
     for axis in 0..3 {
         normal[(6 + axis, 6 + axis)] += prior;
@@ -319,10 +320,10 @@ fn normal_equations(fk: &[Pose], logged: &[Pose], reference: &Pose, tool: &Pose)
 }
 
 /// Refines both frames by Levenberg–Marquardt. Returns the cost first.
-fn refined(fk: &[Pose], logged: &[Pose], reference: Pose, tool: Pose) -> (f64, Pose, Pose) {
+fn refine_frames(fk: &[Pose], logged: &[Pose], reference: Pose, tool: Pose) -> (f64, Pose, Pose) {
     let mut best = (cost_of(fk, logged, &reference, &tool), reference, tool);
     let mut damping = 1e-6;
-    for _ in 0..ITERATIONS {
+    for _ in 0..MAX_ITERATIONS {
         let (normal, right) = normal_equations(fk, logged, &best.1, &best.2);
         let before = best.0;
         while damping < 1e3 {
@@ -345,30 +346,30 @@ fn refined(fk: &[Pose], logged: &[Pose], reference: Pose, tool: Pose) -> (f64, P
                 None => damping *= 10.0,
             }
         }
-        if before - best.0 <= CONVERGED * before {
+        if before - best.0 <= CONVERGED_COST_DECREASE * before {
             break;
         }
     }
     best
 }
 
-/// Quarter-turn rotation within [`ROUND_RAD`] of `rotation`, excluding the identity.
-fn round(rotation: &Rotation) -> Option<Pose> {
+/// Quarter-turn rotation within [`ROUND_TOLERANCE_RAD`] of `rotation`, excluding the identity.
+fn round_rotation(rotation: &Rotation) -> Option<Pose> {
     static QUARTER_TURNS: LazyLock<Vec<Rotation>> = LazyLock::new(quarter_turns);
     QUARTER_TURNS
         .iter()
-        .find(|quarter| angle_between(quarter, rotation) < ROUND_RAD)
+        .find(|quarter| angle_between(quarter, rotation) < ROUND_TOLERANCE_RAD)
         .map(|quarter| pose([0.0; 3], *quarter))
 }
 
 /// Round rotation error of a reference frame with error `frame`. The rotation is about its origin or the
 /// arm's first joint, in case the arm is mounted elsewhere in it. Returns the closer one.
-fn round_about(frame: &Pose, first_joint: &Pose) -> Option<Pose> {
+fn round_frame_error(frame: &Pose, first_joint: &Pose) -> Option<Pose> {
     let away_m =
         |round: &Pose| (round.translation.vector - frame.translation.vector).norm_squared();
-    let at_joint = round(&(first_joint.inverse() * frame * first_joint).rotation)
+    let at_joint = round_rotation(&(first_joint.inverse() * frame * first_joint).rotation)
         .map(|round| first_joint * round * first_joint.inverse());
-    let both = [round(&frame.rotation), at_joint];
+    let both = [round_rotation(&frame.rotation), at_joint];
     both.into_iter().flatten().min_by(|a, b| away_m(a).total_cmp(&away_m(b)))
 }
 
@@ -437,5 +438,11 @@ pub(super) fn frame_estimate(
     let chosen = round.is_some() || explanation.causes.contains(&cause);
     // The model maps base coordinates to the stream's; the reported error is the inverse.
     let pose = if is_tool { frame } else { frame.inverse() };
-    Ok(FrameEstimate { pose, translation_m: length(0), rotation_rad: length(3), p_value, chosen })
+    Ok(FrameEstimate {
+        pose,
+        translation_m: length(0),
+        rotation_rad: length(3),
+        p_value,
+        is_chosen: chosen,
+    })
 }

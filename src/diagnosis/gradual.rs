@@ -1,7 +1,7 @@
 //! Large piecewise linear latency of a stream.
 
 use super::LatencyProfile;
-use super::large::{LagWindow, in_order, left};
+use super::large::{LagWindow, monotonic_rows, squared_residual};
 use super::latency::SpeedSeries;
 
 /// Piecewise linear latency, as compensated in a stream's stamps.
@@ -13,25 +13,25 @@ pub struct LatencyRamp {
 
 /// Fitted latency, its squared speed residual, and that of a linear latency.
 pub(super) struct RampFit {
-    pub gradual: LatencyRamp,
-    pub left: f64,
-    pub of_line: f64,
+    pub ramp: LatencyRamp,
+    pub residual: f64,
+    pub line_residual: f64,
 }
 
 impl LatencyRamp {
     /// Fits the latency of a stream whose speed matches the arm's in `windows` at varying lags. Returns the
     /// speed residuals of this fit and of the best line. `None` if the lags vary little.
-    pub(super) fn of(
+    pub(super) fn fit_windows(
         arm: &SpeedSeries,
         stream: &SpeedSeries,
         windows: &[&LagWindow],
     ) -> Option<RampFit> {
         /// Minimum variation, s. A smaller one does not affect estimates over a second of motion.
-        const LEAST_S: f64 = 0.035;
+        const MIN_VARIATION_S: f64 = 0.035;
         /// Minimum deviation from a line, s. A smaller one is skew.
-        const BENT_S: f64 = 0.005;
+        const MIN_LINE_DEVIATION_S: f64 = 0.005;
         /// Minimum number of knots.
-        const KNOTS: usize = 6;
+        const MIN_KNOTS: usize = 6;
         let (first, last) = (windows.first()?, windows.last()?);
         let (begin_s, end_s) = (*arm.t_s.first()?, *arm.t_s.last()?);
         let inner = windows.iter().map(|window| (window.middle_s, window.lag_s));
@@ -42,24 +42,31 @@ impl LatencyRamp {
         let lags = || knots.iter().map(|knot| knot.1);
         let swing_s = lags().fold(f64::MIN, f64::max) - lags().fold(f64::MAX, f64::min);
         let is_in_order = knots.windows(2).all(|two| two[1].0 > two[0].0);
-        if knots.len() < KNOTS || swing_s < LEAST_S || !is_in_order {
+        if knots.len() < MIN_KNOTS || swing_s < MIN_VARIATION_S || !is_in_order {
             return None;
         }
         let mut line = Self { knots: vec![knots[0], knots[knots.len() - 1]] };
-        let of_line = line.fit(arm, stream);
+        let of_line = line.refine(arm, stream);
         let mut rough = Self { knots };
-        rough.fit(arm, stream);
+        rough.refine(arm, stream);
         // The windows overlap, so add a knot between every two.
-        let mut gradual = Self { knots: rough.halved() };
-        let left = gradual.fit(arm, stream);
-        let bends = gradual.knots.iter().any(|knot| (knot.1 - line.lag_s(knot.0)).abs() > BENT_S);
-        Some(RampFit { gradual, left: if bends { left } else { of_line }, of_line })
+        let mut gradual = Self { knots: rough.with_midpoints() };
+        let left = gradual.refine(arm, stream);
+        let bends = gradual
+            .knots
+            .iter()
+            .any(|knot| (knot.1 - line.lag_s(knot.0)).abs() > MIN_LINE_DEVIATION_S);
+        Some(RampFit {
+            ramp: gradual,
+            residual: if bends { left } else { of_line },
+            line_residual: of_line,
+        })
     }
 
     /// The latency of a piecewise linear profile. `None` for other profiles.
-    pub(super) fn along(course: &LatencyProfile) -> Option<Self> {
+    pub(super) fn from_profile(course: &LatencyProfile) -> Option<Self> {
         let knots = &course.levels;
-        (course.jumps.is_empty() && knots.len() > 1).then(|| Self { knots: knots.clone() })
+        (course.steps.is_empty() && knots.len() > 1).then(|| Self { knots: knots.clone() })
     }
 
     /// Latency at a stamp, s.
@@ -71,8 +78,8 @@ impl LatencyRamp {
 
     /// Compensates the stamps `t_s`. Returns each with its row, and drops rows that would precede an
     /// earlier one.
-    pub fn straightened(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
-        in_order(t_s.iter().map(|t_s| t_s - self.lag_s(*t_s)).enumerate())
+    pub fn compensated(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
+        monotonic_rows(t_s.iter().map(|t_s| t_s - self.lag_s(*t_s)).enumerate())
     }
 
     /// Converts a compensated stamp back to the logged one, s.
@@ -82,14 +89,14 @@ impl LatencyRamp {
     }
 
     /// Minimises the speed residual over the lag at each knot, with decreasing steps. Returns the residual.
-    fn fit(&mut self, arm: &SpeedSeries, stream: &SpeedSeries) -> f64 {
+    fn refine(&mut self, arm: &SpeedSeries, stream: &SpeedSeries) -> f64 {
         const STEPS_S: [f64; 5] = [0.02, 0.008, 0.003, 0.001, 0.0003];
-        let mut least = left(arm, stream, &|t_s| self.lag_s(t_s));
+        let mut least = squared_residual(arm, stream, &|t_s| self.lag_s(t_s));
         for step_s in STEPS_S.into_iter().flat_map(|step_s| [step_s, step_s]) {
             for knot in 0..self.knots.len() {
                 for by_s in [step_s, -step_s] {
                     self.knots[knot].1 += by_s;
-                    match left(arm, stream, &|t_s| self.lag_s(t_s)) {
+                    match squared_residual(arm, stream, &|t_s| self.lag_s(t_s)) {
                         better if better < least => least = better,
                         _ => self.knots[knot].1 -= by_s,
                     }
@@ -100,7 +107,7 @@ impl LatencyRamp {
     }
 
     /// Knots with an additional one in the middle of each segment.
-    fn halved(&self) -> Vec<(f64, f64)> {
+    fn with_midpoints(&self) -> Vec<(f64, f64)> {
         let amid = self.knots.windows(2).flat_map(|two| {
             let ((a_s, a), (b_s, b)) = (two[0], two[1]);
             [(a_s, a), (0.5 * (a_s + b_s), 0.5 * (a + b))]

@@ -4,19 +4,19 @@
 //! is a normal controller setting, a displaced base is a fault. So the tool is selected if it fits about as
 //! well.
 
-use super::explain::{Approach, CandidateCauses, Cause, SelectedModel, explain};
+use super::explain::{Approach, CandidateCauses, Cause, SelectedModel, select_model};
 use super::frames::tool_start;
 use super::model::{PoseObservations, StreamState};
 use ground::geometry::Pose;
 
 /// The tool fits as well if its residual is at most this multiple of the base's, …
-const AS_LITTLE: f64 = 1.5;
+const MAX_RESIDUAL_RATIO: f64 = 1.5;
 /// … or exceeds it by at most this, m and rad. This is the effect of typical link deviations.
-const AS_LITTLE_MORE: [f64; 2] = [0.3e-3, 0.3e-3];
+const MAX_EXTRA_RESIDUAL_M_RAD: [f64; 2] = [0.3e-3, 0.3e-3];
 
 /// Replaces each tuned reference frame by a tool frame if that fits as well. Fits about `most` samples per
 /// stream.
-pub(super) fn tools_first(
+pub(super) fn prefer_tool_frames(
     witnesses: &[&PoseObservations],
     mut explanation: SelectedModel,
     menu: &CandidateCauses,
@@ -39,20 +39,17 @@ pub(super) fn tools_first(
         let without = |cause: &&Cause| **cause != Cause::Reference(s);
         let optional = menu.optional.iter().filter(without).copied().collect();
         let menu = CandidateCauses { optional, ..menu.clone() };
-        let other = explain(witnesses, start, &menu, Approach::Careful, most);
-        if other.causes.len() <= explanation.causes.len() && leaves_as_little(&other, &explanation)
-        {
+        let other = select_model(witnesses, start, &menu, Approach::Careful, most);
+        if other.causes.len() <= explanation.causes.len() && fits_as_well(&other, &explanation) {
             explanation = other;
         }
     }
     explanation
 }
 
-fn leaves_as_little(one: &SelectedModel, other: &SelectedModel) -> bool {
-    let kinds = AS_LITTLE_MORE.iter().cycle();
-    one.noise()
-        .iter()
-        .zip(&other.noise())
-        .zip(kinds)
-        .all(|((one, other), more)| one.sigma <= (AS_LITTLE * other.sigma).max(other.sigma + more))
+fn fits_as_well(one: &SelectedModel, other: &SelectedModel) -> bool {
+    let kinds = MAX_EXTRA_RESIDUAL_M_RAD.iter().cycle();
+    one.noise().iter().zip(&other.noise()).zip(kinds).all(|((one, other), more)| {
+        one.sigma <= (MAX_RESIDUAL_RATIO * other.sigma).max(other.sigma + more)
+    })
 }

@@ -24,13 +24,13 @@ pub fn residual_by_latency(
     found: &PoseDiagnosis,
 ) -> Vec<LatencyResidual> {
     /// Maximum and minimum number of compared samples.
-    const SAMPLES: usize = 400;
-    const FEWEST: usize = 20;
+    const MAX_SAMPLES: usize = 400;
+    const MIN_SAMPLES: usize = 20;
     let Ok(latency) = &found.latency_s else { return Vec::new() };
     let aligned = &found.aligned;
     let latencies_s = latencies_s(latency.value, latency.half_width(0.95));
     let skew = found.skew.as_ref().map_or(0.0, |skew| skew.value);
-    let skew = if found.skew_chosen { skew } else { 0.0 };
+    let skew = if found.is_skew_chosen { skew } else { 0.0 };
     let middle_s = match aligned.t_s.as_slice() {
         [first, .., last] => 0.5 * (first + last),
         _ => 0.0,
@@ -39,7 +39,7 @@ pub fn residual_by_latency(
     let (mut compared, mut cursor) = (0, 0);
     let mut track = [vec![0.0; joints.dof], vec![0.0; joints.dof]];
     let mut q = vec![0.0; stream.columns.len()];
-    let step = aligned.t_s.len().div_ceil(SAMPLES).max(1);
+    let step = aligned.t_s.len().div_ceil(MAX_SAMPLES).max(1);
     for row in (0..aligned.t_s.len()).step_by(step) {
         let (stamp_s, corrected) = (aligned.t_s[row], &aligned.corrected[row]);
         let left: Option<Vec<(f64, f64)>> = latencies_s
@@ -62,7 +62,7 @@ pub fn residual_by_latency(
             *square = (square.0 + m * m, square.1 + rad * rad);
         }
     }
-    if compared < FEWEST {
+    if compared < MIN_SAMPLES {
         return Vec::new();
     }
     let rms = |square: f64| (square / compared as f64).sqrt();
@@ -82,8 +82,8 @@ fn latencies_s(found_s: f64, half_width_s: f64) -> Vec<f64> {
     /// Number of steps.
     const STEPS: usize = 120;
     /// Minimum margin beyond the estimate and zero, s.
-    const BESIDE_S: f64 = 0.01;
-    let beside_s = (0.6 * found_s.abs()).max(BESIDE_S).max(3.0 * half_width_s.min(1.0));
+    const MIN_MARGIN_S: f64 = 0.01;
+    let beside_s = (0.6 * found_s.abs()).max(MIN_MARGIN_S).max(3.0 * half_width_s.min(1.0));
     let (low_s, high_s) = (found_s.min(0.0) - beside_s, found_s.max(0.0) + beside_s);
     let even = (0..=STEPS).map(|step| low_s + (high_s - low_s) * step as f64 / STEPS as f64);
     let mut latencies_s: Vec<f64> = even.chain([found_s]).collect();

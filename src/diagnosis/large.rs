@@ -2,23 +2,23 @@
 //! large for [`super::course`], which requires small residuals.
 //!
 //! In each window of several seconds, the stream's speed matches the arm's at some lag. Over the windows
-//! these lags form steps ([`super::steps`]) or a piecewise linear profile ([`super::gradual`]).
+//! these lags form steps ([`super::detect_steps`]) or a piecewise linear profile ([`super::ramp`]).
 
 use super::gradual::{LatencyRamp, RampFit};
-use super::latency::{ArmSpeeds, SpeedSeries, angular_speed, linear_speed, norms, peaks};
-use super::steps::{LatencySteps, steps};
+use super::latency::{ArmSpeeds, SpeedSeries, angular_speed, lag_peaks, linear_speed, norm_series};
+use super::steps::{LatencySteps, detect_steps};
 use super::{ImuStream, PoseStream};
 use ground::stats::quantile;
 use ground::stream::{JointTrack, Orientations};
 
 /// Minimum correlation of the speeds in a window.
-const FOLLOWS: f64 = 0.85;
+const MIN_CORRELATION: f64 = 0.85;
 /// A piecewise linear profile must reduce the residual of the simpler models to at most this fraction.
-const SIMPLER: f64 = 0.9;
+const MAX_RESIDUAL_RATIO: f64 = 0.9;
 /// Maximum number of samples to fit the profile.
-pub(super) const SAMPLES: usize = 4000;
+pub(super) const MAX_PROFILE_SAMPLES: usize = 4000;
 /// Maximum residual of the speeds after compensation, as a fraction of their variation.
-pub(super) const MISFIT: f64 = 0.15;
+pub(super) const MAX_SPEED_RESIDUAL_SHARE: f64 = 0.15;
 
 /// Large change of latency within the run.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,15 +26,15 @@ pub enum CoarseLatencyChange {
     /// Steps between constant levels.
     Steps(LatencySteps),
     /// Piecewise linear latency. Alternatively the steps, if the model fit rejects it.
-    Gradual(LatencyRamp, Option<LatencySteps>),
+    Ramp(LatencyRamp, Option<LatencySteps>),
 }
 
 impl CoarseLatencyChange {
     /// Compensates the stamps `t_s`. Returns each with its row.
-    pub fn straightened(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
+    pub fn compensated(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
         match self {
-            Self::Steps(steps) => steps.straightened(t_s),
-            Self::Gradual(gradual, _) => gradual.straightened(t_s),
+            Self::Steps(steps) => steps.compensated(t_s),
+            Self::Ramp(gradual, _) => gradual.compensated(t_s),
         }
     }
 
@@ -42,26 +42,27 @@ impl CoarseLatencyChange {
     pub fn steps(&self) -> Option<&LatencySteps> {
         match self {
             Self::Steps(steps) => Some(steps),
-            Self::Gradual(..) => None,
+            Self::Ramp(..) => None,
         }
     }
 
     /// The piecewise linear latency, if this is a gradual change.
-    pub fn gradual(&self) -> Option<&LatencyRamp> {
+    pub fn ramp(&self) -> Option<&LatencyRamp> {
         match self {
             Self::Steps(_) => None,
-            Self::Gradual(gradual, _) => Some(gradual),
+            Self::Ramp(gradual, _) => Some(gradual),
         }
     }
 }
 
 /// Detects large latency changes of a pose stream. `None` if there are none.
-pub fn pose_changes(
+pub fn detect_pose_latency_changes(
     joints: &JointTrack,
     stream: &PoseStream,
     most_lag_s: f64,
 ) -> Option<CoarseLatencyChange> {
-    let ArmSpeeds { linear, angular, .. } = ArmSpeeds::of(joints, stream.chain, stream.columns);
+    let ArmSpeeds { linear, angular, .. } =
+        ArmSpeeds::from_joints(joints, stream.chain, stream.columns);
     let track = stream.track;
     let mut pairs = vec![(linear, linear_speed(&track.t_s, &track.xyz))];
     if let Orientations::Rotations(rotations) = &track.orientation {
@@ -70,35 +71,35 @@ pub fn pose_changes(
     for (arm, speed) in &mut pairs {
         *speed = without_spikes(arm, std::mem::take(speed));
     }
-    changes(&pairs, most_lag_s)
+    detect_changes(&pairs, most_lag_s)
 }
 
 /// Removes spikes from a speed. They occur when stamps step back, so that distant positions have close
 /// stamps.
 fn without_spikes(arm: &SpeedSeries, speed: SpeedSeries) -> SpeedSeries {
     /// Maximum ratio to the upper quantile.
-    const TIMES: f64 = 4.0;
-    const NEARLY_ALL: f64 = 0.95;
+    const MAX_QUANTILE_RATIO: f64 = 4.0;
+    const SPEED_QUANTILE: f64 = 0.95;
     /// Margin on the ratio of the arm's maximum speed to its upper quantile.
-    const FARTHER: f64 = 1.3;
-    let nearly_all = |speed: &SpeedSeries| quantile(&mut speed.value.clone(), NEARLY_ALL);
+    const QUANTILE_MARGIN: f64 = 1.3;
+    let nearly_all = |speed: &SpeedSeries| quantile(&mut speed.value.clone(), SPEED_QUANTILE);
     let (Some(of_arm), Some(own)) = (nearly_all(arm), nearly_all(&speed)) else { return speed };
     let fastest = arm.value.iter().copied().fold(0.0, f64::max);
-    let times = (FARTHER * fastest / of_arm).min(TIMES);
-    let most = if times.is_finite() { times * own } else { TIMES * own };
+    let times = (QUANTILE_MARGIN * fastest / of_arm).min(MAX_QUANTILE_RATIO);
+    let most = if times.is_finite() { times * own } else { MAX_QUANTILE_RATIO * own };
     let kept = speed.t_s.iter().copied().zip(speed.value).filter(|(_, value)| *value <= most);
     let (t_s, value) = kept.unzip();
     SpeedSeries { t_s, value }
 }
 
 /// Detects large latency changes of an IMU from its angular speed.
-pub fn imu_changes(
+pub fn detect_imu_latency_changes(
     joints: &JointTrack,
     stream: &ImuStream,
     most_lag_s: f64,
 ) -> Option<CoarseLatencyChange> {
-    let arm = ArmSpeeds::of(joints, stream.chain, stream.columns);
-    changes(&[(arm.angular, norms(&stream.track.t_s, &stream.track.gyro))], most_lag_s)
+    let arm = ArmSpeeds::from_joints(joints, stream.chain, stream.columns);
+    detect_changes(&[(arm.angular, norm_series(&stream.track.t_s, &stream.track.gyro))], most_lag_s)
 }
 
 /// Time window with the lag at which the stream's speed correlates best.
@@ -112,8 +113,12 @@ pub(super) struct LagWindow {
 }
 
 /// Detects latency changes from the pair of speeds (arm, stream) that correlates best.
-fn changes(pairs: &[(SpeedSeries, SpeedSeries)], most_lag_s: f64) -> Option<CoarseLatencyChange> {
-    let seen = pairs.iter().map(|(arm, stream)| (arm, stream, windows(arm, stream, most_lag_s)));
+fn detect_changes(
+    pairs: &[(SpeedSeries, SpeedSeries)],
+    most_lag_s: f64,
+) -> Option<CoarseLatencyChange> {
+    let seen =
+        pairs.iter().map(|(arm, stream)| (arm, stream, lag_windows(arm, stream, most_lag_s)));
     let typical = |windows: &[LagWindow]| {
         let mut all: Vec<f64> = windows.iter().map(|window| window.correlation).collect();
         all.sort_by(f64::total_cmp);
@@ -121,26 +126,29 @@ fn changes(pairs: &[(SpeedSeries, SpeedSeries)], most_lag_s: f64) -> Option<Coar
     };
     let (arm, stream, windows) = seen.max_by(|a, b| typical(&a.2).total_cmp(&typical(&b.2)))?;
     let followed: Vec<&LagWindow> =
-        windows.iter().filter(|window| window.correlation >= FOLLOWS).collect();
-    let steps = steps(arm, stream, &followed);
-    let Some(RampFit { gradual, left: of_gradual, of_line }) =
-        LatencyRamp::of(arm, stream, &followed)
+        windows.iter().filter(|window| window.correlation >= MIN_CORRELATION).collect();
+    let steps = detect_steps(arm, stream, &followed);
+    let Some(RampFit { ramp: gradual, residual: of_gradual, line_residual: of_line }) =
+        LatencyRamp::fit_windows(arm, stream, &followed)
     else {
         return steps.map(CoarseLatencyChange::Steps);
     };
-    let spread = spread(stream, &some_rows(stream));
-    let of_steps =
-        steps.as_ref().map_or(f64::INFINITY, |steps| left(arm, stream, &|t_s| steps.lag_s(t_s)));
+    let spread = squared_deviation(stream, &fit_rows(stream));
+    let of_steps = steps
+        .as_ref()
+        .map_or(f64::INFINITY, |steps| squared_residual(arm, stream, &|t_s| steps.lag_s(t_s)));
     // Linear growth is skew, not steps.
     let otherwise = steps.filter(|_| of_steps < of_line);
-    match of_gradual < (MISFIT * spread).min(SIMPLER * of_line.min(of_steps)) {
-        true => Some(CoarseLatencyChange::Gradual(gradual, otherwise)),
+    match of_gradual
+        < (MAX_SPEED_RESIDUAL_SHARE * spread).min(MAX_RESIDUAL_RATIO * of_line.min(of_steps))
+    {
+        true => Some(CoarseLatencyChange::Ramp(gradual, otherwise)),
         false => otherwise.map(CoarseLatencyChange::Steps),
     }
 }
 
 /// Drops rows whose compensated stamps precede an earlier one.
-pub(super) fn in_order(straight_s: impl Iterator<Item = (usize, f64)>) -> Vec<(usize, f64)> {
+pub(super) fn monotonic_rows(straight_s: impl Iterator<Item = (usize, f64)>) -> Vec<(usize, f64)> {
     let mut kept: Vec<(usize, f64)> = Vec::with_capacity(straight_s.size_hint().0);
     for (row, t_s) in straight_s {
         if kept.last().is_none_or(|(_, before_s)| t_s > *before_s) {
@@ -151,27 +159,32 @@ pub(super) fn in_order(straight_s: impl Iterator<Item = (usize, f64)>) -> Vec<(u
 }
 
 /// Sum of squared speed differences at a latency.
-pub(super) fn left(arm: &SpeedSeries, stream: &SpeedSeries, lag_s: &dyn Fn(f64) -> f64) -> f64 {
-    differences(arm, stream, &some_rows(stream), lag_s).iter().sum()
+pub(super) fn squared_residual(
+    arm: &SpeedSeries,
+    stream: &SpeedSeries,
+    lag_s: &dyn Fn(f64) -> f64,
+) -> f64 {
+    differences(arm, stream, &fit_rows(stream), lag_s).iter().sum()
 }
 
 /// Rows used to fit the profile.
-pub(super) fn some_rows(stream: &SpeedSeries) -> Vec<usize> {
-    (0..stream.t_s.len()).step_by(stream.t_s.len().div_ceil(SAMPLES).max(1)).collect()
+pub(super) fn fit_rows(stream: &SpeedSeries) -> Vec<usize> {
+    (0..stream.t_s.len()).step_by(stream.t_s.len().div_ceil(MAX_PROFILE_SAMPLES).max(1)).collect()
 }
 
-fn windows(arm: &SpeedSeries, stream: &SpeedSeries, most_lag_s: f64) -> Vec<LagWindow> {
-    const LENGTHS_S: (f64, f64) = (5.0, 10.0);
+fn lag_windows(arm: &SpeedSeries, stream: &SpeedSeries, most_lag_s: f64) -> Vec<LagWindow> {
+    const WINDOW_LENGTH_LIMITS_S: (f64, f64) = (5.0, 10.0);
     let (Some(&begin_s), Some(&end_s)) = (arm.t_s.first(), arm.t_s.last()) else {
         return Vec::new();
     };
-    let length_s = (0.25 * (end_s - begin_s)).clamp(LENGTHS_S.0, LENGTHS_S.1);
+    let length_s =
+        (0.25 * (end_s - begin_s)).clamp(WINDOW_LENGTH_LIMITS_S.0, WINDOW_LENGTH_LIMITS_S.1);
     let count = (2.0 * (end_s - begin_s) / length_s) as usize;
     let from_s = |index: usize| begin_s + 0.5 * length_s * index as f64;
     let window = |index: usize| {
         let from_s = from_s(index);
         let own = between(arm, from_s, from_s + length_s);
-        let best = peaks(&own, stream, most_lag_s).into_iter().next()?;
+        let best = lag_peaks(&own, stream, most_lag_s).into_iter().next()?;
         let middle_s = from_s + 0.5 * length_s;
         Some(LagWindow { middle_s, lag_s: best.lag_s, correlation: best.correlation })
     };
@@ -194,7 +207,7 @@ fn between(speed: &SpeedSeries, from_s: f64, to_s: f64) -> SpeedSeries {
 }
 
 /// Sum of squared deviations of a speed from its mean.
-pub(super) fn spread(speed: &SpeedSeries, rows: &[usize]) -> f64 {
+pub(super) fn squared_deviation(speed: &SpeedSeries, rows: &[usize]) -> f64 {
     let values = || rows.iter().map(|&row| speed.value[row]);
     let mean = values().sum::<f64>() / rows.len().max(1) as f64;
     values().map(|value| (value - mean).powi(2)).sum()
@@ -208,7 +221,7 @@ pub(super) fn differences(
     lag_s: impl Fn(f64) -> f64,
 ) -> Vec<f64> {
     /// Longest gap over which the arm's speed is interpolated, s.
-    const SILENCE_S: f64 = 0.5;
+    const MAX_GAP_S: f64 = 0.5;
     let mut after = 0;
     let arm_at = |t_s: f64, after: &mut usize| {
         while arm.t_s.get(*after).is_some_and(|own| *own < t_s) {
@@ -220,7 +233,7 @@ pub(super) fn differences(
         let before = after.checked_sub(1)?;
         let (a_s, b_s) = (arm.t_s[before], *arm.t_s.get(*after)?);
         let part = (t_s - a_s) / (b_s - a_s);
-        (b_s - a_s < SILENCE_S)
+        (b_s - a_s < MAX_GAP_S)
             .then(|| arm.value[before] + part * (arm.value[*after] - arm.value[before]))
     };
     let pairs: Vec<Option<(f64, f64)>> = rows
@@ -256,7 +269,7 @@ pub(super) mod tests {
     }
 
     pub fn changed(late: impl Fn(f64) -> f64) -> Option<CoarseLatencyChange> {
-        changes(&[pair(late)], 5.0)
+        detect_changes(&[pair(late)], 5.0)
     }
 
     #[test]
@@ -264,7 +277,7 @@ pub(super) mod tests {
         let (mut arm, stream) = pair(|_| 0.0);
         arm.t_s.push(3e9);
         arm.value.push(0.0);
-        let windows = windows(&arm, &stream, 5.0);
+        let windows = lag_windows(&arm, &stream, 5.0);
         assert!((5..20).contains(&windows.len()), "{}", windows.len());
     }
 
@@ -284,7 +297,7 @@ pub(super) mod tests {
             let late =
                 |t_s: f64| 0.02 + size_s * ((t_s - from_s) / (to_s - from_s)).clamp(0.0, 1.0);
             let found = changed(late);
-            let gradual = found.as_ref().and_then(CoarseLatencyChange::gradual).expect("it ramps");
+            let gradual = found.as_ref().and_then(CoarseLatencyChange::ramp).expect("it ramps");
             for t_s in (1..39).map(f64::from) {
                 let off_s = gradual.lag_s(t_s) - late(t_s);
                 assert!(off_s.abs() < 0.1 * size_s.abs(), "{size_s} at {t_s} s: off by {off_s}");

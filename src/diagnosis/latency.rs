@@ -5,7 +5,7 @@
 
 use std::cell::RefCell;
 
-use super::sampling::stretches;
+use super::sampling::row_blocks;
 use ground::geometry::{Rotation, Vec3, angle_between};
 use ground::robot::Chain;
 use ground::stats::median;
@@ -39,14 +39,14 @@ pub(super) struct ArmSpeeds {
 }
 
 impl ArmSpeeds {
-    pub fn of(joints: &JointTrack, chain: &Chain, columns: &[usize]) -> Self {
+    pub fn from_joints(joints: &JointTrack, chain: &Chain, columns: &[usize]) -> Self {
         /// Maximum number of rows. More do not improve the correlation.
-        const ENOUGH: usize = 30_000;
+        const MAX_ROWS: usize = 30_000;
         let mut jacobian = vec![[0.0; 6]; columns.len()];
         let mut q = vec![0.0; columns.len()];
         let mut t_s = Vec::new();
         let mut speeds: [Vec<f64>; 3] = Default::default();
-        for row in (0..joints.len()).step_by(joints.len().div_ceil(ENOUGH).max(1)) {
+        for row in (0..joints.len()).step_by(joints.len().div_ceil(MAX_ROWS).max(1)) {
             t_s.push(joints.t_s[row]);
             for (own, &column) in q.iter_mut().zip(columns) {
                 *own = joints.row(row)[column];
@@ -78,7 +78,7 @@ impl ArmSpeeds {
     }
 
     /// Candidate lags of a pose stream, from the speed (linear or angular) that correlates best.
-    pub fn peaks_of(
+    pub fn lag_peaks(
         &self,
         t_s: &[f64],
         xyz: &[Vec3],
@@ -87,12 +87,14 @@ impl ArmSpeeds {
     ) -> Vec<LagPeak> {
         let linear = linear_speed(t_s, xyz);
         // Positions alone show whether poses are inverted, independent of the rotation encoding.
-        let mut found =
-            vec![peaks(&self.linear, &linear, most_s), peaks(&self.inverse, &linear, most_s)];
+        let mut found = vec![
+            lag_peaks(&self.linear, &linear, most_s),
+            lag_peaks(&self.inverse, &linear, most_s),
+        ];
         if let Some(rotation) = rotation {
-            found.push(peaks(&self.angular, &angular_speed(t_s, rotation), most_s));
+            found.push(lag_peaks(&self.angular, &angular_speed(t_s, rotation), most_s));
             let inverse = inverse_linear_speed(t_s, xyz, rotation);
-            found.push(peaks(&self.linear, &inverse, most_s));
+            found.push(lag_peaks(&self.linear, &inverse, most_s));
         }
         let best = |peaks: &Vec<LagPeak>| peaks.first().map_or(f64::MIN, |peak| peak.correlation);
         found.into_iter().max_by(|a, b| best(a).total_cmp(&best(b))).unwrap_or_default()
@@ -111,7 +113,7 @@ pub(super) fn joint_activity(joints: &JointTrack) -> SpeedSeries {
 }
 
 /// Speed of a stream between samples `window_s` apart. `distance` returns the distance of two samples.
-pub(super) fn differenced(
+pub(super) fn differenced_speed(
     t_s: &[f64],
     window_s: f64,
     distance: impl Fn(usize, usize) -> f64,
@@ -139,15 +141,15 @@ fn window_s(t_s: &[f64]) -> f64 {
 /// Median interval between samples, s.
 pub(super) fn median_period_s(t_s: &[f64]) -> f64 {
     /// Maximum number of intervals. More do not improve the median.
-    const ENOUGH: usize = 5_000;
-    let stretches = stretches(t_s.len(), ENOUGH);
+    const MAX_INTERVALS: usize = 5_000;
+    let stretches = row_blocks(t_s.len(), MAX_INTERVALS);
     let periods = stretches.flat_map(|rows| t_s[rows].windows(2).map(|pair| pair[1] - pair[0]));
     median(&mut periods.collect::<Vec<f64>>()).unwrap_or(0.0)
 }
 
 /// Speed of logged positions, in their unit per second.
 pub(super) fn linear_speed(t_s: &[f64], xyz: &[Vec3]) -> SpeedSeries {
-    differenced(t_s, window_s(t_s), |a, b| (xyz[b] - xyz[a]).norm())
+    differenced_speed(t_s, window_s(t_s), |a, b| (xyz[b] - xyz[a]).norm())
 }
 
 /// Speed of the origin of the *inverse* of logged poses, m/s.
@@ -157,22 +159,22 @@ pub(super) fn inverse_linear_speed(
     rotation: &[Rotation],
 ) -> SpeedSeries {
     let inverse = |k: usize| rotation[k].inverse() * xyz[k];
-    differenced(t_s, window_s(t_s), |a, b| (inverse(b) - inverse(a)).norm())
+    differenced_speed(t_s, window_s(t_s), |a, b| (inverse(b) - inverse(a)).norm())
 }
 
 /// Speed of logged rotations, rad/s.
 pub(super) fn angular_speed(t_s: &[f64], rotation: &[Rotation]) -> SpeedSeries {
-    differenced(t_s, window_s(t_s), |a, b| angle_between(&rotation[a], &rotation[b]))
+    differenced_speed(t_s, window_s(t_s), |a, b| angle_between(&rotation[a], &rotation[b]))
 }
 
 /// Norms of a vector series, such as an IMU's angular rates.
-pub(super) fn norms(t_s: &[f64], vectors: &[Vec3]) -> SpeedSeries {
+pub(super) fn norm_series(t_s: &[f64], vectors: &[Vec3]) -> SpeedSeries {
     SpeedSeries { t_s: t_s.to_vec(), value: vectors.iter().map(Vec3::norm).collect() }
 }
 
 /// Candidate lags within ±`most_s` at correlation peaks, best first. Empty without motion or a common span.
-pub(super) fn peaks(arm: &SpeedSeries, stream: &SpeedSeries, most_s: f64) -> Vec<LagPeak> {
-    let by_lag = by_lag(arm, stream, most_s);
+pub(super) fn lag_peaks(arm: &SpeedSeries, stream: &SpeedSeries, most_s: f64) -> Vec<LagPeak> {
+    let by_lag = correlation_by_lag(arm, stream, most_s);
     let mut peaks: Vec<LagPeak> = by_lag
         .windows(3)
         .filter_map(|around| {
@@ -193,26 +195,30 @@ pub(super) fn peaks(arm: &SpeedSeries, stream: &SpeedSeries, most_s: f64) -> Vec
 /// cannot be compared. Empty without a common span.
 ///
 /// Long gaps in the joint states split the arm's speed into pieces. Their sums are added.
-pub(super) fn by_lag(arm: &SpeedSeries, stream: &SpeedSeries, most_s: f64) -> Vec<LagPeak> {
+pub(super) fn correlation_by_lag(
+    arm: &SpeedSeries,
+    stream: &SpeedSeries,
+    most_s: f64,
+) -> Vec<LagPeak> {
     /// Maximum number of steps of all pieces.
-    const STEPS: f64 = 30_000.0;
+    const MAX_STEPS: f64 = 30_000.0;
     let periods = [arm, stream].map(|speed| median_period_s(&speed.t_s));
-    let silences = periods.map(longest_silence_s);
+    let silences = periods.map(max_gap_s);
     let pieces = pieces(&arm.t_s, silences[0]);
     let covered_s: f64 = pieces.iter().map(|(start, end)| end - start).sum();
-    let step = periods[0].max(periods[1]).clamp(0.004, 0.02).max(covered_s / STEPS);
+    let step = periods[0].max(periods[1]).clamp(0.004, 0.02).max(covered_s / MAX_STEPS);
     if stream.t_s.is_empty() || covered_s < 20.0 * step {
         return Vec::new();
     }
     let lags = (most_s.min(covered_s / 3.0) / step).floor() as usize;
-    let mut sums = CorrelationSums::none(2 * lags + 1);
+    let mut sums = CorrelationSums::zeros(2 * lags + 1);
     for (start, end) in pieces {
         let count = ((end - start) / step) as usize + 1;
         // A late stream describes the piece after its end.
         let before = start - lags as f64 * step;
         sums.add(
-            &SpeedGrid::of(arm, silences[0], start, step, count),
-            &SpeedGrid::of(stream, silences[1], before, step, count + 2 * lags),
+            &SpeedGrid::resample(arm, silences[0], start, step, count),
+            &SpeedGrid::resample(stream, silences[1], before, step, count + 2 * lags),
         );
     }
     let lag_s = |at: usize| (at as f64 - lags as f64) * step;
@@ -221,7 +227,7 @@ pub(super) fn by_lag(arm: &SpeedSeries, stream: &SpeedSeries, most_s: f64) -> Ve
 }
 
 /// Longest gap to interpolate, s, for a speed sampled every `period_s`.
-fn longest_silence_s(period_s: f64) -> f64 {
+fn max_gap_s(period_s: f64) -> f64 {
     (20.0 * period_s).max(2.0)
 }
 
@@ -241,7 +247,7 @@ struct SpeedGrid {
 
 impl SpeedGrid {
     /// Samples `speed` every `step` from `start`. Interpolates linearly across gaps of up to `longest_s`.
-    fn of(speed: &SpeedSeries, longest_s: f64, start: f64, step: f64, count: usize) -> Self {
+    fn resample(speed: &SpeedSeries, longest_s: f64, start: f64, step: f64, count: usize) -> Self {
         let mut right = speed.t_s.partition_point(|&t| t < start);
         let mut grid = Self { value: vec![0.0; count], known: vec![0.0; count] };
         for i in 0..count {
@@ -271,7 +277,7 @@ impl SpeedGrid {
 
 thread_local! {
     /// Caches plans, because planning a transform takes longer than computing it.
-    static PLANS: RefCell<RealFftPlanner<f64>> = RefCell::new(RealFftPlanner::new());
+    static FFT_PLANS: RefCell<RealFftPlanner<f64>> = RefCell::new(RealFftPlanner::new());
 }
 
 /// Sums for Pearson's correlation at every lag.
@@ -283,7 +289,7 @@ struct CorrelationSums {
 }
 
 impl CorrelationSums {
-    fn none(lags: usize) -> Self {
+    fn zeros(lags: usize) -> Self {
         Self { sums: std::array::from_fn(|_| vec![0.0; lags]), known: [0.0; 2] }
     }
 
@@ -293,7 +299,7 @@ impl CorrelationSums {
     /// 3rd ed., §13.2). Multiplying by the masks restricts them to valid times.
     fn add(&mut self, arm: &SpeedGrid, stream: &SpeedGrid) {
         let length = stream.value.len().next_power_of_two();
-        let (forward, inverse) = PLANS.with_borrow_mut(|planner| {
+        let (forward, inverse) = FFT_PLANS.with_borrow_mut(|planner| {
             (planner.plan_fft_forward(length), planner.plan_fft_inverse(length))
         });
         let spectrum = |values: &Vec<f64>| {
@@ -327,7 +333,7 @@ impl CorrelationSums {
     /// common.
     fn correlations(&self) -> Vec<f64> {
         /// Relative variance below which a speed is constant. Rounding of the transforms stays below it.
-        const CONSTANT: f64 = 1e-10;
+        const MIN_RELATIVE_VARIANCE: f64 = 1e-10;
         let fewest = self.known[0].min(self.known[1]) / 3.0;
         let at = |lag: usize| {
             let [n, x, xx, y, yy, xy] = self.sums.each_ref().map(|sums| sums[lag]);
@@ -335,7 +341,7 @@ impl CorrelationSums {
                 return f64::NAN;
             }
             let (vx, vy) = (xx - x * x / n, yy - y * y / n);
-            if vx <= CONSTANT * xx || vy <= CONSTANT * yy {
+            if vx <= MIN_RELATIVE_VARIANCE * xx || vy <= MIN_RELATIVE_VARIANCE * yy {
                 return f64::NAN;
             }
             (xy - x * y / n) / (vx * vy).sqrt()
@@ -359,7 +365,7 @@ mod tests {
     #[test]
     fn a_planted_lag_is_found_to_a_fraction_of_a_sample() {
         for lag in [-0.4, -0.015, 0.0, 0.0221, 0.9] {
-            let found = peaks(&bumps(0.0, 0.0, 10.0, 125.0), &bumps(lag, 0.31, 9.7, 90.0), 2.0);
+            let found = lag_peaks(&bumps(0.0, 0.0, 10.0, 125.0), &bumps(lag, 0.31, 9.7, 90.0), 2.0);
             assert!((found[0].lag_s - lag).abs() < 2e-3, "{lag}: {:?}", found[0]);
         }
     }
@@ -378,7 +384,7 @@ mod tests {
         let arm = excerpts(bumps(0.0, 0.0, 90.0, 125.0), 0.0);
         for around in [0.0, 2.0] {
             let stream = excerpts(bumps(lag, 0.31, 89.0, 90.0), around);
-            let found = peaks(&arm, &stream, 2.0)[0];
+            let found = lag_peaks(&arm, &stream, 2.0)[0];
             assert!((found.lag_s - lag).abs() < 2e-3, "{found:?}");
             assert!(found.correlation > 0.99, "{found:?}");
         }
@@ -390,6 +396,6 @@ mod tests {
             t_s: (0..1000).map(|i| i as f64 * 0.01).collect(),
             value: vec![0.3; 1000],
         };
-        assert!(peaks(&still, &bumps(0.0, 0.0, 10.0, 100.0), 1.0).is_empty());
+        assert!(lag_peaks(&still, &bumps(0.0, 0.0, 10.0, 100.0), 1.0).is_empty());
     }
 }

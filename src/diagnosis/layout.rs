@@ -6,35 +6,35 @@
 //! the rest are fitted alternately. Among the solutions with about the smallest residual, the simplest one
 //! comes first.
 
-use super::placing::{rigid_turn, spread};
+use super::placing::{rigid_rotation, spread};
 use ground::geometry::{Axes, LengthScale, Pose, Vec3};
 use nalgebra::{DMatrix, DVector, Matrix3};
 
 /// Minimum motion of the tip as a fraction of the arm's reach.
-const MOVES: f64 = 0.01;
+const MIN_MOTION_SHARE: f64 = 0.01;
 /// If positions as logged have a residual below this fraction of the extent, nothing else is tested.
-const FINE: f64 = 0.003;
+const MAX_LOGGED_RESIDUAL_SHARE: f64 = 0.003;
 /// Two layouts fit equally well if their residuals are within this factor, …
-const NEAR: f64 = 5.0;
+const MAX_EQUIVALENT_RATIO: f64 = 5.0;
 /// … or if the residual is at most this fraction of the extent.
-const NEAR_SHARE: f64 = 0.002;
+const MAX_EQUIVALENT_RESIDUAL_SHARE: f64 = 0.002;
 /// Maximum residual of a unit, mirroring or inverse, as a fraction of the extent.
-const EXPLAINS: f64 = 0.15;
+const MAX_RESIDUAL_SHARE: f64 = 0.15;
 /// Limits for an unusual unit: maximum residual as a fraction of the extent, and minimum ratio of the
 /// residual with usual units to its own. They are strict because a free scale absorbs part of any other
 /// error.
-const EXPLAINS_ODDLY: f64 = 0.003;
-const NEAR_ODDLY: f64 = 30.0;
+const MAX_UNUSUAL_RESIDUAL_SHARE: f64 = 0.003;
+const MIN_UNUSUAL_RATIO: f64 = 30.0;
 /// Maximum ratio of the motion of a marker to the motion of the tip. Derived for a marker 0.3 m from a tip
 /// that rotates by 1 rad and moves by 0.1 m.
-const LEVER: f64 = 4.0;
+const MAX_MARKER_MOTION_RATIO: f64 = 4.0;
 /// Scales at least this far from 1 (or its inverse) are units; closer ones are radial scale.
-const UNIT_FROM: f64 = 1.25;
+const MIN_UNIT_SCALE: f64 = 1.25;
 /// Relative tolerance to identify a usual unit. The residual replaces it if larger.
-const SNAPS: f64 = 0.02;
+const UNIT_TOLERANCE: f64 = 0.02;
 /// Longest tool offset, and largest base distance of an inverted pose, m.
-const LONGEST_TOOL_M: f64 = 1.5;
-const FARTHEST_BASE_M: f64 = 20.0;
+const MAX_TOOL_M: f64 = 1.5;
+const MAX_BASE_DISTANCE_M: f64 = 20.0;
 
 /// Position encoding: unit, inversion and axes.
 #[derive(Clone, Debug)]
@@ -42,14 +42,14 @@ pub(super) struct PositionEncoding {
     /// Unit of the track's numbers, m.
     pub metres: f64,
     /// Whether the poses are inverted.
-    pub inverted: bool,
+    pub is_inverted: bool,
     /// Axis convention, if the axes are parallel to the base's. `None` if the rotation of the frame is
     /// free.
     pub axes: Option<Axes>,
     /// Maps directions in the base to logged ones. A rotation, or a rotation with mirroring.
     pub turn: Matrix3<f64>,
     /// Position residual, rms m.
-    pub left_m: f64,
+    pub residual_m: f64,
     /// Whether the residual is small relative to the motion.
     pub is_explained: bool,
     rank: u32,
@@ -62,12 +62,12 @@ impl PositionEncoding {
     }
 
     /// Returns whether only frames differ from the standard encoding.
-    pub fn is_sound(&self) -> bool {
-        self.metres == 1.0 && !self.inverted && !self.is_mirrored()
+    pub fn is_standard(&self) -> bool {
+        self.metres == 1.0 && !self.is_inverted && !self.is_mirrored()
     }
 
     fn is_same(&self, other: &Self) -> bool {
-        let kind = |layout: &Self| (layout.inverted, layout.axes, layout.is_mirrored());
+        let kind = |layout: &Self| (layout.is_inverted, layout.axes, layout.is_mirrored());
         self.metres == other.metres && kind(self) == kind(other)
     }
 }
@@ -84,30 +84,33 @@ pub(super) struct StreamPositions<'a> {
 }
 
 /// Returns whether the extent of a marker's positions is plausible for a tip with extent `by_fk`.
-pub(super) fn may_spread_so(extent: f64, by_fk: f64) -> bool {
-    (extent / by_fk).ln().abs() < LEVER.ln()
+pub(super) fn is_plausible_extent(extent: f64, by_fk: f64) -> bool {
+    (extent / by_fk).ln().abs() < MAX_MARKER_MOTION_RATIO.ln()
 }
 
 /// Layouts whose residual is close to the smallest, simplest first. Empty if the tip moves too little.
-pub(super) fn layouts(
+pub(super) fn candidate_encodings(
     fk: &[Pose],
     reach_m: f64,
     written: &StreamPositions,
 ) -> Vec<PositionEncoding> {
     let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
     let extent_m = spread(&at);
-    if fk.len() < 6 || extent_m < MOVES * reach_m {
+    if fk.len() < 6 || extent_m < MIN_MOTION_SHARE * reach_m {
         return Vec::new();
     }
-    let search = Search::of(fk, written, extent_m);
+    let search = EncodingSearch::new(fk, written, extent_m);
     let mut found = search.candidates(1.0, false);
     let least = |found: &[PositionEncoding], is: fn(&PositionEncoding) -> bool| {
-        found.iter().filter(|one| is(one)).map(|one| one.left_m).fold(f64::INFINITY, f64::min)
+        found.iter().filter(|one| is(one)).map(|one| one.residual_m).fold(f64::INFINITY, f64::min)
     };
-    let sound_m = least(&found, PositionEncoding::is_sound);
-    if sound_m > FINE * extent_m {
+    let sound_m = least(&found, PositionEncoding::is_standard);
+    if sound_m > MAX_LOGGED_RESIDUAL_SHARE * extent_m {
         let inverse: Vec<Pose> = fk.iter().map(Pose::inverse).collect();
-        let inverse = Search { inverted: true, ..Search::of(&inverse, written, extent_m) };
+        let inverse = EncodingSearch {
+            is_inverted: true,
+            ..EncodingSearch::new(&inverse, written, extent_m)
+        };
         for search in [&search, &inverse] {
             for metres in std::iter::once(1.0).chain(search.units()) {
                 found.extend(search.candidates(metres, true));
@@ -117,23 +120,28 @@ pub(super) fn layouts(
             LengthScale::common()
                 .all(|unit| (one.metres * written.read_as_m / unit.in_m() - 1.0).abs() > 1e-6)
         };
-        let usual = found.iter().filter(|one| !is_odd(one)).map(|one| one.left_m);
+        let usual = found.iter().filter(|one| !is_odd(one)).map(|one| one.residual_m);
         let usual_m = usual.fold(f64::INFINITY, f64::min);
         found.retain(|one| {
             let explains = match is_odd(one) {
                 true => {
-                    one.left_m <= EXPLAINS_ODDLY * extent_m && NEAR_ODDLY * one.left_m <= usual_m
+                    one.residual_m <= MAX_UNUSUAL_RESIDUAL_SHARE * extent_m
+                        && MIN_UNUSUAL_RATIO * one.residual_m <= usual_m
                 }
-                false => one.left_m <= EXPLAINS * extent_m && NEAR * one.left_m <= sound_m,
+                false => {
+                    one.residual_m <= MAX_RESIDUAL_SHARE * extent_m
+                        && MAX_EQUIVALENT_RATIO * one.residual_m <= sound_m
+                }
             };
-            one.is_sound() || explains
+            one.is_standard() || explains
         });
     } else {
-        found.retain(PositionEncoding::is_sound);
+        found.retain(PositionEncoding::is_standard);
     }
-    let near = (NEAR * least(&found, |_| true)).max(NEAR_SHARE * extent_m);
-    found.retain(|one| one.left_m <= near);
-    found.sort_by(|a, b| a.rank.cmp(&b.rank).then(a.left_m.total_cmp(&b.left_m)));
+    let near = (MAX_EQUIVALENT_RATIO * least(&found, |_| true))
+        .max(MAX_EQUIVALENT_RESIDUAL_SHARE * extent_m);
+    found.retain(|one| one.residual_m <= near);
+    found.sort_by(|a, b| a.rank.cmp(&b.rank).then(a.residual_m.total_cmp(&b.residual_m)));
     let mut kept: Vec<PositionEncoding> = Vec::new();
     for one in found {
         if !kept.iter().any(|known| known.is_same(&one)) {
@@ -144,63 +152,66 @@ pub(super) fn layouts(
 }
 
 /// Normal matrix for scale (0), tool (1–3) and shift (4–6), which depends on FK only.
-struct Sums {
+struct EncodingSums {
     normal: DMatrix<f64>,
     /// Row of a base axis that is ignored.
     skipped: Option<usize>,
 }
 
-struct Search<'a> {
+struct EncodingSearch<'a> {
     fk: &'a [Pose],
-    written: &'a StreamPositions<'a>,
-    inverted: bool,
+    positions: &'a StreamPositions<'a>,
+    is_inverted: bool,
     /// Extent of FK's motion, m.
     extent_m: f64,
     /// One entry without an ignored row, or one for each base axis ignored.
-    sums: Vec<Sums>,
+    sums: Vec<EncodingSums>,
 }
 
 /// Solution for a given rotation.
-struct Solved {
+struct EncodingSolution {
     scale: f64,
     /// Tool offset in the stream's unit.
     tool: Vec3,
-    left_m: f64,
+    residual_m: f64,
 }
 
 /// Whether tool and shift are free.
 #[derive(Clone, Copy)]
-struct Free {
+struct FreeOffsets {
     tool: bool,
     shift: bool,
 }
 
-const FREE: [Free; 4] = [
-    Free { tool: false, shift: false },
-    Free { tool: true, shift: false },
-    Free { tool: false, shift: true },
-    Free { tool: true, shift: true },
+const FREE_COMBINATIONS: [FreeOffsets; 4] = [
+    FreeOffsets { tool: false, shift: false },
+    FreeOffsets { tool: true, shift: false },
+    FreeOffsets { tool: false, shift: true },
+    FreeOffsets { tool: true, shift: true },
 ];
 
-impl<'a> Search<'a> {
-    fn of(fk: &'a [Pose], written: &'a StreamPositions<'a>, extent_m: f64) -> Self {
+impl<'a> EncodingSearch<'a> {
+    fn new(fk: &'a [Pose], written: &'a StreamPositions<'a>, extent_m: f64) -> Self {
         let skipped = match written.constant {
             None => vec![None],
             Some(_) => vec![Some(0), Some(1), Some(2)],
         };
-        let sums = skipped.into_iter().map(|skipped| Sums::of(fk, skipped)).collect();
-        Self { fk, written, inverted: false, extent_m, sums }
+        let sums = skipped.into_iter().map(|skipped| EncodingSums::from_fk(fk, skipped)).collect();
+        Self { fk, positions: written, is_inverted: false, extent_m, sums }
     }
 
     /// Layouts with a given unit. Includes left-handed axes only if `any`.
     fn candidates(&self, metres: f64, any: bool) -> Vec<PositionEncoding> {
-        let known = self.written.reference_known;
+        let known = self.positions.reference_known;
         let mut found = Vec::new();
-        let mut add = |axes: Option<Axes>, turn: Matrix3<f64>, solved: &Solved, free: Free| {
+        let mut add = |axes: Option<Axes>,
+                       turn: Matrix3<f64>,
+                       solved: &EncodingSolution,
+                       free: FreeOffsets| {
             let is_mirrored = turn.determinant() < 0.0;
             let rank = [
                 (metres != 1.0, 4),
-                (self.inverted, 4),
+                (self.is_inverted, 4),
                 (is_mirrored, 5),
                 (!is_mirrored && axes.is_some_and(|axes| axes != Axes::STANDARD), 4),
                 (axes.is_none() && known, 6),
@@ -208,41 +219,41 @@ impl<'a> Search<'a> {
                 (free.shift && known, 2),
             ];
             let rank = rank.iter().filter(|(is, _)| *is).map(|(_, rank)| rank).sum();
-            let (inverted, left_m) = (self.inverted, solved.left_m);
-            let is_explained = left_m <= EXPLAINS * self.extent_m;
+            let (inverted, left_m) = (self.is_inverted, solved.residual_m);
+            let is_explained = left_m <= MAX_RESIDUAL_SHARE * self.extent_m;
             found.push(PositionEncoding {
                 metres,
-                inverted,
+                is_inverted: inverted,
                 axes,
                 turn,
-                left_m,
+                residual_m: left_m,
                 is_explained,
                 rank,
             });
         };
         let mut starts: [Vec<(f64, Matrix3<f64>)>; 2] = Default::default();
         for &axes in Axes::all().iter().filter(|axes| any || !axes.are_left_handed()) {
-            let turn = matrix_of(axes);
-            let right = self.right(&turn, self.sums_of(axes));
-            for free in FREE {
+            let turn = axes_matrix(axes);
+            let right = self.right_hand_side(&turn, self.sums_of(axes));
+            for free in FREE_COMBINATIONS {
                 let Some(solved) = self.solve(&right, Some(metres.recip()), free) else { continue };
-                if known || self.written.constant.is_some() {
+                if known || self.positions.constant.is_some() {
                     add(Some(axes), turn, &solved, free);
                 }
                 if free.tool && free.shift {
-                    starts[usize::from(axes.are_left_handed())].push((solved.left_m, turn));
+                    starts[usize::from(axes.are_left_handed())].push((solved.residual_m, turn));
                 }
             }
         }
-        if self.written.constant.is_some() {
+        if self.positions.constant.is_some() {
             return found;
         }
         for (starts, sign) in starts.iter_mut().zip([1.0, -1.0]) {
             starts.sort_by(|a, b| a.0.total_cmp(&b.0));
             for (_, start) in starts.iter().take(2) {
                 for tool in [false, true] {
-                    let free = Free { tool, shift: true };
-                    if let Some((turn, solved)) = self.turned(*start, sign, metres, free) {
+                    let free = FreeOffsets { tool, shift: true };
+                    if let Some((turn, solved)) = self.best_rotation(*start, sign, metres, free) {
                         add(None, turn, &solved, free);
                     }
                 }
@@ -254,53 +265,56 @@ impl<'a> Search<'a> {
     /// Candidate units, in metres per number of the track. These are the usual units for which the extents
     /// agree, one fitted to the arm, and one fitted to its mirror image.
     fn units(&self) -> Vec<f64> {
-        let ratio = spread(self.written.xyz) / self.extent_m;
-        let may_be =
-            |metres: &f64| !may_spread_so(ratio, 1.0) && may_spread_so(ratio * metres, 1.0);
-        let usual = LengthScale::common().map(|unit| unit.in_m() / self.written.read_as_m);
+        let ratio = spread(self.positions.xyz) / self.extent_m;
+        let may_be = |metres: &f64| {
+            !is_plausible_extent(ratio, 1.0) && is_plausible_extent(ratio * metres, 1.0)
+        };
+        let usual = LengthScale::common().map(|unit| unit.in_m() / self.positions.read_as_m);
         let mut units: Vec<f64> = usual.filter(|metres| *metres != 1.0).filter(may_be).collect();
         for sign in [1.0, -1.0] {
             let of_sign = |axes: &&Axes| axes.are_left_handed() == (sign < 0.0);
-            let mut best: Option<Solved> = None;
-            let mut consider = |solved: Option<Solved>| {
+            let mut best: Option<EncodingSolution> = None;
+            let mut consider = |solved: Option<EncodingSolution>| {
                 let Some(solved) = solved else { return };
                 // Prefer the fit without a tool. A tool can hide the scale of a motion about a point.
                 let lead = if best.is_some() { 0.5 } else { 1.0 };
-                if best.as_ref().is_none_or(|best| solved.left_m < lead * best.left_m) {
+                if best.as_ref().is_none_or(|best| solved.residual_m < lead * best.residual_m) {
                     best = Some(solved);
                 }
             };
-            for free in [FREE[2], FREE[3]] {
+            for free in [FREE_COMBINATIONS[2], FREE_COMBINATIONS[3]] {
                 let mut start: Option<(f64, Matrix3<f64>)> = None;
                 for &axes in Axes::all().iter().filter(of_sign) {
-                    let turn = matrix_of(axes);
-                    let right = self.right(&turn, self.sums_of(axes));
+                    let turn = axes_matrix(axes);
+                    let right = self.right_hand_side(&turn, self.sums_of(axes));
                     let solved = self.solve(&right, None, free);
                     if let Some(solved) = &solved
-                        && start.as_ref().is_none_or(|(left_m, _)| solved.left_m < *left_m)
+                        && start.as_ref().is_none_or(|(left_m, _)| solved.residual_m < *left_m)
                     {
-                        start = Some((solved.left_m, turn));
+                        start = Some((solved.residual_m, turn));
                     }
                     consider(solved);
                 }
-                if let (Some((_, start)), None) = (start, self.written.constant) {
-                    consider(self.turned_to_any_scale(start, sign, free));
+                if let (Some((_, start)), None) = (start, self.positions.constant) {
+                    consider(self.best_rotation_and_scale(start, sign, free));
                 }
             }
-            let Some(best) = best.filter(|best| best.left_m <= EXPLAINS * self.extent_m) else {
+            let Some(best) =
+                best.filter(|best| best.residual_m <= MAX_RESIDUAL_SHARE * self.extent_m)
+            else {
                 continue;
             };
-            let metres = best.scale.recip() * self.written.read_as_m;
-            let tolerance = (2.0 * best.left_m / self.extent_m).clamp(SNAPS, 0.1);
+            let metres = best.scale.recip() * self.positions.read_as_m;
+            let tolerance = (2.0 * best.residual_m / self.extent_m).clamp(UNIT_TOLERANCE, 0.1);
             let off = |unit: &LengthScale| (metres / unit.in_m() - 1.0).abs();
             let usual = LengthScale::common()
                 .filter(|unit| off(unit) <= tolerance)
                 .min_by(|a, b| off(a).total_cmp(&off(b)));
             let factor = match usual {
-                Some(unit) => unit.in_m() / self.written.read_as_m,
+                Some(unit) => unit.in_m() / self.positions.read_as_m,
                 None => best.scale.recip(),
             };
-            let is_unit = !(UNIT_FROM.recip()..UNIT_FROM).contains(&factor);
+            let is_unit = !(MIN_UNIT_SCALE.recip()..MIN_UNIT_SCALE).contains(&factor);
             if is_unit && !units.contains(&factor) {
                 units.push(factor);
             }
@@ -309,8 +323,8 @@ impl<'a> Search<'a> {
     }
 
     /// Normal matrix that ignores the constant coordinate if positions are in `axes`.
-    fn sums_of(&self, axes: Axes) -> &Sums {
-        let constant = self.written.constant.and_then(|axis| {
+    fn sums_of(&self, axes: Axes) -> &EncodingSums {
+        let constant = self.positions.constant.and_then(|axis| {
             let along = axes.to_standard(Vec3::ith(axis, 1.0));
             self.sums.get(along.iamax())
         });
@@ -318,11 +332,15 @@ impl<'a> Search<'a> {
     }
 
     /// Right-hand side of the normal equations for one rotation.
-    fn right<'s>(&self, turn: &Matrix3<f64>, sums: &'s Sums) -> Right<'s> {
+    fn right_hand_side<'s>(
+        &self,
+        turn: &Matrix3<f64>,
+        sums: &'s EncodingSums,
+    ) -> RightHandSide<'s> {
         let mut right = DVector::zeros(7);
         let mut square = 0.0;
         let back = turn.transpose();
-        for (fk, logged) in self.fk.iter().zip(self.written.xyz) {
+        for (fk, logged) in self.fk.iter().zip(self.positions.xyz) {
             let mut y = back * logged;
             if let Some(skipped) = sums.skipped {
                 y[skipped] = 0.0;
@@ -335,12 +353,17 @@ impl<'a> Search<'a> {
             }
             square += y.norm_squared();
         }
-        Right { sums, right, square }
+        RightHandSide { sums, right, square }
     }
 
     /// Solves for the free parameters among scale, tool and shift. `None` if the result is implausible.
-    fn solve(&self, right: &Right, scale: Option<f64>, free: Free) -> Option<Solved> {
-        let Right { sums: Sums { normal, .. }, right, square } = right;
+    fn solve(
+        &self,
+        right: &RightHandSide,
+        scale: Option<f64>,
+        free: FreeOffsets,
+    ) -> Option<EncodingSolution> {
+        let RightHandSide { sums: EncodingSums { normal, .. }, right, square } = right;
         let mut columns: Vec<usize> = Vec::with_capacity(7);
         columns.extend(scale.is_none().then_some(0));
         columns.extend((1..4).filter(|_| free.tool));
@@ -370,62 +393,71 @@ impl<'a> Search<'a> {
             return None;
         }
         let tool = Vec3::new(value(1), value(2), value(3));
-        let longest_m = if self.inverted { FARTHEST_BASE_M } else { LONGEST_TOOL_M };
+        let longest_m = if self.is_inverted { MAX_BASE_DISTANCE_M } else { MAX_TOOL_M };
         let left_m = (left.max(0.0) / samples).sqrt() / scale;
-        (tool.norm() <= longest_m * scale).then_some(Solved { scale, tool, left_m })
+        (tool.norm() <= longest_m * scale).then_some(EncodingSolution {
+            scale,
+            tool,
+            residual_m: left_m,
+        })
     }
 
     /// Best rotation near `start` for a given handedness and unit.
-    fn turned(
+    fn best_rotation(
         &self,
         start: Matrix3<f64>,
         sign: f64,
         metres: f64,
-        free: Free,
-    ) -> Option<(Matrix3<f64>, Solved)> {
-        self.by_turns(start, sign, Some(metres.recip()), free)
+        free: FreeOffsets,
+    ) -> Option<(Matrix3<f64>, EncodingSolution)> {
+        self.alternate_rotation(start, sign, Some(metres.recip()), free)
     }
 
     /// Best rotation and scale near `start` for a given handedness.
-    fn turned_to_any_scale(&self, start: Matrix3<f64>, sign: f64, free: Free) -> Option<Solved> {
-        self.by_turns(start, sign, None, free).map(|(_, solved)| solved)
+    fn best_rotation_and_scale(
+        &self,
+        start: Matrix3<f64>,
+        sign: f64,
+        free: FreeOffsets,
+    ) -> Option<EncodingSolution> {
+        self.alternate_rotation(start, sign, None, free).map(|(_, solved)| solved)
     }
 
-    fn by_turns(
+    fn alternate_rotation(
         &self,
         start: Matrix3<f64>,
         sign: f64,
         scale: Option<f64>,
-        free: Free,
-    ) -> Option<(Matrix3<f64>, Solved)> {
+        free: FreeOffsets,
+    ) -> Option<(Matrix3<f64>, EncodingSolution)> {
         /// Maximum number of rounds, and minimum relative improvement per round.
-        const ROUNDS: usize = 60;
-        const BETTERS: f64 = 1e-4;
+        const MAX_ROUNDS: usize = 60;
+        const MIN_RELATIVE_IMPROVEMENT: f64 = 1e-4;
         let mut turn = start;
         let mut last = f64::INFINITY;
-        for _ in 0..ROUNDS {
-            let solved = self.solve(&self.right(&turn, &self.sums[0]), scale, free)?;
-            if solved.left_m > (1.0 - BETTERS) * last {
+        for _ in 0..MAX_ROUNDS {
+            let solved = self.solve(&self.right_hand_side(&turn, &self.sums[0]), scale, free)?;
+            if solved.residual_m > (1.0 - MIN_RELATIVE_IMPROVEMENT) * last {
                 return Some((turn, solved));
             }
-            last = solved.left_m;
+            last = solved.residual_m;
             let of = |fk: &Pose| solved.scale * fk.translation.vector + fk.rotation * solved.tool;
             let points: Vec<Vec3> = self.fk.iter().map(of).collect();
-            turn = rigid_turn(&points, self.written.xyz, sign)?;
+            turn = rigid_rotation(&points, self.positions.xyz, sign)?;
         }
-        let solved = self.solve(&self.right(&turn, &self.sums[0]), scale, free)?;
+        let solved = self.solve(&self.right_hand_side(&turn, &self.sums[0]), scale, free)?;
         Some((turn, solved))
     }
 }
 
-struct Right<'s> {
-    sums: &'s Sums,
+struct RightHandSide<'s> {
+    sums: &'s EncodingSums,
     right: DVector<f64>,
     square: f64,
 }
 
-impl Sums {
-    fn of(fk: &[Pose], skipped: Option<usize>) -> Self {
+impl EncodingSums {
+    fn from_fk(fk: &[Pose], skipped: Option<usize>) -> Self {
         let mut normal = DMatrix::zeros(7, 7);
         for pose in fk {
             let rotation = pose.rotation.to_rotation_matrix();
@@ -448,7 +480,7 @@ impl Sums {
 }
 
 /// Matrix that maps directions in the base to directions in `axes`.
-pub(super) fn matrix_of(axes: Axes) -> Matrix3<f64> {
+pub(super) fn axes_matrix(axes: Axes) -> Matrix3<f64> {
     let columns = [Vec3::x(), Vec3::y(), Vec3::z()].map(|unit| axes.convert_from_standard(unit));
     Matrix3::from_columns(&columns)
 }

@@ -2,7 +2,7 @@
 //! covariance.
 
 use super::noise::Noise;
-use super::robust::{BLIND, huber, pseudo_inverse, robust_sigma};
+use super::robust::{MIN_OBSERVABLE_EIGENVALUE, huber, pseudo_inverse, robust_sigma};
 use nalgebra::{DMatrix, DMatrixView, DVector, Dyn};
 use std::sync::OnceLock;
 
@@ -32,7 +32,7 @@ impl Triangle {
         Self(vec![0.0; width * (width + 1) / 2])
     }
 
-    fn of(matrix: &DMatrix<f64>) -> Self {
+    fn from_matrix(matrix: &DMatrix<f64>) -> Self {
         let row = |i: usize| (0..=i).map(move |j| matrix[(i, j)]);
         Self((0..matrix.nrows()).flat_map(row).collect())
     }
@@ -138,7 +138,7 @@ impl Linear {
     }
 
     /// Residuals after a step of the parameters, by kind.
-    pub fn after(&self, step: &[f64]) -> Vec<Vec<[f64; 3]>> {
+    pub fn residuals_after(&self, step: &[f64]) -> Vec<Vec<[f64; 3]>> {
         let remaining = |sample: usize, kind: usize| -> [f64; 3] {
             std::array::from_fn(|axis| {
                 let row = self.row(sample, 3 * kind + axis);
@@ -151,7 +151,7 @@ impl Linear {
     }
 
     /// Selects samples by index.
-    pub fn part(&self, samples: &[usize]) -> Self {
+    pub fn subset(&self, samples: &[usize]) -> Self {
         let mut part = Self::new(self.width, &self.floor);
         let each = 3 * self.kinds() * self.width;
         for &sample in samples {
@@ -182,9 +182,9 @@ impl Linear {
     pub fn weights_after(&self, step: &[f64]) -> Vec<Weight> {
         let of_kind = |(residual, &floor): (Vec<[f64; 3]>, &f64)| {
             let robust = huber(&residual, floor);
-            Weight { noise: Noise::of(&residual, &robust, floor), robust }
+            Weight { noise: Noise::estimate(&residual, &robust, floor), robust }
         };
-        self.after(step).into_iter().zip(&self.floor).map(of_kind).collect()
+        self.residuals_after(step).into_iter().zip(&self.floor).map(of_kind).collect()
     }
 
     /// Row `row` of every sample as a matrix, and its transpose.
@@ -213,12 +213,12 @@ impl Linear {
                 let [design, transposed] = self.design_of(3 * kind + axis);
                 squares.gemm(1.0, &transposed, &design, 1.0);
             }
-            Triangle::of(&squares)
+            Triangle::from_matrix(&squares)
         };
         let squares = self.squares.get_or_init(|| (0..self.kinds()).map(of_kind).collect());
         let mut sum = Triangle::zeros(self.width);
         for (kind, (squares, weight)) in squares.iter().zip(weights).enumerate() {
-            let level = weight.level();
+            let level = weight.base_weight();
             sum.add_scaled(squares, level);
             for (sample, robust) in weight.robust.iter().enumerate().filter(|(_, w)| **w != 1.0) {
                 sum.add_squares(self.rows_of(sample, kind), level * (robust - 1.0));
@@ -233,7 +233,7 @@ impl Linear {
         for sample in 0..self.len() {
             for r in 0..3 * self.kinds() {
                 let (row, residual) = (self.row(sample, r), self.residual(sample, r));
-                let weighted = weights[r / 3].of(sample) * residual;
+                let weighted = weights[r / 3].component(sample) * residual;
                 normal.cost += weighted * residual;
                 right.iter_mut().zip(row).for_each(|(right, value)| *right += weighted * value);
             }
@@ -284,7 +284,7 @@ impl Linear {
         // Innovations after the last sample have no residual.
         for (r, reaching) in reaching.chunks_exact(chosen.len().max(1)).take(rows).enumerate() {
             let Noise { sigma, share, rho } = weights[r / 3].noise;
-            let lasting = share * (rho * sigma * weights[r / 3].level()).powi(2);
+            let lasting = share * (rho * sigma * weights[r / 3].base_weight()).powi(2);
             squares.add_squares([reaching], lasting);
         }
         let seen = self.weighted_squares(weights);
@@ -341,7 +341,7 @@ impl Linear {
                 let Noise { share, rho, .. } = weight.noise;
                 let (row, left) = (self.row(sample, r), self.residual(sample, r));
                 own.iter_mut().zip(chosen).for_each(|(own, &(column, _))| *own = row[column]);
-                let weighted = weight.of(sample) * left;
+                let weighted = weight.component(sample) * left;
                 let at_once = (1.0 - share).sqrt() * weighted;
                 let later = (share * (1.0 - rho * rho)).sqrt() * weighted;
                 let parts = score.white.iter_mut().zip(&mut score.lasting);
@@ -380,18 +380,18 @@ fn add_both(matrix: &mut DMatrix<f64>, row: usize, column: usize, value: f64) {
 
 impl Weight {
     /// Selects the weights of samples by index.
-    pub fn part(&self, samples: &[usize]) -> Self {
+    pub fn subset(&self, samples: &[usize]) -> Self {
         Self { noise: self.noise, robust: samples.iter().map(|&at| self.robust[at]).collect() }
     }
 
     /// Weight of one residual component.
-    fn of(&self, sample: usize) -> f64 {
-        self.robust[sample] * self.level()
+    fn component(&self, sample: usize) -> f64 {
+        self.robust[sample] * self.base_weight()
     }
 
     /// Weight of a component without the robust factor. It counts as `1 / inflation` independent
     /// components, so that a kind with strong autocorrelation does not outvote the other.
-    pub fn level(&self) -> f64 {
+    pub fn base_weight(&self) -> f64 {
         1.0 / (self.noise.sigma.powi(2) * self.noise.inflation())
     }
 }
@@ -434,7 +434,9 @@ impl Normal {
         let right = DVector::from_fn(n, |i, _| right[free[i]]);
         let (matrix, scale) = self.scaled(free);
         let solution = match matrix.cholesky() {
-            Some(cholesky) if cholesky.l_dirty().diagonal().min() > BLIND.sqrt() => {
+            Some(cholesky)
+                if cholesky.l_dirty().diagonal().min() > MIN_OBSERVABLE_EIGENVALUE.sqrt() =>
+            {
                 cholesky.solve(&right.component_mul(&scale)).component_mul(&scale)
             }
             _ => {

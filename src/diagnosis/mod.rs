@@ -16,25 +16,25 @@
 //! - `C` is the encoding: unit and axes of positions, rotation convention, inversion of whole poses. It is
 //!   discrete.
 //! - `reference` and `tool` are constant poses, the identity if the frames are correct.
-//! - `scaled` multiplies positions by `1 + growth` about the base origin (radial scale).
+//! - `scaled` multiplies positions by `1 + radial_scale` about the base origin (radial scale).
 //! - `δ` contains the joint zeros, and unknown scales and couplings of joints if their encoding has any.
 //! - The noise is white plus first-order autoregressive (`noise`), with Huber weights for outliers
 //!   (`robust`).
 //!
-//! # Steps for an arm (`diagnose_steadied` in `steady`)
+//! # Steps for an arm (`diagnose_with_latency_compensation` in `steady`)
 //! 1. `large` estimates large latency steps and ramps from speeds. `steady` removes them from the stamps.
 //! 2. `latency` cross-correlates speeds to find candidate lags.
 //! 3. `placement` and `layout` determine the position encoding, `joints` the joint names and units. Both
-//!    use positions, before any rotation is decoded. `prepare`, `turning` and `reading` then determine the
+//!    use positions, before any rotation is decoded. `prepare`, `turning` and `encoding` then determine the
 //!    rotation encoding.
 //! 4. `arm::fit` fits all streams together. `frames` provides starting points, `explain` selects causes and
 //!    iterates Gauss–Newton, and `harmless` replaces a moved reference by a tool if both fit.
-//! 5. `nominal` and `drawing` add link deviations as random effects. Causes that these explain as well are
+//! 5. `is_nominal` and `drawing` add link deviations as random effects. Causes that these explain as well are
 //!    dropped.
 //! 6. `arm::stream` and `arm::zeros` compute values, intervals and confounders; `residual` computes the
-//!    excess residual and `course` the latency profile. `steady` compensates a variable latency and repeats
+//!    excess residual and `latency_profile` the latency profile. `steady` compensates a variable latency and repeats
 //!    steps 2 to 6.
-//! 7. `bends` (backlash, sag, eccentricity) and `changes` (change points) are competing models for a
+//! 7. `compliance` (backlash, sag, eccentricity) and `has_changes` (change points) are competing models for a
 //!    remaining residual. Each corrects the run and repeats steps 2 to 6. It is accepted only if the
 //!    residual becomes much smaller.
 //!
@@ -51,7 +51,7 @@
 //! both converge. This is repeated from every starting point, and the least `Σ n·ln σ²` plus price wins.
 //!
 //! # Checks
-//! `proof` compares each stream with FK without the estimators, as logged and corrected. `residual`
+//! `check_residual` compares each stream with FK without the estimators, as logged and corrected. `residual`
 //! cross-validates whether the residual repeats with the configuration. `observability` lists the
 //! parameters that the motion does not determine.
 //!
@@ -59,8 +59,8 @@
 //! An [`ArmDiagnosis`]. Each estimate is a [`Measured`] (value, standard error, degrees of freedom) or the
 //! [`NotObservable`] reason why it does not exist, and states whether its cause was selected.
 //!
-//! The remaining modules are separate estimators: `columns` identifies table columns, `model_fit` the arm
-//! model, and `handeye`, `calibration`, `plan`, `reference`, `velocity`, `shake`, `workspace` and `trend`
+//! The remaining modules are separate estimators: `columns` identifies table columns, `fit_model` the arm
+//! model, and `handeye`, `calibration`, `plan`, `reference`, `velocity`, `estimate_vibration`, `workspace` and `estimate_trend`
 //! do as their names say.
 #![warn(missing_docs, clippy::unwrap_used)]
 
@@ -130,65 +130,70 @@ use ground::robot::Chain;
 use ground::stream::PoseTrack;
 
 pub use aligned::{AlignedSamples, PoseDistances};
-pub use alternation::{SwitchedTool, ToolSwitching, alternation};
-pub use arm::{diagnose_arm, diagnose_derived, follows, likely_lags};
+pub use alternation::{SwitchedTool, ToolSwitching, detect_tool_switching};
+pub use arm::{best_lag_peak, candidate_lags, diagnose_arm, diagnose_derived};
 pub use bends::{BacklashCrossing, ComplianceShape, JointCompliance, JointSag};
 pub use calibration::{
     ArmCalibration, CalibrationFailure, CalibrationResidual, CalibrationStream, FkUncertainty,
     LinkParameter, StreamCalibration, UndeterminedDirection, calibrate_arm,
 };
-pub use carried::{BaseMotion, MovingBaseLag, base_travel, carrier_lag};
+pub use carried::{BaseMotion, MovingBaseLag, detect_base_motion, estimate_moving_base_lag};
 pub use changes::{ChangePoint, EncodingSpans, FrameChange, JointChange, JointPatch, ScalarChange};
 pub use columns::{
     ColumnContent, ColumnMapping, GroupShift, JointColumns, JointValueUnit, MappingConstraints,
     NumericTable,
 };
 pub use course::{LatencyProfile, LatencyShape, LatencyStep};
-pub use dh::{DhComparison, DhConventionResult, DhResidual, DhStreamResiduals, faults};
+pub use dh::{DhComparison, DhConventionResult, DhResidual, DhStreamResiduals, fault_count};
 pub use gradual::LatencyRamp;
 pub use ground::stats::{Measured, MeasuredLength};
 pub use handeye::{
     CameraMount, CameraPose, ClosureError, HandEyeDiagnosis, HandEyeSolution, HandEyeStreams,
     PoseSeries, RotationDiversity, TargetEncoding, TargetScale, TargetScaleError,
-    diagnose_hand_eye, turning_peaks,
+    diagnose_hand_eye, rotation_lag_peaks,
 };
 pub use imu::{
     AccelUnit, AccelUnitError, GyroAxesRotation, GyroBias, GyroBiasChange, GyroBiasProfile,
     GyroResidual, GyroSaturation, GyroScaleError, HeadingError, HeadingPair, ImuConventions,
     ImuDiagnosis, ImuMountChange, ImuResidualCheck, ImuStream, UpDirections, YawJump, YawProfile,
-    YawWarmUp, diagnose_imu, proof_of_imu, reread_imu, turning_by_latency,
+    YawWarmUp, check_imu_residual, diagnose_imu, reread_imu, turning_by_latency,
 };
 pub use joints::{
     Confounder, JointCoupling, JointEncoding, JointOffset, JointScale, JointUnit, JointUnitError,
 };
 pub use lag::{LatencyResidual, residual_by_latency};
-use large::{CoarseLatencyChange, imu_changes, pose_changes};
+use large::{CoarseLatencyChange, detect_imu_latency_changes, detect_pose_latency_changes};
 pub use latency::LagPeak;
-pub use model_fit::{FitAssumption, FitHypotheses, HypothesisFit, ModelFit, ScoredFit, model_fit};
+pub use model_fit::{FitAssumption, FitHypotheses, HypothesisFit, ModelFit, ScoredFit, fit_model};
 pub use motion::{
-    JointSampleKind, LimitViolation, PeakAcceleration, abruptness, beyond_positions, beyond_speed,
-    beyond_speed_of_positions, rates,
+    JointSampleKind, LimitViolation, PeakAcceleration, peak_acceleration, position_violation,
+    rates, speed_violation, speed_violation_from_positions,
 };
 pub use observability::{Observability, StreamParameter, WeakDirection};
-pub use proof::{ErrorMagnitude, ErrorSize, FkError, PartError, ResidualCheck, SampleNoise, proof};
+pub use proof::{
+    ErrorMagnitude, ErrorSize, FkError, PartError, ResidualCheck, SampleNoise, check_residual,
+};
 pub use reference::{
     CommandDelay, CommandTracking, CommandedArm, CommandedLine, Commands, DelayFailure,
     LineDeviation, ReferenceDiagnosis, RestError, RestErrorSpread, diagnose_reference,
-    joint_delays, pose_delay, unnamed_order,
+    estimate_joint_delays, estimate_pose_delay, infer_joint_order,
 };
-pub use reread::{IntendedEncoding, reread_poses};
+pub use reread::{IntendedEncoding, reinterpret_poses};
 pub use response::Response;
 pub use rival::{is_seen_from_tool, position_misfit_m};
-pub use sampling::stretches;
-pub use shake::{Vibration, VibrationFailure, VibrationPath, shake, shake_seen};
+pub use sampling::row_blocks;
+pub use shake::{Vibration, VibrationFailure, VibrationPath, estimate_vibration, vibration_path};
 pub use skewed::DelayJitter;
-pub use steady::{diagnose_imu_steadied, diagnose_steadied, steadied};
-pub use trend::{LEAST_RUNS, RunEstimate, Trend, TrendStep, trend};
+pub use steady::{
+    compensate_latency, diagnose_imu_with_latency_compensation, diagnose_with_latency_compensation,
+};
+pub use trend::{MIN_RUNS, RunEstimate, Trend, TrendStep, estimate_trend};
 pub use velocity::{
     VelocityDiagnosis, VelocitySamples, VelocityShape, diagnose_velocity, encoder_step,
 };
 pub use workspace::{
-    APART_RAD, CELL_M, JOINT_APART, JointSpan, ReachCell, ReachedPose, Workspace, centre_m, reach_m,
+    CELL_SIZE_M, JointSpan, MIN_CONFIGURATION_DIFFERENCE, MIN_ORIENTATION_DIFFERENCE_RAD,
+    ReachCell, ReachedPose, Workspace, cell_centre_m, reach_m,
 };
 
 /// Reason why an estimate does not exist, with the values that a message needs.
@@ -250,7 +255,7 @@ pub struct PoseStream<'a> {
     pub stamps_copied: bool,
     /// Latency ramp already subtracted from the stamps; reported together with the remaining latency
     /// profile.
-    pub taken_off: Option<&'a LatencyRamp>,
+    pub removed_ramp: Option<&'a LatencyRamp>,
 }
 
 /// Encoding of a stream's numbers under which it follows the arm.
@@ -291,7 +296,7 @@ pub struct EncodingEstimate {
     /// Selected encoding; `AsLogged` if that explains the stream.
     pub best: PoseEncoding,
     /// Whether the whole pose is also inverted.
-    pub inverted: bool,
+    pub is_inverted: bool,
     /// Residual angle as logged, rms rad. `None` for bare numbers.
     pub as_logged_rad: Option<f64>,
     /// Residual angle of the selected encoding, rms rad.
@@ -304,7 +309,7 @@ pub struct EncodingEstimate {
     /// selected encoding and the stream as logged.
     pub ranked: Vec<(PoseEncoding, f64)>,
     /// Whether most encodings fit worse. At rest nearly all of them fit with a constant frame.
-    pub is_told: bool,
+    pub is_determined: bool,
 }
 
 /// Axes of a stream's numbers that differ from the axes of its frame.
@@ -371,7 +376,7 @@ pub struct FrameEstimate {
     /// Probability of an estimate this large if the frame were correct (joint test of the six parameters).
     pub p_value: f64,
     /// Whether the selected model contains this frame error.
-    pub chosen: bool,
+    pub is_chosen: bool,
 }
 
 /// Residual of a stream after correcting every finding.
@@ -394,7 +399,7 @@ pub struct StreamResidual {
 
 impl StreamResidual {
     /// Position and rotation residual combined with a lever of 0.3 m, rms m.
-    pub fn together_m(&self) -> f64 {
+    pub fn combined_m(&self) -> f64 {
         self.rms_m.hypot(0.3 * self.rms_rad)
     }
 }
@@ -403,31 +408,31 @@ impl StreamResidual {
 #[derive(Clone, Debug)]
 pub struct PoseDiagnosis {
     /// Encoding of the rotations.
-    pub reading: EstimateResult<EncodingEstimate>,
+    pub encoding: EstimateResult<EncodingEstimate>,
     /// Wrong position unit.
-    pub length: EstimateResult<Option<LengthUnitError>>,
+    pub length_unit: EstimateResult<Option<LengthUnitError>>,
     /// Whether whole poses are inverted, according to their positions.
-    pub inverted: bool,
+    pub is_inverted: bool,
     /// Exchanged or mirrored axes.
     pub axes: EstimateResult<Option<AxesError>>,
     /// Constant coordinates.
-    pub constant: Vec<ConstantCoordinate>,
+    pub constant_coordinates: Vec<ConstantCoordinate>,
     /// Rotation numbers in degrees (streams of bare numbers).
     pub degrees: Option<UnitResiduals>,
     /// Latency relative to the joint states, s; the median if its delays are skewed.
     pub latency_s: EstimateResult<Measured>,
     /// Delay distribution, if it is skewed.
-    pub delays: Option<DelayJitter>,
+    pub delay_jitter: Option<DelayJitter>,
     /// Clock skew, s/s.
     pub skew: EstimateResult<Measured>,
     /// Whether the selected model contains the skew.
-    pub skew_chosen: bool,
+    pub is_skew_chosen: bool,
     /// Latency profile over the run.
-    pub course: EstimateResult<LatencyProfile>,
+    pub latency_profile: EstimateResult<LatencyProfile>,
     /// Radial scale error of positions, m/m.
-    pub growth: EstimateResult<Measured>,
+    pub radial_scale: EstimateResult<Measured>,
     /// Whether the selected model contains the radial scale.
-    pub growth_chosen: bool,
+    pub is_radial_scale_chosen: bool,
     /// Error of the reference frame, `reference_from_stream`. If the reference was unknown, its estimated
     /// pose.
     pub reference: EstimateResult<FrameEstimate>,
@@ -438,14 +443,14 @@ pub struct PoseDiagnosis {
     /// Change points of the tool frame.
     pub tool_changes: Vec<FrameChange>,
     /// Change points of the radial scale, m/m.
-    pub growth_changes: Vec<ScalarChange>,
-    /// Parts of the run to which `reading`, `length`, `axes`, `inverted` and `degrees` apply.
-    pub coded: EncodingSpans,
+    pub radial_scale_changes: Vec<ScalarChange>,
+    /// Parts of the run to which `encoding`, `length_unit`, `axes`, `is_inverted` and `degrees` apply.
+    pub encoding_spans: EncodingSpans,
     /// Residual after correcting every finding.
     pub residual: EstimateResult<StreamResidual>,
     /// Whether link deviations explain the residual: nominal kinematics of a calibrated arm, at most 10 mm
     /// and 0.5°.
-    pub nominal: bool,
+    pub is_nominal: bool,
     /// Standard deviation of the links from the nominal model, m. Angles deviate by 0.1° per mm.
     pub link_m: Option<f64>,
     /// Observability of each parameter. `None` if nothing was fitted.
@@ -466,51 +471,58 @@ pub struct FrameCorrection {
     /// `tip_from_stream`.
     pub tool: Pose,
     /// Radial scale error of positions, m/m.
-    pub growth: f64,
+    pub radial_scale: f64,
 }
 
 impl FrameCorrection {
     /// Corrects a decoded pose. Returns the pose of the tip in the reference frame.
     pub fn apply(&self, read: &Pose) -> Pose {
         let mut in_base = self.reference.inv_mul(read);
-        in_base.translation.vector /= 1.0 + self.growth;
+        in_base.translation.vector /= 1.0 + self.radial_scale;
         in_base * self.tool.inverse()
     }
 
     /// Inverse of [`FrameCorrection::apply`]: the decoded pose for a corrected one.
     pub fn invert(&self, tip: &Pose) -> Pose {
         let mut in_base = tip * self.tool;
-        in_base.translation.vector *= 1.0 + self.growth;
+        in_base.translation.vector *= 1.0 + self.radial_scale;
         self.reference * in_base
     }
 }
 
 impl PoseDiagnosis {
     /// Whether the stream has a change point.
-    pub fn changes(&self) -> bool {
-        let Self { reference_changes, tool_changes, growth_changes, coded, .. } = self;
+    pub fn has_changes(&self) -> bool {
+        let Self {
+            reference_changes,
+            tool_changes,
+            radial_scale_changes: growth_changes,
+            encoding_spans: coded,
+            ..
+        } = self;
         let are_frames = !reference_changes.is_empty() || !tool_changes.is_empty();
         are_frames || !growth_changes.is_empty() || *coded != EncodingSpans::default()
     }
 
     /// Reason why the stream could not be used. Positions may be usable if orientations are not.
-    pub fn unread(&self) -> Option<&NotObservable> {
-        self.reading.as_ref().err().filter(|_| self.residual.is_err())
+    pub fn unusable_reason(&self) -> Option<&NotObservable> {
+        self.encoding.as_ref().err().filter(|_| self.residual.is_err())
     }
 
     /// Whether the position residual is a large share of the motion, so that no finding on the stream is
     /// credible.
-    pub fn strays(&self) -> bool {
+    pub fn is_far_from_fk(&self) -> bool {
         /// Residuals below this are noise or a calibration, rms m.
-        const MUCH_M: f64 = 5e-3;
+        const MIN_LARGE_RESIDUAL_M: f64 = 5e-3;
         let fk: Vec<Vec3> =
             self.aligned.fk_at_truth.iter().map(|pose| pose.translation.vector).collect();
         let left_m = self.residual.as_ref().map_or(0.0, |residual| residual.excess_m.value);
-        left_m > MUCH_M && left_m > joints::ON_ARM * placing::spread(&fk)
+        left_m > MIN_LARGE_RESIDUAL_M
+            && left_m > joints::MAX_FOLLOWING_RESIDUAL_SHARE * placing::spread(&fk)
     }
 
     /// Whether the motion is periodic, so that all other findings may belong to a wrong lag.
-    pub fn repeats(&self) -> bool {
+    pub fn is_periodic(&self) -> bool {
         matches!(self.latency_s, Err(NotObservable::Periodic(_)))
     }
 }
@@ -528,7 +540,7 @@ pub struct ArmDiagnosis {
 #[derive(Clone, Debug)]
 pub struct JointDiagnosis {
     /// Joint names and units.
-    pub reading: EstimateResult<JointEncoding>,
+    pub encoding: EstimateResult<JointEncoding>,
     /// Zero offset of each joint of the chain, from all pose streams.
     pub offsets: Vec<JointOffset>,
     /// Joints with a wrong scale or direction.
@@ -538,5 +550,5 @@ pub struct JointDiagnosis {
     /// Corrections that undo these changes.
     pub patches: Vec<JointPatch>,
     /// Joints with compliance (backlash, sag or eccentricity).
-    pub bends: Vec<JointCompliance>,
+    pub compliance: Vec<JointCompliance>,
 }

@@ -1,7 +1,7 @@
 //! Measurement model of a pose stream and its derivatives.
 //!
 //! `logged(s) = reference · FK(q(s − τ) + δ) · tool`, with `τ = latency + skew·(s − middle)` and positions
-//! scaled by `1 + growth` about the base origin. Perturbations of `reference` multiply on the left,
+//! scaled by `1 + radial_scale` about the base origin. Perturbations of `reference` multiply on the left,
 //! perturbations of `tool` on the right. Residuals are in the stream's reference frame: position in m,
 //! rotation as the rotation vector of `logged · predicted⁻¹` in rad.
 
@@ -13,11 +13,11 @@ use ground::stream::JointTrack;
 use nalgebra::{DVector, Translation3};
 
 /// Column indices of a stream's parameters.
-pub(super) const LATENCY: usize = 0;
-pub(super) const SKEW: usize = 1;
-pub(super) const GROWTH: usize = 2;
-pub(super) const REFERENCE: usize = 3;
-pub(super) const TOOL: usize = 9;
+pub(super) const LATENCY_COLUMN: usize = 0;
+pub(super) const SKEW_COLUMN: usize = 1;
+pub(super) const RADIAL_SCALE_COLUMN: usize = 2;
+pub(super) const REFERENCE_COLUMNS_START: usize = 3;
+pub(super) const TOOL_COLUMNS_START: usize = 9;
 /// Number of parameters per stream.
 pub(super) const STREAM_WIDTH: usize = 15;
 
@@ -40,7 +40,7 @@ pub(super) struct ExcludedComponents {
 
 impl ExcludedComponents {
     /// Sets the excluded coordinates of a position vector to zero.
-    pub fn position(&self, mut vector: [f64; 3]) -> [f64; 3] {
+    pub fn mask_position(&self, mut vector: [f64; 3]) -> [f64; 3] {
         for (part, blind) in vector.iter_mut().zip(self.position) {
             *part *= f64::from(u8::from(!blind));
         }
@@ -58,7 +58,7 @@ impl ExcludedComponents {
     }
 
     /// Sets a rotation vector to zero if rotations are excluded.
-    pub fn rotation(&self, vector: [f64; 3]) -> [f64; 3] {
+    pub fn mask_rotation(&self, vector: [f64; 3]) -> [f64; 3] {
         if self.rotation { [0.0; 3] } else { vector }
     }
 }
@@ -71,15 +71,15 @@ pub(super) struct PoseObservations<'a> {
     pub columns: &'a [usize],
     /// Pairs of joints of the track: the position of the first also contains an unknown share of the
     /// second's (coupling). A joint paired with itself has an unknown scale.
-    pub gained: &'a [(usize, usize)],
+    pub gains: &'a [(usize, usize)],
     pub reference_known: bool,
     /// Speed of each joint of the track below which it counts as resting, rad/s or m/s.
-    pub still: &'a [f64],
+    pub rest_speeds: &'a [f64],
     pub t_s: Vec<f64>,
     pub xyz: Vec<Vec3>,
     pub rotation: Vec<Rotation>,
     /// Components excluded from the residuals.
-    pub blind: ExcludedComponents,
+    pub excluded: ExcludedComponents,
     /// Components of the tool frame that can be estimated.
     pub tool_part: ToolPart,
     /// Stamp about which clock skew is defined, s.
@@ -110,7 +110,7 @@ impl ToolPart {
 pub(super) struct StreamState {
     pub latency_s: f64,
     pub skew: f64,
-    pub growth: f64,
+    pub radial_scale: f64,
     pub reference: Pose,
     pub tool: Pose,
     /// Part of `reference` that is a round slip (such as a quarter turn) rather than an estimated value.
@@ -126,7 +126,7 @@ impl StreamState {
         Self {
             latency_s,
             skew: 0.0,
-            growth: 0.0,
+            radial_scale: 0.0,
             reference: Pose::identity(),
             tool: Pose::identity(),
             round_reference: None,
@@ -137,28 +137,33 @@ impl StreamState {
 
     /// Correction that these parameters define for poses.
     pub fn frame_correction(&self) -> FrameCorrection {
-        FrameCorrection { reference: self.reference, tool: self.tool, growth: self.growth }
+        FrameCorrection {
+            reference: self.reference,
+            tool: self.tool,
+            radial_scale: self.radial_scale,
+        }
     }
 
     /// Values of the estimated parameters. Zero means that the cause is absent.
     fn values(&self) -> [f64; STREAM_WIDTH] {
         let mut values = [0.0; STREAM_WIDTH];
-        values[LATENCY] = self.latency_s;
-        values[SKEW] = self.skew;
-        values[GROWTH] = self.growth;
+        values[LATENCY_COLUMN] = self.latency_s;
+        values[SKEW_COLUMN] = self.skew;
+        values[RADIAL_SCALE_COLUMN] = self.radial_scale;
         let reference = self.reference * self.round_reference.unwrap_or_default().inverse();
         let tool = self.round_tool.unwrap_or_default().inverse() * self.tool;
-        values[REFERENCE..TOOL].copy_from_slice(&twist_of(&reference));
-        values[TOOL..].copy_from_slice(&twist_of(&tool));
+        values[REFERENCE_COLUMNS_START..TOOL_COLUMNS_START].copy_from_slice(&twist_of(&reference));
+        values[TOOL_COLUMNS_START..].copy_from_slice(&twist_of(&tool));
         values
     }
 
     fn step(&mut self, delta: &[f64]) {
-        self.latency_s += delta[LATENCY];
-        self.skew += delta[SKEW];
-        self.growth += delta[GROWTH];
-        self.reference = pose_of_twist(&delta[REFERENCE..TOOL]) * self.reference;
-        self.tool *= pose_of_twist(&delta[TOOL..]);
+        self.latency_s += delta[LATENCY_COLUMN];
+        self.skew += delta[SKEW_COLUMN];
+        self.radial_scale += delta[RADIAL_SCALE_COLUMN];
+        self.reference =
+            pose_of_twist(&delta[REFERENCE_COLUMNS_START..TOOL_COLUMNS_START]) * self.reference;
+        self.tool *= pose_of_twist(&delta[TOOL_COLUMNS_START..]);
     }
 }
 
@@ -179,7 +184,7 @@ pub(super) fn pose_of_twist(twist: &[f64]) -> Pose {
 #[derive(Clone, Debug)]
 pub(super) struct State {
     /// Offset of each joint of the track, rad or m, followed by the share of each pair in
-    /// [`PoseObservations::gained`].
+    /// [`PoseObservations::gains`].
     pub offsets: Vec<f64>,
     pub streams: Vec<StreamState>,
 }
@@ -199,7 +204,7 @@ impl State {
     /// and are barely affected. Unobservable ones keep their value.
     pub fn scales(&self) -> Vec<f64> {
         let mut stream = [0.02; STREAM_WIDTH];
-        stream[SKEW] = 1e-4;
+        stream[SKEW_COLUMN] = 1e-4;
         let joints = std::iter::repeat_n(0.02, self.offsets.len());
         joints.chain(self.streams.iter().flat_map(|_| stream)).collect()
     }
@@ -289,7 +294,7 @@ impl PoseObservations<'_> {
     /// Gains of a joint of the track: the index among the offsets and the joint whose position it
     /// multiplies.
     fn gains_of(&self, column: usize) -> impl Iterator<Item = (usize, usize)> {
-        let gained = self.gained.iter().enumerate();
+        let gained = self.gains.iter().enumerate();
         gained.filter_map(move |(at, &(own, by))| {
             (own == column).then_some((self.joints.dof + at, by))
         })
@@ -318,16 +323,16 @@ impl PoseObservations<'_> {
                 q[i] += gain * track_q[by];
                 qd[i] += gain * track_qd[by];
             }
-            moving |= qd[i].abs() > self.still[column];
+            moving |= qd[i].abs() > self.rest_speeds[column];
         }
         let base_from_link = self.chain.forward_with_jacobian(q, jacobian);
         let mut in_base = base_from_link * stream.tool;
-        in_base.translation.vector *= 1.0 + stream.growth;
+        in_base.translation.vector *= 1.0 + stream.radial_scale;
         Some(Predicted { pose: stream.reference * in_base, in_base, moving })
     }
 
     /// Number of samples, out of about `most`, at which some joint moves.
-    pub fn moving(&self, latency_s: f64, most: usize) -> usize {
+    pub fn moving_samples(&self, latency_s: f64, most: usize) -> usize {
         let (state, offsets) = (StreamState::at_latency(latency_s), vec![0.0; self.joints.dof]);
         let mut sweep = PredictionBuffers::new(self);
         (0..self.len())
@@ -339,9 +344,14 @@ impl PoseObservations<'_> {
 
     /// Rms residual over about `most` samples at the latency of `stream` (m and rad combined), and the
     /// latency change that reduces it most, s.
-    pub fn at_latency(&self, stream: &StreamState, offsets: &[f64], most: usize) -> (f64, f64) {
+    pub fn residual_at_latency(
+        &self,
+        stream: &StreamState,
+        offsets: &[f64],
+        most: usize,
+    ) -> (f64, f64) {
         let linear = self.linearize(stream, offsets, self.len().div_ceil(most).max(1));
-        let latency = offsets.len() + LATENCY;
+        let latency = offsets.len() + LATENCY_COLUMN;
         let (mut square, mut along, mut steep) = (0.0, 0.0, f64::MIN_POSITIVE);
         for (slope, residual) in linear.along(latency) {
             square += residual * residual;
@@ -366,7 +376,7 @@ impl PoseObservations<'_> {
     pub fn residual(&self, k: usize, predicted: &Pose) -> [[f64; 3]; 2] {
         let position = self.xyz[k] - predicted.translation.vector;
         let rotation = rotvec_from_rotation(&(self.rotation[k] * predicted.rotation.inverse()));
-        [self.blind.position(position.into()), self.blind.rotation(rotation.into())]
+        [self.excluded.mask_position(position.into()), self.excluded.mask_rotation(rotation.into())]
     }
 
     /// Residuals and design rows of every `stride`-th sample that the joint states cover.
@@ -395,8 +405,8 @@ impl PoseObservations<'_> {
         rows: &mut Rows,
     ) {
         let mut set = |column: usize, linear: Vec3, angular: Vec3| {
-            rows.set(POSITION, column, self.blind.position(linear.into()));
-            rows.set(ROTATION, column, self.blind.rotation(angular.into()));
+            rows.set(POSITION, column, self.excluded.mask_position(linear.into()));
+            rows.set(ROTATION, column, self.excluded.mask_rotation(angular.into()));
         };
         let to_reference = stream.reference.rotation;
         let at = predicted.pose.translation.vector;
@@ -417,18 +427,18 @@ impl PoseObservations<'_> {
             w += angular * sweep.qd[i];
         }
         if predicted.moving {
-            set(joints + LATENCY, -v, -w);
+            set(joints + LATENCY_COLUMN, -v, -w);
             let lever_s = self.t_s[k] - self.middle_s;
-            set(joints + SKEW, -v * lever_s, -w * lever_s);
+            set(joints + SKEW_COLUMN, -v * lever_s, -w * lever_s);
         }
-        set(joints + GROWTH, to_reference * in_base, Vec3::zeros());
+        set(joints + RADIAL_SCALE_COLUMN, to_reference * in_base, Vec3::zeros());
         for axis in 0..3 {
             let unit = Vec3::ith(axis, 1.0);
-            set(joints + REFERENCE + axis, unit, Vec3::zeros());
-            set(joints + REFERENCE + 3 + axis, unit.cross(&at), unit);
+            set(joints + REFERENCE_COLUMNS_START + axis, unit, Vec3::zeros());
+            set(joints + REFERENCE_COLUMNS_START + 3 + axis, unit.cross(&at), unit);
             let tool_axis = predicted.pose.rotation * unit;
-            set(joints + TOOL + axis, tool_axis, Vec3::zeros());
-            set(joints + TOOL + 3 + axis, Vec3::zeros(), tool_axis);
+            set(joints + TOOL_COLUMNS_START + axis, tool_axis, Vec3::zeros());
+            set(joints + TOOL_COLUMNS_START + 3 + axis, Vec3::zeros(), tool_axis);
         }
     }
 }

@@ -7,7 +7,7 @@
 //! residuals rank the arms; they do not decide a verdict.
 
 use super::PoseStream;
-use super::latency::{joint_activity, linear_speed, peaks};
+use super::latency::{joint_activity, lag_peaks, linear_speed};
 use super::model::pose_of_twist;
 use super::placement::metres_by_size;
 use super::placing::FkColumns;
@@ -18,23 +18,23 @@ use ground::stream::{JointTrack, Orientations};
 use nalgebra::{DMatrix, DVector, Point3};
 
 /// Minimum number of samples for a fit.
-const ENOUGH: usize = 12;
+const MIN_SAMPLES: usize = 12;
 /// If every fit has a larger residual, m, inverted poses and joints in degrees are tried as well.
-const ASTRAY_M: f64 = 5e-3;
+const MIN_LARGE_RESIDUAL_M: f64 = 5e-3;
 
 /// Prior standard deviation of a tool's length, m: grippers are 0.1 to 0.3 m long, and a TCP beyond 0.5 m
 /// is rare.
-const USUAL_TOOL_M: f64 = 0.2;
+const TOOL_PRIOR_M: f64 = 0.2;
 /// Prior standard deviation of the flange position of a calibrated arm about its nominal model, m. Healthy
 /// UR5e of two public data sets deviate by 0.1 to 1.6 mm (docs/real-logs.md).
-const DEVIATION_M: f64 = 1e-3;
+const DEVIATION_PRIOR_M: f64 = 1e-3;
 /// Residuals below this do not count for or against a model, m. Nominal models of these arms have residuals
 /// of 0.1 to 1.3 mm, and a wrong arm with a free tool fits short motion to micrometres.
-const FLOOR_M: f64 = 1e-3;
+const RESIDUAL_FLOOR_M: f64 = 1e-3;
 /// Maximum number of effective samples, because samples of one motion are correlated. With 20, an absent
 /// zero offset or tool is never preferred to real link deviations (0.3 mm and 0.05° each, rich motion) in
 /// 60 generated runs.
-const COUNTED: f64 = 20.0;
+const MAX_EFFECTIVE_SAMPLES: f64 = 20.0;
 
 /// Assumption under which a model fits, the most harmless first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -64,7 +64,7 @@ pub enum FitAssumption {
 
 impl FitAssumption {
     /// Whether the assumption is not a fault: none, an active TCP, or the other usual base frame.
-    pub fn is_harmless(self) -> bool {
+    pub fn is_faultless(self) -> bool {
         matches!(
             self,
             FitAssumption::Nothing | FitAssumption::Tool | FitAssumption::HalfTurn { .. }
@@ -96,11 +96,11 @@ impl FitAssumption {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HypothesisFit {
     /// Assumption of the fit.
-    pub needs: FitAssumption,
+    pub assumption: FitAssumption,
     /// Whether it also assumes inverted poses or joints in degrees.
-    pub misread: bool,
+    pub is_misinterpreted: bool,
     /// Position residual, rms m over the best 90 % of the samples.
-    pub left_m: f64,
+    pub residual_m: f64,
     /// Tool offset in the link's frame, m.
     pub tool_m: Vec3,
     /// Latency of the stream, s.
@@ -117,62 +117,63 @@ pub struct ModelFit {
     /// Position residual with only the latency fitted, m.
     pub as_is_m: f64,
     /// All fits.
-    pub ways: Vec<HypothesisFit>,
+    pub fits: Vec<HypothesisFit>,
 }
 
 /// One fit with its score; lower is better.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScoredFit {
     /// The fit.
-    pub way: HypothesisFit,
+    pub fit: HypothesisFit,
     /// `n ln σ²` of the residual, plus the price of the parameters.
     pub score: f64,
 }
 
 impl ModelFit {
     /// Smallest residual of a fit without a fault, m.
-    pub fn harmless_m(&self) -> f64 {
-        let harmless = self.ways.iter().filter(|way| way.needs.is_harmless() && !way.misread);
-        harmless.map(|way| way.left_m).fold(f64::INFINITY, f64::min)
+    pub fn faultless_residual_m(&self) -> f64 {
+        let harmless =
+            self.fits.iter().filter(|way| way.assumption.is_faultless() && !way.is_misinterpreted);
+        harmless.map(|way| way.residual_m).fold(f64::INFINITY, f64::min)
     }
 
     /// Fit with the lowest score.
     pub fn best(&self) -> Option<ScoredFit> {
-        let ways = self.ways.iter().map(|way| ScoredFit { way: *way, score: self.score(way) });
+        let ways = self.fits.iter().map(|way| ScoredFit { fit: *way, score: self.score(way) });
         ways.min_by(|a, b| a.score.total_cmp(&b.score))
     }
 
     /// Whether no faulty hypothesis can score lower than the fits tried: it would need at least one
     /// parameter.
-    pub fn is_settled(&self) -> bool {
+    pub fn is_conclusive(&self) -> bool {
         let least = self.price(0.0, 1.0);
         self.best().is_some_and(|best| best.score <= least)
     }
 
     fn score(&self, way: &HypothesisFit) -> f64 {
-        let misread = if way.misread { 3.0 } else { 0.0 };
-        let parameters = way.needs.parameters() as f64 + misread;
-        self.price(way.left_m, parameters) + self.tool_price(&way.tool_m)
+        let misread = if way.is_misinterpreted { 3.0 } else { 0.0 };
+        let parameters = way.assumption.parameters() as f64 + misread;
+        self.price(way.residual_m, parameters) + self.tool_price(&way.tool_m)
     }
 
     /// Price of a tool: the cheapest of a link deviation, an offset along the flange axis, and an arbitrary
     /// tool.
     fn tool_price(&self, tool_m: &Vec3) -> f64 {
-        let each = super::explain::price(self.counted());
-        let deviation = |length_m: f64| 0.5 * (length_m / DEVIATION_M).powi(2);
-        let prior = (tool_m.norm() / USUAL_TOOL_M).powi(2);
+        let each = super::explain::price(self.effective_samples());
+        let deviation = |length_m: f64| 0.5 * (length_m / DEVIATION_PRIOR_M).powi(2);
+        let prior = (tool_m.norm() / TOOL_PRIOR_M).powi(2);
         let along_axis = each + deviation(tool_m.xy().norm()) + prior;
         deviation(tool_m.norm()).min(along_axis).min(3.0 * each + prior)
     }
 
     /// Score of a residual with `parameters` fitted parameters.
     fn price(&self, left_m: f64, parameters: f64) -> f64 {
-        let n = self.counted();
-        n * (left_m.powi(2) + FLOOR_M.powi(2)).ln() + super::explain::price(n) * parameters
+        let n = self.effective_samples();
+        n * (left_m.powi(2) + RESIDUAL_FLOOR_M.powi(2)).ln() + super::explain::price(n) * parameters
     }
 
-    fn counted(&self) -> f64 {
-        (self.samples as f64).min(COUNTED)
+    fn effective_samples(&self) -> f64 {
+        (self.samples as f64).min(MAX_EFFECTIVE_SAMPLES)
     }
 }
 
@@ -180,36 +181,36 @@ impl ModelFit {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FitHypotheses {
     /// Hypotheses without a fault.
-    Harmless,
+    Faultless,
     /// Every hypothesis.
     All,
 }
 
 /// Fits the model behind `stream`'s chain to its positions. `None` if the joint states cover too few
 /// samples.
-pub fn model_fit(
+pub fn fit_model(
     joints: &JointTrack,
     stream: &PoseStream,
     most_lag_s: f64,
     tried: FitHypotheses,
 ) -> Option<ModelFit> {
     let scale = metres_by_size(joints, stream);
-    let lag_s = lags(joints, stream, most_lag_s);
-    let of = |lag_s| StreamWithFk::of(joints, stream, scale, (lag_s, most_lag_s));
+    let lag_s = candidate_lags(joints, stream, most_lag_s);
+    let of = |lag_s| StreamWithFk::new(joints, stream, scale, (lag_s, most_lag_s));
     let sights = lag_s.into_iter().filter_map(of);
     let best = sights
         .map(|sight| {
             let fit = sight.fit();
-            (fit.harmless_m(), sight, fit)
+            (fit.faultless_residual_m(), sight, fit)
         })
         .min_by(|a, b| a.0.total_cmp(&b.0));
     let (_, sight, mut fit) = best?;
-    if tried == FitHypotheses::Harmless {
+    if tried == FitHypotheses::Faultless {
         return Some(fit);
     }
-    fit.ways.extend(sight.faulty_ways());
-    if fit.ways.iter().all(|way| way.left_m > ASTRAY_M) {
-        fit.ways.extend(sight.misread_ways());
+    fit.fits.extend(sight.faulty_fits());
+    if fit.fits.iter().all(|way| way.residual_m > MIN_LARGE_RESIDUAL_M) {
+        fit.fits.extend(sight.misinterpreted_fits());
     }
     Some(fit)
 }
@@ -224,13 +225,13 @@ pub(super) fn tool_fit(
 ) -> Option<ScoredFit> {
     let scale = metres_by_size(joints, stream);
     let zeros = (0..stream.chain.dof()).map(|joint| FitAssumption::Zero { joint, tool: true });
-    let sights = lags(joints, stream, most_lag_s).into_iter();
+    let sights = candidate_lags(joints, stream, most_lag_s).into_iter();
     let sights =
-        sights.filter_map(|lag_s| StreamWithFk::of(joints, stream, scale, (lag_s, most_lag_s)));
+        sights.filter_map(|lag_s| StreamWithFk::new(joints, stream, scale, (lag_s, most_lag_s)));
     let best = sights.filter_map(|sight| {
         let mut fit = sight.fit();
         if with_zero {
-            fit.ways = zeros.clone().flat_map(|needs| sight.ways(needs)).collect();
+            fit.fits = zeros.clone().flat_map(|needs| sight.fits_under(needs)).collect();
         }
         fit.best()
     });
@@ -240,14 +241,14 @@ pub(super) fn tool_fit(
 /// Price of a free frame for a stream with this many samples.
 pub(super) fn frame_price(samples: usize) -> f64 {
     let free = FitAssumption::Reference { tool: false }.parameters() as f64;
-    free * super::explain::price((samples as f64).min(COUNTED))
+    free * super::explain::price((samples as f64).min(MAX_EFFECTIVE_SAMPLES))
 }
 
 /// Candidate latencies from the correlation of stream speed and joint activity, and zero.
-fn lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<f64> {
+fn candidate_lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<f64> {
     let track = stream.track;
     let speed = linear_speed(&track.t_s, &track.xyz);
-    let peaks = peaks(&joint_activity(joints), &speed, most_lag_s);
+    let peaks = lag_peaks(&joint_activity(joints), &speed, most_lag_s);
     let near = peaks.iter().filter(|peak| peak.correlation > 0.4).take(2).map(|peak| peak.lag_s);
     std::iter::once(0.0).chain(near.filter(|lag_s| lag_s.abs() > 0.02)).collect()
 }
@@ -258,7 +259,7 @@ struct StreamWithFk<'a> {
     stream: PoseStream<'a>,
     lag_s: f64,
     /// Maximum latency fitted, s.
-    most_lag_s: f64,
+    max_lag_s: f64,
     t_s: Vec<f64>,
     xyz: Vec<Vec3>,
     /// Positions of the inverse poses, if the stream has rotations.
@@ -278,7 +279,7 @@ struct FittedParameters {
 }
 
 impl<'a> StreamWithFk<'a> {
-    fn of(
+    fn new(
         joints: &'a JointTrack,
         stream: &PoseStream<'a>,
         scale: f64,
@@ -295,11 +296,11 @@ impl<'a> StreamWithFk<'a> {
             Orientations::Numbers(_) | Orientations::Unset(_) => None,
         };
         let t_s = rows.iter().map(|&row| track.t_s[row]).collect();
-        (rows.len() >= ENOUGH).then_some(Self {
+        (rows.len() >= MIN_SAMPLES).then_some(Self {
             joints,
             stream: *stream,
             lag_s,
-            most_lag_s,
+            max_lag_s: most_lag_s,
             t_s,
             xyz,
             inverse_xyz,
@@ -312,41 +313,41 @@ impl<'a> StreamWithFk<'a> {
     fn fit(&self) -> ModelFit {
         let half_turns = [false, true].map(|tool| FitAssumption::HalfTurn { tool });
         let needs = [FitAssumption::Nothing, FitAssumption::Tool].into_iter().chain(half_turns);
-        let ways = needs.flat_map(|needs| self.ways(needs)).collect();
-        let as_is = self.solve(self.plain(), &[0], ToolPrior::None);
+        let ways = needs.flat_map(|needs| self.fits_under(needs)).collect();
+        let as_is = self.solve(self.initial_parameters(), &[0], ToolPrior::None);
         ModelFit {
             samples: self.t_s.len(),
             spread_m: super::placing::spread(&self.xyz),
             as_is_m: as_is.0,
-            ways,
+            fits: ways,
         }
     }
 
     /// Fits with a fault, with poses and joints as logged.
-    fn faulty_ways(&self) -> Vec<HypothesisFit> {
+    fn faulty_fits(&self) -> Vec<HypothesisFit> {
         let dof = self.stream.chain.dof();
         let zeros = (0..dof)
             .flat_map(|joint| [false, true].map(|tool| FitAssumption::Zero { joint, tool }));
         let references = [false, true].map(|tool| FitAssumption::Reference { tool });
-        references.into_iter().chain(zeros).flat_map(|needs| self.ways(needs)).collect()
+        references.into_iter().chain(zeros).flat_map(|needs| self.fits_under(needs)).collect()
     }
 
     /// Fits of inverted poses and of joints in degrees.
-    fn misread_ways(&self) -> Vec<HypothesisFit> {
+    fn misinterpreted_fits(&self) -> Vec<HypothesisFit> {
         let of = |sight: StreamWithFk<'_>| {
             let needs = [
                 FitAssumption::Nothing,
                 FitAssumption::Tool,
                 FitAssumption::Reference { tool: true },
             ];
-            let ways = needs.into_iter().flat_map(|needs| sight.ways(needs));
-            ways.map(|way| HypothesisFit { misread: true, ..way }).collect::<Vec<_>>()
+            let ways = needs.into_iter().flat_map(|needs| sight.fits_under(needs));
+            ways.map(|way| HypothesisFit { is_misinterpreted: true, ..way }).collect::<Vec<_>>()
         };
         let as_it_is = || StreamWithFk {
             joints: self.joints,
             stream: self.stream,
             lag_s: self.lag_s,
-            most_lag_s: self.most_lag_s,
+            max_lag_s: self.max_lag_s,
             t_s: self.t_s.clone(),
             xyz: self.xyz.clone(),
             inverse_xyz: None,
@@ -361,7 +362,7 @@ impl<'a> StreamWithFk<'a> {
 
     /// FK at the samples.
     fn poses(&self) -> Vec<Pose> {
-        let guess = self.plain();
+        let guess = self.initial_parameters();
         let mut moment = ChainState::new(self);
         let mut poses = Vec::with_capacity(self.t_s.len());
         for &t_s in &self.t_s {
@@ -373,7 +374,7 @@ impl<'a> StreamWithFk<'a> {
         poses
     }
 
-    fn plain(&self) -> FittedParameters {
+    fn initial_parameters(&self) -> FittedParameters {
         FittedParameters {
             lag_s: self.lag_s,
             zeros: vec![0.0; self.stream.chain.dof()],
@@ -382,9 +383,9 @@ impl<'a> StreamWithFk<'a> {
         }
     }
 
-    /// Fits the parameters of `needs`, and the reference frame if it is unknown. A tool is fitted twice, in
+    /// Fits the parameters of `assumption`, and the reference frame if it is unknown. A tool is fitted twice, in
     /// any direction and along the flange axis. Without a tool, only a link deviation is fitted.
-    fn ways(&self, needs: FitAssumption) -> Vec<HypothesisFit> {
+    fn fits_under(&self, needs: FitAssumption) -> Vec<HypothesisFit> {
         let dof = self.stream.chain.dof();
         let is_free = !self.stream.reference_known;
         let reference = match needs {
@@ -400,15 +401,15 @@ impl<'a> StreamWithFk<'a> {
         }
         free.extend((0..6).filter(|_| reference).map(|at| 1 + dof + at));
         free.extend((0..3).map(|at| 7 + dof + at));
-        let from = |reference: Pose| FittedParameters { reference, ..self.plain() };
+        let from = |reference: Pose| FittedParameters { reference, ..self.initial_parameters() };
         let half_turn = Pose::rotation(Vec3::z() * std::f64::consts::PI);
         let starts = match (needs, reference) {
             (FitAssumption::HalfTurn { .. }, _) => vec![from(half_turn)],
-            (_, false) => vec![self.plain()],
+            (_, false) => vec![self.initial_parameters()],
             // Positions on a line do not determine the rotation about it, so each usual frame is a start.
             (_, true) => {
-                let (turned, _) = FkColumns::of(&self.fk).turned_anyhow(&self.xyz);
-                vec![self.plain(), from(half_turn), from(turned)]
+                let (turned, _) = FkColumns::from_poses(&self.fk).fit_rigid_or_collinear(&self.xyz);
+                vec![self.initial_parameters(), from(half_turn), from(turned)]
             }
         };
         let priors: &[ToolPrior] = match needs.has_tool() {
@@ -419,9 +420,9 @@ impl<'a> StreamWithFk<'a> {
             let found = starts.iter().map(|start| self.solve(start.clone(), &free, prior));
             let (left_m, guess) = found.min_by(|a, b| a.0.total_cmp(&b.0))?;
             left_m.is_finite().then_some(HypothesisFit {
-                needs,
-                misread: false,
-                left_m,
+                assumption: needs,
+                is_misinterpreted: false,
+                residual_m: left_m,
                 tool_m: guess.tool,
                 lag_s: guess.lag_s,
             })
@@ -436,26 +437,28 @@ impl<'a> StreamWithFk<'a> {
         free: &[usize],
         prior: ToolPrior,
     ) -> (f64, FittedParameters) {
-        const ROUNDS: usize = 10;
+        const MAX_ROUNDS: usize = 10;
         /// Relative change of the cost below which the fit has converged.
-        const SETTLED: f64 = 1e-5;
+        const CONVERGED_COST_CHANGE: f64 = 1e-5;
         let mut least = f64::INFINITY;
         let mut best = (f64::INFINITY, guess.clone());
-        for round in 0..=ROUNDS {
+        for round in 0..=MAX_ROUNDS {
             let (left_m, step) = self.step(&guess, free, prior);
             let cost = left_m.hypot(prior.pull(&guess.tool).norm());
             let gain = least - cost;
             if gain > 0.0 {
                 (least, best) = (cost, (left_m, guess.clone()));
             }
-            let Some(step) = step.filter(|_| round < ROUNDS && gain.abs() > SETTLED * cost) else {
+            let Some(step) =
+                step.filter(|_| round < MAX_ROUNDS && gain.abs() > CONVERGED_COST_CHANGE * cost)
+            else {
                 break;
             };
             let dof = guess.zeros.len();
             for (&at, &change) in free.iter().zip(step.iter()) {
                 match at {
                     0 => {
-                        let most_s = self.most_lag_s;
+                        let most_s = self.max_lag_s;
                         guess.lag_s = (guess.lag_s + change).clamp(-most_s, most_s);
                     }
                     at if at <= dof => guess.zeros[at - 1] += change,
@@ -481,9 +484,9 @@ impl<'a> StreamWithFk<'a> {
         prior: ToolPrior,
     ) -> (f64, Option<DVector<f64>>) {
         /// Damping scale of the steps: unobservable parameters keep their value.
-        const SCALE: f64 = 0.5;
+        const DAMPING_SCALE: f64 = 0.5;
         /// Minimum share of the samples that the joint states must cover at the fitted latency.
-        const COVERED: f64 = 0.75;
+        const MIN_COVERED_SHARE: f64 = 0.75;
         let (n, dof) = (free.len(), guess.zeros.len());
         let mut moment = ChainState::new(self);
         let (mut normal, mut right) = (DMatrix::zeros(n, n), DVector::zeros(n));
@@ -515,13 +518,13 @@ impl<'a> StreamWithFk<'a> {
             }
         }
         // Reject latencies at which few samples are covered: a good fit of those means little.
-        if squares.len() < ENOUGH.max((COVERED * self.t_s.len() as f64) as usize) {
+        if squares.len() < MIN_SAMPLES.max((MIN_COVERED_SHARE * self.t_s.len() as f64) as usize) {
             return (f64::INFINITY, None);
         }
         let samples = squares.len() as f64;
         let (weights, pull) = (prior.weights(), prior.pull(&guess.tool));
         for (at, &parameter) in free.iter().enumerate() {
-            normal[(at, at)] += 1e-9 * samples / (SCALE * SCALE);
+            normal[(at, at)] += 1e-9 * samples / (DAMPING_SCALE * DAMPING_SCALE);
             if let Some(axis) = parameter.checked_sub(7 + dof) {
                 normal[(at, at)] += samples * weights[axis].powi(2);
                 right[at] -= samples * weights[axis] * pull[axis];
@@ -564,7 +567,7 @@ enum ToolPrior {
 impl ToolPrior {
     /// Weights of the tool coordinates relative to the rms residual.
     fn weights(self) -> Vec3 {
-        let each = FLOOR_M / DEVIATION_M / COUNTED.sqrt();
+        let each = RESIDUAL_FLOOR_M / DEVIATION_PRIOR_M / MAX_EFFECTIVE_SAMPLES.sqrt();
         match self {
             Self::None => Vec3::zeros(),
             Self::AlongAxis => Vec3::new(each, each, 0.0),
@@ -580,7 +583,7 @@ impl ToolPrior {
 
 /// State of the chain at one time.
 struct ChainState<'a> {
-    sight: &'a StreamWithFk<'a>,
+    stream: &'a StreamWithFk<'a>,
     cursor: usize,
     track: (Vec<f64>, Vec<f64>),
     q: Vec<f64>,
@@ -593,7 +596,7 @@ impl<'a> ChainState<'a> {
     fn new(sight: &'a StreamWithFk<'a>) -> Self {
         let (dof, track) = (sight.stream.chain.dof(), sight.joints.dof);
         Self {
-            sight,
+            stream: sight,
             cursor: 0,
             track: (vec![0.0; track], vec![0.0; track]),
             q: vec![0.0; dof],
@@ -606,7 +609,7 @@ impl<'a> ChainState<'a> {
     /// Sets the joints to the time at which the sample stamped `t_s` was taken. False if the joint states
     /// do not cover it.
     fn at(&mut self, t_s: f64, guess: &FittedParameters) -> bool {
-        let StreamWithFk { joints, stream, in_degrees, .. } = self.sight;
+        let StreamWithFk { joints, stream, in_degrees, .. } = self.stream;
         let (q, qd) = &mut self.track;
         if !joints.at(t_s - guess.lag_s, &mut self.cursor, q, qd) {
             return false;

@@ -26,25 +26,25 @@ pub struct LimitViolation {
 
 impl LimitViolation {
     /// Excess over the limit.
-    pub fn over(&self) -> f64 {
+    pub fn excess(&self) -> f64 {
         (self.value - self.limit).abs()
     }
 }
 
 /// Violation of a joint's position limits. Returns the limit, lower or upper, that is exceeded by more.
 /// Ignores values that are not finite.
-pub fn beyond_positions(t_s: &[f64], q: &[f64], limits: &Limits) -> Option<LimitViolation> {
+pub fn position_violation(t_s: &[f64], q: &[f64], limits: &Limits) -> Option<LimitViolation> {
     let above = limits.upper.and_then(|upper| beyond(t_s, q.iter().copied(), upper));
     let below = limits.lower.and_then(|lower| {
         let found = beyond(t_s, q.iter().map(|q| -q), -lower)?;
         Some(LimitViolation { limit: lower, value: -found.value, ..found })
     });
-    [above, below].into_iter().flatten().max_by(|a, b| a.over().total_cmp(&b.over()))
+    [above, below].into_iter().flatten().max_by(|a, b| a.excess().total_cmp(&b.excess()))
 }
 
 /// Violation of a joint's speed limit. Both of two consecutive samples must exceed it, and the smaller
 /// value counts: a single sample is an outlier.
-pub fn beyond_speed(t_s: &[f64], qd: &[f64], limits: &Limits) -> Option<LimitViolation> {
+pub fn speed_violation(t_s: &[f64], qd: &[f64], limits: &Limits) -> Option<LimitViolation> {
     let held = qd.windows(2).map(|pair| pair[0].abs().min(pair[1].abs()));
     beyond(t_s, held, limits.velocity?)
 }
@@ -55,52 +55,52 @@ pub fn beyond_speed(t_s: &[f64], qd: &[f64], limits: &Limits) -> Option<LimitVio
 /// compared with the limit. They must exceed the limit by more than that noise. Each rate is computed over
 /// the stamps and over evenly spaced times, and the smaller one counts: a single late stamp is not a speed.
 /// `step` is the quantisation step of the positions, 0 if there is none.
-pub fn beyond_speed_of_positions(
+pub fn speed_violation_from_positions(
     t_s: &[f64],
     q: &[f64],
     limits: &Limits,
     step: f64,
 ) -> Option<LimitViolation> {
     /// Share of the limit allowed for noise and quantisation.
-    const SHARE: f64 = 0.02;
+    const NOISE_SHARE_OF_LIMIT: f64 = 0.02;
     /// Standard deviations that noise rarely exceeds.
-    const SIGMAS: f64 = 4.0;
+    const NOISE_SIGMAS: f64 = 4.0;
     /// Share of normal deviations within one standard deviation.
-    const ONE_SIGMA: f64 = 0.68;
+    const ONE_SIGMA_SHARE: f64 = 0.68;
     /// Share of the stamp jitter remaining after a median of 17: 1.25 / √17.
-    const LEFT: f64 = 0.3;
+    const JITTER_SHARE: f64 = 0.3;
     /// Maximum window, s: motion changes over longer times.
-    const LONGEST_S: f64 = 0.15;
+    const MAX_WINDOW_S: f64 = 0.15;
     let limit = limits.velocity.filter(|limit| *limit > 0.0)?;
-    if q.len() < ENOUGH || t_s.len() != q.len() {
+    if q.len() < MIN_SERIES_SAMPLES || t_s.len() != q.len() {
         return None;
     }
     let period_s = (t_s[t_s.len() - 1] - t_s[0]) / (t_s.len() - 1) as f64;
     let even_s = even_times(t_s);
     let off = t_s.iter().zip(&even_s).map(|(stamped, even)| (stamped - even).abs());
-    let jitter_s = quantile_of(off, ONE_SIGMA).unwrap_or(0.0);
-    let by_stamps = LEFT * jitter_s * limit;
+    let jitter_s = quantile_of(off, ONE_SIGMA_SHARE).unwrap_or(0.0);
+    let by_stamps = JITTER_SHARE * jitter_s * limit;
     let noise = noise_of(q, JointSampleKind::Positions).all.hypot(by_stamps);
-    let noise = SIGMAS * std::f64::consts::SQRT_2 * noise;
-    let by_noise_s = (noise / (SHARE * limit)).min(LONGEST_S);
-    let window_s = by_noise_s.max(step / (SHARE * limit)).max(2.0 * period_s);
+    let noise = NOISE_SIGMAS * std::f64::consts::SQRT_2 * noise;
+    let by_noise_s = (noise / (NOISE_SHARE_OF_LIMIT * limit)).min(MAX_WINDOW_S);
+    let window_s = by_noise_s.max(step / (NOISE_SHARE_OF_LIMIT * limit)).max(2.0 * period_s);
     let stamped = rates(t_s, q, window_s);
     let even = rates(&even_s, q, window_s);
     let lesser = stamped.iter().zip(even).map(|(a, b)| if b.abs() < a.abs() { b } else { *a });
     let lesser: Vec<f64> = lesser.collect();
     let sure = Limits { velocity: Some(limit + noise / window_s), ..*limits };
-    beyond_speed(t_s, &lesser, &sure).map(|excess| LimitViolation { limit, ..excess })
+    speed_violation(t_s, &lesser, &sure).map(|excess| LimitViolation { limit, ..excess })
 }
 
 /// Evenly spaced times of the rows: each is the median of the times that its neighbours predict at the
 /// median interval. Neighbours across a gap are not used.
 fn even_times(t_s: &[f64]) -> Vec<f64> {
-    const AROUND: usize = 8;
+    const NEIGHBOURS: usize = 8;
     /// Minimum length of a gap, in intervals.
-    const GAP: f64 = 4.0;
+    const MIN_GAP_PERIODS: f64 = 4.0;
     let intervals = t_s.windows(2).map(|pair| pair[1] - pair[0]);
     let Some(period_s) = median_of(intervals) else { return t_s.to_vec() };
-    let gap_s = GAP * period_s;
+    let gap_s = MIN_GAP_PERIODS * period_s;
     let mut after_gap = vec![0; t_s.len()];
     for row in 1..t_s.len() {
         let is_gap = t_s[row] - t_s[row - 1] > gap_s;
@@ -108,10 +108,10 @@ fn even_times(t_s: &[f64]) -> Vec<f64> {
     }
     let mut even_s: Vec<f64> = Vec::with_capacity(t_s.len());
     for row in 0..t_s.len() {
-        let before = (row - after_gap[row]).min(AROUND);
+        let before = (row - after_gap[row]).min(NEIGHBOURS);
         let same_piece = |other: &usize| after_gap[*other] == after_gap[row];
         let after = (row + 1..t_s.len()).take(before).take_while(same_piece).count();
-        let mut said = [0.0; 2 * AROUND + 1];
+        let mut said = [0.0; 2 * NEIGHBOURS + 1];
         let said = &mut said[..2 * after + 1];
         for (at, other) in (row - after..=row + after).enumerate() {
             said[at] = t_s[other] + (row as f64 - other as f64) * period_s;
@@ -140,12 +140,13 @@ pub fn rates(t_s: &[f64], q: &[f64], window_s: f64) -> Vec<f64> {
 
 /// Values above a limit. Each value lasts until the next sample, but at most one second.
 fn beyond(t_s: &[f64], values: impl Iterator<Item = f64>, limit: f64) -> Option<LimitViolation> {
-    const LONGEST_S: f64 = 1.0;
+    const MAX_SAMPLE_S: f64 = 1.0;
     let mut found: Option<LimitViolation> = None;
     for (row, (&at_s, value)) in t_s.iter().zip(values).enumerate() {
         // NaN compares false.
         if value > limit {
-            let seconds = t_s.get(row + 1).map_or(0.0, |next| (next - at_s).clamp(0.0, LONGEST_S));
+            let seconds =
+                t_s.get(row + 1).map_or(0.0, |next| (next - at_s).clamp(0.0, MAX_SAMPLE_S));
             let first = LimitViolation { limit, value, at_s, seconds: 0.0 };
             let excess = found.get_or_insert(first);
             excess.seconds += seconds;
@@ -179,27 +180,27 @@ pub struct PeakAcceleration {
     pub at_s: f64,
     /// Change of the acceleration over half the window, rad/s³.
     pub jerk: f64,
-    /// Smallest acceleration of a stop within `BRIEF_S` that can be resolved from noise, rad/s². Infinite
+    /// Smallest acceleration of a stop within `MAX_STOP_S` that can be resolved from noise, rad/s². Infinite
     /// if the sample interval is too long.
     pub resolved: f64,
 }
 
 /// Standard deviations that noise does not reach in a million windows.
-const SIGMAS: f64 = 6.0;
+const MAX_NOISE_SIGMAS: f64 = 6.0;
 /// Maximum duration of an abrupt stop, s.
-const BRIEF_S: f64 = 0.1;
+const MAX_STOP_S: f64 = 0.1;
 /// Minimum change of speed across a window, as a share of window length times fitted acceleration. A speed
 /// step in the middle of a window gives 0.53, because the second derivative of the fitted parabola is 15/8
 /// of step over length. A step nearer to its ends gives less.
-const LEAST_CHANGE: f64 = 0.4;
+const MIN_SPEED_CHANGE: f64 = 0.4;
 /// Half-widths of the windows, in samples.
-const HALVES: [usize; 5] = [1, 2, 4, 8, 16];
+const HALF_WINDOWS: [usize; 5] = [1, 2, 4, 8, 16];
 /// Minimum number of samples.
-const ENOUGH: usize = 9;
+const MIN_SERIES_SAMPLES: usize = 9;
 /// Maximum number of windows for the noise estimate, evenly spread over the samples.
-const MOST_WINDOWS: usize = 50_000;
+const MAX_WINDOWS: usize = 50_000;
 /// Rows fitted at once.
-const BLOCK: usize = 512;
+const BLOCK_ROWS: usize = 512;
 
 /// Estimates the largest acceleration of a joint by least squares over windows of 3 to 33 samples (Savitzky
 /// and Golay 1964): the slope of velocities or the curvature of positions. Each window has its own noise
@@ -208,7 +209,7 @@ const BLOCK: usize = 512;
 ///
 /// `step` is the quantisation step of the positions, 0 if there is none. Each position is off by up to half
 /// of it.
-pub fn abruptness(
+pub fn peak_acceleration(
     t_s: &[f64],
     values: &[f64],
     series: JointSampleKind,
@@ -218,7 +219,7 @@ pub fn abruptness(
     let (t_s, values) = (t_s.as_ref(), values.as_ref());
     let rows = values.len();
     let period_s = median_of(strided(rows.saturating_sub(1)).map(|row| t_s[row + 1] - t_s[row]))?;
-    if rows < ENOUGH || period_s.is_nan() || period_s <= 0.0 {
+    if rows < MIN_SERIES_SAMPLES || period_s.is_nan() || period_s <= 0.0 {
         return None;
     }
     // Cumulative number of uneven intervals.
@@ -231,19 +232,19 @@ pub fn abruptness(
     let noise = noise_of(values, series);
     let mut surest: Option<PeakAcceleration> = None;
     let mut resolved = f64::INFINITY;
-    for half in HALVES {
+    for half in HALF_WINDOWS {
         let fit = Fit::new(half, period_s, series);
         let by_steps = 0.5 * step * fit.most();
-        let floor_of = |noise: f64| (SIGMAS * noise * fit.gain()).max(by_steps);
+        let floor_of = |noise: f64| (MAX_NOISE_SIGMAS * noise * fit.gain()).max(by_steps);
         let floor = floor_of(noise.all);
         let window_s = 2.0 * half as f64 * period_s;
-        if window_s <= BRIEF_S {
+        if window_s <= MAX_STOP_S {
             resolved = resolved.min(floor);
         }
         let last = rows.saturating_sub(half);
-        for first in (half..last).step_by(BLOCK) {
-            let mut accelerations = [0.0; BLOCK];
-            let accelerations = &mut accelerations[..BLOCK.min(last - first)];
+        for first in (half..last).step_by(BLOCK_ROWS) {
+            let mut accelerations = [0.0; BLOCK_ROWS];
+            let accelerations = &mut accelerations[..BLOCK_ROWS.min(last - first)];
             fit.along(values, first, accelerations);
             // This fold ignores NaN.
             let largest = accelerations
@@ -267,7 +268,7 @@ pub fn abruptness(
                 let acceleration = acceleration.min(fit.as_stamped(t_s, values, row).abs());
                 // A real acceleration changes the speed. An early, late or wrong value does not.
                 let change = speed_change(t_s, values, series, (row - half, row + half));
-                let acceleration = acceleration.min(change / (LEAST_CHANGE * window_s));
+                let acceleration = acceleration.min(change / (MIN_SPEED_CHANGE * window_s));
                 if is_surer(acceleration) {
                     surest = Some(PeakAcceleration {
                         acceleration,
@@ -292,14 +293,14 @@ fn speed_change(
     series: JointSampleKind,
     (from, to): (usize, usize),
 ) -> f64 {
-    const LEAST_ROWS: usize = 4;
-    const MOST_ROWS: usize = 16;
-    let near = |at: usize, other: usize| (t_s[other] - t_s[at]).abs() <= BRIEF_S;
-    let first = (from.saturating_sub(MOST_ROWS - 1)..=from).find(|row| near(from, *row));
-    let last = (to..values.len().min(to + MOST_ROWS)).rev().find(|row| near(to, *row));
+    const MIN_ROWS: usize = 4;
+    const MAX_ROWS: usize = 16;
+    let near = |at: usize, other: usize| (t_s[other] - t_s[at]).abs() <= MAX_STOP_S;
+    let first = (from.saturating_sub(MAX_ROWS - 1)..=from).find(|row| near(from, *row));
+    let last = (to..values.len().min(to + MAX_ROWS)).rev().find(|row| near(to, *row));
     let speed = |rows: std::ops::RangeInclusive<usize>| {
         let (t_s, values) = (&t_s[rows.clone()], &values[rows]);
-        if values.len() < LEAST_ROWS {
+        if values.len() < MIN_ROWS {
             return None;
         }
         let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len() as f64;
@@ -318,29 +319,29 @@ fn speed_change(
     before.zip(after).map_or(0.0, |(before, after)| (after - before).abs())
 }
 
-/// Indices below `count`, thinned to about `MOST_WINDOWS`.
+/// Indices below `count`, thinned to about `MAX_WINDOWS`.
 fn strided(count: usize) -> impl Iterator<Item = usize> + Clone {
-    (0..count).step_by(count.div_ceil(MOST_WINDOWS).max(1))
+    (0..count).step_by(count.div_ceil(MAX_WINDOWS).max(1))
 }
 
 /// Drops repeated samples if many samples repeat while the joint moves: a publisher that runs faster than
 /// the driver reads.
 fn without_repeats<'a>(t_s: &'a [f64], values: &'a [f64]) -> (Cow<'a, [f64]>, Cow<'a, [f64]>) {
     /// Share of the intervals between changes above which repeats are attributed to the publisher.
-    const SHARE: f64 = 0.3;
+    const MAX_REPEATED_SHARE: f64 = 0.3;
     /// Changes this many samples or more apart are separated by a rest.
-    const REST: usize = 20;
+    const MIN_REST_SAMPLES: usize = 20;
     let is_change = |row: &usize| *row == 0 || values[*row] != values[*row - 1];
     let (mut last, mut all, mut repeated) = (0, 0_u32, 0_u32);
     for row in (0..values.len()).filter(is_change).skip(1) {
         let gap = row - last;
         last = row;
-        if gap < REST {
+        if gap < MIN_REST_SAMPLES {
             all += 1;
             repeated += u32::from(gap > 1);
         }
     }
-    if f64::from(repeated) <= SHARE * f64::from(all) {
+    if f64::from(repeated) <= MAX_REPEATED_SHARE * f64::from(all) {
         return (t_s.into(), values.into());
     }
     let changes = (0..values.len()).filter(is_change);
@@ -375,11 +376,11 @@ impl Noise {
 
 fn noise_of(values: &[f64], series: JointSampleKind) -> Noise {
     /// Share of the samples kept, which excludes stops but not quantisation steps.
-    const KEPT: f64 = 0.95;
+    const KEPT_SHARE: f64 = 0.95;
     /// The same for a block, where stops take a larger share.
-    const KEPT_OF_BLOCK: f64 = 0.75;
+    const KEPT_SHARE_OF_BLOCK: f64 = 0.75;
     /// Windows per block.
-    const WINDOWS: usize = 128;
+    const WINDOWS_PER_BLOCK: usize = 128;
     let (difference, weight): (fn(&[f64]) -> f64, f64) = match series {
         JointSampleKind::Velocities => (|w| w[1] - 2.0 * w[2] + w[3], 6.0),
         JointSampleKind::Positions => {
@@ -394,13 +395,13 @@ fn noise_of(values: &[f64], series: JointSampleKind) -> Noise {
     let windows = || strided(count).map(|first| &values[first..first + 5]);
     let fast = quantile_of(windows().map(speed), 0.75).unwrap_or(0.0);
     let moving = windows().filter(|w| speed(w) >= fast);
-    let all = trimmed_rms(windows().map(difference), KEPT);
-    let all = all.max(trimmed_rms(moving.map(difference), KEPT)) / weight.sqrt();
-    let length = count.div_ceil(MOST_WINDOWS).max(1) * WINDOWS;
+    let all = trimmed_rms(windows().map(difference), KEPT_SHARE);
+    let all = all.max(trimmed_rms(moving.map(difference), KEPT_SHARE)) / weight.sqrt();
+    let length = count.div_ceil(MAX_WINDOWS).max(1) * WINDOWS_PER_BLOCK;
     let of_block = |first: usize| {
-        let rows = (first..(first + length).min(count)).step_by(length / WINDOWS);
+        let rows = (first..(first + length).min(count)).step_by(length / WINDOWS_PER_BLOCK);
         let differences = rows.map(|row| difference(&values[row..row + 5]));
-        trimmed_rms(differences, KEPT_OF_BLOCK) / weight.sqrt()
+        trimmed_rms(differences, KEPT_SHARE_OF_BLOCK) / weight.sqrt()
     };
     Noise { all, blocks: (0..count).step_by(length).map(of_block).collect(), length }
 }

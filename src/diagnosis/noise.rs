@@ -30,7 +30,7 @@ impl Noise {
 
     /// Estimates the noise of a residual with three components per sample, weighted by `weights` (0 to 1
     /// each). `sigma` is at least `floor`.
-    pub fn of(residual: &[[f64; 3]], weights: &[f64], floor: f64) -> Self {
+    pub fn estimate(residual: &[[f64; 3]], weights: &[f64], floor: f64) -> Self {
         let variance = weighted_variance(residual, weights);
         let correlations = correlations(residual, weights, variance);
         let (share, rho) = fit_autoregression(&correlations, residual.len());
@@ -58,7 +58,7 @@ impl Correlation {
     }
 
     /// Mean of `ρ^lag` over the lags.
-    fn of_autoregression(&self, rho: f64) -> f64 {
+    fn mean_autoregression(&self, rho: f64) -> f64 {
         let power = |lag: usize| rho.powi(lag as i32);
         (power(self.first) - power(self.last + 1)) / ((1.0 - rho) * self.width())
     }
@@ -100,14 +100,14 @@ fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
 fn fit_autoregression(correlations: &[Correlation], samples: usize) -> (f64, f64) {
     /// Improvement by chance, in squared standard errors of white noise's correlations. White noise of any
     /// length was taken for coloured less than once in a hundred times.
-    const CHANCE: f64 = 9.0;
+    const MAX_CHANCE_IMPROVEMENT: f64 = 9.0;
     // A correlation time of more than a quarter of the log cannot be separated from a constant.
     let longest = 1.0 - 4.0 / (samples as f64).max(8.0);
     let grid = (1..400).map(|i| 1.0 - (0.0025 * f64::from(i)).powi(2) * 0.9975);
     // A mean over many lags is better known, but coloured noise correlates those lags.
     let weight = |one: &Correlation| one.width().sqrt();
     let misfit = |share: f64, rho: f64| -> f64 {
-        let left = |one: &Correlation| one.mean - share * one.of_autoregression(rho);
+        let left = |one: &Correlation| one.mean - share * one.mean_autoregression(rho);
         correlations.iter().map(|one| weight(one) * left(one).powi(2)).sum()
     };
     let none = misfit(0.0, 0.0);
@@ -115,7 +115,7 @@ fn fit_autoregression(correlations: &[Correlation], samples: usize) -> (f64, f64
     for rho in grid.filter(|&rho| rho <= longest) {
         let (mut num, mut den) = (0.0, 0.0);
         for one in correlations {
-            let power = one.of_autoregression(rho);
+            let power = one.mean_autoregression(rho);
             num += weight(one) * one.mean * power;
             den += weight(one) * power * power;
         }
@@ -128,7 +128,7 @@ fn fit_autoregression(correlations: &[Correlation], samples: usize) -> (f64, f64
             best = (share, rho, cost);
         }
     }
-    let is_chance = (none - best.2) * 3.0 * samples as f64 <= CHANCE;
+    let is_chance = (none - best.2) * 3.0 * samples as f64 <= MAX_CHANCE_IMPROVEMENT;
     if is_chance { (0.0, 0.0) } else { (best.0, best.1) }
 }
 
@@ -157,7 +157,8 @@ mod tests {
     #[test]
     fn a_short_piece_of_white_noise_has_no_memory_either() {
         let r = series(20_000, 0.0, 0.0);
-        let pieces = r.chunks(200).map(|piece| Noise::of(piece, &vec![1.0; piece.len()], 0.0));
+        let pieces =
+            r.chunks(200).map(|piece| Noise::estimate(piece, &vec![1.0; piece.len()], 0.0));
         let remembering = pieces.filter(|noise| noise.inflation() > 1.5).count();
         assert!(remembering <= 2, "{remembering} of 100");
     }
@@ -165,7 +166,7 @@ mod tests {
     #[test]
     fn a_long_memory_of_a_small_part_is_found() {
         let r = series(20_000, 0.98, 4.0);
-        let noise = Noise::of(&r, &vec![1.0; r.len()], 0.0);
+        let noise = Noise::estimate(&r, &vec![1.0; r.len()], 0.0);
         let expected = 1.0 + 2.0 / 17.0 * 0.98 / 0.02;
         assert!((noise.inflation() / expected - 1.0).abs() < 0.4, "{noise:?} against {expected}");
     }
@@ -173,7 +174,7 @@ mod tests {
     #[test]
     fn white_noise_has_no_memory() {
         let r = series(4000, 0.0, 0.0);
-        let noise = Noise::of(&r, &vec![1.0; r.len()], 0.0);
+        let noise = Noise::estimate(&r, &vec![1.0; r.len()], 0.0);
         assert!((noise.sigma - 1.0).abs() < 0.03);
         assert!(noise.inflation() < 1.3, "{noise:?}");
     }
@@ -182,7 +183,7 @@ mod tests {
     fn chance_is_no_memory() {
         for seed in 0..40 {
             let r = seeded(seed, 2000, 0.0, 0.0);
-            let noise = Noise::of(&r, &vec![1.0; r.len()], 0.0);
+            let noise = Noise::estimate(&r, &vec![1.0; r.len()], 0.0);
             assert!(noise.inflation() < 15.0, "{noise:?}");
         }
     }
@@ -191,7 +192,7 @@ mod tests {
     fn the_memory_of_coloured_noise_is_found() {
         for (rho, white) in [(0.95, 0.0), (0.95, 1.0), (0.6, 0.3)] {
             let r = series(20_000, rho, white);
-            let noise = Noise::of(&r, &vec![1.0; r.len()], 0.0);
+            let noise = Noise::estimate(&r, &vec![1.0; r.len()], 0.0);
             let share = 1.0 / (1.0 + white * white);
             let expected = 1.0 + 2.0 * share * rho / (1.0 - rho);
             assert!(

@@ -19,25 +19,25 @@ use ground::geometry::{Pose, Vec3};
 use nalgebra::{DMatrix, DVector};
 
 /// Maximum rms change of the tip by a calibration: 10 mm and 0.5°.
-pub(super) const MOST_M: f64 = 10e-3;
-pub(super) const MOST_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
+pub(super) const MAX_TIP_CHANGE_M: f64 = 10e-3;
+pub(super) const MAX_TIP_CHANGE_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
 /// Minimum rms excess over the noise for a nominal model to be considered, m.
-const LEAST_M: f64 = 0.3e-3;
+const MIN_EXCESS_M: f64 = 0.3e-3;
 /// The same if joint zeros are named, whose intervals it widens, m.
-const LEAST_BESIDE_M: f64 = 0.05e-3;
+const MIN_EXCESS_WITH_ZEROS_M: f64 = 0.05e-3;
 /// Prior standard deviation of a link frame's calibration, per axis: 0.5 mm and 0.04° (as in UR's factory
 /// calibrations).
-pub(super) const USUAL_M: f64 = 0.5e-3;
-pub(super) const USUAL_RAD: f64 = 0.7e-3;
+pub(super) const LINK_PRIOR_M: f64 = 0.5e-3;
+pub(super) const LINK_PRIOR_RAD: f64 = 0.7e-3;
 /// Prior standard deviation of parameters without prior knowledge, such as free frames and times; m, rad or
 /// s.
-pub(super) const ANYTHING: f64 = 0.1;
+pub(super) const FREE_PRIOR: f64 = 0.1;
 /// Damping scale of link frame changes, m and rad.
-const SCALE: f64 = 0.01;
+const DAMPING_SCALE: f64 = 0.01;
 /// Maximum number of fitted samples.
-const SAMPLES: usize = 1000;
+const MAX_SAMPLES: usize = 1000;
 /// Rounds of reweighting and fitting.
-const ROUNDS: usize = 4;
+const FIT_ROUNDS: usize = 4;
 
 /// Whether small changes of the link frames explain `witness` better than the causes in `state`.
 ///
@@ -50,16 +50,16 @@ pub(super) fn is_nominal(
     plain: &StreamState,
     offsets: &[f64],
 ) -> bool {
-    let stride = witness.len().div_ceil(SAMPLES).max(1);
+    let stride = witness.len().div_ceil(MAX_SAMPLES).max(1);
     let as_recorded = witness.linearize(plain, offsets, stride);
     let rms_m = rms(&as_recorded.residual[0]);
-    if rms_m > MOST_M || rms(&as_recorded.residual[1]) > MOST_RAD {
+    if rms_m > MAX_TIP_CHANGE_M || rms(&as_recorded.residual[1]) > MAX_TIP_CHANGE_RAD {
         return false;
     }
     let calibration = LinkFrameChanges::fit(witness, plain, offsets, stride);
     let noise_m = 3f64.sqrt() * calibration.weights[0].noise.sigma;
     let is_named = offsets.iter().any(|offset| *offset != 0.0);
-    let least_m = if is_named { LEAST_BESIDE_M } else { LEAST_M };
+    let least_m = if is_named { MIN_EXCESS_WITH_ZEROS_M } else { MIN_EXCESS_M };
     if rms_m.powi(2) - noise_m.powi(2) < least_m.powi(2) {
         return false;
     }
@@ -74,7 +74,7 @@ pub(super) fn is_nominal(
 ///
 /// `fitted` is the stream's state with all its causes, `plain` the one without those that calibrations make.
 /// Both are of stamps from which `removed` was subtracted.
-pub(super) fn links_outdo_course(
+pub(super) fn link_deviations_beat_profile(
     witness: &PoseObservations,
     [fitted, plain]: [&StreamState; 2],
     offsets: &[f64],
@@ -87,17 +87,19 @@ pub(super) fn links_outdo_course(
     };
     let logged_s = |t_s: f64| removed.map_or(t_s, |gradual| gradual.logged_s(t_s));
     let logged = at_stamps(&logged_s);
-    let steady = at_stamps(&|t_s| logged_s(t_s) - course.beyond_s(logged_s(t_s)));
-    let stride = witness.len().div_ceil(SAMPLES).max(1);
+    let steady = at_stamps(&|t_s| logged_s(t_s) - course.relative_s(logged_s(t_s)));
+    let stride = witness.len().div_ceil(MAX_SAMPLES).max(1);
     let as_logged = logged.linearize(plain, offsets, stride);
-    if rms(&as_logged.residual[0]) > MOST_M || rms(&as_logged.residual[1]) > MOST_RAD {
+    if rms(&as_logged.residual[0]) > MAX_TIP_CHANGE_M
+        || rms(&as_logged.residual[1]) > MAX_TIP_CHANGE_RAD
+    {
         return false;
     }
     let calibration = LinkFrameChanges::fit(&logged, plain, offsets, stride);
     // The levels contain the skew; its pivot stamp is absorbed by the constant latency.
     let mut state = StreamState { skew: 0.0, ..fitted.clone() };
     for _ in 0..2 {
-        state.latency_s += steady.at_latency(&state, offsets, SAMPLES).1;
+        state.latency_s += steady.residual_at_latency(&state, offsets, MAX_SAMPLES).1;
     }
     let left = steady.linearize(&state, offsets, stride);
     let left = left.weights_after(&vec![0.0; left.width]);
@@ -124,17 +126,17 @@ struct LinkFrameChanges {
 
 /// Residuals of `witness` after the most likely changes of the link frames: position in m and rotation in
 /// rad, for every `stride`-th sample that the joint states cover.
-pub(super) fn calibrated(
+pub(super) fn calibrated_residuals(
     witness: &PoseObservations,
     plain: &StreamState,
     stride: usize,
 ) -> Vec<Vec<[f64; 3]>> {
-    let few = witness.len().div_ceil(SAMPLES).max(1);
+    let few = witness.len().div_ceil(MAX_SAMPLES).max(1);
     let none = vec![0.0; witness.joints.dof];
     let calibration = LinkFrameChanges::fit(witness, plain, &none, few);
     let rows = (0..witness.len()).step_by(stride.max(1));
     link_frames(witness, plain, &none, rows, FreeAlongside::Nothing)
-        .after(calibration.step.as_slice())
+        .residuals_after(calibration.step.as_slice())
 }
 
 impl LinkFrameChanges {
@@ -151,7 +153,7 @@ impl LinkFrameChanges {
         let none = DVector::zeros(frames.width);
         let mut weights = frames.first_weights();
         let (mut price, mut changes) = (0.0, none.clone());
-        for _ in 0..ROUNDS {
+        for _ in 0..FIT_ROUNDS {
             let mut normal = Normal::zeros(frames.width);
             frames.accumulate(&weights, &all, &mut normal);
             for (i, usual) in usual.iter().enumerate() {
@@ -180,14 +182,14 @@ impl LinkFrameChanges {
 /// calibration, such as an undeclared tool, have a wide prior.
 fn usual_change(i: usize, witness: &PoseObservations, plain: &StreamState) -> f64 {
     match i % 6 {
-        _ if is_anything(i, witness, plain) => ANYTHING,
-        0..3 => USUAL_M,
-        _ => USUAL_RAD,
+        _ if is_free_parameter(i, witness, plain) => FREE_PRIOR,
+        0..3 => LINK_PRIOR_M,
+        _ => LINK_PRIOR_RAD,
     }
 }
 
 /// Whether parameter `i` of [`link_frames`] is free regardless of the nominal model.
-pub(super) fn is_anything(i: usize, witness: &PoseObservations, plain: &StreamState) -> bool {
+pub(super) fn is_free_parameter(i: usize, witness: &PoseObservations, plain: &StreamState) -> bool {
     let joints = witness.columns.len();
     match i / 6 {
         0 => !witness.reference_known || plain.reference != Pose::identity(),
@@ -201,7 +203,7 @@ pub(super) fn is_anything(i: usize, witness: &PoseObservations, plain: &StreamSt
 /// calibration is subtracted.
 fn price_of(step: &DVector<f64>, normal: &Normal, usual: &[f64]) -> f64 {
     let all: Vec<usize> = (0..usual.len()).collect();
-    let (free, held): (Vec<usize>, Vec<usize>) = all.iter().partition(|&&i| usual[i] == ANYTHING);
+    let (free, held): (Vec<usize>, Vec<usize>) = all.iter().partition(|&&i| usual[i] == FREE_PRIOR);
     let narrowing = |chosen: &[usize]| -> f64 {
         let at = |i: usize, j: usize| normal.matrix[(i, j)] * usual[i] * usual[j];
         let n = chosen.len();
@@ -220,7 +222,7 @@ pub(super) enum FreeAlongside {
     /// Zero of every joint of the chain.
     Zeros,
     /// Joint zeros and the radial scale.
-    ZerosAndGrowth,
+    ZerosAndRadialScale,
 }
 
 /// Linearises samples of a stream about `plain` and `offsets`. Columns: six changes each for the reference
@@ -232,14 +234,14 @@ pub(super) fn link_frames(
     rows: impl Iterator<Item = usize>,
     with: FreeAlongside,
 ) -> Linear {
-    let (joints, blind) = (witness.columns.len(), witness.blind);
+    let (joints, blind) = (witness.columns.len(), witness.excluded);
     let latency = 6 * (joints + 1);
     let width = latency
         + 1
         + match with {
             FreeAlongside::Nothing => 0,
             FreeAlongside::Zeros => joints,
-            FreeAlongside::ZerosAndGrowth => joints + 1,
+            FreeAlongside::ZerosAndRadialScale => joints + 1,
         };
     let mut linear = Linear::new(width, &[FLOOR_M, FLOOR_RAD]);
     let mut sweep = PredictionBuffers::new(witness);
@@ -256,15 +258,15 @@ pub(super) fn link_frames(
             for axis in 0..3 {
                 let unit = frame.rotation * Vec3::ith(axis, 1.0);
                 let lever = unit.cross(&(tip - frame.translation.vector));
-                rows.set(0, 6 * i + axis, blind.position(unit.into()));
-                rows.set(0, 6 * i + 3 + axis, blind.position(lever.into()));
-                rows.set(1, 6 * i + 3 + axis, blind.rotation(unit.into()));
+                rows.set(0, 6 * i + axis, blind.mask_position(unit.into()));
+                rows.set(0, 6 * i + 3 + axis, blind.mask_position(lever.into()));
+                rows.set(1, 6 * i + 3 + axis, blind.mask_rotation(unit.into()));
             }
         }
         let (velocity, rate) =
             (plain.reference.rotation * velocity, plain.reference.rotation * rate);
-        rows.set(0, latency, blind.position((-velocity).into()));
-        rows.set(1, latency, blind.rotation((-rate).into()));
+        rows.set(0, latency, blind.mask_position((-velocity).into()));
+        rows.set(1, latency, blind.mask_rotation((-rate).into()));
         let reference = plain.reference.rotation;
         let base_from_link =
             reference.inverse() * predicted.rotation * plain.tool.rotation.inverse();
@@ -272,12 +274,12 @@ pub(super) fn link_frames(
         for joint in (0..joints).filter(|_| with != FreeAlongside::Nothing) {
             let (linear, angular) = sweep.column(joint, &lever);
             let (linear, angular) = (reference * linear, reference * angular);
-            rows.set(0, latency + 1 + joint, blind.position(linear.into()));
-            rows.set(1, latency + 1 + joint, blind.rotation(angular.into()));
+            rows.set(0, latency + 1 + joint, blind.mask_position(linear.into()));
+            rows.set(1, latency + 1 + joint, blind.mask_rotation(angular.into()));
         }
-        if with == FreeAlongside::ZerosAndGrowth {
+        if with == FreeAlongside::ZerosAndRadialScale {
             let from_base = tip - plain.reference.translation.vector;
-            rows.set(0, latency + 1 + joints, blind.position(from_base.into()));
+            rows.set(0, latency + 1 + joints, blind.mask_position(from_base.into()));
         }
     }
     linear
@@ -286,7 +288,7 @@ pub(super) fn link_frames(
 /// Adds damping to normal equations of link frame changes.
 pub(super) fn damped(mut normal: Normal) -> Normal {
     for i in 0..normal.right.len() {
-        normal.matrix[(i, i)] += SCALE.powi(-2);
+        normal.matrix[(i, i)] += DAMPING_SCALE.powi(-2);
     }
     normal
 }

@@ -7,7 +7,8 @@
 //! through the whole joint space and are excluded.
 
 use super::model::{
-    GROWTH, LATENCY, PoseObservations, REFERENCE, SKEW, STREAM_WIDTH, StreamState, TOOL,
+    LATENCY_COLUMN, PoseObservations, RADIAL_SCALE_COLUMN, REFERENCE_COLUMNS_START, SKEW_COLUMN,
+    STREAM_WIDTH, StreamState, TOOL_COLUMNS_START,
 };
 use ground::geometry::{Rotation, Vec3};
 use ground::robot::JointKind;
@@ -18,14 +19,14 @@ use rand_pcg::Pcg64;
 use std::f64::consts::PI;
 
 /// Number of configurations in the reference motion that excites everything observable.
-const POSTURES: usize = 200;
+const CONFIGURATIONS: usize = 200;
 /// Time between them, s.
 const STEP_S: f64 = 0.1;
 /// Directions with less than this share of the largest eigenvalue of that motion are not observable in any
 /// log.
-const NEVER: f64 = 1e-9;
+const MIN_EIGENVALUE_SHARE: f64 = 1e-9;
 /// Minimum weight for a parameter to be listed in a direction.
-const TAKES_PART: f64 = 0.2;
+const MIN_WEIGHT: f64 = 0.2;
 
 /// One parameter of a pose stream's model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,7 +38,7 @@ pub enum StreamParameter {
     /// Clock skew, s/s.
     Skew,
     /// Radial scale error, m/m.
-    Growth,
+    RadialScale,
     /// Translation of the reference frame along an axis (0 to 2), m.
     ReferenceShift(usize),
     /// Rotation of the reference frame about an axis (0 to 2), rad.
@@ -49,15 +50,19 @@ pub enum StreamParameter {
 }
 
 impl StreamParameter {
-    fn of_stream(column: usize) -> Self {
+    fn from_stream_column(column: usize) -> Self {
         match column {
-            LATENCY => Self::Latency,
-            SKEW => Self::Skew,
-            GROWTH => Self::Growth,
-            _ if column < REFERENCE + 3 => Self::ReferenceShift(column - REFERENCE),
-            _ if column < TOOL => Self::ReferenceTurn(column - REFERENCE - 3),
-            _ if column < TOOL + 3 => Self::ToolShift(column - TOOL),
-            _ => Self::ToolTurn(column - TOOL - 3),
+            LATENCY_COLUMN => Self::Latency,
+            SKEW_COLUMN => Self::Skew,
+            RADIAL_SCALE_COLUMN => Self::RadialScale,
+            _ if column < REFERENCE_COLUMNS_START + 3 => {
+                Self::ReferenceShift(column - REFERENCE_COLUMNS_START)
+            }
+            _ if column < TOOL_COLUMNS_START => {
+                Self::ReferenceTurn(column - REFERENCE_COLUMNS_START - 3)
+            }
+            _ if column < TOOL_COLUMNS_START + 3 => Self::ToolShift(column - TOOL_COLUMNS_START),
+            _ => Self::ToolTurn(column - TOOL_COLUMNS_START - 3),
         }
     }
 }
@@ -88,7 +93,7 @@ pub struct WeakDirection {
 impl Observability {
     /// Observability of a stream whose model at `state` has `information`, over the joints of the track and
     /// then the stream's own parameters.
-    pub(super) fn of(
+    pub(super) fn new(
         witness: &PoseObservations,
         state: &StreamState,
         offsets: &[f64],
@@ -100,7 +105,7 @@ impl Observability {
         let kept: Vec<usize> = joints.chain(own..own + STREAM_WIDTH).collect();
         let parameter = |&column: &usize| match column.checked_sub(own) {
             None => StreamParameter::JointZero(column),
-            Some(own) => StreamParameter::of_stream(own),
+            Some(own) => StreamParameter::from_stream_column(own),
         };
         let part = |matrix: &DMatrix<f64>| {
             DMatrix::from_fn(kept.len(), kept.len(), |i, j| matrix[(kept[i], kept[j])])
@@ -108,7 +113,7 @@ impl Observability {
         Self {
             parameters: kept.iter().map(parameter).collect(),
             information: part(information),
-            possible: part(&possible(witness, state, offsets)),
+            possible: part(&achievable_information(witness, state, offsets)),
             travel: (0..dof).map(|joint| travel(witness.joints, joint)).collect(),
         }
     }
@@ -125,7 +130,7 @@ impl Observability {
     /// deviations. Excludes the directions that no log observes.
     ///
     /// `threshold` returns the smallest relevant value of a parameter, in its unit.
-    pub fn blind(
+    pub fn weak_directions(
         &self,
         threshold: impl Fn(StreamParameter) -> f64,
         least: f64,
@@ -142,7 +147,7 @@ impl Observability {
             return Vec::new();
         }
         let possible = possible.symmetric_eigen();
-        let threshold = NEVER * possible.eigenvalues.max();
+        let threshold = MIN_EIGENVALUE_SHARE * possible.eigenvalues.max();
         let seen: Vec<usize> = (0..n).filter(|&i| possible.eigenvalues[i] > threshold).collect();
         if seen.is_empty() {
             return Vec::new();
@@ -156,7 +161,7 @@ impl Observability {
     }
 
     /// Observability with known joint ranges and nothing else.
-    pub fn of_travel(travel: Vec<f64>) -> Self {
+    pub fn from_travel(travel: Vec<f64>) -> Self {
         let parameters = (0..travel.len()).map(StreamParameter::JointZero).collect();
         let none = DMatrix::zeros(travel.len(), travel.len());
         Self { parameters, information: none.clone(), possible: none, travel }
@@ -166,7 +171,7 @@ impl Observability {
         let square = direction.dot(&(information * direction)) / direction.norm_squared();
         let weights = self.parameters.iter().copied().zip(direction.iter().copied());
         let mut parameters: Vec<(StreamParameter, f64)> =
-            weights.filter(|(_, weight)| weight.abs() > TAKES_PART).collect();
+            weights.filter(|(_, weight)| weight.abs() > MIN_WEIGHT).collect();
         // Rounding keeps the order of equal weights independent of the platform.
         let digits = |weight: f64| (weight.abs() * 1e6).round();
         parameters.sort_by(|a, b| digits(b.1).total_cmp(&digits(a.1)));
@@ -203,7 +208,11 @@ pub(super) fn travel(joints: &JointTrack, joint: usize) -> f64 {
 }
 
 /// Information of a motion through random configurations over the joints' ranges, at speeds of both signs.
-fn possible(witness: &PoseObservations, state: &StreamState, offsets: &[f64]) -> DMatrix<f64> {
+fn achievable_information(
+    witness: &PoseObservations,
+    state: &StreamState,
+    offsets: &[f64],
+) -> DMatrix<f64> {
     let dof = witness.joints.dof;
     let mut random = Pcg64::seed_from_u64(1);
     let kinds = witness.chain.joint_kinds();
@@ -214,23 +223,23 @@ fn possible(witness: &PoseObservations, state: &StreamState, offsets: &[f64]) ->
     let mut drawn = |most: f64| -> Vec<f64> {
         let draw =
             |i: usize| random.random_range(-1.0..1.0) * if slides[i % dof] { 0.5 } else { most };
-        (0..POSTURES * dof).map(draw).collect()
+        (0..CONFIGURATIONS * dof).map(draw).collect()
     };
-    let t_s: Vec<f64> = (0..POSTURES).map(|row| row as f64 * STEP_S).collect();
+    let t_s: Vec<f64> = (0..CONFIGURATIONS).map(|row| row as f64 * STEP_S).collect();
     let (q, qd) = (drawn(PI), drawn(1.0));
     let joints = JointTrack { t_s: t_s.clone(), dof, q, qd, noise: Vec::new() };
     let ideal = PoseObservations {
         joints: &joints,
         chain: witness.chain,
         columns: witness.columns,
-        gained: witness.gained,
+        gains: witness.gains,
         reference_known: witness.reference_known,
-        still: &vec![0.0; dof],
-        xyz: vec![Vec3::zeros(); POSTURES],
-        rotation: vec![Rotation::identity(); POSTURES],
-        blind: witness.blind,
+        rest_speeds: &vec![0.0; dof],
+        xyz: vec![Vec3::zeros(); CONFIGURATIONS],
+        rotation: vec![Rotation::identity(); CONFIGURATIONS],
+        excluded: witness.excluded,
         tool_part: witness.tool_part,
-        middle_s: 0.5 * t_s[POSTURES - 1],
+        middle_s: 0.5 * t_s[CONFIGURATIONS - 1],
         t_s,
     };
     // With zero latency the stamps match the configurations.

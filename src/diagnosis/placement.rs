@@ -3,10 +3,10 @@
 
 use super::frames::misfit_of_frames;
 use super::latency::{ArmSpeeds, LagPeak};
-use super::layout::{PositionEncoding, StreamPositions, layouts, may_spread_so};
+use super::layout::{PositionEncoding, StreamPositions, candidate_encodings, is_plausible_extent};
 use super::placing::spread;
-use super::sampling::{FOLLOWS, as_rotations, slow_samples, stream_peaks};
-use super::turning::FITS_RAD;
+use super::sampling::{MIN_SPEED_CORRELATION, as_rotations, slow_samples, stream_peaks};
+use super::turning::MAX_ENCODING_RESIDUAL_RAD;
 use super::{EstimateResult, NotObservable, PoseStream};
 use ground::geometry::{LengthScale, Pose, Vec3, angle_between};
 use ground::stream::{JointTrack, PoseTrack};
@@ -16,7 +16,7 @@ pub(super) struct PositionEncodingEstimate {
     /// Factor to metres, independent of any other fault.
     pub metres: EstimateResult<f64>,
     /// Candidate axis layouts, most likely first. Empty if positions do not determine them.
-    pub layouts: Vec<PositionEncoding>,
+    pub candidates: Vec<PositionEncoding>,
     /// Coordinates that are constant although FK's change.
     pub constant: [bool; 3],
     /// Lags at which the stream follows the arm.
@@ -27,23 +27,23 @@ pub(super) struct PositionEncodingEstimate {
 
 impl PositionEncodingEstimate {
     /// Determines the encoding of `stream`'s positions against FK of `joints`.
-    pub fn of(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Self {
+    pub fn estimate(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Self {
         /// Residual, as a share of the motion's extent, below which no further lag is tried.
-        const SETTLED: f64 = 0.02;
+        const MAX_FINAL_RESIDUAL_SHARE: f64 = 0.02;
         let PoseStream { track, chain, columns, reference_known, .. } = *stream;
-        let arm = ArmSpeeds::of(joints, chain, columns);
+        let arm = ArmSpeeds::from_joints(joints, chain, columns);
         let mut peaks = stream_peaks(&arm, stream, most_lag_s);
-        peaks.retain(|peak| peak.correlation > FOLLOWS);
-        let read_as_m = in_metres_of(track);
+        peaks.retain(|peak| peak.correlation > MIN_SPEED_CORRELATION);
+        let read_as_m = metres_per_unit(track);
         let reach_m = chain.max_reach_m();
         let mut placement = Self {
             metres: Err(NotObservable::NoOverlap),
-            layouts: Vec::new(),
+            candidates: Vec::new(),
             constant: [false; 3],
             peaks,
             top_speed_m_s: arm.top_m_s(),
         };
-        let near = if lies_as_logged(joints, stream) { 0 } else { 2 };
+        let near = if follows_as_logged(joints, stream) { 0 } else { 2 };
         let lags = placement.peaks.iter().take(near).map(|peak| peak.lag_s).chain([0.0]);
         let mut least_m = f64::INFINITY;
         for lag_s in lags.collect::<Vec<f64>>() {
@@ -53,14 +53,14 @@ impl PositionEncodingEstimate {
             }
             let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row]).collect();
             let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
-            let sized = by_size(&at, &xyz, reach_m, read_as_m, reference_known);
+            let sized = metres_from_size(&at, &xyz, reach_m, read_as_m, reference_known);
             if let Ok(metres) = sized
                 && metres != 1.0
-                && lies_there(&xyz, metres, &at, SETTLED)
+                && matches_fk(&xyz, metres, &at, MAX_FINAL_RESIDUAL_SHARE)
             {
                 // In that unit the positions match FK, so no other explanation is needed.
                 placement.metres = Ok(metres);
-                (placement.layouts, placement.constant) = (Vec::new(), [false; 3]);
+                (placement.candidates, placement.constant) = (Vec::new(), [false; 3]);
                 return placement;
             }
             let by_poses = match reference_known {
@@ -69,10 +69,10 @@ impl PositionEncodingEstimate {
             };
             if let Some(metres) = by_poses.filter(|metres| *metres != 1.0) {
                 placement.metres = Ok(metres);
-                (placement.layouts, placement.constant) = (Vec::new(), [false; 3]);
+                (placement.candidates, placement.constant) = (Vec::new(), [false; 3]);
                 return placement;
             }
-            let constant = constant(&track.xyz, &at);
+            let constant = constant_coordinates(&track.xyz, &at);
             let left_out = match constant {
                 [false, false, false] => Some(None),
                 [true, false, false] => Some(Some(0)),
@@ -82,22 +82,22 @@ impl PositionEncodingEstimate {
             };
             let mut layouts = left_out.map_or_else(Vec::new, |constant| {
                 let written = StreamPositions { xyz: &xyz, constant, read_as_m, reference_known };
-                layouts(&fk, reach_m, &written)
+                candidate_encodings(&fk, reach_m, &written)
             });
             if by_poses.is_some() {
                 layouts.retain(|layout| layout.metres == 1.0);
             }
-            let left_m = layouts.first().map_or(f64::MAX, |layout| layout.left_m);
+            let left_m = layouts.first().map_or(f64::MAX, |layout| layout.residual_m);
             if left_m < least_m {
                 least_m = left_m;
                 placement.metres = sized;
-                (placement.layouts, placement.constant) = (layouts, constant);
+                (placement.candidates, placement.constant) = (layouts, constant);
             }
-            if least_m < SETTLED * spread(&at) {
+            if least_m < MAX_FINAL_RESIDUAL_SHARE * spread(&at) {
                 break;
             }
         }
-        if let Some(metres) = placement.told().map(|layout| layout.metres) {
+        if let Some(metres) = placement.most_likely().map(|layout| layout.metres) {
             placement.metres = Ok(metres);
         }
         placement
@@ -109,16 +109,17 @@ impl PositionEncodingEstimate {
     }
 
     /// Most likely layout, if it explains the positions.
-    fn told(&self) -> Option<&PositionEncoding> {
-        self.layouts.first().filter(|layout| layout.is_explained)
+    fn most_likely(&self) -> Option<&PositionEncoding> {
+        self.candidates.first().filter(|layout| layout.is_explained)
     }
 
     /// Copy without layouts that mirror, invert or change the unit.
-    pub fn sound(&self) -> Self {
-        let layouts = self.layouts.iter().filter(|layout| layout.is_sound()).cloned().collect();
+    pub fn standard_only(&self) -> Self {
+        let layouts =
+            self.candidates.iter().filter(|layout| layout.is_standard()).cloned().collect();
         Self {
             metres: Ok(1.0),
-            layouts,
+            candidates: layouts,
             constant: self.constant,
             peaks: self.peaks.clone(),
             top_speed_m_s: self.top_speed_m_s,
@@ -127,25 +128,26 @@ impl PositionEncodingEstimate {
 
     /// Whether a layout explains the positions.
     pub fn is_on_arm(&self) -> bool {
-        self.told().is_some()
+        self.most_likely().is_some()
     }
 
     /// Whether the positions match FK only after correcting their encoding.
-    pub fn explains(&self) -> bool {
+    pub fn needs_correction(&self) -> bool {
         let is_constant = self.constant.contains(&true);
-        self.told().is_some_and(|layout| is_constant || layout.inverted || layout.is_mirrored())
+        self.most_likely()
+            .is_some_and(|layout| is_constant || layout.is_inverted || layout.is_mirrored())
     }
 }
 
 /// Coordinates of a stream that are constant up to noise, while others and all of FK's change.
-fn constant(xyz: &[Vec3], fk: &[Vec3]) -> [bool; 3] {
+fn constant_coordinates(xyz: &[Vec3], fk: &[Vec3]) -> [bool; 3] {
     /// Maximum spread of a constant coordinate, as a share of the widest one.
-    const STAYS: f64 = 0.01;
+    const MAX_CONSTANT_SPREAD_SHARE: f64 = 0.01;
     /// Minimum spread of FK's coordinates, as a share of the widest one and in m.
-    const MOVES: f64 = 0.05;
-    const MOVES_M: f64 = 5e-3;
+    const MIN_MOVING_SPREAD_SHARE: f64 = 0.05;
+    const MIN_MOVING_SPREAD_M: f64 = 5e-3;
     /// Spread below this share of the positions' magnitude is rounding.
-    const ROUNDING: f64 = 1e-9;
+    const ROUNDING_SHARE: f64 = 1e-9;
     let spreads = |points: &[Vec3]| -> [f64; 3] {
         [0, 1, 2].map(|axis| {
             let along: Vec<Vec3> = points.iter().map(|p| Vec3::x() * p[axis]).collect();
@@ -154,16 +156,17 @@ fn constant(xyz: &[Vec3], fk: &[Vec3]) -> [bool; 3] {
     };
     let widest = |spreads: [f64; 3]| spreads.into_iter().fold(0.0, f64::max);
     let (logged, expected) = (spreads(xyz), spreads(fk));
-    let least = MOVES_M.max(MOVES * widest(expected));
+    let least = MIN_MOVING_SPREAD_M.max(MIN_MOVING_SPREAD_SHARE * widest(expected));
     let all_move = expected.into_iter().all(|spread| spread > least);
     let size = xyz.iter().map(Vec3::amax).fold(0.0, f64::max);
-    let some_move = widest(logged) > ROUNDING * size;
-    logged.map(|spread| all_move && some_move && spread <= STAYS * widest(logged))
+    let some_move = widest(logged) > ROUNDING_SHARE * size;
+    logged
+        .map(|spread| all_move && some_move && spread <= MAX_CONSTANT_SPREAD_SHARE * widest(logged))
 }
 
 /// Factor to metres from the size of positions: their extent relative to FK's or, at rest, their distance
 /// from a known base.
-pub(super) fn by_size(
+pub(super) fn metres_from_size(
     fk: &[Vec3],
     xyz: &[Vec3],
     reach_m: f64,
@@ -171,7 +174,7 @@ pub(super) fn by_size(
     reference_known: bool,
 ) -> EstimateResult<f64> {
     /// Maximum ratio to a unit's expected size.
-    const ALIKE: f64 = 1.5;
+    const MAX_SIZE_RATIO: f64 = 1.5;
     let (moved, extent) = (spread(fk), spread(xyz));
     let rests = moved <= 0.01 * reach_m;
     let ratio = if !rests {
@@ -185,7 +188,7 @@ pub(super) fn by_size(
     };
     let off = |factor: f64| (ratio * factor).ln().abs();
     let usual = LengthScale::common().map(|unit| unit.in_m() / read_as_m);
-    let near = usual.filter(|factor| off(*factor) < ALIKE.ln());
+    let near = usual.filter(|factor| off(*factor) < MAX_SIZE_RATIO.ln());
     let nearest = near.min_by(|a, b| off(*a).total_cmp(&off(*b)));
     // Ratios within an arm's reach do not determine a unit.
     Ok(if (0.2..5.0).contains(&ratio) { 1.0 } else { nearest.unwrap_or(1.0) })
@@ -200,19 +203,21 @@ pub(super) fn metres_by_size(joints: &JointTrack, stream: &PoseStream) -> f64 {
     if at.len() < 2 {
         return 1.0;
     }
-    let read_as_m = in_metres_of(track);
-    by_size(&at, &xyz, chain.max_reach_m(), read_as_m, reference_known).unwrap_or(1.0)
+    let read_as_m = metres_per_unit(track);
+    metres_from_size(&at, &xyz, chain.max_reach_m(), read_as_m, reference_known).unwrap_or(1.0)
 }
 
 /// Factor to metres of the usual unit that brings the positions' extent closest to the arm's reach,
 /// independent of the joint states.
 pub(super) fn metres_by_reach(stream: &PoseStream) -> f64 {
     /// Typical spread of an arm's tip as a share of its reach.
-    const SHARE: f64 = 0.3;
+    const SPREAD_PER_REACH: f64 = 0.3;
     let track = stream.track;
     let extent = spread(&track.xyz).max(f64::MIN_POSITIVE);
-    let off = |factor: f64| (extent * factor / (SHARE * stream.chain.max_reach_m())).ln().abs();
-    let usual = LengthScale::common().map(|unit| unit.in_m() / in_metres_of(track));
+    let off = |factor: f64| {
+        (extent * factor / (SPREAD_PER_REACH * stream.chain.max_reach_m())).ln().abs()
+    };
+    let usual = LengthScale::common().map(|unit| unit.in_m() / metres_per_unit(track));
     usual.chain([1.0]).min_by(|a, b| off(*a).total_cmp(&off(*b))).unwrap_or(1.0)
 }
 
@@ -222,8 +227,8 @@ pub(super) fn metres_by_reach(stream: &PoseStream) -> f64 {
 fn unit_by_poses(track: &PoseTrack, rows: &[usize], fk: &[Pose]) -> Option<f64> {
     /// Maximum residual in the unit, as a share of the positions' spread, and minimum factor by which it is
     /// below that in metres.
-    const EXPLAINS: f64 = 0.1;
-    const BETTER: f64 = 5.0;
+    const MAX_RESIDUAL_SHARE: f64 = 0.1;
+    const MIN_RESIDUAL_RATIO: f64 = 5.0;
     let rotations = as_rotations(&track.orientation)?;
     let extent = spread(&track.xyz);
     let share_left = |metres: f64| {
@@ -233,26 +238,27 @@ fn unit_by_poses(track: &PoseTrack, rows: &[usize], fk: &[Pose]) -> Option<f64> 
         misfit_of_frames(fk, &logged)[0] / (metres * extent)
     };
     let in_metres = share_left(1.0);
-    if in_metres <= EXPLAINS {
+    if in_metres <= MAX_RESIDUAL_SHARE {
         return Some(1.0);
     }
     let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
-    if may_spread_so(extent, spread(&at)) {
+    if is_plausible_extent(extent, spread(&at)) {
         return None;
     }
-    let usual = LengthScale::common().map(|unit| unit.in_m() / in_metres_of(track));
+    let usual = LengthScale::common().map(|unit| unit.in_m() / metres_per_unit(track));
     let shares = usual.map(|metres| (share_left(metres), metres));
     let (least, metres) = shares.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    (metres != 1.0 && least <= EXPLAINS && BETTER * least <= in_metres).then_some(metres)
+    (metres != 1.0 && least <= MAX_RESIDUAL_SHARE && MIN_RESIDUAL_RATIO * least <= in_metres)
+        .then_some(metres)
 }
 
 /// Metres per unit of a stream's positions as read.
-fn in_metres_of(track: &PoseTrack) -> f64 {
+fn metres_per_unit(track: &PoseTrack) -> f64 {
     track.declared.as_ref().map_or(1.0, |declared| declared.length.in_m())
 }
 
 /// Whether positions in this unit match FK to this share of its extent, rms.
-fn lies_there(xyz: &[Vec3], metres: f64, fk: &[Vec3], share: f64) -> bool {
+fn matches_fk(xyz: &[Vec3], metres: f64, fk: &[Vec3], share: f64) -> bool {
     let squares = xyz.iter().zip(fk).map(|(xyz, fk)| (xyz * metres - fk).norm_squared());
     let rms_m = (squares.sum::<f64>() / fk.len().max(1) as f64).sqrt();
     rms_m < share * spread(fk)
@@ -260,17 +266,17 @@ fn lies_there(xyz: &[Vec3], metres: f64, fk: &[Vec3], share: f64) -> bool {
 
 /// Whether a stream matches FK as logged at zero lag. If so, spurious lags of short or uniform motion are
 /// ignored.
-pub(super) fn lies_as_logged(joints: &JointTrack, stream: &PoseStream) -> bool {
+pub(super) fn follows_as_logged(joints: &JointTrack, stream: &PoseStream) -> bool {
     /// Maximum position error, as a share of FK's extent.
-    const LIES: f64 = 0.02;
+    const MAX_POSITION_ERROR_SHARE: f64 = 0.02;
     let PoseStream { track, chain, columns, .. } = *stream;
     let Some(rotations) = as_rotations(&track.orientation) else { return false };
     let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, 0.0);
     let at: Vec<Vec3> = fk.iter().map(|pose| pose.translation.vector).collect();
-    let most_m = LIES * spread(&at);
+    let most_m = MAX_POSITION_ERROR_SHARE * spread(&at);
     let is_there = |(&row, fk): (&usize, &Pose)| {
         (track.xyz[row] - fk.translation.vector).norm() <= most_m
-            && angle_between(&rotations[row], &fk.rotation) <= FITS_RAD
+            && angle_between(&rotations[row], &fk.rotation) <= MAX_ENCODING_RESIDUAL_RAD
     };
     !rows.is_empty() && rows.iter().zip(&fk).all(is_there)
 }

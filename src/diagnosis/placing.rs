@@ -5,12 +5,12 @@ use ground::geometry::{Pose, Rotation, Vec3, pose};
 use nalgebra::Matrix3;
 
 /// Maximum residual, as a share of the positions' extent, for positions to match FK.
-pub(super) const ON_ARM: f64 = 0.1;
+pub(super) const MAX_POSITION_RESIDUAL_SHARE: f64 = 0.1;
 /// Minimum spread of positions in the second direction, as a share of the first, to determine a rotation.
-const SPREAD: f64 = 0.02;
+const MIN_SECOND_SPREAD_SHARE: f64 = 0.02;
 
 /// Change of the tool offset below which the iteration has converged, in the unit of the positions.
-const SETTLED: f64 = 1e-8;
+const CONVERGED_TOOL_CHANGE: f64 = 1e-8;
 
 /// FK poses at a stream's samples, as columns.
 pub(super) struct FkColumns {
@@ -20,7 +20,7 @@ pub(super) struct FkColumns {
 
 impl FkColumns {
     /// Columns of `poses`.
-    pub fn of(poses: &[Pose]) -> Self {
+    pub fn from_poses(poses: &[Pose]) -> Self {
         let (xyz, rotation) =
             poses.iter().map(|pose| (pose.translation.vector, pose.rotation)).unzip();
         Self { xyz, rotation }
@@ -35,14 +35,15 @@ impl FkColumns {
     /// in the unit of `xyz`.
     pub fn misfit(&self, xyz: &[Vec3]) -> f64 {
         let plain = self.tool_misfit(xyz);
-        self.turned(xyz).map_or(plain, |(reference, _)| plain.min(self.misfit_at(xyz, &reference)))
+        self.fit_rigid(xyz)
+            .map_or(plain, |(reference, _)| plain.min(self.misfit_at(xyz, &reference)))
     }
 
-    /// Like [`FkColumns::turned`], but also for collinear positions, whose rotation about their line is then
+    /// Like [`FkColumns::fit_rigid`], but also for collinear positions, whose rotation about their line is then
     /// arbitrary.
-    pub fn turned_anyhow(&self, xyz: &[Vec3]) -> (Pose, Vec3) {
-        self.turned(xyz).unwrap_or_else(|| {
-            let reference = turned_so(&self.xyz, xyz, &products(&self.xyz, xyz));
+    pub fn fit_rigid_or_collinear(&self, xyz: &[Vec3]) -> (Pose, Vec3) {
+        self.fit_rigid(xyz).unwrap_or_else(|| {
+            let reference = rigid_transform_from(&self.xyz, xyz, &products(&self.xyz, xyz));
             (reference, self.tool(xyz, &reference))
         })
     }
@@ -51,7 +52,7 @@ impl FkColumns {
     /// With none, the tool offset alone.
     pub fn frames(&self, xyz: &[Vec3], turns: usize) -> (Pose, Vec3) {
         let plain = (Pose::identity(), self.tool(xyz, &Pose::identity()));
-        let found = if turns > 0 { self.turned_by(xyz, turns) } else { None };
+        let found = if turns > 0 { self.fit_rigid_iterations(xyz, turns) } else { None };
         match found {
             Some(found) if self.misfit_at(xyz, &found.0) < self.tool_misfit(xyz) => found,
             _ => plain,
@@ -80,12 +81,12 @@ impl FkColumns {
 
     /// Fits reference frame and tool offset to `xyz` alternately: the frame by Kabsch's method (1976), the
     /// tool by averaging. `None` if the positions are collinear.
-    pub fn turned(&self, xyz: &[Vec3]) -> Option<(Pose, Vec3)> {
-        self.turned_by(xyz, 30)
+    pub fn fit_rigid(&self, xyz: &[Vec3]) -> Option<(Pose, Vec3)> {
+        self.fit_rigid_iterations(xyz, 30)
     }
 
-    /// [`FkColumns::turned`] with at most `turns` iterations.
-    fn turned_by(&self, xyz: &[Vec3], turns: usize) -> Option<(Pose, Vec3)> {
+    /// [`FkColumns::fit_rigid`] with at most `turns` iterations.
+    fn fit_rigid_iterations(&self, xyz: &[Vec3], turns: usize) -> Option<(Pose, Vec3)> {
         let mut tool = Vec3::zeros();
         let mut reference = Pose::identity();
         for _ in 0..turns {
@@ -95,9 +96,9 @@ impl FkColumns {
                 .zip(&self.rotation)
                 .map(|(fk, rotation)| fk + rotation * tool)
                 .collect();
-            reference = rigid(&points, xyz)?;
+            reference = rigid_transform(&points, xyz)?;
             let before = std::mem::replace(&mut tool, self.tool(xyz, &reference));
-            if (tool - before).norm() < SETTLED {
+            if (tool - before).norm() < CONVERGED_TOOL_CHANGE {
                 break;
             }
         }
@@ -106,12 +107,12 @@ impl FkColumns {
 }
 
 /// Best rigid transform from `from` to `to`. `None` if they are collinear.
-fn rigid(from: &[Vec3], to: &[Vec3]) -> Option<Pose> {
-    Some(turned_so(from, to, &correlation(from, to)?))
+fn rigid_transform(from: &[Vec3], to: &[Vec3]) -> Option<Pose> {
+    Some(rigid_transform_from(from, to, &correlation(from, to)?))
 }
 
 /// Best rigid transform from `from` to `to`, given their `correlation`.
-fn turned_so(from: &[Vec3], to: &[Vec3], correlation: &Matrix3<f64>) -> Pose {
+fn rigid_transform_from(from: &[Vec3], to: &[Vec3], correlation: &Matrix3<f64>) -> Pose {
     let turn = wahba(correlation);
     let mean = |points: &[Vec3]| points.iter().sum::<Vec3>() / points.len().max(1) as f64;
     pose((mean(to) - turn * mean(from)).into(), turn)
@@ -119,7 +120,7 @@ fn turned_so(from: &[Vec3], to: &[Vec3], correlation: &Matrix3<f64>) -> Pose {
 
 /// Best rotation from `from` to `to` about their means, combined with a reflection if `sign` is −1. `None`
 /// if they are collinear.
-pub(super) fn rigid_turn(from: &[Vec3], to: &[Vec3], sign: f64) -> Option<Matrix3<f64>> {
+pub(super) fn rigid_rotation(from: &[Vec3], to: &[Vec3], sign: f64) -> Option<Matrix3<f64>> {
     let correlation = correlation(from, to)?;
     // A reflection through the origin commutes with rotations.
     let turn = wahba(&(correlation * sign)).to_rotation_matrix();
@@ -139,7 +140,8 @@ fn correlation(from: &[Vec3], to: &[Vec3]) -> Option<Matrix3<f64>> {
     let correlation = products(from, to);
     let mut singular: Vec<f64> = correlation.singular_values().iter().copied().collect();
     singular.sort_by(|a, b| b.total_cmp(a));
-    (singular[1] > SPREAD * SPREAD * singular[0]).then_some(correlation)
+    (singular[1] > MIN_SECOND_SPREAD_SHARE * MIN_SECOND_SPREAD_SHARE * singular[0])
+        .then_some(correlation)
 }
 
 /// Root mean square distance of points from their mean.
@@ -162,7 +164,7 @@ mod tests {
                 pose([0.5 * t.cos(), 0.4 * (1.3 * t).sin(), 0.3 + 0.2 * (0.6 * t).sin()], turn)
             })
             .collect();
-        FkColumns::of(&poses)
+        FkColumns::from_poses(&poses)
     }
 
     #[test]
@@ -174,7 +176,7 @@ mod tests {
         let xyz: Vec<Vec3> = samples
             .map(|(fk, r)| (reference * nalgebra::Point3::from(fk + r * tool)).coords)
             .collect();
-        let (found, _) = arm.turned(&xyz).expect("a reference");
+        let (found, _) = arm.fit_rigid(&xyz).expect("a reference");
         assert!(angle_between(&found.rotation, &reference.rotation) < 0.01);
         assert!((found.translation.vector - reference.translation.vector).norm() < 0.01);
         assert!(arm.misfit(&xyz) < 0.01 * spread(&arm.xyz));
@@ -184,6 +186,6 @@ mod tests {
     fn positions_of_another_arm_have_no_reference() {
         let arm = arm();
         let xyz: Vec<Vec3> = arm.xyz.iter().map(|p| Vec3::new(p.y * p.y, p.z, p.x.abs())).collect();
-        assert!(arm.misfit(&xyz) > ON_ARM * spread(&arm.xyz));
+        assert!(arm.misfit(&xyz) > MAX_POSITION_RESIDUAL_SHARE * spread(&arm.xyz));
     }
 }

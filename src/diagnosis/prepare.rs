@@ -2,18 +2,19 @@
 
 use std::borrow::Cow;
 
-use super::joints::Read;
+use super::joints::CorrectedJoints;
 use super::latency::LagPeak;
 use super::model::{
     ExcludedComponents, PoseObservations, PredictionBuffers, StreamState, ToolPart,
 };
-use super::placement::{PositionEncodingEstimate, lies_as_logged};
+use super::placement::{PositionEncodingEstimate, follows_as_logged};
 use super::placing::spread;
 use super::reading::{
-    EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, nearest_truth, read,
+    EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, decode_nearest,
+    estimate_encoding,
 };
-use super::sampling::{SEARCH_SAMPLES, slow_samples};
-use super::turning::{FITS_RAD, OrientationSamples, PositionInterpretation};
+use super::sampling::{MAX_SEARCH_SAMPLES, slow_samples};
+use super::turning::{MAX_ENCODING_RESIDUAL_RAD, OrientationSamples, PositionInterpretation};
 use super::{
     AxesError, EncodingEstimate, EstimateResult, NotObservable, PoseStream, UnitResiduals,
 };
@@ -21,23 +22,23 @@ use ground::geometry::{Rotation, Vec3, angle_between};
 use ground::stream::{DeclaredUnits, Orientations, PoseTrack};
 
 /// Minimum number of moving samples to estimate a latency.
-const MOVING_SAMPLES: usize = 10;
+const MIN_MOVING_SAMPLES: usize = 10;
 
 /// Decoded stream, with the evidence for its encoding.
 pub(super) struct DecodedStream<'a> {
-    pub witness: PoseObservations<'a>,
+    pub observations: PoseObservations<'a>,
     /// Rotation encoding, if the stream has orientations.
-    pub reading: EstimateResult<EncodingEstimate>,
+    pub encoding: EstimateResult<EncodingEstimate>,
     pub degrees: Option<UnitResiduals>,
     pub metres: f64,
     /// Axes of positions and rotations, if they are not standard.
     pub axes: Option<AxesError>,
     /// Whether whole poses are inverted.
-    pub inverted: bool,
+    pub is_inverted: bool,
     /// Constant coordinates.
     pub constant: [bool; 3],
     /// Number of frames that must be rotated to match the rotations.
-    frames: u8,
+    rotated_frames: u8,
     pub peaks: Vec<LagPeak>,
     pub moves: bool,
 }
@@ -47,28 +48,28 @@ impl DecodedStream<'_> {
     /// rotations, no joint fault resembles an inverse.
     pub fn is_confirmed(&self) -> bool {
         let is_constant = self.constant.contains(&true);
-        match &self.reading {
-            Ok(reading) if reading.best_rad <= FITS_RAD => {
+        match &self.encoding {
+            Ok(reading) if reading.best_rad <= MAX_ENCODING_RESIDUAL_RAD => {
                 // An arm read from tip to base moves much like an inverse between rotated frames.
-                self.axes.is_some() || (self.inverted && self.frames < 2) || is_constant
+                self.axes.is_some() || (self.is_inverted && self.rotated_frames < 2) || is_constant
             }
             Ok(_) => false,
-            Err(_) => self.inverted,
+            Err(_) => self.is_inverted,
         }
     }
 }
 
 /// Determines the encoding and units of a stream and the rotation branch of each sample.
-pub(super) fn prepare<'a>(
-    read_as: &'a Read,
+pub(super) fn decode_stream<'a>(
+    read_as: &'a CorrectedJoints,
     stream: &PoseStream<'a>,
     placement: &PositionEncodingEstimate,
 ) -> EstimateResult<DecodedStream<'a>> {
-    let joints = read_as.near();
+    let joints = read_as.approximate_track();
     let PoseStream { track, chain, columns, reference_known, .. } = *stream;
     let peaks = placement.peaks.clone();
     let peak_s = peaks.first().map_or(0.0, |peak| peak.lag_s);
-    let lag_s = if lies_as_logged(joints, stream) { 0.0 } else { peak_s };
+    let lag_s = if follows_as_logged(joints, stream) { 0.0 } else { peak_s };
     let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, lag_s);
     if rows.is_empty() {
         return Err(NotObservable::NoOverlap);
@@ -77,15 +78,15 @@ pub(super) fn prepare<'a>(
     let turning: Vec<Rotation> = fk.iter().map(|pose| pose.rotation).collect();
     let metres = placement.metres();
     let mut ways: Vec<PositionInterpretation> = placement
-        .layouts
+        .candidates
         .iter()
-        .flat_map(|layout| PositionInterpretation::of(layout, spread(&at)))
+        .flat_map(|layout| PositionInterpretation::from_encoding(layout, spread(&at)))
         .collect();
     if ways.is_empty() {
         ways.push(PositionInterpretation {
             metres,
             axes: AxesError::NONE,
-            inverted: false,
+            is_inverted: false,
             reference: None,
         });
     }
@@ -95,15 +96,15 @@ pub(super) fn prepare<'a>(
         ways.push(PositionInterpretation {
             metres,
             axes,
-            inverted: first.inverted,
+            is_inverted: first.is_inverted,
             reference: None,
         });
     }
     let (orientation, degrees) =
-        in_right_angles(track, &rows, &turning, reference_known, first.after());
+        in_detected_angle_unit(track, &rows, &turning, reference_known, first.corrections());
     let there = at_rows(&orientation, &rows);
     let turning = OrientationSamples {
-        logged: LoggedRotations::of(&there),
+        logged: LoggedRotations::from_orientations(&there),
         fk: &turning,
         reference_known,
         are_quaternions: are_quaternions(track),
@@ -130,38 +131,39 @@ pub(super) fn prepare<'a>(
         joints: &read_as.track,
         chain,
         columns,
-        gained: &read_as.gained,
+        gains: &read_as.gains,
         reference_known,
-        still: &read_as.still,
+        rest_speeds: &read_as.rest_speeds,
         t_s: track.t_s.clone(),
         xyz: way.positions(&track.xyz),
         rotation: Vec::new(),
-        blind: ExcludedComponents { position: constant_axes, rotation: fit.is_none() },
+        excluded: ExcludedComponents { position: constant_axes, rotation: fit.is_none() },
         tool_part: match fit {
             None => ToolPart::Point,
             Some(_) => ToolPart::Whole,
         },
         middle_s: 0.5 * (track.t_s[0] + track.t_s[track.t_s.len() - 1]),
     };
-    let logged = LoggedRotations::of(&orientation);
+    let logged = LoggedRotations::from_orientations(&orientation);
     choose_branches(&mut witness, &logged, &way, fit.as_ref(), lag_s, &read_as.offsets);
     if witness.len() < 3 {
         return Err(NotObservable::TooFewSamples { have: witness.len(), need: 3 });
     }
-    let moves = witness.moving(lag_s, SEARCH_SAMPLES) >= MOVING_SAMPLES && !peaks.is_empty();
+    let moves = witness.moving_samples(lag_s, MAX_SEARCH_SAMPLES) >= MIN_MOVING_SAMPLES
+        && !peaks.is_empty();
     let axes = Some(way.axes).filter(|axes| *axes != AxesError::NONE);
-    let PositionInterpretation { metres, inverted, .. } = way;
+    let PositionInterpretation { metres, is_inverted: inverted, .. } = way;
     let constant = placement.constant;
-    let frames = fit.map_or(0, |fit| fit.frames.count());
+    let frames = fit.map_or(0, |fit| fit.frames.frame_count());
     Ok(DecodedStream {
-        witness,
-        reading,
+        observations: witness,
+        encoding: reading,
         degrees,
         metres,
         axes,
-        inverted,
+        is_inverted: inverted,
         constant,
-        frames,
+        rotated_frames: frames,
         peaks,
         moves,
     })
@@ -170,30 +172,30 @@ pub(super) fn prepare<'a>(
 /// Whether orientations are set. They are not if they stay constant while FK's change.
 fn is_set(logged: &Orientations, fk: &[Rotation]) -> bool {
     /// Maximum change of a constant orientation, rad.
-    const STAYS_RAD: f64 = 1e-3;
+    const MAX_CONSTANT_CHANGE_RAD: f64 = 1e-3;
     let stays = match logged {
-        Orientations::Rotations(all) => farthest(all) < STAYS_RAD,
+        Orientations::Rotations(all) => max_angle(all) < MAX_CONSTANT_CHANGE_RAD,
         Orientations::Numbers(all) => all.windows(2).all(|pair| pair[0] == pair[1]),
         Orientations::Unset(_) => return false,
     };
-    !stays || !turns(fk)
+    !stays || !has_rotation(fk)
 }
 
 /// Whether rotations change by more than small joint errors could cause.
-fn turns(rotations: &[Rotation]) -> bool {
-    const TURNS_RAD: f64 = 0.2;
-    farthest(rotations) > TURNS_RAD
+fn has_rotation(rotations: &[Rotation]) -> bool {
+    const MIN_ROTATION_RAD: f64 = 0.2;
+    max_angle(rotations) > MIN_ROTATION_RAD
 }
 
 /// Largest angle between the first rotation and any other, rad.
-fn farthest(rotations: &[Rotation]) -> f64 {
+fn max_angle(rotations: &[Rotation]) -> f64 {
     let from = rotations.first().copied().unwrap_or_default();
     rotations.iter().map(|one| angle_between(&from, one)).fold(0.0, f64::max)
 }
 
 /// Orientations in the angle unit that follows the arm, and the unit slip if that differs from the logged
 /// or declared one.
-fn in_right_angles<'a>(
+fn in_detected_angle_unit<'a>(
     track: &'a PoseTrack,
     rows: &[usize],
     fk: &[Rotation],
@@ -211,7 +213,7 @@ fn in_right_angles<'a>(
     };
     let residual = |orientation: &Orientations| {
         let there = at_rows(orientation, rows);
-        let logged = LoggedRotations::of(&there);
+        let logged = LoggedRotations::from_orientations(&there);
         let are_quaternions = are_quaternions(track);
         let samples = RotationSamples {
             logged,
@@ -221,7 +223,7 @@ fn in_right_angles<'a>(
             are_quaternions,
             after,
         };
-        read(&samples).map_or(std::f64::consts::PI, |(_, fit)| fit.residual_rad)
+        estimate_encoding(&samples).map_or(std::f64::consts::PI, |(_, fit)| fit.residual_rad)
     };
     let (as_logged, corrected) = (residual(&track.orientation), residual(&other));
     if corrected * 3.0 < as_logged {
@@ -260,21 +262,21 @@ fn choose_branches(
     let mut sweep = PredictionBuffers::new(witness);
     let mut buffer = Vec::new();
     let state = StreamState::at_latency(lag_s);
-    let after = way.after();
+    let after = way.corrections();
     for k in 0..witness.len() {
         let Some(fk) = witness.pose_at(k, &state, offsets, &mut sweep) else {
             continue;
         };
         let rotation = match fit {
-            Some(EncodingFit { reading, reference, tool, .. }) => {
+            Some(EncodingFit { encoding: reading, reference, tool, .. }) => {
                 let expected = reference * fk.rotation * tool;
-                nearest_truth(reading, &after, logged, k, &expected, &mut buffer)
+                decode_nearest(reading, &after, logged, k, &expected, &mut buffer)
             }
             None => Some(way.reference.unwrap_or_default() * fk.rotation),
         };
         let Some(rotation) = rotation else { continue };
         kept_t.push(witness.t_s[k]);
-        kept_xyz.push(match way.inverted {
+        kept_xyz.push(match way.is_inverted {
             true => -(rotation * witness.xyz[k]),
             false => witness.xyz[k],
         });

@@ -11,51 +11,51 @@ use super::latency::median_period_s;
 use super::model::{
     ExcludedComponents, PoseObservations, PredictionBuffers, StreamState, ToolPart,
 };
-use super::nominal::calibrated;
+use super::nominal::calibrated_residuals;
 use super::observability::travel;
-use super::sampling::still_speeds;
+use super::sampling::rest_speeds;
 use super::{AlignedSamples, EstimateResult, NotObservable, PoseDiagnosis, PoseStream};
 use ground::geometry::{Pose, Vec3, pose, rotvec_from_rotation};
 use ground::stream::{JointTrack, Orientations};
 
 /// Quantile that defines the size of an error.
-const MOST: f64 = 0.95;
+const ERROR_QUANTILE: f64 = 0.95;
 /// Number of parts of the moving run.
-const PARTS: usize = 10;
+const MAX_PARTS: usize = 10;
 /// Minimum number of samples per part; shorter runs have fewer parts.
-const PART_SAMPLES: usize = 20;
+const MIN_PART_SAMPLES: usize = 20;
 /// Minimum number of samples for a result.
-const NEED: usize = 8;
+const MIN_SAMPLES: usize = 8;
 /// With fewer moving samples, the arm counts as resting.
-const MOVING: usize = 10;
+const MIN_MOVING_SAMPLES: usize = 10;
 /// Rms spread of the tip's points below which it counts as resting, m.
-const AT_REST_M: f64 = 2e-3;
+const MAX_REST_SPREAD_M: f64 = 2e-3;
 /// Maximum range of the joints in a single configuration, rad or m: 3°, as for joint zeros.
-const TRAVEL_RAD: f64 = 0.05;
+const MAX_SINGLE_CONFIGURATION_RANGE: f64 = 0.05;
 /// Maximum span of the noise estimate, as a share of the motion's correlation time.
-const SHORT: f64 = 0.25;
+const MAX_NOISE_SPAN_SHARE: f64 = 0.25;
 /// Lever of the points that represent the tip's rotation, m.
-const ARM_M: f64 = 0.3;
+const LEVER_M: f64 = 0.3;
 /// Samples used to estimate the motion's correlation time.
-const MEMORY_SAMPLES: usize = 2000;
+const CORRELATION_SAMPLES: usize = 2000;
 /// Samples used to compute the residual after a calibration.
-const CALIBRATED_SAMPLES: usize = 5000;
+const MAX_CALIBRATION_SAMPLES: usize = 5000;
 
 /// Error of one stream against FK, computed directly from both.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ResidualCheck {
     /// Whether the arm rests, so that the error covers only one or a few configurations.
-    pub at_rest: bool,
+    pub is_at_rest: bool,
     /// As logged, against FK of the recorded joint states at the same stamps.
     pub as_logged: FkError,
     /// After correcting all findings.
-    pub left: Option<FkError>,
+    pub corrected: Option<FkError>,
     /// After correcting the findings on poses only, not those on joints and times: names, units, zeros,
     /// latency and skew.
-    pub beside_joints: Option<FkError>,
+    pub poses_corrected: Option<FkError>,
     /// After correcting the findings on joints and times only, not those on poses: encoding, units and
     /// frames.
-    pub beside_poses: Option<FkError>,
+    pub joints_corrected: Option<FkError>,
     /// After correcting all findings and small changes of every link frame, as in a calibration of the arm.
     pub calibrated: Option<FkError>,
 }
@@ -86,7 +86,7 @@ pub struct ErrorMagnitude {
     /// Root mean square, with outliers clipped to the quantile.
     pub rms: f64,
     /// 95 % quantile.
-    pub most: f64,
+    pub quantile_95: f64,
     /// Noise between samples. `None` if the sample interval is too long to separate noise from motion.
     pub noise: Option<SampleNoise>,
 }
@@ -97,9 +97,9 @@ pub struct SampleNoise {
     /// Root mean square.
     pub rms: f64,
     /// 95 % quantile.
-    pub most: f64,
+    pub quantile_95: f64,
     /// Lag of the differences, in samples.
-    pub over: usize,
+    pub lag_samples: usize,
 }
 
 /// Part of the run.
@@ -112,13 +112,13 @@ pub struct PartError {
     /// Tip position by FK where the error is largest, in the stream's reference frame, m.
     pub at: Vec3,
     /// Size of the error.
-    pub amount: ErrorMagnitude,
+    pub magnitude: ErrorMagnitude,
 }
 
 impl ErrorSize {
     /// Part with the largest error. `None` if there are no samples.
     pub fn worst(&self) -> Option<&PartError> {
-        self.parts.iter().max_by(|a, b| a.amount.most.total_cmp(&b.amount.most))
+        self.parts.iter().max_by(|a, b| a.magnitude.quantile_95.total_cmp(&b.magnitude.quantile_95))
     }
 }
 
@@ -127,47 +127,51 @@ impl ErrorSize {
 ///
 /// # Errors
 /// Returns an error if the joint states cover too few of its samples.
-pub fn proof(
+pub fn check_residual(
     joints: &JointTrack,
     mended: &JointTrack,
     stream: &PoseStream,
     found: &PoseDiagnosis,
 ) -> EstimateResult<ResidualCheck> {
-    let logged = beside_fk(joints, stream, 0.0);
+    let logged = align_with_fk(joints, stream, 0.0);
     let have = logged.t_s.len();
     if have == 0 {
         return Err(NotObservable::NoOverlap);
     }
-    if have < NEED {
-        return Err(NotObservable::TooFewSamples { have, need: NEED });
+    if have < MIN_SAMPLES {
+        return Err(NotObservable::TooFewSamples { have, need: MIN_SAMPLES });
     }
     let moves = moving(joints, stream, &logged.t_s);
     let points = tip_points(&logged.fk);
     // The tip may rest while the joints move, as in the null space of a seven-joint arm.
-    let is_in_one_posture = variance(&points) < AT_REST_M * AT_REST_M
-        && stream.columns.iter().all(|&column| travel(joints, column) < TRAVEL_RAD);
-    let at_rest = moves.iter().filter(|moves| **moves).count() < MOVING || is_in_one_posture;
+    let is_in_one_posture = variance(&points) < MAX_REST_SPREAD_M * MAX_REST_SPREAD_M
+        && stream
+            .columns
+            .iter()
+            .all(|&column| travel(joints, column) < MAX_SINGLE_CONFIGURATION_RANGE);
+    let at_rest =
+        moves.iter().filter(|moves| **moves).count() < MIN_MOVING_SAMPLES || is_in_one_posture;
     let has_rotation = matches!(stream.track.orientation, Orientations::Rotations(_));
-    let as_logged = ErrorSeries::of(&logged.t_s, &logged.logged, &logged.fk, has_rotation)
+    let as_logged = ErrorSeries::from_poses(&logged.t_s, &logged.logged, &logged.fk, has_rotation)
         .error(&moves, at_rest);
     let aligned = &found.aligned;
     let moves = moving(joints, stream, &aligned.t_s);
     let error = |poses: &[Pose], fk: &[Pose], has_rotation: bool| {
-        let series = ErrorSeries::of(&aligned.t_s, poses, fk, has_rotation);
-        (aligned.t_s.len() >= NEED).then(|| series.error(&moves, at_rest))
+        let series = ErrorSeries::from_poses(&aligned.t_s, poses, fk, has_rotation);
+        (aligned.t_s.len() >= MIN_SAMPLES).then(|| series.error(&moves, at_rest))
     };
     Ok(ResidualCheck {
-        at_rest,
+        is_at_rest: at_rest,
         as_logged,
-        left: error(&aligned.corrected, &aligned.fk_at_truth, true),
-        beside_joints: error(&aligned.corrected, &aligned.fk, true),
-        beside_poses: error(&aligned.logged, &aligned.fk_at_truth, has_rotation),
-        calibrated: by_calibration(mended, stream, found, at_rest),
+        corrected: error(&aligned.corrected, &aligned.fk_at_truth, true),
+        poses_corrected: error(&aligned.corrected, &aligned.fk, true),
+        joints_corrected: error(&aligned.logged, &aligned.fk_at_truth, has_rotation),
+        calibrated: residual_with_calibration(mended, stream, found, at_rest),
     })
 }
 
 /// Residual after the findings and small changes of every link frame.
-fn by_calibration(
+fn residual_with_calibration(
     mended: &JointTrack,
     stream: &PoseStream,
     found: &PoseDiagnosis,
@@ -175,36 +179,36 @@ fn by_calibration(
 ) -> Option<FkError> {
     let AlignedSamples { t_s, corrected, fk_at_truth, .. } = &found.aligned;
     let (first, last) = (t_s.first()?, t_s.last()?);
-    if at_rest || t_s.len() < NEED {
+    if at_rest || t_s.len() < MIN_SAMPLES {
         return None;
     }
-    let still = still_speeds(mended);
+    let still = rest_speeds(mended);
     let witness = PoseObservations {
         joints: mended,
         chain: stream.chain,
         columns: stream.columns,
-        gained: &[],
+        gains: &[],
         reference_known: true,
-        still: &still,
+        rest_speeds: &still,
         t_s: t_s.clone(),
         xyz: corrected.iter().map(|pose| pose.translation.vector).collect(),
         rotation: corrected.iter().map(|pose| pose.rotation).collect(),
-        blind: ExcludedComponents::default(),
+        excluded: ExcludedComponents::default(),
         tool_part: ToolPart::Whole,
         middle_s: 0.5 * (first + last),
     };
-    let skew = found.skew.as_ref().ok().filter(|_| found.skew_chosen);
+    let skew = found.skew.as_ref().ok().filter(|_| found.is_skew_chosen);
     let plain = StreamState {
         skew: skew.map_or(0.0, |skew| skew.value),
         ..StreamState::at_latency(found.latency_s.as_ref().map_or(0.0, |latency| latency.value))
     };
-    let stride = t_s.len().div_ceil(CALIBRATED_SAMPLES);
+    let stride = t_s.len().div_ceil(MAX_CALIBRATION_SAMPLES);
     let (mut sweep, none) = (PredictionBuffers::new(&witness), vec![0.0; mended.dof]);
     let rows: Vec<usize> = (0..t_s.len())
         .step_by(stride)
         .filter(|&row| witness.pose_at(row, &plain, &none, &mut sweep).is_some())
         .collect();
-    let kinds = calibrated(&witness, &plain, stride);
+    let kinds = calibrated_residuals(&witness, &plain, stride);
     let [length, angle] = kinds.try_into().ok()?;
     let vectors = |of: Vec<[f64; 3]>| of.into_iter().map(Vec3::from).collect::<Vec<Vec3>>();
     let (length, angle) = (vectors(length), vectors(angle));
@@ -218,7 +222,11 @@ fn by_calibration(
 }
 
 /// Samples of a stream with FK at their stamps minus `lag_s`. Fills only `t_s`, `logged` and `fk`.
-pub(super) fn beside_fk(joints: &JointTrack, stream: &PoseStream, lag_s: f64) -> AlignedSamples {
+pub(super) fn align_with_fk(
+    joints: &JointTrack,
+    stream: &PoseStream,
+    lag_s: f64,
+) -> AlignedSamples {
     let track = stream.track;
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
     let mut aligned = AlignedSamples::default();
@@ -240,7 +248,7 @@ pub(super) fn beside_fk(joints: &JointTrack, stream: &PoseStream, lag_s: f64) ->
 
 /// For each stamp, whether a joint of the stream's chain moves.
 fn moving(joints: &JointTrack, stream: &PoseStream, t_s: &[f64]) -> Vec<bool> {
-    let still = still_speeds(joints);
+    let still = rest_speeds(joints);
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
     let mut moves = |t_s: &f64| {
         joints.at(*t_s, &mut cursor, &mut q, &mut qd)
@@ -263,7 +271,7 @@ pub(super) struct ErrorSeries<'a> {
 }
 
 impl<'a> ErrorSeries<'a> {
-    pub fn of(t_s: &'a [f64], poses: &[Pose], fk: &'a [Pose], has_rotation: bool) -> Self {
+    pub fn from_poses(t_s: &'a [f64], poses: &[Pose], fk: &'a [Pose], has_rotation: bool) -> Self {
         let both = || poses.iter().zip(fk);
         let length = both().map(|(a, b)| a.translation.vector - b.translation.vector).collect();
         let turn =
@@ -279,7 +287,8 @@ impl<'a> ErrorSeries<'a> {
         angle: Option<Vec<Vec3>>,
     ) -> Self {
         let period_s = median_period_s(t_s);
-        let short = SHORT * memory_s(t_s, fk, period_s) / period_s.max(f64::MIN_POSITIVE);
+        let short = MAX_NOISE_SPAN_SHARE * correlation_time_s(t_s, fk, period_s)
+            / period_s.max(f64::MIN_POSITIVE);
         let short = (short as usize).min(t_s.len() / 4);
         Self { t_s, fk, length, angle, short, period_s }
     }
@@ -294,28 +303,33 @@ impl<'a> ErrorSeries<'a> {
     }
 
     fn size(&self, error: &[Vec3], rows: &[usize]) -> ErrorSize {
-        let parts = (rows.len() / PART_SAMPLES).clamp(1, PARTS);
+        let parts = (rows.len() / MIN_PART_SAMPLES).clamp(1, MAX_PARTS);
         let parts = (0..parts)
             .map(|part| &rows[part * rows.len() / parts..(part + 1) * rows.len() / parts]);
         let part = |rows: &[usize]| {
-            let amount = self.amount(error, rows);
+            let amount = self.magnitude(error, rows);
             let (first, last) = (*rows.first()?, *rows.last()?);
-            let at = self.where_largest(error, rows, amount.most);
-            Some(PartError { from_s: self.t_s[first], to_s: self.t_s[last], at, amount })
+            let at = self.where_largest(error, rows, amount.quantile_95);
+            Some(PartError { from_s: self.t_s[first], to_s: self.t_s[last], at, magnitude: amount })
         };
-        ErrorSize { whole: self.amount(error, rows), parts: parts.filter_map(part).collect() }
+        ErrorSize { whole: self.magnitude(error, rows), parts: parts.filter_map(part).collect() }
     }
 
-    /// Mean tip position over the samples whose error is at least `most`.
+    /// Mean tip position over the samples whose error is at least `quantile_95`.
     fn where_largest(&self, error: &[Vec3], rows: &[usize], most: f64) -> Vec3 {
         let large = rows.iter().filter(|&&row| error[row].norm() >= most);
         let places: Vec<Vec3> = large.map(|&row| self.fk[row].translation.vector).collect();
         places.iter().sum::<Vec3>() / places.len().max(1) as f64
     }
 
-    fn amount(&self, error: &[Vec3], rows: &[usize]) -> ErrorMagnitude {
+    fn magnitude(&self, error: &[Vec3], rows: &[usize]) -> ErrorMagnitude {
         let [rms, most] = sizes(rows.iter().map(|&row| error[row].norm()).collect());
-        ErrorMagnitude { samples: rows.len(), rms, most, noise: self.noise(error, rows) }
+        ErrorMagnitude {
+            samples: rows.len(),
+            rms,
+            quantile_95: most,
+            noise: self.noise(error, rows),
+        }
     }
 
     /// Noise from differences over each lag at which the motion is negligible. Returns the largest, because
@@ -335,9 +349,9 @@ impl<'a> ErrorSeries<'a> {
                     .then(|| (error[before] - 2.0 * error[row] + error[after]).norm() / 6f64.sqrt())
             };
             let differences: Vec<f64> = rows.iter().filter_map(difference).collect();
-            let enough = differences.len() >= NEED;
+            let enough = differences.len() >= MIN_SAMPLES;
             let [rms, most] = sizes(differences);
-            enough.then_some(SampleNoise { rms, most, over })
+            enough.then_some(SampleNoise { rms, quantile_95: most, lag_samples: over })
         });
         noises.max_by(|a, b| a.rms.total_cmp(&b.rms))
     }
@@ -348,7 +362,7 @@ fn sizes(mut sizes: Vec<f64>) -> [f64; 2] {
     if sizes.is_empty() {
         return [0.0; 2];
     }
-    let at = ((sizes.len() - 1) as f64 * MOST) as usize;
+    let at = ((sizes.len() - 1) as f64 * ERROR_QUANTILE) as usize;
     let most = *sizes.select_nth_unstable_by(at, f64::total_cmp).1;
     let squares: f64 = sizes.iter().map(|size| size.min(most).powi(2)).sum();
     [(squares / sizes.len() as f64).sqrt(), most]
@@ -359,14 +373,14 @@ type TipPoints = [Vec3; 3];
 
 fn tip_points(fk: &[Pose]) -> Vec<TipPoints> {
     let points = |pose: &Pose| {
-        let [x, y] = [Vec3::x(), Vec3::y()].map(|axis| pose.rotation * axis * ARM_M);
+        let [x, y] = [Vec3::x(), Vec3::y()].map(|axis| pose.rotation * axis * LEVER_M);
         [pose.translation.vector, x, y]
     };
     fk.iter().map(points).collect()
 }
 
 /// Squared distance between two sets of points, m².
-fn apart(a: &TipPoints, b: &TipPoints) -> f64 {
+fn squared_distance(a: &TipPoints, b: &TipPoints) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).norm_squared()).sum()
 }
 
@@ -375,13 +389,13 @@ fn variance(points: &[TipPoints]) -> f64 {
     let n = points.len().max(1) as f64;
     let mean: TipPoints =
         std::array::from_fn(|of| points.iter().map(|points| points[of]).sum::<Vec3>() / n);
-    points.iter().map(|points| apart(points, &mean)).sum::<f64>() / n
+    points.iter().map(|points| squared_distance(points, &mean)).sum::<f64>() / n
 }
 
 /// Time over which the tip's pose decorrelates by half, s: its mean squared change is half that between two
 /// random times. Infinite if the tip does not move.
-fn memory_s(t_s: &[f64], fk: &[Pose], period_s: f64) -> f64 {
-    let stride = fk.len().div_ceil(MEMORY_SAMPLES).max(1);
+fn correlation_time_s(t_s: &[f64], fk: &[Pose], period_s: f64) -> f64 {
+    let stride = fk.len().div_ceil(CORRELATION_SAMPLES).max(1);
     let points = tip_points(fk);
     let variance = variance(&points);
     let mut before = (0, 0.0);
@@ -391,7 +405,7 @@ fn memory_s(t_s: &[f64], fk: &[Pose], period_s: f64) -> f64 {
         let (mut sum, mut count) = (0.0, 0.0);
         for row in (k..points.len()).step_by(stride) {
             if (t_s[row] - t_s[row - k] - span_s).abs() < 0.5 * span_s {
-                sum += apart(&points[row], &points[row - k]);
+                sum += squared_distance(&points[row], &points[row - k]);
                 count += 1.0;
             }
         }
@@ -448,7 +462,7 @@ mod tests {
 
     /// Ratio of error to noise in the worst part.
     fn beyond(size: &ErrorSize) -> f64 {
-        let amount = size.worst().expect("a part").amount;
+        let amount = size.worst().expect("a part").magnitude;
         amount.rms / amount.noise.expect("its noise").rms
     }
 
@@ -469,7 +483,7 @@ mod tests {
         let large: Vec<f64> = size
             .parts
             .iter()
-            .filter(|part| part.amount.most > 0.02)
+            .filter(|part| part.magnitude.quantile_95 > 0.02)
             .map(|part| part.from_s)
             .collect();
         assert_eq!(large.len(), 5);
@@ -487,9 +501,9 @@ mod tests {
     #[test]
     fn single_strays_do_not_count() {
         let mut error = noise(0.0, 6);
-        let before = size_of(error.clone()).whole.most;
+        let before = size_of(error.clone()).whole.quantile_95;
         (0..N).step_by(200).for_each(|row| error[row].z = 3.0);
-        assert!(size_of(error).whole.most < 1.2 * before);
+        assert!(size_of(error).whole.quantile_95 < 1.2 * before);
     }
 
     #[test]

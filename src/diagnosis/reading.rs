@@ -5,8 +5,8 @@
 //! simplest candidate close to the smallest residual is selected. Frame-independent invariants alone are
 //! not sufficient, because several encodings differ only by a constant frame.
 
-use super::arm::EXPLAINED_RAD;
-use super::constant::{CandidateRotations, Side, both_frames, nearest, one_frame};
+use super::arm::MAX_EXPLAINED_RAD;
+use super::constant::{CandidateRotations, Side, fit_both_frames, fit_one_frame, nearest};
 use super::{EncodingEstimate, EstimateResult, NotObservable, PoseEncoding};
 use ground::geometry::{
     Convention, QuaternionOrderError, Rotation, Vec3, angle_between, misinterpretation_classes,
@@ -16,24 +16,24 @@ use ground::stream::Orientations;
 use rayon::prelude::*;
 
 /// Maximum ratio of an accepted residual to the smallest one, …
-const NEAR: f64 = 5.0;
+const MAX_RESIDUAL_RATIO: f64 = 5.0;
 /// … or maximum difference from it, rad (0.05°).
-const NEAR_RAD: f64 = 8.7e-4;
+const MAX_RESIDUAL_DIFFERENCE_RAD: f64 = 8.7e-4;
 /// No candidate is accepted if the smallest residual is larger, rad (20°).
-const HOPELESS_RAD: f64 = 0.35;
+const MAX_RESIDUAL_RAD: f64 = 0.35;
 
 /// Minimum number of samples for screening all candidates.
-const SCREENED_ON: usize = 16;
+const MIN_SCREENING_SAMPLES: usize = 16;
 /// Error factor of the residuals in screening.
-const FAR: f64 = 1.5;
+const SCREENING_ERROR_FACTOR: f64 = 1.5;
 /// Approximate number of candidates that pass the screening and are compared on all samples.
-const KEPT: usize = 48;
+const SCREENED_CANDIDATES: usize = 48;
 
 /// Cosine of the largest tilt of an upright world frame (10°).
-const UPRIGHT: f64 = 0.985;
+const MIN_UPRIGHT_COSINE: f64 = 0.985;
 
 /// Rank penalty of a candidate that leaves gravity tilted: it needs a tilt as a further fault.
-const LEANS: u8 = 2;
+const TILT_RANK_PENALTY: u8 = 2;
 
 /// Samples to decode, with FK at the same times.
 pub(super) struct RotationSamples<'a> {
@@ -60,7 +60,7 @@ pub(super) struct RotationCorrections {
 }
 
 impl RotationCorrections {
-    fn undo(&self, rotations: &mut [Rotation]) {
+    fn apply(&self, rotations: &mut [Rotation]) {
         for rotation in rotations {
             if let Some(conjugator) = self.conjugator {
                 *rotation = conjugator.inverse() * *rotation * conjugator;
@@ -72,7 +72,7 @@ impl RotationCorrections {
     }
 
     /// Encoding to report for a candidate, if whole poses are inverted.
-    fn named(&self, reading: PoseEncoding) -> PoseEncoding {
+    fn reported_encoding(&self, reading: PoseEncoding) -> PoseEncoding {
         match reading {
             PoseEncoding::AsLogged if self.inverted => PoseEncoding::Inverted,
             PoseEncoding::Transposed if self.inverted => PoseEncoding::AsLogged,
@@ -90,7 +90,7 @@ pub(super) enum LoggedRotations<'a> {
 
 impl<'a> LoggedRotations<'a> {
     /// Orientations of a stream; none if they are unset.
-    pub fn of(orientation: &'a Orientations) -> Self {
+    pub fn from_orientations(orientation: &'a Orientations) -> Self {
         match orientation {
             Orientations::Rotations(rotations) => Self::Rotations(rotations),
             Orientations::Numbers(numbers) => Self::Numbers(numbers),
@@ -110,7 +110,7 @@ pub(super) enum FreeFrameErrors {
 
 impl FreeFrameErrors {
     /// Number of frames.
-    pub fn count(self) -> u8 {
+    pub fn frame_count(self) -> u8 {
         match self {
             Self::None => 0,
             Self::Tool | Self::Reference => 1,
@@ -122,7 +122,7 @@ impl FreeFrameErrors {
 /// Candidate encoding with fitted frame errors.
 #[derive(Clone, Copy)]
 pub(super) struct EncodingFit {
-    pub reading: PoseEncoding,
+    pub encoding: PoseEncoding,
     pub frames: FreeFrameErrors,
     pub reference: Rotation,
     pub tool: Rotation,
@@ -130,7 +130,7 @@ pub(super) struct EncodingFit {
     pub residual_rad: f64,
 }
 
-/// Fills in the possible true rotations of every sample under `reading`.
+/// Fills in the possible true rotations of every sample under `encoding`.
 fn fill(
     truths_of: &mut CandidateRotations,
     reading: &PoseEncoding,
@@ -144,14 +144,14 @@ fn fill(
         LoggedRotations::Numbers(numbers) => numbers.len(),
     };
     for sample in 0..count {
-        truths(reading, logged, sample, buffer);
-        samples.after.undo(buffer);
+        candidate_rotations(reading, logged, sample, buffer);
+        samples.after.apply(buffer);
         truths_of.push(buffer);
     }
 }
 
-/// Replaces `out` by the possible true rotations of one sample under `reading`.
-fn truths(
+/// Replaces `out` by the possible true rotations of one sample under `encoding`.
+fn candidate_rotations(
     reading: &PoseEncoding,
     logged: &LoggedRotations,
     sample: usize,
@@ -185,8 +185,8 @@ fn truths(
     }
 }
 
-/// Decodes one sample under `reading` and `after`. Returns the branch nearest to `expected`.
-pub(super) fn nearest_truth(
+/// Decodes one sample under `encoding` and `after`. Returns the branch nearest to `expected`.
+pub(super) fn decode_nearest(
     reading: &PoseEncoding,
     after: &RotationCorrections,
     logged: &LoggedRotations,
@@ -194,8 +194,8 @@ pub(super) fn nearest_truth(
     expected: &Rotation,
     buffer: &mut Vec<Rotation>,
 ) -> Option<Rotation> {
-    truths(reading, logged, sample, buffer);
-    after.undo(buffer);
+    candidate_rotations(reading, logged, sample, buffer);
+    after.apply(buffer);
     nearest(buffer, expected).map(|(rotation, _)| rotation)
 }
 
@@ -203,14 +203,16 @@ pub(super) fn nearest_truth(
 ///
 /// # Errors
 /// Returns an error if there are too few samples or no candidate follows FK.
-pub(super) fn read(samples: &RotationSamples) -> EstimateResult<(EncodingEstimate, EncodingFit)> {
-    read_in_gravity(samples, &[])
+pub(super) fn estimate_encoding(
+    samples: &RotationSamples,
+) -> EstimateResult<(EncodingEstimate, EncodingFit)> {
+    estimate_encoding_with_gravity(samples, &[])
 }
 
-/// Like [`read`], with the specific force in the sensor frame for each sample. A candidate must leave
+/// Like [`estimate_encoding`], with the specific force in the sensor frame for each sample. A candidate must leave
 /// gravity upright on average, unless it is the logged encoding with only the world rotated. Otherwise it
 /// explains one fault by two.
-pub(super) fn read_in_gravity(
+pub(super) fn estimate_encoding_with_gravity(
     samples: &RotationSamples,
     forces: &[Vec3],
 ) -> EstimateResult<(EncodingEstimate, EncodingFit)> {
@@ -222,39 +224,45 @@ pub(super) fn read_in_gravity(
     let Some(least) = fits.iter().map(|fit| fit.residual_rad).min_by(f64::total_cmp) else {
         return Err(NotObservable::NoOrientation);
     };
-    if least > HOPELESS_RAD {
+    if least > MAX_RESIDUAL_RAD {
         return Err(NotObservable::DoesNotFollow(least.cos()));
     }
-    let accepted = (NEAR * least).max(least + NEAR_RAD).min(HOPELESS_RAD);
+    let accepted =
+        (MAX_RESIDUAL_RATIO * least).max(least + MAX_RESIDUAL_DIFFERENCE_RAD).min(MAX_RESIDUAL_RAD);
     let ranked: Vec<(u8, &EncodingFit)> = fits
         .iter()
         .map(|fit| {
-            let leans = fit.residual_rad <= accepted && leans(fit, samples, forces);
-            (simplicity(fit, samples.reference_known) + if leans { LEANS } else { 0 }, fit)
+            let leans = fit.residual_rad <= accepted && tilts_gravity(fit, samples, forces);
+            (
+                simplicity(fit, samples.reference_known)
+                    + if leans { TILT_RANK_PENALTY } else { 0 },
+                fit,
+            )
         })
         .collect();
     // A healthy arm with link deviations has residuals up to this as logged.
     let is_accepted = |(rank, fit): &&(u8, &EncodingFit)| {
-        fit.residual_rad <= accepted || (*rank == 0 && fit.residual_rad <= EXPLAINED_RAD)
+        fit.residual_rad <= accepted || (*rank == 0 && fit.residual_rad <= MAX_EXPLAINED_RAD)
     };
     let accepted_ranks = ranked.iter().filter(is_accepted);
     let simplest = accepted_ranks.map(|&(rank, _)| rank).min();
     let simple = || ranked.iter().filter(|(rank, _)| Some(*rank) == simplest).map(|(_, fit)| *fit);
     let least = simple().map(|fit| fit.residual_rad).min_by(f64::total_cmp).unwrap_or(least);
-    let near = (NEAR * least).max(least + NEAR_RAD);
+    let near = (MAX_RESIDUAL_RATIO * least).max(least + MAX_RESIDUAL_DIFFERENCE_RAD);
     // Among equivalent candidates, prefer an upright world, then the most common encoding.
-    let leaning = |fit: &&EncodingFit| (fit.reference * Vec3::z()).z < UPRIGHT;
+    let leaning = |fit: &&EncodingFit| (fit.reference * Vec3::z()).z < MIN_UPRIGHT_COSINE;
     let best =
         *simple().filter(|fit| fit.residual_rad <= near).min_by_key(leaning).unwrap_or(&fits[0]);
-    let near_best = (NEAR * best.residual_rad).max(best.residual_rad + NEAR_RAD);
+    let near_best = (MAX_RESIDUAL_RATIO * best.residual_rad)
+        .max(best.residual_rad + MAX_RESIDUAL_DIFFERENCE_RAD);
     let (mut equivalent, mut runner_up): (Vec<PoseEncoding>, Option<(PoseEncoding, f64)>) =
         (Vec::new(), None);
-    let others = fits
-        .iter()
-        .filter(|fit| fit.frames == best.frames && !same_reading(&fit.reading, &best.reading));
+    let others = fits.iter().filter(|fit| {
+        fit.frames == best.frames && !is_same_encoding(&fit.encoding, &best.encoding)
+    });
     let mut worse = 0;
     for fit in others {
-        let named = samples.after.named(fit.reading);
+        let named = samples.after.reported_encoding(fit.encoding);
         if fit.residual_rad <= near_best {
             equivalent.push(named);
             continue;
@@ -264,19 +272,21 @@ pub(super) fn read_in_gravity(
             runner_up = Some((named, fit.residual_rad));
         }
     }
-    let named = |fit: &EncodingFit| samples.after.named(fit.reading);
+    let named = |fit: &EncodingFit| samples.after.reported_encoding(fit.encoding);
     let as_logged = fits
         .iter()
         .find(|fit| matches!(named(fit), PoseEncoding::AsLogged) && fit.frames == best.frames);
     let ranked = ranking(&fits, &best).into_iter();
     let estimate = EncodingEstimate {
-        ranked: ranked.map(|(reading, rad)| (samples.after.named(reading), rad)).collect(),
+        ranked: ranked
+            .map(|(reading, rad)| (samples.after.reported_encoding(reading), rad))
+            .collect(),
         best: named(&best),
-        inverted: samples.after.inverted,
+        is_inverted: samples.after.inverted,
         as_logged_rad: as_logged.map(|fit| fit.residual_rad),
         best_rad: best.residual_rad,
         runner_up,
-        is_told: worse > equivalent.len(),
+        is_determined: worse > equivalent.len(),
         equivalent,
     };
     Ok((estimate, best))
@@ -286,24 +296,24 @@ pub(super) fn read_in_gravity(
 /// use the frames of the best one.
 fn ranking(fits: &[EncodingFit], best: &EncodingFit) -> Vec<(PoseEncoding, f64)> {
     /// Number of candidates besides those two.
-    const SHOWN: usize = 6;
+    const MAX_RANKED: usize = 6;
     let alike = fits.iter().filter(|fit| fit.frames == best.frames);
     let mut alike: Vec<&EncodingFit> = alike.collect();
     alike.sort_by(|a, b| a.residual_rad.total_cmp(&b.residual_rad));
     let is_kept = |(rank, fit): &(usize, &EncodingFit)| {
-        *rank < SHOWN
-            || matches!(fit.reading, PoseEncoding::AsLogged)
-            || same_reading(&fit.reading, &best.reading)
+        *rank < MAX_RANKED
+            || matches!(fit.encoding, PoseEncoding::AsLogged)
+            || is_same_encoding(&fit.encoding, &best.encoding)
     };
     let kept = alike.into_iter().enumerate().filter(is_kept);
-    kept.map(|(_, fit)| (fit.reading, fit.residual_rad)).collect()
+    kept.map(|(_, fit)| (fit.encoding, fit.residual_rad)).collect()
 }
 
 /// Whether a candidate other than a rotated world leaves gravity tilted.
-fn leans(fit: &EncodingFit, samples: &RotationSamples, forces: &[Vec3]) -> bool {
+fn tilts_gravity(fit: &EncodingFit, samples: &RotationSamples, forces: &[Vec3]) -> bool {
     let turned_world_only =
         matches!(fit.frames, FreeFrameErrors::None | FreeFrameErrors::Reference);
-    if turned_world_only && matches!(fit.reading, PoseEncoding::AsLogged) {
+    if turned_world_only && matches!(fit.encoding, PoseEncoding::AsLogged) {
         return false;
     }
     let mut buffer = Vec::new();
@@ -312,8 +322,8 @@ fn leans(fit: &EncodingFit, samples: &RotationSamples, forces: &[Vec3]) -> bool 
         .enumerate()
         .filter_map(|(sample, force)| {
             let expected = fit.reference * samples.fk[sample] * fit.tool;
-            let truth = nearest_truth(
-                &fit.reading,
+            let truth = decode_nearest(
+                &fit.encoding,
                 &samples.after,
                 &samples.logged,
                 sample,
@@ -325,10 +335,10 @@ fn leans(fit: &EncodingFit, samples: &RotationSamples, forces: &[Vec3]) -> bool 
         .sum();
     // Without an accelerometer nothing is tilted. Forces that cancel count as tilted.
     let all: f64 = forces.iter().map(Vec3::norm).sum();
-    all > 0.0 && felt.z < UPRIGHT * felt.norm().max(0.5 * all)
+    all > 0.0 && felt.z < MIN_UPRIGHT_COSINE * felt.norm().max(0.5 * all)
 }
 
-fn same_reading(a: &PoseEncoding, b: &PoseEncoding) -> bool {
+fn is_same_encoding(a: &PoseEncoding, b: &PoseEncoding) -> bool {
     match (a, b) {
         (PoseEncoding::Misinterpreted(a), PoseEncoding::Misinterpreted(b)) => std::ptr::eq(*a, *b),
         (PoseEncoding::QuaternionOrder(a), PoseEncoding::QuaternionOrder(b)) => a == b,
@@ -340,7 +350,8 @@ fn same_reading(a: &PoseEncoding, b: &PoseEncoding) -> bool {
 /// Rank of a candidate by its faults; lower is simpler. If the reference frame is unknown, its rotation is
 /// not a fault.
 fn simplicity(fit: &EncodingFit, reference_known: bool) -> u8 {
-    let fault = u8::from(!matches!(fit.reading, PoseEncoding::AsLogged | PoseEncoding::Numbers(_)));
+    let fault =
+        u8::from(!matches!(fit.encoding, PoseEncoding::AsLogged | PoseEncoding::Numbers(_)));
     match (reference_known, fit.frames) {
         (true, FreeFrameErrors::None) => fault,
         (true, FreeFrameErrors::Tool | FreeFrameErrors::Reference) => 2 + fault,
@@ -350,7 +361,7 @@ fn simplicity(fit: &EncodingFit, reference_known: bool) -> u8 {
     }
 }
 
-fn readings(samples: &RotationSamples) -> Vec<PoseEncoding> {
+fn candidate_encodings(samples: &RotationSamples) -> Vec<PoseEncoding> {
     let is_possible = |reading: &PoseEncoding| {
         samples.are_quaternions || !matches!(reading, PoseEncoding::QuaternionOrder(_))
     };
@@ -370,12 +381,12 @@ fn readings(samples: &RotationSamples) -> Vec<PoseEncoding> {
 /// Fits of every candidate with the allowed frames. If the stream fits as logged without a fault, no other
 /// frames are tried, because none could be selected.
 fn all_fits(samples: &RotationSamples) -> Vec<EncodingFit> {
-    let mut frames = allowed(samples);
+    let mut frames = allowed_frames(samples);
     if let LoggedRotations::Rotations(_) = samples.logged {
         let plain = &frames[..1];
         let known = &mut Default::default();
         let as_logged = fits_of(samples, plain, PoseEncoding::AsLogged, known, &mut Vec::new());
-        if as_logged.iter().all(|fit| fit.residual_rad <= NEAR_RAD) {
+        if as_logged.iter().all(|fit| fit.residual_rad <= MAX_RESIDUAL_DIFFERENCE_RAD) {
             frames = plain;
         }
     }
@@ -387,28 +398,31 @@ fn all_fits(samples: &RotationSamples) -> Vec<EncodingFit> {
             };
             readings.into_par_iter().map_init(Default::default, fits_of).collect()
         };
-    let stride = samples.fk.len() / SCREENED_ON;
+    let stride = samples.fk.len() / MIN_SCREENING_SAMPLES;
     let logged: Vec<Rotation> = match samples.logged {
         LoggedRotations::Rotations(all) if stride > 1 => {
             all.iter().step_by(stride).copied().collect()
         }
-        _ => return each_of(samples, readings(samples)).concat(),
+        _ => return each_of(samples, candidate_encodings(samples)).concat(),
     };
     // Screen all candidates on a few samples, then fit the near ones on all samples.
     let fk: Vec<Rotation> = samples.fk.iter().step_by(stride).copied().collect();
     let few = RotationSamples { logged: LoggedRotations::Rotations(&logged), fk: &fk, ..*samples };
-    let screened = each_of(&few, readings(samples));
+    let screened = each_of(&few, candidate_encodings(samples));
     let left = |fits: &[EncodingFit]| {
         fits.iter().map(|fit| fit.residual_rad).fold(f64::INFINITY, f64::min)
     };
     let mut all: Vec<f64> = screened.iter().map(|fits| left(fits)).collect();
     all.sort_by(f64::total_cmp);
-    let few_near = all[KEPT.min(all.len() - 1)];
-    let near = match all[0] > FAR * HOPELESS_RAD {
+    let few_near = all[SCREENED_CANDIDATES.min(all.len() - 1)];
+    let near = match all[0] > SCREENING_ERROR_FACTOR * MAX_RESIDUAL_RAD {
         true => few_near,
-        false => few_near.max(FAR * (NEAR * all[0]).max(all[0] + NEAR_RAD)),
+        false => few_near.max(
+            SCREENING_ERROR_FACTOR
+                * (MAX_RESIDUAL_RATIO * all[0]).max(all[0] + MAX_RESIDUAL_DIFFERENCE_RAD),
+        ),
     };
-    let again = |few: Vec<EncodingFit>| match few[0].reading {
+    let again = |few: Vec<EncodingFit>| match few[0].encoding {
         reading if left(&few) <= near || matches!(reading, PoseEncoding::AsLogged) => {
             fits_of(samples, frames, reading, &mut CandidateRotations::default(), &mut Vec::new())
         }
@@ -418,7 +432,7 @@ fn all_fits(samples: &RotationSamples) -> Vec<EncodingFit> {
 }
 
 /// Frames allowed for a candidate; the first is not a fault.
-fn allowed(samples: &RotationSamples) -> &'static [FreeFrameErrors] {
+fn allowed_frames(samples: &RotationSamples) -> &'static [FreeFrameErrors] {
     match (samples.reference_known, samples.reference_free) {
         (false, _) => &[FreeFrameErrors::Reference, FreeFrameErrors::Both],
         (true, false) => &[FreeFrameErrors::None, FreeFrameErrors::Tool],
@@ -444,15 +458,15 @@ fn fits_of(
         let (reference, tool) = match frames {
             FreeFrameErrors::None => (Rotation::identity(), Rotation::identity()),
             FreeFrameErrors::Tool => {
-                (Rotation::identity(), one_frame(truths, samples.fk, Side::Tool))
+                (Rotation::identity(), fit_one_frame(truths, samples.fk, Side::Tool))
             }
             FreeFrameErrors::Reference => {
-                (one_frame(truths, samples.fk, Side::Reference), Rotation::identity())
+                (fit_one_frame(truths, samples.fk, Side::Reference), Rotation::identity())
             }
-            FreeFrameErrors::Both => both_frames(truths, samples.fk),
+            FreeFrameErrors::Both => fit_both_frames(truths, samples.fk),
         };
         let residual_rad = residual(truths, samples.fk, &reference, &tool);
-        EncodingFit { reading, frames, reference, tool, residual_rad }
+        EncodingFit { encoding: reading, frames, reference, tool, residual_rad }
     };
     frames.iter().map(fit).collect()
 }
@@ -460,9 +474,9 @@ fn fits_of(
 /// Simplest fit of a known encoding, among those close to its best fit.
 pub(super) fn fit_known(samples: &RotationSamples, reading: PoseEncoding) -> Option<EncodingFit> {
     let known = &mut CandidateRotations::default();
-    let fits = fits_of(samples, allowed(samples), reading, known, &mut Vec::new());
+    let fits = fits_of(samples, allowed_frames(samples), reading, known, &mut Vec::new());
     let least = fits.iter().map(|fit| fit.residual_rad).min_by(f64::total_cmp)?;
-    let near = (NEAR * least).max(least + NEAR_RAD);
+    let near = (MAX_RESIDUAL_RATIO * least).max(least + MAX_RESIDUAL_DIFFERENCE_RAD);
     let near = fits.into_iter().filter(|fit| fit.residual_rad <= near);
     near.min_by_key(|fit| simplicity(fit, samples.reference_known))
 }
@@ -480,7 +494,7 @@ fn residual(
         .enumerate()
         .map(|(sample, fk)| {
             let expected = reference * fk * tool;
-            nearest(truths.of(sample), &expected)
+            nearest(truths.of_sample(sample), &expected)
                 .map_or(std::f64::consts::PI, |(truth, _)| angle_between(&truth, &expected))
                 .powi(2)
         })

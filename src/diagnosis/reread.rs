@@ -1,7 +1,7 @@
 //! Decodes a stream with a declared encoding, and resolves ambiguous rotations with FK.
 
 use super::reading::{
-    LoggedRotations, RotationCorrections, RotationSamples, fit_known, nearest_truth,
+    LoggedRotations, RotationCorrections, RotationSamples, decode_nearest, fit_known,
 };
 use super::sampling::stream_lag_s;
 use super::{AxesError, PoseEncoding, PoseStream};
@@ -9,24 +9,24 @@ use ground::geometry::{Axes, Rotation};
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
 /// Samples used to fit the constant frames.
-const FIT_SAMPLES: usize = 150;
+const MAX_FIT_SAMPLES: usize = 150;
 
 /// Intended encoding of a stream's poses.
 #[derive(Clone, Copy, Debug)]
 pub struct IntendedEncoding {
     /// Encoding of the rotations.
-    pub reading: PoseEncoding,
+    pub encoding: PoseEncoding,
     /// Axes of positions and rotations.
     pub axes: AxesError,
     /// Whether whole poses are also inverted.
-    pub inverted: bool,
+    pub is_inverted: bool,
 }
 
 /// Decodes the poses of a stream as `meant`. Chooses the rotation branch of each sample nearest to FK of
 /// `joints`, after fitting constant frames on top of the `known` ones, `[stream_from_reference,
 /// tip_from_stream]`. `None` if the stream holds bare numbers, or does not overlap the joint states in
 /// time.
-pub fn reread_poses(
+pub fn reinterpret_poses(
     joints: &JointTrack,
     stream: &PoseStream,
     meant: IntendedEncoding,
@@ -47,8 +47,8 @@ pub fn reread_poses(
             })
         })
         .collect();
-    let truths = rotations(logged, &meant, &expected, &known[1], reference_known)?;
-    let is_inverted = meant.inverted || matches!(meant.reading, PoseEncoding::Inverted);
+    let truths = decode_rotations(logged, &meant, &expected, &known[1], reference_known)?;
+    let is_inverted = meant.is_inverted || matches!(meant.encoding, PoseEncoding::Inverted);
     let xyz = truths.iter().zip(&track.xyz).map(|(rotation, xyz)| {
         let xyz = meant.axes.positions.to_standard(*xyz);
         if is_inverted { -(rotation * xyz) } else { xyz }
@@ -59,7 +59,7 @@ pub fn reread_poses(
 
 /// Decodes `logged` as `meant`, nearest to FK's `expected` rotations up to constant frames and a known
 /// `tool`. A sample without FK takes the branch nearest to the previous sample.
-pub(super) fn rotations(
+pub(super) fn decode_rotations(
     logged: &[Rotation],
     meant: &IntendedEncoding,
     expected: &[Option<Rotation>],
@@ -68,7 +68,7 @@ pub(super) fn rotations(
 ) -> Option<Vec<Rotation>> {
     let known = expected.iter().enumerate().filter_map(|(row, fk)| Some((row, (*fk)? * tool)));
     let known: Vec<(usize, Rotation)> = known.collect();
-    let some = known.iter().step_by(known.len().div_ceil(FIT_SAMPLES).max(1));
+    let some = known.iter().step_by(known.len().div_ceil(MAX_FIT_SAMPLES).max(1));
     let (rows, fk): (Vec<usize>, Vec<Rotation>) = some.copied().unzip();
     let there: Vec<Rotation> = rows.iter().map(|&row| logged[row]).collect();
     if there.is_empty() {
@@ -76,7 +76,7 @@ pub(super) fn rotations(
     }
     let axes = meant.axes.rotations;
     let conjugator = (axes != Axes::STANDARD).then(|| axes.conjugator());
-    let after = RotationCorrections { conjugator, inverted: meant.inverted };
+    let after = RotationCorrections { conjugator, inverted: meant.is_inverted };
     let samples = RotationSamples {
         logged: LoggedRotations::Rotations(&there),
         fk: &fk,
@@ -85,14 +85,14 @@ pub(super) fn rotations(
         are_quaternions: true,
         after,
     };
-    let fit = fit_known(&samples, meant.reading)?;
+    let fit = fit_known(&samples, meant.encoding)?;
     let all = LoggedRotations::Rotations(logged);
     let mut buffer = Vec::new();
     let mut last = fit.reference * fk[0] * fit.tool;
     let mut truths = Vec::with_capacity(logged.len());
     for (row, fk) in expected.iter().enumerate() {
         let expected = fk.map_or(last, |fk| fit.reference * fk * tool * fit.tool);
-        last = nearest_truth(&meant.reading, &after, &all, row, &expected, &mut buffer)?;
+        last = decode_nearest(&meant.encoding, &after, &all, row, &expected, &mut buffer)?;
         truths.push(last);
     }
     Some(truths)

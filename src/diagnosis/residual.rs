@@ -14,18 +14,18 @@ use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use nalgebra::DVector;
 
 /// Samples used to fit the link frames.
-const SAMPLES: usize = 1000;
+const MAX_SAMPLES: usize = 1000;
 /// Number of cross-validation folds.
-const PARTS: usize = 4;
+const FOLDS: usize = 4;
 /// Number of blocks for the correlation; fewer if noise is correlated for longer.
-const BLOCKS: std::ops::RangeInclusive<usize> = 8..=20;
+const BLOCK_COUNTS: std::ops::RangeInclusive<usize> = 8..=20;
 /// Standard errors below which the correlation counts as chance. Even with few blocks, 95 % of chance
 /// correlations stay below.
-const CHANCE: f64 = 2.0;
+const CHANCE_STD_ERRORS: f64 = 2.0;
 
 /// Excess residual of a stream: `aligned` after correcting every finding, beyond the noise between samples.
 /// `stream` and `offsets` are the parameters estimated on `witness`.
-pub(super) fn residual(
+pub(super) fn excess_residual(
     aligned: &AlignedSamples,
     witness: &PoseObservations,
     stream: &StreamState,
@@ -44,7 +44,7 @@ pub(super) fn residual(
     let left_rad = pairs(&aligned.corrected, &aligned.fk_at_truth, &rotation);
     let before_m = rms(&pairs(&aligned.logged, &aligned.fk, &position));
     let before_rad = rms(&pairs(&aligned.logged, &aligned.fk, &rotation));
-    let [common_m, common_rad] = in_common(witness, stream, offsets);
+    let [common_m, common_rad] = fold_correlation(witness, stream, offsets);
     Ok(StreamResidual {
         excess_m: excess(&left_m, &common_m),
         excess_rad: excess(&left_rad, &common_rad),
@@ -62,7 +62,7 @@ fn rms(vectors: &[Vec3]) -> f64 {
 /// Rms beyond the noise between samples (half the mean squared successive difference, von Neumann 1941).
 ///
 /// The standard error comes from the scatter over blocks. It is raised until the value is no more
-/// significant than its correlation with the prediction, `in_common`.
+/// significant than its correlation with the prediction, `fold_correlation`.
 fn excess(vectors: &[Vec3], in_common: &Measured) -> Measured {
     let blocks = 20.min(vectors.len() / 2).max(1);
     let size = vectors.len() / blocks;
@@ -79,7 +79,11 @@ fn excess(vectors: &[Vec3], in_common: &Measured) -> Measured {
     // d(√x) = dx / 2√x, limited to √dx near zero.
     let by_spread = (mean_error / (2.0 * value).max(mean_error.sqrt())).max(1e-9);
     let distance = in_common.value / in_common.std_error.max(f64::MIN_POSITIVE);
-    Measured { value, std_error: by_spread.max(value / distance.max(CHANCE)), dof: in_common.dof }
+    Measured {
+        value,
+        std_error: by_spread.max(value / distance.max(CHANCE_STD_ERRORS)),
+        dof: in_common.dof,
+    }
 }
 
 /// Mean with its standard error, which is infinite for fewer than two values.
@@ -94,11 +98,15 @@ fn mean_of(values: &[f64]) -> Measured {
 
 /// Correlation between the residual of each fold and the prediction of link frames fitted to the other
 /// folds, −1 to 1, for position and rotation.
-fn in_common(witness: &PoseObservations, stream: &StreamState, offsets: &[f64]) -> [Measured; 2] {
-    let stride = witness.len().div_ceil(SAMPLES).max(1);
+fn fold_correlation(
+    witness: &PoseObservations,
+    stream: &StreamState,
+    offsets: &[f64],
+) -> [Measured; 2] {
+    let stride = witness.len().div_ceil(MAX_SAMPLES).max(1);
     let rows: Vec<usize> = (0..witness.len()).step_by(stride).collect();
     let parts: Vec<Linear> = rows
-        .chunks(rows.len().div_ceil(PARTS).max(1))
+        .chunks(rows.len().div_ceil(FOLDS).max(1))
         .map(|rows| {
             link_frames(witness, stream, offsets, rows.iter().copied(), FreeAlongside::Nothing)
         })
@@ -118,7 +126,7 @@ fn in_common(witness: &PoseObservations, stream: &StreamState, offsets: &[f64]) 
     [0, 1].map(|kind| {
         let mut pairs = Vec::new();
         for (part, step) in parts.iter().zip(&steps) {
-            let after = part.after(step.as_slice()).swap_remove(kind);
+            let after = part.residuals_after(step.as_slice()).swap_remove(kind);
             pairs.extend(part.residual[kind].iter().zip(after).map(|(&left, after)| {
                 let foretold = std::array::from_fn(|axis| left[axis] - after[axis]);
                 (left, foretold)
@@ -139,10 +147,10 @@ fn normal_of(linear: &Linear) -> Normal {
 /// the correlation length of the first.
 fn correlation(pairs: &[([f64; 3], [f64; 3])]) -> Measured {
     let left: Vec<[f64; 3]> = pairs.iter().map(|pair| pair.0).collect();
-    let noise = Noise::of(&left, &vec![1.0; left.len()], f64::MIN_POSITIVE);
+    let noise = Noise::estimate(&left, &vec![1.0; left.len()], f64::MIN_POSITIVE);
     let lasting = 2.0 * noise.inflation();
     let blocks = (pairs.len() as f64 / lasting) as usize;
-    let blocks = blocks.clamp(*BLOCKS.start(), *BLOCKS.end());
+    let blocks = blocks.clamp(*BLOCK_COUNTS.start(), *BLOCK_COUNTS.end());
     let dot = |a: &[f64; 3], b: &[f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let of_block = |block: &[([f64; 3], [f64; 3])]| {
         let (mut left, mut foretold, mut both) = (0.0, 0.0, 0.0);

@@ -10,7 +10,7 @@ use ground::stats::{Measured, median};
 use nalgebra::DMatrix;
 
 /// Maximum number of columns in a series.
-const WIDTH: usize = 6;
+const MAX_COLUMNS: usize = 6;
 
 /// Time series with one column or groups of three.
 ///
@@ -32,7 +32,7 @@ pub(super) struct ResponseChanges {
     /// Start and end of each window, s.
     pub windows: Vec<(f64, f64)>,
     /// Change of each column.
-    pub by: Vec<[f64; WIDTH]>,
+    pub changes: Vec<[f64; MAX_COLUMNS]>,
     /// Number of columns.
     pub width: usize,
 }
@@ -68,16 +68,21 @@ impl TimeSeries {
     /// Creates a curve from columns with common times. Intervals longer than both 0.2 s and five median
     /// intervals are gaps.
     pub fn new(t_s: Vec<f64>, columns: Vec<Vec<f64>>) -> Self {
-        const GAP: (f64, f64) = (0.2, 5.0);
+        const MIN_GAP_S_PERIODS: (f64, f64) = (0.2, 5.0);
         let mut periods: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let period_s = median(&mut periods).unwrap_or(0.0);
         let slopes = columns.iter().map(|column| slopes(&t_s, column)).collect();
-        Self { t_s, columns, slopes, longest_s: GAP.0.max(GAP.1 * period_s) }
+        Self {
+            t_s,
+            columns,
+            slopes,
+            longest_s: MIN_GAP_S_PERIODS.0.max(MIN_GAP_S_PERIODS.1 * period_s),
+        }
     }
 
     /// Cubic Hermite interpolation at `t_s`. `None` outside the series and in gaps. `cursor` caches the
     /// interval.
-    fn at(&self, t_s: f64, cursor: &mut usize) -> Option<[f64; WIDTH]> {
+    fn at(&self, t_s: f64, cursor: &mut usize) -> Option<[f64; MAX_COLUMNS]> {
         let times = &self.t_s;
         let is_left =
             |at: usize| times.get(at + 1).is_some_and(|next| times[at] <= t_s && t_s <= *next);
@@ -96,7 +101,7 @@ impl TimeSeries {
             return None;
         }
         let part = (t_s - from_s) / length_s;
-        let mut values = [0.0; WIDTH];
+        let mut values = [0.0; MAX_COLUMNS];
         for (value, (column, slope)) in values.iter_mut().zip(self.columns.iter().zip(&self.slopes))
         {
             let ends = [column[left], column[left + 1]];
@@ -106,7 +111,11 @@ impl TimeSeries {
     }
 
     /// Changes of the columns over a time window.
-    fn change(&self, (from_s, to_s): (f64, f64), cursors: &mut [usize; 2]) -> Option<[f64; WIDTH]> {
+    fn change(
+        &self,
+        (from_s, to_s): (f64, f64),
+        cursors: &mut [usize; 2],
+    ) -> Option<[f64; MAX_COLUMNS]> {
         let [first, last] = cursors;
         let (before, after) = (self.at(from_s, first)?, self.at(to_s, last)?);
         Some(std::array::from_fn(|column| after[column] - before[column]))
@@ -168,25 +177,30 @@ struct DelayFit {
     /// For each group of columns: response = gains · reference.
     gains: Vec<DMatrix<f64>>,
     /// Residual and total sums of squares over the windows used.
-    left: f64,
-    total: f64,
+    residual_squares: f64,
+    total_squares: f64,
     /// Number of windows covered by the reference.
     used: usize,
 }
 
 impl DelayFit {
-    fn share_left(&self) -> f64 {
-        if self.total > 0.0 { self.left / self.total } else { 1.0 }
+    fn unexplained_share(&self) -> f64 {
+        if self.total_squares > 0.0 { self.residual_squares / self.total_squares } else { 1.0 }
     }
 }
 
 impl ResponseChanges {
     /// Changes over windows of `window_s` within `span`, s, without gaps. Windows overlap by half, or are
     /// thinned out in very long series.
-    pub fn of(t_s: &[f64], columns: &[Vec<f64>], span: (f64, f64), window_s: f64) -> Self {
+    pub fn from_windows(
+        t_s: &[f64],
+        columns: &[Vec<f64>],
+        span: (f64, f64),
+        window_s: f64,
+    ) -> Self {
         /// Number of windows beyond which the estimate does not improve.
-        const ENOUGH: f64 = 1500.0;
-        let stride_s = (0.5 * window_s).max((span.1 - span.0) / ENOUGH);
+        const MAX_WINDOWS: f64 = 1500.0;
+        let stride_s = (0.5 * window_s).max((span.1 - span.0) / MAX_WINDOWS);
         let mut changes = Self { width: columns.len(), ..Self::default() };
         let mut first = t_s.partition_point(|&t| t < span.0);
         while first < t_s.len() && t_s[first] <= span.1 {
@@ -196,10 +210,10 @@ impl ResponseChanges {
             let (last, next) = (after(window_s), after(stride_s).max(first + 1));
             let is_whole = t_s.get(last).is_some_and(|&to_s| to_s - t_s[first] < 1.5 * window_s);
             if is_whole {
-                let mut by = [0.0; WIDTH];
+                let mut by = [0.0; MAX_COLUMNS];
                 by.iter_mut().zip(columns).for_each(|(by, of)| *by = of[last] - of[first]);
                 changes.windows.push((t_s[first], t_s[last]));
-                changes.by.push(by);
+                changes.changes.push(by);
             }
             first = next;
         }
@@ -212,7 +226,11 @@ impl ResponseChanges {
     }
 
     /// Changes of the reference over each window, shifted earlier by `delay_s`.
-    pub fn references(&self, reference: &TimeSeries, delay_s: f64) -> Vec<Option<[f64; WIDTH]>> {
+    pub fn references(
+        &self,
+        reference: &TimeSeries,
+        delay_s: f64,
+    ) -> Vec<Option<[f64; MAX_COLUMNS]>> {
         let mut cursors = [0; 2];
         let of = |&(from_s, to_s): &(f64, f64)| {
             reference.change((from_s - delay_s, to_s - delay_s), &mut cursors)
@@ -220,15 +238,16 @@ impl ResponseChanges {
         self.windows.iter().map(of).collect()
     }
 
-    fn fit(&self, references: &[Option<[f64; WIDTH]>]) -> DelayFit {
+    fn fit(&self, references: &[Option<[f64; MAX_COLUMNS]>]) -> DelayFit {
         let size = self.group();
-        let mut fit = DelayFit { gains: Vec::new(), left: 0.0, total: 0.0, used: 0 };
+        let mut fit =
+            DelayFit { gains: Vec::new(), residual_squares: 0.0, total_squares: 0.0, used: 0 };
         fit.used = references.iter().flatten().count();
         for first in (0..self.width).step_by(size) {
             let mut normal = DMatrix::<f64>::zeros(size, size);
             let mut right = DMatrix::<f64>::zeros(size, size);
             let mut total = 0.0;
-            for (by, reference) in self.by.iter().zip(references) {
+            for (by, reference) in self.changes.iter().zip(references) {
                 let Some(reference) = reference else { continue };
                 for a in 0..size {
                     total += by[first + a] * by[first + a];
@@ -246,8 +265,8 @@ impl ResponseChanges {
                 // A negative gain is not a response: a periodic signal half a period late would fit it.
                 gains[(0, 0)] = gains[(0, 0)].max(0.0);
             }
-            fit.total += total;
-            fit.left += (total - gains.component_mul(&right).sum()).max(0.0);
+            fit.total_squares += total;
+            fit.residual_squares += (total - gains.component_mul(&right).sum()).max(0.0);
             fit.gains.push(gains.transpose());
         }
         fit
@@ -258,9 +277,9 @@ impl ResponseChanges {
     }
 
     /// Unexplained share at a delay. 1 if the reference covers too few windows.
-    fn left_at(&self, reference: &TimeSeries, delay_s: f64) -> f64 {
+    fn unexplained_at(&self, reference: &TimeSeries, delay_s: f64) -> f64 {
         let fit = self.fit_at(reference, delay_s);
-        if 2 * fit.used < self.windows.len() { 1.0 } else { fit.share_left() }
+        if 2 * fit.used < self.windows.len() { 1.0 } else { fit.unexplained_share() }
     }
 
     /// Delay between `low` and `high`, s, with the smallest unexplained share (golden section search).
@@ -270,18 +289,18 @@ impl ResponseChanges {
         (mut low, mut high): (f64, f64),
         fine_s: f64,
     ) -> (f64, f64) {
-        const RATIO: f64 = 0.618_033_988_749_894_9;
-        let left = |delay_s: f64| self.left_at(reference, delay_s);
-        let mut inner = [high - RATIO * (high - low), low + RATIO * (high - low)];
+        const GOLDEN_RATIO: f64 = 0.618_033_988_749_894_9;
+        let left = |delay_s: f64| self.unexplained_at(reference, delay_s);
+        let mut inner = [high - GOLDEN_RATIO * (high - low), low + GOLDEN_RATIO * (high - low)];
         let mut found = inner.map(left);
         while high - low > fine_s {
             if found[0] <= found[1] {
                 high = inner[1];
-                inner = [high - RATIO * (high - low), inner[0]];
+                inner = [high - GOLDEN_RATIO * (high - low), inner[0]];
                 found = [left(inner[0]), found[0]];
             } else {
                 low = inner[0];
-                inner = [inner[1], low + RATIO * (high - low)];
+                inner = [inner[1], low + GOLDEN_RATIO * (high - low)];
                 found = [found[1], left(inner[1])];
             }
         }
@@ -293,21 +312,23 @@ impl ResponseChanges {
     /// Allows any correlation within a block (Liang and Zeger 1986).
     fn uncertainty(&self, reference: &TimeSeries, delay_s: f64) -> (f64, f64) {
         /// Maximum number of blocks and minimum length of a block, s.
-        const BLOCKS: f64 = 40.0;
-        const SHORTEST_S: f64 = 0.5;
+        const MAX_BLOCKS: f64 = 40.0;
+        const MIN_BLOCK_S: f64 = 0.5;
         const STEP_S: f64 = 1e-3;
         let references = self.references(reference, delay_s);
         let fit = self.fit(&references);
         let [before, after] =
             [-STEP_S, STEP_S].map(|step_s| self.references(reference, delay_s + step_s));
-        let slope = |row: usize| -> Option<[f64; WIDTH]> {
+        let slope = |row: usize| -> Option<[f64; MAX_COLUMNS]> {
             let (before, after) = (before[row]?, after[row]?);
             Some(std::array::from_fn(|at| (after[at] - before[at]) / (2.0 * STEP_S)))
         };
         // Project the slopes onto the complement of the gains.
         let sloped = ResponseChanges {
-            by: (0..self.by.len())
-                .map(|row| slope(row).map_or([0.0; WIDTH], |slope| self.predicted(&fit, &slope)))
+            changes: (0..self.changes.len())
+                .map(|row| {
+                    slope(row).map_or([0.0; MAX_COLUMNS], |slope| self.predicted(&fit, &slope))
+                })
                 .collect(),
             ..self.clone()
         };
@@ -315,7 +336,7 @@ impl ResponseChanges {
         let (Some(first), Some(last)) = (self.windows.first(), self.windows.last()) else {
             return (f64::INFINITY, 1.0);
         };
-        let block_s = ((last.1 - first.0) / BLOCKS).max(SHORTEST_S);
+        let block_s = ((last.1 - first.0) / MAX_BLOCKS).max(MIN_BLOCK_S);
         let (mut information, mut blocks) = (0.0, std::collections::BTreeMap::new());
         for (row, reference) in references.iter().enumerate() {
             let (Some(reference), Some(_)) = (reference, slope(row)) else { continue };
@@ -323,9 +344,9 @@ impl ResponseChanges {
             let taken = self.predicted(&beside, reference);
             let block = ((self.windows[row].0 - first.0) / block_s) as u64;
             for at in 0..self.width {
-                let own = sloped.by[row][at] - taken[at];
+                let own = sloped.changes[row][at] - taken[at];
                 information += own * own;
-                *blocks.entry(block).or_insert(0.0) += own * (self.by[row][at] - told[at]);
+                *blocks.entry(block).or_insert(0.0) += own * (self.changes[row][at] - told[at]);
             }
         }
         let count = blocks.len() as f64;
@@ -337,7 +358,7 @@ impl ResponseChanges {
     }
 
     /// Applies the gains to a change of the reference.
-    fn predicted(&self, fit: &DelayFit, reference: &[f64; WIDTH]) -> [f64; WIDTH] {
+    fn predicted(&self, fit: &DelayFit, reference: &[f64; MAX_COLUMNS]) -> [f64; MAX_COLUMNS] {
         let size = self.group();
         std::array::from_fn(|at| {
             let Some(gains) = fit.gains.get(at / size) else { return 0.0 };
@@ -348,28 +369,32 @@ impl ResponseChanges {
     /// Gain at zero delay, and the unexplained share of the response's energy.
     pub fn gain(&self, reference: &TimeSeries) -> (f64, f64) {
         let fit = self.fit_at(reference, 0.0);
-        (mean_gain(&fit), fit.share_left())
+        (mean_gain(&fit), fit.unexplained_share())
     }
 
     /// Estimates the response to `reference`, for delays up to `most_s` in both directions.
     ///
     /// # Errors
     /// Returns an error if too little is explained, or if several delays explain it equally well.
-    pub fn follow(&self, reference: &TimeSeries, most_s: f64) -> Result<Response, NotObservable> {
+    pub fn estimate_response(
+        &self,
+        reference: &TimeSeries,
+        most_s: f64,
+    ) -> Result<Response, NotObservable> {
         /// Minimum explained share of the energy.
-        const FOLLOWS: f64 = 0.8;
+        const MIN_EXPLAINED_SHARE: f64 = 0.8;
         /// Resolution of the delay, s.
-        const FINE_S: f64 = 2e-5;
+        const DELAY_RESOLUTION_S: f64 = 2e-5;
         /// Factor and offset to the best unexplained share within which another delay counts as a
         /// competitor.
-        const RIVAL: (f64, f64) = (2.0, 0.02);
+        const COMPETITOR_TOLERANCE: (f64, f64) = (2.0, 0.02);
         let mut lengths: Vec<f64> =
             self.windows.iter().map(|(from_s, to_s)| to_s - from_s).collect();
         let step_s = (median(&mut lengths).unwrap_or(0.1) / 4.0).max(5e-3);
         let steps = (most_s / step_s).ceil() as i64;
         let tried = |step: i64| step as f64 * step_s;
         let left: Vec<f64> =
-            (-steps..=steps).map(|step| self.left_at(reference, tried(step))).collect();
+            (-steps..=steps).map(|step| self.unexplained_at(reference, tried(step))).collect();
         let is_low = |at: usize| {
             let beside = |at: Option<usize>| at.and_then(|at| left.get(at)).copied().unwrap_or(1.0);
             left[at] <= beside(at.checked_sub(1)) && left[at] < beside(Some(at + 1))
@@ -378,17 +403,18 @@ impl ResponseChanges {
             .filter(|&at| is_low(at))
             .map(|at| {
                 let middle = tried(at as i64 - steps);
-                self.refined(reference, (middle - step_s, middle + step_s), FINE_S)
+                self.refined(reference, (middle - step_s, middle + step_s), DELAY_RESOLUTION_S)
             })
             .collect();
         let Some(&(delay_s, least)) = lows.iter().min_by(|a, b| a.1.total_cmp(&b.1)) else {
             return Err(NotObservable::DoesNotFollow(0.0));
         };
-        let (low_pass_s, delay_s, left) = self.low_pass(reference, (delay_s, least), most_s);
-        if 1.0 - left < FOLLOWS {
+        let (low_pass_s, delay_s, left) = self.fit_low_pass(reference, (delay_s, least), most_s);
+        if 1.0 - left < MIN_EXPLAINED_SHARE {
             return Err(NotObservable::DoesNotFollow((1.0 - left).max(0.0).sqrt()));
         }
-        let is_rival = |low: &&(f64, f64)| low.1 < RIVAL.0 * least + RIVAL.1;
+        let is_rival =
+            |low: &&(f64, f64)| low.1 < COMPETITOR_TOLERANCE.0 * least + COMPETITOR_TOLERANCE.1;
         let rivals: Vec<f64> = lows.iter().filter(is_rival).map(|low| low.0).collect();
         if rivals.len() > 1 {
             return Err(NotObservable::Periodic(rivals));
@@ -407,38 +433,46 @@ impl ResponseChanges {
 
     /// Time constant of the low-pass, s, remaining delay, s, and unexplained share. The constant is 0
     /// unless it improves clearly on `pure`, the best pure delay and its unexplained share.
-    fn low_pass(&self, reference: &TimeSeries, pure: (f64, f64), most_s: f64) -> (f64, f64, f64) {
+    fn fit_low_pass(
+        &self,
+        reference: &TimeSeries,
+        pure: (f64, f64),
+        most_s: f64,
+    ) -> (f64, f64, f64) {
         /// Maximum unexplained share of a low-pass, relative to a pure delay.
-        const MUCH: f64 = 0.75;
+        const MAX_LOW_PASS_RATIO: f64 = 0.75;
         /// Minimum decrease of the unexplained share.
-        const WORTH: f64 = 1e-6;
+        const MIN_GAIN: f64 = 1e-6;
         /// Minimum share of the low-pass in the whole delay.
-        const PART: f64 = 0.2;
+        const MIN_LOW_PASS_SHARE: f64 = 0.2;
         /// Shortest time constant tried, s, and number of steps up to the longest.
-        const SHORTEST_S: f64 = 2e-3;
-        const TRIED: usize = 24;
+        const MIN_TIME_CONSTANT_S: f64 = 2e-3;
+        const TIME_CONSTANT_STEPS: usize = 24;
         /// Resolution of the remaining delay: a minimum in s, and relative to the time constant.
-        const FINE: (f64, f64) = (1e-4, 0.02);
+        const REMAINING_DELAY_RESOLUTION: (f64, f64) = (1e-4, 0.02);
         let with = |constant_s: f64| {
             let filtered = reference.filtered(constant_s);
             let middle_s = pure.0 - constant_s;
             let around_s = (0.5 * constant_s).max(5e-3);
-            let fine_s = FINE.0.max(FINE.1 * constant_s);
+            let fine_s =
+                REMAINING_DELAY_RESOLUTION.0.max(REMAINING_DELAY_RESOLUTION.1 * constant_s);
             let (delay_s, left) =
                 self.refined(&filtered, (middle_s - around_s, middle_s + around_s), fine_s);
             (constant_s, delay_s, left)
         };
-        if pure.1 < WORTH {
+        if pure.1 < MIN_GAIN {
             return (0.0, pure.0, pure.1);
         }
-        let ratio = (most_s / SHORTEST_S).powf(1.0 / TRIED as f64);
-        let tried = (0..=TRIED).map(|at| with(SHORTEST_S * ratio.powi(at as i32)));
+        let ratio = (most_s / MIN_TIME_CONSTANT_S).powf(1.0 / TIME_CONSTANT_STEPS as f64);
+        let tried =
+            (0..=TIME_CONSTANT_STEPS).map(|at| with(MIN_TIME_CONSTANT_S * ratio.powi(at as i32)));
         let by_left = |a: &(f64, f64, f64), b: &(f64, f64, f64)| a.2.total_cmp(&b.2);
         let Some(coarse) = tried.min_by(by_left) else { return (0.0, pure.0, pure.1) };
         let finer = (-6..=6).map(|at| with(coarse.0 * ratio.powf(f64::from(at) / 6.0)));
         let best = finer.min_by(by_left).unwrap_or(coarse);
-        let is_worth =
-            best.2 < MUCH * pure.1 && pure.1 - best.2 > WORTH && best.0 > PART * (best.0 + best.1);
+        let is_worth = best.2 < MAX_LOW_PASS_RATIO * pure.1
+            && pure.1 - best.2 > MIN_GAIN
+            && best.0 > MIN_LOW_PASS_SHARE * (best.0 + best.1);
         // A causal response does not precede its reference by more than a stamp error.
         let is_causal = best.1 > -0.25 * best.0 - 2e-3;
         if is_worth && is_causal { best } else { (0.0, pure.0, pure.1) }

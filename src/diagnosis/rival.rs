@@ -36,13 +36,13 @@ fn misfits_m(
     scale: f64,
     latency_s: f64,
 ) -> Option<(f64, f64)> {
-    const ENOUGH: usize = 12;
+    const MIN_SAMPLES: usize = 12;
     let PoseStream { track, chain, columns, .. } = *stream;
     let (rows, fk) = slow_samples(joints, chain, columns, &track.t_s, latency_s);
-    if rows.len() < ENOUGH {
+    if rows.len() < MIN_SAMPLES {
         return None;
     }
-    let expected = FkColumns::of(&fk);
+    let expected = FkColumns::from_poses(&fk);
     let xyz: Vec<Vec3> = rows.iter().map(|&row| track.xyz[row] * scale).collect();
     let as_logged = expected.misfit(&xyz);
     let Orientations::Rotations(rotations) = &track.orientation else {

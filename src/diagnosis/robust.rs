@@ -4,10 +4,10 @@ use ground::stats::{STD_DEV_PER_MEDIAN, median};
 use nalgebra::{DMatrix, DVector};
 
 /// Eigenvalues of the scaled normal matrix below this belong to unobservable directions.
-pub(super) const BLIND: f64 = 1e-9;
+pub(super) const MIN_OBSERVABLE_EIGENVALUE: f64 = 1e-9;
 
 /// Standard deviations beyond which residuals are downweighted (Huber).
-const HUBER: f64 = 3.0;
+const HUBER_SIGMAS: f64 = 3.0;
 
 /// Derivative of the parameters with respect to the scores: `H⁻¹` over the observable directions.
 pub(super) fn influence(information: &DMatrix<f64>) -> DMatrix<f64> {
@@ -28,7 +28,7 @@ pub(super) fn sandwich(information: &DMatrix<f64>, scores: &DMatrix<f64>) -> DMa
 
 /// Huber weights of three-component residuals relative to their robust standard deviation.
 pub(super) fn huber(residual: &[[f64; 3]], floor: f64) -> Vec<f64> {
-    let limit = HUBER * robust_sigma(residual).max(floor) * 3f64.sqrt();
+    let limit = HUBER_SIGMAS * robust_sigma(residual).max(floor) * 3f64.sqrt();
     residual
         .iter()
         .map(|r| {
@@ -57,7 +57,7 @@ pub(super) fn pseudo_inverse(matrix: &DMatrix<f64>) -> (DMatrix<f64>, Vec<f64>) 
     let mut blind: Vec<f64> = scale.iter().map(|&s| if s > 0.0 { 0.0 } else { 1.0 }).collect();
     for (k, &value) in eigen.eigenvalues.iter().enumerate() {
         let direction = eigen.eigenvectors.column(k);
-        if value > BLIND {
+        if value > MIN_OBSERVABLE_EIGENVALUE {
             inverse += direction * direction.transpose() / value;
         } else {
             for i in 0..n {

@@ -9,19 +9,19 @@ use ground::stream::{JointTrack, Orientations, PoseTrack};
 use std::ops::Range;
 
 /// Minimum correlation of speeds for a stream to follow the arm.
-pub(super) const FOLLOWS: f64 = 0.3;
+pub(super) const MIN_SPEED_CORRELATION: f64 = 0.3;
 
 /// Samples per stream in the search for causes.
-pub(super) const SEARCH_SAMPLES: usize = 500;
+pub(super) const MAX_SEARCH_SAMPLES: usize = 500;
 
 /// Samples used to compare encodings.
-pub(super) const READING_SAMPLES: usize = 72;
+pub(super) const ENCODING_SAMPLES: usize = 72;
 
 /// Row ranges of a series with `len` rows. Longer series are thinned to about `most` rows in evenly spread
 /// stretches.
-pub fn stretches(len: usize, most: usize) -> impl Iterator<Item = Range<usize>> {
-    const STRETCHES: usize = 24;
-    let (count, rows) = if len <= most { (1, len) } else { (STRETCHES, most / STRETCHES) };
+pub fn row_blocks(len: usize, most: usize) -> impl Iterator<Item = Range<usize>> {
+    const BLOCKS: usize = 24;
+    let (count, rows) = if len <= most { (1, len) } else { (BLOCKS, most / BLOCKS) };
     (0..count).map(move |at| at * len / count..at * len / count + rows)
 }
 
@@ -35,14 +35,14 @@ pub(super) fn as_rotations(orientation: &Orientations) -> Option<&[Rotation]> {
 /// Candidate lags of a stream from its speeds, most likely first.
 pub(super) fn stream_peaks(arm: &ArmSpeeds, stream: &PoseStream, most_lag_s: f64) -> Vec<LagPeak> {
     let PoseTrack { t_s, xyz, orientation, .. } = stream.track;
-    arm.peaks_of(t_s, xyz, as_rotations(orientation), most_lag_s)
+    arm.lag_peaks(t_s, xyz, as_rotations(orientation), most_lag_s)
 }
 
 /// Lag with the highest correlation of speeds, s; 0 if none is high enough.
 pub(super) fn stream_lag_s(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> f64 {
-    let arm = ArmSpeeds::of(joints, stream.chain, stream.columns);
+    let arm = ArmSpeeds::from_joints(joints, stream.chain, stream.columns);
     let peaks = stream_peaks(&arm, stream, most_lag_s);
-    let best = peaks.first().filter(|peak| peak.correlation > FOLLOWS);
+    let best = peaks.first().filter(|peak| peak.correlation > MIN_SPEED_CORRELATION);
     best.map_or(0.0, |peak| peak.lag_s)
 }
 
@@ -55,10 +55,10 @@ pub(super) fn slow_samples(
     lag_s: f64,
 ) -> (Vec<usize>, Vec<Pose>) {
     /// Samples from which the slow half is taken.
-    const ENOUGH: usize = 4000;
+    const MAX_SAMPLES: usize = 4000;
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
     let mut covered: Vec<(usize, f64)> = Vec::new();
-    let stride = t_s.len().div_ceil(ENOUGH).max(1);
+    let stride = t_s.len().div_ceil(MAX_SAMPLES).max(1);
     for (k, t) in t_s.iter().enumerate().step_by(stride) {
         if joints.at(t - lag_s, &mut cursor, &mut q, &mut qd) {
             covered.push((k, qd.iter().map(|v| v * v).sum()));
@@ -70,7 +70,7 @@ pub(super) fn slow_samples(
     slowest.truncate(kept);
     let mut rows: Vec<usize> = slowest.iter().map(|(k, _)| *k).collect();
     rows.sort_unstable();
-    let step = rows.len().div_ceil(READING_SAMPLES).max(1);
+    let step = rows.len().div_ceil(ENCODING_SAMPLES).max(1);
     let rows: Vec<usize> = rows.into_iter().step_by(step).collect();
     cursor = 0;
     let fk = rows
@@ -85,15 +85,15 @@ pub(super) fn slow_samples(
 }
 
 /// Standard deviations of the velocity noise above which a joint moves.
-pub(super) const STILL_SIGMAS: f64 = 5.0;
+pub(super) const REST_SIGMAS: f64 = 5.0;
 
 /// Speed of each joint below which it rests: five times the velocity noise, at least 0.2 mrad/s.
 ///
 /// The noise is the median magnitude of second differences, which removes smooth motion.
-pub(super) fn still_speeds(joints: &JointTrack) -> Vec<f64> {
+pub(super) fn rest_speeds(joints: &JointTrack) -> Vec<f64> {
     /// Maximum number of samples for the median.
-    const ENOUGH: usize = 20_000;
-    let stride = joints.len().div_ceil(ENOUGH).max(1);
+    const MAX_SAMPLES: usize = 20_000;
+    let stride = joints.len().div_ceil(MAX_SAMPLES).max(1);
     let speed = |row: usize, joint: usize| joints.qd[row * joints.dof + joint];
     (0..joints.dof)
         .map(|j| {
@@ -102,7 +102,7 @@ pub(super) fn still_speeds(joints: &JointTrack) -> Vec<f64> {
                 .map(|k| (speed(k - 1, j) - 2.0 * speed(k, j) + speed(k + 1, j)).abs())
                 .collect();
             let Some(median) = median(&mut bends) else { return f64::INFINITY };
-            (STILL_SIGMAS * STD_DEV_PER_MEDIAN * median / 6f64.sqrt()).max(2e-4)
+            (REST_SIGMAS * STD_DEV_PER_MEDIAN * median / 6f64.sqrt()).max(2e-4)
         })
         .collect()
 }

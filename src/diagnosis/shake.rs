@@ -27,58 +27,58 @@ pub struct Vibration {
 /// Reason why vibration cannot be estimated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum VibrationFailure {
-    /// The sample rate, Hz, is too low for the band above `FROM_HZ`.
+    /// The sample rate, Hz, is too low for the band above `MAX_ARM_MOTION_HZ`.
     Slow(f64),
     /// No 1.5 s of evenly spaced samples.
     Uneven,
 }
 
 /// Maximum frequency of usual arm motion, Hz.
-pub const FROM_HZ: f64 = 10.0;
+pub const MAX_ARM_MOTION_HZ: f64 = 10.0;
 /// Minimum frequency of vibration, Hz, even for slower motion.
-const LEAST_HZ: f64 = 4.0;
+const MIN_TONE_HZ: f64 = 4.0;
 /// Rms motion above the frequency at which the commanded motion ends, m.
-const WORK_ENDS_M: f64 = 0.1e-3;
-/// Minimum share of the power near the peak for vibration below `FROM_HZ`, which must be a single tone.
-const TONE: f64 = 0.7;
+const MIN_COMMANDED_MOTION_M: f64 = 0.1e-3;
+/// Minimum share of the power near the peak for vibration below `MAX_ARM_MOTION_HZ`, which must be a single tone.
+const MIN_TONE_SHARE: f64 = 0.7;
 /// Maximum relative deviation of even sample intervals.
-const EVEN: f64 = 0.01;
-/// Minimum sample rate, Hz: lower rates leave almost no band between `FROM_HZ` and the Nyquist frequency.
-const SLOWEST_HZ: f64 = 25.0;
+const MAX_INTERVAL_DEVIATION: f64 = 0.01;
+/// Minimum sample rate, Hz: lower rates leave almost no band between `MAX_ARM_MOTION_HZ` and the Nyquist frequency.
+const MIN_RATE_HZ: f64 = 25.0;
 /// Length of a window, s.
 const WINDOW_S: f64 = 1.0;
 /// Approximate number of positions analysed, in blocks over the whole run.
-const ENOUGH: usize = 60_000;
+const MAX_POSITIONS: usize = 60_000;
 
 /// Estimates the vibration of a path sampled at `t_s`, with `position_m` returning the position of a row,
 /// m.
 ///
 /// `work_m`, if known, returns the commanded position. The band then starts where the commanded motion
-/// ends, below `FROM_HZ`.
+/// ends, below `MAX_ARM_MOTION_HZ`.
 ///
 /// The run is divided into blocks of two one-second windows with 50 % overlap. Each window is detrended
-/// with a parabola and Hann-tapered, and its power above `FROM_HZ` (Welch 1967) contains vibration and
+/// with a parabola and Hann-tapered, and its power above `MAX_ARM_MOTION_HZ` (Welch 1967) contains vibration and
 /// noise. The noise is white, so the median over frequencies estimates it. The excess counts if noise
 /// cannot explain it. The smaller value of the two windows counts, because a single jerk is central in only
 /// one of them. Single steps are removed.
 ///
 /// # Errors
 /// Returns an error if the sample rate is too low, or if no block has evenly spaced samples.
-pub fn shake(
+pub fn estimate_vibration(
     t_s: &[f64],
     mut position_m: impl FnMut(usize) -> Vec3,
     work_m: Option<&dyn Fn(usize) -> Vec3>,
 ) -> Result<Vibration, VibrationFailure> {
     let period_s = period(t_s).ok_or(VibrationFailure::Uneven)?;
     let rate_hz = 1.0 / period_s;
-    if rate_hz <= SLOWEST_HZ {
+    if rate_hz <= MIN_RATE_HZ {
         return Err(VibrationFailure::Slow(rate_hz));
     }
     let length = (WINDOW_S * rate_hz).round() as usize;
     let hop = length / 2;
     let block = length + hop;
     let starts = || (0..(t_s.len() + 1).saturating_sub(block)).step_by(length);
-    let stride = (starts().len() * block).div_ceil(ENOUGH).max(1);
+    let stride = (starts().len() * block).div_ceil(MAX_POSITIONS).max(1);
     let is_even = |start: usize| {
         let mut steps =
             t_s[start..start + block].windows(2).map(|pair| (pair[1] - pair[0]) / period_s);
@@ -92,22 +92,23 @@ pub fn shake(
     let mut strongest: Option<Vibration> = None;
     for start in starts().step_by(stride).filter(|&start| is_even(start)) {
         let mut path: Vec<Vec3> = (start..start + block).map(&mut position_m).collect();
-        take_step_off(&mut path);
+        remove_step(&mut path);
         let work = work_m.map(|at| (start..start + block).map(at).collect::<Vec<Vec3>>());
         let mut of = |path: &[Vec3], work: Option<&[Vec3]>| {
             let work = |from: usize| Some(&work?[from..from + length]);
-            let first = spectrum.shake(&path[..length], work(0), t_s[start + hop]);
-            let second = spectrum.shake(&path[hop..], work(hop), t_s[start + length]);
+            let first = spectrum.vibration_in_window(&path[..length], work(0), t_s[start + hop]);
+            let second = spectrum.vibration_in_window(&path[hop..], work(hop), t_s[start + length]);
             if first.rms_m < second.rms_m { first } else { second }
         };
         let mut least = of(&path, work.as_deref());
         // Either the stamps or the samples jitter: real vibration appears in both versions.
         let times = &t_s[start..start + block];
-        let has_jitter =
-            times.windows(2).any(|pair| ((pair[1] - pair[0]) / period_s - 1.0).abs() > EVEN);
+        let has_jitter = times
+            .windows(2)
+            .any(|pair| ((pair[1] - pair[0]) / period_s - 1.0).abs() > MAX_INTERVAL_DEVIATION);
         if least.rms_m > 0.0 && has_jitter {
-            let work = work.map(|work| at_even_times(times, &work));
-            let as_stamped = of(&at_even_times(times, &path), work.as_deref());
+            let work = work.map(|work| resample_evenly(times, &work));
+            let as_stamped = of(&resample_evenly(times, &path), work.as_deref());
             if as_stamped.rms_m < least.rms_m {
                 least = as_stamped;
             }
@@ -120,15 +121,15 @@ pub fn shake(
 }
 
 /// Resamples a path at evenly spaced times, with the cubic through the four nearest samples.
-fn at_even_times(t_s: &[f64], path: &[Vec3]) -> Vec<Vec3> {
-    const POINTS: usize = 4;
+fn resample_evenly(t_s: &[f64], path: &[Vec3]) -> Vec<Vec3> {
+    const INTERPOLATION_POINTS: usize = 4;
     let (count, first_s, last_s) = (t_s.len(), t_s[0], t_s[t_s.len() - 1]);
     let step_s = (last_s - first_s) / (count - 1) as f64;
     let at = |row: usize| {
         let at_s = first_s + row as f64 * step_s;
         let after = t_s.partition_point(|t_s| *t_s < at_s);
-        let from = after.saturating_sub(POINTS / 2).min(count - POINTS);
-        let points = from..from + POINTS;
+        let from = after.saturating_sub(INTERPOLATION_POINTS / 2).min(count - INTERPOLATION_POINTS);
+        let points = from..from + INTERPOLATION_POINTS;
         let weight = |point: usize| {
             let others = points.clone().filter(|other| *other != point);
             others.map(|other| (at_s - t_s[other]) / (t_s[point] - t_s[other])).product::<f64>()
@@ -149,7 +150,7 @@ pub struct VibrationPath {
 
 /// Spectrum and trace of a path for one second around `at_s`, processed as in [`shake`]. `None` if its
 /// samples are uneven there.
-pub fn shake_seen(
+pub fn vibration_path(
     t_s: &[f64],
     mut position_m: impl FnMut(usize) -> Vec3,
     at_s: f64,
@@ -169,7 +170,7 @@ pub fn shake_seen(
     let spectrum = spectrum.map(|(bin, power)| [bin as f64 * bin_hz, power.sqrt()]);
     let axes = [0, 1, 2].map(|axis| {
         let mut values: Vec<f64> = path.iter().map(|point| point[axis]).collect();
-        take_parabola_off(&mut values);
+        remove_parabola(&mut values);
         values
     });
     let size = |values: &Vec<f64>| values.iter().map(|value| value * value).sum::<f64>();
@@ -186,7 +187,7 @@ fn period(t_s: &[f64]) -> Option<f64> {
 }
 
 /// Ratio of median to mean of the power summed over three axes of noise: χ² with six degrees of freedom.
-const MEDIAN: f64 = 0.891;
+const MEDIAN_TO_MEAN_POWER: f64 = 0.891;
 
 /// FFT of windows of one length.
 struct Spectrum {
@@ -206,17 +207,22 @@ impl Spectrum {
     }
 
     /// Vibration in one window of a path centred at `at_s`. `work` is the commanded path.
-    fn shake(&mut self, path: &[Vec3], work: Option<&[Vec3]>, at_s: f64) -> Vibration {
+    fn vibration_in_window(
+        &mut self,
+        path: &[Vec3],
+        work: Option<&[Vec3]>,
+        at_s: f64,
+    ) -> Vibration {
         let power = self.power(path);
-        let from = (FROM_HZ / self.bin_hz(path.len())).ceil() as usize;
-        let fast = self.band(&power, from, path.len(), at_s);
+        let from = (MAX_ARM_MOTION_HZ / self.bin_hz(path.len())).ceil() as usize;
+        let fast = self.vibration_above(&power, from, path.len(), at_s);
         let Some(work) = work.map(|work| self.power(work)) else { return fast };
-        let ends = self.work_ends(&work, from, path.len());
-        let slow = self.band(&power, ends, path.len(), at_s);
+        let ends = self.end_of_commanded_motion(&work, from, path.len());
+        let slow = self.vibration_above(&power, ends, path.len(), at_s);
         let strongest = (slow.frequency_hz / self.bin_hz(path.len())).round() as usize;
         let about = power.get(strongest.saturating_sub(2)..).unwrap_or_default();
         let tone: f64 = about.iter().take(5).sum();
-        let is_tone = strongest < from && tone > TONE * slow.rms_m.powi(2);
+        let is_tone = strongest < from && tone > MIN_TONE_SHARE * slow.rms_m.powi(2);
         if is_tone && slow.rms_m > fast.rms_m { slow } else { fast }
     }
 
@@ -230,7 +236,7 @@ impl Spectrum {
         let mut power = vec![0.0; length / 2 + 1];
         for axis in 0..3 {
             let mut values: Vec<f64> = path.iter().map(|point| point[axis]).collect();
-            take_parabola_off(&mut values);
+            remove_parabola(&mut values);
             values.iter_mut().zip(&self.taper).for_each(|(value, taper)| *value *= taper);
             let mut bins = self.plan.make_output_vec();
             if self.plan.process(&mut values, &mut bins).is_err() {
@@ -244,15 +250,15 @@ impl Spectrum {
     }
 
     /// First bin above the power of the commanded motion, at most `most`.
-    fn work_ends(&self, power: &[f64], most: usize, length: usize) -> usize {
-        let least = (LEAST_HZ / self.bin_hz(length)).ceil() as usize;
+    fn end_of_commanded_motion(&self, power: &[f64], most: usize, length: usize) -> usize {
+        let least = (MIN_TONE_HZ / self.bin_hz(length)).ceil() as usize;
         let mut fast = power.get(most..length.div_ceil(2)).unwrap_or_default().to_vec();
         // Subtract the encoder noise.
-        let floor = median(&mut fast).unwrap_or(0.0) / MEDIAN;
+        let floor = median(&mut fast).unwrap_or(0.0) / MEDIAN_TO_MEAN_POWER;
         let mut beyond = 0.0;
         for bin in (least..most).rev() {
             beyond += (power.get(bin).unwrap_or(&0.0) - 3.0 * floor).max(0.0);
-            if beyond > WORK_ENDS_M.powi(2) {
+            if beyond > MIN_COMMANDED_MOTION_M.powi(2) {
                 return bin + 1;
             }
         }
@@ -260,9 +266,9 @@ impl Spectrum {
     }
 
     /// Vibration of a window from bin `from` upwards.
-    fn band(&self, power: &[f64], from: usize, length: usize, at_s: f64) -> Vibration {
+    fn vibration_above(&self, power: &[f64], from: usize, length: usize, at_s: f64) -> Vibration {
         /// Standard deviations of the noise power that chance does not exceed.
-        const SIGMAS: f64 = 6.0;
+        const NOISE_SIGMAS: f64 = 6.0;
         let bin_hz = self.bin_hz(length);
         // Exclude the Nyquist bin, whose power counts only once.
         let band = power.get(from..length.div_ceil(2)).unwrap_or_default();
@@ -271,11 +277,11 @@ impl Spectrum {
         };
         let count = band.len() as f64;
         let mut sorted = band.to_vec();
-        let floor = median(&mut sorted).unwrap_or(0.0) / MEDIAN;
+        let floor = median(&mut sorted).unwrap_or(0.0) / MEDIAN_TO_MEAN_POWER;
         let excess = band.iter().sum::<f64>() - count * floor;
         // The power has six degrees of freedom, so its standard deviation is 1/√3 of its mean; neighbouring
         // bins are correlated.
-        let by_chance = SIGMAS * floor * count.sqrt();
+        let by_chance = NOISE_SIGMAS * floor * count.sqrt();
         let is_shake = excess > by_chance && excess.is_finite();
         Vibration {
             rms_m: if is_shake { excess.sqrt() } else { 0.0 },
@@ -290,10 +296,10 @@ impl Spectrum {
 
 /// Removes a single step between two samples, such as a slipping tool or a clock adjustment. Vibration
 /// repeats.
-fn take_step_off(path: &mut [Vec3]) {
+fn remove_step(path: &mut [Vec3]) {
     /// Minimum size of a step, relative to this quantile of the deviations from linear interpolation.
-    const TIMES: f64 = 10.0;
-    const NEARLY_ALL: f64 = 0.95;
+    const MIN_STEP_RATIO: f64 = 10.0;
+    const DEVIATION_QUANTILE: f64 = 0.95;
     let beside = |at: usize| {
         let [a, b, c, d] = [path[at - 1], path[at], path[at + 1], path[at + 2]];
         (c - b) - 0.5 * ((b - a) + (d - c))
@@ -302,15 +308,15 @@ fn take_step_off(path: &mut [Vec3]) {
         (1..path.len().saturating_sub(2)).map(|at| (beside(at).norm(), at)).collect();
     let Some(&(largest, at)) = steps.iter().max_by(|a, b| a.0.total_cmp(&b.0)) else { return };
     let mut sizes: Vec<f64> = steps.iter().map(|step| step.0).collect();
-    let usual = quantile(&mut sizes, NEARLY_ALL).unwrap_or(largest);
-    if largest > TIMES * usual {
+    let usual = quantile(&mut sizes, DEVIATION_QUANTILE).unwrap_or(largest);
+    if largest > MIN_STEP_RATIO * usual {
         let step = beside(at);
         path[at + 1..].iter_mut().for_each(|point| *point -= step);
     }
 }
 
 /// Removes the best-fit parabola, using orthogonal Legendre polynomials.
-fn take_parabola_off(values: &mut [f64]) {
+fn remove_parabola(values: &mut [f64]) {
     let middle = (values.len() as f64 - 1.0) / 2.0;
     let count = values.len() as f64;
     let at = |row: usize| row as f64 - middle;
@@ -342,7 +348,7 @@ mod tests {
         let t_s: Vec<f64> =
             (0..(10.0 * rate_hz) as usize).map(|row| row as f64 / rate_hz).collect();
         let work = |t: f64| 0.5 * (0.8 * t).sin();
-        shake(
+        estimate_vibration(
             &t_s,
             |row| Vec3::new(work(t_s[row]), beside(t_s[row], row), 0.3 * work(t_s[row])),
             None,
@@ -358,7 +364,10 @@ mod tests {
     #[test]
     fn stamps_a_nanosecond_apart_plan_nothing() {
         let t_s: Vec<f64> = (0..100).map(|k| f64::from(k) * 1e-9).collect();
-        assert_eq!(shake(&t_s, |_| Vec3::zeros(), None), Err(VibrationFailure::Uneven));
+        assert_eq!(
+            estimate_vibration(&t_s, |_| Vec3::zeros(), None),
+            Err(VibrationFailure::Uneven)
+        );
     }
 
     #[test]
@@ -374,12 +383,12 @@ mod tests {
     fn what_is_seen_of_a_tone_is_its_line_and_its_swing() {
         let t_s: Vec<f64> = (0..500).map(|row| f64::from(row) / 100.0).collect();
         let tone = |row: usize| Vec3::new(0.0, 2e-3 * (TAU * 17.0 * t_s[row]).sin(), 1.0);
-        let seen = shake_seen(&t_s, tone, 2.5).expect("even");
+        let seen = vibration_path(&t_s, tone, 2.5).expect("even");
         let strongest = seen.spectrum.iter().max_by(|a, b| a[1].total_cmp(&b[1]));
         assert!(strongest.is_some_and(|line| (line[0] - 17.0).abs() < 1.1), "{strongest:?}");
         let swing = seen.trace.iter().map(|at| at[1].abs()).fold(0.0, f64::max);
         assert!((swing - 2e-3).abs() < 2e-4 && seen.trace.len() == 100, "{swing}");
-        assert_eq!(shake_seen(&t_s, tone, 9.0), None);
+        assert_eq!(vibration_path(&t_s, tone, 9.0), None);
     }
 
     #[test]
@@ -411,10 +420,10 @@ mod tests {
         let work = |row: usize| Vec3::new(0.5 * (0.8 * t_s[row]).sin(), 0.0, 0.0);
         let tone = |row: usize| Vec3::new(0.0, 2e-3 * (TAU * 7.0 * t_s[row]).sin(), 0.0);
         let both = |row: usize| work(row) + tone(row);
-        let found = shake(&t_s, both, Some(&work)).expect("even");
+        let found = estimate_vibration(&t_s, both, Some(&work)).expect("even");
         assert!((found.rms_m - 2e-3 / 2f64.sqrt()).abs() < 1e-4, "{found:?}");
         assert!((found.frequency_hz - 7.0).abs() < 1.1 && found.from_hz < 7.0, "{found:?}");
-        let found = shake(&t_s, both, Some(&both)).expect("even");
+        let found = estimate_vibration(&t_s, both, Some(&both)).expect("even");
         assert!(found.rms_m < 1e-4, "{found:?}");
     }
 
@@ -426,11 +435,12 @@ mod tests {
         let even_s: Vec<f64> = (0..2000).map(|row| 0.0104 * f64::from(row)).collect();
         let work = |t: f64| Vec3::new(0.6 * (1.9 * t).sin(), 0.4 * (1.1 * t).cos(), 0.3);
         for truth_s in [&uneven_s, &even_s] {
-            let found = shake(&uneven_s, |row| work(truth_s[row]), None).expect("even enough");
+            let found =
+                estimate_vibration(&uneven_s, |row| work(truth_s[row]), None).expect("even enough");
             assert!(found.rms_m < 5e-5, "{found:?}");
             let tone = |t: f64| Vec3::new(0.0, 0.0, 1.4e-3 * (TAU * 17.0 * t).sin());
             let both = |row: usize| work(truth_s[row]) + tone(truth_s[row]);
-            let found = shake(&uneven_s, both, None).expect("even enough");
+            let found = estimate_vibration(&uneven_s, both, None).expect("even enough");
             assert!((found.rms_m - 1e-3).abs() < 1e-4, "{found:?}");
         }
     }
@@ -443,10 +453,13 @@ mod tests {
             matches!(slow, Err(VibrationFailure::Slow(rate_hz)) if is_told(rate_hz)),
             "{slow:?}"
         );
-        assert_eq!(shake(&[], |_| Vec3::zeros(), None), Err(VibrationFailure::Uneven));
+        assert_eq!(estimate_vibration(&[], |_| Vec3::zeros(), None), Err(VibrationFailure::Uneven));
         let ragged: Vec<f64> = (0..1000)
             .map(|row| f64::from(row) * 0.01 + if row % 50 < 25 { 0.0 } else { 0.3 })
             .collect();
-        assert_eq!(shake(&ragged, |_| Vec3::zeros(), None), Err(VibrationFailure::Uneven));
+        assert_eq!(
+            estimate_vibration(&ragged, |_| Vec3::zeros(), None),
+            Err(VibrationFailure::Uneven)
+        );
     }
 }

@@ -18,31 +18,36 @@ pub struct DelayJitter {
 }
 
 /// Lever that converts angles to lengths, m.
-const ARM_M: f64 = 0.3;
+const LEVER_M: f64 = 0.3;
 /// Number of blocks used for standard errors.
 const BLOCKS: usize = 20;
 
 /// Delay distribution of the `aligned` samples, whose fitted latency is `latency_s`. `None` if the delays
 /// do not scatter or are not skewed.
-pub(super) fn skewed_delays(aligned: &AlignedSamples, latency_s: f64) -> Option<DelayJitter> {
+pub(super) fn estimate_delay_jitter(
+    aligned: &AlignedSamples,
+    latency_s: f64,
+) -> Option<DelayJitter> {
     /// Minimum ratio of the error along the motion to the error across it.
-    const ALONG: f64 = 3.0;
+    const MIN_ALONG_RATIO: f64 = 3.0;
     /// Minimum difference between mean and median, in standard errors and in s.
-    const CERTAIN: f64 = 4.0;
-    const APART_S: f64 = 1e-4;
-    let all = delays(aligned);
+    const MIN_STD_ERRORS: f64 = 4.0;
+    const MIN_DIFFERENCE_S: f64 = 1e-4;
+    let all = sample_delays(aligned);
     if all.len() < 10 * BLOCKS {
         return None;
     }
-    let values = |part: &[SampleDelay]| part.iter().map(|delay| delay.by_s).collect::<Vec<f64>>();
+    let values =
+        |part: &[SampleDelay]| part.iter().map(|delay| delay.delay_s).collect::<Vec<f64>>();
     let middle_s = median(&mut values(&all))?;
-    let along: f64 = all.iter().map(|delay| ((delay.by_s - middle_s) * delay.speed).powi(2)).sum();
+    let along: f64 =
+        all.iter().map(|delay| ((delay.delay_s - middle_s) * delay.speed).powi(2)).sum();
     let across: f64 = all.iter().map(|delay| delay.across.powi(2)).sum();
-    let steps = all.windows(2).map(|pair| (pair[1].by_s - pair[0].by_s).powi(2));
-    let spread: f64 = all.iter().map(|delay| (delay.by_s - middle_s).powi(2)).sum();
+    let steps = all.windows(2).map(|pair| (pair[1].delay_s - pair[0].delay_s).powi(2));
+    let spread: f64 = all.iter().map(|delay| (delay.delay_s - middle_s).powi(2)).sum();
     // In slow changes, successive differences are smaller than the overall variance (von Neumann 1941).
     let is_scatter = steps.sum::<f64>() > spread;
-    if along < ALONG * ALONG * across / 5.0 || !is_scatter {
+    if along < MIN_ALONG_RATIO * MIN_ALONG_RATIO * across / 5.0 || !is_scatter {
         return None;
     }
     let mean = |part: &[SampleDelay]| values(part).iter().sum::<f64>() / part.len() as f64;
@@ -56,8 +61,8 @@ pub(super) fn skewed_delays(aligned: &AlignedSamples, latency_s: f64) -> Option<
     };
     let middle = |part: &[SampleDelay]| median(&mut values(part)).unwrap_or(middle_s);
     let apart_s = mean(&all) - middle_s;
-    let is_skewed =
-        apart_s.abs() > APART_S.max(CERTAIN * of_blocks(&|part| mean(part) - middle(part)));
+    let is_skewed = apart_s.abs()
+        > MIN_DIFFERENCE_S.max(MIN_STD_ERRORS * of_blocks(&|part| mean(part) - middle(part)));
     let measured = |beyond_s: f64, std_error: f64| Measured {
         value: latency_s + beyond_s,
         std_error,
@@ -71,7 +76,7 @@ pub(super) fn skewed_delays(aligned: &AlignedSamples, latency_s: f64) -> Option<
 
 /// Delay of one sample relative to the fitted latency.
 struct SampleDelay {
-    by_s: f64,
+    delay_s: f64,
     /// Speed, m/s.
     speed: f64,
     /// Error across the motion, m.
@@ -79,11 +84,11 @@ struct SampleDelay {
 }
 
 /// Delays of the samples with fast motion.
-fn delays(aligned: &AlignedSamples) -> Vec<SampleDelay> {
+fn sample_delays(aligned: &AlignedSamples) -> Vec<SampleDelay> {
     let t = &aligned.t_s;
     let apart = |a: &Pose, b: &Pose| -> [Vec3; 2] {
         let turn = rotvec_from_rotation(&(a.rotation * b.rotation.inverse()));
-        [a.translation.vector - b.translation.vector, turn * ARM_M]
+        [a.translation.vector - b.translation.vector, turn * LEVER_M]
     };
     let dot = |a: &[Vec3; 2], b: &[Vec3; 2]| a[0].dot(&b[0]) + a[1].dot(&b[1]);
     let of = |k: usize| {
@@ -94,12 +99,12 @@ fn delays(aligned: &AlignedSamples) -> Vec<SampleDelay> {
         let square = dot(&velocity, &velocity);
         let by_s = -dot(&left, &velocity) / square.max(f64::MIN_POSITIVE);
         let across = [0, 1].map(|kind| left[kind] + by_s * velocity[kind]);
-        SampleDelay { by_s, speed: square.sqrt(), across: dot(&across, &across).sqrt() }
+        SampleDelay { delay_s: by_s, speed: square.sqrt(), across: dot(&across, &across).sqrt() }
     };
     let mut all: Vec<SampleDelay> = (1..t.len().saturating_sub(1)).map(of).collect();
     let square: f64 = all.iter().map(|delay| delay.speed.powi(2)).sum();
     let usual = (square / all.len().max(1) as f64).sqrt();
-    all.retain(|delay| delay.speed > 0.5 * usual && delay.by_s.is_finite());
+    all.retain(|delay| delay.speed > 0.5 * usual && delay.delay_s.is_finite());
     all
 }
 
@@ -134,7 +139,7 @@ mod tests {
     fn of_skewed_delays_the_median_and_the_mean_are_told() {
         let delays = Exp::new(1.0 / 5e-3).expect("a rate");
         let found = aligned(|rng| delays.sample(rng) - 3e-3);
-        let found = skewed_delays(&found, 0.013).expect("skewed");
+        let found = estimate_delay_jitter(&found, 0.013).expect("skewed");
         let (median_s, mean_s) = (0.010 + 5e-3 * 2.0_f64.ln(), 0.015);
         let covers = |one: Measured, truth: f64| (one.value - truth).abs() < 3.0 * one.std_error;
         assert!(covers(found.median_s, median_s) && covers(found.mean_s, mean_s), "{found:?}");
@@ -144,7 +149,7 @@ mod tests {
     #[test]
     fn delays_that_scatter_evenly_or_not_at_all_are_one_latency() {
         let even = Normal::new(0.0, 4e-3).expect("a spread");
-        assert_eq!(skewed_delays(&aligned(|rng| even.sample(rng)), 0.0), None);
-        assert_eq!(skewed_delays(&aligned(|_| 0.002), 0.0), None);
+        assert_eq!(estimate_delay_jitter(&aligned(|rng| even.sample(rng)), 0.0), None);
+        assert_eq!(estimate_delay_jitter(&aligned(|_| 0.002), 0.0), None);
     }
 }

@@ -1,36 +1,41 @@
 //! Latency compensation: diagnoses streams with a variable latency after correcting their stamps.
 
-use super::bends::{gives, without_bends};
-use super::changes::{constant_frames_suffice, jumps_in_time, leaves_slowly, without_changes};
+use super::bends::{diagnose_with_compliance, prefers_compliance};
+use super::changes::{
+    constant_frames_suffice, diagnose_with_changes, has_latency_steps, has_slow_residual,
+};
 use super::imu::diagnose_mended;
 use super::{
     ArmDiagnosis, CoarseLatencyChange, EstimateResult, ImuConventions, ImuDiagnosis, ImuStream,
-    JointEncoding, LatencyProfile, LatencyRamp, PoseStream, diagnose_arm, imu_changes,
-    pose_changes,
+    JointEncoding, LatencyProfile, LatencyRamp, PoseStream, detect_imu_latency_changes,
+    detect_pose_latency_changes, diagnose_arm,
 };
 use ground::stream::{DeclaredUnits, ImuTrack, JointTrack, Orientations, PoseTrack};
 use rayon::prelude::*;
 
 /// Number of refinements of a large latency change.
-const FINER: usize = 2;
+const MAX_REFINEMENTS: usize = 2;
 
 /// Diagnoses an arm's pose streams. If a stream's latency is not constant, it is compensated first, so its
 /// effects are not attributed to another cause.
-pub fn diagnose_steadied(
+pub fn diagnose_with_latency_compensation(
     joints: &JointTrack,
     streams: &[PoseStream],
     slides: &[bool],
     most_lag_s: f64,
 ) -> ArmDiagnosis {
     let changes_by = |joints: &JointTrack| -> Vec<Option<CoarseLatencyChange>> {
-        streams.par_iter().map(|stream| pose_changes(joints, stream, most_lag_s)).collect()
+        streams
+            .par_iter()
+            .map(|stream| detect_pose_latency_changes(joints, stream, most_lag_s))
+            .collect()
     };
     let mut changes = changes_by(joints);
-    let mut found = diagnose_unchanged(joints, streams, &changes, most_lag_s);
-    let is_misread = !found.joints.reading.as_ref().is_ok_and(JointEncoding::is_as_logged);
+    let mut found = diagnose_without_coarse_changes(joints, streams, &changes, most_lag_s);
+    let is_misread = !found.joints.encoding.as_ref().is_ok_and(JointEncoding::is_as_logged);
     if is_misread && changes.iter().all(Option::is_none) {
         // Misread joints and latency changes hide each other.
-        let mended = match &found.joints.reading {
+        let mended = match &found.joints.encoding {
             Ok(_) => found.joints.corrected_joints(joints, slides),
             Err(_) => {
                 let mut radians = joints.clone();
@@ -40,15 +45,17 @@ pub fn diagnose_steadied(
         };
         changes = changes_by(&mended);
         if changes.iter().any(Option::is_some) {
-            found = diagnose_unchanged(joints, streams, &changes, most_lag_s);
+            found = diagnose_without_coarse_changes(joints, streams, &changes, most_lag_s);
         }
     }
-    for _ in 0..FINER {
+    for _ in 0..MAX_REFINEMENTS {
         let both = changes.iter_mut().zip(&found.streams);
-        if both.filter_map(|(change, found)| refined(change, &found.course)).count() == 0 {
+        if both.filter_map(|(change, found)| refine_ramp(change, &found.latency_profile)).count()
+            == 0
+        {
             break;
         }
-        found = diagnose_unchanged(joints, streams, &changes, most_lag_s);
+        found = diagnose_without_coarse_changes(joints, streams, &changes, most_lag_s);
     }
     let steps: Vec<_> =
         changes.iter().map(|change| change.as_ref().and_then(CoarseLatencyChange::steps)).collect();
@@ -57,17 +64,17 @@ pub fn diagnose_steadied(
         .iter()
         .zip(&steps)
         .map(|(stream, steps)| {
-            Some(straightened(stream.track, &(*steps)?.straightened(&stream.track.t_s)))
+            Some(with_stamps(stream.track, &(*steps)?.compensated(&stream.track.t_s)))
         })
         .collect();
     let streams = with_tracks(streams, &unstepped);
     let mut tracks = Vec::new();
     let mut courses = Vec::new();
     for ((stream, found), change) in streams.iter().zip(&found.streams).zip(&changes) {
-        tracks.push(steadied(stream, &found.course));
+        tracks.push(compensate_latency(stream, &found.latency_profile));
         courses.push(match change.as_ref().and_then(CoarseLatencyChange::steps) {
-            Some(steps) => Ok(steps.course(&found.course)),
-            None => found.course.clone(),
+            Some(steps) => Ok(steps.profile(&found.latency_profile)),
+            None => found.latency_profile.clone(),
         });
     }
     let mut steady = if tracks.iter().all(Option::is_none) {
@@ -81,11 +88,13 @@ pub fn diagnose_steadied(
         if steps[s].is_some() || tracks[s].is_none() {
             continue;
         }
-        let (Ok(course), Ok(rest)) = (&courses[s], &steady.streams[s].course) else { continue };
-        let better = course.clone().with(rest);
+        let (Ok(course), Ok(rest)) = (&courses[s], &steady.streams[s].latency_profile) else {
+            continue;
+        };
+        let better = course.clone().combined_with(rest);
         if better != *course {
             let track = streams[s].track;
-            tracks[s] = Some(straightened(track, &better.straightened(&track.t_s)));
+            tracks[s] = Some(with_stamps(track, &better.compensated(&track.t_s)));
             (courses[s], is_bettered) = (Ok(better), true);
         }
     }
@@ -97,26 +106,27 @@ pub fn diagnose_steadied(
         if let (Ok(unsteady), None) = (course.as_mut(), steps)
             && unsteady.is_unsteady
         {
-            *unsteady = unsteady.clone().beside_usual(&stream.track.t_s);
+            *unsteady = unsteady.clone().relative_to_typical(&stream.track.t_s);
         }
     }
     let unsteadied = with_tracks(&streams, &tracks);
     let is_within_links = constant_frames_suffice(&steady);
-    let by_bend = without_bends(joints, &unsteadied, slides, &steady, most_lag_s);
+    let by_bend = diagnose_with_compliance(joints, &unsteadied, slides, &steady, most_lag_s);
     // Link deviations look like sag and eccentricity, not like backlash.
-    let is_smooth = |bent: &ArmDiagnosis| bent.joints.bends.iter().any(|bend| !bend.is_play());
+    let is_smooth =
+        |bent: &ArmDiagnosis| bent.joints.compliance.iter().any(|bend| !bend.is_backlash());
     let by_bend = by_bend.filter(|bent| !is_within_links || !is_smooth(bent));
     let is_enough = |bent: &ArmDiagnosis| {
-        !bent.joints.bends.is_empty() && !bent.streams.iter().any(leaves_slowly)
+        !bent.joints.compliance.is_empty() && !bent.streams.iter().any(has_slow_residual)
     };
     // A joint with backlash that reverses a few times looks like a zero or frame that changes.
     let most = if by_bend.as_ref().is_some_and(is_enough) { 1 } else { usize::MAX };
     let by_change = match is_within_links {
         true => None,
-        false => without_changes(joints, &unsteadied, slides, &steady, most_lag_s, most),
+        false => diagnose_with_changes(joints, &unsteadied, slides, &steady, most_lag_s, most),
     };
     let (changed, otherwise) = match (by_change, by_bend) {
-        (Some(change), Some(bend)) => match gives(&bend, &change) {
+        (Some(change), Some(bend)) => match prefers_compliance(&bend, &change) {
             true => (false, Some(bend)),
             false => (true, Some(change)),
         },
@@ -126,8 +136,8 @@ pub fn diagnose_steadied(
         steady = otherwise;
     }
     for (steady, course) in steady.streams.iter_mut().zip(courses) {
-        if !changed || !jumps_in_time(steady) {
-            steady.course = course;
+        if !changed || !has_latency_steps(steady) {
+            steady.latency_profile = course;
         }
     }
     steady
@@ -135,33 +145,33 @@ pub fn diagnose_steadied(
 
 /// Refines a latency ramp with the profile of the compensated stream. If that has no variation, the speeds
 /// differ for another reason. `None` if nothing changes.
-fn refined(
+fn refine_ramp(
     change: &mut Option<CoarseLatencyChange>,
     course: &EstimateResult<LatencyProfile>,
 ) -> Option<()> {
-    let Some(CoarseLatencyChange::Gradual(gradual, otherwise)) = change else { return None };
+    let Some(CoarseLatencyChange::Ramp(gradual, otherwise)) = change else { return None };
     match course.as_ref().ok().filter(|course| course.is_unsteady) {
-        Some(course) => *gradual = LatencyRamp::along(course)?,
+        Some(course) => *gradual = LatencyRamp::from_profile(course)?,
         None => *change = otherwise.take().map(CoarseLatencyChange::Steps),
     }
     Some(())
 }
 
 /// Diagnosis of the streams after removing large latency changes.
-fn diagnose_unchanged(
+fn diagnose_without_coarse_changes(
     joints: &JointTrack,
     streams: &[PoseStream],
     changes: &[Option<CoarseLatencyChange>],
     most_lag_s: f64,
 ) -> ArmDiagnosis {
     let of_stream = |(stream, change): (&PoseStream, &Option<CoarseLatencyChange>)| {
-        let rows = change.as_ref()?.straightened(&stream.track.t_s);
-        Some(straightened(stream.track, &rows))
+        let rows = change.as_ref()?.compensated(&stream.track.t_s);
+        Some(with_stamps(stream.track, &rows))
     };
     let tracks: Vec<Option<PoseTrack>> = streams.iter().zip(changes).map(of_stream).collect();
     let mut streams = with_tracks(streams, &tracks);
     for (stream, change) in streams.iter_mut().zip(changes) {
-        stream.taken_off = change.as_ref().and_then(CoarseLatencyChange::gradual);
+        stream.removed_ramp = change.as_ref().and_then(CoarseLatencyChange::ramp);
     }
     diagnose_arm(joints, &streams, most_lag_s)
 }
@@ -179,13 +189,13 @@ fn with_tracks<'a>(
 }
 
 /// Diagnoses an IMU. If its latency is not constant, it is compensated first.
-pub fn diagnose_imu_steadied(
+pub fn diagnose_imu_with_latency_compensation(
     joints: &JointTrack,
     stream: ImuStream,
     most_lag_s: f64,
 ) -> ImuDiagnosis {
-    let numbers = ImuConventions::of(joints, &stream, most_lag_s);
-    let mended = numbers.mended(stream.track);
+    let numbers = ImuConventions::detect(joints, &stream, most_lag_s);
+    let mended = numbers.convert(stream.track);
     let stream = ImuStream { track: &mended, ..stream };
     let of_rows = |rows: &[(usize, f64)]| ImuTrack {
         t_s: rows.iter().map(|&(_, t_s)| t_s).collect(),
@@ -197,60 +207,65 @@ pub fn diagnose_imu_steadied(
         accel: rows.iter().map(|&(row, _)| stream.track.accel[row]).collect(),
     };
     let diagnosed = |track: &ImuTrack, taken_off: Option<&LatencyRamp>| {
-        let stream = ImuStream { track, taken_off, ..stream };
+        let stream = ImuStream { track, removed_ramp: taken_off, ..stream };
         diagnose_mended(joints, &stream, &numbers, most_lag_s)
     };
     let t_s = &stream.track.t_s;
     let unchanged = |change: &Option<CoarseLatencyChange>| match change {
-        Some(change) => diagnosed(&of_rows(&change.straightened(t_s)), change.gradual()),
+        Some(change) => diagnosed(&of_rows(&change.compensated(t_s)), change.ramp()),
         None => diagnosed(stream.track, None),
     };
-    let mut change = imu_changes(joints, &stream, most_lag_s);
+    let mut change = detect_imu_latency_changes(joints, &stream, most_lag_s);
     let mut found = unchanged(&change);
     // Small ramps are refined like large ones.
-    let small = found.latency_course.as_ref().ok().filter(|course| course.is_unsteady);
-    let small = small.and_then(LatencyRamp::along).map(|it| CoarseLatencyChange::Gradual(it, None));
+    let small = found.latency_profile.as_ref().ok().filter(|course| course.is_unsteady);
+    let small =
+        small.and_then(LatencyRamp::from_profile).map(|it| CoarseLatencyChange::Ramp(it, None));
     change = change.or(small);
-    for _ in 0..FINER {
-        if refined(&mut change, &found.latency_course).is_none() {
+    for _ in 0..MAX_REFINEMENTS {
+        if refine_ramp(&mut change, &found.latency_profile).is_none() {
             break;
         }
         found = unchanged(&change);
     }
     // Ramps are part of the estimated latency profile; only steps are removed.
     let steps = change.as_ref().and_then(CoarseLatencyChange::steps);
-    let stepping = steps.map(|steps| steps.course(&found.latency_course));
-    let unsteady = found.latency_course.as_ref().ok().filter(|course| course.is_unsteady);
+    let stepping = steps.map(|steps| steps.profile(&found.latency_profile));
+    let unsteady = found.latency_profile.as_ref().ok().filter(|course| course.is_unsteady);
     let Some(course) = unsteady else {
-        let latency_course = stepping.map_or(found.latency_course.clone(), Ok);
-        return ImuDiagnosis { latency_course, ..found };
+        let latency_course = stepping.map_or(found.latency_profile.clone(), Ok);
+        return ImuDiagnosis { latency_profile: latency_course, ..found };
     };
-    let unstepped = steps.map(|steps| steps.straightened(t_s));
+    let unstepped = steps.map(|steps| steps.compensated(t_s));
     let rows = match &unstepped {
-        None => course.straightened(t_s),
+        None => course.compensated(t_s),
         // The profile refers to stamps without the steps.
         Some(rows) => {
             let unstepped_s: Vec<f64> = rows.iter().map(|&(_, t_s)| t_s).collect();
-            let straight = course.straightened(&unstepped_s).into_iter();
+            let straight = course.compensated(&unstepped_s).into_iter();
             straight.map(|(at, t_s)| (rows[at].0, t_s)).collect()
         }
     };
     let steady = diagnosed(&of_rows(&rows), None);
     let told = stepping.unwrap_or_else(|| {
-        let finer = steady.latency_course.as_ref().ok().map(|rest| course.clone().with(rest));
-        finer.unwrap_or_else(|| course.clone()).beside_usual(t_s)
+        let finer =
+            steady.latency_profile.as_ref().ok().map(|rest| course.clone().combined_with(rest));
+        finer.unwrap_or_else(|| course.clone()).relative_to_typical(t_s)
     });
-    ImuDiagnosis { latency_course: Ok(told), ..steady }
+    ImuDiagnosis { latency_profile: Ok(told), ..steady }
 }
 
 /// Poses of a stream with stamps corrected to a constant latency. `None` if the latency is constant.
-pub fn steadied(stream: &PoseStream, course: &EstimateResult<LatencyProfile>) -> Option<PoseTrack> {
+pub fn compensate_latency(
+    stream: &PoseStream,
+    course: &EstimateResult<LatencyProfile>,
+) -> Option<PoseTrack> {
     let course = course.as_ref().ok().filter(|course| course.is_unsteady)?;
-    Some(straightened(stream.track, &course.straightened(&stream.track.t_s)))
+    Some(with_stamps(stream.track, &course.compensated(&stream.track.t_s)))
 }
 
 /// Selects rows of a pose track and replaces their stamps.
-pub(super) fn straightened(track: &PoseTrack, rows: &[(usize, f64)]) -> PoseTrack {
+pub(super) fn with_stamps(track: &PoseTrack, rows: &[(usize, f64)]) -> PoseTrack {
     let declared = track.declared.as_ref().map(|declared| DeclaredUnits {
         in_other_angles: declared
             .in_other_angles

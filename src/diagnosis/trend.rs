@@ -41,37 +41,37 @@ pub struct TrendStep {
     /// Times of the last run before the step and the first one after it, s.
     pub between_s: [f64; 2],
     /// Height of the step.
-    pub by: Measured,
+    pub height: Measured,
 }
 
 /// Minimum number of runs for a trend.
-pub const LEAST_RUNS: usize = 4;
+pub const MIN_RUNS: usize = 4;
 
 /// Minimum log likelihood ratio of a step to the line, because its position is selected.
-const STEP_LIKELIER: f64 = 5.0;
+const MIN_STEP_LOG_RATIO: f64 = 5.0;
 /// Maximum number of fits in one pass over the runs.
-const MOST_FITS: usize = 128;
+const MAX_FITS: usize = 128;
 
-/// Estimates the trend. `None` if there are fewer than [`LEAST_RUNS`] runs, or if all have the same time.
-pub fn trend(told: &[RunEstimate]) -> Option<Trend> {
+/// Estimates the trend. `None` if there are fewer than [`MIN_RUNS`] runs, or if all have the same time.
+pub fn estimate_trend(told: &[RunEstimate]) -> Option<Trend> {
     let mut told: Vec<RunEstimate> = told.iter().copied().filter(is_usable).collect();
     told.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
-    if told.len() < LEAST_RUNS {
+    if told.len() < MIN_RUNS {
         return None;
     }
     // Centre the times to preserve precision.
     let origin_s = told.iter().map(|one| one.time_s).sum::<f64>() / told.len() as f64;
     let times_s: Vec<f64> = told.iter().map(|one| one.time_s - origin_s).collect();
-    let line = LineFit::of(&told, &times_s)?;
-    let step = step(&told)
-        .filter(|(_, fit)| fit.log_likelihood > line.log_likelihood + STEP_LIKELIER)
-        .filter(|(between_s, fit)| rests_on_no_run(&told, between_s[1], fit.slope.value));
+    let line = LineFit::fit(&told, &times_s)?;
+    let step = most_likely_step(&told)
+        .filter(|(_, fit)| fit.log_likelihood > line.log_likelihood + MIN_STEP_LOG_RATIO)
+        .filter(|(between_s, fit)| persists_without_any_run(&told, between_s[1], fit.slope.value));
     Some(Trend {
         rate_per_s: line.slope,
         level: line.level,
         middle_s: origin_s + line.middle,
         spread: line.spread,
-        step: step.map(|(between_s, fit)| TrendStep { between_s, by: fit.slope }),
+        step: step.map(|(between_s, fit)| TrendStep { between_s, height: fit.slope }),
     })
 }
 
@@ -82,16 +82,16 @@ fn is_usable(told: &RunEstimate) -> bool {
 
 /// Most likely step with at least two runs on each side. With many runs the search goes from coarse to
 /// fine.
-fn step(told: &[RunEstimate]) -> Option<([f64; 2], LineFit)> {
+fn most_likely_step(told: &[RunEstimate]) -> Option<([f64; 2], LineFit)> {
     let (mut places, mut best) = (2..told.len() - 1, None::<(usize, LineFit)>);
     loop {
-        let stride = places.len().div_ceil(MOST_FITS).max(1);
+        let stride = places.len().div_ceil(MAX_FITS).max(1);
         for first_after in places.clone().step_by(stride) {
             if told[first_after - 1].time_s == told[first_after].time_s {
                 continue;
             }
             let side: Vec<f64> = (0..told.len()).map(|run| f64::from(run >= first_after)).collect();
-            let Some(fit) = LineFit::of(told, &side) else { continue };
+            let Some(fit) = LineFit::fit(told, &side) else { continue };
             if best.as_ref().is_none_or(|(_, other)| fit.log_likelihood > other.log_likelihood) {
                 best = Some((first_after, fit));
             }
@@ -105,21 +105,21 @@ fn step(told: &[RunEstimate]) -> Option<([f64; 2], LineFit)> {
     }
 }
 
-/// Whether the step `by` at `after_s` persists without any single run: one outlier is not a step. With many
+/// Whether the step `height` at `after_s` persists without any single run: one outlier is not a step. With many
 /// runs, only those furthest from the median are left out.
-fn rests_on_no_run(told: &[RunEstimate], after_s: f64, by: f64) -> bool {
+fn persists_without_any_run(told: &[RunEstimate], after_s: f64, by: f64) -> bool {
     /// Minimum share of the step that must persist.
-    const LEFT: f64 = 0.5;
+    const MIN_PERSISTING_SHARE: f64 = 0.5;
     let mut values: Vec<f64> = told.iter().map(|one| one.value).collect();
     let middle = median(&mut values).unwrap_or(0.0);
     let off = |run: usize| (told[run].value - middle).abs();
     let mut runs: Vec<usize> = (0..told.len()).collect();
     runs.sort_by(|a, b| off(*b).total_cmp(&off(*a)));
-    runs.into_iter().take(MOST_FITS).all(|out| {
+    runs.into_iter().take(MAX_FITS).all(|out| {
         let rest: Vec<RunEstimate> = [&told[..out], &told[out + 1..]].concat();
         let side: Vec<f64> =
             rest.iter().map(|one| f64::from(u8::from(one.time_s >= after_s))).collect();
-        LineFit::of(&rest, &side).is_some_and(|fit| fit.slope.value / by >= LEFT)
+        LineFit::fit(&rest, &side).is_some_and(|fit| fit.slope.value / by >= MIN_PERSISTING_SHARE)
     })
 }
 
@@ -135,9 +135,9 @@ struct LineFit {
 
 impl LineFit {
     /// Fits over `x`. `None` if all its values are equal.
-    fn of(told: &[RunEstimate], x: &[f64]) -> Option<Self> {
+    fn fit(told: &[RunEstimate], x: &[f64]) -> Option<Self> {
         let dof = told.len() as f64 - 2.0;
-        let squares = |variance: f64| WeightedFit::of(told, x, variance).map(|fit| fit.squares);
+        let squares = |variance: f64| WeightedFit::fit(told, x, variance).map(|fit| fit.squares);
         let mut high = told.iter().map(|one| one.value.powi(2)).fold(f64::MIN_POSITIVE, f64::max);
         let mut low = 0.0;
         // The spread is zero if the squares allow it. Otherwise bisect: the squares decrease with the
@@ -153,7 +153,7 @@ impl LineFit {
         } else {
             high = 0.0;
         }
-        let fit = WeightedFit::of(told, x, high)?;
+        let fit = WeightedFit::fit(told, x, high)?;
         let logs: f64 = told.iter().map(|one| (one.std_error.powi(2) + high).ln()).sum();
         let measured = |value, variance: f64| Measured { value, std_error: variance.sqrt(), dof };
         Some(Self {
@@ -177,7 +177,7 @@ struct WeightedFit {
 }
 
 impl WeightedFit {
-    fn of(told: &[RunEstimate], x: &[f64], variance: f64) -> Option<Self> {
+    fn fit(told: &[RunEstimate], x: &[f64], variance: f64) -> Option<Self> {
         let rows = || {
             told.iter()
                 .zip(x)
@@ -225,7 +225,7 @@ mod tests {
         for spread in [0.0, 0.4] {
             let covered = (0..400).filter(|&seed| {
                 let told = runs(12, spread, seed, |day| 3.0 + 0.2 * day);
-                let rate = trend(&told).expect("a trend").rate_per_s.scaled(DAY_S);
+                let rate = estimate_trend(&told).expect("a trend").rate_per_s.scaled(DAY_S);
                 let [low, high] = rate.interval(0.95);
                 (low..=high).contains(&0.2)
             });
@@ -237,7 +237,7 @@ mod tests {
     #[test]
     fn what_is_steady_is_rarely_taken_for_more() {
         let moves = |seed| {
-            let found = trend(&runs(20, 0.3, seed, |_| 5.0)).expect("a trend");
+            let found = estimate_trend(&runs(20, 0.3, seed, |_| 5.0)).expect("a trend");
             let [low, high] = found.rate_per_s.interval(0.999);
             !(low..=high).contains(&0.0) || found.step.is_some()
         };
@@ -248,12 +248,13 @@ mod tests {
     #[test]
     fn a_step_is_no_slope_and_a_slope_no_step() {
         for seed in 0..50 {
-            let stepped = trend(&runs(20, 0.1, seed, |day| if day < 12.0 { 0.0 } else { 4.0 }));
+            let stepped =
+                estimate_trend(&runs(20, 0.1, seed, |day| if day < 12.0 { 0.0 } else { 4.0 }));
             let step = stepped.expect("a trend").step.expect("a step");
             assert_eq!(step.between_s, [11.0, 12.0].map(|day| 1.78e9 + day * DAY_S));
-            let [low, high] = step.by.interval(0.9999);
+            let [low, high] = step.height.interval(0.9999);
             assert!((low..=high).contains(&4.0), "{step:?}");
-            let sloped = trend(&runs(20, 0.1, seed, |day| 0.2 * day)).expect("a trend");
+            let sloped = estimate_trend(&runs(20, 0.1, seed, |day| 0.2 * day)).expect("a trend");
             assert_eq!(sloped.step, None);
         }
     }
@@ -263,24 +264,24 @@ mod tests {
         for (seed, at) in [1, 2, 10, 17, 18].into_iter().enumerate() {
             let mut told = runs(20, 0.1, seed as u64, |_| 0.0);
             told[at].value += 4.0;
-            assert_eq!(trend(&told).expect("a trend").step, None, "run {at} of 20");
+            assert_eq!(estimate_trend(&told).expect("a trend").step, None, "run {at} of 20");
         }
     }
 
     #[test]
     fn a_step_before_the_last_two_runs_is_one() {
-        let stepped = trend(&runs(12, 0.1, 3, |day| if day < 10.0 { 0.0 } else { -4.0 }));
+        let stepped = estimate_trend(&runs(12, 0.1, 3, |day| if day < 10.0 { 0.0 } else { -4.0 }));
         let step = stepped.expect("a trend").step.expect("a step");
-        assert!((-4.5..-3.5).contains(&step.by.value), "{step:?}");
+        assert!((-4.5..-3.5).contains(&step.height.value), "{step:?}");
     }
 
     #[test]
     fn too_few_runs_or_one_time_tell_nothing() {
         let mut told = runs(4, 0.1, 1, |day| day);
-        assert!(trend(&told).is_some() && trend(&told[..3]).is_none());
+        assert!(estimate_trend(&told).is_some() && estimate_trend(&told[..3]).is_none());
         told.iter_mut().for_each(|one| one.time_s = 0.0);
-        assert_eq!(trend(&told), None);
+        assert_eq!(estimate_trend(&told), None);
         told.iter_mut().for_each(|one| one.std_error = f64::INFINITY);
-        assert_eq!(trend(&told), None);
+        assert_eq!(estimate_trend(&told), None);
     }
 }

@@ -1,42 +1,44 @@
 //! Rotation encoding of a stream, given the candidate position layouts.
 
 use super::PoseEncoding;
-use super::layout::{PositionEncoding, matrix_of};
-use super::placing::ON_ARM;
+use super::layout::{PositionEncoding, axes_matrix};
+use super::placing::MAX_POSITION_RESIDUAL_SHARE;
 use super::reading::fit_known;
-use super::reading::{EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, read};
+use super::reading::{
+    EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, estimate_encoding,
+};
 use super::{AxesError, EncodingEstimate, EstimateResult, NotObservable};
 use ground::geometry::{Axes, Rotation, Vec3, angle_between};
 use ground::geometry::{Convention, QuaternionOrderError};
 use nalgebra::Matrix3;
 
 /// Maximum residual of a correct encoding, rad: joints may be off by some degrees.
-pub(super) const FITS_RAD: f64 = 0.05;
+pub(super) const MAX_ENCODING_RESIDUAL_RAD: f64 = 0.05;
 
 /// Interpretation of a stream's positions and axes, before rotations are decoded.
 pub(super) struct PositionInterpretation {
     pub metres: f64,
     pub axes: AxesError,
-    pub inverted: bool,
+    pub is_inverted: bool,
     /// Rotation of the reference frame, if positions determine it.
     pub reference: Option<Rotation>,
 }
 
 impl PositionInterpretation {
     /// Interpretations of a layout, whose residual should be small compared with the motion's `extent_m`.
-    pub fn of(layout: &PositionEncoding, extent_m: f64) -> Vec<Self> {
+    pub fn from_encoding(layout: &PositionEncoding, extent_m: f64) -> Vec<Self> {
         let standard = AxesError { positions: Axes::STANDARD, rotations: Axes::STANDARD };
         let way = |axes, reference| {
-            let PositionEncoding { metres, inverted, .. } = *layout;
+            let PositionEncoding { metres, is_inverted: inverted, .. } = *layout;
             // Positions of inverse poses are in the tool frame and do not determine the base's rotation.
             PositionInterpretation {
                 metres,
                 axes,
-                inverted,
+                is_inverted: inverted,
                 reference: if inverted { None } else { reference },
             }
         };
-        if layout.left_m > ON_ARM * extent_m {
+        if layout.residual_m > MAX_POSITION_RESIDUAL_SHARE * extent_m {
             return vec![way(standard, None)];
         }
         let both = |axes| AxesError { positions: axes, rotations: axes };
@@ -50,11 +52,11 @@ impl PositionInterpretation {
             }
             (None, true) => {
                 // With a freely rotated world all mirrors are equivalent: use the most common one.
-                let back = matrix_of(Axes::UNITY).transpose();
+                let back = axes_matrix(Axes::UNITY).transpose();
                 let turn = rotation_of(&(back * layout.turn));
                 vec![way(both(Axes::UNITY), Some(turn)), way(positions(Axes::UNITY), None)]
             }
-            (Some(axes), false) if axes.are_exchanged() && !layout.inverted => vec![
+            (Some(axes), false) if axes.are_exchanged() && !layout.is_inverted => vec![
                 way(standard, Some(rotation_of(&layout.turn))),
                 way(both(axes), Some(Rotation::identity())),
                 way(positions(axes), Some(Rotation::identity())),
@@ -68,10 +70,10 @@ impl PositionInterpretation {
         PositionInterpretation { axes: AxesError { rotations, ..self.axes }, ..*self }
     }
 
-    pub fn after(&self) -> RotationCorrections {
+    pub fn corrections(&self) -> RotationCorrections {
         let axes = self.axes.rotations;
         let conjugator = (axes != Axes::STANDARD).then(|| axes.conjugator());
-        RotationCorrections { conjugator, inverted: self.inverted }
+        RotationCorrections { conjugator, inverted: self.is_inverted }
     }
 
     /// Positions in m, before any inversion.
@@ -94,12 +96,12 @@ pub(super) struct OrientationSamples<'a> {
 
 impl OrientationSamples<'_> {
     /// Estimates the rotation encoding under one interpretation. The fit includes the rotated reference.
-    pub fn read(
+    pub fn estimate_encoding(
         &self,
         way: &PositionInterpretation,
     ) -> EstimateResult<(EncodingEstimate, EncodingFit)> {
-        let turned = self.turned(way);
-        let (mut reading, mut fit) = read(&self.samples(way, &turned))?;
+        let turned = self.rotated(way);
+        let (mut reading, mut fit) = estimate_encoding(&self.samples(way, &turned))?;
         fit.reference *= way.reference.unwrap_or_default();
         if way.axes != AxesError::NONE {
             reading.as_logged_rad = self.as_logged_rad();
@@ -108,8 +110,8 @@ impl OrientationSamples<'_> {
     }
 
     /// Smallest residual of the simplest encodings under one interpretation, rad.
-    pub fn plain_rad(&self, way: &PositionInterpretation) -> f64 {
-        let turned = self.turned(way);
+    pub fn simplest_residual_rad(&self, way: &PositionInterpretation) -> f64 {
+        let turned = self.rotated(way);
         let samples = self.samples(way, &turned);
         let simple = [PoseEncoding::AsLogged, PoseEncoding::Transposed]
             .into_iter()
@@ -123,7 +125,7 @@ impl OrientationSamples<'_> {
         fits.map(|fit| fit.residual_rad).fold(f64::INFINITY, f64::min)
     }
 
-    pub fn turned(&self, way: &PositionInterpretation) -> Vec<Rotation> {
+    pub fn rotated(&self, way: &PositionInterpretation) -> Vec<Rotation> {
         let reference = way.reference.unwrap_or_default();
         self.fk.iter().map(|fk| reference * fk).collect()
     }
@@ -139,7 +141,7 @@ impl OrientationSamples<'_> {
             reference_free: way.reference.is_none(),
             reference_known: self.reference_known || way.reference.is_some(),
             are_quaternions: self.are_quaternions,
-            after: way.after(),
+            after: way.corrections(),
         }
     }
 
@@ -156,7 +158,7 @@ impl OrientationSamples<'_> {
         ways: Vec<PositionInterpretation>,
     ) -> EstimateResult<(PositionInterpretation, EncodingEstimate, EncodingFit)> {
         /// Minimum improvement factor for different axes of rotations only.
-        const BETTER: f64 = 5.0;
+        const MIN_RESIDUAL_RATIO: f64 = 5.0;
         let mut best: Option<(PositionInterpretation, EncodingEstimate, EncodingFit)> = None;
         let mut why = NotObservable::NoOrientation;
         // If positions determine the frame and have standard axes, rotations may still have different ones.
@@ -164,7 +166,7 @@ impl OrientationSamples<'_> {
             |way: &&PositionInterpretation| way.reference.is_some() && way.axes == AxesError::NONE;
         let told = ways.iter().find(is_told).map(|way| PositionInterpretation { ..*way });
         for way in ways {
-            let (reading, fit) = match self.read(&way) {
+            let (reading, fit) = match self.estimate_encoding(&way) {
                 Ok(found) => found,
                 Err(unseen) => {
                     why = unseen;
@@ -172,11 +174,11 @@ impl OrientationSamples<'_> {
                 }
             };
             // Reversed joints may mirror positions, but then rotations do not fit.
-            if way.axes != AxesError::NONE && fit.residual_rad > FITS_RAD {
+            if way.axes != AxesError::NONE && fit.residual_rad > MAX_ENCODING_RESIDUAL_RAD {
                 continue;
             }
-            let order = |fit: &EncodingFit| match fit.residual_rad <= FITS_RAD {
-                true => (0, f64::from(fit.frames.count())),
+            let order = |fit: &EncodingFit| match fit.residual_rad <= MAX_ENCODING_RESIDUAL_RAD {
+                true => (0, f64::from(fit.frames.frame_count())),
                 false => (1, fit.residual_rad),
             };
             let is_done = order(&fit) == (0, 0.0);
@@ -188,13 +190,17 @@ impl OrientationSamples<'_> {
             }
         }
         let left = best.as_ref().map_or(f64::INFINITY, |(_, _, fit)| fit.residual_rad);
-        let Some(told) = told.filter(|_| left > FITS_RAD) else { return best.ok_or(why) };
+        let Some(told) = told.filter(|_| left > MAX_ENCODING_RESIDUAL_RAD) else {
+            return best.ok_or(why);
+        };
         let right_handed = Axes::all().iter().filter(|axes| !axes.are_left_handed());
         let turned = right_handed.map(|&axes| told.with_rotations_in(axes));
-        let turned = turned.map(|way| (self.plain_rad(&way), way));
+        let turned = turned.map(|way| (self.simplest_residual_rad(&way), way));
         let turned = turned.min_by(|a, b| a.0.total_cmp(&b.0));
-        let better = turned.filter(|(rad, _)| *rad <= FITS_RAD && rad * BETTER < left);
-        match better.and_then(|(_, way)| Some((self.read(&way).ok()?, way))) {
+        let better = turned.filter(|(rad, _)| {
+            *rad <= MAX_ENCODING_RESIDUAL_RAD && rad * MIN_RESIDUAL_RATIO < left
+        });
+        match better.and_then(|(_, way)| Some((self.estimate_encoding(&way).ok()?, way))) {
             Some(((reading, fit), way)) => Ok((way, reading, fit)),
             None => best.ok_or(why),
         }

@@ -6,7 +6,7 @@
 
 use super::latency::median_period_s;
 use super::response::{ResponseChanges, TimeSeries, slopes};
-use super::sampling::stretches;
+use super::sampling::row_blocks;
 use super::{NotObservable, Response};
 use ground::stats::Measured;
 use ground::stream::sample_noise;
@@ -54,18 +54,18 @@ pub enum VelocityShape {
     /// Derivatives with a delay, a low-pass or both, times a gain.
     Filtered(Response),
     /// None of these.
-    Unlike,
+    Unrelated,
 }
 
 /// Relative error below which no cause is sought, and below which a half-sample shift is attributed to a
 /// finite difference.
-const SMALL: f64 = 0.02;
+const MIN_RELATIVE_ERROR: f64 = 0.02;
 /// Minimum length of a gap, in median intervals.
-const GAP: f64 = 5.0;
+const MIN_GAP_INTERVALS: f64 = 5.0;
 /// Half-width of the interval in standard errors.
-const STD_ERRORS: f64 = 1.9;
+const INTERVAL_STD_ERRORS: f64 = 1.9;
 /// Maximum delay, s.
-const MOST_LAG_S: f64 = 0.5;
+const MAX_LAG_S: f64 = 0.5;
 
 /// Compares the velocities of joint `index` with the derivatives of its positions. `joints` are all joints
 /// of the arm, whose velocities may be permuted.
@@ -77,12 +77,12 @@ pub fn diagnose_velocity(
     index: usize,
 ) -> Result<VelocityDiagnosis, NotObservable> {
     let own = joints.get(index).ok_or(NotObservable::AtRest)?;
-    let windows = VelocityWindows::of(own)?;
+    let windows = VelocityWindows::from_samples(own)?;
     let VelocityWindows { noise, ref changes, ref moved, .. } = windows;
     let (compared, rate_square) = (moved.len() as f64, mean_square(moved) - 2.0 * noise.position);
-    let by_noise = noise.of_window(windows.window_s, mean_square(moved)) / rate_square;
+    let by_noise = noise.window_variance(windows.window_s, mean_square(moved)) / rate_square;
     let error_of = |moved: &[f64]| {
-        let errors: Vec<f64> = changes.by.iter().zip(moved).map(|(by, q)| by[0] - q).collect();
+        let errors: Vec<f64> = changes.changes.iter().zip(moved).map(|(by, q)| by[0] - q).collect();
         mean_square(&errors) / rate_square
     };
     let as_recorded = error_of(moved);
@@ -94,7 +94,9 @@ pub fn diagnose_velocity(
         .map(|shifted| shifted.iter().map(|at| at.map_or(f64::NAN, |at| at[0])).collect::<Vec<_>>())
         .map(|shifted| error_of(&shifted));
     let square = match of_difference.into_iter().fold(f64::INFINITY, f64::min) {
-        shifted if shifted - by_noise < SMALL * SMALL => shifted.min(as_recorded),
+        shifted if shifted - by_noise < MIN_RELATIVE_ERROR * MIN_RELATIVE_ERROR => {
+            shifted.min(as_recorded)
+        }
         _ => as_recorded,
     };
     let square = (square - by_noise).max(0.0);
@@ -105,8 +107,8 @@ pub fn diagnose_velocity(
     let [most, least] =
         [1.0, -1.0].map(|sign| (square + sign * 2.0 * variance.sqrt()).max(0.0).sqrt());
     // If the square may be zero, so may the root.
-    let std_error = (most - value).max(value - least) / STD_ERRORS;
-    let shape = match value < SMALL {
+    let std_error = (most - value).max(value - least) / INTERVAL_STD_ERRORS;
+    let shape = match value < MIN_RELATIVE_ERROR {
         true => VelocityShape::Rates,
         false => shape(joints, index, &windows, &curve, by_noise * rate_square),
     };
@@ -141,7 +143,7 @@ struct Noise {
 impl Noise {
     /// Variance of the difference between integral and change of position over a window; `moved` is the
     /// mean squared change.
-    fn of_window(&self, window_s: f64, moved: f64) -> f64 {
+    fn window_variance(&self, window_s: f64, moved: f64) -> f64 {
         let by_stamps = 2.0 * self.stamp * moved / (window_s * window_s);
         2.0 * self.position + self.velocity * window_s + by_stamps + self.between
     }
@@ -159,43 +161,44 @@ struct VelocityWindows {
 }
 
 impl VelocityWindows {
-    fn of(joint: &VelocitySamples<'_>) -> Result<Self, NotObservable> {
+    fn from_samples(joint: &VelocitySamples<'_>) -> Result<Self, NotObservable> {
         /// Minimum travel of a moving joint, rad or m.
-        const MOVES: f64 = 5e-3;
+        const MIN_TRAVEL: f64 = 5e-3;
         /// Minimum number of windows.
-        const NEED: usize = 20;
+        const MIN_WINDOWS: usize = 20;
         /// Shortest and longest window, s, growth factor, and the noise-to-change ratio at which the growth
         /// stops.
-        const LENGTHS_S: (f64, f64) = (0.1, 0.5);
-        const LONGER: f64 = 1.5;
-        const LITTLE: f64 = 0.01;
+        const WINDOW_LENGTH_LIMITS_S: (f64, f64) = (0.1, 0.5);
+        const WINDOW_GROWTH: f64 = 1.5;
+        const MAX_NOISE_RATIO: f64 = 0.01;
         let known: Vec<usize> = (0..joint.t_s.len().min(joint.velocity.len()))
             .filter(|&row| joint.velocity[row].is_finite() && joint.position[row].is_finite())
             .collect();
-        if known.len() < NEED {
-            return Err(NotObservable::TooFewSamples { have: known.len(), need: NEED });
+        if known.len() < MIN_WINDOWS {
+            return Err(NotObservable::TooFewSamples { have: known.len(), need: MIN_WINDOWS });
         }
         let of = |values: &[f64]| known.iter().map(|&row| values[row]).collect::<Vec<f64>>();
         let (t_s, q, v) = (of(joint.t_s), of(joint.position), of(joint.velocity));
         let (least, most) =
             q.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &q| (a.min(q), b.max(q)));
-        let integral = Integral::of(&t_s, &v);
+        let integral = Integral::new(&t_s, &v);
         let mut noise = noise(&t_s, &q, &v);
-        if most - least < MOVES.max(8.0 * noise.position.sqrt()) {
+        if most - least < MIN_TRAVEL.max(8.0 * noise.position.sqrt()) {
             return Err(NotObservable::AtRest);
         }
-        let mut window_s = LENGTHS_S.0.max(4.0 * median_period_s(&t_s));
+        let mut window_s = WINDOW_LENGTH_LIMITS_S.0.max(4.0 * median_period_s(&t_s));
         loop {
             let (changes, moved, between) = integral.windows(&t_s, &q, joint.breaks, window_s);
             noise.between = between;
             let square = mean_square(&moved);
-            let is_clear = noise.of_window(window_s, square) <= LITTLE * LITTLE * square;
-            if is_clear || window_s >= LENGTHS_S.1 {
-                let is_enough = moved.len() >= NEED && square > 4.0 * noise.position;
+            let is_clear = noise.window_variance(window_s, square)
+                <= MAX_NOISE_RATIO * MAX_NOISE_RATIO * square;
+            if is_clear || window_s >= WINDOW_LENGTH_LIMITS_S.1 {
+                let is_enough = moved.len() >= MIN_WINDOWS && square > 4.0 * noise.position;
                 let found = Self { window_s, changes, moved, noise };
                 return if is_enough { Ok(found) } else { Err(NotObservable::AtRest) };
             }
-            window_s = (LONGER * window_s).min(LENGTHS_S.1.max(window_s));
+            window_s = (WINDOW_GROWTH * window_s).min(WINDOW_LENGTH_LIMITS_S.1.max(window_s));
         }
     }
 }
@@ -208,7 +211,7 @@ fn noise(t_s: &[f64], q: &[f64], v: &[f64]) -> Noise {
         .map(|pair| (pair[1] - pair[0] - period_s).clamp(-period_s, period_s))
         .collect();
     let bends: Vec<f64> = v.windows(3).map(|at| at[0] - 2.0 * at[1] + at[2]).collect();
-    let quantum = quantum(q);
+    let quantum = quantisation_step(q);
     Noise {
         position: sample_noise(q).powi(2).max(quantum * quantum / 12.0),
         velocity: mean_square(&bends) / 6.0 * period_s,
@@ -219,37 +222,37 @@ fn noise(t_s: &[f64], q: &[f64], v: &[f64]) -> Noise {
 
 /// Quantisation step of an encoder: the 2 % quantile of nonzero changes. Almost zero if there is no
 /// quantisation.
-fn quantum(q: &[f64]) -> f64 {
-    const SHARE: usize = 50;
-    const ARITHMETIC: f64 = 1e-9;
+fn quantisation_step(q: &[f64]) -> f64 {
+    const QUANTILE_DIVISOR: usize = 50;
+    const ROUNDING_TOLERANCE: f64 = 1e-9;
     let steps = q.windows(2).map(|pair| (pair[1] - pair[0]).abs());
-    let mut steps: Vec<f64> = steps.filter(|&step| step > ARITHMETIC).collect();
-    let at = steps.len() / SHARE;
+    let mut steps: Vec<f64> = steps.filter(|&step| step > ROUNDING_TOLERANCE).collect();
+    let at = steps.len() / QUANTILE_DIVISOR;
     if steps.is_empty() { 0.0 } else { *steps.select_nth_unstable_by(at, f64::total_cmp).1 }
 }
 
 /// Quantisation step of an encoder, if all positions are multiples of it; otherwise 0. Long series are
 /// sampled in stretches, if most positions in them change.
 pub fn encoder_step(q: &[f64]) -> f64 {
-    const ENOUGH: usize = 24_000;
+    const MAX_SAMPLES: usize = 24_000;
     let some: Vec<f64> =
-        stretches(q.len(), ENOUGH).flat_map(|rows| q[rows].iter().copied()).collect();
+        row_blocks(q.len(), MAX_SAMPLES).flat_map(|rows| q[rows].iter().copied()).collect();
     let changes = some.windows(2).filter(|pair| pair[0] != pair[1]).count();
     if some.len() < q.len() && 2 * changes > some.len() { step_of(&some) } else { step_of(q) }
 }
 
 fn step_of(q: &[f64]) -> f64 {
     /// Tolerance of a multiple, and minimum share of changes that are multiples.
-    const WHOLE: f64 = 0.02;
-    const MOST: f64 = 0.95;
-    let step = quantum(q);
+    const MULTIPLE_TOLERANCE: f64 = 0.02;
+    const MIN_MULTIPLE_SHARE: f64 = 0.95;
+    let step = quantisation_step(q);
     let changes = q.windows(2).map(|pair| (pair[1] - pair[0]) / step).filter(|by| *by != 0.0);
     let (mut whole, mut all) = (0_usize, 0_usize);
     for by in changes {
         all += 1;
-        whole += usize::from((by - by.round()).abs() < WHOLE);
+        whole += usize::from((by - by.round()).abs() < MULTIPLE_TOLERANCE);
     }
-    if step > 0.0 && whole as f64 > MOST * all as f64 { step } else { 0.0 }
+    if step > 0.0 && whole as f64 > MIN_MULTIPLE_SHARE * all as f64 { step } else { 0.0 }
 }
 
 /// Integral of the velocities from the first sample.
@@ -259,7 +262,7 @@ struct Integral {
 }
 
 impl Integral {
-    fn of(t_s: &[f64], v: &[f64]) -> Self {
+    fn new(t_s: &[f64], v: &[f64]) -> Self {
         let slopes = slopes(t_s, v);
         let mut at = vec![[0.0; 2]];
         for row in 1..t_s.len() {
@@ -283,8 +286,9 @@ impl Integral {
         let [cubic, straight] =
             [0, 1].map(|kind| self.at.iter().map(|at| at[kind]).collect::<Vec<f64>>());
         let span = (t_s.first().copied().unwrap_or(0.0), t_s.last().copied().unwrap_or(0.0));
-        let all = ResponseChanges::of(t_s, &[cubic, straight, q.to_vec()], span, window_s);
-        let gap_s = GAP * median_period_s(t_s);
+        let all =
+            ResponseChanges::from_windows(t_s, &[cubic, straight, q.to_vec()], span, window_s);
+        let gap_s = MIN_GAP_INTERVALS * median_period_s(t_s);
         // Velocity in a gap and position across a break are unknown.
         let is_gap = |pair: &&[f64]| {
             pair[1] - pair[0] > gap_s || breaks.iter().any(|at| (pair[0]..=pair[1]).contains(at))
@@ -296,10 +300,11 @@ impl Integral {
         };
         let mut changes = ResponseChanges { width: 1, ..ResponseChanges::default() };
         let (mut moved, mut square) = (Vec::new(), 0.0);
-        for (&window, by) in all.windows.iter().zip(&all.by).filter(|(window, _)| is_whole(window))
+        for (&window, by) in
+            all.windows.iter().zip(&all.changes).filter(|(window, _)| is_whole(window))
         {
             changes.windows.push(window);
-            changes.by.push([by[0], 0.0, 0.0, 0.0, 0.0, 0.0]);
+            changes.changes.push([by[0], 0.0, 0.0, 0.0, 0.0, 0.0]);
             moved.push(by[2]);
             square += (0.5 * (by[0] - by[1])).powi(2);
         }
@@ -317,21 +322,21 @@ fn shape(
     by_noise: f64,
 ) -> VelocityShape {
     /// Maximum rms relative to the derivatives for zero velocities.
-    const NONE: f64 = 0.02;
+    const MAX_ZERO_VELOCITY_RATIO: f64 = 0.02;
     /// Maximum share of the squared error that remains after a cause.
-    const LEFT: f64 = 0.2;
+    const MAX_REMAINING_SHARE: f64 = 0.2;
     let VelocityWindows { changes, moved, .. } = windows;
-    let by: Vec<f64> = changes.by.iter().map(|by| by[0]).collect();
+    let by: Vec<f64> = changes.changes.iter().map(|by| by[0]).collect();
     let (own, rates) = (mean_square(&by), mean_square(moved));
-    if own <= NONE * NONE * rates {
+    if own <= MAX_ZERO_VELOCITY_RATIO * MAX_ZERO_VELOCITY_RATIO * rates {
         return VelocityShape::Zero;
     }
     let errors: Vec<f64> = by.iter().zip(moved).map(|(by, moved)| by - moved).collect();
     // As a share of the response's energy, like the residual of a fit.
-    let allowed = (LEFT * mean_square(&errors) + by_noise).min(0.5 * own) / own;
+    let allowed = (MAX_REMAINING_SHARE * mean_square(&errors) + by_noise).min(0.5 * own) / own;
     let signed = |sign: f64| {
-        let by = changes.by.iter().map(|by| by.map(|by| sign * by)).collect();
-        ResponseChanges { by, ..changes.clone() }
+        let by = changes.changes.iter().map(|by| by.map(|by| sign * by)).collect();
+        ResponseChanges { changes: by, ..changes.clone() }
     };
     let along: f64 = by.iter().zip(moved).map(|(by, moved)| by * moved).sum();
     let sign = if along < 0.0 { -1.0 } else { 1.0 };
@@ -355,7 +360,7 @@ fn shape(
     });
     let other = of_others.min_by(|a, b| a.0.total_cmp(&b.0));
     let response = signed(sign)
-        .follow(curve, MOST_LAG_S)
+        .estimate_response(curve, MAX_LAG_S)
         .ok()
         .map(|response| Response { gain: sign * response.gain, ..response });
     let left = response.map_or(1.0, |response| 1.0 - response.explained);
@@ -365,7 +370,7 @@ fn shape(
         }
         _ => match response.filter(|_| left <= allowed) {
             Some(response) => VelocityShape::Filtered(response),
-            None => VelocityShape::Unlike,
+            None => VelocityShape::Unrelated,
         },
     }
 }

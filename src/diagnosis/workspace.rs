@@ -7,15 +7,15 @@ use ground::geometry::{Pose, Vec3, angle_between};
 use ground::robot::{Chain, JointKind, Limits};
 
 /// Edge of a reach map cell, m.
-pub const CELL_M: f64 = 0.02;
+pub const CELL_SIZE_M: f64 = 0.02;
 /// Minimum angle between different orientations, rad.
-pub const APART_RAD: f64 = 15.0 * PI / 180.0;
+pub const MIN_ORIENTATION_DIFFERENCE_RAD: f64 = 15.0 * PI / 180.0;
 /// Minimum difference of a joint between different configurations for a pose, rad or m.
-pub const JOINT_APART: f64 = 0.35;
+pub const MIN_CONFIGURATION_DIFFERENCE: f64 = 0.35;
 /// Number of bins per joint range.
-const PARTS: usize = 72;
+const RANGE_BINS: usize = 72;
 /// Maximum duration of a sample, s.
-const LONGEST_S: f64 = 1.0;
+const MAX_SAMPLE_S: f64 = 1.0;
 
 /// Range over which a joint moved.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,7 +31,7 @@ pub struct JointSpan {
 
 impl JointSpan {
     /// Span of these positions, rad or m. `None` if none is finite.
-    pub fn of(positions: &[f64], kind: JointKind, limits: &Limits) -> Option<Self> {
+    pub fn from_positions(positions: &[f64], kind: JointKind, limits: &Limits) -> Option<Self> {
         let finite = || positions.iter().copied().filter(|position| position.is_finite());
         let none = (f64::INFINITY, f64::NEG_INFINITY);
         let (lowest, highest) =
@@ -45,7 +45,7 @@ impl JointSpan {
             _ => Some((0.0, TAU, true)),
         };
         let visited = range.map(|(lower, width, wraps)| {
-            let mut visited = [false; PARTS];
+            let mut visited = [false; RANGE_BINS];
             for position in finite() {
                 let share = (position - lower) / width;
                 let share = match wraps {
@@ -55,9 +55,9 @@ impl JointSpan {
                     true => share.rem_euclid(1.0),
                     false => share.clamp(0.0, 1.0),
                 };
-                visited[((share * PARTS as f64) as usize).min(PARTS - 1)] = true;
+                visited[((share * RANGE_BINS as f64) as usize).min(RANGE_BINS - 1)] = true;
             }
-            visited.iter().filter(|visited| **visited).count() as f64 / PARTS as f64
+            visited.iter().filter(|visited| **visited).count() as f64 / RANGE_BINS as f64
         });
         Some(Self { lowest, highest, visited })
     }
@@ -75,7 +75,7 @@ pub struct ReachCell {
     pub samples: usize,
     /// Dwell time of the tip, s.
     pub dwell_s: f64,
-    /// Number of orientations at least [`APART_RAD`] apart.
+    /// Number of orientations at least [`MIN_ORIENTATION_DIFFERENCE_RAD`] apart.
     pub orientations: usize,
     /// Poses reached; indices into [`Workspace::poses`].
     pub poses: Vec<usize>,
@@ -97,25 +97,25 @@ pub struct ReachedPose {
 /// Cells and poses reached by the tip of a chain.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Workspace {
-    /// Reached cells by their indices along x, y and z of the base. Cell `i` extends from `i · CELL_M` to
-    /// `(i + 1) · CELL_M`.
-    pub places: BTreeMap<[i32; 3], ReachCell>,
-    /// Distinct poses and configurations in order of time. Within a cell they differ by [`APART_RAD`] in
-    /// orientation or by [`JOINT_APART`] in a joint.
+    /// Reached cells by their indices along x, y and z of the base. Cell `i` extends from `i · CELL_SIZE_M` to
+    /// `(i + 1) · CELL_SIZE_M`.
+    pub cells: BTreeMap<[i32; 3], ReachCell>,
+    /// Distinct poses and configurations in order of time. Within a cell they differ by [`MIN_ORIENTATION_DIFFERENCE_RAD`] in
+    /// orientation or by [`MIN_CONFIGURATION_DIFFERENCE`] in a joint.
     pub poses: Vec<ReachedPose>,
 }
 
 impl Workspace {
     /// Workspace of `chain`'s tip from times, s, and joint positions, rad or m. Skips samples that are not
     /// finite.
-    pub fn of(chain: &Chain, samples: impl Iterator<Item = (f64, Vec<f64>)>) -> Self {
+    pub fn from_samples(chain: &Chain, samples: impl Iterator<Item = (f64, Vec<f64>)>) -> Self {
         let mut workspace = Self::default();
         let mut last: Option<(f64, [i32; 3])> = None;
         for (t_s, q) in samples {
             if let Some((before_s, cell)) = last
-                && let Some(place) = workspace.places.get_mut(&cell)
+                && let Some(place) = workspace.cells.get_mut(&cell)
             {
-                place.dwell_s += (t_s - before_s).clamp(0.0, LONGEST_S);
+                place.dwell_s += (t_s - before_s).clamp(0.0, MAX_SAMPLE_S);
             }
             let base_from_tip = chain.forward(&q);
             let xyz = base_from_tip.translation.vector;
@@ -131,14 +131,18 @@ impl Workspace {
     }
 
     fn add(&mut self, cell: [i32; 3], reached: ReachedPose) {
-        let place = self.places.entry(cell).or_default();
+        let place = self.cells.entry(cell).or_default();
         place.samples += 1;
         let is_oriented = |known: &ReachedPose| {
             let (a, b) = (&known.base_from_tip.rotation, &reached.base_from_tip.rotation);
-            angle_between(a, b) < APART_RAD
+            angle_between(a, b) < MIN_ORIENTATION_DIFFERENCE_RAD
         };
         let is_same_way = |known: &ReachedPose| {
-            known.q.iter().zip(&reached.q).all(|(a, b)| (a - b).abs() < JOINT_APART)
+            known
+                .q
+                .iter()
+                .zip(&reached.q)
+                .all(|(a, b)| (a - b).abs() < MIN_CONFIGURATION_DIFFERENCE)
         };
         let mut oriented =
             place.poses.iter().filter(|at| is_oriented(&self.poses[**at])).peekable();
@@ -156,12 +160,12 @@ impl Workspace {
 
 fn cell_of(xyz: Vec3) -> [i32; 3] {
     // `as` saturates beyond the range of `i32`.
-    [xyz.x, xyz.y, xyz.z].map(|part| (part / CELL_M).floor() as i32)
+    [xyz.x, xyz.y, xyz.z].map(|part| (part / CELL_SIZE_M).floor() as i32)
 }
 
 /// Centre of a cell in the base, m.
-pub fn centre_m(cell: [i32; 3]) -> [f64; 3] {
-    cell.map(|number| (f64::from(number) + 0.5) * CELL_M)
+pub fn cell_centre_m(cell: [i32; 3]) -> [f64; 3] {
+    cell.map(|number| (f64::from(number) + 0.5) * CELL_SIZE_M)
 }
 
 /// Smallest and largest distance of the tip from the base over these joint positions, m. `None` if there
@@ -186,16 +190,22 @@ mod tests {
     #[test]
     fn what_is_visited_is_a_share_of_the_limits_or_of_a_turn() {
         let sweep: Vec<f64> = (0..=1000).map(|k| -0.5 + f64::from(k) * 1e-3).collect();
-        let span = JointSpan::of(&sweep, JointKind::Revolute, &limits(-1.0, 1.0)).unwrap();
+        let span =
+            JointSpan::from_positions(&sweep, JointKind::Revolute, &limits(-1.0, 1.0)).unwrap();
         assert!((span.width() - 1.0).abs() < 1e-12 && (span.lowest + 0.5).abs() < 1e-12);
-        assert!((span.visited.unwrap() - 0.5).abs() < 2.0 / PARTS as f64, "{span:?}");
+        assert!((span.visited.unwrap() - 0.5).abs() < 2.0 / RANGE_BINS as f64, "{span:?}");
         // Three turns of a continuous joint visit the full turn.
         let turns: Vec<f64> = (0..3000).map(|k| f64::from(k) * 3.0 * TAU / 3000.0).collect();
-        let span = JointSpan::of(&turns, JointKind::Continuous, &Limits::default()).unwrap();
+        let span =
+            JointSpan::from_positions(&turns, JointKind::Continuous, &Limits::default()).unwrap();
         assert_eq!(span.visited, Some(1.0));
-        let slides = JointSpan::of(&sweep, JointKind::Prismatic, &Limits::default()).unwrap();
+        let slides =
+            JointSpan::from_positions(&sweep, JointKind::Prismatic, &Limits::default()).unwrap();
         assert_eq!(slides.visited, None);
-        assert_eq!(JointSpan::of(&[f64::NAN], JointKind::Revolute, &limits(-1.0, 1.0)), None);
+        assert_eq!(
+            JointSpan::from_positions(&[f64::NAN], JointKind::Revolute, &limits(-1.0, 1.0)),
+            None
+        );
     }
 
     #[test]
@@ -217,16 +227,16 @@ mod tests {
             (1.5, turned(5, TAU)),
             (9.0, turned(0, 1.0)),
         ];
-        let workspace = Workspace::of(&chain, samples.into_iter());
-        assert_eq!((workspace.places.len(), workspace.poses.len()), (2, 4));
+        let workspace = Workspace::from_samples(&chain, samples.into_iter());
+        assert_eq!((workspace.cells.len(), workspace.poses.len()), (2, 4));
         let tip = chain.forward(&home).translation.vector;
-        let place = &workspace.places[&cell_of(tip)];
+        let place = &workspace.cells[&cell_of(tip)];
         assert_eq!((place.samples, place.orientations, place.poses.len()), (4, 2, 3));
         // The last sample lasts one of its 7.5 s.
         assert!((place.dwell_s - 2.5).abs() < 1e-12);
         assert_eq!(workspace.poses[0].samples, 2);
-        let centre = centre_m(cell_of(tip));
-        assert!((0..3).all(|axis| (centre[axis] - tip[axis]).abs() <= CELL_M / 2.0));
+        let centre = cell_centre_m(cell_of(tip));
+        assert!((0..3).all(|axis| (centre[axis] - tip[axis]).abs() <= CELL_SIZE_M / 2.0));
         let (least, most) = reach_m(&chain, [home].into_iter()).unwrap();
         assert!((least - tip.norm()).abs() < 1e-12 && least == most);
     }

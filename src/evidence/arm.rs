@@ -11,7 +11,8 @@ use super::poses::{Declared, ImuEvidence, PoseEvidence, euler, unidentified_colu
 use super::shake::{ShakeEvidence, shake_of_joints, shake_of_poses};
 use super::{StreamEvidence, arm_stream_evidence, span_or_run};
 use crate::diagnosis::{
-    ArmDiagnosis, JointDiagnosis, JointScale, NotObservable, PoseDiagnosis, proof, proof_of_imu,
+    ArmDiagnosis, JointDiagnosis, JointScale, NotObservable, PoseDiagnosis, check_imu_residual,
+    check_residual,
 };
 use crate::finding::{Span, Subject, Unit};
 use crate::run::{BetterModel, PoseSource, PoseSourceKind, Run, RunOptions};
@@ -117,7 +118,7 @@ impl ArmEvidence {
 
     /// Whether joint positions were identified as degrees but no pose confirms it.
     pub fn unit_is_open(&self) -> bool {
-        self.taken_for_degrees && self.diagnosis.reading.is_err()
+        self.taken_for_degrees && self.diagnosis.encoding.is_err()
     }
 
     /// Unit of a joint's positions.
@@ -139,11 +140,11 @@ pub(super) fn arm_evidence(
     let arm = &run.arms[index];
     let joints_stream = arm.joint_facts.first().map_or(0, |facts| facts.stream);
     let ArmDiagnosis { joints: found, streams } = diagnosis.arm;
-    let mended = found.as_named().corrected_joints(&arm.joints, &arm.slides());
-    let is_read = !matches!(found.reading, Err(NotObservable::NotExcited));
+    let mended = found.without_eccentricity().corrected_joints(&arm.joints, &arm.slides());
+    let is_read = !matches!(found.encoding, Err(NotObservable::NotExcited));
     let most_lag_s = options.max_latency_s;
     let of_poses = |source: &PoseSource, found: PoseDiagnosis, euler| PoseEvidence {
-        proof: proof(&arm.joints, &mended, &run.pose_stream(source), &found),
+        proof: check_residual(&arm.joints, &mended, &run.pose_stream(source), &found),
         reference: if source.reference_known {
             source.chain.base_name().to_owned()
         } else {
@@ -168,7 +169,7 @@ pub(super) fn arm_evidence(
             .alternations
             .iter()
             .find(|(stream, _)| *stream == source.stream)
-            .map(|(_, alternation)| alternation.in_m(&found)),
+            .map(|(_, alternation)| alternation.converted_to_m(&found)),
         diagnosis: found,
     };
     let imus = arm.imus.iter().zip(diagnosis.imus).map(|(source, diagnosis)| {
@@ -177,7 +178,7 @@ pub(super) fn arm_evidence(
             link: source.chain.tip_name().to_owned(),
             link_from_imu: source.link_from_imu.map(|pose| pose.rotation),
             proof: is_read
-                .then(|| proof_of_imu(&mended, &source.as_stream(), &diagnosis, most_lag_s))
+                .then(|| check_imu_residual(&mended, &source.as_stream(), &diagnosis, most_lag_s))
                 .flatten(),
             diagnosis,
         };
@@ -208,9 +209,9 @@ pub(super) fn arm_evidence(
     };
     let of_stream = |(source, mut found): (&PoseSource, PoseDiagnosis)| {
         if run.streams[source.stream].holds_no_rotation() {
-            found.reading = Err(NotObservable::NoOrientation);
+            found.encoding = Err(NotObservable::NoOrientation);
         }
-        let in_other_units = matches!(found.length, Ok(Some(_)));
+        let in_other_units = matches!(found.length_unit, Ok(Some(_)));
         let shake = shake_of_poses(&source.track, &found, &arm.joints);
         let shake =
             arm_stream_evidence(run, arm, source.stream, ShakeEvidence { in_other_units, shake });

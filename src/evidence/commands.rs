@@ -4,7 +4,8 @@ use super::poses::PoseEvidence;
 use super::{StreamEvidence, arm_stream_evidence, stream_span};
 use crate::diagnosis::{
     AlignedSamples, CommandDelay, CommandedArm, Commands, EstimateResult, PoseDiagnosis,
-    PoseSeries, ReferenceDiagnosis, diagnose_reference, joint_delays, pose_delay, unnamed_order,
+    PoseSeries, ReferenceDiagnosis, diagnose_reference, estimate_joint_delays, estimate_pose_delay,
+    infer_joint_order,
 };
 use crate::finding::Subject;
 use crate::geometry::Pose;
@@ -93,7 +94,7 @@ pub(super) fn unmodelled_commands(
         let names = state_places.iter().map(|&at| states.joints[at].name.clone());
         let value = UnmodelledCommands {
             joints: names.collect(),
-            delays: joint_delays(&t_s, &order, &q, &joints, most_lag_s),
+            delays: estimate_joint_delays(&t_s, &order, &q, &joints, most_lag_s),
         };
         let topic = Some(run.streams[index].topic.clone());
         let subject = Subject { topic, ..Subject::default() };
@@ -137,7 +138,7 @@ pub(super) fn references(
     if sources.is_empty() {
         return Vec::new();
     }
-    let by_kinematics = PoseSeries::by_kinematics(&arm.joints, &arm.chain, &arm.columns);
+    let by_kinematics = PoseSeries::from_joints(&arm.joints, &arm.chain, &arm.columns);
     let kinematics =
         TipPoseSource { name: "FK of the joint states".to_owned(), kind: TipPoseKind::Kinematics };
     let of_joints = [(kinematics, by_kinematics)];
@@ -188,26 +189,26 @@ fn diagnose(
 ) -> Result<(EstimateResult<ReferenceDiagnosis>, Vec<CommandDelay>), String> {
     let (commands, delays) = match content {
         ReferenceContent::Poses { track, .. } => {
-            let series = PoseSeries::of_track(track).ok_or("its rotations are bare numbers")?;
+            let series = PoseSeries::from_track(track).ok_or("its rotations are bare numbers")?;
             let by_kinematics = witnesses.first();
-            let delay = by_kinematics.map(|done| pose_delay(&series, done, most_lag_s));
+            let delay = by_kinematics.map(|done| estimate_pose_delay(&series, done, most_lag_s));
             (Commands { series, joints: Vec::new() }, delay.into_iter().collect())
         }
         ReferenceContent::Joints { t_s, columns, q } => {
             let order = match columns {
                 Some(columns) => columns.clone(),
-                None => unnamed_order(t_s, q, &arm.joints, &arm.joint_names, &arm.columns).ok_or(
+                None => infer_joint_order(t_s, q, &arm.joints, &arm.joint_names, &arm.columns).ok_or(
                     "its values have no joint names and match the joints in none of the usual orders",
                 )?,
             };
-            let delays = joint_delays(t_s, &order, q, &arm.joints, most_lag_s);
+            let delays = estimate_joint_delays(t_s, &order, q, &arm.joints, most_lag_s);
             let chain = (&arm.chain, arm.columns.as_slice());
-            (Commands::of_joints(t_s, &order, q, &arm.joints, chain), delays)
+            (Commands::from_joints(t_s, &order, q, &arm.joints, chain), delays)
         }
     };
     let arm = CommandedArm { joints: &arm.joints, chain: &arm.chain, columns: &arm.columns };
     let found = diagnose_reference(&commands, &arm, witnesses, most_lag_s);
-    let leads = |found: &ReferenceDiagnosis| !found.is_streamed || found.following.is_some();
+    let leads = |found: &ReferenceDiagnosis| !found.is_streamed || found.tracking.is_some();
     let is_unnamed = matches!(content, ReferenceContent::Joints { columns: None, .. });
     match &found {
         Ok(found) if is_unnamed && !leads(found) => {
@@ -230,7 +231,7 @@ fn tip_poses_of_stream(
     let base = fixed(arm.chain.base_name(), source.chain.base_name());
     let tip = fixed(source.chain.tip_name(), arm.chain.tip_name());
     let (Some(base_from_reference), Some(link_from_tip)) = (base, tip) else { return Vec::new() };
-    if found.unread().is_some() || found.strays() {
+    if found.unusable_reason().is_some() || found.is_far_from_fk() {
         return Vec::new();
     }
     let latency_s = found.latency_s.as_ref().map_or(0.0, |latency| latency.value);

@@ -4,8 +4,9 @@ use rayon::prelude::*;
 
 use crate::diagnosis::{
     ArmDiagnosis, DhComparison, DhConventionResult, DhResidual, DhStreamResiduals, ImuDiagnosis,
-    NotObservable, PoseDiagnosis, PoseStream, StreamResidual, diagnose_derived,
-    diagnose_imu_steadied, diagnose_steadied, faults, follows, position_misfit_m, steadied,
+    NotObservable, PoseDiagnosis, PoseStream, StreamResidual, best_lag_peak, compensate_latency,
+    diagnose_derived, diagnose_imu_with_latency_compensation, diagnose_with_latency_compensation,
+    fault_count, position_misfit_m,
 };
 use crate::robot::DhConvention;
 use crate::run::{Arm, ImuSource, Run, retake_carried, together};
@@ -41,7 +42,7 @@ pub(super) fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<Diagnosis> {
         let Some(dh) = &run.arms[index].robot.dh else { return found };
         let declared = dh.convention;
         let (estimate, other) = by_other_convention(run, &run.arms[index], &found.arm, most_lag_s);
-        let is_other = estimate.told() == DhConventionResult::Other;
+        let is_other = estimate.convention() == DhConventionResult::Other;
         let dh = Some(DhEvidence { declared, estimate });
         match other.filter(|_| is_other) {
             Some((mut arm, other)) => {
@@ -68,7 +69,7 @@ fn by_other_convention(
     const NEAR_M: f64 = 0.02;
     /// … or relative to the declared one.
     const NEARER: f64 = 0.5;
-    let declared = DhResidual::of(found);
+    let declared = DhResidual::from_diagnosis(found);
     let mut estimate = DhComparison {
         streams: declared
             .iter()
@@ -78,7 +79,7 @@ fn by_other_convention(
                 other: None,
             })
             .collect(),
-        declared_faults: faults(found),
+        declared_faults: fault_count(found),
         other_faults: 0,
     };
     if estimate.declared_faults == 0 && declared.iter().any(DhResidual::is_explained) {
@@ -87,7 +88,8 @@ fn by_other_convention(
     let misfits_m = |arm: &Arm| -> Vec<Option<f64>> {
         let streams = arm.poses.iter().zip(&found.streams).map(|(source, found)| {
             let stream = run.pose_stream(source);
-            let lag_s = follows(&arm.joints, &stream, most_lag_s).map_or(0.0, |peak| peak.lag_s);
+            let lag_s =
+                best_lag_peak(&arm.joints, &stream, most_lag_s).map_or(0.0, |peak| peak.lag_s);
             position_misfit_m(&arm.joints, &stream, position_factor(found), lag_s)
         });
         streams.collect()
@@ -110,23 +112,29 @@ fn by_other_convention(
         return (estimate, None);
     }
     let diagnosis = diagnose_one(run, &other, most_lag_s);
-    for (stream, left) in estimate.streams.iter_mut().zip(DhResidual::of(&diagnosis.arm)) {
+    for (stream, left) in
+        estimate.streams.iter_mut().zip(DhResidual::from_diagnosis(&diagnosis.arm))
+    {
         stream.other = Some(left);
     }
-    estimate.other_faults = faults(&diagnosis.arm);
+    estimate.other_faults = fault_count(&diagnosis.arm);
     (estimate, Some((other, diagnosis)))
 }
 
 /// Factor from a stream's positions to m.
 fn position_factor(found: &PoseDiagnosis) -> f64 {
-    found.length.as_ref().ok().copied().flatten().map_or(1.0, |slip| slip.factor())
+    found.length_unit.as_ref().ok().copied().flatten().map_or(1.0, |slip| slip.factor())
 }
 
 fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
     let streams: Vec<PoseStream> = arm.poses.iter().map(|source| run.pose_stream(source)).collect();
     let together = together(arm);
-    let mut diagnosis =
-        diagnose_steadied(&arm.joints, &streams[..together], &arm.slides(), most_lag_s);
+    let mut diagnosis = diagnose_with_latency_compensation(
+        &arm.joints,
+        &streams[..together],
+        &arm.slides(),
+        most_lag_s,
+    );
     let corrected = diagnosis.joints.corrected_joints(&arm.joints, &arm.slides());
     let alone = (together..streams.len()).into_par_iter().map(|index| {
         let same = (0..together).find(|&of| arm.poses[index].is_copy_of(&arm.poses[of]));
@@ -137,10 +145,10 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
     });
     let alone: Vec<PoseDiagnosis> = alone.collect();
     diagnosis.streams.extend(alone);
-    let reading = diagnosis.joints.reading.as_ref().ok();
+    let reading = diagnosis.joints.encoding.as_ref().ok();
     let derived = |stream: &PoseStream| {
         let left = |found: &PoseDiagnosis| {
-            found.residual.as_ref().map_or(f64::INFINITY, StreamResidual::together_m)
+            found.residual.as_ref().map_or(f64::INFINITY, StreamResidual::combined_m)
         };
         let found = diagnose_derived(&arm.joints, reading, stream, most_lag_s);
         // The publisher of the log's transforms does not apply corrections.
@@ -157,20 +165,20 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
         let source = arm.tf.as_ref().ok()?;
         let stream = run.pose_stream(source);
         let found = derived(&stream);
-        Some(match steadied(&stream, &found.course) {
+        Some(match compensate_latency(&stream, &found.latency_profile) {
             None => found,
             Some(track) => {
                 let stream = PoseStream { track: &track, ..stream };
-                PoseDiagnosis { course: found.course, ..derived(&stream) }
+                PoseDiagnosis { latency_profile: found.latency_profile, ..derived(&stream) }
             }
         })
     };
-    let imu = |source: &ImuSource| match &diagnosis.joints.reading {
+    let imu = |source: &ImuSource| match &diagnosis.joints.encoding {
         // Without a valid interpretation of the joint states, FK is meaningless.
-        Err(NotObservable::NotExcited) => ImuDiagnosis::unseen(&NotObservable::RestsOn(
+        Err(NotObservable::NotExcited) => ImuDiagnosis::not_observable(&NotObservable::RestsOn(
             "the order and the unit of the joint positions",
         )),
-        _ => diagnose_imu_steadied(&corrected, source.as_stream(), most_lag_s),
+        _ => diagnose_imu_with_latency_compensation(&corrected, source.as_stream(), most_lag_s),
     };
     let (tf, imus) = rayon::join(tf, || arm.imus.iter().map(imu).collect());
     Diagnosis { arm: diagnosis, tf, imus, dh: None }
@@ -178,6 +186,6 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
 
 /// Corrected joint states of an arm. `None` if no interpretation of them fits its poses.
 pub(super) fn readable_joints(arm: &Arm, found: &ArmDiagnosis) -> Option<JointTrack> {
-    let is_unread = matches!(found.joints.reading, Err(NotObservable::NotExcited));
+    let is_unread = matches!(found.joints.encoding, Err(NotObservable::NotExcited));
     (!is_unread).then(|| found.joints.corrected_joints(&arm.joints, &arm.slides()))
 }

@@ -1,7 +1,8 @@
 //! Hand-eye evidence: each target seen by a camera, compared with a hand.
 
 use crate::diagnosis::{
-    CameraMount, HandEyeDiagnosis, HandEyeStreams, PoseSeries, diagnose_hand_eye, turning_peaks,
+    CameraMount, HandEyeDiagnosis, HandEyeStreams, PoseSeries, diagnose_hand_eye,
+    rotation_lag_peaks,
 };
 use crate::finding::{Span, Subject};
 use crate::run::{CameraAxes, HandKind, HandSource, Run, TargetSource};
@@ -65,7 +66,7 @@ pub(super) fn hand_eyes(
     most_lag_s: f64,
 ) -> Vec<HandEyeEvidence> {
     let facts = run.targets.iter().filter_map(|target| {
-        let series = PoseSeries::of_track(&target.track)?;
+        let series = PoseSeries::from_track(&target.track)?;
         let (source, hand) = best_hand(target, &series, &joints, most_lag_s)?;
         let in_hand = source.hand_from_camera.map(|pose| (CameraMount::InHand, pose));
         let in_base = source.base_from_camera.map(|pose| (CameraMount::InBase, pose));
@@ -108,16 +109,16 @@ fn best_hand<'a>(
     let hands = target.hands.iter().filter_map(|source| {
         let poses = match &source.kind {
             HandKind::Joints { arm, chain, columns } => {
-                PoseSeries::by_kinematics(&joints(*arm)?, chain, columns)
+                PoseSeries::from_joints(&joints(*arm)?, chain, columns)
             }
             HandKind::Stream { track, .. } | HandKind::Transforms { track, .. } => {
-                PoseSeries::of_track(track)?
+                PoseSeries::from_track(track)?
             }
         };
         Some((source, poses))
     });
     let alike = |hand: &PoseSeries| {
-        turning_peaks(hand, series, most_lag_s).first().map_or(0.0, |peak| peak.correlation)
+        rotation_lag_peaks(hand, series, most_lag_s).first().map_or(0.0, |peak| peak.correlation)
     };
     let mut hands: Vec<(&HandSource, PoseSeries)> = hands.collect();
     if hands.len() < 2 {

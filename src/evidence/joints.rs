@@ -6,8 +6,8 @@ use rayon::prelude::*;
 
 use crate::diagnosis::{
     EstimateResult, JointDiagnosis, JointSampleKind, LimitViolation, PeakAcceleration,
-    VelocityDiagnosis, VelocitySamples, abruptness, beyond_positions, beyond_speed,
-    beyond_speed_of_positions, diagnose_velocity, encoder_step, stretches,
+    VelocityDiagnosis, VelocitySamples, diagnose_velocity, encoder_step, peak_acceleration,
+    position_violation, row_blocks, speed_violation, speed_violation_from_positions,
 };
 use crate::robot::{JointKind, Limits};
 use crate::run::{Arm, JointMending, JointSamples, Run, Velocities};
@@ -49,7 +49,7 @@ pub struct JointMotion {
 /// Corrections that turn the joint states into the actual positions, if names or units are wrong. Motion
 /// cannot be judged on wrong numbers.
 pub(super) fn mending(arm: &Arm, found: &JointDiagnosis) -> Option<JointMending> {
-    let reading = found.reading.as_ref().ok()?;
+    let reading = found.encoding.as_ref().ok()?;
     if reading.is_as_logged() {
         return None;
     }
@@ -67,7 +67,7 @@ pub(super) fn mending(arm: &Arm, found: &JointDiagnosis) -> Option<JointMending>
     for (factor, slides) in mending.factor.iter_mut().zip(arm.slides()) {
         *factor = if reading.degrees.is_some() && !slides { 1f64.to_radians() } else { 1.0 };
     }
-    reading.slips.iter().for_each(|slip| mending.factor[slip.column] *= slip.factor);
+    reading.unit_errors.iter().for_each(|slip| mending.factor[slip.column] *= slip.factor);
     Some(mending)
 }
 
@@ -92,19 +92,19 @@ pub(super) fn joint_evidence(
             is_folded || model.is_some_and(|joint| joint.kind == JointKind::Continuous);
         // Positions wrapped to one turn cannot be compared with limits.
         if !is_folded {
-            motion.positions = beyond_positions(t_s, position, &limits);
+            motion.positions = position_violation(t_s, position, &limits);
             let turns = model.is_some_and(|joint| joint.kind == JointKind::Revolute);
             motion.turns_beyond = if turns { turns_beyond(position, &limits) } else { None };
         }
         (motion.speeds, motion.abruptness) = match source.velocities {
             Velocities::Logged | Velocities::Near => (
-                beyond_speed(t_s, velocity, &limits),
-                abruptness(t_s, velocity, JointSampleKind::Velocities, 0.0),
+                speed_violation(t_s, velocity, &limits),
+                peak_acceleration(t_s, velocity, JointSampleKind::Velocities, 0.0),
             ),
             Velocities::Derived => {
                 let step = encoder_step(position);
-                let beyond = beyond_speed_of_positions(t_s, position, &limits, step);
-                (beyond, abruptness(t_s, position, JointSampleKind::Positions, step))
+                let beyond = speed_violation_from_positions(t_s, position, &limits, step);
+                (beyond, peak_acceleration(t_s, position, JointSampleKind::Positions, step))
             }
         };
     }
@@ -155,7 +155,7 @@ pub(super) fn velocities(
     /// Maximum number of samples used.
     const ENOUGH: usize = 24_000;
     let some = |of: &[f64]| -> Vec<f64> {
-        stretches(of.len(), ENOUGH).flat_map(|rows| of[rows].iter().copied()).collect()
+        row_blocks(of.len(), ENOUGH).flat_map(|rows| of[rows].iter().copied()).collect()
     };
     let few: Vec<[Vec<f64>; 3]> = recorded
         .iter()

@@ -99,7 +99,7 @@ pub(super) fn euler(
     }
     let names = |declared: &&Declaration| declared.is_of(&stream.topic);
     let declared = declared.iter().find(names);
-    let reading = found.reading.as_ref().ok().filter(|reading| reading.is_told);
+    let reading = found.encoding.as_ref().ok().filter(|reading| reading.is_determined);
     let told = reading.and_then(|reading| match reading.best {
         PoseEncoding::Numbers(convention) => Some(convention),
         _ => Some(reading.best.misinterpretation()?.is),

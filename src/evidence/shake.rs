@@ -1,7 +1,7 @@
 //! Vibration of the tip.
 
 use crate::diagnosis::{
-    AlignedSamples, PoseDiagnosis, Vibration, VibrationFailure, encoder_step, shake,
+    AlignedSamples, PoseDiagnosis, Vibration, VibrationFailure, encoder_step, estimate_vibration,
 };
 use crate::geometry::Pose;
 use crate::run::{Arm, JointSamples};
@@ -28,15 +28,15 @@ pub(super) fn shake_of_poses(
     /// Rows closer to a latency step are excluded, s.
     const BESIDE_S: f64 = 0.1;
     let AlignedSamples { t_s: known_s, corrected, fk_at_truth, .. } = &found.aligned;
-    if found.inverted {
+    if found.is_inverted {
         // In an inverted pose, rotations of the tool also move the position.
         let at = |poses: &[Pose], row: usize| {
             found.frame_correction.invert(&poses[row]).translation.vector
         };
         let going = |row: usize| at(fk_at_truth, row);
-        return shake(known_s, |row| at(corrected, row), Some(&going));
+        return estimate_vibration(known_s, |row| at(corrected, row), Some(&going));
     }
-    let jumps = found.course.as_ref().map_or(&[][..], |course| course.jumps.as_slice());
+    let jumps = found.latency_profile.as_ref().map_or(&[][..], |course| course.steps.as_slice());
     let is_clear = |t_s: f64| jumps.iter().all(|jump| (jump.at_s - t_s).abs() > BESIDE_S);
     let rows: Vec<usize> = (0..track.t_s.len()).filter(|&row| is_clear(track.t_s[row])).collect();
     let t_s: Vec<f64> = rows.iter().map(|&row| track.t_s[row]).collect();
@@ -48,9 +48,10 @@ pub(super) fn shake_of_poses(
     };
     // Too few aligned samples do not determine the commanded motion.
     let span_s = joints.span().map_or(f64::INFINITY, |(first, last)| last - first);
-    let is_known =
-        2 * known_s.len() > t_s.len() && !found.strays() && span_s < APART_S * joints.len() as f64;
-    shake(&t_s, |row| track.xyz[rows[row]], if is_known { Some(&going) } else { None })
+    let is_known = 2 * known_s.len() > t_s.len()
+        && !found.is_far_from_fk()
+        && span_s < APART_S * joints.len() as f64;
+    estimate_vibration(&t_s, |row| track.xyz[rows[row]], if is_known { Some(&going) } else { None })
 }
 
 /// Vibration of the tip according to the joint states, or to the resampled track if joints have different
@@ -69,9 +70,9 @@ pub(super) fn shake_of_joints(
     };
     let found = match samples.first() {
         Some(first) if samples.iter().all(|other| other.is_beside(first)) => {
-            shake(&first.t_s, |row| tip(&|column| samples[column].position[row]), None)
+            estimate_vibration(&first.t_s, |row| tip(&|column| samples[column].position[row]), None)
         }
-        _ => shake(&track.t_s, |row| tip(&|column| track.row(row)[column]), None),
+        _ => estimate_vibration(&track.t_s, |row| tip(&|column| track.row(row)[column]), None),
     }?;
     // Encoder quantisation is not white: uniform motion turns it into tones.
     let hidden_m = BEYOND * by_encoders(arm, samples, track);

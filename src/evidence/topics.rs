@@ -101,7 +101,7 @@ pub(super) fn tf(run: &Run) -> TfEvidence {
 pub(super) fn unset(run: &Run, arm: &Arm, found: &ArmDiagnosis) -> Vec<Unaudited> {
     let streams = arm.poses.iter().zip(&found.streams);
     let unset = streams.filter(|(source, found)| {
-        matches!(found.reading, Err(NotObservable::OrientationNotSet))
+        matches!(found.encoding, Err(NotObservable::OrientationNotSet))
             && !run.streams[source.stream].holds_no_rotation()
     });
     let why = WhyNot::NoOrientation;

@@ -119,8 +119,8 @@ fn pose(
         reach_m: aligned.reach_m(),
         at_m: aligned.fk.iter().map(|fk| fk.translation.vector.into()).collect(),
         left_by_latency: valley.map(|at| [at.latency_s, at.rms_m, at.rms_rad]).collect(),
-        latency_course: clock.course(&found.course),
-        readings: scores(&found.reading),
+        latency_course: clock.course(&found.latency_profile),
+        readings: scores(&found.encoding),
     }
 }
 
@@ -162,8 +162,8 @@ fn imus(clock: &Clock, joints: &JointTrack, arm: &Arm, facts: &ArmEvidence) -> V
                 .into_iter()
                 .map(|peak| [peak.lag_s, peak.correlation])
                 .collect(),
-            latency_course: clock.course(&found.latency_course),
-            readings: scores(&found.reading),
+            latency_course: clock.course(&found.latency_profile),
+            readings: scores(&found.encoding),
         }
     };
     arm.imus.iter().zip(&facts.imus).map(figure).collect()

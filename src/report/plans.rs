@@ -42,7 +42,7 @@ pub(crate) fn plans(
     let mut plans: Vec<PlanRow> = Vec::new();
     for arm in run.arms.iter().filter(|arm| !is_misread(arm, findings)) {
         let own = evidence.robots.iter().find(|own| own.name == arm.name);
-        let is_drawing = own.is_some_and(|own| own.poses.iter().any(|it| it.diagnosis.nominal));
+        let is_drawing = own.is_some_and(|own| own.poses.iter().any(|it| it.diagnosis.is_nominal));
         let own_witness = own.map(ArmEvidence::pose_source_kind);
         let is_its = |row: &&CheckRow| match &row.subject.robot {
             Some(robot) => *robot == arm.name,

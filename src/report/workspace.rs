@@ -69,7 +69,8 @@ pub(crate) fn reached<'a>(run: &'a Run, findings: &[Finding]) -> Vec<ArmWorkspac
     let arms = run.arms.iter().filter(|arm| !is_misread(arm, findings));
     let reached = arms.map(|arm| {
         let rows = Rows::of(run, arm);
-        let workspace = Workspace::of(&arm.chain, (0..rows.len()).map(|row| rows.at(row)));
+        let workspace =
+            Workspace::from_samples(&arm.chain, (0..rows.len()).map(|row| rows.at(row)));
         ArmWorkspace { robot: &arm.name, chain: &arm.chain, workspace }
     });
     reached.collect()
@@ -94,7 +95,7 @@ fn arm_coverage(run: &Run, arm: &Arm, checks: &[CheckRow]) -> Option<WorkspaceRo
         let (name, kind) =
             (arm.chain.joint_names().get(joint)?, arm.chain.joint_kinds().get(joint)?);
         let limits = arm.chain.limits().get(joint).copied().unwrap_or_default();
-        let span = JointSpan::of(&rows.samples.get(column)?.position, *kind, &limits)?;
+        let span = JointSpan::from_positions(&rows.samples.get(column)?.position, *kind, &limits)?;
         let unit = match kind {
             JointKind::Prismatic => Unit::Metre,
             _ => Unit::Radian,

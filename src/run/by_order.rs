@@ -195,7 +195,7 @@ pub(super) fn counted(clues: &Clues<'_>, judges: &Judges<'_>) -> Result<Vec<Mode
     };
     // A zero offset may fit slightly better than none, because it absorbs link deviations.
     let is_sound = best.fits_without_fault;
-    let is_close = best.way.left_m < FITS_M.min(FITS_SHARE * best.spread_m);
+    let is_close = best.way.residual_m < FITS_M.min(FITS_SHARE * best.spread_m);
     if !best.fits || !(is_sound || is_close) {
         let best = Some(format!("{} ({})", names[best.model], best.words()));
         return Err(RunError::Numbered { joints, arms: Vec::new(), best });
@@ -306,9 +306,9 @@ fn proven(ways: Vec<Match>, judges: &Judges<'_>) -> Settled {
 /// Whether a model fits without a fault, and too closely for chance.
 fn is_sound(one: &Standing) -> bool {
     one.fits
-        && one.way.needs.is_harmless()
-        && !one.way.misread
-        && one.way.left_m < FITS_SHARE * one.spread_m
+        && one.way.assumption.is_faultless()
+        && !one.way.is_misinterpreted
+        && one.way.residual_m < FITS_SHARE * one.spread_m
 }
 
 fn fits(one: &Standing) -> String {

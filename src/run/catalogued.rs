@@ -52,15 +52,17 @@ impl Standing {
         /// Rounding, and early termination of the fit.
         const ROUNDING_M: f64 = 1e-8;
         const SHARE: f64 = 1e-3;
-        let (a, b) = (self.way.left_m, other.way.left_m);
+        let (a, b) = (self.way.residual_m, other.way.residual_m);
         (a - b).abs() <= ROUNDING_M + SHARE * a.max(b)
     }
 
     /// Describes the fit.
     pub fn words(&self) -> String {
-        let left = Unit::Metre.show(self.way.left_m);
-        match self.way.needs {
-            _ if self.way.misread => format!("{left} with inverted poses or joints in degrees"),
+        let left = Unit::Metre.show(self.way.residual_m);
+        match self.way.assumption {
+            _ if self.way.is_misinterpreted => {
+                format!("{left} with inverted poses or joints in degrees")
+            }
             FitAssumption::Nothing => left,
             FitAssumption::Tool => {
                 format!("{left} with a TCP of {}", Unit::Metre.show(self.way.tool_m.norm()))
@@ -301,9 +303,15 @@ mod tests {
 
     fn standing(model: usize, needs: FitAssumption, left_m: f64, score: f64) -> Standing {
         let tool_m = Vec3::new(0.0, 0.0, 0.15);
-        let way = HypothesisFit { needs, misread: false, left_m, tool_m, lag_s: 0.0 };
+        let way = HypothesisFit {
+            assumption: needs,
+            is_misinterpreted: false,
+            residual_m: left_m,
+            tool_m,
+            lag_s: 0.0,
+        };
         let topic = "actual_TCP_pose".to_owned();
-        let (fits, fits_without_fault) = (left_m < 3e-3, left_m < 3e-3 && needs.is_harmless());
+        let (fits, fits_without_fault) = (left_m < 3e-3, left_m < 3e-3 && needs.is_faultless());
         Standing {
             model,
             score,

@@ -225,7 +225,7 @@ impl Run {
             reference_known: source.reference_known,
             stamp_error_s: source.stamp_error_s.max(if received { TRANSPORT_S } else { 0.0 }),
             stamps_copied: source.stamps_copied,
-            taken_off: None,
+            removed_ramp: None,
         }
     }
 

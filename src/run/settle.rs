@@ -7,9 +7,9 @@ use std::collections::BTreeMap;
 use rayon::prelude::*;
 
 use crate::diagnosis::{
-    ArmDiagnosis, BaseMotion, LagPeak, PoseSeries, PoseStream, alternation, base_travel,
-    carrier_lag, diagnose_imu, follows, is_seen_from_tool, likely_lags, position_misfit_m,
-    turning_peaks,
+    ArmDiagnosis, BaseMotion, LagPeak, PoseSeries, PoseStream, best_lag_peak, candidate_lags,
+    detect_base_motion, detect_tool_switching, diagnose_imu, estimate_moving_base_lag,
+    is_seen_from_tool, position_misfit_m, rotation_lag_peaks,
 };
 use crate::run::{
     Arm, HandKind, HandSource, ImuSource, PoseSource, Role, Run, Stream, Unaudited, WhyNot,
@@ -43,7 +43,7 @@ fn settle_alternations(run: &mut Run) {
     let of = |&(arm, source): &(usize, usize)| {
         let of = &run.arms[arm];
         let found = of.poses.get(source).filter(|found| found.moving_base.is_none())?;
-        Some(((arm, source), alternation(&of.joints, &run.pose_stream(found))?))
+        Some(((arm, source), detect_tool_switching(&of.joints, &run.pose_stream(found))?))
     };
     let found: Vec<_> = all.par_iter().filter_map(of).collect();
     for ((arm, source), (alternation, poses)) in found {
@@ -102,7 +102,7 @@ fn settle_frozen(run: &mut Run, most_lag_s: f64) {
             if found.moving_base.is_some() || !found.stands_still() {
                 continue;
             }
-            let peaks = likely_lags(&of.joints, &run.pose_stream(found), most_lag_s);
+            let peaks = candidate_lags(&of.joints, &run.pose_stream(found), most_lag_s);
             let best = peaks.first().map_or(0.0, |peak| peak.correlation);
             if best < FOLLOWS {
                 continue;
@@ -184,9 +184,9 @@ fn leads(leader: &Arm, arm: &Arm, most_lag_s: f64) -> Option<f64> {
         reference_known: true,
         stamp_error_s: 0.0,
         stamps_copied: false,
-        taken_off: None,
+        removed_ramp: None,
     };
-    let peak = follows(&leader.joints, &stream, most_lag_s)?;
+    let peak = best_lag_peak(&leader.joints, &stream, most_lag_s)?;
     (peak.correlation >= LEADS && peak.lag_s > LEAST_S).then_some(peak.lag_s)
 }
 
@@ -202,7 +202,7 @@ fn settle_candidates(run: &mut Run, most_lag_s: f64) {
     let candidates: Vec<usize> = run.candidates().collect();
     let lag_of = |&candidate: &usize| {
         let (arm, source) = source_of(run, candidate)?;
-        Some((candidate, follows(&arm.joints, &run.pose_stream(source), most_lag_s)))
+        Some((candidate, best_lag_peak(&arm.joints, &run.pose_stream(source), most_lag_s)))
     };
     let poses = candidates.par_iter().filter_map(lag_of).collect();
     let mut lags = Lags { most_lag_s, poses, imus: BTreeMap::new() };
@@ -257,7 +257,7 @@ fn lead_s(
         return None;
     }
     // Periodic motion also matches at a lag near zero.
-    let peaks = likely_lags(&arm.joints, &run.pose_stream(source), lags.most_lag_s);
+    let peaks = candidate_lags(&arm.joints, &run.pose_stream(source), lags.most_lag_s);
     let is_now = |other: &LagPeak| {
         other.correlation > LEADS.max(REPEATS * peak.correlation) && other.lag_s > -LEAST_S
     };
@@ -284,7 +284,7 @@ struct Lags {
 
 impl Lags {
     fn of_pose(&mut self, run: &Run, arm: &Arm, source: &PoseSource) -> Option<LagPeak> {
-        let lag = || follows(&arm.joints, &run.pose_stream(source), self.most_lag_s);
+        let lag = || best_lag_peak(&arm.joints, &run.pose_stream(source), self.most_lag_s);
         *self.poses.entry(source.stream).or_insert_with(lag)
     }
 
@@ -310,7 +310,8 @@ fn settle_carried(run: &mut Run, most_lag_s: f64) {
             let Some(carrier) = &of.poses[source].moving_base else { continue };
             let stream = run.pose_stream(&of.poses[source]);
             let at = |t_s: f64| carrier.at(t_s);
-            let Some(lag) = carrier_lag(&of.joints, &stream, &carrier.logged, &at, most_lag_s)
+            let Some(lag) =
+                estimate_moving_base_lag(&of.joints, &stream, &carrier.logged, &at, most_lag_s)
             else {
                 continue;
             };
@@ -360,7 +361,7 @@ fn settle_contests(run: &mut Run, most_lag_s: f64) {
                 continue;
             };
             let stream = run.pose_stream(source);
-            let peak = follows(&arm.joints, &stream, most_lag_s);
+            let peak = best_lag_peak(&arm.joints, &stream, most_lag_s);
             let lag_s = peak.map_or(0.0, |peak| peak.lag_s);
             let misfits_m =
                 [1.0, 1e-3].map(|scale| position_misfit_m(&arm.joints, &stream, scale, lag_s));
@@ -435,7 +436,7 @@ fn leave_moving_bases(run: &mut Run, most_lag_s: f64) {
     let mut moving: Vec<(usize, String, BaseMotion)> = Vec::new();
     for arm in &run.arms {
         for source in arm.poses.iter().filter(is_of_unknown_frame) {
-            let travel = base_travel(&arm.joints, &run.pose_stream(source), most_lag_s);
+            let travel = detect_base_motion(&arm.joints, &run.pose_stream(source), most_lag_s);
             let base = source.chain.base_name().to_owned();
             moving.extend(travel.map(|travel| (source.stream, base, travel)));
         }
@@ -455,10 +456,10 @@ const TURNS_ALIKE: f64 = 0.7;
 fn settle_hands(run: &mut Run, most_lag_s: f64) {
     let mut found = Vec::new();
     for target in &run.targets {
-        let Some(series) = PoseSeries::of_track(&target.track) else { continue };
+        let Some(series) = PoseSeries::from_track(&target.track) else { continue };
         let turns_alike = |hand: &HandSource| {
             let HandKind::Stream { stream, track } = &hand.kind else { return None };
-            let peaks = turning_peaks(&PoseSeries::of_track(track)?, &series, most_lag_s);
+            let peaks = rotation_lag_peaks(&PoseSeries::from_track(track)?, &series, most_lag_s);
             Some((*stream, peaks.first()?.correlation))
         };
         let best = target.hands.iter().filter_map(turns_alike).max_by(|a, b| a.1.total_cmp(&b.1));

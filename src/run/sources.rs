@@ -95,7 +95,7 @@ impl ImuSource {
             chain: &self.chain,
             columns: &self.columns,
             link_from_imu: self.link_from_imu,
-            taken_off: None,
+            removed_ramp: None,
             stamp_error_s: self.stamp_error_s,
         }
     }

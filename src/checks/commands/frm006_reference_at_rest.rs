@@ -88,9 +88,9 @@ impl<'a> Seen<'a> {
     fn of(case: &Case, found: &'a ReferenceDiagnosis, witness: usize) -> Option<Self> {
         let thresholds = case.thresholds.of_frames(&FRM006, THRESHOLDS);
         let size = |gap: &RestError| size(gap, &thresholds);
-        let mut gaps: Vec<&RestError> = found.gaps.get(witness)?.iter().collect();
+        let mut gaps: Vec<&RestError> = found.rest_errors.get(witness)?.iter().collect();
         gaps.sort_by(|a, b| size(a).total_cmp(&size(b)));
-        let leads = found.following.is_some();
+        let leads = found.tracking.is_some();
         // The median, because the arm may have been stopped close to a single goal.
         let at = if leads { gaps.len().checked_sub(1)? } else { gaps.len().checked_sub(1)? / 2 };
         let gap = *gaps.get(at)?;
@@ -103,7 +103,7 @@ impl<'a> Seen<'a> {
             translation_m: gap.distance_m.norm,
             rotation_rad: gap.angle_rad.norm,
             p_value: (p_value * tests as f64).min(1.0),
-            chosen: true,
+            is_chosen: true,
         };
         let decision = decide_frame(&estimate, &thresholds, case.evidence.subjects());
         Some(Self { witness, gap, estimate, decision, beyond })
@@ -128,7 +128,7 @@ fn judge(case: &Case, arm: &ArmEvidence, reference: &StreamEvidence<ReferenceEvi
         judged
             .with_evidence("goals", found.goals)
             .with_evidence("not_reached", found.not_reached)
-            .with_evidence("following", following_json(found.following.as_ref()))
+            .with_evidence("following", following_json(found.tracking.as_ref()))
     };
     let all: Vec<Seen<'_>> = (0..reference.tip_poses.len())
         .filter_map(|witness| Seen::of(case, found, witness))
@@ -142,7 +142,7 @@ fn judge(case: &Case, arm: &ArmEvidence, reference: &StreamEvidence<ReferenceEvi
             joint_gaps(arm, nearest.gap)
         ))));
     }
-    let gaps = &found.gaps[nearest.witness];
+    let gaps = &found.rest_errors[nearest.witness];
     let name = source_name(reference, nearest.witness);
     let outcome = match &nearest.decision {
         Decision::Fail(severity) => fault(case, arm, reference, found, nearest, *severity),
@@ -232,11 +232,11 @@ fn fault(
     nearest: &Seen<'_>,
     severity: Severity,
 ) -> Outcome {
-    let gaps = &found.gaps[nearest.witness];
+    let gaps = &found.rest_errors[nearest.witness];
     let off = show(&nearest.estimate);
     let thresholds = &case.thresholds.of_frames(&FRM006, THRESHOLDS);
     let may_be_a_frame = !reference.is_of_joints;
-    let (in_tool, in_base) = match RestErrorSpread::of(gaps) {
+    let (in_tool, in_base) = match RestErrorSpread::from_rests(gaps) {
         Some(constancy) => (
             is_one(nearest.gap, constancy.in_tool, thresholds),
             is_one(nearest.gap, constancy.in_base, thresholds),
@@ -380,7 +380,7 @@ mod tests {
 
     #[test]
     fn a_single_rest_off_its_goal_is_a_finding_that_lists_frames() {
-        let run = planted(|_, found| found.gaps = vec![vec![rest_gap(0.003, 0.0)]; 2]);
+        let run = planted(|_, found| found.rest_errors = vec![vec![rest_gap(0.003, 0.0)]; 2]);
         let (_, findings) = ask(&FRM006, &run);
         assert_eq!(findings[0].severity, Severity::Warning);
         assert_eq!(findings[0].subject.topic.as_deref(), Some(COMMANDS));
@@ -391,7 +391,7 @@ mod tests {
     #[test]
     fn one_of_several_goals_that_was_given_up_is_no_fault() {
         let gaps = [0.0, 0.008, 0.0].map(|m| rest_gap(m, 0.0)).to_vec();
-        let run = planted(|_, found| found.gaps = vec![gaps.clone(), gaps.clone()]);
+        let run = planted(|_, found| found.rest_errors = vec![gaps.clone(), gaps.clone()]);
         assert_eq!(ask(&FRM006, &run).0[0].status, Status::Pass);
     }
 
@@ -400,7 +400,7 @@ mod tests {
         let gaps: Vec<RestError> = [0.0, 1.0, 2.0].map(|turn| rest_gap(0.14, turn)).to_vec();
         let run = planted(|reference, found| {
             reference.is_tip_declared = false;
-            found.gaps = vec![gaps.clone(), gaps.clone()];
+            found.rest_errors = vec![gaps.clone(), gaps.clone()];
         });
         let (_, findings) = ask(&FRM006, &run);
         assert_eq!(findings[0].severity, Severity::Info);
@@ -411,7 +411,7 @@ mod tests {
     fn a_large_offset_at_one_rest_is_left_open() {
         let run = planted(|reference, found| {
             reference.is_tip_declared = false;
-            found.gaps = vec![vec![rest_gap(0.14, 0.0)]; 2];
+            found.rest_errors = vec![vec![rest_gap(0.14, 0.0)]; 2];
         });
         let (rows, findings) = ask(&FRM006, &run);
         assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
@@ -427,7 +427,7 @@ mod tests {
             });
             let run = planted(|reference, found| {
                 reference.is_frame_declared = frame_named;
-                found.gaps = vec![gaps.to_vec(), gaps.to_vec()];
+                found.rest_errors = vec![gaps.to_vec(), gaps.to_vec()];
             });
             let row = &ask(&FRM006, &run).0[0];
             assert_eq!(row.status, status, "{row:?}");
@@ -437,7 +437,7 @@ mod tests {
     #[test]
     fn what_no_rest_tells_is_said() {
         let run = planted(|_, found| {
-            found.gaps = vec![Vec::new(); 2];
+            found.rest_errors = vec![Vec::new(); 2];
             (found.goals, found.nearest_miss) = (2, Some((0.3, 0.1)));
         });
         let row = &ask(&FRM006, &run).0[0];

@@ -167,7 +167,7 @@ fn untold(why: &DelayFailure) -> Outcome {
         DelayFailure::Goals | DelayFailure::Steps => {
             Outcome::Inconclusive(format!("it receives goals and plans the path itself; {SETTLE}"))
         }
-        DelayFailure::Unseen(why) => unseen(why, SETTLE),
+        DelayFailure::NotObservable(why) => unseen(why, SETTLE),
     }
 }
 

@@ -85,7 +85,8 @@ fn worst<'a>(
     witness: usize,
     thresholds: &FrameThresholds,
 ) -> Option<(&'a CommandedLine, &'a LineDeviation)> {
-    let kept = lines.iter().filter_map(|line| Some((line, line.witnesses.get(witness)?.as_ref()?)));
+    let kept =
+        lines.iter().filter_map(|line| Some((line, line.deviations.get(witness)?.as_ref()?)));
     kept.max_by(|a, b| size(a.0, a.1, thresholds).total_cmp(&size(b.0, b.1, thresholds)))
 }
 
@@ -267,9 +268,9 @@ mod tests {
     #[test]
     fn a_line_must_be_left_by_all_witnesses() {
         let bowed = LineDeviation { distance_m: length(0.003), angle_rad: length(0.0) };
-        let by_one = planted(|line| line.witnesses[0] = Some(bowed));
+        let by_one = planted(|line| line.deviations[0] = Some(bowed));
         assert_eq!(ask(&MOT004, &by_one).0[0].status, Status::Pass);
-        let by_all = planted(|line| line.witnesses = vec![Some(bowed); 2]);
+        let by_all = planted(|line| line.deviations = vec![Some(bowed); 2]);
         let (_, findings) = ask(&MOT004, &by_all);
         assert_eq!(findings[0].severity, Severity::Warning);
         assert!(findings[0].message.starts_with("the tip is 3.0"), "{}", findings[0].message);
@@ -295,7 +296,7 @@ mod tests {
 
     #[test]
     fn without_a_witness_it_is_open() {
-        let run = planted(|line| line.witnesses = vec![None; 2]);
+        let run = planted(|line| line.deviations = vec![None; 2]);
         assert_eq!(ask(&MOT004, &run).0[0].status, Status::Inconclusive);
     }
 }

@@ -27,9 +27,11 @@ pub fn reference_diagnosis<'a>(
 
 /// Whether a finding makes the pose streams and FK of the joint states differ.
 pub fn is_fk_different(arm: &ArmEvidence) -> bool {
-    let is_chosen = |offset: &JointOffset| offset.chosen;
-    let differs =
-        arm.poses.iter().any(|stream| stream.diagnosis.nominal || stream.diagnosis.growth_chosen);
+    let is_chosen = |offset: &JointOffset| offset.is_chosen;
+    let differs = arm
+        .poses
+        .iter()
+        .any(|stream| stream.diagnosis.is_nominal || stream.diagnosis.is_radial_scale_chosen);
     differs || arm.diagnosis.offsets.iter().any(is_chosen)
 }
 
@@ -52,7 +54,7 @@ pub fn following_json(following: Option<&CommandTracking>) -> Value {
         "correlation": following.correlation,
         "rms_m": following.rms.0,
         "rms_rad": following.rms.1,
-        "left_m": following.left.0,
-        "left_rad": following.left.1,
+        "left_m": following.compensated.0,
+        "left_rad": following.compensated.1,
     })
 }

@@ -85,13 +85,13 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
         Estimate::frame("closure", &solution.closure.excess_m, &solution.closure.excess_rad)
     };
     let open = decide_both(&best.closure.excess_m, &best.closure.excess_rad, &thresholds, subjects);
-    let scaled = match &found.reading {
-        Some((TargetEncoding::Stretched(_), _)) => as_logged,
+    let scaled = match &found.alternative {
+        Some((TargetEncoding::Scaled(_), _)) => as_logged,
         _ => best,
     };
     let scale = decide(&scaled.scale.effect_m(), &thresholds.length, subjects);
     let span_rad = found.diversity.as_ref().map_or(0.0, |diversity| diversity.span_rad);
-    let (outcome, estimate) = match (&found.reading, open) {
+    let (outcome, estimate) = match (&found.alternative, open) {
         _ if span_rad < case.thresholds.limit(&hec002_hand_eye_rotation::HEC002, &LEAST_SPAN) => {
             let why = format!("too little rotation to solve it (HEC002); {SETTLE}");
             (Outcome::Inconclusive(why), closure(best))
@@ -155,11 +155,11 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
     };
     let judged = Judged::new(facts.subject(), outcome).estimated(estimate);
     let judged = with_solution(judged, facts, best);
-    let judged = match &found.reading {
+    let judged = match &found.alternative {
         Some((reading, _)) => judged.with_evidence("reading", reading_words(reading)),
         None => judged,
     };
-    let Some((TargetEncoding::Stretched(stretch), _)) = &found.reading else { return judged };
+    let Some((TargetEncoding::Scaled(stretch), _)) = &found.alternative else { return judged };
     let factors = [("scale", &stretch.size), ("depth_scale", &stretch.depth)];
     factors.into_iter().fold(judged, |judged, (key, factor)| match factor {
         Some(one) => {
@@ -176,7 +176,7 @@ fn wrong_model(arm: &ArmEvidence, open_m: f64) -> Option<String> {
     let left = |stream: &StreamEvidence<PoseEvidence>| {
         stream.diagnosis.residual.as_ref().ok().map(|residual| residual.excess_m.value)
     };
-    let nominal_m = arm.poses.iter().filter(|stream| stream.diagnosis.nominal).filter_map(left);
+    let nominal_m = arm.poses.iter().filter(|stream| stream.diagnosis.is_nominal).filter_map(left);
     let nominal_m: f64 = nominal_m.fold(0.0, f64::max);
     if nominal_m > 0.0 && open_m < 3.0 * nominal_m {
         let left = Unit::Metre.show(nominal_m);
@@ -272,7 +272,7 @@ fn misread(
         message: format!("hand-eye residual {m} and {rad} rms as logged; it closes if {words}"),
         evidence: Evidence { effect_m: Some(closure.rms_m), ..Evidence::default() },
         fix: match reading {
-            TargetEncoding::Stretched(stretch) => stretch_fix(stretch),
+            TargetEncoding::Scaled(stretch) => stretch_fix(stretch),
             _ => "correct the rotation encoding of the detector".to_owned(),
         },
     }
@@ -311,13 +311,13 @@ fn reading_words(reading: &TargetEncoding) -> String {
         TargetEncoding::QuaternionOrder(_) => {
             "target quaternion components are reordered".to_owned()
         }
-        TargetEncoding::Misread(class) => match class.members.first() {
+        TargetEncoding::Misinterpreted(class) => match class.members.first() {
             Some(one) => {
                 format!("target rotations are {}, not {}", one.is, one.read_as)
             }
             None => "target rotations follow a different convention".to_owned(),
         },
-        TargetEncoding::Stretched(stretch) => stretch_words(stretch),
+        TargetEncoding::Scaled(stretch) => stretch_words(stretch),
     }
 }
 
@@ -330,7 +330,7 @@ fn is_fault(
 ) -> bool {
     match reading {
         TargetEncoding::Axes(_) => false,
-        TargetEncoding::Stretched(_) => {
+        TargetEncoding::Scaled(_) => {
             thresholds.length.severity(as_logged.closure.excess_m.value).is_some()
         }
         _ => true,

@@ -65,7 +65,7 @@ fn judge(case: &Case, facts: &HandEyeEvidence) -> Judged {
     let turns_enough = diversity.span_rad >= needed[0];
     let is_poor = !turns_enough || diversity.spread_rad < needed[1];
     let outcome = match does_not_follow(found) {
-        Some(why) if turns_enough && found.reading.is_none() => Outcome::Inconclusive(why),
+        Some(why) if turns_enough && found.alternative.is_none() => Outcome::Inconclusive(why),
         _ if is_poor && seen_s < SHORT_S => Outcome::Inconclusive(format!(
             "the target is visible for only {seen_s:.1} s; record 10 s or more"
         )),

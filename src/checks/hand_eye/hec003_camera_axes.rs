@@ -59,7 +59,7 @@ pub(super) enum Swap {
 /// The swap that the target poses show. `None` if they show none.
 pub(super) fn swap(facts: &HandEyeEvidence) -> Option<Swap> {
     let found = &facts.diagnosis;
-    if let Some((TargetEncoding::Axes(axes), _)) = found.reading {
+    if let Some((TargetEncoding::Axes(axes), _)) = found.alternative {
         return Some(Swap::Within(axes));
     }
     let known = found.mount_error.as_ref().filter(|error| {

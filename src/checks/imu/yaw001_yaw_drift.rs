@@ -78,11 +78,11 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Vec<Judged> {
         Ok(drift) => drift,
         Err(why) => return vec![imu.judged(unseen(why, SETTLE))],
     };
-    let course = &imu.diagnosis.yaw_course;
+    let course = &imu.diagnosis.yaw_profile;
     let outcome = decide(drift, &drift_threshold, subjects)
         .into_outcome(&settle(course), |severity| drifts(imu, drift, severity));
     let estimate = Estimate::amount("yaw drift", THRESHOLD.unit, drift);
-    let kind = if course.walk_rad_rt_s.is_some() { "random-walk" } else { "drift" };
+    let kind = if course.walk_rad_per_sqrt_s.is_some() { "random-walk" } else { "drift" };
     let mut judged = vec![with_course(imu.judged(outcome).estimated(estimate), course, kind)];
     let size = |jump: &&YawJump| jump.size_rad.value.abs();
     let largest = course.jumps.iter().max_by(|a, b| size(a).total_cmp(&size(b)));
@@ -159,7 +159,7 @@ fn settles(warm_up: &YawWarmUp, severity: Severity) -> Fault {
 
 /// The action for an undetermined drift, with the random walk if there is one.
 fn settle(course: &YawProfile) -> String {
-    match course.walk_rad_rt_s {
+    match course.walk_rad_per_sqrt_s {
         Some(density) => {
             format!("the yaw wanders by {}/√s; {SETTLE}", Unit::Radian.show(density))
         }
@@ -170,7 +170,7 @@ fn settle(course: &YawProfile) -> String {
 /// Adds the evidence on the yaw error model.
 fn with_course(judged: Judged, course: &YawProfile, kind: &str) -> Judged {
     let mut judged = judged.with_evidence("kind", kind);
-    if let Some(density) = course.walk_rad_rt_s {
+    if let Some(density) = course.walk_rad_per_sqrt_s {
         judged = judged.with_evidence("walk_rad_rt_s", density);
     }
     if !course.jumps.is_empty() {
@@ -226,7 +226,7 @@ mod tests {
     #[test]
     fn a_jump_is_a_finding_beside_a_drift_that_passes() {
         let mut run = clean_run();
-        run.robots[0].imus[0].diagnosis.yaw_course.jumps =
+        run.robots[0].imus[0].diagnosis.yaw_profile.jumps =
             vec![YawJump { at_s: 4.5, size_rad: sure(-DEGREE) }];
         let (rows, findings) = ask(&YAW001, &run);
         assert_eq!([rows[0].status, rows[1].status], [Status::Pass, Status::Fail]);
@@ -238,7 +238,7 @@ mod tests {
     #[test]
     fn a_small_jump_is_taken_off_and_not_spoken_of() {
         let mut run = clean_run();
-        run.robots[0].imus[0].diagnosis.yaw_course.jumps =
+        run.robots[0].imus[0].diagnosis.yaw_profile.jumps =
             vec![YawJump { at_s: 4.5, size_rad: sure(0.3 * DEGREE) }];
         let (rows, findings) = ask(&YAW001, &run);
         assert!(rows.len() == 1 && findings.is_empty(), "{rows:?}");
@@ -249,7 +249,7 @@ mod tests {
         let mut run = clean_run();
         let imu = &mut run.robots[0].imus[0].diagnosis;
         imu.yaw_drift_rad_s = Ok(Measured { std_error: 1e-2, ..sure(1e-3) });
-        imu.yaw_course.walk_rad_rt_s = Some(0.5 * DEGREE);
+        imu.yaw_profile.walk_rad_per_sqrt_s = Some(0.5 * DEGREE);
         let (rows, _) = ask(&YAW001, &run);
         assert_eq!(rows[0].status, Status::Inconclusive);
         let reason = rows[0].reason.as_deref().unwrap_or_default();

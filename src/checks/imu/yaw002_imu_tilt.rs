@@ -53,7 +53,8 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Judged {
         Ok(tilt) => tilt,
         Err(why) => return imu.judged(unseen(why, SETTLE)),
     };
-    let as_logged = imu.diagnosis.reading.as_ref().is_ok_and(|reading| reading.best.is_as_logged());
+    let as_logged =
+        imu.diagnosis.encoding.as_ref().is_ok_and(|reading| reading.best.is_as_logged());
     let outcome = match as_logged {
         false => Outcome::Inconclusive(
             "the orientation encoding is wrong; correct it first (ORD001 to ORD003)".to_owned(),

@@ -69,7 +69,7 @@ fn judge_axes(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Option<Judged> 
         evidence: Evidence::default(),
         fix,
     };
-    if let Some(axis) = imu.diagnosis.numbers.mirrored {
+    if let Some(axis) = imu.diagnosis.conventions.mirrored_axis {
         let axis = AXES[axis];
         let message = format!("the gyro's axes are left-handed: {axis} is reversed");
         let fix =
@@ -78,7 +78,7 @@ fn judge_axes(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Option<Judged> 
         let half = Estimate::counted("mount error", THRESHOLD.unit.symbol(), std::f64::consts::PI);
         return Some(imu.judged(outcome).estimated(half).within(imu.span));
     }
-    let turn = imu.diagnosis.axes_turn.as_ref()?;
+    let turn = imu.diagnosis.axes_rotation.as_ref()?;
     // Orientation filters deviate slightly from their own gyro, so the error threshold applies.
     let threshold = case.thresholds.of(&YAW003, THRESHOLD);
     // Rotation about a single axis leaves one direction unobservable.

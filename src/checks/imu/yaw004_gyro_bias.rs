@@ -99,7 +99,7 @@ fn is_mostly_constant(change: &GyroBiasChange) -> bool {
 /// Size of a change; for a step also the values before and after, and the time.
 fn estimate(case: &Case, change: &GyroBiasChange) -> Estimate {
     let size = Estimate::length("gyro bias", THRESHOLD.unit, &change.size_rad_s);
-    match change.course {
+    match change.profile {
         GyroBiasProfile::Step { at_s, interval_s } => size.changing(Change {
             from: change.before_rad_s.norm(),
             to: change.after_rad_s.norm(),
@@ -115,7 +115,7 @@ fn with_change(judged: Judged, change: &GyroBiasChange) -> Judged {
     let judged = judged
         .with_evidence("from_vector_rad_s", before.to_vec())
         .with_evidence("to_vector_rad_s", after.to_vec());
-    match change.course {
+    match change.profile {
         GyroBiasProfile::Step { .. } => judged.with_evidence("kind", "step"),
         GyroBiasProfile::WarmUp { time_constant_s } => judged
             .with_evidence("kind", "warm-up")
@@ -130,7 +130,7 @@ fn changed(case: &Case, change: &GyroBiasChange, severity: Severity) -> Fault {
     let size = THRESHOLD.unit.show_measured(&change.size_rad_s.norm);
     let after: [f64; 3] = change.after_rad_s.into();
     let [x, y, z] = after.map(|rate| format!("{rate:+.4}"));
-    let (title, message, fix) = match change.course {
+    let (title, message, fix) = match change.profile {
         GyroBiasProfile::Step { at_s, .. } => {
             let when = case.evidence.moment(case.evidence.origin.shifted(at_s));
             (
@@ -209,7 +209,8 @@ mod tests {
         let course = GyroBiasProfile::Step { at_s: 15.0, interval_s: [14.9, 15.1] };
         let (before_rad_s, after_rad_s) = (Vec3::zeros(), Vec3::new(0.0, 2.0 * DEGREE, 0.0));
         let size_rad_s = length(2.0 * DEGREE);
-        bias.change = Some(GyroBiasChange { course, before_rad_s, after_rad_s, size_rad_s });
+        bias.change =
+            Some(GyroBiasChange { profile: course, before_rad_s, after_rad_s, size_rad_s });
         let (_, findings) = ask(&YAW004, &run);
         assert_eq!(
             findings[0].message,
@@ -217,7 +218,7 @@ mod tests {
         );
         let change = findings[0].estimate.as_ref().and_then(Estimate::change).unwrap();
         assert_eq!((change.from, change.change_ns.nanos()), (0.0, 15_000_000_000));
-        bias_of(&mut run).change.as_mut().unwrap().course =
+        bias_of(&mut run).change.as_mut().unwrap().profile =
             GyroBiasProfile::WarmUp { time_constant_s: 8.0 };
         let (_, findings) = ask(&YAW004, &run);
         assert_eq!(findings[0].title, "gyro bias settles");
@@ -232,7 +233,8 @@ mod tests {
         let before_rad_s = Vec3::new(0.0, 2.4 * DEGREE, 0.0);
         let after_rad_s = Vec3::new(0.0, 2.65 * DEGREE, 0.0);
         let size_rad_s = length(0.25 * DEGREE);
-        bias.change = Some(GyroBiasChange { course, before_rad_s, after_rad_s, size_rad_s });
+        bias.change =
+            Some(GyroBiasChange { profile: course, before_rad_s, after_rad_s, size_rad_s });
         (bias.vector_rad_s, bias.length_rad_s) = (after_rad_s, length(2.65 * DEGREE));
         let (_, findings) = ask(&YAW004, &run);
         assert_eq!(findings[0].title, "gyro bias");

@@ -31,7 +31,7 @@ impl ComplianceRule {
 
     fn judge_arm(&self, rule: &Rule, case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
         let own: Vec<&JointCompliance> =
-            arm.diagnosis.bends.iter().filter(|bend| (self.is_it)(bend)).collect();
+            arm.diagnosis.compliance.iter().filter(|bend| (self.is_it)(bend)).collect();
         if own.is_empty() {
             let outcome = match residual_reason(arm) {
                 _ if !has_moving_proof(arm) => {
@@ -50,7 +50,7 @@ impl ComplianceRule {
         let threshold = case.thresholds.of(rule, self.threshold);
         let subject = arm.joint(bend.column);
         if let Some(change) = &bend.change {
-            let (effect_m, _) = tip_effect(arm, bend.column, change.by.value);
+            let (effect_m, _) = tip_effect(arm, bend.column, change.size.value);
             let title = "joint compliance changes mid-run";
             let (outcome, estimate) =
                 changes::judge_scalar_change(case, self.name, title, change, &threshold, effect_m);
@@ -58,7 +58,7 @@ impl ComplianceRule {
                 return Judged::new(subject, outcome).within(arm.span).estimated(estimate);
             }
         }
-        let size = Measured { value: bend.amount.value.abs(), ..bend.amount };
+        let size = Measured { value: bend.value.value.abs(), ..bend.value };
         let outcome = decide(&size, &threshold, case.evidence.subjects())
             .into_outcome(self.settle, |severity| (self.fault)(arm, bend, severity));
         Judged::new(subject, outcome).within(arm.span).estimated(Estimate::amount(
@@ -72,7 +72,7 @@ impl ComplianceRule {
 /// Whether a pose stream was compared with the arm in motion.
 fn has_moving_proof(arm: &ArmEvidence) -> bool {
     let moves = |stream: &StreamEvidence<PoseEvidence>| {
-        let is_told = stream.proof.as_ref().is_ok_and(|proof| !proof.at_rest);
+        let is_told = stream.proof.as_ref().is_ok_and(|proof| !proof.is_at_rest);
         is_told && stream.diagnosis.residual.is_ok()
     };
     arm.poses.iter().any(moves)
@@ -82,7 +82,7 @@ fn has_moving_proof(arm: &ArmEvidence) -> bool {
 fn residual_reason(arm: &ArmEvidence) -> Option<String> {
     let streams = arm.poses.iter().map(|stream| &stream.diagnosis);
     let left =
-        streams.filter(|found| !found.nominal).filter_map(|found| found.residual.as_ref().ok());
+        streams.filter(|found| !found.is_nominal).filter_map(|found| found.residual.as_ref().ok());
     let most = left.fold((0.0_f64, 0.0_f64), |most, residual| {
         (most.0.max(residual.excess_m.value), most.1.max(residual.excess_rad.value))
     });

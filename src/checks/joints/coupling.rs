@@ -7,14 +7,14 @@ use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 /// One finding for each coupled pair.
 pub(super) fn judge(arm: &ArmEvidence) -> Vec<Judged> {
-    let couplings = arm.diagnosis.reading.iter().flat_map(|reading| &reading.couplings);
+    let couplings = arm.diagnosis.encoding.iter().flat_map(|reading| &reading.couplings);
     couplings.filter_map(|coupling| judge_pair(arm, coupling)).collect()
 }
 
 fn judge_pair(arm: &ArmEvidence, coupling: &JointCoupling) -> Option<Judged> {
     let (joint, driver) = (arm.joints.get(coupling.column)?, arm.joints.get(coupling.by)?);
     let (own, with, factor) = (&joint.name, &driver.name, coupling.factor.value);
-    let left = arm.diagnosis.reading.as_ref().ok()?.left?;
+    let left = arm.diagnosis.encoding.as_ref().ok()?.residual?;
     let (before, after) = (Unit::Metre.show(left.as_logged), Unit::Metre.show(left.corrected));
     let size = factor.abs();
     let term = if coupling.is_round() && size.round() == 1.0 {
@@ -62,9 +62,9 @@ mod tests {
             [(1.0, "lift_true = lift + pan"), (-0.03, "lift_true = lift - 0.03000 · pan")]
         {
             let mut run = clean_run();
-            run.robots[0].diagnosis.reading = Ok(JointEncoding {
+            run.robots[0].diagnosis.encoding = Ok(JointEncoding {
                 couplings: vec![JointCoupling { column: 1, by: 0, factor: sure(factor) }],
-                left: Some(UnitResiduals { as_logged: 0.6, corrected: 1e-5 }),
+                residual: Some(UnitResiduals { as_logged: 0.6, corrected: 1e-5 }),
                 ..JointEncoding::default()
             });
             let (_, findings) = ask(&ORD009, &run);

@@ -51,7 +51,7 @@ const BACKLASH: ComplianceRule = ComplianceRule {
     name: "play",
     threshold: THRESHOLD,
     settle: "move the joints back and forth, one at a time",
-    is_it: JointCompliance::is_play,
+    is_it: JointCompliance::is_backlash,
     fault,
 };
 
@@ -60,8 +60,8 @@ fn check(case: &Case) -> Vec<Judged> {
 }
 
 fn fault(arm: &ArmEvidence, bend: &JointCompliance, severity: Severity) -> Fault {
-    let size = Measured { value: bend.amount.value.abs(), ..bend.amount };
-    let leads = bend.amount.value < 0.0;
+    let size = Measured { value: bend.value.value.abs(), ..bend.value };
+    let leads = bend.value.value < 0.0;
     let (effect_m, moved) = tip_effect(arm, bend.column, size.value);
     let how = match leads {
         true => "the poses lead the encoder",
@@ -97,11 +97,11 @@ mod tests {
             let mut run = clean_run();
             let play = JointCompliance {
                 column: 1,
-                amount: sure(amount),
-                shape: ComplianceShape::Play(BacklashCrossing::Gradual),
+                value: sure(amount),
+                shape: ComplianceShape::Backlash(BacklashCrossing::Gradual),
                 change: None,
             };
-            run.robots[0].diagnosis.bends.push(play);
+            run.robots[0].diagnosis.compliance.push(play);
             let (rows, findings) = ask(&MOT006, &run);
             assert_eq!(rows[0].status, status, "{rows:?}");
             for finding in findings {

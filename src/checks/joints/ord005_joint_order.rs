@@ -43,7 +43,7 @@ fn check(case: &Case) -> Vec<Judged> {
 
 fn judge(arm: &ArmEvidence) -> Judged {
     let subject = arm.topic(&arm.joints_topic);
-    match &arm.diagnosis.reading {
+    match &arm.diagnosis.encoding {
         Err(why) => Judged::new(subject, unseen(why, "also log a pose that does not come from /tf")),
         Ok(JointEncoding { permutation: None, .. }) => Judged::new(subject, Outcome::sound()),
         Ok(JointEncoding { permutation: Some((order, slip)), runner_up_m, .. }) => {

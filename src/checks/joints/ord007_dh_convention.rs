@@ -55,7 +55,7 @@ fn check(case: &Case) -> Vec<Judged> {
 fn judge(arm: &ArmEvidence, facts: &DhEvidence) -> Judged {
     let DhEvidence { declared: convention, estimate } = facts;
     let (is, read_as) = (convention.other().name(), convention.name());
-    let told = estimate.told();
+    let told = estimate.convention();
     let outcome = match told {
         _ if arm.poses.is_empty() => {
             Outcome::Skipped("no pose stream to compare with the DH table".to_owned())
@@ -106,7 +106,7 @@ fn faults(count: usize) -> String {
 
 fn fault(convention: DhConvention, estimate: &DhComparison) -> Fault {
     let (is, read_as) = (convention.name(), convention.other().name());
-    let speaking = || estimate.streams.iter().filter(|stream| stream.speaks_for_other());
+    let speaking = || estimate.streams.iter().filter(|stream| stream.supports_other());
     let off = |stream: &DhStreamResiduals| match stream.declared.m.is_finite() {
         true => Some(stream.declared.m),
         false => stream.declared_positions_m,

@@ -69,7 +69,7 @@ fn check(case: &Case) -> Vec<Judged> {
         let of_joints: Vec<Judged> = of_joints.chain(changing(case, arm)).collect();
         // Omit the topic's pass row if a joint has a finding.
         let of_scales = judge_arm(arm);
-        let is_sound = arm.diagnosis.reading.is_ok() && arm.diagnosis.scales.is_empty();
+        let is_sound = arm.diagnosis.encoding.is_ok() && arm.diagnosis.scales.is_empty();
         if is_sound && !of_joints.is_empty() { of_joints } else { [of_scales, of_joints].concat() }
     };
     case.evidence.robots.iter().flat_map(judged).collect()
@@ -77,7 +77,7 @@ fn check(case: &Case) -> Vec<Judged> {
 
 fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
     let topic = arm.topic(&arm.joints_topic);
-    let (scales, reading) = match &arm.diagnosis.reading {
+    let (scales, reading) = match &arm.diagnosis.encoding {
         Ok(reading) => {
             let mut scales = arm.diagnosis.scales.clone();
             scales.retain(|scale| arm.diagnosis.factor_change(scale.column).is_none());
@@ -88,7 +88,7 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
             return vec![Judged::new(topic, outcome).within(arm.span)];
         }
     };
-    let left = reading.left.unwrap_or(UnitResiduals { as_logged: 0.0, corrected: 0.0 });
+    let left = reading.residual.unwrap_or(UnitResiduals { as_logged: 0.0, corrected: 0.0 });
     let judged = |scale: &JointScale, joints: &[JointScale]| {
         let is_all = joints.len() > 1;
         let subject = match is_all {
@@ -126,7 +126,7 @@ fn changing(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     let judged = columns.filter_map(|column| {
         let change = arm.diagnosis.factor_change(column)?;
         let lever_m = arm.diagnosis.offsets.get(column).map_or(0.0, |offset| offset.lever_m);
-        let effect_m = lever_m * change.by.value.abs();
+        let effect_m = lever_m * change.size.value.abs();
         let title = "joint scale changes mid-run";
         let (outcome, estimate) =
             changes::judge_scalar_change(case, "joint scale", title, change, &THRESHOLD, effect_m);
@@ -256,9 +256,9 @@ mod tests {
             unit: JointUnit::Scaled,
             factor: scale.factor.value,
         };
-        arm.diagnosis.reading = Ok(JointEncoding {
-            slips: arm.diagnosis.scales.iter().map(slip).collect(),
-            left: Some(UnitResiduals { as_logged: 0.4, corrected: 2e-4 }),
+        arm.diagnosis.encoding = Ok(JointEncoding {
+            unit_errors: arm.diagnosis.scales.iter().map(slip).collect(),
+            residual: Some(UnitResiduals { as_logged: 0.4, corrected: 2e-4 }),
             ..JointEncoding::default()
         });
         run

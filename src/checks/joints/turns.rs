@@ -28,7 +28,7 @@ enum Seen {
 /// Finding for a joint that exceeds its limits throughout the run, but not if shifted by a turn.
 fn judge_whole(arm: &ArmEvidence, joint: usize) -> Option<Judged> {
     let turns = arm.joints.get(joint)?.motion.turns_beyond?;
-    if arm.diagnosis.offsets.get(joint).is_some_and(|offset| offset.chosen) {
+    if arm.diagnosis.offsets.get(joint).is_some_and(|offset| offset.is_chosen) {
         return None;
     }
     let offset = Measured { value: -TAU * turns, std_error: 0.0, dof: 1.0 };
@@ -42,7 +42,7 @@ pub(super) fn part_of_turn(
     arm: &ArmEvidence,
     joint: usize,
 ) -> Option<(f64, Measured)> {
-    let offset = arm.diagnosis.offsets.get(joint).filter(|offset| offset.chosen)?;
+    let offset = arm.diagnosis.offsets.get(joint).filter(|offset| offset.is_chosen)?;
     let measured = *offset.offset.as_ref().ok()?;
     let unit = arm.joint_unit(joint);
     let quarters = (measured.value / FRAC_PI_2).round();
@@ -112,7 +112,7 @@ mod tests {
         for (offset, turns) in [(FRAC_PI_2, 0.25), (-PI, 0.5), (PI + 1e-4, 0.5)] {
             let mut run = clean_run();
             let lift = &mut run.robots[0].diagnosis.offsets[1];
-            (lift.offset, lift.chosen) = (Ok(sure(offset)), true);
+            (lift.offset, lift.is_chosen) = (Ok(sure(offset)), true);
             let (_, findings) = ask(&ORD009, &run);
             let [finding] = findings.as_slice() else { panic!("{findings:?}") };
             let Some(Estimate::Amount { joint, .. }) = &finding.estimate else {
@@ -124,7 +124,7 @@ mod tests {
         // Two degrees more than a quarter turn are a zero offset.
         let mut run = clean_run();
         let lift = &mut run.robots[0].diagnosis.offsets[1];
-        (lift.offset, lift.chosen) = (Ok(sure(FRAC_PI_2 + 0.035)), true);
+        (lift.offset, lift.is_chosen) = (Ok(sure(FRAC_PI_2 + 0.035)), true);
         assert!(ask(&ORD009, &run).1.is_empty());
         assert_eq!(ask(&ZER001, &run).1.len(), 1);
     }

@@ -132,7 +132,7 @@ fn is_same(a: &VelocityShape, b: &VelocityShape) -> bool {
     const SHARE: f64 = 0.2;
     match (a, b) {
         (VelocityShape::Zero, VelocityShape::Zero)
-        | (VelocityShape::Unlike, VelocityShape::Unlike) => true,
+        | (VelocityShape::Unrelated, VelocityShape::Unrelated) => true,
         (VelocityShape::Scaled(a), VelocityShape::Scaled(b)) => near(*a, *b),
         (VelocityShape::Filtered(a), VelocityShape::Filtered(b)) => {
             let apart_s = (a.delay_s.value - b.delay_s.value).abs();
@@ -223,7 +223,7 @@ fn words(arm: &ArmEvidence, joint: usize, found: &VelocityDiagnosis) -> (String,
                 fill("filter the velocities less, or stamp them with their own time"),
             )
         }
-        VelocityShape::Rates | VelocityShape::Unlike => (
+        VelocityShape::Rates | VelocityShape::Unrelated => (
             "velocities do not follow the positions".to_owned(),
             fill("take velocity and position from the same reading"),
         ),
@@ -292,7 +292,7 @@ fn with_numbers(judged: Judged, found: &VelocityDiagnosis) -> Judged {
     match found.shape {
         VelocityShape::Rates => judged,
         VelocityShape::Zero => judged.with_evidence("kind", "zero"),
-        VelocityShape::Unlike => judged.with_evidence("kind", "unlike"),
+        VelocityShape::Unrelated => judged.with_evidence("kind", "unlike"),
         VelocityShape::Scaled(gain) => {
             judged.with_evidence("kind", "scaled").with_evidence("gain", gain)
         }

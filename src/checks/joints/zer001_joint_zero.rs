@@ -102,13 +102,15 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
     }
     let threshold = case.thresholds.of(&ZER001, threshold(arm.joint_unit(joint)));
     if let Some(change) = arm.diagnosis.zero_change(joint) {
-        let effect_m = offset.lever_m * change.by.value.abs();
+        let effect_m = offset.lever_m * change.size.value.abs();
         let title = "joint zero changes mid-run";
         let (mut outcome, estimate) =
             changes::judge_scalar_change(case, "joint offset", title, change, &threshold, effect_m);
         if let Outcome::Evaluated(Ruling::Faulty(fault)) = &mut outcome {
-            let twins =
-                offset.twins.iter().map(|twin| confounder_alternative(arm, twin, threshold.unit));
+            let twins = offset
+                .confounders
+                .iter()
+                .map(|twin| confounder_alternative(arm, twin, threshold.unit));
             fault.evidence.indistinguishable.extend(twins);
         }
         return Judged::new(subject, outcome).within(arm.span).estimated(estimate);
@@ -132,13 +134,13 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
         named_instead(arm, offset),
     ) {
         (Decision::Fail(_), _)
-            if offset.chosen && arm.poses.iter().any(|s| s.diagnosis.repeats()) =>
+            if offset.is_chosen && arm.poses.iter().any(|s| s.diagnosis.is_periodic()) =>
         {
             Outcome::Inconclusive(format!(
                 "depends on a latency that fits at several lags; {SETTLE}"
             ))
         }
-        (Decision::Fail(severity), _) if offset.chosen => {
+        (Decision::Fail(severity), _) if offset.is_chosen => {
             match residual_attribution::model_doubt(arm, 0.0)
                 .or_else(|| hidden_tool(arm))
                 .or_else(|| other_model(case, arm, offset))
@@ -148,8 +150,8 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
             }
         }
         (Decision::Pass, _) => Outcome::sound(),
-        (_, Some(twin)) if !offset.chosen => not_told_from(arm, &twin),
-        (Decision::Fail(_), _) if arm.poses.iter().any(|s| s.diagnosis.nominal) => {
+        (_, Some(twin)) if !offset.is_chosen => not_told_from(arm, &twin),
+        (Decision::Fail(_), _) if arm.poses.iter().any(|s| s.diagnosis.is_nominal) => {
             unseen(&NotObservable::NominalKinematics, SETTLE)
         }
         (Decision::Fail(_), _) => {
@@ -157,7 +159,7 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
             let why = format!("{shown} would fit, but the reported causes already explain the log");
             Outcome::Inconclusive(format!("{why}; {SETTLE}"))
         }
-        (Decision::Undecided(_), _) if arm.poses.iter().any(|s| s.diagnosis.nominal) => {
+        (Decision::Undecided(_), _) if arm.poses.iter().any(|s| s.diagnosis.is_nominal) => {
             unseen(&NotObservable::NominalKinematics, SETTLE)
         }
         (Decision::Undecided(why), _) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
@@ -199,7 +201,7 @@ fn other_model(case: &Case, arm: &ArmEvidence, offset: &JointOffset) -> Option<S
     const STANDS_OUT: f64 = 30.0;
     let limits = case.thresholds.of_frames(&MDL001, THRESHOLDS);
     let least = |amount: &Measured| amount.value - amount.half_width(0.95);
-    let unexplained = arm.poses.iter().filter(|stream| !stream.diagnosis.nominal);
+    let unexplained = arm.poses.iter().filter(|stream| !stream.diagnosis.is_nominal);
     let left = unexplained.filter_map(|stream| stream.diagnosis.residual.as_ref().ok());
     let much = left.filter(|left| {
         let is_long = least(&left.excess_m) > limits.length.warning;
@@ -245,7 +247,7 @@ fn fault(
     let moved = Unit::Metre.show(offset.effect_m);
     let mut evidence = Evidence {
         indistinguishable: offset
-            .twins
+            .confounders
             .iter()
             .map(|twin| confounder_alternative(arm, twin, unit))
             .collect(),
@@ -300,10 +302,10 @@ fn meaning(witness: PoseSourceKind) -> &'static str {
 /// The confounder of `offset` that is in the selected model, for messages.
 fn named_instead(arm: &ArmEvidence, offset: &JointOffset) -> Option<String> {
     let chosen =
-        |frame: &EstimateResult<FrameEstimate>| frame.as_ref().is_ok_and(|frame| frame.chosen);
-    let named = offset.twins.iter().find(|twin| match **twin {
+        |frame: &EstimateResult<FrameEstimate>| frame.as_ref().is_ok_and(|frame| frame.is_chosen);
+    let named = offset.confounders.iter().find(|twin| match **twin {
         Confounder::JointZero(joint, _) => {
-            arm.diagnosis.offsets.get(joint).is_some_and(|other| other.chosen)
+            arm.diagnosis.offsets.get(joint).is_some_and(|other| other.is_chosen)
         }
         Confounder::Reference(stream, _) => arm
             .poses
@@ -328,8 +330,8 @@ mod tests {
     fn a_chosen_offset_is_a_finding_that_lists_its_twins_and_its_heirs() {
         let mut run = clean_run();
         let pan = &mut run.robots[0].diagnosis.offsets[0];
-        (pan.offset, pan.chosen) = (Ok(sure(-0.01)), true);
-        pan.twins = vec![Confounder::Reference(0, -0.01)];
+        (pan.offset, pan.is_chosen) = (Ok(sure(-0.01)), true);
+        pan.confounders = vec![Confounder::Reference(0, -0.01)];
         let (_, findings) = ask(&ZER001, &run);
         let [finding] = findings.as_slice() else { panic!("{findings:?}") };
         assert_eq!(finding.subject.joint.as_deref(), Some("pan"));
@@ -346,7 +348,7 @@ mod tests {
             let mut run = clean_run();
             let arm = &mut run.robots[0];
             let pan = &mut arm.diagnosis.offsets[0];
-            (pan.offset, pan.chosen) = (Ok(sure(-0.01)), true);
+            (pan.offset, pan.is_chosen) = (Ok(sure(-0.01)), true);
             arm.poses[0].witness = witness;
             let finding = ask(&ZER001, &run).1.remove(0);
             assert_eq!(finding.evidence.more["witness"], witness.name());
@@ -378,7 +380,7 @@ mod tests {
             let mut run = clean_run();
             let arm = &mut run.robots[0];
             let pan = &mut arm.diagnosis.offsets[0];
-            (pan.offset, pan.chosen, pan.effect_m) = (Ok(sure(-0.01)), true, effect_m);
+            (pan.offset, pan.is_chosen, pan.effect_m) = (Ok(sure(-0.01)), true, effect_m);
             arm.poses[0].witness = PoseSourceKind::External;
             let stream = &mut arm.poses[0].diagnosis;
             let mut tool = frame(0.0);
@@ -401,9 +403,9 @@ mod tests {
         let mut run = clean_run();
         let diagnosis = &mut run.robots[0].diagnosis;
         diagnosis.offsets[0].offset = Ok(sure(-0.01));
-        diagnosis.offsets[0].twins = vec![Confounder::Reference(0, -0.01)];
+        diagnosis.offsets[0].confounders = vec![Confounder::Reference(0, -0.01)];
         run.robots[0].poses[0].diagnosis.reference =
-            Ok(FrameEstimate { chosen: true, ..frame(0.1) });
+            Ok(FrameEstimate { is_chosen: true, ..frame(0.1) });
         let (rows, findings) = ask(&ZER001, &run);
         assert!(findings.is_empty() && rows[0].indistinguishable, "{rows:?}");
         let (_, named) = ask(&crate::checks::poses::frm002_reference_frame::FRM002, &run);

@@ -62,12 +62,12 @@ fn check(case: &Case) -> Vec<Judged> {
 }
 
 fn fault(arm: &ArmEvidence, bend: &JointCompliance, severity: Severity) -> Fault {
-    let (effect_m, moved) = tip_effect(arm, bend.column, bend.amount.value);
+    let (effect_m, moved) = tip_effect(arm, bend.column, bend.value.value);
     Fault {
         severity,
         cause: Cause::Bend,
         title: "joint sags under gravity",
-        message: format!("sags by up to {} under gravity", Unit::Radian.show_measured(&bend.amount)),
+        message: format!("sags by up to {} under gravity", Unit::Radian.show_measured(&bend.value)),
         evidence: Evidence {
             effect: Some(moved),
             effect_m: Some(effect_m),

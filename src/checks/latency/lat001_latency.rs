@@ -101,7 +101,7 @@ fn name_once(rows: &mut [Judged], apart_s: f64) {
 fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     let poses = arm.poses_and_tf().map(|stream| {
         let latency = &stream.diagnosis.latency_s;
-        let delays = stream.diagnosis.delays.as_ref();
+        let delays = stream.diagnosis.delay_jitter.as_ref();
         stream.with_value(Late { independent: stream.independent, latency, delays })
     });
     let imus = arm.imus.iter().map(|imu| {

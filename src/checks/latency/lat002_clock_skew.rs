@@ -47,7 +47,7 @@ const SKEW: ScalarRule =
 
 fn check(case: &Case) -> Vec<Judged> {
     let poses = case.evidence.poses().map(|(arm, stream)| {
-        let (estimate, is_chosen) = (&stream.diagnosis.skew, stream.diagnosis.skew_chosen);
+        let (estimate, is_chosen) = (&stream.diagnosis.skew, stream.diagnosis.is_skew_chosen);
         let doubt = doubt(estimate, stream.seconds());
         let skew = stream.with_value(StreamEstimate { estimate, is_chosen, doubt });
         judge(case, arm, stream.independent, &skew)
@@ -141,7 +141,7 @@ mod tests {
         stream.skew = Ok(Measured { std_error: 1e-7, ..sure(2e-4) });
         let (rows, findings) = ask(&LAT002, &run);
         assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
-        run.robots[0].poses[0].diagnosis.skew_chosen = true;
+        run.robots[0].poses[0].diagnosis.is_skew_chosen = true;
         let (_, findings) = ask(&LAT002, &run);
         assert_eq!(findings[0].message, "latency grows by +200.0 ± 0.2 ppm against /joint_states");
     }

@@ -73,12 +73,12 @@ fn check(case: &Case) -> Vec<Judged> {
 
 fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     let poses = arm.poses_and_tf().map(|stream| {
-        let course = &stream.diagnosis.course;
+        let course = &stream.diagnosis.latency_profile;
         let latency = stream.diagnosis.latency_s.as_ref().ok();
         stream.with_value(Course { independent: stream.independent, course, latency })
     });
     let imus = arm.imus.iter().map(|imu| {
-        let course = &imu.diagnosis.latency_course;
+        let course = &imu.diagnosis.latency_profile;
         let latency = imu.diagnosis.latency_s.as_ref().ok();
         imu.with_value(Course { independent: imu.independent, course, latency })
     });
@@ -113,7 +113,7 @@ fn joints_course(case: &Case, streams: &[StreamEvidence<Course>]) -> Option<Late
             &case.thresholds.of(&LAT003, THRESHOLD),
             case.evidence.subjects(),
         ) {
-            Decision::Fail(_) if !course.jumps.is_empty() => witnesses.push(course),
+            Decision::Fail(_) if !course.steps.is_empty() => witnesses.push(course),
             Decision::Undecided(_) => {}
             Decision::Fail(_) | Decision::Pass => return None,
         }
@@ -129,16 +129,16 @@ fn joints_course(case: &Case, streams: &[StreamEvidence<Course>]) -> Option<Late
             (other.at_s - jump.at_s).abs() < TOGETHER_S
                 && (other.size_s.value - jump.size_s.value).abs() < by_s
         };
-        witnesses.iter().all(|course| course.jumps.iter().any(is_same))
+        witnesses.iter().all(|course| course.steps.iter().any(is_same))
     };
-    let is_one = |course: &LatencyProfile| course.jumps.len() == surest.jumps.len();
-    let shared = surest.jumps.iter().all(is_shared) && witnesses.iter().all(|one| is_one(one));
+    let is_one = |course: &LatencyProfile| course.steps.len() == surest.steps.len();
+    let shared = surest.steps.iter().all(is_shared) && witnesses.iter().all(|one| is_one(one));
     let turned = |jump: &LatencyStep| LatencyStep { size_s: jump.size_s.scaled(-1.0), ..*jump };
     shared.then(|| LatencyProfile {
         swing_s: surest.swing_s.scaled(-1.0),
         is_unsteady: true,
         shape: LatencyShape::Steps,
-        jumps: surest.jumps.iter().map(turned).collect(),
+        steps: surest.steps.iter().map(turned).collect(),
         levels: surest.levels.iter().map(|&(at_s, level_s)| (at_s, -level_s)).collect(),
         windows: surest.windows.iter().map(|&(t_s, one)| (t_s, one.scaled(-1.0))).collect(),
     })
@@ -167,7 +167,7 @@ fn estimate(case: &Case, course: &LatencyProfile, latency: Option<&Measured>) ->
 fn ends(course: &LatencyProfile, latency: Option<&Measured>) -> Option<(f64, f64, [f64; 2])> {
     let latency_s = latency?.value;
     let level = |level: Option<&(f64, f64)>| Some(latency_s + level?.1);
-    match (course.shape, course.jumps.as_slice()) {
+    match (course.shape, course.steps.as_slice()) {
         (LatencyShape::Steps, [jump]) => {
             let ends = (level(course.levels.first())?, level(course.levels.last())?);
             Some((ends.0, ends.1, [jump.at_s; 2]))
@@ -216,7 +216,7 @@ fn fault(
     let from_to = ends(course, latency)
         .map(|(from, to, _)| format!(", from {} to {}", show(from), show(to)))
         .unwrap_or_default();
-    let (kind, title, message) = match (course.shape, course.jumps.as_slice()) {
+    let (kind, title, message) = match (course.shape, course.steps.as_slice()) {
         (_, [jump]) => (
             "step",
             "latency jumps",
@@ -260,7 +260,7 @@ fn fault(
         ),
     };
     let listed: Vec<Value> = course
-        .jumps
+        .steps
         .iter()
         .map(|jump| {
             let at_ns = case.evidence.origin.shifted(jump.at_s).to_string();
@@ -306,13 +306,13 @@ mod tests {
     fn scatter_that_noise_may_be_is_no_finding() {
         let mut run = clean_run();
         let course = |swing_s, is_unsteady, jumps| {
-            Ok(LatencyProfile { swing_s, is_unsteady, jumps, ..steady() })
+            Ok(LatencyProfile { swing_s, is_unsteady, steps: jumps, ..steady() })
         };
-        run.robots[0].poses[0].diagnosis.course = course(sure(0.012), false, vec![]);
+        run.robots[0].poses[0].diagnosis.latency_profile = course(sure(0.012), false, vec![]);
         let (rows, findings) = ask(&LAT003, &run);
         assert!(findings.is_empty() && rows[0].status == Status::Inconclusive, "{rows:?}");
         let jump = LatencyStep { at_s: 4.0, size_s: sure(0.012) };
-        run.robots[0].poses[0].diagnosis.course = course(sure(0.012), true, vec![jump]);
+        run.robots[0].poses[0].diagnosis.latency_profile = course(sure(0.012), true, vec![jump]);
         let (_, findings) = ask(&LAT003, &run);
         assert!(findings[0].message.starts_with("latency jumps by +12.000"), "{findings:?}");
     }
@@ -324,18 +324,18 @@ mod tests {
             Ok(LatencyProfile {
                 swing_s: sure(size_s),
                 is_unsteady: true,
-                jumps: vec![jump],
+                steps: vec![jump],
                 ..steady()
             })
         };
         let with = |pose: EstimateResult<LatencyProfile>, imu: EstimateResult<LatencyProfile>| {
             let mut run = clean_run();
             let arm = &mut run.robots[0];
-            arm.poses[0].diagnosis.course = pose;
-            arm.imus[0].diagnosis.latency_course = imu;
+            arm.poses[0].diagnosis.latency_profile = pose;
+            arm.imus[0].diagnosis.latency_profile = imu;
             if let Some(tf) = &mut arm.tf {
                 tf.independent = false;
-                tf.diagnosis.course = Err(crate::diagnosis::NotObservable::AtRest);
+                tf.diagnosis.latency_profile = Err(crate::diagnosis::NotObservable::AtRest);
             }
             let found = ask(&LAT003, &run).1.into_iter();
             found.map(|finding| finding.subject.label().to_owned()).collect::<Vec<_>>()

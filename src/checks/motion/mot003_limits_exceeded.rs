@@ -66,7 +66,7 @@ pub(in crate::checks) fn doubt(arm: &ArmEvidence) -> Option<String> {
 /// The same for one joint.
 pub(in crate::checks) fn doubt_of_joint(arm: &ArmEvidence, joint: usize) -> Option<String> {
     let changes = arm.diagnosis.changes.iter().any(|change| change.column == joint);
-    let mut couplings = arm.diagnosis.reading.iter().flat_map(|reading| &reading.couplings);
+    let mut couplings = arm.diagnosis.encoding.iter().flat_map(|reading| &reading.couplings);
     let why = if couplings.any(|coupling| coupling.column == joint) {
         "its positions contain another joint's (ORD009)"
     } else if changes {
@@ -88,7 +88,7 @@ pub(in crate::checks) const UNIT_IS_OPEN: &str = "the joint positions are too la
     poses they may be degrees, ticks or fractions of the range; log the tool pose too";
 
 fn doubt_of(arm: &ArmEvidence) -> Option<&'static str> {
-    let why = match &arm.diagnosis.reading {
+    let why = match &arm.diagnosis.encoding {
         Ok(reading) if reading.degrees.is_some() || reading.permutation.is_some() => {
             "joint names or units are wrong; correct them first (ORD004, ORD005)"
         }
@@ -111,8 +111,8 @@ struct Broken<'a> {
 impl<'a> Broken<'a> {
     /// `None` if the excess is within noise. `range` scales the `info` fraction.
     fn of(what: &'static str, excess: Option<&'a LimitViolation>, range: f64) -> Option<Self> {
-        let excess = excess.filter(|excess| excess.over() > NOISE)?;
-        let is_slight = excess.over() <= SLIGHT * range;
+        let excess = excess.filter(|excess| excess.excess() > NOISE)?;
+        let is_slight = excess.excess() <= SLIGHT * range;
         let severity = if is_slight { Severity::Info } else { Severity::Warning };
         Some(Self { what, excess, severity })
     }
@@ -166,7 +166,7 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
     let mut judged = judged(Outcome::faulty(fault)).estimated(Estimate::counted(
         name,
         symbol,
-        worst.excess.over(),
+        worst.excess.excess(),
     ));
     for broken in broken {
         judged = judged.with_evidence(broken.what, evidence(case, broken.excess));
@@ -178,7 +178,7 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
 fn zero_is_off(arm: &ArmEvidence, joint: usize) -> bool {
     /// Smaller zero offsets barely change the excess, rad.
     const FAR_RAD: f64 = 0.1;
-    let named = arm.diagnosis.offsets.get(joint).filter(|offset| offset.chosen);
+    let named = arm.diagnosis.offsets.get(joint).filter(|offset| offset.is_chosen);
     let offset = named.and_then(|offset| offset.offset.as_ref().ok());
     offset.is_some_and(|offset| offset.value.abs() > FAR_RAD)
 }
@@ -195,7 +195,7 @@ fn tell(case: &Case, broken: &Broken<'_>, unit: Unit) -> String {
         "{} reaches {}, {} beyond the limit of {}, at {}, for {} in total",
         broken.what,
         shown(value),
-        shown(broken.excess.over()),
+        shown(broken.excess.excess()),
         shown(limit),
         case.evidence.moment(case.evidence.origin.shifted(at_s)),
         Unit::Second.show(seconds),
@@ -223,7 +223,7 @@ mod tests {
         arm.joints[1].motion.positions =
             Some(LimitViolation { limit: 3.0, value: 3.5, at_s: 1.0, seconds: 0.25 });
         let lift = &mut arm.diagnosis.offsets[1];
-        (lift.offset, lift.chosen) = (Ok(crate::checks::testing::sure(-1.2)), true);
+        (lift.offset, lift.is_chosen) = (Ok(crate::checks::testing::sure(-1.2)), true);
         assert!(ask(&MOT003, &run).1.is_empty());
     }
 

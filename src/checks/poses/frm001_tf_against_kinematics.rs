@@ -55,7 +55,7 @@ impl Disagreement {
     fn of<'a>(case: &Case, tf: &'a PoseDiagnosis) -> Result<Self, &'a NotObservable> {
         let (thresholds, subjects) =
             (case.thresholds.of_frames(&FRM001, THRESHOLDS), case.evidence.subjects());
-        let offset = [&tf.reference, &tf.tool].into_iter().flatten().find(|frame| frame.chosen);
+        let offset = [&tf.reference, &tf.tool].into_iter().flatten().find(|frame| frame.is_chosen);
         if let Some(offset) = offset {
             let (length, angle) = (offset.translation_m, offset.rotation_rad);
             let decision = decide_frame(offset, &thresholds, subjects);
@@ -99,7 +99,7 @@ fn check(case: &Case) -> Vec<Judged> {
 
 /// Fault of the recorded joint states that makes everything computed or interpolated from them invalid.
 fn misread(arm: &ArmEvidence) -> Option<&'static str> {
-    let joints = arm.diagnosis.reading.as_ref().ok()?;
+    let joints = arm.diagnosis.encoding.as_ref().ok()?;
     match joints {
         joints if joints.degrees.is_some() => Some("units are wrong (ORD004)"),
         joints if joints.permutation.is_some() => Some("names are mixed up (ORD005)"),
@@ -141,7 +141,7 @@ mod tests {
     fn a_constant_offset_and_a_residual_are_both_disagreements() {
         let mut run = clean_run();
         run.robots[0].tf.as_mut().unwrap().diagnosis.tool =
-            Ok(FrameEstimate { chosen: true, ..frame(0.003) });
+            Ok(FrameEstimate { is_chosen: true, ..frame(0.003) });
         let constant = ask(&FRM001, &run).1;
         assert_eq!(
             constant[0].message,

@@ -77,7 +77,7 @@ fn since_label(case: &Case, mut judged: Judged) -> Judged {
     };
     let is_right = |stream: &StreamEvidence<PoseEvidence>| {
         let reference = &stream.diagnosis.reference;
-        stream.reference_known && reference.as_ref().is_ok_and(|frame| !frame.chosen)
+        stream.reference_known && reference.as_ref().is_ok_and(|frame| !frame.is_chosen)
     };
     let other =
         parts().find(|other| Some(&other.reference) != subject.frame.as_ref() && is_right(other));
@@ -151,7 +151,7 @@ mod tests {
         let mut run = clean_run();
         let arm = &mut run.robots[0];
         arm.poses[0].reference_known = false;
-        arm.poses[0].diagnosis.reference = Ok(FrameEstimate { chosen: true, ..frame(1.2) });
+        arm.poses[0].diagnosis.reference = Ok(FrameEstimate { is_chosen: true, ..frame(1.2) });
         let (rows, findings) = ask(&FRM002, &run);
         assert!(findings.is_empty() && rows[0].status == Status::Pass, "{rows:?}");
         assert_eq!(rows[0].evidence["pose"]["xyz"][0], 1.2);

@@ -176,7 +176,7 @@ mod tests {
         let mut run = clean_run();
         let arm = &mut run.robots[0];
         arm.poses[0].is_tip_declared = tip_named;
-        arm.poses[0].diagnosis.tool = Ok(FrameEstimate { chosen: true, ..frame(0.14) });
+        arm.poses[0].diagnosis.tool = Ok(FrameEstimate { is_chosen: true, ..frame(0.14) });
         ask(&FRM003, &run).1.first().map(|finding| finding.severity)
     }
 

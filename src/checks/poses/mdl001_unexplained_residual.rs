@@ -130,7 +130,7 @@ impl AttributedStream<'_> {
     fn is_mismatched(&self) -> bool {
         let reference_known = self.stream.reference_known;
         match &self.stream.diagnosis.residual {
-            Ok(_) => self.stream.diagnosis.strays(),
+            Ok(_) => self.stream.diagnosis.is_far_from_fk(),
             Err(_) => reference_known,
         }
     }
@@ -181,7 +181,7 @@ fn judge(case: &Case, attributed: &AttributedStream, all: &[AttributedStream]) -
         Some(Attribution::Unexplained(residual) | Attribution::Undetermined(residual, _)) => {
             &residual.error
         }
-        _ => proof.left.as_ref().unwrap_or(&proof.as_logged),
+        _ => proof.corrected.as_ref().unwrap_or(&proof.as_logged),
     };
     let angle = error.angle.as_ref().map(|angle| rms_beyond_noise(&angle.whole));
     let none = Measured { value: 0.0, std_error: 0.0, dof: f64::INFINITY };
@@ -215,7 +215,7 @@ fn judge(case: &Case, attributed: &AttributedStream, all: &[AttributedStream]) -
 /// is that of a mean of independent noise.
 fn rms_beyond_noise(whole: &ErrorMagnitude) -> Measured {
     let noise = whole.noise.unwrap_or_default();
-    let independent = (whole.samples as f64 / noise.over.max(1) as f64).max(3.0);
+    let independent = (whole.samples as f64 / noise.lag_samples.max(1) as f64).max(3.0);
     Measured {
         value: (whole.rms.powi(2) - noise.rms.powi(2)).max(0.0).sqrt(),
         std_error: noise.rms / independent.sqrt(),
@@ -225,7 +225,7 @@ fn rms_beyond_noise(whole: &ErrorMagnitude) -> Measured {
 
 /// An error over the whole run, and its largest part, as JSON.
 fn error_json(case: &Case, error: &FkError) -> Value {
-    let most = |size: &ErrorSize| size.worst().map(|part| part.amount.most);
+    let most = |size: &ErrorSize| size.worst().map(|part| part.magnitude.quantile_95);
     let worst = error.length.worst();
     let ns = |at_s: f64| case.evidence.origin.shifted(at_s).to_string();
     json!({
@@ -241,7 +241,7 @@ fn error_json(case: &Case, error: &FkError) -> Value {
 
 fn outcome(case: &Case, attributed: &AttributedStream, all: &[AttributedStream]) -> Outcome {
     let Some(attribution) = &attributed.attribution else { return Outcome::sound() };
-    let at_rest = attributed.stream.proof.as_ref().is_ok_and(|proof| proof.at_rest);
+    let at_rest = attributed.stream.proof.as_ref().is_ok_and(|proof| proof.is_at_rest);
     let as_logged =
         || attributed.stream.proof.as_ref().map_or(String::new(), |proof| sizes(&proof.as_logged));
     match attribution {
@@ -294,7 +294,7 @@ fn sizes(error: &FkError) -> String {
 /// to 70 mm and 0.2°, largest near (…) m`.
 fn describe_residual(case: &Case, residual: &ExceedingResidual) -> String {
     let PartError { at, .. } = residual.worst;
-    let most = |size: &ErrorSize| size.worst().map_or(0.0, |part| part.amount.most);
+    let most = |size: &ErrorSize| size.worst().map_or(0.0, |part| part.magnitude.quantile_95);
     let length = Unit::Metre.show(most(&residual.error.length));
     let angle = residual.error.angle.as_ref().map(|angle| Unit::Radian.show(most(angle)));
     let most = angle.map_or(length.clone(), |angle| format!("{length} and {angle}"));
@@ -463,11 +463,11 @@ fn candidates(stream: &StreamEvidence<PoseEvidence>) -> Vec<String> {
     let rms = |error: &FkError| error.length.whole.rms;
     let residual = proof.and_then(|proof| {
         let nearer = |residual: &&FkError| rms(residual) < 0.5 * rms(&proof.as_logged);
-        proof.left.as_ref().filter(nearer)
+        proof.corrected.as_ref().filter(nearer)
     });
     let all =
         residual.map(|residual| format!("all findings together (residual {})", sizes(residual)));
-    let ranked = found.reading.as_ref().map_or(&[] as &[_], |reading| &reading.ranked);
+    let ranked = found.encoding.as_ref().map_or(&[] as &[_], |reading| &reading.ranked);
     let readings =
         ranked.iter().filter(|(reading, _)| !matches!(reading, PoseEncoding::AsLogged)).take(3);
     let readings = readings.map(|(reading, left_rad)| {

@@ -43,7 +43,7 @@ fn check(case: &Case) -> Vec<Judged> {
     // Positions reveal an inverted pose if the orientations do not.
     let inverted = case.evidence.poses().filter(|(_, stream)| {
         let found = &stream.diagnosis;
-        found.inverted && found.reading.is_err() && !found.strays()
+        found.is_inverted && found.encoding.is_err() && !found.is_far_from_fk()
     });
     for (_, stream) in inverted {
         if let Some(row) = judged.iter_mut().find(|row| row.subject == stream.subject) {
@@ -88,7 +88,7 @@ const EXCHANGE: &str =
 
 fn word(estimate: &EncodingEstimate) -> Option<Wording> {
     let (title, what, fix, slip) = match estimate.best {
-        _ if estimate.inverted => (
+        _ if estimate.is_inverted => (
             "pose is inverted",
             "the pose is inverted relative to its frame names",
             EXCHANGE,

@@ -47,10 +47,10 @@ fn check(case: &Case) -> Vec<Judged> {
 
 fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
     let topic = arm.topic(&arm.joints_topic);
-    let joints = match &arm.diagnosis.reading {
+    let joints = match &arm.diagnosis.encoding {
         Err(why) => vec![Judged::new(topic, unseen(why, "also log a pose or /tf"))],
         Ok(reading) => {
-            let alone = reading.slips_of(JointUnit::Degrees).map(|(slip, left)| {
+            let alone = reading.unit_errors(JointUnit::Degrees).map(|(slip, left)| {
                 let subject = arm.joint_states(slip.column);
                 let mut judged = judge(arm, subject, Some(left), Unit::Metre, Taken::Logged);
                 judged.caused_by(Cause::JointUnit(slip.factor));
@@ -82,8 +82,8 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
 
 /// Judges the unit of a gyro; `None` if the IMU does not rotate with the arm.
 fn judge_gyro(imu: &StreamEvidence<ImuEvidence>) -> Option<Judged> {
-    let Some(UnitResiduals { as_logged, corrected }) = imu.diagnosis.numbers.degrees else {
-        let turns = imu.proof.as_ref()?.rates.is_some();
+    let Some(UnitResiduals { as_logged, corrected }) = imu.diagnosis.conventions.degrees else {
+        let turns = imu.proof.as_ref()?.gyro.is_some();
         return turns.then(|| imu.judged(Outcome::sound()).within(imu.span));
     };
     let [before, after] = [as_logged, corrected].map(|left| Unit::GyroRate.show(left));

@@ -48,14 +48,14 @@ rule! {
 fn check(case: &Case) -> Vec<Judged> {
     let streams = case.evidence.poses_and_tf();
     let judged = streams.map(|(_, stream)| {
-        let outcome = match &stream.diagnosis.length {
+        let outcome = match &stream.diagnosis.length_unit {
             Err(why) => unseen(why, "move the tip by 10 cm or more"),
             Ok(None) => Outcome::sound(),
             Ok(Some(slip)) if stream.is_undeclared => Outcome::sound_because(format!(
                 "read as {}: no unit is declared for these numbers, so none is violated",
                 slip.is.words()
             )),
-            Ok(Some(slip)) if stream.diagnosis.strays() => Outcome::Inconclusive(format!(
+            Ok(Some(slip)) if stream.diagnosis.is_far_from_fk() => Outcome::Inconclusive(format!(
                 "{} would still have a residual of {}, so it explains nothing (MDL001)",
                 slip.is.words(),
                 Unit::Metre.show(slip.residual.corrected)
@@ -77,7 +77,7 @@ fn check(case: &Case) -> Vec<Judged> {
 
 /// Judges the unit of an accelerometer; `None` if it measures neither gravity nor a wrong unit.
 fn judge_accelerometer(imu: &StreamEvidence<ImuEvidence>) -> Option<Judged> {
-    let Some(AccelUnitError { unit, felt }) = imu.diagnosis.numbers.accel else {
+    let Some(AccelUnitError { unit, norm: felt }) = imu.diagnosis.conventions.accel else {
         let feels = imu.proof.as_ref()?.gravity_m_s2.is_some();
         return feels.then(|| imu.judged(Outcome::sound()).within(imu.span));
     };
@@ -101,13 +101,13 @@ fn judge_accelerometer(imu: &StreamEvidence<ImuEvidence>) -> Option<Judged> {
 
 /// Findings for prismatic joints whose positions are not in metres.
 fn judge_joints(arm: &ArmEvidence) -> Vec<Judged> {
-    let Ok(reading) = &arm.diagnosis.reading else { return Vec::new() };
+    let Ok(reading) = &arm.diagnosis.encoding else { return Vec::new() };
     let units = [
         (JointUnit::Millimetres, "mm", "millimetres", 1000),
         (JointUnit::Centimetres, "cm", "centimetres", 100),
     ];
     let slips = units.into_iter().flat_map(|(unit, is, what, number)| {
-        reading.slips_of(unit).map(move |(slip, left)| (slip, left, is, what, number))
+        reading.unit_errors(unit).map(move |(slip, left)| (slip, left, is, what, number))
     });
     let judged = slips.map(|(slip, left, is, what, number)| {
         let subject = arm.joint_states(slip.column);

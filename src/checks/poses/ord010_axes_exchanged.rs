@@ -48,7 +48,7 @@ fn check(case: &Case) -> Vec<Judged> {
         let outcome = match stream.diagnosis.axes {
             Err(ref why) => unseen(why, "move the tip by 10 cm or more in all directions"),
             Ok(None) => Outcome::sound(),
-            Ok(Some(_)) if stream.diagnosis.strays() => Outcome::Inconclusive(
+            Ok(Some(_)) if stream.diagnosis.is_far_from_fk() => Outcome::Inconclusive(
                 "no axis convention explains its positions (MDL001); check the model and its joints".to_owned(),
             ),
             Ok(Some(slip)) => {

@@ -38,7 +38,7 @@ fn check(case: &Case) -> Vec<Judged> {
     let streams = case.evidence.poses_and_tf();
     let judged = streams.map(|(_, stream)| {
         let found = &stream.diagnosis;
-        match (&found.axes, found.constant.as_slice()) {
+        match (&found.axes, found.constant_coordinates.as_slice()) {
             (Err(why), _) => stream.judged(unseen(why, "move the tip by 10 cm or more")),
             (Ok(_), []) => stream.judged(Outcome::sound()),
             (Ok(_), parts) => {
@@ -93,7 +93,7 @@ mod tests {
     fn the_coordinate_its_value_and_what_is_missing_are_said() {
         let mut run = clean_run();
         assert!(ask(&ORD011, &run).1.is_empty());
-        run.robots[0].poses[0].diagnosis.constant =
+        run.robots[0].poses[0].diagnosis.constant_coordinates =
             vec![ConstantCoordinate { coordinate: 'z', value: 0.0, moved_m: 0.43 }];
         let findings = ask(&ORD011, &run).1;
         let expected = "z is 0.0000 throughout while FK moves it by 430 mm";

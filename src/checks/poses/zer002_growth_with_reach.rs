@@ -49,10 +49,10 @@ const GROWTH: ScalarRule = ScalarRule {
 
 fn check(case: &Case) -> Vec<Judged> {
     let judged = case.evidence.poses().map(|(arm, stream)| {
-        if let Some(change) = ScalarChange::largest(&stream.diagnosis.growth_changes) {
+        if let Some(change) = ScalarChange::largest(&stream.diagnosis.radial_scale_changes) {
             let threshold = case.thresholds.of(&ZER002, THRESHOLD);
             let title = "growth with reach changes mid-run";
-            let effect_m = change.by.value.abs() * arm.reach_m;
+            let effect_m = change.size.value.abs() * arm.reach_m;
             let (outcome, estimate) = changes::judge_scalar_change(
                 case,
                 GROWTH.name,
@@ -64,8 +64,8 @@ fn check(case: &Case) -> Vec<Judged> {
             return stream.judged(outcome).estimated(estimate);
         }
         let growth = stream.with_value(StreamEstimate {
-            estimate: &stream.diagnosis.growth,
-            is_chosen: stream.diagnosis.growth_chosen,
+            estimate: &stream.diagnosis.radial_scale,
+            is_chosen: stream.diagnosis.is_radial_scale_chosen,
             doubt: doubt(arm, &stream.diagnosis),
         });
         GROWTH.judge(&ZER002, case, arm, &growth)
@@ -74,7 +74,7 @@ fn check(case: &Case) -> Vec<Judged> {
 }
 
 fn doubt(arm: &ArmEvidence, diagnosis: &PoseDiagnosis) -> Option<String> {
-    if diagnosis.repeats() {
+    if diagnosis.is_periodic() {
         let why = "depends on a latency that fits at several lags; record non-periodic motion";
         return Some(why.to_owned());
     }
@@ -111,7 +111,7 @@ mod tests {
     fn a_growth_that_is_chosen_is_a_finding_with_its_effect_at_reach() {
         let mut run = clean_run();
         let stream = &mut run.robots[0].poses[0].diagnosis;
-        (stream.growth, stream.growth_chosen) = (Ok(sure(0.01)), true);
+        (stream.radial_scale, stream.is_radial_scale_chosen) = (Ok(sure(0.01)), true);
         let (_, findings) = ask(&ZER002, &run);
         assert_eq!(findings[0].evidence.effect.as_deref(), Some("8.5 mm at full reach (0.85 m)"));
         assert_eq!(findings[0].severity, Severity::Error);

@@ -81,7 +81,7 @@ fn judge_labels(arm: &ArmEvidence, pose: &StreamEvidence<PoseEvidence>) -> Optio
     const FOLLOWS_RAD: f64 = 0.17;
     const CLEAR_RATIO: f64 = 2.0;
     let labels = pose.labels?;
-    let reading = pose.diagnosis.reading.as_ref().ok().filter(|reading| reading.is_told)?;
+    let reading = pose.diagnosis.encoding.as_ref().ok().filter(|reading| reading.is_determined)?;
     if reading.best_rad > FOLLOWS_RAD {
         return None;
     }

@@ -2,7 +2,7 @@
 
 use poseaudit::diagnosis::plan::{
     ArmCapsules, ClearanceViolation, Clearances, ExpectedPrecision, JointMargins, LimitViolation,
-    MotionPlan, PlanRequirements, Purpose, Sensing, TargetVisibility, beyond,
+    MotionPlan, PlanRequirements, Purpose, Sensing, TargetVisibility, limit_violations,
 };
 use poseaudit::finding::Unit;
 use poseaudit::geometry::{Pose, Vec3};
@@ -63,7 +63,7 @@ pub fn asked(args: &Args, planning: &Planning, around: Vec<f64>) -> Result<Asked
         }
     }
     let asked = Asked::of_given(args, planning, around);
-    let under = asked.keep.near(&planning.chain, &asked.around);
+    let under = asked.keep.close_pairs(&planning.chain, &asked.around);
     let under = under
         .iter()
         .find(|near| matches!(near, ClearanceViolation::Floor(_, height) if *height < 0.0));
@@ -104,7 +104,7 @@ impl Asked {
             target: Vec3::from(target.coords),
             half_rad: args.view.to_radians(),
         });
-        let keep = Clearances::around(
+        let keep = Clearances::from_configuration(
             chain,
             &around,
             ArmCapsules { radius_m },
@@ -143,11 +143,11 @@ impl Asked {
         PlanRequirements {
             chain,
             around: &self.around,
-            rooms: &self.rooms,
+            margins: &self.rooms,
             seconds: self.seconds,
             purpose: self.purpose,
             sensing: self.sensing,
-            keep: &self.keep,
+            clearances: &self.keep,
             seed: self.seed,
         }
     }
@@ -188,9 +188,9 @@ impl Checked {
     ) -> Self {
         let speed: Vec<f64> = asked.rooms.iter().map(|room| room.velocity).collect();
         let acceleration: Vec<f64> = asked.rooms.iter().map(|room| room.acceleration).collect();
-        let beyond = beyond(&planning.chain, motion, &speed, &acceleration);
+        let beyond = limit_violations(&planning.chain, motion, &speed, &acceleration);
         let near = (0..motion.len()).find_map(|row| {
-            let near = asked.keep.offence(&planning.chain, motion.row(row))?;
+            let near = asked.keep.first_violation(&planning.chain, motion.row(row))?;
             Some((motion.t_s[row], near))
         });
         Self { promises, beyond, near }

@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 use poseaudit::diagnosis::plan::{
-    ExpectedPrecision, JointRange, LimitKind, MotionPlan, extents, geometric_mean,
+    ExpectedPrecision, JointRange, LimitKind, MotionPlan, geometric_mean, joint_ranges,
 };
 use poseaudit::finding::Unit;
 use poseaudit::report::foreign;
@@ -29,12 +29,12 @@ pub fn planned(
     heading(planning, asked, motion, out)?;
     writeln!(out, "\n{OBSTACLES}\n")?;
     let others = [
-        ("random phases", planned.random.as_slice()),
-        ("one joint at a time", planned.one_by_one.as_slice()),
+        ("random phases", planned.random_precision.as_slice()),
+        ("one joint at a time", planned.one_by_one_precision.as_slice()),
     ];
-    promises(planning, asked, &planned.promises, &others, out)?;
+    promises(planning, asked, &planned.precision, &others, out)?;
     for (name, other) in others {
-        if let Some(times) = geometric_mean(other, &planned.promises) {
+        if let Some(times) = geometric_mean(other, &planned.precision) {
             writeln!(out, "{name}: {times:.2} times this motion's uncertainty")?;
         }
     }
@@ -113,7 +113,7 @@ fn promises(
     let mut rows = table(header.chain(others.iter().map(|(name, _)| *name)));
     let mut is_hidden = false;
     for (at, promise) in own.iter().enumerate() {
-        let label = Label::of(planning, asked, promise.of);
+        let label = Label::of(planning, asked, promise.quantity);
         let mut shown = |half: f64| match half.is_finite() {
             true => label.unit.show(half),
             false => {
@@ -121,11 +121,11 @@ fn promises(
                 "undetermined".to_owned()
             }
         };
-        let mut row = vec![label.whole(), shown(promise.half)];
+        let mut row = vec![label.whole(), shown(promise.half_width)];
         row.extend(
             others
                 .iter()
-                .map(|(_, other)| other.get(at).map_or(String::new(), |it| shown(it.half))),
+                .map(|(_, other)| other.get(at).map_or(String::new(), |it| shown(it.half_width))),
         );
         rows.add_row(row);
     }
@@ -167,7 +167,7 @@ fn motions(
         "limit",
         "position limits",
     ]);
-    for (joint, extent) in extents(motion).into_iter().enumerate() {
+    for (joint, extent) in joint_ranges(motion).into_iter().enumerate() {
         let JointRange { low, high, speed, acceleration } = extent;
         let unit = if planning.slides(joint) { "m" } else { "rad" };
         let (room, limits) = (asked.rooms[joint], chain.limits()[joint]);
@@ -222,7 +222,7 @@ fn kept(planning: &Planning, asked: &Asked, out: &mut dyn Write) -> io::Result<(
         }
         None => writeln!(out, "floor: none given (--floor)")?,
     }
-    for near in keep.near(&planning.chain, &asked.around) {
+    for near in keep.close_pairs(&planning.chain, &asked.around) {
         writeln!(out, "too close for these radii at the start: {}", asked.nearness(&near))?;
     }
     for (joint, room) in asked.rooms.iter().enumerate() {

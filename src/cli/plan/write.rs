@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 use poseaudit::diagnosis::plan::{
-    ExpectedPrecision, FourierMotion, MotionPlan, extents, geometric_mean,
+    ExpectedPrecision, FourierMotion, MotionPlan, geometric_mean, joint_ranges,
 };
 use poseaudit::report::foreign;
 use poseaudit::stream::JointTrack;
@@ -41,7 +41,13 @@ pub fn json(
     motion: &JointTrack,
     out: &mut dyn Write,
 ) -> io::Result<()> {
-    let MotionPlan { series, share, promises, random, one_by_one } = planned;
+    let MotionPlan {
+        series,
+        share,
+        precision: promises,
+        random_precision: random,
+        one_by_one_precision: one_by_one,
+    } = planned;
     let mut said = head(planning, asked, motion);
     said["amplitude_share"] = json!(share);
     said["expected"] = expected(planning, asked, promises);
@@ -87,7 +93,7 @@ pub fn checked_json(
 
 fn head(planning: &Planning, asked: &Asked, motion: &JointTrack) -> Value {
     let Planning { robot, chain } = planning;
-    let joints = extents(motion).into_iter().enumerate().map(|(joint, it)| {
+    let joints = joint_ranges(motion).into_iter().enumerate().map(|(joint, it)| {
         let (room, limits) = (asked.rooms[joint], chain.limits()[joint]);
         json!({
             "name": chain.joint_names()[joint], "lowest": it.low, "highest": it.high,
@@ -116,8 +122,8 @@ fn head(planning: &Planning, asked: &Asked, motion: &JointTrack) -> Value {
 
 fn expected(planning: &Planning, asked: &Asked, promises: &[ExpectedPrecision]) -> Value {
     let rows = promises.iter().map(|promise| {
-        let label = Label::of(planning, asked, promise.of);
-        let half = promise.half.is_finite().then_some(promise.half);
+        let label = Label::of(planning, asked, promise.quantity);
+        let half = promise.half_width.is_finite().then_some(promise.half_width);
         json!({"name": label.name, "of": label.of, "half_95": half, "unit": label.unit.symbol()})
     });
     rows.collect()

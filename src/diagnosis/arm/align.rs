@@ -15,7 +15,7 @@ pub(super) fn align(
     explanation: &SelectedModel,
     index: usize,
 ) -> AlignedSamples {
-    let witness = &prepared.witness;
+    let witness = &prepared.observations;
     let found = &explanation.state.streams[index];
     let taken = found.frame_correction();
     let plain = StreamState::at_latency(0.0);
@@ -23,13 +23,13 @@ pub(super) fn align(
         joints: recorded,
         chain: witness.chain,
         columns: witness.columns,
-        gained: &[],
+        gains: &[],
         reference_known: witness.reference_known,
-        still: witness.still,
+        rest_speeds: witness.rest_speeds,
         t_s: witness.t_s.clone(),
         xyz: Vec::new(),
         rotation: Vec::new(),
-        blind: witness.blind,
+        excluded: witness.excluded,
         tool_part: witness.tool_part,
         middle_s: witness.middle_s,
     };
@@ -57,8 +57,8 @@ pub(super) fn align(
             Orientations::Numbers(_) | Orientations::Unset(_) => witness.rotation[k],
         };
         let mut read = pose(witness.xyz[k].into(), witness.rotation[k]);
-        if witness.blind != ExcludedComponents::default() {
-            witness.blind.fill(&mut read, &taken.invert(&truth));
+        if witness.excluded != ExcludedComponents::default() {
+            witness.excluded.fill(&mut read, &taken.invert(&truth));
         }
         aligned.t_s.push(witness.t_s[k]);
         aligned.logged.push(pose(stream.track.xyz[source].into(), rotation));

@@ -1,16 +1,18 @@
 //! Fits all streams of an arm together, from the best starting state of each.
 
-use super::{EXPLAINED_M, EXPLAINED_RAD};
-use crate::drawing::{LinkDeviations, ZERO, drawing, standing_out};
-use crate::explain::{Approach, CandidateCauses, Cause, SelectedModel, best, explain};
-use crate::frames::{left_by_constant_frames, starts};
-use crate::harmless::tools_first;
-use crate::joints::{Read, is_quarter_turn, lone_zeros};
+use super::{MAX_EXPLAINED_M, MAX_EXPLAINED_RAD};
+use crate::drawing::{
+    LinkDeviations, ZERO_PRIOR, causes_beyond_link_deviations, estimate_link_deviations,
+};
+use crate::explain::{Approach, CandidateCauses, Cause, SelectedModel, best_model, select_model};
+use crate::frames::{constant_frame_residual, starting_states};
+use crate::harmless::prefer_tool_frames;
+use crate::joints::{CorrectedJoints, is_quarter_turn, single_zeros};
 use crate::latency::LagPeak;
 use crate::model::{PoseObservations, State, StreamState};
-use crate::nominal::{MOST_M, MOST_RAD, is_nominal, rms};
+use crate::nominal::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD, is_nominal, rms};
 use crate::prepare::DecodedStream;
-use crate::sampling::SEARCH_SAMPLES;
+use crate::sampling::MAX_SEARCH_SAMPLES;
 use ground::geometry::Pose;
 use ground::robot::JointKind;
 use rayon::prelude::*;
@@ -21,11 +23,11 @@ pub(crate) const FIT_SAMPLES: usize = 4000;
 
 /// Joint fit of all streams.
 pub(super) struct ArmFit {
-    pub(super) explanation: SelectedModel,
-    pub(super) menu: CandidateCauses,
+    pub(super) model: SelectedModel,
+    pub(super) candidates: CandidateCauses,
     /// Joint zeros with link deviations, if a nominal model is compared with a calibrated arm. Causes that
     /// deviations of all links can imitate are then not reported.
-    pub(super) nominal: Option<LinkDeviations>,
+    pub(super) deviations: Option<LinkDeviations>,
 }
 
 /// Whether the arm's links may deviate from the model.
@@ -39,7 +41,7 @@ pub(super) enum LinkModel {
 
 pub(super) fn fit(
     prepared: &[&DecodedStream],
-    read: &Read,
+    read: &CorrectedJoints,
     with_offsets: bool,
     links: LinkModel,
 ) -> Option<ArmFit> {
@@ -49,58 +51,62 @@ pub(super) fn fit(
     let alone: Vec<State> =
         prepared.iter().map(|prepared| best_start(prepared, read, with_offsets)).collect();
     let witnesses: Vec<&PoseObservations> =
-        prepared.iter().map(|prepared| &prepared.witness).collect();
-    let menu = menu(prepared, read, with_offsets);
+        prepared.iter().map(|prepared| &prepared.observations).collect();
+    let menu = candidate_causes(prepared, read, with_offsets);
     // The streams share the joints, so start from the offsets of the stream with the most samples.
-    let most = (0..prepared.len()).max_by_key(|&s| prepared[s].witness.len()).unwrap_or(0);
+    let most = (0..prepared.len()).max_by_key(|&s| prepared[s].observations.len()).unwrap_or(0);
     let start = State {
         offsets: alone[most].offsets.clone(),
         streams: alone.into_iter().flat_map(|state| state.streams).collect(),
     };
-    let explanation = explain(&witnesses, start, &menu, Approach::Careful, FIT_SAMPLES);
-    let explanation = tools_first(&witnesses, explanation, &menu, FIT_SAMPLES);
+    let explanation = select_model(&witnesses, start, &menu, Approach::Careful, FIT_SAMPLES);
+    let explanation = prefer_tool_frames(&witnesses, explanation, &menu, FIT_SAMPLES);
     let plain: Vec<StreamState> =
         (0..witnesses.len()).map(|s| without_small_causes(&explanation, s)).collect();
     let most = (0..witnesses.len()).max_by_key(|&s| witnesses[s].len())?;
     // Calibrations do not change a zero by more than this, rad or m.
     let large = large_zeros(&explanation.state, read, 0.1);
-    let is_open = with_offsets && leaves_room(&explanation);
-    let drawing = if is_open { drawing(witnesses[most], &plain[most], &large) } else { None };
+    let is_open = with_offsets && allows_link_deviations(&explanation);
+    let drawing = if is_open {
+        estimate_link_deviations(witnesses[most], &plain[most], &large)
+    } else {
+        None
+    };
     let offsets = drawing.as_ref().map_or_else(|| large.clone(), |it| it.with_zeros(&large));
     let is_of_calibrated =
         |s: usize| is_nominal(witnesses[s], s, &explanation.state, &plain[s], &offsets);
     if !is_open || !(0..witnesses.len()).any(is_of_calibrated) {
-        let fitted = ArmFit { explanation, menu, nominal: None };
+        let fitted = ArmFit { model: explanation, candidates: menu, deviations: None };
         return Some(match with_offsets && links == LinkModel::Deviate {
-            true => without_feigned(fitted, &witnesses, most),
+            true => drop_imitated_causes(fitted, &witnesses, most),
             false => fitted,
         });
     }
     let large = offsets;
     let kept = |cause: &Cause| match *cause {
         Cause::Zero(joint) => large[joint] != 0.0,
-        Cause::Growth(_) => false,
-        Cause::Gain(_) => true,
+        Cause::RadialScale(_) => false,
+        Cause::JointScale(_) => true,
         Cause::Latency(_) | Cause::Skew(_) => true,
         Cause::Reference(s) => plain[s].reference != Pose::identity(),
         Cause::Tool(s) => plain[s].tool != Pose::identity(),
     };
     let is_named = |cause: &Cause| match *cause {
-        Cause::Zero(joint) => drawing.as_ref().is_some_and(|it| it.twins(joint).is_some()),
+        Cause::Zero(joint) => drawing.as_ref().is_some_and(|it| it.confounders(joint).is_some()),
         _ => false,
     };
     let (named, optional): (Vec<Cause>, Vec<Cause>) =
         menu.optional.into_iter().filter(kept).partition(is_named);
     let menu = CandidateCauses { always: [menu.always, named].concat(), optional };
     let start = State { offsets: large, streams: plain };
-    let explanation = explain(&witnesses, start, &menu, Approach::Careful, FIT_SAMPLES);
-    Some(ArmFit { explanation, menu, nominal: drawing })
+    let explanation = select_model(&witnesses, start, &menu, Approach::Careful, FIT_SAMPLES);
+    Some(ArmFit { model: explanation, candidates: menu, deviations: drawing })
 }
 
 /// Drops causes that usual link deviations can imitate, if constant frames have a small residual without
 /// them. Uses stream `s`.
-fn without_feigned(fitted: ArmFit, witnesses: &[&PoseObservations], s: usize) -> ArmFit {
-    let ArmFit { explanation, menu, .. } = &fitted;
+fn drop_imitated_causes(fitted: ArmFit, witnesses: &[&PoseObservations], s: usize) -> ArmFit {
+    let ArmFit { model: explanation, candidates: menu, .. } = &fitted;
     let small = small_causes(explanation, s);
     if small.is_empty() || !explains_all(explanation) {
         return fitted;
@@ -123,36 +129,36 @@ fn without_feigned(fitted: ArmFit, witnesses: &[&PoseObservations], s: usize) ->
                 Cause::Zero(joint) => state.offsets[joint] = 0.0,
                 Cause::Reference(s) => state.streams[s].reference = Pose::identity(),
                 Cause::Tool(s) => state.streams[s].tool = Pose::identity(),
-                Cause::Growth(s) => state.streams[s].growth = 0.0,
-                Cause::Gain(_) | Cause::Latency(_) | Cause::Skew(_) => {}
+                Cause::RadialScale(s) => state.streams[s].radial_scale = 0.0,
+                Cause::JointScale(_) | Cause::Latency(_) | Cause::Skew(_) => {}
             }
         }
         state
     };
     let State { offsets, streams } = undone(&small);
-    let standing = standing_out((witnesses[s], s), &streams[s], &offsets, &small);
+    let standing = causes_beyond_link_deviations((witnesses[s], s), &streams[s], &offsets, &small);
     let (_, feigned): (Vec<Cause>, Vec<Cause>) =
         small.into_iter().partition(|cause| standing.contains(cause));
     if feigned.is_empty() {
         return fitted;
     }
     let kept = |cause: &Cause| {
-        matches!(cause, Cause::Latency(_) | Cause::Skew(_) | Cause::Gain(_))
+        matches!(cause, Cause::Latency(_) | Cause::Skew(_) | Cause::JointScale(_))
             || (explanation.causes.contains(cause) && !feigned.contains(cause))
     };
     let optional = menu.optional.iter().copied().filter(kept).collect();
     let menu = CandidateCauses { always: menu.always.clone(), optional };
     let start = undone(&feigned);
-    let nominal = drawing(witnesses[s], &start.streams[s], &start.offsets);
-    let explanation = explain(witnesses, start, &menu, Approach::Careful, FIT_SAMPLES);
+    let nominal = estimate_link_deviations(witnesses[s], &start.streams[s], &start.offsets);
+    let explanation = select_model(witnesses, start, &menu, Approach::Careful, FIT_SAMPLES);
     let State { offsets, streams } = &explanation.state;
     // In a known frame, the dropped causes may leave a constant offset, which usual links also have.
     let is_constant = || {
-        let [m, rad] = left_by_constant_frames(witnesses[s], &streams[s], offsets);
-        witnesses[s].reference_known && m < EXPLAINED_M && rad < EXPLAINED_RAD
+        let [m, rad] = constant_frame_residual(witnesses[s], &streams[s], offsets);
+        witnesses[s].reference_known && m < MAX_EXPLAINED_M && rad < MAX_EXPLAINED_RAD
     };
     match explains_all(&explanation) || is_constant() {
-        true => ArmFit { explanation, menu, nominal },
+        true => ArmFit { model: explanation, candidates: menu, deviations: nominal },
         false => fitted,
     }
 }
@@ -160,42 +166,44 @@ fn without_feigned(fitted: ArmFit, witnesses: &[&PoseObservations], s: usize) ->
 /// Returns whether the residual of every stream is below MDL001's thresholds.
 fn explains_all(explanation: &SelectedModel) -> bool {
     explanation.linear.streams.iter().all(|stream| {
-        rms(&stream.residual[0]) < EXPLAINED_M && rms(&stream.residual[1]) < EXPLAINED_RAD
+        rms(&stream.residual[0]) < MAX_EXPLAINED_M && rms(&stream.residual[1]) < MAX_EXPLAINED_RAD
     })
 }
 
-/// Selected causes of stream `s` that link deviations can imitate: zeros below [`ZERO`], small frames, and
+/// Selected causes of stream `s` that link deviations can imitate: zeros below [`ZERO_PRIOR`], small frames, and
 /// radial scale. Causes below MDL001's thresholds are not faults and are ignored.
 fn small_causes(explanation: &SelectedModel, s: usize) -> Vec<Cause> {
     let found = &explanation.state.streams[s];
     let is_near = |frame: &Pose| {
         let (m, rad) = (frame.translation.vector.norm(), frame.rotation.angle());
-        (m > EXPLAINED_M || rad > EXPLAINED_RAD) && m <= MOST_M && rad <= MOST_RAD
+        (m > MAX_EXPLAINED_M || rad > MAX_EXPLAINED_RAD)
+            && m <= MAX_TIP_CHANGE_M
+            && rad <= MAX_TIP_CHANGE_RAD
     };
     let is_small = |cause: &&Cause| match **cause {
         Cause::Zero(joint) => {
-            (EXPLAINED_RAD..ZERO).contains(&explanation.state.offsets[joint].abs())
+            (MAX_EXPLAINED_RAD..ZERO_PRIOR).contains(&explanation.state.offsets[joint].abs())
         }
         Cause::Reference(own) => own == s && is_near(&found.reference),
         Cause::Tool(own) => own == s && is_near(&found.tool),
-        Cause::Growth(own) => own == s && found.growth.abs() > EXPLAINED_M,
-        Cause::Gain(_) | Cause::Latency(_) | Cause::Skew(_) => false,
+        Cause::RadialScale(own) => own == s && found.radial_scale.abs() > MAX_EXPLAINED_M,
+        Cause::JointScale(_) | Cause::Latency(_) | Cause::Skew(_) => false,
     };
     explanation.causes.iter().filter(is_small).copied().collect()
 }
 
 /// Returns whether link deviations could explain the selected causes. This requires several causes, or one
 /// with a remaining residual.
-fn leaves_room(explanation: &SelectedModel) -> bool {
+fn allows_link_deviations(explanation: &SelectedModel) -> bool {
     /// Maximum variance inflation of white noise. A larger one indicates a wrong model.
-    const MEMORY: f64 = 1.5;
-    let is_small = |cause: &&Cause| !matches!(cause, Cause::Skew(_) | Cause::Gain(_));
+    const MAX_NOISE_INFLATION: f64 = 1.5;
+    let is_small = |cause: &&Cause| !matches!(cause, Cause::Skew(_) | Cause::JointScale(_));
     explanation.causes.iter().filter(is_small).count() > 1
-        || explanation.noise().iter().any(|noise| noise.inflation() > MEMORY)
+        || explanation.noise().iter().any(|noise| noise.inflation() > MAX_NOISE_INFLATION)
 }
 
 /// Joint offsets larger than `most`, rad or m, and all scales.
-fn large_zeros(state: &State, read: &Read, most: f64) -> Vec<f64> {
+fn large_zeros(state: &State, read: &CorrectedJoints, most: f64) -> Vec<f64> {
     let kept = |(index, value): (usize, &f64)| {
         if index >= read.track.dof || value.abs() > most { *value } else { 0.0 }
     };
@@ -207,34 +215,39 @@ fn large_zeros(state: &State, read: &Read, most: f64) -> Vec<f64> {
 pub(super) fn without_small_causes(explanation: &SelectedModel, stream: usize) -> StreamState {
     let found = &explanation.state.streams[stream];
     let is_large = |frame: &Pose| {
-        frame.translation.vector.norm() > MOST_M || frame.rotation.angle() > MOST_RAD
+        frame.translation.vector.norm() > MAX_TIP_CHANGE_M
+            || frame.rotation.angle() > MAX_TIP_CHANGE_RAD
     };
     let kept = |frame: &Pose| if is_large(frame) { *frame } else { Pose::identity() };
     StreamState {
-        growth: 0.0,
+        radial_scale: 0.0,
         reference: kept(&found.reference),
         tool: kept(&found.tool),
         ..found.clone()
     }
 }
 
-fn menu(prepared: &[&DecodedStream], read: &Read, with_offsets: bool) -> CandidateCauses {
+fn candidate_causes(
+    prepared: &[&DecodedStream],
+    read: &CorrectedJoints,
+    with_offsets: bool,
+) -> CandidateCauses {
     let (mut always, mut optional) = (Vec::new(), Vec::new());
     if with_offsets {
         let dof = read.track.dof;
-        let seen = |joint: &usize| prepared.iter().any(|p| p.witness.columns.contains(joint));
+        let seen = |joint: &usize| prepared.iter().any(|p| p.observations.columns.contains(joint));
         let (of_code, own): (Vec<usize>, Vec<usize>) =
-            (0..dof).filter(seen).partition(|&joint| read.has_zero_of_code(joint));
+            (0..dof).filter(seen).partition(|&joint| read.has_encoded_zero(joint));
         optional.extend(own.into_iter().map(Cause::Zero));
         always.extend(of_code.into_iter().map(Cause::Zero));
-        always.extend((dof..dof + read.gained.len()).map(Cause::Gain));
+        always.extend((dof..dof + read.gains.len()).map(Cause::JointScale));
     }
     for (s, prepared) in prepared.iter().enumerate() {
         if prepared.moves {
             always.push(Cause::Latency(s));
             optional.push(Cause::Skew(s));
         }
-        if !prepared.witness.reference_known {
+        if !prepared.observations.reference_known {
             always.push(Cause::Reference(s));
         } else if with_offsets {
             optional.push(Cause::Reference(s));
@@ -242,15 +255,15 @@ fn menu(prepared: &[&DecodedStream], read: &Read, with_offsets: bool) -> Candida
         // A stream that is derived from the joint states must agree with them, so it has no frame or scale
         // causes.
         if with_offsets {
-            optional.extend([Cause::Tool(s), Cause::Growth(s)]);
+            optional.extend([Cause::Tool(s), Cause::RadialScale(s)]);
         }
     }
     CandidateCauses { always, optional }
 }
 
 /// Starting state from which a single stream fits best.
-fn best_start(prepared: &DecodedStream, read: &Read, with_offsets: bool) -> State {
-    let menu = menu(&[prepared], read, with_offsets);
+fn best_start(prepared: &DecodedStream, read: &CorrectedJoints, with_offsets: bool) -> State {
+    let menu = candidate_causes(&[prepared], read, with_offsets);
     let best_lag = prepared.peaks.first().map_or(0.0, |peak| peak.correlation);
     let lags: Vec<f64> = if prepared.moves {
         let near = |peak: &&LagPeak| peak.correlation > best_lag - 0.1;
@@ -269,11 +282,11 @@ fn best_start(prepared: &DecodedStream, read: &Read, with_offsets: bool) -> Stat
             begun.push(start(&read.offsets, StreamState::at_latency(lag_s)));
             continue;
         }
-        let frames = starts(&prepared.witness, lag_s, &read.offsets);
+        let frames = starting_states(&prepared.observations, lag_s, &read.offsets);
         let is_far = frames.len() > 1;
         begun.extend(frames.into_iter().map(|stream| start(&read.offsets, stream)));
-        if is_far && prepared.witness.reference_known {
-            for (joint, zero) in lone_zeros(&prepared.witness, lag_s, &read.offsets) {
+        if is_far && prepared.observations.reference_known {
+            for (joint, zero) in single_zeros(&prepared.observations, lag_s, &read.offsets) {
                 let mut offsets = read.offsets.clone();
                 offsets[joint] = zero;
                 begun.push(start(&offsets, StreamState::at_latency(lag_s)));
@@ -284,12 +297,12 @@ fn best_start(prepared: &DecodedStream, read: &Read, with_offsets: bool) -> Stat
         .into_par_iter()
         .flat_map_iter(|state| [(state.clone(), Approach::Careful), (state, Approach::Bold)])
         .map(|(state, approach)| {
-            explain(&[&prepared.witness], state, &menu, approach, SEARCH_SAMPLES)
+            select_model(&[&prepared.observations], state, &menu, approach, MAX_SEARCH_SAMPLES)
         })
         .collect();
-    let state = best(explanations)
+    let state = best_model(explanations)
         .map_or_else(|| start(&read.offsets, StreamState::at_latency(0.0)), |best| best.state);
-    with_base_turned(state, &prepared.witness)
+    with_base_turned(state, &prepared.observations)
 }
 
 /// Converts quarter turns of the first joint's zero to a base rotation. The two are equivalent, and base

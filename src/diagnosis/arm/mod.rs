@@ -9,15 +9,16 @@ mod zeros;
 use std::borrow::Cow;
 use std::cell::LazyCell;
 
-use super::bends::bend;
+use super::bends::apply_compliance;
 use super::joints::{
-    Left, Read, corrected, lies_on_arm, likely_readings, other_reading, read_joints,
+    CorrectedJoints, ResidualSize, correct_joints, estimate_joint_encoding, follows_arm,
+    likely_encodings, other_encoding,
 };
 use super::latency::{ArmSpeeds, LagPeak};
-use super::nominal::{MOST_M, MOST_RAD};
+use super::nominal::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD};
 use super::placement::{PositionEncodingEstimate, metres_by_reach};
 use super::placing::spread;
-use super::prepare::{DecodedStream, prepare};
+use super::prepare::{DecodedStream, decode_stream};
 use super::sampling::{as_rotations, stream_lag_s, stream_peaks};
 use super::{
     ArmDiagnosis, EstimateResult, FrameCorrection, JointChange, JointCoupling, JointDiagnosis,
@@ -30,7 +31,7 @@ use ground::geometry::Vec3;
 use ground::robot::JointKind;
 use ground::stream::JointTrack;
 use stream::{no_diagnosis, stream_diagnosis};
-use zeros::{joint_couplings, joint_offsets, joint_scales, unseen_offsets};
+use zeros::{joint_couplings, joint_offsets, joint_scales, unobservable_offsets};
 
 /// Diagnoses the joint states and all pose streams that are independent references.
 ///
@@ -41,7 +42,7 @@ pub fn diagnose_arm(joints: &JointTrack, streams: &[PoseStream], most_lag_s: f64
 
 /// Same for a segment that is already corrected by the result of another one. The links are the same in
 /// both segments, so the residual is not due to link deviations.
-pub(super) fn diagnose_beyond(
+pub(super) fn diagnose_other_segment(
     joints: &JointTrack,
     streams: &[PoseStream],
     most_lag_s: f64,
@@ -55,38 +56,38 @@ fn diagnose_with(
     most_lag_s: f64,
     links: LinkModel,
 ) -> ArmDiagnosis {
-    let slides = prismatic(joints.dof, streams);
+    let slides = prismatic_columns(joints.dof, streams);
     let placed = |joints: &JointTrack| -> Vec<PositionEncodingEstimate> {
         streams
             .iter()
-            .map(|stream| PositionEncodingEstimate::of(joints, stream, most_lag_s))
+            .map(|stream| PositionEncodingEstimate::estimate(joints, stream, most_lag_s))
             .collect()
     };
     let placements = placed(joints);
     let by = |reading: &JointEncoding| {
-        let read = Read::by(joints, reading, &slides);
-        let anew = (*reading != JointEncoding::default()).then(|| placed(read.near()));
+        let read = CorrectedJoints::new(joints, reading, &slides);
+        let anew = (*reading != JointEncoding::default()).then(|| placed(read.approximate_track()));
         diagnose(joints, &read, streams, anew.as_ref().unwrap_or(&placements), true, links)
     };
     let as_logged = JointEncoding::default();
     let mut metres: Vec<f64> = placements.iter().map(PositionEncodingEstimate::metres).collect();
-    let is_confirmed = |read: &Read| {
+    let is_confirmed = |read: &CorrectedJoints| {
         let mut both = streams.iter().zip(&placements);
         both.any(|(stream, placement)| {
-            placement.explains()
-                && prepare(read, stream, placement).is_ok_and(|it| it.is_confirmed())
+            placement.needs_correction()
+                && decode_stream(read, stream, placement).is_ok_and(|it| it.is_confirmed())
         })
     };
-    let mut reading = match is_confirmed(&Read::by(joints, &as_logged, &slides)) {
+    let mut reading = match is_confirmed(&CorrectedJoints::new(joints, &as_logged, &slides)) {
         // If the positions as logged match FK, the joint states need no other encoding.
         true => Ok(JointEncoding::default()),
-        false => read_joints(joints, streams, &metres, most_lag_s),
+        false => estimate_joint_encoding(joints, streams, &metres, most_lag_s),
     };
     if reading.is_err() {
         // Wrong joint encodings can imitate another position unit.
         let others = [vec![1.0; streams.len()], streams.iter().map(metres_by_reach).collect()];
         for other in others.into_iter().filter(|other| *other != metres) {
-            let by_other = read_joints(joints, streams, &other, most_lag_s);
+            let by_other = estimate_joint_encoding(joints, streams, &other, most_lag_s);
             if by_other.as_ref().is_ok_and(|reading| !reading.is_as_logged()) {
                 (reading, metres) = (by_other, other);
                 break;
@@ -94,45 +95,50 @@ fn diagnose_with(
         }
     }
     let mut found = by(reading.as_ref().unwrap_or(&as_logged));
-    if reading.as_ref().is_ok_and(|reading| *reading != as_logged) && !found.holds() {
+    if reading.as_ref().is_ok_and(|reading| *reading != as_logged) && !found.is_credible() {
         // Reject an encoding with a large residual.
         (reading, found) = (Err(NotObservable::NotExcited), by(&as_logged));
     }
     // With weak motion, a fault can look like mirrored axes or an inverse. Reject these if the poses as
     // logged are explained with no more joint zeros.
-    let is_rewritten = found.streams.iter().any(|it| it.inverted || matches!(it.axes, Ok(Some(_))));
+    let is_rewritten =
+        found.streams.iter().any(|it| it.is_inverted || matches!(it.axes, Ok(Some(_))));
     if is_rewritten && reading.as_ref().is_ok_and(JointEncoding::is_as_logged) {
         let sound: Vec<PositionEncodingEstimate> =
-            placements.iter().map(PositionEncodingEstimate::sound).collect();
-        let read = Read::by(joints, &as_logged, &slides);
+            placements.iter().map(PositionEncodingEstimate::standard_only).collect();
+        let read = CorrectedJoints::new(joints, &as_logged, &slides);
         let as_written = diagnose(joints, &read, streams, &sound, true, links);
         if as_written.unexplained().is_none()
             && as_written.is_near()
-            && as_written.zeros() <= found.zeros()
+            && as_written.zero_count() <= found.zero_count()
         {
             found = as_written;
         }
     }
     let astray = |found: &EncodingResult| {
-        !found.streams.is_empty() && found.streams.iter().all(PoseDiagnosis::strays)
+        !found.streams.is_empty() && found.streams.iter().all(PoseDiagnosis::is_far_from_fk)
     };
     // An encoding must not break a stream that agrees with the joint states as logged.
     let is_alone = streams.len() < 2;
     let plain = LazyCell::new(|| by(&as_logged));
-    let spoils = |found: &EncodingResult| !is_alone && !found.keeps(&plain);
+    let spoils = |found: &EncodingResult| !is_alone && !found.preserves_agreement(&plain);
     if reading.as_ref().is_ok_and(|reading| !reading.is_as_logged()) && spoils(&found) {
         (reading, found) = (Ok(JointEncoding::default()), by(&as_logged));
     }
     if reading.is_err() || astray(&found) {
         // Other faults may hide the joint names and units.
-        for likely in likely_readings(joints, streams, &metres, most_lag_s) {
-            let by_it = by(&likely.reading);
+        for likely in likely_encodings(joints, streams, &metres, most_lag_s) {
+            let by_it = by(&likely.encoding);
             if spoils(&by_it) {
                 continue;
             }
-            let is_part = likely.by_range && by_it.left() * PARTLY_BETTER < found.left();
-            if is_part || (by_it.holds() && by_it.left() * FAR_BETTER < found.left()) {
-                (reading, found) = (Ok(likely.reading), by_it);
+            let is_part = likely.by_range
+                && by_it.total_residual_m() * MIN_IMPROVEMENT_BY_RANGE < found.total_residual_m();
+            if is_part
+                || (by_it.is_credible()
+                    && by_it.total_residual_m() * MIN_IMPROVEMENT < found.total_residual_m())
+            {
+                (reading, found) = (Ok(likely.encoding), by_it);
                 break;
             }
         }
@@ -143,10 +149,12 @@ fn diagnose_with(
             .latency_s
             .as_ref()
             .map_or_else(|_| stream_lag_s(joints, own, most_lag_s), |latency| latency.value);
-        let other = other_reading(joints, own, metres[stream], lag_s, left);
+        let other = other_encoding(joints, own, metres[stream], lag_s, left);
         if let Some(other) = other {
             let by_other = by(&other);
-            if by_other.holds() && by_other.left() * FAR_BETTER < found.left() && !spoils(&by_other)
+            if by_other.is_credible()
+                && by_other.total_residual_m() * MIN_IMPROVEMENT < found.total_residual_m()
+                && !spoils(&by_other)
             {
                 (reading, found) = (Ok(other), by_other);
             }
@@ -157,7 +165,7 @@ fn diagnose_with(
         reading = Err(NotObservable::NotExcited);
     }
     if let Ok(reading) = &mut reading {
-        for slip in &mut reading.slips {
+        for slip in &mut reading.unit_errors {
             let own = found.scales.iter().find(|scale| scale.column == slip.column);
             slip.factor = own.map_or(slip.factor, |scale| scale.factor.value);
         }
@@ -165,29 +173,30 @@ fn diagnose_with(
     let EncodingResult { offsets, mut scales, mut couplings, streams } = found;
     // Remove scales that turned out to be 1.
     if let Ok(reading) = &mut reading {
-        let is_one = |factor: f64| (factor - 1.0).abs() < SAME_FACTOR;
+        let is_one = |factor: f64| (factor - 1.0).abs() < FACTOR_TOLERANCE;
         scales.retain(|scale| !is_one(scale.factor.value));
-        reading.slips.retain(|slip| slip.unit != JointUnit::Scaled || !is_one(slip.factor));
-        couplings.retain(|coupling| coupling.factor.value.abs() > SAME_FACTOR);
+        reading.unit_errors.retain(|slip| slip.unit != JointUnit::Scaled || !is_one(slip.factor));
+        couplings.retain(|coupling| coupling.factor.value.abs() > FACTOR_TOLERANCE);
         reading.couplings.clone_from(&couplings);
     }
     let (changes, patches, bends) = (Vec::new(), Vec::new(), Vec::new());
-    let joints = JointDiagnosis { reading, offsets, scales, changes, patches, bends };
+    let joints =
+        JointDiagnosis { encoding: reading, offsets, scales, changes, patches, compliance: bends };
     ArmDiagnosis { joints, streams }
 }
 
 /// A factor this close to 1 counts as 1. Over one turn it makes less than 0.1°.
-const SAME_FACTOR: f64 = 2e-4;
+const FACTOR_TOLERANCE: f64 = 2e-4;
 /// Minimum ratio of the residual as logged to the residual with another joint encoding.
-const FAR_BETTER: f64 = 5.0;
+const MIN_IMPROVEMENT: f64 = 5.0;
 /// Same for degrees that are indicated by the range of the joint values.
-const PARTLY_BETTER: f64 = 3.0;
+const MIN_IMPROVEMENT_BY_RANGE: f64 = 3.0;
 /// Excess residual that counts as explained, rms m and rad. These are MDL001's thresholds.
-const EXPLAINED_M: f64 = 1e-3;
-pub(super) const EXPLAINED_RAD: f64 = 1.75e-3;
+const MAX_EXPLAINED_M: f64 = 1e-3;
+pub(super) const MAX_EXPLAINED_RAD: f64 = 1.75e-3;
 /// Maximum residual for a valid joint encoding: a fraction of the extent of the motion, or a length in m.
-const NEAR: f64 = 0.02;
-const NEAR_M: f64 = 5e-3;
+const MAX_RESIDUAL_SHARE: f64 = 0.02;
+const MAX_RESIDUAL_M: f64 = 5e-3;
 
 /// Result for one encoding of the joints.
 struct EncodingResult {
@@ -199,29 +208,31 @@ struct EncodingResult {
 
 impl EncodingResult {
     /// Number of joint zeros in the selected model.
-    fn zeros(&self) -> usize {
-        self.offsets.iter().filter(|offset| offset.chosen).count()
+    fn zero_count(&self) -> usize {
+        self.offsets.iter().filter(|offset| offset.is_chosen).count()
     }
 
     /// Returns whether some stream is close to FK.
     fn is_near(&self) -> bool {
         let near = |found: &PoseDiagnosis| {
-            let most_m = (NEAR * extent_m(found)).max(NEAR_M);
+            let most_m = (MAX_RESIDUAL_SHARE * extent_m(found)).max(MAX_RESIDUAL_M);
             found.residual.as_ref().is_ok_and(|residual| residual.excess_m.value < most_m)
         };
         self.streams.iter().any(near)
     }
 
     /// Returns whether each stream that agrees with FK without frame errors in `other` also does so here.
-    fn keeps(&self, other: &EncodingResult) -> bool {
+    fn preserves_agreement(&self, other: &EncodingResult) -> bool {
         let agrees = |found: &PoseDiagnosis| {
             let is_explained = found.residual.as_ref().is_ok_and(|left| {
-                left.rms_m < EXPLAINED_M && left.rms_rad < EXPLAINED_RAD && found.reading.is_ok()
+                left.rms_m < MAX_EXPLAINED_M
+                    && left.rms_rad < MAX_EXPLAINED_RAD
+                    && found.encoding.is_ok()
             });
             let FrameCorrection { reference, .. } = &found.frame_correction;
             is_explained
-                && reference.translation.vector.norm() < MOST_M
-                && reference.rotation.angle() < MOST_RAD
+                && reference.translation.vector.norm() < MAX_TIP_CHANGE_M
+                && reference.rotation.angle() < MAX_TIP_CHANGE_RAD
         };
         let pairs = self.streams.iter().zip(&other.streams);
         pairs.into_iter().all(|(own, other)| !agrees(other) || agrees(own))
@@ -229,45 +240,45 @@ impl EncodingResult {
 
     /// Returns whether the encoding is credible. Some stream must be close to FK. A joint scale that is not
     /// a plausible gear ratio is accepted only if everything is explained.
-    fn holds(&self) -> bool {
+    fn is_credible(&self) -> bool {
         let is_odd = self.scales.iter().any(|scale| !scale.is_coded() && !scale.is_round())
             || self.couplings.iter().any(|coupling| !coupling.is_round());
         self.is_near() && (!is_odd || self.unexplained().is_none())
     }
 
     /// Sum of the excess residuals, m. Angles are weighted by an arm length of 0.3 m.
-    fn left(&self) -> f64 {
-        self.streams.iter().map(|found| together(&left(found))).sum()
+    fn total_residual_m(&self) -> f64 {
+        self.streams.iter().map(|found| combined_m(&excess_residual(found))).sum()
     }
 
     /// Stream with the largest excess residual, and the residual, if it is not explained.
-    fn unexplained(&self) -> Option<(usize, Left)> {
-        let lefts = self.streams.iter().map(left).enumerate();
-        let worst = lefts.max_by(|a, b| together(&a.1).total_cmp(&together(&b.1)))?;
-        let Left { m, rad } = worst.1;
-        let is_open = m > EXPLAINED_M || rad.is_some_and(|rad| rad > EXPLAINED_RAD);
-        (is_open && !self.streams[worst.0].nominal).then_some(worst)
+    fn unexplained(&self) -> Option<(usize, ResidualSize)> {
+        let lefts = self.streams.iter().map(excess_residual).enumerate();
+        let worst = lefts.max_by(|a, b| combined_m(&a.1).total_cmp(&combined_m(&b.1)))?;
+        let ResidualSize { m, rad } = worst.1;
+        let is_open = m > MAX_EXPLAINED_M || rad.is_some_and(|rad| rad > MAX_EXPLAINED_RAD);
+        (is_open && !self.streams[worst.0].is_nominal).then_some(worst)
     }
 }
 
 /// Excess residual of a stream. 1 m and 1 rad if it could not be decoded.
-fn left(found: &PoseDiagnosis) -> Left {
-    match (&found.residual, &found.reading) {
+fn excess_residual(found: &PoseDiagnosis) -> ResidualSize {
+    match (&found.residual, &found.encoding) {
         (Ok(residual), Ok(_)) => {
-            Left { m: residual.excess_m.value, rad: Some(residual.excess_rad.value) }
+            ResidualSize { m: residual.excess_m.value, rad: Some(residual.excess_rad.value) }
         }
         // Its positions are still valid. For example, the last joint may have the wrong sign.
         (Ok(residual), Err(NotObservable::DoesNotFollow(_))) => {
-            Left { m: residual.excess_m.value, rad: Some(1.0) }
+            ResidualSize { m: residual.excess_m.value, rad: Some(1.0) }
         }
-        (Ok(residual), Err(_)) => Left { m: residual.excess_m.value, rad: None },
-        (Err(_), Err(NotObservable::DoesNotFollow(_))) => Left { m: 1.0, rad: Some(1.0) },
-        (Err(_), _) => Left { m: 0.0, rad: None },
+        (Ok(residual), Err(_)) => ResidualSize { m: residual.excess_m.value, rad: None },
+        (Err(_), Err(NotObservable::DoesNotFollow(_))) => ResidualSize { m: 1.0, rad: Some(1.0) },
+        (Err(_), _) => ResidualSize { m: 0.0, rad: None },
     }
 }
 
-fn together(left: &Left) -> f64 {
-    left.together(0.3)
+fn combined_m(left: &ResidualSize) -> f64 {
+    left.combined_m(0.3)
 }
 
 /// Extent of the tip's motion by FK, m.
@@ -280,7 +291,7 @@ fn extent_m(found: &PoseDiagnosis) -> f64 {
 /// Diagnoses a stream that is computed from the joint states, such as /tf. It can be late or wrongly
 /// assembled, but it is not an independent reference for the joint zeros.
 ///
-/// It is compared with the joint states as recorded and as corrected by `reading`; the better match counts.
+/// It is compared with the joint states as recorded and as corrected by `encoding`; the better match counts.
 pub fn diagnose_derived(
     joints: &JointTrack,
     reading: Option<&JointEncoding>,
@@ -288,14 +299,14 @@ pub fn diagnose_derived(
     most_lag_s: f64,
 ) -> PoseDiagnosis {
     let streams = std::slice::from_ref(stream);
-    let slides = prismatic(joints.dof, streams);
+    let slides = prismatic_columns(joints.dof, streams);
     let by = |reading: &JointEncoding| {
-        let read = Read::by(joints, reading, &slides).for_derived();
-        let placements = [PositionEncodingEstimate::of(&read.track, stream, most_lag_s)];
+        let read = CorrectedJoints::new(joints, reading, &slides).for_derived();
+        let placements = [PositionEncodingEstimate::estimate(&read.track, stream, most_lag_s)];
         diagnose(joints, &read, streams, &placements, false, LinkModel::AreKnown).streams.remove(0)
     };
     let left = |diagnosis: &PoseDiagnosis| {
-        diagnosis.residual.as_ref().map_or(f64::INFINITY, StreamResidual::together_m)
+        diagnosis.residual.as_ref().map_or(f64::INFINITY, StreamResidual::combined_m)
     };
     let as_recorded = by(&JointEncoding::default());
     match reading {
@@ -328,30 +339,30 @@ impl JointDiagnosis {
     }
 
     /// Removes eccentricity above the usual level of gears, which no rule reports.
-    pub fn as_named(&self) -> Self {
+    pub fn without_eccentricity(&self) -> Self {
         let mut named = self.clone();
-        named.bends.retain(|bend| !bend.is_eccentric());
+        named.compliance.retain(|bend| !bend.is_eccentric());
         named
     }
 
     /// Corrects the joint states: change points, names and units, joint compliance, and the joint offsets
     /// of the selected model.
     ///
-    /// `prismatic` flags the prismatic joints among the columns of `joints`.
+    /// `prismatic_columns` flags the prismatic joints among the columns of `joints`.
     pub fn corrected_joints(&self, joints: &JointTrack, prismatic: &[bool]) -> JointTrack {
         let mut unchanged = Cow::Borrowed(joints);
         for patch in &self.patches {
             patch.apply(unchanged.to_mut());
         }
-        let mut track = match &self.reading {
-            Ok(reading) => corrected(&unchanged, reading, prismatic),
+        let mut track = match &self.encoding {
+            Ok(reading) => correct_joints(&unchanged, reading, prismatic),
             Err(_) => unchanged.into_owned(),
         };
-        if !self.bends.is_empty() {
-            bend(&mut track, &self.bends);
+        if !self.compliance.is_empty() {
+            apply_compliance(&mut track, &self.compliance);
         }
         let offset = |offset: &JointOffset| match &offset.offset {
-            Ok(measured) if offset.chosen => measured.value,
+            Ok(measured) if offset.is_chosen => measured.value,
             _ => 0.0,
         };
         let mut offsets: Vec<f64> = self.offsets.iter().map(offset).collect();
@@ -371,21 +382,21 @@ impl JointDiagnosis {
 ///
 /// An array of bare numbers must also be positioned where the arm is, because joint angles in an array
 /// correlate with the motion as well.
-pub fn follows(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Option<LagPeak> {
-    let peak = likely_lags(joints, stream, most_lag_s).first().copied()?;
+pub fn best_lag_peak(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Option<LagPeak> {
+    let peak = candidate_lags(joints, stream, most_lag_s).first().copied()?;
     let placed = as_rotations(&stream.track.orientation).is_some() || {
-        let placement = PositionEncodingEstimate::of(joints, stream, most_lag_s);
-        placement.explains() || lies_on_arm(joints, stream, placement.metres(), peak.lag_s)
+        let placement = PositionEncodingEstimate::estimate(joints, stream, most_lag_s);
+        placement.needs_correction() || follows_arm(joints, stream, placement.metres(), peak.lag_s)
     };
     Some(if placed { peak } else { LagPeak { correlation: 0.0, ..peak } })
 }
 
 /// Candidate lags of a pose stream from its speeds, best first.
-pub fn likely_lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<LagPeak> {
-    stream_peaks(&ArmSpeeds::of(joints, stream.chain, stream.columns), stream, most_lag_s)
+pub fn candidate_lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<LagPeak> {
+    stream_peaks(&ArmSpeeds::from_joints(joints, stream.chain, stream.columns), stream, most_lag_s)
 }
 
-fn prismatic(dof: usize, streams: &[PoseStream]) -> Vec<bool> {
+fn prismatic_columns(dof: usize, streams: &[PoseStream]) -> Vec<bool> {
     let mut prismatic = vec![false; dof];
     for stream in streams {
         for (kind, &column) in stream.chain.joint_kinds().iter().zip(stream.columns) {
@@ -398,7 +409,7 @@ fn prismatic(dof: usize, streams: &[PoseStream]) -> Vec<bool> {
 /// Fits all streams together and diagnoses each.
 fn diagnose(
     recorded: &JointTrack,
-    read: &Read,
+    read: &CorrectedJoints,
     streams: &[PoseStream],
     placements: &[PositionEncodingEstimate],
     with_offsets: bool,
@@ -408,7 +419,7 @@ fn diagnose(
     let prepared: Vec<EstimateResult<DecodedStream>> = streams
         .iter()
         .zip(placements)
-        .map(|(stream, placement)| prepare(read, stream, placement))
+        .map(|(stream, placement)| decode_stream(read, stream, placement))
         .collect();
     let usable: Vec<&DecodedStream> = prepared.iter().flatten().collect();
     let fitted = fit(&usable, read, with_offsets, links);
@@ -422,7 +433,7 @@ fn diagnose(
         None => {
             let why = prepared.iter().find_map(|prepared| prepared.as_ref().err());
             (
-                unseen_offsets(joints.dof, why.unwrap_or(&NotObservable::NoOverlap)),
+                unobservable_offsets(joints.dof, why.unwrap_or(&NotObservable::NoOverlap)),
                 Vec::new(),
                 Vec::new(),
             )

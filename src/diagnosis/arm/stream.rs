@@ -3,18 +3,18 @@
 use super::align::align;
 use super::fit::{ArmFit, without_small_causes};
 use super::twins::measured;
-use crate::course::latency_course;
-use crate::explain::{Cause, ENTANGLED, SelectedModel};
-use crate::frames::{frame_estimate, placed_by_positions};
+use crate::course::latency_profile;
+use crate::explain::{Cause, MIN_CAUSE_SEPARATION, SelectedModel};
+use crate::frames::{frame_estimate, with_frames_from_positions};
 use crate::latency::median_period_s;
 use crate::model::StreamState;
-use crate::nominal::links_outdo_course;
+use crate::nominal::link_deviations_beat_profile;
 use crate::observability::Observability;
 use crate::placement::PositionEncodingEstimate;
 use crate::prepare::DecodedStream;
-use crate::residual::residual;
-use crate::sampling::SEARCH_SAMPLES;
-use crate::skewed::{DelayJitter, skewed_delays};
+use crate::residual::excess_residual;
+use crate::sampling::MAX_SEARCH_SAMPLES;
+use crate::skewed::{DelayJitter, estimate_delay_jitter};
 use crate::{
     AlignedSamples, AxesError, ConstantCoordinate, EncodingSpans, EstimateResult, FrameCorrection,
     LatencyProfile, LengthUnitError, Measured, NotObservable, PoseDiagnosis, PoseStream,
@@ -24,33 +24,33 @@ use ground::geometry::LengthScale;
 use ground::stream::JointTrack;
 
 /// Residual below which two latencies cannot be distinguished, rms rad, or m at an arm length of 1 m.
-const ALIAS_FLOOR: f64 = 2e-5;
+const MIN_DISTINGUISHABLE_RAD: f64 = 2e-5;
 
 pub(super) fn no_diagnosis(why: NotObservable) -> PoseDiagnosis {
     let rests = || NotObservable::RestsOn("the rotation encoding");
     PoseDiagnosis {
-        length: Err(why.clone()),
+        length_unit: Err(why.clone()),
         axes: Err(why.clone()),
-        reading: Err(why),
-        inverted: false,
-        constant: Vec::new(),
+        encoding: Err(why),
+        is_inverted: false,
+        constant_coordinates: Vec::new(),
         degrees: None,
         latency_s: Err(rests()),
-        delays: None,
+        delay_jitter: None,
         skew: Err(rests()),
-        skew_chosen: false,
-        course: Err(rests()),
-        growth: Err(rests()),
-        growth_chosen: false,
+        is_skew_chosen: false,
+        latency_profile: Err(rests()),
+        radial_scale: Err(rests()),
+        is_radial_scale_chosen: false,
         reference: Err(rests()),
         tool: Err(rests()),
         reference_changes: Vec::new(),
         tool_changes: Vec::new(),
-        growth_changes: Vec::new(),
-        coded: EncodingSpans::default(),
+        radial_scale_changes: Vec::new(),
+        encoding_spans: EncodingSpans::default(),
         frame_correction: FrameCorrection::default(),
         residual: Err(rests()),
-        nominal: false,
+        is_nominal: false,
         link_m: None,
         observability: None,
         top_speed_m_s: 0.0,
@@ -59,7 +59,7 @@ pub(super) fn no_diagnosis(why: NotObservable) -> PoseDiagnosis {
 }
 
 /// Detected unit of positions, if it differs from the assumed one.
-fn length_slip(
+fn length_unit_error(
     stream: &PoseStream,
     placement: &PositionEncodingEstimate,
     prepared: &DecodedStream,
@@ -79,7 +79,7 @@ fn length_slip(
 }
 
 /// Constant coordinates, with their range according to FK.
-fn constant_parts(
+fn constant_coordinates(
     stream: &PoseStream,
     prepared: &DecodedStream,
     aligned: &AlignedSamples,
@@ -109,7 +109,7 @@ pub(super) fn stream_diagnosis(
     fitted: &ArmFit,
     index: usize,
 ) -> PoseDiagnosis {
-    let ArmFit { explanation, menu, .. } = fitted;
+    let ArmFit { model: explanation, candidates: menu, .. } = fitted;
     let causes = &explanation.causes;
     let with = |cause: Cause| -> Vec<Cause> {
         let mut with = causes.clone();
@@ -119,7 +119,7 @@ pub(super) fn stream_diagnosis(
         with
     };
     let one = |cause: Cause| {
-        if fitted.nominal.is_some() && matches!(cause, Cause::Growth(_)) {
+        if fitted.deviations.is_some() && matches!(cause, Cause::RadialScale(_)) {
             Err(NotObservable::NominalKinematics)
         } else if is_hidden(fitted, cause, index) {
             Err(NotObservable::NotExcited)
@@ -138,7 +138,7 @@ pub(super) fn stream_diagnosis(
         None => latency_s,
     };
     let frame = |cause: Cause| {
-        if fitted.nominal.is_some() && !menu.all().contains(&cause) {
+        if fitted.deviations.is_some() && !menu.all().contains(&cause) {
             return Err(NotObservable::NominalKinematics);
         }
         if is_hidden(fitted, cause, index) {
@@ -148,8 +148,9 @@ pub(super) fn stream_diagnosis(
     };
     let aligned = align(recorded, stream, prepared, explanation, index);
     let (found, zeros) = (&explanation.state.streams[index], &explanation.state.offsets);
-    let residual = residual(&aligned, &prepared.witness, found, zeros);
-    let delays = latency_s.as_ref().ok().and_then(|_| skewed_delays(&aligned, found.latency_s));
+    let residual = excess_residual(&aligned, &prepared.observations, found, zeros);
+    let delays =
+        latency_s.as_ref().ok().and_then(|_| estimate_delay_jitter(&aligned, found.latency_s));
     let latency_s = latency_s.map(|latency| match &delays {
         Some(DelayJitter { median_s, .. }) => {
             Measured { std_error: median_s.std_error.hypot(stream.stamp_error_s), ..*median_s }
@@ -157,16 +158,22 @@ pub(super) fn stream_diagnosis(
         None => latency,
     });
     let information = explanation.linear.information_of(index);
-    let observability = Observability::of(&prepared.witness, found, zeros, &information);
+    let observability = Observability::new(&prepared.observations, found, zeros, &information);
     let course = match &latency_s {
         Ok(_) => {
             let speed = |t_s: f64| joint_speed(recorded, t_s - found.latency_s);
-            let course = latency_course(&aligned, found.skew, stream.taken_off, speed);
+            let course = latency_profile(&aligned, found.skew, stream.removed_ramp, speed);
             let states = [found, &without_small_causes(explanation, index)];
             let is_feigned = |course: &LatencyProfile| {
-                let removed = stream.taken_off;
+                let removed = stream.removed_ramp;
                 course.is_unsteady
-                    && links_outdo_course(&prepared.witness, states, zeros, course, removed)
+                    && link_deviations_beat_profile(
+                        &prepared.observations,
+                        states,
+                        zeros,
+                        course,
+                        removed,
+                    )
             };
             match course {
                 Ok(course) if is_feigned(&course) => Err(NotObservable::NotExcited),
@@ -175,41 +182,41 @@ pub(super) fn stream_diagnosis(
         }
         Err(why) => Err(why.clone()),
     };
-    let t_s = &prepared.witness.t_s;
+    let t_s = &prepared.observations.t_s;
     let span_s = (t_s[t_s.len() - 1] - t_s[0]).max(f64::MIN_POSITIVE);
-    let mut reading = prepared.reading.clone();
+    let mut reading = prepared.encoding.clone();
     if let (Ok(reading), Ok(residual)) = (&mut reading, &residual) {
         // Latency, offsets and frames have been corrected since the encodings were compared.
         reading.best_rad = reading.best_rad.min(residual.rms_rad);
     }
     PoseDiagnosis {
-        reading,
-        length: length_slip(stream, placement, prepared, &residual),
+        encoding: reading,
+        length_unit: length_unit_error(stream, placement, prepared, &residual),
         axes: Ok(prepared.axes),
-        inverted: prepared.inverted,
-        constant: constant_parts(stream, prepared, &aligned),
+        is_inverted: prepared.is_inverted,
+        constant_coordinates: constant_coordinates(stream, prepared, &aligned),
         degrees: prepared.degrees,
         latency_s,
-        delays,
+        delay_jitter: delays,
         skew: one(Cause::Skew(index)).map(|skew| Measured {
             // Stamp errors of this size at both ends would look like skew.
             std_error: skew.std_error.hypot(2.0 * stream.stamp_error_s / span_s),
             ..skew
         }),
-        skew_chosen: causes.contains(&Cause::Skew(index)),
-        course,
-        growth: one(Cause::Growth(index)),
-        growth_chosen: causes.contains(&Cause::Growth(index)),
+        is_skew_chosen: causes.contains(&Cause::Skew(index)),
+        latency_profile: course,
+        radial_scale: one(Cause::RadialScale(index)),
+        is_radial_scale_chosen: causes.contains(&Cause::RadialScale(index)),
         reference: frame(Cause::Reference(index)),
         tool: frame(Cause::Tool(index)),
         reference_changes: Vec::new(),
         tool_changes: Vec::new(),
-        growth_changes: Vec::new(),
-        coded: EncodingSpans::default(),
+        radial_scale_changes: Vec::new(),
+        encoding_spans: EncodingSpans::default(),
         frame_correction: found.frame_correction(),
         residual,
-        nominal: fitted.nominal.is_some(),
-        link_m: fitted.nominal.as_ref().map(|drawing| drawing.link_m),
+        is_nominal: fitted.deviations.is_some(),
+        link_m: fitted.deviations.as_ref().map(|drawing| drawing.link_m),
         observability: Some(observability),
         top_speed_m_s: placement.top_speed_m_s,
         aligned,
@@ -226,24 +233,24 @@ fn joint_speed(joints: &JointTrack, t_s: f64) -> f64 {
 /// Returns whether a frame or scale error of stream `index` would be compensated by another one. At rest,
 /// only their sum is observable.
 fn is_hidden(fitted: &ArmFit, cause: Cause, index: usize) -> bool {
-    let ArmFit { explanation, menu, .. } = fitted;
+    let ArmFit { model: explanation, candidates: menu, .. } = fitted;
     let (state, found) = (&explanation.state, &explanation.state.streams[index]);
     let is_round = match cause {
         Cause::Reference(_) => found.round_reference.is_some(),
         Cause::Tool(_) => found.round_tool.is_some(),
-        Cause::Growth(_) => false,
-        Cause::Zero(_) | Cause::Gain(_) | Cause::Latency(_) | Cause::Skew(_) => return false,
+        Cause::RadialScale(_) => false,
+        Cause::Zero(_) | Cause::JointScale(_) | Cause::Latency(_) | Cause::Skew(_) => return false,
     };
     if is_round || explanation.causes.contains(&cause) || !menu.optional.contains(&cause) {
         return false;
     }
-    let others = [Cause::Reference(index), Cause::Tool(index), Cause::Growth(index)];
+    let others = [Cause::Reference(index), Cause::Tool(index), Cause::RadialScale(index)];
     let makes_up = |other: &Cause| {
         let mut both: Vec<usize> = cause.parameters(state).chain(other.parameters(state)).collect();
         both.sort_unstable();
         *other != cause
             && menu.optional.contains(other)
-            && explanation.linear.normal.separation(&both) < ENTANGLED
+            && explanation.linear.normal.separation(&both) < MIN_CAUSE_SEPARATION
     };
     others.iter().any(makes_up)
 }
@@ -256,15 +263,15 @@ fn aliases(
     index: usize,
 ) -> Option<Vec<f64>> {
     let found = &explanation.state.streams[index];
-    let witness = &prepared.witness;
+    let witness = &prepared.observations;
     let offsets = &explanation.state.offsets;
     let at = |latency_s: f64| {
         let mut state = StreamState { latency_s, ..found.clone() };
         if !witness.reference_known {
             // Another lag may need another world frame, for example by one line of a raster.
-            state = placed_by_positions(witness, state, offsets);
+            state = with_frames_from_positions(witness, state, offsets);
         }
-        witness.at_latency(&state, offsets, SEARCH_SAMPLES)
+        witness.residual_at_latency(&state, offsets, MAX_SEARCH_SAMPLES)
     };
     let (best, _) = at(found.latency_s);
     let apart = 4.0 * median_period_s(&witness.t_s).max(0.02);
@@ -278,7 +285,7 @@ fn aliases(
         .filter_map(|lag_s| {
             let settled = (0..4).fold(lag_s, |lag_s, _| lag_s + at(lag_s).1);
             let same = (settled - found.latency_s).abs() < apart;
-            (!same && at(settled).0 < 2.0 * best.max(ALIAS_FLOOR)).then_some(settled)
+            (!same && at(settled).0 < 2.0 * best.max(MIN_DISTINGUISHABLE_RAD)).then_some(settled)
         })
         .collect();
     if others.is_empty() {

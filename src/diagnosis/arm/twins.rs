@@ -1,7 +1,7 @@
 //! Estimates of single values of a fit, and their confounders.
 
 use super::fit::ArmFit;
-use crate::explain::{Cause, ENTANGLED};
+use crate::explain::{Cause, MIN_CAUSE_SEPARATION};
 use crate::{Confounder, EstimateResult, Measured, NotObservable};
 
 /// Estimates parameter `which` of `cause` when `causes` and the always-free causes are free.
@@ -11,7 +11,7 @@ pub(super) fn measured(
     cause: Cause,
     which: usize,
 ) -> EstimateResult<Measured> {
-    let ArmFit { explanation, menu, .. } = fitted;
+    let ArmFit { model: explanation, candidates: menu, .. } = fitted;
     let state = &explanation.state;
     let mut parameters: Vec<usize> =
         menu.always.iter().chain(causes).flat_map(|cause| cause.parameters(state)).collect();
@@ -23,8 +23,8 @@ pub(super) fn measured(
 }
 
 /// Confounders of `cause`: causes that explain the log as well in its place.
-pub(super) fn twins(fitted: &ArmFit, cause: Cause) -> Vec<Confounder> {
-    let ArmFit { explanation, menu, .. } = fitted;
+pub(super) fn confounders(fitted: &ArmFit, cause: Cause) -> Vec<Confounder> {
+    let ArmFit { model: explanation, candidates: menu, .. } = fitted;
     let (state, linear) = (&explanation.state, &explanation.linear);
     let parameters = |causes: &[Cause]| -> Vec<usize> {
         let mut list: Vec<usize> =
@@ -47,17 +47,20 @@ pub(super) fn twins(fitted: &ArmFit, cause: Cause) -> Vec<Confounder> {
             let own: Vec<f64> = other.parameters(state).map(|p| values[p]).collect();
             match other {
                 Cause::Zero(joint) => Some(Confounder::JointZero(joint, own[0])),
-                Cause::Reference(s) => Some(Confounder::Reference(s, frame_amount(&own))),
-                Cause::Tool(s) => Some(Confounder::Tool(s, frame_amount(&own))),
-                Cause::Gain(_) | Cause::Latency(_) | Cause::Skew(_) | Cause::Growth(_) => None,
+                Cause::Reference(s) => Some(Confounder::Reference(s, frame_size(&own))),
+                Cause::Tool(s) => Some(Confounder::Tool(s, frame_size(&own))),
+                Cause::JointScale(_)
+                | Cause::Latency(_)
+                | Cause::Skew(_)
+                | Cause::RadialScale(_) => None,
             }
         })
         .collect()
 }
 
 /// Frames in the selected model that are collinear with the joint offset `cause`.
-pub(super) fn frame_twins(fitted: &ArmFit, cause: Cause) -> Vec<Confounder> {
-    let ArmFit { explanation, menu, .. } = fitted;
+pub(super) fn frame_confounders(fitted: &ArmFit, cause: Cause) -> Vec<Confounder> {
+    let ArmFit { model: explanation, candidates: menu, .. } = fitted;
     let (state, linear) = (&explanation.state, &explanation.linear);
     let values = state.values();
     let frames = menu.always.iter().chain(&explanation.causes);
@@ -74,10 +77,10 @@ pub(super) fn frame_twins(fitted: &ArmFit, cause: Cause) -> Vec<Confounder> {
             let own: Vec<f64> = parameters.iter().map(|&p| values[p]).collect();
             parameters.extend(cause.parameters(state));
             parameters.sort_unstable();
-            let same = linear.normal.separation(&parameters) < ENTANGLED;
+            let same = linear.normal.separation(&parameters) < MIN_CAUSE_SEPARATION;
             match frame {
-                Cause::Reference(s) if same => Some(Confounder::Reference(s, frame_amount(&own))),
-                Cause::Tool(s) if same => Some(Confounder::Tool(s, frame_amount(&own))),
+                Cause::Reference(s) if same => Some(Confounder::Reference(s, frame_size(&own))),
+                Cause::Tool(s) if same => Some(Confounder::Tool(s, frame_size(&own))),
                 _ => None,
             }
         })
@@ -85,7 +88,7 @@ pub(super) fn frame_twins(fitted: &ArmFit, cause: Cause) -> Vec<Confounder> {
 }
 
 /// Size of a frame change: its angle in rad, or its length in m if it does not rotate.
-fn frame_amount(twist: &[f64]) -> f64 {
+fn frame_size(twist: &[f64]) -> f64 {
     let norm = |part: &[f64]| part.iter().map(|x| x * x).sum::<f64>().sqrt();
     let (length, angle) = (norm(&twist[..3]), norm(&twist[3..]));
     if angle > 1e-5 { angle } else { length }

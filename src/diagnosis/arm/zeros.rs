@@ -1,9 +1,9 @@
 //! Joint estimates of a fit: offsets, scales and couplings.
 
 use super::fit::ArmFit;
-use super::twins::{frame_twins, measured, twins};
+use super::twins::{confounders, frame_confounders, measured};
 use crate::explain::Cause;
-use crate::joints::{Read, half_turns};
+use crate::joints::{CorrectedJoints, half_turns};
 use crate::prepare::DecodedStream;
 use crate::{JointCoupling, JointOffset, JointScale, Measured, NotObservable};
 use ground::geometry::Vec3;
@@ -11,13 +11,13 @@ use ground::robot::JointKind;
 use ground::stream::JointTrack;
 use std::f64::consts::TAU;
 
-pub(super) fn unseen_offsets(dof: usize, why: &NotObservable) -> Vec<JointOffset> {
+pub(super) fn unobservable_offsets(dof: usize, why: &NotObservable) -> Vec<JointOffset> {
     let offset = || JointOffset {
         offset: Err(why.clone()),
-        chosen: false,
+        is_chosen: false,
         effect_m: 0.0,
         lever_m: 0.0,
-        twins: Vec::new(),
+        confounders: Vec::new(),
     };
     (0..dof).map(|_| offset()).collect()
 }
@@ -29,7 +29,7 @@ pub(super) fn joint_offsets(
     prepared: &[&DecodedStream],
     joints: &JointTrack,
 ) -> Vec<JointOffset> {
-    let ArmFit { explanation, menu, .. } = fitted;
+    let ArmFit { model: explanation, candidates: menu, .. } = fitted;
     let moved = moved_joints(joints);
     let zeros: Vec<Cause> =
         menu.optional.iter().copied().filter(|cause| matches!(cause, Cause::Zero(_))).collect();
@@ -38,8 +38,8 @@ pub(super) fn joint_offsets(
     (0..joints.dof)
         .map(|joint| {
             let cause = Cause::Zero(joint);
-            let drawing = fitted.nominal.as_ref();
-            let instead = drawing.and_then(|drawing| drawing.twins(joint));
+            let drawing = fitted.deviations.as_ref();
+            let instead = drawing.and_then(|drawing| drawing.confounders(joint));
             let chosen = explanation.causes.contains(&cause) || instead.is_some();
             let beside = drawing.map(|drawing| drawing.zeros[joint]);
             let offset = if let Some(zero) = beside {
@@ -53,9 +53,10 @@ pub(super) fn joint_offsets(
             } else {
                 measured(fitted, &everyone, cause, 0)
             };
-            let mut twins = if chosen { twins(fitted, cause) } else { frame_twins(fitted, cause) };
+            let mut twins =
+                if chosen { confounders(fitted, cause) } else { frame_confounders(fitted, cause) };
             twins.extend_from_slice(instead.unwrap_or_default());
-            let slides = slides(prepared, joint);
+            let slides = is_prismatic(prepared, joint);
             let within_a_turn = |offset: Measured| match slides {
                 true => offset,
                 false => {
@@ -66,21 +67,27 @@ pub(super) fn joint_offsets(
             let amount = offset.as_ref().map_or(0.0, |offset| offset.value.abs());
             let chord = if slides { amount } else { 2.0 * (0.5 * amount).sin() };
             let lever_m = lever_m(prepared, joint);
-            JointOffset { offset, chosen, effect_m: chord * lever_m, lever_m, twins }
+            JointOffset {
+                offset,
+                is_chosen: chosen,
+                effect_m: chord * lever_m,
+                lever_m,
+                confounders: twins,
+            }
         })
         .collect()
 }
 
-fn slides(prepared: &[&DecodedStream], joint: usize) -> bool {
-    prepared.iter().any(|DecodedStream { witness, .. }| {
+fn is_prismatic(prepared: &[&DecodedStream], joint: usize) -> bool {
+    prepared.iter().any(|DecodedStream { observations: witness, .. }| {
         let own = witness.columns.iter().position(|&column| column == joint);
         own.is_some_and(|own| witness.chain.joint_kinds()[own] == JointKind::Prismatic)
     })
 }
 
 /// Scales of the joints that have one.
-pub(super) fn joint_scales(fitted: &ArmFit, read: &Read) -> Vec<JointScale> {
-    let explanation = &fitted.explanation;
+pub(super) fn joint_scales(fitted: &ArmFit, read: &CorrectedJoints) -> Vec<JointScale> {
+    let explanation = &fitted.model;
     let scale = |(at, &(column, by)): (usize, &(usize, usize))| {
         if by != column {
             return None;
@@ -93,27 +100,27 @@ pub(super) fn joint_scales(fitted: &ArmFit, read: &Read) -> Vec<JointScale> {
             ..gain
         };
         let zero = Cause::Zero(column);
-        let is_off = explanation.causes.contains(&zero) || fitted.menu.always.contains(&zero);
+        let is_off = explanation.causes.contains(&zero) || fitted.candidates.always.contains(&zero);
         let offset = if is_off { explanation.state.offsets[column] } else { 0.0 };
         Some(JointScale { column, factor, offset })
     };
-    read.gained.iter().enumerate().filter_map(scale).collect()
+    read.gains.iter().enumerate().filter_map(scale).collect()
 }
 
 /// Joint couplings with fitted factors.
-pub(super) fn joint_couplings(fitted: &ArmFit, read: &Read) -> Vec<JointCoupling> {
+pub(super) fn joint_couplings(fitted: &ArmFit, read: &CorrectedJoints) -> Vec<JointCoupling> {
     let coupling = |(at, &(column, by)): (usize, &(usize, usize))| {
         let about = read.couplings.iter().find(|own| (own.column, own.by) == (column, by))?;
         let gain = gain(fitted, read, at)?;
         let factor = Measured { value: about.factor.value + gain.value, ..gain };
         Some(JointCoupling { column, by, factor })
     };
-    read.gained.iter().enumerate().filter_map(coupling).collect()
+    read.gains.iter().enumerate().filter_map(coupling).collect()
 }
 
-/// Estimate of entry `at` of [`Read::gained`], relative to the encoding.
-fn gain(fitted: &ArmFit, read: &Read, at: usize) -> Option<Measured> {
-    measured(fitted, &fitted.explanation.causes, Cause::Gain(read.track.dof + at), 0).ok()
+/// Estimate of entry `at` of [`CorrectedJoints::gains`], relative to the encoding.
+fn gain(fitted: &ArmFit, read: &CorrectedJoints, at: usize) -> Option<Measured> {
+    measured(fitted, &fitted.model.causes, Cause::JointScale(read.track.dof + at), 0).ok()
 }
 
 /// Flags joints that move by more than 3° (or 50 mm) over the run.
@@ -131,20 +138,20 @@ fn moved_joints(joints: &JointTrack) -> Vec<bool> {
 /// Largest distance from a joint's axis to the tip, m/rad (1 for a prismatic joint). The maximum is over
 /// evenly spread joint positions (Halton 1960).
 fn lever_m(prepared: &[&DecodedStream], joint: usize) -> f64 {
-    const TRIED: u32 = 500;
-    const BASES: [u32; 10] = [2, 3, 5, 7, 11, 13, 17, 19, 23, 29];
+    const CONFIGURATIONS: u32 = 500;
+    const HALTON_BASES: [u32; 10] = [2, 3, 5, 7, 11, 13, 17, 19, 23, 29];
     let lever = |prepared: &&DecodedStream| {
-        let own = prepared.witness.columns.iter().position(|&column| column == joint)?;
-        let chain = prepared.witness.chain;
+        let own = prepared.observations.columns.iter().position(|&column| column == joint)?;
+        let chain = prepared.observations.chain;
         let kinds = chain.joint_kinds();
         if kinds[own] == JointKind::Prismatic {
             return Some(1.0);
         }
         let mut jacobian = vec![[0.0; 6]; chain.dof()];
-        let levers = (1..=TRIED).map(|index| {
+        let levers = (1..=CONFIGURATIONS).map(|index| {
             let at = |(j, kind): (usize, &JointKind)| match kind {
                 JointKind::Prismatic => 0.0,
-                _ => TAU * (radical_inverse(index, BASES[j % BASES.len()]) - 0.5),
+                _ => TAU * (radical_inverse(index, HALTON_BASES[j % HALTON_BASES.len()]) - 0.5),
             };
             let q: Vec<f64> = kinds.iter().enumerate().map(at).collect();
             chain.forward_with_jacobian(&q, &mut jacobian);

@@ -7,7 +7,7 @@ use ground::stream::JointTrack;
 use std::sync::Arc;
 
 /// Compliance that gears and links of a healthy arm have, rad. Smaller values are not reported.
-pub(super) const USUAL_RAD: f64 = 2.1e-3;
+pub(super) const USUAL_COMPLIANCE_RAD: f64 = 2.1e-3;
 
 /// Deviation of a link from its encoder that depends on configuration or direction of motion: `q_true =
 /// q_reported + bend`.
@@ -17,7 +17,7 @@ pub struct JointCompliance {
     pub column: usize,
     /// Value, rad: full backlash, negative if the link leads its encoder; or largest sag over the run; or
     /// amplitude of the eccentricity.
-    pub amount: Measured,
+    pub value: Measured,
     /// Profile over the motion.
     pub shape: ComplianceShape,
     /// Change point of the value, rad, such as sag after a load change. Times are on the joint states'
@@ -29,7 +29,7 @@ pub struct JointCompliance {
 #[derive(Clone, Debug)]
 pub enum ComplianceShape {
     /// Backlash: the link lags by half of it (hysteresis).
-    Play(BacklashCrossing),
+    Backlash(BacklashCrossing),
     /// Sag, proportional to the gravity torque.
     Sag(JointSag),
     /// Eccentricity, `sin(order · q + phase)`.
@@ -53,10 +53,15 @@ pub enum BacklashCrossing {
 impl BacklashCrossing {
     /// Offset of the link from its encoder, from −½ to ½ of the backlash, at each of `rows` encoder
     /// positions. Starts in the middle.
-    pub(super) fn behind(self, rows: usize, q: impl Fn(usize) -> f64, play_rad: f64) -> Vec<f64> {
+    pub(super) fn link_offsets(
+        self,
+        rows: usize,
+        q: impl Fn(usize) -> f64,
+        play_rad: f64,
+    ) -> Vec<f64> {
         match self {
-            Self::Gradual => play(rows, q, play_rad.abs()),
-            Self::Sudden => ways(rows, q).into_iter().map(|way| -0.5 * way).collect(),
+            Self::Gradual => play_operator(rows, q, play_rad.abs()),
+            Self::Sudden => motion_directions(rows, q).into_iter().map(|way| -0.5 * way).collect(),
         }
     }
 }
@@ -66,13 +71,13 @@ impl BacklashCrossing {
 pub struct JointSag {
     pub(super) gravity: Arc<GravityTorques>,
     /// Torque that causes the full sag, in the unit of `gravity`.
-    pub(super) most_torque: f64,
+    pub(super) max_torque: f64,
 }
 
 impl JointCompliance {
     /// Returns whether this is backlash.
-    pub fn is_play(&self) -> bool {
-        matches!(self.shape, ComplianceShape::Play(_))
+    pub fn is_backlash(&self) -> bool {
+        matches!(self.shape, ComplianceShape::Backlash(_))
     }
 
     /// Returns whether this is sag.
@@ -82,17 +87,18 @@ impl JointCompliance {
 
     /// Returns whether this is eccentricity above the usual level of gears and encoders.
     pub fn is_eccentric(&self) -> bool {
-        matches!(self.shape, ComplianceShape::Eccentric { .. }) && self.amount.value > USUAL_RAD
+        matches!(self.shape, ComplianceShape::Eccentric { .. })
+            && self.value.value > USUAL_COMPLIANCE_RAD
     }
 }
 
 /// Adds the compliance in `bends` to the joint positions, rad, and its derivative to the velocities. All
 /// terms are computed from the reported positions.
-pub(crate) fn bend(joints: &mut JointTrack, bends: &[JointCompliance]) {
+pub(crate) fn apply_compliance(joints: &mut JointTrack, bends: &[JointCompliance]) {
     let dof = joints.dof.max(1);
     let reported = joints.q.clone();
     let (mut torques, mut buffer) = (vec![0.0; dof], TorqueBuffers::default());
-    for JointCompliance { column, amount, shape, change } in bends {
+    for JointCompliance { column, value: amount, shape, change } in bends {
         let (column, amount) = (*column, amount.value);
         let amount_at = |t_s: f64| match change {
             Some(change) if t_s < change.at_s => change.from,
@@ -101,8 +107,8 @@ pub(crate) fn bend(joints: &mut JointTrack, bends: &[JointCompliance]) {
         };
         let q = |row: usize| reported[row * dof + column];
         match shape {
-            ComplianceShape::Play(crossing) => {
-                let behind = crossing.behind(joints.len(), q, amount);
+            ComplianceShape::Backlash(crossing) => {
+                let behind = crossing.link_offsets(joints.len(), q, amount);
                 for (row, behind) in behind.into_iter().enumerate() {
                     let at = row * dof + column;
                     joints.q[at] += behind * amount;
@@ -115,7 +121,7 @@ pub(crate) fn bend(joints: &mut JointTrack, bends: &[JointCompliance]) {
                     }
                 }
             }
-            ComplianceShape::Sag(JointSag { gravity, most_torque }) => {
+            ComplianceShape::Sag(JointSag { gravity, max_torque: most_torque }) => {
                 for (row, positions) in reported.chunks_exact(dof).enumerate() {
                     gravity.torques(positions, &mut buffer, &mut torques);
                     let amount = amount_at(joints.t_s[row]);
@@ -136,15 +142,15 @@ pub(crate) fn bend(joints: &mut JointTrack, bends: &[JointCompliance]) {
 }
 
 /// Direction of the last motion of a joint, 1 or −1, at each of `rows` positions. 0 before it moves.
-pub(crate) fn ways(rows: usize, q: impl Fn(usize) -> f64) -> Vec<f64> {
+pub(crate) fn motion_directions(rows: usize, q: impl Fn(usize) -> f64) -> Vec<f64> {
     /// Minimum reversal, above encoder noise, rad.
-    const LEAST_RAD: f64 = 3e-4;
+    const MIN_REVERSAL_RAD: f64 = 3e-4;
     let (mut way, mut farthest) = (0.0, None);
     (0..rows)
         .map(|row| {
             let farthest = farthest.get_or_insert_with(|| q(row));
             let moved = q(row) - *farthest;
-            if way * moved > 0.0 || moved.abs() > LEAST_RAD {
+            if way * moved > 0.0 || moved.abs() > MIN_REVERSAL_RAD {
                 (way, *farthest) = (moved.signum(), q(row));
             }
             way
@@ -153,7 +159,7 @@ pub(crate) fn ways(rows: usize, q: impl Fn(usize) -> f64) -> Vec<f64> {
 }
 
 /// Play operator of hysteresis.
-fn play(rows: usize, q: impl Fn(usize) -> f64, play: f64) -> Vec<f64> {
+fn play_operator(rows: usize, q: impl Fn(usize) -> f64, play: f64) -> Vec<f64> {
     let mut behind = 0.0;
     let width = play.max(f64::MIN_POSITIVE);
     (0..rows)
@@ -172,7 +178,7 @@ mod tests {
     #[test]
     fn a_link_with_play_follows_its_encoder_only_beyond_it() {
         let q = [0.0, 0.1, 0.2, 0.3, 0.25, 0.2, 0.1, 0.0];
-        let behind = play(q.len(), |row| q[row], 0.1);
+        let behind = play_operator(q.len(), |row| q[row], 0.1);
         let link: Vec<f64> = q.iter().zip(&behind).map(|(q, behind)| q + 0.1 * behind).collect();
         let expected = [0.0, 0.05, 0.15, 0.25, 0.25, 0.25, 0.15, 0.05];
         for (link, expected) in link.iter().zip(expected) {

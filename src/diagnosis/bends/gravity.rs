@@ -13,20 +13,20 @@ pub(super) struct MassModel {
 
 impl MassModel {
     /// Distributions that are tested: equal or tapered links, with and without a tool.
-    pub const TRIED: [Self; 9] = {
-        const fn of(taper: f64, tool: f64) -> MassModel {
+    pub const CANDIDATES: [Self; 9] = {
+        const fn new(taper: f64, tool: f64) -> MassModel {
             MassModel { taper, tool }
         }
         [
-            of(0.8, 0.5),
-            of(1.0, 0.0),
-            of(0.8, 0.0),
-            of(0.6, 0.0),
-            of(1.0, 1.0),
-            of(0.8, 2.0),
-            of(0.6, 1.0),
-            of(0.6, 3.0),
-            of(0.4, 0.5),
+            new(0.8, 0.5),
+            new(1.0, 0.0),
+            new(0.8, 0.0),
+            new(0.6, 0.0),
+            new(1.0, 1.0),
+            new(0.8, 2.0),
+            new(0.6, 1.0),
+            new(0.6, 3.0),
+            new(0.4, 0.5),
         ]
     };
 }
@@ -50,7 +50,7 @@ pub(super) struct TorqueBuffers {
 }
 
 impl GravityTorques {
-    pub fn of(chain: &Chain, columns: &[usize], masses: MassModel) -> Self {
+    pub fn new(chain: &Chain, columns: &[usize], masses: MassModel) -> Self {
         Self { chain: chain.clone(), columns: columns.to_vec(), masses }
     }
 

@@ -3,7 +3,7 @@
 
 use super::found::{BacklashCrossing, ComplianceShape, JointCompliance, JointSag};
 use super::gravity::{GravityTorques, MassModel, TorqueBuffers};
-use super::system::{ComplianceSystem, STREAM, linear};
+use super::system::{ComplianceSystem, STREAM_PARAMETERS, linear};
 use super::{ComplianceRun, ResidualSamples};
 use crate::explain::price;
 use crate::linear::{Linear, Normal};
@@ -12,30 +12,30 @@ use ground::stats::Measured;
 use std::sync::Arc;
 
 /// Backlash assumed during the search, rad. The profile depends only weakly on it.
-const FIRST_PLAY_RAD: f64 = 3e-3;
+const INITIAL_BACKLASH_RAD: f64 = 3e-3;
 /// A term must explain at least this fraction of the explainable excess residual.
-const SHARE: f64 = 0.03;
+const MIN_EXPLAINED_SHARE: f64 = 0.03;
 /// Eccentricity orders that are tested, in cycles per turn: joint, encoder, bearing.
-const ORDERS: [u32; 3] = [1, 2, 3];
+const ECCENTRICITY_ORDERS: [u32; 3] = [1, 2, 3];
 /// Joints whose gravity torque is below this fraction of the largest are not tested for sag.
-const LEAST_TORQUE: f64 = 0.05;
+const MIN_TORQUE_SHARE: f64 = 0.05;
 /// A value is significant if it exceeds this many standard errors.
-const TOLD: f64 = 4.0;
+const MIN_STD_ERRORS: f64 = 4.0;
 /// Relative standard error of sag due to the assumed link masses.
-pub(super) const MASSES: f64 = 0.07;
+pub(super) const MASS_STD_ERROR: f64 = 0.07;
 /// Larger values are not compliance, rad.
-const MOST_RAD: f64 = 0.1;
+const MAX_COMPLIANCE_RAD: f64 = 0.1;
 /// Minimum range of a joint angle to test for eccentricity, rad.
-const LEAST_RANGE_RAD: f64 = 1.0;
+const MIN_RANGE_RAD: f64 = 1.0;
 
 /// Number of trial times for a load change, and the factor of the finer grid around the best.
-const MOMENTS: usize = 12;
-const FINER: i32 = 4;
+const TRIAL_TIMES: usize = 12;
+const GRID_REFINEMENT: i32 = 4;
 
 /// Kind of joint compliance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum ComplianceKind {
-    Play(BacklashCrossing),
+    Backlash(BacklashCrossing),
     Sag,
     /// Sag whose value changes at this time (a load change), s.
     LoadedSag(f64),
@@ -70,7 +70,7 @@ impl ComplianceTerm {
     /// Magnitude, rad, signed except for eccentricity.
     pub fn size(&self) -> f64 {
         match self.kind {
-            ComplianceKind::Play(_) | ComplianceKind::Sag => self.amount[0],
+            ComplianceKind::Backlash(_) | ComplianceKind::Sag => self.amount[0],
             ComplianceKind::LoadedSag(_) if self.amount[1].abs() > self.amount[0].abs() => {
                 self.amount[1]
             }
@@ -80,10 +80,10 @@ impl ComplianceTerm {
     }
 
     /// Returns whether the value is physical and significant.
-    fn holds(&self) -> bool {
+    fn is_significant(&self) -> bool {
         let size = self.size();
-        let is_way = size > 0.0 || matches!(self.kind, ComplianceKind::Play(_));
-        is_way && size.abs() > TOLD * self.std_error && size.abs() < MOST_RAD
+        let is_way = size > 0.0 || matches!(self.kind, ComplianceKind::Backlash(_));
+        is_way && size.abs() > MIN_STD_ERRORS * self.std_error && size.abs() < MAX_COMPLIANCE_RAD
     }
 }
 
@@ -104,16 +104,16 @@ impl FreeParameters {
     }
 
     /// Frees only the causes that the selected model contains.
-    pub fn chosen(run: &ComplianceRun, found: &ArmDiagnosis) -> Self {
+    pub fn from_selected(run: &ComplianceRun, found: &ArmDiagnosis) -> Self {
         let streams = run.streams.iter().zip(&found.streams).map(|(stream, found)| {
             let frame = |frame: &EstimateResult<FrameEstimate>| {
-                frame.as_ref().is_ok_and(|frame| frame.chosen)
+                frame.as_ref().is_ok_and(|frame| frame.is_chosen)
             };
             let is_free = !stream.reference_known || frame(&found.reference);
-            [found.latency_s.is_ok(), found.growth_chosen, is_free, frame(&found.tool)]
+            [found.latency_s.is_ok(), found.is_radial_scale_chosen, is_free, frame(&found.tool)]
         });
         let mut zeros: Vec<bool> =
-            found.joints.offsets.iter().map(|offset| offset.chosen).collect();
+            found.joints.offsets.iter().map(|offset| offset.is_chosen).collect();
         zeros.resize(run.joints.dof, false);
         Self { zeros, streams: streams.collect() }
     }
@@ -125,7 +125,7 @@ pub(super) struct ComplianceSearch<'a> {
     samples: &'a [ResidualSamples],
     gravity: Arc<GravityTorques>,
     /// Largest torque about each joint over the run.
-    most_torque: Vec<f64>,
+    max_torque: Vec<f64>,
     /// Gravity torques, indexed by stream, sample and joint.
     torques: Vec<Vec<Vec<f64>>>,
 }
@@ -137,24 +137,24 @@ impl<'a> ComplianceSearch<'a> {
         masses: MassModel,
     ) -> Option<Self> {
         let stream = run.streams.iter().max_by_key(|stream| stream.columns.len())?;
-        let gravity = Arc::new(GravityTorques::of(stream.chain, stream.columns, masses));
+        let gravity = Arc::new(GravityTorques::new(stream.chain, stream.columns, masses));
         let torques = torques(&gravity, samples, run.joints.dof);
         let mut most_torque = vec![0.0_f64; run.joints.dof];
         for own in torques.iter().flatten() {
             most_torque.iter_mut().zip(own).for_each(|(most, own)| *most = most.max(own.abs()));
         }
-        Some(Self { run, samples, gravity, most_torque, torques })
+        Some(Self { run, samples, gravity, max_torque: most_torque, torques })
     }
 
     /// Same search on other samples of the run.
-    pub fn on<'b>(&self, samples: &'b [ResidualSamples]) -> ComplianceSearch<'b>
+    pub fn on_samples<'b>(&self, samples: &'b [ResidualSamples]) -> ComplianceSearch<'b>
     where
         'a: 'b,
     {
         let gravity = Arc::clone(&self.gravity);
         let torques = torques(&gravity, samples, self.run.joints.dof);
-        let most_torque = self.most_torque.clone();
-        ComplianceSearch { run: self.run, samples, gravity, most_torque, torques }
+        let most_torque = self.max_torque.clone();
+        ComplianceSearch { run: self.run, samples, gravity, max_torque: most_torque, torques }
     }
 
     /// Sag whose mean over the samples equals a zero of `offset_rad`. `None` if the sign contradicts
@@ -165,27 +165,28 @@ impl<'a> ComplianceSearch<'a> {
         let term = self.candidates().into_iter().find(term)?;
         let torques = || self.torques.iter().flatten().map(|torques| torques[column]);
         let count = torques().count().max(1) as f64;
-        let mean = torques().sum::<f64>() / count / self.most_torque[column];
+        let mean = torques().sum::<f64>() / count / self.max_torque[column];
         let amount = [offset_rad / mean, 0.0];
-        (amount[0] > 0.0 && amount[0] < MOST_RAD).then_some(ComplianceTerm { amount, ..term })
+        (amount[0] > 0.0 && amount[0] < MAX_COMPLIANCE_RAD)
+            .then_some(ComplianceTerm { amount, ..term })
     }
 
     /// All compliance terms that the motion can show.
     fn candidates(&self) -> Vec<ComplianceTerm> {
         let dof = self.run.joints.dof;
-        let largest = self.most_torque.iter().copied().fold(0.0, f64::max);
+        let largest = self.max_torque.iter().copied().fold(0.0, f64::max);
         let of_joint = |column: usize| {
             let values =
                 || self.samples.iter().flat_map(move |s| s.q.iter().map(move |q| q[column]));
             let low = values().fold(f64::INFINITY, f64::min);
             let high = values().fold(f64::NEG_INFINITY, f64::max);
-            let sags = self.most_torque[column] > LEAST_TORQUE * largest;
-            let turns = high - low > LEAST_RANGE_RAD;
+            let sags = self.max_torque[column] > MIN_TORQUE_SHARE * largest;
+            let turns = high - low > MIN_RANGE_RAD;
             let moves = high - low > 0.05;
-            let orders = ORDERS.iter().map(|&order| ComplianceKind::Eccentric(order));
+            let orders = ECCENTRICITY_ORDERS.iter().map(|&order| ComplianceKind::Eccentric(order));
             let kinds = [BacklashCrossing::Gradual, BacklashCrossing::Sudden]
                 .into_iter()
-                .map(ComplianceKind::Play)
+                .map(ComplianceKind::Backlash)
                 .chain(sags.then_some(ComplianceKind::Sag))
                 .chain(orders.filter(move |_| turns));
             kinds
@@ -194,25 +195,25 @@ impl<'a> ComplianceSearch<'a> {
                 .collect::<Vec<_>>()
         };
         let used = |column: &usize| {
-            !self.run.slides[*column]
+            !self.run.is_prismatic[*column]
                 && self.run.streams.iter().any(|stream| stream.columns.contains(column))
         };
         (0..dof).filter(used).flat_map(of_joint).collect()
     }
 
     /// Profiles of `terms`, indexed by stream, sample and coefficient.
-    fn shapes(&self, terms: &[ComplianceTerm]) -> Vec<Vec<Vec<f64>>> {
+    fn profiles(&self, terms: &[ComplianceTerm]) -> Vec<Vec<Vec<f64>>> {
         let joints = self.run.joints;
         let behind: Vec<Vec<f64>> = terms
             .iter()
             .map(|term| match term.kind {
-                ComplianceKind::Play(crossing) => {
+                ComplianceKind::Backlash(crossing) => {
                     let width = match term.amount[0].abs() {
-                        0.0 => FIRST_PLAY_RAD,
+                        0.0 => INITIAL_BACKLASH_RAD,
                         width => width,
                     };
                     let q = |row: usize| joints.q[row * joints.dof + term.column];
-                    crossing.behind(joints.len(), q, width)
+                    crossing.link_offsets(joints.len(), q, width)
                 }
                 ComplianceKind::Sag
                 | ComplianceKind::LoadedSag(_)
@@ -225,17 +226,17 @@ impl<'a> ComplianceSearch<'a> {
                 for (term, behind) in terms.iter().zip(&behind) {
                     let q = samples.q[k][term.column];
                     match term.kind {
-                        ComplianceKind::Play(_) => {
+                        ComplianceKind::Backlash(_) => {
                             let (row, part) = samples.at[k];
                             let next = (row + 1).min(behind.len() - 1);
                             values.push(behind[row] * (1.0 - part) + behind[next] * part);
                         }
                         ComplianceKind::Sag => {
-                            let most = self.most_torque[term.column];
+                            let most = self.max_torque[term.column];
                             values.push(torques[k][term.column] / most);
                         }
                         ComplianceKind::LoadedSag(from_s) => {
-                            let share = torques[k][term.column] / self.most_torque[term.column];
+                            let share = torques[k][term.column] / self.max_torque[term.column];
                             let is_before = joints.t_s[samples.at[k].0] < from_s;
                             values.extend(if is_before { [share, 0.0] } else { [0.0, share] });
                         }
@@ -263,7 +264,7 @@ impl<'a> ComplianceSearch<'a> {
             })
             .collect();
         let own = dof + terms.iter().map(ComplianceTerm::width).sum::<usize>();
-        let shapes = self.shapes(terms);
+        let shapes = self.profiles(terms);
         let linears: Vec<Linear> = self
             .samples
             .iter()
@@ -271,7 +272,11 @@ impl<'a> ComplianceSearch<'a> {
             .map(|(samples, shapes)| linear(samples, shapes, terms, &starts, own))
             .collect();
         let columns: Vec<Vec<usize>> = (0..linears.len())
-            .map(|s| (0..own).chain((0..STREAM).map(|p| own + s * STREAM + p)).collect())
+            .map(|s| {
+                (0..own)
+                    .chain((0..STREAM_PARAMETERS).map(|p| own + s * STREAM_PARAMETERS + p))
+                    .collect()
+            })
             .collect();
         let weights = linears.iter().map(Linear::first_weights).collect();
         let normal = Normal::zeros(0);
@@ -280,7 +285,7 @@ impl<'a> ComplianceSearch<'a> {
         let every: Vec<usize> = (0..terms.len()).collect();
         for _ in 0..2 {
             let step = system.step(&system.parameters(terms, &every, free));
-            system.weigh(&step);
+            system.update_weights(&step);
         }
         system
     }
@@ -294,13 +299,14 @@ impl<'a> ComplianceSearch<'a> {
         let every: Vec<usize> = (0..terms.len()).collect();
         let (plain, least) = (cost(&[]), cost(&every));
         let price = price(system.normal.independent);
-        let worth =
-            |index: usize| (price * terms[index].width() as f64).max(SHARE * (plain - least));
+        let worth = |index: usize| {
+            (price * terms[index].width() as f64).max(MIN_EXPLAINED_SHARE * (plain - least))
+        };
         let is_eccentric =
             |index: &usize| matches!(terms[*index].kind, ComplianceKind::Eccentric(_));
         let simple: Vec<usize> = every.iter().copied().filter(|i| !is_eccentric(i)).collect();
-        let simple = fewest(&simple, plain, &cost, &worth);
-        let mixed = fewest(&every, plain, &cost, &worth);
+        let simple = select_terms(&simple, plain, &cost, &worth);
+        let mixed = select_terms(&every, plain, &cost, &worth);
         let is_mixed = mixed.iter().any(is_eccentric);
         let sets = [Some(simple), is_mixed.then_some(mixed)].into_iter().flatten();
         let of = |set: Vec<usize>| set.into_iter().map(|index| terms[index]).collect();
@@ -309,7 +315,7 @@ impl<'a> ComplianceSearch<'a> {
 
     /// Selects joints whose sag changes at one time (a load change), in addition to backlash, with
     /// everything else free. Empty if constant sag fits about as well.
-    pub fn loaded(&self) -> Vec<ComplianceTerm> {
+    pub fn load_change_terms(&self) -> Vec<ComplianceTerm> {
         let free = FreeParameters::all(self.run);
         let with = |kind: fn(f64) -> ComplianceKind, at_s: f64| -> Vec<ComplianceTerm> {
             let plain = self.candidates().into_iter();
@@ -320,30 +326,32 @@ impl<'a> ComplianceSearch<'a> {
         else {
             return Vec::new();
         };
-        let cost_at = |at_s: f64| self.left(&with(ComplianceKind::LoadedSag, at_s));
+        let cost_at = |at_s: f64| self.residual_noise(&with(ComplianceKind::LoadedSag, at_s));
         let length_s = last - first;
-        let rough = (1..MOMENTS).map(|at| first + length_s * at as f64 / MOMENTS as f64);
+        let rough = (1..TRIAL_TIMES).map(|at| first + length_s * at as f64 / TRIAL_TIMES as f64);
         let best = |tried: &mut dyn Iterator<Item = f64>| {
             let costs = tried.map(|at_s| (cost_at(at_s), at_s));
             costs.min_by(|a, b| a.0.total_cmp(&b.0))
         };
         let Some((_, rough_s)) = best(&mut rough.into_iter()) else { return Vec::new() };
-        let near = (-FINER..=FINER).map(|step| rough_s + self.step_s() * f64::from(step));
+        let near = (-GRID_REFINEMENT..=GRID_REFINEMENT)
+            .map(|step| rough_s + self.step_s() * f64::from(step));
         let Some((_, at_s)) = best(&mut near.into_iter()) else { return Vec::new() };
         let mut terms = with(ComplianceKind::LoadedSag, at_s);
         terms.extend(
             self.candidates()
                 .into_iter()
-                .filter(|term| matches!(term.kind, ComplianceKind::Play(_))),
+                .filter(|term| matches!(term.kind, ComplianceKind::Backlash(_))),
         );
         let system = self.system(&terms, &free);
         let cost = |set: &[usize]| system.cost(&system.parameters(&terms, set, &free));
         let every: Vec<usize> = (0..terms.len()).collect();
         let (plain, least) = (cost(&[]), cost(&every));
         let price = price(system.normal.independent);
-        let worth =
-            |index: usize| (price * terms[index].width() as f64).max(SHARE * (plain - least));
-        let set = fewest(&every, plain, &cost, &worth);
+        let worth = |index: usize| {
+            (price * terms[index].width() as f64).max(MIN_EXPLAINED_SHARE * (plain - least))
+        };
+        let set = select_terms(&every, plain, &cost, &worth);
         let set: Vec<ComplianceTerm> = set.into_iter().map(|index| terms[index]).collect();
         let is_loaded = set.iter().any(|term| matches!(term.kind, ComplianceKind::LoadedSag(_)));
         if is_loaded { set } else { Vec::new() }
@@ -352,11 +360,11 @@ impl<'a> ComplianceSearch<'a> {
     /// Time resolution of the load change, s.
     fn step_s(&self) -> f64 {
         let (first, last) = self.run.joints.span().unwrap_or_default();
-        (last - first) / (MOMENTS as f64 * f64::from(FINER))
+        (last - first) / (TRIAL_TIMES as f64 * f64::from(GRID_REFINEMENT))
     }
 
     /// Residual noise `Σ n·ln σ` with `terms` and everything else free.
-    pub fn left(&self, terms: &[ComplianceTerm]) -> f64 {
+    pub fn residual_noise(&self, terms: &[ComplianceTerm]) -> f64 {
         self.system(terms, &FreeParameters::all(self.run)).noise()
     }
 
@@ -379,20 +387,20 @@ impl<'a> ComplianceSearch<'a> {
             term.dof = (system.normal.independent - parameters.len() as f64).max(3.0);
         }
         if is_taken {
-            terms.retain(ComplianceTerm::holds);
+            terms.retain(ComplianceTerm::is_significant);
         }
     }
 
     /// Converts `terms` to joint compliance.
-    pub fn bends(&self, terms: &[ComplianceTerm]) -> Vec<JointCompliance> {
+    pub fn to_compliance(&self, terms: &[ComplianceTerm]) -> Vec<JointCompliance> {
         let bend = |term: &ComplianceTerm| {
             let ComplianceTerm { column, amount, std_error, dof, .. } = *term;
             let shape = match term.kind {
-                ComplianceKind::Play(crossing) => ComplianceShape::Play(crossing),
+                ComplianceKind::Backlash(crossing) => ComplianceShape::Backlash(crossing),
                 ComplianceKind::Sag | ComplianceKind::LoadedSag(_) => {
                     ComplianceShape::Sag(JointSag {
                         gravity: Arc::clone(&self.gravity),
-                        most_torque: self.most_torque[column],
+                        max_torque: self.max_torque[column],
                     })
                 }
                 ComplianceKind::Eccentric(order) => {
@@ -403,7 +411,8 @@ impl<'a> ComplianceSearch<'a> {
             let is_sag = matches!(term.kind, ComplianceKind::Sag | ComplianceKind::LoadedSag(_));
             let measured = |value: f64, share: f64| Measured {
                 value,
-                std_error: share * std_error.hypot(if is_sag { MASSES * value } else { 0.0 }),
+                std_error: share
+                    * std_error.hypot(if is_sag { MASS_STD_ERROR * value } else { 0.0 }),
                 dof,
             };
             let change = match term.kind {
@@ -412,18 +421,18 @@ impl<'a> ComplianceSearch<'a> {
                     within_s: self.step_s(),
                     from: amount[0],
                     to: amount[1],
-                    by: measured(amount[1] - amount[0], std::f64::consts::SQRT_2),
+                    size: measured(amount[1] - amount[0], std::f64::consts::SQRT_2),
                 }),
                 _ => None,
             };
-            JointCompliance { column, amount: measured(value, 1.0), shape, change }
+            JointCompliance { column, value: measured(value, 1.0), shape, change }
         };
         terms.iter().map(bend).collect()
     }
 }
 
 /// Stepwise selection from `menu` that minimises cost plus price. `plain` is the cost of the empty set.
-fn fewest(
+fn select_terms(
     menu: &[usize],
     plain: f64,
     cost: &dyn Fn(&[usize]) -> f64,

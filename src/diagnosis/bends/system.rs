@@ -9,8 +9,8 @@ use ground::geometry::Vec3;
 use nalgebra::{DMatrix, DVector};
 
 /// Parameters of each stream: latency, radial scale, reference and tool.
-pub(super) const STREAM: usize = 14;
-const PARTS: [std::ops::Range<usize>; 4] = [0..1, 1..2, 2..8, 8..14];
+pub(super) const STREAM_PARAMETERS: usize = 14;
+const CAUSE_COLUMNS: [std::ops::Range<usize>; 4] = [0..1, 1..2, 2..8, 8..14];
 
 /// Least-squares system of compliance terms and stream parameters.
 pub(super) struct ComplianceSystem {
@@ -27,7 +27,7 @@ impl ComplianceSystem {
     pub fn sum(&mut self) {
         let width = self.columns.iter().flatten().max().map_or(0, |last| last + 1);
         /// Prior standard deviation that damps the steps, as in the fit of the model.
-        const SCALE: f64 = 0.02;
+        const DAMPING_SCALE: f64 = 0.02;
         let mut normal = Normal::zeros(width);
         for ((linear, weights), columns) in
             self.linears.iter().zip(&self.weights).zip(&self.columns)
@@ -35,12 +35,12 @@ impl ComplianceSystem {
             linear.accumulate(weights, columns, &mut normal);
         }
         for parameter in 0..width {
-            normal.matrix[(parameter, parameter)] += SCALE.powi(-2);
+            normal.matrix[(parameter, parameter)] += DAMPING_SCALE.powi(-2);
         }
         self.normal = normal;
     }
 
-    pub fn weigh(&mut self, step: &DVector<f64>) {
+    pub fn update_weights(&mut self, step: &DVector<f64>) {
         let own = |columns: &[usize]| -> Vec<f64> { columns.iter().map(|&c| step[c]).collect() };
         self.weights = self
             .linears
@@ -67,8 +67,8 @@ impl ComplianceSystem {
             parameters.extend((0..terms[index].width()).map(|i| self.starts[index] + i));
         }
         for (s, parts) in free.streams.iter().enumerate() {
-            for (part, _) in PARTS.into_iter().zip(parts).filter(|(_, free)| **free) {
-                parameters.extend(part.map(|parameter| own + s * STREAM + parameter));
+            for (part, _) in CAUSE_COLUMNS.into_iter().zip(parts).filter(|(_, free)| **free) {
+                parameters.extend(part.map(|parameter| own + s * STREAM_PARAMETERS + parameter));
             }
         }
         parameters.sort_unstable();
@@ -117,7 +117,7 @@ pub(super) fn linear(
 ) -> Linear {
     const POSITION: usize = 0;
     const ROTATION: usize = 1;
-    let mut linear = Linear::new(own + STREAM, &[FLOOR_M, FLOOR_RAD]);
+    let mut linear = Linear::new(own + STREAM_PARAMETERS, &[FLOOR_M, FLOOR_RAD]);
     for (k, shapes) in shapes.iter().enumerate() {
         let mut rows = linear.push(&samples.residual[k]);
         let mut set = |column: usize, length: Vec3, angle: Vec3| {

@@ -1,13 +1,13 @@
 //! Gauss–Newton from the nominal model to the maximum of the posterior.
 
-use super::observed::untold;
+use super::observed::undetermined_directions;
 use super::parameters::CalibrationParameters;
 use super::workspace::TipSensitivity;
 use super::{
     ArmCalibration, CalibrationFailure, CalibrationResidual, CalibrationStream, StreamCalibration,
 };
 use crate::Measured;
-use crate::drawing::LINKS_M;
+use crate::drawing::DEVIATION_GRID_M;
 use crate::linear::{Linear, Normal, Weight};
 use crate::model::{ExcludedComponents, PoseObservations, StreamState, ToolPart, pose_of_twist};
 use crate::nominal::{FreeAlongside, link_frames};
@@ -16,13 +16,13 @@ use ground::robot::{Chain, LinkPath, Robot};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 /// Maximum number of samples per stream. More do not improve the estimate.
-const SAMPLES: usize = 20_000;
+const MAX_SAMPLES: usize = 20_000;
 /// Number of blocks per stream, and of cross-validation folds.
-const STRETCHES: usize = 50;
+const BLOCKS: usize = 50;
 const FOLDS: usize = 5;
 /// Maximum number of iterations, and the step, in standard deviations, that ends them.
-const ROUNDS: usize = 12;
-const SETTLED: f64 = 1e-3;
+const MAX_ITERATIONS: usize = 12;
+const CONVERGED_SIGMAS: f64 = 1e-3;
 
 /// Current estimate.
 #[derive(Clone)]
@@ -42,20 +42,20 @@ struct LinearizedStream {
 impl LinearizedStream {
     /// Samples of a fold: every fifth block, starting at block `fold`.
     fn fold(&self, fold: usize) -> Vec<usize> {
-        let stretch = self.linear.len().div_ceil(STRETCHES).max(1);
+        let stretch = self.linear.len().div_ceil(BLOCKS).max(1);
         (0..self.linear.len()).filter(|at| (at / stretch) % FOLDS == fold).collect()
     }
 
     /// Restricts the piece to one fold.
     fn part(&self, fold: usize) -> Self {
         let samples = self.fold(fold);
-        let weights = self.weights.iter().map(|weight| weight.part(&samples)).collect();
-        Self { linear: self.linear.part(&samples), weights }
+        let weights = self.weights.iter().map(|weight| weight.subset(&samples)).collect();
+        Self { linear: self.linear.subset(&samples), weights }
     }
 
     /// Residuals by kind after a step of the stream's parameters.
     fn after(&self, step: &DVector<f64>) -> Vec<Vec<[f64; 3]>> {
-        self.linear.after(step.as_slice())
+        self.linear.residuals_after(step.as_slice())
     }
 }
 
@@ -80,24 +80,24 @@ pub(super) fn fit(
     if paths.iter().any(|other| other.links != path.links) {
         return Err(CalibrationFailure::OtherJoints);
     }
-    let parameters = CalibrationParameters::of(path, streams, &paths, zeros.to_vec());
+    let parameters = CalibrationParameters::new(path, streams, &paths, zeros.to_vec());
     let sources: Vec<StreamSource> = streams
         .iter()
         .enumerate()
-        .map(|(s, stream)| StreamSource::of(stream, parameters.columns_of(s)))
+        .map(|(s, stream)| StreamSource::new(stream, parameters.columns_of(s)))
         .collect();
     let system = CalibrationSystem { robot, path, parameters: &parameters, sources: &sources };
     let mut state = CalibrationState {
         values: DVector::zeros(parameters.width()),
         streams: streams.iter().map(|one| (one.latency_s, one.reference, one.tool)).collect(),
     };
-    let drawing = system.at(&state, false).ok_or(CalibrationFailure::TooFewSamples)?;
-    let before = system.with_drawing(&drawing);
+    let drawing = system.linearize(&state, false).ok_or(CalibrationFailure::TooFewSamples)?;
+    let before = system.nominal_residuals(&drawing);
     let mut pieces = drawing;
-    let (mut link_m, mut unsettled) = (LINKS_M.0, None);
-    for round in 0..ROUNDS {
+    let (mut link_m, mut unsettled) = (DEVIATION_GRID_M.0, None);
+    for round in 0..MAX_ITERATIONS {
         let whole = system.normal(&pieces);
-        link_m = system.best_link(&whole, &state);
+        link_m = system.best_link_m(&whole, &state);
         let (step, cholesky) =
             system.step(&whole, &state, link_m).ok_or(CalibrationFailure::Diverges)?;
         let moved = (step.dot(&(cholesky.l() * cholesky.l().transpose() * &step))
@@ -107,8 +107,8 @@ pub(super) fn fit(
             return Err(CalibrationFailure::Diverges);
         }
         system.advance(&mut state, &step);
-        pieces = system.at(&state, true).ok_or(CalibrationFailure::Diverges)?;
-        unsettled = (moved >= SETTLED).then_some(moved);
+        pieces = system.linearize(&state, true).ok_or(CalibrationFailure::Diverges)?;
+        unsettled = (moved >= CONVERGED_SIGMAS).then_some(moved);
         if unsettled.is_none() && round > 1 {
             break;
         }
@@ -127,12 +127,12 @@ pub(super) fn fit(
     let held_out = system.held_out(&pieces, &state, link_m);
     let dof = (whole.independent - fitted).max(3.0);
     let calibrated = system.robot_at(&state);
-    let workspace = TipSensitivity::of(&system, &state);
+    let workspace = TipSensitivity::new(&system, &state);
     let shared = parameters.shared();
     let reports = (0..sources.len()).map(|s| {
-        let own = parameters.own(s);
+        let own = parameters.free_parameters_of(s);
         let (latency_s, reference, tool) = state.streams[s];
-        let last = parameters.of_stream(s).end;
+        let last = parameters.stream_range(s).end;
         let std_error = |at: usize| covariance[(at, at)].max(0.0).sqrt();
         StreamCalibration {
             samples: pieces[s].linear.len(),
@@ -144,7 +144,7 @@ pub(super) fn fit(
             reference: own.reference.then_some(reference),
             tool: own.tool.then_some(tool),
             before: before[s].0,
-            after: left(std::slice::from_ref(&pieces[s].linear.residual)),
+            after: rms_residual(std::slice::from_ref(&pieces[s].linear.residual)),
             held_out_before: before[s].1,
             held_out_after: held_out[s],
             noise: [0, 1].map(|kind| pieces[s].weights[kind].noise.sigma),
@@ -158,10 +158,10 @@ pub(super) fn fit(
         links: path.links.clone(),
         deviations: parameters.deviations(state.values.as_slice()),
         link_m,
-        unsettled,
-        untold: untold(&whole.matrix, &parameters, link_m, &workspace),
-        expected: workspace.uncertainty(&shared_covariance),
-        drawing: workspace.uncertainty(&parameters.of_drawing(link_m)),
+        remaining_step: unsettled,
+        undetermined: undetermined_directions(&whole.matrix, &parameters, link_m, &workspace),
+        calibrated_uncertainty: workspace.uncertainty(&shared_covariance),
+        nominal_uncertainty: workspace.uncertainty(&parameters.nominal_covariance(link_m)),
         robot: calibrated,
         parameters: parameters.links.clone(),
         zeros: parameters.zeros.clone(),
@@ -173,7 +173,7 @@ pub(super) fn fit(
 }
 
 /// Root mean square residual over some pieces of a stream, by kind.
-fn left(pieces: &[Vec<Vec<[f64; 3]>>]) -> CalibrationResidual {
+fn rms_residual(pieces: &[Vec<Vec<[f64; 3]>>]) -> CalibrationResidual {
     let rms = |kind: usize| {
         let all = || pieces.iter().flat_map(|piece| &piece[kind]);
         let squares: f64 = all().flatten().map(|c| c * c).sum();
@@ -183,8 +183,8 @@ fn left(pieces: &[Vec<Vec<[f64; 3]>>]) -> CalibrationResidual {
 }
 
 impl<'a> StreamSource<'a> {
-    fn of(stream: &'a CalibrationStream<'a>, columns: DMatrix<f64>) -> Self {
-        let stride = stream.t_s.len().div_ceil(SAMPLES).max(1);
+    fn new(stream: &'a CalibrationStream<'a>, columns: DMatrix<f64>) -> Self {
+        let stride = stream.t_s.len().div_ceil(MAX_SAMPLES).max(1);
         let xyz = stream.poses.iter().map(|pose| pose.translation.vector).collect();
         Self { stream, xyz, stride, columns, still: vec![0.0; stream.joints.dof] }
     }
@@ -205,22 +205,22 @@ impl<'a> StreamSource<'a> {
         self.stream.columns.iter().map(span).collect()
     }
 
-    pub(super) fn witness<'b>(&'b self, chain: &'b Chain) -> PoseObservations<'b> {
+    pub(super) fn observations<'b>(&'b self, chain: &'b Chain) -> PoseObservations<'b> {
         let stream = self.stream;
         let ends = stream.t_s.first().zip(stream.t_s.last());
         PoseObservations {
             joints: stream.joints,
             chain,
             columns: &stream.columns,
-            gained: &[],
+            gains: &[],
             reference_known: !stream.reference_is_free,
-            still: &self.still,
+            rest_speeds: &self.still,
             t_s: stream.t_s.clone(),
             xyz: self.xyz.clone(),
             rotation: stream.poses.iter().map(|pose| pose.rotation).collect(),
-            blind: ExcludedComponents {
-                position: stream.blind,
-                rotation: stream.rotation_is_blind,
+            excluded: ExcludedComponents {
+                position: stream.excluded,
+                rotation: stream.is_rotation_excluded,
             },
             tool_part: ToolPart::Whole,
             middle_s: ends.map_or(0.0, |(first, last)| 0.5 * (first + last)),
@@ -267,14 +267,14 @@ impl CalibrationSystem<'_> {
     }
 
     /// Linearises all streams about `state`, with weights from the residuals there.
-    fn at(&self, state: &CalibrationState, is_near: bool) -> Option<Vec<LinearizedStream>> {
+    fn linearize(&self, state: &CalibrationState, is_near: bool) -> Option<Vec<LinearizedStream>> {
         let robot = self.links_at(state);
         let zeros = self.zeros(state);
         let of_stream = |(s, source): (usize, &StreamSource)| {
             let stream = source.stream;
             let chain = robot.chain(stream.base, stream.tip).ok()?;
-            let witness = source.witness(&chain);
-            let plain = self.plain(s, state);
+            let witness = source.observations(&chain);
+            let plain = self.stream_state(s, state);
             let mut offsets = vec![0.0; stream.joints.dof];
             for (&column, zero) in stream.columns.iter().zip(&zeros) {
                 offsets[column] = *zero;
@@ -293,7 +293,7 @@ impl CalibrationSystem<'_> {
         self.sources.iter().enumerate().map(of_stream).collect()
     }
 
-    fn plain(&self, s: usize, state: &CalibrationState) -> StreamState {
+    fn stream_state(&self, s: usize, state: &CalibrationState) -> StreamState {
         let (latency_s, reference, tool) = state.streams[s];
         let skew = self.sources[s].stream.skew;
         StreamState { reference, tool, skew, ..StreamState::at_latency(latency_s) }
@@ -328,7 +328,7 @@ impl CalibrationSystem<'_> {
     }
 
     /// Deviation of the parameters from their prior means.
-    fn beside_prior(&self, state: &CalibrationState) -> DVector<f64> {
+    fn deviation_from_prior(&self, state: &CalibrationState) -> DVector<f64> {
         let mut values = state.values.clone();
         // Frames, latencies and zeros have a flat prior, centred on the current value.
         values
@@ -347,14 +347,14 @@ impl CalibrationSystem<'_> {
         let prior = DVector::from_vec(self.parameters.prior(link_m));
         let precision = &normal.matrix + DMatrix::from_diagonal(&prior);
         let cholesky = precision.cholesky()?;
-        let right = &normal.right - prior.component_mul(&self.beside_prior(state));
+        let right = &normal.right - prior.component_mul(&self.deviation_from_prior(state));
         Some((cholesky.solve(&right), cholesky))
     }
 
     /// Size of the link deviations that maximises the marginal likelihood.
-    fn best_link(&self, normal: &Normal, state: &CalibrationState) -> f64 {
-        let (least, most, times) = LINKS_M;
-        let total = &normal.right + &normal.matrix * self.beside_prior(state);
+    fn best_link_m(&self, normal: &Normal, state: &CalibrationState) -> f64 {
+        let (least, most, times) = DEVIATION_GRID_M;
+        let total = &normal.right + &normal.matrix * self.deviation_from_prior(state);
         let evidence = |link_m: f64| {
             let prior = DVector::from_vec(self.parameters.prior(link_m));
             let precision = &normal.matrix + DMatrix::from_diagonal(&prior);
@@ -374,9 +374,9 @@ impl CalibrationSystem<'_> {
         // Adding two frame errors neglects their product; the next iteration corrects it.
         state.values += step;
         for (s, (latency_s, reference, tool)) in state.streams.iter_mut().enumerate() {
-            let own = self.parameters.own(s);
+            let own = self.parameters.free_parameters_of(s);
             let mut part = step
-                .rows(self.parameters.of_stream(s).start, self.parameters.of_stream(s).len())
+                .rows(self.parameters.stream_range(s).start, self.parameters.stream_range(s).len())
                 .into_iter()
                 .copied();
             let mut twist = || -> Vec<f64> { part.by_ref().take(6).collect() };
@@ -404,7 +404,7 @@ impl CalibrationSystem<'_> {
 
     /// Residual with nominal links, after fitting frames and latencies: of all samples, and
     /// cross-validated.
-    fn with_drawing(
+    fn nominal_residuals(
         &self,
         pieces: &[LinearizedStream],
     ) -> Vec<(CalibrationResidual, CalibrationResidual)> {
@@ -412,11 +412,13 @@ impl CalibrationSystem<'_> {
         let none = DVector::zeros(self.parameters.width());
         let fitted = |normal: &Normal| normal.step(&none, &own);
         let whole = fitted(&self.normal(pieces));
-        let folds = self.of_folds(pieces, fitted);
+        let folds = self.cross_validated(pieces, fitted);
         let of = |((source, piece), held_out): (
             (&StreamSource, &LinearizedStream),
             CalibrationResidual,
-        )| { (left(&[piece.after(&(&source.columns * &whole))]), held_out) };
+        )| {
+            (rms_residual(&[piece.after(&(&source.columns * &whole))]), held_out)
+        };
         self.sources.iter().zip(pieces).zip(folds).map(of).collect()
     }
 
@@ -429,11 +431,11 @@ impl CalibrationSystem<'_> {
     ) -> Vec<CalibrationResidual> {
         let none = || DVector::zeros(self.parameters.width());
         let of = |kept: &Normal| self.step(kept, state, link_m).map_or_else(none, |(step, _)| step);
-        self.of_folds(pieces, of)
+        self.cross_validated(pieces, of)
     }
 
     /// Residual of each stream, with each fold predicted by a step from the equations of the other folds.
-    fn of_folds(
+    fn cross_validated(
         &self,
         pieces: &[LinearizedStream],
         step: impl Fn(&Normal) -> DVector<f64>,
@@ -451,6 +453,6 @@ impl CalibrationSystem<'_> {
                 all.push(part.after(&(&source.columns * &step)));
             }
         }
-        all.iter().map(|folds| left(folds)).collect()
+        all.iter().map(|folds| rms_residual(folds)).collect()
     }
 }

@@ -1,7 +1,7 @@
 //! Kinematic calibration: estimates the deviation of each link from the nominal model.
 //!
 //! The six deviations of every link have a prior N(0, s²), with 0.1° per mm; s maximises the marginal
-//! likelihood, as for the zeros in [`crate::drawing`]. Gauss–Newton starts at the nominal model and
+//! likelihood, as for the zeros in [`crate::nominal_uncertainty`]. Gauss–Newton starts at the nominal model and
 //! maximises the posterior. Its weights are robust against outliers and account for autocorrelation.
 //! Covariances are sandwich estimates (White 1980) that include the prior. Reference: Hollerbach, Khalil,
 //! Gautier, *Model Identification*, in Springer Handbook of Robotics, 2016, ch. 6.
@@ -35,9 +35,9 @@ pub struct CalibrationStream<'a> {
     /// Poses with the encoding corrected.
     pub poses: Vec<Pose>,
     /// Coordinates without information.
-    pub blind: [bool; 3],
+    pub excluded: [bool; 3],
     /// Whether the rotations carry no information.
-    pub rotation_is_blind: bool,
+    pub is_rotation_excluded: bool,
     /// Latency, s: known, or the initial value if it is free.
     pub latency_s: f64,
     /// Whether the latency is estimated.
@@ -60,7 +60,7 @@ pub struct LinkParameter {
     /// Index of the link in [`ground::robot::LinkPath`].
     pub link: usize,
     /// Whether it is a rotation, rad, rather than a translation, m.
-    pub turns: bool,
+    pub is_rotation: bool,
     /// Unit vector in the link's frame.
     pub direction: [f64; 3],
 }
@@ -140,13 +140,13 @@ pub struct ArmCalibration {
     /// Results for each stream.
     pub streams: Vec<StreamCalibration>,
     /// Directions that the logs do not determine.
-    pub untold: Vec<UndeterminedDirection>,
+    pub undetermined: Vec<UndeterminedDirection>,
     /// Last step of the iteration, rms in standard deviations. `None` if it converged.
-    pub unsettled: Option<f64>,
+    pub remaining_step: Option<f64>,
     /// Uncertainty of the calibrated FK over the whole workspace.
-    pub expected: FkUncertainty,
+    pub calibrated_uncertainty: FkUncertainty,
     /// Uncertainty of the nominal FK, from the size of the deviations.
-    pub drawing: FkUncertainty,
+    pub nominal_uncertainty: FkUncertainty,
 }
 
 /// Reason why a calibration is not possible.
@@ -177,7 +177,7 @@ impl ArmCalibration {
                 .parameters
                 .iter()
                 .enumerate()
-                .filter(|(_, one)| one.link == link && one.turns == turns)
+                .filter(|(_, one)| one.link == link && one.is_rotation == turns)
                 .map(|(at, one)| (at, one.direction[axis]))
                 .collect();
             let pairs = own.iter().flat_map(|a| own.iter().map(move |b| (a, b)));

@@ -6,12 +6,12 @@ use super::workspace::TipSensitivity;
 use nalgebra::{DMatrix, DVector};
 
 /// A direction is determined if its variance is below this share of its prior variance.
-const TOLD: f64 = 0.5;
+const MAX_VARIANCE_SHARE: f64 = 0.5;
 /// Parameters with a smaller component in a direction are omitted from its description.
-const PART: f64 = 0.3;
+const MIN_COMPONENT: f64 = 0.3;
 
 /// Directions not determined by `information`, the least determined first.
-pub(super) fn untold(
+pub(super) fn undetermined_directions(
     information: &DMatrix<f64>,
     parameters: &CalibrationParameters,
     link_m: f64,
@@ -37,11 +37,11 @@ pub(super) fn untold(
             let share = (1.0 + eigen.eigenvalues[at].max(0.0)).recip();
             let direction = eigen.eigenvectors.column(at);
             let mut parts: Vec<(usize, f64)> = direction.iter().copied().enumerate().collect();
-            parts.retain(|(_, part)| part.abs() > PART);
+            parts.retain(|(_, part)| part.abs() > MIN_COMPONENT);
             parts.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
             let mut along = DVector::zeros(parameters.shared());
             (0..links).for_each(|i| along[i] = direction[i] * scale[i] * share.sqrt());
-            (share > TOLD).then(|| UndeterminedDirection {
+            (share > MAX_VARIANCE_SHARE).then(|| UndeterminedDirection {
                 parts,
                 share,
                 effect_m: workspace.effect_m(&along),

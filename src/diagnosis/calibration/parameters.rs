@@ -13,7 +13,7 @@ use nalgebra::{DMatrix, DVector};
 
 /// Ratio of angular to linear link deviations, rad/m: 0.1° per mm.
 pub(super) use crate::drawing::RAD_PER_M;
-use crate::nominal::ANYTHING;
+use crate::nominal::FREE_PRIOR;
 
 /// Parameters of all streams of one arm. Links and zeros, which are shared, come first.
 pub(super) struct CalibrationParameters {
@@ -24,7 +24,7 @@ pub(super) struct CalibrationParameters {
     /// Index of the first parameter of each stream, followed by the total number.
     starts: Vec<usize>,
     joints: usize,
-    own: Vec<FreeStreamParameters>,
+    free_parameters: Vec<FreeStreamParameters>,
     base_from_first: Vec<Pose>,
 }
 
@@ -43,7 +43,7 @@ impl FreeStreamParameters {
 }
 
 impl CalibrationParameters {
-    pub fn of(
+    pub fn new(
         path: &LinkPath,
         streams: &[CalibrationStream],
         paths: &[LinkPath],
@@ -69,8 +69,12 @@ impl CalibrationParameters {
                 continue;
             }
             for turns in [false, true] {
-                for direction in told(path, link, turns) {
-                    links.push(LinkParameter { link, turns, direction: direction.into() });
+                for direction in distinguishable_axes(path, link, turns) {
+                    links.push(LinkParameter {
+                        link,
+                        is_rotation: turns,
+                        direction: direction.into(),
+                    });
                 }
             }
         }
@@ -79,7 +83,7 @@ impl CalibrationParameters {
             starts.push(starts[starts.len() - 1] + own.width());
         }
         let base_from_first = paths.iter().map(|path| path.base_from_first).collect();
-        Self { links, zeros, starts, joints, own, base_from_first }
+        Self { links, zeros, starts, joints, free_parameters: own, base_from_first }
     }
 
     /// Number of parameters.
@@ -92,23 +96,23 @@ impl CalibrationParameters {
         self.starts[0]
     }
 
-    pub fn own(&self, stream: usize) -> FreeStreamParameters {
-        self.own[stream]
+    pub fn free_parameters_of(&self, stream: usize) -> FreeStreamParameters {
+        self.free_parameters[stream]
     }
 
     /// Prior precision of each parameter, for link deviations of size `link_m`.
     pub fn prior(&self, link_m: f64) -> Vec<f64> {
-        let links = self.links.iter().map(|one| match one.turns {
+        let links = self.links.iter().map(|one| match one.is_rotation {
             true => (RAD_PER_M * link_m).powi(-2),
             false => link_m.powi(-2),
         });
         let rest = self.width() - self.links.len();
-        links.chain(std::iter::repeat_n(ANYTHING.powi(-2), rest)).collect()
+        links.chain(std::iter::repeat_n(FREE_PRIOR.powi(-2), rest)).collect()
     }
 
     /// Prior covariance of the shared parameters of a nominal model with link deviations of size `link_m`.
     /// Zeros have the prior of link angles.
-    pub fn of_drawing(&self, link_m: f64) -> DMatrix<f64> {
+    pub fn nominal_covariance(&self, link_m: f64) -> DMatrix<f64> {
         let mut precision = self.prior(link_m);
         precision.truncate(self.shared());
         precision[self.links.len()..].fill((RAD_PER_M * link_m).powi(-2));
@@ -118,7 +122,7 @@ impl CalibrationParameters {
     /// Mapping from the parameters to the columns of [`crate::nominal::link_frames`] for a stream: its
     /// reference, each joint's child link, the latency, the zeros.
     pub fn columns_of(&self, stream: usize) -> DMatrix<f64> {
-        let own = self.own[stream];
+        let own = self.free_parameters[stream];
         let mut columns =
             self.shared_columns_where(stream, own).resize_horizontally(self.width(), 0.0);
         let latency = 6 * (self.joints + 1);
@@ -150,7 +154,7 @@ impl CalibrationParameters {
         let mut columns = DMatrix::zeros(latency + 1 + self.joints, self.shared());
         for (at, one) in self.links.iter().enumerate() {
             let direction = Vec3::from(one.direction);
-            let (shift, turn) = match one.turns {
+            let (shift, turn) = match one.is_rotation {
                 true => (Vec3::zeros(), direction),
                 false => (direction, Vec3::zeros()),
             };
@@ -181,7 +185,7 @@ impl CalibrationParameters {
     pub fn deviations(&self, values: &[f64]) -> Vec<[f64; 6]> {
         let mut all = vec![[0.0; 6]; self.joints + 1];
         for (one, value) in self.links.iter().zip(values) {
-            let first = if one.turns { 3 } else { 0 };
+            let first = if one.is_rotation { 3 } else { 0 };
             for (axis, part) in one.direction.iter().enumerate() {
                 all[one.link][first + axis] += part * value;
             }
@@ -190,14 +194,14 @@ impl CalibrationParameters {
     }
 
     /// Indices of a stream's own parameters.
-    pub fn of_stream(&self, stream: usize) -> std::ops::Range<usize> {
+    pub fn stream_range(&self, stream: usize) -> std::ops::Range<usize> {
         self.starts[stream]..self.starts[stream + 1]
     }
 }
 
 /// Unit vectors in the frame of `link` along which its deviation is distinguishable from one before its
 /// joint.
-pub(super) fn told(path: &LinkPath, link: usize, turns: bool) -> Vec<Vec3> {
+pub(super) fn distinguishable_axes(path: &LinkPath, link: usize, turns: bool) -> Vec<Vec3> {
     let all = || (0..3).map(|axis| Vec3::ith(axis, 1.0)).collect();
     if link == 0 {
         return all();

@@ -6,7 +6,7 @@ use ground::robot::catalogue;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::parameters::told;
+use super::parameters::distinguishable_axes;
 use crate::model::pose_of_twist;
 
 const NOISE_M: f64 = 2e-5;
@@ -51,7 +51,7 @@ impl Case {
             .map(|link| {
                 let mut twist = [0.0; 6];
                 for (first, scale) in [(0, link_m), (3, 1.745 * link_m)] {
-                    for direction in told(&path, link, first > 0) {
+                    for direction in distinguishable_axes(&path, link, first > 0) {
                         let value = scale * normal.next();
                         (0..3).for_each(|axis| twist[first + axis] += value * direction[axis]);
                         values.push(value);
@@ -100,8 +100,8 @@ impl Case {
             tip: self.tip,
             t_s: self.t_s.clone(),
             poses: self.poses.clone(),
-            blind: [false; 3],
-            rotation_is_blind: false,
+            excluded: [false; 3],
+            is_rotation_excluded: false,
             latency_s: LATENCY_S + 1e-3,
             latency_is_free: true,
             skew: 0.0,
@@ -157,9 +157,9 @@ fn links_that_are_off_are_found_over_the_whole_workspace() {
         assert!(before_m > 1e-3 && m < 5e-6 && rad.to_degrees() < 0.001, "{before_m} {m} {rad}");
         // The predicted error matches the actual one.
         assert!(
-            m < 2.5 * found.expected.m && m > 0.3 * found.expected.m,
+            m < 2.5 * found.calibrated_uncertainty.m && m > 0.3 * found.calibrated_uncertainty.m,
             "{m} {:?}",
-            found.expected
+            found.calibrated_uncertainty
         );
         assert!((0.3e-3..0.9e-3).contains(&found.link_m), "{}", found.link_m);
         let stream = &found.streams[0];
@@ -209,7 +209,7 @@ fn spread_at(case: &Case, found: &ArmCalibration, q: &[f64]) -> [f64; 3] {
     let at = |values: &[f64]| {
         let mut all = vec![[0.0; 6]; path.links.len()];
         for (one, value) in found.parameters.iter().zip(values) {
-            let first = if one.turns { 3 } else { 0 };
+            let first = if one.is_rotation { 3 } else { 0 };
             (0..3).for_each(|axis| all[one.link][first + axis] += one.direction[axis] * value);
         }
         let deviations: Vec<Pose> = all.iter().map(|twist| pose_of_twist(twist)).collect();
@@ -256,10 +256,15 @@ fn another_place_of_the_base_and_another_tool_change_no_link() {
 fn one_joint_that_moves_tells_hardly_more_than_the_drawing() {
     let case = Case::new(4, 0.5e-3, 30.0, [0.0, 0.0, 1.2, 0.0, 0.0, 0.0]);
     let found = case.found();
-    assert!(found.expected.m > 0.5 * found.drawing.m, "{:?} {:?}", found.expected, found.drawing);
+    assert!(
+        found.calibrated_uncertainty.m > 0.5 * found.nominal_uncertainty.m,
+        "{:?} {:?}",
+        found.calibrated_uncertainty,
+        found.nominal_uncertainty
+    );
     let spans = &found.streams[0].spans;
     assert!(spans[2] > 2.0 && spans.iter().filter(|span| **span < 1e-9).count() == 5, "{spans:?}");
-    assert!(!found.untold.is_empty());
+    assert!(!found.undetermined.is_empty());
 }
 
 #[test]
@@ -269,7 +274,12 @@ fn several_logs_are_one_estimate() {
     let world = pose([0.4, 0.1, -0.2], rotation_from_rotvec(Vec3::new(0.0, 0.3, 1.0)));
     let streams = [first.stream(), second.elsewhere(&world, &Pose::identity())];
     let both = calibrate_arm(&first.drawing, &streams, &[]).expect("a calibration");
-    assert!(both.expected.m < one.expected.m, "{:?} {:?}", both.expected, one.expected);
+    assert!(
+        both.calibrated_uncertainty.m < one.calibrated_uncertainty.m,
+        "{:?} {:?}",
+        both.calibrated_uncertainty,
+        one.calibrated_uncertainty
+    );
     assert!(both.streams[0].reference.is_none() && both.streams[1].reference.is_some());
 }
 

@@ -11,7 +11,7 @@ use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
 
 /// Number of random configurations that sample the workspace.
-const POSTURES: usize = 300;
+const CONFIGURATIONS: usize = 300;
 
 /// Sensitivity of the tip to the shared parameters at configurations within the joint limits, after
 /// projecting out free constant frames.
@@ -21,25 +21,25 @@ pub(super) struct TipSensitivity {
 }
 
 impl TipSensitivity {
-    pub fn of(system: &CalibrationSystem, state: &CalibrationState) -> Self {
+    pub fn new(system: &CalibrationSystem, state: &CalibrationState) -> Self {
         let parameters = system.parameters;
         let shared = parameters.shared();
         let Some(chain) = system.chain(0, state) else {
             return Self { effects: DMatrix::zeros(0, shared) };
         };
-        let joints = postures(&chain);
+        let joints = random_configurations(&chain);
         let columns: Vec<usize> = (0..chain.dof()).collect();
         let witness = PoseObservations {
             joints: &joints,
             chain: &chain,
             columns: &columns,
-            gained: &[],
+            gains: &[],
             reference_known: true,
-            still: &vec![0.0; chain.dof()],
+            rest_speeds: &vec![0.0; chain.dof()],
             t_s: joints.t_s.clone(),
             xyz: vec![Vec3::zeros(); joints.len()],
             rotation: vec![Rotation::identity(); joints.len()],
-            blind: ExcludedComponents::default(),
+            excluded: ExcludedComponents::default(),
             tool_part: ToolPart::Whole,
             middle_s: 0.0,
         };
@@ -93,7 +93,7 @@ impl TipSensitivity {
 }
 
 /// Random configurations over the joint ranges, at rest, with a fixed seed.
-fn postures(chain: &Chain) -> JointTrack {
+fn random_configurations(chain: &Chain) -> JointTrack {
     let mut rng = rand_pcg::Pcg64::seed_from_u64(24);
     let range = |(limits, kind): (&Limits, &JointKind)| {
         let usual = if *kind == JointKind::Prismatic { 0.5 } else { std::f64::consts::PI };
@@ -107,12 +107,12 @@ fn postures(chain: &Chain) -> JointTrack {
     };
     let ranges: Vec<(f64, f64)> =
         chain.limits().iter().zip(chain.joint_kinds()).map(range).collect();
-    let mut q = Vec::with_capacity(POSTURES * ranges.len());
-    for _ in 0..POSTURES {
+    let mut q = Vec::with_capacity(CONFIGURATIONS * ranges.len());
+    for _ in 0..CONFIGURATIONS {
         q.extend(ranges.iter().map(|(low, high)| low + (high - low) * rng.random::<f64>()));
     }
     JointTrack {
-        t_s: (0..POSTURES).map(|at| at as f64).collect(),
+        t_s: (0..CONFIGURATIONS).map(|at| at as f64).collect(),
         dof: ranges.len(),
         qd: vec![0.0; q.len()],
         q,

@@ -1,41 +1,41 @@
 //! Residual of a run after fitting a constant tool frame and a constant reference frame.
 
-use super::PART_SAMPLES;
+use super::MIN_SEGMENT_SAMPLES;
 use crate::{AlignedSamples, ArmDiagnosis};
 use ground::geometry::{Vec3, rotvec_from_rotation};
 use nalgebra::{Matrix3, SMatrix, SVector};
 
 /// Smaller residuals are consistent with link deviations and calibration error: 1 mm and 0.1°, the warning
 /// thresholds of MDL001.
-const MOST: [f64; 2] = [1e-3, 0.1 * std::f64::consts::PI / 180.0];
+const MAX_RESIDUAL_M_RAD: [f64; 2] = [1e-3, 0.1 * std::f64::consts::PI / 180.0];
 /// Length that weights rotations relative to positions, m.
-const ARM_M: f64 = 0.3;
+const LEVER_M: f64 = 0.3;
 /// Number of segments in which the residual must be small.
-const PARTS: usize = 20;
+const SEGMENTS: usize = 20;
 
 /// Returns whether constant tool and reference frames explain the run. The residual of every stream must be
 /// below 1 mm and 0.1° rms in every segment.
 pub(crate) fn constant_frames_suffice(found: &ArmDiagnosis) -> bool {
     let is_small = |aligned: &AlignedSamples, has_rotation: bool| {
-        let left = left_by_constant_frames(aligned, has_rotation);
-        let size = left.len().div_ceil(PARTS).max(PART_SAMPLES);
+        let left = constant_frame_residuals(aligned, has_rotation);
+        let size = left.len().div_ceil(SEGMENTS).max(MIN_SEGMENT_SAMPLES);
         !left.is_empty()
             && left.chunks(size).all(|part| {
                 let rms = |kind: usize| {
                     let squares: f64 = part.iter().map(|both| both[kind].norm_squared()).sum();
                     (squares / part.len() as f64).sqrt()
                 };
-                (0..2).all(|kind| rms(kind) < MOST[kind])
+                (0..2).all(|kind| rms(kind) < MAX_RESIDUAL_M_RAD[kind])
             })
     };
     let mut streams = found.streams.iter();
     !found.streams.is_empty()
-        && streams.all(|found| is_small(&found.aligned, found.reading.is_ok()))
+        && streams.all(|found| is_small(&found.aligned, found.encoding.is_ok()))
 }
 
 /// Position (m) and rotation (rad) residual of each sample after a least-squares fit of small changes of
 /// tool and reference.
-fn left_by_constant_frames(aligned: &AlignedSamples, has_rotation: bool) -> Vec<[Vec3; 2]> {
+fn constant_frame_residuals(aligned: &AlignedSamples, has_rotation: bool) -> Vec<[Vec3; 2]> {
     let pairs = || aligned.corrected.iter().zip(&aligned.fk_at_truth);
     let mut residuals: Vec<[Vec3; 2]> = pairs()
         .map(|(is, fk)| {
@@ -54,8 +54,9 @@ fn left_by_constant_frames(aligned: &AlignedSamples, has_rotation: bool) -> Vec<
             rows.fixed_view_mut::<3, 3>(0, 3).copy_from(&lever);
             rows.fixed_view_mut::<3, 3>(0, 6).copy_from(&turn);
             if has_rotation {
-                rows.fixed_view_mut::<3, 3>(3, 3).copy_from(&(ARM_M * Matrix3::<f64>::identity()));
-                rows.fixed_view_mut::<3, 3>(3, 9).copy_from(&(ARM_M * turn));
+                rows.fixed_view_mut::<3, 3>(3, 3)
+                    .copy_from(&(LEVER_M * Matrix3::<f64>::identity()));
+                rows.fixed_view_mut::<3, 3>(3, 9).copy_from(&(LEVER_M * turn));
             }
             rows
         })
@@ -65,7 +66,7 @@ fn left_by_constant_frames(aligned: &AlignedSamples, has_rotation: bool) -> Vec<
     for (rows, [length, turn]) in design.iter().zip(&residuals) {
         let mut target = SVector::<f64, 6>::zeros();
         target.fixed_rows_mut::<3>(0).copy_from(length);
-        target.fixed_rows_mut::<3>(3).copy_from(&(ARM_M * turn));
+        target.fixed_rows_mut::<3>(3).copy_from(&(LEVER_M * turn));
         normal += rows.transpose() * rows;
         right += rows.transpose() * target;
     }
@@ -73,7 +74,7 @@ fn left_by_constant_frames(aligned: &AlignedSamples, has_rotation: bool) -> Vec<
     for (rows, [length, turn]) in design.iter().zip(&mut residuals) {
         let explained = rows * step;
         *length -= explained.fixed_rows::<3>(0);
-        *turn -= explained.fixed_rows::<3>(3) / ARM_M;
+        *turn -= explained.fixed_rows::<3>(3) / LEVER_M;
     }
     residuals
 }
@@ -104,11 +105,11 @@ mod tests {
     fn constant_frames_are_removed_and_a_slip_is_not() {
         let tool = pose([2e-3, -1e-3, 4e-3], rotation_from_rotvec(Vec3::new(1e-3, 0.0, 2e-3)));
         let base = pose([1e-3, 3e-3, 0.0], rotation_from_rotvec(Vec3::new(0.0, 2e-3, -1e-3)));
-        let constant = left_by_constant_frames(&aligned(|_, fk| base * fk * tool), true);
+        let constant = constant_frame_residuals(&aligned(|_, fk| base * fk * tool), true);
         assert!(largest(&constant) < 5e-5, "{}", largest(&constant));
         let slip = pose([0.0, 0.0, 5e-3], ground::geometry::Rotation::identity());
         let slipped = |k: usize, fk: &Pose| if k < 200 { *fk } else { fk * slip };
-        let slipped = left_by_constant_frames(&aligned(slipped), true);
+        let slipped = constant_frame_residuals(&aligned(slipped), true);
         assert!(largest(&slipped) > 1.5e-3, "{}", largest(&slipped));
     }
 }

@@ -16,7 +16,7 @@ pub struct ChangePoint<Value, Size> {
     /// Value after.
     pub to: Value,
     /// Difference between the two.
-    pub by: Size,
+    pub size: Size,
 }
 
 /// Change point of a frame: `reference_from_stream` or `tip_from_stream` before and after.
@@ -27,7 +27,7 @@ pub type ScalarChange = ChangePoint<f64, Measured>;
 impl ScalarChange {
     /// Returns the largest of several changes. `None` if there are none.
     pub fn largest<'a>(changes: impl IntoIterator<Item = &'a Self>) -> Option<&'a Self> {
-        let size = |change: &Self| change.by.value.abs();
+        let size = |change: &Self| change.size.value.abs();
         changes.into_iter().max_by(|a, b| size(a).total_cmp(&size(b)))
     }
 }

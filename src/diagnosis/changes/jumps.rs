@@ -2,7 +2,7 @@
 //! explain.
 
 use crate::latency::median_period_s;
-use crate::proof::beside_fk;
+use crate::proof::align_with_fk;
 use crate::{AlignedSamples, PoseStream};
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use ground::stats::{median, quantile};
@@ -10,19 +10,19 @@ use ground::stream::JointTrack;
 
 /// Window lengths on either side of a change point, in samples. One suffices for a large jump; a jump
 /// within the noise needs more.
-const SIDES: [usize; 3] = [1, 5, 25];
+const WINDOW_SAMPLES: [usize; 3] = [1, 5, 25];
 /// Minimum ratio of a jump to the variation that the motion explains.
-const TIMES: f64 = 6.0;
+const MIN_JUMP_RATIO: f64 = 6.0;
 /// Maximum number of change points.
-const MOST: usize = 8;
+const MAX_CHANGE_POINTS: usize = 8;
 /// Minimum strength of a change point relative to the strongest one.
-const LEAST: f64 = 0.2;
+const MIN_RELATIVE_STRENGTH: f64 = 0.2;
 /// A shorter window dates a jump if its strength is at least this fraction of the longer window's.
-const FINER: f64 = 0.3;
+const MIN_SHORT_WINDOW_STRENGTH: f64 = 0.3;
 /// Minimum distance between change points, s.
-const APART_S: f64 = 0.5;
+const MIN_SEPARATION_S: f64 = 0.5;
 /// Lever arm that converts rotations to lengths, m.
-const ARM_M: f64 = 0.3;
+const LEVER_M: f64 = 0.3;
 
 /// Change point between two samples of a stream.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,14 +32,14 @@ pub(super) struct Jump {
     /// Half the interval between them, s.
     pub within_s: f64,
     /// Ratio to the variation that the motion explains. Infinite for a gap.
-    pub times: f64,
+    pub strength: f64,
     /// Duration of the averaging window on either side, s.
-    pub over_s: f64,
+    pub window_s: f64,
 }
 
 /// Detects the likeliest change points of a stream, from the residual in `aligned` and from the raw error
 /// against FK at `lag_s`.
-pub(super) fn jumps(
+pub(super) fn detect_jumps(
     joints: &JointTrack,
     stream: &PoseStream,
     aligned: &AlignedSamples,
@@ -48,33 +48,33 @@ pub(super) fn jumps(
     let left = aligned.corrected.iter().zip(&aligned.fk_at_truth);
     let in_base = |(is, fk): (&Pose, &Pose)| {
         let turn = rotvec_from_rotation(&(is.rotation * fk.rotation.inverse()));
-        [is.translation.vector - fk.translation.vector, turn * ARM_M]
+        [is.translation.vector - fk.translation.vector, turn * LEVER_M]
     };
     let left: Vec<[Vec3; 2]> = left.map(in_base).collect();
-    let mut found = of_series(&aligned.t_s, &left, &aligned.fk_at_truth);
-    let raw = beside_fk(joints, stream, lag_s);
+    let mut found = jumps_in_series(&aligned.t_s, &left, &aligned.fk_at_truth);
+    let raw = align_with_fk(joints, stream, lag_s);
     let turn = |pose: &Pose| [pose.rotation * Vec3::x(), pose.rotation * Vec3::y()];
     let in_tool: Vec<Pose> =
         raw.fk.iter().zip(&raw.logged).map(|(fk, logged)| fk.inv_mul(logged)).collect();
     let at: Vec<[Vec3; 2]> =
         in_tool.iter().map(|pose| [pose.translation.vector, Vec3::zeros()]).collect();
     let turned: Vec<[Vec3; 2]> =
-        in_tool.iter().map(|pose| turn(pose).map(|axis| axis * ARM_M)).collect();
-    found.extend(of_series(&raw.t_s, &at, &raw.fk));
-    found.extend(of_series(&raw.t_s, &turned, &raw.fk));
-    found.extend(of_path(&raw.t_s, &raw.logged));
+        in_tool.iter().map(|pose| turn(pose).map(|axis| axis * LEVER_M)).collect();
+    found.extend(jumps_in_series(&raw.t_s, &at, &raw.fk));
+    found.extend(jumps_in_series(&raw.t_s, &turned, &raw.fk));
+    found.extend(jumps_in_path(&raw.t_s, &raw.logged));
     found.extend(gaps(&stream.track.t_s));
     strongest(found)
 }
 
 /// Detects jumps in a path without FK: steps that exceed the mean of the two adjacent steps.
-fn of_path(t_s: &[f64], poses: &[Pose]) -> Vec<Jump> {
+fn jumps_in_path(t_s: &[f64], poses: &[Pose]) -> Vec<Jump> {
     /// Numerical floor of a step, m.
     const FLOOR_M: f64 = 1e-5;
     let step = |row: usize| -> [Vec3; 2] {
         let (a, b) = (&poses[row - 1], &poses[row]);
         let turn = rotvec_from_rotation(&(b.rotation * a.rotation.inverse()));
-        [b.translation.vector - a.translation.vector, turn * ARM_M]
+        [b.translation.vector - a.translation.vector, turn * LEVER_M]
     };
     let steps: Vec<[Vec3; 2]> = (1..poses.len()).map(step).collect();
     let of_kind = |kind: usize| {
@@ -82,16 +82,16 @@ fn of_path(t_s: &[f64], poses: &[Pose]) -> Vec<Jump> {
             (steps[at][kind] - 0.5 * (steps[at - 1][kind] + steps[at + 1][kind])).norm()
         };
         let sizes = (1..steps.len().saturating_sub(1)).map(beside).collect();
-        of_sizes(t_s, sizes, FLOOR_M)
+        jumps_in_differences(t_s, sizes, FLOOR_M)
     };
     [of_kind(0), of_kind(1)].concat()
 }
 
 /// Detects jumps in the joint states, such as a lost zero: steps that exceed the mean of the two adjacent
 /// steps. Steps across a gap, such as between two excerpts, are ignored because the joint may have moved.
-pub(super) fn of_joints(joints: &JointTrack) -> Vec<Jump> {
+pub(super) fn jumps_in_joints(joints: &JointTrack) -> Vec<Jump> {
     /// Smallest jump that matters, rad or m.
-    const LEAST: f64 = 1e-3;
+    const MIN_JUMP: f64 = 1e-3;
     let rows = joints.len();
     let gap_s = least_gap_s(&joints.t_s);
     let q = |row: usize, column: usize| joints.q[row * joints.dof + column];
@@ -102,25 +102,25 @@ pub(super) fn of_joints(joints: &JointTrack) -> Vec<Jump> {
             false => (step(row) - 0.5 * (step(row - 1) + step(row + 1))).abs(),
         };
         let sizes: Vec<f64> = (2..rows.saturating_sub(1)).map(beside).collect();
-        of_sizes(&joints.t_s, sizes, LEAST / TIMES)
+        jumps_in_differences(&joints.t_s, sizes, MIN_JUMP / MIN_JUMP_RATIO)
     };
     strongest((0..joints.dof).flat_map(of_joint).collect())
 }
 
 /// Detects jumps in `sizes`, the differences between each step and the mean of its neighbours, starting at
 /// the second step. Differences below `floor` are ignored.
-fn of_sizes(t_s: &[f64], sizes: Vec<f64>, floor: f64) -> Vec<Jump> {
+fn jumps_in_differences(t_s: &[f64], sizes: Vec<f64>, floor: f64) -> Vec<Jump> {
     /// Quantile that represents the usual difference.
-    const NEARLY_ALL: f64 = 0.95;
-    let usual = quantile(&mut sizes.clone(), NEARLY_ALL).unwrap_or(0.0) + floor;
+    const USUAL_QUANTILE: f64 = 0.95;
+    let usual = quantile(&mut sizes.clone(), USUAL_QUANTILE).unwrap_or(0.0) + floor;
     let jump = |(at, size): (usize, f64)| {
         let (before_s, after_s) = (t_s[at + 1], t_s[at + 2]);
         let times = size / usual;
-        (times > TIMES).then_some(Jump {
+        (times > MIN_JUMP_RATIO).then_some(Jump {
             at_s: 0.5 * (before_s + after_s),
             within_s: 0.5 * (after_s - before_s),
-            times,
-            over_s: 0.0,
+            strength: times,
+            window_s: 0.0,
         })
     };
     sizes.into_iter().enumerate().filter_map(jump).collect()
@@ -129,15 +129,15 @@ fn of_sizes(t_s: &[f64], sizes: Vec<f64>, floor: f64) -> Vec<Jump> {
 /// Minimum interval between stamps that counts as a gap, s.
 fn least_gap_s(t_s: &[f64]) -> f64 {
     /// Minimum gap in periods.
-    const PERIODS: f64 = 10.0;
+    const MIN_GAP_PERIODS: f64 = 10.0;
     /// Minimum gap, s.
-    const LONG_S: f64 = 0.3;
-    (PERIODS * median_period_s(t_s)).max(LONG_S)
+    const MIN_GAP_S: f64 = 0.3;
+    (MIN_GAP_PERIODS * median_period_s(t_s)).max(MIN_GAP_S)
 }
 
 /// The longest gaps of a stream. Anything may change during a gap.
 fn gaps(t_s: &[f64]) -> Vec<Jump> {
-    const FOLLOWED: usize = 3;
+    const MAX_GAPS: usize = 3;
     let least_s = least_gap_s(t_s);
     let mut gaps: Vec<(f64, f64)> = t_s
         .windows(2)
@@ -148,30 +148,30 @@ fn gaps(t_s: &[f64]) -> Vec<Jump> {
     let jump = |(long_s, from_s): (f64, f64)| Jump {
         at_s: from_s + 0.5 * long_s,
         within_s: 0.5 * long_s,
-        times: f64::INFINITY,
-        over_s: 0.0,
+        strength: f64::INFINITY,
+        window_s: 0.0,
     };
-    gaps.into_iter().take(FOLLOWED).map(jump).collect()
+    gaps.into_iter().take(MAX_GAPS).map(jump).collect()
 }
 
-/// The strongest jumps in time order, at least [`APART_S`] apart.
+/// The strongest jumps in time order, at least [`MIN_SEPARATION_S`] apart.
 pub(super) fn strongest(found: Vec<Jump>) -> Vec<Jump> {
     // The shorter window dates the jump.
     let finer = |jump: &Jump| {
         found.iter().any(|other| {
-            other.over_s < jump.over_s
-                && (other.at_s - jump.at_s).abs() <= jump.over_s
-                && other.times > FINER * jump.times
+            other.window_s < jump.window_s
+                && (other.at_s - jump.at_s).abs() <= jump.window_s
+                && other.strength > MIN_SHORT_WINDOW_STRENGTH * jump.strength
         })
     };
     let mut found: Vec<Jump> = found.iter().filter(|jump| !finer(jump)).copied().collect();
-    found.sort_by(|a, b| b.times.total_cmp(&a.times));
-    let largest = found.iter().find(|jump| jump.times.is_finite());
-    let least = LEAST * largest.map_or(0.0, |jump| jump.times);
+    found.sort_by(|a, b| b.strength.total_cmp(&a.strength));
+    let largest = found.iter().find(|jump| jump.strength.is_finite());
+    let least = MIN_RELATIVE_STRENGTH * largest.map_or(0.0, |jump| jump.strength);
     let mut kept: Vec<Jump> = Vec::new();
     for jump in found {
-        let is_apart = kept.iter().all(|other| (other.at_s - jump.at_s).abs() > APART_S);
-        if is_apart && kept.len() < MOST && jump.times > least {
+        let is_apart = kept.iter().all(|other| (other.at_s - jump.at_s).abs() > MIN_SEPARATION_S);
+        if is_apart && kept.len() < MAX_CHANGE_POINTS && jump.strength > least {
             kept.push(jump);
         }
     }
@@ -179,12 +179,12 @@ pub(super) fn strongest(found: Vec<Jump>) -> Vec<Jump> {
     kept
 }
 
-fn of_series(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose]) -> Vec<Jump> {
-    SIDES.into_iter().flat_map(|side| of_sides(t_s, series, fk, side)).collect()
+fn jumps_in_series(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose]) -> Vec<Jump> {
+    WINDOW_SAMPLES.into_iter().flat_map(|side| jumps_between_means(t_s, series, fk, side)).collect()
 }
 
 /// Detects jumps between the means over `side` samples before and after.
-fn of_sides(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose], side: usize) -> Vec<Jump> {
+fn jumps_between_means(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose], side: usize) -> Vec<Jump> {
     let n = series.len();
     if n < 4 * side + 20 {
         return Vec::new();
@@ -205,7 +205,7 @@ fn of_sides(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose], side: usize) -> Vec<
     let steps: Vec<f64> = rows.iter().map(|&row| step(row)).collect();
     let moved = |row: usize| {
         let (a, b) = (&fk[row - side], &fk[row + side - 1]);
-        let turn = rotvec_from_rotation(&(a.rotation * b.rotation.inverse())) * ARM_M;
+        let turn = rotvec_from_rotation(&(a.rotation * b.rotation.inverse())) * LEVER_M;
         (a.translation.vector - b.translation.vector).norm() + turn.norm()
     };
     let moves: Vec<f64> = rows.iter().map(|&row| moved(row)).collect();
@@ -221,7 +221,7 @@ fn of_sides(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose], side: usize) -> Vec<
     const FLOOR_M: f64 = 1e-5;
     let jump = |(index, &row): (usize, &usize)| {
         let usual = still + slope * moves[index] + FLOOR_M;
-        if steps[index] <= TIMES * usual {
+        if steps[index] <= MIN_JUMP_RATIO * usual {
             return None;
         }
         // A residual that varies fast also varies before and after the jump.
@@ -231,11 +231,11 @@ fn of_sides(t_s: &[f64], series: &[[Vec3; 2]], fk: &[Pose], side: usize) -> Vec<
             .map(|mut beside: Vec<f64>| median(&mut beside).unwrap_or(0.0));
         let usual = usual.max(before.min(after));
         let times = steps[index] / usual;
-        (times > TIMES).then(|| Jump {
+        (times > MIN_JUMP_RATIO).then(|| Jump {
             at_s: 0.5 * (t_s[row - 1] + t_s[row]),
             within_s: 0.5 * (t_s[row] - t_s[row - 1]),
-            times,
-            over_s: t_s[row + side - 1] - t_s[row],
+            strength: times,
+            window_s: t_s[row + side - 1] - t_s[row],
         })
     };
     rows.iter().enumerate().filter_map(jump).collect()

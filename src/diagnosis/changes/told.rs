@@ -12,7 +12,7 @@ use ground::stats::Measured;
 
 impl BaselineSegment {
     /// Adds the changes and their times to `after`, the diagnosis of the corrected run.
-    pub(super) fn tell<'a>(
+    pub(super) fn report_changes<'a>(
         &self,
         run: &SplitRun,
         parts: &[Span],
@@ -31,50 +31,57 @@ impl BaselineSegment {
                 let frame = |of: fn(&PoseDiagnosis) -> &EstimateResult<FrameEstimate>,
                              is_free: bool| {
                     let of_part = |part: Option<&OtherSegment>| {
-                        let found = part.and_then(|part| of(&part.beyond.streams[s]).as_ref().ok());
-                        found.filter(|frame| frame.chosen).cloned()
+                        let found =
+                            part.and_then(|part| of(&part.difference.streams[s]).as_ref().ok());
+                        found.filter(|frame| frame.is_chosen).cloned()
                     };
-                    let kept = of(own).as_ref().ok().filter(|own| own.chosen || is_free);
+                    let kept = of(own).as_ref().ok().filter(|own| own.is_chosen || is_free);
                     frame_change(at, kept, of_part(before), of_part(next))
                 };
                 after.tool_changes.extend(frame(|found| &found.tool, false));
                 let is_free = !run.streams[s].reference_known;
                 after.reference_changes.extend(frame(|found| &found.reference, is_free));
                 let growth = |found: &PoseDiagnosis| {
-                    found.growth.as_ref().ok().filter(|_| found.growth_chosen).copied()
+                    found
+                        .radial_scale
+                        .as_ref()
+                        .ok()
+                        .filter(|_| found.is_radial_scale_chosen)
+                        .copied()
                 };
-                let of_part = |part: Option<&OtherSegment>| growth(&part?.beyond.streams[s]);
+                let of_part = |part: Option<&OtherSegment>| growth(&part?.difference.streams[s]);
                 let kept = growth(own);
-                let change = amount_change(at, kept.as_ref(), of_part(before), of_part(next), 0.0);
-                after.growth_changes.extend(change);
+                let change = scalar_change(at, kept.as_ref(), of_part(before), of_part(next), 0.0);
+                after.radial_scale_changes.extend(change);
             }
             let at = (jump.at_s, jump.within_s);
             for (s, jumps) in latency_jumps.iter_mut().enumerate() {
-                let later =
-                    |part: Option<&OtherSegment>| part.and_then(|part| self.later_by(s, part));
-                let change = amount_change(at, None, later(before), later(next), 0.0);
+                let later = |part: Option<&OtherSegment>| {
+                    part.and_then(|part| self.latency_increase(s, part))
+                };
+                let change = scalar_change(at, None, later(before), later(next), 0.0);
                 jumps.extend(change.map(|change| LatencyStep {
                     at_s: change.at_s + run.lags[s],
-                    size_s: change.by,
+                    size_s: change.size,
                 }));
             }
             for column in 0..run.joints.dof {
                 let zero = |part: Option<&OtherSegment>| {
-                    let offset = part?.beyond.joints.offsets.get(column)?;
-                    offset.offset.as_ref().ok().filter(|_| offset.chosen).copied()
+                    let offset = part?.difference.joints.offsets.get(column)?;
+                    offset.offset.as_ref().ok().filter(|_| offset.is_chosen).copied()
                 };
                 let factor = |part: Option<&OtherSegment>| {
-                    let scales = &part?.beyond.joints.scales;
+                    let scales = &part?.difference.joints.scales;
                     Some(scales.iter().find(|scale| scale.column == column)?.factor)
                 };
                 let own = &self.found.joints.offsets.get(column);
-                let own = own.filter(|own| own.chosen).and_then(|own| own.offset.as_ref().ok());
-                let zero = amount_change(at, own, zero(before), zero(next), 0.0);
+                let own = own.filter(|own| own.is_chosen).and_then(|own| own.offset.as_ref().ok());
+                let zero = scalar_change(at, own, zero(before), zero(next), 0.0);
                 let scales = &self.found.joints.scales;
                 let own = scales.iter().find(|scale| scale.column == column);
                 let own = own.map_or(1.0, |scale| scale.factor.value);
                 let scaled = |part| factor(part).map(|factor: Measured| factor.scaled(own));
-                let factor = amount_change(at, None, scaled(before), scaled(next), own);
+                let factor = scalar_change(at, None, scaled(before), scaled(next), own);
                 if zero.is_some() || factor.is_some() {
                     after.joints.changes.push(JointChange { column, zero, factor });
                 }
@@ -83,27 +90,28 @@ impl BaselineSegment {
         if let [stream] = run.streams {
             let joints = &mut after.joints;
             for change in joints.changes.iter().filter(|change| change.zero.is_some()) {
-                let by = change.zero.as_ref().map_or(0.0, |zero| zero.by.value.abs());
+                let by = change.zero.as_ref().map_or(0.0, |zero| zero.size.value.abs());
                 let is_at = |end: Option<&usize>| end == Some(&change.column);
                 // With a single stream, the first joint's zero is equivalent to a base rotation and the
                 // last joint's to a tool rotation.
                 let base = is_at(stream.columns.first()).then_some(Confounder::Reference(0, by));
                 let tool = is_at(stream.columns.last()).then_some(Confounder::Tool(0, by));
                 if let Some(offset) = joints.offsets.get_mut(change.column) {
-                    offset.twins = base.into_iter().chain(tool).collect();
+                    offset.confounders = base.into_iter().chain(tool).collect();
                 }
             }
         }
         for (s, jumps) in latency_jumps.into_iter().enumerate() {
             let level = |span: &Span| {
-                let later = beyond(span).and_then(|other| self.later_by(s, other));
+                let later = beyond(span).and_then(|other| self.latency_increase(s, other));
                 (span.0 + run.lags[s], later.map_or(0.0, |later| later.value))
             };
             let levels = parts.iter().map(level).collect();
-            let windows = after.streams[s].course.as_ref().map(|course| course.windows.clone());
-            let course = LatencyProfile::of_jumps(jumps, levels, windows.unwrap_or_default());
+            let windows =
+                after.streams[s].latency_profile.as_ref().map(|course| course.windows.clone());
+            let course = LatencyProfile::from_steps(jumps, levels, windows.unwrap_or_default());
             if let Some(course) = course {
-                after.streams[s].course = Ok(course);
+                after.streams[s].latency_profile = Ok(course);
             }
         }
     }
@@ -133,7 +141,7 @@ fn frame_change(
         translation_m: size(length_m, length, surest.translation_m.dof),
         rotation_rad: size(angle_rad, angle, surest.rotation_rad.dof),
         p_value: surest.p_value,
-        chosen: true,
+        is_chosen: true,
     };
     // Two segments that differ from the baseline in the same way do not differ from each other.
     let is_same = both && length_m < 4.0 * length + 1e-4 && angle_rad < 4.0 * angle + 1e-4;
@@ -143,12 +151,12 @@ fn frame_change(
         within_s,
         from: pose_of(&from) * base,
         to: pose_of(&to) * base,
-        by,
+        size: by,
     })
 }
 
 /// Change of a number from one segment to the next. `none` is the value of a segment without a difference.
-fn amount_change(
+fn scalar_change(
     (at_s, within_s): (f64, f64),
     kept: Option<&Measured>,
     from: Option<Measured>,
@@ -169,6 +177,6 @@ fn amount_change(
         within_s,
         from: base + value(from),
         to: base + value(to),
-        by,
+        size: by,
     })
 }

@@ -1,28 +1,28 @@
 //! Search for tool positions in the arm's base frame. Only the tool offset is free, so absolute positions
 //! constrain the fit and motion of one or two joints is enough.
 
-use super::{ColumnCandidate, JointColumns, LONGEST_TOOL_M, MappingConstraints, NumericTable};
+use super::{ColumnCandidate, JointColumns, MAX_TOOL_M, MappingConstraints, NumericTable};
 use ground::geometry::{Pose, Vec3};
 use ground::robot::Chain;
 use rayon::prelude::*;
 
 /// Maximum residual, as a share of the position's extent, before the latency is fitted.
-const NEAR: f64 = 0.3;
+const MAX_RESIDUAL_SHARE: f64 = 0.3;
 /// Maximum number of joint and position candidates, and of arms per candidate.
-const MOST_FITS: usize = 8;
-const MOST_ARMS: usize = 4;
+const MAX_CANDIDATES: usize = 8;
+const MAX_ARMS: usize = 4;
 /// Positions beyond this are in millimetres: no arm reaches 10 m.
-const FARTHEST_M: f64 = 10.0;
+const MAX_REACH_M: f64 = 10.0;
 
 impl NumericTable {
     /// Candidates whose positions fit in the base frame with only a tool offset, best first.
-    pub(super) fn near_at_base(
+    pub(super) fn candidates_at_base(
         &self,
         wanted: &MappingConstraints,
         lags_s: &[f64],
     ) -> Vec<ColumnCandidate> {
         let rows = self.few_rows();
-        if rows.len() < super::FEW_ROWS / 3 || self.columns.len() > super::MOST_COLUMNS {
+        if rows.len() < super::LINEAR_FIT_ROWS / 3 || self.columns.len() > super::MAX_COLUMNS {
             return Vec::new();
         }
         let logged: Vec<PositionColumns> = match wanted.position {
@@ -30,9 +30,9 @@ impl NumericTable {
             None => self.positions(wanted.taken),
         }
         .into_iter()
-        .filter_map(|position| PositionColumns::of(self, position, &rows))
+        .filter_map(|position| PositionColumns::from_columns(self, position, &rows))
         .collect();
-        let blocks = self.wanted_blocks(wanted, 1);
+        let blocks = self.candidate_blocks(wanted, 1);
         let of = |block: &JointColumns| -> Vec<ColumnCandidate> {
             let chain = wanted.chains[block.arm];
             let is_free = |logged: &&PositionColumns| {
@@ -42,7 +42,7 @@ impl NumericTable {
             for &lag_s in lags_s {
                 let fk = self.poses_at(block, chain, &rows, lag_s);
                 for logged in logged.iter().filter(is_free) {
-                    if let Some(share) = logged.share(&fk) {
+                    if let Some(share) = logged.residual_share(&fk) {
                         let (block, position) = (block.clone(), logged.position);
                         best.push(ColumnCandidate { block, position, share });
                     }
@@ -59,7 +59,8 @@ impl NumericTable {
                 other.block.joints == near.block.joints && other.position == near.position
             };
             let arms: Vec<usize> = kept.iter().filter(is_its).map(|it| it.block.arm).collect();
-            let is_room = if arms.is_empty() { ways < MOST_FITS } else { arms.len() < MOST_ARMS };
+            let is_room =
+                if arms.is_empty() { ways < MAX_CANDIDATES } else { arms.len() < MAX_ARMS };
             if is_room && !arms.contains(&near.block.arm) {
                 ways += usize::from(arms.is_empty());
                 kept.push(near);
@@ -79,11 +80,13 @@ impl NumericTable {
     ) -> bool {
         /// Maximum residual as a share of the extent. Above the usual threshold, because the latency is
         /// less precise than the residual at slow rows.
-        const MOST: f64 = 0.1;
+        const MAX_FITTED_RESIDUAL_SHARE: f64 = 0.1;
         let rows = self.few_rows();
-        let logged = PositionColumns::of(self, position, &rows);
+        let logged = PositionColumns::from_columns(self, position, &rows);
         let fk = self.poses_at(block, chain, &rows, lag_s);
-        logged.and_then(|logged| logged.share(&fk)).is_some_and(|share| share < MOST)
+        logged
+            .and_then(|logged| logged.residual_share(&fk))
+            .is_some_and(|share| share < MAX_FITTED_RESIDUAL_SHARE)
     }
 
     fn poses_at(
@@ -108,30 +111,33 @@ struct PositionColumns {
 
 impl PositionColumns {
     /// `None` if fewer than two coordinates move, or if the position is out of any arm's reach.
-    fn of(sheet: &NumericTable, position: [usize; 3], rows: &[usize]) -> Option<Self> {
+    fn from_columns(sheet: &NumericTable, position: [usize; 3], rows: &[usize]) -> Option<Self> {
         let at = |&row: &usize| Vec3::from(position.map(|column| sheet.columns[column][row]));
         let mut xyz: Vec<Vec3> = rows.iter().map(at).collect();
         let farthest = xyz.iter().map(|xyz| xyz.norm()).fold(0.0, f64::max);
-        if farthest > FARTHEST_M {
+        if farthest > MAX_REACH_M {
             xyz.iter_mut().for_each(|xyz| *xyz *= 1e-3);
         }
         let mean = xyz.iter().sum::<Vec3>() / xyz.len() as f64;
         let squares: Vec3 = xyz.iter().map(|xyz| (xyz - mean).map(|d| d * d)).sum();
         let extent = squares.sum();
         let moving = squares.iter().filter(|square| **square > 1e-4 * extent).count();
-        let is_near = farthest < FARTHEST_M / 1e-3;
+        let is_near = farthest < MAX_REACH_M / 1e-3;
         (extent > 0.0 && moving > 1 && is_near).then_some(Self { position, xyz, extent })
     }
 
     /// Residual with the best tool offset, as a share of the extent. Tries the base frame and a base turned
-    /// by 180° about z. `None` if the residual is large or the tool is longer than [`LONGEST_TOOL_M`].
-    fn share(&self, fk: &[Pose]) -> Option<f64> {
-        [1.0, -1.0].into_iter().filter_map(|turn| self.share_turned(fk, turn)).reduce(f64::min)
+    /// by 180° about z. `None` if the residual is large or the tool is longer than [`MAX_TOOL_M`].
+    fn residual_share(&self, fk: &[Pose]) -> Option<f64> {
+        [1.0, -1.0]
+            .into_iter()
+            .filter_map(|turn| self.residual_share_rotated(fk, turn))
+            .reduce(f64::min)
     }
 
-    fn share_turned(&self, fk: &[Pose], turn: f64) -> Option<f64> {
+    fn residual_share_rotated(&self, fk: &[Pose], turn: f64) -> Option<f64> {
         // Rotations preserve lengths, so the least-squares tool offset is a mean.
-        let few = fk.len().div_ceil(super::FEWER_ROWS / 2);
+        let few = fk.len().div_ceil(super::SCREENING_ROWS / 2);
         let left = |step: usize| {
             let (mut count, mut sum, mut squares) = (0.0, Vec3::zeros(), 0.0);
             for (pose, xyz) in fk.iter().zip(&self.xyz).step_by(step) {
@@ -142,7 +148,7 @@ impl PositionColumns {
             let tool: Vec3 = sum / count;
             let left = (squares / count - tool.norm_squared()).max(0.0);
             let share = (left * self.xyz.len() as f64 / self.extent).sqrt();
-            (share < NEAR && tool.norm() < LONGEST_TOOL_M).then_some(share)
+            (share < MAX_RESIDUAL_SHARE && tool.norm() < MAX_TOOL_M).then_some(share)
         };
         left(few).and_then(|_| left(1))
     }

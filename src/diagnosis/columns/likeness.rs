@@ -1,18 +1,18 @@
 //! Relations between columns: time-shifted copies and rates.
 
-use super::{MOVING, NumericTable};
+use super::{MIN_MOVING_JOINTS, NumericTable};
 use ground::stats::median;
 
 /// Minimum correlation between a column and the rate of another.
-const RATE: f64 = 0.95;
+const MIN_RATE_CORRELATION: f64 = 0.95;
 
 /// Time shift between two groups of columns with the same content.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GroupShift {
     /// Delay of the second group, s.
-    pub later_s: f64,
+    pub delay_s: f64,
     /// Residual after the shift, as a share of the spread.
-    pub left: f64,
+    pub residual: f64,
 }
 
 /// Content of a column that is neither a joint nor a pose.
@@ -32,35 +32,35 @@ pub enum ColumnContent {
 
 impl NumericTable {
     /// Time shift of `others` relative to `columns`. `None` if their content differs.
-    pub fn shift(&self, columns: &[usize], others: &[usize]) -> Option<GroupShift> {
+    pub fn group_shift(&self, columns: &[usize], others: &[usize]) -> Option<GroupShift> {
         let series = |columns: &[usize]| -> Vec<Vec<f64>> {
-            columns.iter().map(|&column| self.less(column, self.mean(column))).collect()
+            columns.iter().map(|&column| self.minus(column, self.mean(column))).collect()
         };
         self.shift_of(&series(columns), &series(others))
     }
 
     /// Time shift between two columns that differ by `apart` at rest. On motion along a line, an offset
     /// would otherwise pass as a delay.
-    pub fn shift_beside(&self, column: usize, other: usize, apart: f64) -> Option<GroupShift> {
+    pub fn shift_with_offset(&self, column: usize, other: usize, apart: f64) -> Option<GroupShift> {
         let mean = self.mean(column);
-        self.shift_of(&[self.less(column, mean)], &[self.less(other, mean - apart)])
+        self.shift_of(&[self.minus(column, mean)], &[self.minus(other, mean - apart)])
     }
 
     fn mean(&self, column: usize) -> f64 {
         self.columns[column].iter().sum::<f64>() / self.t_s.len() as f64
     }
 
-    fn less(&self, column: usize, by: f64) -> Vec<f64> {
+    fn minus(&self, column: usize, by: f64) -> Vec<f64> {
         self.columns[column].iter().map(|value| value - by).collect()
     }
 
     fn shift_of(&self, these: &[Vec<f64>], those: &[Vec<f64>]) -> Option<GroupShift> {
         /// Longest shift, s, and maximum residual as a share of the spread.
-        const LONGEST_S: f64 = 1.0;
-        const SAME: f64 = 0.2;
+        const MAX_SHIFT_S: f64 = 1.0;
+        const MAX_RESIDUAL_SHARE: f64 = 0.2;
         let rows = self.t_s.len();
         let step_s = (self.t_s.last()? - self.t_s.first()?) / (rows.max(2) - 1) as f64;
-        let most = ((LONGEST_S / step_s) as usize).min(rows / 4) as i64;
+        let most = ((MAX_SHIFT_S / step_s) as usize).min(rows / 4) as i64;
         let power =
             |series: &[f64]| series.iter().map(|value| value * value).sum::<f64>() / rows as f64;
         let moving: Vec<usize> = (0..these.len()).filter(|&at| power(&these[at]) > 1e-8).collect();
@@ -75,29 +75,29 @@ impl NumericTable {
         };
         let best = (-most..=most).map(|by| (left(by), by)).min_by(|a, b| a.0.total_cmp(&b.0))?;
         let (least, by) = best;
-        if moving.len() < MOVING.min(these.len()) || least.sqrt() > SAME {
+        if moving.len() < MIN_MOVING_JOINTS.min(these.len()) || least.sqrt() > MAX_RESIDUAL_SHARE {
             return None;
         }
         let (before, after) = (left(by - 1), left(by + 1));
         let bend = before - 2.0 * least + after;
         let between = if bend > 0.0 { 0.5 * (before - after) / bend } else { 0.0 };
         let between = if least == 0.0 { 0.0 } else { between.clamp(-0.5, 0.5) };
-        Some(GroupShift { later_s: (by as f64 + between) * step_s, left: least.sqrt() })
+        Some(GroupShift { delay_s: (by as f64 + between) * step_s, residual: least.sqrt() })
     }
 
     /// Median offset of `column` from `other` at rest, and the number of rows at rest. `None` if the
     /// columns rest or move too little.
-    pub fn apart_at_rest(&self, column: usize, other: usize) -> Option<(f64, usize)> {
+    pub fn offset_at_rest(&self, column: usize, other: usize) -> Option<(f64, usize)> {
         /// A column rests if it changes by at most this share of its range over this time.
-        const STILL: f64 = 1e-3;
-        const REST_S: f64 = 0.5;
+        const MAX_REST_CHANGE: f64 = 1e-3;
+        const MIN_REST_S: f64 = 0.5;
         /// Minimum rows at rest, and minimum time in motion. A single step is not a motion.
-        const ROWS: usize = 20;
-        const MOVES_S: f64 = 2.0;
-        let reach = (0.5 * REST_S / self.step_s()).ceil() as usize;
+        const MIN_REST_ROWS: usize = 20;
+        const MIN_MOTION_S: f64 = 2.0;
+        let reach = (0.5 * MIN_REST_S / self.step_s()).ceil() as usize;
         let both = [column, other].map(|own| {
             let [low, high] = self.range(own);
-            (&self.columns[own], STILL * (high - low))
+            (&self.columns[own], MAX_REST_CHANGE * (high - low))
         });
         let is_still = |row: usize| {
             both.iter().all(|(values, most)| {
@@ -110,12 +110,12 @@ impl NumericTable {
             rows.map(|row| self.columns[column][row] - self.columns[other][row]).collect();
         let count = apart.len();
         let moves_s = (self.t_s.len() - count) as f64 * self.step_s();
-        let tells = count >= ROWS && moves_s >= MOVES_S;
+        let tells = count >= MIN_REST_ROWS && moves_s >= MIN_MOTION_S;
         median(&mut apart).filter(|_| tells).map(|apart| (apart, count))
     }
 
     /// Classifies a column by its relation to the columns `beside`.
-    pub fn conduct(&self, column: usize, beside: &[usize]) -> ColumnContent {
+    pub fn content(&self, column: usize, beside: &[usize]) -> ColumnContent {
         let values = &self.columns[column];
         let [low, high] = self.range(column);
         if low == high {
@@ -125,35 +125,38 @@ impl NumericTable {
         if values.iter().all(|value| value - low < near || high - value < near) {
             return ColumnContent::TwoLevels;
         }
-        let same =
-            beside.iter().filter_map(|&other| Some((other, self.shift(&[other], &[column])?)));
-        if let Some((other, shift)) = same.min_by(|a, b| a.1.left.total_cmp(&b.1.left)) {
+        let same = beside
+            .iter()
+            .filter_map(|&other| Some((other, self.group_shift(&[other], &[column])?)));
+        if let Some((other, shift)) = same.min_by(|a, b| a.1.residual.total_cmp(&b.1.residual)) {
             return ColumnContent::As(other, shift);
         }
         let best = beside.iter().map(|&other| (self.rate_correlation(column, other), other));
         match best.max_by(|a, b| a.0.total_cmp(&b.0)) {
-            Some((correlation, other)) if correlation > RATE => ColumnContent::RateOf(other),
+            Some((correlation, other)) if correlation > MIN_RATE_CORRELATION => {
+                ColumnContent::RateOf(other)
+            }
             _ => ColumnContent::Own,
         }
     }
 
     fn rate_correlation(&self, column: usize, of: usize) -> f64 {
-        correlation(&self.beside_rates(column, of).collect::<Vec<_>>())
+        correlation(&self.paired_with_rates(column, of).collect::<Vec<_>>())
     }
 
     /// Checks whether a column is the rate of another, in that column's unit per second.
-    pub(super) fn is_rate(&self, column: usize, of: usize) -> bool {
+    pub(super) fn is_rate_of(&self, column: usize, of: usize) -> bool {
         /// Maximum deviation as a share of the column's mean square.
-        const DIFFERS: f64 = 0.05;
-        let pairs = self.beside_rates(column, of);
+        const MAX_DEVIATION_SHARE: f64 = 0.05;
+        let pairs = self.paired_with_rates(column, of);
         let (differing, own) = pairs.fold((0.0, 0.0), |(differing, own), (value, rate)| {
             (differing + (value - rate).powi(2), own + value * value)
         });
-        differing < DIFFERS * own
+        differing < MAX_DEVIATION_SHARE * own
     }
 
     /// Values of a column, paired with the rate of another.
-    fn beside_rates(&self, column: usize, of: usize) -> impl Iterator<Item = (f64, f64)> + '_ {
+    fn paired_with_rates(&self, column: usize, of: usize) -> impl Iterator<Item = (f64, f64)> + '_ {
         let (values, own) = (&self.columns[column], &self.columns[of]);
         (1..own.len().saturating_sub(1)).map(|row| {
             let h = self.t_s[row + 1] - self.t_s[row - 1];
@@ -177,7 +180,9 @@ impl NumericTable {
         let shifts = (1..count as isize).flat_map(|by| [by, -by]);
         let are_rates = |rates: &Vec<usize>| {
             let pairs = columns.iter().zip(rates).filter(|(at, _)| moving.contains(at));
-            pairs.into_iter().all(|(&at, &rate)| self.rate_correlation(rate, at) > RATE)
+            pairs
+                .into_iter()
+                .all(|(&at, &rate)| self.rate_correlation(rate, at) > MIN_RATE_CORRELATION)
         };
         shifts.filter(|_| !moving.is_empty()).filter_map(shifted).find(are_rates)
     }
@@ -190,16 +195,17 @@ impl NumericTable {
         let mut best: Option<(usize, std::ops::Range<usize>, usize)> = None;
         // Positions and velocities belong to the same array.
         let widest = self.homes.chunk_by(|a, b| a == b).map(<[_]>::len).max().unwrap_or(0);
-        for behind in MOVING..widest {
+        for behind in MIN_MOVING_JOINTS..widest {
             let is_pair = |at: &usize| {
                 self.homes[*at] == self.homes[at + behind]
-                    && (!moves[*at] || self.rate_correlation(at + behind, *at) > RATE)
+                    && (!moves[*at]
+                        || self.rate_correlation(at + behind, *at) > MIN_RATE_CORRELATION)
             };
             let mut from = 0;
             while from + behind < count {
                 let end = from + (from..count - behind).take_while(is_pair).count();
                 let moving = (from..end).filter(|&at| moves[at]).count();
-                if moving >= MOVING && best.as_ref().is_none_or(|best| moving > best.0) {
+                if moving >= MIN_MOVING_JOINTS && best.as_ref().is_none_or(|best| moving > best.0) {
                     // If the velocities follow directly, their offset is the number of joints.
                     let first = (from..end).find(|&at| moves[at]).unwrap_or(from);
                     let first = first.min(end.saturating_sub(behind).max(from));

@@ -2,10 +2,10 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::MOST_ROWS;
+use super::MAX_ROWS;
 
 /// Start of the window of rows with the most motion.
-pub(super) fn liveliest(rows: &[usize], columns: &[Vec<f64>]) -> usize {
+pub(super) fn most_active_window(rows: &[usize], columns: &[Vec<f64>]) -> usize {
     let spreads: Vec<f64> = columns
         .iter()
         .map(|values| {
@@ -26,8 +26,8 @@ pub(super) fn liveliest(rows: &[usize], columns: &[Vec<f64>]) -> usize {
     for pair in rows.windows(2) {
         sums.push(sums.last().copied().unwrap_or(0.0) + step(pair));
     }
-    let starts = (0..rows.len() - MOST_ROWS).step_by(MOST_ROWS / 10);
-    let moved = |start: &usize| sums[start + MOST_ROWS - 1] - sums[*start];
+    let starts = (0..rows.len() - MAX_ROWS).step_by(MAX_ROWS / 10);
+    let moved = |start: &usize| sums[start + MAX_ROWS - 1] - sums[*start];
     starts.max_by(|a, b| moved(a).total_cmp(&moved(b))).unwrap_or(0)
 }
 
@@ -42,7 +42,7 @@ pub(super) fn centred(mut matrix: DMatrix<f64>) -> DMatrix<f64> {
 
 /// Residual sum of squares of each column of `logged` after regression on `design`, scaled for the degrees
 /// of freedom.
-pub(super) fn left_of(design: &DMatrix<f64>, logged: &DMatrix<f64>) -> DVector<f64> {
+pub(super) fn residual_squares(design: &DMatrix<f64>, logged: &DMatrix<f64>) -> DVector<f64> {
     const RIDGE: f64 = 1e-9;
     let mut normal = design.transpose() * design;
     let ridge = RIDGE * normal.trace().max(f64::MIN_POSITIVE);

@@ -17,7 +17,7 @@ mod turning;
 pub use likeness::{ColumnContent, GroupShift};
 pub use numbers::JointValueUnit;
 
-use linear::{centred, left_of, liveliest};
+use linear::{centred, most_active_window, residual_squares};
 use nalgebra::DMatrix;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -29,56 +29,56 @@ use ground::robot::Chain;
 use ground::stream::sample_noise;
 
 /// Maximum number of rows used, and their maximum rate.
-const MOST_ROWS: usize = 6000;
-const MOST_HZ: f64 = 110.0;
+const MAX_ROWS: usize = 6000;
+const MAX_RATE_HZ: f64 = 110.0;
 /// Rows of the linear fits.
-const FEW_ROWS: usize = 150;
+const LINEAR_FIT_ROWS: usize = 150;
 /// Maximum residual of the linear fit, as a share of the position's extent. A fit to a few rows rejects
 /// poor candidates first.
-const NEAR: f64 = 0.4;
-const NEAR_ON_FEW: f64 = 0.55;
-const FEWER_ROWS: usize = 50;
+const MAX_LINEAR_RESIDUAL_SHARE: f64 = 0.4;
+const MAX_SCREENING_RESIDUAL_SHARE: f64 = 0.55;
+const SCREENING_ROWS: usize = 50;
 /// Maximum number of joint and position candidates, and of arms per candidate.
-const MOST_FITS: usize = 12;
-const MOST_ARMS: usize = 2;
-/// Candidates fitted first. If one leaves a residual below `CLEAR` (share of the extent), candidates above
-/// `RIVAL` in the linear fit are skipped.
-const FIRST_FITS: usize = 4;
-const CLEAR: f64 = 0.005;
-const RIVAL: f64 = 0.25;
+const MAX_CANDIDATES: usize = 12;
+const MAX_ARMS: usize = 2;
+/// Candidates fitted first. If one leaves a residual below `CLEAR_RESIDUAL_SHARE` (share of the extent), candidates above
+/// `COMPETITOR_RESIDUAL_SHARE` in the linear fit are skipped.
+const FIRST_CANDIDATES: usize = 4;
+const CLEAR_RESIDUAL_SHARE: f64 = 0.005;
+const COMPETITOR_RESIDUAL_SHARE: f64 = 0.25;
 /// Latencies of the search, s: zero first, the others only if zero finds no match.
 const LAGS_S: [&[f64]; 2] = [&[0.0], &[-0.4, -0.2, -0.1, 0.1, 0.2, 0.4]];
 /// Maximum number of candidate arms for the search over latencies.
-const FEW_ARMS: usize = 4;
+const MAX_ARMS_FOR_LAGS: usize = 4;
 /// Tables with more columns are not searched.
-const MOST_COLUMNS: usize = 128;
+const MAX_COLUMNS: usize = 128;
 /// Rejects a position that a polynomial in time describes to within this share of its extent. Such a smooth
 /// curve fits almost any arm.
-const PLAIN: f64 = 0.05;
-const DEGREE: i32 = 6;
+const MIN_POLYNOMIAL_RESIDUAL_SHARE: f64 = 0.05;
+const POLYNOMIAL_DEGREE: i32 = 6;
 /// Two turns. Larger values are not radians, and values beyond this many degrees are not degrees.
-const TWO_TURNS: f64 = 4.0 * PI;
+const TWO_TURNS_RAD: f64 = 4.0 * PI;
 /// Tolerance beyond the joint limits, rad or m.
-const BEYOND: f64 = 0.2;
+const LIMIT_TOLERANCE: f64 = 0.2;
 /// Maximum joint speed as a multiple of its limit. Joints without a limit use the catalogue's highest,
 /// rad/s.
-const TOO_FAST: f64 = 3.0;
-const FASTEST_RAD_S: f64 = 21.0;
+const MAX_SPEED_RATIO: f64 = 3.0;
+const DEFAULT_MAX_SPEED_RAD_S: f64 = 21.0;
 /// Minimum range of a column that moves, rad or m.
-const MOVES: f64 = 0.01;
+const MIN_COLUMN_RANGE: f64 = 0.01;
 /// Minimum number of moving joints in a block.
-const MOVING: usize = 3;
+const MIN_MOVING_JOINTS: usize = 3;
 /// Maximum sample-to-sample noise of a moving column, as a share of its range.
-const NOISY: f64 = 0.2;
+const MAX_NOISE_SHARE: f64 = 0.2;
 /// Maximum residual of a position against FK: in m, or as a share of its extent.
-const FITS_M: f64 = 3e-3;
-const FITS_SHARE: f64 = 0.01;
+const MAX_RESIDUAL_M: f64 = 3e-3;
+const MAX_RESIDUAL_SHARE: f64 = 0.01;
 
 /// Upper bound on the residual as a share of the extent, even for short motions.
-const MOST_SHARE: f64 = 0.05;
+const MAX_RESIDUAL_SHARE_BOUND: f64 = 0.05;
 
 /// Maximum tool length in the arm's base frame, m.
-const LONGEST_TOOL_M: f64 = 0.5;
+const MAX_TOOL_M: f64 = 0.5;
 
 /// Numeric columns of a table.
 pub struct NumericTable {
@@ -134,13 +134,13 @@ pub struct ColumnMapping {
 
 /// Residual threshold for a position with that extent, m.
 fn limit_m(spread_m: f64) -> f64 {
-    FITS_M.max(FITS_SHARE * spread_m)
+    MAX_RESIDUAL_M.max(MAX_RESIDUAL_SHARE * spread_m)
 }
 
 impl ColumnMapping {
     /// Whether FK and the position agree.
     pub fn fits(&self) -> bool {
-        self.left_m <= limit_m(self.spread_m).min(MOST_SHARE * self.spread_m)
+        self.left_m <= limit_m(self.spread_m).min(MAX_RESIDUAL_SHARE_BOUND * self.spread_m)
     }
 
     fn block(&self) -> JointColumns {
@@ -194,34 +194,35 @@ impl NumericTable {
     pub fn new(t_s: Vec<f64>, columns: Vec<Vec<f64>>, homes: Vec<usize>) -> Self {
         let span_s = t_s.last().zip(t_s.first()).map_or(0.0, |(last, first)| last - first);
         let rate_hz = t_s.len() as f64 / span_s.max(f64::MIN_POSITIVE);
-        let step = (rate_hz / MOST_HZ).ceil().max(1.0) as usize;
+        let step = (rate_hz / MAX_RATE_HZ).ceil().max(1.0) as usize;
         let rows: Vec<usize> = (0..t_s.len()).step_by(step).collect();
-        let first = rows.len().saturating_sub(MOST_ROWS);
-        let first = if first == 0 { 0 } else { liveliest(&rows, &columns) };
-        let rows = &rows[first..(first + MOST_ROWS).min(rows.len())];
+        let first = rows.len().saturating_sub(MAX_ROWS);
+        let first = if first == 0 { 0 } else { most_active_window(&rows, &columns) };
+        let rows = &rows[first..(first + MAX_ROWS).min(rows.len())];
         let pick = |values: &Vec<f64>| rows.iter().map(|&row| values[row]).collect();
         let (t_s, columns): (Vec<f64>, Vec<Vec<f64>>) =
             (pick(&t_s), columns.iter().map(pick).collect());
         let mut sheet = Self { t_s, columns, homes, steepest: Vec::new() };
-        sheet.steepest = sheet.columns.iter().map(|values| sheet.steepest_of(values)).collect();
+        sheet.steepest = sheet.columns.iter().map(|values| sheet.max_rate(values)).collect();
         sheet
     }
 
     /// Fastest change of a column, ignoring outliers and jumps by a whole turn.
-    fn steepest_of(&self, values: &[f64]) -> f64 {
+    fn max_rate(&self, values: &[f64]) -> f64 {
         /// Outliers last fewer rows than this.
-        const ROWS: usize = 4;
+        const OUTLIER_ROWS: usize = 4;
         /// One turn in rad and in degrees, with a relative tolerance.
-        const TURNS: [f64; 2] = [2.0 * PI, 360.0];
-        const NEAR: f64 = 0.05;
+        const ONE_TURN: [f64; 2] = [2.0 * PI, 360.0];
+        const TURN_TOLERANCE: f64 = 0.05;
         let step_s = self.step_s();
-        let is_turn = |by: f64| TURNS.iter().any(|turn| (by / turn - 1.0).abs() < NEAR);
+        let is_turn =
+            |by: f64| ONE_TURN.iter().any(|turn| (by / turn - 1.0).abs() < TURN_TOLERANCE);
         let rate = |rows: &[f64]| {
             let by = rows[1..].iter().map(|value| (value - rows[0]).abs());
             let by = by.fold(f64::INFINITY, f64::min);
             if is_turn(by) { 0.0 } else { by / step_s }
         };
-        values.windows(ROWS).map(rate).fold(0.0, f64::max)
+        values.windows(OUTLIER_ROWS).map(rate).fold(0.0, f64::max)
     }
 
     /// Mean time between rows, s.
@@ -239,7 +240,7 @@ impl NumericTable {
     /// Whether the column's range exceeds the minimum for a moving joint.
     pub fn moves(&self, column: usize) -> bool {
         let [low, high] = self.range(column);
-        high - low > MOVES
+        high - low > MIN_COLUMN_RANGE
     }
 
     /// Whether a column equals `value` in each row.
@@ -251,8 +252,8 @@ impl NumericTable {
     /// fits.
     pub fn mappings(&self, wanted: &MappingConstraints) -> Vec<ColumnMapping> {
         /// Assignments refitted with a free joint zero if no assignment fits without one.
-        const WITH_ZERO: usize = 4;
-        for lags_s in &LAGS_S[..if wanted.chains.len() > FEW_ARMS { 1 } else { 2 }] {
+        const MAX_REFITS_WITH_ZERO: usize = 4;
+        for lags_s in &LAGS_S[..if wanted.chains.len() > MAX_ARMS_FOR_LAGS { 1 } else { 2 }] {
             let mut all = self.fits_near(wanted, lags_s);
             let best = all.iter().min_by(|a, b| a.left_m.total_cmp(&b.left_m));
             // At the wrong latency many arms fit equally well, and the right one may not be among those
@@ -262,7 +263,7 @@ impl NumericTable {
             }
             if !all.iter().any(ColumnMapping::fits) {
                 all.sort_by(|a, b| a.left_m.total_cmp(&b.left_m));
-                all.truncate(WITH_ZERO);
+                all.truncate(MAX_REFITS_WITH_ZERO);
                 let anew = |it: &ColumnMapping| self.fit(wanted, &it.block(), it.position, true);
                 all = all.par_iter().filter_map(anew).collect();
             }
@@ -283,12 +284,13 @@ impl NumericTable {
     /// Fits the best candidates of the linear search at the given latencies.
     fn fits_near(&self, wanted: &MappingConstraints, lags_s: &[f64]) -> Vec<ColumnMapping> {
         let of = |near: &ColumnCandidate| self.fit(wanted, &near.block, near.position, false);
-        let mut near = self.near_at_base(wanted, lags_s);
-        near.extend(self.near(wanted, lags_s));
-        let (first, others) = near.split_at(near.len().min(FIRST_FITS));
+        let mut near = self.candidates_at_base(wanted, lags_s);
+        near.extend(self.linear_candidates(wanted, lags_s));
+        let (first, others) = near.split_at(near.len().min(FIRST_CANDIDATES));
         let mut all: Vec<ColumnMapping> = first.par_iter().filter_map(of).collect();
-        let is_clear = all.iter().any(|it| it.left_m < CLEAR * it.spread_m);
-        let others = others.par_iter().filter(|near| !is_clear || near.share < RIVAL);
+        let is_clear = all.iter().any(|it| it.left_m < CLEAR_RESIDUAL_SHARE * it.spread_m);
+        let others =
+            others.par_iter().filter(|near| !is_clear || near.share < COMPETITOR_RESIDUAL_SHARE);
         all.extend(others.filter_map(of).collect::<Vec<_>>());
         all.retain(|mapping| !self.holds_own_rate(mapping));
         all
@@ -298,12 +300,12 @@ impl NumericTable {
     fn holds_own_rate(&self, mapping: &ColumnMapping) -> bool {
         let all: Vec<usize> = mapping.joints.iter().chain(&mapping.position).copied().collect();
         let moving: Vec<usize> = all.into_iter().filter(|&at| self.moves(at)).collect();
-        moving.iter().any(|&at| moving.iter().any(|&of| of != at && self.is_rate(at, of)))
+        moving.iter().any(|&at| moving.iter().any(|&of| of != at && self.is_rate_of(at, of)))
     }
 
     /// Refits a mapping found on another table for the arm `chain`. Frees a joint zero if the mapping does
     /// not fit without one.
-    pub fn again(
+    pub fn refit(
         &self,
         mapping: &ColumnMapping,
         chain: &Chain,
@@ -325,7 +327,7 @@ impl NumericTable {
 
     /// Blocks of columns that may be an arm's joints: smooth and within its limits.
     pub fn blocks(&self, wanted: &MappingConstraints, arm: usize) -> Vec<JointColumns> {
-        self.blocks_that_move(wanted, arm, MOVING)
+        self.blocks_that_move(wanted, arm, MIN_MOVING_JOINTS)
     }
 
     fn blocks_that_move(
@@ -355,9 +357,13 @@ impl NumericTable {
                     if joints.iter().any(|column| wanted.taken.contains(column)) {
                         continue;
                     }
-                    let most = self.most(&joints);
-                    let units = JointValueUnit::of_size(most, wanted.chains.len() <= FEW_ARMS);
-                    let may_be = |unit: &JointValueUnit| self.may_be(&joints, *unit, chain, fewest);
+                    let most = self.max_abs(&joints);
+                    let units = JointValueUnit::compatible_with(
+                        most,
+                        wanted.chains.len() <= MAX_ARMS_FOR_LAGS,
+                    );
+                    let may_be =
+                        |unit: &JointValueUnit| self.can_be_joints(&joints, *unit, chain, fewest);
                     let units = units.into_iter().filter(may_be);
                     let of = |unit| JointColumns { joints: joints.clone(), unit, arm };
                     blocks.extend(units.map(of));
@@ -368,29 +374,35 @@ impl NumericTable {
     }
 
     /// Largest absolute value of the columns.
-    fn most(&self, columns: &[usize]) -> f64 {
+    fn max_abs(&self, columns: &[usize]) -> f64 {
         let ends = columns.iter().flat_map(|&column| self.range(column));
         ends.map(f64::abs).fold(0.0, f64::max)
     }
 
     /// Whether the columns may be an arm's joints in this unit, with at least `fewest` of them moving.
-    fn may_be(&self, joints: &[usize], unit: JointValueUnit, chain: &Chain, fewest: usize) -> bool {
+    fn can_be_joints(
+        &self,
+        joints: &[usize],
+        unit: JointValueUnit,
+        chain: &Chain,
+        fewest: usize,
+    ) -> bool {
         let mut moving = 0;
         for (at, &column) in joints.iter().enumerate() {
-            let (factor, zero) = unit.read(chain, at);
+            let (factor, zero) = unit.factor_and_offset(chain, at);
             let [low, high] = self.range(column).map(|end| factor * end + zero);
             let limits = chain.limits()[at];
-            let is_beyond = low < limits.lower.unwrap_or(-TWO_TURNS) - BEYOND
-                || high > limits.upper.unwrap_or(TWO_TURNS) + BEYOND;
+            let is_beyond = low < limits.lower.unwrap_or(-TWO_TURNS_RAD) - LIMIT_TOLERANCE
+                || high > limits.upper.unwrap_or(TWO_TURNS_RAD) + LIMIT_TOLERANCE;
             // Joints do not jump, but a rotation vector that passes 180° does.
-            let fastest = TOO_FAST * limits.velocity.unwrap_or(FASTEST_RAD_S);
+            let fastest = MAX_SPEED_RATIO * limits.velocity.unwrap_or(DEFAULT_MAX_SPEED_RAD_S);
             let jumps = factor * self.steepest[column] > fastest;
             if is_beyond || jumps || !(high - low).is_finite() {
                 return false;
             }
-            if high - low > MOVES {
+            if high - low > MIN_COLUMN_RANGE {
                 moving += 1;
-                if factor * sample_noise(&self.columns[column]) > NOISY * (high - low) {
+                if factor * sample_noise(&self.columns[column]) > MAX_NOISE_SHARE * (high - low) {
                     return false;
                 }
             }
@@ -419,30 +431,37 @@ impl NumericTable {
     }
 
     /// Joint and position candidates with a small residual in the linear fit, best first.
-    fn near(&self, wanted: &MappingConstraints, lags_s: &[f64]) -> Vec<ColumnCandidate> {
+    fn linear_candidates(
+        &self,
+        wanted: &MappingConstraints,
+        lags_s: &[f64],
+    ) -> Vec<ColumnCandidate> {
         let rows = self.few_rows();
-        if rows.len() < FEW_ROWS / 3 || self.columns.len() > MOST_COLUMNS {
+        if rows.len() < LINEAR_FIT_ROWS / 3 || self.columns.len() > MAX_COLUMNS {
             return Vec::new();
         }
         let logged = self.at_rows(&rows);
         let fewer: Vec<usize> =
-            rows.iter().copied().step_by(rows.len().div_ceil(FEWER_ROWS)).collect();
-        let views =
-            [(self.at_rows(&fewer), fewer, NEAR_ON_FEW), (logged.clone(), rows.clone(), NEAR)];
+            rows.iter().copied().step_by(rows.len().div_ceil(SCREENING_ROWS)).collect();
+        let views = [
+            (self.at_rows(&fewer), fewer, MAX_SCREENING_RESIDUAL_SHARE),
+            (logged.clone(), rows.clone(), MAX_LINEAR_RESIDUAL_SHARE),
+        ];
         let span_s = self.t_s[rows[rows.len() - 1]] - self.t_s[rows[0]];
-        let plain = DMatrix::from_fn(rows.len(), DEGREE as usize, |row, power| {
+        let plain = DMatrix::from_fn(rows.len(), POLYNOMIAL_DEGREE as usize, |row, power| {
             ((self.t_s[rows[row]] - self.t_s[rows[0]]) / span_s - 0.5).powi(1 + power as i32)
         });
-        let plain = left_of(&centred(plain), &logged);
+        let plain = residual_squares(&centred(plain), &logged);
         let mut positions = match wanted.position {
             Some(position) => vec![position],
             None => self.positions(wanted.taken),
         };
         positions.retain(|position| {
             let own: f64 = position.iter().map(|&c| logged.column(c).norm_squared()).sum();
-            position.iter().map(|&c| plain[c]).sum::<f64>() > PLAIN.powi(2) * own
+            position.iter().map(|&c| plain[c]).sum::<f64>()
+                > MIN_POLYNOMIAL_RESIDUAL_SHARE.powi(2) * own
         });
-        let blocks = self.wanted_blocks(wanted, MOVING);
+        let blocks = self.candidate_blocks(wanted, MIN_MOVING_JOINTS);
         let tried: Vec<(&JointColumns, f64)> = blocks
             .iter()
             .flat_map(|block| lags_s.iter().map(move |&lag_s| (block, lag_s)))
@@ -458,7 +477,7 @@ impl NumericTable {
                 if shares.is_empty() {
                     break;
                 }
-                let left = left_of(&self.design(block, chain, rows, lag_s), logged);
+                let left = residual_squares(&self.design(block, chain, rows, lag_s), logged);
                 shares.retain_mut(|(share, _, position)| {
                     let squares = position.map(|column| logged.column(column).norm_squared());
                     let own: f64 = squares.iter().sum();
@@ -481,7 +500,8 @@ impl NumericTable {
                 near.block.joints == block.joints && near.position == position
             };
             let arms: Vec<usize> = kept.iter().filter(is_its).map(|near| near.block.arm).collect();
-            let is_room = if arms.is_empty() { ways < MOST_FITS } else { arms.len() < MOST_ARMS };
+            let is_room =
+                if arms.is_empty() { ways < MAX_CANDIDATES } else { arms.len() < MAX_ARMS };
             if is_room && !arms.contains(&block.arm) {
                 ways += usize::from(arms.is_empty());
                 kept.push(ColumnCandidate { block: block.clone(), position, share });
@@ -491,7 +511,7 @@ impl NumericTable {
     }
 
     /// Blocks for all arms, or the known joints.
-    fn wanted_blocks(&self, wanted: &MappingConstraints, fewest: usize) -> Vec<JointColumns> {
+    fn candidate_blocks(&self, wanted: &MappingConstraints, fewest: usize) -> Vec<JointColumns> {
         let of = |(arm, chain): (usize, &&Chain)| match wanted.joints {
             Some(joints) if joints[arm].len() == chain.dof() => {
                 let (joints, unit) = (joints[arm].clone(), JointValueUnit::Radians);
@@ -520,7 +540,7 @@ impl NumericTable {
         let inner = self.t_s.iter().enumerate();
         let inner = inner.filter(|(_, t_s)| (first + margin_s..last - margin_s).contains(t_s));
         let inner: Vec<usize> = inner.map(|(row, _)| row).collect();
-        let count = FEW_ROWS.min(inner.len());
+        let count = LINEAR_FIT_ROWS.min(inner.len());
         (0..count).map(|at| inner[at * inner.len() / count]).collect()
     }
 
@@ -532,8 +552,8 @@ impl NumericTable {
         rows: &[usize],
         lag_s: f64,
     ) -> DMatrix<f64> {
-        const NUMBERS: usize = 12;
-        let mut design = DMatrix::zeros(rows.len(), NUMBERS);
+        const FK_NUMBERS: usize = 12;
+        let mut design = DMatrix::zeros(rows.len(), FK_NUMBERS);
         for (at, &row) in rows.iter().enumerate() {
             let pose = chain.forward(&self.joints_at(block, chain, self.t_s[row] - lag_s));
             let turn = pose.rotation.to_rotation_matrix();
@@ -551,7 +571,7 @@ impl NumericTable {
         let at = |(joint, &column): (usize, &usize)| {
             let values = &self.columns[column];
             let q = values[after - 1] + share * (values[after] - values[after - 1]);
-            let (factor, zero) = block.unit.read(chain, joint);
+            let (factor, zero) = block.unit.factor_and_offset(chain, joint);
             factor * q + zero
         };
         block.joints.iter().enumerate().map(at).collect()
@@ -576,18 +596,18 @@ impl NumericTable {
             reference_known: false,
             stamp_error_s: 0.0,
             stamps_copied: false,
-            taken_off: None,
+            removed_ramp: None,
         };
         let spread_m = metres_by_size(&joints, &stream) * extent(&track.xyz);
         let in_base = PoseStream { reference_known: true, ..stream };
         let fit = |stream| tool_fit(&joints, stream, wanted.most_lag_s, with_zero);
         let at_base = fit(&in_base).filter(|it| {
-            let most_m = FITS_M.min(MOST_SHARE * spread_m);
-            it.way.left_m <= most_m
-                && it.way.tool_m.norm() < LONGEST_TOOL_M
-                && (with_zero || self.agrees_at_base(block, chain, position, it.way.lag_s))
+            let most_m = MAX_RESIDUAL_M.min(MAX_RESIDUAL_SHARE_BOUND * spread_m);
+            it.fit.residual_m <= most_m
+                && it.fit.tool_m.norm() < MAX_TOOL_M
+                && (with_zero || self.agrees_at_base(block, chain, position, it.fit.lag_s))
         });
-        let (is_at_base, ScoredFit { way, score }) = match at_base {
+        let (is_at_base, ScoredFit { fit: way, score }) = match at_base {
             Some(fit) => (true, fit),
             None => {
                 let found = fit(&stream)?;
@@ -599,7 +619,7 @@ impl NumericTable {
             joints: block.joints.clone(),
             unit: block.unit,
             position,
-            left_m: way.left_m,
+            left_m: way.residual_m,
             spread_m,
             is_at_base,
             score,

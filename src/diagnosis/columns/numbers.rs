@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use serde::{Deserialize, Serialize};
 
-use super::TWO_TURNS;
+use super::TWO_TURNS_RAD;
 use ground::robot::{Chain, JointKind};
 
 /// Unit of the values of revolute joints.
@@ -27,7 +27,7 @@ pub enum JointValueUnit {
 
 impl JointValueUnit {
     /// Factor and offset from the logged number to the joint position.
-    pub fn read(self, chain: &Chain, joint: usize) -> (f64, f64) {
+    pub fn factor_and_offset(self, chain: &Chain, joint: usize) -> (f64, f64) {
         let limits = chain.limits()[joint];
         match (self, limits.lower.zip(limits.upper)) {
             _ if chain.joint_kinds()[joint] == JointKind::Prismatic => (1.0, 0.0),
@@ -42,10 +42,10 @@ impl JointValueUnit {
     }
 
     /// Units compatible with values up to `most`. Shares of the range only for a few candidate arms.
-    pub(super) fn of_size(most: f64, are_few: bool) -> Vec<Self> {
+    pub(super) fn compatible_with(most: f64, are_few: bool) -> Vec<Self> {
         const SHARE: f64 = 100.5;
         const BITS: [u8; 5] = [10, 12, 13, 14, 16];
-        if most <= TWO_TURNS {
+        if most <= TWO_TURNS_RAD {
             return vec![Self::Radians];
         }
         let mut units = vec![Self::Degrees];
@@ -62,7 +62,7 @@ impl JointValueUnit {
     }
 
     /// Name of the unit for messages.
-    pub fn words(self) -> String {
+    pub fn name(self) -> String {
         match self {
             Self::Radians => "rad".to_owned(),
             Self::Degrees => "degrees".to_owned(),

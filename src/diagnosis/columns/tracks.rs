@@ -22,7 +22,7 @@ impl NumericTable {
         let (mut q, mut qd) = (vec![0.0; rows * dof], vec![0.0; rows * dof]);
         for (joint, &column) in block.joints.iter().enumerate() {
             let values = &self.columns[column];
-            let (factor, zero) = block.unit.read(chain, joint);
+            let (factor, zero) = block.unit.factor_and_offset(chain, joint);
             for row in 0..rows {
                 let (before, after) = (row.saturating_sub(1), (row + 1).min(rows - 1));
                 let h = self.t_s[after] - self.t_s[before];

@@ -1,6 +1,6 @@
 //! Identifies columns that contain the rotation of the tool.
 
-use super::{ColumnMapping, MOVING, NumericTable};
+use super::{ColumnMapping, MIN_MOVING_JOINTS, NumericTable};
 use ground::geometry::{Convention, Rotation, angle_between, rotation_from_xyzw};
 use ground::robot::Chain;
 
@@ -8,19 +8,19 @@ impl NumericTable {
     /// Whether the columns are the tool's rotation: 3 numbers in some convention, a quaternion in any
     /// order, or a 3×3 matrix. `None` if the tool rotates too little. Compares angles between poses, which
     /// do not depend on the frame, the tool or the order of components.
-    pub fn turns_with(
+    pub fn is_tool_rotation(
         &self,
         mapping: &ColumnMapping,
         chain: &Chain,
         columns: &[usize],
     ) -> Option<bool> {
         /// Number of rows compared, maximum difference, rad, and minimum rms rotation of the tool, rad.
-        const ROWS: usize = 60;
-        const APART_RAD: f64 = 0.05;
-        const TURNS_RAD: f64 = 0.2;
+        const COMPARED_ROWS: usize = 60;
+        const MAX_DIFFERENCE_RAD: f64 = 0.05;
+        const MIN_ROTATION_RAD: f64 = 0.2;
         let all = self.few_rows();
         let rows: Vec<usize> =
-            all.iter().copied().step_by(all.len().div_ceil(ROWS).max(1)).collect();
+            all.iter().copied().step_by(all.len().div_ceil(COMPARED_ROWS).max(1)).collect();
         let block = mapping.block();
         let fk: Vec<Rotation> = rows
             .iter()
@@ -37,11 +37,11 @@ impl NumericTable {
         };
         let expected = |a: usize, b: usize| angle_between(&fk[a], &fk[b]);
         let turns_rad = rms(&expected, &|_, _| 0.0);
-        if turns_rad < TURNS_RAD {
+        if turns_rad < MIN_ROTATION_RAD {
             return None;
         }
         let number = |row: usize, at: usize| self.columns[columns[at]][rows[row]];
-        let most = APART_RAD.min(0.15 * turns_rad);
+        let most = MAX_DIFFERENCE_RAD.min(0.15 * turns_rad);
         let is_it = |all: Option<Vec<Rotation>>| {
             all.is_some_and(|all| rms(&expected, &|a, b| angle_between(&all[a], &all[b])) < most)
         };
@@ -79,6 +79,6 @@ impl NumericTable {
             columns.map(|column| self.columns[column][row].powi(2)).iter().sum::<f64>()
         };
         (0..self.t_s.len()).all(|row| (norm(row) - 1.0).abs() < 1e-3)
-            && columns.iter().filter(|column| self.moves(**column)).count() >= MOVING
+            && columns.iter().filter(|column| self.moves(**column)).count() >= MIN_MOVING_JOINTS
     }
 }

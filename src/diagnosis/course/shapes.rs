@@ -1,17 +1,19 @@
 //! Latency profiles without steps: load-dependent and piecewise linear.
 
-use super::{LatencyProfile, LatencyShape, LatencyWindow, NormalizedSample, SURE, WINDOW_S};
+use super::{
+    LatencyProfile, LatencyShape, LatencyWindow, MIN_CHI2_GAIN, NormalizedSample, WINDOW_S,
+};
 use ground::stats::Measured;
 use nalgebra::{DMatrix, DVector};
 
 /// Squared residual of `samples`, in units of the noise, after compensating the latency `beyond_s`.
 /// Subtracts a constant in each window, because model error depends on the configuration.
-pub(super) fn left_beside(
+pub(super) fn residual_after(
     samples: &[NormalizedSample],
     mut beyond_s: impl FnMut(usize) -> f64,
 ) -> f64 {
     let mut row = 0;
-    of_windows(samples)
+    by_window(samples)
         .map(|own| {
             let (mut sum, mut square) = ([0.0; 6], 0.0);
             for sample in own {
@@ -29,7 +31,7 @@ pub(super) fn left_beside(
         .sum()
 }
 
-fn of_windows(samples: &[NormalizedSample]) -> impl Iterator<Item = &[NormalizedSample]> {
+fn by_window(samples: &[NormalizedSample]) -> impl Iterator<Item = &[NormalizedSample]> {
     let mut rest = samples;
     std::iter::from_fn(move || {
         let first = rest.first()?;
@@ -50,7 +52,7 @@ struct LoadSums {
 }
 
 impl LoadSums {
-    fn of(window: &[NormalizedSample], load: &[f64]) -> Self {
+    fn from_window(window: &[NormalizedSample], load: &[f64]) -> Self {
         let n = window.len() as f64;
         let mut mean = [[0.0; 6]; 3];
         let row = |sample: &NormalizedSample, load: f64| -> [[f64; 6]; 3] {
@@ -76,14 +78,14 @@ impl LoadSums {
         sums
     }
 
-    fn with(mut self, other: &Self, sign: f64) -> Self {
+    fn combined_with(mut self, other: &Self, sign: f64) -> Self {
         self.matrix.iter_mut().zip(other.matrix).for_each(|(sum, own)| *sum += sign * own);
         self.right.iter_mut().zip(other.right).for_each(|(sum, own)| *sum += sign * own);
         self
     }
 
     /// Solves for the constant and the slope.
-    fn solved(&self) -> Option<[f64; 2]> {
+    fn solve(&self) -> Option<[f64; 2]> {
         let ([aa, ab, bb], [a, b]) = (self.matrix, self.right);
         let determinant = aa * bb - ab * ab;
         (determinant > 1e-9 * aa * bb)
@@ -93,37 +95,37 @@ impl LoadSums {
 
 /// Fits a latency that depends on load, which is the joint or tool speed, unfiltered or low-pass filtered.
 /// `None` if it does not.
-pub(super) fn with_load(samples: &[NormalizedSample]) -> Option<LatencyProfile> {
+pub(super) fn fit_load_dependence(samples: &[NormalizedSample]) -> Option<LatencyProfile> {
     /// Time constants of the filter, s.
-    const SLOW_S: [f64; 5] = [0.0, 0.05, 0.1, 0.2, 0.4];
+    const FILTER_TIMES_S: [f64; 5] = [0.0, 0.05, 0.1, 0.2, 0.4];
     /// The load model must reduce the excess residual of a constant latency to at most this fraction.
-    const LEFT: f64 = 0.5;
-    let constant = left_beside(samples, {
+    const MAX_RESIDUAL_RATIO: f64 = 0.5;
+    let constant = residual_after(samples, {
         let zero = vec![0.0; samples.len()];
-        let sums =
-            windows_of(samples, &zero).fold(LoadSums::default(), |sum, own| sum.with(&own, 1.0));
+        let sums = load_windows(samples, &zero)
+            .fold(LoadSums::default(), |sum, own| sum.combined_with(&own, 1.0));
         let level_s = sums.right[0] / sums.matrix[0].max(f64::MIN_POSITIVE);
         move |_| level_s
     });
     let noise = 3.0 * samples.len() as f64;
     let fit = |kind: usize, slow_s: f64| {
         let load = filtered(samples, kind, slow_s);
-        let windows: Vec<LoadSums> = windows_of(samples, &load).collect();
-        let all = windows.iter().fold(LoadSums::default(), |sum, own| sum.with(own, 1.0));
-        let [level_s, slope] = all.solved()?;
-        let left = left_beside(samples, |row| level_s + slope * load[row]);
+        let windows: Vec<LoadSums> = load_windows(samples, &load).collect();
+        let all = windows.iter().fold(LoadSums::default(), |sum, own| sum.combined_with(own, 1.0));
+        let [level_s, slope] = all.solve()?;
+        let left = residual_after(samples, |row| level_s + slope * load[row]);
         Some((left, load, windows, all, [level_s, slope]))
     };
-    let tried = [0, 1].into_iter().flat_map(|kind| SLOW_S.map(|slow_s| (kind, slow_s)));
+    let tried = [0, 1].into_iter().flat_map(|kind| FILTER_TIMES_S.map(|slow_s| (kind, slow_s)));
     let fits = tried.filter_map(|(kind, slow_s)| fit(kind, slow_s));
     let (left, load, windows, all, [level_s, slope]) = fits.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    if left - noise > LEFT * (constant - noise) {
+    if left - noise > MAX_RESIDUAL_RATIO * (constant - noise) {
         return None;
     }
-    let size = windows.len().div_ceil(PARTS).max(1);
+    let size = windows.len().div_ceil(JACKKNIFE_BLOCKS).max(1);
     let without = windows.chunks(size).filter_map(|part| {
-        let rest = part.iter().fold(all, |sum, own| sum.with(own, -1.0));
-        Some(rest.solved()?[1])
+        let rest = part.iter().fold(all, |sum, own| sum.combined_with(own, -1.0));
+        Some(rest.solve()?[1])
     });
     let without: Vec<f64> = without.collect();
     let parts = without.len() as f64;
@@ -134,12 +136,12 @@ pub(super) fn with_load(samples: &[NormalizedSample]) -> Option<LatencyProfile> 
         .fold((f64::MAX, f64::MIN), |(least, most), load| (least.min(*load), most.max(*load)));
     let range = most - least;
     let swing_s = Measured { value: slope * range, std_error: std_error * range, dof: parts };
-    let is_certain = parts >= 4.0 && slope.abs() > CERTAIN * std_error;
+    let is_certain = parts >= 4.0 && slope.abs() > MIN_STD_ERRORS * std_error;
     is_certain.then(|| LatencyProfile {
         swing_s,
         is_unsteady: true,
         shape: LatencyShape::WithLoad,
-        jumps: Vec::new(),
+        steps: Vec::new(),
         levels: samples
             .iter()
             .zip(&load)
@@ -149,14 +151,14 @@ pub(super) fn with_load(samples: &[NormalizedSample]) -> Option<LatencyProfile> 
     })
 }
 
-fn windows_of<'a>(
+fn load_windows<'a>(
     samples: &'a [NormalizedSample],
     load: &'a [f64],
 ) -> impl Iterator<Item = LoadSums> + 'a {
     let mut from = 0;
-    of_windows(samples).map(move |own| {
+    by_window(samples).map(move |own| {
         let to = from + own.len();
-        let sums = LoadSums::of(own, &load[from..to]);
+        let sums = LoadSums::from_window(own, &load[from..to]);
         from = to;
         sums
     })
@@ -180,25 +182,25 @@ fn filtered(samples: &[NormalizedSample], kind: usize, slow_s: f64) -> Vec<f64> 
 
 /// Fits a piecewise linear latency. It is a ramp if it is level before and after one segment. Selects the
 /// knots on `windows` and fits the levels to `samples`. `None` if no fit with few segments is significant.
-pub(super) fn path(
+pub(super) fn fit_piecewise_linear(
     windows: &[LatencyWindow],
     samples: &[NormalizedSample],
 ) -> Option<LatencyProfile> {
     /// Maximum number of inner knots.
-    const MOST: usize = 16;
+    const MAX_KNOTS: usize = 16;
     /// Maximum number of samples for the fit of the levels.
-    const SAMPLES: usize = 6000;
+    const MAX_SAMPLES: usize = 6000;
     let (first, last) = (windows.first()?, windows.last()?);
     let mut knots = vec![first.t_s, last.t_s];
-    let of_windows = |knots: &[f64]| Some(solved(knots, window_sums(windows, knots))?.1);
+    let of_windows = |knots: &[f64]| Some(solve_levels(knots, window_sums(windows, knots))?.1);
     let mut least = of_windows(&knots)?;
     // A single knot hardly improves the fit of a ramp within the run, so try two at once.
     if let Some((left, two)) = two_knots(windows, &knots, &of_windows)
-        && least - left > SURE * (left / windows.len() as f64).max(1.0)
+        && least - left > MIN_CHI2_GAIN * (left / windows.len() as f64).max(1.0)
     {
         (least, knots) = (left, two);
     }
-    while knots.len() < (windows.len() / 2).min(MOST + 2) {
+    while knots.len() < (windows.len() / 2).min(MAX_KNOTS + 2) {
         let tried = windows.iter().map(|window| window.t_s).filter(|t_s| !knots.contains(t_s));
         let with = tried.filter_map(|t_s| {
             let mut with = knots.clone();
@@ -207,43 +209,45 @@ pub(super) fn path(
             Some((of_windows(&with)?, with))
         });
         let Some((_, mut with)) = with.min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
-        let better = shifted(&mut with, &[1.0, 0.5], &of_windows)?;
+        let better = shift_knots(&mut with, &[1.0, 0.5], &of_windows)?;
         let free = (windows.len() as f64 - 2.0 * with.len() as f64).max(1.0);
-        if least - better < SURE * (better / free).max(1.0) {
+        if least - better < MIN_CHI2_GAIN * (better / free).max(1.0) {
             break;
         }
         (least, knots) = (better, with);
     }
-    let stride = samples.len().div_ceil(SAMPLES).max(1);
+    let stride = samples.len().div_ceil(MAX_SAMPLES).max(1);
     let thinned: Vec<NormalizedSample> = samples.iter().step_by(stride).copied().collect();
-    let of_samples = |knots: &[f64]| Some(solved(knots, total(&sample_sums(&thinned, knots)))?.1);
-    let mut least = shifted(&mut knots, &[0.5, 0.25, 0.1], &of_samples)?;
+    let of_samples =
+        |knots: &[f64]| Some(solve_levels(knots, total(&sample_sums(&thinned, knots)))?.1);
+    let mut least = shift_knots(&mut knots, &[0.5, 0.25, 0.1], &of_samples)?;
     // A later knot can make an earlier one redundant.
     loop {
         let fewer = (1..knots.len() - 1).filter_map(|at| {
             let mut fewer = knots.clone();
             fewer.remove(at);
-            Some((shifted(&mut fewer, &[0.5, 0.25, 0.1], &of_samples)?, fewer))
+            Some((shift_knots(&mut fewer, &[0.5, 0.25, 0.1], &of_samples)?, fewer))
         });
         let Some((left, fewer)) = fewer.min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
-        if left - least > NEEDED * least.max(3.0 * thinned.len() as f64) {
+        if left - least > MIN_KNOT_GAIN * least.max(3.0 * thinned.len() as f64) {
             break;
         }
         (least, knots) = (left, fewer);
     }
-    let least = shifted(&mut knots, &[0.25, 0.1, 0.05], &of_samples);
+    let least = shift_knots(&mut knots, &[0.25, 0.1, 0.05], &of_samples);
     let sums = sample_sums(&thinned, &knots);
-    let (level_s, _) = solved(&knots, total(&sums)).filter(|_| least.is_some())?;
+    let (level_s, _) = solve_levels(&knots, total(&sums)).filter(|_| least.is_some())?;
     let at = |knot: usize| level_s[knot];
     let order = |a: &usize, b: &usize| at(*a).total_cmp(&at(*b));
     let all = || 0..knots.len();
     let (low, high) = (all().min_by(order)?, all().max_by(order)?);
     let std_error = jackknife(&sums, |sums| {
-        let (level_s, _) = solved(&knots, sums)?;
+        let (level_s, _) = solve_levels(&knots, sums)?;
         Some(level_s[high] - level_s[low])
     });
     let (swing, from, to) = (at(high) - at(low), low.min(high), low.max(high));
-    let is_near = |knot: usize, other: usize| (at(knot) - at(other)).abs() < LEVEL * swing;
+    let is_near =
+        |knot: usize, other: usize| (at(knot) - at(other)).abs() < MAX_LEVEL_DIFFERENCE * swing;
     let (mut begin, mut end) = (from, to);
     while begin + 1 < to && is_near(begin + 1, from) {
         begin += 1;
@@ -257,24 +261,24 @@ pub(super) fn path(
         true => (LatencyShape::Ramp { from_s: knots[begin], to_s: knots[end] }, at(to) - at(from)),
         false => (LatencyShape::Wander, swing),
     };
-    let swing_s = Measured { value, std_error, dof: PARTS as f64 };
-    (value.abs() > 0.5 * CERTAIN * std_error).then(|| LatencyProfile {
+    let swing_s = Measured { value, std_error, dof: JACKKNIFE_BLOCKS as f64 };
+    (value.abs() > 0.5 * MIN_STD_ERRORS * std_error).then(|| LatencyProfile {
         swing_s,
         is_unsteady: true,
         shape,
-        jumps: Vec::new(),
+        steps: Vec::new(),
         levels: knots.iter().copied().zip(level_s.iter().copied()).collect(),
         windows: Vec::new(),
     })
 }
 
 /// Number of parameters of a path with three segments: its levels and its inner knots.
-pub(super) const BENT_PARAMETERS: f64 = 6.0;
+pub(super) const THREE_SEGMENT_PARAMETERS: f64 = 6.0;
 
 /// χ² of the windows for the best path with three segments.
-pub(super) fn bent_chi2(windows: &[LatencyWindow]) -> Option<f64> {
+pub(super) fn piecewise_chi2(windows: &[LatencyWindow]) -> Option<f64> {
     let ends = [windows.first()?.t_s, windows.last()?.t_s];
-    let left = |knots: &[f64]| Some(solved(knots, window_sums(windows, knots))?.1);
+    let left = |knots: &[f64]| Some(solve_levels(knots, window_sums(windows, knots))?.1);
     Some(two_knots(windows, &ends, &left)?.0)
 }
 
@@ -285,10 +289,13 @@ fn two_knots(
     left: &impl Fn(&[f64]) -> Option<f64>,
 ) -> Option<(f64, Vec<f64>)> {
     /// Maximum number of trial times.
-    const TRIED: usize = 40;
+    const MAX_TRIAL_TIMES: usize = 40;
     let inner = windows.get(1..windows.len().saturating_sub(1))?;
-    let times: Vec<f64> =
-        inner.iter().step_by(inner.len().div_ceil(TRIED).max(1)).map(|one| one.t_s).collect();
+    let times: Vec<f64> = inner
+        .iter()
+        .step_by(inner.len().div_ceil(MAX_TRIAL_TIMES).max(1))
+        .map(|one| one.t_s)
+        .collect();
     let pairs =
         times.iter().enumerate().flat_map(|(at, a)| times[at + 1..].iter().map(move |b| (*a, *b)));
     let with = pairs.filter_map(|(a, b)| {
@@ -309,17 +316,19 @@ pub(super) fn levels_at(knots: &[f64], windows: &[(f64, Measured)]) -> Option<Ve
         })
         .collect();
     let is_enough = knots.len() > 1 && windows.len() >= knots.len();
-    is_enough.then(|| solved(knots, window_sums(&windows, knots)))?.map(|(level_s, _)| level_s)
+    is_enough
+        .then(|| solve_levels(knots, window_sums(&windows, knots)))?
+        .map(|(level_s, _)| level_s)
 }
 
 /// A knot is on the level of another if they differ by less than this fraction of the swing.
-const LEVEL: f64 = 0.12;
+const MAX_LEVEL_DIFFERENCE: f64 = 0.12;
 /// A knot is needed if removing it increases the residual by more than this fraction.
-const NEEDED: f64 = 0.01;
+const MIN_KNOT_GAIN: f64 = 0.01;
 /// Number of blocks of the jackknife (Quenouille 1956).
-const PARTS: usize = 20;
+const JACKKNIFE_BLOCKS: usize = 20;
 /// A value is significant if it exceeds this many standard errors.
-const CERTAIN: f64 = 8.0;
+const MIN_STD_ERRORS: f64 = 8.0;
 
 /// Normal equations for the levels at knots, and the sum of squares.
 #[derive(Clone)]
@@ -350,13 +359,13 @@ fn hats(knots: &[f64], t_s: f64) -> [(usize, f64); 2] {
 
 /// Solves for the levels. Returns them with the residual. A level without data, as while the arm rests, is
 /// close to its neighbours'.
-fn solved(knots: &[f64], sums: KnotEquations) -> Option<(Vec<f64>, f64)> {
+fn solve_levels(knots: &[f64], sums: KnotEquations) -> Option<(Vec<f64>, f64)> {
     /// Weight that ties adjacent levels, as a fraction of the mean information about a level.
-    const TIED: f64 = 1e-5;
+    const LEVEL_TIE_WEIGHT: f64 = 1e-5;
     let KnotEquations { mut matrix, right, square } = sums;
     debug_assert_eq!(right.len(), knots.len());
     let plain = matrix.clone();
-    let tie = TIED * matrix.trace() / knots.len() as f64;
+    let tie = LEVEL_TIE_WEIGHT * matrix.trace() / knots.len() as f64;
     for knot in 1..knots.len() {
         matrix[(knot - 1, knot - 1)] += tie;
         matrix[(knot, knot)] += tie;
@@ -419,7 +428,7 @@ fn sample_sums(samples: &[NormalizedSample], knots: &[f64]) -> Vec<KnotEquations
         }
         sums
     };
-    of_windows(samples).map(of_window).collect()
+    by_window(samples).map(of_window).collect()
 }
 
 fn total(sums: &[KnotEquations]) -> KnotEquations {
@@ -431,7 +440,7 @@ fn total(sums: &[KnotEquations]) -> KnotEquations {
 /// Jackknife standard error of a value computed from the windows' sums.
 fn jackknife(sums: &[KnotEquations], of: impl Fn(KnotEquations) -> Option<f64>) -> f64 {
     let all = total(sums);
-    let parts = sums.chunks(sums.len().div_ceil(PARTS).max(1));
+    let parts = sums.chunks(sums.len().div_ceil(JACKKNIFE_BLOCKS).max(1));
     let without: Vec<f64> = parts
         .filter_map(|part| {
             let mut rest = all.clone();
@@ -449,12 +458,12 @@ fn jackknife(sums: &[KnotEquations], of: impl Fn(KnotEquations) -> Option<f64>) 
 }
 
 /// Moves each inner knot to minimise the residual, with decreasing steps. Returns the residual.
-fn shifted(
+fn shift_knots(
     knots: &mut [f64],
     steps_s: &[f64],
     left: &impl Fn(&[f64]) -> Option<f64>,
 ) -> Option<f64> {
-    const APART_S: f64 = 0.2;
+    const MIN_KNOT_SEPARATION_S: f64 = 0.2;
     let mut best = left(knots)?;
     for &step_s in steps_s {
         for knot in 1..knots.len().saturating_sub(1) {
@@ -463,8 +472,8 @@ fn shifted(
                 loop {
                     let before = knots[knot];
                     knots[knot] += by_s;
-                    let is_between = knots[knot] > knots[knot - 1] + APART_S
-                        && knots[knot] < knots[knot + 1] - APART_S;
+                    let is_between = knots[knot] > knots[knot - 1] + MIN_KNOT_SEPARATION_S
+                        && knots[knot] < knots[knot + 1] - MIN_KNOT_SEPARATION_S;
                     let tried = is_between.then(|| left(knots)).flatten();
                     match tried.filter(|tried| *tried < best) {
                         Some(better) => best = better,

@@ -10,7 +10,7 @@ fn truth(t_s: f64) -> Pose {
 }
 
 fn course_at(aligned: &AlignedSamples, skew: f64) -> EstimateResult<LatencyProfile> {
-    latency_course(aligned, skew, None, |_| 0.0)
+    latency_profile(aligned, skew, None, |_| 0.0)
 }
 
 /// Tool speed, m/s.
@@ -43,11 +43,11 @@ fn a_jump_is_found_with_its_moment_and_size() {
             0.0,
         );
         let course = course.expect("a course");
-        let [jump] = course.jumps.as_slice() else { panic!("{course:?}") };
+        let [jump] = course.steps.as_slice() else { panic!("{course:?}") };
         assert!((jump.size_s.value - size_s).abs() < 1e-3, "{jump:?}");
         assert!((jump.at_s - at_s).abs() < 0.2, "{jump:?}");
         let t_s = [1.0, 2.0, 18.0, 19.0];
-        let straight = course.straightened(&t_s);
+        let straight = course.compensated(&t_s);
         let apart = (straight[2].1 - straight[1].1) - (18.0 - 2.0);
         assert!((apart + size_s).abs() < 1e-3, "{straight:?}");
     }
@@ -88,7 +88,7 @@ fn a_ramp_is_told_with_its_ends() {
     let LatencyShape::Ramp { from_s, to_s } = found.shape else { panic!("{:?}", found.shape) };
     assert!((from_s - 6.0).abs() < 1.0 && (to_s - 13.0).abs() < 1.0, "{from_s} {to_s}");
     assert!((found.swing_s.value - 0.02).abs() < 1e-3, "{:?}", found.swing_s);
-    assert!(found.is_unsteady && found.jumps.is_empty());
+    assert!(found.is_unsteady && found.steps.is_empty());
 }
 
 /// Motion with stops.
@@ -127,13 +127,13 @@ fn a_latency_that_goes_with_the_load_is_told_with_its_swing() {
     let most = (0..1000).map(|row| speed(f64::from(row) * 0.02)).fold(0.0, f64::max);
     let least = (0..1000).map(|row| speed(f64::from(row) * 0.02)).fold(f64::MAX, f64::min);
     let late = |t_s: f64| 0.004 + 0.015 * speed(t_s) / most;
-    let found = latency_course(&aligned(late, 1e-4, 0.0), 0.0, None, speed).expect("a course");
+    let found = latency_profile(&aligned(late, 1e-4, 0.0), 0.0, None, speed).expect("a course");
     assert_eq!(found.shape, LatencyShape::WithLoad);
     let swing_s = 0.015 * (most - least) / most;
     assert!((found.swing_s.value - swing_s).abs() < 1e-3, "{:?} {swing_s}", found.swing_s);
     assert!(found.is_unsteady);
     // A constant latency does not depend on load.
     let steady =
-        latency_course(&aligned(|_| 0.006, 1e-4, 0.0), 0.0, None, speed).expect("a course");
+        latency_profile(&aligned(|_| 0.006, 1e-4, 0.0), 0.0, None, speed).expect("a course");
     assert_eq!((steady.shape, steady.is_unsteady), (LatencyShape::Steady, false));
 }

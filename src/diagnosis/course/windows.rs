@@ -1,6 +1,6 @@
 //! Latency in windows of about a second.
 
-use super::{JUMPS, LatencySample, SAMPLES, SURE, WINDOW_S};
+use super::{LatencySample, MAX_STEPS, MIN_CHI2_GAIN, MIN_WINDOW_SAMPLES, WINDOW_S};
 use ground::geometry::Vec3;
 use ground::stats::Measured;
 
@@ -33,7 +33,7 @@ pub(super) struct NormalizedSample {
 
 pub(super) fn samples(lagging: &[LatencySample]) -> Vec<NormalizedSample> {
     let noise = [0, 1].map(|kind| {
-        let steps = lagging.windows(2).map(|pair| pair[1].left[kind] - pair[0].left[kind]);
+        let steps = lagging.windows(2).map(|pair| pair[1].residual[kind] - pair[0].residual[kind]);
         let square: f64 = steps.map(|step| step.norm_squared()).sum();
         // Numerical floor of a residual, m and rad.
         (square / (6 * lagging.len().max(1)) as f64).sqrt().max(1e-6)
@@ -42,7 +42,7 @@ pub(super) fn samples(lagging: &[LatencySample]) -> Vec<NormalizedSample> {
         |parts: &[Vec3; 2]| std::array::from_fn(|at| parts[at / 3][at % 3] / noise[at / 3]);
     let sample = |of: &LatencySample| NormalizedSample {
         t_s: of.t_s,
-        residual: scaled(&of.left),
+        residual: scaled(&of.residual),
         velocity: scaled(&of.velocity),
         loads: of.loads,
         joint_noise: of.joint_noise / noise[1],
@@ -66,9 +66,9 @@ pub(super) fn windows(samples: &[NormalizedSample], components: usize) -> Vec<La
 /// Least-squares slope of residual over velocity. The variance is inflated by (1 + ρ)/(1 − ρ) for the
 /// autocorrelation ρ of the residuals.
 pub(super) fn window(samples: &[NormalizedSample], components: usize) -> Option<LatencyWindow> {
-    const REMEMBERED: f64 = 0.98;
+    const MAX_AUTOCORRELATION: f64 = 0.98;
     let n = samples.len();
-    if n < SAMPLES {
+    if n < MIN_WINDOW_SAMPLES {
         return None;
     }
     let mean = |of: &dyn Fn(&NormalizedSample) -> [f64; 6]| {
@@ -104,7 +104,7 @@ pub(super) fn window(samples: &[NormalizedSample], components: usize) -> Option<
         .collect();
     let square: f64 = left.iter().map(|left| dot(left, left)).sum();
     let lagged: f64 = left.windows(2).map(|pair| dot(&pair[0], &pair[1])).sum();
-    let rho = (lagged / square.max(f64::MIN_POSITIVE)).clamp(0.0, REMEMBERED);
+    let rho = (lagged / square.max(f64::MIN_POSITIVE)).clamp(0.0, MAX_AUTOCORRELATION);
     // The slope and the mean of each component use up degrees of freedom.
     let free = components * (n - 1) - 1;
     let variance = square / free as f64 * (1.0 + rho) / (1.0 - rho);
@@ -155,7 +155,7 @@ pub(super) fn levels(windows: &[LatencyWindow], splits: &[usize]) -> (Vec<Measur
 /// and increases the χ² of both.
 pub(super) fn splits(windows: &[LatencyWindow]) -> Vec<usize> {
     let mut splits: Vec<usize> = Vec::new();
-    while splits.len() < JUMPS {
+    while splits.len() < MAX_STEPS {
         let before = levels(windows, &splits).1;
         let with = |split: usize| {
             let mut with = splits.clone();
@@ -166,7 +166,7 @@ pub(super) fn splits(windows: &[LatencyWindow]) -> Vec<usize> {
         let free = (1..windows.len()).filter(|split| !splits.contains(split));
         let Some((after, best)) = free.map(with).min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
         let left = (windows.len() as f64 - best.len() as f64 - 1.0).max(1.0);
-        if before - after < SURE * (after / left).max(1.0) {
+        if before - after < MIN_CHI2_GAIN * (after / left).max(1.0) {
             break;
         }
         splits = best;

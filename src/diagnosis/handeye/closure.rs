@@ -2,7 +2,7 @@
 
 use super::fit::HandEyeFit;
 use super::series::HandEyeSetting;
-use super::{ClosureError, FEWEST};
+use super::{ClosureError, MIN_POSES};
 use ground::geometry::Vec3;
 use ground::stats::Measured;
 use ground::stats::median;
@@ -10,21 +10,21 @@ use ground::stats::median;
 /// Number of blocks for the standard error of the excess.
 const BLOCKS: usize = 12;
 
-/// Closure errors of all poses of `setting`. `None` for fewer than [`FEWEST`] poses.
-pub(super) fn closure(setting: &HandEyeSetting, fit: &HandEyeFit) -> Option<ClosureError> {
+/// Closure errors of all poses of `setting`. `None` for fewer than [`MIN_POSES`] poses.
+pub(super) fn closure_error(setting: &HandEyeSetting, fit: &HandEyeFit) -> Option<ClosureError> {
     let left: Vec<(f64, [Vec3; 2])> = setting
         .targets
         .iter()
         .filter_map(|(t_s, target)| {
             let carrier = setting.carrier_at(t_s - fit.offset_s.value)?;
-            Some((*t_s, fit.left(&carrier, target)))
+            Some((*t_s, fit.residual(&carrier, target)))
         })
         .collect();
-    if left.len() < FEWEST {
+    if left.len() < MIN_POSES {
         return None;
     }
     let near: Vec<&[Vec3; 2]> =
-        left.iter().map(|(_, left)| left).filter(|left| !fit.is_far(left)).collect();
+        left.iter().map(|(_, left)| left).filter(|left| !fit.is_outlier(left)).collect();
     let (all, outliers) = (left.len(), left.len() - near.len());
     let of = |kind: usize| -> Vec<Vec3> { near.iter().map(|left| left[kind]).collect() };
     let medians = [0, 1].map(|kind| {

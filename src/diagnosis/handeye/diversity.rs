@@ -6,14 +6,14 @@ use ground::geometry::{Rotation, Vec3, rotvec_from_rotation};
 use nalgebra::Matrix3;
 
 /// Number of orientations compared in pairs.
-const POSES: usize = 120;
+const MAX_POSES: usize = 120;
 /// Minimum rotation whose axis is counted, rad.
-const CLEAR_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
+const MIN_ROTATION_RAD: f64 = 10.0 * std::f64::consts::PI / 180.0;
 
 /// Diversity of the hand's rotations while the target is visible. Expects a `setting` with the camera in
 /// the hand.
-pub(super) fn diversity(setting: &HandEyeSetting, lag_s: f64) -> RotationDiversity {
-    let pairs = setting.pairs_at(lag_s, POSES);
+pub(super) fn rotation_diversity(setting: &HandEyeSetting, lag_s: f64) -> RotationDiversity {
+    let pairs = setting.pairs_at(lag_s, MAX_POSES);
     let hands: Vec<Rotation> = pairs.iter().map(|pair| pair.carrier.rotation).collect();
     let turns: Vec<Vec3> = hands
         .iter()
@@ -28,7 +28,7 @@ pub(super) fn diversity(setting: &HandEyeSetting, lag_s: f64) -> RotationDiversi
     let axis: Vec3 = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into();
     let mut leans: Vec<f64> = turns
         .iter()
-        .filter(|turn| turn.norm() > CLEAR_RAD.min(0.3 * span_rad))
+        .filter(|turn| turn.norm() > MIN_ROTATION_RAD.min(0.3 * span_rad))
         .filter_map(|turn| turn.try_normalize(1e-12))
         .map(|turn| turn.dot(&axis).abs().min(1.0).acos())
         .collect();

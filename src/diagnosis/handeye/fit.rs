@@ -6,8 +6,8 @@
 use super::super::linear::{Linear, Normal, Weight};
 use super::super::robust::sandwich;
 use super::series::{HandEyeSetting, PoseSeries};
-use super::start::{HandEyeStart, together};
-use super::{CameraMount, CameraPose, FEWEST};
+use super::start::{HandEyeStart, combined_rad};
+use super::{CameraMount, CameraPose, MIN_POSES};
 use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::Measured;
 use ground::stats::median;
@@ -16,13 +16,13 @@ use nalgebra::DMatrix;
 /// Parameters: translation and rotation of `X` in camera axes, those of `Y` in its parent's axes, and the
 /// time offset.
 pub(in super::super) const WIDTH: usize = 13;
-const OFFSET: usize = 12;
-const FLOOR: [f64; 2] = [1e-6, 1e-6];
-const ROUNDS: usize = 25;
+const OFFSET_COLUMN: usize = 12;
+const NOISE_FLOOR_M_RAD: [f64; 2] = [1e-6, 1e-6];
+const MAX_ROUNDS: usize = 25;
 /// Outlier threshold in standard deviations of the remaining poses.
-const FAR: f64 = 6.0;
+const OUTLIER_SIGMAS: f64 = 6.0;
 /// Maximum share of outliers. Beyond it, outliers cannot be separated from valid data.
-const MOST_OUTLIERS: f64 = 0.35;
+const MAX_OUTLIER_SHARE: f64 = 0.35;
 
 /// Result of the fit.
 pub(super) struct HandEyeFit {
@@ -61,7 +61,7 @@ impl HandEyeFit {
             .zip(&self.keep)
             .filter_map(|((t_s, _), keep)| {
                 let carrier = setting.carrier_at(t_s - state.offset_s).filter(|_| *keep)?;
-                Some(state.foretold(&carrier).translation.vector)
+                Some(state.predict(&carrier).translation.vector)
             })
             .collect();
         let distance_m =
@@ -81,7 +81,7 @@ impl HandEyeFit {
         foretold: &[Vec3],
         stretched: impl Fn(&Vec3) -> Vec3,
     ) -> Option<Measured> {
-        let mut wider = Linear::new(WIDTH + 1, &FLOOR);
+        let mut wider = Linear::new(WIDTH + 1, &NOISE_FLOOR_M_RAD);
         for (sample, xyz) in foretold.iter().enumerate() {
             let mut rows = wider.push(&[linear.residual[0][sample], linear.residual[1][sample]]);
             for kind in 0..2 {
@@ -110,7 +110,7 @@ impl HandEyeFit {
 
     /// Combined residual of position and rotation, rad.
     pub fn misfit(&self) -> f64 {
-        together(self.sigma[0], self.sigma[1])
+        combined_rad(self.sigma[0], self.sigma[1])
     }
 
     /// Camera pose with its standard errors.
@@ -143,13 +143,15 @@ impl HandEyeFit {
     }
 
     /// Deviation of a target pose from the prediction, m and rad in camera axes.
-    pub fn left(&self, carrier: &Pose, target: &Pose) -> [Vec3; 2] {
-        off(target, &((carrier * self.camera).inverse() * self.constant))
+    pub fn residual(&self, carrier: &Pose, target: &Pose) -> [Vec3; 2] {
+        difference(target, &((carrier * self.camera).inverse() * self.constant))
     }
 
     /// Whether a pose with these residuals is an outlier.
-    pub fn is_far(&self, left: &[Vec3; 2]) -> bool {
-        (0..2).any(|kind| left[kind].norm() > FAR * self.sigma[kind].max(FLOOR[kind]))
+    pub fn is_outlier(&self, left: &[Vec3; 2]) -> bool {
+        (0..2).any(|kind| {
+            left[kind].norm() > OUTLIER_SIGMAS * self.sigma[kind].max(NOISE_FLOOR_M_RAD[kind])
+        })
     }
 }
 
@@ -169,8 +171,8 @@ impl TargetScale {
     }
 }
 
-/// Difference of `seen` from `foretold`, m and rad.
-fn off(seen: &Pose, foretold: &Pose) -> [Vec3; 2] {
+/// Difference of `seen` from `predict`, m and rad.
+fn difference(seen: &Pose, foretold: &Pose) -> [Vec3; 2] {
     [
         seen.translation.vector - foretold.translation.vector,
         rotvec_from_rotation(&(seen.rotation * foretold.rotation.inverse())),
@@ -186,18 +188,18 @@ struct HandEyeState {
 }
 
 impl HandEyeState {
-    fn foretold(&self, carrier: &Pose) -> Pose {
+    fn predict(&self, carrier: &Pose) -> Pose {
         (carrier * self.camera).inverse() * self.constant
     }
 
-    fn moved(&self, step: &[f64]) -> Self {
+    fn stepped(&self, step: &[f64]) -> Self {
         let xyz = |first: usize| Vec3::new(step[first], step[first + 1], step[first + 2]);
         let Self { camera, constant, offset_s } = *self;
         let turned = rotation_from_rotvec(xyz(9)) * constant.rotation;
         Self {
             camera: camera * pose(xyz(0).into(), rotation_from_rotvec(xyz(3))),
             constant: pose((constant.translation.vector + xyz(6)).into(), turned),
-            offset_s: offset_s + step[OFFSET],
+            offset_s: offset_s + step[OFFSET_COLUMN],
         }
     }
 
@@ -205,12 +207,12 @@ impl HandEyeState {
     fn linear(&self, setting: &HandEyeSetting, keep: &[bool]) -> Linear {
         /// Half-width of the finite difference for the hand's velocity, s.
         const STEP_S: f64 = 0.01;
-        let mut linear = Linear::new(WIDTH, &FLOOR);
+        let mut linear = Linear::new(WIDTH, &NOISE_FLOOR_M_RAD);
         for (&(t_s, target), keep) in setting.targets.iter().zip(keep) {
             let at = |shift_s: f64| setting.carrier_at(t_s - self.offset_s - shift_s);
             let (true, Some(carrier)) = (*keep, at(0.0)) else { continue };
-            let foretold = self.foretold(&carrier);
-            let mut rows = linear.push(&off(&target, &foretold).map(Into::into));
+            let foretold = self.predict(&carrier);
+            let mut rows = linear.push(&difference(&target, &foretold).map(Into::into));
             let seen = foretold.translation.vector;
             let turned = (carrier * self.camera).rotation.inverse();
             for axis in 0..3 {
@@ -222,9 +224,9 @@ impl HandEyeState {
                 rows.set(1, 9 + axis, (turned * unit).into());
             }
             if let (Some(before), Some(after)) = (at(STEP_S), at(-STEP_S)) {
-                let [shift, turn] = off(&self.foretold(&before), &self.foretold(&after));
-                rows.set(0, OFFSET, (shift / (2.0 * STEP_S)).into());
-                rows.set(1, OFFSET, (turn / (2.0 * STEP_S)).into());
+                let [shift, turn] = difference(&self.predict(&before), &self.predict(&after));
+                rows.set(0, OFFSET_COLUMN, (shift / (2.0 * STEP_S)).into());
+                rows.set(1, OFFSET_COLUMN, (turn / (2.0 * STEP_S)).into());
             }
         }
         linear
@@ -244,48 +246,48 @@ pub(in super::super) fn design(t_s: &[f64], hands: Vec<Pose>, camera: Pose, ahea
     state.linear(&setting, &vec![true; t_s.len()])
 }
 
-/// Refines `start`. `None` if fewer than [`FEWEST`] poses remain.
+/// Refines `start`. `None` if fewer than [`MIN_POSES`] poses remain.
 pub(super) fn fit(setting: &HandEyeSetting, start: HandEyeStart, lag_s: f64) -> Option<HandEyeFit> {
     let state = HandEyeState { camera: start.camera, constant: start.constant, offset_s: lag_s };
     let all = vec![true; setting.targets.len()];
-    let state = converged(state, setting, &all)?;
-    let found = finished(state, setting, &all)?;
+    let state = iterate(state, setting, &all)?;
+    let found = with_covariance(state, setting, &all)?;
     // Refit without outliers.
     let near: Vec<bool> = setting
         .targets
         .iter()
         .map(|(t_s, target)| {
             let carrier = setting.carrier_at(t_s - state.offset_s);
-            carrier.is_some_and(|carrier| !found.is_far(&found.left(&carrier, target)))
+            carrier.is_some_and(|carrier| !found.is_outlier(&found.residual(&carrier, target)))
         })
         .collect();
     let kept = near.iter().filter(|near| **near).count();
-    if (kept as f64) < (1.0 - MOST_OUTLIERS) * setting.targets.len() as f64 {
+    if (kept as f64) < (1.0 - MAX_OUTLIER_SHARE) * setting.targets.len() as f64 {
         return Some(found);
     }
-    let state = converged(state, setting, &near)?;
-    finished(state, setting, &near)
+    let state = iterate(state, setting, &near)?;
+    with_covariance(state, setting, &near)
 }
 
 /// Gauss–Newton from `state`; halves each step until the cost decreases under the previous weights.
-fn converged(
+fn iterate(
     mut state: HandEyeState,
     setting: &HandEyeSetting,
     keep: &[bool],
 ) -> Option<HandEyeState> {
-    const HALVINGS: usize = 6;
+    const MAX_HALVINGS: usize = 6;
     let mut linear = state.linear(setting, keep);
     let mut weights = linear.first_weights();
-    for _ in 0..ROUNDS {
-        if linear.len() < FEWEST {
+    for _ in 0..MAX_ROUNDS {
+        if linear.len() < MIN_POSES {
             return None;
         }
         let normal = normal_of(&linear, &weights);
         let all: Vec<usize> = (0..WIDTH).collect();
         let mut step = normal.step(&nalgebra::DVector::zeros(WIDTH), &all);
         let mut next = None;
-        for _ in 0..HALVINGS {
-            let moved = state.moved(step.as_slice());
+        for _ in 0..MAX_HALVINGS {
+            let moved = state.stepped(step.as_slice());
             let there = moved.linear(setting, keep);
             // A change of the offset may add or remove poses at the ends.
             let same = there.len() == linear.len();
@@ -301,7 +303,7 @@ fn converged(
         let zero = [0.0; WIDTH];
         weights = linear.weights_after(&zero);
         let is_small = step.rows(0, 3).norm() < 1e-8 && step.rows(3, 3).norm() < 1e-8;
-        if is_small && step[OFFSET].abs() < 1e-8 {
+        if is_small && step[OFFSET_COLUMN].abs() < 1e-8 {
             break;
         }
     }
@@ -316,9 +318,13 @@ fn normal_of(linear: &Linear, weights: &[Weight]) -> Normal {
 }
 
 /// Fit at `state`, with its covariance.
-fn finished(state: HandEyeState, setting: &HandEyeSetting, keep: &[bool]) -> Option<HandEyeFit> {
+fn with_covariance(
+    state: HandEyeState,
+    setting: &HandEyeSetting,
+    keep: &[bool],
+) -> Option<HandEyeFit> {
     let linear = state.linear(setting, keep);
-    if linear.len() < FEWEST {
+    if linear.len() < MIN_POSES {
         return None;
     }
     let weights = linear.weights_after(&[0.0; WIDTH]);
@@ -332,14 +338,14 @@ fn finished(state: HandEyeState, setting: &HandEyeSetting, keep: &[bool]) -> Opt
     let dof = (independent - WIDTH as f64).max(3.0);
     let sigma = [0, 1].map(|kind| {
         /// Median length of three normal components, in standard deviations.
-        const NORMAL: f64 = 1.5382;
+        const MEDIAN_NORMAL_LENGTH: f64 = 1.5382;
         let mut norms: Vec<f64> =
             linear.residual[kind].iter().map(|residual| Vec3::from(*residual).norm()).collect();
-        median(&mut norms).unwrap_or(0.0) / NORMAL
+        median(&mut norms).unwrap_or(0.0) / MEDIAN_NORMAL_LENGTH
     });
     let offset_s = Measured {
         value: state.offset_s,
-        std_error: covariance[(OFFSET, OFFSET)].max(0.0).sqrt(),
+        std_error: covariance[(OFFSET_COLUMN, OFFSET_COLUMN)].max(0.0).sqrt(),
         dof,
     };
     let HandEyeState { camera, constant, .. } = state;

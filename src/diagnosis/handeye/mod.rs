@@ -27,21 +27,21 @@ use super::{EstimateResult, FrameEstimate, NotObservable};
 use ground::geometry::{Pose, Vec3, angle_between, rotvec_from_rotation};
 use ground::stats::{Measured, MeasuredLength};
 
-use closure::closure;
-use diversity::diversity;
+use closure::closure_error;
+use diversity::rotation_diversity;
 pub use fit::TargetScale;
 use fit::{HandEyeFit, fit};
 pub(super) use fit::{WIDTH, design};
 pub use reading::TargetEncoding;
-use reading::{DecodedTarget, better_reading};
+use reading::{DecodedTarget, better_encoding};
 use series::HandEyeSetting;
 pub use series::PoseSeries;
 pub use stretch::TargetScaleError;
 
 /// Maximum number of poses in the fit; longer streams are thinned evenly.
-pub(super) const FIT_POSES: usize = 500;
+pub(super) const MAX_FIT_POSES: usize = 500;
 /// Minimum number of simultaneous poses for a fit.
-const FEWEST: usize = 12;
+const MIN_POSES: usize = 12;
 
 /// Mounting of the camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -154,7 +154,7 @@ pub struct HandEyeDiagnosis {
     pub solution: EstimateResult<HandEyeSolution>,
     /// Alternative encoding of the target's poses with a much smaller closure error, if any, and its
     /// solution.
-    pub reading: Option<(TargetEncoding, HandEyeSolution)>,
+    pub alternative: Option<(TargetEncoding, HandEyeSolution)>,
     /// Delay of the target's stamps relative to the hand's, s, by the best solution, or why it is not
     /// observable.
     pub latency_s: EstimateResult<Measured>,
@@ -165,12 +165,12 @@ pub struct HandEyeDiagnosis {
 }
 
 impl HandEyeDiagnosis {
-    fn unseen(why: &NotObservable) -> Self {
+    fn not_observable(why: &NotObservable) -> Self {
         Self {
             follows: None,
             diversity: Err(why.clone()),
             solution: Err(why.clone()),
-            reading: None,
+            alternative: None,
             latency_s: Err(why.clone()),
             mount_error: None,
             view: [0.0; 3],
@@ -179,51 +179,51 @@ impl HandEyeDiagnosis {
 
     /// Solution with the alternative encoding if there is one, otherwise as logged.
     pub fn best(&self) -> Option<&HandEyeSolution> {
-        let read = self.reading.as_ref().map(|(_, solution)| solution);
+        let read = self.alternative.as_ref().map(|(_, solution)| solution);
         read.or(self.solution.as_ref().ok())
     }
 }
 
 /// Correlation peaks between the angular speeds of hand and target, with the target's lag, best first.
-pub fn turning_peaks(hand: &PoseSeries, target: &PoseSeries, most_lag_s: f64) -> Vec<LagPeak> {
+pub fn rotation_lag_peaks(hand: &PoseSeries, target: &PoseSeries, most_lag_s: f64) -> Vec<LagPeak> {
     let window_s = (2.5 * latency::median_period_s(&target.t_s)).clamp(0.25, 0.6);
     let speed = |series: &PoseSeries| -> SpeedSeries {
-        latency::differenced(&series.t_s, window_s, |a, b| {
+        latency::differenced_speed(&series.t_s, window_s, |a, b| {
             angle_between(&series.poses[a].rotation, &series.poses[b].rotation)
         })
     };
-    latency::peaks(&speed(hand), &speed(target), most_lag_s)
+    latency::lag_peaks(&speed(hand), &speed(target), most_lag_s)
 }
 
 /// Estimates time offset, camera pose and closure error.
 pub fn diagnose_hand_eye(streams: &HandEyeStreams, most_lag_s: f64) -> HandEyeDiagnosis {
     let HandEyeStreams { hand, target, .. } = *streams;
     if hand.overlap_s(target) <= 0.0 {
-        return HandEyeDiagnosis::unseen(&NotObservable::NoOverlap);
+        return HandEyeDiagnosis::not_observable(&NotObservable::NoOverlap);
     }
-    let peaks = turning_peaks(hand, target, most_lag_s);
+    let peaks = rotation_lag_peaks(hand, target, most_lag_s);
     let lags = candidate_lags(&peaks);
-    let as_logged = DecodedTarget::as_logged(target, FIT_POSES);
+    let as_logged = DecodedTarget::as_logged(target, MAX_FIT_POSES);
     let lag_s = best_lag_s(hand, &as_logged, &lags);
     let seen = HandEyeSetting::new(hand, as_logged.poses(), CameraMount::InHand);
     let have = seen.count_at(lag_s);
-    let diversity = diversity(&seen, lag_s);
+    let diversity = rotation_diversity(&seen, lag_s);
     let solution = match have {
-        FEWEST.. => solve(streams, &as_logged, lag_s).ok_or(NotObservable::NotExcited),
-        _ => Err(NotObservable::TooFewSamples { have, need: FEWEST }),
+        MIN_POSES.. => solve(streams, &as_logged, lag_s).ok_or(NotObservable::NotExcited),
+        _ => Err(NotObservable::TooFewSamples { have, need: MIN_POSES }),
     };
     let reading = match &solution {
-        Ok(solution) => better_reading(streams, solution, lag_s),
+        Ok(solution) => better_encoding(streams, solution, lag_s),
         Err(_) => None,
     };
     let mut diagnosis = HandEyeDiagnosis {
         follows: peaks.first().copied(),
         diversity: match have {
-            FEWEST.. => Ok(diversity),
-            _ => Err(NotObservable::TooFewSamples { have, need: FEWEST }),
+            MIN_POSES.. => Ok(diversity),
+            _ => Err(NotObservable::TooFewSamples { have, need: MIN_POSES }),
         },
         solution,
-        reading,
+        alternative: reading,
         latency_s: Err(NotObservable::NotExcited),
         mount_error: None,
         view: series::mean_direction(target),
@@ -241,29 +241,33 @@ fn latency(
     lags: &[f64],
 ) -> EstimateResult<Measured> {
     /// Maximum rotation residual as a share of the hand's rotation, for a target that follows the hand.
-    const FOLLOWS: f64 = 0.5;
+    const MAX_RESIDUAL_SHARE: f64 = 0.5;
     /// Another lag fits equally well if its residual is below this multiple of the best.
-    const AS_GOOD: f64 = 2.0;
+    const MAX_RESIDUAL_RATIO: f64 = 2.0;
     let best = match (found.best(), &found.solution) {
         (Some(best), _) => best,
         (None, Err(why)) => return Err(why.clone()),
         (None, Ok(_)) => return Err(NotObservable::NotExcited),
     };
     let turning_rad = found.diversity.as_ref().map_or(0.0, |diversity| diversity.turning_rad);
-    if best.closure.rms_rad > FOLLOWS * turning_rad {
+    if best.closure.rms_rad > MAX_RESIDUAL_SHARE * turning_rad {
         let correlation = found.follows.map_or(0.0, |peak| peak.correlation);
         return Err(NotObservable::DoesNotFollow(correlation));
     }
     if !best.offset_s.std_error.is_finite() {
         return Err(NotObservable::AtRest);
     }
-    let reading = found.reading.as_ref().map_or(TargetEncoding::AsLogged, |(reading, _)| *reading);
-    let target = DecodedTarget { reading, ..DecodedTarget::as_logged(streams.target, FIT_POSES) };
+    let reading =
+        found.alternative.as_ref().map_or(TargetEncoding::AsLogged, |(reading, _)| *reading);
+    let target = DecodedTarget {
+        encoding: reading,
+        ..DecodedTarget::as_logged(streams.target, MAX_FIT_POSES)
+    };
     let apart_s = (4.0 * latency::median_period_s(&streams.target.t_s)).max(0.1);
     let is_other = |lag_s: &f64| (lag_s - best.offset_s.value).abs() > apart_s;
     let others = lags.iter().copied().chain([0.0]).filter(is_other).filter_map(|lag_s| {
         let other = solve(streams, &target, lag_s)?;
-        let is_as_good = other.misfit_rad < AS_GOOD * best.misfit_rad;
+        let is_as_good = other.misfit_rad < MAX_RESIDUAL_RATIO * best.misfit_rad;
         Some(other.offset_s.value).filter(|offset_s| is_as_good && is_other(offset_s))
     });
     let mut fitting: Vec<f64> = others.collect();
@@ -279,15 +283,16 @@ fn latency(
 /// Lags of the best correlation peak and of those close to it.
 fn candidate_lags(peaks: &[LagPeak]) -> Vec<f64> {
     /// Maximum deficit of a peak relative to the best.
-    const NEAR: f64 = 0.1;
-    const MOST: usize = 3;
+    const MAX_PEAK_DEFICIT: f64 = 0.1;
+    const MAX_LAGS: usize = 3;
     /// Minimum correlation. Below it, only zero lag is tried.
-    const SOME: f64 = 0.4;
-    let Some(best) = peaks.first().filter(|peak| peak.correlation > SOME) else {
+    const MIN_CORRELATION: f64 = 0.4;
+    let Some(best) = peaks.first().filter(|peak| peak.correlation > MIN_CORRELATION) else {
         return vec![0.0];
     };
-    let near = peaks.iter().take_while(|peak| peak.correlation > best.correlation - NEAR);
-    near.take(MOST).map(|peak| peak.lag_s).collect()
+    let near =
+        peaks.iter().take_while(|peak| peak.correlation > best.correlation - MAX_PEAK_DEFICIT);
+    near.take(MAX_LAGS).map(|peak| peak.lag_s).collect()
 }
 
 /// Lag with the smallest closure error of the closed-form solution.
@@ -295,7 +300,8 @@ fn best_lag_s(hand: &PoseSeries, target: &DecodedTarget, lags: &[f64]) -> f64 {
     let misfit = |lag_s: f64| {
         let misfits = CameraMount::ALL.map(|mount| {
             let setting = HandEyeSetting::new(hand, target.poses(), mount);
-            start::start(&setting.pairs_at(lag_s, start::POSES)).map_or(f64::MAX, |s| s.misfit)
+            start::solve_closed_form(&setting.pairs_at(lag_s, start::MAX_CLOSED_FORM_POSES))
+                .map_or(f64::MAX, |s| s.misfit)
         });
         misfits[0].min(misfits[1])
     };
@@ -313,7 +319,8 @@ fn best_lag_s(hand: &PoseSeries, target: &DecodedTarget, lags: &[f64]) -> f64 {
 fn solve(streams: &HandEyeStreams, target: &DecodedTarget, lag_s: f64) -> Option<HandEyeSolution> {
     let fits = CameraMount::ALL.map(|mount| {
         let setting = HandEyeSetting::new(streams.hand, target.poses(), mount);
-        let start = start::start(&setting.pairs_at(lag_s, start::POSES))?;
+        let start =
+            start::solve_closed_form(&setting.pairs_at(lag_s, start::MAX_CLOSED_FORM_POSES))?;
         let fit = fit(&setting, start, lag_s)?;
         Some((mount, fit.misfit(), fit))
     });
@@ -321,8 +328,8 @@ fn solve(streams: &HandEyeStreams, target: &DecodedTarget, lag_s: f64) -> Option
     fits.sort_by(|a, b| a.1.total_cmp(&b.1));
     let other = fits.get(1).map_or(f64::INFINITY, |other| other.1);
     let (mount, misfit, fit) = fits.into_iter().next()?;
-    let full = DecodedTarget { series: streams.target, reading: target.reading, stride: 1 };
-    let closure = closure(&HandEyeSetting::new(streams.hand, full.poses(), mount), &fit)?;
+    let full = DecodedTarget { series: streams.target, encoding: target.encoding, stride: 1 };
+    let closure = closure_error(&HandEyeSetting::new(streams.hand, full.poses(), mount), &fit)?;
     let along = Vec3::from(series::mean_direction(streams.target)).iamax();
     let scale = fit.scale(&HandEyeSetting::new(streams.hand, target.poses(), mount), along);
     let offset_s =
@@ -372,7 +379,7 @@ fn mount_error(streams: &HandEyeStreams, solution: &HandEyeSolution) -> Option<F
         rotation_rad: angle.norm,
         // Bonferroni correction for two tests.
         p_value: (2.0 * length.p_value.min(angle.p_value)).min(1.0),
-        chosen: true,
+        is_chosen: true,
     })
 }
 

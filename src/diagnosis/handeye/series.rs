@@ -17,7 +17,7 @@ pub struct PoseSeries {
 
 impl PoseSeries {
     /// Poses of a track. `None` if its orientations are undecoded.
-    pub fn of_track(track: &PoseTrack) -> Option<Self> {
+    pub fn from_track(track: &PoseTrack) -> Option<Self> {
         let Orientations::Rotations(rotations) = &track.orientation else { return None };
         let poses = track.xyz.iter().zip(rotations);
         let poses = poses.map(|(xyz, rotation)| pose((*xyz).into(), *rotation)).collect();
@@ -25,7 +25,7 @@ impl PoseSeries {
     }
 
     /// Tip poses by FK of the joint states, thinned to 100–200 Hz.
-    pub fn by_kinematics(joints: &JointTrack, chain: &Chain, columns: &[usize]) -> Self {
+    pub fn from_joints(joints: &JointTrack, chain: &Chain, columns: &[usize]) -> Self {
         /// Sampling period of the hand. Between samples its motion is nearly linear.
         const PERIOD_S: f64 = 0.01;
         let period_s = median_period_s(&joints.t_s).max(1e-6);

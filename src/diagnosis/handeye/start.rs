@@ -9,7 +9,7 @@ use ground::stats::median;
 use nalgebra::{Matrix3, Matrix6, Vector6};
 
 /// Maximum number of poses in the closed form.
-pub(super) const POSES: usize = 150;
+pub(super) const MAX_CLOSED_FORM_POSES: usize = 150;
 /// Ratio that makes lengths and angles comparable, from the thresholds of a hand-eye chain.
 const M_PER_RAD: f64 = 2e-3 / (0.2 * std::f64::consts::PI / 180.0);
 
@@ -23,7 +23,7 @@ pub(super) struct HandEyeStart {
 }
 
 /// Combines a length and an angle, rad.
-pub(super) fn together(length_m: f64, angle_rad: f64) -> f64 {
+pub(super) fn combined_rad(length_m: f64, angle_rad: f64) -> f64 {
     (length_m / M_PER_RAD).hypot(angle_rad)
 }
 
@@ -31,14 +31,14 @@ pub(super) fn together(length_m: f64, angle_rad: f64) -> f64 {
 ///
 /// Rotations about a single axis do not determine the camera's rotation about it. Several candidates are
 /// then compared by their positions.
-pub(super) fn start(pairs: &[PosePair]) -> Option<HandEyeStart> {
+pub(super) fn solve_closed_form(pairs: &[PosePair]) -> Option<HandEyeStart> {
     let rotations = camera_rotations(pairs)?;
     let starts = rotations.iter().filter_map(|rotation| with_rotation(pairs, rotation));
     starts.min_by(|a, b| a.misfit.total_cmp(&b.misfit))
 }
 
-/// As [`start`], but with a single candidate if there is only one axis.
-pub(super) fn quick_start(pairs: &[PosePair]) -> Option<HandEyeStart> {
+/// As [`solve_closed_form`], but with a single candidate if there is only one axis.
+pub(super) fn solve_closed_form_quick(pairs: &[PosePair]) -> Option<HandEyeStart> {
     with_rotation(pairs, camera_rotations(pairs)?.first()?)
 }
 
@@ -46,7 +46,7 @@ fn with_rotation(pairs: &[PosePair], rotation: &Rotation) -> Option<HandEyeStart
     let rotation = *rotation;
     let constants: Vec<Rotation> =
         pairs.iter().map(|pair| pair.carrier.rotation * rotation * pair.target.rotation).collect();
-    let constant_rotation = central(&constants)?;
+    let constant_rotation = medoid_rotation(&constants)?;
     let (camera_xyz, constant_xyz) = translations(pairs, &rotation)?;
     let camera = pose(camera_xyz.into(), rotation);
     let constant = pose(constant_xyz.into(), constant_rotation);
@@ -58,11 +58,11 @@ fn with_rotation(pairs: &[PosePair], rotation: &Rotation) -> Option<HandEyeStart
 fn misfit(pair: &PosePair, camera: &Pose, constant: &Pose) -> f64 {
     let closed = pair.carrier * camera * pair.target;
     let off_m = (closed.translation.vector - constant.translation.vector).norm();
-    together(off_m, angle_between(&closed.rotation, &constant.rotation))
+    combined_rad(off_m, angle_between(&closed.rotation, &constant.rotation))
 }
 
 /// Relative rotations of carrier and camera between poses at several time distances.
-fn turns(pairs: &[PosePair]) -> Vec<(Vec3, Vec3)> {
+fn relative_rotations(pairs: &[PosePair]) -> Vec<(Vec3, Vec3)> {
     let n = pairs.len();
     let strides = [n / 2, n / 3, n / 7].map(|stride| stride.max(1));
     let between = |a: &PosePair, b: &PosePair| {
@@ -78,29 +78,29 @@ fn turns(pairs: &[PosePair]) -> Vec<(Vec3, Vec3)> {
 
 /// Median difference between the rotation angles of carrier and camera, rad. It does not depend on the
 /// mount.
-pub(super) fn angle_gap(pairs: &[PosePair]) -> f64 {
+pub(super) fn angle_difference(pairs: &[PosePair]) -> f64 {
     let mut gaps: Vec<f64> =
-        turns(pairs).iter().map(|(a, b)| (a.norm() - b.norm()).abs()).collect();
+        relative_rotations(pairs).iter().map(|(a, b)| (a.norm() - b.norm()).abs()).collect();
     median(&mut gaps).unwrap_or(0.0)
 }
 
 /// Rotation that maps camera rotations to carrier rotations. Several candidates if there is only one axis.
 fn camera_rotations(pairs: &[PosePair]) -> Option<Vec<Rotation>> {
     /// There is only one axis if the second eigenvalue is below this share of the first.
-    const ONE_AXIS: f64 = 0.01;
-    const TRIED: usize = 12;
+    const MAX_SECOND_EIGENVALUE_SHARE: f64 = 0.01;
+    const AXIS_CANDIDATES: usize = 12;
     /// Minimum rotation as a share of the largest; smaller ones are uninformative.
-    const SMALL: f64 = 0.3;
+    const MIN_ROTATION_SHARE: f64 = 0.3;
     /// Maximum rotation, rad; near half a turn the axis is ambiguous.
-    const NEAR_HALF: f64 = 2.9;
-    let turns = turns(pairs);
-    let largest = turns.iter().map(|(a, _)| a.norm()).filter(|&a| a < NEAR_HALF);
+    const MAX_ROTATION_RAD: f64 = 2.9;
+    let turns = relative_rotations(pairs);
+    let largest = turns.iter().map(|(a, _)| a.norm()).filter(|&a| a < MAX_ROTATION_RAD);
     let largest = largest.fold(0.0, f64::max);
     let usable: Vec<&(Vec3, Vec3)> = turns
         .iter()
         .filter(|(a, b)| {
             let (a, b) = (a.norm(), b.norm());
-            a.min(b) > SMALL * largest && a.max(b) < NEAR_HALF
+            a.min(b) > MIN_ROTATION_SHARE * largest && a.max(b) < MAX_ROTATION_RAD
         })
         .collect();
     let mut gaps: Vec<f64> = usable.iter().map(|(a, b)| (a.norm() - b.norm()).abs()).collect();
@@ -119,19 +119,20 @@ fn camera_rotations(pairs: &[PosePair]) -> Option<Vec<Rotation>> {
     let eigen = scatter.symmetric_eigen();
     let first = eigen.eigenvalues.imax();
     let second = (0..3).filter(|&i| i != first).map(|i| eigen.eigenvalues[i]).fold(0.0, f64::max);
-    if second > ONE_AXIS * eigen.eigenvalues[first] {
+    if second > MAX_SECOND_EIGENVALUE_SHARE * eigen.eigenvalues[first] {
         return Some(vec![rotation]);
     }
     let axis: Vec3 = eigen.eigenvectors.column(first).into();
-    let turn =
-        |k: usize| rotation_from_rotvec(axis * (std::f64::consts::TAU * k as f64 / TRIED as f64));
-    Some((0..TRIED).map(|k| turn(k) * rotation).collect())
+    let turn = |k: usize| {
+        rotation_from_rotvec(axis * (std::f64::consts::TAU * k as f64 / AXIS_CANDIDATES as f64))
+    };
+    Some((0..AXIS_CANDIDATES).map(|k| turn(k) * rotation).collect())
 }
 
 /// Rotation with the smallest median distance to all others, among a few candidates.
-fn central(rotations: &[Rotation]) -> Option<Rotation> {
-    const TRIED: usize = 15;
-    let step = rotations.len().div_ceil(TRIED).max(1);
+fn medoid_rotation(rotations: &[Rotation]) -> Option<Rotation> {
+    const MAX_CANDIDATES: usize = 15;
+    let step = rotations.len().div_ceil(MAX_CANDIDATES).max(1);
     let distance = |one: &Rotation| {
         let mut all: Vec<f64> = rotations.iter().map(|other| angle_between(one, other)).collect();
         median(&mut all).unwrap_or(0.0)

@@ -6,8 +6,8 @@
 
 use super::reading::DecodedTarget;
 use super::series::{HandEyeSetting, PosePair, mean_direction};
-use super::start::quick_start;
-use super::{CameraMount, FIT_POSES, HandEyeStreams};
+use super::start::solve_closed_form_quick;
+use super::{CameraMount, HandEyeStreams, MAX_FIT_POSES};
 use ground::geometry::{Rotation, Vec3};
 use ground::stats::{Measured, median};
 use nalgebra::{DMatrix, DVector, Matrix3};
@@ -27,7 +27,7 @@ pub struct TargetScaleError {
 
 impl TargetScaleError {
     /// Corrects a logged position.
-    pub fn mended(&self, xyz: Vec3) -> Vec3 {
+    pub fn correct(&self, xyz: Vec3) -> Vec3 {
         let factor = |of: &Option<Measured>| of.map_or(1.0, |of| of.value);
         let mut xyz = xyz / factor(&self.size);
         xyz[self.along] /= factor(&self.depth);
@@ -37,8 +37,8 @@ impl TargetScaleError {
 
 /// Columns: camera, constant, common factor, additional depth factor.
 const WIDTH: usize = 8;
-const SIZE: usize = 6;
-const DEPTH: usize = 7;
+const SIZE_COLUMN: usize = 6;
+const DEPTH_COLUMN: usize = 7;
 
 /// Fit with some factors free.
 struct ScaleFit {
@@ -47,42 +47,45 @@ struct ScaleFit {
     /// Standard errors of the factors.
     errors: [f64; 2],
     /// Median residual, m.
-    left_m: f64,
+    residual_m: f64,
     dof: f64,
 }
 
 /// Scale of the positions of a target with delay `offset_s`. Prefers one factor if it fits as well as two.
 /// `None` if no factor reduces the closure error substantially.
-pub(super) fn stretch(
+pub(super) fn estimate_scale_error(
     streams: &HandEyeStreams,
     mount: CameraMount,
     offset_s: f64,
 ) -> Option<TargetScaleError> {
     /// Minimum residual without a factor, relative to the selected model.
-    const WORSE: f64 = 1.4;
+    const MIN_RESIDUAL_RATIO: f64 = 1.4;
     /// Maximum residual with one factor, relative to that with two.
-    const AS_LITTLE: f64 = 1.12;
+    const MAX_RESIDUAL_RATIO_ONE_FACTOR: f64 = 1.12;
     /// Minimum deviation of a factor from 1, in standard errors and as a value. Lens distortion reaches the
     /// latter.
-    const SURE: f64 = 5.0;
-    const LEAST: f64 = 2e-3;
-    let target = DecodedTarget::as_logged(streams.target, FIT_POSES);
+    const MIN_STD_ERRORS: f64 = 5.0;
+    const MIN_DEVIATION: f64 = 2e-3;
+    let target = DecodedTarget::as_logged(streams.target, MAX_FIT_POSES);
     let setting = HandEyeSetting::new(streams.hand, target.poses(), mount);
-    let pairs = setting.pairs_at(offset_s, FIT_POSES);
-    let rotation = quick_start(&pairs)?.camera.rotation;
+    let pairs = setting.pairs_at(offset_s, MAX_FIT_POSES);
+    let rotation = solve_closed_form_quick(&pairs)?.camera.rotation;
     let along = Vec3::from(mean_direction(streams.target)).iamax();
-    let tried = |free: &[usize]| solved(&pairs, &rotation, along, free);
+    let tried = |free: &[usize]| solve_with_factors(&pairs, &rotation, along, free);
     let neither = tried(&[])?;
-    let (of_size, of_depth, of_both) = (tried(&[SIZE])?, tried(&[DEPTH])?, tried(&[SIZE, DEPTH])?);
-    let does = |one: &ScaleFit| one.left_m <= AS_LITTLE * of_both.left_m.max(f64::MIN_POSITIVE);
+    let (of_size, of_depth, of_both) =
+        (tried(&[SIZE_COLUMN])?, tried(&[DEPTH_COLUMN])?, tried(&[SIZE_COLUMN, DEPTH_COLUMN])?);
+    let does = |one: &ScaleFit| {
+        one.residual_m <= MAX_RESIDUAL_RATIO_ONE_FACTOR * of_both.residual_m.max(f64::MIN_POSITIVE)
+    };
     let is_either = does(&of_size) && does(&of_depth);
-    let is_size = does(&of_size) && (!does(&of_depth) || of_size.left_m <= of_depth.left_m);
+    let is_size = does(&of_size) && (!does(&of_depth) || of_size.residual_m <= of_depth.residual_m);
     let (chosen, has_size, has_depth) = match (is_size, does(&of_depth)) {
         (true, _) => (of_size, true, false),
         (false, true) => (of_depth, false, true),
         (false, false) => (of_both, true, true),
     };
-    if neither.left_m < WORSE * chosen.left_m {
+    if neither.residual_m < MIN_RESIDUAL_RATIO * chosen.residual_m {
         return None;
     }
     let ([all, more], [all_error, more_error]) = (chosen.factors, chosen.errors);
@@ -92,7 +95,7 @@ pub(super) fn stretch(
     let is_sure = |one: &Measured| {
         one.value.is_finite()
             && one.value > 0.0
-            && (one.value - 1.0).abs() > (SURE * one.std_error).max(LEAST)
+            && (one.value - 1.0).abs() > (MIN_STD_ERRORS * one.std_error).max(MIN_DEVIATION)
     };
     let found = TargetScaleError {
         size: Some(size).filter(|one| has_size && is_sure(one)),
@@ -104,14 +107,14 @@ pub(super) fn stretch(
 }
 
 /// Least squares of the chain's positions with the factors in `free`, with Cauchy weights.
-fn solved(
+fn solve_with_factors(
     pairs: &[PosePair],
     rotation: &Rotation,
     along: usize,
     free: &[usize],
 ) -> Option<ScaleFit> {
     const ROUNDS: usize = 4;
-    let columns: Vec<usize> = (0..SIZE).chain(free.iter().copied()).collect();
+    let columns: Vec<usize> = (0..SIZE_COLUMN).chain(free.iter().copied()).collect();
     let rows: Vec<(DMatrix<f64>, Vec3)> = pairs
         .iter()
         .map(|PosePair { carrier, target }| {
@@ -122,10 +125,10 @@ fn solved(
             let mut row = DMatrix::zeros(3, WIDTH);
             row.view_mut((0, 0), (3, 3)).copy_from(turned.matrix());
             row.view_mut((0, 3), (3, 3)).copy_from(&-Matrix3::identity());
-            row.view_mut((0, SIZE), (3, 1)).copy_from(&seen);
-            row.view_mut((0, DEPTH), (3, 1)).copy_from(&deep);
+            row.view_mut((0, SIZE_COLUMN), (3, 1)).copy_from(&seen);
+            row.view_mut((0, DEPTH_COLUMN), (3, 1)).copy_from(&deep);
             let mut right = -carrier.translation.vector;
-            if !free.contains(&SIZE) {
+            if !free.contains(&SIZE_COLUMN) {
                 right -= seen;
             }
             (row.select_columns(&columns), right)
@@ -141,7 +144,7 @@ fn solved(
             normal += row.tr_mul(row) * weight;
             right += row.tr_mul(value) * weight;
         }
-        for i in 0..SIZE {
+        for i in 0..SIZE_COLUMN {
             normal[(i, i)] += 1e-9 * rows.len() as f64;
         }
         inverse = normal.cholesky()?.inverse();
@@ -157,7 +160,12 @@ fn solved(
         Some(at) => (found[at], sigma_m * inverse[(at, at)].max(0.0).sqrt()),
         None => (fixed, 0.0),
     };
-    let ((all, all_error), (more, more_error)) = (of(SIZE, 1.0), of(DEPTH, 0.0));
+    let ((all, all_error), (more, more_error)) = (of(SIZE_COLUMN, 1.0), of(DEPTH_COLUMN, 0.0));
     let dof = (3 * rows.len()).saturating_sub(width).max(3) as f64;
-    Some(ScaleFit { factors: [all, more], errors: [all_error, more_error], left_m, dof })
+    Some(ScaleFit {
+        factors: [all, more],
+        errors: [all_error, more_error],
+        residual_m: left_m,
+        dof,
+    })
 }

@@ -141,7 +141,7 @@ fn a_fifth_of_false_detections_does_no_harm() {
         let solution = found.solution.expect("it can be solved");
         assert_near(&solution.camera.pose, &planted.camera, 1.5e-3, 1.5e-3);
         assert!((90..=140).contains(&solution.closure.outliers), "{}", solution.closure.outliers);
-        assert!(solution.closure.excess_m.value < 1e-3 && found.reading.is_none());
+        assert!(solution.closure.excess_m.value < 1e-3 && found.alternative.is_none());
     }
 }
 
@@ -179,7 +179,7 @@ fn other_readings_are_told() {
         let (hand, mut target) = Planted::new(mount).streams();
         target.poses.iter_mut().for_each(|pose| *pose = write(pose));
         let found = diagnosed(&hand, &target);
-        let (reading, solution) = found.reading.expect("another reading closes");
+        let (reading, solution) = found.alternative.expect("another reading closes");
         assert!(solution.closure.excess_m.value < 1e-3, "{:?}", solution.closure.excess_m);
         assert_eq!(solution.mount, mount);
         reading
@@ -195,8 +195,7 @@ fn other_readings_are_told() {
         assert!(matches!(transposed, TargetEncoding::Transposed), "{transposed:?}");
         let small =
             read(mount, &|seen| pose((seen.translation.vector * 0.9).into(), seen.rotation));
-        let TargetEncoding::Stretched(TargetScaleError { size: Some(size), depth: None, .. }) =
-            small
+        let TargetEncoding::Scaled(TargetScaleError { size: Some(size), depth: None, .. }) = small
         else {
             panic!("{small:?}")
         };
@@ -204,7 +203,7 @@ fn other_readings_are_told() {
         let shallow = read(mount, &|seen| {
             pose([seen.translation.x, seen.translation.y, 0.9 * seen.translation.z], seen.rotation)
         });
-        let TargetEncoding::Stretched(TargetScaleError { size: None, depth: Some(depth), .. }) =
+        let TargetEncoding::Scaled(TargetScaleError { size: None, depth: Some(depth), .. }) =
             shallow
         else {
             panic!("{shallow:?}")
@@ -219,7 +218,7 @@ fn a_target_that_moves_by_itself_leaves_the_chain_open() {
     let (_, mut target) = Planted { seed: 5, ..Planted::new(CameraMount::InBase) }.streams();
     target.poses.reverse();
     let found = diagnosed(&hand, &target);
-    assert!(found.reading.is_none());
+    assert!(found.alternative.is_none());
     let solution = found.solution.expect("it can be solved");
     assert!(solution.closure.excess_m.value > 0.02, "{:?}", solution.closure.excess_m);
 }
@@ -235,7 +234,7 @@ fn nothing_to_see_is_said_and_never_a_number() {
     let nothing = PoseSeries::default();
     assert_eq!(diagnosed(&still, &still).solution.err(), Some(NotObservable::NotExcited));
     let short = diagnosed(&still, &few).solution.err();
-    assert_eq!(short, Some(NotObservable::TooFewSamples { have: 3, need: FEWEST }));
+    assert_eq!(short, Some(NotObservable::TooFewSamples { have: 3, need: MIN_POSES }));
     for other in [&later, &nothing] {
         assert_eq!(diagnosed(&still, other).solution.err(), Some(NotObservable::NoOverlap));
         assert_eq!(diagnosed(other, &still).solution.err(), Some(NotObservable::NoOverlap));

@@ -10,16 +10,16 @@ use super::super::robust::robust_sigma;
 use nalgebra::{DMatrix, DVector};
 
 /// Number of pieces that approximate a weight function in the coarse search.
-const COARSE: usize = 240;
+const COARSE_PIECES: usize = 240;
 /// Number of candidate change points in the coarse and in the fine search.
-const MOMENTS: usize = 60;
+const CHANGE_POINT_CANDIDATES: usize = 60;
 /// Minimum distance of a change point from either end, as a share of the run.
-const SIDE: f64 = 0.06;
+const MIN_SIDE_SHARE: f64 = 0.06;
 /// Minimum reduction of the sum of squares, in variances of independent noise. Autocorrelated noise does
 /// not reach it at any candidate.
-const SURE: f64 = 45.0;
+const MIN_GAIN: f64 = 45.0;
 /// Residuals beyond this many standard deviations are outliers.
-const STRAY: f64 = 8.0;
+const OUTLIER_SIGMAS: f64 = 8.0;
 
 /// Tests on a linearised model.
 pub(super) struct ExtensionTests<'a> {
@@ -29,7 +29,7 @@ pub(super) struct ExtensionTests<'a> {
     /// Free parameters of the base model.
     base: Vec<usize>,
     /// Robust weight of each sample.
-    counts: Vec<f64>,
+    robust_weights: Vec<f64>,
     floor: f64,
     /// Residual sum of squares of the base model.
     pub squares: f64,
@@ -50,22 +50,22 @@ pub(super) struct ModelExtension {
 
 impl ModelExtension {
     /// Whether the reduction is significant.
-    pub fn is_sure(&self) -> bool {
-        self.gain > SURE
+    pub fn is_significant(&self) -> bool {
+        self.gain > MIN_GAIN
     }
 }
 
 impl<'a> ExtensionTests<'a> {
     /// Prepares the tests on `linear` with samples at `t_s` and free parameters `base`. Residuals below
     /// `floor` are treated as noise.
-    pub fn of(linear: &'a Linear, t_s: Vec<f64>, base: &[usize], floor: f64) -> Self {
+    pub fn new(linear: &'a Linear, t_s: Vec<f64>, base: &[usize], floor: f64) -> Self {
         let residual = &linear.residual[0];
-        let limit = STRAY * robust_sigma(residual).max(floor) * 3f64.sqrt();
+        let limit = OUTLIER_SIGMAS * robust_sigma(residual).max(floor) * 3f64.sqrt();
         let norm = |r: &[f64; 3]| r.iter().map(|c| c * c).sum::<f64>().sqrt();
         let counts = residual.iter().map(|r| (limit / norm(r)).min(1.0)).collect();
         let base = base.to_vec();
-        let mut asked = Self { linear, t_s, base, counts, floor, squares: 0.0 };
-        asked.squares = asked.left(&[], &[]).0;
+        let mut asked = Self { linear, t_s, base, robust_weights: counts, floor, squares: 0.0 };
+        asked.squares = asked.residual_squares(&[], &[]).0;
         asked
     }
 
@@ -81,19 +81,22 @@ impl<'a> ExtensionTests<'a> {
     /// Tests for a step of the parameters `columns`, and estimates the change point.
     pub fn step(&self, columns: &[usize]) -> Option<ModelExtension> {
         let (first, last) = self.span()?;
-        let side_s = SIDE * (last - first);
-        let course = PrefixSums::of(self, columns);
-        let at = |at_s: f64| course.left_by_step(self.t_s.partition_point(|t_s| *t_s <= at_s));
+        let side_s = MIN_SIDE_SHARE * (last - first);
+        let course = PrefixSums::new(self, columns);
+        let at =
+            |at_s: f64| course.residual_with_step(self.t_s.partition_point(|t_s| *t_s <= at_s));
         let (from_s, to_s) = (first + side_s, last - side_s);
         let moment = |k: usize, from_s: f64, to_s: f64| {
-            from_s + (to_s - from_s) * k as f64 / (MOMENTS - 1) as f64
+            from_s + (to_s - from_s) * k as f64 / (CHANGE_POINT_CANDIDATES - 1) as f64
         };
-        let mut best_s = least((0..MOMENTS).map(|k| moment(k, from_s, to_s)), at)?;
-        let mut around_s = 1.5 * (to_s - from_s) / MOMENTS as f64;
+        let mut best_s =
+            best_candidate((0..CHANGE_POINT_CANDIDATES).map(|k| moment(k, from_s, to_s)), at)?;
+        let mut around_s = 1.5 * (to_s - from_s) / CHANGE_POINT_CANDIDATES as f64;
         for _ in 0..2 {
-            let near = (0..MOMENTS).map(|k| moment(k, best_s - around_s, best_s + around_s));
-            best_s = least(near, at)?;
-            around_s *= 4.0 / MOMENTS as f64;
+            let near = (0..CHANGE_POINT_CANDIDATES)
+                .map(|k| moment(k, best_s - around_s, best_s + around_s));
+            best_s = best_candidate(near, at)?;
+            around_s *= 4.0 / CHANGE_POINT_CANDIDATES as f64;
         }
         // All change points between two samples are equivalent; use the midpoint.
         let next = self.t_s.partition_point(|t_s| *t_s <= best_s);
@@ -101,7 +104,7 @@ impl<'a> ExtensionTests<'a> {
             best_s = 0.5 * (self.t_s[before] + self.t_s[next]);
         }
         let weight = self.t_s.iter().map(|t_s| f64::from(u8::from(*t_s > best_s))).collect();
-        let mut better = self.better(columns, &[weight])?;
+        let mut better = self.best_extension(columns, &[weight])?;
         // Change points within the 95 % likelihood region.
         let as_good = better.squares + 3.84 * self.variance(&better);
         let end = |sign: f64| {
@@ -122,26 +125,31 @@ impl<'a> ExtensionTests<'a> {
     pub fn decay(&self, columns: &[usize]) -> Option<ModelExtension> {
         let (first, last) = self.span()?;
         let span_s = last - first;
-        let course = PrefixSums::of(self, columns);
+        let course = PrefixSums::new(self, columns);
         let left = |tau_s: f64, pieces: usize| {
-            course.left_by(pieces, |t_s| (-(t_s - first) / tau_s).exp())
+            course.residual_with_weight(pieces, |t_s| (-(t_s - first) / tau_s).exp())
         };
-        let taus = (0..MOMENTS).map(|k| span_s * 0.03 * 33f64.powf(k as f64 / MOMENTS as f64));
-        let tau_s = least(taus, |tau_s| left(tau_s, COARSE))?;
+        let taus = (0..CHANGE_POINT_CANDIDATES)
+            .map(|k| span_s * 0.03 * 33f64.powf(k as f64 / CHANGE_POINT_CANDIDATES as f64));
+        let tau_s = best_candidate(taus, |tau_s| left(tau_s, COARSE_PIECES))?;
         let finer = (-4..=4).map(|k| tau_s * 1.015f64.powi(k));
-        let tau_s = least(finer, |tau_s| left(tau_s, self.len()))?;
+        let tau_s = best_candidate(finer, |tau_s| left(tau_s, self.len()))?;
         let weight = self.t_s.iter().map(|t_s| (-(t_s - first) / tau_s).exp()).collect();
-        let better = self.better(columns, &[weight])?;
+        let better = self.best_extension(columns, &[weight])?;
         Some(ModelExtension { at_s: tau_s, interval_s: [tau_s; 2], ..better })
     }
 
     /// Tests the model extended by the parameters `columns`, once for each of `weights` (one weight per
     /// sample).
-    pub fn better(&self, columns: &[usize], weights: &[Vec<f64>]) -> Option<ModelExtension> {
-        let (squares, parameters) = self.left(columns, weights);
+    pub fn best_extension(
+        &self,
+        columns: &[usize],
+        weights: &[Vec<f64>],
+    ) -> Option<ModelExtension> {
+        let (squares, parameters) = self.residual_squares(columns, weights);
         let mut better = ModelExtension { at_s: 0.0, interval_s: [0.0; 2], squares, gain: 0.0 };
         let residual = self.residual(columns, weights, &parameters);
-        let noise = Noise::of(&residual, &self.counts, self.floor);
+        let noise = Noise::estimate(&residual, &self.robust_weights, self.floor);
         let dof = (3 * self.len()) as f64 - parameters.len() as f64;
         let least = self.floor.powi(2);
         let variance = (squares / dof).max(least) * noise.inflation().max(1.0);
@@ -155,7 +163,7 @@ impl<'a> ExtensionTests<'a> {
     }
 
     /// Residual sum of squares, and the parameters: the base, then `columns` for each set of weights.
-    fn left(&self, columns: &[usize], weights: &[Vec<f64>]) -> (f64, DVector<f64>) {
+    fn residual_squares(&self, columns: &[usize], weights: &[Vec<f64>]) -> (f64, DVector<f64>) {
         let width = self.base.len() + columns.len() * weights.len();
         let mut sums = Triangle::zeros(width + 1);
         let mut rows = [0, 1, 2].map(|_| vec![0.0; width + 1]);
@@ -163,9 +171,9 @@ impl<'a> ExtensionTests<'a> {
             for (axis, row) in rows.iter_mut().enumerate() {
                 self.fill(row, sample, axis, columns, weights);
             }
-            sums.add_squares([&rows[0], &rows[1], &rows[2]], self.counts[sample]);
+            sums.add_squares([&rows[0], &rows[1], &rows[2]], self.robust_weights[sample]);
         }
-        solved(width, |i, j| sums.at(i, j))
+        solve_sums(width, |i, j| sums.at(i, j))
     }
 
     /// Fills `row` with the derivatives of one residual component, followed by the residual.
@@ -207,14 +215,14 @@ impl<'a> ExtensionTests<'a> {
 /// Prefix sums over the samples of all products of two derivatives, or of a derivative and the residual.
 /// They give the residual for any weight function without another pass over the data.
 struct PrefixSums<'a> {
-    asked: &'a ExtensionTests<'a>,
+    tests: &'a ExtensionTests<'a>,
     /// Number of parameters beyond the base.
     others: usize,
     before: Vec<Triangle>,
 }
 
 impl<'a> PrefixSums<'a> {
-    fn of(asked: &'a ExtensionTests<'a>, columns: &[usize]) -> Self {
+    fn new(asked: &'a ExtensionTests<'a>, columns: &[usize]) -> Self {
         let width = asked.base.len() + columns.len();
         let always = [vec![1.0; asked.len()]];
         let mut rows = [0, 1, 2].map(|_| vec![0.0; width + 1]);
@@ -224,45 +232,45 @@ impl<'a> PrefixSums<'a> {
             for (axis, row) in rows.iter_mut().enumerate() {
                 asked.fill(row, sample, axis, columns, &always);
             }
-            sums.add_squares([&rows[0], &rows[1], &rows[2]], asked.counts[sample]);
+            sums.add_squares([&rows[0], &rows[1], &rows[2]], asked.robust_weights[sample]);
             before.push(sums.clone());
         }
-        Self { asked, others: columns.len(), before }
+        Self { tests: asked, others: columns.len(), before }
     }
 
     /// Residual sum of squares if the additional parameters apply from sample `from` on.
-    fn left_by_step(&self, from: usize) -> f64 {
-        let mut after = self.before[self.asked.len()].clone();
+    fn residual_with_step(&self, from: usize) -> f64 {
+        let mut after = self.before[self.tests.len()].clone();
         after.add_scaled(&self.before[from], -1.0);
-        self.left(&after, &after)
+        self.residual_squares(&after, &after)
     }
 
     /// Residual sum of squares if the additional parameters are scaled by `course(t)`, approximated as
     /// constant over each of `pieces` pieces.
-    fn left_by(&self, pieces: usize, course: impl Fn(f64) -> f64) -> f64 {
-        let samples = self.asked.len();
-        let mut once = Triangle::zeros(self.asked.base.len() + self.others + 1);
+    fn residual_with_weight(&self, pieces: usize, course: impl Fn(f64) -> f64) -> f64 {
+        let samples = self.tests.len();
+        let mut once = Triangle::zeros(self.tests.base.len() + self.others + 1);
         let mut twice = once.clone();
         let pieces = pieces.min(samples);
         for piece in 0..pieces {
             let (from, to) = (piece * samples / pieces, (piece + 1) * samples / pieces);
-            let weight = course(self.asked.t_s[(from + to) / 2]);
+            let weight = course(self.tests.t_s[(from + to) / 2]);
             for (sums, by) in [(&mut once, weight), (&mut twice, weight * weight)] {
                 sums.add_scaled(&self.before[to], by);
                 sums.add_scaled(&self.before[from], -by);
             }
         }
-        self.left(&once, &twice)
+        self.residual_squares(&once, &twice)
     }
 
     /// Residual sum of squares from the products weighted once (base with additional) and twice (two
     /// additional).
-    fn left(&self, once: &Triangle, twice: &Triangle) -> f64 {
-        let base = self.asked.base.len();
+    fn residual_squares(&self, once: &Triangle, twice: &Triangle) -> f64 {
+        let base = self.tests.base.len();
         let width = base + self.others;
         let is_other = |i: usize| (base..width).contains(&i);
-        solved(width, |i, j| match (is_other(i), is_other(j)) {
-            (false, false) => self.before[self.asked.len()].at(i, j),
+        solve_sums(width, |i, j| match (is_other(i), is_other(j)) {
+            (false, false) => self.before[self.tests.len()].at(i, j),
             (true, true) => twice.at(i, j),
             _ => once.at(i, j),
         })
@@ -271,7 +279,7 @@ impl<'a> PrefixSums<'a> {
 }
 
 /// Residual sum of squares and least-squares parameters from the products of derivatives and residual.
-fn solved(width: usize, sums: impl Fn(usize, usize) -> f64) -> (f64, DVector<f64>) {
+fn solve_sums(width: usize, sums: impl Fn(usize, usize) -> f64) -> (f64, DVector<f64>) {
     let normal = Normal {
         matrix: DMatrix::from_fn(width, width, &sums),
         right: DVector::from_fn(width, |i, _| sums(width, i)),
@@ -283,7 +291,7 @@ fn solved(width: usize, sums: impl Fn(usize, usize) -> f64) -> (f64, DVector<f64
 }
 
 /// Candidate with the smallest residual.
-fn least(candidates: impl Iterator<Item = f64>, left: impl Fn(f64) -> f64) -> Option<f64> {
+fn best_candidate(candidates: impl Iterator<Item = f64>, left: impl Fn(f64) -> f64) -> Option<f64> {
     let all = candidates.map(|candidate| (candidate, left(candidate)));
     all.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(candidate, _)| candidate)
 }

@@ -21,7 +21,7 @@ pub struct ImuStream<'a> {
     /// `link_from_imu` in the log's frames, if present.
     pub link_from_imu: Option<Pose>,
     /// Latency already compensated in the stamps, to be reported together with the rest.
-    pub taken_off: Option<&'a LatencyRamp>,
+    pub removed_ramp: Option<&'a LatencyRamp>,
 }
 
 /// Constant part of (gyro − FK rate).
@@ -43,7 +43,7 @@ pub struct GyroBias {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GyroBiasChange {
     /// Time profile of the change.
-    pub course: GyroBiasProfile,
+    pub profile: GyroBiasProfile,
     /// Bias at the start, in the sensor's frame, rad/s.
     pub before_rad_s: Vec3,
     /// Final bias, in the sensor's frame, rad/s.
@@ -137,7 +137,7 @@ pub struct YawProfile {
     /// Jumps in time order.
     pub jumps: Vec<YawJump>,
     /// Density of the random walk, rad/√s, if there is one.
-    pub walk_rad_rt_s: Option<f64>,
+    pub walk_rad_per_sqrt_s: Option<f64>,
     /// Heading-dependent part.
     pub heading: Option<HeadingError>,
     /// Exponentially decaying part.
@@ -157,28 +157,28 @@ pub struct YawJump {
 #[derive(Clone, Debug)]
 pub struct ImuDiagnosis {
     /// Convention and direction of the orientation.
-    pub reading: EstimateResult<EncodingEstimate>,
+    pub encoding: EstimateResult<EncodingEstimate>,
     /// Latency against the joint states, s; at mid-run if the clock has a significant skew.
     pub latency_s: EstimateResult<Measured>,
     /// Latency profile over the run.
-    pub latency_course: EstimateResult<LatencyProfile>,
+    pub latency_profile: EstimateResult<LatencyProfile>,
     /// Clock skew, s/s.
     pub skew: EstimateResult<Measured>,
     /// Drift of the IMU's yaw about gravity against FK, rad/s.
     pub yaw_drift_rad_s: EstimateResult<Measured>,
     /// Yaw error apart from the drift.
-    pub yaw_course: YawProfile,
+    pub yaw_profile: YawProfile,
     /// Rotation error of the logged `link_from_imu`, rad.
     pub mount_rad: EstimateResult<MeasuredLength>,
     /// Estimated `link_from_imu`; the initial one if it changes.
     pub link_from_imu: Option<Rotation>,
     /// Rotation between the axes of the gyro and of the orientation, if both follow the arm and it is
     /// significant.
-    pub axes_turn: Option<GyroAxesRotation>,
+    pub axes_rotation: Option<GyroAxesRotation>,
     /// Change of the mount within the run, if significant.
     pub mount_change: Option<ImuMountChange>,
     /// Units, saturation and handedness. All other estimates use the corrected measurements.
-    pub numbers: ImuConventions,
+    pub conventions: ImuConventions,
     /// Angle between gravity by the accelerometer and the vertical of the orientation, rad.
     pub tilt_rad: EstimateResult<MeasuredLength>,
     /// Direction opposite to gravity while the arm rests.
@@ -204,19 +204,19 @@ pub struct HeadingPair {
 
 impl ImuDiagnosis {
     /// Diagnosis without any estimate.
-    pub fn unseen(why: &NotObservable) -> Self {
+    pub fn not_observable(why: &NotObservable) -> Self {
         Self {
-            reading: Err(why.clone()),
+            encoding: Err(why.clone()),
             latency_s: Err(why.clone()),
-            latency_course: Err(why.clone()),
+            latency_profile: Err(why.clone()),
             skew: Err(why.clone()),
             yaw_drift_rad_s: Err(why.clone()),
-            yaw_course: YawProfile::default(),
+            yaw_profile: YawProfile::default(),
             mount_rad: Err(why.clone()),
             link_from_imu: None,
-            axes_turn: None,
+            axes_rotation: None,
             mount_change: None,
-            numbers: ImuConventions::default(),
+            conventions: ImuConventions::default(),
             tilt_rad: Err(why.clone()),
             up: None,
             gyro_bias: Err(why.clone()),

@@ -1,4 +1,4 @@
-//! Fits the gyro to the rate of the link: `gyro = (1 + shape) · link_from_imu⁻¹ · ω(s − τ) + bias`.
+//! Fits the gyro to the rate of the link: `gyro = (1 + scale_error) · link_from_imu⁻¹ · ω(s − τ) + bias`.
 //!
 //! Rates differentiated from noisy joint positions amplify the noise. Instead the gyro is integrated over
 //! windows and compared with the rotation by FK between their ends (preintegration: Forster et al.,
@@ -8,7 +8,7 @@
 
 mod changes;
 
-use super::super::course::{LatencySample, course_of};
+use super::super::course::{LatencySample, fit_profile};
 use super::super::latency::median_period_s;
 use super::super::linear::Linear;
 use super::super::{
@@ -17,8 +17,8 @@ use super::super::{
 use super::found::{GyroAxesRotation, GyroBiasChange, GyroBiasProfile, ImuMountChange};
 use super::solve::{DesignNoise, Model, Solved, lengths, solve};
 use super::{
-    Clock, Delay, Link, NEED, SKEW_CHANCE, TURNS_RAD, add_block, explains, mount_of, rms,
-    turned_noise,
+    Clock, Delay, Link, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, SKEW_SIGNIFICANCE, add_block, explains,
+    mount_of, rms, turned_noise,
 };
 use ground::geometry::{Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stats::MeasuredLength;
@@ -29,26 +29,26 @@ use std::ops::RangeInclusive;
 /// Noise floor of the gyro, rad/s.
 const FLOOR_RAD_S: f64 = 1e-6;
 /// Minimum window length, s, and in sample periods.
-const WINDOW_S: f64 = 0.1;
-const WINDOW_PERIODS: f64 = 4.0;
+const MIN_WINDOW_S: f64 = 0.1;
+const MIN_WINDOW_PERIODS: f64 = 4.0;
 /// Maximum number of changes within a run: one of the bias and one of the mount.
-const MOST_CHANGES: usize = 2;
+const MAX_CHANGES: usize = 2;
 /// Maximum number of windows in a fit.
-const FIT_WINDOWS: usize = 2500;
+const MAX_WINDOWS: usize = 2500;
 /// Neighbouring windows share the FK error at their common end with opposite signs. Below this correlation
 /// of their residuals, that error dominates.
-const SHARED_END: f64 = -0.2;
+const MAX_SHARED_END_CORRELATION: f64 = -0.2;
 /// Significance level of a gyro's shape (scale and misalignment) …
-const SHAPE_CHANCE: f64 = 1e-4;
+const SCALE_ERROR_SIGNIFICANCE: f64 = 1e-4;
 /// … and its minimum size, as a share.
-const SHAPE: f64 = 1e-3;
+const MIN_SCALE_ERROR: f64 = 1e-3;
 
 /// Results of a gyro fit.
 pub(super) struct GyroFit {
     pub clock: Clock,
     pub delay: Delay,
     pub bias: EstimateResult<GyroBias>,
-    pub latency_course: EstimateResult<LatencyProfile>,
+    pub latency_profile: EstimateResult<LatencyProfile>,
     pub mount_rad: EstimateResult<MeasuredLength>,
     pub link_from_imu: Rotation,
     pub mount_change: Option<ImuMountChange>,
@@ -58,7 +58,7 @@ pub(super) struct GyroFit {
 impl GyroFit {
     /// Rotation of the gyro's axes against an orientation with mount `link_from_imu`. `None` if it is not
     /// observable.
-    pub fn turned_against(&self, link_from_imu: &Rotation) -> Option<GyroAxesRotation> {
+    pub fn rotation_against(&self, link_from_imu: &Rotation) -> Option<GyroAxesRotation> {
         let imu_from_gyro = link_from_imu.inverse() * self.link_from_imu;
         let mount: Vec<usize> = GyroModel::MOUNT.collect();
         let turned = rotvec_from_rotation(&imu_from_gyro);
@@ -70,75 +70,86 @@ impl GyroFit {
 impl Link<'_> {
     pub(super) fn fit_gyro(&self, lag_s: f64, moves: bool) -> EstimateResult<GyroFit> {
         let is_zero = self.stream.track.gyro.iter().all(|gyro| *gyro == Vec3::zeros());
-        if is_zero && self.turning_rad(&self.delay(lag_s)) > TURNS_RAD {
+        if is_zero && self.turning_rad(&self.delay(lag_s)) > MIN_ROTATION_RAD {
             return Err(NotObservable::NoGyro);
         }
         let period_s = median_period_s(&self.stream.track.t_s);
-        let mut window_s = WINDOW_S.max(WINDOW_PERIODS * period_s);
+        let mut window_s = MIN_WINDOW_S.max(MIN_WINDOW_PERIODS * period_s);
         let mut model = GyroModel {
             link: self,
             windows: self.windows(window_s, &self.delay(lag_s)),
             delay: self.delay(lag_s),
-            link_from_imu: self.first_mount(lag_s, moves),
+            link_from_imu: self.initial_mount(lag_s, moves),
             bias_rad_s: Vec3::zeros(),
-            shape: Matrix3::zeros(),
-            is_shaped: false,
-            course: None,
+            scale_error: Matrix3::zeros(),
+            has_scale_error: false,
+            bias_profile: None,
             changed_rad_s: Vec3::zeros(),
             slip: None,
         };
-        if model.windows.len() < NEED {
-            return Err(NotObservable::TooFewSamples { have: model.windows.len(), need: NEED });
+        if model.windows.len() < MIN_FIT_SAMPLES {
+            return Err(NotObservable::TooFewSamples {
+                have: model.windows.len(),
+                need: MIN_FIT_SAMPLES,
+            });
         }
         let mut free: Vec<usize> = GyroModel::BIAS.collect();
         let mut clock = Clock::unseen(&NotObservable::AtRest);
         if moves {
             free.extend(GyroModel::MOUNT);
-            clock = model.settle_delay(&free);
+            clock = model.fit_delay(&free);
         }
         let mut solved = solve(&mut model, &free);
         while model.is_made_of_shared_ends() {
             window_s *= 2.0;
             let windows = self.windows(window_s, &model.delay);
-            if windows.len() < NEED {
+            if windows.len() < MIN_FIT_SAMPLES {
                 break;
             }
             model.windows = windows;
             solved = solve(&mut model, &free);
         }
-        for _ in 0..MOST_CHANGES {
-            let Some(changed) = model.changed(moves) else { break };
+        for _ in 0..MAX_CHANGES {
+            let Some(changed) = model.with_best_change(moves) else { break };
             model = changed;
             free.extend(
-                model.free_by_changes().filter(|column| !free.contains(column)).collect::<Vec<_>>(),
+                model
+                    .change_parameters()
+                    .filter(|column| !free.contains(column))
+                    .collect::<Vec<_>>(),
             );
             if moves {
-                clock = model.settle_delay(&free);
+                clock = model.fit_delay(&free);
             }
             solved = solve(&mut model, &free);
         }
         let mut shape = None;
         if moves {
-            let mut shaped = GyroModel { is_shaped: true, ..model.clone() };
+            let mut shaped = GyroModel { has_scale_error: true, ..model.clone() };
             let all: Vec<usize> = free.iter().copied().chain(GyroModel::SHAPE).collect();
             let with_shape = solve(&mut shaped, &all);
-            if shaped.is_surely_shaped(&with_shape) {
+            if shaped.has_significant_scale_error(&with_shape) {
                 // A neglected shape biases the skew, so the delay is fitted again.
-                clock = shaped.settle_delay(&all);
+                clock = shaped.fit_delay(&all);
                 solved = solve(&mut shaped, &all);
                 model = shaped;
-                shape = model.shape(&solved);
+                shape = model.estimate_scale_error(&solved);
             }
         }
-        if self.turning_rad(&model.delay) > TURNS_RAD {
-            explains(model.turning_rad_s(), rms(lengths(&model.linearize())))?;
+        if self.turning_rad(&model.delay) > MIN_ROTATION_RAD {
+            explains(model.mean_rate_rad_s(), rms(lengths(&model.linearize())))?;
         }
         Ok(GyroFit {
             clock,
             delay: model.delay,
             bias: model.bias(&solved, shape),
-            latency_course: match moves {
-                true => course_of(&model.lagging(), 1, model.delay.skew, self.stream.taken_off),
+            latency_profile: match moves {
+                true => fit_profile(
+                    &model.latency_samples(),
+                    1,
+                    model.delay.skew,
+                    self.stream.removed_ramp,
+                ),
                 false => Err(NotObservable::AtRest),
             },
             mount_rad: model.mount(&solved),
@@ -150,7 +161,7 @@ impl Link<'_> {
 
     /// Mount that best maps the rates of the link to the gyro's, as close to the logged one as the data
     /// allow.
-    fn first_mount(&self, lag_s: f64, moves: bool) -> Rotation {
+    fn initial_mount(&self, lag_s: f64, moves: bool) -> Rotation {
         let logged = self.stream.link_from_imu.map(|pose| pose.rotation).unwrap_or_default();
         if !moves {
             return logged;
@@ -172,9 +183,9 @@ impl Link<'_> {
     /// Windows of at least `window_s` without gaps, with FK available at both ends.
     fn windows(&self, window_s: f64, delay: &Delay) -> Vec<RangeInclusive<usize>> {
         /// Minimum length of a gap in sample periods.
-        const GAP_PERIODS: f64 = 5.0;
+        const MIN_GAP_PERIODS: f64 = 5.0;
         let t_s = &self.stream.track.t_s;
-        let gap_s = GAP_PERIODS * median_period_s(t_s);
+        let gap_s = MIN_GAP_PERIODS * median_period_s(t_s);
         let (mut windows, mut start) = (Vec::new(), 0);
         for k in 1..t_s.len() {
             if t_s[k] - t_s[k - 1] > gap_s || self.numbers.saturates(&self.stream.track.gyro[k]) {
@@ -190,7 +201,7 @@ impl Link<'_> {
                 .into_iter()
                 .all(|k| self.at(delay.truth_s(t_s[k]), &mut sweep).is_some())
         });
-        let stride = windows.len().div_ceil(FIT_WINDOWS).max(1);
+        let stride = windows.len().div_ceil(MAX_WINDOWS).max(1);
         windows.into_iter().step_by(stride).collect()
     }
 }
@@ -206,11 +217,11 @@ struct GyroModel<'a> {
     bias_rad_s: Vec3,
     /// Symmetric matrix: scale errors on the diagonal, axis misalignment off it. An antisymmetric part
     /// would be a rotation and belongs to the mount.
-    shape: Matrix3<f64>,
+    scale_error: Matrix3<f64>,
     /// Whether the shape is, or was, fitted.
-    is_shaped: bool,
+    has_scale_error: bool,
     /// Time profile of the bias change, if any.
-    course: Option<GyroBiasProfile>,
+    bias_profile: Option<GyroBiasProfile>,
     /// Bias change, rad/s: after a step, or at the start of a decay.
     changed_rad_s: Vec3,
     /// Slip of the IMU: time, 95 % interval, and rotation with `link_from_imu after = link_from_imu ·
@@ -241,15 +252,15 @@ impl<'a> GyroModel<'a> {
     const SLIP: std::ops::Range<usize> = 17..20;
     const WIDTH: usize = 20;
     /// Row and column of each entry of the shape.
-    const ENTRIES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)];
+    const SCALE_ENTRIES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)];
 
     /// Residual of each rate in the link frame, and the angular acceleration by FK.
-    fn lagging(&self) -> Vec<LatencySample> {
+    fn latency_samples(&self) -> Vec<LatencySample> {
         /// Half-width of the finite difference, s: long enough to average joint velocity noise, short
         /// relative to the motion.
-        const AROUND_S: f64 = 0.025;
+        const DIFFERENCE_HALF_WIDTH_S: f64 = 0.025;
         let track = self.link.stream.track;
-        let undo = (Matrix3::identity() + self.shape).try_inverse().unwrap_or_default();
+        let undo = (Matrix3::identity() + self.scale_error).try_inverse().unwrap_or_default();
         let mut sweep = self.link.sweep();
         let mut rate_at = |t_s: f64| {
             let moment = self.link.at(t_s, &mut sweep)?;
@@ -259,15 +270,15 @@ impl<'a> GyroModel<'a> {
         let rows = rows.filter(|&k| !self.link.numbers.saturates(&track.gyro[k]));
         rows.filter_map(|k| {
             let truth_s = self.delay.truth_s(track.t_s[k]);
-            let [before, rate, after] =
-                [-AROUND_S, 0.0, AROUND_S].map(|around_s| rate_at(truth_s + around_s));
+            let [before, rate, after] = [-DIFFERENCE_HALF_WIDTH_S, 0.0, DIFFERENCE_HALF_WIDTH_S]
+                .map(|around_s| rate_at(truth_s + around_s));
             let ((before, _), (rate, rate_noise), (after, _)) = (before?, rate?, after?);
-            let change = (after - before) / (2.0 * AROUND_S);
+            let change = (after - before) / (2.0 * DIFFERENCE_HALF_WIDTH_S);
             let at_s = track.t_s[k];
             let is = self.mount_at(at_s) * (undo * (track.gyro[k] - self.bias_at(at_s)));
             Some(LatencySample {
                 t_s: track.t_s[k],
-                left: [Vec3::zeros(), is - rate],
+                residual: [Vec3::zeros(), is - rate],
                 velocity: [Vec3::zeros(), change],
                 loads: [0.0; 2],
                 joint_noise: (rate_noise / 3.0).sqrt(),
@@ -277,9 +288,9 @@ impl<'a> GyroModel<'a> {
     }
 
     /// Integrates the gyro over a window by the midpoint rule.
-    fn turn(&self, window: &RangeInclusive<usize>) -> IntegratedRotation {
+    fn integrate(&self, window: &RangeInclusive<usize>) -> IntegratedRotation {
         let track = self.link.stream.track;
-        let undo = (Matrix3::identity() + self.shape).try_inverse().unwrap_or_default();
+        let undo = (Matrix3::identity() + self.scale_error).try_inverse().unwrap_or_default();
         let rate = |k: usize| undo * (track.gyro[k] - self.bias_at(track.t_s[k]));
         let (first, last) = (*window.start(), *window.end());
         let mut turn = IntegratedRotation {
@@ -298,7 +309,7 @@ impl<'a> GyroModel<'a> {
             let half_back = rotation_from_rotvec(-0.5 * dt * omega).to_rotation_matrix();
             turn.first_from_last *= step;
             turn.by_rate = back * turn.by_rate + half_back.matrix() * undo * dt;
-            let entries = Self::ENTRIES.into_iter().filter(|_| self.is_shaped);
+            let entries = Self::SCALE_ENTRIES.into_iter().filter(|_| self.has_scale_error);
             for (sum, (row, column)) in turn.by_shape.iter_mut().zip(entries) {
                 let mut unit = Matrix3::zeros();
                 unit[(row, column)] = 1.0;
@@ -310,21 +321,21 @@ impl<'a> GyroModel<'a> {
     }
 
     /// Fits the delay jointly with the parameters `others`. Includes a skew if it is significant.
-    fn settle_delay(&mut self, others: &[usize]) -> Clock {
+    fn fit_delay(&mut self, others: &[usize]) -> Clock {
         let mut free = others.to_vec();
         free.extend([Self::LATENCY, Self::SKEW]);
         let mut solved = solve(self, &free);
-        let skew = solved.one(Self::SKEW, self.delay.skew);
-        if !solved.is_sure(&[Self::SKEW], &[self.delay.skew], SKEW_CHANCE) {
+        let skew = solved.measure(Self::SKEW, self.delay.skew);
+        if !solved.is_significant(&[Self::SKEW], &[self.delay.skew], SKEW_SIGNIFICANCE) {
             self.delay.skew = 0.0;
             free.retain(|&parameter| parameter != Self::SKEW);
             solved = solve(self, &free);
         }
-        Clock { latency_s: solved.one(Self::LATENCY, self.delay.latency_s), skew }
+        Clock { latency_s: solved.measure(Self::LATENCY, self.delay.latency_s), skew }
     }
 
     /// Mean rate of the link over the windows by FK, rms rad/s.
-    fn turning_rad_s(&self) -> f64 {
+    fn mean_rate_rad_s(&self) -> f64 {
         let mut sweep = self.link.sweep();
         let t_s = &self.link.stream.track.t_s;
         let rate = |window: &RangeInclusive<usize>| {
@@ -343,24 +354,24 @@ impl<'a> GyroModel<'a> {
         let dot = |a: &[f64; 3], b: &[f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let own: f64 = residual.iter().map(|r| dot(r, r)).sum();
         let shared: f64 = residual.windows(2).map(|pair| dot(&pair[0], &pair[1])).sum();
-        shared < SHARED_END * own
+        shared < MAX_SHARED_END_CORRELATION * own
     }
 
     fn shape_entries(&self) -> [f64; 6] {
-        Self::ENTRIES.map(|at| self.shape[at])
+        Self::SCALE_ENTRIES.map(|at| self.scale_error[at])
     }
 
-    fn is_surely_shaped(&self, solved: &Solved) -> bool {
+    fn has_significant_scale_error(&self, solved: &Solved) -> bool {
         let entries = self.shape_entries();
         let all: Vec<usize> = Self::SHAPE.collect();
-        entries.iter().any(|entry| entry.abs() > SHAPE)
-            && solved.is_sure(&all, &entries, SHAPE_CHANCE)
+        entries.iter().any(|entry| entry.abs() > MIN_SCALE_ERROR)
+            && solved.is_significant(&all, &entries, SCALE_ERROR_SIGNIFICANCE)
     }
 
-    fn shape(&self, solved: &Solved) -> Option<GyroScaleError> {
+    fn estimate_scale_error(&self, solved: &Solved) -> Option<GyroScaleError> {
         let entries: Vec<Measured> = Self::SHAPE
             .zip(self.shape_entries())
-            .map(|(parameter, value)| solved.one(parameter, value))
+            .map(|(parameter, value)| solved.measure(parameter, value))
             .collect::<EstimateResult<_>>()
             .ok()?;
         let [x, y, z, yz, xz, xy] = entries.try_into().ok()?;
@@ -369,7 +380,7 @@ impl<'a> GyroModel<'a> {
 
     fn bias(&self, solved: &Solved, shape: Option<GyroScaleError>) -> EstimateResult<GyroBias> {
         let bias: Vec<usize> = Self::BIAS.collect();
-        let change: Option<EstimateResult<GyroBiasChange>> = self.course.map(|course| {
+        let change: Option<EstimateResult<GyroBiasChange>> = self.bias_profile.map(|course| {
             let all = self.bias_rad_s + self.changed_rad_s;
             let (before_rad_s, after_rad_s) = match course {
                 GyroBiasProfile::Step { .. } => (self.bias_rad_s, all),
@@ -377,7 +388,7 @@ impl<'a> GyroModel<'a> {
             };
             let columns: Vec<usize> = Self::CHANGE.collect();
             let size_rad_s = solved.length(&columns, self.changed_rad_s.as_slice())?;
-            Ok(GyroBiasChange { course, before_rad_s, after_rad_s, size_rad_s })
+            Ok(GyroBiasChange { profile: course, before_rad_s, after_rad_s, size_rad_s })
         });
         let change = change.transpose()?;
         // Report the larger of the two biases.
@@ -451,7 +462,7 @@ impl Model for GyroModel<'_> {
                 squares[(Self::SKEW, Self::SKEW)] += by_ends * (to_s - self.delay.middle_s).powi(2);
             }
             let of_mean = gyro_noise / (window.end() - window.start()).max(1) as f64;
-            for (column, (row, other)) in Self::SHAPE.zip(Self::ENTRIES) {
+            for (column, (row, other)) in Self::SHAPE.zip(Self::SCALE_ENTRIES) {
                 squares[(column, column)] += if row == other { of_mean } else { 2.0 * of_mean };
             }
         }
@@ -475,10 +486,10 @@ impl Model for GyroModel<'_> {
         if let Some((.., slip)) = &mut self.slip {
             *slip *= rotation_from_rotvec(part(Self::SLIP.start));
         }
-        for (parameter, (row, column)) in Self::SHAPE.zip(Self::ENTRIES) {
-            self.shape[(row, column)] += delta[parameter];
+        for (parameter, (row, column)) in Self::SHAPE.zip(Self::SCALE_ENTRIES) {
+            self.scale_error[(row, column)] += delta[parameter];
             if row != column {
-                self.shape[(column, row)] += delta[parameter];
+                self.scale_error[(column, row)] += delta[parameter];
             }
         }
     }
@@ -497,7 +508,7 @@ impl GyroModel<'_> {
             let (Some(first), Some(last)) = (moment(*window.start()), moment(*window.end())) else {
                 continue;
             };
-            let turn = self.turn(window);
+            let turn = self.integrate(window);
             let [from_s, to_s] = [*window.start(), *window.end()].map(|k| t_s[k]);
             let slipped = self.slip.map(|(at_s, ..)| [from_s > at_s, to_s > at_s]);
             if slipped.is_some_and(|[before, after]| before != after) {

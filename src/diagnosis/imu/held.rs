@@ -2,22 +2,22 @@
 
 use super::super::constant::{mean_rotation, wahba};
 use super::super::proof::{ErrorSeries, FkError};
-use super::{FIT_SAMPLES, FOLLOWS, ImuDiagnosis, ImuStream, Link, rms};
+use super::{ImuDiagnosis, ImuStream, Link, MAX_IMU_FIT_SAMPLES, MIN_CORRELATION, rms};
 use ground::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stream::{JointTrack, sample_noise};
 use nalgebra::Matrix3;
 
 /// Minimum number of samples.
-const NEED: usize = 50;
+const MIN_SAMPLES: usize = 50;
 
 /// Residual of an IMU that rotates with the arm.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ImuResidualCheck {
     /// Residual of its orientation, rad, after correcting latency, mount, world frame and yaw error.
     /// `length` is zero.
-    pub turning: Option<FkError>,
+    pub orientation: Option<FkError>,
     /// Residual of its gyro.
-    pub rates: Option<GyroResidual>,
+    pub gyro: Option<GyroResidual>,
     /// Median norm of its specific force, m/s². `None` if it is zero.
     pub gravity_m_s2: Option<f64>,
 }
@@ -28,7 +28,7 @@ pub struct GyroResidual {
     /// Ratio of the gyro's rate to the arm's.
     pub scale: f64,
     /// Residual, rms rad/s.
-    pub left: f64,
+    pub residual: f64,
     /// Angular rate of the link by FK, rms rad/s.
     pub by_fk: f64,
     /// Sample-to-sample noise of the gyro, rms rad/s.
@@ -37,17 +37,17 @@ pub struct GyroResidual {
 
 /// Computes the residual of an IMU against FK of `joints`, which should be corrected already. `None` if the
 /// IMU does not rotate with the arm and so cannot be compared.
-pub fn proof_of_imu(
+pub fn check_imu_residual(
     joints: &JointTrack,
     stream: &ImuStream,
     found: &ImuDiagnosis,
     most_lag_s: f64,
 ) -> Option<ImuResidualCheck> {
-    let track = found.numbers.mended(stream.track);
+    let track = found.conventions.convert(stream.track);
     let stream = &ImuStream { track: &track, ..*stream };
-    let link = Link::new(joints, stream, &found.numbers);
+    let link = Link::new(joints, stream, &found.conventions);
     let peak = link.peaks(most_lag_s).first().copied()?;
-    if peak.correlation <= FOLLOWS {
+    if peak.correlation <= MIN_CORRELATION {
         return None;
     }
     let lag_s = found.latency_s.as_ref().map_or(peak.lag_s, |latency| latency.value);
@@ -55,7 +55,7 @@ pub fn proof_of_imu(
     let truth_s = |t_s: f64| t_s - lag_s - skew * (t_s - link.middle_s);
     let t_s = &stream.track.t_s;
     let mut sweep = link.sweep();
-    let stride = t_s.len().div_ceil(FIT_SAMPLES).max(1);
+    let stride = t_s.len().div_ceil(MAX_IMU_FIT_SAMPLES).max(1);
     let mut moments: Vec<(usize, Rotation, Vec3)> = Vec::new();
     for row in (0..t_s.len()).step_by(stride) {
         if let Some(moment) = link.at(truth_s(t_s[row]), &mut sweep)
@@ -64,20 +64,20 @@ pub fn proof_of_imu(
             moments.push((row, moment.rotation, moment.rotation.inverse() * moment.rate));
         }
     }
-    (moments.len() >= NEED).then(|| ImuResidualCheck {
-        turning: turning(stream, found, &moments),
-        rates: rates(&link, &moments),
-        gravity_m_s2: gravity(&stream.track.accel),
+    (moments.len() >= MIN_SAMPLES).then(|| ImuResidualCheck {
+        orientation: orientation_residual(stream, found, &moments),
+        gyro: gyro_residual(&link, &moments),
+        gravity_m_s2: mean_gravity(&stream.track.accel),
     })
 }
 
 /// Residual of the orientation. `None` if there is none or its encoding is misinterpreted.
-fn turning(
+fn orientation_residual(
     stream: &ImuStream,
     found: &ImuDiagnosis,
     moments: &[(usize, Rotation, Vec3)],
 ) -> Option<FkError> {
-    let reading = found.reading.as_ref().ok()?;
+    let reading = found.encoding.as_ref().ok()?;
     let (track, link_from_imu) = (stream.track, found.link_from_imu?);
     if track.orientation.is_empty() || !reading.best.is_as_logged() {
         return None;
@@ -113,7 +113,7 @@ fn turning(
 }
 
 /// Residual of the gyro with its best-fitting mount. `None` if the gyro is always zero.
-fn rates(link: &Link, moments: &[(usize, Rotation, Vec3)]) -> Option<GyroResidual> {
+fn gyro_residual(link: &Link, moments: &[(usize, Rotation, Vec3)]) -> Option<GyroResidual> {
     let gyro = &link.stream.track.gyro;
     let in_range = |moment: &&(usize, Rotation, Vec3)| !link.numbers.saturates(&gyro[moment.0]);
     let moments: Vec<_> = moments.iter().filter(in_range).collect();
@@ -135,13 +135,13 @@ fn rates(link: &Link, moments: &[(usize, Rotation, Vec3)]) -> Option<GyroResidua
     let says_something = gyro.iter().any(|gyro| gyro.norm() > 0.0);
     (says_something && square > 0.0).then(|| GyroResidual {
         scale: along / square,
-        left: rms(pairs().map(|(gyro, rate)| (link_from_imu * gyro - rate).norm())),
+        residual: rms(pairs().map(|(gyro, rate)| (link_from_imu * gyro - rate).norm())),
         by_fk: (square / n).sqrt(),
         noise: Vec3::new(noise(0), noise(1), noise(2)).norm(),
     })
 }
 
-fn gravity(accel: &[Vec3]) -> Option<f64> {
+fn mean_gravity(accel: &[Vec3]) -> Option<f64> {
     let mut sizes: Vec<f64> = accel.iter().map(Vec3::norm).collect();
     sizes.sort_by(f64::total_cmp);
     sizes.get(sizes.len() / 2).copied().filter(|size| *size > 0.0)

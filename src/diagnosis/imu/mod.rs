@@ -20,16 +20,18 @@ mod tilt;
 mod yaw;
 
 use super::constant::{mean_rotation, wahba};
-use super::latency::{ArmSpeeds, LagPeak, angular_speed, by_lag, norms, peaks};
-use super::reread::rotations;
-use super::sampling::{STILL_SIGMAS, still_speeds};
+use super::latency::{
+    ArmSpeeds, LagPeak, angular_speed, correlation_by_lag, lag_peaks, norm_series,
+};
+use super::reread::decode_rotations;
+use super::sampling::{REST_SIGMAS, rest_speeds};
 use super::{AxesError, EstimateResult, IntendedEncoding, Measured, NotObservable, PoseEncoding};
 pub use found::{
     GyroAxesRotation, GyroBias, GyroBiasChange, GyroBiasProfile, GyroScaleError, HeadingError,
     HeadingPair, ImuDiagnosis, ImuMountChange, ImuStream, UpDirections, YawJump, YawProfile,
     YawWarmUp,
 };
-pub use held::{GyroResidual, ImuResidualCheck, proof_of_imu};
+pub use held::{GyroResidual, ImuResidualCheck, check_imu_residual};
 pub use numbers::{AccelUnit, AccelUnitError, GyroSaturation, ImuConventions};
 
 use ground::geometry::{Rotation, Vec3, angle_between};
@@ -37,31 +39,31 @@ use ground::stream::{ImuTrack, JointTrack, sample_noise};
 use nalgebra::{DMatrix, Matrix3};
 
 /// Maximum number of IMU samples in a fit.
-pub(super) const FIT_SAMPLES: usize = 5000;
+pub(super) const MAX_IMU_FIT_SAMPLES: usize = 5000;
 /// Minimum correlation of speeds for an IMU that follows the arm.
-const FOLLOWS: f64 = 0.6;
+const MIN_CORRELATION: f64 = 0.6;
 /// Minimum number of samples for a fit.
-const NEED: usize = 20;
+const MIN_FIT_SAMPLES: usize = 20;
 /// Significance level of a mount that differs from the logged one.
-const MOUNT_CHANCE: f64 = 1e-4;
+const MOUNT_SIGNIFICANCE: f64 = 1e-4;
 /// Significance level of a skew. It is high because an omitted skew biases the latency.
-const SKEW_CHANCE: f64 = 1e-3;
+const SKEW_SIGNIFICANCE: f64 = 1e-3;
 /// Minimum rotation of the link, rms rad, for the check below.
-const TURNS_RAD: f64 = 0.02;
+const MIN_ROTATION_RAD: f64 = 0.02;
 /// Minimum correlation between the fitted and the measured rotation.
-const EXPLAINS: f64 = 0.95;
+const MIN_EXPLAINED_SHARE: f64 = 0.95;
 /// Number of samples used to measure the rotation of a link.
-const TURNING_SAMPLES: usize = 300;
+const ROTATION_LATENCY_SAMPLES: usize = 300;
 
 /// Diagnoses one IMU against the joint states, which should be corrected by
 /// [`JointDiagnosis::corrected_joints`](super::JointDiagnosis::corrected_joints).
 pub fn diagnose_imu(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) -> ImuDiagnosis {
-    let numbers = ImuConventions::of(joints, stream, most_lag_s);
-    let track = numbers.mended(stream.track);
+    let numbers = ImuConventions::detect(joints, stream, most_lag_s);
+    let track = numbers.convert(stream.track);
     diagnose_mended(joints, &ImuStream { track: &track, ..*stream }, &numbers, most_lag_s)
 }
 
-/// Diagnoses a stream already converted according to `numbers`.
+/// Diagnoses a stream already converted according to `conventions`.
 pub(super) fn diagnose_mended(
     joints: &JointTrack,
     stream: &ImuStream,
@@ -70,7 +72,7 @@ pub(super) fn diagnose_mended(
 ) -> ImuDiagnosis {
     let link = Link::new(joints, stream, numbers);
     let peaks = link.peaks(most_lag_s);
-    let moves = peaks.first().is_some_and(|peak| peak.correlation > FOLLOWS);
+    let moves = peaks.first().is_some_and(|peak| peak.correlation > MIN_CORRELATION);
     let lag_s = peaks.first().filter(|_| moves).map_or(0.0, |peak| peak.lag_s);
     let gyro = link.fit_gyro(lag_s, moves);
     let orientation = if stream.track.orientation.is_empty() {
@@ -90,8 +92,8 @@ pub(super) fn diagnose_mended(
         (Err(NotObservable::NoOrientation), Err(why)) | (Err(why), _) => Clock::unseen(why),
     };
     let latency_course = match (&orientation, &gyro) {
-        (Ok(fit), _) => fit.latency_course.clone(),
-        (Err(NotObservable::NoOrientation), Ok(fit)) => fit.latency_course.clone(),
+        (Ok(fit), _) => fit.latency_profile.clone(),
+        (Err(NotObservable::NoOrientation), Ok(fit)) => fit.latency_profile.clone(),
         (Err(NotObservable::NoOrientation), Err(why)) | (Err(why), _) => Err(why.clone()),
     };
     let latency_course = match repeats(&peaks) {
@@ -120,17 +122,17 @@ pub(super) fn diagnose_mended(
     let tilt_rad = link.tilt(lag_s);
     match orientation {
         Ok(fit) => ImuDiagnosis {
-            reading: Ok(fit.reading),
+            encoding: Ok(fit.encoding),
             latency_s,
-            latency_course,
+            latency_profile: latency_course,
             skew,
             yaw_drift_rad_s: fit.drift_rad_s,
-            yaw_course: fit.course,
+            yaw_profile: fit.yaw_profile,
             mount_rad: fit.mount_rad,
             link_from_imu: Some(fit.link_from_imu),
-            axes_turn,
+            axes_rotation: axes_turn,
             mount_change: fit.mount_change,
-            numbers: numbers.clone(),
+            conventions: numbers.clone(),
             tilt_rad,
             up: link.up(lag_s, &fit.link_from_imu),
             gyro_bias,
@@ -138,20 +140,20 @@ pub(super) fn diagnose_mended(
             headings: fit.headings,
         },
         Err(why) => ImuDiagnosis {
-            reading: Err(why.clone()),
+            encoding: Err(why.clone()),
             latency_s,
-            latency_course,
+            latency_profile: latency_course,
             skew,
             yaw_drift_rad_s: Err(why.clone()),
-            yaw_course: YawProfile::default(),
+            yaw_profile: YawProfile::default(),
             mount_rad: match why {
                 NotObservable::NoOrientation => mount_by_gyro,
                 _ => Err(why),
             },
             link_from_imu: turned,
-            axes_turn: None,
+            axes_rotation: None,
             mount_change: changed,
-            numbers: numbers.clone(),
+            conventions: numbers.clone(),
             tilt_rad,
             up: None,
             gyro_bias,
@@ -169,12 +171,12 @@ fn axes_turn(
     gyro: &gyro::GyroFit,
 ) -> Option<GyroAxesRotation> {
     /// Minimum gain in constancy of the specific force for the accelerometer to share the gyro's axes.
-    const STEADIER: f64 = 0.05;
-    let turn = gyro.turned_against(link_from_imu)?;
-    let turn = Some(turn).filter(|turn| turn.size_rad.p_value < MOUNT_CHANCE)?;
+    const MIN_CONSTANCY_GAIN: f64 = 0.05;
+    let turn = gyro.rotation_against(link_from_imu)?;
+    let turn = Some(turn).filter(|turn| turn.size_rad.p_value < MOUNT_SIGNIFICANCE)?;
     let [by_gyro, by_imu] =
         [gyro.link_from_imu, *link_from_imu].map(|mount| link.steadiness(lag_s, &mount));
-    Some(GyroAxesRotation { with_accel: by_gyro > by_imu + STEADIER, ..turn })
+    Some(GyroAxesRotation { with_accel: by_gyro > by_imu + MIN_CONSTANCY_GAIN, ..turn })
 }
 
 /// Correlation of the IMU's angular speed with that of its link for each lag within ±`most_lag_s`, for
@@ -185,14 +187,14 @@ pub fn turning_by_latency(
     most_lag_s: f64,
 ) -> Vec<LagPeak> {
     let track = stream.track;
-    let turning = ArmSpeeds::of(joints, stream.chain, stream.columns).angular;
+    let turning = ArmSpeeds::from_joints(joints, stream.chain, stream.columns).angular;
     let curve = |speed| {
-        let mut curve = by_lag(&turning, &speed, most_lag_s);
+        let mut curve = correlation_by_lag(&turning, &speed, most_lag_s);
         curve.retain(|at| at.correlation.is_finite());
         curve
     };
     let best = |curve: &[LagPeak]| curve.iter().map(|at| at.correlation).fold(f64::MIN, f64::max);
-    let gyro = curve(norms(&track.t_s, &track.gyro));
+    let gyro = curve(norm_series(&track.t_s, &track.gyro));
     let oriented = match track.orientation.is_empty() {
         true => Vec::new(),
         false => curve(angular_speed(&track.t_s, &track.orientation)),
@@ -200,7 +202,7 @@ pub fn turning_by_latency(
     if best(&oriented) > best(&gyro) { oriented } else { gyro }
 }
 
-/// Decodes the orientations of an IMU with the encoding `reading`. If several rotations are possible for a
+/// Decodes the orientations of an IMU with the encoding `encoding`. If several rotations are possible for a
 /// sample, selects the one closest to FK with the fitted constant frames. `None` if the IMU does not follow
 /// the arm with this encoding.
 pub fn reread_imu(
@@ -220,8 +222,8 @@ pub fn reread_imu(
         .map(|stamp| link.at(stamp - lag_s, &mut sweep).map(|moment| moment.rotation))
         .collect();
     let mount = stream.link_from_imu.map(|pose| pose.rotation).unwrap_or_default();
-    let meant = IntendedEncoding { reading, axes: AxesError::NONE, inverted: false };
-    rotations(&stream.track.orientation, &meant, &expected, &mount, false)
+    let meant = IntendedEncoding { encoding: reading, axes: AxesError::NONE, is_inverted: false };
+    decode_rotations(&stream.track.orientation, &meant, &expected, &mount, false)
 }
 
 /// Delay of stamps relative to the measured time: `latency + skew·(stamp − middle)`.
@@ -297,7 +299,7 @@ fn joint_noise(joints: &JointTrack, column: usize, still: &[f64]) -> [f64; 2] {
         return noise.map(|sigma| sigma * sigma);
     }
     let q: Vec<f64> = joints.q.iter().skip(column).step_by(joints.dof.max(1)).copied().collect();
-    [sample_noise(&q).powi(2), (still[column] / STILL_SIGMAS).powi(2)]
+    [sample_noise(&q).powi(2), (still[column] / REST_SIGMAS).powi(2)]
 }
 
 /// Contribution of noise δ with this covariance to `Σ (δ×u)ᵀ(δ×v)` over axes u, v.
@@ -315,9 +317,9 @@ fn add_block(matrix: &mut DMatrix<f64>, at: usize, block: &Matrix3<f64>) {
 /// little, selects the solution closest to `expected`.
 fn mount_of(correlation: &Matrix3<f64>, expected: &Rotation) -> Rotation {
     /// Weight of `expected` as a share of the best-observed directions.
-    const SHARE: f64 = 1e-2;
+    const EXPECTED_MOUNT_WEIGHT: f64 = 1e-2;
     let expected = expected.to_rotation_matrix();
-    wahba(&(correlation + expected.matrix() * (SHARE * correlation.norm())))
+    wahba(&(correlation + expected.matrix() * (EXPECTED_MOUNT_WEIGHT * correlation.norm())))
 }
 
 /// State of the link at one time.
@@ -340,7 +342,11 @@ struct Moment {
 /// If the correlation is too low for the fit to be meaningful.
 fn explains(turning: f64, left: f64) -> EstimateResult<()> {
     let correlation = (1.0 - (left / turning).powi(2)).max(0.0).sqrt();
-    if correlation < EXPLAINS { Err(NotObservable::DoesNotFollow(correlation)) } else { Ok(()) }
+    if correlation < MIN_EXPLAINED_SHARE {
+        Err(NotObservable::DoesNotFollow(correlation))
+    } else {
+        Ok(())
+    }
 }
 
 fn rms(values: impl Iterator<Item = f64>) -> f64 {
@@ -363,7 +369,7 @@ impl<'a> Link<'a> {
             (Some(first), Some(last)) => 0.5 * (first + last),
             _ => 0.0,
         };
-        let still = still_speeds(joints);
+        let still = rest_speeds(joints);
         let joint_noise = stream.columns.iter().map(|&column| joint_noise(joints, column, &still));
         let joint_noise = joint_noise.collect();
         Self { joints, stream, numbers, still, joint_noise, middle_s }
@@ -415,12 +421,13 @@ impl<'a> Link<'a> {
     fn peaks(&self, most_lag_s: f64) -> Vec<LagPeak> {
         let track = self.stream.track;
         let ImuStream { chain, columns, .. } = *self.stream;
-        let turning = ArmSpeeds::of(self.joints, chain, columns).angular;
-        let gyro = peaks(&turning, &norms(&track.t_s, &track.gyro), most_lag_s);
+        let turning = ArmSpeeds::from_joints(self.joints, chain, columns).angular;
+        let gyro = lag_peaks(&turning, &norm_series(&track.t_s, &track.gyro), most_lag_s);
         if track.orientation.is_empty() {
             return gyro;
         }
-        let oriented = peaks(&turning, &angular_speed(&track.t_s, &track.orientation), most_lag_s);
+        let oriented =
+            lag_peaks(&turning, &angular_speed(&track.t_s, &track.orientation), most_lag_s);
         let best = |peaks: &[LagPeak]| peaks.first().map_or(f64::MIN, |peak| peak.correlation);
         if best(&oriented) > best(&gyro) { oriented } else { gyro }
     }
@@ -428,7 +435,7 @@ impl<'a> Link<'a> {
     /// Rms rotation of the link about its mean by FK, rad.
     fn turning_rad(&self, delay: &Delay) -> f64 {
         let stamps = &self.stream.track.t_s;
-        let step = stamps.len().div_ceil(TURNING_SAMPLES).max(1);
+        let step = stamps.len().div_ceil(ROTATION_LATENCY_SAMPLES).max(1);
         let mut sweep = self.sweep();
         let turned: Vec<Rotation> = stamps
             .iter()
@@ -439,8 +446,8 @@ impl<'a> Link<'a> {
         rms(turned.iter().map(|rotation| angle_between(&mean, rotation)))
     }
 
-    /// Stride that selects about [`FIT_SAMPLES`] samples.
+    /// Stride that selects about [`MAX_IMU_FIT_SAMPLES`] samples.
     fn stride(&self) -> usize {
-        self.stream.track.t_s.len().div_ceil(FIT_SAMPLES).max(1)
+        self.stream.track.t_s.len().div_ceil(MAX_IMU_FIT_SAMPLES).max(1)
     }
 }

@@ -5,7 +5,7 @@
 
 use super::super::UnitResiduals;
 use super::super::constant::wahba;
-use super::{FOLLOWS, ImuStream, Link, NEED, rms};
+use super::{ImuStream, Link, MIN_CORRELATION, MIN_FIT_SAMPLES, rms};
 use ground::geometry::{Rotation, Vec3, angle_between};
 use ground::stats::quantile;
 use ground::stream::{ImuTrack, JointTrack};
@@ -15,7 +15,7 @@ use std::borrow::Cow;
 /// Standard gravity, m/s².
 const GRAVITY_M_S2: f64 = 9.80665;
 /// Tolerance of a scale factor to identify a unit, as a share.
-const NEAR: f64 = 0.2;
+const UNIT_TOLERANCE: f64 = 0.2;
 
 /// Deviations of an IMU's measurements from REP 145.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -25,10 +25,10 @@ pub struct ImuConventions {
     /// Unit of the accelerometer, if it is not m/s².
     pub accel: Option<AccelUnitError>,
     /// Saturation of the gyro.
-    pub clipped: Option<GyroSaturation>,
+    pub saturation: Option<GyroSaturation>,
     /// Gyro axis (0 is x) with reversed sign, which makes the axes left-handed. Only a known mount
     /// identifies which axis it is.
-    pub mirrored: Option<usize>,
+    pub mirrored_axis: Option<usize>,
 }
 
 /// Accelerometer in a unit other than m/s².
@@ -37,7 +37,7 @@ pub struct AccelUnitError {
     /// The unit.
     pub unit: AccelUnit,
     /// Median norm of the specific force as logged, at rest if the arm rests.
-    pub felt: f64,
+    pub norm: f64,
 }
 
 /// Acceleration units that drivers publish unconverted.
@@ -88,34 +88,39 @@ pub struct GyroSaturation {
 
 impl ImuConventions {
     /// Determines the units, saturation and handedness of `stream` by comparison with FK.
-    pub fn of(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) -> Self {
+    pub fn detect(joints: &JointTrack, stream: &ImuStream, most_lag_s: f64) -> Self {
         let none = Self::default();
         let link = Link::new(joints, stream, &none);
         let peak = link.peaks(most_lag_s).into_iter().next();
-        let follows = peak.filter(|peak| peak.correlation > FOLLOWS);
+        let follows = peak.filter(|peak| peak.correlation > MIN_CORRELATION);
         let lag_s = follows.map_or(0.0, |peak| peak.lag_s);
         let pairs = follows.map(|_| link.rate_pairs(lag_s)).unwrap_or_default();
-        let plateaus = SaturationLevel::all(&stream.track.gyro);
+        let plateaus = SaturationLevel::detect_all(&stream.track.gyro);
         let is_free = |pair: &&RatePair| plateaus.iter().all(|plateau| !plateau.at[pair.0]);
         let free: Vec<RatePair> = pairs.iter().filter(is_free).copied().collect();
         // A value read all the time is not a range limit.
-        let free = if free.len() < NEED { pairs.clone() } else { free };
-        let degrees = degrees(&free);
+        let free = if free.len() < MIN_FIT_SAMPLES { pairs.clone() } else { free };
+        let degrees = degree_residuals(&free);
         let factor = if degrees.is_some() { 1f64.to_radians() } else { 1.0 };
-        let mirrored = mirrored(&free, factor, stream.link_from_imu.map(|pose| pose.rotation));
-        let clipped = clipped(&plateaus, &pairs, &free, factor, stream.track.gyro.len());
-        Self { degrees, accel: accel(stream.track, &link.rests(lag_s)), clipped, mirrored }
+        let mirrored = mirrored_axis(&free, factor, stream.link_from_imu.map(|pose| pose.rotation));
+        let clipped = detect_saturation(&plateaus, &pairs, &free, factor, stream.track.gyro.len());
+        Self {
+            degrees,
+            accel: accel_unit_error(stream.track, &link.rows_at_rest(lag_s)),
+            saturation: clipped,
+            mirrored_axis: mirrored,
+        }
     }
 
     /// Converts the track to rad/s, m/s² and right-handed axes.
-    pub fn mended<'a>(&self, track: &'a ImuTrack) -> Cow<'a, ImuTrack> {
-        if self.degrees.is_none() && self.accel.is_none() && self.mirrored.is_none() {
+    pub fn convert<'a>(&self, track: &'a ImuTrack) -> Cow<'a, ImuTrack> {
+        if self.degrees.is_none() && self.accel.is_none() && self.mirrored_axis.is_none() {
             return Cow::Borrowed(track);
         }
         let rate = if self.degrees.is_some() { 1f64.to_radians() } else { 1.0 };
         let force = self.accel.map_or(1.0, |slip| slip.unit.in_m_s2());
         let mut rates = Vec3::repeat(rate);
-        if let Some(axis) = self.mirrored {
+        if let Some(axis) = self.mirrored_axis {
             rates[axis] = -rate;
         }
         Cow::Owned(ImuTrack {
@@ -127,15 +132,15 @@ impl ImuConventions {
 
     /// Whether a rate in rad/s is at the saturation limit.
     pub(super) fn saturates(&self, gyro: &Vec3) -> bool {
-        self.clipped.as_ref().is_some_and(|clipped| {
-            let limit = clipped.limit_rad_s * (1.0 - SAME);
+        self.saturation.as_ref().is_some_and(|clipped| {
+            let limit = clipped.limit_rad_s * (1.0 - EQUALITY_TOLERANCE);
             clipped.axes.iter().any(|&axis| gyro[axis].abs() >= limit)
         })
     }
 }
 
 /// Relative tolerance for equal values.
-const SAME: f64 = 1e-5;
+const EQUALITY_TOLERANCE: f64 = 1e-5;
 
 /// Row of the track, gyro as logged, and body rate of the link by FK, rad/s.
 type RatePair = (usize, Vec3, Vec3);
@@ -155,7 +160,7 @@ impl Link<'_> {
     }
 
     /// Rows at which the arm rests.
-    fn rests(&self, lag_s: f64) -> Vec<usize> {
+    fn rows_at_rest(&self, lag_s: f64) -> Vec<usize> {
         let track = self.stream.track;
         let mut sweep = self.sweep();
         let rows = (0..track.t_s.len()).step_by(self.stride());
@@ -167,27 +172,27 @@ impl Link<'_> {
 }
 
 /// Gyro residual in both units, if its rate matches the arm's only in °/s.
-fn degrees(pairs: &[RatePair]) -> Option<UnitResiduals> {
+fn degree_residuals(pairs: &[RatePair]) -> Option<UnitResiduals> {
     /// Minimum rate for the ratio, as a share of the rms.
-    const FAST: f64 = 0.5;
+    const MIN_RATE_SHARE: f64 = 0.5;
     /// Maximum residual in °/s, as a share of the arm's rate, for the stream to be a gyro at all.
-    const LEFT: f64 = 0.7;
+    const MAX_RESIDUAL_SHARE: f64 = 0.7;
     let by_fk = rms(pairs.iter().map(|(_, _, rate)| rate.norm()));
-    let fast = pairs.iter().filter(|(_, _, rate)| rate.norm() > FAST * by_fk);
+    let fast = pairs.iter().filter(|(_, _, rate)| rate.norm() > MIN_RATE_SHARE * by_fk);
     let mut ratios: Vec<f64> = fast.map(|(_, gyro, rate)| gyro.norm() / rate.norm()).collect();
-    if ratios.len() < NEED {
+    if ratios.len() < MIN_FIT_SAMPLES {
         return None;
     }
     let ratio = quantile(&mut ratios, 0.5)?;
-    if (ratio.to_radians() - 1.0).abs() > NEAR {
+    if (ratio.to_radians() - 1.0).abs() > UNIT_TOLERANCE {
         return None;
     }
     let left = |factor: f64| {
-        let mount = Alignment::of(pairs, factor);
-        rms(pairs.iter().map(|(_, gyro, rate)| mount.left(&(gyro * factor), rate).norm()))
+        let mount = Alignment::fit(pairs, factor);
+        rms(pairs.iter().map(|(_, gyro, rate)| mount.residual(&(gyro * factor), rate).norm()))
     };
     let slip = UnitResiduals { as_logged: left(1.0), corrected: left(1f64.to_radians()) };
-    (slip.corrected < LEFT * by_fk).then_some(slip)
+    (slip.corrected < MAX_RESIDUAL_SHARE * by_fk).then_some(slip)
 }
 
 /// Mount and bias that map the arm's rates to the gyro's.
@@ -197,7 +202,7 @@ struct Alignment {
 }
 
 impl Alignment {
-    fn of(pairs: &[RatePair], factor: f64) -> Self {
+    fn fit(pairs: &[RatePair], factor: f64) -> Self {
         let n = pairs.len().max(1) as f64;
         let mean = pairs.iter().map(|(_, gyro, _)| gyro * factor).sum::<Vec3>() / n;
         let mean_rate = pairs.iter().map(|(_, _, rate)| rate).sum::<Vec3>() / n;
@@ -214,23 +219,23 @@ impl Alignment {
         self.link_from_imu.inverse() * rate + self.bias
     }
 
-    fn left(&self, gyro: &Vec3, rate: &Vec3) -> Vec3 {
+    fn residual(&self, gyro: &Vec3, rate: &Vec3) -> Vec3 {
         gyro - self.expected(rate)
     }
 }
 
 /// Gyro axis with reversed sign, if only left-handed axes match the arm's rates. Selects the axis whose
 /// mount is closest to the logged one.
-fn mirrored(pairs: &[RatePair], factor: f64, known_mount: Option<Rotation>) -> Option<usize> {
+fn mirrored_axis(pairs: &[RatePair], factor: f64, known_mount: Option<Rotation>) -> Option<usize> {
     /// Maximum residual, as a share of the right-handed residual and of the arm's rate.
-    const LEFT: f64 = 0.3;
-    if pairs.len() < NEED {
+    const MAX_RESIDUAL_SHARE: f64 = 0.3;
+    if pairs.len() < MIN_FIT_SAMPLES {
         return None;
     }
     let left = |pairs: &[RatePair]| {
-        let mount = Alignment::of(pairs, factor);
+        let mount = Alignment::fit(pairs, factor);
         let off =
-            rms(pairs.iter().map(|(_, gyro, rate)| mount.left(&(gyro * factor), rate).norm()));
+            rms(pairs.iter().map(|(_, gyro, rate)| mount.residual(&(gyro * factor), rate).norm()));
         (off, mount.link_from_imu)
     };
     let by_fk = rms(pairs.iter().map(|(_, _, rate)| rate.norm()));
@@ -243,9 +248,9 @@ fn mirrored(pairs: &[RatePair], factor: f64, known_mount: Option<Rotation>) -> O
         };
         let (off, mount) = left(&pairs.iter().map(flipped).collect::<Vec<_>>());
         let turned = known_mount.map_or(0.0, |known| angle_between(&known, &mount));
-        (off < LEFT * right_handed.min(by_fk)).then_some((axis, turned))
+        (off < MAX_RESIDUAL_SHARE * right_handed.min(by_fk)).then_some((axis, turned))
     };
-    if right_handed < LEFT * by_fk {
+    if right_handed < MAX_RESIDUAL_SHARE * by_fk {
         return None;
     }
     let all = (0..3).filter_map(reversed);
@@ -256,25 +261,26 @@ fn mirrored(pairs: &[RatePair], factor: f64, known_mount: Option<Rotation>) -> O
 struct SaturationLevel {
     axis: usize,
     /// Extreme value, as logged.
-    most: f64,
+    extreme: f64,
     /// Whether each row is at the extreme.
     at: Vec<bool>,
 }
 
 impl SaturationLevel {
-    fn all(gyro: &[Vec3]) -> Vec<Self> {
+    fn detect_all(gyro: &[Vec3]) -> Vec<Self> {
         /// Minimum number of samples at the extreme, in total and consecutively.
-        const SAMPLES: usize = 8;
-        const IN_A_ROW: usize = 3;
+        const MIN_SATURATED_SAMPLES: usize = 8;
+        const MIN_CONSECUTIVE_SAMPLES: usize = 3;
         let of = |axis: usize| {
             let most = gyro.iter().map(|gyro| gyro[axis].abs()).fold(0.0, f64::max);
-            let limit = most * (1.0 - SAME);
+            let limit = most * (1.0 - EQUALITY_TOLERANCE);
             let at: Vec<bool> = gyro.iter().map(|gyro| gyro[axis].abs() >= limit).collect();
             let runs = at.chunk_by(|a, b| a == b).filter(|run| run[0]).map(<[bool]>::len);
-            let is_long = runs.max().is_some_and(|longest| longest >= IN_A_ROW);
-            let is_plateau =
-                most > 0.0 && is_long && at.iter().filter(|at| **at).count() >= SAMPLES;
-            is_plateau.then_some(Self { axis, most, at })
+            let is_long = runs.max().is_some_and(|longest| longest >= MIN_CONSECUTIVE_SAMPLES);
+            let is_plateau = most > 0.0
+                && is_long
+                && at.iter().filter(|at| **at).count() >= MIN_SATURATED_SAMPLES;
+            is_plateau.then_some(Self { axis, extreme: most, at })
         };
         (0..3).filter_map(of).collect()
     }
@@ -282,7 +288,7 @@ impl SaturationLevel {
 
 /// Detects saturation: the gyro stays at an extreme while the arm turns faster. The mount is estimated from
 /// the pairs `free` of extremes; `factor` converts to rad/s.
-fn clipped(
+fn detect_saturation(
     plateaus: &[SaturationLevel],
     pairs: &[RatePair],
     free: &[RatePair],
@@ -290,20 +296,20 @@ fn clipped(
     rows: usize,
 ) -> Option<GyroSaturation> {
     /// Minimum ratio of the expected rate to the extreme, by the median over those samples.
-    const FASTER: f64 = 1.03;
-    if plateaus.is_empty() || free.len() < NEED {
+    const MIN_EXPECTED_RATIO: f64 = 1.03;
+    if plateaus.is_empty() || free.len() < MIN_FIT_SAMPLES {
         return None;
     }
-    let mount = Alignment::of(free, factor);
+    let mount = Alignment::fit(free, factor);
     let mut by_fk_rad_s = 0.0_f64;
     let mut is_passed = |plateau: &&SaturationLevel| {
-        let SaturationLevel { axis, most, at } = plateau;
+        let SaturationLevel { axis, extreme: most, at } = plateau;
         let rates = pairs.iter().filter(|(row, ..)| at[*row]);
         let expected =
             |(_, gyro, rate): &RatePair| mount.expected(rate)[*axis] * gyro[*axis].signum();
         let mut faster: Vec<f64> = rates.map(expected).collect();
         let Some(median) = quantile(&mut faster, 0.5) else { return false };
-        let is_passed = median > FASTER * most * factor;
+        let is_passed = median > MIN_EXPECTED_RATIO * most * factor;
         if is_passed {
             by_fk_rad_s = faster.iter().copied().fold(by_fk_rad_s, f64::max);
         }
@@ -311,7 +317,7 @@ fn clipped(
     };
     let passed: Vec<&SaturationLevel> =
         plateaus.iter().filter(|plateau| is_passed(plateau)).collect();
-    let limit = passed.iter().map(|plateau| plateau.most).reduce(f64::min)?;
+    let limit = passed.iter().map(|plateau| plateau.extreme).reduce(f64::min)?;
     let any = (0..rows).filter(|&row| passed.iter().any(|plateau| plateau.at[row])).count();
     Some(GyroSaturation {
         limit_rad_s: limit * factor,
@@ -323,24 +329,24 @@ fn clipped(
 
 /// Unit of the accelerometer, if it is not m/s². Uses the samples at rest if there are enough, else the
 /// whole run if the norm is nearly constant.
-fn accel(track: &ImuTrack, rests: &[usize]) -> Option<AccelUnitError> {
+fn accel_unit_error(track: &ImuTrack, rests: &[usize]) -> Option<AccelUnitError> {
     /// Maximum interquartile range as a share of the median. A larger spread is motion, not gravity.
-    const STEADY: f64 = 0.2;
+    const MAX_INTERQUARTILE_SHARE: f64 = 0.2;
     let sizes = |rows: &mut dyn Iterator<Item = usize>| -> Vec<f64> {
         rows.map(|row| track.accel[row].norm()).collect()
     };
-    let mut felt = match rests.len() >= NEED {
+    let mut felt = match rests.len() >= MIN_FIT_SAMPLES {
         true => sizes(&mut rests.iter().copied()),
         false => sizes(&mut (0..track.accel.len())),
     };
     let [low, median, high] = [0.25, 0.5, 0.75].map(|share| quantile(&mut felt, share));
     let felt = median?;
-    if high? - low? > STEADY * felt {
+    if high? - low? > MAX_INTERQUARTILE_SHARE * felt {
         return None;
     }
     let off = |unit: &AccelUnit| (felt * unit.in_m_s2() / GRAVITY_M_S2 - 1.0).abs();
     let nearest = AccelUnit::ALL.into_iter().min_by(|a, b| off(a).total_cmp(&off(b)))?;
-    (off(&nearest) < NEAR).then_some(AccelUnitError { unit: nearest, felt })
+    (off(&nearest) < UNIT_TOLERANCE).then_some(AccelUnitError { unit: nearest, norm: felt })
 }
 
 #[cfg(test)]
@@ -361,10 +367,10 @@ mod tests {
     #[test]
     fn a_gyro_in_degrees_is_told_whatever_its_mount_and_bias() {
         let bias = Vec3::new(2.0, -1.0, 0.5);
-        let slip = degrees(&pairs(|rate| rate * 1f64.to_degrees() + bias)).unwrap();
+        let slip = degree_residuals(&pairs(|rate| rate * 1f64.to_degrees() + bias)).unwrap();
         assert!(slip.corrected < 1e-9 && slip.as_logged > 10.0, "{slip:?}");
-        assert_eq!(degrees(&pairs(|rate| rate + 0.01 * bias)), None);
-        assert_eq!(degrees(&pairs(|rate| rate * 1.3)), None);
+        assert_eq!(degree_residuals(&pairs(|rate| rate + 0.01 * bias)), None);
+        assert_eq!(degree_residuals(&pairs(|rate| rate * 1.3)), None);
     }
 
     #[test]
@@ -378,19 +384,22 @@ mod tests {
     }
 
     fn saturation(gyro: &[Vec3], pairs: &[RatePair]) -> Option<GyroSaturation> {
-        let plateaus = SaturationLevel::all(gyro);
+        let plateaus = SaturationLevel::detect_all(gyro);
         let is_free = |pair: &&RatePair| plateaus.iter().all(|plateau| !plateau.at[pair.0]);
         let free: Vec<RatePair> = pairs.iter().filter(is_free).copied().collect();
-        clipped(&plateaus, pairs, &free, 1.0, gyro.len())
+        detect_saturation(&plateaus, pairs, &free, 1.0, gyro.len())
     }
 
     #[test]
     fn a_reversed_axis_is_told_by_the_mount() {
         let reversed = pairs(|rate| Vec3::new(rate.x, -rate.y, rate.z));
         let mount = ground::geometry::rotation_from_rotvec(Vec3::new(0.4, -1.1, 2.0));
-        assert_eq!(mirrored(&reversed, 1.0, Some(mount)), Some(1));
-        assert!(mirrored(&reversed, 1.0, None).is_some());
-        assert_eq!(mirrored(&pairs(|rate| Vec3::new(-rate.x, -rate.y, rate.z)), 1.0, None), None);
+        assert_eq!(mirrored_axis(&reversed, 1.0, Some(mount)), Some(1));
+        assert!(mirrored_axis(&reversed, 1.0, None).is_some());
+        assert_eq!(
+            mirrored_axis(&pairs(|rate| Vec3::new(-rate.x, -rate.y, rate.z)), 1.0, None),
+            None
+        );
     }
 
     #[test]
@@ -407,13 +416,13 @@ mod tests {
             accel: (0..200).map(|k| Vec3::new(0.0, 1e-3 * f64::from(k % 7), 1.0) * size).collect(),
             ..ImuTrack::default()
         };
-        let unit = |size| accel(&track(size), &[]).map(|slip| slip.unit);
+        let unit = |size| accel_unit_error(&track(size), &[]).map(|slip| slip.unit);
         assert_eq!(unit(1.01), Some(AccelUnit::G));
         assert_eq!(unit(997.0), Some(AccelUnit::MilliG));
         assert_eq!(unit(983.0), Some(AccelUnit::Gal));
         assert_eq!(unit(9.7), None);
         assert_eq!(unit(0.05), None);
         let motion = (0..200).map(|k| Vec3::x() * (f64::from(k) * 0.01)).collect();
-        assert_eq!(accel(&ImuTrack { accel: motion, ..ImuTrack::default() }, &[]), None);
+        assert_eq!(accel_unit_error(&ImuTrack { accel: motion, ..ImuTrack::default() }, &[]), None);
     }
 }

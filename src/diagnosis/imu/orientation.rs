@@ -1,16 +1,16 @@
 //! Fits the orientation to FK: `world_from_imu(s) = Rz(yaw(s)) · world_from_base · FK(q(s − τ)) ·
 //! link_from_imu`, with `yaw(s) = drift·(s − middle) + jumps before s + walk(s)`. Heading-dependent and
-//! exponentially decaying yaw errors are added by [`forms`]. The mount may change once within the run.
+//! exponentially decaying yaw errors are added by [`terms`]. The mount may change once within the run.
 
 mod forms;
 
 use super::super::constant::mean_rotation;
-use super::super::course::{LatencySample, course_of};
+use super::super::course::{LatencySample, fit_profile};
 use super::super::linear::Linear;
 use super::super::model::FLOOR_RAD;
 use super::super::reading::{
-    EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, nearest_truth,
-    read_in_gravity,
+    EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, decode_nearest,
+    estimate_encoding_with_gravity,
 };
 use super::super::{
     EncodingEstimate, EstimateResult, HeadingPair, LatencyProfile, Measured, NotObservable,
@@ -20,8 +20,8 @@ use super::found::ImuMountChange;
 use super::solve::{DesignNoise, Model, Solved, lengths, solve};
 use super::yaw::{self, YawDecomposition};
 use super::{
-    Clock, Delay, Link, MOUNT_CHANCE, NEED, SKEW_CHANCE, TURNS_RAD, add_block, explains, mount_of,
-    rms, turned_noise,
+    Clock, Delay, Link, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, MOUNT_SIGNIFICANCE, SKEW_SIGNIFICANCE,
+    add_block, explains, mount_of, rms, turned_noise,
 };
 use forms::YawTerm;
 use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
@@ -31,22 +31,22 @@ use std::f64::consts::TAU;
 use std::ops::Range;
 
 /// The whole run, s.
-const EVER: Range<f64> = f64::NEG_INFINITY..f64::INFINITY;
+const WHOLE_RUN_S: Range<f64> = f64::NEG_INFINITY..f64::INFINITY;
 /// Samples used to test encodings.
 const READING_SAMPLES: usize = 72;
 /// Maximum number of refits with an updated yaw model.
-const PASSES: usize = 4;
+const MAX_PASSES: usize = 4;
 /// Number of first passes without a random walk. Until the mount is corrected, an unmodelled jump looks
 /// like a walk.
-const JUMPS_FIRST: usize = 2;
+const PASSES_WITHOUT_WALK: usize = 2;
 
 /// Results of an orientation fit.
 pub(super) struct OrientationFit {
-    pub reading: EncodingEstimate,
+    pub encoding: EncodingEstimate,
     pub clock: Clock,
     pub drift_rad_s: EstimateResult<Measured>,
-    pub course: YawProfile,
-    pub latency_course: EstimateResult<LatencyProfile>,
+    pub yaw_profile: YawProfile,
+    pub latency_profile: EstimateResult<LatencyProfile>,
     pub mount_rad: EstimateResult<MeasuredLength>,
     pub link_from_imu: Rotation,
     pub mount_change: Option<ImuMountChange>,
@@ -61,63 +61,70 @@ impl Link<'_> {
         moves: bool,
     ) -> EstimateResult<OrientationFit> {
         let (mut reading, mut model) = self.orientation_model(start)?;
-        let mut settled = model.settle(moves);
-        if let Some(slipped) = settled.model.slipped(moves) {
+        let mut settled = model.fit(moves);
+        if let Some(slipped) = settled.model.with_mount_slip(moves) {
             let (from_s, to_s) = slipped.longer_side();
             // A slip makes every encoding fit badly, so the encoding is determined again on one side.
             reading = self
-                .read(&slipped.delay, self.known_mount(), from_s..to_s)
+                .read_encoding(&slipped.delay, self.known_mount(), from_s..to_s)
                 .map_or(reading, |read| read.0);
             model = slipped;
-            settled = model.settle(moves);
+            settled = model.fit(moves);
         }
-        if let Some((shaped, of_it)) = settled.model.shaped(moves) {
+        if let Some((shaped, of_it)) = settled.model.with_yaw_term(moves) {
             (model, settled) = (shaped, of_it);
         }
         let mut course = YawDecomposition::default();
-        for pass in 0..PASSES {
-            let last =
-                std::mem::replace(&mut course, yaw::explain(&settled.model.yaw_beside_forms()));
+        for pass in 0..MAX_PASSES {
+            let last = std::mem::replace(
+                &mut course,
+                yaw::decompose_yaw(&settled.model.yaw_without_terms()),
+            );
             if course.is_steady() && last.is_steady() {
                 break;
             }
-            if pass < JUMPS_FIRST && !course.parts.jumps.is_empty() {
+            if pass < PASSES_WITHOUT_WALK && !course.parts.jumps.is_empty() {
                 course = course.without_walk();
             }
-            model.take_up(&course);
-            settled = model.settle(moves);
+            model.add_profile(&course);
+            settled = model.fit(moves);
         }
         let Settled { model, solved, mount_rad, skew } = settled;
         let turning_rad = self.turning_rad(&model.delay);
-        if turning_rad > TURNS_RAD {
+        if turning_rad > MIN_ROTATION_RAD {
             explains(turning_rad, rms(lengths(&model.linearize())))?;
         }
         let clock = match moves {
             true => {
-                let latency_s = solved.one(OrientationModel::LATENCY, model.delay.latency_s);
+                let latency_s = solved.measure(OrientationModel::LATENCY, model.delay.latency_s);
                 Clock { latency_s, skew }
             }
             false => Clock::unseen(&NotObservable::AtRest),
         };
         // Only the bins account for the random drift of a walk.
-        let walks = course.parts.walk_rad_rt_s.is_some();
+        let walks = course.parts.walk_rad_per_sqrt_s.is_some();
         let drift_rad_s = match course.drift_rad_s.filter(|_| walks) {
             Some(drift_rad_s) => Ok(drift_rad_s),
-            None => solved.one(OrientationModel::DRIFT, model.drift_rad_s),
+            None => solved.measure(OrientationModel::DRIFT, model.drift_rad_s),
         };
         if !walks {
             for (jump, (column, fitted)) in course.parts.jumps.iter_mut().zip(model.jumps()) {
-                jump.size_rad = solved.one(column, fitted.size_rad).unwrap_or(jump.size_rad);
+                jump.size_rad = solved.measure(column, fitted.size_rad).unwrap_or(jump.size_rad);
             }
         }
-        (course.parts.heading, course.parts.warm_up) = model.formed(&solved);
+        (course.parts.heading, course.parts.warm_up) = model.term_estimates(&solved);
         Ok(OrientationFit {
-            reading,
+            encoding: reading,
             clock,
             drift_rad_s,
-            course: course.parts,
-            latency_course: match moves {
-                true => course_of(&model.lagging(), 1, model.delay.skew, self.stream.taken_off),
+            yaw_profile: course.parts,
+            latency_profile: match moves {
+                true => fit_profile(
+                    &model.latency_samples(),
+                    1,
+                    model.delay.skew,
+                    self.stream.removed_ramp,
+                ),
                 false => Err(NotObservable::AtRest),
             },
             mount_rad,
@@ -135,11 +142,11 @@ impl Link<'_> {
     ) -> EstimateResult<(EncodingEstimate, OrientationModel<'_>)> {
         let track = self.stream.track;
         let known_mount = self.known_mount();
-        let (estimate, fit) = match self.read(&start, known_mount, EVER) {
+        let (estimate, fit) = match self.read_encoding(&start, known_mount, WHOLE_RUN_S) {
             // With a large slip there are two mounts; try each half of the run.
             Err(why) => [f64::NEG_INFINITY..self.middle_s, self.middle_s..f64::INFINITY]
                 .into_iter()
-                .filter_map(|half| self.read(&start, known_mount, half).ok())
+                .filter_map(|half| self.read_encoding(&start, known_mount, half).ok())
                 .min_by(|a, b| a.0.best_rad.total_cmp(&b.0.best_rad))
                 .ok_or(why)?,
             Ok(read) => read,
@@ -153,7 +160,7 @@ impl Link<'_> {
             truth: Vec::new(),
             jumps: Vec::new(),
             path_rad: Vec::new(),
-            forms: Vec::new(),
+            terms: Vec::new(),
             slip: None,
             delay: start,
             drift_rad_s: 0.0,
@@ -164,8 +171,8 @@ impl Link<'_> {
             let truth_s = start.truth_s(track.t_s[k]);
             let Some(moment) = self.at(truth_s, &mut sweep) else { continue };
             let expected = model.world_from_base * moment.rotation * model.link_from_imu;
-            if let Some(truth) = nearest_truth(
-                &fit.reading,
+            if let Some(truth) = decode_nearest(
+                &fit.encoding,
                 &RotationCorrections::default(),
                 &logged,
                 k,
@@ -176,10 +183,13 @@ impl Link<'_> {
                 model.truth.push(truth);
             }
         }
-        if model.rows.len() < NEED {
-            return Err(NotObservable::TooFewSamples { have: model.rows.len(), need: NEED });
+        if model.rows.len() < MIN_FIT_SAMPLES {
+            return Err(NotObservable::TooFewSamples {
+                have: model.rows.len(),
+                need: MIN_FIT_SAMPLES,
+            });
         }
-        model.start_mount(known_mount.unwrap_or_default());
+        model.init_mount(known_mount.unwrap_or_default());
         Ok((estimate, model))
     }
 
@@ -189,7 +199,7 @@ impl Link<'_> {
     }
 
     /// Determines the encoding of the orientation within `when_s`, relative to the known mount.
-    fn read(
+    fn read_encoding(
         &self,
         start: &Delay,
         known_mount: Option<Rotation>,
@@ -216,7 +226,7 @@ impl Link<'_> {
             are_quaternions: true,
             after: RotationCorrections::default(),
         };
-        read_in_gravity(&samples, &forces)
+        estimate_encoding_with_gravity(&samples, &forces)
     }
 }
 
@@ -235,7 +245,7 @@ struct OrientationModel<'a> {
     /// Random walk of the yaw, one value per row; empty if there is none.
     path_rad: Vec<f64>,
     /// Further parts of the yaw error.
-    forms: Vec<YawTerm>,
+    terms: Vec<YawTerm>,
     /// Slip of the IMU: time, 95 % interval, and rotation with `link_from_imu after = link_from_imu ·
     /// slip`.
     slip: Option<(f64, [f64; 2], Rotation)>,
@@ -268,11 +278,11 @@ impl<'a> OrientationModel<'a> {
     const SKEW: usize = 8;
     const SLIP: Range<usize> = 9..12;
     /// Columns of the forms start here, followed by those of the jumps.
-    const PARTS: usize = 12;
+    const TERM_COLUMNS_START: usize = 12;
 
     /// Fits the model with mount and skew free. Refits with the logged mount and without skew if the free
     /// values do not differ significantly.
-    fn settle(&self, moves: bool) -> Settled<'a> {
+    fn fit(&self, moves: bool) -> Settled<'a> {
         let mut free: Vec<usize> = Self::WORLD.chain([Self::DRIFT]).chain(Self::MOUNT).collect();
         if moves {
             free.push(Self::LATENCY);
@@ -285,7 +295,7 @@ impl<'a> OrientationModel<'a> {
         if !walks {
             free.extend(self.jumps().map(|(column, _)| column));
         }
-        free.extend(Self::PARTS..self.first_jump());
+        free.extend(Self::TERM_COLUMNS_START..self.first_jump());
         if self.slip.is_some() {
             free.extend(Self::SLIP);
         }
@@ -293,17 +303,17 @@ impl<'a> OrientationModel<'a> {
         let mut model = self.clone();
         let mut solved = solve(&mut model, &free);
         let mount_rad = model.mount(&solved);
-        let skew = solved.one(Self::SKEW, model.delay.skew);
-        if !walks && !solved.is_sure(&[Self::SKEW], &[model.delay.skew], SKEW_CHANCE) {
+        let skew = solved.measure(Self::SKEW, model.delay.skew);
+        if !walks && !solved.is_significant(&[Self::SKEW], &[model.delay.skew], SKEW_SIGNIFICANCE) {
             model.delay.skew = 0.0;
             free.retain(|&parameter| parameter != Self::SKEW);
         }
-        let is_other = mount_rad.as_ref().is_ok_and(|length| length.p_value < MOUNT_CHANCE);
+        let is_other = mount_rad.as_ref().is_ok_and(|length| length.p_value < MOUNT_SIGNIFICANCE);
         if let Some(known) = self.link.stream.link_from_imu
             && !is_other
         {
             model.link_from_imu = known.rotation;
-            model.start_world();
+            model.init_world();
             free.retain(|parameter| !Self::MOUNT.contains(parameter));
         }
         if free.len() < all {
@@ -320,14 +330,14 @@ impl<'a> OrientationModel<'a> {
         solved.mount_error(&mount, error.as_slice())
     }
 
-    /// Adds the jumps and the random walk of `course` to the model.
-    fn take_up(&mut self, course: &YawDecomposition) {
+    /// Adds the jumps and the random walk of `yaw_profile` to the model.
+    fn add_profile(&mut self, course: &YawDecomposition) {
         let t_s = &self.link.stream.track.t_s;
         let jumps = course.parts.jumps.iter();
         self.jumps =
             jumps.map(|jump| Jump { at_s: jump.at_s, size_rad: jump.size_rad.value }).collect();
-        self.path_rad = match course.parts.walk_rad_rt_s {
-            Some(_) => self.rows.iter().map(|&k| course.wandered(t_s[k])).collect(),
+        self.path_rad = match course.parts.walk_rad_per_sqrt_s {
+            Some(_) => self.rows.iter().map(|&k| course.walk_rad(t_s[k])).collect(),
             None => Vec::new(),
         };
     }
@@ -338,9 +348,9 @@ impl<'a> OrientationModel<'a> {
     }
 
     /// Yaw error at a row without the drift, rad.
-    fn beside_drift(&self, row: usize) -> f64 {
+    fn error_without_drift(&self, row: usize) -> f64 {
         let stamp = self.link.stream.track.t_s[self.rows[row]];
-        let formed: f64 = self.forms.iter().map(|form| form.at(row)).sum();
+        let formed: f64 = self.terms.iter().map(|form| form.at(row)).sum();
         let jumped = self.jumps.iter().filter(|jump| stamp > jump.at_s);
         let wandered = self.path_rad.get(row).copied().unwrap_or(0.0);
         formed + wandered + jumped.map(|jump| jump.size_rad).sum::<f64>()
@@ -348,7 +358,7 @@ impl<'a> OrientationModel<'a> {
 
     /// Initial mount: maps rotation axes of the link to those of the IMU, as close to `expected` as the
     /// data allow.
-    fn start_mount(&mut self, expected: Rotation) {
+    fn init_mount(&mut self, expected: Rotation) {
         let mut sweep = self.link.sweep();
         let t_s = &self.link.stream.track.t_s;
         let mut middle: Option<(Rotation, Rotation)> = None;
@@ -363,11 +373,11 @@ impl<'a> OrientationModel<'a> {
             correlation += by_link * by_imu.transpose();
         }
         self.link_from_imu = mount_of(&correlation, &expected);
-        self.start_world();
+        self.init_world();
     }
 
     /// Sets the world rotation to the average for the current mount.
-    fn start_world(&mut self) {
+    fn init_world(&mut self) {
         let mut sweep = self.link.sweep();
         let t_s = &self.link.stream.track.t_s;
         let worlds: Vec<Rotation> = self
@@ -377,7 +387,8 @@ impl<'a> OrientationModel<'a> {
             .enumerate()
             .filter_map(|(row, (&k, truth))| {
                 let moment = self.link.at(self.delay.truth_s(t_s[k]), &mut sweep)?;
-                let truth = rotation_from_rotvec(Vec3::z() * -self.beside_drift(row)) * truth;
+                let truth =
+                    rotation_from_rotvec(Vec3::z() * -self.error_without_drift(row)) * truth;
                 Some(truth * (moment.rotation * self.mount_at(t_s[k])).inverse())
             })
             .collect();
@@ -385,7 +396,7 @@ impl<'a> OrientationModel<'a> {
     }
 
     /// Residual of each rotation, and the angular velocity by FK.
-    fn lagging(&self) -> Vec<LatencySample> {
+    fn latency_samples(&self) -> Vec<LatencySample> {
         let linear = self.linearize();
         let mut sweep = self.link.sweep();
         let t_s = self.rows.iter().map(|&k| self.link.stream.track.t_s[k]);
@@ -397,7 +408,7 @@ impl<'a> OrientationModel<'a> {
         let left = linear.residual[0].iter().map(|&residual| Vec3::from(residual));
         let lagging = |((t_s, rate, joint_noise), left)| LatencySample {
             t_s,
-            left: [Vec3::zeros(), left],
+            residual: [Vec3::zeros(), left],
             velocity: [Vec3::zeros(), rate],
             loads: [0.0; 2],
             joint_noise,
@@ -407,11 +418,11 @@ impl<'a> OrientationModel<'a> {
 
     /// Stamp and total yaw error relative to FK, drift included.
     fn yaw_error(&self) -> Vec<(f64, f64)> {
-        Self { forms: Vec::new(), ..self.clone() }.yaw_beside_forms()
+        Self { terms: Vec::new(), ..self.clone() }.yaw_without_terms()
     }
 
     /// Yaw error without the heading-dependent and decaying parts.
-    fn yaw_beside_forms(&self) -> Vec<(f64, f64)> {
+    fn yaw_without_terms(&self) -> Vec<(f64, f64)> {
         let still =
             Self { drift_rad_s: 0.0, jumps: Vec::new(), path_rad: Vec::new(), ..self.clone() };
         let mut sweep = self.link.sweep();
@@ -429,7 +440,7 @@ impl<'a> OrientationModel<'a> {
     /// yaw error. Empty if every axis comes too close to the vertical.
     fn headings(&self) -> Vec<HeadingPair> {
         /// Cosine of the smallest angle to the vertical for a usable heading.
-        const UPRIGHT: f64 = 0.97;
+        const MAX_VERTICAL_COSINE: f64 = 0.97;
         let mut sweep = self.link.sweep();
         let t_s = &self.link.stream.track.t_s;
         let rows: Vec<(f64, Rotation, Rotation)> = self
@@ -450,7 +461,7 @@ impl<'a> OrientationModel<'a> {
         let Some((steepest, axis)) = axes.min_by(|a, b| a.0.total_cmp(&b.0)) else {
             return Vec::new();
         };
-        if steepest > UPRIGHT {
+        if steepest > MAX_VERTICAL_COSINE {
             return Vec::new();
         }
         let heading = |rotation: &Rotation| {
@@ -518,8 +529,10 @@ impl Model for OrientationModel<'_> {
         for (jump, step) in self.jumps.iter_mut().zip(delta.iter().skip(first_jump)) {
             jump.size_rad += step;
         }
-        let sizes = self.forms.iter_mut().flat_map(|form| &mut form.sizes_rad);
-        sizes.zip(delta.iter().skip(Self::PARTS)).for_each(|(size, step)| *size += step);
+        let sizes = self.terms.iter_mut().flat_map(|form| &mut form.sizes_rad);
+        sizes
+            .zip(delta.iter().skip(Self::TERM_COLUMNS_START))
+            .for_each(|(size, step)| *size += step);
         if let Some((.., slip)) = &mut self.slip {
             *slip *= rotation_from_rotvec(part(Self::SLIP.start));
         }
@@ -540,7 +553,7 @@ impl OrientationModel<'_> {
             let Some(moment) = self.link.at(truth_s, &mut sweep) else { continue };
             kept.push(row);
             let since = stamp - self.link.middle_s;
-            let yaw_rad = self.drift_rad_s * since + self.beside_drift(row);
+            let yaw_rad = self.drift_rad_s * since + self.error_without_drift(row);
             let drifted = rotation_from_rotvec(Vec3::z() * yaw_rad);
             let world = drifted * self.world_from_base;
             let predicted = world * moment.rotation * self.mount_at(stamp);
@@ -565,8 +578,8 @@ impl OrientationModel<'_> {
                     rows.set(0, Self::SLIP.start + axis, (predicted * unit).into());
                 }
             }
-            let weights = self.forms.iter().flat_map(|form| &form.weights);
-            for (column, weight) in (Self::PARTS..).zip(weights) {
+            let weights = self.terms.iter().flat_map(|form| &form.weights);
+            for (column, weight) in (Self::TERM_COLUMNS_START..).zip(weights) {
                 rows.set(0, column, (Vec3::z() * weight[row]).into());
             }
         }

@@ -3,7 +3,7 @@
 use super::super::linear::{Linear, Normal, Weight};
 use super::super::robust::{pseudo_inverse, sandwich};
 use super::super::{EstimateResult, Measured, NotObservable};
-use super::MOUNT_CHANCE;
+use super::MOUNT_SIGNIFICANCE;
 use ground::geometry::Vec3;
 use ground::stats::{MeasuredLength, joint_p_value};
 use nalgebra::{DMatrix, DVector};
@@ -44,18 +44,18 @@ pub(super) struct Solved {
 /// stay fixed.
 pub(super) fn solve(model: &mut impl Model, free: &[usize]) -> Solved {
     /// Maximum number of steps.
-    const STEPS: usize = 8;
+    const MAX_STEPS: usize = 8;
     /// Convergence threshold of a step, in the parameters' units.
-    const STILL: f64 = 1e-9;
+    const CONVERGED_STEP: f64 = 1e-9;
     let noise = model.design_noise();
-    let mut left = STEPS;
+    let mut left = MAX_STEPS;
     let mut linear = model.linearize();
-    let excited = Excited::of(&linear, &noise, free);
+    let excited = Excited::new(&linear, &noise, free);
     loop {
-        let step = Step::of(&linear, &excited);
+        let step = Step::new(&linear, &excited);
         model.apply(&step.delta);
         left -= 1;
-        if left == 0 || step.delta.amax() < STILL {
+        if left == 0 || step.delta.amax() < CONVERGED_STEP {
             return step.solved(&linear, excited);
         }
         linear = model.linearize();
@@ -76,9 +76,9 @@ struct Excited {
 impl Excited {
     /// Maximum share of noise in the `AᵀA` of an excited combination. Joint and gyro noise are known to a
     /// factor of two in variance; this adds another factor of two.
-    const NOISE_SHARE: f64 = 0.25;
+    const MAX_NOISE_SHARE: f64 = 0.25;
 
-    fn of(linear: &Linear, noise: &DesignNoise, free: &[usize]) -> Self {
+    fn new(linear: &Linear, noise: &DesignNoise, free: &[usize]) -> Self {
         let width = linear.width;
         let squares = linear.information(&linear.even_weights());
         let unit = |column: usize| DVector::from_fn(width, |i, _| f64::from(u8::from(i == column)));
@@ -100,7 +100,7 @@ impl Excited {
             let between = pseudo_inverse(&(others.tr_mul(&squares) * &others)).0;
             let alone = own.tr_mul(&squares) * &own - across.tr_mul(&(between * &across));
             let by_noise = own.tr_mul(&noise.squares) * &own;
-            let eigen = (alone - by_noise / Self::NOISE_SHARE).symmetric_eigen();
+            let eigen = (alone - by_noise / Self::MAX_NOISE_SHARE).symmetric_eigen();
             for (direction, excess) in eigen.eigenvectors.column_iter().zip(&eigen.eigenvalues) {
                 let direction = &own * direction;
                 if *excess > 0.0 { basis.push(direction) } else { held.push(direction) }
@@ -126,7 +126,7 @@ struct Step {
 
 impl Step {
     /// Computes the step along the excited combinations.
-    fn of(linear: &Linear, excited: &Excited) -> Self {
+    fn new(linear: &Linear, excited: &Excited) -> Self {
         let columns: Vec<usize> = (0..linear.width).collect();
         let delta = DVector::zeros(linear.width);
         let mut step = Self { delta, weights: linear.first_weights(), independent: 0.0 };
@@ -144,7 +144,7 @@ impl Step {
 
     /// Weighted noise in the normal matrix.
     fn noise(&self, excited: &Excited) -> DMatrix<f64> {
-        let level = self.weights.first().map_or(0.0, Weight::level);
+        let level = self.weights.first().map_or(0.0, Weight::base_weight);
         &excited.noise * level
     }
 
@@ -174,7 +174,7 @@ impl Step {
 }
 
 /// A parameter with a larger share in fixed directions is not observable.
-const SHARE_HELD: f64 = 1e-3;
+const MAX_FIXED_SHARE: f64 = 1e-3;
 
 /// Norm of the residual of each sample.
 pub(super) fn lengths(linear: &Linear) -> impl Iterator<Item = f64> {
@@ -183,13 +183,13 @@ pub(super) fn lengths(linear: &Linear) -> impl Iterator<Item = f64> {
 
 impl Solved {
     /// Estimate of one parameter with fitted `value`.
-    pub fn one(&self, parameter: usize, value: f64) -> EstimateResult<Measured> {
+    pub fn measure(&self, parameter: usize, value: f64) -> EstimateResult<Measured> {
         let variance = self.block(&[parameter])?[(0, 0)];
         Ok(Measured { value, std_error: variance.max(0.0).sqrt(), dof: self.dof })
     }
 
-    /// Estimate of a linear combination of parameters with coefficients `along` and fitted `value`.
-    pub fn along(
+    /// Estimate of a linear combination of parameters with coefficients `measure_combination` and fitted `value`.
+    pub fn measure_combination(
         &self,
         parameters: &[usize],
         along: &[f64],
@@ -221,7 +221,7 @@ impl Solved {
     }
 
     /// Tests whether the parameters `vector` differ from zero at the significance level `chance`.
-    pub fn is_sure(&self, parameters: &[usize], vector: &[f64], chance: f64) -> bool {
+    pub fn is_significant(&self, parameters: &[usize], vector: &[f64], chance: f64) -> bool {
         let vector = DVector::from_column_slice(vector);
         let p_value = |covariance| joint_p_value(&vector, &covariance, self.dof);
         self.block(parameters).is_ok_and(|covariance| p_value(covariance) < chance)
@@ -240,7 +240,8 @@ impl Solved {
             held += &own * own.transpose();
         }
         let eigen = held.symmetric_eigen();
-        let excited = (0..n).filter(|&at| eigen.eigenvalues[at] < SHARE_HELD).collect::<Vec<_>>();
+        let excited =
+            (0..n).filter(|&at| eigen.eigenvalues[at] < MAX_FIXED_SHARE).collect::<Vec<_>>();
         if excited.is_empty() {
             return Err(NotObservable::NotExcited);
         }
@@ -259,12 +260,12 @@ impl Solved {
     ) -> EstimateResult<MeasuredLength> {
         let least = || self.least_length(parameters, error).ok();
         self.length(parameters, error)
-            .or_else(|why| least().filter(|length| length.p_value < MOUNT_CHANCE).ok_or(why))
+            .or_else(|why| least().filter(|length| length.p_value < MOUNT_SIGNIFICANCE).ok_or(why))
     }
 
     fn block(&self, parameters: &[usize]) -> EstimateResult<DMatrix<f64>> {
         let is_held = |parameter: &usize| {
-            self.held.iter().any(|direction| direction[*parameter].powi(2) > SHARE_HELD)
+            self.held.iter().any(|direction| direction[*parameter].powi(2) > MAX_FIXED_SHARE)
         };
         if parameters.iter().any(is_held) {
             return Err(NotObservable::NotExcited);

@@ -73,7 +73,7 @@ fn diagnosed(
         columns: &[0, 1, 2, 3, 4, 5],
         stamp_error_s: 0.0,
         link_from_imu: Some(Pose::from_parts(Vec3::zeros().into(), logged)),
-        taken_off: None,
+        removed_ramp: None,
     };
     diagnose_imu(&joints, &stream, 1.0)
 }
@@ -85,7 +85,7 @@ fn a_mount_is_not_observable_about_the_only_axis_of_motion() {
         for with_orientation in [false, true] {
             let found = diagnosed(moving, mount, mount, with_orientation);
             assert!(found.mount_rad.is_err(), "joint {moving}: {:?}", found.mount_rad);
-            assert!(found.axes_turn.is_none(), "joint {moving}: {:?}", found.axes_turn);
+            assert!(found.axes_rotation.is_none(), "joint {moving}: {:?}", found.axes_rotation);
             let latency = found.latency_s.expect("a latency");
             assert!(latency.value.abs() < 1e-3, "joint {moving}: {latency:?}");
         }

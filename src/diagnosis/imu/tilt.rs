@@ -8,12 +8,12 @@ use ground::stats::MeasuredLength;
 use nalgebra::DMatrix;
 
 /// Margin before and after a sample at rest, s.
-const SETTLING_S: f64 = 0.05;
+const REST_MARGIN_S: f64 = 0.05;
 /// Number of blocks whose means are treated as independent. Few blocks outlast the noise's correlation
 /// time.
 const BLOCKS: usize = 10;
 /// Minimum number of samples at rest for an estimate of the spread.
-const NEED: usize = 4 * BLOCKS;
+const MIN_SAMPLES: usize = 4 * BLOCKS;
 
 impl Link<'_> {
     /// Constancy of the specific force's direction in the base, 0 to 1, for an accelerometer with mount
@@ -48,7 +48,7 @@ impl Link<'_> {
         }
         let in_world = world.try_normalize(f64::MIN_POSITIVE)?;
         let in_base = base.try_normalize(f64::MIN_POSITIVE)?;
-        (count >= NEED).then_some(UpDirections { in_world, in_base })
+        (count >= MIN_SAMPLES).then_some(UpDirections { in_world, in_base })
     }
 
     /// Tilt of the IMU against gravity, from samples at rest.
@@ -61,7 +61,7 @@ impl Link<'_> {
         let mut rests = |t_s: f64| self.at(t_s, &mut sweep).is_some_and(|moment| !moment.moving);
         let resting = (0..track.t_s.len()).step_by(self.stride()).filter(|&k| {
             let t_s = track.t_s[k] - lag_s;
-            rests(t_s - SETTLING_S) && rests(t_s) && rests(t_s + SETTLING_S)
+            rests(t_s - REST_MARGIN_S) && rests(t_s) && rests(t_s + REST_MARGIN_S)
         });
         let forces: Vec<Vec3> = resting.map(|k| track.orientation[k] * track.accel[k]).collect();
         tilt(&forces)
@@ -72,7 +72,7 @@ impl Link<'_> {
 /// orientation. The standard error comes from the spread over blocks.
 fn tilt(forces: &[Vec3]) -> EstimateResult<MeasuredLength> {
     let n = forces.len();
-    if n < NEED {
+    if n < MIN_SAMPLES {
         return Err(NotObservable::NeverRests);
     }
     let mean = forces.iter().sum::<Vec3>() / n as f64;

@@ -11,18 +11,18 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use std::f64::consts::{PI, TAU};
 
 /// Number of bins and its minimum.
-const BINS: f64 = 100.0;
-const FEWEST: usize = 10;
+const MAX_BINS: f64 = 100.0;
+const MIN_BINS: usize = 10;
 /// Bin length in correlation times of the noise.
-const FORGOTTEN: f64 = 3.0;
+const BIN_CORRELATION_TIMES: f64 = 3.0;
 /// Upper bound on the bin length, s. A longer correlation is attributed to a random walk.
-const LONGEST_BIN_S: f64 = 0.4;
+const MAX_BIN_S: f64 = 0.4;
 /// Minimum gain in log likelihood for each part. A jump is searched over all bins; a walk's density is
 /// tested on the boundary of its range.
-const JUMP_COST: f64 = 12.0;
-const WALK_COST: f64 = 7.0;
+const MIN_JUMP_GAIN: f64 = 12.0;
+const MIN_WALK_GAIN: f64 = 7.0;
 /// More jumps than this are modelled as a walk.
-const MOST_JUMPS: usize = 3;
+const MAX_JUMPS: usize = 3;
 /// Noise floor of the yaw error, rad.
 const FLOOR_RAD: f64 = 1e-6;
 
@@ -44,12 +44,12 @@ impl YawDecomposition {
 
     /// Keeps only the jumps.
     pub fn without_walk(self) -> Self {
-        let parts = YawProfile { walk_rad_rt_s: None, ..self.parts };
+        let parts = YawProfile { walk_rad_per_sqrt_s: None, ..self.parts };
         Self { parts, drift_rad_s: None, path: Vec::new() }
     }
 
     /// Value of the random walk at time `t_s`, rad.
-    pub fn wandered(&self, t_s: f64) -> f64 {
+    pub fn walk_rad(&self, t_s: f64) -> f64 {
         let right = self.path.partition_point(|&(at, _)| at < t_s);
         match (right.checked_sub(1).map(|left| self.path[left]), self.path.get(right)) {
             (Some((before, from)), Some(&(after, to))) => {
@@ -62,8 +62,8 @@ impl YawDecomposition {
 }
 
 /// Decomposes the yaw error `series` of ascending times, s, and angles, rad.
-pub(super) fn explain(series: &[(f64, f64)]) -> YawDecomposition {
-    let Some(bins) = Bins::of(&unwrapped(series)) else {
+pub(super) fn decompose_yaw(series: &[(f64, f64)]) -> YawDecomposition {
+    let Some(bins) = Bins::from_samples(&unwrapped(series)) else {
         return YawDecomposition::default();
     };
     let steady = bins.fit(&[], 0.0);
@@ -72,7 +72,7 @@ pub(super) fn explain(series: &[(f64, f64)]) -> YawDecomposition {
     let best = [steady, wandering, jumpy]
         .into_iter()
         .reduce(|a, b| if b.score() > a.score() { b } else { a });
-    best.map(|fit| bins.course(&fit)).unwrap_or_default()
+    best.map(|fit| bins.decomposition(&fit)).unwrap_or_default()
 }
 
 /// Removes jumps by whole turns.
@@ -118,8 +118,8 @@ struct BinFit {
 
 impl BinFit {
     fn score(&self) -> f64 {
-        let walks = if self.walk_ratio > 0.0 { WALK_COST } else { 0.0 };
-        self.log_likelihood - JUMP_COST * self.jumps_s.len() as f64 - walks
+        let walks = if self.walk_ratio > 0.0 { MIN_WALK_GAIN } else { 0.0 };
+        self.log_likelihood - MIN_JUMP_GAIN * self.jumps_s.len() as f64 - walks
     }
 
     fn parameter(&self, at: usize) -> Measured {
@@ -129,14 +129,15 @@ impl BinFit {
 }
 
 impl Bins {
-    fn of(samples: &[(f64, f64)]) -> Option<Self> {
+    fn from_samples(samples: &[(f64, f64)]) -> Option<Self> {
         let (first, last) = (samples.first()?.0, samples.last()?.0);
         let span_s = last - first;
-        let longest_s = LONGEST_BIN_S.max(span_s / BINS);
+        let longest_s = MAX_BIN_S.max(span_s / MAX_BINS);
         if !(span_s > 0.0 && span_s.is_finite()) {
             return None;
         }
-        let length_s = (FORGOTTEN * memory_s(samples)).clamp(span_s / BINS, longest_s);
+        let length_s =
+            (BIN_CORRELATION_TIMES * memory_s(samples)).clamp(span_s / MAX_BINS, longest_s);
         let bin_of = |t_s: f64| ((t_s - first) / length_s) as usize;
         let mut ranges: Vec<std::ops::Range<usize>> = Vec::new();
         for k in 0..samples.len() {
@@ -151,7 +152,7 @@ impl Bins {
         let fullest = ranges.iter().map(ExactSizeIterator::len).max()?;
         ranges.retain(|range| 2 * range.len() >= fullest);
         let n = ranges.len();
-        if n < FEWEST {
+        if n < MIN_BINS {
             return None;
         }
         let mean_of = |part: fn(&(f64, f64)) -> f64| {
@@ -171,7 +172,7 @@ impl Bins {
     }
 
     /// Share of each bin after `at_s`.
-    fn after(&self, at_s: f64) -> Vec<f64> {
+    fn share_after(&self, at_s: f64) -> Vec<f64> {
         let share = |range: &std::ops::Range<usize>| {
             let samples = &self.samples[range.clone()];
             let before = samples.partition_point(|sample| sample.0 <= at_s);
@@ -204,7 +205,7 @@ impl Bins {
         design
             .set_column(1, &DVector::from_iterator(n, self.t_s.iter().map(|t| t - self.middle_s)));
         for (j, &at_s) in jumps_s.iter().enumerate() {
-            design.set_column(2 + j, &DVector::from_vec(self.after(at_s)));
+            design.set_column(2 + j, &DVector::from_vec(self.share_after(at_s)));
         }
         let mut right = self.mean.clone();
         let mut log_root = 0.0;
@@ -243,7 +244,7 @@ impl Bins {
 
     /// Adds jumps while they improve the score.
     fn with_jumps(&self, mut fit: BinFit) -> BinFit {
-        while fit.jumps_s.len() < MOST_JUMPS {
+        while fit.jumps_s.len() < MAX_JUMPS {
             let more = self.with_jump(&fit);
             if more.score() <= fit.score() {
                 break;
@@ -297,7 +298,7 @@ impl Bins {
         finer.into_iter().map(|factor| ratio * factor).fold(found, better)
     }
 
-    fn course(&self, fit: &BinFit) -> YawDecomposition {
+    fn decomposition(&self, fit: &BinFit) -> YawDecomposition {
         let mut jumps: Vec<YawJump> = fit
             .jumps_s
             .iter()
@@ -311,7 +312,9 @@ impl Bins {
         let explained = |bin: usize| {
             let line = fit.parameters[0] + fit.parameters[1] * (self.t_s[bin] - self.middle_s);
             let jumped = fit.jumps_s.iter().enumerate();
-            line + jumped.map(|(j, &at)| fit.parameters[2 + j] * self.after(at)[bin]).sum::<f64>()
+            line + jumped
+                .map(|(j, &at)| fit.parameters[2 + j] * self.share_after(at)[bin])
+                .sum::<f64>()
         };
         let path = match walks {
             true => (0..self.t_s.len())
@@ -321,7 +324,11 @@ impl Bins {
         };
         YawDecomposition {
             drift_rad_s,
-            parts: YawProfile { jumps, walk_rad_rt_s, ..YawProfile::default() },
+            parts: YawProfile {
+                jumps,
+                walk_rad_per_sqrt_s: walk_rad_rt_s,
+                ..YawProfile::default()
+            },
             path,
         }
     }
@@ -329,19 +336,19 @@ impl Bins {
 
 /// Correlation time of the noise, s, after removing components slower than some seconds.
 fn memory_s(samples: &[(f64, f64)]) -> f64 {
-    const STRETCHES: f64 = 8.0;
-    const STRETCH_S: f64 = 2.0;
+    const MAX_BLOCKS: f64 = 8.0;
+    const MIN_BLOCK_S: f64 = 2.0;
     let (Some(first), Some(last)) = (samples.first(), samples.last()) else { return 0.0 };
     let (n, span_s) = (samples.len(), last.0 - first.0);
-    let stretches = STRETCHES.max(span_s / STRETCH_S);
+    let stretches = MAX_BLOCKS.max(span_s / MIN_BLOCK_S);
     let length = ((n as f64 / stretches) as usize).max(4);
-    let flat: Vec<[f64; 3]> = samples.chunks(length).flat_map(flattened).collect();
-    let noise = Noise::of(&flat, &vec![1.0; n], FLOOR_RAD);
+    let flat: Vec<[f64; 3]> = samples.chunks(length).flat_map(detrended).collect();
+    let noise = Noise::estimate(&flat, &vec![1.0; n], FLOOR_RAD);
     noise.inflation() * span_s / n as f64
 }
 
 /// Residuals of a straight-line fit.
-fn flattened(samples: &[(f64, f64)]) -> impl Iterator<Item = [f64; 3]> {
+fn detrended(samples: &[(f64, f64)]) -> impl Iterator<Item = [f64; 3]> {
     let n = samples.len() as f64;
     let (t, y) =
         samples.iter().fold((0.0, 0.0), |sum, sample| (sum.0 + sample.0, sum.1 + sample.1));
@@ -382,7 +389,7 @@ mod tests {
     fn a_drift_in_noise_is_steady() {
         let steady = (0..60).filter(|&seed| {
             let rho = if seed % 2 == 0 { 0.0 } else { 0.95 };
-            explain(&series(seed, rho, 0.0, |t_s| 1e-3 * t_s)).is_steady()
+            decompose_yaw(&series(seed, rho, 0.0, |t_s| 1e-3 * t_s)).is_steady()
         });
         assert_eq!(steady.count(), 60);
     }
@@ -391,11 +398,11 @@ mod tests {
     fn a_jump_is_found_with_its_moment_its_size_and_the_drift_beside_it() {
         for (rho, size) in [(0.0, 0.01), (0.0, -0.003), (0.95, 0.01), (0.95, -0.2)] {
             let jump = |t_s: f64| if t_s > 7.123 { size } else { 0.0 };
-            let course = explain(&series(5, rho, 0.0, |t_s| 1e-4 * t_s + jump(t_s)));
+            let course = decompose_yaw(&series(5, rho, 0.0, |t_s| 1e-4 * t_s + jump(t_s)));
             let [found] = course.parts.jumps.as_slice() else { panic!("{rho} {size}: {course:?}") };
             assert!((found.at_s - 7.123).abs() < 0.1, "{found:?}");
             assert!((found.size_rad.value - size).abs() < 3e-4, "{found:?}");
-            assert_eq!(course.parts.walk_rad_rt_s, None);
+            assert_eq!(course.parts.walk_rad_per_sqrt_s, None);
             let drift = course.drift_rad_s.unwrap();
             assert!((drift.value - 1e-4).abs() < 4.0 * drift.std_error, "{drift:?}");
         }
@@ -406,9 +413,10 @@ mod tests {
         let (walk, count) = (2e-3, 60);
         let (mut walks, mut covered, mut jumps) = (0, 0, 0);
         for seed in 0..count {
-            let course = explain(&series(seed, 0.0, walk, |_| 0.0));
-            walks +=
-                usize::from(course.parts.walk_rad_rt_s.is_some_and(|q| (1e-3..4e-3).contains(&q)));
+            let course = decompose_yaw(&series(seed, 0.0, walk, |_| 0.0));
+            walks += usize::from(
+                course.parts.walk_rad_per_sqrt_s.is_some_and(|q| (1e-3..4e-3).contains(&q)),
+            );
             jumps += course.parts.jumps.len();
             covered += usize::from(course.drift_rad_s.is_some_and(|drift| {
                 let [low, high] = drift.interval(0.95);
@@ -421,23 +429,23 @@ mod tests {
     #[test]
     fn a_jump_shows_in_a_walk() {
         let jump = |t_s: f64| if t_s > 12.0 { 0.05 } else { 0.0 };
-        let course = explain(&series(9, 0.0, 1e-3, jump));
+        let course = decompose_yaw(&series(9, 0.0, 1e-3, jump));
         assert_eq!(course.parts.jumps.len(), 1, "{:?}", course.parts);
-        assert!(course.parts.walk_rad_rt_s.is_some(), "{:?}", course.parts);
+        assert!(course.parts.walk_rad_per_sqrt_s.is_some(), "{:?}", course.parts);
     }
 
     #[test]
     fn a_turn_beyond_half_a_circle_is_no_jump() {
         let wrapped = |t_s: f64| (0.3 * t_s + PI).rem_euclid(TAU) - PI;
-        assert!(explain(&series(2, 0.0, 0.0, wrapped)).is_steady());
+        assert!(decompose_yaw(&series(2, 0.0, 0.0, wrapped)).is_steady());
     }
 
     #[test]
     fn too_little_to_tell_is_steady() {
         for n in [0, 1, 2, 9] {
-            assert!(explain(&series(1, 0.0, 0.0, |_| 0.0)[..n]).is_steady());
+            assert!(decompose_yaw(&series(1, 0.0, 0.0, |_| 0.0)[..n]).is_steady());
         }
-        assert!(explain(&[(0.0, 0.0); 50]).is_steady());
-        assert!(explain(&vec![(f64::NAN, f64::NAN); 50]).is_steady());
+        assert!(decompose_yaw(&[(0.0, 0.0); 50]).is_steady());
+        assert!(decompose_yaw(&vec![(f64::NAN, f64::NAN); 50]).is_steady());
     }
 }

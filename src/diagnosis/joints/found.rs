@@ -9,13 +9,13 @@ pub struct JointOffset {
     /// Offset, rad or m.
     pub offset: EstimateResult<Measured>,
     /// Whether the selected model contains it.
-    pub chosen: bool,
+    pub is_chosen: bool,
     /// Displacement of the tip by the offset at full reach, m.
     pub effect_m: f64,
     /// Distance from the joint's axis to the tip at full reach, m/rad; 1 for a prismatic joint.
     pub lever_m: f64,
     /// Confounders: causes that this log cannot distinguish from it.
-    pub twins: Vec<Confounder>,
+    pub confounders: Vec<Confounder>,
 }
 
 /// Encoding of the joint states; as logged by default.
@@ -27,13 +27,13 @@ pub struct JointEncoding {
     /// the name of joint `i`.
     pub permutation: Option<(Vec<usize>, UnitResiduals)>,
     /// Joints with an individual unit or scale.
-    pub slips: Vec<JointUnitError>,
+    pub unit_errors: Vec<JointUnitError>,
     /// Couplings, applied after the slips.
     pub couplings: Vec<JointCoupling>,
     /// Approximate zero to add to each joint's positions, rad or m; empty if there is none.
     pub zeros: Vec<f64>,
     /// Position residual as logged and as corrected, m, if the encoding differs from the logged one.
-    pub left: Option<UnitResiduals>,
+    pub residual: Option<UnitResiduals>,
     /// Residual of the next best encoding, m.
     pub runner_up_m: Option<f64>,
 }
@@ -43,18 +43,18 @@ impl JointEncoding {
     pub fn is_as_logged(&self) -> bool {
         self.degrees.is_none()
             && self.permutation.is_none()
-            && self.slips.is_empty()
+            && self.unit_errors.is_empty()
             && self.couplings.is_empty()
     }
 
     /// Joints with this individual unit, with the residual as logged and as corrected.
-    pub fn slips_of(
+    pub fn unit_errors(
         &self,
         unit: JointUnit,
     ) -> impl Iterator<Item = (&JointUnitError, UnitResiduals)> {
-        let left = self.left.into_iter();
+        let left = self.residual.into_iter();
         left.flat_map(move |left| {
-            let own = self.slips.iter().filter(move |slip| slip.unit == unit);
+            let own = self.unit_errors.iter().filter(move |slip| slip.unit == unit);
             own.map(move |slip| (slip, left))
         })
     }
@@ -129,16 +129,16 @@ impl JointScale {
 
 /// Whether a factor is an integer within 1 %, as for reversed, geared or coupled joints.
 fn is_round(factor: f64) -> bool {
-    const SHARE: f64 = 0.01;
+    const ROUND_TOLERANCE: f64 = 0.01;
     let size = factor.abs();
-    size.round() > 0.0 && (size - size.round()).abs() < SHARE * size
+    size.round() > 0.0 && (size - size.round()).abs() < ROUND_TOLERANCE * size
 }
 
 /// Whether values with this scale factor are not angles or lengths.
 pub(super) fn is_coded(factor: f64) -> bool {
     /// Factors up to this, or its reciprocal, are gear ratios between motor and joint.
-    const GEAR: f64 = 4.0;
-    !(1.0 / GEAR..=GEAR).contains(&factor.abs())
+    const MAX_GEAR_RATIO: f64 = 4.0;
+    !(1.0 / MAX_GEAR_RATIO..=MAX_GEAR_RATIO).contains(&factor.abs())
 }
 
 /// Confounder: a cause with the same effect on this log.

@@ -1,7 +1,7 @@
 //! Scale and zero of one joint in closed form, given the others.
 //!
 //! A revolute joint moves the tip and its axes on circles, so all twelve numbers of a pose are `c + a·cos θ
-//! + b·sin θ`. The residual sum of squares for angles θₖ is then a constant minus `2·Re Σ zₖ·exp(−iθₖ)`,
+//! + b·sin θ`. The residual sum new squares for angles θₖ is then a constant minus `2·Re Σ zₖ·exp(−iθₖ)`,
 //! with `zₖ` from the logged poses. With `θₖ = s·vₖ + o`, the best `o` for a given `s` is the argument of
 //! `Σ zₖ·exp(−i·s·vₖ)`, and the best `s` maximises its magnitude. A spectrum of a few hundred lines
 //! therefore covers every scale, sign and zero.
@@ -17,14 +17,14 @@ pub(super) struct SingleJoint {
     /// Logged values of the joint.
     values: Vec<f64>,
     /// Real and imaginary part of `zₖ` for a revolute joint; required position, m, for a prismatic one.
-    wanted: Vec<[f64; 2]>,
-    slides: bool,
+    required: Vec<[f64; 2]>,
+    is_prismatic: bool,
     /// Minimum and maximum of the logged values.
     span: [f64; 2],
 }
 
 /// Pose as numbers, with rotations scaled by the lever: twelve, or three without a lever.
-fn numbers(pose: &Pose, lever_m: Option<f64>) -> [f64; 12] {
+fn pose_numbers(pose: &Pose, lever_m: Option<f64>) -> [f64; 12] {
     let mut numbers = [0.0; 12];
     numbers[..3].copy_from_slice(pose.translation.vector.as_slice());
     if let Some(lever_m) = lever_m {
@@ -44,7 +44,7 @@ fn dot(a: &[f64; 12], b: &[f64; 12]) -> f64 {
 
 impl SingleJoint {
     /// Requirements on `joint`, with the other joints read by `map`, in `frames`.
-    pub fn of(
+    pub fn new(
         view: &InterpretedPoses,
         map: &JointMap,
         frames: &ConstantFrames,
@@ -60,10 +60,10 @@ impl SingleJoint {
             values.push(row[map.from[joint]]);
             let mut at = |position: f64| {
                 q[joint] = position;
-                numbers(&(frames.reference * view.chain.forward(&q) * frames.tool), lever_m)
+                pose_numbers(&(frames.reference * view.chain.forward(&q) * frames.tool), lever_m)
             };
             let turn = view.rotation.as_ref().map_or_else(Default::default, |all| all[k]);
-            let logged = numbers(&Pose::from_parts(view.xyz[k].into(), turn), lever_m);
+            let logged = pose_numbers(&Pose::from_parts(view.xyz[k].into(), turn), lever_m);
             let between = |a: &[f64; 12], b: &[f64; 12]| std::array::from_fn(|i| a[i] - b[i]);
             wanted.push(if slides {
                 let (zero, one) = (at(0.0), at(1.0));
@@ -83,19 +83,19 @@ impl SingleJoint {
                 [dot(&a, &off), dot(&b, &off)]
             });
         }
-        Self { values, wanted, slides, span: view.spans[map.from[joint]] }
+        Self { values, required: wanted, is_prismatic: slides, span: view.spans[map.from[joint]] }
     }
 
     /// Best zero for a factor, and its score (higher is better).
-    pub fn zero(&self, factor: f64) -> (f64, f64) {
-        if self.slides {
+    pub fn best_zero(&self, factor: f64) -> (f64, f64) {
+        if self.is_prismatic {
             let n = self.values.len().max(1) as f64;
-            let offs = || self.values.iter().zip(&self.wanted).map(|(v, w)| w[0] - factor * v);
+            let offs = || self.values.iter().zip(&self.required).map(|(v, w)| w[0] - factor * v);
             let zero = offs().sum::<f64>() / n;
             return (zero, -offs().map(|off| (off - zero).powi(2)).sum::<f64>());
         }
         let (mut real, mut imaginary) = (0.0, 0.0);
-        for (value, [a, b]) in self.values.iter().zip(&self.wanted) {
+        for (value, [a, b]) in self.values.iter().zip(&self.required) {
             // z·exp(−i·s·v)
             let (sin, cos) = (factor * value).sin_cos();
             real += a * cos + b * sin;
@@ -105,9 +105,9 @@ impl SingleJoint {
     }
 
     /// Score of a factor with zero offset 0.
-    pub fn without_zero(&self, factor: f64) -> f64 {
-        let samples = self.values.iter().zip(&self.wanted);
-        if self.slides {
+    pub fn score_without_zero(&self, factor: f64) -> f64 {
+        let samples = self.values.iter().zip(&self.required);
+        if self.is_prismatic {
             return -samples.map(|(v, w)| (w[0] - factor * v).powi(2)).sum::<f64>();
         }
         let part = |(value, [a, b]): (&f64, &[f64; 2])| {
@@ -120,15 +120,15 @@ impl SingleJoint {
     /// Factors with the best score: with a free zero, and without one.
     pub fn factors(&self) -> Vec<(f64, f64)> {
         /// Maximum range of a joint, rad.
-        const MOST: f64 = 2.5 * TAU;
+        const MAX_RANGE_RAD: f64 = 2.5 * TAU;
         /// Spacing of the spectral lines, rad. Joints with a smaller range do not determine their scale.
-        const LINE: f64 = PI / 16.0;
+        const SPECTRAL_LINE_RAD: f64 = PI / 16.0;
         let width = self.span[1] - self.span[0];
         let largest = self.span[0].abs().max(self.span[1].abs());
         if width <= 0.0 {
             return Vec::new();
         }
-        if self.slides {
+        if self.is_prismatic {
             return self.line();
         }
         let best = |lines: usize, step: f64, well: &dyn Fn(f64) -> f64| {
@@ -136,17 +136,17 @@ impl SingleJoint {
             let best = lines.map(|s| (well(s), s)).max_by(|a, b| a.0.total_cmp(&b.0));
             best.map_or(1.0, |(_, s)| s)
         };
-        let lines = (MOST / LINE) as usize;
-        let with_zero = best(lines, LINE / width, &|s| self.zero(s).1);
-        let without = best(lines, LINE / largest, &|s| self.without_zero(s));
-        vec![(with_zero, self.zero(with_zero).0), (without, 0.0)]
+        let lines = (MAX_RANGE_RAD / SPECTRAL_LINE_RAD) as usize;
+        let with_zero = best(lines, SPECTRAL_LINE_RAD / width, &|s| self.best_zero(s).1);
+        let without = best(lines, SPECTRAL_LINE_RAD / largest, &|s| self.score_without_zero(s));
+        vec![(with_zero, self.best_zero(with_zero).0), (without, 0.0)]
     }
 
     /// Linear regression for a prismatic joint, with and without a zero.
     fn line(&self) -> Vec<(f64, f64)> {
         let n = self.values.len().max(1) as f64;
         let mean = |of: &dyn Fn(usize) -> f64| (0..self.values.len()).map(of).sum::<f64>() / n;
-        let (v, w) = (|k: usize| self.values[k], |k: usize| self.wanted[k][0]);
+        let (v, w) = (|k: usize| self.values[k], |k: usize| self.required[k][0]);
         let (mean_v, mean_w) = (mean(&v), mean(&w));
         let slope = |v0: f64, w0: f64| {
             mean(&|k| (v(k) - v0) * (w(k) - w0)) / mean(&|k| (v(k) - v0).powi(2)).max(1e-18)

@@ -66,7 +66,7 @@ impl JointMap {
 
     /// Removes whole turns from the zeros of revolute joints. Values in radians are unwrapped to within
     /// half a turn, others to the centre of the joint's range.
-    pub fn settle_turns(&mut self, chain: &Chain, spans: &[[f64; 2]]) {
+    pub fn remove_whole_turns(&mut self, chain: &Chain, spans: &[[f64; 2]]) {
         for (j, kind) in chain.joint_kinds().iter().enumerate() {
             if *kind == JointKind::Prismatic {
                 continue;
@@ -85,15 +85,15 @@ impl JointMap {
 
     /// Whether a revolute joint is far beyond its limits or, without limits, beyond several turns.
     pub fn out_of_range(&self, chain: &Chain, spans: &[[f64; 2]]) -> bool {
-        const BEYOND: f64 = 2.0;
-        const TURNS: f64 = 3.0;
+        const MAX_LIMIT_RATIO: f64 = 2.0;
+        const MAX_TURNS: f64 = 3.0;
         (0..self.from.len()).any(|j| {
             let limits = chain.limits()[j];
             let most = limits.lower.zip(limits.upper).map(|(low, high)| low.abs().max(high.abs()));
             let ends = spans[self.from[j]].map(|end| self.factor[j] * end + self.zero[j]);
             let farthest = ends[0].abs().max(ends[1].abs());
             chain.joint_kinds()[j] != JointKind::Prismatic
-                && farthest > most.map_or(TURNS * TAU, |most| most + BEYOND)
+                && farthest > most.map_or(MAX_TURNS * TAU, |most| most + MAX_LIMIT_RATIO)
         })
     }
 
@@ -113,9 +113,9 @@ impl JointMap {
 /// Whether an angle is a multiple of 90°, including zero.
 pub(in super::super) fn is_quarter_turn(angle: f64) -> bool {
     /// Tolerance, rad. Estimates of round angles are within it; a tuned zero rarely is.
-    const NEAR: f64 = 5e-3;
+    const ROUND_TOLERANCE_RAD: f64 = 5e-3;
     let quarters = angle / FRAC_PI_2;
-    (quarters - quarters.round()).abs() * FRAC_PI_2 < NEAR
+    (quarters - quarters.round()).abs() * FRAC_PI_2 < ROUND_TOLERANCE_RAD
 }
 
 /// Number of whole turns by which an angle is outside (−π, π].
@@ -132,7 +132,7 @@ pub(super) struct ArmInterpretation {
 
 /// Common interpretations of all joints: degrees, millimetres, other angle units, encoder ticks, all
 /// reversed, and shares of the range.
-pub(super) fn wholes(chain: &Chain) -> Vec<ArmInterpretation> {
+pub(super) fn arm_interpretations(chain: &Chain) -> Vec<ArmInterpretation> {
     let kinds = chain.joint_kinds();
     let none = JointMap::as_logged(kinds.len());
     let slides = |kind: &JointKind| *kind == JointKind::Prismatic;
@@ -193,11 +193,11 @@ pub(super) fn wholes(chain: &Chain) -> Vec<ArmInterpretation> {
 }
 
 /// Maximum number of joints for an exhaustive search over orders (7! = 5040).
-pub(super) const ALL_ORDERS: usize = 7;
+pub(super) const MAX_PERMUTED_JOINTS: usize = 7;
 
 /// Possible orders of the joint values: all permutations of up to `most` joints; otherwise all swaps, the
 /// reversed order, and the order sorted by `names`.
-pub(super) fn orders(names: &[String], most: usize) -> Vec<Vec<usize>> {
+pub(super) fn candidate_orders(names: &[String], most: usize) -> Vec<Vec<usize>> {
     let dof = names.len();
     let mut order: Vec<usize> = (0..dof).collect();
     let mut all = Vec::new();

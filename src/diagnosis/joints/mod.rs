@@ -13,8 +13,11 @@ mod read;
 mod search;
 mod view;
 
-use self::moments::{SAMPLES, SimultaneousSamples, evened, in_radians, slow_moments};
-use super::latency::{joint_activity, linear_speed, peaks};
+use self::moments::{
+    JOINT_ENCODING_SAMPLES, SimultaneousSamples, converted_to_radians, normalize_velocities,
+    slow_simultaneous_samples,
+};
+use super::latency::{joint_activity, lag_peaks, linear_speed};
 use super::model::PoseObservations;
 use super::placing::{FkColumns, spread};
 use super::{EstimateResult, NotObservable, PoseStream, UnitResiduals};
@@ -27,38 +30,38 @@ use ground::stats::Measured;
 use ground::stream::JointTrack;
 use lone::SingleJoint;
 use map::{Coupling, JointMap};
-use search::{InterpretationKind, JointInterpretation, SearchOutcome, search};
+use search::{InterpretationKind, JointInterpretation, SearchOutcome, search_kind};
 use std::borrow::Cow;
-use view::{ConstantFrames, FreeFrames, InterpretedPoses, TURNS};
+use view::{ConstantFrames, FRAME_ITERATIONS, FreeFrames, InterpretedPoses};
 
 pub(super) use map::{half_turns, is_quarter_turn};
-pub(super) use read::Read;
-pub(super) use view::Left;
+pub(super) use read::CorrectedJoints;
+pub(super) use view::ResidualSize;
 
 /// Minimum reduction of the residual for an interpretation other than the logged one.
-const BETTER: f64 = 5.0;
+const MIN_RESIDUAL_RATIO: f64 = 5.0;
 /// Residual below which the joint states are accepted as logged, as a share of the motion's extent.
-const FINE: f64 = 0.05;
+const MAX_LOGGED_RESIDUAL_SHARE: f64 = 0.05;
 /// Stricter threshold with a rotated reference frame: joints in reversed order move an arm much like the
 /// inverse of an arm with rotated frames.
-const FINE_TURNED: f64 = 0.005;
+const MAX_LOGGED_RESIDUAL_SHARE_ROTATED: f64 = 0.005;
 /// Maximum residual of another interpretation at slow samples, before correcting latency and small causes:
 /// a share of the motion's extent, and an angle in rad.
-const FITS: f64 = 0.02;
-const FITS_RAD: f64 = 0.03;
+const MAX_RESIDUAL_SHARE: f64 = 0.02;
+const MAX_RESIDUAL_RAD: f64 = 0.03;
 /// Residual below which positions follow the arm, as a share of their extent.
-pub(super) const ON_ARM: f64 = 0.3;
+pub(super) const MAX_FOLLOWING_RESIDUAL_SHARE: f64 = 0.3;
 
 /// Maximum spread of the positions of a tip at rest, m.
-const AT_REST_M: f64 = 2e-3;
+const MAX_REST_SPREAD_M: f64 = 2e-3;
 /// Maximum distance between a resting tip and FK, as a share of the arm's reach.
-const THERE: f64 = 0.03;
+const MAX_REST_DISTANCE_SHARE: f64 = 0.03;
 
 /// Determines the encoding of the joint states from the stream with the most joints and samples.
 ///
 /// # Errors
 /// If no stream overlaps the joint states, or the motion does not determine the encoding.
-pub(super) fn read_joints(
+pub(super) fn estimate_joint_encoding(
     joints: &JointTrack,
     streams: &[PoseStream],
     scales: &[f64],
@@ -72,34 +75,39 @@ pub(super) fn read_joints(
     let chain = stream.chain;
     let (mut as_logged, mut extent) = (f64::INFINITY, f64::INFINITY);
     let mut at_lags = Vec::new();
-    for lag_s in lags(joints, stream, most_lag_s) {
-        let moments = slow_moments(joints, stream, *scale, lag_s);
+    for lag_s in latency_candidates(joints, stream, most_lag_s) {
+        let moments = slow_simultaneous_samples(joints, stream, *scale, lag_s);
         let have = moments.xyz.len();
         if have < 6 {
             return Err(NotObservable::TooFewSamples { have, need: 6 });
         }
-        if rests(chain, &moments) {
-            return read_at_rest(chain, &moments, stream.reference_known);
+        if is_at_rest(chain, &moments) {
+            return encoding_at_rest(chain, &moments, stream.reference_known);
         }
-        if spread(&moments.xyz) < AT_REST_M {
+        if spread(&moments.xyz) < MAX_REST_SPREAD_M {
             // The joints move but the stream does not, so it cannot check their names and units.
             return Err(NotObservable::NotExcited);
         }
         extent = spread(&moments.xyz).max(0.01).min(extent);
         let left = misfit(chain, &moments);
-        if left <= FINE_TURNED * extent || unturned_misfit(chain, &moments) <= FINE * extent {
+        if left <= MAX_LOGGED_RESIDUAL_SHARE_ROTATED * extent
+            || tool_misfit(chain, &moments) <= MAX_LOGGED_RESIDUAL_SHARE * extent
+        {
             return Ok(JointEncoding::default());
         }
         as_logged = left.min(as_logged);
         at_lags.push(moments);
     }
-    let most = Left { m: (FITS * extent).min(as_logged / BETTER), rad: Some(FITS_RAD) };
+    let most = ResidualSize {
+        m: (MAX_RESIDUAL_SHARE * extent).min(as_logged / MIN_RESIDUAL_RATIO),
+        rad: Some(MAX_RESIDUAL_RAD),
+    };
     let views: Vec<Vec<InterpretedPoses>> =
         at_lags.iter().map(|moments| views(joints, stream, moments)).collect();
-    if let Some(found) = look(stream, &views, most, &InterpretationKind::ALL) {
-        return Ok(reading(joints.dof, stream, &found, as_logged));
+    if let Some(found) = search_views(stream, &views, most, &InterpretationKind::ALL) {
+        return Ok(to_encoding(joints.dof, stream, &found, as_logged));
     }
-    if as_logged > ON_ARM * extent {
+    if as_logged > MAX_FOLLOWING_RESIDUAL_SHARE * extent {
         // The logged encoding does not fit, and no other is clearly best.
         return Err(NotObservable::NotExcited);
     }
@@ -110,49 +118,53 @@ pub(super) fn read_joints(
 /// `as_logged`. `None` if none is clearly best.
 ///
 /// Tries only the simplest encodings if the stream is close to FK as logged.
-pub(super) fn other_reading(
+pub(super) fn other_encoding(
     joints: &JointTrack,
     stream: &PoseStream,
     scale: f64,
     lag_s: f64,
-    as_logged: Left,
+    as_logged: ResidualSize,
 ) -> Option<JointEncoding> {
     /// Minimum angle of a large rotation residual, rad.
-    const FAR_RAD: f64 = 0.05;
+    const MIN_LARGE_ROTATION_RESIDUAL_RAD: f64 = 0.05;
     /// Maximum length of a small position residual, m.
-    const NEAR_M: f64 = 5e-3;
-    let moments = slow_moments(joints, stream, scale, lag_s);
-    if moments.xyz.len() < 6 || rests(stream.chain, &moments) {
+    const MAX_SMALL_POSITION_RESIDUAL_M: f64 = 5e-3;
+    let moments = slow_simultaneous_samples(joints, stream, scale, lag_s);
+    if moments.xyz.len() < 6 || is_at_rest(stream.chain, &moments) {
         return None;
     }
     // If only the rotations are wrong, the position residual must not grow.
-    let turns_only = as_logged.rad.is_some_and(|rad| rad > FAR_RAD) && as_logged.m < NEAR_M;
-    let stay_m = if turns_only { 1.2 * unturned_misfit(stream.chain, &moments) } else { 0.0 };
-    let better_m = (as_logged.m / BETTER).max(2e-4).max(stay_m);
-    let most = Left {
-        m: (FITS * spread(&moments.xyz).max(0.01)).min(better_m),
-        rad: as_logged.rad.map(|rad| (rad / BETTER).clamp(1e-3, FITS_RAD)),
+    let turns_only = as_logged.rad.is_some_and(|rad| rad > MIN_LARGE_ROTATION_RESIDUAL_RAD)
+        && as_logged.m < MAX_SMALL_POSITION_RESIDUAL_M;
+    let stay_m = if turns_only { 1.2 * tool_misfit(stream.chain, &moments) } else { 0.0 };
+    let better_m = (as_logged.m / MIN_RESIDUAL_RATIO).max(2e-4).max(stay_m);
+    let most = ResidualSize {
+        m: (MAX_RESIDUAL_SHARE * spread(&moments.xyz).max(0.01)).min(better_m),
+        rad: as_logged.rad.map(|rad| (rad / MIN_RESIDUAL_RATIO).clamp(1e-3, MAX_RESIDUAL_RAD)),
     };
-    let is_far =
-        as_logged.m > FINE * spread(&moments.xyz) || as_logged.rad.is_some_and(|rad| rad > FAR_RAD);
-    let kinds =
-        if is_far { &InterpretationKind::ALL[..] } else { &InterpretationKind::OF_NEAR[..] };
+    let is_far = as_logged.m > MAX_LOGGED_RESIDUAL_SHARE * spread(&moments.xyz)
+        || as_logged.rad.is_some_and(|rad| rad > MIN_LARGE_ROTATION_RESIDUAL_RAD);
+    let kinds = if is_far {
+        &InterpretationKind::ALL[..]
+    } else {
+        &InterpretationKind::FOR_SMALL_RESIDUALS[..]
+    };
     let mut views = views(joints, stream, &moments);
     views.retain(|view| !turns_only || view.rotation.is_some());
-    let found = look(stream, &[views], most, kinds)?;
-    Some(reading(joints.dof, stream, &found, as_logged.m))
+    let found = search_views(stream, &[views], most, kinds)?;
+    Some(to_encoding(joints.dof, stream, &found, as_logged.m))
 }
 
 /// The simplest interpretation with a residual of at most `most`, if one is clearly best. Tries the views
 /// of each lag in turn.
-fn look(
+fn search_views(
     stream: &PoseStream,
     views: &[Vec<InterpretedPoses>],
-    most: Left,
+    most: ResidualSize,
     kinds: &[InterpretationKind],
 ) -> Option<JointInterpretation> {
     /// Number of lags for all kinds; the other lags are tried only for the simplest kind.
-    const LAGS: usize = 2;
+    const LAGS_FOR_ALL_KINDS: usize = 2;
     let both: &[FreeFrames] = match stream.reference_known {
         true => &[FreeFrames::Tool, FreeFrames::Both],
         false => &[FreeFrames::Both],
@@ -163,9 +175,10 @@ fn look(
             if is_late || (freedom == FreeFrames::Both && kind == InterpretationKind::OrderAndOne) {
                 continue;
             }
-            let lags = if kind == InterpretationKind::One { views.len() } else { LAGS };
+            let lags =
+                if kind == InterpretationKind::One { views.len() } else { LAGS_FOR_ALL_KINDS };
             for view in views.iter().take(lags).flatten() {
-                match search(view, kind, freedom, most) {
+                match search_kind(view, kind, freedom, most) {
                     SearchOutcome::Found(found) => {
                         return Some(JointInterpretation {
                             map: found.map.with_base_turned(),
@@ -183,14 +196,14 @@ fn look(
 
 /// Likely encoding of the joint states with a large remaining residual.
 pub(super) struct LikelyEncoding {
-    pub reading: JointEncoding,
+    pub encoding: JointEncoding,
     /// Whether the values exceed the joint limits as radians and respect them as degrees.
     pub by_range: bool,
 }
 
 /// Encodings that may be part of the fault, most likely first: degrees if the values exceed the joint
 /// ranges as radians, then the unit and order with the smallest position residual.
-pub(super) fn likely_readings(
+pub(super) fn likely_encodings(
     joints: &JointTrack,
     streams: &[PoseStream],
     scales: &[f64],
@@ -200,24 +213,24 @@ pub(super) fn likely_readings(
     let Some((stream, scale)) = both.max_by_key(|(stream, _)| stream.track.t_s.len()) else {
         return Vec::new();
     };
-    let lag_s = lags(joints, stream, most_lag_s).last().copied().unwrap_or(0.0);
-    let moments = slow_moments(joints, stream, *scale, lag_s);
+    let lag_s = latency_candidates(joints, stream, most_lag_s).last().copied().unwrap_or(0.0);
+    let moments = slow_simultaneous_samples(joints, stream, *scale, lag_s);
     let mut likely = Vec::new();
     let mut views = views(joints, stream, &moments);
     views.extend(views.last().map(InterpretedPoses::mirrored));
     for view in views.iter().filter(|view| view.len() > 5) {
-        for (map, by_range) in search::likely(view) {
+        for (map, by_range) in search::likely_maps(view) {
             let fk = view.fk(&map);
-            let left = view.left(&fk, &view.frames(&fk, FreeFrames::Both));
-            let found = JointInterpretation { map, left, runner_up_m: None };
-            let reading = reading(joints.dof, stream, &found, misfit(stream.chain, &moments));
-            likely.push(LikelyEncoding { reading, by_range });
+            let left = view.residual_against(&fk, &view.fit_frames(&fk, FreeFrames::Both));
+            let found = JointInterpretation { map, residual: left, runner_up_m: None };
+            let reading = to_encoding(joints.dof, stream, &found, misfit(stream.chain, &moments));
+            likely.push(LikelyEncoding { encoding: reading, by_range });
         }
     }
     likely.sort_by_key(|one| !one.by_range);
     let said = |one: &LikelyEncoding| {
-        let order = one.reading.permutation.as_ref().map(|(order, _)| order.clone());
-        (one.reading.degrees.is_some(), order, one.reading.slips.clone())
+        let order = one.encoding.permutation.as_ref().map(|(order, _)| order.clone());
+        (one.encoding.degrees.is_some(), order, one.encoding.unit_errors.clone())
     };
     likely.dedup_by(|a, b| said(a) == said(b));
     likely
@@ -225,20 +238,20 @@ pub(super) fn likely_readings(
 
 /// Joints whose zero offset alone would greatly reduce the residual of `witness` at latency `lag_s`,
 /// relative to `offsets`. Returns the best two with their offsets.
-pub(super) fn lone_zeros(
+pub(super) fn single_zeros(
     witness: &PoseObservations,
     lag_s: f64,
     offsets: &[f64],
 ) -> Vec<(usize, f64)> {
     /// Minimum change of the zero, rad (Gauss–Newton finds smaller ones), and maximum share of the
     /// residual.
-    const CLOSE: f64 = 0.1;
-    const SHARE: f64 = 0.3;
+    const MIN_ZERO_CHANGE_RAD: f64 = 0.1;
+    const MAX_ZERO_RESIDUAL_RATIO: f64 = 0.3;
     let chain = witness.chain;
     let PoseObservations { joints, columns, .. } = *witness;
     let (mut cursor, mut q, mut qd) = (0, vec![0.0; joints.dof], vec![0.0; joints.dof]);
     let (mut xyz, mut rotation, mut rows) = (Vec::new(), Vec::new(), Vec::new());
-    for k in (0..witness.len()).step_by(witness.len().div_ceil(SAMPLES).max(1)) {
+    for k in (0..witness.len()).step_by(witness.len().div_ceil(JOINT_ENCODING_SAMPLES).max(1)) {
         if joints.at(witness.t_s[k] - lag_s, &mut cursor, &mut q, &mut qd) {
             xyz.push(witness.xyz[k]);
             rotation.push(witness.rotation[k]);
@@ -252,19 +265,20 @@ pub(super) fn lone_zeros(
         q: rows,
         spans: vec![[0.0; 2]; columns.len()],
         lever_m: (0.25 * chain.max_reach_m()).max(0.05),
-        turns: TURNS,
+        turns: FRAME_ITERATIONS,
     };
     let mut near = JointMap::as_logged(columns.len());
     near.zero = columns.iter().map(|&column| offsets[column]).collect();
     let named = ConstantFrames::default();
-    let left = |map: &JointMap| view.left(&view.fk(map), &named).together(view.lever_m);
-    let most = SHARE * left(&near);
+    let left =
+        |map: &JointMap| view.residual_against(&view.fk(map), &named).combined_m(view.lever_m);
+    let most = MAX_ZERO_RESIDUAL_RATIO * left(&near);
     let turning = (0..columns.len()).filter(|&j| chain.joint_kinds()[j] != JointKind::Prismatic);
     let mut zeros: Vec<(f64, usize, f64)> = turning
         .filter_map(|joint| {
-            let zero = SingleJoint::of(&view, &near, &named, joint).zero(1.0).0;
+            let zero = SingleJoint::new(&view, &near, &named, joint).best_zero(1.0).0;
             let left = left(&near.with(joint, 1.0, zero));
-            let is_off = (zero - near.zero[joint]).abs() > CLOSE;
+            let is_off = (zero - near.zero[joint]).abs() > MIN_ZERO_CHANGE_RAD;
             (is_off && left < most).then_some((left, columns[joint], zero))
         })
         .collect();
@@ -291,7 +305,7 @@ fn views<'a>(
         q: moments.q.clone(),
         spans: stream.columns.iter().map(span).collect(),
         lever_m: (0.25 * chain.max_reach_m()).max(0.05),
-        turns: TURNS,
+        turns: FRAME_ITERATIONS,
     };
     let mut views = Vec::new();
     if let (Some(rotation), Some(inverse)) = (&moments.rotation, &moments.inverse_xyz) {
@@ -308,19 +322,19 @@ fn views<'a>(
 }
 
 /// Converts a map to columns of the joint track.
-fn reading(
+fn to_encoding(
     dof: usize,
     stream: &PoseStream,
     found: &JointInterpretation,
     as_logged: f64,
 ) -> JointEncoding {
     let (map, kinds, columns) = (&found.map, stream.chain.joint_kinds(), stream.columns);
-    let slip = UnitResiduals { as_logged, corrected: found.left.m };
+    let slip = UnitResiduals { as_logged, corrected: found.residual.m };
     let degree = 1f64.to_radians();
     let slides = |joint: usize| kinds[joint] == JointKind::Prismatic;
     /// Relative precision of an estimated scale.
-    const KNOWN: f64 = 1e-3;
-    let in_degrees = |joint: usize| (map.factor[joint] / degree - 1.0).abs() < KNOWN;
+    const SCALE_PRECISION: f64 = 1e-3;
+    let in_degrees = |joint: usize| (map.factor[joint] / degree - 1.0).abs() < SCALE_PRECISION;
     let turning: Vec<usize> = (0..map.from.len()).filter(|&joint| !slides(joint)).collect();
     let all_in_degrees = turning.len() > 1 && turning.iter().all(|&joint| in_degrees(joint));
     let slips = (0..map.from.len()).filter_map(|joint| {
@@ -352,27 +366,29 @@ fn reading(
     JointEncoding {
         degrees: all_in_degrees.then_some(slip),
         permutation: (!is_in_order).then_some((permutation, slip)),
-        slips: slips.collect(),
+        unit_errors: slips.collect(),
         couplings: map.coupling.map(in_track).into_iter().collect(),
         zeros,
-        left: Some(slip),
+        residual: Some(slip),
         runner_up_m: found.runner_up_m,
     }
 }
 
 /// Whether neither the stream nor FK moves the tip, in radians or degrees.
-fn rests(chain: &Chain, moments: &SimultaneousSamples) -> bool {
-    let radians = in_radians(chain, moments);
+fn is_at_rest(chain: &Chain, moments: &SimultaneousSamples) -> bool {
+    let radians = converted_to_radians(chain, moments);
     let fk = |moments: &SimultaneousSamples| -> Vec<Vec3> {
         let rows = moments.q.chunks_exact(chain.dof());
         rows.map(|q| chain.forward(q).translation.vector).collect()
     };
-    [&moments.xyz, &fk(moments), &fk(&radians)].into_iter().all(|xyz| spread(xyz) < AT_REST_M)
+    [&moments.xyz, &fk(moments), &fk(&radians)]
+        .into_iter()
+        .all(|xyz| spread(xyz) < MAX_REST_SPREAD_M)
 }
 
 /// Determines the unit at rest. A tip at the position given by FK confirms names and unit without any free
 /// frame; a tip elsewhere is inconclusive.
-fn read_at_rest(
+fn encoding_at_rest(
     chain: &Chain,
     moments: &SimultaneousSamples,
     reference_known: bool,
@@ -383,8 +399,10 @@ fn read_at_rest(
             rows.map(|(q, xyz)| (chain.forward(q).translation.vector - xyz).norm_squared());
         (squares.sum::<f64>() / moments.xyz.len().max(1) as f64).sqrt()
     };
-    let (as_logged, corrected) = (off(moments), off(&in_radians(chain, moments)));
-    let is_there = |off: f64, other: f64| off < THERE * chain.max_reach_m() && off * BETTER < other;
+    let (as_logged, corrected) = (off(moments), off(&converted_to_radians(chain, moments)));
+    let is_there = |off: f64, other: f64| {
+        off < MAX_REST_DISTANCE_SHARE * chain.max_reach_m() && off * MIN_RESIDUAL_RATIO < other
+    };
     let degrees = match reference_known {
         true if is_there(as_logged, corrected) => None,
         true if is_there(corrected, as_logged) => Some(UnitResiduals { as_logged, corrected }),
@@ -394,7 +412,7 @@ fn read_at_rest(
 }
 
 /// Corrects names, units and couplings of the joint track, but not the zeros.
-pub(super) fn corrected(
+pub(super) fn correct_joints(
     joints: &JointTrack,
     reading: &JointEncoding,
     prismatic: &[bool],
@@ -414,7 +432,7 @@ pub(super) fn corrected(
             }
         }
     }
-    for slip in &reading.slips {
+    for slip in &reading.unit_errors {
         for values in [&mut track.q, &mut track.qd] {
             let own = values.iter_mut().skip(slip.column).step_by(joints.dof);
             own.for_each(|value| *value *= slip.factor);
@@ -430,7 +448,7 @@ pub(super) fn corrected(
 }
 
 /// Adds `zeros` to the positions of `track`.
-fn moved(track: &JointTrack, zeros: &[f64]) -> JointTrack {
+fn with_zeros(track: &JointTrack, zeros: &[f64]) -> JointTrack {
     let mut moved = track.clone();
     for row in moved.q.chunks_exact_mut(track.dof.max(1)) {
         row.iter_mut().zip(zeros).for_each(|(q, zero)| *q += zero);
@@ -440,25 +458,26 @@ fn moved(track: &JointTrack, zeros: &[f64]) -> JointTrack {
 
 /// Whether a stream's positions follow the arm at latency `lag_s`, up to a tool offset or a rotated
 /// reference frame.
-pub(super) fn lies_on_arm(
+pub(super) fn follows_arm(
     joints: &JointTrack,
     stream: &PoseStream,
     scale: f64,
     lag_s: f64,
 ) -> bool {
-    let moments = slow_moments(joints, stream, scale, lag_s);
-    moments.xyz.len() >= 6 && misfit(stream.chain, &moments) < ON_ARM * spread(&moments.xyz)
+    let moments = slow_simultaneous_samples(joints, stream, scale, lag_s);
+    moments.xyz.len() >= 6
+        && misfit(stream.chain, &moments) < MAX_FOLLOWING_RESIDUAL_SHARE * spread(&moments.xyz)
 }
 
 /// Candidate latencies from speed correlation, and zero. A remaining error of the latency has little effect
 /// at slow samples, but a wrong candidate does.
-fn lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<f64> {
+fn latency_candidates(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<f64> {
     let track = stream.track;
     let speed = linear_speed(&track.t_s, &track.xyz);
     let mut lags = vec![0.0];
     // With speeds as logged, and normalised per joint.
-    for joints in [Cow::Borrowed(joints), Cow::Owned(evened(joints))] {
-        let peaks = peaks(&joint_activity(&joints), &speed, most_lag_s);
+    for joints in [Cow::Borrowed(joints), Cow::Owned(normalize_velocities(joints))] {
+        let peaks = lag_peaks(&joint_activity(&joints), &speed, most_lag_s);
         for peak in peaks.iter().filter(|peak| peak.correlation > 0.4).take(2) {
             if lags.iter().all(|lag_s| (peak.lag_s - lag_s).abs() > 0.01) {
                 lags.push(peak.lag_s);
@@ -469,9 +488,9 @@ fn lags(joints: &JointTrack, stream: &PoseStream, most_lag_s: f64) -> Vec<f64> {
 }
 
 /// Position residual with a constant tool offset, rms m.
-fn unturned_misfit(chain: &Chain, moments: &SimultaneousSamples) -> f64 {
+fn tool_misfit(chain: &Chain, moments: &SimultaneousSamples) -> f64 {
     let poses: Vec<Pose> = moments.q.chunks_exact(chain.dof()).map(|q| chain.forward(q)).collect();
-    let expected = FkColumns::of(&poses);
+    let expected = FkColumns::from_poses(&poses);
     let plain = expected.tool_misfit(&moments.xyz);
     moments.inverse_xyz.as_ref().map_or(plain, |xyz| plain.min(expected.tool_misfit(xyz)))
 }
@@ -479,7 +498,7 @@ fn unturned_misfit(chain: &Chain, moments: &SimultaneousSamples) -> f64 {
 /// Position residual with constant frames, rms m.
 fn misfit(chain: &Chain, moments: &SimultaneousSamples) -> f64 {
     let poses: Vec<Pose> = moments.q.chunks_exact(chain.dof()).map(|q| chain.forward(q)).collect();
-    let expected = FkColumns::of(&poses);
+    let expected = FkColumns::from_poses(&poses);
     let plain = expected.misfit(&moments.xyz);
     // Inverted streams fit after inversion.
     moments.inverse_xyz.as_ref().map_or(plain, |inverse| plain.min(expected.misfit(inverse)))

@@ -6,7 +6,7 @@ use ground::robot::{Chain, JointKind};
 use ground::stream::{JointTrack, Orientations};
 
 /// Number of samples used to test encodings.
-pub(super) const SAMPLES: usize = 60;
+pub(super) const JOINT_ENCODING_SAMPLES: usize = 60;
 
 /// Positions of a stream and simultaneous joint positions.
 #[derive(Clone)]
@@ -21,7 +21,7 @@ pub(super) struct SimultaneousSamples {
 }
 
 /// Normalises the velocity of each joint by its rms.
-pub(super) fn evened(joints: &JointTrack) -> JointTrack {
+pub(super) fn normalize_velocities(joints: &JointTrack) -> JointTrack {
     let mut evened = joints.clone();
     let rms = rms_speeds(joints);
     for row in evened.qd.chunks_exact_mut(joints.dof.max(1)) {
@@ -40,7 +40,7 @@ pub(super) fn rms_speeds(joints: &JointTrack) -> Vec<f64> {
 }
 
 /// Slow samples at a given latency, spread over the run.
-pub(super) fn slow_moments(
+pub(super) fn slow_simultaneous_samples(
     joints: &JointTrack,
     stream: &PoseStream,
     scale: f64,
@@ -60,7 +60,7 @@ pub(super) fn slow_moments(
     by_speed.sort_by(|&a, &b| covered[a].1.total_cmp(&covered[b].1));
     by_speed.truncate(covered.len().div_ceil(2));
     by_speed.sort_unstable();
-    let step = by_speed.len().div_ceil(SAMPLES).max(1);
+    let step = by_speed.len().div_ceil(JOINT_ENCODING_SAMPLES).max(1);
     let rotations = match &track.orientation {
         Orientations::Rotations(rotations) => Some(rotations),
         Orientations::Numbers(_) | Orientations::Unset(_) => None,
@@ -86,7 +86,10 @@ pub(super) fn slow_moments(
     moments
 }
 
-pub(super) fn in_radians(chain: &Chain, moments: &SimultaneousSamples) -> SimultaneousSamples {
+pub(super) fn converted_to_radians(
+    chain: &Chain,
+    moments: &SimultaneousSamples,
+) -> SimultaneousSamples {
     let kinds = chain.joint_kinds();
     let convert = |(i, q): (usize, &f64)| {
         if kinds[i % kinds.len()] == JointKind::Prismatic { *q } else { q.to_radians() }

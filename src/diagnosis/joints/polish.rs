@@ -1,7 +1,7 @@
 //! Levenberg–Marquardt refinement of a map and frames (Levenberg 1944).
 
 use super::map::{Coupling, JointMap};
-use super::view::{ConstantFrames, FreeFrames, InterpretedPoses, Left};
+use super::view::{ConstantFrames, FreeFrames, InterpretedPoses, ResidualSize};
 use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
 use ground::robot::JointKind;
 use nalgebra::{DMatrix, DVector};
@@ -24,32 +24,32 @@ pub(super) struct JointProposal {
 #[derive(Clone, Debug)]
 pub(super) struct RefinedProposal {
     pub map: JointMap,
-    pub left: Left,
+    pub residual: ResidualSize,
     /// Penalty: number of causes, including a rotated tool.
     pub price: f64,
 }
 
 /// Minimum rotation of the tool that counts as a cause, rad, and its penalty.
-const TURNED: f64 = 0.1;
-const TOOL: f64 = 1.0;
+const MIN_TOOL_ROTATION_RAD: f64 = 0.1;
+const TOOL_ROTATION_PRICE: f64 = 1.0;
 
 impl JointProposal {
     /// Minimises the residual in at most `steps` steps.
-    pub fn polished(
+    pub fn refine(
         &self,
         view: &InterpretedPoses,
         freedom: FreeFrames,
         steps: usize,
     ) -> RefinedProposal {
         let mut map = self.map.clone();
-        let mut frames = view.frames(&view.fk(&map), freedom);
+        let mut frames = view.fit_frames(&view.fk(&map), freedom);
         let cost = |map: &JointMap, frames: &ConstantFrames| {
-            view.left(&view.fk(map), frames).together(view.lever_m)
+            view.residual_against(&view.fk(map), frames).combined_m(view.lever_m)
         };
         let mut best = cost(&map, &frames);
         let mut damping = 1e-3;
         for _ in 0..steps {
-            let (normal, right) = self.normal(view, freedom, &map, &frames);
+            let (normal, right) = self.normal_equations(view, freedom, &map, &frames);
             let step = |damping: f64| {
                 let mut damped = normal.clone();
                 for i in 0..damped.nrows() {
@@ -58,7 +58,7 @@ impl JointProposal {
                 damped.cholesky().map(|cholesky| cholesky.solve(&right))
             };
             let Some(step) = step(damping) else { break };
-            let (next_map, next_frames) = self.moved(freedom, view, &map, &frames, &step);
+            let (next_map, next_frames) = self.stepped(freedom, view, &map, &frames, &step);
             let next = cost(&next_map, &next_frames);
             if next < best {
                 let gained = best - next;
@@ -74,11 +74,12 @@ impl JointProposal {
                 }
             }
         }
-        map.settle_turns(view.chain, &view.spans);
-        let left = view.left(&view.fk(&map), &frames);
-        let is_turned = view.rotation.is_some() && frames.tool.rotation.angle() > TURNED;
-        let price = self.price + if is_turned { TOOL } else { 0.0 };
-        RefinedProposal { map, left, price }
+        map.remove_whole_turns(view.chain, &view.spans);
+        let left = view.residual_against(&view.fk(&map), &frames);
+        let is_turned =
+            view.rotation.is_some() && frames.tool.rotation.angle() > MIN_TOOL_ROTATION_RAD;
+        let price = self.price + if is_turned { TOOL_ROTATION_PRICE } else { 0.0 };
+        RefinedProposal { map, residual: left, price }
     }
 
     /// Number of parameters: zeros, relative factors, coupling factor, tool, reference.
@@ -89,7 +90,7 @@ impl JointProposal {
         self.zeros.len() + self.factors.len() + coupling + tool + reference
     }
 
-    fn normal(
+    fn normal_equations(
         &self,
         view: &InterpretedPoses,
         freedom: FreeFrames,
@@ -166,7 +167,7 @@ impl JointProposal {
         (design.tr_mul(&design), design.tr_mul(&residuals))
     }
 
-    fn moved(
+    fn stepped(
         &self,
         freedom: FreeFrames,
         view: &InterpretedPoses,
@@ -175,11 +176,12 @@ impl JointProposal {
         step: &DVector<f64>,
     ) -> (JointMap, ConstantFrames) {
         /// Maximum rotation in one step, rad; the linearisation is not valid beyond it.
-        const MOST: f64 = 0.5;
+        const MAX_STEP_RAD: f64 = 0.5;
         let (mut map, mut frames, mut at) = (map.clone(), *frames, 0);
         let kinds = view.chain.joint_kinds();
         for &joint in &self.zeros {
-            let most = if kinds[joint] == JointKind::Prismatic { f64::INFINITY } else { MOST };
+            let most =
+                if kinds[joint] == JointKind::Prismatic { f64::INFINITY } else { MAX_STEP_RAD };
             map.zero[joint] += step[at].clamp(-most, most);
             at += 1;
         }
@@ -192,7 +194,9 @@ impl JointProposal {
             at += 1;
         }
         let three = |first: usize| Vec3::new(step[first], step[first + 1], step[first + 2]);
-        let small = |turn: Vec3| rotation_from_rotvec(turn * (MOST / turn.norm().max(MOST)));
+        let small = |turn: Vec3| {
+            rotation_from_rotvec(turn * (MAX_STEP_RAD / turn.norm().max(MAX_STEP_RAD)))
+        };
         let shift = |first: usize, with_turn: bool| -> Pose {
             let turn = if with_turn { small(three(first + 3)) } else { Default::default() };
             pose(three(first).into(), turn)

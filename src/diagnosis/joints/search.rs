@@ -7,47 +7,47 @@
 
 use super::super::placing::spread;
 use super::lone::SingleJoint;
-use super::map::{ALL_ORDERS, Coupling, JointMap, orders, wholes};
+use super::map::{Coupling, JointMap, MAX_PERMUTED_JOINTS, arm_interpretations, candidate_orders};
 use super::polish::{JointProposal, RefinedProposal};
-use super::view::{ConstantFrames, FreeFrames, InterpretedPoses, Left};
+use super::view::{ConstantFrames, FreeFrames, InterpretedPoses, ResidualSize};
 use ground::robot::JointKind;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 
 /// Number of proposals per kind refined on all samples, after `ROUGH_STEPS` steps on `ROUGH_SAMPLES`
 /// samples.
-const POLISHED: usize = 24;
+const REFINED_PROPOSALS: usize = 24;
 const ROUGH_STEPS: usize = 8;
 const ROUGH_SAMPLES: usize = 20;
 /// Maximum number of steps of the full refinement.
-const STEPS: usize = 25;
-/// If there are more proposals than this, a frame-free score on `STRAINED` samples preselects them.
-const CLOSELY: usize = 150;
-const STRAINED: usize = 12;
+const MAX_STEPS: usize = 25;
+/// If there are more proposals than this, a frame-free score on `SCREENING_SAMPLES` samples preselects them.
+const MAX_UNSCREENED_PROPOSALS: usize = 150;
+const SCREENING_SAMPLES: usize = 12;
 /// Minimum motion of a joint to determine its sign and scale: revolute, rad, and prismatic, m.
-const TURNS: f64 = 0.05;
-const SLIDES: f64 = 5e-3;
+const MIN_MOTION_RAD: f64 = 0.05;
+const MIN_MOTION_M: f64 = 5e-3;
 /// Minimum residual of another interpretation, relative to the best, to exclude it.
-const TOLD: f64 = 2.0;
+const MIN_RESIDUAL_RATIO: f64 = 2.0;
 /// A costlier interpretation is selected only if the cheaper one's residual exceeds this multiple of the
 /// least …
-const NO_BETTER: f64 = 4.0;
+const MAX_COMPETITOR_RATIO: f64 = 4.0;
 /// … and this value, m.
-const FLOOR_M: f64 = 3e-4;
+const RESIDUAL_FLOOR_M: f64 = 3e-4;
 /// Penalty for another order.
-const ORDER: f64 = 1.5;
+const ORDER_PRICE: f64 = 1.5;
 /// Reversed joints with a penalty above this cost more than one mirrored axis.
-const MIRROR: f64 = 1.2;
+const MIRROR_PRICE: f64 = 1.2;
 /// Maximum residual of mirrored positions, as a share of their extent.
-const MIRRORED: f64 = 0.02;
+const MAX_MIRRORED_RESIDUAL_SHARE: f64 = 0.02;
 /// Penalties for a scale that is not a round number, and per joint beyond the model's limits.
-const ODD: f64 = 0.5;
-const BEYOND: f64 = 0.25;
+const ODD_SCALE_PRICE: f64 = 0.5;
+const BEYOND_LIMIT_PRICE: f64 = 0.25;
 
 /// Interpretation of the joint states that fits.
 pub(super) struct JointInterpretation {
     pub map: JointMap,
-    pub left: Left,
+    pub residual: ResidualSize,
     /// Residual of the next best interpretation at no higher price, m.
     pub runner_up_m: Option<f64>,
 }
@@ -90,20 +90,20 @@ impl InterpretationKind {
         InterpretationKind::OrderAndOne,
     ];
     /// Kinds that may explain a stream already close to FK as logged.
-    pub const OF_NEAR: [InterpretationKind; 2] =
+    pub const FOR_SMALL_RESIDUALS: [InterpretationKind; 2] =
         [InterpretationKind::One, InterpretationKind::Coupled];
 }
 
 /// Searches for an interpretation of one kind with a residual of at most `most`.
-pub(super) fn search(
+pub(super) fn search_kind(
     view: &InterpretedPoses,
     kind: InterpretationKind,
     freedom: FreeFrames,
-    most: Left,
+    most: ResidualSize,
 ) -> SearchOutcome {
     let none = JointMap::as_logged(view.chain.dof());
     let fk = view.fk(&none);
-    if fits(&view.left(&fk, &view.frames(&fk, freedom)), most) {
+    if is_within(&view.residual_against(&fk, &view.fit_frames(&fk, freedom)), most) {
         // The poses already fit the joint states as logged.
         return SearchOutcome::Nothing;
     }
@@ -111,72 +111,78 @@ pub(super) fn search(
         return SearchOutcome::Found(found);
     }
     let proposals = match kind {
-        InterpretationKind::One => one(view, freedom),
-        InterpretationKind::Order => ordered(view, freedom),
-        InterpretationKind::Coupled => coupled(view),
+        InterpretationKind::One => one_misinterpreted(view, freedom),
+        InterpretationKind::Order => reordered(view, freedom),
+        InterpretationKind::Coupled => coupled_pairs(view),
         InterpretationKind::UnitAndOne => unit_and_one(view, freedom),
-        InterpretationKind::Two => two(view, freedom),
+        InterpretationKind::Two => two_misinterpreted(view, freedom),
         InterpretationKind::OrderAndOne => order_and_one(view, freedom),
     };
-    judge(view, proposals, freedom, most)
+    refine_and_select(view, proposals, freedom, most)
 }
 
-fn fits(left: &Left, most: Left) -> bool {
+fn is_within(left: &ResidualSize, most: ResidualSize) -> bool {
     left.m <= most.m && left.rad.zip(most.rad).is_none_or(|(left, most)| left <= most)
 }
 
-fn judge(
+fn refine_and_select(
     view: &InterpretedPoses,
     proposals: Vec<JointProposal>,
     freedom: FreeFrames,
-    most: Left,
+    most: ResidualSize,
 ) -> SearchOutcome {
-    let together = |polished: &RefinedProposal| polished.left.together(view.lever_m);
+    let together = |polished: &RefinedProposal| polished.residual.combined_m(view.lever_m);
     let price = |polished: &RefinedProposal| {
-        polished.price + BEYOND * polished.map.beyond_limits(view.chain, &view.spans) as f64
+        polished.price
+            + BEYOND_LIMIT_PRICE * polished.map.beyond_limits(view.chain, &view.spans) as f64
     };
     let thin = view.thinned(ROUGH_SAMPLES);
     let mut rough: Vec<(f64, JointProposal)> = proposals
         .into_par_iter()
         .map(|proposal| {
-            let RefinedProposal { map, left, .. } = proposal.polished(&thin, freedom, ROUGH_STEPS);
-            (left.together(view.lever_m), JointProposal { map, ..proposal })
+            let RefinedProposal { map, residual: left, .. } =
+                proposal.refine(&thin, freedom, ROUGH_STEPS);
+            (left.combined_m(view.lever_m), JointProposal { map, ..proposal })
         })
         .collect();
     rough.sort_by(|a, b| a.0.total_cmp(&b.0));
-    rough.truncate(POLISHED);
+    rough.truncate(REFINED_PROPOSALS);
     let polished: Vec<(f64, RefinedProposal)> = rough
         .into_par_iter()
-        .map(|(_, proposal)| proposal.polished(view, freedom, STEPS))
+        .map(|(_, proposal)| proposal.refine(view, freedom, MAX_STEPS))
         .map(|polished| (price(&polished), polished))
         .collect();
     let least = polished.iter().map(|(_, one)| together(one)).fold(f64::INFINITY, f64::min);
-    let enough = (NO_BETTER * least).max(FLOOR_M);
-    let good = polished.iter().filter(|(_, one)| fits(&one.left, most) && together(one) <= enough);
+    let enough = (MAX_COMPETITOR_RATIO * least).max(RESIDUAL_FLOOR_M);
+    let good = polished
+        .iter()
+        .filter(|(_, one)| is_within(&one.residual, most) && together(one) <= enough);
     let Some((paid, best)) =
         good.min_by(|a, b| a.0.total_cmp(&b.0).then(together(&a.1).total_cmp(&together(&b.1))))
     else {
         return SearchOutcome::Nothing;
     };
-    let others = polished
-        .iter()
-        .filter(|(price, other)| *price <= *paid && !same(view, &other.map, &best.map));
+    let others = polished.iter().filter(|(price, other)| {
+        *price <= *paid && !gives_same_positions(view, &other.map, &best.map)
+    });
     let runner_up = others.min_by(|a, b| together(&a.1).total_cmp(&together(&b.1)));
-    if runner_up.is_some_and(|(_, other)| together(other) < TOLD * together(best).max(FLOOR_M)) {
+    if runner_up.is_some_and(|(_, other)| {
+        together(other) < MIN_RESIDUAL_RATIO * together(best).max(RESIDUAL_FLOOR_M)
+    }) {
         return SearchOutcome::Ambiguous;
     }
-    let runner_up_m = runner_up.map(|(_, other)| other.left.m);
+    let runner_up_m = runner_up.map(|(_, other)| other.residual.m);
     SearchOutcome::Found(JointInterpretation {
         map: best.map.clone(),
-        left: best.left,
+        residual: best.residual,
         runner_up_m,
     })
 }
 
 /// Whether two maps give the same joint positions at all samples.
-fn same(view: &InterpretedPoses, a: &JointMap, b: &JointMap) -> bool {
+fn gives_same_positions(view: &InterpretedPoses, a: &JointMap, b: &JointMap) -> bool {
     /// Tolerance, rad or m.
-    const NEAR: f64 = 0.02;
+    const POSITION_TOLERANCE: f64 = 0.02;
     let dof = view.chain.dof();
     let (mut by_a, mut by_b) = (vec![0.0; dof], vec![0.0; dof]);
     let kinds = view.chain.joint_kinds();
@@ -186,19 +192,19 @@ fn same(view: &InterpretedPoses, a: &JointMap, b: &JointMap) -> bool {
         by_a.iter().zip(&by_b).zip(kinds).all(|((a, b), kind)| {
             let off = a - b;
             let turns = if *kind == JointKind::Prismatic { 0.0 } else { (off / TAU).round() };
-            (off - TAU * turns).abs() < NEAR
+            (off - TAU * turns).abs() < POSITION_TOLERANCE
         })
     })
 }
 
 /// The proposals with the smallest residual before refinement.
-fn best_of(
+fn best_proposals(
     view: &InterpretedPoses,
     proposals: Vec<JointProposal>,
     freedom: FreeFrames,
     most: usize,
 ) -> Vec<JointProposal> {
-    let thin = view.thinned(STRAINED);
+    let thin = view.thinned(SCREENING_SAMPLES);
     let by =
         |proposals: Vec<JointProposal>, most: usize, score: &(dyn Fn(&JointMap) -> f64 + Sync)| {
             let mut scored: Vec<(f64, JointProposal)> =
@@ -206,84 +212,90 @@ fn best_of(
             scored.sort_by(|a, b| a.0.total_cmp(&b.0));
             scored.into_iter().take(most).map(|(_, one)| one).collect::<Vec<_>>()
         };
-    let few = match proposals.len() > CLOSELY {
-        true => by(proposals, CLOSELY, &|map| thin.strain(map)),
+    let few = match proposals.len() > MAX_UNSCREENED_PROPOSALS {
+        true => by(proposals, MAX_UNSCREENED_PROPOSALS, &|map| thin.strain(map)),
         false => proposals,
     };
     by(few, most, &|map| view.misfit(map, freedom))
 }
 
 /// Maps likely to be part of the fault, and whether the joint ranges support them.
-pub(super) fn likely(view: &InterpretedPoses) -> Vec<(JointMap, bool)> {
+pub(super) fn likely_maps(view: &InterpretedPoses) -> Vec<(JointMap, bool)> {
     let none = JointMap::as_logged(view.chain.dof());
-    let units: Vec<JointMap> =
-        wholes(view.chain).into_iter().filter(|whole| whole.is_unit).map(|w| w.map).collect();
+    let units: Vec<JointMap> = arm_interpretations(view.chain)
+        .into_iter()
+        .filter(|whole| whole.is_unit)
+        .map(|w| w.map)
+        .collect();
     let is_out = none.out_of_range(view.chain, &view.spans);
     let in_range =
         units.iter().filter(|unit| is_out && unit.beyond_limits(view.chain, &view.spans) == 0);
     let in_range: Vec<(JointMap, bool)> =
         in_range.take(1).map(|unit| (unit.clone(), true)).collect();
-    let ordered = ordered(view, FreeFrames::Both);
-    let nearest = best_of(view, ordered, FreeFrames::Both, 1);
+    let ordered = reordered(view, FreeFrames::Both);
+    let nearest = best_proposals(view, ordered, FreeFrames::Both, 1);
     in_range.into_iter().chain(nearest.into_iter().map(|one| (one.map, false))).collect()
 }
 
-fn as_it_is(map: JointMap, price: f64) -> JointProposal {
+fn unrefined(map: JointMap, price: f64) -> JointProposal {
     JointProposal { map, zeros: Vec::new(), factors: Vec::new(), fits_coupling: false, price }
 }
 
 /// Whether a joint moves enough under `map` with this factor.
-fn moves(view: &InterpretedPoses, map: &JointMap, joint: usize, factor: f64) -> bool {
+fn moves_enough(view: &InterpretedPoses, map: &JointMap, joint: usize, factor: f64) -> bool {
     let [low, high] = view.spans[map.from[joint]];
     let slides = view.chain.joint_kinds()[joint] == JointKind::Prismatic;
-    factor.abs() * (high - low) > if slides { SLIDES } else { TURNS }
+    factor.abs() * (high - low) > if slides { MIN_MOTION_M } else { MIN_MOTION_RAD }
 }
 
 /// Joints that move under `map`.
-fn moving(view: &InterpretedPoses, map: &JointMap) -> Vec<usize> {
-    (0..view.chain.dof()).filter(|&joint| moves(view, map, joint, map.factor[joint])).collect()
+fn moving_joints(view: &InterpretedPoses, map: &JointMap) -> Vec<usize> {
+    (0..view.chain.dof())
+        .filter(|&joint| moves_enough(view, map, joint, map.factor[joint]))
+        .collect()
 }
 
 /// All joints in another unit, some of them reversed, or one joint misinterpreted.
-fn one(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
+fn one_misinterpreted(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
     let none = JointMap::as_logged(view.chain.dof());
-    let whole = wholes(view.chain)
+    let whole = arm_interpretations(view.chain)
         .into_iter()
-        .map(|whole| as_it_is(whole.map, if whole.is_unit { 1.0 } else { 1.25 }))
+        .map(|whole| unrefined(whole.map, if whole.is_unit { 1.0 } else { 1.25 }))
         .collect();
-    let mut proposals = best_of(view, whole, freedom, POLISHED / 2);
-    let mut reversed = reversed(view, &none);
+    let mut proposals = best_proposals(view, whole, freedom, REFINED_PROPOSALS / 2);
+    let mut reversed = reversed_subsets(view, &none);
     if is_mirrored(view, &none) {
         // Several reversed joints can be equivalent to one mirrored axis, which is a single cause.
-        reversed.retain(|proposal| proposal.price < MIRROR);
+        reversed.retain(|proposal| proposal.price < MIRROR_PRICE);
     }
-    proposals.extend(best_of(view, reversed, freedom, POLISHED / 2));
-    proposals.extend(geared(view, &none, freedom));
-    proposals
-        .extend((0..view.chain.dof()).flat_map(|joint| lone(view, &none, 0.0, freedom, joint)));
+    proposals.extend(best_proposals(view, reversed, freedom, REFINED_PROPOSALS / 2));
+    proposals.extend(common_gear(view, &none, freedom));
+    proposals.extend(
+        (0..view.chain.dof()).flat_map(|joint| single_joint(view, &none, 0.0, freedom, joint)),
+    );
     proposals
 }
 
 /// Whether the mirrored positions fit FK under `map`.
 fn is_mirrored(view: &InterpretedPoses, map: &JointMap) -> bool {
-    view.mirrored().misfit(map, FreeFrames::Both) < MIRRORED * spread(&view.xyz)
+    view.mirrored().misfit(map, FreeFrames::Both) < MAX_MIRRORED_RESIDUAL_SHARE * spread(&view.xyz)
 }
 
 /// Unit in which the mirrored positions fit FK. Reversing all joints in that unit would also fit, but with
 /// rotated frames.
 fn mirrored_in_unit(view: &InterpretedPoses) -> Option<JointInterpretation> {
-    let units = wholes(view.chain).into_iter().filter(|whole| whole.is_unit);
+    let units = arm_interpretations(view.chain).into_iter().filter(|whole| whole.is_unit);
     let map = units.map(|whole| whole.map).find(|unit| is_mirrored(view, unit))?;
-    let left = Left { m: MIRRORED * spread(&view.xyz), rad: None };
-    Some(JointInterpretation { map, left, runner_up_m: None })
+    let left = ResidualSize { m: MAX_MIRRORED_RESIDUAL_SHARE * spread(&view.xyz), rad: None };
+    Some(JointInterpretation { map, residual: left, runner_up_m: None })
 }
 
 /// Reversed subsets of the joints. Reversing all of them is one cause.
-fn reversed(view: &InterpretedPoses, base: &JointMap) -> Vec<JointProposal> {
+fn reversed_subsets(view: &InterpretedPoses, base: &JointMap) -> Vec<JointProposal> {
     /// Maximum number of joints for an exhaustive search over signs.
-    const MOST: usize = 10;
-    let moving = moving(view, base);
-    if moving.len() > MOST {
+    const MAX_SIGNED_JOINTS: usize = 10;
+    let moving = moving_joints(view, base);
+    if moving.len() > MAX_SIGNED_JOINTS {
         return Vec::new();
     }
     let flipped = |signs: u32| {
@@ -294,19 +306,23 @@ fn reversed(view: &InterpretedPoses, base: &JointMap) -> Vec<JointProposal> {
             }
         }
         let count = signs.count_ones() as usize;
-        as_it_is(map, if count == moving.len() { 1.25 } else { count as f64 })
+        unrefined(map, if count == moving.len() { 1.25 } else { count as f64 })
     };
     (1..1u32 << moving.len()).map(flipped).collect()
 }
 
 /// One common factor for all revolute joints that is not a round number.
-fn geared(view: &InterpretedPoses, base: &JointMap, freedom: FreeFrames) -> Option<JointProposal> {
+fn common_gear(
+    view: &InterpretedPoses,
+    base: &JointMap,
+    freedom: FreeFrames,
+) -> Option<JointProposal> {
     /// Maximum range of any joint, rad, the minimum as a share of it, and the ratio of successive factors.
-    const MOST: f64 = 2.0 * TAU;
-    const LEAST: f64 = 0.01;
-    const STEP: f64 = 1.04;
+    const MAX_RANGE_RAD: f64 = 2.0 * TAU;
+    const MIN_RANGE_SHARE: f64 = 0.01;
+    const FACTOR_STEP: f64 = 1.04;
     let kinds = view.chain.joint_kinds();
-    let turning: Vec<usize> = moving(view, base)
+    let turning: Vec<usize> = moving_joints(view, base)
         .into_iter()
         .filter(|&joint| kinds[joint] != JointKind::Prismatic)
         .collect();
@@ -325,48 +341,51 @@ fn geared(view: &InterpretedPoses, base: &JointMap, freedom: FreeFrames) -> Opti
         turning.iter().for_each(|&joint| map.factor[joint] = factor);
         map
     };
-    let steps = ((MOST / LEAST).ln() / STEP.ln()) as i32;
+    let steps = ((MAX_RANGE_RAD / MIN_RANGE_SHARE).ln() / FACTOR_STEP.ln()) as i32;
     let tried = (0..=steps).flat_map(|step| {
-        let factor = LEAST / widest * STEP.powi(step);
-        [factor, -factor].map(|factor| as_it_is(scaled(factor), 1.25 + ODD))
+        let factor = MIN_RANGE_SHARE / widest * FACTOR_STEP.powi(step);
+        [factor, -factor].map(|factor| unrefined(scaled(factor), 1.25 + ODD_SCALE_PRICE))
     });
-    let best = best_of(&view.thinned(ROUGH_SAMPLES), tried.collect(), freedom, 1).pop()?;
+    let best = best_proposals(&view.thinned(ROUGH_SAMPLES), tried.collect(), freedom, 1).pop()?;
     Some(JointProposal { factors: turning, ..best })
 }
 
 /// Positions in another order.
-fn ordered(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
+fn reordered(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
     let thin = view.thinned(20);
     let none = JointMap::as_logged(view.chain.dof());
-    let orders = orders(view.chain.joint_names(), ALL_ORDERS);
-    let units: Vec<JointMap> =
-        wholes(view.chain).into_iter().filter(|whole| whole.is_unit).map(|w| w.map).collect();
+    let orders = candidate_orders(view.chain.joint_names(), MAX_PERMUTED_JOINTS);
+    let units: Vec<JointMap> = arm_interpretations(view.chain)
+        .into_iter()
+        .filter(|whole| whole.is_unit)
+        .map(|w| w.map)
+        .collect();
     let bases = std::iter::once((&none, 0.0)).chain(units.iter().map(|unit| (unit, 1.0)));
     let all = bases
         .flat_map(|(base, price)| {
-            orders.iter().map(move |order| as_it_is(base.in_order(order), price + ORDER))
+            orders.iter().map(move |order| unrefined(base.in_order(order), price + ORDER_PRICE))
         })
         .filter(|proposal| proposal.map.from != none.from)
         .collect();
-    best_of(&thin, all, freedom, POLISHED / 2)
+    best_proposals(&thin, all, freedom, REFINED_PROPOSALS / 2)
 }
 
 /// Pairs of coupled revolute joints. The factor is ±1 (a controller that reports one joint's angle from the
 /// horizon, as FANUC's J3) or is estimated (wrists with concentric gear trains).
-fn coupled(view: &InterpretedPoses) -> Vec<JointProposal> {
+fn coupled_pairs(view: &InterpretedPoses) -> Vec<JointProposal> {
     let none = JointMap::as_logged(view.chain.dof());
     let kinds = view.chain.joint_kinds();
     let turning: Vec<usize> =
         (0..kinds.len()).filter(|&joint| kinds[joint] != JointKind::Prismatic).collect();
-    let driving = moving(view, &none);
+    let driving = moving_joints(view, &none);
     let pairs = turning.iter().flat_map(|&joint| {
         let driving = driving.iter().filter(|by| turning.contains(by));
         driving.filter(move |&&by| by != joint).map(move |&by| (joint, by))
     });
     let proposal = |(joint, by): (usize, usize), factor: f64, fits_coupling: bool| {
         let map = JointMap { coupling: Some(Coupling { joint, by, factor }), ..none.clone() };
-        let price = if fits_coupling { 1.0 + ODD } else { 1.0 };
-        JointProposal { fits_coupling, ..as_it_is(map, price) }
+        let price = if fits_coupling { 1.0 + ODD_SCALE_PRICE } else { 1.0 };
+        JointProposal { fits_coupling, ..unrefined(map, price) }
     };
     pairs
         .flat_map(|pair| {
@@ -378,18 +397,18 @@ fn coupled(view: &InterpretedPoses) -> Vec<JointProposal> {
 
 /// All joints in another unit, and one joint misinterpreted.
 fn unit_and_one(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
-    let units = wholes(view.chain).into_iter().filter(|whole| whole.is_unit);
+    let units = arm_interpretations(view.chain).into_iter().filter(|whole| whole.is_unit);
     let joints = 0..view.chain.dof();
     let pairs: Vec<(JointMap, usize)> =
         units.flat_map(|unit| joints.clone().map(move |joint| (unit.map.clone(), joint))).collect();
     pairs
         .into_par_iter()
-        .flat_map_iter(|(unit, joint)| lone(view, &unit, 1.0, freedom, joint))
+        .flat_map_iter(|(unit, joint)| single_joint(view, &unit, 1.0, freedom, joint))
         .collect()
 }
 
 /// One joint interpreted differently from `base`: its zero, direction, unit or scale.
-fn lone(
+fn single_joint(
     view: &InterpretedPoses,
     base: &JointMap,
     price: f64,
@@ -398,9 +417,10 @@ fn lone(
 ) -> Vec<JointProposal> {
     let slides = view.chain.joint_kinds()[joint] == JointKind::Prismatic;
     let own = base.factor[joint];
-    let moves = |factor: f64| moves(view, base, joint, factor);
+    let moves = |factor: f64| moves_enough(view, base, joint, factor);
     let zero_of = |factor: f64| {
-        let settled = settled(view, base, freedom, joint, |lone| (factor, lone.zero(factor).0));
+        let settled =
+            alternate_fit(view, base, freedom, joint, |lone| (factor, lone.best_zero(factor).0));
         settled.1
     };
     let proposal = |factor: f64, zero: Option<f64>, is_free: bool, more: f64| JointProposal {
@@ -423,14 +443,14 @@ fn lone(
     for with_zero in [true, false] {
         let at = usize::from(!with_zero);
         let pick = |lone: &SingleJoint| lone.factors().get(at).copied().unwrap_or((own, 0.0));
-        let (factor, zero) = settled(view, base, freedom, joint, pick);
+        let (factor, zero) = alternate_fit(view, base, freedom, joint, pick);
         if moves(factor) {
             let zero = with_zero.then_some(zero);
             proposals.push(proposal(
                 factor,
                 zero,
                 true,
-                1.0 + ODD + f64::from(u8::from(with_zero)),
+                1.0 + ODD_SCALE_PRICE + f64::from(u8::from(with_zero)),
             ));
         }
     }
@@ -438,7 +458,7 @@ fn lone(
 }
 
 /// Factor and zero of one joint from `pick`, alternating with the constant frames.
-fn settled(
+fn alternate_fit(
     view: &InterpretedPoses,
     base: &JointMap,
     freedom: FreeFrames,
@@ -446,28 +466,28 @@ fn settled(
     pick: impl Fn(&SingleJoint) -> (f64, f64),
 ) -> (f64, f64) {
     /// Number of alternations.
-    const TIMES: usize = 3;
+    const ALTERNATIONS: usize = 3;
     let mut frames = match freedom {
         FreeFrames::Tool => ConstantFrames::default(),
-        FreeFrames::Both => view.frames(&view.fk(base), freedom),
+        FreeFrames::Both => view.fit_frames(&view.fk(base), freedom),
     };
     let mut found = (base.factor[joint], base.zero[joint]);
-    for _ in 0..TIMES {
-        found = pick(&SingleJoint::of(view, base, &frames, joint));
-        frames = view.frames(&view.fk(&base.with(joint, found.0, found.1)), freedom);
+    for _ in 0..ALTERNATIONS {
+        found = pick(&SingleJoint::new(view, base, &frames, joint));
+        frames = view.fit_frames(&view.fk(&base.with(joint, found.0, found.1)), freedom);
     }
     found
 }
 
 /// Two joints, the first with a zero on a grid, forward or reversed.
-fn two(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
+fn two_misinterpreted(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
     /// Number of grid points for the zero of the first joint.
-    const ZEROS: u32 = 24;
+    const ZERO_GRID_POINTS: u32 = 24;
     let thin = view.thinned(16);
     let dof = view.chain.dof();
     let none = JointMap::as_logged(dof);
     let kinds = view.chain.joint_kinds();
-    let can_move = moving(view, &none);
+    let can_move = moving_joints(view, &none);
     let mut firsts: Vec<(usize, f64, f64, f64)> = Vec::new();
     for (joint, kind) in kinds.iter().enumerate() {
         if *kind == JointKind::Prismatic {
@@ -475,8 +495,8 @@ fn two(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
             continue;
         }
         firsts.push((joint, 1f64.to_radians(), 0.0, 1.0));
-        for step in 0..ZEROS {
-            let zero = TAU * f64::from(step) / f64::from(ZEROS);
+        for step in 0..ZERO_GRID_POINTS {
+            let zero = TAU * f64::from(step) / f64::from(ZERO_GRID_POINTS);
             let turned = if step == 0 { 0.0 } else { 1.0 };
             if step > 0 {
                 firsts.push((joint, 1.0, zero, 1.0));
@@ -492,17 +512,17 @@ fn two(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
             let base = none.with(first, factor, zero);
             let frames = match freedom {
                 FreeFrames::Tool => ConstantFrames::default(),
-                FreeFrames::Both => thin.frames(&thin.fk(&base), freedom),
+                FreeFrames::Both => thin.fit_frames(&thin.fk(&base), freedom),
             };
             let seconds = (0..dof).filter(move |&second| second != first);
             let firsts = if zero == 0.0 { Vec::new() } else { vec![first] };
             let (thin, can_move) = (&thin, &can_move);
             seconds.flat_map(move |second| {
-                let lone = SingleJoint::of(thin, &base, &frames, second);
-                let mut ways = vec![(1.0, Some(lone.zero(1.0).0), 1.0)];
+                let lone = SingleJoint::new(thin, &base, &frames, second);
+                let mut ways = vec![(1.0, Some(lone.best_zero(1.0).0), 1.0)];
                 if can_move.contains(&second) {
                     ways.push((-1.0, None, 1.0));
-                    ways.push((-1.0, Some(lone.zero(-1.0).0), 2.0));
+                    ways.push((-1.0, Some(lone.best_zero(-1.0).0), 2.0));
                 }
                 let proposal = |(factor, zero, more): (f64, Option<f64>, f64)| {
                     let second_zero = zero.map(|_| second);
@@ -518,7 +538,7 @@ fn two(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointProposal> {
             })
         })
         .collect();
-    best_of(&thin, proposals, freedom, POLISHED)
+    best_proposals(&thin, proposals, freedom, REFINED_PROPOSALS)
 }
 
 /// Positions in another order, and one joint misinterpreted.
@@ -527,29 +547,31 @@ fn order_and_one(view: &InterpretedPoses, freedom: FreeFrames) -> Vec<JointPropo
     let dof = view.chain.dof();
     let none = JointMap::as_logged(dof);
     // Exhaustive for one joint fewer than above, because each order is combined with each joint.
-    let orders = orders(view.chain.joint_names(), ALL_ORDERS - 1);
+    let orders = candidate_orders(view.chain.joint_names(), MAX_PERMUTED_JOINTS - 1);
     let proposals = orders
         .into_par_iter()
         .filter(|order| *order != none.from)
         .flat_map_iter(|order| {
             let base = none.in_order(&order);
-            let can_move = moving(&thin, &base);
+            let can_move = moving_joints(&thin, &base);
             let thin = &thin;
             (0..dof).flat_map(move |joint| {
-                let zero =
-                    SingleJoint::of(thin, &base, &ConstantFrames::default(), joint).zero(1.0).0;
+                let zero = SingleJoint::new(thin, &base, &ConstantFrames::default(), joint)
+                    .best_zero(1.0)
+                    .0;
                 let turned = JointProposal {
                     map: base.with(joint, 1.0, zero),
                     zeros: vec![joint],
                     factors: Vec::new(),
                     fits_coupling: false,
-                    price: ORDER + 1.0,
+                    price: ORDER_PRICE + 1.0,
                 };
                 let moves = can_move.contains(&joint);
-                let reversed = moves.then(|| as_it_is(base.with(joint, -1.0, 0.0), ORDER + 1.0));
+                let reversed =
+                    moves.then(|| unrefined(base.with(joint, -1.0, 0.0), ORDER_PRICE + 1.0));
                 std::iter::once(turned).chain(reversed).collect::<Vec<_>>()
             })
         })
         .collect();
-    best_of(&thin, proposals, freedom, POLISHED)
+    best_proposals(&thin, proposals, freedom, REFINED_PROPOSALS)
 }

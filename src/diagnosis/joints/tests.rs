@@ -1,13 +1,13 @@
-use super::map::{JointMap, half_turns, orders};
-use super::search::{InterpretationKind, SearchOutcome, search};
-use super::view::{FreeFrames, InterpretedPoses, Left, TURNS};
+use super::map::{JointMap, candidate_orders, half_turns};
+use super::search::{InterpretationKind, SearchOutcome, search_kind};
+use super::view::{FRAME_ITERATIONS, FreeFrames, InterpretedPoses, ResidualSize};
 use crate::test_random::Lcg;
 use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
 use ground::robot::{Chain, catalogue};
 use std::f64::consts::{PI, TAU};
 
 /// Maximum residual of a search.
-const MOST: Left = Left { m: 5e-3, rad: Some(0.03) };
+const MOST: ResidualSize = ResidualSize { m: 5e-3, rad: Some(0.03) };
 
 fn ur5e() -> Chain {
     let robot = catalogue::find("ur5e").expect("it is in the catalogue");
@@ -40,12 +40,12 @@ fn view<'a>(
         spans: (0..chain.dof()).map(span).collect(),
         q,
         lever_m: 0.25,
-        turns: TURNS,
+        turns: FRAME_ITERATIONS,
     }
 }
 
 fn found(view: &InterpretedPoses, kind: InterpretationKind, freedom: FreeFrames) -> JointMap {
-    match search(view, kind, freedom, MOST) {
+    match search_kind(view, kind, freedom, MOST) {
         SearchOutcome::Found(found) => found.map,
         SearchOutcome::Ambiguous => panic!("several ways fit"),
         SearchOutcome::Nothing => panic!("nothing fits"),
@@ -132,7 +132,10 @@ fn where_the_joints_are_right_or_nothing_fits_nothing_is_found() {
     });
     for view in [right, coupled] {
         for kind in InterpretationKind::ALL {
-            assert!(matches!(search(&view, kind, FreeFrames::Tool, MOST), SearchOutcome::Nothing));
+            assert!(matches!(
+                search_kind(&view, kind, FreeFrames::Tool, MOST),
+                SearchOutcome::Nothing
+            ));
         }
     }
 }
@@ -140,8 +143,8 @@ fn where_the_joints_are_right_or_nothing_fits_nothing_is_found() {
 #[test]
 fn many_joints_have_few_orders() {
     let names: Vec<String> = (0..30).map(|joint| format!("joint_{joint}")).collect();
-    assert_eq!(orders(&names[..4], 7).len(), 24);
-    assert!(orders(&names, 7).len() < 500);
+    assert_eq!(candidate_orders(&names[..4], 7).len(), 24);
+    assert!(candidate_orders(&names, 7).len() < 500);
 }
 
 #[test]
@@ -161,9 +164,9 @@ fn a_coupled_pair_is_found_with_its_factor() {
             logged[joint] -= factor * q[by];
             logged
         });
-        let most = Left { m: 5e-4, rad: Some(1e-3) };
+        let most = ResidualSize { m: 5e-4, rad: Some(1e-3) };
         let SearchOutcome::Found(found) =
-            search(&view, InterpretationKind::Coupled, FreeFrames::Tool, most)
+            search_kind(&view, InterpretationKind::Coupled, FreeFrames::Tool, most)
         else {
             panic!("{factor} of joint {by} in joint {joint} is not found")
         };

@@ -1,14 +1,14 @@
 //! Residual of a pose stream at slow samples for a mapping of the joint states.
 
-use super::super::frames::{both_frames, tool_frame};
+use super::super::frames::{initial_frames, tool_frame};
 use super::super::placing::FkColumns;
 use super::map::JointMap;
 use ground::geometry::{Pose, Rotation, Vec3, angle_between, pose, rotvec_from_rotation};
 use ground::robot::Chain;
 
 /// Iterations of the frame search for a thinned and for a full view.
-const FEW_TURNS: usize = 5;
-pub(super) const TURNS: usize = 30;
+const THINNED_FRAME_ITERATIONS: usize = 5;
+pub(super) const FRAME_ITERATIONS: usize = 30;
 
 /// Constant frames that are free.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,14 +28,14 @@ pub(super) struct ConstantFrames {
 
 /// Residual, rms m and rad; no angle if only positions are compared.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(in super::super) struct Left {
+pub(in super::super) struct ResidualSize {
     pub m: f64,
     pub rad: Option<f64>,
 }
 
-impl Left {
+impl ResidualSize {
     /// Combines both into one length, with the angle at `lever_m`.
-    pub fn together(self, lever_m: f64) -> f64 {
+    pub fn combined_m(self, lever_m: f64) -> f64 {
         self.m.hypot(lever_m * self.rad.unwrap_or(0.0))
     }
 }
@@ -72,7 +72,7 @@ impl InterpretedPoses<'_> {
             rotation: self.rotation.as_ref().map(some),
             q: rows.flatten().copied().collect(),
             spans: self.spans.clone(),
-            turns: FEW_TURNS,
+            turns: THINNED_FRAME_ITERATIONS,
             ..*self
         }
     }
@@ -100,8 +100,8 @@ impl InterpretedPoses<'_> {
     }
 
     /// Constant frames with the smallest residual.
-    pub fn frames(&self, fk: &[Pose], freedom: FreeFrames) -> ConstantFrames {
-        let expected = FkColumns::of(fk);
+    pub fn fit_frames(&self, fk: &[Pose], freedom: FreeFrames) -> ConstantFrames {
+        let expected = FkColumns::from_poses(fk);
         let by_positions = |turns: usize| {
             let (reference, tool) = expected.frames(&self.xyz, turns);
             ConstantFrames { reference, tool: pose(tool.into(), Rotation::identity()) }
@@ -113,17 +113,18 @@ impl InterpretedPoses<'_> {
         if freedom == FreeFrames::Tool {
             return tool;
         }
-        let (reference, turned_tool) = both_frames(fk, &logged);
+        let (reference, turned_tool) = initial_frames(fk, &logged);
         let placed = by_positions(self.turns).reference;
         let seen: Vec<Pose> = logged.iter().map(|pose| placed.inverse() * pose).collect();
         let placed = ConstantFrames { reference: placed, tool: tool_frame(fk, &seen) };
         let both = [ConstantFrames { reference, tool: turned_tool }, placed, tool];
-        let left = |frames: &ConstantFrames| self.left(fk, frames).together(self.lever_m);
+        let left =
+            |frames: &ConstantFrames| self.residual_against(fk, frames).combined_m(self.lever_m);
         both.into_iter().min_by(|a, b| left(a).total_cmp(&left(b))).unwrap_or(tool)
     }
 
-    /// Residual of the poses against `fk` in `frames`.
-    pub fn left(&self, fk: &[Pose], frames: &ConstantFrames) -> Left {
+    /// Residual of the poses against `fk` in `fit_frames`.
+    pub fn residual_against(&self, fk: &[Pose], frames: &ConstantFrames) -> ResidualSize {
         let (mut metres, mut radians) = (0.0, 0.0);
         for (k, fk) in fk.iter().enumerate() {
             let [position, rotation] = self.residual(k, &(frames.reference * fk * frames.tool));
@@ -132,7 +133,7 @@ impl InterpretedPoses<'_> {
         }
         let n = self.len().max(1) as f64;
         let rad = self.rotation.as_ref().map(|_| (radians / n).sqrt());
-        Left { m: (metres / n).sqrt(), rad }
+        ResidualSize { m: (metres / n).sqrt(), rad }
     }
 
     /// Logged minus predicted at sample `k`, m and rad.
@@ -166,6 +167,6 @@ impl InterpretedPoses<'_> {
     /// Residual of a map with the best frames, as one length.
     pub fn misfit(&self, map: &JointMap, freedom: FreeFrames) -> f64 {
         let fk = self.fk(map);
-        self.left(&fk, &self.frames(&fk, freedom)).together(self.lever_m)
+        self.residual_against(&fk, &self.fit_frames(&fk, freedom)).combined_m(self.lever_m)
     }
 }

@@ -18,7 +18,7 @@ fn first(
     constant: Option<usize>,
 ) -> PositionEncoding {
     let written = StreamPositions { xyz, constant, read_as_m: 1.0, reference_known };
-    layouts(fk, 1.0, &written).into_iter().next().expect("the tip moves")
+    candidate_encodings(fk, 1.0, &written).into_iter().next().expect("the tip moves")
 }
 
 fn xyz(poses: impl Iterator<Item = Pose>) -> Vec<Vec3> {
@@ -44,9 +44,9 @@ fn any_unit_is_found_in_any_axes_and_inverted() {
                 xyz(logged).iter().map(|p| axes.convert_from_standard(*p) / unit).collect();
             let found = first(&fk, &logged, true, None);
             assert!((found.metres / unit - 1.0).abs() < 1e-9, "{axes} {unit}: {found:?}");
-            assert_eq!(found.inverted, inverted, "{axes} {unit}");
+            assert_eq!(found.is_inverted, inverted, "{axes} {unit}");
             assert!(inverted || found.axes == Some(axes), "{axes} {unit}: {found:?}");
-            assert!(found.left_m < 1e-4, "{found:?}");
+            assert!(found.residual_m < 1e-4, "{found:?}");
         }
     }
 }
@@ -57,11 +57,11 @@ fn a_world_that_nobody_knows_may_be_mirrored_or_scaled_but_not_turned() {
     let world = pose([3.0, -1.0, 0.5], rotation_from_rotvec(Vec3::new(0.3, -0.2, 2.0)));
     let turned = xyz(fk.iter().map(|fk| world * fk));
     let found = first(&fk, &turned, false, None);
-    assert!(found.is_sound() && found.left_m < 1e-4, "{found:?}");
+    assert!(found.is_standard() && found.residual_m < 1e-4, "{found:?}");
     let mirrored: Vec<Vec3> =
         turned.iter().map(|p| Axes::UNITY.convert_from_standard(*p) * 100.0).collect();
     let found = first(&fk, &mirrored, false, None);
-    assert!(found.is_mirrored() && !found.inverted, "{found:?}");
+    assert!(found.is_mirrored() && !found.is_inverted, "{found:?}");
     assert!((found.metres - 0.01).abs() < 1e-12, "{found:?}");
 }
 
@@ -69,10 +69,10 @@ fn a_world_that_nobody_knows_may_be_mirrored_or_scaled_but_not_turned() {
 fn growth_is_no_unit_and_another_arm_is_nothing() {
     let fk = arm();
     let grown: Vec<Vec3> = xyz(fk.iter().copied()).iter().map(|p| p * 1.01).collect();
-    assert!(first(&fk, &grown, true, None).is_sound());
+    assert!(first(&fk, &grown, true, None).is_standard());
     let other = |p: &Vec3| Vec3::new(90.0 * p.y * p.y, 80.0 * p.z, 100.0 * p.x.abs());
     let other: Vec<Vec3> = xyz(fk.iter().copied()).iter().map(other).collect();
-    assert!(first(&fk, &other, true, None).is_sound());
+    assert!(first(&fk, &other, true, None).is_standard());
 }
 
 #[test]
@@ -83,6 +83,6 @@ fn what_never_changes_is_left_out() {
         logged.iter_mut().for_each(|p| p[constant] = 7.0);
         let found = first(&fk, &logged, true, Some(constant));
         assert_eq!((found.axes, found.metres), (Some(Axes::STANDARD), 1e-3));
-        assert!(found.left_m < 1e-6, "{found:?}");
+        assert!(found.residual_m < 1e-6, "{found:?}");
     }
 }

@@ -30,7 +30,7 @@ fn a_stop_is_found_in_positions_and_velocities() {
     let t_s = times();
     let (q, qd): (Vec<f64>, Vec<f64>) = t_s.iter().map(|&t| stop(t, 25.0)).unzip();
     for (values, series) in [(q, JointSampleKind::Positions), (qd, JointSampleKind::Velocities)] {
-        let found = abruptness(&t_s, &values, series, 0.0).expect("even samples");
+        let found = peak_acceleration(&t_s, &values, series, 0.0).expect("even samples");
         assert!((found.acceleration - 25.0).abs() < 0.5, "{series:?}: {found:?}");
         assert!((found.at_s - 4.02).abs() < 0.05 && found.jerk > 100.0, "{found:?}");
     }
@@ -42,7 +42,8 @@ fn noise_does_not_feign_a_stop() {
     for size in [1e-5, 1e-2] {
         let at = |row: usize| (0.5 * t_s[row]).sin() + size * noise(row);
         let q: Vec<f64> = (0..t_s.len()).map(at).collect();
-        let found = abruptness(&t_s, &q, JointSampleKind::Positions, 0.0).expect("even samples");
+        let found =
+            peak_acceleration(&t_s, &q, JointSampleKind::Positions, 0.0).expect("even samples");
         assert!(found.acceleration - found.noise < 0.5, "{size}: {found:?}");
         // 1e-2/√3 rad at 125 Hz hides 20 rad/s² over 0.1 s; 1e-5/√3 does not.
         assert_eq!(found.resolved < 20.0, size < 1e-4, "{found:?}");
@@ -54,8 +55,9 @@ fn steps_of_an_encoder_do_not_feign_a_stop() {
     let (t_s, step) = (times(), 6e-3);
     let swing = |t: f64| 0.3 * (-(t - 10.0).powi(2)).exp();
     let q: Vec<f64> = t_s.iter().map(|t| (swing(*t) / step).round() * step).collect();
-    let found =
-        |step: f64| abruptness(&t_s, &q, JointSampleKind::Positions, step).expect("even samples");
+    let found = |step: f64| {
+        peak_acceleration(&t_s, &q, JointSampleKind::Positions, step).expect("even samples")
+    };
     let excess = |step: f64| found(step).acceleration - found(step).noise;
     assert!(excess(step) < 20.0 && excess(0.0) < 20.0, "{} {}", excess(step), excess(0.0));
 }
@@ -67,7 +69,7 @@ fn noise_that_grows_with_speed_does_not_feign_a_stop() {
     let angle =
         |t: f64| 1.2 * (2.0 * t).sin() + 0.2 * (-(t - 12.0).powi(2)).exp() * (8.0 * t).sin();
     let q: Vec<f64> = t_s.iter().enumerate().map(|(row, t)| angle(t + 2e-4 * noise(row))).collect();
-    let found = abruptness(&t_s, &q, JointSampleKind::Positions, 0.0).expect("even samples");
+    let found = peak_acceleration(&t_s, &q, JointSampleKind::Positions, 0.0).expect("even samples");
     assert!(found.acceleration - found.noise < 20.0, "{found:?}");
 }
 
@@ -76,7 +78,8 @@ fn values_that_are_sent_several_times_are_no_stops() {
     let t_s: Vec<f64> = (0..4000).map(|row| row as f64 / 500.0).collect();
     let at = |t: f64| ((t * RATE_HZ).floor() / RATE_HZ * 2.0).sin();
     let qd: Vec<f64> = t_s.iter().map(|&t| at(t + 1e-6)).collect();
-    let found = abruptness(&t_s, &qd, JointSampleKind::Velocities, 0.0).expect("even samples");
+    let found =
+        peak_acceleration(&t_s, &qd, JointSampleKind::Velocities, 0.0).expect("even samples");
     assert!(found.acceleration < 2.1, "{found:?}");
 }
 
@@ -85,10 +88,11 @@ fn a_gap_is_no_stop_and_few_samples_tell_nothing() {
     let mut t_s = times();
     t_s[500..].iter_mut().for_each(|t| *t += 0.5);
     let qd: Vec<f64> = t_s.iter().map(|&t| if t < 4.2 { 1.0 } else { 0.0 }).collect();
-    let found = abruptness(&t_s, &qd, JointSampleKind::Velocities, 0.0).expect("even samples");
+    let found =
+        peak_acceleration(&t_s, &qd, JointSampleKind::Velocities, 0.0).expect("even samples");
     assert!(found.acceleration < 1e-9, "{found:?}");
-    assert_eq!(abruptness(&t_s[..5], &qd[..5], JointSampleKind::Velocities, 0.0), None);
-    assert_eq!(abruptness(&[], &[], JointSampleKind::Positions, 0.0), None);
+    assert_eq!(peak_acceleration(&t_s[..5], &qd[..5], JointSampleKind::Velocities, 0.0), None);
+    assert_eq!(peak_acceleration(&[], &[], JointSampleKind::Positions, 0.0), None);
 }
 
 #[test]
@@ -96,12 +100,12 @@ fn positions_beyond_either_limit_are_timed() {
     let t_s: Vec<f64> = (0..100).map(|row| row as f64 * 0.1).collect();
     let q: Vec<f64> = t_s.iter().map(|t| 2.0 * (t - 5.0).clamp(-2.0, 1.0)).collect();
     let limits = Limits { lower: Some(-3.5), upper: Some(1.9), velocity: None };
-    let found = beyond_positions(&t_s, &q, &limits).expect("both are exceeded");
+    let found = position_violation(&t_s, &q, &limits).expect("both are exceeded");
     assert_eq!((found.limit, found.value, found.at_s), (-3.5, -4.0, 0.0));
     assert!((found.seconds - 3.3).abs() < 1e-9, "{found:?}");
     let wide = Limits { lower: Some(-4.0), upper: None, velocity: None };
-    assert_eq!(beyond_positions(&t_s, &q, &wide), None);
-    assert_eq!(beyond_positions(&t_s, &[f64::NAN; 100], &limits), None);
+    assert_eq!(position_violation(&t_s, &q, &wide), None);
+    assert_eq!(position_violation(&t_s, &[f64::NAN; 100], &limits), None);
 }
 
 #[test]
@@ -122,8 +126,8 @@ fn one_reading_of_speed_gone_wrong_is_no_excess() {
     let limits = Limits { velocity: Some(2.0), ..Limits::default() };
     let mut qd = vec![0.5; 10];
     qd[4] = -9.0;
-    assert_eq!(beyond_speed(&t_s, &qd, &limits), None);
+    assert_eq!(speed_violation(&t_s, &qd, &limits), None);
     qd[5] = -2.2;
-    let found = beyond_speed(&t_s, &qd, &limits).expect("two in a row");
-    assert!((found.over() - 0.2).abs() < 1e-12 && found.at_s == t_s[4], "{found:?}");
+    let found = speed_violation(&t_s, &qd, &limits).expect("two in a row");
+    assert!((found.excess() - 0.2).abs() < 1e-12 && found.at_s == t_s[4], "{found:?}");
 }

@@ -50,13 +50,13 @@ pub enum ClearanceViolation {
 }
 
 /// Tolerance for segments already too close in the known free configuration, m.
-const YIELD_M: f64 = 5e-3;
+const CONTACT_TOLERANCE_M: f64 = 5e-3;
 
 impl Clearances {
     /// Derives the clearances for an arm whose configuration `free` is collision-free. Segments connected
     /// by a path shorter than twice their radii are neighbours and are not checked. Segments already closer
     /// than `clear_m` must keep about that distance.
-    pub fn around(
+    pub fn from_configuration(
         chain: &Chain,
         free: &[f64],
         body: ArmCapsules,
@@ -73,15 +73,16 @@ impl Clearances {
                 let thick = body.radius_m[i] + body.radius_m[j];
                 if path > 2.0 * thick + clear_m {
                     let apart = between(&points[i..i + 2], &points[j..j + 2]) - thick;
-                    pairs.push((i, j, clear_m.min(apart - YIELD_M)));
+                    pairs.push((i, j, clear_m.min(apart - CONTACT_TOLERANCE_M)));
                 }
             }
         }
         let mut keep = Self { body, clear_m, floor_m, view, pairs, heights: Vec::new() };
         if let Some(floor_m) = floor_m {
             let height = |at: usize| keep.height(&points, at) - floor_m;
-            keep.heights =
-                (0..lengths.len()).map(|at| clear_m.min(height(at) - YIELD_M).max(0.0)).collect();
+            keep.heights = (0..lengths.len())
+                .map(|at| clear_m.min(height(at) - CONTACT_TOLERANCE_M).max(0.0))
+                .collect();
         }
         keep
     }
@@ -95,7 +96,7 @@ impl Clearances {
     }
 
     /// First violation in configuration `q`.
-    pub fn offence(&self, chain: &Chain, q: &[f64]) -> Option<ClearanceViolation> {
+    pub fn first_violation(&self, chain: &Chain, q: &[f64]) -> Option<ClearanceViolation> {
         let points = points(chain, q);
         let parts = self.pairs.iter().find_map(|&(i, j, least)| {
             let thick = self.body.radius_m[i] + self.body.radius_m[j];
@@ -118,7 +119,7 @@ impl Clearances {
     }
 
     /// Segment pairs, and segments above the floor, closer than `clear_m` in configuration `q`.
-    pub fn near(&self, chain: &Chain, q: &[f64]) -> Vec<ClearanceViolation> {
+    pub fn close_pairs(&self, chain: &Chain, q: &[f64]) -> Vec<ClearanceViolation> {
         let points = points(chain, q);
         let pairs = self.pairs.iter().filter_map(|&(i, j, _)| {
             let thick = self.body.radius_m[i] + self.body.radius_m[j];
@@ -158,21 +159,21 @@ pub(super) fn points(chain: &Chain, q: &[f64]) -> Vec<Vec3> {
 
 /// Distance between two segments, m (Ericson, *Real-Time Collision Detection*, 2005, ch. 5.1.9).
 fn between(one: &[Vec3], other: &[Vec3]) -> f64 {
-    const NONE: f64 = 1e-12;
+    const MIN_SQUARED_LENGTH: f64 = 1e-12;
     let (d1, d2, r) = (one[1] - one[0], other[1] - other[0], one[0] - other[0]);
     let (a, e, f) = (d1.norm_squared(), d2.norm_squared(), d2.dot(&r));
-    let (s, t) = if a <= NONE && e <= NONE {
+    let (s, t) = if a <= MIN_SQUARED_LENGTH && e <= MIN_SQUARED_LENGTH {
         (0.0, 0.0)
-    } else if a <= NONE {
+    } else if a <= MIN_SQUARED_LENGTH {
         (0.0, (f / e).clamp(0.0, 1.0))
     } else {
         let c = d1.dot(&r);
-        if e <= NONE {
+        if e <= MIN_SQUARED_LENGTH {
             ((-c / a).clamp(0.0, 1.0), 0.0)
         } else {
             let b = d1.dot(&d2);
             let denominator = a * e - b * b;
-            let s = match denominator > NONE * a * e {
+            let s = match denominator > MIN_SQUARED_LENGTH * a * e {
                 true => ((b * f - c * e) / denominator).clamp(0.0, 1.0),
                 false => 0.0,
             };

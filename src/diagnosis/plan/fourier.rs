@@ -5,7 +5,7 @@ use ground::stream::JointTrack;
 use std::f64::consts::{PI, TAU};
 
 /// Samples per period of the fastest sine at which limits are checked.
-const SAMPLES: usize = 16;
+const SAMPLES_PER_PERIOD: usize = 16;
 
 /// `q_j(t) = around_j + Σ_k sin_jk·sin(kω(t − rest)) + cos_jk·cos(kω(t − rest))`, `ω = 2π / seconds`. At
 /// both ends the position is `around_j` with zero velocity and acceleration; the arm rests before and
@@ -85,13 +85,13 @@ impl FourierMotion {
     /// A sum of K sines bounded by m at N equidistant points is bounded by `m / cos(πK/N)` everywhere
     /// (Ehlich and Zeller, "Schwankung von Polynomen zwischen Gitterpunkten", Mathematische Zeitschrift 86,
     /// 1964). Limits therefore also hold between samples.
-    pub(super) fn fill(&mut self, joint: usize, room: &JointMargins, share: f64) {
+    pub(super) fn project(&mut self, joint: usize, room: &JointMargins, share: f64) {
         let own = joint * self.harmonics..(joint + 1) * self.harmonics;
         // At the ends, velocity is Σ k·sin_k, position Σ cos_k, acceleration Σ k²·cos_k.
-        take_off(&mut self.sin[own.clone()], &[|k| (k + 1) as f64]);
-        take_off(&mut self.cos[own.clone()], &[|_| 1.0, |k| ((k + 1) as f64).powi(2)]);
-        let count = SAMPLES * self.harmonics;
-        let between = (PI / SAMPLES as f64).cos().recip();
+        subtract_projections(&mut self.sin[own.clone()], &[|k| (k + 1) as f64]);
+        subtract_projections(&mut self.cos[own.clone()], &[|_| 1.0, |k| ((k + 1) as f64).powi(2)]);
+        let count = SAMPLES_PER_PERIOD * self.harmonics;
+        let between = (PI / SAMPLES_PER_PERIOD as f64).cos().recip();
         let mut most = [0.0_f64; 4];
         for row in 0..count {
             let [q, qd, qdd] = self.moving(joint, self.seconds * row as f64 / count as f64);
@@ -120,7 +120,7 @@ impl FourierMotion {
 }
 
 /// Subtracts the projections of a vector onto some directions (Gram–Schmidt).
-fn take_off<const N: usize>(values: &mut [f64], directions: &[fn(usize) -> f64; N]) {
+fn subtract_projections<const N: usize>(values: &mut [f64], directions: &[fn(usize) -> f64; N]) {
     let mut taken: Vec<Vec<f64>> = Vec::new();
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     for direction in directions {

@@ -56,7 +56,7 @@ fn rates(motion: &JointTrack, joint: usize) -> impl Iterator<Item = (f64, f64, f
 }
 
 /// Range of each joint's motion.
-pub fn extents(motion: &JointTrack) -> Vec<JointRange> {
+pub fn joint_ranges(motion: &JointTrack) -> Vec<JointRange> {
     let column = |values: &'_ [f64], joint: usize| -> Vec<f64> {
         values.iter().skip(joint).step_by(motion.dof).copied().collect()
     };
@@ -76,16 +76,16 @@ pub fn extents(motion: &JointTrack) -> Vec<JointRange> {
 
 /// Limits violated by a motion of `chain`, each at its largest violation. `speed` and `acceleration` are
 /// the limits of each joint.
-pub fn beyond(
+pub fn limit_violations(
     chain: &Chain,
     motion: &JointTrack,
     speed: &[f64],
     acceleration: &[f64],
 ) -> Vec<LimitViolation> {
     /// Tolerance for rounding in a file.
-    const SLACK: f64 = 1e-6;
+    const ROUNDING_TOLERANCE: f64 = 1e-6;
     /// Tolerance for finite differences of rounded values.
-    const DIFFERENCED: f64 = 1e-2;
+    const DIFFERENCE_TOLERANCE: f64 = 1e-2;
     let mut found = Vec::new();
     for (joint, limits) in chain.limits().iter().enumerate() {
         let mut hold = |bound: LimitKind,
@@ -101,24 +101,24 @@ pub fn beyond(
             rows.map(move |(row, t_s)| (t_s, motion.q[row * motion.dof + joint]))
         };
         if let Some(lower) = limits.lower {
-            let over = |(t_s, q): (f64, f64)| (t_s, q, lower - q - SLACK);
+            let over = |(t_s, q): (f64, f64)| (t_s, q, lower - q - ROUNDING_TOLERANCE);
             hold(LimitKind::Lower, lower, &mut positions().map(over));
         }
         if let Some(upper) = limits.upper {
-            let over = |(t_s, q): (f64, f64)| (t_s, q, q - upper - SLACK);
+            let over = |(t_s, q): (f64, f64)| (t_s, q, q - upper - ROUNDING_TOLERANCE);
             hold(LimitKind::Upper, upper, &mut positions().map(over));
         }
         let most = speed[joint];
         let logged = (0..motion.len()).map(|row| {
             let speed = motion.qd[row * motion.dof + joint];
-            (motion.t_s[row], speed, speed.abs() - most * (1.0 + SLACK))
+            (motion.t_s[row], speed, speed.abs() - most * (1.0 + ROUNDING_TOLERANCE))
         });
         let between = rates(motion, joint)
-            .map(|(t_s, speed, _)| (t_s, speed, speed.abs() - most * (1.0 + DIFFERENCED)));
+            .map(|(t_s, speed, _)| (t_s, speed, speed.abs() - most * (1.0 + DIFFERENCE_TOLERANCE)));
         hold(LimitKind::Speed, most, &mut logged.chain(between));
         let most = acceleration[joint];
         let mut over = rates(motion, joint)
-            .map(|(t_s, _, rate)| (t_s, rate, rate.abs() - most * (1.0 + DIFFERENCED)));
+            .map(|(t_s, _, rate)| (t_s, rate, rate.abs() - most * (1.0 + DIFFERENCE_TOLERANCE)));
         hold(LimitKind::Acceleration, most, &mut over);
     }
     found

@@ -9,8 +9,8 @@
 mod distance;
 mod fourier;
 mod limits;
+mod precision;
 mod search;
-mod shown;
 
 #[cfg(test)]
 mod tests;
@@ -21,9 +21,9 @@ use ground::stream::JointTrack;
 
 pub use distance::{ArmCapsules, ClearanceViolation, Clearances, TargetVisibility};
 pub use fourier::FourierMotion;
-pub use limits::{JointRange, LimitKind, LimitViolation, beyond, extents};
-pub use search::{Infeasible, MotionPlan, plan, sampled};
-pub use shown::{ExpectedPrecision, PlannedQuantity, geometric_mean, promises};
+pub use limits::{JointRange, LimitKind, LimitViolation, joint_ranges, limit_violations};
+pub use precision::{ExpectedPrecision, PlannedQuantity, expected_precisions, geometric_mean};
+pub use search::{Infeasible, MotionPlan, plan, sample_motion};
 
 /// Quantity to estimate from a motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -102,7 +102,7 @@ pub struct PlanRequirements<'a> {
     /// Start and end configuration, in the chain's order, rad or m.
     pub around: &'a [f64],
     /// Limits of each joint.
-    pub rooms: &'a [JointMargins],
+    pub margins: &'a [JointMargins],
     /// Total duration including rests, s.
     pub seconds: f64,
     /// Quantity to estimate.
@@ -110,17 +110,17 @@ pub struct PlanRequirements<'a> {
     /// Measurement used for it.
     pub sensing: Sensing,
     /// Clearances.
-    pub keep: &'a Clearances,
+    pub clearances: &'a Clearances,
     /// Random seed.
     pub seed: u64,
 }
 
 /// Expected precision of a motion.
-pub fn shown(
+pub fn expected_precision(
     chain: &Chain,
     motion: &JointTrack,
     purpose: Purpose,
     sensing: &Sensing,
 ) -> Option<Vec<ExpectedPrecision>> {
-    promises(chain, &sampled(motion, chain)?, purpose, sensing)
+    expected_precisions(chain, &sample_motion(motion, chain)?, purpose, sensing)
 }

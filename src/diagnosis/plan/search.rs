@@ -1,7 +1,7 @@
 //! Search for the motion with the largest information on the requested parameters.
 
 use super::fourier::FourierMotion;
-use super::shown::{ExpectedPrecision, LinearizedMotion};
+use super::precision::{ExpectedPrecision, LinearizedMotion};
 use super::{ClearanceViolation, PlanRequirements};
 use ground::robot::Chain;
 use ground::stream::JointTrack;
@@ -10,23 +10,23 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
 /// Highest frequency, Hz. Arms can follow it, and a latency of some milliseconds is visible at it.
-const FASTEST_HZ: f64 = 0.3;
+const MAX_FREQUENCY_HZ: f64 = 0.3;
 /// Number of sines per joint. Fewer leave too little freedom, more take too long.
-const SINES: std::ops::RangeInclusive<usize> = 5..=18;
+const SINES_PER_JOINT: std::ops::RangeInclusive<usize> = 5..=18;
 /// Rest at either end, s, and its maximum share of the time. Some estimates need samples at rest.
 const REST_S: f64 = 2.0;
-const REST_SHARE: f64 = 0.05;
+const MAX_REST_SHARE: f64 = 0.05;
 /// Number of evaluation rows of a motion.
-const ROWS: usize = 160;
+const EVALUATION_ROWS: usize = 160;
 /// Rate of the clearance checks, Hz: during the search, and for the result.
-const LOOKED_HZ: f64 = 10.0;
-const HELD_HZ: f64 = 50.0;
+const SEARCH_CLEARANCE_HZ: f64 = 10.0;
+const RESULT_CLEARANCE_HZ: f64 = 50.0;
 /// Number of random initial motions. Their median serves as a baseline.
-const DRAWS: usize = 15;
+const INITIAL_MOTIONS: usize = 15;
 /// Number of search steps.
-const STEPS: usize = 1500;
+const SEARCH_STEPS: usize = 1500;
 /// Fractions of the room, tried in turn until the clearance is kept.
-const SHARES: [f64; 8] = [1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05];
+const MARGIN_SHARES: [f64; 8] = [1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05];
 
 /// Result of the search.
 #[derive(Clone, Debug)]
@@ -36,30 +36,30 @@ pub struct MotionPlan {
     /// Fraction of the room that it uses.
     pub share: f64,
     /// Expected precision of the motion.
-    pub promises: Vec<ExpectedPrecision>,
+    pub precision: Vec<ExpectedPrecision>,
     /// Expected precision of the median random motion within the same limits.
-    pub random: Vec<ExpectedPrecision>,
+    pub random_precision: Vec<ExpectedPrecision>,
     /// Expected precision if the joints move one after the other for the same total time.
-    pub one_by_one: Vec<ExpectedPrecision>,
+    pub one_by_one_precision: Vec<ExpectedPrecision>,
 }
 
 /// Reason why no motion was found.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Infeasible {
     /// No joint can move.
-    NoRoom,
+    NoMargin,
     /// All attempts violated a clearance; the violation at the smallest fraction of the room.
-    TooNear(Option<ClearanceViolation>),
+    ClearanceViolated(Option<ClearanceViolation>),
     /// No motion makes the requested parameters observable.
-    NothingShown,
+    NothingObservable,
 }
 
 /// Samples the motion at the evaluation rows. `None` if these are more than 2 s apart during motion.
-pub fn sampled(motion: &JointTrack, chain: &Chain) -> Option<JointTrack> {
+pub fn sample_motion(motion: &JointTrack, chain: &Chain) -> Option<JointTrack> {
     let (first, last) = motion.span()?;
     let mut sampled = JointTrack { dof: chain.dof(), ..JointTrack::default() };
     let (mut q, mut qd) = (vec![0.0; chain.dof()], vec![0.0; chain.dof()]);
-    let (mut cursor, rows) = (0, 2 * ROWS);
+    let (mut cursor, rows) = (0, 2 * EVALUATION_ROWS);
     for row in 0..rows {
         let t_s = first + (last - first) * row as f64 / (rows - 1) as f64;
         if !motion.at(t_s.min(last), &mut cursor, &mut q, &mut qd) {
@@ -78,21 +78,21 @@ pub fn sampled(motion: &JointTrack, chain: &Chain) -> Option<JointTrack> {
 /// If no motion satisfies the limits.
 pub fn plan(task: &PlanRequirements) -> Result<MotionPlan, Infeasible> {
     let room = |room: &super::JointMargins| room.above.min(room.below);
-    if !task.rooms.iter().any(|it| room(it) > 0.0 && it.velocity > 0.0 && it.acceleration > 0.0) {
-        return Err(Infeasible::NoRoom);
+    if !task.margins.iter().any(|it| room(it) > 0.0 && it.velocity > 0.0 && it.acceleration > 0.0) {
+        return Err(Infeasible::NoMargin);
     }
-    let rest_s = REST_S.min(REST_SHARE * task.seconds);
+    let rest_s = REST_S.min(MAX_REST_SHARE * task.seconds);
     let seconds = task.seconds - 2.0 * rest_s;
-    let harmonics = (FASTEST_HZ * seconds).round() as usize;
-    let harmonics = harmonics.clamp(*SINES.start(), *SINES.end());
+    let harmonics = (MAX_FREQUENCY_HZ * seconds).round() as usize;
+    let harmonics = harmonics.clamp(*SINES_PER_JOINT.start(), *SINES_PER_JOINT.end());
     let search = MotionSearch { task, seconds, rest_s, harmonics };
     let mut last = None;
-    for share in SHARES {
+    for share in MARGIN_SHARES {
         let mut random = Pcg64::seed_from_u64(task.seed);
-        let drawn = (0..DRAWS).map(|_| search.drawn(&mut random, share));
+        let drawn = (0..INITIAL_MOTIONS).map(|_| search.random_motion(&mut random, share));
         let mut draws: Vec<(f64, FourierMotion)> = Vec::new();
         for series in drawn {
-            match search.offence(&series, LOOKED_HZ) {
+            match search.first_violation(&series, SEARCH_CLEARANCE_HZ) {
                 None => draws.push((search.score(&series), series)),
                 offence => last = offence,
             }
@@ -100,27 +100,27 @@ pub fn plan(task: &PlanRequirements) -> Result<MotionPlan, Infeasible> {
         draws.retain(|(score, _)| score.is_finite());
         draws.sort_by(|a, b| a.0.total_cmp(&b.0));
         let Some(middle) = draws.get(draws.len() / 2).cloned() else { continue };
-        let (_, series) = search.climbed(draws.swap_remove(0), share, &mut random);
-        let offence = search.offence(&series, HELD_HZ);
+        let (_, series) = search.improve(draws.swap_remove(0), share, &mut random);
+        let offence = search.first_violation(&series, RESULT_CLEARANCE_HZ);
         if offence.is_some() {
             last = offence;
             continue;
         }
         let promises = |motion: &JointTrack| {
-            let sight = LinearizedMotion::of(task.chain, motion, task.purpose, &task.sensing);
-            sight.map_or_else(Vec::new, |sight| sight.promises(task.chain))
+            let sight = LinearizedMotion::new(task.chain, motion, task.purpose, &task.sensing);
+            sight.map_or_else(Vec::new, |sight| sight.expected_precisions(task.chain))
         };
         return Ok(MotionPlan {
-            promises: promises(&series.track(2 * ROWS)),
-            random: promises(&middle.1.track(2 * ROWS)),
-            one_by_one: promises(&search.one_by_one(share, 2 * ROWS)),
+            precision: promises(&series.track(2 * EVALUATION_ROWS)),
+            random_precision: promises(&middle.1.track(2 * EVALUATION_ROWS)),
+            one_by_one_precision: promises(&search.one_by_one(share, 2 * EVALUATION_ROWS)),
             series,
             share,
         });
     }
     match last {
-        None => Err(Infeasible::NothingShown),
-        near => Err(Infeasible::TooNear(near)),
+        None => Err(Infeasible::NothingObservable),
+        near => Err(Infeasible::ClearanceViolated(near)),
     }
 }
 
@@ -134,7 +134,7 @@ struct MotionSearch<'a> {
 
 impl MotionSearch<'_> {
     /// Random motion within the limits.
-    fn drawn(&self, random: &mut Pcg64, share: f64) -> FourierMotion {
+    fn random_motion(&self, random: &mut Pcg64, share: f64) -> FourierMotion {
         let Self { task, seconds, rest_s, harmonics } = *self;
         let mut series = FourierMotion::at_rest(task.around, seconds, rest_s, harmonics);
         for joint in 0..series.dof() {
@@ -145,34 +145,35 @@ impl MotionSearch<'_> {
                 let at = joint * self.harmonics + k;
                 (series.sin[at], series.cos[at]) = (size * normal(), size * normal());
             }
-            series.fill(joint, &self.task.rooms[joint], share);
+            series.project(joint, &self.task.margins[joint], share);
         }
         series
     }
 
     /// First clearance violation, checked at `rate_hz`.
-    fn offence(&self, series: &FourierMotion, rate_hz: f64) -> Option<ClearanceViolation> {
+    fn first_violation(&self, series: &FourierMotion, rate_hz: f64) -> Option<ClearanceViolation> {
         let track = series.track((series.length_s() * rate_hz).ceil() as usize + 1);
-        (0..track.len()).find_map(|row| self.task.keep.offence(self.task.chain, track.row(row)))
+        (0..track.len())
+            .find_map(|row| self.task.clearances.first_violation(self.task.chain, track.row(row)))
     }
 
     fn score(&self, series: &FourierMotion) -> f64 {
-        let track = series.track(ROWS);
+        let track = series.track(EVALUATION_ROWS);
         let sight =
-            LinearizedMotion::of(self.task.chain, &track, self.task.purpose, &self.task.sensing);
+            LinearizedMotion::new(self.task.chain, &track, self.task.purpose, &self.task.sensing);
         sight.map_or(f64::INFINITY, |sight| sight.score())
     }
 
     /// (1+1) evolution strategy: random changes of one joint at a time, kept if better. The step size
     /// adapts to the success rate (Rechenberg, *Evolutionsstrategie*, 1973).
-    fn climbed(
+    fn improve(
         &self,
         start: (f64, FourierMotion),
         share: f64,
         random: &mut Pcg64,
     ) -> (f64, FourierMotion) {
         let (mut best, mut size) = (start, 0.5);
-        for _ in 0..STEPS {
+        for _ in 0..SEARCH_STEPS {
             let mut next = best.1.clone();
             let joint = random.random_range(0..next.dof());
             let own = joint * self.harmonics..(joint + 1) * self.harmonics;
@@ -183,9 +184,10 @@ impl MotionSearch<'_> {
                 let change: f64 = StandardNormal.sample(&mut *random);
                 *value += size * typical * change;
             }
-            next.fill(joint, &self.task.rooms[joint], share);
+            next.project(joint, &self.task.margins[joint], share);
             let score = self.score(&next);
-            let is_better = score < best.0 && self.offence(&next, LOOKED_HZ).is_none();
+            let is_better =
+                score < best.0 && self.first_violation(&next, SEARCH_CLEARANCE_HZ).is_none();
             size = (size * if is_better { 1.5 } else { 0.9 }).clamp(0.03, 2.0);
             if is_better {
                 best = (score, next);
@@ -204,7 +206,7 @@ impl MotionSearch<'_> {
                 let mut series = FourierMotion::at_rest(self.task.around, seconds, 0.0, 2);
                 // sin x − sin 2x / 2 starts and ends at rest.
                 (series.sin[2 * joint], series.sin[2 * joint + 1]) = (1.0, -0.5);
-                series.fill(joint, &self.task.rooms[joint], share);
+                series.project(joint, &self.task.margins[joint], share);
                 series
             })
             .collect();

@@ -38,13 +38,22 @@ const UR: [f64; 6] = [0.0, -1.57, 1.57, -1.2, -1.57, 0.3];
 
 fn free(chain: &Chain, q: &[f64]) -> Clearances {
     let radius_m = vec![0.01; chain.dof() + 1];
-    Clearances::around(chain, q, ArmCapsules { radius_m }, 0.01, None, None)
+    Clearances::from_configuration(chain, q, ArmCapsules { radius_m }, 0.01, None, None)
 }
 
 /// A 20 s task around [`UR`], with room in all directions.
 fn task<'a>(chain: &'a Chain, keep: &'a Clearances, purpose: Purpose) -> PlanRequirements<'a> {
     let (around, rooms, sensing) = (&UR, &[ROOM; 6], sensing());
-    PlanRequirements { chain, around, rooms, seconds: 20.0, purpose, sensing, keep, seed: 1 }
+    PlanRequirements {
+        chain,
+        around,
+        margins: rooms,
+        seconds: 20.0,
+        purpose,
+        sensing,
+        clearances: keep,
+        seed: 1,
+    }
 }
 
 fn planned(chain: &Chain, purpose: Purpose, outside: bool) -> MotionPlan {
@@ -114,7 +123,7 @@ proptest! {
         let room = JointMargins { below, above, velocity, acceleration };
         let mut series = FourierMotion::at_rest(&[0.4], seconds, rest_s, 12);
         (series.sin, series.cos) = (sin, cos);
-        series.fill(0, &room, 1.0);
+        series.project(0, &room, 1.0);
         assert_within(&series, &[room]);
     }
 }
@@ -136,7 +145,7 @@ proptest! {
         let (rooms, keep) = (rooms(&chain, &q), free(&chain, &q));
         let purpose = Purpose::ALL[purpose];
         let task = PlanRequirements {
-            chain: &chain, around: &q, rooms: &rooms, seconds, purpose, sensing: sensing(), keep: &keep, seed,
+            chain: &chain, around: &q, margins: &rooms, seconds, purpose, sensing: sensing(), clearances: &keep, seed,
         };
         match plan(&task) {
             Ok(planned) => {
@@ -144,12 +153,12 @@ proptest! {
                 let rows = (planned.series.length_s() * 50.0).ceil() as usize + 1;
                 let track = planned.series.track(rows);
                 for row in 0..track.len() {
-                    let near = keep.offence(&chain, track.row(row));
+                    let near = keep.first_violation(&chain, track.row(row));
                     prop_assert!(near.is_none(), "{near:?} at row {row} of {rows}");
                 }
             }
             // With few joints the quantity may be unobservable.
-            Err(why) => prop_assert!(why != Infeasible::NoRoom, "{why:?}"),
+            Err(why) => prop_assert!(why != Infeasible::NoMargin, "{why:?}"),
         }
     }
 }
@@ -177,8 +186,8 @@ fn it_shows_more_than_random_phases_and_than_one_joint_at_a_time() {
         (Purpose::Yaw, false, 1.2, 1.5),
     ] {
         let found = planned(&chain, purpose, outside);
-        let gains = [&found.random, &found.one_by_one]
-            .map(|other| geometric_mean(other, &found.promises).unwrap());
+        let gains = [&found.random_precision, &found.one_by_one_precision]
+            .map(|other| geometric_mean(other, &found.precision).unwrap());
         assert!(gains[0] > over_random && gains[1] > over_one, "{purpose:?} {outside} {gains:?}");
     }
 }
@@ -186,12 +195,12 @@ fn it_shows_more_than_random_phases_and_than_one_joint_at_a_time() {
 #[test]
 fn what_no_motion_shows_is_promised_to_nobody() {
     let found = planned(&ur5e(), Purpose::Zeros, true);
-    let zero = |joint: usize| found.promises[joint].half;
+    let zero = |joint: usize| found.precision[joint].half_width;
     // Joint 0 is confounded with the tracker frame, joint 5 with the marker's rotation.
     assert!(zero(0).is_infinite() && zero(5).is_infinite());
     assert!((1..5).all(|joint| zero(joint) < 1e-3));
     // With a prior on the links, these zeros remain undetermined.
-    let beside = |joint: usize| found.promises[6 + joint].half;
+    let beside = |joint: usize| found.precision[6 + joint].half_width;
     assert!(beside(0).is_infinite() && beside(5).is_infinite() && beside(2) < 2e-3);
 }
 
@@ -200,11 +209,11 @@ fn a_posture_at_its_limits_has_no_room_and_one_that_folds_is_too_near() {
     let chain = ur5e();
     let none = JointMargins { below: 0.0, above: 0.0, velocity: 1.0, acceleration: 1.0 };
     let keep = free(&chain, &UR);
-    let none = PlanRequirements { rooms: &[none; 6], ..task(&chain, &keep, Purpose::Zeros) };
-    assert_eq!(plan(&none).unwrap_err(), Infeasible::NoRoom);
+    let none = PlanRequirements { margins: &[none; 6], ..task(&chain, &keep, Purpose::Zeros) };
+    assert_eq!(plan(&none).unwrap_err(), Infeasible::NoMargin);
     // Stretched out just above the floor, every motion violates the clearance.
     let flat = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
-    let keep = Clearances::around(
+    let keep = Clearances::from_configuration(
         &chain,
         &flat,
         ArmCapsules { radius_m: vec![0.02; 7] },
@@ -215,7 +224,7 @@ fn a_posture_at_its_limits_has_no_room_and_one_that_folds_is_too_near() {
     let dipping = PlanRequirements { around: &flat, ..task(&chain, &keep, Purpose::Zeros) };
     assert!(matches!(
         plan(&dipping),
-        Err(Infeasible::TooNear(Some(ClearanceViolation::Floor(..))))
+        Err(Infeasible::ClearanceViolated(Some(ClearanceViolation::Floor(..))))
     ));
 }
 
@@ -260,7 +269,8 @@ fn promises_are_kept() {
     let task = PlanRequirements { sensing, ..task(&chain, &keep, Purpose::Zeros) };
     let zeros = plan(&task).unwrap();
     let motion = zeros.series.track(1001);
-    let late = shown(&chain, &motion, Purpose::Latency, &task.sensing).unwrap()[0].half;
+    let late =
+        expected_precision(&chain, &motion, Purpose::Latency, &task.sensing).unwrap()[0].half_width;
     let truth = [0.0, 0.004, -0.006, 0.005, 0.0, 0.0];
     let columns: Vec<usize> = (0..6).collect();
     let diagnosed = |track: &PoseTrack| {
@@ -271,7 +281,7 @@ fn promises_are_kept() {
             reference_known: true,
             stamp_error_s: 0.0,
             stamps_copied: false,
-            taken_off: None,
+            removed_ramp: None,
         };
         diagnose_arm(&motion, &[stream], 1.0)
     };
@@ -287,7 +297,7 @@ fn promises_are_kept() {
             squares[at] += (measured.value - truth).powi(2) / RUNS as f64;
         }
     }
-    let promised = zeros.promises[..6].iter().map(|promise| promise.half).chain([late]);
+    let promised = zeros.precision[..6].iter().map(|promise| promise.half_width).chain([late]);
     let (mut claimed, mut seen) = (Vec::new(), Vec::new());
     for (at, promised) in promised.enumerate() {
         claimed.push(halves[at] / promised);
@@ -303,7 +313,7 @@ fn promises_are_kept() {
     let found = diagnosed(&track);
     for joint in [1, 2, 3] {
         let offset = found.joints.offsets[joint].offset.clone().unwrap();
-        let promised = zeros.promises[joint].half;
+        let promised = zeros.precision[joint].half_width;
         assert!((offset.value - truth[joint]).abs() < 2.0 * promised, "{joint} {offset:?}");
         assert!(offset.half_width(0.95) < 1.2 * promised, "{joint} {offset:?} {promised}");
     }

@@ -26,28 +26,28 @@ pub enum DelayFailure {
     /// The commands are a stream of steps: repeated goals.
     Steps,
     /// Reason shared with other estimates.
-    Unseen(NotObservable),
+    NotObservable(NotObservable),
 }
 
 impl From<NotObservable> for DelayFailure {
     fn from(why: NotObservable) -> Self {
-        Self::Unseen(why)
+        Self::NotObservable(why)
     }
 }
 
 /// Windows over which changes are compared: the minimum, s, and the multiples of the command and state
 /// periods.
-const WINDOW_S: f64 = 0.1;
-const OF_COMMANDS: f64 = 2.5;
-const OF_STATE: f64 = 4.0;
+const MIN_WINDOW_S: f64 = 0.1;
+const COMMAND_PERIODS: f64 = 2.5;
+const STATE_PERIODS: f64 = 4.0;
 /// Longest delay searched, s.
-const MOST_LAG_S: f64 = 2.0;
+const MAX_DELAY_S: f64 = 2.0;
 /// Minimum motion for an estimate, rad or m.
-const MOVES: f64 = 0.01;
+const MIN_MOTION: f64 = 0.01;
 
 /// Estimates the delay of each commanded joint. `q` has `order.len()` numbers per row at the times `t_s`
 /// (NaN for joints without a command). `order` contains the column of each in `joints`.
-pub fn joint_delays(
+pub fn estimate_joint_delays(
     t_s: &[f64],
     order: &[usize],
     q: &[f64],
@@ -63,8 +63,8 @@ pub fn joint_delays(
         let command = (TimeSeries::new(t_s.clone(), vec![told.clone()]), t_s.as_slice());
         let response = match is_streamed(&t_s) {
             false => Err(DelayFailure::Goals),
-            true if in_steps(&t_s, &told, &joints.t_s, &done) => Err(DelayFailure::Steps),
-            true => follow(command, (&joints.t_s, vec![done]), &[told], most_lag_s),
+            true if advances_in_steps(&t_s, &told, &joints.t_s, &done) => Err(DelayFailure::Steps),
+            true => estimate_delay(command, (&joints.t_s, vec![done]), &[told], most_lag_s),
         };
         CommandDelay { joint: Some(column), period_s: median_period_s(&t_s), response }
     };
@@ -72,7 +72,7 @@ pub fn joint_delays(
 }
 
 /// Estimates the delay of the tip relative to commanded poses. Both series are `base_from_tip`.
-pub fn pose_delay(told: &PoseSeries, done: &PoseSeries, most_lag_s: f64) -> CommandDelay {
+pub fn estimate_pose_delay(told: &PoseSeries, done: &PoseSeries, most_lag_s: f64) -> CommandDelay {
     let period_s = median_period_s(&told.t_s);
     let columns = [told, done].map(columns);
     let [told_columns, done_columns] = columns;
@@ -88,13 +88,19 @@ pub fn pose_delay(told: &PoseSeries, done: &PoseSeries, most_lag_s: f64) -> Comm
     };
     let response = match is_streamed(&told.t_s) {
         false => Err(DelayFailure::Goals),
-        true if in_steps(&told.t_s, &path(&told_columns), &done.t_s, &path(&done_columns)) => {
+        true if advances_in_steps(
+            &told.t_s,
+            &path(&told_columns),
+            &done.t_s,
+            &path(&done_columns),
+        ) =>
+        {
             Err(DelayFailure::Steps)
         }
         true => {
             let command =
                 (TimeSeries::new(told.t_s.clone(), told_columns.clone()), told.t_s.as_slice());
-            follow(command, (&done.t_s, done_columns), &told_columns, most_lag_s)
+            estimate_delay(command, (&done.t_s, done_columns), &told_columns, most_lag_s)
         }
     };
     CommandDelay { joint: None, period_s, response }
@@ -103,18 +109,18 @@ pub fn pose_delay(told: &PoseSeries, done: &PoseSeries, most_lag_s: f64) -> Comm
 /// Whether commands advance in steps that no arm can follow: more than half of the path consists of jumps
 /// several times faster than the arm's top speed. The controller then plans its own profile, which does not
 /// show the delay.
-fn in_steps(told_t_s: &[f64], told: &[f64], done_t_s: &[f64], done: &[f64]) -> bool {
-    const FASTER: f64 = 4.0;
-    const SHARE: f64 = 0.5;
-    const OVER_S: f64 = 0.1;
+fn advances_in_steps(told_t_s: &[f64], told: &[f64], done_t_s: &[f64], done: &[f64]) -> bool {
+    const MIN_STEP_SPEED_RATIO: f64 = 4.0;
+    const MIN_STEP_PATH_SHARE: f64 = 0.5;
+    const STEP_WINDOW_S: f64 = 0.1;
     let mut fastest = 0.0_f64;
     let mut first = 0;
     for (last, &t_s) in done_t_s.iter().enumerate() {
-        while t_s - done_t_s[first] > 2.0 * OVER_S {
+        while t_s - done_t_s[first] > 2.0 * STEP_WINDOW_S {
             first += 1;
         }
         let length_s = t_s - done_t_s[first];
-        if length_s >= OVER_S {
+        if length_s >= STEP_WINDOW_S {
             fastest = fastest.max((done[last] - done[first]).abs() / length_s);
         }
     }
@@ -123,30 +129,30 @@ fn in_steps(told_t_s: &[f64], told: &[f64], done_t_s: &[f64], done: &[f64]) -> b
     for (times, ends) in told_t_s.windows(2).zip(told.windows(2)) {
         let step = (ends[1] - ends[0]).abs();
         way += step;
-        if step > FASTER * fastest * (times[1] - times[0]) + noise {
+        if step > MIN_STEP_SPEED_RATIO * fastest * (times[1] - times[0]) + noise {
             leapt += step;
         }
     }
-    leapt > SHARE * way
+    leapt > MIN_STEP_PATH_SHARE * way
 }
 
 /// Position, m, and accumulated rotation vectors, rad, times a length that balances the two.
 fn columns(series: &PoseSeries) -> Vec<Vec<f64>> {
-    const LENGTH_M: f64 = 0.3;
+    const ROTATION_LEVER_M: f64 = 0.3;
     let mut turned = Vec3::zeros();
     let mut columns: [Vec<f64>; 6] = Default::default();
     for (row, pose) in series.poses.iter().enumerate() {
         if let Some(before) = row.checked_sub(1).map(|before| &series.poses[before]) {
             turned += rotvec_from_rotation(&(pose.rotation * before.rotation.inverse()));
         }
-        let scaled = LENGTH_M * turned;
+        let scaled = ROTATION_LEVER_M * turned;
         let both = pose.translation.vector.iter().chain(scaled.iter());
         columns.iter_mut().zip(both).for_each(|(column, value)| column.push(*value));
     }
     columns.to_vec()
 }
 
-fn follow(
+fn estimate_delay(
     (command, told_t_s): (TimeSeries, &[f64]),
     (done_t_s, done): (&[f64], Vec<Vec<f64>>),
     told: &[Vec<f64>],
@@ -164,18 +170,18 @@ fn follow(
         };
         columns.iter().map(of).fold(0.0, f64::max)
     };
-    if way(told) < MOVES {
+    if way(told) < MIN_MOTION {
         return Err(NotObservable::AtRest.into());
     }
-    let window_s = (OF_COMMANDS * median_period_s(told_t_s))
-        .max(OF_STATE * median_period_s(done_t_s))
-        .max(WINDOW_S);
-    let changes = ResponseChanges::of(done_t_s, &done, (*first, *last), window_s);
+    let window_s = (COMMAND_PERIODS * median_period_s(told_t_s))
+        .max(STATE_PERIODS * median_period_s(done_t_s))
+        .max(MIN_WINDOW_S);
+    let changes = ResponseChanges::from_windows(done_t_s, &done, (*first, *last), window_s);
     if changes.windows.is_empty() {
         return Err(NotObservable::NoOverlap.into());
     }
-    if way(&done) < MOVES {
+    if way(&done) < MIN_MOTION {
         return Err(NotObservable::DoesNotFollow(0.0).into());
     }
-    Ok(changes.follow(&command, most_lag_s.min(MOST_LAG_S))?)
+    Ok(changes.estimate_response(&command, most_lag_s.min(MAX_DELAY_S))?)
 }

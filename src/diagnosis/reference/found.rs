@@ -43,7 +43,7 @@ pub struct RestErrorSpread {
 
 impl RestErrorSpread {
     /// `None` for fewer than two rests.
-    pub fn of(gaps: &[RestError]) -> Option<Self> {
+    pub fn from_rests(gaps: &[RestError]) -> Option<Self> {
         if gaps.len() < 2 {
             return None;
         }
@@ -78,7 +78,7 @@ pub struct CommandTracking {
     /// Following error at equal stamps, rms m and rad.
     pub rms: (f64, f64),
     /// Following error after compensating the delay, rms m and rad.
-    pub left: (f64, f64),
+    pub compensated: (f64, f64),
 }
 
 /// Comparison of one command stream with the motion of the arm.
@@ -87,7 +87,7 @@ pub struct ReferenceDiagnosis {
     /// Whether the commands are a stream that the arm follows, and not single goals.
     pub is_streamed: bool,
     /// How the arm follows. `None` if there are too few commands or it does not follow.
-    pub following: Option<CommandTracking>,
+    pub tracking: Option<CommandTracking>,
     /// Number of constant commands.
     pub goals: usize,
     /// Goals near which the arm never came to rest afterwards. Zero for a stream that the arm follows.
@@ -95,7 +95,7 @@ pub struct ReferenceDiagnosis {
     /// Smallest distance (m) and angle (rad) between such a goal and a rest.
     pub nearest_miss: Option<(f64, f64)>,
     /// For each observation, the pose error at each rest near its command, in time order.
-    pub gaps: Vec<Vec<RestError>>,
+    pub rest_errors: Vec<Vec<RestError>>,
     /// Straight lines commanded by a stream of poses.
     pub lines: Vec<CommandedLine>,
 }

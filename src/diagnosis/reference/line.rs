@@ -8,17 +8,17 @@
 
 use std::f64::consts::{PI, TAU};
 
-use super::rest::{Hold, LEAST_S, Rest, mean_pose};
-use super::{MeasuredLength, MeasuredPoses, length_of, of_mean};
+use super::rest::{Hold, MIN_REST_S, Rest, mean_pose};
+use super::{MeasuredLength, MeasuredPoses, length_of, variance_of_mean};
 use crate::PoseSeries;
 use ground::geometry::{
     Convention, Pose, Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation,
 };
 
 /// Minimum length of a line, m.
-const SHORTEST_M: f64 = 0.02;
+const MIN_LINE_M: f64 = 0.02;
 /// Close to half a turn the shortest rotation is ambiguous.
-const LARGEST_TURN: f64 = 170.0 * PI / 180.0;
+const MAX_ROTATION_RAD: f64 = 170.0 * PI / 180.0;
 
 /// Commanded straight line.
 #[derive(Clone, Debug)]
@@ -38,7 +38,7 @@ pub struct CommandedLine {
     /// Name of the quantity interpolated instead, if it is clear.
     pub interpolated: Option<String>,
     /// For each observation, how the tip followed the line; `None` if it cannot be determined.
-    pub witnesses: Vec<Option<LineDeviation>>,
+    pub deviations: Vec<Option<LineDeviation>>,
 }
 
 /// Deviation of the tip from a commanded line.
@@ -73,7 +73,7 @@ impl PoseMotion {
     }
 
     /// Fraction of the path, 0 to 1, and the offset perpendicular to it, m.
-    fn place(&self, pose: &Pose) -> (f64, Vec3) {
+    fn locate(&self, pose: &Pose) -> (f64, Vec3) {
         let since = pose.translation.vector - self.from.translation.vector;
         let along_m = since.dot(&self.along);
         (along_m / self.length_m.max(f64::MIN_POSITIVE), since - self.along * along_m)
@@ -96,7 +96,7 @@ impl PoseMotion {
 }
 
 /// Detects commanded lines and measures the deviation of each observation.
-pub(super) fn lines(
+pub(super) fn detect_lines(
     series: &PoseSeries,
     holds: &[Hold],
     rests: &[Rest],
@@ -104,39 +104,41 @@ pub(super) fn lines(
 ) -> Vec<CommandedLine> {
     let stops: Vec<&Hold> = holds
         .iter()
-        .filter(|hold| series.t_s[hold.last] - series.t_s[hold.first] >= LEAST_S)
+        .filter(|hold| series.t_s[hold.last] - series.t_s[hold.first] >= MIN_REST_S)
         .collect();
     let pairs = stops.windows(2).filter_map(|pair| {
         let (from, to) = (pair[0], pair[1]);
         let rows = from.last..to.first + 1;
-        let (mut line, way) = commanded(series, rows)?;
-        line.witnesses =
-            witnesses.iter().map(|witness| kept(&line, &way, rests, to, witness)).collect();
+        let (mut line, way) = commanded_line(series, rows)?;
+        line.deviations = witnesses
+            .iter()
+            .map(|witness| line_deviation(&line, &way, rests, to, witness))
+            .collect();
         Some(line)
     });
     pairs.collect()
 }
 
 /// Line through the commands in `rows`, from first to last. `None` if they are not on a line.
-fn commanded(
+fn commanded_line(
     series: &PoseSeries,
     rows: std::ops::Range<usize>,
 ) -> Option<(CommandedLine, PoseMotion)> {
-    const FEWEST: usize = 8;
+    const MIN_COMMANDS: usize = 8;
     /// Maximum deviation from straightness: rounding of the numbers, m, plus a share of the length.
-    const STRAIGHT: (f64, f64) = (2e-5, 1e-4);
+    const MAX_LINE_DEVIATION: (f64, f64) = (2e-5, 1e-4);
     let poses = series.poses.get(rows.clone())?;
     let times = series.t_s.get(rows)?;
     let (first, last) = (poses.first()?, poses.last()?);
     let way = PoseMotion::new(first, last);
     let turn_rad = way.turn.norm();
-    if poses.len() < FEWEST || way.length_m < SHORTEST_M || turn_rad > LARGEST_TURN {
+    if poses.len() < MIN_COMMANDS || way.length_m < MIN_LINE_M || turn_rad > MAX_ROTATION_RAD {
         return None;
     }
-    let most_m = STRAIGHT.0 + STRAIGHT.1 * way.length_m;
+    let most_m = MAX_LINE_DEVIATION.0 + MAX_LINE_DEVIATION.1 * way.length_m;
     let beyond = most_m / way.length_m;
     let is_on = |pose: &Pose| {
-        let (part, off) = way.place(pose);
+        let (part, off) = way.locate(pose);
         off.norm() <= most_m && (-beyond..=1.0 + beyond).contains(&part)
     };
     // A command stream with a pause or a jump does not define a line.
@@ -147,7 +149,7 @@ fn commanded(
         return None;
     }
     let placed: Vec<(f64, Rotation)> =
-        poses.iter().map(|pose| (way.place(pose).0, pose.rotation)).collect();
+        poses.iter().map(|pose| (way.locate(pose).0, pose.rotation)).collect();
     let off = |(part, rotation): &(f64, Rotation)| angle_between(rotation, &way.slerp(*part));
     let command_rad = placed.iter().map(off).fold(0.0, f64::max);
     let off_axis = placed.iter().map(|(_, rotation)| way.off_axis_rad(rotation));
@@ -158,26 +160,30 @@ fn commanded(
         turn_rad,
         command_rad,
         command_off_axis_rad: off_axis.fold(0.0, f64::max),
-        interpolated: interpolated(&way, last, &placed),
-        witnesses: Vec::new(),
+        interpolated: identify_interpolation(&way, last, &placed),
+        deviations: Vec::new(),
     };
     Some((line, way))
 }
 
 /// Identifies the interpolation used instead of a slerp: linear in Euler angles, rotation vector,
 /// quaternion components or matrix elements. `None` for a slerp, or if no candidate fits well.
-fn interpolated(way: &PoseMotion, last: &Pose, placed: &[(f64, Rotation)]) -> Option<String> {
+fn identify_interpolation(
+    way: &PoseMotion,
+    last: &Pose,
+    placed: &[(f64, Rotation)],
+) -> Option<String> {
     /// Smaller deviations, rms rad, are a slerp with rounded numbers.
-    const LEAST_RAD: f64 = 5e-4;
+    const MIN_SLERP_DEVIATION_RAD: f64 = 5e-4;
     /// Maximum residual of a candidate as a share of the slerp's.
-    const SHARE: f64 = 0.05;
+    const MAX_RESIDUAL_SHARE: f64 = 0.05;
     let rms = |guess: &dyn Fn(f64) -> Rotation| {
         let square =
             |(part, rotation): &(f64, Rotation)| angle_between(rotation, &guess(*part)).powi(2);
         (placed.iter().map(square).sum::<f64>() / placed.len().max(1) as f64).sqrt()
     };
     let by_slerp = rms(&|part| way.slerp(part));
-    if by_slerp < LEAST_RAD {
+    if by_slerp < MIN_SLERP_DEVIATION_RAD {
         return None;
     }
     let (angle, axis) = (way.turn.norm(), way.turn.try_normalize(1e-9)?);
@@ -203,12 +209,12 @@ fn interpolated(way: &PoseMotion, last: &Pose, placed: &[(f64, Rotation)]) -> Op
     }
     // `min_by` returns the first of equal candidates, which is the most common.
     let (least, name) = guesses.into_iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
-    (least <= SHARE * by_slerp).then_some(name)
+    (least <= MAX_RESIDUAL_SHARE * by_slerp).then_some(name)
 }
 
 /// Deviation of an observation from the line and slerp between its rests before and after. Delay and
 /// constant pose errors therefore have no effect.
-fn kept(
+fn line_deviation(
     line: &CommandedLine,
     way: &PoseMotion,
     rests: &[Rest],
@@ -218,12 +224,12 @@ fn kept(
     /// Duration of the rests averaged to locate the ends, s.
     const END_S: f64 = 0.3;
     /// Maximum difference in path length, m, plus a share of the length.
-    const ALIKE: (f64, f64) = (5e-3, 0.1);
+    const MAX_LENGTH_DIFFERENCE: (f64, f64) = (5e-3, 0.1);
     /// Maximum difference in total rotation, rad.
-    const TURNS_ALIKE: f64 = 3.0 * PI / 180.0;
+    const MAX_ROTATION_DIFFERENCE_RAD: f64 = 3.0 * PI / 180.0;
     /// Maximum number of bins along the path, and samples per bin.
-    const BINS: usize = 20;
-    const PER_BIN: usize = 4;
+    const MAX_BINS: usize = 20;
+    const SAMPLES_PER_BIN: usize = 4;
     let before = rests.iter().rev().find(|rest| rest.from_s < line.from_s)?;
     let after = rests.iter().find(|rest| rest.from_s > line.from_s && rest.from_s < stop.to_s)?;
     if before.to_s > after.from_s {
@@ -238,8 +244,9 @@ fn kept(
         [mean_pose(series, ends[0].0, ends[0].1)?, mean_pose(series, ends[1].0, ends[1].1)?];
     let tip_from_point = commanded_point(way, line, &first, &last)?;
     let done = PoseMotion::new(&(first * tip_from_point), &(last * tip_from_point));
-    let is_alike = (done.length_m - way.length_m).abs() <= ALIKE.0 + ALIKE.1 * way.length_m
-        && (done.turn.norm() - line.turn_rad).abs() <= TURNS_ALIKE;
+    let is_alike = (done.length_m - way.length_m).abs()
+        <= MAX_LENGTH_DIFFERENCE.0 + MAX_LENGTH_DIFFERENCE.1 * way.length_m
+        && (done.turn.norm() - line.turn_rad).abs() <= MAX_ROTATION_DIFFERENCE_RAD;
     if !is_alike {
         return None;
     }
@@ -249,13 +256,13 @@ fn kept(
         .iter()
         .map(|pose| {
             let pose = pose * tip_from_point;
-            let (part, off) = done.place(&pose);
+            let (part, off) = done.locate(&pose);
             let turn = rotvec_from_rotation(&(pose.rotation * done.slerp(part).inverse()));
             (part, off, turn)
         })
         .filter(|(part, ..)| (0.0..1.0).contains(part))
         .collect();
-    let bins = (placed.len() / PER_BIN).min(BINS);
+    let bins = (placed.len() / SAMPLES_PER_BIN).min(MAX_BINS);
     if bins < 3 {
         return None;
     }
@@ -264,13 +271,14 @@ fn kept(
         let bin = &mut sums[((part * bins as f64) as usize).min(bins - 1)];
         *bin = (bin.0 + off, bin.1 + turn, bin.2 + 1);
     }
-    let end_count = |(from_s, to_s): (f64, f64)| super::rest::within(series, from_s, to_s).count();
+    let end_count =
+        |(from_s, to_s): (f64, f64)| super::rest::poses_within(series, from_s, to_s).count();
     let fewest = end_count(ends[0]).min(end_count(ends[1]));
     let farthest = |kind: usize| {
         let noise = &witness.noise[kind];
         let lengths = sums.iter().filter(|bin| bin.2 > 0).map(|&(off, turn, count)| {
             let mean = if kind == 0 { off } else { turn } / count as f64;
-            length_of(mean, of_mean(noise, count) + of_mean(noise, fewest))
+            length_of(mean, variance_of_mean(noise, count) + variance_of_mean(noise, fewest))
         });
         let longest = lengths.max_by(|a, b| a.norm.value.total_cmp(&b.norm.value))?;
         // Bonferroni correction for the maximum over the bins.
@@ -288,11 +296,11 @@ fn commanded_point(
     last: &Pose,
 ) -> Option<Pose> {
     /// Maximum distance at which the tip counts as the commanded point, m.
-    const NEAR_M: f64 = 5e-3;
+    const MAX_POINT_DISTANCE_M: f64 = 5e-3;
     /// With less rotation than this, all points follow the same path, rad.
-    const LITTLE_RAD: f64 = 2.0 * PI / 180.0;
+    const MIN_ROTATION_RAD: f64 = 2.0 * PI / 180.0;
     /// Maximum difference between start and end for one and the same point, m.
-    const SAME_M: f64 = 2e-3;
+    const MAX_POINT_DIFFERENCE_M: f64 = 2e-3;
     let told = [
         way.from,
         Pose::from_parts(
@@ -304,8 +312,10 @@ fn commanded_point(
     let far_m = at_first.translation.vector.norm().max(at_last.translation.vector.norm());
     let apart_m = (at_first.translation.vector - at_last.translation.vector).norm();
     match () {
-        () if far_m <= NEAR_M || line.turn_rad <= LITTLE_RAD => Some(Pose::identity()),
-        () if apart_m <= SAME_M => {
+        () if far_m <= MAX_POINT_DISTANCE_M || line.turn_rad <= MIN_ROTATION_RAD => {
+            Some(Pose::identity())
+        }
+        () if apart_m <= MAX_POINT_DIFFERENCE_M => {
             let middle = at_first.translation.vector.lerp(&at_last.translation.vector, 0.5);
             Some(Pose::translation(middle.x, middle.y, middle.z))
         }

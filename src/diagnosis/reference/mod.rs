@@ -10,7 +10,7 @@ mod found;
 mod line;
 mod rest;
 
-pub use self::delay::{CommandDelay, DelayFailure, joint_delays, pose_delay};
+pub use self::delay::{CommandDelay, DelayFailure, estimate_joint_delays, estimate_pose_delay};
 pub use self::found::{CommandTracking, ReferenceDiagnosis, RestError, RestErrorSpread};
 use super::latency::{ArmSpeeds, LagPeak, median_period_s};
 use super::noise::Noise;
@@ -21,7 +21,7 @@ use ground::stats::{Measured, MeasuredLength};
 use ground::stream::JointTrack;
 
 pub use line::{CommandedLine, LineDeviation};
-use rest::{Hold, Rest, holds, mean_pose, rests};
+use rest::{Hold, Rest, constant_commands, detect_rests, mean_pose};
 
 /// Time series of commanded poses.
 #[derive(Clone, Debug, Default)]
@@ -37,7 +37,7 @@ impl Commands {
     /// Converts joint commands to poses. `q` has `order.len()` numbers per row, and `order` contains the
     /// joint-track column of each. A joint missing from a row keeps its last command. Joints never
     /// commanded use their measured position.
-    pub fn of_joints(
+    pub fn from_joints(
         t_s: &[f64],
         order: &[usize],
         q: &[f64],
@@ -69,7 +69,7 @@ impl Commands {
 
 /// Determines the joint order of unnamed commands: chain, joint-track or alphabetical order, whichever is
 /// closest to the measured joints. `None` if none of them follows the joints.
-pub fn unnamed_order(
+pub fn infer_joint_order(
     t_s: &[f64],
     q: &[f64],
     joints: &JointTrack,
@@ -77,9 +77,9 @@ pub fn unnamed_order(
     columns: &[usize],
 ) -> Option<Vec<usize>> {
     /// Maximum mean distance of the joints from the commands, rad or m, at one of the delays below.
-    const NEAR: f64 = 0.1;
+    const MAX_JOINT_DISTANCE: f64 = 0.1;
     /// Delays tried, s.
-    const LATER_S: [f64; 5] = [0.0, 0.1, 0.2, 0.4, 0.8];
+    const TRIAL_DELAYS_S: [f64; 5] = [0.0, 0.1, 0.2, 0.4, 0.8];
     let mut alphabetical = columns.to_vec();
     alphabetical.sort_by_key(|&column| names.get(column));
     let mut as_tracked = columns.to_vec();
@@ -100,13 +100,16 @@ pub fn unnamed_order(
         if count > 0.0 { sum / count } else { f64::INFINITY }
     };
     let distance = |order: &[usize]| {
-        LATER_S.iter().map(|&later_s| distance_at(order, later_s)).fold(f64::INFINITY, f64::min)
+        TRIAL_DELAYS_S
+            .iter()
+            .map(|&later_s| distance_at(order, later_s))
+            .fold(f64::INFINITY, f64::min)
     };
     // `min_by` returns the first of equal candidates.
     let orders = [columns.to_vec(), as_tracked, alphabetical].into_iter();
     let orders = orders.map(|order| (distance(&order), order));
     let (least, order) = orders.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    (least < NEAR).then_some(order)
+    (least < MAX_JOINT_DISTANCE).then_some(order)
 }
 
 /// Joint states of the arm, and the chain to the commanded tip.
@@ -148,31 +151,31 @@ pub fn diagnose_reference(
         return Err(NotObservable::NoOverlap);
     }
     let is_streamed = is_streamed(&series.t_s);
-    let following = if is_streamed { following(series, arm, most_lag_s) } else { None };
-    let rests = rests(arm.joints);
+    let following = if is_streamed { command_tracking(series, arm, most_lag_s) } else { None };
+    let rests = detect_rests(arm.joints);
     if rests.is_empty() {
         return Err(NotObservable::NeverRests);
     }
-    let holds = holds(series, is_streamed, end_s);
+    let holds = constant_commands(series, is_streamed, end_s);
     let delay_s = following.map_or(0.0, |following| following.delay_s.max(0.0));
     let noises =
         witnesses.iter().map(|series| MeasuredPoses { series, noise: noise_of(series, &rests) });
     let witnesses: Vec<MeasuredPoses<'_>> = noises.collect();
     let pairs: Vec<Vec<(f64, f64)>> = holds
         .iter()
-        .map(|hold| windows(hold, &rests, is_streamed, following.is_some(), delay_s))
+        .map(|hold| rest_windows(hold, &rests, is_streamed, following.is_some(), delay_s))
         .collect();
     let mut found = ReferenceDiagnosis {
         is_streamed,
-        following,
-        goals: holds.iter().filter(|hold| hold.to_s - hold.from_s >= rest::LEAST_S).count(),
+        tracking: following,
+        goals: holds.iter().filter(|hold| hold.to_s - hold.from_s >= rest::MIN_REST_S).count(),
         not_reached: 0,
         nearest_miss: None,
-        gaps: vec![Vec::new(); witnesses.len()],
+        rest_errors: vec![Vec::new(); witnesses.len()],
         lines: Vec::new(),
     };
     let gaps_of = |hold: &Hold, &(from_s, to_s): &(f64, f64)| -> Vec<Option<RestError>> {
-        witnesses.iter().map(|one| gap(commands, arm, hold, (from_s, to_s), one)).collect()
+        witnesses.iter().map(|one| rest_error(commands, arm, hold, (from_s, to_s), one)).collect()
     };
     // Goals that the arm did not approach.
     let mut far: Vec<Vec<Option<RestError>>> = Vec::new();
@@ -181,11 +184,11 @@ pub fn diagnose_reference(
         let at_rests = windows.iter().map(|window| gaps_of(hold, window));
         let mut at_rests: Vec<_> =
             at_rests.filter(|gaps| gaps.iter().any(Option::is_some)).collect();
-        if found.following.is_some() {
+        if found.tracking.is_some() {
             near.append(&mut at_rests);
             continue;
         }
-        let best = at_rests.into_iter().min_by(|a, b| apart(a).total_cmp(&apart(b)));
+        let best = at_rests.into_iter().min_by(|a, b| least_error(a).total_cmp(&least_error(b)));
         match best {
             Some(gaps) if is_near(&gaps) => near.push(gaps),
             Some(gaps) => far.push(gaps),
@@ -193,37 +196,39 @@ pub fn diagnose_reference(
         }
     }
     let missed = |gaps: &Vec<Option<RestError>>| {
-        let least = gaps.iter().flatten().min_by(|a, b| size(a).total_cmp(&size(b)))?;
+        let least =
+            gaps.iter().flatten().min_by(|a, b| relative_error(a).total_cmp(&relative_error(b)))?;
         Some((least.distance_m.norm.value, least.angle_rad.norm.value))
     };
-    found.nearest_miss = far.iter().min_by(|a, b| apart(a).total_cmp(&apart(b))).and_then(missed);
+    found.nearest_miss =
+        far.iter().min_by(|a, b| least_error(a).total_cmp(&least_error(b))).and_then(missed);
     if (0..witnesses.len()).any(|witness| is_one_transform(&far, witness)) {
         near.append(&mut far);
     }
     near.sort_by(|a, b| start_of(a).total_cmp(&start_of(b)));
     for gaps in &mut near {
-        for (all, gap) in found.gaps.iter_mut().zip(gaps) {
+        for (all, gap) in found.rest_errors.iter_mut().zip(gaps) {
             all.extend(gap.take());
         }
     }
-    if found.following.is_none() {
+    if found.tracking.is_none() {
         found.not_reached = found.goals.saturating_sub(near.len());
     }
     if is_streamed && commands.joints.is_empty() {
-        found.lines = line::lines(series, &holds, &rests, &witnesses);
+        found.lines = line::detect_lines(series, &holds, &rests, &witnesses);
     }
     Ok(found)
 }
 
 /// Whether the commands are a stream that the arm follows, and not single goals.
 fn is_streamed(t_s: &[f64]) -> bool {
-    const ENOUGH: usize = 20;
-    const LONGEST_S: f64 = 0.2;
-    t_s.len() >= ENOUGH && median_period_s(t_s) <= LONGEST_S
+    const MIN_STREAM_COMMANDS: usize = 20;
+    const MAX_STREAM_PERIOD_S: f64 = 0.2;
+    t_s.len() >= MIN_STREAM_COMMANDS && median_period_s(t_s) <= MAX_STREAM_PERIOD_S
 }
 
 /// Intervals in which the command is constant and the arm rests as its result.
-fn windows(
+fn rest_windows(
     hold: &Hold,
     rests: &[Rest],
     is_streamed: bool,
@@ -231,40 +236,41 @@ fn windows(
     delay_s: f64,
 ) -> Vec<(f64, f64)> {
     /// Time for the motion to settle after the command stops, s. Twice the delay is added.
-    const SETTLED_S: f64 = 0.1;
+    const SETTLING_S: f64 = 0.1;
     /// Only the end of a long rest is used, s.
-    const LAST_S: f64 = 1.0;
+    const MAX_REST_S: f64 = 1.0;
     let is_led = |rest: &&Rest| {
         // If no other command precedes it, a constant stream counts: the arm is holding it.
         follows || rest.from_s > hold.from_s || is_streamed && hold.first == 0
     };
     let window = |rest: &Rest| {
-        let from_s = rest.from_s.max(hold.from_s + SETTLED_S + 2.0 * delay_s);
+        let from_s = rest.from_s.max(hold.from_s + SETTLING_S + 2.0 * delay_s);
         let to_s = rest.to_s.min(hold.to_s);
         // Use the later half, when the motion has settled further.
-        let late_s = (0.5 * (from_s + to_s)).min(to_s - rest::LEAST_S).max(to_s - LAST_S);
-        (to_s - from_s >= rest::LEAST_S).then_some((from_s.max(late_s), to_s))
+        let late_s = (0.5 * (from_s + to_s)).min(to_s - rest::MIN_REST_S).max(to_s - MAX_REST_S);
+        (to_s - from_s >= rest::MIN_REST_S).then_some((from_s.max(late_s), to_s))
     };
     rests.iter().filter(is_led).filter_map(window).collect()
 }
 
 /// A rest farther than this from the goal was not its target: the arm stopped early or was moved by other
 /// means.
-const NEAR_M: f64 = 0.02;
-const NEAR_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
+const MAX_GOAL_DISTANCE_M: f64 = 0.02;
+const MAX_GOAL_ANGLE_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 
 /// Distance of a rest from its command, relative to the thresholds for near.
-fn size(gap: &RestError) -> f64 {
-    (gap.distance_m.norm.value / NEAR_M).max(gap.angle_rad.norm.value / NEAR_RAD)
+fn relative_error(gap: &RestError) -> f64 {
+    (gap.distance_m.norm.value / MAX_GOAL_DISTANCE_M)
+        .max(gap.angle_rad.norm.value / MAX_GOAL_ANGLE_RAD)
 }
 
 /// The smallest such distance among the observations.
-fn apart(gaps: &[Option<RestError>]) -> f64 {
-    gaps.iter().flatten().map(size).fold(f64::INFINITY, f64::min)
+fn least_error(gaps: &[Option<RestError>]) -> f64 {
+    gaps.iter().flatten().map(relative_error).fold(f64::INFINITY, f64::min)
 }
 
 fn is_near(gaps: &[Option<RestError>]) -> bool {
-    apart(gaps) <= 1.0
+    least_error(gaps) <= 1.0
 }
 
 fn start_of(gaps: &[Option<RestError>]) -> f64 {
@@ -275,10 +281,12 @@ fn start_of(gaps: &[Option<RestError>]) -> f64 {
 /// reached in another frame or with another tool.
 fn is_one_transform(far: &[Vec<Option<RestError>>], witness: usize) -> bool {
     const FEWEST: usize = 3;
-    const ALIKE: (f64, f64) = (0.25 * NEAR_M, 0.1 * NEAR_RAD);
+    const MAX_TRANSFORM_SPREAD: (f64, f64) = (0.25 * MAX_GOAL_DISTANCE_M, 0.1 * MAX_GOAL_ANGLE_RAD);
     let gaps: Vec<RestError> = far.iter().filter_map(|gaps| gaps[witness].clone()).collect();
-    let is_alike = |spread: (f64, f64)| spread.0 <= ALIKE.0 && spread.1 <= ALIKE.1;
-    let constancy = RestErrorSpread::of(&gaps).filter(|_| gaps.len() >= FEWEST);
+    let is_alike = |spread: (f64, f64)| {
+        spread.0 <= MAX_TRANSFORM_SPREAD.0 && spread.1 <= MAX_TRANSFORM_SPREAD.1
+    };
+    let constancy = RestErrorSpread::from_rests(&gaps).filter(|_| gaps.len() >= FEWEST);
     constancy.is_some_and(|found| is_alike(found.in_tool) || is_alike(found.in_base))
 }
 
@@ -289,17 +297,18 @@ fn noise_of(series: &PoseSeries, rests: &[Rest]) -> [Noise; 2] {
     let (mut metres, mut radians) = (Vec::new(), Vec::new());
     for rest in rests {
         let Some(mean) = mean_pose(series, rest.from_s, rest.to_s) else { continue };
-        for pose in rest::within(series, rest.from_s, rest.to_s) {
+        for pose in rest::poses_within(series, rest.from_s, rest.to_s) {
             let turn = rotvec_from_rotation(&(pose.rotation * mean.rotation.inverse()));
             metres.push((pose.translation.vector - mean.translation.vector).into());
             radians.push(turn.into());
         }
     }
-    [metres, radians].map(|left: Vec<[f64; 3]>| Noise::of(&left, &vec![1.0; left.len()], FLOOR))
+    [metres, radians]
+        .map(|left: Vec<[f64; 3]>| Noise::estimate(&left, &vec![1.0; left.len()], FLOOR))
 }
 
 /// Variance of a mean of `count` samples, allowing for autocorrelation.
-fn of_mean(noise: &Noise, count: usize) -> f64 {
+fn variance_of_mean(noise: &Noise, count: usize) -> f64 {
     let inflation = (noise.inflation() / count.max(1) as f64).min(1.0);
     noise.sigma * noise.sigma * inflation
 }
@@ -314,7 +323,7 @@ fn length_of(vector: Vec3, variance: f64) -> MeasuredLength {
 
 /// Difference between command and measured pose at rest. `None` if there are too few samples or the pose
 /// still moves.
-fn gap(
+fn rest_error(
     commands: &Commands,
     arm: &CommandedArm<'_>,
     hold: &Hold,
@@ -323,11 +332,11 @@ fn gap(
 ) -> Option<RestError> {
     const FEWEST: usize = 4;
     /// Maximum motion between the two halves of a rest, m and rad.
-    const CREEPS: (f64, f64) = (2e-4, 3e-4);
+    const MAX_REST_MOTION_M_RAD: (f64, f64) = (2e-4, 3e-4);
     /// Noise tolerance in standard deviations.
     const SIGMAS: f64 = 4.0;
     let series = witness.series;
-    let count = rest::within(series, from_s, to_s).count();
+    let count = rest::poses_within(series, from_s, to_s).count();
     if count < FEWEST {
         return None;
     }
@@ -336,9 +345,11 @@ fn gap(
     let halves = [mean_pose(series, from_s, middle_s)?, mean_pose(series, middle_s, to_s)?];
     let crept_m = (halves[1].translation.vector - halves[0].translation.vector).norm();
     let crept_rad = angle_between(&halves[0].rotation, &halves[1].rotation);
-    let by_noise = |noise: &Noise| SIGMAS * (2.0 * of_mean(noise, count / 2)).sqrt();
+    let by_noise = |noise: &Noise| SIGMAS * (2.0 * variance_of_mean(noise, count / 2)).sqrt();
     let [metres, radians] = &witness.noise;
-    if crept_m > CREEPS.0 + by_noise(metres) || crept_rad > CREEPS.1 + by_noise(radians) {
+    if crept_m > MAX_REST_MOTION_M_RAD.0 + by_noise(metres)
+        || crept_rad > MAX_REST_MOTION_M_RAD.1 + by_noise(radians)
+    {
         return None;
     }
     let commanded = commands.series.poses[hold.last];
@@ -349,14 +360,14 @@ fn gap(
         to_s,
         commanded,
         measured,
-        distance_m: length_of(shift, of_mean(metres, count)),
-        angle_rad: length_of(turn, of_mean(radians, count)),
-        joints: joint_gaps(commands, arm.joints, hold, (from_s, to_s)),
+        distance_m: length_of(shift, variance_of_mean(metres, count)),
+        angle_rad: length_of(turn, variance_of_mean(radians, count)),
+        joints: joint_errors(commands, arm.joints, hold, (from_s, to_s)),
     })
 }
 
 /// Error of each commanded joint at a rest.
-fn joint_gaps(
+fn joint_errors(
     commands: &Commands,
     joints: &JointTrack,
     hold: &Hold,
@@ -380,24 +391,24 @@ fn joint_gaps(
 }
 
 /// Delay and following error of the arm. `None` if its speed does not correlate with that of the commands.
-fn following(
+fn command_tracking(
     series: &PoseSeries,
     arm: &CommandedArm<'_>,
     most_lag_s: f64,
 ) -> Option<CommandTracking> {
     /// Minimum correlation between the two speeds.
-    const FOLLOWS: f64 = 0.7;
+    const MIN_CORRELATION: f64 = 0.7;
     /// Peaks within this of the highest count as equal. The one with the smallest lag is selected.
-    const AS_HIGH: f64 = 0.03;
+    const MAX_PEAK_DEFICIT: f64 = 0.03;
     let CommandedArm { joints, chain, columns } = *arm;
     let (xyz, rotations): (Vec<Vec3>, Vec<Rotation>) =
         series.poses.iter().map(|pose| (pose.translation.vector, pose.rotation)).unzip();
-    let speeds = ArmSpeeds::of(joints, chain, columns);
-    let peaks = speeds.peaks_of(&series.t_s, &xyz, Some(&rotations), most_lag_s);
+    let speeds = ArmSpeeds::from_joints(joints, chain, columns);
+    let peaks = speeds.lag_peaks(&series.t_s, &xyz, Some(&rotations), most_lag_s);
     let highest = peaks.first()?.correlation;
-    let high = peaks.iter().filter(|peak| peak.correlation >= highest - AS_HIGH);
+    let high = peaks.iter().filter(|peak| peak.correlation >= highest - MAX_PEAK_DEFICIT);
     let peak = high.min_by(|a, b| a.lag_s.abs().total_cmp(&b.lag_s.abs()))?;
-    if peak.correlation < FOLLOWS {
+    if peak.correlation < MIN_CORRELATION {
         return None;
     }
     // The lag of the commands is negative: they lead the arm.
@@ -406,24 +417,24 @@ fn following(
     Some(CommandTracking {
         delay_s,
         correlation,
-        rms: following_error(series, arm, 0.0),
-        left: following_error(series, arm, delay_s),
+        rms: tracking_error(series, arm, 0.0),
+        compensated: tracking_error(series, arm, delay_s),
     })
 }
 
 /// Rms distance, m, and angle, rad, between FK and the command `delay_s` earlier, while the arm moves.
-fn following_error(series: &PoseSeries, arm: &CommandedArm<'_>, delay_s: f64) -> (f64, f64) {
+fn tracking_error(series: &PoseSeries, arm: &CommandedArm<'_>, delay_s: f64) -> (f64, f64) {
     /// Maximum number of rows. More do not improve the rms.
     const ENOUGH: usize = 4000;
     /// Minimum joint speed of a moving arm, rad/s or m/s.
-    const MOVES: f64 = 0.02;
+    const MIN_JOINT_SPEED: f64 = 0.02;
     let CommandedArm { joints, chain, columns } = *arm;
     let period_s = median_period_s(&series.t_s);
     let mut own = vec![0.0; columns.len()];
     let (mut metres, mut radians, mut count) = (0.0, 0.0, 0.0);
     for row in (0..joints.len()).step_by(joints.len().div_ceil(ENOUGH).max(1)) {
         let speeds = &joints.qd[row * joints.dof..(row + 1) * joints.dof];
-        if speeds.iter().all(|speed| speed.abs() < MOVES) {
+        if speeds.iter().all(|speed| speed.abs() < MIN_JOINT_SPEED) {
             continue;
         }
         let Some(told) = series.at(joints.t_s[row] - delay_s, period_s) else { continue };

@@ -6,7 +6,7 @@ use ground::geometry::{Pose, Vec3, angle_between, rotation_from_rotvec, rotvec_f
 use ground::stream::{JointTrack, sample_noise};
 
 /// Shortest rest, s. In shorter ones the motion has not settled.
-pub(super) const LEAST_S: f64 = 0.1;
+pub(super) const MIN_REST_S: f64 = 0.1;
 
 /// Interval without joint motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,7 +28,7 @@ pub(super) struct Hold {
 
 /// Detects intervals without joint motion. The means over a tenth of a second before and after each sample
 /// must agree within the noise.
-pub(super) fn rests(joints: &JointTrack) -> Vec<Rest> {
+pub(super) fn detect_rests(joints: &JointTrack) -> Vec<Rest> {
     let period_s = median_period_s(&joints.t_s);
     let is_gap = |row: usize| joints.t_s[row] - joints.t_s[row - 1] > (10.0 * period_s).max(0.1);
     let (mut found, mut open): (Vec<Rest>, Option<Rest>) = (Vec::new(), None);
@@ -44,19 +44,19 @@ pub(super) fn rests(joints: &JointTrack) -> Vec<Rest> {
         }
     }
     found.extend(open);
-    found.retain(|rest| rest.to_s - rest.from_s >= LEAST_S);
+    found.retain(|rest| rest.to_s - rest.from_s >= MIN_REST_S);
     found
 }
 
 fn still_rows(joints: &JointTrack, period_s: f64) -> Vec<bool> {
     /// Half of a window, s.
-    const HALF_S: f64 = 0.1;
+    const HALF_WINDOW_S: f64 = 0.1;
     /// Maximum speed at rest, rad/s or m/s: 2 mm/s at a radius of 1 m.
-    const STILL: f64 = 2e-3;
+    const MAX_REST_SPEED: f64 = 2e-3;
     /// Noise tolerance in standard deviations.
     const SIGMAS: f64 = 4.0;
     let (rows, dof) = (joints.len(), joints.dof);
-    let half = ((HALF_S / period_s.max(1e-6)).round() as usize).max(1);
+    let half = ((HALF_WINDOW_S / period_s.max(1e-6)).round() as usize).max(1);
     let mut still = vec![true; rows];
     for joint in 0..dof {
         let q: Vec<f64> = joints.q.iter().skip(joint).step_by(dof).copied().collect();
@@ -72,7 +72,7 @@ fn still_rows(joints: &JointTrack, period_s: f64) -> Vec<bool> {
             let left = if from == row { q[row] } else { mean(from, row) };
             let right = if row + 1 == to { q[row] } else { mean(row + 1, to) };
             let apart_s = (joints.t_s[to - 1] - joints.t_s[from]).max(period_s) / 2.0;
-            *still &= (right - left).abs() <= STILL * apart_s + by_noise;
+            *still &= (right - left).abs() <= MAX_REST_SPEED * apart_s + by_noise;
         }
     }
     still
@@ -80,9 +80,9 @@ fn still_rows(joints: &JointTrack, period_s: f64) -> Vec<bool> {
 
 /// Intervals of constant commands. A single goal holds until the next one or until `end_s`; a streamed
 /// command holds until the stream stops.
-pub(super) fn holds(series: &PoseSeries, is_streamed: bool, end_s: f64) -> Vec<Hold> {
+pub(super) fn constant_commands(series: &PoseSeries, is_streamed: bool, end_s: f64) -> Vec<Hold> {
     /// Commands closer than this are equal, m and rad.
-    const SAME: (f64, f64) = (5e-5, 5e-5);
+    const COMMAND_TOLERANCE_M_RAD: (f64, f64) = (5e-5, 5e-5);
     let PoseSeries { t_s, poses } = series;
     let silent_s = match is_streamed {
         true => (10.0 * median_period_s(t_s)).max(0.5),
@@ -95,8 +95,9 @@ pub(super) fn holds(series: &PoseSeries, is_streamed: bool, end_s: f64) -> Vec<H
         let next_s = t_s.get(row).copied();
         let is_silent = next_s.is_some_and(|next_s| next_s - t_s[last] > silent_s);
         let is_other = poses.get(row).is_none_or(|next| {
-            (next.translation.vector - poses[first].translation.vector).norm() > SAME.0
-                || angle_between(&next.rotation, &poses[first].rotation) > SAME.1
+            (next.translation.vector - poses[first].translation.vector).norm()
+                > COMMAND_TOLERANCE_M_RAD.0
+                || angle_between(&next.rotation, &poses[first].rotation) > COMMAND_TOLERANCE_M_RAD.1
         });
         if !is_other && !is_silent {
             continue;
@@ -113,7 +114,11 @@ pub(super) fn holds(series: &PoseSeries, is_streamed: bool, end_s: f64) -> Vec<H
 }
 
 /// Poses of a series from `from_s` to `to_s`.
-pub(super) fn within(series: &PoseSeries, from_s: f64, to_s: f64) -> impl Iterator<Item = &Pose> {
+pub(super) fn poses_within(
+    series: &PoseSeries,
+    from_s: f64,
+    to_s: f64,
+) -> impl Iterator<Item = &Pose> {
     let from = series.t_s.partition_point(|&t| t < from_s);
     let to = series.t_s.partition_point(|&t| t <= to_s).max(from);
     series.poses[from..to].iter()
@@ -121,9 +126,9 @@ pub(super) fn within(series: &PoseSeries, from_s: f64, to_s: f64) -> impl Iterat
 
 /// Mean of nearly equal poses. `None` if the interval has no pose.
 pub(super) fn mean_pose(series: &PoseSeries, from_s: f64, to_s: f64) -> Option<Pose> {
-    let first = within(series, from_s, to_s).next()?;
+    let first = poses_within(series, from_s, to_s).next()?;
     let (mut xyz, mut turn, mut count) = (Vec3::zeros(), Vec3::zeros(), 0.0);
-    for pose in within(series, from_s, to_s) {
+    for pose in poses_within(series, from_s, to_s) {
         xyz += pose.translation.vector;
         turn += rotvec_from_rotation(&(first.rotation.inverse() * pose.rotation));
         count += 1.0;

@@ -1,4 +1,4 @@
-use super::line::lines;
+use super::line::detect_lines;
 use super::*;
 use ground::geometry::{Convention, Pose, pose, rotation_from_rotvec, rotation_from_rpy};
 use ground::robot::catalogue;
@@ -39,7 +39,7 @@ fn diagnosed(t_s: Vec<f64>, pose_at: impl Fn(&Chain, f64) -> Pose) -> ReferenceD
     let (joints, chain, columns) = arm();
     let poses = t_s.iter().map(|&t_s| pose_at(&chain, t_s)).collect();
     let commands = Commands { series: PoseSeries { t_s, poses }, joints: Vec::new() };
-    let witness = PoseSeries::by_kinematics(&joints, &chain, &columns);
+    let witness = PoseSeries::from_joints(&joints, &chain, &columns);
     let arm = CommandedArm { joints: &joints, chain: &chain, columns: &columns };
     diagnose_reference(&commands, &arm, &[witness], 1.0).expect("it rests")
 }
@@ -52,11 +52,14 @@ fn aside(by_m: f64) -> Pose {
 fn a_streamed_command_is_held_against_every_rest_and_its_delay_is_found() {
     let found =
         diagnosed(times(50.0), |chain, t_s| aside(0.003) * chain.forward(&joints_at(t_s + 0.08)));
-    let following = found.following.expect("it is followed");
+    let following = found.tracking.expect("it is followed");
     assert!((following.delay_s - 0.08).abs() < 5e-3, "{following:?}");
-    assert!((following.left.0 - 0.003).abs() < 1e-3 && following.rms.0 > 0.01, "{following:?}");
-    assert_eq!(found.gaps[0].len(), 3, "{:?}", found.gaps[0]);
-    for gap in &found.gaps[0] {
+    assert!(
+        (following.compensated.0 - 0.003).abs() < 1e-3 && following.rms.0 > 0.01,
+        "{following:?}"
+    );
+    assert_eq!(found.rest_errors[0].len(), 3, "{:?}", found.rest_errors[0]);
+    for gap in &found.rest_errors[0] {
         assert!((gap.distance_m.norm.value - 0.003).abs() < 1e-5, "{gap:?}");
         assert!(gap.angle_rad.norm.value < 1e-5 && gap.distance_m.p_value < 1e-6, "{gap:?}");
     }
@@ -71,12 +74,12 @@ fn of_single_goals_those_count_that_the_arm_was_brought_to() {
         t_s if t_s < 1.0 => aside(0.004) * reached(chain),
         _ => aside(0.3) * reached(chain),
     });
-    assert_eq!((found.goals, found.not_reached, found.gaps[0].len()), (2, 1, 1));
-    assert!((found.gaps[0][0].distance_m.norm.value - 0.004).abs() < 1e-5);
+    assert_eq!((found.goals, found.not_reached, found.rest_errors[0].len()), (2, 1, 1));
+    assert!((found.rest_errors[0][0].distance_m.norm.value - 0.004).abs() < 1e-5);
     assert!(found.nearest_miss.is_some_and(|(m, _)| m > 0.1), "{found:?}");
     // A goal that is followed by no motion has no gap.
     let found = diagnosed(vec![5.2], |chain, _| aside(0.004) * chain.forward(&joints_at(5.5)));
-    assert_eq!((found.goals, found.not_reached, found.gaps[0].len()), (1, 1, 0));
+    assert_eq!((found.goals, found.not_reached, found.rest_errors[0].len()), (1, 1, 0));
 }
 
 #[test]
@@ -92,19 +95,19 @@ fn a_joint_that_stays_off_is_told() {
         })
         .collect();
     let names: Vec<String> = (0..6).map(|joint| format!("joint_{}", 6 - joint)).collect();
-    let order = unnamed_order(&t_s, &q, &joints, &names, &columns).expect("it follows");
+    let order = infer_joint_order(&t_s, &q, &joints, &names, &columns).expect("it follows");
     assert_eq!(order, columns);
-    let commands = Commands::of_joints(&t_s, &order, &q, &joints, (&chain, &columns));
-    let witness = PoseSeries::by_kinematics(&joints, &chain, &columns);
+    let commands = Commands::from_joints(&t_s, &order, &q, &joints, (&chain, &columns));
+    let witness = PoseSeries::from_joints(&joints, &chain, &columns);
     let arm = CommandedArm { joints: &joints, chain: &chain, columns: &columns };
     let found = diagnose_reference(&commands, &arm, &[witness], 1.0).expect("it rests");
-    for gap in &found.gaps[0] {
+    for gap in &found.rest_errors[0] {
         let off: Vec<f64> = gap.joints.iter().map(|(_, off)| off.value).collect();
         assert!((off[2] + 0.005).abs() < 1e-9 && off[1].abs() < 1e-9, "{off:?}");
         assert!((gap.angle_rad.norm.value - 0.005).abs() < 1e-5, "{gap:?}");
     }
     let far: Vec<f64> = q.iter().map(|q| q + 1.0).collect();
-    assert_eq!(unnamed_order(&t_s, &far, &joints, &names, &columns), None);
+    assert_eq!(infer_joint_order(&t_s, &far, &joints, &names, &columns), None);
 }
 
 #[test]
@@ -120,10 +123,10 @@ fn a_turn_of_the_tool_is_told_from_a_shift_of_the_base() {
     };
     let places =
         [0.0, 0.7, 1.4].map(|yaw| pose([0.3, 0.1, 0.2], rotation_from_rpy([0.2, 0.1, yaw])));
-    let by_tool = RestErrorSpread::of(&places.map(|place| gap(place * aside(0.1), place)));
+    let by_tool = RestErrorSpread::from_rests(&places.map(|place| gap(place * aside(0.1), place)));
     let by_tool = by_tool.expect("three rests");
     assert!(by_tool.in_tool.0 < 1e-12 && by_tool.in_base.0 > 0.03, "{by_tool:?}");
-    let by_base = RestErrorSpread::of(&places.map(|place| gap(aside(0.1) * place, place)));
+    let by_base = RestErrorSpread::from_rests(&places.map(|place| gap(aside(0.1) * place, place)));
     let by_base = by_base.expect("three rests");
     assert!(by_base.in_base.0 < 1e-12 && by_base.in_tool.0 > 0.03, "{by_base:?}");
 }
@@ -138,8 +141,8 @@ fn line_of(from: Pose, to: Pose, turned: impl Fn(f64) -> Rotation) -> CommandedL
     };
     let poses = t_s.iter().map(|&t_s| at(t_s)).collect();
     let series = PoseSeries { t_s, poses };
-    let holds = holds(&series, true, 6.0);
-    lines(&series, &holds, &[], &[]).pop().expect("a line")
+    let holds = constant_commands(&series, true, 6.0);
+    detect_lines(&series, &holds, &[], &[]).pop().expect("a line")
 }
 
 #[test]
@@ -182,7 +185,10 @@ fn a_command_holds_until_the_next_and_a_stream_until_it_falls_silent() {
     let here = Pose::identity();
     let goals = PoseSeries { t_s: vec![1.0, 3.0, 4.0], poses: vec![here, aside(0.1), aside(0.1)] };
     let spans = |series: &PoseSeries, is_streamed| -> Vec<(f64, f64)> {
-        holds(series, is_streamed, 9.0).iter().map(|hold| (hold.from_s, hold.to_s)).collect()
+        constant_commands(series, is_streamed, 9.0)
+            .iter()
+            .map(|hold| (hold.from_s, hold.to_s))
+            .collect()
     };
     assert_eq!(spans(&goals, false), [(1.0, 3.0), (3.0, 9.0)]);
     let t_s: Vec<f64> =
@@ -204,7 +210,7 @@ fn rests_are_found_through_noise() {
     };
     for size in [0.0, 2e-5, 5e-4] {
         joints.q.iter_mut().enumerate().for_each(|(row, q)| *q += size * noise(row));
-        let found = rests(&joints);
+        let found = detect_rests(&joints);
         assert_eq!(found.len(), 3, "{size}: {found:?}");
         assert!((1.9..2.3).contains(&found[1].from_s), "{size}: {found:?}");
         assert!((3.7..4.15).contains(&found[1].to_s), "{size}: {found:?}");

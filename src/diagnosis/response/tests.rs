@@ -16,7 +16,7 @@ fn followed(done: impl Fn(f64) -> f64) -> Result<Response, NotObservable> {
     let t_s = times();
     let command = TimeSeries::new(t_s.clone(), vec![t_s.iter().map(|&t| motion(t)).collect()]);
     let done: Vec<f64> = t_s.iter().map(|&t| done(t)).collect();
-    ResponseChanges::of(&t_s, &[done], (0.0, 20.0), 0.1).follow(&command, 2.0)
+    ResponseChanges::from_windows(&t_s, &[done], (0.0, 20.0), 0.1).estimate_response(&command, 2.0)
 }
 
 #[test]
@@ -35,8 +35,8 @@ fn a_low_pass_is_told_from_a_delay() {
     for corner_hz in [1.0, 4.0] {
         let constant_s = 1.0 / (std::f64::consts::TAU * corner_hz);
         let done = command.filtered(constant_s).columns;
-        let changes = ResponseChanges::of(&t_s, &done, (0.0, 20.0), 0.1);
-        let found = changes.follow(&command, 2.0).expect("it follows");
+        let changes = ResponseChanges::from_windows(&t_s, &done, (0.0, 20.0), 0.1);
+        let found = changes.estimate_response(&command, 2.0).expect("it follows");
         let hz = found.corner_hz().expect("a low-pass");
         assert!((hz - corner_hz).abs() < 0.05 * corner_hz, "{found:?}");
         assert!((found.delay_s.value - constant_s).abs() < 3e-3, "{found:?}");
@@ -49,7 +49,8 @@ fn what_repeats_itself_and_what_does_not_follow_are_said() {
     let wave = |t: f64| (6.0 * t).sin();
     let command = TimeSeries::new(t_s.clone(), vec![t_s.iter().map(|&t| wave(t)).collect()]);
     let done = vec![t_s.iter().map(|&t| wave(t - 0.1)).collect::<Vec<f64>>()];
-    let found = ResponseChanges::of(&t_s, &done, (0.0, 20.0), 0.1).follow(&command, 2.0);
+    let found = ResponseChanges::from_windows(&t_s, &done, (0.0, 20.0), 0.1)
+        .estimate_response(&command, 2.0);
     assert!(matches!(found, Err(NotObservable::Periodic(_))), "{found:?}");
     let found = followed(|t| (1.7 * t * t).sin());
     assert!(matches!(found, Err(NotObservable::DoesNotFollow(_))), "{found:?}");
@@ -63,6 +64,7 @@ fn a_vector_is_followed_in_turned_axes() {
     };
     let command = TimeSeries::new(t_s.clone(), [0.0, 1.0, 2.0].map(|at| column(at, 0.0)).to_vec());
     let done = [2.0, 0.0, 1.0].map(|at| column(at, 0.05)).to_vec();
-    let found = ResponseChanges::of(&t_s, &done, (0.0, 20.0), 0.1).follow(&command, 2.0);
+    let found = ResponseChanges::from_windows(&t_s, &done, (0.0, 20.0), 0.1)
+        .estimate_response(&command, 2.0);
     assert!(found.as_ref().is_ok_and(|it| (it.delay_s.value - 0.05).abs() < 2e-4), "{found:?}");
 }

@@ -49,7 +49,7 @@ fn each_cause_is_named_with_its_amount() {
     assert_eq!(found(0.0, |_| 0.0).shape, VelocityShape::Zero);
     let swapped = found(0.0, |t| rate(1, t));
     assert!(matches!(swapped.shape, VelocityShape::OfJoint(1, by) if (by - 1.0).abs() < 0.02));
-    assert_eq!(found(0.0, |t| (40.0 * t * t).sin()).shape, VelocityShape::Unlike);
+    assert_eq!(found(0.0, |t| (40.0 * t * t).sin()).shape, VelocityShape::Unrelated);
     let late = found(0.0, |t| rate(0, t - 0.06));
     let VelocityShape::Filtered(response) = late.shape else { panic!("{late:?}") };
     assert!((response.delay_s.value - 0.06).abs() < 1e-3, "{response:?}");
@@ -70,7 +70,7 @@ fn what_is_in_a_gap_is_not_compared() {
     let q: Vec<f64> = t_s.iter().map(|&t| (at(t) / 5e-4).round() * 5e-4).collect();
     let v: Vec<f64> = t_s.iter().map(|&t| 0.18 * (9.0 * t).cos()).collect();
     let joint = VelocitySamples { t_s: &t_s, position: &q, velocity: &v, breaks: &[] };
-    let windows = VelocityWindows::of(&joint).expect("it moves");
+    let windows = VelocityWindows::from_samples(&joint).expect("it moves");
     assert!(windows.changes.windows.iter().all(|(from, to)| *to < 9.95 || *from > 10.3));
     let found = diagnose_velocity(&[joint], 0).expect("it moves");
     assert_eq!(found.shape, VelocityShape::Rates, "{found:?}");

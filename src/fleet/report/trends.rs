@@ -5,7 +5,7 @@ use serde::Serialize;
 use super::calendar::DAY_NS;
 use super::{Whose, calendar};
 use crate::checks;
-use crate::diagnosis::{LEAST_RUNS, Measured, RunEstimate, Trend, trend};
+use crate::diagnosis::{MIN_RUNS, Measured, RunEstimate, Trend, estimate_trend};
 use crate::finding::Unit;
 use crate::time::seconds;
 
@@ -156,7 +156,7 @@ pub struct TrendRow {
 
 /// Rows of the trends: found trends first, undetermined ones last, then by code.
 pub fn rows(series: Vec<Series>) -> Vec<TrendRow> {
-    let asked = series.iter().filter(|one| one.points.len() >= LEAST_RUNS).count();
+    let asked = series.iter().filter(|one| one.points.len() >= MIN_RUNS).count();
     let mut rows: Vec<TrendRow> = series.into_iter().map(|one| row(one, asked)).collect();
     rows.sort_by(|a, b| (a.course, &a.code, &a.whose).cmp(&(b.course, &b.code, &b.whose)));
     rows
@@ -174,7 +174,7 @@ fn row(series: Series, asked: usize) -> TrendRow {
         points.iter().map(|point| told(point, point.at.since(first))).collect();
     let last_s = told.last().map_or(0.0, |last| last.time_s);
     let figure = figure(&code, &unit);
-    let found = trend(&told);
+    let found = estimate_trend(&told);
     let course = found.map_or(Course::Untold, |found| course(&found, figure, last_s, asked));
     let at = |found: &Trend, time_s: f64| {
         found.level.value + found.rate_per_s.value * (time_s - found.middle_s)
@@ -195,7 +195,7 @@ fn row(series: Series, asked: usize) -> TrendRow {
         rate_per_episode: if origin_ns.is_none() { rate(1.0) } else { None },
         level: found.map(|found| moved(&found.level)),
         spread: found.map(|found| found.spread),
-        step: step.map(|step| moved(&step.by)),
+        step: step.map(|step| moved(&step.height)),
         step_between_ns: step.and_then(|step| {
             let [from, to] = step.between_s.map(stamp);
             Some([from?, to?])
@@ -237,8 +237,8 @@ fn course(found: &Trend, figure: Option<f64>, span_s: f64, asked: usize) -> Cour
         !(low..=high).contains(&0.0)
     };
     if let Some(step) = &found.step
-        && is_sure(&step.by)
-        && step.by.value.abs() >= least
+        && is_sure(&step.height)
+        && step.height.value.abs() >= least
     {
         return Course::Stepped;
     }
@@ -323,7 +323,7 @@ impl TrendRow {
             (Course::Steady, Some(rate), _) => format!("{rate} over {} logs", self.logs),
             (_, Some(rate), _) => format!("{rate} over {} logs, not significant", self.logs),
             _ => format!(
-                "{} logs with a date and an interval; at least {LEAST_RUNS} needed",
+                "{} logs with a date and an interval; at least {MIN_RUNS} needed",
                 self.logs
             ),
         }

@@ -48,7 +48,7 @@ impl Calibrated {
                     "name": name,
                     "link": parameter.map(|one| &found.links[one.link]),
                     "direction": parameter.map(|one| one.direction),
-                    "unit": if parameter.is_none_or(|one| one.turns) { "rad" } else { "m" },
+                    "unit": if parameter.is_none_or(|one| one.is_rotation) { "rad" } else { "m" },
                     "value": value, "std_error": std_error, "ci95": found.value(at).interval(0.95),
                 })
             })
@@ -62,7 +62,7 @@ impl Calibrated {
             .map(|(taken, stream)| of_stream(taken, stream))
             .collect();
         let untold: Vec<Value> =
-            found.untold.iter().map(|one| self.of_untold(one, &names)).collect();
+            found.undetermined.iter().map(|one| self.of_untold(one, &names)).collect();
         let still: Vec<Value> = self
             .still
             .iter()
@@ -82,14 +82,14 @@ impl Calibrated {
             "links": links,
             "parameters": parameters,
             "covariance": covariance,
-            "workspace": {"expected": left(&found.expected), "drawing": left(&found.drawing)},
+            "workspace": {"expected": left(&found.calibrated_uncertainty), "drawing": left(&found.nominal_uncertainty)},
             "streams": streams,
             "left_out": self.left_out,
             "not_told": untold,
             "moved_little": still,
             "plan": self.plan,
-            "converged": found.unsettled.is_none(),
-            "last_step": found.unsettled,
+            "converged": found.remaining_step.is_none(),
+            "last_step": found.remaining_step,
             "conventions": self.conventions(),
         })
     }
@@ -141,7 +141,7 @@ impl Calibrated {
 
 /// Machine-readable name of a parameter's direction.
 fn axis(parameter: &LinkParameter) -> String {
-    let turn = if parameter.turns { "r" } else { "" };
+    let turn = if parameter.is_rotation { "r" } else { "" };
     let along = parameter.direction.iter().position(|part| part.abs() > 1.0 - 1e-9);
     match along {
         Some(along) => format!("{turn}{}", ["x", "y", "z"][along]),

@@ -81,7 +81,7 @@ impl Calibrated {
         for why in &self.left_out {
             let _ = writeln!(text, "\nleft out: {}", foreign(why));
         }
-        if let Some(moved) = found.unsettled {
+        if let Some(moved) = found.remaining_step {
             let _ = writeln!(
                 text,
                 "\nnot converged: the last iteration still changed the parameters by {moved:.3} standard \
@@ -98,10 +98,10 @@ impl Calibrated {
             text,
             "uncertainty of FK over the whole workspace: {:.4} mm and {:.5}° rms; error of the nominal \
              model: {:.3} mm and {:.4}°",
-            1e3 * found.expected.m,
-            found.expected.rad.to_degrees(),
-            1e3 * found.drawing.m,
-            found.drawing.rad.to_degrees()
+            1e3 * found.calibrated_uncertainty.m,
+            found.calibrated_uncertainty.rad.to_degrees(),
+            1e3 * found.nominal_uncertainty.m,
+            found.nominal_uncertainty.rad.to_degrees()
         );
         let largest = self.largest();
         if !largest.is_empty() {
@@ -109,7 +109,7 @@ impl Calibrated {
         }
         for (name, at) in largest {
             let value = found.value(at);
-            let turns = found.parameters.get(at).is_none_or(|one| one.turns);
+            let turns = found.parameters.get(at).is_none_or(|one| one.is_rotation);
             let shown = shown(if turns { Unit::Radian } else { Unit::Metre }, value);
             let _ = writeln!(text, "  {name:<34} {shown}");
         }
@@ -141,8 +141,11 @@ impl Calibrated {
         const SHOWN: usize = 8;
         let found = &self.found;
         let size = |at: usize| {
-            let scale =
-                if found.parameters.get(at).is_none_or(|one| one.turns) { 1.745 } else { 1.0 };
+            let scale = if found.parameters.get(at).is_none_or(|one| one.is_rotation) {
+                1.745
+            } else {
+                1.0
+            };
             (found.values[at] / scale).abs()
         };
         let mut all: Vec<(String, usize)> = self.parameter_names().into_iter().zip(0..).collect();
@@ -163,7 +166,7 @@ impl Calibrated {
             let _ = writeln!(text, "  {said}");
         }
         let (harmless, missing): (Vec<_>, Vec<_>) =
-            found.untold.iter().partition(|one| one.effect_m < NOTHING_M);
+            found.undetermined.iter().partition(|one| one.effect_m < NOTHING_M);
         let list = |text: &mut String, of: &[&crate::diagnosis::UndeterminedDirection]| {
             for one in of.iter().take(LISTED) {
                 let parts: Vec<&str> =

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use polars::prelude::{Column, DataFrame, PolarsResult};
 
-use crate::diagnosis::centre_m;
+use crate::diagnosis::cell_centre_m;
 use crate::geometry::{xyz_of, xyzw_from_rotation};
 use crate::report::ArmWorkspace;
 use crate::robot::{Chain, JointKind};
@@ -19,10 +19,10 @@ use super::split;
 pub(super) fn reach_map_frame(arms: &[ArmWorkspace<'_>]) -> PolarsResult<DataFrame> {
     let rows: Vec<_> = arms
         .iter()
-        .flat_map(|arm| arm.workspace.places.iter().map(move |(cell, place)| (arm, cell, place)))
+        .flat_map(|arm| arm.workspace.cells.iter().map(move |(cell, place)| (arm, cell, place)))
         .collect();
     let robots: Vec<&str> = rows.iter().map(|(arm, ..)| arm.robot).collect();
-    let centres: Vec<[f64; 3]> = rows.iter().map(|(_, cell, _)| centre_m(**cell)).collect();
+    let centres: Vec<[f64; 3]> = rows.iter().map(|(_, cell, _)| cell_centre_m(**cell)).collect();
     let count = |name: &str, of: &dyn Fn(usize) -> usize| {
         let counts: Vec<u64> = (0..rows.len()).map(|row| of(row) as u64).collect();
         Column::new(name.into(), counts)

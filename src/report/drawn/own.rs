@@ -1,7 +1,7 @@
 //! Data series of plots that are specific to single findings.
 
 use super::Clock;
-use crate::diagnosis::{PoseSeries, ReferenceDiagnosis, rates, shake_seen};
+use crate::diagnosis::{PoseSeries, ReferenceDiagnosis, rates, vibration_path};
 use crate::evidence::{ArmEvidence, HandEyeEvidence, ImuEvidence, RunEvidence, StreamEvidence};
 use crate::finding::{Cause, Finding, Sight, Subject};
 use crate::geometry::{
@@ -76,12 +76,12 @@ impl<'a> Found<'a> {
         let seen = match streams.find(|(_, of)| of.topic() == self.topic()) {
             Some((source, _)) => {
                 let track = &source.track;
-                shake_seen(&track.t_s, |row| track.xyz[row], at_s)
+                vibration_path(&track.t_s, |row| track.xyz[row], at_s)
             }
             None => {
                 let track = &arm.joints;
                 let tip = |row: usize| tip(arm, track, row).translation.vector;
-                shake_seen(&track.t_s, tip, at_s)
+                vibration_path(&track.t_s, tip, at_s)
             }
         }?;
         let trace = seen.trace.into_iter().map(|[t_s, m]| [self.clock.of_origin_s(t_s), m]);
@@ -100,7 +100,7 @@ impl<'a> Found<'a> {
             let stream = &run.streams[target.stream];
             stream.topic == found.topic && stream.child_frame_id == found.target
         };
-        let series = run.targets.iter().find(is_seen).map(|it| PoseSeries::of_track(&it.track));
+        let series = run.targets.iter().find(is_seen).map(|it| PoseSeries::from_track(&it.track));
         let poses = series.flatten().map_or_else(Vec::new, |series| series.poses);
         let step = poses.len().div_ceil(MOST_POINTS).max(1);
         let seen = poses.iter().step_by(step).map(|pose| pose.translation.vector.into());
@@ -126,15 +126,15 @@ impl<'a> Found<'a> {
         let (arm, _) = self.arm()?;
         let (content, found) = self.commands()?;
         let size = |line: &crate::diagnosis::CommandedLine| {
-            let witnesses = line.witnesses.iter().flatten();
+            let witnesses = line.deviations.iter().flatten();
             let off_m = witnesses.map(|by| by.distance_m.norm.value).fold(0.0, f64::max);
             off_m.max(0.1 * line.command_rad)
         };
         let line = found.lines.iter().max_by(|a, b| size(a).total_cmp(&size(b)))?;
-        let by_kinematics = PoseSeries::by_kinematics(&arm.joints, &arm.chain, &arm.columns);
+        let by_kinematics = PoseSeries::from_joints(&arm.joints, &arm.chain, &arm.columns);
         let tip = beside_chord(&by_kinematics, line.from_s, line.to_s + LATER_S);
         let command = match content {
-            ReferenceContent::Poses { track, .. } => PoseSeries::of_track(track),
+            ReferenceContent::Poses { track, .. } => PoseSeries::from_track(track),
             ReferenceContent::Joints { .. } => None,
         };
         let command = command.map(|series| beside_chord(&series, line.from_s, line.to_s));
@@ -143,7 +143,7 @@ impl<'a> Found<'a> {
 
     fn rests(&self) -> Option<Own> {
         let (_, found) = self.commands()?;
-        let gaps = found.gaps.iter().find(|gaps| !gaps.is_empty())?;
+        let gaps = found.rest_errors.iter().find(|gaps| !gaps.is_empty())?;
         let both = |pose: &Pose| -> [f64; 3] { pose.translation.vector.into() };
         Some(Own::Rests(
             gaps.iter().map(|gap| [both(&gap.commanded), both(&gap.measured)]).collect(),

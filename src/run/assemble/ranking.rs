@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::assembly::{Assembly, is_topic};
 use super::groups::Group;
-use crate::diagnosis::{FitAssumption, FitHypotheses, ModelFit, PoseStream, ScoredFit, model_fit};
+use crate::diagnosis::{FitAssumption, FitHypotheses, ModelFit, PoseStream, ScoredFit, fit_model};
 use crate::robot::catalogue;
 use crate::run::arm::{Arm, Ends};
 use crate::run::by_order;
@@ -105,7 +105,7 @@ impl ByPoses<'_> {
         let near = near(&entries);
         entries.par_iter_mut().zip(near).for_each(|(Entry { arm, fits }, is_near)| {
             let Some(arm) = arm.as_ref().filter(|_| is_near) else { return };
-            let open = fits.iter_mut().filter(|it| !it.fit.is_settled());
+            let open = fits.iter_mut().filter(|it| !it.fit.is_conclusive());
             open.for_each(|it| {
                 let all = self.fit_of(arm, &it.source, it.knows_frame, FitHypotheses::All);
                 it.fit = all.unwrap_or_else(|| it.fit.clone());
@@ -113,7 +113,7 @@ impl ByPoses<'_> {
         });
         let ranks = ranks(&entries);
         let standings = ranks.into_iter().map(|rank| {
-            let (stream, ScoredFit { way, .. }) = rank.decisive;
+            let (stream, ScoredFit { fit: way, .. }) = rank.decisive;
             let fit = entries[rank.model].of(stream);
             let spread_m = fit.map_or(0.0, |fit| fit.spread_m);
             Standing {
@@ -122,9 +122,10 @@ impl ByPoses<'_> {
                 way,
                 spread_m,
                 as_is_m: fit.map_or(f64::INFINITY, |fit| fit.as_is_m),
-                fits: way.left_m <= FITS_M.max(FITS_SHARE * spread_m),
-                fits_without_fault: fit
-                    .is_some_and(|fit| fit.harmless_m() <= FITS_M.max(FITS_SHARE * spread_m)),
+                fits: way.residual_m <= FITS_M.max(FITS_SHARE * spread_m),
+                fits_without_fault: fit.is_some_and(|fit| {
+                    fit.faultless_residual_m() <= FITS_M.max(FITS_SHARE * spread_m)
+                }),
                 topic: self.assembly.streams[stream].topic.clone(),
             }
         });
@@ -137,14 +138,16 @@ impl ByPoses<'_> {
         let path = self.only_path(model)?;
         let own = self.ranking(&[model])?;
         let own = own.standings.first()?;
-        if own.fits && own.way.needs == FitAssumption::Nothing && !own.way.misread {
+        if own.fits && own.way.assumption == FitAssumption::Nothing && !own.way.is_misinterpreted {
             return None;
         }
         // A model that fits with the other DH convention of its own table is not another arm (ORD007).
         if let Some(robot) = model.robot.under_other_convention() {
             let ranking = self.ranking(&[&Model { robot, ..model.clone() }]);
             let turned = ranking.as_ref().and_then(|ranking| ranking.standings.first());
-            if turned.is_some_and(|it| it.fits && it.way.needs.is_harmless() && !it.way.misread) {
+            if turned.is_some_and(|it| {
+                it.fits && it.way.assumption.is_faultless() && !it.way.is_misinterpreted
+            }) {
                 return None;
             }
         }
@@ -178,9 +181,9 @@ impl ByPoses<'_> {
         let best = ranking.standings.first().filter(|best| best.model > 0)?;
         let own = ranking.standings.iter().find(|standing| standing.model == 0);
         let is_better = own.is_none_or(|own| {
-            best.score + APART < own.score && STANDS_OUT * best.way.left_m < own.way.left_m
+            best.score + APART < own.score && STANDS_OUT * best.way.residual_m < own.way.residual_m
         });
-        let is_sound = best.way.needs.is_harmless() && !best.way.misread;
+        let is_sound = best.way.assumption.is_faultless() && !best.way.is_misinterpreted;
         let is_plausible = is_sound && best.way.tool_m.norm() < LONGEST_TOOL_M;
         if !is_better || !best.fits || !is_plausible {
             return None;
@@ -190,8 +193,8 @@ impl ByPoses<'_> {
             name: rival.robot.name.clone(),
             topic: best.topic.clone(),
             named_m: own.map_or(f64::INFINITY, |own| own.as_is_m),
-            left_m: best.way.left_m,
-            tool_m: best.way.needs.has_tool().then(|| best.way.tool_m.norm()),
+            left_m: best.way.residual_m,
+            tool_m: best.way.assumption.has_tool().then(|| best.way.tool_m.norm()),
         })
     }
 
@@ -204,7 +207,9 @@ impl ByPoses<'_> {
         others.into_iter().any(|other| {
             let ranking = self.ranking(&[&other]);
             let best = ranking.as_ref().and_then(|ranking| ranking.standings.first());
-            best.is_some_and(|it| it.fits && it.way.needs.is_harmless() && !it.way.misread)
+            best.is_some_and(|it| {
+                it.fits && it.way.assumption.is_faultless() && !it.way.is_misinterpreted
+            })
         })
     }
 
@@ -241,7 +246,7 @@ impl ByPoses<'_> {
                 continue;
             }
             let knows_frame = source.reference_known && !free.contains(&stream);
-            match self.fit_of(&arm, &source, knows_frame, FitHypotheses::Harmless) {
+            match self.fit_of(&arm, &source, knows_frame, FitHypotheses::Faultless) {
                 Some(fit) => fits.push(Fitted { stream, source, knows_frame, fit }),
                 None => untold.entry(key).or_default().push(source),
             }
@@ -286,9 +291,9 @@ impl ByPoses<'_> {
             reference_known: knows_frame,
             stamp_error_s: source.stamp_error_s,
             stamps_copied: source.stamps_copied,
-            taken_off: None,
+            removed_ramp: None,
         };
-        model_fit(&arm.joints, &stream, self.assembly.options.max_latency_s, tried)
+        fit_model(&arm.joints, &stream, self.assembly.options.max_latency_s, tried)
     }
 }
 
@@ -297,8 +302,9 @@ impl ByPoses<'_> {
 fn near(entries: &[Entry]) -> Vec<bool> {
     let streams: BTreeSet<usize> =
         entries.iter().flat_map(|entry| entry.fits.iter().map(|fitted| fitted.stream)).collect();
-    let left =
-        |stream: usize, entry: &Entry| entry.of(stream).map_or(f64::INFINITY, ModelFit::harmless_m);
+    let left = |stream: usize, entry: &Entry| {
+        entry.of(stream).map_or(f64::INFINITY, ModelFit::faultless_residual_m)
+    };
     let least_m: Vec<(usize, f64)> = streams
         .into_iter()
         .map(|stream| {
@@ -320,7 +326,7 @@ fn ranks(entries: &[Entry]) -> Vec<Rank> {
     let of = |stream: usize| entries.iter().filter_map(move |entry| entry.of(stream));
     let is_explained = |stream: &&usize| {
         of(**stream).any(|fit| {
-            let least = fit.ways.iter().map(|way| way.left_m).fold(f64::INFINITY, f64::min);
+            let least = fit.fits.iter().map(|way| way.residual_m).fold(f64::INFINITY, f64::min);
             least <= FITS_M.max(FITS_SHARE * fit.spread_m)
         })
     };
@@ -334,7 +340,8 @@ fn ranks(entries: &[Entry]) -> Vec<Rank> {
         });
         let each: Vec<(usize, ScoredFit)> = each.collect::<Option<_>>()?;
         let score = each.iter().map(|(_, best)| best.score).sum();
-        let decisive = *each.iter().min_by(|a, b| a.1.way.left_m.total_cmp(&b.1.way.left_m))?;
+        let decisive =
+            *each.iter().min_by(|a, b| a.1.fit.residual_m.total_cmp(&b.1.fit.residual_m))?;
         Some(Rank { model, score, decisive })
     };
     let mut ranks: Vec<Rank> = entries.iter().enumerate().filter_map(rank).collect();
@@ -344,10 +351,10 @@ fn ranks(entries: &[Entry]) -> Vec<Rank> {
     let least = ranks.first().map_or(0.0, |best| best.score);
     let near = ranks.iter().take_while(|rank| rank.score <= least + APART).count();
     let harm = |rank: &Rank| {
-        let way = &rank.decisive.1.way;
+        let way = &rank.decisive.1.fit;
         let aside_m =
-            if way.needs == FitAssumption::Nothing { 0.0 } else { way.tool_m.xy().norm() };
-        (way.misread, way.needs, aside_m)
+            if way.assumption == FitAssumption::Nothing { 0.0 } else { way.tool_m.xy().norm() };
+        (way.is_misinterpreted, way.assumption, aside_m)
     };
     ranks[..near].sort_by(|a, b| {
         let (a, b) = (harm(a), harm(b));

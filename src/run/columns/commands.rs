@@ -119,12 +119,12 @@ impl Way {
             return None;
         }
         let shift = |joint: usize, other: usize| -> Option<GroupShift> {
-            sheet.shift(&[joint], &[count + of_state[other]])
+            sheet.group_shift(&[joint], &[count + of_state[other]])
         };
         let own: Vec<Option<GroupShift>> = arms.iter().map(|&joint| shift(joint, joint)).collect();
         if is_bare {
             let own: Vec<GroupShift> = own.into_iter().collect::<Option<_>>()?;
-            let lead_s = own.iter().map(|shift| -shift.later_s).sum::<f64>() / own.len() as f64;
+            let lead_s = own.iter().map(|shift| -shift.delay_s).sum::<f64>() / own.len() as f64;
             return (lead_s > -sheet.step_s()).then_some(Self::Commands(lead_s));
         }
         swapped(&arms, &own, shift, &sheet).map(|pairs| {
@@ -143,16 +143,16 @@ fn swapped(
 ) -> Option<Vec<(usize, usize)>> {
     let mut pairs = Vec::new();
     for (&joint, own) in arms.iter().zip(own) {
-        if own.is_some_and(|own| own.left < OTHER * SAME) {
+        if own.is_some_and(|own| own.residual < OTHER * SAME) {
             continue;
         }
         let others = arms.iter().filter(|&&other| other != joint);
         let found = others.filter_map(|&other| Some((other, shift(joint, other)?)));
         let mut found: Vec<(usize, GroupShift)> = found.collect();
-        found.sort_by(|a, b| a.1.left.total_cmp(&b.1.left));
+        found.sort_by(|a, b| a.1.residual.total_cmp(&b.1.residual));
         let (other, best) = *found.first()?;
-        let is_only = found.get(1).is_none_or(|(_, next)| next.left > OTHER * best.left);
-        if best.left > SAME || best.later_s > sheet.step_s() || !is_only {
+        let is_only = found.get(1).is_none_or(|(_, next)| next.residual > OTHER * best.residual);
+        if best.residual > SAME || best.delay_s > sheet.step_s() || !is_only {
             return None;
         }
         // The column named `other` moves like `joint`.

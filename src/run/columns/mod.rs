@@ -236,7 +236,7 @@ impl<'a> Search<'a> {
         apart
             && one.unit == other.unit
             && one.joints.len() == other.joints.len()
-            && self.cells.sheet.shift(&one.joints, &other.joints).is_some()
+            && self.cells.sheet.group_shift(&one.joints, &other.joints).is_some()
     }
 
     fn names(&self, columns: &[usize]) -> Vec<String> {

@@ -57,7 +57,7 @@ type Later = ([usize; 3], GroupShift);
 
 impl Same {
     fn is_copy(&self) -> bool {
-        self.shift.left < 1e-9 && self.shift.later_s == 0.0
+        self.shift.residual < 1e-9 && self.shift.delay_s == 0.0
     }
 }
 
@@ -86,7 +86,7 @@ impl Search<'_> {
                 if !is_apart(&best.joints) || !family.iter().all(|same| is_apart(&same.columns)) {
                     continue;
                 }
-                let shift = sheet.shift(&best.joints, &columns).filter(|_| unit == best.unit);
+                let shift = sheet.group_shift(&best.joints, &columns).filter(|_| unit == best.unit);
                 family.extend(shift.map(|shift| Same { columns, shift }));
             }
         }
@@ -100,7 +100,7 @@ impl Search<'_> {
         let still_s = LEADS_S.max(0.3 * sheet.step_s());
         let mut ends: Vec<(f64, Vec<usize>)> = family
             .into_iter()
-            .map(|same| (same.shift.later_s, same.columns))
+            .map(|same| (same.shift.delay_s, same.columns))
             .chain([(0.0, best.joints.clone())])
             .collect();
         ends.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -140,16 +140,16 @@ impl Search<'_> {
         };
         for (other, shift) in same {
             match shift {
-                shift if shift.left < 1e-9 && shift.later_s == 0.0 => {
+                shift if shift.residual < 1e-9 && shift.delay_s == 0.0 => {
                     others
                         .push((other.to_vec(), format!("the same numbers as {}", name(&position))));
                 }
-                shift if shift.later_s > still_s => {
-                    pose_commands = Some((position, shift.later_s));
-                    (position, lag_s) = (other, lag_s + shift.later_s);
+                shift if shift.delay_s > still_s => {
+                    pose_commands = Some((position, shift.delay_s));
+                    (position, lag_s) = (other, lag_s + shift.delay_s);
                 }
-                shift if shift.later_s < -still_s => {
-                    pose_commands = Some((other, -shift.later_s));
+                shift if shift.delay_s < -still_s => {
+                    pose_commands = Some((other, -shift.delay_s));
                 }
                 _ => {
                     return Err(format!(
@@ -186,7 +186,7 @@ impl Search<'_> {
             (self.with_rotation(&command, wanted).0, why)
         });
         let arm = &self.arms[best.arm].name;
-        let unit = mapping.unit.words();
+        let unit = mapping.unit.name();
         let next = rival.map_or(String::new(), |rival| {
             format!(
                 "; the next best mapping, {} with {}, matches within {}",
@@ -235,7 +235,7 @@ impl Search<'_> {
         let mut same = Vec::new();
         for other in sheet.positions(&known) {
             let is_new = other.iter().all(|at| !known.contains(at));
-            let shift = sheet.shift(&mapping.position, &other);
+            let shift = sheet.group_shift(&mapping.position, &other);
             if let Some(shift) = shift.filter(|_| is_new) {
                 known.extend(other);
                 same.push((other, shift));
@@ -293,8 +293,9 @@ impl Search<'_> {
             all.iter().all(|at| *at < numbers.len() && is_free(*at)).then_some(all)
         };
         let sheet = &self.cells.sheet;
-        let turns =
-            |columns: &[usize]| sheet.turns_with(mapping, wanted.chains[mapping.arm], columns);
+        let turns = |columns: &[usize]| {
+            sheet.is_tool_rotation(mapping, wanted.chains[mapping.arm], columns)
+        };
         let first = x as isize;
         let sixteen: [usize; 16] = std::array::from_fn(|at| at);
         if y == x + 4 || y == x + 1 {

@@ -95,7 +95,7 @@ impl SharedColumns {
                 let (columns, why) = of.as_ref()?;
                 Some(row(is, columns, why))
             });
-            let unit = arm.mapping.unit.words();
+            let unit = arm.mapping.unit.name();
             let joints = format!("joints of {}, {unit}", arm.arm);
             let own = [
                 row(&joints, &arm.mapping.joints, &arm.joints_why),
@@ -129,7 +129,7 @@ impl Search<'_> {
         for arm in &shared.arms {
             let found = self
                 .chain_of(arm)
-                .and_then(|chain| self.cells.sheet.again(&arm.mapping, chain, self.most_lag_s));
+                .and_then(|chain| self.cells.sheet.refit(&arm.mapping, chain, self.most_lag_s));
             let found = found.filter(|found| found.spread_m > MOVES_M);
             let (name, position) = (&arm.arm, self.said(&arm.mapping.position));
             let here = match &found {
@@ -150,7 +150,7 @@ impl Search<'_> {
                 of.as_ref().map(|(columns, _)| (columns.clone(), format!("{what}, as in {from}")))
             };
             told.arms.push(Taken {
-                joints_why: why(&format!("joints of {name} in {}", arm.mapping.unit.words())),
+                joints_why: why(&format!("joints of {name} in {}", arm.mapping.unit.name())),
                 pose_why: why(&format!("a pose that matches FK of {name}")),
                 joint_commands: commands(&arm.joint_commands, "joint commands"),
                 pose_commands: commands(&arm.pose_commands, "pose commands"),

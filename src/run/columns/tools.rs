@@ -27,10 +27,10 @@ pub(super) fn compare(log: &mut Log) {
     let Some(sheet) = side_by_side(&[(measured, 1.0), (commanded, 1.0)]) else { return };
     let first = measured.cells.len();
     let of_axis = |axis: usize| -> Option<String> {
-        let (apart, rows) = sheet.apart_at_rest(axis, first + axis)?;
-        let shift = sheet.shift_beside(axis, first + axis, apart)?;
-        let by = -1e3 * shift.later_s;
-        (shift.left < SAME).then(|| {
+        let (apart, rows) = sheet.offset_at_rest(axis, first + axis)?;
+        let shift = sheet.shift_with_offset(axis, first + axis, apart)?;
+        let by = -1e3 * shift.delay_s;
+        (shift.residual < SAME).then(|| {
             format!(
                 "{} {} {} by {:.0} ms; offset at rest {apart:+.3} in its own unit ({rows} rows)",
                 measured.cells[axis].name,

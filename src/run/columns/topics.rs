@@ -208,7 +208,7 @@ fn joints(
     let degrees = unit == JointValueUnit::Degrees;
     let lines: Vec<[f64; 2]> = match (unit, chain) {
         (JointValueUnit::Ticks { .. } | JointValueUnit::Shares, Some(chain)) => {
-            (0..count).map(|joint| <[f64; 2]>::from(unit.read(chain, joint))).collect()
+            (0..count).map(|joint| <[f64; 2]>::from(unit.factor_and_offset(chain, joint))).collect()
         }
         _ => Vec::new(),
     };
@@ -261,17 +261,17 @@ impl Search<'_> {
             return why.clone();
         }
         let name = |at: usize| selectors(&[self.cells.numbers[at].cell.name.clone()]).concat();
-        match self.cells.sheet.conduct(at, used) {
+        match self.cells.sheet.content(at, used) {
             ColumnContent::Constant => "it never changes".to_owned(),
             ColumnContent::TwoLevels => {
                 "it takes two values, like a gripper or a switch".to_owned()
             }
-            ColumnContent::As(other, shift) if shift.later_s == 0.0 => {
+            ColumnContent::As(other, shift) if shift.delay_s == 0.0 => {
                 format!("a copy of {}", name(other))
             }
             ColumnContent::As(other, shift) => {
-                let when = if shift.later_s > 0.0 { "later" } else { "earlier" };
-                format!("a copy of {}, {:.0} ms {when}", name(other), 1e3 * shift.later_s.abs())
+                let when = if shift.delay_s > 0.0 { "later" } else { "earlier" };
+                format!("a copy of {}, {:.0} ms {when}", name(other), 1e3 * shift.delay_s.abs())
             }
             ColumnContent::RateOf(other) => format!("the rate of {}", name(other)),
             ColumnContent::Own if used.is_empty() => UNNAMED.to_owned(),

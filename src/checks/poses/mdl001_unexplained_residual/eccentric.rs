@@ -5,10 +5,10 @@ use crate::finding::Unit;
 
 /// Clause on the joints with whose angle the residual varies; empty if there are none.
 pub(super) fn eccentricity(arm: &ArmEvidence) -> String {
-    let eccentric = arm.diagnosis.bends.iter().filter(|bend| bend.is_eccentric());
+    let eccentric = arm.diagnosis.compliance.iter().filter(|bend| bend.is_eccentric());
     let clauses = eccentric.filter_map(|bend| {
         let joint = &arm.joints.get(bend.column)?.name;
-        let amount = Unit::Radian.show(bend.amount.value);
+        let amount = Unit::Radian.show(bend.value.value);
         Some(format!("; it varies with the angle of {joint}: eccentric gear or encoder, ±{amount}"))
     });
     clauses.collect()

@@ -27,7 +27,7 @@ pub fn judge(
     imu: &StreamEvidence<ImuEvidence>,
 ) -> Vec<Judged> {
     let threshold = case.thresholds.of(&MDL001, GAIN);
-    let clipped = imu.diagnosis.numbers.clipped.as_ref();
+    let clipped = imu.diagnosis.conventions.saturation.as_ref();
     let clipped = clipped.map(|clipped| saturates(imu, clipped, &threshold));
     let found: Vec<Judged> = clipped.into_iter().chain(gain(case, imu, &threshold)).collect();
     let odd = odd(thresholds, imu);
@@ -52,14 +52,14 @@ fn odd(thresholds: &FrameThresholds, imu: &StreamEvidence<ImuEvidence>) -> Outco
     let angle = Threshold { warning: thresholds.angle.error, ..thresholds.angle };
     let coarse = FrameThresholds { angle, ..*thresholds };
     if let Some(left) = proof
-        .turning
+        .orientation
         .as_ref()
         .and_then(|error| ExceedingResidual::from_error_above_noise(error, &coarse))
     {
-        let most = Unit::Radian.show(left.worst.amount.most);
+        let most = Unit::Radian.show(left.worst.magnitude.quantile_95);
         odd.push(format!("its orientation is off by up to {most} after correction"));
     }
-    if let Some(GyroResidual { scale, left, by_fk, noise }) = proof.rates
+    if let Some(GyroResidual { scale, residual: left, by_fk, noise }) = proof.gyro
         && left > SHARE * by_fk
         && left > 2.0 * noise
     {

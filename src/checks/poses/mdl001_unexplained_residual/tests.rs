@@ -25,9 +25,9 @@ fn what_nothing_accounts_for_is_a_finding_beyond_noise_and_open_where_noise_is_n
     );
     let (row, findings) = judged(0.03, 0.02, |arm| {
         let proof = arm.poses[0].proof.as_mut().expect("a proof");
-        for error in [&mut proof.as_logged].into_iter().chain(&mut proof.left) {
+        for error in [&mut proof.as_logged].into_iter().chain(&mut proof.corrected) {
             error.length.whole.noise = None;
-            error.length.parts[0].amount.noise = None;
+            error.length.parts[0].magnitude.noise = None;
         }
     });
     assert!(findings.is_empty() && row.status == Status::Inconclusive, "{row:?}");
@@ -40,7 +40,7 @@ fn what_is_found_accounts_for_its_amount_and_what_is_open_does_not() {
     let (row, _) = judged(0.03, 1e-4, |arm| {
         arm.poses[0].diagnosis.latency_s = Err(NotObservable::Periodic(vec![0.0, 0.3]));
         let proof = arm.poses[0].proof.as_mut().expect("a proof");
-        proof.beside_joints = Some(proof.as_logged.clone());
+        proof.poses_corrected = Some(proof.as_logged.clone());
     });
     assert_eq!(row.status, Status::Inconclusive);
     assert!(row.reason.is_some_and(|why| why.contains("undetermined: LAT001")));
@@ -50,7 +50,7 @@ fn what_is_found_accounts_for_its_amount_and_what_is_open_does_not() {
 fn what_was_taken_off_poses_that_no_rule_names_is_no_pass() {
     let (row, _) = judged(0.03, 1e-4, |arm| {
         let proof = arm.poses[0].proof.as_mut().expect("a proof");
-        proof.beside_poses = Some(proof.as_logged.clone());
+        proof.joints_corrected = Some(proof.as_logged.clone());
     });
     assert_ne!(row.status, Status::Pass, "{row:?}");
 }
@@ -59,10 +59,10 @@ fn what_was_taken_off_poses_that_no_rule_names_is_no_pass() {
 fn an_error_as_large_as_the_noise_from_sample_to_sample_is_noise() {
     let (row, findings) = judged(0.004, 0.004, |arm| {
         let proof = arm.poses[0].proof.as_mut().expect("a proof");
-        for error in [&mut proof.as_logged].into_iter().chain(&mut proof.left) {
-            let noise = Some(SampleNoise { rms: 0.002, most: 0.003, over: 1 });
+        for error in [&mut proof.as_logged].into_iter().chain(&mut proof.corrected) {
+            let noise = Some(SampleNoise { rms: 0.002, quantile_95: 0.003, lag_samples: 1 });
             error.length.whole.noise = noise;
-            error.length.parts[0].amount.noise = noise;
+            error.length.parts[0].magnitude.noise = noise;
         }
     });
     assert!(findings.is_empty() && row.status == Status::Pass, "{row:?}");
@@ -125,8 +125,8 @@ fn beside_what_nothing_explains_a_tool_and_growth_are_not_believed() {
         let mut run = clean_run();
         run.robots[0].poses[0].proof = Ok(left(0.03, 0.0));
         let stream = &mut run.robots[0].poses[0].diagnosis;
-        (stream.growth, stream.growth_chosen) = (Ok(sure(0.01)), true);
-        stream.tool = Ok(FrameEstimate { chosen: true, p_value: 0.0, ..frame(tool_m) });
+        (stream.radial_scale, stream.is_radial_scale_chosen) = (Ok(sure(0.01)), true);
+        stream.tool = Ok(FrameEstimate { is_chosen: true, p_value: 0.0, ..frame(tool_m) });
         stream.residual.as_mut().unwrap().excess_m = sure(0.02);
         let findings = evaluate(&run, &Default::default()).findings;
         let mut codes: Vec<&str> = findings.iter().map(|finding| finding.code).collect();

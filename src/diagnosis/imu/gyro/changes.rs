@@ -9,7 +9,7 @@ use ground::geometry::{Rotation, Vec3, rotvec_from_rotation};
 impl GyroModel<'_> {
     /// Fraction of the bias change in effect at a time, 0 to 1.
     pub(super) fn change_at(&self, t_s: f64) -> f64 {
-        match self.course {
+        match self.bias_profile {
             Some(GyroBiasProfile::Step { at_s, .. }) => f64::from(u8::from(t_s > at_s)),
             Some(GyroBiasProfile::WarmUp { time_constant_s }) => {
                 let first_s = self.link.stream.track.t_s.first().copied().unwrap_or(t_s);
@@ -32,28 +32,28 @@ impl GyroModel<'_> {
     }
 
     /// Adds the change that explains most of the residual. `None` if none is significant.
-    pub(super) fn changed(&self, moves: bool) -> Option<Self> {
+    pub(super) fn with_best_change(&self, moves: bool) -> Option<Self> {
         /// Maximum residual squares with a slip, relative to those without a change, …
-        const LEFT: f64 = 0.5;
+        const MAX_RESIDUAL_RATIO: f64 = 0.5;
         /// … and relative to those with any other change.
-        const CLEARLY: f64 = 0.8;
-        let shaped = Self { is_shaped: true, ..self.clone() };
+        const MAX_RESIDUAL_RATIO_TO_OTHERS: f64 = 0.8;
+        let shaped = Self { has_scale_error: true, ..self.clone() };
         let (linear, t_s) = shaped.linearized();
-        let mut base: Vec<usize> = Self::BIAS.chain(self.free_by_changes()).collect();
+        let mut base: Vec<usize> = Self::BIAS.chain(self.change_parameters()).collect();
         if moves {
             base.extend(Self::MOUNT.chain(Self::SHAPE).chain([Self::LATENCY]));
         }
-        let asked = ExtensionTests::of(&linear, t_s, &base, FLOOR_RAD_S);
-        let sure = |better: Option<ModelExtension>| better.filter(ModelExtension::is_sure);
+        let asked = ExtensionTests::new(&linear, t_s, &base, FLOOR_RAD_S);
+        let sure = |better: Option<ModelExtension>| better.filter(ModelExtension::is_significant);
         let bias: Vec<usize> = Self::BIAS.collect();
         let of_bias = |course: fn(&ModelExtension) -> GyroBiasProfile,
                        better: Option<ModelExtension>| {
             let better = sure(better)?;
-            Some((better.squares, Self { course: Some(course(&better)), ..self.clone() }))
+            Some((better.squares, Self { bias_profile: Some(course(&better)), ..self.clone() }))
         };
-        let is_constant = self.course.is_none();
-        let step = is_constant.then(|| of_bias(stepped, asked.step(&bias))).flatten();
-        let decay = is_constant.then(|| of_bias(warming, asked.decay(&bias))).flatten();
+        let is_constant = self.bias_profile.is_none();
+        let step = is_constant.then(|| of_bias(step_profile, asked.step(&bias))).flatten();
+        let decay = is_constant.then(|| of_bias(warm_up_profile, asked.decay(&bias))).flatten();
         let mount: Vec<usize> = Self::MOUNT.collect();
         let slip = (moves && self.slip.is_none()).then(|| sure(asked.step(&mount))).flatten();
         let slip = slip.map(|slip| {
@@ -64,7 +64,8 @@ impl GyroModel<'_> {
         let rival = of_bias.as_ref().map_or(asked.squares, |(squares, _)| *squares);
         match slip {
             Some((squares, model))
-                if squares < CLEARLY * rival && squares < LEFT * asked.squares =>
+                if squares < MAX_RESIDUAL_RATIO_TO_OTHERS * rival
+                    && squares < MAX_RESIDUAL_RATIO * asked.squares =>
             {
                 Some(model)
             }
@@ -73,8 +74,8 @@ impl GyroModel<'_> {
     }
 
     /// Parameters added by changes.
-    pub(super) fn free_by_changes(&self) -> impl Iterator<Item = usize> + use<> {
-        let of_bias = self.course.is_some().then_some(Self::CHANGE);
+    pub(super) fn change_parameters(&self) -> impl Iterator<Item = usize> + use<> {
+        let of_bias = self.bias_profile.is_some().then_some(Self::CHANGE);
         let of_mount = self.slip.is_some().then_some(Self::SLIP);
         of_bias.into_iter().chain(of_mount).flatten()
     }
@@ -88,10 +89,10 @@ impl GyroModel<'_> {
     }
 }
 
-fn stepped(better: &ModelExtension) -> GyroBiasProfile {
+fn step_profile(better: &ModelExtension) -> GyroBiasProfile {
     GyroBiasProfile::Step { at_s: better.at_s, interval_s: better.interval_s }
 }
 
-fn warming(better: &ModelExtension) -> GyroBiasProfile {
+fn warm_up_profile(better: &ModelExtension) -> GyroBiasProfile {
     GyroBiasProfile::WarmUp { time_constant_s: better.at_s }
 }

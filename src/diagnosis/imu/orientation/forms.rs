@@ -31,7 +31,7 @@ enum YawTermKind {
 }
 
 impl YawTerm {
-    fn of(kind: YawTermKind, weights: Vec<Vec<f64>>) -> Self {
+    fn new(kind: YawTermKind, weights: Vec<Vec<f64>>) -> Self {
         Self { kind, sizes_rad: vec![0.0; weights.len()], weights }
     }
 
@@ -43,7 +43,7 @@ impl YawTerm {
 
 impl<'a> OrientationModel<'a> {
     pub(super) fn first_jump(&self) -> usize {
-        Self::PARTS + self.forms.iter().map(|form| form.sizes_rad.len()).sum::<usize>()
+        Self::TERM_COLUMNS_START + self.terms.iter().map(|form| form.sizes_rad.len()).sum::<usize>()
     }
 
     /// `link_from_imu` at a time.
@@ -55,7 +55,7 @@ impl<'a> OrientationModel<'a> {
     }
 
     /// Free parameters of the model without changes.
-    fn constant(moves: bool) -> Vec<usize> {
+    fn constant_parameters(moves: bool) -> Vec<usize> {
         let moving = [Self::LATENCY, Self::SKEW].into_iter().filter(move |_| moves);
         Self::WORLD.chain([Self::DRIFT]).chain(Self::MOUNT).chain(moving).collect()
     }
@@ -66,28 +66,33 @@ impl<'a> OrientationModel<'a> {
 
     /// Adds a slip of the mount. `None` unless it is significant and clearly better than a jump of the
     /// world frame.
-    pub(super) fn slipped(&self, moves: bool) -> Option<Self> {
+    pub(super) fn with_mount_slip(&self, moves: bool) -> Option<Self> {
         /// Maximum residual squares with a slip, relative to those without a change, …
-        const LEFT: f64 = 0.3;
+        const MAX_RESIDUAL_RATIO: f64 = 0.3;
         /// … and relative to those with a jump of the world frame.
-        const CLEARLY: f64 = 0.8;
+        const MAX_RESIDUAL_RATIO_TO_JUMP: f64 = 0.8;
         let (linear, rows) = self.linearized();
-        let asked =
-            ExtensionTests::of(&linear, self.stamps(&rows), &Self::constant(moves), FLOOR_RAD);
+        let asked = ExtensionTests::new(
+            &linear,
+            self.stamps(&rows),
+            &Self::constant_parameters(moves),
+            FLOOR_RAD,
+        );
         let mount: Vec<usize> = Self::MOUNT.collect();
-        let slip = asked.step(&mount).filter(ModelExtension::is_sure)?;
-        if slip.squares > LEFT * asked.squares {
+        let slip = asked.step(&mount).filter(ModelExtension::is_significant)?;
+        if slip.squares > MAX_RESIDUAL_RATIO * asked.squares {
             return None;
         }
         let world: Vec<usize> = Self::WORLD.collect();
         let rivals = asked.step(&world).into_iter().chain(
             self.headings_by_axis(&rows)
                 .into_iter()
-                .filter_map(|(_, weights)| asked.better(&Self::YAW, &weights)),
+                .filter_map(|(_, weights)| asked.best_extension(&Self::YAW, &weights)),
         );
         let rival = rivals.map(|rival| rival.squares).fold(f64::INFINITY, f64::min);
         let slipped = Some((slip.at_s, slip.interval_s, Rotation::identity()));
-        (slip.squares < CLEARLY * rival).then(|| Self { slip: slipped, ..self.clone() })
+        (slip.squares < MAX_RESIDUAL_RATIO_TO_JUMP * rival)
+            .then(|| Self { slip: slipped, ..self.clone() })
     }
 
     /// Longer side of the slip, s.
@@ -112,44 +117,49 @@ impl<'a> OrientationModel<'a> {
 
     /// Adds a heading-dependent or decaying yaw error. `None` unless it is significant and removes most of
     /// the walk without adding jumps.
-    pub(super) fn shaped(&self, moves: bool) -> Option<(Self, Settled<'a>)> {
+    pub(super) fn with_yaw_term(&self, moves: bool) -> Option<(Self, Settled<'a>)> {
         /// Maximum residual squares, relative to those of the base model, …
-        const LEFT: f64 = 0.5;
+        const MAX_RESIDUAL_RATIO: f64 = 0.5;
         /// … to those with a jump, …
-        const CLEARLY: f64 = 0.8;
+        const MAX_RESIDUAL_RATIO_TO_JUMP: f64 = 0.8;
         /// … and maximum share of the remaining walk.
-        const WALK_LEFT: f64 = 0.3;
+        const MAX_WALK_SHARE: f64 = 0.3;
         let (linear, rows) = self.linearized();
-        let asked =
-            ExtensionTests::of(&linear, self.stamps(&rows), &Self::constant(moves), FLOOR_RAD);
-        let sure = |better: Option<ModelExtension>| better.filter(ModelExtension::is_sure);
+        let asked = ExtensionTests::new(
+            &linear,
+            self.stamps(&rows),
+            &Self::constant_parameters(moves),
+            FLOOR_RAD,
+        );
+        let sure = |better: Option<ModelExtension>| better.filter(ModelExtension::is_significant);
         let headings = self.headings_by_axis(&rows).into_iter().filter_map(|(axis, weights)| {
-            let better = sure(asked.better(&Self::YAW, &weights))?;
+            let better = sure(asked.best_extension(&Self::YAW, &weights))?;
             Some((better.squares, YawTermKind::Heading(axis)))
         });
         let decay = sure(asked.decay(&Self::YAW));
         let decay = decay.map(|decay| (decay.squares, YawTermKind::WarmUp(decay.at_s)));
         let all = headings.chain(decay).min_by(|a, b| a.0.total_cmp(&b.0));
-        let (squares, kind) = all.filter(|(squares, _)| *squares < LEFT * asked.squares)?;
+        let (squares, kind) =
+            all.filter(|(squares, _)| *squares < MAX_RESIDUAL_RATIO * asked.squares)?;
         let jump = asked.step(&Self::YAW).map_or(f64::INFINITY, |jump| jump.squares);
-        if squares > CLEARLY * jump {
+        if squares > MAX_RESIDUAL_RATIO_TO_JUMP * jump {
             return None;
         }
-        let before = yaw::explain(&self.yaw_beside_forms()).parts;
-        let mut model = self.with_form(kind);
-        let mut settled = model.settle(moves);
+        let before = yaw::decompose_yaw(&self.yaw_without_terms()).parts;
+        let mut model = self.with_term(kind);
+        let mut settled = model.fit(moves);
         if matches!(kind, YawTermKind::Heading(_)) {
             // Recompute the headings with the error corrected.
-            model = Self { forms: Vec::new(), ..settled.model }.with_form(kind);
-            settled = model.settle(moves);
+            model = Self { terms: Vec::new(), ..settled.model }.with_term(kind);
+            settled = model.fit(moves);
         }
-        let after = yaw::explain(&settled.model.yaw_beside_forms()).parts;
-        let walk = before.walk_rad_rt_s.unwrap_or(f64::INFINITY);
-        let is_steady = after.walk_rad_rt_s.is_none_or(|left| left < WALK_LEFT * walk);
+        let after = yaw::decompose_yaw(&settled.model.yaw_without_terms()).parts;
+        let walk = before.walk_rad_per_sqrt_s.unwrap_or(f64::INFINITY);
+        let is_steady = after.walk_rad_per_sqrt_s.is_none_or(|left| left < MAX_WALK_SHARE * walk);
         (is_steady && after.jumps.len() <= before.jumps.len()).then_some((model, settled))
     }
 
-    fn with_form(&self, kind: YawTermKind) -> Self {
+    fn with_term(&self, kind: YawTermKind) -> Self {
         let rows: Vec<usize> = (0..self.rows.len()).collect();
         let weights = match kind {
             YawTermKind::Heading(axis) => self
@@ -164,8 +174,8 @@ impl<'a> OrientationModel<'a> {
                 vec![t_s.iter().map(|t_s| (-(t_s - first_s) / tau_s).exp()).collect()]
             }
         };
-        let forms = self.forms.iter().cloned().chain([YawTerm::of(kind, weights)]).collect();
-        Self { forms, ..self.clone() }
+        let forms = self.terms.iter().cloned().chain([YawTerm::new(kind, weights)]).collect();
+        Self { terms: forms, ..self.clone() }
     }
 
     /// Harmonics of the heading of each axis of the IMU at the given rows.
@@ -198,10 +208,13 @@ impl<'a> OrientationModel<'a> {
     }
 
     /// Estimates of the heading-dependent and the decaying part.
-    pub(super) fn formed(&self, solved: &Solved) -> (Option<HeadingError>, Option<YawWarmUp>) {
+    pub(super) fn term_estimates(
+        &self,
+        solved: &Solved,
+    ) -> (Option<HeadingError>, Option<YawWarmUp>) {
         let (mut heading, mut warm_up) = (None, None);
-        let mut column = Self::PARTS;
-        for form in &self.forms {
+        let mut column = Self::TERM_COLUMNS_START;
+        for form in &self.terms {
             let columns: Vec<usize> = (column..column + form.sizes_rad.len()).collect();
             column += columns.len();
             match form.kind {
@@ -213,12 +226,13 @@ impl<'a> OrientationModel<'a> {
                         let half = |weight: &Vec<f64>| 0.5 * (weight[most.0] - weight[least.0]);
                         let along: Vec<f64> = form.weights.iter().map(half).collect();
                         let half = 0.5 * (most.1 - least.1);
-                        let amplitude_rad = solved.along(&columns, &along, half).ok()?;
+                        let amplitude_rad =
+                            solved.measure_combination(&columns, &along, half).ok()?;
                         Some(HeadingError { amplitude_rad, axis })
                     });
                 }
                 YawTermKind::WarmUp(time_constant_s) => {
-                    let size = solved.one(columns[0], form.sizes_rad[0]);
+                    let size = solved.measure(columns[0], form.sizes_rad[0]);
                     warm_up = size.ok().map(|size| {
                         let times = |by: f64| Measured {
                             value: size.value * by,

@@ -2,12 +2,12 @@
 
 use super::{Purpose, Sensing};
 use crate::arm::FIT_SAMPLES;
-use crate::drawing::{self, RAD_PER_M, ZERO};
+use crate::drawing::{self, RAD_PER_M, ZERO_PRIOR};
 use crate::handeye;
 use crate::imu;
 use crate::linear::Linear;
 use crate::model::{PoseObservations, StreamState, ToolPart};
-use crate::nominal::{ANYTHING, FreeAlongside, USUAL_M, USUAL_RAD, link_frames};
+use crate::nominal::{FREE_PRIOR, FreeAlongside, LINK_PRIOR_M, LINK_PRIOR_RAD, link_frames};
 use crate::robust::pseudo_inverse;
 use ground::geometry::{Rotation, Vec3};
 use ground::robot::{Chain, JointKind};
@@ -18,14 +18,14 @@ use rand_pcg::Pcg64;
 use std::f64::consts::PI;
 
 /// Half-width of a 95 % interval in standard deviations.
-const HALF: f64 = 1.959_963_985;
+const HALF_WIDTH_SIGMAS: f64 = 1.959_963_985;
 /// Number of configurations over the workspace for the evaluation of a calibrated model.
-const POSTURES: usize = 150;
+const CONFIGURATIONS: usize = 150;
 /// A parameter is observable if its standard deviation is below this share of the prior one.
-const LEARNT: f64 = 0.5;
+const MAX_STD_DEVIATION_SHARE: f64 = 0.5;
 /// Weak prior of a camera's or IMU's mount and time, m, rad and s. It keeps the score finite for
 /// unobservable parameters.
-const NOT_KNOWN: f64 = 1.0;
+const WEAK_PRIOR: f64 = 1.0;
 
 /// Quantity that a motion may determine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,18 +60,18 @@ pub enum PlannedQuantity {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExpectedPrecision {
     /// The quantity.
-    pub of: PlannedQuantity,
+    pub quantity: PlannedQuantity,
     /// Half-width of its 95 % interval, or the rms of the tip's errors. Infinite if the motion does not
     /// determine it.
-    pub half: f64,
+    pub half_width: f64,
 }
 
 /// Free parameters, their prior standard deviations (infinite for a flat prior), and which of them are
 /// requested.
 struct PrecisionQuery {
     parameters: Vec<usize>,
-    before: Vec<f64>,
-    asked: Vec<usize>,
+    prior: Vec<f64>,
+    requested: Vec<usize>,
 }
 
 impl PrecisionQuery {
@@ -80,11 +80,11 @@ impl PrecisionQuery {
         let n = self.parameters.len();
         let at = |i: usize, j: usize| information[(self.parameters[i], self.parameters[j])];
         let mut precision = DMatrix::from_fn(n, n, at);
-        for (i, before) in self.before.iter().enumerate() {
+        for (i, before) in self.prior.iter().enumerate() {
             precision[(i, i)] += before.powi(-2);
         }
         let covariance = match precision.clone().cholesky().map(|cholesky| cholesky.inverse()) {
-            Some(covariance) if self.before.iter().all(|before| before.is_finite()) => covariance,
+            Some(covariance) if self.prior.iter().all(|before| before.is_finite()) => covariance,
             _ => {
                 let (mut inverse, blind) = pseudo_inverse(&precision);
                 for (i, _) in blind.iter().enumerate().filter(|(_, share)| **share > 1e-3) {
@@ -93,15 +93,15 @@ impl PrecisionQuery {
                 inverse
             }
         };
-        covariance.select_rows(&self.asked).select_columns(&self.asked)
+        covariance.select_rows(&self.requested).select_columns(&self.requested)
     }
 
     /// Log determinant of the covariance; lower is better.
     fn score(&self, information: &DMatrix<f64>) -> f64 {
         let known = Self {
-            before: self.before.iter().map(|before| before.min(NOT_KNOWN)).collect(),
+            prior: self.prior.iter().map(|before| before.min(WEAK_PRIOR)).collect(),
             parameters: self.parameters.clone(),
-            asked: self.asked.clone(),
+            requested: self.requested.clone(),
         };
         let cholesky = known.covariance(information).cholesky();
         cholesky.map_or(f64::INFINITY, |cholesky| {
@@ -122,7 +122,7 @@ pub(super) struct LinearizedMotion<'a> {
 
 impl<'a> LinearizedMotion<'a> {
     /// `None` if joint positions between the rows of `motion` are unknown.
-    pub fn of(
+    pub fn new(
         chain: &Chain,
         motion: &'a JointTrack,
         purpose: Purpose,
@@ -172,12 +172,12 @@ impl<'a> LinearizedMotion<'a> {
         for sample in 0..self.linear.len() {
             let since_s = self.t_s[sample] - middle_s;
             for row in (3..6).map(|row| self.linear.row(sample, row)) {
-                let drift = row[YAW] * since_s / noise_rad.powi(2);
+                let drift = row[YAW_PARAMETER] * since_s / noise_rad.powi(2);
                 for (column, value) in row.iter().enumerate() {
                     with[(width, column)] += drift * value;
                     with[(column, width)] += drift * value;
                 }
-                with[(width, width)] += drift * row[YAW] * since_s;
+                with[(width, width)] += drift * row[YAW_PARAMETER] * since_s;
             }
         }
         with
@@ -203,24 +203,28 @@ impl<'a> LinearizedMotion<'a> {
     }
 
     /// Question about the zeros of some joints, with link deviations (prior `link`) and latency free.
-    fn beside_links(&self, zeros: &[usize], link: (f64, f64)) -> PrecisionQuery {
+    fn zeros_with_links_query(&self, zeros: &[usize], link: (f64, f64)) -> PrecisionQuery {
         let frames = self.frames();
         let before = |i: usize| match i % 6 {
-            _ if frames.contains(&i) => ANYTHING,
+            _ if frames.contains(&i) => FREE_PRIOR,
             0..3 => link.0,
             _ => link.1,
         };
         let links = (0..self.links()).map(|i| (i, before(i)));
-        let zeros = zeros.iter().map(|&joint| (self.zero(joint), ZERO));
-        let all = links.chain([(self.latency(), ANYTHING)]).chain(zeros);
+        let zeros = zeros.iter().map(|&joint| (self.zero(joint), ZERO_PRIOR));
+        let all = links.chain([(self.latency(), FREE_PRIOR)]).chain(zeros);
         let (parameters, before): (Vec<usize>, Vec<f64>) = all.unzip();
-        PrecisionQuery { asked: (self.links() + 1..parameters.len()).collect(), parameters, before }
+        PrecisionQuery {
+            requested: (self.links() + 1..parameters.len()).collect(),
+            parameters,
+            prior: before,
+        }
     }
 
-    /// Question with flat priors, about the first `asked` of the parameters.
-    fn freely(parameters: Vec<usize>, asked: usize) -> PrecisionQuery {
+    /// Question with flat priors, about the first `requested` of the parameters.
+    fn flat_query(parameters: Vec<usize>, asked: usize) -> PrecisionQuery {
         let before = vec![f64::INFINITY; parameters.len()];
-        PrecisionQuery { parameters, before, asked: (0..asked).collect() }
+        PrecisionQuery { parameters, prior: before, requested: (0..asked).collect() }
     }
 
     fn link(&self) -> (f64, f64) {
@@ -231,28 +235,31 @@ impl<'a> LinearizedMotion<'a> {
     fn zeros(&self) -> PrecisionQuery {
         let zeros = (0..self.joints).map(|joint| self.zero(joint));
         let parameters = zeros.chain([self.latency()]).chain(self.frames()).collect();
-        Self::freely(parameters, self.joints)
+        Self::flat_query(parameters, self.joints)
     }
 
     fn calibration(&self) -> PrecisionQuery {
-        let links = self.beside_links(&[], (USUAL_M, USUAL_RAD));
-        PrecisionQuery { asked: (0..self.links()).collect(), ..links }
+        let links = self.zeros_with_links_query(&[], (LINK_PRIOR_M, LINK_PRIOR_RAD));
+        PrecisionQuery { requested: (0..self.links()).collect(), ..links }
     }
 
-    fn late(&self) -> PrecisionQuery {
+    fn latency_query(&self) -> PrecisionQuery {
         let latency = std::iter::once(self.latency());
-        Self::freely(latency.chain(self.frames()).collect(), 1)
+        Self::flat_query(latency.chain(self.frames()).collect(), 1)
     }
 
     /// Drift and tilt, with yaw, mount and latency free.
-    fn yaw(&self) -> PrecisionQuery {
+    fn yaw_query(&self) -> PrecisionQuery {
         let (drift, mount) = (self.linear.width, self.links() - 3);
-        let beside = [YAW, self.latency(), mount, mount + 1, mount + 2];
-        Self::freely([drift, TILT, TILT + 1].into_iter().chain(beside).collect(), 3)
+        let beside = [YAW_PARAMETER, self.latency(), mount, mount + 1, mount + 2];
+        Self::flat_query(
+            [drift, TILT_PARAMETER, TILT_PARAMETER + 1].into_iter().chain(beside).collect(),
+            3,
+        )
     }
 
-    fn camera() -> PrecisionQuery {
-        Self::freely((0..handeye::WIDTH).collect(), 6)
+    fn camera_query() -> PrecisionQuery {
+        Self::flat_query((0..handeye::WIDTH).collect(), 6)
     }
 
     /// Log determinant of the covariance of the requested parameters; lower is better.
@@ -260,30 +267,35 @@ impl<'a> LinearizedMotion<'a> {
         let all: Vec<usize> = (0..self.joints).collect();
         let (question, most) = match self.purpose {
             Purpose::Zeros if self.sensing.link_m > 0.0 => {
-                (self.beside_links(&all, self.link()), drawing::SAMPLES)
+                (self.zeros_with_links_query(&all, self.link()), drawing::MAX_DEVIATION_SAMPLES)
             }
             Purpose::Zeros => (self.zeros(), FIT_SAMPLES),
             Purpose::Calibration => (self.calibration(), FIT_SAMPLES),
-            Purpose::Latency => (self.late(), FIT_SAMPLES),
-            Purpose::HandEye => (Self::camera(), handeye::FIT_POSES),
-            Purpose::Yaw => (self.yaw(), imu::FIT_SAMPLES),
+            Purpose::Latency => (self.latency_query(), FIT_SAMPLES),
+            Purpose::HandEye => (Self::camera_query(), handeye::MAX_FIT_POSES),
+            Purpose::Yaw => (self.yaw_query(), imu::MAX_IMU_FIT_SAMPLES),
         };
         question.score(&self.information(most))
     }
 
     /// Expected precision of the requested quantities.
-    pub fn promises(&self, chain: &Chain) -> Vec<ExpectedPrecision> {
-        let each =
-            |question: &PrecisionQuery, most: usize, of: &dyn Fn(usize) -> PlannedQuantity| {
-                let covariance = question.covariance(&self.information(most));
-                let half = |at: usize| match covariance[(at, at)].max(0.0).sqrt() {
-                    error if error < LEARNT * question.before[question.asked[at]] => HALF * error,
-                    _ => f64::INFINITY,
-                };
-                (0..question.asked.len())
-                    .map(|at| ExpectedPrecision { of: of(at), half: half(at) })
-                    .collect()
+    pub fn expected_precisions(&self, chain: &Chain) -> Vec<ExpectedPrecision> {
+        let each = |question: &PrecisionQuery,
+                    most: usize,
+                    of: &dyn Fn(usize) -> PlannedQuantity| {
+            let covariance = question.covariance(&self.information(most));
+            let half = |at: usize| match covariance[(at, at)].max(0.0).sqrt() {
+                error
+                    if error < MAX_STD_DEVIATION_SHARE * question.prior[question.requested[at]] =>
+                {
+                    HALF_WIDTH_SIGMAS * error
+                }
+                _ => f64::INFINITY,
             };
+            (0..question.requested.len())
+                .map(|at| ExpectedPrecision { quantity: of(at), half_width: half(at) })
+                .collect()
+        };
         match self.purpose {
             Purpose::Zeros => {
                 let mut all: Vec<ExpectedPrecision> =
@@ -291,8 +303,8 @@ impl<'a> LinearizedMotion<'a> {
                 let beside = (0..self.joints).filter(|_| self.sensing.link_m > 0.0);
                 let alone: Vec<ExpectedPrecision> = beside
                     .flat_map(|joint| -> Vec<ExpectedPrecision> {
-                        let question = self.beside_links(&[joint], self.link());
-                        each(&question, drawing::SAMPLES, &|_| {
+                        let question = self.zeros_with_links_query(&[joint], self.link());
+                        each(&question, drawing::MAX_DEVIATION_SAMPLES, &|_| {
                             PlannedQuantity::ZeroBesideLinks(joint)
                         })
                     })
@@ -301,12 +313,16 @@ impl<'a> LinearizedMotion<'a> {
                 all
             }
             Purpose::Calibration => self.calibrated(chain),
-            Purpose::Latency => each(&self.late(), FIT_SAMPLES, &|_| PlannedQuantity::Latency),
-            Purpose::HandEye => each(&Self::camera(), handeye::FIT_POSES, &|at| match at {
-                0..3 => PlannedQuantity::CameraShift(at),
-                _ => PlannedQuantity::CameraTurn(at - 3),
-            }),
-            Purpose::Yaw => each(&self.yaw(), imu::FIT_SAMPLES, &|at| match at {
+            Purpose::Latency => {
+                each(&self.latency_query(), FIT_SAMPLES, &|_| PlannedQuantity::Latency)
+            }
+            Purpose::HandEye => {
+                each(&Self::camera_query(), handeye::MAX_FIT_POSES, &|at| match at {
+                    0..3 => PlannedQuantity::CameraShift(at),
+                    _ => PlannedQuantity::CameraTurn(at - 3),
+                })
+            }
+            Purpose::Yaw => each(&self.yaw_query(), imu::MAX_IMU_FIT_SAMPLES, &|at| match at {
                 0 => PlannedQuantity::YawDrift,
                 _ => PlannedQuantity::Tilt(at - 1),
             }),
@@ -316,7 +332,7 @@ impl<'a> LinearizedMotion<'a> {
     /// Expected tip error of a calibrated model, along the motion and over the workspace.
     fn calibrated(&self, chain: &Chain) -> Vec<ExpectedPrecision> {
         let covariance = self.calibration().covariance(&self.information(FIT_SAMPLES));
-        let everywhere = all_over(chain);
+        let everywhere = random_configurations(chain);
         let far = linearised(chain, &everywhere);
         let rms = |linear: &Linear, kind: usize| {
             let mut sum = 0.0;
@@ -331,12 +347,12 @@ impl<'a> LinearizedMotion<'a> {
         let of = |everywhere: bool, linear: &Linear| {
             [
                 ExpectedPrecision {
-                    of: PlannedQuantity::FkPosition { everywhere },
-                    half: rms(linear, 0),
+                    quantity: PlannedQuantity::FkPosition { everywhere },
+                    half_width: rms(linear, 0),
                 },
                 ExpectedPrecision {
-                    of: PlannedQuantity::FkRotation { everywhere },
-                    half: rms(linear, 1),
+                    quantity: PlannedQuantity::FkRotation { everywhere },
+                    half_width: rms(linear, 1),
                 },
             ]
         };
@@ -345,22 +361,22 @@ impl<'a> LinearizedMotion<'a> {
 }
 
 /// Rotation of the world about z, and about x, in the link frames' parameters.
-const YAW: usize = 5;
-const TILT: usize = 3;
+const YAW_PARAMETER: usize = 5;
+const TILT_PARAMETER: usize = 3;
 
 /// Expected precision of a motion. `None` if the motion is unknown between its rows.
-pub fn promises(
+pub fn expected_precisions(
     chain: &Chain,
     motion: &JointTrack,
     purpose: Purpose,
     sensing: &Sensing,
 ) -> Option<Vec<ExpectedPrecision>> {
-    Some(LinearizedMotion::of(chain, motion, purpose, sensing)?.promises(chain))
+    Some(LinearizedMotion::new(chain, motion, purpose, sensing)?.expected_precisions(chain))
 }
 
 /// Geometric mean of the ratio `one / other`, over the quantities that both motions determine.
 pub fn geometric_mean(one: &[ExpectedPrecision], other: &[ExpectedPrecision]) -> Option<f64> {
-    let both = one.iter().zip(other).map(|(one, other)| (one.half / other.half).ln());
+    let both = one.iter().zip(other).map(|(one, other)| (one.half_width / other.half_width).ln());
     let logs: Vec<f64> = both.filter(|log| log.is_finite()).collect();
     (!logs.is_empty()).then(|| (logs.iter().sum::<f64>() / logs.len() as f64).exp())
 }
@@ -373,12 +389,12 @@ fn linearised(chain: &Chain, motion: &JointTrack) -> Linear {
         joints: motion,
         chain,
         columns: &columns,
-        gained: &[],
+        gains: &[],
         reference_known: true,
-        still: &still,
+        rest_speeds: &still,
         xyz: vec![Vec3::zeros(); motion.len()],
         rotation: vec![Rotation::identity(); motion.len()],
-        blind: Default::default(),
+        excluded: Default::default(),
         tool_part: ToolPart::Whole,
         middle_s: 0.0,
         t_s: motion.t_s.clone(),
@@ -393,10 +409,10 @@ fn linearised(chain: &Chain, motion: &JointTrack) -> Linear {
 }
 
 /// Random configurations over the workspace, 0.1 s apart.
-fn all_over(chain: &Chain) -> JointTrack {
+fn random_configurations(chain: &Chain) -> JointTrack {
     let mut random = Pcg64::seed_from_u64(1);
     let mut track = JointTrack { dof: chain.dof(), ..JointTrack::default() };
-    for row in 0..POSTURES {
+    for row in 0..CONFIGURATIONS {
         track.t_s.push(row as f64 * 0.1);
         for (kind, limits) in chain.joint_kinds().iter().zip(chain.limits()) {
             let most = if *kind == JointKind::Prismatic { 0.5 } else { PI };
