@@ -92,7 +92,7 @@ pub fn judge(case: &Case, report: &Report) -> Verdict {
     let findings: Vec<&Finding> = report.findings.iter().filter(grave).collect();
     let is_changed = |finding: &&Finding| {
         let when = finding.estimate.as_ref().and_then(Estimate::change);
-        when.is_some() || matches!(finding.cause, Cause::Changes | Cause::UnsteadyLatency)
+        when.is_some() || matches!(finding.cause, Cause::ParameterChange | Cause::VaryingLatency)
     };
     verdict.is_falsely_changed =
         findings.iter().any(is_changed) && !case.planted.iter().any(does_change);
@@ -297,7 +297,7 @@ fn given_rad(case: &Case, row: &CheckRow) -> Option<f64> {
 /// Error and coverage of a row's interval, if both interval and truth are known.
 pub fn interval(case: &Case, row: &CheckRow) -> Vec<Interval> {
     let estimate = match &row.estimate {
-        Some(estimate) if !row.indistinguishable => estimate,
+        Some(estimate) if !row.is_indistinguishable => estimate,
         _ => return Vec::new(),
     };
     // Motion and residuals are not planted.
@@ -346,7 +346,7 @@ pub fn interval(case: &Case, row: &CheckRow) -> Vec<Interval> {
         Some(Interval { code, topic, planted: kind, error: value - truth, truth, covers, is_norm })
     };
     match *estimate {
-        Estimate::Amount { name, value, ci95, .. } => {
+        Estimate::Scalar { name, value, ci95, .. } => {
             // A yaw jump and a yaw drift have one row each.
             let is_jump = name == "yaw jump";
             let planted = planted.filter(|one| (one.kind == Kind::YawJump) == is_jump);

@@ -38,7 +38,7 @@ impl ChangeReport {
         };
         Fault {
             severity,
-            cause: Cause::Changes,
+            cause: Cause::ParameterChange,
             title,
             message: format!("changes by {by} {at}{often}: from {from} to {to}"),
             evidence: Evidence {
@@ -81,7 +81,7 @@ pub fn judge_frame_change(
     let change = changes.iter().max_by(|a, b| effect_m(a).total_cmp(&effect_m(b)))?;
     let (at, within) = change_stamps(case, change);
     let estimate = Estimate::frame(name, &change.size.translation_m, &change.size.rotation_rad)
-        .changing(Changes {
+        .with_change(Changes {
             from: change.from.translation.vector.norm(),
             to: change.to.translation.vector.norm(),
             change_ns: at,
@@ -136,7 +136,7 @@ pub fn judge_scalar_change(
 ) -> (Outcome, Estimate) {
     let (at, within) = change_stamps(case, change);
     let unit = threshold.unit;
-    let estimate = Estimate::amount(name, unit, &change.size).changing(Changes {
+    let estimate = Estimate::scalar(name, unit, &change.size).with_change(Changes {
         from: change.from,
         to: change.to,
         change_ns: at,
@@ -158,8 +158,8 @@ pub fn judge_scalar_change(
 
 fn outcome(decision: Decision, report: ChangeReport) -> Outcome {
     match decision {
-        Decision::Fail(severity) => Outcome::faulty(report.fault(severity)),
-        Decision::Pass => Outcome::sound_because(format!("changes by {} {}", report.by, report.at)),
+        Decision::Fail(severity) => Outcome::fail(report.fault(severity)),
+        Decision::Pass => Outcome::pass_because(format!("changes by {} {}", report.by, report.at)),
         Decision::Undecided(why) => {
             Outcome::Inconclusive(format!("changes by {} {}; {why}", report.by, report.at))
         }
@@ -183,7 +183,7 @@ pub fn limit_to_segment(case: &Case, mut judged: Judged) -> Judged {
             _ => None,
         }
     };
-    let Outcome::Evaluated(Ruling::Faulty(fault)) = &mut judged.outcome else { return judged };
+    let Outcome::Evaluated(Ruling::Fail(fault)) = &mut judged.outcome else { return judged };
     let Some((from_s, to_s)) = segment_s(&judged.subject, &fault.cause) else { return judged };
     let at = |at_s: f64| Some(case.evidence.origin.shifted(at_s)).filter(|_| at_s.is_finite());
     let (from, to) = (at(from_s), at(to_s));
@@ -196,7 +196,7 @@ pub fn limit_to_segment(case: &Case, mut judged: Judged) -> Judged {
         (None, None) => return judged,
     };
     fault.title = "the encoding of the numbers changes mid-run";
-    fault.cause = Cause::Changes;
+    fault.cause = Cause::ParameterChange;
     fault.message = format!("{when}: {}", fault.message);
     fault.fix = format!("{}, for the samples {when}", fault.fix);
     let changes: Vec<Value> =

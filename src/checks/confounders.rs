@@ -6,7 +6,7 @@ use crate::finding::{Alternative, Estimate, Unit};
 
 /// Estimate of a joint's zero offset.
 pub fn joint_zero_estimate(unit: Unit, offset: &Measured) -> Estimate {
-    Estimate::amount("joint zero offset", unit, offset)
+    Estimate::scalar("joint zero offset", unit, offset)
 }
 
 /// Zero offset of joint `joint` as an alternative cause for another rule.
@@ -31,6 +31,6 @@ pub fn confounder_alternative(arm: &ArmEvidence, twin: &Confounder, unit: Unit) 
         }
         Confounder::Sag(joint, value) => ("ZER003", arm.joint(joint), "sag", value, unit),
     };
-    let estimate = Estimate::counted(name, unit.symbol(), value);
+    let estimate = Estimate::exact(name, unit.symbol(), value);
     Alternative { code, subject, estimate: Some(estimate) }
 }

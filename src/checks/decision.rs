@@ -84,9 +84,9 @@ impl Decision {
     /// that would resolve an undecided case.
     pub fn into_outcome(self, settle: &str, fault: impl FnOnce(Severity) -> Fault) -> Outcome {
         match self {
-            Decision::Pass => Outcome::sound(),
+            Decision::Pass => Outcome::pass(),
             Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {settle}")),
-            Decision::Fail(severity) => Outcome::faulty(fault(severity)),
+            Decision::Fail(severity) => Outcome::fail(fault(severity)),
         }
     }
 }

@@ -87,7 +87,7 @@ fn judge_stream(
     };
     let effect_m = frame.translation_m.value + frame.rotation_rad.value * arm.reach_m;
     let outcome = match (decide_frame(frame, &thresholds, case.evidence.subjects()), not_judged) {
-        (_, Some(why)) => Outcome::sound_because(why),
+        (_, Some(why)) => Outcome::pass_because(why),
         (Decision::Fail(severity), None) if frame.is_chosen => {
             match residual_attribution::model_doubt(arm, effect_m) {
                 Some(why) => Outcome::Inconclusive(why),
@@ -97,11 +97,11 @@ fn judge_stream(
                         .evidence
                         .indistinguishable
                         .extend(twins.into_iter().map(|(_, cause)| cause));
-                    Outcome::faulty(fault)
+                    Outcome::fail(fault)
                 }
             }
         }
-        (Decision::Pass, None) => Outcome::sound(),
+        (Decision::Pass, None) => Outcome::pass(),
         (decision, None) => {
             match twins.iter().find(|(offset, _)| offset.is_chosen && !frame.is_chosen) {
                 Some((_, cause)) => named_instead(arm, cause),

@@ -29,7 +29,8 @@ use serde_json::{Map, Value};
 
 use crate::evidence::{RunEvidence, StreamEvidence};
 use crate::finding::{
-    Cause, CheckRow, Estimate, Finding, Ignored, Outcome, Ruling, Severity, Span, Status, Subject,
+    Cause, CheckRow, Estimate, Finding, IgnoredFinding, Outcome, Ruling, Severity, Span, Status,
+    Subject,
 };
 
 pub use calibration::Still;
@@ -250,7 +251,7 @@ impl Judged {
 
     /// Sets the cause of its fault, if it has one.
     fn caused_by(&mut self, cause: Cause) {
-        if let Outcome::Evaluated(Ruling::Faulty(fault)) = &mut self.outcome {
+        if let Outcome::Evaluated(Ruling::Fail(fault)) = &mut self.outcome {
             fault.cause = cause;
         }
     }
@@ -275,7 +276,7 @@ pub struct Evaluation {
     /// Findings, by severity and then by effect at the arm's tip.
     pub findings: Vec<Finding>,
     /// Findings exempted in the config, with the reason.
-    pub ignored: Vec<Ignored>,
+    pub ignored: Vec<IgnoredFinding>,
     /// What each pose stream does not observe.
     pub observability: Vec<StreamObservability>,
 }
@@ -330,7 +331,7 @@ fn rank(findings: &mut [Finding]) {
         let effect = |finding: &Finding| finding.evidence.effect_m.unwrap_or(0.0);
         let is_model = |finding: &Finding| {
             finding.severity > Severity::Info
-                && matches!(finding.cause, Cause::OtherRobot(_) | Cause::Dh(_))
+                && matches!(finding.cause, Cause::OtherRobot(_) | Cause::DhConvention(_))
         };
         let by_model = is_model(b).cmp(&is_model(a));
         by_model.then(b.severity.cmp(&a.severity)).then(effect(b).total_cmp(&effect(a)))
@@ -348,13 +349,13 @@ impl Evaluation {
             reason: None,
             estimate,
             evidence,
-            indistinguishable: false,
-            exempt: false,
+            is_indistinguishable: false,
+            is_exempt: false,
         };
         let mut found = None;
         match outcome {
-            Outcome::Evaluated(Ruling::Sound(remark)) => row.reason = remark,
-            Outcome::Evaluated(Ruling::Faulty(fault)) => {
+            Outcome::Evaluated(Ruling::Pass(remark)) => row.reason = remark,
+            Outcome::Evaluated(Ruling::Fail(fault)) => {
                 row.status = Status::Fail;
                 let mut evidence = fault.evidence;
                 evidence.more.append(&mut row.evidence);
@@ -378,14 +379,14 @@ impl Evaluation {
             }
             Outcome::Indistinguishable(why) => {
                 (row.status, row.reason) = (Status::Inconclusive, Some(why));
-                row.indistinguishable = true;
+                row.is_indistinguishable = true;
             }
             Outcome::Skipped(why) => (row.status, row.reason) = (Status::Skipped, Some(why)),
         }
         match settings.exemption(&row) {
             Some(exemption) if !matches!(row.status, Status::Pass | Status::Skipped) => {
-                (row.status, row.indistinguishable) = (Status::Skipped, false);
-                row.exempt = true;
+                (row.status, row.is_indistinguishable) = (Status::Skipped, false);
+                row.is_exempt = true;
                 row.reason = Some(exemption.said());
                 self.ignored.extend(found.map(|finding| exemption.ignored(finding)));
             }

@@ -188,7 +188,7 @@ fn is_left_to_motion(
 ) -> bool {
     let Subject { robot, topic, .. } = &row.subject;
     row.status == Status::Inconclusive
-        && !row.indistinguishable
+        && !row.is_indistinguishable
         && robot.as_ref() == Some(&arm.name)
         && topic.as_ref().is_none_or(|topic| topic == stream.topic())
         && (row.code.starts_with("LAT")

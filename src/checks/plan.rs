@@ -27,7 +27,7 @@ pub(crate) const fn recipe(purpose: Purpose) -> &'static str {
 /// Purpose of the motion that would resolve a row; `None` if no arm motion would. With a nominal model
 /// (`is_drawing`), single causes are observable only after all links are calibrated.
 pub(crate) fn settled_by(row: &CheckRow, is_drawing: bool) -> Option<Purpose> {
-    if row.status != Status::Inconclusive || row.indistinguishable || is_behind_residual(row) {
+    if row.status != Status::Inconclusive || row.is_indistinguishable || is_behind_residual(row) {
         return None;
     }
     match row.code {

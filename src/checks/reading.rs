@@ -6,7 +6,9 @@ use crate::diagnosis::{
     EncodingEstimate, EstimateResult, LengthUnitError, NotObservable, PoseDiagnosis, PoseEncoding,
 };
 use crate::evidence::ArmEvidence;
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, ReadAs, Ruling, Severity, Unit};
+use crate::finding::{
+    Cause, Estimate, Evidence, Fault, Interpretation, Outcome, Ruling, Severity, Unit,
+};
 use crate::geometry::{
     AngleUnit, Convention, LengthScale, Misinterpretation, Misread, QuaternionOrderError,
     RotationEncoding, RotationError, vendors,
@@ -90,7 +92,7 @@ pub fn judge(
                 _ => judged,
             };
             let (outcome, estimate) = match (judged, doubt) {
-                ((Outcome::Evaluated(Ruling::Faulty(_)), _), Some(doubt)) => (
+                ((Outcome::Evaluated(Ruling::Fail(_)), _), Some(doubt)) => (
                     Outcome::Inconclusive(format!("{doubt}; check the model and its joints")),
                     None,
                 ),
@@ -131,15 +133,15 @@ fn judge_stream(
     if kind(&reading.best) != Some(asked) && !is_inverted {
         let remark = match reading.best {
             PoseEncoding::Numbers(convention) => {
-                Outcome::sound_because(format!("read as {convention}"))
+                Outcome::pass_because(format!("read as {convention}"))
             }
-            _ => Outcome::sound(),
+            _ => Outcome::pass(),
         };
         return (remark, None);
     }
     match word(reading) {
         Some(wording) => fault(arm, reading, wording),
-        None => (Outcome::sound(), None),
+        None => (Outcome::pass(), None),
     }
 }
 
@@ -180,7 +182,7 @@ fn of_bare_numbers(
             evidence.more.insert("angle_unit".to_owned(), angle.symbol().into());
             let fault = Fault {
                 severity: Severity::Info,
-                cause: Cause::Bare { coding: form, length, angle },
+                cause: Cause::InferredEncoding { coding: form, length, angle },
                 title: "encoding of undeclared numbers was inferred",
                 message: format!("assumed {said}: this encoding matches the arm's motion"),
                 evidence,
@@ -190,7 +192,7 @@ fn of_bare_numbers(
                 ),
             };
             let (is, read_as) = (form.to_string(), form.to_string());
-            (Outcome::faulty(fault), Some(Estimate::slip("reading", is, read_as)))
+            (Outcome::fail(fault), Some(Estimate::slip("reading", is, read_as)))
         }
         // A quaternion in the default order, or no rotation.
         (Kind::Convention, None) => match &found.length_unit {
@@ -204,7 +206,7 @@ fn of_bare_numbers(
         },
         (Kind::QuaternionOrder, Some(RotationEncoding::Wxyz)) if is_read => {
             let why = "no component order is declared for these numbers, so none is violated";
-            (Outcome::sound_because(why.to_owned()), None)
+            (Outcome::pass_because(why.to_owned()), None)
         }
         _ => (outcome, estimate),
     }
@@ -213,7 +215,7 @@ fn of_bare_numbers(
 /// Outcome for bare positions that match FK in a unit other than metres.
 fn bare_lengths(topic: &str, slip: &LengthUnitError) -> Outcome {
     let is = slip.is.words();
-    Outcome::faulty(Fault {
+    Outcome::fail(Fault {
         severity: Severity::Info,
         cause: Cause::LengthUnit(Misread { is: slip.is, read_as: slip.read_as }),
         title: "encoding of undeclared numbers was inferred",
@@ -302,7 +304,7 @@ fn fault(
     evidence.more.insert("corrected_rad".to_owned(), reading.best_rad.into());
     let cause = Cause::Rotation(slip);
     let fault = Fault { severity: Severity::Error, cause, title, message, evidence, fix };
-    (Outcome::faulty(fault), Some(estimate))
+    (Outcome::fail(fault), Some(estimate))
 }
 
 /// Whether every encoding fits equally well, because the orientation barely changes and a constant frame
@@ -336,18 +338,18 @@ fn describe(reading: &PoseEncoding) -> String {
     match reading {
         PoseEncoding::AsLogged => "the stream as logged".to_owned(),
         reading => {
-            let ReadAs { is, read_as } = read_as(reading);
+            let Interpretation { is, read_as } = read_as(reading);
             format!("{is} read as {read_as}")
         }
     }
 }
 
 /// Contract names of an encoding: actual, and as interpreted in the log.
-pub fn read_as(reading: &PoseEncoding) -> ReadAs {
+pub fn read_as(reading: &PoseEncoding) -> Interpretation {
     let (is, read_as) = match reading {
         PoseEncoding::AsLogged => ("pose".to_owned(), "pose"),
         PoseEncoding::Numbers(convention) => {
-            return ReadAs { is: convention.to_string(), read_as: convention.to_string() };
+            return Interpretation { is: convention.to_string(), read_as: convention.to_string() };
         }
         PoseEncoding::Misinterpreted(class) => match class.members.first() {
             Some(misreading) => return read_as_misreading(misreading),
@@ -360,12 +362,12 @@ pub fn read_as(reading: &PoseEncoding) -> ReadAs {
         PoseEncoding::Transposed => ("transpose".to_owned(), "pose"),
         PoseEncoding::Inverted => ("pose-inverse".to_owned(), "pose"),
     };
-    ReadAs { is, read_as: read_as.to_owned() }
+    Interpretation { is, read_as: read_as.to_owned() }
 }
 
 /// Contract names of a misinterpretation.
-pub fn read_as_misreading(misreading: &Misinterpretation) -> ReadAs {
-    ReadAs { is: misreading.is.to_string(), read_as: misreading.read_as.to_string() }
+pub fn read_as_misreading(misreading: &Misinterpretation) -> Interpretation {
+    Interpretation { is: misreading.is.to_string(), read_as: misreading.read_as.to_string() }
 }
 
 /// Actual order of quaternion components, and the order assumed by the reader.

@@ -103,7 +103,7 @@ fn is_tf(arm: &ArmEvidence, stream: &StreamEvidence<PoseEvidence>) -> bool {
 }
 
 fn is_faulty(outcome: &Outcome) -> bool {
-    matches!(outcome, Outcome::Evaluated(Ruling::Faulty(_)))
+    matches!(outcome, Outcome::Evaluated(Ruling::Fail(_)))
 }
 
 /// Attribution of one stream's error.

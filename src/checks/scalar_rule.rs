@@ -47,18 +47,18 @@ impl ScalarRule {
         };
         let open = |why: String| Outcome::Inconclusive(format!("{why}; {settle}"));
         let outcome = match (decide(found, &threshold, subjects), &on.doubt) {
-            (Decision::Pass, _) => Outcome::sound(),
+            (Decision::Pass, _) => Outcome::pass(),
             (Decision::Undecided(why), _) => open(why),
             (Decision::Fail(_), Some(why)) => Outcome::Inconclusive(why.clone()),
             (Decision::Fail(severity), None) if on.is_chosen => {
-                Outcome::faulty((self.fault)(arm, on, found, severity))
+                Outcome::fail((self.fault)(arm, on, found, severity))
             }
             (Decision::Fail(_), None) => {
                 let shown = self.threshold.unit.show_signed(found);
                 open(format!("{shown} would fit, but the reported causes already explain the log"))
             }
         };
-        let estimate = Estimate::amount(self.name, self.threshold.unit, found);
+        let estimate = Estimate::scalar(self.name, self.threshold.unit, found);
         on.judged(outcome).estimated(estimate)
     }
 }

@@ -5,7 +5,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use super::{REGISTRY, Rule, Thresholds};
-use crate::finding::{CheckRow, Finding, Ignored, Severity, Subject};
+use crate::finding::{CheckRow, Finding, IgnoredFinding, Severity, Subject};
 
 /// Which rules to evaluate, and how.
 #[derive(Clone, Debug, Default)]
@@ -90,8 +90,8 @@ impl Exemption {
         format!("ignored: {} ({})", self.reason, self.place)
     }
 
-    pub(super) fn ignored(&self, finding: Finding) -> Ignored {
-        Ignored { finding, reason: self.reason.clone(), place: self.place.clone() }
+    pub(super) fn ignored(&self, finding: Finding) -> IgnoredFinding {
+        IgnoredFinding { finding, reason: self.reason.clone(), place: self.place.clone() }
     }
 }
 

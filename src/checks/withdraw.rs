@@ -10,8 +10,8 @@ use crate::finding::{Cause, CheckRow, Estimate, Finding, Severity, Status, Subje
 /// only has to exceed the residual. However, backlash can resemble a few milliseconds of latency.
 fn min_effect_ratio(cause: &Cause) -> Option<f64> {
     match cause {
-        Cause::Latency(_) | Cause::Skew(_) => Some(1.0),
-        Cause::JointZero { .. } | Cause::Growth | Cause::Reference(_) => Some(10.0),
+        Cause::Latency(_) | Cause::ClockSkew(_) => Some(1.0),
+        Cause::JointZero { .. } | Cause::RadialScale | Cause::ReferenceFrame(_) => Some(10.0),
         _ => None,
     }
 }
@@ -28,7 +28,8 @@ struct UnexplainedResidual {
 
 impl UnexplainedResidual {
     fn from_finding(finding: &Finding) -> Option<Self> {
-        let is_unexplained = matches!(finding.cause, Cause::Model | Cause::Disagreement { .. });
+        let is_unexplained =
+            matches!(finding.cause, Cause::UnexplainedResidual | Cause::Disagreement { .. });
         let is_grave = finding.severity > Severity::Info;
         match finding.estimate.as_ref().filter(|_| is_unexplained && is_grave)? {
             Estimate::Frame { value, rotation, .. } => Some(Self {
@@ -124,7 +125,7 @@ pub(super) fn withdraw_findings_on_disagreement(case: &Case, evaluation: &mut Ev
             }
             let Some(why) = why(&row.subject) else { continue };
             (row.status, row.reason) = (Status::Inconclusive, Some(why.clone()));
-            (row.estimate, row.indistinguishable) = (None, false);
+            (row.estimate, row.is_indistinguishable) = (None, false);
         }
         findings.retain(|finding| {
             !(compares_poses_and_joints(finding.code)

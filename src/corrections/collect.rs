@@ -8,7 +8,7 @@ use super::corrections_file::{
 use super::dataset;
 use super::frames::{FixedFrame, model_stem, slug};
 use crate::evidence::RunEvidence;
-use crate::finding::{Cause, Finding, JointScaling, Unit};
+use crate::finding::{Cause, Finding, JointScaleCorrection, Unit};
 use crate::geometry::{
     AngleUnit, LengthScale, Misread, Pose, QuaternionOrderError, Rotation, RotationEncoding,
     RotationError, xyzw_from_rotation,
@@ -139,15 +139,15 @@ impl CorrectionPlan {
                 self.add_code(finding, &what, names, None);
                 Ok((what, vec![CONVENTIONS, CORRECTIONS]))
             }
-            Cause::Dh(is) => {
+            Cause::DhConvention(is) => {
                 let what = format!("the DH table is {}, not {}", is.name(), is.other().name());
                 Ok((what, vec![MODEL]))
             }
             Cause::OtherRobot(robot) => Ok((format!("audit with `--robot {robot}`"), Vec::new())),
             Cause::Latency(latency) => self.add_latency(context, finding, latency),
             // The clock rate of one segment does not apply to the next.
-            Cause::Skew(_) if finding.segment.is_some() => Err(finding.fix.clone()),
-            Cause::Skew(skew) => {
+            Cause::ClockSkew(_) if finding.segment.is_some() => Err(finding.fix.clone()),
+            Cause::ClockSkew(skew) => {
                 let (value, ci95) = value_with_interval(Unit::SecondPerSecond, skew)?;
                 let topic = context.single_topic(finding)?;
                 let (start, end) = finding.start_ns.zip(finding.end_ns).ok_or_else(no_value)?;
@@ -158,7 +158,7 @@ impl CorrectionPlan {
                 Ok((what, vec![LATENCIES, CORRECTIONS]))
             }
             Cause::Rotation(slip) => self.add_rotation(context, finding, *slip),
-            Cause::Bare { coding, length, angle } => {
+            Cause::InferredEncoding { coding, length, angle } => {
                 self.add_encoding(context, finding, *coding, *length, *angle)
             }
             Cause::AngleUnit(unit) => {
@@ -184,24 +184,24 @@ impl CorrectionPlan {
                 let what = format!("positions are in {positions}, rotations in {rotations}");
                 Ok((what, vec![CORRECTIONS]))
             }
-            Cause::Reference(pose) => self.add_frame(context, finding, pose, true),
-            Cause::Tool(pose) => self.add_frame(context, finding, pose, false),
+            Cause::ReferenceFrame(pose) => self.add_frame(context, finding, pose, true),
+            Cause::ToolFrame(pose) => self.add_frame(context, finding, pose, false),
             Cause::ImuMount(rotation) => self.add_imu_mount(context, finding, rotation),
             Cause::CameraMount { in_hand, parent, pose } => {
                 self.add_camera_mount(context, finding, *in_hand, parent.as_ref(), pose)
             }
-            Cause::Growth
-            | Cause::Bend
-            | Cause::Model
+            Cause::RadialScale
+            | Cause::Compliance
+            | Cause::UnexplainedResidual
             | Cause::Disagreement { .. }
-            | Cause::UnsteadyLatency
-            | Cause::Changes
+            | Cause::VaryingLatency
+            | Cause::ParameterChange
             | Cause::TfDisagrees
             | Cause::YawDrift(_)
             | Cause::YawJump
-            | Cause::Frames
+            | Cause::FrameTree
             | Cause::Stamps
-            | Cause::Seen(_)
+            | Cause::Pictured(_)
             | Cause::Other => Err(finding.fix.clone()),
         }
     }
@@ -227,7 +227,7 @@ impl CorrectionPlan {
         &mut self,
         context: &CorrectionContext<'_>,
         finding: &Finding,
-        joints: &[JointScaling],
+        joints: &[JointScaleCorrection],
     ) -> CorrectionResult {
         for scaling in joints {
             let robot = context.robot_of(finding, &scaling.joint);

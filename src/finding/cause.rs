@@ -18,11 +18,11 @@ pub enum Cause {
         slides: bool,
     },
     /// Joint compliance, whose size depends on the joint's motion or the arm's configuration.
-    Bend,
+    Compliance,
     /// Joint positions in the wrong unit; rad or m per logged unit.
     JointUnit(f64),
     /// Joints with a wrong scale, in the order of the chain.
-    JointScale(Vec<JointScaling>),
+    JointScale(Vec<JointScaleCorrection>),
     /// Joint positions published under other joints' names.
     JointOrder {
         /// Joints in the order of the numbers.
@@ -31,13 +31,13 @@ pub enum Cause {
         read_as: Vec<String>,
     },
     /// The DH table uses this convention, not the declared one.
-    Dh(DhConvention),
+    DhConvention(DhConvention),
     /// Radial scale: position errors that grow with reach.
-    Growth,
+    RadialScale,
     /// The log belongs to this robot, not to the given one.
     OtherRobot(String),
     /// The kinematic model does not explain the log.
-    Model,
+    UnexplainedResidual,
     /// No known cause reconciles poses and joint states.
     Disagreement {
         /// Size of the disagreement, as a clause.
@@ -46,15 +46,15 @@ pub enum Cause {
     /// Latency, s: a sample stamped *t* was true at *t − latency*.
     Latency(Measured),
     /// Rate of change of the latency, s/s.
-    Skew(Measured),
+    ClockSkew(Measured),
     /// A parameter of the arm or its poses changes during the run.
-    Changes,
+    ParameterChange,
     /// The latency is not constant.
-    UnsteadyLatency,
+    VaryingLatency,
     /// Misinterpreted rotations or inverted poses.
     Rotation(RotationError),
     /// Encoding that was inferred for bare numbers without a declaration.
-    Bare {
+    InferredEncoding {
         /// Encoding of the rotations.
         coding: RotationEncoding,
         /// Unit of the positions.
@@ -74,9 +74,9 @@ pub enum Cause {
         rotations: Axes,
     },
     /// Poses expressed in a different reference frame: `reference_from_stream`.
-    Reference(Pose),
+    ReferenceFrame(Pose),
     /// Poses of a different tool frame: `tip_from_stream`.
-    Tool(Pose),
+    ToolFrame(Pose),
     /// /tf disagrees with FK of the joint states.
     TfDisagrees,
     /// Yaw drift of an IMU against the arm, rad/s.
@@ -95,11 +95,11 @@ pub enum Cause {
         pose: Pose,
     },
     /// The frames do not form a tree.
-    Frames,
+    FrameTree,
     /// Wrong stamps or rates.
     Stamps,
     /// A fault without a correction, with the picture that shows it.
-    Seen(Sight),
+    Pictured(Picture),
     /// A fault without a correction or a picture; the value suffices.
     #[default]
     Other,
@@ -107,17 +107,17 @@ pub enum Cause {
 
 /// Data that shows a fault in a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sight {
+pub enum Picture {
     /// Spectrum of a path, and the path at its strongest vibration.
-    Shake,
+    Vibration,
     /// Camera observations compared with the hand.
     HandEye,
     /// The tip along a commanded line.
     Line,
     /// Goals, and the poses at rest.
-    Rest,
+    RestError,
     /// Norms of rotations.
-    Norm,
+    RotationNorm,
     /// Axes of an IMU in its link.
     ImuAxes,
     /// Gyro signal at rest.
@@ -132,7 +132,7 @@ pub enum Sight {
 
 /// Correction of a joint's scale: `q_true = factor · q_reported + offset`.
 #[derive(Clone, Debug, PartialEq)]
-pub struct JointScaling {
+pub struct JointScaleCorrection {
     /// Name of the joint.
     pub joint: String,
     /// The factor.

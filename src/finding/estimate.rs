@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::read::{Word, number, word};
+use super::deserialize::{Word, number, word};
 use super::unit::Unit;
 use crate::stats::{Measured, MeasuredLength};
 use crate::time::Stamp;
@@ -35,7 +35,7 @@ pub enum Estimate {
         change: Option<Change>,
     },
     /// A scalar.
-    Amount {
+    Scalar {
         /// Name of the quantity.
         #[serde(deserialize_with = "word")]
         name: Word,
@@ -65,7 +65,7 @@ pub enum Estimate {
         /// Convention in which they were interpreted.
         read_as: String,
         /// Interpretations that are indistinguishable in any log or in this one.
-        equivalent: Vec<ReadAs>,
+        equivalent: Vec<Interpretation>,
         /// The next best interpretation, with the ratio of its residual to the best.
         runner_up: Option<RunnerUp>,
     },
@@ -97,7 +97,7 @@ impl Estimate {
     /// Value in SI units; `None` for misinterpretations.
     pub fn value(&self) -> Option<f64> {
         match self {
-            Estimate::Amount { value, .. } | Estimate::Frame { value, .. } => Some(*value),
+            Estimate::Scalar { value, .. } | Estimate::Frame { value, .. } => Some(*value),
             Estimate::Convention { .. } | Estimate::Slip { .. } | Estimate::Order { .. } => None,
         }
     }
@@ -120,8 +120,8 @@ impl Estimate {
     }
 
     /// An estimate of a scalar.
-    pub fn amount(name: &'static str, unit: Unit, measured: &Measured) -> Self {
-        Estimate::Amount {
+    pub fn scalar(name: &'static str, unit: Unit, measured: &Measured) -> Self {
+        Estimate::Scalar {
             name,
             value: measured.value,
             unit: unit.symbol(),
@@ -132,8 +132,8 @@ impl Estimate {
     }
 
     /// A scalar that was counted rather than estimated, so it has no interval.
-    pub fn counted(name: &'static str, unit: &'static str, value: f64) -> Self {
-        Estimate::Amount {
+    pub fn exact(name: &'static str, unit: &'static str, value: f64) -> Self {
+        Estimate::Scalar {
             name,
             value,
             unit,
@@ -148,7 +148,7 @@ impl Estimate {
         let MeasuredLength { norm, .. } = length;
         let ci95 = unit.interval95(norm).map(|ends| ends.map(|end| end.max(0.0)));
         let (value, unit) = (norm.value, unit.symbol());
-        Estimate::Amount { name, value, unit, ci95, change: None, joint: JointRelation::default() }
+        Estimate::Scalar { name, value, unit, ci95, change: None, joint: JointRelation::default() }
     }
 
     /// An estimate of a length in m and an angle in rad; neither can be negative.
@@ -168,16 +168,16 @@ impl Estimate {
     }
 
     /// Marks the quantity as changing during the run; `value` is then the size of the change.
-    pub fn changing(mut self, when: Change) -> Self {
-        if let Estimate::Amount { change, .. } | Estimate::Frame { change, .. } = &mut self {
+    pub fn with_change(mut self, when: Change) -> Self {
+        if let Estimate::Scalar { change, .. } | Estimate::Frame { change, .. } = &mut self {
             *change = Some(when);
         }
         self
     }
 
     /// Marks the joint as coupled: it moves by `factor` per unit of the joint `with`.
-    pub fn coupled(mut self, with: &str, factor: f64) -> Self {
-        if let Estimate::Amount { joint, .. } = &mut self {
+    pub fn with_coupling(mut self, with: &str, factor: f64) -> Self {
+        if let Estimate::Scalar { joint, .. } = &mut self {
             *joint = JointRelation {
                 with: Some(with.to_owned()),
                 factor: Some(factor),
@@ -188,8 +188,8 @@ impl Estimate {
     }
 
     /// Marks the joint as off by this many turns.
-    pub fn off_by_turns(mut self, turns: f64) -> Self {
-        if let Estimate::Amount { joint, .. } = &mut self {
+    pub fn with_turns(mut self, turns: f64) -> Self {
+        if let Estimate::Scalar { joint, .. } = &mut self {
             joint.turns = Some(turns);
         }
         self
@@ -198,7 +198,7 @@ impl Estimate {
     /// The change during the run; `None` if the quantity is constant.
     pub fn change(&self) -> Option<&Change> {
         match self {
-            Estimate::Amount { change, .. } | Estimate::Frame { change, .. } => change.as_ref(),
+            Estimate::Scalar { change, .. } | Estimate::Frame { change, .. } => change.as_ref(),
             Estimate::Convention { .. } | Estimate::Slip { .. } | Estimate::Order { .. } => None,
         }
     }
@@ -250,7 +250,8 @@ pub struct Angle {
 
 /// Actual and assumed interpretation of numbers.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-pub struct ReadAs {
+#[schemars(rename = "ReadAs")]
+pub struct Interpretation {
     /// Actual interpretation.
     pub is: String,
     /// Assumed interpretation.
@@ -276,7 +277,7 @@ mod tests {
 
     #[test]
     fn what_is_not_finite_becomes_null() -> Result<(), serde_json::Error> {
-        let estimate = Estimate::amount(
+        let estimate = Estimate::scalar(
             "latency",
             Unit::Second,
             &Measured { value: f64::NAN, std_error: 1.0, dof: 1e6 },
@@ -289,7 +290,7 @@ mod tests {
     #[test]
     fn a_change_says_from_what_to_what_and_when_beside_its_size() -> Result<(), serde_json::Error> {
         let at = Stamp::from_nanos;
-        let estimate = Estimate::counted("gyro bias", "rad/s", 0.25).changing(Change {
+        let estimate = Estimate::exact("gyro bias", "rad/s", 0.25).with_change(Change {
             from: 0.5,
             to: 0.75,
             change_ns: at(3),

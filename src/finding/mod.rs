@@ -1,8 +1,8 @@
 //! Results of an audit: findings, their estimates and the outcomes of rules.
 
 mod cause;
+mod deserialize;
 mod estimate;
-mod read;
 mod unit;
 
 use schemars::JsonSchema;
@@ -11,10 +11,10 @@ use serde_json::{Map, Value};
 
 use crate::time::Stamp;
 
-pub use cause::{Cause, JointScaling, Sight};
-pub use estimate::{Angle, Change, Estimate, JointRelation, ReadAs, RunnerUp};
-pub use read::Word;
-pub(crate) use read::{maybe_word, number, word};
+pub use cause::{Cause, JointScaleCorrection, Picture};
+pub use deserialize::Word;
+pub(crate) use deserialize::{maybe_word, number, word};
+pub use estimate::{Angle, Change, Estimate, Interpretation, JointRelation, RunnerUp};
 pub use unit::{Unit, rounded};
 
 /// Severity of a finding.
@@ -170,25 +170,25 @@ pub enum Outcome {
 #[derive(Clone, Debug, PartialEq)]
 pub enum Ruling {
     /// No fault, with an optional remark.
-    Sound(Option<String>),
+    Pass(Option<String>),
     /// A fault.
-    Faulty(Box<Fault>),
+    Fail(Box<Fault>),
 }
 
 impl Outcome {
     /// No fault.
-    pub fn sound() -> Self {
-        Outcome::Evaluated(Ruling::Sound(None))
+    pub fn pass() -> Self {
+        Outcome::Evaluated(Ruling::Pass(None))
     }
 
     /// No fault, with a remark.
-    pub fn sound_because(remark: impl Into<String>) -> Self {
-        Outcome::Evaluated(Ruling::Sound(Some(remark.into())))
+    pub fn pass_because(remark: impl Into<String>) -> Self {
+        Outcome::Evaluated(Ruling::Pass(Some(remark.into())))
     }
 
     /// A fault.
-    pub fn faulty(fault: Fault) -> Self {
-        Outcome::Evaluated(Ruling::Faulty(Box::new(fault)))
+    pub fn fail(fault: Fault) -> Self {
+        Outcome::Evaluated(Ruling::Fail(Box::new(fault)))
     }
 }
 
@@ -229,7 +229,8 @@ pub struct Finding {
 
 /// A known finding that does not count.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct Ignored {
+#[schemars(rename = "Ignored")]
+pub struct IgnoredFinding {
     /// The finding.
     #[serde(flatten)]
     pub finding: Finding,
@@ -292,8 +293,8 @@ pub struct CheckRow {
     pub evidence: Map<String, Value>,
     /// Whether no such log could decide it, so it does not affect the verdict.
     #[serde(skip)]
-    pub indistinguishable: bool,
+    pub is_indistinguishable: bool,
     /// Whether it was evaluated but skipped because of an exemption.
     #[serde(skip)]
-    pub exempt: bool,
+    pub is_exempt: bool,
 }

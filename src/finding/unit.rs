@@ -46,7 +46,7 @@ impl Unit {
     }
 
     /// Unit of a report's estimate `name` with this symbol; `None` for an unknown symbol.
-    pub fn of(symbol: &str, name: &str) -> Option<Self> {
+    pub fn from_symbol(symbol: &str, name: &str) -> Option<Self> {
         match (symbol, name) {
             ("m", _) => Some(Unit::Metre),
             ("rad", _) => Some(Unit::Radian),
@@ -83,11 +83,11 @@ impl Unit {
     /// largest meaningful width.
     pub fn half_width(self, measured: &Measured, confidence: f64) -> f64 {
         let half = measured.half_width(confidence).max(self.noise_floor());
-        if half <= self.most() { half } else { f64::INFINITY }
+        if half <= self.max_half_width() { half } else { f64::INFINITY }
     }
 
     /// Largest meaningful half-width: half a turn, or more than any arm, run or clock has.
-    const fn most(self) -> f64 {
+    const fn max_half_width(self) -> f64 {
         match self {
             Unit::Radian => PI,
             Unit::Metre | Unit::GyroRate => 1e3,
@@ -101,7 +101,7 @@ impl Unit {
     pub fn show(self, value: f64) -> String {
         let (factor, suffix) = self.everyday(value.abs());
         let shown = value * factor;
-        if shown.abs() >= MANY_DIGITS {
+        if shown.abs() >= MIN_SCIENTIFIC {
             return format!("{shown:.1e}{suffix}");
         }
         format!("{}{suffix}", trimmed(shown, significant_decimals(shown.abs(), 3).min(4)))
@@ -173,7 +173,7 @@ impl Unit {
 }
 
 /// Numbers from this on are shown in scientific notation.
-const MANY_DIGITS: f64 = 1e7;
+const MIN_SCIENTIFIC: f64 = 1e7;
 
 /// Number of decimals that show `digits` significant digits of `size`.
 fn significant_decimals(size: f64, digits: i32) -> usize {

@@ -6,7 +6,7 @@ use crate::finding::{Estimate, Unit};
 /// actual and the assumed one.
 pub(crate) fn shown(estimate: &Estimate) -> String {
     match estimate {
-        Estimate::Amount { name, value, unit, ci95, .. } => of_unit(unit, name, *value, *ci95),
+        Estimate::Scalar { name, value, unit, ci95, .. } => of_unit(unit, name, *value, *ci95),
         Estimate::Frame { name, value, unit, ci95, rotation, .. } => {
             let length = of_unit(unit, name, *value, *ci95);
             let angle = of_unit(Unit::Radian.symbol(), name, rotation.value, rotation.ci95);
@@ -25,7 +25,7 @@ pub(crate) fn reading(is: &str, read_as: &str) -> String {
 
 /// `15.0 ± 0.2 ms`. A symbol without a [`Unit`] is appended as it is written.
 pub(crate) fn of_unit(symbol: &str, name: &str, value: f64, ci95: Option<[f64; 2]>) -> String {
-    match (Unit::of(symbol, name), ci95) {
+    match (Unit::from_symbol(symbol, name), ci95) {
         // The lower end of a length is clipped at zero, so use the upper one.
         (Some(unit), Some([_, high])) => unit.show_interval(value, high - value, false),
         (Some(unit), None) => unit.show(value),

@@ -25,7 +25,7 @@ pub fn schema() -> String {
 mod tests {
     use proptest::prelude::*;
 
-    use crate::finding::{Angle, Change, Estimate, JointRelation, ReadAs, RunnerUp};
+    use crate::finding::{Angle, Change, Estimate, Interpretation, JointRelation, RunnerUp};
     use crate::time::Stamp;
 
     fn any_estimate() -> impl Strategy<Value = Estimate> {
@@ -47,7 +47,7 @@ mod tests {
         let relation = (prop::option::of(text()), some(), some())
             .prop_map(|(with, factor, turns)| JointRelation { with, factor, turns });
         let amount = (word(), number.clone(), word(), interval(), change.clone(), relation)
-            .prop_map(|(name, value, unit, ci95, change, joint)| Estimate::Amount {
+            .prop_map(|(name, value, unit, ci95, change, joint)| Estimate::Scalar {
                 name,
                 value,
                 unit,
@@ -74,7 +74,7 @@ mod tests {
                     is,
                     equivalent: others
                         .into_iter()
-                        .map(|is| ReadAs { is, read_as: read_as.clone() })
+                        .map(|is| Interpretation { is, read_as: read_as.clone() })
                         .collect(),
                     read_as,
                     runner_up: runner_up.map(|(is, read_as, ratio)| RunnerUp {

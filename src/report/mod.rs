@@ -30,7 +30,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::checks::{self, Evaluation, Rule, StreamObservability, Thresholds};
-use crate::finding::{CheckRow, Finding, Ignored, Severity, Status, Unit, Word, word};
+use crate::finding::{CheckRow, Finding, IgnoredFinding, Severity, Status, Unit, Word, word};
 use crate::time::Stamp;
 
 pub(crate) use drawn::figures;
@@ -79,7 +79,7 @@ pub struct Report {
     pub findings: Vec<Finding>,
     /// Problems that the configuration ignores, with the reason.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub ignored: Vec<Ignored>,
+    pub ignored: Vec<IgnoredFinding>,
     /// Parameters that are not observable in each pose stream, and a motion that would show them.
     #[serde(default)]
     pub observability: Vec<StreamObservability>,
@@ -307,8 +307,9 @@ impl Report {
         required
             .filter(|code| {
                 let mut rows = self.checks.iter().filter(|row| row.code == *code);
-                let open =
-                    |row: &CheckRow| row.status == Status::Inconclusive && !row.indistinguishable;
+                let open = |row: &CheckRow| {
+                    row.status == Status::Inconclusive && !row.is_indistinguishable
+                };
                 rows.clone().any(open) || !rows.any(|row| row.status.is_decided())
             })
             .collect()
@@ -319,7 +320,7 @@ impl Report {
 fn nothing_evaluated(log: &LogSummary, checks: &[CheckRow]) -> Option<Trouble> {
     let needs_model = |row: &&CheckRow| checks::find(row.code).is_ok_and(|rule| rule.needs_model);
     let about_arm: Vec<&CheckRow> = checks.iter().filter(needs_model).collect();
-    let is_evaluated = |row: &&CheckRow| row.status != Status::Skipped || row.exempt;
+    let is_evaluated = |row: &&CheckRow| row.status != Status::Skipped || row.is_exempt;
     if about_arm.iter().any(is_evaluated) || tells_hand_eye(checks) {
         return None;
     }
@@ -355,7 +356,7 @@ fn undecided(checks: &[CheckRow]) -> impl Iterator<Item = &'static Rule> {
     let headline = checks::registry().iter().copied().filter(|rule| rule.headline);
     headline.filter(|rule| {
         let rows = checks.iter().filter(|row| row.code == rule.code);
-        let asked = rows.filter(|row| row.status != Status::Skipped && !row.indistinguishable);
+        let asked = rows.filter(|row| row.status != Status::Skipped && !row.is_indistinguishable);
         let (derived, witnesses): (Vec<&CheckRow>, Vec<&CheckRow>) =
             asked.partition(|row| row.evidence.contains_key(checks::DERIVED));
         // A stream derived from the joint states is not independent evidence.
@@ -414,8 +415,8 @@ mod tests {
             reason: None,
             estimate: None,
             evidence: Map::new(),
-            indistinguishable,
-            exempt: false,
+            is_indistinguishable: indistinguishable,
+            is_exempt: false,
         }
     }
 
@@ -429,7 +430,7 @@ mod tests {
         assert_eq!(verdict_of(vec![row("LAT001", open, false)]), Verdict::Inconclusive);
         let one_decided = vec![row("LAT001", open, false), row("LAT001", decided, false)];
         assert_eq!(verdict_of(one_decided), Verdict::Pass);
-        let known = CheckRow { exempt: true, ..row("LAT001", Status::Skipped, false) };
+        let known = CheckRow { is_exempt: true, ..row("LAT001", Status::Skipped, false) };
         assert_eq!(nothing_evaluated(&LogSummary::default(), &[known]), None);
         let skipped = vec![row("LAT001", Status::Skipped, false)];
         assert_eq!(verdict_of(skipped.clone()), Verdict::Pass);

@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 
 use super::{Report, RobotRow, StreamRow, Verdict, undecided};
 use crate::finding::{
-    Alternative, CheckRow, Estimate, Finding, Ignored, Severity, Status, Subject, Unit,
+    Alternative, CheckRow, Estimate, Finding, IgnoredFinding, Severity, Status, Subject, Unit,
 };
 
 pub(crate) use passed::{Bound, Passed};
@@ -149,7 +149,7 @@ impl<'a> Outline<'a> {
 
     fn alternative(&self, other: &Alternative) -> String {
         let amount = match &other.estimate {
-            Some(Estimate::Amount { value, unit, .. }) => {
+            Some(Estimate::Scalar { value, unit, .. }) => {
                 let unit = [Unit::Metre, Unit::Radian, Unit::Second]
                     .into_iter()
                     .find(|u| u.symbol() == *unit);
@@ -170,7 +170,7 @@ impl<'a> Outline<'a> {
 
     /// Ignored findings, one line each with the reason.
     pub fn ignored(&self) -> Vec<String> {
-        let said = self.report.ignored.iter().map(|Ignored { finding, reason, place }| {
+        let said = self.report.ignored.iter().map(|IgnoredFinding { finding, reason, place }| {
             let (code, subject) = (finding.code, self.subject(&finding.subject));
             let on = if subject.is_empty() { String::new() } else { format!(" on {subject}") };
             format!("{code}{on}: {} ({reason}; {place})", finding.message)

@@ -12,7 +12,7 @@ use serde_json::{Map, Value, json};
 use super::Report;
 use super::outline::Outline;
 use crate::checks::{self, Grade, Rule};
-use crate::finding::{Finding, Ignored, Severity, Status, Subject};
+use crate::finding::{Finding, IgnoredFinding, Severity, Status, Subject};
 use crate::log::{ESCAPED, is_url};
 
 const SCHEMA: &str =
@@ -145,7 +145,7 @@ fn result(report: &Report, finding: &Finding) -> Value {
 }
 
 /// Suppressed result of an ignored finding, with the reason.
-fn suppressed(report: &Report, known: &Ignored) -> Value {
+fn suppressed(report: &Report, known: &IgnoredFinding) -> Value {
     let mut result = result(report, &known.finding);
     let justification = format!("{} ({})", known.reason, known.place);
     result["suppressions"] = json!([{ "kind": "external", "justification": justification }]);

@@ -217,7 +217,7 @@ impl Case {
                 let others = report.findings.iter().any(|finding| finding.code != *code);
                 assert!(!others, "{code} alone was expected, found:\n{found}");
                 for row in rows {
-                    let is_fine = row.status == Status::Pass || row.indistinguishable;
+                    let is_fine = row.status == Status::Pass || row.is_indistinguishable;
                     assert!(is_fine, "{row:#?}");
                 }
             }
@@ -315,7 +315,7 @@ impl What {
             (Self::Amount(value, tolerance), Some(found)) => {
                 assert_near(found, value, tolerance);
             }
-            (Self::About(value, tolerance), Some(Estimate::Amount { value: found, ci95, .. })) => {
+            (Self::About(value, tolerance), Some(Estimate::Scalar { value: found, ci95, .. })) => {
                 assert!((found - value).abs() <= tolerance, "{found} is not {value} ± {tolerance}");
                 assert_eq!(*ci95, None);
             }
@@ -350,7 +350,7 @@ impl What {
 /// Asserts that the value is `expected` within `tolerance`, and that twice the interval contains it.
 #[track_caller]
 fn assert_near(found: &Estimate, expected: f64, tolerance: f64) {
-    let (Estimate::Amount { value, ci95, .. } | Estimate::Frame { value, ci95, .. }) = found else {
+    let (Estimate::Scalar { value, ci95, .. } | Estimate::Frame { value, ci95, .. }) = found else {
         panic!("an amount was expected, not {found:?}")
     };
     let off = (value - expected).abs();
@@ -362,7 +362,7 @@ fn assert_near(found: &Estimate, expected: f64, tolerance: f64) {
 /// Half the width of the 95 % interval.
 pub fn half_width(estimate: &Estimate) -> Option<f64> {
     match estimate {
-        Estimate::Amount { value, ci95, .. } | Estimate::Frame { value, ci95, .. } => {
+        Estimate::Scalar { value, ci95, .. } | Estimate::Frame { value, ci95, .. } => {
             ci95.map(|ends| ends[1] - value)
         }
         _ => None,

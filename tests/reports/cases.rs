@@ -31,8 +31,8 @@ pub fn hostile(fail_on: Option<Severity>) -> Report {
         reason: reason.map(str::to_owned),
         estimate: None,
         evidence: Default::default(),
-        indistinguishable: false,
-        exempt: false,
+        is_indistinguishable: false,
+        is_exempt: false,
     };
     let finding = Finding {
         code: "LAT001",
@@ -42,7 +42,7 @@ pub fn hostile(fail_on: Option<Severity>) -> Report {
         subject: subject.clone(),
         cause: Cause::Other,
         segment: None,
-        estimate: Some(Estimate::counted("latency", "s", 3e-3)),
+        estimate: Some(Estimate::exact("latency", "s", 3e-3)),
         evidence: Evidence { effect: Some(HOSTILE.to_owned()), ..Evidence::default() },
         fix: format!("shift {HOSTILE}"),
         start_ns: None,

@@ -29,7 +29,7 @@ fn sound() -> Report {
 fn late_by(value: f64, half: f64) -> Report {
     let mut report = FAULTS.clone();
     let latency = of(&mut report, "LAT001").estimate.as_mut();
-    let Some(Estimate::Amount { value: was, ci95, .. }) = latency else { panic!("no amount") };
+    let Some(Estimate::Scalar { value: was, ci95, .. }) = latency else { panic!("no amount") };
     (*was, *ci95) = (value, Some([value - half, value + half]));
     report
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use boon::{Compiler, Schemas};
 use poseaudit::checks::registry;
-use poseaudit::finding::{Ignored, Severity, Status};
+use poseaudit::finding::{IgnoredFinding, Severity, Status};
 use poseaudit::report::{Report, Trouble, TroubleKind};
 use serde_json::Value;
 
@@ -65,7 +65,7 @@ fn what_is_ignored_is_a_suppressed_result_with_its_reason() {
     let mut report = FAULTS.clone();
     let finding = report.findings.remove(0);
     let (reason, place) = ("known since May".to_owned(), "poseaudit.toml:3".to_owned());
-    report.ignored.push(Ignored { finding, reason, place });
+    report.ignored.push(IgnoredFinding { finding, reason, place });
     let log = sarif(&report);
     let results = log["runs"][0]["results"].as_array().expect("results");
     assert_eq!(results.len(), FAULTS.findings.len());

@@ -8,7 +8,7 @@ use crate::checks::{Case, FrameThresholds, Grade, Judged};
 use crate::diagnosis::{FrameEstimate, Measured, ReferenceDiagnosis, RestError, RestErrorSpread};
 use crate::evidence::{ArmEvidence, ReferenceEvidence, StreamEvidence, TipPoseKind};
 use crate::finding::{
-    Alternative, Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit,
+    Alternative, Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit,
 };
 
 rule! {
@@ -205,7 +205,7 @@ fn sound(
         Unit::Metre.show(nearest.estimate.translation_m.value),
         Unit::Radian.show(nearest.estimate.rotation_rad.value),
     ];
-    Outcome::sound_because(format!("{name} differs from it by {length} and {angle} at rest"))
+    Outcome::pass_because(format!("{name} differs from it by {length} and {angle} at rest"))
 }
 
 /// Reason why no rest can be compared with a command.
@@ -295,8 +295,8 @@ fn fault(
     let (beyond, rests) = (nearest.beyond, gaps.len());
     let moment = case.evidence.moment(case.evidence.origin.shifted(nearest.gap.from_s));
     let of = if rests == 1 { String::new() } else { format!(", at {beyond} of {rests} rests") };
-    Outcome::faulty(Fault {
-        cause: Cause::Seen(Sight::Rest),
+    Outcome::fail(Fault {
+        cause: Cause::Pictured(Picture::RestError),
         severity,
         title: "command and pose at rest differ",
         message: format!("steady-state error {off}, at {moment}{of}{stays}{guess}"),

@@ -5,7 +5,7 @@ use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{CommandDelay, DelayFailure, Measured, Response};
 use crate::evidence::{ArmEvidence, ReferenceEvidence, StreamEvidence};
 use crate::finding::{
-    Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Span, Subject, Unit,
+    Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Span, Subject, Unit,
 };
 
 rule! {
@@ -138,7 +138,7 @@ fn judge_delays(case: &Case, commands: &Commands, delays: &[CommandDelay]) -> Ve
                 faults.push((place, Long { of, response, severity }));
                 continue;
             }
-            Decision::Pass => Outcome::sound_because(words(of, response)),
+            Decision::Pass => Outcome::pass_because(words(of, response)),
             Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
         };
         rows.push(with_numbers(judged(outcome), of, response));
@@ -198,7 +198,7 @@ fn named(case: &Case, commands: &Commands, group: &[(usize, Long<'_>)]) -> Judge
     };
     let fault = Fault {
         severity,
-        cause: Cause::Seen(Sight::Stream),
+        cause: Cause::Pictured(Picture::Stream),
         title: if is_early { "state leads its command" } else { "state follows its command late" },
         message: format!("{who}{} (limit {limit})", words(of, response)),
         evidence: Evidence::default(),
@@ -210,7 +210,7 @@ fn named(case: &Case, commands: &Commands, group: &[(usize, Long<'_>)]) -> Judge
             ),
         },
     };
-    let judged = Judged::new(subject, Outcome::faulty(fault)).within(commands.span);
+    let judged = Judged::new(subject, Outcome::fail(fault)).within(commands.span);
     let judged = with_numbers(judged, of, response);
     let names: Vec<&str> =
         joints.iter().filter_map(|&joint| commands.joints.get(joint).copied()).collect();
@@ -249,7 +249,7 @@ fn is_one_step(of: &CommandDelay, delay: &Measured) -> bool {
 
 fn with_numbers(judged: Judged, of: &CommandDelay, response: &Response) -> Judged {
     judged
-        .estimated(Estimate::amount("command delay", THRESHOLD.unit, &response.delay_s))
+        .estimated(Estimate::scalar("command delay", THRESHOLD.unit, &response.delay_s))
         .with_evidence("low_pass_hz", response.corner_hz())
         .with_evidence("pure_delay_s", response.pure_delay_s())
         .with_evidence("gain", response.gain)

@@ -5,7 +5,7 @@ use crate::checks::decision::{DEGREE, Decision, FrameThresholds, Threshold, deci
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{CommandedLine, LineDeviation, Measured};
 use crate::evidence::{ArmEvidence, ReferenceEvidence, StreamEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
 
 rule! {
     /// A commanded straight line is not straight, or its orientation is not a slerp.
@@ -173,12 +173,12 @@ fn leaves(case: &Case, line: &CommandedLine, measured: &LineDeviation, lines: us
     let angle = Unit::Radian.show_measured(&measured.angle_rad.norm);
     match decide(case, line, measured, lines) {
         Decision::Pass => {
-            Outcome::sound_because(format!("the tip deviates from its lines by at most {distance} and \
+            Outcome::pass_because(format!("the tip deviates from its lines by at most {distance} and \
                 {angle}"))
         }
         Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
-        Decision::Fail(severity) => Outcome::faulty(Fault {
-            cause: Cause::Seen(Sight::Line),
+        Decision::Fail(severity) => Outcome::fail(Fault {
+            cause: Cause::Pictured(Picture::Line),
             severity,
             title: "commanded line is not straight",
             message: format!(
@@ -212,8 +212,8 @@ fn swings(line: &CommandedLine, thresholds: &FrameThresholds) -> Outcome {
         }
         None => (thresholds.angle.severity(line.command_rad), format!(", {across} off the axis")),
     };
-    Outcome::faulty(Fault {
-        cause: Cause::Seen(Sight::Line),
+    Outcome::fail(Fault {
+        cause: Cause::Pictured(Picture::Line),
         severity: severity.unwrap_or(Severity::Info),
         title: "orientation along the line is not a slerp",
         message: format!(
@@ -236,17 +236,17 @@ fn with_distance(
     let off_line = CommandedLine { command_rad: f64::INFINITY, ..line.clone() };
     let distance = Unit::Metre.show_measured(&measured.distance_m.norm);
     let swinging = swings(commanded, &case.thresholds.of_frames(&MOT004, THRESHOLDS));
-    let Outcome::Evaluated(crate::finding::Ruling::Faulty(fault)) = swinging else {
+    let Outcome::Evaluated(crate::finding::Ruling::Fail(fault)) = swinging else {
         return swinging;
     };
     match decide(case, &off_line, measured, lines) {
-        Decision::Fail(severity) => Outcome::faulty(Fault {
-            cause: Cause::Seen(Sight::Line),
+        Decision::Fail(severity) => Outcome::fail(Fault {
+            cause: Cause::Pictured(Picture::Line),
             severity: severity.max(fault.severity),
             message: format!("{}, and the tip is {distance} off the line", fault.message),
             ..*fault
         }),
-        _ => Outcome::Evaluated(crate::finding::Ruling::Faulty(fault)),
+        _ => Outcome::Evaluated(crate::finding::Ruling::Fail(fault)),
     }
 }
 

@@ -8,7 +8,7 @@ use crate::checks::hand_eye::chain::{
 use crate::checks::{Case, FrameThresholds, Grade, Judged, decide, residual_attribution};
 use crate::diagnosis::{CameraMount, HandEyeSolution, Measured, TargetEncoding, TargetScaleError};
 use crate::evidence::{ArmEvidence, HandEyeEvidence, PoseEvidence, StreamEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
 
 rule! {
     /// A hand-eye chain does not close.
@@ -98,13 +98,13 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
         }
         (Some((reading, _)), _) if is_fault(reading, as_logged, &thresholds) => {
             let fault = misread(reading, as_logged, &thresholds);
-            (Outcome::faulty(fault), closure(as_logged))
+            (Outcome::fail(fault), closure(as_logged))
         }
         (_, Decision::Fail(severity)) => {
             let doubt = || wrong_model(arm?, best.closure.excess_m.value);
             let outcome = match does_not_follow(found).or_else(doubt) {
                 Some(why) => Outcome::Inconclusive(why),
-                None => Outcome::faulty(open_chain(facts, best, severity)),
+                None => Outcome::fail(open_chain(facts, best, severity)),
             };
             (outcome, closure(best))
         }
@@ -113,7 +113,7 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
         }
         (_, Decision::Pass) => match (facts.logged, by_mount) {
             (Some(logged), _) if logged != best.mount && is_mount_decided(best) => {
-                (Outcome::faulty(other_mount(logged)), closure(best))
+                (Outcome::fail(other_mount(logged)), closure(best))
             }
             _ if !matches!(scale, Decision::Pass) => {
                 let outcome =
@@ -128,7 +128,7 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
                     Decision::Undecided(why) => {
                         Outcome::Inconclusive(format!("camera mount: {why}; {SETTLE}"))
                     }
-                    Decision::Fail(severity) => Outcome::faulty(Fault {
+                    Decision::Fail(severity) => Outcome::fail(Fault {
                         severity,
                         cause: Cause::CameraMount {
                             in_hand: is_mount_decided(best)
@@ -193,7 +193,7 @@ fn sound(facts: &HandEyeEvidence, solution: &HandEyeSolution) -> Outcome {
     let closure = &solution.closure;
     let (m, rad) = (Unit::Metre.show(closure.rms_m), Unit::Radian.show(closure.rms_rad));
     let camera = camera(facts, solution);
-    Outcome::sound_because(format!("closes to {m} and {rad} rms ({}); {camera}", setting(solution)))
+    Outcome::pass_because(format!("closes to {m} and {rad} rms ({}); {camera}", setting(solution)))
 }
 
 /// The camera pose with its 95 % interval.
@@ -238,7 +238,7 @@ fn open_chain(facts: &HandEyeEvidence, solution: &HandEyeSolution, severity: Sev
     let rad = Unit::Radian.show_measured(&closure.excess_rad);
     Fault {
         severity,
-        cause: Cause::Seen(Sight::HandEye),
+        cause: Cause::Pictured(Picture::HandEye),
         title: "hand-eye chain does not close",
         message: format!(
             "hand-eye residual {m} and {rad} rms beyond noise after the best fit ({}); {}",
@@ -267,7 +267,7 @@ fn misread(
         .max(thresholds.angle.severity(closure.excess_rad.value));
     Fault {
         severity: severity.unwrap_or(Severity::Warning),
-        cause: Cause::Seen(Sight::HandEye),
+        cause: Cause::Pictured(Picture::HandEye),
         title: "target poses misread",
         message: format!("hand-eye residual {m} and {rad} rms as logged; it closes if {words}"),
         evidence: Evidence { effect_m: Some(closure.rms_m), ..Evidence::default() },
@@ -285,7 +285,7 @@ fn other_mount(logged: CameraMount) -> Fault {
     };
     Fault {
         severity: Severity::Error,
-        cause: Cause::Seen(Sight::HandEye),
+        cause: Cause::Pictured(Picture::HandEye),
         title: "camera mount differs from the frames",
         message: format!(
             "in the log's frames the camera is {}, but the chain closes only if it is {} or if the target \
@@ -359,7 +359,7 @@ fn stretched(solution: &HandEyeSolution, severity: Severity) -> Fault {
     let off = Unit::Metre.show(scale.effect_m().value.abs());
     Fault {
         severity,
-        cause: Cause::Seen(Sight::HandEye),
+        cause: Cause::Pictured(Picture::HandEye),
         title: "target positions have a wrong scale",
         message: format!(
             "best fit if {}; otherwise the camera is off by {off} along its view axis ({})",

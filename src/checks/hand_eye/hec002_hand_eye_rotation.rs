@@ -6,7 +6,7 @@ use crate::checks::hand_eye::chain::{
 use crate::checks::{Case, FrameThresholds, Grade, Judged};
 use crate::diagnosis::{CameraPose, Measured, RotationDiversity};
 use crate::evidence::HandEyeEvidence;
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
 
 rule! {
     /// The hand rotates too little for hand-eye calibration.
@@ -69,8 +69,8 @@ fn judge(case: &Case, facts: &HandEyeEvidence) -> Judged {
         _ if is_poor && seen_s < SHORT_S => Outcome::Inconclusive(format!(
             "the target is visible for only {seen_s:.1} s; record 10 s or more"
         )),
-        _ if is_poor => Outcome::faulty(fault(diversity, needed, &undetermined, severity(case))),
-        _ => Outcome::sound_because(format!(
+        _ if is_poor => Outcome::fail(fault(diversity, needed, &undetermined, severity(case))),
+        _ => Outcome::pass_because(format!(
             "the hand rotates by {}, with axes spread over {}{}",
             Unit::Radian.show(diversity.span_rad),
             Unit::Radian.show(diversity.spread_rad),
@@ -88,7 +88,7 @@ fn judge(case: &Case, facts: &HandEyeEvidence) -> Judged {
         true => ("spread of axes", diversity.spread_rad),
     };
     Judged::new(facts.subject(), outcome)
-        .estimated(Estimate::counted(name, Unit::Radian.symbol(), value))
+        .estimated(Estimate::exact(name, Unit::Radian.symbol(), value))
         .with_evidence("span_rad", diversity.span_rad)
         .with_evidence("spread_rad", diversity.spread_rad)
         .with_evidence("axis_in_hand", diversity.axis_in_hand.to_vec())
@@ -121,7 +121,7 @@ fn fault(
         some => format!("; the camera is undetermined {}", some.join(", ")),
     };
     Fault {
-        cause: Cause::Seen(Sight::HandEye),
+        cause: Cause::Pictured(Picture::HandEye),
         severity,
         title: "hand-eye is not observable",
         message: message + &limits,

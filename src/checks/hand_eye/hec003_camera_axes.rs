@@ -3,7 +3,7 @@ use crate::checks::hand_eye::chain::{does_not_follow, unseen};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::TargetEncoding;
 use crate::evidence::HandEyeEvidence;
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, rounded};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, rounded};
 use crate::geometry::{Rotation, Vec3, angle_between, rotation_from_rpy};
 use crate::run::CameraAxes;
 
@@ -129,7 +129,7 @@ fn judge(facts: &HandEyeEvidence) -> Judged {
         return Judged::new(facts.subject(), Outcome::Inconclusive(why));
     }
     let (is, read_as) = kinds(&swap);
-    let judged = Judged::new(facts.subject(), Outcome::faulty(fault(facts, &swap)))
+    let judged = Judged::new(facts.subject(), Outcome::fail(fault(facts, &swap)))
         .estimated(Estimate::slip("camera axes", is, read_as))
         .with_evidence("view", found.view.to_vec());
     match swap {
@@ -145,9 +145,9 @@ fn unswapped(facts: &HandEyeEvidence) -> Outcome {
         return Outcome::Inconclusive(why);
     }
     match (&found.mount_error, facts.axes, forward(found.view)) {
-        (Some(_), _, _) => Outcome::sound_because("the camera axes agree with the log's frames"),
+        (Some(_), _, _) => Outcome::pass_because("the camera axes agree with the log's frames"),
         (None, Some(named), Some(_)) => {
-            Outcome::sound_because(format!("the target is ahead of the camera ({})", named.words()))
+            Outcome::pass_because(format!("the target is ahead of the camera ({})", named.words()))
         }
         (None, Some(named), None) => {
             let view = found.view.map(|part| rounded(part, 2)).join(", ");
@@ -200,7 +200,7 @@ fn fault(facts: &HandEyeEvidence, swap: &Swap) -> Fault {
         ),
     };
     Fault {
-        cause: Cause::Seen(Sight::HandEye),
+        cause: Cause::Pictured(Picture::HandEye),
         severity: Severity::Error,
         title: "camera axes are swapped",
         message,

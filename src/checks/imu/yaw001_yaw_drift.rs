@@ -81,7 +81,7 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Vec<Judged> {
     let course = &imu.diagnosis.yaw_profile;
     let outcome = decide(drift, &drift_threshold, subjects)
         .into_outcome(&settle(course), |severity| drifts(imu, drift, severity));
-    let estimate = Estimate::amount("yaw drift", THRESHOLD.unit, drift);
+    let estimate = Estimate::scalar("yaw drift", THRESHOLD.unit, drift);
     let kind = if course.walk_rad_per_sqrt_s.is_some() { "random-walk" } else { "drift" };
     let mut judged = vec![with_course(imu.judged(outcome).estimated(estimate), course, kind)];
     let size = |jump: &&YawJump| jump.size_rad.value.abs();
@@ -90,7 +90,7 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Vec<Judged> {
     if let Some(jump) = largest.filter(|jump| size(jump) >= jump_threshold.warning) {
         let outcome = decide(&jump.size_rad, &jump_threshold, subjects)
             .into_outcome(SETTLE, |severity| jumps(jump, severity));
-        let estimate = Estimate::amount("yaw jump", JUMP.unit, &jump.size_rad);
+        let estimate = Estimate::scalar("yaw jump", JUMP.unit, &jump.size_rad);
         let of_jump = imu.judged(outcome).estimated(estimate);
         judged.push(with_course(of_jump, course, "jump"));
     }
@@ -100,7 +100,7 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Vec<Judged> {
         let amplitude = &heading.amplitude_rad;
         let outcome = decide(amplitude, &jump_threshold, subjects)
             .into_outcome(SETTLE, |severity| depends(heading, severity));
-        let estimate = Estimate::amount("yaw error by heading", JUMP.unit, amplitude);
+        let estimate = Estimate::scalar("yaw error by heading", JUMP.unit, amplitude);
         let of_heading = imu.judged(outcome).estimated(estimate).with_evidence("kind", "heading");
         judged.push(of_heading.with_evidence("axis", AXES[heading.axis]));
     }
@@ -110,7 +110,7 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Vec<Judged> {
         let at_first = &warm_up.at_first_rad_s;
         let outcome = decide(at_first, &drift_threshold, subjects)
             .into_outcome(SETTLE, |severity| settles(warm_up, severity));
-        let estimate = Estimate::amount("yaw drift", THRESHOLD.unit, at_first);
+        let estimate = Estimate::scalar("yaw drift", THRESHOLD.unit, at_first);
         let settling = imu.judged(outcome).estimated(estimate).with_evidence("kind", "warm-up");
         judged.push(settling.with_evidence("time_constant_s", warm_up.time_constant_s));
     }

@@ -2,7 +2,7 @@ use crate::checks::decision::{DEGREE, Threshold, decide_length, unseen};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{MeasuredLength, UpDirections};
 use crate::evidence::{ImuEvidence, StreamEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
 
 rule! {
     /// The roll and pitch of an IMU disagree with gravity.
@@ -115,7 +115,7 @@ fn fault(tilt: &MeasuredLength, up: Option<&UpDirections>, severity: Severity) -
     let shown = THRESHOLD.unit.show_measured(&tilt.norm);
     if let Some((title, message, fix)) = up.and_then(world) {
         return Fault {
-            cause: Cause::Seen(Sight::Tilt),
+            cause: Cause::Pictured(Picture::Tilt),
             severity,
             title,
             message: format!("{message}; roll and pitch are {shown} off gravity"),
@@ -124,7 +124,7 @@ fn fault(tilt: &MeasuredLength, up: Option<&UpDirections>, severity: Severity) -
         };
     }
     Fault {
-        cause: Cause::Seen(Sight::Tilt),
+        cause: Cause::Pictured(Picture::Tilt),
         severity,
         title: "IMU is tilted",
         message: format!("roll and pitch are {shown} off gravity"),

@@ -2,7 +2,7 @@ use crate::checks::decision::{DEGREE, Decision, Threshold, decide_length, unseen
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{ImuMountChange, MeasuredLength};
 use crate::evidence::{ImuEvidence, StreamEvidence};
-use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
+use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
 use crate::geometry::{Rotation, Vec3, angle_between, xyzw_from_rotation};
 use serde_json::{Value, json};
 
@@ -63,7 +63,7 @@ fn check(case: &Case) -> Vec<Judged> {
 fn judge_axes(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Option<Judged> {
     let fault = |severity, message: String, fix: String| Fault {
         severity,
-        cause: Cause::Seen(Sight::ImuAxes),
+        cause: Cause::Pictured(Picture::ImuAxes),
         title: "gyro axes do not match the IMU's",
         message,
         evidence: Evidence::default(),
@@ -74,8 +74,8 @@ fn judge_axes(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Option<Judged> 
         let message = format!("the gyro's axes are left-handed: {axis} is reversed");
         let fix =
             format!("negate {axis} of the angular velocity, or check which axes the driver swaps");
-        let outcome = Outcome::faulty(fault(Severity::Error, message, fix));
-        let half = Estimate::counted("mount error", THRESHOLD.unit.symbol(), std::f64::consts::PI);
+        let outcome = Outcome::fail(fault(Severity::Error, message, fix));
+        let half = Estimate::exact("mount error", THRESHOLD.unit.symbol(), std::f64::consts::PI);
         return Some(imu.judged(outcome).estimated(half).within(imu.span));
     }
     let turn = imu.diagnosis.axes_rotation.as_ref()?;
@@ -98,7 +98,7 @@ fn judge_axes(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Option<Judged> 
     let message = format!("{what} are {size} off the orientation's axes{order}");
     let fix = "publish gyro, accelerometer and orientation in the same axes (REP 145)".to_owned();
     let estimate = Estimate::length("mount error", THRESHOLD.unit, &turn.size_rad);
-    let judged = imu.judged(Outcome::faulty(fault(severity, message, fix))).within(imu.span);
+    let judged = imu.judged(Outcome::fail(fault(severity, message, fix))).within(imu.span);
     Some(judged.estimated(estimate))
 }
 
@@ -121,7 +121,7 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Judged {
             let outcome = decision
                 .into_outcome(SETTLE, |severity| slipped(case, imu, change, &when, severity));
             let estimate = Estimate::length("mount error", THRESHOLD.unit, &change.size_rad);
-            imu.judged(outcome).estimated(estimate.changing(when)).with_evidence(
+            imu.judged(outcome).estimated(estimate.with_change(when)).with_evidence(
                 "link_from_imu_after",
                 xyzw_from_rotation(&change.link_from_imu).to_vec(),
             )
@@ -254,7 +254,7 @@ fn slipped(
     };
     Fault {
         severity,
-        cause: Cause::Seen(Sight::ImuAxes),
+        cause: Cause::Pictured(Picture::ImuAxes),
         title: "IMU slips in its mount",
         message: format!("the IMU's mount turns by {size} at {at}{against}"),
         evidence: Evidence::default(),
@@ -281,7 +281,7 @@ fn fault(
         .map_or(String::new(), |order| format!(": the IMU's x, y, z are the frame's {order}"));
     Fault {
         severity,
-        cause: found.map_or(Cause::Seen(Sight::ImuAxes), Cause::ImuMount),
+        cause: found.map_or(Cause::Pictured(Picture::ImuAxes), Cause::ImuMount),
         title: "IMU mount differs",
         message: format!("mount differs from the log's frames by {shown}{permuted}{axes}"),
         evidence: Evidence::default(),

@@ -4,7 +4,7 @@ use crate::checks::decision::{DEGREE, Decision, Threshold, decide_length, unseen
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{GyroBias, GyroBiasChange, GyroBiasProfile, GyroScaleError, Measured};
 use crate::evidence::{ImuEvidence, StreamEvidence};
-use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Severity, Sight, Unit};
+use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Picture, Severity, Unit};
 
 rule! {
     /// A gyro has a bias.
@@ -100,7 +100,7 @@ fn is_mostly_constant(change: &GyroBiasChange) -> bool {
 fn estimate(case: &Case, change: &GyroBiasChange) -> Estimate {
     let size = Estimate::length("gyro bias", THRESHOLD.unit, &change.size_rad_s);
     match change.profile {
-        GyroBiasProfile::Step { at_s, interval_s } => size.changing(Change {
+        GyroBiasProfile::Step { at_s, interval_s } => size.with_change(Change {
             from: change.before_rad_s.norm(),
             to: change.after_rad_s.norm(),
             change_ns: case.evidence.origin.shifted(at_s),
@@ -155,7 +155,7 @@ fn changed(case: &Case, change: &GyroBiasChange, severity: Severity) -> Fault {
     };
     Fault {
         severity,
-        cause: Cause::Seen(Sight::Gyro),
+        cause: Cause::Pictured(Picture::Gyro),
         title,
         message,
         evidence: Evidence::default(),
@@ -186,7 +186,7 @@ fn fault(bias: &GyroBias, severity: Severity) -> Fault {
     evidence.more.insert("vector_rad_s".to_owned(), json!(vector));
     evidence.more.insert("yaw_rate_rad_s".to_owned(), json!(bias.yaw_rate_rad_s));
     Fault {
-        cause: Cause::Seen(Sight::Gyro),
+        cause: Cause::Pictured(Picture::Gyro),
         severity,
         title: "gyro bias",
         message: format!("gyro reads {shown} at rest{change}"),

@@ -38,7 +38,7 @@ impl ComplianceRule {
                     let why = "the arm barely moves, or no pose can be compared with it";
                     Outcome::Inconclusive(format!("{why}; {}", self.settle))
                 }
-                None => Outcome::sound(),
+                None => Outcome::pass(),
                 Some(left) => Outcome::Inconclusive(format!("{left}; {}", self.settle)),
             };
             return vec![Judged::new(arm.subject(), outcome).within(arm.span)];
@@ -54,14 +54,14 @@ impl ComplianceRule {
             let title = "joint compliance changes mid-run";
             let (outcome, estimate) =
                 changes::judge_scalar_change(case, self.name, title, change, &threshold, effect_m);
-            if matches!(outcome, Outcome::Evaluated(Ruling::Faulty(_))) {
+            if matches!(outcome, Outcome::Evaluated(Ruling::Fail(_))) {
                 return Judged::new(subject, outcome).within(arm.span).estimated(estimate);
             }
         }
         let size = Measured { value: bend.value.value.abs(), ..bend.value };
         let outcome = decide(&size, &threshold, case.evidence.subjects())
             .into_outcome(self.settle, |severity| (self.fault)(arm, bend, severity));
-        Judged::new(subject, outcome).within(arm.span).estimated(Estimate::amount(
+        Judged::new(subject, outcome).within(arm.span).estimated(Estimate::scalar(
             self.name,
             Unit::Radian,
             &size,

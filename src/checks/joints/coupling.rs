@@ -40,9 +40,9 @@ fn judge_pair(arm: &ArmEvidence, coupling: &JointCoupling) -> Option<Judged> {
         },
         fix: format!("{own}_true = {own} {sign} {term}"),
     };
-    let estimate = Estimate::amount("joint coupling", Unit::One, &coupling.factor);
-    let judged = Judged::new(arm.joint_states(coupling.column), Outcome::faulty(fault));
-    Some(judged.within(arm.span).estimated(estimate.coupled(with, factor)))
+    let estimate = Estimate::scalar("joint coupling", Unit::One, &coupling.factor);
+    let judged = Judged::new(arm.joint_states(coupling.column), Outcome::fail(fault));
+    Some(judged.within(arm.span).estimated(estimate.with_coupling(with, factor)))
 }
 
 fn sign_word(factor: f64) -> &'static str {
@@ -71,7 +71,7 @@ mod tests {
             let [finding] = findings.as_slice() else { panic!("{findings:?}") };
             assert_eq!(finding.subject.joint.as_deref(), Some("lift"));
             assert_eq!(finding.fix, fix);
-            let Some(Estimate::Amount { value, joint, .. }) = &finding.estimate else {
+            let Some(Estimate::Scalar { value, joint, .. }) = &finding.estimate else {
                 panic!("{finding:?}")
             };
             assert_eq!((*value, joint.factor), (factor, Some(factor)));

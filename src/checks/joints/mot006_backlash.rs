@@ -72,7 +72,7 @@ fn fault(arm: &ArmEvidence, bend: &JointCompliance, severity: Severity) -> Fault
     evidence.more.insert("leads".to_owned(), leads.into());
     Fault {
         severity,
-        cause: Cause::Bend,
+        cause: Cause::Compliance,
         title: "joint has backlash",
         message: format!("backlash of {}: {how}", Unit::Radian.show_measured(&size)),
         evidence,

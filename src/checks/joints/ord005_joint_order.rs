@@ -45,7 +45,7 @@ fn judge(arm: &ArmEvidence) -> Judged {
     let subject = arm.topic(&arm.joints_topic);
     match &arm.diagnosis.encoding {
         Err(why) => Judged::new(subject, unseen(why, "also log a pose that does not come from /tf")),
-        Ok(JointEncoding { permutation: None, .. }) => Judged::new(subject, Outcome::sound()),
+        Ok(JointEncoding { permutation: None, .. }) => Judged::new(subject, Outcome::pass()),
         Ok(JointEncoding { permutation: Some((order, slip)), runner_up_m, .. }) => {
             let names: Vec<String> = arm.joints.iter().map(|joint| joint.name.clone()).collect();
             let is: Vec<String> =
@@ -71,7 +71,7 @@ fn judge(arm: &ArmEvidence) -> Judged {
                 },
                 fix: format!("name the numbers in the order they are in: {}", is.join(", ")),
             };
-            Judged::new(subject, Outcome::faulty(fault))
+            Judged::new(subject, Outcome::fail(fault))
                 .estimated(Estimate::Order {
                     name: "joint order",
                     is: is.clone(),

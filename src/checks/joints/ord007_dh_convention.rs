@@ -60,8 +60,8 @@ fn judge(arm: &ArmEvidence, facts: &DhEvidence) -> Judged {
         _ if arm.poses.is_empty() => {
             Outcome::Skipped("no pose stream to compare with the DH table".to_owned())
         }
-        DhConventionResult::AsDeclared => Outcome::sound(),
-        DhConventionResult::Other => Outcome::faulty(fault(convention.other(), estimate)),
+        DhConventionResult::AsDeclared => Outcome::pass(),
+        DhConventionResult::Other => Outcome::fail(fault(convention.other(), estimate)),
         DhConventionResult::Either => Outcome::Inconclusive(format!(
             "the table fits the streams both as {read_as} (with {}) and as {is} (with {}); check the source \
              of the table",
@@ -125,7 +125,7 @@ fn fault(convention: DhConvention, estimate: &DhComparison) -> Fault {
     };
     Fault {
         severity: Severity::Error,
-        cause: Cause::Dh(convention),
+        cause: Cause::DhConvention(convention),
         title: "DH table in the other convention",
         message,
         evidence: Evidence {

@@ -3,7 +3,9 @@ use crate::checks::decision::unseen;
 use crate::checks::{Case, Grade, Judged, Threshold, changes};
 use crate::diagnosis::{JointScale, Measured, UnitResiduals};
 use crate::evidence::ArmEvidence;
-use crate::finding::{Cause, Estimate, Evidence, Fault, JointScaling, Outcome, Severity, Unit};
+use crate::finding::{
+    Cause, Estimate, Evidence, Fault, JointScaleCorrection, Outcome, Severity, Unit,
+};
 use serde_json::json;
 use std::f64::consts::TAU;
 
@@ -98,9 +100,9 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
         let names = joints.iter().filter_map(|other| arm.joints.get(other.column));
         let names: Vec<&str> = names.map(|joint| joint.name.as_str()).collect();
         let fault = fault(arm, scale, joints, &left);
-        Judged::new(subject, Outcome::faulty(fault))
+        Judged::new(subject, Outcome::fail(fault))
             .within(arm.span)
-            .estimated(Estimate::amount("joint scale", Unit::One, &as_logged(arm, scale.factor)))
+            .estimated(Estimate::scalar("joint scale", Unit::One, &as_logged(arm, scale.factor)))
             .with_evidence(
                 "offset",
                 if scale.is_coded() { json!(scale.offset) } else { json!(null) },
@@ -110,7 +112,7 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
             .with_evidence("corrected_m", left.corrected)
     };
     match scales.as_slice() {
-        [] => vec![Judged::new(topic, Outcome::sound()).within(arm.span)],
+        [] => vec![Judged::new(topic, Outcome::pass()).within(arm.span)],
         [first, rest @ ..] if rest.len() > 1 && rest.iter().all(|other| is_same(first, other)) => {
             vec![judged(first, &scales)]
         }
@@ -185,9 +187,9 @@ fn fault(
 }
 
 /// Correction of a joint with this scale.
-fn scaling(arm: &ArmEvidence, scale: &JointScale) -> Option<JointScaling> {
+fn scaling(arm: &ArmEvidence, scale: &JointScale) -> Option<JointScaleCorrection> {
     let joint = arm.joints.get(scale.column)?;
-    Some(JointScaling {
+    Some(JointScaleCorrection {
         joint: joint.name.clone(),
         factor: scale.factor,
         offset: Some(scale.offset).filter(|offset| scale.is_coded() && *offset != 0.0),

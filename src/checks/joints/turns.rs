@@ -93,10 +93,8 @@ fn judged(arm: &ArmEvidence, joint: usize, turns: f64, offset: &Measured, seen: 
             offset.value.abs()
         ),
     };
-    let estimate = Estimate::amount("joint offset", Unit::Radian, offset).off_by_turns(turns);
-    Judged::new(arm.joint_states(joint), Outcome::faulty(fault))
-        .within(arm.span)
-        .estimated(estimate)
+    let estimate = Estimate::scalar("joint offset", Unit::Radian, offset).with_turns(turns);
+    Judged::new(arm.joint_states(joint), Outcome::fail(fault)).within(arm.span).estimated(estimate)
 }
 
 #[cfg(test)]
@@ -115,7 +113,7 @@ mod tests {
             (lift.offset, lift.is_chosen) = (Ok(sure(offset)), true);
             let (_, findings) = ask(&ORD009, &run);
             let [finding] = findings.as_slice() else { panic!("{findings:?}") };
-            let Some(Estimate::Amount { joint, .. }) = &finding.estimate else {
+            let Some(Estimate::Scalar { joint, .. }) = &finding.estimate else {
                 panic!("{finding:?}")
             };
             assert_eq!(joint.turns, Some(turns));

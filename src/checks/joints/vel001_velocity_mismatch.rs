@@ -3,7 +3,7 @@ use crate::checks::together::{alike, listed, prefix, subject};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{NotObservable, Response, VelocityDiagnosis, VelocityShape};
 use crate::evidence::{ArmEvidence, JointEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
 
 rule! {
     /// Recorded velocities are not the rates of the recorded positions.
@@ -84,9 +84,9 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
                     faults.push((index, (found.clone(), severity)));
                     continue;
                 }
-                Some(why) => Outcome::sound_because(why.to_owned()),
+                Some(why) => Outcome::pass_because(why.to_owned()),
             },
-            Decision::Pass => Outcome::sound(),
+            Decision::Pass => Outcome::pass(),
             Decision::Undecided(_) => Outcome::Inconclusive(format!(
                 "noise and resolution of the positions are {} of the rate (limit {}); {SETTLE}",
                 percent(found.noise),
@@ -170,7 +170,7 @@ fn named(
     let (what, fix) = words(arm, *worst, found);
     let fault = Fault {
         severity: *severity,
-        cause: Cause::Seen(Sight::Joint),
+        cause: Cause::Pictured(Picture::Joint),
         title: match found.shape {
             VelocityShape::Zero => "velocities are zero in motion",
             VelocityShape::Filtered(_) => "velocities are late or filtered",
@@ -185,7 +185,7 @@ fn named(
         fix,
     };
     let subject = subject(arm, &arm.joints_topic, &joints);
-    let judged = Judged::new(subject, Outcome::faulty(fault)).within(arm.span);
+    let judged = Judged::new(subject, Outcome::fail(fault)).within(arm.span);
     listed(with_numbers(judged, found), arm, &joints)
 }
 
@@ -285,7 +285,7 @@ fn short(value: f64) -> String {
 
 fn with_numbers(judged: Judged, found: &VelocityDiagnosis) -> Judged {
     let judged = judged
-        .estimated(Estimate::amount("velocity error", Unit::One, &found.error))
+        .estimated(Estimate::scalar("velocity error", Unit::One, &found.error))
         .with_evidence("noise", found.noise)
         .with_evidence("rate", found.rate)
         .with_evidence("window_s", found.window_s);

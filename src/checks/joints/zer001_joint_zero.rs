@@ -98,7 +98,7 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
     let subject = arm.joint(joint);
     if let Some(scale) = arm.scale(joint).filter(|scale| scale.is_coded()) {
         let why = format!("the offset belongs to its scale, {:.5} (ORD009)", scale.offset);
-        return Judged::new(subject, Outcome::sound_because(why)).within(arm.span);
+        return Judged::new(subject, Outcome::pass_because(why)).within(arm.span);
     }
     let threshold = case.thresholds.of(&ZER001, threshold(arm.joint_unit(joint)));
     if let Some(change) = arm.diagnosis.zero_change(joint) {
@@ -106,7 +106,7 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
         let title = "joint zero changes mid-run";
         let (mut outcome, estimate) =
             changes::judge_scalar_change(case, "joint offset", title, change, &threshold, effect_m);
-        if let Outcome::Evaluated(Ruling::Faulty(fault)) = &mut outcome {
+        if let Outcome::Evaluated(Ruling::Fail(fault)) = &mut outcome {
             let twins = offset
                 .confounders
                 .iter()
@@ -117,7 +117,7 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
     }
     if turns::part_of_turn(case, arm, joint).is_some() {
         let why = "off by a half or quarter turn (ORD009)".to_owned();
-        return Judged::new(subject, Outcome::sound_because(why)).within(arm.span);
+        return Judged::new(subject, Outcome::pass_because(why)).within(arm.span);
     }
     let measured = match &offset.offset {
         Ok(measured) => measured,
@@ -146,10 +146,10 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
                 .or_else(|| other_model(case, arm, offset))
             {
                 Some(why) => Outcome::Inconclusive(why),
-                None => Outcome::faulty(fault(case, arm, joint, measured, severity)),
+                None => Outcome::fail(fault(case, arm, joint, measured, severity)),
             }
         }
-        (Decision::Pass, _) => Outcome::sound(),
+        (Decision::Pass, _) => Outcome::pass(),
         (_, Some(twin)) if !offset.is_chosen => not_told_from(arm, &twin),
         (Decision::Fail(_), _) if arm.poses.iter().any(|s| s.diagnosis.is_nominal) => {
             unseen(&NotObservable::NominalKinematics, SETTLE)
@@ -407,7 +407,7 @@ mod tests {
         run.robots[0].poses[0].diagnosis.reference =
             Ok(FrameEstimate { is_chosen: true, ..frame(0.1) });
         let (rows, findings) = ask(&ZER001, &run);
-        assert!(findings.is_empty() && rows[0].indistinguishable, "{rows:?}");
+        assert!(findings.is_empty() && rows[0].is_indistinguishable, "{rows:?}");
         let (_, named) = ask(&crate::checks::poses::frm002_reference_frame::FRM002, &run);
         assert_eq!(named[0].evidence.indistinguishable[0].code, "ZER001");
     }

@@ -65,7 +65,7 @@ fn fault(arm: &ArmEvidence, bend: &JointCompliance, severity: Severity) -> Fault
     let (effect_m, moved) = tip_effect(arm, bend.column, bend.value.value);
     Fault {
         severity,
-        cause: Cause::Bend,
+        cause: Cause::Compliance,
         title: "joint sags under gravity",
         message: format!("sags by up to {} under gravity", Unit::Radian.show_measured(&bend.value)),
         evidence: Evidence {

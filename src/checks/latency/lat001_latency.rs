@@ -82,7 +82,7 @@ fn check(case: &Case) -> Vec<Judged> {
 /// Keeps the first of the transforms on one topic whose latencies agree within `apart_s` as the finding:
 /// one program stamped them all.
 fn name_once(rows: &mut [Judged], apart_s: f64) {
-    let is_late = |row: &Judged| matches!(row.outcome, Outcome::Evaluated(Ruling::Faulty(_)));
+    let is_late = |row: &Judged| matches!(row.outcome, Outcome::Evaluated(Ruling::Fail(_)));
     for at in 1..rows.len() {
         let (named, rest) = rows.split_at_mut(at);
         let Some(row) = rest.first_mut().filter(|row| is_late(row)) else { continue };
@@ -94,7 +94,7 @@ fn name_once(rows: &mut [Judged], apart_s: f64) {
         let Some(first) = named.iter_mut().find(is_same) else { continue };
         let others = first.evidence.get("others_late").and_then(|count| count.as_u64());
         first.evidence.insert("others_late".to_owned(), (others.unwrap_or(0) + 1).into());
-        row.outcome = Outcome::sound_because("same latency as the whole topic, reported once");
+        row.outcome = Outcome::pass_because("same latency as the whole topic, reported once");
     }
 }
 
@@ -143,7 +143,7 @@ fn judge_without_joints(case: &Case, target: &HandEyeEvidence) -> Option<Judged>
         THRESHOLD.unit.show_measured(&size),
         target.hand,
     );
-    let estimate = Estimate::amount("latency", THRESHOLD.unit, latency);
+    let estimate = Estimate::scalar("latency", THRESHOLD.unit, latency);
     Some(
         Judged::new(target.subject(), Outcome::Inconclusive(why))
             .within(target.span)
@@ -225,9 +225,9 @@ fn joints_late(
             shift(lateness),
         ),
     };
-    Judged::new(arm.topic(&arm.joints_topic), Outcome::faulty(fault))
+    Judged::new(arm.topic(&arm.joints_topic), Outcome::fail(fault))
         .within(arm.span)
-        .estimated(Estimate::amount("latency", THRESHOLD.unit, lateness))
+        .estimated(Estimate::scalar("latency", THRESHOLD.unit, lateness))
 }
 
 /// Judges a stream of an arm whose joint states are late. They explain the latency of an independent
@@ -235,10 +235,10 @@ fn joints_late(
 fn beside_late_joints(case: &Case, arm: &ArmEvidence, stream: &StreamEvidence<Late>) -> Judged {
     let remark = format!("its apparent latency is explained by {}", arm.joints_topic);
     let outcome = match stream.latency {
-        Ok(_) if stream.independent => Outcome::sound_because(remark),
+        Ok(_) if stream.independent => Outcome::pass_because(remark),
         _ => return judge_stream(case, arm, stream, &[]),
     };
-    let amount = |latency| Estimate::amount("latency", THRESHOLD.unit, latency);
+    let amount = |latency| Estimate::scalar("latency", THRESHOLD.unit, latency);
     stream.judged(outcome).estimated(estimate(stream).map(amount))
 }
 
@@ -254,7 +254,7 @@ fn judge_stream(
     };
     let outcome =
         match decide(latency, &case.thresholds.of(&LAT001, THRESHOLD), case.evidence.subjects()) {
-            Decision::Pass => Outcome::sound(),
+            Decision::Pass => Outcome::pass(),
             Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
             Decision::Fail(severity) => {
                 let other_witness = streams.iter().any(|other| {
@@ -266,7 +266,7 @@ fn judge_stream(
                     indistinguishable.push(alternative(joints, &latency.scaled(-1.0)));
                 }
                 let (effect, effect_m) = effect(arm, latency);
-                Outcome::faulty(Fault {
+                Outcome::fail(Fault {
                     severity,
                     cause: Cause::Latency(*latency),
                     title: if latency.value > 0.0 { "stream is late" } else { "stream is early" },
@@ -288,7 +288,7 @@ fn judge_stream(
             }
         };
     let judged = stream.judged(outcome);
-    let judged = judged.estimated(Estimate::amount("latency", THRESHOLD.unit, latency));
+    let judged = judged.estimated(Estimate::scalar("latency", THRESHOLD.unit, latency));
     match stream.delays {
         Some(delays) => judged.with_evidence(
             "delays",
@@ -356,7 +356,7 @@ fn effect(arm: &ArmEvidence, latency: &Measured) -> (Option<String>, Option<f64>
 }
 
 fn alternative(subject: Subject, latency: &Measured) -> Alternative {
-    let estimate = Estimate::amount("latency", THRESHOLD.unit, latency);
+    let estimate = Estimate::scalar("latency", THRESHOLD.unit, latency);
     Alternative { code: LAT001.code, subject, estimate: Some(estimate) }
 }
 
@@ -425,7 +425,7 @@ mod tests {
         name_once(&mut rows, 2e-3);
         let named: Vec<bool> = rows
             .iter()
-            .map(|row| matches!(row.outcome, Outcome::Evaluated(Ruling::Faulty(_))))
+            .map(|row| matches!(row.outcome, Outcome::Evaluated(Ruling::Fail(_))))
             .collect();
         assert_eq!(named, [true, false, false, false, false, true, true]);
         assert_eq!(rows[0].evidence["others_late"], 4);

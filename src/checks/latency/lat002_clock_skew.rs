@@ -102,7 +102,7 @@ fn fault(
     let moved = Unit::Second.show(moved_s);
     Fault {
         severity,
-        cause: Cause::Skew(*skew),
+        cause: Cause::ClockSkew(*skew),
         title: "clock runs at a different rate",
         message: format!(
             "latency grows by {} against {}",

@@ -89,7 +89,7 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     let beside = |stream: &StreamEvidence<Course>| match stream.course {
         Ok(course) if stream.independent => {
             let remark = format!("its latency steps are those of {}", arm.joints_topic);
-            stream.judged(Outcome::sound_because(remark)).estimated(estimate(case, course, None))
+            stream.judged(Outcome::pass_because(remark)).estimated(estimate(case, course, None))
         }
         _ => judge(case, arm, stream),
     };
@@ -151,12 +151,12 @@ fn estimate(case: &Case, course: &LatencyProfile, latency: Option<&Measured>) ->
         LatencyShape::WithLoad => "latency with load",
         LatencyShape::Steady | LatencyShape::Wander => "latency swing",
     };
-    let estimate = Estimate::amount(name, THRESHOLD.unit, &course.swing_s);
+    let estimate = Estimate::scalar(name, THRESHOLD.unit, &course.swing_s);
     match ends(course, latency) {
         Some((from, to, [begin_s, end_s])) => {
             let at = |at_s: f64| case.evidence.origin.shifted(at_s);
             let change_ci95_ns = (begin_s < end_s).then(|| [at(begin_s), at(end_s)]);
-            estimate.changing(Change { from, to, change_ns: at(begin_s), change_ci95_ns })
+            estimate.with_change(Change { from, to, change_ns: at(begin_s), change_ci95_ns })
         }
         None => estimate,
     }
@@ -190,9 +190,9 @@ fn judge(case: &Case, arm: &ArmEvidence, stream: &StreamEvidence<Course>) -> Jud
         &case.thresholds.of(&LAT003, THRESHOLD),
         case.evidence.subjects(),
     ) {
-        Decision::Pass => Outcome::sound(),
+        Decision::Pass => Outcome::pass(),
         Decision::Fail(severity) if course.is_unsteady => {
-            Outcome::faulty(fault(case, arm, course, stream.latency, severity))
+            Outcome::fail(fault(case, arm, course, stream.latency, severity))
         }
         Decision::Fail(_) => {
             let shown = THRESHOLD.unit.show(course.swing_s.value);
@@ -281,7 +281,7 @@ fn fault(
         evidence.more.insert("ramp".to_owned(), ramp);
     }
     Fault {
-        cause: Cause::UnsteadyLatency,
+        cause: Cause::VaryingLatency,
         severity,
         title,
         message,

@@ -3,7 +3,7 @@ use crate::checks::motion::mot003_limits_exceeded::motion_doubt;
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Vibration, VibrationFailure};
 use crate::evidence::{ArmEvidence, ShakeEvidence, StreamEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
 
 rule! {
     /// Tool vibration above the band of the motion.
@@ -83,7 +83,7 @@ fn judge(case: &Case, arm: &ArmEvidence, stream: &StreamEvidence<ShakeEvidence>)
     };
     let threshold = case.thresholds.of(&MOT001, THRESHOLD);
     let outcome = match threshold.severity(found.rms_m) {
-        Some(severity) => Outcome::faulty(fault(case, stream, found, severity)),
+        Some(severity) => Outcome::fail(fault(case, stream, found, severity)),
         None if found.resolved_m > threshold.warning => {
             let [resolved, needed] =
                 [found.resolved_m, threshold.warning].map(|m| THRESHOLD.unit.show(m));
@@ -91,10 +91,10 @@ fn judge(case: &Case, arm: &ArmEvidence, stream: &StreamEvidence<ShakeEvidence>)
                 format!("noise hides vibration below {resolved}; {needed} must be detectable");
             Outcome::Inconclusive(format!("{why}; {SETTLE}"))
         }
-        None => Outcome::sound(),
+        None => Outcome::pass(),
     };
     judged(outcome)
-        .estimated(Estimate::counted("shake", THRESHOLD.unit.symbol(), found.rms_m))
+        .estimated(Estimate::exact("shake", THRESHOLD.unit.symbol(), found.rms_m))
         .with_evidence("frequency_hz", found.frequency_hz)
         .with_evidence("from_hz", found.from_hz)
         .with_evidence("at_ns", case.evidence.origin.shifted(found.at_s).to_string())
@@ -109,7 +109,7 @@ fn fault(
     severity: Severity,
 ) -> Fault {
     Fault {
-        cause: Cause::Seen(Sight::Shake),
+        cause: Cause::Pictured(Picture::Vibration),
         severity,
         title: "tool vibration",
         message: format!(

@@ -3,7 +3,7 @@ use crate::checks::{Case, Grade, Judged, Limit};
 use crate::diagnosis::PeakAcceleration;
 use crate::evidence::{ArmEvidence, JointEvidence};
 use crate::finding::{
-    Cause, Estimate, Evidence, Fault, JointRelation, Outcome, Severity, Sight, Unit,
+    Cause, Estimate, Evidence, Fault, JointRelation, Outcome, Picture, Severity, Unit,
 };
 
 rule! {
@@ -84,7 +84,7 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
     let (unit, limit) = (limit.unit.symbol(), case.thresholds.limit(&MOT002, &limit));
     let PeakAcceleration { acceleration, noise, resolved, .. } = *found;
     let outcome = if acceleration - noise >= limit {
-        Outcome::faulty(fault(case, found, limit, unit))
+        Outcome::fail(fault(case, found, limit, unit))
     } else if acceleration >= limit {
         let seen = format!("{acceleration:.0} {unit}, beyond the limit of {limit} {unit}");
         let noise = format!("noise may account for {noise:.0}");
@@ -98,7 +98,7 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
         };
         Outcome::Inconclusive(format!("{hidden} (limit {limit} {unit}); {SETTLE}"))
     } else {
-        Outcome::sound()
+        Outcome::pass()
     };
     judged(outcome)
         .estimated(estimate(found, if joint.is_prismatic { "m/s^2" } else { "rad/s^2" }))
@@ -114,7 +114,7 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
 fn estimate(found: &PeakAcceleration, unit: &'static str) -> Estimate {
     let half = (found.noise / 3.0).max(0.01 * found.acceleration);
     let ci95 = Some([found.acceleration - half, found.acceleration + half]);
-    Estimate::Amount {
+    Estimate::Scalar {
         name: "joint acceleration",
         value: found.acceleration,
         unit,
@@ -130,7 +130,7 @@ const BEYOND_ARMS: f64 = 1e4;
 fn fault(case: &Case, found: &PeakAcceleration, limit: f64, unit: &str) -> Fault {
     if found.acceleration >= BEYOND_ARMS {
         return Fault {
-            cause: Cause::Seen(Sight::Joint),
+            cause: Cause::Pictured(Picture::Joint),
             severity: Severity::Warning,
             title: "impossible acceleration",
             message: format!(
@@ -146,7 +146,7 @@ fn fault(case: &Case, found: &PeakAcceleration, limit: f64, unit: &str) -> Fault
         };
     }
     Fault {
-        cause: Cause::Seen(Sight::Joint),
+        cause: Cause::Pictured(Picture::Joint),
         severity: Severity::Warning,
         title: "abrupt stop or start",
         message: format!(

@@ -3,7 +3,7 @@ use serde_json::{Value, json};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{LimitViolation, NotObservable};
 use crate::evidence::{ArmEvidence, JointEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
 
 rule! {
     /// A joint exceeds its position or speed limits.
@@ -146,12 +146,12 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
     let speed = Broken::of("speed", motion.speeds.as_ref(), slight_from * top_speed);
     let broken: Vec<&Broken<'_>> = [&position, &speed].into_iter().flatten().collect();
     let Some(worst) = broken.iter().rev().max_by_key(|broken| broken.severity) else {
-        return judged(Outcome::sound());
+        return judged(Outcome::pass());
     };
     let unit = arm.joint_unit(index);
     let told: Vec<String> = broken.iter().map(|broken| tell(case, broken, unit)).collect();
     let fault = Fault {
-        cause: Cause::Seen(Sight::Joint),
+        cause: Cause::Pictured(Picture::Joint),
         severity: worst.severity,
         title: "joint limit exceeded",
         message: told.join("; "),
@@ -163,7 +163,7 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
         (_, Unit::Metre) => ("beyond speed limit", "m/s"),
         _ => ("beyond speed limit", "rad/s"),
     };
-    let mut judged = judged(Outcome::faulty(fault)).estimated(Estimate::counted(
+    let mut judged = judged(Outcome::fail(fault)).estimated(Estimate::exact(
         name,
         symbol,
         worst.excess.excess(),

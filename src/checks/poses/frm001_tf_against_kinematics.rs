@@ -115,13 +115,13 @@ fn outcome(found: Disagreement) -> Outcome {
         (Unit::Metre.show(found.length.value), Unit::Radian.show(found.angle.value));
     let severity = match found.decision {
         Decision::Pass => {
-            return Outcome::sound_because(format!("matches FK ({length}, {angle})"));
+            return Outcome::pass_because(format!("matches FK ({length}, {angle})"));
         }
         Decision::Undecided(why) => return Outcome::Inconclusive(format!("{why}; {SETTLE}")),
         Decision::Fail(severity) => severity,
     };
     let kind = if found.constant { "everywhere" } else { "rms" };
-    Outcome::faulty(Fault {
+    Outcome::fail(Fault {
         cause: Cause::TfDisagrees,
         severity,
         title: "/tf disagrees with kinematics",

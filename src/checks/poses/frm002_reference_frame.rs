@@ -68,7 +68,7 @@ fn check(case: &Case) -> Vec<Judged> {
 /// Adds the start or end time to an offset that occurs in part of the run, if the poses are right under the
 /// `frame_id` of the other part.
 fn since_label(case: &Case, mut judged: Judged) -> Judged {
-    let Outcome::Evaluated(Ruling::Faulty(fault)) = &mut judged.outcome else { return judged };
+    let Outcome::Evaluated(Ruling::Fail(fault)) = &mut judged.outcome else { return judged };
     let subject = &judged.subject;
     let arm = case.evidence.robots.iter().find(|arm| subject.robot.as_ref() == Some(&arm.name));
     let parts = || {
@@ -98,7 +98,7 @@ fn since_label(case: &Case, mut judged: Judged) -> Judged {
     let value = value.unwrap_or(0.0);
     let (from, to) = if is_after { (0.0, value) } else { (value, 0.0) };
     let change = Change { from, to, change_ns: at, change_ci95_ns: None };
-    judged.estimate = judged.estimate.map(|estimate| estimate.changing(change));
+    judged.estimate = judged.estimate.map(|estimate| estimate.with_change(change));
     judged
 }
 
@@ -126,7 +126,7 @@ fn fault(
     let effect_m = frame.translation_m.value + frame.rotation_rad.value * arm.reach_m;
     Fault {
         severity,
-        cause: Cause::Reference(frame.pose),
+        cause: Cause::ReferenceFrame(frame.pose),
         title: "reference frame is off",
         message: format!("poses have a constant offset of {} from {reference}", show(frame)),
         evidence: Evidence { effect_m: Some(effect_m), ..Evidence::default() },

@@ -2,7 +2,7 @@ use crate::checks::frames::{self, End, THRESHOLDS, show, show_pose};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Confounder, FrameEstimate, SwitchedTool};
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
 use crate::run::PoseSourceKind;
 
 rule! {
@@ -109,7 +109,7 @@ fn alternates(
     let effect_m = length.value + angle.value * length.value;
     let fault = Fault {
         severity,
-        cause: Cause::Seen(Sight::Stream),
+        cause: Cause::Pictured(Picture::Stream),
         title: "tool frame alternates",
         message: format!(
             "{:.0} % of the poses belong to a second body, {} and {} from the first ({}{more}): {what}",
@@ -124,7 +124,7 @@ fn alternates(
     let ns = |span: &[f64; 2]| span.map(|at_s| stamp(at_s).to_string());
     let spans_ns: Vec<[String; 2]> = other.spans_s.iter().map(ns).collect();
     let change_ns = other.spans_s.first().map(|[from_s, _]| stamp(*from_s).to_string());
-    Judged::new(arm.frame(stream.topic(), &stream.tip), Outcome::faulty(fault))
+    Judged::new(arm.frame(stream.topic(), &stream.tip), Outcome::fail(fault))
         .within(stream.span)
         .estimated(Estimate::frame("tool frame changes", length, angle))
         .with_evidence("pose", frames::pose_json(&other.pose))
@@ -152,7 +152,7 @@ fn fault(
     let (offset, pose) = (Unit::Metre.show(frame.translation_m.value), show_pose(&frame.pose));
     Fault {
         severity,
-        cause: Cause::Tool(frame.pose),
+        cause: Cause::ToolFrame(frame.pose),
         title: "tool frame offset",
         message: format!("poses are {} from {tip}{guess}", show(frame)),
         evidence: Evidence {

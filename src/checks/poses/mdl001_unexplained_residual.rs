@@ -12,7 +12,8 @@ use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{ErrorMagnitude, ErrorSize, FkError, Measured, PartError, PoseEncoding};
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{
-    Cause, Estimate, Evidence, Fault, Outcome, ReadAs, Ruling, Severity, Subject, Unit, rounded,
+    Cause, Estimate, Evidence, Fault, Interpretation, Outcome, Ruling, Severity, Subject, Unit,
+    rounded,
 };
 use crate::run::BetterModel;
 
@@ -187,7 +188,7 @@ fn judge(case: &Case, attributed: &AttributedStream, all: &[AttributedStream]) -
     let none = Measured { value: 0.0, std_error: 0.0, dof: f64::INFINITY };
     let length = rms_beyond_noise(&error.length.whole);
     let outcome = match outcome(case, attributed, all) {
-        Outcome::Evaluated(Ruling::Sound(_)) if !stream.unidentified_columns.is_empty() => {
+        Outcome::Evaluated(Ruling::Pass(_)) if !stream.unidentified_columns.is_empty() => {
             not_checked(&stream.unidentified_columns)
         }
         outcome => outcome,
@@ -240,7 +241,7 @@ fn error_json(case: &Case, error: &FkError) -> Value {
 }
 
 fn outcome(case: &Case, attributed: &AttributedStream, all: &[AttributedStream]) -> Outcome {
-    let Some(attribution) = &attributed.attribution else { return Outcome::sound() };
+    let Some(attribution) = &attributed.attribution else { return Outcome::pass() };
     let at_rest = attributed.stream.proof.as_ref().is_ok_and(|proof| proof.is_at_rest);
     let as_logged =
         || attributed.stream.proof.as_ref().map_or(String::new(), |proof| sizes(&proof.as_logged));
@@ -255,25 +256,25 @@ fn outcome(case: &Case, attributed: &AttributedStream, all: &[AttributedStream])
             "the arm barely moves, and agreement in one configuration proves little; {SETTLE}"
         )),
         Attribution::BelowThresholds | Attribution::Explained { is_reported: true } => {
-            Outcome::sound()
+            Outcome::pass()
         }
-        Attribution::WithinNoise => Outcome::sound_because(format!(
+        Attribution::WithinNoise => Outcome::pass_because(format!(
             "{} off as logged, within the sample-to-sample noise",
             as_logged()
         )),
-        Attribution::Explained { is_reported: false } => Outcome::sound_because(format!(
+        Attribution::Explained { is_reported: false } => Outcome::pass_because(format!(
             "{} off as logged, fully explained by the estimated corrections",
             as_logged()
         )),
-        Attribution::SmallErrors(residual) => Outcome::faulty(small(case, residual)),
+        Attribution::SmallErrors(residual) => Outcome::fail(small(case, residual)),
         Attribution::NominalModel(error) => {
-            Outcome::faulty(nominal(error, attributed.stream.diagnosis.link_m))
+            Outcome::fail(nominal(error, attributed.stream.diagnosis.link_m))
         }
         Attribution::Unexplained(residual) if attributed.is_mismatched() => {
-            Outcome::faulty(disagreement(attributed, residual))
+            Outcome::fail(disagreement(attributed, residual))
         }
         Attribution::Unexplained(residual) => {
-            Outcome::faulty(unexplained(case, attributed, all, residual))
+            Outcome::fail(unexplained(case, attributed, all, residual))
         }
         Attribution::Undetermined(residual, open) => {
             Outcome::Inconclusive(undetermined_reason(case, residual, open))
@@ -331,7 +332,7 @@ fn undetermined_reason(case: &Case, residual: &ExceedingResidual, open: &[&str])
 
 fn small(case: &Case, residual: &ExceedingResidual) -> Fault {
     Fault {
-        cause: Cause::Model,
+        cause: Cause::UnexplainedResidual,
         severity: Severity::Info,
         title: "small residual",
         message: format!(
@@ -358,7 +359,7 @@ fn nominal(error: &FkError, link_m: Option<f64>) -> Fault {
         format!(": about {} per link", Unit::Metre.show(round_to_one(link_m)))
     });
     Fault {
-        cause: Cause::Model,
+        cause: Cause::UnexplainedResidual,
         severity: Severity::Info,
         title: "nominal kinematics",
         message: format!(
@@ -406,7 +407,7 @@ fn unexplained(
             .to_owned();
     Fault {
         severity: residual.severity,
-        cause: Cause::Model,
+        cause: Cause::UnexplainedResidual,
         title: "unexplained residual",
         message,
         evidence,
@@ -471,7 +472,7 @@ fn candidates(stream: &StreamEvidence<PoseEvidence>) -> Vec<String> {
     let readings =
         ranked.iter().filter(|(reading, _)| !matches!(reading, PoseEncoding::AsLogged)).take(3);
     let readings = readings.map(|(reading, left_rad)| {
-        let ReadAs { is, read_as: was } = read_as(reading);
+        let Interpretation { is, read_as: was } = read_as(reading);
         format!("{is} read as {was} (residual {})", Unit::Radian.show(*left_rad))
     });
     all.into_iter().chain(readings).collect()
@@ -492,7 +493,7 @@ fn wrong_model(case: &Case, arm: &ArmEvidence, better: &BetterModel) -> Outcome 
     let mut evidence = Evidence { effect_m: Some(*named_m), ..Evidence::default() };
     let fits_json = json!({"robot": name, "misfit_m": left_m, "tool_m": tool_m});
     evidence.more.insert("fits".to_owned(), fits_json);
-    Outcome::faulty(Fault {
+    Outcome::fail(Fault {
         cause: Cause::OtherRobot(name.clone()),
         severity: case
             .thresholds

@@ -48,7 +48,7 @@ fn check(case: &Case) -> Vec<Judged> {
     for (_, stream) in inverted {
         if let Some(row) = judged.iter_mut().find(|row| row.subject == stream.subject) {
             *row = stream
-                .judged(Outcome::faulty(by_positions(&stream.diagnosis)))
+                .judged(Outcome::fail(by_positions(&stream.diagnosis)))
                 .estimated(direction(RotationError::Inverted));
         }
     }

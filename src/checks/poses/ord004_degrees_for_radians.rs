@@ -2,7 +2,7 @@ use crate::checks::decision::unseen;
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{JointUnit, UnitResiduals};
 use crate::evidence::{ArmEvidence, ImuEvidence, StreamEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Subject, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Subject, Unit};
 use crate::geometry::{AngleUnit, Misread};
 
 rule! {
@@ -68,7 +68,7 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
         if stream.is_undeclared {
             let why = "no unit is declared for these numbers, so none is violated";
             return (stream.has_bare_numbers && stream.diagnosis.degrees.is_some())
-                .then(|| stream.judged(Outcome::sound_because(why.to_owned())));
+                .then(|| stream.judged(Outcome::pass_because(why.to_owned())));
         }
         let taken =
             if stream.has_bare_numbers { Taken::Logged } else { Taken::Declared(declared?) };
@@ -84,13 +84,13 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
 fn judge_gyro(imu: &StreamEvidence<ImuEvidence>) -> Option<Judged> {
     let Some(UnitResiduals { as_logged, corrected }) = imu.diagnosis.conventions.degrees else {
         let turns = imu.proof.as_ref()?.gyro.is_some();
-        return turns.then(|| imu.judged(Outcome::sound()).within(imu.span));
+        return turns.then(|| imu.judged(Outcome::pass()).within(imu.span));
     };
     let [before, after] = [as_logged, corrected].map(|left| Unit::GyroRate.show(left));
     let topic = imu.topic();
     let fault = Fault {
         severity: Severity::Error,
-        cause: Cause::Seen(Sight::Stream),
+        cause: Cause::Pictured(Picture::Stream),
         title: "gyro in degrees per second",
         message: format!(
             "angular velocity is in °/s instead of rad/s: residual {before} rms against the arm's rate as \
@@ -103,7 +103,7 @@ fn judge_gyro(imu: &StreamEvidence<ImuEvidence>) -> Option<Judged> {
         fix: format!("publish {topic} in rad/s: np.deg2rad(angular_velocity)"),
     };
     let [is, read_as] = [AngleUnit::Degree, AngleUnit::Radian].map(|unit| unit.symbol());
-    let judged = imu.judged(Outcome::faulty(fault)).within(imu.span);
+    let judged = imu.judged(Outcome::fail(fault)).within(imu.span);
     let judged = judged.estimated(Estimate::slip("angle unit", is, read_as));
     Some(judged.with_evidence("as_logged", as_logged).with_evidence("corrected", corrected))
 }
@@ -137,7 +137,7 @@ fn judge(
 ) -> Judged {
     let topic = subject.joint.as_deref().or(subject.topic.as_deref()).unwrap_or_default();
     let Some(slip) = slip else {
-        return Judged::new(subject, Outcome::sound());
+        return Judged::new(subject, Outcome::pass());
     };
     let unit = taken.slip();
     let (title, what, fix) = match (taken, unit.is) {
@@ -173,7 +173,7 @@ fn judge(
         },
         fix,
     };
-    Judged::new(subject, Outcome::faulty(fault))
+    Judged::new(subject, Outcome::fail(fault))
         .estimated(Estimate::slip("angle unit", unit.is.symbol(), unit.read_as.symbol()))
         .with_evidence("as_logged", slip.as_logged)
         .with_evidence("corrected", slip.corrected)

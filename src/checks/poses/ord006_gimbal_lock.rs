@@ -3,7 +3,7 @@ use serde_json::{Value, json};
 use crate::checks::decision::DEGREE;
 use crate::checks::{Case, Grade, Judged, Limit};
 use crate::evidence::{ArmEvidence, EulerEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Span, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Span, Unit};
 
 rule! {
     /// Euler angles are near gimbal lock.
@@ -60,7 +60,7 @@ fn check(case: &Case) -> Vec<Judged> {
             let judged = match stream.is_undeclared {
                 true => Judged::new(
                     stream.subject.clone(),
-                    Outcome::sound_because("its convention is not declared".to_owned()),
+                    Outcome::pass_because("its convention is not declared".to_owned()),
                 ),
                 false => judge(case, arm, stream.topic(), coded),
             };
@@ -105,7 +105,7 @@ fn judge(case: &Case, arm: &ArmEvidence, topic: &str, coded: &EulerEvidence) -> 
     };
     if coded.margins_rad.is_empty() {
         let why = format!("{convention} has no gimbal lock");
-        return Judged::new(subject, Outcome::sound_because(why));
+        return Judged::new(subject, Outcome::pass_because(why));
     }
     let within_rad = case.thresholds.limit(&ORD006, &NEAR);
     let found = near(coded, within_rad);
@@ -115,9 +115,9 @@ fn judge(case: &Case, arm: &ArmEvidence, topic: &str, coded: &EulerEvidence) -> 
         coded.margins_rad.iter().map(|(_, margin)| *margin).fold(f64::INFINITY, f64::min);
     let longest = found.iter().max_by(|a, b| a.span.seconds().total_cmp(&b.span.seconds()));
     let outcome = match longest {
-        None => Outcome::sound(),
-        Some(longest) => Outcome::faulty(Fault {
-            cause: Cause::Seen(Sight::Stream),
+        None => Outcome::pass(),
+        Some(longest) => Outcome::fail(Fault {
+            cause: Cause::Pictured(Picture::Stream),
             severity: Severity::Warning,
             title: "Euler angles near gimbal lock",
             message: format!(
@@ -145,7 +145,7 @@ fn judge(case: &Case, arm: &ArmEvidence, topic: &str, coded: &EulerEvidence) -> 
         })
         .collect();
     Judged::new(subject, outcome)
-        .estimated(Estimate::counted("share near gimbal lock", Unit::One.symbol(), share))
+        .estimated(Estimate::exact("share near gimbal lock", Unit::One.symbol(), share))
         .with_evidence("convention", convention.to_string())
         .with_evidence("nearest_rad", least_rad)
         .with_evidence("count", found.len())

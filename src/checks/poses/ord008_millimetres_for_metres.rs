@@ -2,7 +2,7 @@ use crate::checks::decision::unseen;
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{AccelUnitError, JointUnit, LengthUnitError};
 use crate::evidence::{ArmEvidence, ImuEvidence, PoseEvidence, StreamEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit, rounded};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit, rounded};
 use crate::geometry::{LengthScale, Misread};
 
 rule! {
@@ -50,8 +50,8 @@ fn check(case: &Case) -> Vec<Judged> {
     let judged = streams.map(|(_, stream)| {
         let outcome = match &stream.diagnosis.length_unit {
             Err(why) => unseen(why, "move the tip by 10 cm or more"),
-            Ok(None) => Outcome::sound(),
-            Ok(Some(slip)) if stream.is_undeclared => Outcome::sound_because(format!(
+            Ok(None) => Outcome::pass(),
+            Ok(Some(slip)) if stream.is_undeclared => Outcome::pass_because(format!(
                 "read as {}: no unit is declared for these numbers, so none is violated",
                 slip.is.words()
             )),
@@ -63,7 +63,7 @@ fn check(case: &Case) -> Vec<Judged> {
             Ok(Some(slip)) => {
                 let LengthUnitError { is, read_as, residual } = slip;
                 return stream
-                    .judged(Outcome::faulty(fault(stream, slip)))
+                    .judged(Outcome::fail(fault(stream, slip)))
                     .estimated(Estimate::slip("length unit", is.to_string(), read_as.to_string()))
                     .with_evidence("as_logged_m", residual.as_logged)
                     .with_evidence("corrected_m", residual.corrected);
@@ -79,13 +79,13 @@ fn check(case: &Case) -> Vec<Judged> {
 fn judge_accelerometer(imu: &StreamEvidence<ImuEvidence>) -> Option<Judged> {
     let Some(AccelUnitError { unit, norm: felt }) = imu.diagnosis.conventions.accel else {
         let feels = imu.proof.as_ref()?.gravity_m_s2.is_some();
-        return feels.then(|| imu.judged(Outcome::sound()).within(imu.span));
+        return feels.then(|| imu.judged(Outcome::pass()).within(imu.span));
     };
     let (topic, symbol) = (imu.topic(), unit.symbol());
     let size = rounded(felt, 2);
     let fault = Fault {
         severity: Severity::Error,
-        cause: Cause::Seen(Sight::Stream),
+        cause: Cause::Pictured(Picture::Stream),
         title: "accelerometer not in m/s²",
         message: format!(
             "linear acceleration is in {symbol} instead of m/s²: it reads {size} at rest, while gravity is \
@@ -94,7 +94,7 @@ fn judge_accelerometer(imu: &StreamEvidence<ImuEvidence>) -> Option<Judged> {
         evidence: Evidence::default(),
         fix: format!("multiply the linear acceleration of {topic} by {}", unit.in_m_s2()),
     };
-    let judged = imu.judged(Outcome::faulty(fault)).within(imu.span);
+    let judged = imu.judged(Outcome::fail(fault)).within(imu.span);
     let judged = judged.estimated(Estimate::slip("acceleration unit", symbol, "m/s²"));
     Some(judged.with_evidence("felt", felt))
 }
@@ -125,7 +125,7 @@ fn judge_joints(arm: &ArmEvidence) -> Vec<Judged> {
             },
             fix: format!("divide the positions of {joint} by {number}"),
         };
-        Judged::new(subject, Outcome::faulty(fault))
+        Judged::new(subject, Outcome::fail(fault))
             .within(arm.span)
             .estimated(Estimate::slip("length unit", is, "m"))
             .with_evidence("as_logged_m", left.as_logged)

@@ -47,12 +47,12 @@ fn check(case: &Case) -> Vec<Judged> {
     let judged = streams.map(|(_, stream)| {
         let outcome = match stream.diagnosis.axes {
             Err(ref why) => unseen(why, "move the tip by 10 cm or more in all directions"),
-            Ok(None) => Outcome::sound(),
+            Ok(None) => Outcome::pass(),
             Ok(Some(_)) if stream.diagnosis.is_far_from_fk() => Outcome::Inconclusive(
                 "no axis convention explains its positions (MDL001); check the model and its joints".to_owned(),
             ),
             Ok(Some(slip)) => {
-                let outcome = Outcome::faulty(fault(stream, slip));
+                let outcome = Outcome::fail(fault(stream, slip));
                 return stream
                     .judged(outcome)
                     .estimated(Estimate::slip("axes", named(slip), Axes::STANDARD.to_string()))

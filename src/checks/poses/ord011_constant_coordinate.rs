@@ -2,7 +2,7 @@ use crate::checks::decision::unseen;
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::ConstantCoordinate;
 use crate::evidence::{PoseEvidence, StreamEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit, rounded};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit, rounded};
 
 rule! {
     /// A coordinate never changes while the arm moves it.
@@ -40,7 +40,7 @@ fn check(case: &Case) -> Vec<Judged> {
         let found = &stream.diagnosis;
         match (&found.axes, found.constant_coordinates.as_slice()) {
             (Err(why), _) => stream.judged(unseen(why, "move the tip by 10 cm or more")),
-            (Ok(_), []) => stream.judged(Outcome::sound()),
+            (Ok(_), []) => stream.judged(Outcome::pass()),
             (Ok(_), parts) => {
                 let most = parts.iter().map(|part| part.moved_m).fold(0.0, f64::max);
                 let values: serde_json::Map<String, serde_json::Value> = parts
@@ -48,8 +48,8 @@ fn check(case: &Case) -> Vec<Judged> {
                     .map(|part| (part.coordinate.to_string(), part.value.into()))
                     .collect();
                 stream
-                    .judged(Outcome::faulty(fault(stream, parts, most)))
-                    .estimated(Estimate::counted(
+                    .judged(Outcome::fail(fault(stream, parts, most)))
+                    .estimated(Estimate::exact(
                         "motion that is missing",
                         Unit::Metre.symbol(),
                         most,
@@ -75,7 +75,7 @@ fn fault(
         .collect();
     let names: Vec<String> = parts.iter().map(|part| part.coordinate.to_string()).collect();
     Fault {
-        cause: Cause::Seen(Sight::Stream),
+        cause: Cause::Pictured(Picture::Stream),
         severity: Severity::Error,
         title: "a coordinate never changes",
         message: said.join("; "),

@@ -86,7 +86,7 @@ fn fault(arm: &ArmEvidence, growth: &Measured, severity: Severity) -> Fault {
     let (reach, moved_m) = (arm.reach_m, growth.value.abs() * arm.reach_m);
     let moved = Unit::Metre.show(moved_m);
     Fault {
-        cause: Cause::Growth,
+        cause: Cause::RadialScale,
         severity,
         title: "error grows with reach",
         message: format!("positions are off by {} of reach", THRESHOLD.unit.show_signed(growth)),

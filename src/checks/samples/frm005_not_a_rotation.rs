@@ -3,7 +3,7 @@ use serde_json::{Value, json};
 use crate::checks::decision::Threshold;
 use crate::checks::{Case, Grade, Judged};
 use crate::evidence::StreamEvidence;
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Subject, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Subject, Unit};
 use crate::run::{Norms, Written};
 
 rule! {
@@ -69,9 +69,9 @@ fn judge(case: &Case, stream: &StreamEvidence<Vec<Norms>>) -> Judged {
         _ => stream.subject.clone(),
     };
     let outcome = match threshold.severity(worst.largest) {
-        Some(severity) => Outcome::faulty(fault(case, worst, severity)),
-        None if unset > 0 => Outcome::sound_because(format!("{unset} quaternions are not set")),
-        None => Outcome::sound(),
+        Some(severity) => Outcome::fail(fault(case, worst, severity)),
+        None if unset > 0 => Outcome::pass_because(format!("{unset} quaternions are not set")),
+        None => Outcome::pass(),
     };
     let frames: Vec<Value> = concerned
         .iter()
@@ -80,7 +80,7 @@ fn judge(case: &Case, stream: &StreamEvidence<Vec<Norms>>) -> Judged {
         .collect();
     Judged::new(subject, outcome)
         .within(stream.span)
-        .estimated(Estimate::counted("largest defect", Unit::One.symbol(), worst.largest))
+        .estimated(Estimate::exact("largest defect", Unit::One.symbol(), worst.largest))
         .with_evidence("written", word(worst.written))
         .with_evidence("median", worst.median)
         .with_evidence("unset", unset)
@@ -109,7 +109,7 @@ fn fault(case: &Case, worst: &Norms, severity: Severity) -> Fault {
         Written::Matrix => ("matrix is not orthonormal", "matrices deviate from orthonormal"),
     };
     Fault {
-        cause: Cause::Seen(Sight::Norm),
+        cause: Cause::Pictured(Picture::RotationNorm),
         severity,
         title,
         message: format!("{what} by up to {shown}{when}, {half}"),

@@ -1,6 +1,6 @@
 use crate::checks::{Case, Grade, Judged};
 use crate::evidence::{StreamEvidence, UnusableSampleEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity};
 
 rule! {
     /// Samples have unusable values.
@@ -51,7 +51,7 @@ fn judge(stream: &StreamEvidence<UnusableSampleEvidence>) -> Judged {
     let UnusableSampleEvidence { unusable, unset, misfits, contradictory, samples } = stream.value;
     let count = unusable.max(unset).max(misfits).max(contradictory);
     if count == 0 {
-        return stream.judged(Outcome::sound());
+        return stream.judged(Outcome::pass());
     }
     let share = count as f64 / samples.max(1) as f64;
     let are_few = count <= FEW || share <= FEW_OF_ALL;
@@ -65,7 +65,7 @@ fn judge(stream: &StreamEvidence<UnusableSampleEvidence>) -> Judged {
         of(unset, "have no orientation, although others do; only their positions are audited"),
     ];
     let fault = Fault {
-        cause: Cause::Seen(Sight::Stream),
+        cause: Cause::Pictured(Picture::Stream),
         severity: if are_few { Severity::Info } else { Severity::Warning },
         title: "samples have unusable values",
         message: said.into_iter().flatten().collect::<Vec<_>>().join("; "),
@@ -74,8 +74,8 @@ fn judge(stream: &StreamEvidence<UnusableSampleEvidence>) -> Judged {
             .to_owned(),
     };
     stream
-        .judged(Outcome::faulty(fault))
-        .estimated(Estimate::counted("unusable samples", "1", share))
+        .judged(Outcome::fail(fault))
+        .estimated(Estimate::exact("unusable samples", "1", share))
         .with_evidence("unusable", unusable)
         .with_evidence("unset", unset)
         .with_evidence("misfits", misfits)

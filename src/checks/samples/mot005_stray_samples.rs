@@ -2,7 +2,7 @@ use serde_json::{Value, json};
 
 use crate::checks::{Case, Grade, Judged};
 use crate::evidence::{OutlierEvidence, StreamEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Subject, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Subject, Unit};
 use crate::run::{FEWEST_SAMPLES, Outliers};
 
 rule! {
@@ -68,7 +68,7 @@ fn judge(case: &Case, stream: &StreamEvidence<OutlierEvidence>) -> Judged {
     let told = || stream.parts.iter().filter(|part| !are_untold(part));
     let amounts = told().map(|part| (part, stream.amount(part)));
     let Some((worst, (unit, amount))) = amounts.max_by(|a, b| a.1.1.total_cmp(&b.1.1)) else {
-        return judged(stream.subject.clone(), Outcome::sound());
+        return judged(stream.subject.clone(), Outcome::pass());
     };
     let subject = match told().collect::<Vec<_>>().as_slice() {
         [only] => Subject {
@@ -90,8 +90,8 @@ fn judge(case: &Case, stream: &StreamEvidence<OutlierEvidence>) -> Judged {
         })
     });
     let parts: Vec<Value> = parts.collect();
-    judged(subject, Outcome::faulty(fault(case, stream, worst, count, &unit.show(amount))))
-        .estimated(Estimate::counted("jump", unit.symbol(), amount))
+    judged(subject, Outcome::fail(fault(case, stream, worst, count, &unit.show(amount))))
+        .estimated(Estimate::exact("jump", unit.symbol(), amount))
         .with_evidence("count", count)
         .with_evidence("length_m", worst.farthest.length_m)
         .with_evidence("angle_rad", worst.farthest.angle_rad)
@@ -128,7 +128,7 @@ fn fault(
         (if count == 1 { "sample jumps" } else { "samples jump" }, stream.subject.label());
     let most = if count == 1 { "" } else { "up to " };
     Fault {
-        cause: Cause::Seen(Sight::Stream),
+        cause: Cause::Pictured(Picture::Stream),
         severity: Severity::Warning,
         title: "samples jump away and back",
         message: format!(

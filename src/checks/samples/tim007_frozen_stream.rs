@@ -2,7 +2,7 @@ use serde_json::{Value, json};
 
 use crate::checks::{Case, Grade, Judged};
 use crate::evidence::StreamEvidence;
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
 use crate::run::Frozen;
 
 rule! {
@@ -59,7 +59,7 @@ fn seconds(time: &Frozen) -> f64 {
 fn judge(case: &Case, stream: &StreamEvidence<Vec<Frozen>>) -> Judged {
     let longest = stream.iter().max_by(|a, b| seconds(a).total_cmp(&seconds(b)));
     let Some(longest) = longest else {
-        return stream.judged(Outcome::sound());
+        return stream.judged(Outcome::pass());
     };
     let others = match stream.len() {
         1 => String::new(),
@@ -67,8 +67,8 @@ fn judge(case: &Case, stream: &StreamEvidence<Vec<Frozen>>) -> Judged {
         times => format!(", and {} more times", times - 1),
     };
     let topic = stream.subject.label();
-    let outcome = Outcome::faulty(Fault {
-        cause: Cause::Seen(Sight::Stream),
+    let outcome = Outcome::fail(Fault {
+        cause: Cause::Pictured(Picture::Stream),
         severity: Severity::Error,
         title: "stream frozen while the arm moves",
         message: format!(
@@ -91,7 +91,7 @@ fn judge(case: &Case, stream: &StreamEvidence<Vec<Frozen>>) -> Judged {
     });
     stream
         .judged(outcome)
-        .estimated(Estimate::counted("stands still", Unit::Second.symbol(), seconds(longest)))
+        .estimated(Estimate::exact("stands still", Unit::Second.symbol(), seconds(longest)))
         .with_evidence("count", stream.len())
         .with_evidence("times", times.collect::<Vec<Value>>())
 }

@@ -1,7 +1,7 @@
 use crate::checks::decision::Threshold;
 use crate::checks::{Case, Grade, Judged};
 use crate::evidence::{RepeatedValueEvidence, StreamEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
 use crate::run::RepeatedValues;
 
 rule! {
@@ -54,18 +54,18 @@ fn check(case: &Case) -> Vec<Judged> {
 
 fn judge(case: &Case, stream: &StreamEvidence<RepeatedValueEvidence>) -> Judged {
     let worst = stream.parts.iter().max_by(|a, b| a.share().total_cmp(&b.share()));
-    let Some(worst) = worst else { return stream.judged(Outcome::sound()) };
+    let Some(worst) = worst else { return stream.judged(Outcome::pass()) };
     let outcome = match case.thresholds.of(&TIM008, THRESHOLD).severity(worst.share()) {
-        None => Outcome::sound(),
+        None => Outcome::pass(),
         Some(_) if stream.is_of_joints => {
-            Outcome::sound_because("its repeats are those of the joint states".to_owned())
+            Outcome::pass_because("its repeats are those of the joint states".to_owned())
         }
-        Some(severity) => Outcome::faulty(fault(stream, worst, severity)),
+        Some(severity) => Outcome::fail(fault(stream, worst, severity)),
     };
     let RepeatedValues { rows, repeated, rows_hz, values_hz, mean_age_s, .. } = *worst;
     stream
         .judged(outcome)
-        .estimated(Estimate::counted("repeated rows", "1", worst.share()))
+        .estimated(Estimate::exact("repeated rows", "1", worst.share()))
         .with_evidence("rows", rows)
         .with_evidence("repeated", repeated)
         .with_evidence("rows_hz", rows_hz)
@@ -83,7 +83,7 @@ fn fault(
         _ => String::new(),
     };
     Fault {
-        cause: Cause::Seen(Sight::Stream),
+        cause: Cause::Pictured(Picture::Stream),
         severity: if stream.is_latched { Severity::Info } else { severity },
         title: "rows repeat old values",
         message: format!(

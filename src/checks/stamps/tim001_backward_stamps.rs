@@ -64,7 +64,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
     }
     let steps = || concerned.iter().flat_map(|part| steps_back(part));
     let Some(&(at, by_s)) = steps().max_by(|a, b| a.1.total_cmp(&b.1)) else {
-        return Judged::new(subject, Outcome::sound()).within(rhythm.span);
+        return Judged::new(subject, Outcome::pass()).within(rhythm.span);
     };
     let listed: Vec<Value> = steps()
         .take(LISTED)
@@ -89,9 +89,9 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
             rhythm.subject.label()
         ),
     };
-    Judged::new(subject, Outcome::faulty(fault))
+    Judged::new(subject, Outcome::fail(fault))
         .within(rhythm.span)
-        .estimated(Estimate::counted("step back", Unit::Second.symbol(), by_s))
+        .estimated(Estimate::exact("step back", Unit::Second.symbol(), by_s))
         .with_evidence("count", count)
         .with_evidence("steps", listed)
 }

@@ -106,7 +106,7 @@ fn check(case: &Case) -> Vec<Judged> {
     let judge_once = |rhythm| {
         if let Some(first) = told.iter().find(|first| has_rows_of(first, rhythm)) {
             let why = format!("same stamps as {}, whose gaps are reported", first.topic());
-            return Judged::new(rhythm.subject.clone(), Outcome::sound_because(why))
+            return Judged::new(rhythm.subject.clone(), Outcome::pass_because(why))
                 .within(rhythm.span);
         }
         told.push(rhythm);
@@ -180,9 +180,9 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
         let why = "no fixed period, so lost samples cannot be counted";
         Outcome::Inconclusive(format!("{why}; publish at a fixed rate, or number the messages"))
     } else if let Some(gap) = silent(Some(false)) {
-        Outcome::sound_because(format!("no samples for {}, while the arm rested", shown(gap)))
+        Outcome::pass_because(format!("no samples for {}, while the arm rested", shown(gap)))
     } else {
-        Outcome::sound()
+        Outcome::pass()
     };
     Judged::new(subject, outcome).within(rhythm.span)
 }
@@ -271,10 +271,10 @@ fn fault(
                     format!("{count} gaps while the arm moved, longest {length} at {at}")
                 }
             };
-            let estimate = Estimate::counted("longest gap", Unit::Second.symbol(), gap.seconds());
+            let estimate = Estimate::exact("longest gap", Unit::Second.symbol(), gap.seconds());
             ("stream has gaps", message, estimate)
         }
-        None => ("samples are lost", loss, Estimate::counted("lost samples", "1", share)),
+        None => ("samples are lost", loss, Estimate::exact("lost samples", "1", share)),
     };
     let longest = gaps().max_by(|a, b| longer(a, b));
     let cause = cause(case, rhythm, longest, skipped);
@@ -291,7 +291,7 @@ fn fault(
         evidence: Evidence::default(),
         fix: cause.fix.to_owned(),
     };
-    Judged::new(rhythm.subject_of(concerned), Outcome::faulty(fault))
+    Judged::new(rhythm.subject_of(concerned), Outcome::fail(fault))
         .estimated(estimate)
         .with_evidence("count", gaps().count())
         .with_evidence("gaps", listed)

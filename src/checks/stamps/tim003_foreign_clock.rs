@@ -58,7 +58,7 @@ fn shared_clock(case: &Case) -> Option<Judged> {
         .collect();
     offsets.sort_by(f64::total_cmp);
     let offset_s = *offsets.get(offsets.len() / 2)?;
-    let outcome = Outcome::faulty(Fault {
+    let outcome = Outcome::fail(Fault {
         cause: Cause::Stamps,
         severity: Severity::Info,
         title: "all stamps are from one foreign clock",
@@ -75,8 +75,8 @@ fn judge(stream: &StreamEvidence<StampEvidence>, simulated: bool) -> Judged {
         let early_s =
             clock.soonest_s.map(|soonest_s| -soonest_s).filter(|_| clock.epoch == Epoch::Common);
         let outcome = match early_s.filter(|early_s| *early_s > AHEAD_S) {
-            None => Outcome::sound(),
-            Some(early_s) => Outcome::sound_because(format!(
+            None => Outcome::pass(),
+            Some(early_s) => Outcome::pass_because(format!(
                 "messages arrive up to {} before their own stamps: its clock is ahead of the recorder's, or \
                  it stamps ahead",
                 Unit::Second.show(early_s)
@@ -107,7 +107,7 @@ fn judge(stream: &StreamEvidence<StampEvidence>, simulated: bool) -> Judged {
     };
     let spread_s = aligned.map(|(_, spread_s)| spread_s);
     stream
-        .judged(Outcome::faulty(fault))
+        .judged(Outcome::fail(fault))
         .estimated(offset_s.map(|offset_s| estimate(offset_s, spread_s.unwrap_or(f64::INFINITY))))
         .with_evidence("spread_s", spread_s)
 }
@@ -115,5 +115,5 @@ fn judge(stream: &StreamEvidence<StampEvidence>, simulated: bool) -> Judged {
 /// An offset with standard error `spread_s`.
 fn estimate(offset_s: f64, spread_s: f64) -> Estimate {
     let offset = Measured { value: offset_s, std_error: spread_s, dof: f64::INFINITY };
-    Estimate::amount("clock offset", Unit::Second, &offset)
+    Estimate::scalar("clock offset", Unit::Second, &offset)
 }

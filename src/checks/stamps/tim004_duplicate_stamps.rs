@@ -65,8 +65,8 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
     let worst = concerned.iter().copied().max_by(|a, b| share(a).total_cmp(&share(b)));
     let Some(worst) = worst else {
         let outcome = match repeats {
-            0 => Outcome::sound(),
-            _ => Outcome::sound_because(format!(
+            0 => Outcome::pass(),
+            _ => Outcome::pass_because(format!(
                 "{repeats} samples are sent twice with equal content"
             )),
         };
@@ -86,9 +86,9 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
             rhythm.subject.label()
         ),
     };
-    Judged::new(subject, Outcome::faulty(fault))
+    Judged::new(subject, Outcome::fail(fault))
         .within(rhythm.span)
-        .estimated(Estimate::counted("duplicates", "1", share(worst)))
+        .estimated(Estimate::exact("duplicates", "1", share(worst)))
         .with_evidence("conflicts", worst.conflicts)
         .with_evidence("repeats", repeats)
 }

@@ -76,11 +76,11 @@ fn judge(stream: &StreamEvidence<StampEvidence>) -> Judged {
             BEYOND,
             format!("{far} of {rows} stamps are a day or more from all others"),
         ),
-        HeaderStamps::Sound if zero == 0 => return stream.judged(Outcome::sound()),
+        HeaderStamps::Sound if zero == 0 => return stream.judged(Outcome::pass()),
         // A simulation clock starts at zero.
         HeaderStamps::Sound if zero == 1 && stream.clock.begins_at_zero => {
             let why = "the first stamp is zero; its sample is excluded";
-            return stream.judged(Outcome::sound_because(why));
+            return stream.judged(Outcome::pass_because(why));
         }
         HeaderStamps::Sound if zero == 1 => {
             (Severity::Info, "a stamp is zero", format!("one of {rows} stamps is zero or invalid"))
@@ -121,7 +121,7 @@ fn judge(stream: &StreamEvidence<StampEvidence>) -> Judged {
         fix: "fill header.stamp at acquisition".to_owned(),
     };
     stream
-        .judged(Outcome::faulty(fault))
+        .judged(Outcome::fail(fault))
         .with_evidence("samples", rows)
         .with_evidence("zero", zero)
         .with_evidence("far", far)
@@ -149,7 +149,7 @@ fn judge_rounded(stream: &StreamEvidence<StampEvidence>, rounded: &RoundedStamps
             .to_owned(),
     };
     stream
-        .judged(Outcome::faulty(fault))
+        .judged(Outcome::fail(fault))
         .with_evidence("samples", stream.clock.rows)
         .with_evidence("tick_s", tick_s)
         .with_evidence("shared", shared)

@@ -56,7 +56,7 @@ fn check(case: &Case) -> Vec<Judged> {
         |topic: &&String| !frames.problems.iter().any(|flaw| flaw.topics.contains(topic));
     let sound = frames.topics.iter().filter(is_sound).map(|topic| {
         let subject = Subject { topic: Some(topic.clone()), ..Subject::default() };
-        Judged::new(subject, Outcome::sound())
+        Judged::new(subject, Outcome::pass())
     });
     sound.chain(frames.problems.iter().map(judge)).collect()
 }
@@ -69,14 +69,14 @@ fn judge(flaw: &TfProblem) -> Judged {
         ..Subject::default()
     };
     let fault = Fault {
-        cause: Cause::Frames,
+        cause: Cause::FrameTree,
         severity: said.severity,
         title: said.title,
         message: said.message,
         evidence: Evidence::default(),
         fix: said.fix,
     };
-    let mut judged = Judged::new(subject, Outcome::faulty(fault))
+    let mut judged = Judged::new(subject, Outcome::fail(fault))
         .with_evidence("what", said.what)
         .with_evidence("frames", said.frames)
         .with_evidence("topics", flaw.topics.clone());
@@ -85,8 +85,8 @@ fn judge(flaw: &TfProblem) -> Judged {
     }
     // A pure rotation is measured by its angle.
     let moved = said.by.map(|by| match by.length_m < 1e-6 && by.angle_rad > 0.0 {
-        true => Estimate::counted("difference", "rad", by.angle_rad),
-        false => Estimate::counted("difference", "m", by.length_m),
+        true => Estimate::exact("difference", "rad", by.angle_rad),
+        false => Estimate::exact("difference", "m", by.length_m),
     });
     judged.estimated(moved)
 }

@@ -2,7 +2,7 @@ use serde_json::{Value, json};
 
 use crate::checks::{Case, Grade, Judged};
 use crate::evidence::StreamEvidence;
-use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Sight, Unit};
+use crate::finding::{Cause, Evidence, Fault, Outcome, Picture, Severity, Unit};
 use crate::run::WhyNot;
 
 rule! {
@@ -59,7 +59,7 @@ fn check(case: &Case) -> Vec<Judged> {
 
 fn judge(stream: &StreamEvidence<Vec<WhyNot>>) -> Vec<Judged> {
     if stream.is_empty() {
-        return vec![stream.judged(Outcome::sound())];
+        return vec![stream.judged(Outcome::pass())];
     }
     let of = |why: &WhyNot| {
         let Words { why: name, title, message, fix, evidence } = words(why);
@@ -68,7 +68,7 @@ fn judge(stream: &StreamEvidence<Vec<WhyNot>>) -> Vec<Judged> {
             _ => Severity::Warning,
         };
         let fault = Fault {
-            cause: Cause::Seen(Sight::Stream),
+            cause: Cause::Pictured(Picture::Stream),
             severity,
             title,
             message,
@@ -76,7 +76,7 @@ fn judge(stream: &StreamEvidence<Vec<WhyNot>>) -> Vec<Judged> {
             fix,
         };
         evidence.into_iter().fold(
-            stream.judged(Outcome::faulty(fault)).with_evidence("why", name),
+            stream.judged(Outcome::fail(fault)).with_evidence("why", name),
             |judged, (key, value)| judged.with_evidence(key, value),
         )
     };

@@ -44,7 +44,7 @@ rule! {
 
 fn check(case: &Case) -> Vec<Judged> {
     if case.evidence.losses.is_empty() {
-        return vec![Judged::new(Subject::default(), Outcome::sound())];
+        return vec![Judged::new(Subject::default(), Outcome::pass())];
     }
     case.evidence.losses.iter().map(judge).collect()
 }
@@ -75,7 +75,7 @@ fn judge(loss: &Loss) -> Judged {
         evidence: Evidence::default(),
         fix: fix.to_owned(),
     };
-    Judged::new(Subject { topic: Some(file), ..Subject::default() }, Outcome::faulty(fault))
+    Judged::new(Subject { topic: Some(file), ..Subject::default() }, Outcome::fail(fault))
         .within(loss.span.map(|(start, end)| Span { start, end }))
         .with_evidence("offset", loss.offset)
         .with_evidence("messages_lost", loss.messages)

@@ -1,6 +1,6 @@
 use crate::checks::{Case, Grade, Judged};
 use crate::evidence::{Undecodable, UndecodableTopic};
-use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Sight, Subject};
+use crate::finding::{Cause, Evidence, Fault, Outcome, Picture, Severity, Subject};
 
 rule! {
     /// A topic needed by the audit cannot be decoded.
@@ -35,7 +35,7 @@ rule! {
 
 fn check(case: &Case) -> Vec<Judged> {
     if case.evidence.undecodable.is_empty() {
-        return vec![Judged::new(Subject::default(), Outcome::sound())];
+        return vec![Judged::new(Subject::default(), Outcome::pass())];
     }
     case.evidence.undecodable.iter().map(judge).collect()
 }
@@ -52,7 +52,7 @@ fn judge(topic: &UndecodableTopic) -> Judged {
         ),
     };
     let fault = Fault {
-        cause: Cause::Seen(Sight::Stream),
+        cause: Cause::Pictured(Picture::Stream),
         severity: Severity::Warning,
         title: "topic cannot be decoded",
         message,
@@ -60,5 +60,5 @@ fn judge(topic: &UndecodableTopic) -> Judged {
         fix: fix.to_owned(),
     };
     let subject = Subject { topic: Some(topic.topic.clone()), ..Subject::default() };
-    Judged::new(subject, Outcome::faulty(fault)).with_evidence("messages", topic.messages)
+    Judged::new(subject, Outcome::fail(fault)).with_evidence("messages", topic.messages)
 }

@@ -49,7 +49,7 @@ fn check(case: &Case) -> Vec<Judged> {
     let labelled = arms.flat_map(|arm| arm.poses.iter().filter_map(|pose| judge_labels(arm, pose)));
     let declared = match case.evidence.contradictions.as_deref() {
         None => Vec::new(),
-        Some([]) => vec![Judged::new(Subject::default(), Outcome::sound())],
+        Some([]) => vec![Judged::new(Subject::default(), Outcome::pass())],
         Some(found) => found.iter().map(judge).collect(),
     };
     declared.into_iter().chain(labelled).collect()
@@ -63,7 +63,7 @@ fn judge(note: &Note) -> Judged {
 }
 
 fn contradicted(message: String, fix: String) -> Outcome {
-    Outcome::faulty(Fault {
+    Outcome::fail(Fault {
         cause: Cause::Other,
         severity: Severity::Warning,
         title: "metadata contradict the data",
@@ -102,7 +102,7 @@ fn judge_labels(arm: &ArmEvidence, pose: &StreamEvidence<PoseEvidence>) -> Optio
         || reading.equivalent.iter().any(is_named)
         || reading.ranked.iter().any(is_near);
     let outcome = match fits {
-        true => Outcome::sound(),
+        true => Outcome::pass(),
         false => {
             let said = named.first().map_or_else(String::new, RotationEncoding::to_string);
             let message = format!(

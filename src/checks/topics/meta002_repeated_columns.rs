@@ -43,7 +43,7 @@ rule! {
 fn check(case: &Case) -> Vec<Judged> {
     match case.evidence.repeated_columns.as_deref() {
         None => Vec::new(),
-        Some([]) => vec![Judged::new(Subject::default(), Outcome::sound())],
+        Some([]) => vec![Judged::new(Subject::default(), Outcome::pass())],
         Some(found) => found.iter().map(judge).collect(),
     }
 }
@@ -92,6 +92,6 @@ fn judge(found: &RepeatedColumnEvidence) -> Judged {
         fix: "check where the recorder takes these columns from".to_owned(),
     };
     let (topic, joint) = (Some(repeat.topic.clone()), repeat.number.clone());
-    Judged::new(Subject { topic, joint, ..Subject::default() }, Outcome::faulty(fault))
+    Judged::new(Subject { topic, joint, ..Subject::default() }, Outcome::fail(fault))
         .with_evidence("of", json!(repeat.of))
 }

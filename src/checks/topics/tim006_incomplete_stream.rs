@@ -108,7 +108,7 @@ fn nothing(empty: &EmptyStreamEvidence) -> Judged {
     };
     Judged::new(
         empty.subject.clone(),
-        Outcome::faulty(Fault {
+        Outcome::fail(Fault {
             cause: Cause::Stamps,
             severity: Severity::Warning,
             title: "stream is empty",
@@ -123,7 +123,7 @@ fn missing(subject: Subject, place: &str) -> Judged {
     let topic = subject.label().to_owned();
     Judged::new(
         subject,
-        Outcome::faulty(Fault {
+        Outcome::fail(Fault {
             cause: Cause::Stamps,
             severity: Severity::Warning,
             title: "stream is missing",
@@ -158,19 +158,19 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
                 shown(early_s)
             ),
         };
-        let missed = Estimate::counted("time missed", Unit::Second.symbol(), late_s.max(early_s));
+        let missed = Estimate::exact("time missed", Unit::Second.symbol(), late_s.max(early_s));
         ("stream is incomplete", message, missed)
     } else if let Some((period_s, stretch)) = worst {
         let (usual_hz, rate_hz) = (1.0 / period_s, stretch.rate_hz);
         let (length, at) = (shown(stretch.seconds()), case.evidence.moment(stretch.start));
         let message =
             format!("runs at {rate_hz:.1} Hz for {length} from {at}, usually at {usual_hz:.1} Hz");
-        ("stream is slow", message, Estimate::counted("rate", "Hz", rate_hz))
+        ("stream is slow", message, Estimate::exact("rate", "Hz", rate_hz))
     } else if let Some((rate_hz, said_hz)) = below_said(case, rhythm) {
         let message = format!("runs at {rate_hz:.1} Hz; declared are {said_hz:.1} Hz");
-        ("stream is slow", message, Estimate::counted("rate", "Hz", rate_hz))
+        ("stream is slow", message, Estimate::exact("rate", "Hz", rate_hz))
     } else {
-        return Judged::new(rhythm.subject_of(&[]), Outcome::sound()).within(rhythm.span);
+        return Judged::new(rhythm.subject_of(&[]), Outcome::pass()).within(rhythm.span);
     };
     if case.evidence.lost_messages() {
         let why = format!("it {message}, but messages of the log itself are lost (ING001)");
@@ -185,7 +185,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
         evidence: Evidence::default(),
         fix: format!("check the publisher of {} at that time", rhythm.subject.label()),
     };
-    Judged::new(rhythm.subject_of(&slow), Outcome::faulty(fault))
+    Judged::new(rhythm.subject_of(&slow), Outcome::fail(fault))
         .within(rhythm.span)
         .estimated(estimate)
         .with_evidence("late_start_s", late_s)

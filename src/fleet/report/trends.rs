@@ -263,7 +263,7 @@ fn figure(code: &str, unit: &str) -> Option<f64> {
 impl TrendRow {
     /// Display unit of the values.
     pub fn unit_of(&self) -> Unit {
-        Unit::of(&self.unit, &self.name).unwrap_or(Unit::One)
+        Unit::from_symbol(&self.unit, &self.name).unwrap_or(Unit::One)
     }
 
     /// Value with its interval in display units.

@@ -103,7 +103,7 @@ fn estimates<'a>(estimates: impl Iterator<Item = Option<&'a Estimate>>) -> [Colu
     for estimate in estimates {
         let number = match estimate {
             Some(
-                Estimate::Amount { value, unit, ci95, .. }
+                Estimate::Scalar { value, unit, ci95, .. }
                 | Estimate::Frame { value, unit, ci95, .. },
             ) => Some((*value, *unit, *ci95)),
             _ => None,

@@ -198,9 +198,9 @@ fn course(old: &Finding, new: &Finding) -> Course {
 }
 
 fn between(old: &Estimate, new: &Estimate) -> Course {
-    use Estimate::{Amount, Convention, Frame, Order, Slip};
+    use Estimate::{Convention, Frame, Order, Scalar, Slip};
     let name = |estimate: &Estimate| match estimate {
-        Amount { name, .. } | Frame { name, .. } | Convention { name, .. } => *name,
+        Scalar { name, .. } | Frame { name, .. } | Convention { name, .. } => *name,
         Slip { name, .. } | Order { name, .. } => *name,
     };
     if name(old) != name(new) {
@@ -209,8 +209,8 @@ fn between(old: &Estimate, new: &Estimate) -> Course {
     let course = |is_same| if is_same { Course::Same } else { Course::Changed };
     match (old, new) {
         (
-            Amount { unit, value, ci95, .. },
-            Amount { unit: now, value: new, ci95: new_ci95, .. },
+            Scalar { unit, value, ci95, .. },
+            Scalar { unit: now, value: new, ci95: new_ci95, .. },
         ) if unit == now => amount(*value, *ci95, *new, *new_ci95),
         (
             Frame { value, ci95, rotation, .. },

@@ -3,7 +3,7 @@
 use super::Clock;
 use crate::diagnosis::{PoseSeries, ReferenceDiagnosis, rates, vibration_path};
 use crate::evidence::{ArmEvidence, HandEyeEvidence, ImuEvidence, RunEvidence, StreamEvidence};
-use crate::finding::{Cause, Finding, Sight, Subject};
+use crate::finding::{Cause, Finding, Picture, Subject};
 use crate::geometry::{
     Pose, Rotation, Vec3, angle_between, rotation_from_rotvec, rotvec_from_rotation,
 };
@@ -24,9 +24,9 @@ pub(super) fn figures(
 ) -> Vec<(usize, Own)> {
     let figure = |(index, finding): (usize, &Finding)| {
         let sight = match finding.cause {
-            Cause::Seen(sight) => sight,
-            Cause::ImuMount(_) => Sight::ImuAxes,
-            Cause::CameraMount { .. } => Sight::HandEye,
+            Cause::Pictured(sight) => sight,
+            Cause::ImuMount(_) => Picture::ImuAxes,
+            Cause::CameraMount { .. } => Picture::HandEye,
             _ => return None,
         };
         let found = Found { clock, facts, subject: &finding.subject };
@@ -43,18 +43,18 @@ struct Found<'a> {
 }
 
 impl<'a> Found<'a> {
-    fn figure(&self, sight: Sight) -> Option<Own> {
+    fn figure(&self, sight: Picture) -> Option<Own> {
         match sight {
-            Sight::Shake => self.shake(),
-            Sight::HandEye => self.hand_eye(),
-            Sight::Line => self.line(),
-            Sight::Rest => self.rests(),
-            Sight::Norm => self.norms(),
-            Sight::ImuAxes => self.imu_axes(),
-            Sight::Gyro => self.gyro(),
-            Sight::Tilt => self.tilt(),
-            Sight::Joint => self.joint().map(Own::Joint),
-            Sight::Stream => None,
+            Picture::Vibration => self.shake(),
+            Picture::HandEye => self.hand_eye(),
+            Picture::Line => self.line(),
+            Picture::RestError => self.rests(),
+            Picture::RotationNorm => self.norms(),
+            Picture::ImuAxes => self.imu_axes(),
+            Picture::Gyro => self.gyro(),
+            Picture::Tilt => self.tilt(),
+            Picture::Joint => self.joint().map(Own::Joint),
+            Picture::Stream => None,
         }
     }
 

@@ -9,7 +9,7 @@ use super::bars::{Bar, Bars, Whisker, Whiskers};
 use super::plane::Plane;
 use super::plot::{Limit, Mark, Plot, Role, Series, Style};
 use crate::checks::{self, LAT001, Rule, ZER001};
-use crate::finding::{Cause, CheckRow, Estimate, Finding, Sight, Status, Unit};
+use crate::finding::{Cause, CheckRow, Estimate, Finding, Picture, Status, Unit};
 use crate::geometry::RotationError;
 use crate::report::Report;
 use crate::report::figures::{Figures, ImuFigure, PoseFigure, ReadingScore};
@@ -86,7 +86,7 @@ impl Case<'_> {
     fn proof(&self) -> Proof {
         let mut proof = Proof::default();
         match &self.finding.cause {
-            Cause::Rotation(_) | Cause::Bare { .. } => {
+            Cause::Rotation(_) | Cause::InferredEncoding { .. } => {
                 proof.plots.extend(self.poses().map(|pose| self.rotation_over_time(pose)));
                 let is_whole =
                     |slip| matches!(slip, RotationError::Transposed | RotationError::Inverted);
@@ -102,17 +102,17 @@ impl Case<'_> {
             | Cause::JointUnit(_)
             | Cause::JointScale(_)
             | Cause::JointOrder { .. }
-            | Cause::Dh(_)
+            | Cause::DhConvention(_)
             | Cause::TfDisagrees
             | Cause::Axes { .. }
-            | Cause::Reference(_)
-            | Cause::Tool(_) => {
+            | Cause::ReferenceFrame(_)
+            | Cause::ToolFrame(_) => {
                 proof.plots.extend(self.poses().map(|pose| self.position_over_time(pose)));
                 proof.plots.extend(self.poses().map(|pose| self.rotation_over_time(pose)));
             }
-            Cause::Bend
-            | Cause::Changes
-            | Cause::Model
+            Cause::Compliance
+            | Cause::ParameterChange
+            | Cause::UnexplainedResidual
             | Cause::Disagreement { .. }
             | Cause::OtherRobot(_) => {
                 proof.plots.extend(self.poses().map(|pose| self.position_over_time(pose)));
@@ -126,7 +126,7 @@ impl Case<'_> {
                 proof.plots.extend(self.poses().map(errors::over_reach));
                 proof.planes.extend(self.poses().flat_map(errors::over_workspace));
             }
-            Cause::Growth => {
+            Cause::RadialScale => {
                 proof.plots.extend(self.poses().map(errors::over_reach));
                 proof.plots.extend(self.poses().map(|pose| self.position_over_time(pose)));
                 proof.planes.extend(self.poses().flat_map(errors::over_workspace));
@@ -136,7 +136,7 @@ impl Case<'_> {
                 proof.plots.extend(self.imus().map(|imu| self.correlation(imu)));
                 proof.plots.extend(self.poses().map(|pose| self.position_over_time(pose)));
             }
-            Cause::Skew(_) | Cause::UnsteadyLatency => {
+            Cause::ClockSkew(_) | Cause::VaryingLatency => {
                 let of_poses = self
                     .poses()
                     .map(|pose| self.course([&pose.robot, &pose.topic], &pose.latency_course));
@@ -149,14 +149,14 @@ impl Case<'_> {
                 proof.plots.extend(self.imus().map(|imu| self.yaw_error(imu)));
                 proof.plots.extend(self.imus().map(headings));
             }
-            Cause::Frames => proof.part = Some(("frames", "the tree of frames")),
+            Cause::FrameTree => proof.part = Some(("frames", "the tree of frames")),
             Cause::Stamps => proof.part = Some(("timeline", "when each stream was there")),
-            Cause::Seen(Sight::Stream) => {
+            Cause::Pictured(Picture::Stream) => {
                 proof.plots.extend(self.poses().map(|pose| self.position_over_time(pose)));
                 proof.plots.extend(self.poses().map(|pose| self.rotation_over_time(pose)));
                 proof.plots.extend(self.imus().map(|imu| self.yaw_error(imu)));
             }
-            Cause::ImuMount(_) | Cause::CameraMount { .. } | Cause::Seen(_) => {
+            Cause::ImuMount(_) | Cause::CameraMount { .. } | Cause::Pictured(_) => {
                 self.add_own(&mut proof);
                 proof.whiskers.extend(self.amounts());
             }
@@ -223,7 +223,7 @@ impl Case<'_> {
     fn latency_mark(&self, topic: &str) -> Option<Mark> {
         let row =
             self.checks(LAT001.code).find(|row| row.subject.topic.as_deref() == Some(topic))?;
-        let Some(Estimate::Amount { value, ci95, .. }) = &row.estimate else { return None };
+        let Some(Estimate::Scalar { value, ci95, .. }) = &row.estimate else { return None };
         Some(Mark {
             at: value * 1e3,
             interval: ci95.map(|ends| ends.map(|end| end * 1e3)),
@@ -300,7 +300,7 @@ impl Case<'_> {
     fn offsets(&self) -> Option<Whiskers> {
         let rows = self.checks(ZER001.code).map(|row| {
             let joint = row.subject.label().to_owned();
-            let Some(Estimate::Amount { value, ci95, unit, .. }) = &row.estimate else {
+            let Some(Estimate::Scalar { value, ci95, unit, .. }) = &row.estimate else {
                 return Whisker { label: joint, amount: None, is_fault: false, limit: None };
             };
             let unit = if *unit == Unit::Metre.symbol() { Unit::Metre } else { Unit::Radian };
@@ -387,14 +387,14 @@ fn whiskers(row: &CheckRow) -> Vec<Whisker> {
         let label = [label, what].into_iter().filter(|part| !part.is_empty());
         Some(Whisker {
             label: label.collect::<Vec<_>>().join(", "),
-            amount: Some((value, ci95, Unit::of(symbol, name)?)),
+            amount: Some((value, ci95, Unit::from_symbol(symbol, name)?)),
             is_fault: row.status == Status::Fail,
             limit: None,
         })
     };
     let radian = Unit::Radian.symbol();
     let amounts = match &row.estimate {
-        Some(Estimate::Amount { name, value, ci95, unit, .. }) => {
+        Some(Estimate::Scalar { name, value, ci95, unit, .. }) => {
             let what = if label.is_empty() { name } else { "" };
             vec![whisker(what, name, *value, *ci95, unit)]
         }

@@ -27,15 +27,15 @@ fn finding(code: &'static str, topic: &str) -> Finding {
         }
         "ZER001" => Cause::JointZero { offset: measured, slides: false },
         "LAT001" => Cause::Latency(measured),
-        "LAT003" => Cause::UnsteadyLatency,
+        "LAT003" => Cause::VaryingLatency,
         "YAW001" => Cause::YawDrift(measured),
-        "MDL001" => Cause::Model,
-        "MOT006" | "ZER003" => Cause::Bend,
-        "FRM004" => Cause::Frames,
+        "MDL001" => Cause::UnexplainedResidual,
+        "MOT006" | "ZER003" => Cause::Compliance,
+        "FRM004" => Cause::FrameTree,
         "TIM002" => Cause::Stamps,
-        "LAT002" => Cause::Skew(measured),
-        "ZER002" => Cause::Growth,
-        "FRM002" => Cause::Reference(Pose::identity()),
+        "LAT002" => Cause::ClockSkew(measured),
+        "ZER002" => Cause::RadialScale,
+        "FRM002" => Cause::ReferenceFrame(Pose::identity()),
         _ => Cause::Other,
     };
     Finding {

@@ -150,10 +150,10 @@ fn why<'a>(settles: Settles<'_>, row: &'a CheckRow) -> Option<&'a str> {
 /// Half width of the interval of a single check, if it has an estimate.
 fn half_width(rows: &[&CheckRow]) -> String {
     let [row] = rows else { return String::new() };
-    let Some(Estimate::Amount { name, unit, ci95: Some([low, high]), .. }) = &row.estimate else {
+    let Some(Estimate::Scalar { name, unit, ci95: Some([low, high]), .. }) = &row.estimate else {
         return String::new();
     };
-    match Unit::of(unit, name) {
+    match Unit::from_symbol(unit, name) {
         Some(unit) => format!(" (±{})", unit.show(0.5 * (high - low))),
         None => String::new(),
     }

@@ -95,7 +95,7 @@ impl Outline<'_> {
             rows.iter().filter_map(|row| Some((size(row)?, row.estimate.as_ref()?))).collect();
         let (_, largest) = sizes.iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
         let (name, units) = match largest {
-            Estimate::Amount { name, unit, .. } => (*name, vec![Unit::of(unit, name)?]),
+            Estimate::Scalar { name, unit, .. } => (*name, vec![Unit::from_symbol(unit, name)?]),
             Estimate::Frame { name, .. } => (*name, vec![Unit::Metre, Unit::Radian]),
             _ => return None,
         };
@@ -125,7 +125,7 @@ impl<'a> Outcomes<'a> {
 /// Upper bound of a row's amount.
 fn size(row: &CheckRow) -> Option<f64> {
     let (value, ci95) = match row.estimate.as_ref()? {
-        Estimate::Amount { value, ci95, .. } | Estimate::Frame { value, ci95, .. } => {
+        Estimate::Scalar { value, ci95, .. } | Estimate::Frame { value, ci95, .. } => {
             (*value, ci95)
         }
         _ => return None,
@@ -137,7 +137,7 @@ fn size(row: &CheckRow) -> Option<f64> {
 /// Formats an estimate that passed. Values below the noise floor are not shown as zero.
 fn amount(estimate: &Estimate) -> Option<String> {
     let shown = |symbol: &'static str, name: &str, value: f64, ci95: Option<[f64; 2]>| {
-        let unit = Unit::of(symbol, name)?;
+        let unit = Unit::from_symbol(symbol, name)?;
         let floor = unit.noise_floor().max(if unit == Unit::One { 1e-4 } else { 0.0 });
         Some(match ci95 {
             // Exactly zero, with unknown noise.
@@ -147,7 +147,7 @@ fn amount(estimate: &Estimate) -> Option<String> {
         })
     };
     match estimate {
-        Estimate::Amount { name, value, unit, ci95, .. } => shown(unit, name, *value, *ci95),
+        Estimate::Scalar { name, value, unit, ci95, .. } => shown(unit, name, *value, *ci95),
         Estimate::Frame { name, value, unit, ci95, rotation, .. } => {
             let angle = shown(Unit::Radian.symbol(), name, rotation.value, rotation.ci95)?;
             Some(format!("{}, {angle}", shown(unit, name, *value, *ci95)?))

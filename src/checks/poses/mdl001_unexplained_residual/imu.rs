@@ -8,7 +8,7 @@ use crate::checks::residual_attribution::ExceedingResidual;
 use crate::checks::{Case, Judged, Threshold};
 use crate::diagnosis::{GyroResidual, GyroSaturation, Measured};
 use crate::evidence::{ImuEvidence, StreamEvidence};
-use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Sight, Unit};
+use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
 
 /// Thresholds of the gyro gain minus 1, and of the fraction of saturated samples. Data sheets of MEMS gyros
 /// allow a gain error of 3 %.
@@ -74,7 +74,7 @@ fn odd(thresholds: &FrameThresholds, imu: &StreamEvidence<ImuEvidence>) -> Outco
         odd.push(format!("its accelerometer measures {felt:.2} m/s² instead of {standard} m/s²"));
     }
     if odd.is_empty() {
-        return Outcome::sound();
+        return Outcome::pass();
     }
     Outcome::Inconclusive(format!(
         "{}; no finding explains this: check its units and axes",
@@ -94,7 +94,7 @@ fn saturates(
     let percent = 100.0 * share;
     let fault = Fault {
         severity: threshold.severity(*share).unwrap_or(Severity::Warning),
-        cause: Cause::Seen(Sight::Stream),
+        cause: Cause::Pictured(Picture::Stream),
         title: "gyro saturates",
         message: format!(
             "gyro saturates at {limit} on {on} while the arm turns at up to {by_fk} ({percent:.1} % of \
@@ -107,9 +107,9 @@ fn saturates(
         fix: format!("set the gyro's full-scale range above {by_fk}, or turn more slowly"),
     };
     let unit = Unit::GyroRate.symbol();
-    imu.judged(Outcome::faulty(fault))
+    imu.judged(Outcome::fail(fault))
         .within(imu.span)
-        .estimated(Estimate::counted("gyro saturation", unit, *limit_rad_s))
+        .estimated(Estimate::exact("gyro saturation", unit, *limit_rad_s))
         .with_evidence("axes", names)
         .with_evidence("share", *share)
         .with_evidence("by_fk_rad_s", *by_fk_rad_s)
@@ -127,7 +127,7 @@ fn gain(case: &Case, imu: &StreamEvidence<ImuEvidence>, threshold: &Threshold) -
     let outcome = decision.into_outcome(SETTLE, |severity| reads(imu, &scale, worst, severity));
     let shown = |one: &Measured| json!({"value": one.value, "ci95": one.interval(0.95)});
     let judged = imu.judged(outcome).within(imu.span);
-    let judged = judged.estimated(Estimate::amount("gyro gain", GAIN.unit, worst));
+    let judged = judged.estimated(Estimate::scalar("gyro gain", GAIN.unit, worst));
     Some(judged.with_evidence("scale", scale.iter().map(shown).collect::<Vec<_>>()))
 }
 
@@ -153,7 +153,7 @@ fn reads(
     let by: Vec<String> = scale.iter().map(|one| format!("{:.4}", 1.0 + one.value)).collect();
     Fault {
         severity,
-        cause: Cause::Seen(Sight::Stream),
+        cause: Cause::Pictured(Picture::Stream),
         title: "gyro gain",
         message: format!(
             "gyro gain {gain:.3} on {on}: it reads {percent} % too {much} compared with the arm's rate"

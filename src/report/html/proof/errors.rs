@@ -57,7 +57,7 @@ impl Case<'_> {
     /// Change point of the finding, if there is one.
     fn change(&self) -> Option<Mark> {
         let change = match self.finding.estimate.as_ref()? {
-            Estimate::Amount { change, .. } | Estimate::Frame { change, .. } => change.as_ref()?,
+            Estimate::Scalar { change, .. } | Estimate::Frame { change, .. } => change.as_ref()?,
             _ => return None,
         };
         let start = self.figures.start?;
@@ -72,7 +72,7 @@ impl Case<'_> {
     pub(super) fn course(&self, [robot, topic]: [&str; 2], points: &[CoursePoint]) -> Plot {
         let limits = both_signs(self.own_limit(Unit::Second), Unit::Second, 1e3);
         let mut plot = Plot { limits, ..course([robot, topic], points) };
-        let ([first, .., last], Cause::Skew(skew)) = (plot.x.as_slice(), &self.finding.cause)
+        let ([first, .., last], Cause::ClockSkew(skew)) = (plot.x.as_slice(), &self.finding.cause)
         else {
             return plot;
         };

@@ -288,8 +288,8 @@ impl Case<'_> {
     /// Formatted amount of the finding.
     fn amount(&self) -> String {
         match &self.finding.estimate {
-            Some(Estimate::Amount { name, value, unit, .. }) => {
-                Unit::of(unit, name).map_or(String::new(), |unit| unit.show(*value))
+            Some(Estimate::Scalar { name, value, unit, .. }) => {
+                Unit::from_symbol(unit, name).map_or(String::new(), |unit| unit.show(*value))
             }
             _ => String::new(),
         }
