@@ -59,11 +59,11 @@ rule! {
 /// Motion that makes the error observable.
 const SETTLE: &str = "let the arm rest for half a second at its goals";
 /// If all rests are alike, an offset above this may also be a tool or base frame offset, m.
-const LITTLE_M: f64 = 0.02;
+const MIN_FRAME_OFFSET_M: f64 = 0.02;
 /// Maximum plausible steady-state error of an arm, m.
-const MUCH_M: f64 = 0.1;
+const MAX_STEADY_STATE_ERROR_M: f64 = 0.1;
 /// Typical residual of a nominal model of a calibrated arm, m and rad.
-const NOMINAL: (f64, f64) = (0.01, THRESHOLDS.angle.error);
+const MAX_NOMINAL_RESIDUAL: (f64, f64) = (0.01, THRESHOLDS.angle.error);
 
 fn check(case: &Case) -> Vec<Judged> {
     let of_arm = |arm: &ArmEvidence| -> Vec<Judged> {
@@ -73,7 +73,7 @@ fn check(case: &Case) -> Vec<Judged> {
 }
 
 /// The rests according to one source of poses.
-struct Seen<'a> {
+struct RestErrors<'a> {
     /// Index of the source.
     witness: usize,
     /// The rest to judge.
@@ -84,10 +84,10 @@ struct Seen<'a> {
     beyond: usize,
 }
 
-impl<'a> Seen<'a> {
-    fn of(case: &Case, found: &'a ReferenceDiagnosis, witness: usize) -> Option<Self> {
+impl<'a> RestErrors<'a> {
+    fn from_source(case: &Case, found: &'a ReferenceDiagnosis, witness: usize) -> Option<Self> {
         let thresholds = case.thresholds.of_frames(&FRM006, THRESHOLDS);
-        let size = |gap: &RestError| size(gap, &thresholds);
+        let size = |gap: &RestError| relative_error(gap, &thresholds);
         let mut gaps: Vec<&RestError> = found.rest_errors.get(witness)?.iter().collect();
         gaps.sort_by(|a, b| size(a).total_cmp(&size(b)));
         let leads = found.tracking.is_some();
@@ -111,14 +111,14 @@ impl<'a> Seen<'a> {
 }
 
 /// Error at a rest in units of the warning thresholds.
-fn size(gap: &RestError, thresholds: &FrameThresholds) -> f64 {
+fn relative_error(gap: &RestError, thresholds: &FrameThresholds) -> f64 {
     let length = gap.distance_m.norm.value / thresholds.length.warning;
     length.max(gap.angle_rad.norm.value / thresholds.angle.warning)
 }
 
 fn judge(case: &Case, arm: &ArmEvidence, reference: &StreamEvidence<ReferenceEvidence>) -> Judged {
     let thresholds = case.thresholds.of_frames(&FRM006, THRESHOLDS);
-    let size = |gap: &RestError| size(gap, &thresholds);
+    let size = |gap: &RestError| relative_error(gap, &thresholds);
     let judged = |outcome| Judged::new(reference.subject.clone(), outcome).within(reference.span);
     let found = match sources::reference_diagnosis(arm, reference, SETTLE) {
         Ok(found) => found,
@@ -130,8 +130,8 @@ fn judge(case: &Case, arm: &ArmEvidence, reference: &StreamEvidence<ReferenceEvi
             .with_evidence("not_reached", found.not_reached)
             .with_evidence("following", following_json(found.tracking.as_ref()))
     };
-    let all: Vec<Seen<'_>> = (0..reference.tip_poses.len())
-        .filter_map(|witness| Seen::of(case, found, witness))
+    let all: Vec<RestErrors<'_>> = (0..reference.tip_poses.len())
+        .filter_map(|witness| RestErrors::from_source(case, found, witness))
         .collect();
     let Some(nearest) = all.iter().min_by(|a, b| size(a.gap).total_cmp(&size(b.gap))) else {
         return with_commands(judged(Outcome::Inconclusive(not_reached(found))));
@@ -139,7 +139,7 @@ fn judge(case: &Case, arm: &ArmEvidence, reference: &StreamEvidence<ReferenceEvi
     if arm.unit_is_open() {
         return with_commands(judged(Outcome::Inconclusive(format!(
             "{}{UNIT_IS_OPEN}",
-            joint_gaps(arm, nearest.gap)
+            joint_error_as_logged(arm, nearest.gap)
         ))));
     }
     let gaps = &found.rest_errors[nearest.witness];
@@ -183,12 +183,12 @@ fn judge(case: &Case, arm: &ArmEvidence, reference: &StreamEvidence<ReferenceEvi
 fn sound(
     arm: &ArmEvidence,
     reference: &StreamEvidence<ReferenceEvidence>,
-    nearest: &Seen<'_>,
-    all: &[Seen<'_>],
+    nearest: &RestErrors<'_>,
+    all: &[RestErrors<'_>],
     name: &str,
 ) -> Outcome {
-    let kind_of = |one: &Seen<'_>| reference.tip_poses[one.witness].kind;
-    let is_disputed = |one: &&Seen<'_>| {
+    let kind_of = |one: &RestErrors<'_>| reference.tip_poses[one.witness].kind;
+    let is_disputed = |one: &&RestErrors<'_>| {
         kind_of(one) == TipPoseKind::Corrected && matches!(one.decision, Decision::Fail(_))
     };
     let disputed = all.iter().find(is_disputed);
@@ -229,7 +229,7 @@ fn fault(
     arm: &ArmEvidence,
     reference: &StreamEvidence<ReferenceEvidence>,
     found: &ReferenceDiagnosis,
-    nearest: &Seen<'_>,
+    nearest: &RestErrors<'_>,
     severity: Severity,
 ) -> Outcome {
     let gaps = &found.rest_errors[nearest.witness];
@@ -238,23 +238,23 @@ fn fault(
     let may_be_a_frame = !reference.is_of_joints;
     let (in_tool, in_base) = match RestErrorSpread::from_rests(gaps) {
         Some(constancy) => (
-            is_one(nearest.gap, constancy.in_tool, thresholds),
-            is_one(nearest.gap, constancy.in_base, thresholds),
+            is_constant(nearest.gap, constancy.in_tool, thresholds),
+            is_constant(nearest.gap, constancy.in_base, thresholds),
         ),
         None => (true, true),
     };
     let is_beyond = |m: f64| may_be_a_frame && nearest.estimate.translation_m.value > m;
     let open = match (in_tool, in_base) {
         (true, true)
-            if is_beyond(LITTLE_M)
+            if is_beyond(MIN_FRAME_OFFSET_M)
                 && !(reference.is_tip_declared && reference.is_frame_declared) =>
         {
             "may be a different TCP or base frame; rest at two goals with different tool orientations"
         }
-        (_, true) if is_beyond(LITTLE_M) && !reference.is_frame_declared => {
+        (_, true) if is_beyond(MIN_FRAME_OFFSET_M) && !reference.is_frame_declared => {
             "is constant in the base frame, and the command names no frame; name it"
         }
-        (false, false) if is_beyond(MUCH_M) => {
+        (false, false) if is_beyond(MAX_STEADY_STATE_ERROR_M) => {
             "is neither a frame nor a tool offset: the command is scaled, or belongs to a different arm"
         }
         _ => "",
@@ -262,11 +262,11 @@ fn fault(
     if !open.is_empty() {
         return Outcome::Inconclusive(format!("off by {off}, which {open}"));
     }
-    let by_fk_alone = reference.tip_poses.len() == 1;
-    let is_as_of_a_drawing = may_be_a_frame
-        && by_fk_alone
-        && nearest.estimate.translation_m.value <= NOMINAL.0
-        && nearest.estimate.rotation_rad.value <= NOMINAL.1;
+    let has_only_fk = reference.tip_poses.len() == 1;
+    let is_within_nominal_residual = may_be_a_frame
+        && has_only_fk
+        && nearest.estimate.translation_m.value <= MAX_NOMINAL_RESIDUAL.0
+        && nearest.estimate.rotation_rad.value <= MAX_NOMINAL_RESIDUAL.1;
     let is_a_tool = may_be_a_frame && in_tool && !in_base && !reference.is_tip_declared;
     let mut indistinguishable = Vec::new();
     let estimate = |name| {
@@ -283,12 +283,12 @@ fn fault(
     if may_be_a_frame && in_base {
         add("FRM002", "reference frame");
     }
-    if is_as_of_a_drawing {
+    if is_within_nominal_residual {
         add("MDL001", "residual");
     }
     let (severity, guess) = match severity {
         _ if is_a_tool => (Severity::Info, ", constant in the tool frame: probably another TCP"),
-        Severity::Error if is_as_of_a_drawing => (Severity::Warning, ""),
+        Severity::Error if is_within_nominal_residual => (Severity::Warning, ""),
         severity => (severity, ""),
     };
     let stays = worst_joint(arm, nearest.gap).map_or(String::new(), |words| format!(": {words}"));
@@ -317,15 +317,17 @@ fn fault(
 }
 
 /// Whether the error is the same at all rests, within a tolerance relative to its size.
-fn is_one(
+fn is_constant(
     gap: &RestError,
     (spread_m, spread_rad): (f64, f64),
     thresholds: &FrameThresholds,
 ) -> bool {
-    const SHARE: f64 = 0.2;
+    const MAX_RELATIVE_SPREAD: f64 = 0.2;
     /// In units of the warning thresholds.
-    const LITTLE: f64 = 0.3;
-    let allowed = |size: f64, threshold: f64| (SHARE * size).max(LITTLE * threshold);
+    const MIN_SPREAD_THRESHOLDS: f64 = 0.3;
+    let allowed = |size: f64, threshold: f64| {
+        (MAX_RELATIVE_SPREAD * size).max(MIN_SPREAD_THRESHOLDS * threshold)
+    };
     spread_m <= allowed(gap.distance_m.norm.value, thresholds.length.warning)
         && spread_rad <= allowed(gap.angle_rad.norm.value, thresholds.angle.warning)
 }
@@ -339,7 +341,7 @@ fn worst_joint(arm: &ArmEvidence, gap: &RestError) -> Option<String> {
 }
 
 /// The largest joint error in the log's numbers, which were interpreted as degrees.
-fn joint_gaps(arm: &ArmEvidence, gap: &RestError) -> String {
+fn joint_error_as_logged(arm: &ArmEvidence, gap: &RestError) -> String {
     let worst = gap.joints.iter().max_by(|a, b| a.1.value.abs().total_cmp(&b.1.value.abs()));
     let joint =
         worst.and_then(|(joint, off)| Some((arm.joints.get(*joint)?, off.value.to_degrees())));

@@ -63,7 +63,7 @@ fn check(case: &Case) -> Vec<Judged> {
     let unmodelled = case.evidence.unmodelled_commands.iter().flat_map(|of| {
         let joints = of.value.joints.iter().map(String::as_str).collect();
         let commands = Commands { subject: &of.subject, span: of.span, joints };
-        let goals = goals(&of.value.delays).map(|why| {
+        let goals = goals_reason(&of.value.delays).map(|why| {
             vec![Judged::new(of.subject.clone(), Outcome::Inconclusive(why)).within(of.span)]
         });
         goals.unwrap_or_else(|| judge_delays(case, &commands, &of.value.delays))
@@ -91,7 +91,7 @@ impl Commands<'_> {
 
 /// A delay above the threshold.
 #[derive(Clone, Copy)]
-struct Long<'a> {
+struct ExcessiveDelay<'a> {
     of: &'a CommandDelay,
     response: &'a Response,
     severity: Severity,
@@ -109,7 +109,7 @@ fn judge_stream(
     if let Some(why) = mot003_limits_exceeded::doubt(arm).filter(|_| reference.is_of_joints) {
         return whole(Outcome::Inconclusive(why));
     }
-    if let Some(why) = goals(&reference.delays) {
+    if let Some(why) = goals_reason(&reference.delays) {
         return whole(Outcome::Inconclusive(why));
     }
     let joints = arm.joints.iter().map(|joint| joint.name.as_str()).collect();
@@ -128,28 +128,28 @@ fn judge_delays(case: &Case, commands: &Commands, delays: &[CommandDelay]) -> Ve
         let response = match &of.response {
             Ok(response) => response,
             Err(why) => {
-                rows.push(judged(untold(why)));
+                rows.push(judged(no_delay_outcome(why)));
                 continue;
             }
         };
         let threshold = case.thresholds.of(&LAT004, THRESHOLD);
         let outcome = match decide(&response.delay_s, &threshold, case.evidence.subjects()) {
             Decision::Fail(severity) => {
-                faults.push((place, Long { of, response, severity }));
+                faults.push((place, ExcessiveDelay { of, response, severity }));
                 continue;
             }
-            Decision::Pass => Outcome::pass_because(words(of, response)),
+            Decision::Pass => Outcome::pass_because(describe_delay(of, response)),
             Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
         };
         rows.push(with_numbers(judged(outcome), of, response));
     }
     let groups = alike(faults, |a, b| is_same(a.response, b.response));
-    rows.extend(groups.iter().map(|group| named(case, commands, group)));
+    rows.extend(groups.iter().map(|group| report_group(case, commands, group)));
     rows
 }
 
 /// Reason why commands that are goals do not show a delay; `None` if they are streamed.
-fn goals(delays: &[CommandDelay]) -> Option<String> {
+fn goals_reason(delays: &[CommandDelay]) -> Option<String> {
     let are = |why: &DelayFailure| {
         let is = |of: &CommandDelay| of.response.as_ref().err() == Some(why);
         !delays.is_empty() && delays.iter().all(is)
@@ -162,7 +162,7 @@ fn goals(delays: &[CommandDelay]) -> Option<String> {
     Some(format!("{what}, and the arm plans the path itself; log the drives' set-points"))
 }
 
-fn untold(why: &DelayFailure) -> Outcome {
+fn no_delay_outcome(why: &DelayFailure) -> Outcome {
     match why {
         DelayFailure::Goals | DelayFailure::Steps => {
             Outcome::Inconclusive(format!("it receives goals and plans the path itself; {SETTLE}"))
@@ -173,21 +173,25 @@ fn untold(why: &DelayFailure) -> Outcome {
 
 fn is_same(a: &Response, b: &Response) -> bool {
     /// Delays closer than this are the same, s or relative.
-    const NEAR_S: f64 = 5e-3;
-    const SHARE: f64 = 0.1;
+    const MAX_DELAY_DIFFERENCE_S: f64 = 5e-3;
+    const MAX_RELATIVE_DIFFERENCE: f64 = 0.1;
     let apart_s = (a.delay_s.value - b.delay_s.value).abs();
     let known_s = 4.0 * a.delay_s.std_error.hypot(b.delay_s.std_error);
-    apart_s < NEAR_S.max(SHARE * a.delay_s.value.abs()).max(known_s.min(0.05))
+    apart_s
+        < MAX_DELAY_DIFFERENCE_S
+            .max(MAX_RELATIVE_DIFFERENCE * a.delay_s.value.abs())
+            .max(known_s.min(0.05))
 }
 
 /// Finding for joints with the same delay, or for the poses.
-fn named(case: &Case, commands: &Commands, group: &[(usize, Long<'_>)]) -> Judged {
+fn report_group(case: &Case, commands: &Commands, group: &[(usize, ExcessiveDelay<'_>)]) -> Judged {
     let joints: Vec<usize> = group.iter().filter_map(|(_, long)| long.of.joint).collect();
-    let by_delay = |a: &&(usize, Long<'_>), b: &&(usize, Long<'_>)| {
-        let size = |one: &(usize, Long<'_>)| one.1.response.delay_s.value.abs();
+    let by_delay = |a: &&(usize, ExcessiveDelay<'_>), b: &&(usize, ExcessiveDelay<'_>)| {
+        let size = |one: &(usize, ExcessiveDelay<'_>)| one.1.response.delay_s.value.abs();
         size(a).total_cmp(&size(b))
     };
-    let (_, Long { of, response, severity }) = *group.iter().max_by(by_delay).unwrap_or(&group[0]);
+    let (_, ExcessiveDelay { of, response, severity }) =
+        *group.iter().max_by(by_delay).unwrap_or(&group[0]);
     let limit = Unit::Second.show(case.thresholds.of(&LAT004, THRESHOLD).warning);
     let is_early = response.delay_s.value < 0.0;
     let subject = commands.subject_of(&joints);
@@ -200,7 +204,7 @@ fn named(case: &Case, commands: &Commands, group: &[(usize, Long<'_>)]) -> Judge
         severity,
         cause: Cause::Pictured(Picture::Stream),
         title: if is_early { "state leads its command" } else { "state follows its command late" },
-        message: format!("{who}{} (limit {limit})", words(of, response)),
+        message: format!("{who}{} (limit {limit})", describe_delay(of, response)),
         evidence: Evidence::default(),
         fix: match is_early {
             true => "stamp commands when they are sent, and states when they are read".to_owned(),
@@ -218,7 +222,7 @@ fn named(case: &Case, commands: &Commands, group: &[(usize, Long<'_>)]) -> Judge
 }
 
 /// Describes the delay in a clause.
-fn words(of: &CommandDelay, response: &Response) -> String {
+fn describe_delay(of: &CommandDelay, response: &Response) -> String {
     let delay = &response.delay_s;
     let shown = Unit::Second.show_measured(&Measured { value: delay.value.abs(), ..*delay });
     if delay.value < 0.0 {
@@ -243,8 +247,8 @@ fn words(of: &CommandDelay, response: &Response) -> String {
 
 /// Whether a delay equals one command period.
 fn is_one_step(of: &CommandDelay, delay: &Measured) -> bool {
-    const SHARE: f64 = 0.1;
-    (delay.value - of.period_s).abs() < SHARE * of.period_s
+    const MAX_PERIOD_DEVIATION: f64 = 0.1;
+    (delay.value - of.period_s).abs() < MAX_PERIOD_DEVIATION * of.period_s
 }
 
 fn with_numbers(judged: Judged, of: &CommandDelay, response: &Response) -> Judged {

@@ -67,27 +67,34 @@ fn check(case: &Case) -> Vec<Judged> {
 
 /// Deviation from a line in units of the warning thresholds. The angle is ignored if the command itself
 /// deviates.
-fn size(line: &CommandedLine, witness: &LineDeviation, thresholds: &FrameThresholds) -> f64 {
+fn relative_deviation(
+    line: &CommandedLine,
+    witness: &LineDeviation,
+    thresholds: &FrameThresholds,
+) -> f64 {
     let length = witness.distance_m.norm.value / thresholds.length.warning;
-    match is_off(line, thresholds) {
+    match is_command_deviating(line, thresholds) {
         true => length,
         false => length.max(witness.angle_rad.norm.value / thresholds.angle.warning),
     }
 }
 
-fn is_off(line: &CommandedLine, thresholds: &FrameThresholds) -> bool {
+fn is_command_deviating(line: &CommandedLine, thresholds: &FrameThresholds) -> bool {
     thresholds.angle.severity(line.command_rad).is_some()
 }
 
 /// The line with the largest deviation according to one source of poses.
-fn worst<'a>(
+fn worst_line<'a>(
     lines: &'a [CommandedLine],
     witness: usize,
     thresholds: &FrameThresholds,
 ) -> Option<(&'a CommandedLine, &'a LineDeviation)> {
     let kept =
         lines.iter().filter_map(|line| Some((line, line.deviations.get(witness)?.as_ref()?)));
-    kept.max_by(|a, b| size(a.0, a.1, thresholds).total_cmp(&size(b.0, b.1, thresholds)))
+    kept.max_by(|a, b| {
+        relative_deviation(a.0, a.1, thresholds)
+            .total_cmp(&relative_deviation(b.0, b.1, thresholds))
+    })
 }
 
 fn judge(case: &Case, arm: &ArmEvidence, reference: &StreamEvidence<ReferenceEvidence>) -> Judged {
@@ -107,24 +114,30 @@ fn judge(case: &Case, arm: &ArmEvidence, reference: &StreamEvidence<ReferenceEvi
         return judged(Outcome::Skipped(why.to_owned()));
     };
     let of_witnesses = (0..reference.tip_poses.len())
-        .filter_map(|witness| Some((witness, worst(lines, witness, thresholds)?)));
-    let kept = of_witnesses
-        .min_by(|(_, a), (_, b)| size(a.0, a.1, thresholds).total_cmp(&size(b.0, b.1, thresholds)));
+        .filter_map(|witness| Some((witness, worst_line(lines, witness, thresholds)?)));
+    let kept = of_witnesses.min_by(|(_, a), (_, b)| {
+        relative_deviation(a.0, a.1, thresholds)
+            .total_cmp(&relative_deviation(b.0, b.1, thresholds))
+    });
     let (line, measured) = match kept {
-        _ if is_off(commanded, thresholds) => (commanded, kept.map(|(_, (_, measured))| *measured)),
+        _ if is_command_deviating(commanded, thresholds) => {
+            (commanded, kept.map(|(_, (_, measured))| *measured))
+        }
         Some((_, (line, measured))) => (line, Some(*measured)),
         None => (commanded, None),
     };
-    let outcome = match (is_off(commanded, thresholds), &measured) {
-        (true, _) => swings(commanded, thresholds),
-        (false, Some(measured)) => leaves(case, line, measured, lines.len()),
+    let outcome = match (is_command_deviating(commanded, thresholds), &measured) {
+        (true, _) => command_outcome(commanded, thresholds),
+        (false, Some(measured)) => tip_outcome(case, line, measured, lines.len()),
         (false, None) => {
             Outcome::Inconclusive(format!("no source of poses covers any of the lines; {SETTLE}"))
         }
     };
     // A fault of the command must not hide that the tip leaves the line.
     let outcome = match (outcome, kept) {
-        (Outcome::Evaluated(_), Some((_, (line, measured)))) if is_off(commanded, thresholds) => {
+        (Outcome::Evaluated(_), Some((_, (line, measured))))
+            if is_command_deviating(commanded, thresholds) =>
+        {
             with_distance(case, commanded, line, measured, lines.len())
         }
         (outcome, _) => outcome,
@@ -132,7 +145,7 @@ fn judge(case: &Case, arm: &ArmEvidence, reference: &StreamEvidence<ReferenceEvi
     let unknown = Measured { value: f64::NAN, std_error: f64::INFINITY, dof: 1.0 };
     let distance = measured.as_ref().map_or(unknown, |measured| measured.distance_m.norm);
     let angle = match &measured {
-        _ if is_off(commanded, thresholds) => {
+        _ if is_command_deviating(commanded, thresholds) => {
             Measured { value: commanded.command_rad, std_error: 0.0, dof: f64::INFINITY }
         }
         Some(measured) => measured.angle_rad.norm,
@@ -156,7 +169,7 @@ fn decide(case: &Case, line: &CommandedLine, measured: &LineDeviation, lines: us
     let (thresholds, subjects) =
         (case.thresholds.of_frames(&MOT004, THRESHOLDS), case.evidence.subjects() * lines);
     let by_length = decide_length(&measured.distance_m, &thresholds.length, subjects);
-    let angle = match is_off(line, &thresholds) {
+    let angle = match is_command_deviating(line, &thresholds) {
         true => Decision::Pass,
         false => decide_length(&measured.angle_rad, &thresholds.angle, subjects),
     };
@@ -168,7 +181,12 @@ fn decide(case: &Case, line: &CommandedLine, measured: &LineDeviation, lines: us
 }
 
 /// Outcome if the command is a slerp.
-fn leaves(case: &Case, line: &CommandedLine, measured: &LineDeviation, lines: usize) -> Outcome {
+fn tip_outcome(
+    case: &Case,
+    line: &CommandedLine,
+    measured: &LineDeviation,
+    lines: usize,
+) -> Outcome {
     let distance = Unit::Metre.show_measured(&measured.distance_m.norm);
     let angle = Unit::Radian.show_measured(&measured.angle_rad.norm);
     match decide(case, line, measured, lines) {
@@ -198,7 +216,7 @@ fn leaves(case: &Case, line: &CommandedLine, measured: &LineDeviation, lines: us
 }
 
 /// Outcome if the command itself is not a slerp.
-fn swings(line: &CommandedLine, thresholds: &FrameThresholds) -> Outcome {
+fn command_outcome(line: &CommandedLine, thresholds: &FrameThresholds) -> Outcome {
     let (off, turn) = (Unit::Radian.show(line.command_rad), Unit::Radian.show(line.turn_rad));
     let across = Unit::Radian.show(line.command_off_axis_rad);
     let is_pace = thresholds.angle.severity(line.command_off_axis_rad).is_none();
@@ -235,7 +253,7 @@ fn with_distance(
 ) -> Outcome {
     let off_line = CommandedLine { command_rad: f64::INFINITY, ..line.clone() };
     let distance = Unit::Metre.show_measured(&measured.distance_m.norm);
-    let swinging = swings(commanded, &case.thresholds.of_frames(&MOT004, THRESHOLDS));
+    let swinging = command_outcome(commanded, &case.thresholds.of_frames(&MOT004, THRESHOLDS));
     let Outcome::Evaluated(crate::finding::Ruling::Fail(fault)) = swinging else {
         return swinging;
     };

@@ -17,14 +17,14 @@ pub const THRESHOLDS: FrameThresholds = FrameThresholds {
 };
 
 /// Minimum angle between two hand orientations for the chain to be solvable; a limit of HEC002.
-pub const LEAST_SPAN: Limit = Limit {
+pub const MIN_ROTATION_SPAN: Limit = Limit {
     key: "span",
     unit: Unit::Radian,
     value: 30.0 * DEGREE,
     what: "minimum angle spanned by the hand's rotations",
 };
 /// Minimum spread of the rotation axes.
-pub const LEAST_SPREAD: Limit = Limit {
+pub const MIN_AXIS_SPREAD: Limit = Limit {
     key: "spread",
     unit: Unit::Radian,
     value: 10.0 * DEGREE,
@@ -37,12 +37,12 @@ pub const SETTLE: &str =
 
 /// The target does not follow the hand if the rotation residual exceeds this fraction of the hand's
 /// rotation.
-const FOLLOWS: f64 = 0.5;
+const MAX_RESIDUAL_RATIO: f64 = 0.5;
 /// Minimum ratio of the two mounts' residuals for the mount to be determined.
-const DECIDED: f64 = 1.5;
+const MIN_MOUNT_RATIO: f64 = 1.5;
 
 /// Describes the camera mount.
-pub fn where_is(mount: CameraMount) -> &'static str {
+pub fn describe_mount(mount: CameraMount) -> &'static str {
     match mount {
         CameraMount::InHand => "in the hand",
         CameraMount::InBase => "fixed to the base",
@@ -51,7 +51,7 @@ pub fn where_is(mount: CameraMount) -> &'static str {
 
 impl CameraAxes {
     /// Describes the axes.
-    pub fn words(self) -> &'static str {
+    pub fn describe(self) -> &'static str {
         match self {
             CameraAxes::Optical => "z forward, x right",
             CameraAxes::Body => "x forward, z up",
@@ -61,19 +61,19 @@ impl CameraAxes {
 
 /// Whether the data determine if the camera is in the hand or fixed.
 pub fn is_mount_decided(solution: &HandEyeSolution) -> bool {
-    solution.ratio >= DECIDED
+    solution.ratio >= MIN_MOUNT_RATIO
 }
 
 /// Explains why the residual says nothing about the chain. `None` if the target's rotation follows the
 /// hand's.
-pub fn does_not_follow(found: &HandEyeDiagnosis) -> Option<String> {
+pub fn mismatch_reason(found: &HandEyeDiagnosis) -> Option<String> {
     let turning_rad = found.diversity.as_ref().map_or(0.0, |diversity| diversity.turning_rad);
-    let left_rad = found.best()?.closure.rms_rad;
-    (left_rad > FOLLOWS * turning_rad).then(|| {
+    let residual_rad = found.best()?.closure.rms_rad;
+    (residual_rad > MAX_RESIDUAL_RATIO * turning_rad).then(|| {
         format!(
             "target rotation does not match the hand's (residual {} of {}): the target moves, its rotations \
              are misread, or neither target nor camera is on this hand; {SETTLE}",
-            Unit::Radian.show(left_rad),
+            Unit::Radian.show(residual_rad),
             Unit::Radian.show(turning_rad),
         )
     })
@@ -148,9 +148,9 @@ pub fn with_solution(
 
 /// The residuals of at most `MOST` evenly spaced poses.
 fn each(solution: &HandEyeSolution) -> Value {
-    const MOST: usize = 200;
+    const MAX_LISTED_SAMPLES: usize = 200;
     let all = &solution.closure.each;
-    let step = all.len().div_ceil(MOST).max(1);
+    let step = all.len().div_ceil(MAX_LISTED_SAMPLES).max(1);
     let kept = || all.iter().step_by(step);
     let micro = |value: f64| (value * 1e6).round() / 1e6;
     json!({

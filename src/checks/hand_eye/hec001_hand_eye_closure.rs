@@ -2,8 +2,8 @@ use super::{hec002_hand_eye_rotation, hec003_camera_axes};
 use crate::checks::decision::{Decision, decide_both, decide_frame};
 use crate::checks::frames::{show, show_pose};
 use crate::checks::hand_eye::chain::{
-    LEAST_SPAN, SETTLE, THRESHOLDS, does_not_follow, is_mount_decided, unseen, where_is,
-    with_solution,
+    MIN_ROTATION_SPAN, SETTLE, THRESHOLDS, describe_mount, is_mount_decided, mismatch_reason,
+    unseen, with_solution,
 };
 use crate::checks::{Case, FrameThresholds, Grade, Judged, decide, residual_attribution};
 use crate::diagnosis::{CameraMount, HandEyeSolution, Measured, TargetEncoding, TargetScaleError};
@@ -77,7 +77,7 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
         Err(why) => return Judged::new(facts.subject(), unseen(why)),
     };
     let best = found.best().unwrap_or(as_logged);
-    let by_mount = match hec003_camera_axes::swap(facts) {
+    let by_mount = match hec003_camera_axes::detect_swap(facts) {
         None => found.mount_error.as_ref(),
         Some(_) => None,
     };
@@ -92,17 +92,19 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
     let scale = decide(&scaled.scale.effect_m(), &thresholds.length, subjects);
     let span_rad = found.diversity.as_ref().map_or(0.0, |diversity| diversity.span_rad);
     let (outcome, estimate) = match (&found.alternative, open) {
-        _ if span_rad < case.thresholds.limit(&hec002_hand_eye_rotation::HEC002, &LEAST_SPAN) => {
+        _ if span_rad
+            < case.thresholds.limit(&hec002_hand_eye_rotation::HEC002, &MIN_ROTATION_SPAN) =>
+        {
             let why = format!("too little rotation to solve it (HEC002); {SETTLE}");
             (Outcome::Inconclusive(why), closure(best))
         }
         (Some((reading, _)), _) if is_fault(reading, as_logged, &thresholds) => {
-            let fault = misread(reading, as_logged, &thresholds);
+            let fault = misinterpreted(reading, as_logged, &thresholds);
             (Outcome::fail(fault), closure(as_logged))
         }
         (_, Decision::Fail(severity)) => {
-            let doubt = || wrong_model(arm?, best.closure.excess_m.value);
-            let outcome = match does_not_follow(found).or_else(doubt) {
+            let doubt = || model_doubt(arm?, best.closure.excess_m.value);
+            let outcome = match mismatch_reason(found).or_else(doubt) {
                 Some(why) => Outcome::Inconclusive(why),
                 None => Outcome::fail(open_chain(facts, best, severity)),
             };
@@ -124,7 +126,7 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
                 let estimate =
                     Estimate::frame("mount error", &error.translation_m, &error.rotation_rad);
                 let outcome = match decide_frame(error, &thresholds, subjects) {
-                    Decision::Pass => sound(facts, best),
+                    Decision::Pass => closed_chain(facts, best),
                     Decision::Undecided(why) => {
                         Outcome::Inconclusive(format!("camera mount: {why}; {SETTLE}"))
                     }
@@ -150,13 +152,13 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
                 };
                 (outcome, estimate)
             }
-            _ => (sound(facts, best), closure(best)),
+            _ => (closed_chain(facts, best), closure(best)),
         },
     };
     let judged = Judged::new(facts.subject(), outcome).estimated(estimate);
     let judged = with_solution(judged, facts, best);
     let judged = match &found.alternative {
-        Some((reading, _)) => judged.with_evidence("reading", reading_words(reading)),
+        Some((reading, _)) => judged.with_evidence("reading", describe_reading(reading)),
         None => judged,
     };
     let Some((TargetEncoding::Scaled(stretch), _)) = &found.alternative else { return judged };
@@ -172,7 +174,7 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
 
 /// Explains why an open chain does not indicate a hand-eye error. `None` if the arm's model, whose FK is
 /// the hand pose, is accurate enough.
-fn wrong_model(arm: &ArmEvidence, open_m: f64) -> Option<String> {
+fn model_doubt(arm: &ArmEvidence, open_m: f64) -> Option<String> {
     let left = |stream: &StreamEvidence<PoseEvidence>| {
         stream.diagnosis.residual.as_ref().ok().map(|residual| residual.excess_m.value)
     };
@@ -189,15 +191,18 @@ fn wrong_model(arm: &ArmEvidence, open_m: f64) -> Option<String> {
 }
 
 /// The outcome of a chain that closes.
-fn sound(facts: &HandEyeEvidence, solution: &HandEyeSolution) -> Outcome {
+fn closed_chain(facts: &HandEyeEvidence, solution: &HandEyeSolution) -> Outcome {
     let closure = &solution.closure;
     let (m, rad) = (Unit::Metre.show(closure.rms_m), Unit::Radian.show(closure.rms_rad));
-    let camera = camera(facts, solution);
-    Outcome::pass_because(format!("closes to {m} and {rad} rms ({}); {camera}", setting(solution)))
+    let camera = describe_camera(facts, solution);
+    Outcome::pass_because(format!(
+        "closes to {m} and {rad} rms ({}); {camera}",
+        describe_setup(solution)
+    ))
 }
 
 /// The camera pose with its 95 % interval.
-fn camera(facts: &HandEyeEvidence, solution: &HandEyeSolution) -> String {
+fn describe_camera(facts: &HandEyeEvidence, solution: &HandEyeSolution) -> String {
     let camera = &solution.camera;
     let parent = facts.parent_of(solution.mount).unwrap_or_else(|| match solution.mount {
         CameraMount::InHand => "hand".to_owned(),
@@ -216,7 +221,7 @@ fn camera(facts: &HandEyeEvidence, solution: &HandEyeSolution) -> String {
 }
 
 /// Camera mount and latency of the target.
-fn setting(solution: &HandEyeSolution) -> String {
+fn describe_setup(solution: &HandEyeSolution) -> String {
     let mount = match is_mount_decided(solution) {
         true => match solution.mount {
             CameraMount::InHand => "eye-in-hand".to_owned(),
@@ -242,8 +247,8 @@ fn open_chain(facts: &HandEyeEvidence, solution: &HandEyeSolution, severity: Sev
         title: "hand-eye chain does not close",
         message: format!(
             "hand-eye residual {m} and {rad} rms beyond noise after the best fit ({}); {}",
-            setting(solution),
-            camera(facts, solution),
+            describe_setup(solution),
+            describe_camera(facts, solution),
         ),
         evidence: Evidence { effect_m: Some(closure.excess_m.value), ..Evidence::default() },
         fix:
@@ -253,14 +258,14 @@ fn open_chain(facts: &HandEyeEvidence, solution: &HandEyeSolution, severity: Sev
     }
 }
 
-fn misread(
+fn misinterpreted(
     reading: &TargetEncoding,
     as_logged: &HandEyeSolution,
     thresholds: &FrameThresholds,
 ) -> Fault {
     let closure = &as_logged.closure;
     let (m, rad) = (Unit::Metre.show(closure.rms_m), Unit::Radian.show(closure.rms_rad));
-    let words = reading_words(reading);
+    let words = describe_reading(reading);
     let severity = thresholds
         .length
         .severity(closure.excess_m.value)
@@ -290,8 +295,8 @@ fn other_mount(logged: CameraMount) -> Fault {
         message: format!(
             "in the log's frames the camera is {}, but the chain closes only if it is {} or if the target \
              poses are inverted",
-            where_is(logged),
-            where_is(other),
+            describe_mount(logged),
+            describe_mount(other),
         ),
         evidence: Evidence::default(),
         fix:
@@ -301,11 +306,11 @@ fn other_mount(logged: CameraMount) -> Fault {
 }
 
 /// How the target poses must be read.
-fn reading_words(reading: &TargetEncoding) -> String {
+fn describe_reading(reading: &TargetEncoding) -> String {
     match reading {
         TargetEncoding::AsLogged => "read as logged".to_owned(),
         TargetEncoding::Axes(axes) => {
-            format!("target positions are {}", hec003_camera_axes::axes_words(axes))
+            format!("target positions are {}", hec003_camera_axes::describe_axes(axes))
         }
         TargetEncoding::Transposed => "target rotations are transposed".to_owned(),
         TargetEncoding::QuaternionOrder(_) => {
@@ -317,7 +322,7 @@ fn reading_words(reading: &TargetEncoding) -> String {
             }
             None => "target rotations follow a different convention".to_owned(),
         },
-        TargetEncoding::Scaled(stretch) => stretch_words(stretch),
+        TargetEncoding::Scaled(stretch) => describe_stretch(stretch),
     }
 }
 
@@ -345,7 +350,7 @@ const SETTLE_SCALE: &str = "the scale of the target positions (lens, target size
 /// the factor.
 fn stretched(solution: &HandEyeSolution, severity: Severity) -> Fault {
     /// Minimum ratio of the two factors' significances for them to be interchangeable.
-    const AS_SURE: f64 = 0.7;
+    const MIN_SIGNIFICANCE_RATIO: f64 = 0.7;
     let scale = &solution.scale;
     let surely = |of: &Measured| ((of.value - 1.0) / of.std_error).abs();
     let [size, depth] = [&scale.size, &scale.depth].map(surely);
@@ -354,7 +359,7 @@ fn stretched(solution: &HandEyeSolution, severity: Severity) -> Fault {
         size: Some(scale.size).filter(|_| is_size),
         depth: Some(scale.depth).filter(|_| !is_size),
         along: scale.along,
-        is_either: size.min(depth) > AS_SURE * size.max(depth),
+        is_either: size.min(depth) > MIN_SIGNIFICANCE_RATIO * size.max(depth),
     };
     let off = Unit::Metre.show(scale.effect_m().value.abs());
     Fault {
@@ -363,8 +368,8 @@ fn stretched(solution: &HandEyeSolution, severity: Severity) -> Fault {
         title: "target positions have a wrong scale",
         message: format!(
             "best fit if {}; otherwise the camera is off by {off} along its view axis ({})",
-            stretch_words(&stretch),
-            setting(solution)
+            describe_stretch(&stretch),
+            describe_setup(solution)
         ),
         evidence: Evidence { effect_m: Some(scale.effect_m().value.abs()), ..Evidence::default() },
         fix: stretch_fix(&stretch),
@@ -372,10 +377,10 @@ fn stretched(solution: &HandEyeSolution, severity: Severity) -> Fault {
 }
 
 /// Example of a configured target size, mm, in the fix for a wrong one.
-const TOLD_MM: f64 = 40.0;
+const MIN_SHOWN_MM: f64 = 40.0;
 
 /// Describes the scale factors.
-fn stretch_words(TargetScaleError { size, depth, .. }: &TargetScaleError) -> String {
+fn describe_stretch(TargetScaleError { size, depth, .. }: &TargetScaleError) -> String {
     let factor = |of: &Measured| format!("{:.4} ± {:.4}", of.value, of.half_width(0.95));
     let size =
         size.as_ref().map(|size| format!("target positions are divided by {}", factor(size)));
@@ -389,9 +394,9 @@ fn stretch_fix(TargetScaleError { size, depth, is_either, .. }: &TargetScaleErro
     let size_fix = size.as_ref().map(|size| match size.value {
         value if (value / 1e3 - 1.0).abs() < 0.02 => "publish positions in metres, not millimetres".to_owned(),
         value => format!(
-            "set the true target size in the detector: a target configured as {TOLD_MM:.0} mm measures {:.1} \
+            "set the true target size in the detector: a target configured as {MIN_SHOWN_MM:.0} mm measures {:.1} \
              mm",
-            TOLD_MM / value
+            MIN_SHOWN_MM / value
         ),
     });
     let depth_fix = depth.as_ref().map(|depth| {

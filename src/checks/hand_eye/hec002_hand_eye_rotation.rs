@@ -1,7 +1,7 @@
 use super::hec001_hand_eye_closure;
 use crate::checks::decision::DEGREE;
 use crate::checks::hand_eye::chain::{
-    LEAST_SPAN, LEAST_SPREAD, THRESHOLDS, does_not_follow, unseen,
+    MIN_AXIS_SPREAD, MIN_ROTATION_SPAN, THRESHOLDS, mismatch_reason, unseen,
 };
 use crate::checks::{Case, FrameThresholds, Grade, Judged};
 use crate::diagnosis::{CameraPose, Measured, RotationDiversity};
@@ -35,7 +35,7 @@ rule! {
     /// It is therefore `info`. It is a warning if hand-eye calibration is required of the log (`--require
     /// HEC`, or `require` in the config).
     HEC002 {
-        limits: &[LEAST_SPAN, LEAST_SPREAD],
+        limits: &[MIN_ROTATION_SPAN, MIN_AXIS_SPREAD],
         name: "hand-eye-rotation",
         grade: Grade::Fixed(Severity::Warning),
         headline: false,
@@ -46,27 +46,30 @@ rule! {
 }
 
 /// A shorter run is not a calibration attempt, s.
-const SHORT_S: f64 = 3.0;
+const MIN_DURATION_S: f64 = 3.0;
 
 fn check(case: &Case) -> Vec<Judged> {
     case.evidence.hand_eyes.iter().map(|one| judge(case, one).within(one.span)).collect()
 }
 
 fn judge(case: &Case, facts: &HandEyeEvidence) -> Judged {
-    let needed = [&LEAST_SPAN, &LEAST_SPREAD].map(|limit| case.thresholds.limit(&HEC002, limit));
+    let needed =
+        [&MIN_ROTATION_SPAN, &MIN_AXIS_SPREAD].map(|limit| case.thresholds.limit(&HEC002, limit));
     let found = &facts.diagnosis;
     let diversity = match &found.diversity {
         Ok(diversity) => diversity,
         Err(why) => return Judged::new(facts.subject(), unseen(why)),
     };
     let undetermined =
-        found.best().map_or_else(Vec::new, |solution| undetermined(case, &solution.camera));
+        found.best().map_or_else(Vec::new, |solution| undetermined_axes(case, &solution.camera));
     let seen_s = facts.span.map_or(f64::INFINITY, |span| span.seconds());
-    let turns_enough = diversity.span_rad >= needed[0];
-    let is_poor = !turns_enough || diversity.spread_rad < needed[1];
-    let outcome = match does_not_follow(found) {
-        Some(why) if turns_enough && found.alternative.is_none() => Outcome::Inconclusive(why),
-        _ if is_poor && seen_s < SHORT_S => Outcome::Inconclusive(format!(
+    let has_enough_rotation = diversity.span_rad >= needed[0];
+    let is_poor = !has_enough_rotation || diversity.spread_rad < needed[1];
+    let outcome = match mismatch_reason(found) {
+        Some(why) if has_enough_rotation && found.alternative.is_none() => {
+            Outcome::Inconclusive(why)
+        }
+        _ if is_poor && seen_s < MIN_DURATION_S => Outcome::Inconclusive(format!(
             "the target is visible for only {seen_s:.1} s; record 10 s or more"
         )),
         _ if is_poor => Outcome::fail(fault(diversity, needed, &undetermined, severity(case))),
@@ -83,7 +86,7 @@ fn judge(case: &Case, facts: &HandEyeEvidence) -> Judged {
             }
         )),
     };
-    let (name, value) = match turns_enough {
+    let (name, value) = match has_enough_rotation {
         false => ("rotation span", diversity.span_rad),
         true => ("spread of axes", diversity.spread_rad),
     };
@@ -126,21 +129,21 @@ fn fault(
         title: "hand-eye is not observable",
         message: message + &limits,
         evidence: Evidence::default(),
-        fix: motion(diversity, needed),
+        fix: describe_motion(diversity, needed),
     }
 }
 
 /// The motion to add.
-fn motion(diversity: &RotationDiversity, [least_span, least_spread]: [f64; 2]) -> String {
+fn describe_motion(diversity: &RotationDiversity, [least_span, least_spread]: [f64; 2]) -> String {
     /// Rotation for a good hand-eye calibration, rad; recommended even if the limits are lower.
-    const GOOD: f64 = 30.0 * DEGREE;
-    let turn = Unit::Radian.show(least_span.max(least_spread).max(GOOD));
+    const MIN_RECOMMENDED_RAD: f64 = 30.0 * DEGREE;
+    let turn = Unit::Radian.show(least_span.max(least_spread).max(MIN_RECOMMENDED_RAD));
     if diversity.span_rad < 2.0 * DEGREE {
         return format!(
             "rotate the hand by {turn} or more about two axes, with the target in view"
         );
     }
-    let [across, other] = across(diversity.axis_in_hand);
+    let [across, other] = perpendicular_axes(diversity.axis_in_hand);
     match diversity.spread_rad < least_spread {
         true => format!("add poses tilted by {turn} or more about {across} or {other} of the hand"),
         false => format!("add poses tilted by {turn} or more, with the target in view"),
@@ -148,14 +151,14 @@ fn motion(diversity: &RotationDiversity, [least_span, least_spread]: [f64; 2]) -
 }
 
 /// The two axes of the hand closest to perpendicular to `axis`.
-fn across(axis: [f64; 3]) -> [&'static str; 2] {
+fn perpendicular_axes(axis: [f64; 3]) -> [&'static str; 2] {
     let mut named = [("x", axis[0].abs()), ("y", axis[1].abs()), ("z", axis[2].abs())];
     named.sort_by(|a, b| a.1.total_cmp(&b.1));
     [named[0].0, named[1].0]
 }
 
 /// The camera axes along and about which the pose uncertainty exceeds the thresholds of HEC001.
-fn undetermined(case: &Case, camera: &CameraPose) -> Vec<String> {
+fn undetermined_axes(case: &Case, camera: &CameraPose) -> Vec<String> {
     let axes = ["x", "y", "z"];
     let half = |error: f64| Measured { std_error: error, ..camera.distance_m }.half_width(0.95);
     let said = |how: &str, unit: Unit, errors: [f64; 3], needed: f64| -> Vec<String> {

@@ -1,5 +1,5 @@
 use crate::checks::decision::DEGREE;
-use crate::checks::hand_eye::chain::{does_not_follow, unseen};
+use crate::checks::hand_eye::chain::{mismatch_reason, unseen};
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::TargetEncoding;
 use crate::evidence::HandEyeEvidence;
@@ -44,12 +44,12 @@ rule! {
 }
 
 /// Maximum deviation from the body–optical rotation for a mount error to be a swap, rad.
-const NEAR: f64 = 20.0 * DEGREE;
+const MAX_SWAP_DEVIATION_RAD: f64 = 20.0 * DEGREE;
 /// Maximum angle between an axis and the direction to the target for the axis to be the view axis, rad.
-const ALONG: f64 = 35.0 * DEGREE;
+const MAX_VIEW_ANGLE_RAD: f64 = 35.0 * DEGREE;
 
 /// How the camera axes are swapped.
-pub(super) enum Swap {
+pub(super) enum AxisSwap {
     /// Positions and rotations have different axes.
     Within([(usize, f64); 3]),
     /// The whole pose has these axes, and its frame name implies the others.
@@ -57,17 +57,18 @@ pub(super) enum Swap {
 }
 
 /// The swap that the target poses show. `None` if they show none.
-pub(super) fn swap(facts: &HandEyeEvidence) -> Option<Swap> {
+pub(super) fn detect_swap(facts: &HandEyeEvidence) -> Option<AxisSwap> {
     let found = &facts.diagnosis;
     if let Some((TargetEncoding::Axes(axes), _)) = found.alternative {
-        return Some(Swap::Within(axes));
+        return Some(AxisSwap::Within(axes));
     }
     let known = found.mount_error.as_ref().filter(|error| {
         // A less certain rotation could be either convention.
-        error.rotation_rad.half_width(0.95) < NEAR
+        error.rotation_rad.half_width(0.95) < MAX_SWAP_DEVIATION_RAD
     });
     let by_mount = known.and_then(|error| {
-        let near = |turn: &Rotation| angle_between(turn, &error.pose.rotation) < NEAR;
+        let near =
+            |turn: &Rotation| angle_between(turn, &error.pose.rotation) < MAX_SWAP_DEVIATION_RAD;
         let body_from_optical = body_from_optical();
         // `logged_from_solved`: the poses are expressed in the solved frame.
         match () {
@@ -76,7 +77,7 @@ pub(super) fn swap(facts: &HandEyeEvidence) -> Option<Swap> {
             () => None,
         }
     });
-    let by_view = || match (facts.axes, forward(found.view)) {
+    let by_view = || match (facts.axes, axes_of_view(found.view)) {
         (Some(named), Some(seen)) if named != seen => Some(seen),
         _ => None,
     };
@@ -84,7 +85,7 @@ pub(super) fn swap(facts: &HandEyeEvidence) -> Option<Swap> {
         Some(_) => by_mount,
         None => by_view(),
     };
-    whole.map(Swap::Whole)
+    whole.map(AxisSwap::Whole)
 }
 
 fn body_from_optical() -> Rotation {
@@ -93,9 +94,9 @@ fn body_from_optical() -> Rotation {
 }
 
 /// The convention in which a target in this direction is ahead.
-fn forward(view: [f64; 3]) -> Option<CameraAxes> {
+fn axes_of_view(view: [f64; 3]) -> Option<CameraAxes> {
     let view = Vec3::from(view);
-    let along = |axis: Vec3| view.dot(&axis) > ALONG.cos() * view.norm().max(1e-9);
+    let along = |axis: Vec3| view.dot(&axis) > MAX_VIEW_ANGLE_RAD.cos() * view.norm().max(1e-9);
     match () {
         () if along(Vec3::z()) => Some(CameraAxes::Optical),
         () if along(Vec3::x()) => Some(CameraAxes::Body),
@@ -104,7 +105,7 @@ fn forward(view: [f64; 3]) -> Option<CameraAxes> {
 }
 
 /// How to permute a position, for instance `(-y, -z, x)`.
-pub(super) fn axes_words(axes: &[(usize, f64); 3]) -> String {
+pub(super) fn describe_axes(axes: &[(usize, f64); 3]) -> String {
     let named = axes.map(|(from, sign)| {
         let sign = if sign < 0.0 { "-" } else { "" };
         format!("{sign}{}", ["x", "y", "z"][from % 3])
@@ -121,40 +122,40 @@ fn judge(facts: &HandEyeEvidence) -> Judged {
     if let Err(why) = &found.solution {
         return Judged::new(facts.subject(), unseen(why));
     }
-    let Some(swap) = swap(facts) else {
-        return Judged::new(facts.subject(), unswapped(facts))
+    let Some(swap) = detect_swap(facts) else {
+        return Judged::new(facts.subject(), no_swap_outcome(facts))
             .with_evidence("view", found.view.to_vec());
     };
-    if let (Swap::Whole(_), Some(why)) = (&swap, does_not_follow(found)) {
+    if let (AxisSwap::Whole(_), Some(why)) = (&swap, mismatch_reason(found)) {
         return Judged::new(facts.subject(), Outcome::Inconclusive(why));
     }
-    let (is, read_as) = kinds(&swap);
+    let (is, read_as) = axes_names(&swap);
     let judged = Judged::new(facts.subject(), Outcome::fail(fault(facts, &swap)))
         .estimated(Estimate::slip("camera axes", is, read_as))
         .with_evidence("view", found.view.to_vec());
     match swap {
-        Swap::Within(axes) => judged.with_evidence("reading", axes_words(&axes)),
-        Swap::Whole(_) => judged,
+        AxisSwap::Within(axes) => judged.with_evidence("reading", describe_axes(&axes)),
+        AxisSwap::Whole(_) => judged,
     }
 }
 
 /// The outcome if no swap was found.
-fn unswapped(facts: &HandEyeEvidence) -> Outcome {
+fn no_swap_outcome(facts: &HandEyeEvidence) -> Outcome {
     let found = &facts.diagnosis;
-    if let Some(why) = does_not_follow(found) {
+    if let Some(why) = mismatch_reason(found) {
         return Outcome::Inconclusive(why);
     }
-    match (&found.mount_error, facts.axes, forward(found.view)) {
+    match (&found.mount_error, facts.axes, axes_of_view(found.view)) {
         (Some(_), _, _) => Outcome::pass_because("the camera axes agree with the log's frames"),
         (None, Some(named), Some(_)) => {
-            Outcome::pass_because(format!("the target is ahead of the camera ({})", named.words()))
+            Outcome::pass_because(format!("the target is ahead of the camera ({})", named.describe()))
         }
         (None, Some(named), None) => {
             let view = found.view.map(|part| rounded(part, 2)).join(", ");
             Outcome::Inconclusive(format!(
                 "the target is neither along z nor along x but at ({view}), in a frame that should have {}; \
                  move the target to the image centre",
-                named.words()
+                named.describe()
             ))
         }
         (None, None, _) => Outcome::Skipped(
@@ -166,34 +167,34 @@ fn unswapped(facts: &HandEyeEvidence) -> Outcome {
 }
 
 /// The actual axes and the assumed ones.
-fn kinds(swap: &Swap) -> (&'static str, &'static str) {
-    let (optical, body) = (CameraAxes::Optical.words(), CameraAxes::Body.words());
+fn axes_names(swap: &AxisSwap) -> (&'static str, &'static str) {
+    let (optical, body) = (CameraAxes::Optical.describe(), CameraAxes::Body.describe());
     match swap {
-        Swap::Whole(CameraAxes::Optical) => (optical, body),
-        Swap::Whole(CameraAxes::Body) => (body, optical),
+        AxisSwap::Whole(CameraAxes::Optical) => (optical, body),
+        AxisSwap::Whole(CameraAxes::Body) => (body, optical),
         // Optical x, y, z are body −y, −z, x; body x, y, z are optical z, −x, −y.
-        Swap::Within([(1, a), (2, b), (0, c)]) if (*a, *b, *c) == (-1.0, -1.0, 1.0) => {
+        AxisSwap::Within([(1, a), (2, b), (0, c)]) if (*a, *b, *c) == (-1.0, -1.0, 1.0) => {
             (body, optical)
         }
-        Swap::Within([(2, a), (0, b), (1, c)]) if (*a, *b, *c) == (1.0, -1.0, -1.0) => {
+        AxisSwap::Within([(2, a), (0, b), (1, c)]) if (*a, *b, *c) == (1.0, -1.0, -1.0) => {
             (optical, body)
         }
-        Swap::Within(_) => ("other axes", "the rotation's axes"),
+        AxisSwap::Within(_) => ("other axes", "the rotation's axes"),
     }
 }
 
-fn fault(facts: &HandEyeEvidence, swap: &Swap) -> Fault {
-    let (is, read_as) = kinds(swap);
+fn fault(facts: &HandEyeEvidence, swap: &AxisSwap) -> Fault {
+    let (is, read_as) = axes_names(swap);
     let camera = &facts.camera;
     let (message, fix) = match swap {
-        Swap::Within(axes) => (
+        AxisSwap::Within(axes) => (
             format!(
                 "positions and rotations have different axes: the chain closes if positions are {}",
-                axes_words(axes)
+                describe_axes(axes)
             ),
             "publish position and rotation of the target in one frame".to_owned(),
         ),
-        Swap::Whole(_) => (
+        AxisSwap::Whole(_) => (
             format!("poses have {is}, but frame '{camera}' should have {read_as}"),
             "use the frame that matches the poses: optical is z forward, body is x forward"
                 .to_owned(),
@@ -215,10 +216,10 @@ mod tests {
 
     #[test]
     fn what_is_ahead_tells_the_axes() {
-        assert_eq!(forward([0.2, -0.1, 0.9]), Some(CameraAxes::Optical));
-        assert_eq!(forward([0.8, 0.1, 0.0]), Some(CameraAxes::Body));
-        assert_eq!(forward([0.5, 0.0, 0.5]), None);
-        assert_eq!(forward([0.0; 3]), None);
+        assert_eq!(axes_of_view([0.2, -0.1, 0.9]), Some(CameraAxes::Optical));
+        assert_eq!(axes_of_view([0.8, 0.1, 0.0]), Some(CameraAxes::Body));
+        assert_eq!(axes_of_view([0.5, 0.0, 0.5]), None);
+        assert_eq!(axes_of_view([0.0; 3]), None);
     }
 
     #[test]
@@ -230,9 +231,9 @@ mod tests {
                 let from = from.unwrap_or_default();
                 (from, unit(from).round())
             });
-            kinds(&Swap::Within(rows)).0
+            axes_names(&AxisSwap::Within(rows)).0
         };
-        assert_eq!(swap(body_from_optical().inverse()), CameraAxes::Body.words());
-        assert_eq!(swap(body_from_optical()), CameraAxes::Optical.words());
+        assert_eq!(swap(body_from_optical().inverse()), CameraAxes::Body.describe());
+        assert_eq!(swap(body_from_optical()), CameraAxes::Optical.describe());
     }
 }

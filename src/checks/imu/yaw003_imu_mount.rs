@@ -165,7 +165,7 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Judged {
 const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// Maximum angle between two axes that count as parallel, rad.
-const ALONG: f64 = 10.0 * DEGREE;
+const MAX_AXIS_ANGLE_RAD: f64 = 10.0 * DEGREE;
 
 /// The matrix of a mount `link_from_imu` with labelled rows and columns.
 fn direction_cosines(mount: &Rotation, link: &str) -> Value {
@@ -194,7 +194,7 @@ fn direction(mount: &Rotation, axis: usize, link: &str) -> String {
         format!("{link} {sign}{}", AXES[own])
     });
     let off_rad = cosines[nearest[0]].abs().min(1.0).acos();
-    if off_rad <= ALONG {
+    if off_rad <= MAX_AXIS_ANGLE_RAD {
         return format!("along {first}");
     }
     let off = off_rad.to_degrees();
@@ -216,7 +216,7 @@ fn permuted(error: &Rotation) -> Option<String> {
             (along, points[along])
         })
         .collect();
-    let is_permutation = axes.iter().all(|(_, cosine)| cosine.abs() >= ALONG.cos());
+    let is_permutation = axes.iter().all(|(_, cosine)| cosine.abs() >= MAX_AXIS_ANGLE_RAD.cos());
     let is_same =
         axes.iter().enumerate().all(|(axis, (along, cosine))| axis == *along && *cosine > 0.0);
     if !is_permutation || is_same {

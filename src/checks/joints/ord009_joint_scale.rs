@@ -63,12 +63,12 @@ rule! {
 }
 
 /// Factors that differ by less than this, relatively, are the same.
-const SAME: f64 = 2e-3;
+const MAX_FACTOR_DIFFERENCE: f64 = 2e-3;
 
 fn check(case: &Case) -> Vec<Judged> {
     let judged = |arm| {
         let of_joints = turns::judge(case, arm).into_iter().chain(coupling::judge(arm));
-        let of_joints: Vec<Judged> = of_joints.chain(changing(case, arm)).collect();
+        let of_joints: Vec<Judged> = of_joints.chain(judge_changes(case, arm)).collect();
         // Omit the topic's pass row if a joint has a finding.
         let of_scales = judge_arm(arm);
         let is_sound = arm.diagnosis.encoding.is_ok() && arm.diagnosis.scales.is_empty();
@@ -90,7 +90,7 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
             return vec![Judged::new(topic, outcome).within(arm.span)];
         }
     };
-    let left = reading.residual.unwrap_or(UnitResiduals { as_logged: 0.0, corrected: 0.0 });
+    let residual = reading.residual.unwrap_or(UnitResiduals { as_logged: 0.0, corrected: 0.0 });
     let judged = |scale: &JointScale, joints: &[JointScale]| {
         let is_all = joints.len() > 1;
         let subject = match is_all {
@@ -99,7 +99,7 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
         };
         let names = joints.iter().filter_map(|other| arm.joints.get(other.column));
         let names: Vec<&str> = names.map(|joint| joint.name.as_str()).collect();
-        let fault = fault(arm, scale, joints, &left);
+        let fault = fault(arm, scale, joints, &residual);
         Judged::new(subject, Outcome::fail(fault))
             .within(arm.span)
             .estimated(Estimate::scalar("joint scale", Unit::One, &as_logged(arm, scale.factor)))
@@ -108,8 +108,8 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
                 if scale.is_coded() { json!(scale.offset) } else { json!(null) },
             )
             .with_evidence("joints", if is_all { json!(names) } else { json!(null) })
-            .with_evidence("as_logged_m", left.as_logged)
-            .with_evidence("corrected_m", left.corrected)
+            .with_evidence("as_logged_m", residual.as_logged)
+            .with_evidence("corrected_m", residual.corrected)
     };
     match scales.as_slice() {
         [] => vec![Judged::new(topic, Outcome::pass()).within(arm.span)],
@@ -121,7 +121,7 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
 }
 
 /// Joints whose scale changes during the run.
-fn changing(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
+fn judge_changes(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     /// Minimum change of a scale.
     const THRESHOLD: Threshold = Threshold { unit: Unit::One, warning: 1e-3, error: 1e-3 };
     let columns = 0..arm.joints.len();
@@ -150,20 +150,20 @@ fn as_logged(arm: &ArmEvidence, factor: Measured) -> Measured {
 fn is_same(a: &JointScale, b: &JointScale) -> bool {
     let apart = (a.factor.value - b.factor.value).abs();
     let known = a.factor.std_error.hypot(b.factor.std_error);
-    apart < (SAME * a.factor.value.abs()).max(4.0 * known)
+    apart < (MAX_FACTOR_DIFFERENCE * a.factor.value.abs()).max(4.0 * known)
 }
 
 fn fault(
     arm: &ArmEvidence,
     scale: &JointScale,
     joints: &[JointScale],
-    left: &UnitResiduals,
+    residual: &UnitResiduals,
 ) -> Fault {
     let factor = as_logged(arm, scale.factor).value;
-    let (title, what) = if near(factor, -1.0) {
+    let (title, what) = if is_same_factor(factor, -1.0) {
         ("joint is reversed", "the positions have the wrong sign".to_owned())
     } else {
-        ("joint scale is wrong", kind(arm, scale))
+        ("joint scale is wrong", describe_scale(arm, scale))
     };
     let who = if joints.len() > 1 { "all joints: " } else { "" };
     let offset = match scale.offset {
@@ -171,23 +171,26 @@ fn fault(
         offset if offset < 0.0 => format!(" - {:.5}", -offset),
         offset => format!(" + {offset:.5}"),
     };
-    let (before, after) = (Unit::Metre.show(left.as_logged), Unit::Metre.show(left.corrected));
+    let (before, after) =
+        (Unit::Metre.show(residual.as_logged), Unit::Metre.show(residual.corrected));
     Fault {
         severity: Severity::Error,
-        cause: Cause::JointScale(joints.iter().filter_map(|scale| scaling(arm, scale)).collect()),
+        cause: Cause::JointScale(
+            joints.iter().filter_map(|scale| correction(arm, scale)).collect(),
+        ),
         title,
         message: format!("{who}{what}, {before} off as logged"),
         evidence: Evidence {
-            effect: Some(format!("{after} once multiplied by {}", shown(factor))),
-            effect_m: Some(left.as_logged),
+            effect: Some(format!("{after} once multiplied by {}", show_factor(factor))),
+            effect_m: Some(residual.as_logged),
             ..Evidence::default()
         },
-        fix: format!("q_true = {} · q_reported{offset}", shown(factor)),
+        fix: format!("q_true = {} · q_reported{offset}", show_factor(factor)),
     }
 }
 
 /// Correction of a joint with this scale.
-fn scaling(arm: &ArmEvidence, scale: &JointScale) -> Option<JointScaleCorrection> {
+fn correction(arm: &ArmEvidence, scale: &JointScale) -> Option<JointScaleCorrection> {
     let joint = arm.joints.get(scale.column)?;
     Some(JointScaleCorrection {
         joint: joint.name.clone(),
@@ -198,17 +201,17 @@ fn scaling(arm: &ArmEvidence, scale: &JointScale) -> Option<JointScaleCorrection
 }
 
 /// Describes a factor.
-fn kind(arm: &ArmEvidence, scale: &JointScale) -> String {
+fn describe_scale(arm: &ArmEvidence, scale: &JointScale) -> String {
     let factor = as_logged(arm, scale.factor).value.abs();
     let reversed = if scale.factor.value < 0.0 { ", counted backwards" } else { "" };
     let ticks = TAU / factor;
     let bits = ticks.log2().round();
-    if (8.0..=24.0).contains(&bits) && near(ticks, bits.exp2()) {
+    if (8.0..=24.0).contains(&bits) && is_same_factor(ticks, bits.exp2()) {
         return format!("the positions are ticks, {:.0} per turn{reversed}", bits.exp2());
     }
     let limits = arm.joints.get(scale.column).map(|joint| joint.limits);
     let range = limits.and_then(|limits| Some(limits.upper? - limits.lower?));
-    let is_share = |of: f64| range.is_some_and(|range| near(range / factor, of));
+    let is_share = |of: f64| range.is_some_and(|range| is_same_factor(range / factor, of));
     if is_share(200.0) {
         return format!("the positions run from -100 to 100 over the range{reversed}");
     }
@@ -217,19 +220,19 @@ fn kind(arm: &ArmEvidence, scale: &JointScale) -> String {
     }
     format!(
         "the joint moves {} times its reported positions",
-        shown(as_logged(arm, scale.factor).value)
+        show_factor(as_logged(arm, scale.factor).value)
     )
 }
 
 /// Whether two numbers are indistinguishable in a log.
-fn near(value: f64, other: f64) -> bool {
-    (value - other).abs() < SAME * other.abs()
+fn is_same_factor(value: f64, other: f64) -> bool {
+    (value - other).abs() < MAX_FACTOR_DIFFERENCE * other.abs()
 }
 
-fn shown(factor: f64) -> String {
+fn show_factor(factor: f64) -> String {
     match factor.abs() {
         // Factors near 1 need all digits.
-        size if near(size, size.round()) && size >= 1.0 && factor.round() != 1.0 => {
+        size if is_same_factor(size, size.round()) && size >= 1.0 && factor.round() != 1.0 => {
             format!("{factor:.0}")
         }
         size if size < 0.1 => format!("{factor:.4e}"),

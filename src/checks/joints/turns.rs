@@ -12,27 +12,29 @@ use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 /// One finding for each joint that is off by turns.
 pub(super) fn judge(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     let of_joint = |joint: usize| match part_of_turn(case, arm, joint) {
-        Some((turns, offset)) => Some(judged(arm, joint, turns, &offset, Seen::InPoses)),
-        None => judge_whole(arm, joint),
+        Some((turns, offset)) => {
+            Some(turn_result(arm, joint, turns, &offset, TurnEvidence::InPoses))
+        }
+        None => judge_whole_turns(arm, joint),
     };
     (0..arm.joints.len()).filter_map(of_joint).collect()
 }
 
 /// Evidence for the offset.
 #[derive(Clone, Copy)]
-enum Seen {
+enum TurnEvidence {
     InPoses,
     InLimits,
 }
 
 /// Finding for a joint that exceeds its limits throughout the run, but not if shifted by a turn.
-fn judge_whole(arm: &ArmEvidence, joint: usize) -> Option<Judged> {
+fn judge_whole_turns(arm: &ArmEvidence, joint: usize) -> Option<Judged> {
     let turns = arm.joints.get(joint)?.motion.turns_beyond?;
     if arm.diagnosis.offsets.get(joint).is_some_and(|offset| offset.is_chosen) {
         return None;
     }
     let offset = Measured { value: -TAU * turns, std_error: 0.0, dof: 1.0 };
-    Some(judged(arm, joint, turns.abs(), &offset, Seen::InLimits))
+    Some(turn_result(arm, joint, turns.abs(), &offset, TurnEvidence::InLimits))
 }
 
 /// Turns and offset of a joint whose zero offset is a multiple of a quarter turn, to within ZER001's
@@ -57,7 +59,13 @@ pub(super) fn part_of_turn(
     (is_round && is_sure).then_some((quarters.abs() / 4.0, measured))
 }
 
-fn judged(arm: &ArmEvidence, joint: usize, turns: f64, offset: &Measured, seen: Seen) -> Judged {
+fn turn_result(
+    arm: &ArmEvidence,
+    joint: usize,
+    turns: f64,
+    offset: &Measured,
+    seen: TurnEvidence,
+) -> Judged {
     let (amount, name) = match turns {
         0.25 => ("a quarter turn", "its zero is set a quarter turn off"),
         0.5 => ("half a turn", "its zero is set half a turn off"),
@@ -68,15 +76,15 @@ fn judged(arm: &ArmEvidence, joint: usize, turns: f64, offset: &Measured, seen: 
     let sign = if offset.value < 0.0 { "-" } else { "+" };
     let shown = Unit::Radian.show(offset.value.abs());
     let message = match seen {
-        Seen::InLimits => format!(
+        TurnEvidence::InLimits => format!(
             "{amount} {direction}: {name}. Its positions exceed the limits throughout the run, and are \
              within them if shifted by {shown}"
         ),
-        Seen::InPoses => format!("{amount} ({shown}) {direction}: {name}"),
+        TurnEvidence::InPoses => format!("{amount} ({shown}) {direction}: {name}"),
     };
     let effect_m = match seen {
-        Seen::InPoses => arm.diagnosis.offsets.get(joint).map(|offset| offset.effect_m),
-        Seen::InLimits => None,
+        TurnEvidence::InPoses => arm.diagnosis.offsets.get(joint).map(|offset| offset.effect_m),
+        TurnEvidence::InLimits => None,
     };
     let fault = Fault {
         severity: Severity::Error,

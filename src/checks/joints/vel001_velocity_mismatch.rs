@@ -50,7 +50,7 @@ const THRESHOLD: Threshold = Threshold { unit: Unit::One, warning: 0.05, error: 
 /// Motion that makes the error observable.
 const SETTLE: &str = "move each joint by 30° or more, at 0.2 rad/s or more";
 /// Factors that differ by less than this, relatively, are the same.
-const SAME: f64 = 0.03;
+const MAX_FACTOR_DIFFERENCE: f64 = 0.03;
 
 fn check(case: &Case) -> Vec<Judged> {
     case.evidence.robots.iter().flat_map(|arm| judge_arm(case, arm)).collect()
@@ -79,7 +79,7 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
         };
         let threshold = case.thresholds.of(&VEL001, THRESHOLD);
         let outcome = match decide(&found.error, &threshold, case.evidence.subjects()) {
-            Decision::Fail(severity) => match meant(joint, index, &found.shape) {
+            Decision::Fail(severity) => match explained_by_correction(joint, index, &found.shape) {
                 None => {
                     faults.push((index, (found.clone(), severity)));
                     continue;
@@ -96,7 +96,7 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
         rows.push(with_numbers(judged(outcome), found));
     }
     let groups = alike(faults, |(a, _), (b, _)| is_same(&a.shape, &b.shape));
-    rows.extend(groups.iter().map(|group| named(case, arm, group)));
+    rows.extend(groups.iter().map(|group| report_group(case, arm, group)));
     rows
 }
 
@@ -111,32 +111,37 @@ fn unseen(why: &NotObservable) -> String {
 
 /// Reason why velocities that contradict the recorded positions are right: they match the positions
 /// corrected by means of the pose streams.
-fn meant(joint: &JointEvidence, index: usize, shape: &VelocityShape) -> Option<&'static str> {
+fn explained_by_correction(
+    joint: &JointEvidence,
+    index: usize,
+    shape: &VelocityShape,
+) -> Option<&'static str> {
     let (from, factor) = joint.actual?;
     let (of, gain) = match *shape {
         VelocityShape::Scaled(gain) => (index, gain),
         VelocityShape::OfJoint(other, gain) => (other, gain),
         _ => return None,
     };
-    let is_meant = of == from && near(gain, factor);
-    is_meant.then_some("they match the corrected positions (ORD004, ORD005, ORD009)")
+    let matches_correction = of == from && is_same_factor(gain, factor);
+    matches_correction.then_some("they match the corrected positions (ORD004, ORD005, ORD009)")
 }
 
-fn near(value: f64, other: f64) -> bool {
-    (value - other).abs() < SAME * other.abs()
+fn is_same_factor(value: f64, other: f64) -> bool {
+    (value - other).abs() < MAX_FACTOR_DIFFERENCE * other.abs()
 }
 
 fn is_same(a: &VelocityShape, b: &VelocityShape) -> bool {
     /// Delays closer than this are the same, s or relative.
-    const DELAY_S: f64 = 2e-3;
-    const SHARE: f64 = 0.2;
+    const MAX_DELAY_DIFFERENCE_S: f64 = 2e-3;
+    const MAX_RELATIVE_DIFFERENCE: f64 = 0.2;
     match (a, b) {
         (VelocityShape::Zero, VelocityShape::Zero)
         | (VelocityShape::Unrelated, VelocityShape::Unrelated) => true,
-        (VelocityShape::Scaled(a), VelocityShape::Scaled(b)) => near(*a, *b),
+        (VelocityShape::Scaled(a), VelocityShape::Scaled(b)) => is_same_factor(*a, *b),
         (VelocityShape::Filtered(a), VelocityShape::Filtered(b)) => {
             let apart_s = (a.delay_s.value - b.delay_s.value).abs();
-            let is_same = apart_s < DELAY_S.max(SHARE * a.delay_s.value.abs());
+            let is_same = apart_s
+                < MAX_DELAY_DIFFERENCE_S.max(MAX_RELATIVE_DIFFERENCE * a.delay_s.value.abs());
             is_same && (a.gain - b.gain).abs() < 0.1 * a.gain.abs()
         }
         _ => false,
@@ -152,7 +157,7 @@ fn percent(share: f64) -> String {
 }
 
 /// Finding for joints with the same fault.
-fn named(
+fn report_group(
     case: &Case,
     arm: &ArmEvidence,
     group: &[(usize, (VelocityDiagnosis, Severity))],
@@ -167,7 +172,7 @@ fn named(
         None => &group[0],
     };
     let limit = percent(case.thresholds.of(&VEL001, THRESHOLD).warning);
-    let (what, fix) = words(arm, *worst, found);
+    let (what, fix) = describe(arm, *worst, found);
     let fault = Fault {
         severity: *severity,
         cause: Cause::Pictured(Picture::Joint),
@@ -190,7 +195,7 @@ fn named(
 }
 
 /// Describes the velocities in a clause, with the fix.
-fn words(arm: &ArmEvidence, joint: usize, found: &VelocityDiagnosis) -> (String, String) {
+fn describe(arm: &ArmEvidence, joint: usize, found: &VelocityDiagnosis) -> (String, String) {
     let fill = |what: &str| format!("{what} where {} is filled", arm.joints_topic);
     match found.shape {
         VelocityShape::Zero => (
@@ -201,25 +206,30 @@ fn words(arm: &ArmEvidence, joint: usize, found: &VelocityDiagnosis) -> (String,
             ),
             "fill the velocities from the drive, or leave the field empty".to_owned(),
         ),
-        VelocityShape::Scaled(gain) => {
-            (scale(arm, joint, gain), fill(&format!("divide the velocities by {}", short(gain))))
-        }
+        VelocityShape::Scaled(gain) => (
+            describe_scale(arm, joint, gain),
+            fill(&format!("divide the velocities by {}", show_factor(gain))),
+        ),
         VelocityShape::OfJoint(other, gain) => {
             let name = arm.joints.get(other).map_or("", |joint| joint.name.as_str());
-            let times =
-                if near(gain, 1.0) { String::new() } else { format!(" times {}", short(gain)) };
+            let times = if is_same_factor(gain, 1.0) {
+                String::new()
+            } else {
+                format!(" times {}", show_factor(gain))
+            };
             (
                 format!("velocities are those of {name}{times}"),
                 fill("put the velocities in the order of the names"),
             )
         }
         VelocityShape::Filtered(response) => {
-            let gain = match near(response.gain, 1.0) || (response.gain - 1.0).abs() < 0.1 {
+            let gain = match is_same_factor(response.gain, 1.0) || (response.gain - 1.0).abs() < 0.1
+            {
                 true => String::new(),
-                false => format!(", {}", scale(arm, joint, response.gain)),
+                false => format!(", {}", describe_scale(arm, joint, response.gain)),
             };
             (
-                format!("{}{gain}", late(&response)),
+                format!("{}{gain}", describe_response(&response)),
                 fill("filter the velocities less, or stamp them with their own time"),
             )
         }
@@ -230,13 +240,13 @@ fn words(arm: &ArmEvidence, joint: usize, found: &VelocityDiagnosis) -> (String,
     }
 }
 
-fn late(response: &Response) -> String {
+fn describe_response(response: &Response) -> String {
     let delay = &response.delay_s;
     let size = crate::diagnosis::Measured { value: delay.value.abs(), ..*delay };
     let shown = Unit::Second.show_measured(&size);
     match (response.corner_hz(), delay.value < 0.0) {
         (Some(hz), _) => {
-            format!("velocities are low-pass filtered at {} Hz ({shown} late)", short(hz))
+            format!("velocities are low-pass filtered at {} Hz ({shown} late)", show_factor(hz))
         }
         (None, true) => format!("velocities lead the positions by {shown}"),
         (None, false) => format!("velocities lag the positions by {shown}"),
@@ -251,30 +261,32 @@ fn per_second(arm: &ArmEvidence, joint: usize) -> &'static str {
 }
 
 /// Describes a factor.
-fn scale(arm: &ArmEvidence, joint: usize, gain: f64) -> String {
-    const DEGREES: f64 = 180.0 / std::f64::consts::PI;
-    const TURNS: f64 = 1.0 / std::f64::consts::TAU;
+fn describe_scale(arm: &ArmEvidence, joint: usize, gain: f64) -> String {
+    const DEGREES_PER_RADIAN: f64 = 180.0 / std::f64::consts::PI;
+    const TURNS_PER_RADIAN: f64 = 1.0 / std::f64::consts::TAU;
     let slides = arm.joint_unit(joint) == Unit::Metre;
     let known: &[(f64, &str)] = match slides {
         true => &[(1e3, "millimetres per second"), (1e-3, "m/s with positions in millimetres")],
         false => &[
-            (DEGREES, "degrees per second"),
-            (1.0 / DEGREES, "rad/s with positions in degrees"),
-            (60.0 * TURNS, "revolutions per minute"),
-            (TURNS, "revolutions per second"),
+            (DEGREES_PER_RADIAN, "degrees per second"),
+            (1.0 / DEGREES_PER_RADIAN, "rad/s with positions in degrees"),
+            (60.0 * TURNS_PER_RADIAN, "revolutions per minute"),
+            (TURNS_PER_RADIAN, "revolutions per second"),
         ],
     };
-    if near(gain, -1.0) {
+    if is_same_factor(gain, -1.0) {
         return "velocities have the wrong sign".to_owned();
     }
     let sign = if gain < 0.0 { ", with the wrong sign" } else { "" };
-    match known.iter().find(|(factor, _)| near(gain.abs(), *factor)) {
-        Some((_, unit)) => format!("velocities are {} times the rate ({unit}{sign})", short(gain)),
-        None => format!("velocities are {} times the rate", short(gain)),
+    match known.iter().find(|(factor, _)| is_same_factor(gain.abs(), *factor)) {
+        Some((_, unit)) => {
+            format!("velocities are {} times the rate ({unit}{sign})", show_factor(gain))
+        }
+        None => format!("velocities are {} times the rate", show_factor(gain)),
     }
 }
 
-fn short(value: f64) -> String {
+fn show_factor(value: f64) -> String {
     match value.abs() {
         size if size >= 100.0 => format!("{value:.0}"),
         size if size >= 10.0 => format!("{value:.1}"),

@@ -122,8 +122,8 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
     let measured = match &offset.offset {
         Ok(measured) => measured,
         Err(why) => {
-            let outcome = match named_instead(arm, offset) {
-                Some(twin) => not_told_from(arm, &twin),
+            let outcome = match reported_confounder(arm, offset) {
+                Some(twin) => indistinguishable_outcome(arm, &twin),
                 None => unseen(why, SETTLE),
             };
             return Judged::new(subject, outcome).within(arm.span);
@@ -131,7 +131,7 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
     };
     let outcome = match (
         decide(measured, &threshold, case.evidence.subjects()),
-        named_instead(arm, offset),
+        reported_confounder(arm, offset),
     ) {
         (Decision::Fail(_), _)
             if offset.is_chosen && arm.poses.iter().any(|s| s.diagnosis.is_periodic()) =>
@@ -142,15 +142,15 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
         }
         (Decision::Fail(severity), _) if offset.is_chosen => {
             match residual_attribution::model_doubt(arm, 0.0)
-                .or_else(|| hidden_tool(arm))
-                .or_else(|| other_model(case, arm, offset))
+                .or_else(|| unobservable_tool_reason(arm))
+                .or_else(|| wrong_model_reason(case, arm, offset))
             {
                 Some(why) => Outcome::Inconclusive(why),
                 None => Outcome::fail(fault(case, arm, joint, measured, severity)),
             }
         }
         (Decision::Pass, _) => Outcome::pass(),
-        (_, Some(twin)) if !offset.is_chosen => not_told_from(arm, &twin),
+        (_, Some(twin)) if !offset.is_chosen => indistinguishable_outcome(arm, &twin),
         (Decision::Fail(_), _) if arm.poses.iter().any(|s| s.diagnosis.is_nominal) => {
             unseen(&NotObservable::NominalKinematics, SETTLE)
         }
@@ -171,52 +171,56 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
 
 /// Reason why a zero offset may be the effect of an unknown tool frame: the motion does not locate an
 /// external marker, and a residual above the noise remains. `None` if it cannot.
-fn hidden_tool(arm: &ArmEvidence) -> Option<String> {
+fn unobservable_tool_reason(arm: &ArmEvidence) -> Option<String> {
     /// Standard error above which a tool's position is unknown, m.
-    const UNKNOWN_M: f64 = 0.01;
+    const MIN_UNKNOWN_TOOL_ERROR_M: f64 = 0.01;
     /// Maximum residual of a healthy stream, m.
-    const LEFT_M: f64 = 0.3e-3;
+    const MAX_HEALTHY_RESIDUAL_M: f64 = 0.3e-3;
     let is_hidden = |stream: &&StreamEvidence<PoseEvidence>| {
         let diagnosis = &stream.diagnosis;
-        let is_anywhere =
-            diagnosis.tool.as_ref().is_ok_and(|tool| tool.translation_m.std_error > UNKNOWN_M);
-        let left = diagnosis.residual.as_ref().ok().map(|residual| &residual.excess_m);
-        let is_much = left.is_some_and(|left| left.value - left.half_width(0.95) > LEFT_M);
-        stream.witness != PoseSourceKind::Controller && is_anywhere && is_much
+        let is_tool_unknown = diagnosis
+            .tool
+            .as_ref()
+            .is_ok_and(|tool| tool.translation_m.std_error > MIN_UNKNOWN_TOOL_ERROR_M);
+        let residual = diagnosis.residual.as_ref().ok().map(|residual| &residual.excess_m);
+        let is_significant = residual.is_some_and(|residual| {
+            residual.value - residual.half_width(0.95) > MAX_HEALTHY_RESIDUAL_M
+        });
+        stream.witness != PoseSourceKind::Controller && is_tool_unknown && is_significant
     };
     let stream = arm.poses.iter().find(is_hidden)?;
-    let left = stream.diagnosis.residual.as_ref().ok()?.excess_m.value;
+    let residual = stream.diagnosis.residual.as_ref().ok()?.excess_m.value;
     Some(format!(
         "the tool frame of {} is not observable in this motion, and a residual of {} is unexplained; \
          {SETTLE}",
         stream.topic(),
-        Unit::Metre.show(left)
+        Unit::Metre.show(residual)
     ))
 }
 
 /// Reason why a zero offset may be the effect of a wrong model: a residual exceeds the thresholds of
 /// MDL001, and the effect of the zero is below a multiple of it. `None` if it cannot.
-fn other_model(case: &Case, arm: &ArmEvidence, offset: &JointOffset) -> Option<String> {
+fn wrong_model_reason(case: &Case, arm: &ArmEvidence, offset: &JointOffset) -> Option<String> {
     /// Minimum ratio of a zero's effect to the residual, for link deviations not to produce it.
-    const STANDS_OUT: f64 = 30.0;
+    const MIN_EFFECT_RATIO: f64 = 30.0;
     let limits = case.thresholds.of_frames(&MDL001, THRESHOLDS);
     let least = |amount: &Measured| amount.value - amount.half_width(0.95);
     let unexplained = arm.poses.iter().filter(|stream| !stream.diagnosis.is_nominal);
-    let left = unexplained.filter_map(|stream| stream.diagnosis.residual.as_ref().ok());
-    let much = left.filter(|left| {
-        let is_long = least(&left.excess_m) > limits.length.warning;
-        let is_turned = least(&left.excess_rad) > limits.angle.warning;
-        (is_long || is_turned) && offset.effect_m < STANDS_OUT * left.excess_m.value
+    let residual = unexplained.filter_map(|stream| stream.diagnosis.residual.as_ref().ok());
+    let much = residual.filter(|residual| {
+        let is_long = least(&residual.excess_m) > limits.length.warning;
+        let is_turned = least(&residual.excess_rad) > limits.angle.warning;
+        (is_long || is_turned) && offset.effect_m < MIN_EFFECT_RATIO * residual.excess_m.value
     });
-    let left = much.max_by(|a, b| a.excess_m.value.total_cmp(&b.excess_m.value))?;
+    let residual = much.max_by(|a, b| a.excess_m.value.total_cmp(&b.excess_m.value))?;
     Some(format!(
         "a residual of {} and {} is unexplained (MDL001); use the arm's own calibration, or {SETTLE}",
-        Unit::Metre.show(left.excess_m.value),
-        Unit::Radian.show(left.excess_rad.value)
+        Unit::Metre.show(residual.excess_m.value),
+        Unit::Radian.show(residual.excess_rad.value)
     ))
 }
 
-fn not_told_from(arm: &ArmEvidence, twin: &str) -> Outcome {
+fn indistinguishable_outcome(arm: &ArmEvidence, twin: &str) -> Outcome {
     match residual_attribution::model_doubt(arm, 0.0) {
         Some(why) => Outcome::Inconclusive(why),
         None => Outcome::Indistinguishable(format!(
@@ -240,9 +244,9 @@ fn fault(
     severity: Severity,
 ) -> Fault {
     let (offset, unit) = (&arm.diagnosis.offsets[joint], arm.joint_unit(joint));
-    let left = arm.poses.iter().filter_map(|stream| stream.diagnosis.residual.as_ref().ok());
-    let left = left.map(|residual| residual.rms_m).reduce(f64::max);
-    let left = left
+    let residual = arm.poses.iter().filter_map(|stream| stream.diagnosis.residual.as_ref().ok());
+    let residual = residual.map(|residual| residual.rms_m).reduce(f64::max);
+    let residual = residual
         .map_or(String::new(), |m| format!(", residual {} after correction", Unit::Metre.show(m)));
     let moved = Unit::Metre.show(offset.effect_m);
     let mut evidence = Evidence {
@@ -251,15 +255,15 @@ fn fault(
             .iter()
             .map(|twin| confounder_alternative(arm, twin, unit))
             .collect(),
-        effect: Some(format!("{moved} at full reach{left}")),
+        effect: Some(format!("{moved} at full reach{residual}")),
         effect_m: Some(offset.effect_m),
         ..Evidence::default()
     };
-    let heirs =
+    let inheriting_topics =
         arm.tf.iter().filter(|tf| frm001_tf_against_kinematics::agrees(case, &tf.diagnosis));
-    let heirs: Vec<&str> = heirs.map(|tf| tf.topic()).collect();
-    if !heirs.is_empty() {
-        evidence.more.insert("inherited_by".to_owned(), heirs.into());
+    let inheriting_topics: Vec<&str> = inheriting_topics.map(|tf| tf.topic()).collect();
+    if !inheriting_topics.is_empty() {
+        evidence.more.insert("inherited_by".to_owned(), inheriting_topics.into());
     }
     let witness = arm.pose_source_kind();
     evidence.more.insert("witness".to_owned(), witness.name().into());
@@ -300,7 +304,7 @@ fn meaning(witness: PoseSourceKind) -> &'static str {
 }
 
 /// The confounder of `offset` that is in the selected model, for messages.
-fn named_instead(arm: &ArmEvidence, offset: &JointOffset) -> Option<String> {
+fn reported_confounder(arm: &ArmEvidence, offset: &JointOffset) -> Option<String> {
     let chosen =
         |frame: &EstimateResult<FrameEstimate>| frame.as_ref().is_ok_and(|frame| frame.is_chosen);
     let named = offset.confounders.iter().find(|twin| match **twin {

@@ -62,7 +62,7 @@ const SETTLE: &str = "record 10 s of motion that starts, stops and does not repe
 
 /// The latency of a stream.
 #[derive(Clone, Copy)]
-struct Late<'a> {
+struct StreamLatency<'a> {
     /// Whether its stamps are independent of the joint states'.
     independent: bool,
     latency: &'a EstimateResult<Measured>,
@@ -75,20 +75,21 @@ fn check(case: &Case) -> Vec<Judged> {
     let targets =
         case.evidence.hand_eyes.iter().filter_map(|target| judge_without_joints(case, target));
     let mut rows: Vec<Judged> = arms.chain(targets).collect();
-    name_once(&mut rows, case.thresholds.of(&LAT001, THRESHOLD).warning);
+    report_once_per_topic(&mut rows, case.thresholds.of(&LAT001, THRESHOLD).warning);
     rows
 }
 
-/// Keeps the first of the transforms on one topic whose latencies agree within `apart_s` as the finding:
+/// Keeps the first of the transforms on one topic whose latencies agree within `max_difference_s` as the finding:
 /// one program stamped them all.
-fn name_once(rows: &mut [Judged], apart_s: f64) {
+fn report_once_per_topic(rows: &mut [Judged], max_difference_s: f64) {
     let is_late = |row: &Judged| matches!(row.outcome, Outcome::Evaluated(Ruling::Fail(_)));
     for at in 1..rows.len() {
         let (named, rest) = rows.split_at_mut(at);
         let Some(row) = rest.first_mut().filter(|row| is_late(row)) else { continue };
         let value = |row: &Judged| row.estimate.as_ref().and_then(Estimate::value);
         let is_same = |other: &&mut Judged| {
-            let near = value(other).zip(value(row)).is_some_and(|(a, b)| (a - b).abs() < apart_s);
+            let near =
+                value(other).zip(value(row)).is_some_and(|(a, b)| (a - b).abs() < max_difference_s);
             other.subject.topic == row.subject.topic && is_late(other) && near
         };
         let Some(first) = named.iter_mut().find(is_same) else { continue };
@@ -102,11 +103,11 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     let poses = arm.poses_and_tf().map(|stream| {
         let latency = &stream.diagnosis.latency_s;
         let delays = stream.diagnosis.delay_jitter.as_ref();
-        stream.with_value(Late { independent: stream.independent, latency, delays })
+        stream.with_value(StreamLatency { independent: stream.independent, latency, delays })
     });
     let imus = arm.imus.iter().map(|imu| {
         let latency = &imu.diagnosis.latency_s;
-        imu.with_value(Late { independent: imu.independent, latency, delays: None })
+        imu.with_value(StreamLatency { independent: imu.independent, latency, delays: None })
     });
     let is_of_arm = |target: &&HandEyeEvidence| {
         target.hand_is_of_joints && target.robot.as_ref() == Some(&arm.name)
@@ -114,13 +115,17 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     let targets = case.evidence.hand_eyes.iter().filter(is_of_arm).map(|target| StreamEvidence {
         subject: target.subject(),
         span: target.span,
-        value: Late { independent: true, latency: &target.diagnosis.latency_s, delays: None },
+        value: StreamLatency {
+            independent: true,
+            latency: &target.diagnosis.latency_s,
+            delays: None,
+        },
     });
-    let streams: Vec<StreamEvidence<Late>> = poses.chain(imus).chain(targets).collect();
-    match joints_lateness(case, &streams) {
+    let streams: Vec<StreamEvidence<StreamLatency>> = poses.chain(imus).chain(targets).collect();
+    match joint_state_latency(case, &streams) {
         Some(lateness) => {
-            let joints = joints_late(case, arm, &streams, &lateness);
-            let witnesses = streams.iter().map(|stream| beside_late_joints(case, arm, stream));
+            let joints = late_joint_states(case, arm, &streams, &lateness);
+            let witnesses = streams.iter().map(|stream| judge_with_late_joints(case, arm, stream));
             std::iter::once(joints).chain(witnesses).collect()
         }
         None => streams.iter().map(|stream| judge_stream(case, arm, stream, &streams)).collect(),
@@ -152,7 +157,7 @@ fn judge_without_joints(case: &Case, target: &HandEyeEvidence) -> Option<Judged>
 }
 
 /// Latency of the joint states, if two or more independent streams agree on it and none disagrees.
-fn joints_lateness(case: &Case, streams: &[StreamEvidence<Late>]) -> Option<Measured> {
+fn joint_state_latency(case: &Case, streams: &[StreamEvidence<StreamLatency>]) -> Option<Measured> {
     let threshold = case.thresholds.of(&LAT001, THRESHOLD);
     let (mut witnesses, mut topics) = (Vec::new(), BTreeSet::new());
     for stream in streams.iter().filter(|stream| stream.independent) {
@@ -167,18 +172,18 @@ fn joints_lateness(case: &Case, streams: &[StreamEvidence<Late>]) -> Option<Meas
             Decision::Fail(_) | Decision::Pass => return None,
         }
     }
-    let early = (topics.len() >= 2).then(|| common(&witnesses))??;
+    let early = (topics.len() >= 2).then(|| weighted_mean(&witnesses))??;
     let agree = witnesses.iter().all(|one| (one.value - early.value).abs() < threshold.warning);
     agree.then(|| early.scaled(-1.0))
 }
 
-fn estimate<'a>(stream: &StreamEvidence<Late<'a>>) -> Option<&'a Measured> {
+fn estimate<'a>(stream: &StreamEvidence<StreamLatency<'a>>) -> Option<&'a Measured> {
     stream.latency.as_ref().ok()
 }
 
 /// Mean weighted by inverse variance. Its standard error is inflated if the values scatter more than their
 /// errors predict (Birge ratio; Particle Data Group, *Review of Particle Physics*, §5.2.2).
-fn common(parts: &[Measured]) -> Option<Measured> {
+fn weighted_mean(parts: &[Measured]) -> Option<Measured> {
     let variance = |part: &Measured| part.std_error.max(THRESHOLD.unit.noise_floor()).powi(2);
     let weight: f64 = parts.iter().map(|part| 1.0 / variance(part)).sum();
     let value = parts.iter().map(|part| part.value / variance(part)).sum::<f64>() / weight;
@@ -190,13 +195,13 @@ fn common(parts: &[Measured]) -> Option<Measured> {
 }
 
 /// The only finding if the joint states are late.
-fn joints_late(
+fn late_joint_states(
     case: &Case,
     arm: &ArmEvidence,
-    streams: &[StreamEvidence<Late>],
+    streams: &[StreamEvidence<StreamLatency>],
     lateness: &Measured,
 ) -> Judged {
-    let witnesses: Vec<&StreamEvidence<Late>> =
+    let witnesses: Vec<&StreamEvidence<StreamLatency>> =
         streams.iter().filter(|stream| stream.independent).collect();
     let topics: Vec<&str> = witnesses.iter().map(|stream| stream.topic()).collect();
     let topics = topics.join(" and ");
@@ -232,7 +237,11 @@ fn joints_late(
 
 /// Judges a stream of an arm whose joint states are late. They explain the latency of an independent
 /// stream.
-fn beside_late_joints(case: &Case, arm: &ArmEvidence, stream: &StreamEvidence<Late>) -> Judged {
+fn judge_with_late_joints(
+    case: &Case,
+    arm: &ArmEvidence,
+    stream: &StreamEvidence<StreamLatency>,
+) -> Judged {
     let remark = format!("its apparent latency is explained by {}", arm.joints_topic);
     let outcome = match stream.latency {
         Ok(_) if stream.independent => Outcome::pass_because(remark),
@@ -245,8 +254,8 @@ fn beside_late_joints(case: &Case, arm: &ArmEvidence, stream: &StreamEvidence<La
 fn judge_stream(
     case: &Case,
     arm: &ArmEvidence,
-    stream: &StreamEvidence<Late>,
-    streams: &[StreamEvidence<Late>],
+    stream: &StreamEvidence<StreamLatency>,
+    streams: &[StreamEvidence<StreamLatency>],
 ) -> Judged {
     let latency = match stream.latency {
         Ok(latency) => latency,
@@ -271,8 +280,8 @@ fn judge_stream(
                     cause: Cause::Latency(*latency),
                     title: if latency.value > 0.0 { "stream is late" } else { "stream is early" },
                     message: message(arm, latency)
-                        + &of_tick(case, arm, stream, latency)
-                        + &in_the_mean(stream),
+                        + &tick_suffix(case, arm, stream, latency)
+                        + &mean_suffix(stream),
                     evidence: Evidence {
                         indistinguishable,
                         effect,
@@ -305,7 +314,7 @@ fn message(arm: &ArmEvidence, latency: &Measured) -> String {
 }
 
 /// Suffix for a latency that is the median of skewed delays.
-fn in_the_mean(stream: &StreamEvidence<Late>) -> String {
+fn mean_suffix(stream: &StreamEvidence<StreamLatency>) -> String {
     let mean = |delays: &DelayJitter| {
         let mean = Measured { value: delays.mean_s.value.abs(), ..delays.mean_s };
         let side = if delays.mean_s.value > 0.0 { "late" } else { "early" };
@@ -316,20 +325,21 @@ fn in_the_mean(stream: &StreamEvidence<Late>) -> String {
 
 /// Suffix for a latency of half the tick of a coarse clock to which stamps are truncated: those of the
 /// stream, which is then early, or those of the joint states.
-fn of_tick(
+fn tick_suffix(
     case: &Case,
     arm: &ArmEvidence,
-    stream: &StreamEvidence<Late>,
+    stream: &StreamEvidence<StreamLatency>,
     latency: &Measured,
 ) -> String {
     /// Tolerance of the comparison, in ticks.
-    const NEAR: f64 = 0.1;
+    const MAX_TICK_DEVIATION: f64 = 0.1;
     let tick_s = |topic: &str| {
         let own = case.evidence.rhythms.iter().filter(|rhythm| rhythm.topic() == topic);
         own.into_iter().flat_map(|rhythm| &rhythm.parts).find_map(|part| part.tick_s)
     };
     let is_half = |tick_s: f64, side: f64| {
-        (latency.value - 0.5 * side * tick_s).abs() < NEAR * tick_s + 2.0 * latency.std_error
+        (latency.value - 0.5 * side * tick_s).abs()
+            < MAX_TICK_DEVIATION * tick_s + 2.0 * latency.std_error
     };
     let cut = |topic: &str, side: f64| {
         let tick_s = tick_s(topic).filter(|tick_s| is_half(*tick_s, side))?;
@@ -374,9 +384,13 @@ mod tests {
         topic: &str,
         independent: bool,
         latency: &'a EstimateResult<Measured>,
-    ) -> StreamEvidence<Late<'a>> {
+    ) -> StreamEvidence<StreamLatency<'a>> {
         let subject = clean_run().robots[0].topic(topic);
-        StreamEvidence { subject, span: None, value: Late { independent, latency, delays: None } }
+        StreamEvidence {
+            subject,
+            span: None,
+            value: StreamLatency { independent, latency, delays: None },
+        }
     }
 
     fn lateness(latencies: &[(bool, EstimateResult<Measured>)]) -> Option<f64> {
@@ -384,7 +398,7 @@ mod tests {
         let streams = topics.iter().zip(latencies);
         let streams =
             streams.map(|(topic, (independent, latency))| stream(topic, *independent, latency));
-        Some(joints_lateness(&as_case(&clean_run()), &streams.collect::<Vec<_>>())?.value)
+        Some(joint_state_latency(&as_case(&clean_run()), &streams.collect::<Vec<_>>())?.value)
     }
 
     #[test]
@@ -409,10 +423,10 @@ mod tests {
     #[test]
     fn transforms_of_one_topic_are_one_witness_and_one_finding() {
         let late = latency(-0.03);
-        let streams: Vec<StreamEvidence<Late>> =
+        let streams: Vec<StreamEvidence<StreamLatency>> =
             (0..5).map(|_| stream("/tf", true, &late)).collect();
         let run = clean_run();
-        assert_eq!(joints_lateness(&as_case(&run), &streams), None);
+        assert_eq!(joint_state_latency(&as_case(&run), &streams), None);
         let arm = &run.robots[0];
         let mut rows: Vec<Judged> = streams
             .iter()
@@ -422,7 +436,7 @@ mod tests {
         rows.push(judge_stream(&as_case(&run), arm, &other, &[]));
         let apart = latency(-0.05);
         rows.push(judge_stream(&as_case(&run), arm, &stream("/tf", true, &apart), &[]));
-        name_once(&mut rows, 2e-3);
+        report_once_per_topic(&mut rows, 2e-3);
         let named: Vec<bool> = rows
             .iter()
             .map(|row| matches!(row.outcome, Outcome::Evaluated(Ruling::Fail(_))))

@@ -59,7 +59,7 @@ const THRESHOLD: Threshold = Threshold { unit: Unit::Second, warning: 5e-3, erro
 const SETTLE: &str = "record 10 s or more of motion that starts and stops";
 
 /// The latency profile of a stream.
-struct Course<'a> {
+struct StreamProfile<'a> {
     /// Whether its stamps are independent of the joint states'.
     independent: bool,
     course: &'a EstimateResult<LatencyProfile>,
@@ -75,35 +75,40 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     let poses = arm.poses_and_tf().map(|stream| {
         let course = &stream.diagnosis.latency_profile;
         let latency = stream.diagnosis.latency_s.as_ref().ok();
-        stream.with_value(Course { independent: stream.independent, course, latency })
+        stream.with_value(StreamProfile { independent: stream.independent, course, latency })
     });
     let imus = arm.imus.iter().map(|imu| {
         let course = &imu.diagnosis.latency_profile;
         let latency = imu.diagnosis.latency_s.as_ref().ok();
-        imu.with_value(Course { independent: imu.independent, course, latency })
+        imu.with_value(StreamProfile { independent: imu.independent, course, latency })
     });
-    let streams: Vec<StreamEvidence<Course>> = poses.chain(imus).collect();
-    let Some(course) = joints_course(case, &streams) else {
+    let streams: Vec<StreamEvidence<StreamProfile>> = poses.chain(imus).collect();
+    let Some(course) = joint_state_profile(case, &streams) else {
         return streams.iter().map(|stream| judge(case, arm, stream)).collect();
     };
-    let beside = |stream: &StreamEvidence<Course>| match stream.course {
+    let judge_with_joint_profile = |stream: &StreamEvidence<StreamProfile>| match stream.course {
         Ok(course) if stream.independent => {
             let remark = format!("its latency steps are those of {}", arm.joints_topic);
             stream.judged(Outcome::pass_because(remark)).estimated(estimate(case, course, None))
         }
         _ => judge(case, arm, stream),
     };
-    let value = Course { independent: true, course: &Ok(course), latency: None };
+    let value = StreamProfile { independent: true, course: &Ok(course), latency: None };
     let joints =
         StreamEvidence { subject: arm.topic(&arm.joints_topic), span: Some(arm.span), value };
-    std::iter::once(judge(case, arm, &joints)).chain(streams.iter().map(beside)).collect()
+    std::iter::once(judge(case, arm, &joints))
+        .chain(streams.iter().map(judge_with_joint_profile))
+        .collect()
 }
 
 /// The latency profile of the joint states, if two or more independent streams step together and none is
 /// constant.
-fn joints_course(case: &Case, streams: &[StreamEvidence<Course>]) -> Option<LatencyProfile> {
+fn joint_state_profile(
+    case: &Case,
+    streams: &[StreamEvidence<StreamProfile>],
+) -> Option<LatencyProfile> {
     /// Maximum time between steps that count as one, s: each is dated to a window or to the next motion.
-    const TOGETHER_S: f64 = 1.5;
+    const MAX_STEP_TIME_DIFFERENCE_S: f64 = 1.5;
     let mut witnesses: Vec<&LatencyProfile> = Vec::new();
     for course in
         streams.iter().filter(|one| one.independent).filter_map(|one| one.course.as_ref().ok())
@@ -121,26 +126,27 @@ fn joints_course(case: &Case, streams: &[StreamEvidence<Course>]) -> Option<Late
     let by_error = |a: &&&LatencyProfile, b: &&&LatencyProfile| {
         a.swing_s.std_error.total_cmp(&b.swing_s.std_error)
     };
-    let surest = *witnesses.iter().min_by(by_error).filter(|_| witnesses.len() >= 2)?;
+    let most_certain = *witnesses.iter().min_by(by_error).filter(|_| witnesses.len() >= 2)?;
     let is_shared = |jump: &LatencyStep| {
         let is_same = |other: &LatencyStep| {
             let by_s = case.thresholds.of(&LAT003, THRESHOLD).warning
                 + 2.0 * jump.size_s.std_error.hypot(other.size_s.std_error);
-            (other.at_s - jump.at_s).abs() < TOGETHER_S
+            (other.at_s - jump.at_s).abs() < MAX_STEP_TIME_DIFFERENCE_S
                 && (other.size_s.value - jump.size_s.value).abs() < by_s
         };
         witnesses.iter().all(|course| course.steps.iter().any(is_same))
     };
-    let is_one = |course: &LatencyProfile| course.steps.len() == surest.steps.len();
-    let shared = surest.steps.iter().all(is_shared) && witnesses.iter().all(|one| is_one(one));
-    let turned = |jump: &LatencyStep| LatencyStep { size_s: jump.size_s.scaled(-1.0), ..*jump };
+    let is_one = |course: &LatencyProfile| course.steps.len() == most_certain.steps.len();
+    let shared =
+        most_certain.steps.iter().all(is_shared) && witnesses.iter().all(|one| is_one(one));
+    let reversed = |jump: &LatencyStep| LatencyStep { size_s: jump.size_s.scaled(-1.0), ..*jump };
     shared.then(|| LatencyProfile {
-        swing_s: surest.swing_s.scaled(-1.0),
+        swing_s: most_certain.swing_s.scaled(-1.0),
         is_unsteady: true,
         shape: LatencyShape::Steps,
-        steps: surest.steps.iter().map(turned).collect(),
-        levels: surest.levels.iter().map(|&(at_s, level_s)| (at_s, -level_s)).collect(),
-        windows: surest.windows.iter().map(|&(t_s, one)| (t_s, one.scaled(-1.0))).collect(),
+        steps: most_certain.steps.iter().map(reversed).collect(),
+        levels: most_certain.levels.iter().map(|&(at_s, level_s)| (at_s, -level_s)).collect(),
+        windows: most_certain.windows.iter().map(|&(t_s, one)| (t_s, one.scaled(-1.0))).collect(),
     })
 }
 
@@ -152,7 +158,7 @@ fn estimate(case: &Case, course: &LatencyProfile, latency: Option<&Measured>) ->
         LatencyShape::Steady | LatencyShape::Wander => "latency swing",
     };
     let estimate = Estimate::scalar(name, THRESHOLD.unit, &course.swing_s);
-    match ends(course, latency) {
+    match levels_around_change(course, latency) {
         Some((from, to, [begin_s, end_s])) => {
             let at = |at_s: f64| case.evidence.origin.shifted(at_s);
             let change_ci95_ns = (begin_s < end_s).then(|| [at(begin_s), at(end_s)]);
@@ -164,7 +170,10 @@ fn estimate(case: &Case, course: &LatencyProfile, latency: Option<&Measured>) ->
 
 /// The latency before and after its single step or ramp, s, and the start and end of that change, s from
 /// the run's origin.
-fn ends(course: &LatencyProfile, latency: Option<&Measured>) -> Option<(f64, f64, [f64; 2])> {
+fn levels_around_change(
+    course: &LatencyProfile,
+    latency: Option<&Measured>,
+) -> Option<(f64, f64, [f64; 2])> {
     let latency_s = latency?.value;
     let level = |level: Option<&(f64, f64)>| Some(latency_s + level?.1);
     match (course.shape, course.steps.as_slice()) {
@@ -180,7 +189,7 @@ fn ends(course: &LatencyProfile, latency: Option<&Measured>) -> Option<(f64, f64
     }
 }
 
-fn judge(case: &Case, arm: &ArmEvidence, stream: &StreamEvidence<Course>) -> Judged {
+fn judge(case: &Case, arm: &ArmEvidence, stream: &StreamEvidence<StreamProfile>) -> Judged {
     let course = match stream.course {
         Ok(course) => course,
         Err(why) => return stream.judged(unseen(why, SETTLE)),
@@ -213,7 +222,7 @@ fn fault(
     let swing = &course.swing_s;
     let at = |at_s: f64| case.evidence.moment(case.evidence.origin.shifted(at_s));
     let show = |value: f64| THRESHOLD.unit.show(value);
-    let from_to = ends(course, latency)
+    let from_to = levels_around_change(course, latency)
         .map(|(from, to, _)| format!(", from {} to {}", show(from), show(to)))
         .unwrap_or_default();
     let (kind, title, message) = match (course.shape, course.steps.as_slice()) {

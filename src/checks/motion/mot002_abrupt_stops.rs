@@ -36,7 +36,7 @@ rule! {
     /// apart. Gaps (TIM002) are skipped, and repeated samples (TIM008) count once. A value that no arm can
     /// reach is reported as wrong data.
     MOT002 {
-        limits: &[TURNING, SLIDING],
+        limits: &[MAX_REVOLUTE_ACCELERATION, MAX_PRISMATIC_ACCELERATION],
         name: "abrupt-stops",
         grade: Grade::Fixed(Severity::Warning),
         headline: false,
@@ -47,14 +47,14 @@ rule! {
 }
 
 /// Largest acceleration of a revolute joint that is not abrupt.
-const TURNING: Limit = Limit {
+const MAX_REVOLUTE_ACCELERATION: Limit = Limit {
     key: "turning",
     unit: Unit::RadianPerSecondSquared,
     value: 20.0,
     what: "acceleration above which a revolute joint stops abruptly",
 };
 /// The same for a prismatic joint.
-const SLIDING: Limit = Limit {
+const MAX_PRISMATIC_ACCELERATION: Limit = Limit {
     key: "sliding",
     unit: Unit::MetrePerSecondSquared,
     value: 5.0,
@@ -80,7 +80,8 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
         let why = "too few or unevenly spaced samples";
         return judged(Outcome::Inconclusive(format!("{why}; {SETTLE}")));
     };
-    let limit = if joint.is_prismatic { SLIDING } else { TURNING };
+    let limit =
+        if joint.is_prismatic { MAX_PRISMATIC_ACCELERATION } else { MAX_REVOLUTE_ACCELERATION };
     let (unit, limit) = (limit.unit.symbol(), case.thresholds.limit(&MOT002, &limit));
     let PeakAcceleration { acceleration, noise, resolved, .. } = *found;
     let outcome = if acceleration - noise >= limit {
@@ -125,10 +126,10 @@ fn estimate(found: &PeakAcceleration, unit: &'static str) -> Estimate {
 }
 
 /// Larger accelerations are impossible for an arm, rad/s² or m/s².
-const BEYOND_ARMS: f64 = 1e4;
+const MIN_IMPOSSIBLE_ACCELERATION: f64 = 1e4;
 
 fn fault(case: &Case, found: &PeakAcceleration, limit: f64, unit: &str) -> Fault {
-    if found.acceleration >= BEYOND_ARMS {
+    if found.acceleration >= MIN_IMPOSSIBLE_ACCELERATION {
         return Fault {
             cause: Cause::Pictured(Picture::Joint),
             severity: Severity::Warning,

@@ -45,11 +45,11 @@ rule! {
 }
 
 /// An excess within this fraction of the range or limit is `info`.
-const SLIGHT: f64 = 0.01;
+const MAX_SLIGHT_EXCESS: f64 = 0.01;
 /// The same for the speed limit of a continuous joint.
-const ENDLESS: f64 = 1.0;
+const MAX_ENDLESS_SPEED_EXCESS: f64 = 1.0;
 /// Encoder noise at a stop, rad or m, or rad/s or m/s.
-const NOISE: f64 = 1e-4;
+const MIN_EXCESS: f64 = 1e-4;
 
 fn check(case: &Case) -> Vec<Judged> {
     let of_arm = |arm: &ArmEvidence| -> Vec<Judged> {
@@ -60,7 +60,7 @@ fn check(case: &Case) -> Vec<Judged> {
 
 /// Explains why joint states cannot be compared with limits or used as motion. `None` if they can.
 pub(in crate::checks) fn doubt(arm: &ArmEvidence) -> Option<String> {
-    doubt_of(arm).map(str::to_owned)
+    encoding_doubt(arm).map(str::to_owned)
 }
 
 /// The same for one joint.
@@ -87,7 +87,7 @@ pub(in crate::checks) fn motion_doubt(arm: &ArmEvidence) -> Option<String> {
 pub(in crate::checks) const UNIT_IS_OPEN: &str = "the joint positions are too large for rad, and without \
     poses they may be degrees, ticks or fractions of the range; log the tool pose too";
 
-fn doubt_of(arm: &ArmEvidence) -> Option<&'static str> {
+fn encoding_doubt(arm: &ArmEvidence) -> Option<&'static str> {
     let why = match &arm.diagnosis.encoding {
         Ok(reading) if reading.degrees.is_some() || reading.permutation.is_some() => {
             "joint names or units are wrong; correct them first (ORD004, ORD005)"
@@ -102,17 +102,17 @@ fn doubt_of(arm: &ArmEvidence) -> Option<&'static str> {
 }
 
 /// An exceeded limit.
-struct Broken<'a> {
+struct ExceededLimit<'a> {
     what: &'static str,
     excess: &'a LimitViolation,
     severity: Severity,
 }
 
-impl<'a> Broken<'a> {
+impl<'a> ExceededLimit<'a> {
     /// `None` if the excess is within noise. `range` scales the `info` fraction.
-    fn of(what: &'static str, excess: Option<&'a LimitViolation>, range: f64) -> Option<Self> {
-        let excess = excess.filter(|excess| excess.excess() > NOISE)?;
-        let is_slight = excess.excess() <= SLIGHT * range;
+    fn detect(what: &'static str, excess: Option<&'a LimitViolation>, range: f64) -> Option<Self> {
+        let excess = excess.filter(|excess| excess.excess() > MIN_EXCESS)?;
+        let is_slight = excess.excess() <= MAX_SLIGHT_EXCESS * range;
         let severity = if is_slight { Severity::Info } else { Severity::Warning };
         Some(Self { what, excess, severity })
     }
@@ -135,21 +135,23 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
         ));
     }
     let range = limits.lower.zip(limits.upper).map_or(0.0, |(lower, upper)| upper - lower);
-    let position = Broken::of("position", motion.positions.as_ref(), range);
+    let position = ExceededLimit::detect("position", motion.positions.as_ref(), range);
     if position.is_some() && zero_is_off(arm, index) {
         let why =
             "its positions exceed the limits, but its zero is off (ZER001, ORD009)".to_owned();
         return judged(Outcome::Inconclusive(why));
     }
     let top_speed = limits.velocity.unwrap_or(0.0);
-    let slight_from = if motion.is_endless { ENDLESS / SLIGHT } else { 1.0 };
-    let speed = Broken::of("speed", motion.speeds.as_ref(), slight_from * top_speed);
-    let broken: Vec<&Broken<'_>> = [&position, &speed].into_iter().flatten().collect();
-    let Some(worst) = broken.iter().rev().max_by_key(|broken| broken.severity) else {
+    let slight_from =
+        if motion.is_endless { MAX_ENDLESS_SPEED_EXCESS / MAX_SLIGHT_EXCESS } else { 1.0 };
+    let speed = ExceededLimit::detect("speed", motion.speeds.as_ref(), slight_from * top_speed);
+    let exceeded: Vec<&ExceededLimit<'_>> = [&position, &speed].into_iter().flatten().collect();
+    let Some(worst) = exceeded.iter().rev().max_by_key(|exceeded| exceeded.severity) else {
         return judged(Outcome::pass());
     };
     let unit = arm.joint_unit(index);
-    let told: Vec<String> = broken.iter().map(|broken| tell(case, broken, unit)).collect();
+    let told: Vec<String> =
+        exceeded.iter().map(|exceeded| describe(case, exceeded, unit)).collect();
     let fault = Fault {
         cause: Cause::Pictured(Picture::Joint),
         severity: worst.severity,
@@ -168,8 +170,8 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
         symbol,
         worst.excess.excess(),
     ));
-    for broken in broken {
-        judged = judged.with_evidence(broken.what, evidence(case, broken.excess));
+    for exceeded in exceeded {
+        judged = judged.with_evidence(exceeded.what, evidence(case, exceeded.excess));
     }
     judged
 }
@@ -177,15 +179,15 @@ fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) ->
 /// Whether a zero offset of the joint is too large for its positions to be compared with limits.
 fn zero_is_off(arm: &ArmEvidence, joint: usize) -> bool {
     /// Smaller zero offsets barely change the excess, rad.
-    const FAR_RAD: f64 = 0.1;
+    const MIN_FAR_ZERO_RAD: f64 = 0.1;
     let named = arm.diagnosis.offsets.get(joint).filter(|offset| offset.is_chosen);
     let offset = named.and_then(|offset| offset.offset.as_ref().ok());
-    offset.is_some_and(|offset| offset.value.abs() > FAR_RAD)
+    offset.is_some_and(|offset| offset.value.abs() > MIN_FAR_ZERO_RAD)
 }
 
-fn tell(case: &Case, broken: &Broken<'_>, unit: Unit) -> String {
-    let LimitViolation { limit, value, at_s, seconds } = *broken.excess;
-    let per = if broken.what == "speed" { "/s" } else { "" };
+fn describe(case: &Case, exceeded: &ExceededLimit<'_>, unit: Unit) -> String {
+    let LimitViolation { limit, value, at_s, seconds } = *exceeded.excess;
+    let per = if exceeded.what == "speed" { "/s" } else { "" };
     let shown = |amount: f64| match unit {
         // Not in mm, for comparison with the model's value.
         Unit::Metre => format!("{amount:.3} m{per}"),
@@ -193,9 +195,9 @@ fn tell(case: &Case, broken: &Broken<'_>, unit: Unit) -> String {
     };
     format!(
         "{} reaches {}, {} beyond the limit of {}, at {}, for {} in total",
-        broken.what,
+        exceeded.what,
         shown(value),
-        shown(broken.excess.excess()),
+        shown(exceeded.excess.excess()),
         shown(limit),
         case.evidence.moment(case.evidence.origin.shifted(at_s)),
         Unit::Second.show(seconds),

@@ -52,7 +52,7 @@ struct Disagreement {
 
 impl Disagreement {
     /// The constant offset, if one explains the disagreement; otherwise the residual beyond the noise.
-    fn of<'a>(case: &Case, tf: &'a PoseDiagnosis) -> Result<Self, &'a NotObservable> {
+    fn estimate<'a>(case: &Case, tf: &'a PoseDiagnosis) -> Result<Self, &'a NotObservable> {
         let (thresholds, subjects) =
             (case.thresholds.of_frames(&FRM001, THRESHOLDS), case.evidence.subjects());
         let offset = [&tf.reference, &tf.tool].into_iter().flatten().find(|frame| frame.is_chosen);
@@ -70,7 +70,7 @@ impl Disagreement {
 
 /// Whether /tf matches the joint states as recorded, and so inherits their faults.
 pub(in crate::checks) fn agrees(case: &Case, tf: &PoseDiagnosis) -> bool {
-    Disagreement::of(case, tf).is_ok_and(|found| found.decision == Decision::Pass)
+    Disagreement::estimate(case, tf).is_ok_and(|found| found.decision == Decision::Pass)
 }
 
 fn check(case: &Case) -> Vec<Judged> {
@@ -79,7 +79,7 @@ fn check(case: &Case) -> Vec<Judged> {
     let judged = streams.map(|(arm, stream)| {
         let diagnosis = &stream.diagnosis;
         let subject = arm.frame(stream.topic(), &stream.tip);
-        let found = match Disagreement::of(case, diagnosis) {
+        let found = match Disagreement::estimate(case, diagnosis) {
             Ok(found) => found,
             Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(stream.span),
         };

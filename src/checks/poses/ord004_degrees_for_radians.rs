@@ -52,13 +52,13 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
         Ok(reading) => {
             let alone = reading.unit_errors(JointUnit::Degrees).map(|(slip, left)| {
                 let subject = arm.joint_states(slip.column);
-                let mut judged = judge(arm, subject, Some(left), Unit::Metre, Taken::Logged);
+                let mut judged = judge(arm, subject, Some(left), Unit::Metre, AssumedUnit::Logged);
                 judged.caused_by(Cause::JointUnit(slip.factor));
                 judged
             });
             let alone: Vec<Judged> = alone.collect();
             match alone.is_empty() {
-                true => vec![judge(arm, topic, reading.degrees, Unit::Metre, Taken::Logged)],
+                true => vec![judge(arm, topic, reading.degrees, Unit::Metre, AssumedUnit::Logged)],
                 false => alone,
             }
         }
@@ -70,10 +70,13 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
             return (stream.has_bare_numbers && stream.diagnosis.degrees.is_some())
                 .then(|| stream.judged(Outcome::pass_because(why.to_owned())));
         }
-        let taken =
-            if stream.has_bare_numbers { Taken::Logged } else { Taken::Declared(declared?) };
+        let assumed = if stream.has_bare_numbers {
+            AssumedUnit::Logged
+        } else {
+            AssumedUnit::Declared(declared?)
+        };
         let subject = stream.subject.clone();
-        let judged = judge(arm, subject, stream.diagnosis.degrees, Unit::Radian, taken);
+        let judged = judge(arm, subject, stream.diagnosis.degrees, Unit::Radian, assumed);
         Some(judged.within(stream.span))
     });
     let gyros = arm.imus.iter().filter_map(judge_gyro);
@@ -110,14 +113,14 @@ fn judge_gyro(imu: &StreamEvidence<ImuEvidence>) -> Option<Judged> {
 
 /// Unit assumed for angles in the log.
 #[derive(Clone, Copy)]
-enum Taken {
+enum AssumedUnit {
     /// Radians, the default.
     Logged,
     /// The unit declared by the caller.
     Declared(AngleUnit),
 }
 
-impl Taken {
+impl AssumedUnit {
     /// The actual and the assumed unit, if they differ.
     fn slip(self) -> Misread<AngleUnit> {
         let (degrees, radians) = (AngleUnit::Degree, AngleUnit::Radian);
@@ -133,25 +136,25 @@ fn judge(
     subject: Subject,
     slip: Option<UnitResiduals>,
     residual: Unit,
-    taken: Taken,
+    assumed: AssumedUnit,
 ) -> Judged {
     let topic = subject.joint.as_deref().or(subject.topic.as_deref()).unwrap_or_default();
     let Some(slip) = slip else {
         return Judged::new(subject, Outcome::pass());
     };
-    let unit = taken.slip();
-    let (title, what, fix) = match (taken, unit.is) {
-        (Taken::Logged, _) => (
+    let unit = assumed.slip();
+    let (title, what, fix) = match (assumed, unit.is) {
+        (AssumedUnit::Logged, _) => (
             "degrees instead of radians",
             "the numbers are degrees instead of radians".to_owned(),
             format!("publish {topic} in radians: np.deg2rad(q)"),
         ),
-        (Taken::Declared(_), AngleUnit::Degree) => (
+        (AssumedUnit::Declared(_), AngleUnit::Degree) => (
             "degrees declared as radians",
             "the numbers are degrees but were declared as radians".to_owned(),
             format!("declare {topic} with `,deg`"),
         ),
-        (Taken::Declared(_), _) => (
+        (AssumedUnit::Declared(_), _) => (
             "radians declared as degrees",
             "the numbers are radians but were declared as degrees".to_owned(),
             format!("declare {topic} without `,deg`"),

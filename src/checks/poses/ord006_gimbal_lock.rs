@@ -31,7 +31,7 @@ rule! {
     /// bare numbers whose convention is declared or inferred from the arm. Whether a quaternion was
     /// converted from Euler angles is unknown.
     ORD006 {
-        limits: &[NEAR],
+        limits: &[MAX_GIMBAL_MARGIN],
         name: "gimbal-lock",
         grade: Grade::Fixed(Severity::Warning),
         headline: false,
@@ -42,16 +42,16 @@ rule! {
 }
 
 /// Angle to gimbal lock that counts as near.
-const NEAR: Limit = Limit {
+const MAX_GIMBAL_MARGIN: Limit = Limit {
     key: "near",
     unit: Unit::Radian,
     value: 5.0 * DEGREE,
     what: "how close to gimbal lock counts as near",
 };
 /// Spans closer together than this are merged, s.
-const APART_S: f64 = 0.5;
+const MIN_SEPARATION_S: f64 = 0.5;
 /// Maximum number of spans in the evidence.
-const LISTED: usize = 10;
+const MAX_LISTED: usize = 10;
 
 fn check(case: &Case) -> Vec<Judged> {
     let of_arm = |arm: &ArmEvidence| -> Vec<Judged> {
@@ -73,21 +73,21 @@ fn check(case: &Case) -> Vec<Judged> {
 
 /// A span of time near the lock.
 #[derive(Debug, PartialEq)]
-struct Near {
+struct NearSingularity {
     span: Span,
     samples: usize,
     nearest_rad: f64,
 }
 
-fn near(coded: &EulerEvidence, within_rad: f64) -> Vec<Near> {
-    let mut found: Vec<Near> = Vec::new();
+fn near_singularities(coded: &EulerEvidence, within_rad: f64) -> Vec<NearSingularity> {
+    let mut found: Vec<NearSingularity> = Vec::new();
     for &(at, margin_rad) in coded.margins_rad.iter().filter(|(_, margin)| *margin < within_rad) {
-        match found.last_mut().filter(|last| at.seconds_since(last.span.end) < APART_S) {
+        match found.last_mut().filter(|last| at.seconds_since(last.span.end) < MIN_SEPARATION_S) {
             Some(last) => {
                 (last.span.end, last.samples) = (at, last.samples + 1);
                 last.nearest_rad = last.nearest_rad.min(margin_rad);
             }
-            None => found.push(Near {
+            None => found.push(NearSingularity {
                 span: Span { start: at, end: at },
                 samples: 1,
                 nearest_rad: margin_rad,
@@ -107,8 +107,8 @@ fn judge(case: &Case, arm: &ArmEvidence, topic: &str, coded: &EulerEvidence) -> 
         let why = format!("{convention} has no gimbal lock");
         return Judged::new(subject, Outcome::pass_because(why));
     }
-    let within_rad = case.thresholds.limit(&ORD006, &NEAR);
-    let found = near(coded, within_rad);
+    let within_rad = case.thresholds.limit(&ORD006, &MAX_GIMBAL_MARGIN);
+    let found = near_singularities(coded, within_rad);
     let samples: usize = found.iter().map(|near| near.samples).sum();
     let share = samples as f64 / coded.margins_rad.len() as f64;
     let least_rad =
@@ -135,8 +135,8 @@ fn judge(case: &Case, arm: &ArmEvidence, topic: &str, coded: &EulerEvidence) -> 
     };
     let spans: Vec<Value> = found
         .iter()
-        .take(LISTED)
-        .map(|Near { span, nearest_rad, .. }| {
+        .take(MAX_LISTED)
+        .map(|NearSingularity { span, nearest_rad, .. }| {
             json!({
                 "start_ns": span.start.to_string(),
                 "end_ns": span.end.to_string(),
@@ -170,9 +170,9 @@ mod tests {
             convention: Some(Convention::RPY),
             margins_rad: (0..60).map(|tenth| (at(tenth), margin(tenth))).collect(),
         };
-        let found = near(&coded, NEAR.value);
+        let found = near_singularities(&coded, MAX_GIMBAL_MARGIN.value);
         let first = Span { start: at(10), end: at(15) };
-        assert_eq!(found[0], Near { span: first, samples: 4, nearest_rad: 0.02 });
+        assert_eq!(found[0], NearSingularity { span: first, samples: 4, nearest_rad: 0.02 });
         assert_eq!((found.len(), found[1].nearest_rad), (2, 0.01));
     }
 }

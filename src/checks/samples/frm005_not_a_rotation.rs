@@ -45,7 +45,7 @@ rule! {
 
 const THRESHOLD: Threshold = Threshold { unit: Unit::One, warning: 1e-3, error: 1e-2 };
 /// Maximum number of transforms in the evidence.
-const LISTED: usize = 10;
+const MAX_LISTED: usize = 10;
 
 fn check(case: &Case) -> Vec<Judged> {
     case.evidence.norms.iter().map(|norms| judge(case, norms)).collect()
@@ -75,7 +75,7 @@ fn judge(case: &Case, stream: &StreamEvidence<Vec<Norms>>) -> Judged {
     };
     let frames: Vec<Value> = concerned
         .iter()
-        .take(LISTED)
+        .take(MAX_LISTED)
         .filter_map(|part| Some(json!({ "frame": part.frame.as_ref()?, "largest": part.largest })))
         .collect();
     Judged::new(subject, outcome)

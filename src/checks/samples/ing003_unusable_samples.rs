@@ -40,8 +40,8 @@ rule! {
 }
 
 /// Up to this number of samples, or this fraction of all, the finding is `info`.
-const FEW: u64 = 3;
-const FEW_OF_ALL: f64 = 1e-3;
+const MAX_FEW_SAMPLES: u64 = 3;
+const MAX_FEW_FRACTION: f64 = 1e-3;
 
 fn check(case: &Case) -> Vec<Judged> {
     case.evidence.unusable.iter().map(judge).collect()
@@ -54,7 +54,7 @@ fn judge(stream: &StreamEvidence<UnusableSampleEvidence>) -> Judged {
         return stream.judged(Outcome::pass());
     }
     let share = count as f64 / samples.max(1) as f64;
-    let are_few = count <= FEW || share <= FEW_OF_ALL;
+    let are_few = count <= MAX_FEW_SAMPLES || share <= MAX_FEW_FRACTION;
     let of = |count: u64, what: &str| {
         (count > 0).then(|| format!("{count} of {samples} samples {what}"))
     };

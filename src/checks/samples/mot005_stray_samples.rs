@@ -47,7 +47,7 @@ rule! {
 }
 
 /// Maximum number of joints or transforms in the evidence.
-const LISTED: usize = 10;
+const MAX_LISTED: usize = 10;
 
 fn check(case: &Case) -> Vec<Judged> {
     case.evidence.outliers.iter().map(|stream| judge(case, stream)).collect()
@@ -79,7 +79,7 @@ fn judge(case: &Case, stream: &StreamEvidence<OutlierEvidence>) -> Judged {
         _ => stream.subject.clone(),
     };
     let count: usize = stream.parts.iter().map(Outliers::count).sum();
-    let parts = told().take(LISTED).map(|part| {
+    let parts = told().take(MAX_LISTED).map(|part| {
         json!({
             "joint": part.joint,
             "frame": part.frame,

@@ -46,7 +46,7 @@ rule! {
 }
 
 /// Maximum number of intervals in the evidence.
-const LISTED: usize = 10;
+const MAX_LISTED: usize = 10;
 
 fn check(case: &Case) -> Vec<Judged> {
     case.evidence.frozen_intervals.iter().map(|stream| judge(case, stream)).collect()
@@ -81,7 +81,7 @@ fn judge(case: &Case, stream: &StreamEvidence<Vec<Frozen>>) -> Judged {
             "check why the source of {topic} stopped then, and what repeated its last value"
         ),
     });
-    let times = stream.iter().take(LISTED).map(|time| {
+    let times = stream.iter().take(MAX_LISTED).map(|time| {
         json!({
             "start_ns": time.start.to_string(),
             "end_ns": time.end.to_string(),

@@ -40,9 +40,9 @@ rule! {
 }
 
 /// Minimum step in periods. Smaller steps are two swapped samples with stamp jitter.
-const PLACES: f64 = 1.2;
+const MIN_STEP_PERIODS: f64 = 1.2;
 /// Maximum number of steps in the evidence.
-const LISTED: usize = 10;
+const MAX_LISTED_STEPS: usize = 10;
 
 fn check(case: &Case) -> Vec<Judged> {
     case.evidence.rhythms.iter().map(|rhythm| judge(case, rhythm)).collect()
@@ -50,7 +50,7 @@ fn check(case: &Case) -> Vec<Judged> {
 
 /// Steps back of a part by more than a period: the stamp before the step, and its size, s.
 fn steps_back(part: &Cadence) -> impl Iterator<Item = &(Stamp, f64)> {
-    let least_s = PLACES * part.period_s.unwrap_or(0.0);
+    let least_s = MIN_STEP_PERIODS * part.period_s.unwrap_or(0.0);
     part.steps_back.iter().filter(move |(_, by_s)| *by_s > least_s)
 }
 
@@ -67,7 +67,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
         return Judged::new(subject, Outcome::pass()).within(rhythm.span);
     };
     let listed: Vec<Value> = steps()
-        .take(LISTED)
+        .take(MAX_LISTED_STEPS)
         .map(|(at, by_s)| json!({ "at_ns": at.to_string(), "by_s": by_s }))
         .collect();
     let (count, largest) = (steps().count(), Unit::Second.show(by_s));

@@ -1,6 +1,6 @@
 use serde_json::{Value, json};
 
-use crate::checks::topics::tim006_incomplete_stream::{Pace, slow};
+use crate::checks::topics::tim006_incomplete_stream::{SlowRateLimits, slow_stretches};
 use crate::checks::{Case, Grade, Judged, Limit};
 use crate::evidence::{Due, RhythmEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
@@ -72,51 +72,57 @@ const LOST: Limit = Limit {
     what: "fraction of lost samples above which they are reported",
 };
 /// Minimum number of lost samples for the fraction to be significant.
-const COUNTS: usize = 3;
+const MIN_LOST_SAMPLES: usize = 3;
 /// Maximum number of gaps in the evidence.
-const LISTED: usize = 10;
+const MAX_LISTED_GAPS: usize = 10;
 
 /// The stream that would make the result conclusive.
 const SETTLE: &str = "record the joint states too";
 
 /// The limits for one stream.
 #[derive(Clone, Copy)]
-struct Limits {
+struct GapLimits {
     gap_periods: f64,
     gap_s: f64,
     lost: f64,
     /// The limits of a lower rate, which is not a loss.
-    pace: Pace,
+    pace: SlowRateLimits,
     /// Period declared by the caller, s.
-    said_period_s: Option<f64>,
+    declared_period_s: Option<f64>,
 }
 
-impl Limits {
-    fn of(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Self {
+impl GapLimits {
+    fn for_stream(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Self {
         let [gap_periods, gap_s, lost] =
             [&GAP_PERIODS, &GAP, &LOST].map(|limit| case.thresholds.limit(&TIM002, limit));
-        let said_period_s = rhythm.said_hz.map(|rate_hz| 1.0 / rate_hz);
-        Self { gap_periods, gap_s, lost, pace: Pace::of(case), said_period_s }
+        let declared_period_s = rhythm.said_hz.map(|rate_hz| 1.0 / rate_hz);
+        Self {
+            gap_periods,
+            gap_s,
+            lost,
+            pace: SlowRateLimits::from_thresholds(case),
+            declared_period_s,
+        }
     }
 }
 
 fn check(case: &Case) -> Vec<Judged> {
     let steady = case.evidence.rhythms.iter().filter(|rhythm| rhythm.due != Due::OnOccasion);
-    let mut told: Vec<&StreamEvidence<RhythmEvidence>> = Vec::new();
+    let mut reported: Vec<&StreamEvidence<RhythmEvidence>> = Vec::new();
     let judge_once = |rhythm| {
-        if let Some(first) = told.iter().find(|first| has_rows_of(first, rhythm)) {
+        if let Some(first) = reported.iter().find(|first| has_same_gaps(first, rhythm)) {
             let why = format!("same stamps as {}, whose gaps are reported", first.topic());
             return Judged::new(rhythm.subject.clone(), Outcome::pass_because(why))
                 .within(rhythm.span);
         }
-        told.push(rhythm);
+        reported.push(rhythm);
         judge(case, rhythm)
     };
     steady.map(judge_once).collect()
 }
 
 /// Whether two streams have gaps at the same stamps, to the nanosecond, like columns of one table.
-fn has_rows_of(
+fn has_same_gaps(
     one: &StreamEvidence<RhythmEvidence>,
     other: &StreamEvidence<RhythmEvidence>,
 ) -> bool {
@@ -130,19 +136,19 @@ fn has_rows_of(
 
 /// The parts of a stream to judge: those expected to be periodic. For a stream without a role, those that
 /// are periodic.
-fn judged(rhythm: &StreamEvidence<RhythmEvidence>) -> impl Iterator<Item = &Cadence> {
+fn judged_parts(rhythm: &StreamEvidence<RhythmEvidence>) -> impl Iterator<Item = &Cadence> {
     let is_known = rhythm.due.is_expected();
     rhythm.wanted().filter(move |part| is_known || part.is_regular)
 }
 
 fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
-    let by = &Limits::of(case, rhythm);
+    let by = &GapLimits::for_stream(case, rhythm);
     let silent = |moving: Option<bool>| {
-        let gaps = judged(rhythm).flat_map(|part| gaps(by, part));
-        gaps.filter(move |gap| gap.moving == moving).max_by(|a, b| longer(a, b))
+        let gaps = judged_parts(rhythm).flat_map(|part| gaps(by, part));
+        gaps.filter(move |gap| gap.moving == moving).max_by(|a, b| compare_length(a, b))
     };
     let concerned: Vec<&Cadence> =
-        judged(rhythm).filter(|part| has_gaps(by, part) || loses(by, part)).collect();
+        judged_parts(rhythm).filter(|part| has_gaps(by, part) || has_losses(by, part)).collect();
     let subject = rhythm.subject_of(&concerned);
     if !concerned.is_empty() && case.evidence.lost_messages() {
         let why = "samples are missing, but so are messages of the log itself (ING001)";
@@ -168,7 +174,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
     };
     let outcome = if rhythm.wanted().next().is_none() {
         Outcome::Skipped("no robot defines which of its transforms are needed".to_owned())
-    } else if judged(rhythm).next().is_none() {
+    } else if judged_parts(rhythm).next().is_none() {
         let why = "no fixed period, and none is expected";
         Outcome::Skipped(why.to_owned())
     } else if let Some(gap) = silent(None) {
@@ -176,7 +182,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
         Outcome::Inconclusive(format!(
             "no samples for {gap}, and no joint states show whether the arm moved; {SETTLE}"
         ))
-    } else if judged(rhythm).any(|part| lost(by, part).is_none()) {
+    } else if judged_parts(rhythm).any(|part| lost_samples(by, part).is_none()) {
         let why = "no fixed period, so lost samples cannot be counted";
         Outcome::Inconclusive(format!("{why}; publish at a fixed rate, or number the messages"))
     } else if let Some(gap) = silent(Some(false)) {
@@ -187,49 +193,49 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
     Judged::new(subject, outcome).within(rhythm.span)
 }
 
-fn longer(a: &Stretch, b: &Stretch) -> std::cmp::Ordering {
+fn compare_length(a: &Stretch, b: &Stretch) -> std::cmp::Ordering {
     a.seconds().total_cmp(&b.seconds())
 }
 
 /// Whether a hole is longer than any message delay.
-fn is_long(by: &Limits, part: &Cadence, hole: &Hole) -> bool {
+fn is_long(by: &GapLimits, part: &Cadence, hole: &Hole) -> bool {
     let length_s = hole.stretch.seconds();
     let own_s = part.period_s.unwrap_or(f64::INFINITY);
     // The declared rate of a topic of transforms applies to its fastest transform.
-    let said_s = by.said_period_s.filter(|said_s| own_s < 2.0 * said_s || own_s.is_infinite());
+    let said_s = by.declared_period_s.filter(|said_s| own_s < 2.0 * said_s || own_s.is_infinite());
     let period_s = said_s.unwrap_or(own_s);
     length_s > by.gap_s && length_s > by.gap_periods * period_s
 }
 
 /// The holes of a part outside stretches with a lower rate.
-fn holes<'a>(by: &Limits, part: &'a Cadence) -> impl Iterator<Item = &'a Hole> {
-    let slow: Vec<&Stretch> = slow(by.pace, part).collect();
+fn holes<'a>(by: &GapLimits, part: &'a Cadence) -> impl Iterator<Item = &'a Hole> {
+    let slow: Vec<&Stretch> = slow_stretches(by.pace, part).collect();
     let is_slow = move |at: Stamp| slow.iter().any(|lull| lull.start <= at && at < lull.end);
     part.holes.iter().filter(move |hole| !is_slow(hole.stretch.start))
 }
 
 /// The gaps of a part: long holes in which nothing was received.
-fn gaps<'a>(by: &Limits, part: &'a Cadence) -> impl Iterator<Item = &'a Stretch> {
+fn gaps<'a>(by: &GapLimits, part: &'a Cadence) -> impl Iterator<Item = &'a Stretch> {
     let long = holes(by, part).filter(|hole| hole.is_silent && is_long(by, part, hole));
     long.map(|hole| &hole.stretch)
 }
 
-fn moving<'a>(by: &Limits, part: &'a Cadence) -> impl Iterator<Item = &'a Stretch> {
+fn gaps_in_motion<'a>(by: &GapLimits, part: &'a Cadence) -> impl Iterator<Item = &'a Stretch> {
     gaps(by, part).filter(|gap| gap.moving == Some(true))
 }
 
-fn has_gaps(by: &Limits, part: &Cadence) -> bool {
-    moving(by, part).next().is_some()
+fn has_gaps(by: &GapLimits, part: &Cadence) -> bool {
+    gaps_in_motion(by, part).next().is_some()
 }
 
 /// Number of lost samples of a part, by its period or by sequence numbers. `None` if neither is available.
-fn lost(by: &Limits, part: &Cadence) -> Option<usize> {
+fn lost_samples(by: &GapLimits, part: &Cadence) -> Option<usize> {
     // Unbroken numbers may be assigned by the recorder, so they do not prove that nothing was lost.
     let by_number = part.skipped.filter(|skipped| *skipped > 0);
-    lost_by_period(by, part).max(by_number)
+    lost_samples_by_period(by, part).max(by_number)
 }
 
-fn lost_by_period(by: &Limits, part: &Cadence) -> Option<usize> {
+fn lost_samples_by_period(by: &GapLimits, part: &Cadence) -> Option<usize> {
     let is_lost = |hole: &&Hole| {
         let rests = hole.stretch.moving == Some(false);
         !is_long(by, part, hole) || (hole.is_silent && !rests)
@@ -240,29 +246,31 @@ fn lost_by_period(by: &Limits, part: &Cadence) -> Option<usize> {
 }
 
 /// Fraction of a part's samples that are lost.
-fn lost_share(by: &Limits, part: &Cadence) -> f64 {
-    let lost = lost(by, part).unwrap_or(0);
+fn lost_share(by: &GapLimits, part: &Cadence) -> f64 {
+    let lost = lost_samples(by, part).unwrap_or(0);
     lost as f64 / (lost + part.rows).max(1) as f64
 }
 
-fn loses(by: &Limits, part: &Cadence) -> bool {
-    lost(by, part).is_some_and(|lost| lost >= COUNTS) && lost_share(by, part) > by.lost
+fn has_losses(by: &GapLimits, part: &Cadence) -> bool {
+    lost_samples(by, part).is_some_and(|lost| lost >= MIN_LOST_SAMPLES)
+        && lost_share(by, part) > by.lost
 }
 
 fn fault(
     case: &Case,
-    by: &Limits,
+    by: &GapLimits,
     rhythm: &StreamEvidence<RhythmEvidence>,
     concerned: &[&Cadence],
 ) -> Judged {
-    let gaps = || concerned.iter().flat_map(|part| moving(by, part));
+    let gaps = || concerned.iter().flat_map(|part| gaps_in_motion(by, part));
     let worst =
         concerned.iter().copied().max_by(|a, b| lost_share(by, a).total_cmp(&lost_share(by, b)));
-    let (lost, samples) = worst.map_or((0, 0), |part| (lost(by, part).unwrap_or(0), part.rows));
+    let (lost, samples) =
+        worst.map_or((0, 0), |part| (lost_samples(by, part).unwrap_or(0), part.rows));
     let skipped = worst.and_then(|part| part.skipped);
     let share = worst.map_or(0.0, |part| lost_share(by, part));
     let loss = format!("{:.1} % of samples lost: {lost} of {}", 100.0 * share, lost + samples);
-    let (title, message, estimate) = match gaps().max_by(|a, b| longer(a, b)) {
+    let (title, message, estimate) = match gaps().max_by(|a, b| compare_length(a, b)) {
         Some(gap) => {
             let (length, at) = (Unit::Second.show(gap.seconds()), case.evidence.moment(gap.start));
             let message = match gaps().count() {
@@ -276,11 +284,11 @@ fn fault(
         }
         None => ("samples are lost", loss, Estimate::exact("lost samples", "1", share)),
     };
-    let longest = gaps().max_by(|a, b| longer(a, b));
-    let cause = cause(case, rhythm, longest, skipped);
-    let message = format!("{message}{}", cause.said);
+    let longest = gaps().max_by(|a, b| compare_length(a, b));
+    let cause = determine_cause(case, rhythm, longest, skipped);
+    let message = format!("{message}{}", cause.suffix);
     let listed: Vec<Value> = gaps()
-        .take(LISTED)
+        .take(MAX_LISTED_GAPS)
         .map(|gap| json!({ "start_ns": gap.start.to_string(), "length_s": gap.seconds() }))
         .collect();
     let fault = Fault {
@@ -302,20 +310,20 @@ fn fault(
 }
 
 /// The cause of a gap or of lost samples, if the log shows it.
-struct Maker {
+struct GapCause {
     made_by: Option<&'static str>,
-    said: &'static str,
+    suffix: &'static str,
     fix: &'static str,
 }
 
 /// Determines the cause: the recorder or its machine if all streams stop, the transport if sequence numbers
 /// are skipped. Otherwise the publisher may have stopped or its messages were lost.
-fn cause(
+fn determine_cause(
     case: &Case,
     rhythm: &StreamEvidence<RhythmEvidence>,
     gap: Option<&Stretch>,
     skipped: Option<usize>,
-) -> Maker {
+) -> GapCause {
     let others = || {
         let others = case
             .evidence
@@ -334,21 +342,21 @@ fn cause(
     let all_stop =
         |gap: &Stretch| others().next().is_some() && others().all(|other| stops(other, gap));
     if gap.is_some_and(all_stop) {
-        return Maker {
+        return GapCause {
             made_by: Some("recorder"),
-            said: "; all other streams stop too",
+            suffix: "; all other streams stop too",
             fix: "check the recorder's disk and CPU load at that time",
         };
     }
     match skipped {
-        Some(1..) => Maker {
+        Some(1..) => GapCause {
             made_by: Some("transport"),
-            said: "; sequence numbers are skipped: messages were sent but lost",
+            suffix: "; sequence numbers are skipped: messages were sent but lost",
             fix: "check the load of recorder and network, and use a reliable, longer queue",
         },
-        _ => Maker {
+        _ => GapCause {
             made_by: None,
-            said: "",
+            suffix: "",
             fix: "check the publisher's log, and the load of recorder and network; number the messages to \
                 distinguish the two",
         },
@@ -363,10 +371,16 @@ mod tests {
 
     const MS: i64 = 1_000_000;
 
-    fn own() -> Limits {
+    fn own() -> GapLimits {
         let run = RunEvidence::default();
         let [gap_periods, gap_s, lost] = [GAP_PERIODS, GAP, LOST].map(|limit| limit.value);
-        Limits { gap_periods, gap_s, lost, pace: Pace::of(&as_case(&run)), said_period_s: None }
+        GapLimits {
+            gap_periods,
+            gap_s,
+            lost,
+            pace: SlowRateLimits::from_thresholds(&as_case(&run)),
+            declared_period_s: None,
+        }
     }
 
     /// A part of 1000 samples at 100 Hz with a hole of this many periods.
@@ -391,26 +405,29 @@ mod tests {
         assert!(!has_gaps(&own(), &with_hole(70, false)));
         // A hole too short for a gap may be a loss; a clock that is set forward loses nothing.
         let lost = [with_hole(9, true), with_hole(9, false), with_hole(70, false)];
-        assert_eq!(lost.map(|part| lost_by_period(&own(), &part)), [Some(8), Some(8), Some(0)]);
+        assert_eq!(
+            lost.map(|part| lost_samples_by_period(&own(), &part)),
+            [Some(8), Some(8), Some(0)]
+        );
     }
 
     #[test]
     fn what_is_late_or_in_a_slow_stretch_is_not_lost() {
         let late = Cadence { bunched: 5, conflicts: 1, ..with_hole(9, true) };
-        assert_eq!(lost(&own(), &late), Some(2));
+        assert_eq!(lost_samples(&own(), &late), Some(2));
         let mut slow = with_hole(9, true);
         let end = Stamp::from_nanos(3000 * MS);
         slow.lulls.push(Stretch { end, rate_hz: 20.0, ..slow.holes[0].stretch });
-        assert_eq!(lost(&own(), &slow), Some(0));
+        assert_eq!(lost_samples(&own(), &slow), Some(0));
     }
 
     #[test]
     fn numbers_tell_where_no_period_does() {
         let mut part = Cadence { is_regular: false, ..with_hole(2, true) };
-        assert_eq!(lost(&own(), &part), None);
+        assert_eq!(lost_samples(&own(), &part), None);
         part.skipped = Some(0);
-        assert_eq!(lost(&own(), &part), None);
+        assert_eq!(lost_samples(&own(), &part), None);
         part.skipped = Some(30);
-        assert!(lost(&own(), &part) == Some(30) && loses(&own(), &part));
+        assert!(lost_samples(&own(), &part) == Some(30) && has_losses(&own(), &part));
     }
 }

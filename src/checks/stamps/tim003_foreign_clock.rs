@@ -39,7 +39,7 @@ rule! {
 }
 
 /// Maximum difference between clocks on one machine, s.
-const AHEAD_S: f64 = 1e-3;
+const MIN_LEAD_S: f64 = 1e-3;
 
 fn check(case: &Case) -> Vec<Judged> {
     let streams = case.evidence.stamps.iter().map(|stream| judge(stream, case.evidence.simulated));
@@ -74,7 +74,7 @@ fn judge(stream: &StreamEvidence<StampEvidence>, simulated: bool) -> Judged {
     if clock.epoch != Epoch::Foreign {
         let early_s =
             clock.soonest_s.map(|soonest_s| -soonest_s).filter(|_| clock.epoch == Epoch::Common);
-        let outcome = match early_s.filter(|early_s| *early_s > AHEAD_S) {
+        let outcome = match early_s.filter(|early_s| *early_s > MIN_LEAD_S) {
             None => Outcome::pass(),
             Some(early_s) => Outcome::pass_because(format!(
                 "messages arrive up to {} before their own stamps: its clock is ahead of the recorder's, or \

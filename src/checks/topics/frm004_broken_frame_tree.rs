@@ -62,29 +62,29 @@ fn check(case: &Case) -> Vec<Judged> {
 }
 
 fn judge(flaw: &TfProblem) -> Judged {
-    let said = Said::of(flaw);
+    let report = TfProblemReport::from_problem(flaw);
     let subject = Subject {
         topic: flaw.topics.first().cloned(),
-        frame: said.frames.first().cloned(),
+        frame: report.frames.first().cloned(),
         ..Subject::default()
     };
     let fault = Fault {
         cause: Cause::FrameTree,
-        severity: said.severity,
-        title: said.title,
-        message: said.message,
+        severity: report.severity,
+        title: report.title,
+        message: report.message,
         evidence: Evidence::default(),
-        fix: said.fix,
+        fix: report.fix,
     };
     let mut judged = Judged::new(subject, Outcome::fail(fault))
-        .with_evidence("what", said.what)
-        .with_evidence("frames", said.frames)
+        .with_evidence("what", report.what)
+        .with_evidence("frames", report.frames)
         .with_evidence("topics", flaw.topics.clone());
-    for (key, value) in said.numbers {
+    for (key, value) in report.numbers {
         judged = judged.with_evidence(key, value);
     }
     // A pure rotation is measured by its angle.
-    let moved = said.by.map(|by| match by.length_m < 1e-6 && by.angle_rad > 0.0 {
+    let moved = report.by.map(|by| match by.length_m < 1e-6 && by.angle_rad > 0.0 {
         true => Estimate::exact("difference", "rad", by.angle_rad),
         false => Estimate::exact("difference", "m", by.length_m),
     });
@@ -92,7 +92,7 @@ fn judge(flaw: &TfProblem) -> Judged {
 }
 
 /// A TF problem with its messages.
-struct Said {
+struct TfProblemReport {
     severity: Severity,
     what: &'static str,
     title: &'static str,
@@ -104,8 +104,8 @@ struct Said {
     fix: String,
 }
 
-impl Said {
-    fn of(flaw: &TfProblem) -> Self {
+impl TfProblemReport {
+    fn from_problem(flaw: &TfProblem) -> Self {
         let on = flaw.topics.join(" and ");
         match &flaw.kind {
             TfProblemKind::SeveralParents { child, parents } => Self {
@@ -144,12 +144,12 @@ impl Said {
                 title: "a static frame moves",
                 frames: vec![edge.child.clone(), edge.parent.clone()],
                 by: Some(*by),
-                numbers: numbers(by).to_vec(),
+                numbers: distance_json(by).to_vec(),
                 message: format!(
                     "static transform '{}' to '{}' on {on} has values that differ by {}",
                     edge.parent,
                     edge.child,
-                    shown(by)
+                    show_distance(by)
                 ),
                 fix: format!("publish '{}' on /tf, or only once", edge.child),
             },
@@ -159,13 +159,16 @@ impl Said {
                 title: "two publishers of one transform",
                 frames: vec![edge.child.clone(), edge.parent.clone()],
                 by: Some(*by),
-                numbers: [&numbers(by)[..], &[("jumps", json!(jumps)), ("samples", json!(rows))]]
-                    .concat(),
+                numbers: [
+                    &distance_json(by)[..],
+                    &[("jumps", json!(jumps)), ("samples", json!(rows))],
+                ]
+                .concat(),
                 message: format!(
                     "'{}' to '{}' on {on} jumps between values that differ by {}",
                     edge.parent,
                     edge.child,
-                    shown(by)
+                    show_distance(by)
                 ),
                 fix: format!("find the two nodes that publish '{}', and stop one", edge.child),
             },
@@ -181,7 +184,7 @@ impl Said {
                 let [a, b] = rates_hz.map(|rate_hz| format!("{rate_hz:.1} Hz"));
                 let amount = |by: &PoseDistance| match are_joints {
                     true => format!("{} in a joint", Unit::Radian.show(by.angle_rad)),
-                    false => shown(by),
+                    false => show_distance(by),
                 };
                 let message = match by {
                     Some(by) => format!(
@@ -194,7 +197,7 @@ impl Said {
                 };
                 let frames = edge.iter().flat_map(|edge| [edge.child.clone(), edge.parent.clone()]);
                 let severity = if by.is_some() { Severity::Error } else { Severity::Info };
-                let mut told = by.as_ref().map_or(Vec::new(), |by| numbers(by).to_vec());
+                let mut told = by.as_ref().map_or(Vec::new(), |by| distance_json(by).to_vec());
                 told.extend([("rates_hz", json!(rates_hz)), ("samples", json!(rows))]);
                 Self {
                     severity,
@@ -226,10 +229,10 @@ impl Said {
     }
 }
 
-fn numbers(by: &PoseDistance) -> [(&'static str, Value); 2] {
+fn distance_json(by: &PoseDistance) -> [(&'static str, Value); 2] {
     [("length_m", json!(by.length_m)), ("angle_rad", json!(by.angle_rad))]
 }
 
-fn shown(by: &PoseDistance) -> String {
+fn show_distance(by: &PoseDistance) -> String {
     format!("{} and {}", Unit::Metre.show(by.length_m), Unit::Radian.show(by.angle_rad))
 }

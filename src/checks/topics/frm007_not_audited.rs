@@ -62,7 +62,7 @@ fn judge(stream: &StreamEvidence<Vec<WhyNot>>) -> Vec<Judged> {
         return vec![stream.judged(Outcome::pass())];
     }
     let of = |why: &WhyNot| {
-        let Words { why: name, title, message, fix, evidence } = words(why);
+        let NotAuditedReport { why: name, title, message, fix, evidence } = report(why);
         let severity = match why {
             WhyNot::SceneObjects { .. } => Severity::Info,
             _ => Severity::Warning,
@@ -83,7 +83,7 @@ fn judge(stream: &StreamEvidence<Vec<WhyNot>>) -> Vec<Judged> {
     stream.iter().map(of).collect()
 }
 
-struct Words {
+struct NotAuditedReport {
     why: &'static str,
     title: &'static str,
     message: String,
@@ -91,9 +91,9 @@ struct Words {
     evidence: Vec<(&'static str, Value)>,
 }
 
-fn words(why: &WhyNot) -> Words {
+fn report(why: &WhyNot) -> NotAuditedReport {
     match why {
-        WhyNot::OwnFrame { frame } => Words {
+        WhyNot::OwnFrame { frame } => NotAuditedReport {
             why: "own-frame",
             title: "frame_id is the tool's own frame",
             message: format!(
@@ -104,7 +104,7 @@ fn words(why: &WhyNot) -> Words {
                 .to_owned(),
             evidence: vec![("frame", json!(frame))],
         },
-        WhyNot::NoOrientation => Words {
+        WhyNot::NoOrientation => NotAuditedReport {
             why: "no-orientation",
             title: "orientations were never set",
             message:
@@ -114,20 +114,20 @@ fn words(why: &WhyNot) -> Words {
             fix: "set the orientation, or publish a point".to_owned(),
             evidence: Vec::new(),
         },
-        WhyNot::OtherFrames { frames, samples, of } => Words {
+        WhyNot::OtherFrames { frames, samples, of } => NotAuditedReport {
             why: "other-frames",
             title: "topic has poses in several frames",
             message: format!(
                 "{samples} of {of} poses are in other frames ({}) without a transform to the arm; not \
                  audited",
-                few(frames)
+                list_names(frames)
             ),
             fix: "check which other nodes publish on the topic and separate the sources, or record the \
                 transforms to these frames"
                 .to_owned(),
             evidence: vec![("frames", json!(frames.len())), ("samples", json!(samples))],
         },
-        WhyNot::NeverChanges { samples, moved_m } => Words {
+        WhyNot::NeverChanges { samples, moved_m } => NotAuditedReport {
             why: "never-changes",
             title: "pose never changes",
             message: format!(
@@ -137,18 +137,18 @@ fn words(why: &WhyNot) -> Words {
             fix: "check why it stopped, and record it while the arm moves".to_owned(),
             evidence: vec![("samples", json!(samples)), ("moved_m", json!(moved_m))],
         },
-        WhyNot::SceneObjects { names } => Words {
+        WhyNot::SceneObjects { names } => NotAuditedReport {
             why: "scene-objects",
             title: "objects of the scene",
             message: format!(
                 "{} bodies never move ({}): scene objects, not the tool",
                 names.len(),
-                few(names)
+                list_names(names)
             ),
             fix: "no action needed; exclude the topic from recording if it is unused".to_owned(),
             evidence: vec![("bodies", json!(names))],
         },
-        WhyNot::BaseMoves { frame, base, travel_m, turn_rad } => Words {
+        WhyNot::BaseMoves { frame, base, travel_m, turn_rad } => NotAuditedReport {
             why: "base-moves",
             title: "arm base moves in the frame of the poses",
             message: format!(
@@ -164,7 +164,7 @@ fn words(why: &WhyNot) -> Words {
                 ("turn_rad", json!(turn_rad)),
             ],
         },
-        WhyNot::WhoseArm { arms } => Words {
+        WhyNot::WhoseArm { arms } => NotAuditedReport {
             why: "whose-arm",
             title: "pose stream of an unknown arm",
             message: format!(
@@ -174,7 +174,7 @@ fn words(why: &WhyNot) -> Words {
             fix: "name the topic or its frames after the arm".to_owned(),
             evidence: vec![("arms", json!(arms))],
         },
-        WhyNot::NoKinematics { what } => Words {
+        WhyNot::NoKinematics { what } => NotAuditedReport {
             why: "no-kinematics",
             title: "tool pose cannot be compared with the arm",
             message: format!("a tool pose by its name or frames, but {what}"),
@@ -182,13 +182,13 @@ fn words(why: &WhyNot) -> Words {
                 .to_owned(),
             evidence: vec![("missing", json!(what))],
         },
-        WhyNot::NoModel { joints } => Words {
+        WhyNot::NoModel { joints } => NotAuditedReport {
             why: "no-model",
             title: "joint states of an arm without a model",
             message: format!(
                 "{} joints move like an arm ({}), but no model has them",
                 joints.len(),
-                few(joints)
+                list_names(joints)
             ),
             fix: "record the robot description, or pass it with --robot PREFIX=FILE".to_owned(),
             evidence: vec![("joints", json!(joints))],
@@ -197,8 +197,8 @@ fn words(why: &WhyNot) -> Words {
 }
 
 /// The first of the names, comma-separated.
-fn few(names: &[String]) -> String {
-    const SHOWN: usize = 4;
-    let shown = names.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ");
-    if names.len() > SHOWN { format!("{shown}, …") } else { shown }
+fn list_names(names: &[String]) -> String {
+    const MAX_LISTED_NAMES: usize = 4;
+    let shown = names.iter().take(MAX_LISTED_NAMES).cloned().collect::<Vec<_>>().join(", ");
+    if names.len() > MAX_LISTED_NAMES { format!("{shown}, …") } else { shown }
 }

@@ -33,7 +33,7 @@ rule! {
     /// declares its `rate_hz`. Commands, camera detections and streams without an assigned role may be
     /// empty or short.
     TIM006 {
-        limits: &[TOGETHER, SLOW, LASTS, BELOW],
+        limits: &[MAX_EDGE_DIFFERENCE, MIN_SLOW_INTERVAL_RATIO, MIN_SLOW_DURATION, MIN_DECLARED_RATE_RATIO],
         name: "incomplete-stream",
         grade: Grade::Fixed(Severity::Warning),
         headline: false,
@@ -44,28 +44,28 @@ rule! {
 }
 
 /// Maximum difference of start or end times between complete streams.
-const TOGETHER: Limit = Limit {
+const MAX_EDGE_DIFFERENCE: Limit = Limit {
     key: "together",
     unit: Unit::Second,
     value: 1.0,
     what: "maximum difference in start and end times of complete streams",
 };
 /// Minimum ratio of a slow stream's interval to the usual one.
-const SLOW: Limit = Limit {
+const MIN_SLOW_INTERVAL_RATIO: Limit = Limit {
     key: "slow",
     unit: Unit::One,
     value: 1.4,
     what: "minimum ratio of a slow stream's interval to the usual one",
 };
 /// Minimum duration of a slow stretch.
-const LASTS: Limit = Limit {
+const MIN_SLOW_DURATION: Limit = Limit {
     key: "lasts",
     unit: Unit::Second,
     value: 2.0,
     what: "minimum duration of a slow stretch",
 };
 /// Minimum ratio of the measured rate to the declared rate.
-const BELOW: Limit = Limit {
+const MIN_DECLARED_RATE_RATIO: Limit = Limit {
     key: "below",
     unit: Unit::One,
     value: 0.9,
@@ -74,27 +74,31 @@ const BELOW: Limit = Limit {
 
 /// The limits of a lower rate.
 #[derive(Clone, Copy)]
-pub(in crate::checks) struct Pace {
+pub(in crate::checks) struct SlowRateLimits {
     slow: f64,
     lasts_s: f64,
 }
 
-impl Pace {
-    pub(in crate::checks) fn of(case: &Case) -> Self {
-        let [slow, lasts_s] = [&SLOW, &LASTS].map(|limit| case.thresholds.limit(&TIM006, limit));
+impl SlowRateLimits {
+    pub(in crate::checks) fn from_thresholds(case: &Case) -> Self {
+        let [slow, lasts_s] = [&MIN_SLOW_INTERVAL_RATIO, &MIN_SLOW_DURATION]
+            .map(|limit| case.thresholds.limit(&TIM006, limit));
         Self { slow, lasts_s }
     }
 }
 
 fn check(case: &Case) -> Vec<Judged> {
-    let missing =
-        case.evidence.missing_topics.iter().map(|(subject, place)| missing(subject.clone(), place));
-    let empty = missing.chain(case.evidence.empty_streams.iter().map(nothing));
+    let missing = case
+        .evidence
+        .missing_topics
+        .iter()
+        .map(|(subject, place)| judge_missing(subject.clone(), place));
+    let empty = missing.chain(case.evidence.empty_streams.iter().map(judge_empty));
     let expected = case.evidence.rhythms.iter().filter(|rhythm| rhythm.due.is_expected());
     empty.chain(expected.map(|rhythm| judge(case, rhythm))).collect()
 }
 
-fn nothing(empty: &EmptyStreamEvidence) -> Judged {
+fn judge_empty(empty: &EmptyStreamEvidence) -> Judged {
     let topic = empty.subject.label();
     let (message, fix) = match empty.messages {
         0 => (
@@ -119,7 +123,7 @@ fn nothing(empty: &EmptyStreamEvidence) -> Judged {
     )
 }
 
-fn missing(subject: Subject, place: &str) -> Judged {
+fn judge_missing(subject: Subject, place: &str) -> Judged {
     let topic = subject.label().to_owned();
     Judged::new(
         subject,
@@ -135,15 +139,19 @@ fn missing(subject: Subject, place: &str) -> Judged {
 }
 
 /// Measured and declared rate, Hz, if the stream is notably slower than declared.
-fn below_said(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Option<(f64, f64)> {
+fn below_declared_rate(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Option<(f64, f64)> {
     let (said_hz, rate_hz) = (rhythm.said_hz?, rhythm.rate_hz?);
-    (rate_hz < case.thresholds.limit(&TIM006, &BELOW) * said_hz).then_some((rate_hz, said_hz))
+    (rate_hz < case.thresholds.limit(&TIM006, &MIN_DECLARED_RATE_RATIO) * said_hz)
+        .then_some((rate_hz, said_hz))
 }
 
 fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
-    let (pace, together_s) = (Pace::of(case), case.thresholds.limit(&TIM006, &TOGETHER));
-    let slowest = |part| slowest(pace, rhythm, part);
-    let (late_s, early_s) = missed(rhythm);
+    let (pace, together_s) = (
+        SlowRateLimits::from_thresholds(case),
+        case.thresholds.limit(&TIM006, &MAX_EDGE_DIFFERENCE),
+    );
+    let slowest = |part| slowest_stretch(pace, rhythm, part);
+    let (late_s, early_s) = missed_at_ends(rhythm);
     let slow: Vec<&Cadence> = rhythm.wanted().filter(|part| slowest(part).is_some()).collect();
     let worst = slow.iter().filter_map(|part| Some((part.period_s?, slowest(part)?)));
     let worst = worst.min_by(|a, b| (a.0 * a.1.rate_hz).total_cmp(&(b.0 * b.1.rate_hz)));
@@ -166,7 +174,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
         let message =
             format!("runs at {rate_hz:.1} Hz for {length} from {at}, usually at {usual_hz:.1} Hz");
         ("stream is slow", message, Estimate::exact("rate", "Hz", rate_hz))
-    } else if let Some((rate_hz, said_hz)) = below_said(case, rhythm) {
+    } else if let Some((rate_hz, said_hz)) = below_declared_rate(case, rhythm) {
         let message = format!("runs at {rate_hz:.1} Hz; declared are {said_hz:.1} Hz");
         ("stream is slow", message, Estimate::exact("rate", "Hz", rate_hz))
     } else {
@@ -193,7 +201,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
 }
 
 /// Time missed at start and end, s. Zero if the stream may be silent because the arm rests.
-fn missed(rhythm: &StreamEvidence<RhythmEvidence>) -> (f64, f64) {
+fn missed_at_ends(rhythm: &StreamEvidence<RhythmEvidence>) -> (f64, f64) {
     let Some(extent) = rhythm.extent else { return (0.0, 0.0) };
     // The next sample is due one period after the last.
     let period_s = rhythm.wanted().filter_map(|part| part.period_s).fold(0.0, f64::max);
@@ -206,19 +214,22 @@ fn missed(rhythm: &StreamEvidence<RhythmEvidence>) -> (f64, f64) {
 }
 
 /// Stretches in which a part runs below its usual rate.
-pub(in crate::checks) fn slow(pace: Pace, part: &Cadence) -> impl Iterator<Item = &Stretch> {
+pub(in crate::checks) fn slow_stretches(
+    pace: SlowRateLimits,
+    part: &Cadence,
+) -> impl Iterator<Item = &Stretch> {
     let usual_s = part.period_s.unwrap_or(f64::INFINITY);
     let is_slow = move |lull: &&Stretch| lull.rate_hz * usual_s * pace.slow < 1.0;
     part.lulls.iter().filter(is_slow).filter(move |lull| lull.seconds() >= pace.lasts_s)
 }
 
 /// The slowest stretch of a part, except at rest if the stream may be slow then.
-fn slowest<'a>(
-    pace: Pace,
+fn slowest_stretch<'a>(
+    pace: SlowRateLimits,
     rhythm: &StreamEvidence<RhythmEvidence>,
     part: &'a Cadence,
 ) -> Option<&'a Stretch> {
     let is_due = |lull: &&Stretch| lull.moving == Some(true) || rhythm.due != Due::InMotion;
-    let stretches = slow(pace, part).filter(is_due);
+    let stretches = slow_stretches(pace, part).filter(is_due);
     stretches.min_by(|a, b| a.rate_hz.total_cmp(&b.rate_hz))
 }
