@@ -9,7 +9,7 @@ use crate::diagnosis::{
     ArmCalibration, CalibrationFailure, CalibrationStream, PoseDiagnosis, PoseEncoding,
     calibrate_arm,
 };
-use crate::evidence::{ArmEvidence, Lost, PoseEvidence, RunEvidence};
+use crate::evidence::{ArmEvidence, PoseEvidence, ReadLosses, RunEvidence};
 use crate::geometry::Pose;
 use crate::log;
 use crate::places::Places;
@@ -280,7 +280,7 @@ pub(super) type FromLog = (Robot, Vec<Taken>, Vec<String>);
 fn of_log(path: &Path, options: &Options, topic: Option<&str>) -> Result<FromLog, Trouble> {
     let log = log::open(&[path.to_path_buf()], &options.read)?;
     let mut run = Run::complete(log, &options.run, |_| Ok::<_, Trouble>(()))?;
-    let evidence = RunEvidence::collect(&mut run, &Lost::default(), &options.run);
+    let evidence = RunEvidence::collect(&mut run, &ReadLosses::default(), &options.run);
     if let Some(error) = &run.no_arm {
         return Err(error.into());
     }
@@ -369,7 +369,7 @@ fn taken(
     let is_small = |frame: &Pose| {
         frame.translation.vector.norm() <= MOST_M && frame.rotation.angle() <= MOST_RAD
     };
-    let is_outside = found.witness == PoseSourceKind::External;
+    let is_outside = found.source_kind == PoseSourceKind::External;
     let frames = &diagnosis.frame_correction;
     let reference_is_free = !source.reference_known || !is_small(&frames.reference);
     let tool_is_free = (is_outside && !source.tip_named) || !is_small(&frames.tool);
@@ -377,7 +377,7 @@ fn taken(
     Ok(Taken {
         log: path.to_path_buf(),
         topic: topic.to_owned(),
-        witness: found.witness,
+        witness: found.source_kind,
         reading: reading(diagnosis),
         base: source.chain.base_name().to_owned(),
         tip: source.chain.tip_name().to_owned(),

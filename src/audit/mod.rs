@@ -9,7 +9,7 @@ mod tables;
 
 use crate::checks::{EvaluatedPart, Evaluation, evaluate, merged};
 use crate::corrections::GivenCorrections;
-use crate::evidence::{ArmEvidence, Lost, RunEvidence, Undecodable, UndecodableTopic};
+use crate::evidence::{ArmEvidence, ReadLosses, RunEvidence, UndecodableContent, UndecodableTopic};
 use crate::log::{Extent, Log, Loss};
 use crate::places::Places;
 use crate::report::{
@@ -25,7 +25,7 @@ pub use options::{Options, Policy};
 /// Report contents about the files themselves.
 pub(crate) struct Read {
     summary: LogSummary,
-    lost: Lost,
+    lost: ReadLosses,
 }
 
 impl Read {
@@ -60,7 +60,7 @@ impl Read {
             let undecodable = topic.undecodable.as_ref()?;
             Some(UndecodableTopic {
                 topic: topic.name.clone(),
-                what: Undecodable::Messages(topic.type_name.clone()),
+                what: UndecodableContent::Messages(topic.type_name.clone()),
                 messages: undecodable.messages,
                 why: undecodable.first.clone(),
             })
@@ -75,7 +75,7 @@ impl Read {
                 end_ns: log.span.map(|span| span.1),
                 duration_s: log.span.map(|(start, end)| end.seconds_since(start)),
             },
-            lost: Lost {
+            lost: ReadLosses {
                 losses: log.losses.clone(),
                 undecodable: undecodable.collect(),
                 contradictions: log.contradictions.clone(),

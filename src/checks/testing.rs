@@ -14,7 +14,7 @@ use crate::diagnosis::{
 };
 use crate::evidence::{
     ArmEvidence, DhEvidence, EulerEvidence, ImuEvidence, JointEvidence, JointMotion, PoseEvidence,
-    ReferenceEvidence, RunEvidence, ShakeEvidence, StreamEvidence, TipPoseKind, TipPoseSource,
+    ReferenceEvidence, RunEvidence, StreamEvidence, TipPoseKind, TipPoseSource, VibrationEvidence,
 };
 use crate::finding::{CheckRow, Finding, Span, Subject};
 use crate::geometry::{Convention, Pose, Vec3, pose, rotation_from_rotvec};
@@ -160,21 +160,21 @@ pub fn clean_run() -> RunEvidence {
         },
         poses: vec![stream_evidence(POSE, stream(true))],
         tf: Some(stream_evidence(TF, stream(false))),
-        shakes: vec![stream_evidence(
+        vibrations: vec![stream_evidence(
             JOINTS,
-            ShakeEvidence { in_other_units: false, shake: Ok(Vibration::default()) },
+            VibrationEvidence { in_other_units: false, vibration: Ok(Vibration::default()) },
         )],
         imus: vec![stream_evidence(
             IMU,
             ImuEvidence {
-                independent: true,
+                has_independent_stamps: true,
                 link: "tool0".to_owned(),
                 link_from_imu: None,
                 proof: Some(ImuResidualCheck::default()),
                 diagnosis: imu,
             },
         )],
-        taken_for_degrees: false,
+        is_in_degrees_by_magnitude: false,
         references: vec![stream_evidence(COMMANDS, commands())],
     };
     let frozen = stream_evidence(POSE, Vec::new());
@@ -319,16 +319,16 @@ fn clean_stream() -> PoseDiagnosis {
     }
 }
 
-fn stream(independent: bool) -> PoseEvidence {
+fn stream(has_independent_stamps: bool) -> PoseEvidence {
     PoseEvidence {
         diagnosis: clean_stream(),
         reference: "base".to_owned(),
         reference_known: true,
         tip: "tool0".to_owned(),
         is_tip_declared: true,
-        witness: PoseSourceKind::Unknown,
+        source_kind: PoseSourceKind::Unknown,
         proof: Ok(left(1e-5, 1e-5)),
-        independent,
+        has_independent_stamps,
         has_bare_numbers: false,
         alternation: None,
         is_undeclared: false,

@@ -253,9 +253,9 @@ impl CorrectionPlan {
         let mut copies = Vec::new();
         if let Some(arm) = context.evidence.robots.iter().find(|arm| arm.joints_topic == topic) {
             // Streams that copy the joints' stamps share their latency.
-            let poses = arm.poses_and_tf().filter(|stream| !stream.independent);
+            let poses = arm.poses_and_tf().filter(|stream| !stream.has_independent_stamps);
             copies.extend(poses.map(|stream| stream.topic().to_owned()));
-            let imus = arm.imus.iter().filter(|imu| !imu.independent);
+            let imus = arm.imus.iter().filter(|imu| !imu.has_independent_stamps);
             copies.extend(imus.map(|imu| imu.topic().to_owned()));
         }
         let mut what = format!("latency of {}", Unit::Second.show(value));

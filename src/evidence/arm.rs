@@ -5,10 +5,10 @@ use std::borrow::Cow;
 use rayon::prelude::*;
 
 use super::commands::{ReferenceEvidence, references};
-use super::estimate::{DhEvidence, Diagnosis};
-use super::joints::{JointEvidence, breaks, joint_evidence, mending, velocities};
-use super::poses::{Declared, ImuEvidence, PoseEvidence, euler, unidentified_columns};
-use super::shake::{ShakeEvidence, shake_of_joints, shake_of_poses};
+use super::estimate::{ArmStreamsDiagnosis, DhEvidence};
+use super::joints::{JointEvidence, change_points, joint_evidence, mending, velocities};
+use super::poses::{DeclaredUnits, ImuEvidence, PoseEvidence, euler, unidentified_columns};
+use super::vibration::{VibrationEvidence, vibration_of_joints, vibration_of_poses};
 use super::{StreamEvidence, arm_stream_evidence, span_or_run};
 use crate::diagnosis::{
     ArmDiagnosis, JointDiagnosis, JointScale, NotObservable, PoseDiagnosis, check_imu_residual,
@@ -42,11 +42,11 @@ pub struct ArmEvidence {
     /// Tip pose from /tf, against FK of the recorded joint states.
     pub tf: Option<StreamEvidence<PoseEvidence>>,
     /// Vibration of the tip, from the joint states and from each pose stream.
-    pub shakes: Vec<StreamEvidence<ShakeEvidence>>,
+    pub vibrations: Vec<StreamEvidence<VibrationEvidence>>,
     /// IMUs on the arm.
     pub imus: Vec<StreamEvidence<ImuEvidence>>,
     /// Whether joint positions were identified as degrees by their magnitude.
-    pub taken_for_degrees: bool,
+    pub is_in_degrees_by_magnitude: bool,
     /// Command streams.
     pub references: Vec<StreamEvidence<ReferenceEvidence>>,
 }
@@ -71,7 +71,7 @@ impl ArmEvidence {
     /// Combined source of the pose streams: external if any is, controller if all are.
     pub fn pose_source_kind(&self) -> PoseSourceKind {
         let of = |witness: PoseSourceKind| {
-            self.poses.iter().filter(move |s| s.witness == witness).count()
+            self.poses.iter().filter(move |s| s.source_kind == witness).count()
         };
         match (of(PoseSourceKind::External), of(PoseSourceKind::Controller)) {
             (1.., _) => PoseSourceKind::External,
@@ -117,8 +117,8 @@ impl ArmEvidence {
     }
 
     /// Whether joint positions were identified as degrees but no pose confirms it.
-    pub fn unit_is_open(&self) -> bool {
-        self.taken_for_degrees && self.diagnosis.encoding.is_err()
+    pub fn is_unit_undetermined(&self) -> bool {
+        self.is_in_degrees_by_magnitude && self.diagnosis.encoding.is_err()
     }
 
     /// Unit of a joint's positions.
@@ -134,17 +134,17 @@ impl ArmEvidence {
 pub(super) fn arm_evidence(
     run: &Run,
     index: usize,
-    diagnosis: Diagnosis,
+    diagnosis: ArmStreamsDiagnosis,
     options: &RunOptions,
 ) -> ArmEvidence {
     let arm = &run.arms[index];
     let joints_stream = arm.joint_facts.first().map_or(0, |facts| facts.stream);
     let ArmDiagnosis { joints: found, streams } = diagnosis.arm;
-    let mended = found.without_eccentricity().corrected_joints(&arm.joints, &arm.slides());
+    let corrected_track = found.without_eccentricity().corrected_joints(&arm.joints, &arm.slides());
     let is_read = !matches!(found.encoding, Err(NotObservable::NotExcited));
     let most_lag_s = options.max_latency_s;
     let of_poses = |source: &PoseSource, found: PoseDiagnosis, euler| PoseEvidence {
-        proof: check_residual(&arm.joints, &mended, &run.pose_stream(source), &found),
+        proof: check_residual(&arm.joints, &corrected_track, &run.pose_stream(source), &found),
         reference: if source.reference_known {
             source.chain.base_name().to_owned()
         } else {
@@ -153,15 +153,15 @@ pub(super) fn arm_evidence(
         reference_known: source.reference_known,
         tip: source.chain.tip_name().to_owned(),
         is_tip_declared: source.tip_named,
-        witness: run.streams[source.stream].source_kind.unwrap_or(PoseSourceKind::Unknown),
+        source_kind: run.streams[source.stream].source_kind.unwrap_or(PoseSourceKind::Unknown),
         euler,
         labels: run.streams[source.stream].labels.filter(|_| source.track.declared.is_none()),
         is_of_table: !run.streams[source.stream].cells.is_empty(),
         unidentified_columns: unidentified_columns(run, source),
-        independent: !source.stamps_copied,
+        has_independent_stamps: !source.stamps_copied,
         has_bare_numbers: matches!(source.track.orientation, Orientations::Numbers(_)),
         is_undeclared: source.track.declared.is_none() && run.streams[source.stream].is_bare(),
-        declared: source.track.declared.as_ref().map(|units| Declared {
+        declared: source.track.declared.as_ref().map(|units| DeclaredUnits {
             angles: units.in_other_angles.is_some().then_some(units.angle),
             lengths: units.length,
         }),
@@ -174,26 +174,34 @@ pub(super) fn arm_evidence(
     };
     let imus = arm.imus.iter().zip(diagnosis.imus).map(|(source, diagnosis)| {
         let found = ImuEvidence {
-            independent: !source.stamps_copied,
+            has_independent_stamps: !source.stamps_copied,
             link: source.chain.tip_name().to_owned(),
             link_from_imu: source.link_from_imu.map(|pose| pose.rotation),
             proof: is_read
-                .then(|| check_imu_residual(&mended, &source.as_stream(), &diagnosis, most_lag_s))
+                .then(|| {
+                    check_imu_residual(
+                        &corrected_track,
+                        &source.as_stream(),
+                        &diagnosis,
+                        most_lag_s,
+                    )
+                })
                 .flatten(),
             diagnosis,
         };
         arm_stream_evidence(run, arm, source.stream, found)
     });
     let samples = run.joint_samples(&arm.joint_facts);
-    let breaks = breaks(&found, arm.joint_names.len());
-    let velocities = velocities(&samples, &breaks);
-    let mended_by = mending(arm, &found);
-    let really = arm.recorded.as_ref().map(|(_, mending)| mending).or(mended_by.as_ref()).cloned();
+    let change_points = change_points(&found, arm.joint_names.len());
+    let velocities = velocities(&samples, &change_points);
+    let joint_correction = mending(arm, &found);
+    let actual =
+        arm.recorded.as_ref().map(|(_, mending)| mending).or(joint_correction.as_ref()).cloned();
     let samples = match &arm.recorded {
         Some((_, mending)) => mending.mended_samples(&samples),
         None => samples,
     };
-    let (samples, track) = match mended_by {
+    let (samples, track) = match joint_correction {
         Some(mending) => {
             (mending.mended_samples(&samples), Cow::Owned(mending.mended(&arm.joints)))
         }
@@ -204,19 +212,28 @@ pub(super) fn arm_evidence(
         (0..arm.joint_names.len()).into_par_iter().map(joint).collect::<Vec<JointEvidence>>()
     };
     let of_joints = || {
-        let shake = shake_of_joints(arm, &samples, &track);
-        arm_stream_evidence(run, arm, joints_stream, ShakeEvidence { in_other_units: false, shake })
+        let vibration = vibration_of_joints(arm, &samples, &track);
+        arm_stream_evidence(
+            run,
+            arm,
+            joints_stream,
+            VibrationEvidence { in_other_units: false, vibration },
+        )
     };
     let of_stream = |(source, mut found): (&PoseSource, PoseDiagnosis)| {
         if run.streams[source.stream].holds_no_rotation() {
             found.encoding = Err(NotObservable::NoOrientation);
         }
         let in_other_units = matches!(found.length_unit, Ok(Some(_)));
-        let shake = shake_of_poses(&source.track, &found, &arm.joints);
-        let shake =
-            arm_stream_evidence(run, arm, source.stream, ShakeEvidence { in_other_units, shake });
+        let vibration = vibration_of_poses(&source.track, &found, &arm.joints);
+        let vibration = arm_stream_evidence(
+            run,
+            arm,
+            source.stream,
+            VibrationEvidence { in_other_units, vibration },
+        );
         let euler = euler(run, source, &found, &options.declared);
-        (arm_stream_evidence(run, arm, source.stream, of_poses(source, found, euler)), shake)
+        (arm_stream_evidence(run, arm, source.stream, of_poses(source, found, euler)), vibration)
     };
     let of_streams =
         || -> (Vec<_>, Vec<_>) { arm.poses.par_iter().zip(streams).map(of_stream).unzip() };
@@ -225,15 +242,15 @@ pub(super) fn arm_evidence(
         Some(arm_stream_evidence(run, arm, source.stream, of_poses(source, found, None)))
     };
     let of_imus = || imus.collect::<Vec<_>>();
-    let ((mut joints, shake), ((poses, shakes), (tf, imus))) = rayon::join(
+    let ((mut joints, vibration), ((poses, vibrations), (tf, imus))) = rayon::join(
         || rayon::join(joints, of_joints),
         || rayon::join(of_streams, || rayon::join(of_tf, of_imus)),
     );
     for (index, (joint, velocity)) in joints.iter_mut().zip(velocities).enumerate() {
         joint.velocity = velocity;
-        joint.actual = really.as_ref().map(|really| (really.from[index], really.factor[index]));
+        joint.actual = actual.as_ref().map(|actual| (actual.from[index], actual.factor[index]));
     }
-    let taken_for_degrees = matches!(
+    let is_in_degrees_by_magnitude = matches!(
         run.streams.get(joints_stream).and_then(|stream| stream.columns.as_ref()),
         Some(Columns::Joints(joints)) if joints.converted_from_degrees
     );
@@ -245,12 +262,12 @@ pub(super) fn arm_evidence(
         reach_m: arm.chain.max_reach_m(),
         better_model: arm.better.clone(),
         dh: diagnosis.dh,
-        taken_for_degrees,
+        is_in_degrees_by_magnitude,
         diagnosis: found,
         references: references(run, index, &poses, most_lag_s),
         poses,
         tf,
-        shakes: [vec![shake], shakes].concat(),
+        vibrations: [vec![vibration], vibrations].concat(),
         imus,
     }
 }

@@ -22,7 +22,7 @@ pub struct DhEvidence {
 }
 
 /// Diagnosis of one arm.
-pub(super) struct Diagnosis {
+pub(super) struct ArmStreamsDiagnosis {
     pub arm: ArmDiagnosis,
     pub tf: Option<PoseDiagnosis>,
     pub imus: Vec<ImuDiagnosis>,
@@ -31,7 +31,7 @@ pub(super) struct Diagnosis {
 
 /// Diagnoses every arm of a run. If a DH table turns out to use the undeclared convention, the arm is
 /// replaced by that interpretation.
-pub(super) fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<Diagnosis> {
+pub(super) fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<ArmStreamsDiagnosis> {
     let arms = 0..run.arms.len();
     arms.map(|index| {
         let found = diagnose_one(run, &run.arms[index], most_lag_s);
@@ -41,7 +41,8 @@ pub(super) fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<Diagnosis> {
         };
         let Some(dh) = &run.arms[index].robot.dh else { return found };
         let declared = dh.convention;
-        let (estimate, other) = by_other_convention(run, &run.arms[index], &found.arm, most_lag_s);
+        let (estimate, other) =
+            diagnose_other_convention(run, &run.arms[index], &found.arm, most_lag_s);
         let is_other = estimate.convention() == DhConventionResult::Other;
         let dh = Some(DhEvidence { declared, estimate });
         match other.filter(|_| is_other) {
@@ -49,9 +50,9 @@ pub(super) fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<Diagnosis> {
                 let convention = declared.other().name();
                 arm.found += &format!(", DH table interpreted as {convention}");
                 run.replace_arm(index, arm);
-                Diagnosis { dh, ..other }
+                ArmStreamsDiagnosis { dh, ..other }
             }
-            None => Diagnosis { dh, ..found },
+            None => ArmStreamsDiagnosis { dh, ..found },
         }
     })
     .collect()
@@ -59,16 +60,16 @@ pub(super) fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<Diagnosis> {
 
 /// Diagnosis under the undeclared DH convention, compared with `found` under the declared one. Skipped if
 /// the declared one explains the streams without a fault, or if positions alone rule out the other.
-fn by_other_convention(
+fn diagnose_other_convention(
     run: &Run,
     arm: &Arm,
     found: &ArmDiagnosis,
     most_lag_s: f64,
-) -> (DhComparison, Option<(Arm, Diagnosis)>) {
+) -> (DhComparison, Option<(Arm, ArmStreamsDiagnosis)>) {
     /// Maximum position misfit of a possible convention, m, …
-    const NEAR_M: f64 = 0.02;
+    const MAX_POSITION_MISFIT_M: f64 = 0.02;
     /// … or relative to the declared one.
-    const NEARER: f64 = 0.5;
+    const MAX_MISFIT_RATIO: f64 = 0.5;
     let declared = DhResidual::from_diagnosis(found);
     let mut estimate = DhComparison {
         streams: declared
@@ -104,7 +105,9 @@ fn by_other_convention(
     };
     let ruled_out = declared_m.iter().zip(misfits_m(&other)).map(|(declared_m, other_m)| {
         let both = declared_m.zip(other_m);
-        both.is_some_and(|(declared_m, other_m)| other_m > NEAR_M && other_m > NEARER * declared_m)
+        both.is_some_and(|(declared_m, other_m)| {
+            other_m > MAX_POSITION_MISFIT_M && other_m > MAX_MISFIT_RATIO * declared_m
+        })
     });
     let ruled_out: Vec<bool> = ruled_out.collect();
     let contradicts = |(left, ruled_out): (&DhResidual, &bool)| left.is_explained() && *ruled_out;
@@ -126,7 +129,7 @@ fn position_factor(found: &PoseDiagnosis) -> f64 {
     found.length_unit.as_ref().ok().copied().flatten().map_or(1.0, |slip| slip.factor())
 }
 
-fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
+fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> ArmStreamsDiagnosis {
     let streams: Vec<PoseStream> = arm.poses.iter().map(|source| run.pose_stream(source)).collect();
     let together = together(arm);
     let mut diagnosis = diagnose_with_latency_compensation(
@@ -136,15 +139,15 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
         most_lag_s,
     );
     let corrected = diagnosis.joints.corrected_joints(&arm.joints, &arm.slides());
-    let alone = (together..streams.len()).into_par_iter().map(|index| {
+    let derived_streams = (together..streams.len()).into_par_iter().map(|index| {
         let same = (0..together).find(|&of| arm.poses[index].is_copy_of(&arm.poses[of]));
         match same {
             Some(of) => diagnosis.streams[of].clone(),
             None => diagnose_derived(&corrected, None, &streams[index], most_lag_s),
         }
     });
-    let alone: Vec<PoseDiagnosis> = alone.collect();
-    diagnosis.streams.extend(alone);
+    let derived_streams: Vec<PoseDiagnosis> = derived_streams.collect();
+    diagnosis.streams.extend(derived_streams);
     let reading = diagnosis.joints.encoding.as_ref().ok();
     let derived = |stream: &PoseStream| {
         let left = |found: &PoseDiagnosis| {
@@ -181,7 +184,7 @@ fn diagnose_one(run: &Run, arm: &Arm, most_lag_s: f64) -> Diagnosis {
         _ => diagnose_imu_with_latency_compensation(&corrected, source.as_stream(), most_lag_s),
     };
     let (tf, imus) = rayon::join(tf, || arm.imus.iter().map(imu).collect());
-    Diagnosis { arm: diagnosis, tf, imus, dh: None }
+    ArmStreamsDiagnosis { arm: diagnosis, tf, imus, dh: None }
 }
 
 /// Corrected joint states of an arm. `None` if no interpretation of them fits its poses.

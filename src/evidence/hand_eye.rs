@@ -87,10 +87,10 @@ pub(super) fn hand_eyes(
             camera: stream.frame_id.clone(),
             target: stream.child_frame_id.clone(),
             span: stream.start.zip(stream.end).map(|(start, end)| Span { start, end }),
-            hand: name_of(run, &source.kind),
+            hand: hand_name(run, &source.kind),
             hand_is_of_joints: matches!(source.kind, HandKind::Joints { .. }),
-            hand_frame: hand_frame_of(run, &source.kind),
-            base: base_of(run, &source.kind),
+            hand_frame: hand_frame_name(run, &source.kind),
+            base: base_frame(run, &source.kind),
             axes: target.axes,
             logged: streams.logged.map(|(mount, _)| mount),
             diagnosis: diagnose_hand_eye(&streams, most_lag_s),
@@ -117,7 +117,7 @@ fn best_hand<'a>(
         };
         Some((source, poses))
     });
-    let alike = |hand: &PoseSeries| {
+    let rotation_correlation = |hand: &PoseSeries| {
         rotation_lag_peaks(hand, series, most_lag_s).first().map_or(0.0, |peak| peak.correlation)
     };
     let mut hands: Vec<(&HandSource, PoseSeries)> = hands.collect();
@@ -125,11 +125,14 @@ fn best_hand<'a>(
         return hands.pop();
     }
     // `max_by` returns the last of equals, so reverse to prefer the first.
-    hands.into_iter().rev().max_by(|a, b| alike(&a.1).total_cmp(&alike(&b.1)))
+    hands
+        .into_iter()
+        .rev()
+        .max_by(|a, b| rotation_correlation(&a.1).total_cmp(&rotation_correlation(&b.1)))
 }
 
 /// Base frame.
-fn base_of(run: &Run, kind: &HandKind) -> String {
+fn base_frame(run: &Run, kind: &HandKind) -> String {
     match kind {
         HandKind::Joints { chain, .. } => chain.base_name().to_owned(),
         HandKind::Stream { stream, .. } => run.streams[*stream].frame_id.clone(),
@@ -138,7 +141,7 @@ fn base_of(run: &Run, kind: &HandKind) -> String {
 }
 
 /// Hand frame.
-fn hand_frame_of(run: &Run, kind: &HandKind) -> String {
+fn hand_frame_name(run: &Run, kind: &HandKind) -> String {
     match kind {
         HandKind::Joints { chain, .. } => chain.tip_name().to_owned(),
         HandKind::Stream { stream, .. } => run.streams[*stream].child_frame_id.clone(),
@@ -147,7 +150,7 @@ fn hand_frame_of(run: &Run, kind: &HandKind) -> String {
 }
 
 /// Display name of the hand.
-fn name_of(run: &Run, kind: &HandKind) -> String {
+fn hand_name(run: &Run, kind: &HandKind) -> String {
     match kind {
         HandKind::Joints { chain, .. } => format!("{} by FK", chain.tip_name()),
         HandKind::Stream { stream, .. } => run.streams[*stream].topic.clone(),

@@ -84,14 +84,14 @@ pub(super) fn joint_evidence(
     let mut motion = JointMotion::default();
     if let Some(source) = arm.joint_facts.get(joint) {
         let JointSamples { t_s, position, velocity } = samples;
-        let is_folded = run
+        let is_wrapped = run
             .wrapped
             .iter()
             .any(|folded| folded.stream == source.stream && folded.joint == source.name);
         motion.is_endless =
-            is_folded || model.is_some_and(|joint| joint.kind == JointKind::Continuous);
+            is_wrapped || model.is_some_and(|joint| joint.kind == JointKind::Continuous);
         // Positions wrapped to one turn cannot be compared with limits.
-        if !is_folded {
+        if !is_wrapped {
             motion.positions = position_violation(t_s, position, &limits);
             let turns = model.is_some_and(|joint| joint.kind == JointKind::Revolute);
             motion.turns_beyond = if turns { turns_beyond(position, &limits) } else { None };
@@ -116,46 +116,46 @@ pub(super) fn joint_evidence(
 /// all within.
 fn turns_beyond(position: &[f64], limits: &Limits) -> Option<f64> {
     /// Maximum number of turns an encoder counts.
-    const MOST: f64 = 4.0;
+    const MAX_TURNS: f64 = 4.0;
     /// Maximum excess, as a share of the range, at which the model's limit is as likely to be wrong
     /// (MOT003's `info`).
-    const SLIGHT: f64 = 0.01;
+    const MAX_SLIGHT_EXCESS: f64 = 0.01;
     let (lower, upper) = limits.lower.zip(limits.upper)?;
     let finite = position.iter().copied().filter(|position| position.is_finite());
     let (low, high) =
         finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), q| (low.min(q), high.max(q)));
-    let slight = SLIGHT * (upper - lower);
+    let slight = MAX_SLIGHT_EXCESS * (upper - lower);
     let turns = match () {
         () if low > upper + slight => ((high - upper) / TAU).ceil(),
         () if high < lower - slight => ((low - lower) / TAU).floor(),
         () => return None,
     };
     let is_within = low - TAU * turns >= lower && high - TAU * turns <= upper;
-    (is_within && turns.abs() <= MOST).then_some(turns)
+    (is_within && turns.abs() <= MAX_TURNS).then_some(turns)
 }
 
 /// Change points of each joint's positions, such as a lost zero.
-pub(super) fn breaks(found: &JointDiagnosis, joints: usize) -> Vec<Vec<f64>> {
-    let mut breaks = vec![Vec::new(); joints];
+pub(super) fn change_points(found: &JointDiagnosis, joints: usize) -> Vec<Vec<f64>> {
+    let mut change_points = vec![Vec::new(); joints];
     for change in &found.changes {
         let both = [&change.zero, &change.factor].into_iter().flatten();
-        if let Some(own) = breaks.get_mut(change.column) {
+        if let Some(own) = change_points.get_mut(change.column) {
             own.extend(both.map(|change| change.at_s));
         }
     }
-    breaks
+    change_points
 }
 
 /// Compares recorded velocities with recorded positions, per joint. `None` for joints without velocities.
-/// Positions change at each of `breaks`.
+/// Positions change at each of `change_points`.
 pub(super) fn velocities(
     recorded: &[JointSamples<'_>],
-    breaks: &[Vec<f64>],
+    change_points: &[Vec<f64>],
 ) -> Vec<Option<EstimateResult<VelocityDiagnosis>>> {
     /// Maximum number of samples used.
-    const ENOUGH: usize = 24_000;
+    const MAX_SAMPLES: usize = 24_000;
     let some = |of: &[f64]| -> Vec<f64> {
-        row_blocks(of.len(), ENOUGH).flat_map(|rows| of[rows].iter().copied()).collect()
+        row_blocks(of.len(), MAX_SAMPLES).flat_map(|rows| of[rows].iter().copied()).collect()
     };
     let few: Vec<[Vec<f64>; 3]> = recorded
         .iter()
@@ -163,12 +163,12 @@ pub(super) fn velocities(
         .collect();
     let samples: Vec<VelocitySamples<'_>> = few
         .iter()
-        .zip(breaks)
-        .map(|([t_s, position, velocity], breaks)| VelocitySamples {
+        .zip(change_points)
+        .map(|([t_s, position, velocity], change_points)| VelocitySamples {
             t_s,
             position,
             velocity,
-            breaks,
+            breaks: change_points,
         })
         .collect();
     let of = |joint: usize| {

@@ -8,9 +8,9 @@ mod hand_eye;
 mod joints;
 mod poses;
 mod samples;
-mod shake;
 mod streams;
 mod topics;
+mod vibration;
 
 use std::ops::{Deref, DerefMut};
 
@@ -24,15 +24,15 @@ pub use commands::{ReferenceEvidence, TipPoseKind, TipPoseSource, UnmodelledComm
 pub use estimate::DhEvidence;
 pub use hand_eye::HandEyeEvidence;
 pub use joints::{JointEvidence, JointMotion};
-pub use poses::{Declared, EulerEvidence, ImuEvidence, PoseEvidence};
+pub use poses::{DeclaredUnits, EulerEvidence, ImuEvidence, PoseEvidence};
 pub use samples::{OutlierEvidence, RepeatedValueEvidence, UnusableSampleEvidence};
-pub use shake::ShakeEvidence;
 pub(crate) use streams::frame_of_several;
-pub use streams::{Due, RhythmEvidence, StampEvidence};
+pub use streams::{ExpectedTiming, RhythmEvidence, StampEvidence};
 pub use topics::{
-    EmptyStreamEvidence, RepeatedColumnEvidence, RepeatedColumnKind, TfEvidence, Undecodable,
-    UndecodableTopic,
+    EmptyStreamEvidence, RepeatedColumnEvidence, RepeatedColumnKind, TfEvidence,
+    UndecodableContent, UndecodableTopic,
 };
+pub use vibration::VibrationEvidence;
 
 /// All evidence about one run.
 #[derive(Clone, Debug, Default)]
@@ -89,7 +89,7 @@ pub struct RunEvidence {
 impl RunEvidence {
     /// Collects the evidence for `run`. If a DH table turns out to use the undeclared convention, its arm
     /// is replaced.
-    pub fn collect(run: &mut Run, lost: &Lost, options: &RunOptions) -> Self {
+    pub fn collect(run: &mut Run, lost: &ReadLosses, options: &RunOptions) -> Self {
         let most_lag_s = options.max_latency_s;
         let diagnoses = estimate::diagnose(run, most_lag_s);
         let run = &*run;
@@ -213,7 +213,7 @@ impl<T> DerefMut for StreamEvidence<T> {
 
 /// Data lost or rejected while reading the files.
 #[derive(Clone, Debug, Default)]
-pub struct Lost {
+pub struct ReadLosses {
     /// Damage to the files.
     pub losses: Vec<Loss>,
     /// Relevant topics that could not be decoded.

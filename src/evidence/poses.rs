@@ -23,17 +23,17 @@ pub struct PoseEvidence {
     /// rather than the active TCP.
     pub is_tip_declared: bool,
     /// Source of the poses.
-    pub witness: PoseSourceKind,
+    pub source_kind: PoseSourceKind,
     /// Direct comparison with FK.
     pub proof: EstimateResult<ResidualCheck>,
     /// Whether its stamps are independent rather than copies of the joints' stamps.
-    pub independent: bool,
+    pub has_independent_stamps: bool,
     /// Whether its rotations are bare numbers, which may be degrees.
     pub has_bare_numbers: bool,
     /// Whether it contains bare numbers without a declaration, which cannot violate a convention.
     pub is_undeclared: bool,
     /// Units declared by the caller.
-    pub declared: Option<Declared>,
+    pub declared: Option<DeclaredUnits>,
     /// Encoding of its rotations, if they are three bare numbers.
     pub euler: Option<EulerEvidence>,
     /// Rotation encoding according to the column names of a table.
@@ -61,7 +61,7 @@ pub struct EulerEvidence {
 
 /// Units of a stream's numbers as declared by the caller.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Declared {
+pub struct DeclaredUnits {
     /// Angle unit, if the numbers contain angles.
     pub angles: Option<AngleUnit>,
     /// Length unit of the positions.
@@ -72,7 +72,7 @@ pub struct Declared {
 #[derive(Clone, Debug)]
 pub struct ImuEvidence {
     /// Whether its stamps are independent rather than copies of the joints' stamps.
-    pub independent: bool,
+    pub has_independent_stamps: bool,
     /// Link on which it is mounted.
     pub link: String,
     /// Its orientation in that link according to the log's frames, if given.

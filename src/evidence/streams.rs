@@ -9,21 +9,21 @@ use crate::time::Clock;
 
 /// When samples of a stream are expected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Due {
+pub enum ExpectedTiming {
     /// Throughout the run: joint states, IMU.
     Always,
     /// At least while the arm moves: poses and transforms may be published on change.
-    InMotion,
+    WhileMoving,
     /// Unknown, because the stream is not identified.
-    Untold,
+    Unknown,
     /// Occasionally: commands, and targets seen by a camera.
-    OnOccasion,
+    Occasional,
 }
 
-impl Due {
+impl ExpectedTiming {
     /// Whether an audit depends on the stream, so it must be present.
     pub fn is_expected(self) -> bool {
-        matches!(self, Due::Always | Due::InMotion)
+        matches!(self, ExpectedTiming::Always | ExpectedTiming::WhileMoving)
     }
 }
 
@@ -31,7 +31,7 @@ impl Due {
 #[derive(Clone, Debug)]
 pub struct StampEvidence {
     /// When samples are expected.
-    pub due: Due,
+    pub due: ExpectedTiming,
     /// Header stamps and the clock they come from.
     pub clock: StreamClock,
     /// Rounding of the stamps. `None` if there is none.
@@ -42,17 +42,17 @@ pub struct StampEvidence {
 #[derive(Clone, Debug)]
 pub struct RhythmEvidence {
     /// When samples are expected.
-    pub due: Due,
+    pub due: ExpectedTiming,
     /// Samples per second.
     pub rate_hz: Option<f64>,
     /// Samples per second as declared by the caller.
-    pub said_hz: Option<f64>,
+    pub declared_hz: Option<f64>,
     /// Number of samples excluded because their numbers are unusable.
     pub unusable: u64,
     /// Number of samples excluded because their stamps are invalid.
     pub unstamped: u64,
     /// Number of samples of the topic in a different frame.
-    pub elsewhere: u64,
+    pub in_other_frames: u64,
     /// Timing of each sender or transform.
     pub parts: Vec<Cadence>,
     /// Extent in time relative to the other streams.
@@ -71,20 +71,20 @@ impl StreamEvidence<RhythmEvidence> {
     }
 
     /// Parts that an audit needs.
-    pub fn wanted(&self) -> impl Iterator<Item = &Cadence> {
+    pub fn required_parts(&self) -> impl Iterator<Item = &Cadence> {
         self.parts.iter().filter(|part| part.wanted)
     }
 }
 
 /// When samples of a stream are expected. `None` if timing rules do not apply.
-fn due(run: &Run, stream: &Stream) -> Option<Due> {
+fn expected_timing(run: &Run, stream: &Stream) -> Option<ExpectedTiming> {
     match stream.role {
-        Role::Joints | Role::Imu => Some(Due::Always),
+        Role::Joints | Role::Imu => Some(ExpectedTiming::Always),
         // Without an arm, the required transforms are unknown.
-        Role::Tf if run.arms.is_empty() => Some(Due::Untold),
-        Role::Pose | Role::Tf => Some(Due::InMotion),
-        Role::Candidate { .. } | Role::Unassigned => Some(Due::Untold),
-        Role::Reference | Role::Target => Some(Due::OnOccasion),
+        Role::Tf if run.arms.is_empty() => Some(ExpectedTiming::Unknown),
+        Role::Pose | Role::Tf => Some(ExpectedTiming::WhileMoving),
+        Role::Candidate { .. } | Role::Unassigned => Some(ExpectedTiming::Unknown),
+        Role::Reference | Role::Target => Some(ExpectedTiming::Occasional),
         Role::TfStatic | Role::Description | Role::Ignored => None,
     }
 }
@@ -100,16 +100,16 @@ pub(super) fn rhythms(run: &Run, others: &[Unaudited]) -> Vec<StreamEvidence<Rhy
     let rhythms = run.rhythms.iter().filter_map(|rhythm| {
         let stream = run.streams.get(rhythm.stream)?;
         let found = RhythmEvidence {
-            due: due(run, stream)?,
+            due: expected_timing(run, stream)?,
             rate_hz: stream.rate_hz,
-            said_hz: stream.said_hz,
+            declared_hz: stream.said_hz,
             unstamped: run
                 .clocks
                 .iter()
                 .filter(|clock| clock.stream == rhythm.stream && clock.clock == Clock::Header)
                 .map(|clock| clock.zero)
                 .sum(),
-            elsewhere: others
+            in_other_frames: others
                 .iter()
                 .filter(|found| found.stream == rhythm.stream)
                 .map(|found| match found.why {
@@ -133,7 +133,8 @@ pub(super) fn stamps(run: &Run) -> Vec<StreamEvidence<StampEvidence>> {
         let stream = run.streams.get(clock.stream)?;
         let own = run.rounded.iter().filter(|own| own.stream == clock.stream);
         let rounded = own.max_by(|a, b| a.resolution_s.total_cmp(&b.resolution_s)).cloned();
-        let found = StampEvidence { due: due(run, stream)?, clock: clock.clone(), rounded };
+        let found =
+            StampEvidence { due: expected_timing(run, stream)?, clock: clock.clone(), rounded };
         let mut of = stream_evidence(run, clock.stream, found);
         of.subject.frame = clock.frame.clone().or(of.subject.frame);
         Some(of)

@@ -42,17 +42,17 @@ pub struct RepeatedColumnEvidence {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RepeatedColumnKind {
     /// Commands duplicate states, or vice versa.
-    CommandIsState,
+    CommandEqualsState,
     /// An external reference duplicates data of the robot.
-    WitnessIsOther,
+    ReferenceEqualsRobot,
     /// A joint duplicates another joint.
-    JointIsJoint,
+    IdenticalJoints,
     /// A joint never moves while others do.
-    JointRests,
+    ConstantJoint,
     /// A topic is constant while the arm moves.
-    Still,
+    ConstantTopic,
     /// Two topics are identical.
-    Same,
+    IdenticalTopics,
 }
 
 /// Topic that could not be decoded.
@@ -61,7 +61,7 @@ pub struct UndecodableTopic {
     /// Topic name.
     pub topic: String,
     /// Undecodable content: a message type as in the log, or a robot description.
-    pub what: Undecodable,
+    pub what: UndecodableContent,
     /// Number of undecodable messages.
     pub messages: u64,
     /// Error of the first one.
@@ -70,7 +70,7 @@ pub struct UndecodableTopic {
 
 /// Undecodable content of a topic.
 #[derive(Clone, Debug)]
-pub enum Undecodable {
+pub enum UndecodableContent {
     /// Messages of this type.
     Messages(String),
     /// The robot description they contain.
@@ -81,7 +81,7 @@ pub enum Undecodable {
 pub(super) fn undecodable(run: &Run, messages: &[UndecodableTopic]) -> Vec<UndecodableTopic> {
     let description = |(topic, error): &(String, RobotError)| UndecodableTopic {
         topic: topic.clone(),
-        what: Undecodable::Description,
+        what: UndecodableContent::Description,
         messages: 1,
         why: error.to_string(),
     };
@@ -169,22 +169,22 @@ pub(super) fn repeated_columns(
     let of = |repeat: &Repeat| {
         let own = stream(&repeat.topic)?;
         let kind = match (&repeat.number, &repeat.of) {
-            (Some(_), Some(_)) => RepeatedColumnKind::JointIsJoint,
+            (Some(_), Some(_)) => RepeatedColumnKind::IdenticalJoints,
             (Some(_), None) if is_command(own) => return None,
-            (Some(_), None) => RepeatedColumnKind::JointRests,
+            (Some(_), None) => RepeatedColumnKind::ConstantJoint,
             // A constant pose is FRM007, and a goal may be constant.
             (None, None) if own.role != Role::Unassigned => return None,
-            (None, None) => RepeatedColumnKind::Still,
+            (None, None) => RepeatedColumnKind::ConstantTopic,
             (None, Some(of)) => {
                 let other = stream(of)?;
                 match () {
                     () if is_command(own) != is_command(other) => {
-                        RepeatedColumnKind::CommandIsState
+                        RepeatedColumnKind::CommandEqualsState
                     }
                     () if is_outside(own) != is_outside(other) => {
-                        RepeatedColumnKind::WitnessIsOther
+                        RepeatedColumnKind::ReferenceEqualsRobot
                     }
-                    () => RepeatedColumnKind::Same,
+                    () => RepeatedColumnKind::IdenticalTopics,
                 }
             }
         };

@@ -3,7 +3,7 @@ use serde_json::{Value, json};
 use crate::checks::commands::sources::{self, following_json, is_fk_different, source_name};
 use crate::checks::decision::{Decision, decide_frame};
 use crate::checks::frames::{THRESHOLDS, pose_json, show};
-use crate::checks::motion::mot003_limits_exceeded::UNIT_IS_OPEN;
+use crate::checks::motion::mot003_limits_exceeded::UNIT_UNDETERMINED;
 use crate::checks::{Case, FrameThresholds, Grade, Judged};
 use crate::diagnosis::{FrameEstimate, Measured, ReferenceDiagnosis, RestError, RestErrorSpread};
 use crate::evidence::{ArmEvidence, ReferenceEvidence, StreamEvidence, TipPoseKind};
@@ -136,9 +136,9 @@ fn judge(case: &Case, arm: &ArmEvidence, reference: &StreamEvidence<ReferenceEvi
     let Some(nearest) = all.iter().min_by(|a, b| size(a.gap).total_cmp(&size(b.gap))) else {
         return with_commands(judged(Outcome::Inconclusive(not_reached(found))));
     };
-    if arm.unit_is_open() {
+    if arm.is_unit_undetermined() {
         return with_commands(judged(Outcome::Inconclusive(format!(
-            "{}{UNIT_IS_OPEN}",
+            "{}{UNIT_UNDETERMINED}",
             joint_error_as_logged(arm, nearest.gap)
         ))));
     }

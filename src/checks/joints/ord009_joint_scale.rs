@@ -140,7 +140,7 @@ fn judge_changes(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
 
 /// Factor from the log's numbers to rad, if they were interpreted as degrees.
 fn as_logged(arm: &ArmEvidence, factor: Measured) -> Measured {
-    match arm.taken_for_degrees {
+    match arm.is_in_degrees_by_magnitude {
         true => factor.scaled(1f64.to_radians()),
         false => factor,
     }

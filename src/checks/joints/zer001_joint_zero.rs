@@ -186,7 +186,7 @@ fn unobservable_tool_reason(arm: &ArmEvidence) -> Option<String> {
         let is_significant = residual.is_some_and(|residual| {
             residual.value - residual.half_width(0.95) > MAX_HEALTHY_RESIDUAL_M
         });
-        stream.witness != PoseSourceKind::Controller && is_tool_unknown && is_significant
+        stream.source_kind != PoseSourceKind::Controller && is_tool_unknown && is_significant
     };
     let stream = arm.poses.iter().find(is_hidden)?;
     let residual = stream.diagnosis.residual.as_ref().ok()?.excess_m.value;
@@ -353,7 +353,7 @@ mod tests {
             let arm = &mut run.robots[0];
             let pan = &mut arm.diagnosis.offsets[0];
             (pan.offset, pan.is_chosen) = (Ok(sure(-0.01)), true);
-            arm.poses[0].witness = witness;
+            arm.poses[0].source_kind = witness;
             let finding = ask(&ZER001, &run).1.remove(0);
             assert_eq!(finding.evidence.more["witness"], witness.name());
             (finding.message, finding.evidence.more["meaning"].as_str().unwrap().to_owned())
@@ -385,7 +385,7 @@ mod tests {
             let arm = &mut run.robots[0];
             let pan = &mut arm.diagnosis.offsets[0];
             (pan.offset, pan.is_chosen, pan.effect_m) = (Ok(sure(-0.01)), true, effect_m);
-            arm.poses[0].witness = PoseSourceKind::External;
+            arm.poses[0].source_kind = PoseSourceKind::External;
             let stream = &mut arm.poses[0].diagnosis;
             let mut tool = frame(0.0);
             tool.translation_m.std_error = tool_error_m;

@@ -64,7 +64,7 @@ const SETTLE: &str = "record 10 s of motion that starts, stops and does not repe
 #[derive(Clone, Copy)]
 struct StreamLatency<'a> {
     /// Whether its stamps are independent of the joint states'.
-    independent: bool,
+    has_independent_stamps: bool,
     latency: &'a EstimateResult<Measured>,
     /// Its delays if they are skewed; the latency is then their median.
     delays: Option<&'a DelayJitter>,
@@ -103,11 +103,19 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     let poses = arm.poses_and_tf().map(|stream| {
         let latency = &stream.diagnosis.latency_s;
         let delays = stream.diagnosis.delay_jitter.as_ref();
-        stream.with_value(StreamLatency { independent: stream.independent, latency, delays })
+        stream.with_value(StreamLatency {
+            has_independent_stamps: stream.has_independent_stamps,
+            latency,
+            delays,
+        })
     });
     let imus = arm.imus.iter().map(|imu| {
         let latency = &imu.diagnosis.latency_s;
-        imu.with_value(StreamLatency { independent: imu.independent, latency, delays: None })
+        imu.with_value(StreamLatency {
+            has_independent_stamps: imu.has_independent_stamps,
+            latency,
+            delays: None,
+        })
     });
     let is_of_arm = |target: &&HandEyeEvidence| {
         target.hand_is_of_joints && target.robot.as_ref() == Some(&arm.name)
@@ -116,7 +124,7 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
         subject: target.subject(),
         span: target.span,
         value: StreamLatency {
-            independent: true,
+            has_independent_stamps: true,
             latency: &target.diagnosis.latency_s,
             delays: None,
         },
@@ -160,7 +168,7 @@ fn judge_without_joints(case: &Case, target: &HandEyeEvidence) -> Option<Judged>
 fn joint_state_latency(case: &Case, streams: &[StreamEvidence<StreamLatency>]) -> Option<Measured> {
     let threshold = case.thresholds.of(&LAT001, THRESHOLD);
     let (mut witnesses, mut topics) = (Vec::new(), BTreeSet::new());
-    for stream in streams.iter().filter(|stream| stream.independent) {
+    for stream in streams.iter().filter(|stream| stream.has_independent_stamps) {
         let Some(latency) = estimate(stream) else { continue };
         match decide(latency, &threshold, case.evidence.subjects()) {
             Decision::Fail(_) if latency.value < 0.0 => {
@@ -202,7 +210,7 @@ fn late_joint_states(
     lateness: &Measured,
 ) -> Judged {
     let witnesses: Vec<&StreamEvidence<StreamLatency>> =
-        streams.iter().filter(|stream| stream.independent).collect();
+        streams.iter().filter(|stream| stream.has_independent_stamps).collect();
     let topics: Vec<&str> = witnesses.iter().map(|stream| stream.topic()).collect();
     let topics = topics.join(" and ");
     let alternatives = witnesses
@@ -244,7 +252,7 @@ fn judge_with_late_joints(
 ) -> Judged {
     let remark = format!("its apparent latency is explained by {}", arm.joints_topic);
     let outcome = match stream.latency {
-        Ok(_) if stream.independent => Outcome::pass_because(remark),
+        Ok(_) if stream.has_independent_stamps => Outcome::pass_because(remark),
         _ => return judge_stream(case, arm, stream, &[]),
     };
     let amount = |latency| Estimate::scalar("latency", THRESHOLD.unit, latency);
@@ -267,10 +275,12 @@ fn judge_stream(
             Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
             Decision::Fail(severity) => {
                 let other_witness = streams.iter().any(|other| {
-                    other.independent && other.topic() != stream.topic() && other.latency.is_ok()
+                    other.has_independent_stamps
+                        && other.topic() != stream.topic()
+                        && other.latency.is_ok()
                 });
                 let mut indistinguishable = Vec::new();
-                if stream.independent && !other_witness {
+                if stream.has_independent_stamps && !other_witness {
                     let joints = arm.topic(&arm.joints_topic);
                     indistinguishable.push(alternative(joints, &latency.scaled(-1.0)));
                 }
@@ -382,22 +392,23 @@ mod tests {
 
     fn stream<'a>(
         topic: &str,
-        independent: bool,
+        has_independent_stamps: bool,
         latency: &'a EstimateResult<Measured>,
     ) -> StreamEvidence<StreamLatency<'a>> {
         let subject = clean_run().robots[0].topic(topic);
         StreamEvidence {
             subject,
             span: None,
-            value: StreamLatency { independent, latency, delays: None },
+            value: StreamLatency { has_independent_stamps, latency, delays: None },
         }
     }
 
     fn lateness(latencies: &[(bool, EstimateResult<Measured>)]) -> Option<f64> {
         let topics = ["/pose", "/tracker", "/imu"];
         let streams = topics.iter().zip(latencies);
-        let streams =
-            streams.map(|(topic, (independent, latency))| stream(topic, *independent, latency));
+        let streams = streams.map(|(topic, (has_independent_stamps, latency))| {
+            stream(topic, *has_independent_stamps, latency)
+        });
         Some(joint_state_latency(&as_case(&clean_run()), &streams.collect::<Vec<_>>())?.value)
     }
 

@@ -50,13 +50,13 @@ fn check(case: &Case) -> Vec<Judged> {
         let (estimate, is_chosen) = (&stream.diagnosis.skew, stream.diagnosis.is_skew_chosen);
         let doubt = doubt(estimate, stream.seconds());
         let skew = stream.with_value(StreamEstimate { estimate, is_chosen, doubt });
-        judge(case, arm, stream.independent, &skew)
+        judge(case, arm, stream.has_independent_stamps, &skew)
     });
     let imus = case.evidence.imus().map(|(arm, imu)| {
         let estimate = &imu.diagnosis.skew;
         let doubt = doubt(estimate, imu.seconds());
         let skew = imu.with_value(StreamEstimate { estimate, is_chosen: true, doubt });
-        judge(case, arm, imu.independent, &skew)
+        judge(case, arm, imu.has_independent_stamps, &skew)
     });
     poses.chain(imus).collect()
 }

@@ -61,7 +61,7 @@ const SETTLE: &str = "record 10 s or more of motion that starts and stops";
 /// The latency profile of a stream.
 struct StreamProfile<'a> {
     /// Whether its stamps are independent of the joint states'.
-    independent: bool,
+    has_independent_stamps: bool,
     course: &'a EstimateResult<LatencyProfile>,
     /// The latency after removing the profile.
     latency: Option<&'a Measured>,
@@ -75,25 +75,33 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
     let poses = arm.poses_and_tf().map(|stream| {
         let course = &stream.diagnosis.latency_profile;
         let latency = stream.diagnosis.latency_s.as_ref().ok();
-        stream.with_value(StreamProfile { independent: stream.independent, course, latency })
+        stream.with_value(StreamProfile {
+            has_independent_stamps: stream.has_independent_stamps,
+            course,
+            latency,
+        })
     });
     let imus = arm.imus.iter().map(|imu| {
         let course = &imu.diagnosis.latency_profile;
         let latency = imu.diagnosis.latency_s.as_ref().ok();
-        imu.with_value(StreamProfile { independent: imu.independent, course, latency })
+        imu.with_value(StreamProfile {
+            has_independent_stamps: imu.has_independent_stamps,
+            course,
+            latency,
+        })
     });
     let streams: Vec<StreamEvidence<StreamProfile>> = poses.chain(imus).collect();
     let Some(course) = joint_state_profile(case, &streams) else {
         return streams.iter().map(|stream| judge(case, arm, stream)).collect();
     };
     let judge_with_joint_profile = |stream: &StreamEvidence<StreamProfile>| match stream.course {
-        Ok(course) if stream.independent => {
+        Ok(course) if stream.has_independent_stamps => {
             let remark = format!("its latency steps are those of {}", arm.joints_topic);
             stream.judged(Outcome::pass_because(remark)).estimated(estimate(case, course, None))
         }
         _ => judge(case, arm, stream),
     };
-    let value = StreamProfile { independent: true, course: &Ok(course), latency: None };
+    let value = StreamProfile { has_independent_stamps: true, course: &Ok(course), latency: None };
     let joints =
         StreamEvidence { subject: arm.topic(&arm.joints_topic), span: Some(arm.span), value };
     std::iter::once(judge(case, arm, &joints))
@@ -110,8 +118,10 @@ fn joint_state_profile(
     /// Maximum time between steps that count as one, s: each is dated to a window or to the next motion.
     const MAX_STEP_TIME_DIFFERENCE_S: f64 = 1.5;
     let mut witnesses: Vec<&LatencyProfile> = Vec::new();
-    for course in
-        streams.iter().filter(|one| one.independent).filter_map(|one| one.course.as_ref().ok())
+    for course in streams
+        .iter()
+        .filter(|one| one.has_independent_stamps)
+        .filter_map(|one| one.course.as_ref().ok())
     {
         match decide(
             &course.swing_s,
@@ -343,7 +353,7 @@ mod tests {
             arm.poses[0].diagnosis.latency_profile = pose;
             arm.imus[0].diagnosis.latency_profile = imu;
             if let Some(tf) = &mut arm.tf {
-                tf.independent = false;
+                tf.has_independent_stamps = false;
                 tf.diagnosis.latency_profile = Err(crate::diagnosis::NotObservable::AtRest);
             }
             let found = ask(&LAT003, &run).1.into_iter();

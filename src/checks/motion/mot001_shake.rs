@@ -2,7 +2,7 @@ use crate::checks::decision::Threshold;
 use crate::checks::motion::mot003_limits_exceeded::motion_doubt;
 use crate::checks::{Case, Grade, Judged};
 use crate::diagnosis::{Vibration, VibrationFailure};
-use crate::evidence::{ArmEvidence, ShakeEvidence, StreamEvidence};
+use crate::evidence::{ArmEvidence, StreamEvidence, VibrationEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
 
 rule! {
@@ -54,12 +54,12 @@ const SETTLE: &str = "log evenly spaced samples at 100 Hz or more";
 
 fn check(case: &Case) -> Vec<Judged> {
     let of_arm = |arm: &ArmEvidence| -> Vec<Judged> {
-        arm.shakes.iter().map(|stream| judge(case, arm, stream)).collect()
+        arm.vibrations.iter().map(|stream| judge(case, arm, stream)).collect()
     };
     case.evidence.robots.iter().flat_map(of_arm).collect()
 }
 
-fn judge(case: &Case, arm: &ArmEvidence, stream: &StreamEvidence<ShakeEvidence>) -> Judged {
+fn judge(case: &Case, arm: &ArmEvidence, stream: &StreamEvidence<VibrationEvidence>) -> Judged {
     let judged = |outcome| stream.judged(outcome);
     let why = match stream.topic() == arm.joints_topic {
         true => motion_doubt(arm),
@@ -70,7 +70,7 @@ fn judge(case: &Case, arm: &ArmEvidence, stream: &StreamEvidence<ShakeEvidence>)
     if let Some(why) = why {
         return judged(Outcome::Inconclusive(why));
     }
-    let found = match &stream.shake {
+    let found = match &stream.vibration {
         Ok(found) => found,
         Err(VibrationFailure::Slow(rate_hz)) => {
             let why = format!("a rate of {rate_hz:.0} Hz cannot show vibration above 10 Hz");
@@ -104,7 +104,7 @@ fn judge(case: &Case, arm: &ArmEvidence, stream: &StreamEvidence<ShakeEvidence>)
 
 fn fault(
     case: &Case,
-    stream: &StreamEvidence<ShakeEvidence>,
+    stream: &StreamEvidence<VibrationEvidence>,
     found: &Vibration,
     severity: Severity,
 ) -> Fault {
@@ -139,7 +139,7 @@ mod tests {
         ] {
             let mut run = clean_run();
             let shake = Vibration { rms_m, resolved_m, frequency_hz: 12.0, ..Vibration::default() };
-            run.robots[0].shakes[0].shake = Ok(shake);
+            run.robots[0].vibrations[0].vibration = Ok(shake);
             let (rows, _) = ask(&MOT001, &run);
             assert_eq!(rows[0].status, status, "{:?}", rows[0]);
         }

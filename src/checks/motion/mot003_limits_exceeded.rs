@@ -79,12 +79,12 @@ pub(in crate::checks) fn doubt_of_joint(arm: &ArmEvidence, joint: usize) -> Opti
 
 /// Explains why the joint states are not motion in a known unit. `None` if they are.
 pub(in crate::checks) fn motion_doubt(arm: &ArmEvidence) -> Option<String> {
-    let open = || arm.unit_is_open().then(|| UNIT_IS_OPEN.to_owned());
+    let open = || arm.is_unit_undetermined().then(|| UNIT_UNDETERMINED.to_owned());
     doubt(arm).or_else(open)
 }
 
 /// The reason if the unit of the joint positions is inferred only from their size.
-pub(in crate::checks) const UNIT_IS_OPEN: &str = "the joint positions are too large for rad, and without \
+pub(in crate::checks) const UNIT_UNDETERMINED: &str = "the joint positions are too large for rad, and without \
     poses they may be degrees, ticks or fractions of the range; log the tool pose too";
 
 fn encoding_doubt(arm: &ArmEvidence) -> Option<&'static str> {

@@ -96,7 +96,7 @@ fn alternates(
         0 => String::new(),
         more => format!(" and {more} more times"),
     };
-    let (what, fix) = match stream.witness {
+    let (what, fix) = match stream.source_kind {
         PoseSourceKind::External => (
             "the tracker confuses the body with another marker or a rotated constellation",
             "use an asymmetric marker constellation and keep bodies apart; exclude the poses at these times",
@@ -144,7 +144,7 @@ fn fault(
     severity: Severity,
 ) -> Fault {
     let tip = &stream.tip;
-    let (severity, guess) = match (stream.witness, stream.is_tip_declared) {
+    let (severity, guess) = match (stream.source_kind, stream.is_tip_declared) {
         (PoseSourceKind::External, _) => (Severity::Info, ", the position of its marker"),
         (_, true) => (severity, ""),
         (_, false) => (Severity::Info, ", probably the active TCP"),

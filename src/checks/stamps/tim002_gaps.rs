@@ -2,7 +2,7 @@ use serde_json::{Value, json};
 
 use crate::checks::topics::tim006_incomplete_stream::{SlowRateLimits, slow_stretches};
 use crate::checks::{Case, Grade, Judged, Limit};
-use crate::evidence::{Due, RhythmEvidence, StreamEvidence};
+use crate::evidence::{ExpectedTiming, RhythmEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::{Cadence, Hole, Stretch};
 use crate::time::Stamp;
@@ -95,7 +95,7 @@ impl GapLimits {
     fn for_stream(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Self {
         let [gap_periods, gap_s, lost] =
             [&GAP_PERIODS, &GAP, &LOST].map(|limit| case.thresholds.limit(&TIM002, limit));
-        let declared_period_s = rhythm.said_hz.map(|rate_hz| 1.0 / rate_hz);
+        let declared_period_s = rhythm.declared_hz.map(|rate_hz| 1.0 / rate_hz);
         Self {
             gap_periods,
             gap_s,
@@ -107,7 +107,8 @@ impl GapLimits {
 }
 
 fn check(case: &Case) -> Vec<Judged> {
-    let steady = case.evidence.rhythms.iter().filter(|rhythm| rhythm.due != Due::OnOccasion);
+    let steady =
+        case.evidence.rhythms.iter().filter(|rhythm| rhythm.due != ExpectedTiming::Occasional);
     let mut reported: Vec<&StreamEvidence<RhythmEvidence>> = Vec::new();
     let judge_once = |rhythm| {
         if let Some(first) = reported.iter().find(|first| has_same_gaps(first, rhythm)) {
@@ -127,7 +128,7 @@ fn has_same_gaps(
     other: &StreamEvidence<RhythmEvidence>,
 ) -> bool {
     let holes = |of: &StreamEvidence<RhythmEvidence>| -> Vec<(Stamp, Stamp)> {
-        let holes = of.wanted().flat_map(|part| &part.holes);
+        let holes = of.required_parts().flat_map(|part| &part.holes);
         holes.map(|hole| (hole.stretch.start, hole.stretch.end)).collect()
     };
     let own = holes(one);
@@ -138,7 +139,7 @@ fn has_same_gaps(
 /// are periodic.
 fn judged_parts(rhythm: &StreamEvidence<RhythmEvidence>) -> impl Iterator<Item = &Cadence> {
     let is_known = rhythm.due.is_expected();
-    rhythm.wanted().filter(move |part| is_known || part.is_regular)
+    rhythm.required_parts().filter(move |part| is_known || part.is_regular)
 }
 
 fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
@@ -157,12 +158,12 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
     }
     let missing: usize =
         concerned.iter().flat_map(|part| holes(by, part)).map(|hole| hole.missing).sum();
-    let came = rhythm.unusable + rhythm.unstamped + rhythm.elsewhere;
+    let came = rhythm.unusable + rhythm.unstamped + rhythm.in_other_frames;
     if !concerned.is_empty() && came > 0 && missing as u64 <= 2 * came {
         let why = format!(
             "the missing samples were received: {} have unusable values (ING003), {} have no stamp (TIM005), \
              {} are in another frame (FRM007); record it again",
-            rhythm.unusable, rhythm.unstamped, rhythm.elsewhere
+            rhythm.unusable, rhythm.unstamped, rhythm.in_other_frames
         );
         return Judged::new(subject, Outcome::Inconclusive(why)).within(rhythm.span);
     }
@@ -172,7 +173,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
     let shown = |gap: &Stretch| {
         format!("{} at {}", Unit::Second.show(gap.seconds()), case.evidence.moment(gap.start))
     };
-    let outcome = if rhythm.wanted().next().is_none() {
+    let outcome = if rhythm.required_parts().next().is_none() {
         Outcome::Skipped("no robot defines which of its transforms are needed".to_owned())
     } else if judged_parts(rhythm).next().is_none() {
         let why = "no fixed period, and none is expected";
@@ -333,7 +334,8 @@ fn determine_cause(
         others.filter(|other| other.due.is_expected())
     };
     let stops = |other: &StreamEvidence<RhythmEvidence>, gap: &Stretch| {
-        let holes = other.wanted().flat_map(|part| &part.holes).filter(|hole| hole.is_silent);
+        let holes =
+            other.required_parts().flat_map(|part| &part.holes).filter(|hole| hole.is_silent);
         let shared_s = |hole: &Hole| {
             hole.stretch.end.min(gap.end).seconds_since(hole.stretch.start.max(gap.start))
         };

@@ -1,5 +1,5 @@
 use crate::checks::{Case, Grade, Judged};
-use crate::evidence::{Due, StampEvidence, StreamEvidence};
+use crate::evidence::{ExpectedTiming, StampEvidence, StreamEvidence};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::{HeaderStamps, RoundedStamps};
 use crate::time::Clock;
@@ -65,8 +65,10 @@ fn judge(stream: &StreamEvidence<StampEvidence>) -> Judged {
     }
     // Many commands are sent without a stamp, for immediate execution.
     let usual = match stream.due {
-        Due::OnOccasion => Severity::Info,
-        Due::Always | Due::InMotion | Due::Untold => Severity::Warning,
+        ExpectedTiming::Occasional => Severity::Info,
+        ExpectedTiming::Always | ExpectedTiming::WhileMoving | ExpectedTiming::Unknown => {
+            Severity::Warning
+        }
     };
     let far = stream.clock.far;
     let are_few = far <= 3 || far as f64 <= 1e-3 * rows as f64;

@@ -1,5 +1,5 @@
 use crate::checks::{Case, Grade, Judged};
-use crate::evidence::{Undecodable, UndecodableTopic};
+use crate::evidence::{UndecodableContent, UndecodableTopic};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Picture, Severity, Subject};
 
 rule! {
@@ -42,11 +42,11 @@ fn check(case: &Case) -> Vec<Judged> {
 
 fn judge(topic: &UndecodableTopic) -> Judged {
     let (message, fix) = match &topic.what {
-        Undecodable::Messages(type_name) => (
+        UndecodableContent::Messages(type_name) => (
             format!("{} messages of {type_name} cannot be decoded: {}", topic.messages, topic.why),
             "record with the publisher's message definitions",
         ),
-        Undecodable::Description => (
+        UndecodableContent::Description => (
             format!("robot description cannot be parsed: {}", topic.why),
             "correct the description, or pass a model with --robot",
         ),

@@ -52,32 +52,32 @@ fn judge(found: &RepeatedColumnEvidence) -> Judged {
     let RepeatedColumnEvidence { repeat, kind } = found;
     let of = repeat.of.as_deref().unwrap_or_default();
     let (severity, title, message) = match kind {
-        RepeatedColumnKind::CommandIsState => (
+        RepeatedColumnKind::CommandEqualsState => (
             Severity::Warning,
             "commands equal the states",
             format!("identical to {of} in every row: one of the two is a copy"),
         ),
-        RepeatedColumnKind::WitnessIsOther => (
+        RepeatedColumnKind::ReferenceEqualsRobot => (
             Severity::Warning,
             "independent pose is a copy",
             format!("identical to {of} in every row: not an independent measurement"),
         ),
-        RepeatedColumnKind::JointIsJoint => (
+        RepeatedColumnKind::IdenticalJoints => (
             Severity::Warning,
             "a joint is a copy of another",
             format!("identical to {of} in every row of {}", repeat.topic),
         ),
-        RepeatedColumnKind::JointRests => (
+        RepeatedColumnKind::ConstantJoint => (
             Severity::Info,
             "a joint never moves",
             format!("constant in every row of {} while other joints move", repeat.topic),
         ),
-        RepeatedColumnKind::Still => (
+        RepeatedColumnKind::ConstantTopic => (
             Severity::Info,
             "columns never change",
             "constant in every row while the arm moves; not compared with anything".to_owned(),
         ),
-        RepeatedColumnKind::Same => (
+        RepeatedColumnKind::IdenticalTopics => (
             Severity::Info,
             "columns are copies",
             format!("identical to {of} in every row: it adds no evidence to {of}"),

@@ -1,5 +1,5 @@
 use crate::checks::{Case, Grade, Judged, Limit};
-use crate::evidence::{Due, EmptyStreamEvidence, RhythmEvidence, StreamEvidence};
+use crate::evidence::{EmptyStreamEvidence, ExpectedTiming, RhythmEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::run::{Cadence, Stretch};
 
@@ -140,9 +140,9 @@ fn judge_missing(subject: Subject, place: &str) -> Judged {
 
 /// Measured and declared rate, Hz, if the stream is notably slower than declared.
 fn below_declared_rate(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Option<(f64, f64)> {
-    let (said_hz, rate_hz) = (rhythm.said_hz?, rhythm.rate_hz?);
-    (rate_hz < case.thresholds.limit(&TIM006, &MIN_DECLARED_RATE_RATIO) * said_hz)
-        .then_some((rate_hz, said_hz))
+    let (declared_hz, rate_hz) = (rhythm.declared_hz?, rhythm.rate_hz?);
+    (rate_hz < case.thresholds.limit(&TIM006, &MIN_DECLARED_RATE_RATIO) * declared_hz)
+        .then_some((rate_hz, declared_hz))
 }
 
 fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
@@ -152,7 +152,8 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
     );
     let slowest = |part| slowest_stretch(pace, rhythm, part);
     let (late_s, early_s) = missed_at_ends(rhythm);
-    let slow: Vec<&Cadence> = rhythm.wanted().filter(|part| slowest(part).is_some()).collect();
+    let slow: Vec<&Cadence> =
+        rhythm.required_parts().filter(|part| slowest(part).is_some()).collect();
     let worst = slow.iter().filter_map(|part| Some((part.period_s?, slowest(part)?)));
     let worst = worst.min_by(|a, b| (a.0 * a.1.rate_hz).total_cmp(&(b.0 * b.1.rate_hz)));
     let shown = |missed_s: f64| Unit::Second.show(missed_s);
@@ -174,8 +175,8 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
         let message =
             format!("runs at {rate_hz:.1} Hz for {length} from {at}, usually at {usual_hz:.1} Hz");
         ("stream is slow", message, Estimate::exact("rate", "Hz", rate_hz))
-    } else if let Some((rate_hz, said_hz)) = below_declared_rate(case, rhythm) {
-        let message = format!("runs at {rate_hz:.1} Hz; declared are {said_hz:.1} Hz");
+    } else if let Some((rate_hz, declared_hz)) = below_declared_rate(case, rhythm) {
+        let message = format!("runs at {rate_hz:.1} Hz; declared are {declared_hz:.1} Hz");
         ("stream is slow", message, Estimate::exact("rate", "Hz", rate_hz))
     } else {
         return Judged::new(rhythm.subject_of(&[]), Outcome::pass()).within(rhythm.span);
@@ -204,9 +205,9 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
 fn missed_at_ends(rhythm: &StreamEvidence<RhythmEvidence>) -> (f64, f64) {
     let Some(extent) = rhythm.extent else { return (0.0, 0.0) };
     // The next sample is due one period after the last.
-    let period_s = rhythm.wanted().filter_map(|part| part.period_s).fold(0.0, f64::max);
+    let period_s = rhythm.required_parts().filter_map(|part| part.period_s).fold(0.0, f64::max);
     let counted = |missed_s: f64, moving: Option<bool>| match moving {
-        Some(false) if rhythm.due == Due::InMotion => 0.0,
+        Some(false) if rhythm.due == ExpectedTiming::WhileMoving => 0.0,
         _ => (missed_s - period_s).max(0.0),
     };
     let [before, after] = extent.moving;
@@ -229,7 +230,8 @@ fn slowest_stretch<'a>(
     rhythm: &StreamEvidence<RhythmEvidence>,
     part: &'a Cadence,
 ) -> Option<&'a Stretch> {
-    let is_due = |lull: &&Stretch| lull.moving == Some(true) || rhythm.due != Due::InMotion;
+    let is_due =
+        |lull: &&Stretch| lull.moving == Some(true) || rhythm.due != ExpectedTiming::WhileMoving;
     let stretches = slow_stretches(pace, part).filter(is_due);
     stretches.min_by(|a, b| a.rate_hz.total_cmp(&b.rate_hz))
 }

@@ -70,8 +70,8 @@ impl<'a> Found<'a> {
 
     fn shake(&self) -> Option<Own> {
         let (arm, facts) = self.arm()?;
-        let own = facts.shakes.iter().find(|shake| shake.subject == *self.subject)?;
-        let at_s = own.shake.as_ref().ok()?.at_s;
+        let own = facts.vibrations.iter().find(|shake| shake.subject == *self.subject)?;
+        let at_s = own.vibration.as_ref().ok()?.at_s;
         let mut streams = arm.poses.iter().zip(&facts.poses);
         let seen = match streams.find(|(_, of)| of.topic() == self.topic()) {
             Some((source, _)) => {

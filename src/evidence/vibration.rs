@@ -9,24 +9,24 @@ use crate::stream::{JointTrack, PoseTrack};
 
 /// Vibration of the tip according to one stream.
 #[derive(Clone, Debug)]
-pub struct ShakeEvidence {
+pub struct VibrationEvidence {
     /// Whether its positions are in a wrong unit.
     pub in_other_units: bool,
     /// Vibration, or the reason why it cannot be estimated.
-    pub shake: Result<Vibration, VibrationFailure>,
+    pub vibration: Result<Vibration, VibrationFailure>,
 }
 
 /// Vibration of the tip according to a pose stream, excluding the surroundings of latency steps, which also
 /// step the path. `joints` are the arm's joint states.
-pub(super) fn shake_of_poses(
+pub(super) fn vibration_of_poses(
     track: &PoseTrack,
     found: &PoseDiagnosis,
     joints: &JointTrack,
 ) -> Result<Vibration, VibrationFailure> {
     /// Maximum interval of joint states that resolve the commanded motion, s.
-    const APART_S: f64 = 0.04;
+    const MAX_INTERVAL_S: f64 = 0.04;
     /// Rows closer to a latency step are excluded, s.
-    const BESIDE_S: f64 = 0.1;
+    const MIN_STEP_DISTANCE_S: f64 = 0.1;
     let AlignedSamples { t_s: known_s, corrected, fk_at_truth, .. } = &found.aligned;
     if found.is_inverted {
         // In an inverted pose, rotations of the tool also move the position.
@@ -37,7 +37,8 @@ pub(super) fn shake_of_poses(
         return estimate_vibration(known_s, |row| at(corrected, row), Some(&going));
     }
     let jumps = found.latency_profile.as_ref().map_or(&[][..], |course| course.steps.as_slice());
-    let is_clear = |t_s: f64| jumps.iter().all(|jump| (jump.at_s - t_s).abs() > BESIDE_S);
+    let is_clear =
+        |t_s: f64| jumps.iter().all(|jump| (jump.at_s - t_s).abs() > MIN_STEP_DISTANCE_S);
     let rows: Vec<usize> = (0..track.t_s.len()).filter(|&row| is_clear(track.t_s[row])).collect();
     let t_s: Vec<f64> = rows.iter().map(|&row| track.t_s[row]).collect();
     // Expected position of the stream by FK, at the nearest aligned sample.
@@ -50,19 +51,19 @@ pub(super) fn shake_of_poses(
     let span_s = joints.span().map_or(f64::INFINITY, |(first, last)| last - first);
     let is_known = 2 * known_s.len() > t_s.len()
         && !found.is_far_from_fk()
-        && span_s < APART_S * joints.len() as f64;
+        && span_s < MAX_INTERVAL_S * joints.len() as f64;
     estimate_vibration(&t_s, |row| track.xyz[rows[row]], if is_known { Some(&going) } else { None })
 }
 
 /// Vibration of the tip according to the joint states, or to the resampled track if joints have different
 /// stamps.
-pub(super) fn shake_of_joints(
+pub(super) fn vibration_of_joints(
     arm: &Arm,
     samples: &[JointSamples<'_>],
     track: &JointTrack,
 ) -> Result<Vibration, VibrationFailure> {
     /// Maximum ratio of local to overall rms of quantisation noise.
-    const BEYOND: f64 = 1.5;
+    const MAX_LOCAL_RMS_RATIO: f64 = 1.5;
     let mut q = vec![0.0; arm.columns.len()];
     let mut tip = |position: &dyn Fn(usize) -> f64| {
         q.iter_mut().zip(&arm.columns).for_each(|(q, &column)| *q = position(column));
@@ -75,22 +76,22 @@ pub(super) fn shake_of_joints(
         _ => estimate_vibration(&track.t_s, |row| tip(&|column| track.row(row)[column]), None),
     }?;
     // Encoder quantisation is not white: uniform motion turns it into tones.
-    let hidden_m = BEYOND * by_encoders(arm, samples, track);
+    let hidden_m = MAX_LOCAL_RMS_RATIO * encoder_noise_m(arm, samples, track);
     let rms_m = if found.rms_m < hidden_m { 0.0 } else { found.rms_m };
     Ok(Vibration { rms_m, resolved_m: found.resolved_m.max(hidden_m), ..found })
 }
 
 /// Rms effect of the joint encoders' quantisation on the tip, m.
-fn by_encoders(arm: &Arm, samples: &[JointSamples<'_>], track: &JointTrack) -> f64 {
+fn encoder_noise_m(arm: &Arm, samples: &[JointSamples<'_>], track: &JointTrack) -> f64 {
     /// Number of configurations evaluated.
-    const POSTURES: usize = 50;
+    const MAX_CONFIGURATIONS: usize = 50;
     let step = |column: &usize| samples.get(*column).map_or(0.0, |of| encoder_step(&of.position));
     let steps: Vec<f64> = arm.columns.iter().map(step).collect();
     if steps.iter().all(|step| *step == 0.0) {
         return 0.0;
     }
     let mut jacobian = vec![[0.0; 6]; arm.columns.len()];
-    let rows = (0..track.len()).step_by((track.len() / POSTURES).max(1));
+    let rows = (0..track.len()).step_by((track.len() / MAX_CONFIGURATIONS).max(1));
     let squares = rows.map(|row| {
         let q: Vec<f64> = arm.columns.iter().map(|&column| track.row(row)[column]).collect();
         arm.chain.forward_with_jacobian(&q, &mut jacobian);
