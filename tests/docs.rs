@@ -204,3 +204,26 @@ fn every_command_is_listed() {
         assert!(document("commands.md").contains(&format!("poseaudit {name}")), "{name}");
     }
 }
+
+/// Text of all sources in a folder.
+fn sources(folder: &str) -> String {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join(folder);
+    let files = walkdir::WalkDir::new(folder).into_iter().flatten();
+    let sources = files.filter(|file| file.path().extension().is_some_and(|own| own == "rs"));
+    sources.map(|file| fs::read_to_string(file.path()).expect("a source")).collect()
+}
+
+#[test]
+fn every_limit_names_a_test_that_exists() {
+    let sources = sources("src") + &sources("tests");
+    let mut count = 0;
+    for [what, _, _, tests] in rows::<4>("../SECURITY.md") {
+        for name in tests.split('`').skip(1).step_by(2) {
+            let at = sources.find(&format!("fn {name}("));
+            let before = at.map(|at| sources[..at].trim_end());
+            assert!(before.is_some_and(|text| text.ends_with("#[test]")), "{what}: no test {name}");
+            count += 1;
+        }
+    }
+    assert!(count >= 20, "only {count} names were read");
+}
