@@ -8,11 +8,13 @@
 //! cargo bench --bench speed                        # the whole table, with logs of 2.5 million messages
 //! cargo bench --bench speed -- --messages 250000   # the same with smaller logs
 //! cargo bench --bench speed -- --keep /tmp/logs    # and keeps them
+//! cargo bench --bench speed -- --sizes             # only time over size
 //! cargo bench --bench speed -- --python python3    # also times scripts: rosbags with pin, small-mcap
 //! ```
 
 mod logs;
 mod process;
+mod sizes;
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -48,6 +50,9 @@ fn main() -> Result<()> {
     let scratch = tempfile::tempdir()?;
     let folder = value("--keep").map_or(scratch.path().to_owned(), PathBuf::from);
     std::fs::create_dir_all(&folder)?;
+    if arguments.iter().any(|word| word == "--sizes") {
+        return sizes::print(&folder);
+    }
     let logs = Logs::made(&folder, messages)?;
 
     println!(
@@ -111,37 +116,9 @@ fn main() -> Result<()> {
         last = Some((log.messages, cost));
     }
 
-    tables(&folder)?;
+    sizes::print(&folder)?;
     stages(&logs.yardstick().path)?;
     forward_kinematics()
-}
-
-/// Growth of audit time with the size of a table: rows, and unnamed columns.
-fn tables(folder: &Path) -> Result<()> {
-    println!(
-        "\nGrowth with the size of a table, whole audit (exponents of at most 1.1 are linear):"
-    );
-    let rows = [60_000, 120_000, 240_000].map(|rows| ("rows", rows, 6));
-    let columns = [100, 200, 400].map(|columns| ("columns", 500, columns));
-    for sizes in [rows, columns] {
-        let mut last: Option<(usize, Cost)> = None;
-        for (what, rows, columns) in sizes {
-            let path = folder.join(format!("{what}-{rows}-{columns}.csv"));
-            std::fs::write(&path, table(rows, columns))?;
-            let mut command = Command::new(env!("CARGO_BIN_EXE_poseaudit"));
-            // The table has no arm, which does not matter here.
-            let (cost, _) = process::cost(command.args(["audit", "--robot", "ur5e"]).arg(&path))?;
-            let size = rows * columns;
-            let exponent = last.map(|(before, cost_before)| {
-                (cost.cpu_s / cost_before.cpu_s).ln() / (size as f64 / before as f64).ln()
-            });
-            let exponent =
-                exponent.map_or(String::new(), |exponent| format!("exponent {exponent:.2}"));
-            println!("{what:34} {size:>9} {:>8.2} s cpu  {exponent}", cost.cpu_s);
-            last = Some((size, cost));
-        }
-    }
-    Ok(())
 }
 
 /// A table of evenly stamped rows of varying numbers.
