@@ -116,6 +116,8 @@ fn layout(bytes: &[u8]) -> Option<Layout> {
     let mark = if bytes.starts_with(b"\xef\xbb\xbf") { 3 } else { 0 };
     let all = lines(&bytes[mark..]).map(|(offset, line, text)| (offset + mark, line, text));
     let mut above: Vec<&[u8]> = Vec::new();
+    // Their offsets and numbers.
+    let mut places: Vec<(usize, usize)> = Vec::new();
     let mut all = all.take(MOST_HEADER_LINES).peekable();
     while let Some((rows_at, line, text)) = all.next() {
         let (delimiter, count) = match comment(text) {
@@ -125,6 +127,7 @@ fn layout(bytes: &[u8]) -> Option<Layout> {
         };
         if count == 0 {
             above.push(text);
+            places.push((rows_at, line));
             continue;
         }
         let mut row = cells(text, delimiter);
@@ -155,9 +158,28 @@ fn layout(bytes: &[u8]) -> Option<Layout> {
         if names.is_none() && width > MOST_WIDE {
             return None;
         }
+        // The first rows may be mostly empty, until the sensors are ready.
+        let sparse = above.iter().rev().take_while(|text| is_sparse_row(text, delimiter, width));
+        let (rows_at, line) = match sparse.count() {
+            0 => (rows_at, line),
+            count => places[places.len() - count],
+        };
         return Some(Layout { delimiter, names, width, rows_at, line });
     }
     None
+}
+
+/// Whether a line is a row of `width` cells with some numbers and without text.
+fn is_sparse_row(line: &[u8], delimiter: u8, width: usize) -> bool {
+    if line.len() > MOST_LINE || comment(line).is_some() {
+        return false;
+    }
+    let row = cells(line, delimiter);
+    let open = open_cells(&row);
+    let numbers: Vec<f64> = row.iter().map(|cell| number(cell, delimiter)).collect();
+    let has_text = row.iter().zip(&numbers).any(|(cell, own)| is_text(cell, *own));
+    let fits = row.len() >= width && row.len() - open <= width;
+    fits && !has_text && numbers.iter().any(|own| own.is_finite())
 }
 
 /// Column names in the lines above `row`, with units from a line below them.
@@ -176,7 +198,8 @@ fn names_above(above: &[&[u8]], delimiter: u8, row: &[&[u8]]) -> Option<Vec<Stri
             }
             _ => false,
         };
-        let is_text = cells.iter().all(|cell| !is_number(cell, delimiter));
+        let is_text = cells.iter().all(|cell| !is_number(cell, delimiter))
+            && cells.iter().any(|cell| !cell.is_empty());
         let all = || cells.iter().map(|cell| String::from_utf8_lossy(cell).trim().to_owned());
         (fits && is_text).then(|| all().collect())
     };

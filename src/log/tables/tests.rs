@@ -407,6 +407,24 @@ fn rows_of_text_that_are_no_numbers_are_reported_with_their_line() {
 }
 
 #[test]
+fn first_rows_that_are_mostly_empty_are_rows() {
+    for delimiter in [",", "\t"] {
+        let empty = |line: &str| {
+            let cells: Vec<&str> = line.split(delimiter).collect();
+            let kept = [&cells[..2], &[""; 5]].concat().join(delimiter);
+            format!("{kept}{delimiter}\n{kept}")
+        };
+        let log = text_with(delimiter, 2, empty);
+        let Some(Columns::Joints(joints)) = &topic(&log, "q").columns else { panic!("no joints") };
+        assert_eq!(
+            (topic(&log, "q").messages, joints.unusable.as_slice()),
+            (41, &[0, 2, 2, 2, 2, 2][..])
+        );
+        assert_eq!(log.losses, []);
+    }
+}
+
+#[test]
 fn csv_finds_poses_joints_and_the_finest_time() {
     let mut text =
         "Timestamp,IPOC,X_RIst,Y_RIst,Z_RIst,A_RIst,B_RIst,C_RIst,A1,A2,A3,A4,A5,A6,Delay\n"
