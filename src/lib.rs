@@ -85,7 +85,7 @@ pub fn audit_read(log: log::Log, options: &Options) -> Result<Audited, Trouble> 
 /// If the log cannot be read.
 pub fn info(options: &Options) -> Result<Report, Trouble> {
     let mut log = log::open(&options.logs, &options.read)?;
-    run::tell_columns(&mut log, &options.run);
+    run::identify_columns(&mut log, &options.run);
     let read = audit::Read::of(&log);
     let run = Run::complete(log, &options.run, |_| Ok::<_, Trouble>(()))?;
     Ok(audit::summary(&run, read))

@@ -16,7 +16,7 @@ use crate::report::{
     Figures, FileRow, LogSummary, NoteRow, Report, Trouble, coverage, figures, joined, plans,
     robots, streams, tells_hand_eye,
 };
-use crate::run::{Arm, Excerpts, Run, Segment, segments, tell_columns};
+use crate::run::{Arm, Excerpts, Run, Segment, identify_columns, segments};
 
 pub use calibrate::{Calibrated, Taken, calibrate};
 pub use demo::{DEMO_LOG, Demo, Planted, demo};
@@ -111,7 +111,7 @@ impl Audited {
         options: &Options,
         given: Option<GivenCorrections<'_>>,
     ) -> Result<Self, Trouble> {
-        tell_columns(&mut log, &options.run);
+        identify_columns(&mut log, &options.run);
         let mut read = Read::of(&log);
         if let Some(given) = &given {
             read.note_corrections(given);

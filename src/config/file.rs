@@ -14,7 +14,7 @@ use crate::finding::{Severity, Unit};
 use crate::geometry::{RotationEncoding, Units, vendors};
 use crate::log::{ColumnSelector, ColumnSettings};
 use crate::robot::nearest;
-use crate::run::{PoseSourceKind, SaidRole};
+use crate::run::{PoseSourceKind, RoleSetting};
 use crate::time::Clock;
 
 /// Settings of an audit. Command-line options override them; paths are relative to this file.
@@ -226,7 +226,7 @@ pub(super) struct Stream {
 #[schemars(rename = "Stream")]
 pub(super) struct StreamTable {
     /// Its role. Default: from its name, type, frames and motion.
-    pub role: Option<SaidRole>,
+    pub role: Option<RoleSetting>,
     /// Encoding of its rotations: `rotvec`, `euler:SEQ`, `euler:SEQ@axes`, `quat:xyzw` or `quat:wxyz`. If
     /// the log contradicts it, that is a finding (ORD001, ORD002).
     pub convention: Option<CodingName>,

@@ -21,7 +21,7 @@ use crate::log::ReadOptions;
 use crate::report::Trouble;
 use crate::robot::catalogue;
 use crate::run::{
-    CalibrationSource, Declaration, JointName, RobotSource, RunOptions, SaidRole, TopicSettings,
+    CalibrationSource, Declaration, JointName, RobotSource, RoleSetting, RunOptions, TopicSettings,
 };
 
 use self::file::{ByPrefix, File, Ignore, Stream};
@@ -206,7 +206,7 @@ impl Config {
             let columns = TopicSettings {
                 topic,
                 place: format!("`{key}` in {}", self.path.display()),
-                role: Some(SaidRole::Pose),
+                role: Some(RoleSetting::Pose),
                 of_columns: true,
                 ..TopicSettings::default()
             };

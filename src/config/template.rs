@@ -8,7 +8,7 @@ use crate::checks::{self, Threshold};
 use crate::finding::{CheckRow, Unit};
 use crate::report::{Report, RobotRow, StreamRow, quoted, tame};
 use crate::robot::catalogue;
-use crate::run::SaidRole;
+use crate::run::RoleSetting;
 
 /// A config with which the log of `report` is audited as without a config.
 ///
@@ -160,9 +160,9 @@ impl Template {
                     self.set("joint_factors", &each(0), "rad = factor * number + offset");
                     self.set("joint_offsets", &each(1), "");
                 }
-            } else if stream.role == SaidRole::Joints.name() {
+            } else if stream.role == RoleSetting::Joints.name() {
                 self.unset("joints", &value, "by their names");
-            } else if stream.role == SaidRole::Pose.name() {
+            } else if stream.role == RoleSetting::Pose.name() {
                 self.unset("pose", &value, "by their names");
             }
         }
@@ -176,8 +176,8 @@ impl Template {
             }
             known.push(&stream.topic);
             self.0.push('\n');
-            match SaidRole::ALL.into_iter().find(|role| role.name() == stream.role) {
-                Some(role) if role != SaidRole::Ignored => self.stream(report, stream, role),
+            match RoleSetting::ALL.into_iter().find(|role| role.name() == stream.role) {
+                Some(role) if role != RoleSetting::Ignored => self.stream(report, stream, role),
                 _ => {
                     let _ = writeln!(self.0, "# {}: {}", stream.role, one_line(&stream.reason));
                     let _ = writeln!(self.0, "# [stream.{}]", quoted(&stream.topic));
@@ -187,17 +187,19 @@ impl Template {
         }
     }
 
-    fn stream(&mut self, report: &Report, stream: &StreamRow, role: SaidRole) {
+    fn stream(&mut self, report: &Report, stream: &StreamRow, role: RoleSetting) {
         let name = role.name();
         let _ = writeln!(self.0, "# {}", one_line(&stream.reason));
         let _ = writeln!(self.0, "[stream.{}]", quoted(&stream.topic));
         self.set("role", &quoted(name), "");
-        let is_expected =
-            matches!(role, SaidRole::Joints | SaidRole::Pose | SaidRole::Tf | SaidRole::Imu);
+        let is_expected = matches!(
+            role,
+            RoleSetting::Joints | RoleSetting::Pose | RoleSetting::Tf | RoleSetting::Imu
+        );
         if let Some(rate_hz) = stream.rate_hz.filter(|rate_hz| is_expected && *rate_hz > 0.0) {
             self.set("rate_hz", &rounded(rate_hz), "");
         }
-        if role != SaidRole::Pose {
+        if role != RoleSetting::Pose {
             return;
         }
         if let Some(witness) = stream.witness {

@@ -2,7 +2,7 @@ use super::*;
 use crate::checks::{Threshold, find, registry};
 use crate::finding::{Severity, Unit};
 use crate::geometry::{AngleUnit, LengthScale, RotationEncoding};
-use crate::run::{PoseSourceKind, SaidRole};
+use crate::run::{PoseSourceKind, RoleSetting};
 
 fn config(text: &str) -> Result<Config, Trouble> {
     Config::from_text(text.to_owned(), Path::new("setup/p.toml"))
@@ -71,7 +71,10 @@ turning = "30 rad/s²"
     assert_eq!(known.reason, "the driver's delay");
     assert_eq!(known.place, "setup/p.toml:12");
     let [pendant, tcp] = options.run.topics.as_slice() else { panic!("{options:?}") };
-    assert_eq!((tcp.role, tcp.source_kind), (Some(SaidRole::Pose), Some(PoseSourceKind::External)));
+    assert_eq!(
+        (tcp.role, tcp.source_kind),
+        (Some(RoleSetting::Pose), Some(PoseSourceKind::External))
+    );
     assert_eq!((tcp.rate_hz, tcp.place.as_str()), (Some(125.0), "setup/p.toml:17"));
     assert!(pendant.vendor.as_ref().is_some_and(|said| said.contains("KUKA")), "{pendant:?}");
     let coded = |topic: &str| {

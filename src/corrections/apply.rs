@@ -12,7 +12,7 @@ use crate::geometry::{LengthScale, Misread, Pose, rotation_from_xyzw};
 use crate::log::Log;
 use crate::report::{Trouble, TroubleKind};
 use crate::robot::JointKind;
-use crate::run::{Arm, JointMending, PoseSource, Run};
+use crate::run::{Arm, JointStateCorrection, PoseSource, Run};
 use crate::stream::Orientations;
 use crate::time::{nanos, seconds};
 
@@ -113,15 +113,19 @@ impl GivenCorrections<'_> {
         for arm in &mut run.arms {
             let joint_correction = self.joint_correction(arm, &topics)?;
             if !joint_correction.is_nothing() {
-                arm.mend_joints(joint_correction);
+                arm.correct_joints(joint_correction);
             }
         }
         Ok(())
     }
 
     /// Collects the joint corrections of an arm.
-    fn joint_correction(&self, arm: &Arm, topics: &[String]) -> Result<JointMending, Trouble> {
-        let mut joint_correction = JointMending::none(arm.joint_names.len());
+    fn joint_correction(
+        &self,
+        arm: &Arm,
+        topics: &[String],
+    ) -> Result<JointStateCorrection, Trouble> {
+        let mut joint_correction = JointStateCorrection::none(arm.joint_names.len());
         let column = |name: &String| arm.joint_names.iter().position(|joint| joint == name);
         for correction in &self.corrections.topics {
             let is_of_topic = |column: usize| {

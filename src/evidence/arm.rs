@@ -15,7 +15,7 @@ use crate::diagnosis::{
     check_residual,
 };
 use crate::finding::{Span, Subject, Unit};
-use crate::run::{BetterModel, PoseSource, PoseSourceKind, Run, RunOptions};
+use crate::run::{CompetingModel, PoseSource, PoseSourceKind, Run, RunOptions};
 use crate::stream::{Columns, Orientations};
 
 /// Robot with its streams.
@@ -32,7 +32,7 @@ pub struct ArmEvidence {
     /// Distance from base to tip at full stretch, m.
     pub reach_m: f64,
     /// Different arm model that fits the poses far better than the declared one.
-    pub better_model: Option<BetterModel>,
+    pub better_model: Option<CompetingModel>,
     /// Declared DH convention and the evidence for it, if the model is a DH table.
     pub dh: Option<DhEvidence>,
     /// Diagnosis of its joint states.
@@ -198,12 +198,12 @@ pub(super) fn arm_evidence(
     let actual =
         arm.recorded.as_ref().map(|(_, mending)| mending).or(joint_correction.as_ref()).cloned();
     let samples = match &arm.recorded {
-        Some((_, mending)) => mending.mended_samples(&samples),
+        Some((_, mending)) => mending.corrected_samples(&samples),
         None => samples,
     };
     let (samples, track) = match joint_correction {
         Some(mending) => {
-            (mending.mended_samples(&samples), Cow::Owned(mending.mended(&arm.joints)))
+            (mending.corrected_samples(&samples), Cow::Owned(mending.mended(&arm.joints)))
         }
         None => (samples, Cow::Borrowed(&*arm.joints)),
     };

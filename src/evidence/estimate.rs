@@ -9,7 +9,7 @@ use crate::diagnosis::{
     fault_count, position_misfit_m,
 };
 use crate::robot::DhConvention;
-use crate::run::{Arm, ImuSource, Run, retake_carried, together};
+use crate::run::{Arm, ImuSource, Run, realign_moving_bases, together};
 use crate::stream::JointTrack;
 
 /// DH table of a robot.
@@ -35,7 +35,7 @@ pub(super) fn diagnose(run: &mut Run, most_lag_s: f64) -> Vec<ArmStreamsDiagnosi
     let arms = 0..run.arms.len();
     arms.map(|index| {
         let found = diagnose_one(run, &run.arms[index], most_lag_s);
-        let found = match retake_carried(run, index, &found.arm) {
+        let found = match realign_moving_bases(run, index, &found.arm) {
             true => diagnose_one(run, &run.arms[index], most_lag_s),
             false => found,
         };

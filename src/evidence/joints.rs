@@ -10,7 +10,7 @@ use crate::diagnosis::{
     position_violation, row_blocks, speed_violation, speed_violation_from_positions,
 };
 use crate::robot::{JointKind, Limits};
-use crate::run::{Arm, JointMending, JointSamples, Run, Velocities};
+use crate::run::{Arm, JointSamples, JointStateCorrection, Run, Velocities};
 
 /// One joint of a chain.
 #[derive(Clone, Debug)]
@@ -48,7 +48,7 @@ pub struct JointMotion {
 
 /// Corrections that turn the joint states into the actual positions, if names or units are wrong. Motion
 /// cannot be judged on wrong numbers.
-pub(super) fn mending(arm: &Arm, found: &JointDiagnosis) -> Option<JointMending> {
+pub(super) fn mending(arm: &Arm, found: &JointDiagnosis) -> Option<JointStateCorrection> {
     let reading = found.encoding.as_ref().ok()?;
     if reading.is_as_logged() {
         return None;
@@ -60,7 +60,8 @@ pub(super) fn mending(arm: &Arm, found: &JointDiagnosis) -> Option<JointMending>
         coded.map_or(0.0, |scale| scale.offset)
     };
     let offset: Vec<f64> = (0..found.offsets.len()).map(coded_zero).collect();
-    let mut mending = JointMending { offset, ..JointMending::none(arm.joint_names.len()) };
+    let mut mending =
+        JointStateCorrection { offset, ..JointStateCorrection::none(arm.joint_names.len()) };
     if let Some((really, _)) = &reading.permutation {
         really.iter().enumerate().for_each(|(named, &really)| mending.from[really] = named);
     }

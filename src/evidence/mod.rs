@@ -16,7 +16,7 @@ use std::ops::{Deref, DerefMut};
 
 use crate::finding::{Span, Subject};
 use crate::log::{self, Loss, Note, Repeat};
-use crate::run::{Arm, Frozen, Norms, Run, RunOptions, Unaudited, WhyNot};
+use crate::run::{Arm, Frozen, Norms, NotAudited, NotAuditedReason, Run, RunOptions};
 use crate::time::Stamp;
 
 pub use arm::ArmEvidence;
@@ -63,7 +63,7 @@ pub struct RunEvidence {
     pub repeated_values: Vec<StreamEvidence<RepeatedValueEvidence>>,
     /// Streams of joint states or tool poses, and streams declared as such, with the reasons why they are
     /// not audited.
-    pub not_audited: Vec<StreamEvidence<Vec<WhyNot>>>,
+    pub not_audited: Vec<StreamEvidence<Vec<NotAuditedReason>>>,
     /// Pose streams that lead the arm, with the lead in seconds.
     pub leading_streams: Vec<StreamEvidence<f64>>,
     /// Relevant topics without messages or without finite numbers.
@@ -100,7 +100,7 @@ impl RunEvidence {
             .iter()
             .zip(&diagnoses)
             .flat_map(|(arm, found)| topics::unset(run, arm, &found.arm));
-        let unset: Vec<Unaudited> = never_set.chain(topics::in_other_frames(run)).collect();
+        let unset: Vec<NotAudited> = never_set.chain(topics::in_other_frames(run)).collect();
         let arms = diagnoses.into_iter().enumerate();
         let robots =
             arms.map(|(index, diagnosis)| arm::arm_evidence(run, index, diagnosis, options));

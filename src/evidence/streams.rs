@@ -3,7 +3,7 @@
 use super::{StreamEvidence, stream_evidence};
 use crate::finding::Subject;
 use crate::run::{
-    Cadence, Extent, Role, RoundedStamps, Run, Stream, StreamClock, Unaudited, WhyNot,
+    Cadence, Extent, NotAudited, NotAuditedReason, Role, RoundedStamps, Run, Stream, StreamClock,
 };
 use crate::time::Clock;
 
@@ -96,7 +96,7 @@ pub(crate) fn frame_of_several(run: &Run, stream: &Stream) -> Option<String> {
     is_one_of_several.then(|| stream.child_frame_id.clone())
 }
 
-pub(super) fn rhythms(run: &Run, others: &[Unaudited]) -> Vec<StreamEvidence<RhythmEvidence>> {
+pub(super) fn rhythms(run: &Run, others: &[NotAudited]) -> Vec<StreamEvidence<RhythmEvidence>> {
     let rhythms = run.rhythms.iter().filter_map(|rhythm| {
         let stream = run.streams.get(rhythm.stream)?;
         let found = RhythmEvidence {
@@ -113,7 +113,7 @@ pub(super) fn rhythms(run: &Run, others: &[Unaudited]) -> Vec<StreamEvidence<Rhy
                 .iter()
                 .filter(|found| found.stream == rhythm.stream)
                 .map(|found| match found.why {
-                    WhyNot::OtherFrames { samples, .. } => samples,
+                    NotAuditedReason::OtherFrames { samples, .. } => samples,
                     _ => 0,
                 })
                 .sum(),

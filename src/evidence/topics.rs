@@ -7,7 +7,7 @@ use crate::log::Repeat;
 use crate::robot::RobotError;
 
 use crate::run::{
-    Arm, PoseSourceKind, Role, Run, Stream, TfProblem, TopicSettings, Unaudited, WhyNot,
+    Arm, NotAudited, NotAuditedReason, PoseSourceKind, Role, Run, Stream, TfProblem, TopicSettings,
 };
 use crate::stream::{Columns, JointColumn};
 
@@ -98,14 +98,14 @@ pub(super) fn tf(run: &Run) -> TfEvidence {
 }
 
 /// Streams of an arm whose orientations are never set.
-pub(super) fn unset(run: &Run, arm: &Arm, found: &ArmDiagnosis) -> Vec<Unaudited> {
+pub(super) fn unset(run: &Run, arm: &Arm, found: &ArmDiagnosis) -> Vec<NotAudited> {
     let streams = arm.poses.iter().zip(&found.streams);
     let unset = streams.filter(|(source, found)| {
         matches!(found.encoding, Err(NotObservable::OrientationNotSet))
             && !run.streams[source.stream].holds_no_rotation()
     });
-    let why = WhyNot::NoOrientation;
-    unset.map(|(source, _)| Unaudited { stream: source.stream, why: why.clone() }).collect()
+    let why = NotAuditedReason::NoOrientation;
+    unset.map(|(source, _)| NotAudited { stream: source.stream, why: why.clone() }).collect()
 }
 
 /// Pose streams with the same topic and child frame, in any reference frame, with their indices.
@@ -121,7 +121,7 @@ fn same_pose_streams<'a>(
 }
 
 /// Topics with poses compared with the arm and further poses in frames not connected to it.
-pub(super) fn in_other_frames(run: &Run) -> Vec<Unaudited> {
+pub(super) fn in_other_frames(run: &Run) -> Vec<NotAudited> {
     let sources = run.arms.iter().flat_map(|arm| &arm.poses);
     let tied: Vec<usize> =
         sources.filter(|source| source.reference_known).map(|source| source.stream).collect();
@@ -134,24 +134,27 @@ pub(super) fn in_other_frames(run: &Run) -> Vec<Unaudited> {
         if others.is_empty() || !is_first {
             return None;
         }
-        let why = WhyNot::OtherFrames {
+        let why = NotAuditedReason::OtherFrames {
             frames: others.iter().map(|other| other.frame_id.clone()).collect(),
             samples: others.iter().map(|other| other.count).sum(),
             of: all().map(|(_, stream)| stream.count).sum(),
         };
-        Some(Unaudited { stream: index, why })
+        Some(NotAudited { stream: index, why })
     };
     tied.iter().filter_map(|&index| of(index)).collect()
 }
 
 /// Audited or relevant streams, with the reasons why they are not audited or not used as declared.
-pub(super) fn not_audited(run: &Run, unset: &[Unaudited]) -> Vec<StreamEvidence<Vec<WhyNot>>> {
+pub(super) fn not_audited(
+    run: &Run,
+    unset: &[NotAudited],
+) -> Vec<StreamEvidence<Vec<NotAuditedReason>>> {
     if run.arms.is_empty() {
         return Vec::new();
     }
     let why_not = |(index, stream): (usize, &Stream)| {
         let known = run.unaudited.iter().chain(unset).filter(|found| found.stream == index);
-        let why: Vec<WhyNot> = known.map(|found| found.why.clone()).collect();
+        let why: Vec<NotAuditedReason> = known.map(|found| found.why.clone()).collect();
         let is_asked = matches!(stream.role, Role::Joints | Role::Pose) || !why.is_empty();
         is_asked.then(|| stream_evidence(run, index, why))
     };

@@ -10,7 +10,7 @@ use crate::log::{self, SourceName, dataset_of, episode_of, is_store, is_table, i
 use crate::report::Trouble;
 use crate::robot::catalogue;
 pub use crate::run::Shared;
-use crate::run::{Run, tell_columns};
+use crate::run::{Run, identify_columns};
 
 /// Indices of the logs of each dataset.
 pub type Groups = BTreeMap<PathBuf, Vec<usize>>;
@@ -63,7 +63,7 @@ pub fn learnt(path: &Path, options: &Options) -> Option<Shared> {
     let from = from.rsplit('/').next().unwrap_or_default().to_owned();
     let learn = || -> Result<Shared, Trouble> {
         let mut log = log::open(&options.logs, &options.read)?;
-        let mut columns = tell_columns(&mut log, &options.run);
+        let mut columns = identify_columns(&mut log, &options.run);
         if let Some(columns) = &mut columns {
             columns.from.clone_from(&from);
         }

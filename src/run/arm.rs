@@ -9,7 +9,7 @@ use crate::time::Stamp;
 
 use super::error::RunError;
 use super::joints::{JointFacts, JointSamples, JointTopics};
-use super::model::{BetterModel, FrameNames, Model};
+use super::model::{CompetingModel, FrameNames, Model};
 use super::role::{Place, words};
 use super::skeleton::{self, ArmPath, driver};
 use super::sources::{ImuSource, PoseSource};
@@ -27,7 +27,7 @@ pub struct Arm {
     /// How the robot was identified.
     pub found: String,
     /// A different arm that fits the poses far better than `robot`, if `robot` was named.
-    pub better: Option<BetterModel>,
+    pub better: Option<CompetingModel>,
     /// Chain from base to tip.
     pub chain: Chain,
     /// Column in `joints` of each joint of `chain`.
@@ -41,11 +41,11 @@ pub struct Arm {
     /// Origin of each column.
     pub joint_facts: Vec<JointFacts>,
     /// Joint states as recorded, and the corrections, if the caller corrected them.
-    pub recorded: Option<(Arc<JointTrack>, JointMending)>,
+    pub recorded: Option<(Arc<JointTrack>, JointStateCorrection)>,
     /// Measured tool poses, and candidates.
     pub poses: Vec<PoseSource>,
     /// Tip poses from the log's transforms, or why there are none.
-    pub tf: Result<PoseSource, NoTf>,
+    pub tf: Result<PoseSource, TfUnavailable>,
     /// Transforms missing from the log that `tf` takes from the model: parent, child.
     pub from_model: Vec<(String, String)>,
     /// IMUs on the arm.
@@ -74,7 +74,7 @@ impl Arm {
 
 /// Corrections of the joint states, for each column.
 #[derive(Clone, Debug, PartialEq)]
-pub struct JointMending {
+pub struct JointStateCorrection {
     /// Column that contains this joint's positions.
     pub from: Vec<usize>,
     /// Factor for positions and velocities.
@@ -83,7 +83,7 @@ pub struct JointMending {
     pub offset: Vec<f64>,
 }
 
-impl JointMending {
+impl JointStateCorrection {
     /// No correction for any joint.
     pub fn none(joints: usize) -> Self {
         let from = (0..joints).collect();
@@ -109,7 +109,7 @@ impl JointMending {
     }
 
     /// Corrected samples of each joint.
-    pub fn mended_samples<'a>(&self, samples: &[JointSamples<'a>]) -> Vec<JointSamples<'a>> {
+    pub fn corrected_samples<'a>(&self, samples: &[JointSamples<'a>]) -> Vec<JointSamples<'a>> {
         let mended = self.from.iter().enumerate().map(|(joint, &from)| {
             let mut samples = samples[from].clone();
             let (factor, offset) = (self.factor[joint], self.offset[joint]);
@@ -123,7 +123,7 @@ impl JointMending {
 
 /// Why the log's transforms do not connect base and tip.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum NoTf {
+pub enum TfUnavailable {
     /// There are none.
     #[error("the log has no transforms over time")]
     NoTransforms,
@@ -229,7 +229,7 @@ impl Arm {
             joint_facts: merged.facts,
             recorded: None,
             poses: Vec::new(),
-            tf: Err(NoTf::NoTransforms),
+            tf: Err(TfUnavailable::NoTransforms),
             from_model: Vec::new(),
             imus: Vec::new(),
             base,
@@ -258,7 +258,7 @@ impl Arm {
             .map(|source| Some(ImuSource { chain: chain(&source.chain)?, ..source.clone() }));
         let tf = match &self.tf {
             // Transforms from the old model have the wrong lengths.
-            Ok(_) if !self.from_model.is_empty() => Err(NoTf::OtherModel),
+            Ok(_) if !self.from_model.is_empty() => Err(TfUnavailable::OtherModel),
             Ok(source) => Ok(PoseSource { chain: chain(&source.chain)?, ..source.clone() }),
             Err(why) => Err(why.clone()),
         };
@@ -273,7 +273,7 @@ impl Arm {
     }
 
     /// Corrects the joint states, and keeps the recorded ones.
-    pub(crate) fn mend_joints(&mut self, mending: JointMending) {
+    pub(crate) fn correct_joints(&mut self, mending: JointStateCorrection) {
         let mended = mending.mended(&self.joints);
         let recorded = std::mem::replace(&mut self.joints, Arc::new(mended));
         self.recorded = Some((recorded, mending));

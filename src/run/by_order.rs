@@ -7,7 +7,7 @@
 
 use std::collections::BTreeMap;
 
-use super::catalogued::{Judges, Standing};
+use super::catalogued::{RankingCriteria, Standing};
 use super::error::RunError;
 use super::model::{Clues, Model};
 use super::role::{OTHER_JOINTS, shared, words};
@@ -58,14 +58,14 @@ pub(super) fn matched(
     robot: &Robot,
     joints: &[String],
     clues: &Clues<'_>,
-    judges: &Judges<'_>,
+    criteria: &RankingCriteria<'_>,
     found: &str,
 ) -> Result<Vec<Model>, RunError> {
     let mut models = Vec::new();
     let mut question = None;
     for series in series(joints) {
         let ways = ways(robot, &series, clues);
-        match settled(ways, judges) {
+        match settled(ways, criteria) {
             Settled::One { way, why } => models.push(Model {
                 found: format!("{found}, joints matched by order ({}; {why})", shown(&way.pairs)),
                 ..way.model
@@ -90,7 +90,10 @@ pub(super) fn matched(
 ///
 /// # Errors
 /// If several arms fit equally well.
-pub(super) fn catalogued(clues: &Clues<'_>, judges: &Judges<'_>) -> Result<Vec<Model>, RunError> {
+pub(super) fn catalogued(
+    clues: &Clues<'_>,
+    criteria: &RankingCriteria<'_>,
+) -> Result<Vec<Model>, RunError> {
     let mut models = Vec::new();
     let mut question = None;
     for series in series(clues.joints) {
@@ -100,7 +103,7 @@ pub(super) fn catalogued(clues: &Clues<'_>, judges: &Judges<'_>) -> Result<Vec<M
             orders.filter_map(|order| way(robot, &path, order, series.is_numbered, clues)).collect()
         };
         let ways = catalogue::entries().iter().flat_map(of_robot);
-        match proven(ways.collect(), judges) {
+        match proven(ways.collect(), criteria) {
             Settled::One { way, why } => {
                 let found = format!(
                     "the catalogue: only {} fits with its joints in the log's order ({}; {why})",
@@ -178,7 +181,10 @@ pub(super) fn is_counted(joints: &[String]) -> bool {
 ///
 /// # Errors
 /// If the table has no poses, no arm fits them, or several arms that move differently fit about as well.
-pub(super) fn counted(clues: &Clues<'_>, judges: &Judges<'_>) -> Result<Vec<Model>, RunError> {
+pub(super) fn counted(
+    clues: &Clues<'_>,
+    criteria: &RankingCriteria<'_>,
+) -> Result<Vec<Model>, RunError> {
     /// Maximum residual of an arm that fits only with a fault, m: the deviation of a nominal model from a
     /// calibrated arm.
     const FITS_M: f64 = 5e-4;
@@ -186,7 +192,7 @@ pub(super) fn counted(clues: &Clues<'_>, judges: &Judges<'_>) -> Result<Vec<Mode
     let models = along(clues.joints, clues);
     let names: Vec<String> = models.iter().map(|model| label(model, clues.joints)).collect();
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
-    let Some(ranking) = (judges.by_poses)(&models.iter().collect::<Vec<_>>()) else {
+    let Some(ranking) = (criteria.by_poses)(&models.iter().collect::<Vec<_>>()) else {
         return Err(RunError::Numbered { joints, arms: Vec::new(), best: None });
     };
     let ranking = ranking.with_unused_joints(|at| joints - moved(&models[at], clues.joints));
@@ -244,12 +250,12 @@ enum Settled {
 
 /// The match for a named model: the one confirmed by poses, else the only one with numbered names if no
 /// pose contradicts it.
-fn settled(ways: Vec<Match>, judges: &Judges<'_>) -> Settled {
+fn settled(ways: Vec<Match>, criteria: &RankingCriteria<'_>) -> Settled {
     let is_only = ways.len() == 1 && ways[0].is_numbered;
     if !is_only {
-        return proven(ways, judges);
+        return proven(ways, criteria);
     }
-    let ranking = (judges.by_poses)(&[&ways[0].model]);
+    let ranking = (criteria.by_poses)(&[&ways[0].model]);
     let best = ranking.as_ref().and_then(|ranking| ranking.standings.first());
     let why = match best {
         None => Some("by their numbers, not confirmed by a pose stream".to_owned()),
@@ -264,9 +270,9 @@ fn settled(ways: Vec<Match>, judges: &Judges<'_>) -> Settled {
 }
 
 /// The match that fits the pose streams without a fault, if no other fits as well.
-fn proven(ways: Vec<Match>, judges: &Judges<'_>) -> Settled {
+fn proven(ways: Vec<Match>, criteria: &RankingCriteria<'_>) -> Settled {
     let models: Vec<&Model> = ways.iter().map(|way| &way.model).collect();
-    let Some(ranking) = (judges.by_poses)(&models) else {
+    let Some(ranking) = (criteria.by_poses)(&models) else {
         return match ways.as_slice() {
             [] => Settled::None,
             _ => Settled::Open { ways: Vec::new() },

@@ -9,7 +9,7 @@ use super::error::RunError;
 use super::model::{Clues, Model};
 
 /// Criteria that distinguish arms with the same joint names.
-pub(super) struct Judges<'a> {
+pub(super) struct RankingCriteria<'a> {
     /// Rms difference between the log's transforms and a model's link lengths, m.
     pub by_transforms: &'a dyn Fn(&Model) -> Option<f64>,
     /// Ranks models by what they must assume to match the pose streams.
@@ -134,11 +134,11 @@ impl Ranking {
 /// `joint_1` are common.
 pub(super) fn from_catalogue(
     clues: &Clues<'_>,
-    judges: &Judges<'_>,
+    criteria: &RankingCriteria<'_>,
 ) -> Result<Vec<Model>, RunError> {
     let mut joints = clues.joints.to_vec();
     if by_order::is_counted(&joints) {
-        return by_order::counted(clues, judges);
+        return by_order::counted(clues, criteria);
     }
     let mut models: Vec<Model> = Vec::new();
     loop {
@@ -156,7 +156,7 @@ pub(super) fn from_catalogue(
             return Ok(models);
         }
         let is_stranger = found[0].names.unknown_prefix_chars > 0;
-        match the_one_of(equals, is_stranger, judges)
+        match the_one_of(equals, is_stranger, criteria)
             .or_else(|error| by_type(&found, clues).ok_or(error))
         {
             Ok(Some(model)) => {
@@ -190,7 +190,7 @@ pub(super) fn of_type(robot_type: &str) -> Option<&'static Robot> {
 pub(super) fn mapped_from_catalogue(
     maps: &[Vec<(String, String)>],
     clues: &Clues<'_>,
-    judges: &Judges<'_>,
+    criteria: &RankingCriteria<'_>,
 ) -> Result<Vec<Model>, RunError> {
     let each = maps.iter().map(|map| {
         let has_all = |robot: &&Robot| map.iter().all(|(_, name)| robot.joint(name).is_some());
@@ -203,7 +203,7 @@ pub(super) fn mapped_from_catalogue(
             let what = format!("no catalogue arm has the joints {}", names.join(", "));
             return Err(RunError::JointMap { what });
         }
-        the_one_of(equals, false, judges)
+        the_one_of(equals, false, criteria)
     });
     Ok(each.collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
 }
@@ -212,7 +212,7 @@ pub(super) fn mapped_from_catalogue(
 fn the_one_of(
     equals: Vec<Model>,
     is_stranger: bool,
-    judges: &Judges<'_>,
+    criteria: &RankingCriteria<'_>,
 ) -> Result<Option<Model>, RunError> {
     /// Maximum difference between an arm's links and the log's transforms, m.
     const FITS_M: f64 = 0.01;
@@ -226,12 +226,12 @@ fn the_one_of(
     let mut by_transforms: Vec<(f64, usize)> = equals
         .iter()
         .enumerate()
-        .map(|(at, model)| ((judges.by_transforms)(model).unwrap_or(f64::INFINITY), at))
+        .map(|(at, model)| ((criteria.by_transforms)(model).unwrap_or(f64::INFINITY), at))
         .collect();
     by_transforms.sort_by(|a, b| a.0.total_cmp(&b.0));
     if let [(_, only)] = by_transforms.as_slice() {
         let fits = || {
-            let by_poses = (judges.by_poses)(&equals.iter().collect::<Vec<_>>());
+            let by_poses = (criteria.by_poses)(&equals.iter().collect::<Vec<_>>());
             by_transforms[0].0 < FITS_M
                 || by_poses.is_some_and(|ranking| ranking.standings.iter().any(|one| one.fits))
         };
@@ -254,7 +254,7 @@ fn the_one_of(
     }
     let vendor = |model: &Model| model.robot.provenance.as_ref().map(|of| of.vendor.clone());
     let is_one_makers = equals.iter().all(|model| vendor(model) == vendor(&equals[0]));
-    let ranking = (judges.by_poses)(&equals.iter().collect::<Vec<_>>());
+    let ranking = (criteria.by_poses)(&equals.iter().collect::<Vec<_>>());
     match ranking.as_ref().and_then(|ranking| Some((ranking, ranking.standings.first()?))) {
         // Many makers use names such as joint_1, so an arm that does not fit may be from another maker.
         Some((ranking, best)) if best.fits || is_one_makers => {
@@ -282,7 +282,7 @@ mod tests {
         "wrist_3_joint",
     ];
 
-    fn found(joints: &[String], judges: &Judges<'_>) -> Result<Vec<Model>, RunError> {
+    fn found(joints: &[String], criteria: &RankingCriteria<'_>) -> Result<Vec<Model>, RunError> {
         let frames = BTreeSet::new();
         let space = Space::default();
         let clues = Clues {
@@ -294,7 +294,7 @@ mod tests {
             robot_type: None,
             joint_map: &[],
         };
-        from_catalogue(&clues, judges)
+        from_catalogue(&clues, criteria)
     }
 
     fn ur() -> Vec<String> {
@@ -328,8 +328,8 @@ mod tests {
     fn transforms_tell_the_closest() {
         let by_transforms =
             |model: &Model| Some(if model.robot.name == "ur10e" { 1e-4 } else { 0.1 });
-        let judges = Judges { by_transforms: &by_transforms, by_poses: &|_| None };
-        let found = found(&ur(), &judges).unwrap();
+        let criteria = RankingCriteria { by_transforms: &by_transforms, by_poses: &|_| None };
+        let found = found(&ur(), &criteria).unwrap();
         assert_eq!(found[0].robot.name, "ur10e");
         assert!(found[0].found.contains("within 0.1 mm"), "{}", found[0].found);
     }
@@ -342,8 +342,8 @@ mod tests {
             let next = standing(at("ur3e")?, FitAssumption::Tool, 0.0081, -300.0);
             Some(Ranking { standings: vec![best, next], apart: 20.0 })
         };
-        let judges = Judges { by_transforms: &|_| None, by_poses: &by_poses };
-        let found = found(&ur(), &judges).unwrap();
+        let criteria = RankingCriteria { by_transforms: &|_| None, by_poses: &by_poses };
+        let found = found(&ur(), &criteria).unwrap();
         assert_eq!(found[0].robot.name, "ur3");
         let said = &found[0].found;
         assert!(said.contains("actual_TCP_pose fits within 20 µm"), "{said}");
@@ -358,8 +358,8 @@ mod tests {
             let next = standing(at("ur16e")?, FitAssumption::Tool, 1e-5, -701.0);
             Some(Ranking { standings: vec![best, next], apart: 20.0 })
         };
-        let judges = Judges { by_transforms: &|_| None, by_poses: &by_poses };
-        let found = found(&ur(), &judges).unwrap();
+        let criteria = RankingCriteria { by_transforms: &|_| None, by_poses: &by_poses };
+        let found = found(&ur(), &criteria).unwrap();
         let said = &found[0].found;
         assert!(
             said.contains("cannot distinguish it from ur16e") && said.contains("--robot"),
@@ -369,8 +369,8 @@ mod tests {
 
     #[test]
     fn without_transforms_and_poses_nothing_is_guessed() {
-        let judges = Judges { by_transforms: &|_| None, by_poses: &|_| None };
-        let unknown = found(&ur(), &judges).unwrap_err();
+        let criteria = RankingCriteria { by_transforms: &|_| None, by_poses: &|_| None };
+        let unknown = found(&ur(), &criteria).unwrap_err();
         assert!(matches!(unknown, RunError::Ambiguous { .. }), "{unknown}");
     }
 
@@ -381,11 +381,11 @@ mod tests {
                 .map(|at| standing(at, FitAssumption::Reference { tool: true }, 0.2, 0.0));
             Some(Ranking { standings: standings.collect(), apart: 20.0 })
         };
-        let judges = Judges { by_transforms: &|_| Some(0.2), by_poses: &off };
+        let criteria = RankingCriteria { by_transforms: &|_| Some(0.2), by_poses: &off };
         let strange: Vec<String> = (1..=7).map(|i| format!("iiwa_joint_{i}")).collect();
-        assert!(found(&strange, &judges).unwrap().is_empty());
+        assert!(found(&strange, &criteria).unwrap().is_empty());
         let plain: Vec<String> = (1..=6).map(|i| format!("joint_{i}")).collect();
-        let error = found(&plain, &judges).unwrap_err();
+        let error = found(&plain, &criteria).unwrap_err();
         assert!(matches!(error, RunError::Ambiguous { .. }), "{error}");
     }
 }

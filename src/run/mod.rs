@@ -65,17 +65,17 @@ use crate::finding::rounded;
 use crate::robot::RobotError;
 use crate::time::{Clock, Stamp};
 
-pub use arm::{Arm, JointMending, NoTf};
+pub use arm::{Arm, JointStateCorrection, TfUnavailable};
 pub use assemble::{ReferenceContent, ReferenceSource};
 pub use cadence::{Cadence, Extent, Hole, Rhythm, Stretch};
 pub use clock::{Alignment, Epoch, HeaderStamps, StreamClock};
-pub use columns::{Shared, SharedColumns, SharedRow, selectors, tell_columns};
+pub use columns::{Shared, SharedColumns, SharedRow, identify_columns, selectors};
 pub use declaration::{CalibrationSource, Declaration, DeclarationError, JointName, RobotSource};
 pub use error::RunError;
 pub use excerpts::Excerpts;
 pub use frozen::Frozen;
 pub use joints::{JointFacts, JointSamples};
-pub use model::BetterModel;
+pub use model::CompetingModel;
 pub use models::robot_of;
 pub use norms::{Norms, Written};
 pub use outliers::{FEWEST_SAMPLES, Outliers};
@@ -86,7 +86,7 @@ pub use role::Role;
 pub use rounded::RoundedStamps;
 pub use sample_filter::SampleFilter;
 pub use segments::{Segment, segments};
-pub(crate) use settle::{retake_carried, together};
+pub(crate) use settle::{realign_moving_bases, together};
 pub use shared_stream::{CandidateArm, SharedStream};
 pub use source_kind::PoseSourceKind;
 pub use sources::MovingBase;
@@ -96,8 +96,8 @@ pub use targets::{CameraAxes, HandKind, HandSource, TargetSource};
 pub use tf_error::TfError;
 pub use tf_problems::{FramePair, TfProblem, TfProblemKind};
 pub use tf_tree::{Edge, EdgeKind, TfPath, TfTree};
-pub use topics::{SaidRole, TopicSettings};
-pub use unaudited::{Unaudited, WhyNot};
+pub use topics::{RoleSetting, TopicSettings};
+pub use unaudited::{NotAudited, NotAuditedReason};
 pub use unwrap::WrappedJoint;
 pub use velocities::Velocities;
 
@@ -183,7 +183,7 @@ pub struct Run {
     /// Streams that may belong to several arms.
     pub shared_streams: Vec<SharedStream>,
     /// Streams that are not audited, or only in part.
-    pub unaudited: Vec<Unaudited>,
+    pub unaudited: Vec<NotAudited>,
     /// Streams that lead the arm, with their lead in seconds: commands, or tool poses with late joint
     /// states.
     pub leaders: Vec<(usize, f64)>,
@@ -253,7 +253,7 @@ impl Run {
 
     /// Makes `stream`, which belongs to no arm, the hand pose for the target on `topic`: their angular
     /// speeds correlate.
-    pub fn settle_hand(&mut self, stream: usize, topic: &str, correlation: f64) {
+    pub fn resolve_hand(&mut self, stream: usize, topic: &str, correlation: f64) {
         let Some(settled) = self.streams.get_mut(stream) else { return };
         if settled.role == Role::Unassigned {
             settled.role = Role::Pose;
@@ -309,7 +309,7 @@ impl Run {
     }
 
     /// Makes candidate `stream` a command: it leads the arm by `lead_s`.
-    pub fn settle_leader(&mut self, stream: usize, lead_s: f64) {
+    pub fn resolve_leader(&mut self, stream: usize, lead_s: f64) {
         let Some(settled) = self.streams.get(stream) else { return };
         let reason = format!(
             "{}; it leads the arm: received {:.0} ms before the arm made the same motion, like a command \

@@ -23,12 +23,12 @@ pub(super) struct Model {
     /// Whether its joints are matched to the log's by order, because their names differ.
     pub by_order: bool,
     /// A different arm that fits the poses far better than this named one.
-    pub better: Option<BetterModel>,
+    pub better: Option<CompetingModel>,
 }
 
 /// A catalogue arm that fits the poses far better than the named model.
 #[derive(Clone, Debug)]
-pub struct BetterModel {
+pub struct CompetingModel {
     /// Its name.
     pub name: String,
     /// Topic of the poses.

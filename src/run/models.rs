@@ -6,7 +6,7 @@ use std::path::Path;
 use crate::robot::{Robot, catalogue, nearest};
 
 use super::by_order;
-use super::catalogued::{Judges, from_catalogue, mapped_from_catalogue, of_type};
+use super::catalogued::{RankingCriteria, from_catalogue, mapped_from_catalogue, of_type};
 use super::declaration::{JointName, RobotSource};
 use super::error::RunError;
 use super::model::{Clues, Model};
@@ -88,11 +88,11 @@ pub fn robot_of(model: &str) -> Result<Robot, RunError> {
 pub(super) fn models(
     given: &[Given],
     clues: &Clues<'_>,
-    judges: &Judges<'_>,
+    criteria: &RankingCriteria<'_>,
 ) -> Result<Vec<Model>, RunError> {
     if !given.is_empty() {
         let alone = given.len() == 1;
-        let models = given.iter().map(|given| of_given(given, alone, clues, judges));
+        let models = given.iter().map(|given| of_given(given, alone, clues, criteria));
         if !clues.space.is_one_of_several() {
             return models.collect::<Result<Vec<_>, _>>().map(|models| models.concat());
         }
@@ -116,7 +116,7 @@ pub(super) fn models(
         let joints = if own.is_empty() { clues.joints.to_vec() } else { own };
         let models = Robot::from_text(text, place).map_err(RunError::from).and_then(|robot| {
             let given = (&robot, joints.as_slice(), true);
-            called(given, clues, judges, &found)
+            called(given, clues, criteria, &found)
         });
         match models {
             Ok(models) => {
@@ -133,11 +133,11 @@ pub(super) fn models(
     }
     let maps = maps(clues.joint_map, clues.joints);
     let mut catalogued = match maps.is_empty() {
-        true => from_catalogue(clues, judges)?,
-        false => mapped_from_catalogue(&maps, clues, judges)?,
+        true => from_catalogue(clues, criteria)?,
+        false => mapped_from_catalogue(&maps, clues, criteria)?,
     };
     if catalogued.is_empty() {
-        catalogued = by_order::catalogued(clues, judges)?;
+        catalogued = by_order::catalogued(clues, criteria)?;
     }
     if catalogued.is_empty() {
         let none = || RunError::NoModel { logged: clues.joints.to_vec() };
@@ -155,7 +155,7 @@ fn of_given(
     given: &Given,
     alone: bool,
     clues: &Clues<'_>,
-    judges: &Judges<'_>,
+    criteria: &RankingCriteria<'_>,
 ) -> Result<Vec<Model>, RunError> {
     let is_of_space =
         given.prefix.as_deref().is_some_and(|prefix| clues.space.claim([prefix]) == Claim::Own);
@@ -164,14 +164,14 @@ fn of_given(
     };
     let joints: Vec<String> = clues.joints.iter().filter(fits).cloned().collect();
     let may_repeat = alone && given.prefix.is_none();
-    called((&given.robot, &joints, may_repeat), clues, judges, &given.by)
+    called((&given.robot, &joints, may_repeat), clues, criteria, &given.by)
 }
 
 /// Matches the names of a robot to logged joints: by the caller's mapping, else by spelling, else by order.
 fn called(
     (robot, joints, may_repeat): (&Robot, &[String], bool),
     clues: &Clues<'_>,
-    judges: &Judges<'_>,
+    criteria: &RankingCriteria<'_>,
     found: &str,
 ) -> Result<Vec<Model>, RunError> {
     let maps = maps(clues.joint_map, joints);
@@ -194,7 +194,7 @@ fn called(
     }
     match named(robot, clues, joints.to_vec(), may_repeat, found) {
         Err(RunError::UnknownJoints { .. }) => {
-            by_order::matched(robot, joints, clues, judges, found)
+            by_order::matched(robot, joints, clues, criteria, found)
         }
         models => models,
     }
@@ -351,7 +351,8 @@ mod tests {
         }
     }
 
-    const NOBODY: Judges<'static> = Judges { by_transforms: &|_| None, by_poses: &|_| None };
+    const NOBODY: RankingCriteria<'static> =
+        RankingCriteria { by_transforms: &|_| None, by_poses: &|_| None };
 
     fn prefixed(prefix: &str) -> Vec<String> {
         UR.iter().map(|name| format!("{prefix}{name}")).collect()

@@ -12,7 +12,8 @@ use crate::diagnosis::{
     is_seen_from_tool, position_misfit_m, rotation_lag_peaks,
 };
 use crate::run::{
-    Arm, HandKind, HandSource, ImuSource, PoseSource, Role, Run, Stream, Unaudited, WhyNot,
+    Arm, HandKind, HandSource, ImuSource, NotAudited, NotAuditedReason, PoseSource, Role, Run,
+    Stream,
 };
 use crate::stream::{Orientations, PoseTrack};
 
@@ -209,10 +210,9 @@ fn settle_candidates(run: &mut Run, most_lag_s: f64) {
     for candidate in candidates {
         let found = source_of(run, candidate);
         let peak = found.and_then(|(arm, source)| lags.of_pose(run, arm, source));
-        let is_of_own_frame = run
-            .unaudited
-            .iter()
-            .any(|found| found.stream == candidate && matches!(found.why, WhyNot::OwnFrame { .. }));
+        let is_of_own_frame = run.unaudited.iter().any(|found| {
+            found.stream == candidate && matches!(found.why, NotAuditedReason::OwnFrame { .. })
+        });
         let is_seen = found.zip(peak).is_some_and(|((arm, source), peak)| {
             is_seen_from_tool(&arm.joints, &run.pose_stream(source), peak.lag_s)
         });
@@ -230,7 +230,7 @@ fn settle_candidates(run: &mut Run, most_lag_s: f64) {
             .zip(peak)
             .and_then(|((arm, source), peak)| lead_s(run, arm, source, peak, &mut lags));
         match lead_s {
-            Some(lead_s) => run.settle_leader(candidate, lead_s),
+            Some(lead_s) => run.resolve_leader(candidate, lead_s),
             None => run.settle(candidate, peak.map(|peak| peak.correlation)),
         }
     }
@@ -331,7 +331,7 @@ fn settle_carried(run: &mut Run, most_lag_s: f64) {
 
 /// Transforms the poses of moving bases again if the latencies in `found` differ from those assumed.
 /// Returns whether any did.
-pub(crate) fn retake_carried(run: &mut Run, arm: usize, found: &ArmDiagnosis) -> bool {
+pub(crate) fn realign_moving_bases(run: &mut Run, arm: usize, found: &ArmDiagnosis) -> bool {
     /// Maximum latency difference that needs no new transformation, s.
     const NEAR_S: f64 = 3e-4;
     let mut are_other = false;
@@ -417,12 +417,12 @@ fn leave_unmoved(run: &mut Run) {
         for &stream in &streams {
             run.unassign(stream, "an object of the scene: it never moves".to_owned());
         }
-        let why = WhyNot::SceneObjects { names };
-        run.unaudited.push(Unaudited { stream: streams[0], why });
+        let why = NotAuditedReason::SceneObjects { names };
+        run.unaudited.push(NotAudited { stream: streams[0], why });
     }
     for (stream, samples, moved_m) in unmoved {
         let reason = "all its poses are the same while the joints move the tool".to_owned();
-        run.exclude(stream, WhyNot::NeverChanges { samples, moved_m }, reason);
+        run.exclude(stream, NotAuditedReason::NeverChanges { samples, moved_m }, reason);
     }
 }
 
@@ -445,7 +445,11 @@ fn leave_moving_bases(run: &mut Run, most_lag_s: f64) {
         let frame = run.streams.get(stream).map_or_else(String::new, |one| one.frame_id.clone());
         let reason =
             format!("'{base}' moves in its frame '{frame}', and the log has no transforms for it");
-        run.exclude(stream, WhyNot::BaseMoves { frame, base, travel_m, turn_rad }, reason);
+        run.exclude(
+            stream,
+            NotAuditedReason::BaseMoves { frame, base, travel_m, turn_rad },
+            reason,
+        );
     }
 }
 
@@ -468,6 +472,6 @@ fn settle_hands(run: &mut Run, most_lag_s: f64) {
         }
     }
     for (hand, topic, correlation) in found {
-        run.settle_hand(hand, &topic, correlation);
+        run.resolve_hand(hand, &topic, correlation);
     }
 }

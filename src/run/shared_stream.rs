@@ -1,11 +1,11 @@
 //! Resolves streams and transforms that may belong to several arms, and leader arms.
 
 use super::Run;
-use super::arm::NoTf;
+use super::arm::TfUnavailable;
 use super::role::Role;
 use super::streams::Stream;
 use super::targets::HandKind;
-use super::unaudited::{Unaudited, WhyNot};
+use super::unaudited::{NotAudited, NotAuditedReason};
 
 /// A stream that may belong to several arms.
 #[derive(Clone, Debug)]
@@ -51,8 +51,8 @@ impl Run {
                 names.join(" or ")
             );
             self.unassign(*stream, reason);
-            let why = WhyNot::WhoseArm { arms: names };
-            self.unaudited.push(Unaudited { stream: *stream, why });
+            let why = NotAuditedReason::WhoseArm { arms: names };
+            self.unaudited.push(NotAudited { stream: *stream, why });
             return;
         };
         for (index, arm) in
@@ -73,7 +73,7 @@ impl Run {
     pub fn assign_shared_transforms(&mut self, candidates: &[usize], winner: usize) {
         let arm = self.arms[winner].name.clone();
         for &loser in candidates.iter().filter(|&&index| index != winner) {
-            self.arms[loser].tf = Err(NoTf::OfAnotherArm { arm: arm.clone() });
+            self.arms[loser].tf = Err(TfUnavailable::OfAnotherArm { arm: arm.clone() });
         }
     }
 
@@ -113,8 +113,8 @@ impl Run {
     }
 
     /// Unassigns a stream, and records why it is not audited.
-    pub fn exclude(&mut self, stream: usize, why: WhyNot, reason: String) {
+    pub fn exclude(&mut self, stream: usize, why: NotAuditedReason, reason: String) {
         self.unassign(stream, reason);
-        self.unaudited.push(Unaudited { stream, why });
+        self.unaudited.push(NotAudited { stream, why });
     }
 }

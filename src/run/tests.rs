@@ -161,7 +161,7 @@ fn transforms_that_cross_not_all_joints_are_no_source() {
     };
     fixed.push(elbow);
     let run = recording.run();
-    let expected = NoTf::NotCovered { joints: vec!["elbow_joint".to_owned()] };
+    let expected = TfUnavailable::NotCovered { joints: vec!["elbow_joint".to_owned()] };
     assert_eq!(run.arms[0].tf.as_ref().unwrap_err(), &expected);
     assert!(role_of(&run, "/tf").1.contains("covers elbow_joint"));
 }

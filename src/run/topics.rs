@@ -21,7 +21,7 @@ pub struct TopicSettings {
     /// Source of the settings, for errors and reasons.
     pub place: String,
     /// Its role.
-    pub role: Option<SaidRole>,
+    pub role: Option<RoleSetting>,
     /// Source of its poses.
     pub source_kind: Option<PoseSourceKind>,
     /// Reference frame of its poses, or an IMU's own frame.
@@ -44,7 +44,7 @@ impl TopicSettings {
 
     /// Whether the log should contain the topic.
     pub fn is_expected(&self) -> bool {
-        let plays = |role| !matches!(role, SaidRole::Ignored | SaidRole::Reference);
+        let plays = |role| !matches!(role, RoleSetting::Ignored | RoleSetting::Reference);
         !self.of_columns && self.role.map_or(self.rate_hz.is_some(), plays)
     }
 
@@ -56,7 +56,8 @@ impl TopicSettings {
 /// A role that the caller can assign to a topic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum SaidRole {
+#[schemars(rename = "SaidRole")]
+pub enum RoleSetting {
     /// Joint states.
     Joints,
     /// A measured tool pose.
@@ -77,7 +78,7 @@ pub enum SaidRole {
     Ignored,
 }
 
-impl SaidRole {
+impl RoleSetting {
     /// All roles, in listing order.
     pub const ALL: [Self; 9] = [
         Self::Joints,
@@ -154,7 +155,7 @@ pub(super) fn apply(settings: &[TopicSettings], streams: &mut [Stream]) -> Resul
 fn apply_to(said: &TopicSettings, stream: &mut Stream) -> Result<(), RunError> {
     const ROLE: &str = "check the content of the topic with `poseaudit info`";
     stream.said_hz = said.rate_hz;
-    if said.role == Some(SaidRole::Ignored) {
+    if said.role == Some(RoleSetting::Ignored) {
         (stream.role, stream.is_empty, stream.columns) = (Role::Ignored, false, None);
         stream.reason = format!("its role is set ({})", said.place);
         return Ok(());

@@ -2,16 +2,16 @@
 
 /// A stream that is not audited, or not with its stated meaning.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Unaudited {
+pub struct NotAudited {
     /// Index of the stream.
     pub stream: usize,
     /// The reason.
-    pub why: WhyNot,
+    pub why: NotAuditedReason,
 }
 
 /// Why a stream is not audited, or not with its stated meaning.
 #[derive(Clone, Debug, PartialEq)]
-pub enum WhyNot {
+pub enum NotAuditedReason {
     /// Its frame is the tool's own, where the tool does not move. It is audited with an unknown frame.
     OwnFrame {
         /// The frame.

@@ -15,7 +15,7 @@ use crate::finding::{
     Cause, Estimate, Evidence, Fault, Interpretation, Outcome, Ruling, Severity, Subject, Unit,
     rounded,
 };
-use crate::run::BetterModel;
+use crate::run::CompetingModel;
 
 rule! {
     /// Residual error with no identified cause.
@@ -479,8 +479,8 @@ fn candidates(stream: &StreamEvidence<PoseEvidence>) -> Vec<String> {
 }
 
 /// Outcome if another arm fits far better than the given model.
-fn wrong_model(case: &Case, arm: &ArmEvidence, better: &BetterModel) -> Outcome {
-    let BetterModel { name, named_m, left_m, tool_m, .. } = better;
+fn wrong_model(case: &Case, arm: &ArmEvidence, better: &CompetingModel) -> Outcome {
+    let CompetingModel { name, named_m, left_m, tool_m, .. } = better;
     let [fits, off] = [left_m, named_m].map(|left_m| Unit::Metre.show(*left_m));
     let with = match tool_m {
         Some(tool_m) => format!("with a TCP of {}", Unit::Metre.show(*tool_m)),

@@ -3,7 +3,7 @@ use serde_json::{Value, json};
 use crate::checks::{Case, Grade, Judged};
 use crate::evidence::StreamEvidence;
 use crate::finding::{Cause, Evidence, Fault, Outcome, Picture, Severity, Unit};
-use crate::run::WhyNot;
+use crate::run::NotAuditedReason;
 
 rule! {
     /// An arm or a pose stream is not audited, or not as declared.
@@ -57,14 +57,14 @@ fn check(case: &Case) -> Vec<Judged> {
     case.evidence.not_audited.iter().flat_map(judge).collect()
 }
 
-fn judge(stream: &StreamEvidence<Vec<WhyNot>>) -> Vec<Judged> {
+fn judge(stream: &StreamEvidence<Vec<NotAuditedReason>>) -> Vec<Judged> {
     if stream.is_empty() {
         return vec![stream.judged(Outcome::pass())];
     }
-    let of = |why: &WhyNot| {
+    let of = |why: &NotAuditedReason| {
         let NotAuditedReport { why: name, title, message, fix, evidence } = report(why);
         let severity = match why {
-            WhyNot::SceneObjects { .. } => Severity::Info,
+            NotAuditedReason::SceneObjects { .. } => Severity::Info,
             _ => Severity::Warning,
         };
         let fault = Fault {
@@ -91,9 +91,9 @@ struct NotAuditedReport {
     evidence: Vec<(&'static str, Value)>,
 }
 
-fn report(why: &WhyNot) -> NotAuditedReport {
+fn report(why: &NotAuditedReason) -> NotAuditedReport {
     match why {
-        WhyNot::OwnFrame { frame } => NotAuditedReport {
+        NotAuditedReason::OwnFrame { frame } => NotAuditedReport {
             why: "own-frame",
             title: "frame_id is the tool's own frame",
             message: format!(
@@ -104,7 +104,7 @@ fn report(why: &WhyNot) -> NotAuditedReport {
                 .to_owned(),
             evidence: vec![("frame", json!(frame))],
         },
-        WhyNot::NoOrientation => NotAuditedReport {
+        NotAuditedReason::NoOrientation => NotAuditedReport {
             why: "no-orientation",
             title: "orientations were never set",
             message:
@@ -114,7 +114,7 @@ fn report(why: &WhyNot) -> NotAuditedReport {
             fix: "set the orientation, or publish a point".to_owned(),
             evidence: Vec::new(),
         },
-        WhyNot::OtherFrames { frames, samples, of } => NotAuditedReport {
+        NotAuditedReason::OtherFrames { frames, samples, of } => NotAuditedReport {
             why: "other-frames",
             title: "topic has poses in several frames",
             message: format!(
@@ -127,7 +127,7 @@ fn report(why: &WhyNot) -> NotAuditedReport {
                 .to_owned(),
             evidence: vec![("frames", json!(frames.len())), ("samples", json!(samples))],
         },
-        WhyNot::NeverChanges { samples, moved_m } => NotAuditedReport {
+        NotAuditedReason::NeverChanges { samples, moved_m } => NotAuditedReport {
             why: "never-changes",
             title: "pose never changes",
             message: format!(
@@ -137,7 +137,7 @@ fn report(why: &WhyNot) -> NotAuditedReport {
             fix: "check why it stopped, and record it while the arm moves".to_owned(),
             evidence: vec![("samples", json!(samples)), ("moved_m", json!(moved_m))],
         },
-        WhyNot::SceneObjects { names } => NotAuditedReport {
+        NotAuditedReason::SceneObjects { names } => NotAuditedReport {
             why: "scene-objects",
             title: "objects of the scene",
             message: format!(
@@ -148,7 +148,7 @@ fn report(why: &WhyNot) -> NotAuditedReport {
             fix: "no action needed; exclude the topic from recording if it is unused".to_owned(),
             evidence: vec![("bodies", json!(names))],
         },
-        WhyNot::BaseMoves { frame, base, travel_m, turn_rad } => NotAuditedReport {
+        NotAuditedReason::BaseMoves { frame, base, travel_m, turn_rad } => NotAuditedReport {
             why: "base-moves",
             title: "arm base moves in the frame of the poses",
             message: format!(
@@ -164,7 +164,7 @@ fn report(why: &WhyNot) -> NotAuditedReport {
                 ("turn_rad", json!(turn_rad)),
             ],
         },
-        WhyNot::WhoseArm { arms } => NotAuditedReport {
+        NotAuditedReason::WhoseArm { arms } => NotAuditedReport {
             why: "whose-arm",
             title: "pose stream of an unknown arm",
             message: format!(
@@ -174,7 +174,7 @@ fn report(why: &WhyNot) -> NotAuditedReport {
             fix: "name the topic or its frames after the arm".to_owned(),
             evidence: vec![("arms", json!(arms))],
         },
-        WhyNot::NoKinematics { what } => NotAuditedReport {
+        NotAuditedReason::NoKinematics { what } => NotAuditedReport {
             why: "no-kinematics",
             title: "tool pose cannot be compared with the arm",
             message: format!("a tool pose by its name or frames, but {what}"),
@@ -182,7 +182,7 @@ fn report(why: &WhyNot) -> NotAuditedReport {
                 .to_owned(),
             evidence: vec![("missing", json!(what))],
         },
-        WhyNot::NoModel { joints } => NotAuditedReport {
+        NotAuditedReason::NoModel { joints } => NotAuditedReport {
             why: "no-model",
             title: "joint states of an arm without a model",
             message: format!(

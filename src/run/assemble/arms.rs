@@ -8,7 +8,7 @@ use crate::stream::{Columns, JointColumn};
 
 use super::super::arm::{Arm, Ends};
 use super::super::calibrations::{self, GivenCalibration};
-use super::super::catalogued::Judges;
+use super::super::catalogued::RankingCriteria;
 use super::super::declaration::JointName;
 use super::super::error::RunError;
 use super::super::joints::JointTopic;
@@ -20,7 +20,7 @@ use super::super::space::{Claim, Space};
 use super::super::streams::Stream;
 use super::super::tf_tree::TfTree;
 use super::super::timing::Timing;
-use super::super::unaudited::{Unaudited, WhyNot};
+use super::super::unaudited::{NotAudited, NotAuditedReason};
 use super::assembly::Assembly;
 use super::groups::{Group, groups};
 use super::ranking::ByPoses;
@@ -134,11 +134,11 @@ impl Assembly<'_> {
             robot_type: said.robot_type,
         };
         let poses = ByPoses { assembly: self, group, tree };
-        let judges = Judges {
+        let criteria = RankingCriteria {
             by_transforms: &|model| misfit_m(tree, &model.robot, &model.frames),
             by_poses: &|models| poses.ranking(models),
         };
-        let mut models = models::models(&said.given, &clues, &judges)?;
+        let mut models = models::models(&said.given, &clues, &criteria)?;
         calibrations::overlay_all(&mut models, &said.calibrations, &clues)?;
         for model in &mut models {
             model.better = poses.better(model, &clues);
@@ -196,8 +196,8 @@ impl Assembly<'_> {
                 columns.joints.iter().filter(|joint| is_stranger || !is_known(joint)).collect();
             if are_of_an_arm(&unknown) {
                 let joints = unknown.iter().map(|joint| joint.name.clone()).collect();
-                let why = WhyNot::NoModel { joints };
-                self.unaudited.push(Unaudited { stream: index, why });
+                let why = NotAuditedReason::NoModel { joints };
+                self.unaudited.push(NotAudited { stream: index, why });
             }
             if used.is_empty() {
                 stream.role = Role::Ignored;

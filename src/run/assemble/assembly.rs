@@ -9,7 +9,7 @@ use crate::run::shared_stream::SharedStream;
 use crate::run::streams::Stream;
 use crate::run::tf_tree::TfTree;
 use crate::run::timing::Timing;
-use crate::run::unaudited::Unaudited;
+use crate::run::unaudited::NotAudited;
 use crate::time::Stamp;
 
 pub(super) struct Assembly<'a> {
@@ -21,7 +21,7 @@ pub(super) struct Assembly<'a> {
     pub(super) arms: Vec<Arm>,
     /// Joint state streams without an arm.
     pub(super) strangers: Vec<usize>,
-    pub(super) unaudited: Vec<Unaudited>,
+    pub(super) unaudited: Vec<NotAudited>,
     pub(super) shared_streams: Vec<SharedStream>,
     pub(super) frozen: Vec<Frozen>,
     /// Streams that were searched for frozen samples.

@@ -14,7 +14,7 @@ use crate::robot::catalogue;
 use crate::run::arm::{Arm, Ends};
 use crate::run::by_order;
 use crate::run::catalogued::{Ranking, Standing};
-use crate::run::model::{BetterModel, Clues, Model};
+use crate::run::model::{Clues, CompetingModel, Model};
 use crate::run::role::Role;
 use crate::run::skeleton;
 use crate::run::sources::PoseSource;
@@ -134,7 +134,7 @@ impl ByPoses<'_> {
     }
 
     /// A catalogue arm that fits far better than `model`, which was named.
-    pub fn better(&self, model: &Model, clues: &Clues<'_>) -> Option<BetterModel> {
+    pub fn better(&self, model: &Model, clues: &Clues<'_>) -> Option<CompetingModel> {
         let path = self.only_path(model)?;
         let own = self.ranking(&[model])?;
         let own = own.standings.first()?;
@@ -189,7 +189,7 @@ impl ByPoses<'_> {
             return None;
         }
         let rival = &rivals[best.model.checked_sub(1)?];
-        Some(BetterModel {
+        Some(CompetingModel {
             name: rival.robot.name.clone(),
             topic: best.topic.clone(),
             named_m: own.map_or(f64::INFINITY, |own| own.as_is_m),

@@ -18,8 +18,8 @@ use super::super::sources::{ImuSource, PoseSource};
 use super::super::space::Claim;
 use super::super::streams::Stream;
 use super::super::tf_tree::{Edge, EdgeKind};
-use super::super::topics::{SaidRole, TopicSettings};
-use super::super::unaudited::{Unaudited, WhyNot};
+use super::super::topics::{RoleSetting, TopicSettings};
+use super::super::unaudited::{NotAudited, NotAuditedReason};
 use super::assembly::{Assembly, is_topic};
 use super::not_so;
 
@@ -117,7 +117,7 @@ impl Assembly<'_> {
                     // Poses between two links that do not move relative to each other cannot be audited.
                     let is_asked = known && site.frame != Place::MovingLink;
                     if let (true, NoSource::Kinematics(what)) = (is_asked, &why) {
-                        unaudited = Some(WhyNot::NoKinematics { what: what.clone() });
+                        unaudited = Some(NotAuditedReason::NoKinematics { what: what.clone() });
                     }
                     (role, reason) = (beside_arm(&stream.topic), why.to_string());
                 }
@@ -138,9 +138,9 @@ impl Assembly<'_> {
         };
         let is_own_frame = site.as_ref().is_some_and(|site| site.frame == Place::Tool);
         if source.is_some() && is_own_frame {
-            unaudited = Some(WhyNot::OwnFrame { frame: stream.frame_id.clone() });
+            unaudited = Some(NotAuditedReason::OwnFrame { frame: stream.frame_id.clone() });
         }
-        let why = |why| Unaudited { stream: index, why };
+        let why = |why| NotAudited { stream: index, why };
         self.unaudited.extend(unaudited.map(why));
         let stream = &mut self.streams[index];
         (stream.role, stream.reason) = (role, reason);
@@ -206,7 +206,7 @@ impl Assembly<'_> {
         {
             let said = format!("its role is set ({place})");
             match (&stream.columns, role) {
-                (Some(Columns::Array(array)), SaidRole::Pose) => {
+                (Some(Columns::Array(array)), RoleSetting::Pose) => {
                     let (role, reason) = array_role(&stream.topic, array.width, true);
                     let is_pose = role == Role::Pose;
                     return if is_pose { (role, said) } else { (role, reason) };

@@ -5,7 +5,7 @@ use crate::robot::{JointKind, Robot};
 use crate::stream::{Columns, PoseColumns};
 use crate::time::Stamp;
 
-use super::super::arm::{Arm, NoTf};
+use super::super::arm::{Arm, TfUnavailable};
 use super::super::model::FrameNames;
 use super::super::poses::{self, Stamped};
 use super::super::role::{Place, Role};
@@ -107,11 +107,11 @@ impl Assembly<'_> {
     pub(super) fn follow_transforms(
         &self,
         arm: &Arm,
-    ) -> Result<(PoseSource, Vec<(String, String)>), NoTf> {
+    ) -> Result<(PoseSource, Vec<(String, String)>), TfUnavailable> {
         let first = self.streams.iter().position(|stream| {
             stream.role == Role::Tf && arm.claim([stream.topic.as_str()]) != Claim::Foreign
         });
-        let first = first.ok_or(NoTf::NoTransforms)?;
+        let first = first.ok_or(TfUnavailable::NoTransforms)?;
         let [base, tip] = [arm.base, arm.tip].map(|link| arm.frame_of(link));
         let crosses = |edge: &Edge| {
             let (parent, child) = arm.tree.names(edge);
@@ -135,7 +135,7 @@ impl Assembly<'_> {
             .cloned()
             .collect();
         if !uncrossed.is_empty() {
-            return Err(NoTf::NotCovered { joints: uncrossed });
+            return Err(TfUnavailable::NotCovered { joints: uncrossed });
         }
         let mut stamps = path.stamps();
         poses::thinned(&mut stamps);
@@ -143,7 +143,7 @@ impl Assembly<'_> {
         let samples: Vec<(Stamp, Pose)> =
             stamps.filter_map(|stamp| Some((stamp, path.at(stamp).ok()?))).collect();
         if samples.len() < 2 {
-            return Err(NoTf::NoSamples);
+            return Err(TfUnavailable::NoSamples);
         }
         let from_model = path.edges().filter(|edge| edge.kind == EdgeKind::Model).map(|edge| {
             let (parent, child) = arm.tree.names(edge);

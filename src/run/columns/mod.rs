@@ -47,7 +47,7 @@ const MOVES_M: f64 = 0.02;
 
 /// Identifies unnamed table columns as joints, poses and commands, and rewrites their topics. Returns the
 /// mapping for other logs of the same dataset.
-pub fn tell_columns(log: &mut Log, options: &RunOptions) -> Option<SharedColumns> {
+pub fn identify_columns(log: &mut Log, options: &RunOptions) -> Option<SharedColumns> {
     contradictions::find(log);
     commands::settle(log);
     tools::compare(log);

@@ -105,7 +105,7 @@ fn where_poses_and_joints_disagree_no_cause_is_named_and_all_say_why() {
 fn an_arm_that_fits_where_the_named_one_does_not_is_the_finding() {
     let mut run = clean_run();
     let arm = &mut run.robots[0];
-    arm.better_model = Some(BetterModel {
+    arm.better_model = Some(CompetingModel {
         name: "ur3e".to_owned(),
         topic: arm.poses[0].topic().to_owned(),
         named_m: 0.0274,
