@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::Options;
 use super::tables::table;
-use crate::checks::{Still, gains_nothing, refusal, still};
+use crate::checks::{UnmovedJoint, rejection_reason, stream_rejection_reason, unmoved_joints};
 use crate::diagnosis::{
     ArmCalibration, CalibrationFailure, CalibrationStream, PoseDiagnosis, PoseEncoding,
     calibrate_arm,
@@ -65,7 +65,7 @@ pub struct Calibrated {
     /// The estimated calibration.
     pub found: ArmCalibration,
     /// Joints that moved too little.
-    pub still: Vec<Still>,
+    pub still: Vec<UnmovedJoint>,
     /// Command line that plans a more informative motion.
     pub plan: Option<String>,
     /// Reason for writing no file; `None` if the calibration is accepted.
@@ -159,8 +159,8 @@ pub fn calibrate(options: &Options, topic: Option<&str>) -> Result<Calibrated, T
         let (what, remedy) = words(why);
         trouble(place, what, remedy)
     })?;
-    let still = still(&drawing, &joints, &found);
-    let refused = refusal(&found, &still);
+    let still = unmoved_joints(&drawing, &joints, &found);
+    let refused = rejection_reason(&found, &still);
     let read = options.places();
     let plan = streams.first().and_then(|stream| plan(options, &drawing, stream));
     Ok(Calibrated { drawing, joints, streams, left_out, found, still, plan, refused, read })
@@ -224,7 +224,8 @@ fn fitted_to_most(
     let given = streams.len();
     loop {
         let (joints, found) = fitted(robot, streams)?;
-        let useless: Vec<Option<String>> = found.streams.iter().map(gains_nothing).collect();
+        let useless: Vec<Option<String>> =
+            found.streams.iter().map(stream_rejection_reason).collect();
         let kept = useless.iter().filter(|why| why.is_none()).count();
         if kept == streams.len() || 2 * kept <= given {
             return Ok((joints, found));

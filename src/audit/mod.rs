@@ -7,7 +7,7 @@ mod demo;
 mod options;
 mod tables;
 
-use crate::checks::{EvaluatedPart, Evaluation, evaluate, merged};
+use crate::checks::{Evaluation, SegmentEvaluation, evaluate, merge_segments};
 use crate::corrections::GivenCorrections;
 use crate::evidence::{ArmEvidence, ReadLosses, RunEvidence, UndecodableContent, UndecodableTopic};
 use crate::log::{Extent, Log, Loss};
@@ -214,11 +214,11 @@ fn report(parts: &[Part], main: usize, mut read: Read, options: &Options) -> Rep
         [only] => only.evaluation.clone(),
         segments => {
             read.note(&note(segments));
-            let parts = segments.iter().map(|segment| EvaluatedPart {
+            let parts = segments.iter().map(|segment| SegmentEvaluation {
                 evaluation: segment.evaluation.clone(),
                 is_short: segment.seconds < SHORT * main.seconds,
             });
-            merged(parts.collect(), segment)
+            merge_segments(parts.collect(), segment)
         }
     };
     let streams = match parts {
@@ -228,7 +228,7 @@ fn report(parts: &[Part], main: usize, mut read: Read, options: &Options) -> Rep
     if let Some(config) = &options.config {
         let row = |note: String| NoteRow { path: config.clone(), note };
         read.summary.notes.push(row("settings are from this file".to_owned()));
-        let unused = options.policy.rules.unused(&evaluation.checks).into_iter();
+        let unused = options.policy.rules.unused_exemptions(&evaluation.checks).into_iter();
         let unused = unused.map(|known| {
             row(format!("`ignore` entry matches no check: {known} ({})", known.place))
         });
@@ -249,7 +249,7 @@ fn report(parts: &[Part], main: usize, mut read: Read, options: &Options) -> Rep
     );
     report.fails_open = options.policy.fail_on_inconclusive;
     match &main.run.no_arm {
-        Some(error) if options.policy.rules.need_model() && !tells_hand_eye(&report.checks) => {
+        Some(error) if options.policy.rules.needs_model() && !tells_hand_eye(&report.checks) => {
             report.with_trouble(error.into())
         }
         _ => report,

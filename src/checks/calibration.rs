@@ -4,18 +4,18 @@ use crate::diagnosis::{ArmCalibration, StreamCalibration};
 use crate::robot::{JointKind, Robot};
 
 /// Minimum ratio of the expected FK error before calibration to the error after it.
-const WORTH: f64 = 2.0;
+const MIN_IMPROVEMENT_RATIO: f64 = 2.0;
 /// Maximum ratio of the cross-validated residual after calibration to the residual before it.
-const FORETELLS: f64 = 0.9;
+const MAX_CROSS_VALIDATION_RATIO: f64 = 0.9;
 /// Residuals up to this multiple of the noise need no improvement.
-const NOISE: f64 = 1.1;
+const MAX_NOISE_RATIO: f64 = 1.1;
 /// A joint that moves less than this reveals little about its neighbouring links, rad and m.
-const LITTLE_RAD: f64 = 60.0 * std::f64::consts::PI / 180.0;
-const LITTLE_M: f64 = 0.1;
+const MIN_TRAVEL_RAD: f64 = 60.0 * std::f64::consts::PI / 180.0;
+const MIN_TRAVEL_M: f64 = 0.1;
 
 /// A joint that moved too little for calibration.
 #[derive(Clone, Debug)]
-pub struct Still {
+pub struct UnmovedJoint {
     /// Name of the joint.
     pub joint: String,
     /// Range of motion, rad or m.
@@ -25,7 +25,11 @@ pub struct Still {
 }
 
 /// Joints that move too little in every stream.
-pub(crate) fn still(robot: &Robot, joints: &[String], found: &ArmCalibration) -> Vec<Still> {
+pub(crate) fn unmoved_joints(
+    robot: &Robot,
+    joints: &[String],
+    found: &ArmCalibration,
+) -> Vec<UnmovedJoint> {
     let of = |(at, joint): (usize, &String)| {
         let moved = found
             .streams
@@ -33,20 +37,20 @@ pub(crate) fn still(robot: &Robot, joints: &[String], found: &ArmCalibration) ->
             .filter_map(|stream| stream.spans.get(at))
             .fold(0.0, |a: f64, b| a.max(*b));
         let slides = robot.joint(joint).is_some_and(|joint| joint.kind == JointKind::Prismatic);
-        let is_little = moved < if slides { LITTLE_M } else { LITTLE_RAD };
-        is_little.then(|| Still { joint: joint.clone(), moved, slides })
+        let is_little = moved < if slides { MIN_TRAVEL_M } else { MIN_TRAVEL_RAD };
+        is_little.then(|| UnmovedJoint { joint: joint.clone(), moved, slides })
     };
     joints.iter().enumerate().filter_map(of).collect()
 }
 
 /// Reason for rejecting the calibration; `None` if it is accepted.
-pub(crate) fn refusal(found: &ArmCalibration, still: &[Still]) -> Option<String> {
+pub(crate) fn rejection_reason(found: &ArmCalibration, unmoved: &[UnmovedJoint]) -> Option<String> {
     let (known, drawing) = (found.calibrated_uncertainty.m, found.nominal_uncertainty.m);
-    if known.is_nan() || drawing == 0.0 || known * WORTH > drawing {
-        let moved = match still {
+    if known.is_nan() || drawing == 0.0 || known * MIN_IMPROVEMENT_RATIO > drawing {
+        let moved = match unmoved {
             [] => String::new(),
-            still => {
-                let names: Vec<&str> = still.iter().map(|one| one.joint.as_str()).collect();
+            unmoved => {
+                let names: Vec<&str> = unmoved.iter().map(|one| one.joint.as_str()).collect();
                 format!("; {} moved too little", names.join(", "))
             }
         };
@@ -56,13 +60,13 @@ pub(crate) fn refusal(found: &ArmCalibration, still: &[Still]) -> Option<String>
             1e3 * drawing
         ));
     }
-    found.streams.iter().find_map(gains_nothing)
+    found.streams.iter().find_map(stream_rejection_reason)
 }
 
 /// Reason why a stream contradicts the calibration; `None` if the calibration fits it better than the
 /// nominal model.
-pub(crate) fn gains_nothing(stream: &StreamCalibration) -> Option<String> {
-    let noise_m = NOISE * 3f64.sqrt() * stream.noise[0];
+pub(crate) fn stream_rejection_reason(stream: &StreamCalibration) -> Option<String> {
+    let noise_m = MAX_NOISE_RATIO * 3f64.sqrt() * stream.noise[0];
     if stream.after.m > stream.before.m.max(noise_m) {
         return Some(format!(
             "calibrated residual of {:.3} mm rms exceeds the nominal residual of {:.3} mm",
@@ -71,7 +75,7 @@ pub(crate) fn gains_nothing(stream: &StreamCalibration) -> Option<String> {
         ));
     }
     let (before, after) = (stream.held_out_before.m, stream.held_out_after.m);
-    (after > FORETELLS * before && before > noise_m).then(|| {
+    (after > MAX_CROSS_VALIDATION_RATIO * before && before > noise_m).then(|| {
         format!(
             "cross-validated residual of {:.3} mm rms does not improve on the nominal residual of {:.3} mm",
             1e3 * after,
@@ -128,16 +132,16 @@ mod tests {
     #[test]
     fn a_calibration_is_refused_that_knows_or_foretells_no_more_than_the_drawing() {
         let good = found(1e-5, [1e-3, 2e-5], [1e-3, 2e-5]);
-        assert_eq!(refusal(&good, &[]), None);
+        assert_eq!(rejection_reason(&good, &[]), None);
         // The nominal model already fits to within the noise.
-        assert_eq!(refusal(&found(1e-5, [1.8e-5, 1.7e-5], [1.8e-5, 1.9e-5]), &[]), None);
+        assert_eq!(rejection_reason(&found(1e-5, [1.8e-5, 1.7e-5], [1.8e-5, 1.9e-5]), &[]), None);
         for (bad, why) in [
             (found(7e-4, [1e-3, 2e-5], [1e-3, 2e-5]), "0.700 mm rms calibrated"),
             (found(f64::NAN, [1e-3, 2e-5], [1e-3, 2e-5]), "rms calibrated"),
             (found(1e-5, [1e-3, 2e-5], [1e-3, 9.5e-4]), "cross-validated residual"),
             (found(1e-5, [1e-3, 2e-3], [1e-3, 2e-5]), "exceeds the nominal residual"),
         ] {
-            let refused = refusal(&bad, &[]).unwrap_or_default();
+            let refused = rejection_reason(&bad, &[]).unwrap_or_default();
             assert!(refused.contains(why), "{refused}");
         }
     }
@@ -145,7 +149,7 @@ mod tests {
     #[test]
     fn a_stream_gains_nothing_that_is_described_no_better_than_by_the_drawing() {
         let gains = |left: [f64; 2], unseen: [f64; 2]| {
-            gains_nothing(&found(1e-5, left, unseen).streams[0]).is_none()
+            stream_rejection_reason(&found(1e-5, left, unseen).streams[0]).is_none()
         };
         assert!(gains([1e-3, 2e-5], [1e-3, 2e-5]));
         assert!(!gains([1e-3, 2e-3], [1e-3, 2e-5]));
@@ -156,8 +160,11 @@ mod tests {
     fn joints_that_hardly_move_are_named() {
         let found = found(7e-4, [1e-3, 2e-5], [1e-3, 2e-5]);
         let joints = ["a", "b", "c", "d", "e", "f"].map(str::to_owned);
-        let still = still(&found.robot, &joints, &found);
-        assert_eq!(still.iter().map(|one| one.joint.as_str()).collect::<Vec<_>>(), ["d"]);
-        assert!(refusal(&found, &still).is_some_and(|why| why.contains("d moved too little")));
+        let unmoved = unmoved_joints(&found.robot, &joints, &found);
+        assert_eq!(unmoved.iter().map(|one| one.joint.as_str()).collect::<Vec<_>>(), ["d"]);
+        assert!(
+            rejection_reason(&found, &unmoved)
+                .is_some_and(|why| why.contains("d moved too little"))
+        );
     }
 }

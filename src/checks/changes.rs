@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use crate::checks::decision::{Decision, FrameThresholds, Threshold, decide, decide_frame};
 use crate::checks::frames::{pose_json, show};
-use crate::checks::{Case, Judged};
+use crate::checks::{Case, SubjectResult};
 use crate::diagnosis::{ChangePoint, EncodingSpans, FrameChange, Measured, ScalarChange};
 use crate::evidence::ArmEvidence;
 use crate::finding::{
@@ -167,7 +167,7 @@ fn outcome(decision: Decision, report: ChangeReport) -> Outcome {
 }
 
 /// Limits a finding about a stream's encoding to the part of the run in which that encoding occurs.
-pub fn limit_to_segment(case: &Case, mut judged: Judged) -> Judged {
+pub fn limit_to_segment(case: &Case, mut judged: SubjectResult) -> SubjectResult {
     let segment_s = |subject: &Subject, cause: &Cause| {
         let mut streams = case.evidence.poses_and_tf();
         let topic = subject.topic.as_deref()?;
@@ -204,5 +204,5 @@ pub fn limit_to_segment(case: &Case, mut judged: Judged) -> Judged {
     let span = judged
         .span
         .map(|span| Span { start: from.unwrap_or(span.start), end: to.unwrap_or(span.end) });
-    Judged { span, ..judged }.with_evidence("change_ns", changes)
+    SubjectResult { span, ..judged }.with_evidence("change_ns", changes)
 }

@@ -61,7 +61,7 @@ pub fn decide(measured: &Measured, threshold: &Threshold, subjects: usize) -> De
             Decision::Fail(severity)
         }
         None if size.is_finite() && half <= threshold.warning => Decision::Pass,
-        _ => Decision::Undecided(unsettled(measured, threshold)),
+        _ => Decision::Undecided(undecided_reason(measured, threshold)),
     }
 }
 
@@ -74,7 +74,7 @@ pub fn decide_length(length: &MeasuredLength, threshold: &Threshold, subjects: u
         length.p_value <= chance && norm.value > threshold.unit.half_width(norm, PASS_CONFIDENCE);
     match threshold.severity(norm.value) {
         Some(severity) if is_sure => Decision::Fail(severity),
-        Some(_) => Decision::Undecided(unsettled(norm, threshold)),
+        Some(_) => Decision::Undecided(undecided_reason(norm, threshold)),
         None => decide(norm, threshold, subjects),
     }
 }
@@ -133,7 +133,7 @@ pub fn decide_both(
     }
 }
 
-fn unsettled(measured: &Measured, threshold: &Threshold) -> String {
+fn undecided_reason(measured: &Measured, threshold: &Threshold) -> String {
     let unit = threshold.unit;
     let half = unit.half_width(measured, PASS_CONFIDENCE);
     if !half.is_finite() || !measured.value.is_finite() {
@@ -148,8 +148,8 @@ fn unsettled(measured: &Measured, threshold: &Threshold) -> String {
 
 /// Outcome for a quantity that has no estimate. `settle` names the motion or topic that would make it
 /// observable.
-pub fn unseen(unseen: &NotObservable, settle: &str) -> Outcome {
-    let why = match unseen {
+pub fn not_observable(why: &NotObservable, settle: &str) -> Outcome {
+    let why = match why {
         NotObservable::TooFewSamples { have, need } => {
             format!("only {have} samples overlap the joint states, {need} are needed")
         }

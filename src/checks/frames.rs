@@ -3,8 +3,10 @@
 use serde_json::{Value, json};
 
 use crate::checks::confounders::joint_zero_alternative;
-use crate::checks::decision::{DEGREE, Decision, FrameThresholds, Threshold, decide_frame, unseen};
-use crate::checks::{Case, Judged, Rule, changes, residual_attribution};
+use crate::checks::decision::{
+    DEGREE, Decision, FrameThresholds, Threshold, decide_frame, not_observable,
+};
+use crate::checks::{Case, Rule, SubjectResult, changes, residual_attribution};
 use crate::diagnosis::{
     Confounder, EstimateResult, FrameChange, FrameEstimate, JointOffset, PoseDiagnosis,
 };
@@ -22,7 +24,7 @@ pub const THRESHOLDS: FrameThresholds = FrameThresholds {
 const SETTLE: &str = "turn the wrist through 60° about two axes, at several places";
 
 /// One end of a stream's transform, and how its rule reports an offset there.
-pub struct End {
+pub struct FrameRule {
     /// The rule.
     pub rule: &'static Rule,
     /// Name of the estimate.
@@ -36,13 +38,13 @@ pub struct End {
     /// Changes during the run.
     pub changes: fn(&PoseDiagnosis) -> &[FrameChange],
     /// Whether a joint offset's confounder is this end of the stream with this index.
-    pub is_twin: fn(&Confounder, usize) -> bool,
+    pub is_confounder: fn(&Confounder, usize) -> bool,
     /// Builds the fault.
     pub fault: fn(&ArmEvidence, &StreamEvidence<PoseEvidence>, &FrameEstimate, Severity) -> Fault,
 }
 
 /// Judges one end of every pose stream.
-pub fn judge(case: &Case, end: &End) -> Vec<Judged> {
+pub fn judge(case: &Case, end: &FrameRule) -> Vec<SubjectResult> {
     let streams = case.evidence.robots.iter().flat_map(|arm| {
         arm.poses.iter().enumerate().map(move |(index, stream)| (arm, index, stream))
     });
@@ -57,32 +59,32 @@ fn judge_stream(
     case: &Case,
     arm: &ArmEvidence,
     index: usize,
-    end: &End,
+    end: &FrameRule,
     subject: Subject,
-) -> Judged {
+) -> SubjectResult {
     let stream = &arm.poses[index];
     let diagnosis = &stream.diagnosis;
-    let thresholds = case.thresholds.of_frames(end.rule, THRESHOLDS);
+    let thresholds = case.thresholds.frame_thresholds(end.rule, THRESHOLDS);
     if let Some(why) = diagnosis.unusable_reason() {
-        return Judged::new(subject, unseen(why, SETTLE));
+        return SubjectResult::new(subject, not_observable(why, SETTLE));
     }
     let moved = (end.changes)(diagnosis);
     if let Some((outcome, estimate)) =
         changes::judge_frame_change(case, arm, end.name, moved, &thresholds)
     {
-        return Judged::new(subject, outcome).estimated(estimate);
+        return SubjectResult::new(subject, outcome).estimated(estimate);
     }
     let not_judged = (end.not_judged)(stream);
-    let twins = twins(arm, end, index);
+    let confounders = confounders(arm, end, index);
     let frame = match ((end.estimate)(diagnosis), &not_judged) {
         (Ok(frame), _) => frame,
-        (Err(_), Some(why)) => return Judged::new(subject, Outcome::Skipped(why.clone())),
+        (Err(_), Some(why)) => return SubjectResult::new(subject, Outcome::Skipped(why.clone())),
         (Err(why), None) => {
-            let outcome = match twins.iter().find(|(offset, _)| offset.is_chosen) {
-                Some((_, cause)) => named_instead(arm, cause),
-                None => unseen(why, SETTLE),
+            let outcome = match confounders.iter().find(|(offset, _)| offset.is_chosen) {
+                Some((_, cause)) => reported_instead(arm, cause),
+                None => not_observable(why, SETTLE),
             };
-            return Judged::new(subject, outcome);
+            return SubjectResult::new(subject, outcome);
         }
     };
     let effect_m = frame.translation_m.value + frame.rotation_rad.value * arm.reach_m;
@@ -96,25 +98,25 @@ fn judge_stream(
                     fault
                         .evidence
                         .indistinguishable
-                        .extend(twins.into_iter().map(|(_, cause)| cause));
+                        .extend(confounders.into_iter().map(|(_, cause)| cause));
                     Outcome::fail(fault)
                 }
             }
         }
         (Decision::Pass, None) => Outcome::pass(),
         (decision, None) => {
-            match twins.iter().find(|(offset, _)| offset.is_chosen && !frame.is_chosen) {
-                Some((_, cause)) => named_instead(arm, cause),
-                None => Outcome::Inconclusive(undecided(&decision, frame)),
+            match confounders.iter().find(|(offset, _)| offset.is_chosen && !frame.is_chosen) {
+                Some((_, cause)) => reported_instead(arm, cause),
+                None => Outcome::Inconclusive(undecided_reason(&decision, frame)),
             }
         }
     };
-    Judged::new(subject, outcome)
+    SubjectResult::new(subject, outcome)
         .estimated(Estimate::frame(end.name, &frame.translation_m, &frame.rotation_rad))
         .with_evidence("pose", pose_json(&frame.pose))
 }
 
-fn named_instead(arm: &ArmEvidence, cause: &Alternative) -> Outcome {
+fn reported_instead(arm: &ArmEvidence, cause: &Alternative) -> Outcome {
     if let Some(why) = residual_attribution::model_doubt(arm, 0.0) {
         return Outcome::Inconclusive(why);
     }
@@ -124,7 +126,7 @@ fn named_instead(arm: &ArmEvidence, cause: &Alternative) -> Outcome {
     ))
 }
 
-fn undecided(decision: &Decision, frame: &FrameEstimate) -> String {
+fn undecided_reason(decision: &Decision, frame: &FrameEstimate) -> String {
     match decision {
         Decision::Undecided(why) => format!("{why}; {SETTLE}"),
         _ => format!(
@@ -135,10 +137,15 @@ fn undecided(decision: &Decision, frame: &FrameEstimate) -> String {
 }
 
 /// Joint offsets that are confounded with this end of stream `index`.
-fn twins<'a>(arm: &'a ArmEvidence, end: &End, index: usize) -> Vec<(&'a JointOffset, Alternative)> {
+fn confounders<'a>(
+    arm: &'a ArmEvidence,
+    end: &FrameRule,
+    index: usize,
+) -> Vec<(&'a JointOffset, Alternative)> {
     let offsets = arm.diagnosis.offsets.iter().enumerate();
-    let same = offsets
-        .filter(|(_, offset)| offset.confounders.iter().any(|twin| (end.is_twin)(twin, index)));
+    let same = offsets.filter(|(_, offset)| {
+        offset.confounders.iter().any(|twin| (end.is_confounder)(twin, index))
+    });
     same.map(|(joint, offset)| (offset, joint_zero_alternative(arm, joint))).collect()
 }
 

@@ -7,7 +7,7 @@ use crate::finding::{CheckRow, Status};
 
 /// Evaluation of one segment.
 #[derive(Clone, Debug)]
-pub struct Part {
+pub struct SegmentEvaluation {
     /// The evaluation.
     pub evaluation: Evaluation,
     /// Whether the segment is so short that its inconclusive checks are ignored.
@@ -18,14 +18,14 @@ pub struct Part {
 ///
 /// Keeps the most severe status per rule and subject, and all findings with their segment number. Findings
 /// about files are kept once, and observability is that of segment `main`.
-pub fn merged(parts: Vec<Part>, main: usize) -> Evaluation {
+pub fn merge_segments(parts: Vec<SegmentEvaluation>, main: usize) -> Evaluation {
     let count = parts.len();
     let mut whole = Evaluation::default();
     let mut ranks: Vec<u8> = Vec::new();
-    for (index, Part { evaluation, is_short }) in parts.into_iter().enumerate() {
-        let is_told = |code: &str| index > 0 && is_of_files(code);
-        for mut row in evaluation.checks.into_iter().filter(|row| !is_told(row.code)) {
-            let rank = gravity(&row, is_short);
+    for (index, SegmentEvaluation { evaluation, is_short }) in parts.into_iter().enumerate() {
+        let is_reported = |code: &str| index > 0 && is_rule_on_files(code);
+        for mut row in evaluation.checks.into_iter().filter(|row| !is_reported(row.code)) {
+            let rank = status_rank(&row, is_short);
             if row.status != Status::Skipped
                 && let Some(reason) = &mut row.reason
             {
@@ -43,8 +43,9 @@ pub fn merged(parts: Vec<Part>, main: usize) -> Evaluation {
                 }
             }
         }
-        for mut finding in evaluation.findings.into_iter().filter(|found| !is_told(found.code)) {
-            if !is_of_files(finding.code) {
+        for mut finding in evaluation.findings.into_iter().filter(|found| !is_reported(found.code))
+        {
+            if !is_rule_on_files(finding.code) {
                 finding.message += &format!(", in segment {} of {count}", index + 1);
                 finding.segment = Some(index);
                 let segment: Value = json!({ "number": index + 1, "of": count });
@@ -60,22 +61,22 @@ pub fn merged(parts: Vec<Part>, main: usize) -> Evaluation {
             whole.observability = evaluation.observability;
         }
     }
-    drop_short(&mut whole.checks, &ranks);
-    leave_unasked_to_others(&mut whole.checks);
+    drop_undecided_short_segments(&mut whole.checks, &ranks);
+    drop_skipped_if_evaluated(&mut whole.checks);
     whole.checks.sort_by_key(|row| row.code);
     rank(&mut whole.findings);
     whole
 }
 
 /// Whether a rule judges the files, independently of segments.
-fn is_of_files(code: &str) -> bool {
+fn is_rule_on_files(code: &str) -> bool {
     // Unusable samples are counted in each segment.
     (code.starts_with("ING") && code != "ING003") || code.starts_with("META")
 }
 
 /// Rank of a row among those of one rule and subject; the highest is kept. An inconclusive row of a short
 /// segment ranks below a pass.
-fn gravity(row: &CheckRow, is_short: bool) -> u8 {
+fn status_rank(row: &CheckRow, is_short: bool) -> u8 {
     match row.status {
         Status::Fail => 4,
         Status::Inconclusive if !is_short => 3,
@@ -87,24 +88,24 @@ fn gravity(row: &CheckRow, is_short: bool) -> u8 {
 
 /// Drops whole-arm rows that only short segments leave inconclusive, if the rule was decided in another
 /// segment.
-fn drop_short(rows: &mut Vec<CheckRow>, ranks: &[u8]) {
-    let told: Vec<&str> =
+fn drop_undecided_short_segments(rows: &mut Vec<CheckRow>, ranks: &[u8]) {
+    let decided: Vec<&str> =
         rows.iter().zip(ranks).filter(|(_, rank)| **rank > 1).map(|(row, _)| row.code).collect();
     let mut ranks = ranks.iter();
     rows.retain(|row| {
         let is_open = ranks.next() == Some(&1);
         let is_of_arm = row.subject.topic.is_none() && row.subject.joint.is_none();
-        !(is_open && is_of_arm && told.contains(&row.code))
+        !(is_open && is_of_arm && decided.contains(&row.code))
     });
 }
 
 /// Drops the skipped row without a subject if the rule had a subject in another segment.
-fn leave_unasked_to_others(rows: &mut Vec<CheckRow>) {
-    let asked: Vec<&str> =
+fn drop_skipped_if_evaluated(rows: &mut Vec<CheckRow>) {
+    let evaluated: Vec<&str> =
         rows.iter().filter(|row| row.status != Status::Skipped).map(|row| row.code).collect();
-    let is_unasked =
+    let is_skipped =
         |row: &CheckRow| row.status == Status::Skipped && row.subject == Default::default();
-    rows.retain(|row| !(is_unasked(row) && asked.contains(&row.code)));
+    rows.retain(|row| !(is_skipped(row) && evaluated.contains(&row.code)));
 }
 
 #[cfg(test)]
@@ -114,14 +115,14 @@ mod tests {
     use crate::checks::{Settings, evaluate};
     use crate::diagnosis::NotObservable;
 
-    fn part(latency: Result<f64, NotObservable>, is_short: bool) -> Part {
+    fn part(latency: Result<f64, NotObservable>, is_short: bool) -> SegmentEvaluation {
         let mut run = clean_run();
         run.robots[0].poses[0].diagnosis.latency_s = latency.map(sure);
-        Part { evaluation: evaluate(&run, &Settings::default()), is_short }
+        SegmentEvaluation { evaluation: evaluate(&run, &Settings::default()), is_short }
     }
 
-    fn latency(parts: Vec<Part>) -> (Vec<Status>, usize) {
-        let whole = merged(parts, 0);
+    fn latency(parts: Vec<SegmentEvaluation>) -> (Vec<Status>, usize) {
+        let whole = merge_segments(parts, 0);
         let rows = whole.checks.iter().filter(|row| row.code == "LAT001");
         let of_pose = rows.filter(|row| row.subject.label() == crate::checks::testing::POSE);
         (of_pose.map(|row| row.status).collect(), whole.findings.len())
@@ -146,7 +147,7 @@ mod tests {
 
     #[test]
     fn a_finding_says_its_segment() {
-        let whole = merged(vec![part(Ok(0.0), false), part(Ok(0.02), false)], 0);
+        let whole = merge_segments(vec![part(Ok(0.0), false), part(Ok(0.02), false)], 0);
         assert!(whole.findings[0].message.ends_with(", in segment 2 of 2"));
         assert_eq!(whole.findings[0].evidence.more["segment"]["number"], 2);
     }

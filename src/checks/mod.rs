@@ -8,18 +8,18 @@ mod calibration;
 mod changes;
 mod confounders;
 mod decision;
+mod encoding;
 mod frames;
+mod joint_groups;
 mod merge;
 mod observability;
-mod plan;
-mod reading;
 mod residual_attribution;
+mod resolving_motion;
 mod scalar_rule;
 mod settings;
 #[cfg(test)]
 mod testing;
 mod thresholds;
-mod together;
 mod withdraw;
 
 use std::fmt;
@@ -33,17 +33,17 @@ use crate::finding::{
     Subject,
 };
 
-pub use calibration::Still;
-pub(crate) use calibration::{gains_nothing, refusal, still};
+pub use calibration::UnmovedJoint;
+pub(crate) use calibration::{rejection_reason, stream_rejection_reason, unmoved_joints};
 pub use decision::{Decision, FrameThresholds, Threshold, decide, decide_both, decide_frame};
+pub(crate) use encoding::encoding_names;
 pub(crate) use joints::zer001_joint_zero::ZER001;
 pub(crate) use latency::lat001_latency::LAT001;
-pub use merge::{Part as EvaluatedPart, merged};
-pub(crate) use observability::hidden_zero;
-pub use observability::{Blind, Part, StreamObservability};
-pub(crate) use plan::{is_behind_residual, recipe, settled_by};
+pub use merge::{SegmentEvaluation, merge_segments};
+pub(crate) use observability::unobservable_zero;
+pub use observability::{DirectionComponent, StreamObservability, UnobservableDirection};
 pub(crate) use poses::mdl001_unexplained_residual::MDL001;
-pub(crate) use reading::read_as as reading_names;
+pub(crate) use resolving_motion::{is_blocked_by_residual, motion_description, resolving_motion};
 pub use settings::{Exemption, Selector, Settings, UnknownRule};
 pub use thresholds::{Limit, Thresholds};
 
@@ -146,7 +146,7 @@ pub struct Rule {
     /// Reason for skipping the rule if it has no subject in the log.
     missing: &'static str,
     /// Evaluates the rule on each of its subjects.
-    check: fn(&Case) -> Vec<Judged>,
+    check: fn(&Case) -> Vec<SubjectResult>,
     /// Doc comment; each line keeps the space that follows `///`.
     doc: &'static str,
 }
@@ -164,7 +164,7 @@ impl Rule {
     }
 
     /// Whether all of the rule's subjects must be decided for a run to pass.
-    pub fn is_proof(&self) -> bool {
+    pub fn is_residual_check(&self) -> bool {
         self.code == MDL001.code
     }
 
@@ -193,7 +193,7 @@ impl Grade {
     }
 
     /// The most severe that a finding can be.
-    pub fn most(&self) -> Severity {
+    pub fn max_severity(&self) -> Severity {
         match self {
             Grade::Fixed(severity) => *severity,
             Grade::From(_) => Severity::Error,
@@ -221,7 +221,7 @@ impl fmt::Display for Grade {
 
 /// Result of a rule on one subject.
 #[derive(Clone, Debug)]
-pub struct Judged {
+pub struct SubjectResult {
     subject: Subject,
     span: Option<Span>,
     estimate: Option<Estimate>,
@@ -231,12 +231,12 @@ pub struct Judged {
 
 impl<T> StreamEvidence<T> {
     /// Result of a rule on this subject and span.
-    fn judged(&self, outcome: Outcome) -> Judged {
-        Judged::new(self.subject.clone(), outcome).within(self.span)
+    fn judged(&self, outcome: Outcome) -> SubjectResult {
+        SubjectResult::new(self.subject.clone(), outcome).within(self.span)
     }
 }
 
-impl Judged {
+impl SubjectResult {
     fn new(subject: Subject, outcome: Outcome) -> Self {
         Self { subject, span: None, estimate: None, evidence: Map::new(), outcome }
     }
@@ -295,7 +295,7 @@ pub struct Case<'a> {
 impl Case<'_> {
     /// Whether the caller requires a conclusive outcome of `rule`.
     fn requires(&self, rule: &Rule) -> bool {
-        self.required.iter().any(|selector| selector.names(rule.code))
+        self.required.iter().any(|selector| selector.matches(rule.code))
     }
 }
 
@@ -303,14 +303,14 @@ impl Case<'_> {
 pub fn evaluate(evidence: &RunEvidence, settings: &Settings) -> Evaluation {
     let case = &Case { evidence, thresholds: &settings.thresholds, required: &settings.required };
     let mut evaluation = Evaluation::default();
-    for rule in REGISTRY.iter().filter(|rule| settings.asks(rule)) {
+    for rule in REGISTRY.iter().filter(|rule| settings.selects(rule)) {
         let mut judged = (rule.check)(case);
         if judged.is_empty() {
             let why = match &case.evidence.no_robot {
                 Some(why) if rule.needs_model => why.clone(),
                 _ => rule.missing.to_owned(),
             };
-            judged.push(Judged::new(Subject::default(), Outcome::Skipped(why)));
+            judged.push(SubjectResult::new(Subject::default(), Outcome::Skipped(why)));
         }
         for judged in judged {
             let judged = changes::limit_to_segment(case, judged);
@@ -339,8 +339,8 @@ fn rank(findings: &mut [Finding]) {
 }
 
 impl Evaluation {
-    fn enter(&mut self, rule: &Rule, judged: Judged, settings: &Settings) {
-        let Judged { subject, span, estimate, evidence, outcome } = judged;
+    fn enter(&mut self, rule: &Rule, judged: SubjectResult, settings: &Settings) {
+        let SubjectResult { subject, span, estimate, evidence, outcome } = judged;
         let mut row = CheckRow {
             code: rule.code,
             name: rule.name,
@@ -387,7 +387,7 @@ impl Evaluation {
             Some(exemption) if !matches!(row.status, Status::Pass | Status::Skipped) => {
                 (row.status, row.is_indistinguishable) = (Status::Skipped, false);
                 row.is_exempt = true;
-                row.reason = Some(exemption.said());
+                row.reason = Some(exemption.reason_text());
                 self.ignored.extend(found.map(|finding| exemption.ignored(finding)));
             }
             _ => self.findings.extend(found),

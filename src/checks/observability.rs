@@ -11,27 +11,27 @@ use crate::finding::{CheckRow, Status, Subject, Unit, number};
 
 /// A cause at its rule's first threshold is observable if it changes the log by at least this many standard
 /// deviations. The half-width of its 95 % interval is then within the threshold.
-const SEEN: f64 = 2.0;
+const MIN_EFFECT_SIGMAS: f64 = 2.0;
 /// Motion below which a joint's zero offset is barely observable, rad and m.
-const FAR_RAD: f64 = 30.0 * std::f64::consts::PI / 180.0;
-const FAR_M: f64 = 0.1;
+const MIN_TRAVEL_RAD: f64 = 30.0 * std::f64::consts::PI / 180.0;
+const MIN_TRAVEL_M: f64 = 0.1;
 
 /// Sentence on a joint whose zero offset is undetermined because the joint moved too little (`moved` in rad
 /// or m); `None` otherwise.
-pub(crate) fn hidden_zero(
+pub(crate) fn unobservable_zero(
     joint: &str,
     unit: Unit,
     moved: f64,
     checks: &[CheckRow],
 ) -> Option<String> {
-    let far = if unit == Unit::Metre { FAR_M } else { FAR_RAD };
+    let far = if unit == Unit::Metre { MIN_TRAVEL_M } else { MIN_TRAVEL_RAD };
     let is_open = |row: &CheckRow| {
         row.code == "ZER001"
             && row.status == Status::Inconclusive
             && row.subject.joint.as_deref() == Some(joint)
     };
-    let is_hidden = moved < far && checks.iter().any(is_open);
-    is_hidden
+    let is_unobservable = moved < far && checks.iter().any(is_open);
+    is_unobservable
         .then(|| format!("{joint} moved only {}: its zero is not observable", unit.show(moved)))
 }
 
@@ -44,17 +44,18 @@ pub struct StreamObservability {
     pub topic: String,
     /// Weakly observable directions in the space of the model's parameters; empty if the log shows all that
     /// any log can.
-    pub directions: Vec<Blind>,
+    pub directions: Vec<UnobservableDirection>,
     /// Directions that make a check inconclusive and combine several causes, which no single check reports.
     #[serde(skip)]
-    pub together: Vec<Blind>,
+    pub combined: Vec<UnobservableDirection>,
 }
 
 /// Causes that this log cannot observe or separate.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-pub struct Blind {
+#[schemars(rename = "Blind")]
+pub struct UnobservableDirection {
     /// The causes involved, by decreasing weight.
-    pub parameters: Vec<Part>,
+    pub parameters: Vec<DirectionComponent>,
     /// Change of the log, in standard deviations of noise, if each cause has its weight times its rule's
     /// first threshold (divided by the norm of the weights).
     #[serde(deserialize_with = "number")]
@@ -66,7 +67,8 @@ pub struct Blind {
 
 /// Contribution of one cause to a direction.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-pub struct Part {
+#[schemars(rename = "Part")]
+pub struct DirectionComponent {
     /// Name of the cause.
     pub name: String,
     /// Weight, in units of the first threshold of its rule.
@@ -84,11 +86,11 @@ pub struct Part {
     joint: Option<String>,
 }
 
-impl Blind {
+impl UnobservableDirection {
     /// One sentence with the causes and the motion, for `topic`.
     pub fn sentence(&self, topic: &str) -> String {
         let (causes, motion) = (self.causes(), &self.motion);
-        match self.parts_by_cause().len() {
+        match self.components_by_cause().len() {
             0 | 1 => format!("{causes} not observable in {topic}; {motion}"),
             _ => format!("this motion cannot separate {causes} in {topic}; {motion}"),
         }
@@ -96,22 +98,22 @@ impl Blind {
 
     /// Lists the causes: `zeros of a and b, reference frame and tool frame`.
     fn causes(&self) -> String {
-        let parts = self.parts_by_cause();
+        let parts = self.components_by_cause();
         let joints: Vec<&str> = parts.iter().filter_map(|part| part.joint.as_deref()).collect();
         let zeros = match joints.len() {
             0 => None,
             1 => Some(format!("zero of {}", joints[0])),
-            _ => Some(format!("zeros of {}", listed(&joints))),
+            _ => Some(format!("zeros of {}", join_with_and(&joints))),
         };
         let others = parts.iter().filter(|part| part.joint.is_none());
         let mut others: Vec<&str> = others.map(|part| part.cause.as_str()).collect();
         others.sort_unstable();
-        listed(&zeros.as_deref().into_iter().chain(others).collect::<Vec<&str>>())
+        join_with_and(&zeros.as_deref().into_iter().chain(others).collect::<Vec<&str>>())
     }
 
     /// The first part of each cause, ignoring axes.
-    fn parts_by_cause(&self) -> Vec<&Part> {
-        let mut causes: Vec<&Part> = Vec::new();
+    fn components_by_cause(&self) -> Vec<&DirectionComponent> {
+        let mut causes: Vec<&DirectionComponent> = Vec::new();
         for part in &self.parameters {
             if !causes.iter().any(|known| known.cause == part.cause) {
                 causes.push(part);
@@ -128,7 +130,7 @@ impl Blind {
 }
 
 /// `a, b and c`.
-fn listed(items: &[&str]) -> String {
+fn join_with_and(items: &[&str]) -> String {
     match items {
         [] => String::new(),
         [one] => (*one).to_owned(),
@@ -144,11 +146,12 @@ pub(super) fn observability(case: &Case, checks: &mut [CheckRow]) -> Vec<StreamO
         for stream in &arm.poses {
             let Some(seen) = &stream.diagnosis.observability else { continue };
             let is_noise = is_noise(checks, &stream.subject);
-            let found = seen.weak_directions(|parameter| threshold(case, arm, parameter), SEEN);
-            let directions: Vec<Blind> =
-                found.iter().map(|one| blind(arm, seen, one, is_noise)).collect();
+            let found = seen
+                .weak_directions(|parameter| threshold(case, arm, parameter), MIN_EFFECT_SIGMAS);
+            let directions: Vec<UnobservableDirection> =
+                found.iter().map(|one| unobservable_direction(arm, seen, one, is_noise)).collect();
             let mut leaves_open = vec![false; directions.len()];
-            let open = checks.iter_mut().filter(|row| is_left_to_motion(row, arm, stream));
+            let open = checks.iter_mut().filter(|row| is_resolvable_by_motion(row, arm, stream));
             for row in open {
                 let concerned: Vec<usize> = (0..directions.len())
                     .filter(|&one| directions[one].concerns(row.code, &row.subject))
@@ -162,15 +165,15 @@ pub(super) fn observability(case: &Case, checks: &mut [CheckRow]) -> Vec<StreamO
                 row.evidence.insert("blind".to_owned(), list.into());
             }
             let open = found.iter().zip(leaves_open).filter(|(_, open)| *open).map(|(one, _)| one);
-            let groups = that_share_a_cause(open.cloned().collect());
+            let groups = merge_by_cause(open.cloned().collect());
             streams.push(StreamObservability {
                 robot: arm.name.clone(),
                 topic: stream.topic().to_owned(),
                 // A single cause is reported by its own check.
-                together: groups
+                combined: groups
                     .iter()
-                    .map(|group| blind(arm, seen, group, is_noise))
-                    .filter(|group| group.parts_by_cause().len() > 1)
+                    .map(|group| unobservable_direction(arm, seen, group, is_noise))
+                    .filter(|group| group.components_by_cause().len() > 1)
                     .collect(),
                 directions,
             });
@@ -181,7 +184,7 @@ pub(super) fn observability(case: &Case, checks: &mut [CheckRow]) -> Vec<StreamO
 
 /// Whether a check on `stream` is inconclusive for lack of motion. A nominal or wrong model cannot be
 /// resolved by motion.
-fn is_left_to_motion(
+fn is_resolvable_by_motion(
     row: &CheckRow,
     arm: &ArmEvidence,
     stream: &StreamEvidence<PoseEvidence>,
@@ -197,7 +200,7 @@ fn is_left_to_motion(
 }
 
 /// Merges directions that share a cause, because only combinations of their causes are observable.
-fn that_share_a_cause(directions: Vec<WeakDirection>) -> Vec<WeakDirection> {
+fn merge_by_cause(directions: Vec<WeakDirection>) -> Vec<WeakDirection> {
     let mut groups: Vec<WeakDirection> = Vec::new();
     for direction in directions {
         let shares = |group: &WeakDirection| {
@@ -253,30 +256,42 @@ fn threshold(case: &Case, arm: &ArmEvidence, parameter: StreamParameter) -> f64 
     };
     let Ok(rule) = find(code) else { return 1.0 };
     let own = rule.grade.thresholds().iter().find(|threshold| threshold.unit == unit);
-    own.map_or(1.0, |own| case.thresholds.of(rule, *own).warning)
+    own.map_or(1.0, |own| case.thresholds.threshold(rule, *own).warning)
 }
 
-fn blind(
+fn unobservable_direction(
     arm: &ArmEvidence,
     seen: &Observability,
     direction: &WeakDirection,
     is_noise: bool,
-) -> Blind {
+) -> UnobservableDirection {
     let parameters = direction.parameters.iter();
-    Blind {
-        parameters: parameters.map(|&(parameter, weight)| part(arm, parameter, weight)).collect(),
+    UnobservableDirection {
+        parameters: parameters
+            .map(|&(parameter, weight)| direction_component(arm, parameter, weight))
+            .collect(),
         singular_value: direction.singular_value,
         motion: motion(arm, seen, direction, is_noise),
     }
 }
 
-fn part(arm: &ArmEvidence, parameter: StreamParameter, weight: f64) -> Part {
+fn direction_component(
+    arm: &ArmEvidence,
+    parameter: StreamParameter,
+    weight: f64,
+) -> DirectionComponent {
     let along = |what: &str, axis: usize| format!(" {what} {}", ["x", "y", "z"][axis % 3]);
     let (cause, axis, code) = match parameter {
         StreamParameter::JointZero(joint) => {
             let name = arm.joints.get(joint).map(|joint| joint.name.clone());
             let cause = format!("zero of {}", name.as_deref().unwrap_or("a joint"));
-            return Part { name: cause.clone(), weight, cause, code: "ZER001", joint: name };
+            return DirectionComponent {
+                name: cause.clone(),
+                weight,
+                cause,
+                code: "ZER001",
+                joint: name,
+            };
         }
         StreamParameter::Latency => ("latency", String::new(), "LAT001"),
         StreamParameter::Skew => ("clock skew", String::new(), "LAT002"),
@@ -288,7 +303,13 @@ fn part(arm: &ArmEvidence, parameter: StreamParameter, weight: f64) -> Part {
         StreamParameter::ToolShift(axis) => ("tool frame", along("along", axis), "FRM003"),
         StreamParameter::ToolTurn(axis) => ("tool frame", along("about", axis), "FRM003"),
     };
-    Part { name: format!("{cause}{axis}"), weight, cause: cause.to_owned(), code, joint: None }
+    DirectionComponent {
+        name: format!("{cause}{axis}"),
+        weight,
+        cause: cause.to_owned(),
+        code,
+        joint: None,
+    }
 }
 
 /// Whether the residual of a stream is consistent with noise.
@@ -308,7 +329,7 @@ fn motion(
         matches!(one.0, StreamParameter::Latency | StreamParameter::Skew)
     };
     let stays = |joint: usize| {
-        let far = if arm.joint_unit(joint) == Unit::Metre { FAR_M } else { FAR_RAD };
+        let far = if arm.joint_unit(joint) == Unit::Metre { MIN_TRAVEL_M } else { MIN_TRAVEL_RAD };
         seen.travel.get(joint).is_some_and(|&travel| travel < far)
     };
     let still: Vec<usize> = seen.joints().filter(|&joint| stays(joint)).collect();
@@ -322,10 +343,10 @@ fn motion(
             false => "move the arm faster than 0.2 rad/s".to_owned(),
         };
     }
-    let takes_part = |&joint: &usize| {
+    let is_involved = |&joint: &usize| {
         direction.parameters.iter().any(|one| one.0 == StreamParameter::JointZero(joint))
     };
-    let own: Vec<usize> = still.iter().copied().filter(takes_part).collect();
+    let own: Vec<usize> = still.iter().copied().filter(is_involved).collect();
     let joints = if own.is_empty() { still } else { own };
     if joints.is_empty() {
         let what = if is_noise { "its noise" } else { "its residual" };
@@ -339,7 +360,9 @@ fn motion(
             "move {name} by more than {far}, with the other joints in two different \
             configurations"
         ),
-        names => format!("move {} by more than {far} each, at different times", listed(names)),
+        names => {
+            format!("move {} by more than {far} each, at different times", join_with_and(names))
+        }
     }
 }
 
@@ -356,7 +379,8 @@ mod tests {
     fn sentence(travel: [f64; 3], parameters: &[StreamParameter]) -> String {
         let run = clean_run();
         let seen = Observability::from_travel(travel.to_vec());
-        blind(&run.robots[0], &seen, &direction(parameters), true).sentence("/pose")
+        unobservable_direction(&run.robots[0], &seen, &direction(parameters), true)
+            .sentence("/pose")
     }
 
     #[test]
@@ -397,7 +421,7 @@ mod tests {
     #[test]
     fn directions_that_share_a_cause_are_said_at_once() {
         use StreamParameter::{JointZero, RadialScale, ToolShift, ToolTurn};
-        let groups = that_share_a_cause(vec![
+        let groups = merge_by_cause(vec![
             direction(&[JointZero(0), ToolTurn(1)]),
             direction(&[JointZero(1), JointZero(2)]),
             direction(&[ToolShift(0), RadialScale]),

@@ -2,7 +2,7 @@
 //! be small.
 
 use crate::checks::decision::{Decision, decide_both};
-use crate::checks::{Case, FrameThresholds, Judged, find};
+use crate::checks::{Case, FrameThresholds, SubjectResult, find};
 use crate::diagnosis::{
     ErrorMagnitude, ErrorSize, EstimateResult, FkError, FrameEstimate, PartError, PoseDiagnosis,
     ResidualCheck, StreamResidual,
@@ -30,7 +30,7 @@ const MAX_ROUNDING_RAD: f64 = 1e-3;
 
 /// Outcomes of the rules that report causes.
 pub(super) struct CauseOutcomes {
-    judged: Vec<(&'static str, Judged)>,
+    judged: Vec<(&'static str, SubjectResult)>,
     /// Topics with two conflicting publishers: distance between them, and number of transforms.
     doubled: Vec<(String, PoseDistance, usize)>,
 }
@@ -64,7 +64,7 @@ impl CauseOutcomes {
         label: &'a str,
         codes: &'a [&str],
     ) -> impl Iterator<Item = (&'static str, &'a Outcome)> {
-        let is_meant = move |(code, judged): &&(&str, Judged)| {
+        let is_meant = move |(code, judged): &&(&str, SubjectResult)| {
             let subject = &judged.subject;
             let is_of_arm = subject.robot.as_ref() == Some(&arm.name);
             is_of_arm && subject.label() == label && codes.contains(code)

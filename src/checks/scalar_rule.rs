@@ -1,8 +1,8 @@
 //! Shared by LAT002 and ZER002: a scalar estimated on every stream, which is a fault only if the selected
 //! model contains it.
 
-use crate::checks::decision::{Decision, Threshold, decide, unseen};
-use crate::checks::{Case, Judged, Rule};
+use crate::checks::decision::{Decision, Threshold, decide, not_observable};
+use crate::checks::{Case, Rule, SubjectResult};
 use crate::diagnosis::{EstimateResult, Measured};
 use crate::evidence::{ArmEvidence, StreamEvidence};
 use crate::finding::{Estimate, Fault, Outcome, Severity};
@@ -37,13 +37,13 @@ impl ScalarRule {
         case: &Case,
         arm: &ArmEvidence,
         on: &StreamEvidence<StreamEstimate<'_>>,
-    ) -> Judged {
+    ) -> SubjectResult {
         let (threshold, subjects) =
-            (case.thresholds.of(rule, self.threshold), case.evidence.subjects());
+            (case.thresholds.threshold(rule, self.threshold), case.evidence.subjects());
         let settle = self.settle;
         let found = match on.estimate {
             Ok(found) => found,
-            Err(why) => return on.judged(unseen(why, settle)),
+            Err(why) => return on.judged(not_observable(why, settle)),
         };
         let open = |why: String| Outcome::Inconclusive(format!("{why}; {settle}"));
         let outcome = match (decide(found, &threshold, subjects), &on.doubt) {

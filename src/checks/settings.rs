@@ -26,9 +26,9 @@ pub struct Settings {
 
 impl Settings {
     /// Whether `rule` is selected.
-    pub fn asks(&self, rule: &Rule) -> bool {
+    pub fn selects(&self, rule: &Rule) -> bool {
         let named =
-            |selectors: &[Selector]| selectors.iter().any(|selector| selector.names(rule.code));
+            |selectors: &[Selector]| selectors.iter().any(|selector| selector.matches(rule.code));
         (self.select.is_empty() || named(&self.select)) && !named(&self.ignore)
     }
 
@@ -44,14 +44,14 @@ impl Settings {
     }
 
     /// Exemptions that cover none of the rows.
-    pub fn unused<'a>(&'a self, rows: &[CheckRow]) -> Vec<&'a Exemption> {
+    pub fn unused_exemptions<'a>(&'a self, rows: &[CheckRow]) -> Vec<&'a Exemption> {
         let is_unused = |exemption: &&Exemption| !rows.iter().any(|row| exemption.covers(row));
         self.exemptions.iter().filter(is_unused).collect()
     }
 
     /// Whether a selected rule needs a robot model.
-    pub fn need_model(&self) -> bool {
-        REGISTRY.iter().any(|rule| rule.needs_model && self.asks(rule))
+    pub fn needs_model(&self) -> bool {
+        REGISTRY.iter().any(|rule| rule.needs_model && self.selects(rule))
     }
 }
 
@@ -79,14 +79,14 @@ impl Exemption {
             (Some(_), None) => false,
         };
         let (wanted, found) = (&self.subject, &row.subject);
-        self.rules.names(row.code)
+        self.rules.matches(row.code)
             && is(&wanted.robot, &found.robot)
             && is(&wanted.topic, &found.topic)
             && is(&wanted.joint, &found.joint)
             && is(&wanted.frame, &found.frame)
     }
 
-    pub(super) fn said(&self) -> String {
+    pub(super) fn reason_text(&self) -> String {
         format!("ignored: {} ({})", self.reason, self.place)
     }
 
@@ -114,7 +114,7 @@ pub struct Selector(String);
 
 impl Selector {
     /// Whether it selects the rule with this code.
-    pub fn names(&self, code: &str) -> bool {
+    pub fn matches(&self, code: &str) -> bool {
         code.starts_with(&self.0)
     }
 }
@@ -148,16 +148,16 @@ pub struct UnknownRule {
 
 impl UnknownRule {
     pub(super) fn new(code: &str) -> Self {
-        const NEAREST: usize = 3;
-        const ALIKE: usize = 3;
+        const MAX_SUGGESTIONS: usize = 3;
+        const MIN_COMMON_LETTERS: usize = 3;
         let code = code.trim();
         let wanted = code.to_ascii_uppercase();
-        let likeness =
+        let common_letters =
             |known: &str| known.bytes().zip(wanted.bytes()).filter(|(a, b)| a == b).count();
         let mut nearest: Vec<_> = REGISTRY.iter().map(|rule| rule.code).collect();
-        nearest.retain(|known| likeness(known) >= ALIKE);
-        nearest.sort_by_key(|known| Reverse(likeness(known)));
-        nearest.truncate(NEAREST);
+        nearest.retain(|known| common_letters(known) >= MIN_COMMON_LETTERS);
+        nearest.sort_by_key(|known| Reverse(common_letters(known)));
+        nearest.truncate(MAX_SUGGESTIONS);
         Self { code: code.to_owned(), nearest }
     }
 

@@ -4,10 +4,10 @@ use crate::finding::Unit;
 #[test]
 fn a_selector_is_a_code_or_the_beginning_of_some() -> Result<(), UnknownRule> {
     let ord: Selector = "ord".parse()?;
-    assert!(ord.names("ORD001") && !ord.names("LAT001"));
+    assert!(ord.matches("ORD001") && !ord.matches("LAT001"));
     let settings =
         Settings { select: vec![ord], ignore: vec!["ORD001".parse()?], ..Settings::default() };
-    let asked = REGISTRY.iter().filter(|rule| settings.asks(rule)).map(|rule| rule.code);
+    let asked = REGISTRY.iter().filter(|rule| settings.selects(rule)).map(|rule| rule.code);
     let orders = REGISTRY.iter().map(|rule| rule.code).filter(|code| code.starts_with("ORD"));
     let expected: Vec<&str> = orders.filter(|code| *code != "ORD001").collect();
     assert!(expected.contains(&"ORD002"));
@@ -106,7 +106,7 @@ fn what_is_exempt_is_said_and_not_counted() {
         .find(|row| row.code == "LAT001" && row.subject.topic.as_deref() == Some(testing::POSE));
     let said = row.map(|row| (row.status, row.reason.as_deref()));
     assert_eq!(said, Some((Status::Skipped, Some("ignored: a known driver (p.toml:3)"))));
-    assert_eq!(settings.unused(&evaluation.checks), [&exemption("/other")]);
+    assert_eq!(settings.unused_exemptions(&evaluation.checks), [&exemption("/other")]);
     assert_eq!(exemption("/t").to_string(), "LAT on /t");
 }
 

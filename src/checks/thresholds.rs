@@ -37,14 +37,17 @@ impl Thresholds {
     }
 
     /// Threshold of `rule` in the unit of `own`, the default.
-    pub fn of(&self, rule: &Rule, own: Threshold) -> Threshold {
+    pub fn threshold(&self, rule: &Rule, own: Threshold) -> Threshold {
         let is_it = |(code, set): &&(&str, Threshold)| (*code, set.unit) == (rule.code, own.unit);
         self.thresholds.iter().find(is_it).map_or(own, |(_, set)| *set)
     }
 
     /// Thresholds of a rule on frames; `own` are the defaults.
-    pub(super) fn of_frames(&self, rule: &Rule, own: FrameThresholds) -> FrameThresholds {
-        FrameThresholds { length: self.of(rule, own.length), angle: self.of(rule, own.angle) }
+    pub(super) fn frame_thresholds(&self, rule: &Rule, own: FrameThresholds) -> FrameThresholds {
+        FrameThresholds {
+            length: self.threshold(rule, own.length),
+            angle: self.threshold(rule, own.angle),
+        }
     }
 
     /// Value of a limit of `rule`.

@@ -59,7 +59,7 @@ fn as_json(rule: &Rule) -> Value {
         "code": rule.code,
         "name": rule.name,
         "summary": rule.summary(),
-        "severity": rule.grade.most().name(),
+        "severity": rule.grade.max_severity().name(),
         "thresholds": thresholds.collect::<Vec<_>>(),
         "limits": limits.collect::<Vec<_>>(),
         "headline": rule.headline,

@@ -64,8 +64,8 @@ turning = "30 rad/s²"
     assert_eq!((options.run.max_latency_s, options.policy.fail_on), (0.5, None));
     assert_eq!(options.run.stamp, crate::time::Clock::Log);
     assert!(
-        options.policy.rules.required[0].names("LAT001")
-            && options.policy.rules.select[0].names("LAT003")
+        options.policy.rules.required[0].matches("LAT001")
+            && options.policy.rules.select[0].matches("LAT003")
     );
     let [known] = options.policy.rules.exemptions.as_slice() else { panic!("{options:?}") };
     assert_eq!(known.reason, "the driver's delay");
@@ -88,7 +88,7 @@ turning = "30 rad/s²"
     let threshold = |code: &str, unit: Unit| {
         let rule = find(code).expect("a rule");
         let own = rule.grade.thresholds().iter().find(|own| own.unit == unit).expect("a threshold");
-        options.policy.rules.thresholds.of(rule, *own)
+        options.policy.rules.thresholds.threshold(rule, *own)
     };
     let late = Threshold { unit: Unit::Second, warning: 3e-3, error: 10e-3 };
     assert_eq!(threshold("LAT001", Unit::Second), late);
@@ -156,7 +156,7 @@ fn a_template_can_be_read_with_and_without_its_comments() {
     let options = config(&all).expect("a config").options();
     for rule in registry() {
         for own in rule.grade.thresholds() {
-            let set = options.policy.rules.thresholds.of(rule, *own);
+            let set = options.policy.rules.thresholds.threshold(rule, *own);
             let is_own = |a: f64, b: f64| (a / b - 1.0).abs() < 1e-9;
             let same = is_own(set.warning, own.warning) && is_own(set.error, own.error);
             assert!(same, "{} {set:?}", rule.code);

@@ -8,7 +8,7 @@ use super::figures::{
     CoursePoint, Figures, FrameEdge, FrameEdgeKind, ImuFigure, PoseFigure, ReadingScore, Silence,
     TimelineRow,
 };
-use crate::checks::reading_names;
+use crate::checks::encoding_names;
 use crate::diagnosis::{
     EncodingEstimate, EstimateResult, LatencyProfile, Measured, PoseDistances, PoseEncoding,
     residual_by_latency, turning_by_latency,
@@ -126,9 +126,9 @@ fn pose(
 
 fn scores(reading: &EstimateResult<EncodingEstimate>) -> Vec<ReadingScore> {
     let Ok(reading) = reading else { return Vec::new() };
-    let best = reading_names(&reading.best);
+    let best = encoding_names(&reading.best);
     let score = |(one, rms_rad): &(PoseEncoding, f64)| {
-        let names = reading_names(one);
+        let names = encoding_names(one);
         let is_best = names == best;
         ReadingScore {
             is_as_logged: matches!(one, PoseEncoding::AsLogged),

@@ -280,7 +280,7 @@ impl Report {
     /// Warning threshold of a rule for amounts in `unit`. `None` if the rule has no such amount.
     pub(crate) fn warns_from(&self, rule: &Rule, unit: Unit) -> Option<f64> {
         let own = rule.grade.thresholds().iter().find(|threshold| threshold.unit == unit)?;
-        Some(self.thresholds.of(rule, *own).warning)
+        Some(self.thresholds.threshold(rule, *own).warning)
     }
 
     /// Returns whether a finding of this severity fails the run.
@@ -303,7 +303,7 @@ impl Report {
     /// Rules in `required` that decided nothing, or left a decidable subject inconclusive.
     pub fn not_concluded(&self, required: &[checks::Selector]) -> Vec<&'static str> {
         let rules = checks::registry().iter().map(|rule| rule.code);
-        let required = rules.filter(|code| required.iter().any(|selector| selector.names(code)));
+        let required = rules.filter(|code| required.iter().any(|selector| selector.matches(code)));
         required
             .filter(|code| {
                 let mut rows = self.checks.iter().filter(|row| row.code == *code);
@@ -366,7 +366,7 @@ fn undecided(checks: &[CheckRow]) -> impl Iterator<Item = &'static Rule> {
             return true;
         }
         let decided: Vec<bool> = asked.iter().map(|row| row.status.is_decided()).collect();
-        match rule.is_proof() {
+        match rule.is_residual_check() {
             true => decided.contains(&false),
             false => !decided.is_empty() && !decided.contains(&true),
         }

@@ -164,7 +164,7 @@ impl<'a> Outline<'a> {
     pub fn cannot_show(&self) -> Vec<String> {
         let streams = self.report.observability.iter();
         let lines = streams
-            .flat_map(|stream| stream.together.iter().map(|one| one.sentence(&stream.topic)));
+            .flat_map(|stream| stream.combined.iter().map(|one| one.sentence(&stream.topic)));
         lines.collect()
     }
 

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::tame::shell_word;
 use super::workspace::is_misread;
-use crate::checks::settled_by;
+use crate::checks::resolving_motion;
 use crate::diagnosis::plan::Purpose;
 use crate::evidence::{ArmEvidence, RunEvidence};
 use crate::finding::{CheckRow, Finding, Word, word};
@@ -49,7 +49,7 @@ pub(crate) fn plans(
             None => run.arms.len() == 1,
         };
         let open = checks.iter().filter(is_its);
-        let open = open.filter_map(|row| Some((row.code, settled_by(row, is_drawing)?)));
+        let open = open.filter_map(|row| Some((row.code, resolving_motion(row, is_drawing)?)));
         let open: Vec<(&'static str, Purpose)> = open.collect();
         if open.is_empty() {
             continue;

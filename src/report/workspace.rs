@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::checks::{Evaluation, hidden_zero};
+use crate::checks::{Evaluation, unobservable_zero};
 use rayon::prelude::*;
 
 use crate::diagnosis::{JointSpan, Workspace, reach_m};
@@ -109,7 +109,7 @@ fn arm_coverage(run: &Run, arm: &Arm, checks: &[CheckRow]) -> Option<WorkspaceRo
             upper: limits.upper,
             visited: span.visited,
         };
-        Some((hidden_zero(name, unit, span.width(), checks), coverage))
+        Some((unobservable_zero(name, unit, span.width(), checks), coverage))
     };
     let found: Vec<_> = arm.columns.par_iter().enumerate().filter_map(of_joint).collect();
     let (hides, joints): (Vec<_>, Vec<_>) = found.into_iter().unzip();

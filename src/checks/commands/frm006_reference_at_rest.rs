@@ -4,7 +4,7 @@ use crate::checks::commands::sources::{self, following_json, is_fk_different, so
 use crate::checks::decision::{Decision, decide_frame};
 use crate::checks::frames::{THRESHOLDS, pose_json, show};
 use crate::checks::motion::mot003_limits_exceeded::UNIT_UNDETERMINED;
-use crate::checks::{Case, FrameThresholds, Grade, Judged};
+use crate::checks::{Case, FrameThresholds, Grade, SubjectResult};
 use crate::diagnosis::{FrameEstimate, Measured, ReferenceDiagnosis, RestError, RestErrorSpread};
 use crate::evidence::{ArmEvidence, ReferenceEvidence, StreamEvidence, TipPoseKind};
 use crate::finding::{
@@ -65,8 +65,8 @@ const MAX_STEADY_STATE_ERROR_M: f64 = 0.1;
 /// Typical residual of a nominal model of a calibrated arm, m and rad.
 const MAX_NOMINAL_RESIDUAL: (f64, f64) = (0.01, THRESHOLDS.angle.error);
 
-fn check(case: &Case) -> Vec<Judged> {
-    let of_arm = |arm: &ArmEvidence| -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
+    let of_arm = |arm: &ArmEvidence| -> Vec<SubjectResult> {
         arm.references.iter().map(|one| judge(case, arm, one)).collect()
     };
     case.evidence.robots.iter().flat_map(of_arm).collect()
@@ -86,7 +86,7 @@ struct RestErrors<'a> {
 
 impl<'a> RestErrors<'a> {
     fn from_source(case: &Case, found: &'a ReferenceDiagnosis, witness: usize) -> Option<Self> {
-        let thresholds = case.thresholds.of_frames(&FRM006, THRESHOLDS);
+        let thresholds = case.thresholds.frame_thresholds(&FRM006, THRESHOLDS);
         let size = |gap: &RestError| relative_error(gap, &thresholds);
         let mut gaps: Vec<&RestError> = found.rest_errors.get(witness)?.iter().collect();
         gaps.sort_by(|a, b| size(a).total_cmp(&size(b)));
@@ -116,15 +116,20 @@ fn relative_error(gap: &RestError, thresholds: &FrameThresholds) -> f64 {
     length.max(gap.angle_rad.norm.value / thresholds.angle.warning)
 }
 
-fn judge(case: &Case, arm: &ArmEvidence, reference: &StreamEvidence<ReferenceEvidence>) -> Judged {
-    let thresholds = case.thresholds.of_frames(&FRM006, THRESHOLDS);
+fn judge(
+    case: &Case,
+    arm: &ArmEvidence,
+    reference: &StreamEvidence<ReferenceEvidence>,
+) -> SubjectResult {
+    let thresholds = case.thresholds.frame_thresholds(&FRM006, THRESHOLDS);
     let size = |gap: &RestError| relative_error(gap, &thresholds);
-    let judged = |outcome| Judged::new(reference.subject.clone(), outcome).within(reference.span);
+    let judged =
+        |outcome| SubjectResult::new(reference.subject.clone(), outcome).within(reference.span);
     let found = match sources::reference_diagnosis(arm, reference, SETTLE) {
         Ok(found) => found,
         Err(outcome) => return judged(outcome),
     };
-    let with_commands = |judged: Judged| {
+    let with_commands = |judged: SubjectResult| {
         judged
             .with_evidence("goals", found.goals)
             .with_evidence("not_reached", found.not_reached)
@@ -234,7 +239,7 @@ fn fault(
 ) -> Outcome {
     let gaps = &found.rest_errors[nearest.witness];
     let off = show(&nearest.estimate);
-    let thresholds = &case.thresholds.of_frames(&FRM006, THRESHOLDS);
+    let thresholds = &case.thresholds.frame_thresholds(&FRM006, THRESHOLDS);
     let may_be_a_frame = !reference.is_of_joints;
     let (in_tool, in_base) = match RestErrorSpread::from_rests(gaps) {
         Some(constancy) => (

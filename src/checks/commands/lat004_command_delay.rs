@@ -1,7 +1,7 @@
-use crate::checks::decision::{Decision, Threshold, decide, unseen};
+use crate::checks::decision::{Decision, Threshold, decide, not_observable};
+use crate::checks::joint_groups::group_equal;
 use crate::checks::motion::mot003_limits_exceeded;
-use crate::checks::together::alike;
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{CommandDelay, DelayFailure, Measured, Response};
 use crate::evidence::{ArmEvidence, ReferenceEvidence, StreamEvidence};
 use crate::finding::{
@@ -56,15 +56,15 @@ const THRESHOLD: Threshold = Threshold { unit: Unit::Second, warning: 0.05, erro
 /// Motion that makes the delay observable.
 const SETTLE: &str = "record 10 s of motion that starts, stops and does not repeat";
 
-fn check(case: &Case) -> Vec<Judged> {
-    let of_arm = |arm: &ArmEvidence| -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
+    let of_arm = |arm: &ArmEvidence| -> Vec<SubjectResult> {
         arm.references.iter().flat_map(|one| judge_stream(case, arm, one)).collect()
     };
     let unmodelled = case.evidence.unmodelled_commands.iter().flat_map(|of| {
         let joints = of.value.joints.iter().map(String::as_str).collect();
         let commands = Commands { subject: &of.subject, span: of.span, joints };
         let goals = goals_reason(&of.value.delays).map(|why| {
-            vec![Judged::new(of.subject.clone(), Outcome::Inconclusive(why)).within(of.span)]
+            vec![SubjectResult::new(of.subject.clone(), Outcome::Inconclusive(why)).within(of.span)]
         });
         goals.unwrap_or_else(|| judge_delays(case, &commands, &of.value.delays))
     });
@@ -101,7 +101,7 @@ fn judge_stream(
     case: &Case,
     arm: &ArmEvidence,
     reference: &StreamEvidence<ReferenceEvidence>,
-) -> Vec<Judged> {
+) -> Vec<SubjectResult> {
     let whole = |outcome| vec![reference.judged(outcome)];
     if let Err(why) = &reference.diagnosis {
         return whole(Outcome::Skipped(why.clone()));
@@ -117,14 +117,14 @@ fn judge_stream(
     judge_delays(case, &commands, &reference.delays)
 }
 
-fn judge_delays(case: &Case, commands: &Commands, delays: &[CommandDelay]) -> Vec<Judged> {
+fn judge_delays(case: &Case, commands: &Commands, delays: &[CommandDelay]) -> Vec<SubjectResult> {
     let mut rows = Vec::new();
     let mut faults = Vec::new();
     for (at, of) in delays.iter().enumerate() {
         let place = of.joint.unwrap_or(at);
         let joints: Vec<usize> = of.joint.into_iter().collect();
         let subject = commands.subject_of(&joints);
-        let judged = |outcome| Judged::new(subject.clone(), outcome).within(commands.span);
+        let judged = |outcome| SubjectResult::new(subject.clone(), outcome).within(commands.span);
         let response = match &of.response {
             Ok(response) => response,
             Err(why) => {
@@ -132,7 +132,7 @@ fn judge_delays(case: &Case, commands: &Commands, delays: &[CommandDelay]) -> Ve
                 continue;
             }
         };
-        let threshold = case.thresholds.of(&LAT004, THRESHOLD);
+        let threshold = case.thresholds.threshold(&LAT004, THRESHOLD);
         let outcome = match decide(&response.delay_s, &threshold, case.evidence.subjects()) {
             Decision::Fail(severity) => {
                 faults.push((place, ExcessiveDelay { of, response, severity }));
@@ -143,7 +143,7 @@ fn judge_delays(case: &Case, commands: &Commands, delays: &[CommandDelay]) -> Ve
         };
         rows.push(with_numbers(judged(outcome), of, response));
     }
-    let groups = alike(faults, |a, b| is_same(a.response, b.response));
+    let groups = group_equal(faults, |a, b| is_same(a.response, b.response));
     rows.extend(groups.iter().map(|group| report_group(case, commands, group)));
     rows
 }
@@ -167,7 +167,7 @@ fn no_delay_outcome(why: &DelayFailure) -> Outcome {
         DelayFailure::Goals | DelayFailure::Steps => {
             Outcome::Inconclusive(format!("it receives goals and plans the path itself; {SETTLE}"))
         }
-        DelayFailure::NotObservable(why) => unseen(why, SETTLE),
+        DelayFailure::NotObservable(why) => not_observable(why, SETTLE),
     }
 }
 
@@ -184,7 +184,11 @@ fn is_same(a: &Response, b: &Response) -> bool {
 }
 
 /// Finding for joints with the same delay, or for the poses.
-fn report_group(case: &Case, commands: &Commands, group: &[(usize, ExcessiveDelay<'_>)]) -> Judged {
+fn report_group(
+    case: &Case,
+    commands: &Commands,
+    group: &[(usize, ExcessiveDelay<'_>)],
+) -> SubjectResult {
     let joints: Vec<usize> = group.iter().filter_map(|(_, long)| long.of.joint).collect();
     let by_delay = |a: &&(usize, ExcessiveDelay<'_>), b: &&(usize, ExcessiveDelay<'_>)| {
         let size = |one: &(usize, ExcessiveDelay<'_>)| one.1.response.delay_s.value.abs();
@@ -192,7 +196,7 @@ fn report_group(case: &Case, commands: &Commands, group: &[(usize, ExcessiveDela
     };
     let (_, ExcessiveDelay { of, response, severity }) =
         *group.iter().max_by(by_delay).unwrap_or(&group[0]);
-    let limit = Unit::Second.show(case.thresholds.of(&LAT004, THRESHOLD).warning);
+    let limit = Unit::Second.show(case.thresholds.threshold(&LAT004, THRESHOLD).warning);
     let is_early = response.delay_s.value < 0.0;
     let subject = commands.subject_of(&joints);
     let who = match joints.len() {
@@ -214,7 +218,7 @@ fn report_group(case: &Case, commands: &Commands, group: &[(usize, ExcessiveDela
             ),
         },
     };
-    let judged = Judged::new(subject, Outcome::fail(fault)).within(commands.span);
+    let judged = SubjectResult::new(subject, Outcome::fail(fault)).within(commands.span);
     let judged = with_numbers(judged, of, response);
     let names: Vec<&str> =
         joints.iter().filter_map(|&joint| commands.joints.get(joint).copied()).collect();
@@ -251,7 +255,7 @@ fn is_one_step(of: &CommandDelay, delay: &Measured) -> bool {
     (delay.value - of.period_s).abs() < MAX_PERIOD_DEVIATION * of.period_s
 }
 
-fn with_numbers(judged: Judged, of: &CommandDelay, response: &Response) -> Judged {
+fn with_numbers(judged: SubjectResult, of: &CommandDelay, response: &Response) -> SubjectResult {
     judged
         .estimated(Estimate::scalar("command delay", THRESHOLD.unit, &response.delay_s))
         .with_evidence("low_pass_hz", response.corner_hz())

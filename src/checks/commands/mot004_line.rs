@@ -2,7 +2,7 @@ use serde_json::{Value, json};
 
 use crate::checks::commands::sources::{self, source_name};
 use crate::checks::decision::{DEGREE, Decision, FrameThresholds, Threshold, decide_length};
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{CommandedLine, LineDeviation, Measured};
 use crate::evidence::{ArmEvidence, ReferenceEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
@@ -57,8 +57,8 @@ const THRESHOLDS: FrameThresholds = FrameThresholds {
 const SETTLE: &str =
     "log the tool pose or the joint states at 50 Hz or more, with a rest at both ends";
 
-fn check(case: &Case) -> Vec<Judged> {
-    let of_arm = |arm: &ArmEvidence| -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
+    let of_arm = |arm: &ArmEvidence| -> Vec<SubjectResult> {
         let of_poses = arm.references.iter().filter(|reference| !reference.is_of_joints);
         of_poses.map(|reference| judge(case, arm, reference)).collect()
     };
@@ -97,9 +97,14 @@ fn worst_line<'a>(
     })
 }
 
-fn judge(case: &Case, arm: &ArmEvidence, reference: &StreamEvidence<ReferenceEvidence>) -> Judged {
-    let thresholds = &case.thresholds.of_frames(&MOT004, THRESHOLDS);
-    let judged = |outcome| Judged::new(reference.subject.clone(), outcome).within(reference.span);
+fn judge(
+    case: &Case,
+    arm: &ArmEvidence,
+    reference: &StreamEvidence<ReferenceEvidence>,
+) -> SubjectResult {
+    let thresholds = &case.thresholds.frame_thresholds(&MOT004, THRESHOLDS);
+    let judged =
+        |outcome| SubjectResult::new(reference.subject.clone(), outcome).within(reference.span);
     let found = match sources::reference_diagnosis(arm, reference, SETTLE) {
         Ok(found) => found,
         Err(outcome) => return judged(outcome),
@@ -167,7 +172,7 @@ fn judge(case: &Case, arm: &ArmEvidence, reference: &StreamEvidence<ReferenceEvi
 /// Decides on the worst line.
 fn decide(case: &Case, line: &CommandedLine, measured: &LineDeviation, lines: usize) -> Decision {
     let (thresholds, subjects) =
-        (case.thresholds.of_frames(&MOT004, THRESHOLDS), case.evidence.subjects() * lines);
+        (case.thresholds.frame_thresholds(&MOT004, THRESHOLDS), case.evidence.subjects() * lines);
     let by_length = decide_length(&measured.distance_m, &thresholds.length, subjects);
     let angle = match is_command_deviating(line, &thresholds) {
         true => Decision::Pass,
@@ -253,7 +258,8 @@ fn with_distance(
 ) -> Outcome {
     let off_line = CommandedLine { command_rad: f64::INFINITY, ..line.clone() };
     let distance = Unit::Metre.show_measured(&measured.distance_m.norm);
-    let swinging = command_outcome(commanded, &case.thresholds.of_frames(&MOT004, THRESHOLDS));
+    let swinging =
+        command_outcome(commanded, &case.thresholds.frame_thresholds(&MOT004, THRESHOLDS));
     let Outcome::Evaluated(crate::finding::Ruling::Fail(fault)) = swinging else {
         return swinging;
     };

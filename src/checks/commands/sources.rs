@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use crate::checks::decision::unseen;
+use crate::checks::decision::not_observable;
 use crate::checks::motion::mot003_limits_exceeded;
 use crate::diagnosis::{CommandTracking, JointOffset, ReferenceDiagnosis};
 use crate::evidence::ReferenceEvidence;
@@ -17,7 +17,7 @@ pub fn reference_diagnosis<'a>(
 ) -> Result<&'a ReferenceDiagnosis, Outcome> {
     let found = match &reference.diagnosis {
         Err(why) => return Err(Outcome::Skipped(why.clone())),
-        Ok(found) => found.as_ref().map_err(|why| unseen(why, settle))?,
+        Ok(found) => found.as_ref().map_err(|why| not_observable(why, settle))?,
     };
     match mot003_limits_exceeded::doubt(arm) {
         Some(why) => Err(Outcome::Inconclusive(why)),

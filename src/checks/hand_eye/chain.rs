@@ -4,7 +4,7 @@ use serde_json::{Map, Value, json};
 
 use crate::checks::decision::{DEGREE, FrameThresholds, Threshold};
 use crate::checks::frames::pose_json;
-use crate::checks::{Judged, Limit};
+use crate::checks::{Limit, SubjectResult};
 use crate::diagnosis::{CameraMount, HandEyeDiagnosis, HandEyeSolution, NotObservable};
 use crate::evidence::HandEyeEvidence;
 use crate::finding::{Outcome, Unit};
@@ -80,7 +80,7 @@ pub fn mismatch_reason(found: &HandEyeDiagnosis) -> Option<String> {
 }
 
 /// The outcome if there is no estimate.
-pub fn unseen(why: &NotObservable) -> Outcome {
+pub fn not_observable(why: &NotObservable) -> Outcome {
     Outcome::Inconclusive(match why {
         NotObservable::TooFewSamples { have, need } => {
             format!("only {have} target poses overlap with hand poses; {need} are needed")
@@ -92,10 +92,10 @@ pub fn unseen(why: &NotObservable) -> Outcome {
 
 /// Adds the evidence on a solution that the hand-eye rules share.
 pub fn with_solution(
-    judged: Judged,
+    judged: SubjectResult,
     facts: &HandEyeEvidence,
     solution: &HandEyeSolution,
-) -> Judged {
+) -> SubjectResult {
     let mut all = Map::new();
     let closure = &solution.closure;
     let mount = match (is_mount_decided(solution), solution.mount) {

@@ -3,9 +3,9 @@ use crate::checks::decision::{Decision, decide_both, decide_frame};
 use crate::checks::frames::{show, show_pose};
 use crate::checks::hand_eye::chain::{
     MIN_ROTATION_SPAN, SETTLE, THRESHOLDS, describe_mount, is_mount_decided, mismatch_reason,
-    unseen, with_solution,
+    not_observable, with_solution,
 };
-use crate::checks::{Case, FrameThresholds, Grade, Judged, decide, residual_attribution};
+use crate::checks::{Case, FrameThresholds, Grade, SubjectResult, decide, residual_attribution};
 use crate::diagnosis::{CameraMount, HandEyeSolution, Measured, TargetEncoding, TargetScaleError};
 use crate::evidence::{ArmEvidence, HandEyeEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
@@ -60,7 +60,7 @@ rule! {
     }
 }
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     let judged = case.evidence.hand_eyes.iter().map(|one| {
         let arm = case.evidence.robots.iter().find(|arm| Some(&arm.name) == one.robot.as_ref());
         judge(case, arm, one).within(one.span)
@@ -68,13 +68,13 @@ fn check(case: &Case) -> Vec<Judged> {
     judged.collect()
 }
 
-fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Judged {
+fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> SubjectResult {
     let (thresholds, subjects) =
-        (case.thresholds.of_frames(&HEC001, THRESHOLDS), case.evidence.subjects());
+        (case.thresholds.frame_thresholds(&HEC001, THRESHOLDS), case.evidence.subjects());
     let found = &facts.diagnosis;
     let as_logged = match &found.solution {
         Ok(solution) => solution,
-        Err(why) => return Judged::new(facts.subject(), unseen(why)),
+        Err(why) => return SubjectResult::new(facts.subject(), not_observable(why)),
     };
     let best = found.best().unwrap_or(as_logged);
     let by_mount = match hec003_camera_axes::detect_swap(facts) {
@@ -155,7 +155,7 @@ fn judge(case: &Case, arm: Option<&ArmEvidence>, facts: &HandEyeEvidence) -> Jud
             _ => (closed_chain(facts, best), closure(best)),
         },
     };
-    let judged = Judged::new(facts.subject(), outcome).estimated(estimate);
+    let judged = SubjectResult::new(facts.subject(), outcome).estimated(estimate);
     let judged = with_solution(judged, facts, best);
     let judged = match &found.alternative {
         Some((reading, _)) => judged.with_evidence("reading", describe_reading(reading)),

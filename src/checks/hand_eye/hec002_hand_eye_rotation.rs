@@ -1,9 +1,9 @@
 use super::hec001_hand_eye_closure;
 use crate::checks::decision::DEGREE;
 use crate::checks::hand_eye::chain::{
-    MIN_AXIS_SPREAD, MIN_ROTATION_SPAN, THRESHOLDS, mismatch_reason, unseen,
+    MIN_AXIS_SPREAD, MIN_ROTATION_SPAN, THRESHOLDS, mismatch_reason, not_observable,
 };
-use crate::checks::{Case, FrameThresholds, Grade, Judged};
+use crate::checks::{Case, FrameThresholds, Grade, SubjectResult};
 use crate::diagnosis::{CameraPose, Measured, RotationDiversity};
 use crate::evidence::HandEyeEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
@@ -48,17 +48,17 @@ rule! {
 /// A shorter run is not a calibration attempt, s.
 const MIN_DURATION_S: f64 = 3.0;
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.hand_eyes.iter().map(|one| judge(case, one).within(one.span)).collect()
 }
 
-fn judge(case: &Case, facts: &HandEyeEvidence) -> Judged {
+fn judge(case: &Case, facts: &HandEyeEvidence) -> SubjectResult {
     let needed =
         [&MIN_ROTATION_SPAN, &MIN_AXIS_SPREAD].map(|limit| case.thresholds.limit(&HEC002, limit));
     let found = &facts.diagnosis;
     let diversity = match &found.diversity {
         Ok(diversity) => diversity,
-        Err(why) => return Judged::new(facts.subject(), unseen(why)),
+        Err(why) => return SubjectResult::new(facts.subject(), not_observable(why)),
     };
     let undetermined =
         found.best().map_or_else(Vec::new, |solution| undetermined_axes(case, &solution.camera));
@@ -90,7 +90,7 @@ fn judge(case: &Case, facts: &HandEyeEvidence) -> Judged {
         false => ("rotation span", diversity.span_rad),
         true => ("spread of axes", diversity.spread_rad),
     };
-    Judged::new(facts.subject(), outcome)
+    SubjectResult::new(facts.subject(), outcome)
         .estimated(Estimate::exact(name, Unit::Radian.symbol(), value))
         .with_evidence("span_rad", diversity.span_rad)
         .with_evidence("spread_rad", diversity.spread_rad)
@@ -170,7 +170,7 @@ fn undetermined_axes(case: &Case, camera: &CameraPose) -> Vec<String> {
         .collect()
     };
     let FrameThresholds { length, angle } =
-        case.thresholds.of_frames(&hec001_hand_eye_closure::HEC001, THRESHOLDS);
+        case.thresholds.frame_thresholds(&hec001_hand_eye_closure::HEC001, THRESHOLDS);
     let mut all = said("along", Unit::Metre, camera.translation_error_m, length.warning);
     all.extend(said("about", Unit::Radian, camera.rotation_error_rad, angle.warning));
     all

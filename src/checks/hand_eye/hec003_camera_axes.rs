@@ -1,6 +1,6 @@
 use crate::checks::decision::DEGREE;
-use crate::checks::hand_eye::chain::{mismatch_reason, unseen};
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::hand_eye::chain::{mismatch_reason, not_observable};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::TargetEncoding;
 use crate::evidence::HandEyeEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, rounded};
@@ -113,24 +113,24 @@ pub(super) fn describe_axes(axes: &[(usize, f64); 3]) -> String {
     format!("read as ({})", named.join(", "))
 }
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.hand_eyes.iter().map(|one| judge(one).within(one.span)).collect()
 }
 
-fn judge(facts: &HandEyeEvidence) -> Judged {
+fn judge(facts: &HandEyeEvidence) -> SubjectResult {
     let found = &facts.diagnosis;
     if let Err(why) = &found.solution {
-        return Judged::new(facts.subject(), unseen(why));
+        return SubjectResult::new(facts.subject(), not_observable(why));
     }
     let Some(swap) = detect_swap(facts) else {
-        return Judged::new(facts.subject(), no_swap_outcome(facts))
+        return SubjectResult::new(facts.subject(), no_swap_outcome(facts))
             .with_evidence("view", found.view.to_vec());
     };
     if let (AxisSwap::Whole(_), Some(why)) = (&swap, mismatch_reason(found)) {
-        return Judged::new(facts.subject(), Outcome::Inconclusive(why));
+        return SubjectResult::new(facts.subject(), Outcome::Inconclusive(why));
     }
     let (is, read_as) = axes_names(&swap);
-    let judged = Judged::new(facts.subject(), Outcome::fail(fault(facts, &swap)))
+    let judged = SubjectResult::new(facts.subject(), Outcome::fail(fault(facts, &swap)))
         .estimated(Estimate::slip("camera axes", is, read_as))
         .with_evidence("view", found.view.to_vec());
     match swap {

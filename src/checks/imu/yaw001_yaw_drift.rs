@@ -1,7 +1,7 @@
 use serde_json::{Map, Value, json};
 
-use crate::checks::decision::{DEGREE, Threshold, decide, unseen};
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::decision::{DEGREE, Threshold, decide, not_observable};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{HeadingError, Measured, YawJump, YawProfile, YawWarmUp};
 use crate::evidence::{ImuEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Severity, Unit};
@@ -65,18 +65,18 @@ const JUMP: Threshold =
 /// The motion that makes the drift observable.
 const SETTLE: &str = "record a minute or more, with rests";
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.imus().flat_map(|(_, imu)| judge(case, imu)).collect()
 }
 
 /// Judges the drift, and the largest jump, heading error and warm-up if significant.
-fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Vec<Judged> {
+fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Vec<SubjectResult> {
     let subjects = case.evidence.subjects();
     let [drift_threshold, jump_threshold] =
-        [THRESHOLD, JUMP].map(|own| case.thresholds.of(&YAW001, own));
+        [THRESHOLD, JUMP].map(|own| case.thresholds.threshold(&YAW001, own));
     let drift = match &imu.diagnosis.yaw_drift_rad_s {
         Ok(drift) => drift,
-        Err(why) => return vec![imu.judged(unseen(why, SETTLE))],
+        Err(why) => return vec![imu.judged(not_observable(why, SETTLE))],
     };
     let course = &imu.diagnosis.yaw_profile;
     let outcome = decide(drift, &drift_threshold, subjects)
@@ -168,7 +168,7 @@ fn settle(course: &YawProfile) -> String {
 }
 
 /// Adds the evidence on the yaw error model.
-fn with_course(judged: Judged, course: &YawProfile, kind: &str) -> Judged {
+fn with_course(judged: SubjectResult, course: &YawProfile, kind: &str) -> SubjectResult {
     let mut judged = judged.with_evidence("kind", kind);
     if let Some(density) = course.walk_rad_per_sqrt_s {
         judged = judged.with_evidence("walk_rad_rt_s", density);

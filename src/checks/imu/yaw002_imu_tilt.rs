@@ -1,5 +1,5 @@
-use crate::checks::decision::{DEGREE, Threshold, decide_length, unseen};
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::decision::{DEGREE, Threshold, decide_length, not_observable};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{MeasuredLength, UpDirections};
 use crate::evidence::{ImuEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
@@ -44,14 +44,14 @@ const THRESHOLD: Threshold =
 /// The motion that makes the tilt observable.
 const SETTLE: &str = "record 10 s with rests";
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.imus().map(|(_, imu)| judge(case, imu)).collect()
 }
 
-fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Judged {
+fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> SubjectResult {
     let tilt = match &imu.diagnosis.tilt_rad {
         Ok(tilt) => tilt,
-        Err(why) => return imu.judged(unseen(why, SETTLE)),
+        Err(why) => return imu.judged(not_observable(why, SETTLE)),
     };
     let as_logged =
         imu.diagnosis.encoding.as_ref().is_ok_and(|reading| reading.best.is_as_logged());
@@ -59,10 +59,12 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Judged {
         false => Outcome::Inconclusive(
             "the orientation encoding is wrong; correct it first (ORD001 to ORD003)".to_owned(),
         ),
-        true => {
-            decide_length(tilt, &case.thresholds.of(&YAW002, THRESHOLD), case.evidence.subjects())
-                .into_outcome(SETTLE, |severity| fault(tilt, imu.diagnosis.up.as_ref(), severity))
-        }
+        true => decide_length(
+            tilt,
+            &case.thresholds.threshold(&YAW002, THRESHOLD),
+            case.evidence.subjects(),
+        )
+        .into_outcome(SETTLE, |severity| fault(tilt, imu.diagnosis.up.as_ref(), severity)),
     };
     let estimate = Estimate::length("tilt against gravity", THRESHOLD.unit, tilt);
     let judged = imu.judged(outcome).estimated(estimate);

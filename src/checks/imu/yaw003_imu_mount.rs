@@ -1,5 +1,5 @@
-use crate::checks::decision::{DEGREE, Decision, Threshold, decide_length, unseen};
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::decision::{DEGREE, Decision, Threshold, decide_length, not_observable};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{ImuMountChange, MeasuredLength};
 use crate::evidence::{ImuEvidence, StreamEvidence};
 use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
@@ -53,14 +53,14 @@ const THRESHOLD: Threshold =
 /// The motion that makes the mount observable.
 const SETTLE: &str = "rotate the IMU through 60° about two axes";
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     let imus = || case.evidence.imus().map(|(_, imu)| imu);
     let axes = imus().filter_map(|imu| judge_axes(case, imu));
     imus().map(|imu| judge(case, imu)).chain(axes).collect()
 }
 
 /// Checks that the gyro axes are right-handed and match the orientation's. `None` if no deviation is found.
-fn judge_axes(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Option<Judged> {
+fn judge_axes(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Option<SubjectResult> {
     let fault = |severity, message: String, fix: String| Fault {
         severity,
         cause: Cause::Pictured(Picture::ImuAxes),
@@ -80,7 +80,7 @@ fn judge_axes(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Option<Judged> 
     }
     let turn = imu.diagnosis.axes_rotation.as_ref()?;
     // Orientation filters deviate slightly from their own gyro, so the error threshold applies.
-    let threshold = case.thresholds.of(&YAW003, THRESHOLD);
+    let threshold = case.thresholds.threshold(&YAW003, THRESHOLD);
     // Rotation about a single axis leaves one direction unobservable.
     if turn.size_rad.norm.half_width(0.95) > threshold.error {
         return None;
@@ -102,8 +102,8 @@ fn judge_axes(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Option<Judged> 
     Some(judged.estimated(estimate))
 }
 
-fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Judged {
-    let threshold = case.thresholds.of(&YAW003, THRESHOLD);
+fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> SubjectResult {
+    let threshold = case.thresholds.threshold(&YAW003, THRESHOLD);
     let slips = imu.diagnosis.mount_change.as_ref().and_then(|change| {
         let decision = decide_length(&change.size_rad, &threshold, case.evidence.subjects());
         matches!(decision, Decision::Fail(_)).then_some((decision, change))
@@ -126,7 +126,7 @@ fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Judged {
                 xyzw_from_rotation(&change.link_from_imu).to_vec(),
             )
         }
-        (Err(why), None) => imu.judged(unseen(why, SETTLE)),
+        (Err(why), None) => imu.judged(not_observable(why, SETTLE)),
         (Ok(mount), None) => {
             let decision = decide_length(mount, &threshold, case.evidence.subjects());
             let found = imu.diagnosis.link_from_imu;

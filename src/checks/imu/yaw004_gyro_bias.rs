@@ -1,7 +1,7 @@
 use serde_json::{Value, json};
 
-use crate::checks::decision::{DEGREE, Decision, Threshold, decide_length, unseen};
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::decision::{DEGREE, Decision, Threshold, decide_length, not_observable};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{GyroBias, GyroBiasChange, GyroBiasProfile, GyroScaleError, Measured};
 use crate::evidence::{ImuEvidence, StreamEvidence};
 use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Picture, Severity, Unit};
@@ -51,16 +51,16 @@ const THRESHOLD: Threshold =
 /// The motion that makes the bias observable.
 const SETTLE: &str = "record 10 s with rests";
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.imus().map(|(_, imu)| judge(case, imu)).collect()
 }
 
-fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> Judged {
+fn judge(case: &Case, imu: &StreamEvidence<ImuEvidence>) -> SubjectResult {
     let bias = match &imu.diagnosis.gyro_bias {
         Ok(bias) => bias,
-        Err(why) => return imu.judged(unseen(why, SETTLE)),
+        Err(why) => return imu.judged(not_observable(why, SETTLE)),
     };
-    let threshold = case.thresholds.of(&YAW004, THRESHOLD);
+    let threshold = case.thresholds.threshold(&YAW004, THRESHOLD);
     let subjects = case.evidence.subjects();
     let changes = bias.change.as_ref().and_then(|change| {
         let decision = decide_length(&change.size_rad_s, &threshold, subjects);
@@ -110,7 +110,7 @@ fn estimate(case: &Case, change: &GyroBiasChange) -> Estimate {
     }
 }
 
-fn with_change(judged: Judged, change: &GyroBiasChange) -> Judged {
+fn with_change(judged: SubjectResult, change: &GyroBiasChange) -> SubjectResult {
     let [before, after] = [change.before_rad_s, change.after_rad_s].map(<[f64; 3]>::from);
     let judged = judged
         .with_evidence("from_vector_rad_s", before.to_vec())

@@ -3,7 +3,7 @@
 
 use crate::checks::decision::{Threshold, decide};
 use crate::checks::frames::THRESHOLDS;
-use crate::checks::{Case, Judged, Rule, changes};
+use crate::checks::{Case, Rule, SubjectResult, changes};
 use crate::diagnosis::{JointCompliance, Measured};
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Estimate, Fault, Outcome, Ruling, Severity, Unit};
@@ -24,12 +24,12 @@ pub(super) struct ComplianceRule {
 
 impl ComplianceRule {
     /// Judges every joint with this kind of compliance, or the arm if there is none.
-    pub fn check(&self, rule: &Rule, case: &Case) -> Vec<Judged> {
+    pub fn check(&self, rule: &Rule, case: &Case) -> Vec<SubjectResult> {
         let arms = case.evidence.robots.iter().filter(|arm| !arm.poses.is_empty());
         arms.flat_map(|arm| self.judge_arm(rule, case, arm)).collect()
     }
 
-    fn judge_arm(&self, rule: &Rule, case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
+    fn judge_arm(&self, rule: &Rule, case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
         let own: Vec<&JointCompliance> =
             arm.diagnosis.compliance.iter().filter(|bend| (self.is_it)(bend)).collect();
         if own.is_empty() {
@@ -41,13 +41,19 @@ impl ComplianceRule {
                 None => Outcome::pass(),
                 Some(left) => Outcome::Inconclusive(format!("{left}; {}", self.settle)),
             };
-            return vec![Judged::new(arm.subject(), outcome).within(arm.span)];
+            return vec![SubjectResult::new(arm.subject(), outcome).within(arm.span)];
         }
         own.into_iter().map(|bend| self.judge(rule, case, arm, bend)).collect()
     }
 
-    fn judge(&self, rule: &Rule, case: &Case, arm: &ArmEvidence, bend: &JointCompliance) -> Judged {
-        let threshold = case.thresholds.of(rule, self.threshold);
+    fn judge(
+        &self,
+        rule: &Rule,
+        case: &Case,
+        arm: &ArmEvidence,
+        bend: &JointCompliance,
+    ) -> SubjectResult {
+        let threshold = case.thresholds.threshold(rule, self.threshold);
         let subject = arm.joint(bend.column);
         if let Some(change) = &bend.change {
             let (effect_m, _) = tip_effect(arm, bend.column, change.size.value);
@@ -55,13 +61,13 @@ impl ComplianceRule {
             let (outcome, estimate) =
                 changes::judge_scalar_change(case, self.name, title, change, &threshold, effect_m);
             if matches!(outcome, Outcome::Evaluated(Ruling::Fail(_))) {
-                return Judged::new(subject, outcome).within(arm.span).estimated(estimate);
+                return SubjectResult::new(subject, outcome).within(arm.span).estimated(estimate);
             }
         }
         let size = Measured { value: bend.value.value.abs(), ..bend.value };
         let outcome = decide(&size, &threshold, case.evidence.subjects())
             .into_outcome(self.settle, |severity| (self.fault)(arm, bend, severity));
-        Judged::new(subject, outcome).within(arm.span).estimated(Estimate::scalar(
+        SubjectResult::new(subject, outcome).within(arm.span).estimated(Estimate::scalar(
             self.name,
             Unit::Radian,
             &size,

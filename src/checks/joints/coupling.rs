@@ -1,17 +1,17 @@
 //! Coupled joints, for ORD009.
 
-use crate::checks::Judged;
+use crate::checks::SubjectResult;
 use crate::diagnosis::JointCoupling;
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 /// One finding for each coupled pair.
-pub(super) fn judge(arm: &ArmEvidence) -> Vec<Judged> {
+pub(super) fn judge(arm: &ArmEvidence) -> Vec<SubjectResult> {
     let couplings = arm.diagnosis.encoding.iter().flat_map(|reading| &reading.couplings);
     couplings.filter_map(|coupling| judge_pair(arm, coupling)).collect()
 }
 
-fn judge_pair(arm: &ArmEvidence, coupling: &JointCoupling) -> Option<Judged> {
+fn judge_pair(arm: &ArmEvidence, coupling: &JointCoupling) -> Option<SubjectResult> {
     let (joint, driver) = (arm.joints.get(coupling.column)?, arm.joints.get(coupling.by)?);
     let (own, with, factor) = (&joint.name, &driver.name, coupling.factor.value);
     let left = arm.diagnosis.encoding.as_ref().ok()?.residual?;
@@ -41,7 +41,7 @@ fn judge_pair(arm: &ArmEvidence, coupling: &JointCoupling) -> Option<Judged> {
         fix: format!("{own}_true = {own} {sign} {term}"),
     };
     let estimate = Estimate::scalar("joint coupling", Unit::One, &coupling.factor);
-    let judged = Judged::new(arm.joint_states(coupling.column), Outcome::fail(fault));
+    let judged = SubjectResult::new(arm.joint_states(coupling.column), Outcome::fail(fault));
     Some(judged.within(arm.span).estimated(estimate.with_coupling(with, factor)))
 }
 

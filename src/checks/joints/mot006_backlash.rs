@@ -1,6 +1,6 @@
 use super::compliance::{ComplianceRule, tip_effect};
 use crate::checks::decision::{DEGREE, Threshold};
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{JointCompliance, Measured};
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
@@ -55,7 +55,7 @@ const BACKLASH: ComplianceRule = ComplianceRule {
     fault,
 };
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     BACKLASH.check(&MOT006, case)
 }
 

@@ -1,5 +1,5 @@
-use crate::checks::decision::unseen;
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::decision::not_observable;
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::JointEncoding;
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
@@ -37,15 +37,15 @@ rule! {
     }
 }
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.robots.iter().map(judge).collect()
 }
 
-fn judge(arm: &ArmEvidence) -> Judged {
+fn judge(arm: &ArmEvidence) -> SubjectResult {
     let subject = arm.topic(&arm.joints_topic);
     match &arm.diagnosis.encoding {
-        Err(why) => Judged::new(subject, unseen(why, "also log a pose that does not come from /tf")),
-        Ok(JointEncoding { permutation: None, .. }) => Judged::new(subject, Outcome::pass()),
+        Err(why) => SubjectResult::new(subject, not_observable(why, "also log a pose that does not come from /tf")),
+        Ok(JointEncoding { permutation: None, .. }) => SubjectResult::new(subject, Outcome::pass()),
         Ok(JointEncoding { permutation: Some((order, slip)), runner_up_m, .. }) => {
             let names: Vec<String> = arm.joints.iter().map(|joint| joint.name.clone()).collect();
             let is: Vec<String> =
@@ -71,7 +71,7 @@ fn judge(arm: &ArmEvidence) -> Judged {
                 },
                 fix: format!("name the numbers in the order they are in: {}", is.join(", ")),
             };
-            Judged::new(subject, Outcome::fail(fault))
+            SubjectResult::new(subject, Outcome::fail(fault))
                 .estimated(Estimate::Order {
                     name: "joint order",
                     is: is.clone(),

@@ -1,6 +1,6 @@
 use serde_json::json;
 
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{DhComparison, DhConventionResult, DhStreamResiduals};
 use crate::evidence::{ArmEvidence, DhEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
@@ -48,11 +48,11 @@ rule! {
 /// Motion that separates the conventions.
 const SETTLE: &str = "move every joint, and check the table's rows";
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.robots.iter().filter_map(|arm| Some(judge(arm, arm.dh.as_ref()?))).collect()
 }
 
-fn judge(arm: &ArmEvidence, facts: &DhEvidence) -> Judged {
+fn judge(arm: &ArmEvidence, facts: &DhEvidence) -> SubjectResult {
     let DhEvidence { declared: convention, estimate } = facts;
     let (is, read_as) = (convention.other().name(), convention.name());
     let told = estimate.convention();
@@ -85,7 +85,7 @@ fn judge(arm: &ArmEvidence, facts: &DhEvidence) -> Judged {
             "other_rad": stream.other.and_then(|other| finite(other.rad)),
         })
     });
-    let judged = Judged::new(arm.subject(), outcome)
+    let judged = SubjectResult::new(arm.subject(), outcome)
         .within(arm.span)
         .estimated(slip)
         .with_evidence("streams", streams.collect::<Vec<_>>())

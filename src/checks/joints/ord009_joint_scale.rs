@@ -1,6 +1,6 @@
 use super::{coupling, turns};
-use crate::checks::decision::unseen;
-use crate::checks::{Case, Grade, Judged, Threshold, changes};
+use crate::checks::decision::not_observable;
+use crate::checks::{Case, Grade, SubjectResult, Threshold, changes};
 use crate::diagnosis::{JointScale, Measured, UnitResiduals};
 use crate::evidence::ArmEvidence;
 use crate::finding::{
@@ -65,10 +65,10 @@ rule! {
 /// Factors that differ by less than this, relatively, are the same.
 const MAX_FACTOR_DIFFERENCE: f64 = 2e-3;
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     let judged = |arm| {
         let of_joints = turns::judge(case, arm).into_iter().chain(coupling::judge(arm));
-        let of_joints: Vec<Judged> = of_joints.chain(judge_changes(case, arm)).collect();
+        let of_joints: Vec<SubjectResult> = of_joints.chain(judge_changes(case, arm)).collect();
         // Omit the topic's pass row if a joint has a finding.
         let of_scales = judge_arm(arm);
         let is_sound = arm.diagnosis.encoding.is_ok() && arm.diagnosis.scales.is_empty();
@@ -77,7 +77,7 @@ fn check(case: &Case) -> Vec<Judged> {
     case.evidence.robots.iter().flat_map(judged).collect()
 }
 
-fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
+fn judge_arm(arm: &ArmEvidence) -> Vec<SubjectResult> {
     let topic = arm.topic(&arm.joints_topic);
     let (scales, reading) = match &arm.diagnosis.encoding {
         Ok(reading) => {
@@ -86,8 +86,8 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
             (scales, reading)
         }
         Err(why) => {
-            let outcome = unseen(why, "also log a pose that does not come from /tf");
-            return vec![Judged::new(topic, outcome).within(arm.span)];
+            let outcome = not_observable(why, "also log a pose that does not come from /tf");
+            return vec![SubjectResult::new(topic, outcome).within(arm.span)];
         }
     };
     let residual = reading.residual.unwrap_or(UnitResiduals { as_logged: 0.0, corrected: 0.0 });
@@ -100,7 +100,7 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
         let names = joints.iter().filter_map(|other| arm.joints.get(other.column));
         let names: Vec<&str> = names.map(|joint| joint.name.as_str()).collect();
         let fault = fault(arm, scale, joints, &residual);
-        Judged::new(subject, Outcome::fail(fault))
+        SubjectResult::new(subject, Outcome::fail(fault))
             .within(arm.span)
             .estimated(Estimate::scalar("joint scale", Unit::One, &as_logged(arm, scale.factor)))
             .with_evidence(
@@ -112,7 +112,7 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
             .with_evidence("corrected_m", residual.corrected)
     };
     match scales.as_slice() {
-        [] => vec![Judged::new(topic, Outcome::pass()).within(arm.span)],
+        [] => vec![SubjectResult::new(topic, Outcome::pass()).within(arm.span)],
         [first, rest @ ..] if rest.len() > 1 && rest.iter().all(|other| is_same(first, other)) => {
             vec![judged(first, &scales)]
         }
@@ -121,7 +121,7 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
 }
 
 /// Joints whose scale changes during the run.
-fn judge_changes(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
+fn judge_changes(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
     /// Minimum change of a scale.
     const THRESHOLD: Threshold = Threshold { unit: Unit::One, warning: 1e-3, error: 1e-3 };
     let columns = 0..arm.joints.len();
@@ -133,7 +133,7 @@ fn judge_changes(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
         let (outcome, estimate) =
             changes::judge_scalar_change(case, "joint scale", title, change, &THRESHOLD, effect_m);
         let subject = arm.joint_states(column);
-        Some(Judged::new(subject, outcome).within(arm.span).estimated(estimate))
+        Some(SubjectResult::new(subject, outcome).within(arm.span).estimated(estimate))
     });
     judged.collect()
 }

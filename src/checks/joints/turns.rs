@@ -4,13 +4,13 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 
 use super::zer001_joint_zero::{self, ZER001};
 use crate::checks::decision::{Decision, decide};
-use crate::checks::{Case, Judged, residual_attribution};
+use crate::checks::{Case, SubjectResult, residual_attribution};
 use crate::diagnosis::Measured;
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 
 /// One finding for each joint that is off by turns.
-pub(super) fn judge(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
+pub(super) fn judge(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
     let of_joint = |joint: usize| match part_of_turn(case, arm, joint) {
         Some((turns, offset)) => {
             Some(turn_result(arm, joint, turns, &offset, TurnEvidence::InPoses))
@@ -28,7 +28,7 @@ enum TurnEvidence {
 }
 
 /// Finding for a joint that exceeds its limits throughout the run, but not if shifted by a turn.
-fn judge_whole_turns(arm: &ArmEvidence, joint: usize) -> Option<Judged> {
+fn judge_whole_turns(arm: &ArmEvidence, joint: usize) -> Option<SubjectResult> {
     let turns = arm.joints.get(joint)?.motion.turns_beyond?;
     if arm.diagnosis.offsets.get(joint).is_some_and(|offset| offset.is_chosen) {
         return None;
@@ -51,7 +51,7 @@ pub(super) fn part_of_turn(
     if unit != Unit::Radian || quarters == 0.0 || arm.scale(joint).is_some() {
         return None;
     }
-    let threshold = case.thresholds.of(&ZER001, zer001_joint_zero::threshold(unit));
+    let threshold = case.thresholds.threshold(&ZER001, zer001_joint_zero::threshold(unit));
     let rest = Measured { value: measured.value - quarters * FRAC_PI_2, ..measured };
     let is_round =
         !matches!(decide(&rest, &threshold, case.evidence.subjects()), Decision::Fail(_));
@@ -65,7 +65,7 @@ fn turn_result(
     turns: f64,
     offset: &Measured,
     seen: TurnEvidence,
-) -> Judged {
+) -> SubjectResult {
     let (amount, name) = match turns {
         0.25 => ("a quarter turn", "its zero is set a quarter turn off"),
         0.5 => ("half a turn", "its zero is set half a turn off"),
@@ -102,7 +102,9 @@ fn turn_result(
         ),
     };
     let estimate = Estimate::scalar("joint offset", Unit::Radian, offset).with_turns(turns);
-    Judged::new(arm.joint_states(joint), Outcome::fail(fault)).within(arm.span).estimated(estimate)
+    SubjectResult::new(arm.joint_states(joint), Outcome::fail(fault))
+        .within(arm.span)
+        .estimated(estimate)
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 use crate::checks::decision::{Decision, Threshold, decide};
-use crate::checks::together::{alike, listed, prefix, subject};
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::joint_groups::{group_equal, group_prefix, group_subject, with_joint_names};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{NotObservable, Response, VelocityDiagnosis, VelocityShape};
 use crate::evidence::{ArmEvidence, JointEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
@@ -52,32 +52,36 @@ const SETTLE: &str = "move each joint by 30° or more, at 0.2 rad/s or more";
 /// Factors that differ by less than this, relatively, are the same.
 const MAX_FACTOR_DIFFERENCE: f64 = 0.03;
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.robots.iter().flat_map(|arm| judge_arm(case, arm)).collect()
 }
 
-fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
+fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
     if arm.joints.iter().all(|joint| joint.velocity.is_none()) {
         let why = "the joint states hold no velocities".to_owned();
         let topic = arm.topic(&arm.joints_topic);
-        return vec![Judged::new(topic, Outcome::Skipped(why)).within(arm.span)];
+        return vec![SubjectResult::new(topic, Outcome::Skipped(why)).within(arm.span)];
     }
     let mut rows = Vec::new();
     let mut faults: Vec<(usize, (VelocityDiagnosis, Severity))> = Vec::new();
     for (index, joint) in arm.joints.iter().enumerate() {
-        let judged = |outcome| Judged::new(arm.joint_states(index), outcome).within(arm.span);
+        let judged =
+            |outcome| SubjectResult::new(arm.joint_states(index), outcome).within(arm.span);
         let found = match &joint.velocity {
             None => {
                 rows.push(judged(Outcome::Skipped("it has no velocities".to_owned())));
                 continue;
             }
             Some(Err(why)) => {
-                rows.push(judged(Outcome::Inconclusive(format!("{}; {SETTLE}", unseen(why)))));
+                rows.push(judged(Outcome::Inconclusive(format!(
+                    "{}; {SETTLE}",
+                    not_observable_reason(why)
+                ))));
                 continue;
             }
             Some(Ok(found)) => found,
         };
-        let threshold = case.thresholds.of(&VEL001, THRESHOLD);
+        let threshold = case.thresholds.threshold(&VEL001, THRESHOLD);
         let outcome = match decide(&found.error, &threshold, case.evidence.subjects()) {
             Decision::Fail(severity) => match explained_by_correction(joint, index, &found.shape) {
                 None => {
@@ -95,12 +99,12 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
         };
         rows.push(with_numbers(judged(outcome), found));
     }
-    let groups = alike(faults, |(a, _), (b, _)| is_same(&a.shape, &b.shape));
+    let groups = group_equal(faults, |(a, _), (b, _)| is_same(&a.shape, &b.shape));
     rows.extend(groups.iter().map(|group| report_group(case, arm, group)));
     rows
 }
 
-fn unseen(why: &NotObservable) -> String {
+fn not_observable_reason(why: &NotObservable) -> String {
     match why {
         NotObservable::TooFewSamples { have, need } => {
             format!("it has {have} samples with a velocity, {need} are needed")
@@ -161,7 +165,7 @@ fn report_group(
     case: &Case,
     arm: &ArmEvidence,
     group: &[(usize, (VelocityDiagnosis, Severity))],
-) -> Judged {
+) -> SubjectResult {
     let joints: Vec<usize> = group.iter().map(|(joint, _)| *joint).collect();
     let by_error = |a: &&(usize, (VelocityDiagnosis, Severity)),
                     b: &&(usize, (VelocityDiagnosis, Severity))| {
@@ -171,7 +175,7 @@ fn report_group(
         Some(worst) => worst,
         None => &group[0],
     };
-    let limit = percent(case.thresholds.of(&VEL001, THRESHOLD).warning);
+    let limit = percent(case.thresholds.threshold(&VEL001, THRESHOLD).warning);
     let (what, fix) = describe(arm, *worst, found);
     let fault = Fault {
         severity: *severity,
@@ -183,15 +187,15 @@ fn report_group(
         },
         message: format!(
             "{}{what}: error {} of the rate (limit {limit})",
-            prefix(arm, &joints),
+            group_prefix(arm, &joints),
             percent(found.error.value),
         ),
         evidence: Evidence::default(),
         fix,
     };
-    let subject = subject(arm, &arm.joints_topic, &joints);
-    let judged = Judged::new(subject, Outcome::fail(fault)).within(arm.span);
-    listed(with_numbers(judged, found), arm, &joints)
+    let subject = group_subject(arm, &arm.joints_topic, &joints);
+    let judged = SubjectResult::new(subject, Outcome::fail(fault)).within(arm.span);
+    with_joint_names(with_numbers(judged, found), arm, &joints)
 }
 
 /// Describes the velocities in a clause, with the fix.
@@ -295,7 +299,7 @@ fn show_factor(value: f64) -> String {
     }
 }
 
-fn with_numbers(judged: Judged, found: &VelocityDiagnosis) -> Judged {
+fn with_numbers(judged: SubjectResult, found: &VelocityDiagnosis) -> SubjectResult {
     let judged = judged
         .estimated(Estimate::scalar("velocity error", Unit::One, &found.error))
         .with_evidence("noise", found.noise)

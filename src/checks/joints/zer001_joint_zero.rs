@@ -1,10 +1,10 @@
 use super::turns;
 use crate::checks::confounders::{confounder_alternative, joint_zero_estimate};
-use crate::checks::decision::{DEGREE, Decision, Threshold, decide, unseen};
+use crate::checks::decision::{DEGREE, Decision, Threshold, decide, not_observable};
 use crate::checks::frames::THRESHOLDS;
 use crate::checks::poses::frm001_tf_against_kinematics;
 use crate::checks::poses::mdl001_unexplained_residual::MDL001;
-use crate::checks::{Case, Grade, Judged, UNKNOWN_WORLD, changes, residual_attribution};
+use crate::checks::{Case, Grade, SubjectResult, UNKNOWN_WORLD, changes, residual_attribution};
 use crate::diagnosis::{
     Confounder, EstimateResult, FrameEstimate, JointOffset, Measured, NotObservable,
 };
@@ -72,11 +72,11 @@ const PRISMATIC: Threshold = Threshold { unit: Unit::Metre, warning: 0.2e-3, err
 /// Motion that makes the offset observable.
 const SETTLE: &str = "move each joint by 30° or more, one after another";
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.robots.iter().flat_map(|arm| judge_arm(case, arm)).collect()
 }
 
-fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
+fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
     if arm.poses.is_empty() {
         return Vec::new();
     }
@@ -94,13 +94,13 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
         .collect()
 }
 
-fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> Judged {
+fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> SubjectResult {
     let subject = arm.joint(joint);
     if let Some(scale) = arm.scale(joint).filter(|scale| scale.is_coded()) {
         let why = format!("the offset belongs to its scale, {:.5} (ORD009)", scale.offset);
-        return Judged::new(subject, Outcome::pass_because(why)).within(arm.span);
+        return SubjectResult::new(subject, Outcome::pass_because(why)).within(arm.span);
     }
-    let threshold = case.thresholds.of(&ZER001, threshold(arm.joint_unit(joint)));
+    let threshold = case.thresholds.threshold(&ZER001, threshold(arm.joint_unit(joint)));
     if let Some(change) = arm.diagnosis.zero_change(joint) {
         let effect_m = offset.lever_m * change.size.value.abs();
         let title = "joint zero changes mid-run";
@@ -113,20 +113,20 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
                 .map(|twin| confounder_alternative(arm, twin, threshold.unit));
             fault.evidence.indistinguishable.extend(twins);
         }
-        return Judged::new(subject, outcome).within(arm.span).estimated(estimate);
+        return SubjectResult::new(subject, outcome).within(arm.span).estimated(estimate);
     }
     if turns::part_of_turn(case, arm, joint).is_some() {
         let why = "off by a half or quarter turn (ORD009)".to_owned();
-        return Judged::new(subject, Outcome::pass_because(why)).within(arm.span);
+        return SubjectResult::new(subject, Outcome::pass_because(why)).within(arm.span);
     }
     let measured = match &offset.offset {
         Ok(measured) => measured,
         Err(why) => {
             let outcome = match reported_confounder(arm, offset) {
                 Some(twin) => indistinguishable_outcome(arm, &twin),
-                None => unseen(why, SETTLE),
+                None => not_observable(why, SETTLE),
             };
-            return Judged::new(subject, outcome).within(arm.span);
+            return SubjectResult::new(subject, outcome).within(arm.span);
         }
     };
     let outcome = match (
@@ -152,7 +152,7 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
         (Decision::Pass, _) => Outcome::pass(),
         (_, Some(twin)) if !offset.is_chosen => indistinguishable_outcome(arm, &twin),
         (Decision::Fail(_), _) if arm.poses.iter().any(|s| s.diagnosis.is_nominal) => {
-            unseen(&NotObservable::NominalKinematics, SETTLE)
+            not_observable(&NotObservable::NominalKinematics, SETTLE)
         }
         (Decision::Fail(_), _) => {
             let shown = threshold.unit.show_signed(measured);
@@ -160,11 +160,11 @@ fn judge(case: &Case, arm: &ArmEvidence, joint: usize, offset: &JointOffset) -> 
             Outcome::Inconclusive(format!("{why}; {SETTLE}"))
         }
         (Decision::Undecided(_), _) if arm.poses.iter().any(|s| s.diagnosis.is_nominal) => {
-            unseen(&NotObservable::NominalKinematics, SETTLE)
+            not_observable(&NotObservable::NominalKinematics, SETTLE)
         }
         (Decision::Undecided(why), _) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
     };
-    Judged::new(subject, outcome)
+    SubjectResult::new(subject, outcome)
         .within(arm.span)
         .estimated(joint_zero_estimate(threshold.unit, measured))
 }
@@ -203,7 +203,7 @@ fn unobservable_tool_reason(arm: &ArmEvidence) -> Option<String> {
 fn wrong_model_reason(case: &Case, arm: &ArmEvidence, offset: &JointOffset) -> Option<String> {
     /// Minimum ratio of a zero's effect to the residual, for link deviations not to produce it.
     const MIN_EFFECT_RATIO: f64 = 30.0;
-    let limits = case.thresholds.of_frames(&MDL001, THRESHOLDS);
+    let limits = case.thresholds.frame_thresholds(&MDL001, THRESHOLDS);
     let least = |amount: &Measured| amount.value - amount.half_width(0.95);
     let unexplained = arm.poses.iter().filter(|stream| !stream.diagnosis.is_nominal);
     let residual = unexplained.filter_map(|stream| stream.diagnosis.residual.as_ref().ok());

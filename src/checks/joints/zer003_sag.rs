@@ -1,6 +1,6 @@
 use super::compliance::{ComplianceRule, tip_effect};
 use crate::checks::decision::{DEGREE, Threshold};
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::JointCompliance;
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
@@ -57,7 +57,7 @@ const SAG: ComplianceRule = ComplianceRule {
     fault,
 };
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     SAG.check(&ZER003, case)
 }
 

@@ -2,8 +2,8 @@ use std::collections::BTreeSet;
 
 use serde_json::json;
 
-use crate::checks::decision::{Decision, Threshold, decide, unseen};
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::decision::{Decision, Threshold, decide, not_observable};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{DelayJitter, EstimateResult, Measured};
 use crate::evidence::{ArmEvidence, HandEyeEvidence, StreamEvidence};
 use crate::finding::{
@@ -70,24 +70,24 @@ struct StreamLatency<'a> {
     delays: Option<&'a DelayJitter>,
 }
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     let arms = case.evidence.robots.iter().flat_map(|arm| judge_arm(case, arm));
     let targets =
         case.evidence.hand_eyes.iter().filter_map(|target| judge_without_joints(case, target));
-    let mut rows: Vec<Judged> = arms.chain(targets).collect();
-    report_once_per_topic(&mut rows, case.thresholds.of(&LAT001, THRESHOLD).warning);
+    let mut rows: Vec<SubjectResult> = arms.chain(targets).collect();
+    report_once_per_topic(&mut rows, case.thresholds.threshold(&LAT001, THRESHOLD).warning);
     rows
 }
 
 /// Keeps the first of the transforms on one topic whose latencies agree within `max_difference_s` as the finding:
 /// one program stamped them all.
-fn report_once_per_topic(rows: &mut [Judged], max_difference_s: f64) {
-    let is_late = |row: &Judged| matches!(row.outcome, Outcome::Evaluated(Ruling::Fail(_)));
+fn report_once_per_topic(rows: &mut [SubjectResult], max_difference_s: f64) {
+    let is_late = |row: &SubjectResult| matches!(row.outcome, Outcome::Evaluated(Ruling::Fail(_)));
     for at in 1..rows.len() {
         let (named, rest) = rows.split_at_mut(at);
         let Some(row) = rest.first_mut().filter(|row| is_late(row)) else { continue };
-        let value = |row: &Judged| row.estimate.as_ref().and_then(Estimate::value);
-        let is_same = |other: &&mut Judged| {
+        let value = |row: &SubjectResult| row.estimate.as_ref().and_then(Estimate::value);
+        let is_same = |other: &&mut SubjectResult| {
             let near =
                 value(other).zip(value(row)).is_some_and(|(a, b)| (a - b).abs() < max_difference_s);
             other.subject.topic == row.subject.topic && is_late(other) && near
@@ -99,7 +99,7 @@ fn report_once_per_topic(rows: &mut [Judged], max_difference_s: f64) {
     }
 }
 
-fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
+fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
     let poses = arm.poses_and_tf().map(|stream| {
         let latency = &stream.diagnosis.latency_s;
         let delays = stream.diagnosis.delay_jitter.as_ref();
@@ -142,9 +142,9 @@ fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
 
 /// Judges the latency of a target relative to a hand whose motion is not FK of joint states. Such a log
 /// does not determine which of the two is off.
-fn judge_without_joints(case: &Case, target: &HandEyeEvidence) -> Option<Judged> {
+fn judge_without_joints(case: &Case, target: &HandEyeEvidence) -> Option<SubjectResult> {
     let latency = target.diagnosis.latency_s.as_ref().ok().filter(|_| !target.hand_is_of_joints)?;
-    let thresholds = case.thresholds.of(&LAT001, THRESHOLD);
+    let thresholds = case.thresholds.threshold(&LAT001, THRESHOLD);
     let Decision::Fail(_) = decide(latency, &thresholds, case.evidence.subjects()) else {
         return None;
     };
@@ -158,7 +158,7 @@ fn judge_without_joints(case: &Case, target: &HandEyeEvidence) -> Option<Judged>
     );
     let estimate = Estimate::scalar("latency", THRESHOLD.unit, latency);
     Some(
-        Judged::new(target.subject(), Outcome::Inconclusive(why))
+        SubjectResult::new(target.subject(), Outcome::Inconclusive(why))
             .within(target.span)
             .estimated(estimate),
     )
@@ -166,7 +166,7 @@ fn judge_without_joints(case: &Case, target: &HandEyeEvidence) -> Option<Judged>
 
 /// Latency of the joint states, if two or more independent streams agree on it and none disagrees.
 fn joint_state_latency(case: &Case, streams: &[StreamEvidence<StreamLatency>]) -> Option<Measured> {
-    let threshold = case.thresholds.of(&LAT001, THRESHOLD);
+    let threshold = case.thresholds.threshold(&LAT001, THRESHOLD);
     let (mut witnesses, mut topics) = (Vec::new(), BTreeSet::new());
     for stream in streams.iter().filter(|stream| stream.has_independent_stamps) {
         let Some(latency) = estimate(stream) else { continue };
@@ -208,7 +208,7 @@ fn late_joint_states(
     arm: &ArmEvidence,
     streams: &[StreamEvidence<StreamLatency>],
     lateness: &Measured,
-) -> Judged {
+) -> SubjectResult {
     let witnesses: Vec<&StreamEvidence<StreamLatency>> =
         streams.iter().filter(|stream| stream.has_independent_stamps).collect();
     let topics: Vec<&str> = witnesses.iter().map(|stream| stream.topic()).collect();
@@ -220,7 +220,7 @@ fn late_joint_states(
     let fault = Fault {
         severity: case
             .thresholds
-            .of(&LAT001, THRESHOLD)
+            .threshold(&LAT001, THRESHOLD)
             .severity(lateness.value)
             .unwrap_or(Severity::Warning),
         cause: Cause::Latency(*lateness),
@@ -238,7 +238,7 @@ fn late_joint_states(
             shift(lateness),
         ),
     };
-    Judged::new(arm.topic(&arm.joints_topic), Outcome::fail(fault))
+    SubjectResult::new(arm.topic(&arm.joints_topic), Outcome::fail(fault))
         .within(arm.span)
         .estimated(Estimate::scalar("latency", THRESHOLD.unit, lateness))
 }
@@ -249,7 +249,7 @@ fn judge_with_late_joints(
     case: &Case,
     arm: &ArmEvidence,
     stream: &StreamEvidence<StreamLatency>,
-) -> Judged {
+) -> SubjectResult {
     let remark = format!("its apparent latency is explained by {}", arm.joints_topic);
     let outcome = match stream.latency {
         Ok(_) if stream.has_independent_stamps => Outcome::pass_because(remark),
@@ -264,48 +264,46 @@ fn judge_stream(
     arm: &ArmEvidence,
     stream: &StreamEvidence<StreamLatency>,
     streams: &[StreamEvidence<StreamLatency>],
-) -> Judged {
+) -> SubjectResult {
     let latency = match stream.latency {
         Ok(latency) => latency,
-        Err(why) => return stream.judged(unseen(why, SETTLE)),
+        Err(why) => return stream.judged(not_observable(why, SETTLE)),
     };
-    let outcome =
-        match decide(latency, &case.thresholds.of(&LAT001, THRESHOLD), case.evidence.subjects()) {
-            Decision::Pass => Outcome::pass(),
-            Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
-            Decision::Fail(severity) => {
-                let other_witness = streams.iter().any(|other| {
-                    other.has_independent_stamps
-                        && other.topic() != stream.topic()
-                        && other.latency.is_ok()
-                });
-                let mut indistinguishable = Vec::new();
-                if stream.has_independent_stamps && !other_witness {
-                    let joints = arm.topic(&arm.joints_topic);
-                    indistinguishable.push(alternative(joints, &latency.scaled(-1.0)));
-                }
-                let (effect, effect_m) = effect(arm, latency);
-                Outcome::fail(Fault {
-                    severity,
-                    cause: Cause::Latency(*latency),
-                    title: if latency.value > 0.0 { "stream is late" } else { "stream is early" },
-                    message: message(arm, latency)
-                        + &tick_suffix(case, arm, stream, latency)
-                        + &mean_suffix(stream),
-                    evidence: Evidence {
-                        indistinguishable,
-                        effect,
-                        effect_m,
-                        ..Evidence::default()
-                    },
-                    fix: format!(
-                        "stamp at acquisition, not at publishing; or shift {} by {}",
-                        stream.topic(),
-                        shift(latency)
-                    ),
-                })
+    let outcome = match decide(
+        latency,
+        &case.thresholds.threshold(&LAT001, THRESHOLD),
+        case.evidence.subjects(),
+    ) {
+        Decision::Pass => Outcome::pass(),
+        Decision::Undecided(why) => Outcome::Inconclusive(format!("{why}; {SETTLE}")),
+        Decision::Fail(severity) => {
+            let other_witness = streams.iter().any(|other| {
+                other.has_independent_stamps
+                    && other.topic() != stream.topic()
+                    && other.latency.is_ok()
+            });
+            let mut indistinguishable = Vec::new();
+            if stream.has_independent_stamps && !other_witness {
+                let joints = arm.topic(&arm.joints_topic);
+                indistinguishable.push(alternative(joints, &latency.scaled(-1.0)));
             }
-        };
+            let (effect, effect_m) = effect(arm, latency);
+            Outcome::fail(Fault {
+                severity,
+                cause: Cause::Latency(*latency),
+                title: if latency.value > 0.0 { "stream is late" } else { "stream is early" },
+                message: message(arm, latency)
+                    + &tick_suffix(case, arm, stream, latency)
+                    + &mean_suffix(stream),
+                evidence: Evidence { indistinguishable, effect, effect_m, ..Evidence::default() },
+                fix: format!(
+                    "stamp at acquisition, not at publishing; or shift {} by {}",
+                    stream.topic(),
+                    shift(latency)
+                ),
+            })
+        }
+    };
     let judged = stream.judged(outcome);
     let judged = judged.estimated(Estimate::scalar("latency", THRESHOLD.unit, latency));
     match stream.delays {
@@ -439,7 +437,7 @@ mod tests {
         let run = clean_run();
         assert_eq!(joint_state_latency(&as_case(&run), &streams), None);
         let arm = &run.robots[0];
-        let mut rows: Vec<Judged> = streams
+        let mut rows: Vec<SubjectResult> = streams
             .iter()
             .map(|stream| judge_stream(&as_case(&run), arm, stream, &streams))
             .collect();

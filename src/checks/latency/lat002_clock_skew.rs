@@ -1,6 +1,6 @@
 use crate::checks::decision::Threshold;
 use crate::checks::scalar_rule::{ScalarRule, StreamEstimate};
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{EstimateResult, Measured};
 use crate::evidence::{ArmEvidence, StreamEvidence};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Unit};
@@ -45,7 +45,7 @@ const SETTLE: &str = "record a minute or more with the arm moving from start to 
 const SKEW: ScalarRule =
     ScalarRule { name: "clock skew", threshold: THRESHOLD, settle: SETTLE, fault };
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     let poses = case.evidence.poses().map(|(arm, stream)| {
         let (estimate, is_chosen) = (&stream.diagnosis.skew, stream.diagnosis.is_skew_chosen);
         let doubt = doubt(estimate, stream.seconds());
@@ -70,7 +70,7 @@ fn judge(
     arm: &ArmEvidence,
     is_own: bool,
     skew: &StreamEvidence<StreamEstimate<'_>>,
-) -> Judged {
+) -> SubjectResult {
     if is_own {
         return SKEW.judge(&LAT002, case, arm, skew);
     }

@@ -1,7 +1,7 @@
 use serde_json::{Value, json};
 
-use crate::checks::decision::{Decision, Threshold, decide, unseen};
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::decision::{Decision, Threshold, decide, not_observable};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{EstimateResult, LatencyProfile, LatencyShape, LatencyStep, Measured};
 use crate::evidence::{ArmEvidence, StreamEvidence};
 use crate::finding::{Cause, Change, Estimate, Evidence, Fault, Outcome, Severity, Unit};
@@ -67,11 +67,11 @@ struct StreamProfile<'a> {
     latency: Option<&'a Measured>,
 }
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.robots.iter().flat_map(|arm| judge_arm(case, arm)).collect()
 }
 
-fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<Judged> {
+fn judge_arm(case: &Case, arm: &ArmEvidence) -> Vec<SubjectResult> {
     let poses = arm.poses_and_tf().map(|stream| {
         let course = &stream.diagnosis.latency_profile;
         let latency = stream.diagnosis.latency_s.as_ref().ok();
@@ -125,7 +125,7 @@ fn joint_state_profile(
     {
         match decide(
             &course.swing_s,
-            &case.thresholds.of(&LAT003, THRESHOLD),
+            &case.thresholds.threshold(&LAT003, THRESHOLD),
             case.evidence.subjects(),
         ) {
             Decision::Fail(_) if !course.steps.is_empty() => witnesses.push(course),
@@ -139,7 +139,7 @@ fn joint_state_profile(
     let most_certain = *witnesses.iter().min_by(by_error).filter(|_| witnesses.len() >= 2)?;
     let is_shared = |jump: &LatencyStep| {
         let is_same = |other: &LatencyStep| {
-            let by_s = case.thresholds.of(&LAT003, THRESHOLD).warning
+            let by_s = case.thresholds.threshold(&LAT003, THRESHOLD).warning
                 + 2.0 * jump.size_s.std_error.hypot(other.size_s.std_error);
             (other.at_s - jump.at_s).abs() < MAX_STEP_TIME_DIFFERENCE_S
                 && (other.size_s.value - jump.size_s.value).abs() < by_s
@@ -199,14 +199,14 @@ fn levels_around_change(
     }
 }
 
-fn judge(case: &Case, arm: &ArmEvidence, stream: &StreamEvidence<StreamProfile>) -> Judged {
+fn judge(case: &Case, arm: &ArmEvidence, stream: &StreamEvidence<StreamProfile>) -> SubjectResult {
     let course = match stream.course {
         Ok(course) => course,
-        Err(why) => return stream.judged(unseen(why, SETTLE)),
+        Err(why) => return stream.judged(not_observable(why, SETTLE)),
     };
     let outcome = match decide(
         &course.swing_s,
-        &case.thresholds.of(&LAT003, THRESHOLD),
+        &case.thresholds.threshold(&LAT003, THRESHOLD),
         case.evidence.subjects(),
     ) {
         Decision::Pass => Outcome::pass(),

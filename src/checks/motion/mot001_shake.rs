@@ -1,6 +1,6 @@
 use crate::checks::decision::Threshold;
 use crate::checks::motion::mot003_limits_exceeded::motion_doubt;
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{Vibration, VibrationFailure};
 use crate::evidence::{ArmEvidence, StreamEvidence, VibrationEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
@@ -52,14 +52,18 @@ const THRESHOLD: Threshold = Threshold { unit: Unit::Metre, warning: 0.5e-3, err
 /// The log that makes vibration observable.
 const SETTLE: &str = "log evenly spaced samples at 100 Hz or more";
 
-fn check(case: &Case) -> Vec<Judged> {
-    let of_arm = |arm: &ArmEvidence| -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
+    let of_arm = |arm: &ArmEvidence| -> Vec<SubjectResult> {
         arm.vibrations.iter().map(|stream| judge(case, arm, stream)).collect()
     };
     case.evidence.robots.iter().flat_map(of_arm).collect()
 }
 
-fn judge(case: &Case, arm: &ArmEvidence, stream: &StreamEvidence<VibrationEvidence>) -> Judged {
+fn judge(
+    case: &Case,
+    arm: &ArmEvidence,
+    stream: &StreamEvidence<VibrationEvidence>,
+) -> SubjectResult {
     let judged = |outcome| stream.judged(outcome);
     let why = match stream.topic() == arm.joints_topic {
         true => motion_doubt(arm),
@@ -81,7 +85,7 @@ fn judge(case: &Case, arm: &ArmEvidence, stream: &StreamEvidence<VibrationEviden
             return judged(Outcome::Inconclusive(format!("{why}; {SETTLE}")));
         }
     };
-    let threshold = case.thresholds.of(&MOT001, THRESHOLD);
+    let threshold = case.thresholds.threshold(&MOT001, THRESHOLD);
     let outcome = match threshold.severity(found.rms_m) {
         Some(severity) => Outcome::fail(fault(case, stream, found, severity)),
         None if found.resolved_m > threshold.warning => {

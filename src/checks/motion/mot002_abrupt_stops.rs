@@ -1,5 +1,5 @@
 use crate::checks::motion::mot003_limits_exceeded::doubt_of_joint;
-use crate::checks::{Case, Grade, Judged, Limit};
+use crate::checks::{Case, Grade, Limit, SubjectResult};
 use crate::diagnosis::PeakAcceleration;
 use crate::evidence::{ArmEvidence, JointEvidence};
 use crate::finding::{
@@ -63,16 +63,16 @@ const MAX_PRISMATIC_ACCELERATION: Limit = Limit {
 /// The log that makes abrupt stops observable.
 const SETTLE: &str = "log joint velocities at 100 Hz or more, evenly stamped";
 
-fn check(case: &Case) -> Vec<Judged> {
-    let of_arm = |arm: &ArmEvidence| -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
+    let of_arm = |arm: &ArmEvidence| -> Vec<SubjectResult> {
         arm.joints.iter().enumerate().map(|(index, joint)| judge(case, arm, index, joint)).collect()
     };
     case.evidence.robots.iter().flat_map(of_arm).collect()
 }
 
-fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) -> Judged {
+fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) -> SubjectResult {
     let subject = arm.joint(index);
-    let judged = |outcome| Judged::new(subject.clone(), outcome).within(arm.span);
+    let judged = |outcome| SubjectResult::new(subject.clone(), outcome).within(arm.span);
     if let Some(why) = doubt_of_joint(arm, index) {
         return judged(Outcome::Inconclusive(why));
     }

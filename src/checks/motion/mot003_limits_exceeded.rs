@@ -1,6 +1,6 @@
 use serde_json::{Value, json};
 
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{LimitViolation, NotObservable};
 use crate::evidence::{ArmEvidence, JointEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
@@ -51,8 +51,8 @@ const MAX_ENDLESS_SPEED_EXCESS: f64 = 1.0;
 /// Encoder noise at a stop, rad or m, or rad/s or m/s.
 const MIN_EXCESS: f64 = 1e-4;
 
-fn check(case: &Case) -> Vec<Judged> {
-    let of_arm = |arm: &ArmEvidence| -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
+    let of_arm = |arm: &ArmEvidence| -> Vec<SubjectResult> {
         arm.joints.iter().enumerate().map(|(index, joint)| judge(case, arm, index, joint)).collect()
     };
     case.evidence.robots.iter().flat_map(of_arm).collect()
@@ -118,9 +118,9 @@ impl<'a> ExceededLimit<'a> {
     }
 }
 
-fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) -> Judged {
+fn judge(case: &Case, arm: &ArmEvidence, index: usize, joint: &JointEvidence) -> SubjectResult {
     let subject = arm.joint(index);
-    let judged = |outcome| Judged::new(subject.clone(), outcome).within(arm.span);
+    let judged = |outcome| SubjectResult::new(subject.clone(), outcome).within(arm.span);
     let limits = &joint.limits;
     if limits.lower.or(limits.upper).or(limits.velocity).is_none() {
         return judged(Outcome::Skipped("the model has no limits for this joint".to_owned()));

@@ -1,6 +1,6 @@
-use crate::checks::decision::{Decision, decide_both, decide_frame, unseen};
+use crate::checks::decision::{Decision, decide_both, decide_frame, not_observable};
 use crate::checks::frames::THRESHOLDS;
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{Measured, NotObservable, PoseDiagnosis};
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Unit};
@@ -54,7 +54,7 @@ impl Disagreement {
     /// The constant offset, if one explains the disagreement; otherwise the residual beyond the noise.
     fn estimate<'a>(case: &Case, tf: &'a PoseDiagnosis) -> Result<Self, &'a NotObservable> {
         let (thresholds, subjects) =
-            (case.thresholds.of_frames(&FRM001, THRESHOLDS), case.evidence.subjects());
+            (case.thresholds.frame_thresholds(&FRM001, THRESHOLDS), case.evidence.subjects());
         let offset = [&tf.reference, &tf.tool].into_iter().flatten().find(|frame| frame.is_chosen);
         if let Some(offset) = offset {
             let (length, angle) = (offset.translation_m, offset.rotation_rad);
@@ -73,7 +73,7 @@ pub(in crate::checks) fn agrees(case: &Case, tf: &PoseDiagnosis) -> bool {
     Disagreement::estimate(case, tf).is_ok_and(|found| found.decision == Decision::Pass)
 }
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     let streams =
         case.evidence.robots.iter().flat_map(|arm| arm.tf.iter().map(move |tf| (arm, tf)));
     let judged = streams.map(|(arm, stream)| {
@@ -81,15 +81,17 @@ fn check(case: &Case) -> Vec<Judged> {
         let subject = arm.frame(stream.topic(), &stream.tip);
         let found = match Disagreement::estimate(case, diagnosis) {
             Ok(found) => found,
-            Err(why) => return Judged::new(subject, unseen(why, SETTLE)).within(stream.span),
+            Err(why) => {
+                return SubjectResult::new(subject, not_observable(why, SETTLE)).within(stream.span);
+            }
         };
         if let (Decision::Fail(_), Some(what)) = (&found.decision, misread(arm)) {
             let why = format!("computed from the joint states, whose {what}");
-            return Judged::new(subject, Outcome::Inconclusive(why)).within(stream.span);
+            return SubjectResult::new(subject, Outcome::Inconclusive(why)).within(stream.span);
         }
         let estimate = Estimate::frame("disagreement", &found.length, &found.angle);
         let before = diagnosis.residual.as_ref().ok().map(|residual| residual.before_m);
-        Judged::new(subject, outcome(found))
+        SubjectResult::new(subject, outcome(found))
             .within(stream.span)
             .estimated(estimate)
             .with_evidence("before_m", before)

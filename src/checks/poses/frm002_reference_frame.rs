@@ -1,6 +1,6 @@
 use crate::checks::decision::DEGREE;
-use crate::checks::frames::{self, End, THRESHOLDS, show, show_pose};
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::frames::{self, FrameRule, THRESHOLDS, show, show_pose};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{Confounder, FrameEstimate};
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Change, Evidence, Fault, Outcome, Ruling, Severity};
@@ -47,8 +47,8 @@ rule! {
     }
 }
 
-fn check(case: &Case) -> Vec<Judged> {
-    let reference = End {
+fn check(case: &Case) -> Vec<SubjectResult> {
+    let reference = FrameRule {
         rule: &FRM002,
         name: "reference frame",
         estimate: |diagnosis| &diagnosis.reference,
@@ -59,7 +59,7 @@ fn check(case: &Case) -> Vec<Judged> {
             (!stream.reference_known).then(why)
         },
         changes: |diagnosis| &diagnosis.reference_changes,
-        is_twin: |twin, index| matches!(twin, Confounder::Reference(stream, _) if *stream == index),
+        is_confounder: |twin, index| matches!(twin, Confounder::Reference(stream, _) if *stream == index),
         fault,
     };
     frames::judge(case, &reference).into_iter().map(|judged| since_label(case, judged)).collect()
@@ -67,7 +67,7 @@ fn check(case: &Case) -> Vec<Judged> {
 
 /// Adds the start or end time to an offset that occurs in part of the run, if the poses are right under the
 /// `frame_id` of the other part.
-fn since_label(case: &Case, mut judged: Judged) -> Judged {
+fn since_label(case: &Case, mut judged: SubjectResult) -> SubjectResult {
     let Outcome::Evaluated(Ruling::Fail(fault)) = &mut judged.outcome else { return judged };
     let subject = &judged.subject;
     let arm = case.evidence.robots.iter().find(|arm| subject.robot.as_ref() == Some(&arm.name));

@@ -1,5 +1,5 @@
-use crate::checks::frames::{self, End, THRESHOLDS, show, show_pose};
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::frames::{self, FrameRule, THRESHOLDS, show, show_pose};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{Confounder, FrameEstimate, SwitchedTool};
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
@@ -46,15 +46,15 @@ rule! {
     }
 }
 
-fn check(case: &Case) -> Vec<Judged> {
-    let tool = End {
+fn check(case: &Case) -> Vec<SubjectResult> {
+    let tool = FrameRule {
         rule: &FRM003,
         name: "tool frame",
         estimate: |diagnosis| &diagnosis.tool,
         frame: |stream| &stream.tip,
         not_judged: |_| None,
         changes: |diagnosis| &diagnosis.tool_changes,
-        is_twin: |twin, index| matches!(twin, Confounder::Tool(stream, _) if *stream == index),
+        is_confounder: |twin, index| matches!(twin, Confounder::Tool(stream, _) if *stream == index),
         fault,
     };
     let mut judged = frames::judge(case, &tool);
@@ -73,10 +73,10 @@ fn alternates(
     arm: &ArmEvidence,
     stream: &StreamEvidence<PoseEvidence>,
     other: &SwitchedTool,
-) -> Judged {
+) -> SubjectResult {
     /// Maximum number of time spans in the message.
     const NAMED: usize = 3;
-    let thresholds = case.thresholds.of_frames(&FRM003, THRESHOLDS);
+    let thresholds = case.thresholds.frame_thresholds(&FRM003, THRESHOLDS);
     let (length, angle) = (&other.length_m, &other.angle_rad);
     let severity = thresholds
         .length
@@ -124,7 +124,7 @@ fn alternates(
     let ns = |span: &[f64; 2]| span.map(|at_s| stamp(at_s).to_string());
     let spans_ns: Vec<[String; 2]> = other.spans_s.iter().map(ns).collect();
     let change_ns = other.spans_s.first().map(|[from_s, _]| stamp(*from_s).to_string());
-    Judged::new(arm.frame(stream.topic(), &stream.tip), Outcome::fail(fault))
+    SubjectResult::new(arm.frame(stream.topic(), &stream.tip), Outcome::fail(fault))
         .within(stream.span)
         .estimated(Estimate::frame("tool frame changes", length, angle))
         .with_evidence("pose", frames::pose_json(&other.pose))

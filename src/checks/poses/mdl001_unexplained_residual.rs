@@ -2,13 +2,13 @@ mod imu;
 
 use serde_json::{Value, json};
 
-use crate::checks::decision::unseen;
+use crate::checks::decision::not_observable;
+use crate::checks::encoding::{encoding_names, rotation_not_checked};
 use crate::checks::frames::THRESHOLDS;
-use crate::checks::reading::{not_checked, read_as};
 use crate::checks::residual_attribution::{
     Attribution, CauseOutcomes, ExceedingResidual, attribute_residual,
 };
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{ErrorMagnitude, ErrorSize, FkError, Measured, PartError, PoseEncoding};
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{
@@ -88,7 +88,7 @@ const SETTLE: &str = "record 10 s in which every joint moves";
 const RECORD: &str = "record the tool's pose (from the controller or a tracker), /tf or an IMU on the arm \
     while every joint moves for 10 s";
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     let outcomes = CauseOutcomes::evaluate(case);
     let arms = case.evidence.robots.iter().flat_map(|arm| judge_arm(case, &outcomes, arm));
     arms.chain(case.evidence.leading_streams.iter().map(judge_leader)).collect()
@@ -96,7 +96,7 @@ fn check(case: &Case) -> Vec<Judged> {
 
 /// A stream that leads the arm is a command, or a tool pose with late joint states. The log does not show
 /// which, and the second case could hide a fault, so the outcome is inconclusive.
-fn judge_leader(stream: &StreamEvidence<f64>) -> Judged {
+fn judge_leader(stream: &StreamEvidence<f64>) -> SubjectResult {
     let why = format!(
         "not compared: it leads the arm by {:.0} ms, as a command, hand tracker or leader arm does, or a \
          tool pose if the joint states are late; set role = \"reference\" or role = \"pose\" in \
@@ -137,8 +137,8 @@ impl AttributedStream<'_> {
     }
 }
 
-fn judge_arm(case: &Case, outcomes: &CauseOutcomes, arm: &ArmEvidence) -> Vec<Judged> {
-    let thresholds = case.thresholds.of_frames(&MDL001, THRESHOLDS);
+fn judge_arm(case: &Case, outcomes: &CauseOutcomes, arm: &ArmEvidence) -> Vec<SubjectResult> {
+    let thresholds = case.thresholds.frame_thresholds(&MDL001, THRESHOLDS);
     let attributed = |subject: Subject, stream| {
         let attribution =
             attribute_residual(outcomes, arm, stream, &thresholds, case.evidence.subjects());
@@ -154,29 +154,36 @@ fn judge_arm(case: &Case, outcomes: &CauseOutcomes, arm: &ArmEvidence) -> Vec<Ju
     if streams.is_empty() && arm.imus.iter().all(|imu| imu.proof.is_none()) {
         if case.evidence.hand_eyes.iter().any(|eye| eye.robot.as_ref() == Some(&arm.name)) {
             let why = "compared only with camera observations (HEC001)".to_owned();
-            return vec![Judged::new(arm.subject(), Outcome::Skipped(why))];
+            return vec![SubjectResult::new(arm.subject(), Outcome::Skipped(why))];
         }
         let why =
             format!("nothing in this log can be compared with {}; {RECORD}", arm.joints_topic);
-        return vec![Judged::new(arm.subject(), Outcome::Inconclusive(why)).within(arm.span)];
+        return vec![
+            SubjectResult::new(arm.subject(), Outcome::Inconclusive(why)).within(arm.span),
+        ];
     }
     let imus = arm.imus.iter().flat_map(|imu| imu::judge(case, &thresholds, imu));
     let judged = streams.iter().map(|attributed| {
         let better = arm.better_model.as_ref().filter(|it| it.topic == attributed.stream.topic());
         match better.filter(|_| attributed.subject.frame.is_none()) {
-            Some(better) => Judged::new(attributed.subject.clone(), wrong_model(case, arm, better))
-                .within(attributed.stream.span),
+            Some(better) => {
+                SubjectResult::new(attributed.subject.clone(), wrong_model(case, arm, better))
+                    .within(attributed.stream.span)
+            }
             None => judge(case, attributed, &streams),
         }
     });
     judged.chain(imus).collect()
 }
 
-fn judge(case: &Case, attributed: &AttributedStream, all: &[AttributedStream]) -> Judged {
+fn judge(case: &Case, attributed: &AttributedStream, all: &[AttributedStream]) -> SubjectResult {
     let AttributedStream { stream, subject, attribution, .. } = attributed;
     let proof = match &stream.proof {
         Ok(proof) => proof,
-        Err(why) => return Judged::new(subject.clone(), unseen(why, SETTLE)).within(stream.span),
+        Err(why) => {
+            return SubjectResult::new(subject.clone(), not_observable(why, SETTLE))
+                .within(stream.span);
+        }
     };
     let error = match attribution {
         Some(Attribution::Unexplained(residual) | Attribution::Undetermined(residual, _)) => {
@@ -189,11 +196,11 @@ fn judge(case: &Case, attributed: &AttributedStream, all: &[AttributedStream]) -
     let length = rms_beyond_noise(&error.length.whole);
     let outcome = match outcome(case, attributed, all) {
         Outcome::Evaluated(Ruling::Pass(_)) if !stream.unidentified_columns.is_empty() => {
-            not_checked(&stream.unidentified_columns)
+            rotation_not_checked(&stream.unidentified_columns)
         }
         outcome => outcome,
     };
-    let judged = Judged::new(subject.clone(), outcome)
+    let judged = SubjectResult::new(subject.clone(), outcome)
         .within(stream.span)
         .estimated(Estimate::frame("residual", &length, &angle.unwrap_or(none)))
         .with_evidence("as_logged", error_json(case, &proof.as_logged))
@@ -472,7 +479,7 @@ fn candidates(stream: &StreamEvidence<PoseEvidence>) -> Vec<String> {
     let readings =
         ranked.iter().filter(|(reading, _)| !matches!(reading, PoseEncoding::AsLogged)).take(3);
     let readings = readings.map(|(reading, left_rad)| {
-        let Interpretation { is, read_as: was } = read_as(reading);
+        let Interpretation { is, read_as: was } = encoding_names(reading);
         format!("{is} read as {was} (residual {})", Unit::Radian.show(*left_rad))
     });
     all.into_iter().chain(readings).collect()
@@ -497,7 +504,7 @@ fn wrong_model(case: &Case, arm: &ArmEvidence, better: &CompetingModel) -> Outco
         cause: Cause::OtherRobot(name.clone()),
         severity: case
             .thresholds
-            .of_frames(&MDL001, THRESHOLDS)
+            .frame_thresholds(&MDL001, THRESHOLDS)
             .length
             .severity(*named_m)
             .unwrap_or(Severity::Warning),

@@ -1,5 +1,7 @@
-use crate::checks::reading::{self, Kind, Wording, read_as, read_as_misreading, words};
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::encoding::{
+    self, EncodingFaultKind, EncodingReport, convention_names, describe_convention, encoding_names,
+};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{EncodingEstimate, PoseEncoding};
 use crate::finding::{Estimate, RunnerUp, Severity, Unit};
 use crate::geometry::{Convention, Misinterpretation, RotationError};
@@ -47,24 +49,28 @@ rule! {
     }
 }
 
-fn check(case: &Case) -> Vec<Judged> {
-    reading::judge(case, Kind::Convention, word)
+fn check(case: &Case) -> Vec<SubjectResult> {
+    encoding::judge(case, EncodingFaultKind::Convention, word)
 }
 
-fn word(estimate: &EncodingEstimate) -> Option<Wording> {
+fn word(estimate: &EncodingEstimate) -> Option<EncodingReport> {
     let PoseEncoding::Misinterpreted(class) = estimate.best else { return None };
     let (named, same) = class.members.split_first()?;
-    let same = same.iter().map(read_as_misreading);
-    let others = estimate.equivalent.iter().map(read_as);
+    let same = same.iter().map(convention_names);
+    let others = estimate.equivalent.iter().map(encoding_names);
     let runner_up = estimate.runner_up.as_ref().map(|(runner_up, rad)| {
-        let names = read_as(runner_up);
+        let names = encoding_names(runner_up);
         let ratio = rad / estimate.best_rad.max(Unit::Radian.noise_floor());
         RunnerUp { is: names.is, read_as: names.read_as, ratio }
     });
-    Some(Wording {
+    Some(EncodingReport {
         title: "rotation numbers read in the wrong convention",
-        what: format!("{} read as {}", words(named.is), words(named.read_as)),
-        once: format!("read as {}", words(named.is)),
+        what: format!(
+            "{} read as {}",
+            describe_convention(named.is),
+            describe_convention(named.read_as)
+        ),
+        once: format!("read as {}", describe_convention(named.is)),
         fix: fix(named),
         slip: RotationError::Misread(*named),
         estimate: Estimate::Convention {

@@ -1,5 +1,5 @@
-use crate::checks::reading::{self, Kind, Wording, quaternion_orders};
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::encoding::{self, EncodingFaultKind, EncodingReport, quaternion_orders};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{EncodingEstimate, PoseEncoding};
 use crate::finding::{Estimate, Severity};
 use crate::geometry::{QuaternionOrderError, RotationError};
@@ -37,11 +37,11 @@ rule! {
     }
 }
 
-fn check(case: &Case) -> Vec<Judged> {
-    reading::judge(case, Kind::QuaternionOrder, word)
+fn check(case: &Case) -> Vec<SubjectResult> {
+    encoding::judge(case, EncodingFaultKind::QuaternionOrder, word)
 }
 
-fn word(estimate: &EncodingEstimate) -> Option<Wording> {
+fn word(estimate: &EncodingEstimate) -> Option<EncodingReport> {
     let PoseEncoding::QuaternionOrder(slip) = estimate.best else { return None };
     let (is, read_as) = quaternion_orders(slip);
     let (right, wrong, fix) = match slip {
@@ -56,7 +56,7 @@ fn word(estimate: &EncodingEstimate) -> Option<Wording> {
             "fill the fields by name: x = q[0], y = q[1], z = q[2], w = q[3]",
         ),
     };
-    Some(Wording {
+    Some(EncodingReport {
         title: "quaternion components in the wrong order",
         what: format!("quaternion {right} read as {wrong}"),
         once: format!("read as {right}"),

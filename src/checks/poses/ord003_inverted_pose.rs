@@ -1,5 +1,5 @@
-use crate::checks::reading::{self, Kind, Wording};
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::encoding::{self, EncodingFaultKind, EncodingReport};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{EncodingEstimate, PoseDiagnosis, PoseEncoding};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::geometry::{Misread, RotationError};
@@ -38,8 +38,8 @@ rule! {
     }
 }
 
-fn check(case: &Case) -> Vec<Judged> {
-    let mut judged = reading::judge(case, Kind::Direction, word);
+fn check(case: &Case) -> Vec<SubjectResult> {
+    let mut judged = encoding::judge(case, EncodingFaultKind::Direction, word);
     // Positions reveal an inverted pose if the orientations do not.
     let inverted = case.evidence.poses().filter(|(_, stream)| {
         let found = &stream.diagnosis;
@@ -86,7 +86,7 @@ fn by_positions(found: &PoseDiagnosis) -> Fault {
 const EXCHANGE: &str =
     "swap parent and child: publish base_from_tip, as returned by lookup_transform(base, tip)";
 
-fn word(estimate: &EncodingEstimate) -> Option<Wording> {
+fn word(estimate: &EncodingEstimate) -> Option<EncodingReport> {
     let (title, what, fix, slip) = match estimate.best {
         _ if estimate.is_inverted => (
             "pose is inverted",
@@ -102,7 +102,7 @@ fn word(estimate: &EncodingEstimate) -> Option<Wording> {
         ),
         _ => return None,
     };
-    Some(Wording {
+    Some(EncodingReport {
         title,
         what: what.to_owned(),
         once: "inverted".to_owned(),

@@ -1,5 +1,5 @@
-use crate::checks::decision::unseen;
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::decision::not_observable;
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{JointUnit, UnitResiduals};
 use crate::evidence::{ArmEvidence, ImuEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Subject, Unit};
@@ -41,14 +41,14 @@ rule! {
     }
 }
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.robots.iter().flat_map(judge_arm).collect()
 }
 
-fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
+fn judge_arm(arm: &ArmEvidence) -> Vec<SubjectResult> {
     let topic = arm.topic(&arm.joints_topic);
     let joints = match &arm.diagnosis.encoding {
-        Err(why) => vec![Judged::new(topic, unseen(why, "also log a pose or /tf"))],
+        Err(why) => vec![SubjectResult::new(topic, not_observable(why, "also log a pose or /tf"))],
         Ok(reading) => {
             let alone = reading.unit_errors(JointUnit::Degrees).map(|(slip, left)| {
                 let subject = arm.joint_states(slip.column);
@@ -56,7 +56,7 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
                 judged.caused_by(Cause::JointUnit(slip.factor));
                 judged
             });
-            let alone: Vec<Judged> = alone.collect();
+            let alone: Vec<SubjectResult> = alone.collect();
             match alone.is_empty() {
                 true => vec![judge(arm, topic, reading.degrees, Unit::Metre, AssumedUnit::Logged)],
                 false => alone,
@@ -84,7 +84,7 @@ fn judge_arm(arm: &ArmEvidence) -> Vec<Judged> {
 }
 
 /// Judges the unit of a gyro; `None` if the IMU does not rotate with the arm.
-fn judge_gyro(imu: &StreamEvidence<ImuEvidence>) -> Option<Judged> {
+fn judge_gyro(imu: &StreamEvidence<ImuEvidence>) -> Option<SubjectResult> {
     let Some(UnitResiduals { as_logged, corrected }) = imu.diagnosis.conventions.degrees else {
         let turns = imu.proof.as_ref()?.gyro.is_some();
         return turns.then(|| imu.judged(Outcome::pass()).within(imu.span));
@@ -137,10 +137,10 @@ fn judge(
     slip: Option<UnitResiduals>,
     residual: Unit,
     assumed: AssumedUnit,
-) -> Judged {
+) -> SubjectResult {
     let topic = subject.joint.as_deref().or(subject.topic.as_deref()).unwrap_or_default();
     let Some(slip) = slip else {
-        return Judged::new(subject, Outcome::pass());
+        return SubjectResult::new(subject, Outcome::pass());
     };
     let unit = assumed.slip();
     let (title, what, fix) = match (assumed, unit.is) {
@@ -176,7 +176,7 @@ fn judge(
         },
         fix,
     };
-    Judged::new(subject, Outcome::fail(fault))
+    SubjectResult::new(subject, Outcome::fail(fault))
         .estimated(Estimate::slip("angle unit", unit.is.symbol(), unit.read_as.symbol()))
         .with_evidence("as_logged", slip.as_logged)
         .with_evidence("corrected", slip.corrected)

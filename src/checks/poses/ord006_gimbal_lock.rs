@@ -1,7 +1,7 @@
 use serde_json::{Value, json};
 
 use crate::checks::decision::DEGREE;
-use crate::checks::{Case, Grade, Judged, Limit};
+use crate::checks::{Case, Grade, Limit, SubjectResult};
 use crate::evidence::{ArmEvidence, EulerEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Span, Unit};
 
@@ -53,12 +53,12 @@ const MIN_SEPARATION_S: f64 = 0.5;
 /// Maximum number of spans in the evidence.
 const MAX_LISTED: usize = 10;
 
-fn check(case: &Case) -> Vec<Judged> {
-    let of_arm = |arm: &ArmEvidence| -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
+    let of_arm = |arm: &ArmEvidence| -> Vec<SubjectResult> {
         let numbers = arm.poses.iter().filter_map(|stream| {
             let coded = stream.euler.as_ref()?;
             let judged = match stream.is_undeclared {
-                true => Judged::new(
+                true => SubjectResult::new(
                     stream.subject.clone(),
                     Outcome::pass_because("its convention is not declared".to_owned()),
                 ),
@@ -97,15 +97,15 @@ fn near_singularities(coded: &EulerEvidence, within_rad: f64) -> Vec<NearSingula
     found
 }
 
-fn judge(case: &Case, arm: &ArmEvidence, topic: &str, coded: &EulerEvidence) -> Judged {
+fn judge(case: &Case, arm: &ArmEvidence, topic: &str, coded: &EulerEvidence) -> SubjectResult {
     let subject = arm.topic(topic);
     let Some(convention) = coded.convention else {
         let why = "its convention is undetermined; declare it with --declare";
-        return Judged::new(subject, Outcome::Inconclusive(why.to_owned()));
+        return SubjectResult::new(subject, Outcome::Inconclusive(why.to_owned()));
     };
     if coded.margins_rad.is_empty() {
         let why = format!("{convention} has no gimbal lock");
-        return Judged::new(subject, Outcome::pass_because(why));
+        return SubjectResult::new(subject, Outcome::pass_because(why));
     }
     let within_rad = case.thresholds.limit(&ORD006, &MAX_GIMBAL_MARGIN);
     let found = near_singularities(coded, within_rad);
@@ -144,7 +144,7 @@ fn judge(case: &Case, arm: &ArmEvidence, topic: &str, coded: &EulerEvidence) -> 
             })
         })
         .collect();
-    Judged::new(subject, outcome)
+    SubjectResult::new(subject, outcome)
         .estimated(Estimate::exact("share near gimbal lock", Unit::One.symbol(), share))
         .with_evidence("convention", convention.to_string())
         .with_evidence("nearest_rad", least_rad)

@@ -1,5 +1,5 @@
-use crate::checks::decision::unseen;
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::decision::not_observable;
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::{AccelUnitError, JointUnit, LengthUnitError};
 use crate::evidence::{ArmEvidence, ImuEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit, rounded};
@@ -45,11 +45,11 @@ rule! {
     }
 }
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     let streams = case.evidence.poses_and_tf();
     let judged = streams.map(|(_, stream)| {
         let outcome = match &stream.diagnosis.length_unit {
-            Err(why) => unseen(why, "move the tip by 10 cm or more"),
+            Err(why) => not_observable(why, "move the tip by 10 cm or more"),
             Ok(None) => Outcome::pass(),
             Ok(Some(slip)) if stream.is_undeclared => Outcome::pass_because(format!(
                 "read as {}: no unit is declared for these numbers, so none is violated",
@@ -76,7 +76,7 @@ fn check(case: &Case) -> Vec<Judged> {
 }
 
 /// Judges the unit of an accelerometer; `None` if it measures neither gravity nor a wrong unit.
-fn judge_accelerometer(imu: &StreamEvidence<ImuEvidence>) -> Option<Judged> {
+fn judge_accelerometer(imu: &StreamEvidence<ImuEvidence>) -> Option<SubjectResult> {
     let Some(AccelUnitError { unit, norm: felt }) = imu.diagnosis.conventions.accel else {
         let feels = imu.proof.as_ref()?.gravity_m_s2.is_some();
         return feels.then(|| imu.judged(Outcome::pass()).within(imu.span));
@@ -100,7 +100,7 @@ fn judge_accelerometer(imu: &StreamEvidence<ImuEvidence>) -> Option<Judged> {
 }
 
 /// Findings for prismatic joints whose positions are not in metres.
-fn judge_joints(arm: &ArmEvidence) -> Vec<Judged> {
+fn judge_joints(arm: &ArmEvidence) -> Vec<SubjectResult> {
     let Ok(reading) = &arm.diagnosis.encoding else { return Vec::new() };
     let units = [
         (JointUnit::Millimetres, "mm", "millimetres", 1000),
@@ -125,7 +125,7 @@ fn judge_joints(arm: &ArmEvidence) -> Vec<Judged> {
             },
             fix: format!("divide the positions of {joint} by {number}"),
         };
-        Judged::new(subject, Outcome::fail(fault))
+        SubjectResult::new(subject, Outcome::fail(fault))
             .within(arm.span)
             .estimated(Estimate::slip("length unit", is, "m"))
             .with_evidence("as_logged_m", left.as_logged)

@@ -1,5 +1,5 @@
-use crate::checks::decision::unseen;
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::decision::not_observable;
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::AxesError;
 use crate::evidence::{PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
@@ -42,11 +42,11 @@ rule! {
     }
 }
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     let streams = case.evidence.poses_and_tf();
     let judged = streams.map(|(_, stream)| {
         let outcome = match stream.diagnosis.axes {
-            Err(ref why) => unseen(why, "move the tip by 10 cm or more in all directions"),
+            Err(ref why) => not_observable(why, "move the tip by 10 cm or more in all directions"),
             Ok(None) => Outcome::pass(),
             Ok(Some(_)) if stream.diagnosis.is_far_from_fk() => Outcome::Inconclusive(
                 "no axis convention explains its positions (MDL001); check the model and its joints".to_owned(),

@@ -1,5 +1,5 @@
-use crate::checks::decision::unseen;
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::decision::not_observable;
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::ConstantCoordinate;
 use crate::evidence::{PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit, rounded};
@@ -34,12 +34,12 @@ rule! {
     }
 }
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     let streams = case.evidence.poses_and_tf();
     let judged = streams.map(|(_, stream)| {
         let found = &stream.diagnosis;
         match (&found.axes, found.constant_coordinates.as_slice()) {
-            (Err(why), _) => stream.judged(unseen(why, "move the tip by 10 cm or more")),
+            (Err(why), _) => stream.judged(not_observable(why, "move the tip by 10 cm or more")),
             (Ok(_), []) => stream.judged(Outcome::pass()),
             (Ok(_), parts) => {
                 let most = parts.iter().map(|part| part.moved_m).fold(0.0, f64::max);

@@ -1,6 +1,6 @@
 use crate::checks::decision::Threshold;
 use crate::checks::scalar_rule::{ScalarRule, StreamEstimate};
-use crate::checks::{Case, Grade, Judged, changes, residual_attribution};
+use crate::checks::{Case, Grade, SubjectResult, changes, residual_attribution};
 use crate::diagnosis::{Measured, PoseDiagnosis, ScalarChange};
 use crate::evidence::ArmEvidence;
 use crate::finding::{Cause, Evidence, Fault, Severity, Unit};
@@ -47,10 +47,10 @@ const GROWTH: ScalarRule = ScalarRule {
     fault: |arm, _, growth, severity| fault(arm, growth, severity),
 };
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     let judged = case.evidence.poses().map(|(arm, stream)| {
         if let Some(change) = ScalarChange::largest(&stream.diagnosis.radial_scale_changes) {
-            let threshold = case.thresholds.of(&ZER002, THRESHOLD);
+            let threshold = case.thresholds.threshold(&ZER002, THRESHOLD);
             let title = "growth with reach changes mid-run";
             let effect_m = change.size.value.abs() * arm.reach_m;
             let (outcome, estimate) = changes::judge_scalar_change(

@@ -1,7 +1,7 @@
 use serde_json::{Value, json};
 
 use crate::checks::decision::Threshold;
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::evidence::StreamEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Subject, Unit};
 use crate::run::{Norms, Written};
@@ -47,12 +47,12 @@ const THRESHOLD: Threshold = Threshold { unit: Unit::One, warning: 1e-3, error: 
 /// Maximum number of transforms in the evidence.
 const MAX_LISTED: usize = 10;
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.norms.iter().map(|norms| judge(case, norms)).collect()
 }
 
-fn judge(case: &Case, stream: &StreamEvidence<Vec<Norms>>) -> Judged {
-    let threshold = case.thresholds.of(&FRM005, THRESHOLD);
+fn judge(case: &Case, stream: &StreamEvidence<Vec<Norms>>) -> SubjectResult {
+    let threshold = case.thresholds.threshold(&FRM005, THRESHOLD);
     let worst = stream.iter().max_by(|a, b| a.largest.total_cmp(&b.largest));
     let Some(worst) = worst.filter(|worst| worst.rows > 0) else {
         let outcome = Outcome::Skipped("none of its quaternions is set".to_owned());
@@ -78,7 +78,7 @@ fn judge(case: &Case, stream: &StreamEvidence<Vec<Norms>>) -> Judged {
         .take(MAX_LISTED)
         .filter_map(|part| Some(json!({ "frame": part.frame.as_ref()?, "largest": part.largest })))
         .collect();
-    Judged::new(subject, outcome)
+    SubjectResult::new(subject, outcome)
         .within(stream.span)
         .estimated(Estimate::exact("largest defect", Unit::One.symbol(), worst.largest))
         .with_evidence("written", word(worst.written))
@@ -98,7 +98,7 @@ fn word(written: Written) -> &'static str {
 fn fault(case: &Case, worst: &Norms, severity: Severity) -> Fault {
     let shown = Unit::One.show(worst.largest);
     let when = worst.at.map_or(String::new(), |at| format!(" at {}", case.evidence.moment(at)));
-    let half = match case.thresholds.of(&FRM005, THRESHOLD).severity(worst.median) {
+    let half = match case.thresholds.threshold(&FRM005, THRESHOLD).severity(worst.median) {
         Some(_) => format!("median {}", Unit::One.show(worst.median)),
         None => "most samples are within the limit".to_owned(),
     };

@@ -1,4 +1,4 @@
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::evidence::{StreamEvidence, UnusableSampleEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity};
 
@@ -43,11 +43,11 @@ rule! {
 const MAX_FEW_SAMPLES: u64 = 3;
 const MAX_FEW_FRACTION: f64 = 1e-3;
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.unusable.iter().map(judge).collect()
 }
 
-fn judge(stream: &StreamEvidence<UnusableSampleEvidence>) -> Judged {
+fn judge(stream: &StreamEvidence<UnusableSampleEvidence>) -> SubjectResult {
     let UnusableSampleEvidence { unusable, unset, misfits, contradictory, samples } = stream.value;
     let count = unusable.max(unset).max(misfits).max(contradictory);
     if count == 0 {

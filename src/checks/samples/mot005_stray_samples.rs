@@ -1,6 +1,6 @@
 use serde_json::{Value, json};
 
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::evidence::{OutlierEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Subject, Unit};
 use crate::run::{FEWEST_SAMPLES, Outliers};
@@ -49,12 +49,12 @@ rule! {
 /// Maximum number of joints or transforms in the evidence.
 const MAX_LISTED: usize = 10;
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.outliers.iter().map(|stream| judge(case, stream)).collect()
 }
 
-fn judge(case: &Case, stream: &StreamEvidence<OutlierEvidence>) -> Judged {
-    let judged = |subject, outcome| Judged::new(subject, outcome).within(stream.span);
+fn judge(case: &Case, stream: &StreamEvidence<OutlierEvidence>) -> SubjectResult {
+    let judged = |subject, outcome| SubjectResult::new(subject, outcome).within(stream.span);
     let are_untold = |part: &Outliers| part.count() == 0;
     if !stream.parts.is_empty() && stream.parts.iter().all(are_untold) {
         let why = "more than 5 % of the samples jump, so outliers cannot be identified; check the stream \

@@ -1,6 +1,6 @@
 use serde_json::{Value, json};
 
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::evidence::StreamEvidence;
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
 use crate::run::Frozen;
@@ -48,7 +48,7 @@ rule! {
 /// Maximum number of intervals in the evidence.
 const MAX_LISTED: usize = 10;
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.frozen_intervals.iter().map(|stream| judge(case, stream)).collect()
 }
 
@@ -56,7 +56,7 @@ fn seconds(time: &Frozen) -> f64 {
     time.end.seconds_since(time.start)
 }
 
-fn judge(case: &Case, stream: &StreamEvidence<Vec<Frozen>>) -> Judged {
+fn judge(case: &Case, stream: &StreamEvidence<Vec<Frozen>>) -> SubjectResult {
     let longest = stream.iter().max_by(|a, b| seconds(a).total_cmp(&seconds(b)));
     let Some(longest) = longest else {
         return stream.judged(Outcome::pass());

@@ -1,5 +1,5 @@
 use crate::checks::decision::Threshold;
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::evidence::{RepeatedValueEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
 use crate::run::RepeatedValues;
@@ -48,14 +48,14 @@ rule! {
 
 const THRESHOLD: Threshold = Threshold { unit: Unit::One, warning: 0.05, error: 0.5 };
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.repeated_values.iter().map(|stream| judge(case, stream)).collect()
 }
 
-fn judge(case: &Case, stream: &StreamEvidence<RepeatedValueEvidence>) -> Judged {
+fn judge(case: &Case, stream: &StreamEvidence<RepeatedValueEvidence>) -> SubjectResult {
     let worst = stream.parts.iter().max_by(|a, b| a.share().total_cmp(&b.share()));
     let Some(worst) = worst else { return stream.judged(Outcome::pass()) };
-    let outcome = match case.thresholds.of(&TIM008, THRESHOLD).severity(worst.share()) {
+    let outcome = match case.thresholds.threshold(&TIM008, THRESHOLD).severity(worst.share()) {
         None => Outcome::pass(),
         Some(_) if stream.is_of_joints => {
             Outcome::pass_because("its repeats are those of the joint states".to_owned())

@@ -1,6 +1,6 @@
 use serde_json::{Value, json};
 
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::evidence::{RhythmEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Cadence;
@@ -44,7 +44,7 @@ const MIN_STEP_PERIODS: f64 = 1.2;
 /// Maximum number of steps in the evidence.
 const MAX_LISTED_STEPS: usize = 10;
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.rhythms.iter().map(|rhythm| judge(case, rhythm)).collect()
 }
 
@@ -54,17 +54,17 @@ fn steps_back(part: &Cadence) -> impl Iterator<Item = &(Stamp, f64)> {
     part.steps_back.iter().filter(move |(_, by_s)| *by_s > least_s)
 }
 
-fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
+fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult {
     let concerned: Vec<&Cadence> =
         rhythm.parts.iter().filter(|part| steps_back(part).next().is_some()).collect();
     let subject = rhythm.subject_of(&concerned);
     if !rhythm.parts.iter().any(|part| part.stamped) {
         let outcome = Outcome::Skipped("its messages have no stamps".to_owned());
-        return Judged::new(subject, outcome).within(rhythm.span);
+        return SubjectResult::new(subject, outcome).within(rhythm.span);
     }
     let steps = || concerned.iter().flat_map(|part| steps_back(part));
     let Some(&(at, by_s)) = steps().max_by(|a, b| a.1.total_cmp(&b.1)) else {
-        return Judged::new(subject, Outcome::pass()).within(rhythm.span);
+        return SubjectResult::new(subject, Outcome::pass()).within(rhythm.span);
     };
     let listed: Vec<Value> = steps()
         .take(MAX_LISTED_STEPS)
@@ -89,7 +89,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
             rhythm.subject.label()
         ),
     };
-    Judged::new(subject, Outcome::fail(fault))
+    SubjectResult::new(subject, Outcome::fail(fault))
         .within(rhythm.span)
         .estimated(Estimate::exact("step back", Unit::Second.symbol(), by_s))
         .with_evidence("count", count)

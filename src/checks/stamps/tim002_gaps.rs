@@ -1,7 +1,7 @@
 use serde_json::{Value, json};
 
 use crate::checks::topics::tim006_incomplete_stream::{SlowRateLimits, slow_stretches};
-use crate::checks::{Case, Grade, Judged, Limit};
+use crate::checks::{Case, Grade, Limit, SubjectResult};
 use crate::evidence::{ExpectedTiming, RhythmEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::{Cadence, Hole, Stretch};
@@ -106,14 +106,14 @@ impl GapLimits {
     }
 }
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     let steady =
         case.evidence.rhythms.iter().filter(|rhythm| rhythm.due != ExpectedTiming::Occasional);
     let mut reported: Vec<&StreamEvidence<RhythmEvidence>> = Vec::new();
     let judge_once = |rhythm| {
         if let Some(first) = reported.iter().find(|first| has_same_gaps(first, rhythm)) {
             let why = format!("same stamps as {}, whose gaps are reported", first.topic());
-            return Judged::new(rhythm.subject.clone(), Outcome::pass_because(why))
+            return SubjectResult::new(rhythm.subject.clone(), Outcome::pass_because(why))
                 .within(rhythm.span);
         }
         reported.push(rhythm);
@@ -142,7 +142,7 @@ fn judged_parts(rhythm: &StreamEvidence<RhythmEvidence>) -> impl Iterator<Item =
     rhythm.required_parts().filter(move |part| is_known || part.is_regular)
 }
 
-fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
+fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult {
     let by = &GapLimits::for_stream(case, rhythm);
     let silent = |moving: Option<bool>| {
         let gaps = judged_parts(rhythm).flat_map(|part| gaps(by, part));
@@ -154,7 +154,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
     if !concerned.is_empty() && case.evidence.lost_messages() {
         let why = "samples are missing, but so are messages of the log itself (ING001)";
         let outcome = Outcome::Inconclusive(format!("{why}; record it again"));
-        return Judged::new(subject, outcome).within(rhythm.span);
+        return SubjectResult::new(subject, outcome).within(rhythm.span);
     }
     let missing: usize =
         concerned.iter().flat_map(|part| holes(by, part)).map(|hole| hole.missing).sum();
@@ -165,7 +165,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
              {} are in another frame (FRM007); record it again",
             rhythm.unusable, rhythm.unstamped, rhythm.in_other_frames
         );
-        return Judged::new(subject, Outcome::Inconclusive(why)).within(rhythm.span);
+        return SubjectResult::new(subject, Outcome::Inconclusive(why)).within(rhythm.span);
     }
     if !concerned.is_empty() {
         return fault(case, by, rhythm, &concerned).within(rhythm.span);
@@ -191,7 +191,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
     } else {
         Outcome::pass()
     };
-    Judged::new(subject, outcome).within(rhythm.span)
+    SubjectResult::new(subject, outcome).within(rhythm.span)
 }
 
 fn compare_length(a: &Stretch, b: &Stretch) -> std::cmp::Ordering {
@@ -262,7 +262,7 @@ fn fault(
     by: &GapLimits,
     rhythm: &StreamEvidence<RhythmEvidence>,
     concerned: &[&Cadence],
-) -> Judged {
+) -> SubjectResult {
     let gaps = || concerned.iter().flat_map(|part| gaps_in_motion(by, part));
     let worst =
         concerned.iter().copied().max_by(|a, b| lost_share(by, a).total_cmp(&lost_share(by, b)));
@@ -300,7 +300,7 @@ fn fault(
         evidence: Evidence::default(),
         fix: cause.fix.to_owned(),
     };
-    Judged::new(rhythm.subject_of(concerned), Outcome::fail(fault))
+    SubjectResult::new(rhythm.subject_of(concerned), Outcome::fail(fault))
         .estimated(estimate)
         .with_evidence("count", gaps().count())
         .with_evidence("gaps", listed)

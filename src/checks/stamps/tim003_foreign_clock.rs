@@ -1,4 +1,4 @@
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::Measured;
 use crate::evidence::{StampEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
@@ -41,13 +41,13 @@ rule! {
 /// Maximum difference between clocks on one machine, s.
 const MIN_LEAD_S: f64 = 1e-3;
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     let streams = case.evidence.stamps.iter().map(|stream| judge(stream, case.evidence.simulated));
     shared_clock(case).into_iter().chain(streams).collect()
 }
 
 /// The single finding if the streams share a clock other than the recorder's.
-fn shared_clock(case: &Case) -> Option<Judged> {
+fn shared_clock(case: &Case) -> Option<SubjectResult> {
     let mut offsets: Vec<f64> = case
         .evidence
         .stamps
@@ -66,10 +66,13 @@ fn shared_clock(case: &Case) -> Option<Judged> {
         evidence: Evidence::default(),
         fix: "no action needed if this is simulation or controller time".to_owned(),
     });
-    Some(Judged::new(Subject::default(), outcome).estimated(estimate(offset_s, f64::INFINITY)))
+    Some(
+        SubjectResult::new(Subject::default(), outcome)
+            .estimated(estimate(offset_s, f64::INFINITY)),
+    )
 }
 
-fn judge(stream: &StreamEvidence<StampEvidence>, simulated: bool) -> Judged {
+fn judge(stream: &StreamEvidence<StampEvidence>, simulated: bool) -> SubjectResult {
     let clock = &stream.clock;
     if clock.epoch != Epoch::Foreign {
         let early_s =

@@ -1,4 +1,4 @@
-use crate::checks::{Case, Grade, Judged, Limit};
+use crate::checks::{Case, Grade, Limit, SubjectResult};
 use crate::evidence::{RhythmEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::Cadence;
@@ -45,7 +45,7 @@ const DUPLICATES: Limit = Limit {
     what: "fraction of samples above which duplicate stamps are a fault",
 };
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.rhythms.iter().map(|rhythm| judge(case, rhythm)).collect()
 }
 
@@ -53,13 +53,13 @@ fn share(part: &Cadence) -> f64 {
     part.conflicts as f64 / part.rows.max(1) as f64
 }
 
-fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
+fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult {
     let most = case.thresholds.limit(&TIM004, &DUPLICATES);
     let concerned: Vec<&Cadence> = rhythm.parts.iter().filter(|part| share(part) > most).collect();
     let subject = rhythm.subject_of(&concerned);
     if !rhythm.parts.iter().any(|part| part.stamped) {
         let outcome = Outcome::Skipped("its messages have no stamps".to_owned());
-        return Judged::new(subject, outcome).within(rhythm.span);
+        return SubjectResult::new(subject, outcome).within(rhythm.span);
     }
     let repeats: usize = rhythm.parts.iter().map(|part| part.repeats).sum();
     let worst = concerned.iter().copied().max_by(|a, b| share(a).total_cmp(&share(b)));
@@ -70,7 +70,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
                 "{repeats} samples are sent twice with equal content"
             )),
         };
-        return Judged::new(subject, outcome).within(rhythm.span);
+        return SubjectResult::new(subject, outcome).within(rhythm.span);
     };
     let fault = Fault {
         cause: Cause::Stamps,
@@ -86,7 +86,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
             rhythm.subject.label()
         ),
     };
-    Judged::new(subject, Outcome::fail(fault))
+    SubjectResult::new(subject, Outcome::fail(fault))
         .within(rhythm.span)
         .estimated(Estimate::exact("duplicates", "1", share(worst)))
         .with_evidence("conflicts", worst.conflicts)

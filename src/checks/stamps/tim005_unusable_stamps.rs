@@ -1,4 +1,4 @@
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::evidence::{ExpectedTiming, StampEvidence, StreamEvidence};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Unit};
 use crate::run::{HeaderStamps, RoundedStamps};
@@ -49,7 +49,7 @@ rule! {
 
 const BEYOND: &str = "stamps are far outside the run";
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.stamps.iter().filter(|stream| is_asked(stream)).map(judge).collect()
 }
 
@@ -58,7 +58,7 @@ fn is_asked(stream: &StreamEvidence<StampEvidence>) -> bool {
     stream.due.is_expected() || stream.clock.stamps != HeaderStamps::Absent
 }
 
-fn judge(stream: &StreamEvidence<StampEvidence>) -> Judged {
+fn judge(stream: &StreamEvidence<StampEvidence>) -> SubjectResult {
     let (rows, zero) = (stream.clock.rows, stream.clock.zero);
     if let Some(rounded) = &stream.rounded {
         return judge_rounded(stream, rounded);
@@ -129,7 +129,7 @@ fn judge(stream: &StreamEvidence<StampEvidence>) -> Judged {
         .with_evidence("far", far)
 }
 
-fn judge_rounded(stream: &StreamEvidence<StampEvidence>, rounded: &RoundedStamps) -> Judged {
+fn judge_rounded(stream: &StreamEvidence<StampEvidence>, rounded: &RoundedStamps) -> SubjectResult {
     let RoundedStamps { tick_s, shared, resolution_s, .. } = *rounded;
     let [tick, resolution] = [tick_s, resolution_s].map(|s| Unit::Second.show(s));
     let sharing = match shared {

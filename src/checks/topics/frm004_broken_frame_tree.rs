@@ -1,6 +1,6 @@
 use serde_json::{Value, json};
 
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::run::{PoseDistance, TfProblem, TfProblemKind};
 
@@ -50,18 +50,18 @@ rule! {
     }
 }
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     let frames = &case.evidence.tf;
     let is_sound =
         |topic: &&String| !frames.problems.iter().any(|flaw| flaw.topics.contains(topic));
     let sound = frames.topics.iter().filter(is_sound).map(|topic| {
         let subject = Subject { topic: Some(topic.clone()), ..Subject::default() };
-        Judged::new(subject, Outcome::pass())
+        SubjectResult::new(subject, Outcome::pass())
     });
     sound.chain(frames.problems.iter().map(judge)).collect()
 }
 
-fn judge(flaw: &TfProblem) -> Judged {
+fn judge(flaw: &TfProblem) -> SubjectResult {
     let report = TfProblemReport::from_problem(flaw);
     let subject = Subject {
         topic: flaw.topics.first().cloned(),
@@ -76,7 +76,7 @@ fn judge(flaw: &TfProblem) -> Judged {
         evidence: Evidence::default(),
         fix: report.fix,
     };
-    let mut judged = Judged::new(subject, Outcome::fail(fault))
+    let mut judged = SubjectResult::new(subject, Outcome::fail(fault))
         .with_evidence("what", report.what)
         .with_evidence("frames", report.frames)
         .with_evidence("topics", flaw.topics.clone());

@@ -1,6 +1,6 @@
 use serde_json::{Value, json};
 
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::evidence::StreamEvidence;
 use crate::finding::{Cause, Evidence, Fault, Outcome, Picture, Severity, Unit};
 use crate::run::NotAuditedReason;
@@ -53,11 +53,11 @@ rule! {
     }
 }
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     case.evidence.not_audited.iter().flat_map(judge).collect()
 }
 
-fn judge(stream: &StreamEvidence<Vec<NotAuditedReason>>) -> Vec<Judged> {
+fn judge(stream: &StreamEvidence<Vec<NotAuditedReason>>) -> Vec<SubjectResult> {
     if stream.is_empty() {
         return vec![stream.judged(Outcome::pass())];
     }

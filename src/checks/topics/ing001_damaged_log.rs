@@ -1,4 +1,4 @@
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Span, Subject};
 use crate::log::{Extent, Loss};
 
@@ -42,14 +42,14 @@ rule! {
     }
 }
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     if case.evidence.losses.is_empty() {
-        return vec![Judged::new(Subject::default(), Outcome::pass())];
+        return vec![SubjectResult::new(Subject::default(), Outcome::pass())];
     }
     case.evidence.losses.iter().map(judge).collect()
 }
 
-fn judge(loss: &Loss) -> Judged {
+fn judge(loss: &Loss) -> SubjectResult {
     let file = loss.file.display().to_string();
     let (severity, title, fix) = match loss.extent {
         Extent::Index => (Severity::Warning, "index is missing", "rebuild the index: mcap recover"),
@@ -75,7 +75,7 @@ fn judge(loss: &Loss) -> Judged {
         evidence: Evidence::default(),
         fix: fix.to_owned(),
     };
-    Judged::new(Subject { topic: Some(file), ..Subject::default() }, Outcome::fail(fault))
+    SubjectResult::new(Subject { topic: Some(file), ..Subject::default() }, Outcome::fail(fault))
         .within(loss.span.map(|(start, end)| Span { start, end }))
         .with_evidence("offset", loss.offset)
         .with_evidence("messages_lost", loss.messages)

@@ -1,4 +1,4 @@
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::evidence::{UndecodableContent, UndecodableTopic};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Picture, Severity, Subject};
 
@@ -33,14 +33,14 @@ rule! {
     }
 }
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     if case.evidence.undecodable.is_empty() {
-        return vec![Judged::new(Subject::default(), Outcome::pass())];
+        return vec![SubjectResult::new(Subject::default(), Outcome::pass())];
     }
     case.evidence.undecodable.iter().map(judge).collect()
 }
 
-fn judge(topic: &UndecodableTopic) -> Judged {
+fn judge(topic: &UndecodableTopic) -> SubjectResult {
     let (message, fix) = match &topic.what {
         UndecodableContent::Messages(type_name) => (
             format!("{} messages of {type_name} cannot be decoded: {}", topic.messages, topic.why),
@@ -60,5 +60,5 @@ fn judge(topic: &UndecodableTopic) -> Judged {
         fix: fix.to_owned(),
     };
     let subject = Subject { topic: Some(topic.topic.clone()), ..Subject::default() };
-    Judged::new(subject, Outcome::fail(fault)).with_evidence("messages", topic.messages)
+    SubjectResult::new(subject, Outcome::fail(fault)).with_evidence("messages", topic.messages)
 }

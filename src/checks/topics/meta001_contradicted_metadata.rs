@@ -1,4 +1,4 @@
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::diagnosis::PoseEncoding;
 use crate::evidence::{ArmEvidence, PoseEvidence, StreamEvidence};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Subject, Unit};
@@ -44,22 +44,22 @@ rule! {
     }
 }
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     let arms = case.evidence.robots.iter();
     let labelled = arms.flat_map(|arm| arm.poses.iter().filter_map(|pose| judge_labels(arm, pose)));
     let declared = match case.evidence.contradictions.as_deref() {
         None => Vec::new(),
-        Some([]) => vec![Judged::new(Subject::default(), Outcome::pass())],
+        Some([]) => vec![SubjectResult::new(Subject::default(), Outcome::pass())],
         Some(found) => found.iter().map(judge).collect(),
     };
     declared.into_iter().chain(labelled).collect()
 }
 
-fn judge(note: &Note) -> Judged {
+fn judge(note: &Note) -> SubjectResult {
     let file = note.file.display().to_string();
     let fix = "correct the metadata, or rewrite the dataset";
     let outcome = contradicted(note.what.clone(), fix.to_owned());
-    Judged::new(Subject { topic: Some(file), ..Subject::default() }, outcome)
+    SubjectResult::new(Subject { topic: Some(file), ..Subject::default() }, outcome)
 }
 
 fn contradicted(message: String, fix: String) -> Outcome {
@@ -75,7 +75,7 @@ fn contradicted(message: String, fix: String) -> Outcome {
 
 /// Whether the rotation encoding of a stream matches its column names. `None` if the names or the motion do
 /// not determine it.
-fn judge_labels(arm: &ArmEvidence, pose: &StreamEvidence<PoseEvidence>) -> Option<Judged> {
+fn judge_labels(arm: &ArmEvidence, pose: &StreamEvidence<PoseEvidence>) -> Option<SubjectResult> {
     /// Maximum residual of a credible encoding, rad, and maximum ratio of the named encoding's residual to
     /// the best.
     const FOLLOWS_RAD: f64 = 0.17;

@@ -1,6 +1,6 @@
 use serde_json::json;
 
-use crate::checks::{Case, Grade, Judged};
+use crate::checks::{Case, Grade, SubjectResult};
 use crate::evidence::{RepeatedColumnEvidence, RepeatedColumnKind};
 use crate::finding::{Cause, Evidence, Fault, Outcome, Severity, Subject};
 
@@ -40,15 +40,15 @@ rule! {
     }
 }
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     match case.evidence.repeated_columns.as_deref() {
         None => Vec::new(),
-        Some([]) => vec![Judged::new(Subject::default(), Outcome::pass())],
+        Some([]) => vec![SubjectResult::new(Subject::default(), Outcome::pass())],
         Some(found) => found.iter().map(judge).collect(),
     }
 }
 
-fn judge(found: &RepeatedColumnEvidence) -> Judged {
+fn judge(found: &RepeatedColumnEvidence) -> SubjectResult {
     let RepeatedColumnEvidence { repeat, kind } = found;
     let of = repeat.of.as_deref().unwrap_or_default();
     let (severity, title, message) = match kind {
@@ -92,6 +92,6 @@ fn judge(found: &RepeatedColumnEvidence) -> Judged {
         fix: "check where the recorder takes these columns from".to_owned(),
     };
     let (topic, joint) = (Some(repeat.topic.clone()), repeat.number.clone());
-    Judged::new(Subject { topic, joint, ..Subject::default() }, Outcome::fail(fault))
+    SubjectResult::new(Subject { topic, joint, ..Subject::default() }, Outcome::fail(fault))
         .with_evidence("of", json!(repeat.of))
 }

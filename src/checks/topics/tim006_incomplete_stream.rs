@@ -1,4 +1,4 @@
-use crate::checks::{Case, Grade, Judged, Limit};
+use crate::checks::{Case, Grade, Limit, SubjectResult};
 use crate::evidence::{EmptyStreamEvidence, ExpectedTiming, RhythmEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Severity, Subject, Unit};
 use crate::run::{Cadence, Stretch};
@@ -87,7 +87,7 @@ impl SlowRateLimits {
     }
 }
 
-fn check(case: &Case) -> Vec<Judged> {
+fn check(case: &Case) -> Vec<SubjectResult> {
     let missing = case
         .evidence
         .missing_topics
@@ -98,7 +98,7 @@ fn check(case: &Case) -> Vec<Judged> {
     empty.chain(expected.map(|rhythm| judge(case, rhythm))).collect()
 }
 
-fn judge_empty(empty: &EmptyStreamEvidence) -> Judged {
+fn judge_empty(empty: &EmptyStreamEvidence) -> SubjectResult {
     let topic = empty.subject.label();
     let (message, fix) = match empty.messages {
         0 => (
@@ -110,7 +110,7 @@ fn judge_empty(empty: &EmptyStreamEvidence) -> Judged {
             format!("check the source of {topic}"),
         ),
     };
-    Judged::new(
+    SubjectResult::new(
         empty.subject.clone(),
         Outcome::fail(Fault {
             cause: Cause::Stamps,
@@ -123,9 +123,9 @@ fn judge_empty(empty: &EmptyStreamEvidence) -> Judged {
     )
 }
 
-fn judge_missing(subject: Subject, place: &str) -> Judged {
+fn judge_missing(subject: Subject, place: &str) -> SubjectResult {
     let topic = subject.label().to_owned();
-    Judged::new(
+    SubjectResult::new(
         subject,
         Outcome::fail(Fault {
             cause: Cause::Stamps,
@@ -145,7 +145,7 @@ fn below_declared_rate(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> 
         .then_some((rate_hz, declared_hz))
 }
 
-fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
+fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> SubjectResult {
     let (pace, together_s) = (
         SlowRateLimits::from_thresholds(case),
         case.thresholds.limit(&TIM006, &MAX_EDGE_DIFFERENCE),
@@ -179,12 +179,12 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
         let message = format!("runs at {rate_hz:.1} Hz; declared are {declared_hz:.1} Hz");
         ("stream is slow", message, Estimate::exact("rate", "Hz", rate_hz))
     } else {
-        return Judged::new(rhythm.subject_of(&[]), Outcome::pass()).within(rhythm.span);
+        return SubjectResult::new(rhythm.subject_of(&[]), Outcome::pass()).within(rhythm.span);
     };
     if case.evidence.lost_messages() {
         let why = format!("it {message}, but messages of the log itself are lost (ING001)");
         let outcome = Outcome::Inconclusive(format!("{why}; record it again"));
-        return Judged::new(rhythm.subject_of(&slow), outcome).within(rhythm.span);
+        return SubjectResult::new(rhythm.subject_of(&slow), outcome).within(rhythm.span);
     }
     let fault = Fault {
         cause: Cause::Stamps,
@@ -194,7 +194,7 @@ fn judge(case: &Case, rhythm: &StreamEvidence<RhythmEvidence>) -> Judged {
         evidence: Evidence::default(),
         fix: format!("check the publisher of {} at that time", rhythm.subject.label()),
     };
-    Judged::new(rhythm.subject_of(&slow), Outcome::fail(fault))
+    SubjectResult::new(rhythm.subject_of(&slow), Outcome::fail(fault))
         .within(rhythm.span)
         .estimated(estimate)
         .with_evidence("late_start_s", late_s)

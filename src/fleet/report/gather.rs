@@ -120,7 +120,7 @@ impl Question {
     }
 
     fn asks(&self, code: &str) -> bool {
-        self.select.is_empty() || self.select.iter().any(|selector| selector.names(code))
+        self.select.is_empty() || self.select.iter().any(|selector| selector.matches(code))
     }
 }
 

@@ -1,7 +1,7 @@
 //! Inconclusive checks, grouped by the action that would resolve them.
 
 use super::{Outline, grouped_by, ranges};
-use crate::checks::{self, recipe, settled_by};
+use crate::checks::{self, motion_description, resolving_motion};
 use crate::diagnosis::plan::Purpose;
 use crate::finding::{CheckRow, Estimate, Status, Unit};
 
@@ -19,9 +19,9 @@ enum Settles<'a> {
 impl<'a> Settles<'a> {
     fn of(row: &'a CheckRow) -> Self {
         let reason = row.reason.as_deref().unwrap_or_default();
-        if checks::is_behind_residual(row) {
+        if checks::is_blocked_by_residual(row) {
             Settles::Residual
-        } else if row.subject.robot.is_some() && settled_by(row, false).is_some() {
+        } else if row.subject.robot.is_some() && resolving_motion(row, false).is_some() {
             Settles::Motion
         } else {
             Settles::Said(reason.rsplit_once("; ").map_or(reason, |(_, settle)| settle))
@@ -100,12 +100,13 @@ impl Outline<'_> {
         let named = |purpose: &Purpose| plans.iter().any(|plan| plan.purpose == purpose.name());
         let asked = |purpose: &Purpose| {
             let mut open = self.open().filter(|row| Settles::of(row) == Settles::Motion);
-            open.any(|row| settled_by(row, false) == Some(*purpose))
+            open.any(|row| resolving_motion(row, false) == Some(*purpose))
         };
         let purposes = Purpose::ALL.into_iter();
         let purposes: Vec<Purpose> =
             purposes.filter(|it| if plans.is_empty() { asked(it) } else { named(it) }).collect();
-        let parts: Vec<&str> = purposes.iter().map(|purpose| recipe(*purpose)).collect();
+        let parts: Vec<&str> =
+            purposes.iter().map(|purpose| motion_description(*purpose)).collect();
         if parts.is_empty() {
             return None;
         }

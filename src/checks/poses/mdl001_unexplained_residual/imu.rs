@@ -5,7 +5,7 @@ use serde_json::json;
 use super::MDL001;
 use crate::checks::decision::{FrameThresholds, decide};
 use crate::checks::residual_attribution::ExceedingResidual;
-use crate::checks::{Case, Judged, Threshold};
+use crate::checks::{Case, SubjectResult, Threshold};
 use crate::diagnosis::{GyroResidual, GyroSaturation, Measured};
 use crate::evidence::{ImuEvidence, StreamEvidence};
 use crate::finding::{Cause, Estimate, Evidence, Fault, Outcome, Picture, Severity, Unit};
@@ -25,11 +25,12 @@ pub fn judge(
     case: &Case,
     thresholds: &FrameThresholds,
     imu: &StreamEvidence<ImuEvidence>,
-) -> Vec<Judged> {
-    let threshold = case.thresholds.of(&MDL001, GAIN);
+) -> Vec<SubjectResult> {
+    let threshold = case.thresholds.threshold(&MDL001, GAIN);
     let clipped = imu.diagnosis.conventions.saturation.as_ref();
     let clipped = clipped.map(|clipped| saturates(imu, clipped, &threshold));
-    let found: Vec<Judged> = clipped.into_iter().chain(gain(case, imu, &threshold)).collect();
+    let found: Vec<SubjectResult> =
+        clipped.into_iter().chain(gain(case, imu, &threshold)).collect();
     let odd = odd(thresholds, imu);
     match (found.is_empty(), odd) {
         (false, Outcome::Evaluated(_)) => found,
@@ -86,7 +87,7 @@ fn saturates(
     imu: &StreamEvidence<ImuEvidence>,
     clipped: &GyroSaturation,
     threshold: &Threshold,
-) -> Judged {
+) -> SubjectResult {
     let GyroSaturation { limit_rad_s, axes, share, by_fk_rad_s } = clipped;
     let [limit, by_fk] = [*limit_rad_s, *by_fk_rad_s].map(|rate| Unit::GyroRate.show(rate));
     let names: Vec<&str> = axes.iter().map(|&axis| AXES[axis]).collect();
@@ -116,7 +117,11 @@ fn saturates(
 }
 
 /// Gain of the axis with the largest deviation from 1; `None` if it is below the warning threshold.
-fn gain(case: &Case, imu: &StreamEvidence<ImuEvidence>, threshold: &Threshold) -> Option<Judged> {
+fn gain(
+    case: &Case,
+    imu: &StreamEvidence<ImuEvidence>,
+    threshold: &Threshold,
+) -> Option<SubjectResult> {
     let scale = imu.diagnosis.gyro_bias.as_ref().ok()?.shape?.scale;
     let worst = scale.iter().max_by(|a, b| a.value.abs().total_cmp(&b.value.abs()))?;
     let subjects = scale.len() * case.evidence.subjects();

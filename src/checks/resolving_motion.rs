@@ -5,13 +5,13 @@ use crate::diagnosis::plan::Purpose;
 use crate::finding::{CheckRow, Status};
 
 /// Whether a row is inconclusive because of an unexplained residual (MDL001), which no motion resolves.
-pub(crate) fn is_behind_residual(row: &CheckRow) -> bool {
-    let is_said = |reason: &String| reason.contains(&format!("({})", MDL001.code));
-    row.status == Status::Inconclusive && row.reason.as_ref().is_some_and(is_said)
+pub(crate) fn is_blocked_by_residual(row: &CheckRow) -> bool {
+    let names_rule = |reason: &String| reason.contains(&format!("({})", MDL001.code));
+    row.status == Status::Inconclusive && row.reason.as_ref().is_some_and(names_rule)
 }
 
 /// Describes the motion for a purpose.
-pub(crate) const fn recipe(purpose: Purpose) -> &'static str {
+pub(crate) const fn motion_description(purpose: Purpose) -> &'static str {
     match purpose {
         Purpose::Zeros => {
             "each joint by 30° or more in turn, the wrist by 60° about two axes, the arm both stretched out \
@@ -25,13 +25,14 @@ pub(crate) const fn recipe(purpose: Purpose) -> &'static str {
 }
 
 /// Purpose of the motion that would resolve a row; `None` if no arm motion would. With a nominal model
-/// (`is_drawing`), single causes are observable only after all links are calibrated.
-pub(crate) fn settled_by(row: &CheckRow, is_drawing: bool) -> Option<Purpose> {
-    if row.status != Status::Inconclusive || row.is_indistinguishable || is_behind_residual(row) {
+/// (`is_nominal`), single causes are observable only after all links are calibrated.
+pub(crate) fn resolving_motion(row: &CheckRow, is_nominal: bool) -> Option<Purpose> {
+    if row.status != Status::Inconclusive || row.is_indistinguishable || is_blocked_by_residual(row)
+    {
         return None;
     }
     match row.code {
-        "ZER001" | "ZER002" | "FRM002" | "FRM003" if is_drawing => Some(Purpose::Calibration),
+        "ZER001" | "ZER002" | "FRM002" | "FRM003" if is_nominal => Some(Purpose::Calibration),
         "MDL001" => Some(Purpose::Calibration),
         "ZER001" | "ZER002" | "ZER003" | "FRM001" | "FRM002" | "FRM003" => Some(Purpose::Zeros),
         "ORD001" | "ORD002" | "ORD003" | "ORD004" | "ORD005" | "ORD007" | "ORD008" => {

@@ -1,7 +1,7 @@
 //! Shared by ORD001, ORD002 and ORD003: each judges the same encoding estimate for one kind of fault.
 
-use crate::checks::decision::{DEGREE, unseen};
-use crate::checks::{Case, Judged};
+use crate::checks::decision::{DEGREE, not_observable};
+use crate::checks::{Case, SubjectResult};
 use crate::diagnosis::{
     EncodingEstimate, EstimateResult, LengthUnitError, NotObservable, PoseDiagnosis, PoseEncoding,
 };
@@ -16,17 +16,17 @@ use crate::geometry::{
 
 /// Minimum ratio of the residuals as logged and of the next best encoding to the residual of a reported
 /// one.
-const CLEAR_RATIO: f64 = 2.0;
+const MIN_CLEAR_RATIO: f64 = 2.0;
 
 /// Maximum residual of an accepted encoding, rad.
-const FOLLOWS_RAD: f64 = 10.0 * DEGREE;
+const MAX_RESIDUAL_RAD: f64 = 10.0 * DEGREE;
 
 /// Motion that makes the encoding observable.
 const SETTLE: &str = "turn the wrist through 60° or more about two axes";
 
 /// Kind of misinterpretation; each belongs to one rule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum EncodingFaultKind {
     /// Three numbers interpreted in the wrong convention (ORD001).
     Convention,
     /// Quaternion components in the wrong order (ORD002).
@@ -35,17 +35,17 @@ pub enum Kind {
     Direction,
 }
 
-fn kind(reading: &PoseEncoding) -> Option<Kind> {
+fn fault_kind(reading: &PoseEncoding) -> Option<EncodingFaultKind> {
     match reading {
         PoseEncoding::AsLogged | PoseEncoding::Numbers(_) => None,
-        PoseEncoding::Misinterpreted(_) => Some(Kind::Convention),
-        PoseEncoding::QuaternionOrder(_) => Some(Kind::QuaternionOrder),
-        PoseEncoding::Transposed | PoseEncoding::Inverted => Some(Kind::Direction),
+        PoseEncoding::Misinterpreted(_) => Some(EncodingFaultKind::Convention),
+        PoseEncoding::QuaternionOrder(_) => Some(EncodingFaultKind::QuaternionOrder),
+        PoseEncoding::Transposed | PoseEncoding::Inverted => Some(EncodingFaultKind::Direction),
     }
 }
 
 /// How a rule reports its fault.
-pub struct Wording {
+pub struct EncodingReport {
     /// As in [`Fault::title`].
     pub title: &'static str,
     /// The misinterpretation, followed in the message by ", 64° off as logged".
@@ -63,9 +63,9 @@ pub struct Wording {
 /// Judges the encoding of every stream for faults of kind `asked`. `word` writes the report.
 pub fn judge(
     case: &Case,
-    asked: Kind,
-    word: fn(&EncodingEstimate) -> Option<Wording>,
-) -> Vec<Judged> {
+    asked: EncodingFaultKind,
+    word: fn(&EncodingEstimate) -> Option<EncodingReport>,
+) -> Vec<SubjectResult> {
     let mut judged = Vec::new();
     for arm in &case.evidence.robots {
         let streams = arm.poses_and_tf().map(|stream| {
@@ -84,11 +84,13 @@ pub fn judge(
             let (reading, doubt, bare, unread, is_derived) = stream.value;
             let judged = judge_stream(arm, reading, asked, word);
             let judged = match bare {
-                Some(found) => of_bare_numbers(arm, stream.topic(), asked, found, judged),
+                Some(found) => judge_undeclared(arm, stream.topic(), asked, found, judged),
                 None => judged,
             };
             let judged = match unread {
-                [_, ..] if asked == Kind::Convention => (not_checked(unread), None),
+                [_, ..] if asked == EncodingFaultKind::Convention => {
+                    (rotation_not_checked(unread), None)
+                }
                 _ => judged,
             };
             let (outcome, estimate) = match (judged, doubt) {
@@ -107,30 +109,31 @@ pub fn judge(
 fn judge_stream(
     arm: &ArmEvidence,
     reading: &EstimateResult<EncodingEstimate>,
-    asked: Kind,
-    word: fn(&EncodingEstimate) -> Option<Wording>,
+    asked: EncodingFaultKind,
+    word: fn(&EncodingEstimate) -> Option<EncodingReport>,
 ) -> (Outcome, Option<Estimate>) {
     let reading = match reading {
         Ok(reading) => reading,
-        Err(why) => return (unseen(why, SETTLE), None),
+        Err(why) => return (not_observable(why, SETTLE), None),
     };
-    if reading.best_rad > FOLLOWS_RAD {
+    if reading.best_rad > MAX_RESIDUAL_RAD {
         let left = Unit::Radian.show(reading.best_rad);
         let why = format!("no encoding matches FK (best residual {left}): check --base and --tip");
         return (Outcome::Inconclusive(why), None);
     }
     let runner_up = reading.runner_up.as_ref().map(|(runner_up, _)| runner_up);
     if !is_clear(reading) {
-        let concerned = [Some(&reading.best), runner_up].into_iter().flatten().filter_map(kind);
+        let concerned =
+            [Some(&reading.best), runner_up].into_iter().flatten().filter_map(fault_kind);
         if concerned.into_iter().any(|concerned| concerned == asked) {
-            return (Outcome::Inconclusive(unclear(reading)), None);
+            return (Outcome::Inconclusive(ambiguity_reason(reading)), None);
         }
     }
-    if nothing_was_told_apart(reading) {
+    if is_undetermined(reading) {
         return (Outcome::Inconclusive(format!("most encodings fit this motion; {SETTLE}")), None);
     }
-    let is_inverted = asked == Kind::Direction && reading.is_inverted;
-    if kind(&reading.best) != Some(asked) && !is_inverted {
+    let is_inverted = asked == EncodingFaultKind::Direction && reading.is_inverted;
+    if fault_kind(&reading.best) != Some(asked) && !is_inverted {
         let remark = match reading.best {
             PoseEncoding::Numbers(convention) => {
                 Outcome::pass_because(format!("read as {convention}"))
@@ -146,10 +149,10 @@ fn judge_stream(
 }
 
 /// Outcome for positions whose rotation may be in unidentified columns.
-pub(super) fn not_checked(unread: &[String]) -> Outcome {
-    const SHOWN: usize = 6;
-    let shown = unread.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ");
-    let more = if unread.len() > SHOWN { ", …" } else { "" };
+pub(super) fn rotation_not_checked(unread: &[String]) -> Outcome {
+    const MAX_LISTED_COLUMNS: usize = 6;
+    let shown = unread.iter().take(MAX_LISTED_COLUMNS).cloned().collect::<Vec<_>>().join(", ");
+    let more = if unread.len() > MAX_LISTED_COLUMNS { ", …" } else { "" };
     Outcome::Inconclusive(format!(
         "rotation not checked: columns {shown}{more} are not identified; list the rotation's columns in \
          `columns.pose` of the config, after the position's"
@@ -158,10 +161,10 @@ pub(super) fn not_checked(unread: &[String]) -> Outcome {
 
 /// Outcome for bare numbers without a declared convention: one note with the inferred encoding, and no
 /// convention fault.
-fn of_bare_numbers(
+fn judge_undeclared(
     arm: &ArmEvidence,
     topic: &str,
-    asked: Kind,
+    asked: EncodingFaultKind,
     found: &PoseDiagnosis,
     (outcome, estimate): (Outcome, Option<Estimate>),
 ) -> (Outcome, Option<Estimate>) {
@@ -174,10 +177,10 @@ fn of_bare_numbers(
         _ => None,
     });
     match (asked, form) {
-        (Kind::Convention, Some(form)) if is_read => {
-            let said = bare_reading(arm, topic, form, found);
+        (EncodingFaultKind::Convention, Some(form)) if is_read => {
+            let said = describe_inferred(arm, topic, form, found);
             let mut evidence = Evidence::default();
-            let (length, angle) = bare_units(found);
+            let (length, angle) = inferred_units(found);
             evidence.more.insert("length_unit".to_owned(), length.to_string().into());
             evidence.more.insert("angle_unit".to_owned(), angle.symbol().into());
             let fault = Fault {
@@ -188,23 +191,26 @@ fn of_bare_numbers(
                 evidence,
                 fix: format!(
                     "declare it to make this a check: --declare {topic}={}",
-                    declared(form, found)
+                    declare_value(form, found)
                 ),
             };
             let (is, read_as) = (form.to_string(), form.to_string());
             (Outcome::fail(fault), Some(Estimate::slip("reading", is, read_as)))
         }
         // A quaternion in the default order, or no rotation.
-        (Kind::Convention, None) => match &found.length_unit {
+        (EncodingFaultKind::Convention, None) => match &found.length_unit {
             Ok(Some(slip))
                 if is_read || matches!(found.encoding, Err(NotObservable::NoOrientation)) =>
             {
                 let (is, read_as) = (slip.is.to_string(), slip.read_as.to_string());
-                (bare_lengths(topic, slip), Some(Estimate::slip("length unit", is, read_as)))
+                (
+                    report_inferred_length(topic, slip),
+                    Some(Estimate::slip("length unit", is, read_as)),
+                )
             }
             _ => (outcome, estimate),
         },
-        (Kind::QuaternionOrder, Some(RotationEncoding::Wxyz)) if is_read => {
+        (EncodingFaultKind::QuaternionOrder, Some(RotationEncoding::Wxyz)) if is_read => {
             let why = "no component order is declared for these numbers, so none is violated";
             (Outcome::pass_because(why.to_owned()), None)
         }
@@ -213,7 +219,7 @@ fn of_bare_numbers(
 }
 
 /// Outcome for bare positions that match FK in a unit other than metres.
-fn bare_lengths(topic: &str, slip: &LengthUnitError) -> Outcome {
+fn report_inferred_length(topic: &str, slip: &LengthUnitError) -> Outcome {
     let is = slip.is.words();
     Outcome::fail(Fault {
         severity: Severity::Info,
@@ -226,22 +232,22 @@ fn bare_lengths(topic: &str, slip: &LengthUnitError) -> Outcome {
 }
 
 /// Inferred units of lengths and angles in bare numbers.
-fn bare_units(found: &PoseDiagnosis) -> (LengthScale, AngleUnit) {
+fn inferred_units(found: &PoseDiagnosis) -> (LengthScale, AngleUnit) {
     let length = found.length_unit.as_ref().ok().copied().flatten().map(|slip| slip.is);
     let angle = if found.degrees.is_some() { AngleUnit::Degree } else { AngleUnit::Radian };
     (length.unwrap_or(LengthScale::METRE), angle)
 }
 
 /// Describes the inferred encoding, with vendors that use it: `mm, euler:ZYX in deg (as KUKA does)`.
-fn bare_reading(
+fn describe_inferred(
     arm: &ArmEvidence,
     topic: &str,
     form: RotationEncoding,
     found: &PoseDiagnosis,
 ) -> String {
     /// Maximum number of vendors listed.
-    const NAMED: usize = 3;
-    let (length, angle) = bare_units(found);
+    const MAX_LISTED_VENDORS: usize = 3;
+    let (length, angle) = inferred_units(found);
     let is_three = matches!(form, RotationEncoding::Three(_));
     let is_alike = |entry: &&'static vendors::VendorUse| {
         let angles = !is_three || entry.units.angle.unwrap_or_default() == angle;
@@ -253,27 +259,31 @@ fn bare_reading(
         let first = entry.split_whitespace().next().unwrap_or_default().to_lowercase();
         !names.contains(&first)
     };
-    let mut makers: Vec<&str> = Vec::new();
+    let mut vendor_names: Vec<&str> = Vec::new();
     for entry in vendors::uses_of(form).filter(is_alike) {
-        if !makers.contains(&entry.who.as_str()) {
-            makers.push(&entry.who);
+        if !vendor_names.contains(&entry.who.as_str()) {
+            vendor_names.push(&entry.who);
         }
     }
-    makers.sort_by_key(is_other);
-    makers.truncate(NAMED);
-    let makers = match makers.as_slice() {
+    vendor_names.sort_by_key(is_other);
+    vendor_names.truncate(MAX_LISTED_VENDORS);
+    let vendor_names = match vendor_names.as_slice() {
         [] => String::new(),
-        makers => {
-            format!(" (as {} {})", makers.join(", "), if makers.len() == 1 { "does" } else { "do" })
+        vendor_names => {
+            format!(
+                " (as {} {})",
+                vendor_names.join(", "),
+                if vendor_names.len() == 1 { "does" } else { "do" }
+            )
         }
     };
     let angles = if is_three { format!(" in {}", angle.symbol()) } else { String::new() };
-    format!("{length}, {form}{angles}{makers}")
+    format!("{length}, {form}{angles}{vendor_names}")
 }
 
 /// The `--declare` value for the inferred encoding.
-fn declared(form: RotationEncoding, found: &PoseDiagnosis) -> String {
-    let (length, angle) = bare_units(found);
+fn declare_value(form: RotationEncoding, found: &PoseDiagnosis) -> String {
+    let (length, angle) = inferred_units(found);
     let is_degrees = matches!(form, RotationEncoding::Three(_)) && angle == AngleUnit::Degree;
     let angle = if is_degrees { ",deg" } else { "" };
     let length = if length == LengthScale::MILLIMETRE { ",mm" } else { "" };
@@ -283,9 +293,9 @@ fn declared(form: RotationEncoding, found: &PoseDiagnosis) -> String {
 fn fault(
     arm: &ArmEvidence,
     reading: &EncodingEstimate,
-    wording: Wording,
+    wording: EncodingReport,
 ) -> (Outcome, Option<Estimate>) {
-    let Wording { title, what, once, fix, slip, estimate } = wording;
+    let EncodingReport { title, what, once, fix, slip, estimate } = wording;
     let left = Unit::Radian.show(reading.best_rad);
     let next = match reading.runner_up {
         Some((_, rad)) => format!(" (next best encoding: {})", Unit::Radian.show(rad)),
@@ -309,20 +319,20 @@ fn fault(
 
 /// Whether every encoding fits equally well, because the orientation barely changes and a constant frame
 /// absorbs the difference.
-fn nothing_was_told_apart(reading: &EncodingEstimate) -> bool {
-    kind(&reading.best).is_none() && !reading.is_inverted && !reading.is_determined
+fn is_undetermined(reading: &EncodingEstimate) -> bool {
+    fault_kind(&reading.best).is_none() && !reading.is_inverted && !reading.is_determined
 }
 
 /// Whether the best encoding is clearly better than the stream as logged and the next best.
 fn is_clear(reading: &EncodingEstimate) -> bool {
     let best = reading.best_rad.max(Unit::Radian.noise_floor());
-    let clear_of = |rad: f64| rad >= CLEAR_RATIO * best;
-    kind(&reading.best).is_none()
+    let clear_of = |rad: f64| rad >= MIN_CLEAR_RATIO * best;
+    fault_kind(&reading.best).is_none()
         || reading.as_logged_rad.is_none_or(clear_of)
             && reading.runner_up.as_ref().is_none_or(|&(_, rad)| clear_of(rad))
 }
 
-fn unclear(reading: &EncodingEstimate) -> String {
+fn ambiguity_reason(reading: &EncodingEstimate) -> String {
     let best = describe(&reading.best);
     let left = Unit::Radian.show(reading.best_rad);
     match &reading.runner_up {
@@ -338,21 +348,21 @@ fn describe(reading: &PoseEncoding) -> String {
     match reading {
         PoseEncoding::AsLogged => "the stream as logged".to_owned(),
         reading => {
-            let Interpretation { is, read_as } = read_as(reading);
+            let Interpretation { is, read_as } = encoding_names(reading);
             format!("{is} read as {read_as}")
         }
     }
 }
 
 /// Contract names of an encoding: actual, and as interpreted in the log.
-pub fn read_as(reading: &PoseEncoding) -> Interpretation {
+pub fn encoding_names(reading: &PoseEncoding) -> Interpretation {
     let (is, read_as) = match reading {
         PoseEncoding::AsLogged => ("pose".to_owned(), "pose"),
         PoseEncoding::Numbers(convention) => {
             return Interpretation { is: convention.to_string(), read_as: convention.to_string() };
         }
         PoseEncoding::Misinterpreted(class) => match class.members.first() {
-            Some(misreading) => return read_as_misreading(misreading),
+            Some(misreading) => return convention_names(misreading),
             None => ("pose".to_owned(), "pose"),
         },
         PoseEncoding::QuaternionOrder(slip) => {
@@ -366,7 +376,7 @@ pub fn read_as(reading: &PoseEncoding) -> Interpretation {
 }
 
 /// Contract names of a misinterpretation.
-pub fn read_as_misreading(misreading: &Misinterpretation) -> Interpretation {
+pub fn convention_names(misreading: &Misinterpretation) -> Interpretation {
     Interpretation { is: misreading.is.to_string(), read_as: misreading.read_as.to_string() }
 }
 
@@ -379,7 +389,7 @@ pub fn quaternion_orders(slip: QuaternionOrderError) -> (&'static str, &'static 
 }
 
 /// Name of a convention for messages.
-pub fn words(convention: Convention) -> String {
+pub fn describe_convention(convention: Convention) -> String {
     if convention == Convention::RPY {
         return "roll-pitch-yaw".to_owned();
     }
@@ -462,7 +472,7 @@ mod tests {
 
     #[test]
     fn conventions_have_words() {
-        let words = |name: &str| name.parse().map(words);
+        let words = |name: &str| name.parse().map(describe_convention);
         assert_eq!(words("euler:xyz").as_deref(), Ok("roll-pitch-yaw"));
         assert_eq!(words("rotvec").as_deref(), Ok("rotation vector"));
         assert_eq!(words("euler:ZYX").as_deref(), Ok("moving-axes ZYX angles"));

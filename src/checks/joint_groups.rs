@@ -1,11 +1,14 @@
 //! Combines joints with the same fault into one finding.
 
-use crate::checks::Judged;
+use crate::checks::SubjectResult;
 use crate::evidence::ArmEvidence;
 use crate::finding::Subject;
 
 /// Groups faults, given with their joint index, by equality. Groups are in the order of their first member.
-pub fn alike<T>(faults: Vec<(usize, T)>, is_same: impl Fn(&T, &T) -> bool) -> Vec<Vec<(usize, T)>> {
+pub fn group_equal<T>(
+    faults: Vec<(usize, T)>,
+    is_same: impl Fn(&T, &T) -> bool,
+) -> Vec<Vec<(usize, T)>> {
     let mut groups: Vec<Vec<(usize, T)>> = Vec::new();
     for fault in faults {
         let known = groups.iter_mut().find(|group| is_same(&group[0].1, &fault.1));
@@ -18,7 +21,7 @@ pub fn alike<T>(faults: Vec<(usize, T)>, is_same: impl Fn(&T, &T) -> bool) -> Ve
 }
 
 /// Subject of one finding: the joint, or the topic if there are several joints.
-pub fn subject(arm: &ArmEvidence, topic: &str, joints: &[usize]) -> Subject {
+pub fn group_subject(arm: &ArmEvidence, topic: &str, joints: &[usize]) -> Subject {
     let topic = arm.topic(topic);
     match joints {
         [joint] => Subject { joint: arm.joint(*joint).joint, ..topic },
@@ -27,7 +30,7 @@ pub fn subject(arm: &ArmEvidence, topic: &str, joints: &[usize]) -> Subject {
 }
 
 /// Message prefix with the number of joints; empty for one joint, which is the subject.
-pub fn prefix(arm: &ArmEvidence, joints: &[usize]) -> String {
+pub fn group_prefix(arm: &ArmEvidence, joints: &[usize]) -> String {
     match joints.len() {
         1 => String::new(),
         count if count == arm.joints.len() => "all joints: ".to_owned(),
@@ -36,7 +39,11 @@ pub fn prefix(arm: &ArmEvidence, joints: &[usize]) -> String {
 }
 
 /// Adds the names of several joints to the evidence.
-pub fn listed(judged: Judged, arm: &ArmEvidence, joints: &[usize]) -> Judged {
+pub fn with_joint_names(
+    judged: SubjectResult,
+    arm: &ArmEvidence,
+    joints: &[usize],
+) -> SubjectResult {
     let name = |joint: &usize| arm.joints.get(*joint).map(|joint| joint.name.clone());
     match joints {
         [_] => judged,
