@@ -1,6 +1,6 @@
 //! Checks the declared convention of a DH table by the residual of the arm's streams under each convention.
 
-use super::nominal::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD};
+use super::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD};
 use super::{ArmDiagnosis, PoseDiagnosis};
 
 /// Minimum ratio of the residuals under the two conventions.

@@ -1,9 +1,9 @@
 //! Constant frame errors: initial guesses for the fit, and the resulting estimates.
 
 use super::constant::{mean_rotation, wahba};
-use super::explain::{CandidateCauses, Cause, SelectedModel};
 use super::model::{PoseObservations, PredictionBuffers, StreamState, pose_of_twist, twist_of};
-use super::placing::FkColumns;
+use super::model_selection::{CandidateCauses, Cause, SelectedModel};
+use super::position_fit::FkColumns;
 use super::{EstimateResult, FrameEstimate, Measured, NotObservable};
 use ground::geometry::{
     Pose, Rotation, Vec3, angle_between, pose, rotation_from_matrix_rows, rotation_from_rotvec,

@@ -5,8 +5,8 @@
 //!
 //! # Input
 //! A `JointTrack` with joint positions `q` and velocities, and for each pose stream a [`PoseStream`]: the
-//! logged poses, the kinematic chain from its reference link to its tip, and whether its reference frame is
-//! known. Times are in seconds from the run's origin.
+//! logged poses, the kinematic chain from its reference link to its tip, and whether its reference frame
+//! is known. Times are in seconds from the run's origin.
 //!
 //! # Measurement model (`model`)
 //! ```text
@@ -21,47 +21,50 @@
 //! - The noise is white plus first-order autoregressive (`noise`), with Huber weights for outliers
 //!   (`robust`).
 //!
-//! # Steps for an arm (`diagnose_with_latency_compensation` in `steady`)
-//! 1. `large` estimates large latency steps and ramps from speeds. `steady` removes them from the stamps.
+//! # Steps for an arm (`diagnose_with_latency_compensation` in `latency_compensation`)
+//! 1. `coarse_latency` estimates large latency steps and ramps from speeds. `latency_compensation` removes
+//!    them from the stamps.
 //! 2. `latency` cross-correlates speeds to find candidate lags.
-//! 3. `placement` and `layout` determine the position encoding, `joints` the joint names and units. Both
-//!    use positions, before any rotation is decoded. `prepare`, `turning` and `encoding` then determine the
-//!    rotation encoding.
-//! 4. `arm::fit` fits all streams together. `frames` provides starting points, `explain` selects causes and
-//!    iterates Gauss–Newton, and `harmless` replaces a moved reference by a tool if both fit.
-//! 5. `is_nominal` and `drawing` add link deviations as random effects. Causes that these explain as well are
-//!    dropped.
+//! 3. `position_encoding` and `axis_convention` determine the position encoding, `joints` the joint names
+//!    and units. Both use positions, before any rotation is decoded. `decoded_stream`,
+//!    `orientation_samples` and `rotation_encoding` then determine the rotation encoding.
+//! 4. `arm::fit` fits all streams together. `frames` provides starting points, `model_selection` selects
+//!    causes and iterates Gauss–Newton, and `prefer_tool` replaces a moved reference by a tool if both
+//!    fit.
+//! 5. `nominal_model` and `link_deviations` add link deviations as random effects. Causes that these
+//!    explain as well are dropped.
 //! 6. `arm::stream` and `arm::zeros` compute values, intervals and confounders; `residual` computes the
-//!    excess residual and `latency_profile` the latency profile. `steady` compensates a variable latency and repeats
-//!    steps 2 to 6.
-//! 7. `compliance` (backlash, sag, eccentricity) and `has_changes` (change points) are competing models for a
+//!    excess residual and `latency_profile` the latency profile. `latency_compensation` compensates a
+//!    variable latency and repeats steps 2 to 6.
+//! 7. `compliance` (backlash, sag, eccentricity) and `changes` (change points) are competing models for a
 //!    remaining residual. Each corrects the run and repeats steps 2 to 6. It is accepted only if the
 //!    residual becomes much smaller.
 //!
-//! Streams computed from the joint states, such as /tf, are compared with these alone (`diagnose_derived`).
-//! IMUs are compared with FK of the corrected joint states (`imu`).
+//! Streams computed from the joint states, such as /tf, are compared with these alone
+//! (`diagnose_derived`). IMUs are compared with FK of the corrected joint states (`imu`).
 //!
-//! # Selection of causes (`explain`)
+//! # Selection of causes (`model_selection`)
 //! The latency of a moving stream and an unknown reference frame are always free. Candidate causes are the
 //! joint zeros, and per stream the skew, radial scale, reference and tool. The model is linearised once
-//! with all of them. Each set of causes then has the score `rᵀWr` after its least-squares step plus `ln n +
-//! 8` per parameter, with `n` the number of independent residuals. Sets of up to four causes (three if
-//! there are more than 16) are compared exhaustively, larger ones by greedy addition and pruning. Sets with
-//! a cause nearly equal to a combination of the others are rejected. Selection and steps alternate until
-//! both converge. This is repeated from every starting point, and the least `Σ n·ln σ²` plus price wins.
+//! with all of them. Each set of causes then has the score `rᵀWr` after its least-squares step plus
+//! `ln n + 8` per parameter, with `n` the number of independent residuals. Sets of up to four causes
+//! (three if there are more than 16) are compared exhaustively, larger ones by greedy addition and
+//! pruning. Sets with a cause nearly equal to a combination of the others are rejected. Selection and
+//! steps alternate until both converge. This is repeated from every starting point, and the least
+//! `Σ n·ln σ²` plus price wins.
 //!
 //! # Checks
-//! `check_residual` compares each stream with FK without the estimators, as logged and corrected. `residual`
-//! cross-validates whether the residual repeats with the configuration. `observability` lists the
-//! parameters that the motion does not determine.
+//! `residual_check` compares each stream with FK without the estimators, as logged and corrected.
+//! `residual` cross-validates whether the residual repeats with the configuration. `observability` lists
+//! the parameters that the motion does not determine.
 //!
 //! # Output
 //! An [`ArmDiagnosis`]. Each estimate is a [`Measured`] (value, standard error, degrees of freedom) or the
 //! [`NotObservable`] reason why it does not exist, and states whether its cause was selected.
 //!
-//! The remaining modules are separate estimators: `columns` identifies table columns, `fit_model` the arm
-//! model, and `handeye`, `calibration`, `plan`, `reference`, `velocity`, `estimate_vibration`, `workspace` and `estimate_trend`
-//! do as their names say.
+//! The remaining modules are separate estimators: `columns` identifies table columns, `model_fit` the arm
+//! model, and `handeye`, `calibration`, `plan`, `reference`, `velocity`, `vibration`, `workspace` and
+//! `trend` do as their names say.
 #![warn(missing_docs, clippy::unwrap_used)]
 
 #[cfg(test)]
@@ -71,55 +74,55 @@ mod test_motion;
 mod test_random;
 
 mod aligned;
-mod alternation;
 mod arm;
-mod bends;
+mod axis_convention;
 mod calibration;
-mod carried;
 mod changes;
+mod coarse_latency;
 mod columns;
+mod competing_model;
+mod compliance;
 mod constant;
-mod course;
+mod decoded_stream;
+mod delay_jitter;
 mod dh;
-mod drawing;
-mod explain;
 mod frames;
-mod gradual;
 mod handeye;
-mod harmless;
 mod imu;
 mod joints;
-mod lag;
-mod large;
 mod latency;
-mod layout;
+mod latency_compensation;
+mod latency_profile;
+mod latency_ramp;
+mod latency_residual;
+mod latency_steps;
 mod linear;
+mod link_deviations;
 mod model;
 mod model_fit;
+mod model_selection;
 mod motion;
+mod moving_base;
 mod noise;
-mod nominal;
+mod nominal_model;
 mod observability;
-mod placement;
-mod placing;
+mod orientation_samples;
 pub mod plan;
-mod prepare;
-mod proof;
-mod reading;
+mod position_encoding;
+mod position_fit;
+mod prefer_tool;
 mod reference;
-mod reread;
+mod reinterpret;
 mod residual;
+mod residual_check;
 mod response;
-mod rival;
 mod robust;
+mod rotation_encoding;
 mod sampling;
-mod shake;
-mod skewed;
-mod steady;
-mod steps;
+mod tool_switching;
 mod trend;
-mod turning;
 mod velocity;
+mod vibration;
 mod workspace;
 
 use ground::geometry::{
@@ -130,22 +133,23 @@ use ground::robot::Chain;
 use ground::stream::PoseTrack;
 
 pub use aligned::{AlignedSamples, PoseDistances};
-pub use alternation::{SwitchedTool, ToolSwitching, detect_tool_switching};
 pub use arm::{best_lag_peak, candidate_lags, diagnose_arm, diagnose_derived};
-pub use bends::{BacklashCrossing, ComplianceShape, JointCompliance, JointSag};
 pub use calibration::{
     ArmCalibration, CalibrationFailure, CalibrationResidual, CalibrationStream, FkUncertainty,
     LinkParameter, StreamCalibration, UndeterminedDirection, calibrate_arm,
 };
-pub use carried::{BaseMotion, MovingBaseLag, detect_base_motion, estimate_moving_base_lag};
 pub use changes::{ChangePoint, EncodingSpans, FrameChange, JointChange, JointPatch, ScalarChange};
+use coarse_latency::{
+    CoarseLatencyChange, detect_imu_latency_changes, detect_pose_latency_changes,
+};
 pub use columns::{
     ColumnContent, ColumnMapping, GroupShift, JointColumns, JointValueUnit, MappingConstraints,
     NumericTable,
 };
-pub use course::{LatencyProfile, LatencyShape, LatencyStep};
+pub use competing_model::{is_seen_from_tool, position_misfit_m};
+pub use compliance::{BacklashCrossing, ComplianceShape, JointCompliance, JointSag};
+pub use delay_jitter::DelayJitter;
 pub use dh::{DhComparison, DhConventionResult, DhResidual, DhStreamResiduals, fault_count};
-pub use gradual::LatencyRamp;
 pub use ground::stats::{Measured, MeasuredLength};
 pub use handeye::{
     CameraMount, CameraPose, ClosureError, HandEyeDiagnosis, HandEyeSolution, HandEyeStreams,
@@ -161,35 +165,38 @@ pub use imu::{
 pub use joints::{
     Confounder, JointCoupling, JointEncoding, JointOffset, JointScale, JointUnit, JointUnitError,
 };
-pub use lag::{LatencyResidual, residual_by_latency};
-use large::{CoarseLatencyChange, detect_imu_latency_changes, detect_pose_latency_changes};
 pub use latency::LagPeak;
+pub use latency_compensation::{
+    compensate_latency, diagnose_imu_with_latency_compensation, diagnose_with_latency_compensation,
+};
+pub use latency_profile::{LatencyProfile, LatencyShape, LatencyStep};
+pub use latency_ramp::LatencyRamp;
+pub use latency_residual::{LatencyResidual, residual_by_latency};
 pub use model_fit::{FitAssumption, FitHypotheses, HypothesisFit, ModelFit, ScoredFit, fit_model};
 pub use motion::{
     JointSampleKind, LimitViolation, PeakAcceleration, peak_acceleration, position_violation,
     rates, speed_violation, speed_violation_from_positions,
 };
+pub use moving_base::{BaseMotion, MovingBaseLag, detect_base_motion, estimate_moving_base_lag};
 pub use observability::{Observability, StreamParameter, WeakDirection};
-pub use proof::{
-    ErrorMagnitude, ErrorSize, FkError, PartError, ResidualCheck, SampleNoise, check_residual,
-};
 pub use reference::{
     CommandDelay, CommandTracking, CommandedArm, CommandedLine, Commands, DelayFailure,
     LineDeviation, ReferenceDiagnosis, RestError, RestErrorSpread, diagnose_reference,
     estimate_joint_delays, estimate_pose_delay, infer_joint_order,
 };
-pub use reread::{IntendedEncoding, reinterpret_poses};
-pub use response::Response;
-pub use rival::{is_seen_from_tool, position_misfit_m};
-pub use sampling::row_blocks;
-pub use shake::{Vibration, VibrationFailure, VibrationPath, estimate_vibration, vibration_path};
-pub use skewed::DelayJitter;
-pub use steady::{
-    compensate_latency, diagnose_imu_with_latency_compensation, diagnose_with_latency_compensation,
+pub use reinterpret::{IntendedEncoding, reinterpret_poses};
+pub use residual_check::{
+    ErrorMagnitude, ErrorSize, FkError, PartError, ResidualCheck, SampleNoise, check_residual,
 };
+pub use response::Response;
+pub use sampling::row_blocks;
+pub use tool_switching::{SwitchedTool, ToolSwitching, detect_tool_switching};
 pub use trend::{MIN_RUNS, RunEstimate, Trend, TrendStep, estimate_trend};
 pub use velocity::{
     VelocityDiagnosis, VelocitySamples, VelocityShape, diagnose_velocity, encoder_step,
+};
+pub use vibration::{
+    Vibration, VibrationFailure, VibrationPath, estimate_vibration, vibration_path,
 };
 pub use workspace::{
     CELL_SIZE_M, JointSpan, MIN_CONFIGURATION_DIFFERENCE, MIN_ORIENTATION_DIFFERENCE_RAD,
@@ -518,7 +525,7 @@ impl PoseDiagnosis {
             self.aligned.fk_at_truth.iter().map(|pose| pose.translation.vector).collect();
         let left_m = self.residual.as_ref().map_or(0.0, |residual| residual.excess_m.value);
         left_m > MIN_LARGE_RESIDUAL_M
-            && left_m > joints::MAX_FOLLOWING_RESIDUAL_SHARE * placing::spread(&fk)
+            && left_m > joints::MAX_FOLLOWING_RESIDUAL_SHARE * position_fit::spread(&fk)
     }
 
     /// Whether the motion is periodic, so that all other findings may belong to a wrong lag.

@@ -9,8 +9,8 @@
 use super::PoseStream;
 use super::latency::{joint_activity, lag_peaks, linear_speed};
 use super::model::pose_of_twist;
-use super::placement::metres_by_size;
-use super::placing::FkColumns;
+use super::position_encoding::metres_by_size;
+use super::position_fit::FkColumns;
 use super::sampling::slow_samples;
 use ground::geometry::{Pose, Vec3};
 use ground::robot::JointKind;
@@ -159,7 +159,7 @@ impl ModelFit {
     /// Price of a tool: the cheapest of a link deviation, an offset along the flange axis, and an arbitrary
     /// tool.
     fn tool_price(&self, tool_m: &Vec3) -> f64 {
-        let each = super::explain::price(self.effective_samples());
+        let each = super::model_selection::price(self.effective_samples());
         let deviation = |length_m: f64| 0.5 * (length_m / DEVIATION_PRIOR_M).powi(2);
         let prior = (tool_m.norm() / TOOL_PRIOR_M).powi(2);
         let along_axis = each + deviation(tool_m.xy().norm()) + prior;
@@ -169,7 +169,8 @@ impl ModelFit {
     /// Score of a residual with `parameters` fitted parameters.
     fn price(&self, left_m: f64, parameters: f64) -> f64 {
         let n = self.effective_samples();
-        n * (left_m.powi(2) + RESIDUAL_FLOOR_M.powi(2)).ln() + super::explain::price(n) * parameters
+        n * (left_m.powi(2) + RESIDUAL_FLOOR_M.powi(2)).ln()
+            + super::model_selection::price(n) * parameters
     }
 
     fn effective_samples(&self) -> f64 {
@@ -241,7 +242,7 @@ pub(super) fn tool_fit(
 /// Price of a free frame for a stream with this many samples.
 pub(super) fn frame_price(samples: usize) -> f64 {
     let free = FitAssumption::Reference { tool: false }.parameters() as f64;
-    free * super::explain::price((samples as f64).min(MAX_EFFECTIVE_SAMPLES))
+    free * super::model_selection::price((samples as f64).min(MAX_EFFECTIVE_SAMPLES))
 }
 
 /// Candidate latencies from the correlation of stream speed and joint activity, and zero.
@@ -317,7 +318,7 @@ impl<'a> StreamWithFk<'a> {
         let as_is = self.solve(self.initial_parameters(), &[0], ToolPrior::None);
         ModelFit {
             samples: self.t_s.len(),
-            spread_m: super::placing::spread(&self.xyz),
+            spread_m: super::position_fit::spread(&self.xyz),
             as_is_m: as_is.0,
             fits: ways,
         }

@@ -8,7 +8,7 @@
 use super::linear::{Linear, Normal};
 use super::model::{PoseObservations, StreamState};
 use super::noise::Noise;
-use super::nominal::{FreeAlongside, damped, link_frames};
+use super::nominal_model::{FreeAlongside, damped, link_frames};
 use super::{AlignedSamples, EstimateResult, Measured, NotObservable, StreamResidual};
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use nalgebra::DVector;

@@ -82,7 +82,8 @@ fn check(case: &Case) -> Vec<SubjectResult> {
         let found = match Disagreement::estimate(case, diagnosis) {
             Ok(found) => found,
             Err(why) => {
-                return SubjectResult::new(subject, not_observable(why, SETTLE)).within(stream.span);
+                return SubjectResult::new(subject, not_observable(why, SETTLE))
+                    .within(stream.span);
             }
         };
         if let (Decision::Fail(_), Some(what)) = (&found.decision, misread(arm)) {

@@ -1,8 +1,8 @@
 //! Aligns a stream's samples with FK, before and after correction.
 
-use crate::explain::SelectedModel;
+use crate::decoded_stream::DecodedStream;
 use crate::model::{ExcludedComponents, PoseObservations, PredictionBuffers, StreamState};
-use crate::prepare::DecodedStream;
+use crate::model_selection::SelectedModel;
 use crate::{AlignedSamples, PoseStream};
 use ground::geometry::pose;
 use ground::stream::{JointTrack, Orientations};

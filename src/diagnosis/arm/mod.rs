@@ -1,24 +1,24 @@
 //! Joint estimation of the arm and its pose streams.
 
 mod align;
+mod confounders;
 mod fit;
 mod stream;
-mod twins;
 mod zeros;
 
 use std::borrow::Cow;
 use std::cell::LazyCell;
 
-use super::bends::apply_compliance;
+use super::compliance::apply_compliance;
+use super::decoded_stream::{DecodedStream, decode_stream};
 use super::joints::{
     CorrectedJoints, ResidualSize, correct_joints, estimate_joint_encoding, follows_arm,
     likely_encodings, other_encoding,
 };
 use super::latency::{ArmSpeeds, LagPeak};
-use super::nominal::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD};
-use super::placement::{PositionEncodingEstimate, metres_by_reach};
-use super::placing::spread;
-use super::prepare::{DecodedStream, decode_stream};
+use super::nominal_model::{MAX_TIP_CHANGE_M, MAX_TIP_CHANGE_RAD};
+use super::position_encoding::{PositionEncodingEstimate, metres_by_reach};
+use super::position_fit::spread;
 use super::sampling::{as_rotations, stream_lag_s, stream_peaks};
 use super::{
     ArmDiagnosis, EstimateResult, FrameCorrection, JointChange, JointCoupling, JointDiagnosis,

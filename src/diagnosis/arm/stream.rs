@@ -1,20 +1,20 @@
 //! Diagnosis of one stream from a fit.
 
 use super::align::align;
+use super::confounders::measured;
 use super::fit::{ArmFit, without_small_causes};
-use super::twins::measured;
-use crate::course::latency_profile;
-use crate::explain::{Cause, MIN_CAUSE_SEPARATION, SelectedModel};
+use crate::decoded_stream::DecodedStream;
+use crate::delay_jitter::{DelayJitter, estimate_delay_jitter};
 use crate::frames::{frame_estimate, with_frames_from_positions};
 use crate::latency::median_period_s;
+use crate::latency_profile::latency_profile;
 use crate::model::StreamState;
-use crate::nominal::link_deviations_beat_profile;
+use crate::model_selection::{Cause, MIN_CAUSE_SEPARATION, SelectedModel};
+use crate::nominal_model::link_deviations_beat_profile;
 use crate::observability::Observability;
-use crate::placement::PositionEncodingEstimate;
-use crate::prepare::DecodedStream;
+use crate::position_encoding::PositionEncodingEstimate;
 use crate::residual::excess_residual;
 use crate::sampling::MAX_SEARCH_SAMPLES;
-use crate::skewed::{DelayJitter, estimate_delay_jitter};
 use crate::{
     AlignedSamples, AxesError, ConstantCoordinate, EncodingSpans, EstimateResult, FrameCorrection,
     LatencyProfile, LengthUnitError, Measured, NotObservable, PoseDiagnosis, PoseStream,

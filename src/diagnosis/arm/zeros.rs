@@ -1,10 +1,10 @@
 //! Joint estimates of a fit: offsets, scales and couplings.
 
+use super::confounders::{confounders, frame_confounders, measured};
 use super::fit::ArmFit;
-use super::twins::{confounders, frame_confounders, measured};
-use crate::explain::Cause;
+use crate::decoded_stream::DecodedStream;
 use crate::joints::{CorrectedJoints, half_turns};
-use crate::prepare::DecodedStream;
+use crate::model_selection::Cause;
 use crate::{JointCoupling, JointOffset, JointScale, Measured, NotObservable};
 use ground::geometry::Vec3;
 use ground::robot::JointKind;

@@ -7,10 +7,10 @@ use super::{
     ArmCalibration, CalibrationFailure, CalibrationResidual, CalibrationStream, StreamCalibration,
 };
 use crate::Measured;
-use crate::drawing::DEVIATION_GRID_M;
 use crate::linear::{Linear, Normal, Weight};
+use crate::link_deviations::DEVIATION_GRID_M;
 use crate::model::{ExcludedComponents, PoseObservations, StreamState, ToolPart, pose_of_twist};
-use crate::nominal::{FreeAlongside, link_frames};
+use crate::nominal_model::{FreeAlongside, link_frames};
 use ground::geometry::{Pose, Vec3};
 use ground::robot::{Chain, LinkPath, Robot};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};

@@ -12,8 +12,8 @@ use ground::robot::LinkPath;
 use nalgebra::{DMatrix, DVector};
 
 /// Ratio of angular to linear link deviations, rad/m: 0.1° per mm.
-pub(super) use crate::drawing::RAD_PER_M;
-use crate::nominal::FREE_PRIOR;
+pub(super) use crate::link_deviations::RAD_PER_M;
+use crate::nominal_model::FREE_PRIOR;
 
 /// Parameters of all streams of one arm. Links and zeros, which are shared, come first.
 pub(super) struct CalibrationParameters {
@@ -119,7 +119,7 @@ impl CalibrationParameters {
         DMatrix::from_diagonal(&DVector::from_vec(precision).map(f64::recip))
     }
 
-    /// Mapping from the parameters to the columns of [`crate::nominal::link_frames`] for a stream: its
+    /// Mapping from the parameters to the columns of [`crate::nominal_model::link_frames`] for a stream: its
     /// reference, each joint's child link, the latency, the zeros.
     pub fn columns_of(&self, stream: usize) -> DMatrix<f64> {
         let own = self.free_parameters[stream];

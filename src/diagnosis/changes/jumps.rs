@@ -2,7 +2,7 @@
 //! explain.
 
 use crate::latency::median_period_s;
-use crate::proof::align_with_fk;
+use crate::residual_check::align_with_fk;
 use crate::{AlignedSamples, PoseStream};
 use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
 use ground::stats::{median, quantile};

@@ -7,17 +7,17 @@
 //! differences are then corrected, and the whole run is diagnosed as if nothing had changed. The change
 //! points are reported only if this reduces the residual substantially.
 
-mod coding;
+mod change_points;
 mod constant;
-mod cut;
-mod found;
+mod encoding_changes;
 mod jumps;
-mod told;
-mod weigh;
+mod justification;
+mod report;
+mod split_run;
 
 use super::arm::{diagnose_arm, diagnose_other_segment};
-use super::bends::diagnose_with_compliance;
-use super::proof::align_with_fk;
+use super::compliance::diagnose_with_compliance;
+use super::residual_check::align_with_fk;
 use super::sampling::stream_lag_s;
 use super::{
     ArmDiagnosis, EstimateResult, FrameEstimate, JointDiagnosis, PoseDiagnosis, PoseStream,
@@ -26,15 +26,17 @@ use ground::geometry::Pose;
 use ground::stats::Measured;
 use ground::stream::{JointTrack, Orientations, PoseTrack};
 
-use coding::is_same_encoding;
+pub use change_points::{
+    ChangePoint, EncodingSpans, FrameChange, JointChange, JointPatch, ScalarChange,
+};
 pub(super) use constant::constant_frames_suffice;
-use cut::{MIN_SEGMENT_SAMPLES, Span, SplitRun};
-pub use found::{ChangePoint, EncodingSpans, FrameChange, JointChange, JointPatch, ScalarChange};
+use encoding_changes::is_same_encoding;
 use jumps::{Jump, jumps_in_joints};
-use weigh::is_justified;
-pub(super) use weigh::{
+use justification::is_justified;
+pub(super) use justification::{
     has_large_residual, has_latency_steps, has_slow_residual, log_likelihood_gain, residual_m,
 };
+use split_run::{MIN_SEGMENT_SAMPLES, Span, SplitRun};
 
 /// Maximum residual of a segment, as a multiple of the baseline segment's residual; and a floor for it, m.
 const MAX_RESIDUAL_RATIO: f64 = 4.0;

@@ -8,13 +8,13 @@
 use std::f64::consts::PI;
 
 mod at_base;
-mod likeness;
+mod content;
 mod linear;
 mod numbers;
+mod rotation_columns;
 mod tracks;
-mod turning;
 
-pub use likeness::{ColumnContent, GroupShift};
+pub use content::{ColumnContent, GroupShift};
 pub use numbers::JointValueUnit;
 
 use linear::{centred, most_active_window, residual_squares};
@@ -24,7 +24,7 @@ use serde::{Deserialize, Serialize};
 
 use super::PoseStream;
 use super::model_fit::{ScoredFit, extent, frame_price, tool_fit};
-use super::placement::metres_by_size;
+use super::position_encoding::metres_by_size;
 use ground::robot::Chain;
 use ground::stream::sample_noise;
 

@@ -17,10 +17,10 @@
 mod closure;
 mod diversity;
 mod fit;
-mod reading;
 mod series;
 mod start;
-mod stretch;
+mod target_encoding;
+mod target_scale;
 
 use super::latency::{self, LagPeak, SpeedSeries};
 use super::{EstimateResult, FrameEstimate, NotObservable};
@@ -32,11 +32,11 @@ use diversity::rotation_diversity;
 pub use fit::TargetScale;
 use fit::{HandEyeFit, fit};
 pub(super) use fit::{WIDTH, design};
-pub use reading::TargetEncoding;
-use reading::{DecodedTarget, better_encoding};
 use series::HandEyeSetting;
 pub use series::PoseSeries;
-pub use stretch::TargetScaleError;
+pub use target_encoding::TargetEncoding;
+use target_encoding::{DecodedTarget, better_encoding};
+pub use target_scale::TargetScaleError;
 
 /// Maximum number of poses in the fit; longer streams are thinned evenly.
 pub(super) const MAX_FIT_POSES: usize = 500;

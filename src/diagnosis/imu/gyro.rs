@@ -4,17 +4,17 @@
 //! windows and compared with the rotation by FK between their ends (preintegration: Forster et al.,
 //! "On-manifold preintegration", IEEE T-RO 2017, with its first-order derivatives). Windows are as short as
 //! the joints' noise allows, because short windows determine latency and mount better. Bias steps, bias
-//! warm-up and a slip in the mount are detected by [`super::change`].
+//! warm-up and a slip in the mount are detected by [`super::extension_tests`].
 
 mod changes;
 
-use super::super::course::{LatencySample, fit_profile};
 use super::super::latency::median_period_s;
+use super::super::latency_profile::{LatencySample, fit_profile};
 use super::super::linear::Linear;
 use super::super::{
     EstimateResult, GyroBias, GyroScaleError, LatencyProfile, Measured, NotObservable,
 };
-use super::found::{GyroAxesRotation, GyroBiasChange, GyroBiasProfile, ImuMountChange};
+use super::estimates::{GyroAxesRotation, GyroBiasChange, GyroBiasProfile, ImuMountChange};
 use super::solve::{DesignNoise, Model, Solved, lengths, solve};
 use super::{
     Clock, Delay, Link, MIN_FIT_SAMPLES, MIN_ROTATION_RAD, SKEW_SIGNIFICANCE, add_block, explains,

@@ -7,12 +7,12 @@
 //! includes the estimated joint offsets: an uncorrected wrist zero of 1° looks like 0.6 °/min of drift and
 //! 0.9° of mount error.
 
-mod change;
-mod found;
+mod estimates;
+mod extension_tests;
 mod gyro;
-mod held;
 mod numbers;
 mod orientation;
+mod residual_check;
 mod solve;
 #[cfg(test)]
 mod tests;
@@ -23,16 +23,16 @@ use super::constant::{mean_rotation, wahba};
 use super::latency::{
     ArmSpeeds, LagPeak, angular_speed, correlation_by_lag, lag_peaks, norm_series,
 };
-use super::reread::decode_rotations;
+use super::reinterpret::decode_rotations;
 use super::sampling::{REST_SIGMAS, rest_speeds};
 use super::{AxesError, EstimateResult, IntendedEncoding, Measured, NotObservable, PoseEncoding};
-pub use found::{
+pub use estimates::{
     GyroAxesRotation, GyroBias, GyroBiasChange, GyroBiasProfile, GyroScaleError, HeadingError,
     HeadingPair, ImuDiagnosis, ImuMountChange, ImuStream, UpDirections, YawJump, YawProfile,
     YawWarmUp,
 };
-pub use held::{GyroResidual, ImuResidualCheck, check_imu_residual};
 pub use numbers::{AccelUnit, AccelUnitError, GyroSaturation, ImuConventions};
+pub use residual_check::{GyroResidual, ImuResidualCheck, check_imu_residual};
 
 use ground::geometry::{Rotation, Vec3, angle_between};
 use ground::stream::{ImuTrack, JointTrack, sample_noise};

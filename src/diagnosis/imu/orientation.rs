@@ -5,10 +5,10 @@
 mod forms;
 
 use super::super::constant::mean_rotation;
-use super::super::course::{LatencySample, fit_profile};
+use super::super::latency_profile::{LatencySample, fit_profile};
 use super::super::linear::Linear;
 use super::super::model::FLOOR_RAD;
-use super::super::reading::{
+use super::super::rotation_encoding::{
     EncodingFit, LoggedRotations, RotationCorrections, RotationSamples, decode_nearest,
     estimate_encoding_with_gravity,
 };
@@ -16,7 +16,7 @@ use super::super::{
     EncodingEstimate, EstimateResult, HeadingPair, LatencyProfile, Measured, NotObservable,
     YawProfile,
 };
-use super::found::ImuMountChange;
+use super::estimates::ImuMountChange;
 use super::solve::{DesignNoise, Model, Solved, lengths, solve};
 use super::yaw::{self, YawDecomposition};
 use super::{

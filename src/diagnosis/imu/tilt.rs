@@ -2,7 +2,7 @@
 
 use super::super::{EstimateResult, NotObservable};
 use super::Link;
-use super::found::UpDirections;
+use super::estimates::UpDirections;
 use ground::geometry::{Rotation, Vec3};
 use ground::stats::MeasuredLength;
 use nalgebra::DMatrix;

@@ -4,14 +4,14 @@
 //! Each unit and joint order is compared with them, with a constant tool offset or a rotated reference
 //! frame free.
 
-mod found;
-mod lone;
+mod corrected_joints;
+mod encoding;
+mod interpreted_poses;
 mod map;
 mod moments;
-mod polish;
-mod read;
+mod refinement;
 mod search;
-mod view;
+mod single_joint;
 
 use self::moments::{
     JOINT_ENCODING_SAMPLES, SimultaneousSamples, converted_to_radians, normalize_velocities,
@@ -19,24 +19,24 @@ use self::moments::{
 };
 use super::latency::{joint_activity, lag_peaks, linear_speed};
 use super::model::PoseObservations;
-use super::placing::{FkColumns, spread};
+use super::position_fit::{FkColumns, spread};
 use super::{EstimateResult, NotObservable, PoseStream, UnitResiduals};
-pub use found::{
+pub use encoding::{
     Confounder, JointCoupling, JointEncoding, JointOffset, JointScale, JointUnit, JointUnitError,
 };
 use ground::geometry::{Pose, Rotation, Vec3};
 use ground::robot::{Chain, JointKind};
 use ground::stats::Measured;
 use ground::stream::JointTrack;
-use lone::SingleJoint;
+use interpreted_poses::{ConstantFrames, FRAME_ITERATIONS, FreeFrames, InterpretedPoses};
 use map::{Coupling, JointMap};
 use search::{InterpretationKind, JointInterpretation, SearchOutcome, search_kind};
+use single_joint::SingleJoint;
 use std::borrow::Cow;
-use view::{ConstantFrames, FRAME_ITERATIONS, FreeFrames, InterpretedPoses};
 
+pub(super) use corrected_joints::CorrectedJoints;
+pub(super) use interpreted_poses::ResidualSize;
 pub(super) use map::{half_turns, is_quarter_turn};
-pub(super) use read::CorrectedJoints;
-pub(super) use view::ResidualSize;
 
 /// Minimum reduction of the residual for an interpretation other than the logged one.
 const MIN_RESIDUAL_RATIO: f64 = 5.0;

@@ -5,11 +5,11 @@
 //! or one joint misinterpreted; then another order; then combinations of two. The best proposals of a kind
 //! are refined. If one fits, the search stops.
 
-use super::super::placing::spread;
-use super::lone::SingleJoint;
+use super::super::position_fit::spread;
+use super::interpreted_poses::{ConstantFrames, FreeFrames, InterpretedPoses, ResidualSize};
 use super::map::{Coupling, JointMap, MAX_PERMUTED_JOINTS, arm_interpretations, candidate_orders};
-use super::polish::{JointProposal, RefinedProposal};
-use super::view::{ConstantFrames, FreeFrames, InterpretedPoses, ResidualSize};
+use super::refinement::{JointProposal, RefinedProposal};
+use super::single_joint::SingleJoint;
 use ground::robot::JointKind;
 use rayon::prelude::*;
 use std::f64::consts::TAU;

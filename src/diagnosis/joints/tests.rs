@@ -1,6 +1,6 @@
+use super::interpreted_poses::{FRAME_ITERATIONS, FreeFrames, InterpretedPoses, ResidualSize};
 use super::map::{JointMap, candidate_orders, half_turns};
 use super::search::{InterpretationKind, SearchOutcome, search_kind};
-use super::view::{FRAME_ITERATIONS, FreeFrames, InterpretedPoses, ResidualSize};
 use crate::test_random::Lcg;
 use ground::geometry::{Pose, Vec3, pose, rotation_from_rotvec};
 use ground::robot::{Chain, catalogue};

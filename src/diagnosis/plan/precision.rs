@@ -2,12 +2,12 @@
 
 use super::{Purpose, Sensing};
 use crate::arm::FIT_SAMPLES;
-use crate::drawing::{self, RAD_PER_M, ZERO_PRIOR};
 use crate::handeye;
 use crate::imu;
 use crate::linear::Linear;
+use crate::link_deviations::{self, RAD_PER_M, ZERO_PRIOR};
 use crate::model::{PoseObservations, StreamState, ToolPart};
-use crate::nominal::{FREE_PRIOR, FreeAlongside, LINK_PRIOR_M, LINK_PRIOR_RAD, link_frames};
+use crate::nominal_model::{FREE_PRIOR, FreeAlongside, LINK_PRIOR_M, LINK_PRIOR_RAD, link_frames};
 use crate::robust::pseudo_inverse;
 use ground::geometry::{Rotation, Vec3};
 use ground::robot::{Chain, JointKind};
@@ -266,9 +266,10 @@ impl<'a> LinearizedMotion<'a> {
     pub fn score(&self) -> f64 {
         let all: Vec<usize> = (0..self.joints).collect();
         let (question, most) = match self.purpose {
-            Purpose::Zeros if self.sensing.link_m > 0.0 => {
-                (self.zeros_with_links_query(&all, self.link()), drawing::MAX_DEVIATION_SAMPLES)
-            }
+            Purpose::Zeros if self.sensing.link_m > 0.0 => (
+                self.zeros_with_links_query(&all, self.link()),
+                link_deviations::MAX_DEVIATION_SAMPLES,
+            ),
             Purpose::Zeros => (self.zeros(), FIT_SAMPLES),
             Purpose::Calibration => (self.calibration(), FIT_SAMPLES),
             Purpose::Latency => (self.latency_query(), FIT_SAMPLES),
@@ -304,7 +305,7 @@ impl<'a> LinearizedMotion<'a> {
                 let alone: Vec<ExpectedPrecision> = beside
                     .flat_map(|joint| -> Vec<ExpectedPrecision> {
                         let question = self.zeros_with_links_query(&[joint], self.link());
-                        each(&question, drawing::MAX_DEVIATION_SAMPLES, &|_| {
+                        each(&question, link_deviations::MAX_DEVIATION_SAMPLES, &|_| {
                             PlannedQuantity::ZeroBesideLinks(joint)
                         })
                     })

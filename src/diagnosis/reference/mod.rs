@@ -6,12 +6,12 @@
 //! never approached are counted separately from goals missed by a small distance.
 
 mod delay;
-mod found;
 mod line;
 mod rest;
+mod rest_error;
 
 pub use self::delay::{CommandDelay, DelayFailure, estimate_joint_delays, estimate_pose_delay};
-pub use self::found::{CommandTracking, ReferenceDiagnosis, RestError, RestErrorSpread};
+pub use self::rest_error::{CommandTracking, ReferenceDiagnosis, RestError, RestErrorSpread};
 use super::latency::{ArmSpeeds, LagPeak, median_period_s};
 use super::noise::Noise;
 use super::{EstimateResult, NotObservable, PoseSeries};

@@ -1,7 +1,7 @@
 //! Changes of a gyro's bias and mount within the run.
 
-use super::super::change::{ExtensionTests, ModelExtension};
-use super::super::found::{GyroBiasProfile, ImuMountChange};
+use super::super::estimates::{GyroBiasProfile, ImuMountChange};
+use super::super::extension_tests::{ExtensionTests, ModelExtension};
 use super::super::solve::Solved;
 use super::{FLOOR_RAD_S, GyroModel};
 use ground::geometry::{Rotation, Vec3, rotvec_from_rotation};

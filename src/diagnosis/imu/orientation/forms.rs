@@ -6,8 +6,8 @@
 
 use super::super::super::Measured;
 use super::super::super::model::FLOOR_RAD;
-use super::super::change::{ExtensionTests, ModelExtension};
-use super::super::found::{HeadingError, ImuMountChange, YawWarmUp};
+use super::super::estimates::{HeadingError, ImuMountChange, YawWarmUp};
+use super::super::extension_tests::{ExtensionTests, ModelExtension};
 use super::super::solve::Solved;
 use super::super::yaw;
 use super::{OrientationModel, Settled};

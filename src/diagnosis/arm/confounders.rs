@@ -1,0 +1,95 @@
+//! Estimates of single values of a fit, and their confounders.
+
+use super::fit::ArmFit;
+use crate::model_selection::{Cause, MIN_CAUSE_SEPARATION};
+use crate::{Confounder, EstimateResult, Measured, NotObservable};
+
+/// Estimates parameter `which` of `cause` when `causes` and the always-free causes are free.
+pub(super) fn measured(
+    fitted: &ArmFit,
+    causes: &[Cause],
+    cause: Cause,
+    which: usize,
+) -> EstimateResult<Measured> {
+    let ArmFit { model: explanation, candidates: menu, .. } = fitted;
+    let state = &explanation.state;
+    let mut parameters: Vec<usize> =
+        menu.always.iter().chain(causes).flat_map(|cause| cause.parameters(state)).collect();
+    parameters.sort_unstable();
+    parameters.dedup();
+    let wanted = cause.parameters(state).start + which;
+    let at = parameters.binary_search(&wanted).map_err(|_| NotObservable::NotExcited)?;
+    explanation.linear.measured(&parameters, at, state).ok_or(NotObservable::NotExcited)
+}
+
+/// Confounders of `cause`: causes that explain the log as well in its place.
+pub(super) fn confounders(fitted: &ArmFit, cause: Cause) -> Vec<Confounder> {
+    let ArmFit { model: explanation, candidates: menu, .. } = fitted;
+    let (state, linear) = (&explanation.state, &explanation.linear);
+    let parameters = |causes: &[Cause]| -> Vec<usize> {
+        let mut list: Vec<usize> =
+            menu.always.iter().chain(causes).flat_map(|c| c.parameters(state)).collect();
+        list.sort_unstable();
+        list
+    };
+    let cost = linear.cost(&parameters(&explanation.causes));
+    let rest: Vec<Cause> = explanation.causes.iter().copied().filter(|c| *c != cause).collect();
+    menu.optional
+        .iter()
+        .filter(|other| !explanation.causes.contains(other))
+        .filter_map(|&other| {
+            let swapped: Vec<Cause> = rest.iter().copied().chain([other]).collect();
+            let parameters = parameters(&swapped);
+            if linear.cost(&parameters) > cost + 12.0 {
+                return None;
+            }
+            let values = state.values() + linear.step(&parameters);
+            let own: Vec<f64> = other.parameters(state).map(|p| values[p]).collect();
+            match other {
+                Cause::Zero(joint) => Some(Confounder::JointZero(joint, own[0])),
+                Cause::Reference(s) => Some(Confounder::Reference(s, frame_size(&own))),
+                Cause::Tool(s) => Some(Confounder::Tool(s, frame_size(&own))),
+                Cause::JointScale(_)
+                | Cause::Latency(_)
+                | Cause::Skew(_)
+                | Cause::RadialScale(_) => None,
+            }
+        })
+        .collect()
+}
+
+/// Frames in the selected model that are collinear with the joint offset `cause`.
+pub(super) fn frame_confounders(fitted: &ArmFit, cause: Cause) -> Vec<Confounder> {
+    let ArmFit { model: explanation, candidates: menu, .. } = fitted;
+    let (state, linear) = (&explanation.state, &explanation.linear);
+    let values = state.values();
+    let frames = menu.always.iter().chain(&explanation.causes);
+    let round = (0..state.streams.len()).flat_map(|s| {
+        let stream = &state.streams[s];
+        let reference = stream.round_reference.map(|_| Cause::Reference(s));
+        reference.into_iter().chain(stream.round_tool.map(|_| Cause::Tool(s)))
+    });
+    let round: Vec<Cause> = round.collect();
+    frames
+        .chain(&round)
+        .filter_map(|&frame| {
+            let mut parameters: Vec<usize> = frame.parameters(state).collect();
+            let own: Vec<f64> = parameters.iter().map(|&p| values[p]).collect();
+            parameters.extend(cause.parameters(state));
+            parameters.sort_unstable();
+            let same = linear.normal.separation(&parameters) < MIN_CAUSE_SEPARATION;
+            match frame {
+                Cause::Reference(s) if same => Some(Confounder::Reference(s, frame_size(&own))),
+                Cause::Tool(s) if same => Some(Confounder::Tool(s, frame_size(&own))),
+                _ => None,
+            }
+        })
+        .collect()
+}
+
+/// Size of a frame change: its angle in rad, or its length in m if it does not rotate.
+fn frame_size(twist: &[f64]) -> f64 {
+    let norm = |part: &[f64]| part.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let (length, angle) = (norm(&twist[..3]), norm(&twist[3..]));
+    if angle > 1e-5 { angle } else { length }
+}

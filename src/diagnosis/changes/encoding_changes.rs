@@ -1,0 +1,79 @@
+//! Encodings that differ between segments of a run.
+
+use super::split_run::Span;
+use super::{BaselineSegment, EncodingSpans, OtherSegment};
+use crate::{PoseDiagnosis, PoseEncoding};
+
+impl BaselineSegment {
+    /// Reports the encoding of stream `s` in its diagnosis `after`. If an encoding differs between
+    /// segments, reports the one that is not as logged, with the time span in which it applies.
+    pub(super) fn report_encoding(
+        &self,
+        s: usize,
+        others: &[OtherSegment],
+        after: &mut PoseDiagnosis,
+    ) {
+        let own = &self.found.streams[s];
+        let first = others.iter().find(|other| self.has_other_encoding(s, other));
+        let part = |is_same: EncodingComparison, is_as_logged: fn(&PoseDiagnosis) -> bool| {
+            let its = &first.filter(|first| !is_same(own, &first.own.streams[s]))?.own.streams[s];
+            if !is_as_logged(own) {
+                return Some((own, self.span));
+            }
+            let alike = others.iter().filter(|other| is_same(its, &other.own.streams[s]));
+            alike.map(|other| other.span).reduce(|a, b| (a.0, b.1)).map(|span| (its, span))
+        };
+        let rotation = part(is_same_rotation, is_rotation_as_logged);
+        let degrees = part(is_same_angle_unit, |found| found.degrees.is_none());
+        let length = part(is_same_length_unit, |found| !matches!(found.length_unit, Ok(Some(_))));
+        let axes = part(is_same_axes, |found| !matches!(found.axes, Ok(Some(_))));
+        let [of_rotation, of_degrees, of_length, of_axes] = [rotation, degrees, length, axes]
+            .map(|part: Option<(&PoseDiagnosis, Span)>| part.map_or(own, |(found, _)| found));
+        after.encoding.clone_from(&of_rotation.encoding);
+        after.is_inverted = of_rotation.is_inverted;
+        after.degrees = of_degrees.degrees;
+        after.length_unit.clone_from(&of_length.length_unit);
+        after.axes.clone_from(&of_axes.axes);
+        after.constant_coordinates.clone_from(&own.constant_coordinates);
+        let [rotation, degrees, length, axes] =
+            [rotation, degrees, length, axes].map(|part| part.map(|(_, span)| span));
+        after.encoding_spans = EncodingSpans { rotation, degrees, length, axes };
+    }
+}
+
+/// Compares one aspect of the encoding of two streams.
+type EncodingComparison = fn(&PoseDiagnosis, &PoseDiagnosis) -> bool;
+
+fn is_same_rotation(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
+    let of = |found: &PoseDiagnosis| {
+        let best = found.encoding.as_ref().ok().map(|reading| reading.best);
+        let other = best.filter(|best| !matches!(best, PoseEncoding::AsLogged));
+        (other.map(|best| format!("{best:?}")), found.is_inverted)
+    };
+    of(a) == of(b)
+}
+
+fn is_same_angle_unit(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
+    a.degrees.is_some() == b.degrees.is_some()
+}
+
+fn is_same_length_unit(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
+    let of = |found: &PoseDiagnosis| Some(found.length_unit.as_ref().ok()?.as_ref()?.factor());
+    of(a) == of(b)
+}
+
+fn is_same_axes(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
+    let of = |found: &PoseDiagnosis| found.axes.as_ref().ok().copied().flatten();
+    of(a) == of(b)
+}
+
+/// Returns whether two streams use the same encoding.
+pub(super) fn is_same_encoding(a: &PoseDiagnosis, b: &PoseDiagnosis) -> bool {
+    let all: [EncodingComparison; 4] =
+        [is_same_rotation, is_same_angle_unit, is_same_length_unit, is_same_axes];
+    all.into_iter().all(|same| same(a, b))
+}
+
+fn is_rotation_as_logged(found: &PoseDiagnosis) -> bool {
+    !found.is_inverted && found.encoding.as_ref().is_ok_and(|reading| reading.best.is_as_logged())
+}

@@ -1,0 +1,149 @@
+//! Measures the residual of a run and decides whether change points explain enough of it.
+
+use super::MIN_SEGMENT_SAMPLES;
+use crate::model::{FLOOR_M, FLOOR_RAD};
+use crate::model_selection::price;
+use crate::noise::Noise;
+use crate::residual_check::{ErrorSeries, ErrorSize, PartError};
+use crate::{AlignedSamples, ArmDiagnosis, NotObservable, PoseDiagnosis, StreamResidual};
+use ground::geometry::{Vec3, rotvec_from_rotation};
+
+/// Change points are accepted if they reduce the residual to this fraction.
+const MAX_RESIDUAL_RATIO: f64 = 0.5;
+/// Maximum fraction if the likelihood must also justify them, because the residual is mostly noise.
+const MAX_RESIDUAL_RATIO_BY_LIKELIHOOD: f64 = 0.95;
+/// Upper bound on the residual of a healthy stream, m and rad.
+const HEALTHY_RESIDUAL_M_RAD: [f64; 2] = [0.3e-3, 0.5e-3];
+
+/// Returns whether the residual of a stream exceeds its noise in some segment of the run.
+pub(crate) fn has_large_residual(found: &PoseDiagnosis) -> bool {
+    /// Minimum ratio of residual to noise.
+    const MIN_NOISE_RATIO: f64 = 2.0;
+    let aligned = &found.aligned;
+    let does_not_follow = matches!(found.encoding, Err(NotObservable::DoesNotFollow(_)));
+    if does_not_follow || aligned.t_s.len() < MIN_SEGMENT_SAMPLES {
+        return does_not_follow
+            || found
+                .unusable_reason()
+                .is_some_and(|why| matches!(why, NotObservable::DoesNotFollow(_)));
+    }
+    let moves = vec![true; aligned.t_s.len()];
+    let has_rotation = found.encoding.is_ok();
+    let series = ErrorSeries::from_poses(
+        &aligned.t_s,
+        &aligned.corrected,
+        &aligned.fk_at_truth,
+        has_rotation,
+    );
+    let error = series.error(&moves, true);
+    let is_much = |(size, least): (&ErrorSize, f64)| {
+        size.parts.iter().any(|PartError { magnitude: amount, .. }| {
+            let noise = amount.noise.map_or(0.0, |noise| noise.rms);
+            amount.rms > least.max(MIN_NOISE_RATIO * noise)
+        })
+    };
+    std::iter::once(&error.length).chain(&error.angle).zip(HEALTHY_RESIDUAL_M_RAD).any(is_much)
+}
+
+/// Returns whether the latency of a stream has significant steps.
+pub(crate) fn has_latency_steps(found: &PoseDiagnosis) -> bool {
+    found
+        .latency_profile
+        .as_ref()
+        .is_ok_and(|course| course.is_unsteady && !course.steps.is_empty())
+}
+
+/// Residual of all streams of an arm. Angles are weighted by 0.3 m. A stream that was not decoded counts as
+/// 1 m.
+pub(crate) fn residual_m(found: &ArmDiagnosis) -> f64 {
+    combined_m(found, StreamResidual::combined_m)
+}
+
+/// Excess residual of all streams of an arm, weighted as in [`residual_m`].
+fn excess_m(found: &ArmDiagnosis) -> f64 {
+    combined_m(found, |left| left.excess_m.value.hypot(0.3 * left.excess_rad.value))
+}
+
+fn combined_m(found: &ArmDiagnosis, of: impl Fn(&StreamResidual) -> f64) -> f64 {
+    let of_stream = |found: &PoseDiagnosis| match (&found.residual, &found.encoding) {
+        (Err(_), _) | (_, Err(NotObservable::DoesNotFollow(_))) => 1.0,
+        (Ok(residual), _) => of(residual),
+    };
+    found.streams.iter().map(of_stream).sum()
+}
+
+/// Returns whether the residual of a stream exceeds its noise, or has a mean in some segment that noise
+/// does not explain.
+pub(crate) fn has_slow_residual(found: &PoseDiagnosis) -> bool {
+    /// Number of segments.
+    const SEGMENTS: usize = 10;
+    /// A mean is significant if it exceeds this many standard errors.
+    const MIN_STD_ERRORS: f64 = 6.0;
+    if has_large_residual(found) {
+        return true;
+    }
+    let is_slow = |(left, (floor, little)): (Vec<[f64; 3]>, (f64, f64))| {
+        let parts: Vec<&[[f64; 3]]> =
+            left.chunks(left.len().div_ceil(SEGMENTS).max(MIN_SEGMENT_SAMPLES)).collect();
+        let beside_mean = |part: &&[[f64; 3]]| -> Vec<[f64; 3]> {
+            let mean = mean(part);
+            part.iter().map(|v| (Vec3::from(*v) - mean).into()).collect()
+        };
+        let beside: Vec<[f64; 3]> = parts.iter().flat_map(beside_mean).collect();
+        let noise = Noise::estimate(&beside, &vec![1.0; beside.len()], floor);
+        parts.iter().any(|part| {
+            let variance = 3.0 * noise.sigma.powi(2) * noise.inflation() / part.len() as f64;
+            mean(part).norm() > f64::max(little, MIN_STD_ERRORS * variance.sqrt())
+        })
+    };
+    let floors = [(FLOOR_M, HEALTHY_RESIDUAL_M_RAD[0]), (FLOOR_RAD, HEALTHY_RESIDUAL_M_RAD[1])];
+    residual_vectors(&found.aligned).into_iter().zip(floors).any(is_slow)
+}
+
+fn mean(vectors: &[[f64; 3]]) -> Vec3 {
+    vectors.iter().map(|v| Vec3::from(*v)).sum::<Vec3>() / vectors.len().max(1) as f64
+}
+
+/// Residuals of a stream's samples: position, m, and rotation, rad.
+fn residual_vectors(aligned: &AlignedSamples) -> [Vec<[f64; 3]>; 2] {
+    let both = || aligned.corrected.iter().zip(&aligned.fk_at_truth);
+    let length = both().map(|(is, fk)| (is.translation.vector - fk.translation.vector).into());
+    let turn =
+        both().map(|(is, fk)| rotvec_from_rotation(&(is.rotation * fk.rotation.inverse())).into());
+    [length.collect(), turn.collect()]
+}
+
+/// Returns whether change points with this many `parameters` are justified. They must halve the residual,
+/// or increase the likelihood by more than the price of the parameters (after Chow 1960).
+pub(super) fn is_justified(before: &ArmDiagnosis, after: &ArmDiagnosis, parameters: usize) -> bool {
+    let [was, is] = [before, after].map(residual_m);
+    if is <= MAX_RESIDUAL_RATIO * was {
+        return true;
+    }
+    let (gain, independent) = log_likelihood_gain(before, after);
+    let is_less = is <= MAX_RESIDUAL_RATIO_BY_LIKELIHOOD * was
+        || excess_m(after) <= MAX_RESIDUAL_RATIO * excess_m(before);
+    is_less && gain > price(independent) * parameters as f64
+}
+
+/// Twice the log-likelihood ratio of two diagnoses, and the number of independent samples. The number
+/// accounts for autocorrelation of the residual, so the systematic residual of a wrong model counts as few
+/// samples.
+pub(crate) fn log_likelihood_gain(before: &ArmDiagnosis, after: &ArmDiagnosis) -> (f64, f64) {
+    /// Longest noise correlation, samples. A longer one comes from the motion.
+    const MAX_CORRELATION_SAMPLES: f64 = 200.0;
+    let (mut gain, mut independent) = (0.0, 0.0);
+    for (before, after) in before.streams.iter().zip(&after.streams) {
+        let pairs =
+            residual_vectors(&before.aligned).into_iter().zip(residual_vectors(&after.aligned));
+        for ((before, after), floor) in pairs.zip([FLOOR_M, FLOOR_RAD]) {
+            let noise = |left: &[[f64; 3]]| Noise::estimate(left, &vec![1.0; left.len()], floor);
+            let (was, is) = (noise(&before), noise(&after));
+            let samples = 3.0 * after.len().min(before.len()) as f64;
+            let samples = samples / is.inflation().clamp(1.0, MAX_CORRELATION_SAMPLES);
+            independent += samples;
+            gain += 2.0 * samples * (was.sigma / is.sigma).ln();
+        }
+    }
+    (gain, independent)
+}

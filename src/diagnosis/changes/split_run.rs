@@ -1,0 +1,101 @@
+//! Splits a run into segments.
+
+use std::ops::Range;
+
+use super::jumps::{Jump, detect_jumps, strongest};
+use crate::arm::diagnose_arm;
+use crate::latency_compensation::with_stamps;
+use crate::{ArmDiagnosis, PoseStream};
+use ground::stream::{JointTrack, PoseTrack};
+
+/// Minimum number of samples of some stream in a segment.
+pub(super) const MIN_SEGMENT_SAMPLES: usize = 20;
+
+/// Run that may be split. Change points are on the joint states' clock.
+pub(super) struct SplitRun<'a> {
+    pub joints: &'a JointTrack,
+    pub streams: &'a [PoseStream<'a>],
+    pub is_prismatic: &'a [bool],
+    /// Latency of each stream, s.
+    pub lags: &'a [f64],
+    pub max_lag_s: f64,
+}
+
+/// Segment of a run: start (inclusive) and end (exclusive), s.
+pub(super) type Span = (f64, f64);
+
+impl SplitRun<'_> {
+    /// Change points of streams and joint states, on the joint states' clock.
+    pub fn change_points(&self, found: &ArmDiagnosis, of_joints: Vec<Jump>) -> Vec<Jump> {
+        let of_stream = |s: usize| {
+            let aligned = &found.streams[s].aligned;
+            let jumps =
+                detect_jumps(self.joints, &self.streams[s], aligned, self.lags[s]).into_iter();
+            jumps.map(move |jump| Jump { at_s: jump.at_s - self.lags[s], ..jump })
+        };
+        strongest((0..self.streams.len()).flat_map(of_stream).chain(of_joints).collect())
+    }
+
+    /// Splits the run at `change_points`. A segment that is too short is merged with its neighbour.
+    pub fn split_at(&self, moments: &[Jump]) -> Vec<Span> {
+        let mut parts = Vec::new();
+        let mut from_s = f64::NEG_INFINITY;
+        for to_s in moments.iter().map(|jump| jump.at_s).chain([f64::INFINITY]) {
+            if self.samples((from_s, to_s)) >= MIN_SEGMENT_SAMPLES {
+                parts.push((from_s, to_s));
+                from_s = to_s;
+            } else if let Some((_, end_s)) = parts.last_mut().filter(|_| to_s.is_infinite()) {
+                *end_s = to_s;
+            }
+        }
+        parts
+    }
+
+    /// Rows of a stream in a segment.
+    fn rows(&self, stream: usize, (from_s, to_s): Span) -> Range<usize> {
+        let (t_s, lag_s) = (&self.streams[stream].track.t_s, self.lags[stream]);
+        let [from, to] = [from_s, to_s].map(|at_s| t_s.partition_point(|t_s| *t_s < at_s + lag_s));
+        from..to
+    }
+
+    /// Number of samples in a segment, of the stream that has most.
+    pub fn samples(&self, span: Span) -> usize {
+        (0..self.streams.len()).map(|s| self.rows(s, span).len()).max().unwrap_or(0)
+    }
+
+    fn joints_in(&self, (from_s, to_s): Span) -> JointTrack {
+        let JointTrack { t_s, dof, q, qd, noise } = self.joints;
+        let [from, to] = [from_s, to_s].map(|at_s| t_s.partition_point(|t_s| *t_s < at_s));
+        JointTrack {
+            t_s: t_s[from..to].to_vec(),
+            dof: *dof,
+            q: q[from * dof..to * dof].to_vec(),
+            qd: qd[from * dof..to * dof].to_vec(),
+            noise: noise.clone(),
+        }
+    }
+
+    fn tracks_in(&self, span: Span) -> Vec<PoseTrack> {
+        let track = |s: usize| {
+            let track = self.streams[s].track;
+            let rows: Vec<(usize, f64)> =
+                self.rows(s, span).map(|row| (row, track.t_s[row])).collect();
+            with_stamps(track, &rows)
+        };
+        (0..self.streams.len()).map(track).collect()
+    }
+
+    /// Replaces the tracks of the streams.
+    pub fn with_tracks<'a>(&'a self, tracks: &'a [PoseTrack]) -> Vec<PoseStream<'a>> {
+        let with =
+            |(stream, track): (&PoseStream<'a>, &'a PoseTrack)| PoseStream { track, ..*stream };
+        self.streams.iter().zip(tracks).map(with).collect()
+    }
+
+    /// Diagnoses a segment on its own.
+    pub fn diagnose(&self, span: Span) -> (JointTrack, ArmDiagnosis) {
+        let (joints, tracks) = (self.joints_in(span), self.tracks_in(span));
+        let found = diagnose_arm(&joints, &self.with_tracks(&tracks), self.max_lag_s);
+        (joints, found)
+    }
+}

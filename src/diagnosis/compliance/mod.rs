@@ -1,0 +1,424 @@
+//! Joint compliance: backlash, sag under gravity, and eccentric gears or encoders.
+//!
+//! Backlash resembles a latency and sag resembles a joint zero. The selected model may therefore report
+//! those instead and keep a large residual. In that case, regress the residual on one profile per joint
+//! ([`search`]):
+//!
+//! - backlash: the direction of the last motion (hysteresis)
+//! - sag: the gravity torque
+//! - eccentricity: the joint angle
+//!
+//! The joint states are then corrected for the estimated compliance and the arm is diagnosed again.
+//! Compliance is reported only if this reduces the residual substantially.
+
+mod gravity;
+mod model_comparison;
+mod search;
+mod shapes;
+mod system;
+
+use super::arm::diagnose_arm;
+use super::changes::{has_large_residual, log_likelihood_gain, restore_recorded};
+use super::joints::correct_joints;
+use super::sampling::stream_lag_s;
+use super::{
+    AlignedSamples, ArmDiagnosis, Confounder, JointEncoding, JointScale, PoseDiagnosis,
+    PoseDistances, PoseStream,
+};
+use ground::geometry::{Pose, Vec3, rotvec_from_rotation};
+use ground::stats::median;
+use ground::stream::JointTrack;
+
+use gravity::MassModel;
+pub(super) use model_comparison::prefers_compliance;
+use search::{ComplianceKind, ComplianceSearch, ComplianceTerm, FreeParameters, MASS_STD_ERROR};
+use shapes::USUAL_COMPLIANCE_RAD;
+pub use shapes::{BacklashCrossing, ComplianceShape, JointCompliance, JointSag};
+pub(super) use shapes::{apply_compliance, motion_directions};
+
+/// Maximum number of samples used per stream.
+const MAX_SAMPLES: usize = 2000;
+/// A compliance model must reduce the excess residual to at most this fraction.
+const MAX_RESIDUAL_RATIO: f64 = 0.5;
+/// Backlash and sag are sufficient if they reduce the excess residual to at most this fraction.
+const SUFFICIENT_RESIDUAL_RATIO: f64 = 0.15;
+/// Replaces [`MAX_RESIDUAL_RATIO`] if the residual is that of a nominal model of a calibrated arm.
+const MAX_RESIDUAL_RATIO_NOMINAL: f64 = 0.25;
+/// Convergence tolerance of a compliance value, rad.
+const CONVERGED_RAD: f64 = 2e-5;
+/// Smallest zero offset that is tested against sag as a competing model, rad.
+const MIN_ZERO_RAD: f64 = 1e-3;
+/// Number of refinement rounds.
+const MAX_ROUNDS: usize = 3;
+
+/// Run whose joints are tested for compliance.
+struct ComplianceRun<'a> {
+    joints: &'a JointTrack,
+    streams: &'a [PoseStream<'a>],
+    is_prismatic: &'a [bool],
+    max_lag_s: f64,
+}
+
+/// Samples of one stream with their residuals under a diagnosis, expressed in the base frame at the tip.
+#[derive(Default)]
+struct ResidualSamples {
+    /// Reported positions of all joints of the track.
+    q: Vec<Vec<f64>>,
+    /// Velocities of all joints.
+    qd: Vec<Vec<f64>>,
+    /// Row of the joint track before the sample, and the fraction of the interval to the next row.
+    at: Vec<(usize, f64)>,
+    /// Jacobian column of each joint of the track.
+    jacobian: Vec<Vec<[f64; 6]>>,
+    fk: Vec<Pose>,
+    /// Position residual, m, and rotation residual, rad.
+    residual: Vec<[[f64; 3]; 2]>,
+    has_rotation: bool,
+}
+
+/// Diagnoses the arm with joint compliance corrected. `found` is the diagnosis without compliance. `None`
+/// if no joint has compliance or if it does not explain enough of the residual.
+pub(super) fn diagnose_with_compliance(
+    joints: &JointTrack,
+    streams: &[PoseStream],
+    slides: &[bool],
+    found: &ArmDiagnosis,
+    most_lag_s: f64,
+) -> Option<ArmDiagnosis> {
+    let is_coded = found.joints.scales.iter().any(JointScale::is_coded);
+    let may_give = !is_coded
+        && found.joints.patches.is_empty()
+        && joints.len() > 1
+        && !found.streams.iter().any(PoseDiagnosis::is_far_from_fk);
+    if !may_give {
+        return None;
+    }
+    let is_much = found.streams.iter().any(has_large_residual);
+    let without = |run: ComplianceRun, found: &ArmDiagnosis| match is_much {
+        true => run.fit_compliance(found),
+        false => run.test_zeros_as_sag(found),
+    };
+    let reading = match &found.joints.encoding {
+        Ok(reading) if !reading.is_as_logged() => reading,
+        // Without a valid encoding, use the joints as logged.
+        _ => {
+            return without(
+                ComplianceRun { joints, streams, is_prismatic: slides, max_lag_s: most_lag_s },
+                found,
+            );
+        }
+    };
+    if !is_much && !found.joints.offsets.iter().any(|offset| offset.is_chosen) {
+        return None;
+    }
+    let read = correct_joints(joints, reading, slides);
+    let run = ComplianceRun { joints: &read, streams, is_prismatic: slides, max_lag_s: most_lag_s };
+    let mut after = without(run, &diagnose_arm(&read, streams, most_lag_s))?;
+    after.joints.encoding.clone_from(&found.joints.encoding);
+    after.joints.scales.clone_from(&found.joints.scales);
+    for ((stream, found), after) in streams.iter().zip(&found.streams).zip(&mut after.streams) {
+        restore_recorded(joints, stream, after);
+        if let (Ok(after), Ok(found)) = (&mut after.residual, &found.residual) {
+            (after.before_m, after.before_rad) = (found.before_m, found.before_rad);
+        }
+    }
+    Some(after)
+}
+
+/// Residual of all pose streams of an arm, m. Angles are weighted by 0.3 m.
+#[derive(Clone, Copy, Debug)]
+struct ArmResidual {
+    /// Root mean square of the excess residual.
+    rms_m: f64,
+    /// Median, including noise.
+    median_m: f64,
+}
+
+impl ArmResidual {
+    fn from_diagnosis(found: &ArmDiagnosis) -> Self {
+        let rms = |found: &PoseDiagnosis| match &found.residual {
+            Ok(residual) => residual.excess_m.value.hypot(0.3 * residual.excess_rad.value),
+            Err(_) => 1.0,
+        };
+        let half = |found: &PoseDiagnosis| {
+            let PoseDistances { m, rad } = found.aligned.after();
+            let mut all: Vec<f64> = m.iter().zip(&rad).map(|(m, rad)| m.hypot(0.3 * rad)).collect();
+            median(&mut all).unwrap_or(1.0)
+        };
+        let streams = || found.streams.iter();
+        Self { rms_m: streams().map(rms).sum(), median_m: streams().map(half).sum() }
+    }
+
+    /// Returns whether the residual is at most `share` of `other`. Sudden backlash has a residual at each
+    /// reversal but a small median. In that case the limit on the rms is relaxed.
+    fn is_within(&self, share: f64, other: &Self) -> bool {
+        let is_mostly = self.median_m < 0.5 * share * other.median_m;
+        self.rms_m <= share * other.rms_m || (is_mostly && self.rms_m <= 1.5 * share * other.rms_m)
+    }
+}
+
+impl ComplianceRun<'_> {
+    /// Diagnoses the run with joint compliance corrected. `found` is the diagnosis without compliance.
+    /// `None` if no compliance is found or if it does not explain enough.
+    fn fit_compliance(&self, found: &ArmDiagnosis) -> Option<ArmDiagnosis> {
+        let samples = self.samples(self.joints, found);
+        let before = ArmResidual::from_diagnosis(found);
+        let mut best: Option<(ArmResidual, ArmDiagnosis)> = None;
+        let found_sets = self.search(&samples);
+        for (search, terms) in found_sets
+            .iter()
+            .flat_map(|(search, sets)| sets.iter().map(move |terms| (search, terms.clone())))
+        {
+            let is_eccentric =
+                terms.iter().any(|term| matches!(term.kind, ComplianceKind::Eccentric(_)));
+            // Eccentricity is a flexible model, so backlash and sag take precedence.
+            let enough = |(left, _): &(ArmResidual, ArmDiagnosis)| {
+                left.is_within(SUFFICIENT_RESIDUAL_RATIO, &before)
+            };
+            if is_eccentric && best.as_ref().is_some_and(enough) {
+                break;
+            }
+            let Some(after) = self.diagnose_without(search, terms) else { continue };
+            let left = ArmResidual::from_diagnosis(&after);
+            if best.as_ref().is_none_or(|(best, _)| left.is_within(MAX_RESIDUAL_RATIO, best)) {
+                best = Some((left, after));
+            }
+        }
+        let enough = |(left, _): &(ArmResidual, ArmDiagnosis)| {
+            left.is_within(SUFFICIENT_RESIDUAL_RATIO, &before)
+        };
+        if !best.as_ref().is_some_and(enough) {
+            // A load change gives one joint two sag values.
+            let loaded =
+                found_sets.as_ref().map(|(search, _)| (search, search.load_change_terms()));
+            let loaded = loaded.filter(|(_, terms)| !terms.is_empty());
+            if let Some(after) =
+                loaded.and_then(|(search, terms)| self.diagnose_without(search, terms))
+            {
+                let left = ArmResidual::from_diagnosis(&after);
+                if best.as_ref().is_none_or(|(best, _)| left.is_within(MAX_RESIDUAL_RATIO, best)) {
+                    best = Some((left, after));
+                }
+            }
+        }
+        // The residual of a nominal model has many small causes, and any few compliance terms absorb part
+        // of it.
+        let is_nominal = found.streams.iter().any(|found| found.is_nominal);
+        let most = if is_nominal { MAX_RESIDUAL_RATIO_NOMINAL } else { MAX_RESIDUAL_RATIO };
+        let (left, mut after) = best?;
+        let is_read = after.joints.encoding.as_ref().is_ok_and(JointEncoding::is_as_logged);
+        if !is_read || !left.is_within(most, &before) {
+            return None;
+        }
+        if after.joints.compliance.iter().any(JointCompliance::is_eccentric) {
+            self.restore_eccentricity(&mut after);
+        }
+        // The link masses are assumed. An error in them looks like a zero offset, so widen that interval.
+        for bend in after.joints.compliance.iter().filter(|bend| bend.is_sag()) {
+            let offset = after.joints.offsets.get_mut(bend.column);
+            if let Some(Ok(offset)) = offset.map(|offset| &mut offset.offset) {
+                offset.std_error = offset.std_error.hypot(MASS_STD_ERROR * bend.value.value);
+            }
+        }
+        Some(after)
+    }
+
+    /// Tests whether a joint zero in `found` is sag instead. Replaces the zero by sag if sag is clearly
+    /// likelier, and lists sag as a confounder of the zero if both are similarly likely. `None` if neither
+    /// holds.
+    fn test_zeros_as_sag(&self, found: &ArmDiagnosis) -> Option<ArmDiagnosis> {
+        /// Thresholds on twice the log-likelihood ratio: to replace one cause by another, and to list a
+        /// confounder.
+        const MIN_LOG_RATIO_TO_REPLACE: f64 = 16.0;
+        const MIN_LOG_RATIO_CONFOUNDER: f64 = 12.0;
+        let is_plain = found.joints.encoding.as_ref().is_ok_and(JointEncoding::is_as_logged);
+        let is_nominal = found.streams.iter().any(|found| found.is_nominal);
+        let offsets = found.joints.offsets.iter().enumerate();
+        let zeros: Vec<(usize, f64)> = offsets
+            .filter(|(_, offset)| offset.is_chosen)
+            .filter_map(|(column, offset)| Some((column, offset.offset.as_ref().ok()?.value)))
+            .filter(|(column, zero)| !self.is_prismatic[*column] && zero.abs() > MIN_ZERO_RAD)
+            .collect();
+        if !is_plain || zeros.is_empty() {
+            return None;
+        }
+        let samples = self.samples(self.joints, found);
+        let search = ComplianceSearch::new(self, &samples, MassModel::CANDIDATES[0])?;
+        let mut beside: Option<ArmDiagnosis> = None;
+        for (column, zero) in zeros {
+            let term = search.sag_like(column, zero);
+            let Some(after) = term.and_then(|term| self.diagnose_converged(&search, vec![term]))
+            else {
+                continue;
+            };
+            let is_other = after.joints.offsets.get(column).is_some_and(|offset| offset.is_chosen);
+            let sag = after.joints.compliance.first().map_or(0.0, |bend| bend.value.value);
+            let (gain, _) = log_likelihood_gain(found, &after);
+            if !is_other && gain > MIN_LOG_RATIO_TO_REPLACE && !is_nominal {
+                return Some(after);
+            }
+            if !is_other && gain > -MIN_LOG_RATIO_CONFOUNDER {
+                let found = beside.get_or_insert_with(|| found.clone());
+                found.joints.offsets[column].confounders.push(Confounder::Sag(column, sag));
+            }
+        }
+        beside
+    }
+
+    /// Finds sets of compliance terms that explain most with few joints. If a joint sags, uses the mass
+    /// distribution that fits best.
+    fn search<'a>(
+        &'a self,
+        samples: &'a [ResidualSamples],
+    ) -> Option<(ComplianceSearch<'a>, Vec<Vec<ComplianceTerm>>)> {
+        let search = ComplianceSearch::new(self, samples, MassModel::CANDIDATES[0])?;
+        let sets = search.terms();
+        let sags =
+            |set: &&Vec<ComplianceTerm>| set.iter().any(|term| term.kind == ComplianceKind::Sag);
+        let Some(first) = sets.iter().find(sags) else { return Some((search, sets)) };
+        let searches = MassModel::CANDIDATES.into_iter().filter_map(|masses| {
+            let search = ComplianceSearch::new(self, samples, masses)?;
+            Some((search.residual_noise(first), search))
+        });
+        let search = searches.min_by(|a, b| a.0.total_cmp(&b.0))?.1;
+        let sets = search.terms();
+        Some((search, sets))
+    }
+
+    /// Diagnoses the run after correcting the compliance in `terms`. `None` if no term remains.
+    fn diagnose_without(
+        &self,
+        search: &ComplianceSearch,
+        mut terms: Vec<ComplianceTerm>,
+    ) -> Option<ArmDiagnosis> {
+        let free = FreeParameters::all(self);
+        for _ in 0..MAX_ROUNDS {
+            search.refine(&mut terms, &free, false);
+        }
+        self.diagnose_converged(search, terms)
+    }
+
+    /// Same as [`Self::diagnose_without`], starting from the values in `terms`.
+    fn diagnose_converged(
+        &self,
+        search: &ComplianceSearch,
+        mut terms: Vec<ComplianceTerm>,
+    ) -> Option<ArmDiagnosis> {
+        let mut after = self.corrected(&search.to_compliance(&terms))?;
+        for _ in 0..MAX_ROUNDS {
+            // Causes that the corrected model no longer contains are not free parameters.
+            let before: Vec<f64> = terms.iter().map(ComplianceTerm::size).collect();
+            let samples = self.samples(&after.0, &after.1);
+            search.on_samples(&samples).refine(
+                &mut terms,
+                &FreeParameters::from_selected(self, &after.1),
+                true,
+            );
+            let mut moved = terms.iter().map(ComplianceTerm::size).zip(&before);
+            let is_settled = terms.len() == before.len()
+                && moved.all(|(size, before)| (size - before).abs() < CONVERGED_RAD);
+            if is_settled {
+                break;
+            }
+            after = self.corrected(&search.to_compliance(&terms))?;
+        }
+        let bends = search.to_compliance(&terms);
+        let gives = bends.iter().any(|bend| bend.value.value.abs() > USUAL_COMPLIANCE_RAD);
+        after.1.joints.compliance = bends;
+        gives.then_some(after.1)
+    }
+
+    /// Joint states corrected for `to_compliance`, and the diagnosis on them. `None` if `to_compliance` is empty.
+    fn corrected(&self, bends: &[JointCompliance]) -> Option<(JointTrack, ArmDiagnosis)> {
+        if bends.is_empty() {
+            return None;
+        }
+        let mut joints = self.joints.clone();
+        apply_compliance(&mut joints, bends);
+        let found = diagnose_arm(&joints, self.streams, self.max_lag_s);
+        Some((joints, found))
+    }
+
+    /// Samples of every stream with their residuals. `found` is the diagnosis of `joints`.
+    fn samples(&self, joints: &JointTrack, found: &ArmDiagnosis) -> Vec<ResidualSamples> {
+        let corrected = found.joints.corrected_joints(joints, self.is_prismatic);
+        let both = self.streams.iter().zip(&found.streams);
+        both.map(|(stream, found)| self.stream_samples(&corrected, stream, found)).collect()
+    }
+
+    /// Maps a stamp of the stream to the time of measurement, s.
+    fn truth_s(&self, stream: &PoseStream, found: &PoseDiagnosis) -> impl Fn(f64) -> f64 + use<> {
+        let lag_s = match &found.latency_s {
+            Ok(latency) => latency.value,
+            Err(_) => stream_lag_s(self.joints, stream, self.max_lag_s),
+        };
+        let skew = found.skew.as_ref().ok().filter(|_| found.is_skew_chosen);
+        let skew = skew.map_or(0.0, |skew| skew.value);
+        let middle_s = found.aligned.middle_s();
+        move |t_s| t_s - lag_s - skew * (t_s - middle_s)
+    }
+
+    /// Recomputes FK without eccentricity. No rule reports eccentricity, so it remains in the residual.
+    fn restore_eccentricity(&self, after: &mut ArmDiagnosis) {
+        let named =
+            after.joints.without_eccentricity().corrected_joints(self.joints, self.is_prismatic);
+        let (mut q, mut qd) = (vec![0.0; named.dof], vec![0.0; named.dof]);
+        for (stream, found) in self.streams.iter().zip(&mut after.streams) {
+            let truth_s = self.truth_s(stream, found);
+            let AlignedSamples { t_s, fk_at_truth, .. } = &mut found.aligned;
+            let mut cursor = 0;
+            for (t_s, fk) in t_s.iter().zip(fk_at_truth) {
+                if named.at(truth_s(*t_s), &mut cursor, &mut q, &mut qd) {
+                    let own: Vec<f64> = stream.columns.iter().map(|&column| q[column]).collect();
+                    *fk = stream.chain.forward(&own);
+                }
+            }
+        }
+    }
+
+    fn stream_samples(
+        &self,
+        corrected: &JointTrack,
+        stream: &PoseStream,
+        found: &PoseDiagnosis,
+    ) -> ResidualSamples {
+        let truth_s = self.truth_s(stream, found);
+        let AlignedSamples { t_s, corrected: poses, fk_at_truth, .. } = &found.aligned;
+        let dof = self.joints.dof;
+        let mut samples =
+            ResidualSamples { has_rotation: found.encoding.is_ok(), ..ResidualSamples::default() };
+        let (mut cursor, mut cursor_corrected) = (0, 0);
+        let mut chain_q = vec![0.0; stream.columns.len()];
+        let mut own = vec![[0.0; 6]; stream.columns.len()];
+        for k in (0..t_s.len()).step_by(t_s.len().div_ceil(MAX_SAMPLES).max(1)) {
+            let at_s = truth_s(t_s[k]);
+            let (mut q, mut qd) = (vec![0.0; dof], vec![0.0; dof]);
+            let (mut true_q, mut true_qd) = (vec![0.0; dof], vec![0.0; dof]);
+            let is_covered = self.joints.at(at_s, &mut cursor, &mut q, &mut qd)
+                && corrected.at(at_s, &mut cursor_corrected, &mut true_q, &mut true_qd);
+            if !is_covered {
+                continue;
+            }
+            let row = self.joints.t_s.partition_point(|t_s| *t_s <= at_s).saturating_sub(1);
+            let next = (row + 1).min(self.joints.len() - 1);
+            let period_s = (self.joints.t_s[next] - self.joints.t_s[row]).max(f64::MIN_POSITIVE);
+            let part = ((at_s - self.joints.t_s[row]) / period_s).clamp(0.0, 1.0);
+            chain_q.iter_mut().zip(stream.columns).for_each(|(q, &column)| *q = true_q[column]);
+            stream.chain.forward_with_jacobian(&chain_q, &mut own);
+            let mut jacobian = vec![[0.0; 6]; dof];
+            own.iter().zip(stream.columns).for_each(|(own, &column)| jacobian[column] = *own);
+            let (is, fk) = (&poses[k], &fk_at_truth[k]);
+            let turn = rotvec_from_rotation(&(is.rotation * fk.rotation.inverse()));
+            let turn = if samples.has_rotation { turn } else { Vec3::zeros() };
+            samples
+                .residual
+                .push([(is.translation.vector - fk.translation.vector).into(), turn.into()]);
+            samples.fk.push(*fk);
+            samples.q.push(q);
+            samples.qd.push(true_qd);
+            samples.at.push((row, part));
+            samples.jacobian.push(jacobian);
+        }
+        samples
+    }
+}

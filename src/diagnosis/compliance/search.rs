@@ -1,0 +1,482 @@
+//! Selects the joints with compliance and estimates its values. Uses linear least squares on the residual
+//! of one diagnosis, with all causes of its model as free parameters.
+
+use super::gravity::{GravityTorques, MassModel, TorqueBuffers};
+use super::shapes::{BacklashCrossing, ComplianceShape, JointCompliance, JointSag};
+use super::system::{ComplianceSystem, STREAM_PARAMETERS, linear};
+use super::{ComplianceRun, ResidualSamples};
+use crate::linear::{Linear, Normal};
+use crate::model_selection::price;
+use crate::{ArmDiagnosis, ChangePoint, EstimateResult, FrameEstimate};
+use ground::stats::Measured;
+use std::sync::Arc;
+
+/// Backlash assumed during the search, rad. The profile depends only weakly on it.
+const INITIAL_BACKLASH_RAD: f64 = 3e-3;
+/// A term must explain at least this fraction of the explainable excess residual.
+const MIN_EXPLAINED_SHARE: f64 = 0.03;
+/// Eccentricity orders that are tested, in cycles per turn: joint, encoder, bearing.
+const ECCENTRICITY_ORDERS: [u32; 3] = [1, 2, 3];
+/// Joints whose gravity torque is below this fraction of the largest are not tested for sag.
+const MIN_TORQUE_SHARE: f64 = 0.05;
+/// A value is significant if it exceeds this many standard errors.
+const MIN_STD_ERRORS: f64 = 4.0;
+/// Relative standard error of sag due to the assumed link masses.
+pub(super) const MASS_STD_ERROR: f64 = 0.07;
+/// Larger values are not compliance, rad.
+const MAX_COMPLIANCE_RAD: f64 = 0.1;
+/// Minimum range of a joint angle to test for eccentricity, rad.
+const MIN_RANGE_RAD: f64 = 1.0;
+
+/// Number of trial times for a load change, and the factor of the finer grid around the best.
+const TRIAL_TIMES: usize = 12;
+const GRID_REFINEMENT: i32 = 4;
+
+/// Kind of joint compliance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum ComplianceKind {
+    Backlash(BacklashCrossing),
+    Sag,
+    /// Sag whose value changes at this time (a load change), s.
+    LoadedSag(f64),
+    Eccentric(u32),
+}
+
+/// Compliance term of one joint.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct ComplianceTerm {
+    pub column: usize,
+    pub kind: ComplianceKind,
+    /// Coefficients. Eccentricity: sine and cosine. Sag with a load change: before and after.
+    pub amount: [f64; 2],
+    pub std_error: f64,
+    pub dof: f64,
+}
+
+impl ComplianceTerm {
+    fn new(column: usize, kind: ComplianceKind) -> Self {
+        Self { column, kind, amount: [0.0; 2], std_error: 0.0, dof: 3.0 }
+    }
+
+    /// Number of coefficients.
+    pub fn width(&self) -> usize {
+        if matches!(self.kind, ComplianceKind::Eccentric(_) | ComplianceKind::LoadedSag(_)) {
+            2
+        } else {
+            1
+        }
+    }
+
+    /// Magnitude, rad, signed except for eccentricity.
+    pub fn size(&self) -> f64 {
+        match self.kind {
+            ComplianceKind::Backlash(_) | ComplianceKind::Sag => self.amount[0],
+            ComplianceKind::LoadedSag(_) if self.amount[1].abs() > self.amount[0].abs() => {
+                self.amount[1]
+            }
+            ComplianceKind::LoadedSag(_) => self.amount[0],
+            ComplianceKind::Eccentric(_) => self.amount[0].hypot(self.amount[1]),
+        }
+    }
+
+    /// Returns whether the value is physical and significant.
+    fn is_significant(&self) -> bool {
+        let size = self.size();
+        let is_way = size > 0.0 || matches!(self.kind, ComplianceKind::Backlash(_));
+        is_way && size.abs() > MIN_STD_ERRORS * self.std_error && size.abs() < MAX_COMPLIANCE_RAD
+    }
+}
+
+/// Free parameters in addition to the compliance terms.
+pub(super) struct FreeParameters {
+    pub zeros: Vec<bool>,
+    /// Latency, radial scale, reference and tool of each stream.
+    pub streams: Vec<[bool; 4]>,
+}
+
+impl FreeParameters {
+    /// Frees all zeros, latencies and frames.
+    pub fn all(run: &ComplianceRun) -> Self {
+        Self {
+            zeros: vec![true; run.joints.dof],
+            streams: vec![[true, false, true, true]; run.streams.len()],
+        }
+    }
+
+    /// Frees only the causes that the selected model contains.
+    pub fn from_selected(run: &ComplianceRun, found: &ArmDiagnosis) -> Self {
+        let streams = run.streams.iter().zip(&found.streams).map(|(stream, found)| {
+            let frame = |frame: &EstimateResult<FrameEstimate>| {
+                frame.as_ref().is_ok_and(|frame| frame.is_chosen)
+            };
+            let is_free = !stream.reference_known || frame(&found.reference);
+            [found.latency_s.is_ok(), found.is_radial_scale_chosen, is_free, frame(&found.tool)]
+        });
+        let mut zeros: Vec<bool> =
+            found.joints.offsets.iter().map(|offset| offset.is_chosen).collect();
+        zeros.resize(run.joints.dof, false);
+        Self { zeros, streams: streams.collect() }
+    }
+}
+
+/// Search for compliance on one linearisation.
+pub(super) struct ComplianceSearch<'a> {
+    run: &'a ComplianceRun<'a>,
+    samples: &'a [ResidualSamples],
+    gravity: Arc<GravityTorques>,
+    /// Largest torque about each joint over the run.
+    max_torque: Vec<f64>,
+    /// Gravity torques, indexed by stream, sample and joint.
+    torques: Vec<Vec<Vec<f64>>>,
+}
+
+impl<'a> ComplianceSearch<'a> {
+    pub fn new(
+        run: &'a ComplianceRun,
+        samples: &'a [ResidualSamples],
+        masses: MassModel,
+    ) -> Option<Self> {
+        let stream = run.streams.iter().max_by_key(|stream| stream.columns.len())?;
+        let gravity = Arc::new(GravityTorques::new(stream.chain, stream.columns, masses));
+        let torques = torques(&gravity, samples, run.joints.dof);
+        let mut most_torque = vec![0.0_f64; run.joints.dof];
+        for own in torques.iter().flatten() {
+            most_torque.iter_mut().zip(own).for_each(|(most, own)| *most = most.max(own.abs()));
+        }
+        Some(Self { run, samples, gravity, max_torque: most_torque, torques })
+    }
+
+    /// Same search on other samples of the run.
+    pub fn on_samples<'b>(&self, samples: &'b [ResidualSamples]) -> ComplianceSearch<'b>
+    where
+        'a: 'b,
+    {
+        let gravity = Arc::clone(&self.gravity);
+        let torques = torques(&gravity, samples, self.run.joints.dof);
+        let most_torque = self.max_torque.clone();
+        ComplianceSearch { run: self.run, samples, gravity, max_torque: most_torque, torques }
+    }
+
+    /// Sag whose mean over the samples equals a zero of `offset_rad`. `None` if the sign contradicts
+    /// gravity or the sag is too large.
+    pub fn sag_like(&self, column: usize, offset_rad: f64) -> Option<ComplianceTerm> {
+        let term =
+            |term: &ComplianceTerm| term.column == column && term.kind == ComplianceKind::Sag;
+        let term = self.candidates().into_iter().find(term)?;
+        let torques = || self.torques.iter().flatten().map(|torques| torques[column]);
+        let count = torques().count().max(1) as f64;
+        let mean = torques().sum::<f64>() / count / self.max_torque[column];
+        let amount = [offset_rad / mean, 0.0];
+        (amount[0] > 0.0 && amount[0] < MAX_COMPLIANCE_RAD)
+            .then_some(ComplianceTerm { amount, ..term })
+    }
+
+    /// All compliance terms that the motion can show.
+    fn candidates(&self) -> Vec<ComplianceTerm> {
+        let dof = self.run.joints.dof;
+        let largest = self.max_torque.iter().copied().fold(0.0, f64::max);
+        let of_joint = |column: usize| {
+            let values =
+                || self.samples.iter().flat_map(move |s| s.q.iter().map(move |q| q[column]));
+            let low = values().fold(f64::INFINITY, f64::min);
+            let high = values().fold(f64::NEG_INFINITY, f64::max);
+            let sags = self.max_torque[column] > MIN_TORQUE_SHARE * largest;
+            let turns = high - low > MIN_RANGE_RAD;
+            let moves = high - low > 0.05;
+            let orders = ECCENTRICITY_ORDERS.iter().map(|&order| ComplianceKind::Eccentric(order));
+            let kinds = [BacklashCrossing::Gradual, BacklashCrossing::Sudden]
+                .into_iter()
+                .map(ComplianceKind::Backlash)
+                .chain(sags.then_some(ComplianceKind::Sag))
+                .chain(orders.filter(move |_| turns));
+            kinds
+                .filter(move |_| moves)
+                .map(move |kind| ComplianceTerm::new(column, kind))
+                .collect::<Vec<_>>()
+        };
+        let used = |column: &usize| {
+            !self.run.is_prismatic[*column]
+                && self.run.streams.iter().any(|stream| stream.columns.contains(column))
+        };
+        (0..dof).filter(used).flat_map(of_joint).collect()
+    }
+
+    /// Profiles of `terms`, indexed by stream, sample and coefficient.
+    fn profiles(&self, terms: &[ComplianceTerm]) -> Vec<Vec<Vec<f64>>> {
+        let joints = self.run.joints;
+        let behind: Vec<Vec<f64>> = terms
+            .iter()
+            .map(|term| match term.kind {
+                ComplianceKind::Backlash(crossing) => {
+                    let width = match term.amount[0].abs() {
+                        0.0 => INITIAL_BACKLASH_RAD,
+                        width => width,
+                    };
+                    let q = |row: usize| joints.q[row * joints.dof + term.column];
+                    crossing.link_offsets(joints.len(), q, width)
+                }
+                ComplianceKind::Sag
+                | ComplianceKind::LoadedSag(_)
+                | ComplianceKind::Eccentric(_) => Vec::new(),
+            })
+            .collect();
+        let of_stream = |(samples, torques): (&ResidualSamples, &Vec<Vec<f64>>)| {
+            let of_sample = |k: usize| {
+                let mut values = Vec::new();
+                for (term, behind) in terms.iter().zip(&behind) {
+                    let q = samples.q[k][term.column];
+                    match term.kind {
+                        ComplianceKind::Backlash(_) => {
+                            let (row, part) = samples.at[k];
+                            let next = (row + 1).min(behind.len() - 1);
+                            values.push(behind[row] * (1.0 - part) + behind[next] * part);
+                        }
+                        ComplianceKind::Sag => {
+                            let most = self.max_torque[term.column];
+                            values.push(torques[k][term.column] / most);
+                        }
+                        ComplianceKind::LoadedSag(from_s) => {
+                            let share = torques[k][term.column] / self.max_torque[term.column];
+                            let is_before = joints.t_s[samples.at[k].0] < from_s;
+                            values.extend(if is_before { [share, 0.0] } else { [0.0, share] });
+                        }
+                        ComplianceKind::Eccentric(order) => {
+                            let (sin, cos) = (f64::from(order) * q).sin_cos();
+                            values.extend([sin, cos]);
+                        }
+                    }
+                }
+                values
+            };
+            (0..samples.q.len()).map(of_sample).collect()
+        };
+        self.samples.iter().zip(&self.torques).map(of_stream).collect()
+    }
+
+    fn system(&self, terms: &[ComplianceTerm], free: &FreeParameters) -> ComplianceSystem {
+        let dof = self.run.joints.dof;
+        let starts: Vec<usize> = terms
+            .iter()
+            .scan(dof, |next, term| {
+                let start = *next;
+                *next += term.width();
+                Some(start)
+            })
+            .collect();
+        let own = dof + terms.iter().map(ComplianceTerm::width).sum::<usize>();
+        let shapes = self.profiles(terms);
+        let linears: Vec<Linear> = self
+            .samples
+            .iter()
+            .zip(&shapes)
+            .map(|(samples, shapes)| linear(samples, shapes, terms, &starts, own))
+            .collect();
+        let columns: Vec<Vec<usize>> = (0..linears.len())
+            .map(|s| {
+                (0..own)
+                    .chain((0..STREAM_PARAMETERS).map(|p| own + s * STREAM_PARAMETERS + p))
+                    .collect()
+            })
+            .collect();
+        let weights = linears.iter().map(Linear::first_weights).collect();
+        let normal = Normal::zeros(0);
+        let mut system = ComplianceSystem { linears, weights, normal, columns, starts };
+        system.sum();
+        let every: Vec<usize> = (0..terms.len()).collect();
+        for _ in 0..2 {
+            let step = system.step(&system.parameters(terms, &every, free));
+            system.update_weights(&step);
+        }
+        system
+    }
+
+    /// Selects small sets of terms with all zeros, latencies and frames free. The first set contains only
+    /// backlash and sag. A second set follows if adding eccentricity selects it.
+    pub fn terms(&self) -> Vec<Vec<ComplianceTerm>> {
+        let (terms, free) = (self.candidates(), FreeParameters::all(self.run));
+        let system = self.system(&terms, &free);
+        let cost = |set: &[usize]| system.cost(&system.parameters(&terms, set, &free));
+        let every: Vec<usize> = (0..terms.len()).collect();
+        let (plain, least) = (cost(&[]), cost(&every));
+        let price = price(system.normal.independent);
+        let worth = |index: usize| {
+            (price * terms[index].width() as f64).max(MIN_EXPLAINED_SHARE * (plain - least))
+        };
+        let is_eccentric =
+            |index: &usize| matches!(terms[*index].kind, ComplianceKind::Eccentric(_));
+        let simple: Vec<usize> = every.iter().copied().filter(|i| !is_eccentric(i)).collect();
+        let simple = select_terms(&simple, plain, &cost, &worth);
+        let mixed = select_terms(&every, plain, &cost, &worth);
+        let is_mixed = mixed.iter().any(is_eccentric);
+        let sets = [Some(simple), is_mixed.then_some(mixed)].into_iter().flatten();
+        let of = |set: Vec<usize>| set.into_iter().map(|index| terms[index]).collect();
+        sets.filter(|set| !set.is_empty()).map(of).collect()
+    }
+
+    /// Selects joints whose sag changes at one time (a load change), in addition to backlash, with
+    /// everything else free. Empty if constant sag fits about as well.
+    pub fn load_change_terms(&self) -> Vec<ComplianceTerm> {
+        let free = FreeParameters::all(self.run);
+        let with = |kind: fn(f64) -> ComplianceKind, at_s: f64| -> Vec<ComplianceTerm> {
+            let plain = self.candidates().into_iter();
+            let sags = plain.filter(|term| term.kind == ComplianceKind::Sag);
+            sags.map(|term| ComplianceTerm { kind: kind(at_s), ..term }).collect()
+        };
+        let (Some(first), Some(last)) = (self.run.joints.t_s.first(), self.run.joints.t_s.last())
+        else {
+            return Vec::new();
+        };
+        let cost_at = |at_s: f64| self.residual_noise(&with(ComplianceKind::LoadedSag, at_s));
+        let length_s = last - first;
+        let rough = (1..TRIAL_TIMES).map(|at| first + length_s * at as f64 / TRIAL_TIMES as f64);
+        let best = |tried: &mut dyn Iterator<Item = f64>| {
+            let costs = tried.map(|at_s| (cost_at(at_s), at_s));
+            costs.min_by(|a, b| a.0.total_cmp(&b.0))
+        };
+        let Some((_, rough_s)) = best(&mut rough.into_iter()) else { return Vec::new() };
+        let near = (-GRID_REFINEMENT..=GRID_REFINEMENT)
+            .map(|step| rough_s + self.step_s() * f64::from(step));
+        let Some((_, at_s)) = best(&mut near.into_iter()) else { return Vec::new() };
+        let mut terms = with(ComplianceKind::LoadedSag, at_s);
+        terms.extend(
+            self.candidates()
+                .into_iter()
+                .filter(|term| matches!(term.kind, ComplianceKind::Backlash(_))),
+        );
+        let system = self.system(&terms, &free);
+        let cost = |set: &[usize]| system.cost(&system.parameters(&terms, set, &free));
+        let every: Vec<usize> = (0..terms.len()).collect();
+        let (plain, least) = (cost(&[]), cost(&every));
+        let price = price(system.normal.independent);
+        let worth = |index: usize| {
+            (price * terms[index].width() as f64).max(MIN_EXPLAINED_SHARE * (plain - least))
+        };
+        let set = select_terms(&every, plain, &cost, &worth);
+        let set: Vec<ComplianceTerm> = set.into_iter().map(|index| terms[index]).collect();
+        let is_loaded = set.iter().any(|term| matches!(term.kind, ComplianceKind::LoadedSag(_)));
+        if is_loaded { set } else { Vec::new() }
+    }
+
+    /// Time resolution of the load change, s.
+    fn step_s(&self) -> f64 {
+        let (first, last) = self.run.joints.span().unwrap_or_default();
+        (last - first) / (TRIAL_TIMES as f64 * f64::from(GRID_REFINEMENT))
+    }
+
+    /// Residual noise `Σ n·ln σ` with `terms` and everything else free.
+    pub fn residual_noise(&self, terms: &[ComplianceTerm]) -> f64 {
+        self.system(terms, &FreeParameters::all(self.run)).noise()
+    }
+
+    /// Refines the values of `terms`. If `is_taken`, the residuals are already corrected for the current
+    /// values, and terms that are not significant are removed.
+    pub fn refine(&self, terms: &mut Vec<ComplianceTerm>, free: &FreeParameters, is_taken: bool) {
+        let system = self.system(terms, free);
+        let every: Vec<usize> = (0..terms.len()).collect();
+        let parameters = system.parameters(terms, &every, free);
+        let step = system.step(&parameters);
+        let covariance = system.covariance(&parameters);
+        for (term, &start) in terms.iter_mut().zip(&system.starts) {
+            let at = |i: usize| parameters.iter().position(|&p| p == start + i).unwrap_or(0);
+            let variance = |i: usize| covariance[(at(i), at(i))].max(0.0);
+            for i in 0..term.width() {
+                term.amount[i] = f64::from(u8::from(is_taken)) * term.amount[i] + step[start + i];
+            }
+            let worst = (0..term.width()).map(variance).fold(0.0, f64::max);
+            term.std_error = worst.sqrt();
+            term.dof = (system.normal.independent - parameters.len() as f64).max(3.0);
+        }
+        if is_taken {
+            terms.retain(ComplianceTerm::is_significant);
+        }
+    }
+
+    /// Converts `terms` to joint compliance.
+    pub fn to_compliance(&self, terms: &[ComplianceTerm]) -> Vec<JointCompliance> {
+        let bend = |term: &ComplianceTerm| {
+            let ComplianceTerm { column, amount, std_error, dof, .. } = *term;
+            let shape = match term.kind {
+                ComplianceKind::Backlash(crossing) => ComplianceShape::Backlash(crossing),
+                ComplianceKind::Sag | ComplianceKind::LoadedSag(_) => {
+                    ComplianceShape::Sag(JointSag {
+                        gravity: Arc::clone(&self.gravity),
+                        max_torque: self.max_torque[column],
+                    })
+                }
+                ComplianceKind::Eccentric(order) => {
+                    ComplianceShape::Eccentric { order, phase_rad: amount[1].atan2(amount[0]) }
+                }
+            };
+            let value = term.size();
+            let is_sag = matches!(term.kind, ComplianceKind::Sag | ComplianceKind::LoadedSag(_));
+            let measured = |value: f64, share: f64| Measured {
+                value,
+                std_error: share
+                    * std_error.hypot(if is_sag { MASS_STD_ERROR * value } else { 0.0 }),
+                dof,
+            };
+            let change = match term.kind {
+                ComplianceKind::LoadedSag(at_s) => Some(ChangePoint {
+                    at_s,
+                    within_s: self.step_s(),
+                    from: amount[0],
+                    to: amount[1],
+                    size: measured(amount[1] - amount[0], std::f64::consts::SQRT_2),
+                }),
+                _ => None,
+            };
+            JointCompliance { column, value: measured(value, 1.0), shape, change }
+        };
+        terms.iter().map(bend).collect()
+    }
+}
+
+/// Stepwise selection from `menu` that minimises cost plus price. `plain` is the cost of the empty set.
+fn select_terms(
+    menu: &[usize],
+    plain: f64,
+    cost: &dyn Fn(&[usize]) -> f64,
+    worth: &dyn Fn(usize) -> f64,
+) -> Vec<usize> {
+    let (mut set, mut now): (Vec<usize>, f64) = (Vec::new(), plain);
+    for _ in 0..2 * menu.len() {
+        let grown = menu.iter().filter(|index| !set.contains(index)).map(|&index| {
+            let with: Vec<usize> = set.iter().copied().chain([index]).collect();
+            (index, cost(&with))
+        });
+        let best = grown.min_by(|a, b| (a.1 + worth(a.0)).total_cmp(&(b.1 + worth(b.0))));
+        let Some((index, after)) = best.filter(|(index, after)| now - after > worth(*index)) else {
+            break;
+        };
+        set.push(index);
+        now = after;
+        // A later term can make an earlier one redundant.
+        loop {
+            let fewer = (0..set.len()).map(|at| {
+                let mut fewer = set.clone();
+                fewer.remove(at);
+                (at, cost(&fewer))
+            });
+            let needless = fewer.filter(|(at, without)| without - now < worth(set[*at]));
+            let Some((at, without)) = needless.min_by(|a, b| a.1.total_cmp(&b.1)) else { break };
+            set.remove(at);
+            now = without;
+        }
+    }
+    set
+}
+
+/// Gravity torques, indexed by stream, sample and joint.
+fn torques(
+    gravity: &GravityTorques,
+    samples: &[ResidualSamples],
+    dof: usize,
+) -> Vec<Vec<Vec<f64>>> {
+    let mut buffer = TorqueBuffers::default();
+    let mut of_sample = |q: &Vec<f64>| {
+        let mut torques = vec![0.0; dof];
+        gravity.torques(q, &mut buffer, &mut torques);
+        torques
+    };
+    samples.iter().map(|samples| samples.q.iter().map(&mut of_sample).collect()).collect()
+}

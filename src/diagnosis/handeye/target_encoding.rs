@@ -1,0 +1,230 @@
+//! Alternative encodings of a target's poses.
+//!
+//! A common rotation of all axes is absorbed by the camera's mount and is not observable. Observable are
+//! positions in other axes than rotations, transposed rotations, rotations in another convention, and
+//! scaled positions.
+
+use super::series::{HandEyeSetting, PoseSeries};
+use super::start::{angle_difference, solve_closed_form_quick};
+use super::target_scale::{TargetScaleError, estimate_scale_error};
+use super::{CameraMount, HandEyeSolution, HandEyeStreams, MAX_FIT_POSES, solve};
+use ground::geometry::{
+    MisinterpretationClass, Pose, QuaternionOrderError, Rotation, misinterpretation_classes, pose,
+    rotation_from_xyzw, xyzw_from_rotation,
+};
+
+/// Encoding of a target's poses with which the chain closes.
+#[derive(Clone, Copy, Debug)]
+pub enum TargetEncoding {
+    /// As logged.
+    AsLogged,
+    /// Positions and rotations use different axes. For each rotation axis: index and sign of the position
+    /// coordinate.
+    Axes([(usize, f64); 3]),
+    /// Rotations are transposed, positions are not.
+    Transposed,
+    /// Quaternion components are in another order.
+    QuaternionOrder(QuaternionOrderError),
+    /// Rotation numbers of one convention were interpreted in another.
+    Misinterpreted(&'static MisinterpretationClass),
+    /// Positions are scaled.
+    Scaled(TargetScaleError),
+}
+
+/// Target series with an encoding.
+#[derive(Clone, Copy)]
+pub(super) struct DecodedTarget<'a> {
+    pub series: &'a PoseSeries,
+    pub encoding: TargetEncoding,
+    pub stride: usize,
+}
+
+impl<'a> DecodedTarget<'a> {
+    /// Target as logged, thinned to about `most` poses.
+    pub fn as_logged(series: &'a PoseSeries, most: usize) -> Self {
+        let stride = series.t_s.len().div_ceil(most).max(1);
+        Self { series, encoding: TargetEncoding::AsLogged, stride }
+    }
+
+    /// Decoded poses with their stamps.
+    pub fn poses(&self) -> impl Iterator<Item = (f64, Pose)> {
+        let mut truths = Vec::new();
+        let stamped = self.series.t_s.iter().zip(&self.series.poses).step_by(self.stride);
+        stamped.map(move |(&t_s, pose)| (t_s, self.encoding.decode(pose, &mut truths)))
+    }
+}
+
+impl TargetEncoding {
+    /// Decodes `logged`; `truths` is a scratch buffer.
+    fn decode(&self, logged: &Pose, truths: &mut Vec<Rotation>) -> Pose {
+        let (xyz, rotation) = (logged.translation.vector, logged.rotation);
+        match self {
+            Self::AsLogged => *logged,
+            Self::Axes(axes) => pose(axes.map(|(from, sign)| sign * xyz[from]), rotation),
+            Self::Transposed => pose(xyz.into(), rotation.inverse()),
+            Self::QuaternionOrder(slip) => {
+                let meant = rotation_from_xyzw(slip.true_xyzw(xyzw_from_rotation(&rotation)));
+                pose(xyz.into(), meant.unwrap_or(rotation))
+            }
+            Self::Misinterpreted(class) => {
+                if let Some(misreading) = class.members.first() {
+                    misreading.true_rotations(&rotation, truths);
+                }
+                pose(xyz.into(), truths.first().copied().unwrap_or(rotation))
+            }
+            Self::Scaled(stretch) => pose(stretch.correct(xyz).into(), rotation),
+        }
+    }
+}
+
+/// Maximum residual of a better encoding, relative to the logged one.
+const MAX_RESIDUAL_RATIO: f64 = 1.0 / 3.0;
+/// Number of poses used to compare encodings.
+const MAX_POSES: usize = 80;
+/// Closure errors below this, m and rad, need no other encoding: noise of the best detectors.
+const MAX_CLOSURE_M_RAD: (f64, f64) = (1.5e-3, 0.15 * std::f64::consts::PI / 180.0);
+
+/// Encoding with a much smaller closure error than `as_logged`, with its solution. `None` if the chain
+/// closes as logged.
+pub(super) fn better_encoding(
+    streams: &HandEyeStreams,
+    as_logged: &HandEyeSolution,
+    lag_s: f64,
+) -> Option<(TargetEncoding, HandEyeSolution)> {
+    let left = &as_logged.closure;
+    if left.excess_m.value < MAX_CLOSURE_M_RAD.0 && left.excess_rad.value < MAX_CLOSURE_M_RAD.1 {
+        return None;
+    }
+    let found = [
+        much_better_scale(streams, as_logged, lag_s),
+        alternative_encoding(streams, as_logged, lag_s),
+    ];
+    let misfit = |one: &(TargetEncoding, HandEyeSolution)| one.1.misfit_rad;
+    found.into_iter().flatten().min_by(|a, b| misfit(a).total_cmp(&misfit(b)))
+}
+
+/// Scale of the positions with a much smaller closure error than `as_logged`.
+fn much_better_scale(
+    streams: &HandEyeStreams,
+    as_logged: &HandEyeSolution,
+    lag_s: f64,
+) -> Option<(TargetEncoding, HandEyeSolution)> {
+    /// Maximum excess error, relative to the one as logged and to the total error after correction.
+    const MAX_EXCESS_RATIO: f64 = 0.5;
+    let with = |stretch: TargetScaleError| {
+        let reading = TargetEncoding::Scaled(stretch);
+        let read = DecodedTarget {
+            encoding: reading,
+            ..DecodedTarget::as_logged(streams.target, MAX_FIT_POSES)
+        };
+        Some((reading, solve(streams, &read, lag_s)?))
+    };
+    let at = |one: &HandEyeSolution| estimate_scale_error(streams, one.mount, one.offset_s.value);
+    // The time offset estimated with a large scale error is unreliable, so repeat at the corrected one.
+    let (_, first) = with(at(as_logged)?)?;
+    let (reading, solution) = with(at(&first)?)?;
+    let (left_m, was_m) = (solution.closure.excess_m.value, as_logged.closure.excess_m.value);
+    let closes =
+        left_m < MAX_EXCESS_RATIO * was_m && left_m < MAX_EXCESS_RATIO * solution.closure.rms_m;
+    closes.then_some((reading, solution))
+}
+
+/// Alternative encoding other than a scale.
+fn alternative_encoding(
+    streams: &HandEyeStreams,
+    as_logged: &HandEyeSolution,
+    lag_s: f64,
+) -> Option<(TargetEncoding, HandEyeSolution)> {
+    let plain = closure_error_with(streams, TargetEncoding::AsLogged, lag_s)?;
+    let mut tried: Vec<(f64, TargetEncoding)> = candidates(streams, lag_s)
+        .into_iter()
+        .filter_map(|reading| Some((closure_error_with(streams, reading, lag_s)?, reading)))
+        .collect();
+    tried.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (misfit, reading) = *tried.first()?;
+    if misfit > MAX_RESIDUAL_RATIO * plain {
+        return None;
+    }
+    let stride = streams.target.t_s.len().div_ceil(MAX_FIT_POSES).max(1);
+    let read = DecodedTarget { series: streams.target, encoding: reading, stride };
+    let solution = solve(streams, &read, lag_s)?;
+    let closes = |a: &HandEyeSolution, b: &HandEyeSolution| {
+        let m = a.closure.rms_m <= 1.1 * b.closure.rms_m;
+        let rad = a.closure.rms_rad <= 1.1 * b.closure.rms_rad;
+        let far_better = a.closure.rms_m < MAX_RESIDUAL_RATIO * b.closure.rms_m
+            || a.closure.rms_rad < MAX_RESIDUAL_RATIO * b.closure.rms_rad;
+        m && rad && far_better
+    };
+    closes(&solution, as_logged).then_some((reading, solution))
+}
+
+/// Closure error with an encoding, for the better mounting.
+fn closure_error_with(
+    streams: &HandEyeStreams,
+    reading: TargetEncoding,
+    lag_s: f64,
+) -> Option<f64> {
+    let read = decoded_with(streams, reading);
+    let misfits = CameraMount::ALL.into_iter().filter_map(|mount| {
+        Some(
+            solve_closed_form_quick(
+                &HandEyeSetting::new(streams.hand, read.poses(), mount).pairs_at(lag_s, MAX_POSES),
+            )?
+            .misfit,
+        )
+    });
+    misfits.min_by(f64::total_cmp)
+}
+
+fn decoded_with<'a>(streams: &HandEyeStreams<'a>, reading: TargetEncoding) -> DecodedTarget<'a> {
+    let stride = streams.target.t_s.len().div_ceil(MAX_POSES).max(1);
+    DecodedTarget { series: streams.target, encoding: reading, stride }
+}
+
+/// Candidate encodings. If the rotation angles already match the hand's, only encodings that preserve
+/// angles; otherwise only those that make them match.
+fn candidates(streams: &HandEyeStreams, lag_s: f64) -> Vec<TargetEncoding> {
+    /// Maximum median difference of matching angles, rad.
+    const MAX_ANGLE_DIFFERENCE_RAD: f64 = 0.03;
+    /// Maximum number of encodings that improve the angles to be tried.
+    const MAX_ENCODINGS: usize = 6;
+    let gap = |reading| {
+        let read = decoded_with(streams, reading);
+        angle_difference(
+            &HandEyeSetting::new(streams.hand, read.poses(), CameraMount::InHand)
+                .pairs_at(lag_s, MAX_POSES / 2),
+        )
+    };
+    let as_logged = gap(TargetEncoding::AsLogged);
+    if as_logged < MAX_ANGLE_DIFFERENCE_RAD {
+        let mut same_angles = vec![
+            TargetEncoding::Transposed,
+            TargetEncoding::QuaternionOrder(QuaternionOrderError::WxyzReadAsXyzw),
+            TargetEncoding::QuaternionOrder(QuaternionOrderError::XyzwReadAsWxyz),
+        ];
+        same_angles.extend(signed_permutations().map(TargetEncoding::Axes));
+        return same_angles;
+    }
+    let mut gaps: Vec<(f64, TargetEncoding)> = misinterpretation_classes()
+        .iter()
+        .map(TargetEncoding::Misinterpreted)
+        .map(|reading| (gap(reading), reading))
+        .filter(|(gap, _)| *gap < MAX_RESIDUAL_RATIO * as_logged)
+        .collect();
+    gaps.sort_by(|a, b| a.0.total_cmp(&b.0));
+    gaps.truncate(MAX_ENCODINGS);
+    gaps.into_iter().map(|(_, reading)| reading).collect()
+}
+
+/// All 47 other signed permutations of the axes, including left-handed ones.
+fn signed_permutations() -> impl Iterator<Item = [(usize, f64); 3]> {
+    const ORDERS: [[usize; 3]; 6] =
+        [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
+    let all = ORDERS.into_iter().flat_map(|order| {
+        (0..8_usize).map(move |signs| {
+            let sign = |axis: usize| if signs >> axis & 1 == 0 { 1.0 } else { -1.0 };
+            [0, 1, 2].map(|axis| (order[axis], sign(axis)))
+        })
+    });
+    all.skip(1)
+}

@@ -1,0 +1,148 @@
+//! Residual of an IMU against FK, computed independently of the fits. A pass requires it to be small.
+
+use super::super::constant::{mean_rotation, wahba};
+use super::super::residual_check::{ErrorSeries, FkError};
+use super::{ImuDiagnosis, ImuStream, Link, MAX_IMU_FIT_SAMPLES, MIN_CORRELATION, rms};
+use ground::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
+use ground::stream::{JointTrack, sample_noise};
+use nalgebra::Matrix3;
+
+/// Minimum number of samples.
+const MIN_SAMPLES: usize = 50;
+
+/// Residual of an IMU that rotates with the arm.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ImuResidualCheck {
+    /// Residual of its orientation, rad, after correcting latency, mount, world frame and yaw error.
+    /// `length` is zero.
+    pub orientation: Option<FkError>,
+    /// Residual of its gyro.
+    pub gyro: Option<GyroResidual>,
+    /// Median norm of its specific force, m/s². `None` if it is zero.
+    pub gravity_m_s2: Option<f64>,
+}
+
+/// Residual of a gyro against the arm's angular rate, after correcting the mount and the mean.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GyroResidual {
+    /// Ratio of the gyro's rate to the arm's.
+    pub scale: f64,
+    /// Residual, rms rad/s.
+    pub residual: f64,
+    /// Angular rate of the link by FK, rms rad/s.
+    pub by_fk: f64,
+    /// Sample-to-sample noise of the gyro, rms rad/s.
+    pub noise: f64,
+}
+
+/// Computes the residual of an IMU against FK of `joints`, which should be corrected already. `None` if the
+/// IMU does not rotate with the arm and so cannot be compared.
+pub fn check_imu_residual(
+    joints: &JointTrack,
+    stream: &ImuStream,
+    found: &ImuDiagnosis,
+    most_lag_s: f64,
+) -> Option<ImuResidualCheck> {
+    let track = found.conventions.convert(stream.track);
+    let stream = &ImuStream { track: &track, ..*stream };
+    let link = Link::new(joints, stream, &found.conventions);
+    let peak = link.peaks(most_lag_s).first().copied()?;
+    if peak.correlation <= MIN_CORRELATION {
+        return None;
+    }
+    let lag_s = found.latency_s.as_ref().map_or(peak.lag_s, |latency| latency.value);
+    let skew = found.skew.as_ref().map_or(0.0, |skew| skew.value);
+    let truth_s = |t_s: f64| t_s - lag_s - skew * (t_s - link.middle_s);
+    let t_s = &stream.track.t_s;
+    let mut sweep = link.sweep();
+    let stride = t_s.len().div_ceil(MAX_IMU_FIT_SAMPLES).max(1);
+    let mut moments: Vec<(usize, Rotation, Vec3)> = Vec::new();
+    for row in (0..t_s.len()).step_by(stride) {
+        if let Some(moment) = link.at(truth_s(t_s[row]), &mut sweep)
+            && moment.moving
+        {
+            moments.push((row, moment.rotation, moment.rotation.inverse() * moment.rate));
+        }
+    }
+    (moments.len() >= MIN_SAMPLES).then(|| ImuResidualCheck {
+        orientation: orientation_residual(stream, found, &moments),
+        gyro: gyro_residual(&link, &moments),
+        gravity_m_s2: mean_gravity(&stream.track.accel),
+    })
+}
+
+/// Residual of the orientation. `None` if there is none or its encoding is misinterpreted.
+fn orientation_residual(
+    stream: &ImuStream,
+    found: &ImuDiagnosis,
+    moments: &[(usize, Rotation, Vec3)],
+) -> Option<FkError> {
+    let reading = found.encoding.as_ref().ok()?;
+    let (track, link_from_imu) = (stream.track, found.link_from_imu?);
+    if track.orientation.is_empty() || !reading.best.is_as_logged() {
+        return None;
+    }
+    let yaw_at = |t_s: f64| {
+        let next = found.yaw_error.partition_point(|(at_s, _)| *at_s <= t_s);
+        let last = found.yaw_error.get(next.saturating_sub(1));
+        last.map_or(0.0, |(_, yaw_rad)| *yaw_rad)
+    };
+    let mount_at = |t_s: f64| match &found.mount_change {
+        Some(change) if t_s > change.at_s => change.link_from_imu,
+        _ => link_from_imu,
+    };
+    let worlds: Vec<Rotation> = moments
+        .iter()
+        .map(|(row, base_from_link, _)| {
+            let link_from_imu = mount_at(track.t_s[*row]);
+            let world = track.orientation[*row] * (base_from_link * link_from_imu).inverse();
+            rotation_from_rotvec(Vec3::z() * -yaw_at(track.t_s[*row])) * world
+        })
+        .collect();
+    let mean = mean_rotation(&worlds);
+    let angle = worlds.iter().map(|world| rotvec_from_rotation(&(world * mean.inverse())));
+    let angle: Vec<Vec3> = angle.collect();
+    let t_s: Vec<f64> = moments.iter().map(|(row, ..)| track.t_s[*row]).collect();
+    let fk: Vec<Pose> = moments
+        .iter()
+        .map(|(_, rotation, _)| Pose::from_parts(Vec3::zeros().into(), *rotation))
+        .collect();
+    let nothing = vec![Vec3::zeros(); angle.len()];
+    let moves = vec![true; angle.len()];
+    Some(ErrorSeries::new(&t_s, &fk, nothing, Some(angle)).error(&moves, false))
+}
+
+/// Residual of the gyro with its best-fitting mount. `None` if the gyro is always zero.
+fn gyro_residual(link: &Link, moments: &[(usize, Rotation, Vec3)]) -> Option<GyroResidual> {
+    let gyro = &link.stream.track.gyro;
+    let in_range = |moment: &&(usize, Rotation, Vec3)| !link.numbers.saturates(&gyro[moment.0]);
+    let moments: Vec<_> = moments.iter().filter(in_range).collect();
+    let n = moments.len().max(1) as f64;
+    let mean = moments.iter().map(|(row, ..)| gyro[*row]).sum::<Vec3>() / n;
+    let mean_rate = moments.iter().map(|(.., rate)| rate).sum::<Vec3>() / n;
+    let pairs = || moments.iter().map(|(row, _, rate)| (gyro[*row] - mean, rate - mean_rate));
+    let correlation: Matrix3<f64> = pairs().map(|(gyro, rate)| rate * gyro.transpose()).sum();
+    let link_from_imu = wahba(&correlation);
+    let (mut along, mut square) = (0.0, 0.0);
+    for (gyro, rate) in pairs() {
+        along += rate.dot(&(link_from_imu * gyro));
+        square += rate.norm_squared();
+    }
+    let noise = |axis: usize| {
+        let column: Vec<f64> = gyro.iter().map(|gyro| gyro[axis]).collect();
+        sample_noise(&column)
+    };
+    let says_something = gyro.iter().any(|gyro| gyro.norm() > 0.0);
+    (says_something && square > 0.0).then(|| GyroResidual {
+        scale: along / square,
+        residual: rms(pairs().map(|(gyro, rate)| (link_from_imu * gyro - rate).norm())),
+        by_fk: (square / n).sqrt(),
+        noise: Vec3::new(noise(0), noise(1), noise(2)).norm(),
+    })
+}
+
+fn mean_gravity(accel: &[Vec3]) -> Option<f64> {
+    let mut sizes: Vec<f64> = accel.iter().map(Vec3::norm).collect();
+    sizes.sort_by(f64::total_cmp);
+    sizes.get(sizes.len() / 2).copied().filter(|size| *size > 0.0)
+}

@@ -1,0 +1,70 @@
+//! Joint states decoded with one encoding.
+
+use super::super::sampling::rest_speeds;
+use super::encoding::{JointCoupling, JointEncoding, JointUnit, is_coded};
+use super::{correct_joints, with_zeros};
+use ground::stream::JointTrack;
+
+/// Decoded joint states.
+pub(in super::super) struct CorrectedJoints {
+    /// Joint track with corrected names and units.
+    pub track: JointTrack,
+    /// The same track with large zeros added, if there are any.
+    approximate_track: Option<JointTrack>,
+    /// Zeros added to `approximate_track`, per joint of the track, followed by a zero for each of `gains`.
+    pub offsets: Vec<f64>,
+    /// Gains to estimate: scaled joints (paired with themselves) and coupled joints (paired with the
+    /// driving joint).
+    pub gains: Vec<(usize, usize)>,
+    /// Couplings with approximate factors, already applied to `track`.
+    pub couplings: Vec<JointCoupling>,
+    /// Approximate scale of each joint of the track.
+    pub factors: Vec<f64>,
+    /// Maximum speed at rest of each joint of the track.
+    pub rest_speeds: Vec<f64>,
+}
+
+impl CorrectedJoints {
+    pub fn new(joints: &JointTrack, reading: &JointEncoding, prismatic: &[bool]) -> Self {
+        let track = correct_joints(joints, reading, prismatic);
+        let is_off = reading.zeros.iter().any(|zero| *zero != 0.0);
+        let near = is_off.then(|| with_zeros(&track, &reading.zeros));
+        let scaled = reading.unit_errors.iter().filter(|slip| slip.unit == JointUnit::Scaled);
+        let coupled = reading.couplings.iter().map(|coupling| (coupling.column, coupling.by));
+        let gained: Vec<(usize, usize)> =
+            scaled.map(|slip| (slip.column, slip.column)).chain(coupled).collect();
+        let mut factors = vec![1.0; joints.dof];
+        reading.unit_errors.iter().for_each(|slip| factors[slip.column] = slip.factor);
+        let mut offsets = reading.zeros.clone();
+        offsets.resize(joints.dof, 0.0);
+        offsets.resize(joints.dof + gained.len(), 0.0);
+        let still = rest_speeds(&track);
+        Self {
+            track,
+            approximate_track: near,
+            offsets,
+            gains: gained,
+            couplings: reading.couplings.clone(),
+            factors,
+            rest_speeds: still,
+        }
+    }
+
+    /// For a stream computed from the joint states: corrects names and units only.
+    pub fn for_derived(self) -> Self {
+        let offsets = vec![0.0; self.track.dof];
+        Self { approximate_track: None, offsets, gains: Vec::new(), ..self }
+    }
+
+    /// Whether a joint's values are not angles or lengths and their encoding has a zero.
+    pub fn has_encoded_zero(&self, joint: usize) -> bool {
+        self.gains.contains(&(joint, joint))
+            && is_coded(self.factors[joint])
+            && self.offsets[joint] != 0.0
+    }
+
+    /// Joint states with approximate zeros corrected.
+    pub fn approximate_track(&self) -> &JointTrack {
+        self.approximate_track.as_ref().unwrap_or(&self.track)
+    }
+}

@@ -1,0 +1,172 @@
+//! Residual of a pose stream at slow samples for a mapping of the joint states.
+
+use super::super::frames::{initial_frames, tool_frame};
+use super::super::position_fit::FkColumns;
+use super::map::JointMap;
+use ground::geometry::{Pose, Rotation, Vec3, angle_between, pose, rotvec_from_rotation};
+use ground::robot::Chain;
+
+/// Iterations of the frame search for a thinned and for a full view.
+const THINNED_FRAME_ITERATIONS: usize = 5;
+pub(super) const FRAME_ITERATIONS: usize = 30;
+
+/// Constant frames that are free.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum FreeFrames {
+    /// Tool frame only: an active TCP.
+    Tool,
+    /// Tool and reference frame.
+    Both,
+}
+
+/// Constant frames: `logged = reference · FK · tool`.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct ConstantFrames {
+    pub reference: Pose,
+    pub tool: Pose,
+}
+
+/// Residual, rms m and rad; no angle if only positions are compared.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in super::super) struct ResidualSize {
+    pub m: f64,
+    pub rad: Option<f64>,
+}
+
+impl ResidualSize {
+    /// Combines both into one length, with the angle at `lever_m`.
+    pub fn combined_m(self, lever_m: f64) -> f64 {
+        self.m.hypot(lever_m * self.rad.unwrap_or(0.0))
+    }
+}
+
+/// Interpreted poses of a stream, with the simultaneous joint values.
+#[derive(Clone)]
+pub(super) struct InterpretedPoses<'a> {
+    pub chain: &'a Chain,
+    pub xyz: Vec<Vec3>,
+    /// Rotations, if they are used.
+    pub rotation: Option<Vec<Rotation>>,
+    /// Row-major, in the chain's order.
+    pub q: Vec<f64>,
+    /// Minimum and maximum of each joint's logged value over the run.
+    pub spans: Vec<[f64; 2]>,
+    /// Lever arm that converts angles to lengths, m.
+    pub lever_m: f64,
+    /// Iterations of the frame search by positions.
+    pub turns: usize,
+}
+
+impl InterpretedPoses<'_> {
+    pub fn len(&self) -> usize {
+        self.xyz.len()
+    }
+
+    /// Selects at most `most` samples, evenly spaced.
+    pub fn thinned(&self, most: usize) -> Self {
+        let step = self.len().div_ceil(most).max(1);
+        let rows = self.q.chunks_exact(self.chain.dof()).step_by(step);
+        let some = |all: &Vec<Rotation>| all.iter().copied().step_by(step).collect();
+        Self {
+            xyz: self.xyz.iter().copied().step_by(step).collect(),
+            rotation: self.rotation.as_ref().map(some),
+            q: rows.flatten().copied().collect(),
+            spans: self.spans.clone(),
+            turns: THINNED_FRAME_ITERATIONS,
+            ..*self
+        }
+    }
+
+    /// Mirrors the positions and drops the rotations.
+    pub fn mirrored(&self) -> Self {
+        let mirror = |xyz: &Vec3| Vec3::new(-xyz.x, xyz.y, xyz.z);
+        Self { rotation: None, xyz: self.xyz.iter().map(mirror).collect(), ..self.clone() }
+    }
+
+    /// FK of all samples under `map`.
+    pub fn fk(&self, map: &JointMap) -> Vec<Pose> {
+        let dof = self.chain.dof();
+        let mut q = vec![0.0; self.q.len()];
+        let rows = self.q.chunks_exact(dof).zip(q.chunks_exact_mut(dof));
+        rows.for_each(|(row, q)| map.apply(row, q));
+        let mut poses = Vec::new();
+        self.chain.forward_batch(&q, &mut poses);
+        poses
+    }
+
+    fn logged(&self) -> Option<Vec<Pose>> {
+        let rotation = self.rotation.as_ref()?;
+        Some(self.xyz.iter().zip(rotation).map(|(p, r)| pose((*p).into(), *r)).collect())
+    }
+
+    /// Constant frames with the smallest residual.
+    pub fn fit_frames(&self, fk: &[Pose], freedom: FreeFrames) -> ConstantFrames {
+        let expected = FkColumns::from_poses(fk);
+        let by_positions = |turns: usize| {
+            let (reference, tool) = expected.frames(&self.xyz, turns);
+            ConstantFrames { reference, tool: pose(tool.into(), Rotation::identity()) }
+        };
+        let Some(logged) = self.logged() else {
+            return by_positions(if freedom == FreeFrames::Both { self.turns } else { 0 });
+        };
+        let tool = ConstantFrames { reference: Pose::identity(), tool: tool_frame(fk, &logged) };
+        if freedom == FreeFrames::Tool {
+            return tool;
+        }
+        let (reference, turned_tool) = initial_frames(fk, &logged);
+        let placed = by_positions(self.turns).reference;
+        let seen: Vec<Pose> = logged.iter().map(|pose| placed.inverse() * pose).collect();
+        let placed = ConstantFrames { reference: placed, tool: tool_frame(fk, &seen) };
+        let both = [ConstantFrames { reference, tool: turned_tool }, placed, tool];
+        let left =
+            |frames: &ConstantFrames| self.residual_against(fk, frames).combined_m(self.lever_m);
+        both.into_iter().min_by(|a, b| left(a).total_cmp(&left(b))).unwrap_or(tool)
+    }
+
+    /// Residual of the poses against `fk` in `fit_frames`.
+    pub fn residual_against(&self, fk: &[Pose], frames: &ConstantFrames) -> ResidualSize {
+        let (mut metres, mut radians) = (0.0, 0.0);
+        for (k, fk) in fk.iter().enumerate() {
+            let [position, rotation] = self.residual(k, &(frames.reference * fk * frames.tool));
+            metres += position.norm_squared();
+            radians += rotation.norm_squared();
+        }
+        let n = self.len().max(1) as f64;
+        let rad = self.rotation.as_ref().map(|_| (radians / n).sqrt());
+        ResidualSize { m: (metres / n).sqrt(), rad }
+    }
+
+    /// Logged minus predicted at sample `k`, m and rad.
+    pub fn residual(&self, k: usize, predicted: &Pose) -> [Vec3; 2] {
+        let turn =
+            |all: &Vec<Rotation>| rotvec_from_rotation(&(all[k] * predicted.rotation.inverse()));
+        let rotation = self.rotation.as_ref().map_or_else(Vec3::zeros, turn);
+        [self.xyz[k] - predicted.translation.vector, rotation]
+    }
+
+    /// Frame-independent residual of a map: distances and angles between samples, rms m. A tool offset
+    /// changes the distances slightly.
+    pub fn strain(&self, map: &JointMap) -> f64 {
+        let fk = self.fk(map);
+        let n = fk.len();
+        let pairs = (0..n).flat_map(|k| [1, n / 3 + 1].map(|step| (k, (k + step) % n)));
+        let (mut sum, mut count) = (0.0, 0);
+        for (a, b) in pairs {
+            let far = (fk[a].translation.vector - fk[b].translation.vector).norm();
+            sum += (far - (self.xyz[a] - self.xyz[b]).norm()).powi(2);
+            if let Some(rotation) = &self.rotation {
+                let turned = angle_between(&fk[a].rotation, &fk[b].rotation);
+                let angle = turned - angle_between(&rotation[a], &rotation[b]);
+                sum += (self.lever_m * angle).powi(2);
+            }
+            count += 1;
+        }
+        (sum / f64::from(count.max(1))).sqrt()
+    }
+
+    /// Residual of a map with the best frames, as one length.
+    pub fn misfit(&self, map: &JointMap, freedom: FreeFrames) -> f64 {
+        let fk = self.fk(map);
+        self.residual_against(&fk, &self.fit_frames(&fk, freedom)).combined_m(self.lever_m)
+    }
+}

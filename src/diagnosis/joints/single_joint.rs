@@ -1,0 +1,157 @@
+//! Scale and zero of one joint in closed form, given the others.
+//!
+//! A revolute joint moves the tip and its axes on circles, so all twelve numbers of a pose are `c + a·cos θ
+//! + b·sin θ`. The residual sum new squares for angles θₖ is then a constant minus `2·Re Σ zₖ·exp(−iθₖ)`,
+//! with `zₖ` from the logged poses. With `θₖ = s·vₖ + o`, the best `o` for a given `s` is the argument of
+//! `Σ zₖ·exp(−i·s·vₖ)`, and the best `s` maximises its magnitude. A spectrum of a few hundred lines
+//! therefore covers every scale, sign and zero.
+
+use super::interpreted_poses::{ConstantFrames, InterpretedPoses};
+use super::map::JointMap;
+use ground::geometry::Pose;
+use ground::robot::JointKind;
+use std::f64::consts::{PI, TAU};
+
+/// Logged values and required positions of one joint.
+pub(super) struct SingleJoint {
+    /// Logged values of the joint.
+    values: Vec<f64>,
+    /// Real and imaginary part of `zₖ` for a revolute joint; required position, m, for a prismatic one.
+    required: Vec<[f64; 2]>,
+    is_prismatic: bool,
+    /// Minimum and maximum of the logged values.
+    span: [f64; 2],
+}
+
+/// Pose as numbers, with rotations scaled by the lever: twelve, or three without a lever.
+fn pose_numbers(pose: &Pose, lever_m: Option<f64>) -> [f64; 12] {
+    let mut numbers = [0.0; 12];
+    numbers[..3].copy_from_slice(pose.translation.vector.as_slice());
+    if let Some(lever_m) = lever_m {
+        let matrix = pose.rotation.to_rotation_matrix();
+        // The squared Frobenius norm of a matrix change is twice the squared angle.
+        let scale = lever_m / 2f64.sqrt();
+        for (number, entry) in numbers[3..].iter_mut().zip(matrix.matrix().iter()) {
+            *number = scale * entry;
+        }
+    }
+    numbers
+}
+
+fn dot(a: &[f64; 12], b: &[f64; 12]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+impl SingleJoint {
+    /// Requirements on `joint`, with the other joints read by `map`, in `frames`.
+    pub fn new(
+        view: &InterpretedPoses,
+        map: &JointMap,
+        frames: &ConstantFrames,
+        joint: usize,
+    ) -> Self {
+        let dof = view.chain.dof();
+        let slides = view.chain.joint_kinds()[joint] == JointKind::Prismatic;
+        let lever_m = view.rotation.as_ref().map(|_| view.lever_m);
+        let mut q = vec![0.0; dof];
+        let (mut values, mut wanted) = (Vec::new(), Vec::new());
+        for (k, row) in view.q.chunks_exact(dof).enumerate() {
+            map.apply(row, &mut q);
+            values.push(row[map.from[joint]]);
+            let mut at = |position: f64| {
+                q[joint] = position;
+                pose_numbers(&(frames.reference * view.chain.forward(&q) * frames.tool), lever_m)
+            };
+            let turn = view.rotation.as_ref().map_or_else(Default::default, |all| all[k]);
+            let logged = pose_numbers(&Pose::from_parts(view.xyz[k].into(), turn), lever_m);
+            let between = |a: &[f64; 12], b: &[f64; 12]| std::array::from_fn(|i| a[i] - b[i]);
+            wanted.push(if slides {
+                let (zero, one) = (at(0.0), at(1.0));
+                let along = between(&one, &zero);
+                [dot(&along, &between(&logged, &zero)) / dot(&along, &along).max(1e-12), 0.0]
+            } else {
+                // c, a and b from three angles 120° apart.
+                let third = [at(0.0), at(TAU / 3.0), at(2.0 * TAU / 3.0)];
+                let part = |weights: [f64; 3]| -> [f64; 12] {
+                    std::array::from_fn(|i| (0..3).map(|n| weights[n] * third[n][i]).sum())
+                };
+                let (cos, sin) = ((TAU / 3.0).cos(), (TAU / 3.0).sin());
+                let centre = part([1.0 / 3.0; 3]);
+                let a = part([1.0, cos, cos].map(|w| w * 2.0 / 3.0));
+                let b = part([0.0, sin, -sin].map(|w| w * 2.0 / 3.0));
+                let off = between(&logged, &centre);
+                [dot(&a, &off), dot(&b, &off)]
+            });
+        }
+        Self { values, required: wanted, is_prismatic: slides, span: view.spans[map.from[joint]] }
+    }
+
+    /// Best zero for a factor, and its score (higher is better).
+    pub fn best_zero(&self, factor: f64) -> (f64, f64) {
+        if self.is_prismatic {
+            let n = self.values.len().max(1) as f64;
+            let offs = || self.values.iter().zip(&self.required).map(|(v, w)| w[0] - factor * v);
+            let zero = offs().sum::<f64>() / n;
+            return (zero, -offs().map(|off| (off - zero).powi(2)).sum::<f64>());
+        }
+        let (mut real, mut imaginary) = (0.0, 0.0);
+        for (value, [a, b]) in self.values.iter().zip(&self.required) {
+            // z·exp(−i·s·v)
+            let (sin, cos) = (factor * value).sin_cos();
+            real += a * cos + b * sin;
+            imaginary += b * cos - a * sin;
+        }
+        (imaginary.atan2(real), real.hypot(imaginary))
+    }
+
+    /// Score of a factor with zero offset 0.
+    pub fn score_without_zero(&self, factor: f64) -> f64 {
+        let samples = self.values.iter().zip(&self.required);
+        if self.is_prismatic {
+            return -samples.map(|(v, w)| (w[0] - factor * v).powi(2)).sum::<f64>();
+        }
+        let part = |(value, [a, b]): (&f64, &[f64; 2])| {
+            let (sin, cos) = (factor * value).sin_cos();
+            a * cos + b * sin
+        };
+        samples.map(part).sum()
+    }
+
+    /// Factors with the best score: with a free zero, and without one.
+    pub fn factors(&self) -> Vec<(f64, f64)> {
+        /// Maximum range of a joint, rad.
+        const MAX_RANGE_RAD: f64 = 2.5 * TAU;
+        /// Spacing of the spectral lines, rad. Joints with a smaller range do not determine their scale.
+        const SPECTRAL_LINE_RAD: f64 = PI / 16.0;
+        let width = self.span[1] - self.span[0];
+        let largest = self.span[0].abs().max(self.span[1].abs());
+        if width <= 0.0 {
+            return Vec::new();
+        }
+        if self.is_prismatic {
+            return self.line();
+        }
+        let best = |lines: usize, step: f64, well: &dyn Fn(f64) -> f64| {
+            let lines = (0..=2 * lines).map(|i| (i as f64 - lines as f64) * step);
+            let best = lines.map(|s| (well(s), s)).max_by(|a, b| a.0.total_cmp(&b.0));
+            best.map_or(1.0, |(_, s)| s)
+        };
+        let lines = (MAX_RANGE_RAD / SPECTRAL_LINE_RAD) as usize;
+        let with_zero = best(lines, SPECTRAL_LINE_RAD / width, &|s| self.best_zero(s).1);
+        let without = best(lines, SPECTRAL_LINE_RAD / largest, &|s| self.score_without_zero(s));
+        vec![(with_zero, self.best_zero(with_zero).0), (without, 0.0)]
+    }
+
+    /// Linear regression for a prismatic joint, with and without a zero.
+    fn line(&self) -> Vec<(f64, f64)> {
+        let n = self.values.len().max(1) as f64;
+        let mean = |of: &dyn Fn(usize) -> f64| (0..self.values.len()).map(of).sum::<f64>() / n;
+        let (v, w) = (|k: usize| self.values[k], |k: usize| self.required[k][0]);
+        let (mean_v, mean_w) = (mean(&v), mean(&w));
+        let slope = |v0: f64, w0: f64| {
+            mean(&|k| (v(k) - v0) * (w(k) - w0)) / mean(&|k| (v(k) - v0).powi(2)).max(1e-18)
+        };
+        let with_zero = slope(mean_v, mean_w);
+        vec![(with_zero, mean_w - with_zero * mean_v), (slope(0.0, 0.0), 0.0)]
+    }
+}

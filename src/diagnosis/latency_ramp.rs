@@ -1,0 +1,117 @@
+//! Large piecewise linear latency of a stream.
+
+use super::LatencyProfile;
+use super::coarse_latency::{LagWindow, monotonic_rows, squared_residual};
+use super::latency::SpeedSeries;
+
+/// Piecewise linear latency, as compensated in a stream's stamps.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LatencyRamp {
+    /// Stamps, s from the run's origin, and latency there, s. At least two.
+    knots: Vec<(f64, f64)>,
+}
+
+/// Fitted latency, its squared speed residual, and that of a linear latency.
+pub(super) struct RampFit {
+    pub ramp: LatencyRamp,
+    pub residual: f64,
+    pub line_residual: f64,
+}
+
+impl LatencyRamp {
+    /// Fits the latency of a stream whose speed matches the arm's in `windows` at varying lags. Returns the
+    /// speed residuals of this fit and of the best line. `None` if the lags vary little.
+    pub(super) fn fit_windows(
+        arm: &SpeedSeries,
+        stream: &SpeedSeries,
+        windows: &[&LagWindow],
+    ) -> Option<RampFit> {
+        /// Minimum variation, s. A smaller one does not affect estimates over a second of motion.
+        const MIN_VARIATION_S: f64 = 0.035;
+        /// Minimum deviation from a line, s. A smaller one is skew.
+        const MIN_LINE_DEVIATION_S: f64 = 0.005;
+        /// Minimum number of knots.
+        const MIN_KNOTS: usize = 6;
+        let (first, last) = (windows.first()?, windows.last()?);
+        let (begin_s, end_s) = (*arm.t_s.first()?, *arm.t_s.last()?);
+        let inner = windows.iter().map(|window| (window.middle_s, window.lag_s));
+        let inner = inner.filter(|(middle_s, _)| (begin_s..end_s).contains(middle_s));
+        let whole = [(begin_s, first.lag_s)].into_iter().chain(inner);
+        let whole = whole.chain([(end_s, last.lag_s)]);
+        let knots: Vec<(f64, f64)> = whole.map(|(t_s, lag_s)| (t_s + lag_s, lag_s)).collect();
+        let lags = || knots.iter().map(|knot| knot.1);
+        let swing_s = lags().fold(f64::MIN, f64::max) - lags().fold(f64::MAX, f64::min);
+        let is_in_order = knots.windows(2).all(|two| two[1].0 > two[0].0);
+        if knots.len() < MIN_KNOTS || swing_s < MIN_VARIATION_S || !is_in_order {
+            return None;
+        }
+        let mut line = Self { knots: vec![knots[0], knots[knots.len() - 1]] };
+        let of_line = line.refine(arm, stream);
+        let mut rough = Self { knots };
+        rough.refine(arm, stream);
+        // The windows overlap, so add a knot between every two.
+        let mut gradual = Self { knots: rough.with_midpoints() };
+        let left = gradual.refine(arm, stream);
+        let bends = gradual
+            .knots
+            .iter()
+            .any(|knot| (knot.1 - line.lag_s(knot.0)).abs() > MIN_LINE_DEVIATION_S);
+        Some(RampFit {
+            ramp: gradual,
+            residual: if bends { left } else { of_line },
+            line_residual: of_line,
+        })
+    }
+
+    /// The latency of a piecewise linear profile. `None` for other profiles.
+    pub(super) fn from_profile(course: &LatencyProfile) -> Option<Self> {
+        let knots = &course.levels;
+        (course.steps.is_empty() && knots.len() > 1).then(|| Self { knots: knots.clone() })
+    }
+
+    /// Latency at a stamp, s.
+    pub(super) fn lag_s(&self, t_s: f64) -> f64 {
+        let after = self.knots.partition_point(|knot| knot.0 <= t_s).clamp(1, self.knots.len() - 1);
+        let ((a_s, a), (b_s, b)) = (self.knots[after - 1], self.knots[after]);
+        a + (b - a) * ((t_s - a_s) / (b_s - a_s)).clamp(0.0, 1.0)
+    }
+
+    /// Compensates the stamps `t_s`. Returns each with its row, and drops rows that would precede an
+    /// earlier one.
+    pub fn compensated(&self, t_s: &[f64]) -> Vec<(usize, f64)> {
+        monotonic_rows(t_s.iter().map(|t_s| t_s - self.lag_s(*t_s)).enumerate())
+    }
+
+    /// Converts a compensated stamp back to the logged one, s.
+    pub(super) fn logged_s(&self, t_s: f64) -> f64 {
+        // Fixed-point iteration. It converges because the latency changes slowly.
+        (0..3).fold(t_s, |logged_s, _| t_s + self.lag_s(logged_s))
+    }
+
+    /// Minimises the speed residual over the lag at each knot, with decreasing steps. Returns the residual.
+    fn refine(&mut self, arm: &SpeedSeries, stream: &SpeedSeries) -> f64 {
+        const STEPS_S: [f64; 5] = [0.02, 0.008, 0.003, 0.001, 0.0003];
+        let mut least = squared_residual(arm, stream, &|t_s| self.lag_s(t_s));
+        for step_s in STEPS_S.into_iter().flat_map(|step_s| [step_s, step_s]) {
+            for knot in 0..self.knots.len() {
+                for by_s in [step_s, -step_s] {
+                    self.knots[knot].1 += by_s;
+                    match squared_residual(arm, stream, &|t_s| self.lag_s(t_s)) {
+                        better if better < least => least = better,
+                        _ => self.knots[knot].1 -= by_s,
+                    }
+                }
+            }
+        }
+        least
+    }
+
+    /// Knots with an additional one in the middle of each segment.
+    fn with_midpoints(&self) -> Vec<(f64, f64)> {
+        let amid = self.knots.windows(2).flat_map(|two| {
+            let ((a_s, a), (b_s, b)) = (two[0], two[1]);
+            [(a_s, a), (0.5 * (a_s + b_s), 0.5 * (a + b))]
+        });
+        amid.chain(self.knots.last().copied()).collect()
+    }
+}
