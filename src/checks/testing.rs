@@ -138,6 +138,7 @@ pub fn clean_run() -> RunEvidence {
         joints: ["pan", "lift", "elbow"].map(joint).to_vec(),
         reach_m: 0.85,
         better_model: None,
+        indistinguishable_models: Vec::new(),
         dh: Some(DhEvidence {
             declared: DhConvention::Standard,
             estimate: DhComparison {

@@ -33,6 +33,8 @@ pub struct ArmEvidence {
     pub reach_m: f64,
     /// Different arm model that fits the poses far better than the declared one.
     pub better_model: Option<CompetingModel>,
+    /// Other catalogue arms with different links that fit the log about as well as this one, which was guessed.
+    pub indistinguishable_models: Vec<String>,
     /// Declared DH convention and the evidence for it, if the model is a DH table.
     pub dh: Option<DhEvidence>,
     /// Diagnosis of its joint states.
@@ -261,6 +263,7 @@ pub(super) fn arm_evidence(
         joints,
         reach_m: arm.chain.max_reach_m(),
         better_model: arm.better.clone(),
+        indistinguishable_models: arm.indistinguishable.clone(),
         dh: diagnosis.dh,
         is_in_degrees_by_magnitude,
         diagnosis: found,

@@ -28,6 +28,8 @@ pub struct Arm {
     pub found: String,
     /// A different arm that fits the poses far better than `robot`, if `robot` was named.
     pub better: Option<CompetingModel>,
+    /// Other catalogue arms with different links that fit the log about as well as `robot`, which was guessed.
+    pub indistinguishable: Vec<String>,
     /// Chain from base to tip.
     pub chain: Chain,
     /// Column in `joints` of each joint of `chain`.
@@ -221,6 +223,7 @@ impl Arm {
             robot: robot.clone(),
             found: model.found.clone(),
             better: model.better.clone(),
+            indistinguishable: model.indistinguishable.clone(),
             chain,
             columns,
             tip_named: ends.tip.is_some(),

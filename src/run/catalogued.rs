@@ -98,19 +98,32 @@ impl Ranking {
         std::iter::once(best).chain(others.filter(is_same)).collect()
     }
 
+    /// Names of the arms with other links that this motion cannot distinguish from the best one.
+    fn indistinguishable(&self, names: &[&str]) -> Vec<String> {
+        let Some(best) = self.standings.first() else { return Vec::new() };
+        let rivals = self.near_best().into_iter().filter(|other| !other.moves_as(best));
+        rivals.map(|other| names[other.model].to_owned()).collect()
+    }
+
+    /// The standings after the best whose score does not differ from the lowest one.
+    fn near_best(&self) -> Vec<&Standing> {
+        let least = self.standings.iter().map(|one| one.score).fold(f64::INFINITY, f64::min);
+        let others = self.standings.iter().skip(1);
+        others.filter(|other| other.score <= least + self.apart).collect()
+    }
+
     /// Describes how the best model compares with the others.
     pub fn words(&self, names: &[&str], alike: &str) -> String {
         let [best, others @ ..] = self.standings.as_slice() else { return String::new() };
-        let least = self.standings.iter().map(|one| one.score).fold(f64::INFINITY, f64::min);
-        let (same, further): (Vec<&Standing>, Vec<&Standing>) =
-            others.iter().partition(|other| other.score <= least + self.apart);
+        let same = self.near_best();
+        let is_near = |one: &Standing| same.iter().any(|other| other.model == one.model);
         let mut words = format!(
             "the catalogue: best match of {} arms with {alike}: {} fits within {}",
             names.len(),
             best.topic,
             best.words()
         );
-        if let Some(next) = further.first() {
+        if let Some(next) = others.iter().find(|one| !is_near(one)) {
             words += &format!("; next best {}, within {}", names[next.model], next.words());
         }
         if !same.is_empty() {
@@ -258,7 +271,9 @@ fn the_one_of(
     match ranking.as_ref().and_then(|ranking| Some((ranking, ranking.standings.first()?))) {
         // Many makers use names such as joint_1, so an arm that does not fit may be from another maker.
         Some((ranking, best)) if best.fits || is_one_makers => {
-            Ok(take(best.model, ranking.words(&names, "these joint names")))
+            let model = take(best.model, ranking.words(&names, "these joint names"));
+            let indistinguishable = ranking.indistinguishable(&names);
+            Ok(model.map(|model| Model { indistinguishable, ..model }))
         }
         Some(_) if is_stranger => Ok(None),
         _ => Err(RunError::Ambiguous { arms: names.into_iter().map(str::to_owned).collect() }),

@@ -24,6 +24,8 @@ pub(super) struct Model {
     pub by_order: bool,
     /// A different arm that fits the poses far better than this named one.
     pub better: Option<CompetingModel>,
+    /// Other catalogue arms with different links that fit the log about as well as this one, which was guessed.
+    pub indistinguishable: Vec<String>,
 }
 
 /// A catalogue arm that fits the poses far better than the named model.
@@ -50,8 +52,16 @@ impl Model {
         };
         let controller_base = link(&robot.controller_base, known.0);
         let controller_tip = link(&robot.controller_tip, known.1);
-        let (by_order, better) = (false, None);
-        Self { robot, found, frames, controller_base, controller_tip, by_order, better }
+        Self {
+            robot,
+            found,
+            frames,
+            controller_base,
+            controller_tip,
+            by_order: false,
+            better: None,
+            indistinguishable: Vec::new(),
+        }
     }
 }
 

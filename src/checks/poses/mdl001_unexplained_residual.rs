@@ -170,13 +170,18 @@ fn judge_arm(case: &Case, outcomes: &CauseOutcomes, arm: &ArmEvidence) -> Vec<Su
                 SubjectResult::new(attributed.subject.clone(), wrong_model(case, arm, better))
                     .within(attributed.stream.span)
             }
-            None => judge(case, attributed, &streams),
+            None => judge(case, arm, attributed, &streams),
         }
     });
     judged.chain(imus).collect()
 }
 
-fn judge(case: &Case, attributed: &AttributedStream, all: &[AttributedStream]) -> SubjectResult {
+fn judge(
+    case: &Case,
+    arm: &ArmEvidence,
+    attributed: &AttributedStream,
+    all: &[AttributedStream],
+) -> SubjectResult {
     let AttributedStream { stream, subject, attribution, .. } = attributed;
     let proof = match &stream.proof {
         Ok(proof) => proof,
@@ -194,7 +199,19 @@ fn judge(case: &Case, attributed: &AttributedStream, all: &[AttributedStream]) -
     let angle = error.angle.as_ref().map(|angle| rms_beyond_noise(&angle.whole));
     let none = Measured { value: 0.0, std_error: 0.0, dof: f64::INFINITY };
     let length = rms_beyond_noise(&error.length.whole);
+    let competing = &arm.indistinguishable_models;
     let outcome = match outcome(case, attributed, all) {
+        // Another arm may explain the residual.
+        Outcome::Evaluated(Ruling::Fail(_))
+            if !competing.is_empty() && attributed.residual().is_some() =>
+        {
+            Outcome::Inconclusive(format!(
+                "residual {} with {}, but this motion does not distinguish it from {}: name your arm with --robot",
+                sizes(error),
+                arm.name,
+                competing.join(", ")
+            ))
+        }
         Outcome::Evaluated(Ruling::Pass(_)) if !stream.unidentified_columns.is_empty() => {
             rotation_not_checked(&stream.unidentified_columns)
         }

@@ -120,6 +120,21 @@ fn an_arm_that_fits_where_the_named_one_does_not_is_the_finding() {
 }
 
 #[test]
+fn a_residual_of_a_guessed_arm_is_open_while_another_fits_as_well() {
+    let mut run = clean_run();
+    run.robots[0].poses[0].proof = Ok(left(0.03, 0.0));
+    assert_eq!(ask(&MDL001, &run).1.len(), 1);
+    run.robots[0].indistinguishable_models = vec!["ur5e".to_owned()];
+    let (rows, findings) = ask(&MDL001, &run);
+    assert!(findings.is_empty(), "{findings:?}");
+    let row = rows.iter().find(|row| row.status == Status::Inconclusive).unwrap();
+    assert!(
+        row.reason.as_deref().unwrap().contains("does not distinguish it from ur5e"),
+        "{row:?}"
+    );
+}
+
+#[test]
 fn beside_what_nothing_explains_a_tool_and_growth_are_not_believed() {
     let found = |tool_m: f64| {
         let mut run = clean_run();
