@@ -106,7 +106,7 @@ fn what_is_wrong_says_where_and_what_was_meant() {
         ("[stream.\"/t\"]\nrol = \"pose\"", 2, "did you mean `role`?"),
         ("[stream.\"/t\"]\nrole = \"poze\"", 2, "unknown value `poze`: did you mean `pose`?"),
         ("[stream.\"/t\"]\n\nunits = [\"m\", \"mm\"]", 3, "contradict"),
-        ("[stream.\"/t\"]\nunits = [\"mm\"]", 1, "need a `convention`"),
+        ("[stream.\"/t\"]\nunits = [\"mm\"]", 1, "requires a `convention`"),
         ("[stream.\"/t\"]\nvendor = \"kuks\"", 2, "did you mean `kuka`?"),
         ("[stream.\"/t\"]\nconvention = \"euler:xxy\"", 2, "twice"),
         ("[stream.\"/t\"]\nrate_hz = -5", 2, "above 0"),
