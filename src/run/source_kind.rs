@@ -109,7 +109,7 @@ pub(super) fn source_kind_of(names: &PoseNames<'_>) -> (PoseSourceKind, String) 
     }
     match names.frame {
         Place::Unknown => {
-            let why = format!("its frame '{frame_id}', which is not tied to the robot");
+            let why = format!("its frame '{frame_id}', which is not fixed to the robot");
             (PoseSourceKind::External, why)
         }
         _ => (PoseSourceKind::Unknown, "lack of a known name or frame".to_owned()),

@@ -150,7 +150,7 @@ impl Assembly<'_> {
             (Place::Unnamed, _) => (arm.unnamed_base, Pose::identity()),
             (_, Some(anchor)) => (anchor.link, anchor.link_from_frame),
             (_, None) => {
-                return Err(format!("its frame '{frame}' is not tied to the robot"));
+                return Err(format!("its frame '{frame}' is not fixed to the robot"));
             }
         };
         let base_from_link = arm.robot.fixed_transform(arm.base, link).ok_or_else(|| {
