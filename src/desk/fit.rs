@@ -2,7 +2,7 @@
 
 use super::answer::AGREES_RAD;
 use crate::geometry::{
-    Pose, Rotation, Vec3, angle_between, rotation_from_matrix_rows, rotation_from_rotvec,
+    Pose, Rotation, Vec3, angle_between, rotation_by_wahba, rotation_from_rotvec,
     rotvec_from_rotation, xyz_of,
 };
 use nalgebra::{DMatrix, DVector, Matrix3};
@@ -71,7 +71,7 @@ pub(super) fn both(before: &[Pose], after: &[Pose]) -> Option<(Pose, Pose)> {
     if second < 0.05 {
         return None;
     }
-    let tip_rotation = nearest_rotation(moment)?;
+    let tip_rotation = rotation_by_wahba(&moment);
     let base_rotation = base(
         &before.iter().map(|pose| turned(pose.rotation * tip_rotation)).collect::<Vec<_>>(),
         &after.iter().map(|pose| turned(pose.rotation)).collect::<Vec<_>>(),
@@ -100,16 +100,6 @@ fn turned(rotation: Rotation) -> Pose {
 fn sorted(mut values: [f64; 3]) -> [f64; 3] {
     values.sort_by(f64::total_cmp);
     values
-}
-
-/// Rotation X that best satisfies `a = X b`, from the sum of `a bᵀ`.
-fn nearest_rotation(moment: Matrix3<f64>) -> Option<Rotation> {
-    let svd = moment.svd(true, true);
-    let (u, v_t) = (svd.u?, svd.v_t?);
-    let sign = Matrix3::from_diagonal(&Vec3::new(1.0, 1.0, (u * v_t).determinant().signum()));
-    let matrix = u * sign * v_t;
-    let rows = [0, 1, 2].map(|row| [0, 1, 2].map(|column| matrix[(row, column)]));
-    rotation_from_matrix_rows(rows).map(|(rotation, _)| rotation)
 }
 
 #[cfg(test)]

@@ -1,6 +1,8 @@
 //! Constant frames between two series of rotations.
 
-use ground::geometry::{Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
+use ground::geometry::{
+    Rotation, Vec3, rotation_by_wahba, rotation_from_rotvec, rotvec_from_rotation,
+};
 use nalgebra::{Matrix3, Matrix6, SMatrix, Vector6};
 
 /// Candidate true rotations of every sample under one encoding.
@@ -117,7 +119,7 @@ pub(super) fn fit_both_frames(
             let by_fk = rotvec_from_rotation(&(fk[b] * fk[a].inverse()));
             correlation += by_stream * by_fk.transpose();
         }
-        reference = wahba(&correlation);
+        reference = rotation_by_wahba(&correlation);
         let offsets: Vec<Rotation> = chosen
             .iter()
             .zip(fk)
@@ -166,18 +168,6 @@ fn refine_frames(
         }
     }
     (reference, tool)
-}
-
-/// Rotation `a_from_b` that best maps vectors b to vectors a, from `Σ a·bᵀ`.
-pub(super) fn wahba(correlation: &Matrix3<f64>) -> Rotation {
-    let svd = correlation.svd(true, true);
-    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
-        return Rotation::identity();
-    };
-    let mut flip = Matrix3::identity();
-    flip[(2, 2)] = (u * v_t).determinant().signum();
-    let matrix = u * flip * v_t;
-    Rotation::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(matrix))
 }
 
 /// Mean of similar rotations, by iteratively averaging rotation vectors.

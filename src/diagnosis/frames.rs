@@ -1,10 +1,11 @@
 //! Constant frame errors: initial guesses for the fit, and the resulting estimates.
 
-use super::constant::{mean_rotation, wahba};
+use super::constant::mean_rotation;
 use super::model::{PoseObservations, PredictionBuffers, StreamState, pose_of_twist, twist_of};
 use super::model_selection::{CandidateCauses, Cause, SelectedModel};
 use super::position_fit::FkColumns;
 use super::{EstimateResult, FrameEstimate, Measured, NotObservable};
+use ground::geometry::rotation_by_wahba;
 use ground::geometry::{
     Pose, Rotation, Vec3, angle_between, pose, rotation_from_matrix_rows, rotation_from_rotvec,
     rotvec_from_rotation,
@@ -167,7 +168,7 @@ const CONVERGED_COST_DECREASE: f64 = 1e-6;
 
 /// Closed-form initial guess of reference and tool frame (`A X = X B`; Park and Martin 1994).
 pub(super) fn initial_frames(fk: &[Pose], logged: &[Pose]) -> (Pose, Pose) {
-    frames_for_rotation(wahba(&relative_rotations(fk, logged)), fk, logged)
+    frames_for_rotation(rotation_by_wahba(&relative_rotations(fk, logged)), fk, logged)
 }
 
 /// Fits reference and tool frame together.
@@ -228,7 +229,7 @@ fn relative_rotations(fk: &[Pose], logged: &[Pose]) -> Matrix3<f64> {
 /// Reference rotations consistent with the relative rotations: the least-squares solution, and four that
 /// align the common axis. The four are a quarter turn apart about the axis, starting nearest to `about`.
 fn candidate_reference_rotations(correlation: &Matrix3<f64>, about: &Rotation) -> Vec<Rotation> {
-    let mut turns = vec![wahba(correlation)];
+    let mut turns = vec![rotation_by_wahba(correlation)];
     let svd = correlation.svd(true, true);
     if let (Some(u), Some(v_t)) = (svd.u, svd.v_t) {
         let in_stream: Vec3 = u.column(0).into();

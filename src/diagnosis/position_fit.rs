@@ -1,6 +1,6 @@
 //! Comparison of a stream's positions with FK, before any rotation is decoded.
 
-use super::constant::wahba;
+use ground::geometry::rotation_by_wahba;
 use ground::geometry::{Pose, Rotation, Vec3, pose};
 use nalgebra::Matrix3;
 
@@ -113,7 +113,7 @@ fn rigid_transform(from: &[Vec3], to: &[Vec3]) -> Option<Pose> {
 
 /// Best rigid transform from `from` to `to`, given their `correlation`.
 fn rigid_transform_from(from: &[Vec3], to: &[Vec3], correlation: &Matrix3<f64>) -> Pose {
-    let turn = wahba(correlation);
+    let turn = rotation_by_wahba(correlation);
     let mean = |points: &[Vec3]| points.iter().sum::<Vec3>() / points.len().max(1) as f64;
     pose((mean(to) - turn * mean(from)).into(), turn)
 }
@@ -123,7 +123,7 @@ fn rigid_transform_from(from: &[Vec3], to: &[Vec3], correlation: &Matrix3<f64>) 
 pub(super) fn rigid_rotation(from: &[Vec3], to: &[Vec3], sign: f64) -> Option<Matrix3<f64>> {
     let correlation = correlation(from, to)?;
     // A reflection through the origin commutes with rotations.
-    let turn = wahba(&(correlation * sign)).to_rotation_matrix();
+    let turn = rotation_by_wahba(&(correlation * sign)).to_rotation_matrix();
     Some(turn.matrix() * sign)
 }
 

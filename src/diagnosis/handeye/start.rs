@@ -1,7 +1,7 @@
 //! Initial camera pose in closed form.
 
-use super::super::constant::wahba;
 use super::series::PosePair;
+use ground::geometry::rotation_by_wahba;
 use ground::geometry::{
     Pose, Rotation, Vec3, angle_between, pose, rotation_from_rotvec, rotvec_from_rotation,
 };
@@ -109,12 +109,12 @@ fn camera_rotations(pairs: &[PosePair]) -> Option<Vec<Rotation>> {
     if largest < 1e-6 || alike().count() < 3 {
         return None;
     }
-    let guess = wahba(&alike().map(|(a, b)| a * b.transpose()).sum::<Matrix3<f64>>());
+    let guess = rotation_by_wahba(&alike().map(|(a, b)| a * b.transpose()).sum::<Matrix3<f64>>());
     // Repeat without outliers of the first estimate.
     let mut off: Vec<f64> = alike().map(|(a, b)| (a - guess * b).norm()).collect();
     let limit = 3.0 * median(&mut off).unwrap_or(0.0) + 1e-9;
     let near = || alike().filter(|(a, b)| (a - guess * b).norm() <= limit);
-    let rotation = wahba(&near().map(|(a, b)| a * b.transpose()).sum::<Matrix3<f64>>());
+    let rotation = rotation_by_wahba(&near().map(|(a, b)| a * b.transpose()).sum::<Matrix3<f64>>());
     let scatter: Matrix3<f64> = near().map(|(a, _)| a * a.transpose()).sum();
     let eigen = scatter.symmetric_eigen();
     let first = eigen.eigenvalues.imax();

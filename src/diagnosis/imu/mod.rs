@@ -19,7 +19,7 @@ mod tests;
 mod tilt;
 mod yaw;
 
-use super::constant::{mean_rotation, wahba};
+use super::constant::mean_rotation;
 use super::latency::{
     ArmSpeeds, LagPeak, angular_speed, correlation_by_lag, lag_peaks, norm_series,
 };
@@ -34,7 +34,7 @@ pub use estimates::{
 pub use numbers::{AccelUnit, AccelUnitError, GyroSaturation, ImuConventions};
 pub use residual_check::{GyroResidual, ImuResidualCheck, check_imu_residual};
 
-use ground::geometry::{Rotation, Vec3, angle_between};
+use ground::geometry::{Rotation, Vec3, angle_between, rotation_by_wahba};
 use ground::stream::{ImuTrack, JointTrack, sample_noise};
 use nalgebra::{DMatrix, Matrix3};
 
@@ -319,7 +319,9 @@ fn mount_of(correlation: &Matrix3<f64>, expected: &Rotation) -> Rotation {
     /// Weight of `expected` as a share of the best-observed directions.
     const EXPECTED_MOUNT_WEIGHT: f64 = 1e-2;
     let expected = expected.to_rotation_matrix();
-    wahba(&(correlation + expected.matrix() * (EXPECTED_MOUNT_WEIGHT * correlation.norm())))
+    rotation_by_wahba(
+        &(correlation + expected.matrix() * (EXPECTED_MOUNT_WEIGHT * correlation.norm())),
+    )
 }
 
 /// State of the link at one time.

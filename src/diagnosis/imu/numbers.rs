@@ -4,8 +4,8 @@
 //! signs do not affect that ratio; bias and lag affect it little.
 
 use super::super::UnitResiduals;
-use super::super::constant::wahba;
 use super::{ImuStream, Link, MIN_CORRELATION, MIN_FIT_SAMPLES, rms};
+use ground::geometry::rotation_by_wahba;
 use ground::geometry::{Rotation, Vec3, angle_between};
 use ground::stats::quantile;
 use ground::stream::{ImuTrack, JointTrack};
@@ -210,7 +210,7 @@ impl Alignment {
             .iter()
             .map(|(_, gyro, rate)| (rate - mean_rate) * (gyro * factor - mean).transpose())
             .sum();
-        let link_from_imu = wahba(&correlation);
+        let link_from_imu = rotation_by_wahba(&correlation);
         Self { link_from_imu, bias: mean - link_from_imu.inverse() * mean_rate }
     }
 

@@ -1,8 +1,9 @@
 //! Residual of an IMU against FK, computed independently of the fits. A pass requires it to be small.
 
-use super::super::constant::{mean_rotation, wahba};
+use super::super::constant::mean_rotation;
 use super::super::residual_check::{ErrorSeries, FkError};
 use super::{ImuDiagnosis, ImuStream, Link, MAX_IMU_FIT_SAMPLES, MIN_CORRELATION, rms};
+use ground::geometry::rotation_by_wahba;
 use ground::geometry::{Pose, Rotation, Vec3, rotation_from_rotvec, rotvec_from_rotation};
 use ground::stream::{JointTrack, sample_noise};
 use nalgebra::Matrix3;
@@ -122,7 +123,7 @@ fn gyro_residual(link: &Link, moments: &[(usize, Rotation, Vec3)]) -> Option<Gyr
     let mean_rate = moments.iter().map(|(.., rate)| rate).sum::<Vec3>() / n;
     let pairs = || moments.iter().map(|(row, _, rate)| (gyro[*row] - mean, rate - mean_rate));
     let correlation: Matrix3<f64> = pairs().map(|(gyro, rate)| rate * gyro.transpose()).sum();
-    let link_from_imu = wahba(&correlation);
+    let link_from_imu = rotation_by_wahba(&correlation);
     let (mut along, mut square) = (0.0, 0.0);
     for (gyro, rate) in pairs() {
         along += rate.dot(&(link_from_imu * gyro));

@@ -29,8 +29,8 @@ pub use misinterpretation::{
     misinterpretation_classes,
 };
 pub use rotation::{
-    angle_between, rotation_from_matrix_rows, rotation_from_rotvec, rotation_from_rpy,
-    rotation_from_xyzw, rotvec_from_rotation, xyzw_from_rotation,
+    angle_between, rotation_by_wahba, rotation_from_matrix_rows, rotation_from_rotvec,
+    rotation_from_rpy, rotation_from_xyzw, rotvec_from_rotation, xyzw_from_rotation,
 };
 pub use rotation_encoding::RotationEncoding;
 pub use units::{AngleUnit, LengthScale, Misread, UnitError, Units};

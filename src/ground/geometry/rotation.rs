@@ -54,6 +54,18 @@ pub fn rotation_from_matrix_rows(rows: [[f64; 3]; 3]) -> Option<(Rotation, f64)>
     Some((UnitQuaternion::from_rotation_matrix(&rotation), defect))
 }
 
+/// Rotation `a_from_b` that best maps vectors b to vectors a, from their correlation `Σ a·bᵀ` (Wahba 1965, by SVD).
+/// The identity if the decomposition fails.
+pub fn rotation_by_wahba(correlation: &Matrix3<f64>) -> Rotation {
+    let svd = correlation.svd(true, true);
+    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else {
+        return Rotation::identity();
+    };
+    let mut flip = Matrix3::identity();
+    flip[(2, 2)] = (u * v_t).determinant().signum();
+    Rotation::from_rotation_matrix(&Rotation3::from_matrix_unchecked(u * flip * v_t))
+}
+
 /// Angle of the rotation from `a` to `b`, rad, in [0, π].
 ///
 /// All orientation errors use this angle, never a difference of quaternions or Euler angles.
